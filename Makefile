@@ -10,7 +10,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # The tests start Python hundreds of times: let it keep what it compiled, whatever the shell says.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install car lock demo test lint types layers docs unit all-tests safety bench media size clean
+.PHONY: help install car lock demo test lint types layers docs media unit all-tests safety bench size clean
 help:            ## this list
 	@grep -hE '^[a-z]+: .*##|^[a-z]+:  +##' Makefile | sed 's/:.*##/\t/'
 
@@ -55,6 +55,10 @@ layers: install   ## which room may import which
 docs: install     ## the site, into site/; a broken link or anchor is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
+media: install    ## the pictures of README, site and tutorial, from their own commands (minutes; Chromium)
+	$(BIN)/python docs/media.py
+	$(BIN)/python -m tests.media
+
 unit: install     ## the quick tests, half a minute: no processes, no statistics, no whole commands
 	$(PYTEST) -n 2 -m "not realtime and not slow" tests/unit
 
@@ -63,9 +67,6 @@ all-tests: install
 	# A machine that stalls for 30 ms rightly stops a car; such a drive is driven again, twice at most;
 	# the run fails if more than a tenth of them needed that (tests/conftest.py).
 	$(PYTEST) -m realtime --reruns 2
-
-media: install    ## draw the pictures of README and tutorial from their own commands (needs Chromium)
-	$(BIN)/python -m tests.media
 
 bench: install     ## measure everything; writes docs/results/performance.md (20 minutes)
 	$(BIN)/python -m pip install --quiet --progress-bar off -c constraints.txt --group bench

@@ -21,7 +21,7 @@ def number(value: float | None) -> str:
 
 def spread(found: dict[str, float]) -> str:
     """Median, and the middle of the repetitions."""
-    return f"{number(found['median'])} ({number(found['low'])} to {number(found['high'])})"
+    return f"{number(found['median'])} ({number(found['low'])}..{number(found['high'])})"
 
 
 def times(part: float, whole: float) -> str:
@@ -34,11 +34,10 @@ def simulation(said: dict[str, Any]) -> str:
     other = "plain C loop" if "plain C loop" in ms else "bare kernel"
     rows = [[name, spread(ms[name]), times(ms[name]["median"], base)] for name in ms]
     return (
-        "Value and gradient (to all parameters) of 16 runs × 4000 RK4 steps: CPU time on one "
-        "thread, the last row wall time on all cores. "
-        "The torch reference is timed over 200 steps, the scalar loop over 20 steps of one run, "
-        f"and multiplied. Largest relative difference: {said['apart']:.1e}.\n\n"
-        + table(["", "ms, median (10 % to 90 %)", f"of the {other}"], rows)
+        "Value and gradient of 16 runs × 4000 RK4 steps: CPU time on one thread, the last row wall "
+        "time on all cores. The torch reference is timed over 200 steps and the scalar loop over "
+        f"20 of one run. Largest relative difference: {said['apart']:.1e}.\n\n"
+        + table(["", "ms, median (10..90 %)", f"of the {other}"], rows)
         + "\n![growth by runs, steps and parameters](performance-growth.svg)\n"
     )
 
@@ -60,11 +59,8 @@ def identify(said: dict[str, Any]) -> str:
         "end on slaloms, mm",
     ]
     return (
-        "The paper's sixteen circles with mocap noise, one random start, CPU seconds; every method "
-        "uses the same compiled simulator. The target is the noise of one pose, 1 mm, open loop on "
-        "circles of other steering angles; slaloms need what circles do not determine. The time "
-        "of `ours` includes standard errors; [identification](identification.md) has the whole "
-        "race.\n\n" + table(head, rows)
+        "One start of the [race](identification.md) on the paper's circles, CPU seconds; the time "
+        "of `ours` includes standard errors.\n\n" + table(head, rows)
     )
 
 
@@ -96,12 +92,10 @@ def control_path(said: list[dict[str, Any]]) -> str:
     ]  # fmt: skip
     names = list(said[0]["cpu_percent"])
     return (
-        "Milliseconds, p50/p99/p99.9. A process between core and simulated hardware stamps the "
-        "mocap datagram and the VESC's bytes. `path`: datagram to the first bytes of the tick "
-        "after it, which comes with the pose as soon as the ticks are in step with mocap. "
-        "`work`: of the core in a tick, by its own record, after the pose is fused. "
-        "`past deadline`: how late a tick began. `loaded`: one endless loop per core; "
-        "a machine that stalls stops the car, as it should.\n\n"
+        "Milliseconds, p50/p99/p99.9. `path`: mocap datagram to the first bytes of the tick after "
+        "it, stamped by a process between core and simulated hardware. `work`: of the core in a "
+        "tick, after the pose is fused. `past deadline`: how late a tick began. `loaded`: one "
+        "endless loop per core.\n\n"
         + table(head, rows)
         + "\nShare of a core, idle and FIFO:\n\n"
         + table(["Hz", *names], shares)
@@ -117,20 +111,18 @@ def control_floor(said: dict[str, Any]) -> str:
     rows += [row(f"the core's tick, {name}", found) for name, found in tick.items()]
     slower = times(tick["after a sleep"]["p50"], tick["in a row"]["p50"])
     return (
-        f"Milliseconds at {said['rate']} Hz under SCHED_FIFO. The C program stands where the core "
-        "stands and answers a datagram with bytes at once: wires, wakes and the stamping itself. "
-        "The tick is the core's with a fresh pose, in virtual time on the same events, in one "
-        "process: one after the other, and asleep in between until the next is due.\n\n"
+        f"Milliseconds at {said['rate']} Hz under SCHED_FIFO. The C program answers a datagram at "
+        "once, in the core's place. The tick is the core's with a fresh pose, in virtual time: one "
+        "after the other, or asleep until the next is due.\n\n"
         + table(["", "p50", "p99", "p99.9"], rows)
-        + f"\nAfter a rest the tick takes {slower} of what it takes in a row: other programs have "
-        "used the caches.\n"
+        + f"\nAfter a rest the tick takes {slower} as long: the caches are cold.\n"
     )
 
 
 def virtual(said: dict[str, Any]) -> str:
     def row(name: str, values: list[float]) -> list[object]:
         middle = values[len(values) // 2]
-        return [name, f"{number(middle)} × ({number(values[0])} to {number(values[-1])})",
+        return [name, f"{number(middle)} × ({number(values[0])}..{number(values[-1])})",
                 f"{1e6 / (middle * 100.0):,.0f}"]  # fmt: skip
 
     rows = [row(f"loop at {hz} Hz", v) for hz, v in said["loop_hz"].items()]
@@ -141,30 +133,27 @@ def virtual(said: dict[str, Any]) -> str:
         u = said["units"]
         units = (
             f"\nA simulated second at 100 Hz, recorded, costs {spread(u)} times a fixed piece of "
-            f"pure Python (`benchmarks/timing.py`, {number(u['unit_ms'])} ms here), timed turn by "
-            "turn in the same run: machines and hours differ less in this figure.\n"
+            f"pure Python (`benchmarks/timing.py`, {number(u['unit_ms'])} ms here).\n"
         )
     each_us = 1e4 / sorted(said["loop_hz"]["100"])[1] / said["calls"]
     seeds = [[s["seeds"], s["workers"], number(s["wall_s"]), f"{number(s['times_real'])} ×"]
              for s in said["seeds"]]  # fmt: skip
     return (
-        "Simulated seconds per CPU second: the whole loop, every byte of both protocols encoded, "
-        "framed, parsed and decoded on both sides. Default physics step: 2 ms.\n\n"
+        "Simulated seconds per CPU second of the whole loop with both protocols. Default physics "
+        "step: 2 ms.\n\n"
         + table(["", "of real time", "µs per 10 ms"], rows)
         + units
         + "\n"
         + table(["seeds of 2 s", "processes", "wall s", "of real time, together"], seeds)
-        + f"\nA tick of 10 ms is {number(said['calls'])} calls of small functions at "
-        f"{number(each_us)} µs each with what they do, no one a twentieth of it.\n"
+        + f"\nA tick of 10 ms is {number(said['calls'])} calls at {number(each_us)} µs each.\n"
     )
 
 
 def ratio(said: dict[str, Any]) -> str:
     return (
         f"A simulated second at 100 Hz, recorded, costs {spread(said)} of what it cost at "
-        f"`{said['since']}`, {number(said['after_ms'])} ms of CPU for {number(said['before_ms'])}: "
-        "two processes with one interpreter, turn by turn (`python benchmarks/perf_ratio.py`; "
-        "`--since` names another commit).\n"
+        f"`{said['since']}`: {number(said['after_ms'])} ms of CPU for {number(said['before_ms'])} "
+        "(`python benchmarks/perf_ratio.py --since COMMIT`).\n"
     )
 
 
@@ -180,13 +169,11 @@ def wire(said: dict[str, Any]) -> str:
     s = said["session"]
     return (
         table(["µs", "here", "there", "(package)", "of it"], rows)
-        + "\nThe bytes are the same as those of pyvesc and natnet. A session of ten minutes at "
-        f"100 Hz ({s['messages']:,} messages, {s['megabytes']:g} MB "
-        f"compressed; {s['kept']:,} read back): written at {s['write_per_s']:,} messages per CPU "
-        f"second, {number(s['write_per_s'] / 700)} times what a drive makes; opened and read to "
-        f"arrays in {number(s['open_s'])} s, "
-        f"{times(s['open_s'], s['mcap_reader_s'])} of what the mcap package's own reader takes to "
-        "count the messages.\n"
+        + f"\nA session of ten minutes at 100 Hz ({s['messages']:,} messages, {s['megabytes']:g} "
+        f"MB; {s['kept']:,} read back) is written at {s['write_per_s']:,} messages per CPU second, "
+        f"{number(s['write_per_s'] / 700)} times what a drive makes, and read to arrays in "
+        f"{number(s['open_s'])} s; the mcap package needs {number(s['mcap_reader_s'])} s to count "
+        "its messages.\n"
     )
 
 
@@ -194,9 +181,8 @@ def startup(said: dict[str, Any]) -> str:
     bare = said["python -c pass"]["median"]
     rows = [[name, spread(found), times(found["median"], bare)] for name, found in said.items()]
     return (
-        table(["wall s", "median (least to most)", "of an empty interpreter"], rows)
-        + "\nThe first command waits a second in which the checks must hold, and 0.4 s for the "
-        "test of the VESC's own timeout.\n"
+        table(["wall s", "median (least..most)", "of an empty interpreter"], rows)
+        + "\nThe first command waits 1 s for the checks and 0.4 s for the VESC's timeout.\n"
     )
 
 
@@ -209,13 +195,12 @@ def batch(said: dict[str, Any]) -> str:
     wrong = ", ".join(said["wrongly"]) or "none"
     return (
         f"`steerd batch identify` over {said['sessions']} imported drives of 20 s, {said['cars']} "
-        "cars, one drive of each on each day; on three a parameter changes on a day. A worker is "
-        f"killed on the way. Sessions that failed: {said['failed']}; cars named wrongly: {wrong}."
+        f"cars; one worker is killed. Failed: {said['failed']}; cars named wrongly: {wrong}."
         "\n\n"
         + table(["car", "hidden", "since", "named", "days off", "sigma"], rows)
-        + f"\nAll of it in {number(said['identified_s'])} s. A part of it by one process and by "
-        f"two: {number(said['one_s'])} and {number(said['two_s'])} s, {number(said['ratio'])} ×, "
-        f"at a load average of {said['load']:g} when it began.\n"
+        + f"\nIn {number(said['identified_s'])} s. A part of it by one process and by two: "
+        f"{number(said['one_s'])} and {number(said['two_s'])} s, {number(said['ratio'])} × (load "
+        f"average {said['load']:g}).\n"
     )
 
 
@@ -227,11 +212,8 @@ def hours(said: list[dict[str, Any]]) -> str:
     ]  # fmt: skip
     head = ["hours", "sessions", "identify MB", "CPU s", "diagnose MB", "CPU s"]
     return (
-        "Imported drives of ten minutes or less, 100 poses a second; peak memory and processor "
-        "time of `steerd identify` and `steerd diagnose --no-closed-loop`.\n\n"
-        + table(head, rows)
-        + "\nOf more than twenty minutes, pieces from all sessions are looked at, and the rest is "
-        "not.\n"
+        "Imported drives, 100 poses a second; peak memory and processor time. Of more than twenty "
+        "minutes, pieces from all sessions are used.\n\n" + table(head, rows)
     )
 
 
@@ -255,8 +237,8 @@ def render(kept: dict[str, Any]) -> str:
     machine = kept["machine"]
     page = [
         "# Performance\n",
-        "Written by `make bench` (`benchmarks/run.py`): do not edit. Every figure stands beside "
-        "another of the same run, because machines differ more than programs.\n",
+        "Written by `make bench`. Compare only figures of one run: machines differ more than "
+        "programs.\n",
         f"{machine['cpu']}, {machine['cores']} cores, Linux {machine['kernel']}, Python "
         f"{machine['python']}, {machine['date']}; load average at the start {machine['load']}.\n",
     ]

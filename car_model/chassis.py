@@ -5,8 +5,9 @@ Two chassis share effects and actuators: `single_track` (the paper's, small angl
 chain slips -> loads -> forces -> rates, so that an unmodelled effect can touch one link.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Generic, NamedTuple, Protocol
+from typing import Any, Generic, NamedTuple
 
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
@@ -38,33 +39,12 @@ class Rates(NamedTuple, Generic[T]):
     slip_angle: T
 
 
-class SlipAngles(Protocol):
-    """Slip angle of each axle [rad] at a road-wheel angle and a longitudinal acceleration."""
-
-    def __call__(
-        self, ops: Ops[T], car: Car[T], state: State[T], wheel: T, accel: T
-    ) -> Axles[T]: ...
-
-
-class AxleLoads(Protocol):
-    """Vertical load of each axle [N] at a longitudinal acceleration."""
-
-    def __call__(self, ops: Ops[T], car: Car[T], state: State[T], accel: T) -> Axles[T]: ...
-
-
-class ChassisRates(Protocol):
-    """Rates of the chassis states under the axles' loads and lateral forces."""
-
-    def __call__(
-        self,
-        ops: Ops[T],
-        car: Car[T],
-        state: State[T],
-        wheel: T,
-        accel: T,
-        loads: Axles[T],
-        forces: Axles[T],
-    ) -> Rates[T]: ...
+SlipAngles = Callable[[Ops[T], Car[T], State[T], T, T], Axles[T]]
+"""(ops, car, state, wheel, accel): slip angle of each axle [rad] at a road-wheel angle [rad]."""
+AxleLoads = Callable[[Ops[T], Car[T], State[T], T], Axles[T]]
+"""(ops, car, state, accel): vertical load of each axle [N]."""
+ChassisRates = Callable[[Ops[T], Car[T], State[T], T, T, Axles[T], Axles[T]], Rates[T]]
+"""(ops, car, state, wheel, accel, loads, forces): rates of the chassis states."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +62,9 @@ class Chassis:
 
     name: str
     drive: str
-    slip_angles: SlipAngles = field(compare=False)
-    axle_loads: AxleLoads = field(compare=False)
-    rates: ChassisRates = field(compare=False)
+    slip_angles: SlipAngles[Any] = field(compare=False)
+    axle_loads: AxleLoads[Any] = field(compare=False)
+    rates: ChassisRates[Any] = field(compare=False)
 
     @property
     def label(self) -> str:

@@ -12,9 +12,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple
 
-from steerd.car_model.actuators import Actuated
 from steerd.car_model.chassis import Axles, Rates
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
@@ -99,6 +98,23 @@ class EffectParameter(NamedTuple):
         return min(self.null + self.scale, 0.5 * (self.null + self.high))
 
 
+class Contact(NamedTuple, Generic[T]):
+    """The car on its tyres at one instant."""
+
+    car: Car[T]
+    state: State[T]
+    wheel: T
+    """Road-wheel angle [rad]."""
+    accel: T
+    """Longitudinal acceleration [m/s^2]."""
+    slips: Axles[T]
+    """Slip angles that the tyres feel [rad]."""
+    loads: Axles[T]
+    """Vertical [N]."""
+    forces: Axles[T]
+    """Lateral [N]."""
+
+
 Values = Sequence[T]
 """The numbers of an effect: its parameters `p`, or what it remembers."""
 
@@ -110,20 +126,14 @@ CarHook = Callable[[Ops[T], Values[T], Car[T], State[T], float], Car[T]]
 """(ops, p, car, state, t): the car's parameters `t` seconds into the run."""
 ReferenceHook = Callable[[Ops[T], Values[T], Command[T], float], Command[T]]
 """(ops, p, ref, t): what the actuators aim at."""
-ActuatedHook = Callable[
-    [Ops[T], Values[T], Car[T], State[T], Command[T], float, Actuated[T]], Actuated[T]
-]
-"""(ops, p, car, state, ref, h, out): where the actuators get to within a step of `h` seconds."""
 LinkageHook = Callable[[Ops[T], Values[T], Values[T], T], tuple[T, tuple[T, ...]]]
 """(ops, p, memory, angle): road-wheel angle for an actuator angle, and the memory after it."""
 SlipHook = Callable[[Ops[T], Values[T], Values[T], Axles[T]], Axles[T]]
 """(ops, p, memory, slips): slip angles that the tyres feel."""
-LoadHook = Callable[[Ops[T], Values[T], Car[T], State[T], T, Axles[T]], Axles[T]]
-"""(ops, p, car, state, accel, loads): vertical loads of the axles [N]."""
-ForceHook = Callable[[Ops[T], Values[T], Car[T], Axles[T], Axles[T], T, Axles[T]], Axles[T]]
-"""(ops, p, car, slips, loads, accel, forces): lateral forces of the axles [N]."""
-RateHook = Callable[[Ops[T], Values[T], Car[T], State[T], T, Axles[T], Rates[T]], Rates[T]]
-"""(ops, p, car, state, wheel, forces, rates): time derivatives of the chassis states."""
+ForceHook = Callable[[Ops[T], Values[T], Contact[T]], Axles[T]]
+"""(ops, p, at): lateral forces of the axles [N], changed from `at.forces`."""
+RateHook = Callable[[Ops[T], Values[T], Contact[T], Rates[T]], Rates[T]]
+"""(ops, p, at, rates): time derivatives of the chassis states."""
 RememberHook = Callable[[Ops[T], Values[T], Values[T], T, Axles[T], Axles[T], float], tuple[T, ...]]
 """(ops, p, memory, speed, before, after, h): memory after `h` seconds; slips at both ends."""
 ObserveHook = Callable[[Ops[T], Values[T], State[T], Observation[T]], Observation[T]]
@@ -134,8 +144,7 @@ ObserveHook = Callable[[Ops[T], Values[T], State[T], Observation[T]], Observatio
 class Effect:
     """An unmodelled effect: all that simulation, identification and diagnosis know of it.
 
-    Only the hooks that it needs are given. What the diagnosis must know has no default: an effect
-    that leaves it out does not construct.
+    Only the hooks that it needs are given.
 
     Raises:
         ValueError: the fields contradict each other.
@@ -155,13 +164,11 @@ class Effect:
     from the null says nothing, as for a limit, which matters as soon as something meets it.
     Source: docs/reference/diagnosis.md#g1.2.
     """
-    confounded_with: Confounding | None
+    confounded_with: Confounding | None = None
     """What it looks like exactly, or nearly under a condition; None: nothing known."""
-    needs_commands: Channel | None
+    needs_commands: Channel | None = None
     """The command without which drives cannot show it; None: the motion alone shows it."""
-    selectable_in_base: BaseSelection
-    zero_gradient: bool
-    """Whether the gradient at the null is zero (a limit, play): it is then found by a scan."""
+    selectable_in_base: BaseSelection = BaseSelection.HEALTHY
     same_as: tuple[str, ...] = ()
     """Parameters of the base that are the same physical quantity: while the effect is free in a
     hypothesis they are not, for nothing is free twice."""
@@ -181,10 +188,8 @@ class Effect:
     delays: DelayHook[Any] | None = None
     car: CarHook[Any] | None = None
     reference: ReferenceHook[Any] | None = None
-    actuated: ActuatedHook[Any] | None = None
     linkage: LinkageHook[Any] | None = None
     slips: SlipHook[Any] | None = None
-    loads: LoadHook[Any] | None = None
     forces: ForceHook[Any] | None = None
     rates: RateHook[Any] | None = None
     remember: RememberHook[Any] | None = None
@@ -194,8 +199,6 @@ class Effect:
 
     def __post_init__(self) -> None:
         """Refuse fields that contradict each other."""
-        if self.zero_gradient and not (self.scan or any(p.scan for p in self.parameters)):
-            raise ValueError(f"{self.name}: with a zero gradient at its null it needs a scan")
         if not self.nameable_alone and self.confounded_with is None:
             raise ValueError(f"{self.name}: not nameable alone, but confounded with nothing")
 
@@ -203,6 +206,11 @@ class Effect:
     def nulls(self) -> tuple[float, ...]:
         """Parameter values at which the effect changes nothing."""
         return tuple(parameter.null for parameter in self.parameters)
+
+    @property
+    def zero_gradient(self) -> bool:
+        """Whether the gradient at the null is zero (a limit, play), so that it is scanned."""
+        return self.scan is not None or any(p.scan for p in self.parameters)
 
     @property
     def remembers_commands(self) -> bool:
@@ -224,19 +232,36 @@ class Effect:
         )
 
 
-HOOKS: tuple[str, ...] = (
-    "delays",
-    "car",
-    "reference",
-    "actuated",
-    "linkage",
-    "slips",
-    "loads",
-    "forces",
-    "rates",
-    "remember",
-    "observe",
-)
+HOOKS = (
+    "delays", "car", "reference", "linkage", "slips", "forces", "rates", "remember", "observe",
+)  # fmt: skip
+
+
+def delay(channel: str, p: Values[T]) -> Delays[T]:
+    """One channel alone comes later: a `DelayHook`, once its channel is chosen."""
+    none = 0.0 * p[0]
+    return Delays(none, none, none)._replace(**{channel: p[0]})
+
+
+def shift(
+    names: Sequence[str], ops: Ops[T], p: Values[T], car: Car[T], state: State[T], t: float
+) -> Car[T]:
+    """These of the car's parameters, larger by the value: a `CarHook`, once they are chosen."""
+    return car._replace(**{name: getattr(car, name) + p[0] for name in names})
+
+
+def scale(
+    names: Sequence[str], ops: Ops[T], p: Values[T], car: Car[T], state: State[T], t: float
+) -> Car[T]:
+    """The same, multiplied by the value."""
+    return car._replace(**{name: getattr(car, name) * p[0] for name in names})
+
+
+def cap(
+    names: Sequence[str], ops: Ops[T], p: Values[T], car: Car[T], state: State[T], t: float
+) -> Car[T]:
+    """The same, at most the value."""
+    return car._replace(**{name: ops.minimum(getattr(car, name), p[0]) for name in names})
 
 
 class BoundHook(NamedTuple):

@@ -1,4 +1,4 @@
-"""The car near an operating point: steady turns, linear models, Rajamani's lane errors.
+"""The car about straight driving: Rajamani's lane errors, sampled systems.
 
 Everything comes from the exact Jacobian of the single-track equations. About straight driving,
 where controllers are designed, every chassis has the same one (tested), so a controller designed
@@ -12,32 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.native.library import load_function, model_label
-from steerd.car_model.params import Car, wheelbase
+from steerd.car_model.params import Car
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import ORIGIN, State
 
 Matrix = NDArray[np.float64]
 
-NAMES: tuple[str, ...] = (*State._fields[:6], "wheel", "accel")
-"""What the columns of the Jacobian belong to."""
 _YAW_RATE, _SLIP, _WHEEL = 4, 5, 6
-_NEWTON_STEPS = 50
-_NEWTON_TOLERANCE = 1e-11
+"""Rows and columns of the Jacobian."""
 _TAYLOR_TERMS = 14
 """Of a matrix whose norm is at most a half: the rest is below 1e-16."""
-
-
-class Turn(NamedTuple):
-    """A steady turn: nothing but place and heading changes."""
-
-    state: State[float]
-    wheel: float
-    """Road-wheel angle [rad]."""
-
-    @property
-    def curvature(self) -> float:
-        """Curvature of the CoG's path [1/m]."""
-        return self.state.yaw_rate / self.state.speed
 
 
 class LaneErrorModel(NamedTuple):
@@ -73,7 +57,8 @@ def rates_and_jacobian(
         accel: Longitudinal acceleration [m/s^2].
 
     Returns:
-        The six rates, as `chassis.derivative` gives them, and the 6 x 8 derivatives by `NAMES`.
+        The six rates, as `chassis.derivative` gives them, and their derivatives (6, 8) by the first
+        six states, wheel and acceleration.
 
     Raises:
         LibraryError: The library was not built.
@@ -84,55 +69,8 @@ def rates_and_jacobian(
     return found[0].tolist(), found[1:].reshape(6, 8)
 
 
-def steady_turn(car: Car[float], speed: float, curvature: float) -> Turn:
-    """The steady turn of a given path curvature [1/m] at a speed [m/s].
-
-    Raises:
-        ValueError: The speed is not positive, or the car cannot turn so.
-    """
-    if not speed > 0.0:
-        raise ValueError(f"a steady turn needs a positive speed, not {speed}")
-    yaw_rate, slip, wheel = speed * curvature, 0.0, math.atan(wheelbase(car) * curvature)
-    for _ in range(_NEWTON_STEPS):
-        state = ORIGIN._replace(speed=speed, yaw_rate=yaw_rate, slip_angle=slip)
-        rates, jacobian = rates_and_jacobian(car, state, wheel, 0.0)
-        (a, b), (c, d) = jacobian[_YAW_RATE : _SLIP + 1, [_SLIP, _WHEEL]].tolist()
-        determinant = a * d - b * c
-        if abs(determinant) <= 1e-12 * (abs(a * d) + abs(b * c)):
-            break
-        by_slip = (d * rates[_YAW_RATE] - b * rates[_SLIP]) / determinant
-        by_wheel = (a * rates[_SLIP] - c * rates[_YAW_RATE]) / determinant
-        slip, wheel = slip - by_slip, wheel - by_wheel
-        if abs(by_slip) + abs(by_wheel) < _NEWTON_TOLERANCE * (1.0 + abs(slip)):
-            return Turn(state._replace(slip_angle=slip, steer=wheel), wheel)
-    raise ValueError(f"no steady turn of curvature {curvature} 1/m at {speed} m/s")
-
-
-def linearise(
-    car: Car[float],
-    at: Turn,
-    states: tuple[str, ...] = ("slip_angle", "yaw_rate"),
-    inputs: tuple[str, ...] = ("wheel",),
-) -> tuple[Matrix, Matrix]:
-    """Continuous `(A, B)` of the named states and inputs about a steady turn.
-
-    Args:
-        car: The car's parameters.
-        at: The operating point.
-        states: Names out of `NAMES[:6]`, in the requested order.
-        inputs: Names out of `NAMES`, in the requested order.
-    """
-    jacobian = rates_and_jacobian(car, at.state, at.wheel, 0.0)[1]
-    return _part(jacobian, states, states), _part(jacobian, states, inputs)
-
-
-def _part(jacobian: Matrix, rows: tuple[str, ...], columns: tuple[str, ...]) -> Matrix:
-    """The named rows and columns of the Jacobian."""
-    return jacobian[np.ix_([*map(NAMES.index, rows)], [*map(NAMES.index, columns)])]
-
-
-def lane_error_model(car: Car[float], speed: float, curvature: float = 0.0) -> LaneErrorModel:
-    """Rajamani's error dynamics of the CoG against a path, at constant speed.
+def lane_error_model(car: Car[float], speed: float) -> LaneErrorModel:
+    """Rajamani's error dynamics of the CoG against a path, at constant speed [m/s].
 
     With `e1' = v (slip + e2)` and `e2' = yaw_rate - v curvature`, the lateral Jacobian gives
     Rajamani, Vehicle Dynamics and Control, eq. 2.45 (there C is per tyre: 2 C is ours per axle).
@@ -140,9 +78,11 @@ def lane_error_model(car: Car[float], speed: float, curvature: float = 0.0) -> L
     Raises:
         ValueError: The speed is not positive.
     """
-    lateral, steer = linearise(car, steady_turn(car, speed, curvature))
-    (slip_slip, slip_yaw), (yaw_slip, yaw_yaw) = lateral.tolist()
-    slip_steer, yaw_steer = steer[:, 0].tolist()
+    if not speed > 0.0:
+        raise ValueError(f"lane errors need a positive speed, not {speed}")
+    jacobian = rates_and_jacobian(car, ORIGIN._replace(speed=speed), 0.0, 0.0)[1]
+    lateral = jacobian[np.ix_([_SLIP, _YAW_RATE], [_SLIP, _YAW_RATE, _WHEEL])].tolist()
+    (slip_slip, slip_yaw, slip_steer), (yaw_slip, yaw_yaw, yaw_steer) = lateral
     v = speed
     return LaneErrorModel(
         a=np.array(

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import Generic, NamedTuple
 
-from steerd.car_model.actuators import Actuated, actuate, references
+from steerd.car_model.actuators import references
 from steerd.car_model.chassis import Axles, Chassis, Rates, lateral_forces
-from steerd.car_model.effect import HOOKS, BoundHook, Effect
+from steerd.car_model.effect import HOOKS, BoundHook, Contact, Effect
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
@@ -86,16 +86,6 @@ def aim(ops: Ops[T], model: Model[T], car: Car[T], command: Command[T], t: float
     return ref
 
 
-def drive_actuators(
-    ops: Ops[T], model: Model[T], car: Car[T], state: State[T], ref: Command[T], h: float
-) -> Actuated[T]:
-    """Where steering and drive get to within a step of `h` seconds."""
-    out = actuate(ops, car, state, ref, h)
-    for b in bound_hooks(model.effects, "actuated"):
-        out = b.hook(ops, model.values[b.position], car, state, ref, h, out)
-    return out
-
-
 def link(ops: Ops[T], model: Model[T], memory: tuple[T, ...], angle: T) -> tuple[T, tuple[T, ...]]:
     """Road-wheel angle [rad] for an actuator angle [rad], and the memory after it."""
     wheel = angle
@@ -103,22 +93,6 @@ def link(ops: Ops[T], model: Model[T], memory: tuple[T, ...], angle: T) -> tuple
         wheel, own = b.hook(ops, model.values[b.position], memory[b.start : b.stop], wheel)
         memory = (*memory[: b.start], *own, *memory[b.stop :])
     return wheel, memory
-
-
-def felt_slips(
-    ops: Ops[T],
-    model: Model[T],
-    car: Car[T],
-    memory: tuple[T, ...],
-    state: State[T],
-    wheel: T,
-    accel: T,
-) -> Axles[T]:
-    """Slip angles that the tyres answer to [rad]."""
-    slips = model.chassis.slip_angles(ops, car, state, wheel, accel)
-    for b in bound_hooks(model.effects, "slips"):
-        slips = b.hook(ops, model.values[b.position], memory[b.start : b.stop], slips)
-    return slips
 
 
 def model_rates(
@@ -131,16 +105,16 @@ def model_rates(
     accel: T,
 ) -> Rates[T]:
     """Rates of the chassis states with every effect in its place."""
-    slips = felt_slips(ops, model, car, memory, state, wheel, accel)
+    slips = model.chassis.slip_angles(ops, car, state, wheel, accel)
+    for b in bound_hooks(model.effects, "slips"):
+        slips = b.hook(ops, model.values[b.position], memory[b.start : b.stop], slips)
     loads = model.chassis.axle_loads(ops, car, state, accel)
-    for b in bound_hooks(model.effects, "loads"):
-        loads = b.hook(ops, model.values[b.position], car, state, accel, loads)
-    forces = lateral_forces(car, slips, loads)
+    at = Contact(car, state, wheel, accel, slips, loads, lateral_forces(car, slips, loads))
     for b in bound_hooks(model.effects, "forces"):
-        forces = b.hook(ops, model.values[b.position], car, slips, loads, accel, forces)
-    rates = model.chassis.rates(ops, car, state, wheel, accel, loads, forces)
+        at = at._replace(forces=b.hook(ops, model.values[b.position], at))
+    rates = model.chassis.rates(ops, car, state, wheel, accel, loads, at.forces)
     for b in bound_hooks(model.effects, "rates"):
-        rates = b.hook(ops, model.values[b.position], car, state, wheel, forces, rates)
+        rates = b.hook(ops, model.values[b.position], at, rates)
     return rates
 
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 
+from steerd.car_model.actuators import actuate
 from steerd.car_model.chassis import SPEED_KINEMATIC, Rates
 from steerd.car_model.model import (
     Model,
@@ -11,7 +12,6 @@ from steerd.car_model.model import (
     bound_hooks,
     car_now,
     delays,
-    drive_actuators,
     link,
     memory_size,
     model_rates,
@@ -28,15 +28,9 @@ Integrator = Callable[[RatesAt[T], State[T], float], State[T]]
 
 def advance(state: State[T], rates: Rates[T], h: float) -> State[T]:
     """The state moved along its rates for `h` seconds; the steering angle stays."""
-    return State(
-        state.x + h * rates.x,
-        state.y + h * rates.y,
-        state.yaw + h * rates.yaw,
-        state.speed + h * rates.speed,
-        state.yaw_rate + h * rates.yaw_rate,
-        state.slip_angle + h * rates.slip_angle,
-        state.steer,
-    )
+    moved = (at + h * rate for at, rate in zip(state, rates, strict=False))
+    after: State[T] = State._make((*moved, state.steer))
+    return after
 
 
 def euler(rates_at: RatesAt[T], state: State[T], h: float) -> State[T]:
@@ -50,15 +44,8 @@ def rk4(rates_at: RatesAt[T], state: State[T], h: float) -> State[T]:
     k2 = rates_at(advance(state, k1, 0.5 * h), 0.5)
     k3 = rates_at(advance(state, k2, 0.5 * h), 0.5)
     k4 = rates_at(advance(state, k3, h), 1.0)
-    mean = Rates(
-        (k1.x + 2.0 * (k2.x + k3.x) + k4.x) / 6.0,
-        (k1.y + 2.0 * (k2.y + k3.y) + k4.y) / 6.0,
-        (k1.yaw + 2.0 * (k2.yaw + k3.yaw) + k4.yaw) / 6.0,
-        (k1.speed + 2.0 * (k2.speed + k3.speed) + k4.speed) / 6.0,
-        (k1.yaw_rate + 2.0 * (k2.yaw_rate + k3.yaw_rate) + k4.yaw_rate) / 6.0,
-        (k1.slip_angle + 2.0 * (k2.slip_angle + k3.slip_angle) + k4.slip_angle) / 6.0,
-    )
-    return advance(state, mean, h)
+    slopes = zip(k1, k2, k3, k4, strict=True)
+    return advance(state, Rates(*((a + 2.0 * (b + c) + d) / 6.0 for a, b, c, d in slopes)), h)
 
 
 def start(model: Model[T], state: State[T], zero: T) -> Moment[T]:
@@ -78,7 +65,7 @@ def step(
     """One step of `h` seconds, `t` seconds into the run, under an already delayed command."""
     car = car_now(ops, model, moment.state, t)
     ref = aim(ops, model, car, command, t)
-    out = drive_actuators(ops, model, car, moment.state, ref, h)
+    out = actuate(ops, car, moment.state, ref, h)
     return glide(ops, model, moment, out.steer, out.accel, t, h, integrate)
 
 

@@ -171,58 +171,23 @@ def _plain_commutative(op: str, nodes: Sequence[Node], entries: Sequence[Entry])
     return None
 
 
+def _recorded(op: str) -> Callable[..., Node]:
+    def record(a: Node, /, *others: Node | float) -> Node:
+        return apply(op, a, *others)
+
+    return staticmethod(record)
+
+
 class TapeOps:
     """`Ops` over recorded numbers."""
 
-    def sin(self, a: Node, /) -> Node:
-        """Record a sine."""
-        return apply("sin", a)
-
-    def cos(self, a: Node, /) -> Node:
-        """Record a cosine."""
-        return apply("cos", a)
-
-    def tan(self, a: Node, /) -> Node:
-        """Record a tangent."""
-        return apply("tan", a)
-
-    def atan(self, a: Node, /) -> Node:
-        """Record an arc tangent."""
-        return apply("atan", a)
-
-    def tanh(self, a: Node, /) -> Node:
-        """Record a hyperbolic tangent."""
-        return apply("tanh", a)
-
-    def exp(self, a: Node, /) -> Node:
-        """Record an exponential."""
-        return apply("exp", a)
-
-    def sqrt(self, a: Node, /) -> Node:
-        """Record a square root."""
-        return apply("sqrt", a)
-
-    def absolute(self, a: Node, /) -> Node:
-        """Record a magnitude."""
-        return apply("abs", a)
-
-    def minimum(self, a: Node, b: Node | float, /) -> Node:
-        """Record the smaller of the two."""
-        return apply("min", a, b)
-
-    def maximum(self, a: Node, b: Node | float, /) -> Node:
-        """Record the larger of the two."""
-        return apply("max", a, b)
+    sin, cos, tan, atan = map(_recorded, ("sin", "cos", "tan", "atan"))
+    tanh, exp, sqrt, absolute = map(_recorded, ("tanh", "exp", "sqrt", "abs"))
+    minimum, maximum, where_positive = map(_recorded, ("min", "max", "select"))
 
     def clip(self, a: Node, low: Node | float, high: Node | float, /) -> Node:
         """Record `a` kept within [low, high]."""
         return apply("min", apply("max", a, low), high)
-
-    def where_positive(
-        self, condition: Node, then: Node | float, otherwise: Node | float, /
-    ) -> Node:
-        """Record a choice by the sign of `condition`."""
-        return apply("select", condition, then, otherwise)
 
 
 TAPE: Ops[Node] = TapeOps()

@@ -43,7 +43,7 @@ _NEAR = 1e-6
 
 
 class Acceptance(NamedTuple):
-    """What a design is held against.
+    """What a design is compared with.
 
     Attributes:
         file: the controller of the car file.
@@ -59,7 +59,7 @@ class Acceptance(NamedTuple):
 
 
 def make_acceptance(file: LaneController) -> Acceptance:
-    """What designs beside that of the car file are held against."""
+    """What designs beside that of the car file are compared with."""
     table, timing = file.table, file.report.timing
     own = min(
         margins(file.car, look_up(table, v), table.pasts, v, timing).distance

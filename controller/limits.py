@@ -62,29 +62,20 @@ CEILINGS: Mapping[str, Bound] = {
 class Limits:
     """What an order may be; cannot be made beyond the compiled-in ceilings.
 
-    Attributes:
-        wheelbase: distance between the axles [m].
-        steer_left_max: largest steering angle to the left [rad], positive.
-        steer_right_max: largest steering angle to the right [rad], positive.
-        steer_rate_max: servo rate [rad/s].
-        speed_max: largest speed [m/s]; the smallest is 0, there is no reverse in automatic driving.
-        accel_max: growth of the ordered speed [m/s2].
-        decel_max: fall of the ordered speed [m/s2]; at least the 1.5 m/s2 of a soft stop.
-        lateral_accel_max: v^2 tan(steer) / wheelbase [m/s2].
-        step_max: longest time that a rate is granted for [s], so a pause does not allow a jump.
-
     Raises:
         LimitError: with one line for each value outside ``CEILINGS``.
     """
 
-    wheelbase: float
-    steer_left_max: float = 0.34
-    steer_right_max: float = 0.34
-    steer_rate_max: float = 3.2
+    wheelbase: float  # distance between the axles [m]
+    steer_left_max: float = 0.34  # largest steering angle to the left [rad], positive
+    steer_right_max: float = 0.34  # largest steering angle to the right [rad], positive
+    steer_rate_max: float = 3.2  # servo rate [rad/s]
+    # Largest speed [m/s]; the smallest is 0, there is no reverse in automatic driving
     speed_max: float = 3.0
-    accel_max: float = 2.5
-    decel_max: float = 4.0
-    lateral_accel_max: float = 3.0
+    accel_max: float = 2.5  # growth of the ordered speed [m/s2]
+    decel_max: float = 4.0  # fall of the ordered speed [m/s2]; at least the 1.5 m/s2 of a soft stop
+    lateral_accel_max: float = 3.0  # v^2 tan(steer) / wheelbase [m/s2]
+    # Longest time that a rate is granted for [s], so a pause does not allow a jump
     step_max: float = 0.025
 
     def __post_init__(self) -> None:

@@ -13,10 +13,9 @@ from steerd.car_model.chassis import Chassis
 from steerd.car_model.native.library import Filter, load_function, model_label
 from steerd.car_model.params import Car
 from steerd.car_model.prediction import SIZE
-from steerd.estimator.actuation import History, dead_times
-from steerd.estimator.belief import Array, Belief
 from steerd.estimator.config import FilterConfig
-from steerd.estimator.motion import noise_density
+from steerd.estimator.history import History, dead_times
+from steerd.estimator.initial import Array, Belief
 from steerd.estimator.sensors import Kind, Measurement, Sensor
 
 WIDEST = 3
@@ -45,7 +44,7 @@ class Kernel:
     ) -> None:
         label = model_label((), chassis)
         late = dead_times(car)
-        p, density = np.array(car), np.array(noise_density(config))
+        p, density = np.array(car), np.array(config.noise_density)
         q = np.empty(load_function(label, "filter_constant_count")() + 1)
         load_function(label, "filter_constants")(p.ctypes.data, 0.0, q.ctypes.data)
         instruments = np.array([_numbers_of(sensors[kind]) for kind in Kind])
@@ -105,14 +104,11 @@ class Kernel:
 
 
 def _numbers_of(sensor: Sensor) -> list[float]:
-    """As `sensor_t` has it; each reading is one state times a common gain."""
-    _, states = np.nonzero(sensor.matrix)
-    width = sensor.matrix.shape[0]
-    gain = float(sensor.matrix[0, states[0]])
-    padding = [0.0] * (WIDEST - width)
-    yaw = -1.0 if sensor.yaw_row is None else float(sensor.yaw_row)
-    variances = np.diagonal(sensor.noise).tolist()
-    return [width, *states.tolist(), *padding, gain, *variances, *padding, sensor.gate, yaw]
+    """As `sensor_t` has it."""
+    padding = [0.0] * (WIDEST - len(sensor.states))
+    yaw = -1.0 if sensor.yaw_row is None else sensor.yaw_row
+    head = [len(sensor.states), *sensor.states, *padding, sensor.gain]
+    return [*head, *sensor.variances, *padding, sensor.gate, yaw]
 
 
 @lru_cache(maxsize=1024)

@@ -43,6 +43,22 @@ class FilterConfig:
     initial_poses: int = 10
     """Mutually consistent poses that start the filter."""
 
+    @property
+    def noise_density(self) -> tuple[float, ...]:
+        """Spectral densities of the states' unmodelled rates (7,), squared units per second.
+
+        Of the slip angle the root of the lateral acceleration's, which a step divides by the speed.
+        """
+        return (
+            self.position_density**2,
+            self.position_density**2,
+            self.yaw_density**2,
+            self.longitudinal_accel_density**2,
+            self.yaw_accel_density**2,
+            self.lateral_accel_density,
+            self.steer_rate_density**2,
+        )
+
 
 # Between these a simulated car drives (tests/safety/test_car_file_bounds.py). Below, the filter
 # believes itself and refuses true poses (W5); above, it believes nothing and is never sure (W6).

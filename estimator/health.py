@@ -9,9 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
-from steerd.estimator.belief import Array, Belief
+from steerd.estimator.initial import Array, Belief
 from steerd.estimator.sensors import Kind
 from steerd.steer_bus.quick_values import quick_init, quick_value
 
@@ -97,7 +95,7 @@ def make_health(
 ) -> FilterHealth:
     """Health at `t_ns`, with the totals at the beginning of the window and now.
 
-    `sound` is what `is_sound` says of the belief.
+    `sound` says whether the belief is finite and its covariance positive definite.
     """
     covariance = belief.covariance
     return FilterHealth(
@@ -109,19 +107,6 @@ def make_health(
         gyro=_sensor_health(before.gyro, now.gyro, t_ns),
         untimely=untimely,
     )
-
-
-def is_sound(belief: Belief) -> bool:
-    """Whether the belief is finite and its covariance positive definite (Cholesky's test).
-
-    A positive definite matrix with a finite diagonal is finite.
-    """
-    numbers = (*belief.mean.tolist(), *belief.covariance.diagonal().tolist())
-    try:
-        np.linalg.cholesky(belief.covariance)
-    except np.linalg.LinAlgError:
-        return False
-    return all(map(math.isfinite, numbers))
 
 
 def worst_sd(block: Array) -> float:

@@ -7,16 +7,17 @@ uncertainty, and its residuals show whether those poses agree at all.
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from steerd.car_model.chassis import SPEED_DYNAMIC
 from steerd.car_model.state import State
-from steerd.estimator.belief import Array, Belief
 from steerd.estimator.config import FilterConfig
-from steerd.estimator.gates import chi_square_above
-from steerd.estimator.sensors import Measurement
+from steerd.estimator.sensors import Measurement, chi_square_above
 
+Array = NDArray[np.float64]
 SECONDS = 1e-9
 LONGEST_S = 0.5
 """Poses further apart than this do not start a filter together [s]."""
@@ -27,6 +28,15 @@ _YAW_ACCEL = 20.0
 _SLIP_LARGEST = 0.5
 """Beyond this the car is carried, not driven [rad]."""
 _SLIP_SD, _STEER_SD, _STEER_SD_UNKNOWN = 0.1, 0.05, 0.2
+
+
+class Belief(NamedTuple):
+    """A Gaussian belief about the state. Never changed in place."""
+
+    mean: Array
+    """(n,), in the order of `steerd.car_model.state.State`."""
+    covariance: Array
+    """(n, n), symmetric."""
 
 
 def initial_belief(

@@ -1,18 +1,16 @@
 """The instruments: what each reads of the state, how noisily, and its innovation gate."""
 
-import math
 from enum import IntEnum
+from functools import lru_cache
+from math import erfc, exp, gamma, sqrt
 from typing import NamedTuple
-
-import numpy as np
 
 from steerd.car_model.params import Car
 from steerd.car_model.state import State
-from steerd.estimator.belief import Array
 from steerd.estimator.config import FilterConfig
-from steerd.estimator.gates import chi_square_gate
 
-_FIELDS = State._fields
+_YAW = State._fields.index("yaw")
+_HALVINGS = 80
 
 
 class Kind(IntEnum):
@@ -36,16 +34,19 @@ class Measurement(NamedTuple):
 
 
 class Sensor(NamedTuple):
-    """How an instrument sees the state."""
+    """How an instrument sees the state: each reading is one state times a common gain."""
 
-    matrix: Array
-    """(m, 7) readings by states; every instrument here is linear."""
-    noise: Array
-    """(m, m) covariance."""
+    states: tuple[int, ...]
+    """Which state each reading is of."""
+    gain: float
+    variances: tuple[float, ...]
     gate: float
-    """Largest normalised innovation squared that is believed (chi-square of m)."""
-    yaw_row: int | None
-    """Which reading is an angle that wraps."""
+    """Largest normalised innovation squared that is believed (chi-square)."""
+
+    @property
+    def yaw_row(self) -> int | None:
+        """Which reading is an angle that wraps."""
+        return self.states.index(_YAW) if _YAW in self.states else None
 
 
 def make_pose(t_valid_ns: int, x: float, y: float, yaw: float) -> Measurement:
@@ -65,31 +66,39 @@ def make_gyro(t_ns: int, yaw_rate: float) -> Measurement:
 
 def make_sensors(car: Car[float], config: FilterConfig) -> dict[Kind, Sensor]:
     """The instruments of a car. The wheel reads `speed / speed_gain`, as `car_model.observe`."""
+
+    def sensor(gain: float, **sds: float) -> Sensor:
+        states = tuple(State._fields.index(name) for name in sds)
+        gate = chi_square_gate(len(sds), config.gate_probability)
+        return Sensor(states, gain, tuple(sd * sd for sd in sds.values()), gate)
+
     position, yaw = config.pose_position_sd, config.pose_yaw_sd
     return {
-        Kind.POSE: _sensor(config, ("x", "y", "yaw"), (position, position, yaw)),
-        Kind.WHEEL_SPEED: _sensor(config, ("speed",), (config.wheel_speed_sd,), car.speed_gain),
-        Kind.GYRO: _sensor(config, ("yaw_rate",), (config.gyro_sd,)),
+        Kind.POSE: sensor(1.0, x=position, y=position, yaw=yaw),
+        Kind.WHEEL_SPEED: sensor(1.0 / car.speed_gain, speed=config.wheel_speed_sd),
+        Kind.GYRO: sensor(1.0, yaw_rate=config.gyro_sd),
     }
 
 
-def residual(sensor: Sensor, measured: Array, expected: Array) -> Array:
-    """Measurement minus expectation, the yaw wrapped to [-pi, pi]."""
-    difference: Array = measured - expected
-    if sensor.yaw_row is not None:
-        difference[sensor.yaw_row] = math.remainder(difference[sensor.yaw_row], math.tau)
-    return difference
+def chi_square_above(degrees: int, x: float) -> float:
+    """Probability that a chi-square variable of so many degrees of freedom is larger than `x`."""
+    found, k = (erfc(sqrt(0.5 * x)), 1) if degrees % 2 else (exp(-0.5 * x), 2)
+    while k < degrees:
+        found += (0.5 * x) ** (0.5 * k) * exp(-0.5 * x) / gamma(0.5 * k + 1.0)
+        k += 2
+    return found
 
 
-def _sensor(
-    config: FilterConfig, names: tuple[str, ...], sds: tuple[float, ...], gain: float = 1.0
-) -> Sensor:
-    matrix = np.zeros((len(names), len(_FIELDS)))
-    for row, name in enumerate(names):
-        matrix[row, _FIELDS.index(name)] = 1.0 / gain
-    return Sensor(
-        matrix=matrix,
-        noise=np.diag(np.square(sds)),
-        gate=chi_square_gate(len(names), config.gate_probability),
-        yaw_row=names.index("yaw") if "yaw" in names else None,
-    )
+@lru_cache(maxsize=64)
+def chi_square_gate(degrees: int, probability: float) -> float:
+    """What a chi-square variable stays below with a probability, by bisection."""
+    low, high = 0.0, 1.0
+    while chi_square_above(degrees, high) > 1.0 - probability:
+        high *= 2.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        if chi_square_above(degrees, middle) > 1.0 - probability:
+            low = middle
+        else:
+            high = middle
+    return high

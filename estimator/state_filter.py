@@ -9,7 +9,7 @@ instant therefore depends on which measurements arrived, never on the order in w
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import attrgetter
@@ -21,10 +21,12 @@ from steerd.car_model.actuators import references
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import Car
-from steerd.car_model.prediction import SIZE
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
-from steerd.estimator.actuation import (
+from steerd.estimator.compiled import Kernel
+from steerd.estimator.config import HEALTH_WINDOW_S, FilterConfig
+from steerd.estimator.health import Count, FilterHealth, Tally, count_measurement, make_health
+from steerd.estimator.history import (
     NO_HISTORY,
     NS,
     History,
@@ -33,24 +35,12 @@ from steerd.estimator.actuation import (
     dead_times,
     drop_older,
 )
-from steerd.estimator.belief import Array, Belief
-from steerd.estimator.compiled import Kernel, Link
-from steerd.estimator.config import HEALTH_WINDOW_S, FilterConfig
-from steerd.estimator.health import (
-    Count,
-    FilterHealth,
-    Tally,
-    count_measurement,
-    is_sound,
-    make_health,
-)
-from steerd.estimator.initial import LONGEST_S, initial_belief
-from steerd.estimator.motion import predict_belief
-from steerd.estimator.sensors import Kind, Measurement, Sensor, make_sensors, residual
+from steerd.estimator.initial import LONGEST_S, Array, Belief, initial_belief
+from steerd.estimator.sensors import Kind, Measurement, make_sensors
 from steerd.steer_bus.quick_values import quick_init
 
 if TYPE_CHECKING:
-    from steerd.estimator.kalman import Kalman
+    from steerd.estimator.reference import Reference
 
 FUTURE_NS = 2_000_000
 """A measurement from further ahead than this has a broken clock behind it."""
@@ -89,17 +79,8 @@ class StateFilter:
 
     car: Car[float]
     config: FilterConfig
-    sensors: Mapping[Kind, Sensor]
-    chassis: Chassis = SINGLE_TRACK
-    kernel: Kernel | None = None
-    """What computes; without it the reference does, in Python."""
-
-    @cached_property
-    def kalman(self) -> "Kalman":
-        """The reference's algebra, which nothing but a comparison loads."""
-        from steerd.estimator.kalman import Kalman
-
-        return Kalman(SIZE)
+    kernel: "Kernel | Reference"
+    """What computes."""
 
     @cached_property
     def soonest_ns(self) -> int:
@@ -169,8 +150,11 @@ def make_state_filter(
         steer_lag=max(car.steer_lag, STEER_LAG_MIN), speed_lag=max(car.speed_lag, SPEED_LAG_MIN)
     )
     sensors = make_sensors(car, config)
-    kernel = None if reference else Kernel(car, chassis, config, sensors)
-    return StateFilter(car, config, sensors, chassis, kernel)
+    if reference:
+        from steerd.estimator.reference import Reference
+
+        return StateFilter(car, config, Reference(car, chassis, config, sensors))
+    return StateFilter(car, config, Kernel(car, chassis, config, sensors))
 
 
 def step(
@@ -236,7 +220,7 @@ def predict_to(flt: StateFilter, state: FilterState, t_ns: int) -> StateEstimate
     if not last:
         return None
     node = nodes[last - 1]
-    belief, sound = _look_ahead(flt, state.history, node, t_ns)
+    belief, sound = flt.kernel.predict(state.history, node.belief, _time(node), t_ns)
     begin = max(bisect_right(nodes, t_ns - _HEALTH_WINDOW_NS, key=_time) - 1, 0)
     health = make_health(belief, sound, t_ns, nodes[begin].tally, node.tally, state.untimely)
     variance = belief.covariance.diagonal().tolist()
@@ -249,14 +233,6 @@ def _correct_latency(car: Car[float], measurement: Measurement) -> Measurement:
     if measurement.kind is not Kind.POSE or not car.pose_delay:
         return measurement
     return measurement._replace(t_ns=measurement.t_ns - round(car.pose_delay * NS))
-
-
-def _predict(
-    flt: StateFilter, history: History, belief: Belief, start_ns: int, end_ns: int
-) -> Belief:
-    return predict_belief(
-        flt.kalman, flt.car, flt.chassis, flt.config, history, belief, start_ns, end_ns
-    )
 
 
 def _count_until(nodes: tuple[Node, ...], t_ns: int) -> int:
@@ -285,54 +261,12 @@ def _fuse(
     root, later = nodes[keep - 1], sorted([*fresh, *[node.measurement for node in nodes[keep:]]])
     before = [root.measurement, *later]
     chain = [m for m, last in zip(later, before, strict=False) if m != last]
-    return (*nodes[:keep], *_follow(flt, history, root, chain))
-
-
-def _follow(
-    flt: StateFilter, history: History, node: Node, chain: Sequence[Measurement]
-) -> list[Node]:
-    """The nodes after `node` for a chain of measurements."""
-    if flt.kernel is not None:
-        found = flt.kernel.fuse(history, node.belief, _time(node), chain)
-        return _nodes(node.tally, chain, found)
-    nodes = [node]
-    for measurement in chain:
-        nodes.append(_next(flt, history, nodes[-1], measurement))
-    return nodes[1:]
-
-
-def _nodes(tally: Tally, chain: Sequence[Measurement], found: Sequence[Link]) -> list[Node]:
-    """Nodes of what the library found."""
-    nodes = []
+    fused, tally = list(nodes[:keep]), root.tally
+    found = flt.kernel.fuse(history, root.belief, _time(root), chain)
     for measurement, (belief, innovation, nis, believed) in zip(chain, found, strict=True):
         tally = count_measurement(tally, measurement.kind, measurement.t_ns, nis, believed)
-        nodes.append(Node(measurement, belief, innovation, nis, believed, tally))
-    return nodes
-
-
-def _look_ahead(flt: StateFilter, history: History, node: Node, t_ns: int) -> tuple[Belief, bool]:
-    """The belief at `t_ns`, and whether it is sound."""
-    if flt.kernel is not None:
-        return flt.kernel.predict(history, node.belief, _time(node), t_ns)
-    belief = _predict(flt, history, node.belief, _time(node), t_ns)
-    return belief, is_sound(belief)
-
-
-def _next(flt: StateFilter, history: History, node: Node, measurement: Measurement) -> Node:
-    """The node after `node`: predict to the measurement, look at its innovation, fuse or refuse."""
-    sensor = flt.sensors[measurement.kind]
-    prior = _predict(flt, history, node.belief, _time(node), measurement.t_ns)
-    measured = np.array(measurement.values)
-    if _plausible(measurement):
-        fused = flt.kalman.update(
-            prior, measured, sensor.matrix, sensor.noise, lambda z, hx: residual(sensor, z, hx)
-        )
-        belief, innovation, nis = fused
-    else:
-        belief, innovation, nis = prior, measured, math.inf
-    believed = nis <= sensor.gate
-    tally = count_measurement(node.tally, measurement.kind, measurement.t_ns, nis, believed)
-    return Node(measurement, belief if believed else prior, innovation, nis, believed, tally)
+        fused.append(Node(measurement, belief, innovation, nis, believed, tally))
+    return tuple(fused)
 
 
 def _plausible(measurement: Measurement) -> bool:

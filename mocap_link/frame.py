@@ -25,30 +25,19 @@ _SCALE = {"m": 1.0, "mm": 1e-3}
 
 @dataclass(frozen=True, slots=True)
 class FrameConfig:
-    """How the mocap room and the body on the car relate to the world and to the CoG.
+    """How the mocap room and the body on the car relate to the world and to the CoG."""
 
-    Attributes:
-        units: the server's length unit, `m` or `mm`.
-        up: the server's up axis, `y` or `z`.
-        body_forward: the body axis (in the vendor's axes) that points to the car's front.
-        world_yaw: rotation of the mocap room in the world [rad], about its origin.
-        world_xy: the mocap origin in the world [m].
-        mount_yaw: heading of the body's forward axis in the car [rad]; the car's heading is the
-            body's minus this (beta of the calibration drive).
-        marker_rear_x: the mocap body's origin ahead of the rear axle [m].
-        marker_rear_y: and to the left of the car's centre line [m].
-        cog_ahead_of_rear: l_r, the CoG ahead of the rear axle [m].
-    """
-
-    units: str = "m"
-    up: str = "z"
-    body_forward: str = "+x"
-    world_yaw: float = 0.0
-    world_xy: tuple[float, float] = (0.0, 0.0)
+    units: str = "m"  # the server's length unit, `m` or `mm`
+    up: str = "z"  # the server's up axis, `y` or `z`
+    body_forward: str = "+x"  # the body axis (in the vendor's axes) that points to the car's front
+    world_yaw: float = 0.0  # rotation of the mocap room in the world [rad], about its origin
+    world_xy: tuple[float, float] = (0.0, 0.0)  # the mocap origin in the world [m]
+    # Heading of the body's forward axis in the car [rad]; the car's heading is the body's minus
+    # this (beta of the calibration drive)
     mount_yaw: float = 0.0
-    marker_rear_x: float = 0.0
-    marker_rear_y: float = 0.0
-    cog_ahead_of_rear: float = 0.0
+    marker_rear_x: float = 0.0  # the mocap body's origin ahead of the rear axle [m]
+    marker_rear_y: float = 0.0  # and to the left of the car's centre line [m]
+    cog_ahead_of_rear: float = 0.0  # l_r, the CoG ahead of the rear axle [m]
 
     def __post_init__(self) -> None:
         """Refuse configurations that have no meaning.

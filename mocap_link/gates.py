@@ -35,65 +35,38 @@ REASONS: dict[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class GateConfig:
-    """Thresholds.
+    """Thresholds."""
 
-    Attributes:
-        quaternion_tolerance: allowed deviation of the quaternion's length from 1.
-        mean_error_max: largest marker residual [m] (a real room shows 0.5 mm).
-        position_max: largest distance from the mocap origin [m].
-        tilt_max: largest tilt [rad].
-        height: calibrated height of the body [m]; None takes the first accepted pose's.
-        height_band: allowed deviation from it [m].
-        speed_max: fastest the car can drive, with margin [m/s].
-        jump_slack: position allowance at zero time [m].
-        yaw_rate_max: fastest the car can turn [rad/s].
-        yaw_slack: yaw allowance at zero time [rad].
-        gap_max: longest gap [s] for which the allowances keep growing.
-        frozen_count: bit-identical poses in a row that count as frozen.
-        frozen_speed: wheel speed [m/s] above which a still pose cannot be.
-        reacquire_count: mutually consistent poses that make a new place credible.
-    """
-
-    quaternion_tolerance: float = 0.01
-    mean_error_max: float = 5e-3
-    position_max: float = 100.0
-    tilt_max: float = radians(10.0)
+    quaternion_tolerance: float = 0.01  # allowed deviation of the quaternion's length from 1
+    mean_error_max: float = 5e-3  # largest marker residual [m] (a real room shows 0.5 mm)
+    position_max: float = 100.0  # largest distance from the mocap origin [m]
+    tilt_max: float = radians(10.0)  # largest tilt [rad]
+    # Calibrated height of the body [m]; None takes the first accepted pose's
     height: float | None = None
-    height_band: float = 0.03
-    speed_max: float = 6.0
-    jump_slack: float = 0.02
-    yaw_rate_max: float = 8.0
-    yaw_slack: float = radians(5.0)
-    gap_max: float = 0.15
-    frozen_count: int = 5
-    frozen_speed: float = 0.15
-    reacquire_count: int = 15
+    height_band: float = 0.03  # allowed deviation from it [m]
+    speed_max: float = 6.0  # fastest the car can drive, with margin [m/s]
+    jump_slack: float = 0.02  # position allowance at zero time [m]
+    yaw_rate_max: float = 8.0  # fastest the car can turn [rad/s]
+    yaw_slack: float = radians(5.0)  # yaw allowance at zero time [rad]
+    gap_max: float = 0.15  # longest gap [s] for which the allowances keep growing
+    frozen_count: int = 5  # bit-identical poses in a row that count as frozen
+    frozen_speed: float = 0.15  # wheel speed [m/s] above which a still pose cannot be
+    reacquire_count: int = 15  # mutually consistent poses that make a new place credible
 
 
 @quick_init
 @dataclass(frozen=True, slots=True)
 class GateState:
-    """What the gates remember.
+    """What the gates remember."""
 
-    Attributes:
-        frame: last frame number.
-        last: last accepted pose; None until the first.
-        before: the one accepted before it; None after a new place.
-        height: reference height [m].
-        pose: last raw position and quaternion, and how often it came in a row.
-        repeats: see `pose`.
-        candidate: last pose of a run at another place.
-        candidate_run: its length.
-    """
-
-    frame: int | None = None
-    last: Pose | None = None
-    before: Pose | None = None
-    height: float | None = None
-    pose: tuple[float, ...] = ()
-    repeats: int = 0
-    candidate: Pose | None = None
-    candidate_run: int = 0
+    frame: int | None = None  # last frame number
+    last: Pose | None = None  # last accepted pose; None until the first
+    before: Pose | None = None  # the one accepted before it; None after a new place
+    height: float | None = None  # reference height [m]
+    pose: tuple[float, ...] = ()  # last raw position and quaternion, and how often it came in a row
+    repeats: int = 0  # see `pose`
+    candidate: Pose | None = None  # last pose of a run at another place
+    candidate_run: int = 0  # its length
 
 
 def check_raw(config: GateConfig, raw: Pose, metres_per_unit: float = 1.0) -> str | None:

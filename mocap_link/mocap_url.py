@@ -12,27 +12,17 @@ _FORMS = "natnet://HOST[:PORT]/BODY?up=y, vrpn://HOST[:PORT]/BODY, ros2:///TOPIC
 
 @dataclass(frozen=True, slots=True)
 class MocapUrl:
-    """A parsed source address.
+    """A parsed source address."""
 
-    Attributes:
-        scheme: `natnet`, `vrpn`, `ros2` or `zenoh`.
-        host: server name or address; empty for what comes over the bus.
-        port: command port (NatNet) or TCP port (VRPN); 0 for what comes over the bus.
-        body: body name, or `id:42` (NatNet); empty for what comes over the bus.
-        key: key expression on the bus (zenoh, ros2).
-        up: the vendor's up axis, `y` or `z`; None leaves it to the configuration.
-        unicast: True or False forces it; None follows what the server says (NatNet).
-        interface: local address that joins the multicast group; None derives it.
-    """
-
-    scheme: str
-    host: str = ""
-    port: int = 0
-    body: str = ""
-    key: str = ""
-    up: str | None = None
+    scheme: str  # `natnet`, `vrpn`, `ros2` or `zenoh`
+    host: str = ""  # server name or address; empty for the bus
+    port: int = 0  # command port (NatNet) or TCP port (VRPN); 0 for the bus
+    body: str = ""  # body name, or `id:42` (NatNet); empty for the bus
+    key: str = ""  # key expression on the bus (zenoh, ros2)
+    up: str | None = None  # the vendor's up axis, `y` or `z`; None leaves it to the configuration
+    # True or False forces it; None follows what the server says (NatNet)
     unicast: bool | None = None
-    interface: str | None = None
+    interface: str | None = None  # local address that joins the multicast group; None derives it
 
 
 def parse_mocap_url(text: str) -> MocapUrl:

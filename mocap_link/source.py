@@ -25,44 +25,28 @@ class Pose:
     """One body in one frame: as the source sent it, then timed, placed and judged (`PoseIngest`).
 
     What was sent keeps vendor axes, vendor units and the source's ticks, for the session file.
-
-    Attributes:
-        body: name of the body.
-        frame: the source's frame or sequence number; None where it has none.
-        source_ticks: mid-exposure (or sample) time on the source's clock; None if not sent.
-        transmit_ticks: time of sending on the same clock; None if not sent.
-        t_arrival_ns: when the host received it, CLOCK_MONOTONIC.
-        position: (x, y, z).
-        quaternion: (w, x, y, z).
-        mean_error: the server's marker residual in its length unit; None if not sent.
-        tracking_valid: the server's own verdict.
-        live: False while the server replays a recording.
-        t_valid_ns: when the car was there, on the same clock; never after `t_arrival_ns`.
-        clock: how `t_valid_ns` was found.
-        x, y: CoG in the world frame [m]; NaN until it is placed, and where it has no place.
-        yaw: heading, counter-clockwise [rad], in (-pi, pi].
-        height: the mocap body's height [m].
-        tilt: angle between the body's up axis and the world's [rad].
-        rejected: None, or the reason (see `gates.REASONS`) why it must not be fused.
     """
 
-    body: str
-    frame: int | None
+    body: str  # name of the body
+    frame: int | None  # the source's frame or sequence number; None where it has none
+    # Mid-exposure (or sample) time on the source's clock; None if not sent
     source_ticks: int | None
-    transmit_ticks: int | None
-    t_arrival_ns: int
-    position: tuple[float, float, float]
-    quaternion: tuple[float, float, float, float]
+    transmit_ticks: int | None  # time of sending on the same clock; None if not sent
+    t_arrival_ns: int  # when the host received it, CLOCK_MONOTONIC
+    position: tuple[float, float, float]  # (x, y, z)
+    quaternion: tuple[float, float, float, float]  # (w, x, y, z)
+    # The server's marker residual in its length unit; None if not sent
     mean_error: float | None = None
-    tracking_valid: bool = True
-    live: bool = True
-    t_valid_ns: int = 0
-    clock: ClockKind = ClockKind.ARRIVAL
-    x: float = nan
+    tracking_valid: bool = True  # the server's own verdict
+    live: bool = True  # False while the server replays a recording
+    t_valid_ns: int = 0  # when the car was there, on the same clock; never after `t_arrival_ns`
+    clock: ClockKind = ClockKind.ARRIVAL  # how `t_valid_ns` was found
+    x: float = nan  # CoG in the world frame [m]; NaN until it is placed, and where it has no place
     y: float = nan
-    yaw: float = nan
-    height: float = nan
-    tilt: float = nan
+    yaw: float = nan  # heading, counter-clockwise [rad], in (-pi, pi]
+    height: float = nan  # the mocap body's height [m]
+    tilt: float = nan  # angle between the body's up axis and the world's [rad]
+    # None, or the reason (see `gates.REASONS`) why it must not be fused
     rejected: str | None = None
 
 
@@ -78,19 +62,12 @@ class SourceState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class MonitorConfig:
-    """Thresholds of the source state machine.
+    """Thresholds of the source state machine."""
 
-    Attributes:
-        period_ns: expected time between frames.
-        stale_frames: missed frames after which the source is STALE.
-        lost_ns: silence after which it is LOST; 2 m/s x 0.15 s = 30 cm blind.
-        recover_frames: good frames in a row before OK, at start and after LOST.
-    """
-
-    period_ns: int = 10_000_000
-    stale_frames: int = 3
-    lost_ns: int = 150_000_000
-    recover_frames: int = 10
+    period_ns: int = 10_000_000  # expected time between frames
+    stale_frames: int = 3  # missed frames after which the source is STALE
+    lost_ns: int = 150_000_000  # silence after which it is LOST; 2 m/s x 0.15 s = 30 cm blind
+    recover_frames: int = 10  # good frames in a row before OK, at start and after LOST
 
 
 @quick_init
@@ -165,34 +142,20 @@ def _next_state(
 
 @dataclass(frozen=True, slots=True)
 class SourceStatus:
-    """A source's health for the supervisor, the log and the terminal.
+    """A source's health for the supervisor, the log and the terminal."""
 
-    Attributes:
-        state: the state machine's state.
-        connected: whether the session with the server stands.
-        detail: the latest event to report.
-        server: the server's name and version, as far as known.
-        bodies: names of the bodies that the server offers, as far as known.
-        clock: how the last sample was timed; None before the first.
-        clock_sigma_ns: one-sigma bound of the clock map, None where there is none.
-        rate_hz: measured frame rate over the last second.
-        expected_rate_hz: the server's own figure, None if not received.
-        last_good_ns: arrival of the last accepted pose.
-        refused: the source cannot be used as configured (`detail` says why).
-        relocated: the body is permanently somewhere else; needs a stopped car to be taken in.
-        counts: events by name: accepted, each rejection reason, malformed, foreign, ...
-    """
-
-    state: SourceState
-    connected: bool
-    detail: str = ""
-    server: str = ""
-    bodies: tuple[str, ...] = ()
-    clock: ClockKind | None = None
-    clock_sigma_ns: int | None = None
-    rate_hz: float = 0.0
-    expected_rate_hz: float | None = None
-    last_good_ns: int | None = None
-    refused: bool = False
+    state: SourceState  # the state machine's state
+    connected: bool  # whether the session with the server stands
+    detail: str = ""  # the latest event to report
+    server: str = ""  # the server's name and version, as far as known
+    bodies: tuple[str, ...] = ()  # names of the bodies that the server offers, as far as known
+    clock: ClockKind | None = None  # how the last sample was timed; None before the first
+    clock_sigma_ns: int | None = None  # one-sigma bound of the clock map, None where there is none
+    rate_hz: float = 0.0  # measured frame rate over the last second
+    expected_rate_hz: float | None = None  # the server's own figure, None if not received
+    last_good_ns: int | None = None  # arrival of the last accepted pose
+    refused: bool = False  # the source cannot be used as configured (`detail` says why)
+    # The body is permanently somewhere else; needs a stopped car to be taken in
     relocated: bool = False
+    # Events by name: accepted, each rejection reason, malformed, foreign, ...
     counts: Mapping[str, int] = field(default_factory=dict)

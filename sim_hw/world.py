@@ -36,35 +36,21 @@ TX_BUFFER = 4096
 
 @dataclass(frozen=True)
 class WorldConfig:
-    """Everything that a simulated run depends on, besides what is done to it.
+    """Everything that a simulated run depends on, besides what is done to it."""
 
-    Attributes:
-        seed: root of all randomness.
-        car: true parameters of the car.
-        chassis: its true equations.
-        effects, effect_values: unmodelled effects that are on, and their parameters.
-        scaling: how the car's servo and motor are really geared.
-        vesc, mocap: the devices.
-        start: true state at the beginning.
-        step_ns: physics step.
-        coast_decel: drag of the released drive train [m/s^2].
-        process_noise: see `CarSetup.noise`.
-        keep_bytes: whether every serial byte is logged.
-    """
-
-    seed: int = 0
-    car: Car[float] = DEFAULT_CAR
-    effects: tuple[Effect, ...] = ()
+    seed: int = 0  # root of all randomness
+    car: Car[float] = DEFAULT_CAR  # true parameters of the car
+    effects: tuple[Effect, ...] = ()  # unmodelled effects that are on, and their parameters
     effect_values: tuple[tuple[float, ...], ...] = ()
-    chassis: Chassis = SINGLE_TRACK
-    scaling: Scaling = F1TENTH
-    vesc: VescConfig = field(default_factory=VescConfig)
+    chassis: Chassis = SINGLE_TRACK  # its true equations
+    scaling: Scaling = F1TENTH  # how the car's servo and motor are really geared
+    vesc: VescConfig = field(default_factory=VescConfig)  # the devices
     mocap: MocapConfig = field(default_factory=MocapConfig)
-    start: State[float] = ORIGIN
-    step_ns: int = 2_000_000
-    coast_decel: float = 0.6
-    process_noise: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    keep_bytes: bool = True
+    start: State[float] = ORIGIN  # true state at the beginning
+    step_ns: int = 2_000_000  # physics step
+    coast_decel: float = 0.6  # drag of the released drive train [m/s^2]
+    process_noise: tuple[float, float, float] = (0.0, 0.0, 0.0)  # see `CarSetup.noise`
+    keep_bytes: bool = True  # whether every serial byte is logged
 
 
 class Truth(NamedTuple):
@@ -222,12 +208,7 @@ class World:
         if not vesc.connected:
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         due = vesc.next_wake_ns
-        if due is None or due > t_ns:
-            return b""
-        data = b"".join([chunk.data for chunk in vesc.advance(t_ns)])
-        if data:
-            vesc.on_read(len(data))
-        return data
+        return b"" if due is None or due > t_ns else vesc.read(t_ns)
 
     # --- mocap
 
@@ -256,4 +237,5 @@ class World:
         """Messages that have reached the host by ``t_ns``, in order of arrival."""
         if t_ns > self.t_ns or t_ns >= self._edge_ns:
             self.advance(t_ns)
-        return self.network.due(t_ns)
+        due = self.network.next_ns
+        return [] if due is None or due > t_ns else self.network.due(t_ns)

@@ -227,12 +227,12 @@ STANDARD_MESSAGES = (
 
 def make_time(stamp_ns: int) -> Time:
     """Make a ROS time of nanoseconds since the UNIX epoch."""
-    return Time(*divmod(stamp_ns, NS))
+    return Time(stamp_ns // NS, stamp_ns % NS)
 
 
 def make_header(stamp_ns: int, frame_id: str) -> Header:
     """Make a header of nanoseconds since the UNIX epoch and a frame."""
-    return Header(Time(*divmod(stamp_ns, NS)), frame_id)
+    return Header(Time(stamp_ns // NS, stamp_ns % NS), frame_id)
 
 
 def stamp_ns(header: Header) -> int:

@@ -68,9 +68,9 @@ if not TYPE_CHECKING:  # type checkers read the imports above
     def __getattr__(name: str) -> Any:
         """Fetch a name of `__all__` from its module (PEP 562)."""
         if name == "__version__":
-            from importlib.metadata import version
+            from steerd.version import VERSION
 
-            return version("steerd")
+            return VERSION
         if name not in _MODULES:
             raise AttributeError(f"module 'steerd' has no attribute {name!r}")
         module = importlib.import_module(f"steerd.daemon.{_MODULES[name]}")

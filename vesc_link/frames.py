@@ -39,11 +39,11 @@ def encode_frame(payload: bytes) -> bytes:
     Raises:
         ValueError: the payload is empty or longer than any current firmware accepts.
     """
-    size = len(payload)
+    size, crc = len(payload), binascii.crc_hqx(payload, 0)
     if not 1 <= size <= MAX_PAYLOAD:
         raise ValueError(f"a VESC payload has 1 to {MAX_PAYLOAD} bytes, not {size}")
-    head = bytes((2, size)) if size < 256 else b"\x03" + size.to_bytes(2, "big")
-    return b"".join((head, payload, binascii.crc_hqx(payload, 0).to_bytes(2, "big"), b"\x03"))
+    head = (2, size) if size < 256 else (3, size >> 8, size & 0xFF)
+    return bytes(head) + payload + bytes((crc >> 8, crc & 0xFF, _STOP))
 
 
 @quick_init
@@ -112,11 +112,12 @@ class FrameParser:
             return []  # nothing is open, so nothing is stale
         gap_ns, reads = self._gap_ns, self._reads
         stale = gap_ns is not None and bool(reads) and t_ns - reads[-1][1] > gap_ns
-        if not stale and self._next == self._base and len(self._buffer) <= _CUT:
+        held = len(self._buffer)
+        if not stale and self._next == self._base and held <= _CUT:
             whole = self._take_whole(data, t_ns)
-            if whole:
+            if whole is not None:
                 return whole
-        old_total = self._base + len(self._buffer)
+        old_total = self._base + held
         if not data and not stale:
             return []
         if stale and self._strict:
@@ -130,7 +131,7 @@ class FrameParser:
         self._trim()
         return found
 
-    def _take_whole(self, data: bytes, t_ns: int) -> list[Frame]:
+    def _take_whole(self, data: bytes, t_ns: int) -> list[Frame] | None:
         """The frames of a read that holds good frames and at most the cut header of a next one.
 
         Nearly every read is one: what was buffered before is such a header too, for USB sends a
@@ -142,35 +143,35 @@ class FrameParser:
         if held:
             t_first_ns = self._time_of(self._base)
             data = bytes(self._buffer) + data
-        at, total = 0, len(data)
+        at, count, total = 0, 0, len(data)
         longest = self.ceiling if self.ceiling < self._max_payload else self._max_payload
         found: list[Frame] = []
         while at < total:
             kind = data[at]
             begin = at + kind
             if kind not in (2, 3):
-                return []
+                return None
             if begin > total:
                 break
             size = data[at + 1] if kind == 2 else int.from_bytes(data[at + 1 : begin], "big")
             stop = begin + size + 2
             if not (1 if kind == 2 else 255) <= size <= longest or stop >= total:
-                return []
+                return None
             payload = data[begin : stop - 2]
             crc = data[stop - 2] << 8 | data[stop - 1]
             if data[stop] != _STOP or binascii.crc_hqx(payload, 0) != crc:
-                return []
+                return None
             found.append(Frame(bytes(payload), t_first_ns))
             t_first_ns = t_ns
-            at = stop + 1
+            at, count = stop + 1, count + 1
+        if held and not found:
+            return None
+        self._reads = deque(((self._base + held, t_ns),))
         if found:
-            self._reads.clear()
-            self._reads.append((self._base + held, t_ns))
             self._base = self._next = self._taken = self._base + at
-            if held or at < total:
-                self._buffer[:] = data[at:]
             self._frame_bytes += at
-            self.frames += len(found)
+            self.frames += count
+        self._buffer = bytearray(data[at:])
         return found
 
     def _complete_open(self) -> list[Frame]:

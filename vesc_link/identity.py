@@ -12,14 +12,7 @@ from typing import Any
 
 from steerd.vesc_link.commands import SetMcConfTemp
 from steerd.vesc_link.ids import CommandId, Firmware
-from steerd.vesc_link.wire import (
-    Field,
-    all_finite,
-    device_numbers,
-    pack_fields,
-    read_values,
-    unpack_fields,
-)
+from steerd.vesc_link.wire import Field, all_finite, pack_device, read_values, unpack_fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,9 +143,8 @@ def decode_appconf(payload: bytes) -> AppConf | None:
 
 def encode_appconf(reply: AppConf) -> bytes:
     """GET_APPCONF reply."""
-    numbers = read_values(_APPCONF_FIELDS, reply)
-    head = bytes((CommandId.GET_APPCONF,)) + pack_fields(_APPCONF_FIELDS, numbers, device_numbers)
-    return head + reply.tail
+    head = pack_device(_APPCONF_FIELDS, read_values(_APPCONF_FIELDS, reply))
+    return bytes((CommandId.GET_APPCONF,)) + head + reply.tail
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,10 +194,8 @@ def decode_mcconf_temp(payload: bytes) -> McConfTemp | None:
 
 def encode_mcconf_temp(reply: McConfTemp) -> bytes:
     """GET_MCCONF_TEMP reply."""
-    numbers = read_values(_MCCONF_FIELDS, reply)
-    return bytes((CommandId.GET_MCCONF_TEMP,)) + pack_fields(
-        _MCCONF_FIELDS, numbers, device_numbers
-    )
+    body = pack_device(_MCCONF_FIELDS, read_values(_MCCONF_FIELDS, reply))
+    return bytes((CommandId.GET_MCCONF_TEMP,)) + body
 
 
 @dataclass(frozen=True, slots=True)

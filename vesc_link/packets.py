@@ -16,14 +16,7 @@ from steerd.vesc_link import identity as i
 from steerd.vesc_link import telemetry as t
 from steerd.vesc_link.commands import Command
 from steerd.vesc_link.ids import FW_7_01, CommandId, Firmware, command_id, knows, wire_id
-from steerd.vesc_link.wire import (
-    Field,
-    all_finite,
-    host_numbers,
-    pack_fields,
-    read_values,
-    unpack_fields,
-)
+from steerd.vesc_link.wire import Field, all_finite, pack_host, unpack_fields
 
 Reply = t.Values | t.Uptime | t.Imu | i.FwVersion | i.AppConf | i.McConfTemp | i.Print | i.Ack
 
@@ -77,8 +70,7 @@ def encode_command(command: Command, firmware: Firmware = FW_7_01) -> bytes:
             command.
     """
     number, fields = _LAYOUTS[type(command)]
-    values = read_values(fields, command)
-    payload = bytes((wire_id(number, firmware),)) + pack_fields(fields, values, host_numbers)
+    payload = bytes((wire_id(number, firmware),)) + pack_host(fields, command)
     if isinstance(command, c.TerminalCommand):
         if "\0" in command.text:
             raise ValueError("a terminal command holds no NUL")

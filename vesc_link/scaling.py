@@ -57,10 +57,10 @@ def speed_to_erpm(scaling: Scaling, speed: float) -> float:
     Raises:
         ValueError: the speed is NaN or infinite.
     """
-    if not math.isfinite(speed):
+    if not -math.inf < speed < math.inf:
         raise ValueError(f"speed {speed} is no command")
-    erpm = scaling.erpm_gain * speed + scaling.erpm_offset
-    return min(max(erpm, -scaling.erpm_max), scaling.erpm_max)
+    erpm, most = scaling.erpm_gain * speed + scaling.erpm_offset, scaling.erpm_max
+    return most if erpm > most else -most if erpm < -most else erpm
 
 
 def erpm_to_speed(scaling: Scaling, erpm: float) -> float:
@@ -74,10 +74,11 @@ def steer_to_servo_pos(scaling: Scaling, steer: float) -> float:
     Raises:
         ValueError: the angle is NaN or infinite.
     """
-    if not math.isfinite(steer):
+    if not -math.inf < steer < math.inf:
         raise ValueError(f"steer {steer} is no command")
-    servo_pos = scaling.servo_gain * steer + scaling.servo_offset
-    return min(max(servo_pos, scaling.servo_min), scaling.servo_max)
+    pos = scaling.servo_gain * steer + scaling.servo_offset
+    low, high = scaling.servo_min, scaling.servo_max
+    return high if pos > high else low if pos < low else pos
 
 
 def servo_pos_to_steer(scaling: Scaling, servo_pos: float) -> float:

@@ -12,11 +12,11 @@ from functools import lru_cache
 from math import nan
 
 from steerd.steer_bus.messages import ActuationMode
-from steerd.steer_bus.quick_values import quick_init, quick_value
+from steerd.steer_bus.quick_values import quick_value
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.commands import Command
 from steerd.vesc_link.frames import MAX_PAYLOAD, RUNNING_CEILING, Frame, FrameParser, encode_frame
-from steerd.vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp, Print
+from steerd.vesc_link.identity import AppConf, FwVersion, McConfTemp, Print
 from steerd.vesc_link.ids import (
     FAULT_WATCHDOG_BOOT,
     FW_3_00,
@@ -124,10 +124,12 @@ _MASKED = (Values, Uptime, Imu)
 _POLLS = (c.GetValues, c.GetValuesSelective, c.GetImuData, c.GetValuesSetupSelective)
 
 
-@quick_init
-@dataclass(frozen=True, slots=True)
+@quick_value
 class _Request:
-    command: Command
+    """A command that waits for its reply, which echoes its mask."""
+
+    mask: int | None
+    polled: bool
     t_sent_ns: int
     t_earliest_ns: int
 
@@ -249,20 +251,20 @@ class VescLink:
         """
         self._expire(t_ns)
         firmware = self.firmware or FW_7_01
-        parts = [_frame_of(command, firmware) for command in self._motion(drive)]
-        room = WRITE_LIMIT - sum(map(len, parts))
+        wire = b""
+        for command in self._motion(drive):
+            wire += _frame_of(command, firmware)
         for command in self._polls(t_ns):
             if command_number(command) in self._open:
                 continue
-            frame = _frame_of(command, firmware)
-            if len(frame) > room:
+            longer = wire + _frame_of(command, firmware)
+            if len(longer) > WRITE_LIMIT:
                 continue
+            wire = longer
             if self._queue and command is self._queue[0]:
                 self._queue.popleft()
             self._note_sent(command, t_ns)
-            parts.append(frame)
-            room -= len(frame)
-        return b"".join(parts)
+        return wire
 
     def _motion(self, drive: Drive) -> list[Command]:
         commands: list[Command] = []
@@ -298,8 +300,10 @@ class VescLink:
             number = command_number(command)
             earliest = self._just_expired.pop(number, t_ns)
             still_possible = t_ns - earliest <= 2 * self._expiry_ns
-            self._open[number] = _Request(command, t_ns, earliest if still_possible else t_ns)
-        if isinstance(command, c.GetValuesSetupSelective):
+            mask, polled = getattr(command, "mask", None), type(command) in _POLLS
+            first_ns = earliest if still_possible else t_ns
+            self._open[number] = _Request(mask, polled, t_ns, first_ns)
+        if type(command) is c.GetValuesSetupSelective:
             self._uptime_due_ns = t_ns + UPTIME_PERIOD_NS
 
     def _expire(self, t_ns: int) -> None:
@@ -312,8 +316,7 @@ class VescLink:
         else:
             return
         for number, request in list(self._open.items()):
-            polled = isinstance(request.command, _POLLS)
-            patience = self._patience_ns if polled else self._expiry_ns
+            patience = self._patience_ns if request.polled else self._expiry_ns
             if t_ns - request.t_sent_ns > patience:
                 del self._open[number]
                 self.counters.expired += 1
@@ -346,13 +349,14 @@ class VescLink:
             counters.unknown_ids += 1
             return []
         reply = decode_numbered(number, frame.payload)
-        if isinstance(reply, Print):
+        if type(reply) is Print:
             return []
         if reply is None or self._is_odd(reply, len(frame.payload)):
             counters.odd_lengths += 1
             return []
         request = self._open.get(number)
-        if request is None or not _answers(reply, request.command):
+        # A reply that names a mask answers the request for it; others answer by their id alone.
+        if request is None or (isinstance(reply, _MASKED) and reply.mask != request.mask):
             counters.unsolicited += 1
             return []
         del self._open[number]
@@ -361,9 +365,9 @@ class VescLink:
 
     def _is_odd(self, reply: Reply, size: int) -> bool:
         """Whether a measurement is shorter than this firmware's; a newer one may send more."""
-        if isinstance(reply, Imu):
+        if type(reply) is Imu:
             return size < 3 + 4 * reply.mask.bit_count()
-        if not isinstance(reply, Values) or self.firmware is None:
+        if type(reply) is not Values or self.firmware is None:
             return False
         expected = values_size(reply.mask, self.firmware)
         return size != expected if self.firmware <= FW_3_00 else size < expected
@@ -413,12 +417,3 @@ def _known_polls(firmware: Firmware) -> tuple[bool, bool, bool]:
 def _frame_of(command: Command, firmware: Firmware) -> bytes:
     """Frame of a command; polls and held setpoints repeat, so the last ones are kept."""
     return encode_frame(encode_command(command, firmware))
-
-
-def _answers(reply: Reply, command: Command) -> bool:
-    """Whether the echoed mask is the requested one; an id alone answers commands without one."""
-    if isinstance(reply, Ack):
-        return True
-    requested = getattr(command, "mask", None)
-    echoed = reply.mask if isinstance(reply, _MASKED) else None
-    return bool(requested == echoed)

@@ -7,10 +7,10 @@ Source: `docs/reference/vesc-serial.md#v1.9` and following.
 
 import math
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from operator import attrgetter, le, mul, truediv
+from operator import attrgetter, mul, truediv
 from typing import Any, NamedTuple
 
 from steerd.vesc_link.ids import ALWAYS, Firmware
@@ -28,8 +28,6 @@ _SMALLEST_F32 = 1.5e-38
 """Below this the firmware's float32_auto writes zero."""
 
 Number = float | int
-Rounder = Callable[[Sequence["Field"], Sequence[Number]], Sequence[Number]]
-"""`host_numbers` or `device_numbers`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,29 +52,31 @@ class Field:
         return struct.calcsize(">" + self.code)
 
 
+_SINGLE = struct.Struct(">f")
+
+
 def to_f32(value: float) -> float:
     """Round to single precision.
 
     Raises:
         ValueError: not finite in single precision.
     """
-    return _to_f32s((value,))[0]
-
-
-def _to_f32s(values: Sequence[float]) -> tuple[float, ...]:
-    singles = _singles(len(values))
-    try:
-        rounded = singles.unpack(singles.pack(*values))
-    except OverflowError:
-        rounded = (math.inf,)
-    if not math.isfinite(sum(rounded)):  # in double precision no sum of these overflows
-        raise ValueError(f"{values} cannot be sent: the VESC's floats are finite single precision")
+    (rounded,) = _round_singles(_SINGLE, (value,))
+    if not -math.inf < rounded < math.inf:
+        raise ValueError(f"{value} cannot be sent: {_FINITE}")
     return rounded
 
 
-@lru_cache(maxsize=64)
-def _singles(count: int) -> struct.Struct:
-    return struct.Struct(f">{count}f")
+_FINITE = "the VESC's floats are finite single precision"
+
+
+def _round_singles(singles: struct.Struct, values: Iterable[float]) -> tuple[float, ...]:
+    """Numbers as single precision has them; infinite all where one is too large."""
+    try:
+        rounded: tuple[float, ...] = singles.unpack(singles.pack(*values))
+    except OverflowError:
+        return (math.inf,) * (singles.size // _SINGLE.size)
+    return rounded
 
 
 def host_number(code: str, scale: float | None, value: Number) -> Number:
@@ -110,68 +110,64 @@ def device_number(code: str, scale: float | None, value: Number) -> Number:
 
 def _saturated(code: str, value: Number) -> Number:
     if code == "f":
-        return _flushed(value)
+        return 0.0 if -_SMALLEST_F32 < value < _SMALLEST_F32 else value
     low, high = _RANGES[code]
     return min(max(int(value), low), high)
-
-
-def _flushed(value: Number) -> Number:
-    return 0.0 if abs(value) < _SMALLEST_F32 else value
 
 
 def _auto_f32(value: float) -> float:
     return _saturated("f", to_f32(value))
 
 
-def host_numbers(fields: Sequence[Field], values: Sequence[Number]) -> Sequence[Number]:
-    """`host_number` of each field."""
-    return [host_number(f.code, f.scale, v) for f, v in zip(fields, values, strict=True)]
+def pack_host(fields: tuple[Field, ...], record: object) -> bytes:
+    """A record's fields in order, each as `host_number`.
+
+    Raises:
+        ValueError: a value is not finite or does not fit.
+    """
+    values = read_values(fields, record)
+    numbers = [host_number(f.code, f.scale, v) for f, v in zip(fields, values, strict=True)]
+    return _struct(fields).pack(*numbers)
 
 
-def device_numbers(fields: Sequence[Field], values: Sequence[Number]) -> Sequence[Number]:
-    """`device_number` of each field, all rounded at once."""
-    layout = _device_layout(tuple(fields))
-    singles = _singles(len(layout.measured))
-    try:
-        rounded = singles.unpack(singles.pack(*map(values.__getitem__, layout.measured)))
-    except OverflowError:
-        rounded = (math.inf,) * len(layout.measured)
-    products = _to_f32s(tuple(map(mul, rounded, layout.scales)))
+def pack_device(fields: tuple[Field, ...], values: Sequence[Number]) -> bytes:
+    """Values in order, each as `device_number`, all rounded at once.
+
+    Raises:
+        ValueError: a value is not finite.
+    """
+    layout = _device_layout(fields)
+    rounded = _round_singles(layout.singles, map(values.__getitem__, layout.measured))
+    products = _round_singles(layout.singles, map(mul, rounded, layout.scales))
+    if not -math.inf < sum(products) < math.inf:  # in double precision no sum of these overflows
+        raise ValueError(f"{values} cannot be sent: {_FINITE}")
     numbers = list(values)
     for i, product in zip(layout.measured, products, strict=True):
-        numbers[i] = product
-    if layout.whole:
-        counts = list(map(int, numbers))
-        if all(map(le, layout.low, counts)) and all(map(le, counts, layout.high)):
-            return counts
-    if layout.floats:
-        return [0.0 if -_SMALLEST_F32 < x < _SMALLEST_F32 else x for x in numbers]
-    return list(map(_saturated, layout.codes, numbers))
+        numbers[i] = 0.0 if -_SMALLEST_F32 < product < _SMALLEST_F32 else product
+    try:
+        return _struct(fields).pack(*(map(int, numbers) if layout.whole else numbers))
+    except struct.error:  # one does not fit, or is no whole number among floats
+        return _struct(fields).pack(*map(_saturated, layout.codes, numbers))
 
 
 class _DeviceLayout(NamedTuple):
     """Which fields are measured in single precision, their scales, and what each field holds."""
 
     measured: tuple[int, ...]
+    singles: struct.Struct
     scales: tuple[float, ...]
     codes: tuple[str, ...]
     whole: bool
-    """Every field holds a whole number, of `low` to `high`."""
-    floats: bool
-    """Every field holds a number in single precision."""
-    low: tuple[float, ...]
-    high: tuple[float, ...]
+    """Every field holds a whole number."""
 
 
 @lru_cache(maxsize=64)
 def _device_layout(fields: tuple[Field, ...]) -> _DeviceLayout:
     measured = tuple(i for i, f in enumerate(fields) if f.code == "f" or f.scale is not None)
     codes = tuple(f.code for f in fields)
-    ranges = [_RANGES.get(code, (0, 0)) for code in codes]
-    return _DeviceLayout(
-        measured, tuple(fields[i].scale or 1.0 for i in measured), codes, "f" not in codes,
-        set(codes) == {"f"}, tuple(low for low, _ in ranges), tuple(high for _, high in ranges),
-    )  # fmt: skip
+    scales = tuple(fields[i].scale or 1.0 for i in measured)
+    singles = struct.Struct(f">{len(measured)}f")
+    return _DeviceLayout(measured, singles, scales, codes, "f" not in codes)
 
 
 def read_values(fields: tuple[Field, ...], record: object) -> tuple[Any, ...]:
@@ -185,15 +181,6 @@ def _reader(fields: tuple[Field, ...]) -> Callable[[object], tuple[Any, ...]]:
         return lambda record: ()
     read = attrgetter(*(field.name for field in fields))
     return read if len(fields) > 1 else lambda record: (read(record),)
-
-
-def pack_fields(fields: tuple[Field, ...], values: Sequence[Number], rounder: Rounder) -> bytes:
-    """Write fields in order, one value for each.
-
-    Raises:
-        ValueError: a value is not finite or does not fit.
-    """
-    return _struct(fields).pack(*rounder(fields, values))
 
 
 @lru_cache(maxsize=64)

@@ -8,7 +8,6 @@ from benchmarks.blind_gap.bank import CARS, SETS
 from benchmarks.blind_gap.detectability import FILE, save_severities
 from benchmarks.blind_gap.diagnosing import DIAGNOSE, IDENTIFY, diagnose_set
 from benchmarks.blind_gap.generate import generate, key_path
-from benchmarks.blind_gap.inside import diagnose_inside
 from benchmarks.blind_gap.report import write_report
 from benchmarks.blind_gap.score import CONFIDENT, score
 from benchmarks.blind_gap.seal import SealError
@@ -30,10 +29,7 @@ def _generate(args: argparse.Namespace) -> str:
 
 
 def _run(args: argparse.Namespace) -> str:
-    if args.inside:
-        diagnose_inside(args.out, args.verdicts)
-    else:
-        diagnose_set(args.out, args.verdicts, args.identify, args.diagnose)
+    diagnose_set(args.out, args.verdicts, args.identify, args.diagnose)
     return f"verdicts are in {args.verdicts}; `open` the labels when all are there"
 
 
@@ -54,7 +50,7 @@ def _score(args: argparse.Namespace) -> str:
         f" whole {labels.get('whole') or 'none'}: generates again with these.",
         f"Report sets were opened {len(openings)} times so far"
         " (`benchmarks/blind_gap/opened.jsonl`).",
-        f"A name is confident from {CONFIDENT} on.",
+        f"A name is confident from {CONFIDENT} on; names and sets are given detection.",
     ]
     title = "The blind test" if labels["set"] == "report" else "The blind test, on tuning seeds"
     write_report(scores, args.page, title, notes)
@@ -83,7 +79,6 @@ def make_parser() -> argparse.ArgumentParser:
     ask = commands.add_parser("run", help="identify every car, diagnose every case")
     ask.add_argument("--identify", default=IDENTIFY, help=IDENTIFY)
     ask.add_argument("--diagnose", default=DIAGNOSE, help=DIAGNOSE)
-    ask.add_argument("--inside", action="store_true", help="in this process, not by commands")
     ask.set_defaults(act=_run)
     unseal = commands.add_parser("open", help="unseal the labels, once the verdicts are written")
     unseal.add_argument("--key", type=Path, help="by default OUT.key")

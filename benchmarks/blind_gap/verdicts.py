@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.blind_gap.seal import sha256
+from steerd.car_model.car_file import load_car
 
 SCHEMA = "steerd.gap/1"
 NO_GAP_SEEN = ("none", "unjudged")
@@ -121,7 +122,7 @@ def load_verdicts(folder: Path, cases: Iterable[str]) -> dict[str, Verdict]:
 def with_own(
     verdicts: Mapping[str, Verdict], folder: Path, bases: Mapping[str, str]
 ) -> dict[str, Verdict]:
-    """Verdicts with the effects that their base cars had, from `BASE.base.json` beside them.
+    """Verdicts with the effects that their base cars had, from `BASE.toml` beside them.
 
     Args:
         verdicts: by case.
@@ -130,8 +131,10 @@ def with_own(
     """
     own: dict[str, Mapping[str, Sequence[float]]] = {}
     for base in set(bases.values()):
-        kept = folder / f"{base}.base.json"
-        own[base] = json.loads(kept.read_text())["effects"] if kept.exists() else {}
+        kept = folder / f"{base}.toml"
+        car = load_car(kept) if kept.exists() else None
+        names = (effect.name for effect in car.effects) if car else ()
+        own[base] = dict(zip(names, car.values if car else (), strict=True))
     return {case: replace(v, own=own[bases[case]]) for case, v in verdicts.items()}
 
 

@@ -1,6 +1,6 @@
 """Effects of the body: masses, inertia, loads."""
 
-from collections.abc import Sequence
+from functools import partial
 
 from steerd.car_model.effect import (
     BaseSelection,
@@ -9,19 +9,22 @@ from steerd.car_model.effect import (
     Effect,
     EffectParameter,
     Stage,
+    Values,
+    scale,
+    shift,
 )
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.state import Observation, State
 
 
-def _cog_offset_car(ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float) -> Car[T]:
+def _cog_offset_car(ops: Ops[T], p: Values[T], car: Car[T], state: State[T], t: float) -> Car[T]:
     """A shorter distance to the front axle, a longer one to the rear."""
     return car._replace(lf=car.lf - p[0], lr=car.lr + p[0])
 
 
 def _cog_offset_observe(
-    ops: Ops[T], p: Sequence[T], state: State[T], seen: Observation[T]
+    ops: Ops[T], p: Values[T], state: State[T], seen: Observation[T]
 ) -> Observation[T]:
     """The pose of where the centre of gravity was thought to be."""
     return seen._replace(x=seen.x - p[0] * ops.cos(state.yaw), y=seen.y - p[0] * ops.sin(state.yaw))
@@ -38,9 +41,7 @@ COG_OFFSET = Effect(
     ),
     least_size=0.012,
     confounded_with=Confounding(("marker_offset",), "marker_offset in slow drives"),
-    needs_commands=None,
     selectable_in_base=BaseSelection.NEVER,
-    zero_gradient=False,
     car=_cog_offset_car,
     observe=_cog_offset_observe,
     aliases=("cg_offset", "cog_shift"),
@@ -50,13 +51,6 @@ COG_OFFSET = Effect(
 The mocap body stays where it was calibrated, so the poses seen are of the old place: close to a
 marker offset, and the same as one at low speed.
 """
-
-
-def _longitudinal_load_transfer_car(
-    ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float
-) -> Car[T]:
-    """A higher centre of gravity."""
-    return car._replace(cog_height=car.cog_height + p[0])
 
 
 LONGITUDINAL_LOAD_TRANSFER = Effect(
@@ -69,18 +63,15 @@ LONGITUDINAL_LOAD_TRANSFER = Effect(
         EffectParameter("height", 0.0, -0.1, 0.2, "m", 0.03, "CoG height beyond the car's own"),
     ),
     least_size=0.02,
-    confounded_with=None,
     needs_commands=Channel.SPEED,
-    selectable_in_base=BaseSelection.HEALTHY,
-    zero_gradient=False,
     follows_acceleration=True,
-    car=_longitudinal_load_transfer_car,
+    car=partial(shift, ("cog_height",)),
     aliases=("longitudinal_transfer", "pitch_transfer", "cog_height"),
 )
 """More load moved between the axles by acceleration than the CoG's height in use explains."""
 
 
-def _mass_car(ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float) -> Car[T]:
+def _mass_car(ops: Ops[T], p: Values[T], car: Car[T], state: State[T], t: float) -> Car[T]:
     """More mass, and less acceleration from the same motor."""
     heavy = car.mass + p[0]
     share = car.mass / heavy
@@ -104,9 +95,7 @@ MASS = Effect(
         "smaller yaw_inertia with lower acceleration limits: mass cancels from planar motion",
     ),
     nameable_alone=False,
-    needs_commands=None,
     selectable_in_base=BaseSelection.NEVER,
-    zero_gradient=False,
     same_as=("inertia_z",),
     car=_mass_car,
     aliases=("payload",),
@@ -117,11 +106,6 @@ Tyre forces grow with load as mass does, so mass cancels from the planar motion 
 yaw inertia, which it leaves alone, and in what the motor can do: it looks like a smaller inertia
 and lower acceleration limits.
 """
-
-
-def _yaw_inertia_car(ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float) -> Car[T]:
-    """The inertia, scaled."""
-    return car._replace(inertia_z=car.inertia_z * p[0])
 
 
 YAW_INERTIA = Effect(
@@ -136,11 +120,8 @@ YAW_INERTIA = Effect(
     least_size=0.063,
     confounded_with=Confounding(("mass",)),
     nameable_alone=False,
-    needs_commands=None,
-    selectable_in_base=BaseSelection.HEALTHY,
-    zero_gradient=False,
     same_as=("inertia_z",),
-    car=_yaw_inertia_car,
+    car=partial(scale, ("inertia_z",)),
     aliases=("inertia", "inertia_z"),
 )
 """A yaw inertia other than modelled: it turns in more slowly or more quickly."""

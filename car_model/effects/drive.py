@@ -1,27 +1,24 @@
 """Effects of the drive: speed command, motor, battery, drag."""
 
-from collections.abc import Sequence
+from functools import partial
 
-from steerd.car_model.chassis import SPEED_DYNAMIC, Axles, Rates, dynamic_share
+from steerd.car_model.chassis import SPEED_DYNAMIC, Rates, dynamic_share
 from steerd.car_model.effect import (
     BaseSelection,
     Channel,
     Confounding,
+    Contact,
     Effect,
     EffectParameter,
     Stage,
+    Values,
+    cap,
+    delay,
+    scale,
+    shift,
 )
 from steerd.car_model.ops import Ops, T
-from steerd.car_model.params import Car
-from steerd.car_model.state import Command, Delays, Observation, State
-
-
-def _accel_limit_car(ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float) -> Car[T]:
-    """The lower of the car's limits and this one, speeding up and braking."""
-    return car._replace(
-        accel_max=ops.minimum(car.accel_max, p[0]), decel_max=ops.minimum(car.decel_max, p[0])
-    )
-
+from steerd.car_model.state import Command, Observation, State
 
 ACCEL_LIMIT = Effect(
     name="accel_limit",
@@ -42,12 +39,9 @@ ACCEL_LIMIT = Effect(
         ),
     ),
     least_size=0.0,
-    confounded_with=None,
     needs_commands=Channel.SPEED,
-    selectable_in_base=BaseSelection.HEALTHY,
-    zero_gradient=True,
     same_as=("accel_max", "decel_max"),
-    car=_accel_limit_car,
+    car=partial(cap, ("accel_max", "decel_max")),
     aliases=("current_limit", "acceleration_limit"),
 )
 """A motor that cannot speed up or brake as hard as the model's.
@@ -57,7 +51,7 @@ a scan.
 """
 
 
-def _battery_sag_reference(ops: Ops[T], p: Sequence[T], ref: Command[T], t: float) -> Command[T]:
+def _battery_sag_reference(ops: Ops[T], p: Values[T], ref: Command[T], t: float) -> Command[T]:
     """A speed aim that fades over the run."""
     return ref._replace(speed=ref.speed * ops.exp(-p[0] * (t / 60.0)))
 
@@ -72,10 +66,8 @@ BATTERY_SAG = Effect(
         EffectParameter("rate", 0.0, -0.3, 1.0, "1/min", 0.05, "share of speed lost per minute"),
     ),
     least_size=0.025,
-    confounded_with=None,
     needs_commands=Channel.SPEED,
     selectable_in_base=BaseSelection.NEVER,
-    zero_gradient=False,
     reference=_battery_sag_reference,
     aliases=("battery", "voltage_sag"),
 )
@@ -83,12 +75,6 @@ BATTERY_SAG = Effect(
 
 The motor controller sees the lower speed too, so its report stays true.
 """
-
-
-def _drive_delay_delays(p: Sequence[T]) -> Delays[T]:
-    """The speed command alone comes later."""
-    none = 0.0 * p[0]
-    return Delays(steer=none, drive=p[0], pose=none)
 
 
 DRIVE_DELAY = Effect(
@@ -101,20 +87,12 @@ DRIVE_DELAY = Effect(
         EffectParameter("delay", 0.0, 0.0, 0.3, "s", 0.03, "dead time beyond the car's own"),
     ),
     least_size=0.004,
-    confounded_with=None,
     needs_commands=Channel.SPEED,
-    selectable_in_base=BaseSelection.HEALTHY,
-    zero_gradient=False,
     same_as=("drive_delay",),
-    delays=_drive_delay_delays,
+    delays=partial(delay, "drive"),
     aliases=("speed_delay", "motor_delay"),
 )
 """Dead time between the speed command and the motor."""
-
-
-def _drive_lag_car(ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float) -> Car[T]:
-    """The speed loop's time constant, longer."""
-    return car._replace(speed_lag=car.speed_lag + p[0])
 
 
 DRIVE_LAG = Effect(
@@ -127,40 +105,29 @@ DRIVE_LAG = Effect(
         EffectParameter("lag", 0.0, -0.2, 0.6, "s", 0.08, "time constant beyond the car's own"),
     ),
     least_size=0.0055,
-    confounded_with=None,
     needs_commands=Channel.SPEED,
-    selectable_in_base=BaseSelection.HEALTHY,
-    zero_gradient=False,
     same_as=("speed_lag",),
-    car=_drive_lag_car,
+    car=partial(shift, ("speed_lag",)),
     aliases=("motor_lag", "speed_lag", "esc_lag"),
 )
 """A slower speed loop."""
 
 
-def _drive_split_rates(
-    ops: Ops[T],
-    p: Sequence[T],
-    car: Car[T],
-    state: State[T],
-    wheel: T,
-    forces: Axles[T],
-    rates: Rates[T],
-) -> Rates[T]:
+def _drive_split_rates(ops: Ops[T], p: Values[T], at: Contact[T], rates: Rates[T]) -> Rates[T]:
     """Less speed over ground and more moment where the front axle drives more."""
-    share = dynamic_share(ops, state.speed)
-    speed = ops.maximum(state.speed, SPEED_DYNAMIC)
-    sine, sideslip = ops.sin(wheel), ops.tan(state.slip_angle)
-    felt = rates.speed - state.yaw_rate * state.speed * sideslip
-    side = share * p[0] * (car.mass * felt + forces.front * sine) * sine
-    rolled = ops.cos(wheel) + (sideslip + car.lf * state.yaw_rate / speed) * sine
+    share = dynamic_share(ops, at.state.speed)
+    speed = ops.maximum(at.state.speed, SPEED_DYNAMIC)
+    sine, sideslip = ops.sin(at.wheel), ops.tan(at.state.slip_angle)
+    felt = rates.speed - at.state.yaw_rate * at.state.speed * sideslip
+    side = share * p[0] * (at.car.mass * felt + at.forces.front * sine) * sine
+    rolled = ops.cos(at.wheel) + (sideslip + at.car.lf * at.state.yaw_rate / speed) * sine
     further = 1.0 + p[0] * (rolled - 1.0)
-    turn = rates.slip_angle + share * state.yaw_rate
-    sideways = side / (car.mass * speed)
+    turn = rates.slip_angle + share * at.state.yaw_rate
+    sideways = side / (at.car.mass * speed)
     return rates._replace(
         x=rates.x / further,
         y=rates.y / further,
-        yaw_rate=rates.yaw_rate + side * car.lf / car.inertia_z,
+        yaw_rate=rates.yaw_rate + side * at.car.lf / at.car.inertia_z,
         slip_angle=rates.slip_angle + share * turn * (further - 1.0) + sideways,
     )
 
@@ -175,11 +142,7 @@ DRIVE_SPLIT = Effect(
         EffectParameter("front", 0.0, -1.0, 1.0, "1", 0.25, "share of the drive force, added"),
     ),
     least_size=0.1,
-    confounded_with=None,
-    needs_commands=None,
-    selectable_in_base=BaseSelection.HEALTHY,
     on_every_car=True,
-    zero_gradient=False,
     follows_acceleration=True,
     rates=_drive_split_rates,
     aliases=("torque_split", "centre_differential"),
@@ -197,17 +160,9 @@ _FADE = 10.0
 """Full drag from about 0.2 m/s up [s/m]."""
 
 
-def _rolling_drag_rates(
-    ops: Ops[T],
-    p: Sequence[T],
-    car: Car[T],
-    state: State[T],
-    wheel: T,
-    forces: Axles[T],
-    rates: Rates[T],
-) -> Rates[T]:
+def _rolling_drag_rates(ops: Ops[T], p: Values[T], at: Contact[T], rates: Rates[T]) -> Rates[T]:
     """Less acceleration, against the direction of travel."""
-    return rates._replace(speed=rates.speed - p[0] * ops.tanh(_FADE * state.speed))
+    return rates._replace(speed=rates.speed - p[0] * ops.tanh(_FADE * at.state.speed))
 
 
 ROLLING_DRAG = Effect(
@@ -222,9 +177,7 @@ ROLLING_DRAG = Effect(
     least_size=0.07,
     confounded_with=Confounding(("speed_scale",), "speed_scale at a single speed"),
     needs_commands=Channel.SPEED,
-    selectable_in_base=BaseSelection.HEALTHY,
     on_every_car=True,
-    zero_gradient=False,
     rates=_rolling_drag_rates,
     aliases=("drag", "rolling_resistance", "friction_drag"),
 )
@@ -236,13 +189,8 @@ constant speed error, so at one speed it looks like a speed scale.
 # Why: docs/decisions/diagnosis.md#d53
 
 
-def _speed_scale_car(ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float) -> Car[T]:
-    """More true speed for the same command."""
-    return car._replace(speed_gain=car.speed_gain * p[0])
-
-
 def _speed_scale_observe(
-    ops: Ops[T], p: Sequence[T], state: State[T], seen: Observation[T]
+    ops: Ops[T], p: Values[T], state: State[T], seen: Observation[T]
 ) -> Observation[T]:
     """Wheel speed in the motor controller's own measure."""
     return seen._replace(wheel_speed=seen.wheel_speed / p[0])
@@ -260,10 +208,8 @@ SPEED_SCALE = Effect(
     least_size=0.0032,
     confounded_with=Confounding(("rolling_drag",), "rolling_drag at a single speed"),
     needs_commands=Channel.SPEED,
-    selectable_in_base=BaseSelection.HEALTHY,
-    zero_gradient=False,
     same_as=("speed_gain",),
-    car=_speed_scale_car,
+    car=partial(scale, ("speed_gain",)),
     observe=_speed_scale_observe,
     aliases=("erpm_gain", "wheel_radius", "speed_gain"),
 )

@@ -2,31 +2,31 @@
 
 from collections.abc import Sequence
 
-from steerd.car_model.chassis import SPEED_KINEMATIC, Axles, Rates, dynamic_share
-from steerd.car_model.effect import BaseSelection, Effect, EffectParameter, Role, Stage
+from steerd.car_model.chassis import SPEED_KINEMATIC, Rates, dynamic_share
+from steerd.car_model.effect import (
+    BaseSelection,
+    Contact,
+    Effect,
+    EffectParameter,
+    Role,
+    Stage,
+    Values,
+)
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import GRAVITY, Car
 from steerd.car_model.state import State
 
 
-def _floor_slope_rates(
-    ops: Ops[T],
-    p: Sequence[T],
-    car: Car[T],
-    state: State[T],
-    wheel: T,
-    forces: Axles[T],
-    rates: Rates[T],
-) -> Rates[T]:
+def _floor_slope_rates(ops: Ops[T], p: Values[T], at: Contact[T], rates: Rates[T]) -> Rates[T]:
     """Along the path it changes speed, across it slip; crawling wheels hold the car sideways."""
-    course = state.yaw + state.slip_angle
+    course = at.state.yaw + at.state.slip_angle
     along, across = ops.cos(course), ops.sin(course)
     pull = GRAVITY * (p[0] * along + p[1] * across)
     push = GRAVITY * (p[1] * along - p[0] * across)
-    speed = ops.maximum(state.speed, SPEED_KINEMATIC)
+    speed = ops.maximum(at.state.speed, SPEED_KINEMATIC)
     return rates._replace(
         speed=rates.speed + pull / (1.0 + p[2]),
-        slip_angle=rates.slip_angle + dynamic_share(ops, state.speed) * push / speed,
+        slip_angle=rates.slip_angle + dynamic_share(ops, at.state.speed) * push / speed,
     )
 
 
@@ -51,10 +51,6 @@ FLOOR_SLOPE = Effect(
         ),
     ),
     least_size=0.004,
-    confounded_with=None,
-    needs_commands=None,
-    selectable_in_base=BaseSelection.HEALTHY,
-    zero_gradient=False,
     rates=_floor_slope_rates,
     aliases=("slope", "tilt"),
 )
@@ -64,7 +60,7 @@ Along the path it has to spin up wheels and motor as well as move the car, acros
 """
 
 
-def _grip_drift_car(ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float) -> Car[T]:
+def _grip_drift_car(ops: Ops[T], p: Values[T], car: Car[T], state: State[T], t: float) -> Car[T]:
     """Friction that grows with run time."""
     return car._replace(mu=car.mu * ops.exp(p[0] * (t / 60.0)))
 
@@ -77,10 +73,7 @@ GRIP_DRIFT = Effect(
     equation="mu(t) = mu exp(rate t)",
     parameters=(EffectParameter("rate", 0.0, -1.0, 1.0, "1/min", 0.1, "growth per minute"),),
     least_size=0.27,
-    confounded_with=None,
-    needs_commands=None,
     selectable_in_base=BaseSelection.NEVER,
-    zero_gradient=False,
     car=_grip_drift_car,
     aliases=("tyre_warmup", "warm_up"),
 )
@@ -93,7 +86,7 @@ _SCAN_DROPS = (0.25, 0.5)
 """Shares of grip lost that a scan tries."""
 
 
-def _grip_patch_car(ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float) -> Car[T]:
+def _grip_patch_car(ops: Ops[T], p: Values[T], car: Car[T], state: State[T], t: float) -> Car[T]:
     """Less friction inside the disc; (d^2 - r^2) / 2r is the distance from its edge, near it."""
     x, y, radius, drop = p
     dx, dy = state.x - x, state.y - y
@@ -122,10 +115,7 @@ GRIP_PATCH = Effect(
         ),
     ),
     least_size=0.0,
-    confounded_with=None,
-    needs_commands=None,
     selectable_in_base=BaseSelection.NEVER,
-    zero_gradient=True,
     scan=_grip_patch_scan,
     car=_grip_patch_car,
     aliases=("slippery_patch", "patch"),

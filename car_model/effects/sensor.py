@@ -1,14 +1,22 @@
 """Effects of the measurement: mocap's body, yaw and clock."""
 
-from collections.abc import Sequence
+from functools import partial
 
-from steerd.car_model.effect import BaseSelection, Confounding, Effect, EffectParameter, Stage
+from steerd.car_model.effect import (
+    BaseSelection,
+    Confounding,
+    Effect,
+    EffectParameter,
+    Stage,
+    Values,
+    delay,
+)
 from steerd.car_model.ops import Ops, T
-from steerd.car_model.state import Delays, Observation, State
+from steerd.car_model.state import Observation, State
 
 
 def _marker_offset_observe(
-    ops: Ops[T], p: Sequence[T], state: State[T], seen: Observation[T]
+    ops: Ops[T], p: Values[T], state: State[T], seen: Observation[T]
 ) -> Observation[T]:
     """The pose of a point beside the centre of gravity."""
     c, s = ops.cos(state.yaw), ops.sin(state.yaw)
@@ -27,20 +35,12 @@ MARKER_OFFSET = Effect(
     ),
     least_size=0.0038,
     confounded_with=Confounding(("cog_offset",), "cog_offset in slow drives"),
-    needs_commands=None,
     selectable_in_base=BaseSelection.IDENTIFY,
     on_every_car=True,
-    zero_gradient=False,
     observe=_marker_offset_observe,
     aliases=("mocap_offset", "lever_arm"),
 )
 """A mocap body whose origin is not where the calibration has it on the car."""
-
-
-def _mocap_latency_delays(p: Sequence[T]) -> Delays[T]:
-    """The pose alone comes later."""
-    none = 0.0 * p[0]
-    return Delays(steer=none, drive=none, pose=p[0])
 
 
 MOCAP_LATENCY = Effect(
@@ -58,11 +58,8 @@ MOCAP_LATENCY = Effect(
         "equal dead time on both commands (steer_delay and drive_delay): the same"
         " poses without a second clock",
     ),
-    needs_commands=None,
-    selectable_in_base=BaseSelection.HEALTHY,
-    zero_gradient=False,
     same_as=("pose_delay",),
-    delays=_mocap_latency_delays,
+    delays=partial(delay, "pose"),
     aliases=("latency", "pose_latency", "mocap_delay"),
 )
 """Poses older than their stamps say.
@@ -73,7 +70,7 @@ it without a second clock (a gyro, wheel speed).
 
 
 def _mocap_yaw_observe(
-    ops: Ops[T], p: Sequence[T], state: State[T], seen: Observation[T]
+    ops: Ops[T], p: Values[T], state: State[T], seen: Observation[T]
 ) -> Observation[T]:
     """A heading with an offset."""
     return seen._replace(yaw=seen.yaw + p[0])
@@ -89,11 +86,8 @@ MOCAP_YAW = Effect(
         EffectParameter("offset", 0.0, -0.3, 0.3, "rad", 0.02, "body's heading in the car"),
     ),
     least_size=0.0012,
-    confounded_with=None,
-    needs_commands=None,
     selectable_in_base=BaseSelection.IDENTIFY,
     on_every_car=True,
-    zero_gradient=False,
     observe=_mocap_yaw_observe,
     aliases=("yaw_misalignment", "mount_yaw", "yaw_offset"),
 )

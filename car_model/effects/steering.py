@@ -1,15 +1,25 @@
 """Effects of the steering: command, servo, linkage."""
 
-from collections.abc import Sequence
+from functools import partial
 
-from steerd.car_model.effect import BaseSelection, Channel, Effect, EffectParameter, Stage
+from steerd.car_model.effect import (
+    BaseSelection,
+    Channel,
+    Effect,
+    EffectParameter,
+    Stage,
+    Values,
+    cap,
+    delay,
+    scale,
+    shift,
+)
 from steerd.car_model.ops import Ops, T
-from steerd.car_model.params import Car
-from steerd.car_model.state import Command, Delays, State
+from steerd.car_model.state import Command
 
 
 def _steer_asymmetry_linkage(
-    ops: Ops[T], p: Sequence[T], memory: Sequence[T], angle: T
+    ops: Ops[T], p: Values[T], memory: Values[T], angle: T
 ) -> tuple[T, tuple[T, ...]]:
     """More gain to the left, as much less to the right."""
     return angle + p[0] * ops.absolute(angle), ()
@@ -33,11 +43,9 @@ STEER_ASYMMETRY = Effect(
         ),
     ),
     least_size=0.0045,
-    confounded_with=None,
     needs_commands=Channel.STEER,
     selectable_in_base=BaseSelection.IDENTIFY,
     on_every_car=True,
-    zero_gradient=False,
     linkage=_steer_asymmetry_linkage,
     aliases=("left_right_asymmetry", "steering_asymmetry"),
 )
@@ -45,7 +53,7 @@ STEER_ASYMMETRY = Effect(
 
 
 def _steer_backlash_linkage(
-    ops: Ops[T], p: Sequence[T], memory: Sequence[T], angle: T
+    ops: Ops[T], p: Values[T], memory: Values[T], angle: T
 ) -> tuple[T, tuple[T, ...]]:
     """The last wheel angle, kept within the gap about the servo's."""
     half = 0.5 * p[0]
@@ -72,10 +80,8 @@ STEER_BACKLASH = Effect(
         ),
     ),
     least_size=0.0019,
-    confounded_with=None,
     needs_commands=Channel.STEER,
     selectable_in_base=BaseSelection.IDENTIFY,
-    zero_gradient=True,
     memory=1,
     linkage=_steer_backlash_linkage,
     aliases=("backlash", "play", "steer_deadband"),
@@ -85,11 +91,6 @@ STEER_BACKLASH = Effect(
 The play operator: the wheel angle stays until the servo pushes it from one side of the gap or the
 other. It has a kink at the null (the gap cannot be negative): look for it with a scan.
 """
-
-
-def _steer_bias_car(ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float) -> Car[T]:
-    """More wheel angle at command zero, within the same end stops."""
-    return car._replace(steer_bias=car.steer_bias + p[0])
 
 
 STEER_BIAS = Effect(
@@ -102,18 +103,15 @@ STEER_BIAS = Effect(
         EffectParameter("bias", 0.0, -0.15, 0.15, "rad", 0.02, "trim beyond the car's own"),
     ),
     least_size=0.0006,
-    confounded_with=None,
     needs_commands=Channel.STEER,
-    selectable_in_base=BaseSelection.HEALTHY,
-    zero_gradient=False,
     same_as=("steer_bias",),
-    car=_steer_bias_car,
+    car=partial(shift, ("steer_bias",)),
     aliases=("trim", "steer_trim", "steer_offset"),
 )
 """Steering trim: the wheels do not point straight at command zero."""
 
 
-def _steer_clip_reference(ops: Ops[T], p: Sequence[T], ref: Command[T], t: float) -> Command[T]:
+def _steer_clip_reference(ops: Ops[T], p: Values[T], ref: Command[T], t: float) -> Command[T]:
     """The servo aims no further than the stop."""
     return ref._replace(steer=ops.clip(ref.steer, -p[0], p[0]))
 
@@ -137,10 +135,7 @@ STEER_CLIP = Effect(
         ),
     ),
     least_size=0.0,
-    confounded_with=None,
     needs_commands=Channel.STEER,
-    selectable_in_base=BaseSelection.HEALTHY,
-    zero_gradient=True,
     reference=_steer_clip_reference,
     aliases=("clip", "end_stop", "steer_limit"),
 )
@@ -149,12 +144,6 @@ STEER_CLIP = Effect(
 Where no command passes the stop it changes nothing, so its gradient at the null is zero: it must be
 looked for with a scan.
 """
-
-
-def _steer_delay_delays(p: Sequence[T]) -> Delays[T]:
-    """The steering command alone comes later."""
-    none = 0.0 * p[0]
-    return Delays(steer=p[0], drive=none, pose=none)
 
 
 STEER_DELAY = Effect(
@@ -167,20 +156,12 @@ STEER_DELAY = Effect(
         EffectParameter("delay", 0.0, 0.0, 0.3, "s", 0.03, "dead time beyond the car's own"),
     ),
     least_size=0.0015,
-    confounded_with=None,
     needs_commands=Channel.STEER,
-    selectable_in_base=BaseSelection.HEALTHY,
-    zero_gradient=False,
     same_as=("steer_delay",),
-    delays=_steer_delay_delays,
+    delays=partial(delay, "steer"),
     aliases=("steering_delay", "steer_latency"),
 )
 """Dead time between the steering command and the servo."""
-
-
-def _steer_gain_car(ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float) -> Car[T]:
-    """The steering gain, scaled."""
-    return car._replace(steer_gain=car.steer_gain * p[0])
 
 
 STEER_GAIN = Effect(
@@ -193,20 +174,12 @@ STEER_GAIN = Effect(
         EffectParameter("gain", 1.0, 0.5, 1.6, "1", 0.1, "ratio to the car's steering gain"),
     ),
     least_size=0.009,
-    confounded_with=None,
     needs_commands=Channel.STEER,
-    selectable_in_base=BaseSelection.HEALTHY,
-    zero_gradient=False,
     same_as=("steer_gain",),
-    car=_steer_gain_car,
+    car=partial(scale, ("steer_gain",)),
     aliases=("steering_gain", "steer_scale"),
 )
 """More or less wheel angle per command than the model's linkage."""
-
-
-def _steer_lag_car(ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float) -> Car[T]:
-    """The servo's time constant, longer."""
-    return car._replace(steer_lag=car.steer_lag + p[0])
 
 
 STEER_LAG = Effect(
@@ -219,19 +192,16 @@ STEER_LAG = Effect(
         EffectParameter("lag", 0.0, -0.1, 0.4, "s", 0.05, "time constant beyond the car's own"),
     ),
     least_size=0.003,
-    confounded_with=None,
     needs_commands=Channel.STEER,
-    selectable_in_base=BaseSelection.HEALTHY,
-    zero_gradient=False,
     same_as=("steer_lag",),
-    car=_steer_lag_car,
+    car=partial(shift, ("steer_lag",)),
     aliases=("servo_lag", "steering_lag"),
 )
 """A slower steering servo."""
 
 
 def _steer_nonlinearity_linkage(
-    ops: Ops[T], p: Sequence[T], memory: Sequence[T], angle: T
+    ops: Ops[T], p: Values[T], memory: Values[T], angle: T
 ) -> tuple[T, tuple[T, ...]]:
     """A cubic on top of the straight line."""
     return angle + p[0] * angle * angle * angle, ()
@@ -249,11 +219,9 @@ STEER_NONLINEARITY = Effect(
         ),
     ),
     least_size=0.2,
-    confounded_with=None,
     needs_commands=Channel.STEER,
     selectable_in_base=BaseSelection.IDENTIFY,
     on_every_car=True,
-    zero_gradient=False,
     linkage=_steer_nonlinearity_linkage,
     aliases=("steer_cubic", "steering_nonlinearity"),
 )
@@ -261,13 +229,6 @@ STEER_NONLINEARITY = Effect(
 
 The lower bound is 1 / (3 x 0.34^2): beyond it the wheels would turn back at the ends.
 """
-
-
-def _steer_rate_limit_car(
-    ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float
-) -> Car[T]:
-    """The lower of the car's slew limit and this one."""
-    return car._replace(steer_rate=ops.minimum(car.steer_rate, p[0]))
 
 
 STEER_RATE_LIMIT = Effect(
@@ -289,12 +250,9 @@ STEER_RATE_LIMIT = Effect(
         ),
     ),
     least_size=0.0,
-    confounded_with=None,
     needs_commands=Channel.STEER,
-    selectable_in_base=BaseSelection.HEALTHY,
-    zero_gradient=True,
     same_as=("steer_rate",),
-    car=_steer_rate_limit_car,
+    car=partial(cap, ("steer_rate",)),
     aliases=("rate_limit", "slew_limit", "steer_slew"),
 )
 """A servo that turns no faster than so.

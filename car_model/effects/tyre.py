@@ -1,16 +1,19 @@
 """Effects of the tyres: stiffness, grip, build-up, slip."""
 
-from collections.abc import Sequence
+from functools import partial
 
 from steerd.car_model.chassis import SPEED_KINEMATIC, Axles, Rates, dynamic_share
 from steerd.car_model.effect import (
     BaseSelection,
     Channel,
     Confounding,
+    Contact,
     Effect,
     EffectParameter,
     Role,
     Stage,
+    Values,
+    scale,
 )
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import GRAVITY, Car
@@ -44,13 +47,6 @@ def _saturated(ops: Ops[T], force: T, z: T, q: T, early: T | float = 0.0) -> T:
     return level
 
 
-def _cornering_stiffness_car(
-    ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float
-) -> Car[T]:
-    """Both cornering coefficients, scaled."""
-    return car._replace(c_sf=car.c_sf * p[0], c_sr=car.c_sr * p[0])
-
-
 CORNERING_STIFFNESS = Effect(
     name="cornering_stiffness",
     stage=Stage.FORCES,
@@ -62,10 +58,7 @@ CORNERING_STIFFNESS = Effect(
     ),
     least_size=0.034,
     confounded_with=Confounding(("tyre_friction",), "tyre_friction below about 70 % of the limit"),
-    needs_commands=None,
-    selectable_in_base=BaseSelection.HEALTHY,
-    zero_gradient=False,
-    car=_cornering_stiffness_car,
+    car=partial(scale, ("c_sf", "c_sr")),
     aliases=("stiffness", "tyre_stiffness"),
 )
 """Tyres that are stiffer or softer than modelled, front and rear alike."""
@@ -75,21 +68,13 @@ _GRIP_LEAST = 0.01
 """Some lateral grip stays when the tyres are spinning."""
 
 
-def _friction_ellipse_forces(
-    ops: Ops[T],
-    p: Sequence[T],
-    car: Car[T],
-    slips: Axles[T],
-    loads: Axles[T],
-    accel: T,
-    forces: Axles[T],
-) -> Axles[T]:
+def _friction_ellipse_forces(ops: Ops[T], p: Values[T], at: Contact[T]) -> Axles[T]:
     """What each axle's part of the longitudinal force leaves."""
-    used = accel / (car.mu * GRAVITY)
+    used = at.accel / (at.car.mu * GRAVITY)
     front, rear = 2.0 * (1.0 - p[1]) * used, 2.0 * p[1] * used
     return Axles(
-        forces.front * ops.sqrt(ops.maximum(1.0 - p[0] * front * front, _GRIP_LEAST)),
-        forces.rear * ops.sqrt(ops.maximum(1.0 - p[0] * rear * rear, _GRIP_LEAST)),
+        at.forces.front * ops.sqrt(ops.maximum(1.0 - p[0] * front * front, _GRIP_LEAST)),
+        at.forces.rear * ops.sqrt(ops.maximum(1.0 - p[0] * rear * rear, _GRIP_LEAST)),
     )
 
 
@@ -113,11 +98,8 @@ FRICTION_ELLIPSE = Effect(
         ),
     ),
     least_size=0.16,
-    confounded_with=None,
     needs_commands=Channel.SPEED,
-    selectable_in_base=BaseSelection.HEALTHY,
     on_every_car=True,
-    zero_gradient=False,
     follows_acceleration=True,
     forces=_friction_ellipse_forces,
     aliases=("combined_slip", "friction_circle"),
@@ -135,28 +117,20 @@ _MOVED = 0.62
 """2 h / track of the F1TENTH car: CoG 74 mm high on a track of 240 mm."""
 
 
-def _lateral_load_transfer_forces(
-    ops: Ops[T],
-    p: Sequence[T],
-    car: Car[T],
-    slips: Axles[T],
-    loads: Axles[T],
-    accel: T,
-    forces: Axles[T],
-) -> Axles[T]:
+def _lateral_load_transfer_forces(ops: Ops[T], p: Values[T], at: Contact[T]) -> Axles[T]:
     """Weaker with the square of the lateral acceleration, and under the load that braking moves."""
-    lateral = (forces.front + forces.rear) / (car.mass * GRAVITY)
+    lateral = (at.forces.front + at.forces.rear) / (at.car.mass * GRAVITY)
     # 1 - k a^2 with a = lateral (1 - k a^2), solved for itself.
     left = 2.0 / (
         1.0 + ops.sqrt(ops.maximum(1.0 + 4.0 * p[0] * lateral * lateral, _COEFFICIENT_LEAST))
     )
     falls = p[0] / (p[1] * p[1])
-    per_load = (car.lf + car.lr) / (car.mass * GRAVITY)
-    front = 1.0 - falls * (per_load * loads.front / car.lr - 1.0)
-    rear = 1.0 - falls * (per_load * loads.rear / car.lf - 1.0)
+    per_load = (at.car.lf + at.car.lr) / (at.car.mass * GRAVITY)
+    front = 1.0 - falls * (per_load * at.loads.front / at.car.lr - 1.0)
+    rear = 1.0 - falls * (per_load * at.loads.rear / at.car.lf - 1.0)
     return Axles(
-        ops.maximum(front, _COEFFICIENT_LEAST) * forces.front * left,
-        ops.maximum(rear, _COEFFICIENT_LEAST) * forces.rear * left,
+        ops.maximum(front, _COEFFICIENT_LEAST) * at.forces.front * left,
+        ops.maximum(rear, _COEFFICIENT_LEAST) * at.forces.rear * left,
     )
 
 
@@ -180,11 +154,12 @@ LATERAL_LOAD_TRANSFER = Effect(
         ),
     ),
     least_size=0.4,
-    confounded_with=Confounding(("tyre_saturation",), "tyre_saturation: less grip in hard bends"),
-    needs_commands=None,
+    confounded_with=Confounding(
+        ("tyre_saturation", "tyre_friction"),
+        "tyre_saturation and tyre_friction: less grip in hard bends",
+    ),
     selectable_in_base=BaseSelection.IDENTIFY,
     on_every_car=True,
-    zero_gradient=False,
     forces=_lateral_load_transfer_forces,
     aliases=("lateral_transfer", "roll_transfer"),
 )
@@ -198,21 +173,13 @@ acceleration a_y is the one that the weakened tyre forces give.
 """
 
 
-def _scrub_rates(
-    ops: Ops[T],
-    p: Sequence[T],
-    car: Car[T],
-    state: State[T],
-    wheel: T,
-    forces: Axles[T],
-    rates: Rates[T],
-) -> Rates[T]:
+def _scrub_rates(ops: Ops[T], p: Values[T], at: Contact[T], rates: Rates[T]) -> Rates[T]:
     """Yaw damping and drag, fading out at crawling speed with the forces themselves."""
-    share = dynamic_share(ops, state.speed)
-    slip = state.slip_angle
-    back = (forces.front * (wheel - slip) - forces.rear * slip) / car.mass
+    share = dynamic_share(ops, at.state.speed)
+    slip = at.state.slip_angle
+    back = (at.forces.front * (at.wheel - slip) - at.forces.rear * slip) / at.car.mass
     return rates._replace(
-        yaw_rate=rates.yaw_rate - p[0] * share * state.yaw_rate,
+        yaw_rate=rates.yaw_rate - p[0] * share * at.state.yaw_rate,
         speed=rates.speed - p[1] * share * back,
     )
 
@@ -228,11 +195,7 @@ SCRUB = Effect(
         EffectParameter("drag", 0.0, -1.0, 4.0, "1", 0.5, "1: all slip power taken from speed"),
     ),
     least_size=0.39,
-    confounded_with=None,
-    needs_commands=None,
-    selectable_in_base=BaseSelection.HEALTHY,
     on_every_car=True,
-    zero_gradient=False,
     rates=_scrub_rates,
     aliases=("locked_differential", "corner_drag", "tyre_scrub"),
 )
@@ -244,9 +207,7 @@ moment against the yaw rate. Lateral forces also have a part that points back al
 """
 
 
-def _tyre_balance_car(
-    ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float
-) -> Car[T]:
+def _tyre_balance_car(ops: Ops[T], p: Values[T], car: Car[T], state: State[T], t: float) -> Car[T]:
     """The ratio of the coefficients changed, their geometric mean kept."""
     root = ops.sqrt(p[0])
     return car._replace(c_sf=car.c_sf * root, c_sr=car.c_sr / root)
@@ -260,30 +221,18 @@ TYRE_BALANCE = Effect(
     equation="C_Sf / C_Sr -> ratio C_Sf / C_Sr",
     parameters=(EffectParameter("ratio", 1.0, 0.35, 3.0, "1", 0.2, "front to rear, per modelled"),),
     least_size=0.029,
-    confounded_with=None,
-    needs_commands=None,
-    selectable_in_base=BaseSelection.HEALTHY,
-    zero_gradient=False,
     car=_tyre_balance_car,
     aliases=("balance", "front_balance"),
 )
 """Front tyres stiffer than modelled and rear tyres softer, or the other way round."""
 
 
-def _tyre_friction_forces(
-    ops: Ops[T],
-    p: Sequence[T],
-    car: Car[T],
-    slips: Axles[T],
-    loads: Axles[T],
-    accel: T,
-    forces: Axles[T],
-) -> Axles[T]:
+def _tyre_friction_forces(ops: Ops[T], p: Values[T], at: Contact[T]) -> Axles[T]:
     """Both axles' forces with friction scaled by p, and a plateau that comes with it."""
     q = 1.0 / (p[0] * p[0]) - 1.0
     return Axles(
-        _saturated(ops, p[0] * forces.front, car.c_sf * slips.front, q),
-        _saturated(ops, p[0] * forces.rear, car.c_sr * slips.rear, q),
+        _saturated(ops, p[0] * at.forces.front, at.car.c_sf * at.slips.front, q),
+        _saturated(ops, p[0] * at.forces.rear, at.car.c_sr * at.slips.rear, q),
     )
 
 
@@ -298,11 +247,10 @@ TYRE_FRICTION = Effect(
     ),
     least_size=0.02,
     confounded_with=Confounding(
-        ("cornering_stiffness",), "cornering_stiffness below about 70 % of the limit"
+        ("cornering_stiffness", "tyre_saturation", "lateral_load_transfer"),
+        "cornering_stiffness below about 70 % of the limit,"
+        " tyre_saturation and lateral_load_transfer above it",
     ),
-    needs_commands=None,
-    selectable_in_base=BaseSelection.HEALTHY,
-    zero_gradient=False,
     forces=_tyre_friction_forces,
     aliases=("friction", "mu", "grip", "low_friction"),
 )
@@ -319,7 +267,7 @@ _TINY = 1e-7
 
 
 def _tyre_relaxation_slips(
-    ops: Ops[T], p: Sequence[T], memory: Sequence[T], slips: Axles[T]
+    ops: Ops[T], p: Values[T], memory: Values[T], slips: Axles[T]
 ) -> Axles[T]:
     """Slip that the tyres feel: the steady one and the deviation."""
     return Axles(slips.front + memory[0], slips.rear + memory[1])
@@ -327,8 +275,8 @@ def _tyre_relaxation_slips(
 
 def _tyre_relaxation_remember(
     ops: Ops[T],
-    p: Sequence[T],
-    memory: Sequence[T],
+    p: Values[T],
+    memory: Values[T],
     speed: T,
     before: Axles[T],
     after: Axles[T],
@@ -354,11 +302,8 @@ TYRE_RELAXATION = Effect(
         EffectParameter("length", 0.0, 0.0, 0.5, "m", 0.05, "distance to 63 % of the force"),
     ),
     least_size=0.003,
-    confounded_with=None,
-    needs_commands=None,
     selectable_in_base=BaseSelection.IDENTIFY,
     on_every_car=True,
-    zero_gradient=False,
     memory=2,
     slips=_tyre_relaxation_slips,
     remember=_tyre_relaxation_remember,
@@ -371,19 +316,11 @@ solved exactly over each step for a steady slip that changes linearly; at length
 """
 
 
-def _tyre_saturation_forces(
-    ops: Ops[T],
-    p: Sequence[T],
-    car: Car[T],
-    slips: Axles[T],
-    loads: Axles[T],
-    accel: T,
-    forces: Axles[T],
-) -> Axles[T]:
+def _tyre_saturation_forces(ops: Ops[T], p: Values[T], at: Contact[T]) -> Axles[T]:
     """Both axles' forces, levelled off."""
     return Axles(
-        _saturated(ops, forces.front, car.c_sf * slips.front, p[0], p[1]),
-        _saturated(ops, forces.rear, car.c_sr * slips.rear, p[0], p[1]),
+        _saturated(ops, at.forces.front, at.car.c_sf * at.slips.front, p[0], p[1]),
+        _saturated(ops, at.forces.rear, at.car.c_sr * at.slips.rear, p[0], p[1]),
     )
 
 
@@ -406,25 +343,15 @@ TYRE_SATURATION = Effect(
         ("lateral_load_transfer", "tyre_friction"),
         "lateral_load_transfer and tyre_friction: less grip in hard bends",
     ),
-    needs_commands=None,
     selectable_in_base=BaseSelection.IDENTIFY,
     on_every_car=True,
-    zero_gradient=False,
     forces=_tyre_saturation_forces,
     aliases=("saturation", "pacejka"),
 )
 """Tyres whose lateral force levels off instead of growing for ever with slip."""
 
 
-def _wheel_slip_rates(
-    ops: Ops[T],
-    p: Sequence[T],
-    car: Car[T],
-    state: State[T],
-    wheel: T,
-    forces: Axles[T],
-    rates: Rates[T],
-) -> Rates[T]:
+def _wheel_slip_rates(ops: Ops[T], p: Values[T], at: Contact[T], rates: Rates[T]) -> Rates[T]:
     """The state's speed is the wheels'; the car moves by what slip leaves of it."""
     kept = 1.0 - p[0] * rates.speed
     return rates._replace(x=rates.x * kept, y=rates.y * kept)
@@ -442,11 +369,8 @@ WHEEL_SLIP = Effect(
         ),
     ),
     least_size=0.004,
-    confounded_with=None,
     needs_commands=Channel.SPEED,
-    selectable_in_base=BaseSelection.HEALTHY,
     on_every_car=True,
-    zero_gradient=False,
     follows_acceleration=True,
     built_into=("planar",),
     rates=_wheel_slip_rates,

@@ -2,7 +2,7 @@
  *
  * The equations come printed (`car_model.prediction`). What stands here is the order of the steps:
  * which command holds when, how an interval is divided, which matrices are multiplied. Sums of
- * products run in a fixed order. `estimator/state_filter.py` has the reasons and the reference.
+ * products run in a fixed order. `estimator/reference.py` is the same in Python.
  */
 #include <math.h>
 

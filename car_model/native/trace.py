@@ -6,6 +6,7 @@ memory, observation. No equation is written twice: the traced code also moves th
 
 from typing import Any, NamedTuple
 
+from steerd.car_model.actuators import actuate
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect
 from steerd.car_model.model import (
@@ -14,7 +15,6 @@ from steerd.car_model.model import (
     bound_hooks,
     car_now,
     delays,
-    drive_actuators,
     link,
     memory_size,
     model_rates,
@@ -108,7 +108,7 @@ def _trace_actuators(s: _Symbols) -> Piece:
     command = Command(*_inputs(s.tape, "cmd_steer", "cmd_speed"))
     car = car_now(TAPE, s.model, s.state, s.t)
     ref = aim(TAPE, s.model, car, command, s.t)
-    out = drive_actuators(TAPE, s.model, car, s.state, ref, s.h)
+    out = actuate(TAPE, car, s.state, ref, s.h)
     wheel_start, linked = link(TAPE, s.model, s.memory, s.state.steer)
     wheel_end, linked = link(TAPE, s.model, linked, out.steer)
     return Piece(

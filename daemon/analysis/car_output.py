@@ -196,7 +196,7 @@ def diagnosed_values(causes: "Sequence[Cause]", sessions: Sequence[Path]) -> dic
 
 
 def learn_known(car: CarFile, runs: "tuple[Run, ...]") -> Mapping[str, Mapping[str, Any]]:
-    """What drives teach beyond a car's values: the size of noise, the joint covariance.
+    """What drives identify beyond a car's values: the size of noise, the joint covariance.
 
     Other drives of the car are judged by it, cut like these to where the car moves: a standing car
     is quieter.

@@ -114,8 +114,8 @@ def make_page() -> str:
     lines = [_HEAD]
     for stage, effects in by_stage().items():
         lines += [f"## `{stage}`: {_STAGES[stage]}", ""]
-        lines += ["| effect | what it is | equation | parameter | null | range | usual | unit |"]
-        lines += ["|---|---|---|---|---|---|---|---|"]
+        lines += ["| effect | what it is | equation | parameter | null, range | usual |"]
+        lines += ["|---|---|---|---|---|---|"]
         for effect in effects:
             lines += _page_rows(effect)
         lines.append("")
@@ -123,16 +123,11 @@ def make_page() -> str:
 
 
 def _page_rows(effect: Effect) -> list[str]:
-    what = (
-        f"{effect.summary} (also: {', '.join(effect.aliases)})"
-        if effect.aliases
-        else effect.summary
-    )
     equation = effect.equation.replace("|", "\\|")
-    head = f"`{effect.name}` | {what} | {equation}"
+    head = f"`{effect.name}` | {effect.summary} | {equation}"
     rows = []
     for index, p in enumerate(effect.parameters):
-        cells = f"`{p.name}` | {p.null:g} | {p.low:g} to {p.high:g} | {p.scale:g} | {p.unit}"
+        cells = f"`{p.name}` | {p.null:g}, {p.low:g}..{p.high:g} | {p.scale:g} {p.unit}"
         rows.append(f"| {'| |' if index else head} | {cells} |")
     return rows
 
@@ -144,21 +139,15 @@ on in a simulation, fitted in the diagnosis, kept in a car file's `[effects]` an
 
 ```
 steerd effects                                # this list
-steerd effects steer_backlash                 # one of them
+steerd effects steer_backlash                 # one of them, with its other names
 steerd run --sim --fast --duration 20 --effect steer_delay=0.03
 ```
 
 Several parameters go in order (`floor_slope=0.005,0.002`) or by name (`grip_patch:x=2,drop=0.3`);
-what is not given stays at its null, and at its nulls an effect changes nothing, bit for bit
-(a contract test holds every effect to that, in floats and in tensors).
+what is not given stays at its null, where an effect changes nothing, bit for bit. "Usual" is
+ordinary on a car of this class. Each effect is a page in its family's file in
+`car_model/effects/`; `steerd effects --page` writes this one.
 
-An effect is a page in its family's file in `car_model/effects/`: name, parameters (null, bounds,
-unit, prior scale: the column "usual" is what is ordinary on a car of this class) and functions for
-the stages it touches. Adding that page is all there is to adding an effect; this one is then
-rewritten with `steerd effects --page` (a test compares them).
-
-Limits: an effect acts on the planar single-track car, so roll, pitch and the split between left and
-right wheels appear only through their effect on the axles. The diagnosis reports effects that are
-not distinguishable on a drive (mocap latency against an equal delay of both commands; friction
-against stiffness in gentle driving).
+Roll, pitch and the split between left and right wheels appear only through their effect on the
+axles. [Some effects](diagnosis.md#g2) are not distinguishable on a drive.
 """

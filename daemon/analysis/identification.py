@@ -116,7 +116,7 @@ class Identification:
         return make_car(self.base, values, path, find_wiring(self.base, self.drives.sessions))
 
     def learn_known(self, car: CarFile) -> CarFile:
-        """The car of `make_car` with what its drives teach beyond its values: some seconds."""
+        """The car of `make_car` with its noise and covariance: some seconds."""
         return with_known(car, self.outcome.sections or learn_known(car, self.drives.runs))
 
     def save_car(self, path: Path | str) -> Path:

@@ -25,7 +25,7 @@ from steerd.vesc_link.scaling import F1TENTH
 
 @dataclass(frozen=True)
 class Learnt:
-    """What a recorded drive teaches.
+    """What the learner makes of a recorded drive.
 
     Attributes:
         session: its file.
@@ -68,7 +68,7 @@ def learn_session(
     session = load_session(path)
     base, source, _ = find_base(car, Drives((session,), ()))
     with reading(path, "steerd identify writes it anew"):
-        # What an earlier drive taught is of the session's own car.
+        # What was learnt in an earlier drive is of the session's own car.
         memory = session.info().metadata.get(METADATA, {}).get("memory", "") if car is None else ""
         feed = make_feed(base, wiring_of_session(session), read_memory(memory))
     recorded: list[bytes] = []

@@ -20,13 +20,10 @@ from steerd.daemon.ipc.outbox import Outbox, Sink
 from steerd.daemon.loop.plans import Drill, PlanError, parse_drill
 from steerd.daemon.settings.config import Settings, load_settings
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions
-from steerd.sim_hw.mocap.mocap_config import MocapConfig
-from steerd.sim_hw.vesc.vesc_config import VescConfig
-from steerd.sim_hw.world import WorldConfig
 from steerd.steer_bus.topics import check_car_name
 
 # The loop takes half a second to import. `steerd run` leaves it to the core's process, which needs
-# it anyway; its terminal and its children start without.
+# it anyway; its terminal and its children start without. A core needs no simulated hardware.
 if TYPE_CHECKING:
     from steerd.controller.acceptance import Acceptance
     from steerd.controller.config import ControllerConfig
@@ -34,6 +31,7 @@ if TYPE_CHECKING:
     from steerd.controller.live import LiveBounds
     from steerd.daemon.loop.core import Core
     from steerd.daemon.loop.loop_setup import LoopSetup
+    from steerd.sim_hw.world import WorldConfig
 
 NS = 1_000_000_000
 """Nanoseconds in a second."""
@@ -99,7 +97,7 @@ class RunPlan:
 
     @cached_property
     def learnt(self) -> Acceptance | None:
-        """What designs of the learner are held against; None without `--adapt`."""
+        """What designs of the learner are compared with; None without `--adapt`."""
         from steerd.controller.acceptance import make_acceptance
 
         return make_acceptance(self.controller) if self.options.adapt else None
@@ -277,6 +275,10 @@ def make_world_config(
     Raises:
         SteerdError: the simulated car's file or an effect is refused.
     """
+    from steerd.sim_hw.mocap.mocap_config import MocapConfig
+    from steerd.sim_hw.vesc.vesc_config import VescConfig
+    from steerd.sim_hw.world import WorldConfig
+
     settings, options = plan.sim, plan.options
     model = make_true_model(settings, options.effects)
     return WorldConfig(

@@ -5,7 +5,6 @@ import platform
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,6 +16,7 @@ from steerd.daemon.assembly.sim_car import make_true_model, make_truth
 from steerd.daemon.settings.run_options import encode_options
 from steerd.posterior_file import ATTACHED
 from steerd.steer_bus.session_read import WRONG_CONTENT, Session, SessionError, SessionInfo
+from steerd.version import VERSION
 
 VIRTUAL_EPOCH_NS = 1_700_000_000_000_000_000
 """UNIX time at which every drive in virtual time begins: the same drive has the same bytes."""
@@ -69,7 +69,7 @@ def make_metadata(
     """
     options, car = plan.options, plan.settings.file.car
     session = {
-        "steerd_version": version("steerd"),
+        "steerd_version": VERSION,
         "car": options.car,
         "mode": "sim" if options.simulated else "hw",
         "options": encode_options(options),

@@ -21,6 +21,7 @@ from typing import TextIO
 from steerd.daemon.cli.inputs import check_inputs
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.streams import prepare_streams
+from steerd.version import VERSION
 
 # OpenBLAS's threads slow small matrices down: a controller design took 3 s instead of 0.05 s.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -58,7 +59,10 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
             "analysis.diagnose",
             "where simulation and car differ, why, and how far adding it helps",
         ),
-        "learn": ("analysis.learn", "what a drive teaches: parameters, and when the car changed"),
+        "learn": (
+            "analysis.learn",
+            "the parameters that a drive identifies, and when the car changed",
+        ),
         "effects": (
             "analysis.effects",
             "the unmodelled effects that can be simulated and diagnosed",
@@ -112,9 +116,7 @@ def make_parser() -> argparse.ArgumentParser:
 def parse_command(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
     """Split the command's name from its arguments; exits with the help text where there is none."""
     if argv and argv[0] == "--version":
-        from importlib.metadata import version
-
-        print(f"steerd {version('steerd')}")
+        print(f"steerd {VERSION}")
         raise SystemExit(0)
     if argv and not argv[0].startswith("-") and argv[0] not in COMMANDS:
         from steerd.daemon.common.near import did_you_mean

@@ -154,7 +154,7 @@ _NEEDED = {
     "command": "identify and diagnose need the commands to the car",
     "vesc": "the wheels' speed is not known; wheel=TOPIC takes it from an Odometry",
 }
-"""What is missed without a role."""
+"""What cannot be computed without a role."""
 
 
 def propose_bag(source: Path) -> dict[str, dict[str, Any]]:

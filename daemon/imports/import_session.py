@@ -7,7 +7,6 @@ or -1 for a whole number, as in :mod:`steerd.steer_bus.messages`.
 import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from math import nan
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,6 +27,7 @@ from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.session import AttachedFile, SessionError, SessionWriter
 from steerd.steer_bus.topics import ACTUATION, MOCAP, Topic, make_session_topic
+from steerd.version import VERSION
 
 
 class Sample(NamedTuple):
@@ -157,7 +157,7 @@ def _describe(source: Path, the_map: ImportMap) -> dict[str, str]:
         "source_sha256": hash_file(source),
         "epoch_ns": str(the_map.epoch_ns),
         "comment": the_map.comment,
-        "steerd_version": version("steerd"),
+        "steerd_version": VERSION,
     }
 
 

@@ -58,7 +58,7 @@ def make_record(report: m.Model, number: int, log_time_ns: int) -> PipeRecord:
 
 
 def read_memory(text: str) -> Memory | None:
-    """What an earlier drive taught, as `kept.recall` writes it; None for an empty text.
+    """What was learnt in an earlier drive, as `kept.recall` writes it; None for an empty text.
 
     Raises:
         ValueError: it is something else.
@@ -70,7 +70,7 @@ def read_memory(text: str) -> Memory | None:
         values = {name: (float(value), float(sd)) for name, (value, sd) in data["values"].items()}
         return Memory(values, float(data["days"]))
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"what an earlier drive taught is unreadable: {error}") from error
+        raise ValueError(f"what was learnt in an earlier drive is unreadable: {error}") from error
 
 
 def make_feed(car: CarFile, wiring: Wiring, memory: Memory | None = None) -> Feed:

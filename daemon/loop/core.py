@@ -92,17 +92,14 @@ class Core:
     def on_serial(self, t_ns: int, data: bytes) -> None:
         """Bytes from the VESC; never raises."""
         try:
-            self._on_serial(t_ns, data)
+            for event in self.link.on_bytes(t_ns, data):
+                if type(event) is Answer:
+                    self._on_answer(t_ns, event)
+                else:
+                    self.flags |= Flag.REBOOTED
+                    self._limits_tries = 0
         except Exception as error:
             self.latch_exception(error)
-
-    def _on_serial(self, t_ns: int, data: bytes) -> None:
-        for event in self.link.on_bytes(t_ns, data):
-            if isinstance(event, Answer):
-                self._on_answer(t_ns, event)
-            else:
-                self.flags |= Flag.REBOOTED
-                self._limits_tries = 0
 
     def _on_answer(self, t_ns: int, answer: Answer) -> None:
         stamp_ns = answer.stamp_ns

@@ -39,10 +39,10 @@ def make_failed_tick(loop: "Loop", error: BaseException, now_ns: int, linked: bo
 
     finding = make_finding("W29", describe_error(error))
     bits, text = summarise((finding,))
-    facts = Fact(bits) | Fact.IDENTIFIED | Fact.SLOWING | (Fact.LINKED if linked else Fact(0))
+    facts = bits | Fact.IDENTIFIED | Fact.SLOWING | (Fact.LINKED if linked else 0)
     settings, speed = loop.setup.settings, loop.perception.recent_wheel_speed(now_ns)
     old = loop.supervisor.state
-    conditions = Conditions(int(facts), speed, 0, text)
+    conditions = Conditions(facts, speed, 0, text)
     loop.supervisor, action = step_supervisor(loop.supervisor, conditions, 0, now_ns)
     if loop.supervisor.state is SupervisorState.FAULT_STOP:
         loop.fault = loop.supervisor.reason
@@ -60,7 +60,7 @@ def make_failed_tick(loop: "Loop", error: BaseException, now_ns: int, linked: bo
         None,
         (finding,),
         action.waiting,
-        int(facts),
+        facts,
     )
 
 

@@ -146,7 +146,7 @@ def make_finding(id: str, measured: str, severity: Severity | None = None) -> Fi
     return Finding(id, level, f"{id} {watchdog.name}: {measured}; {watchdog.advice}")
 
 
-_FACT = (0, int(Fact.SOFT), int(Fact.HARD), int(Fact.KILLED))
+_FACT = (0, Fact.SOFT, Fact.HARD, Fact.KILLED)
 
 
 def summarise(findings: Iterable[Finding]) -> tuple[int, str]:

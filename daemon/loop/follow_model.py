@@ -7,6 +7,7 @@ from typing import NamedTuple
 from steerd.car_model.params import GRAVITY, Car
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.estimator.config import FilterConfig
+from steerd.steer_bus.quick_values import quick_value
 
 LATE_S = 0.012
 """An order may reach wheels or servo later than the dead time: half a servo pulse, a reply [s]."""
@@ -22,7 +23,8 @@ SPEED_MARGIN_MAX, TURN_MARGIN_MAX = 0.5, 0.05
 """Noise that a car file may claim [m/s], [rad]: beyond, the watchdog would see nothing."""
 
 
-class Band(NamedTuple):
+@quick_value
+class Band:
     """Lower and upper end of a quantity."""
 
     low: float
@@ -66,6 +68,7 @@ class FollowModel(NamedTuple):
         slack: wheel angle that no file knows: bias, play [rad].
         speed_margin: noise of the wheel speed [m/s].
         turn_margin: noise of a turn between two poses [rad].
+        latest_ns: the longest dead time of the two actuators [ns].
     """
 
     drive: Actuator
@@ -80,6 +83,7 @@ class FollowModel(NamedTuple):
     slack: float
     speed_margin: float
     turn_margin: float
+    latest_ns: int
 
 
 def make_follow_model(
@@ -104,13 +108,12 @@ def make_follow_model(
         car.inertia_z * length / (cf * car.lf**2 + cr * car.lr**2), car.mass * length / (cf + cr)
     )
     noise = th.follow_noise
+    pushed = ("speed_lag", "accel_max", "decel_max", "drive_delay")
+    steered = ("steer_lag", "steer_rate", "steer_rate", "steer_delay")
+    drive, servo = (_make_actuator(car, known, share, names) for names in (pushed, steered))
     return FollowModel(
-        drive=_make_actuator(
-            car, known, share, ("speed_lag", "accel_max", "decel_max", "drive_delay")
-        ),
-        servo=_make_actuator(
-            car, known, share, ("steer_lag", "steer_rate", "steer_rate", "steer_delay")
-        ),
+        drive=drive,
+        servo=servo,
         gain=_around(car.steer_gain, share),
         bias=car.steer_bias,
         left=_around(car.steer_max, share),
@@ -121,6 +124,7 @@ def make_follow_model(
         slack=th.follow_steer if "steer_bias" in known else max(th.follow_steer, UNKNOWN_BIAS),
         speed_margin=min(noise * config.wheel_speed_sd, SPEED_MARGIN_MAX),
         turn_margin=min(noise * sqrt(2.0) * config.pose_yaw_sd, TURN_MARGIN_MAX),
+        latest_ns=max(drive.latest_ns, servo.latest_ns),
     )
 
 
@@ -144,4 +148,4 @@ def _make_actuator(
     lag, rise, fall, late = map(possible, names)
     slack = LATE_S if names[-1] in known else max(LATE_S, UNKNOWN_LATE_S - late.high)
     delay = Band(late.low, late.high + slack)
-    return Actuator(lag, rise, fall, delay, *(round(1e9 * end) for end in delay))
+    return Actuator(lag, rise, fall, delay, *(round(1e9 * end) for end in (delay.low, delay.high)))

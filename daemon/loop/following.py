@@ -13,7 +13,6 @@ small tuples.
 
 from collections.abc import Sequence
 from math import exp, hypot, inf, remainder, tan, tau
-from typing import NamedTuple
 
 from steerd.car_model.actuators import LAG_FLOOR
 from steerd.car_model.chassis import KINEMATIC_RATE, SPEED_DYNAMIC
@@ -22,7 +21,7 @@ from steerd.daemon.loop.follow_model import Actuator, Band, FollowModel
 from steerd.daemon.loop.supervisor import SOFT_BRAKE_SPEED
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.mocap_link.source import Pose
-from steerd.steer_bus.quick_values import quick_value
+from steerd.steer_bus.quick_values import changed, quick_value
 
 LONG_TURN, LONG_TURN_S = 3.0, 0.2
 """A turn is measured over a short stretch and over this many times as long, at most so long [s]."""
@@ -30,8 +29,8 @@ TRAIL_S = 0.35
 """How long ends of the bands are kept, for measurements that arrive late [s]."""
 _NS, _SECONDS = 1_000_000_000, 1e-9
 _TRAIL_NS = round(TRAIL_S * _NS)
-Ends = tuple[float, float]
-"""A `Band` that lives for a line: lower and upper end."""
+Orders = tuple[tuple[int, Command[float]], ...]
+"""Orders with the times at which they left, in their order."""
 
 
 @quick_value
@@ -43,7 +42,8 @@ class Mark:
     turned: Band
 
 
-class FollowState(NamedTuple):
+@quick_value
+class FollowState:
     """Memory between ticks; empty while no speed is ordered.
 
     Attributes:
@@ -53,13 +53,14 @@ class FollowState(NamedTuple):
         trail: the bands lately, the newest last.
     """
 
-    orders: tuple[tuple[int, Command[float]], ...] = ()
+    orders: Orders = ()
     steer: Band = Band(0.0, 0.0)
     curvature: Band = Band(0.0, 0.0)
     trail: tuple[Mark, ...] = ()
 
 
-class Turn(NamedTuple):
+@quick_value
+class Turn:
     """What mocap saw between two poses: times of validity [ns], turn [rad], way [m]."""
 
     t0_ns: int
@@ -106,7 +107,7 @@ def send_order(
         return FollowState()
     if state.orders:
         same = state.orders[-1][1] == order
-        return state if same else state._replace(orders=(*state.orders, (t_ns, order)))
+        return state if same else changed(state, orders=(*state.orders, (t_ns, order)))
     steer = Band(model.right.low, model.left.high)
     start = Band(min(0.0, speed), max(0.0, speed))
     mark = Mark(t_ns, start, Band(0.0, 0.0))
@@ -118,13 +119,11 @@ def advance(state: FollowState, model: FollowModel, t_ns: int, speed: float) -> 
     """Move the bands on to `t_ns`, at a ground speed of `speed` [m/s]."""
     if not state.orders or t_ns <= state.trail[-1].t_ns:
         return state
-    last = state.trail[-1]
+    last, before = state.trail[-1], state.curvature
     h = (t_ns - last.t_ns) * _SECONDS
-    pushed = _sent(state.orders, last.t_ns, t_ns, model.drive)
-    steered = _sent(state.orders, last.t_ns, t_ns, model.servo)
-    wheel = _step_band(model.drive, last.speed, _aim_speed(*pushed, last.speed), h)
-    steer = _step_band(model.servo, state.steer, _aim_steer(model, *steered, state.steer), h)
-    before = state.curvature
+    pushed = _aim_speed(state.orders, last.t_ns, t_ns, model.drive, last.speed)
+    steered = _aim_steer(state.orders, last.t_ns, t_ns, model, state.steer)
+    steer = _step_band(model.servo, state.steer, steered, h)
     bend = _settle(before, _curvature(model, steer, speed), h, _settling(model, speed))
     turned = Band(
         last.turned.low + h * (bend.low if bend.low < before.low else before.low),
@@ -132,16 +131,13 @@ def advance(state: FollowState, model: FollowModel, t_ns: int, speed: float) -> 
     )
     oldest = t_ns - _TRAIL_NS
     # After a tick later than the trail is long, the last mark alone is kept.
-    first, count = 0, len(state.trail)
-    while first < count and state.trail[first].t_ns < oldest:
+    first = 0
+    while state.trail[first].t_ns < oldest and state.trail[first] is not last:
         first += 1
-    kept = state.trail[first - 1 if first else 0 :]
-    return FollowState(
-        _still_open(state.orders, t_ns - max(model.drive.latest_ns, model.servo.latest_ns)),
-        steer,
-        bend,
-        (*kept, Mark(t_ns, wheel, turned)),
-    )
+    past = first if state.trail[first].t_ns < oldest else first - 1 if first else 0
+    mark = Mark(t_ns, _step_band(model.drive, last.speed, pushed, h), turned)
+    orders = _still_open(state.orders, t_ns - model.latest_ns)
+    return FollowState(orders, steer, bend, (*state.trail[past:], mark))
 
 
 def compare(
@@ -161,8 +157,8 @@ def compare(
     speed, speed_band, speed_excess = 0.0, _NO_BAND, 0.0
     if wheel is not None and wheel[0] >= trail[0].t_ns:
         speed, speed_band = wheel[1], _speed_at(trail, wheel[0])
-        off = max(speed - speed_band.high, speed_band.low - speed)
-        speed_excess = off - model.speed_margin
+        over, under = speed - speed_band.high, speed_band.low - speed
+        speed_excess = (over if over > under else under) - model.speed_margin
     begin_ns, end_ns = trail[0].t_ns, trail[-1].t_ns
     worst = _NO_TURN
     t1_ns, last = -1, (0.0, 0.0)
@@ -181,14 +177,17 @@ _NO_BAND = Band(0.0, 0.0)
 _NO_TURN = (0.0, _NO_BAND, 0.0)
 
 
-def _compare_turn(first: Ends, last: Ends, turn: Turn, margin: float) -> tuple[float, Band, float]:
+def _compare_turn(
+    first: tuple[float, float], last: tuple[float, float], turn: Turn, margin: float
+) -> tuple[float, Band, float]:
     """Rate of a turn, the band of its time and the excess, all [rad/s]."""
     span = (turn.t1_ns - turn.t0_ns) * _SECONDS
     (low0, high0), (low1, high1) = first, last
     speed = turn.way / span
     band = Band((low1 - low0) / span * speed, (high1 - high0) / span * speed)
     rate = turn.angle / span
-    return rate, band, max(rate - band.high, band.low - rate) - margin / span
+    over, under = rate - band.high, band.low - rate
+    return rate, band, (over if over > under else under) - margin / span
 
 
 def measure_turns(track: Sequence[Pose], span: float) -> tuple[Turn, ...]:
@@ -218,24 +217,21 @@ def measure_turns(track: Sequence[Pose], span: float) -> tuple[Turn, ...]:
     return tuple(found)
 
 
-def _sent(
-    orders: tuple[tuple[int, Command[float]], ...], begin_ns: int, end_ns: int, actuator: Actuator
-) -> tuple[list[Command[float]], bool]:
+def _sent(orders: Orders, begin_ns: int, end_ns: int, actuator: Actuator) -> tuple[Orders, bool]:
     """The orders that may act between two moments, and whether the first has surely arrived."""
     earliest = begin_ns - actuator.latest_ns
     latest = end_ns - actuator.soonest_ns
-    found = []
-    for sent_ns, order in reversed(orders):
-        if sent_ns <= latest:
-            found.append(order)
-            if sent_ns <= earliest:
-                break
-    return found, orders[0][0] <= earliest
+    stop = first = 0
+    for sent_ns, _ in orders:
+        if sent_ns > latest:
+            break
+        if sent_ns <= earliest:
+            first = stop
+        stop += 1
+    return orders[first:stop], orders[0][0] <= earliest
 
 
-def _still_open(
-    orders: tuple[tuple[int, Command[float]], ...], certain_ns: int
-) -> tuple[tuple[int, Command[float]], ...]:
+def _still_open(orders: Orders, certain_ns: int) -> Orders:
     """The orders without those whose successor has certainly arrived."""
     first, last = 0, len(orders) - 1
     while first < last and orders[first + 1][0] <= certain_ns:
@@ -243,37 +239,44 @@ def _still_open(
     return orders[first:] if first else orders
 
 
-def _aim_speed(orders: list[Command[float]], sure: bool, now: Band) -> Ends:
+def _aim_speed(
+    orders: Orders, begin_ns: int, end_ns: int, drive: Actuator, now: Band
+) -> tuple[float, float]:
     """What the motor aims at. Slow orders may let it go: then it coasts, however long."""
-    low, high = (inf, -inf) if sure else now
-    for _, speed in orders:
+    acting, sure = _sent(orders, begin_ns, end_ns, drive)
+    low, high = (inf, -inf) if sure else (now.low, now.high)
+    for _, (_, speed) in acting:
         low = speed if speed < low else low
         high = speed if speed > high else high
     if low < SOFT_BRAKE_SPEED:
-        return min(0.0, low), max(high, now.high)
+        return low if low < 0.0 else 0.0, high if high > now.high else now.high
     return low, high
 
 
-def _aim_steer(model: FollowModel, orders: list[Command[float]], sure: bool, now: Band) -> Ends:
-    low, high = (inf, -inf) if sure else now
-    least, most = model.gain
-    for steer, _ in orders:
+def _aim_steer(
+    orders: Orders, begin_ns: int, end_ns: int, model: FollowModel, now: Band
+) -> tuple[float, float]:
+    """What the servo aims at, between the end stops."""
+    acting, sure = _sent(orders, begin_ns, end_ns, model.servo)
+    low, high = (inf, -inf) if sure else (now.low, now.high)
+    least, most = model.gain.low, model.gain.high
+    for _, (steer, _) in acting:
         one, other = least * steer + model.bias, most * steer + model.bias
         if one > other:
             one, other = other, one
         low = one if one < low else low
         high = other if other > high else high
-    (right_low, right_high), (left_low, left_high) = model.right, model.left
-    low = right_low if right_low > low else low
-    high = right_high if right_high > high else high
-    return (left_low if left_low < low else low, left_high if left_high < high else high)
+    right, left = model.right, model.left
+    low = right.low if right.low > low else low
+    high = right.high if right.high > high else high
+    return (left.low if left.low < low else low, left.high if left.high < high else high)
 
 
-def _step_band(actuator: Actuator, band: Band, aim: Ends, h: float) -> Band:
+def _step_band(actuator: Actuator, band: Band, aim: tuple[float, float], h: float) -> Band:
     """Both ends after `h` seconds: outwards as fast as any, inwards as slowly as any."""
     a = actuator
-    (low, high), (aim_low, aim_high) = band, aim
-    least, most = a.lag
+    low, high, (aim_low, aim_high) = band.low, band.high, aim
+    least, most = a.lag.low, a.lag.high
     quick = 1.0 - exp(-h / (least if least > LAG_FLOOR else LAG_FLOOR))
     slow = 1.0 - exp(-h / (most if most > LAG_FLOOR else LAG_FLOOR))
     if aim_low < low:
@@ -294,7 +297,8 @@ def _step_band(actuator: Actuator, band: Band, aim: Ends, h: float) -> Band:
 def _curvature(model: FollowModel, steer: Band, speed: float) -> Band:
     """Curvature of the steady turn at each end, the tightest and the widest car's."""
     square = speed * speed
-    short = max(model.base.low + model.understeer.low * square, 0.5 * model.base.low)
+    short, shortest = model.base.low + model.understeer.low * square, 0.5 * model.base.low
+    short = short if short > shortest else shortest
     long = model.base.high + model.understeer.high * square
     low, high = tan(steer.low - model.slack), tan(steer.high + model.slack)
     return Band(low / (short if low < 0.0 else long), high / (short if high > 0.0 else long))
@@ -302,8 +306,9 @@ def _curvature(model: FollowModel, steer: Band, speed: float) -> Band:
 
 def _settling(model: FollowModel, speed: float) -> float:
     """Longest time that yaw needs to settle [s]."""
-    crawling = 1.0 / KINEMATIC_RATE if abs(speed) < SPEED_DYNAMIC else 0.0
-    return max(model.settling * abs(speed), crawling)
+    lag = model.settling * abs(speed)
+    crawling = 1.0 / KINEMATIC_RATE if -SPEED_DYNAMIC < speed < SPEED_DYNAMIC else 0.0
+    return lag if lag > crawling else crawling
 
 
 def _settle(now: Band, aim: Band, h: float, lag: float) -> Band:
@@ -320,8 +325,7 @@ def _around_time(trail: tuple[Mark, ...], t_ns: int) -> tuple[Mark, Mark]:
     A trail of one mark gives that one twice.
     """
     after = trail[-1]
-    for at in range(len(trail) - 1, 0, -1):
-        mark = trail[at]
+    for mark in trail[:0:-1]:
         if mark.t_ns <= t_ns:
             return mark, after
         after = mark
@@ -330,13 +334,16 @@ def _around_time(trail: tuple[Mark, ...], t_ns: int) -> tuple[Mark, Mark]:
 
 def _speed_at(trail: tuple[Mark, ...], t_ns: int) -> Band:
     before, after = _around_time(trail, t_ns)
-    (low0, high0), (low1, high1) = before.speed, after.speed
-    return Band(low1 if low1 < low0 else low0, high1 if high1 > high0 else high0)
+    one, other = before.speed, after.speed
+    return Band(
+        other.low if other.low < one.low else one.low,
+        other.high if other.high > one.high else one.high,
+    )
 
 
-def _turned_at(trail: tuple[Mark, ...], t_ns: int) -> Ends:
+def _turned_at(trail: tuple[Mark, ...], t_ns: int) -> tuple[float, float]:
     before, after = _around_time(trail, t_ns)
-    low, high = before.turned
+    low, high = before.turned.low, before.turned.high
     if after.t_ns == before.t_ns:
         return low, high
     part = (t_ns - before.t_ns) / (after.t_ns - before.t_ns)

@@ -6,7 +6,6 @@ states from tick to tick.
 """
 
 from collections.abc import Iterator
-from itertools import compress
 from math import isfinite
 
 from steerd.car_model.actuators import references
@@ -96,13 +95,6 @@ _RELOCATE_TICKS = 25
 """A parked car may be carried: its place on the path is searched anew every so many ticks."""
 _LEASE_KEPT_S = 1.0
 """Time for which a silent operator keeps the lease while the car is not parked [s]."""
-_FACTS = tuple(
-    int(fact)
-    for fact in (
-        Fact.LINKED, Fact.IDENTIFIED, Fact.CHECKS_PASS, Fact.FW_TIMEOUT, Fact.LEASED, Fact.ENDED,
-        Fact.LAUNCHED, Fact.ESTIMATED, Fact.SLOWING,
-    )
-)  # fmt: skip
 
 
 @quick_value
@@ -169,7 +161,7 @@ class Loop:
         self._following = FollowState()
         self._lateness = Lateness()
         self._late_rules = IN_SIMULATION if setup.simulated else make_lateness_rules(s.thresholds)
-        self._requests_pending = Request.NONE
+        self._requests_pending = 0
         self._not_finite = False
         self._started_ns = 0
         self._ticks = 0
@@ -184,7 +176,7 @@ class Loop:
         """An operator's request arrived."""
         before = self.lease.holder
         self.lease, request = accept_request(self.lease, message, t_ns, self._is_idle(t_ns))
-        self._requests_pending |= request
+        self._requests_pending |= int(request)
         self._pass_on(before)
 
     def on_parameters(self, message: ParameterRequest, t_ns: int) -> None:
@@ -230,7 +222,7 @@ class Loop:
         self.supervisor, action = step_supervisor(
             self.supervisor, conditions, self._merge_requests(flags), now_ns
         )
-        self._requests_pending = Request.NONE
+        self._requests_pending = 0
         self._apply_transition(old, estimate, now_ns, text)
         order = make_order(
             self.setup.settings.limits,
@@ -403,19 +395,24 @@ class Loop:
         fresh = seen.telemetry_age(now_ns) <= th.telemetry
         running = self.supervisor.state is SupervisorState.RUNNING
         over = setup.duration_ns is not None and now_ns - self._started_ns >= setup.duration_ns
-        refused = flags & Flag.MOCAP_REFUSED
-        holds = (
-            bool(flags & Flag.LINKED),
-            known and seen.accepted_ns is not None and not refused,
-            not failed,
-            fresh and bool(seen.values.timeout_active),
-            not setup.leased or lease_age(self.lease, now_ns) <= th.lease,
-            running and over,
-            self._launch is not None and self._launch.done,
-            estimate is not None and estimate.health.sound,
-            is_slowing(self._watchdogs),
-        )
-        return sum(compress(_FACTS, holds))
+        facts = Fact.SLOWING if is_slowing(self._watchdogs) else 0
+        if flags & Flag.LINKED:
+            facts |= Fact.LINKED
+        if known and seen.accepted_ns is not None and not flags & Flag.MOCAP_REFUSED:
+            facts |= Fact.IDENTIFIED
+        if not failed:
+            facts |= Fact.CHECKS_PASS
+        if fresh and seen.values.timeout_active:
+            facts |= Fact.FW_TIMEOUT
+        if not setup.leased or lease_age(self.lease, now_ns) <= th.lease:
+            facts |= Fact.LEASED
+        if running and over:
+            facts |= Fact.ENDED
+        if self._launch is not None and self._launch.done:
+            facts |= Fact.LAUNCHED
+        if estimate is not None and estimate.health.sound:
+            facts |= Fact.ESTIMATED
+        return facts
 
     def _timeout_ns(self) -> int:
         known = self.vesc.timeout_ms if self.vesc is not None else None
@@ -423,7 +420,7 @@ class Loop:
 
     def _merge_requests(self, flags: int) -> int:
         # Plain integers: an IntFlag "or" costs microseconds, and this runs on every tick.
-        requests = int(self._requests_pending)
+        requests = self._requests_pending
         state = self.supervisor.state
         if flags & Flag.QUIT:
             requests |= int(Request.DISARM)

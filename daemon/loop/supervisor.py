@@ -10,19 +10,19 @@ tests. No clock, no I/O, no randomness.
 # Why: docs/decisions/safety.md#d12
 
 from math import inf, isfinite
-from typing import NamedTuple
 
 from steerd.daemon.loop.transitions import (
     STOP_REASON,
     Fact,
     MotorOutput,
+    Request,
     SteeringOutput,
     SupervisorState,
     TransitionRow,
     choose_row,
 )
 from steerd.daemon.settings.thresholds import LAUNCH_SPEED, SOFT_DECEL
-from steerd.steer_bus.quick_values import quick_value
+from steerd.steer_bus.quick_values import changed, quick_value
 
 STILL_SPEED = 0.05  # [m/s] slower than this is standing
 SOFT_BRAKE_SPEED = 0.3  # [m/s] below it a VESC's speed loop releases: brake current takes over
@@ -48,7 +48,7 @@ class Conditions:
     """Measured conditions of one tick.
 
     Attributes:
-        facts: the first twelve bits of ``Is``.
+        facts: the first twelve bits of `Fact`.
         speed: best known speed [m/s]; NaN when no source gives it.
         timeout_ns: the VESC's own timeout as read from its appconf.
         text: text of the worst watchdog trip, for the log and for people.
@@ -60,7 +60,8 @@ class Conditions:
     text: str = ""
 
 
-class SupervisorMemory(NamedTuple):
+@quick_value
+class SupervisorMemory:
     """The supervisor's memory between ticks; times are [ns], monotonic.
 
     Attributes:
@@ -109,33 +110,18 @@ class Action:
     waiting: str
 
 
-_GIVEN = (1 << 12) - 1
+_GIVEN = Fact.CHECKS_HELD - 1
 _REQUESTS = (1 << 9) - 1
-_KNOWN = (1 << 10) - 1
-_SHIFT = 18
-(
-    _LINKED, _IDENTIFIED, _CHECKS_PASS, _FW_TIMEOUT, _LEASED, _SOFT, _HARD, _KILLED, _ENDED,
-    _LAUNCHED, _ESTIMATED, _SLOWING, _CHECKS_HELD, _STILL, _MEASURED, _PROVEN, _ELAPSED, _REARM,
-) = (1 << bit for bit in range(_SHIFT))  # fmt: skip
-_UNKNOWN = int(Fact.UNKNOWN)
-_SPOILS_REARM = int(Fact.SOFT | Fact.DISARM | Fact.UNKNOWN)
+_KNOWN = _REQUESTS | int(Request.KEEPALIVE)
+_SPOILS_REARM = Fact.SOFT | Fact.DISARM | Fact.UNKNOWN
 
 
 def make_supervisor_memory(t_ns: int) -> SupervisorMemory:
     """Return the state of a process that has just started: INIT, nothing proven."""
     return SupervisorMemory(
-        SupervisorState.INIT,
-        t_ns,
-        t_ns,
-        "started",
-        NEVER,
-        NEVER,
-        NEVER,
-        0.0,
-        False,
-        False,
+        SupervisorState.INIT, t_ns, t_ns, "started", NEVER, NEVER, NEVER, 0.0, False, False,
         OPEN_FRAMES,
-    )
+    )  # fmt: skip
 
 
 _BRAKING = (SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
@@ -154,10 +140,10 @@ def _renew_timers(s: SupervisorMemory, c: Conditions, t_ns: int) -> tuple[int, i
         return NEVER, NEVER, NEVER
     blind = s.state in _BRAKING and not isfinite(c.speed) and t_ns - s.since_ns >= BLIND_NS
     still = blind or -STILL_SPEED < c.speed < STILL_SPEED
-    proof = c.facts & _FW_TIMEOUT and s.state == SupervisorState.SELF_TEST
+    proof = c.facts & Fact.FW_TIMEOUT and s.state == SupervisorState.SELF_TEST
     return (
         _since(still, s.still_ns, t_ns),
-        _since(c.facts & _CHECKS_PASS, s.checks_ns, t_ns),
+        _since(c.facts & Fact.CHECKS_PASS, s.checks_ns, t_ns),
         _since(proof, s.proof_ns, t_ns),
     )
 
@@ -172,30 +158,30 @@ def stands(s: SupervisorMemory, t_ns: int) -> bool:
 
 
 def derive_facts(s: SupervisorMemory, c: Conditions, requests: int, t_ns: int) -> int:
-    """Return all guard bits (``Is``); the timers in ``s`` must be those of this tick."""
+    """Return all guard bits (`Fact`); the timers in ``s`` must be those of this tick."""
     requests = int(requests)
-    bits = (int(c.facts) & _GIVEN) | (requests & _REQUESTS) << _SHIFT
+    bits = (c.facts & _GIVEN) | (requests & _REQUESTS) * Fact.ARM
     if requests & ~_KNOWN:
-        bits |= _UNKNOWN
+        bits |= Fact.UNKNOWN
     if _held(s.checks_ns, t_ns, CHECKS_HOLD_NS):
-        bits |= _CHECKS_HELD
+        bits |= Fact.CHECKS_HELD
     if stands(s, t_ns):
-        bits |= _STILL
+        bits |= Fact.STILL
     if isfinite(c.speed):
-        bits |= _MEASURED
+        bits |= Fact.MEASURED
     if _held(s.proof_ns, t_ns, PROOF_NS):
-        bits |= _PROVEN
+        bits |= Fact.PROVEN
     allowed = (
         c.timeout_ns + PROOF_SLACK_NS
         if s.state == SupervisorState.SELF_TEST
         else DURATIONS_NS.get(s.state)
     )
     if allowed is not None and t_ns - s.since_ns >= allowed:
-        bits |= _ELAPSED
+        bits |= Fact.ELAPSED
     if s.state == SupervisorState.INIT and s.frames:
-        bits &= ~_IDENTIFIED
-    if s.rearm and not bits & _SPOILS_REARM and bits & _LEASED:
-        bits |= _REARM
+        bits &= ~Fact.IDENTIFIED
+    if s.rearm and not bits & _SPOILS_REARM and bits & Fact.LEASED:
+        bits |= Fact.REARM
     return bits
 
 
@@ -213,12 +199,12 @@ def _next_cap(s: SupervisorMemory, old: SupervisorMemory, bits: int, speed: floa
     """Speed cap [m/s]; while stopping it only falls, from the measured speed."""
     if s.state == SupervisorState.RUNNING:
         # At the start of a drive LAUNCHED is still that of the drive before.
-        launched = old.state == SupervisorState.RUNNING and bits & _LAUNCHED
+        launched = old.state == SupervisorState.RUNNING and bits & Fact.LAUNCHED
         return inf if launched else LAUNCH_SPEED
     if s.state != SupervisorState.STOPPING:
         return 0.0
     if old.state != SupervisorState.STOPPING:
-        return min(old.cap, abs(speed)) if bits & _MEASURED else 0.0
+        return min(old.cap, abs(speed)) if bits & Fact.MEASURED else 0.0
     return max(0.0, old.cap - SOFT_DECEL * max(0, s.t_ns - old.t_ns) * 1e-9)
 
 
@@ -226,7 +212,7 @@ def _choose_motor(s: SupervisorMemory, old: SupervisorMemory, bits: int) -> Moto
     """Motor bytes by state; `docs/reference/safety-requirements.md#s3.1`."""
     match s.state:
         case SupervisorState.INIT:
-            return MotorOutput.SOFT_BRAKE if s.frames and bits & _LINKED else MotorOutput.SILENT
+            return MotorOutput.SOFT_BRAKE if s.frames and bits & Fact.LINKED else MotorOutput.SILENT
         case SupervisorState.ARMED:
             return MotorOutput.HOLD_BRAKE
         case SupervisorState.RUNNING:
@@ -234,15 +220,15 @@ def _choose_motor(s: SupervisorMemory, old: SupervisorMemory, bits: int) -> Moto
         case SupervisorState.STOPPING:
             return MotorOutput.SOFT_BRAKE if s.braking else MotorOutput.RAMP_STOP
         case SupervisorState.FAULT_STOP:
-            return MotorOutput.BRAKE if bits & _SLOWING else MotorOutput.DUTY_ZERO
+            return MotorOutput.BRAKE if bits & Fact.SLOWING else MotorOutput.DUTY_ZERO
         case SupervisorState.FAULT_LATCHED:
             return (
                 MotorOutput.RELEASE_ONCE
                 if old.state != SupervisorState.FAULT_LATCHED
                 else MotorOutput.SILENT
             )
-        case SupervisorState.ESTOP if not (bits & _ELAPSED and bits & _STILL):
-            return MotorOutput.ESTOP_BRAKE if bits & _SLOWING else MotorOutput.DUTY_ZERO
+        case SupervisorState.ESTOP if not (bits & Fact.ELAPSED and bits & Fact.STILL):
+            return MotorOutput.ESTOP_BRAKE if bits & Fact.SLOWING else MotorOutput.DUTY_ZERO
         case _:
             return MotorOutput.SILENT
 
@@ -257,16 +243,16 @@ def _choose_steering(s: SupervisorMemory, bits: int, motor: MotorOutput) -> Stee
         case SupervisorState.DISARMED | SupervisorState.FAULT_LATCHED:
             return SteeringOutput.CENTRE if s.t_ns - s.since_ns < CENTRE_NS else SteeringOutput.NONE
         case SupervisorState.FAULT_STOP | SupervisorState.ESTOP if motor != MotorOutput.SILENT:
-            if bits & _STILL:
+            if bits & Fact.STILL:
                 return SteeringOutput.CENTRE
-            return SteeringOutput.LIVE if bits & _ESTIMATED else SteeringOutput.HOLD
+            return SteeringOutput.LIVE if bits & Fact.ESTIMATED else SteeringOutput.HOLD
         case _:
             return SteeringOutput.NONE
 
 
 def _count_frames(s: SupervisorMemory, bits: int) -> int:
     """Brake frames still to be sent to a port that was just opened."""
-    return max(0, s.frames - 1) if bits & _LINKED else OPEN_FRAMES
+    return max(0, s.frames - 1) if bits & Fact.LINKED else OPEN_FRAMES
 
 
 _WAITING = {
@@ -309,7 +295,7 @@ def step_supervisor(
         bits = derive_facts(s, conditions, requests, t_ns)
         rearm = s.rearm
     else:
-        rearm = bool(bits & _REARM)
+        rearm = bool(bits & Fact.REARM)
     cap = _next_cap(s, old, bits, conditions.speed)
     braking = s.state == SupervisorState.STOPPING and (
         s.braking or cap < SOFT_BRAKE_SPEED or not abs(conditions.speed) >= SOFT_BRAKE_SPEED
@@ -321,5 +307,5 @@ def step_supervisor(
     motor = _choose_motor(s, old, bits)
     steering = _choose_steering(s, bits, motor)
     if s.state == SupervisorState.INIT:
-        s = s._replace(frames=_count_frames(s, bits))
+        s = changed(s, frames=_count_frames(s, bits))
     return s, Action(motor, steering, cap, s.reason, _WAITING[s.state])

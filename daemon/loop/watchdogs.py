@@ -131,7 +131,8 @@ def _check_mocap_age(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     report(make_finding("W1", text, None if not i.mocap_age <= allowed else _WARN))
 
 
-def _check_pose(th: Thresholds, i: WatchdogInput, report: Report) -> None:
+def _check_poses(th: Thresholds, i: WatchdogInput, report: Report) -> None:
+    """W2 to W5, by the counts of the frame watchdogs."""
     w = i.pose
     if w.frozen >= th.freeze_warn:
         text = f"{w.frozen} identical frames at {show(i.speed_erpm, '.2f')} m/s"
@@ -139,14 +140,10 @@ def _check_pose(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if w.invalid:
         text = f"{w.invalid} bad frames in a row"
         report(make_finding("W3", text, None if w.invalid >= th.invalid_frames else _WARN))
-    flapping = is_flapping(th, w, i.t_ns)
+    flapping = bool(w.jump_times) and is_flapping(th, w, i.t_ns)
     if w.jumps or flapping:
         text = f"{w.jumps} jumps in a row, {len(w.jump_times)} lately"
         report(make_finding("W4", text, None if flapping or w.jumps >= th.jump_frames else _WARN))
-
-
-def _check_innovation(th: Thresholds, i: WatchdogInput, report: Report) -> None:
-    w = i.pose
     if w.rejections:
         share = rejected_share(th, w)
         trips = w.rejected >= th.nis_frames or share > th.nis_share
@@ -156,38 +153,35 @@ def _check_innovation(th: Thresholds, i: WatchdogInput, report: Report) -> None:
 
 def _check_estimate(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     good = i.sigma_position <= th.sigma_position and i.sigma_yaw <= th.sigma_yaw
-    known = isfinite(i.sigma_position) and isfinite(i.sigma_yaw)
-    if i.covariance_ok and not known:
+    if good and i.covariance_ok:
+        return
+    if i.covariance_ok and not (isfinite(i.sigma_position) and isfinite(i.sigma_yaw)):
         report(make_unknown("W6", "no estimate yet"))
-    elif not (good and i.covariance_ok):
-        text = f"sigma {i.sigma_position:.3f} m, {degrees(i.sigma_yaw):.1f}°"
-        report(make_finding("W6", text if i.covariance_ok else "covariance not positive definite"))
+        return
+    text = f"sigma {i.sigma_position:.3f} m, {degrees(i.sigma_yaw):.1f}°"
+    report(make_finding("W6", text if i.covariance_ok else "covariance not positive definite"))
 
 
-def _check_telemetry(th: Thresholds, i: WatchdogInput, report: Report) -> None:
-    if not isfinite(i.telemetry_age):
-        report(make_unknown("W7", "no reply yet"))
-    elif i.telemetry_age > th.telemetry_warn:
-        text = f"no reply for {i.telemetry_age * 1e3:.0f} ms"
-        report(make_finding("W7", text, _WARN if i.telemetry_age <= th.telemetry else None))
-
-
-def _check_vesc(_th: Thresholds, i: WatchdogInput, report: Report) -> None:
+def _check_vesc(th: Thresholds, i: WatchdogInput, report: Report) -> None:
+    """W7, W10 to W12, and the first threshold of W13, by the last telemetry."""
+    if not i.telemetry_age <= th.telemetry_warn:
+        if isfinite(i.telemetry_age):
+            text = f"no reply for {i.telemetry_age * 1e3:.0f} ms"
+            report(make_finding("W7", text, _WARN if i.telemetry_age <= th.telemetry else None))
+        else:
+            report(make_unknown("W7", "no reply yet"))
     if i.status & 2:
         report(make_finding("W10", "status bit 1 is set"))
     if i.fault_code:
         text = f"fault code {i.fault_code}"
         report(make_finding("W12" if i.fault_code == _BOOTED else "W11", text))
-
-
-def _check_battery(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if i.cell_voltage < th.cell_warn:
         report(make_finding("W13", f"{show(i.cell_voltage, '.2f')} V per cell", _WARN))
 
 
 def _check_temperature(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     fet_trips, motor_trips = not i.fet_temperature <= th.fet, i.motor_temperature > th.motor
-    if not isfinite(i.fet_temperature):
+    if fet_trips and not isfinite(i.fet_temperature):
         report(make_unknown("W14", "the transistors' temperature is not known yet"))
     elif fet_trips or i.fet_temperature > th.fet_warn:
         text = f"transistors at {i.fet_temperature:.0f} C"
@@ -201,17 +195,18 @@ def _check_path(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if i.state not in _DRIVING:
         return
     lateral, heading = abs(i.lateral_error), abs(i.heading_error)
-    if not isfinite(lateral):
-        report(make_unknown("W17", "no lane error"))
-    elif lateral > th.lateral_warn:
-        report(
-            make_finding("W17", f"{lateral:.2f} m", _WARN if lateral <= th.lateral_max else None)
-        )
-    if not isfinite(heading):
-        report(make_unknown("W18", "no heading error"))
-    elif heading > th.heading_warn:
-        text = f"{degrees(heading):.0f}°"
-        report(make_finding("W18", text, _WARN if heading <= th.heading else None))
+    if not lateral <= th.lateral_warn:
+        if isfinite(lateral):
+            stop = None if lateral > th.lateral_max else _WARN
+            report(make_finding("W17", f"{lateral:.2f} m", stop))
+        else:
+            report(make_unknown("W17", "no lane error"))
+    if not heading <= th.heading_warn:
+        if isfinite(heading):
+            stop = None if heading > th.heading else _WARN
+            report(make_finding("W18", f"{degrees(heading):.0f}°", stop))
+        else:
+            report(make_unknown("W18", "no heading error"))
 
 
 def _check_fence(th: Thresholds, i: WatchdogInput, report: Report) -> None:
@@ -233,16 +228,18 @@ def _check_fence(th: Thresholds, i: WatchdogInput, report: Report) -> None:
 
 
 def _check_lease(th: Thresholds, i: WatchdogInput, report: Report) -> None:
-    if i.state in _LEASED and not isfinite(i.lease_age):
+    if i.lease_age <= th.lease_warn or i.state not in _LEASED:
+        return
+    if not isfinite(i.lease_age):
         report(make_unknown("W25", "no operator yet"))
-    elif i.state in _LEASED and not i.lease_age <= th.lease_warn:
+    else:
         text = f"not renewed for {i.lease_age * 1e3:.0f} ms"
         report(make_finding("W25", text, _WARN if i.lease_age <= th.lease else None))
 
 
 INSTANT: tuple[Check, ...] = (
-    _check_mocap_age, _check_pose, _check_innovation, _check_estimate, _check_telemetry,
-    _check_vesc, _check_battery, _check_temperature, _check_path, _check_fence, _check_lease,
+    _check_mocap_age, _check_poses, _check_estimate, _check_vesc, _check_temperature,
+    _check_path, _check_fence, _check_lease,
 )  # fmt: skip
 
 
@@ -260,21 +257,25 @@ def _is_starved(_th: Thresholds, i: WatchdogInput) -> bool:
 
 
 def _is_fast(th: Thresholds, i: WatchdogInput) -> bool:
+    if i.state not in _DRIVING:
+        return False
     limit = max(i.speed_limit * th.overspeed_ratio, i.speed_limit + th.overspeed_margin)
-    slow = abs(i.speed_erpm) <= limit and abs(i.speed_mocap) <= limit
-    return i.state in _DRIVING and not slow
+    return not (-limit <= i.speed_erpm <= limit and -limit <= i.speed_mocap <= limit)
 
 
 def _is_mismatched(th: Thresholds, i: WatchdogInput) -> bool:
+    off = abs(i.speed_erpm - i.speed_mocap)
+    if off <= th.mismatch_speed or i.state not in _DRIVING:
+        return False
     larger = max(abs(i.speed_erpm), abs(i.speed_mocap))
-    allowed = max(th.mismatch_speed, th.mismatch_share * larger)
-    return i.state in _DRIVING and not abs(i.speed_erpm - i.speed_mocap) <= allowed
+    return not off <= th.mismatch_share * larger
 
 
 def _is_blocked(th: Thresholds, i: WatchdogInput) -> bool:
     # The wheels' own speed: a filter that rejects its measurements would still report motion.
-    stands = not abs(i.speed_erpm) >= th.blocked_speed
-    return stands and i.current_share > th.blocked_current and i.state == SupervisorState.RUNNING
+    if not i.current_share > th.blocked_current or i.state != SupervisorState.RUNNING:
+        return False
+    return not abs(i.speed_erpm) >= th.blocked_speed
 
 
 def _describe_speeds(i: WatchdogInput) -> str:
@@ -391,9 +392,9 @@ def _step_saturation(
     th: Thresholds, w: WatchdogState, i: WatchdogInput, report: Report
 ) -> tuple[int, float]:
     """W23: full lock for long while the lateral error grows."""
-    error = abs(i.lateral_error)
     if i.state not in _DRIVING or i.steer_share <= th.saturated:
         return NEVER, 0.0
+    error = abs(i.lateral_error)
     if w.saturated_ns == NEVER:
         return i.t_ns, error
     held = (i.t_ns - w.saturated_ns) / 1e9

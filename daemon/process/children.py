@@ -2,13 +2,14 @@
 
 # Why: docs/decisions/safety.md#d16
 
+import contextlib
 import json
 import os
-import select
 import socket
 import subprocess
 import sys
 import time
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,78 +19,54 @@ from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.assembly.session_meta import make_attachments, make_metadata
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import make_pipe
-from steerd.daemon.process.learner_job import (
-    NO_MEMORY,
-    OURS,
-    core_ends,
-    learner_fds,
-    learner_pipes,
-    make_design_ends,
-    make_learner_job,
-    reader_fds,
-)
-from steerd.daemon.process.learner_memory import LearnerMemory, recall_learnt
+from steerd.daemon.process.child import CORE, Child, Prepared, hand_over, prepare, spawn
+from steerd.daemon.process.learner_memory import make_learner_job, recall_learnt
 from steerd.daemon.process.page_job import make_page_job
-from steerd.daemon.process.prepared import CORE, Prepared, hand_over, prepare
 from steerd.daemon.process.view_job import make_view_job
-from steerd.daemon.settings.run_options import ControllerKind, encode_options
+from steerd.daemon.settings.run_options import ControllerKind, RunOptions, encode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
 
-READY_S = 30.0
-"""Longest time until a process is ready [s]."""
 END_S, VIEWER_END_S = 10.0, 2.0
 """Longest time until a process has ended, before it is killed [s]."""
+_MODULE = "steerd.daemon.process."
 
 
-@dataclass
-class Child:
-    """A process and the descriptor on which it reports that it is ready."""
+class Ends:
+    """Descriptors of a run by process and name; who ends, or drops them, is noticed by the others.
 
-    process: subprocess.Popen[bytes]
-    ready_fd: int
-
-    def wait_ready(self, name: str) -> str:
-        """Its first line.
-
-        Raises:
-            SteerdError: it ended, or nothing came in time.
-        """
-        poll = select.poll()
-        poll.register(self.ready_fd, select.POLLIN | select.POLLHUP)
-        line = b""
-        while not line.endswith(b"\n"):
-            if not poll.poll(int(READY_S * 1000)):
-                raise SteerdError(f"the {name} did not start", "", ExitCode.INTERNAL)
-            data = os.read(self.ready_fd, 4096)
-            if not data:
-                code = self.process.wait()
-                raise SteerdError(f"the {name} ended with code {code}", "", ExitCode.INTERNAL)
-            line += data
-        return line.decode().strip()
-
-
-def spawn(
-    module: str, fds: Mapping[str, int], job: Mapping[str, Any], keep: socket.socket | None = None
-) -> Child:
-    """Start `python -m module` with these descriptors and the job as JSON on standard input.
-
-    It gets a process group of its own: Ctrl-C reaches this terminal alone. `keep` stays open there
-    too; the job names its descriptor.
+    Attributes:
+        of: descriptors of each process; those of `terminal` are this process's own.
     """
-    ready_fd, child_fd = os.pipe()
-    every = {**fds, "ready": child_fd}
-    process = subprocess.Popen(
-        [sys.executable, "-m", module, *map(str, every.values())],
-        stdin=subprocess.PIPE,
-        pass_fds=(*every.values(), *(() if keep is None else (keep.fileno(),))),
-        process_group=0,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-    )
-    os.close(child_fd)
-    if process.stdin is not None:
-        process.stdin.write(json.dumps(job).encode())
-        process.stdin.close()
-    return Child(process, ready_fd)
+
+    def __init__(self, options: RunOptions) -> None:
+        self.of: dict[str, dict[str, int]] = defaultdict(dict)
+        readers = ["recorder", "gateway"]
+        readers += [name for name, on in (("view", options.view), ("learner", options.learn)) if on]
+        for reader in readers:
+            self._pipe("core", reader, reader, "pipe")
+        self._pipe("core", "status", "terminal", "status")
+        self._socket("core", "parent", "terminal", "requests")
+        self._socket("core", "gateway_requests", "gateway", "requests")
+        if options.learn:
+            for reader in ("recorder", "gateway", "terminal"):
+                self._pipe("learner", f"to_{reader}", reader, "reports")
+        if options.adapt:
+            self._socket("core", "designs", "learner", "designs")
+        if options.view_sets:
+            self._socket("view", "requests", "terminal", "view_requests")
+
+    def _pipe(self, writer: str, written: str, reader: str, read: str) -> None:
+        self.of[reader][read], self.of[writer][written] = make_pipe()
+
+    def _socket(self, one: str, name: str, other: str, other_name: str) -> None:
+        ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.of[one][name], self.of[other][other_name] = (end.detach() for end in ends)
+
+    def close(self, *, keep: str = "") -> None:
+        """Close all here but those of one process."""
+        for process, fds in self.of.items():
+            for fd in fds.values() if process != keep else ():
+                os.close(fd)
 
 
 @dataclass
@@ -109,11 +86,7 @@ class Page:
     def end(self) -> None:
         """Close the lifeline and wait; a page that hangs is ended."""
         os.close(self.lifeline_fd)
-        try:
-            self.child.process.wait(VIEWER_END_S)
-        except subprocess.TimeoutExpired:
-            self.child.process.kill()
-            self.child.process.wait()
+        _end(self.child, VIEWER_END_S)
 
 
 def start_page(plan: RunPlan) -> Page:
@@ -123,7 +96,7 @@ def start_page(plan: RunPlan) -> Page:
         SteerdError: its port is taken, or it cannot reach the car.
     """
     read_fd, write_fd = os.pipe()
-    child = spawn("steerd.daemon.process.page", {"lifeline": read_fd}, make_page_job(plan))
+    child = spawn(f"{_MODULE}page", {"lifeline": read_fd}, make_page_job(plan))
     os.close(read_fd)
     try:
         line = child.wait_ready("page")
@@ -141,32 +114,31 @@ class RunProcesses:
     """All processes of a run.
 
     Attributes:
-        core, recorder, gateway: the processes.
-        viewer: the process of `--view`, or None.
-        page: of `--page`, or None.
-        learner: of `--learn`, or None.
-        viewer_requests: what the viewer asks of this terminal, with `--view-sets`.
-        requests: this terminal's end of the socket for requests to the core.
-        status_fd: records for this terminal.
+        children: core, recorder and gateway; `viewer` and `learner` where they were asked for.
+        fds: this terminal's descriptors: `status` gives records, `requests` and `view_requests` are
+            sockets to the core and from the viewer, `reports` gives the learner's.
         session: file of the recording.
         core_report: what the core reported when it was ready.
-        report_fd: the learner's reports for this terminal, with `--learn`.
+        page: of `--page`, or None.
         view_url: where a viewer connects, with `--view`.
     """
 
-    core: Child
-    recorder: Child
-    gateway: Child
-    viewer: Child | None
-    requests: socket.socket
-    status_fd: int
+    children: dict[str, Child]
+    fds: dict[str, int]
     session: Path
     core_report: dict[str, Any]
     page: Page | None = None
-    viewer_requests: socket.socket | None = None
-    learner: Child | None = None
-    report_fd: int | None = None
     view_url: str = ""
+
+    def __post_init__(self) -> None:
+        self.requests = socket.socket(fileno=self.fds["requests"])
+        asked = self.fds.get("view_requests")
+        self.viewer_requests = None if asked is None else socket.socket(fileno=asked)
+
+    @property
+    def core(self) -> Child:
+        """The control core."""
+        return self.children["core"]
 
     def end(self) -> int:
         """Wait for the core, then for the others, which end when its pipes close.
@@ -181,45 +153,22 @@ class RunProcesses:
         for end in (self.requests, self.viewer_requests):
             if end is not None:
                 end.close()
-        for child in (self.recorder, self.gateway):
-            try:
-                child.process.wait(END_S)
-            except subprocess.TimeoutExpired:
-                child.process.kill()
-                child.process.wait()
-        _end_guest(self.viewer, "viewer")
-        _end_guest(self.learner, "learner")
+        recorded, _ = (_end(self.children[name], END_S) for name in ("recorder", "gateway"))
+        code = code or recorded
+        for name in self.children.keys() & {"viewer", "learner"}:
+            if lost := _end(self.children[name], VIEWER_END_S):  # the exit code stays the core's
+                print(f"note: the {name} ended with code {lost}", file=sys.stderr)
         if self.page is not None:
             self.page.end()
-        code = code or self.recorder.process.returncode
         return ExitCode.STOPPED if code < 0 else code
 
 
-def _end_guest(child: Child | None, name: str) -> None:
-    """A viewer or learner that failed or hangs is reported; the exit code stays the core's."""
-    if child is None:
-        return
-    try:
-        code = child.process.wait(VIEWER_END_S)
-    except subprocess.TimeoutExpired:
-        child.process.kill()
-        code = child.process.wait()
-    if code:
-        print(f"note: the {name} ended with code {code}", file=sys.stderr)
-
-
-def start_learner(
-    plan: RunPlan,
-    pipes: Mapping[str, tuple[int, int]],
-    epoch_ns: int,
-    designs: tuple[socket.socket, ...] = (),
-    memory: LearnerMemory = NO_MEMORY,
-) -> Child | None:
-    """Start the learner of `--learn`; nobody waits for it."""
-    if not plan.options.learn:
-        return None
-    job = make_learner_job(plan, epoch_ns, memory)
-    return spawn("steerd.daemon.process.learner", learner_fds(pipes, designs), job)
+def _end(child: Child, seconds: float) -> int:
+    """Its exit code; one that has not ended in time is killed."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        return child.process.wait(seconds)
+    child.process.kill()
+    return child.process.wait()
 
 
 def start_processes(
@@ -230,81 +179,61 @@ def start_processes(
     leased: bool,
     core: Prepared | None = None,
 ) -> RunProcesses:
-    """Start recorder, gateway, core and, with `--view`, the viewer.
+    """Start recorder, gateway, core and, where they are asked for, viewer, page and learner.
 
     `core` is the control core's process where it was prepared already.
 
     Raises:
         SteerdError: one of them failed to start, with its own text.
     """
-    viewed = ("view",) if plan.options.view else ()
-    names = ("recorder", "gateway", "status", *viewed, *learner_pipes(plan))
-    pipes = {name: make_pipe() for name in names}
-    gateway_end, gateway_core_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    terminal_end, terminal_core_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    designs = make_design_ends(plan)
-    memory = recall_learnt(plan, session, epoch_ns + time.monotonic_ns())
-    fds = core_ends(pipes, designs) | {
-        "parent": terminal_core_end.fileno(),
-        "gateway_requests": gateway_core_end.fileno(),
-    }
-    started: list[Child] = []
+    ends, memory = Ends(plan.options), recall_learnt(plan, session, epoch_ns + time.monotonic_ns())
+    started: dict[str, Child] = {}
     recording = False
     try:
         # All at once: each takes a second for its imports. What the core writes before the others
         # are ready waits in its pipes.
         meta = make_metadata(plan, boot_id, epoch_ns, leased=leased) | dict(memory.metadata)
-        started.append(_start_recorder(plan, session, meta, epoch_ns, pipes))
-        started.append(_start_gateway(plan, pipes, gateway_end.fileno(), boot_id))
-        job = _make_core_job(plan, boot_id, epoch_ns, leased)
-        started.append(_start_core(core or prepare(CORE), fds, job))
-        viewer_requests = None
-        if viewed:
-            viewer, viewer_requests = _start_viewer(plan, pipes["view"][0])
-            started.append(viewer)
-        recorder, gateway, driver, *others = started
-        _expect_ready(recorder, "recorder", ExitCode.UNREADABLE)
+        job = _make_recorder_job(plan, session, meta, epoch_ns)
+        started["recorder"] = spawn(f"{_MODULE}recorder", ends.of["recorder"], job)
+        started["gateway"] = spawn(
+            f"{_MODULE}gateway", ends.of["gateway"], _make_gateway_job(plan, boot_id)
+        )
+        job = {"options": encode_options(plan.options), "boot_id": boot_id, "epoch_ns": epoch_ns}
+        job["leased"] = leased
+        started["core"] = hand_over(core or prepare(CORE), ends.of["core"], job)
+        if plan.options.view:
+            started["viewer"] = spawn(f"{_MODULE}view", ends.of["view"], make_view_job(plan))
+        _expect_ready(started["recorder"], "recorder", ExitCode.UNREADABLE)
         recording = True
-        core_report = _read_core_report(driver)
-        _expect_ready(gateway, "gateway", ExitCode.UNREACHABLE)
-        view_url = others[0].wait_ready("viewer") if others else ""
-        if others and not view_url.startswith("ws:"):
-            raise SteerdError(view_url, "", ExitCode.UNREADABLE)
+        report, view_url = _wait_ready(started)
         page = None if plan.options.page is None else start_page(plan)
     except SteerdError:
-        ends = (gateway_end, gateway_core_end, terminal_end, terminal_core_end, *designs)
-        _end_started(started, pipes, ends)
+        ends.close()
+        for child in started.values():
+            _end(child, END_S)
         if recording:
             session.unlink(missing_ok=True)
         raise
-    learner = start_learner(plan, pipes, epoch_ns, designs, memory)
-    for name in pipes:
-        os.close(pipes[name][1])
-        if name not in OURS:
-            os.close(pipes[name][0])
-    for end in (gateway_end, gateway_core_end, terminal_core_end, *designs):
-        end.close()
-    return RunProcesses(
-        driver, recorder, gateway, others[0] if others else None, terminal_end, pipes["status"][0],
-        session, core_report, page, viewer_requests, learner,
-        reader_fds(pipes, "terminal").get("report_terminal"), view_url,
-    )  # fmt: skip
+    if plan.options.learn:  # nobody waits for it
+        job = make_learner_job(plan, epoch_ns, memory)
+        started["learner"] = spawn(f"{_MODULE}learner", ends.of["learner"], job)
+    ends.close(keep="terminal")
+    return RunProcesses(started, ends.of["terminal"], session, report, page, view_url)
 
 
-def _make_core_job(plan: RunPlan, boot_id: int, epoch_ns: int, leased: bool) -> dict[str, Any]:
-    return {
-        "options": encode_options(plan.options),
-        "boot_id": boot_id,
-        "epoch_ns": epoch_ns,
-        "leased": leased,
-    }
+def _wait_ready(started: Mapping[str, Child]) -> tuple[dict[str, Any], str]:
+    """What the core reports, and the viewer's address, once all are ready.
 
-
-def _start_core(core: Prepared, fds: Mapping[str, int], job: Mapping[str, Any]) -> Child:
-    ready_fd, child_fd = os.pipe()
-    hand_over(core, {**fds, "ready": child_fd}, job)
-    os.close(child_fd)
-    return Child(core.process, ready_fd)
+    Raises:
+        SteerdError: one is not, with its own text.
+    """
+    report = _read_core_report(started["core"])
+    _expect_ready(started["gateway"], "gateway", ExitCode.UNREACHABLE)
+    viewer = started.get("viewer")
+    view_url = viewer.wait_ready("viewer") if viewer else ""
+    if viewer and not view_url.startswith("ws:"):
+        raise SteerdError(view_url, "", ExitCode.UNREADABLE)
+    return report, view_url
 
 
 def _read_core_report(core: Child) -> dict[str, Any]:
@@ -327,29 +256,9 @@ def _expect_ready(child: Child, name: str, code: ExitCode) -> None:
         raise SteerdError(line, hint, code)
 
 
-def _end_started(
-    started: list[Child], pipes: Mapping[str, tuple[int, int]], ends: tuple[socket.socket, ...]
-) -> None:
-    """Close all descriptors, on which the started processes end; kill those that do not."""
-    for pair in pipes.values():
-        for fd in pair:
-            os.close(fd)
-    for end in ends:
-        end.close()
-    for child in started:
-        try:
-            child.process.wait(END_S)
-        except subprocess.TimeoutExpired:
-            child.process.kill()
-
-
-def _start_recorder(
-    plan: RunPlan,
-    session: Path,
-    meta: dict[str, dict[str, str]],
-    epoch_ns: int,
-    pipes: Mapping[str, tuple[int, int]],
-) -> Child:
+def _make_recorder_job(
+    plan: RunPlan, session: Path, meta: dict[str, dict[str, str]], epoch_ns: int
+) -> dict[str, Any]:
     try:
         session.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -357,7 +266,7 @@ def _start_recorder(
         raise SteerdError(
             f"{session.parent}: {error.strerror}", hint, ExitCode.UNREADABLE
         ) from None
-    job = {
+    return {
         "path": str(session),
         "car": plan.options.car,
         "metadata": meta,
@@ -366,27 +275,12 @@ def _start_recorder(
         "disk_free_min": plan.settings.record.disk_free_min_mb * 1_000_000,
         "flush_ns": plan.settings.record.flush_ms * 1_000_000,
     }
-    fds = {"pipe": pipes["recorder"][0]} | reader_fds(pipes, "recorder")
-    return spawn("steerd.daemon.process.recorder", fds, job)
 
 
-def _start_viewer(plan: RunPlan, pipe_fd: int) -> tuple[Child, socket.socket | None]:
-    """The viewer, and this terminal's end of its requests where it may set live parameters."""
-    module, job = "steerd.daemon.process.view", make_view_job(plan)
-    if not plan.options.view_sets:
-        return spawn(module, {"pipe": pipe_fd}, job), None
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    child = spawn(module, {"pipe": pipe_fd}, {**job, "requests": theirs.fileno()}, keep=theirs)
-    theirs.close()
-    return child, ours
-
-
-def _start_gateway(
-    plan: RunPlan, pipes: Mapping[str, tuple[int, int]], requests_fd: int, boot_id: int
-) -> Child:
+def _make_gateway_job(plan: RunPlan, boot_id: int) -> dict[str, Any]:
     mocap = plan.options.mocap
     pose_key = (parse_mocap_url(mocap).key or None) if mocap else None
-    job = {
+    return {
         "listen": plan.options.listen,
         "lab": plan.options.lab,
         "insecure_lan": plan.options.insecure_lan,
@@ -395,5 +289,3 @@ def _start_gateway(
         "ros_domain": plan.options.ros_domain,
         "ros_drive": boot_id if plan.options.controller is ControllerKind.ROS2 else None,
     }
-    fds = {"pipe": pipes["gateway"][0], "requests": requests_fd} | reader_fds(pipes, "gateway")
-    return spawn("steerd.daemon.process.gateway", fds, job)

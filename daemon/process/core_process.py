@@ -1,6 +1,5 @@
 """The control core as a process: no zenoh, no mcap, no torch, no thread but the one in sigwait."""
 
-import contextlib
 import gc
 import json
 import os
@@ -8,11 +7,10 @@ import socket
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import compress
 from operator import attrgetter
-from typing import Any
 
 from steerd.daemon.assembly.build import RunPlan, make_core, make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -23,8 +21,8 @@ from steerd.daemon.ipc.sd_notify import make_notify
 from steerd.daemon.ipc.signals import block_stop_signals, make_stop_signal_pipe, wake_at_parents_end
 from steerd.daemon.loop.core import Core
 from steerd.daemon.loop.flags import Flag
+from steerd.daemon.process.child import Job, receive_job
 from steerd.daemon.process.guard import ProcessGuard
-from steerd.daemon.process.prepared import receive_job
 from steerd.daemon.process.realtime import enter_realtime, settle_memory
 from steerd.daemon.process.runner import CoreLinks, Runner
 from steerd.daemon.settings.run_options import decode_options
@@ -119,7 +117,8 @@ def _make_opener(url: str, first: Port) -> Callable[[], Port]:
     return open_it
 
 
-def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
+def _run(given: Job) -> Core:
+    fds, job = given
     plan = make_plan(decode_options(job["options"]))
     port = open_first_port(plan.options.port or "")
     mocap = make_mocap(plan)
@@ -144,7 +143,8 @@ def _run(job: Mapping[str, Any], fds: Mapping[str, int]) -> Core:
         pipes["recorder"], pipes["gateway"], requests, make_stop_signal_pipe(), designs
     )
     report = enter_realtime()
-    _report(fds["ready"], {"realtime": report.refused, "design": plan.controller.report.describe()})
+    design = plan.controller.report.describe()
+    given.say_ready(json.dumps({"realtime": report.refused, "design": design}))
     runner = Runner(
         core,
         clock,
@@ -173,23 +173,18 @@ def latch_stray_exceptions(core: Core) -> None:
     threading.excepthook = lambda raised: take(raised.exc_value)
 
 
-def _report(fd: int, what: Mapping[str, Any]) -> None:
-    with contextlib.suppress(BrokenPipeError):  # Ctrl-C ended the terminal
-        os.write(fd, json.dumps(what).encode() + b"\n")
-
-
 def main() -> int:
-    """Process entry: job and descriptors come through the socket on standard input."""
+    """Process entry."""
     block_stop_signals()
     wake_at_parents_end()
     gc.freeze()  # what imports made stays: no need to search it for garbage again
     if (given := receive_job()) is None:
         return ExitCode.OK
-    fds, job = given
     try:
-        core = _run(job, fds)
+        core = _run(given)
     except SteerdError as error:
-        _report(fds["ready"], {"what": error.what, "hint": error.hint, "code": int(error.code)})
+        why = {"what": error.what, "hint": error.hint, "code": int(error.code)}
+        given.say_ready(json.dumps(why))
         return int(error.code)
     if core.error is not None:
         traceback.print_exception(core.error)

@@ -8,7 +8,6 @@ whether it is obeyed is the core's to decide.
 # Why: docs/decisions/safety.md#d112
 
 import contextlib
-import json
 import os
 import select
 import socket
@@ -23,6 +22,7 @@ from steerd.daemon.ipc.pipe_records import PipeRecord, unpack_records
 from steerd.daemon.ipc.report_pipe import ReportPipe
 from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.process.bus_operator import STOPS
+from steerd.daemon.process.child import receive_job
 from steerd.daemon.process.ros_bridge import RosBridge
 from steerd.daemon.process.views import Views
 from steerd.steer_bus import messages as m
@@ -160,11 +160,11 @@ def run_gateway(
 
 
 def main() -> int:
-    """Process entry: options as JSON on standard input, descriptors as arguments."""
+    """Process entry."""
     ignore_terminal_signals()
-    pipe_fd, core_fd, *reported, ready_fd = (int(text) for text in sys.argv[1:])
-    options = json.loads(sys.stdin.read())
-    core = socket.socket(fileno=core_fd)
+    if (job := receive_job()) is None:
+        return 0
+    options, core = job.about, socket.socket(fileno=job.fds["requests"])
     core.setblocking(False)
     try:
         with ZenohBus(_make_profile(options)) as bus:
@@ -172,12 +172,11 @@ def main() -> int:
             ros = None if domain is None else RosBridge(bus, options["car"], domain)
             drive = _make_drive(bus, domain, options["ros_drive"])
             gateway = Gateway(bus, options["car"], options["pose_key"], ros, drive)
-            os.write(ready_fd, b"ready\n")
-            os.close(ready_fd)
-            run_gateway(gateway, pipe_fd, core, ReportPipe(next(iter(reported), None)))
+            job.say_ready("ready")
+            run_gateway(gateway, job.fds["pipe"], core, ReportPipe(job.fds.get("reports")))
     except BusError as error:
         with contextlib.suppress(OSError):
-            os.write(ready_fd, f"{error}\n".encode())
+            job.say_ready(str(error))
         return 3
     # zenoh's threads may keep the interpreter alive; nothing is left to do.
     sys.stderr.flush()

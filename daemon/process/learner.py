@@ -7,7 +7,6 @@ without it goes on.
 # Why: docs/decisions/processes-and-time.md#d79
 
 import contextlib
-import json
 import os
 import socket
 import sys
@@ -27,6 +26,7 @@ from steerd.daemon.learning.keeping import Keeper
 from steerd.daemon.learning.kept import About
 from steerd.daemon.learning.proposing import Proposals, make_proposer
 from steerd.daemon.learning.samples import Wiring
+from steerd.daemon.process.child import receive_job
 from steerd.daemon.settings.run_options import decode_options
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
@@ -92,7 +92,7 @@ class LearnerLoop:
 
 
 def make_learner_feed(job: Mapping[str, Any]) -> Feed:
-    """The feed of a job, see `steerd.daemon.process.learner_job`.
+    """The feed of a job, see `make_learner_job`.
 
     Raises:
         ValueError: the car file holds what identify does not write.
@@ -143,22 +143,22 @@ def _make_proposals(options: str, fd: int) -> Proposals:
 
 
 def main() -> int:
-    """Process entry: the job as JSON on standard input, descriptors as arguments."""
+    """Process entry."""
     ignore_terminal_signals()
-    pipe_fd, *out_fds, ready_fd = (int(text) for text in sys.argv[1:])
-    job, proposals = json.loads(sys.stdin.read()), None
+    if (given := receive_job()) is None:
+        return 0
+    job, fds, proposals = given.about, given.fds, None
     try:
         feed = make_learner_feed(job)
         if job["adapt"]:
-            proposals = _make_proposals(job["adapt"], out_fds.pop())
+            proposals = _make_proposals(job["adapt"], fds["designs"])
     except ValueError as error:
         print(f"steerd learner: {error}", file=sys.stderr)
         return 4
-    os.write(ready_fd, b"ready\n")
-    os.close(ready_fd)
-    outputs = [PipeWriter(fd) for fd in out_fds]
+    given.say_ready("ready")
+    outputs = [PipeWriter(fd) for name, fd in fds.items() if name.startswith("to_")]
     loop, buffer = LearnerLoop(feed, outputs, proposals, make_keeper(job)), bytearray()
-    while data := os.read(pipe_fd, _READ_BYTES):
+    while data := os.read(fds["pipe"], _READ_BYTES):
         buffer += data
         loop.take(buffer)
     loop.end()

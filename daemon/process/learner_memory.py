@@ -1,14 +1,13 @@
-"""What an earlier run's learner kept for this one: found and checked before the processes start."""
+"""The learner's job: the car, and what an earlier run's learner kept, found and checked before."""
 
 # Why: docs/decisions/diagnosis.md#d87
 
 import hashlib
 import sys
 from collections.abc import Mapping
-from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from steerd.car_model.car_file import default_car_path
 from steerd.daemon.assembly.build import RunPlan
@@ -23,6 +22,8 @@ from steerd.daemon.learning.kept import (
     parse_kept,
     recall,
 )
+from steerd.daemon.settings.run_options import encode_options
+from steerd.version import VERSION
 
 
 class LearnerMemory(NamedTuple):
@@ -63,7 +64,7 @@ def recall_learnt(plan: RunPlan, session: Path, now_ns: int) -> LearnerMemory:
         return LearnerMemory()
     page, scaling = learnt_page(plan), plan.settings.scaling
     numbers = digest_numbers(plan.settings.file, scaling.erpm_gain, scaling.erpm_offset)
-    about = About(plan.options.car, numbers, version("steerd"), session.name)
+    about = About(plan.options.car, numbers, VERSION, session.name)
     try:
         with page.open("rb") as file:
             data = file.read(SIZE_MAX + 1)
@@ -77,3 +78,25 @@ def recall_learnt(plan: RunPlan, session: Path, now_ns: int) -> LearnerMemory:
         return LearnerMemory(str(page), about, refused=True)
     metadata = {"file": page.name, "sha256": hashlib.sha256(data).hexdigest(), "memory": memory}
     return LearnerMemory(str(page), about, memory, metadata={METADATA: metadata})
+
+
+_NO_MEMORY = LearnerMemory()
+
+
+def make_learner_job(
+    plan: RunPlan, epoch_ns: int, memory: LearnerMemory = _NO_MEMORY
+) -> dict[str, Any]:
+    """Car file, scaling and memory, see `learner.make_learner_feed` and `make_keeper`."""
+    return {
+        "epoch_ns": epoch_ns,
+        "car": plan.settings.file.text,
+        "posterior": plan.settings.file.posterior,
+        "path": str(plan.settings.file.path),
+        "erpm_gain": plan.settings.scaling.erpm_gain,
+        "erpm_offset": plan.settings.scaling.erpm_offset,
+        "memory": memory.memory,
+        "page": memory.page,
+        "page_refused": memory.refused,
+        "about": memory.about,
+        "adapt": encode_options(plan.options) if plan.options.adapt else "",
+    }

@@ -13,6 +13,7 @@ from typing import Any
 
 from steerd.daemon.ipc.operator import read_lab
 from steerd.daemon.ipc.signals import ignore_terminal_signals
+from steerd.daemon.process.child import Job, receive_job
 from steerd.daemon.process.page_link import CarView, PageOperator
 from steerd.daemon.process.secret_server import ConnectionClosed, SecretServer, ServerConnection
 from steerd.steer_bus.bus import BusError
@@ -110,30 +111,25 @@ def join(job: Mapping[str, Any]) -> ZenohBus:
     return ZenohBus(make_spoke_profile(job["endpoint"], lab))
 
 
-async def _serve_child(job: Mapping[str, Any], lifeline_fd: int, ready_fd: int) -> None:
-    ended = asyncio.Event()
-    asyncio.get_running_loop().add_reader(lifeline_fd, ended.set)
-
-    def on_open(url: str) -> None:
-        os.write(ready_fd, f"{url}\n".encode())
-        os.close(ready_fd)
-
+async def _serve_child(given: Job) -> None:
+    ended, job = asyncio.Event(), given.about
+    asyncio.get_running_loop().add_reader(given.fds["lifeline"], ended.set)
     with join(job) as bus:
         view = CarView(bus, job["car"], MonotonicClock())
-        await run_page(view, make_page(job), job["port"], on_open, ended)
+        await run_page(view, make_page(job), job["port"], given.say_ready, ended)
 
 
 def main() -> int:
-    """Process entry: the job as JSON on standard input, lifeline and ready descriptors after it."""
+    """Process entry."""
     ignore_terminal_signals()
     os.nice(_NICE)
-    lifeline_fd, ready_fd = int(sys.argv[1]), int(sys.argv[2])
-    job = json.loads(sys.stdin.read())
+    if (given := receive_job()) is None:
+        return 0
     try:
-        asyncio.run(_serve_child(job, lifeline_fd, ready_fd))
+        asyncio.run(_serve_child(given))
     except (BusError, OSError) as error:
         with contextlib.suppress(OSError):
-            os.write(ready_fd, f"--page {job['port']}: {error}\n".encode())
+            given.say_ready(f"--page {given.about['port']}: {error}")
         return 3
     sys.stderr.flush()
     os._exit(0)  # zenoh's threads may keep the interpreter alive

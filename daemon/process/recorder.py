@@ -19,6 +19,7 @@ from steerd.daemon.common.holes import describe_holes
 from steerd.daemon.ipc.pipe_records import Gaps, PipeRecord, unpack_records
 from steerd.daemon.ipc.report_pipe import ReportPipe
 from steerd.daemon.ipc.signals import ignore_terminal_signals
+from steerd.daemon.process.child import receive_job
 from steerd.daemon.process.views import Views
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.session import FLUSH_NS, AttachedFile, SessionWriter
@@ -168,22 +169,22 @@ def _sync(writer: SessionWriter) -> None:
 
 
 def main() -> int:
-    """Process entry: META_JSON on standard input; pipe, perhaps reports, and ready as arguments."""
+    """Process entry."""
     ignore_terminal_signals()
-    fd, *reported, ready_fd = (int(text) for text in sys.argv[1:])
-    meta = json.loads(sys.stdin.read())
+    if (job := receive_job()) is None:
+        return 0
+    meta, reports = job.about, ReportPipe(job.fds.get("reports"))
     disk_free_min = int(meta["disk_free_min"])
     try:
         check_space(Path(meta["path"]), disk_free_min)
         recording = Recording(Path(meta["path"]), meta["car"], meta)
     except SessionError as error:
-        os.write(ready_fd, f"{error}\n".encode())
+        job.say_ready(str(error))
         return _UNREADABLE
-    os.write(ready_fd, b"ready\n")
-    os.close(ready_fd)
+    job.say_ready("ready")
     try:
-        reason = record_pipe(recording, fd, disk_free_min, ReportPipe(next(iter(reported), None)))
-        os.close(fd)
+        reason = record_pipe(recording, job.fds["pipe"], disk_free_min, reports)
+        os.close(job.fds["pipe"])
         missing = recording.finish(reason)
     except SessionError as error:
         print(f"steerd recorder: {error}", file=sys.stderr)

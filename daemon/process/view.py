@@ -9,17 +9,16 @@ live parameters. The viewer's end is reported and changes nothing else.
 
 import asyncio
 import contextlib
-import json
 import os
 import socket
 import sys
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
 from foxglove.messages import FrameTransforms, SceneUpdate  # noqa: TID251
 
 from steerd.daemon.ipc.pipe_records import PipeRecord, unpack_records
 from steerd.daemon.ipc.signals import ignore_terminal_signals
+from steerd.daemon.process.child import Job, receive_job
 from steerd.daemon.process.secret_server import SecretServer
 from steerd.daemon.process.view_scene import (
     Body,
@@ -122,20 +121,20 @@ def make_channels(car: str) -> list[Channel]:
     return shown
 
 
-async def run_viewer(job: Mapping[str, Any], pipe_fd: int, ready_fd: int) -> int:
+async def run_viewer(given: Job) -> int:
     """Show what comes until the pipe closes; how many messages it had no room for.
 
     Raises:
         OSError: the address is taken or no address of this machine.
     """
+    job, pipe_fd = given.about, given.fds["pipe"]
     car, lane = job["car"], make_lane(job["lane"], job["half_width"], closed=job["closed"])
-    known = ViewParameters(make_parameters(job["parameters"]), _make_ask(job.get("requests")))
+    known = ViewParameters(make_parameters(job["parameters"]), _make_ask(given.fds.get("requests")))
     shown = ViewServer(f"steerd {car}", make_channels(car), known)
     viewer = Viewer(car, Body(**job["body"]), lane, shown)
     secret = SecretServer(job["host"], shown.talk)
     server = await secret.open(job["port"], WORDS_MAX, PROTOCOLS)
-    os.write(ready_fd, f"{secret.url}\n".encode())
-    os.close(ready_fd)
+    given.say_ready(secret.url)
     ended = asyncio.Event()
 
     def read() -> None:
@@ -165,19 +164,19 @@ def _make_ask(fd: int | None) -> Callable[[str], object] | None:
 
 
 def main() -> int:
-    """Process entry: the job as JSON on standard input, pipe and ready descriptors as arguments."""
+    """Process entry."""
     ignore_terminal_signals()
     os.nice(_NICE)
-    pipe_fd, ready_fd = int(sys.argv[1]), int(sys.argv[2])
-    job = json.loads(sys.stdin.read())
+    if (given := receive_job()) is None:
+        return 0
     try:
-        missed = asyncio.run(run_viewer(job, pipe_fd, ready_fd))
+        missed = asyncio.run(run_viewer(given))
     except OSError as error:
         with contextlib.suppress(OSError):
-            os.write(ready_fd, f"--view {job['host']}:{job['port']}: {error}\n".encode())
+            given.say_ready(f"--view {given.about['host']}:{given.about['port']}: {error}")
         return 3
     if missed:
-        print(f"note: the viewer missed {missed} messages", file=sys.stderr)
+        print(f"note: {missed} messages did not reach the viewer", file=sys.stderr)
     return 0
 
 

@@ -4,10 +4,12 @@ Estimated from one slow drive. The centre of the rear axle has no lateral veloci
 small slip. With the body's velocity (u_x, u_y) and yaw rate w in the car's axes (origin at the rear
 axle, a left turn positive):
 
-    u_y = r_x w - slip u_x^2 w         u_x = gain v_wheel - r_y w
+    u_y = r_x w - slip u_x^2 w         u_x = gain v_wheel / turned - r_y w
 
-so two least squares give the body's place (r_x, r_y), its heading error and the wheels' gain; the
-delay is the one at which poses and wheels agree best while the speed changes. Pure.
+where a driven front axle rolls along its steered wheels, faster than the rear: with its share f of
+the drive and the wheelbase L, turned = 1 - f + f hypot(1, L w / u_x). So two least squares give the
+body's place (r_x, r_y), its heading error and the wheels' gain; the delay is the one at which poses
+and wheels agree best while the speed changes. Pure.
 """
 
 from dataclasses import dataclass, fields
@@ -16,7 +18,7 @@ from math import atan2, cos, sin
 import numpy as np
 from scipy.signal import savgol_filter
 
-from steerd.car_model.params import GRAVITY, Car
+from steerd.car_model.params import GRAVITY, Car, wheelbase
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.sessions.motion import Array
 from steerd.daemon.setup.least_squares import (
@@ -121,8 +123,13 @@ def slip_per_accel(car: Car[float]) -> float:
     return 1.0 / (car.mu * GRAVITY * car.c_sr)
 
 
-def calibrate_mount(drive: Drive, car: Car[float]) -> MountCalibration:
+def calibrate_mount(drive: Drive, car: Car[float], front: float = 0.0) -> MountCalibration:
     """Estimate the mount from a drive.
+
+    Args:
+        drive: poses and wheel speed.
+        car: of the car file: its tyres and its wheelbase.
+        front: the front axle's share of the drive, see `steerd.car_model.planar.DRIVES`.
 
     Raises:
         SteerdError: the car barely moves, never turns, or poses and wheels do not belong
@@ -131,12 +138,16 @@ def calibrate_mount(drive: Drive, car: Car[float]) -> MountCalibration:
     motion = _differentiate(drive)
     _expect_motion(motion)
     slip = slip_per_accel(car)
-    mount, residual = _solve(motion, drive, slip, motion.good)
+    moved = np.hypot(motion.vx, motion.vy)
+    turn = wheelbase(car) * motion.yaw_rate / np.maximum(moved, MOVING)
+    turned = 1.0 - front + front * np.hypot(1.0, turn)
+    mount, residual = _solve(motion, drive, slip, turned, motion.good)
     if not GAIN_MIN < mount.speed_gain < GAIN_MAX:
         what = f"the poses move {mount.speed_gain:.3g} times as far as the wheels say"
         hint = "check [mocap] units, [vesc] erpm_gain, and that this body is on this car"
         raise SteerdError(what, hint)
-    parts = [_solve(motion, drive, slip, keep)[0] for keep in make_jackknife_masks(motion.good)]
+    masks = make_jackknife_masks(motion.good)
+    parts = [_solve(motion, drive, slip, turned, keep)[0] for keep in masks]
     names = [f.name for f in fields(Mount)]
     rows = [np.array([getattr(part, name) for name in names]) for part in parts]
     sd = dict(zip(names, jackknife_sd(rows), strict=True))
@@ -174,7 +185,7 @@ def _expect_motion(motion: _Motion) -> None:
         raise SteerdError(f"the car turns with {turning:.2f} rad/s (rms): too little", hint)
 
 
-def _solve(m: _Motion, drive: Drive, slip: float, good: Mask) -> tuple[Mount, float]:
+def _solve(m: _Motion, drive: Drive, slip: float, turned: Array, good: Mask) -> tuple[Mount, float]:
     """The mount from some of the samples, and the residual of the lateral velocity."""
     w = m.yaw_rate[good]
     c, s = np.cos(m.yaw[good]), np.sin(m.yaw[good])
@@ -192,7 +203,7 @@ def _solve(m: _Motion, drive: Drive, slip: float, good: Mask) -> tuple[Mount, fl
 
     def forward(delay: float) -> tuple[Array, Array]:
         reported = np.interp(m.t[good] - delay, drive.t_wheel, drive.wheel)
-        return solve_least_squares(np.column_stack([reported, -w]), ux)
+        return solve_least_squares(np.column_stack([reported / turned[good], -w]), ux)
 
     delay = find_delay(lambda tau: float(np.sum(forward(tau)[1] ** 2)))
     gain, rear_y = forward(delay)[0]

@@ -45,7 +45,7 @@ class Terminal:
         self._buffer = bytearray()
         self._waiting = ""
         self._signals, self._kill_ns = 0, inf
-        self._reports = ReportPipe(processes.report_fd)
+        self._reports = ReportPipe(processes.fds.get("reports"))
         self._desk = KeyDesk(board, clock, self._ask, self._tune)
 
     def run(self) -> None:
@@ -66,14 +66,14 @@ class Terminal:
         core = os.pidfd_open(self._processes.core.process.pid)
         poll = select.poll()
         viewer = self._processes.viewer_requests
-        fds = [core, signals, self._processes.status_fd, *([] if keys is None else [keys])]
+        fds = [core, signals, self._processes.fds["status"], *([] if keys is None else [keys])]
         fds += [] if viewer is None else [viewer.fileno()]
         for fd in fds:
             poll.register(fd, select.POLLIN | select.POLLHUP)
         while True:
             ready = [fd for fd, _ in poll.poll(_POLL_MS)]
-            if self._processes.status_fd in ready and not self._show(live, console):
-                poll.unregister(self._processes.status_fd)
+            if self._processes.fds["status"] in ready and not self._show(live, console):
+                poll.unregister(self._processes.fds["status"])
             if signals in ready:
                 for number in os.read(signals, 16):
                     self._pass_signal(number)
@@ -91,7 +91,7 @@ class Terminal:
                 self._processes.core.process.kill()
 
     def _show(self, live: Live | None, console: Console) -> bool:
-        data = os.read(self._processes.status_fd, 1 << 16)
+        data = os.read(self._processes.fds["status"], 1 << 16)
         self._buffer += data
         for record in (*unpack_records(self._buffer), *self._reports.take()):
             self._take(record, live, console)

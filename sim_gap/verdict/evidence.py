@@ -9,7 +9,6 @@ import numpy as np
 from steerd.car_model.effect import Effect
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.hypotheses import Findings, Hypothesis, Library
-from steerd.sysid.inference.likelihood import SPUN
 from steerd.sysid.inference.search import Point
 
 
@@ -105,7 +104,7 @@ def _left(found: Findings) -> float:
 
 def _is_lost(point: Point) -> bool:
     """Whether most windows leave more than counts: then the smallest discrepancy costs least."""
-    return float((point.at.square >= SPUN * point.at.dof).mean()) > c.HALF
+    return float((point.at.square >= c.SPUN * point.at.dof).mean()) > c.HALF
 
 
 def base_strain(best: Hypothesis) -> float:
@@ -138,7 +137,7 @@ def _cause(library: Library, found: Findings, name: str, kept: float) -> Cause:
     alike = _alike(library, effect)
     if alike:
         others = tuple(dict.fromkeys([*others, *alike]))
-        confidence = min(confidence, c.ALIKE_MOST)
+        confidence = min(confidence, c.ALIKE_MOST ** len(alike))
     return Cause(name, effect.stage.value, effect.family, parameters, confidence, others, alias)
 
 

@@ -24,48 +24,30 @@ class MocapConfig:
     """Settings of the simulated mocap system.
 
     The latency is that of a wired Motive system (`docs/reference/mocap-protocols.md#m5.1`).
-
-    Attributes:
-        kind: ``natnet`` or ``vrpn``.
-        rate_hz: frames per second.
-        body, body_id: the car's name and streaming id.
-        bystanders: other tracked things.
-        frame: how the room and the body lie to world and CoG (what the client must undo).
-        height: of the body's origin [m].
-        position_noise, yaw_noise, tilt_noise: standard deviations [m], [rad], [rad].
-        mean_error: marker residual [m].
-        camera_ns, software_ns: from mid-exposure to data received, and from there to transmit.
-        jitter_ns: standard deviation of the transmit time.
-        network_ns: from transmit to arrival.
-        version: NatNet bitstream.
-        transport: `MULTICAST`, `TO_COMMAND` or `TO_DATA`.
-        clock_hz: ticks per second of the server's clock (not 1e7 by law).
-        epoch_ticks: its reading at the simulation's start.
-        skew_ppm: how fast it runs.
-        keepalive_ns: silence after which a unicast client is dropped.
     """
 
-    kind: str = "natnet"
-    rate_hz: int = 100
-    body: str = "car"
+    kind: str = "natnet"  # ``natnet`` or ``vrpn``
+    rate_hz: int = 100  # frames per second
+    body: str = "car"  # the car's name and streaming id
     body_id: int = 1
-    bystanders: tuple[Bystander, ...] = ()
+    bystanders: tuple[Bystander, ...] = ()  # other tracked things
+    # How the room and the body lie to world and CoG (what the client must undo)
     frame: FrameConfig = field(default_factory=FrameConfig)
-    height: float = 0.1
-    position_noise: float = 2e-4
+    height: float = 0.1  # of the body's origin [m]
+    position_noise: float = 2e-4  # standard deviations [m], [rad], [rad]
     yaw_noise: float = 1e-3
     tilt_noise: float = 2e-3
-    mean_error: float = 5e-4
-    camera_ns: int = 4_570_000
+    mean_error: float = 5e-4  # marker residual [m]
+    camera_ns: int = 4_570_000  # from mid-exposure to data received, and from there to transmit
     software_ns: int = 810_000
-    jitter_ns: int = 120_000
-    network_ns: int = 100_000
-    version: tuple[int, int] = (4, 1)
-    transport: str = TO_COMMAND
-    clock_hz: int = 10_000_000
-    epoch_ticks: int = 81_234_567_890
-    skew_ppm: float = 15.0
-    keepalive_ns: int = 10_000_000_000
+    jitter_ns: int = 120_000  # standard deviation of the transmit time
+    network_ns: int = 100_000  # from transmit to arrival
+    version: tuple[int, int] = (4, 1)  # NatNet bitstream
+    transport: str = TO_COMMAND  # `MULTICAST`, `TO_COMMAND` or `TO_DATA`
+    clock_hz: int = 10_000_000  # ticks per second of the server's clock (not 1e7 by law)
+    epoch_ticks: int = 81_234_567_890  # its reading at the simulation's start
+    skew_ppm: float = 15.0  # how fast it runs
+    keepalive_ns: int = 10_000_000_000  # silence after which a unicast client is dropped
 
     def __post_init__(self) -> None:
         """Refuse what no server can be.

@@ -29,6 +29,7 @@ class Network:
 
     Attributes:
         fault_state: what is wrong with it.
+        next_ns: when the next message arrives; None without any.
     """
 
     def __init__(self, noise: NoiseSource) -> None:
@@ -38,16 +39,13 @@ class Network:
         self._count = 0
         self._last: Datagram | None = None
         self._waiting: Datagram | None = None
-
-    @property
-    def next_ns(self) -> int | None:
-        """When the next message arrives."""
-        return self._heap[0][0] if self._heap else None
+        self.next_ns: int | None = None
 
     def send(self, message: Datagram) -> None:
         """Send something that no fault touches (answers, descriptions)."""
         self._count += 1
         heapq.heappush(self._heap, (message.t_ns, self._count, message))
+        self.next_ns = self._heap[0][0]
 
     def send_frame(self, frame: Datagram) -> None:
         """Send a frame through whatever is wrong."""
@@ -101,9 +99,11 @@ class Network:
         heap, out = self._heap, []
         while heap and heap[0][0] <= t_ns:
             out.append(heapq.heappop(heap)[2])
+        self.next_ns = heap[0][0] if heap else None
         return out
 
     def forget(self, peer: Peer) -> None:
         """Lose what is in flight to one peer."""
         self._heap = [entry for entry in self._heap if entry[2].peer != peer]
         heapq.heapify(self._heap)
+        self.next_ns = self._heap[0][0] if self._heap else None

@@ -53,23 +53,17 @@ COAST = Demand(Drive.BRAKE, 0.0)
 
 @dataclass(frozen=True)
 class CarSetup:
-    """How the plant is stepped.
+    """How the plant is stepped."""
 
-    Attributes:
-        step_ns: physics step.
-        coast_decel: drag of the released drive train [m/s^2].
-        servo_wait: part of the car's ``steer_delay`` that the simulated servo signal brings along
-            by itself (half its frame), hence not added again [s].
-        noise: random acceleration of speed [m/s^2], yaw rate [rad/s^2] and slip [rad/s], each as
-            standard deviation over one second (it grows with the root of time).
-        start: state at the beginning.
-    """
-
-    step_ns: int = 2_000_000
-    coast_decel: float = 0.6
+    step_ns: int = 2_000_000  # physics step
+    coast_decel: float = 0.6  # drag of the released drive train [m/s^2]
+    # Part of the car's ``steer_delay`` that the simulated servo signal brings along by itself
+    # (half its frame), hence not added again [s]
     servo_wait: float = 0.0
+    # Random acceleration of speed [m/s^2], yaw rate [rad/s^2] and slip [rad/s], each as standard
+    # deviation over one second (it grows with the root of time)
     noise: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    start: State[float] = ORIGIN
+    start: State[float] = ORIGIN  # state at the beginning
 
 
 class Held(NamedTuple):
@@ -153,6 +147,7 @@ class SimCar:
         # decay rates of yaw rate and slip go with 1/v: RK4 steps per physics step at 1 m/s
         self._substeps = h * stiffness_rate(model.car, SPEED_KINEMATIC) * SPEED_KINEMATIC / 2.0
         length = math.ceil((_HISTORY + late.pose) / h)
+        self._kept = length
         self._history = [setup.start] * length
         self._count = 0
 
@@ -167,7 +162,7 @@ class SimCar:
         if self._drive_delay_ns:
             demand = self._delay_demand(demand, t0, t1)
         drive, value = demand.drive, demand.value
-        if drive is _SPEED and abs(before.speed) >= self._substeps:
+        if drive is _SPEED and not -self._substeps < before.speed < self._substeps:
             numbers = self._steps.follow(*before, *self._memory, steer, value, t)
         else:
             target = value if drive is _SPEED else before.speed
@@ -176,7 +171,7 @@ class SimCar:
                 accel = self._free_acceleration(demand)
             numbers = self._glide(before, end, accel, t)
         self._memory = numbers[7:]
-        after: State[float] = State._make(numbers[:7])
+        after: State[float] = State(*numbers[:7])
         if drive is not _SPEED:
             after = self._keep_rest(before, after, demand)
         if self._noisy and after.speed:
@@ -187,7 +182,7 @@ class SimCar:
         self.state = after
         self.t_ns = t1
         self._count += 1
-        self._history[self._count % len(self._history)] = after
+        self._history[self._count % self._kept] = after
 
     def _delay_demand(self, demand: Demand, t0: int, t1: int) -> Demand:
         self._mode.push(t0, float(demand.drive))
@@ -239,14 +234,14 @@ class SimCar:
     def state_at(self, t_ns: int) -> State[float]:
         """True state at a past time, straight between grid points; as far back as is kept."""
         steps = (t_ns - self._t_start_ns) / self.setup.step_ns
-        oldest = max(0, self._count - len(self._history) + 1)
+        oldest = max(0, self._count - self._kept + 1)
         steps = min(max(steps, oldest), self._count)
         low = int(steps)
         part = steps - low
-        first = self._history[low % len(self._history)]
+        first = self._history[low % self._kept]
         if not part:
             return first
-        second = self._history[(low + 1) % len(self._history)]
+        second = self._history[(low + 1) % self._kept]
         return State(*(a + part * (b - a) for a, b in zip(first, second, strict=True)))
 
     def observe_pose(self, t_ns: int) -> Observation[float]:

@@ -20,25 +20,28 @@ class Chunk:
 
 
 class ByteQueue:
-    """Bytes in flight, in order: none overtakes another."""
+    """Bytes in flight, in order: none overtakes another.
+
+    Attributes:
+        next_ns: when the next bytes are due; None without any.
+        last_ns: when the last are.
+    """
 
     def __init__(self) -> None:
         self._chunks: deque[Chunk] = deque()
+        self.next_ns: int | None = None
         self.last_ns = 0
 
     def __len__(self) -> int:
         return len(self._chunks)
-
-    @property
-    def next_ns(self) -> int | None:
-        """When the next bytes are due."""
-        return self._chunks[0].t_ns if self._chunks else None
 
     def put(self, t_ns: int, data: bytes) -> int:
         """Queue bytes for ``t_ns``, or for when those before them are out; gives that time."""
         if t_ns > self.last_ns:
             self.last_ns = t_ns
         self._chunks.append(Chunk(self.last_ns, data))
+        if self.next_ns is None:
+            self.next_ns = self.last_ns
         return self.last_ns
 
     def due(self, t_ns: int) -> list[Chunk]:
@@ -46,11 +49,13 @@ class ByteQueue:
         chunks, out = self._chunks, []
         while chunks and chunks[0].t_ns <= t_ns:
             out.append(chunks.popleft())
+        self.next_ns = chunks[0].t_ns if chunks else None
         return out
 
     def clear(self) -> None:
         """Lose everything that is still in flight."""
         self._chunks.clear()
+        self.next_ns = None
 
 
 class Logged(NamedTuple):

@@ -29,9 +29,9 @@ class NoiseSource:
     def normals(self, count: int) -> list[float]:
         """The next standard normal numbers, as so many calls of `normal` give them."""
         known = self._normals
-        if len(known) < count:
-            return [self.normal() for _ in range(count)]
         drawn = known[: -count - 1 : -1]
+        if len(drawn) < count:
+            return [self.normal() for _ in range(count)]
         del known[-count:]
         return drawn
 

@@ -3,11 +3,12 @@
 from collections.abc import Callable
 from ctypes import byref, c_char
 from functools import lru_cache
-from math import isfinite
+from math import inf
 from struct import Struct
 from typing import NamedTuple
 
-from steerd.car_model.model import Model, Moment, aim, car_now, drive_actuators, memory_size
+from steerd.car_model.actuators import actuate
+from steerd.car_model.model import Model, Moment, aim, car_now, memory_size
 from steerd.car_model.native.windows import (
     STATES,
     Kernels,
@@ -78,7 +79,7 @@ def _compiled(
     def call(*numbers: float, _alive: object = car) -> Numbers:
         function(integration, given.pack(*numbers), into)
         found = taken.unpack(memory)
-        if not isfinite(sum(found)):
+        if not -inf < sum(found) < inf:
             raise ValueError(f"the simulated car's motion is no number after {numbers}")
         return found
 
@@ -97,11 +98,11 @@ def plain_steps(model: Model[float], h: float) -> Steps:
         after = step_floats(FLOAT, model, moment, Command(steer, speed), t, h)
         return (*after.state, *after.memory)
 
-    def actuate(*numbers: float) -> Numbers:
+    def actuate_floats(*numbers: float) -> Numbers:
         moment, (steer, speed, t) = split(numbers)
         car = car_now(FLOAT, model, moment.state, t)
         ref = aim(FLOAT, model, car, Command(steer, speed), t)
-        return tuple(drive_actuators(FLOAT, model, car, moment.state, ref, h))
+        return tuple(actuate(FLOAT, car, moment.state, ref, h))
 
     def glide_floats(count: int, *numbers: float) -> Numbers:
         moment, (end, accel, t) = split(numbers)
@@ -111,4 +112,4 @@ def plain_steps(model: Model[float], h: float) -> Steps:
             moment = glide(FLOAT, model, moment, steer, accel, t + i * part, part)
         return (*moment.state, *moment.memory)
 
-    return Steps(memory, follow_floats, actuate, glide_floats)
+    return Steps(memory, follow_floats, actuate_floats, glide_floats)

@@ -34,20 +34,13 @@ _PRIORITY = 40
 
 @dataclass(frozen=True)
 class SimOptions:
-    """Where the simulated hardware is offered.
+    """Where the simulated hardware is offered."""
 
-    Attributes:
-        faults: what goes wrong; windows count from the start.
-        link_dir: directory for the serial port's name; a fresh one if None.
-        command_port, data_port: NatNet ports on 127.0.0.1; 0 takes free ones.
-        vrpn_port: VRPN's TCP port; 0 takes a free one.
-    """
-
-    faults: tuple[Fault, ...] = ()
-    link_dir: Path | None = None
-    command_port: int = 0
+    faults: tuple[Fault, ...] = ()  # what goes wrong; windows count from the start
+    link_dir: Path | None = None  # directory for the serial port's name; a fresh one if None
+    command_port: int = 0  # NatNet ports on 127.0.0.1; 0 takes free ones
     data_port: int = 0
-    vrpn_port: int = 0
+    vrpn_port: int = 0  # VRPN's TCP port; 0 takes a free one
 
 
 class SimHardware:

@@ -249,22 +249,21 @@ class SimVesc:
         for payload in self._parser.feed(data, t_ns):
             self._obey(t_ns, payload)
 
-    def advance(self, t_ns: int) -> list[Chunk]:
-        """Give the bytes that are due for the host by ``t_ns``."""
+    def read(self, t_ns: int) -> bytes:
+        """What is due by ``t_ns``, read by the host; one that never reads blocks the VESC."""
         while self._later and self._later[0][0] <= t_ns:
             due, reply = self._later.popleft()
             self._reply(due, reply)
         if not self.connected:
-            return []
-        chunks = self._wire.outbox.due(t_ns)
-        if self.log.enabled:
-            for chunk in chunks:
+            return b""
+        data = b""
+        for chunk in self._wire.outbox.due(t_ns):
+            data += chunk.data
+            if self.log.enabled:
                 self.log.add(chunk.t_ns, "host", chunk.data)
-        return chunks
-
-    def on_read(self, count: int) -> None:
-        """The host has read ``count`` bytes; one that never does blocks the VESC."""
-        self._wire.on_read(count)
+        if data:
+            self._wire.on_read(len(data))
+        return data
 
     # --- commands
 

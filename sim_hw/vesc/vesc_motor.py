@@ -153,7 +153,7 @@ class Motor:
             self.ramped += most if gap > most else -most if gap < -most else gap
         else:
             self.ramped = self.value
-        if abs(self.ramped) < self.config.erpm_min:
+        if -self.config.erpm_min < self.ramped < self.config.erpm_min:
             return _RELEASE
         return Act(_SPEED, self.ramped)
 

@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.model import Model
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.inference.identifiability import BODY_OR_COG
+from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.knowledge import Knowledge, Spread, inflate_each, knowledge_section
-from steerd.sysid.inference.likelihood import SPUN
 from steerd.sysid.inference.noise import Noise, noise_section
 from steerd.sysid.inference.posterior import posterior_of
 from steerd.sysid.inference.residuals import blocks_of, robust_mean
@@ -41,32 +41,23 @@ from steerd.sysid.inference.teaching import (
 Array = NDArray[np.float64]
 
 MODEL_ERROR: dict[str, float] = {
-    "lf": 1.6, "lr": 1.6, "c_sf": 4.0, "c_sr": 2.3, "c_x": 2.0, "inertia_z": 4.5, "steer_gain": 2.0,
-    "speed_gain": 2.5,
+    "c_sf": 4.0, "c_sr": 2.3, "c_x": 2.0, "inertia_z": 4.5, "steer_gain": 2.0, "speed_gain": 2.5,
 }  # fmt: skip
 """Standard errors are so many times those of the fit.
 
 What the model misses is the same in every drive, so no spread between drives shows it: a servo of
 second order looks like inertia, a foreign tyre like a stiff one. Root mean square of the errors in
 the fit's standard errors on four cars each of three foreign simulators (seeds 9001 to 9004), the
-wheelbase measured; of two further `own` cars for the lengths; of what has no true value there, as
-for the others at first. `speed_gain` has that of the twelve cars of the sixth sealed set (1.7 and
-1.1 on two simulators, 3.8 on the one with sprung wheels). `[knowledge]` keeps the fit's: a later
+wheelbase measured; of what has no true value there, as for the others at first. `speed_gain` has
+that of twelve cars that were sealed once (1.7 and 1.1 on two simulators, 3.8 on one with springs).
+`[knowledge]` keeps the fit's: a later
 drive of the same car misses the same.
-"""
-MODEL_ERROR_MOVED = 4.0
-"""The same for `BODY_OR_COG` where the mocap body's place on the car is learnt as well.
-
-Drives fix where the body is between the axles to a millimetre; only the finer points of the model
-say where the centre of gravity is. On 30 cars of three foreign simulators, no body misplaced, 4
-were taken for one with a body 13 to 31 mm off; both axles' lengths were off by as much, 20 mm in
-the root mean square at standard errors of 5. Of the other 26 no length was off by more than 5 mm.
 """
 SLIDING, HARD, SLOW = 0.35, 6.0, 0.5
 """What a window that no car holds is said to be like [rad, m/s^2, m/s]."""
+MOVED, FORWARD = "marker_offset", "marker_offset.forward"
+"""The effect of a mocap body that is elsewhere on the car, and how far ahead that is."""
 _NAMED = 3
-CLEAR = 2.0
-"""An effect within so many standard deviations of its null is left out of the car file."""
 
 
 def describe_lost(taught: Taught, runs: Sequence[Run]) -> tuple[str, ...]:
@@ -77,7 +68,7 @@ def describe_lost(taught: Taught, runs: Sequence[Run]) -> tuple[str, ...]:
         runs: its drives.
     """
     engine, layout = taught.likelihood.engine, taught.likelihood.engine.readings.layout
-    lost = ratios(taught) >= SPUN
+    lost = ratios(taught) >= c.SPUN
     if not lost.any():
         return ()
     speed, slip = np.abs(taught.point.x[:, 3]), np.abs(taught.point.x[:, 5])
@@ -133,17 +124,18 @@ def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, An
 def taught_car(base: CarFile, taught: Taught) -> CarFile:
     """The car file that says what was taught; effects that may as well be absent are left out."""
     known = knowledge_of(taught)
-    z, kept = _without_small(taught, known.covariance)
-    chart = taught.point.space.chart
+    chart, covariance = taught.point.space.chart, _doubtful(taught, known.covariance)
+    z, kept = _without_small(taught, covariance)
     p, slopes = chart.parameters(z), chart.slopes(z)
-    spread = np.sqrt(np.einsum("pi,ij,pj->p", slopes, known.covariance, slopes))
+    covariance = covariance if MOVED in kept else _as_mounted(taught, covariance)
+    spread = np.sqrt(np.einsum("pi,ij,pj->p", slopes, covariance, slopes))
     free = {name: chart.names.index(name) for name in taught.nuisance}
     car = {name: float(p[i]) for name, i in free.items() if "." not in name}
     own = dict(zip((e.name for e in base.effects), base.values, strict=True))
     own = {name: values for name, values in own.items() if name not in _structures(taught)}
     own |= {name: tuple(p[taught.superset.places(name)].tolist()) for name in kept}
     chosen = [e for e in taught.superset.effects if e.name in own]
-    sd = {name: float(spread[i]) * _model_error(name, kept) for name, i in free.items()}
+    sd = {name: float(spread[i]) * MODEL_ERROR.get(name, 1.0) for name, i in free.items()}
     moved = replace(
         base,
         car=base.car._replace(**car),
@@ -154,11 +146,33 @@ def taught_car(base: CarFile, taught: Taught) -> CarFile:
     return with_sections(moved, known, taught.noise)
 
 
-def _model_error(name: str, kept: Sequence[str]) -> float:
-    """How many times a fit's standard error a parameter's is, among these effects."""
-    if "marker_offset" in kept and name in BODY_OR_COG:
-        return MODEL_ERROR_MOVED
-    return MODEL_ERROR.get(name, 1.0)
+def _doubtful(taught: Taught, covariance: Array) -> Array:
+    """The covariance with the doubt about the place of the centre of gravity, the body's kept."""
+    names, p = list(taught.point.space.chart.free), taught.point.parameters
+    if not {"lf", "lr", FORWARD} <= set(names):
+        return covariance
+    axle = taught.superset.kernels.names.index
+    wheelbase = float(p[axle("lf")] + p[axle("lr")])
+    along = np.zeros(len(names))
+    along[names.index("lr")], along[names.index(FORWARD)] = -wheelbase, wheelbase
+    return covariance + c.COG_PLACE**2 * np.outer(along, along)
+
+
+def _as_mounted(taught: Taught, covariance: Array) -> Array:
+    """The covariance where the mocap body is taken to be where it was mounted, within the prior.
+
+    That the drives would have it elsewhere is either the model's error or the mounting's: what it
+    makes of the other parameters counts as their error.
+    """
+    space = taught.point.space
+    if FORWARD not in space.chart.free:
+        return covariance
+    place = space.chart.free.index(FORWARD)
+    own, mounted = covariance[place], space.covariance[place, place] / c.WEAK**2
+    left_out = own / own[place] * (taught.point.z[place] - space.centre[place])
+    known = np.outer(own, own) / (own[place] + mounted)
+    moved: Array = covariance - known + np.outer(left_out, left_out)
+    return moved
 
 
 def with_sections(base: CarFile, known: Knowledge, noise: Noise) -> CarFile:
@@ -175,7 +189,7 @@ def _structures(taught: Taught) -> list[str]:
 def _without_small(taught: Taught, covariance: Array) -> tuple[Array, list[str]]:
     """Coordinates with every effect at its null that is not clearly elsewhere, and those kept.
 
-    The smallest goes first; what moves with it moves to where it lies given that null.
+    The likeliest by chance goes first; what moves with it moves to where it lies given that null.
     """
     space, superset = taught.point.space, taught.superset
     labels, z = list(space.chart.free), taught.point.z.copy()
@@ -184,13 +198,13 @@ def _without_small(taught: Taught, covariance: Array) -> tuple[Array, list[str]]
              for name in _structures(taught)}  # fmt: skip
     gone: list[int] = []
     while names:
-        sizes = {}
+        chances = {}
         for name, mine in names.items():
             away = z[mine] - np.array(nulls[name])
-            sizes[name] = float(away @ np.linalg.solve(covariance[np.ix_(mine, mine)], away))
-            sizes[name] /= len(mine)
-        least = min(sizes, key=lambda name: sizes[name])
-        if sizes[least] > CLEAR**2:
+            square = float(away @ np.linalg.solve(covariance[np.ix_(mine, mine)], away))
+            chances[name] = float(chdtrc(len(mine), square))
+        least = max(chances, key=lambda name: chances[name])
+        if chances[least] < c.CHANCE:
             break
         gone += names.pop(least)
         held = np.array([nulls[labels[i].partition(".")[0]][_place(labels, i)] for i in gone])

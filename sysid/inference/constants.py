@@ -17,7 +17,7 @@ WEAK = 2.0
 BUILT_IN = 3
 """Effects that a healthy car may turn out to have, beside those of every car."""
 SIZE_SMALL = 0.05
-"""A discrepancy that is smaller than any ordinary push (`likelihood.DISCREPANCY` is 1)."""
+"""A discrepancy that is smaller than any ordinary push (`DISCREPANCY` is 1)."""
 GAP_SIZE = 0.3
 """A discrepancy beyond which something is left."""
 HALF = 0.5
@@ -25,7 +25,7 @@ HALF = 0.5
 STRAINED = 6.0
 """Standard deviations of chi-square beyond which the base has moved further than it may."""
 ALIKE_MOST = 0.75
-"""No name is surer while the library has one that differs from it by an equation's form alone."""
+"""No name is surer for each in the library that differs from it by an equation's form alone."""
 STANDS_IN = 0.03
 """A hypothesis this many times as likely as the best names what may be the cause instead."""
 FAR = {1.0: 0.1, 3.0: 0.3}
@@ -37,3 +37,18 @@ NOISE_KEPT = 0.97
 """What known noise leaves per degree of freedom of other drives than those it was learnt on."""
 NOISE_SPREAD = 0.2
 """Standard deviation of what noise leaves of a block of windows, per what it should leave."""
+DISCREPANCY, DISCREPANCY_MEMORY = (0.3, 0.3, 2.0), 0.3
+"""A discrepancy of size 1: pushes along, across [m/s^2] and about the car [rad/s^2], and their
+correlation time [s]: what a wrong model misses lasts as long as a manoeuvre's phase."""
+SPUN, SPUN_SHARE = 12.0, 0.2
+"""Squared error per degree of freedom from which a window counts as spun, and what more counts for:
+its derivatives point nowhere, but where all are far off they still say how far."""
+REPEATS = 0.5
+"""Share of the ordinary pushes that repeats from window to window (`c` of the design effect)."""
+CHANCE = 0.05
+"""An effect that chance takes as far from its null this often is left out of the car file."""
+COG_PLACE = 0.035
+"""Doubt about where the centre of gravity is, per wheelbase: drives fix where the mocap body is
+between the axles to a millimetre, but only the finer points of a model say where the centre of
+gravity is. Root mean square of what 20 cars of four foreign simulators showed of a body that was
+not misplaced; the largest was 24 mm on a car of 0.32 m."""

@@ -201,10 +201,10 @@ class _Search:
         self.explore()
 
     def explore(self) -> None:
-        """Hypotheses that compete for the first place, from more starts."""
+        """A cause that is named, and what competes with it, from more starts."""
         ranked = self.hypotheses()
         near = [h for h in ranked if ranked[0].log_odds - h.log_odds < c.NEARLY]
-        if len(near) < 2:
+        if len(near) < 2 and not ranked[0].effects:
             return
         for h in near:
             if h.effects not in self.explored:

@@ -21,21 +21,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.disturbance_response import responses
 from steerd.sysid.inference.engine import FREE_STATES, Engine, Linear, take_windows
 from steerd.sysid.inference.noise import Noise, covariance, shapes, slip_shape
 
 Array = NDArray[np.float64]
 
-DISCREPANCY = (0.3, 0.3, 2.0)
-"""A discrepancy of size 1: pushes along, across [m/s^2] and about the car [rad/s^2]."""
-DISCREPANCY_MEMORY = 0.3
-"""Its correlation time [s]: what a wrong model misses lasts as long as a manoeuvre's phase."""
-SPUN = 12.0
-"""Squared error per degree of freedom from which a window counts as spun: a car that spins is
-chaotic, its derivatives point nowhere, and no hypothesis shall win or lose by it ..."""
-SPUN_SHARE = 0.2
-"""... and what such a window counts for beyond: where all are far off they still say how far."""
 SIZES: Array = np.concatenate([[0.0], np.geomspace(0.02, 40.0, 25)])
 """Sizes that are tried; a factor of 1.37 between them changes no decision."""
 
@@ -103,7 +95,7 @@ class Reduced(NamedTuple):
     def weight(self) -> Array:
         """(W,) weight of each window under Student's t; a window that spins barely pulls."""
         ratio = self.square / self.dof
-        return np.where(ratio < SPUN, 2.0 / (1.0 + ratio), 2.0 * SPUN_SHARE / (1.0 + ratio))
+        return np.where(ratio < c.SPUN, 2.0 / (1.0 + ratio), 2.0 * c.SPUN_SHARE / (1.0 + ratio))
 
     @property
     def loss(self) -> Array:
@@ -114,8 +106,8 @@ class Reduced(NamedTuple):
 def loss_of(square: Array, dof: Array) -> Array:
     """(W,) negative log of Student's t of as many degrees as rows, flatter beyond `SPUN` [nats]."""
     ratio = np.maximum(square, 0.0) / dof
-    near, whole = np.log1p(np.minimum(ratio, SPUN)), np.log1p(ratio)
-    return np.asarray(dof * (near + SPUN_SHARE * (whole - near)))
+    near, whole = np.log1p(np.minimum(ratio, c.SPUN)), np.log1p(ratio)
+    return np.asarray(dof * (near + c.SPUN_SHARE * (whole - near)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,7 +248,7 @@ def make_likelihood(engine: Engine, parameters: Array, x: Array, noise: Noise) -
     unknown = sum(
         size**2 * shape
         for size, shape in zip(
-            DISCREPANCY, shapes(engine, seen, (0, 1, 2), DISCREPANCY_MEMORY), strict=True
+            c.DISCREPANCY, shapes(engine, seen, (0, 1, 2), c.DISCREPANCY_MEMORY), strict=True
         )
     )
     there = engine.padded.there

@@ -13,13 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.search import Point, curvature
 
 Array = NDArray[np.float64]
-
-REPEATS = 0.5
-"""Share of the ordinary pushes that repeats from window to window (`c` of the design effect)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +35,7 @@ class Posterior:
     covariance: Array
 
 
-def design_effect(likelihood: Likelihood, size: float, repeats: float = REPEATS) -> float:
+def design_effect(likelihood: Likelihood, size: float, repeats: float = c.REPEATS) -> float:
     """How many windows are worth one under a discrepancy of this size."""
     pushed, unknown = float(likelihood.pushed.mean()), likelihood.share(size)
     alike = repeats * pushed + (1.0 - repeats * pushed) * unknown

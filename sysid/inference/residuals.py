@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.engine import Engine
-from steerd.sysid.inference.likelihood import SPUN, Likelihood
+from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.readings import SPACING
 from steerd.sysid.inference.search import Point, fresh, newton, settle, stand, with_size
 from steerd.sysid.inference.space import Space
@@ -83,7 +84,7 @@ def spun_windows(fitted: Point) -> NDArray[np.bool_]:
 
     A chaotic second says nothing in millimetres.
     """
-    spun = ratios(fitted) >= SPUN
+    spun = ratios(fitted) >= c.SPUN
     return np.asarray(spun & (spun.mean() < _FEW))
 
 

@@ -26,7 +26,7 @@ from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.engine import Engine, open_engine
 from steerd.sysid.inference.hypotheses import Library, begin, explain
 from steerd.sysid.inference.knowledge import excess_by_regime
-from steerd.sysid.inference.likelihood import SPUN, Likelihood, make_likelihood
+from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import (
     Noise,
     calibrated,
@@ -227,7 +227,7 @@ def _begin(
 
 def _bounded(point: Point) -> float:
     """Share of the windows that are so far off that they pull at nothing."""
-    return float((point.at.square >= SPUN * point.at.dof).mean())
+    return float((point.at.square >= c.SPUN * point.at.dof).mean())
 
 
 def _again(taught: Taught, noise: Noise) -> Taught:

@@ -2,6 +2,8 @@
 
 import argparse
 import importlib
+import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,6 +11,8 @@ from steerd.daemon.cli.main import COMMANDS
 from steerd.daemon.common.packaged import EXAMPLES
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "commands.md"
+COMMON = 3
+"""Commands with the same line from which it is a common one."""
 _HEAD = """# Commands
 
 Every command with its arguments and options, from the parsers themselves.
@@ -62,12 +66,24 @@ def _rows(prog: str, parser: argparse.ArgumentParser) -> Iterator[str]:
 
 
 def make_page() -> str:
-    """The whole page."""
-    lines = [_HEAD]
+    """The whole page; what many commands say alike stands once, before them."""
+    found = {name: list(_rows(name, make_parser(name))) for name in COMMANDS}
+    counts = Counter(row for rows in found.values() for row in set(rows) if row.startswith("- "))
+    # The commonest text of an option; another one stays with its command.
+    texts = {
+        row.split("`")[1].split()[0]: row
+        for row, n in reversed(counts.most_common())
+        if n >= COMMON
+    }
+    common = {row: name for name, row in texts.items()}
+    lines = [_HEAD, "## Common options", "", *sorted(common)]
     for name, (_, summary) in COMMANDS.items():
-        lines += [f"## steerd {name}", "", f"{summary[0].upper()}{summary[1:]}."]
-        lines += [*_rows(name, make_parser(name)), ""]
-    return "\n".join(lines).rstrip() + "\n"
+        also = ", ".join(f"`{common[row]}`" for row in found[name] if row in common)
+        lines += ["", f"## steerd {name}", "", f"{summary[0].upper()}{summary[1:]}."]
+        lines += [f"Common: {also}."] if also else []
+        lines += [row for row in found[name] if row not in common]
+    text = re.sub("\n{3,}", "\n\n", "\n".join(lines))
+    return text.rstrip() + "\n"
 
 
 if __name__ == "__main__":

@@ -16,6 +16,8 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 
+from steerd.version import VERSION
+
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -91,8 +93,7 @@ def run_python(home: Path, code: str) -> str:
 def test_the_wheel_has_one_top_level_name_and_every_file(wheel: Path) -> None:
     names = {PurePosixPath(name) for name in zipfile.ZipFile(wheel).namelist()}
     tops = {name.parts[0] for name in names}
-    version = importlib.metadata.version("steerd")
-    assert tops == {"steerd", f"steerd-{version}.dist-info"}
+    assert tops == {"steerd", f"steer_daemon-{VERSION}.dist-info"}
     for room in ROOMS:
         kept = {
             PurePosixPath("steerd") / path.relative_to(ROOT).as_posix()

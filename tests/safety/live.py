@@ -122,10 +122,10 @@ class Live:
         if self.alive and now_ns - self._sent_ns >= KEEPALIVE_NS:
             self._sent_ns = now_ns
             self.ask(RequestKind.KEEPALIVE)
-        fds = [] if self.ended else [self.processes.status_fd]
+        fds = [] if self.ended else [self.processes.fds["status"]]
         if not select.select(fds, [], [], wait_s)[0]:
             return
-        data = os.read(self.processes.status_fd, 1 << 16)
+        data = os.read(self.processes.fds["status"], 1 << 16)
         self.ended = not data
         self._buffer += data
         for record in unpack_records(self._buffer):
@@ -247,4 +247,4 @@ def start_live(folder: Path, **more: Any) -> Iterator[Live]:
             yield live
         finally:
             live.end()
-            os.close(processes.status_fd)
+            os.close(processes.fds["status"])

@@ -10,14 +10,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from steerd.daemon.assembly.build import make_plan
-from steerd.daemon.loop.findings import WATCHDOGS
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus.messages import RequestKind
 from tests.safety.catalogue import BY_CODE
 from tests.safety.matrix import run_cell
 from tests.safety.rig import make_rig
-from tests.safety.trace import TRACES, silenced
+from tests.safety.trace import silenced
 
 DRIVE_S = 20.0
 
@@ -111,16 +110,7 @@ ELSEWHERE = {
 }
 
 
-def write_outside() -> list[str]:
-    """The table for docs/reference/safety.md."""
-    lines = ["| watchdog | what is changed | where |", "|---|---|---|"]
-    for id, trace in TRACES.items():
-        if id in DRIVES:
-            changed, where = DRIVES[id].changed, "`test_outside.py`"
-        elif id in ELSEWHERE:
-            changed, shown = ELSEWHERE[id]
-            where = "`test_runner.py`" if shown.startswith("test_") else f"live: {shown}"
-        else:
-            changed, where = BY_CODE[trace.cell[0]].name, " ".join(trace.cell)
-        lines.append(f"| {id} {WATCHDOGS[id].name} | {changed} | {where} |")
-    return lines
+def list_outside() -> dict[str, str]:
+    """What of the world is changed for a watchdog whose cell in `trace.py` is not such a cell."""
+    changed = {id: drive.changed for id, drive in DRIVES.items()}
+    return changed | {id: each.changed for id, each in ELSEWHERE.items()}

@@ -22,8 +22,8 @@ from tests.safety.catalogue import BY_CODE, FAULT_CASES, FaultCase, Must
 from tests.safety.live_faults import FAULTS
 from tests.safety.live_faults import PHASES as LIVE_PHASES
 from tests.safety.matrix import MOVING, Outcome, list_cells, run_cell
-from tests.safety.outside import write_outside
-from tests.safety.trace import write_trace
+from tests.safety.outside import list_outside
+from tests.safety.trace import TRACES, write_trace
 
 PAGES = Path(__file__).parents[2] / "docs" / "reference"
 
@@ -65,13 +65,12 @@ def show(case: FaultCase, cells: Sequence[Outcome]) -> str:
     """A fault's line: the slowest stop and the longest way of the cells that drive, what failed."""
     driven = [cell for cell in cells if cell.phase in MOVING and cell.phase != "P8"]
     stops = [cell.stop_s for cell in driven if isfinite(cell.stop_s)]
-    stop = f"{max(stops) * 1e3:.0f} ms" if stops else ""
-    way = f"{max(cell.distance_m for cell in driven):.2f} m" if driven else ""
+    stop = f"{max(stops) * 1e3:.0f}" if stops else ""
+    way = f"{max(cell.distance_m for cell in driven):.2f}" if driven else ""
     must = case.must in (Must.STOP_HARD, Must.STOP_SOFT, Must.ESTOP)
-    bound = f"{case.bound_s * 1e3:.0f} ms" if must else ""
-    wrong = [f"**{cell.phase}: {'; '.join(cell.wrong)}**" for cell in cells if cell.wrong]
-    count = " ".join([str(len(cells)), *wrong])
-    return f"| {case.code} {case.name} | {case.must.value} | {bound} | {stop} | {way} | {count} |"
+    wrong = "".join(f" **{cell.phase}: {'; '.join(cell.wrong)}**" for cell in cells if cell.wrong)
+    aim = f"{case.must.value} {case.bound_s * 1e3:.0f}" if must else "lane"
+    return f"| {case.code} {case.name}{wrong} | {aim} | {stop} | {way} |"
 
 
 def write_matrix(outcomes: Sequence[Outcome]) -> list[str]:
@@ -80,18 +79,18 @@ def write_matrix(outcomes: Sequence[Outcome]) -> list[str]:
     lines = [
         f"{len(FAULT_CASES)} faults, {len(outcomes)} cells, {good} good.",
         "",
-        "| fault | must | bound | slowest stop | longest way | cells |",
-        "|---|---|---|---|---|---|",
+        "| fault | must, within [ms] | slowest stop [ms] | longest way [m] |",
+        "|---|---|---|---|",
     ]
     quiet = []
     for case in FAULT_CASES:
         cells = [outcome for outcome in outcomes if outcome.code == case.code]
         if case.must is Must.LIVE_ON and not any(cell.wrong for cell in cells):
-            quiet.append(f"{case.code} {case.name} ({len(cells)})")
+            quiet.append(f"{case.code} {case.name}")
         else:
             lines.append(show(case, cells))
     named = ", ".join(quiet)
-    return [*lines, "", f"These must stop nothing, and did not; in brackets the cells: {named}."]
+    return [*lines, "", f"These must stop nothing, and did not: {named}."]
 
 
 def write_live(log: Path) -> list[str]:
@@ -103,7 +102,7 @@ def write_live(log: Path) -> list[str]:
         cells = []
         for phase in fault.phases.split():
             row = found[name, phase]
-            cells.append("ok" if row["stop_ms"] < 0.0 else f"{row['stop_ms']:.0f} ms")
+            cells.append("ok" if row["stop_ms"] < 0.0 else f"{row['stop_ms']:.0f}")
         shown = dict(zip(fault.phases.split(), cells, strict=True))
         reason = found.get((name, "P5"), {"reason": ""})["reason"].split(":")[0].split(";")[0]
         line = " | ".join(shown.get(phase, "") for phase in LIVE_PHASES)
@@ -112,13 +111,13 @@ def write_live(log: Path) -> list[str]:
 
 
 def write_thresholds() -> list[str]:
-    """Default and compiled-in range of each threshold, from the code."""
-    lines = ["| threshold | default | car file may say | unit |", "|---|---|---|---|"]
+    """Watchdogs, default and compiled-in range of each threshold, from the code."""
+    lines = ["| threshold | default | car file may say |", "|---|---|---|"]
     default = Thresholds()
-    lines += [
-        f"| `{name}` | {getattr(default, name):.4g} | {b.low:.4g} to {b.high:.4g} | {b.unit} |"
-        for name, b in BOUNDS.items()
-    ]
+    for name, b in BOUNDS.items():
+        used = ", ".join(id for id, trace in TRACES.items() if name in trace.thresholds)
+        value = f"{getattr(default, name):.4g} {b.unit}".strip()
+        lines.append(f"| `{name}` {used} | {value} | {b.low:.4g}..{b.high:.4g} |")
     return lines
 
 
@@ -168,8 +167,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     print(f"{len(outcomes)} cells, {len(bad)} bad")
     if not args.check:
         write_sections("safety-watchdogs.md", thresholds=write_thresholds())
-        write_sections("safety.md", outside=write_outside())
-        write_sections("safety-matrix.md", trace=write_trace(), matrix=write_matrix(outcomes))
+        write_sections(
+            "safety-matrix.md", trace=write_trace(list_outside()), matrix=write_matrix(outcomes)
+        )
     return 1 if bad else 0
 
 

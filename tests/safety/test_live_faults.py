@@ -86,7 +86,7 @@ def test_an_emergency_stop_without_a_vesc_ends_all_the_same(tmp_path, last) -> N
         end = os.pidfd_open(core.pid)
         assert select.select([end], [], [], 8.0)[0], "the core lives on"
         os.close(end)
-        for child in (live.processes.gateway, live.processes.recorder):
+        for child in (live.processes.children[name] for name in ("gateway", "recorder")):
             child.process.wait(5.0)
 
 

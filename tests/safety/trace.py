@@ -6,7 +6,7 @@ needs, or that never trips, is found out.
 """
 
 import importlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 from unittest.mock import patch
@@ -222,18 +222,19 @@ def trips(id: str, outcome: Outcome) -> bool:
     return any(reason.startswith(f"{id} ") for reason in outcome.reasons)
 
 
-def write_trace() -> list[str]:
+def write_trace(outside: Mapping[str, str]) -> list[str]:
     """The table for docs/reference/safety-matrix.md; drives every watchdog's cell twice."""
-    lines = ["| watchdog | code | thresholds | shown by | without it |", "|---|---|---|---|---|"]
+    lines = ["| watchdog | shown by | without it |", "|---|---|---|"]
     for id, trace in TRACES.items():
         shown, without = run_trace(id)
         behind = f" (without {', '.join(trace.behind)})" if trace.behind else ""
         ms = f"{shown.stop_s * 1e3:.0f} ms" if shown.stop_s < 10.0 else "by the VESC's timeout"
-        cell = f"{' '.join(trace.cell)}{behind}, {ms}" + (f"; {trace.also}" if trace.also else "")
-        code = trace.code.replace(":", " ").removeprefix("steerd.daemon.").replace(" ", "`: `")
-        names = ", ".join(f"`{name}`" for name in trace.thresholds) or "none"
-        row = f"{id} {WATCHDOGS[id].name} | `{code}` | {names} | {cell} | {_loss(without)}"
-        lines.append(f"| {row} |")
+        cell = "; ".join(
+            each
+            for each in (f"{' '.join(trace.cell)}{behind}, {ms}", outside.get(id), trace.also)
+            if each
+        )
+        lines.append(f"| {id} {WATCHDOGS[id].name} | {cell} | {_loss(without)} |")
     return lines
 
 

@@ -78,17 +78,24 @@ def _drive(text: str, seconds: float, rng: np.random.Generator, name: str, wheel
 def drive() -> Drive:
     """`drive(effects, runs=4, seconds=8, seed=0)`: runs of the default car with effects on."""
 
-    def make(
-        text: str = "", runs: int = 4, seconds: float = 8.0, seed: int = 0, wheel_sd: float = 0.02
-    ) -> list[Run]:
-        rng = np.random.default_rng(seed)
-        return [_drive(text, seconds, rng, f"run-{i}", wheel_sd) for i in range(runs)]
+    return simulate_drives
 
-    return make
+
+def simulate_drives(
+    text: str = "", runs: int = 4, seconds: float = 8.0, seed: int = 0, wheel_sd: float = 0.02
+) -> list[Run]:
+    """Runs of the default car with effects on."""
+    rng = np.random.default_rng(seed)
+    return [_drive(text, seconds, rng, f"run-{i}", wheel_sd) for i in range(runs)]
 
 
 @pytest.fixture(scope="session")
 def base() -> CarFile:
+    """The default car as if it had been identified."""
+    return make_base()
+
+
+def make_base() -> CarFile:
     """The default car as if it had been identified."""
     names = (
         "lf", "lr", "c_sf", "c_sr", "inertia_z", "steer_gain", "steer_bias", "steer_delay",

@@ -13,7 +13,7 @@ from steerd.daemon.analysis.car_output import with_known
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.assembly.session_meta import make_attachments, read_session_car
 from steerd.daemon.common.written import car_outputs, write_outputs
-from steerd.daemon.process.learner_job import make_learner_job
+from steerd.daemon.process.learner_memory import make_learner_job
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.posterior_file import ATTACHED, encode_posterior, posterior_path
 from steerd.steer_bus.session import AttachedFile, SessionWriter, open_session

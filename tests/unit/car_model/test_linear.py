@@ -1,4 +1,4 @@
-"""Steady turns and linear models against textbook formulas and the nonlinear car."""
+"""Linear models against textbook formulas and the nonlinear car."""
 
 import math
 
@@ -6,33 +6,15 @@ import numpy as np
 import pytest
 
 from steerd.car_model.chassis import Chassis, derivative
-from steerd.car_model.linear import augmented, lane_error_model, linearise, sample, steady_turn
-from steerd.car_model.ops import FLOAT
+from steerd.car_model.linear import augmented, lane_error_model, rates_and_jacobian, sample
 from steerd.car_model.params import DEFAULT_CAR, Car, wheelbase
 from steerd.car_model.planar import CHASSIS
-from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import ORIGIN, State
 from steerd.car_model.tape import TAPE, Tape, jacobian, program
-from tests.textbook import axle_stiffness, feedforward_steer, steady_slip, understeer_gradient
+from tests.textbook import axle_stiffness, understeer_gradient
 
 CAR = DEFAULT_CAR
 OVERSTEERING = CAR._replace(c_sf=6.0, c_sr=4.0)
-
-
-@pytest.mark.parametrize("speed", [0.05, 0.2, 0.3, 0.45, 0.7, 2.0, 5.0])
-@pytest.mark.parametrize("curvature", [-0.9, -0.1, 0.0, 0.4, 1.0])
-def test_a_steady_turn_stands_still_in_yaw_rate_and_slip(speed: float, curvature: float) -> None:
-    turn = steady_turn(CAR, speed, curvature)
-    rates = derivative(SINGLE_TRACK, FLOAT, CAR, turn.state, turn.wheel, 0.0)
-    assert turn.curvature == pytest.approx(curvature, abs=1e-12)
-    assert (rates.yaw_rate, rates.slip_angle) == pytest.approx((0.0, 0.0), abs=1e-9)
-
-
-@pytest.mark.parametrize("speed", [0.6, 1.5, 4.0])
-def test_above_walking_pace_the_steady_turn_is_the_understeer_relation(speed: float) -> None:
-    turn = steady_turn(CAR, speed, 0.8)
-    assert turn.wheel == pytest.approx(feedforward_steer(CAR, speed, 0.8), rel=1e-11)
-    assert turn.state.slip_angle == pytest.approx(steady_slip(CAR, speed, 0.8), rel=1e-10)
 
 
 def test_understeer_gradient_is_the_textbooks_with_per_axle_stiffness() -> None:
@@ -42,15 +24,10 @@ def test_understeer_gradient_is_the_textbooks_with_per_axle_stiffness() -> None:
     assert understeer_gradient(OVERSTEERING) < 0.0 < understeer_gradient(CAR)
 
 
-def test_a_turn_that_tyres_cannot_hold_is_refused() -> None:
-    with pytest.raises(ValueError, match="no steady turn"):
-        steady_turn(CAR._replace(c_sf=1e-300), 2.0, 0.5)
-
-
 @pytest.mark.parametrize("speed", [0.0, -1.0, math.nan])
-def test_a_steady_turn_needs_speed(speed: float) -> None:
+def test_lane_errors_need_speed(speed: float) -> None:
     with pytest.raises(ValueError, match="positive speed"):
-        steady_turn(CAR, speed, 0.5)
+        lane_error_model(CAR, speed)
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 2.5, 5.0])
@@ -93,10 +70,9 @@ def test_about_straight_driving_every_chassis_has_the_same_linear_model(
     slopes = jacobian((rates.yaw_rate, rates.slip_angle), inputs)
     outputs = [tape.node(number) for row in slopes for number in row]
     found = np.reshape(program(inputs, outputs)(0.0, 0.0, speed, 0.0, 0.0), (2, 5))
-    straight = steady_turn(car, speed, 0.0)
-    names = ("yaw_rate", "slip_angle")
-    expected = linearise(car, straight, names, (*names, "speed", "wheel", "accel"))[1]
-    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+    expected = rates_and_jacobian(car, ORIGIN._replace(speed=speed), 0.0, 0.0)[1]
+    columns = [4, 5, 3, 6, 7]
+    np.testing.assert_allclose(found, expected[4:, columns], rtol=1e-12, atol=1e-12)
 
 
 def test_sampling_a_double_integrator_is_exact() -> None:

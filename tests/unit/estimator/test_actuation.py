@@ -8,18 +8,15 @@ from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.rollout import simulate as simulate_car
 from steerd.car_model.rollout import start
+from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import ORIGIN, Command
-from steerd.estimator.actuation import (
-    NO_HISTORY,
-    History,
-    add_command,
-    command_at,
-    drive,
-    drop_older,
-)
+from steerd.estimator.config import FilterConfig
+from steerd.estimator.history import NO_HISTORY, History, add_command, command_at, drop_older
+from steerd.estimator.reference import Reference
 
 MS = 1_000_000
 CAR = DEFAULT_CAR._replace(steer_delay=0.012, drive_delay=0.004)
+drive = Reference(CAR, SINGLE_TRACK, FilterConfig(), {}).drive
 
 
 def random_history(
@@ -44,7 +41,7 @@ def test_actuators_follow_the_car_model_under_delayed_commands(
     run = simulate_car(FLOAT, Model(CAR), start(Model(CAR), first, 0.0), grid, 0.001)
     begin, end = 30, 190
     now = run[begin].state
-    out = drive(CAR, history, now.steer, now.speed, begin * MS, end * MS)
+    out = drive(history, now.steer, now.speed, begin * MS, end * MS)
     span = (end - begin) * 1e-3
     assert out.steer == pytest.approx(run[end].state.steer, abs=tolerance)
     assert now.speed + span * out.accel == pytest.approx(run[end].state.speed, abs=tolerance)
@@ -58,19 +55,19 @@ def test_derivatives_are_exact(seed: int, span_ms: int) -> None:
     steer, speed = float(rng.uniform(-0.2, 0.2)), float(rng.uniform(1.0, 2.0))
     begin = 61 * MS
     end = begin + span_ms * MS
-    out = drive(CAR, history, steer, speed, begin, end)
+    out = drive(history, steer, speed, begin, end)
     eps = 1e-7
-    right = drive(CAR, history, steer + eps, speed + eps, begin, end)
+    right = drive(history, steer + eps, speed + eps, begin, end)
     assert (right.steer - out.steer) / eps == pytest.approx(out.steer_by_steer, abs=1e-6)
     assert (right.wheel - out.wheel) / eps == pytest.approx(out.wheel_by_steer, abs=1e-6)
     assert (right.accel - out.accel) / eps == pytest.approx(out.accel_by_speed, abs=1e-6)
 
 
 def test_without_a_command_steering_holds_and_the_car_rolls() -> None:
-    out = drive(CAR, NO_HISTORY, 0.2, 1.0, 0, 10 * MS)
+    out = drive(NO_HISTORY, 0.2, 1.0, 0, 10 * MS)
     assert (out.steer, out.wheel, out.accel) == (0.2, 0.2, 0.0)
     released = add_command(add_command(NO_HISTORY, 0, Command(0.3, 3.0)), 5 * MS, None)
-    out = drive(CAR, released, 0.2, 1.0, 30 * MS, 40 * MS)
+    out = drive(released, 0.2, 1.0, 30 * MS, 40 * MS)
     assert (out.steer, out.accel, out.steered) == (0.2, 0.0, False)
 
 

@@ -14,9 +14,9 @@ from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car
 from steerd.car_model.planar import CHASSIS
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command
-from steerd.estimator.actuation import History
-from steerd.estimator.belief import Belief
 from steerd.estimator.config import FilterConfig
+from steerd.estimator.history import History
+from steerd.estimator.initial import Belief
 from steerd.estimator.sensors import make_gyro, make_pose, make_wheel_speed
 from steerd.estimator.state_filter import (
     FilterState,

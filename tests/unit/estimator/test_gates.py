@@ -3,7 +3,7 @@
 import pytest
 from scipy.special import chdtri
 
-from steerd.estimator.gates import chi_square_gate
+from steerd.estimator.sensors import chi_square_gate
 
 
 @pytest.mark.parametrize("degrees", [1, 2, 3, 7])

@@ -12,11 +12,10 @@ from steerd.car_model.rollout import start
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
 from steerd.car_model.tape import TAPE, Tape, jacobian, program
-from steerd.estimator.actuation import NO_HISTORY, add_command, drive
-from steerd.estimator.belief import Belief
 from steerd.estimator.config import FilterConfig
-from steerd.estimator.kalman import Kalman
-from steerd.estimator.motion import noise_density, predict_belief, propagate
+from steerd.estimator.history import NO_HISTORY, add_command
+from steerd.estimator.initial import Belief
+from steerd.estimator.reference import Reference
 
 CAR = DEFAULT_CAR
 QUIET = [0.0] * 7
@@ -27,6 +26,10 @@ STATES = [
     State(5.0, 1.0, 9.0, 4.5, -2.0, 0.02, -0.05),
     State(0.0, 0.0, 0.3, -0.6, 0.2, 0.01, 0.2),
 ]
+
+
+def make_reference(chassis: Chassis, car=CAR) -> Reference:
+    return Reference(car, chassis, FilterConfig(), {})
 
 
 every_chassis = pytest.mark.parametrize("chassis", CHASSIS, ids=lambda chassis: chassis.label)
@@ -57,7 +60,7 @@ def test_step_is_the_implicit_midpoint_of_the_whole_jacobian(chassis, state) -> 
     F[:6, 3] += h * W @ J[:, 7] * driven.accel_by_speed
     F[:6, 6] = h * W @ J[:, 6] * driven.wheel_by_steer
     F[6, 6] = driven.steer_by_steer
-    mean, transition, _ = propagate(CAR, chassis, state, driven, QUIET, h)
+    mean, transition, _ = make_reference(chassis).propagate(state, driven, QUIET, h)
     np.testing.assert_allclose(transition, F, rtol=1e-11, atol=1e-13)
     np.testing.assert_allclose(mean[:6], np.array(state[:6]) + h * W @ rates, rtol=1e-12)
     assert mean[6] == driven.steer
@@ -80,13 +83,13 @@ def test_error_falls_with_the_square_of_the_step(chassis, state) -> None:
     command = Command(state.steer + 0.1, state.speed + 0.2)  # within the slew limits
     car = CAR._replace(steer_delay=0.0)
     history = add_command(NO_HISTORY, 0, command)
-    exact = plant(chassis, state, command, 0.04)
+    exact, reference = plant(chassis, state, command, 0.04), make_reference(chassis, car)
 
     def error(count: int) -> float:
         now, h_ns = state, 40_000_000 // count
         for i in range(count):
-            driven = drive(car, history, now.steer, now.speed, i * h_ns, (i + 1) * h_ns)
-            now = State(*propagate(car, chassis, now, driven, QUIET, h_ns * 1e-9).mean.tolist())
+            driven = reference.drive(history, now.steer, now.speed, i * h_ns, (i + 1) * h_ns)
+            now = State(*reference.propagate(now, driven, QUIET, h_ns * 1e-9).mean.tolist())
         return float(np.abs(np.array(now) - exact)[:6].max())
 
     coarse, middle, fine = error(4), error(8), error(16)
@@ -100,8 +103,9 @@ def test_transition_is_the_derivative_of_the_motion(chassis, state) -> None:
     command, h = Command(state.steer + 0.1, state.speed + 0.2), 0.0002
     car = CAR._replace(steer_delay=0.0)
     history = add_command(NO_HISTORY, 0, command)
-    driven = drive(car, history, state.steer, state.speed, 0, round(h * 1e9))
-    transition = propagate(car, chassis, state, driven, QUIET, h).transition
+    reference = make_reference(chassis, car)
+    driven = reference.drive(history, state.steer, state.speed, 0, round(h * 1e9))
+    transition = reference.propagate(state, driven, QUIET, h).transition
     eps = 1e-5
     for i, name in enumerate(State._fields):
         up = state._replace(**{name: state[i] + eps})
@@ -116,9 +120,8 @@ def test_long_steps_at_low_speed_stay_bounded(chassis, speed: float) -> None:
     """A gap of seconds takes steps far beyond the stability limit of an explicit method."""
     belief = Belief(np.array([0, 0, 0, speed, 2.0, 0.3, 0.1]), np.eye(7) * 1e-2)
     history = add_command(NO_HISTORY, 0, Command(0.1, speed))
-    moved = predict_belief(
-        Kalman(7), CAR, chassis, FilterConfig(), history, belief, 20_000_000, 2_520_000_000
-    )
+    moved, sound = make_reference(chassis).predict(history, belief, 20_000_000, 2_520_000_000)
+    assert sound
     assert np.isfinite(moved.covariance).all()
     assert np.linalg.eigvalsh(moved.covariance).min() > 0.0
     assert abs(moved.mean[4]) < 0.5
@@ -128,10 +131,10 @@ def test_long_steps_at_low_speed_stay_bounded(chassis, speed: float) -> None:
 @pytest.mark.parametrize("state", STATES)
 def test_noise_enters_evenly_along_the_step(state) -> None:
     """`Q` is the integral of noise carried on by an `F` that grows linearly, summed in pieces."""
-    density = noise_density(FilterConfig())
+    density = list(FilterConfig().noise_density)
     h, pieces = 0.008, 2000
     driven = ActuatorMotion(0.13, 0.11, 0.7, 0.9, 0.95, -8.0)
-    _, F, Q = propagate(CAR, SINGLE_TRACK, state, driven, density, h)
+    _, F, Q = make_reference(SINGLE_TRACK).propagate(state, driven, density, h)
     density[5] = slip_density(FLOAT, density[5], state.speed)
     total = np.zeros((7, 7))
     for s in (np.arange(pieces) + 0.5) / pieces:

@@ -1,4 +1,4 @@
-"""What a drive teaches of the car while it lasts, and when the car changed.
+"""Parameters learnt during a drive, as they came, and when the car changed.
 
 The learner of `steerd run --learn` on a recorded drive. It learns the car in
 the first 25 s of driving, follows it, and says when it changed, and how.

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from steerd.daemon.cli.inputs import reads_car, reads_lane
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.process.prepared import CORE, Prepared, prepared
+from steerd.daemon.process.child import CORE, Prepared, prepared
 from steerd.daemon.process.view_job import DEFAULT_PORT, check_view
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions
 
@@ -348,7 +348,7 @@ def _run_live(plan: "RunPlan", core: Prepared) -> tuple[int, str]:
     processes = start_processes(plan, session, boot_id, epoch_ns, leased, core)
     for line in processes.core_report.get("realtime", ()):
         print(f"note: {line}", file=sys.stderr)
-    if processes.viewer is not None:
+    if processes.view_url:
         print(f"view: {processes.view_url} (Foxglove or Lichtblick: Open connection)")
     if processes.page is not None:
         print(f"page: {processes.page.url} (in a browser on this machine)")

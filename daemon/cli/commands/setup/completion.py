@@ -23,12 +23,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the script."""
-    from importlib.metadata import version
-
     from steerd.daemon.cli.main import COMMANDS
+    from steerd.version import VERSION
 
     if args.shell == MANUAL:
-        print(make_manual(COMMANDS, version("steerd")))
+        print(make_manual(COMMANDS, VERSION))
     else:
         print(make_script(args.shell, COMMANDS))
     return ExitCode.OK

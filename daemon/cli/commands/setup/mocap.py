@@ -119,6 +119,7 @@ def _check_live(args: argparse.Namespace) -> "list[Check]":
 
 
 def _calibrate(args: argparse.Namespace) -> int:
+    from steerd.car_model.planar import DRIVES
     from steerd.daemon.common.outputs import check_outputs
     from steerd.daemon.common.screen import print_labelled
     from steerd.daemon.common.translate import load_car_file
@@ -129,7 +130,8 @@ def _calibrate(args: argparse.Namespace) -> int:
 
     check_outputs({"-o": args.output})
     r = load_recorded(args.session)
-    found = calibrate_mount(make_drive(r), r.settings.file.car)
+    file = r.settings.file
+    found = calibrate_mount(make_drive(r), file.car, DRIVES.get(file.chassis.drive, 0.0))
     values = new_values(found, r)
     print("\n".join(_describe(found, r)))
     for warning in found.warnings:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from steerd.car_model.chassis import Axles, Rates, lateral_forces
+from steerd.car_model.effect import Contact
 from steerd.car_model.effects import EFFECTS
-from steerd.car_model.linear import steady_turn
 from steerd.car_model.model import Model, Moment, model_rates, observe
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, GRAVITY
@@ -15,9 +15,19 @@ from steerd.car_model.planar import make_planar
 from steerd.car_model.rollout import glide, simulate, start
 from steerd.car_model.single_track import loads_at
 from steerd.car_model.state import ORIGIN, Command, State
+from tests.textbook import feedforward_steer, steady_slip
 
 CAR = DEFAULT_CAR
 NO_RATES = Rates(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def steady_turn(speed: float, curvature: float) -> State[float]:
+    return ORIGIN._replace(
+        speed=speed,
+        yaw_rate=speed * curvature,
+        slip_angle=steady_slip(CAR, speed, curvature),
+        steer=feedforward_steer(CAR, speed, curvature),
+    )
 
 
 def drive(
@@ -39,7 +49,8 @@ def tyres(
     assert effect.forces is not None
     loads = loads_at(CAR, accel)
     linear = lateral_forces(CAR, slips, loads)
-    forces: Axles[float] = effect.forces(FLOAT, values, CAR, slips, loads, accel, linear)
+    at = Contact(CAR, ORIGIN, 0.0, accel, slips, loads, linear)
+    forces: Axles[float] = effect.forces(FLOAT, values, at)
     return forces
 
 
@@ -68,8 +79,8 @@ def test_relaxation_answers_a_slip_ramp_as_a_first_order_lag() -> None:
 
 
 def test_relaxation_leaves_the_steady_turn_alone() -> None:
-    turn = steady_turn(CAR, 2.0, 0.6)
-    last = drive("tyre_relaxation", (0.08,), turn.state, Command(turn.wheel, 2.0), 3.0)[-1]
+    turn = steady_turn(2.0, 0.6)
+    last = drive("tyre_relaxation", (0.08,), turn, Command(turn.steer, 2.0), 3.0)[-1]
     assert last.state.yaw_rate == pytest.approx(1.2, rel=1e-6)
     assert last.memory == pytest.approx((0.0, 0.0), abs=1e-7)
 
@@ -173,11 +184,13 @@ def test_drag_is_the_deceleration_of_a_car_left_to_roll() -> None:
 def test_scrub_with_drag_one_takes_the_power_of_slip() -> None:
     hook = EFFECTS["scrub"].rates
     assert hook is not None
-    turn = steady_turn(CAR, 2.0, 0.8)
-    v, r, beta = turn.state.speed, turn.state.yaw_rate, turn.state.slip_angle
-    slips = Axles(turn.wheel - beta - CAR.lf * r / v, CAR.lr * r / v - beta)
-    forces = lateral_forces(CAR, slips, loads_at(CAR, 0.0))
-    found = hook(FLOAT, (0.0, 1.0), CAR, turn.state, turn.wheel, forces, NO_RATES)
+    turn = steady_turn(2.0, 0.8)
+    v, r, beta = turn.speed, turn.yaw_rate, turn.slip_angle
+    slips = Axles(turn.steer - beta - CAR.lf * r / v, CAR.lr * r / v - beta)
+    loads = loads_at(CAR, 0.0)
+    forces = lateral_forces(CAR, slips, loads)
+    at = Contact(CAR, turn, turn.steer, 0.0, slips, loads, forces)
+    found = hook(FLOAT, (0.0, 1.0), at, NO_RATES)
     power = forces.front * slips.front * v + forces.rear * slips.rear * v
     assert -found.speed * CAR.mass * v == pytest.approx(power, rel=1e-9)
 

@@ -34,9 +34,9 @@ from steerd.car_model.planar import CHASSIS, PLANAR
 from steerd.car_model.rollout import simulate, start
 from steerd.car_model.state import Command, State
 from steerd.estimator import compiled
-from steerd.estimator.actuation import History
-from steerd.estimator.belief import Belief
 from steerd.estimator.config import FilterConfig
+from steerd.estimator.history import History
+from steerd.estimator.initial import Belief
 from steerd.estimator.sensors import make_gyro, make_pose, make_sensors, make_wheel_speed
 from steerd.sim_hw.plant.steps import make_steps
 

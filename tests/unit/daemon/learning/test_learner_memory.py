@@ -10,8 +10,7 @@ from steerd.car_model.car_file import default_car_path
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.learning.kept import DAY_NS, METADATA, format_kept
 from steerd.daemon.process.learner import make_keeper, make_learner_feed
-from steerd.daemon.process.learner_job import make_learner_job
-from steerd.daemon.process.learner_memory import learnt_page, recall_learnt
+from steerd.daemon.process.learner_memory import learnt_page, make_learner_job, recall_learnt
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import messages as m
 

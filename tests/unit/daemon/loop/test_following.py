@@ -32,6 +32,7 @@ from steerd.daemon.loop.following import (
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.estimator.config import FilterConfig
 from steerd.mocap_link.source import Pose
+from steerd.steer_bus.quick_values import changed
 
 MS = 1_000_000
 TH = Thresholds(follow_hold=0.0625, follow_distance=0.125, follow_noise=4.0, follow_steer=0.02)
@@ -48,7 +49,7 @@ def make_model():
 
 
 def near(low, high):
-    return (pytest.approx(low), pytest.approx(high))
+    return Band(pytest.approx(low), pytest.approx(high))
 
 
 def go(orders, until_ms, model=None, step_ms=10, speed=1.0, start=0.0):
@@ -152,7 +153,7 @@ def test_the_first_order_starts_at_the_measured_speed_with_the_steering_anywhere
     state = send_order(FollowState(), model, 7, order, rolling)
     assert state.orders == ((7, order),)
     assert state.trail == (Mark(7, Band(*band), Band(0.0, 0.0)),)
-    assert state.steer == (model.right.low, model.left.high)
+    assert state.steer == Band(model.right.low, model.left.high)
     short = model.base.low + model.understeer.low * 0.25
     assert state.curvature == near(tan(-0.36 - 0.02) / short, tan(0.48 + 0.02) / short)
 
@@ -174,8 +175,8 @@ def test_before_an_order_can_have_arrived_nothing_moves():
     model = make_model()
     order = Command(0.1, 1.0)
     state = advance(send_order(FollowState(), model, 0, order, 0.0), model, 40 * MS, 1.0)
-    assert state.trail[-1].speed == (0.0, 0.0)
-    assert state.steer == (model.right.low, model.left.high)
+    assert state.trail[-1].speed == Band(0.0, 0.0)
+    assert state.steer == Band(model.right.low, model.left.high)
 
 
 def test_speed_rises_between_the_fastest_and_the_slowest_car():
@@ -213,7 +214,7 @@ def test_a_fall_of_speed_has_its_own_limits():
 def test_a_slow_order_may_release_the_motor():
     """Below 0.3 m/s a VESC lets go: the car may stand at once or coast for ever."""
     state = go({0: Command(0.0, 2.0), 4000: Command(0.0, 0.29)}, 8000)
-    assert state.trail[-1].speed == (pytest.approx(0.0, abs=1e-6), pytest.approx(2.0))
+    assert state.trail[-1].speed == Band(pytest.approx(0.0, abs=1e-6), pytest.approx(2.0))
     state = go({0: Command(0.0, 2.0), 4000: Command(0.0, 0.3)}, 9000)
     assert state.trail[-1].speed == near(0.3, 0.3)
 
@@ -362,11 +363,11 @@ def test_a_measurement_between_two_ticks_may_lie_in_either_band():
     model = make_model()
     steady = go({0: Command(0.0, 1.0)}, 4000)
     marks = (Mark(0, Band(0.0, 1.0), Band(0, 0)), Mark(10, Band(-1.0, 0.5), Band(0, 0)))
-    state = steady._replace(trail=marks)
-    assert compare(state, model, (5, 0.0), ()).speed_band == (-1.0, 1.0)
-    assert compare(state, model, (10, 0.0), ()).speed_band == (-1.0, 0.5)
-    assert compare(state, model, (99, 0.0), ()).speed_band == (-1.0, 0.5)
-    assert compare(state, model, (0, 0.0), ()).speed_band == (-1.0, 1.0)
+    state = changed(steady, trail=marks)
+    assert compare(state, model, (5, 0.0), ()).speed_band == Band(-1.0, 1.0)
+    assert compare(state, model, (10, 0.0), ()).speed_band == Band(-1.0, 0.5)
+    assert compare(state, model, (99, 0.0), ()).speed_band == Band(-1.0, 0.5)
+    assert compare(state, model, (0, 0.0), ()).speed_band == Band(-1.0, 1.0)
 
 
 def test_what_was_measured_before_the_band_began_is_not_judged():
@@ -390,7 +391,7 @@ def test_turns_against_the_band_over_the_way():
         Mark(100 * MS, Band(0, 0), Band(1.05, 2.1)),
         Mark(200 * MS, Band(0, 0), Band(1.05, 2.1)),
     )
-    state = steady._replace(trail=marks)
+    state = changed(steady, trail=marks)
     margin = model.turn_margin / 0.1
     fast = compare(state, model, None, (Turn(0, 100 * MS, 0.25, 0.2),))
     assert fast.turn_band == near(1.0, 2.0)
@@ -432,8 +433,8 @@ def pose(t_ns, x, y, yaw):
 def test_turns_are_measured_over_a_short_and_a_long_stretch():
     track = tuple(pose(10 * k * MS, 0.03 * k, 0.04 * k, 0.01 * k) for k in range(31))
     short, long = measure_turns(track, 0.05)
-    assert short == (250 * MS, 300 * MS, pytest.approx(0.05), pytest.approx(0.25))
-    assert long == (150 * MS, 300 * MS, pytest.approx(0.15), pytest.approx(0.75))
+    assert short == Turn(250 * MS, 300 * MS, pytest.approx(0.05), pytest.approx(0.25))
+    assert long == Turn(150 * MS, 300 * MS, pytest.approx(0.15), pytest.approx(0.75))
     _, longest = measure_turns(track, 0.1)
     assert longest.t0_ns == 300 * MS - round(LONG_TURN_S * 1e9)
     _, early = measure_turns(track[:8], 0.05)

@@ -27,6 +27,7 @@ from steerd.steer_bus.messages import (
     RequestKind,
     make_header,
 )
+from steerd.steer_bus.quick_values import changed
 
 BOUNDS = LiveBounds(
     LiveValues(0.25, -0.125, 0.5), LiveValues(1.5, 0.125, 1.25), LiveValues(1.5, 0.0, 1.0)
@@ -179,7 +180,7 @@ def test_a_fault_ends_what_was_tuned():
     loop = make_loop()
     hold(loop, ANN, 1, 0)
     loop.on_parameters(ask(0.5, 0.1, 1.2, seq=2), 0)
-    loop.supervisor = loop.supervisor._replace(state=SupervisorState.FAULT_STOP)
+    loop.supervisor = changed(loop.supervisor, state=SupervisorState.FAULT_STOP)
     loop._apply_transition(SupervisorState.RUNNING, None, 0, "")
     assert isinstance(loop.live, Live)
     assert loop.live.aim == LiveValues(0.5, 0.0, 1.0)

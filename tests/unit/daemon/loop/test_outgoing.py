@@ -16,6 +16,7 @@ from steerd.daemon.loop.outgoing import (
 from steerd.daemon.loop.supervisor import Action, make_supervisor_memory
 from steerd.daemon.loop.transitions import MotorOutput, SteeringOutput, SupervisorState
 from steerd.steer_bus.messages import ActuationMode
+from steerd.steer_bus.quick_values import changed
 from steerd.vesc_link.vesc import Drive
 
 ACTION = Action(MotorOutput.SILENT, SteeringOutput.NONE, 0.0, "why", "what")
@@ -46,7 +47,7 @@ def test_a_state_without_estimate_is_nan_and_has_mode_and_flags():
 
 
 def test_a_transition_names_both_states_and_the_reason():
-    memory = make_supervisor_memory(0)._replace(state=SupervisorState.ESTOP, reason="W10 pressed")
+    memory = changed(make_supervisor_memory(0), state=SupervisorState.ESTOP, reason="W10 pressed")
     made = make_transition(SupervisorState.RUNNING, memory, 9)
     assert (made.from_state, made.to_state) == (SupervisorState.RUNNING, SupervisorState.ESTOP)
     assert (made.code, made.text) == ("running_estop", "W10 pressed")
@@ -63,7 +64,7 @@ def test_a_transition_names_both_states_and_the_reason():
     ],
 )
 def test_diagnostics_have_a_level_and_the_supervisors_values(state, warned, level):
-    memory = make_supervisor_memory(0)._replace(state=state)
+    memory = changed(make_supervisor_memory(0), state=state)
     findings = [make_finding("W7", "60 ms", Severity.WARN)] if warned else []
     made = make_diagnostics(memory, ACTION, "a start", findings, {"uuid": "ab"}, 9)
     assert made.status[0].level == level

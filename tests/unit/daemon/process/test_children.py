@@ -1,4 +1,4 @@
-"""Processes of a run: their job, their first line, and whose exit code counts in the end."""
+"""Processes of a run: whose exit code counts in the end, and whose descriptors are whose."""
 
 import os
 import socket
@@ -8,46 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.process.children import Child, RunProcesses, spawn
-
-ECHO = """
-import json, os, sys
-job = json.load(sys.stdin)
-ready = int(sys.argv[-1])
-os.write(ready, f"{job['word']} {sys.argv[1:-1]} {os.getpgid(0) == os.getpid()}\\n".encode())
-"""
-
-
-@pytest.fixture
-def echo(tmp_path, monkeypatch):
-    """A module that reports its job and its arguments on its ready descriptor."""
-    (tmp_path / "echo_job.py").write_text(ECHO)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    return "echo_job"
+from steerd.daemon.process.child import Child
+from steerd.daemon.process.children import Ends, RunProcesses
+from steerd.daemon.settings.run_options import RunOptions
 
 
 def ended(code):
-    """A child that has ended with a code, and whose ready descriptor is at its end."""
-    read_fd, write_fd = os.pipe()
-    os.close(write_fd)
+    """A child that has ended with a code."""
     done = subprocess.Popen([sys.executable, "-c", f"raise SystemExit({code})"])
-    return Child(done, read_fd)
-
-
-def test_a_process_gets_its_job_its_descriptors_and_a_group_of_its_own(echo):
-    read_fd, write_fd = os.pipe()
-    child = spawn(echo, {"pipe": write_fd}, {"word": "hello"})
-    assert child.wait_ready("echo") == f"hello ['{write_fd}'] True"
-    assert child.process.wait() == 0
-    for fd in (read_fd, write_fd, child.ready_fd):
-        os.close(fd)
-
-
-def test_a_process_that_ends_before_it_is_ready_is_named_with_its_code():
-    with pytest.raises(SteerdError, match="the recorder ended with code 7") as caught:
-        ended(7).wait_ready("recorder")
-    assert caught.value.code is ExitCode.INTERNAL
+    return Child(done, -1)
 
 
 @pytest.mark.parametrize(
@@ -57,10 +26,30 @@ def test_the_cores_code_counts_then_the_recorders_never_the_viewers(
     core, recorder, viewer, code, capsys
 ):
     ours, theirs = socket.socketpair()
-    run = RunProcesses(
-        ended(core), ended(recorder), ended(0), ended(viewer), ours, -1, Path("x.mcap"), {}
-    )
+    codes = {"core": core, "recorder": recorder, "gateway": 0, "viewer": viewer}
+    children = {name: ended(each) for name, each in codes.items()}
+    run = RunProcesses(children, {"requests": ours.detach()}, Path("x.mcap"), {})
     assert run.end() == code
     assert theirs.recv(1) == b""  # the core's end of the requests sees that nobody asks any more
     theirs.close()
     assert ("the viewer ended with code 9" in capsys.readouterr().err) is (viewer == 9)
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_every_end_belongs_to_one_process_and_the_terminal_keeps_its_own(asked):
+    ends = Ends(
+        RunOptions(car_file="", learn=asked, adapt=asked, view="1" * asked, view_sets=asked)
+    )
+    every = [fd for fds in ends.of.values() for fd in fds.values()]
+    assert len(set(every)) == len(every)
+    assert set(ends.of) == {"core", "recorder", "gateway", "terminal"} | (
+        {"learner", "view"} if asked else set()
+    )
+    ends.close(keep="terminal")
+    kept = set(ends.of["terminal"].values())
+    for fd in every:
+        if fd in kept:
+            os.close(fd)
+        else:
+            with pytest.raises(OSError, match="Bad file descriptor"):
+                os.fstat(fd)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
+from steerd.car_model.params import wheelbase
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.setup.mount_calibration import Drive, Mount, calibrate_mount, slip_per_accel
 
@@ -14,7 +15,9 @@ TRUTH = Mount(np.radians(3.0), 0.21, -0.015, 1.07, 0.018)
 DT = 1e-3
 
 
-def slow_drive(truth, *, seconds=60.0, seed=0, vary=True, one_side=False, straight=False, rate=120):
+def slow_drive(
+    truth, *, seconds=60.0, seed=0, vary=True, one_side=False, straight=False, rate=120, front=0.0
+):
     """Rear axle with the tyre's slip, marker and wheel as the truth says, with noise."""
     t = np.arange(0.0, seconds, DT)
     speed = 0.8 + (0.4 * np.sin(2 * np.pi * t / 7.0) if vary else 0.0)
@@ -33,14 +36,15 @@ def slow_drive(truth, *, seconds=60.0, seed=0, vary=True, one_side=False, straig
     px += np.cos(psi) * truth.rear_x - np.sin(psi) * truth.rear_y
     py += np.sin(psi) * truth.rear_x + np.cos(psi) * truth.rear_y
     noise = rng.normal(size=(3, len(at)))
-    wheel = np.interp(shown, t, speed) / truth.speed_gain + 0.01 * rng.normal(size=len(shown))
+    rolled = speed * (1.0 - front + front * np.hypot(1.0, wheelbase(CAR) * curvature))
+    wheel = np.interp(shown, t, rolled) / truth.speed_gain + 0.01 * rng.normal(size=len(shown))
     body = np.angle(np.exp(1j * (psi + truth.yaw + 0.002 * noise[2])))
     return Drive(shown, px + 3e-4 * noise[0], py + 3e-4 * noise[1], body, shown, wheel)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_the_injected_truth_is_found(seed):
-    found = calibrate_mount(slow_drive(TRUTH, seed=seed), CAR)
+@pytest.mark.parametrize(("seed", "front"), [(0, 0.0), (1, 0.0), (2, 0.5), (3, 1.0)])
+def test_the_injected_truth_is_found(seed, front):
+    found = calibrate_mount(slow_drive(TRUTH, seed=seed, front=front), CAR, front)
     mount = found.mount
     assert mount.yaw == pytest.approx(TRUTH.yaw, abs=np.radians(0.1))
     assert mount.rear_x == pytest.approx(TRUTH.rear_x, abs=2e-3)

@@ -70,7 +70,7 @@ def test_a_setting_comes_back_to_the_bit():
 def test_a_viewers_setting_goes_out_under_the_terminals_lease():
     sent, board = [], SimpleNamespace(state=None, parameters=LIVE)
     clock = SimpleNamespace(now_ns=lambda: 1, realtime_ns=lambda: 2)
-    processes = SimpleNamespace(requests=SimpleNamespace(send=sent.append), report_fd=None)
+    processes = SimpleNamespace(requests=SimpleNamespace(send=sent.append), fds={})
     terminal = Terminal(processes, board, Operator(1, 77, "desk"), clock)
     packets = iter([b"set gain 1.1", b"set mass 9", b""])
     viewer = SimpleNamespace(recv=lambda _most: next(packets))

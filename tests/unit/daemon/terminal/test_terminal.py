@@ -30,7 +30,7 @@ class Desk:
         self.now_ns = 77 * 10**9
         self.board = SimpleNamespace(state=None)
         clock = SimpleNamespace(now_ns=lambda: self.now_ns, realtime_ns=lambda: self.now_ns)
-        processes = SimpleNamespace(requests=SimpleNamespace(send=self.sent.append), report_fd=None)
+        processes = SimpleNamespace(requests=SimpleNamespace(send=self.sent.append), fds={})
         self.terminal = Terminal(processes, self.board, Operator(1, 77, "desk"), clock)
 
     def press(self, key):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from steerd.car_model.chassis import Chassis
-from steerd.car_model.effect import BaseSelection, Effect, Stage
+from steerd.car_model.effect import Effect, Stage
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR
@@ -74,10 +74,6 @@ def test_an_effect_that_is_not_the_librarys_runs_on_floats() -> None:
         equation="",
         parameters=(),
         least_size=0.0,
-        confounded_with=None,
-        needs_commands=None,
-        selectable_in_base=BaseSelection.NEVER,
-        zero_gradient=False,
         reference=branching,
     )
     model = Model(DEFAULT_CAR, (effect,), ((),))

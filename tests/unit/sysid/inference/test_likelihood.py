@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.disturbance_response import responses
 from steerd.sysid.inference.likelihood import (
     DISCREPANCY,
     DISCREPANCY_MEMORY,
     SIZES,
-    SPUN,
     SPUN_SHARE,
     loss_of,
     take_some,
@@ -139,7 +139,7 @@ def test_a_window_in_which_the_car_spins_hardly_pulls_and_decides_little(likelih
     spun = at._replace(square=at.square * np.where(np.arange(len(guess)) == 2, 1e6, 1.0))
     assert 0.0 < spun.weight[2] < 1e-5 < np.delete(spun.weight, 2).min()
     usual = spun.dof[2] * np.log1p(spun.square[2] / spun.dof[2])
-    bounded = spun.dof[2] * np.log1p(SPUN)
+    bounded = spun.dof[2] * np.log1p(c.SPUN)
     found = loss_of(spun.square, spun.dof)[2]
     assert found == pytest.approx(bounded + SPUN_SHARE * (usual - bounded))
 
@@ -147,7 +147,7 @@ def test_a_window_in_which_the_car_spins_hardly_pulls_and_decides_little(likelih
 def test_a_weight_is_the_slope_of_the_loss(likelihood, small):
     """Half of it per square, below and beyond the bound from which a window counts as spun."""
     at = stand(likelihood, small, small.centre, likelihood.engine.readings.layout.guess, 0.0).at
-    for ratio in (0.5, 3.0, 0.9 * SPUN, 1.1 * SPUN, 50.0 * SPUN):
+    for ratio in (0.5, 3.0, 0.9 * c.SPUN, 1.1 * c.SPUN, 50.0 * c.SPUN):
         square, dof = ratio * at.dof, at.dof
         step = 1e-4 * square
         slope = (loss_of(square + step, dof) - loss_of(square - step, dof)) / (2.0 * step)

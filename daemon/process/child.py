@@ -1,6 +1,7 @@
-"""A process that is started before its job is known, and loads what it needs in the meantime.
+"""A process of a run: it gets descriptors by name and a job, and says when it is ready.
 
-Only the standard library is imported here: whoever prepares a process has not loaded much either.
+It may be started before its job is known, and loads what it needs in the meantime. Little more than
+the standard library is imported here: whoever prepares a process has not loaded much either.
 """
 
 # Why: docs/decisions/processes-and-time.md#d110
@@ -8,6 +9,7 @@ Only the standard library is imported here: whoever prepares a process has not l
 import contextlib
 import json
 import os
+import select
 import socket
 import subprocess
 import sys
@@ -15,10 +17,41 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from steerd.daemon.common.errors import ExitCode, SteerdError
+
 CORE = "steerd.daemon.process.core_process"
 """Module of the control core, which takes longest to load."""
+READY_S = 30.0
+"""Longest time until a process is ready [s]."""
 _MOST_FDS = 32
 _READ_BYTES = 65536
+
+
+@dataclass
+class Child:
+    """A process and the descriptor on which it reports that it is ready."""
+
+    process: "subprocess.Popen[bytes]"
+    ready_fd: int
+
+    def wait_ready(self, name: str) -> str:
+        """Its first line.
+
+        Raises:
+            SteerdError: it ended, or nothing came in time.
+        """
+        poll = select.poll()
+        poll.register(self.ready_fd, select.POLLIN | select.POLLHUP)
+        line = b""
+        while not line.endswith(b"\n"):
+            if not poll.poll(int(READY_S * 1000)):
+                raise SteerdError(f"the {name} did not start", "", ExitCode.INTERNAL)
+            data = os.read(self.ready_fd, 4096)
+            if not data:
+                code = self.process.wait()
+                raise SteerdError(f"the {name} ended with code {code}", "", ExitCode.INTERNAL)
+            line += data
+        return line.decode().strip()
 
 
 @dataclass(frozen=True)
@@ -35,15 +68,21 @@ class Prepared:
 
 
 class Job(NamedTuple):
-    """What a prepared process is given.
+    """What a process is given.
 
     Attributes:
-        fds: descriptors of the process by name.
+        fds: its descriptors by name; `ready` takes its first line.
         about: what it is to do.
     """
 
     fds: dict[str, int]
     about: dict[str, Any]
+
+    def say_ready(self, line: str) -> None:
+        """Report the first and only line; nobody may be there to read it."""
+        with contextlib.suppress(BrokenPipeError):  # Ctrl-C ended the terminal
+            os.write(self.fds["ready"], f"{line}\n".encode())
+        os.close(self.fds["ready"])
 
 
 def prepare(module: str) -> Prepared:
@@ -72,15 +111,24 @@ def prepared(module: str) -> Iterator[Prepared]:
             waiting.process.wait()
 
 
-def hand_over(waiting: Prepared, fds: Mapping[str, int], about: Mapping[str, Any]) -> None:
+def hand_over(waiting: Prepared, fds: Mapping[str, int], about: Mapping[str, Any]) -> Child:
     """Give a prepared process its job; one that has ended is noticed by its ready descriptor."""
+    ready_fd, child_fd = os.pipe()
+    every = {**fds, "ready": child_fd}
     with waiting.end, contextlib.suppress(BrokenPipeError, ConnectionResetError):
-        socket.send_fds(waiting.end, [json.dumps([*fds]).encode() + b"\n"], [*fds.values()])
+        socket.send_fds(waiting.end, [json.dumps([*every]).encode() + b"\n"], [*every.values()])
         waiting.end.sendall(json.dumps(about).encode())
+    os.close(child_fd)
+    return Child(waiting.process, ready_fd)
+
+
+def spawn(module: str, fds: Mapping[str, int], about: Mapping[str, Any]) -> Child:
+    """Start `python -m module` with its job."""
+    return hand_over(prepare(module), fds, about)
 
 
 def receive_job() -> Job | None:
-    """In the prepared process: its job; None where the other end was closed without one."""
+    """In the process: its job; None where the other end was closed without one."""
     with socket.socket(fileno=os.dup(sys.stdin.fileno())) as end:
         data, numbers, _, _ = socket.recv_fds(end, _READ_BYTES, _MOST_FDS)
         while more := end.recv(_READ_BYTES):

@@ -1,17 +1,19 @@
-"""A process that waits for its job: given one, given none, ended before it came."""
+"""A process and its job: given one, given none, ended before it came or before it was ready."""
 
 import os
 
 import pytest
 
-from steerd.daemon.process.prepared import hand_over, prepare, prepared
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.process.child import hand_over, prepare, prepared, spawn
 
 WAITER = """
 import os
-from steerd.daemon.process.prepared import receive_job
+from steerd.daemon.process.child import receive_job
 job = receive_job()
 if job is not None:
-    os.write(job.fds["answer"], f"{job.about['word']} {os.getpgid(0) == os.getpid()}".encode())
+    job.say_ready(f"{job.about['word']} {os.getpgid(0) == os.getpid()}")
+    os.write(job.fds["answer"], b"done")
 """
 
 
@@ -28,10 +30,19 @@ def test_a_job_comes_with_its_descriptors_by_name_and_may_be_long(waiter):
     word = "long" * 100_000
     read_fd, write_fd = os.pipe()
     with prepared(waiter) as waiting, os.fdopen(read_fd) as answer:
-        hand_over(waiting, {"other": read_fd, "answer": write_fd}, {"word": word})
+        child = hand_over(waiting, {"other": read_fd, "answer": write_fd}, {"word": word})
         os.close(write_fd)
-        assert answer.read() == f"{word} True"
-        assert waiting.process.wait() == 0
+        assert child.wait_ready("waiter") == f"{word} True"
+        assert answer.read() == "done"
+        assert child.process.wait() == 0
+        os.close(child.ready_fd)
+
+
+def test_a_process_that_ends_before_it_is_ready_is_named_with_its_code(tmp_path, waiter):
+    (tmp_path / "ending.py").write_text("raise SystemExit(7)")
+    with pytest.raises(SteerdError, match="the recorder ended with code 7") as caught:
+        spawn("ending", {}, {}).wait_ready("recorder")
+    assert caught.value.code is ExitCode.INTERNAL
 
 
 def test_without_a_job_it_ends_by_itself_and_says_nothing(waiter):
@@ -51,7 +62,8 @@ def test_a_process_that_has_ended_takes_no_job_and_its_descriptors_are_closed(wa
     waiting = prepare(waiter)
     waiting.process.kill()
     waiting.process.wait()
-    hand_over(waiting, {"answer": write_fd}, {"word": "late"})
+    child = hand_over(waiting, {"answer": write_fd}, {"word": "late"})
     os.close(write_fd)
-    assert os.read(read_fd, 1) == b"", "nobody holds the other end"
-    os.close(read_fd)
+    for fd in (read_fd, child.ready_fd):
+        assert os.read(fd, 1) == b"", "nobody holds the other end"
+        os.close(fd)
