@@ -55,10 +55,8 @@ class Learned(NamedTuple):
     """A new value for one number of a car file."""
 
     value: float
-    sd: float | None = None
-    """Standard error, where it is known."""
-    source: str = ""
-    """Where it comes from: a session, a data sheet."""
+    sd: float | None = None  # standard error, where it is known
+    source: str = ""  # where it comes from: a session, a data sheet
 
 
 @dataclass(frozen=True)
@@ -77,8 +75,7 @@ class CarFile:
     sections: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """All other sections, unchecked; `noise` and `knowledge` from the file beside it."""
     text: str = field(default="", repr=False)
-    chassis: Chassis = SINGLE_TRACK
-    """The equations that `[car] chassis` and `drive` name."""
+    chassis: Chassis = SINGLE_TRACK  # the equations that `[car] chassis` and `drive` name
     posterior: str = field(default="", repr=False)
     """Text of the file beside it, empty where there is none."""
     remark: str = ""

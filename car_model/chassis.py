@@ -49,22 +49,14 @@ ChassisRates = Callable[[Ops[T], Car[T], State[T], T, T, Axles[T], Axles[T]], Ra
 
 @dataclass(frozen=True)
 class Chassis:
-    """The equations of a planar body on two axles. Name and drive say which: they alone compare.
+    """The equations of a planar body on two axles. Name and drive say which: they alone compare."""
 
-    Attributes:
-        name: as the car file says it.
-        drive: which wheels the motor turns, `rear`, `front` or `all`; empty where the equations do
-            not ask.
-        slip_angles: from state to slip angles.
-        axle_loads: from state to loads.
-        rates: from loads and forces to rates.
-    """
-
-    name: str
+    name: str  # as the car file says it
+    # Which wheels the motor turns, `rear`, `front` or `all`; empty where the equations do not ask
     drive: str
-    slip_angles: SlipAngles[Any] = field(compare=False)
-    axle_loads: AxleLoads[Any] = field(compare=False)
-    rates: ChassisRates[Any] = field(compare=False)
+    slip_angles: SlipAngles[Any] = field(compare=False)  # from state to slip angles
+    axle_loads: AxleLoads[Any] = field(compare=False)  # from state to loads
+    rates: ChassisRates[Any] = field(compare=False)  # from loads and forces to rates
 
     @property
     def label(self) -> str:
@@ -88,10 +80,8 @@ def dynamic_share(ops: Ops[T], speed: T) -> T:
 class Rolling(NamedTuple, Generic[T]):
     """A car that follows its wheels without slip."""
 
-    yaw_rate: T
-    """[rad/s]."""
-    slip_angle: T
-    """Of the CoG [rad]."""
+    yaw_rate: T  # [rad/s]
+    slip_angle: T  # of the CoG [rad]
 
 
 def rolling(ops: Ops[T], car: Car[T], speed: T, wheel: T) -> Rolling[T]:

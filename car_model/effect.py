@@ -65,8 +65,7 @@ class Role(StrEnum):
 class Confounding(NamedTuple):
     """Other effects whose data look the same, exactly or nearly."""
 
-    effects: tuple[str, ...]
-    """Their names."""
+    effects: tuple[str, ...]  # their names
     note: str = ""
     """Which effect it looks like under which condition; a report prints it beside the name."""
 
@@ -75,16 +74,13 @@ class EffectParameter(NamedTuple):
     """One number of an effect."""
 
     name: str
-    null: float
-    """The value at which the effect changes nothing."""
+    null: float  # the value at which the effect changes nothing
     low: float
     high: float
     unit: str
-    scale: float
-    """Prior standard deviation about the null: what is ordinary on a car of this class."""
+    scale: float  # prior standard deviation about the null: what is ordinary on a car of this class
     meaning: str
-    scan: tuple[float, ...] = ()
-    """Values worth trying where the gradient at the null is zero."""
+    scan: tuple[float, ...] = ()  # values worth trying where the gradient at the null is zero
     role: Role = Role.SIZE
 
     @property
@@ -103,16 +99,11 @@ class Contact(NamedTuple, Generic[T]):
 
     car: Car[T]
     state: State[T]
-    wheel: T
-    """Road-wheel angle [rad]."""
-    accel: T
-    """Longitudinal acceleration [m/s^2]."""
-    slips: Axles[T]
-    """Slip angles that the tyres feel [rad]."""
-    loads: Axles[T]
-    """Vertical [N]."""
-    forces: Axles[T]
-    """Lateral [N]."""
+    wheel: T  # road-wheel angle [rad]
+    accel: T  # longitudinal acceleration [m/s^2]
+    slips: Axles[T]  # slip angles that the tyres feel [rad]
+    loads: Axles[T]  # vertical [N]
+    forces: Axles[T]  # lateral [N]
 
 
 Values = Sequence[T]
@@ -183,8 +174,7 @@ class Effect:
     """Chassis whose own equations contain it: on those it is no effect."""
     scan: ScanHook | None = None
     """Values worth trying where they depend on the drives; else each parameter's own scan."""
-    memory: int = 0
-    """How many numbers it remembers from step to step; all start at zero."""
+    memory: int = 0  # how many numbers it remembers from step to step; all start at zero
     delays: DelayHook[Any] | None = None
     car: CarHook[Any] | None = None
     reference: ReferenceHook[Any] | None = None
@@ -194,8 +184,7 @@ class Effect:
     rates: RateHook[Any] | None = None
     remember: RememberHook[Any] | None = None
     observe: ObserveHook[Any] | None = None
-    aliases: tuple[str, ...] = ()
-    """Other names that people use for it."""
+    aliases: tuple[str, ...] = ()  # other names that people use for it
 
     def __post_init__(self) -> None:
         """Refuse fields that contradict each other."""
@@ -268,7 +257,6 @@ class BoundHook(NamedTuple):
     """One hook of one effect in a model: which values and which memory it gets."""
 
     hook: Callable[..., Any]
-    position: int
-    """Which of the model's effects, hence which tuple of values."""
+    position: int  # which of the model's effects, hence which tuple of values
     start: int
     stop: int

@@ -27,10 +27,8 @@ _TAYLOR_TERMS = 14
 class LaneErrorModel(NamedTuple):
     """`d/dt (e1, e1', e2, e2') = a e + b_steer wheel + b_curvature curvature`."""
 
-    a: Matrix
-    """4 x 4."""
-    b_steer: Matrix
-    """4, per rad of road-wheel angle."""
+    a: Matrix  # 4 x 4
+    b_steer: Matrix  # 4, per rad of road-wheel angle
     b_curvature: Matrix
     """4, per 1/m of path curvature: Rajamani's B2 (per desired yaw rate) times the speed."""
 
@@ -41,8 +39,7 @@ class Sampled(NamedTuple):
     a: Matrix
     b: Matrix
     b_late: Matrix
-    whole: int
-    """Full periods of dead time."""
+    whole: int  # full periods of dead time
 
 
 def rates_and_jacobian(

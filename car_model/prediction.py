@@ -41,17 +41,13 @@ Record = tuple[list[Node], list[Node]]
 class ActuatorMotion(NamedTuple):
     """What steering and drive did over an interval, and how that depends on where they began."""
 
-    steer: float
-    """Steering angle at the end [rad]."""
-    wheel: float
-    """Its mean over the interval [rad]."""
-    accel: float
-    """Mean longitudinal acceleration [m/s^2]."""
+    steer: float  # steering angle at the end [rad]
+    wheel: float  # its mean over the interval [rad]
+    accel: float  # mean longitudinal acceleration [m/s^2]
     steer_by_steer: float
     wheel_by_steer: float
     accel_by_speed: float
-    steered: bool = True
-    """False while nothing drives the servo, which then holds where it is."""
+    steered: bool = True  # false while nothing drives the servo, which then holds where it is
 
 
 def slip_density(ops: Ops[T], lateral: T, speed: T) -> T:

@@ -12,44 +12,30 @@ from steerd.car_model.ops import T
 class State(NamedTuple, Generic[T]):
     """The seven states of the single-track model (CommonRoad ST, the paper's model)."""
 
-    x: T
-    """CoG position in the world [m]."""
-    y: T
-    """CoG position in the world [m]."""
-    yaw: T
-    """Heading of the body's x axis [rad], not wrapped."""
-    speed: T
-    """Speed of the CoG along its velocity, negative in reverse [m/s]."""
-    yaw_rate: T
-    """[rad/s]."""
-    slip_angle: T
-    """Side-slip of the CoG: direction of travel minus yaw [rad]."""
-    steer: T
-    """Angle that the steering actuator holds, as road-wheel angle [rad]."""
+    x: T  # CoG position in the world [m]
+    y: T  # CoG position in the world [m]
+    yaw: T  # heading of the body's x axis [rad], not wrapped
+    speed: T  # speed of the CoG along its velocity, negative in reverse [m/s]
+    yaw_rate: T  # [rad/s]
+    slip_angle: T  # side-slip of the CoG: direction of travel minus yaw [rad]
+    steer: T  # angle that the steering actuator holds, as road-wheel angle [rad]
 
 
 class Command(NamedTuple, Generic[T]):
     """What the controller asks for, before the car's own gains and delays."""
 
-    steer: T
-    """Road-wheel angle asked for [rad]."""
-    speed: T
-    """Speed asked for [m/s], as wheel speed with the nominal gain."""
+    steer: T  # road-wheel angle asked for [rad]
+    speed: T  # speed asked for [m/s], as wheel speed with the nominal gain
 
 
 class Observation(NamedTuple, Generic[T]):
     """What the instruments would read without noise."""
 
-    x: T
-    """[m], world."""
-    y: T
-    """[m], world."""
-    yaw: T
-    """[rad]."""
-    wheel_speed: T
-    """Speed that the motor controller reports with the nominal gain [m/s]."""
-    yaw_rate: T
-    """[rad/s]."""
+    x: T  # [m], world
+    y: T  # [m], world
+    yaw: T  # [rad]
+    wheel_speed: T  # speed that the motor controller reports with the nominal gain [m/s]
+    yaw_rate: T  # [rad/s]
 
 
 class Delays(NamedTuple, Generic[T]):

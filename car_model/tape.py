@@ -34,13 +34,9 @@ class Entry(NamedTuple):
 
 @dataclass
 class Tape:
-    """A record of operations; a node is a place in it.
+    """A record of operations; a node is a place in it."""
 
-    Attributes:
-        entries: the operations, each after its arguments.
-    """
-
-    entries: list[Entry] = field(default_factory=list)
+    entries: list[Entry] = field(default_factory=list)  # the operations, each after its arguments
     _places: dict[Entry, int] = field(default_factory=dict)
 
     def place(self, entry: Entry) -> int:

@@ -15,14 +15,13 @@ from math import isfinite
 from typing import NamedTuple
 
 from steerd.car_model.params import Car
-from steerd.controller.design import assessed_speeds, find_faults, stability_at
+from steerd.controller.design import assessed_speeds, find_faults, margins, stability_at
 from steerd.controller.gain_table import N_LANE, N_TURNING, look_up
 from steerd.controller.lane_controller import LaneController
 from steerd.controller.learnt import (
     Design,
     Learnt,
     LearntBounds,
-    follow_learnt,
     learnt_car,
     learnt_of,
     learnt_timing,
@@ -30,7 +29,6 @@ from steerd.controller.learnt import (
     steps,
 )
 from steerd.controller.loop_model import Timing, sampled_loop, turn_response
-from steerd.controller.margins import margins
 
 DISTANCE = 0.5
 """Least distance from -1: gain may be doubled, or a third be missing; 29 degrees of phase."""
@@ -43,19 +41,12 @@ _NEAR = 1e-6
 
 
 class Acceptance(NamedTuple):
-    """What a design is compared with.
+    """What a design is compared with."""
 
-    Attributes:
-        file: the controller of the car file.
-        bounds: of the numbers.
-        steps: how far they may be from those in force.
-        distance: least distance from -1.
-    """
-
-    file: LaneController
-    bounds: LearntBounds
-    steps: Learnt
-    distance: float
+    file: LaneController  # the controller of the car file
+    bounds: LearntBounds  # of the numbers
+    steps: Learnt  # how far they may be from those in force
+    distance: float  # least distance from -1
 
 
 def make_acceptance(file: LaneController) -> Acceptance:
@@ -69,20 +60,14 @@ def make_acceptance(file: LaneController) -> Acceptance:
     return Acceptance(file, make_bounds(file.car), steps(file.car), distance)
 
 
-def accept(held: Acceptance, now: Learnt, design: Design) -> LaneController | str:
-    """The controller of a design, or why it is refused.
+def check_design(held: Acceptance, now: Learnt, design: Design) -> Iterator[str]:
+    """The check piece by piece: nothing for one that passes, and the last is why it is refused.
 
     Args:
-        held: what it is held against.
+        held: what the design is compared with.
         now: the numbers in force.
         design: the proposal.
     """
-    problem = next(filter(None, check_design(held, now, design)), "")
-    return problem or follow_learnt(held.file, design)
-
-
-def check_design(held: Acceptance, now: Learnt, design: Design) -> Iterator[str]:
-    """The check piece by piece: nothing for one that passes, and the last is why it is refused."""
     problem = _check_numbers(held, now, design) or _check_table(held, design)
     yield problem
     if problem:

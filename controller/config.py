@@ -21,18 +21,12 @@ class LqrWeights(NamedTuple):
     The defaults value 0.5 m of offset, 1 rad of heading error and 1 rad of steering alike.
     """
 
-    e1: float = 4.0
-    """[1/m^2]."""
-    e1_rate: float = 0.0
-    """[s^2/m^2]."""
-    e2: float = 1.0
-    """[1/rad^2]."""
-    e2_rate: float = 0.0
-    """[s^2/rad^2]."""
-    steer: float = 0.0
-    """Wheel angle beyond that of the turn [1/rad^2]."""
-    effort: float = 1.0
-    """Steering reference beyond that of the turn [1/rad^2]."""
+    e1: float = 4.0  # [1/m^2]
+    e1_rate: float = 0.0  # [s^2/m^2]
+    e2: float = 1.0  # [1/rad^2]
+    e2_rate: float = 0.0  # [s^2/rad^2]
+    steer: float = 0.0  # wheel angle beyond that of the turn [1/rad^2]
+    effort: float = 1.0  # steering reference beyond that of the turn [1/rad^2]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,28 +41,19 @@ class ControllerConfig:
     poles: tuple[complex, ...] = PAPER_POLES
     """Of `pole_placement`, continuous [1/s]: four, complex ones in conjugate pairs."""
     weights: LqrWeights = field(default_factory=LqrWeights)
-    damping_min: float = 0.1
-    """A closed loop with a mode less damped than this is refused."""
+    damping_min: float = 0.1  # a closed loop with a mode less damped than this is refused
     grid_speed_min: float = 0.1
     """Lowest design speed [m/s]; its gains hold below. `pole_placement` starts no lower than where
     the tyre equations hold alone (`steerd.car_model.chassis.SPEED_DYNAMIC`): a car that rolls
     without slip has one fast mode that no steering moves."""
-    grid_spacing: float = 0.25
-    """Largest distance between design speeds [m/s]."""
-    speed: float = 1.0
-    """Speed to drive where nothing asks for less [m/s]."""
-    file_speeds: bool = True
-    """Whether a raceline's own speeds cap it."""
-    lateral_accel_max: float = 2.0
-    """v^2 |curvature| of the speed profile [m/s^2]."""
-    accel_max: float = 1.5
-    """Growth of the speed along the path [m/s^2]."""
-    decel_max: float = 1.5
-    """Fall of the speed before a corner or an end [m/s^2]."""
-    start_ramp: float = 1.5
-    """Growth of the speed reference in time [m/s^2]."""
-    stop_ramp: float = 1.5
-    """Fall of the speed reference on a stop request [m/s^2]."""
+    grid_spacing: float = 0.25  # largest distance between design speeds [m/s]
+    speed: float = 1.0  # speed to drive where nothing asks for less [m/s]
+    file_speeds: bool = True  # whether a raceline's own speeds cap it
+    lateral_accel_max: float = 2.0  # v^2 |curvature| of the speed profile [m/s^2]
+    accel_max: float = 1.5  # growth of the speed along the path [m/s^2]
+    decel_max: float = 1.5  # fall of the speed before a corner or an end [m/s^2]
+    start_ramp: float = 1.5  # growth of the speed reference in time [m/s^2]
+    stop_ramp: float = 1.5  # fall of the speed reference on a stop request [m/s^2]
 
     def __post_init__(self) -> None:
         problems = [*_number_problems(self), *_pole_problems(self.poles)]

@@ -27,6 +27,9 @@ LASTING_S, LASTING_SHARE = 0.1, 0.1
 as the dead time's own (n eigenvalues near zero, which the least change sends round a circle of
 radius eps^(1/n)), are gone before they show."""
 
+SLOWEST, POINTS = 0.05, 120
+"""Lowest frequency that is looked at [rad/s], and how many up to half the sampling frequency."""
+
 
 class DesignRefused(ValueError):  # noqa: N818
     """No controller that may drive: names speed, rate and delay, and what to try."""
@@ -35,10 +38,8 @@ class DesignRefused(ValueError):  # noqa: N818
 class Stability(NamedTuple):
     """How the closed loop behaves at one speed."""
 
-    speed: float
-    """[m/s]."""
-    radius: float
-    """Largest magnitude of an eigenvalue: below 1 is stable."""
+    speed: float  # [m/s]
+    radius: float  # largest magnitude of an eigenvalue: below 1 is stable
     damping: float
     """Smallest damping ratio of a lasting mode: negative is unstable, 1 does not oscillate."""
 
@@ -151,3 +152,39 @@ def find_faults(stabilities: Sequence[Stability], damping_min: float) -> tuple[S
 def gravest(faults: Sequence[Stability]) -> Stability:
     """The fault to report: the most unstable, or the least damped where all are stable."""
     return max(faults, key=lambda at: (max(at.radius, 1.0), -at.damping))
+
+
+class Margins(NamedTuple):
+    """A loop at one speed."""
+
+    stability: Stability  # of the closed loop
+    distance: float
+    """Of the open loop's response from -1; 1 is the best that a loop with integrators has."""
+
+
+def margins(
+    car: Car[float], row: Sequence[float], pasts: int, speed: float, timing: Timing
+) -> Margins:
+    """Stability and distance of a row of gains on a car, see `closed_loop`.
+
+    At distance M the steering may be 1 / (1 - M) times as strong or 1 / (1 + M) times as weak, or
+    late by 2 asin(M / 2), and the loop is still stable: gain and phase margin in one number (Astrom
+    and Murray, Feedback Systems, section 10.3).
+
+    The loop is cut where the steering acts: what the controller remembers of its own references is
+    part of the controller.
+    """
+    closed = closed_loop(car, row, pasts, speed, timing)
+    lane = N_LANE if timing.lagging else 4
+    free = sampled_loop(car, speed, timing)[0][:lane, :lane]
+    z = np.exp(1j * np.geomspace(SLOWEST * timing.period_s, np.pi, POINTS))
+    remembered = np.asarray(row[N_LANE : N_LANE + pasts])
+    memory = 1.0 + (z[:, None] ** -np.arange(1.0, pasts + 1.0)) @ remembered
+    poles, zeros = _far_from(z, free), _far_from(z, closed)
+    distance = float(np.min(zeros / np.maximum(poles * np.abs(memory), 1e-300)))
+    return Margins(stability(closed, speed, timing.period_s), distance)
+
+
+def _far_from(z: np.ndarray, matrix: Matrix) -> Matrix:
+    """(points,) product of the distances of each z from the eigenvalues of a matrix."""
+    return np.asarray(np.prod(np.abs(z[:, None] - np.linalg.eigvals(matrix)), axis=1))

@@ -9,14 +9,11 @@ N_LANE = 5
 class Turning(NamedTuple):
     """The car in a turn that keeps it on the path: per curvature, and per its change in time."""
 
-    wheel: float
-    """Road-wheel angle [rad m]."""
+    wheel: float  # road-wheel angle [rad m]
     wheel_change: float
     """[rad m s]; negative: in a tightening turn the wheel comes later than the curvature."""
-    heading: float
-    """Heading error e2 [rad m]: minus the slip of the turn."""
-    heading_change: float
-    """[rad m s]."""
+    heading: float  # heading error e2 [rad m]: minus the slip of the turn
+    heading_change: float  # [rad m s]
 
 
 N_TURNING = len(Turning._fields)
@@ -30,10 +27,8 @@ class GainTable(NamedTuple):
     dead time, newest first.
     """
 
-    speed_min: float
-    """Speed of the first row [m/s]."""
-    spacing: float
-    """[m/s]."""
+    speed_min: float  # speed of the first row [m/s]
+    spacing: float  # [m/s]
     rows: tuple[tuple[float, ...], ...]
 
     @property

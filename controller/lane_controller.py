@@ -4,13 +4,13 @@ import math
 from typing import NamedTuple
 
 from steerd.car_model.params import Car
-from steerd.car_model.path.path import Projection, locate, project
+from steerd.car_model.path.path import locate, project
 from steerd.car_model.state import Command, State
 from steerd.controller import lane_keeper
 from steerd.controller.config import ControllerConfig
 from steerd.controller.design import DesignReport
 from steerd.controller.gain_table import GainTable, look_up
-from steerd.controller.lane_keeper import LaneKeeper, SteeringReference, lane_errors
+from steerd.controller.lane_keeper import LaneKeeper, lane_errors
 from steerd.controller.live import AS_DESIGNED, LiveValues, limit_target, shift_lane
 from steerd.controller.speed import SpeedProfile, preview_place, profile_speed, step_speed
 
@@ -26,50 +26,34 @@ class LaneController(NamedTuple):
     table: GainTable
     keeper: LaneKeeper
     profile: SpeedProfile
-    report: DesignReport
-    """What was designed and how stable it is."""
+    report: DesignReport  # what was designed and how stable it is
 
 
 class ControllerState(NamedTuple):
     """What one tick leaves to the next."""
 
-    hint: int
-    """Path sample next to the car."""
+    hint: int  # path sample next to the car
     past: tuple[float, ...]
     """References within the dead time less their feed-forward [rad], newest first."""
-    feedforward: float
-    """Of the last tick [rad]."""
-    speed: float
-    """Speed reference [m/s]."""
-    t_ns: int
-    """Of the last tick [ns]."""
+    feedforward: float  # of the last tick [rad]
+    speed: float  # speed reference [m/s]
+    t_ns: int  # of the last tick [ns]
 
 
 class ControlReport(NamedTuple):
     """What a tick saw and decided."""
 
-    e1: float
-    """Lateral offset from the lane that is followed [m]."""
-    e1_rate: float
-    """[m/s]."""
-    e2: float
-    """Heading error [rad]."""
-    e2_rate: float
-    """[rad/s]."""
-    s: float
-    """Arc length of the car's place on the path [m]."""
-    curvature: float
-    """Of the path there [1/m]."""
-    distance: float
-    """To the path [m]; exceeds `|e1|` beyond an open path's ends."""
-    wheel: float
-    """Reference of the road-wheel angle [rad]."""
-    feedforward: float
-    """Its part from the path's curvature [rad]."""
-    speed: float
-    """Speed reference [m/s]."""
-    speed_target: float
-    """The profile's speed here [m/s]."""
+    e1: float  # lateral offset from the lane that is followed [m]
+    e1_rate: float  # [m/s]
+    e2: float  # heading error [rad]
+    e2_rate: float  # [rad/s]
+    s: float  # arc length of the car's place on the path [m]
+    curvature: float  # of the path there [1/m]
+    distance: float  # to the path [m]; exceeds `|e1|` beyond an open path's ends
+    wheel: float  # reference of the road-wheel angle [rad]
+    feedforward: float  # its part from the path's curvature [rad]
+    speed: float  # speed reference [m/s]
+    speed_target: float  # the profile's speed here [m/s]
 
 
 def start_controller(
@@ -125,8 +109,11 @@ def control(
     target = limit_target(target, path, ahead, cap, controller.config)
     speed = step_speed(state.speed, target, dt, controller.config, stop)
     command = to_command(controller.car, steering.wheel, speed)
-    report = _report(errors, at, steering, speed, target)
-    return command, report, _next(at, past, steering, speed, t_ns)
+    wheel, feedforward = steering.wheel, steering.feedforward
+    place = (at.s, at.curvature, at.distance)
+    report = ControlReport(*errors, *place, wheel, feedforward, speed, target)
+    past = (wheel - feedforward, *past[:-1]) if past else past
+    return command, report, ControllerState(at.hint, past, feedforward, speed, t_ns)
 
 
 def to_command(car: Car[float], wheel: float, speed: float) -> Command[float]:
@@ -146,30 +133,3 @@ def _correct_newest(
     wheel = car.steer_gain * issued.steer + car.steer_bias
     wheel = max(car.steer_min, min(car.steer_max, wheel))
     return (wheel - state.feedforward, *state.past[1:])
-
-
-def _next(
-    at: Projection, past: tuple[float, ...], steering: SteeringReference, speed: float, t_ns: int
-) -> ControllerState:
-    newest = steering.wheel - steering.feedforward
-    shifted = (newest, *past[:-1]) if past else past
-    return ControllerState(at.hint, shifted, steering.feedforward, speed, t_ns)
-
-
-def _report(
-    errors: lane_keeper.LaneErrors,
-    at: Projection,
-    steering: SteeringReference,
-    speed: float,
-    target: float,
-) -> ControlReport:
-    return ControlReport(
-        *errors,
-        at.s,
-        at.curvature,
-        at.distance,
-        steering.wheel,
-        steering.feedforward,
-        speed,
-        target,
-    )

@@ -26,36 +26,27 @@ SLOPE_SPAN_MIN = 0.05
 class LaneErrors(NamedTuple):
     """Where the car is against the lane."""
 
-    e1: float
-    """Lateral offset of the CoG [m], positive to the left."""
-    e1_rate: float
-    """[m/s]."""
-    e2: float
-    """Heading error, yaw minus the path's direction [rad], in (-pi, pi]."""
-    e2_rate: float
-    """[rad/s]."""
+    e1: float  # lateral offset of the CoG [m], positive to the left
+    e1_rate: float  # [m/s]
+    e2: float  # heading error, yaw minus the path's direction [rad], in (-pi, pi]
+    e2_rate: float  # [rad/s]
 
 
 @quick_value
 class SteeringReference:
     """A tick's reference for the wheel."""
 
-    wheel: float
-    """Reference of the road-wheel angle [rad], within the car's end stops."""
-    feedforward: float
-    """Its part from the path's curvature [rad]."""
+    wheel: float  # reference of the road-wheel angle [rad], within the car's end stops
+    feedforward: float  # its part from the path's curvature [rad]
 
 
 class LaneKeeper(NamedTuple):
     """The constants of the steering law."""
 
     path: Path
-    preview_s: float
-    """Time from an order to the wheel having followed: dead time and lag [s]."""
-    wheel_min: float
-    """[rad]."""
-    wheel_max: float
-    """[rad]."""
+    preview_s: float  # time from an order to the wheel having followed: dead time and lag [s]
+    wheel_min: float  # [rad]
+    wheel_max: float  # [rad]
 
 
 def lane_errors(estimate: State[float], at: Projection) -> LaneErrors:

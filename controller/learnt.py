@@ -17,26 +17,16 @@ from steerd.controller.loop_model import Timing
 class Learnt(NamedTuple):
     """The numbers that are followed: of the car, then of the mocap body on it."""
 
-    steer_gain: float
-    """[1]."""
-    steer_bias: float
-    """[rad]."""
-    steer_delay: float
-    """[s]."""
-    steer_lag: float
-    """[s]."""
-    speed_gain: float
-    """[1]."""
-    c_sf: float
-    """[1/rad]."""
-    c_sr: float
-    """[1/rad]."""
-    body_yaw: float = 0.0
-    """The body's heading in the car [rad]."""
-    body_forward: float = 0.0
-    """The body's origin ahead of the CoG [m]."""
-    body_left: float = 0.0
-    """And to the left of it [m]."""
+    steer_gain: float  # [1]
+    steer_bias: float  # [rad]
+    steer_delay: float  # [s]
+    steer_lag: float  # [s]
+    speed_gain: float  # [1]
+    c_sf: float  # [1/rad]
+    c_sr: float  # [1/rad]
+    body_yaw: float = 0.0  # the body's heading in the car [rad]
+    body_forward: float = 0.0  # the body's origin ahead of the CoG [m]
+    body_left: float = 0.0  # and to the left of it [m]
 
 
 OF_CAR = Learnt._fields[:7]

@@ -32,12 +32,9 @@ SQUEEZE_LEAST = 0.5
 class LiveValues(NamedTuple):
     """Live parameters."""
 
-    speed: float
-    """Highest speed along the lane [m/s]."""
-    offset: float
-    """How far the lane is shifted to the left of the path [m]."""
-    gain: float
-    """Share of the designed feedback."""
+    speed: float  # highest speed along the lane [m/s]
+    offset: float  # how far the lane is shifted to the left of the path [m]
+    gain: float  # share of the designed feedback
 
 
 AS_DESIGNED = LiveValues(math.inf, 0.0, 1.0)

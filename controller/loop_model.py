@@ -22,12 +22,10 @@ Matrix = npt.NDArray[np.float64]
 class Timing(NamedTuple):
     """What time costs the loop."""
 
-    rate_hz: float
-    """Ticks per second."""
+    rate_hz: float  # ticks per second
     delay_s: float
     """Dead time from the estimate's moment to the wheel beginning to follow [s], in total."""
-    lag_s: float
-    """First-order lag of the servo [s]."""
+    lag_s: float  # first-order lag of the servo [s]
 
     @property
     def lagging(self) -> bool:

@@ -22,8 +22,7 @@ class SpeedProfile(NamedTuple):
 
     path: Path
     speed: tuple[float, ...]
-    preview_s: float
-    """How far ahead in time it is read, for the drive's dead time and lag [s]."""
+    preview_s: float  # how far ahead in time it is read, for the drive's dead time and lag [s]
 
     @property
     def fastest(self) -> float:

@@ -66,7 +66,7 @@ def draw(figure: Figure, curves: dict[str, np.ndarray], said: str, frame: int) -
 
 def main() -> None:
     """Drive, diagnose, drive again, and write the picture."""
-    drive = steerd.simulate(duration=60, effects={"steer_delay": HIDDEN}, **RUN)
+    drive = steerd.simulate(duration=40, effects={"steer_delay": HIDDEN}, **RUN)
     gap = steerd.diagnose(drive)
     cause = gap.causes[0]
     value = cause.parameters["delay"]
@@ -75,13 +75,18 @@ def main() -> None:
         "base": steerd.simulate(duration=22, **RUN),
         "better": steerd.simulate(duration=22, effects={cause.effect: value.value}, **RUN),
     }
-    curves = {name: lap(session) for name, session in sessions.items()}
-    rows = min(map(len, curves.values()))
-    curves = {name: curve[:rows] for name, curve in curves.items()}
     said = (
         f"steerd diagnose: {cause.effect} {1e3 * value.value:.0f} ± {1e3 * value.sd:.0f} ms,"
         f" {100 * cause.confidence:.0f} %"
     )
+    write(sessions, said)
+
+
+def write(sessions: dict[str, steerd.Session], said: str) -> None:
+    """The picture of three drives: `drive`, `base` and `better`."""
+    curves = {name: lap(session) for name, session in sessions.items()}
+    rows = min(map(len, curves.values()))
+    curves = {name: curve[:rows] for name, curve in curves.items()}
     figure = plt.figure(figsize=(8.2, 3.3), dpi=96)
     pictures = []
     for frame in range(DRIVING + READING + CLOSING + RESTING):

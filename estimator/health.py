@@ -22,14 +22,10 @@ class Count:
 
     seen: int = 0
     refused: int = 0
-    streak: int = 0
-    """Refused in a row, up to now."""
-    nis: float = math.nan
-    """Normalised innovation squared of the last one, believed or not."""
-    nis_sum: float = 0.0
-    """Over those believed."""
-    believed_ns: int = 0
-    """Time of validity of the last one believed [ns]."""
+    streak: int = 0  # refused in a row, up to now
+    nis: float = math.nan  # normalised innovation squared of the last one, believed or not
+    nis_sum: float = 0.0  # over those believed
+    believed_ns: int = 0  # time of validity of the last one believed [ns]
 
 
 class Tally(NamedTuple):
@@ -47,13 +43,11 @@ class SensorHealth:
 
     age_s: float
     """Since the last reading that was believed [s]: how long the filter has coasted without it."""
-    nis: float
-    """Of the last reading; NaN before the first."""
+    nis: float  # of the last reading; NaN before the first
     nis_mean: float
     """Of the readings believed in the window (about the number of values when consistent)."""
     refused_in_row: int
-    refused_share: float
-    """Refused among all in the window (0 when there were none)."""
+    refused_share: float  # refused among all in the window (0 when there were none)
     refused: int
     seen: int
 
@@ -63,17 +57,13 @@ class SensorHealth:
 class FilterHealth:
     """The filter's own view of itself at one instant."""
 
-    sound: bool
-    """Mean and covariance are finite, the covariance positive definite."""
-    position_sd: float
-    """Along the worst direction [m]; NaN when not sound."""
-    yaw_sd: float
-    """[rad]; NaN when not sound."""
+    sound: bool  # mean and covariance are finite, the covariance positive definite
+    position_sd: float  # along the worst direction [m]; NaN when not sound
+    yaw_sd: float  # [rad]; NaN when not sound
     pose: SensorHealth
     wheel_speed: SensorHealth
     gyro: SensorHealth
-    untimely: int
-    """Measurements that came too late to be fused, or from the future."""
+    untimely: int  # measurements that came too late to be fused, or from the future
 
 
 def count_measurement(tally: Tally, kind: Kind, t_ns: int, nis: float, believed: bool) -> Tally:

@@ -14,8 +14,7 @@ NS = 1_000_000_000
 class History(NamedTuple):
     """Commands in the order of their times; each holds until the next."""
 
-    times: tuple[int, ...] = ()
-    """When each was sent [ns]."""
+    times: tuple[int, ...] = ()  # when each was sent [ns]
     commands: tuple[Command[float] | None, ...] = ()
     """None: nothing was driven; the steering holds and the car rolls on."""
 

@@ -33,10 +33,8 @@ _SLIP_SD, _STEER_SD, _STEER_SD_UNKNOWN = 0.1, 0.05, 0.2
 class Belief(NamedTuple):
     """A Gaussian belief about the state. Never changed in place."""
 
-    mean: Array
-    """(n,), in the order of `steerd.car_model.state.State`."""
-    covariance: Array
-    """(n, n), symmetric."""
+    mean: Array  # (n,), in the order of `steerd.car_model.state.State`
+    covariance: Array  # (n, n), symmetric
 
 
 def initial_belief(

@@ -27,8 +27,7 @@ class Kind(IntEnum):
 class Measurement(NamedTuple):
     """One reading. Sorting tuples sorts by time of validity, then instrument, then values."""
 
-    t_ns: int
-    """Time of validity, CLOCK_MONOTONIC [ns]."""
+    t_ns: int  # time of validity, CLOCK_MONOTONIC [ns]
     kind: Kind
     values: tuple[float, ...]
 
@@ -36,12 +35,10 @@ class Measurement(NamedTuple):
 class Sensor(NamedTuple):
     """How an instrument sees the state: each reading is one state times a common gain."""
 
-    states: tuple[int, ...]
-    """Which state each reading is of."""
+    states: tuple[int, ...]  # which state each reading is of
     gain: float
     variances: tuple[float, ...]
-    gate: float
-    """Largest normalised innovation squared that is believed (chi-square)."""
+    gate: float  # largest normalised innovation squared that is believed (chi-square)
 
     @property
     def yaw_row(self) -> int | None:

@@ -54,8 +54,7 @@ class Node(NamedTuple):
 
     measurement: Measurement
     belief: Belief
-    innovation: Array
-    """Measurement minus prediction; empty for the first node."""
+    innovation: Array  # measurement minus prediction; empty for the first node
     nis: float
     believed: bool
     tally: Tally
@@ -66,8 +65,7 @@ class Node(NamedTuple):
 class FilterState:
     """All that the filter knows. A value: every function returns a new one."""
 
-    nodes: tuple[Node, ...] = ()
-    """In order of validity; empty until the first belief."""
+    nodes: tuple[Node, ...] = ()  # in order of validity; empty until the first belief
     history: History = NO_HISTORY
     first_poses: tuple[Measurement, ...] = ()
     untimely: int = 0
@@ -79,8 +77,7 @@ class StateFilter:
 
     car: Car[float]
     config: FilterConfig
-    kernel: "Kernel | Reference"
-    """What computes."""
+    kernel: "Kernel | Reference"  # what computes
 
     @cached_property
     def soonest_ns(self) -> int:
@@ -104,12 +101,9 @@ class StateEstimate:
     """The car at one instant."""
 
     t_ns: int
-    state: State[float]
-    """Yaw is continuous, not wrapped."""
-    sd: State[float]
-    """Standard deviation of each state."""
-    covariance: Array
-    """(7, 7)."""
+    state: State[float]  # yaw is continuous, not wrapped
+    sd: State[float]  # standard deviation of each state
+    covariance: Array  # (7, 7)
     health: FilterHealth
 
 

@@ -4,6 +4,7 @@ from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import nan
+from typing import Any
 
 from steerd.mocap_link.frame import FrameConfig, make_planar_pose
 from steerd.mocap_link.gates import GateConfig, GateState, find_disorder, step_gates
@@ -114,31 +115,18 @@ class PoseIngest:
         self.counts["absent"] += 1
         self._step(t_ns, True, False)
 
-    def status(
-        self,
-        *,
-        connected: bool,
-        detail: str = "",
-        server: str = "",
-        bodies: tuple[str, ...] = (),
-        refused: bool = False,
-        more_counts: Mapping[str, int] | None = None,
-    ) -> SourceStatus:
-        """Describe the source now; the session adds what only it knows."""
+    def status(self, more_counts: Mapping[str, int], **session: Any) -> SourceStatus:
+        """Describe the source now; the session adds what only it knows of a `SourceStatus`."""
         return SourceStatus(
             self.state,
-            connected,
-            detail,
-            server,
-            bodies,
-            self._clock,
-            self.timing.sigma_ns,
-            len(self._arrivals) * 1e9 / _RATE_WINDOW_NS,
-            self._expected_hz,
-            self._monitor.last_good_ns,
-            refused,
-            self._relocated,
-            {**self.counts, **(more_counts or {})},
+            clock=self._clock,
+            clock_sigma_ns=self.timing.sigma_ns,
+            rate_hz=len(self._arrivals) * 1e9 / _RATE_WINDOW_NS,
+            expected_rate_hz=self._expected_hz,
+            last_good_ns=self._monitor.last_good_ns,
+            relocated=self._relocated,
+            counts={**self.counts, **more_counts},
+            **session,
         )
 
     def _step(self, t_ns: int, connected: bool, good: bool | None) -> None:

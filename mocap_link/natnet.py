@@ -43,18 +43,12 @@ Version4 = tuple[int, int, int, int]
 class Bare(IntEnum):
     """Messages whose payload is empty, or not read: many clients say nothing of themselves."""
 
-    CONNECT = 0
-    """Start a session."""
-    REQUEST_MODEL = 4
-    """Ask for `ModelDef`."""
-    DISCONNECT = 9
-    """End of a session."""
-    KEEP_ALIVE = 10
-    """A unicast client is alive."""
-    DISCONNECT_BY_TIMEOUT = 11
-    """The server dropped this unicast client."""
-    DISCOVERY = 14
-    """Broadcast form of `CONNECT`; each server answers `ServerInfo`."""
+    CONNECT = 0  # start a session
+    REQUEST_MODEL = 4  # ask for `ModelDef`
+    DISCONNECT = 9  # end of a session
+    KEEP_ALIVE = 10  # a unicast client is alive
+    DISCONNECT_BY_TIMEOUT = 11  # the server dropped this unicast client
+    DISCOVERY = 14  # broadcast form of `CONNECT`; each server answers `ServerInfo`
 
 
 @dataclass(frozen=True, slots=True)

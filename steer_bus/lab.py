@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from steerd.steer_bus.bus import BusError
-from steerd.steer_bus.topics import EXTERNAL_POSE, ROOT, TOPICS, Direction, alive_key, make_key
+from steerd.steer_bus.topics import ALIVE, EXTERNAL_POSE, ROOT, TOPICS, Direction, make_key
 from steerd.toml_text import load_toml
 
 DEFAULT_PORT = 7447
@@ -97,7 +97,7 @@ def make_access_settings(lab: Lab, pose_key: str | None = None) -> dict[str, Any
     """
     named = [t for t in TOPICS if t.direction is Direction.IN and t is not EXTERNAL_POSE]
     poses = [make_key(lab.car, EXTERNAL_POSE), *([pose_key] if pose_key else [])]
-    queried = [f"{ROOT}/*/alive", alive_key(lab.car), make_key(lab.car, "schema/**")]
+    queried = [f"{ROOT}/*/alive", make_key(lab.car, ALIVE), make_key(lab.car, "schema/**")]
     published = [make_key(lab.car, "*"), make_key(lab.car, "schema/**")]
     heard = [*poses, *(make_key(lab.car, topic, "**") for topic in named)]
     rules = [

@@ -90,6 +90,8 @@ HEARTBEAT_BACK = Topic(
     "cmd/heartbeat", m.Heartbeat, Direction.IN, Priority.REAL_TIME, False, rate_hz=20.0
 )
 
+ALIVE = "alive"
+"""Name of a car's liveliness token."""
 LAST_MODEL = "param/model"
 """Key under which a car answers with its newest `model` message."""
 
@@ -112,7 +114,7 @@ def check_car_name(car: str) -> str:
 
 
 def make_key(car: str, topic: Topic | str, who: str = "") -> str:
-    """Make the bus key of a car's topic (or of a name such as ``"alive"``).
+    """Make the bus key of a car's topic, or of a name such as `ALIVE`.
 
     Args:
         car: the car.
@@ -149,24 +151,6 @@ def find_topic(key: str) -> Topic | None:
     return next((t for t in TOPICS if t.name == name), None)
 
 
-def alive_key(car: str) -> str:
-    """Make the key of a car's liveliness token.
-
-    Raises:
-        ValueError: on a bad car name.
-    """
-    return make_key(car, "alive")
-
-
-def schema_key(car: str, message: type[Any]) -> str:
-    """Make the key under which a car serves a message's ``ros2msg`` text.
-
-    Raises:
-        ValueError: on a bad car name.
-    """
-    return make_key(car, f"schema/{type_name(message)}")
-
-
 def schema_replies(car: str) -> dict[str, bytes]:
     """Give every schema a car serves, by key, so that any recorder can be generic.
 
@@ -174,4 +158,4 @@ def schema_replies(car: str) -> dict[str, bytes]:
         ValueError: on a bad car name.
     """
     classes = {topic.message for topic in TOPICS if topic.on_bus}
-    return {schema_key(car, cls): schema_text(cls).encode() for cls in classes}
+    return {make_key(car, f"schema/{type_name(cls)}"): schema_text(cls).encode() for cls in classes}

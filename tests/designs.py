@@ -2,9 +2,10 @@
 
 from functools import lru_cache
 
-from steerd.controller.acceptance import Acceptance, file_numbers, make_acceptance
+from steerd.controller.acceptance import Acceptance, check_design, file_numbers, make_acceptance
 from steerd.controller.build import compute_table
-from steerd.controller.learnt import Design, Learnt, learnt_car, learnt_timing
+from steerd.controller.lane_controller import LaneController
+from steerd.controller.learnt import Design, Learnt, follow_learnt, learnt_car, learnt_timing
 from steerd.daemon.assembly.build import RunPlan, make_plan
 from steerd.daemon.settings.run_options import RunOptions
 
@@ -46,3 +47,9 @@ def scaled(design: Design, factor: float, first: int = 0, last: int = 5) -> Desi
         for row in design.table.rows
     )
     return design._replace(table=design.table._replace(rows=rows))
+
+
+def accept(held: Acceptance, now: Learnt, design: Design) -> LaneController | str:
+    """The controller of a design, or why it is refused."""
+    problem = next(filter(None, check_design(held, now, design)), "")
+    return problem or follow_learnt(held.file, design)

@@ -25,7 +25,7 @@ from steerd.car_model.path.path import locate, project
 from steerd.controller.build import compute_table
 from steerd.controller.learnt import Design, Learnt, learnt_car, learnt_of, learnt_timing
 from steerd.daemon.assembly.build import RunPlan, make_plan, make_world_config
-from steerd.daemon.loop.design_message import make_design
+from steerd.daemon.loop.design_desk import make_design
 from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun, drive
 from steerd.daemon.settings.run_options import RunOptions

@@ -38,17 +38,11 @@ OLDEST_LIBC = "2.28"
 
 
 class Compiler(NamedTuple):
-    """A C compiler and how it calls the processor levels.
+    """A C compiler and how it calls the processor levels."""
 
-    Attributes:
-        command: the program and what it always needs.
-        level: option that chooses a level, `{}` for its name; names with `_` instead of `-`.
-        underscores: whether names of levels have underscores.
-    """
-
-    command: tuple[str, ...]
-    level: str
-    underscores: bool
+    command: tuple[str, ...]  # the program and what it always needs
+    level: str  # option that chooses a level, `{}` for its name; names with `_` instead of `-`
+    underscores: bool  # whether names of levels have underscores
 
 
 class BuildError(Exception):

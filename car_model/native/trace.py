@@ -31,47 +31,28 @@ CHASSIS: tuple[str, ...] = State._fields[: State._fields.index("steer")]
 
 
 class Piece(NamedTuple):
-    """A block of formulas with named inputs.
+    """A block of formulas with named inputs."""
 
-    Attributes:
-        inputs: symbols that change from step to step, differentiated.
-        outputs: formulas in inputs, parameters, `t` and `h`.
-    """
-
-    inputs: tuple[Node, ...]
-    outputs: tuple[Node, ...]
+    inputs: tuple[Node, ...]  # symbols that change from step to step, differentiated
+    outputs: tuple[Node, ...]  # formulas in inputs, parameters, `t` and `h`
 
 
 class Traced(NamedTuple):
-    """All formulas of one model.
+    """All formulas of one model."""
 
-    Attributes:
-        parameters: names, car fields first, then `effect.parameter`.
-        symbols: a symbol for each parameter.
-        memory: how many numbers the effects remember.
-        actuators: (states, memory, command, time) -> wheel at start and end, steer at end, accel,
-            memory.
-        rates: (chassis states, wheel, accel, memory, time) -> rates of the chassis states.
-        linkage: (steer at start and end, memory) -> wheel at start and end, memory.
-        remember: (chassis before, wheel before, chassis after, wheel after, memory,
-            time) -> memory.
-        remembers: whether `remember` does anything.
-        observe: states -> x, y, yaw, wheel speed, yaw rate.
-        delays: dead times of steer, drive and pose, in the parameters.
-        t: time into the run; h: the step.
-    """
-
-    parameters: tuple[str, ...]
-    symbols: tuple[Node, ...]
-    memory: int
+    parameters: tuple[str, ...]  # names, car fields first, then `effect.parameter`
+    symbols: tuple[Node, ...]  # a symbol for each parameter
+    memory: int  # how many numbers the effects remember
+    # (states, memory, command, time) -> wheel at start and end, steer at end, accel, memory
     actuators: Piece
-    rates: Piece
-    linkage: Piece
+    rates: Piece  # (chassis states, wheel, accel, memory, time) -> rates of the chassis states
+    linkage: Piece  # (steer at start and end, memory) -> wheel at start and end, memory
+    # (chassis before, wheel before, chassis after, wheel after, memory, time) -> memory
     remember: Piece
-    remembers: bool
-    observe: Piece
-    delays: tuple[Node, ...]
-    t: Node
+    remembers: bool  # whether `remember` does anything
+    observe: Piece  # states -> x, y, yaw, wheel speed, yaw rate
+    delays: tuple[Node, ...]  # dead times of steer, drive and pose, in the parameters
+    t: Node  # time into the run; h: the step
     h: Node
     tape: Tape
 

@@ -59,23 +59,14 @@ TABLEAUS: dict[str, Array] = {
 
 @dataclass(frozen=True, eq=False)
 class Kernels:
-    """A compiled car with effects.
+    """A compiled car with effects."""
 
-    Attributes:
-        effects: in the order of the parameters.
-        names: of all parameters.
-        memory: numbers that the effects remember; a state has STATES + memory numbers.
-        chassis: whose equations they are.
-        nulls: parameters of the library's car, every effect at its null.
-        places: where `names` are among them.
-    """
-
-    effects: tuple[Effect, ...]
-    names: tuple[str, ...]
-    memory: int
-    chassis: Chassis
-    nulls: Array = field(repr=False)
-    places: Indices = field(repr=False)
+    effects: tuple[Effect, ...]  # in the order of the parameters
+    names: tuple[str, ...]  # of all parameters
+    memory: int  # numbers that the effects remember; a state has STATES + memory numbers
+    chassis: Chassis  # whose equations they are
+    nulls: Array = field(repr=False)  # parameters of the library's car, every effect at its null
+    places: Indices = field(repr=False)  # where `names` are among them
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Another process loads its own library: code does not travel."""
@@ -103,19 +94,12 @@ class Kernels:
 
 
 class HeldCommands(NamedTuple):
-    """Commands of several runs, one after the other, each held over a step.
+    """Commands of several runs, one after the other, each held over a step."""
 
-    Attributes:
-        rows: (rows, 2) steer [rad] and speed [m/s].
-        h: the grid's step [s].
-        substeps: integration steps to a command.
-        integrator: of `TABLEAUS`.
-    """
-
-    rows: Array
-    h: float
-    substeps: int = 1
-    integrator: str = "rk4"
+    rows: Array  # (rows, 2) steer [rad] and speed [m/s]
+    h: float  # the grid's step [s]
+    substeps: int = 1  # integration steps to a command
+    integrator: str = "rk4"  # of `TABLEAUS`
 
     @property
     def fine(self) -> float:
@@ -159,17 +143,11 @@ def model_of(kernels: Kernels, parameters: Array) -> Model[float]:
 
 
 class CarNumbers(NamedTuple):
-    """What the library's functions take of a car; the arrays live as long as this.
+    """What the library's functions take of a car; the arrays live as long as this."""
 
-    Attributes:
-        p: parameters of the library's car.
-        q: what depends on them and the step alone.
-        integration: both, and how to integrate.
-    """
-
-    p: Array
-    q: Array
-    integration: Integration
+    p: Array  # parameters of the library's car
+    q: Array  # what depends on them and the step alone
+    integration: Integration  # both, and how to integrate
 
 
 def car_numbers(
@@ -193,17 +171,12 @@ def _at(array: Array | Indices | NDArray[np.uint8]) -> int:
 
 
 class WindowBlocks(NamedTuple):
-    """Windows arranged side by side: blocks of `SLOTS`, the last padded with copies.
+    """Windows arranged side by side: blocks of `SLOTS`, the last padded with copies."""
 
-    Attributes:
-        windows: how many slots hold a window of their own.
-        runs: (blocks, SLOTS, 3) rows of the commands: first, after the last, at the first step.
-        t: (blocks, SLOTS) time into the run [s].
-    """
-
-    windows: int
+    windows: int  # how many slots hold a window of their own
+    # (blocks, SLOTS, 3) rows of the commands: first, after the last, at the first step
     runs: Indices
-    t: Array
+    t: Array  # (blocks, SLOTS) time into the run [s]
 
     @property
     def slots(self) -> int:
@@ -280,16 +253,12 @@ def _block(held: HeldCommands, spans: Indices, t: Array) -> Block:
 
 
 class Windows(NamedTuple):
-    """Windows of any lengths.
+    """Windows of any lengths."""
 
-    Attributes:
-        spans: (W, 5) rows of the commands (first, after the last, at the first step), integration
-            steps, and steps of the actuators alone before the first.
-        t: (W,) time into the run at the first step [s].
-    """
-
+    # (W, 5) rows of the commands (first, after the last, at the first step), integration steps,
+    # and steps of the actuators alone before the first
     spans: Indices
-    t: Array
+    t: Array  # (W,) time into the run at the first step [s]
 
 
 def settle(
@@ -406,21 +375,14 @@ def _delays(kernels: Kernels, parameters: Array) -> tuple[Array, Array]:
 
 
 class Stations(NamedTuple):
-    """Where windows are read.
+    """Where windows are read."""
 
-    Attributes:
-        places: (S, 4) step within the window, first reading (0 x, 3 wheel speed, 4 yaw rate), row
-            of the result, and 1 for a pose (three readings, as late as poses are); sorted by
-            window and time.
-        shares: (S,) place within the step.
-        spans: (W + 1,) stations of each window.
-        rows: of the result.
-    """
-
+    # (S, 4) step within the window, first reading (0 x, 3 wheel speed, 4 yaw rate), row of the
+    # result, and 1 for a pose (three readings, as late as poses are); sorted by window and time
     places: Indices
-    shares: Array
-    spans: Indices
-    rows: int
+    shares: Array  # (S,) place within the step
+    spans: Indices  # (W + 1,) stations of each window
+    rows: int  # of the result
 
 
 def compute_readings(

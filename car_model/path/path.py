@@ -29,21 +29,16 @@ class Path:
     """
 
     name: str
-    step: float
-    """Arc length between samples [m]."""
+    step: float  # arc length between samples [m]
     closed: bool
     x: tuple[float, ...]
     y: tuple[float, ...]
     yaw: tuple[float, ...]
     """Direction of travel [rad], from the world's x axis, positive to the left, continuous."""
-    curvature: tuple[float, ...]
-    """[1/m], positive in a left turn."""
-    speed: tuple[float, ...] | None = None
-    """Speed of the file [m/s]."""
-    width_left: tuple[float, ...] | None = None
-    """Free width to the left [m]."""
-    width_right: tuple[float, ...] | None = None
-    """Free width to the right [m]."""
+    curvature: tuple[float, ...]  # [1/m], positive in a left turn
+    speed: tuple[float, ...] | None = None  # speed of the file [m/s]
+    width_left: tuple[float, ...] | None = None  # free width to the left [m]
+    width_right: tuple[float, ...] | None = None  # free width to the right [m]
 
     def __post_init__(self) -> None:
         count = len(self.x)
@@ -77,16 +72,11 @@ class Path:
 class Projection(NamedTuple):
     """A point's place against a path."""
 
-    s: float
-    """Arc length of the nearest point [m], in [0, length)."""
-    hint: int
-    """The sample next to it: where the next projection starts."""
-    e1: float
-    """Lateral offset of the point [m], positive to the left of the path."""
-    yaw_path: float
-    """Direction of the path there [rad]."""
-    curvature: float
-    """[1/m]."""
+    s: float  # arc length of the nearest point [m], in [0, length)
+    hint: int  # the sample next to it: where the next projection starts
+    e1: float  # lateral offset of the point [m], positive to the left of the path
+    yaw_path: float  # direction of the path there [rad]
+    curvature: float  # [1/m]
     distance: float
     """Distance to the path [m]; exceeds `|e1|` only outside the ends of an open path."""
 

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode
 from steerd.steer_bus.quick_values import quick_value
 from steerd.steer_bus.topics import TOPICS, Topic
@@ -171,3 +172,13 @@ class Gaps:
                 first = joined.pop()[0]
             joined.append((first, last))
         return joined
+
+
+LEARNT_FROM = (topics.MOCAP, topics.ACTUATION, topics.VESC)
+"""Topics that a drive is learnt from."""
+_WANTED = frozenset(topic.name for topic in (*LEARNT_FROM, topics.DESIGN))
+
+
+def is_learnt_from(record: PipeRecord) -> bool:
+    """Whether the learner wants a record: of the drive, or what became of its proposals."""
+    return record.topic.name in _WANTED

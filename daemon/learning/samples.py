@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from steerd.daemon.ipc.learner_wire import LEARNT_FROM
+from steerd.daemon.ipc.pipe_records import LEARNT_FROM
 from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled, Sample
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics

@@ -101,28 +101,19 @@ def advise_simulation(finding: Finding) -> Finding:
     advice = SIMULATED.get(finding.id)
     if advice is None:
         return finding
-    text = finding.text.removesuffix(f"; {WATCHDOGS[finding.id].advice}")
-    return finding if text == finding.text else finding._replace(text=f"{text}; {advice}")
+    own = finding.text.endswith(f"; {WATCHDOGS[finding.id].advice}")
+    return blame(finding, advice) if own else finding
 
 
 STALLED = "the host of this virtual machine took the processor away: drive from a real one"
 ALL_LATE = "all processes stood still at once: this machine stalled; steerd rtcheck --under-load"
-ALONE = "this program alone was late"
+ALONE = f"this program alone was late; {WATCHDOGS['W15'].advice}"
 
 
-def blame_machine(finding: Finding, reason: str = STALLED) -> Finding:
-    """The finding of a late tick that this program did not cause."""
-    return finding._replace(text=f"{_without_advice(finding)}; {reason}")
-
-
-def blame_program(finding: Finding) -> Finding:
-    """The finding of a late tick while the other processes ran."""
-    advice = WATCHDOGS[finding.id].advice
-    return finding._replace(text=f"{_without_advice(finding)}; {ALONE}; {advice}")
-
-
-def _without_advice(finding: Finding) -> str:
-    return finding.text.removesuffix(f"; {WATCHDOGS[finding.id].advice}")
+def blame(finding: Finding, why: str) -> Finding:
+    """The finding of a late tick with what made it late in place of its advice."""
+    text = finding.text.removesuffix(f"; {WATCHDOGS[finding.id].advice}")
+    return finding._replace(text=f"{text}; {why}")
 
 
 def make_unknown(id: str, what: str) -> Finding:

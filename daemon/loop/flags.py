@@ -5,13 +5,7 @@ Plain integers: an IntFlag "or" takes a microsecond, and these are tested thirty
 
 from collections.abc import Iterator
 
-from steerd.daemon.loop.findings import (
-    ALL_LATE,
-    Finding,
-    blame_machine,
-    blame_program,
-    make_finding,
-)
+from steerd.daemon.loop.findings import ALL_LATE, ALONE, STALLED, Finding, blame, make_finding
 
 
 class Flag:
@@ -59,10 +53,10 @@ def make_reported_findings(flags: int) -> Iterator[Finding]:
                 yield make_finding(name, text)
 
 
-def blame(late: Finding, flags: int) -> Finding:
+def blame_late(late: Finding, flags: int) -> Finding:
     """The finding of a late tick with who made it late, as far as the runner knows."""
-    if flags & Flag.STALLED:
-        return blame_machine(late)
-    if flags & Flag.ALL_LATE:
-        return blame_machine(late, ALL_LATE)
-    return blame_program(late) if flags & Flag.ALONE_LATE else late
+    why = next((why for flag, why in _BLAMES if flags & flag), None)
+    return late if why is None else blame(late, why)
+
+
+_BLAMES = ((Flag.STALLED, STALLED), (Flag.ALL_LATE, ALL_LATE), (Flag.ALONE_LATE, ALONE))

@@ -6,7 +6,7 @@ states from tick to tick.
 """
 
 from collections.abc import Iterator
-from math import isfinite
+from math import isfinite, nan
 
 from steerd.car_model.actuators import references
 from steerd.car_model.nominal_car import believed_car
@@ -32,7 +32,7 @@ from steerd.daemon.loop.checks import (
     check_motion,
     check_vesc,
 )
-from steerd.daemon.loop.design_message import read_design
+from steerd.daemon.loop.design_desk import read_design
 from steerd.daemon.loop.findings import (
     Finding,
     advise_simulation,
@@ -40,7 +40,7 @@ from steerd.daemon.loop.findings import (
     make_unknown,
     summarise,
 )
-from steerd.daemon.loop.flags import Flag, blame, make_reported_findings
+from steerd.daemon.loop.flags import Flag, blame_late, make_reported_findings
 from steerd.daemon.loop.follow_model import make_follow_model
 from steerd.daemon.loop.following import (
     Followed,
@@ -65,7 +65,7 @@ from steerd.daemon.loop.lease import (
 from steerd.daemon.loop.live import judge_both_lanes, make_live, relax, step_live, take_request
 from steerd.daemon.loop.loop_setup import LoopSetup
 from steerd.daemon.loop.orders import Order, make_order
-from steerd.daemon.loop.perception import Perception, best_speed
+from steerd.daemon.loop.perception import Perception, best_speed, estimated_state
 from steerd.daemon.loop.plans import Drill
 from steerd.daemon.loop.supervisor import (
     Action,
@@ -76,8 +76,7 @@ from steerd.daemon.loop.supervisor import (
     step_supervisor,
 )
 from steerd.daemon.loop.transitions import Fact, Request, SupervisorState, is_engaged
-from steerd.daemon.loop.watchdog_input import make_watchdog_input
-from steerd.daemon.loop.watchdogs import WatchdogState, is_slowing, step_watchdogs
+from steerd.daemon.loop.watchdogs import WatchdogInput, WatchdogState, is_slowing, step_watchdogs
 from steerd.daemon.settings.thresholds import LAUNCH_SPEED
 from steerd.estimator.state_filter import StateEstimate
 from steerd.steer_bus.messages import Design, DriveCommand, OperatorRequest, ParameterRequest
@@ -303,29 +302,64 @@ class Loop:
             self._lateness, due_ns, now_ns, self.setup.period_ns, self._late_rules
         )
         if late is not None:
-            reported.append(blame(late, flags))
+            reported.append(blame_late(late, flags))
         reported += self._check_launch(estimate, now_ns)
         reported += self._check_commands(now_ns)
-        launched = self._launch is not None and self._launch.done
-        most = self.setup.settings.limits.speed_max
-        inputs = make_watchdog_input(
-            self.setup,
-            self.perception,
-            estimate,
-            None if report is None else judge_both_lanes(report, self.live.now),
-            state=self.supervisor.state,
-            t_ns=now_ns,
-            lease_age=lease_age(self.lease, now_ns) if self.setup.leased else 0.0,
-            speed=speed,
-            speed_limit=most if launched else min(LAUNCH_SPEED, most),
-            steer=self._limiter.order.steer,
-            followed=self._compare_with_orders(now_ns),
-            reported=tuple(reported),
-        )
+        inputs = self._measure(estimate, report, speed, now_ns, tuple(reported))
         self._watchdogs, findings = step_watchdogs(
             self.setup.settings.thresholds, self._watchdogs, inputs
         )
         return tuple(map(advise_simulation, findings)) if self.setup.simulated else findings
+
+    def _measure(
+        self,
+        estimate: StateEstimate | None,
+        report: ControlReport | None,
+        speed: float,
+        now_ns: int,
+        reported: tuple[Finding, ...],
+    ) -> WatchdogInput:
+        """The measurements of a tick, NaN where nothing is known."""
+        seen, settings, ignores_lane = self.perception, self.setup.settings, self.setup.ignores_lane
+        s, health = estimated_state(estimate), estimate.health if estimate else None
+        lane = None if report is None or ignores_lane else judge_both_lanes(report, self.live.now)
+        nowhere = 0.0 if ignores_lane else nan
+        limits, brakes, steer = settings.limits, settings.brakes, self._limiter.order.steer
+        launched = self._launch is not None and self._launch.done
+        v = seen.values
+        return WatchdogInput(
+            t_ns=now_ns,
+            state=self.supervisor.state,
+            pose=seen.watch,
+            mocap_age=seen.mocap_age(now_ns),
+            telemetry_age=seen.telemetry_age(now_ns),
+            lease_age=lease_age(self.lease, now_ns) if self.setup.leased else 0.0,
+            speed=speed,
+            speed_erpm=seen.wheel_speed,
+            speed_mocap=seen.mocap_speed,
+            speed_limit=limits.speed_max if launched else min(LAUNCH_SPEED, limits.speed_max),
+            x=s.x,
+            y=s.y,
+            course=s.yaw + s.slip_angle,
+            sigma_position=health.position_sd if health else nan,
+            sigma_yaw=health.yaw_sd if health else nan,
+            covariance_ok=health.sound if health else True,  # its sigmas are not known: W6 trips
+            lateral_error=lane.e1 if lane else nowhere,
+            heading_error=lane.e2 if lane else nowhere,
+            steer_share=abs(steer)
+            / (limits.steer_left_max if steer > 0.0 else limits.steer_right_max),
+            status=v.status or 0,
+            fault_code=v.fault or 0,
+            tachometer=-1 if v.tachometer_abs is None else v.tachometer_abs,
+            cell_voltage=nan if v.input_voltage is None else v.input_voltage / brakes.cells,
+            fet_temperature=nan if v.temp_fet_c is None else v.temp_fet_c,
+            motor_temperature=nan if v.temp_motor_c is None else v.temp_motor_c,
+            current_share=nan
+            if v.motor_current is None
+            else abs(v.motor_current) / brakes.current_max_a,
+            followed=self._compare_with_orders(now_ns),
+            reported=reported,
+        )
 
     def _compare_with_orders(self, now_ns: int) -> Followed:
         """What wheels and pose did since, against the orders that left."""

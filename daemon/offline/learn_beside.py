@@ -4,8 +4,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from steerd.daemon.assembly.build import RunPlan
-from steerd.daemon.ipc.learner_wire import is_learnt_from
-from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
+from steerd.daemon.ipc.pipe_records import PipeRecord, is_learnt_from, read_message
 from steerd.daemon.offline.virtual import EPOCH_NS
 from steerd.steer_bus import topics
 

@@ -30,7 +30,7 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus, BusError, Keep, Subscription
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import load_lab
-from steerd.steer_bus.topics import LAST_MODEL, Topic, alive_key, make_key, schema_replies
+from steerd.steer_bus.topics import ALIVE, LAST_MODEL, Topic, make_key, schema_replies
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ class Gateway:
         self._plain = [(topics.HEARTBEAT, bus.subscribe(make_key(car, topics.HEARTBEAT)))]
         if pose_key is not None:
             self._plain.append((topics.EXTERNAL_POSE, bus.subscribe(pose_key, _DEPTH)))
-        self._tokens = [bus.declare_alive(alive_key(car))]
+        self._tokens = [bus.declare_alive(make_key(car, ALIVE))]
         schemas = schema_replies(car)
         self._tokens.append(bus.serve(make_key(car, "schema/**"), schemas.get))
         self._model: bytes | None = None

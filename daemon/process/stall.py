@@ -6,9 +6,49 @@ Where it stood still together with the control core, so did everything.
 
 # Why: docs/decisions/safety.md#d35
 
+import os
+from pathlib import Path
+
 from steerd.daemon.loop.flags import Flag
 from steerd.daemon.process.guardian import PERIOD_NS
-from steerd.daemon.process.steal import STALL_SHARE, is_stalled
+
+_STAT = Path("/proc/stat")
+_STEAL = 8
+"""Column of the stolen time in the line of all processors; see proc(5)."""
+STALL_SHARE = 0.5
+"""A tick is late because the machine stood still if so much of its lateness was stolen."""
+
+
+def parse_steal(text: str, ticks_per_second: int) -> int:
+    """Time stolen from all processors since boot [ns]; 0 where the kernel does not say.
+
+    Args:
+        text: of `/proc/stat`.
+        ticks_per_second: of the kernel's accounting, mostly 100.
+    """
+    columns = text.partition("\n")[0].split()
+    if len(columns) <= _STEAL or columns[0] != "cpu" or not columns[_STEAL].isdigit():
+        return 0
+    return int(columns[_STEAL]) * 1_000_000_000 // ticks_per_second
+
+
+def read_steal_ns() -> int:
+    """Time stolen from all processors of this machine since boot [ns]; 0 without `/proc`."""
+    try:
+        return parse_steal(_STAT.read_text(encoding="ascii"), os.sysconf("SC_CLK_TCK"))
+    except (OSError, ValueError):
+        return 0
+
+
+def is_stalled(late_ns: int, stolen_ns: int) -> bool:
+    """Whether the machine, not this program, made a tick late.
+
+    Args:
+        late_ns: lateness of the tick.
+        stolen_ns: time stolen since shortly before it was due.
+    """
+    return late_ns > 0 and stolen_ns >= STALL_SHARE * late_ns
+
 
 Span = tuple[int, int]
 """From and to [ns]."""

@@ -7,16 +7,18 @@ car shows it.
 # Why: docs/decisions/safety.md#d75
 
 import secrets
-from collections.abc import Mapping
+import select
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from steerd.daemon.ipc.operator import KEEPALIVE_NS
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.bus_operator import BusOperator
-from steerd.daemon.process.gamepad import AxisRange, PadEvent
+from steerd.daemon.process.gamepad import AxisRange, Pad, PadEvent
 from steerd.daemon.process.pad_map import PadMap, PadState, is_silent, take_event
 from steerd.daemon.process.page_link import CarView
 from steerd.steer_bus import topics
+from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import BODY, DriveCommand, RequestKind, make_header
 from steerd.steer_bus.topics import make_key
@@ -95,3 +97,22 @@ class Teleop:
             self.pad.steer * self._pads.steer_max if driving else 0.0,
             self.pad.speed * self._pads.speed_max if driving else 0.0,
         )  # fmt: skip
+
+
+def serve_pad(teleop: Teleop, pad: Pad, clock: Clock, say: Callable[[str], object]) -> None:
+    """Serve until the gamepad is gone.
+
+    Raises:
+        PadGoneError: it was unplugged, or its stream has ended.
+    """
+    due = clock.now_ns()
+    while True:
+        ready, _, _ = select.select([pad.fd], [], [], max(due - clock.now_ns(), 0) * 1e-9)
+        teleop.view.poll()
+        if ready:
+            teleop.take(pad.read())
+        if clock.now_ns() >= due:
+            due = clock.now_ns() + PERIOD_NS
+            line = teleop.step()
+            if line:
+                say(line)

@@ -136,20 +136,13 @@ class Cameras:
 def _tilt(q: Quat, a: float, b: float, up: str) -> Quat:
     """Turn a body by the small half-angles ``a``, ``b`` about its own two level axes."""
     w, x, y, z = q
-    if up == "z":  # q * (1, a, b, 0) to second order
-        n = 1.0 - 0.5 * (a * a + b * b)
-        return (
-            n * w - a * x - b * y,
-            n * x + a * w - b * z,
-            n * y + b * w + a * z,
-            n * z + b * x - a * y,
-        )
-    n = 1.0 - 0.5 * (a * a + b * b)
+    n = 1.0 - 0.5 * (a * a + b * b)  # q (n, a, b, 0) to second order, or (n, a, 0, b) with y up
+    b, c = (b, 0.0) if up == "z" else (0.0, b)
     return (
-        n * w - a * x - b * z,
-        n * x + a * w + b * y,
-        n * y + a * z - b * x,
-        n * z + b * w - a * y,
+        n * w - a * x - b * y - c * z,
+        n * x + a * w + c * y - b * z,
+        n * y + b * w + a * z - c * x,
+        n * z + c * w + b * x - a * y,
     )
 
 

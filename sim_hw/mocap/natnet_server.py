@@ -165,11 +165,5 @@ def _rigid_body(body: BodyPose) -> RigidBody:
 
 
 def _answer_request(text: str, config: MocapConfig) -> natnet.Response | natnet.Unrecognized:
-    name = text.split(",")[0]
-    if name == "FrameRate":
-        return natnet.Response(F32.pack(config.rate_hz))
-    if name == "UnitsToMillimeters":
-        return natnet.Response(F32.pack(1.0 if config.frame.units == "mm" else 1000.0))
-    if name == "Bitstream":
-        return natnet.Response("{}.{}".format(*config.version).encode() + b"\0")
-    return natnet.Unrecognized(100)
+    known = text.split(",")[0] == "FrameRate"
+    return natnet.Response(F32.pack(config.rate_hz)) if known else natnet.Unrecognized(100)

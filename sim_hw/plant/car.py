@@ -31,12 +31,9 @@ _HISTORY = 0.5
 class Drive(IntEnum):
     """What the motor does."""
 
-    SPEED = 0
-    """Follow a wheel speed [m/s]."""
-    FORCE = 1
-    """Accelerate [m/s^2], against the drive train's own drag; may reverse."""
-    BRAKE = 2
-    """Decelerate [m/s^2] in addition to the drag, never beyond standstill; 0 is coasting."""
+    SPEED = 0  # follow a wheel speed [m/s]
+    FORCE = 1  # accelerate [m/s^2], against the drive train's own drag; may reverse
+    BRAKE = 2  # decelerate [m/s^2] in addition to the drag, never beyond standstill; 0 is coasting
 
 
 @quick_value

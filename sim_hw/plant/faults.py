@@ -28,13 +28,11 @@ class FaultKind(NamedTuple):
 
     code: str
     name: str
-    target: str
-    """``mocap`` or ``vesc``: whose fault state it changes."""
+    target: str  # ``mocap`` or ``vesc``: whose fault state it changes
     summary: str
     settings: Mapping[str, Param]
     """Fields of the fault state and their values by default; each can be given as a parameter."""
-    must_trip: bool = True
-    """False for what a supervisor must tolerate."""
+    must_trip: bool = True  # false for what a supervisor must tolerate
 
 
 def _mocap(

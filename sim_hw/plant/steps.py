@@ -25,19 +25,15 @@ Numbers = tuple[float, ...]
 
 
 class Steps(NamedTuple):
-    """A step and its two halves, over plain floats.
+    """A step and its two halves, over plain floats."""
 
-    Attributes:
-        memory: how many numbers the car remembers beside its state; all begin at zero.
-        follow: ``follow(*state, *memory, steer, speed, t)`` gives state and memory.
-        actuate: takes the same, gives the steering angle at the step's end and the acceleration.
-        glide: ``glide(count, *state, *memory, steer_end, accel, t)`` gives state and memory, by
-            `count` shorter steps.
-    """
-
-    memory: int
+    memory: int  # how many numbers the car remembers beside its state; all begin at zero
+    # ``follow(*state, *memory, steer, speed, t)`` gives state and memory
     follow: Callable[..., Numbers]
+    # Takes the same, gives the steering angle at the step's end and the acceleration
     actuate: Callable[..., Numbers]
+    # ``glide(count, *state, *memory, steer_end, accel, t)`` gives state and memory, by `count`
+    # shorter steps
     glide: Callable[..., Numbers]
 
 

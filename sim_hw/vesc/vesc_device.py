@@ -23,7 +23,7 @@ from steerd.sim_hw.vesc.vesc_replies import (
     make_terminal_answer,
     make_values,
 )
-from steerd.sim_hw.vesc.vesc_wire import ReplyWire
+from steerd.sim_hw.vesc.vesc_wire import FALSE_HEADER, ReplyWire
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.frames import FrameParser
 from steerd.vesc_link.identity import Ack
@@ -126,7 +126,7 @@ class SimVesc:
         if faults.fault_once and not before.fault_once:
             self.motor.hold_fault(t_ns, faults.fault_once)
         if faults.false_header and not before.false_header:
-            self._wire.send_false_header(t_ns)
+            self._wire.send_raw(t_ns, FALSE_HEADER)
         if not faults.erpm_stuck:
             self._stuck_erpm = None
 

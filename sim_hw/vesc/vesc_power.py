@@ -26,7 +26,7 @@ MEANS = ("motor_current", "input_current", "d_current", "q_current", "v_d", "v_q
 
 
 class Power:
-    """Currents, voltages, charge, temperature and tachometer of the simulated VESC.
+    """Currents, voltages, temperature and tachometer of the simulated VESC.
 
     Attributes:
         current: motor current, positive drives forward on the wire [A].
@@ -34,7 +34,6 @@ class Power:
         duty: duty cycle.
         revolutions, travel: electrical revolutions, signed and unsigned.
         warmth, heat_c: above ambient by the motor's own current, and by a fault [K].
-        ah, ah_charged, wh, wh_charged: as telemetry sends them.
     """
 
     def __init__(self, config: VescConfig) -> None:
@@ -42,7 +41,6 @@ class Power:
         self.current = self.duty = 0.0
         self.voltage = config.battery_voltage
         self.revolutions = self.travel = 0.0
-        self.ah = self.ah_charged = self.wh = self.wh_charged = 0.0
         self.warmth = self.heat_c = 0.0
         self.input_current = 0.0
         self._motor_sum = self._input_sum = self._q_sum = self._vq_sum = 0.0
@@ -69,13 +67,6 @@ class Power:
         revolutions = erpm * h / 60.0
         self.revolutions += revolutions
         self.travel += revolutions if revolutions > 0.0 else -revolutions
-        charge = source * h / 3600.0
-        if charge >= 0.0:
-            self.ah += charge
-            self.wh += charge * self.voltage
-        else:
-            self.ah_charged -= charge
-            self.wh_charged -= charge * self.voltage
         self.warmth += h * (_HEATING * current * current - self.warmth / _COOLING)
         strength = current if current > 0.0 else -current
         self._motor_sum += strength if source >= 0.0 else -strength

@@ -9,7 +9,7 @@ from steerd.sim_hw.vesc.vesc_config import MS, VescConfig
 from steerd.sim_hw.vesc.vesc_motor import Motor
 from steerd.sim_hw.vesc.vesc_power import MEANS, Power
 from steerd.vesc_link import identity, telemetry
-from steerd.vesc_link.ids import FW_3_00, fault_name
+from steerd.vesc_link.ids import fault_name
 
 _IMU_PERIOD_NS = 5 * MS
 """The firmware samples its IMU at 200 Hz; faster polling reads the same sample again."""
@@ -23,32 +23,26 @@ _APPCONF_TAIL = bytes(range(1, 200)) * 2
 def make_values(
     config: VescConfig, motor: Motor, power: Power, erpm: int, mask: int | None
 ) -> telemetry.Values:
-    """GET_VALUES reply; reads, and thereby restarts, the requested means."""
+    """GET_VALUES reply; reads, and thereby restarts, the requested means.
+
+    What no client of ours asks for (charge, energy, position, temperature of each switch) is 0.
+    """
     temp = power.temp_c
     means: dict[str, Any] = {
         name: power.read_mean(name)
         for name in MEANS
         if mask is None or mask >> _MEAN_BITS[name] & 1
     }
-    values: dict[str, Any] = {f"temp_mos{n}_c": temp for n in (1, 2, 3)}
-    if config.firmware <= FW_3_00:
-        values |= {f"temp_mos{n}_c": temp for n in (4, 5, 6)} | {"temp_pcb_c": temp}
     return telemetry.Values(
-        **values,
         **means,
         temp_fet_c=temp,
         temp_motor_c=temp,
         duty=power.duty,
         erpm=erpm,
         input_voltage=power.voltage,
-        ah=power.ah,
-        ah_charged=power.ah_charged,
-        wh=power.wh,
-        wh_charged=power.wh_charged,
         tachometer=power.tachometer,
         tachometer_abs=power.tachometer_abs,
         fault=motor.fault,
-        pid_pos_deg=power.revolutions % 1.0 * 360.0,
         controller_id=config.controller_id,
         status=motor.status,
         mask=mask,

@@ -6,7 +6,8 @@ from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.sim_hw.vesc.vesc_config import MS, VescConfig
 from steerd.vesc_link.frames import encode_frame
 
-_FALSE_HEADER = b"\x03\x02\x00"
+FALSE_HEADER = b"\x03\x02\x00"
+"""The head of a frame of 512 bytes."""
 _UNKNOWN_FRAME = encode_frame(b"\xfaunsolicited")
 _USB_WAIT_NS = 100 * MS
 """How long the firmware's USB thread waits for a host that does not read."""
@@ -66,10 +67,6 @@ class ReplyWire:
     def send_raw(self, t_ns: int, data: bytes) -> None:
         """Send bytes that are no frame."""
         self._put(t_ns, t_ns, data)
-
-    def send_false_header(self, t_ns: int) -> None:
-        """Send the head of a frame of 512 bytes that will never come."""
-        self._put(t_ns, t_ns, _FALSE_HEADER)
 
     def _put(self, t_ns: int, due: int, data: bytes) -> None:
         room = self._config.unread_limit - self._unread

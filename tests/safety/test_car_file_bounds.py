@@ -5,6 +5,7 @@ what it found.
 """
 
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +22,6 @@ from steerd.daemon.offline.virtual import drive, make_virtual_run
 from steerd.daemon.settings.config import make_settings
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.daemon.settings.thresholds import BOUNDS
-from steerd.estimator.config import _LIMITS as FILTER_BOUNDS
 from steerd.estimator.config import FilterConfig
 
 DEFAULT = default_car_path().read_text(encoding="utf-8")
@@ -45,9 +45,9 @@ def walk() -> Iterator[Case]:
     """Both bounds of every number; the controller's have no upper bound of their own."""
     for p in PARAMETERS:
         yield from (Case("car", p.name, float(v)) for v in (p.low, p.high))
-    for key, bounds in FILTER_BOUNDS.items():
-        whole = isinstance(getattr(FilterConfig(), key), int)
-        yield from (Case("estimator", key, int(v) if whole else float(v)) for v in bounds)
+    for f in fields(FilterConfig):
+        kind = type(f.default)
+        yield from (Case("estimator", f.name, kind(v)) for v in f.metadata.values())
     for key, bounds in CONTROLLER.items():
         yield from (Case("controller", key, v) for v in bounds)
     for section, table in (("limits", CEILINGS), ("safety", BOUNDS)):

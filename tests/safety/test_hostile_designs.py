@@ -11,12 +11,11 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from steerd.controller.acceptance import accept
 from steerd.controller.design import assessed_speeds, stability_at
 from steerd.controller.gain_table import GainTable
 from steerd.controller.lane_controller import LaneController
 from steerd.controller.learnt import Design, Learnt
-from tests.designs import design_for, standard
+from tests.designs import accept, design_for, standard
 
 pytestmark = pytest.mark.slow
 MANY, WHOLE = 100_000, 500

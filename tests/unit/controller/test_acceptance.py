@@ -4,11 +4,11 @@ from math import inf, nan
 
 import pytest
 
-from steerd.controller.acceptance import accept, check_design
+from steerd.controller.acceptance import check_design
 from steerd.controller.design import assess
 from steerd.controller.lane_controller import LaneController
 from steerd.controller.learnt import learnt_car, learnt_timing
-from tests.designs import design_for, numbers, scaled, standard
+from tests.designs import accept, design_for, numbers, scaled, standard
 
 NEAR = {"steer_gain": 0.98, "steer_bias": 0.004, "steer_delay": 0.016}
 

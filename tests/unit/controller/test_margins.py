@@ -5,10 +5,9 @@ from math import asin
 import numpy as np
 import pytest
 
-from steerd.controller.design import closed_loop, stability_at
+from steerd.controller.design import closed_loop, margins, stability_at
 from steerd.controller.gain_table import N_LANE, look_up
 from steerd.controller.loop_model import sampled_loop
-from steerd.controller.margins import margins
 from tests.designs import design_for, scaled, standard
 
 SPEEDS = (0.3, 0.9, 1.5)

@@ -7,17 +7,16 @@ import pytest
 from steerd.steer_bus.codec import schema_text, type_name
 from steerd.steer_bus.messages import StateMessage
 from steerd.steer_bus.topics import (
+    ALIVE,
     DRIVE,
     STATE,
     TOPICS,
     Direction,
     Priority,
-    alive_key,
     check_car_name,
     find_topic,
     make_key,
     make_session_topic,
-    schema_key,
     schema_replies,
     split_key,
 )
@@ -35,8 +34,7 @@ def test_keys():
     assert make_key("car1", DRIVE, "desk") == "steerd/car1/cmd/drive/desk"
     assert find_topic("steerd/car1/cmd/drive/desk") is DRIVE
     assert make_session_topic("car1", DRIVE) == "/steerd/car1/cmd/drive"
-    assert alive_key("car1") == "steerd/car1/alive"
-    assert schema_key("car1", StateMessage) == "steerd/car1/schema/steerd_msgs/msg/State"
+    assert make_key("car1", ALIVE) == "steerd/car1/alive"
 
 
 @pytest.mark.parametrize("car", ["", "Car", "a/b", "*", "a*", "**", "a b", "ä", "a\n", "x" * 65])
@@ -69,7 +67,7 @@ def test_commands_are_urgent_and_inward():
 
 def test_every_topic_on_the_bus_has_its_schema_served():
     replies = schema_replies("car1")
-    assert replies[schema_key("car1", StateMessage)] == schema_text(StateMessage).encode()
+    assert replies["steerd/car1/schema/steerd_msgs/msg/State"] == schema_text(StateMessage).encode()
     for topic in TOPICS:
         if topic.on_bus:
             key = f"steerd/car1/schema/{type_name(topic.message)}"

@@ -77,8 +77,7 @@ def run(args: argparse.Namespace) -> int:
     from steerd.daemon.ipc.operator import connect, read_status
     from steerd.daemon.process.gamepad import PadGoneError, open_pad
     from steerd.daemon.process.page_link import CarView
-    from steerd.daemon.process.teleop import Teleop
-    from steerd.daemon.process.teleop_loop import serve_pad
+    from steerd.daemon.process.teleop import Teleop, serve_pad
     from steerd.steer_bus.clock import MonotonicClock
 
     raise_on_stop_signals()

@@ -4,8 +4,7 @@ import pytest
 
 from steerd.daemon.learning import proposing
 from steerd.daemon.learning.proposing import PAUSE_NS, Proposals, hear, make_proposer, propose
-from steerd.daemon.loop.design_desk import REFUSED
-from steerd.daemon.loop.design_message import make_design, make_no_design, read_design
+from steerd.daemon.loop.design_desk import REFUSED, make_design, make_no_design, read_design
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import decode
 from tests.designs import numbers, standard

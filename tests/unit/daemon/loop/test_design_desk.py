@@ -3,8 +3,14 @@
 import pytest
 
 from steerd.daemon.loop.adapting import make_adapting, step_adapting, take_design
-from steerd.daemon.loop.design_desk import OLD_NS, REFUSED, DesignDesk
-from steerd.daemon.loop.design_message import make_design, make_no_design, read_design
+from steerd.daemon.loop.design_desk import (
+    OLD_NS,
+    REFUSED,
+    DesignDesk,
+    make_design,
+    make_no_design,
+    read_design,
+)
 from steerd.steer_bus.codec import encode
 from tests.designs import design_for, scaled, standard
 

@@ -3,7 +3,7 @@
 import pytest
 
 from steerd.controller.learnt import Learnt
-from steerd.daemon.loop.design_message import make_design, make_no_design, read_design
+from steerd.daemon.loop.design_desk import make_design, make_no_design, read_design
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import decode, encode
 from tests.designs import design_for, standard

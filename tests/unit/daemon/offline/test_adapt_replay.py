@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from steerd.controller.learnt import approach_learnt
-from steerd.daemon.loop.design_message import make_design, make_no_design
+from steerd.daemon.loop.design_desk import make_design, make_no_design
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.fast import make_recording
 from steerd.daemon.offline.virtual import EPOCH_NS, drive, make_virtual_run

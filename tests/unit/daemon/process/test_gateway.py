@@ -11,7 +11,7 @@ from steerd.daemon.process.gateway import Gateway, run_gateway
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode, encode
-from steerd.steer_bus.topics import alive_key, make_key
+from steerd.steer_bus.topics import make_key
 from tests.local_bus import LocalBus, LocalHub
 
 POSE_KEY = "lab/pose"
@@ -47,7 +47,7 @@ def packets(core):
 def test_it_is_alive_and_gives_the_schemas(hub):
     gateway = Gateway(LocalBus(hub), "car1", None)
     other = LocalBus(hub)
-    assert other.alive("**") == {alive_key("car1")}
+    assert other.alive("**") == {"steerd/car1/alive"}
     (text,) = other.query(make_key("car1", "schema/steerd_msgs/msg/Tick")).values()
     assert b"due_ns" in text
     assert gateway is not None

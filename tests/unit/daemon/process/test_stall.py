@@ -3,7 +3,7 @@
 import pytest
 
 from steerd.daemon.loop.findings import make_finding
-from steerd.daemon.loop.flags import CAUSES, Flag, blame
+from steerd.daemon.loop.flags import CAUSES, Flag, blame_late
 from steerd.daemon.process.guardian import PERIOD_NS
 from steerd.daemon.process.stall import LEAST_NS, find_cause
 
@@ -60,11 +60,11 @@ def test_stolen_time_says_more_than_the_guardian():
 
 def test_each_cause_has_its_own_sentence_and_stops_as_before():
     late = make_finding("W15", "a tick 41 ms late")
-    said = [blame(late, flag) for flag in (Flag.STALLED, Flag.ALL_LATE, Flag.ALONE_LATE, 0)]
+    said = [blame_late(late, flag) for flag in (Flag.STALLED, Flag.ALL_LATE, Flag.ALONE_LATE, 0)]
     assert len({finding.text for finding in said}) == 4
     assert all(finding.text.startswith("W15 loop late: a tick 41 ms late; ") for finding in said)
     assert all(finding.severity is late.severity for finding in said)
     assert said[3] == late
     assert "close other programs" in said[2].text
     assert "close other programs" not in said[0].text + said[1].text
-    assert blame(late, ~CAUSES) == late
+    assert blame_late(late, ~CAUSES) == late

@@ -4,10 +4,10 @@ import subprocess
 
 import pytest
 
-from steerd.daemon.loop.findings import blame_machine, make_finding
+from steerd.daemon.loop.findings import STALLED, blame, make_finding
 from steerd.daemon.process import rtcheck
 from steerd.daemon.process.rtcheck import keep_busy
-from steerd.daemon.process.steal import is_stalled, parse_steal, read_steal_ns
+from steerd.daemon.process.stall import is_stalled, parse_steal, read_steal_ns
 
 MS = 1_000_000
 STAT = "cpu  10 0 5 900 1 0 0 42 0 0\ncpu0 10 0 5 900 1 0 0 42 0 0\n"
@@ -42,7 +42,7 @@ def test_the_machine_stalled_if_half_of_the_lateness_was_stolen(late_ms, stolen_
 
 def test_the_reason_names_the_machine_and_stops_as_before():
     late = make_finding("W15", "a tick 41 ms late")
-    said = blame_machine(late)
+    said = blame(late, STALLED)
     assert said.text.startswith(
         "W15 loop late: a tick 41 ms late; the host of this virtual machine"
     )
