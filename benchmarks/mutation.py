@@ -44,7 +44,7 @@ TESTS = (
     "tests/unit/daemon/loop/test_watchdogs_fence.py",
     "tests/unit/daemon/loop/test_watchdogs_stops.py",
     "tests/unit/daemon/loop/test_watchdogs_vesc.py",
-    "tests/unit/daemon/settings/test_thresholds.py", "tests/unit/daemon/loop/test_launch.py",
+    "tests/unit/daemon/settings/test_config.py", "tests/unit/daemon/loop/test_launch.py",
     "tests/unit/daemon/process/test_guardian.py", "tests/unit/daemon/loop/test_supervisor_stops.py",
     "tests/unit/daemon/loop/test_lateness.py", "tests/unit/daemon/loop/test_lease.py",
     "tests/unit/steer_bus/test_codec.py", "tests/unit/daemon/loop/test_following.py",

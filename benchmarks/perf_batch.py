@@ -19,8 +19,7 @@ from pathlib import Path
 from batch_drives import DAY, FIRST, Hidden, make_fleet
 
 from steerd.daemon.many.batch.run import Batch, run_batch
-from steerd.daemon.many.batch.sources import Question
-from steerd.daemon.many.batch.unit import day_of
+from steerd.daemon.many.batch.unit import Question, day_of
 from steerd.daemon.many.units import Where
 
 HIDDEN = (

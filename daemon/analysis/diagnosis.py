@@ -33,9 +33,9 @@ from steerd.daemon.analysis.options import (
 from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.assembly.sim_car import compare_truths, read_origin
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.notebook import notebook_progress, shown
-from steerd.daemon.common.outputs import check_outputs
-from steerd.daemon.common.written import car_outputs, write_outputs
+from steerd.daemon.common.notebook import notebook_progress
+from steerd.daemon.common.screen import shown
+from steerd.daemon.common.written import car_outputs, check_outputs, write_outputs
 from steerd.posterior_file import TABLES
 from steerd.sim_gap import diagnosis as engine
 from steerd.sim_gap.lane_comparison import LaneComparison, encode_lane

@@ -16,7 +16,7 @@ from steerd.daemon.analysis.options import Speed
 from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.translate import reading
-from steerd.daemon.sessions.info import load_session, make_session_report, read_tables
+from steerd.daemon.sessions.info import load_session, make_session_report, read_recording
 from steerd.daemon.sessions.motion import make_range
 from steerd.steer_bus.session_read import Session
 from steerd.sysid.data.dataset import Run, read_run
@@ -83,10 +83,10 @@ def load_drive(path: Path, speed: Speed, warn: Warn) -> tuple[Session, Run]:
     warn([f"{path.name}: {each}" for each in damage])
     with refusing([session]):
         with reading(path):
-            read = read_tables(session)
-            run = correct_log_jitter(read_run(session, read[0]))
+            read = read_recording(session)
+            run = correct_log_jitter(read_run(session, read.tables))
         _check_angles(run)
-        report = make_session_report(session, read)
+        report = make_session_report(read)
         warn([f"{path.name}: {each}" for each in report.warnings if each not in damage])
         return session, with_wheel_speed(run) if speed == "wheel" else run
 

@@ -33,7 +33,8 @@ from steerd.daemon.analysis.options import (
 )
 from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.notebook import notebook_progress, shown
+from steerd.daemon.common.notebook import notebook_progress
+from steerd.daemon.common.screen import shown
 from steerd.daemon.common.written import writing
 from steerd.posterior_file import posterior_path
 from steerd.steer_bus.session_read import Session

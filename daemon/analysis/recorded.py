@@ -10,9 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.notebook import load_package, make_frame, shown
+from steerd.daemon.common.notebook import load_package, make_frame
+from steerd.daemon.common.screen import shown
 from steerd.daemon.common.translate import make_session_error
-from steerd.daemon.sessions.info import SessionReport, Times, load_session, make_session_report
+from steerd.daemon.sessions.info import (
+    SessionReport,
+    load_session,
+    make_session_report,
+    read_recording,
+    seconds_since,
+)
 from steerd.steer_bus import session_read
 from steerd.steer_bus.fields import Nested, flat_leaves, message_fields
 from steerd.steer_bus.session_read import MESSAGE_TYPES, SessionError
@@ -66,7 +73,7 @@ class Session:
     @cached_property
     def report(self) -> SessionReport:
         """The numbers of `steerd info`."""
-        return make_session_report(self._recording)
+        return make_session_report(read_recording(self._recording))
 
     @cached_property
     def _names(self) -> dict[str, tuple[str, type[Any]]]:
@@ -148,7 +155,7 @@ class Session:
         from steerd.daemon.analysis.figures import plot_session
         from steerd.daemon.sessions.plot_data import make_drawing
 
-        return plot_session(make_drawing(self._recording), self.path.name)
+        return plot_session(make_drawing(read_recording(self._recording)), self.path.name)
 
     def __str__(self) -> str:
         from steerd.daemon.sessions.text import format_report
@@ -177,9 +184,8 @@ class Session:
             raise make_session_error(error) from None
 
     def _with_time(self, columns: Columns) -> Columns:
-        times = Times(self._recording.info().start_ns)
         stamps = columns["stamp_ns"] if "stamp_ns" in columns else columns["log_ns"]
-        return {"t": times.of(stamps), **columns}
+        return {"t": seconds_since(self._recording.info().start_ns, stamps), **columns}
 
 
 _TIMES = {"t": "s", "log_ns": "ns", "publish_ns": "ns"}

@@ -14,8 +14,7 @@ from steerd.car_model.params import Car
 from steerd.car_model.path.path import Path
 from steerd.car_model.path.path_spec import parse_path
 from steerd.daemon.assembly.sim_car import load_sim_car, make_true_model
-from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.near import find_near
+from steerd.daemon.common.errors import ExitCode, SteerdError, find_near
 from steerd.daemon.ipc.outbox import Outbox, Sink
 from steerd.daemon.loop.plans import Drill, PlanError, parse_drill
 from steerd.daemon.settings.config import Settings, load_settings

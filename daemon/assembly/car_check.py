@@ -1,8 +1,11 @@
 """Whether `steerd run` takes a car file: its settings, and the design that they ask for."""
 
+import sys
+
 from steerd.car_model.car_file import CarFile
 from steerd.daemon.assembly.build import RunPlan, make_plan
 from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.common.screen import print_labelled
 from steerd.daemon.settings.config import Settings, make_settings
 from steerd.daemon.settings.run_options import RunOptions
 
@@ -21,10 +24,10 @@ def plan_car(car: CarFile) -> tuple[Settings, RunPlan]:
     return settings, make_plan(options, settings)
 
 
-def find_refusal(car: CarFile) -> SteerdError | None:
-    """Why `steerd run` would refuse a car file; None if it would not."""
+def report_refusal(car: CarFile) -> None:
+    """Print a note where `steerd run` refuses the file, so that nobody learns it at the car."""
     try:
         plan_car(car)
     except SteerdError as error:
-        return error
-    return None
+        text = f"`steerd run` refuses this file: {error.what}\n{error.hint}".rstrip()
+        print_labelled("note: ", text, sys.stderr)

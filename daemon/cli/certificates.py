@@ -7,6 +7,8 @@ authority's private key stays in `authority/`, on a machine that neither car nor
 import ipaddress
 import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -130,7 +132,7 @@ def write_private(path: Path, data: bytes, *, new: bool = True) -> None:
     Raises:
         SteerdError: it exists, or cannot be written.
     """
-    try:
+    with _making(path):
         if not new:
             write_atomically(path, data, _PRIVATE)
             return
@@ -142,25 +144,24 @@ def write_private(path: Path, data: bytes, *, new: bool = True) -> None:
         except OSError:
             path.unlink()  # half a key helps nobody
             raise
-    except FileExistsError:
-        raise _make_exists_error(path) from None
-    except OSError as error:
-        raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
 
 
 def _new_folder(path: Path) -> Path:
-    try:
+    with _making(path):
         path.mkdir(mode=0o700, parents=True)
-    except FileExistsError:
-        raise _make_exists_error(path) from None
-    except OSError as error:
-        raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
     return path
 
 
-def _make_exists_error(path: Path) -> SteerdError:
-    hint = "choose another folder or name, or delete it if nobody uses it any more"
-    return SteerdError(f"{path} already exists and is not changed", hint, ExitCode.UNREADABLE)
+@contextmanager
+def _making(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except FileExistsError:
+        what = f"{path} already exists and is not changed"
+        hint = "choose another folder or name, or delete it if nobody uses it any more"
+        raise SteerdError(what, hint, ExitCode.UNREADABLE) from None
+    except OSError as error:
+        raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
 
 
 def _builder(

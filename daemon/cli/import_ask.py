@@ -12,13 +12,12 @@ import numpy as np
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.packaged import EXAMPLE_MAP
-from steerd.daemon.imports.propose import Proposal, change, format_map, known_names
+from steerd.daemon.imports.propose import Proposal, change, format_map, list_sections
 
 if TYPE_CHECKING:
-    from steerd.daemon.sessions.info import SessionReport
-    from steerd.steer_bus.session_read import Session
+    from steerd.daemon.sessions.info import Recording, SessionReport
 
-Trial = Callable[[Path, Path], None]
+Trial = Callable[[Path, Path], object]
 """Imports by a map file into a session file."""
 _LEFT, _MM = "must be left positive", "millimetres"
 
@@ -61,7 +60,7 @@ def ask(proposal: Proposal, source: Path, trial: Trial) -> str:
         if not line or answer == "q":
             raise SteerdError("nothing was written", "", ExitCode.USAGE)
         if answer == "?":
-            print("  " + ", ".join(known_names(proposal)))
+            print("  " + ", ".join(list_sections(proposal)))
         elif answer:
             wrong = change(proposal, answer)
             if wrong:
@@ -96,34 +95,29 @@ def _indent(text: str) -> str:
 
 def _try(proposal: Proposal, source: Path, trial: Trial) -> Meaning | str:
     """What the map makes of the log, or why it makes nothing."""
-    from steerd.daemon.sessions.info import load_session, make_session_report
+    from steerd.daemon.sessions.info import load_recording
 
     with tempfile.TemporaryDirectory(prefix="steerd-") as folder:
         the_map, out = Path(folder) / "map.toml", Path(folder) / "trial.mcap"
         the_map.write_text(format_map(proposal, source.name), encoding="utf-8")
         try:
             trial(the_map, out)
-            session = load_session(out)
-            return _read_meaning(session, make_session_report(session))
+            return _read_meaning(load_recording(out))
         except SteerdError as error:
             shown = error.what.replace(f"map {the_map}", "the map")
             no_file = str(EXAMPLE_MAP) not in error.hint
             return f"{shown}; {error.hint}" if error.hint and no_file else shown
 
 
-def _read_meaning(session: "Session", report: "SessionReport") -> Meaning:
-    from steerd.daemon.sessions.info import Times, find_table, make_track_of, read_tables
-    from steerd.daemon.sessions.motion import Signal, find_erpm_gain, round_gain
+def _read_meaning(read: "Recording") -> Meaning:
+    from steerd.daemon.sessions.info import make_session_report
+    from steerd.daemon.sessions.motion import find_erpm_gain, round_gain
     from steerd.steer_bus.topics import VESC
 
-    times, tables = Times(report.info.start_ns), read_tables(session)[0]
-    track, vesc = make_track_of(tables, times), find_table(tables, VESC)
-    gain = None
-    if vesc is not None:
-        erpm = Signal(times.of(vesc["stamp_ns"]), vesc["erpm"].astype(float))
-        gain = find_erpm_gain(track, erpm)
-        gain = None if gain is None else round_gain(gain)
-    lines = list(_lines(report, None if track is None else track.yaw, gain))
+    report, track = make_session_report(read), read.track
+    gain = find_erpm_gain(track, read.signal(VESC, "erpm"))
+    gain = None if gain is None else round_gain(gain)
+    lines = _lines(report, None if track is None else track.yaw, gain)
     return Meaning(tuple(lines), report.warnings, gain)
 
 

@@ -18,9 +18,9 @@ import warnings
 from collections.abc import Sequence
 from typing import TextIO
 
-from steerd.daemon.cli.inputs import check_inputs
+from steerd.daemon.cli.arguments import check_inputs
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.streams import prepare_streams
+from steerd.daemon.common.screen import prepare_streams
 from steerd.version import VERSION
 
 # OpenBLAS's threads slow small matrices down: a controller design took 3 s instead of 0.05 s.
@@ -119,7 +119,7 @@ def parse_command(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
         print(f"steerd {VERSION}")
         raise SystemExit(0)
     if argv and not argv[0].startswith("-") and argv[0] not in COMMANDS:
-        from steerd.daemon.common.near import did_you_mean
+        from steerd.daemon.common.errors import did_you_mean
 
         hint = did_you_mean(argv[0], COMMANDS) or "`steerd --help` lists the commands"
         raise SteerdError(f"there is no command {argv[0]!r}", hint, ExitCode.USAGE)
@@ -180,7 +180,7 @@ def _unusable(name: str, error: argparse.ArgumentError) -> SteerdError:
 
 def _refuse(name: str, parser: argparse.ArgumentParser, unknown: list[str]) -> SteerdError:
     """The error of words that a command does not take, with the nearest option."""
-    from steerd.daemon.common.near import did_you_mean
+    from steerd.daemon.common.errors import did_you_mean
 
     options = [text for action in parser._actions for text in action.option_strings]  # noqa: SLF001
     word = next((each for each in unknown if each.startswith("-")), unknown[0])
@@ -209,51 +209,47 @@ def run_cli(argv: Sequence[str]) -> int:
         sys.stdout.flush()
         return code
     except SteerdError as error:
-        _print_error(error)
-        return error.code
+        return _report(error)
     except KeyboardInterrupt:
         return ExitCode.INTERRUPTED
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return ExitCode.OK
     except Exception as error:
-        if isinstance(error, ModuleNotFoundError) and not str(error.name).startswith("steerd"):
-            what = f"`steerd {argv[0]}` needs {error.name}, which a car's computer does without"
-            hint = "pip install -c constraints.txt -e . (in the checkout)"
-            _print_error(SteerdError(what, hint))
-            return ExitCode.USAGE
-        if isinstance(error, OSError) and _takes_nothing(error):
-            return _end_unwritten(error)
-        if type(error).__name__ == "LibraryError":  # which a command that computes has loaded
-            _print_error(SteerdError(str(error)))
-            return ExitCode.UNREADABLE
+        known = _find_cause(argv[0], error)
+        if known is not None:
+            return _report(known)
         traceback.print_exc()
         print("steerd: this is a bug in steerd; please report the lines above", file=sys.stderr)
         return ExitCode.INTERNAL
 
 
-def _takes_nothing(error: OSError) -> bool:
-    from steerd.steer_bus.atomic_file import takes_nothing
-
-    return takes_nothing(error) or error.errno in _NO_FILES
-
-
 _NO_FILES = (errno.EMFILE, errno.ENFILE)
 
 
-def _end_unwritten(error: OSError) -> int:
-    """A disk that took no more, wherever that was: a cache, a temporary file, the output itself."""
-    from steerd.steer_bus.atomic_file import is_full
+def _find_cause(name: str, error: Exception) -> SteerdError | None:
+    """What a machine lacks, a package, room on its disk or the compiled equations; else None."""
+    from steerd.steer_bus.atomic_file import is_full, takes_nothing
 
-    if error.errno in _NO_FILES:
-        _print_error(SteerdError(f"{error.strerror}", "raise the limit: `ulimit -n 1024`"))
-        return ExitCode.UNREADABLE
-    where = error.filename or "a cache, a temporary file or the output"
-    hint = "free some space" if is_full(error) else "look at its owner, its rights and its mount"
-    _print_error(SteerdError(f"{where}: {error.strerror}", hint))
-    with contextlib.suppress(OSError):  # what is buffered has no place to go, at the end too
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return ExitCode.UNREADABLE
+    if isinstance(error, ModuleNotFoundError) and not str(error.name).startswith("steerd"):
+        what = f"`steerd {name}` needs {error.name}, which a car's computer does without"
+        hint = "pip install -c constraints.txt -e . (in the checkout)"
+        return SteerdError(what, hint, ExitCode.USAGE)
+    if isinstance(error, OSError) and error.errno in _NO_FILES:
+        hint = "raise the limit: `ulimit -n 1024`"
+        return SteerdError(f"{error.strerror}", hint, ExitCode.UNREADABLE)
+    if isinstance(error, OSError) and takes_nothing(error):
+        # A cache, a temporary file or the output: what is buffered has no place to go, at the end
+        # too.
+        with contextlib.suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        where = error.filename or "a cache, a temporary file or the output"
+        hint = "look at its owner, its rights and its mount"
+        hint = "free some space" if is_full(error) else hint
+        return SteerdError(f"{where}: {error.strerror}", hint, ExitCode.UNREADABLE)
+    if type(error).__name__ == "LibraryError":  # which a command that computes has loaded
+        return SteerdError(str(error), "", ExitCode.UNREADABLE)
+    return None
 
 
 def show_warning(
@@ -274,12 +270,14 @@ def show_warning(
         stream.write(warnings.formatwarning(message, category, filename, lineno, line))
 
 
-def _print_error(error: SteerdError) -> None:
+def _report(error: SteerdError) -> ExitCode:
+    """Say what happened and what to try; the exit code."""
     from steerd.daemon.common.screen import print_labelled
 
     print_labelled("steerd: ", error.what, sys.stderr)
     if error.hint:
         print_labelled("   try: ", error.hint, sys.stderr)
+    return error.code
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Failures: one sentence for what happened, one for what to try, and an exit code."""
 
+from collections.abc import Iterable
 from enum import IntEnum
 
 
@@ -42,3 +43,17 @@ class SteerdError(Exception):
 
     def __str__(self) -> str:
         return f"{self.what} — try: {self.hint}" if self.hint else self.what
+
+
+def find_near(word: str, known: Iterable[str]) -> str:
+    """The known word that is most like another one; empty if none is."""
+    import difflib  # which most commands do without
+
+    near = difflib.get_close_matches(word.lower(), list(known), n=1)
+    return near[0] if near else ""
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """`did you mean X?`, or nothing."""
+    near = find_near(word, known)
+    return f"did you mean {near}?" if near else ""

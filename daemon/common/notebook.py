@@ -1,4 +1,4 @@
-"""How steerd behaves in a notebook: values that show themselves, progress, words of arguments."""
+"""How steerd behaves in a notebook: progress, frames with units, words of arguments."""
 
 import re
 import sys
@@ -20,22 +20,6 @@ P = ParamSpec("P")
 _OPTION = re.compile(r"(?<![`\w])--([a-z][a-z-]*)(?:[ =]([\w./]+)(?=$|[:,;]))?")
 _ARGUMENTS = {"effect": "effects"}
 """Arguments that are not called as their option."""
-
-
-def shown(cls: type[T]) -> type[T]:
-    """A class whose `str` is its screen: `repr` is its verdict or its first line."""
-
-    def line(self: T) -> str:
-        lines = str(self).strip().splitlines()
-        first = next((text for text in lines if text.startswith("verdict")), lines[0])
-        return f"<steerd.{cls.__name__}: {' '.join(first.split())}>"
-
-    def page(self: T) -> str:
-        return f"<pre>{escape(str(self))}</pre>"
-
-    cls.__repr__ = line  # type: ignore[assignment]
-    cls._repr_html_ = page  # type: ignore[attr-defined]
-    return cls
 
 
 def speaking_of_arguments(function: Callable[P, T]) -> Callable[P, T]:

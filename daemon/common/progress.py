@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Protocol, TypeVar
 
-from steerd.daemon.common.streams import raw
+from steerd.daemon.common.screen import raw
 
 T = TypeVar("T")
 Advance = Callable[[float], None]

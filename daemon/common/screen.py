@@ -1,11 +1,15 @@
 """Lines for a terminal: broken between words, never inside one, and free of control characters."""
 
+import os
 import re
 import shutil
+import sys
 import textwrap
+from collections.abc import Sequence
+from html import escape
 from math import isfinite
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO, TypeVar
 
 WIDTH = 80
 """Columns of the narrowest terminal that reports are made for."""
@@ -20,6 +24,11 @@ def clean(text: str, length: int = TEXT_MAX) -> str:
     """Text from a file, safe for a terminal: no control characters, not too long."""
     shown = "".join(c if c.isprintable() else "?" for c in text[:length])
     return shown + ("…" if len(text) > length else "")
+
+
+def cut(text: str, width: int) -> str:
+    """At most so many columns of a text, the last of them a mark where something is left out."""
+    return text if len(text) <= width else f"{text[: width - 1]}…"
 
 
 def show(value: float, form: str) -> str:
@@ -100,3 +109,93 @@ def print_labelled(label: str, text: str, file: TextIO) -> None:
             print(paragraph, file=file)
         else:
             print("\n".join(wrap(paragraph, indent if i else label, indent, width)), file=file)
+
+
+_CONTROLS = dict.fromkeys(
+    {*range(32), *range(127, 160), *range(0x202A, 0x202F), *range(0x2066, 0x206A)} - {9, 10}, "?"
+)
+"""Control characters but for tab and line end, and those that turn the direction of reading."""
+
+
+def remove_controls(text: str) -> str:
+    """Text that no terminal obeys: each control character is a question mark."""
+    return text.translate(_CONTROLS)
+
+
+class PlainStream:
+    """A stream whose text passes `remove_controls`; `raw` is for what draws on a terminal itself.
+
+    Attributes:
+        raw: the stream behind it.
+    """
+
+    def __init__(self, raw: TextIO) -> None:
+        self.raw = raw
+
+    def write(self, text: str) -> int:
+        """Write what a terminal may show."""
+        return self.raw.write(remove_controls(text))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.raw, name)
+
+
+def raw(stream: TextIO) -> TextIO:
+    """The stream for a program's own escape sequences."""
+    return stream.raw if isinstance(stream, PlainStream) else stream
+
+
+def prepare_streams() -> None:
+    """Give the process three streams, whatever it was started with.
+
+    A closed one is the null device: the next file that is opened would take its number. What a
+    locale cannot write is a question mark.
+    """
+    while (fd := os.open(os.devnull, os.O_RDWR)) <= 2:  # the lowest that is free
+        os.set_inheritable(fd, True)
+    os.close(fd)
+    sys.stdin = sys.stdin or os.fdopen(0, encoding="utf-8", closefd=False)
+    for name, number in (("stdout", 1), ("stderr", 2)):
+        stream = getattr(sys, name) or os.fdopen(number, "w", encoding="utf-8", closefd=False)
+        stream.reconfigure(errors="replace")
+        setattr(sys, name, PlainStream(stream))
+
+
+T = TypeVar("T")
+
+
+def shown(cls: type[T]) -> type[T]:
+    """A class whose `str` is its screen: `repr` is its verdict or its first line."""
+
+    def line(self: T) -> str:
+        lines = str(self).strip().splitlines()
+        first = next((text for text in lines if text.startswith("verdict")), lines[0])
+        return f"<steerd.{cls.__name__}: {' '.join(first.split())}>"
+
+    def page(self: T) -> str:
+        return f"<pre>{escape(str(self))}</pre>"
+
+    cls.__repr__ = line  # type: ignore[assignment]
+    cls._repr_html_ = page  # type: ignore[attr-defined]
+    return cls
+
+
+_SHOWN = 3
+
+
+def describe_holes(dropped: str, holes: Sequence[tuple[int, int]], start_ns: int) -> str:
+    """How many records are missing, and where; empty where none is.
+
+    Args:
+        dropped: how many, as the recorder counted.
+        holes: stretches in which records are missing [UNIX ns].
+        start_ns: of the session [UNIX ns].
+    """
+    if not holes:
+        return ""
+    spans = [((first - start_ns) * 1e-9, (last - start_ns) * 1e-9) for first, last in holes]
+    shown = ", ".join(f"{first:.2f} to {last:.2f} s" for first, last in spans[:_SHOWN])
+    more = f" and {len(spans) - _SHOWN} more stretches" if len(spans) > _SHOWN else ""
+    seconds = sum(last - first for first, last in spans)
+    count = "records" if dropped in ("", "0") else f"{dropped} records"
+    return f"{count} were dropped within {seconds:.2f} s: {shown}{more}"

@@ -23,12 +23,11 @@ import platformdirs
 if TYPE_CHECKING:
     from steerd.car_model.car_file import CarFile
 
-from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.common.outputs import check_outputs
+from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import print_labelled
-from steerd.daemon.common.whole_file import write_whole
 from steerd.posterior_file import posterior_path
-from steerd.steer_bus.atomic_file import write_atomically
+from steerd.steer_bus.atomic_file import is_full, write_atomically
+from steerd.steer_bus.mcap_records import MAGIC
 
 _REMEMBERED = 10_000
 """Digests kept, the latest ones: 650 kB."""
@@ -92,7 +91,7 @@ def writing(named: Mapping[str, Path | None], *, announced: bool = False) -> Ite
         failures.pop(path, None)
         written[path] = text
         if kept is not None:
-            print_labelled("note: ", describe_kept(path, kept), sys.stderr)
+            print_labelled("note: ", f"what {path} was before is kept as {kept}", sys.stderr)
         return True
 
     try:
@@ -131,11 +130,6 @@ def write_outputs(
 def car_outputs(path: Path, car: "CarFile") -> dict[Path | None, str | bytes | None]:
     """A car file and the file beside it, for `write_outputs`."""
     return {path: car.text, posterior_path(path): car.posterior or None}
-
-
-def describe_kept(path: Path, kept: Path) -> str:
-    """One line about a file that was kept."""
-    return f"what {path} was before is kept as {kept}"
 
 
 def _keep(path: Path, text: str | bytes) -> Path | None:
@@ -209,3 +203,64 @@ def _remember(data: bytes) -> None:
     with contextlib.suppress(OSError):
         _state_file().parent.mkdir(parents=True, exist_ok=True)
         write_atomically(_state_file(), "\n".join(digests) + "\n")
+
+
+def check_outputs(outputs: Mapping[str, Path | None]) -> None:
+    """Refuse output files that cannot be written or that are sessions.
+
+    Args:
+        outputs: path by option name; None where the option was not given.
+
+    Raises:
+        SteerdError: an output is a session or a folder, its folder is missing or read-only, or
+            two options name one file.
+    """
+    taken: dict[Path, str] = {}
+    for option, path in outputs.items():
+        if path is None:
+            continue
+        _check(option, path)
+        other = taken.setdefault(path.resolve(), option)
+        if other != option:
+            what = f"{other} and {option} name the same file, {path}"
+            raise SteerdError(what, "give each its own name", ExitCode.USAGE)
+
+
+def _check(option: str, path: Path) -> None:
+    if _is_session(path):
+        what = f"{option} {path}: that is a session, and a session is never overwritten"
+        raise SteerdError(what, "choose another name", ExitCode.USAGE)
+    if path.is_dir():
+        what = f"{option} {path}: that is a folder"
+        raise SteerdError(what, "name a file in it", ExitCode.UNREADABLE)
+    if not path.parent.is_dir():
+        what = f"{option} {path}: there is no folder {path.parent}"
+        raise SteerdError(what, "choose another folder", ExitCode.UNREADABLE)
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        what = f"{option} {path}: the folder {path.parent} cannot be written"
+        raise SteerdError(what, "choose another folder", ExitCode.UNREADABLE)
+
+
+def _is_session(path: Path) -> bool:
+    """Whether it begins as sessions do; an unreadable file is reported by its reader."""
+    try:
+        if not path.is_file():
+            return False
+        with path.open("rb") as file:
+            return file.read(len(MAGIC)) == MAGIC
+    except OSError:
+        return False
+
+
+def write_whole(path: Path, text: str | bytes) -> None:
+    """Write a file in one move, so that nobody ever sees half of it.
+
+    Raises:
+        SteerdError: it or its folder cannot be written.
+    """
+    try:
+        write_atomically(path, text)
+    except OSError as error:
+        what = f"{path}: {error.strerror}"
+        hint = f"{'free some space, or ' if is_full(error) else ''}choose another folder"
+        raise SteerdError(what, hint, ExitCode.UNREADABLE) from None

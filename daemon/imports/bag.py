@@ -54,7 +54,7 @@ float32 cond
 """
 """The ROS 2 form; ROS 1's has no heading_y, and its bags carry their definitions."""
 _ODOMETRY = type_name(Odometry)
-_TYPES: Mapping[str, tuple[str, ...]] = {
+TYPES: Mapping[str, tuple[str, ...]] = {
     "pose": (type_name(PoseStamped), _ODOMETRY, RIGIDS),
     "command": (type_name(AckermannDriveStamped),),
     "vesc": (type_name(VescStateStamped),),
@@ -113,21 +113,20 @@ def import_bag(
     check_output(out)
     the_map = load_map(map_path) if map_path else ImportMap()
     notes = ImportNotes()
-    if not source.exists():
-        raise SteerdError(f"{source} does not exist", "", ExitCode.UNREADABLE)
-    with closing(_call_rosbags(source, lambda: _open(source))) as reader:
+    with closing(_open(source)) as reader:
         the_map = replace(
             the_map,
             epoch_ns=max(reader.start_time, 0) if reader.message_count else 0,
             rigid=the_map.rigid if choice.rigid is None else choice.rigid,
             vesc=with_erpm_gain(the_map.vesc, choice.erpm_gain),
         )
-        roles = _choose_topics(source, reader, the_map.topics, choice.topics)
+        types = _types_of(reader)
+        roles = _choose_topics(source, types, the_map.topics, choice.topics)
         maker = MessageMaker(the_map.epoch_ns, the_map.frame)
         bag = _Bag(source, reader, roles, the_map, notes, maker)
         topics = [_OUT[role] for role in roles]
         counts = write_import(out, source, the_map, topics, _samples(bag, advance))
-        remarks = tuple(_remarks(roles, _types_of(reader)))
+        remarks = tuple(_remarks(roles, types))
     return ImportReport(out, counts, notes.lines(), remarks)
 
 
@@ -139,13 +138,13 @@ def _types_of(reader: "AnyReader") -> dict[str, str]:
 def _remarks(roles: Mapping[str, str], types: Mapping[str, str]) -> Iterator[str]:
     """What was chosen among several, and what is missing for an identification."""
     for role, topic in roles.items():
-        others = [t for t, kind in sorted(types.items()) if kind in _TYPES[role] and t != topic]
+        others = [t for t in _find_topics(types, role) if t != topic]
         if others and role != "wheel":
             more = f" and {len(others) - _SHOWN} more" if len(others) > _SHOWN else ""
             yield f"{role} is {topic}, not {', '.join(others[:_SHOWN])}{more} (--topic chooses)"
     for role, what in _NEEDED.items():
         if role not in roles and not (role == "vesc" and "wheel" in roles):
-            wanted = " or ".join(kind.rpartition("/")[2] for kind in _TYPES[role])
+            wanted = " or ".join(kind.rpartition("/")[2] for kind in TYPES[role])
             yield f"no {role}: {what} (a topic of {wanted})"
 
 
@@ -163,21 +162,15 @@ def propose_bag(source: Path) -> dict[str, dict[str, Any]]:
     Raises:
         SteerdError: it cannot be read, or holds no topic that steerd reads.
     """
-    if not source.exists():
-        raise SteerdError(f"{source} does not exist", "", ExitCode.UNREADABLE)
-    with closing(_call_rosbags(source, lambda: _open(source))) as reader:
+    with closing(_open(source)) as reader:
         types = _types_of(reader)
-    roles = {}
-    for role in ("pose", "command", "vesc"):
-        found = [t for t, kind in sorted(types.items()) if kind in _TYPES[role]]
-        if found:
-            roles[role] = find_best(role, found)[0]
-    if not roles:
-        raise _make_useless(source, types)
-    return {"topics": roles}
+    best = {role: found[0] for role, found in find_best(types).items()}
+    return {"topics": _expect_any(source, types, best)}
 
 
 def _open(source: Path) -> "AnyReader":
+    if not source.exists():
+        raise SteerdError(f"{source} does not exist", "", ExitCode.UNREADABLE)
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -189,9 +182,13 @@ def _open(source: Path) -> "AnyReader":
     for name, text in (texts | {RIGIDS: RIGIDS_TEXT}).items():
         types = get_types_from_msg(text, name)
         store.register({k: v for k, v in types.items() if k not in store.fielddefs})
-    reader = AnyReader([source], default_typestore=store)
-    reader.open()
-    return reader
+
+    def read() -> AnyReader:
+        reader = AnyReader([source], default_typestore=store)
+        reader.open()
+        return reader
+
+    return _call_rosbags(source, read)
 
 
 def _call_rosbags(source: Path, read: Callable[[], T]) -> T:
@@ -213,78 +210,67 @@ def _call_rosbags(source: Path, read: Callable[[], T]) -> T:
 
 
 def _choose_topics(
-    source: Path, reader: "AnyReader", mapped: Mapping[str, str], named: Iterable[str]
+    source: Path, types: Mapping[str, str], mapped: Mapping[str, str], named: Iterable[str]
 ) -> dict[str, str]:
     """Role to topic: as named, else as mapped, else the only topic of a fitting type."""
-    types = _types_of(reader)
     chosen = dict(mapped)
     for text in named:
         role, equals, topic = text.rpartition("=")
-        chosen[role if equals else _find_role(source, types, topic)] = topic
+        fits = (r for r in ROLES if types.get(topic) in TYPES[r])
+        chosen[role if equals else next(fits, ROLES[0])] = topic
     for role, topic in chosen.items():
-        _check_role(source, types, role, topic)
-    several = []
-    for role in ("pose", "command", "vesc"):
-        found = [t for t, kind in sorted(types.items()) if kind in _TYPES[role]]
-        if role in chosen or not found:
-            continue
-        best = find_best(role, found)
-        chosen[role] = best[0]
-        if len(best) > 1:
-            listed = ", ".join(f"{t} ({types[t].rpartition('/')[2]})" for t in best[:_SHOWN])
-            several.append(f"{role}: {listed}")
+        if role not in ROLES:
+            what = f"--topic {role}={topic}: {role!r} is none of {', '.join(ROLES)}"
+            raise SteerdError(what, "", ExitCode.USAGE)
+        if topic not in types:
+            raise SteerdError(f"{source.name} has no messages on {topic}", _list_topics(types))
+        if types[topic] not in TYPES[role]:
+            what = f"{source.name}: {topic} is a {types[topic]}, which steerd cannot use"
+            raise SteerdError(what)
+    best = {role: found for role, found in find_best(types).items() if role not in chosen}
+    several = [
+        f"{role}: " + ", ".join(f"{t} ({types[t].rpartition('/')[2]})" for t in found[:_SHOWN])
+        for role, found in best.items()
+        if len(found) > 1
+    ]
     if several:
         what = f"{source.name} has several topics for {'; '.join(several)}"
         raise SteerdError(what, "choose each with --topic TOPIC", ExitCode.USAGE)
-    if not chosen:
-        raise _make_useless(source, types)
-    return chosen
+    return _expect_any(source, types, chosen | {role: found[0] for role, found in best.items()})
 
 
-def find_best(role: str, topics: Sequence[str]) -> list[str]:
-    """The topics whose names fit a role best: one where F1TENTH's own names decide."""
-
-    def rank(topic: str) -> int:
-        patterns = PREFERRED.get(role, ())
-        fits = (i for i, p in enumerate(patterns) if re.search(p, topic, re.IGNORECASE))
-        return next(fits, len(patterns))
-
-    ranks = {topic: rank(topic) for topic in topics}
-    return [topic for topic in topics if ranks[topic] == min(ranks.values())]
+def _find_topics(types: Mapping[str, str], role: str) -> list[str]:
+    """Topics of the types that a role may have."""
+    return [topic for topic, kind in sorted(types.items()) if kind in TYPES[role]]
 
 
-def _find_role(source: Path, types: Mapping[str, str], topic: str) -> str:
-    for role in ROLES:
-        if types.get(topic) in _TYPES[role]:
-            return role
-    return _refuse(source, types, topic)
+def find_best(types: Mapping[str, str]) -> dict[str, list[str]]:
+    """The topics whose names fit each role best: one where F1TENTH's own names decide."""
+    best = {}
+    for role, patterns in PREFERRED.items():
+        ranks = {topic: _rank(topic, patterns) for topic in _find_topics(types, role)}
+        if ranks:
+            best[role] = [topic for topic in ranks if ranks[topic] == min(ranks.values())]
+    return best
 
 
-def _check_role(source: Path, types: Mapping[str, str], role: str, topic: str) -> None:
-    if role not in ROLES:
-        what = f"--topic {role}={topic}: {role!r} is none of {', '.join(ROLES)}"
-        raise SteerdError(what, "", ExitCode.USAGE)
-    if types.get(topic) not in _TYPES[role]:
-        _refuse(source, types, topic)
+def _rank(topic: str, patterns: Sequence[str]) -> int:
+    fits = (i for i, p in enumerate(patterns) if re.search(p, topic, re.IGNORECASE))
+    return next(fits, len(patterns))
 
 
-def _refuse(source: Path, types: Mapping[str, str], topic: str) -> str:
-    if topic in types:
-        raise SteerdError(f"{source.name}: {topic} is a {types[topic]}, which steerd cannot use")
-    raise SteerdError(f"{source.name} has no messages on {topic}", _list_topics(types))
-
-
-def _make_useless(source: Path, types: Mapping[str, str]) -> SteerdError:
-    """The error of a bag without a drive, with what a drive is made of."""
-    kinds = dict.fromkeys(kind.rpartition("/")[2] for role in ROLES for kind in _TYPES[role])
+def _expect_any(source: Path, types: Mapping[str, str], roles: dict[str, str]) -> dict[str, str]:
+    """The roles; a bag without a drive is refused, with what a drive is made of."""
+    if roles:
+        return roles
+    kinds = dict.fromkeys(kind.rpartition("/")[2] for role in ROLES for kind in TYPES[role])
     hint = f"steerd reads {', '.join(kinds)}; {_list_topics(types)}"
-    return SteerdError(f"{source.name} has no topic of a type that steerd reads", hint)
+    raise SteerdError(f"{source.name} has no topic of a type that steerd reads", hint)
 
 
 def _list_topics(types: Mapping[str, str]) -> str:
-    return "it has " + (
-        ", ".join(f"{t} ({k})" for t, k in sorted(types.items())[:_SHOWN]) or "nothing"
-    )
+    listed = ", ".join(f"{t} ({k})" for t, k in sorted(types.items())[:_SHOWN])
+    return f"it has {listed or 'nothing'}"
 
 
 # -- messages ------------------------------------------------------------------------------------

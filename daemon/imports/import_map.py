@@ -8,16 +8,16 @@ is not the car's centre of gravity, `[session]` for what the log does not say.
 import datetime
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import radians
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.near import did_you_mean
+from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean
 from steerd.daemon.common.packaged import EXAMPLE_MAP
+from steerd.daemon.settings.config import read_frame
 from steerd.mocap_link.frame import FrameConfig
 from steerd.steer_bus.topics import check_car_name
 from steerd.toml_text import parse_toml, read_toml
@@ -43,20 +43,6 @@ class ColumnSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     gate: str | None = None
 
 
-class FrameSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Room, body and offsets, named as in a car file's `[mocap]` section."""
-
-    units: str = "m"
-    up: str = "z"
-    body_forward: str = "+x"
-    world_yaw_deg: float = 0.0
-    world_xy: tuple[float, float] = (0.0, 0.0)
-    mount_yaw_deg: float = 0.0
-    marker_rear_x: float = 0.0
-    marker_rear_y: float = 0.0
-    cog_ahead_of_rear: float = 0.0
-
-
 class VescSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How the log's electrical rpm and the car's speed belong together; negative: wired so."""
 
@@ -76,7 +62,7 @@ class _Tables(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     columns: dict[str, str | ColumnSpec] = {}
     topics: dict[str, str] = {}
     rigid: int | None = None
-    frame: FrameSpec | None = None
+    frame: dict[str, Any] | None = None
     vesc: VescSpec | None = None
     session: SessionSpec = SessionSpec()
 
@@ -131,13 +117,16 @@ def parse_map(text: str) -> ImportMap:
     """
     try:
         tables = msgspec.convert(parse_toml(text), _Tables)
+        frame = None if tables.frame is None else read_frame(tables.frame)
     except msgspec.ValidationError as error:
         raise ValueError(_readable(str(error))) from error
+    for role in tables.topics:
+        _expect("topics", role, ROLES)
     return ImportMap(
         columns=_columns(tables.columns),
-        topics=_topics(tables.topics),
+        topics=tables.topics,
         rigid=tables.rigid,
-        frame=make_frame(tables.frame) if tables.frame else None,
+        frame=frame,
         vesc=check_vesc(tables.vesc) if tables.vesc else None,
         car=check_car_name(tables.session.car),
         epoch_ns=_epoch_ns(tables.session.epoch),
@@ -171,18 +160,6 @@ def check_vesc(spec: VescSpec) -> VescSpec:
     return spec
 
 
-def make_frame(spec: FrameSpec) -> FrameConfig:
-    """The frame of a map.
-
-    Raises:
-        ValueError: an unknown unit or axis.
-    """
-    values: dict[str, Any] = msgspec.structs.asdict(spec)
-    for name in ("world_yaw", "mount_yaw"):
-        values[name] = radians(values.pop(f"{name}_deg"))
-    return FrameConfig(**values)
-
-
 def _readable(text: str) -> str:
     """A msgspec message in TOML notation: `$.columns.t` becomes `[columns] t`."""
     text = re.sub(r" - at `key in \$(\.?)[^`]*`", "", text)
@@ -194,11 +171,7 @@ def _columns(columns: dict[str, str | ColumnSpec]) -> dict[str, ColumnSpec]:
     known = ("t", *STREAM_COLUMNS)
     made = {k: ColumnSpec(v) if isinstance(v, str) else v for k, v in columns.items()}
     for name, spec in made.items():
-        if name not in known:
-            meant = did_you_mean(name, known)
-            raise ValueError(
-                f"[columns] {name!r} is none of {', '.join(known)}; {meant}".strip("; ")
-            )
+        _expect("columns", name, known)
         if not (math.isfinite(spec.scale) and math.isfinite(spec.offset)) or spec.scale == 0.0:
             raise ValueError(f"[columns] {name}: scale and offset must be finite, scale not 0")
     if made and "t" not in made:
@@ -212,14 +185,10 @@ def _columns(columns: dict[str, str | ColumnSpec]) -> dict[str, ColumnSpec]:
     return made
 
 
-def _topics(topics: dict[str, str]) -> dict[str, str]:
-    for role in topics:
-        if role not in ROLES:
-            meant = did_you_mean(role, ROLES)
-            raise ValueError(
-                f"[topics] {role!r} is none of {', '.join(ROLES)}; {meant}".strip("; ")
-            )
-    return topics
+def _expect(section: str, name: str, known: Sequence[str]) -> None:
+    if name not in known:
+        what = f"[{section}] {name!r} is none of {', '.join(known)}; {did_you_mean(name, known)}"
+        raise ValueError(what.strip("; "))
 
 
 def _epoch_ns(epoch: float | datetime.datetime) -> int:

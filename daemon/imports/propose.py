@@ -120,9 +120,10 @@ def change(proposal: Proposal, line: str) -> str:
     if found is None:
         return "NAME = COLUMN [* SCALE], for instance yaw = heading * 0.01745"
     name, value, scale = found.groups()
-    section = _section_of(name, proposal)
-    if section is None:
-        return f"{name}: one of {', '.join(known_names(proposal))}"
+    sections = list_sections(proposal)
+    if name not in sections:
+        return f"{name}: one of {', '.join(sections)}"
+    section = sections[name]
     table = proposal.setdefault(section, {})
     if not value:
         table.pop(name, None)
@@ -138,20 +139,13 @@ def change(proposal: Proposal, line: str) -> str:
     return ""
 
 
-def known_names(proposal: Mapping[str, Any]) -> tuple[str, ...]:
-    """What a line of `change` may begin with."""
-    own = ("t", *STREAM_COLUMNS) if "columns" in proposal else ROLES
-    return (*own, "erpm_gain", "units", "up", "body_forward", "car")
-
-
-def _section_of(name: str, proposal: Proposal) -> str | None:
-    if "columns" in proposal and name in ("t", *STREAM_COLUMNS):
-        return "columns"
-    if "topics" in proposal and name in ROLES:
-        return "topics"
-    sections = {"erpm_gain": "vesc", "car": "session"}
-    sections |= dict.fromkeys(("units", "up", "body_forward"), "frame")
-    return sections.get(name)
+def list_sections(proposal: Mapping[str, Any]) -> dict[str, str]:
+    """What a line of `change` may begin with, and the map's section that it stands in."""
+    own = dict.fromkeys(("t", *STREAM_COLUMNS), "columns")
+    if "columns" not in proposal:
+        own = dict.fromkeys(ROLES, "topics")
+    frame = dict.fromkeys(("units", "up", "body_forward"), "frame")
+    return {**own, "erpm_gain": "vesc", **frame, "car": "session"}
 
 
 def format_map(proposal: Proposal, source: str) -> str:

@@ -1,7 +1,7 @@
 """Reading of the core's diagnostics message, for terminals."""
 
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.common.streams import remove_controls
+from steerd.daemon.common.screen import remove_controls
 from steerd.steer_bus.standard import DiagnosticArray
 
 

@@ -111,33 +111,25 @@ def _take_over(file: BinaryIO, path: Path, purpose: str) -> dict[str, Row]:
     for number, line in enumerate(lines):
         try:
             said = json.loads(line)
-            if number == 0:
-                _check_purpose(said, path, purpose)
-            else:
+            if number:
                 rows[said["unit"]] = said["row"]
+            elif said["schema"] != SCHEMA:
+                raise ValueError
+            elif said["of"] != purpose:
+                what = f"{path} holds what another command had finished"
+                hint = f"name another -o, or delete {path.name}: its units are then done again"
+                raise SteerdError(what, hint, ExitCode.USAGE)
         except (ValueError, KeyError, TypeError):
-            if number == 0:
-                raise _make_foreign_error(path) from None
-            break
+            if number:
+                break
+            what = f"{path} is no journal of steerd"
+            raise SteerdError(what, "name another -o", ExitCode.USAGE) from None
         whole += len(line) + 1
     file.truncate(whole)
     if not whole:
         file.write(_line({"schema": SCHEMA, "of": purpose}))
         file.flush()
     return rows
-
-
-def _check_purpose(said: dict[str, Any], path: Path, purpose: str) -> None:
-    if said["schema"] != SCHEMA:
-        raise _make_foreign_error(path)
-    if said["of"] != purpose:
-        what = f"{path} holds what another command had finished"
-        hint = f"name another -o, or delete {path.name}: its units are then done again"
-        raise SteerdError(what, hint, ExitCode.USAGE)
-
-
-def _make_foreign_error(path: Path) -> SteerdError:
-    return SteerdError(f"{path} is no journal of steerd", "name another -o", ExitCode.USAGE)
 
 
 def _line(said: dict[str, Any]) -> bytes:

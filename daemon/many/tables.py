@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from steerd.daemon.common.notebook import make_frame
-from steerd.daemon.common.outputs import check_outputs
-from steerd.daemon.common.written import write_outputs
+from steerd.daemon.common.written import check_outputs, write_outputs
 
 if TYPE_CHECKING:
     import pandas

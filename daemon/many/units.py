@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.outputs import check_outputs
+from steerd.daemon.common.written import check_outputs
 from steerd.daemon.many.journal import Row, journal_path, open_journal
 from steerd.sysid.parallel import quiet_workers
 

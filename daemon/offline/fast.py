@@ -11,15 +11,14 @@ from steerd.daemon.assembly.session_meta import (
     make_metadata,
 )
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.streams import raw
+from steerd.daemon.common.screen import raw
 from steerd.daemon.common.translate import make_session_error
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.learn_beside import LearnerBeside
 from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun, drive, make_virtual_run
 from steerd.daemon.process.recorder import Recording
-from steerd.daemon.terminal.closing import closing_lines
-from steerd.daemon.terminal.dashboard import Dashboard
+from steerd.daemon.terminal.dashboard import Dashboard, closing_lines
 from steerd.sim_hw.world import World
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.session_read import SessionError

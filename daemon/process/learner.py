@@ -17,8 +17,7 @@ from typing import Any
 from steerd.car_model.car_file import parse_car
 from steerd.controller.build import compute_table
 from steerd.daemon.assembly.build import make_plan
-from steerd.daemon.common.whole_file import write_whole
-from steerd.daemon.common.written import write_output
+from steerd.daemon.common.written import write_output, write_whole
 from steerd.daemon.ipc.pipe_records import Gaps, PipeWriter, pack_record, unpack_records
 from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.learning.feed import Feed, make_feed, make_record, read_memory

@@ -15,7 +15,7 @@ from mimetypes import guess_type
 from pathlib import Path
 from typing import Any
 
-from steerd.daemon.common.holes import describe_holes
+from steerd.daemon.common.screen import describe_holes
 from steerd.daemon.ipc.pipe_records import Gaps, PipeRecord, unpack_records
 from steerd.daemon.ipc.report_pipe import ReportPipe
 from steerd.daemon.ipc.signals import ignore_terminal_signals

@@ -10,18 +10,20 @@ people write about a session lies beside it, in `NAME.notes.toml`, and goes wher
 import contextlib
 import json
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import platformdirs
 import tomlkit
 
 from steerd.daemon.assembly.session_meta import default_session_path
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.screen import clean
+from steerd.daemon.common.screen import clean, cut, wrap
 from steerd.daemon.common.translate import reading
-from steerd.daemon.common.whole_file import write_whole
+from steerd.daemon.common.written import write_whole
 from steerd.toml_text import load_toml
 
 _SCHEMA = 2
@@ -201,26 +203,22 @@ def _remembered(index: sqlite3.Connection, path: Path) -> Entry:
 
 def summarise(path: Path) -> Entry:
     """Read a session's figures; what cannot be read is said in the verdict."""
-    from steerd.daemon.sessions.info import Times, find_table, load_session, make_session_report
+    from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.lane_error import rms, settled_errors
     from steerd.steer_bus import topics
 
     changed_ns = path.stat().st_mtime_ns
     try:
-        session = load_session(path)
-        report = make_session_report(session)
-        name = next(
-            (t.name for t in report.topics if topics.find_topic(t.name) is topics.STATE), ""
-        )
+        read = load_recording(path)
+        report = make_session_report(read)
         with reading(path):
-            tables = session.tables({name: topics.STATE.message}) if name else {}
-            missing_s = 1e-9 * sum(last - first for first, last in session.holes())
+            missing_s = 1e-9 * sum(last - first for first, last in read.session.holes())
             lane, followed = _lane(report.info.metadata.get("steerd.session", {}))
     except SteerdError as error:
         return Entry(path, changed_ns, verdict=clean(f"unreadable: {error}", 60))
-    state = find_table(tables, topics.STATE)
-    errors = None if state is None else settled_errors(state, Times(report.info.start_ns))
-    driven = followed and errors is not None and errors.size > 0
+    state = read.table(topics.STATE) if followed else None
+    errors = None if state is None else settled_errors(state, read.times(state))
+    driven = errors is not None and errors.size > 0
     stops = [change.reason for change in report.states if change.state in _FAULTS]
     end = report.end if report.info.finished else "the recorder was killed"
     return Entry(
@@ -249,3 +247,49 @@ def _lane(about: Mapping[str, str]) -> tuple[str, bool]:
     if options.drill:
         return clean(options.drill.partition(";")[0], 24), "closed" in options.drill
     return clean(f"{options.path} {options.speed:g} m/s", 40), True
+
+
+_NAME, _CAR, _LANE = 20, 8, 17
+"""Columns of the names [characters]."""
+
+
+def format_entries(entries: Sequence[Entry], numbers: Sequence[int]) -> Iterator[str]:
+    """The table, newest first.
+
+    Args:
+        entries: the drives.
+        numbers: the place of each among all, 1 for the last: what `@-N` takes.
+    """
+    yield (
+        f"{'':6}{'ended':<12}{'session':<{_NAME + 1}}{'car':<{_CAR + 1}}"
+        f"{'driven':<{_LANE + 1}}{'m':>5}{'e1 mm':>8}"
+    )
+    for number, e in zip(numbers, entries, strict=True):
+        when = datetime.fromtimestamp(e.changed_ns / 1e9).astimezone()
+        place = "@last" if number == 1 else f"@-{number}"
+        metres = "" if e.metres is None else f"{e.metres:.0f}"
+        error = "" if e.e1_rms is None else f"{1e3 * e.e1_rms:.1f}"
+        yield (
+            f"{place:<6}{when:%m-%d %H:%M} {cut(clean(e.path.stem), _NAME):<{_NAME + 1}}"
+            f"{cut(e.car, _CAR):<{_CAR + 1}}{cut(e.lane, _LANE):<{_LANE + 1}}"
+            f"{metres:>5}{error:>8}"
+        )
+        yield from _remarks(e)
+
+
+def _remarks(e: Entry) -> Iterator[str]:
+    """What is not ordinary about a drive, and what people wrote."""
+    parts = [] if e.verdict == "ok" else [e.verdict]
+    parts += [f"records dropped within {e.missing_s:.1f} s"] if e.missing_s else []
+    parts += [" ".join(f"#{tag}" for tag in e.tags)] if e.tags else []
+    parts += [e.note] if e.note else []
+    if parts:
+        yield from wrap(" · ".join(parts), " " * 6, " " * 6)
+
+
+def make_json(entries: Iterable[Entry]) -> dict[str, Any]:
+    """The drives as JSON values."""
+    return {
+        "schema": "steerd.sessions/1",
+        "sessions": [{**asdict(e), "path": str(e.path)} for e in entries],
+    }

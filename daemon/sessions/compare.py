@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from steerd.car_model.path.path import Path as Lane
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import clean
-from steerd.daemon.sessions.info import Times, find_table, load_session, make_track_of, read_tables
+from steerd.daemon.sessions.info import load_recording
 from steerd.daemon.sessions.lane_error import find_settled, rms
 from steerd.daemon.sessions.motion import Array, Track
 from steerd.daemon.sessions.plot_data import load_lane
@@ -65,15 +65,13 @@ def load_lane_session(path: Path) -> LaneSession:
     Raises:
         SteerdError: it cannot be read, or it followed no lane.
     """
-    session = load_session(path)
-    lane, times = load_lane(session), Times(session.info().start_ns)
-    tables = read_tables(session)[0]
-    state = find_table(tables, topics.STATE)
+    read = load_recording(path)
+    lane, state = load_lane(read.session), read.table(topics.STATE)
     if lane is None or state is None:
         what = f"{path.name} follows no lane that could be compared"
         raise SteerdError(what, "name drives of `steerd run`", ExitCode.INVALID)
     names = [name for name, _, _ in _PANELS]
-    kept = find_settled(state, times)
+    kept = find_settled(state, read.times(state))
     for name in ("path_s", *names):
         kept &= np.isfinite(state[name])
     if kept.sum() < 2:
@@ -84,7 +82,7 @@ def load_lane_session(path: Path) -> LaneSession:
         clean(path.name, NAME_MAX),
         lane.name,
         lane,
-        make_track_of(tables, times),
+        read.track,
         along % lane.length,
         {name: state[name][kept].astype(float) for name in names},
         float(np.abs(np.diff(along)).sum() / lane.length),

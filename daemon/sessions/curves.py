@@ -99,12 +99,3 @@ def pack(out: Array, kinds: NDArray[np.uint8]) -> dict[str, float | str]:
     planes += (steps >> 8).astype(np.uint8).tobytes()
     text = base64.b64encode(zlib.compress(planes, 9)).decode()
     return {"low": low, "high": high if high > low else low, "data": text}
-
-
-def unpack(packed: dict[str, float | str], slots: int) -> tuple[Array, NDArray[np.uint8]]:
-    """What `pack` packed, as the page's script reads it: values (NaN where none) and kinds."""
-    planes = np.frombuffer(zlib.decompress(base64.b64decode(str(packed["data"]))), np.uint8)
-    kinds, fine, coarse = planes.reshape(3, slots)
-    level = np.cumsum(fine.astype(np.int64) + 256 * coarse.astype(np.int64)) % (LEVELS + 1)
-    low, high = float(packed["low"]), float(packed["high"])
-    return np.where(kinds == VALUE, low + level / LEVELS * (high - low), np.nan), kinds

@@ -1,6 +1,8 @@
 """The contents of a session as one value, for `steerd info` and after an import."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -8,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.holes import describe_holes
+from steerd.daemon.common.screen import describe_holes
 from steerd.daemon.common.translate import reading
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.motion import (
@@ -21,21 +23,11 @@ from steerd.daemon.sessions.motion import (
     make_range,
     make_track,
 )
-from steerd.steer_bus.messages import ActuationMode, Transition
+from steerd.steer_bus import topics
+from steerd.steer_bus.fields import flat_leaves
+from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.session import Session, SessionError, SessionInfo, TopicInfo, open_session
 from steerd.steer_bus.topic_columns import Columns
-from steerd.steer_bus.topics import (
-    ACTUATION,
-    IMU,
-    MOCAP,
-    STATE,
-    TRANSITION,
-    VESC,
-    WHEEL,
-    Topic,
-    find_topic,
-    split_key,
-)
 from steerd.vesc_link.scaling import F1TENTH
 
 GAP_FACTOR = 3.0
@@ -121,71 +113,96 @@ def load_session(path: Path) -> Session:
     return session
 
 
-Tables = tuple[dict[str, Columns], list[str]]
-"""Columns by topic, and what could not be read, as sentences."""
+@dataclass(frozen=True)
+class Recording:
+    """A session whose tables were read, in one pass.
+
+    Attributes:
+        session: the file.
+        tables: columns by the topic's name in the file.
+        problems: what could not be read, as sentences.
+    """
+
+    session: Session
+    tables: dict[str, Columns]
+    problems: Sequence[str]
+
+    @property
+    def info(self) -> SessionInfo:
+        """What the file says of itself."""
+        return self.session.info()
+
+    @cached_property
+    def track(self) -> Track | None:
+        """The car's track: accepted mocap poses, or the estimate where there are none."""
+        poses = self.table(topics.MOCAP)
+        if poses is not None and (accepted := poses["reject"] == "").sum() > 2:
+            poses = {name: column[accepted] for name, column in poses.items()}
+        else:
+            poses = self.table(topics.STATE)
+        if poses is None:
+            return None
+        return make_track(self.times(poses), poses["x"], poses["y"], poses["yaw"])
+
+    def table(self, topic: topics.Topic) -> Columns | None:
+        """The columns of a topic, whatever the car's name; None where there is none."""
+        found = (t for name, t in sorted(self.tables.items()) if topics.find_topic(name) is topic)
+        return next(found, None)
+
+    def times(self, table: Columns) -> Array:
+        """Stamps of a table, from the session's start [s]."""
+        return seconds_since(self.info.start_ns, table["stamp_ns"])
+
+    def signal(self, topic: topics.Topic, name: str) -> Signal | None:
+        """A field of a topic, of commands while driven; None where it has no finite value."""
+        table = self.table(topic)
+        if table is None:
+            return None
+        t, values = self.times(table), table[name].astype(float)
+        if topic is topics.ACTUATION:
+            driving = table["mode"] == ActuationMode.SPEED
+            t, values = t[driving], values[driving]
+        order = np.argsort(t, kind="stable")
+        return Signal(t[order], values[order]) if np.isfinite(values).any() else None
 
 
-def make_session_report(session: Session, read: Tables | None = None) -> SessionReport:
-    """Read a session once and summarise it.
+def seconds_since(start_ns: int, ns: Any) -> Array:
+    """Seconds from a start; subtracting first keeps the nanoseconds."""
+    since = ns.astype(np.uint64) - np.uint64(start_ns % (1 << 64))  # damaged times wrap
+    return np.asarray(since.astype(np.int64) * 1e-9)
 
-    Args:
-        session: the session.
-        read: its tables, where they were read already.
+
+def load_recording(path: Path) -> Recording:
+    """Open a session for a command and read its tables.
+
+    Raises:
+        SteerdError: it cannot be opened, or holds nothing at all.
+    """
+    return read_recording(load_session(path))
+
+
+def read_recording(session: Session) -> Recording:
+    """Read every topic as columns; what cannot be read, as sentences.
 
     Raises:
         SteerdError: the file has changed since it was opened.
     """
-    with reading(session.info().path):
-        return _make_report(session, read or read_tables(session))
-
-
-def _make_report(session: Session, read: Tables) -> SessionReport:
-    info = session.info()
-    tables, unreadable = read
-    times = Times(info.start_ns)
-    track, signals = _motion(tables, times)
-    states = _states(session, info.start_ns)
-    steer, wheel, gyro, speed, lateral = signals
-    about, end = (info.metadata.get(f"steerd.{name}", {}) for name in ("session", "end"))
-    cars = sorted({key[0] for topic in info.topics if (key := split_key(topic.name))})
-    steer_range, speed_range, lateral_range = map(make_range, (steer.value, speed, lateral))
-    return SessionReport(
-        info=info,
-        car=about.get("car", ", ".join(cars)),
-        mode=about.get("mode", ""),
-        topics=tuple(_topic(topic, tables, info.start_ns) for topic in info.topics if topic.count),
-        empty_topics=tuple(topic.name for topic in info.topics if not topic.count),
-        states=states,
-        end=end.get("reason", ""),
-        length_m=track.length if track else None,
-        speed=speed_range,
-        steer=steer_range,
-        lateral_accel=lateral_range,
-        excitation=_find_unidentifiable(track, speed_range, steer_range, lateral_range),
-        warnings=(
-            *(warning.message for warning in info.warnings),
-            *filter(None, [describe_holes(end.get("dropped", ""), session.holes(), info.start_ns)]),
-            *unreadable,
-            *find_implausible(track, _nonempty(steer), _nonempty(wheel), _nonempty(gyro)),
-            *_check_erpm(tables, times, track, session),
-        ),
-    )
-
-
-# -- reading -------------------------------------------------------------------------------------
-
-
-def read_tables(session: Session) -> Tables:
-    """Every topic of the table as columns, in one pass; what cannot be read, as sentences."""
     wanted: dict[str, type[Any]] = {}
     for info in session.info().topics:
-        topic = find_topic(info.name)
-        if topic is not None and info.count and _is_flat(topic):
+        topic = topics.find_topic(info.name)
+        if topic is not None and info.count and flat_leaves(topic.message) is not None:
             wanted[info.name] = topic.message
-    try:
-        return session.tables(wanted), []
-    except SessionError:
-        pass
+    with reading(session.info().path):
+        try:
+            return Recording(session, session.tables(wanted), ())
+        except SessionError:
+            return Recording(session, *_read_apart(session, wanted))
+
+
+def _read_apart(
+    session: Session, wanted: Mapping[str, type[Any]]
+) -> tuple[dict[str, Columns], list[str]]:
+    """The topics that can be read, one by one, and why the others cannot."""
     tables: dict[str, Columns] = {}
     problems = []
     for name, message in wanted.items():
@@ -198,101 +215,84 @@ def read_tables(session: Session) -> Tables:
     return tables, problems
 
 
-def _is_flat(topic: Topic) -> bool:
-    from steerd.steer_bus.fields import flat_leaves
-
-    return flat_leaves(topic.message) is not None
+# -- the report ----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Times:
-    """Seconds since a session's start."""
+def make_session_report(read: Recording) -> SessionReport:
+    """Summarise a session.
 
-    start_ns: int
-
-    def of(self, ns: Any) -> Array:
-        """Seconds from the start; subtracting first keeps the nanoseconds."""
-        since = ns.astype(np.uint64) - np.uint64(self.start_ns % (1 << 64))  # damaged times wrap
-        return np.asarray(since.astype(np.int64) * 1e-9)
+    Raises:
+        SteerdError: the file has changed since it was opened.
+    """
+    with reading(read.info.path):
+        return _make_report(read)
 
 
-def find_table(tables: dict[str, Columns], topic: Topic) -> Columns | None:
-    """The columns of a topic, whatever the car's name; None where there is none."""
-    return next((t for name, t in sorted(tables.items()) if find_topic(name) is topic), None)
-
-
-def _signal(tables: dict[str, Columns], topic: Topic, name: str, times: Times) -> Signal:
-    table = find_table(tables, topic)
-    if table is None:
-        return Signal(np.empty(0), np.empty(0))
-    t, values = times.of(table["stamp_ns"]), table[name].astype(float)
-    if topic is ACTUATION:
-        driving = table["mode"] == ActuationMode.SPEED
-        t, values = t[driving], values[driving]
-    order = np.argsort(t, kind="stable")
-    return Signal(t[order], values[order])
-
-
-def _nonempty(signal: Signal) -> Signal | None:
-    return signal if np.isfinite(signal.value).any() else None
-
-
-def _check_erpm(
-    tables: dict[str, Columns], times: Times, track: Track | None, session: Session
-) -> list[str]:
-    """Doubts about the ERPM of another system's log; steerd's own have their car file's figures."""
-    if session.info().metadata.get("steerd.session", {}).get("mode") != "import":
-        return []
-    erpm = _signal(tables, VESC, "erpm", times)
-    gain = session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
-    return check_erpm(track, _nonempty(erpm), gain)
-
-
-def _motion(
-    tables: dict[str, Columns], times: Times
-) -> tuple[Track | None, tuple[Signal, Signal, Signal, Array, Array]]:
-    """The track, and steering, wheel speed, gyro, speed, lateral acceleration."""
-    track = make_track_of(tables, times)
-    steer, wheel, gyro = (
-        _signal(tables, topic, name, times)
-        for topic, name in ((ACTUATION, "steer"), (WHEEL, "speed"), (IMU, "gyro_z"))
+def _make_report(read: Recording) -> SessionReport:
+    info, track = read.info, read.track
+    steer, wheel = read.signal(topics.ACTUATION, "steer"), read.signal(topics.WHEEL, "speed")
+    gyro = read.signal(topics.IMU, "gyro_z")
+    motion = _motion(read, wheel, gyro)
+    about, end = (info.metadata.get(f"steerd.{name}", {}) for name in ("session", "end"))
+    cars = sorted({key[0] for topic in info.topics if (key := topics.split_key(topic.name))})
+    values = (steer.value if steer else np.empty(0), *motion)
+    steer_range, speed_range, lateral_range = map(make_range, values)
+    dropped = describe_holes(end.get("dropped", ""), read.session.holes(), info.start_ns)
+    return SessionReport(
+        info=info,
+        car=about.get("car", ", ".join(cars)),
+        mode=about.get("mode", ""),
+        topics=tuple(_topic(topic, read) for topic in info.topics if topic.count),
+        empty_topics=tuple(topic.name for topic in info.topics if not topic.count),
+        states=_states(read),
+        end=end.get("reason", ""),
+        length_m=track.length if track else None,
+        speed=speed_range,
+        steer=steer_range,
+        lateral_accel=lateral_range,
+        excitation=_find_unidentifiable(track, speed_range, steer_range, lateral_range),
+        warnings=(
+            *(warning.message for warning in info.warnings),
+            *filter(None, [dropped]),
+            *read.problems,
+            *find_implausible(track, steer, wheel, gyro),
+            *(_check_erpm(read) if about.get("mode") == "import" else ()),
+        ),
     )
-    state = find_table(tables, STATE)
+
+
+def _check_erpm(read: Recording) -> list[str]:
+    """Doubts about the ERPM of another system's log; steerd's own have their car file's figures."""
+    gain = read.session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
+    return check_erpm(read.track, read.signal(topics.VESC, "erpm"), gain)
+
+
+def _motion(read: Recording, wheel: Signal | None, gyro: Signal | None) -> tuple[Array, Array]:
+    """Speed and lateral acceleration, by the estimate, the poses or the wheels."""
+    state, track = read.table(topics.STATE), read.track
     if state is not None and np.isfinite(state["speed"]).any():
-        return track, (steer, wheel, gyro, state["speed"], state["speed"] * state["yaw_rate"])
-    if track is not None and not (track.coarse and _nonempty(wheel)):
-        return track, (steer, wheel, gyro, track.speed, track.lateral_accel)
-    turning = gyro if _nonempty(gyro) or track is None else Signal(track.t, track.yaw_rate)
-    rate = np.interp(wheel.t, turning.t, turning.value) if turning.t.size else wheel.t * np.nan
-    return track, (steer, wheel, gyro, wheel.value, wheel.value * rate)
+        return state["speed"], state["speed"] * state["yaw_rate"]
+    if track is not None and not (track.coarse and wheel):
+        return track.speed, track.lateral_accel
+    if wheel is None:
+        return np.empty(0), np.empty(0)
+    turning = gyro or (track and Signal(track.t, track.yaw_rate))
+    rate = np.interp(wheel.t, turning.t, turning.value) if turning else wheel.t * np.nan
+    return wheel.value, wheel.value * rate
 
 
-def make_track_of(tables: dict[str, Columns], times: Times) -> Track | None:
-    """The car's track: accepted mocap poses, or the estimate where there are none."""
-    poses = find_table(tables, MOCAP)
-    if poses is not None and (accepted := poses["reject"] == "").sum() > 2:
-        poses = {name: column[accepted] for name, column in poses.items()}
-    else:
-        poses = find_table(tables, STATE)
-    if poses is None:
-        return None
-    return make_track(times.of(poses["stamp_ns"]), poses["x"], poses["y"], poses["yaw"])
-
-
-def _states(session: Session, start_ns: int) -> tuple[StateChange, ...]:
-    names = {t.name for t in session.info().topics if find_topic(t.name) is TRANSITION and t.count}
-    changes: list[StateChange] = []
-    for record in session.messages(*names) if names else ():
-        try:
-            message = record.decode()
-        except ValueError:
-            continue
-        if isinstance(message, Transition) and len(changes) < STATES_MAX:
-            t_s = (record.log_ns - start_ns) * 1e-9
-            if not changes:
-                changes.append(StateChange(0.0, _state_name(message.from_state), ""))
-            changes.append(StateChange(t_s, _state_name(message.to_state), message.text))
-    return tuple(changes)
+def _states(read: Recording) -> tuple[StateChange, ...]:
+    table = read.table(topics.TRANSITION)
+    if table is None:
+        return ()
+    columns = (table["from_state"], table["to_state"], table["text"])
+    rows = list(zip(*(column[:STATES_MAX].tolist() for column in columns), strict=True))
+    times = seconds_since(read.info.start_ns, table["log_ns"]).tolist()
+    changes = (
+        StateChange(t, _state_name(after), text)
+        for t, (_, after, text) in zip(times, rows, strict=False)
+    )
+    return (StateChange(0.0, _state_name(rows[0][0]), ""), *changes)
 
 
 def _state_name(number: int) -> str:
@@ -302,32 +302,20 @@ def _state_name(number: int) -> str:
         return f"state {number}"
 
 
-# -- summary -------------------------------------------------------------------------------------
-
-
-def _topic(topic: TopicInfo, tables: dict[str, Columns], start_ns: int) -> TopicReport:
-    row = find_topic(topic.name)
-    table = tables.get(topic.name)
-    regular = row is not None and row.rate_hz > 0.0 and table is not None and topic.count > 2
-    if not regular or table is None:
-        return TopicReport(topic.name, topic.type_name, topic.count, topic.rate_hz, None, 0.0, 0.0)
-    t = np.sort(Times(start_ns).of(table["stamp_ns"]))
+def _topic(topic: TopicInfo, read: Recording) -> TopicReport:
+    row, table = topics.find_topic(topic.name), read.tables.get(topic.name)
+    known = (topic.name, topic.type_name, topic.count)
+    irregular = TopicReport(*known, topic.rate_hz, None, 0.0, 0.0)
+    if row is None or row.rate_hz <= 0.0 or table is None or topic.count <= 2:
+        return irregular
+    t = np.sort(read.times(table))
     steps = np.diff(t)
     usual = float(np.median(steps))
     if not (usual > 0.0 and isfinite(usual)):
-        return TopicReport(topic.name, topic.type_name, topic.count, topic.rate_hz, None, 0.0, 0.0)
-    long = steps > GAP_FACTOR * usual
-    at = int(np.argmax(steps))
-    longest = float(steps[at]) if long.any() else 0.0
-    return TopicReport(
-        topic.name,
-        topic.type_name,
-        topic.count,
-        1.0 / usual,
-        int(long.sum()),
-        longest,
-        float(t[at]) if long.any() else 0.0,
-    )
+        return irregular
+    gaps, at = int((steps > GAP_FACTOR * usual).sum()), int(np.argmax(steps))
+    longest = (float(steps[at]), float(t[at])) if gaps else (0.0, 0.0)
+    return TopicReport(*known, 1.0 / usual, gaps, *longest)
 
 
 def _find_unidentifiable(

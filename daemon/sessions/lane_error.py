@@ -4,7 +4,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.sessions.info import Times
 from steerd.daemon.sessions.motion import Array
 from steerd.steer_bus.topic_columns import Columns
 
@@ -12,18 +11,17 @@ SETTLE = 3.0
 """The approach to the lane at the start of a drive is left out of the errors [s]."""
 
 
-def find_settled(state: Columns, times: Times) -> NDArray[np.bool_]:
-    """Which rows of the `state` topic were driven for more than `SETTLE` seconds."""
-    t = times.of(state["stamp_ns"])
+def find_settled(state: Columns, t: Array) -> NDArray[np.bool_]:
+    """Which rows of the `state` topic, at these times [s], were driven for more than `SETTLE`."""
     running = state["mode"] == SupervisorState.RUNNING
     begins = running & ~np.concatenate(([False], running[:-1]))
     since = np.maximum.accumulate(np.where(begins, t, -np.inf))
     return np.asarray(running & (t - since >= SETTLE))
 
 
-def settled_errors(state: Columns, times: Times) -> Array:
+def settled_errors(state: Columns, t: Array) -> Array:
     """Sizes of the lateral error while the car was driven and had settled [m]."""
-    e1 = np.abs(state["e1"][find_settled(state, times)])
+    e1 = np.abs(state["e1"][find_settled(state, t)])
     return np.asarray(e1[np.isfinite(e1)], dtype=np.float64)
 
 

@@ -11,14 +11,13 @@ from steerd.car_model.path.path_spec import parse_path
 from steerd.daemon.assembly.session_meta import recorded_path
 from steerd.daemon.common.translate import reading
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.sessions.info import Times, find_table, make_track_of, read_tables
+from steerd.daemon.sessions.info import Recording
 from steerd.daemon.sessions.lane_error import rms, settled_errors
 from steerd.daemon.sessions.motion import Array, Track
 from steerd.daemon.settings.run_options import decode_options
 from steerd.steer_bus import topics
 from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.session_read import Session, SessionError
-from steerd.steer_bus.topic_columns import Columns
 from steerd.steer_bus.topics import Topic
 from steerd.toml_text import decode_toml, parse_toml
 from steerd.vesc_link.scaling import F1TENTH
@@ -71,30 +70,6 @@ class Drawing:
     facts: tuple[tuple[str, str], ...]
 
 
-class _Tables:
-    """The session's tables by topic."""
-
-    def __init__(self, tables: Mapping[str, Columns], start_ns: int) -> None:
-        self._tables, self.seconds = dict(tables), Times(start_ns)
-
-    def table(self, topic: Topic) -> Columns | None:
-        return find_table(self._tables, topic)
-
-    def times(self, table: Columns) -> Array:
-        return self.seconds.of(table["stamp_ns"])
-
-    def track(self) -> Track | None:
-        return make_track_of(self._tables, self.seconds)
-
-    def curve(
-        self, topic: Topic, field: str, name: str, role: str, scale: float = 1.0
-    ) -> Iterator[Curve]:
-        """A field of a topic, if it has a finite value."""
-        table = self.table(topic)
-        if table is not None:
-            yield from make_curve(name, role, self.times(table), scale * table[field].astype(float))
-
-
 def make_curve(name: str, role: str, t: Array, value: Array) -> Iterator[Curve]:
     """A curve with breaks at gaps; none without a finite value."""
     if not np.isfinite(value).any():
@@ -108,33 +83,36 @@ def make_curve(name: str, role: str, t: Array, value: Array) -> Iterator[Curve]:
     yield Curve(name, role, t, value)
 
 
-def make_drawing(session: Session) -> Drawing:
-    """Read a session once and make its panels.
+def make_field_curve(
+    s: Recording, topic: Topic, field: str, name: str, role: str, scale: float = 1.0
+) -> Iterator[Curve]:
+    """A field of a topic as a curve; none without a finite value."""
+    table = s.table(topic)
+    if table is not None:
+        yield from make_curve(name, role, s.times(table), scale * table[field].astype(float))
+
+
+def make_drawing(read: Recording) -> Drawing:
+    """The panels of a session.
 
     Raises:
-        SteerdError: the file has changed since it was opened, or says what makes no sense.
+        SteerdError: it says what makes no sense.
     """
-    with reading(session.info().path):
-        return _make_drawing(session)
+    with reading(read.info.path):
+        return _make_drawing(read)
 
 
-def _make_drawing(session: Session) -> Drawing:
-    tables = _Tables(read_tables(session)[0], session.info().start_ns)
-    track = tables.track()
-    found = [
-        _lane_errors(tables), _heading(tables), _speed(tables, session, track), _steer(tables),
-        _yaw_rate(tables, track), _innovation(tables), _pose_residual(tables, track),
-        _timing(tables), _latency(tables), _current(tables),
-    ]  # fmt: skip
+def _make_drawing(read: Recording) -> Drawing:
+    track = read.track
+    found = [panel for make in _PANELS for panel in make(read)]
+    panels = tuple(panel for panel in found if panel.curves)
     e1 = np.empty(0)
     if track is not None:
         e1 = np.full(len(track.t), np.nan)
         for curve in found[0].curves[:1]:
             e1 = np.interp(track.t, curve.t, curve.value / 100.0, np.nan, np.nan)
-    panels = tuple(panel for panel in found if panel.curves)
-    return Drawing(
-        panels, track, e1, load_lane(session), _half_width(session), _figures(tables, track)
-    )
+    lane, width = load_lane(read.session), _half_width(read.session)
+    return Drawing(panels, track, e1, lane, width, _figures(read))
 
 
 def load_lane(session: Session) -> Lane | None:
@@ -162,14 +140,14 @@ def _half_width(session: Session) -> float:
         return LANE_HALF_WIDTH
 
 
-def _figures(s: _Tables, track: Track | None) -> tuple[tuple[str, str], ...]:
+def _figures(s: Recording) -> tuple[tuple[str, str], ...]:
     facts = []
-    if track is not None:
-        facts.append(("driven", f"{track.length:.1f} m"))
+    if s.track is not None:
+        facts.append(("driven", f"{s.track.length:.1f} m"))
     state, tick = s.table(topics.STATE), s.table(topics.TICK)
     if state is not None:
         running = state["mode"] == SupervisorState.RUNNING
-        e1 = settled_errors(state, s.seconds)
+        e1 = settled_errors(state, s.times(state))
         if e1.size:
             facts.append(("lateral error RMS, after 3 s", f"{1e3 * rms(e1):.1f} mm"))
             facts.append(("largest", f"{1e3 * e1.max():.1f} mm"))
@@ -183,18 +161,14 @@ def _figures(s: _Tables, track: Track | None) -> tuple[tuple[str, str], ...]:
 # -- the panels ----------------------------------------------------------------------------------
 
 
-def _lane_errors(s: _Tables) -> Panel:
-    return Panel(
-        "lateral error e1", "mm", tuple(s.curve(topics.STATE, "e1", "e1", "estimate", 1e3))
-    )
+def _errors(s: Recording) -> Iterator[Panel]:
+    e1 = make_field_curve(s, topics.STATE, "e1", "e1", "estimate", 1e3)
+    yield Panel("lateral error e1", "mm", tuple(e1))
+    e2 = make_field_curve(s, topics.STATE, "e2", "e2", "estimate", degrees(1.0))
+    yield Panel("heading error e2", "°", tuple(e2))
 
 
-def _heading(s: _Tables) -> Panel:
-    curve = s.curve(topics.STATE, "e2", "e2", "estimate", degrees(1.0))
-    return Panel("heading error e2", "°", tuple(curve))
-
-
-def _command(s: _Tables, field: str, scale: float = 1.0) -> Iterator[Curve]:
+def _command(s: Recording, field: str, scale: float = 1.0) -> Iterator[Curve]:
     """A field of the commands while the car was driven; imported logs drive throughout."""
     table = s.table(topics.ACTUATION)
     if table is not None:
@@ -203,50 +177,47 @@ def _command(s: _Tables, field: str, scale: float = 1.0) -> Iterator[Curve]:
         yield from make_curve("commanded", "command", s.times(table), value)
 
 
-def _speed(s: _Tables, session: Session, track: Track | None) -> Panel:
+def _estimate(s: Recording, field: str) -> Iterator[Curve]:
+    """Speed or yaw rate as estimated, or from the poses where nothing was estimated."""
+    curves = tuple(make_field_curve(s, topics.STATE, field, "estimate", "estimate"))
+    if not curves and s.track is not None:
+        curves = tuple(make_curve("from poses", "estimate", s.track.t, getattr(s.track, field)))
+    yield from curves
+
+
+def _speed(s: Recording) -> Iterator[Panel]:
     curves = [*_command(s, "speed")]
     table = s.table(topics.VESC)
     if table is not None:
-        gain = session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
-        offset = session.number("steerd.scaling", "erpm_offset", F1TENTH.erpm_offset)
+        gain = s.session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
+        offset = s.session.number("steerd.scaling", "erpm_offset", F1TENTH.erpm_offset)
         speed = (table["erpm"].astype(float) - offset) / gain
         curves += make_curve("wheels", "measured", s.times(table), speed)
-    curves += s.curve(topics.WHEEL, "speed", "wheels", "measured")
-    estimate = list(s.curve(topics.STATE, "speed", "estimate", "estimate"))
-    if not estimate and track is not None:
-        estimate = list(make_curve("from poses", "estimate", track.t, track.speed))
-    return Panel("speed", "m/s", (*curves, *estimate))
+    curves += make_field_curve(s, topics.WHEEL, "speed", "wheels", "measured")
+    yield Panel("speed", "m/s", (*curves, *_estimate(s, "speed")))
 
 
-def _steer(s: _Tables) -> Panel:
-    curves = (
-        *_command(s, "steer", degrees(1.0)),
-        *s.curve(topics.STATE, "steer", "estimate", "estimate", degrees(1.0)),
-    )
-    return Panel("steering angle (left +)", "°", curves)
+def _turning(s: Recording) -> Iterator[Panel]:
+    scale = degrees(1.0)
+    estimate = make_field_curve(s, topics.STATE, "steer", "estimate", "estimate", scale)
+    yield Panel("steering angle (left +)", "°", (*_command(s, "steer", scale), *estimate))
+    gyro = make_field_curve(s, topics.IMU, "gyro_z", "gyro", "measured")
+    yield Panel("yaw rate", "rad/s", (*gyro, *_estimate(s, "yaw_rate")))
 
 
-def _yaw_rate(s: _Tables, track: Track | None) -> Panel:
-    gyro = tuple(s.curve(topics.IMU, "gyro_z", "gyro", "measured"))
-    estimate = tuple(s.curve(topics.STATE, "yaw_rate", "estimate", "estimate"))
-    if not estimate and track is not None:
-        estimate = tuple(make_curve("from poses", "estimate", track.t, track.yaw_rate))
-    return Panel("yaw rate", "rad/s", gyro + estimate)
-
-
-def _innovation(s: _Tables) -> Panel:
-    curves = tuple(s.curve(topics.STATE, "nis_pose", "NIS", "estimate"))
+def _innovation(s: Recording) -> Iterator[Panel]:
+    curves = tuple(make_field_curve(s, topics.STATE, "nis_pose", "NIS", "estimate"))
     if curves:
         t = curves[0].t[[0, -1]]
         curves += (Curve("95 % (3 d.o.f.)", "bound", t, np.full(2, NIS_95)),)
-    return Panel("pose innovation (NIS)", "", curves)
+    yield Panel("pose innovation (NIS)", "", curves)
 
 
-def _pose_residual(s: _Tables, track: Track | None) -> Panel:
+def _pose_residual(s: Recording) -> Iterator[Panel]:
     """Mocap minus estimate at the same instant, along and across the car."""
-    state = s.table(topics.STATE)
+    state, track = s.table(topics.STATE), s.track
     if state is None or track is None or not np.isfinite(state["x"]).any():
-        return Panel("", "", ())
+        return
     good, t = np.isfinite(state["x"]), s.times(state)
     at, x, y = t[good], state["x"][good], state["y"][good]
     dx = track.x - np.interp(track.t, at, x, np.nan, np.nan)
@@ -257,18 +228,15 @@ def _pose_residual(s: _Tables, track: Track | None) -> Panel:
         *make_curve("along", "measured", track.t, along),
         *make_curve("across", "estimate", track.t, across),
     )
-    return Panel("mocap minus estimate", "mm", curves)
+    yield Panel("mocap minus estimate", "mm", curves)
 
 
-def _timing(s: _Tables) -> Panel:
+def _timing(s: Recording) -> Iterator[Panel]:
     table = s.table(topics.TICK)
-    if table is None:
-        return Panel("", "", ())
-    late = _late_ms(table)
-    work = table["work_ns"].astype(float) * 1e-6
-    t = s.times(table)
-    curves = (*make_curve("late", "command", t, late), *make_curve("work", "estimate", t, work))
-    return Panel("control tick", "ms", curves)
+    if table is not None:
+        t, work = s.times(table), table["work_ns"].astype(float) * 1e-6
+        late = make_curve("late", "command", t, _late_ms(table))
+        yield Panel("control tick", "ms", (*late, *make_curve("work", "estimate", t, work)))
 
 
 def _late_ms(ticks: Mapping[str, Array]) -> Array:
@@ -277,7 +245,7 @@ def _late_ms(ticks: Mapping[str, Array]) -> Array:
     return np.maximum(past, 0).astype(np.float64) * 1e-6
 
 
-def _latency(s: _Tables) -> Panel:
+def _latency(s: Recording) -> Iterator[Panel]:
     curves: list[Curve] = []
     for topic, since, until, name, role in (
         (topics.MOCAP, "t_valid_ns", "t_arrival_ns", "pose, from exposure", "estimate"),
@@ -287,10 +255,16 @@ def _latency(s: _Tables) -> Panel:
         if table is not None:
             delay = (table[until] - table[since]).astype(float) * 1e-6
             curves += make_curve(name, role, s.times(table), delay)
-    return Panel("latency", "ms", tuple(curves) if any(np.any(c.value) for c in curves) else ())
+    yield Panel("latency", "ms", tuple(curves) if any(np.any(c.value) for c in curves) else ())
 
 
-def _current(s: _Tables) -> Panel:
-    brake = list(s.curve(topics.ACTUATION, "brake_current_a", "brake commanded", "command"))
-    motor = list(s.curve(topics.VESC, "current_motor", "motor", "measured"))
-    return Panel("current", "A", (*brake, *motor))
+def _current(s: Recording) -> Iterator[Panel]:
+    name = "brake commanded"
+    brake = make_field_curve(s, topics.ACTUATION, "brake_current_a", name, "command")
+    motor = make_field_curve(s, topics.VESC, "current_motor", "motor", "measured")
+    yield Panel("current", "A", (*brake, *motor))
+
+
+_PANELS = (
+    _errors, _speed, _turning, _innovation, _pose_residual, _timing, _latency, _current,
+)  # fmt: skip

@@ -2,76 +2,42 @@
 
 from dataclasses import replace
 from math import degrees
-from typing import NamedTuple
 
 import numpy as np
 
-from steerd.daemon.common.translate import make_session_error
-from steerd.daemon.sessions.info import Times
+from steerd.daemon.sessions.info import Recording
 from steerd.daemon.sessions.motion import Array
 from steerd.daemon.sessions.plot_data import Curve, Drawing, Panel
 from steerd.steer_bus import topics
-from steerd.steer_bus.session_read import Session, SessionError
 from steerd.steer_bus.topic_columns import Columns
-from steerd.steer_bus.topics import split_key
 
 BAND = 2.0
 """Standard deviations to either side: 95 % of a normal distribution."""
-
-
-class Shown(NamedTuple):
-    """One panel: its title, unit and the fields of the message that it draws."""
-
-    title: str
-    unit: str
-    fields: tuple[str, ...]
-    scale: float = 1.0
-
-
-PANELS: tuple[Shown, ...] = (
-    Shown("learnt: gains", "", ("steer_gain", "speed_gain")),
-    Shown("learnt: steering bias", "°", ("steer_bias",), degrees(1.0)),
-    Shown("learnt: steering dead time and lag", "ms", ("steer_delay", "steer_lag"), 1e3),
-    Shown("learnt: cornering coefficients", "1/rad", ("c_sf", "c_sr")),
+PANELS: tuple[tuple[str, str, tuple[str, ...], float], ...] = (
+    ("learnt: gains", "", ("steer_gain", "speed_gain"), 1.0),
+    ("learnt: steering bias", "°", ("steer_bias",), degrees(1.0)),
+    ("learnt: steering dead time and lag", "ms", ("steer_delay", "steer_lag"), 1e3),
+    ("learnt: cornering coefficients", "1/rad", ("c_sf", "c_sr"), 1.0),
 )
+"""Title, unit, the fields of the message that are drawn, and their scale."""
 _ROLES = ("estimate", "measured")
 
 
-def with_model(drawing: Drawing, session: Session) -> Drawing:
-    """The drawing with the panels of the learner, if it ran.
-
-    Raises:
-        SteerdError: the file has changed since it was opened.
-    """
-    info = session.info()
-    names = [
-        topic.name
-        for topic in info.topics
-        if topic.count and (split_key(topic.name) or ("", ""))[1] == topics.MODEL.name
-    ]
-    if not names:
+def with_model(drawing: Drawing, read: Recording) -> Drawing:
+    """The drawing with the panels of the learner, if it ran: bands, and the moments of change."""
+    table = read.table(topics.MODEL)
+    if table is None:
         return drawing
-    try:
-        table = session.tables({names[0]: topics.MODEL.message})[names[0]]
-    except SessionError as error:
-        raise make_session_error(error) from None
-    return replace(drawing, panels=drawing.panels + model_panels(table, Times(info.start_ns)))
-
-
-def model_panels(table: Columns, times: Times) -> tuple[Panel, ...]:
-    """Parameters over time with bands, and the moments of change."""
-    t = times.of(table["stamp_ns"])
-    panels = []
-    for shown in PANELS:
+    t, panels = read.times(table), list(drawing.panels)
+    for title, unit, fields, scale in PANELS:
         curves = [
             curve
-            for field, role in zip(shown.fields, _ROLES, strict=False)
-            for curve in _banded(table, t, field, role, shown.scale)
+            for field, role in zip(fields, _ROLES, strict=False)
+            for curve in _banded(table, t, field, role, scale)
         ]
         if curves:
-            moments = _moments(table, t, curves)
-            panels.append(Panel(shown.title, shown.unit, (*curves, *moments)))
-    return tuple(panels)
+            panels.append(Panel(title, unit, (*curves, *_moments(table, t, curves))))
+    return replace(drawing, panels=tuple(panels))
 
 
 def _banded(table: Columns, t: Array, field: str, role: str, scale: float) -> list[Curve]:

@@ -8,10 +8,11 @@ from math import degrees, isfinite
 from typing import Any
 
 from steerd.daemon.assembly.session_meta import is_virtual
-from steerd.daemon.common.screen import NBSP, WIDTH, clean, join_words, print_labelled, wrap
+from steerd.daemon.common.screen import NBSP, WIDTH, clean, cut, join_words, print_labelled, wrap
 from steerd.daemon.sessions.info import SessionReport, TopicReport
 from steerd.daemon.sessions.motion import SignalRange
 from steerd.steer_bus.topics import split_key
+from steerd.sysid.report.report import Table, format_table
 
 TOPICS_SHOWN = 18
 STATES_SHOWN = 10
@@ -128,9 +129,8 @@ def _topics(report: SessionReport) -> list[str]:
     shown = report.topics[:TOPICS_SHOWN]
     if not shown:
         return []
-    head = ("topic", "type", "messages", "rate", "gaps")
-    rows = [head, *((_short(t.name), _type(t), _count(t.count), _rate(t), _gaps(t)) for t in shown)]
-    lines = _table(rows)
+    rows = [(_short(t.name), _type(t), _count(t.count), _rate(t), _gaps(t)) for t in shown]
+    lines = [f"  {line}" for line in format_table(_fit_width(rows))]
     more = len(report.topics) - len(shown)
     if more:
         lines.append(f"  … and {more} topics more (--json lists them)")
@@ -140,21 +140,14 @@ def _topics(report: SessionReport) -> list[str]:
     return lines
 
 
-def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    """Aligned rows of at most `WIDTH` columns; names and types are cut before figures are."""
-    name, kind, count, rate, gaps = (max(map(len, column)) for column in zip(*rows, strict=True))
-    room = max(WIDTH - 2 * len(rows[0]) - count - rate - gaps, _NAME_MIN + _TYPE_MIN)
+def _fit_width(rows: Sequence[tuple[str, ...]]) -> Table:
+    """The table at most `WIDTH` columns wide; names and types are cut before figures are."""
+    heads = ("topic", "type", "messages", "rate", "gaps")
+    name, kind, *figures = (max(map(len, column)) for column in zip(heads, *rows, strict=True))
+    room = max(WIDTH - 2 * len(heads) - sum(figures), _NAME_MIN + _TYPE_MIN)
     name = min(name, _NAME_MAX, room - _TYPE_MIN)
     kind = min(kind, room - name)
-    return [
-        f"  {_fit(r[0], name)}  {_fit(r[1], kind)}  {r[2]:>{count}}  {r[3]:>{rate}}  "
-        f"{r[4]}".rstrip()
-        for r in rows
-    ]
-
-
-def _fit(text: str, width: int) -> str:
-    return f"{text:<{width}}" if len(text) <= width else text[: width - 1] + "…"
+    return Table(heads, [(cut(r[0], name), cut(r[1], kind), *r[2:]) for r in rows], words=(1, 4))
 
 
 def _short(name: str) -> str:

@@ -13,8 +13,7 @@ from steerd.car_model.nominal_car import believed_car
 from steerd.car_model.params import GRAVITY, wheelbase
 from steerd.controller.config import ControllerConfig, load_controller_config
 from steerd.controller.limits import Limits
-from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.common.near import did_you_mean, find_near
+from steerd.daemon.common.errors import SteerdError, did_you_mean, find_near
 from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.settings.effect_checks import check_effects
 from steerd.daemon.settings.thresholds import LAUNCH_RATIO, LAUNCH_SPEED, Thresholds, check_bounds
@@ -125,8 +124,11 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
         file=car_file,
         scaling=scaling,
         brakes=sections.make("vesc", lambda: _check_brakes(_convert(brakes, BrakeSettings))),
-        ingest=sections.make(
-            "mocap", lambda: IngestConfig(_frame(car_file, sections.section("mocap")))
+        ingest=IngestConfig(
+            replace(
+                sections.make("mocap", lambda: read_frame(sections.section("mocap"))),
+                cog_ahead_of_rear=car_file.car.lr,
+            )
         ),
         limits=sections.make(
             "limits", lambda: _limits(car_file, scaling, sections.section("limits"))
@@ -279,18 +281,22 @@ def _record(table: Mapping[str, Any]) -> RecordSettings:
     return record
 
 
-_FRAME_KEYS = {"world_yaw_deg": "world_yaw", "mount_yaw_deg": "mount_yaw"}
+FRAME_ANGLES = ("world_yaw", "mount_yaw")
+"""Of a `FrameConfig`; tables give them in degrees, as `NAME_deg`."""
 
 
-def _frame(car_file: CarFile, table: Mapping[str, Any]) -> FrameConfig:
-    values = {
-        _FRAME_KEYS.get(key, key): radians(value) if key in _FRAME_KEYS else value
-        for key, value in table.items()
-    }
-    frame = _convert(values, FrameConfig)
-    return replace(
-        frame, cog_ahead_of_rear=car_file.car.lr, world_xy=(frame.world_xy[0], frame.world_xy[1])
-    )
+def read_frame(table: Mapping[str, Any]) -> FrameConfig:
+    """Room and body, as `[mocap]` of a car file and `[frame]` of an import's map say them.
+
+    Raises:
+        ValueError: a key or a value is none.
+    """
+    angles = {f"{name}_deg": name for name in FRAME_ANGLES}
+    values = dict(table)
+    for name in angles.keys() & table.keys():
+        value = values.pop(name)
+        values[angles[name]] = radians(value) if isinstance(value, int | float) else value
+    return _convert(values, FrameConfig)
 
 
 def _limits(car_file: CarFile, scaling: Scaling, table: Mapping[str, Any]) -> Limits:

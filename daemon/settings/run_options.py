@@ -16,33 +16,21 @@ class ControllerKind(StrEnum):
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of one drive.
+    """Options of one drive: those of `steerd run`, whose help explains them, by their names.
 
     Attributes:
         car_file: path of the TOML car file.
         car: the car's name in keys and file names.
-        port: serial device or pyserial URL; None in virtual time.
-        mocap: mocap address as `--mocap` takes it; None in virtual time.
-        path: path description as `--path` takes it.
-        speed: target speed on straights [m/s].
+        port, mocap: as the options; None in virtual time.
         duration_s: length of the drive [s]; None until stopped.
         record: session file, or None for a name made from date and car.
-        seed: of the random numbers in simulated hardware.
         rate_hz: control rate [Hz].
-        controller: who steers.
-        simulated: whether the hardware is simulated.
         auto_arm: arm and start without an operator (simulated hardware only).
-        effects: unmodelled effects of the simulated car, as `--effect` takes them.
         listen: zenoh endpoint of the gateway, or "" for none.
         drill: excitation plan of `steerd collect` (see `plans.parse_drill`), or "".
         lab: this machine's folder of `steerd keys`, or "" for plain loopback.
-        insecure_lan: whether a plain listener beyond loopback is allowed.
         page: port of the live page on loopback, 0 for a free one; None for no page.
         sim_car: car file of the simulated car, or `hidden:SEED`; "" for the car file's own car.
-        ros_domain: ROS 2 domain in which rmw_zenoh sees the car, or None.
-        view_sets: whether the viewer may ask for other live parameters.
-        learn: whether a learner runs beside recorder and gateway.
-        adapt: whether the lane keeper follows what was learnt.
         view: ``[HOST:]PORT`` of the viewer's WebSocket, or "" for none.
     """
 

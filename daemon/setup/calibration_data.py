@@ -9,7 +9,7 @@ from steerd.car_model.car_file import CarFileError, default_car_path
 from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.translate import make_car_file_error
-from steerd.daemon.sessions.info import find_table, load_session, read_tables
+from steerd.daemon.sessions.info import Recording, load_recording
 from steerd.daemon.sessions.motion import Array, Track, make_track
 from steerd.daemon.settings.config import Settings, load_settings, make_settings
 from steerd.daemon.settings.run_options import decode_options
@@ -33,13 +33,13 @@ class Recorded:
         settings: of the car file that the drive used.
         frame: room and body, without any offset of the body on the car.
         poses: columns of the accepted poses, times increasing.
-        tables: every topic's columns.
+        read: every topic's columns.
     """
 
     settings: Settings
     frame: FrameConfig
     poses: Columns
-    tables: dict[str, Columns]
+    read: Recording
 
     @property
     def start_ns(self) -> int:
@@ -53,18 +53,17 @@ def load_recorded(path: Path) -> Recorded:
     Raises:
         SteerdError: it cannot be read, or lacks poses.
     """
-    session = load_session(path)
-    settings = _read_settings(session)
-    tables, problems = read_tables(session)
-    poses = find_table(tables, topics.MOCAP)
+    read = load_recording(path)
+    settings = _read_settings(read.session)
+    poses = read.table(topics.MOCAP)
     if poses is None or not (good := poses["reject"] == "").any():
-        hint = problems[0] if problems else "record with `steerd run`"
+        hint = read.problems[0] if read.problems else "record with `steerd run`"
         raise SteerdError(f"{path} holds no accepted mocap pose", hint)
     kept = {name: column[good] for name, column in poses.items()}
     order = np.argsort(kept["t_valid_ns"], kind="stable")
     order = order[np.diff(kept["t_valid_ns"][order], prepend=0) > 0]
     kept = {name: column[order] for name, column in kept.items()}
-    return Recorded(settings, _frame_without_mount(settings, session), kept, tables)
+    return Recorded(settings, _frame_without_mount(settings, read.session), kept, read)
 
 
 def _read_settings(session: Session) -> Settings:
@@ -113,7 +112,7 @@ def wheel_speed(r: Recorded) -> tuple[Array, Array]:
     Raises:
         SteerdError: the session holds none.
     """
-    vesc, wheel = find_table(r.tables, topics.VESC), find_table(r.tables, topics.WHEEL)
+    vesc, wheel = r.read.table(topics.VESC), r.read.table(topics.WHEEL)
     if vesc is not None:
         scaling = r.settings.scaling
         at = (vesc["t_sent_ns"] + vesc["t_received_ns"]) // 2
@@ -153,8 +152,8 @@ def steering_commands(r: Recorded) -> tuple[Array, Array]:
     Raises:
         SteerdError: the session holds none.
     """
-    table = find_table(r.tables, topics.ACTUATION)
-    tick = find_table(r.tables, topics.TICK)
+    table = r.read.table(topics.ACTUATION)
+    tick = r.read.table(topics.TICK)
     driven = None if table is None else table["mode"] == ActuationMode.SPEED
     if table is None or driven is None or not driven.any():
         raise SteerdError("the session holds no steering commands")

@@ -46,7 +46,7 @@ class Movement:
 
 @dataclass(frozen=True)
 class Check:
-    """One check and its result; `fix` is empty where it passes."""
+    """One check and its result; `fix` is what to do where it fails."""
 
     name: str
     ok: bool
@@ -81,19 +81,15 @@ def _check_stream(m: Movement, refused: int) -> Check:
     ok = refused <= REJECTED_MAX * total and gap < GAP_MAX
     figure = f"{rate:.0f} Hz, {refused} of {total} rejected, longest gap {1e3 * gap:.0f} ms"
     fix = "`steerd probe --mocap URL` shows which check rejects them and what to do"
-    return Check("stream", ok, figure, "" if ok else fix)
+    return Check("stream", ok, figure, fix)
 
 
 def _check_distance(m: Movement, length: float) -> Check:
     extent = float(max(np.ptp(m.x), np.ptp(m.y))) if len(m.x) else 0.0
     figure = f"{extent:.2f} m from end to end, {length:.2f} m of path"
     if extent < EXTENT_MIN:  # the path of a car that stands is the noise of its poses
-        return Check(
-            "distance",
-            False,
-            f"moved by {extent:.2f} m",
-            "push the car straight forward by about 1 m",
-        )
+        fix = "push the car straight forward by about 1 m"
+        return Check("distance", False, f"moved by {extent:.2f} m", fix)
     if extent > EXTENT_MAX or length > LAPS_MAX * (extent + 1.0):
         return Check("distance", False, figure, "millimetres taken for metres? set [mocap] units")
     return Check("distance", True, figure)
@@ -105,14 +101,13 @@ def _check_height(m: Movement) -> Check:
     # A floor that is 1 % off level is common; a wrong up axis moves the height as far as the car.
     ok = span < HEIGHT_MAX + 0.01 * extent
     fix = "set [mocap] up (y or z) to the server's up axis; set the ground plane if it leans"
-    return Check("height", ok, f"varies by {1e3 * span:.0f} mm", "" if ok else fix)
+    return Check("height", ok, f"varies by {1e3 * span:.0f} mm", fix)
 
 
 def _check_tilt(m: Movement) -> Check:
     tilt = float(np.median(m.tilt))
     fix = "reset the body's orientation in the mocap software with the car on the floor"
-    return Check("level", tilt < TILT_MAX, f"leans {degrees(tilt):.1f}°",
-                 "" if tilt < TILT_MAX else fix)  # fmt: skip
+    return Check("level", tilt < TILT_MAX, f"leans {degrees(tilt):.1f}°", fix)
 
 
 def _check_heading(travel: Array, yaw: Array, turn: Array) -> list[Check]:
@@ -129,13 +124,11 @@ def _check_heading(travel: Array, yaw: Array, turn: Array) -> list[Check]:
         fix = "the world is mirrored: is [mocap] up right, are the axes right-handed?"
         ok = slope > 0.3
         figure = f"yaw follows the path's turns by {slope:+.2f}"
-        checks.append(Check("turning", ok, figure, "" if ok else fix))
+        checks.append(Check("turning", ok, figure, fix))
     return checks
 
 
 def _fix_heading(off: float) -> str:
-    if abs(off) < TRAVEL_MAX:
-        return ""
     if abs(off) < MOUNT_MAX:
         return "`steerd mocap calibrate` finds [mocap] mount_yaw_deg"
     quarter = round(off / (pi / 2)) * 90

@@ -21,15 +21,7 @@ from scipy.signal import savgol_filter
 from steerd.car_model.params import GRAVITY, Car, wheelbase
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.sessions.motion import Array
-from steerd.daemon.setup.least_squares import (
-    MOVING,
-    Mask,
-    find_delay,
-    find_slip_warnings,
-    jackknife_sd,
-    make_jackknife_masks,
-    solve_least_squares,
-)
+from steerd.daemon.setup import least_squares as ls
 
 RATE = 100.0
 """Sampling rate of the velocities [Hz]."""
@@ -115,7 +107,7 @@ class _Motion:
     vy: Array
     yaw: Array
     yaw_rate: Array
-    good: Mask
+    good: ls.Mask
 
 
 def slip_per_accel(car: Car[float]) -> float:
@@ -139,18 +131,18 @@ def calibrate_mount(drive: Drive, car: Car[float], front: float = 0.0) -> MountC
     _expect_motion(motion)
     slip = slip_per_accel(car)
     moved = np.hypot(motion.vx, motion.vy)
-    turn = wheelbase(car) * motion.yaw_rate / np.maximum(moved, MOVING)
+    turn = wheelbase(car) * motion.yaw_rate / np.maximum(moved, ls.MOVING)
     turned = 1.0 - front + front * np.hypot(1.0, turn)
     mount, residual = _solve(motion, drive, slip, turned, motion.good)
     if not GAIN_MIN < mount.speed_gain < GAIN_MAX:
         what = f"the poses move {mount.speed_gain:.3g} times as far as the wheels say"
         hint = "check [mocap] units, [vesc] erpm_gain, and that this body is on this car"
         raise SteerdError(what, hint)
-    masks = make_jackknife_masks(motion.good)
+    masks = ls.make_jackknife_masks(motion.good)
     parts = [_solve(motion, drive, slip, turned, keep)[0] for keep in masks]
     names = [f.name for f in fields(Mount)]
     rows = [np.array([getattr(part, name) for name in names]) for part in parts]
-    sd = dict(zip(names, jackknife_sd(rows), strict=True))
+    sd = dict(zip(names, ls.jackknife_sd(rows), strict=True))
     # The uncertainty of the slip is common to all parts, so the jackknife does not show it.
     sd["rear_x"] = float(np.hypot(sd["rear_x"], _slip_sd(motion, slip)))
     seconds = float(motion.good.sum()) / RATE
@@ -171,7 +163,7 @@ def _differentiate(drive: Drive) -> _Motion:
     after = np.clip(np.searchsorted(drive.t, t), 1, len(drive.t) - 1)
     whole = (drive.t[after] - drive.t[after - 1] < GAP).astype(float)
     whole = np.convolve(whole, np.ones(length), "same") > length - 0.5
-    fast = np.hypot(smooth["x'"], smooth["y'"]) > MOVING
+    fast = np.hypot(smooth["x'"], smooth["y'"]) > ls.MOVING
     return _Motion(t, smooth["x'"], smooth["y'"], smooth["yaw"], smooth["yaw'"], whole & fast)
 
 
@@ -185,14 +177,16 @@ def _expect_motion(motion: _Motion) -> None:
         raise SteerdError(f"the car turns with {turning:.2f} rad/s (rms): too little", hint)
 
 
-def _solve(m: _Motion, drive: Drive, slip: float, turned: Array, good: Mask) -> tuple[Mount, float]:
+def _solve(
+    m: _Motion, drive: Drive, slip: float, turned: Array, good: ls.Mask
+) -> tuple[Mount, float]:
     """The mount from some of the samples, and the residual of the lateral velocity."""
     w = m.yaw_rate[good]
     c, s = np.cos(m.yaw[good]), np.sin(m.yaw[good])
     bx = m.vx[good] * c + m.vy[good] * s
     by = m.vy[good] * c - m.vx[good] * s
     wheel = np.interp(m.t[good], drive.t_wheel, drive.wheel)
-    ahead = np.sign(wheel) * (np.abs(wheel) > MOVING / 2)
+    ahead = np.sign(wheel) * (np.abs(wheel) > ls.MOVING / 2)
     yaw = -atan2(float(np.sum(ahead * by)), float(np.sum(ahead * bx)))
     rear_x, residual = 0.0, 0.0
     for _ in range(ITERATIONS):
@@ -203,9 +197,9 @@ def _solve(m: _Motion, drive: Drive, slip: float, turned: Array, good: Mask) -> 
 
     def forward(delay: float) -> tuple[Array, Array]:
         reported = np.interp(m.t[good] - delay, drive.t_wheel, drive.wheel)
-        return solve_least_squares(np.column_stack([reported / turned[good], -w]), ux)
+        return ls.solve_least_squares(np.column_stack([reported / turned[good], -w]), ux)
 
-    delay = find_delay(lambda tau: float(np.sum(forward(tau)[1] ** 2)))
+    delay = ls.find_delay(lambda tau: float(np.sum(forward(tau)[1] ** 2)))
     gain, rear_y = forward(delay)[0]
     return Mount(yaw, rear_x, float(rear_y), float(gain), delay), residual
 
@@ -218,7 +212,7 @@ def _lateral(ux: Array, uy: Array, w: Array, slip: float) -> tuple[float, float,
     rows = np.column_stack([w, -ux, -(ux**2) * w])
     weight = LATERAL_NOISE / (SLIP_PRIOR_SHARE * slip)
     rows = np.vstack([rows, [0.0, 0.0, weight]])
-    (rear_x, turn, _), left = solve_least_squares(rows, np.append(uy, weight * slip))
+    (rear_x, turn, _), left = ls.solve_least_squares(rows, np.append(uy, weight * slip))
     return float(turn), float(rear_x), float(np.sqrt(np.mean(left[:-1] ** 2)))
 
 
@@ -238,4 +232,4 @@ def _find_warnings(m: _Motion, drive: Drive) -> list[str]:
     wheel = np.interp(m.t[m.good], drive.t_wheel, drive.wheel)
     if float(np.std(wheel)) < SPEED_SPREAD_MIN:
         warnings.append("its speed is almost constant, so the delay is uncertain: vary the speed")
-    return [*warnings, *find_slip_warnings((m.yaw_rate * np.hypot(m.vx, m.vy))[m.good])]
+    return [*warnings, *ls.find_slip_warnings((m.yaw_rate * np.hypot(m.vx, m.vy))[m.good])]

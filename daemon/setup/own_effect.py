@@ -21,7 +21,7 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.rollout import simulate, start
 from steerd.car_model.state import Command, State
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.whole_file import write_whole
+from steerd.daemon.common.written import write_whole
 
 _FOLDER = Path(effects.__file__).parent
 _BUILD = "steerd.car_model.native.build"

@@ -7,15 +7,7 @@ import numpy as np
 from steerd.car_model.params import GRAVITY, Car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.sessions.motion import Array
-from steerd.daemon.setup.least_squares import (
-    MOVING,
-    Mask,
-    find_delay,
-    find_slip_warnings,
-    jackknife_sd,
-    make_jackknife_masks,
-    solve_least_squares,
-)
+from steerd.daemon.setup import least_squares as ls
 
 STEADY_BEFORE, STEADY_AFTER, STEADY_STEP = 0.25, 0.15, 0.02
 """Stretch about a sample over which its command must be steady [s]: the servo's lag before it, half
@@ -83,7 +75,7 @@ def calibrate_steering(
     Raises:
         SteerdError: the car barely moves, or its steering is barely used.
     """
-    good = np.isfinite(speed) & np.isfinite(yaw_rate) & (speed > MOVING)
+    good = np.isfinite(speed) & np.isfinite(yaw_rate) & (speed > ls.MOVING)
     if good.sum() < SAMPLES_MIN:
         raise SteerdError("the car barely moves forward: its steering is not identifiable")
     t, v, w = t[good], speed[good], yaw_rate[good]
@@ -95,17 +87,19 @@ def calibrate_steering(
     steady = _find_steady(t, t_command, command)
     _check_steering(now, steady)
 
-    def fit(delay: float, keep: Mask = steady) -> tuple[Array, Array, Array]:
+    def fit(delay: float, keep: ls.Mask = steady) -> tuple[Array, Array, Array]:
         commanded = np.interp(t - delay, t_command, command)
         # The outer quarters may lie beyond a stop, unless nothing else was driven.
         inner = keep & (np.abs(commanded - (low + high) / 2) <= (high - low) / 4)
         used = inner if np.std(commanded[inner]) > 0.1 * (high - low) else keep
         rows = np.column_stack([commanded[used], np.ones(used.sum())])
-        return (*solve_least_squares(rows, angle[used]), commanded)
+        return (*ls.solve_least_squares(rows, angle[used]), commanded)
 
-    delay = find_delay(lambda tau: float(np.mean(fit(tau)[1] ** 2)))
+    delay = ls.find_delay(lambda tau: float(np.mean(fit(tau)[1] ** 2)))
     (gain, bias), left, commanded = fit(delay)
-    sd_gain, sd_bias = jackknife_sd([fit(delay, part)[0] for part in make_jackknife_masks(steady)])
+    sd_gain, sd_bias = ls.jackknife_sd(
+        [fit(delay, part)[0] for part in ls.make_jackknife_masks(steady)]
+    )
     _check_gain(float(gain), sd_gain)
     ends = [_find_end(angle, gain * commanded + bias, side) for side in (1.0, -1.0)]
     return SteeringCalibration(
@@ -119,11 +113,11 @@ def calibrate_steering(
         residual=float(np.sqrt(np.mean(left**2))),
         sd_gain=sd_gain,
         sd_bias=sd_bias,
-        warnings=tuple(find_slip_warnings(v * w)),
+        warnings=tuple(ls.find_slip_warnings(v * w)),
     )
 
 
-def _check_steering(commanded: Array, steady: Mask) -> None:
+def _check_steering(commanded: Array, steady: ls.Mask) -> None:
     if np.std(commanded) < STEER_SD_MIN:
         raise SteerdError("the steering is barely used in this drive", _EIGHT)
     if steady.sum() < SAMPLES_MIN:
@@ -140,7 +134,7 @@ def _check_gain(gain: float, sd: float) -> None:
         raise SteerdError(what, f"{_EIGHT}, slowly", ExitCode.STOPPED)
 
 
-def _find_steady(t: Array, t_command: Array, command: Array) -> Mask:
+def _find_steady(t: Array, t_command: Array, command: Array) -> ls.Mask:
     """Where the command is steady enough for the wheels to have followed it."""
     offsets = np.arange(-STEADY_BEFORE, STEADY_AFTER, STEADY_STEP)
     around = np.stack([np.interp(t + dt, t_command, command) for dt in offsets])

@@ -1,16 +1,21 @@
 """The dashboard of a run in the terminal: state, errors, timing, warnings."""
 
+import shlex
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from math import degrees, hypot, isfinite, remainder, sqrt, tau
+from pathlib import Path
 
 from rich.console import Group, RenderableType
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from steerd.daemon.common.screen import NBSP, show
-from steerd.daemon.common.streams import remove_controls
+from steerd.car_model.car_file import default_car_path
+from steerd.daemon.assembly.build import RunPlan
+from steerd.daemon.assembly.session_meta import default_session_path
+from steerd.daemon.common.screen import NBSP, below_home, remove_controls, show
 from steerd.daemon.ipc.diagnostics import read_diagnostics
 from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
 from steerd.daemon.learning.text import QUIET, design_text, gap_text
@@ -214,3 +219,20 @@ def _describe_live(p: m.Parameters) -> list[RenderableType]:
 def _format_command(name: str, value: float, digits: str, unit: str) -> str:
     """A command, or a dash before the car is driven."""
     return f"{name} {value:+{digits}}{unit}" if isfinite(value) else f"{name} –"
+
+
+def closing_lines(plan: RunPlan, tally: Tally, session: Path) -> Iterator[str]:
+    """Distance, errors, session and next command; open-loop plans have no lateral error."""
+    collected = plan.drill is not None
+    followed = plan.drill is None or plan.drill.closed
+    yield tally.describe(lane=followed)
+    # Of a folder that nobody chose, commands find the last drive by themselves.
+    usual = session.parent == default_session_path("car", 0, 0).parent
+    name = "@last" if usual else shlex.quote(str(session))
+    yield f"session: {below_home(session) if usual else session}"
+    if collected:
+        own = plan.options.car_file not in ("", str(default_car_path()))
+        car = f" --car {shlex.quote(plan.options.car_file)}" if own else ""
+        yield f"   next: steerd identify {name}{car} -o car.toml"
+    else:
+        yield f"   next: steerd plot {name}   (or steerd info)"

@@ -1,6 +1,12 @@
 """Keys of a terminal as an operator's requests: the hold on a car, and its live parameters."""
 
-from collections.abc import Callable, Mapping
+import contextlib
+import os
+import select
+import sys
+import termios
+import tty
+from collections.abc import Callable, Iterator, Mapping
 from typing import Protocol
 
 from steerd.daemon.ipc.operator import KEEPALIVE_NS
@@ -80,6 +86,9 @@ class KeyDesk:
         ask: sends a request.
         tune: sends a request for other live parameters.
         kinds: which keys are requests.
+
+    Attributes:
+        holding: whether a car was armed or started here and still needs somebody.
     """
 
     def __init__(
@@ -92,15 +101,10 @@ class KeyDesk:
     ) -> None:
         self._board, self._clock = board, clock
         self._ask, self._tune, self._kinds = ask, tune, kinds
-        self._holding = False
+        self.holding = False
         self._requested_ns = self._alive_ns = 0
         self._answered: Parameters | None = None
         self._wanted: dict[str, float] = {}
-
-    @property
-    def holding(self) -> bool:
-        """Whether a car was armed or started here and still needs somebody."""
-        return self._holding
 
     def on_key(self, key: str) -> None:
         """A key was pressed; those without a meaning are ignored."""
@@ -111,9 +115,9 @@ class KeyDesk:
             return
         kind = self._kinds[key]
         if kind in (RequestKind.ARM, RequestKind.START):
-            self._holding, self._requested_ns = True, self._clock.now_ns()
+            self.holding, self._requested_ns = True, self._clock.now_ns()
         elif kind is RequestKind.DISARM:
-            self._holding = False
+            self.holding = False
         self._send(kind)
 
     def _nudge(self, key: str) -> None:
@@ -132,10 +136,34 @@ class KeyDesk:
         now, state = self._clock.now_ns(), self._board.state
         held = state is not None and state.mode in _HELD
         if not held and now - self._requested_ns > _ANSWER_NS:
-            self._holding = False
-        if self._holding and now - self._alive_ns >= KEEPALIVE_NS:
+            self.holding = False
+        if self.holding and now - self._alive_ns >= KEEPALIVE_NS:
             self._send(RequestKind.KEEPALIVE)
 
     def _send(self, kind: RequestKind) -> None:
         self._alive_ns = self._clock.now_ns()
         self._ask(kind)
+
+
+@contextlib.contextmanager
+def keys_one_by_one() -> Iterator[int | None]:
+    """Standard input as single keys, if it is a terminal."""
+    if not sys.stdin.isatty():
+        yield None
+        return
+    fd = sys.stdin.fileno()
+    before = termios.tcgetattr(fd)
+    tty.setcbreak(fd)
+    try:
+        yield fd
+    finally:
+        termios.tcsetattr(fd, termios.TCSADRAIN, before)
+
+
+def wait_for_key(keys: int | None, most_ns: int, clock: Clock) -> str:
+    """The keys pressed within this time, up to the first; none where there is no keyboard."""
+    if keys is None:
+        clock.sleep_until_ns(clock.now_ns() + most_ns)
+        return ""
+    ready, _, _ = select.select([keys], [], [], most_ns * 1e-9)
+    return os.read(keys, 1).decode("latin-1") if ready else ""

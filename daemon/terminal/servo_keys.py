@@ -6,8 +6,8 @@ import sys
 from dataclasses import dataclass, replace
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.streams import raw
-from steerd.daemon.terminal.keyboard import keys_one_by_one
+from steerd.daemon.common.screen import raw
+from steerd.daemon.terminal.key_desk import keys_one_by_one
 from steerd.steer_bus.clock import Clock
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.frames import encode_frame

@@ -12,17 +12,16 @@ from math import inf
 from rich.console import Console
 from rich.live import Live
 
-from steerd.daemon.common.streams import raw
+from steerd.daemon.common.screen import raw
 from steerd.daemon.ipc.gateway_wire import pack_request
 from steerd.daemon.ipc.live_setting import SETTING_MAX, parse_setting
 from steerd.daemon.ipc.operator import Operator
-from steerd.daemon.ipc.pipe_records import PipeRecord, unpack_records
+from steerd.daemon.ipc.pipe_records import unpack_records
 from steerd.daemon.ipc.report_pipe import ReportPipe
 from steerd.daemon.ipc.signals import block_stop_signals, make_stop_signal_pipe
 from steerd.daemon.process.children import RunProcesses
 from steerd.daemon.terminal.dashboard import Dashboard
-from steerd.daemon.terminal.key_desk import KEY_HELP, NUDGE_HELP, KeyDesk
-from steerd.daemon.terminal.keyboard import keys_one_by_one
+from steerd.daemon.terminal.key_desk import KEY_HELP, NUDGE_HELP, KeyDesk, keys_one_by_one
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.messages import RequestKind
@@ -38,12 +37,9 @@ class Terminal:
     def __init__(
         self, processes: RunProcesses, board: Dashboard, operator: Operator, clock: Clock
     ) -> None:
-        self._processes = processes
-        self._board = board
-        self._operator = operator
-        self._clock = clock
-        self._buffer = bytearray()
-        self._waiting = ""
+        self._processes, self._board = processes, board
+        self._operator, self._clock = operator, clock
+        self._buffer, self._waiting = bytearray(), ""
         self._signals, self._kill_ns = 0, inf
         self._reports = ReportPipe(processes.fds.get("reports"))
         self._desk = KeyDesk(board, clock, self._ask, self._tune)
@@ -86,7 +82,7 @@ class Terminal:
                 self._show(live, console)
                 os.close(core)
                 return
-            self._keep_alive()
+            self._desk.keep_alive()
             if self._clock.now_ns() > self._kill_ns:
                 self._processes.core.process.kill()
 
@@ -94,7 +90,9 @@ class Terminal:
         data = os.read(self._processes.fds["status"], 1 << 16)
         self._buffer += data
         for record in (*unpack_records(self._buffer), *self._reports.take()):
-            self._take(record, live, console)
+            line = self._board.take(record)
+            if live is None and line is not None:
+                console.print(line, highlight=False, soft_wrap=True)
         waiting = self._board.status.get("waiting", "")
         if live is None and waiting != self._waiting:
             self._waiting = waiting
@@ -102,11 +100,6 @@ class Terminal:
         if live is not None:
             live.update(self._board.render(), refresh=True)
         return bool(data)
-
-    def _take(self, record: PipeRecord, live: Live | None, console: Console) -> None:
-        line = self._board.take(record)
-        if live is None and line is not None:
-            console.print(line, highlight=False, soft_wrap=True)
 
     def _pass_signal(self, number: int) -> None:
         self._signals += 1
@@ -130,9 +123,6 @@ class Terminal:
             self._pass_signal(signal.SIGTERM)
         else:
             self._desk.on_key(key)
-
-    def _keep_alive(self) -> None:
-        self._desk.keep_alive()
 
     def _ask(self, kind: RequestKind) -> None:
         request = self._operator.make_request(kind, self._clock.realtime_ns())

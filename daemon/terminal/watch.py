@@ -1,6 +1,8 @@
 """Any car on the bus in a terminal: the dashboard, and the message rate of each topic."""
 
-from collections import Counter, deque
+import getpass
+from collections import deque
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from rich.columns import Columns
@@ -11,11 +13,15 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import show
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.process.bus_operator import BusOperator, Pulse
 from steerd.daemon.terminal.dashboard import Dashboard
+from steerd.daemon.terminal.key_desk import KEY_HELP, KEYS, NUDGE_HELP, KeyDesk
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus, Sample
+from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import CodecError, decode
+from steerd.steer_bus.messages import RequestKind
 from steerd.steer_bus.topics import ROOT, find_topic, split_key
 from steerd.vesc_link.ids import fault_name
 
@@ -65,7 +71,6 @@ class Watch:
     heard_ns: int | None = None
     undecodable: int = 0
     _times: dict[str, deque[int]] = field(default_factory=dict)
-    _counts: Counter[str] = field(default_factory=Counter)
 
     def take(self, sample: Sample, t_ns: int) -> str | None:
         """Take in a message; returns a line to print where nothing is rendered, or None."""
@@ -73,7 +78,6 @@ class Watch:
         if topic is None or topic.direction is topics.Direction.IN:
             return None
         self.heard_ns = t_ns
-        self._counts[topic.name] += 1
         self._times.setdefault(topic.name, deque(maxlen=_TIMES_KEPT)).append(t_ns)
         try:
             if topic is topics.VESC:
@@ -153,3 +157,33 @@ _SHOWN = (
     topics.ACTUATION.name,
     topics.DIAGNOSTICS.name,
 )
+
+
+def make_desk(
+    board: Dashboard, bus: Bus, car: str, clock: Clock, *, operate: bool
+) -> tuple[KeyDesk, Callable[[], bool]]:
+    """The keys of a car on the bus; without `operate` they change live parameters alone.
+
+    Returns:
+        The keys, and what goes on with a stop that was called for there.
+    """
+    operator = BusOperator(bus, car, clock, getpass.getuser(), Pulse(bus, car))
+
+    def run_of_the_car() -> int:
+        return int(board.status.get("boot_id", "0") or 0)
+
+    def ask(kind: RequestKind) -> bool:
+        return operator.ask(run_of_the_car(), kind)
+
+    def tune(wanted: Mapping[str, float]) -> bool:
+        return operator.tune(run_of_the_car(), wanted)
+
+    def repeat() -> bool:
+        return operator.repeat(board.state.mode if board.state else None)
+
+    return KeyDesk(board, clock, ask, tune, KEYS if operate else {}), repeat
+
+
+def desk_help(operate: bool) -> str:
+    """What the keys do."""
+    return f"{KEY_HELP}\n{NUDGE_HELP}" if operate else NUDGE_HELP

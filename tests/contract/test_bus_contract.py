@@ -21,11 +21,11 @@ from steerd.steer_bus.zenoh_bus import (
 from tests.local_bus import LocalBus, LocalHub, key_matches
 
 STATE = "steerd/car1/state"
-DEADLINE_S = 5.0
+DEADLINE_S = 30.0
 
 
 def until(condition):
-    """Wait for something another thread brings about, at most five seconds."""
+    """Wait for something another thread brings about, at most so long."""
     end = time.monotonic() + DEADLINE_S
     while not (found := condition()) and time.monotonic() < end:
         select.select([], [], [], 0.002)
@@ -68,13 +68,7 @@ def zenoh_spokes():
         yield a, b
 
 
-@pytest.fixture(
-    params=[
-        local_pair,
-        pytest.param(zenoh_hub_and_spoke, marks=pytest.mark.realtime),
-        pytest.param(zenoh_spokes, marks=pytest.mark.realtime),
-    ]
-)
+@pytest.fixture(params=[local_pair, zenoh_hub_and_spoke, zenoh_spokes])
 def pair(request):
     with request.param() as made:
         yield made
@@ -240,7 +234,6 @@ def test_nothing_is_scouted_and_a_spoke_never_listens():
     assert settings["scouting/gossip/enabled"] is False
 
 
-@pytest.mark.realtime
 def test_what_keeps_zenoh_from_starting_is_said():
     endpoint = free_endpoint()
     with pytest.raises(BusError, match="is steerd running"):
@@ -251,7 +244,6 @@ def test_what_keeps_zenoh_from_starting_is_said():
         ZenohBus(Profile(hub=True, endpoint=endpoint, settings={"no/such": 1}))
 
 
-@pytest.mark.realtime
 def test_at_a_plain_hub_nobody_hears_requests_or_speaks_as_the_car():
     """The lease ids in requests are secrets; of the car only its own gateway speaks."""
     endpoint = free_endpoint()
@@ -287,7 +279,6 @@ sys.stdin.read()
 """
 
 
-@pytest.mark.realtime
 def test_a_killed_process_is_soon_not_alive():
     endpoint = free_endpoint()
     with ZenohBus(Profile(hub=True, endpoint=endpoint, lease_ms=300)) as hub:

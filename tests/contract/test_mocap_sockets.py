@@ -42,8 +42,8 @@ Pump = Callable[[], None]
 def drive(
     receiver: MocapReceiver, pump: Pump, done: Callable[[], bool], samples: list[Pose]
 ) -> None:
-    """Alternate server and receiver until `done`, at most 10 s."""
-    end = time.monotonic_ns() + 10 * SECOND
+    """Alternate server and receiver until `done`, at most 30 s."""
+    end = time.monotonic_ns() + 30 * SECOND
     while not done():
         assert time.monotonic_ns() < end, receiver.status()
         pump()
@@ -139,7 +139,6 @@ def make_natnet(server: UdpServer) -> NatNetReceiver:
     return receiver
 
 
-@pytest.mark.realtime
 def test_natnet_poses_arrive_with_their_exposure_time(udp_server: UdpServer) -> None:
     receiver, samples = make_natnet(udp_server), list[Pose]()
     try:
@@ -167,7 +166,7 @@ def test_natnet_poses_arrive_with_their_exposure_time(udp_server: UdpServer) -> 
         receiver.close()
 
 
-@pytest.mark.realtime
+@pytest.mark.parametrize("udp_server", ["unicast-command"], indirect=True)
 def test_natnet_ignores_a_stranger(udp_server: UdpServer) -> None:
     receiver, samples = make_natnet(udp_server), list[Pose]()
     stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -175,7 +174,8 @@ def test_natnet_ignores_a_stranger(udp_server: UdpServer) -> None:
         stranger.bind(("127.0.0.2", 0))
         drive(receiver, udp_server.pump, lambda: len(samples) > 5, samples)
         forged = Frame(10**6, (RigidBody(4, (9.0, 9.0, 9.0), (0.0, 0.0, 0.0, 1.0)),))
-        command = receiver._command.getsockname()
+        with socket.fromfd(receiver.fds()[0], socket.AF_INET, socket.SOCK_DGRAM) as theirs:
+            command = theirs.getsockname()
         stranger.sendto(natnet.encode(forged, (4, 1)), command)
         drive(receiver, udp_server.pump, lambda: receiver.status().counts["foreign"] > 0, samples)
         assert all(s.x < 1.0 for s in samples)
@@ -184,7 +184,6 @@ def test_natnet_ignores_a_stranger(udp_server: UdpServer) -> None:
         receiver.close()
 
 
-@pytest.mark.realtime
 def test_natnet_backlog_keeps_the_newest_five() -> None:
     server = UdpServer("unicast-command")
     receiver, samples = make_natnet(server), list[Pose]()
@@ -202,7 +201,6 @@ def test_natnet_backlog_keeps_the_newest_five() -> None:
         server.close()
 
 
-@pytest.mark.realtime
 def test_natnet_without_a_server_neither_blocks_nor_raises() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as closed:
         closed.bind((LOOPBACK, 0))
@@ -219,7 +217,6 @@ def test_natnet_without_a_server_neither_blocks_nor_raises() -> None:
         receiver.close()
 
 
-@pytest.mark.realtime
 def test_natnet_data_port_that_is_taken_is_tried_again() -> None:
     server = UdpServer("unicast-command")
     taken = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -240,7 +237,6 @@ def test_natnet_data_port_that_is_taken_is_tried_again() -> None:
         server.close()
 
 
-@pytest.mark.realtime
 def test_natnet_server_comes_back_on_another_data_port() -> None:
     server = UdpServer("unicast-data")
     receiver, samples = make_natnet(server), list[Pose]()
@@ -308,7 +304,6 @@ def tcp_server() -> Iterator[TcpServer]:
     server.close()
 
 
-@pytest.mark.realtime
 def test_vrpn_poses_and_reconnect(tcp_server: TcpServer) -> None:
     receiver = make_receiver(parse_mocap_url(f"vrpn://localhost:{tcp_server.port}/car"), CONFIG)
     samples: list[Pose] = []
@@ -328,7 +323,6 @@ def test_vrpn_poses_and_reconnect(tcp_server: TcpServer) -> None:
         receiver.close()
 
 
-@pytest.mark.realtime
 def test_vrpn_client_leaves_a_server_of_another_kind() -> None:
     with socket.create_server((LOOPBACK, 0)) as listener:
         port = listener.getsockname()[1]
@@ -344,22 +338,6 @@ def test_vrpn_client_leaves_a_server_of_another_kind() -> None:
             receiver.close()
 
 
-@pytest.mark.realtime
-def test_vrpn_half_open_is_closed_and_tried_again(tcp_server: TcpServer) -> None:
-    receiver = make_receiver(parse_mocap_url(f"vrpn://{LOOPBACK}:{tcp_server.port}/car"), CONFIG)
-    samples: list[Pose] = []
-    try:
-        drive(receiver, tcp_server.pump, lambda: len(samples) > 5, samples)
-        silent_since = time.monotonic_ns()
-        for ms in range(0, 3200, 100):  # virtual time: the server says nothing any more
-            receiver.on_timer(silent_since + ms * MS)
-        assert not receiver.status().connected
-        assert "silent" in receiver.status().detail
-    finally:
-        receiver.close()
-
-
-@pytest.mark.realtime
 def test_vrpn_without_a_server_backs_off() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as closed:
         closed.bind((LOOPBACK, 0))
@@ -381,7 +359,7 @@ def test_vrpn_without_a_server_backs_off() -> None:
         receiver.close()
 
 
-@pytest.mark.realtime
+@pytest.mark.parametrize("udp_server", ["unicast-command"], indirect=True)
 def test_the_kernel_stamps_udp_and_tcp(udp_server: UdpServer, tcp_server: TcpServer) -> None:
     """A receiver that reads late must still know when the datagram came."""
     offset = [0]

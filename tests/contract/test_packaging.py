@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from steerd.daemon.cli.completion import make_full_parser, make_manual
+from steerd.daemon.cli.commands.setup.completion import make_full_parser, make_manual
 from steerd.daemon.cli.main import COMMANDS, run_cli
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -87,10 +87,10 @@ def test_a_launch_file_substitutes_nothing(capsys):
 
 
 def test_the_manual_page_has_every_command_and_option():
-    page = make_manual(COMMANDS, "1.0")
-    assert page == make_manual(COMMANDS, "1.0"), "no date"
+    page = make_manual(make_full_parser())
+    assert page == make_manual(make_full_parser()), "no date"
     plain = page.replace("\\-", "-")
-    children = next(a for a in make_full_parser(COMMANDS)._actions if a.dest == "command").choices
+    children = next(a for a in make_full_parser()._actions if a.dest == "command").choices
     assert set(children) == set(COMMANDS)
     for name, child in children.items():
         assert f"'steerd {name}'" in plain, name
@@ -102,7 +102,7 @@ def test_the_manual_page_has_every_command_and_option():
 @pytest.mark.skipif(not shutil.which("man"), reason="no man on this machine")
 def test_the_manual_page_is_set_without_a_warning(tmp_path):
     path = tmp_path / "steerd.1"
-    path.write_text(make_manual(COMMANDS, "1.0"))
+    path.write_text(make_manual(make_full_parser()))
     done = subprocess.run(
         ["man", "--warnings", "-l", str(path)],
         capture_output=True,

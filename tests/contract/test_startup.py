@@ -11,7 +11,7 @@ import sys
 
 import pytest
 
-from steerd.daemon.cli.inputs import is_input, list_actions
+from steerd.daemon.cli.arguments import find_check, list_actions
 from steerd.daemon.cli.main import COMMANDS
 
 HEAVY = ("torch", "scipy", "matplotlib", "numba", "filterpy", "joblib", "pyarrow")
@@ -98,10 +98,10 @@ def test_every_argument_that_names_a_file_is_looked_for(name):
         if action.dest in WRITTEN or action.help == argparse.SUPPRESS:
             continue
         if any(mark in metavar for mark in FILE_MARKS):
-            assert is_input(action) or name == "import", f"{name}: {action.dest}"
-        if is_input(action) and action.option_strings:
+            assert find_check(action) or name == "import", f"{name}: {action.dest}"
+        if find_check(action) and action.option_strings:
             assert action.option_strings[0] in lines, f"{name}: {action.dest} has no line above"
-        elif is_input(action):
+        elif find_check(action):
             assert lines, f"{name}: {action.dest} has no line above"
 
 

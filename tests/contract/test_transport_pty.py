@@ -22,7 +22,6 @@ from steerd.vesc_link.transport import (
     open_port,
 )
 
-pytestmark = pytest.mark.realtime
 FRAME = encode_frame(b"\x08\x00\x00\x12\x06")
 
 

@@ -120,16 +120,6 @@ def test_a_session_is_diagnosed_with_its_cars_own_file(fleet, tmp_path):
     assert row["gap"] > row["gap_after"] * 0.99
 
 
-@pytest.mark.filterwarnings("ignore")
-def test_a_cluster_gives_the_same_table(drives, tmp_path):
-    distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
-    here = steerd.batch("summarise", drives, jobs=1)
-    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
-    with distributed.LocalCluster(**options, host="127.0.0.1") as cluster:
-        there = steerd.batch("summarise", drives, dask=cluster.scheduler_address)
-    assert there.encode_table() == here.encode_table()
-
-
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [

@@ -41,14 +41,3 @@ def test_a_car_on_a_port_drives_the_plan(undisturbed):
         check_drive(record)
 
     undisturbed(scenario)
-
-
-def test_simulated_hardware_in_real_time_drives_it_too(undisturbed):
-    def scenario(steerd, folder):
-        record = folder / "drive.mcap"
-        run = collect(steerd, record, "--sim", "--auto-arm")
-        assert run.wait() == 0, run.text
-        assert "end of the run" in run.text
-        check_drive(record)
-
-    undisturbed(scenario)

@@ -180,23 +180,3 @@ def test_an_output_that_takes_nothing(monkeypatch, capfd):
         said = capfd.readouterr().err
     assert "No space left on device" in said
     assert "Traceback" not in said
-
-
-@pytest.mark.slow
-def test_a_cache_without_any_place_is_named(monkeypatch, tmp_path, capsys):
-    """Neither the folder for compiled models nor one for temporary files takes a byte."""
-
-    def learn(*_):
-        raise OSError(errno.ENOSPC, "No space left on device", "/cache/kernels")
-
-    session = tmp_path / "drive.mcap"
-    drive = ["run", "--sim", "--fast", "--duration", "14", "--record", session]
-    assert said_of(drive, capsys)[0] == 0
-    monkeypatch.setattr("steerd.daemon.analysis.identification.learn", learn)
-    code, said = said_of(["identify", session], capsys)
-    assert code == 3
-    assert said.splitlines()[-2] == "steerd: /cache/kernels: No space left on device"
-    assert HINT in said.splitlines()[-1]
-    monkeypatch.setattr("steerd.sim_gap.diagnosis.diagnose", learn)
-    code, said = said_of(["diagnose", session], capsys)
-    assert (code, "steerd: /cache/kernels: No space left on device" in said) == (3, True)

@@ -8,7 +8,7 @@ import pytest
 from steerd.daemon.cli.main import run_cli
 
 pytest.importorskip("cryptography")
-pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
+pytestmark = pytest.mark.timeout(240)
 
 
 def free_port() -> str:
@@ -22,6 +22,7 @@ def run_command(steerd, *argv):
     return program.wait(), program.text
 
 
+@pytest.mark.realtime
 def test_operators_command_and_viewers_watch(undisturbed) -> None:
     def scenario(steerd, folder):
         lab = folder / "lab"

@@ -14,14 +14,13 @@ from steerd.sim_hw.vesc.vesc_config import VescConfig
 from steerd.sim_hw.world import WorldConfig
 from steerd.steer_bus.clock import MonotonicClock
 
-pytestmark = pytest.mark.realtime
-
 
 def probe(capsys, *arguments):
     code = run_cli(["probe", "--json", *arguments])
     return code, json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.realtime
 def test_sound_hardware_is_described(capsys):
     with spawn_sim(WorldConfig()) as sim:
         code, found = probe(capsys, "--port", sim.port, "--mocap", sim.mocap_url)
@@ -45,6 +44,7 @@ def test_sound_hardware_is_described(capsys):
     assert "Motive" in servers["127.0.0.1"].name
 
 
+@pytest.mark.realtime
 def test_what_is_wrong_is_found(capsys):
     world = WorldConfig(
         vesc=VescConfig(timeout_ms=0, timeout_brake_current=0.0), mocap=MocapConfig(body="cart")
@@ -59,6 +59,7 @@ def test_what_is_wrong_is_found(capsys):
     assert "the server offers cart" in found["mocap"][0]["advice"][0]["fix"]
 
 
+@pytest.mark.realtime
 def test_a_dead_port_and_a_silent_server(capsys, tmp_path):
     with spawn_sim(WorldConfig(), SimOptions((Fault("no_replies"),))) as sim:
         code, found = probe(capsys, "--port", sim.port)

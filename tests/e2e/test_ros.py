@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from steerd.daemon.cli.main import run_cli
 
-pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
+pytestmark = pytest.mark.timeout(240)
 
 
 class Listener:
@@ -43,6 +43,7 @@ class Listener:
         self._session.close()
 
 
+@pytest.mark.realtime
 def test_a_ros_subscription_finds_and_decodes_the_car(steerd, tmp_path):
     run = steerd(
         "run", "--sim", "--ros-domain", "3", "--listen", steerd.endpoint,

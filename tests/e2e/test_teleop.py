@@ -88,7 +88,6 @@ def drive(steerd, folder, hand):
 
 
 ENDS = {
-    "released": lambda hand, teleop: hand.send(KEY, BUTTONS["tl"], 0),
     "unplugged": lambda hand, teleop: hand.unplug(),
     "silent": lambda hand, teleop: hand.rest(),
     "killed": lambda hand, teleop: teleop.send(signal.SIGKILL),

@@ -169,22 +169,3 @@ def test_any_truncation_delivers_nothing_and_any_flip_is_noticed(
     broken = bytearray(frame)
     broken[bit // 8] ^= 1 << bit % 8
     assert payload not in FrameParser(strict=True).feed(bytes(broken), 0)
-
-
-FRAMES = st.lists(PAYLOADS.map(encode_frame) | SOUP, max_size=6).map(b"".join)
-PAUSES = st.lists(st.sampled_from([0, 1, 50_000, 16_000_000]), min_size=30, max_size=30)
-
-
-@given(FRAMES, CUTS, PAUSES, st.booleans())
-@CHECKED
-def test_reads_of_whole_frames_leave_what_the_general_way_leaves(
-    data: bytes, cuts: list[int], pauses: list[int], strict: bool
-) -> None:
-    quick, general = FrameParser(strict=strict), FrameParser(strict=strict)
-    general._take_whole = lambda data, t_ns: None  # type: ignore[method-assign]
-    t_ns = 0
-    for chunk, pause in zip(chunks(data, cuts), pauses, strict=False):
-        t_ns += pause
-        assert quick.feed_stamped(chunk, t_ns) == general.feed_stamped(chunk, t_ns)
-        counts = [(p.frames, p.crc_errors, p.dropped_bytes, p.buffered) for p in (quick, general)]
-        assert counts[0] == counts[1]

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from steerd.daemon.common.screen import clean
 from steerd.daemon.many.batch.changes import Change, Series, make_band, split_series
-from steerd.daemon.many.batch.text import Rows, nothing_changed, tabulate_changes
+from steerd.daemon.many.batch.run import Rows, nothing_changed, tabulate_changes
 from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, STYLE, make_grid, to_svg
 from steerd.sysid.report.report import Report, Section, Table
 

@@ -1,27 +1,30 @@
 """`steerd.batch`: hundreds of sessions, each a row; what changed on which car, and when."""
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from steerd.daemon.common.notebook import notebook_progress, shown, speaking_of_arguments
+from steerd.daemon.common.notebook import notebook_progress, speaking_of_arguments
+from steerd.daemon.common.screen import clean, shown, wrap
 from steerd.daemon.common.written import write_outputs
-from steerd.daemon.many.batch.changes import Change, Series, find_changes, list_series
-from steerd.daemon.many.batch.sources import (
+from steerd.daemon.many.batch.changes import LEAST, Change, Series, find_changes, list_series
+from steerd.daemon.many.batch.unit import (
     Kind,
     Question,
+    day_of,
     find_batch,
     make_tasks,
     read_cars,
     read_content,
+    run_unit,
 )
-from steerd.daemon.many.batch.text import describe_batch
-from steerd.daemon.many.batch.unit import day_of, run_unit
 from steerd.daemon.many.journal import Row
 from steerd.daemon.many.tables import Column, encode_table, frame_of, save_table
 from steerd.daemon.many.units import FAILED, Done, Where, work_through
+from steerd.sysid.report.report import Table, format_table
 
 if TYPE_CHECKING:
     import pandas
@@ -180,3 +183,69 @@ def run_batch(
 def _finish(row: Row) -> Row:
     start = row.get("start")
     return row if start is None else row | {"day": day_of(start)}
+
+
+Rows = Sequence[Mapping[str, Any]]
+_FAILURES, _CHANGES = 5, 12
+"""Lines of each that are shown."""
+
+
+def describe_batch(rows: Rows, worked: int, series: int, changes: Sequence[Change]) -> str:
+    """The screen: how many (of them `worked` now), what failed, what changed in the series."""
+    failed = [row for row in rows if row["outcome"] != "done"]
+    cars = Counter(str(row["car"]) for row in rows if row.get("car") is not None)
+    days = sorted({row["day"] for row in rows if row.get("day")})
+    between = f", {days[0]} to {days[-1]}" if days else ""
+    lines = wrap(
+        f"sessions   {len(rows)} of {len(cars)} car{'' if len(cars) == 1 else 's'}{between}; "
+        f"{worked} worked on now",
+        "", " " * 11,
+    )  # fmt: skip
+    lines += wrap(_verdicts(rows), "verdicts   ", " " * 11)
+    if failed:
+        lines.append(f"failed     {len(failed)}")
+    for row in failed[:_FAILURES]:
+        lines += wrap(_failure(str(row["session"]), str(row["failure"])), " " * 11, " " * 13)
+    return "\n".join([*lines, "", *_changes(changes, series)])
+
+
+def _failure(session: str, why: str) -> str:
+    """Why a session failed, with its name and without its folder."""
+    name = session.rpartition("/")[2]
+    text = clean(why.replace(session, name))
+    return text if name in text else f"{clean(name, 40)}: {text}"
+
+
+def _verdicts(rows: Rows) -> str:
+    counts = Counter(clean(str(r["verdict"]), 40) for r in rows if r.get("verdict"))
+    return ", ".join(f"{count} {text}" for text, count in counts.most_common(6))
+
+
+def _changes(changes: Sequence[Change], series: int) -> Iterator[str]:
+    if not changes:
+        yield nothing_changed(series)
+        return
+    table = tabulate_changes(changes[:_CHANGES])
+    yield from format_table(table.pick("car", "quantity", "since", "before", "after", "sigma"))
+    if len(changes) > _CHANGES:
+        yield f"and {len(changes) - _CHANGES} more: see the table or --page"
+
+
+def nothing_changed(series: int) -> str:
+    """Why no change is named: none was found, or none could be."""
+    if not series:
+        return f"no car has the {LEAST} drives from which a change could be seen"
+    return f"no change beyond what chance explains, in {series} series"
+
+
+def tabulate_changes(changes: Sequence[Change]) -> Table:
+    """A row for each change."""
+    heads = ("car", "quantity", "since", "between", "before", "after", "± (difference)", "sigma")
+    rows = [
+        (
+            clean(c.car, 13), clean(c.quantity, 24), c.day, f"{c.earliest} to {c.latest}",
+            f"{c.before:.4g}", f"{c.after:.4g}", f"{c.sd:.2g}", f"{c.sigmas:.0f}",
+        )
+        for c in changes
+    ]  # fmt: skip
+    return Table(heads, rows, words=(1,))

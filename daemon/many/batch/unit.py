@@ -1,18 +1,22 @@
-"""One session of a batch, in a worker: its row of the table."""
+"""The sessions of a batch, what is asked of each, and its row of the table."""
 
+import glob
+import hashlib
+import json
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.params import wheelbase
 from steerd.daemon.assembly.session_meta import is_virtual
-from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import clean
-from steerd.daemon.many.batch.sources import Question, UnitTask
+from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.sessions.info import load_session
 from steerd.steer_bus.session_read import SessionInfo
 
@@ -20,6 +24,109 @@ _EARLIEST_NS = 946_684_800_000_000_000
 """The year 2000 [UNIX ns]: a log whose clock began at zero has no date of its own."""
 _CAR_MAX = 24
 """Characters of a car's name that are kept."""
+Kind = Literal["summarise", "identify", "diagnose"]
+_PATTERN = frozenset("*?[")
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of every session.
+
+    Attributes:
+        kind: summarise, identify or diagnose.
+        cars: car file by the car's name, under "" that of every other car; where there is none,
+            identification starts at the F1TENTH car and a diagnosis takes the session's.
+    """
+
+    kind: Kind
+    cars: Mapping[str, CarFile]
+
+    def digest(self) -> str:
+        """What a session's row depends on, beside the session itself."""
+        texts = {name: [car.text, car.posterior] for name, car in sorted(self.cars.items())}
+        text = json.dumps([self.kind, texts])
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class UnitTask:
+    """One session, as a worker is handed it.
+
+    Attributes:
+        path: the file.
+        changed_ns: when it was last written [UNIX ns].
+        question: what is asked.
+        content: of the file, for workers that do not see it; None for those that do.
+    """
+
+    path: Path
+    changed_ns: int
+    question: Question
+    content: bytes | None = None
+
+
+def read_content(task: UnitTask) -> UnitTask:
+    """The task with its file's content; as it is where the file is gone: its worker says so."""
+    try:
+        return replace(task, content=task.path.read_bytes())
+    except OSError:
+        return task
+
+
+def find_batch(words: Sequence[str]) -> list[Path]:
+    """Sessions that folders (with all below them), patterns and files name; each once.
+
+    Raises:
+        SteerdError: a word names nothing.
+    """
+    found: dict[Path, None] = {}
+    for word in words:
+        paths = _expand(word)
+        if not paths:
+            what = f"{word}: no session" if Path(word).exists() else f"{word} does not exist"
+            raise SteerdError(what, "name folders, patterns or files", ExitCode.UNREADABLE)
+        found |= dict.fromkeys(paths)
+    return sorted(found)
+
+
+def _expand(word: str) -> list[Path]:
+    path = Path(word)
+    if path.is_dir():
+        return sorted(path.rglob("*.mcap"))
+    if path.exists() or not _PATTERN & set(word):
+        return [path] if path.exists() else []
+    names = (Path(name) for name in sorted(glob.glob(word, recursive=True)))  # noqa: PTH207
+    return [name for name in names if name.is_file() and name.suffix == ".mcap"]
+
+
+def read_cars(named: Path | None) -> dict[str, CarFile]:
+    """Car files by the cars' names: of a folder `NAME.toml` each, or one file for every car.
+
+    Raises:
+        SteerdError: there is none, or one cannot be used.
+    """
+    if named is None:
+        return {}
+    if not named.is_dir():
+        return {"": load_car_file(named)}
+    files = sorted(named.glob("*.toml"))
+    if not files:
+        what = f"{named} holds no car file"
+        raise SteerdError(what, "NAME.toml for the car NAME", ExitCode.UNREADABLE)
+    return {file.stem: load_car_file(file) for file in files}
+
+
+def make_tasks(paths: Sequence[Path], question: Question) -> dict[str, UnitTask]:
+    """Tasks by name: a file that was written since is another unit."""
+    tasks = {}
+    for path in paths:
+        about = path.stat()
+        unit = f"{path} {about.st_size} {about.st_mtime_ns}"
+        tasks[unit] = UnitTask(path, about.st_mtime_ns, question)
+    return tasks
+
+
+# -- in a worker ---------------------------------------------------------------------------------
 
 
 def run_unit(task: UnitTask) -> dict[str, Any]:
@@ -67,15 +174,8 @@ def _summarise(path: Path, car: str, question: Question) -> dict[str, Any]:
     entry = summarise(path)
     if entry.verdict.startswith("unreadable"):
         raise SteerdError(entry.verdict)
-    return {
-        "lane": entry.lane,
-        "mode": entry.mode,
-        "verdict": entry.verdict,
-        "seconds": entry.seconds,
-        "metres": entry.metres,
-        "e1_rms": entry.e1_rms,
-        "e1_max": entry.e1_max,
-    }
+    names = ("lane", "mode", "verdict", "seconds", "metres", "e1_rms", "e1_max")
+    return {name: getattr(entry, name) for name in names}
 
 
 def _identify(path: Path, car: str, question: Question) -> dict[str, Any]:

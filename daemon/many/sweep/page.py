@@ -8,12 +8,16 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 
 from steerd.daemon.common.screen import clean
-from steerd.daemon.many.sweep.distributions import Distribution
-from steerd.daemon.many.sweep.measures import DRIVEN, STOPPED
 from steerd.daemon.many.sweep.plan import Choice, SweepPlan
-from steerd.daemon.many.sweep.summary import STOPS, Sensitivity, Summary, column
-from steerd.daemon.many.sweep.text import (
+from steerd.daemon.many.sweep.quantities import Distribution
+from steerd.daemon.many.sweep.summary import (
+    DRIVEN,
+    STOPPED,
+    STOPS,
     UNITS,
+    Sensitivity,
+    Summary,
+    column,
     list_strongest,
     name_measure,
     tabulate_ends,

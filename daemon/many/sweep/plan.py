@@ -17,28 +17,27 @@ A sweep file is TOML:
 import hashlib
 import itertools
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from steerd.car_model.car_file import CarFile
-from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.near import did_you_mean
-from steerd.daemon.many.sweep.distributions import (
+from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean
+from steerd.daemon.many.sweep.quantities import (
     Distribution,
+    Quantity,
     check_bounds,
+    find_quantity,
     is_list,
     parse_distribution,
 )
-from steerd.daemon.many.sweep.quantities import Quantity, find_quantity
 from steerd.toml_text import TomlError, load_toml
 
 DURATION_MAX = 3600.0
 """Longest drive of a sweep [s]."""
 DRIVES_MAX = 1_000_000
 """More drives are a mistake in a list."""
-_TOP = ("seeds", "duration", "car", "rate", "path", "speed", "vary")
 Value = float | str
 Choice = tuple[Value, ...] | Distribution
 
@@ -57,7 +56,7 @@ class SweepPlan:
     """
 
     car: CarFile
-    seeds: tuple[int, ...]
+    seeds: tuple[int, ...] = tuple(range(100))
     duration: float = 20.0
     rate: float = 100.0
     path: str = "figure8"
@@ -154,26 +153,20 @@ def make_sweep_plan(car: CarFile, given: Mapping[str, Any]) -> SweepPlan:
     Raises:
         SteerdError: something is unknown, missing or impossible.
     """
-    odd = next((key for key in given if key not in _TOP), None)
+    known = (*_PARSERS, "car", "vary")
+    odd = next((key for key in given if key not in known), None)
     if odd is not None:
-        hint = did_you_mean(odd, _TOP) or f"there are {', '.join(_TOP)}"
+        hint = did_you_mean(odd, known) or f"there are {', '.join(known)}"
         raise SteerdError(f"a sweep has no {odd!r}", hint)
     try:
         vary = {
             name: _parse_choice(find_quantity(name, car), choice)
             for name, choice in dict(given.get("vary", {})).items()
         }
-        plan = SweepPlan(
-            car,
-            _parse_seeds(given.get("seeds", 100)),
-            check_bounds("duration", given.get("duration", 20.0), 0.1, DURATION_MAX),
-            check_bounds("rate", given.get("rate", 100.0), 20.0, 1000.0),
-            _parse_path(given.get("path", "figure8")),
-            check_bounds("speed", given.get("speed", 1.0), 0.05, 20.0),
-            vary,
-        )
+        said = {key: parse(given[key]) for key, parse in _PARSERS.items() if key in given}
     except ValueError as error:
         raise SteerdError(str(error), "", ExitCode.INVALID) from None
+    plan = SweepPlan(car, vary=vary, **said)
     if plan.count > DRIVES_MAX:
         raise SteerdError(f"{plan.count} drives: {DRIVES_MAX} at most", "shorten the lists")
     return plan
@@ -200,10 +193,20 @@ def _parse_choice(quantity: Quantity, given: Any) -> Choice:
     if isinstance(given, Mapping):
         if quantity.is_text:
             raise ValueError(f"{quantity.name} is a text: give a list")
-        return parse_distribution(quantity.name, given, quantity.low, quantity.high, quantity.usual)
+        return parse_distribution(quantity, given)
     values: Sequence[Any] = given if is_list(given) else [given]
     if not values:
         raise ValueError(f"{quantity.name}: the list is empty")
     if quantity.is_text:
         return tuple(_parse_path(value) for value in values)
     return tuple(check_bounds(quantity.name, v, quantity.low, quantity.high) for v in values)
+
+
+_PARSERS: Mapping[str, Callable[[Any], Any]] = {
+    "seeds": _parse_seeds,
+    "duration": lambda given: check_bounds("duration", given, 0.1, DURATION_MAX),
+    "rate": lambda given: check_bounds("rate", given, 20.0, 1000.0),
+    "path": _parse_path,
+    "speed": lambda given: check_bounds("speed", given, 0.05, 20.0),
+}
+"""What a sweep file may say of all drives, beside the car and what is varied."""

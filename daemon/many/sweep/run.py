@@ -4,19 +4,19 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from steerd.daemon.analysis.options import CarSource, read_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.notebook import notebook_progress, shown, speaking_of_arguments
+from steerd.daemon.common.notebook import notebook_progress, speaking_of_arguments
+from steerd.daemon.common.screen import shown
 from steerd.daemon.common.written import write_outputs
 from steerd.daemon.many.journal import Row, journal_path
 from steerd.daemon.many.sweep.drive import Task, run_case, start_row
-from steerd.daemon.many.sweep.measures import list_columns
 from steerd.daemon.many.sweep.plan import SweepPlan, list_cases, make_sweep_plan
-from steerd.daemon.many.sweep.summary import Summary, summarise_sweep
-from steerd.daemon.many.sweep.text import describe_sweep
+from steerd.daemon.many.sweep.summary import Summary, describe_sweep, list_columns, summarise_sweep
 from steerd.daemon.many.tables import Column, encode_table, frame_of, save_table
 from steerd.daemon.many.units import FAILED, Done, Where, work_through
 
@@ -88,10 +88,10 @@ def sweep(
     *,
     seeds: int | Sequence[int] = 100,
     car: CarSource = None,
-    path: str = "figure8",
-    speed: float = 1.0,
-    duration: float = 20.0,
-    rate: float = 100.0,
+    path: str = SweepPlan.path,
+    speed: float = SweepPlan.speed,
+    duration: float = SweepPlan.duration,
+    rate: float = SweepPlan.rate,
     jobs: int = 0,
     output: Path | str | None = None,
 ) -> Sweep:
@@ -173,8 +173,7 @@ def find_case(plan: SweepPlan, number: int) -> Task:
     Raises:
         SteerdError: there is no such drive.
     """
-    for case in list_cases(plan):
-        if case.number == number:
-            return Task(plan, case)
-    what = f"there is no drive {number}: they are 0 to {plan.count - 1}"
-    raise SteerdError(what, "", ExitCode.USAGE)
+    if not 0 <= number < plan.count:
+        what = f"there is no drive {number}: they are 0 to {plan.count - 1}"
+        raise SteerdError(what, "", ExitCode.USAGE)
+    return Task(plan, next(islice(list_cases(plan), number, None)))

@@ -1,7 +1,7 @@
 """What a sweep's table says: distributions, stops, and how much each draw moves each measure."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
 from typing import Any
@@ -9,8 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.daemon.many.sweep.measures import DRIVEN, MEASURES, OUTCOMES, STOPPED
+from steerd.daemon.common.screen import clean, wrap
 from steerd.daemon.many.sweep.plan import SweepPlan
+from steerd.daemon.many.sweep.quantities import Quantity
+from steerd.daemon.many.tables import Column
+from steerd.daemon.many.units import FAILED
+from steerd.sysid.report.report import SCALES, Table, format_table
 
 Array = NDArray[np.float64]
 QUANTILES = (0.05, 0.5, 0.95)
@@ -195,3 +199,104 @@ def _correlation_ratio(texts: NDArray[Any], seen: Array) -> tuple[float, int]:
     means = [(np.sum(texts == name), ranks[texts == name].mean()) for name in names]
     between = sum(count * (mean - ranks.mean()) ** 2 for count, mean in means)
     return sqrt(float(between / np.sum((ranks - ranks.mean()) ** 2))), len(names)
+
+
+MEASURES = (
+    Column("e1_rms", "number", "m", "lateral error as estimated, RMS after the approach"),
+    Column("e1_p95", "number", "m", "lateral error as estimated, 95 % of the time below"),
+    Column("e1_max", "number", "m", "lateral error as estimated, largest"),
+    Column("true_e1_rms", "number", "m", "lateral error of the simulated car itself, RMS"),
+    Column("true_e1_max", "number", "m", "lateral error of the simulated car itself, largest"),
+    Column("e2_rms", "number", "rad", "heading error as estimated, RMS"),
+    Column("lane_margin", "number", "m", "what the largest error leaves to the watchdog's bound"),
+    Column("steer_margin", "number", "1", "share of the wheel angle never used"),
+    Column("damping", "number", "1", "least damping of the designed loop with the drawn car"),
+    Column("delay_margin", "number", "s", "dead time that the drawn car's loop still tolerates"),
+)
+"""Of a drive; missing where it was not driven beyond the approach."""
+_HEAD = (
+    Column("drive", "count", "", "number of the drive"),
+    Column("seed", "count", "", "of draws and of the simulated hardware's noise"),
+)
+_ENDS = (
+    Column("outcome", "text", "", "driven, stopped, refused (no design) or failed"),
+    Column("watchdog", "text", "", "that stopped it"),
+    Column("reason", "text", "", "why it was stopped, refused or failed"),
+    Column("seconds", "number", "s", "driven"),
+    Column("metres", "number", "m", "driven"),
+)
+DRIVEN, STOPPED, REFUSED = "driven", "stopped", "refused"
+OUTCOMES = (DRIVEN, STOPPED, REFUSED, FAILED)
+
+
+def list_columns(quantities: Iterable[Quantity]) -> Sequence[Column]:
+    """The table's columns for what is varied."""
+    varied = [
+        Column(q.name, "text" if q.is_text else "number", q.unit, q.meaning) for q in quantities
+    ]
+    return (*_HEAD, *varied, *_ENDS, *MEASURES)
+
+
+UNITS = {c.name: c.unit for c in MEASURES}
+"""SI unit by measure."""
+_SHOWN = 8
+"""Dependences that are shown."""
+
+
+def describe_sweep(
+    plan: SweepPlan, rows: Sequence[Mapping[str, Any]], summary: Summary, speed: float | None
+) -> str:
+    """The screen: how it ended, what moved what; `speed` is that of the simulation, if known."""
+    varied = ", ".join(plan.vary) or "nothing but the seeds"
+    seconds = sum(row.get("seconds") or 0.0 for row in rows)
+    lines = [f"drives     {len(rows)} of {plan.duration:g} s, {seconds:.0f} s driven"]
+    lines += wrap(varied, "varied     ", " " * 11)
+    if speed is not None:
+        lines.append(f"speed      {speed:.0f} x real time")
+    parts = [tabulate_ends(summary), tabulate_spreads(summary)]
+    strong = list_strongest(summary)[:_SHOWN]
+    if strong:
+        found = [
+            (s.quantity, name_measure(s.measure), *_ends(s), f"{s.value:+.2f}") for s in strong
+        ]
+        heads = ("what moves", "what", "from", "to", "rank correlation")
+        parts.append(Table(heads, found, words=(1,)))
+    return "\n".join([*lines, *(line for part in parts for line in ("", *format_table(part)))])
+
+
+def tabulate_ends(summary: Summary) -> Table:
+    """How often drives ended in which way."""
+    named = [(s.name, s) for s in summary.outcomes if s.count or s.name == DRIVEN]
+    named += [(f"by {clean(s.name, 12)}", s) for s in summary.watchdogs]
+    rows = [
+        (name, str(s.count), f"{s.value:.1%}", f"{s.low:.1%} to {s.high:.1%}") for name, s in named
+    ]
+    return Table(("outcome", "drives", "share", "95 % interval"), rows)
+
+
+def tabulate_spreads(summary: Summary) -> Table:
+    """The distribution of each measure."""
+    rows = []
+    for s in summary.spreads:
+        factor, _ = SCALES.get(s.unit, (1.0, ""))
+        figures = (f"{value * factor:.3g}" for value in (s.low, s.middle, s.high, s.worst))
+        rows.append((name_measure(s.name), *figures, str(s.worst_drive)))
+    return Table(("measure", "5 %", "median", "95 %", "worst", "in drive"), rows)
+
+
+def list_strongest(summary: Summary) -> list[Sensitivity]:
+    """Dependences that the drives show, by how far the measure moves."""
+    return sorted((s for s in summary.sensitivities if s.shown), key=lambda s: -s.size)
+
+
+def _ends(s: Sensitivity) -> tuple[str, str]:
+    """What the measure is for low and for high values of the quantity."""
+    factor, _ = SCALES.get(UNITS.get(s.measure, ""), (1.0, ""))
+    return f"{factor * s.start:.3g}", f"{factor * s.end:.3g}"
+
+
+def name_measure(name: str) -> str:
+    """A measure with the unit that people read."""
+    unit = UNITS.get(name, "")
+    unit = SCALES.get(unit, (1.0, "" if unit == "1" else unit))[1]
+    return f"{name} [{unit}]" if unit else name

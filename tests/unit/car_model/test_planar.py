@@ -2,19 +2,16 @@
 
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from steerd.car_model.chassis import Axles, derivative
-from steerd.car_model.model import Model
 from steerd.car_model.ops import FLOAT
-from steerd.car_model.params import DEFAULT_CAR, GRAVITY
+from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.planar import DRIVES, body_acceleration, find_chassis, make_planar
-from steerd.car_model.rollout import simulate, start
 from steerd.car_model.single_track import SINGLE_TRACK
-from steerd.car_model.state import ORIGIN, Command, State
+from steerd.car_model.state import ORIGIN, State
 
 CAR = DEFAULT_CAR
 STIFF = CAR._replace(c_x=200.0)
@@ -73,20 +70,6 @@ def test_small_angles_are_the_single_track_car(chassis, speed, slip, rate, wheel
     assert here == pytest.approx(there, rel=2e-4, abs=2e-5)
 
 
-@pytest.mark.parametrize("speed", [0.0, 0.05, 0.2])
-def test_a_crawling_car_follows_its_wheels(speed: float) -> None:
-    """At rest of yaw rate and slip on the kinematic values nothing changes them."""
-    wheel, base = 0.3, CAR.lf + CAR.lr
-    state = ORIGIN._replace(
-        speed=speed,
-        yaw_rate=speed * math.tan(wheel) / base,
-        slip_angle=math.atan(CAR.lr * math.tan(wheel) / base),
-    )
-    rates = derivative(make_planar("rear"), FLOAT, STIFF, state, wheel, 0.0)
-    assert rates.yaw_rate == pytest.approx(0.0, abs=0.05)
-    assert rates.slip_angle == pytest.approx(0.0, abs=1e-9)
-
-
 @given(state=states, accel=st.floats(-4, 4), wheel=st.floats(-0.4, 0.4))
 def test_forces_and_accelerations_balance(state, accel, wheel) -> None:
     """Newton in the body's frame, from the rates: no force is lost between the axes."""
@@ -119,35 +102,6 @@ def test_driven_wheels_turn_faster_than_the_ground_passes(drive: str) -> None:
     rates = derivative(chassis, FLOAT, CAR, state, 0.0, accel)
     kappa = CAR.mass * accel / (CAR.mu * CAR.c_x * driven)
     assert rates.x == pytest.approx(2.0 * (1.0 - kappa), rel=1e-12)
-
-
-def test_cornering_drag_slows_the_body_not_the_wheels() -> None:
-    """At a held wheel speed a turn costs ground speed, through the front force's drag alone."""
-    model = Model(CAR, chassis=make_planar("rear"))
-    first = start(model, ORIGIN._replace(speed=2.0), 0.0)
-    run = simulate(FLOAT, model, first, [Command(0.25, 2.0)] * 600, 0.005)
-    last, before = run[-1].state, run[-2].state
-    travel = math.hypot(last.x - before.x, last.y - before.y) / 0.005
-    assert last.speed == pytest.approx(2.0, abs=1e-6)
-    assert travel * math.cos(last.slip_angle) < 2.0
-    side = travel * last.yaw_rate
-    radius = travel / last.yaw_rate
-    assert side == pytest.approx(travel**2 / radius, rel=1e-6)
-    assert 0.0 < 1.0 - travel * math.cos(last.slip_angle) / 2.0 < 0.05
-    assert side < CAR.mu * GRAVITY
-
-
-def test_paths_converge_with_the_step() -> None:
-    """RK4 at 5 ms against 0.5 ms over two seconds of slalom: under a tenth of a millimetre."""
-    ends = []
-    for h in (0.005, 0.0005):
-        model = Model(CAR, chassis=make_planar("all"))
-        count = round(2.0 / h)
-        commands = [Command(0.2 * math.sin(4.0 * k * h), 2.0) for k in range(count)]
-        held = [commands[k - k % round(0.005 / h)] for k in range(count)]
-        run = simulate(FLOAT, model, start(model, ORIGIN._replace(speed=2.0), 0.0), held, h)
-        ends.append(np.array(run[-1].state[:2]))
-    assert np.linalg.norm(ends[0] - ends[1]) < 1e-4
 
 
 def test_unknown_names_are_refused() -> None:

@@ -1,15 +1,23 @@
 """The designs against what they promise, and the table's lookup."""
 
+from math import asin
+
 import numpy as np
 import pytest
 
 from steerd.car_model.linear import lane_error_model
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR
-from steerd.controller.config import PAPER_POLES, ControllerConfig, LqrWeights
-from steerd.controller.design import DesignRefused
-from steerd.controller.gain_table import GainTable, Turning, look_up
+from steerd.controller.config import (
+    PAPER_POLES,
+    ControllerConfig,
+    LqrWeights,
+    load_controller_config,
+)
+from steerd.controller.design import DesignRefused, closed_loop, margins, stability_at
+from steerd.controller.gain_table import N_LANE, GainTable, Turning, look_up
 from steerd.controller.gains import design_table, lqr_gains, pole_placement_gains
 from steerd.controller.loop_model import Timing, sampled_loop, turn_response
+from tests.designs import design_for, scaled, standard
 from tests.textbook import feedforward_steer, steady_slip
 
 TIMING = Timing(rate_hz=100.0, delay_s=0.025, lag_s=0.05)
@@ -98,3 +106,108 @@ def test_a_steadily_tightening_turn_leaves_no_offset() -> None:
         curvature += h * rate
     assert abs(x[0]) < 1e-3 * curvature
     assert isinstance(turning, Turning)
+
+
+# Distance from -1 against what it promises: gains and delays that the loop survives.
+
+SPEEDS = (0.3, 0.9, 1.5)
+
+
+@pytest.fixture(scope="module")
+def held():
+    return standard()
+
+
+def distance_of(held, table, speed, timing):
+    return margins(held.file.car, look_up(table, speed), table.pasts, speed, timing).distance
+
+
+@pytest.mark.parametrize("factor", [1.0, 2.5])
+@pytest.mark.parametrize("speed", SPEEDS)
+def test_the_loop_survives_a_servo_as_much_stronger_or_weaker_as_it_says(held, speed, factor):
+    """At 100 Hz and 10 ms the wheel follows the reference before the newest, and that alone."""
+    table, timing = scaled(design_for(held), factor).table, held.file.report.timing
+    row, m = look_up(table, speed), distance_of(held, table, speed, timing)
+    assert 0.1 < m < 1.0
+    closed = closed_loop(held.file.car, row, table.pasts, speed, timing)
+    a, b = sampled_loop(held.file.car, speed, timing)
+    assert not b[:N_LANE].any()
+    for strength in np.linspace(1.0 / (1.0 + m), 0.98 / (1.0 - m), 15):
+        changed = closed.copy()
+        changed[:N_LANE, N_LANE:] += (strength - 1.0) * a[:N_LANE, N_LANE:]
+        assert np.abs(np.linalg.eigvals(changed)).max() < 1.0 + 1e-9
+
+
+@pytest.mark.parametrize("speed", SPEEDS)
+def test_the_loop_survives_the_delay_that_the_distance_promises_at_its_crossover(held, speed):
+    table, timing = design_for(held).table, held.file.report.timing
+    phase = 2.0 * asin(0.5 * distance_of(held, table, speed, timing))
+    later = timing._replace(delay_s=timing.delay_s + 0.02)
+    assert phase > 0.5
+    assert stability_at(held.file.car, table, speed, later).radius < 1.0
+
+
+def test_more_feedback_and_more_delay_bring_it_nearer(held):
+    table, timing = design_for(held).table, held.file.report.timing
+    later = timing._replace(delay_s=timing.delay_s + 0.06)
+    own = distance_of(held, table, 1.5, timing)
+    assert distance_of(held, scaled(design_for(held), 3.0, 0, 4).table, 1.5, timing) < own
+    assert distance_of(held, table, 1.5, later) < own
+
+
+# Settings: defaults, forms of poles, and what a wrong one reports.
+
+
+def test_nothing_given_is_the_default() -> None:
+    config = load_controller_config({})
+    assert config == ControllerConfig()
+    assert config.design == "lqr"
+    assert config.poles == PAPER_POLES == (-2 + 2j, -2 - 2j, -150 + 15j, -150 - 15j)
+    assert config.start_ramp == config.stop_ramp == 1.5
+
+
+def test_a_whole_table() -> None:
+    config = load_controller_config(
+        {
+            "design": "pole_placement",
+            "poles": ["-3 + 1j", [-3, -1], -90, "-50"],
+            "weights": {"e1": 9, "effort": 2.0},
+            "speed": 2,
+            "file_speeds": False,
+        }
+    )
+    assert config.poles == (-3 + 1j, -3 - 1j, -90, -50)
+    assert config.weights == LqrWeights(e1=9.0, effort=2.0)
+    assert config.speed == 2.0
+    assert not config.file_speeds
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"desing": "lqr"}, "did you mean design"),
+        ({"xyz": 1}, "known are"),
+        ({"design": "mpc"}, "use lqr or pole_placement"),
+        ({"design": 3}, "must be a str"),
+        ({"file_speeds": 1}, "must be a bool"),
+        ({"speed": "fast"}, "must be a number"),
+        ({"speed": True}, "must be a number"),
+        ({"speed": 0.0}, "must be positive"),
+        ({"speed": float("nan")}, "must be positive"),
+        ({"speed": 300}, "above"),
+        ({"damping_min": 1.0}, "damping_min"),
+        ({"grid_spacing": 1e-9}, "grid_spacing"),
+        ({"weights": {"e2_rat": 1.0}}, "did you mean e2_rate"),
+        ({"weights": 4}, "must be a table"),
+        ({"weights": {"effort": 0.0}}, "must be positive"),
+        ({"weights": {"e2": -1.0}}, "weights.e2"),
+        ({"poles": "-2"}, "must be a list"),
+        ({"poles": ["-2", "-3"]}, "four states"),
+        ({"poles": ["-2", "-3", "-4", "x"]}, "is no pole"),
+        ({"poles": [-2, -3, -4, 5]}, "negative real part"),
+        ({"poles": ["-2+2j", "-2", "-3", "-4"]}, "conjugate pairs"),
+    ],
+)
+def test_a_wrong_setting_is_named_with_its_problem(table: dict[str, object], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        load_controller_config(table)

@@ -112,17 +112,6 @@ def test_an_offset_on_a_line_is_regulated_without_overshoot(offset: float) -> No
     assert (ran.e1 / offset).min() >= -0.05
 
 
-def test_start_ramp_and_stop_ramp() -> None:
-    ran = drive(made("circle:radius=2", 1.5), DEFAULT_CAR, 6.0, stop_at=4.0)
-    reference = np.array([report.speed for report in ran.report])
-    assert np.diff(reference).max() <= 1.5 / RATE_HZ + 1e-9
-    assert np.diff(reference).min() >= -1.5 / RATE_HZ - 1e-9
-    assert reference[399] == pytest.approx(1.5)
-    assert reference[-1] == 0.0
-    assert ran.state[-1].speed == pytest.approx(0.0, abs=1e-3)
-    assert ran.worst(after=4.0) <= 0.005  # the lane is kept while it stops
-
-
 def test_an_open_line_is_stopped_at_its_end() -> None:
     ran = drive(made("line:length=4", 1.0), DEFAULT_CAR, 8.0)
     assert ran.state[-1].x == pytest.approx(4.0, abs=0.02)

@@ -1,15 +1,21 @@
 """Lane errors and the steering law, a tick at a time."""
 
 import math
+from dataclasses import replace
+from math import exp
 
+import numpy as np
 import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.car_model.path.path import Projection, interpolate, project
+from steerd.car_model.path.path import Path, Projection, interpolate, project
 from steerd.car_model.path.path_spec import parse_path
-from steerd.car_model.state import ORIGIN, State
+from steerd.car_model.state import ORIGIN, Command, State
+from steerd.controller.config import ControllerConfig
 from steerd.controller.gain_table import N_LANE, Turning
 from steerd.controller.lane_keeper import LaneErrors, LaneKeeper, lane_errors, step
+from steerd.controller.servo import KEPT_NS, Servo, order_servo, step_servo
+from steerd.controller.speed import SpeedProfile, make_speed_profile, profile_speed, step_speed
 
 LINE = parse_path("line:length=10")
 LEFT = parse_path("circle:radius=2")
@@ -81,3 +87,108 @@ def test_the_curvature_is_read_where_the_order_will_act() -> None:
     assert order.feedforward == pytest.approx(
         0.33 * interpolate(eight, eight.curvature, at.s + 0.4)
     )
+
+
+# The speed profile's limits and the reference's ramps.
+
+CONFIG = ControllerConfig(speed=3.0, lateral_accel_max=2.0, accel_max=1.0, decel_max=2.0)
+
+
+def profile_of(path: Path, config: ControllerConfig = CONFIG) -> SpeedProfile:
+    return make_speed_profile(DEFAULT_CAR, path, config)
+
+
+def test_a_circle_is_driven_at_its_lateral_limit() -> None:
+    profile = profile_of(parse_path("circle:radius=2"))
+    np.testing.assert_allclose(profile.speed, 2.0)  # sqrt(2 m/s^2 * 2 m)
+    assert profile.fastest == pytest.approx(2.0)
+
+
+def test_no_limit_is_exceeded_anywhere_round_a_figure_eight() -> None:
+    path = parse_path("figure8:radius=1")
+    v = np.array(profile_of(path).speed)
+    assert (v**2 * np.abs(path.curvature)).max() <= 2.0 + 1e-9
+    gain = (np.roll(v, -1) ** 2 - v**2) / (2.0 * path.step)  # also from the last to the first
+    assert gain.max() <= 1.0 + 1e-9
+    assert gain.min() >= -2.0 - 1e-9
+    assert v.max() > 1.2 * v.min()
+
+
+def test_an_open_path_ends_standing() -> None:
+    path = parse_path("line:length=10")
+    profile = profile_of(path)
+    assert profile.speed[0] == 3.0
+    assert profile.speed[-1] == 0.0
+    s = np.array(path.s)
+    np.testing.assert_allclose(
+        np.minimum(3.0, np.sqrt(2.0 * 2.0 * (10.0 - s))), profile.speed, atol=1e-6
+    )
+
+
+def test_a_files_speeds_cap_it_unless_configured_not_to() -> None:
+    path = parse_path("circle:radius=20")
+    slow = replace(path, speed=(0.7,) * len(path.x))
+    assert profile_of(slow).fastest == pytest.approx(0.7)
+    assert profile_of(slow, replace(CONFIG, file_speeds=False)).fastest == 3.0
+
+
+def test_the_profile_is_read_ahead_by_the_drives_lag() -> None:
+    path = parse_path("line:length=10")
+    profile = profile_of(path)
+    assert profile.preview_s == pytest.approx(DEFAULT_CAR.speed_lag + DEFAULT_CAR.drive_delay)
+    ahead = profile_speed(profile, 9.0, 2.0)
+    assert ahead == pytest.approx(math.sqrt(4.0 * (1.0 - 0.2)), abs=1e-3)
+    assert profile_speed(profile, 9.0, -1.0) == pytest.approx(2.0, abs=1e-3)
+
+
+def test_the_reference_climbs_at_the_start_ramp_and_stops_at_the_stop_ramp() -> None:
+    config = ControllerConfig(start_ramp=1.5, stop_ramp=1.0)
+    speed, climbed = 0.0, []
+    for _ in range(100):
+        speed = step_speed(speed, 1.0, 0.01, config, stop=False)
+        climbed.append(speed)
+    assert climbed[0] == pytest.approx(0.015)
+    assert climbed[-1] == 1.0
+    assert climbed.index(1.0) == 66
+    for _ in range(50):
+        speed = step_speed(speed, 1.0, 0.01, config, stop=True)
+    assert speed == pytest.approx(0.5)
+    for _ in range(60):
+        speed = step_speed(speed, 1.0, 0.01, config, stop=True)
+    assert speed == 0.0
+
+
+def test_the_reference_follows_the_profile_down() -> None:
+    assert step_speed(2.0, 1.2, 0.01, ControllerConfig(), stop=False) == 1.2
+
+
+# Where the wheels are, by the orders that left.
+
+MS = 1_000_000
+CAR = DEFAULT_CAR._replace(steer_gain=0.9, steer_bias=0.01, steer_lag=0.05)
+
+
+def wheel_after(ms, delay_s=0.03, order=0.2):
+    servo = order_servo(Servo(t_ns=0, wheel=0.01), 0, Command(order, 1.0))
+    for t in range(1, ms + 1):
+        servo = step_servo(servo, CAR, delay_s, t * MS)
+    return servo.wheel
+
+
+def test_the_wheel_stays_for_the_dead_time_and_follows_with_the_lag():
+    assert wheel_after(29) == pytest.approx(0.01)
+    assert wheel_after(29 + 50) == pytest.approx(0.01 + 0.18 * (1.0 - exp(-1.0)), rel=1e-2)
+    assert wheel_after(500) == pytest.approx(0.9 * 0.2 + 0.01, rel=1e-3)
+
+
+def test_it_stops_at_the_end_stop():
+    assert wheel_after(800, order=1.0) == pytest.approx(CAR.steer_max, rel=1e-3)
+
+
+def test_orders_are_kept_as_long_as_a_dead_time_can_be_and_no_longer():
+    servo = Servo()
+    for k in range(300):
+        servo = order_servo(servo, k * 10 * MS, Command(0.001 * k, 1.0))
+    times = [t for t, _ in servo.orders]
+    assert times[0] < 2990 * MS - KEPT_NS <= times[1]
+    assert order_servo(servo, 3_000 * MS, None) == servo, "a brake moves no wheel"

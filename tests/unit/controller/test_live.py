@@ -137,10 +137,3 @@ def test_new_values_come_into_force_gradually():
     assert approach(now, aim, 10.0) == aim
     assert approach(aim, now, 0.1).offset == pytest.approx(0.09)
     assert approach(aim, aim, 0.0) == aim
-
-
-def test_the_lanes_curvature_is_that_of_parallel_lines():
-    assert shift_curvature(0.5, 0.0) == 0.5
-    assert shift_curvature(0.5, 0.2) == pytest.approx(1 / 1.8)
-    assert shift_curvature(-0.5, 0.2) == pytest.approx(-1 / 2.2)
-    assert shift_curvature(0.0, 0.2) == 0.0

@@ -14,7 +14,6 @@ from steerd.mocap_link.timing import SourceTiming
 
 MS = 1_000_000
 SECOND = 1000 * MS
-HZ = [3_312_787, 10_000_000, 1_000_000]
 T0 = 123_456_789_012_345  # host time at the start; nothing may depend on its size
 
 
@@ -70,8 +69,9 @@ def run(
     return out
 
 
-@pytest.mark.parametrize("hz", HZ)
-@pytest.mark.parametrize("skew", [-40e-6, 0.0, 40e-6])
+@pytest.mark.parametrize(
+    ("hz", "skew"), [(3_312_787, -40e-6), (10_000_000, 0.0), (1_000_000, 40e-6)]
+)
 def test_echo_is_within_a_tenth_of_a_millisecond(hz: int, skew: float) -> None:
     timing = SourceTiming(hz, two_way=True)
     out = run(timing, Truth(hz, skew), np.random.default_rng(1), T0, 90.0)
@@ -94,14 +94,6 @@ def test_echo_recovers_from_a_stepped_epoch(step_s: float) -> None:
     assert max(map(abs, late)) < 1 * MS
     # until the map has learned, arrival times bound the error by the network's delay
     assert max(abs(error) for _, error, _ in out) < (70 if abs(step_s) < 0.1 else 10) * MS
-
-
-def test_echo_after_a_restart_is_right_within_two_seconds() -> None:
-    rng, timing = np.random.default_rng(3), SourceTiming(10_000_000, two_way=True)
-    run(timing, Truth(10_000_000, -40e-6), rng, T0, 5.0)
-    timing.reset()
-    out = run(timing, Truth(10_000_000, -40e-6, epoch=17), rng, T0 + 7 * SECOND, 2.0)
-    assert max(abs(error) for _, error, _ in out) < 1 * MS
 
 
 def test_slow_echoes_do_not_enter_the_fit() -> None:
@@ -136,19 +128,6 @@ def test_hull_keeps_only_the_smallest_delay(skew: float, jitter_ms: float) -> No
     assert np.std(errors) < 0.1 * MS
     assert clock.skew == pytest.approx(-skew, abs=4e-6)
     assert abs(clock.skew) <= SKEW_MAX
-
-
-@pytest.mark.parametrize("skew", [-40e-6, 40e-6])
-def test_hull_after_two_seconds(skew: float) -> None:
-    truth, rng = Truth(1_000_000, skew), np.random.default_rng(5)
-    clock, kinds = HullClock(truth.hz), []
-    for i in range(1500):
-        t = T0 + i * 10 * MS
-        clock.add(truth.ticks(t), t + 6_100_000 + int(rng.exponential(0.3 * MS)))
-        kinds.append(clock.ready)
-        if clock.ready:
-            assert abs(clock.to_host_ns(truth.ticks(t)) - t - 6_100_000) < 1 * MS
-    assert kinds.index(True) in (199, 200, 201)
 
 
 def test_hull_restarts_when_source_time_goes_back() -> None:

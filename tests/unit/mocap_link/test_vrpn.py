@@ -1,9 +1,15 @@
 """VRPN bytes against vectors written out by hand from the protocol's description."""
 
+from math import cos, hypot, sin
+
 import pytest
 
 from steerd.mocap_link import vrpn
-from steerd.mocap_link.vrpn_client import VrpnClient
+from steerd.mocap_link.frame import FrameConfig, make_body_pose
+from steerd.mocap_link.ingest import IngestConfig
+from steerd.mocap_link.source import ClockKind, Pose, SourceState
+from steerd.mocap_link.vrpn_client import VrpnClient, VrpnSource
+from steerd.mocap_link.zenoh_pose import BusPoseSource, encode_pose
 from steerd.sim_hw.mocap.vrpn_device import VrpnServer
 
 
@@ -111,3 +117,175 @@ def test_the_server_refuses_strangers() -> None:
     assert server.receive(b"GET /", 0) == b""
     with pytest.raises(vrpn.VrpnError):
         server.receive(b" HTTP/1.1\r\nHost: localhost\r\n\r\n", 0)
+
+
+# VRPN and bus sources in virtual time: drive, freeze, reconnect, half-open, bad payloads.
+
+MS = 1_000_000
+SECOND = 1000 * MS
+T0 = 77 * SECOND
+FRAME = FrameConfig(up="y", body_forward="-z", marker_rear_x=0.2, cog_ahead_of_rear=0.17)
+CONFIG = IngestConfig(frame=FRAME)
+SPEED, RADIUS = 1.0, 2.0
+
+
+def truth(t_ns: int) -> tuple[float, float, float]:
+    """The car on a circle: x, y, yaw at a time."""
+    a = SPEED * (t_ns - T0) * 1e-9 / RADIUS
+    return RADIUS * sin(a), RADIUS * (1 - cos(a)), a
+
+
+def assert_no_jump(samples: list[Pose]) -> None:
+    accepted = [s for s in samples if s.rejected is None]
+    assert accepted
+    for s in accepted:
+        x, y, _ = truth(s.t_valid_ns)
+        assert hypot(s.x - x, s.y - y) < 0.03
+
+
+def drive_vrpn(
+    source: VrpnSource, server: VrpnServer, start: int, n: int, still: bool = False
+) -> list[Pose]:
+    samples = []
+    for i in range(n):
+        t = start + i * 10 * MS
+        source.on_timer(t)
+        x, y, yaw = truth(start if still else t)
+        position, q = make_body_pose(FRAME, x, y, yaw, 0.1)
+        data = server.pose("car", 10**15 + t // 1000, position, q)
+        samples += source.on_bytes(data, t + 8 * MS)
+    return samples
+
+
+def test_vrpn_drive_freeze_and_reconnect() -> None:
+    source, server = VrpnSource("car", CONFIG), VrpnServer(("VRPN Control", "car"))
+    source.ingest.wheel_speed = SPEED
+    source.on_timer(T0)
+    assert source.ingest.state is SourceState.CONNECTING
+    server.receive(source.on_connect(), 0)
+    source.on_bytes(server.hello(), T0)
+    samples = drive_vrpn(source, server, T0, 400)
+    assert source.status().bodies == ("car",)
+    assert source.ingest.state is SourceState.OK
+    assert {s.clock for s in samples[210:]} == {ClockKind.HULL}
+    assert_no_jump(samples)
+    frozen = drive_vrpn(source, server, T0 + 4 * SECOND, 20, still=True)
+    assert [s.rejected for s in frozen].count("frozen") >= 15
+    source.on_disconnect("gone")
+    source.on_timer(T0 + 6 * SECOND)
+    assert source.status().detail == "gone"
+    assert source.ingest.state is SourceState.LOST
+    server = VrpnServer(("car",))
+    server.receive(source.on_connect(), 0)
+    source.on_bytes(server.hello(), T0 + 7 * SECOND)
+    source.ingest.stationary = True
+    again = drive_vrpn(source, server, T0 + 7 * SECOND, 250)
+    assert source.ingest.state is SourceState.OK
+    assert_no_jump(again)
+
+
+@pytest.mark.parametrize("held", [2, 6, 12])
+def test_poses_that_tcp_held_back_are_each_where_the_car_was(held: int) -> None:
+    source, server = VrpnSource("car", CONFIG, extra_latency_ns=0), VrpnServer(("car",))
+    source.on_connect()
+    source.on_bytes(server.hello(), T0)
+    drive_vrpn(source, server, T0, 300)
+    start = T0 + 3 * SECOND
+    segment = b""
+    for i in range(held):
+        t = start + i * 10 * MS
+        position, q = make_body_pose(FRAME, *truth(t), 0.1)
+        segment += server.pose("car", 10**15 + t // 1000, position, q)
+    samples = source.on_bytes(segment, start + held * 10 * MS + 8 * MS)
+    samples += drive_vrpn(source, server, start + held * 10 * MS, 20)
+    assert [sample.rejected for sample in samples] == [None] * (held + 20)
+    assert all(sample.clock is ClockKind.HULL for sample in samples)
+    for k, sample in enumerate(samples):
+        assert abs(sample.t_valid_ns - 8 * MS - start - k * 10 * MS) < MS
+
+
+def test_vrpn_half_open_and_ping() -> None:
+    source, server = VrpnSource("car", CONFIG), VrpnServer(("car",))
+    server.receive(source.on_connect(), 0)
+    source.on_bytes(server.hello(), T0)
+    pings = 0
+    for i in range(290):
+        out = source.on_timer(T0 + i * 10 * MS)
+        pings += bool(out)
+        assert source.dead is None
+    assert pings == 3
+    source.on_timer(T0 + 3001 * MS)
+    assert source.dead is not None
+    assert "silent" in source.dead
+
+
+def test_vrpn_body_that_is_enabled_later() -> None:
+    source, server = VrpnSource("car", CONFIG), VrpnServer(("b2",))
+    source.on_connect()
+    source.on_bytes(server.hello(), T0)
+    assert "it offers: b2" in source.status().detail
+    source.on_bytes(server.add_body("car"), T0)
+    assert len(drive_vrpn(source, server, T0, 3)) == 3
+
+
+def test_not_a_vrpn_server() -> None:
+    source = VrpnSource("car", CONFIG)
+    source.on_connect()
+    source.on_bytes(b"HTTP/1.1 400 Bad Request\r\n\r\n", T0)
+    assert source.dead is not None
+    assert "not a VRPN 7 server" in source.dead
+
+
+def test_bus_poses() -> None:
+    source = BusPoseSource(IngestConfig())
+    good = None
+    for i in range(300):
+        raw = Pose(
+            "car", i, i * 10 * MS, None, 0, (0.001 * i, 0.5, 0.1), (1.0, 0.0, 0.0, 0.0), 1e-4
+        )
+        good = source.on_message(encode_pose(raw), T0 + i * 10 * MS + 3 * MS)
+        source.on_timer(T0 + i * 10 * MS + 4 * MS)
+    assert good is not None
+    assert (good.rejected, good.clock) == (None, ClockKind.HULL)
+    assert source.status().state is SourceState.OK
+    for bad in (b"", b"{}", b"\xff", b'{"v":2,"body":"c","seq":1,"p":[0,0,0],"q":[1,0,0,0]}'):
+        assert source.on_message(bad, T0) is None
+    assert source.status().counts["malformed"] == 4
+    assert source.on_message(b"[" * 5000, T0) is None
+    assert source.on_message(b"[" * 4000, T0) is None
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [b'"t_src_ns":-5', b'"t_src_ns":1' + b"0" * 400, b'"t_src_ns":9223372036854775808'],
+    ids=["before its epoch", "of 401 digits", "too large"],
+)
+def test_a_bus_pose_with_a_stamp_that_no_message_holds_is_malformed(odd: bytes) -> None:
+    source = BusPoseSource(IngestConfig())
+    rest = b',"v":1,"body":"car","seq":7,"p":[1,2,3],"q":[1,0,0,0]}'
+    assert source.on_message(b"{" + odd + rest, T0) is None
+    assert source.status().counts["malformed"] == 1
+    assert "t_src_ns" in source.status().detail
+    assert source.on_message(b'{"t_src_ns":9223372036854775807' + rest, T0) is not None
+
+
+@pytest.mark.parametrize("seq", [-1, 1 << 63])
+def test_a_bus_pose_with_a_number_that_no_message_holds_is_malformed(seq: int) -> None:
+    source = BusPoseSource(IngestConfig())
+    text = f'{{"v":1,"body":"car","seq":{seq},"p":[1,2,3],"q":[1,0,0,0]}}'
+    assert source.on_message(text.encode(), T0) is None
+    assert source.on_message(text.replace(str(seq), str((1 << 63) - 1)).encode(), T0) is not None
+    assert source.status().counts["malformed"] == 1
+
+
+def test_a_vrpn_stamp_before_its_epoch_is_no_stamp() -> None:
+    source, server = VrpnSource("car", CONFIG), VrpnServer(("car",))
+    source.on_connect()
+    source.on_bytes(server.hello(), T0)
+    good = server.pose("car", 5, (1.0, 2.0, 0.1), (1.0, 0.0, 0.0, 0.0))
+    (sample,) = source.on_bytes(good, T0)
+    assert sample.source_ticks == 5
+    early = good[:4] + (-1).to_bytes(4, "big", signed=True) + good[8:]
+    (sample,) = source.on_bytes(early, T0 + 10 * MS)
+    assert sample.source_ticks is None
+    assert sample.clock is ClockKind.ARRIVAL

@@ -108,11 +108,12 @@ def track(world: World, seconds: float, source: NatNetSource) -> list[Pose]:
     return samples
 
 
-VERSIONS = [(3, 0), (3, 1), (4, 0), (4, 1), (4, 2)]
-
-
-@pytest.mark.parametrize("version", VERSIONS, ids=str)
-@pytest.mark.parametrize("transport", [MULTICAST, TO_COMMAND, TO_DATA])
+@pytest.mark.parametrize(
+    ("version", "transport"),
+    [((3, 0), MULTICAST), ((3, 1), TO_COMMAND), ((4, 0), TO_DATA), ((4, 1), MULTICAST),
+     ((4, 2), TO_COMMAND)],
+    ids=str,
+)  # fmt: skip
 def test_natnet_client_gets_true_poses_at_their_true_time(
     version: tuple[int, int], transport: str
 ) -> None:

@@ -134,14 +134,6 @@ def test_an_array_of_another_length_is_refused(few):
             encode(bad)
 
 
-def test_values_that_do_not_fit_name_the_message():
-    point, *_ = classes()
-    with pytest.raises(CodecError, match=r"^cannot encode Point: "):
-        encode(point(256, 0.0))
-    with pytest.raises(CodecError, match=r"^cannot encode Point: "):
-        encode(point("x", 0.0))
-
-
 def test_the_longest_message():
     @message("a/msg/Long")
     class Long:

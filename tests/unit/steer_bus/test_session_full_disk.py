@@ -3,11 +3,17 @@
 import contextlib
 import errno
 import io
+import os
+import signal
+import stat
+import subprocess
+import sys
 import warnings
 
 import pytest
 
-from steerd.steer_bus import session
+from steerd.steer_bus import atomic_file, session
+from steerd.steer_bus.atomic_file import write_atomically
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import WORLD, ClockSample, make_header
 from steerd.steer_bus.session import (
@@ -124,3 +130,85 @@ def test_a_recovery_without_room_leaves_nothing_behind(tmp_path, disk):
         recover(writer.partial, tmp_path / "b.mcap")
     assert caught.value.hint == "free some space, or choose another folder"
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap.partial"]
+
+
+# A file is replaced whole or not at all.
+
+
+def test_a_file_is_made_and_replaced(tmp_path):
+    path = tmp_path / "car.toml"
+    write_atomically(path, "mass = 3.5 # kg, ±0.1\n")
+    assert path.read_text(encoding="utf-8") == "mass = 3.5 # kg, ±0.1\n"
+    assert stat.S_IMODE(path.stat().st_mode) == 0o644
+    write_atomically(path, b"\x00\xff", mode=0o600)
+    assert path.read_bytes() == b"\x00\xff"
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_write_that_fails_keeps_the_old_file_and_leaves_nothing(tmp_path, monkeypatch):
+    path = tmp_path / "car.toml"
+    path.write_text("old")
+
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(atomic_file.os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        write_atomically(path, "new")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_folder_that_is_missing_is_an_error(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        write_atomically(tmp_path / "no" / "car.toml", "x")
+
+
+# A writer that is killed loses at most the last quarter of a second.
+
+WRITER = """
+import sys
+from pathlib import Path
+from steerd.steer_bus.clock import MonotonicClock
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.messages import ClockSample, make_header
+from steerd.steer_bus.session import SessionWriter
+
+clock = MonotonicClock()
+writer = SessionWriter(Path(sys.argv[1]), {"/clock": ClockSample}, {"steerd.session": {}})
+start = due = clock.now_ns()
+while True:
+    due += 1_000_000
+    clock.sleep_until_ns(due)
+    now = clock.now_ns()
+    message = ClockSample(make_header(now, "map"), now, now, 0)
+    writer.write("/clock", encode(message), now)
+    writer.tick(now)
+    sys.stdout.buffer.write(now.to_bytes(8, "little"))
+    sys.stdout.buffer.flush()
+"""
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("progress_ns", [700_000_000, 1_120_000_000])
+def test_sigkill_loses_at_most_three_tenths_of_a_second(tmp_path, progress_ns):
+    path = tmp_path / "a.mcap"
+    with subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        first = last = int.from_bytes(process.stdout.read(8), "little")
+        while last - first < progress_ns:
+            last = int.from_bytes(process.stdout.read(8), "little")
+        os.kill(process.pid, signal.SIGKILL)
+        rest = process.stdout.read()
+        process.wait()
+    last = int.from_bytes(rest[-8:], "little") if rest else last
+    partial = path.with_name("a.mcap.partial")
+    session = open_session(partial)
+    assert session.warnings[-1].code == "unfinished"
+    assert "steerd.session" in session.info().metadata
+    times = session.columns(ClockSample)["monotonic_ns"]
+    assert last - times[-1] <= 300_000_000
+    assert recover(partial, path).messages == len(times)

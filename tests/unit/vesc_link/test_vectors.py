@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from steerd.vesc_link import commands as c
-from steerd.vesc_link import identity as i
 from steerd.vesc_link import telemetry as t
 from steerd.vesc_link.frames import FrameParser, encode_frame
 from steerd.vesc_link.ids import FW_3_00, FW_7_01, Firmware
@@ -156,30 +155,6 @@ def short_form(name: str) -> str:
     return encode_frame(payload).hex() if len(payload) == 255 else ""
 
 
-@pytest.mark.parametrize("name", [n for n in REPLIES if n.startswith(("get_values", "imu"))])
-def test_absent_fields_are_none(name: str) -> None:
-    reply = decode_reply(payload_of(name))
-    assert isinstance(reply, t.Values | t.Imu)
-    known = {*expected_fields(VECTORS[name]["decoded"]), "extra_bytes"}
-    rest = {k: v for k, v in dataclasses.asdict(reply).items() if k not in known}
-    assert set(rest.values()) <= {None}
-
-
-@pytest.mark.parametrize("strict", [True, False])
-@pytest.mark.parametrize("name", VECTORS)
-def test_vector_frame_whole_bytewise_and_with_a_tail(name: str, strict: bool) -> None:
-    frame, payload = frame_of(name), payload_of(name)
-    assert FrameParser(strict=strict).feed(frame, 0) == [payload]
-    parser = FrameParser(strict=strict)
-    for at, byte in enumerate(frame):
-        assert parser.feed(bytes((byte,)), at) == ([payload] if at == len(frame) - 1 else [])
-    assert (parser.frames, parser.crc_errors, parser.dropped_bytes) == (1, 0, 0)
-    parser = FrameParser(strict=strict)
-    assert parser.feed(frame + frame[:-1], 0) == [payload]
-    assert parser.buffered == len(frame) - 1
-    assert parser.feed(frame[-1:], 0) == [payload]
-
-
 @pytest.mark.parametrize("stream", SPEC["streams"], ids=lambda s: s["name"])
 def test_stream_completes_at_the_firmware_byte(stream: dict[str, Any]) -> None:
     data = bytes.fromhex(stream["bytes"])
@@ -207,8 +182,3 @@ def test_first_good_frame_behind_a_false_long_header_reaches_the_host_at_once() 
     host = FrameParser()
     first = bytes.fromhex(stream["bytes"])[:11]
     assert [p.hex() for p in host.feed(first, 0)] == ["0c01f4"]
-
-
-def test_reply_types() -> None:
-    kinds = {type(decode_reply(payload_of(name))) for name in REPLIES}
-    assert kinds == {t.Values, t.Imu, i.FwVersion, i.McConfTemp, i.Print}

@@ -425,17 +425,6 @@ def test_reset_forgets_the_device_and_its_fault(link: VescLink, vesc: Vesc) -> N
     assert Rebooted in kinds(events)
 
 
-def test_corrupted_bytes_give_no_event(link: VescLink, vesc: Vesc) -> None:
-    reply = bytearray(vesc.answer(link.make_tick(SILENT, 0))[:56])
-    for at in range(2, len(reply)):
-        reply[at] ^= 0x10
-        fresh = link.on_bytes(at, bytes(reply))
-        assert t.Values not in kinds(fresh)
-        reply[at] ^= 0x10
-    assert link.parser.crc_errors >= 54
-    assert t.Values in kinds(link.on_bytes(57, bytes(600) + bytes(reply)))
-
-
 def test_request_for_a_firmware_that_cannot_is_refused_at_once() -> None:
     link, vesc = VescLink(F1TENTH), Vesc(Firmware(3, 40))
     connect(link, vesc)

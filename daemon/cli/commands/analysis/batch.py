@@ -13,7 +13,7 @@ works on new sessions only, also after Ctrl-C. Exit code 3: nothing is there.
 import argparse
 from pathlib import Path
 
-from steerd.daemon.cli.inputs import reads_file
+from steerd.daemon.cli.arguments import missing_file, option
 from steerd.daemon.common.errors import ExitCode
 
 _KINDS = ("summarise", "identify", "diagnose")
@@ -21,34 +21,22 @@ _KINDS = ("summarise", "identify", "diagnose")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd batch`."""
-    parser.add_argument("kind", choices=_KINDS, help="what is asked of each session")
-    parser.add_argument(
-        "sessions", nargs="+", metavar="DIR|PATTERN", help="folders, patterns in quotes, or files"
-    )
-    reads_file(parser.add_argument(
-        "--cars", type=Path, metavar="DIR|CAR.toml",
-        help="car files: NAME.toml for the car NAME, or one for all",
-    ))  # fmt: skip
+    option(parser, "kind", None, "what is asked of each session", choices=_KINDS)
+    option(parser, "sessions", "DIR|PATTERN", "folders, patterns in quotes, or files", nargs="+")
+    text = "car files: NAME.toml for the car NAME, or one for all"
+    option(parser, "--cars", "DIR|CAR.toml", text, missing_file, type=Path)
     out = parser.add_argument_group("output")
-    out.add_argument(
-        "-o", "--output", type=Path, metavar="FILE.parquet", help="a row for each session"
-    )
-    out.add_argument("--page", type=Path, metavar="FILE.html", help="one page with figures")
+    option(out, "-o --output", "FILE.parquet", "a row for each session", type=Path)
+    option(out, "--page", "FILE.html", "one page with figures", type=Path)
     where = parser.add_argument_group("where")
-    where.add_argument(
-        "--jobs", type=int, default=0, metavar="N", help="processes (default: one per core)"
-    )
-    where.add_argument("--dask", metavar="ADDRESS", help="a Dask scheduler instead")
+    option(where, "--jobs", "N", "processes (default: one per core)", type=int, default=0)
+    option(where, "--dask", "ADDRESS", "a Dask scheduler instead")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Work on the sessions, print, write.
-
-    Raises:
-        SteerdError: an argument cannot be used, or a file not be written.
-    """
-    from steerd.daemon.common.outputs import check_outputs
-    from steerd.daemon.many.batch.sources import Question, find_batch, read_cars
+    """Work on the sessions, print, write."""
+    from steerd.daemon.common.written import check_outputs
+    from steerd.daemon.many.batch.unit import Question, find_batch, read_cars
     from steerd.daemon.many.journal import going_on
     from steerd.daemon.many.units import Where
 

@@ -16,11 +16,13 @@ import hashlib
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
-from steerd.daemon.cli.car_written import report_refusal
-from steerd.daemon.cli.inputs import reads_car, reads_session
-from steerd.daemon.cli.session_argument import (
+from steerd.daemon.cli.arguments import (
     add_sessions,
+    missing_car,
+    missing_session,
+    option,
     pick_sessions,
     split_held_out,
     split_paths,
@@ -32,65 +34,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd diagnose`."""
     add_sessions(parser)
     what = parser.add_argument_group("what is compared")
-    reads_car(what.add_argument(
-        "--base", type=Path, metavar="CAR.toml",
-        help="the car as identified (default: the car file inside the session)",
-    ))  # fmt: skip
-    what.add_argument("--car", dest="base", type=Path, help=argparse.SUPPRESS)
-    reads_session(what.add_argument(
-        "--healthy", type=split_paths, action="extend", default=[], metavar="FILE,…",
-        help="drives of the same car without the gap: they determine how large noise is",
-    ))  # fmt: skip
-    what.add_argument(
-        "--only", action="append", default=[], metavar="EFFECT", help="look at this one (repeat)"
+    text = "the car as identified (default: the car file inside the session)"
+    option(what, "--base", "CAR.toml", text, missing_car, type=Path)
+    option(what, "--car", None, argparse.SUPPRESS, dest="base", type=Path)
+    option(
+        what,
+        "--healthy",
+        "FILE,…",
+        "drives of the same car without the gap: they determine how large noise is",
+        missing_session,
+        type=split_paths,
+        action="extend",
+        default=[],
     )
-    what.add_argument(
-        "--without", action="append", default=[], metavar="EFFECT", help="leave it out (repeat)"
-    )
-    what.add_argument(
-        "--no-pairs", dest="pairs", action="store_false", help="one cause at most; faster"
-    )
-    what.add_argument(
-        "--speed",
-        choices=("command", "wheel"),
-        default="command",
-        help="wheel: the speed command was not obeyed, take the measured speed instead",
-    )
-    reads_session(what.add_argument(
-        "--held-out", type=split_held_out, action="extend", metavar="K|FILE,…",
-        help="measure the shrinkage on every K-th drive (default 4; 0: none), or on these files",
-    ))  # fmt: skip
-    what.add_argument(
-        "--runs-held-out", dest="held_out", type=split_held_out, action="extend",
-        help=argparse.SUPPRESS,
-    )  # until 0.1  # fmt: skip
+    option(what, "--only", "EFFECT", "look at this one (repeat)", action="append")
+    option(what, "--without", "EFFECT", "leave it out (repeat)", action="append")
+    option(what, "--no-pairs", "", "one cause at most; faster", dest="pairs", action="store_false")
+    text = "wheel: the speed command was not obeyed, take the measured speed instead"
+    option(what, "--speed", None, text, choices=("command", "wheel"), default="command")
+    more: dict[str, Any] = {"type": split_held_out, "action": "extend"}
+    text = "measure the shrinkage on every K-th drive (default 4; 0: none), or on these files"
+    option(what, "--held-out", "K|FILE,…", text, missing_session, **more)
+    option(what, "--runs-held-out", None, argparse.SUPPRESS, dest="held_out", **more)  # until 0.1
     out = parser.add_argument_group("output")
-    out.add_argument(
-        "--json", nargs="?", const="-", metavar="FILE", help="for programs; alone: to the terminal"
-    )
-    out.add_argument("--report", type=Path, metavar="FILE.html", help="one page, plots first")
-    out.add_argument(
-        "-o", "--output", type=Path, metavar="CAR.toml", help="the base with the found effect"
-    )
-    out.add_argument(
-        "--prediction", type=Path, metavar="FILE", help="the prediction, before it is measured"
-    )
-    out.add_argument(
-        "--no-closed-loop",
-        dest="closed_loop",
-        action="store_false",
-        help="do not drive the session's lane again",
-    )
+    option(out, "--json", "FILE", "for programs; alone: to the terminal", nargs="?", const="-")
+    option(out, "--report", "FILE.html", "one page, plots first", type=Path)
+    option(out, "-o --output", "CAR.toml", "the base with the found effect", type=Path)
+    option(out, "--prediction", "FILE", "the prediction, before it is measured", type=Path)
+    text = "do not drive the session's lane again"
+    option(out, "--no-closed-loop", "", text, dest="closed_loop", action="store_false")
     where = parser.add_argument_group("where")
-    where.add_argument("--jobs", type=int, default=1, metavar="N", help="candidates side by side")
+    option(where, "--jobs", "N", "candidates side by side", type=int, default=1)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Diagnose, print, write.
-
-    Raises:
-        SteerdError: a session, the car file or an option cannot be used.
-    """
+    """Diagnose, print, write."""
     from steerd.daemon.analysis.diagnosis import DRIVEN, run_diagnosis
     from steerd.daemon.analysis.options import DiagnoseOptions, read_arguments
     from steerd.daemon.common.progress import show_progress
@@ -124,6 +102,8 @@ def run(args: argparse.Namespace) -> int:
             write(args.report, found.render_report() if args.report else None)
         write(args.prediction, found.findings.shrinkage.text)  # where it could not be, at first
     if car is not None:
+        from steerd.daemon.assembly.car_check import report_refusal
+
         report_refusal(car)
     return ExitCode.OK
 

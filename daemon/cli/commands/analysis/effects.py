@@ -12,26 +12,22 @@ minute and a C compiler (`pip install ziglang`).
 import argparse
 from pathlib import Path
 
-from steerd.daemon.cli.inputs import reads_file
+from steerd.daemon.cli.arguments import missing_file, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The effect and the output format."""
-    parser.add_argument("name", nargs="?", metavar="NAME", help="one effect, or an alias of it")
-    parser.add_argument("--json", action="store_true", help="the same for programs")
-    parser.add_argument("--page", action="store_true", help="the same as a Markdown page")
+    option(parser, "name", "NAME", "one effect, or an alias of it", nargs="?")
+    option(parser, "--json", "", "the same for programs")
+    option(parser, "--page", "", "the same as a Markdown page")
     own = parser.add_argument_group("effects of your own").add_mutually_exclusive_group()
-    reads_file(own.add_argument("--add", type=Path, metavar="FILE.py", help="add those of a file"))
-    own.add_argument("--remove", type=Path, metavar="FILE.py", help="take them away again")
+    option(own, "--add", "FILE.py", "add those of a file", missing_file, type=Path)
+    option(own, "--remove", "FILE.py", "take them away again", type=Path)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the table, or one effect.
-
-    Raises:
-        SteerdError: there is no effect of that name, or none can be added or removed.
-    """
+    """Print the table, or one effect."""
     if args.add or args.remove:
         return _change(args)
     from steerd.car_model.effects import EFFECTS, find_effect

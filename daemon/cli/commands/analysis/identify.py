@@ -15,10 +15,11 @@ import argparse
 import json
 from pathlib import Path
 
-from steerd.daemon.cli.car_written import report_refusal
-from steerd.daemon.cli.inputs import reads_car, reads_session
-from steerd.daemon.cli.session_argument import (
+from steerd.daemon.cli.arguments import (
     add_sessions,
+    missing_car,
+    missing_session,
+    option,
     pick_sessions,
     split_held_out,
     split_list,
@@ -33,53 +34,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd identify`."""
     add_sessions(parser)
     what = parser.add_argument_group("what is learnt")
-    reads_car(
-        what.add_argument("--car", type=Path, metavar="FILE.toml", help="start values (F1TENTH's)")
-    )
-    what.add_argument("--base", dest="car", type=Path, help=argparse.SUPPRESS)
-    what.add_argument(
-        "--free",
-        type=split_list,
-        default=(),
-        metavar="A,B,…",
-        help="free parameters (default: all)",
-    )
-    what.add_argument(
-        "--fix", type=parse_fix, default={}, metavar="A,B=VALUE,…", help="keep these as they are"
-    )
-    what.add_argument(
-        "--wheelbase", type=float, metavar="M", help="distance of the axles, measured"
-    )
-    what.add_argument(
-        "--speed",
-        choices=("command", "wheel"),
-        default="command",
-        help="wheel: the speed command was not obeyed, take the measured speed instead",
-    )
-    what.add_argument(
+    option(what, "--car", "FILE.toml", "start values (F1TENTH's)", missing_car, type=Path)
+    option(what, "--base", None, argparse.SUPPRESS, dest="car", type=Path)
+    option(what, "--free", "A,B,…", "free parameters (default: all)", type=split_list, default=())
+    option(what, "--fix", "A,B=VALUE,…", "keep these as they are", type=parse_fix, default={})
+    option(what, "--wheelbase", "M", "distance of the axles, measured", type=float)
+    text = "wheel: the speed command was not obeyed, take the measured speed instead"
+    option(what, "--speed", None, text, choices=("command", "wheel"), default="command")
+    option(
+        what,
         "--effects",
+        "auto|A,B,…",
+        "learn only these effects of the library (default, auto: all that the drives show)",
         type=lambda text: "auto" if text == "auto" else split_list(text),
         default=(),
-        metavar="auto|A,B,…",
-        help="learn only these effects of the library (default, auto: all that the drives show)",
     )
-    what.add_argument("--method", choices=("ours", "paper", "cma-es"), default="ours")
-    what.add_argument("--starts", type=int, metavar="N", help="starts (ours: 1, others: 5)")
-    what.add_argument("--iterations", type=int, metavar="N", help="of the paper's methods")
-    what.add_argument("--seed", type=int, default=0, help="of random starts")
-    reads_session(what.add_argument(
-        "--held-out", type=split_held_out, action="extend", metavar="K|FILE,…",
-        help="validate on every K-th block of 5 s (default 4), or on these sessions",
-    ))  # fmt: skip
+    text = "our own, or one of the paper's"
+    option(what, "--method", None, text, choices=("ours", "paper", "cma-es"), default="ours")
+    option(what, "--starts", "N", "starts (ours: 1, others: 5)", type=int)
+    option(what, "--iterations", "N", "of the paper's methods", type=int)
+    option(what, "--seed", None, "of random starts", type=int, default=0)
+    option(
+        what,
+        "--held-out",
+        "K|FILE,…",
+        "validate on every K-th block of 5 s (default 4), or on these sessions",
+        missing_session,
+        type=split_held_out,
+        action="extend",
+    )
     out = parser.add_argument_group("output")
-    out.add_argument("-o", "--output", type=Path, metavar="CAR.toml", help="car file to write")
-    out.add_argument(
-        "--json", type=Path, metavar="FILE", help="the result for programs; -: to the terminal"
-    )
-    out.add_argument("--report", type=Path, metavar="FILE.html", help="the result with figures")
+    option(out, "-o --output", "CAR.toml", "car file to write", type=Path)
+    option(out, "--json", "FILE", "the result for programs; -: to the terminal", type=Path)
+    option(out, "--report", "FILE.html", "the result with figures", type=Path)
     where = parser.add_argument_group("where")
-    where.add_argument("--jobs", type=int, default=1, metavar="N", help="processes")
-    where.add_argument("--dask", metavar="ADDRESS", help="a Dask scheduler instead")
+    option(where, "--jobs", "N", "processes", type=int, default=1)
+    option(where, "--dask", "ADDRESS", "a Dask scheduler instead")
 
 
 def parse_fix(text: str) -> dict[str, float | None]:
@@ -99,11 +89,7 @@ def parse_fix(text: str) -> dict[str, float | None]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Identify, print, write.
-
-    Raises:
-        SteerdError: a session, the car file or an option cannot be used, or a file not be written.
-    """
+    """Identify, print, write."""
     from steerd.daemon.analysis.identification import FIT, run_identification
     from steerd.daemon.analysis.options import IdentifyOptions, read_arguments
     from steerd.daemon.common.progress import show_progress
@@ -144,5 +130,7 @@ def run(args: argparse.Namespace) -> int:
         what = f"{args.output} is not written: {refused.what.removeprefix(f'{args.output}: ')}"
         raise SteerdError(what, "no car is like that; see the notes above", ExitCode.STOPPED)
     if car is not None:
+        from steerd.daemon.assembly.car_check import report_refusal
+
         report_refusal(car)
     return ExitCode.OK if found.improved else ExitCode.STOPPED

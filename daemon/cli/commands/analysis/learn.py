@@ -11,8 +11,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from steerd.daemon.cli.inputs import reads_car
-from steerd.daemon.cli.session_argument import add_session, pick_session
+from steerd.daemon.cli.arguments import add_session, missing_car, option, pick_session
 from steerd.daemon.common.errors import ExitCode
 
 
@@ -20,16 +19,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The session, the car and the form of the output."""
     add_session(parser)
     base = "the car as believed (default: the session's)"
-    reads_car(parser.add_argument("--base", type=Path, metavar="FILE.toml", help=base))
-    parser.add_argument("--json", action="store_true", help="the same for programs")
+    option(parser, "--base", "FILE.toml", base, missing_car, type=Path)
+    option(parser, "--json", "", "the same for programs")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what was learnt; changes are shown as they are called.
-
-    Raises:
-        SteerdError: the session or the car file cannot be used.
-    """
+    """Print what was learnt; changes are shown as they are called."""
     from steerd.daemon.analysis.learning import learn_session
     from steerd.daemon.common.progress import show_progress
     from steerd.daemon.common.screen import print_labelled

@@ -15,7 +15,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from steerd.daemon.cli.inputs import reads_file
+from steerd.daemon.cli.arguments import missing_file, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
@@ -41,32 +41,20 @@ speed = 1.5          # [m/s]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd sweep`."""
-    reads_file(parser.add_argument(
-        "file", type=Path, nargs="?", metavar="SWEEP.toml", help="what to drive"
-    ))  # fmt: skip
-    parser.add_argument("--example", action="store_true", help="print a sweep file and end")
+    option(parser, "file", "SWEEP.toml", "what to drive", missing_file, type=Path, nargs="?")
+    option(parser, "--example", "", "print a sweep file and end")
     out = parser.add_argument_group("output")
-    out.add_argument(
-        "-o", "--output", type=Path, metavar="FILE.parquet", help="a row for each drive"
-    )
-    out.add_argument("--page", type=Path, metavar="FILE.html", help="one page with figures")
+    option(out, "-o --output", "FILE.parquet", "a row for each drive", type=Path)
+    option(out, "--page", "FILE.html", "one page with figures", type=Path)
     where = parser.add_argument_group("work")
-    where.add_argument(
-        "--jobs", type=int, default=0, metavar="N", help="processes (default: one per core)"
-    )
+    option(where, "--jobs", "N", "processes (default: one per core)", type=int, default=0)
     again = parser.add_argument_group("one drive of it")
-    again.add_argument("--again", type=int, metavar="N", help="drive number N alone")
-    again.add_argument(
-        "--record", type=Path, metavar="FILE.mcap", help="session file of that drive"
-    )
+    option(again, "--again", "N", "drive number N alone", type=int)
+    option(again, "--record", "FILE.mcap", "session file of that drive", type=Path)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Drive, print, write.
-
-    Raises:
-        SteerdError: the sweep file or an option cannot be used, or a file not be written.
-    """
+    """Drive, print, write."""
     if args.example:
         print(EXAMPLE, end="")
         return ExitCode.OK
@@ -77,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _check(args: argparse.Namespace) -> None:
     """Refuse what makes no sense before anything heavy is loaded."""
-    from steerd.daemon.common.outputs import check_outputs
+    from steerd.daemon.common.written import check_outputs
 
     if args.file is None:
         hint = "steerd sweep --example > sweep.toml"

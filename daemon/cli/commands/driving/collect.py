@@ -13,6 +13,7 @@ import argparse
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from steerd.daemon.cli.arguments import option
 from steerd.daemon.cli.commands.driving import run as driving
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.loop.plans import NAMES, PlanError, make_closed_path, parse_box
@@ -29,17 +30,11 @@ FIRST_OPTIONS = ("--plan", "--closed", "--box", *driving.FIRST_OPTIONS)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd collect`: those of `steerd run`, and the plan's."""
     what = parser.add_argument_group("plan")
-    what.add_argument("--plan", choices=NAMES, default="mixed", help="what to drive")
-    what.add_argument(
-        "--closed",
-        action="store_true",
-        help="add the plan to the lane keeper's commands, along --path (default: open loop)",
-    )
-    what.add_argument(
-        "--box",
-        metavar="SIDE|X0,Y0,X1,Y1",
-        help="where the car must stay [m]; start in the middle, heading along x",
-    )
+    option(what, "--plan", None, "what to drive", choices=NAMES, default="mixed")
+    text = "add the plan to the lane keeper's commands, along --path (default: open loop)"
+    option(what, "--closed", "", text)
+    text = "where the car must stay [m]; start in the middle, heading along x"
+    option(what, "--box", "SIDE|X0,Y0,X1,Y1", text)
     driving.add_arguments(parser)
     parser.set_defaults(speed=SPEED, path=None)
 

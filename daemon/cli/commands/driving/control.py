@@ -8,7 +8,7 @@ import argparse
 import secrets
 import sys
 
-from steerd.daemon.cli.bus_options import add_bus_arguments
+from steerd.daemon.cli.arguments import add_bus_arguments
 from steerd.daemon.cli.commands.driving.run import add_drive_arguments
 from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.ipc.signals import raise_on_stop_signals

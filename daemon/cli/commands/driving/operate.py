@@ -19,7 +19,7 @@ import getpass
 import sys
 from collections.abc import Callable
 
-from steerd.daemon.cli.bus_options import add_bus_arguments
+from steerd.daemon.cli.arguments import add_car_arguments, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.gateway_wire import make_badge
 from steerd.daemon.ipc.operator import KEEPALIVE_NS, connect
@@ -50,12 +50,7 @@ REST_NS = 5_000_000_000
 _HOLDING = ("arm", "start")
 """Commands that stay as the deadman."""
 _KINDS = {
-    "arm": RequestKind.ARM,
-    "start": RequestKind.START,
-    "stop": RequestKind.STOP,
-    "disarm": RequestKind.DISARM,
-    "clear": RequestKind.CLEAR,
-    "estop": RequestKind.ESTOP,
+    name: RequestKind[name.upper()] for name in ("arm", "start", "stop", "disarm", "clear", "estop")
 }
 _WANTED = {
     RequestKind.ARM: (SupervisorState.ARMED,),
@@ -66,30 +61,10 @@ _WANTED = {
 }
 
 
-_OVER = (
-    SupervisorState.DISARMED,
-    SupervisorState.READY,
-    SupervisorState.INIT,
-    SupervisorState.FAULT_STOP,
-    SupervisorState.FAULT_LATCHED,
-    SupervisorState.ESTOP,
-)
-
-
-def add_car_arguments(parser: argparse.ArgumentParser) -> None:
-    """Which car, and where."""
-    add_bus_arguments(parser)
-    parser.add_argument("--name", default="car1", help="the car's name")
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of these commands."""
     add_car_arguments(parser)
-    parser.add_argument(
-        "--no-hold",
-        action="store_true",
-        help="arm, start: do not stay (cars without a deadman only)",
-    )
+    option(parser, "--no-hold", "", "arm, start: do not stay (cars without a deadman only)")
 
 
 class _Link:
@@ -147,9 +122,16 @@ def run(args: argparse.Namespace) -> int:
         _expect_car(view)
         leased = view.values.get("leased") == "1"
         if name in _HOLDING and args.no_hold and leased:
-            _refuse_unheld(name)
+            raise SteerdError(
+                f"{name} --no-hold: this car has a deadman and would stop after 0.3 s without one",
+                "`steerd arm` in one terminal and `steerd start` in another, both left open; "
+                "a car without a deadman says `deadman = false` under [safety]",
+                ExitCode.USAGE,
+            )
         if name == "start" and view.mode is not SupervisorState.ARMED:
-            _refuse_unarmed(view)
+            waiting = view.values.get("waiting")
+            what = f"the car is {view.mode_name}, not ARMED; it is waiting for {waiting}"
+            raise SteerdError(what, "steerd arm", ExitCode.STOPPED)
         holder, kept = view.values.get("holder", "0"), recall_lease(args.name)
         shared = name == "start" and holder == str(make_badge(bus.who, kept))
         operator = BusOperator(
@@ -171,23 +153,6 @@ def _expect_car(view: CarView) -> None:
             raise SteerdError(f"no car {view.car!r} on the bus", hint, ExitCode.UNREACHABLE)
         view.clock.sleep_until_ns(view.clock.now_ns() + REPEAT_NS // 2)
         view.poll()
-
-
-def _refuse_unheld(name: str) -> None:
-    raise SteerdError(
-        f"{name} --no-hold: this car has a deadman and would stop after 0.3 s without one",
-        "`steerd arm` in one terminal and `steerd start` in another, both left open; "
-        "a car without a deadman says `deadman = false` under [safety]",
-        ExitCode.USAGE,
-    )
-
-
-def _refuse_unarmed(view: CarView) -> None:
-    raise SteerdError(
-        f"the car is {view.mode_name}, not ARMED; it is waiting for {view.values.get('waiting')}",
-        "steerd arm",
-        ExitCode.STOPPED,
-    )
 
 
 def _stop(link: _Link, operator: BusOperator, name: str) -> int:
@@ -228,28 +193,15 @@ def _request(link: _Link, operator: BusOperator, name: str, *, hold: bool) -> in
 def _hold(link: _Link, name: str) -> int:
     """Stay as the deadman until the requested state is left."""
     stay = SupervisorState.ARMED if name == "arm" else SupervisorState.RUNNING
+    kept = (stay, SupervisorState.RUNNING, SupervisorState.STOPPING)
     doing = "armed: `steerd start` from another terminal" if name == "arm" else "driving"
     print(f"{doing}; Ctrl-C {'disarms' if name == 'arm' else 'stops'}", file=sys.stderr)
     try:
-        link.wait(lambda: link.state in _OVER or _has_left(link, stay), None)
+        link.wait(lambda: link.state not in kept, None)
     except KeyboardInterrupt:
         link.send(RequestKind.DISARM if name == "arm" else RequestKind.STOP)
         link.wait(lambda: link.state is not stay, ANSWER_NS)
         link.wait(lambda: link.state is not SupervisorState.STOPPING, REST_NS)
     print(link.view.mode_name)
-    return (
-        ExitCode.STOPPED
-        if link.state in (SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
-        else ExitCode.OK
-    )
-
-
-def _has_left(link: _Link, stay: SupervisorState) -> bool:
-    """Whether the state to hold has been left."""
-    if stay is SupervisorState.ARMED:
-        return link.state not in (
-            SupervisorState.ARMED,
-            SupervisorState.RUNNING,
-            SupervisorState.STOPPING,
-        )
-    return link.state not in (SupervisorState.RUNNING, SupervisorState.STOPPING)
+    fault = link.state in (SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
+    return ExitCode.STOPPED if fault else ExitCode.OK

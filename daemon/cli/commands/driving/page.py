@@ -12,26 +12,19 @@ import argparse
 import asyncio
 import sys
 
-from steerd.daemon.cli.bus_options import add_bus_arguments
+from steerd.daemon.cli.arguments import add_car_arguments, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which car, and where the page is."""
-    add_bus_arguments(parser)
-    parser.add_argument("--name", default="car1", help="the car's name")
-    parser.add_argument("--path", help="the lane to draw, as --path of run")
-    parser.add_argument(
-        "--port", type=int, default=0, metavar="N", help="of the page (default: a free one)"
-    )
+    add_car_arguments(parser)
+    option(parser, "--path", None, "the lane to draw, as --path of run")
+    option(parser, "--port", "N", "of the page (default: a free one)", type=int, default=0)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve the page until Ctrl-C.
-
-    Raises:
-        SteerdError: no daemon answers, or the port is taken.
-    """
+    """Serve the page until Ctrl-C."""
     from steerd.daemon.ipc.operator import connect, read_lab
 
     if args.lab is not None:

@@ -9,13 +9,14 @@ import secrets
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import fields, replace
 from importlib import import_module
-from math import inf
 from pathlib import Path
+from sys import float_info
 from typing import TYPE_CHECKING
 
-from steerd.daemon.cli.inputs import reads_car, reads_lane
+from steerd.daemon.cli.arguments import missing_car, missing_lane, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.process.child import CORE, Prepared, prepared
 from steerd.daemon.process.view_job import DEFAULT_PORT, check_view
@@ -35,103 +36,61 @@ FIRST_OPTIONS = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd run`."""
     where = parser.add_argument_group("hardware")
-    where.add_argument("--port", metavar="DEV", help="serial port of the VESC, e.g. /dev/ttyACM0")
-    where.add_argument(
-        "--mocap",
-        metavar="URL",
-        help="natnet://HOST[:PORT]/BODY[?up=y|z], vrpn://HOST[:PORT]/BODY, ros2:///TOPIC or "
-        "zenoh:KEY",
-    )
-    where.add_argument("--sim", action="store_true", help="simulated hardware on a pty and sockets")
-    where.add_argument("--fast", action="store_true", help="with --sim: virtual time, repeatable")
-    reads_car(where.add_argument(
-        "--sim-car", metavar="FILE.toml|hidden:SEED",
-        help="the simulated car, where it is not --car's: a file, or one that the seed hides",
-    ))  # fmt: skip
+    option(where, "--port", "DEV", "serial port of the VESC, e.g. /dev/ttyACM0")
+    text = "natnet://HOST[:PORT]/BODY[?up=y|z], vrpn://HOST[:PORT]/BODY, ros2:///TOPIC or zenoh:KEY"
+    option(where, "--mocap", "URL", text)
+    option(where, "--sim", "", "simulated hardware on a pty and sockets")
+    option(where, "--fast", "", "with --sim: virtual time, repeatable")
+    text = "the simulated car, where it is not --car's: a file, or one that the seed hides"
+    option(where, "--sim-car", "FILE.toml|hidden:SEED", text, missing_car)
     add_drive_arguments(parser)
     run = parser.add_argument_group("run")
-    run.add_argument(
-        "--record", metavar="PATH", help="session file (default: dated, in the data folder)"
+    option(run, "--record", "PATH", "session file (default: dated, in the data folder)")
+    option(
+        run, "--seed", None, "of the simulated hardware's noise", type=int, default=RunOptions.seed
     )
-    run.add_argument("--seed", type=int, default=0, help="of the simulated hardware's noise")
-    run.add_argument(
-        "--effect",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE,…",
-        help="unmodelled effect of the simulated car (`steerd effects` lists them)",
-    )
-    run.add_argument("--auto-arm", action="store_true", help="simulation: arm and start by itself")
-    run.add_argument(
+    text = "unmodelled effect of the simulated car (`steerd effects` lists them)"
+    option(run, "--effect", "NAME=VALUE,…", text, action="append")
+    option(run, "--auto-arm", "", "simulation: arm and start by itself")
+    option(
+        run,
         "--controller",
+        None,
+        "zenoh: apply the commands of `steerd control`; ros2: those of a ROS node's /drive",
         choices=[kind.value for kind in ControllerKind],
         default="lane",
-        help="zenoh: apply the commands of `steerd control`; ros2: those of a ROS node's /drive",
     )
     _add_network_arguments(run)
 
 
 def _add_network_arguments(run: argparse._ArgumentGroup) -> None:
     """The bus, and who else may see the car."""
-    run.add_argument("--listen", metavar="ENDPOINT", help="of zenoh (default tcp/127.0.0.1:7447)")
-    run.add_argument(
-        "--lab", type=Path, metavar="DIR", help="the car's folder of `steerd keys`: mutual TLS"
-    )
-    run.add_argument(
-        "--insecure-lan", action="store_true", help="allow plain zenoh beyond loopback"
-    )
-    run.add_argument(
-        "--ros-domain",
-        type=int,
-        metavar="N",
-        help="show the car to ROS 2 nodes of this domain that use rmw_zenoh",
-    )
-    run.add_argument(
-        "--learn",
-        action="store_true",
-        help="learn the car while it drives, and say when it changed",
-    )
-    run.add_argument(
-        "--adapt",
-        action="store_true",
-        help="with --learn: the lane keeper follows the learnt car, checked at each step",
-    )
-    run.add_argument(
-        "--view",
-        nargs="?",
-        const=str(DEFAULT_PORT),
-        metavar="[HOST:]PORT",
-        help="show it live in Foxglove or Lichtblick, at the address that is printed",
-    )
-    run.add_argument(
-        "--view-sets",
-        action="store_true",
-        help="with --view on loopback: live parameters may be set in Foxglove",
-    )
-    run.add_argument(
-        "--page",
-        nargs="?",
-        type=int,
-        const=0,
-        metavar="PORT",
-        help="a live page in a browser on this machine, with a stop button",
-    )
+    option(run, "--listen", "ENDPOINT", f"of zenoh (default {RunOptions.listen})")
+    option(run, "--lab", "DIR", "the car's folder of `steerd keys`: mutual TLS", type=Path)
+    option(run, "--insecure-lan", "", "allow plain zenoh beyond loopback")
+    text = "show the car to ROS 2 nodes of this domain that use rmw_zenoh"
+    option(run, "--ros-domain", "N", text, type=int)
+    option(run, "--learn", "", "learn the car while it drives, and say when it changed")
+    text = "with --learn: the lane keeper follows the learnt car, checked at each step"
+    option(run, "--adapt", "", text)
+    text = "show it live in Foxglove or Lichtblick, at the address that is printed"
+    option(run, "--view", "[HOST:]PORT", text, nargs="?", const=str(DEFAULT_PORT))
+    text = "with --view on loopback: live parameters may be set in Foxglove"
+    option(run, "--view-sets", "", text)
+    text = "a live page in a browser on this machine, with a stop button"
+    option(run, "--page", "PORT", text, nargs="?", type=int, const=0)
 
 
 def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     """What to drive; shared with `steerd control`."""
     drive = parser.add_argument_group("drive")
-    reads_car(drive.add_argument(
-        "--car", metavar="FILE.toml", help="car file (default: F1TENTH's figures)"
-    ))  # fmt: skip
-    drive.add_argument("--name", default="car1", help="the car's name on the bus and in files")
-    reads_lane(drive.add_argument(
-        "--path", default="figure8",
-        help="line, circle:radius=2, figure8[:radius=…], csv:FILE (TUM or F1TENTH centreline)",
-    ))  # fmt: skip
-    drive.add_argument("--speed", type=float, default=1.0, metavar="M/S", help="on straights")
-    drive.add_argument("--duration", type=float, metavar="S", help="end after this drive time")
-    drive.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="of the loop")
+    option(drive, "--car", "FILE.toml", "car file (default: F1TENTH's figures)", missing_car)
+    option(drive, "--name", None, "the car's name on the bus and in files", default=RunOptions.car)
+    text = "line, circle:radius=2, figure8[:radius=…], csv:FILE (TUM or F1TENTH centreline)"
+    option(drive, "--path", None, text, missing_lane, default=RunOptions.path)
+    option(drive, "--speed", "M/S", "on straights", type=float, default=RunOptions.speed)
+    option(drive, "--duration", "S", "end after this drive time", type=float)
+    option(drive, "--rate", "HZ", "of the loop", type=float, default=RunOptions.rate_hz)
 
 
 def make_options(args: argparse.Namespace) -> RunOptions:
@@ -140,75 +99,63 @@ def make_options(args: argparse.Namespace) -> RunOptions:
     Raises:
         SteerdError: a combination makes no sense.
     """
-    _check_hardware(args)
-    if args.duration is not None and not 0.0 < args.duration <= 86400.0:
-        raise SteerdError(f"--duration {args.duration:g}: more than 0 s", "", ExitCode.USAGE)
-    if args.speed is not None and not 0.0 < args.speed < inf:
-        raise SteerdError(f"--speed {args.speed:g}: more than 0 m/s", "", ExitCode.USAGE)
-    if args.seed < 0:
-        raise SteerdError(f"--seed {args.seed}: 0 or more", "", ExitCode.USAGE)
-    if args.view or args.view_sets:
-        _check_view(args)
+    for wrong, what, hint in _list_conflicts(args):
+        if wrong:
+            raise SteerdError(what, hint, ExitCode.USAGE)
+    if args.view:
+        check_view(args.view, args.insecure_lan, sets=args.view_sets)
     if args.page is not None:
-        _check_page(args)
-    ros = args.controller == ControllerKind.ROS2 or str(args.mocap).startswith("ros2:")
-    if ros or args.ros_domain is not None:
-        _check_ros(args)
-    if args.adapt:
-        _check_adapt(args)
-    listen = _choose_endpoint(args)
-    return RunOptions(
-        car_file=args.car or "",
-        car=args.name,
-        port=args.port,
-        mocap=args.mocap,
-        path=args.path,
-        speed=args.speed,
-        duration_s=args.duration,
-        record=args.record,
-        seed=args.seed,
-        rate_hz=args.rate,
-        controller=ControllerKind(args.controller),
-        simulated=args.sim,
-        auto_arm=args.auto_arm or args.fast,
-        effects=tuple(args.effect),
-        listen=listen,
-        lab=str(args.lab.resolve()) if args.lab else "",
-        insecure_lan=args.insecure_lan,
-        view=args.view or "",
-        ros_domain=args.ros_domain,
-        sim_car=args.sim_car or "",
-        page=args.page,
-        view_sets=args.view_sets,
-        learn=args.learn,
-        adapt=args.adapt,
+        from steerd.daemon.process.page_job import check_page
+
+        check_page(str(args.lab or ""), "" if args.listen == "" else "bus")
+    given = {
+        each.name: getattr(args, each.name) for each in fields(RunOptions) if each.name in args
+    }
+    given |= {"car_file": args.car or "", "car": args.name, "duration_s": args.duration}
+    given |= {"rate_hz": args.rate, "simulated": args.sim, "auto_arm": args.auto_arm or args.fast}
+    given |= {"effects": tuple(args.effect), "controller": ControllerKind(args.controller)}
+    given |= {"listen": _choose_endpoint(args), "lab": str(args.lab.resolve()) if args.lab else ""}
+    given |= {"view": args.view or "", "sim_car": args.sim_car or ""}
+    return RunOptions(**given)
+
+
+def _list_conflicts(args: argparse.Namespace) -> Iterator[tuple[bool, str, str]]:
+    """What makes no sense: whether it was given, what it is, and what to try."""
+    from steerd.steer_bus.ros_keys import DOMAIN_MAX
+
+    sim, real = args.sim, args.port or args.mocap
+    yield args.fast and not sim, "--fast drives in virtual time, on simulated hardware", "add --sim"
+    yield sim and real, "--sim has its own port and mocap", "drop --sim, or --port and --mocap"
+    hint = "steerd run --port /dev/ttyACM0 --mocap natnet://HOST/BODY, or steerd run --sim"
+    yield not sim and not (args.port and args.mocap), "a car needs --port and --mocap", hint
+    yield (
+        not sim and (args.auto_arm or args.effect),
+        "--auto-arm and --effect are for --sim only",
+        "",
     )
-
-
-def _check_hardware(args: argparse.Namespace) -> None:
-    if args.fast and not args.sim:
-        raise SteerdError(
-            "--fast drives in virtual time, on simulated hardware", "add --sim", ExitCode.USAGE
-        )
-    if args.sim and (args.port or args.mocap):
-        raise SteerdError(
-            "--sim has its own port and mocap", "drop --sim, or --port and --mocap", ExitCode.USAGE
-        )
-    if not args.sim and not (args.port and args.mocap):
-        hint = "steerd run --port /dev/ttyACM0 --mocap natnet://HOST/BODY, or steerd run --sim"
-        raise SteerdError("a car needs --port and --mocap", hint, ExitCode.USAGE)
-    if not args.sim and (args.auto_arm or args.effect):
-        raise SteerdError("--auto-arm and --effect are for --sim only", "", ExitCode.USAGE)
-    if not args.sim and args.sim_car:
-        raise SteerdError("--sim-car is the simulated car", "add --sim", ExitCode.USAGE)
-
-
-def _check_adapt(args: argparse.Namespace) -> None:
-    if not args.learn:
-        raise SteerdError("--adapt follows what is learnt", "add --learn", ExitCode.USAGE)
-    if args.controller != ControllerKind.LANE:
-        what = "--adapt is about the lane keeper, and another program drives"
-        raise SteerdError(what, "drop --adapt or --controller", ExitCode.USAGE)
+    yield not sim and args.sim_car, "--sim-car is the simulated car", "add --sim"
+    for name, unit, most in (("duration", "s", 86400.0), ("speed", "m/s", float_info.max)):
+        value = getattr(args, name)
+        wrong = value is not None and not 0.0 < value <= most
+        yield wrong, f"--{name} {value or 0:g}: more than 0 {unit}", ""
+    yield args.seed < 0, f"--seed {args.seed}: 0 or more", ""
+    yield args.view_sets and not args.view, "--view-sets is about the viewer", "add --view"
+    hint = "drop --fast; open the session in Foxglove, or with `steerd plot`"
+    yield args.view and args.fast, "--view shows a drive as it happens", hint
+    page = args.page is not None
+    yield page and args.fast, "--page shows a drive as it happens", "drop --fast"
+    yield page and not 0 <= args.page < 65536, f"--page {args.page}: a port, 0 to 65535", ""
+    domain = args.ros_domain
+    wrong = domain is not None and not 0 <= domain <= DOMAIN_MAX
+    yield wrong, f"--ros-domain {domain}: 0 to {DOMAIN_MAX}", ""
+    what = "the hub of a lab passes steerd's own topics only, not those of ROS"
+    ros = domain is not None or args.controller == ControllerKind.ROS2
+    ros = ros or str(args.mocap).startswith("ros2:")
+    yield ros and args.lab is not None, what, "drop --lab, or --ros-domain and what is ros2"
+    yield args.adapt and not args.learn, "--adapt follows what is learnt", "add --learn"
+    what = "--adapt is about the lane keeper, and another program drives"
+    lane = args.controller == ControllerKind.LANE
+    yield args.adapt and not lane, what, "drop --adapt or --controller"
 
 
 def _choose_endpoint(args: argparse.Namespace) -> str:
@@ -224,36 +171,6 @@ def _choose_endpoint(args: argparse.Namespace) -> str:
     if not endpoint.startswith("tls/"):
         raise SteerdError(f"--lab uses TLS, not {endpoint}", "drop --listen", ExitCode.USAGE)
     return endpoint
-
-
-def _check_ros(args: argparse.Namespace) -> None:
-    from steerd.steer_bus.ros_keys import DOMAIN_MAX
-
-    if not 0 <= (args.ros_domain or 0) <= DOMAIN_MAX:
-        what = f"--ros-domain {args.ros_domain}: 0 to {DOMAIN_MAX}"
-        raise SteerdError(what, "", ExitCode.USAGE)
-    if args.lab is not None:
-        what = "the hub of a lab passes steerd's own topics only, not those of ROS"
-        raise SteerdError(what, "drop --lab, or --ros-domain and what is ros2", ExitCode.USAGE)
-
-
-def _check_view(args: argparse.Namespace) -> None:
-    if not args.view:
-        raise SteerdError("--view-sets is about the viewer", "add --view", ExitCode.USAGE)
-    if args.fast:
-        hint = "drop --fast; open the session in Foxglove, or with `steerd plot`"
-        raise SteerdError("--view shows a drive as it happens", hint, ExitCode.USAGE)
-    check_view(args.view, args.insecure_lan, sets=args.view_sets)
-
-
-def _check_page(args: argparse.Namespace) -> None:
-    from steerd.daemon.process.page_job import check_page
-
-    if args.fast:
-        raise SteerdError("--page shows a drive as it happens", "drop --fast", ExitCode.USAGE)
-    if not 0 <= args.page < 65536:
-        raise SteerdError(f"--page {args.page}: a port, 0 to 65535", "", ExitCode.USAGE)
-    check_page(str(args.lab or ""), "" if args.listen == "" else "bus")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -283,8 +200,6 @@ def drive(make: Callable[[], "RunPlan"], *, fast: bool) -> int:
 
 
 def _run_simulated(plan: "RunPlan", core: Prepared) -> int:
-    from dataclasses import replace
-
     from steerd.daemon.assembly.build import make_world_config
     from steerd.sim_hw.real_time.links import spawn_sim
 
@@ -316,8 +231,6 @@ def _was_busy(plan: "RunPlan", reason: str) -> bool:
 
 def _fall_back(plan: "RunPlan") -> int:
     """Drive the plan again in virtual time, into a session of its own."""
-    from dataclasses import replace
-
     from steerd.daemon.offline.fast import run_fast
 
     print("this machine was too busy for real time: the same drive again, in virtual time")
@@ -331,8 +244,7 @@ def _run_live(plan: "RunPlan", core: Prepared) -> tuple[int, str]:
     from steerd.daemon.assembly.session_meta import default_session_path
     from steerd.daemon.ipc.operator import Operator
     from steerd.daemon.process.children import start_processes
-    from steerd.daemon.terminal.closing import closing_lines
-    from steerd.daemon.terminal.dashboard import Dashboard
+    from steerd.daemon.terminal.dashboard import Dashboard, closing_lines
     from steerd.daemon.terminal.terminal import Terminal
     from steerd.steer_bus.clock import MonotonicClock
 

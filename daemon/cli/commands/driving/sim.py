@@ -8,27 +8,21 @@ import argparse
 import sys
 from pathlib import Path
 
-from steerd.daemon.cli.inputs import reads_car
+from steerd.daemon.cli.arguments import missing_car, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd sim`."""
-    reads_car(parser.add_argument(
-        "--car", metavar="FILE.toml|hidden:SEED",
-        help="the simulated car (default: F1TENTH's figures; hidden: one that the seed hides)",
-    ))  # fmt: skip
-    parser.add_argument("--mocap", choices=("natnet", "vrpn"), default="natnet")
-    parser.add_argument("--effect", action="append", default=[], metavar="NAME=VALUE,…")
-    parser.add_argument(
-        "--fault",
-        action="append",
-        default=[],
-        metavar="NAME[@FROM[-TO]]",
-        help="a fault, from and to in seconds after the start",
-    )
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--link-dir", type=Path, help="where the serial port's name is made")
+    text = "the simulated car (default: F1TENTH's figures; hidden: one that the seed hides)"
+    option(parser, "--car", "FILE.toml|hidden:SEED", text, missing_car)
+    text = "protocol of its server"
+    option(parser, "--mocap", None, text, choices=("natnet", "vrpn"), default="natnet")
+    option(parser, "--effect", "NAME=VALUE,…", "of the simulated car", action="append")
+    text = "a fault, from and to in seconds after the start"
+    option(parser, "--fault", "NAME[@FROM[-TO]]", text, action="append")
+    option(parser, "--seed", None, "of its noise", type=int, default=0)
+    option(parser, "--link-dir", None, "where the serial port's name is made", type=Path)
 
 
 def run(args: argparse.Namespace) -> int:

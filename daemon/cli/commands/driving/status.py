@@ -4,7 +4,7 @@ import argparse
 import json
 from collections.abc import Mapping
 
-from steerd.daemon.cli.commands.driving.operate import add_car_arguments
+from steerd.daemon.cli.arguments import add_car_arguments, option
 from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.common.screen import wrap
 from steerd.daemon.ipc.operator import connect, read_model, read_status
@@ -18,7 +18,7 @@ LABEL = 13
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd status`."""
     add_car_arguments(parser)
-    parser.add_argument("--json", action="store_true", help="for programs")
+    option(parser, "--json", "", "for programs")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -15,7 +15,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from steerd.daemon.cli.bus_options import add_bus_arguments
+from steerd.daemon.cli.arguments import add_car_arguments, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.signals import raise_on_stop_signals
 from steerd.daemon.process.pad_map import AXES, BUTTONS, PadMap
@@ -26,47 +26,24 @@ QUIET_MOST_S = 10.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which car, which gamepad, and what its parts mean."""
-    add_bus_arguments(parser)
-    parser.add_argument("--name", default="car1", help="the car's name")
-    parser.add_argument(
-        "--device",
-        type=Path,
-        metavar="DEV",
-        help="gamepad, or a pipe of its events (default: the only one)",
-    )
-    parser.add_argument(
-        "--speed", type=float, default=1.0, metavar="M/S", help="at the axis's end (default 1)"
-    )
-    parser.add_argument(
-        "--steer", type=float, default=0.34, metavar="RAD", help="at the axis's end (default 0.34)"
-    )
+    add_car_arguments(parser)
+    text = "gamepad, or a pipe of its events (default: the only one)"
+    option(parser, "--device", "DEV", text, type=Path)
+    option(parser, "--speed", "M/S", "at the axis's end (default 1)", type=float, default=1.0)
+    option(parser, "--steer", "RAD", "at the axis's end (default 0.34)", type=float, default=0.34)
     for name, known, usual, what in (
         ("--deadman", BUTTONS, "tl", "button that is held to drive"),
         ("--speed-axis", AXES, "rz", "a trigger, or a stick that is pushed"),
         ("--steer-axis", AXES, "x", "a stick"),
     ):
-        parser.add_argument(
-            name,
-            choices=list(known),
-            metavar="NAME",
-            default=usual,
-            help=f"{what}: {', '.join(known)} (default {usual})",
-        )
-    parser.add_argument(
-        "--quiet",
-        type=float,
-        default=2.0,
-        metavar="S",
-        help="a gamepad without events for so long is released (default 2)",
-    )
+        text = f"{what}: {', '.join(known)} (default {usual})"
+        option(parser, name, "NAME", text, choices=list(known), default=usual)
+    text = "a gamepad without events for so long is released (default 2)"
+    option(parser, "--quiet", "S", text, type=float, default=2.0)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Drive until Ctrl-C or the gamepad's end.
-
-    Raises:
-        SteerdError: a number makes no sense, or there is no gamepad, no daemon or no such car.
-    """
+    """Drive until Ctrl-C or the gamepad's end."""
     from steerd.controller.limits import CEILINGS
 
     highest = (CEILINGS["speed_max"].high, CEILINGS["steer_left_max"].high, QUIET_MOST_S)

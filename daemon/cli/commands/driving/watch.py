@@ -12,7 +12,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from steerd.daemon.cli.bus_options import add_bus_arguments
+from steerd.daemon.cli.arguments import add_bus_arguments, option
 from steerd.daemon.common.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -27,19 +27,13 @@ REFRESH_NS = 100_000_000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which car, and how long."""
     add_bus_arguments(parser)
-    parser.add_argument("--name", help="the car's name (default: the only one on the bus)")
-    parser.add_argument(
-        "--operate", action="store_true", help="keys arm, start and stop: closing this stops it"
-    )
-    parser.add_argument("--seconds", type=float, metavar="S", help="leave after this time")
+    option(parser, "--name", None, "the car's name (default: the only one on the bus)")
+    option(parser, "--operate", "", "keys arm, start and stop: closing this stops it")
+    option(parser, "--seconds", "S", "leave after this time", type=float)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show the car until Ctrl-C.
-
-    Raises:
-        SteerdError: no daemon or no such car is there.
-    """
+    """Show the car until Ctrl-C."""
     from steerd.daemon.ipc.operator import connect, read_lab
 
     if args.lab is not None:
@@ -47,12 +41,11 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.live import Live
 
-    from steerd.daemon.common.streams import raw
+    from steerd.daemon.common.screen import raw
     from steerd.daemon.process.bus_operator import REPEAT_NS
     from steerd.daemon.terminal.dashboard import Dashboard
-    from steerd.daemon.terminal.keyboard import keys_one_by_one, wait_for_key
-    from steerd.daemon.terminal.watch import DEPTH, SECOND, Watch, find_car
-    from steerd.daemon.terminal.watch_desk import desk_help, make_desk
+    from steerd.daemon.terminal.key_desk import keys_one_by_one, wait_for_key
+    from steerd.daemon.terminal.watch import DEPTH, SECOND, Watch, desk_help, find_car, make_desk
     from steerd.steer_bus.clock import MonotonicClock
     from steerd.steer_bus.topics import make_key
 

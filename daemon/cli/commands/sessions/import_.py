@@ -10,11 +10,11 @@ import argparse
 import re
 import shlex
 import sys
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from steerd.daemon.cli.inputs import reads_file
+from steerd.daemon.cli.arguments import missing_file, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 
@@ -27,45 +27,28 @@ _BAG_SUFFIXES = (".bag", ".db3", ".mcap", ".zstd")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The log and how to read it."""
-    parser.add_argument(
+    option(
+        parser,
         "words",
-        nargs="+",
-        metavar="[csv|bag] FILE",
-        help="the log: a table with one row per time, a ROS 1 .bag, a ROS 2 bag folder or its "
+        "[csv|bag] FILE",
+        "the log: a table with one row per time, a ROS 1 .bag, a ROS 2 bag folder or its "
         ".mcap or .db3 file",
+        nargs="+",
     )
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="SESSION.mcap", help="default: beside the log"
-    )
-    parser.add_argument(
-        "--ask", action="store_true", help="propose a map, show what it means, then write"
-    )
-    reads_file(parser.add_argument(
-        "--map", type=Path, help=f"which column or topic is what (TOML; {EXAMPLE_MAP} is one)"
-    ))  # fmt: skip
-    parser.add_argument(
-        "--erpm-gain",
-        type=float,
-        metavar="ERPM",
-        help="of 1 m/s; negative for a motor that is wired so (default: F1TENTH's 4614)",
-    )
+    option(parser, "-o --output", "SESSION.mcap", "default: beside the log", type=Path)
+    option(parser, "--ask", "", "propose a map, show what it means, then write")
+    text = f"which column or topic is what (TOML; {EXAMPLE_MAP} is one)"
+    option(parser, "--map", None, text, missing_file, type=Path)
+    text = "of 1 m/s; negative for a motor that is wired so (default: F1TENTH's 4614)"
+    option(parser, "--erpm-gain", "ERPM", text, type=float)
     bag = parser.add_argument_group("bags")
-    bag.add_argument(
-        "--topic",
-        action="append",
-        default=[],
-        metavar="[ROLE=]TOPIC",
-        help="which topic to take where several fit; roles: pose, command, vesc, wheel",
-    )
-    bag.add_argument("--rigid", type=int, metavar="ID", help="which PhaseSpace body is the car")
+    text = "which topic to take where several fit; roles: pose, command, vesc, wheel"
+    option(bag, "--topic", "[ROLE=]TOPIC", text, action="append")
+    option(bag, "--rigid", "ID", "which PhaseSpace body is the car", type=int)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import, then print what the session holds.
-
-    Raises:
-        SteerdError: the log, its map or the output cannot be used.
-    """
+    """Import, then print what the session holds."""
     kind, source = read_words(args.words)
     out = args.output or default_output(source)
     if args.ask:
@@ -124,7 +107,7 @@ def _ask(args: argparse.Namespace, kind: str, source: Path, out: Path) -> int:
     from steerd.daemon.imports.import_session import check_output
 
     check_output(out)
-    text = ask(_propose(kind, source), source, _make_trial(args, kind, source))
+    text = ask(_propose(kind, source), source, partial(_import, args, kind, source))
     the_map = out.with_suffix(".map.toml")
     write_outputs({the_map: text})
     print(f"written: {the_map}")
@@ -145,24 +128,16 @@ def _propose(kind: str, source: Path) -> dict[str, dict[str, object]]:
     return propose_bag(source)
 
 
-def _make_trial(args: argparse.Namespace, kind: str, source: Path) -> Callable[[Path, Path], None]:
-    def trial(the_map: Path, out: Path) -> None:
-        _import(args, kind, source, the_map, out)
-
-    return trial
-
-
 def _print_result(made: "ImportReport", args: argparse.Namespace) -> None:
     from steerd.daemon.common.screen import print_labelled
-    from steerd.daemon.sessions.info import load_session, make_session_report
-    from steerd.daemon.sessions.text import format_report
+    from steerd.daemon.sessions.info import load_recording, make_session_report
+    from steerd.daemon.sessions.text import format_report, print_warnings
 
-    report = make_session_report(load_session(made.path))
+    report = make_session_report(load_recording(made.path))
     print(format_report(report))
     for remark in made.remarks:
         print_labelled("note: ", remark, sys.stderr)
-    for warning in (*made.notes, *report.warnings):
-        print_labelled("warning: ", warning, sys.stderr)
+    print_warnings((*made.notes, *report.warnings))
     print(f"\nwritten: {made.path}")
     session = made.path
     if found := re.search(r"--erpm-gain (-?\d+)", " ".join(report.warnings)):

@@ -6,26 +6,22 @@ steerd info SESSION.mcap --json
 
 import argparse
 
-from steerd.daemon.cli.session_argument import add_session, pick_session
+from steerd.daemon.cli.arguments import add_session, option, pick_session
 from steerd.daemon.common.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The session and the form of the output."""
     add_session(parser)
-    parser.add_argument("--json", action="store_true", help="the same for programs")
+    option(parser, "--json", "", "the same for programs")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what the session holds; warnings go to standard error.
-
-    Raises:
-        SteerdError: the file cannot be read or holds no session.
-    """
-    from steerd.daemon.sessions.info import load_session, make_session_report
+    """Print what the session holds; warnings go to standard error."""
+    from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.text import format_report, make_json, print_warnings
 
-    report = make_session_report(load_session(pick_session(args.session)))
+    report = make_session_report(load_recording(pick_session(args.session)))
     if args.json:
         import json
 

@@ -9,27 +9,19 @@ steerd plot BEFORE.mcap AFTER.mcap       # drives of one lane, compared by place
 import argparse
 from pathlib import Path
 
-from steerd.daemon.cli.session_argument import add_sessions, pick_sessions
+from steerd.daemon.cli.arguments import add_sessions, option, pick_sessions
 from steerd.daemon.common.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The sessions and the page."""
     add_sessions(parser)
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="FILE.html", help="default: beside the session"
-    )
+    option(parser, "-o --output", "FILE.html", "default: beside the session", type=Path)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the page and say where it is.
-
-    Raises:
-        SteerdError: a session cannot be read, drives cannot be compared, or the page not be
-            written.
-    """
-    from steerd.daemon.common.outputs import check_outputs
-    from steerd.daemon.common.written import write_outputs
+    """Write the page and say where it is."""
+    from steerd.daemon.common.written import check_outputs, write_outputs
 
     paths = pick_sessions(args.sessions)
     output = args.output or _default_output(paths)
@@ -47,16 +39,16 @@ def _default_output(paths: list[Path]) -> Path:
 
 
 def _draw(path: Path) -> str:
-    from steerd.daemon.sessions.info import load_session, make_session_report
+    from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.plot_data import make_drawing
     from steerd.daemon.sessions.plot_model import with_model
     from steerd.daemon.sessions.plot_page import make_page
     from steerd.daemon.sessions.text import print_warnings
 
-    session = load_session(path)
-    report = make_session_report(session)
+    read = load_recording(path)
+    report = make_session_report(read)
     print_warnings(report.warnings)
-    return make_page(report, with_model(make_drawing(session), session))
+    return make_page(report, with_model(make_drawing(read), read))
 
 
 def _compare(paths: list[Path]) -> str:

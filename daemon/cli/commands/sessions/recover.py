@@ -8,27 +8,19 @@ Reads SESSION.mcap.partial where the session never got its name.
 import argparse
 from pathlib import Path
 
-from steerd.daemon.cli.inputs import reads_partial
+from steerd.daemon.cli.arguments import missing_partial, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.translate import make_session_error
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The broken file and the name of the new one."""
-    reads_partial(parser.add_argument(
-        "session", type=Path, metavar="SESSION", help="an unfinished session file"
-    ))  # fmt: skip
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="OUT.mcap", help="default: NAME.recovered.mcap"
-    )
+    option(parser, "session", "SESSION", "an unfinished session file", missing_partial, type=Path)
+    option(parser, "-o --output", "OUT.mcap", "default: NAME.recovered.mcap", type=Path)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Copy what can be read and print what was saved and what was lost.
-
-    Raises:
-        SteerdError: the file cannot be read, holds nothing, or the new one cannot be written.
-    """
+    """Copy what can be read and print what was saved and what was lost."""
     from steerd.daemon.imports.import_session import check_output
     from steerd.daemon.sessions.info import load_session
     from steerd.daemon.sessions.text import print_warnings

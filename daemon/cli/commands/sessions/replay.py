@@ -2,13 +2,13 @@
 
 import argparse
 
-from steerd.daemon.cli.session_argument import add_session, pick_session
+from steerd.daemon.cli.arguments import add_session, option, pick_session
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd replay`."""
     add_session(parser)
-    parser.add_argument("--show", type=int, default=5, metavar="N", help="differences to print")
+    option(parser, "--show", "N", "differences to print", type=int, default=5)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -14,7 +14,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from steerd.daemon.cli.inputs import reads_session
+from steerd.daemon.cli.arguments import missing_session, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 SHOWN = 40
@@ -23,27 +23,23 @@ SHOWN = 40
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The list's options, and what can be written about a drive."""
-    parser.add_argument("--folder", type=Path, metavar="DIR", help="another folder than these")
-    parser.add_argument("--tag", metavar="TAG", help="only drives with this tag")
-    parser.add_argument("--car", metavar="NAME", help="only drives of this car")
-    parser.add_argument("--all", action="store_true", help=f"more than {SHOWN}")
-    parser.add_argument("--json", action="store_true", help="the same for programs")
+    option(parser, "--folder", "DIR", "another folder than these", type=Path)
+    option(parser, "--tag", "TAG", "only drives with this tag")
+    option(parser, "--car", "NAME", "only drives of this car")
+    option(parser, "--all", "", f"more than {SHOWN}")
+    option(parser, "--json", "", "the same for programs")
     kinds = parser.add_subparsers(dest="kind", metavar="tag|untag|note")
     for kind, text in (("tag", "add tags to a drive"), ("untag", "take tags away")):
         child = kinds.add_parser(kind, help=text)
-        reads_session(child.add_argument("session", metavar="SESSION", help="a file, @last or @-N"))
-        child.add_argument("tags", nargs="+", metavar="TAG")
+        option(child, "session", "SESSION", "a file, @last or @-N", missing_session)
+        option(child, "tags", "TAG", "", nargs="+")
     note = kinds.add_parser("note", help="write a sentence about a drive; an empty one removes it")
-    reads_session(note.add_argument("session", metavar="SESSION", help="a file, @last or @-N"))
-    note.add_argument("text", nargs="+", metavar="TEXT")
+    option(note, "session", "SESSION", "a file, @last or @-N", missing_session)
+    option(note, "text", "TEXT", "", nargs="+")
 
 
 def run(args: argparse.Namespace) -> int:
-    """List the drives, or write about one.
-
-    Raises:
-        SteerdError: the folder or the drive does not exist, or a note cannot be written.
-    """
+    """List the drives, or write about one."""
     from steerd.daemon.sessions.catalogue import default_folders, find_session
 
     if args.folder is not None and not args.folder.is_dir():
@@ -56,8 +52,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _list(args: argparse.Namespace, folders: tuple[Path, ...]) -> int:
     from steerd.daemon.common.progress import show_progress
-    from steerd.daemon.sessions.catalogue import find_sessions, list_entries
-    from steerd.daemon.sessions.catalogue_text import format_entries, make_json
+    from steerd.daemon.sessions.catalogue import (
+        find_sessions,
+        format_entries,
+        list_entries,
+        make_json,
+    )
 
     paths = find_sessions(folders)
     shown = paths if args.all or args.tag or args.car or args.json else paths[:SHOWN]

@@ -13,7 +13,7 @@ from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from steerd.daemon.cli.inputs import reads_car, reads_session
+from steerd.daemon.cli.arguments import missing_car, missing_session, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
@@ -26,21 +26,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to calibrate, and from what."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="servo")
     servo = kinds.add_parser("servo", help="centre, gain and limits of the steering")
-    reads_session(servo.add_argument("session", nargs="?", type=Path, metavar="SESSION"))
-    servo.add_argument("--port", metavar="DEV", help="move the servo of this VESC by the keys")
-    reads_car(
-        servo.add_argument("--car", type=Path, metavar="FILE.toml", help="car file to start from")
-    )
-    servo.add_argument("-o", "--output", type=Path, metavar="CAR.toml", help="car file to make")
+    option(servo, "session", "SESSION", "", missing_session, nargs="?", type=Path)
+    option(servo, "--port", "DEV", "move the servo of this VESC by the keys")
+    option(servo, "--car", "FILE.toml", "car file to start from", missing_car, type=Path)
+    option(servo, "-o --output", "CAR.toml", "car file to make", type=Path)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Calibrate.
-
-    Raises:
-        SteerdError: session, port or car file cannot be used.
-    """
-    from steerd.daemon.common.outputs import check_outputs
+    """Calibrate."""
+    from steerd.daemon.common.written import check_outputs
 
     if bool(args.session) == bool(args.port):
         hint = "steerd calibrate servo DRIVE.mcap, or steerd calibrate servo --port DEV"
@@ -50,8 +44,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _from_session(args: argparse.Namespace) -> int:
-    from steerd.daemon.common.screen import print_labelled
     from steerd.daemon.common.translate import load_car_file
+    from steerd.daemon.sessions.text import print_warnings
     from steerd.daemon.setup.calibration_data import load_recorded, make_motion, steering_commands
     from steerd.daemon.setup.steering_calibration import calibrate_steering
 
@@ -62,8 +56,7 @@ def _from_session(args: argparse.Namespace) -> int:
     )
     scaling = servo_scaling(found, r.settings.scaling)
     print("\n".join(_describe(found, scaling)))
-    for warning in found.warnings:
-        print_labelled("warning: ", warning, sys.stderr)
+    print_warnings(found.warnings)
     base = load_car_file(args.car) if args.car else r.settings.file
     return _finish(args, base, servo_values(scaling))
 
@@ -108,15 +101,12 @@ def _describe(found: "SteeringCalibration", scaling: "Scaling") -> list[str]:
 
 
 def _finish(args: argparse.Namespace, base: "CarFile", values: dict[tuple[str, str], float]) -> int:
-    from steerd.daemon.common.written import car_outputs, write_outputs
-    from steerd.daemon.settings.car_edit import edit_car
+    from steerd.daemon.settings.car_edit import write_edited
 
-    new = edit_car(base, values)
-    if args.output is None:
+    if write_edited(args.output, base, values):
+        print(f"{args.output}: written\n   next: steerd config --check {args.output}")
+    else:
         print("   next: the same with -o car.toml writes it")
-        return ExitCode.OK
-    write_outputs(car_outputs(args.output, new))
-    print(f"{args.output}: written\n   next: steerd config --check {args.output}")
     return ExitCode.OK
 
 

@@ -8,26 +8,65 @@ steerd completion man > ~/.local/share/man/man1/steerd.1
 """
 
 import argparse
+import importlib
+import re
+from pathlib import Path
 
-from steerd.daemon.cli.completion import SHELLS, make_manual, make_script
+import shtab
+
+from steerd.daemon.cli.arguments import list_actions, option
 from steerd.daemon.common.errors import ExitCode
+from steerd.version import VERSION
 
-MANUAL = "man"
-"""Word for the manual page."""
+SHELLS = ("bash", "zsh", "tcsh", "fish")
+_FILE_MARKS = ("FILE", "PATH", "SESSION", ".toml", ".mcap", ".html", "DEV")
+"""A value whose metavar holds one of these is a file's name; `DIR` is a folder's."""
+_HEAD = re.compile(r"^\.TH .*$", re.MULTILINE)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to print."""
-    parser.add_argument("shell", choices=(*SHELLS, MANUAL), help="a shell, or man for the manual")
+    option(parser, "shell", None, "a shell, or man for the manual", choices=(*SHELLS, "man"))
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the script."""
-    from steerd.daemon.cli.main import COMMANDS
-    from steerd.version import VERSION
-
-    if args.shell == MANUAL:
-        print(make_manual(COMMANDS, VERSION))
-    else:
-        print(make_script(args.shell, COMMANDS))
+    """Print the script or the page."""
+    parser = make_full_parser()
+    print(make_manual(parser) if args.shell == "man" else shtab.complete(parser, args.shell))
     return ExitCode.OK
+
+
+def make_manual(parser: argparse.ArgumentParser) -> str:
+    """The manual page in roff; the same text for the same commands and version."""
+    from argparse_manpage.manpage import Manpage
+
+    parser.description = "Control, identification and sim-to-real diagnosis for Ackermann cars."
+    page = str(Manpage(parser, _data={"version": VERSION, "project_name": "steerd"}))
+    # The day on which it was printed is nobody's business.
+    return _HEAD.sub(f'.TH STEERD "1" "" "steerd {VERSION}" "steerd"', page, count=1)
+
+
+def make_full_parser() -> argparse.ArgumentParser:
+    """One parser that knows every command's options; running a command needs only its own."""
+    from steerd.daemon.cli.main import COMMANDS
+
+    parser = argparse.ArgumentParser(prog="steerd")
+    parser.add_argument("--version", action="store_true", help="print the version")
+    children = parser.add_subparsers(dest="command", metavar="COMMAND")
+    for name, (module, text) in COMMANDS.items():
+        child = children.add_parser(name, help=text)
+        importlib.import_module(f"steerd.daemon.cli.commands.{module}").add_arguments(child)
+        for action in list_actions(child):
+            _mark_file(action)
+    return parser
+
+
+def _mark_file(action: argparse.Action) -> None:
+    """Say whether values are file names, by the attribute that shtab looks for."""
+    metavar = str(action.metavar or "")
+    if action.nargs == 0 or action.choices is not None:
+        return
+    if "DIR" in metavar:
+        action.complete = shtab.DIRECTORY  # type: ignore[attr-defined]
+    elif action.type is Path or any(mark in metavar for mark in _FILE_MARKS):
+        action.complete = shtab.FILE  # type: ignore[attr-defined]

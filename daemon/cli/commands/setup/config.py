@@ -12,7 +12,7 @@ from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from steerd.daemon.cli.inputs import reads_car, reads_file
+from steerd.daemon.cli.arguments import missing_car, missing_file, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
@@ -21,23 +21,14 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to do with the car file."""
-    reads_car(
-        parser.add_argument("--check", type=Path, metavar="FILE.toml", help="check this car file")
-    )
-    reads_file(parser.add_argument(
-        "--from-vesc-yaml", type=Path, metavar="FILE", help="print a car file with its gains"
-    ))  # fmt: skip
-    parser.add_argument(
-        "--to-vesc-yaml", type=Path, metavar="FILE", help="write the gains there, or make the file"
-    )
+    option(parser, "--check", "FILE.toml", "check this car file", missing_car, type=Path)
+    text = "print a car file with its gains"
+    option(parser, "--from-vesc-yaml", "FILE", text, missing_file, type=Path)
+    option(parser, "--to-vesc-yaml", "FILE", "write the gains there, or make the file", type=Path)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print, check or convert.
-
-    Raises:
-        SteerdError: a file cannot be read, or is not right.
-    """
+    """Print, check or convert."""
     from steerd.car_model.car_file import default_car_path
     from steerd.daemon.settings.car_edit import edit_car
     from steerd.daemon.settings.config import load_settings

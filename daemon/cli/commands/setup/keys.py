@@ -13,6 +13,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
+from steerd.daemon.cli.arguments import option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.lab import DEFAULT_PORT
@@ -33,25 +34,17 @@ class Roster(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd keys`."""
-    parser.add_argument("folder", type=Path, metavar="DIR", help="the lab's folder")
-    parser.add_argument("--host", help="the car's address or name in the lab's network")
-    parser.add_argument("--port", type=int, default=DEFAULT_PORT, help="its TCP port")
-    parser.add_argument("--car", default="car1", metavar="NAME", help="the car's name on the bus")
-    parser.add_argument(
-        "--operator", action="append", default=[], metavar="NAME", help="who may drive"
-    )
-    parser.add_argument(
-        "--viewer", action="append", default=[], metavar="NAME", help="who may only watch"
-    )
-    parser.add_argument("--years", type=float, default=5.0, help="how long they hold (default 5)")
+    option(parser, "folder", "DIR", "the lab's folder", type=Path)
+    option(parser, "--host", None, "the car's address or name in the lab's network")
+    option(parser, "--port", None, "its TCP port", type=int, default=DEFAULT_PORT)
+    option(parser, "--car", "NAME", "the car's name on the bus", default="car1")
+    option(parser, "--operator", "NAME", "who may drive", action="append")
+    option(parser, "--viewer", "NAME", "who may only watch", action="append")
+    option(parser, "--years", None, "how long they hold (default 5)", type=float, default=5.0)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command.
-
-    Raises:
-        SteerdError: a file exists already, or a name is not valid.
-    """
+    """Make a lab, or add people to one."""
     if not 0.0 < args.years <= 50.0 or not 0 < args.port < 65536:
         raise SteerdError("--years: up to 50; --port: 1 to 65535", "", ExitCode.USAGE)
     if args.host is not None and not args.host.strip():
@@ -61,70 +54,54 @@ def run(args: argparse.Namespace) -> int:
     except ImportError:
         hint = "pip install cryptography, on this machine only"
         raise SteerdError("steerd keys needs cryptography", hint, ExitCode.UNREADABLE) from None
-    clock = MonotonicClock()
-    now = datetime.fromtimestamp(clock.realtime_ns() * 1e-9).astimezone()
-    if args.host is None:
-        roster = _add(args, now)
-    else:
-        roster = _begin(args, now)
-    print(explain(args.folder, roster, began=args.host is not None, added=_names(args)))
+    began = args.host is not None
+    args.operator = args.operator or (["operator"] if began else [])
+    added = (*args.operator, *args.viewer)
+    if not added:
+        hint = "steerd keys DIR --host ADDRESS, or --operator NAME to add to a lab"
+        raise SteerdError("nothing to make: no --host and no new name", hint, ExitCode.USAGE)
+    old = _begin_roster(args) if began else _read_roster(args.folder)
+    _check_names(old, added)  # of all, before anything is written
+    operators, viewers = (*old.operators, *args.operator), (*old.viewers, *args.viewer)
+    roster = old._replace(operators=operators, viewers=viewers)
+    _issue_all(args, roster.car if began else None, added)
+    _write_roster(args.folder, roster, added, car_new=began)
+    print(explain(args.folder, roster, began=began, added=added))
     return ExitCode.OK
 
 
-def _names(args: argparse.Namespace) -> tuple[str, ...]:
-    return (*args.operator, *args.viewer)
-
-
-def _begin(args: argparse.Namespace, now: datetime) -> Roster:
-    """A new lab: authority, car, people."""
-    from steerd.daemon.cli.certificates import issue, make_authority
-
+def _begin_roster(args: argparse.Namespace) -> Roster:
+    """A lab without people."""
     try:
         car = check_car_name(args.car)
     except ValueError as error:
         raise SteerdError(str(error), "--car car1", ExitCode.USAGE) from None
     host = f"[{args.host}]" if ":" in args.host and "[" not in args.host else args.host
-    args.operator = args.operator or ["operator"]
-    empty = Roster(car, f"tls/{host}:{args.port}", (), ())
-    roster = _enrol(args, empty)
-    issuer = make_authority(args.folder, car, now, args.years)
-    issue(args.folder, issuer, car, args.host, now, args.years)
-    _issue_all(args, now)
-    _write_roster(args.folder, roster, _names(args), car_new=True)
-    return roster
+    return Roster(car, f"tls/{host}:{args.port}", (), ())
 
 
-def _add(args: argparse.Namespace, now: datetime) -> Roster:
-    """More people for a lab that is there."""
-    if not _names(args):
-        hint = "steerd keys DIR --host ADDRESS, or --operator NAME to add to a lab"
-        raise SteerdError("nothing to make: no --host and no new name", hint, ExitCode.USAGE)
-    roster = _enrol(args, _read_roster(args.folder))
-    _issue_all(args, now)
-    _write_roster(args.folder, roster, _names(args), car_new=False)
-    return roster
-
-
-def _enrol(args: argparse.Namespace, roster: Roster) -> Roster:
-    """The roster with the new names; nothing is written before all of them are checked."""
+def _check_names(roster: Roster, added: tuple[str, ...]) -> None:
     from steerd.daemon.cli.certificates import check_name
 
     known = {roster.car, *roster.operators, *roster.viewers}
-    for name in map(check_name, _names(args)):
+    for name in map(check_name, added):
         if name in known:
             hint = "choose another name; a certificate is never replaced"
             raise SteerdError(f"{name!r} exists already", hint, ExitCode.USAGE)
         known.add(name)
-    return roster._replace(
-        operators=(*roster.operators, *args.operator), viewers=(*roster.viewers, *args.viewer)
-    )
 
 
-def _issue_all(args: argparse.Namespace, now: datetime) -> None:
-    from steerd.daemon.cli.certificates import issue, load_authority
+def _issue_all(args: argparse.Namespace, new_car: str | None, added: tuple[str, ...]) -> None:
+    """Certificates for people, of a new lab for its car too."""
+    from steerd.daemon.cli.certificates import issue, load_authority, make_authority
 
-    issuer = load_authority(args.folder)
-    for name in _names(args):
+    now = datetime.fromtimestamp(MonotonicClock().realtime_ns() * 1e-9).astimezone()
+    if new_car is None:
+        issuer = load_authority(args.folder)
+    else:
+        issuer = make_authority(args.folder, new_car, now, args.years)
+        issue(args.folder, issuer, new_car, args.host, now, args.years)
+    for name in added:
         issue(args.folder, issuer, name, None, now, args.years)
 
 

@@ -13,7 +13,7 @@ from math import degrees, hypot
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from steerd.daemon.cli.inputs import reads_car, reads_session
+from steerd.daemon.cli.arguments import missing_car, missing_session, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
@@ -29,24 +29,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Check or calibrate."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="check|calibrate")
     check = kinds.add_parser("check", help="units, axes and heading, from a short push or a drive")
-    reads_session(check.add_argument("session", nargs="?", type=Path, metavar="SESSION"))
-    check.add_argument("--mocap", metavar="URL", help="watch this source instead of a session")
-    reads_car(check.add_argument("--car", metavar="FILE.toml", help="with --mocap: car file"))
-    check.add_argument("--seconds", type=float, default=10.0, metavar="S", help="with --mocap")
+    option(check, "session", "SESSION", "", missing_session, nargs="?", type=Path)
+    option(check, "--mocap", "URL", "watch this source instead of a session")
+    option(check, "--car", "FILE.toml", "with --mocap: car file", missing_car)
+    option(check, "--seconds", "S", "with --mocap", type=float, default=10.0)
     calibrate = kinds.add_parser("calibrate", help="heading, place, wheel gain and delay")
-    reads_session(calibrate.add_argument("session", type=Path, metavar="SESSION"))
-    calibrate.add_argument("-o", "--output", type=Path, metavar="CAR.toml", help="car file to make")
-    reads_car(calibrate.add_argument(
-        "--car", type=Path, metavar="FILE.toml", help="car file to start from (the session's own)"
-    ))  # fmt: skip
+    option(calibrate, "session", "SESSION", "", missing_session, type=Path)
+    option(calibrate, "-o --output", "CAR.toml", "car file to make", type=Path)
+    text = "car file to start from (the session's own)"
+    option(calibrate, "--car", "FILE.toml", text, missing_car, type=Path)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check or calibrate.
-
-    Raises:
-        SteerdError: session or source cannot be used.
-    """
+    """Check or calibrate."""
     return _check(args) if args.kind == "check" else _calibrate(args)
 
 
@@ -60,19 +55,18 @@ def _check(args: argparse.Namespace) -> int:
     checks = _check_session(args.session) if args.session else _check_live(args)
     for check in checks:
         print(f"{'pass' if check.ok else 'FAIL'}  {check.name:<8} {check.figure}")
-        if check.fix:
+        if not check.ok:
             print(f"      try: {check.fix}")
     return ExitCode.OK if all(check.ok for check in checks) else ExitCode.STOPPED
 
 
 def _check_session(path: Path) -> "list[Check]":
-    from steerd.daemon.sessions.info import find_table
     from steerd.daemon.setup.calibration_data import load_recorded
     from steerd.daemon.setup.mocap_check import Movement, check_movement
     from steerd.steer_bus import topics
 
     r = load_recorded(path)
-    p, every = r.poses, find_table(r.tables, topics.MOCAP)
+    p, every = r.poses, r.read.table(topics.MOCAP)
     refused = 0 if every is None else int((every["reject"] != "").sum())
     t = (p["t_valid_ns"] - r.start_ns) * 1e-9
     columns = (p[name] for name in ("x", "y", "yaw", "height", "tilt"))
@@ -120,11 +114,10 @@ def _check_live(args: argparse.Namespace) -> "list[Check]":
 
 def _calibrate(args: argparse.Namespace) -> int:
     from steerd.car_model.planar import DRIVES
-    from steerd.daemon.common.outputs import check_outputs
-    from steerd.daemon.common.screen import print_labelled
     from steerd.daemon.common.translate import load_car_file
-    from steerd.daemon.common.written import car_outputs, write_outputs
-    from steerd.daemon.settings.car_edit import edit_car
+    from steerd.daemon.common.written import check_outputs
+    from steerd.daemon.sessions.text import print_warnings
+    from steerd.daemon.settings.car_edit import write_edited
     from steerd.daemon.setup.calibration_data import load_recorded, make_drive
     from steerd.daemon.setup.mount_calibration import calibrate_mount
 
@@ -132,17 +125,14 @@ def _calibrate(args: argparse.Namespace) -> int:
     r = load_recorded(args.session)
     file = r.settings.file
     found = calibrate_mount(make_drive(r), file.car, DRIVES.get(file.chassis.drive, 0.0))
-    values = new_values(found, r)
     print("\n".join(_describe(found, r)))
-    for warning in found.warnings:
-        print_labelled("warning: ", warning, sys.stderr)
-    car = edit_car(load_car_file(args.car) if args.car else r.settings.file, values)
-    if args.output is None:
+    print_warnings(found.warnings)
+    base = load_car_file(args.car) if args.car else file
+    if write_edited(args.output, base, new_values(found, r)):
+        print(f"{args.output}: written\n   next: steerd run --sim --car {args.output}")
+        print("         (on the car: --port and --mocap for --sim)")
+    else:
         print(f"   next: steerd mocap calibrate {args.session} -o car.toml")
-        return ExitCode.OK
-    write_outputs(car_outputs(args.output, car))
-    print(f"{args.output}: written\n   next: steerd run --sim --car {args.output}")
-    print("         (on the car: --port and --mocap for --sim)")
     return ExitCode.OK
 
 

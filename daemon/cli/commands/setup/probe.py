@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from steerd.daemon.cli.inputs import reads_car
+from steerd.daemon.cli.arguments import missing_car, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.setup.probe import VESC_USB, Advice, MocapSeen, SerialFound
 
@@ -23,23 +23,15 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Where to look."""
-    parser.add_argument("--port", metavar="DEV", help="query this port only, whatever its USB id")
-    parser.add_argument("--mocap", metavar="URL", help="listen to this source, as `steerd run`")
-    reads_car(parser.add_argument(
-        "--car", metavar="FILE.toml", help="car file: units, axes, cells, timeout"
-    ))  # fmt: skip
-    parser.add_argument(
-        "--seconds", type=float, default=3.0, metavar="S", help="to listen to a mocap source"
-    )
-    parser.add_argument("--json", action="store_true", help="the same for programs")
+    option(parser, "--port", "DEV", "query this port only, whatever its USB id")
+    option(parser, "--mocap", "URL", "listen to this source, as `steerd run`")
+    option(parser, "--car", "FILE.toml", "car file: units, axes, cells, timeout", missing_car)
+    option(parser, "--seconds", "S", "to listen to a mocap source", type=float, default=3.0)
+    option(parser, "--json", "", "the same for programs")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the findings; exit code 3 if what was named cannot be used, or nothing was found.
-
-    Raises:
-        SteerdError: the mocap address or the car file makes no sense.
-    """
+    """Print the findings; exit code 3 if what was named cannot be used, or nothing was found."""
     from steerd.car_model.car_file import default_car_path
     from steerd.daemon.settings.config import load_settings
     from steerd.daemon.setup.probe_ask import find_sockets, in_group

@@ -8,6 +8,7 @@ import argparse
 import os
 import sys
 
+from steerd.daemon.cli.arguments import option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 STOLEN_SHARE = 0.001
@@ -16,11 +17,9 @@ STOLEN_SHARE = 0.001
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd rtcheck`."""
-    parser.add_argument("--seconds", type=float, default=10.0, help="how long to measure")
-    parser.add_argument(
-        "--under-load", action="store_true", help="keep every processor busy meanwhile"
-    )
-    parser.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="of the loop")
+    option(parser, "--seconds", None, "how long to measure", type=float, default=10.0)
+    option(parser, "--under-load", "", "keep every processor busy meanwhile")
+    option(parser, "--rate", "HZ", "of the loop", type=float, default=100.0)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -113,19 +113,3 @@ def test_the_prediction_comes_before_the_measurement(gap):
 def test_identify_refuses_what_makes_no_sense(arguments, what, drive):
     with pytest.raises(steerd.SteerdError, match=what):
         steerd.identify(drive, **arguments)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "what"),
-    [
-        ({"only": ["wings"]}, "wings"),
-        ({"only": ["mass"], "without": ["mass"]}, "leave no effect"),
-        ({"healthy": "{drive}"}, "its gap would pass for noise"),
-        ({"held_out": "none.mcap"}, "does not exist"),
-        ({"jobs": 0}, "jobs 0"),
-    ],
-)
-def test_diagnose_refuses_what_makes_no_sense(arguments, what, drive):
-    given = {k: drive if v == "{drive}" else v for k, v in arguments.items()}
-    with pytest.raises(steerd.SteerdError, match=what):
-        steerd.diagnose(drive, **given)

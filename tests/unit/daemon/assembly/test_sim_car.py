@@ -6,8 +6,13 @@ from pathlib import Path
 import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.daemon.assembly.build import make_plan, make_world_config
-from steerd.daemon.assembly.session_meta import make_attachments, make_metadata
+from steerd.daemon.assembly.build import make_design_car, make_plan, make_world_config
+from steerd.daemon.assembly.session_meta import (
+    csv_file,
+    default_session_path,
+    make_attachments,
+    make_metadata,
+)
 from steerd.daemon.assembly.sim_car import (
     BIAS,
     SHARES,
@@ -17,7 +22,7 @@ from steerd.daemon.assembly.sim_car import (
     read_true_car,
 )
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.settings.run_options import RunOptions, encode_options
+from steerd.daemon.settings.run_options import RunOptions, decode_options, encode_options
 
 CAR_FILE = Path(__file__).resolve().parents[4] / "config" / "f1tenth.toml"
 
@@ -108,3 +113,91 @@ def test_an_old_session_was_driven_on_its_car_file():
     old = meta(make())
     del old["steerd.truth"]
     assert read_true_car(old) == make().settings.file.car
+
+
+# Plans: what is refused before anything starts, and what the design may count on.
+
+OPTIONS = RunOptions(car_file="", path="line", speed=1.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said", "code"),
+    [
+        ({"port": "/dev/ttyACM0", "rate_hz": 49.0}, "50 to 1000 Hz", ExitCode.USAGE),
+        ({"port": "/dev/x", "simulated": True, "rate_hz": 19.0}, "20 to 1000 Hz", ExitCode.USAGE),
+        ({"rate_hz": 1001.0}, "20 to 1000 Hz", ExitCode.USAGE),
+        ({"car": "a/b"}, "--name", ExitCode.USAGE),
+        ({"path": "spiral"}, "--path spiral", ExitCode.USAGE),
+        ({"path": "csv:/nowhere.csv"}, "--path csv:/nowhere.csv", ExitCode.USAGE),
+        ({"drill": "mixed;open;box=0.5"}, "needs a box of", ExitCode.USAGE),
+    ],
+)
+def test_options_that_cannot_be_driven_are_refused(changes, said, code):
+    with pytest.raises(SteerdError) as error:
+        make_plan(replace(OPTIONS, **changes), design=False)
+    assert said in error.value.what
+    assert error.value.code == code
+
+
+def test_a_drills_box_becomes_the_fence():
+    plan = make_plan(replace(OPTIONS, drill="mixed;open;speed=1;box=9"), design=False)
+    assert plan.settings.thresholds.fence == plan.drill.box.fence
+    assert len(plan.settings.thresholds.fence) == 4
+
+
+def test_the_design_counts_on_the_limited_steering_only():
+    settings = make_plan(OPTIONS, design=False).settings
+    tight = replace(settings, limits=replace(settings.limits, steer_left_max=0.1))
+    car = make_design_car(tight)
+    assert car.steer_max == 0.1
+    assert car.steer_min == make_design_car(settings).steer_min
+
+
+# What a session file says of its run: name, metadata, attachments.
+
+GIVEN = RunOptions(car_file="", path="line", speed=1.0, simulated=True)
+NOON_NS = 1_700_000_000_000_000_000
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return make_plan(GIVEN, design=False)
+
+
+def test_a_session_is_named_by_date_car_and_run_in_the_services_folder(monkeypatch, tmp_path):
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    path = default_session_path("car1", NOON_NS, 0x1_2345_6789)
+    assert path == tmp_path / "sessions" / "2023-11-14T22-13-20Z_car1_23456789.mcap"
+
+
+def test_without_a_service_it_is_in_the_users_folder(monkeypatch, tmp_path):
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    assert default_session_path("car1", NOON_NS, 1).parent == tmp_path / "steerd" / "sessions"
+
+
+def test_reproducible_metadata_say_nothing_of_the_machine(plan):
+    plain = make_metadata(plan, 3, 4, leased=True)
+    same = make_metadata(plan, 3, 4, leased=True, reproducible=True)
+    lost = set(plain["steerd.session"]) - set(same["steerd.session"])
+    assert {"host", "kernel"} <= lost <= {"host", "kernel", "git"}
+    session = same["steerd.session"]
+    assert (session["boot_id"], session["epoch_ns"], session["leased"]) == ("3", "4", "1")
+    assert session["mode"] == "sim"
+    assert decode_options(session["options"]) == plan.options
+
+
+@pytest.mark.parametrize(
+    ("spec", "file"),
+    [("csv:lane.csv", "lane.csv"), ("csv:a/b.csv,closed", "a/b.csv"), ("circle:radius=2", None)],
+)
+def test_a_path_file_is_known_by_its_description(spec, file):
+    assert csv_file(spec) == file
+
+
+def test_car_file_and_path_file_are_attached_unchanged(plan, tmp_path: Path):
+    lane = tmp_path / "lane.csv"
+    lane.write_text("x,y\n0,0\n1,0\n")
+    with_file = replace(plan, options=replace(plan.options, path=f"csv:{lane},closed"))
+    assert make_attachments(plan) == {"car.toml": plan.settings.file.text}
+    assert make_attachments(with_file)["path.csv"] == lane.read_text()

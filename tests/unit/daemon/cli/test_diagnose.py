@@ -17,9 +17,9 @@ from steerd.daemon.analysis.car_output import diagnosed_values
 from steerd.daemon.analysis.diagnose_text import COLUMNS, LINES
 from steerd.daemon.analysis.diagnosis import make_case
 from steerd.daemon.analysis.options import DiagnoseOptions, HeldOut, read_arguments, read_held_out
+from steerd.daemon.cli.arguments import split_held_out
 from steerd.daemon.cli.commands.analysis import diagnose as command
 from steerd.daemon.cli.main import run_cli as main
-from steerd.daemon.cli.session_argument import split_held_out
 from steerd.daemon.common.errors import SteerdError
 from tests.csv_logs import STEP, import_log, make_noisy_rows
 

@@ -29,6 +29,12 @@ def rows():
     return make_noisy_rows(TRUE, 26.0, 0.9)
 
 
+@pytest.fixture(scope="module")
+def session(rows, tmp_path_factory):
+    """The session of all rows."""
+    return import_log(tmp_path_factory.mktemp("whole"), rows)
+
+
 @pytest.fixture
 def importer(tmp_path):
     return partial(import_log, tmp_path)
@@ -45,8 +51,7 @@ def _outputs(folder):
 FREE = ["--free", "c_sf,c_sr,steer_gain,steer_lag,speed_lag"]
 
 
-def test_a_drive_becomes_a_car_file_json_and_report(rows, importer, tmp_path, capsys):
-    session = importer(rows)
+def test_a_drive_becomes_a_car_file_json_and_report(session, tmp_path, capsys):
     capsys.readouterr()
     given = ["--fix", "mass=3.2"]
     assert main(["identify", str(session), *FREE, *given, *_outputs(tmp_path)]) == 0
@@ -68,11 +73,9 @@ def test_a_drive_becomes_a_car_file_json_and_report(rows, importer, tmp_path, ca
 
 
 @pytest.mark.parametrize("fixed", ["lf=0.15", "lf=0.15,lr=0.18"])
-def test_the_car_that_is_written_has_the_axles_that_were_fitted(
-    fixed, rows, importer, tmp_path, capsys
-):
+def test_the_car_that_is_written_has_the_axles_that_were_fitted(fixed, session, tmp_path, capsys):
     args = ["--fix", fixed, "--wheelbase", "0.33", "--free", "lf,lr,steer_gain,steer_lag"]
-    assert main(["identify", str(importer(rows)), *args, "-o", str(tmp_path / "car.toml")]) == 0
+    assert main(["identify", str(session), *args, "-o", str(tmp_path / "car.toml")]) == 0
     car = load_car(tmp_path / "car.toml").car
     assert (car.lf, car.lr) == (0.15, pytest.approx(0.18))
     assert car.inertia_z == pytest.approx(DEFAULT_CAR.inertia_z * (0.33 / 0.3302) ** 2)
@@ -85,13 +88,6 @@ def test_steering_of_the_wrong_sign_is_a_warning_before_the_fit(rows, importer, 
     error = capsys.readouterr().err
     assert "warning: run.mcap:" in error
     assert "left positive" in error
-
-
-def test_another_drive_validates(rows, importer, tmp_path, capsys):
-    one, two = importer(rows[:1500], "one"), importer(rows[1500:], "two")
-    base = ["--base", str(default_car_path())]  # another spelling of --car
-    assert main(["identify", str(one), "--held-out", str(two), *FREE, *base]) == 0
-    assert "prediction of two.mcap" in capsys.readouterr().out
 
 
 def _millimetres(rows):
@@ -146,22 +142,11 @@ def test_too_short_a_drive_is_refused(rows, importer, capsys):
     assert "of driving" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("content", "code"), [(b"", (3, 4)), (b"\x89MCAP0\r\n" + b"\x00" * 40, (3, 4)), (None, (3,))]
-)
-def test_files_that_are_no_sessions(content, code, tmp_path, capsys):
-    path = tmp_path / "bad.mcap"
-    if content is not None:
-        path.write_bytes(content)
-    assert main(["identify", str(path)]) in code
-    assert capsys.readouterr().err.startswith("steerd: ")
-
-
-def test_a_truncated_session_is_used_or_refused_but_never_crashes(rows, importer, tmp_path, capsys):
-    whole = importer(rows).read_bytes()
+def test_a_truncated_session_is_used_or_refused_but_never_crashes(session, tmp_path, capsys):
+    data = session.read_bytes()
     for share in (0.0005, 0.3):
         path = tmp_path / f"cut{share}.mcap"
-        path.write_bytes(whole[: int(share * len(whole))])
+        path.write_bytes(data[: int(share * len(data))])
         assert main(["identify", str(path)]) in (3, 4)
         assert "Traceback" not in capsys.readouterr().err
 
@@ -188,22 +173,20 @@ def test_a_truncated_session_is_used_or_refused_but_never_crashes(rows, importer
         ["--seed", "-1"],
     ],
 )
-def test_options_that_make_no_sense(args, rows, importer, capsys):
-    assert main(["identify", str(importer(rows)), *args]) == 2
+def test_options_that_make_no_sense(args, session, capsys):
+    assert main(["identify", str(session), *args]) == 2
     error = capsys.readouterr().err
     assert error.startswith("steerd: ")
     assert "Traceback" not in error
 
 
-def test_an_output_that_cannot_be_written(rows, importer, tmp_path, capsys):
-    session = importer(rows)
+def test_an_output_that_cannot_be_written(session, tmp_path, capsys):
     gone = str(tmp_path / "nowhere" / "o.json")
     assert main(["identify", str(session), *FREE, "--json", gone]) == 3
     assert "nowhere" in capsys.readouterr().err
 
 
-def test_a_drive_does_not_judge_its_own_fit(rows, importer, tmp_path, capsys):
-    session = importer(rows)
+def test_a_drive_does_not_judge_its_own_fit(session, tmp_path, capsys):
     copy = tmp_path / "copy.mcap"
     copy.write_bytes(session.read_bytes())
     for other in (session, copy):
@@ -216,7 +199,8 @@ def test_a_drive_does_not_judge_its_own_fit(rows, importer, tmp_path, capsys):
 def test_of_a_folder_the_held_out_session_is_not_fitted(rows, importer, capsys):
     one, two = importer(rows[:1500], "one"), importer(rows[1500:], "two")
     capsys.readouterr()
-    assert main(["identify", str(one), str(two), "--held-out", str(two), *FREE]) == 0
+    base = ["--base", str(default_car_path())]  # another spelling of --car
+    assert main(["identify", str(one), str(two), "--held-out", str(two), *FREE, *base]) == 0
     screen = capsys.readouterr().out
     assert "prediction of two.mcap" in screen
     assert "two.mcap" not in screen.partition("prediction of")[0]
@@ -229,8 +213,7 @@ def test_a_car_file_that_is_missing_is_reported_once(tmp_path, capsys):
     assert error.count("check the path") == 1
 
 
-def test_json_to_the_terminal_is_all_that_is_printed(rows, importer, tmp_path, capsys, monkeypatch):
-    session = importer(rows)
+def test_json_to_the_terminal_is_all_that_is_printed(session, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     capsys.readouterr()
     assert main(["identify", str(session), *FREE, "--json", "-"]) == 0
@@ -239,7 +222,7 @@ def test_json_to_the_terminal_is_all_that_is_printed(rows, importer, tmp_path, c
 
 
 def test_what_is_on_the_screen_is_written_and_an_interrupt_leaves_it(
-    rows, importer, tmp_path, monkeypatch, capsys
+    session, tmp_path, monkeypatch, capsys
 ):
     steps, out = [], tmp_path / "out"
     out.mkdir()
@@ -254,7 +237,6 @@ def test_what_is_on_the_screen_is_written_and_an_interrupt_leaves_it(
         assert str(out / "car.toml") in said
         signal.raise_signal(signal.SIGINT)
 
-    session = importer(rows)
     capsys.readouterr()
     monkeypatch.setattr("steerd.daemon.common.progress.show_progress", shown)
     monkeypatch.setattr(Identification, "learn_known", interrupted)
@@ -275,21 +257,17 @@ def test_what_is_on_the_screen_is_written_and_an_interrupt_leaves_it(
     assert places[-1][1] < 0.5, "the noise takes longer than all before it"
 
 
-def test_an_interrupted_fit_says_that_nothing_is_written(
-    rows, importer, tmp_path, monkeypatch, capsys
-):
+def test_an_interrupted_fit_says_that_nothing_is_written(session, tmp_path, monkeypatch, capsys):
     def interrupted(task, clock):
         signal.raise_signal(signal.SIGINT)
 
-    session = importer(rows)
     capsys.readouterr()
     monkeypatch.setattr("steerd.daemon.analysis.identification.learn", interrupted)
     assert main(["identify", str(session), "-o", str(tmp_path / "car.toml")]) == 130
     assert capsys.readouterr().err == "interrupted: nothing is written\n"
 
 
-def test_a_full_disk_takes_the_files_and_not_the_table(rows, importer, tmp_path, capsys):
-    session = importer(rows)
+def test_a_full_disk_takes_the_files_and_not_the_table(session, tmp_path, capsys):
     out = tmp_path / "car.toml"
     out.write_text("# mine\n")
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -309,8 +287,8 @@ def test_a_full_disk_takes_the_files_and_not_the_table(rows, importer, tmp_path,
     assert out.read_text() == "# mine\n"
 
 
-def test_a_file_edited_by_hand_is_kept_and_named(rows, importer, tmp_path, capsys):
-    session, out = importer(rows), tmp_path / "car.toml"
+def test_a_file_edited_by_hand_is_kept_and_named(session, tmp_path, capsys):
+    out = tmp_path / "car.toml"
     assert main(["identify", str(session), *FREE, "-o", str(out)]) == 0
     assert "kept" not in capsys.readouterr().err
     out.write_text(out.read_text() + "# checked by hand\n")

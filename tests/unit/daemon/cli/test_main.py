@@ -3,6 +3,7 @@
 import errno
 import io
 import os
+import shutil
 import subprocess
 import sys
 import warnings
@@ -13,7 +14,6 @@ from steerd.car_model.native.library import load_library
 from steerd.daemon.cli import main
 from steerd.daemon.cli.main import COMMANDS, run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.steer_bus.session_read import open_session
 
 
 def test_a_bug_has_its_own_code_and_says_that_it_is_one(monkeypatch, capsys):
@@ -71,28 +71,6 @@ def test_own_warnings_are_told_as_errors_are_and_others_with_their_place(monkeyp
     assert first == "steerd: /srv/cache: full"
     assert "test_main.py" in second
     assert second.endswith("RuntimeWarning: of a library")
-
-
-@pytest.mark.slow
-def test_a_drive_that_was_interrupted_does_not_say_that_it_ended(tmp_path, monkeypatch, capsys):
-    from steerd.daemon.offline import virtual
-
-    def some(run, tick):
-        def stopped(now):
-            tick(now)
-            if now.t_ns > 200_000_000:
-                raise KeyboardInterrupt
-
-        virtual.drive(run, stopped)
-
-    monkeypatch.setattr("steerd.daemon.offline.fast.drive", some)
-    path = tmp_path / "drive.mcap"
-    argv = ["run", "--sim", "--fast", "--duration", "3", "--record", str(path)]
-    assert run_cli(argv) == ExitCode.INTERRUPTED
-    assert f"interrupted; what was driven so far: {path}" in capsys.readouterr().err
-    info = open_session(path).info()
-    assert info.metadata["steerd.end"]["reason"] == "interrupted"
-    assert info.count > 10
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -189,3 +167,79 @@ def test_an_options_value_that_cannot_be_used_is_one_line_with_what_to_try(
     assert what in said
     assert hint in said
     assert "usage:" not in said
+
+
+# The completion scripts; bash's is run as bash runs it.
+
+BASH = shutil.which("bash")
+needs_bash = pytest.mark.skipif(BASH is None, reason="no bash on this machine")
+
+
+@pytest.fixture(scope="module")
+def script(tmp_path_factory):
+    import contextlib
+    import io
+
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        assert run_cli(["completion", "bash"]) == 0
+    path = tmp_path_factory.mktemp("completion") / "steerd.bash"
+    path.write_text(out.getvalue())
+    return path
+
+
+def complete(script, *typed):
+    line = " ".join(f'"{word}"' for word in typed)
+    call = (
+        f"source {script}; COMP_WORDS=({line}); COMP_CWORD={len(typed) - 1}; "
+        '_shtab_steerd steerd "${COMP_WORDS[COMP_CWORD]}" "${COMP_WORDS[COMP_CWORD-1]}"; '
+        'printf "%s\\n" "${COMPREPLY[@]}"'
+    )
+    done = subprocess.run([str(BASH), "-c", call], capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+    return done.stdout.split()
+
+
+@needs_bash
+def test_commands(script):
+    assert set(COMMANDS) <= set(complete(script, "steerd", ""))
+    assert complete(script, "steerd", "prob") == ["probe"]
+
+
+@needs_bash
+def test_options_of_every_command(script):
+    for name in COMMANDS:
+        assert "--help" in complete(script, "steerd", name, "--h")
+    assert complete(script, "steerd", "run", "--auto") == ["--auto-arm"]
+    assert "--closed" in complete(script, "steerd", "collect", "--clo")
+
+
+@needs_bash
+def test_values_of_options_and_kinds_of_commands(script):
+    assert complete(script, "steerd", "run", "--controller", "") == ["lane", "zenoh"]
+    assert complete(script, "steerd", "mocap", "cal") == ["calibrate"]
+
+
+@needs_bash
+def test_files_where_a_file_is_wanted(script, tmp_path):
+    (tmp_path / "drive.mcap").touch()
+    (tmp_path / "lab").mkdir()
+    for typed in (("info",), ("run", "--car"), ("run", "--record"), ("plot", "-o")):
+        assert complete(script, "steerd", *typed, f"{tmp_path}/dri") == [f"{tmp_path}/drive.mcap"]
+    assert complete(script, "steerd", "run", "--lab", f"{tmp_path}/") == [f"{tmp_path}/lab"]
+
+
+@pytest.mark.parametrize(
+    ("shell", "start", "part"),
+    [
+        ("zsh", "#compdef steerd", "--auto-arm"),
+        ("tcsh", "# AUTOMATICALLY GENERATED", "complete steerd"),
+        ("fish", "# AUTOMATICALLY GENERATED", "complete -c steerd"),
+    ],
+)
+def test_other_shells_get_their_own_script(shell, start, part, capsys):
+    assert run_cli(["completion", shell]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith(start)
+    assert part in text
+    assert "rtcheck" in text

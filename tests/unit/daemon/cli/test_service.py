@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
+from steerd.daemon.cli.commands.setup.service import make_unit
 from steerd.daemon.cli.main import run_cli
-from steerd.daemon.cli.service import make_unit
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.setup.probe import UDEV_RULE
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import pytest
 
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.common.notebook import notebook_progress, shown, speaking_of_arguments
+from steerd.daemon.common.notebook import notebook_progress, speaking_of_arguments
+from steerd.daemon.common.screen import shown
 
 
 @shown

@@ -4,7 +4,7 @@ import pytest
 
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.common.outputs import check_outputs
+from steerd.daemon.common.written import check_outputs
 from steerd.steer_bus.mcap_records import MAGIC
 
 

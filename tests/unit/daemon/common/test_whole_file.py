@@ -3,7 +3,7 @@
 import pytest
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.whole_file import write_whole
+from steerd.daemon.common.written import write_whole
 
 
 def test_text_is_written_whole(tmp_path):

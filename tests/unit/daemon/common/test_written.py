@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from steerd.daemon.common import whole_file, written
+from steerd.daemon.common import written
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.written import write_output, write_outputs
 
@@ -81,7 +81,7 @@ def test_a_write_that_fails_leaves_everything_as_it_was(state, monkeypatch, link
 
     if not links:
         monkeypatch.setattr(written.os, "link", refuse)
-    monkeypatch.setattr(whole_file, "write_atomically", refuse)
+    monkeypatch.setattr(written, "write_atomically", refuse)
     with pytest.raises(SteerdError, match="No space left"):
         write_output(path, "new")
     assert path.read_text() == "by hand"

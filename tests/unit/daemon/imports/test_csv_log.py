@@ -227,7 +227,7 @@ cells = st.one_of(
 
 
 @pytest.mark.slow
-@settings(derandomize=True, deadline=None, max_examples=150)
+@settings(derandomize=True, deadline=None, max_examples=60)
 @given(rows=st.lists(st.lists(cells, max_size=4), max_size=6), times=st.booleans())
 def test_any_cells_are_taken_or_refused_in_one_line(tmp_path_factory, rows, times):
     folder = tmp_path_factory.mktemp("cells")

@@ -103,7 +103,7 @@ def as_toml(value):
     return str(float(value))
 
 
-@settings(derandomize=True, deadline=None, max_examples=200)
+@settings(derandomize=True, deadline=None, max_examples=80)
 @given(
     st.dictionaries(st.sampled_from(("t", *STREAM_COLUMNS, "z")), specs),
     st.dictionaries(st.sampled_from(("car", "epoch", "comment", "x")), leaves),

@@ -5,8 +5,10 @@ from math import radians
 
 import pytest
 
+from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.imports.import_map import ImportMap
+from steerd.daemon.imports.csv_table import open_table, read_table
+from steerd.daemon.imports.import_map import ColumnSpec, ImportMap
 from steerd.daemon.imports.import_session import (
     ImportNotes,
     MessageMaker,
@@ -70,3 +72,75 @@ def test_oddities_are_counted_by_kind():
         notes.add("rows repeat a time")
     notes.add("frames without the body")
     assert notes.lines() == ("3 rows repeat a time", "1 frames without the body")
+
+
+# Rows of a csv file: delimiter, header, cells and their errors.
+
+COLUMNS = {"t": ColumnSpec("time"), "x": ColumnSpec("pos x", scale=0.001, offset=1.0)}
+
+
+def rows(path, columns=COLUMNS):
+    with open_table(path) as file:
+        return [(row.number, row.values) for row in read_table(path.name, file, columns, _ignore)]
+
+
+def _ignore(done):
+    pass
+
+
+def write(tmp_path, text):
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    return path
+
+
+def test_rows_are_numbered_as_an_editor_numbers_lines(tmp_path):
+    text = "\n# time,pos x\n0.0,1\n\n0.1,\nnan,null\n0.2,3\n"
+    assert [number for number, _ in rows(write(tmp_path, text))] == [3, 5, 7]
+
+
+def test_a_missing_column_has_the_closest_names_as_its_hint(tmp_path):
+    with pytest.raises(SteerdError) as caught:
+        rows(write(tmp_path, "time,Pos X,speed\n0.0,1,2\n"))
+    assert caught.value.hint == "in the map, 'Pos X'"
+
+
+# What commands of driven sessions say of an imported one, and of one that breaks off.
+
+MAP = '[columns]\nt = "t"\nx = "x"\ny = "y"\nyaw = "yaw"\nsteer_cmd = "steer"\n'
+
+
+@pytest.fixture
+def imported(tmp_path, capsys):
+    rows = [f"{0.02 * i:.2f},{0.01 * i:.3f},0,0,{0.1 * (i % 9)}" for i in range(200)]
+    (tmp_path / "log.csv").write_text("t,x,y,yaw,steer\n" + "\n".join(rows) + "\n")
+    (tmp_path / "map.toml").write_text(MAP)
+    out = tmp_path / "log.mcap"
+    arguments = [str(tmp_path / "log.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(out)]
+    assert run_cli(["import", "csv", *arguments]) == 0
+    capsys.readouterr()
+    return out
+
+
+def test_the_body_of_an_imported_log_is_not_calibrated(imported, capsys):
+    assert run_cli(["mocap", "calibrate", str(imported)]) == 4
+    assert "the car's poses only" in capsys.readouterr().err
+
+
+def test_an_imported_log_has_nothing_to_replay(imported, capsys):
+    assert run_cli(["replay", str(imported)]) == 4
+    assert "it lacks options" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("argv", [("plot",), ("identify",), ("diagnose",)], ids=" ".join)
+def test_a_session_that_breaks_off_is_warned_of(argv, imported, tmp_path, capsys):
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(imported.read_bytes()[:-200])
+    run_cli([*argv, str(broken)])
+    assert "warning: " in capsys.readouterr().err.replace("broken.mcap: ", "")
+
+
+@pytest.mark.parametrize("argv", [("replay",), ("identify",), ("diagnose",)], ids=" ".join)
+def test_a_folder_is_reported_once(argv, tmp_path, capsys):
+    assert run_cli([*argv, str(tmp_path)]) == 3
+    assert capsys.readouterr().err.count("name a session .mcap file") == 1

@@ -3,11 +3,18 @@
 import os
 import select
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.ipc.diagnostics import read_diagnostics
+from steerd.daemon.ipc.sd_notify import make_notify
+from steerd.steer_bus.messages import BODY, make_header
+from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
 
 TAKE = """
 import os, select, signal
@@ -108,3 +115,46 @@ def test_a_holder_started_in_the_background_can_be_interrupted(number):
     out, _ = holder.communicate(timeout=60)
     assert out == "let go\n"
     assert holder.returncode == 0
+
+
+# Notices to a service manager: they arrive, never block, and need no manager.
+
+
+@pytest.mark.parametrize("abstract", [False, True])
+def test_notifications_arrive_and_never_block(tmp_path, abstract):
+    name = f"@steerd-test-{tmp_path.name}" if abstract else str(tmp_path / "notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind("\0" + name[1:] if abstract else name)
+        manager.settimeout(2.0)
+        notify = make_notify({"NOTIFY_SOCKET": name})
+        notify("READY=1")
+        assert manager.recv(64) == b"READY=1"
+        for _ in range(2000):  # more than the queue holds
+            notify("WATCHDOG=1")
+    notify("WATCHDOG=1")  # the manager is gone
+
+
+def test_without_a_manager_nothing_happens():
+    make_notify({})("READY=1")
+    make_notify({"NOTIFY_SOCKET": "elsewhere"})("READY=1")
+
+
+# The supervisor's values in a diagnostics message; other messages are refused.
+
+
+def make_array(name):
+    values = (KeyValue("state", "READY"), KeyValue("waiting", "arm"))
+    status = DiagnosticStatus(level=0, name=name, message="", hardware_id="", values=values)
+    return DiagnosticArray(make_header(0, BODY), (status,))
+
+
+def test_the_values_of_the_supervisor_are_read_by_key():
+    assert read_diagnostics(make_array("steerd: supervisor")) == {
+        "state": "READY",
+        "waiting": "arm",
+    }
+
+
+def test_another_node_is_refused():
+    with pytest.raises(SteerdError):
+        read_diagnostics(make_array("lidar"))

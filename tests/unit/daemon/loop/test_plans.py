@@ -13,8 +13,7 @@ from steerd.car_model.params import DEFAULT_CAR, wheelbase
 from steerd.car_model.state import Command
 from steerd.controller.limits import Limits
 from steerd.daemon.assembly.build import make_plan
-from steerd.daemon.cli.completion import make_full_parser
-from steerd.daemon.cli.main import COMMANDS
+from steerd.daemon.cli.commands.setup.completion import make_full_parser
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop import plans
 from steerd.daemon.loop.transitions import SupervisorState
@@ -53,7 +52,7 @@ def test_what_changes_speed_alone_corners_as_hard_as_the_limits_allow(name):
 @pytest.mark.parametrize("drive", MENU.values(), ids=lambda drive: drive.command)
 def test_what_a_diagnosis_asks_for_is_what_its_command_drives(drive):
     words = shlex.split(drive.command)
-    args = make_full_parser(COMMANDS).parse_args(words[1:])
+    args = make_full_parser().parse_args(words[1:])
     steer, speed = drive.drive(np.arange(0.0, 8.0, 0.01))
     assert np.max(speed) == pytest.approx(args.speed, rel=0.01)
     if words[1] == "collect":

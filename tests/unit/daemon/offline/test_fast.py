@@ -1,14 +1,19 @@
 """`run --fast` below its screen: what is refused, and what an interrupted drive leaves."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
-from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.assembly.build import make_plan, make_world_config
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.fast import check_driven, make_recording, record_virtual, run_fast
-from steerd.daemon.offline.virtual import EPOCH_NS, make_virtual_run
+from steerd.daemon.offline.virtual import EPOCH_NS, drive, make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions
+from steerd.sim_hw.plant.faults import Fault
+from steerd.sim_hw.world import World
 from steerd.steer_bus import topics
 from steerd.steer_bus.session_read import open_session
 
@@ -80,3 +85,52 @@ def test_a_car_that_never_drove_is_an_error_that_says_what_was_missing(plan):
     assert caught.value.code is ExitCode.STOPPED
     run.core.loop.ran = True
     check_driven(run)
+
+
+# Drives in virtual time: reproducible, parked at the end, and what a lost link does to them.
+
+NS = 10**9
+UNPLUGGED_NS = round(0.2 * NS)
+
+
+def test_a_drive_ends_parked_and_the_same_seed_gives_the_same_bytes(plan):
+    runs = [make_virtual_run(plan) for _ in range(2)]
+    for run in runs:
+        drive(run)
+    first, second = runs
+    assert first.core.loop.ran
+    assert first.core.loop.parked
+    assert not first.core.loop.faulted
+    assert (first.t_ns, first.wire.hexdigest()) == (second.t_ns, second.wire.hexdigest())
+
+
+@pytest.mark.parametrize(("late", "periods"), [(0, 1), (0.4, 1), (2.5, 3)])
+def test_a_late_tick_skips_whole_periods(plan, late, periods):
+    run = make_virtual_run(plan)
+    run.step()
+    before = run.t_ns
+    run.step(round(late * run.period_ns))
+    assert run.t_ns - before == periods * run.period_ns
+
+
+def test_a_failed_drive_raises_its_own_reason_after_that_tick(plan):
+    run = make_virtual_run(plan)
+
+    def fail(now):
+        now.failed = OSError("no space left")
+
+    with pytest.raises(OSError, match="no space left"):
+        drive(run, fail)
+    assert run.t_ns == 2 * run.period_ns
+
+
+def test_an_unplugged_port_is_noticed_and_opened_again(plan):
+    gone = Fault("unplug", UNPLUGGED_NS, 2 * UNPLUGGED_NS)
+    run = make_virtual_run(plan, (), World(make_world_config(plan), (gone,)))
+    linked = []
+    while run.t_ns < 5 * UNPLUGGED_NS:
+        run.step()
+        linked.append(bool(run.core.flags & Flag.LINKED))
+    assert [a for a, b in pairwise(linked) if a != b] == [True, False]
+    assert not run.core.flags & Flag.SERIAL_FAULT
+    assert run.core.loop.supervisor.state is not SupervisorState.RUNNING

@@ -11,6 +11,10 @@ from steerd.daemon.process import gamepad
 from steerd.daemon.process.gamepad import (
     ABS,
     KEY,
+    SYN,
+    SYN_DROPPED,
+    XBOX_AXES,
+    AxisRange,
     DevicePad,
     PadEvent,
     PadGoneError,
@@ -18,7 +22,15 @@ from steerd.daemon.process.gamepad import (
     find_pad,
     open_pad,
 )
-from steerd.daemon.process.pad_map import BUTTONS
+from steerd.daemon.process.pad_map import (
+    AXES,
+    BUTTONS,
+    PadMap,
+    PadState,
+    is_silent,
+    read_axis,
+    take_event,
+)
 
 RECORDED = struct.pack("qqHHi", 1700000000, 5, KEY, 310, 1) + struct.pack(
     "qqHHi", 1700000000, 9, ABS, 0, -32768
@@ -88,3 +100,71 @@ def test_a_virtual_gamepad_is_read_and_its_end_is_noticed():
     with pytest.raises(PadGoneError):
         read_to_the_end(pad)
     pad.close()
+
+
+# What a gamepad's parts mean, and everything that counts as letting go of it.
+
+PADS = PadMap()
+HELD = PadState(held=True, steer=0.5, speed=0.5, heard_ns=0)
+STICK, TRIGGER = AxisRange(-100, 100), AxisRange(0, 200)
+
+
+def after(*events, pads=PADS, start=HELD):
+    """The state after events, and what was pressed."""
+    pad, pressed = start, []
+    for event in events:
+        pad, code = take_event(pad, PadEvent(*event), pads, XBOX_AXES, 7)
+        pressed += [] if code is None else [code]
+    return pad, pressed
+
+
+def test_the_deadman_is_held_from_its_press_to_its_release():
+    assert after((KEY, PADS.deadman, 1), start=PadState())[0].held
+    assert after((KEY, PADS.deadman, 2))[0].held, "the kernel repeats a held key"
+    assert not after((KEY, PADS.deadman, 0))[0].held
+    assert not after((KEY, BUTTONS["tr"], 1), start=PadState())[0].held
+
+
+def test_lost_events_let_go():
+    assert not after((SYN, SYN_DROPPED, 0))[0].held
+    assert after((SYN, 0, 0))[0].held
+
+
+def test_buttons_count_when_they_are_pressed():
+    assert after((KEY, PADS.go, 1), (KEY, PADS.go, 2), (KEY, PADS.go, 0))[1] == [PADS.go]
+    assert after((KEY, PADS.estop, 1), start=PadState())[1] == [PADS.estop], "without the deadman"
+    assert after((KEY, BUTTONS["north"], 1))[1] == []
+
+
+def test_left_is_left_and_forward_is_forward():
+    assert after((ABS, AXES["x"], -32768))[0].steer == pytest.approx(1.0)
+    assert after((ABS, AXES["x"], 32767))[0].steer == pytest.approx(-1.0)
+    assert after((ABS, AXES["rz"], 1023))[0].speed == 1.0
+    assert after((ABS, AXES["rz"], 0))[0].speed == 0.0
+    stick = PadMap(speed="y")
+    assert after((ABS, AXES["y"], -32768), pads=stick)[0].speed == pytest.approx(1.0)
+    assert after((ABS, AXES["y"], 32767), pads=stick)[0].speed == 0.0, "there is no reverse"
+    other = after((ABS, AXES["ry"], 9000))[0]
+    assert (other.steer, other.speed) == (HELD.steer, HELD.speed)
+
+
+@pytest.mark.parametrize(
+    ("value", "span", "name", "share"),
+    [
+        (0, STICK, "x", 0.0), (5, STICK, "x", 0.0), (-5, STICK, "x", 0.0), (100, STICK, "x", 1.0),
+        (-100, STICK, "x", -1.0), (999, STICK, "x", 1.0), (-999, STICK, "x", -1.0),
+        (20, AxisRange(-100, 100, 20), "x", 0.0), (60, AxisRange(-100, 100, 20), "x", 0.5),
+        (0, TRIGGER, "rz", 0.0), (100, TRIGGER, "rz", 0.5), (300, TRIGGER, "rz", 1.0),
+        (0, AxisRange(0, 0), "rz", 0.0),
+    ],
+)  # fmt: skip
+def test_an_axis_is_a_share(value, span, name, share):
+    assert read_axis(value, span, name) == pytest.approx(share)
+
+
+def test_a_held_pad_that_says_nothing_is_released_after_its_time_and_not_before():
+    quiet = PADS.quiet_ns
+    assert not is_silent(HELD, PADS, quiet)
+    assert is_silent(HELD, PADS, quiet + 1)
+    assert not is_silent(PadState(held=False), PADS, 10 * quiet)
+    assert after((ABS, AXES["x"], 1))[0].heard_ns == 7

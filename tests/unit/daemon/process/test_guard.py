@@ -2,12 +2,17 @@
 
 import os
 import select
+import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import pytest
 
-from steerd.daemon.process.guard import START_NS, ProcessGuard, sleep_lag_ns
+from steerd.daemon.process import lifeline
+from steerd.daemon.process.guard import START_NS, ProcessGuard, make_page_fd
+from steerd.daemon.process.lifeline import Lifeline
 
 BRAKE = b"\x02\x01\x00\x00\x00\x03"
 
@@ -28,11 +33,6 @@ def test_before_a_port_is_open_nothing_may_move_and_nothing_is_missed():
 )
 def test_how_late_a_heartbeat_may_be(realtime, simulated, stale_ms):
     assert ProcessGuard(realtime, simulated=simulated)._stale_ns == stale_ms * 1_000_000
-
-
-def test_sleep_is_what_the_boot_clock_has_and_the_monotonic_clock_has_not():
-    assert sleep_lag_ns() >= -1_000_000
-    assert abs(sleep_lag_ns() - sleep_lag_ns()) < 1_000_000_000
 
 
 @pytest.mark.realtime
@@ -78,3 +78,106 @@ def test_a_plug_that_flaps_leaves_nothing_behind():
         assert guard._process.wait(20.0) == 0, "let go of, and the car is not armed"
     assert len(set(counts[1:])) == 1
     assert not select.select([read], [], [], 0.0)[0], "nobody braked"
+
+
+# Who holds the lifeline, and what the other end hears of its death.
+
+HOLDER = """
+import sys, select
+from steerd.daemon.process.lifeline import Lifeline
+line = Lifeline(int(sys.argv[1]))
+line.hold()
+memory = bytearray(int(sys.argv[2]))
+memory[::4096] = b"x" * len(memory[::4096])
+print("held", flush=True)
+select.poll().poll(60_000)
+"""
+ROOT = Path(__file__).parents[4]
+
+
+def start_holder(page_fd, megabytes=1):
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(page_fd), str(megabytes << 20)],
+        pass_fds=(page_fd,),
+        stdout=subprocess.PIPE,
+        cwd=ROOT,
+    )
+    assert holder.stdout.readline() == b"held\n"
+    holder.stdout.close()
+    return holder
+
+
+def test_a_holder_that_unmapped_its_page_before_it_left_is_heard_of():
+    """The kernel cannot hand on a mutex that is not in memory any more: Python's own tidy end."""
+    page_fd = make_page_fd()
+    leaver = (
+        "import os, sys; from steerd.daemon.process.lifeline import Lifeline; "
+        "line = Lifeline(int(sys.argv[1]))"
+    )
+    code = f"{leaver}; line.hold(); del line; os._exit(0)"
+    holder = subprocess.Popen(
+        [sys.executable, "-c", code, str(page_fd)], pass_fds=(page_fd,), cwd=ROOT
+    )
+    pidfd = os.pidfd_open(holder.pid)
+    assert holder.wait() == 0
+    line = Lifeline(page_fd, pidfd)
+    assert line.poll(5)
+    assert line.poll(5)
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGABRT, signal.SIGTERM])
+def test_every_kind_of_death_is_heard_of(how):
+    page_fd = make_page_fd()
+    holder = start_holder(page_fd)
+    line = Lifeline(page_fd, os.pidfd_open(holder.pid))
+    holder.send_signal(how)
+    assert line.poll(5_000)
+    assert holder.wait() == -how
+
+
+def test_a_stopped_holder_is_not_dead():
+    page_fd = make_page_fd()
+    holder = start_holder(page_fd)
+    line = Lifeline(page_fd, os.pidfd_open(holder.pid))
+    holder.send_signal(signal.SIGSTOP)
+    assert not line.poll(30)
+    holder.kill()
+    assert line.poll(5_000)
+    holder.wait()
+
+
+def test_the_lifeline_does_not_wait_for_the_memory_to_be_taken_apart():
+    page_fd = make_page_fd()
+    holder = start_holder(page_fd, megabytes=512)
+    pidfd = os.pidfd_open(holder.pid)
+    line = Lifeline(page_fd, pidfd)
+    gone = select.poll()
+    gone.register(pidfd, select.POLLIN)
+    holder.kill()
+    assert line.poll(5_000)
+    heard_ns = time.monotonic_ns()
+    assert gone.poll(5_000)
+    assert time.monotonic_ns() >= heard_ns
+    holder.wait()
+
+
+def test_without_a_mutex_the_pidfd_has_to_do(monkeypatch):
+    monkeypatch.setattr(lifeline, "_library", lambda: None)
+    page_fd = make_page_fd()
+    holder = start_holder(page_fd)
+    line = Lifeline(page_fd, os.pidfd_open(holder.pid))
+    Lifeline(page_fd).hold()
+    assert not line.poll(5)
+    holder.kill()
+    assert line.poll(5_000)
+    holder.wait()
+
+
+def test_a_mutex_that_nobody_holds_leaves_it_to_the_pidfd():
+    page_fd = make_page_fd()
+    holder = subprocess.Popen([sys.executable, "-c", "import select; select.poll().poll(60_000)"])
+    line = Lifeline(page_fd, os.pidfd_open(holder.pid))
+    assert not line.poll(5)
+    holder.kill()
+    assert line.poll(5_000)
+    holder.wait()

@@ -4,25 +4,35 @@ import asyncio
 import json
 import os
 from dataclasses import fields
-from math import nan
+from math import atan2, hypot, nan, pi
 from types import SimpleNamespace
 
 import pytest
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
+from steerd.car_model.car_file import default_car_path
+from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.cli.main import run_cli
+from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.live_setting import parse_setting
 from steerd.daemon.ipc.outbox import Outbox
 from steerd.daemon.ipc.pipe_records import PipeWriter, make_pipe, pack_record
 from steerd.daemon.process.view import Viewer, make_channels
+from steerd.daemon.process.view_job import make_view_job, parse_view
 from steerd.daemon.process.view_scene import (
     Body,
+    make_car_scene,
     make_lane,
+    make_lane_scene,
     make_learnt_parameters,
     make_parameters,
+    make_transform,
 )
 from steerd.daemon.process.view_server import ViewParameters, ViewServer
+from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
-from tests.blank import blank
+from tests.blank import NOW_NS, blank
 
 BODY = Body(0.16, 0.17, 0.27)
 
@@ -136,3 +146,105 @@ def test_no_word_of_a_client_ends_its_connection(words):
     assert [each["op"] for each in said[:2]] == ["serverInfo", "advertise"]
     assert said[-1]["parameters"] == [{"name": "a", "value": 1.5, "type": "float64"}]
     assert said[-1]["id"] == "1"
+
+
+# The viewer's job: lane, car and car file as JSON; addresses accepted and refused.
+
+
+def test_the_job_holds_the_lane_and_the_car_file_and_is_json():
+    options = RunOptions(str(default_car_path()), path="circle:radius=2", view="9000")
+    job = json.loads(json.dumps(make_view_job(make_plan(options))))
+    assert (job["host"], job["port"], job["closed"]) == ("127.0.0.1", 9000, True)
+    assert [hypot(x, y - 2.0) for x, y, _ in job["lane"]] == pytest.approx([2.0] * len(job["lane"]))
+    assert 200 < len(job["lane"]) < 400  # 12.6 m in steps of about 5 cm
+    assert make_parameters(job["parameters"])["car.lf"] == job["body"]["lf"]
+
+
+@pytest.mark.parametrize(
+    ("text", "host", "port"),
+    [("8765", "127.0.0.1", 8765), ("localhost:1", "localhost", 1), ("[::1]:80", "::1", 80)],
+)
+def test_addresses(text, host, port):
+    assert parse_view(text, insecure_lan=False) == (host, port)
+
+
+@pytest.mark.parametrize("text", ["", "x", "0", "65536", "127.0.0.1:", "0.0.0.0:8765", "lab:8765"])
+def test_invalid_and_public_addresses_are_refused(text):
+    with pytest.raises(SteerdError):
+        parse_view(text, insecure_lan=False)
+
+
+def test_others_may_watch_with_insecure_lan():
+    assert parse_view("0.0.0.0:8765", insecure_lan=True) == ("0.0.0.0", 8765)
+
+
+def test_virtual_time_is_not_shown_live(capsys):
+    assert run_cli(["run", "--sim", "--fast", "--view"]) == 2
+    assert "steerd plot" in capsys.readouterr().err
+
+
+def test_a_missing_package_is_one_line_with_its_remedy(capsys, monkeypatch):
+    monkeypatch.setattr("steerd.daemon.process.view_job.find_spec", lambda name: None)
+    assert run_cli(["run", "--sim", "--view"]) == 3
+    said = capsys.readouterr().err
+    assert "foxglove-sdk" in said
+    assert "pip install" in said
+    assert len(said.splitlines()) == 2
+
+
+# The viewer's scene, decoded by protobuf from the schema that is sent.
+
+
+def decode_foxglove(message):
+    """The message as protobuf decodes it, by the schema that the SDK sends."""
+    schema = type(message).get_schema()
+    files = descriptor_pb2.FileDescriptorSet.FromString(schema.data)
+    pool = descriptor_pool.DescriptorPool()
+    for file in files.file:
+        pool.Add(file)
+    made = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    return made.FromString(message.encode())
+
+
+def yaw_of(turn):
+    return 2.0 * atan2(turn.z, turn.w)
+
+
+def test_the_transform_puts_the_body_where_the_estimate_is():
+    sent = decode_foxglove(make_transform(blank(m.StateMessage, x=1.5, y=-2.0, yaw=0.75 * pi)))
+    (frame,) = sent.transforms
+    assert (frame.parent_frame_id, frame.child_frame_id) == (m.WORLD, m.BODY)
+    assert (frame.translation.x, frame.translation.y) == (1.5, -2.0)
+    assert yaw_of(frame.rotation) == pytest.approx(0.75 * pi)
+    assert frame.timestamp.ToNanoseconds() == NOW_NS
+
+
+def test_the_car_has_its_axles_and_steers_in_front_only():
+    state = blank(m.StateMessage, steer=0.3, speed=2.0, slip_angle=-0.05)
+    (car,) = decode_foxglove(make_car_scene(state, BODY)).entities
+    assert (car.frame_id, car.frame_locked) == (m.BODY, True)
+    chassis, *wheels = car.cubes
+    assert len(wheels) == 4
+    assert {round(w.pose.position.x, 6) for w in wheels} == {0.16, -0.17}
+    for wheel in wheels:
+        front = wheel.pose.position.x > 0.0
+        assert yaw_of(wheel.pose.orientation) == pytest.approx(0.3 if front else 0.0)
+        assert abs(wheel.pose.position.y) == pytest.approx(0.135)
+    assert chassis.size.x > 0.33
+    (arrow,) = car.arrows
+    assert yaw_of(arrow.pose.orientation) == pytest.approx(-0.05)
+    assert arrow.shaft_length == pytest.approx(0.6)
+
+
+def test_a_lane_runs_beside_its_path():
+    points = [(2.0, 0.0, pi / 2), (0.0, 2.0, pi), (-2.0, 0.0, -pi / 2)]
+    lane = make_lane(points, 0.3, closed=True)
+    (scene,) = decode_foxglove(make_lane_scene(lane)).entities
+    assert scene.frame_id == m.WORLD
+    path, left, right = scene.lines
+    assert [hypot(p.x, p.y) for p in path.points] == pytest.approx([2.0] * 3)
+    assert [hypot(p.x, p.y) for p in left.points] == pytest.approx([1.7] * 3)
+    assert [hypot(p.x, p.y) for p in right.points] == pytest.approx([2.3] * 3)
+    assert {line.type for line in scene.lines} == {1}  # LINE_LOOP
+    straight = decode_foxglove(make_lane_scene(make_lane(points[:2], 0.3, closed=False)))
+    assert {line.type for line in straight.entities[0].lines} == {0}  # LINE_STRIP

@@ -35,7 +35,6 @@ pytestmark = pytest.mark.slow
 
 SECOND = 1_000_000_000
 KEPT = (MocapPose, Actuation, StateMessage, Tick, Transition, VescTelemetry)
-SEEDS = (1, 2)
 
 
 @pytest.fixture(scope="module")
@@ -251,14 +250,12 @@ def check_info(path):
 
 
 @pytest.mark.parametrize("kind", BAD)
-@pytest.mark.parametrize("seed", SEEDS)
-def test_bad_signals_and_times(drive, tmp_path, kind, seed):
-    records = BAD[kind](list(drive), np.random.default_rng(seed))
+def test_bad_signals_and_times(drive, tmp_path, kind):
+    records = BAD[kind](list(drive), np.random.default_rng(1))
     path = write(tmp_path / "a.mcap", records)
     assert check_info(path)[0] == 0
-    if seed == SEEDS[0]:
-        assert steerd("identify", path)[0] in (3, 4), "so short a drive teaches nothing"
-        assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
+    assert steerd("identify", path)[0] in (3, 4), "so short a drive teaches nothing"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
 
 
 @pytest.mark.parametrize("kind", SCHEMAS)

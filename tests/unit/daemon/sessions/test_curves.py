@@ -5,16 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerd.daemon.sessions.curves import (
-    BREAK,
-    HELD,
-    VALUE,
-    Grid,
-    decimate,
-    make_grid,
-    pack,
-    unpack,
-)
+from steerd.daemon.sessions.curves import BREAK, HELD, VALUE, Grid, decimate, make_grid, pack
+from tests.unit.daemon.sessions.page_script import unpack
 
 NUMBERS = st.floats(-1e6, 1e6)
 

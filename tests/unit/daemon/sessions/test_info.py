@@ -8,7 +8,7 @@ import pytest
 
 from steerd.daemon.imports.import_session import MessageMaker
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.sessions.info import load_session, make_session_report
+from steerd.daemon.sessions.info import load_recording, make_session_report
 from steerd.daemon.sessions.text import format_report, make_json
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import BODY, Transition, make_header
@@ -55,7 +55,7 @@ def write_circle(path, *, finish=True, gap=False, texts=()):
 
 
 def report_of(path):
-    return make_session_report(load_session(path))
+    return make_session_report(load_recording(path))
 
 
 def test_a_known_circle_is_described_as_it_was(tmp_path):

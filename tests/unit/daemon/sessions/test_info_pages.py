@@ -1,14 +1,20 @@
 """The pages on sessions and mocap name what the code has, all of it and nothing else."""
 
+import json
 import re
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
-import msgspec
+import pytest
 
-from steerd.daemon.imports.import_map import ROLES, STREAM_COLUMNS, FrameSpec, load_map, parse_map
+from steerd.daemon.imports.import_map import ROLES, STREAM_COLUMNS, load_map, parse_map
+from steerd.daemon.process.view import SCENE
+from steerd.daemon.settings.config import FRAME_ANGLES
+from steerd.mocap_link.frame import FrameConfig
 from steerd.mocap_link.gates import REASONS
 from steerd.mocap_link.source import ClockKind
-from steerd.steer_bus.topics import TOPICS
+from steerd.steer_bus.fields import Nested, Scalar, message_fields
+from steerd.steer_bus.topics import TOPICS, find_topic
 
 ROOT = Path(__file__).resolve().parents[4]
 
@@ -43,7 +49,8 @@ def test_every_clock_is_explained():
 
 def test_every_frame_key_is_explained():
     keys = first_cells("reference/mocap.md", "| key |")
-    assert {*keys, "cog_ahead_of_rear"} == set(msgspec.structs.asdict(FrameSpec()))
+    known = {f"{k}_deg" if k in FRAME_ANGLES else k for k in FrameConfig.__slots__}
+    assert {*keys, "cog_ahead_of_rear"} == known
 
 
 def test_every_role_and_column_is_explained():
@@ -64,3 +71,87 @@ def test_the_examples_are_maps():
     assert len(examples) >= 2
     for path in examples:
         assert "t" in load_map(path).columns
+
+
+# The layouts in `examples/` name topics and fields that exist, and all of their own panels.
+
+EXAMPLES = Path(__file__).resolve().parents[4] / "examples"
+LAYOUT = json.loads((EXAMPLES / "foxglove-layout.json").read_text())
+PANELS = {
+    "3D", "Plot", "StateTransitions", "RosOut", "DiagnosticSummary", "RawMessages", "Parameters",
+}  # fmt: skip
+"""Panel types that Foxglove and Lichtblick share."""
+
+
+def field_kind(path, separator):
+    """The wire kind of `/steerd/car1/state<separator>e1`; None where there is no such field."""
+    car = re.match(r"/steerd/car1/", path)
+    topic, *names = path[car.end() :].split(separator) if car else [""]
+    found = find_topic(f"/steerd/car1/{topic}")
+    if found is None:
+        return None
+    cls, kind = found.message, None
+    for name in names:
+        kind = {f.name: f.kind for f in message_fields(cls)}.get(name)
+        cls = kind.cls if isinstance(kind, Nested) else None
+    return kind
+
+
+def leaves(node):
+    if isinstance(node, str):
+        return [node]
+    assert node["direction"] in ("row", "column")
+    assert 0 < node["splitPercentage"] < 100
+    return [*leaves(node["first"]), *leaves(node["second"])]
+
+
+def plotted():
+    return [path for panel in LAYOUT["configById"].values() for path in panel.get("paths", [])]
+
+
+def curves():
+    return list(ET.parse(EXAMPLES / "plotjuggler-layout.xml").iter("curve"))
+
+
+def test_the_mosaic_holds_each_panel_once():
+    panels = leaves(LAYOUT["layout"])
+    assert sorted(panels) == sorted(LAYOUT["configById"])
+    assert {panel.partition("!")[0] for panel in panels} == PANELS
+
+
+@pytest.mark.parametrize("path", plotted(), ids=lambda path: path["value"])
+def test_foxglove_plots_numbers_that_exist(path):
+    assert isinstance(field_kind(path["value"], "."), Scalar)
+
+
+def test_foxglove_panels_look_at_topics_that_exist():
+    named = [
+        panel[key]
+        for panel in LAYOUT["configById"].values()
+        for key in ("topicToRender", "topicPath")
+        if key in panel
+    ]
+    assert len(named) == 3
+    drawn = set(LAYOUT["configById"]["3D!lane"]["topics"])
+    assert SCENE in drawn
+    for topic in (*named, *(drawn - {SCENE})):
+        assert find_topic(topic) is not None, topic
+
+
+def test_foxglove_shows_what_a_drive_is_judged_by():
+    shown = {path["value"].rpartition("/")[2] for path in plotted()}
+    assert {"state.e1", "state.e2", "state.mode", "actuation.steer", "vesc.fault_code"} <= shown
+
+
+@pytest.mark.parametrize("curve", curves(), ids=lambda curve: curve.get("name"))
+def test_plotjuggler_plots_numbers_that_exist(curve):
+    assert isinstance(field_kind(curve.get("name"), "/"), Scalar)
+
+
+def test_plotjuggler_splits_add_up():
+    root = ET.parse(EXAMPLES / "plotjuggler-layout.xml").getroot()
+    splitters = list(root.iter("DockSplitter"))
+    assert len(splitters) == 4
+    for splitter in splitters:
+        assert int(splitter.get("count")) == len(splitter.findall("DockArea"))
+        assert sum(map(float, splitter.get("sizes").split(";"))) == pytest.approx(1.0, abs=1e-4)

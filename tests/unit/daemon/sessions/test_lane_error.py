@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.sessions.info import Times
+from steerd.daemon.sessions.info import seconds_since
 from steerd.daemon.sessions.lane_error import SETTLE, find_settled, rms, settled_errors
 
 START_NS = 10**18
@@ -23,13 +23,15 @@ def state():
 
 
 def test_each_start_settles_anew(state):
-    assert np.flatnonzero(find_settled(state, Times(START_NS))).tolist() == [4, 5, 11]
+    assert np.flatnonzero(
+        find_settled(state, seconds_since(START_NS, state["stamp_ns"]))
+    ).tolist() == [4, 5, 11]
     assert SETTLE == 3.0
 
 
 def test_errors_are_sizes_and_unknown_ones_are_left_out(state):
     state["e1"][5] = np.nan
-    errors = settled_errors(state, Times(START_NS))
+    errors = settled_errors(state, seconds_since(START_NS, state["stamp_ns"]))
     assert errors == pytest.approx([0.04, 0.11])
     assert rms(errors) == pytest.approx(np.sqrt((0.04**2 + 0.11**2) / 2))
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from steerd.daemon.imports.import_session import MessageMaker
-from steerd.daemon.sessions.info import load_session
+from steerd.daemon.sessions.info import load_recording
 from steerd.daemon.sessions.plot_data import GAP, LANE_HALF_WIDTH, make_curve, make_drawing
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.session import AttachedFile, SessionWriter
@@ -32,7 +32,7 @@ def write(path, *files):
         t = i * 10_000_000
         writer.write("/steerd/car1/mocap", encode(maker.planar_pose(t, 0.02 * i, 0.0, 0.0)), t)
         writer.write("/steerd/car1/wheel", encode(maker.wheel(t, 1.9)), t)
-    return load_session(writer.finish({"reason": "imported"}))
+    return load_recording(writer.finish({"reason": "imported"}))
 
 
 def test_a_log_without_an_estimate_shows_the_speed_of_its_poses_beside_the_wheels(tmp_path):

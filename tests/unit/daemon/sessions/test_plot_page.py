@@ -10,8 +10,7 @@ import pytest
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.imports.import_session import MessageMaker
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.sessions.curves import unpack
-from steerd.daemon.sessions.info import load_session, make_session_report
+from steerd.daemon.sessions.info import load_recording, load_session, make_session_report
 from steerd.daemon.sessions.motion import make_track
 from steerd.daemon.sessions.plot_data import Curve, Drawing, Panel, load_lane, make_drawing
 from steerd.daemon.sessions.plot_page import SIZE_MAX, make_page
@@ -20,6 +19,7 @@ from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.session import AttachedFile, SessionWriter
+from tests.unit.daemon.sessions.page_script import unpack
 
 EPOCH = 1_726_480_861_000_000_000
 
@@ -59,7 +59,7 @@ def write_noise(path, seconds, rate, *, options=None, files=(), reason="end", ca
 
 
 def page_of(path):
-    session = load_session(path)
+    session = load_recording(path)
     return make_page(make_session_report(session), make_drawing(session))
 
 
@@ -70,14 +70,14 @@ def data_of(page):
 
 def test_the_curves_are_the_recorded_numbers(tmp_path):
     path = write_noise(tmp_path / "a.mcap", 10, 50)
-    session = load_session(path)
+    session = load_recording(path)
     data = data_of(page_of(path))
     slots = data["grid"]["slots"]
     panels = {panel["title"]: panel for panel in data["panels"]}
     e1, _ = unpack(panels["lateral error e1"]["curves"][0], slots)
     assert sorted(set(np.round(e1[np.isfinite(e1)], 3))) == [-2.0, 2.0]
     yaw, _ = unpack(panels["yaw rate"]["curves"][0], slots)
-    recorded = session.columns(m.StateMessage)["yaw_rate"]
+    recorded = session.session.columns(m.StateMessage)["yaw_rate"]
     assert yaw[np.isfinite(yaw)] == pytest.approx(recorded, abs=1e-4)
     late = panels["control tick"]["curves"][0]
     assert late["name"] == "late"
@@ -89,7 +89,7 @@ def test_the_curves_are_the_recorded_numbers(tmp_path):
 
 
 def test_ten_minutes_of_the_worst_noise_stay_small(tmp_path):
-    session = load_session(write_noise(tmp_path / "a.mcap", 1, 20))
+    session = load_recording(write_noise(tmp_path / "a.mcap", 1, 20))
     report, rng = make_session_report(session), np.random.default_rng(4)
     info = replace(report.info, end_ns=report.info.start_ns + 600_000_000_000)
     t = np.arange(60_000) * 0.01
@@ -137,4 +137,4 @@ def test_the_command_line(tmp_path, capsys):
     assert run_cli(["plot", str(path), "-o", str(tmp_path / "no" / "a.html")]) == 3
     assert run_cli(["plot", str(tmp_path / "none.mcap")]) == 3
     assert "there is no folder" in capsys.readouterr().err
-    assert load_session(path).info().clean
+    assert load_recording(path).info.clean

@@ -8,7 +8,7 @@ from steerd.daemon.sessions.info import (
     SessionReport,
     StateChange,
     TopicReport,
-    load_session,
+    load_recording,
     make_session_report,
 )
 from steerd.daemon.sessions.motion import SignalRange
@@ -26,7 +26,7 @@ def report(tmp_path_factory) -> SessionReport:
     writer = SessionWriter(path, {"/steerd/car1/transition": Transition}, {"steerd.session": {}})
     writer.finish({"reason": "watchdog W12 stopped the car: lateral error above its limit " * 2})
     return replace(
-        make_session_report(load_session(path)),
+        make_session_report(load_recording(path)),
         states=tuple(StateChange(1234.5 * i, name, "") for i, name in enumerate(NAMES)),
         length_m=12345.6,
         speed=SignalRange(-10.0, 10.0, 1.0),
@@ -63,7 +63,7 @@ def test_texts_of_a_file_reach_no_terminal_as_control_codes(tmp_path):
     )
     writer.write("/\x1b[31m", encode(Transition(make_header(0, BODY), 99, 98, "", "\x1b")), 0)
     writer.finish({"reason": "\x1b[2J"})
-    assert "\x1b" not in format_report(make_session_report(load_session(path)))
+    assert "\x1b" not in format_report(make_session_report(load_recording(path)))
 
 
 def test_many_warnings_are_counted(capsys):

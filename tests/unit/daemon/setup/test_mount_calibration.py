@@ -1,14 +1,35 @@
 """The mount is recovered from drives with a known one; drives that identify none are refused."""
 
-from dataclasses import astuple, fields
+from dataclasses import astuple, fields, replace
 
 import numpy as np
 import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.car_model.params import wheelbase
-from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.offline.fast import record_virtual
+from steerd.daemon.offline.virtual import drive
+from steerd.daemon.settings.run_options import RunOptions
+from steerd.daemon.setup.calibration_data import (
+    body_track,
+    load_recorded,
+    make_drive,
+    make_motion,
+    steering_commands,
+    wheel_speed,
+)
+from steerd.daemon.setup.least_squares import (
+    BLOCKS,
+    find_delay,
+    find_slip_warnings,
+    jackknife_sd,
+    make_jackknife_masks,
+    solve_least_squares,
+)
 from steerd.daemon.setup.mount_calibration import Drive, Mount, calibrate_mount, slip_per_accel
+from steerd.daemon.setup.steering_calibration import calibrate_steering
 
 CAR = load_car(default_car_path()).car
 TRUTH = Mount(np.radians(3.0), 0.21, -0.015, 1.07, 0.018)
@@ -85,3 +106,192 @@ def test_a_drive_that_identifies_little_is_named_or_refused():
         calibrate_mount(slow_drive(TRUTH, seconds=5.0), CAR)
     with pytest.raises(SteerdError, match="times as far as the wheels"):
         calibrate_mount(slow_drive(Mount(0.0, 0.2, 0.0, 1000.0, 0.0)), CAR)
+
+
+# Gain, centre, delay and stops of the steering are recovered from drives with known ones.
+
+
+def steered(gain, bias, delay, *, stop=1.0, seed=0, amplitude=0.25):
+    t = np.arange(0.0, 40.0, 0.01)
+    command = amplitude * np.sin(2 * np.pi * t / 6.0) + 0.02
+    wheel = np.clip(gain * np.interp(t - delay, t, command) + bias, -stop, stop)
+    speed = np.full_like(t, 1.0)
+    slip = (1 / CAR.c_sf - 1 / CAR.c_sr) / (CAR.mu * 9.81)
+    w = np.tan(wheel) / (CAR.lf + CAR.lr) * speed / (1 + slip * speed**2 / (CAR.lf + CAR.lr))
+    rng = np.random.default_rng(seed)
+    return t, speed, w + 0.02 * rng.normal(size=t.size), t, command
+
+
+@pytest.mark.parametrize(("gain", "bias", "delay"), [(1.0, 0.0, 0.05), (0.85, 0.03, 0.1)])
+def test_steering_gain_centre_and_delay(gain, bias, delay):
+    found = calibrate_steering(*steered(gain, bias, delay), CAR)
+    assert found.gain == pytest.approx(gain, rel=0.01)
+    assert found.bias == pytest.approx(bias, abs=0.002)
+    assert found.delay == pytest.approx(delay, abs=0.005)
+    assert not found.clipped_left
+    assert not found.clipped_right
+
+
+def test_steering_that_meets_its_stops():
+    found = calibrate_steering(*steered(1.0, 0.0, 0.05, stop=0.2, amplitude=0.32), CAR)
+    assert found.clipped_left
+    assert found.clipped_right
+    assert (found.left, found.right) == pytest.approx((0.2, -0.2), abs=0.01)
+    assert found.gain == pytest.approx(1.0, rel=0.05)
+
+
+def stepped(hold, *, seed=0, speed=1.0):
+    """A drive in bends that change at once, more of them to the left; truth: 1, 0, 60 ms."""
+    t = np.arange(0.0, 60.0, 0.01)
+    rng = np.random.default_rng(seed)
+    levels = rng.choice([0.14, 0.12, 0.09, 0.05, -0.09], size=int(60 / hold) + 1)
+    command = levels[(t / hold).astype(int)]
+    wheel = np.interp(t - 0.06, t, command)
+    for _ in range(2):  # the servo's lag, and what differentiating smooths
+        wheel = np.convolve(np.pad(wheel, 10, mode="edge"), np.ones(21) / 21, "valid")
+    v = np.full_like(t, speed)
+    slip = (1 / CAR.c_sf - 1 / CAR.c_sr) / (CAR.mu * 9.81)
+    w = np.tan(wheel) / (CAR.lf + CAR.lr) * v / (1 + slip * v**2 / (CAR.lf + CAR.lr))
+    return t, v, w + 0.02 * rng.normal(size=t.size), t, command
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_steps_of_steering_do_not_dilute_the_gain(seed):
+    found = calibrate_steering(*stepped(1.0, seed=seed), CAR)
+    assert found.gain == pytest.approx(1.0, abs=0.02)
+    assert abs(found.gain - 1.0) < 4 * found.sd_gain + 0.005
+    assert found.bias == pytest.approx(0.0, abs=0.002)
+
+
+def test_steering_that_is_never_followed_or_badly_identified_is_refused():
+    with pytest.raises(SteerdError, match="swings too fast"):
+        calibrate_steering(*stepped(0.1), CAR)
+    t, v, w, tc, command = steered(1.0, 0.0, 0.05, amplitude=0.04)
+    noisy = w + np.repeat(np.random.default_rng(1).normal(scale=0.06, size=40), 100)
+    with pytest.raises(SteerdError, match="the steering gain is identified to") as caught:
+        calibrate_steering(t, v, noisy, tc, command, CAR)
+    assert caught.value.code == ExitCode.STOPPED
+
+
+def test_a_drive_too_fast_for_the_tyre_model_is_warned_of():
+    assert calibrate_steering(*stepped(1.5), CAR).warnings == ()
+    (warning,) = calibrate_steering(*stepped(1.5, speed=3.0), CAR).warnings
+    assert "drive slower" in warning
+
+
+def test_drives_that_identify_no_steering():
+    with pytest.raises(SteerdError, match="as much as commanded") as caught:
+        calibrate_steering(*steered(-1.0, 0.0, 0.05), CAR)
+    assert "servo_gain" in caught.value.hint
+    with pytest.raises(SteerdError, match="barely used"):
+        calibrate_steering(*steered(1.0, 0.0, 0.05, amplitude=0.001), CAR)
+    t, speed, w, tc, command = steered(1.0, 0.0, 0.05)
+    with pytest.raises(SteerdError, match="barely moves"):
+        calibrate_steering(t, 0.0 * speed, w, tc, command, CAR)
+
+
+# Sessions as input of calibrations: the body's poses, wheel speed and commands on one clock.
+
+SPEED = 1.0
+OPTIONS = RunOptions(
+    car_file="", path="circle:radius=2", speed=SPEED, simulated=True, auto_arm=True, duration_s=2.0
+)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Two seconds of a circle on simulated hardware."""
+    path = tmp_path_factory.mktemp("calibration") / "circle.mcap"
+    record_virtual(make_plan(OPTIONS), path, drive)
+    return load_recorded(path)
+
+
+def test_poses_rise_and_are_accepted_ones(recorded):
+    assert (np.diff(recorded.poses["t_valid_ns"]) > 0).all()
+    assert set(recorded.poses["reject"]) == {""}
+    assert recorded.start_ns == recorded.poses["t_valid_ns"][0]
+
+
+def test_the_body_is_the_car_moved_by_a_constant_offset_of_the_mount(recorded):
+    t, x, y, yaw = body_track(recorded)
+    car = recorded.poses
+    turn = np.unwrap(yaw - car["yaw"])
+    assert t[0] == 0.0
+    assert np.ptp(turn) < 1e-9
+    ahead = (x - car["x"]) * np.cos(car["yaw"]) + (y - car["y"]) * np.sin(car["yaw"])
+    left = (y - car["y"]) * np.cos(car["yaw"]) - (x - car["x"]) * np.sin(car["yaw"])
+    assert max(np.ptp(ahead), np.ptp(left)) < 1e-9
+
+
+def test_wheel_speed_and_commands_are_on_the_clock_of_the_poses(recorded):
+    t_pose = body_track(recorded)[0]
+    t, speed = wheel_speed(recorded)
+    assert np.quantile(speed, 0.9) == pytest.approx(SPEED, rel=0.1)
+    moving = t[speed > 0.5 * SPEED]
+    motion = make_motion(recorded)
+    t_order, steer = steering_commands(recorded)
+    assert t_pose[0] <= t_order[0] < moving[0] < moving[-1] < t_pose[-1]
+    # The circle turns left: wheelbase over radius, give or take the car's understeer.
+    wheelbase = recorded.settings.file.car.lf + recorded.settings.file.car.lr
+    assert np.median(steer) == pytest.approx(wheelbase / 2.0, rel=0.3)
+    assert np.quantile(motion.speed, 0.9) == pytest.approx(SPEED, rel=0.1)
+
+
+def test_a_drive_for_the_mount_holds_both(recorded):
+    made = make_drive(recorded)
+    assert {len(made.t), len(made.x), len(made.y), len(made.yaw)} == {len(recorded.poses["x"])}
+    assert len(made.t_wheel) == len(made.wheel) > 100
+
+
+def test_an_imported_log_has_no_body(recorded):
+    flat = {**recorded.poses, "z_raw": np.full_like(recorded.poses["z_raw"], np.nan)}
+    with pytest.raises(SteerdError, match=r"not its body's.*\[frame\]"):
+        body_track(replace(recorded, poses=flat))
+
+
+def test_what_a_session_lacks_is_named(recorded):
+    empty = replace(recorded, read=replace(recorded.read, tables={}))
+    with pytest.raises(SteerdError, match="no wheel speed"):
+        wheel_speed(empty)
+    with pytest.raises(SteerdError, match="no steering commands"):
+        steering_commands(empty)
+
+
+# Least squares, jackknife and delay search against cases with known answers.
+
+
+def test_an_exact_line_is_solved_without_residual():
+    x = np.linspace(0.0, 1.0, 20)
+    solution, left = solve_least_squares(np.column_stack([x, np.ones(20)]), 3.0 * x - 2.0)
+    assert solution == pytest.approx([3.0, -2.0])
+    assert left == pytest.approx(np.zeros(20), abs=1e-12)
+
+
+def test_each_good_sample_is_left_out_once():
+    good = np.arange(50) % 3 > 0
+    masks = make_jackknife_masks(good)
+    assert len(masks) == BLOCKS
+    left_out = np.array([good & ~mask for mask in masks])
+    assert np.array_equal(left_out.sum(axis=0), good.astype(int))
+    assert not any(np.any(mask & ~good) for mask in masks)
+
+
+def test_the_jackknife_of_a_mean_is_its_standard_error():
+    values = np.random.default_rng(3).normal(size=200)
+    masks = make_jackknife_masks(np.ones(200, dtype=bool))
+    (sd,) = jackknife_sd([np.array([values[mask].mean()]) for mask in masks])
+    blocks = values.reshape(BLOCKS, -1).mean(axis=1)
+    assert sd == pytest.approx(blocks.std(ddof=1) / np.sqrt(BLOCKS), rel=1e-9)
+
+
+def test_a_delay_between_grid_points_is_found_among_several_minima():
+    def cost(tau):
+        return (tau - 0.1234) ** 2 + 1e-3 * np.sin(60.0 * (tau - 0.1234)) ** 2
+
+    assert find_delay(cost) == pytest.approx(0.1234, abs=1e-4)
+
+
+def test_hard_cornering_is_warned_of():
+    assert find_slip_warnings(np.full(100, 1.9)) == []
+    (warning,) = find_slip_warnings(np.full(100, -2.1))
+    assert "drive slower" in warning

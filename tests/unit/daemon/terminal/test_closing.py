@@ -8,8 +8,7 @@ from steerd.car_model.car_file import default_car_path
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.assembly.session_meta import default_session_path
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.daemon.terminal.closing import closing_lines
-from steerd.daemon.terminal.dashboard import Tally
+from steerd.daemon.terminal.dashboard import Tally, closing_lines
 
 TALLY = Tally(count=4, square=4e-4, worst=0.02, distance=12.0, driven_ns=6_000_000_000)
 

@@ -45,7 +45,7 @@ class Desk:
         """Let time pass; the kinds of all requests since the last time."""
         for _ in range(round(seconds * 1e9) // KEEPALIVE_NS):
             self.now_ns += KEEPALIVE_NS
-            self.terminal._keep_alive()
+            self.terminal._desk.keep_alive()
         packets, self.sent[:] = self.sent[:], []
         return [decode(OperatorRequest, unpack_request(packet)[1]).kind for packet in packets]
 

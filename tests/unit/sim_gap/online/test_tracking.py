@@ -1,9 +1,20 @@
 """The filter over parameters: only what the data replace is forgotten."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from steerd.car_model.effects import find_effect
+from steerd.sim_gap.online.amount import amounts_of
+from steerd.sim_gap.online.changes import SPANS, ratios, sharpened, unknown, with_ratios
+from steerd.sim_gap.online.learner import Change, State, fold
+from steerd.sim_gap.online.looking import may_change
+from steerd.sim_gap.online.naming import EARLY, Finding, believed, find_cause
 from steerd.sim_gap.online.tracking import Track, follow, informed_directions
+from steerd.sim_gap.verdict.evidence import Cause
+from steerd.sysid.inference.knowledge import Knowledge
+from steerd.sysid.inference.space import make_space
 
 PRIOR = np.diag([1.0, 4.0, 0.25])
 
@@ -55,3 +66,178 @@ def test_directions_do_not_depend_on_units():
     plain = informed_directions(h, PRIOR)
     turned = informed_directions(scale @ h @ scale, scale @ PRIOR @ scale)
     assert plain.shape == turned.shape == (3, 2)
+
+
+# Ratios of the last windows, and what of them a car shows as usual.
+
+
+def tables(anchor, track, looks):
+    """Ratios of windows, and the same sharpened."""
+    tracks = [track] * len(looks)
+    table = ratios(anchor, tracks, looks)
+    return table, sharpened(anchor, tracks, looks, table, np.ones_like(table))
+
+
+def test_ratios_rise_only_over_windows_since_the_change(anchor, track, windows):
+    looks = [*windows(8), *windows(4, seed=8, steer_bias=0.02)]
+    table = ratios(anchor, [track] * 12, looks)
+    bias = table[anchor.space.effects.index("steer_bias")]
+    assert int(np.nanargmax(bias)) == SPANS.index(4)
+    assert bias[SPANS.index(4)] > 50.0
+    assert np.isnan(bias[SPANS.index(16)])
+
+
+def test_quiet_windows_keep_their_ratios(anchor, track, windows):
+    looks = windows(6)
+    table = ratios(anchor, [track] * 6, looks)
+    level = np.full_like(table, np.nanmax(table))
+    assert sharpened(anchor, [track] * 6, looks, table, level) is table
+
+
+def test_a_plain_change_counts_for_more_than_its_outlying_windows(anchor, track, windows):
+    table, after = tables(anchor, track, windows(2, steer_bias=0.02))
+    short, bias = SPANS.index(2), anchor.space.effects.index("steer_bias")
+    assert after[bias, short] > 1.2 * table[bias, short]
+    assert int(np.argmax(after[:, short])) == bias
+
+
+def test_no_ratio_becomes_smaller_and_none_appears(anchor, track, windows):
+    table, after = tables(anchor, track, windows(4, tyre_friction=-0.2))
+    np.testing.assert_array_equal(np.isnan(table), np.isnan(after))
+    there = np.isfinite(table)
+    assert (after[there] >= table[there]).all()
+
+
+def test_a_value_that_no_car_has_sharpens_nothing(anchor, track, windows):
+    table, after = tables(anchor, track, windows(3, steer_bias=0.9))
+    bias = anchor.space.effects.index("steer_bias")
+    np.testing.assert_array_equal(table[bias], after[bias])
+
+
+def test_windows_that_nothing_explains_are_no_change(anchor, track, windows):
+    _, after = tables(anchor, track, windows(2, left=40.0))
+    assert np.nanmax(after) < 20.0
+
+
+def test_what_a_car_shows_as_usual_is_no_change():
+    shape = (2, len(SPANS))
+    usual = unknown(2)
+    for _ in range(200):
+        usual = with_ratios(usual, np.full(shape, 9.0))
+    assert (usual.level() > 8.0).all()
+    quiet = unknown(2)
+    for _ in range(200):
+        quiet = with_ratios(quiet, np.full(shape, 0.3))
+    assert (quiet.level() < 2.0).all()
+
+
+# What is told of a change is by how much the car moved, whatever it was learnt to have before.
+
+
+def change(effect, after, was):
+    parameters = {
+        p.name: (value, 0.5, p.unit)
+        for p, value in zip(find_effect(effect).parameters, after, strict=True)
+    }
+    finding = Finding("named", Cause(effect, "", "", parameters, 0.95, (), ""))
+    return Change(0.0, 1.0, None, (), finding, was)
+
+
+def test_an_offset_moved_by_a_difference():
+    moved = amounts_of(change("marker_offset", (0.018, 0.001), (-0.0115, 0.0004)))
+    assert [value for value, _, _ in moved.values()] == pytest.approx([0.0295, 0.0006])
+    assert moved["forward"][1:] == (0.5, "m")
+
+
+def test_a_ratio_moved_by_a_quotient():
+    value, sd, _ = amounts_of(change("speed_scale", (0.76,), (0.8,)))["scale"]
+    assert value == pytest.approx(0.95)
+    assert sd == pytest.approx(0.625)
+
+
+def test_of_which_form_an_effect_is_has_no_amount():
+    moved = amounts_of(change("lateral_load_transfer", (0.5, 0.7), (0.2, 0.62)))
+    assert moved["k"][0] == pytest.approx(0.3)
+    assert moved["moved"][0] == 0.7
+
+
+def test_what_was_not_there_before_moved_by_all_of_it():
+    assert amounts_of(change("steer_bias", (0.02,), (0.0,)))["bias"][0] == 0.02
+
+
+def test_a_change_without_a_name_has_no_amount():
+    assert amounts_of(Change(0.0, 1.0, None, ())) == {}
+
+
+# A change is named as `diagnose` names a gap, about the car as the drive showed it.
+
+AT = 30.2
+
+
+def test_what_is_known_of_the_base_is_as_wide_as_its_track_and_no_wider(anchor, track):
+    base = believed(anchor, track)
+    free = anchor.space.chart.free[: anchor.space.nuisance]
+    space = make_space(base, free)
+    widened = np.sqrt(np.diag(space.covariance) / np.diag(track.covariance))
+    assert (widened >= 1.0 - 1e-6).all()
+    np.testing.assert_allclose(space.centre, anchor.space.centre[: len(free)])
+
+
+def test_the_base_begins_where_its_track_is(anchor, track):
+    moved = replace(track, pull=track.information @ np.full(anchor.space.nuisance, 1e-4))
+    at = make_space(believed(anchor, moved), anchor.space.chart.free[: anchor.space.nuisance])
+    np.testing.assert_allclose(at.centre - anchor.space.centre[: len(at.centre)], 1e-4)
+
+
+def test_where_healthy_drives_left_more_than_noise_the_base_does_too(anchor, track):
+    excess = (1.0, 1.0, 2.0, 3.0, 4.0, 5.0)
+    free = anchor.space.chart.free[: anchor.space.nuisance]
+    taught = Knowledge(free, track.covariance, excess)
+    car = replace(anchor, superset=replace(anchor.superset, knowledge=taught))
+    assert believed(car, track).knowledge.excess == excess
+    assert believed(anchor, track).knowledge.excess == (1.0,) * len(excess)
+
+
+def test_windows_that_no_car_drove_say_nothing(anchor, track):
+    assert find_cause(anchor, track, ()) == Finding("changed", None)
+
+
+@pytest.fixture(scope="module")
+def healthy(learner, drives):
+    state = State()
+    for sample in drives(AT):
+        state, _ = fold(learner, state, sample)
+    return state
+
+
+@pytest.fixture(scope="module")
+def loose(learner, drives):
+    state = State()
+    for sample in drives(AT + 7.0, "steer_backlash", AT):
+        state, _ = fold(learner, state, sample)
+    return state
+
+
+@pytest.mark.slow
+def test_healthy_windows_have_no_cause(healthy):
+    known, runs = healthy.known, [run for _, run in healthy.windows]
+    assert find_cause(known.anchor, known.track, runs) == Finding("none", None)
+    few = find_cause(known.anchor, known.track, runs[-EARLY + 1 :])
+    assert few == Finding("changed", None), "too early to say so"
+
+
+@pytest.mark.slow
+def test_play_is_named_although_it_has_no_gradient_where_there_is_none(loose):
+    cause = loose.change.finding.cause
+    assert cause.effect == "steer_backlash"
+    value, sd, _ = cause.parameters["play"]
+    assert value == pytest.approx(0.03, abs=4.0 * sd)
+    assert cause.confidence > 0.8
+
+
+@pytest.mark.slow
+def test_only_what_a_lane_shows_at_once_can_have_come_about(healthy):
+    runs = [run for _, run in healthy.windows]
+    possible = may_change(healthy.known.anchor.superset, runs)
+    assert {"steer_lag", "steer_backlash", "marker_offset"} <= set(possible)
+    assert not {"grip_drift", "grip_patch", "battery_sag"} & set(possible)

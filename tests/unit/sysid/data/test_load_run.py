@@ -1,8 +1,15 @@
 """A recorded session becomes the drive that it was, on one clock."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
 
+from steerd.car_model.effects import find_effect
+from steerd.car_model.ops import FLOAT
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import (
     BODY,
@@ -16,7 +23,9 @@ from steerd.steer_bus.messages import (
 )
 from steerd.steer_bus.session import SessionWriter
 from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, VESC, make_session_topic
-from steerd.sysid.data.dataset import load_run
+from steerd.sysid.data.dataset import Run, Signal, load_run, make_run
+from steerd.sysid.data.jitter_correction import correct_log_jitter, find_log_jitter, log_period
+from steerd.sysid.data.windows import _remembered
 
 EPOCH = 1_700_000_000_000_000_000
 BOOT = 55_000_000_000
@@ -73,3 +82,115 @@ def test_signals_share_the_commands_clock(session):
     assert run.commands[:, 1] == pytest.approx(1.5)
     assert run.commands[79:81, 0] == pytest.approx([0.0, 0.1], abs=1e-6)
     assert run.duration == pytest.approx(3.8, abs=0.011)
+
+
+# How much of the past a window is given: all that play may remember, and no more.
+
+LEAST, MOST = 20, 400
+PLAY = find_effect("steer_backlash")
+
+
+def wheel_after(steering, play, wheel):
+    """The wheel's angle after these servo angles, from a wheel somewhere in the gap."""
+    for angle in steering:
+        wheel, _ = PLAY.linkage(FLOAT, (play,), (wheel,), angle)
+    return wheel
+
+
+@given(
+    seed=st.integers(0, 2**32), step=st.floats(1e-4, 0.1), play=st.floats(0.0, 0.15),
+    side=st.floats(-1.0, 1.0),
+)  # fmt: skip
+def test_nothing_before_it_changes_where_the_wheel_is(seed, step, play, side):
+    steering = np.cumsum(step * np.random.default_rng(seed).normal(size=600))
+    a = 599
+    steps = _remembered(steering, a, LEAST, MOST)
+    assert LEAST <= steps <= MOST
+    if steps == MOST:
+        return
+    past = steering[a - steps : a + 1]
+    start = steering[a - steps] + 0.5 * play * side
+    assert wheel_after(past, play, start) == wheel_after(steering, play, steering[0])
+
+
+def test_a_stick_that_rests_is_given_the_whole_past():
+    assert _remembered(np.full(1000, 0.1), 999, LEAST, MOST) == MOST
+    assert _remembered(np.full(1000, 0.1), 999, LEAST, LEAST) == LEAST, "no play is asked for"
+    assert _remembered(np.full(1000, 0.1), 30, LEAST, MOST) == 80, "the drive's whole past"
+
+
+@pytest.mark.parametrize(("back", "steps"), [(5, 40), (19, 40), (50, 80), (300, 320), (390, 400)])
+def test_it_reaches_from_the_last_large_turn_on(back, steps):
+    steering = np.zeros(1000)
+    steering[: 1000 - back] = 0.3
+    assert _remembered(steering, 999, LEAST, MOST) == steps
+
+
+# The log jitter of two timers is found in a drive and corrected; other logs stay as they are.
+
+Array = NDArray[np.float64]
+
+SECONDS, SPEED, LENGTH, LAG = 60.0, 1.5, 0.3, 0.06
+
+
+def _drive(wait: float, drift: float, seed: int = 3) -> tuple[Run, Array, Array]:
+    """A car that steers at 10 Hz, logged late by a sawtooth; with the times sent and logged.
+
+    Args:
+        wait: delay of the first command in the recorder [s].
+        drift: how fast the delay grows [s/s].
+        seed: of steering and noise.
+    """
+    rng = np.random.default_rng(seed)
+    left = 0.1 * np.arange(SECONDS / 0.1)
+    steps = np.repeat(rng.uniform(-0.3, 0.3, 200), rng.integers(1, 9, 200))[: len(left)]
+    t = np.arange(0.0, SECONDS, 0.002)
+    held = steps[np.minimum((t / 0.1).astype(int), len(steps) - 1)]
+    angle, angles = 0.0, np.empty_like(held)
+    for i, command in enumerate(held.tolist()):
+        angle += (1.0 - np.exp(-0.002 / LAG)) * (command - angle)
+        angles[i] = angle
+    yaw = np.cumsum(SPEED * np.tan(angles) / LENGTH) * 0.002
+    place = np.cumsum(SPEED * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0) * 0.002
+    poses = np.column_stack([place, yaw])[::5] + rng.normal(0.0, 5e-4, (len(t[::5]), 3))
+    logged = left + np.mod(wait + drift * left, 0.1)
+    return (
+        make_run("drive", Signal(logged, steps), None, Signal(t[::5], poses)), left, logged,
+    )  # fmt: skip
+
+
+def test_a_drifting_delay_is_found_and_corrected() -> None:
+    run, left, logged = _drive(0.03, 0.002)
+    jitter = find_log_jitter(run)
+    assert jitter is not None
+    assert jitter.period == pytest.approx(0.1, abs=2e-3)
+    true = (logged - left)[1:-1]
+    found = jitter.delay(logged[1:-1] - logged[0])
+    off = (found - true + 0.05) % 0.1 - 0.05
+    off -= np.median(off)  # a common delay is a dead time: the fit finds it
+    assert np.sqrt(np.mean(off**2)) < 0.012
+    assert jitter.describe()[0] == "drive: steering stored 0 to 100 ms late"
+    corrected = correct_log_jitter(run)
+    assert corrected.log_jitter == jitter
+    assert len(corrected.commands) == len(run.commands)
+
+
+def test_a_constant_delay_is_not_jitter() -> None:
+    run, _, _ = _drive(0.04, 0.0)
+    assert find_log_jitter(run) is None
+    assert correct_log_jitter(run) is run
+
+
+def test_the_log_of_a_fast_loop_has_no_period() -> None:
+    t = np.arange(0.0, 10.0, 0.01)
+    assert log_period(Signal(t, np.sin(t))) == 0.0
+
+
+def test_constant_steering_has_no_period() -> None:
+    assert log_period(Signal(np.arange(0.0, 10.0, 0.1), np.full(100, 0.3))) == 0.0
+
+
+def test_a_servo_signal_has_no_log_jitter() -> None:
+    run, _, _ = _drive(0.03, 0.002)
+    pulsed = replace(run, servo_frame=0.02)
+    assert correct_log_jitter(pulsed) is pulsed

@@ -23,7 +23,6 @@ from steerd.sysid.estimation.multistart import scatter
 from steerd.sysid.estimation.outcome import REPORTED, encode_outcome
 from steerd.sysid.estimation.preparation import fit_wheelbase, free_names, held_names
 from steerd.sysid.estimation.validation import HORIZONS, errors_at, trace_windows
-from steerd.sysid.parallel import map_jobs
 from steerd.sysid.report.design_comparison import compare_designs
 from steerd.sysid.report.identify_report import render_report
 
@@ -184,28 +183,6 @@ def test_drives_with_and_without_speed_commands_are_not_one_fit(run, truth):
         trace_windows(truth, [run, bare], max(HORIZONS))
     with pytest.raises(DataError, match="bare has no speed commands"):
         learn(Task((run,), DEFAULT, held_out=(bare,)), lambda: 0.0)
-
-
-def _square(x):
-    return x * x
-
-
-def test_work_side_by_side_keeps_its_order():
-    assert map_jobs(_square, range(5), jobs=2) == [0, 1, 4, 9, 16]
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_dask_gives_the_same_answer(make_circles):
-    distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
-    runs = tuple(make_circles(4, 2.5))
-    task = Task(runs[:3], DEFAULT, runs[3:], method="paper", starts=2, iterations=2)
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
-    ) as cluster:
-        far = learn(replace(task, dask=cluster.scheduler_address), lambda: 0.0)
-    near = learn(task, lambda: 0.0)
-    for a, b in zip(far.searches, near.searches, strict=True):
-        np.testing.assert_array_equal(a.path, b.path)
 
 
 def _stepping(make, truth, faster):

@@ -1,12 +1,27 @@
 """The search begins at a car of the drives' own size, whatever that is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR, wheelbase
 from steerd.sysid.data.dataset import Signal, make_run
+from steerd.sysid.estimation.learn import Task, learn
+from steerd.sysid.estimation.multistart import candidate_starts, has_one_speed, mark_ambiguous
 from steerd.sysid.estimation.plain_start import LOCK, WIDEST, possible_starts, rolling_length
+from steerd.sysid.estimation.preparation import (
+    exceeds_slew_rate,
+    largest_steering,
+    level_loads,
+    restore_end_stops,
+    scale_inertia,
+    widen_end_stops,
+)
+from steerd.sysid.estimation.validation import Trace, by_lateral_acceleration
+from steerd.sysid.inference.identifiability import Estimate
+from steerd.sysid.inference.plain_car import DEFAULT_FREE
 from steerd.sysid.inference.teaching import NOTHING, Stated
 
 MODEL = Model(DEFAULT_CAR)
@@ -78,3 +93,120 @@ def test_poses_of_a_centimetre_and_steady_circles_show_the_curvature():
         pose = np.column_stack([radius * np.sin(yaw), -radius * np.cos(yaw), yaw])
         run = make_run("circle", Signal(t, np.full(len(t), 0.2 * sign)), None, Signal(t, pose))
         assert rolling_length([run], 1.0) == pytest.approx(0.33, rel=0.05)
+
+
+# Drives at one speed: other starts, and what is left open where ends differ.
+
+DEFAULT = Model(DEFAULT_CAR)
+
+
+@pytest.fixture(scope="module")
+def slow(make_drive, truth):
+    return make_drive(truth, 24.0, 4, speed=1.2)
+
+
+def test_one_speed_is_distinguished_from_several(slow, make_drive, truth):
+    assert has_one_speed([slow])
+    assert not has_one_speed([make_drive(truth, 24.0, 4)])
+
+
+def test_candidate_starts_keep_the_axles_apart_and_what_is_fixed(truth):
+    start, *others = candidate_starts(truth, DEFAULT_FREE)
+    assert start == truth
+    assert len({other.car.lr for other in others}) == 2
+    assert len({other.car.steer_delay for other in others}) == 2
+    for other in others:
+        assert wheelbase(other.car) == pytest.approx(wheelbase(truth.car))
+    assert candidate_starts(truth, ("lf", "c_sf", "steer_lag")) == [truth]
+
+
+def test_what_two_ends_place_differently_is_left_open():
+    first = Estimate(0.96, 0.01, 0.3, True)
+    found = {"steer_gain": first, "steer_bias": Estimate(0.01, 1e-4, 0.05, True)}
+
+    def other(by):
+        return {**found, "steer_gain": replace(first, value=first.value + by * first.sd)}
+
+    assert mark_ambiguous(found, [other(0.1)]) == found
+    left = mark_ambiguous(found, [other(0.1), other(3.0)])
+    assert not left["steer_gain"].identifiable
+    assert left["steer_gain"].sd == pytest.approx(3.0 * first.sd)
+    assert "as well" in left["steer_gain"].manoeuvre
+    assert left["steer_bias"] == found["steer_bias"]
+
+
+@pytest.mark.slow
+def test_one_speed_tells_no_more_than_it_can(slow, truth):
+    outcome = learn(Task((slow,), DEFAULT, wheelbase=0.332), lambda: 0.0)
+    for name, row in outcome.free_rows.items():
+        if row.identifiable:
+            assert abs(row.value - getattr(truth.car, name)) < 4.0 * row.sd, name
+
+
+# Start values that do not stand in the way: inertia, loads and end stops of another car.
+
+CAR = Model(DEFAULT_CAR)
+
+
+def _run(steer=0.3, speed=True, servo_frame=0.0):
+    t = np.arange(0.0, 8.0, 0.05)
+    angles = steer * np.sin(t)
+    poses = np.column_stack([t, np.sin(t), 0.2 * np.sin(t)])
+    asked = Signal(t, np.ones(len(t))) if speed else None
+    return make_run("r", Signal(t, angles), asked, Signal(t, poses), servo_frame=servo_frame)
+
+
+def test_inertia_follows_mass_and_length_squared():
+    half = CAR._replace(
+        car=DEFAULT_CAR._replace(
+            lf=DEFAULT_CAR.lf / 2, lr=DEFAULT_CAR.lr / 2, mass=DEFAULT_CAR.mass / 2
+        )
+    )
+    assert scale_inertia(half, CAR).car.inertia_z == pytest.approx(DEFAULT_CAR.inertia_z / 8)
+    assert scale_inertia(CAR, CAR) == CAR
+
+
+def test_loads_do_not_follow_a_measured_speed():
+    assert level_loads(CAR, [_run(speed=False)]).car.cog_height == 0.0
+    assert level_loads(CAR, [_run()]) == CAR
+
+
+def test_end_stops_of_another_car_do_not_clip_a_log():
+    run = _run(steer=0.3)
+    wide = widen_end_stops(CAR, [run], ()).car
+    assert wide.steer_max == -wide.steer_min == pytest.approx(0.45, abs=1e-3)
+    assert widen_end_stops(CAR, [_run(steer=0.1)], ()) == CAR
+    assert widen_end_stops(CAR, [run], ("steer_max",)) == CAR
+    assert widen_end_stops(CAR, [_run(servo_frame=0.02)], ()) == CAR
+    known = restore_end_stops(wide._replace(steer_gain=1.4), CAR.car, [run])
+    assert known.steer_max == pytest.approx(1.4 * largest_steering([run]), rel=1e-3)
+    assert restore_end_stops(wide, CAR.car, [run]).steer_max == CAR.car.steer_max
+
+
+def test_errors_are_told_by_lateral_acceleration():
+    ahead = np.arange(-0.4, 1.5, 0.05)
+
+    def trace(rate, off):
+        yaw = rate * ahead
+        measured = np.column_stack([np.sin(yaw) / rate, (1 - np.cos(yaw)) / rate, yaw])
+        return Trace(0, ahead, ahead, measured, measured + np.array([off, 0.0, 0.0]))
+
+    slow, fast = by_lateral_acceleration([trace(1.0, 0.01), trace(3.0, 0.2)], 1.0)
+    assert (slow.low, slow.high, slow.windows) == (0.0, 2.0, 1)
+    assert slow.median == pytest.approx(0.01)
+    assert (fast.low, fast.rms) == (2.0, pytest.approx(0.2))
+    assert by_lateral_acceleration([], 1.0) == ()
+
+
+def test_only_steps_that_the_file_s_servo_cannot_follow_outpace_it():
+    t = np.arange(0.0, 8.0, 0.01)
+    poses = Signal(t, np.column_stack([t, np.sin(t), 0.2 * np.sin(t)]))
+
+    def asked(angles):
+        return [make_run("r", Signal(t, angles), Signal(t, np.ones(len(t))), poses)]
+
+    steps = asked(0.2 * np.sign(np.sin(t)))
+    ramps = asked(np.clip(3.0 * (np.abs(t % 4.0 - 2.0) - 1.0), -0.3, 0.3))
+    assert exceeds_slew_rate(CAR, steps)
+    assert not exceeds_slew_rate(CAR, ramps)
+    assert not exceeds_slew_rate(CAR._replace(car=DEFAULT_CAR._replace(steer_rate=12.0)), steps)

@@ -1,16 +1,32 @@
 """What a covariance says of parameters: what is identifiable, and why the rest is not."""
 
+import itertools
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize
 
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.native.windows import parameter_vector
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.planar import make_planar
+from steerd.sysid.inference.bounded_step import step_within
 from steerd.sysid.inference.chart import make_chart
 from steerd.sysid.inference.identifiability import estimates, taught_estimates
-from steerd.sysid.inference.knowledge import Spread, inflate_each
+from steerd.sysid.inference.knowledge import (
+    EDGES,
+    EXCESS_MAX,
+    Knowledge,
+    Spread,
+    excess_by_regime,
+    inflate_each,
+    knowledge_of_section,
+    knowledge_section,
+)
+from steerd.sysid.inference.places import DISCS, RADII, suspicious_discs
 from steerd.sysid.inference.plain_car import TYRES
 
 CAR = DEFAULT_CAR._replace(lf=0.16, steer_gain=0.95)
@@ -87,3 +103,170 @@ def test_each_standard_error_is_as_wide_as_its_own_scores_and_correlations_stay(
     np.testing.assert_allclose(each / np.outer(scale, scale), correlation, rtol=1e-9)
     assert (scale >= before * (1.0 - 1e-12)).all()
     assert pytest.approx(np.diag(correlation)) == np.ones(3)
+
+
+# Where the floor is suspicious: a patch is found by the errors in it, and nothing else is.
+
+
+def drive(rng, count=120):
+    """Places of windows along rounds of a track of 8 by 4 m, and what noise leaves of each."""
+    phase = rng.uniform(0.0, 2.0 * np.pi, count)
+    where = np.column_stack([4.0 * np.cos(phase), 2.0 * np.sin(phase)])
+    return where + 0.2 * rng.normal(size=(count, 2)), rng.chisquare(12, count) / 12.0
+
+
+@pytest.mark.parametrize("radius", [0.8, 1.5, 2.2])
+@pytest.mark.parametrize("seed", range(5))
+def test_the_first_disc_lies_on_the_patch(seed, radius):
+    rng = np.random.default_rng([seed, 7])
+    where, badness = drive(rng)
+    centre = where[rng.integers(len(where))]
+    inside = np.linalg.norm(where - centre, axis=1) < radius
+    badness[inside] *= rng.uniform(3.0, 3000.0, inside.sum())
+    x, y, found = suspicious_discs(where, badness)[0]
+    assert np.hypot(x - centre[0], y - centre[1]) < radius
+    named = np.linalg.norm(where - (x, y), axis=1) < found
+    assert (named & inside).sum() > 0.6 * max(named.sum(), inside.sum())
+
+
+@given(st.integers(0, 2**32), st.floats(-100.0, 100.0), st.floats(-np.pi, np.pi))
+def test_it_does_not_matter_where_the_floor_has_its_origin(seed, shift, angle):
+    where, badness = drive(np.random.default_rng(seed), 40)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    here = suspicious_discs(where, badness)
+    there = suspicious_discs(where @ turn + shift, badness)
+    assert [disc[2] for disc in here] == [disc[2] for disc in there]
+    moved = np.array([disc[:2] for disc in here]).reshape(-1, 2) @ turn + shift
+    assert np.allclose(moved, np.array([disc[:2] for disc in there]).reshape(-1, 2), atol=1e-9)
+
+
+def test_discs_are_few_and_none_lies_in_another():
+    discs = suspicious_discs(*drive(np.random.default_rng(3), 300))
+    assert 1 < len(discs) <= DISCS
+    for k, (x, y, radius) in enumerate(discs):
+        assert radius in RADII
+        for a, b, other in discs[:k]:
+            assert np.hypot(x - a, y - b) > max(radius, other)
+
+
+@pytest.mark.parametrize(
+    ("where", "badness"),
+    [
+        (np.zeros((0, 2)), np.zeros(0)),
+        (np.array([[1.0, 2.0]]), np.array([9.0])),
+        (np.zeros((6, 2)), np.arange(6.0)),
+        (np.arange(12.0).reshape(6, 2), np.ones(6)),
+    ],
+    ids=["no window", "one window", "the car stood", "all alike"],
+)
+def test_where_no_place_differs_there_is_no_disc(where, badness):
+    assert suspicious_discs(where, badness) == []
+
+
+# What healthy drives teach of a base travels beside its car file.
+
+NAMES = ("lf", "lr", "steer_gain", "scrub.drag")
+
+
+def known(seed: int = 0) -> Knowledge:
+    root = np.random.default_rng(seed).standard_normal((4, 6)) * [[1e-3], [2e-3], [0.01], [0.3]]
+    excess = (1.0, 1.0, 1.2, 1.5, 2.0, 4.0)
+    return Knowledge(NAMES, root @ root.T, excess, (0.16, 0.17, 1.01, 0.2))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_is_known_survives_the_car_file(seed: int) -> None:
+    before = known(seed)
+    after = knowledge_of_section(knowledge_section(before))
+    assert after is not None
+    assert after.names == before.names
+    assert after.values == before.values
+    assert after.excess == before.excess
+    sd = np.sqrt(np.diag(before.covariance))
+    away = np.abs(after.covariance - before.covariance) / np.outer(sd, sd)
+    assert away.max() < 2e-5
+    assert np.linalg.eigvalsh(after.covariance).min() > 0.0
+
+
+@pytest.mark.parametrize("key", ["names", "sd", "correlation", "excess", "values"])
+def test_a_damaged_section_is_refused(key: str) -> None:
+    table = knowledge_section(known())
+    for damaged in ({k: v for k, v in table.items() if k != key}, {**table, key: "?"}):
+        with pytest.raises(ValueError, match="knowledge"):
+            knowledge_of_section(damaged)
+    assert knowledge_of_section({}) is None
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.floats(0.01, 500.0), st.floats(0.0, 12.0)), min_size=1, max_size=60))
+def test_excess_is_never_less_than_noise_and_never_falls(rows: list[tuple[float, float]]) -> None:
+    ratio, lateral = np.array(rows).T
+    found = excess_by_regime(ratio, lateral)
+    assert len(found) == len(EDGES) + 1
+    assert all(1.0 <= a <= b <= EXCESS_MAX for a, b in itertools.pairwise(found))
+
+
+def test_excess_is_learnt_where_the_model_fails() -> None:
+    lateral = np.concatenate([np.full(20, 0.5), np.full(20, 5.0)])
+    ratio = np.concatenate([np.full(20, 1.0), np.full(20, 6.0)])
+    found = excess_by_regime(ratio, lateral)
+    assert found[0] == pytest.approx(1.0)
+    assert found[4] == pytest.approx(6.0)
+    assert found[5] > found[4]  # nobody drove so hard: no better than where somebody did
+
+
+# The step within bounds.
+
+
+def _quadratic(seed: int, n: int) -> tuple[np.ndarray, ...]:
+    """A convex quadratic with strongly correlated coordinates, a point and bounds about it."""
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((n, n)) @ np.diag(10.0 ** rng.uniform(-2.0, 2.0, n))
+    h = root @ root.T + 1e-6 * np.eye(n)
+    slope = root @ rng.standard_normal(n) * 10.0 ** rng.uniform(-1.0, 2.0)
+    z = rng.standard_normal(n)
+    low, high = z - rng.choice([0.0, 0.01, 1.0], n), z + rng.choice([0.0, 0.01, 1.0], n)
+    return h, slope, z, low, high
+
+
+@settings(deadline=None, max_examples=200)
+@given(seed=st.integers(0, 10**6), n=st.integers(1, 8))
+def test_no_step_promises_less_than_nothing_or_leaves_the_bounds(seed: int, n: int) -> None:
+    h, slope, z, low, high = _quadratic(seed, n)
+    dz = step_within(h, slope, z, low, high)
+    assert np.isfinite(dz).all()
+    assert (z + dz >= low - 1e-12).all()
+    assert (z + dz <= high + 1e-12).all()
+    promised = slope @ dz - 0.5 * dz @ h @ dz
+    assert promised >= -1e-9 * (1.0 + abs(slope @ dz))
+
+
+def test_without_bounds_it_is_newtons_step() -> None:
+    h, slope, z, _, _ = _quadratic(3, 5)
+    wide = np.full(5, 1e9)
+    assert step_within(h, slope, z, -wide, wide) == pytest.approx(np.linalg.solve(h, slope))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_it_is_the_best_step_within_the_bounds(seed: int) -> None:
+    """Against another of SciPy's bounded minimisers."""
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((4, 4)) + 2.0 * np.eye(4)
+    h, slope = root @ root.T, 3.0 * rng.standard_normal(4)
+    low, high = np.full(4, -0.3), np.full(4, 0.3)
+    best = minimize(
+        lambda d: 0.5 * d @ h @ d - slope @ d, np.zeros(4), jac=lambda d: h @ d - slope,
+        bounds=list(zip(low, high, strict=True)),
+    )  # fmt: skip
+    dz = step_within(h, slope, np.zeros(4), low, high)
+    assert slope @ dz - 0.5 * dz @ h @ dz == pytest.approx(-best.fun, rel=1e-5)
+
+
+def test_two_coordinates_that_do_the_same_still_give_a_step() -> None:
+    """A curvature that is singular to the last digit, with a bound in Newton's way."""
+    h = np.array([[1.0, 1.0, 0.0], [1.0, 1.0 - 1e-15, 0.0], [0.0, 0.0, 1.0]])
+    slope, edge = np.array([1.0, 1.0, 1.0]), np.full(3, 0.1)
+    dz = step_within(h, slope, np.zeros(3), -edge, edge)
+    assert np.isfinite(dz).all()
+    assert (np.abs(dz) <= 0.1).all()
+    assert slope @ dz - 0.5 * dz @ h @ dz > 0.0

@@ -15,7 +15,7 @@ from steerd.daemon.many.batch.changes import (
     make_band,
     split_series,
 )
-from steerd.daemon.many.batch.text import nothing_changed
+from steerd.daemon.many.batch.run import nothing_changed
 
 DAY, BEGIN = 86_400.0, 1_772_366_400.0
 

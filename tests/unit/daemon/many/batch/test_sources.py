@@ -8,7 +8,7 @@ import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.many.batch.sources import (
+from steerd.daemon.many.batch.unit import (
     Question,
     UnitTask,
     find_batch,

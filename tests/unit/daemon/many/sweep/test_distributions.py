@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from steerd.daemon.many.sweep.distributions import parse_distribution
+from steerd.daemon.many.sweep.quantities import Quantity, parse_distribution
 
 N = 4000
 
 
 def draws(given, low=-1e9, high=1e9, usual=None, name="car.mass"):
-    found = parse_distribution(name, given, low, high, usual)
+    found = parse_distribution(Quantity(name, low, high, "kg", "", usual), given)
     return np.array([found.draw(name, seed) for seed in range(N)])
 
 
@@ -64,10 +64,10 @@ def test_nothing_is_drawn_outside_the_bounds():
 )
 def test_what_is_no_distribution_is_refused(given, said):
     with pytest.raises(ValueError, match=said):
-        parse_distribution("car.mass", given, -1.0, 10.0, None)
+        parse_distribution(Quantity("car.mass", -1.0, 10.0, "kg", ""), given)
 
 
 def test_a_distribution_that_never_meets_its_bounds_ends():
-    found = parse_distribution("x", {"mean": 0.0, "sd": 1e6}, -1e-6, 1e-6, None)
+    found = parse_distribution(Quantity("x", -1e-6, 1e-6, "1", ""), {"mean": 0.0, "sd": 1e6})
     with pytest.raises(ValueError, match="nothing between"):
         found.draw("x", 0)
