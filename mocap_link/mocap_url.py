@@ -1,24 +1,21 @@
-"""The one string that names a mocap source: `natnet://`, `vrpn://`, `ros2:///` or `zenoh:`."""
+"""The one string that names a mocap source: `natnet://...`, `vrpn://...` or `zenoh:KEY`."""
 
-import re
 from dataclasses import dataclass
 from urllib.parse import parse_qsl, unquote, urlsplit
 
-from steerd.steer_bus.ros_keys import make_ros_filter
-
 DEFAULT_PORTS = {"natnet": 1510, "vrpn": 3883}
-_FORMS = "natnet://HOST[:PORT]/BODY?up=y, vrpn://HOST[:PORT]/BODY, ros2:///TOPIC or zenoh:KEY"
+_FORMS = "natnet://HOST[:PORT]/BODY?up=y, vrpn://HOST[:PORT]/BODY or zenoh:KEY"
 
 
 @dataclass(frozen=True, slots=True)
 class MocapUrl:
     """A parsed source address."""
 
-    scheme: str  # `natnet`, `vrpn`, `ros2` or `zenoh`
-    host: str = ""  # server name or address; empty for the bus
-    port: int = 0  # command port (NatNet) or TCP port (VRPN); 0 for the bus
-    body: str = ""  # body name, or `id:42` (NatNet); empty for the bus
-    key: str = ""  # key expression on the bus (zenoh, ros2)
+    scheme: str  # `natnet`, `vrpn` or `zenoh`
+    host: str = ""  # server name or address; empty for zenoh
+    port: int = 0  # command port (NatNet) or TCP port (VRPN); 0 for zenoh
+    body: str = ""  # body name, or `id:42` (NatNet); empty for zenoh
+    key: str = ""  # key expression (zenoh only)
     up: str | None = None  # the vendor's up axis, `y` or `z`; None leaves it to the configuration
     # True or False forces it; None follows what the server says (NatNet)
     unicast: bool | None = None
@@ -34,8 +31,6 @@ def parse_mocap_url(text: str) -> MocapUrl:
     scheme, colon, rest = text.partition(":")
     if colon and scheme == "zenoh":
         return _parse_key(text, rest)
-    if colon and scheme == "ros2":
-        return _parse_topic(text, rest)
     if scheme not in DEFAULT_PORTS or not rest.startswith("//"):
         raise ValueError(f"mocap address {text!r}: expected {_FORMS}")
     parts = urlsplit(text)
@@ -69,13 +64,6 @@ def _parse_key(text: str, key: str) -> MocapUrl:
             f"mocap address {text!r}: a zenoh key is like zenoh:lab/pose/car, without outer slashes"
         )
     return MocapUrl("zenoh", key=key)
-
-
-def _parse_topic(text: str, rest: str) -> MocapUrl:
-    name = rest.removeprefix("///")
-    if name == rest or re.fullmatch(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", name) is None:
-        raise ValueError(f"mocap address {text!r}: a topic is like ros2:///pf/pose/odom")
-    return MocapUrl("ros2", key=make_ros_filter(None, name), up="z")
 
 
 def _check_id(text: str, scheme: str, body: str) -> None:

@@ -9,7 +9,6 @@ One JSON object per pose::
 bus is not this module's business: bytes in, `Pose` out.
 """
 
-from collections.abc import Callable
 from typing import Annotated
 
 import msgspec
@@ -83,14 +82,7 @@ def encode_pose(raw: Pose) -> bytes:
 class BusPoseSource:
     """The external pose topic, from payloads to samples; whoever owns the bus feeds it."""
 
-    def __init__(
-        self,
-        config: IngestConfig,
-        decode: Callable[[bytes, int], Pose] = decode_pose,
-        *,
-        extra_latency_ns: int | None = None,
-    ) -> None:
-        self._decode = decode
+    def __init__(self, config: IngestConfig, *, extra_latency_ns: int | None = None) -> None:
         extra = DEFAULT_EXTRA_LATENCY_NS["zenoh"] if extra_latency_ns is None else extra_latency_ns
         self.ingest = PoseIngest(config, SourceTiming(TICKS_HZ, extra))
         self.malformed = 0
@@ -100,7 +92,7 @@ class BusPoseSource:
     def on_message(self, payload: bytes, t_arrival_ns: int) -> Pose | None:
         """Take in one payload; one that is not a pose is counted and gives None."""
         try:
-            raw = self._decode(payload, t_arrival_ns)
+            raw = decode_pose(payload, t_arrival_ns)
         except PoseError as error:
             self.malformed += 1
             self._detail = str(error)

@@ -48,15 +48,6 @@ def make_ros_key(domain: int, topic: str, cls: type[Any]) -> str:
     return f"{check_domain(domain)}/{name}/{dds_type(cls)}/{type_hash(cls)}"
 
 
-def make_ros_filter(domain: int | None, topic: str) -> str:
-    """The keys under which publishers of a topic send, whatever its type; None for every domain.
-
-    Raises:
-        ValueError: on a bad domain.
-    """
-    return f"{'*' if domain is None else check_domain(domain)}/{topic.strip('/')}/*/*"
-
-
 def make_node_token(domain: int, zid: str, node: str) -> str:
     """The token of a node without namespace.
 

@@ -87,14 +87,6 @@ class PoseWithCovariance:
     covariance: Float64x36
 
 
-@message("geometry_msgs/msg/PoseWithCovarianceStamped")
-class PoseWithCovarianceStamped:
-    """A pose with its covariance in the header's frame at the header's time."""
-
-    header: Header
-    pose: PoseWithCovariance
-
-
 @message("geometry_msgs/msg/Twist")
 class Twist:
     """Linear [m/s] and angular [rad/s] velocity."""

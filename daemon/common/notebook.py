@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 P = ParamSpec("P")
-_OPTION = re.compile(r"(?<![`\w])--([a-z][a-z-]*)(?:[ =]([\w./]+)(?=$|[:,;]))?")
+_OPTION = re.compile(r"`[^`]*`|(?<!\w)--([a-z][a-z-]*)(?:[ =]([\w./]+)(?=$|[:,;]))?")
 _ARGUMENTS = {"effect": "effects"}
 """Arguments that are not called as their option."""
 
@@ -37,6 +37,8 @@ def speaking_of_arguments(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def _as_argument(option: re.Match[str]) -> str:
+    if option[1] is None:  # a command to copy
+        return option[0]
     name = option[1].replace("-", "_")
     name = _ARGUMENTS.get(name, name)
     if option[2] is None:

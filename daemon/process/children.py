@@ -23,7 +23,7 @@ from steerd.daemon.process.child import CORE, Child, Prepared, hand_over, prepar
 from steerd.daemon.process.learner_memory import make_learner_job, recall_learnt
 from steerd.daemon.process.page_job import make_page_job
 from steerd.daemon.process.view_job import make_view_job
-from steerd.daemon.settings.run_options import ControllerKind, RunOptions, encode_options
+from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
 
 END_S, VIEWER_END_S = 10.0, 2.0
@@ -195,9 +195,7 @@ def start_processes(
         meta = make_metadata(plan, boot_id, epoch_ns, leased=leased) | dict(memory.metadata)
         job = _make_recorder_job(plan, session, meta, epoch_ns)
         started["recorder"] = spawn(f"{_MODULE}recorder", ends.of["recorder"], job)
-        started["gateway"] = spawn(
-            f"{_MODULE}gateway", ends.of["gateway"], _make_gateway_job(plan, boot_id)
-        )
+        started["gateway"] = spawn(f"{_MODULE}gateway", ends.of["gateway"], _make_gateway_job(plan))
         job = {"options": encode_options(plan.options), "boot_id": boot_id, "epoch_ns": epoch_ns}
         job["leased"] = leased
         started["core"] = hand_over(core or prepare(CORE), ends.of["core"], job)
@@ -277,9 +275,9 @@ def _make_recorder_job(
     }
 
 
-def _make_gateway_job(plan: RunPlan, boot_id: int) -> dict[str, Any]:
-    mocap = plan.options.mocap
-    pose_key = (parse_mocap_url(mocap).key or None) if mocap else None
+def _make_gateway_job(plan: RunPlan) -> dict[str, Any]:
+    mocap = plan.options.mocap or ""
+    pose_key = parse_mocap_url(mocap).key if mocap.startswith("zenoh:") else None
     return {
         "listen": plan.options.listen,
         "lab": plan.options.lab,
@@ -287,5 +285,4 @@ def _make_gateway_job(plan: RunPlan, boot_id: int) -> dict[str, Any]:
         "car": plan.options.car,
         "pose_key": pose_key,
         "ros_domain": plan.options.ros_domain,
-        "ros_drive": boot_id if plan.options.controller is ControllerKind.ROS2 else None,
     }

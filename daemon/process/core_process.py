@@ -8,7 +8,6 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import compress
 from operator import attrgetter
 
@@ -26,7 +25,6 @@ from steerd.daemon.process.realtime import enter_realtime, settle_memory
 from steerd.daemon.process.runner import CoreLinks, Runner
 from steerd.daemon.settings.run_options import decode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
-from steerd.mocap_link.ros_pose import decode_ros_pose
 from steerd.mocap_link.sockets import MocapReceiver, make_receiver
 from steerd.mocap_link.zenoh_pose import BusPoseSource
 from steerd.steer_bus import topics
@@ -81,13 +79,9 @@ def make_mocap(plan: RunPlan) -> MocapReceiver | BusPoseSource:
     text = plan.options.mocap or ""
     try:
         url = parse_mocap_url(text)
-        ingest = plan.settings.ingest
         if url.scheme == "zenoh":
-            return BusPoseSource(ingest)
-        if url.scheme == "ros2":
-            placed = replace(ingest, frame=replace(ingest.frame, up=url.up or "z"))
-            return BusPoseSource(placed, decode_ros_pose)
-        return make_receiver(url, ingest)
+            return BusPoseSource(plan.settings.ingest)
+        return make_receiver(url, plan.settings.ingest)
     except ValueError as error:
         raise SteerdError(f"--mocap {text}: {error}", "", ExitCode.USAGE) from None
     except OSError as error:

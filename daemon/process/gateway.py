@@ -15,7 +15,7 @@ import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from steerd.daemon.ipc.gateway_wire import REQUEST_MAX, make_badge, pack_request
 from steerd.daemon.ipc.pipe_records import PipeRecord, unpack_records
@@ -25,16 +25,12 @@ from steerd.daemon.process.bus_operator import STOPS
 from steerd.daemon.process.child import receive_job
 from steerd.daemon.process.ros_bridge import RosBridge
 from steerd.daemon.process.views import Views
-from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus, BusError, Keep, Subscription
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import load_lab
 from steerd.steer_bus.topics import ALIVE, LAST_MODEL, Topic, make_key, schema_replies
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile
-
-if TYPE_CHECKING:
-    from steerd.daemon.process.ros_drive import RosDrive
 
 _POLL_MS = 4
 """Longest time that a request waits here [ms]."""
@@ -72,16 +68,10 @@ class Gateway:
     """One car on the bus, and in ROS's graph if there is a bridge."""
 
     def __init__(
-        self,
-        bus: Bus,
-        car: str,
-        pose_key: str | None,
-        ros: RosBridge | None = None,
-        drive: "RosDrive | None" = None,
+        self, bus: Bus, car: str, pose_key: str | None, ros: RosBridge | None = None
     ) -> None:
         self._bus = bus
-        self._ros, self._drive = ros, drive
-        self._commands: list[bytes] = []
+        self._ros = ros
         self._car = car
         self._views = Views()
         self._requests: list[tuple[Topic, Subscription]] = [
@@ -104,9 +94,6 @@ class Gateway:
     def publish_records(self, records: Iterable[PipeRecord]) -> None:
         """Publish records, each with its standard ROS message."""
         for record in records:
-            if self._drive is not None and record.topic is topics.STATE:
-                command = self._drive.answer(decode(m.StateMessage, record.data))
-                self._commands += [] if command is None else [command]
             for each in (record, *self._views.convert(record)):
                 if each.topic is topics.MODEL:
                     self._model = each.data
@@ -123,9 +110,6 @@ class Gateway:
             for sample in subscription.poll():
                 who = sample.key.removeprefix(make_key(self._car, topic)).removeprefix("/")
                 _send(core, known, seal(topic, sample.data, who))
-        for command in self._commands:
-            _send(core, topics.DRIVE, seal(topics.DRIVE, command, ""))
-        self._commands.clear()
         for topic, subscription in self._plain:
             for sample in subscription.poll():
                 if len(sample.data) <= REQUEST_MAX:
@@ -170,8 +154,7 @@ def main() -> int:
         with ZenohBus(_make_profile(options)) as bus:
             domain = options["ros_domain"]
             ros = None if domain is None else RosBridge(bus, options["car"], domain)
-            drive = _make_drive(bus, domain, options["ros_drive"])
-            gateway = Gateway(bus, options["car"], options["pose_key"], ros, drive)
+            gateway = Gateway(bus, options["car"], options["pose_key"], ros)
             job.say_ready("ready")
             run_gateway(gateway, job.fds["pipe"], core, ReportPipe(job.fds.get("reports")))
     except BusError as error:
@@ -181,14 +164,6 @@ def main() -> int:
     # zenoh's threads may keep the interpreter alive; nothing is left to do.
     sys.stderr.flush()
     os._exit(0)
-
-
-def _make_drive(bus: Bus, domain: int | None, boot_id: int | None) -> "RosDrive | None":
-    if boot_id is None:
-        return None
-    from steerd.daemon.process.ros_drive import RosDrive  # brings NumPy, which few gateways need
-
-    return RosDrive(bus, domain, boot_id)
 
 
 def _make_profile(options: Mapping[str, Any]) -> Profile:

@@ -7,11 +7,10 @@ import msgspec
 
 
 class ControllerKind(StrEnum):
-    """Who steers: the built-in lane keeper, or a program on the bus, or a ROS 2 node there."""
+    """Who steers: the built-in lane keeper, or a program that publishes commands on the bus."""
 
     LANE = "lane"
     ZENOH = "zenoh"
-    ROS2 = "ros2"
 
 
 @dataclass(frozen=True)

@@ -165,7 +165,7 @@ def against(arguments, port, url):
 def options_of(command):
     """The command and its options, without their values; mocap addresses by their protocol."""
     arguments = arguments_of(command)
-    schemes = re.findall(r"\b(natnet|vrpn|zenoh|ros2):", command)
+    schemes = re.findall(r"\b(natnet|vrpn|zenoh):", command)
     return frozenset([arguments[0], *schemes, *(w for w in arguments if w.startswith("--"))])
 
 
@@ -179,7 +179,7 @@ def chosen(commands):
 
 
 HARDWARE_LINES = [p.values[0] for p in command_lines() if kind_of(p.values[0]) == "hardware"]
-ELSEWHERE = [c for c in HARDWARE_LINES if "vrpn:" in c or "zenoh" in c or "ros2:" in c]
+ELSEWHERE = [c for c in HARDWARE_LINES if "vrpn:" in c or "zenoh" in c]
 """Driven by tests/e2e/test_live.py, with programs beside them that the pages do not show."""
 DRIVEN = chosen([c for c in HARDWARE_LINES if c not in ELSEWHERE])
 

@@ -19,7 +19,6 @@ from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-ROS_PEER = Path(__file__).with_name("ros_peer.py")
 CIRCLE = ("--path", "circle:radius=2", "--speed", "1")
 STOPS = {SupervisorState.STOPPING, SupervisorState.FAULT_STOP}
 
@@ -154,28 +153,15 @@ def test_keys_of_its_own_terminal_over_vrpn(undisturbed, capsys) -> None:
     undisturbed(scenario)
 
 
-@pytest.mark.parametrize(
-    ("mocap", "options", "program", "off"),
-    [
-        pytest.param(
-            "zenoh:lab/pose/car", (),
-            lambda url, bus: (EXAMPLES / "publish_poses.py", url, "--key", "lab/pose/car",
-                              "--connect", bus),
-            0.05, id="the example program, which reads them from NatNet",
-        ),
-        pytest.param(
-            "ros2:///pf/pose/odom", ("--controller", "ros2"),
-            lambda url, bus: (ROS_PEER, url, bus),
-            0.15, id="a ROS 2 peer, which also steers",
-        ),
-    ],
-)  # fmt: skip
-def test_poses_from_the_bus(mocap, options, program, off, undisturbed, capsys) -> None:
+def test_poses_from_the_bus(undisturbed, capsys) -> None:
+    """`--mocap zenoh:KEY`, fed by the example program, which reads them from NatNet."""
+
     def scenario(steerd, folder):
         port, url = steerd.sim(folder)
-        run, record = start_run(steerd, folder, "--port", port, "--mocap", mocap, *options)
+        run, record = start_run(steerd, folder, "--port", port, "--mocap", "zenoh:lab/pose/car")
         run.expect("first pose")
-        steerd.script(*map(str, program(url, steerd.endpoint)))
+        argv = [str(EXAMPLES / "publish_poses.py"), url, "--key", "lab/pose/car"]
+        steerd.script(*argv, "--connect", steerd.endpoint)
         run.expect("READY")
         arm = steerd("arm", "--connect", steerd.endpoint)
         arm.expect("armed:")
@@ -188,7 +174,7 @@ def test_poses_from_the_bus(mocap, options, program, off, undisturbed, capsys) -
         assert go.wait() == 0, go.text
         run.send(signal.SIGINT)
         assert run.wait() == 0, run.text
-        assert np.abs(lane_errors(record)).max() < off
+        assert np.abs(lane_errors(record)).max() < 0.05
         capsys.readouterr()
         assert run_cli(["replay", str(record)]) == 0
 

@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd run`."""
     where = parser.add_argument_group("hardware")
     option(where, "--port", "DEV", "serial port of the VESC, e.g. /dev/ttyACM0")
-    text = "natnet://HOST[:PORT]/BODY[?up=y|z], vrpn://HOST[:PORT]/BODY, ros2:///TOPIC or zenoh:KEY"
+    text = "natnet://HOST[:PORT]/BODY[?up=y|z], vrpn://HOST[:PORT]/BODY or zenoh:KEY"
     option(where, "--mocap", "URL", text)
     option(where, "--sim", "", "simulated hardware on a pty and sockets")
     option(where, "--fast", "", "with --sim: virtual time, repeatable")
@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         run,
         "--controller",
         None,
-        "zenoh: apply the commands of `steerd control`; ros2: those of a ROS node's /drive",
+        "zenoh: apply the commands of `steerd control`",
         choices=[kind.value for kind in ControllerKind],
         default="lane",
     )
@@ -149,9 +149,7 @@ def _list_conflicts(args: argparse.Namespace) -> Iterator[tuple[bool, str, str]]
     wrong = domain is not None and not 0 <= domain <= DOMAIN_MAX
     yield wrong, f"--ros-domain {domain}: 0 to {DOMAIN_MAX}", ""
     what = "the hub of a lab passes steerd's own topics only, not those of ROS"
-    ros = domain is not None or args.controller == ControllerKind.ROS2
-    ros = ros or str(args.mocap).startswith("ros2:")
-    yield ros and args.lab is not None, what, "drop --lab, or --ros-domain and what is ros2"
+    yield domain is not None and args.lab is not None, what, "drop --lab or --ros-domain"
     yield args.adapt and not args.learn, "--adapt follows what is learnt", "add --learn"
     what = "--adapt is about the lane keeper, and another program drives"
     lane = args.controller == ControllerKind.LANE
