@@ -80,7 +80,7 @@ def _read(source: Path) -> list[Effect]:
         raise SteerdError(f"{source}: {type(error).__name__}: {error}") from error
     found = [value for value in vars(module).values() if isinstance(value, Effect)]
     if not found:
-        raise SteerdError(f"{source} defines no Effect", "docs/how-to/your-own-effect.md shows one")
+        raise SteerdError(f"{source} defines no Effect", "EFFECT = Effect(name=…, …)")
     return found
 
 

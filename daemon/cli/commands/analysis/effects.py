@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--page", "", "the same as a Markdown page")
     own = parser.add_argument_group("effects of your own").add_mutually_exclusive_group()
     option(own, "--add", "FILE.py", "add those of a file", missing_file, type=Path)
-    option(own, "--remove", "FILE.py", "take them away again", type=Path)
+    option(own, "--remove", "NAME.py", "take them away again", type=Path)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -75,7 +75,7 @@ def test_the_curves_are_the_recorded_numbers(tmp_path):
     slots = data["grid"]["slots"]
     panels = {panel["title"]: panel for panel in data["panels"]}
     e1, _ = unpack(panels["lateral error e1"]["curves"][0], slots)
-    assert sorted(set(np.round(e1[np.isfinite(e1)], 3))) == [-2.0, 2.0]
+    assert sorted(set(np.round(e1[np.isfinite(e1)], 3))) == [-20.0, 20.0]
     yaw, _ = unpack(panels["yaw rate"]["curves"][0], slots)
     recorded = session.session.columns(m.StateMessage)["yaw_rate"]
     assert yaw[np.isfinite(yaw)] == pytest.approx(recorded, abs=1e-4)
