@@ -55,8 +55,9 @@ layers: install   ## which room may import which
 docs: install     ## the site, into site/; a broken link or anchor is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-media: install    ## the moving picture of README and site, from real runs (two minutes)
+media: install    ## the pictures of README, site and tutorial, from their own commands (minutes; Chromium)
 	$(BIN)/python docs/media.py
+	$(BIN)/python -m tests.media
 
 unit: install     ## the quick tests, half a minute: no processes, no statistics, no whole commands
 	$(PYTEST) -n 2 -m "not realtime and not slow" tests/unit

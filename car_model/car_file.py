@@ -81,6 +81,9 @@ class CarFile:
     remark: str = ""
     """Why what identify knew is not used, as a sentence; empty where it is, or never was."""
 
+    def __repr__(self) -> str:
+        return f"<CarFile {self.name!r} of {self.path.name}, {len(self.effects)} effects>"
+
     @property
     def model(self) -> Model[float]:
         """The car with its effects switched on."""

@@ -116,6 +116,10 @@ class Diagnosis:
     timeline: Timeline | None = None
     horizons: tuple[Horizon, ...] = ()
 
+    def __repr__(self) -> str:
+        names = ", ".join(cause.effect for cause in self.causes)
+        return f"<Diagnosis: {self.verdict}{names and f', {names}'}>"
+
 
 def _known_noise(base: CarFile | Model[float], options: Options) -> Noise | None:
     if options.noise is not None:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from steerd.daemon.analysis.diagnosis import Diagnosis, diagnose
+    from steerd.daemon.analysis.environment import Environment
     from steerd.daemon.analysis.identification import Identification, identify
     from steerd.daemon.analysis.recorded import Session, load
     from steerd.daemon.analysis.simulation import simulate
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Batch",
     "Diagnosis",
+    "Environment",
     "Identification",
     "Session",
     "SteerdError",
@@ -47,6 +49,7 @@ __all__ = [
 _MODULES = {
     "Batch": "many.batch.run",
     "Diagnosis": "analysis.diagnosis",
+    "Environment": "analysis.environment",
     "Identification": "analysis.identification",
     "Session": "analysis.recorded",
     "SteerdError": "common.errors",

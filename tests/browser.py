@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterator
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -107,9 +108,10 @@ class Browser:
         found: list[str] = self.ask(LAYOUT)
         return found
 
-    def screenshot(self, picture: Path) -> None:
-        """The whole page as a PNG file."""
+    def screenshot(self, picture: Path, most: float = inf) -> None:
+        """The page as a PNG file, of `most` lines from its top."""
         size = self.call("Page.getLayoutMetrics")["cssContentSize"]
+        size["height"] = min(size["height"], most)
         shot = self.call(
             "Page.captureScreenshot", captureBeyondViewport=True, clip={**size, "scale": 1}
         )

@@ -74,7 +74,7 @@ def _rows(case: Case, found: Diagnosis, lane: LaneComparison | str) -> Iterator[
     yield "gap after", "; ".join(gap_words(found))
     if found.causes:
         yield "shrinks by", shrink_words(found, split.held_out_of)
-        yield "", f"prediction sha256 {found.shrinkage.digest}"
+        yield "", f"prediction sha256 {found.shrinkage.digest[:16]}…"
     if isinstance(lane, LaneComparison):
         yield "closed loop", lane_words(lane)
     elif lane and found.causes:

@@ -33,6 +33,7 @@ from steerd.daemon.analysis.options import (
 from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.assembly.sim_car import compare_truths, read_origin
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.notebook import notebook_progress
 from steerd.daemon.common.screen import shown
 from steerd.daemon.common.written import car_outputs, check_outputs, write_outputs
 from steerd.posterior_file import TABLES
@@ -173,7 +174,8 @@ def diagnose(sessions: SessionSources, options: DiagnoseOptions) -> Diagnosis:
     errors, predicted and measured shrinkage. Raises a `SteerdError` where a session, the car or an
     argument cannot be used; its `hint` says what to try.
     """
-    return run_diagnosis(list_sessions(sessions), options)
+    with notebook_progress("diagnosing", 1.0) as progress:
+        return run_diagnosis(list_sessions(sessions), options, progress=progress)
 
 
 def run_diagnosis(

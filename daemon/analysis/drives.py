@@ -43,6 +43,9 @@ class Drives:
     sessions: tuple[Session, ...]
     runs: tuple[Run, ...]
 
+    def __repr__(self) -> str:
+        return f"<Drives of {', '.join(path.name for path in self.paths)}>"
+
     @cached_property
     def car(self) -> CarFile:
         """The car file inside the first session.

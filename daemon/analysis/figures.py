@@ -58,10 +58,10 @@ def _plot_track(figure: Figure, axis: Axes, drawing: Drawing) -> None:
     track = drawing.track
     if track is not None:
         step = max(1, len(track.t) // POINTS_MAX)
-        error = 100.0 * np.abs(drawing.e1[::step])
+        error = 1e3 * np.abs(drawing.e1[::step])
         if np.isfinite(error).any():
             dots = axis.scatter(track.x[::step], track.y[::step], c=error, s=3, cmap="viridis")
-            figure.colorbar(dots, ax=axis, location="bottom", label="|e1| [cm]", shrink=0.8)
+            figure.colorbar(dots, ax=axis, location="bottom", label="|e1| [mm]", shrink=0.8)
         else:
             axis.plot(track.x[::step], track.y[::step], color=AFTER, lw=1.0)
     axis.set_aspect("equal", adjustable="datalim")

@@ -33,6 +33,7 @@ from steerd.daemon.analysis.options import (
 )
 from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.notebook import notebook_progress
 from steerd.daemon.common.screen import shown
 from steerd.daemon.common.written import writing
 from steerd.posterior_file import posterior_path
@@ -53,6 +54,8 @@ if TYPE_CHECKING:
 
 _USAGE = ExitCode.USAGE
 _STARTS = {"ours": 1, "paper": 5, "cma-es": 5}
+FIT = 2.0
+"""About what a fit costs, in sessions read."""
 _LEAST = {"starts": 1, "iterations": 1, "jobs": 1, "seed": 0}
 _WHEELBASE = 0.05, 4.0
 """Between a toy's and a lorry's wheelbase [m]; millimetres lie above."""
@@ -163,7 +166,9 @@ def identify(sessions: SessionSources, options: IdentifyOptions) -> Identificati
     Returns estimates, standard errors, validation. Raises a `SteerdError` where a session, the car
     or an argument cannot be used; its `hint` says what to try.
     """
-    return run_identification(list_sessions(sessions), options)
+    paths = list_sessions(sessions)
+    with notebook_progress("identifying", len(paths) + FIT) as progress:
+        return run_identification(paths, options, progress=progress)
 
 
 def run_identification(

@@ -125,8 +125,8 @@ def _validation(outcome: Outcome) -> Iterator[str]:
             yield f"   {a.horizon:.1f} s   no held-out drive is so long"
             continue
         yield (
-            f"   {a.horizon:.1f} s   {a.position * 1e3:7.1f} mm {degrees(a.heading):6.2f} deg   "
-            f"(start {b.position * 1e3:.1f} mm {degrees(b.heading):.2f} deg: {h.factor:.1f} x)"
+            f"   {a.horizon:.1f} s   {a.position * 1e3:7.1f} mm {degrees(a.heading):6.2f}°   "
+            f"(start {b.position * 1e3:.1f} mm {degrees(b.heading):.2f}°: {h.factor:.1f} x)"
         )
     yield from _regimes(outcome)
 

@@ -14,6 +14,7 @@ from typing import Any, Concatenate, Literal, NamedTuple, ParamSpec, Protocol, T
 
 from steerd.car_model.car_file import CarFile, default_car_path
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.common.translate import load_car_file
 
 EVERY = 4
@@ -124,7 +125,7 @@ def by_keywords(
     def decorate(work: Callable[[SessionSources, O], R]) -> Callable[..., R]:
         @wraps(work)
         def call(sessions: SessionSources, /, *args: P.args, **given: P.kwargs) -> R:
-            return work(sessions, options(*args, **given))
+            return speaking_of_arguments(work)(sessions, options(*args, **given))
 
         first = next(iter(inspect.signature(work).parameters.values()))
         keywords = inspect.signature(options).parameters.values()

@@ -1,6 +1,6 @@
 """`steerd.load`: a recorded drive as tables and a figure."""
 
-import importlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.notebook import load_package, make_frame
 from steerd.daemon.common.screen import shown
 from steerd.daemon.common.translate import make_session_error
 from steerd.daemon.sessions.info import (
@@ -20,7 +21,7 @@ from steerd.daemon.sessions.info import (
     seconds_since,
 )
 from steerd.steer_bus import session_read
-from steerd.steer_bus.fields import flat_leaves
+from steerd.steer_bus.fields import Nested, flat_leaves, message_fields
 from steerd.steer_bus.session_read import MESSAGE_TYPES, SessionError
 from steerd.steer_bus.topic_columns import Columns
 from steerd.steer_bus.topics import split_key
@@ -121,11 +122,16 @@ class Session:
     def to_pandas(self, topic: str) -> "pandas.DataFrame":
         """A topic as a data frame; arrays of a message become columns `name.0`, `name.1`, ….
 
+        `drive["state"]` is the same. `attrs["units"]` holds the units by column.
+
         Raises:
             SteerdError: pandas is not installed, or as `table`.
         """
-        frame: pandas.DataFrame = _load("pandas").DataFrame(_flatten(self._columns(topic)))
-        return frame
+        cls = self._find(topic)[1]
+        return make_frame(_flatten(self._columns(topic)), dict(_units(cls)) | _TIMES)
+
+    def __getitem__(self, topic: str) -> "pandas.DataFrame":
+        return self.to_pandas(topic)
 
     def to_polars(self, topic: str) -> "polars.DataFrame":
         """A topic as a data frame; arrays of a message become columns `name.0`, `name.1`, ….
@@ -137,7 +143,7 @@ class Session:
             n: c.tolist() if c.dtype == object else c
             for n, c in _flatten(self._columns(topic)).items()
         }
-        frame: polars.DataFrame = _load("polars").DataFrame(columns)
+        frame: polars.DataFrame = load_package("polars").DataFrame(columns)
         return frame
 
     def plot(self) -> "Figure":
@@ -156,21 +162,43 @@ class Session:
 
         return format_report(self.report)
 
-    def _columns(self, topic: str) -> Columns:
+    def _find(self, topic: str) -> tuple[str, type[Any]]:
+        """Whole topic and message class of a name.
+
+        Raises:
+            SteerdError: the session has no such topic.
+        """
         by_topic = {whole: (whole, cls) for whole, cls in self._names.values()}
         found = self._names.get(topic) or by_topic.get(topic)
         if found is None:
             what = f"{self.path.name} has no table {topic!r}"
             hint = f"it has {', '.join(self.topics) or 'none'}"
             raise SteerdError(what, hint, ExitCode.INVALID)
+        return found
+
+    def _columns(self, topic: str) -> Columns:
+        whole, cls = self._find(topic)
         try:
-            return self._with_time(self._recording.columns(found[1], found[0]))
+            return self._with_time(self._recording.columns(cls, whole))
         except SessionError as error:
             raise make_session_error(error) from None
 
     def _with_time(self, columns: Columns) -> Columns:
         stamps = columns["stamp_ns"] if "stamp_ns" in columns else columns["log_ns"]
         return {"t": seconds_since(self._recording.info().start_ns, stamps), **columns}
+
+
+_TIMES = {"t": "s", "log_ns": "ns", "publish_ns": "ns"}
+"""Units of what every table has."""
+
+
+def _units(cls: type[Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Unit by column of a message's table."""
+    for each in message_fields(cls):
+        if isinstance(each.kind, Nested):
+            yield from _units(each.kind.cls, f"{prefix}{each.name}.")
+        else:
+            yield f"{prefix}{each.name}", each.unit
 
 
 def load(path: Path | str) -> Session:
@@ -183,14 +211,6 @@ def load(path: Path | str) -> Session:
         SteerdError: it cannot be read, or is no session.
     """
     return Session(Path(path), load_session(Path(path)))
-
-
-def _load(package: str) -> Any:
-    try:
-        return importlib.import_module(package)
-    except ImportError:
-        what, hint = f"{package} is not installed", f"pip install {package}"
-        raise SteerdError(what, hint, ExitCode.USAGE) from None
 
 
 def _make_table(columns: Columns) -> Table:

@@ -11,6 +11,7 @@ from steerd.daemon.analysis.options import CarSource, read_car
 from steerd.daemon.analysis.recorded import Session
 from steerd.daemon.assembly.build import RunPlan, make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
 from steerd.daemon.offline.fast import check_driven, record_virtual
 from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun, drive
@@ -28,6 +29,7 @@ EffectValues = Mapping[str, float | Sequence[float] | Mapping[str, float]]
 """Parameters by effect: one value, all in order, or some by their names; see `steerd effects`."""
 
 
+@speaking_of_arguments
 def simulate(
     car: CarSource = None,
     path: str = "figure8",
@@ -61,19 +63,7 @@ def simulate(
     Raises:
         SteerdError: an argument cannot be used, or the car was never driven.
     """
-    if not 0.0 < duration <= DURATION_MAX:
-        what = f"duration {duration:g}: more than 0 s, {DURATION_MAX:g} s at most"
-        raise SteerdError(what, "", ExitCode.USAGE)
-    if not 0.0 < speed < float("inf"):
-        raise SteerdError(f"speed {speed:g}: more than 0 m/s", "", ExitCode.USAGE)
-    if seed < 0:
-        raise SteerdError(f"seed {seed}: 0 or more", "", ExitCode.USAGE)
-    options = RunOptions(
-        car_file="", path=path, speed=speed, duration_s=duration, seed=seed, simulated=True,
-        auto_arm=True, effects=_format_effects(effects or {}),
-        controller=ControllerKind.ZENOH if controller else ControllerKind.LANE,
-    )  # fmt: skip
-    plan = make_plan(options, make_settings(read_car(car), speed))
+    plan = plan_drive(car, path, speed, duration, seed, effects, external=controller is not None)
     if record is not None:
         return _record(plan, Path(record), controller)
     folder = Path(mkdtemp(prefix="steerd-"))
@@ -84,6 +74,36 @@ def simulate(
         raise
     weakref.finalize(session, shutil.rmtree, folder, ignore_errors=True)
     return session
+
+
+def plan_drive(
+    car: CarSource,
+    path: str,
+    speed: float,
+    duration: float,
+    seed: int,
+    effects: EffectValues | None,
+    *,
+    external: bool,
+) -> RunPlan:
+    """A drive as `simulate` describes it; `external`: a function drives, not the lane keeper.
+
+    Raises:
+        SteerdError: an argument cannot be used.
+    """
+    if not 0.0 < duration <= DURATION_MAX:
+        what = f"duration {duration:g}: more than 0 s, {DURATION_MAX:g} s at most"
+        raise SteerdError(what, "", ExitCode.USAGE)
+    if not 0.0 < speed < float("inf"):
+        raise SteerdError(f"speed {speed:g}: more than 0 m/s", "", ExitCode.USAGE)
+    if seed < 0:
+        raise SteerdError(f"seed {seed}: 0 or more", "", ExitCode.USAGE)
+    options = RunOptions(
+        car_file="", path=path, speed=speed, duration_s=duration, seed=seed, simulated=True,
+        auto_arm=True, effects=_format_effects(effects or {}),
+        controller=ControllerKind.ZENOH if external else ControllerKind.LANE,
+    )  # fmt: skip
+    return make_plan(options, make_settings(read_car(car), speed))
 
 
 def _record(plan: RunPlan, file: Path, controller: Controller | None) -> Session:
@@ -123,7 +143,7 @@ class _Steered:
 def _warn_stopped(run: VirtualRun) -> None:
     loop = run.core.loop
     if loop.faulted:
-        warnings.warn(f"the drive was stopped: {loop.fault}", stacklevel=4)
+        warnings.warn(f"the drive was stopped: {loop.fault}", stacklevel=5)
 
 
 def _format_effects(effects: EffectValues) -> tuple[str, ...]:

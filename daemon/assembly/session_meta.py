@@ -15,7 +15,7 @@ from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.assembly.sim_car import make_true_model, make_truth
 from steerd.daemon.settings.run_options import encode_options
 from steerd.posterior_file import ATTACHED
-from steerd.steer_bus.session_read import WRONG_CONTENT, Session, SessionError
+from steerd.steer_bus.session_read import WRONG_CONTENT, Session, SessionError, SessionInfo
 from steerd.version import VERSION
 
 VIRTUAL_EPOCH_NS = 1_700_000_000_000_000_000
@@ -23,9 +23,10 @@ VIRTUAL_EPOCH_NS = 1_700_000_000_000_000_000
 _DAY_NS = 86_400_000_000_000
 
 
-def is_virtual(start_ns: int) -> bool:
-    """Whether a session of this start was driven in virtual time: its date says nothing."""
-    return VIRTUAL_EPOCH_NS <= start_ns < VIRTUAL_EPOCH_NS + _DAY_NS
+def is_virtual(info: SessionInfo) -> bool:
+    """Whether a session was driven in virtual time: its date says nothing."""
+    mode = info.metadata.get("steerd.session", {}).get("mode")
+    return mode != "import" and 0 <= info.start_ns - VIRTUAL_EPOCH_NS < _DAY_NS
 
 
 def data_folder() -> Path:

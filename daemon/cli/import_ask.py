@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.imports.propose import Proposal, change, format_map, list_sections
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ def ask(proposal: Proposal, source: Path, trial: Trial) -> str:
     """
     text = _show(proposal, source, trial, fix=True)
     while True:
-        print("Enter writes it; NAME = VALUE changes a line; ? lists names; q leaves")
+        print("Enter writes it; NAME = COLUMN [* SCALE] changes a line; ? lists names; q leaves")
         print("> ", end="", flush=True)
         line = sys.stdin.readline()
         answer = line.strip()
@@ -80,7 +81,7 @@ def _show(proposal: Proposal, source: Path, trial: Trial, *, fix: bool) -> str:
     text = format_map(proposal, source.name)
     print(f"\nproposed map\n{_indent(text)}\nwhat it would mean")
     if isinstance(meaning, str):
-        print(f"  nothing: {meaning}")
+        print(f"  nothing yet: {meaning}")
         return ""
     print("\n".join(f"  {line}" for line in meaning.lines))
     for warning in meaning.warnings:
@@ -103,8 +104,9 @@ def _try(proposal: Proposal, source: Path, trial: Trial) -> Meaning | str:
             trial(the_map, out)
             return _read_meaning(load_recording(out))
         except SteerdError as error:
-            shown = error.what.replace(str(the_map), "the map")
-            return f"{shown}; {error.hint}" if error.hint else shown
+            shown = error.what.replace(f"map {the_map}", "the map")
+            no_file = str(EXAMPLE_MAP) not in error.hint
+            return f"{shown}; {error.hint}" if error.hint and no_file else shown
 
 
 def _read_meaning(read: "Recording") -> Meaning:

@@ -28,18 +28,27 @@ def watched(items: Iterable[T], advance: Callable[[int], None], every: int = 500
 
 
 @contextmanager
-def show_progress(label: str, total: float) -> Iterator[Step]:
-    """A bar on standard error while the block runs, if that is a terminal."""
+def show_progress(label: str, total: float, *, even: bool = False) -> Iterator[Step]:
+    """A bar on standard error while the block runs, if that is a terminal.
+
+    Args:
+        label: what is done.
+        total: amount of it.
+        even: the work goes on at one rate, so the time that is left is shown too.
+    """
     if not sys.stderr.isatty():
         yield lambda done, step="", /: None
         return
+    from rich import progress as bars
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-    columns = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn()
+    text = bars.TextColumn("{task.description}")
+    # The spinner and the elapsed time move during a long step that reports no share of its own.
+    columns = bars.SpinnerColumn("line"), text, bars.BarColumn(), bars.TaskProgressColumn()
+    times = (bars.TimeElapsedColumn(), bars.TextColumn("left"), bars.TimeRemainingColumn())
+    shown = (*columns, *(times if even else times[:1]))
     console = Console(file=raw(sys.stderr))
-    # The elapsed time moves on during a long step that reports no share of its own.
-    with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as progress:
+    with bars.Progress(*shown, console=console, transient=True) as progress:
         task = progress.add_task(label, total=total)
 
         def move(done: float, step: str = "", /) -> None:

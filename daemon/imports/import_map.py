@@ -177,7 +177,7 @@ def _columns(columns: dict[str, str | ColumnSpec]) -> dict[str, ColumnSpec]:
     if made and "t" not in made:
         raise ValueError("[columns] lacks 't', the time")
     if made.keys() == {"t"}:
-        raise ValueError("[columns] names nothing but the time")
+        raise ValueError("no column but the time has a meaning")
     pose = _POSE & made.keys()
     if pose and pose != _POSE:
         missing = ", ".join(sorted(_POSE - pose))

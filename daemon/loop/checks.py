@@ -82,7 +82,7 @@ def check_lane(lane: LaneStatus, thresholds: Thresholds) -> Iterator[str]:
         side = "left" if lane.e1 > 0.0 else "right"
         yield f"the car stands {show(abs(lane.e1), '.2f')} m {side} of the path: put it on the path"
     elif not abs(lane.e2) <= thresholds.heading_warn:
-        yield f"the car points {show(degrees(lane.e2), '+.0f')} deg off the path: turn it"
+        yield f"the car points {show(degrees(lane.e2), '+.0f')}° off the path: turn it"
 
 
 def check_findings(findings: Iterable[Finding]) -> Iterator[str]:

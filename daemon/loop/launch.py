@@ -70,7 +70,7 @@ def _find_fault(s: LaunchState) -> str:
         return f"mocap moved {by_mocap:.2f} m, wheels {by_wheels:.2f} m: units, body or gear ratio"
     off = atan2(s.sideways, s.forward if s.travelled > 0.0 else -s.forward)
     if abs(off) > HEADING_MAX:
-        return f"the car travels {degrees(off):.0f} deg off its mocap heading: body forward axis"
+        return f"the car travels {degrees(off):.0f}° off its mocap heading: body forward axis"
     wrong = s.turned * s.expected_turn < 0.0
     if wrong and abs(s.expected_turn) >= TURN_EXPECTED and abs(s.turned) >= TURN_MEASURED:
         return "the car turns against its steering: servo direction, or mocap handedness"

@@ -158,7 +158,7 @@ def _check_estimate(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if i.covariance_ok and not (isfinite(i.sigma_position) and isfinite(i.sigma_yaw)):
         report(make_unknown("W6", "no estimate yet"))
         return
-    text = f"sigma {i.sigma_position:.3f} m, {degrees(i.sigma_yaw):.1f} deg"
+    text = f"sigma {i.sigma_position:.3f} m, {degrees(i.sigma_yaw):.1f}°"
     report(make_finding("W6", text if i.covariance_ok else "covariance not positive definite"))
 
 
@@ -204,7 +204,7 @@ def _check_path(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if not heading <= th.heading_warn:
         if isfinite(heading):
             stop = None if heading > th.heading else _WARN
-            report(make_finding("W18", f"{degrees(heading):.0f} deg", stop))
+            report(make_finding("W18", f"{degrees(heading):.0f}°", stop))
         else:
             report(make_unknown("W18", "no heading error"))
 

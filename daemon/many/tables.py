@@ -7,9 +7,13 @@ columns are small and one can be read without the others.
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+from steerd.daemon.common.notebook import make_frame
 from steerd.daemon.common.written import check_outputs, write_outputs
+
+if TYPE_CHECKING:
+    import pandas
 
 Kind = Literal["number", "count", "text", "truth"]
 _TYPES = {"number": "float64", "count": "int64", "text": "string", "truth": "bool"}
@@ -41,6 +45,12 @@ def save_table(path: Path | str, content: bytes) -> Path:
     check_outputs({"save_table": path})
     write_outputs({path: content})
     return path
+
+
+def frame_of(columns: Sequence[Column], rows: Sequence[Mapping[str, Any]]) -> "pandas.DataFrame":
+    """The rows as a data frame with its units."""
+    values = {c.name: [row.get(c.name) for row in rows] for c in columns}
+    return make_frame(values, {c.name: c.unit for c in columns})
 
 
 def encode_table(

@@ -149,8 +149,8 @@ def _figures(s: Recording) -> tuple[tuple[str, str], ...]:
         running = state["mode"] == SupervisorState.RUNNING
         e1 = settled_errors(state, s.times(state))
         if e1.size:
-            facts.append(("lateral error RMS, after 3 s", f"{100 * rms(e1):.2f} cm"))
-            facts.append(("largest", f"{100 * e1.max():.2f} cm"))
+            facts.append(("lateral error RMS, after 3 s", f"{1e3 * rms(e1):.1f} mm"))
+            facts.append(("largest", f"{1e3 * e1.max():.1f} mm"))
         if running.any():
             facts.append(("fastest", f"{np.nanmax(state['speed'][running]):.2f} m/s"))
     if tick is not None and len(tick["due_ns"]):
@@ -162,8 +162,8 @@ def _figures(s: Recording) -> tuple[tuple[str, str], ...]:
 
 
 def _errors(s: Recording) -> Iterator[Panel]:
-    e1 = make_field_curve(s, topics.STATE, "e1", "e1", "estimate", 100.0)
-    yield Panel("lateral error e1", "cm", tuple(e1))
+    e1 = make_field_curve(s, topics.STATE, "e1", "e1", "estimate", 1e3)
+    yield Panel("lateral error e1", "mm", tuple(e1))
     e2 = make_field_curve(s, topics.STATE, "e2", "e2", "estimate", degrees(1.0))
     yield Panel("heading error e2", "°", tuple(e2))
 

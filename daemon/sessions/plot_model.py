@@ -1,6 +1,7 @@
 """What the learner reported during a drive, as panels of the plot page."""
 
 from dataclasses import replace
+from math import degrees
 
 import numpy as np
 
@@ -14,7 +15,7 @@ BAND = 2.0
 """Standard deviations to either side: 95 % of a normal distribution."""
 PANELS: tuple[tuple[str, str, tuple[str, ...], float], ...] = (
     ("learnt: gains", "", ("steer_gain", "speed_gain"), 1.0),
-    ("learnt: steering bias", "mrad", ("steer_bias",), 1e3),
+    ("learnt: steering bias", "°", ("steer_bias",), degrees(1.0)),
     ("learnt: steering dead time and lag", "ms", ("steer_delay", "steer_lag"), 1e3),
     ("learnt: cornering coefficients", "1/rad", ("c_sf", "c_sr"), 1.0),
 )

@@ -70,7 +70,7 @@ def _data(report: SessionReport, drawing: Drawing, buckets: int) -> dict[str, An
 def _title(report: SessionReport) -> str:
     info = report.info
     parts = [clean(report.car), clean(info.path.name)]
-    if is_virtual(info.start_ns):
+    if is_virtual(info):
         parts.append("in virtual time")
     elif 1 << 60 < info.start_ns < 1 << 62:
         start = datetime.fromtimestamp(info.start_ns // 1_000_000_000, UTC)
@@ -111,7 +111,7 @@ def _track(track: Track, e1: Array) -> dict[str, Any]:
         bad = gone | ~np.isfinite(value)
         kinds = np.where(bad, BREAK, VALUE).astype(np.uint8)
         packed[name] = pack(np.where(bad, 0.0, value), kinds)
-    about = ("|e1|", "cm", 100.0) if shown else ("speed", "m/s", 1.0)
+    about = ("|e1|", "mm", 1e3) if shown else ("speed", "m/s", 1.0)
     named = dict(zip(("colour", "unit", "factor"), about, strict=True))
     return {**packed, **named, "grid": _grid(grid), "top": max(top, 1e-6)}
 

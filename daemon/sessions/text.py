@@ -1,10 +1,10 @@
 """A session's report as text for one screen, and as JSON."""
 
-import math
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
+from math import degrees, isfinite
 from typing import Any
 
 from steerd.daemon.assembly.session_meta import is_virtual
@@ -70,7 +70,7 @@ def _when(report: SessionReport) -> str:
     if not info.count:
         return "no messages"
     span = f"{info.duration_s:,.1f} s".replace(",", " ")
-    if is_virtual(info.start_ns):
+    if is_virtual(info):
         return f"{span} of virtual time"
     day_ns = 86_400_000_000_000
     if not day_ns * 365 < info.start_ns < 1 << 62:
@@ -111,15 +111,17 @@ def _drive(report: SessionReport) -> str:
     if report.speed:
         parts.append(f"speed {_span(report.speed, 1)} m/s")
     if report.steer:
-        parts.append(f"steering {_span(report.steer, 2)} rad (sd {report.steer.sd:.2f})")
+        parts.append(
+            f"steering {_span(report.steer, 1, degrees(1.0))}° (sd {degrees(report.steer.sd):.1f})"
+        )
     if report.lateral_accel:
         worst = max(-report.lateral_accel.low, report.lateral_accel.high)
         parts.append(f"lateral acceleration up to {worst:.1f} m/s²")
     return ", ".join(map(join_words, parts))
 
 
-def _span(found: SignalRange, digits: int) -> str:
-    low, high = (round(v, digits) + 0.0 for v in (found.low, found.high))
+def _span(found: SignalRange, digits: int, scale: float = 1.0) -> str:
+    low, high = (round(scale * v, digits) + 0.0 for v in (found.low, found.high))
     return f"{low:.{digits}f} to {high:.{digits}f}"
 
 
@@ -213,7 +215,7 @@ def make_json(report: SessionReport) -> dict[str, Any]:
 def _finite(value: Any) -> Any:
     match value:
         case float():
-            return value if math.isfinite(value) else None
+            return value if isfinite(value) else None
         case dict():
             return {key: _finite(item) for key, item in value.items()}
         case list() | tuple():

@@ -79,8 +79,8 @@ class Tally:
         if not self.count or not lane:
             return driven
         return (
-            f"{driven}; lateral error RMS {100 * self.rms:.2f} cm, "
-            f"largest {100 * self.worst:.2f} cm (after 3 s)"
+            f"{driven}; lateral error RMS {1e3 * self.rms:.1f} mm, "
+            f"largest {1e3 * self.worst:.1f} mm (after 3 s)"
         )
 
 
@@ -187,9 +187,9 @@ class Dashboard:
         )
         table.add_row(
             "lane",
-            f"e1 {show(100 * s.e1, '+6.2f')} cm",
+            f"e1 {show(1e3 * s.e1, '+6.1f')} mm",
             f"e2 {show(degrees(s.e2), '+6.2f')}°",
-            f"RMS {100 * self.tally.rms:.2f} cm",
+            f"RMS {1e3 * self.tally.rms:.1f} mm",
         )
         table.add_row(
             "command",
@@ -208,7 +208,7 @@ class Dashboard:
 def _describe_live(p: m.Parameters) -> list[RenderableType]:
     """Live parameters, and why the last request was refused."""
     line = (
-        f"live   speed up to {show(p.speed, '.2f')} m/s   lane {show(100 * p.offset, '+.0f')} cm"
+        f"live   speed up to {show(p.speed, '.2f')} m/s   lane {show(1e3 * p.offset, '+.0f')} mm"
         f"   gain {show(p.gain, '.2f')}"
     )
     refused = bool(p.seq) and not p.accepted

@@ -107,7 +107,7 @@ class Watch:
             return f"no message for {silent:.1f} s: is the daemon still running?"
         name = SupervisorState(state.mode).name if state else status.get("state", "?")
         motion = (
-            f"{show(state.speed, '+.2f')} m/s, e1 {show(100 * state.e1, '+.2f')} cm"
+            f"{show(state.speed, '+.2f')} m/s, e1 {show(1e3 * state.e1, '+.1f')} mm"
             if state
             else "no state"
         )

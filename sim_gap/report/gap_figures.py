@@ -35,6 +35,7 @@ from steerd.sysid.report.drawing import (
     name_colours,
     to_svg,
 )
+from steerd.sysid.report.report import DEGREES
 
 Array = NDArray[np.float64]
 
@@ -64,9 +65,9 @@ def plot_gap(axes: Sequence[Axes], found: Diagnosis) -> None:
     before, after, explained = found.before, found.after, bool(found.causes)
     names = {"base car": BEFORE} | ({"with the effect": AFTER} if explained else {})
     gaps = (before, after) if explained else (before,)
-    units = ("position [mm]", "heading [mrad]", "wheel speed [mm/s]")
+    units = (("position [mm]", 1e3), ("heading [°]", DEGREES), ("wheel speed [mm/s]", 1e3))
     for axis, i in zip(axes, find_measured(before), strict=True):
-        label, scale = units[i], 1e3
+        label, scale = units[i]
         _bars(axis, before, i, scale, -0.2 if explained else 0.0, BEFORE)
         if explained:
             _bars(axis, after, i, scale, 0.2, AFTER)
@@ -220,17 +221,17 @@ def draw_lane(lane: LaneComparison) -> str:
     figure, axes = make_figure(1, 3, 3.0)
     for drive, colour, width in drives:
         alpha = 0.45 if drive is lane.recorded else 1.0
-        for axis, field in ((axes[0, 0], "e1"), (axes[0, 1], "e2")):
+        for axis, field, scale in ((axes[0, 0], "e1", 1e3), (axes[0, 1], "e2", DEGREES)):
             means = profile(drive.s, drive.length, getattr(drive, field))
             at = (np.arange(len(means)) + 0.5) / len(means) * drive.length
-            axis.plot(at, 1e3 * means, color=colour, lw=width, alpha=alpha)
+            axis.plot(at, scale * means, color=colour, lw=width, alpha=alpha)
         shown = drive if lane.without is None else as_long(drive, lane.without)
         f, density = steering_spectrum(shown)
-        axes[0, 2].plot(f, 1e3 * density, color=colour, lw=width, alpha=alpha)
+        axes[0, 2].plot(f, DEGREES * density, color=colour, lw=width, alpha=alpha)
     axes[0, 0].set(xlabel="along the lane [m]", title="lateral offset e1 [mm]")
-    axes[0, 1].set(xlabel="along the lane [m]", title="heading error e2 [mrad]")
+    axes[0, 1].set(xlabel="along the lane [m]", title="heading error e2 [°]")
     axes[0, 2].set(xlabel="frequency [Hz]", yscale="log", xscale="log",
-                   title="steering spectrum [mrad/√Hz]")  # fmt: skip
+                   title="steering spectrum [°/√Hz]")  # fmt: skip
     _plain_log(axes[0, 2].xaxis)
     axes[0, 2].set_xticks([0.2, 0.5, 1, 2, 5], ["0.2", "0.5", "1", "2", "5"])
     _plain_log(axes[0, 2].yaxis)

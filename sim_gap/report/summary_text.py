@@ -1,16 +1,15 @@
 """A diagnosis in plain sentences, for the terminal and the report alike."""
 
 from collections.abc import Iterator
-from math import floor, isfinite, log10
+from math import degrees, floor, isfinite, log10
 
 from steerd.car_model.effects import EFFECTS
 from steerd.sim_gap.diagnosis import Diagnosis
 from steerd.sim_gap.lane_comparison import LaneComparison, as_long, figures_of
 from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.inference.residuals import Gap
+from steerd.sysid.report.report import DEGREES, SCALES
 
-SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad"), "m": (1e3, "mm"), "1": (1.0, "")}
-"""Small units for small numbers; what is not listed stays in SI."""
 LARGE = 1000.0
 """From here on the larger unit reads better."""
 EQUATIONS = {
@@ -98,11 +97,11 @@ def gap_words(found: Diagnosis) -> Iterator[str]:
     for i in known_leads(found.before):
         before, after = found.before.errors[i], found.after.errors[i]
         if not found.causes:
-            yield f"{before[0]:g} s: {short(1e3 * before[1])} mm, {short(1e3 * before[2])} mrad"
+            yield f"{before[0]:g} s: {short(1e3 * before[1])} mm, {short(degrees(before[2]))}°"
             continue
         yield (
             f"{before[0]:g} s: {short(1e3 * before[1])} → {short(1e3 * after[1])} mm, "
-            f"{short(1e3 * before[2])} → {short(1e3 * after[2])} mrad"
+            f"{short(degrees(before[2]))} → {short(degrees(after[2]))}°"
         )
 
 
@@ -157,8 +156,8 @@ def lane_words(lane: LaneComparison) -> str:
     count = f"in {sum(votes)} of {len(votes)} measures" if any(votes) else "in no measure"
     return (
         f"with the effect the re-run loop is closer to {lane.session} {count}: e1 profile off by "
-        f"{1e3 * before.e1:.2g} → {1e3 * after.e1:.2g} mm, e2 by {1e3 * before.e2:.2g} → "
-        f"{1e3 * after.e2:.2g} mrad, steering spectrum by {before.steer_db:.2g} → "
+        f"{1e3 * before.e1:.2g} → {1e3 * after.e1:.2g} mm, e2 by {degrees(before.e2):.2g} → "
+        f"{degrees(after.e2):.2g}°, steering spectrum by {before.steer_db:.2g} → "
         f"{after.steer_db:.2g} dB"
     )
 
@@ -171,9 +170,9 @@ def lane_rows(lane: LaneComparison) -> list[list[str]]:
     found = [None if d is None else figures_of(d) for d in drives]
     rows = [
         ("e1 RMS [mm]", 1e3, "e1_rms"), ("e1 mean [mm]", 1e3, "e1_mean"),
-        ("e1 strongest at [Hz]", 1.0, "e1_peak_hz"), ("e2 RMS [mrad]", 1e3, "e2_rms"),
-        ("e2 mean [mrad]", 1e3, "e2_mean"), ("e2 strongest at [Hz]", 1.0, "e2_peak_hz"),
-        ("steering RMS [mrad]", 1e3, "steer_rms"), ("steering strongest at [Hz]", 1.0,
+        ("e1 strongest at [Hz]", 1.0, "e1_peak_hz"), ("e2 RMS [°]", DEGREES, "e2_rms"),
+        ("e2 mean [°]", DEGREES, "e2_mean"), ("e2 strongest at [Hz]", 1.0, "e2_peak_hz"),
+        ("steering RMS [°]", DEGREES, "steer_rms"), ("steering strongest at [Hz]", 1.0,
                                                    "steer_peak_hz"),
     ]  # fmt: skip
     return [

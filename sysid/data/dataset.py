@@ -128,6 +128,9 @@ class Run:
     history: float = HISTORY
     log_jitter: LogJitter | None = None
 
+    def __repr__(self) -> str:
+        return f"<Run {self.name!r}, {len(self.commands)} commands of {self.h:g} s>"
+
     @property
     def duration(self) -> float:
         """Length of the commands [s]."""

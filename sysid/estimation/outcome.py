@@ -111,6 +111,9 @@ class Outcome:
     log_jitters: tuple[LogJitter, ...] = ()
     regimes: tuple[Regime, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<Outcome of {', '.join(self.sessions)}>"
+
     @property
     def combinations(self) -> tuple[Combination, ...]:
         """Sums that the data fix."""

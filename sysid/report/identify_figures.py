@@ -24,10 +24,12 @@ from steerd.sysid.report.drawing import (
     name_colours,
     to_svg,
 )
+from steerd.sysid.report.report import DEGREES
 
 Array = NDArray[np.float64]
 
-UNITS = {"position": "mm", "yaw": "mrad", "wheel_speed": "mm/s", "yaw_rate": "mrad/s"}
+UNITS = {"position": (1e3, "mm"), "yaw": (DEGREES, "°"), "wheel_speed": (1e3, "mm/s"),
+         "yaw_rate": (1.0, "rad/s")}  # fmt: skip
 POINTS_MAX = 1500
 
 
@@ -62,7 +64,7 @@ def plot_held_out(left: Axes, right: Axes, held_out: Sequence[HeldOut]) -> None:
     places = np.arange(len(held_out))
     for axis, field, scale, unit in (
         (left, "position", 1e3, "mm"),
-        (right, "heading", 180.0 / np.pi, "°"),
+        (right, "heading", DEGREES, "°"),
     ):
         for shift, name, colour in ((-0.2, "before", BEFORE), (0.2, "after", AFTER)):
             values = [scale * getattr(getattr(h, name), field) for h in held_out]
@@ -82,14 +84,14 @@ def draw_residuals(found: Fit) -> str:
     figure, axes = make_figure(len(present), 2, 1.5 * len(present) + 0.4)
     for row, group in zip(axes, present, strict=True):
         mine = left.group == group
-        unit = UNITS[GROUPS[group]]
-        values = 1e3 * left.error[mine]
+        scale, unit = UNITS[GROUPS[group]]
+        values = scale * left.error[mine]
         row[0].plot(_thin(left.t[mine]), _thin(values), ".", ms=1.2, color=AFTER)
         row[0].set(ylabel=f"{GROUPS[group]} [{unit}]".replace("_", " "))
         edge = max(4.0 * float(np.sqrt(np.mean(values**2))), 1e-6)
         bins = np.linspace(-edge, edge, 60)
         row[1].hist(values, bins, color=AFTER, alpha=0.7, density=True)
-        sigma = 1e3 * float(left.signal[group])
+        sigma = scale * float(left.signal[group])
         bell = np.exp(-0.5 * (bins / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
         row[1].plot(bins, bell, color=INK, lw=1.0)
     axes[0, 0].set_title("residuals of the fit")

@@ -2,9 +2,13 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from math import degrees
 from typing import Literal, NamedTuple
 
 Tone = Literal["", "quiet", "strong"]
+DEGREES = degrees(1.0)
+SCALES = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (DEGREES, "°"), "1": (1.0, "")}
+"""Unit that people read, by the SI unit: factor and name; what is not listed stays in SI."""
 
 
 class Cell(NamedTuple):

@@ -1,4 +1,4 @@
-"""An effect may come in a file of its own: built, it is listed, simulated, fitted and diagnosed.
+"""A user's effect, added from one file, is listed, simulated, fitted and diagnosed.
 
 The tests run the command line on a scratch copy of the car model with one file more; every other
 room is the repository's own.
@@ -17,35 +17,8 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 PULL = 0.012
 """Wheel angle per speed that the simulated car has [rad s/m]."""
-NEW_EFFECT = '''
-"""A car that pulls to one side, the more the faster it drives."""
-
-from collections.abc import Sequence
-
-from steerd.car_model.effect import Effect, EffectParameter, Stage
-from steerd.car_model.ops import Ops, T
-from steerd.car_model.params import Car
-from steerd.car_model.state import State
-
-
-def _car(ops: Ops[T], p: Sequence[T], car: Car[T], state: State[T], t: float) -> Car[T]:
-    """A trim in proportion to the speed."""
-    return car._replace(steer_bias=car.steer_bias + p[0] * state.speed)
-
-
-EFFECT = Effect(
-    name="speed_pull",
-    stage=Stage.ACTUATOR,
-    family="steering",
-    summary="the car pulls to one side with speed",
-    equation="steer_bias -> steer_bias + pull speed",
-    parameters=(
-        EffectParameter("pull", 0.0, -0.05, 0.05, "rad s/m", 0.01, "wheel angle per speed"),
-    ),
-    least_size=0.001,
-    car=_car,
-)
-'''
+PAGE = (ROOT / "docs" / "how-to" / "your-own-effect.md").read_text()
+NEW_EFFECT = PAGE.partition("```python\n")[2].partition("```")[0]
 
 
 @pytest.fixture(scope="module")
@@ -60,9 +33,8 @@ def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(
         ROOT / "car_model", package / "car_model", ignore=shutil.ignore_patterns("__pycache__")
     )
-    (package / "car_model/effects/speed_pull.py").write_text(NEW_EFFECT.lstrip())
-    build = [sys.executable, "-m", "steerd.car_model.native.build"]
-    subprocess.run(build, cwd=folder, check=True, timeout=600)
+    (folder / "speed_pull.py").write_text(NEW_EFFECT)
+    assert "added: speed_pull" in steerd(folder, "effects", "--add", "speed_pull.py")
     return folder
 
 

@@ -27,6 +27,7 @@ MISSING = {
     "service": ("service print --car none.toml", "service print --sim-car none.toml",
                 "service print --path csv:none.csv"),
     "probe": ("probe --car none.toml",),
+    "effects": ("effects --add none.py",),
     "config": ("config --check none.toml", "config --from-vesc-yaml none.yaml"),
     "mocap": ("mocap check none.mcap", "mocap check --car none.toml",
               "mocap calibrate none.mcap", "mocap calibrate {here} --car none.toml"),

@@ -28,6 +28,8 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").r
 ROOMS = "daemon|tests|sysid|sim_gap|sim_hw|car_model|steer_bus"
 ROOMS += "|vesc_link|mocap_link|estimator|controller"
 HARDWARE = re.compile(r"/dev/tty|/dev/vesc|natnet://|vrpn://|zenoh:")
+OWN_EFFECT = re.compile(r"effects --(add|remove)|speed_pull")
+"""Run by tests/contract/test_new_effect.py, on an installation of its own."""
 OPERATOR = ("arm", "start", "stop", "disarm", "clear", "estop")
 OPERATOR += ("status", "control", "watch", "page", "teleop")
 LONG = ("identify", "diagnose", "collect", "sweep", "batch")
@@ -118,7 +120,7 @@ def kind_of(command):
         return "prose"
     if arguments[0] in OPERATOR or arguments[0] in LONG:
         return "parsed"
-    if arguments[0] == "import" or ".partial" in command:
+    if arguments[0] == "import" or ".partial" in command or OWN_EFFECT.search(command):
         return "parsed"
     live = arguments[0] in ("sim", "probe") or (arguments[0] == "run" and "--fast" not in arguments)
     return "hardware" if live or HARDWARE.search(command) else "run"

@@ -282,12 +282,12 @@ def test_in_a_browser_it_is_whole_and_its_buttons_work(car, tmp_path):
         browser.ask("document.getElementById('arm').click()")
         browser.wait("!document.getElementById('start').disabled")
         browser.ask(
-            "(() => { const box = document.getElementById('live-offset'); box.value = '5';"
+            "(() => { const box = document.getElementById('live-offset'); box.value = '50';"
             " box.dispatchEvent(new Event('input'));"
             " document.querySelector('#live button').click(); })()"
         )
         browser.wait("document.getElementById('live-answer').textContent === 'set by page'")
-        browser.wait("document.getElementById('live-offset').value === '5.0'")
+        browser.wait("document.getElementById('live-offset').value === '50'")
         assert car.live.aim == LiveValues(1.5, 0.05, 1)
         browser.ask("document.getElementById('start').click()")
         browser.wait("document.getElementById('state').textContent === 'running'")

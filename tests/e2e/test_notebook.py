@@ -7,10 +7,15 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
+from steerd.daemon.loop.transitions import SupervisorState
+
 pytestmark = pytest.mark.slow
 
-NOTEBOOK = Path(__file__).resolve().parents[2] / "examples" / "notebooks" / "first-look.ipynb"
+ROOT = Path(__file__).resolve().parents[2]
+NOTEBOOK = ROOT / "examples" / "notebooks" / "first-look.ipynb"
 FIGURES = 3
+LINES_MOST = 60
+"""Lines of text below a cell: more than a screen nobody reads."""
 HIDDEN_MS = 50.0
 """The steering delay that the notebook adds to its car."""
 SD_MOST = 10.0
@@ -27,6 +32,8 @@ def test_the_notebook_runs_and_shows_its_figures(tmp_path, monkeypatch):
     images = [out for out in outputs if "image/png" in out.get("data", {})]
     printed = "".join(out.get("text", "") for out in outputs)
     assert len(images) == FIGURES
+    shown = [printed_lines(cell) for cell in notebook.cells if cell.cell_type == "code"]
+    assert max(shown) <= LINES_MOST, shown
     found = re.search(r"steer_delay: delay = ([\d.]+) ± ([\d.]+) ms", printed)
     assert found is not None, printed
     value, sd = map(float, found.groups())
@@ -34,6 +41,28 @@ def test_the_notebook_runs_and_shows_its_figures(tmp_path, monkeypatch):
     assert abs(value - HIDDEN_MS) < 2.0 * sd
     assert "EXPLAINED" in printed
     assert not [out for out in outputs if out.get("name") == "stderr"]
+
+
+def printed_lines(cell):
+    """Lines that a cell shows as text."""
+    texts = [out.get("text", out.get("data", {}).get("text/plain", "")) for out in cell["outputs"]]
+    return sum(text.count("\n") + 1 for text in texts)
+
+
+@pytest.mark.parametrize("page", ["your-own-controller.md"])
+def test_the_programs_of_a_page_run(page, monkeypatch):
+    monkeypatch.setattr("matplotlib.pyplot.show", lambda: None)
+    text = (ROOT / "docs" / "how-to" / page).read_text(encoding="utf-8")
+    names = {}
+    for program in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+        if "steerd.serve(" not in program:  # which needs a car
+            exec(program, names)
+    assert names["truncated"]
+    assert not names["terminated"]
+    state = names["drive"]["state"]
+    driven = state[state["mode"] == SupervisorState.RUNNING]
+    assert driven["e1"].abs().max() < 0.1, "the MPC keeps its lane"
+    assert state.attrs["units"]["e1"] == "m"
 
 
 def test_the_notebook_is_stored_without_outputs():

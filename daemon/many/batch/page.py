@@ -1,5 +1,6 @@
 """The page of `steerd batch`: quantities over weeks, car by car, and the days of changes."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
@@ -23,7 +24,15 @@ from steerd.sysid.report.report import Report, Section, Table
 _DAY = 86_400.0
 _FIGURES = 30
 """Series that are drawn: those that changed first; more make a page nobody looks through."""
-_FAILURES = 20
+_SESSIONS, _FAILURES = 200, 20
+"""Rows of a table; the others are in the file of `-o`."""
+_WORDS = ("car", "day", "verdict", "causes", "lane")
+_FOUND = (
+    ("seconds", "driven [s]", 1.0), ("metres", "driven [m]", 1.0), ("e1_rms", "e1 RMS [mm]", 1e3),
+    ("e1_max", "e1 largest [mm]", 1e3), ("prediction", "off after 1 s [mm]", 1e3),
+)  # fmt: skip
+"""Columns of the table of sessions: texts, then figures with their heads and scales."""
+_ESTIMATES = 5
 _LEAST_SHARE = 0.01
 """Least height of a diagram, as a share of what it shows."""
 
@@ -35,7 +44,10 @@ def make_report(
     """What the page shows."""
     first: dict[tuple[str, str], Change] = {(c.car, c.quantity): c for c in changes}
     ordered = sorted(series, key=lambda s: (s.car, s.quantity) not in first)
-    sections = [Section("Cars", table=_count_cars(rows))]
+    sections = [
+        Section("Cars", table=_count_cars(rows)),
+        Section("Sessions", _more(len(rows), _SESSIONS), table=_list_sessions(rows)),
+    ]
     if changes:
         sections.insert(0, Section(
             "What changed, and since when",
@@ -55,10 +67,9 @@ def make_report(
     failed = [row for row in rows if row["outcome"] != "done"]
     if failed:
         shown = [(clean(str(row["session"]), 60), clean(row["failure"])) for row in failed]
-        more = len(failed) - _FAILURES
         sections.append(Section(
             "What failed",
-            f"{more} more are in the table of `-o`." if more > 0 else "",
+            _more(len(failed), _FAILURES),
             table=Table(("session", "why"), shown[:_FAILURES], words=(1,)),
         ))  # fmt: skip
     return Report(
@@ -94,6 +105,28 @@ def _count_cars(rows: Rows) -> Table:
         failed = sum(row["outcome"] != "done" for row in own)
         table.append((clean(car, 24), str(len(own)), str(failed), days[0], days[-1]))
     return Table(("car", "sessions", "failed", "first", "last"), table)
+
+
+def _more(count: int, most: int) -> str:
+    return f"{count - most} more are in the table of `-o`." if count > most else ""
+
+
+def _list_sessions(rows: Rows) -> Table:
+    """Each session and what was found, the newest first; estimates as many as a page is wide."""
+    newest = sorted(rows, key=lambda row: -(row.get("start") or 0.0))[:_SESSIONS]
+    estimated = Counter(n for row in newest for n in row if f"{n}_sd" in row)
+    figures = [f for f in _FOUND if any(f[0] in row for row in newest)]
+    figures += [(name, name, 1.0) for name, _ in estimated.most_common(_ESTIMATES)]
+    texts = [name for name in _WORDS if any(row.get(name) for row in newest)]
+    table = []
+    for row in newest:
+        numbers = (row.get(name) for name, _, _ in figures)
+        scaled = (
+            "–" if n is None else f"{f[2] * n:.4g}" for n, f in zip(numbers, figures, strict=True)
+        )
+        name = clean(str(row["session"]).rpartition("/")[2], 40)
+        table.append((name, *(clean(str(row.get(text) or "–"), 24) for text in texts), *scaled))
+    return Table(("session", *texts, *(head for _, head, _ in figures)), table, words=(0,))
 
 
 def _draw(series: Sequence[Series], changes: dict[tuple[str, str], Change]) -> str:

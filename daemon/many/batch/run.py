@@ -5,7 +5,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from steerd.daemon.common.notebook import notebook_progress, speaking_of_arguments
 from steerd.daemon.common.screen import clean, shown, wrap
 from steerd.daemon.common.written import write_outputs
 from steerd.daemon.many.batch.changes import (
@@ -28,9 +30,12 @@ from steerd.daemon.many.batch.unit import (
     run_unit,
 )
 from steerd.daemon.many.journal import Row
-from steerd.daemon.many.tables import Column, encode_table, save_table
+from steerd.daemon.many.tables import Column, encode_table, frame_of, save_table
 from steerd.daemon.many.units import FAILED, Done, Where, work_through
 from steerd.sysid.report.report import format_table
+
+if TYPE_CHECKING:
+    import pandas
 
 DONE = "done"
 _HEAD = (
@@ -86,6 +91,10 @@ class Batch:
         """What changed, the clearest first."""
         return tuple(find_changes(self.series))
 
+    def to_pandas(self) -> "pandas.DataFrame":
+        """The rows as a data frame."""
+        return frame_of(self.columns, self.rows)
+
     def encode_table(self) -> bytes:
         """The rows as a Parquet file; the same rows give the same bytes."""
         return encode_table(self.columns, self.rows, {"steerd.batch": self.kind})
@@ -109,6 +118,7 @@ class Batch:
         return describe_batch(self.rows, self.worked, len(self.series), self.changes)
 
 
+@speaking_of_arguments
 def batch(
     kind: Kind,
     sessions: str | Path | Sequence[str | Path],
@@ -139,7 +149,8 @@ def batch(
     paths = find_batch([str(word) for word in words])
     question = Question(kind, read_cars(None if cars is None else Path(cars)))
     out = None if output is None else Path(output)
-    found = run_batch(paths, question, Where(jobs, dask), out)
+    with notebook_progress(kind, len(paths)) as progress:
+        found = run_batch(paths, question, Where(jobs, dask), out, progress)
     if out is not None:
         write_outputs({out: found.encode_table()})
     return found

@@ -159,7 +159,7 @@ def find_start(info: SessionInfo, changed_ns: int) -> int:
 
     Drives in virtual time all begin on one date, and logs whose clock began at zero have none.
     """
-    virtual = is_virtual(info.start_ns)
+    virtual = is_virtual(info)
     return changed_ns if virtual or info.start_ns < _EARLIEST_NS else info.start_ns
 
 

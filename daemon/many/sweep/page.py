@@ -12,7 +12,6 @@ from steerd.daemon.many.sweep.plan import Choice, SweepPlan
 from steerd.daemon.many.sweep.quantities import Distribution
 from steerd.daemon.many.sweep.summary import (
     DRIVEN,
-    SCALES,
     STOPPED,
     STOPS,
     UNITS,
@@ -25,7 +24,7 @@ from steerd.daemon.many.sweep.summary import (
     tabulate_spreads,
 )
 from steerd.sysid.report.drawing import AFTER, BEFORE, STYLE, make_grid, to_svg
-from steerd.sysid.report.report import Cell, Report, Section, Table
+from steerd.sysid.report.report import SCALES, Cell, Report, Section, Table
 
 Rows = Sequence[Mapping[str, Any]]
 _BINS = 30

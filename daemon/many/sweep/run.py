@@ -6,18 +6,22 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from steerd.daemon.analysis.options import CarSource, read_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.notebook import notebook_progress, speaking_of_arguments
 from steerd.daemon.common.screen import shown
 from steerd.daemon.common.written import write_outputs
 from steerd.daemon.many.journal import Row, journal_path
 from steerd.daemon.many.sweep.drive import Task, run_case, start_row
 from steerd.daemon.many.sweep.plan import SweepPlan, list_cases, make_sweep_plan
 from steerd.daemon.many.sweep.summary import Summary, describe_sweep, list_columns, summarise_sweep
-from steerd.daemon.many.tables import Column, encode_table, save_table
+from steerd.daemon.many.tables import Column, encode_table, frame_of, save_table
 from steerd.daemon.many.units import FAILED, Done, Where, work_through
+
+if TYPE_CHECKING:
+    import pandas
 
 
 @shown
@@ -49,6 +53,10 @@ class Sweep:
         """Distributions, stops, sensitivities."""
         return summarise_sweep(self.plan, self.rows)
 
+    def to_pandas(self) -> "pandas.DataFrame":
+        """The rows as a data frame; `attrs["units"]` holds the units by column."""
+        return frame_of(self.columns, self.rows)
+
     def encode_table(self) -> bytes:
         """The rows as a Parquet file; the same rows give the same bytes."""
         return encode_table(self.columns, self.rows, {"steerd.sweep": self.plan.digest()})
@@ -74,6 +82,7 @@ class Sweep:
         return describe_sweep(self.plan, self.rows, self.summary, speed)
 
 
+@speaking_of_arguments
 def sweep(
     vary: Mapping[str, Any],
     *,
@@ -113,7 +122,8 @@ def sweep(
         "duration": duration, "rate": rate, "vary": vary,
     }  # fmt: skip
     plan = make_sweep_plan(read_car(car), given)
-    found = run_sweep(plan, Where(jobs), None if output is None else Path(output))
+    with notebook_progress("driving", plan.count) as progress:
+        found = run_sweep(plan, Where(jobs), None if output is None else Path(output), progress)
     if output is not None:
         finish_sweep(found, Path(output))
     return found

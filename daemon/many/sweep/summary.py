@@ -14,7 +14,7 @@ from steerd.daemon.many.sweep.plan import SweepPlan
 from steerd.daemon.many.sweep.quantities import Quantity
 from steerd.daemon.many.tables import Column
 from steerd.daemon.many.units import FAILED
-from steerd.sysid.report.report import Table, format_table
+from steerd.sysid.report.report import SCALES, Table, format_table
 
 Array = NDArray[np.float64]
 QUANTILES = (0.05, 0.5, 0.95)
@@ -66,24 +66,34 @@ class Share:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """How much of a measure's ranks one varied quantity explains.
+    """How much of a measure's ranks one varied quantity explains, and how far it moves it.
 
     Attributes:
         quantity, measure: their names.
         value: rank correlation (Spearman's rho) of numbers; of a list of texts the correlation
             ratio of the ranks, which has no sign.
         least: what chance alone exceeds in one case in twenty.
+        start, end: mean of the measure over the fifth of the drives with the lowest and with the
+            highest values of the quantity; of texts, over those with the least and the greatest.
     """
 
     quantity: str
     measure: str
     value: float
     least: float
+    start: float
+    end: float
 
     @property
     def shown(self) -> bool:
         """Whether these drives show a dependence."""
         return abs(self.value) > self.least
+
+    @property
+    def size(self) -> float:
+        """The move as a share of the larger of the two means."""
+        largest = max(abs(self.start), abs(self.end))
+        return abs(self.end - self.start) / largest if largest > 0.0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -153,12 +163,15 @@ def _sensitivities(plan: SweepPlan, rows: Sequence[Mapping[str, Any]]) -> list[S
                 continue
             if given is not None and np.ptp(given[known]) > 0.0:
                 value, groups = _rank_correlation(given[known], seen[known]), 2
+                means = _outer_means(given[known], seen[known])
             elif texts is not None and len(set(texts[known])) > 1:
                 value, groups = _correlation_ratio(texts[known], seen[known])
+                each = [float(seen[known & (texts == text)].mean()) for text in set(texts[known])]
+                means = min(each), max(each)
             else:
                 continue
             least = _Z * sqrt((groups - 1) / (known.sum() - 1))
-            found.append(Sensitivity(quantity.name, name, value, min(least, 1.0)))
+            found.append(Sensitivity(quantity.name, name, value, min(least, 1.0), *means))
     return found
 
 
@@ -167,6 +180,12 @@ def rank(values: Array) -> Array:
     _, index, counts = np.unique(values, return_inverse=True, return_counts=True)
     last = np.cumsum(counts)
     return np.asarray((last - 0.5 * (counts - 1))[index], dtype=np.float64)
+
+
+def _outer_means(given: Array, seen: Array) -> tuple[float, float]:
+    """Means of a measure over the lowest and the highest fifth of a quantity, ties included."""
+    low, high = np.quantile(given, (0.2, 0.8))
+    return float(seen[given <= low].mean()), float(seen[given >= high].mean())
 
 
 def _rank_correlation(one: Array, other: Array) -> float:
@@ -220,8 +239,6 @@ def list_columns(quantities: Iterable[Quantity]) -> Sequence[Column]:
 
 UNITS = {c.name: c.unit for c in MEASURES}
 """SI unit by measure."""
-SCALES = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (57.29577951308232, "°")}
-"""Unit that people read, by the SI unit: factor and name."""
 _SHOWN = 8
 """Dependences that are shown."""
 
@@ -239,8 +256,11 @@ def describe_sweep(
     parts = [tabulate_ends(summary), tabulate_spreads(summary)]
     strong = list_strongest(summary)[:_SHOWN]
     if strong:
-        found = [(s.quantity, s.measure, f"{s.value:+.2f}") for s in strong]
-        parts.append(Table(("what moves", "what", "rank correlation"), found, words=(1,)))
+        found = [
+            (s.quantity, name_measure(s.measure), *_ends(s), f"{s.value:+.2f}") for s in strong
+        ]
+        heads = ("what moves", "what", "from", "to", "rank correlation")
+        parts.append(Table(heads, found, words=(1,)))
     return "\n".join([*lines, *(line for part in parts for line in ("", *format_table(part)))])
 
 
@@ -265,8 +285,14 @@ def tabulate_spreads(summary: Summary) -> Table:
 
 
 def list_strongest(summary: Summary) -> list[Sensitivity]:
-    """Dependences that the drives show, the strongest first."""
-    return sorted((s for s in summary.sensitivities if s.shown), key=lambda s: -abs(s.value))
+    """Dependences that the drives show, by how far the measure moves."""
+    return sorted((s for s in summary.sensitivities if s.shown), key=lambda s: -s.size)
+
+
+def _ends(s: Sensitivity) -> tuple[str, str]:
+    """What the measure is for low and for high values of the quantity."""
+    factor, _ = SCALES.get(UNITS.get(s.measure, ""), (1.0, ""))
+    return f"{factor * s.start:.3g}", f"{factor * s.end:.3g}"
 
 
 def name_measure(name: str) -> str:

@@ -27,7 +27,7 @@ $("arm").onclick = () => { hold(); say("arm"); };
 $("start").onclick = () => { hold(); say("start"); };
 
 // --- live parameters: what was edited goes to the car, which answers; the rest shows what is set
-const LIVE = { speed: [1, 2], offset: [100, 1], gain: [1, 2] }, edited = new Set();
+const LIVE = { speed: [1, 2], offset: [1000, 0], gain: [1, 2] }, edited = new Set();
 for (const name of Object.keys(LIVE)) $(`live-${name}`).addEventListener("input", () => edited.add(name));
 $("live").addEventListener("submit", e => {
   e.preventDefault();
@@ -58,7 +58,7 @@ function take(s) {
   $("wait").textContent = s.waiting && s.state !== "RUNNING" ? `waiting for ${s.waiting}` : stopped ? s.reason : "";
   const alarms = [...(stopped ? [s.reason] : []), ...(s.fault ? [`VESC: ${s.fault}`] : []), ...s.warnings.split("\n").filter(Boolean)];
   $("alarm").hidden = !alarms.length; $("alarm").textContent = alarms.join(" · ");
-  cells["lateral error"].textContent = show(s.e1 == null ? null : 100 * s.e1, 2, "cm");
+  cells["lateral error"].textContent = show(s.e1 == null ? null : 1000 * s.e1, 1, "mm");
   cells["heading error"].textContent = show(s.e2 == null ? null : DEG * s.e2, 1, "°");
   cells.speed.textContent = show(s.speed, 2, "m/s");
   cells.steering.textContent = show(s.steer == null ? null : DEG * s.steer, 1, "°");
@@ -112,7 +112,7 @@ function drawCurve() {
   g.strokeStyle = css("line"); g.lineWidth = 1; g.beginPath(); g.moveTo(0, h / 2); g.lineTo(w, h / 2); g.stroke();
   g.strokeStyle = css("before"); g.lineWidth = 1.5; g.beginPath(); let open = false;
   for (const [t, v] of errors) { if (v == null) { open = false; continue; } const x = w - (now - t) / SPAN_S * w, y = h / 2 - v / top * h / 2; g[open ? "lineTo" : "moveTo"](x, y); open = true; }
-  g.stroke(); g.fillStyle = css("quiet"); g.font = "11px system-ui,sans-serif"; g.fillText(`±${(100 * top).toFixed(1)} cm`, 6, 14);
+  g.stroke(); g.fillStyle = css("quiet"); g.font = "11px system-ui,sans-serif"; g.fillText(`±${(1000 * top).toFixed(0)} mm`, 6, 14);
 }
 function frame() {
   const silent = last === null || performance.now() - heard > LOST_MS || last.silent > LOST_MS / 1000;

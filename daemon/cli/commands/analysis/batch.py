@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     from steerd.daemon.common.written import write_outputs
     from steerd.daemon.many.batch.run import run_batch
 
-    with show_progress(args.kind, float(len(paths))) as advance, going_on(args.output):
+    with show_progress(args.kind, float(len(paths)), even=True) as advance, going_on(args.output):
         found = run_batch(paths, question, where, args.output, lambda n: advance(float(n)))
     print(found, flush=True)
     table = found.encode_table() if args.output else None

@@ -2,11 +2,17 @@
 
 steerd effects
 steerd effects steer_backlash
+steerd effects --add my_effect.py       # build one of your own into the library
+
+An effect that was added is simulated, identified and named like any other, in
+every command, car file and notebook of this installation. Building takes a
+minute and a C compiler (`pip install ziglang`).
 """
 
 import argparse
+from pathlib import Path
 
-from steerd.daemon.cli.arguments import option
+from steerd.daemon.cli.arguments import missing_file, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
@@ -15,10 +21,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "name", "NAME", "one effect, or an alias of it", nargs="?")
     option(parser, "--json", "", "the same for programs")
     option(parser, "--page", "", "the same as a Markdown page")
+    own = parser.add_argument_group("effects of your own").add_mutually_exclusive_group()
+    option(own, "--add", "FILE.py", "add those of a file", missing_file, type=Path)
+    option(own, "--remove", "NAME.py", "take them away again", type=Path)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the table, or one effect."""
+    if args.add or args.remove:
+        return _change(args)
     from steerd.car_model.effects import EFFECTS, find_effect
     from steerd.daemon.analysis.effects_text import (
         format_effect,
@@ -40,4 +51,14 @@ def run(args: argparse.Namespace) -> int:
         print(make_page(), end="")
     else:
         print(format_effect(effect) if effect else format_table())
+    return ExitCode.OK
+
+
+def _change(args: argparse.Namespace) -> int:
+    from steerd.daemon.common.progress import show_progress
+    from steerd.daemon.setup.own_effect import add_effect, remove_effect
+
+    with show_progress("compiling the equations", 1.0):
+        names = add_effect(args.add) if args.add else remove_effect(args.remove)
+    print(f"added: {', '.join(names)}; try: steerd effects {names[0]}" if names else "removed")
     return ExitCode.OK

@@ -26,8 +26,8 @@ from steerd.daemon.cli.arguments import (
 )  # fmt: skip
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
-_FIT, _DRAW, _NOISE = 2.0, 1.0, 8.0
-"""About what the fit, the report's figures and the noise cost, in sessions read."""
+_DRAW, _NOISE = 1.0, 8.0
+"""About what the report's figures and the noise cost, in sessions read."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -90,7 +90,7 @@ def parse_fix(text: str) -> dict[str, float | None]:
 
 def run(args: argparse.Namespace) -> int:
     """Identify, print, write."""
-    from steerd.daemon.analysis.identification import run_identification
+    from steerd.daemon.analysis.identification import FIT, run_identification
     from steerd.daemon.analysis.options import IdentifyOptions, read_arguments
     from steerd.daemon.common.progress import show_progress
     from steerd.daemon.common.written import writing
@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
              "--report": args.report, "beside -o": beside}  # fmt: skip
     with writing(named, announced=True) as write:
         paths = pick_sessions(args.sessions)
-        with show_progress("identifying", len(paths) + _FIT) as advance:
+        with show_progress("identifying", len(paths) + FIT) as advance:
             options = read_arguments(IdentifyOptions, args)
             found = run_identification(paths, options, print_warnings, advance)
         result = json.dumps(found.to_json(), indent=1) + "\n"

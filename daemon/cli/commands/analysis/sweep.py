@@ -92,7 +92,7 @@ def _run_all(plan: "SweepPlan", args: argparse.Namespace) -> int:
     from steerd.daemon.many.units import Where
 
     where = Where(args.jobs)
-    with show_progress("driving", float(plan.count)) as advance, going_on(args.output):
+    with show_progress("driving", float(plan.count), even=True) as advance, going_on(args.output):
         found = run_sweep(plan, where, args.output, lambda done: advance(float(done)))
     print(found, flush=True)
     if args.page is not None:

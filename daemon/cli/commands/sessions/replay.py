@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> int:
     session = load_session(path)
     print_warnings([warning.message for warning in session.warnings])
     count = first_ns = 0
-    with show_progress("replaying", float(session.info().count)) as advance:
+    with show_progress("replaying", float(session.info().count), even=True) as advance:
         going, differences = replay(session, path.name, lambda done: advance(float(done)))
         for difference in differences:
             first_ns = first_ns or difference.t_ns

@@ -61,7 +61,7 @@ def _list(args: argparse.Namespace, folders: tuple[Path, ...]) -> int:
 
     paths = find_sessions(folders)
     shown = paths if args.all or args.tag or args.car or args.json else paths[:SHOWN]
-    with show_progress("reading the drives", float(len(shown))) as advance:
+    with show_progress("reading the drives", float(len(shown)), even=True) as advance:
         entries = list(list_entries(shown, advance))
     places = {path: number for number, path in enumerate(paths, 1)}
     entries = [

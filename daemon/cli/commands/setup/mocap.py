@@ -155,7 +155,7 @@ def _describe(found: "MountCalibration", r: "Recorded") -> list[str]:
     gain = r.settings.scaling.erpm_gain
     moved = hypot(m.rear_x - frame.marker_rear_x, m.rear_y - frame.marker_rear_y)
     return [
-        f"from {found.seconds:.0f} s of motion; lateral residual {100 * found.residual:.1f} cm/s",
+        f"from {found.seconds:.0f} s of motion; lateral residual {1e3 * found.residual:.0f} mm/s",
         f"  heading of the body   {degrees(m.yaw):+.2f}° ± {degrees(sd.yaw):.2f}°"
         f"   (was {degrees(frame.mount_yaw):+.2f}°)",
         f"  ahead of rear axle    {1e3 * m.rear_x:+.1f} ± {1e3 * sd.rear_x:.1f} mm"

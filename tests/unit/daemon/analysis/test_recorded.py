@@ -43,6 +43,9 @@ def test_arrays_of_a_message_are_columns_of_their_own_in_a_frame(drive):
     assert table[name].shape == (len(table), 36)
     np.testing.assert_array_equal(frame[f"{name}.35"], table[name][:, 35])
     assert name not in frame
+    units = drive["state"].attrs["units"]
+    assert (units["t"], units["e1"], units["yaw_rate"]) == ("s", "m", "rad/s")
+    assert "mode" not in units
 
 
 def test_polars_and_pandas_hold_the_same(drive):

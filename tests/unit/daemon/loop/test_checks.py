@@ -59,7 +59,7 @@ def test_a_vesc_without_the_session_limits_fails():
         (0.25, 0.0, "0.25 m left of the path"),
         (-0.25, 0.0, "0.25 m right of the path"),
         (nan, 0.0, "of the path"),
-        (0.0, -1.0, "points -57 deg off the path"),
+        (0.0, -1.0, "points -57° off the path"),
     ],
 )
 def test_the_car_must_stand_in_its_lane(e1, e2, said):

@@ -47,7 +47,7 @@ def said(seconds=0.0, th=TH, **changes):
             "W5",
             "2 frames in a row rejected, 8% lately",
         ),
-        ({"sigma_position": 0.2}, "W6", "sigma 0.200 m, 0.6 deg"),
+        ({"sigma_position": 0.2}, "W6", "sigma 0.200 m, 0.6°"),
         ({"covariance_ok": False}, "W6", "covariance not positive definite"),
         ({"telemetry_age": 3.0}, "W7", "no reply for 3000 ms"),
         ({"status": 2}, "W10", "status bit 1 is set"),
@@ -58,7 +58,7 @@ def said(seconds=0.0, th=TH, **changes):
         ({"fet_temperature": 90.0}, "W14", "transistors at 90 C"),
         ({"motor_temperature": 84.0}, "W14", "motor at 84 C"),
         ({"lateral_error": -0.25}, "W17", "0.25 m"),
-        ({"heading_error": 0.6}, "W18", "34 deg"),
+        ({"heading_error": 0.6}, "W18", "34°"),
         ({"lease_age": 2.0}, "W25", "not renewed for 2000 ms"),
     ],
 )

@@ -158,7 +158,7 @@ def test_thirty_degrees_off_the_heading(angle, found, side):
     wrong = end_of(x=0.5 * cos(angle), y=side * 0.5 * sin(angle), wheels=0.5)[1]
     assert ("body forward axis" in wrong) is found
     if found:
-        assert f"travels {side * 30:.0f} deg" in wrong
+        assert f"travels {side * 30:.0f}°" in wrong
 
 
 @pytest.mark.parametrize(
@@ -194,6 +194,6 @@ def test_what_is_said_is_said_to_the_letter():
     units = end_of(x=2.0, wheels=1.0)[1]
     assert units == "mocap moved 2.00 m, wheels 1.00 m: units, body or gear ratio"
     turned = end_of(y=0.5, x=0.0, wheels=0.5)[1]
-    assert turned == "the car travels 90 deg off its mocap heading: body forward axis"
+    assert turned == "the car travels 90° off its mocap heading: body forward axis"
     against = end_of(x=0.5, wheels=0.5, yaw=-0.1, steer=atan(0.5))[1]
     assert against == "the car turns against its steering: servo direction, or mocap handedness"

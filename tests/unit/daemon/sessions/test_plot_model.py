@@ -49,8 +49,8 @@ def test_a_parameter_has_a_band_and_a_change_a_line(session):
     (panel,) = [p for p in panels if p.title == "learnt: steering bias"]
     value, above, below, change = panel.curves
     np.testing.assert_allclose(value.t, np.arange(3, 10))
-    np.testing.assert_allclose(value.value, 10.0)
-    np.testing.assert_allclose(above.value - below.value, 4.0)
+    np.testing.assert_allclose(value.value, np.degrees(0.01), rtol=1e-5)
+    np.testing.assert_allclose(above.value - below.value, np.degrees(4e-3), rtol=1e-4)
     assert change.name == "change: steer_bias"
     assert change.t[0] == pytest.approx(5.5)
 

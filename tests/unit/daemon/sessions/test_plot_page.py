@@ -75,7 +75,7 @@ def test_the_curves_are_the_recorded_numbers(tmp_path):
     slots = data["grid"]["slots"]
     panels = {panel["title"]: panel for panel in data["panels"]}
     e1, _ = unpack(panels["lateral error e1"]["curves"][0], slots)
-    assert sorted(set(np.round(e1[np.isfinite(e1)], 3))) == [-2.0, 2.0]
+    assert sorted(set(np.round(e1[np.isfinite(e1)], 3))) == [-20.0, 20.0]
     yaw, _ = unpack(panels["yaw rate"]["curves"][0], slots)
     recorded = session.session.columns(m.StateMessage)["yaw_rate"]
     assert yaw[np.isfinite(yaw)] == pytest.approx(recorded, abs=1e-4)
@@ -83,8 +83,8 @@ def test_the_curves_are_the_recorded_numbers(tmp_path):
     assert late["name"] == "late"
     assert 0.9 < late["high"] <= 1.0
     facts = dict(data["facts"])
-    assert facts["lateral error RMS, after 3 s"] == "2.00 cm"
-    assert facts["largest"] == "2.00 cm"
+    assert facts["lateral error RMS, after 3 s"] == "20.0 mm"
+    assert facts["largest"] == "20.0 mm"
     assert data["states"] == [[0.0, "ARMED"], [0.0, "RUNNING"]]
 
 

@@ -20,7 +20,7 @@ def lines(drill, session=Path("drive.mcap")):
 
 def test_a_lane_was_kept():
     summary, where, then = lines("")
-    assert summary.startswith("drove 12.0 m in 6.0 s; lateral error RMS 1.00 cm")
+    assert summary.startswith("drove 12.0 m in 6.0 s; lateral error RMS 10.0 mm")
     assert where == "session: drive.mcap"
     assert "steerd plot drive.mcap" in then
 

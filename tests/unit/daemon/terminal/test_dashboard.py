@@ -45,7 +45,7 @@ def test_lateral_errors_count_after_settling_and_only_where_they_are_known():
     tally.add(state(SETTLE_NS + 2 * TICK_NS, e1=nan))
     assert (tally.count, tally.worst) == (2, 0.03)
     assert tally.rms == pytest.approx(((9e-4 + 1e-4) / 2) ** 0.5)
-    assert "lateral error RMS 2.24 cm, largest 3.00 cm (after 3 s)" in tally.describe()
+    assert "lateral error RMS 22.4 mm, largest 30.0 mm (after 3 s)" in tally.describe()
     assert "lateral" not in tally.describe(lane=False)
 
 

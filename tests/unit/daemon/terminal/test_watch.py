@@ -46,10 +46,10 @@ def test_state_rates_and_faults():
             watch.take(sample("vesc", vesc(fault=4)), t)
     assert watch.rates(2 * SECOND) == pytest.approx({"state": 100, "vesc": 50}, abs=1)
     line = watch.line(2 * SECOND)
-    assert line.startswith("RUNNING       +1.50 m/s, e1 +1.20 cm; state 100, vesc 50 Hz; fault ")
+    assert line.startswith("RUNNING       +1.50 m/s, e1 +12.0 mm; state 100, vesc 50 Hz; fault ")
     assert "none" not in line
     text = shown(watch, 2 * SECOND)
-    assert "e1  +1.20 cm" in text
+    assert "e1  +12.0 mm" in text
     assert "11.5 V" in text
     assert "state 100" in text
 
