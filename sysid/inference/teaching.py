@@ -247,7 +247,8 @@ def _in_turn(taught: Taught, runs: Sequence[Run], rounds: int) -> Taught:
         taught = _again(taught, noise)
     noise = learn_noise(taught.likelihood.engine, taught.point, taught.noise)
     taught = _again(taught, noise)
-    left, should = robust_mean(unweighed(taught)), noise_share_of(taught, runs)
+    left = robust_mean(unweighed(taught))
+    should = noise_share(taught.likelihood.engine, float(estimate_noise(runs)[2]))
     taught = _again(taught, calibrated(noise, left, should))
     excess = excess_of(taught)
     weak = weak_knowledge(taught.superset, taught.nuisance, taught.shares)
@@ -255,11 +256,6 @@ def _in_turn(taught: Taught, runs: Sequence[Run], rounds: int) -> Taught:
     engine = replace(taught.likelihood.engine, superset=replace(taught.superset, knowledge=known))
     likelihood = replace(taught.likelihood, engine=engine)
     return _again(replace(taught, likelihood=likelihood), taught.noise)
-
-
-def noise_share_of(taught: Taught, runs: Sequence[Run]) -> float:
-    """What noise should leave of these drives' whitened error."""
-    return noise_share(taught.likelihood.engine, float(estimate_noise(runs)[2]))
 
 
 def ratios(taught: Taught) -> Array:
