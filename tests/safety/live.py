@@ -175,8 +175,7 @@ class Live:
     def pids(self) -> dict[str, int]:
         """All processes of the run by name, and those beside it."""
         run = self.processes
-        children = {"core": run.core, "recorder": run.recorder, "gateway": run.gateway}
-        children |= {"learner": run.learner} if run.learner else {}
+        children = {name: each for name, each in run.children.items() if name != "viewer"}
         children |= {"page": run.page.child} if run.page else {}
         found = {name: child.process.pid for name, child in children.items()}
         core = found["core"]
