@@ -39,7 +39,7 @@ def test_an_epoch_without_zone_is_utc_and_may_be_seconds():
     [
         ("[columns", "Expected"),
         ('[columns]\nx = "x"\ny = "y"\nyaw = "yaw"', "lacks 't'"),
-        ('[columns]\nt = "t"', "nothing but the time"),
+        ('[columns]\nt = "t"', "no column but the time"),
         ('[columns]\nt = "t"\nx = "x"', "y, yaw missing"),
         ('[columns]\nt = "t"\nspeed = "v"', "'speed' is none of"),
         ('[columns]\nt = "t"\nerpm = 3', "[columns]"),
