@@ -50,8 +50,7 @@ second order looks like inertia, a foreign tyre like a stiff one. Root mean squa
 the fit's standard errors on four cars each of three foreign simulators (seeds 9001 to 9004), the
 wheelbase measured; of what has no true value there, as for the others at first. `speed_gain` has
 that of twelve cars that were sealed once (1.7 and 1.1 on two simulators, 3.8 on one with springs).
-`[knowledge]` keeps the fit's: a later
-drive of the same car misses the same.
+`[knowledge]` keeps the fit's: a later drive of the same car misses the same.
 """
 SLIDING, HARD, SLOW = 0.35, 6.0, 0.5
 """What a window that no car holds is said to be like [rad, m/s^2, m/s]."""

@@ -113,10 +113,8 @@ def is_identifiable(name: str, value: float, sd: float, prior_sd: float) -> bool
     return sd < (RELATIVE_MAX * abs(value) if relative else SPREAD_MAX * prior_sd)
 
 
-def manoeuvre_for(name: str, moved: bool = False) -> str:
-    """What would identify a parameter; `moved` where the mocap body's place is free as well."""
-    if moved and name in BODY_OR_COG:
-        return WEIGH
+def manoeuvre_for(name: str) -> str:
+    """What would identify a parameter."""
     return MANOEUVRES.get(name, _SHOWING)
 
 
@@ -201,12 +199,13 @@ def taught_estimates(
     chart = make_chart(effects, parameters, tuple(sds))
     z = chart.coordinates(parameters)
     priors = standard_errors(chart, z, np.diag(chart.spread**2))
-    moved, out = "marker_offset.forward" in sds, {}
+    out = {}
     for name, sd in sds.items():
         i = chart.names.index(name)
         value, prior = float(parameters[i]), float(priors[i])
         known = is_identifiable(name, value, sd, prior)
-        out[name] = Estimate(value, sd, prior, known, "" if known else manoeuvre_for(name, moved))
+        would = WEIGH if name in BODY_OR_COG else manoeuvre_for(name)
+        out[name] = Estimate(value, sd, prior, known, "" if known else would)
     return out
 
 
