@@ -237,11 +237,12 @@ def stretches(
 
 def range_words(regime: Regime) -> str:
     """From where to where, with the digits that distinguish the two: "1.98 to 2.02 m/s"."""
-    span = regime.high - regime.low
+    scale, unit = (math.degrees(1.0), "°") if regime.unit == "rad" else (1.0, f" {regime.unit}")
+    low, high = scale * regime.low, scale * regime.high
+    span = high - low
     places = min(max(1 - math.floor(math.log10(span)), 0), 4) if span > 0.0 else 2
     places = 0 if span >= 10.0 else places
-    unit = regime.unit.replace("^2", "²")
-    return f"{regime.low:.{places}f} to {regime.high:.{places}f} {unit}"
+    return f"{low:.{places}f} to {high:.{places}f}{unit.replace('^2', '²')}"
 
 
 def sentence_of(equation: Sequence[Share], found: Sequence[Regime], moments: str = "") -> str:

@@ -91,6 +91,12 @@ def test_a_range_shows_the_digits_that_tell_its_ends_apart(low, high, words):
     assert range_words(Regime("run_time", "s", low, high, 2.0, 1.5, 3.0, 0.5)) == words
 
 
+def test_angles_are_shown_in_degrees():
+    assert (
+        range_words(Regime("heading", "rad", -np.pi / 2, 0.75, 2.0, 1.5, 3.0, 0.5)) == "-90 to 43°"
+    )
+
+
 def test_the_sentence_names_equation_and_regime():
     shares = [Share("steer", 0.8), Share("yaw", 0.2)]
     hard = Regime("lateral_acceleration", "m/s^2", 3.0, 5.0, 4.2, 3.0, 6.0, 0.9)
