@@ -74,6 +74,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         ),
     },
     "set up": {
+        "setup": ("setup.setup", "from a car that nobody measured to its car file, step by step"),
         "probe": ("setup.probe", "find VESCs and mocap servers, and what is wrong with them"),
         "config": (
             "setup.config",
