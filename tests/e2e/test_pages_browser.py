@@ -20,7 +20,7 @@ WINDOWS = [
     for width in (1280, 420)
     for dark in (False, True)
 ]
-PAGES = ("drive", "compare", "identify", "gap", "sweep", "batch")
+PAGES = ("drive", "compare", "sessions", "identify", "gap", "sweep", "batch")
 SWEEP = """
 seeds = 4
 duration = 3.5
@@ -49,6 +49,7 @@ def pages(tmp_path_factory):
         f"plot {session} -o {folder}/drive.html",
         f"run --sim --fast --speed 1.8 --duration 12 --record {folder}/prompt.mcap",
         f"plot {session} {folder}/prompt.mcap -o {folder}/compare.html",
+        f"sessions --folder {folder} --page",
         f"identify {session} -o {car} --report {folder}/identify.html",
         f"diagnose {session} --report {folder}/gap.html",
     ):
