@@ -85,6 +85,7 @@ def test_the_curves_are_the_recorded_numbers(tmp_path):
     facts = dict(data["facts"])
     assert facts["lateral error RMS, after 3 s"] == "20.0 mm"
     assert facts["largest"] == "20.0 mm"
+    assert data["track"]["top"] == pytest.approx(0.02, abs=1e-4), "the track's colours, in metres"
     assert data["states"] == [[0.0, "ARMED"], [0.0, "RUNNING"]]
 
 
