@@ -94,7 +94,7 @@ function point(u) {  // a pointer that leaves the curves leaves the instant wher
   if (!known && now !== null && u === plots[0]) seek(now);
   if (known) { now = u.posToVal(left, "x"); requestAnimationFrame(draw); }
 }
-function tell() {
+function showInstant() {
   const last = D.states.findLast(([t]) => t <= now), state = last ? " · " + last[1].toLowerCase().replace("_", " ") : "";
   clock.textContent = now === null ? "slider, or ← →" : `t = ${now.toFixed(2)} s${state}`;
   if (now !== null) { slider.value = now; slider.setAttribute("aria-valuetext", clock.textContent); }
@@ -166,7 +166,7 @@ function car(t) {
 }
 let css_far, css_plain;
 function draw() {
-  tell();
+  showInstant();
   if (!view) return;
   const r = devicePixelRatio; canvas.width = canvas.clientWidth * r; canvas.height = canvas.clientHeight * r;
   ctx.setTransform(r, 0, 0, r, 0, 0); css_far = css("far"); css_plain = css("estimate");
