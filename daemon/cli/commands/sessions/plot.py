@@ -3,20 +3,22 @@
 The page needs no network: send it by mail, or keep it beside the session.
 
 steerd plot SESSION.mcap -o DRIVE.html
-steerd plot BEFORE.mcap AFTER.mcap       # drives of one lane, compared by place
+steerd plot BEFORE.mcap AFTER.mcap       # by place along the lane, and over time
 """
 
 import argparse
 from pathlib import Path
 
 from steerd.daemon.cli.arguments import add_sessions, option, pick_sessions
-from steerd.daemon.common.errors import ExitCode
+from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The sessions and the page."""
     add_sessions(parser)
     option(parser, "-o --output", "FILE.html", "default: beside the session", type=Path)
+    text = "of two drives: the second comes so much later (default: found from the drives)"
+    option(parser, "--shift", "SECONDS", text, type=float)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -24,9 +26,11 @@ def run(args: argparse.Namespace) -> int:
     from steerd.daemon.common.written import check_outputs, write_outputs
 
     paths = pick_sessions(args.sessions)
+    if args.shift is not None and len(paths) != 2:
+        raise SteerdError("--shift is for two drives", "name two", ExitCode.USAGE)
     output = args.output or _default_output(paths)
     check_outputs({"-o": output})
-    page = _compare(paths) if len(paths) > 1 else _draw(paths[0])
+    page = _compare(paths, args.shift) if len(paths) > 1 else _draw(paths[0])
     write_outputs({output: page})
     print(f"{output}: {len(page.encode()) / 1e6:.1f} MB; open it in a browser")
     return ExitCode.OK
@@ -51,9 +55,8 @@ def _draw(path: Path) -> str:
     return make_page(report, with_model(make_drawing(read), read))
 
 
-def _compare(paths: list[Path]) -> str:
-    from steerd.daemon.sessions.compare import check_same_lane, load_lane_session, render_comparison
+def _compare(paths: list[Path], shift: float | None) -> str:
+    from steerd.daemon.sessions.compare import render_recordings
+    from steerd.daemon.sessions.info import load_recording
 
-    drives = [load_lane_session(path) for path in paths]
-    check_same_lane(drives)
-    return render_comparison(drives)
+    return render_recordings([load_recording(path) for path in paths], shift)
