@@ -3,6 +3,8 @@
 The page needs no network: send it by mail, or keep it beside the session.
 
 steerd plot SESSION.mcap -o DRIVE.html
+steerd plot SESSION.mcap -o DRIVE.svg    # the main curves; .png and .pdf too
+steerd plot SESSION.mcap -o DRIVE.csv    # all curves and the track, every 10 ms
 steerd plot BEFORE.mcap AFTER.mcap       # by place along the lane, and over time
 """
 
@@ -11,6 +13,8 @@ from pathlib import Path
 
 from steerd.daemon.cli.arguments import add_sessions, option, pick_sessions
 from steerd.daemon.common.errors import ExitCode, SteerdError
+
+_FIGURES = (".png", ".svg", ".pdf")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,9 +34,13 @@ def run(args: argparse.Namespace) -> int:
         raise SteerdError("--shift is for two drives", "name two", ExitCode.USAGE)
     output = args.output or _default_output(paths)
     check_outputs({"-o": output})
-    page = _compare(paths, args.shift) if len(paths) > 1 else _draw(paths[0])
-    write_outputs({output: page})
-    print(f"{output}: {len(page.encode()) / 1e6:.1f} MB; open it in a browser")
+    other = output.suffix.lower() in (*_FIGURES, ".csv")
+    if other and len(paths) > 1:
+        what = f"{output.name}: several drives are compared on a page"
+        raise SteerdError(what, "-o FILE.html", ExitCode.USAGE)
+    content = _compare(paths, args.shift) if len(paths) > 1 else _draw(paths[0], output.suffix)
+    write_outputs({output: content})
+    print(f"{output}: {len(content) / 1e6:.1f} MB{'' if other else '; open it in a browser'}")
     return ExitCode.OK
 
 
@@ -42,7 +50,8 @@ def _default_output(paths: list[Path]) -> Path:
     return paths[0].with_name("-".join(path.stem for path in paths)[:120] + ".html")
 
 
-def _draw(path: Path) -> str:
+def _draw(path: Path, suffix: str) -> bytes:
+    from steerd.daemon.sessions.curves import make_csv
     from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.plot_data import make_drawing
     from steerd.daemon.sessions.plot_model import with_model
@@ -52,11 +61,17 @@ def _draw(path: Path) -> str:
     read = load_recording(path)
     report = make_session_report(read)
     print_warnings(report.warnings)
-    return make_page(report, with_model(make_drawing(read), read))
+    drawing = with_model(make_drawing(read), read)
+    if suffix.lower() in _FIGURES:
+        from steerd.daemon.analysis.figures import plot_session, save_figure
+
+        return save_figure(plot_session(drawing, path.name), suffix[1:].lower())
+    text = make_csv(drawing) if suffix.lower() == ".csv" else make_page(report, drawing)
+    return text.encode()
 
 
-def _compare(paths: list[Path], shift: float | None) -> str:
+def _compare(paths: list[Path], shift: float | None) -> bytes:
     from steerd.daemon.sessions.compare import render_recordings
     from steerd.daemon.sessions.info import load_recording
 
-    return render_recordings([load_recording(path) for path in paths], shift)
+    return render_recordings([load_recording(path) for path in paths], shift).encode()
