@@ -5,7 +5,7 @@ The page needs no network: send it by mail, or keep it beside the session.
 steerd plot SESSION.mcap -o DRIVE.html
 steerd plot SESSION.mcap -o DRIVE.svg    # the main curves; .png and .pdf too
 steerd plot SESSION.mcap -o DRIVE.csv    # all curves and the track, every 10 ms
-steerd plot BEFORE.mcap AFTER.mcap       # by place along the lane, and over time
+steerd plot BEFORE.mcap AFTER.mcap       # by place on the lane, and over time
 """
 
 import argparse
