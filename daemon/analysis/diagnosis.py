@@ -43,6 +43,7 @@ from steerd.sim_gap.report.to_json import to_json
 from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.data.segments import moving_segments
 from steerd.sysid.estimation.preparation import add_command_history
+from steerd.sysid.report.report import Card
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -87,6 +88,13 @@ class Diagnosis:
         """What a reader should know about data and method."""
         lane = (self.lane_note,) if self.lane_note else ()
         return (*self.case.split.notes, *self.findings.notes, *lane)
+
+    @property
+    def cards(self) -> list[Card]:
+        """The figures that the report shows first."""
+        from steerd.sim_gap.report.gap_report import make_cards
+
+        return list(make_cards(self.findings))
 
     @cached_property
     def car(self) -> CarFile:

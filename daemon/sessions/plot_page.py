@@ -47,7 +47,7 @@ def _data(report: SessionReport, drawing: Drawing, buckets: int) -> dict[str, An
     grid = make_grid(0.0, max(report.info.duration_s, 0.01), buckets)
     return {
         "title": _title(report),
-        "facts": _facts(report, drawing),
+        "facts": list_facts(report, drawing),
         "warnings": [clean(text) for text in report.warnings[:WARNINGS_SHOWN]],
         "states": [[round(change.t_s, 4), change.state] for change in report.states],
         "grid": _grid(grid),
@@ -78,7 +78,8 @@ def _title(report: SessionReport) -> str:
     return " · ".join(filter(None, parts))
 
 
-def _facts(report: SessionReport, drawing: Drawing) -> list[tuple[str, str]]:
+def list_facts(report: SessionReport, drawing: Drawing) -> list[tuple[str, str]]:
+    """Label and value of what the page's head shows."""
     facts = [("recorded", f"{report.info.duration_s:.1f} s"), *drawing.facts]
     if drawing.lane is not None:
         facts.append(("path", clean(drawing.lane.name, 40)))

@@ -93,11 +93,12 @@ def make_report(subject: Subject, found: Diagnosis, lane: LaneComparison | None)
         "sd is one standard error; intervals are 90 %.",
         verdict=FAMILIES[found.verdict],
         grade=GRADES.get(found.verdict, ""),
-        cards=list(_cards(subject, found)),
+        cards=list(make_cards(found)),
     )
 
 
-def _cards(subject: Subject, found: Diagnosis) -> Iterator[Card]:
+def make_cards(found: Diagnosis) -> Iterator[Card]:
+    """The figures that are read first."""
     leads = known_leads(found.before) or [0]
     last = min(leads, key=lambda i: abs(found.before.errors[i][0] - 1.0))
     before, after = found.before.errors[last], found.after.errors[last]

@@ -11,7 +11,7 @@ from steerd.sysid.report import identify_figures as figures
 from steerd.sysid.report import page
 from steerd.sysid.report.design_comparison import Profile, compare_designs
 from steerd.sysid.report.drawing import STYLE, draw
-from steerd.sysid.report.report import Cell, Fold, Report, Section, Table
+from steerd.sysid.report.report import Card, Cell, Fold, Report, Section, Table
 
 IMPROVEMENT_MIN = 1.02
 """A smaller factor is no improvement."""
@@ -37,7 +37,22 @@ def make_report(outcome: Outcome) -> Report:
         sections=[*_values(outcome), *_sections(outcome, profiles)],
         foot="Written by steerd identify. Frames are ISO 8855, angles positive to the left; "
         "sd is one standard error.",
+        cards=list(make_cards(outcome)),
     )
+
+
+def make_cards(outcome: Outcome) -> Iterator[Card]:
+    """The figures that are read first."""
+    free = outcome.free_rows.values()
+    known = [h for h in outcome.held_out if not isnan(h.after.position)]
+    for last in known[-1:]:
+        label = f"position error after {last.after.horizon:g} s"
+        figure = f"{1e3 * last.before.position:.3g} → {1e3 * last.after.position:.3g} mm"
+        yield Card(label, figure, "held-out drives, start values → identified")
+    count = f"{sum(row.identifiable for row in free)} of {len(free)}"
+    yield Card("identified", count, "free parameters")
+    e = outcome.excitation
+    yield Card("from", f"{e.seconds:.0f} s", f"{e.distance:.0f} m of driving")
 
 
 def _values(outcome: Outcome) -> Iterator[Section]:
