@@ -149,7 +149,8 @@ class Diagnosis:
 
     def render_report(self) -> str:
         """The report: one HTML page with its figures."""
-        from steerd.sim_gap.report.gap_report import Subject, render_report
+        from steerd.sim_gap.report.gap_report import Subject, make_report
+        from steerd.sysid.report.page import render_report
 
         case, split = self.case, self.case.split
         notes = (*split.notes, self.lane_note) if self.lane_note else split.notes
@@ -158,7 +159,7 @@ class Diagnosis:
         subject = Subject(
             names, split.seconds, case.base_source, split.held_out_of, following, notes
         )
-        return render_report(subject, self.findings, self.lane)
+        return render_report(make_report(subject, self.findings, self.lane))
 
     def plot(self) -> "Figure":
         """Prediction errors before and after, candidate effects, the gap over time."""

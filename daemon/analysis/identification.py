@@ -148,9 +148,10 @@ class Identification:
 
     def render_report(self) -> str:
         """The report: one HTML page with its figures."""
-        from steerd.sysid.report.identify_report import render_report
+        from steerd.sysid.report.identify_report import make_report
+        from steerd.sysid.report.page import render_report
 
-        return render_report(self.outcome)
+        return render_report(make_report(self.outcome))
 
     def plot(self) -> "Figure":
         """Held-out drives and their predictions, prediction errors, parameters with errors."""

@@ -26,19 +26,12 @@ _STEP = 0.002
 """MuJoCo's step [s]."""
 _IMPEDANCE = 0.99
 """Of the contacts, MuJoCo's `solimp`, at every depth: near 1, where creep is easily said."""
-_LAG_MIN = 0.01
-"""Of the speed loop [s]: a shorter one is too stiff for the step."""
 _KNUCKLE, _KNUCKLE_INERTIA = 20.0, 1e-3
 """Stiffness [N m/rad] and inertia [kg m^2] of a steered wheel: 141 rad/s, ten times a servo."""
 
 
 class Export(NamedTuple):
-    """A car for another simulator.
-
-    Attributes:
-        text: the file.
-        lost: what of the car is not in it, a sentence each.
-    """
+    """A car for another simulator, and what of the car is not in it, a sentence each."""
 
     text: str
     lost: tuple[str, ...]
@@ -97,10 +90,6 @@ class _Wheel(NamedTuple):
     y: float
     coefficient: float  # cornering force per load, friction and slip angle [1/rad]
 
-    @property
-    def front(self) -> bool:
-        return self.x > 0.0
-
 
 def make_mjcf(settings: Settings) -> Export:
     """A MuJoCo model: a body on four wheels, two of them steered, without suspension.
@@ -157,20 +146,15 @@ _MJCF = """<mujoco model={name}>
 """
 
 
-def _wheel_mass(car: Car[float], wheels: list[_Wheel]) -> float:
-    turning = sum(w.x**2 + w.y**2 for w in wheels)
-    return min(_WHEEL_MASS * car.mass, _WHEEL_YAW * car.inertia_z / turning)
-
-
 def _body(car: Car[float], wheels: list[_Wheel]) -> str:
     """Body and wheels, whose common centre of gravity is the origin of the body's frame."""
-    mass, radius = _wheel_mass(car, wheels), _RADIUS * wheelbase(car)
+    turning, radius = sum(w.x**2 + w.y**2 for w in wheels), _RADIUS * wheelbase(car)
+    mass = min(_WHEEL_MASS * car.mass, _WHEEL_YAW * car.inertia_z / turning)
     body = car.mass - 4.0 * mass
     x = -mass * sum(w.x for w in wheels) / body
     z = 4.0 * mass * (car.cog_height - radius) / body
     across, spin = 0.3 * mass * radius**2, 0.5 * mass * radius**2
-    yaw = car.inertia_z - body * x**2
-    yaw -= sum(mass * (w.x**2 + w.y**2) + across for w in wheels)
+    yaw = car.inertia_z - body * x**2 - mass * turning - 4.0 * across
     inertia = f"{_ROLL * yaw:.6g} {_PITCH * yaw:.6g} {yaw:.6g}"
     outline = f"{0.6 * wheelbase(car):.6g} {0.3 * wheelbase(car):.6g} {0.2 * wheelbase(car):.6g}"
     joint = (
@@ -186,7 +170,7 @@ def _body(car: Car[float], wheels: list[_Wheel]) -> str:
     for w in wheels:
         lines += [
             f'  <body name="{w.name}" pos="{w.x:.6g} {w.y:.6g} {radius - car.cog_height:.6g}">',
-            *([f"    {joint.format(side=w.name.removeprefix('front_'))}"] if w.front else []),
+            *([f"    {joint.format(side=w.name.removeprefix('front_'))}"] if w.x > 0.0 else []),
             f'    <joint name="spin_{w.name}" axis="0 1 0"/>',
             f'    <inertial pos="0 0 0" mass="{mass:.6g}" '
             f'diaginertia="{across:.6g} {spin:.6g} {across:.6g}"/>',
@@ -225,7 +209,7 @@ def _servo(car: Car[float], side: str) -> str:
 
 def _motor(car: Car[float]) -> str:
     """The speed loop: a first-order lag within the limits of acceleration."""
-    stiff = car.mass / max(car.speed_lag, _LAG_MIN)
+    stiff = car.mass / max(car.speed_lag, 5.0 * _STEP)
     return (
         f'<general name="drive" tendon="driven" gainprm="{stiff * car.speed_gain:.6g}" '
         f'biastype="affine" biasprm="0 0 -{stiff:.6g}" '

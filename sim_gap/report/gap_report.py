@@ -26,7 +26,6 @@ from steerd.sim_gap.report.summary_text import (
     value_words,
 )
 from steerd.sim_gap.verdict.evidence import Cause
-from steerd.sysid.report import page
 from steerd.sysid.report.drawing import STYLE, draw
 from steerd.sysid.report.report import Card, Fold, Report, Section, Table
 
@@ -63,11 +62,6 @@ class Subject:
     held_out_of: str
     following: str
     notes: tuple[str, ...] = ()
-
-
-def render_report(subject: Subject, found: Diagnosis, lane: LaneComparison | None) -> str:
-    """The whole page."""
-    return page.render_report(make_report(subject, found, lane))
 
 
 @rc_context(STYLE)

@@ -16,7 +16,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The car and the file."""
     option(parser, "car", "CAR.toml", "a car file", missing_car, type=Path)
-    text = ".yaml for f1tenth_gym, .xml for MuJoCo"
+    text = "FILE.yaml for f1tenth_gym, FILE.xml for MuJoCo"
     option(parser, "-o --output", "FILE", text, type=Path, required=True)
 
 
