@@ -43,6 +43,7 @@ from steerd.sim_gap.report.to_json import to_json
 from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.data.segments import moving_segments
 from steerd.sysid.estimation.preparation import add_command_history
+from steerd.sysid.report.report import Card
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -87,6 +88,13 @@ class Diagnosis:
         """What a reader should know about data and method."""
         lane = (self.lane_note,) if self.lane_note else ()
         return (*self.case.split.notes, *self.findings.notes, *lane)
+
+    @property
+    def cards(self) -> list[Card]:
+        """The figures that the report shows first."""
+        from steerd.sim_gap.report.gap_report import make_cards
+
+        return list(make_cards(self.findings))
 
     @cached_property
     def car(self) -> CarFile:
@@ -141,7 +149,8 @@ class Diagnosis:
 
     def render_report(self) -> str:
         """The report: one HTML page with its figures."""
-        from steerd.sim_gap.report.gap_report import Subject, render_report
+        from steerd.sim_gap.report.gap_report import Subject, make_report
+        from steerd.sysid.report.page import render_report
 
         case, split = self.case, self.case.split
         notes = (*split.notes, self.lane_note) if self.lane_note else split.notes
@@ -150,7 +159,7 @@ class Diagnosis:
         subject = Subject(
             names, split.seconds, case.base_source, split.held_out_of, following, notes
         )
-        return render_report(subject, self.findings, self.lane)
+        return render_report(make_report(subject, self.findings, self.lane))
 
     def plot(self) -> "Figure":
         """Prediction errors before and after, candidate effects, the gap over time."""

@@ -1,5 +1,7 @@
 """What notebooks plot: one matplotlib figure of a drive, an identification or a diagnosis."""
 
+import io
+
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
@@ -49,6 +51,15 @@ def plot_session(drawing: Drawing, title: str) -> Figure:
             figure.axes[-1].set_xlabel("time since the session's start [s]")
         figure.suptitle(title, fontsize=10)
         return figure
+
+
+def save_figure(figure: Figure, form: str) -> bytes:
+    """The file of a figure: `png`, `svg` or `pdf`; the same figure gives the same bytes."""
+    content = io.BytesIO()
+    about = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[form]
+    with rc_context(STYLE):
+        figure.savefig(content, format=form, dpi=200, metadata=about)
+    return content.getvalue()
 
 
 def _plot_track(figure: Figure, axis: Axes, drawing: Drawing) -> None:

@@ -48,6 +48,7 @@ from steerd.sysid.estimation.preparation import (
     scale_inertia,
 )
 from steerd.sysid.inference.plain_car import default_free
+from steerd.sysid.report.report import Card
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -92,6 +93,13 @@ class Identification:
         """Whether the longest prediction of held-out drives became no worse (2 % are noise)."""
         known = [h for h in self.outcome.held_out if not isnan(h.after.position)]
         return bool(known) and known[-1].after.position <= 1.02 * known[-1].before.position
+
+    @property
+    def cards(self) -> list[Card]:
+        """The figures that the report shows first."""
+        from steerd.sysid.report.identify_report import make_cards
+
+        return list(make_cards(self.outcome))
 
     @cached_property
     def car(self) -> CarFile:
@@ -140,9 +148,10 @@ class Identification:
 
     def render_report(self) -> str:
         """The report: one HTML page with its figures."""
-        from steerd.sysid.report.identify_report import render_report
+        from steerd.sysid.report.identify_report import make_report
+        from steerd.sysid.report.page import render_report
 
-        return render_report(self.outcome)
+        return render_report(make_report(self.outcome))
 
     def plot(self) -> "Figure":
         """Held-out drives and their predictions, prediction errors, parameters with errors."""

@@ -25,6 +25,7 @@ from steerd.steer_bus.fields import Nested, flat_leaves, message_fields
 from steerd.steer_bus.session_read import MESSAGE_TYPES, SessionError
 from steerd.steer_bus.topic_columns import Columns
 from steerd.steer_bus.topics import split_key
+from steerd.sysid.report.report import Card
 
 if TYPE_CHECKING:
     import pandas
@@ -66,9 +67,19 @@ class Session:
         return self.report.warnings
 
     @property
-    def metadata(self) -> dict[str, dict[str, str]]:
+    def metadata(self) -> "Metadata":
         """What the recorder says of the drive: options, car, scaling, how it ended."""
-        return {name: dict(values) for name, values in self._recording.info().metadata.items()}
+        found = self._recording.info().metadata
+        return Metadata({name: dict(values) for name, values in found.items()})
+
+    @property
+    def cards(self) -> list[Card]:
+        """The key figures of the drive's page."""
+        from steerd.daemon.sessions.plot_data import make_drawing
+        from steerd.daemon.sessions.plot_page import list_facts
+
+        drawing = make_drawing(read_recording(self._recording))
+        return [Card(label, figure, "") for label, figure in list_facts(self.report, drawing)]
 
     @cached_property
     def report(self) -> SessionReport:
@@ -186,6 +197,13 @@ class Session:
     def _with_time(self, columns: Columns) -> Columns:
         stamps = columns["stamp_ns"] if "stamp_ns" in columns else columns["log_ns"]
         return {"t": seconds_since(self._recording.info().start_ns, stamps), **columns}
+
+
+class Metadata(dict[str, dict[str, str]]):
+    """Texts by section and name; a cell shows the sections alone."""
+
+    def __repr__(self) -> str:
+        return f"<Metadata: {', '.join(self)}>"
 
 
 _TIMES = {"t": "s", "log_ns": "ns", "publish_ns": "ns"}

@@ -80,6 +80,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
             "setup.config",
             "print a commented car file, check one, convert F1TENTH's gains",
         ),
+        "export": ("setup.export", "a car file for f1tenth_gym or MuJoCo"),
         "mocap": ("setup.mocap", "check mocap; calibrate the place of its body on the car"),
         "calibrate": ("setup.calibrate", "centre, gain and limits of the steering"),
         "sim": ("driving.sim", "simulated hardware alone: a VESC on a pty, a mocap server"),

@@ -165,7 +165,10 @@ T = TypeVar("T")
 
 
 def shown(cls: type[T]) -> type[T]:
-    """A class whose `str` is its screen: `repr` is its verdict or its first line."""
+    """A class whose `str` is its screen: `repr` is its verdict or its first line.
+
+    In a notebook its `cards`, if it has any, stand above the screen, which then is folded.
+    """
 
     def line(self: T) -> str:
         lines = str(self).strip().splitlines()
@@ -173,7 +176,17 @@ def shown(cls: type[T]) -> type[T]:
         return f"<steerd.{cls.__name__}: {' '.join(first.split())}>"
 
     def page(self: T) -> str:
-        return f"<pre>{escape(str(self))}</pre>"
+        screen = f"<pre>{escape(str(self))}</pre>"
+        cards = "".join(
+            f'<div style="padding:.4em .8em;border:1px solid #8888;border-radius:8px">'
+            f"<small>{escape(label)}</small><br><b>{escape(figure)}</b><br>"
+            f"<small>{escape(text)}</small></div>"
+            for label, figure, text in getattr(self, "cards", ())
+        )
+        if not cards:
+            return screen
+        row = f'<div style="display:flex;flex-wrap:wrap;gap:.6em">{cards}</div>'
+        return f"{row}<details><summary>all of it</summary>{screen}</details>"
 
     cls.__repr__ = line  # type: ignore[assignment]
     cls._repr_html_ = page  # type: ignore[attr-defined]

@@ -26,7 +26,7 @@ from steerd.daemon.common.translate import reading
 from steerd.daemon.common.written import write_whole
 from steerd.toml_text import load_toml
 
-_SCHEMA = 2
+_SCHEMA = 3
 """Of the remembered rows: others are read anew."""
 _FAULTS = ("FAULT_STOP", "FAULT_LATCHED", "ESTOP")
 _TAG_MAX, _NOTE_MAX = 40, 500
@@ -42,6 +42,7 @@ class Entry:
         car, mode: as in the session.
         lane: the path, as `--path` takes it, or the excitation plan.
         seconds, metres: length.
+        speed: the highest [m/s].
         e1_rms, e1_max: lateral error after the approach [m].
         verdict: `ok`, or why it was stopped or cannot be used.
         missing_s: how long the recorder did not get everything.
@@ -55,12 +56,25 @@ class Entry:
     lane: str = ""
     seconds: float = 0.0
     metres: float | None = None
+    speed: float | None = None
     e1_rms: float | None = None
     e1_max: float | None = None
     verdict: str = ""
     missing_s: float = 0.0
     tags: tuple[str, ...] = ()
     note: str = ""
+
+    @property
+    def when(self) -> datetime:
+        """When the drive ended, in local time."""
+        return datetime.fromtimestamp(self.changed_ns / 1e9).astimezone()
+
+    @property
+    def remarks(self) -> str:
+        """What is not ordinary about a drive, and what people wrote."""
+        parts = [] if self.verdict == "ok" else [self.verdict]
+        parts += [f"records dropped within {self.missing_s:.1f} s"] if self.missing_s else []
+        return " · ".join(filter(None, [*parts, " ".join(f"#{t}" for t in self.tags), self.note]))
 
 
 def default_folders() -> tuple[Path, ...]:
@@ -229,6 +243,7 @@ def summarise(path: Path) -> Entry:
         lane=lane,
         seconds=report.info.duration_s,
         metres=report.length_m,
+        speed=report.speed.high if report.speed else None,
         e1_rms=rms(errors) if driven and errors is not None else None,
         e1_max=float(errors.max()) if driven and errors is not None else None,
         verdict=clean(stops[0], 60) if stops else "ok" if end else "no end",
@@ -265,26 +280,15 @@ def format_entries(entries: Sequence[Entry], numbers: Sequence[int]) -> Iterator
         f"{'driven':<{_LANE + 1}}{'m':>5}{'e1 mm':>8}"
     )
     for number, e in zip(numbers, entries, strict=True):
-        when = datetime.fromtimestamp(e.changed_ns / 1e9).astimezone()
         place = "@last" if number == 1 else f"@-{number}"
         metres = "" if e.metres is None else f"{e.metres:.0f}"
         error = "" if e.e1_rms is None else f"{1e3 * e.e1_rms:.1f}"
         yield (
-            f"{place:<6}{when:%m-%d %H:%M} {cut(clean(e.path.stem), _NAME):<{_NAME + 1}}"
+            f"{place:<6}{e.when:%m-%d %H:%M} {cut(clean(e.path.stem), _NAME):<{_NAME + 1}}"
             f"{cut(e.car, _CAR):<{_CAR + 1}}{cut(e.lane, _LANE):<{_LANE + 1}}"
             f"{metres:>5}{error:>8}"
         )
-        yield from _remarks(e)
-
-
-def _remarks(e: Entry) -> Iterator[str]:
-    """What is not ordinary about a drive, and what people wrote."""
-    parts = [] if e.verdict == "ok" else [e.verdict]
-    parts += [f"records dropped within {e.missing_s:.1f} s"] if e.missing_s else []
-    parts += [" ".join(f"#{tag}" for tag in e.tags)] if e.tags else []
-    parts += [e.note] if e.note else []
-    if parts:
-        yield from wrap(" · ".join(parts), " " * 6, " " * 6)
+        yield from wrap(e.remarks, " " * 6, " " * 6)
 
 
 def make_json(entries: Iterable[Entry]) -> dict[str, Any]:

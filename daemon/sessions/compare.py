@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import degrees
-from pathlib import Path
 
 import numpy as np
 from matplotlib import rc_context
@@ -13,7 +12,8 @@ from matplotlib.lines import Line2D
 from steerd.car_model.path.path import Path as Lane
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import clean
-from steerd.daemon.sessions.info import load_recording
+from steerd.daemon.sessions import compare_time
+from steerd.daemon.sessions.info import Recording
 from steerd.daemon.sessions.lane_error import find_settled, rms
 from steerd.daemon.sessions.motion import Array, Track
 from steerd.daemon.sessions.plot_data import load_lane
@@ -59,13 +59,13 @@ class LaneSession:
     laps: float
 
 
-def load_lane_session(path: Path) -> LaneSession:
-    """Read what a drive did along its lane.
+def make_lane_session(read: Recording) -> LaneSession:
+    """What a drive did along its lane.
 
     Raises:
-        SteerdError: it cannot be read, or it followed no lane.
+        SteerdError: it followed no lane.
     """
-    read = load_recording(path)
+    path = read.info.path
     lane, state = load_lane(read.session), read.table(topics.STATE)
     if lane is None or state is None:
         what = f"{path.name} follows no lane that could be compared"
@@ -108,23 +108,51 @@ def check_same_lane(drives: Sequence[LaneSession]) -> None:
             raise SteerdError(what, hint, ExitCode.INVALID)
 
 
+def render_recordings(reads: Sequence[Recording], shift: float | None = None) -> str:
+    """The page of several drives: along their lane, and of two also over time.
+
+    Args:
+        reads: the drives.
+        shift: by which the second of two comes later [s]; None finds it.
+
+    Raises:
+        SteerdError: more or less than two follow no lane, or not the same, or nothing is common.
+    """
+    if len(reads) != 2:
+        drives = [make_lane_session(read) for read in reads]
+        check_same_lane(drives)
+        return render_comparison(drives)
+    names = [clean(read.info.path.name, NAME_MAX) for read in reads]
+    both = compare_time.make_section(compare_time.overlay(reads[0], reads[1], shift), names)
+    try:
+        drives = [make_lane_session(read) for read in reads]
+    except SteerdError as error:  # over time alone
+        why = f"Not compared along a lane: {error.what}."
+        title, foot = "Two drives, compared", "Written by steerd plot."
+        return render_report(Report(title, ", ".join(names), "", why, [both], foot))
+    check_same_lane(drives)
+    return render_comparison(drives, both)
+
+
 @rc_context(STYLE)
-def render_comparison(drives: Sequence[LaneSession]) -> str:
-    """The page of several drives of one lane."""
+def render_comparison(drives: Sequence[LaneSession], over_time: Section | None = None) -> str:
+    """The page of several drives of one lane, with what is known of two of them over time."""
     names = [drive.name for drive in drives]
+    heads = ["", *names, "difference"] if len(drives) == 2 else ["", *names]
     report = Report(
         title="Drives of one lane, compared",
         subject=", ".join(names),
         about=f"path {clean(drives[0].spec, NAME_MAX)}",
         lead="From 3 s after each start.",
         sections=[
-            Section(table=Table(["", *names], list(_rows(drives)))),
+            Section(table=Table(heads, list(_rows(drives)))),
             Section(
                 "At the same place along the lane",
                 "Dots are single samples of every lap, the line is their mean at that place.",
                 figure=_draw_curves(drives),
             ),
             Section("Tracks", figure=draw(_plot_tracks, 4.2, drives)),
+            *([over_time] if over_time else []),
         ],
         foot="Written by steerd plot. Frames are ISO 8855, angles positive to the left.",
     )
@@ -132,10 +160,12 @@ def render_comparison(drives: Sequence[LaneSession]) -> str:
 
 
 def _rows(drives: Sequence[LaneSession]) -> Iterator[list[str]]:
-    """Rows of the table: label and a figure a drive."""
+    """Rows of the table: label, a figure a drive, and of two the second's minus the first's."""
 
     def row(label: str, form: str, figure: Callable[[LaneSession], float]) -> list[str]:
-        return [label, *(format(figure(d), form) for d in drives)]
+        values = [figure(d) for d in drives]
+        off = [f"{values[1] - values[0]:+{form.lstrip('+')}}"] if len(values) == 2 else []
+        return [label, *(format(value, form) for value in values), *off]
 
     yield row("laps", ".1f", lambda d: d.laps)
     yield row("e1 RMS [mm]", ".1f", lambda d: 1e3 * rms(d.values["e1"]))

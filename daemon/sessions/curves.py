@@ -6,6 +6,8 @@ peak is lost however long the drive.
 """
 
 import base64
+import csv
+import io
 import zlib
 from dataclasses import dataclass
 
@@ -13,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.daemon.sessions.motion import Array
+from steerd.daemon.sessions.plot_data import Drawing
 
 HELD, VALUE, BREAK = 0, 1, 2
 """What a slot holds: nothing new (the line passes through), a value, or a break in the line."""
@@ -20,6 +23,9 @@ LEVELS = 65535
 """Largest level of a packed value: 16 bits."""
 FINEST_S = 0.005
 """Shortest pair of slots [s]; half the period of a 100 Hz loop."""
+
+CSV_STEP = 0.01
+"""Between rows of a table [s]: the period of a 100 Hz loop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +85,28 @@ def _extend_breaks(kinds: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """A break lasts until the next value."""
     last = np.maximum.accumulate(np.where(kinds == HELD, 0, np.arange(len(kinds))))
     return np.where((kinds == HELD) & (kinds[last] == BREAK), BREAK, kinds)
+
+
+def make_csv(drawing: Drawing) -> str:
+    """Track and curves as a table, every `CSV_STEP`, empty where a curve has no value."""
+    columns = [
+        (f"{panel.title}: {curve.name} [{panel.unit or 1}]", curve.t, curve.value)
+        for panel in drawing.panels
+        for curve in panel.curves
+    ]
+    if drawing.track is not None:
+        places = (("x [m]", "x"), ("y [m]", "y"), ("yaw [rad]", "yaw"))
+        columns[:0] = [(head, drawing.track.t, getattr(drawing.track, name))
+                       for head, name in places]  # fmt: skip
+    steps = 1 + int(max((t[-1] for _, t, _ in columns), default=0.0) / CSV_STEP)
+    at = CSV_STEP * np.arange(steps)
+    values = [np.interp(at, t, value, np.nan, np.nan) for _, t, value in columns]
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["t [s]", *(head for head, _, _ in columns)])
+    for row in zip(at, *values, strict=True):
+        table.writerow([f"{value:.7g}" if np.isfinite(value) else "" for value in row])
+    return text.getvalue()
 
 
 def pack(out: Array, kinds: NDArray[np.uint8]) -> dict[str, float | str]:

@@ -98,6 +98,9 @@ class SessionReport:
     excitation: tuple[str, ...]
     warnings: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        return f"<SessionReport of {self.info.path.name}, {len(self.topics)} topics>"
+
 
 def load_session(path: Path) -> Session:
     """Open a session for a command.

@@ -110,7 +110,7 @@ def _make_drawing(read: Recording) -> Drawing:
     if track is not None:
         e1 = np.full(len(track.t), np.nan)
         for curve in found[0].curves[:1]:
-            e1 = np.interp(track.t, curve.t, curve.value / 100.0, np.nan, np.nan)
+            e1 = np.interp(track.t, curve.t, curve.value / 1e3, np.nan, np.nan)
     lane, width = load_lane(read.session), _half_width(read.session)
     return Drawing(panels, track, e1, lane, width, _figures(read))
 

@@ -2,18 +2,18 @@
 
 # Why: docs/decisions/rooms-and-code.md#d29
 
-from datetime import UTC, datetime
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from steerd.daemon.assembly.session_meta import is_virtual
 from steerd.daemon.common.screen import clean
 from steerd.daemon.sessions.curves import BREAK, VALUE, Grid, decimate, make_grid, pack
 from steerd.daemon.sessions.info import SessionReport
 from steerd.daemon.sessions.motion import GAP_MAX, Array, Track
 from steerd.daemon.sessions.plot_data import Drawing
+from steerd.daemon.sessions.text import when
 from steerd.sysid.report.page import render_page
 
 SIZE_MAX = 2_000_000
@@ -47,10 +47,10 @@ def _data(report: SessionReport, drawing: Drawing, buckets: int) -> dict[str, An
     grid = make_grid(0.0, max(report.info.duration_s, 0.01), buckets)
     return {
         "title": _title(report),
-        "facts": _facts(report, drawing),
+        "facts": list_facts(report, drawing),
         "warnings": [clean(text) for text in report.warnings[:WARNINGS_SHOWN]],
         "states": [[round(change.t_s, 4), change.state] for change in report.states],
-        "grid": _grid(grid),
+        "grid": asdict(grid),
         "panels": [
             {
                 "title": panel.title,
@@ -68,27 +68,18 @@ def _data(report: SessionReport, drawing: Drawing, buckets: int) -> dict[str, An
 
 
 def _title(report: SessionReport) -> str:
-    info = report.info
-    parts = [clean(report.car), clean(info.path.name)]
-    if is_virtual(info):
-        parts.append("in virtual time")
-    elif 1 << 60 < info.start_ns < 1 << 62:
-        start = datetime.fromtimestamp(info.start_ns // 1_000_000_000, UTC)
-        parts.append(f"{start:%Y-%m-%d %H:%M} UTC")
+    parts = (clean(report.car), clean(report.info.path.name), when(report))
     return " · ".join(filter(None, parts))
 
 
-def _facts(report: SessionReport, drawing: Drawing) -> list[tuple[str, str]]:
+def list_facts(report: SessionReport, drawing: Drawing) -> list[tuple[str, str]]:
+    """Label and value of what the page's head shows."""
     facts = [("recorded", f"{report.info.duration_s:.1f} s"), *drawing.facts]
     if drawing.lane is not None:
         facts.append(("path", clean(drawing.lane.name, 40)))
     if report.end:
         facts.append(("how it ended", clean(report.end, 80)))
     return facts
-
-
-def _grid(grid: Grid) -> dict[str, float]:
-    return {"start": grid.start, "step": grid.step, "slots": grid.slots}
 
 
 def _track(track: Track, e1: Array) -> dict[str, Any]:
@@ -113,7 +104,7 @@ def _track(track: Track, e1: Array) -> dict[str, Any]:
         packed[name] = pack(np.where(bad, 0.0, value), kinds)
     about = ("|e1|", "mm", 1e3) if shown else ("speed", "m/s", 1.0)
     named = dict(zip(("colour", "unit", "factor"), about, strict=True))
-    return {**packed, **named, "grid": _grid(grid), "top": max(top, 1e-6)}
+    return {**packed, **named, "grid": asdict(grid), "top": max(top, 1e-6)}
 
 
 def _lane(drawing: Drawing) -> dict[str, Any] | None:

@@ -37,7 +37,7 @@ def format_report(report: SessionReport) -> str:
     lines = [clean(info.path.name)]
     lines += _item("car", _car(report))
     lines += _item("note", clean(info.metadata.get("steerd.session", {}).get("comment", "")))
-    lines += _item("when", _when(report))
+    lines += _item("when", when(report))
     lines += _item("size", f"{_bytes(info.size)}, {_count(info.count)} messages")
     lines += _item("end", _end(report))
     if report.states:
@@ -65,7 +65,8 @@ def _car(report: SessionReport) -> str:
     return ", ".join(filter(None, (clean(report.car), mode)))
 
 
-def _when(report: SessionReport) -> str:
+def when(report: SessionReport) -> str:
+    """When a session was recorded, and how long it is."""
     info = report.info
     if not info.count:
         return "no messages"

@@ -26,7 +26,6 @@ from steerd.sim_gap.report.summary_text import (
     value_words,
 )
 from steerd.sim_gap.verdict.evidence import Cause
-from steerd.sysid.report import page
 from steerd.sysid.report.drawing import STYLE, draw
 from steerd.sysid.report.report import Card, Fold, Report, Section, Table
 
@@ -65,11 +64,6 @@ class Subject:
     notes: tuple[str, ...] = ()
 
 
-def render_report(subject: Subject, found: Diagnosis, lane: LaneComparison | None) -> str:
-    """The whole page."""
-    return page.render_report(make_report(subject, found, lane))
-
-
 @rc_context(STYLE)
 def make_report(subject: Subject, found: Diagnosis, lane: LaneComparison | None) -> Report:
     """What a diagnosis found."""
@@ -93,11 +87,12 @@ def make_report(subject: Subject, found: Diagnosis, lane: LaneComparison | None)
         "sd is one standard error; intervals are 90 %.",
         verdict=FAMILIES[found.verdict],
         grade=GRADES.get(found.verdict, ""),
-        cards=list(_cards(subject, found)),
+        cards=list(make_cards(found)),
     )
 
 
-def _cards(subject: Subject, found: Diagnosis) -> Iterator[Card]:
+def make_cards(found: Diagnosis) -> Iterator[Card]:
+    """The figures that are read first."""
     leads = known_leads(found.before) or [0]
     last = min(leads, key=lambda i: abs(found.before.errors[i][0] - 1.0))
     before, after = found.before.errors[last], found.after.errors[last]

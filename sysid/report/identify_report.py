@@ -8,18 +8,12 @@ from matplotlib import rc_context
 from steerd.car_model.params import Car
 from steerd.sysid.estimation.outcome import Outcome
 from steerd.sysid.report import identify_figures as figures
-from steerd.sysid.report import page
 from steerd.sysid.report.design_comparison import Profile, compare_designs
 from steerd.sysid.report.drawing import STYLE, draw
-from steerd.sysid.report.report import Cell, Fold, Report, Section, Table
+from steerd.sysid.report.report import Card, Cell, Fold, Report, Section, Table
 
 IMPROVEMENT_MIN = 1.02
 """A smaller factor is no improvement."""
-
-
-def render_report(outcome: Outcome) -> str:
-    """The whole page."""
-    return page.render_report(make_report(outcome))
 
 
 @rc_context(STYLE)
@@ -33,11 +27,27 @@ def make_report(outcome: Outcome) -> Report:
         about=f"{e.seconds:.0f} s, {e.distance:.0f} m, "
         f"{e.speed_low:.1f} to {e.speed_high:.1f} m/s, {e.lateral_accel:.1f} m/s² sideways · "
         f"method {outcome.method}, {outcome.seconds:.1f} s",
-        lead=_headline(outcome),
+        lead="What the drives say of the car, judged by drives that were not fitted.",
         sections=[*_values(outcome), *_sections(outcome, profiles)],
         foot="Written by steerd identify. Frames are ISO 8855, angles positive to the left; "
         "sd is one standard error.",
+        cards=list(make_cards(outcome)),
     )
+
+
+def make_cards(outcome: Outcome) -> Iterator[Card]:
+    """The figures that are read first."""
+    free = outcome.free_rows.values()
+    count = sum(row.identifiable for row in free)
+    yield Card("identifiable", f"{count} of {len(free)}", "free parameters, from these drives")
+    for last in [h for h in outcome.held_out if not isnan(h.after.position)][-1:]:
+        before, after = last.before, last.after
+        better = last.factor >= IMPROVEMENT_MIN
+        change = f"the error falls by a factor of {last.factor:.1f}" if better else "no improvement"
+        figure = f"{1e3 * before.position:.1f} → {1e3 * after.position:.1f} mm"
+        yield Card(f"off {after.horizon:g} s ahead, by start values → identified", figure, change)
+        figure = f"{degrees(before.heading):.2f} → {degrees(after.heading):.2f}°"
+        yield Card("off in heading", figure, "both on drives that were not fitted")
 
 
 def _values(outcome: Outcome) -> Iterator[Section]:
@@ -76,27 +86,6 @@ def _designs(outcome: Outcome) -> tuple[Car[float], dict[str, Car[float]]]:
     if outcome.truth is None:
         return outcome.after, designs
     return outcome.truth, {"truth": outcome.truth, **designs}
-
-
-def _headline(outcome: Outcome) -> str:
-    """The results in two sentences."""
-    free = list(outcome.free_rows.values())
-    count = sum(row.identifiable for row in free)
-    text = f"{count} of {len(free)} free parameters are identifiable from these data."
-    known = [h for h in outcome.held_out if not isnan(h.after.position)]
-    if not known:
-        return text
-    last = known[-1]
-    change = "no improvement"
-    if last.factor >= IMPROVEMENT_MIN:
-        change = f"the error falls by a factor of {last.factor:.1f}"
-    after, before = last.after, last.before
-    against = f"start values: {before.position * 1e3:.1f} mm"
-    return (
-        f"{text} On drives that were not fitted, predictions {after.horizon:g} s ahead are off "
-        f"by {after.position * 1e3:.1f} mm and {degrees(after.heading):.2f}° "
-        f"({against}): {change}."
-    )
 
 
 def _sections(outcome: Outcome, profiles: tuple[Profile, ...]) -> Iterator[Section]:

@@ -12,10 +12,11 @@ SCALES = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (DEGREES, "°"), "1": (1.0,
 
 
 class Cell(NamedTuple):
-    """Text of a table that stands out, or does not."""
+    """Text of a table that stands out, or does not, and the page that it leads to, if any."""
 
     text: str
     tone: Tone = ""
+    link: str = ""
 
 
 @dataclass(frozen=True)

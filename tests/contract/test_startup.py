@@ -28,6 +28,7 @@ MISSING = {
                 "service print --path csv:none.csv"),
     "probe": ("probe --car none.toml",),
     "effects": ("effects --add none.py",),
+    "export": ("export none.toml -o car.xml",),
     "config": ("config --check none.toml", "config --from-vesc-yaml none.yaml"),
     "mocap": ("mocap check none.mcap", "mocap check --car none.toml",
               "mocap calibrate none.mcap", "mocap calibrate {here} --car none.toml"),

@@ -20,7 +20,7 @@ WINDOWS = [
     for width in (1280, 420)
     for dark in (False, True)
 ]
-PAGES = ("drive", "compare", "identify", "gap", "sweep", "batch")
+PAGES = ("drive", "compare", "sessions", "identify", "gap", "sweep", "batch")
 SWEEP = """
 seeds = 4
 duration = 3.5
@@ -49,6 +49,7 @@ def pages(tmp_path_factory):
         f"plot {session} -o {folder}/drive.html",
         f"run --sim --fast --speed 1.8 --duration 12 --record {folder}/prompt.mcap",
         f"plot {session} {folder}/prompt.mcap -o {folder}/compare.html",
+        f"sessions --folder {folder} --page",
         f"identify {session} -o {car} --report {folder}/identify.html",
         f"diagnose {session} --report {folder}/gap.html",
     ):
@@ -103,6 +104,42 @@ def test_the_drive_is_drawn_and_read_under_the_pointer(browser, pages):
     browser.wait("document.getElementById('clock').textContent.startsWith('t = ')")
     shown = browser.ask("[...document.querySelectorAll('.u-value')].map(e => e.textContent)")
     assert sum(bool(re.fullmatch(r"-?\d[\d.]*", value)) for value in shown) > 8
+    assert browser.faults_of_layout() == []
+    assert browser.console == []
+
+
+SETTLE = "new Promise(done => setTimeout(done, 200))"
+
+
+def press(browser, key, modifiers=0):
+    browser.call("Input.dispatchKeyEvent", type="keyDown", key=key, code=key, modifiers=modifiers)
+    browser.ask(SETTLE)
+    return browser.ask("+document.getElementById('time').value")
+
+
+def test_slider_and_arrow_keys_choose_the_instant_of_all_curves(browser, pages):
+    browser.open((pages / "drive.html").as_uri())
+    browser.wait(DRAWN)
+    car = "document.getElementById('track').toDataURL()"
+    lines = "[...document.querySelectorAll('.u-cursor-x')].map(e => e.style.transform)"
+    browser.ask("Object.assign(document.getElementById('time'), {value: 9.5})"
+                ".dispatchEvent(new Event('input'))")  # fmt: skip
+    browser.wait("document.getElementById('clock').textContent === 't = 9.50 s · running'")
+    before = browser.ask(car)
+    assert len(set(browser.ask(lines))) == 1
+    shown = browser.ask("[...document.querySelectorAll('.u-value')].map(e => e.textContent)")
+    assert sum(bool(re.fullmatch(r"-?\d[\d.]*", value)) for value in shown) > 8
+    assert press(browser, "ArrowRight") == pytest.approx(9.55, abs=1e-6)
+    assert press(browser, "ArrowLeft", modifiers=8) == pytest.approx(8.55, abs=1e-6)
+    assert browser.ask(car) != before
+    # What a zoomed window does not show is moved into it.
+    box = browser.ask("document.querySelector('.panel:nth-child(4) .u-over')"
+                      ".getBoundingClientRect().toJSON()")  # fmt: skip
+    for kind, share in (("mousePressed", 0.1), ("mouseMoved", 0.2), ("mouseReleased", 0.2)):
+        where = {"x": box["x"] + share * box["width"], "y": box["y"] + 20}
+        browser.call("Input.dispatchMouseEvent", type=kind, button="left", clickCount=1, **where)
+    at = [press(browser, "ArrowRight", modifiers=8) for _ in range(5)]
+    assert at[4] - at[0] == pytest.approx(4.0, abs=0.05)
     assert browser.faults_of_layout() == []
     assert browser.console == []
 

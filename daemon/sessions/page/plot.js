@@ -75,11 +75,36 @@ function makePlot(panel, data, height, last) {
   }, [x, ...data], box);
   plots.push(u); return u;
 }
+
+// --- the instant that is shown: chosen by the slider, the arrow keys, or the pointer over a curve or the track
+const slider = document.getElementById("time"), clock = document.getElementById("clock");
 let now = null;
-function point(u) {
-  const left = u.cursor.left, t = left == null || left < 0 ? null : u.posToVal(left, "x");
-  if (t !== now) { now = t; requestAnimationFrame(draw); }
+Object.assign(slider, {min: x[0], max: x[x.length - 1], value: x[0]});
+function seek(t) {
+  const u = plots[0], half = (range[1] - range[0]) / 2, inside = t >= range[0] && t <= range[1];
+  t = Math.min(Math.max(t, x[0]), x[x.length - 1]);
+  if (!inside && half * 2 < end - x[0]) {
+    const middle = Math.min(Math.max(t, x[0] + half), end - half);
+    u.setScale("x", {min: middle - half, max: middle + half});
+  }
+  requestAnimationFrame(() => { for (const p of plots) p.setCursor({left: p.valToPos(t, "x"), top: 5}); });
 }
+function point(u) {  // a pointer that leaves the curves leaves the instant where it was
+  const left = u.cursor.left, known = left != null && left >= 0;
+  if (!known && now !== null && u === plots[0]) seek(now);
+  if (known) { now = u.posToVal(left, "x"); requestAnimationFrame(draw); }
+}
+function showInstant() {
+  const last = D.states.findLast(([t]) => t <= now), state = last ? " · " + last[1].toLowerCase().replace("_", " ") : "";
+  clock.textContent = now === null ? "slider, or ← →" : `t = ${now.toFixed(2)} s${state}`;
+  if (now !== null) { slider.value = now; slider.setAttribute("aria-valuetext", clock.textContent); }
+}
+slider.addEventListener("input", () => seek(+slider.value));
+addEventListener("keydown", e => {
+  const way = {ArrowLeft: -1, ArrowRight: 1}[e.key];
+  if (!way || e.altKey || e.ctrlKey || e.metaKey || !plots.length) return;
+  e.preventDefault(); seek((now ?? +slider.value) + way * (e.shiftKey ? 1 : .05));
+});
 
 // --- track
 const canvas = document.getElementById("track"), ctx = canvas.getContext("2d");
@@ -140,12 +165,11 @@ function car(t) {
   ctx.restore();
 }
 let css_far, css_plain;
-const clock = document.getElementById("clock");
 function draw() {
+  showInstant();
   if (!view) return;
   const r = devicePixelRatio; canvas.width = canvas.clientWidth * r; canvas.height = canvas.clientHeight * r;
   ctx.setTransform(r, 0, 0, r, 0, 0); css_far = css("far"); css_plain = css("estimate");
-  clock.textContent = now === null ? "" : `t = ${now.toFixed(3)} s`;
   lane(); grid(); if (tr) { driven(D.track.top); if (now !== null) car(now); }
 }
 if (D.track) {
@@ -169,7 +193,7 @@ if (tr || D.lane) {
     let best = 400, at = null;
     for (let i = 0; i < tr.t.length; i++) { if (tr.x[i] == null || tr.t[i] < range[0] || tr.t[i] > range[1]) continue;
       const d = (px(tr.x[i]) - e.offsetX) ** 2 + (py(tr.y[i]) - e.offsetY) ** 2; if (d < best) { best = d; at = tr.t[i]; } }
-    if (at !== null) plots[0].setCursor({left: plots[0].valToPos(at, "x"), top: 5});
+    if (at !== null) seek(at);
   });
   canvas.addEventListener("dblclick", () => { fit(); draw(); });
 } else document.getElementById("left").remove();

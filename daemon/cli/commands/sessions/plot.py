@@ -3,57 +3,73 @@
 The page needs no network: send it by mail, or keep it beside the session.
 
 steerd plot SESSION.mcap -o DRIVE.html
-steerd plot BEFORE.mcap AFTER.mcap       # drives of one lane, compared by place
+steerd plot SESSION.mcap -o DRIVE.svg    # the main curves; .png and .pdf too
+steerd plot SESSION.mcap -o DRIVE.csv    # all curves and the track, every 10 ms
+steerd plot BEFORE.mcap AFTER.mcap       # by place on the lane, and over time
 """
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from steerd.daemon.cli.arguments import add_sessions, option, pick_sessions
-from steerd.daemon.common.errors import ExitCode
+from steerd.daemon.common.errors import ExitCode, SteerdError
+
+if TYPE_CHECKING:
+    from steerd.daemon.sessions.info import Recording
+
+_FIGURES = (".png", ".svg", ".pdf")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The sessions and the page."""
     add_sessions(parser)
     option(parser, "-o --output", "FILE.html", "default: beside the session", type=Path)
+    text = "of two drives: the second comes so much later (default: found from the drives)"
+    option(parser, "--shift", "SECONDS", text, type=float)
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the page and say where it is."""
     from steerd.daemon.common.written import check_outputs, write_outputs
+    from steerd.daemon.sessions.info import load_recording
 
     paths = pick_sessions(args.sessions)
-    output = args.output or _default_output(paths)
+    if args.shift is not None and len(paths) != 2:
+        raise SteerdError("--shift is for two drives", "name two", ExitCode.USAGE)
+    name = "-".join(path.stem for path in paths)[:120]
+    output = args.output or paths[0].with_name(f"{name}.html")
     check_outputs({"-o": output})
-    page = _compare(paths) if len(paths) > 1 else _draw(paths[0])
-    write_outputs({output: page})
-    print(f"{output}: {len(page.encode()) / 1e6:.1f} MB; open it in a browser")
+    other = output.suffix.lower() in (*_FIGURES, ".csv")
+    if other and len(paths) > 1:
+        what = f"{output.name}: several drives are compared on a page"
+        raise SteerdError(what, "-o FILE.html", ExitCode.USAGE)
+    reads = [load_recording(path) for path in paths]
+    if len(reads) > 1:
+        from steerd.daemon.sessions.compare import render_recordings
+
+        content = render_recordings(reads, args.shift).encode()
+    else:
+        content = _draw(reads[0], output.suffix.lower())
+    write_outputs({output: content})
+    print(f"{output}: {len(content) / 1e6:.1f} MB{'' if other else '; open it in a browser'}")
     return ExitCode.OK
 
 
-def _default_output(paths: list[Path]) -> Path:
-    if len(paths) == 1:
-        return paths[0].with_suffix(".html")
-    return paths[0].with_name("-".join(path.stem for path in paths)[:120] + ".html")
-
-
-def _draw(path: Path) -> str:
-    from steerd.daemon.sessions.info import load_recording, make_session_report
+def _draw(read: "Recording", suffix: str) -> bytes:
+    from steerd.daemon.sessions.curves import make_csv
+    from steerd.daemon.sessions.info import make_session_report
     from steerd.daemon.sessions.plot_data import make_drawing
     from steerd.daemon.sessions.plot_model import with_model
     from steerd.daemon.sessions.plot_page import make_page
     from steerd.daemon.sessions.text import print_warnings
 
-    read = load_recording(path)
     report = make_session_report(read)
     print_warnings(report.warnings)
-    return make_page(report, with_model(make_drawing(read), read))
+    drawing = with_model(make_drawing(read), read)
+    if suffix in _FIGURES:
+        from steerd.daemon.analysis.figures import plot_session, save_figure
 
-
-def _compare(paths: list[Path]) -> str:
-    from steerd.daemon.sessions.compare import check_same_lane, load_lane_session, render_comparison
-
-    drives = [load_lane_session(path) for path in paths]
-    check_same_lane(drives)
-    return render_comparison(drives)
+        return save_figure(plot_session(drawing, read.info.path.name), suffix[1:])
+    text = make_csv(drawing) if suffix == ".csv" else make_page(report, drawing)
+    return text.encode()

@@ -2,6 +2,7 @@
 
 steerd sessions                          # this folder's, and those kept by run
 steerd sessions --folder DIR --tag wet
+steerd sessions --page                   # as an HTML page: sessions.html
 steerd sessions tag @last wet new-tyres  # untag takes them away
 steerd sessions note @-2 "left front tyre changed"
 
@@ -28,6 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--car", "NAME", "only drives of this car")
     option(parser, "--all", "", f"more than {SHOWN}")
     option(parser, "--json", "", "the same for programs")
+    text = "the same as a page (default: sessions.html in the folder)"
+    option(parser, "--page", "FILE.html", text, nargs="?", type=Path, const=Path())
     kinds = parser.add_subparsers(dest="kind", metavar="tag|untag|note")
     for kind, text in (("tag", "add tags to a drive"), ("untag", "take tags away")):
         child = kinds.add_parser(kind, help=text)
@@ -52,6 +55,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _list(args: argparse.Namespace, folders: tuple[Path, ...]) -> int:
     from steerd.daemon.common.progress import show_progress
+    from steerd.daemon.common.written import check_outputs, write_outputs
     from steerd.daemon.sessions.catalogue import (
         find_sessions,
         format_entries,
@@ -59,8 +63,11 @@ def _list(args: argparse.Namespace, folders: tuple[Path, ...]) -> int:
         make_json,
     )
 
+    page = folders[0] / "sessions.html" if args.page == Path() else args.page
+    if page:
+        check_outputs({"--page": page})
     paths = find_sessions(folders)
-    shown = paths if args.all or args.tag or args.car or args.json else paths[:SHOWN]
+    shown = paths if args.all or args.tag or args.car or args.json or page else paths[:SHOWN]
     with show_progress("reading the drives", float(len(shown)), even=True) as advance:
         entries = list(list_entries(shown, advance))
     places = {path: number for number, path in enumerate(paths, 1)}
@@ -73,6 +80,13 @@ def _list(args: argparse.Namespace, folders: tuple[Path, ...]) -> int:
         import json
 
         print(json.dumps(make_json(entries), indent=1, allow_nan=False))
+        return ExitCode.OK
+    if page:
+        from steerd.daemon.sessions.catalogue_page import make_report
+        from steerd.sysid.report.page import render_report
+
+        write_outputs({page: render_report(make_report(entries, page.parent))})
+        print(f"{page}: {len(entries)} drives; open it in a browser")
         return ExitCode.OK
     if not entries:
         print(f"no drive in {' or '.join(str(folder) for folder in folders)}", file=sys.stderr)

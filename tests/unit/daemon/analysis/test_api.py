@@ -1,9 +1,11 @@
 """`steerd.identify` and `steerd.diagnose`: the numbers of the command line, as values."""
 
+import html
 import json
 import math
 
 import pytest
+from IPython.lib import pretty
 
 import steerd
 from steerd.car_model.car_file import load_car
@@ -13,6 +15,8 @@ pytestmark = pytest.mark.slow
 
 FREE = ["steer_delay", "speed_lag"]
 DELAY = 0.05
+LINES_MOST = 60
+"""Of a cell's output: more than a screen nobody reads."""
 ONLY = ["steer_delay", "steer_backlash", "speed_delay"]
 
 
@@ -48,6 +52,22 @@ def test_parameters_have_values_errors_and_units(fit):
     assert delay.unit == "s"
     assert fit.improved
     assert "steer_delay" in str(fit)
+
+
+@pytest.mark.parametrize("name", ["drive", "fit", "gap"])
+def test_no_value_fills_more_than_a_screen_of_a_cell(name, request):
+    """As IPython shows it, at 100 columns; what a value holds is looked at one by one."""
+    value = request.getfixturevalue(name)
+    public = [each for each in dir(value) if not each.startswith("_")]
+    held = [(each, getattr(value, each)) for each in public]
+    for each, one in [(name, value), *((each, one) for each, one in held if not callable(one))]:
+        text = pretty.pretty(one)
+        lines = sum(1 + len(line) // 100 for line in text.splitlines())
+        assert lines <= LINES_MOST, f"{each}: {lines} lines"
+    page = value._repr_html_()
+    assert all(html.escape(card.figure) in page for card in value.cards)
+    assert len(value.cards) >= 3
+    assert page.index("<details>") < page.index("<pre>")
 
 
 def test_the_identified_car_is_simulated_saved_and_read_again(fit, tmp_path):

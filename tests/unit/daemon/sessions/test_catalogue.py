@@ -134,6 +134,21 @@ def test_the_command_lists_tags_and_filters(folder, capsys):
     assert run_cli(["sessions", "--folder", "nowhere"]) == ExitCode.UNREADABLE
 
 
+def test_the_page_leads_to_each_drives_page_from_wherever_it_lies(folder, tmp_path, capsys):
+    (folder / "circle.mcap").rename(folder / "a #1 <b>.mcap")
+    (folder / "a #1 <b>.html").write_text("")
+    write_notes(folder / "estop.mcap", ["wet"], "")
+    assert run_cli(["sessions", "--folder", ".", "--page"]) == 0
+    assert "sessions.html: 3 drives" in capsys.readouterr().out
+    page = (folder / "sessions.html").read_text(encoding="utf-8")
+    assert '<a href="a%20%231%20%3Cb%3E.html">a #1 &lt;b&gt;</a>' in page
+    assert page.count("<a ") == 1
+    assert "emergency stop called · #wet" in page
+    assert run_cli(["sessions", "--page", str(tmp_path / "all.html")]) == 0
+    assert 'href="drives/a%20' in (tmp_path / "all.html").read_text(encoding="utf-8")
+    assert run_cli(["sessions", "--page", str(folder)]) == ExitCode.UNREADABLE
+
+
 def test_a_command_without_a_session_takes_the_last_one_and_says_so(folder, capsys):
     assert run_cli(["info"]) == 0
     said = capsys.readouterr()

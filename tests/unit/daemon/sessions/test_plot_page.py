@@ -85,6 +85,7 @@ def test_the_curves_are_the_recorded_numbers(tmp_path):
     facts = dict(data["facts"])
     assert facts["lateral error RMS, after 3 s"] == "20.0 mm"
     assert facts["largest"] == "20.0 mm"
+    assert data["track"]["top"] == pytest.approx(0.02, abs=1e-4), "the track's colours, in metres"
     assert data["states"] == [[0.0, "ARMED"], [0.0, "RUNNING"]]
 
 
@@ -127,6 +128,23 @@ def test_the_lane_comes_from_the_session(tmp_path):
     assert load_lane(absent) is None
     drill = RunOptions("", drill="mixed;open")
     assert load_lane(load_session(write_noise(tmp_path / "c.mcap", 2, 20, options=drill))) is None
+
+
+def test_the_table_holds_the_curves_and_figures_are_the_same_each_time(tmp_path, capsys):
+    path = write_noise(tmp_path / "a.mcap", 4, 50)
+    assert run_cli(["plot", str(path), "-o", str(tmp_path / "a.CSV")]) == 0
+    table = np.genfromtxt(tmp_path / "a.CSV", delimiter=",", names=True, deletechars="")
+    yaw = load_recording(path).session.columns(m.StateMessage)["yaw_rate"]
+    assert table["t_[s]"][:3] == pytest.approx([0.0, 0.01, 0.02])
+    assert table["yaw_rate:_estimate_[rad/s]"][::2][:200] == pytest.approx(yaw, abs=1e-5)
+    for name, head in (("a.svg", b"<?xml"), ("a.png", b"\x89PNG"), ("a.pdf", b"%PDF")):
+        assert run_cli(["plot", str(path), "-o", str(tmp_path / name)]) == 0
+        first = (tmp_path / name).read_bytes()
+        assert first.startswith(head)
+        assert run_cli(["plot", str(path), "-o", str(tmp_path / name)]) == 0
+        assert (tmp_path / name).read_bytes() == first
+    assert run_cli(["plot", str(path), str(path), "-o", str(tmp_path / "b.svg")]) == 2
+    assert "compared on a page" in capsys.readouterr().err
 
 
 def test_the_command_line(tmp_path, capsys):

@@ -24,7 +24,8 @@ from steerd.sysid.estimation.outcome import REPORTED, encode_outcome
 from steerd.sysid.estimation.preparation import fit_wheelbase, free_names, held_names
 from steerd.sysid.estimation.validation import HORIZONS, errors_at, trace_windows
 from steerd.sysid.report.design_comparison import compare_designs
-from steerd.sysid.report.identify_report import render_report
+from steerd.sysid.report.identify_report import make_report
+from steerd.sysid.report.page import render_report
 
 pytestmark = pytest.mark.slow
 
@@ -136,7 +137,7 @@ def test_the_report_needs_nothing_else(outcome, truth, monkeypatch):
         "steerd.sysid.report.identify_report.compare_designs",
         lambda plant, cars: compare_designs(plant, {"true": plant}),
     )
-    page = render_report(replace(outcome, truth=truth.car))
+    page = render_report(make_report(replace(outcome, truth=truth.car)))
     assert page.count("<svg") == 5
     for outside in ("<script", "stylesheet", "<img", "src=", "@import"):
         assert outside not in page

@@ -1,0 +1,66 @@
+"""Two drives over the same time: the shift, and what is subtracted from what."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from steerd.daemon.cli.main import run_cli
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.sessions.compare_time import STEP, find_shift, overlay
+from steerd.daemon.sessions.info import load_recording
+from tests.unit.daemon.sessions.test_plot_page import write_noise
+
+GOLDEN = Path(__file__).resolve().parents[3] / "golden"
+DRIVE = GOLDEN / "slalom.mcap"
+
+
+def laps(rng, start, seconds, noise=0.02):
+    """Yaw rate and speed of laps of 8 s that begin `start` seconds before the recording."""
+    t = np.arange(0.0, seconds, STEP) + start
+    phase = 2.0 * np.pi * t / 8.0
+    ramp = np.clip(t / 2.0, 0.0, 1.0)
+    clean = (ramp * (np.sin(phase) + 0.4 * np.sin(3.0 * phase)), ramp * (1.5 + 0.1 * np.cos(phase)))
+    return [values + noise * rng.normal(size=t.size) for values in clean]
+
+
+@pytest.mark.parametrize("shift", [-1.3, 0.0, 0.05, 2.71])
+def test_the_shift_is_found_to_a_step_for_laps_of_unequal_length(shift):
+    rng = np.random.default_rng(5)
+    first, second = laps(rng, -3.0, 40.0), laps(rng, -3.0 + shift, 31.0)
+    assert find_shift(first, second) == pytest.approx(shift, abs=1.01 * STEP)
+
+
+def test_a_hole_in_a_drive_does_not_pull_the_shift():
+    rng = np.random.default_rng(6)
+    first, second = laps(rng, -3.0, 40.0), laps(rng, -2.0, 40.0)
+    first[0][900:1400] = np.nan
+    assert find_shift(first, second) == pytest.approx(1.0, abs=1.01 * STEP)
+
+
+def test_a_drive_is_itself_at_no_shift_and_another_at_a_given_one():
+    read = load_recording(DRIVE)
+    same = overlay(read, read)
+    assert same.found
+    assert same.shift == 0.0
+    assert all(np.nanmax(np.abs(pair.difference)) == 0.0 for pair in same.pairs)
+    moved = overlay(read, read, 0.5)
+    speed = next(pair for pair in moved.pairs if pair.title == "speed")
+    known = same.pairs[[pair.title for pair in same.pairs].index("speed")].first
+    np.testing.assert_allclose(speed.second, known[: len(speed.second)], atol=1e-9)
+    assert moved.t[0] == 0.5
+    with pytest.raises(SteerdError, match="no time in common"):
+        overlay(read, read, 1e3)
+
+
+def test_drives_without_a_lane_are_compared_over_time_alone(tmp_path, capsys):
+    paths = [str(write_noise(tmp_path / f"{name}.mcap", 2, 50)) for name in "ab"]
+    page = tmp_path / "ab.html"
+    assert run_cli(["plot", *paths, "-o", str(page)]) == 0
+    text = page.read_text(encoding="utf-8")
+    assert "Not compared along a lane: a.mcap" in text
+    assert "Over the same time" in text
+    assert "The difference is b.mcap minus a.mcap." in text
+    assert run_cli(["plot", *paths, paths[0], "-o", str(page)]) == ExitCode.INVALID
+    assert run_cli(["plot", *paths, paths[0], "--shift", "1"]) == ExitCode.USAGE
+    assert "--shift is for two drives" in capsys.readouterr().err
