@@ -111,6 +111,10 @@ class Diagnosis:
             del known["knowledge"]
         return with_known(car, known) if known else car
 
+    def learn_known(self, car: CarFile) -> CarFile:
+        """The car of `make_car` as it is: what is known of it was the base's."""
+        return car
+
     def save_car(self, path: Path | str) -> Path:
         """Write the car file of `car`, whole or not at all.
 

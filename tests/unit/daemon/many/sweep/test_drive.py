@@ -56,7 +56,6 @@ def test_a_lane_that_cannot_be_designed_is_a_row(make_plan):
     row = run_case(find_case(make_plan({"path": ["circle:radius=0.4"]}, seeds=1), 0))
     assert row["outcome"] == "refused"
     assert "radius" in row["reason"]
-    assert row["path"] == "circle:radius=0.4"
 
 
 @pytest.mark.slow
