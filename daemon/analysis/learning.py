@@ -11,9 +11,8 @@ from steerd.daemon.analysis.drives import Drives
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import watched
 from steerd.daemon.common.translate import make_session_error, reading
-from steerd.daemon.learning.feed import learn_all, make_feed, read_memory
+from steerd.daemon.learning.feed import NEEDED, Wiring, learn_all, make_feed, read_memory
 from steerd.daemon.learning.kept import METADATA
-from steerd.daemon.learning.samples import NEEDED, Wiring
 from steerd.daemon.sessions.info import load_session
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics

@@ -29,8 +29,7 @@ class LearnerBeside:
         settings = plan.settings
         self._feed: Feed | None = None
         if plan.options.learn:  # a drive without it loads no compiler
-            from steerd.daemon.learning.feed import make_feed
-            from steerd.daemon.learning.samples import wiring_of
+            from steerd.daemon.learning.feed import make_feed, wiring_of
 
             self._feed = make_feed(settings.file, wiring_of(EPOCH_NS, settings.scaling))
         self._reports = 0

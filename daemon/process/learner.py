@@ -20,11 +20,9 @@ from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.common.written import write_output, write_whole
 from steerd.daemon.ipc.pipe_records import Gaps, PipeWriter, pack_record, unpack_records
 from steerd.daemon.ipc.signals import ignore_terminal_signals
-from steerd.daemon.learning.feed import Feed, make_feed, make_record, read_memory
-from steerd.daemon.learning.keeping import Keeper
-from steerd.daemon.learning.kept import About
+from steerd.daemon.learning.feed import Feed, Wiring, make_feed, make_record, read_memory
+from steerd.daemon.learning.kept import About, Keeper
 from steerd.daemon.learning.proposing import Proposals, make_proposer
-from steerd.daemon.learning.samples import Wiring
 from steerd.daemon.process.child import receive_job
 from steerd.daemon.settings.run_options import decode_options
 from steerd.steer_bus import messages as m

@@ -62,11 +62,11 @@ def test_an_interrupted_sweep_goes_on_where_it_was(file, tmp_path, whole, capsys
     out = tmp_path / "t.parquet"
     journal, real, driven = tmp_path / "t.parquet.journal", sweeping.run_case, []
 
-    def some(task):
-        driven.append(task.case.number)
+    def some(plan, case):
+        driven.append(case.number)
         if len(driven) == 3:
             raise KeyboardInterrupt
-        return real(task)
+        return real(plan, case)
 
     monkeypatch.setattr(sweeping, "run_case", some)
     argv = ["sweep", str(file), "-o", str(out), "--jobs", "1"]

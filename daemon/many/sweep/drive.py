@@ -25,18 +25,10 @@ from steerd.daemon.settings.run_options import RunOptions
 from steerd.sim_hw.world import World, WorldConfig
 
 
-@dataclass(frozen=True)
-class Task:
-    """What a worker is handed."""
-
-    plan: SweepPlan
-    case: DriveCase
-
-
-def run_case(task: Task) -> dict[str, Any]:
+def run_case(plan: SweepPlan, case: DriveCase) -> dict[str, Any]:
     """Drive one case; its end and its measures, by column."""
     try:
-        run_plan, config = prepare(task.plan, task.case)
+        run_plan, config = prepare(plan, case)
         _ = run_plan.controller
     except SteerdError as error:
         return {"outcome": REFUSED, "watchdog": "", "reason": error.what}

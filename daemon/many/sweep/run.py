@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -13,8 +13,8 @@ from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.common.row_file import Row
 from steerd.daemon.common.screen import shown
 from steerd.daemon.many.job import FAILED, Column, Found, Job, do_in_notebook
-from steerd.daemon.many.sweep.drive import Task, run_case
-from steerd.daemon.many.sweep.plan import SweepPlan, list_cases, make_sweep_plan
+from steerd.daemon.many.sweep.drive import run_case
+from steerd.daemon.many.sweep.plan import DriveCase, SweepPlan, list_cases, make_sweep_plan
 from steerd.daemon.many.sweep.summary import Summary, describe_sweep, list_columns, summarise_sweep
 from steerd.daemon.many.units import Done, Where
 from steerd.sysid.report.report import Report
@@ -107,20 +107,20 @@ def make_job(plan: SweepPlan) -> Job[Sweep]:
     Raises:
         SteerdError: a distribution never yields what its quantity may be.
     """
-    tasks = {str(case.number): Task(plan, case) for case in list_cases(plan)}
+    cases = {str(case.number): case for case in list_cases(plan)}
 
     def make_row(done: Done) -> Row:
         failed = {"outcome": FAILED, "reason": done.failure}
-        case = tasks[done.unit].case
+        case = cases[done.unit]
         return {"drive": case.number, "seed": case.seed, **case.values, **(done.row or failed)}
 
     def make(rows: tuple[Row, ...], worked: int, wall: float) -> Sweep:
         return Sweep(rows, worked, wall, plan=plan)
 
-    return Job("driving", run_case, tasks, plan.digest(), make_row, make)
+    return Job("driving", partial(run_case, plan), cases, plan.digest(), make_row, make)
 
 
-def find_case(plan: SweepPlan, number: int) -> Task:
+def find_case(plan: SweepPlan, number: int) -> DriveCase:
     """One drive of a sweep, to be driven again alone.
 
     Raises:
@@ -129,4 +129,4 @@ def find_case(plan: SweepPlan, number: int) -> Task:
     if not 0 <= number < plan.count:
         what = f"there is no drive {number}: they are 0 to {plan.count - 1}"
         raise SteerdError(what, "", ExitCode.USAGE)
-    return Task(plan, next(islice(list_cases(plan), number, None)))
+    return next(islice(list_cases(plan), number, None))

@@ -100,7 +100,7 @@ def _drive_again(plan: "SweepPlan", args: argparse.Namespace) -> int:
     from steerd.daemon.offline.virtual import drive
     from steerd.sim_hw.world import World
 
-    case = find_case(plan, args.again).case
+    case = find_case(plan, args.again)
     run_plan, config = prepare(plan, case)
     drawn = ", ".join(
         f"{name}{NBSP}{value if isinstance(value, str) else format(value, '.4g')}"

@@ -5,8 +5,8 @@ from math import nan
 import pytest
 
 from steerd.daemon.learning import proposing
+from steerd.daemon.learning.feed import Wiring, make_sample
 from steerd.daemon.learning.proposing import PAUSE_NS, Proposals, hear, make_proposer, propose
-from steerd.daemon.learning.samples import Wiring, make_sample
 from steerd.daemon.loop.design_desk import REFUSED, make_design, make_no_design, read_design
 from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled
 from steerd.steer_bus import messages as m
