@@ -17,7 +17,7 @@ from steerd.controller.limits import Limits
 from steerd.daemon.common.errors import SteerdError, did_you_mean, find_near
 from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.settings.effect_checks import check_effects
-from steerd.daemon.settings.thresholds import LAUNCH_RATIO, LAUNCH_SPEED, Thresholds, check_bounds
+from steerd.daemon.settings.thresholds import LAUNCH_RATIO, LAUNCH_SPEED, Thresholds
 from steerd.estimator.config import FilterConfig, load_filter_config
 from steerd.mocap_link.frame import FrameConfig
 from steerd.mocap_link.ingest import IngestConfig
@@ -315,5 +315,4 @@ def _thresholds(table: Mapping[str, Any]) -> Thresholds:
     values = dict(table)
     if "fence" in values:
         values["fence"] = tuple((float(x), float(y)) for x, y in values["fence"])
-    check_bounds(values)
     return _convert(values, Thresholds)
