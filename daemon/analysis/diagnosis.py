@@ -2,12 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from steerd.car_model.car_file import CarFile, CarFileError
-from steerd.daemon.analysis.car_output import diagnosed_values, make_car, with_known
+from steerd.daemon.analysis.car_output import CarFound, diagnosed_values, make_car, with_known
 from steerd.daemon.analysis.diagnose_split import Case, split_drives
 from steerd.daemon.analysis.diagnose_text import describe, following_words
 from steerd.daemon.analysis.drives import (
@@ -35,7 +34,6 @@ from steerd.daemon.assembly.sim_car import compare_truths, read_origin
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import notebook_progress
 from steerd.daemon.common.screen import shown
-from steerd.daemon.common.written import car_outputs, check_outputs, write_outputs
 from steerd.posterior_file import TABLES
 from steerd.sim_gap import diagnosis as engine
 from steerd.sim_gap.lane_comparison import LaneComparison, encode_lane
@@ -53,7 +51,7 @@ LOADED, DIAGNOSED, DRIVEN = 0.05, 0.85, 0.95
 
 @shown
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
+class Diagnosis(CarFound):
     """What `diagnose` found.
 
     `print(diagnosis)` is the screen of `steerd diagnose`.
@@ -66,6 +64,7 @@ class Diagnosis:
         warnings: what is wrong or doubtful in the sessions.
     """
 
+    FILE = Path("diagnosed.toml")
     case: Case
     findings: engine.Diagnosis
     lane: LaneComparison | None
@@ -88,20 +87,8 @@ class Diagnosis:
         lane = (self.lane_note,) if self.lane_note else ()
         return (*self.case.split.notes, *self.findings.notes, *lane)
 
-    @cached_property
-    def car(self) -> CarFile:
-        """The base with the found effects: simulate with it, or design from it."""
-        return self.make_car(Path("diagnosed.toml"))
-
     def make_car(self, path: Path) -> CarFile:
-        """The base with the found effects, and with what still holds of what was known of it.
-
-        Args:
-            path: what messages call its file.
-
-        Raises:
-            SteerdError: a value is none that a car file may hold.
-        """
+        """The base with the found effects, and with what still holds of what was known of it."""
         values = diagnosed_values(self.causes, self.case.drives.paths)
         car = make_car(self.case.base, values, path)
         sections = self.case.base.sections
@@ -110,21 +97,6 @@ class Diagnosis:
         if any(name in values for name in known.get("knowledge", {}).get("names", ())):
             del known["knowledge"]
         return with_known(car, known) if known else car
-
-    def learn_known(self, car: CarFile) -> CarFile:
-        """The car of `make_car` as it is: what is known of it was the base's."""
-        return car
-
-    def save_car(self, path: Path | str) -> Path:
-        """Write the car file of `car`, whole or not at all.
-
-        Raises:
-            SteerdError: it cannot be written there.
-        """
-        path = Path(path)
-        check_outputs({"save_car": path})
-        write_outputs(car_outputs(path, self.make_car(path)))
-        return path
 
     def to_json(self) -> dict[str, Any]:
         """JSON values in the schema `steerd.gap/1`; what they rest on is under `residual`."""
@@ -144,7 +116,7 @@ class Diagnosis:
         return data
 
     def render_report(self) -> str:
-        """The report: one HTML page with its figures."""
+        """The report."""
         from steerd.sim_gap.report.gap_report import Subject, render_report
 
         case, split = self.case, self.case.split
@@ -165,9 +137,6 @@ class Diagnosis:
     def describe(self, written: Path | None = None, report: Path | None = None) -> str:
         """The screen; `written` and `report` are the files that were."""
         return describe(self.case, self.findings, self.lane or self.lane_note, written, report)
-
-    def __str__(self) -> str:
-        return self.describe()
 
 
 @by_keywords(DiagnoseOptions)

@@ -2,11 +2,10 @@
 
 import argparse
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
 
 from steerd.car_model.car_file import CarFile
+from steerd.daemon.analysis.car_output import CarFound
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.written import Write
@@ -14,22 +13,6 @@ from steerd.posterior_file import posterior_path
 
 _DRAW, _NOISE = 1.0, 8.0
 """About what the report's figures and the noise cost, in sessions read."""
-
-
-class Result(Protocol):
-    """What was found."""
-
-    def to_json(self) -> dict[str, Any]:
-        """For programs."""
-
-    def make_car(self, path: Path) -> CarFile:
-        """The car file that comes out."""
-
-    def learn_known(self, car: CarFile) -> CarFile:
-        """That car with what is known of it for the file beside it."""
-
-    def render_report(self) -> str:
-        """The page."""
 
 
 def list_outputs(args: argparse.Namespace) -> dict[str, Path | None]:
@@ -50,16 +33,13 @@ def _is_screen(args: argparse.Namespace) -> bool:
     return str(args.json) == "-"
 
 
-def present(
-    found: Result, args: argparse.Namespace, write: Write, describe: Callable[[Path | None], str]
-) -> CarFile | None:
+def present(found: CarFound, args: argparse.Namespace, write: Write) -> CarFile | None:
     """Print the screen, and write car, JSON and page.
 
     Args:
         found: what was found.
         args: of the command.
         write: writes one file, see `writing`.
-        describe: the screen; is handed the car file that was written.
 
     Returns:
         The car; None where none was asked for.
@@ -75,7 +55,11 @@ def present(
         refused = error
     there = write(args.output, car.text if car else None)
     write(None if _is_screen(args) else args.json, text)
-    shown = text if _is_screen(args) else f"{describe(args.output if there else None)}\n"
+    shown = (
+        text
+        if _is_screen(args)
+        else f"{found.describe(args.output if there else None, args.report)}\n"
+    )
     print(shown, end="", flush=True)
     # What is on the screen is written; what takes longer is added.
     drawn = _DRAW if args.report else 0.0

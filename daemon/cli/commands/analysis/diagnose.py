@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
         with show_progress("diagnosing", 1.0) as advance:
             found = run_diagnosis(paths, options, print_warnings, advance, foretell)
             advance(DRIVEN, "")
-        car = present(found, args, write, lambda file: found.describe(file, args.report))
+        car = present(found, args, write)
         write(args.prediction, found.findings.shrinkage.text)  # where it could not be, at first
     if car is not None:
         report_refusal(car)
