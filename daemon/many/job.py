@@ -23,7 +23,6 @@ from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.row_file import Row, RowFile
 from steerd.daemon.common.written import check_outputs, write_outputs
 from steerd.daemon.many.units import Done, Where, Work, run_units
-from steerd.sysid.report.page import render_report
 from steerd.sysid.report.report import Report
 
 if TYPE_CHECKING:
@@ -101,6 +100,8 @@ class Found(ABC):
 
     def render_report(self) -> str:
         """The page."""
+        from steerd.sysid.report.page import render_report  # Jinja2, which a refusal does without
+
         return render_report(self.make_report())
 
 
