@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from steerd.car_model.car_file import CarFile
 from steerd.daemon.ipc.pipe_records import LEARNT_FROM, PipeRecord
@@ -19,6 +19,9 @@ from steerd.steer_bus.codec import encode
 from steerd.steer_bus.topics import Topic
 from steerd.sysid.data.dataset import RAMP_ERPM
 from steerd.vesc_link.scaling import F1TENTH, Scaling
+
+if TYPE_CHECKING:
+    from steerd.daemon.learning.proposing import Proposals
 
 NEEDED = (*LEARNT_FROM, topics.WHEEL)
 """Topics that the learner is fed by."""
@@ -77,15 +80,19 @@ class Feed:
         wiring: how the session's numbers are read.
         state: what is known so far.
         dropped: records that were lost on the way here.
+        proposals: of designs for what is learnt, each after its report; None without `--adapt`.
     """
 
     learner: Learner
     wiring: Wiring
     state: State
     dropped: int = 0
+    proposals: "Proposals | None" = None
 
     def take(self, topic: Topic, message: Any) -> m.Model | None:
         """Take in one message; the report, if one is due."""
+        if topic is topics.DESIGN and self.proposals is not None:
+            self.proposals.hear(message)
         if topic not in NEEDED:
             return None
         sample = make_sample(self.wiring, topic, message)
@@ -94,9 +101,10 @@ class Feed:
         self.state, due = fold(self.learner, self.state, sample)
         if not due:
             return None
-        newest = round(self.state.recent.newest * NS)
-        remembered = self.learner.remembered
-        return make_model(self.state, newest, self.wiring.epoch_ns, self.dropped, remembered)
+        newest, epoch_ns = round(self.state.recent.newest * NS), self.wiring.epoch_ns
+        if self.proposals is not None:
+            self.proposals.propose(self.learner, self.state, newest, epoch_ns)
+        return make_model(self.state, newest, epoch_ns, self.dropped, self.learner.remembered)
 
 
 def make_record(report: m.Model, number: int, log_time_ns: int) -> PipeRecord:

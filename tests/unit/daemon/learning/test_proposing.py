@@ -85,9 +85,7 @@ def test_a_car_that_is_as_in_the_file_needs_no_design(at, aims):
 def test_proposals_go_out_as_bytes(at, aims):
     sent = []
     out = Proposals(at, lambda data, t_ns: sent.append((decode(m.Design, data), t_ns)))
-    feed = type("Feed", (), {"learner": None, "state": None})()
-    feed.wiring = type("Wiring", (), {"epoch_ns": 7})()
-    out.propose(feed, 3 * S)
+    out.propose(None, None, 3 * S, 7)
     [(said, t_ns)] = sent
     assert (said.text, t_ns) == ("the car is being learnt", 3 * S)
 
