@@ -16,14 +16,7 @@ _DRAW, _NOISE = 1.0, 8.0
 
 
 def list_outputs(args: argparse.Namespace) -> dict[str, Path | None]:
-    """What is to be written, by option.
-
-    Raises:
-        SteerdError: `--json` took a session for its file.
-    """
-    if args.json is not None and args.json.suffix == ".mcap":
-        what = f"--json {args.json}: that is a session"
-        raise SteerdError(what, "put --json last, or --json gap.json", ExitCode.USAGE)
+    """What is to be written, by option."""
     beside = None if args.output is None else posterior_path(args.output)
     to_file = None if _is_screen(args) else args.json
     return {"-o": args.output, "--json": to_file, "--report": args.report, "beside -o": beside}
@@ -55,12 +48,10 @@ def present(found: CarFound, args: argparse.Namespace, write: Write) -> CarFile 
         refused = error
     there = write(args.output, car.text if car else None)
     write(None if _is_screen(args) else args.json, text)
-    shown = (
-        text
-        if _is_screen(args)
-        else f"{found.describe(args.output if there else None, args.report)}\n"
-    )
-    print(shown, end="", flush=True)
+    if _is_screen(args):
+        print(text, end="", flush=True)
+    else:
+        print(found.describe(args.output if there else None, args.report), flush=True)
     # What is on the screen is written; what takes longer is added.
     drawn = _DRAW if args.report else 0.0
     with show_progress("writing", drawn + (_NOISE if there else 0.0)) as advance:

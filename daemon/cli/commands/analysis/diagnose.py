@@ -26,7 +26,7 @@ from steerd.daemon.cli.arguments import (
     split_held_out,
     split_paths,
 )  # fmt: skip
-from steerd.daemon.common.errors import ExitCode
+from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -84,6 +84,9 @@ def run(args: argparse.Namespace) -> int:
     from steerd.daemon.common.written import writing
     from steerd.daemon.sessions.text import print_warnings
 
+    if args.json is not None and args.json.suffix == ".mcap":
+        what = f"--json {args.json}: that is a session"
+        raise SteerdError(what, "put --json last, or --json gap.json", ExitCode.USAGE)
     named = {**list_outputs(args), "--prediction": args.prediction}
     with writing(named, announced=True) as write:
 
