@@ -10,7 +10,6 @@ from steerd.daemon.analysis.car_output import CarFound, diagnosed_values, make_c
 from steerd.daemon.analysis.diagnose_split import Case, split_drives
 from steerd.daemon.analysis.diagnose_text import describe, following_words
 from steerd.daemon.analysis.drives import (
-    Drives,
     Warn,
     is_same,
     load_drives,
@@ -39,6 +38,7 @@ from steerd.sim_gap import diagnosis as engine
 from steerd.sim_gap.lane_comparison import LaneComparison, encode_lane
 from steerd.sim_gap.report.to_json import to_json
 from steerd.sim_gap.verdict.evidence import Cause
+from steerd.steer_bus.session_read import Session
 from steerd.sysid.data.segments import moving_segments
 from steerd.sysid.estimation.preparation import add_command_history
 
@@ -218,7 +218,7 @@ def make_case(
     _check(options, held_out, sessions, quiet)
     drives = load_drives(sessions, options.speed, warn, advance)
     warn(compare_truths(drives.metadata))
-    base, source, notes = find_base(options.base, drives)
+    base, source, notes = find_base(options.base, drives.sessions)
     jitters = dict.fromkeys(" ".join(d.log_jitter.describe()) for d in drives.runs if d.log_jitter)
     without_gap = load_drives(quiet, options.speed, warn)
     with refusing((*drives.sessions, *without_gap.sessions)):
@@ -245,7 +245,9 @@ def _check(
             raise SteerdError(what, "name a drive without the gap", ExitCode.USAGE)
 
 
-def find_base(named: CarSource, drives: Drives) -> tuple[CarFile, str, tuple[str, ...]]:
+def find_base(
+    named: CarSource, sessions: Sequence[Session]
+) -> tuple[CarFile, str, tuple[str, ...]]:
     """The car or car file named, else the one inside the first session, else the default.
 
     Returns:
@@ -258,16 +260,14 @@ def find_base(named: CarSource, drives: Drives) -> tuple[CarFile, str, tuple[str
         base = read_car(named)
         return base, str(base.path), ()
     inside = [
-        s.attachment("car.toml") if "car.toml" in s.info().attachments else b""
-        for s in drives.sessions
+        s.attachment("car.toml") if "car.toml" in s.info().attachments else b"" for s in sessions
     ]
-    held = [number for number, text in enumerate(inside) if text]
-    if not held:
+    first = next((s for s, text in zip(sessions, inside, strict=True) if text), None)
+    if first is None:
         note = "no --base, no car file in the sessions: the default car is assumed"
         return read_car(None), "the default car (F1TENTH's figures)", (note,)
-    first = drives.sessions[held[0]]
     try:
-        base = drives.car if not held[0] else read_session_car(first)
+        base = read_session_car(first)
     except CarFileError as error:
         what = f"{first.info().path.name}: the car file inside cannot be used: {error.what}"
         raise SteerdError(what, "name one with --base car.toml", ExitCode.INVALID) from None
