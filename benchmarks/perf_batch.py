@@ -18,8 +18,9 @@ from pathlib import Path
 
 from batch_drives import DAY, FIRST, Hidden, make_fleet
 
-from steerd.daemon.many.batch.run import Batch, run_batch
+from steerd.daemon.many.batch.run import Batch, make_job
 from steerd.daemon.many.batch.unit import Question, day_of
+from steerd.daemon.many.job import do_job
 from steerd.daemon.many.units import Where
 
 HIDDEN = (
@@ -43,16 +44,16 @@ def children() -> list[int]:
     return found
 
 
-def kill_one(done: int) -> None:
+def kill_one(done: float) -> None:
     if done == KILL_AT and (workers := children()):
         os.kill(workers[-1], signal.SIGKILL)
 
 
 def timed(paths: Sequence[Path], jobs: int) -> float:
     """Wall seconds of a part of the fleet."""
-    run_batch(paths[: 2 * jobs], QUESTION, Where(jobs), None)  # workers and kernels are there
+    do_job(make_job(paths[: 2 * jobs], QUESTION), Where(jobs))  # workers and kernels are there
     began = time.perf_counter()
-    run_batch(paths, QUESTION, Where(jobs), None)
+    do_job(make_job(paths, QUESTION), Where(jobs))
     return time.perf_counter() - began
 
 
@@ -86,7 +87,7 @@ def main() -> int:
         began = time.perf_counter()
         paths = make_fleet(Path(folder), args.cars, args.days, HIDDEN)
         made, began = time.perf_counter() - began, time.perf_counter()
-        found = run_batch(paths, QUESTION, Where(2), None, kill_one)
+        found = do_job(make_job(paths, QUESTION), Where(2), progress=kill_one)
         took = time.perf_counter() - began
         alone, together = timed(paths[: args.part], 1), timed(paths[: args.part], 2)
     print(json.dumps({

@@ -1,10 +1,12 @@
 """Car files that come out of an identification or a diagnosis."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from math import floor, isfinite, log10
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import tomlkit
 
@@ -23,9 +25,10 @@ from steerd.car_model.params import PARAMETERS, Parameter
 from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.translate import make_car_file_error
+from steerd.daemon.common.written import writing
 from steerd.daemon.settings.car_edit import Values, edit_document
 from steerd.daemon.settings.config import make_settings
-from steerd.posterior_file import TABLES, encode_posterior
+from steerd.posterior_file import TABLES, encode_posterior, posterior_path
 from steerd.steer_bus.session_read import Session, SessionError
 
 if TYPE_CHECKING:
@@ -37,6 +40,65 @@ PUBLISHED = "F1TENTH, published figures"
 """Name of the car file that is installed with steerd; no car that was driven is called so."""
 _LEARNT = ("car", "effects", *TABLES)
 """Sections that are about the car, not about its wiring."""
+
+
+class CarFound(ABC):
+    """What was found of a car from drives: a screen, a page, JSON and a car file."""
+
+    FILE: ClassVar[Path]
+    """What messages call a car that no file was named for."""
+
+    @abstractmethod
+    def to_json(self) -> dict[str, Any]:
+        """JSON values."""
+
+    @abstractmethod
+    def render_report(self) -> str:
+        """The report: one HTML page with its figures."""
+
+    @abstractmethod
+    def describe(self, written: Path | None = None, report: Path | None = None) -> str:
+        """The screen; `written` and `report` are the files that were."""
+
+    @abstractmethod
+    def make_car(self, path: Path) -> CarFile:
+        """The car file that comes out.
+
+        Args:
+            path: what messages call it.
+
+        Raises:
+            SteerdError: a value is none that a car file may hold.
+        """
+
+    def learn_known(self, car: CarFile) -> CarFile:
+        """The car of `make_car` with what is known of it for the file beside it."""
+        return car
+
+    @cached_property
+    def car(self) -> CarFile:
+        """The car with what is known of it: simulate with it, design from it, diagnose by it.
+
+        After `identify` learning its noise takes some seconds, the first time.
+        """
+        return self.learn_known(self.make_car(self.FILE))
+
+    def save_car(self, path: Path | str) -> Path:
+        """Write the car file, then what is known of the car beside it, each whole or not at all.
+
+        A file that steerd did not write is kept.
+
+        Raises:
+            SteerdError: it cannot be written there.
+        """
+        path = Path(path)
+        with writing({"save_car": path, "beside it": posterior_path(path)}) as write:
+            write(path, self.make_car(path).text)
+            write(posterior_path(path), self.car.posterior or None)
+        return path
+
+    def __str__(self) -> str:
+        return self.describe()
 
 
 def make_car(

@@ -2,16 +2,14 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from steerd.car_model.car_file import CarFile, CarFileError
-from steerd.daemon.analysis.car_output import diagnosed_values, make_car, with_known
+from steerd.daemon.analysis.car_output import CarFound, diagnosed_values, make_car, with_known
 from steerd.daemon.analysis.diagnose_split import Case, split_drives
 from steerd.daemon.analysis.diagnose_text import describe, following_words
 from steerd.daemon.analysis.drives import (
-    Drives,
     Warn,
     is_same,
     load_drives,
@@ -35,12 +33,12 @@ from steerd.daemon.assembly.sim_car import compare_truths, read_origin
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import notebook_progress
 from steerd.daemon.common.screen import shown
-from steerd.daemon.common.written import car_outputs, check_outputs, write_outputs
 from steerd.posterior_file import TABLES
 from steerd.sim_gap import diagnosis as engine
 from steerd.sim_gap.lane_comparison import LaneComparison, encode_lane
 from steerd.sim_gap.report.to_json import to_json
 from steerd.sim_gap.verdict.evidence import Cause
+from steerd.steer_bus.session_read import Session
 from steerd.sysid.data.segments import moving_segments
 from steerd.sysid.estimation.preparation import add_command_history
 from steerd.sysid.report.report import Card
@@ -54,7 +52,7 @@ LOADED, DIAGNOSED, DRIVEN = 0.05, 0.85, 0.95
 
 @shown
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
+class Diagnosis(CarFound):
     """What `diagnose` found.
 
     `print(diagnosis)` is the screen of `steerd diagnose`.
@@ -67,6 +65,7 @@ class Diagnosis:
         warnings: what is wrong or doubtful in the sessions.
     """
 
+    FILE = Path("diagnosed.toml")
     case: Case
     findings: engine.Diagnosis
     lane: LaneComparison | None
@@ -96,20 +95,8 @@ class Diagnosis:
 
         return list(make_cards(self.findings))
 
-    @cached_property
-    def car(self) -> CarFile:
-        """The base with the found effects: simulate with it, or design from it."""
-        return self.make_car(Path("diagnosed.toml"))
-
     def make_car(self, path: Path) -> CarFile:
-        """The base with the found effects, and with what still holds of what was known of it.
-
-        Args:
-            path: what messages call its file.
-
-        Raises:
-            SteerdError: a value is none that a car file may hold.
-        """
+        """The base with the found effects, and with what still holds of what was known of it."""
         values = diagnosed_values(self.causes, self.case.drives.paths)
         car = make_car(self.case.base, values, path)
         sections = self.case.base.sections
@@ -118,17 +105,6 @@ class Diagnosis:
         if any(name in values for name in known.get("knowledge", {}).get("names", ())):
             del known["knowledge"]
         return with_known(car, known) if known else car
-
-    def save_car(self, path: Path | str) -> Path:
-        """Write the car file of `car`, whole or not at all.
-
-        Raises:
-            SteerdError: it cannot be written there.
-        """
-        path = Path(path)
-        check_outputs({"save_car": path})
-        write_outputs(car_outputs(path, self.make_car(path)))
-        return path
 
     def to_json(self) -> dict[str, Any]:
         """JSON values in the schema `steerd.gap/1`; what they rest on is under `residual`."""
@@ -148,7 +124,7 @@ class Diagnosis:
         return data
 
     def render_report(self) -> str:
-        """The report: one HTML page with its figures."""
+        """The report."""
         from steerd.sim_gap.report.gap_report import Subject, make_report
         from steerd.sysid.report.page import render_report
 
@@ -170,9 +146,6 @@ class Diagnosis:
     def describe(self, written: Path | None = None, report: Path | None = None) -> str:
         """The screen; `written` and `report` are the files that were."""
         return describe(self.case, self.findings, self.lane or self.lane_note, written, report)
-
-    def __str__(self) -> str:
-        return self.describe()
 
 
 @by_keywords(DiagnoseOptions)
@@ -254,7 +227,7 @@ def make_case(
     _check(options, held_out, sessions, quiet)
     drives = load_drives(sessions, options.speed, warn, advance)
     warn(compare_truths(drives.metadata))
-    base, source, notes = find_base(options.base, drives)
+    base, source, notes = find_base(options.base, drives.sessions)
     jitters = dict.fromkeys(" ".join(d.log_jitter.describe()) for d in drives.runs if d.log_jitter)
     without_gap = load_drives(quiet, options.speed, warn)
     with refusing((*drives.sessions, *without_gap.sessions)):
@@ -281,7 +254,9 @@ def _check(
             raise SteerdError(what, "name a drive without the gap", ExitCode.USAGE)
 
 
-def find_base(named: CarSource, drives: Drives) -> tuple[CarFile, str, tuple[str, ...]]:
+def find_base(
+    named: CarSource, sessions: Sequence[Session]
+) -> tuple[CarFile, str, tuple[str, ...]]:
     """The car or car file named, else the one inside the first session, else the default.
 
     Returns:
@@ -294,16 +269,14 @@ def find_base(named: CarSource, drives: Drives) -> tuple[CarFile, str, tuple[str
         base = read_car(named)
         return base, str(base.path), ()
     inside = [
-        s.attachment("car.toml") if "car.toml" in s.info().attachments else b""
-        for s in drives.sessions
+        s.attachment("car.toml") if "car.toml" in s.info().attachments else b"" for s in sessions
     ]
-    held = [number for number, text in enumerate(inside) if text]
-    if not held:
+    first = next((s for s, text in zip(sessions, inside, strict=True) if text), None)
+    if first is None:
         note = "no --base, no car file in the sessions: the default car is assumed"
         return read_car(None), "the default car (F1TENTH's figures)", (note,)
-    first = drives.sessions[held[0]]
     try:
-        base = drives.car if not held[0] else read_session_car(first)
+        base = read_session_car(first)
     except CarFileError as error:
         what = f"{first.info().path.name}: the car file inside cannot be used: {error.what}"
         raise SteerdError(what, "name one with --base car.toml", ExitCode.INVALID) from None

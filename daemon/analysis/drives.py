@@ -5,15 +5,12 @@
 import filecmp
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import combinations
 from math import pi
 from pathlib import Path
 
-from steerd.car_model.car_file import CarFile
 from steerd.daemon.analysis.hints import refusing
 from steerd.daemon.analysis.options import Speed
-from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.translate import reading
 from steerd.daemon.sessions.info import load_session, make_session_report, read_recording
@@ -45,16 +42,6 @@ class Drives:
 
     def __repr__(self) -> str:
         return f"<Drives of {', '.join(path.name for path in self.paths)}>"
-
-    @cached_property
-    def car(self) -> CarFile:
-        """The car file inside the first session.
-
-        Raises:
-            SessionError: there is none.
-            CarFileError: it cannot be used.
-        """
-        return read_session_car(self.sessions[0])
 
     @property
     def paths(self) -> tuple[Path, ...]:

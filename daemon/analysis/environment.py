@@ -10,17 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.daemon.analysis.options import CarSource
-from steerd.daemon.analysis.simulation import EffectValues, plan_drive
+from steerd.daemon.analysis.simulation import EffectValues, Steered, plan_drive
 from steerd.daemon.assembly.build import make_world_config
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import speaking_of_arguments
-from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.offline.virtual import EPOCH_NS, make_virtual_run
-from steerd.daemon.process.external_controller import ExternalController, while_driving
+from steerd.daemon.offline.virtual import make_virtual_run
 from steerd.sim_hw.world import World
-from steerd.steer_bus import topics
-from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import StateMessage
 
 Observation = NDArray[np.float32]
@@ -100,12 +96,10 @@ class Environment(_Base):  # type: ignore[misc]
         """
         if seed is not None:
             self._plan = replace(self._plan, options=replace(self._plan.options, seed=seed))
-        self._newest: StateMessage | None = None
-        world = World(make_world_config(self._plan))
-        self._run = make_virtual_run(self._plan, (self._see,), world)
         boot_id = self._plan.options.seed + 1
-        controller = while_driving(lambda t, state, lane: self._action)
-        self._made = ExternalController(controller, boot_id, lease_id=1)
+        self._steered = Steered(lambda t, state, lane: self._action, boot_id)
+        world = World(make_world_config(self._plan))
+        self._run = make_virtual_run(self._plan, (self._steered.see,), world)
         self._action = (0.0, 0.0)
         while self._state.mode != SupervisorState.RUNNING:
             self._tick()
@@ -144,20 +138,13 @@ class Environment(_Base):  # type: ignore[misc]
 
     @property
     def _state(self) -> StateMessage:
-        while self._newest is None:
+        while self._steered.newest is None:
             self._run.step()
-        return self._newest
-
-    def _see(self, records: list[PipeRecord], t_ns: int) -> None:
-        for record in records:
-            if record.topic is topics.STATE:
-                self._newest = read_message(record)
+        return self._steered.newest
 
     def _tick(self) -> None:
         """Answer the newest estimate, and let a period pass."""
-        command = self._made.compute_command(self._state, EPOCH_NS + self._run.t_ns)
-        if command is not None:
-            self._run.core.on_request(topics.DRIVE.name, encode(command), self._run.t_ns)
+        self._steered.command(self._run)
         self._run.step()
 
     def _observe(self) -> Observation:

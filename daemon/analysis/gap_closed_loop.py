@@ -42,7 +42,7 @@ Rows = NDArray[np.float64]
 Values = Mapping[str, tuple[float, ...]]
 
 
-class NotALaneDriveError(Exception):
+class NotALaneDriveError(SteerdError):
     """The session was not driven by the lane keeper; says why not."""
 
 
@@ -203,8 +203,6 @@ def try_lane(
         name = session.info().path.name
         try:
             return compare_lane(session, base, found), ""
-        except NotALaneDriveError as error:
-            why = why or f"closed loop not compared: {name}: {error}"
         except SteerdError as error:
             why = why or f"closed loop not compared: {name}: {error.what}"
     return None, why

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +12,7 @@ from steerd.car_model.effects import EFFECTS, find_effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
 from steerd.daemon.analysis.car_output import (
+    CarFound,
     find_wiring,
     identified_values,
     learn_known,
@@ -35,8 +35,6 @@ from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import notebook_progress
 from steerd.daemon.common.screen import shown
-from steerd.daemon.common.written import writing
-from steerd.posterior_file import posterior_path
 from steerd.steer_bus.session_read import Session
 from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.outcome import Outcome, Row, encode_outcome
@@ -64,7 +62,7 @@ _WHEELBASE = 0.05, 4.0
 
 @shown
 @dataclass(frozen=True, eq=False)
-class Identification:
+class Identification(CarFound):
     """What `identify` found.
 
     `print(identification)` is the screen of `steerd identify`.
@@ -77,6 +75,7 @@ class Identification:
         warnings: what is wrong or doubtful in the sessions.
     """
 
+    FILE = Path("identified.toml")
     options: IdentifyOptions
     base: CarFile
     drives: Drives
@@ -101,24 +100,10 @@ class Identification:
 
         return list(make_cards(self.outcome))
 
-    @cached_property
-    def car(self) -> CarFile:
-        """The identified car, with the noise of its drives: a base for `diagnose`.
-
-        Learning the noise takes some seconds, the first time.
-        """
-        return self.learn_known(self.make_car(Path("identified.toml")))
-
     def make_car(self, path: Path) -> CarFile:
         """The identified car, comments and other sections as in the start's file.
 
         Where that is F1TENTH's, the other sections are those of the drives.
-
-        Args:
-            path: what messages call its file.
-
-        Raises:
-            SteerdError: a value is none that a car file may hold.
         """
         given = _given_values(self.options.fix)
         values = identified_values(self.outcome, self.base, given)
@@ -128,26 +113,12 @@ class Identification:
         """The car of `make_car` with its noise and covariance: some seconds."""
         return with_known(car, self.outcome.sections or learn_known(car, self.drives.runs))
 
-    def save_car(self, path: Path | str) -> Path:
-        """Write the car file, then what is known of the car beside it, each whole or not at all.
-
-        A file that steerd did not write is kept.
-
-        Raises:
-            SteerdError: it cannot be written there.
-        """
-        path = Path(path)
-        with writing({"save_car": path, "beside it": posterior_path(path)}) as write:
-            write(path, self.make_car(path).text)
-            write(posterior_path(path), self.car.posterior)
-        return path
-
     def to_json(self) -> dict[str, Any]:
         """JSON values in the schema `steerd.identify/1`."""
         return encode_outcome(self.outcome)
 
     def render_report(self) -> str:
-        """The report: one HTML page with its figures."""
+        """The report."""
         from steerd.sysid.report.identify_report import make_report
         from steerd.sysid.report.page import render_report
 
@@ -159,13 +130,10 @@ class Identification:
 
         return plot_identification(self.outcome)
 
-    def describe(self, written: Path | None = None) -> str:
+    def describe(self, written: Path | None = None, report: Path | None = None) -> str:
         """The screen; `written` is the car file that was written."""
         measured = self.options.wheelbase is not None
         return describe(self.outcome, Asked(self.drives.sessions, self.improved, measured, written))
-
-    def __str__(self) -> str:
-        return self.describe()
 
 
 @by_keywords(IdentifyOptions)

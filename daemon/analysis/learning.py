@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from steerd.daemon.analysis.diagnosis import find_base
-from steerd.daemon.analysis.drives import Drives
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import watched
 from steerd.daemon.common.translate import make_session_error, reading
-from steerd.daemon.learning.feed import learn_all, make_feed, read_memory
+from steerd.daemon.learning.feed import NEEDED, Wiring, learn_all, make_feed, read_memory
 from steerd.daemon.learning.kept import METADATA
-from steerd.daemon.learning.samples import NEEDED, Wiring
 from steerd.daemon.sessions.info import load_session
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
@@ -66,7 +64,7 @@ def learn_session(
         SteerdError: session or car file cannot be used, or too little was driven for a report.
     """
     session = load_session(path)
-    base, source, _ = find_base(car, Drives((session,), ()))
+    base, source, _ = find_base(car, (session,))
     with reading(path, "steerd identify writes it anew"):
         # What was learnt in an earlier drive is of the session's own car.
         memory = session.info().metadata.get(METADATA, {}).get("memory", "") if car is None else ""

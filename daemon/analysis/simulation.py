@@ -110,32 +110,37 @@ def _record(plan: RunPlan, file: Path, controller: Controller | None) -> Session
     if controller is None:
         run = record_virtual(plan, file, drive)
     else:
-        steered = _Steered(controller, plan.options.seed + 1)
+        steered = Steered(controller, plan.options.seed + 1)
         run = record_virtual(plan, file, lambda run: drive(run, steered.command), steered.see)
     check_driven(run)
     _warn_stopped(run)
     return Session(file, load_session(file))
 
 
-class _Steered:
-    """A controller beside the loop in virtual time, which the bus would lie between."""
+class Steered:
+    """A controller beside the loop in virtual time, which the bus would lie between.
+
+    Attributes:
+        newest: the last estimate; None before the first.
+    """
 
     def __init__(self, controller: Controller, boot_id: int) -> None:
         self._made = ExternalController(while_driving(controller), boot_id, lease_id=1)
-        self._newest: StateMessage | None = None
+        self._answered: StateMessage | None = None
+        self.newest: StateMessage | None = None
 
     def see(self, records: list[PipeRecord], t_ns: int) -> None:
         """What the core sent."""
         for record in records:
             if record.topic is topics.STATE:
-                self._newest = read_message(record)
+                self.newest = read_message(record)
 
     def command(self, run: VirtualRun) -> None:
-        """Answer the newest estimate."""
-        estimate, self._newest = self._newest, None
-        if estimate is None:
+        """Answer the newest estimate, once."""
+        if self.newest is None or self.newest is self._answered:
             return
-        command = self._made.compute_command(estimate, EPOCH_NS + run.t_ns)
+        self._answered = self.newest
+        command = self._made.compute_command(self.newest, EPOCH_NS + run.t_ns)
         if command is not None:
             run.core.on_request(topics.DRIVE.name, encode(command), run.t_ns)
 

@@ -1,23 +1,74 @@
-"""The learner fed by encoded records, as recorder and session hold them."""
+"""The learner fed by the messages of a drive, as recorder and session hold them."""
 
 import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from steerd.car_model.car_file import CarFile
-from steerd.daemon.ipc.pipe_records import PipeRecord
+from steerd.daemon.ipc.pipe_records import LEARNT_FROM, PipeRecord
 from steerd.daemon.learning.report import make_model
 from steerd.daemon.learning.reported import NS
-from steerd.daemon.learning.samples import NEEDED, Wiring, make_sample
 from steerd.sim_gap.online.base import make_learner
 from steerd.sim_gap.online.learner import Learner, State, fold
 from steerd.sim_gap.online.memory import Memory
+from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled, Sample
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.topics import Topic
 from steerd.sysid.data.dataset import RAMP_ERPM
+from steerd.vesc_link.scaling import F1TENTH, Scaling
+
+if TYPE_CHECKING:
+    from steerd.daemon.learning.proposing import Proposals
+
+NEEDED = (*LEARNT_FROM, topics.WHEEL)
+"""Topics that the learner is fed by."""
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """How a session's numbers are to be read.
+
+    Attributes:
+        epoch_ns: UNIX time minus monotonic time [ns].
+        erpm_gain: of the session's scaling; `erpm_offset` too.
+    """
+
+    epoch_ns: int
+    erpm_gain: float = F1TENTH.erpm_gain
+    erpm_offset: float = F1TENTH.erpm_offset
+
+
+def wiring_of(epoch_ns: int, scaling: Scaling) -> Wiring:
+    """The wiring of a run that is being driven."""
+    return Wiring(epoch_ns, scaling.erpm_gain, scaling.erpm_offset)
+
+
+def make_sample(wiring: Wiring, topic: Topic, message: Any) -> Sample | None:
+    """A message as a sample, with monotonic time [s]; None where it says nothing.
+
+    Args:
+        wiring: of the session.
+        topic: one of `NEEDED`.
+        message: of that topic.
+    """
+    if topic is topics.MOCAP:
+        if message.reject:
+            return None
+        return PoseSeen(message.t_valid_ns * 1e-9, message.x, message.y, message.yaw)
+    if topic is topics.ACTUATION:
+        t = (m.stamp_ns(message.header) - wiring.epoch_ns) * 1e-9
+        if message.mode != m.ActuationMode.SPEED:
+            return Paused(t)
+        return Ordered(t, message.steer, message.speed)
+    if topic is topics.VESC:
+        middle = (message.t_sent_ns + message.t_received_ns) // 2
+        return Rolled(middle * 1e-9, (message.erpm - wiring.erpm_offset) / wiring.erpm_gain)
+    if topic is topics.WHEEL:
+        return Rolled(message.t_ns * 1e-9, message.speed)
+    return None
 
 
 @dataclass
@@ -29,15 +80,19 @@ class Feed:
         wiring: how the session's numbers are read.
         state: what is known so far.
         dropped: records that were lost on the way here.
+        proposals: of designs for what is learnt, each after its report; None without `--adapt`.
     """
 
     learner: Learner
     wiring: Wiring
     state: State
     dropped: int = 0
+    proposals: "Proposals | None" = None
 
     def take(self, topic: Topic, message: Any) -> m.Model | None:
         """Take in one message; the report, if one is due."""
+        if topic is topics.DESIGN and self.proposals is not None:
+            self.proposals.hear(message)
         if topic not in NEEDED:
             return None
         sample = make_sample(self.wiring, topic, message)
@@ -46,9 +101,10 @@ class Feed:
         self.state, due = fold(self.learner, self.state, sample)
         if not due:
             return None
-        newest = round(self.state.recent.newest * NS)
-        remembered = self.learner.remembered
-        return make_model(self.state, newest, self.wiring.epoch_ns, self.dropped, remembered)
+        newest, epoch_ns = round(self.state.recent.newest * NS), self.wiring.epoch_ns
+        if self.proposals is not None:
+            self.proposals.propose(self.learner, self.state, newest, epoch_ns)
+        return make_model(self.state, newest, epoch_ns, self.dropped, self.learner.remembered)
 
 
 def make_record(report: m.Model, number: int, log_time_ns: int) -> PipeRecord:

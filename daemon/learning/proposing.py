@@ -10,7 +10,6 @@ from steerd.controller.acceptance import Acceptance, file_numbers
 from steerd.controller.build import DesignTable
 from steerd.controller.design import DesignRefused
 from steerd.controller.learnt import Design, Learnt, approach_learnt, learnt_car, learnt_timing
-from steerd.daemon.learning.feed import Feed
 from steerd.daemon.loop.design_desk import REFUSED, make_design, make_no_design, read_design
 from steerd.sim_gap.online.followed import find_aim
 from steerd.sim_gap.online.learner import Learner, State
@@ -122,9 +121,7 @@ class Proposals:
         """The core took a design, or the file's."""
         self.proposer = hear(self.proposer, taken)
 
-    def propose(self, feed: Feed, t_ns: int) -> None:
+    def propose(self, learner: Learner, state: State, t_ns: int, epoch_ns: int) -> None:
         """Propose at a report."""
-        self.proposer, proposal = propose(
-            self.proposer, feed.learner, feed.state, t_ns, feed.wiring.epoch_ns
-        )
+        self.proposer, proposal = propose(self.proposer, learner, state, t_ns, epoch_ns)
         self.send(encode(proposal), t_ns)

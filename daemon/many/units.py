@@ -11,12 +11,9 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.written import check_outputs
-from steerd.daemon.many.journal import Row, journal_path, open_journal
 from steerd.sysid.parallel import quiet_workers
 
 TRIES = 3
@@ -26,8 +23,6 @@ AHEAD = 4
 _ANSWER = "10s"
 """Time that a scheduler has to answer."""
 
-FAILED = "failed"
-"""Outcome of a row whose unit failed; the next start tries it again."""
 _AGAIN = ("lost", "pending")
 """A result that died with its worker before it was fetched: the scheduler computes it again."""
 
@@ -72,47 +67,6 @@ class Where:
     def processes(self) -> int:
         """Processes on this machine."""
         return self.jobs or len(os.sched_getaffinity(0))
-
-
-def work_through(
-    work: Work,
-    units: Mapping[str, Any],
-    where: Where,
-    output: Path | None,
-    purpose: str,
-    make_row: Callable[[Done], Row],
-    progress: Callable[[int], None] = lambda done: None,
-    ship: Callable[[Any], Any] = lambda about: about,
-) -> tuple[tuple[Row, ...], int]:
-    """Do what an earlier start did not finish.
-
-    Args:
-        work: what is done with one unit's argument.
-        units: argument by the unit's name.
-        where: processes or cluster.
-        output: the table that is to be written; its journal lies beside it.
-        purpose: digest of all that the rows depend on.
-        make_row: the table's row of a unit that has ended; its `outcome` is `FAILED` or another.
-        progress: is called with the number of units done.
-        ship: makes an argument complete before it leaves for another machine.
-
-    Returns:
-        A row for each unit, in their order, and how many of them were done now.
-
-    Raises:
-        SteerdError: the journal belongs to other work, or the cluster is lost.
-    """
-    if output is not None:
-        check_outputs({"-o": output})
-    with open_journal(output and journal_path(output), purpose) as journal:
-        old = {unit for unit, row in journal.rows.items() if row["outcome"] != FAILED}
-        todo = {unit: about for unit, about in units.items() if unit not in old}
-        before = len(units) - len(todo)
-        progress(before)
-        for number, done in enumerate(run_units(work, todo, where, ship), 1):
-            journal.add(done.unit, make_row(done))
-            progress(before + number)
-        return tuple(journal.rows[unit] for unit in units), len(todo)
 
 
 def run_units(

@@ -6,11 +6,9 @@ from typing import TYPE_CHECKING
 from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.ipc.pipe_records import PipeRecord, is_learnt_from, read_message
 from steerd.daemon.offline.virtual import EPOCH_NS
-from steerd.steer_bus import topics
 
 if TYPE_CHECKING:
     from steerd.daemon.learning.feed import Feed
-    from steerd.daemon.learning.proposing import Proposals
 
 
 class LearnerBeside:
@@ -29,18 +27,16 @@ class LearnerBeside:
         settings = plan.settings
         self._feed: Feed | None = None
         if plan.options.learn:  # a drive without it loads no compiler
-            from steerd.daemon.learning.feed import make_feed
-            from steerd.daemon.learning.samples import wiring_of
+            from steerd.daemon.learning.feed import make_feed, wiring_of
 
             self._feed = make_feed(settings.file, wiring_of(EPOCH_NS, settings.scaling))
         self._reports = 0
-        self._proposals: Proposals | None = None
-        if plan.learnt is not None:
+        if self._feed is not None and plan.learnt is not None:
             from steerd.controller.build import compute_table
-            from steerd.daemon.learning import proposing
+            from steerd.daemon.learning.proposing import Proposals, make_proposer
 
-            proposer = proposing.make_proposer(plan.learnt, compute_table)
-            self._proposals = proposing.Proposals(
+            proposer = make_proposer(plan.learnt, compute_table)
+            self._feed.proposals = Proposals(
                 proposer, lambda data, t_ns: self.propose_to(data, t_ns)
             )
         self.propose_to: Callable[[bytes, int], None] = lambda data, t_ns: None
@@ -52,14 +48,7 @@ class LearnerBeside:
             return
         from steerd.daemon.learning.feed import make_record
 
-        message = read_message(record)
-        if record.topic is topics.DESIGN:
-            if self._proposals is not None:
-                self._proposals.hear(message)
-            return
-        report = self._feed.take(record.topic, message)
+        report = self._feed.take(record.topic, read_message(record))
         if report is not None:
-            if self._proposals is not None:
-                self._proposals.propose(self._feed, report.mono_ns)
             yield make_record(report, self._reports, record.log_time_ns)
             self._reports += 1

@@ -20,15 +20,12 @@ from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.common.written import write_output, write_whole
 from steerd.daemon.ipc.pipe_records import Gaps, PipeWriter, pack_record, unpack_records
 from steerd.daemon.ipc.signals import ignore_terminal_signals
-from steerd.daemon.learning.feed import Feed, make_feed, make_record, read_memory
-from steerd.daemon.learning.keeping import Keeper
-from steerd.daemon.learning.kept import About
+from steerd.daemon.learning.feed import Feed, Wiring, make_feed, make_record, read_memory
+from steerd.daemon.learning.kept import About, Keeper
 from steerd.daemon.learning.proposing import Proposals, make_proposer
-from steerd.daemon.learning.samples import Wiring
 from steerd.daemon.process.child import receive_job
 from steerd.daemon.settings.run_options import decode_options
 from steerd.steer_bus import messages as m
-from steerd.steer_bus import topics
 from steerd.steer_bus.codec import CodecError, decode
 
 _READ_BYTES = 1 << 16
@@ -40,21 +37,15 @@ class LearnerLoop:
     Attributes:
         feed: the learner.
         outputs: where reports go.
-        proposals: what is proposed to the core, or None.
         keeper: writes what is learnt beside the car file, or None.
         reports: how many there were.
     """
 
     def __init__(
-        self,
-        feed: Feed,
-        outputs: Sequence[PipeWriter],
-        proposals: Proposals | None = None,
-        keeper: Keeper | None = None,
+        self, feed: Feed, outputs: Sequence[PipeWriter], keeper: Keeper | None = None
     ) -> None:
         self.feed = feed
         self.outputs = outputs
-        self.proposals = proposals
         self.keeper = keeper
         self.reports = 0
         self._gaps = Gaps()
@@ -68,13 +59,9 @@ class LearnerLoop:
                 message = decode(record.topic.message, record.data)
             except CodecError:
                 continue
-            if record.topic is topics.DESIGN and self.proposals is not None:
-                self.proposals.hear(message)
             report = self.feed.take(record.topic, message)
             if report is not None:
                 self._send(report, record.log_time_ns)
-                if self.proposals is not None:
-                    self.proposals.propose(self.feed, report.mono_ns)
                 if self.keeper is not None:
                     self.keeper.take(report)
 
@@ -146,17 +133,17 @@ def main() -> int:
     ignore_terminal_signals()
     if (given := receive_job()) is None:
         return 0
-    job, fds, proposals = given.about, given.fds, None
+    job, fds = given.about, given.fds
     try:
         feed = make_learner_feed(job)
         if job["adapt"]:
-            proposals = _make_proposals(job["adapt"], fds["designs"])
+            feed.proposals = _make_proposals(job["adapt"], fds["designs"])
     except ValueError as error:
         print(f"steerd learner: {error}", file=sys.stderr)
         return 4
     given.say_ready("ready")
     outputs = [PipeWriter(fd) for name, fd in fds.items() if name.startswith("to_")]
-    loop, buffer = LearnerLoop(feed, outputs, proposals, make_keeper(job)), bytearray()
+    loop, buffer = LearnerLoop(feed, outputs, make_keeper(job)), bytearray()
     while data := os.read(fds["pipe"], _READ_BYTES):
         buffer += data
         loop.take(buffer)

@@ -8,7 +8,6 @@ people write about a session lies beside it, in `NAME.notes.toml`, and goes wher
 # Why: docs/decisions/messages-and-sessions.md#d68
 
 import contextlib
-import json
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -21,6 +20,7 @@ import tomlkit
 
 from steerd.daemon.assembly.session_meta import default_session_path
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.row_file import RowFile
 from steerd.daemon.common.screen import clean, cut, wrap
 from steerd.daemon.common.translate import reading
 from steerd.daemon.common.written import write_whole
@@ -174,44 +174,29 @@ def index_file() -> Path:
     return platformdirs.user_cache_path("steerd") / "sessions.sqlite"
 
 
-def _open_index() -> sqlite3.Connection:
+def _open_index() -> RowFile:
     """The index; one in memory where the file cannot be used."""
     with contextlib.suppress(OSError, sqlite3.Error):
         index_file().parent.mkdir(parents=True, exist_ok=True)
         with contextlib.suppress(sqlite3.DatabaseError):
-            return _prepared(sqlite3.connect(index_file(), timeout=2.0))
+            return RowFile(index_file())
         index_file().unlink()  # no database: made anew
-        return _prepared(sqlite3.connect(index_file(), timeout=2.0))
-    return _prepared(sqlite3.connect(":memory:"))
+        return RowFile(index_file())
+    return RowFile(None)
 
 
-def _prepared(index: sqlite3.Connection) -> sqlite3.Connection:
-    index.execute(
-        "CREATE TABLE IF NOT EXISTS sessions "
-        "(path TEXT PRIMARY KEY, size INTEGER, changed INTEGER, schema INTEGER, row TEXT)"
-    )
-    return index
-
-
-def _remembered(index: sqlite3.Connection, path: Path) -> Entry:
+def _remembered(index: RowFile, path: Path) -> Entry:
     """The figures of a file, from the index or, when it has changed, from itself."""
     about, name = path.stat(), str(path.resolve())
-    key = (about.st_size, about.st_mtime_ns, _SCHEMA)
+    basis = f"{about.st_size} {about.st_mtime_ns} {_SCHEMA}"
     with contextlib.suppress(sqlite3.Error, ValueError, TypeError):
-        found = index.execute(
-            "SELECT row FROM sessions WHERE path=? AND size=? AND changed=? AND schema=?",
-            (name, *key),
-        ).fetchone()
-        if found:
-            return Entry(path, about.st_mtime_ns, **json.loads(found[0]))
+        if (row := index.read(name, basis)) is not None:
+            return Entry(path, about.st_mtime_ns, **row)
     entry = summarise(path)
     row = asdict(entry)
     kept = {k: v for k, v in row.items() if k not in ("path", "changed_ns", "tags", "note")}
     with contextlib.suppress(sqlite3.Error):  # a read-only or full disk: read again next time
-        index.execute(
-            "INSERT OR REPLACE INTO sessions VALUES (?,?,?,?,?)", (name, *key, json.dumps(kept))
-        )
-        index.commit()
+        index.write(name, basis, kept)
     return entry
 
 

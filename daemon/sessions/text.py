@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields, is_dataclass
 from datetime import UTC, datetime
 from math import degrees, isfinite
 from typing import Any
@@ -182,38 +182,29 @@ def _bytes(size: int) -> str:
 
 def make_json(report: SessionReport) -> dict[str, Any]:
     """The report as JSON values; a number that is not finite is null."""
-    info = report.info
+    info, data = report.info, {f.name: getattr(report, f.name) for f in fields(report)}
+    del data["info"]
+    drive = ("length_m", "speed", "steer", "lateral_accel", "excitation")
     document = {
         "schema": "steerd.info/1",
         "path": str(info.path),
         "size_bytes": info.size,
-        "car": report.car,
-        "mode": report.mode,
         "start_ns": info.start_ns,
         "duration_s": info.duration_s,
         "messages": info.count,
         "finished": info.finished,
         "clean": info.clean,
-        "end": report.end,
-        "topics": [asdict(topic) for topic in report.topics],
-        "empty_topics": list(report.empty_topics),
-        "states": [asdict(state) for state in report.states],
-        "drive": {
-            "length_m": report.length_m,
-            "speed": report.speed and asdict(report.speed),
-            "steer": report.steer and asdict(report.steer),
-            "lateral_accel": report.lateral_accel and asdict(report.lateral_accel),
-            "excitation": list(report.excitation),
-        },
+        "drive": {name: data.pop(name) for name in drive},
         "metadata": {name: dict(values) for name, values in info.metadata.items()},
-        "attachments": list(info.attachments),
-        "warnings": list(report.warnings),
+        "attachments": info.attachments,
     }
-    made: dict[str, Any] = _finite(document)
+    made: dict[str, Any] = _finite(document | data)
     return made
 
 
 def _finite(value: Any) -> Any:
+    if is_dataclass(value) and not isinstance(value, type):
+        value = asdict(value)
     match value:
         case float():
             return value if isfinite(value) else None

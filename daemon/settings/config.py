@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from math import radians
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,7 +17,7 @@ from steerd.controller.limits import Limits
 from steerd.daemon.common.errors import SteerdError, did_you_mean, find_near
 from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.settings.effect_checks import check_effects
-from steerd.daemon.settings.thresholds import LAUNCH_RATIO, LAUNCH_SPEED, Thresholds, check_bounds
+from steerd.daemon.settings.thresholds import LAUNCH_RATIO, LAUNCH_SPEED, Thresholds
 from steerd.estimator.config import FilterConfig, load_filter_config
 from steerd.mocap_link.frame import FrameConfig
 from steerd.mocap_link.ingest import IngestConfig
@@ -112,36 +113,22 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
         SteerdError: a section holds an unknown key or an invalid value, or two contradict.
     """
     _check_sections(car_file)
-    sections = _Sections(car_file)
-    vesc = dict(sections.section("vesc"))
-    brakes = {k: vesc.pop(k) for k in list(vesc) if k in _names(BrakeSettings)}
-    safety = dict(sections.section("safety"))
+    read = partial(_read, car_file)
+    scaling = read("vesc", lambda table: _convert(_split(table)[1], Scaling))
+    frame = read("mocap", read_frame)
+    safety = read("safety", dict)
     deadman = bool(safety.pop("deadman", True))
-    control = dict(sections.section("controller"))
-    control.pop("rate_hz", None)
-    scaling = sections.make("vesc", lambda: _convert(vesc, Scaling))
     settings = Settings(
         file=car_file,
         scaling=scaling,
-        brakes=sections.make("vesc", lambda: _check_brakes(_convert(brakes, BrakeSettings))),
-        ingest=IngestConfig(
-            replace(
-                sections.make("mocap", lambda: read_frame(sections.section("mocap"))),
-                cog_ahead_of_rear=car_file.car.lr,
-            )
-        ),
-        limits=sections.make(
-            "limits", lambda: _limits(car_file, scaling, sections.section("limits"))
-        ),
-        controller=_at_speed(
-            sections.make("controller", lambda: load_controller_config(control)), control, speed
-        ),
-        filter=sections.make(
-            "estimator", lambda: load_filter_config(sections.section("estimator"))
-        ),
-        thresholds=sections.make("safety", lambda: _thresholds(safety)),
+        brakes=read("vesc", lambda table: _check_brakes(_convert(_split(table)[0], BrakeSettings))),
+        ingest=IngestConfig(replace(frame, cog_ahead_of_rear=car_file.car.lr)),
+        limits=read("limits", lambda table: _limits(car_file, scaling, table)),
+        controller=_at_speed(car_file, speed),
+        filter=read("estimator", load_filter_config),
+        thresholds=_make(car_file, "safety", _thresholds, safety),
         deadman=deadman,
-        record=sections.make("record", lambda: _record(sections.section("record"))),
+        record=read("record", _record),
     )
     _check_stop(car_file, settings.thresholds)
     _check_gain(settings)
@@ -217,33 +204,42 @@ def _check_gain(settings: Settings) -> None:
         raise SteerdError(what, f"[vesc] erpm_gain = {scaled:.0f} and speed_gain = 1 say the same")
 
 
-class _Sections:
-    """The sections of one car file; errors name the file and the section."""
+def _read(car_file: CarFile, name: str, make: Callable[[Mapping[str, Any]], S]) -> S:
+    """A section as what a room makes of it.
 
-    def __init__(self, car_file: CarFile) -> None:
-        self._file = car_file
-
-    def section(self, name: str) -> Mapping[str, Any]:
-        table = self._file.sections.get(name, {})
-        if not isinstance(table, Mapping):
-            raise SteerdError(f"{self._file.path}: [{name}] must be a table")
-        return table
-
-    def make(self, name: str, make: Callable[[], S]) -> S:
-        try:
-            return make()
-        except (ValueError, TypeError) as error:
-            raise SteerdError(f"{self._file.path} [{name}]: {error}") from None
+    Raises:
+        SteerdError: it is no table, or the room refuses it; names file and section.
+    """
+    table = car_file.sections.get(name, {})
+    if not isinstance(table, Mapping):
+        raise SteerdError(f"{car_file.path}: [{name}] must be a table")
+    return _make(car_file, name, make, table)
 
 
-def _at_speed(
-    config: ControllerConfig, control: Mapping[str, Any], speed: float | None
-) -> ControllerConfig:
-    """The file's controller at the cruise speed that was asked for beside it."""
+def _make(
+    car_file: CarFile, name: str, make: Callable[[Mapping[str, Any]], S], table: Mapping[str, Any]
+) -> S:
+    try:
+        return make(table)
+    except (ValueError, TypeError) as error:
+        raise SteerdError(f"{car_file.path} [{name}]: {error}") from None
+
+
+def _split(table: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What `[vesc]` says of the brakes, and the rest of it."""
+    own = _names(BrakeSettings)
+    brakes = {name: value for name, value in table.items() if name in own}
+    return brakes, {name: value for name, value in table.items() if name not in own}
+
+
+def _at_speed(car_file: CarFile, speed: float | None) -> ControllerConfig:
+    """The file's controller, at the cruise speed that was asked for beside it."""
+    table = {k: v for k, v in _read(car_file, "controller", dict).items() if k != "rate_hz"}
+    config = _make(car_file, "controller", load_controller_config, table)
     if speed is None:
         return config
     try:
-        return load_controller_config({**control, "speed": speed})
+        return load_controller_config({**table, "speed": speed})
     except ValueError as error:
         raise SteerdError(f"--speed: {error}") from None
 
@@ -319,5 +315,4 @@ def _thresholds(table: Mapping[str, Any]) -> Thresholds:
     values = dict(table)
     if "fence" in values:
         values["fence"] = tuple((float(x), float(y)) for x, y in values["fence"])
-    check_bounds(values)
     return _convert(values, Thresholds)

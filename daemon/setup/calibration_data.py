@@ -10,19 +10,15 @@ from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.translate import make_car_file_error
 from steerd.daemon.sessions.info import Recording, load_recording
-from steerd.daemon.sessions.motion import Array, Track, make_track
+from steerd.daemon.sessions.motion import Array
 from steerd.daemon.settings.config import Settings, load_settings, make_settings
 from steerd.daemon.settings.run_options import decode_options
 from steerd.daemon.setup.mount_calibration import Drive
 from steerd.mocap_link.frame import FrameConfig, make_planar_pose
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.steer_bus import topics
-from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.session_read import Session, SessionError
 from steerd.steer_bus.topic_columns import Columns
-
-NS = 1e-9
-"""One nanosecond [s]."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +99,7 @@ def body_track(r: Recorded) -> tuple[Array, Array, Array, Array]:
     turns = zip(*(p[name].tolist() for name in ("qw", "qx", "qy", "qz")), strict=True)
     placed = [make_planar_pose(r.frame, at, q) for at, q in zip(raw, turns, strict=True)]
     x, y, yaw = np.array([(pose.x, pose.y, pose.yaw) for pose in placed]).T
-    return (p["t_valid_ns"] - r.start_ns) * NS, x, y, yaw
+    return (p["t_valid_ns"] - r.start_ns) * 1e-9, x, y, yaw
 
 
 def wheel_speed(r: Recorded) -> tuple[Array, Array]:
@@ -121,7 +117,7 @@ def wheel_speed(r: Recorded) -> tuple[Array, Array]:
         at, value = wheel["t_ns"], wheel["speed"].astype(float)
     else:
         raise SteerdError("the session holds no wheel speed")
-    return (at - r.start_ns) * NS, value
+    return (at - r.start_ns) * 1e-9, value
 
 
 def make_drive(r: Recorded) -> Drive:
@@ -131,41 +127,3 @@ def make_drive(r: Recorded) -> Drive:
         SteerdError: the session holds no wheel speed, or no poses of the body.
     """
     return Drive(*body_track(r), *wheel_speed(r))
-
-
-def make_motion(r: Recorded) -> Track:
-    """The car's motion as it was driven, from poses.
-
-    Raises:
-        SteerdError: too few poses.
-    """
-    p = r.poses
-    track = make_track((p["t_valid_ns"] - r.start_ns) * NS, p["x"], p["y"], p["yaw"])
-    if track is None:
-        raise SteerdError("the session holds too few poses")
-    return track
-
-
-def steering_commands(r: Recorded) -> tuple[Array, Array]:
-    """Steering ordered while the car was driven: times [s] and angles [rad].
-
-    Raises:
-        SteerdError: the session holds none.
-    """
-    table = r.read.table(topics.ACTUATION)
-    tick = r.read.table(topics.TICK)
-    driven = None if table is None else table["mode"] == ActuationMode.SPEED
-    if table is None or driven is None or not driven.any():
-        raise SteerdError("the session holds no steering commands")
-    # A command's stamp is UNIX time; ticks or poses relate it to the monotonic clock.
-    epoch = _epoch(r, tick)
-    t = (table["stamp_ns"].astype(np.int64) - epoch - r.start_ns) * NS
-    return t[driven], table["steer"][driven].astype(float)
-
-
-def _epoch(r: Recorded, tick: Columns | None) -> int:
-    """UNIX minus monotonic time [ns]."""
-    p = r.poses
-    if tick is not None:
-        return int(np.median(tick["stamp_ns"].astype(np.int64) - tick["woke_ns"]))
-    return int(np.median(p["stamp_ns"].astype(np.int64) - p["t_valid_ns"]))

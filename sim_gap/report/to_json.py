@@ -1,6 +1,7 @@
 """The diagnosis as the schema `steerd.gap/1`."""
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -64,38 +65,18 @@ def _cause(cause: Cause, found: Diagnosis) -> dict[str, Any]:
 
 def to_json(found: Diagnosis) -> dict[str, Any]:
     """The diagnosis as plain values, exactly in the shape of `steerd.gap/1`."""
-    where = found.where
     following = found.next_manoeuvre
     return dict(_plain({
         "schema": SCHEMA,
         "verdict": found.verdict,
         "gap": {"before": _gap_values(found, "before"), "after": _gap_values(found, "after")},
-        "where": {
-            "stage": where.stage,
-            "equation": [{"name": s.name, "share": s.share} for s in where.equation],
-            "channels": [{"name": s.name, "share": s.share} for s in where.channels],
-            "windows": [
-                {"run": w.run, "t0": w.t0, "t1": w.t1, "share": w.share} for w in where.windows
-            ],
-            "regimes": [
-                {"variable": r.variable, "low": r.low, "high": r.high, "ratio": r.ratio,
-                 "share": r.share, "ratio_low": r.ratio_low, "ratio_high": r.ratio_high,
-                 "unit": r.unit}
-                for r in where.regimes
-            ],
-            "sentence": where.sentence,
-        },
+        "where": asdict(found.where),
         "causes": [_cause(cause, found) for cause in found.causes],
         "candidates": [
             {"effect": n, "probability": p, "gain": g} for n, p, g in found.candidates
         ],
         "something_else": found.something_else,
-        "next_manoeuvre": {} if following is None else {
-            "name": following.name, "how": following.how,
-            "command": following.command,
-            "separates": list(following.separates),
-            "expected_nats": following.expected_nats, "now_nats": following.now_nats,
-        },
+        "next_manoeuvre": asdict(following) if following else {},
         "residual": _residual(found),
     }))  # fmt: skip
 

@@ -9,9 +9,9 @@ from steerd.daemon.analysis.learning import learn_session, wiring_of_session
 from steerd.daemon.assembly.session_meta import make_metadata
 from steerd.daemon.cli.main import dispatch
 from steerd.daemon.ipc.pipe_records import PipeRecord, pack_record
+from steerd.daemon.learning.feed import NEEDED
 from steerd.daemon.learning.kept import METADATA
 from steerd.daemon.learning.reported import reported_values
-from steerd.daemon.learning.samples import NEEDED
 from steerd.daemon.process.learner import LearnerLoop, make_learner_feed
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.session_read import open_session

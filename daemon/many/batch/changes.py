@@ -14,20 +14,20 @@ the Particle Data Group's reviews apply it).
 
 # Why: docs/decisions/processes-and-time.md#d103
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import erfc, sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steerd.daemon.common.screen import clean
 from steerd.daemon.many.batch.unit import day_of
+from steerd.daemon.many.job import Rows
 from steerd.sysid.report.report import Table
 
 Array = NDArray[np.float64]
-Rows = Sequence[Mapping[str, Any]]
 CHANCE = 1e-3
 """Probability that a batch without any change reports one."""
 LEAST = 6
@@ -107,7 +107,7 @@ class Band:
     half: Array
 
 
-def list_series(rows: Sequence[Mapping[str, Any]], quantities: Sequence[str]) -> Iterator[Series]:
+def list_series(rows: Rows, quantities: Sequence[str]) -> Iterator[Series]:
     """The series of every car and quantity that have enough drives."""
     for car in sorted({str(row["car"]) for row in rows if row.get("car") is not None}):
         own = sorted(

@@ -11,13 +11,13 @@ from matplotlib.axes import Axes
 from steerd.daemon.common.screen import clean
 from steerd.daemon.many.batch.changes import (
     Change,
-    Rows,
     Series,
     make_band,
     nothing_changed,
     split_series,
     tabulate_changes,
 )
+from steerd.daemon.many.job import Rows
 from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, STYLE, make_grid, to_svg
 from steerd.sysid.report.report import Report, Section, Table
 

@@ -1,18 +1,16 @@
 """`steerd.batch`: hundreds of sessions, each a row; what changed on which car, and when."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from steerd.daemon.common.notebook import notebook_progress, speaking_of_arguments
+from steerd.daemon.common.notebook import speaking_of_arguments
+from steerd.daemon.common.row_file import Row
 from steerd.daemon.common.screen import clean, shown, wrap
-from steerd.daemon.common.written import write_outputs
 from steerd.daemon.many.batch.changes import (
     Change,
-    Rows,
     Series,
     find_changes,
     list_series,
@@ -29,13 +27,9 @@ from steerd.daemon.many.batch.unit import (
     read_content,
     run_unit,
 )
-from steerd.daemon.many.journal import Row
-from steerd.daemon.many.tables import Column, encode_table, frame_of, save_table
-from steerd.daemon.many.units import FAILED, Done, Where, work_through
-from steerd.sysid.report.report import format_table
-
-if TYPE_CHECKING:
-    import pandas
+from steerd.daemon.many.job import FAILED, Column, Found, Job, Rows, do_in_notebook
+from steerd.daemon.many.units import Done, Where
+from steerd.sysid.report.report import Report, format_table
 
 DONE = "done"
 _HEAD = (
@@ -52,28 +46,27 @@ _NO_ESTIMATE = ("start", "tries", "seconds", "metres")
 
 
 @shown
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """What a batch found.
-
-    `print(batch)` is the screen of `steerd batch`.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Batch(Found):
+    """What a batch found; `print(batch)` is the screen of `steerd batch`.
 
     Attributes:
         kind: what was asked.
-        rows: one session each, values by column; see `columns`.
-        worked: how many sessions this start worked on; the others were in the journal.
     """
 
     kind: Kind
-    rows: tuple[Row, ...] = field(repr=False)
-    worked: int = 0
 
     @property
     def columns(self) -> Sequence[Column]:
         """The columns of the table."""
         more = {name for row in self.rows for name in row} - {column.name for column in _HEAD}
-        rest = (Column(n, "text" if n in _TEXTS else "number", "", "") for n in sorted(more))
+        rest = (Column(n, "text" if n in _TEXTS else "number") for n in sorted(more))
         return (*_HEAD, *rest)
+
+    @property
+    def about(self) -> Mapping[str, str]:
+        """What the table says of where it comes from."""
+        return {"steerd.batch": self.kind}
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -91,28 +84,11 @@ class Batch:
         """What changed, the clearest first."""
         return tuple(find_changes(self.series))
 
-    def to_pandas(self) -> "pandas.DataFrame":
-        """The rows as a data frame."""
-        return frame_of(self.columns, self.rows)
-
-    def encode_table(self) -> bytes:
-        """The rows as a Parquet file; the same rows give the same bytes."""
-        return encode_table(self.columns, self.rows, {"steerd.batch": self.kind})
-
-    def save_table(self, path: Path | str) -> Path:
-        """Write that file, whole or not at all; its path.
-
-        Raises:
-            SteerdError: it cannot be written there.
-        """
-        return save_table(path, self.encode_table())
-
-    def render_report(self) -> str:
+    def make_report(self) -> Report:
         """The page: quantities over weeks with their bands, and the days of changes."""
         from steerd.daemon.many.batch.page import make_report
-        from steerd.sysid.report.page import render_report
 
-        return render_report(make_report(self.kind, self.rows, self.series, self.changes))
+        return make_report(self.kind, self.rows, self.series, self.changes)
 
     def __str__(self) -> str:
         return describe_batch(self.rows, self.worked, len(self.series), self.changes)
@@ -147,50 +123,25 @@ def batch(
     """
     words = [sessions] if isinstance(sessions, str | Path) else list(sessions)
     paths = find_batch([str(word) for word in words])
-    question = Question(kind, read_cars(None if cars is None else Path(cars)))
-    out = None if output is None else Path(output)
-    with notebook_progress(kind, len(paths)) as progress:
-        found = run_batch(paths, question, Where(jobs, dask), out, progress)
-    if out is not None:
-        write_outputs({out: found.encode_table()})
-    return found
+    job = make_job(paths, Question(kind, read_cars(None if cars is None else Path(cars))))
+    return do_in_notebook(job, Where(jobs, dask), output)
 
 
-def run_batch(
-    paths: Sequence[Path],
-    question: Question,
-    where: Where,
-    output: Path | None,
-    progress: Callable[[int], None] = lambda done: None,
-) -> Batch:
-    """Work on what is new, or failed before.
-
-    Args:
-        paths: the sessions.
-        question: what is asked of each.
-        where: processes or cluster.
-        output: the table that is to be written; its journal lies beside it and stays.
-        progress: is called with the number of sessions done.
-
-    Raises:
-        SteerdError: the journal belongs to another question, or the cluster is lost.
-    """
+def make_job(paths: Sequence[Path], question: Question) -> Job[Batch]:
+    """What is asked of sessions as work for `do_job`."""
     tasks = make_tasks(paths, question)
 
     def make_row(done: Done) -> Row:
         row = {"session": str(tasks[done.unit].path), "tries": done.tries}
         row |= {"outcome": FAILED if done.row is None else DONE, "failure": done.failure}
-        return row | (done.row or {})
+        start = (done.row or {}).get("start")
+        return row | (done.row or {}) | ({} if start is None else {"day": day_of(start)})
 
-    rows, worked = work_through(
-        run_unit, tasks, where, output, question.digest(), make_row, progress, read_content
-    )
-    return Batch(question.kind, tuple(map(_finish, rows)), worked)
+    def make(rows: tuple[Row, ...], worked: int, wall: float) -> Batch:
+        return Batch(rows, worked, wall, kind=question.kind)
 
-
-def _finish(row: Row) -> Row:
-    start = row.get("start")
-    return row if start is None else row | {"day": day_of(start)}
+    kind, basis = question.kind, question.digest()
+    return Job(kind, run_unit, tasks, basis, make_row, make, read_content, grows=True)
 
 
 _FAILURES, _CHANGES = 5, 12

@@ -25,36 +25,17 @@ from steerd.daemon.settings.run_options import RunOptions
 from steerd.sim_hw.world import World, WorldConfig
 
 
-@dataclass(frozen=True)
-class Task:
-    """What a worker is handed."""
-
-    plan: SweepPlan
-    case: DriveCase
-
-
-def run_case(task: Task) -> dict[str, Any]:
-    """Drive one case.
-
-    Returns:
-        Values by column, see `measures.list_columns`.
-    """
-    plan, case = task.plan, task.case
-    row = start_row(case)
+def run_case(plan: SweepPlan, case: DriveCase) -> dict[str, Any]:
+    """Drive one case; its end and its measures, by column."""
     try:
         run_plan, config = prepare(plan, case)
         _ = run_plan.controller
     except SteerdError as error:
-        return row | {"outcome": REFUSED, "watchdog": "", "reason": error.what}
+        return {"outcome": REFUSED, "watchdog": "", "reason": error.what}
     run = make_virtual_run(run_plan, (), World(config))
     seen = Seen(run_plan)
     drive(run, seen.take)
-    return row | _judge_end(run) | seen.judge() | _judge_loop(run_plan, config)
-
-
-def start_row(case: DriveCase) -> dict[str, Any]:
-    """What a drive's row says before it is driven."""
-    return {"drive": case.number, "seed": case.seed, **case.values}
+    return _judge_end(run) | seen.judge() | _judge_loop(run_plan, config)
 
 
 def prepare(plan: SweepPlan, case: DriveCase) -> tuple[RunPlan, WorldConfig]:
@@ -156,7 +137,7 @@ class Seen:
         self.steer.append(abs(report.wheel) / most)
 
     def judge(self) -> dict[str, Any]:
-        """The measures of `measures.MEASURES` that a drive itself gives."""
+        """The measures of `summary.MEASURES` that a drive itself gives."""
         row: dict[str, Any] = {"seconds": self.seconds, "metres": self.metres}
         if not self.e1:
             return row

@@ -1,13 +1,11 @@
 """The page of `steerd sweep`: one HTML file without links."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
-
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 
 from steerd.daemon.common.screen import clean
+from steerd.daemon.many.job import Rows
 from steerd.daemon.many.sweep.plan import Choice, SweepPlan
 from steerd.daemon.many.sweep.quantities import Distribution
 from steerd.daemon.many.sweep.summary import (
@@ -26,7 +24,6 @@ from steerd.daemon.many.sweep.summary import (
 from steerd.sysid.report.drawing import AFTER, BEFORE, STYLE, make_grid, to_svg
 from steerd.sysid.report.report import SCALES, Cell, Report, Section, Table
 
-Rows = Sequence[Mapping[str, Any]]
 _BINS = 30
 _TICKS = 5
 """Numbers below a small diagram at most: more would touch."""

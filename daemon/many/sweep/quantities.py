@@ -112,13 +112,10 @@ _FORMS = (
     "a list, { low, high }, { low, high, log = true }, { mean, sd }, { median, factor } "
     "or { share }"
 )
-_KEYS = {
-    ("high", "low"): "uniform",
-    ("high", "log", "low"): "log_uniform",
-    ("mean", "sd"): "normal",
-    ("factor", "median"): "log_normal",
-    ("share",): "normal",
-}
+_KEYS: Mapping[Shape, tuple[str, str]] = {
+    "uniform": ("low", "high"), "normal": ("mean", "sd"), "log_normal": ("median", "factor"),
+}  # fmt: skip
+"""The two numbers of a distribution, as a sweep file calls them."""
 
 
 @dataclass(frozen=True)
@@ -175,43 +172,43 @@ def parse_distribution(quantity: Quantity, given: Mapping[str, Any]) -> Distribu
     Raises:
         ValueError: it is none of these, or lies outside the bounds.
     """
-    name, low, high = quantity.name, quantity.low, quantity.high
-    keys = tuple(sorted(given))
-    if keys not in _KEYS:
-        known = {key for form in _KEYS for key in form}
-        odd = next((key for key in keys if key not in known), "")
+    name, rest, shape = quantity.name, dict(given), _find_shape(quantity.name, given)
+    log = rest.pop("log", False) is True
+    if "share" in rest:
+        if not quantity.usual:
+            what = f"{name}: no value of which a share could be taken: give mean and sd"
+            raise ValueError(what)
+        share = _number(name, "share", rest["share"])
+        rest = {"mean": quantity.usual, "sd": abs(quantity.usual) * share}
+    one, other = (_number(name, key, rest[key]) for key in _KEYS[shape])
+    uniform = shape == "uniform"
+    if (log or shape == "log_normal") and not (one > 0.0 and other > 0.0):
+        raise ValueError(f"{name}: a logarithm needs positive numbers")
+    if uniform and not one < other:
+        raise ValueError(f"{name}: low {one:g} is not below high {other:g}")
+    if not uniform and not other > 0.0:
+        raise ValueError(f"{name}: a spread of {other:g}: more than 0")
+    for value in (one, other) if uniform else (one,):
+        check_bounds(name, value, quantity.low, quantity.high)
+    shape = "log_uniform" if log else shape
+    return Distribution(shape, one, other, quantity.low, quantity.high)
+
+
+def _find_shape(name: str, given: Mapping[str, Any]) -> Shape:
+    """The distribution that has these numbers; a share is a normal one's.
+
+    Raises:
+        ValueError: none has.
+    """
+    found = {frozenset(keys): shape for shape, keys in _KEYS.items()}
+    found |= {frozenset(("low", "high", "log")): "uniform", frozenset(("share",)): "normal"}
+    shape = found.get(frozenset(given))
+    if shape is None:
+        known = set().union(*found)
+        odd = next((key for key in sorted(given) if key not in known), "")
         hint = did_you_mean(odd, known) if odd else ""
         raise ValueError(f"{name}: {hint or f'give {_FORMS}'}")
-    shape = _KEYS[keys]
-    if shape == "log_uniform" and given["log"] is not True:
-        shape = "uniform"
-    numbers = {key: _number(name, key, given[key]) for key in keys if key != "log"}
-    one, other = _pair(name, numbers, quantity.usual)
-    if shape.startswith("log") and not (one > 0.0 and other > 0.0):
-        raise ValueError(f"{name}: a logarithm needs positive numbers")
-    if "low" in numbers and not one < other:
-        raise ValueError(f"{name}: low {one:g} is not below high {other:g}")
-    for value in (one, other) if "low" in numbers else (one,):
-        check_bounds(name, value, low, high)
-    return Distribution(shape, one, other, low, high)  # type: ignore[arg-type]
-
-
-def _pair(name: str, numbers: Mapping[str, float], usual: float | None) -> tuple[float, float]:
-    """The two numbers of a distribution, in the order of `Distribution`."""
-    if "share" not in numbers:
-        first, second = next(
-            (a, b)
-            for a, b in (("low", "high"), ("mean", "sd"), ("median", "factor"))
-            if a in numbers
-        )
-        pair = numbers[first], numbers[second]
-    elif not usual:
-        raise ValueError(f"{name}: no value of which a share could be taken: give mean and sd")
-    else:
-        pair = usual, abs(usual) * numbers["share"]
-    if "low" not in numbers and not pair[1] > 0.0:
-        raise ValueError(f"{name}: a spread of {pair[1]:g}: more than 0")
-    return pair
+    return shape
 
 
 def _number(name: str, key: str, value: Any) -> float:

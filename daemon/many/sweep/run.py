@@ -1,84 +1,60 @@
 """`steerd.sweep`: many drives of the closed loop in virtual time, as a table and a page."""
 
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from steerd.daemon.analysis.options import CarSource, read_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.notebook import notebook_progress, speaking_of_arguments
+from steerd.daemon.common.notebook import speaking_of_arguments
+from steerd.daemon.common.row_file import Row
 from steerd.daemon.common.screen import shown
-from steerd.daemon.common.written import write_outputs
-from steerd.daemon.many.journal import Row, journal_path
-from steerd.daemon.many.sweep.drive import Task, run_case, start_row
-from steerd.daemon.many.sweep.plan import SweepPlan, list_cases, make_sweep_plan
+from steerd.daemon.many.job import FAILED, Column, Found, Job, do_in_notebook
+from steerd.daemon.many.sweep.drive import run_case
+from steerd.daemon.many.sweep.plan import DriveCase, SweepPlan, list_cases, make_sweep_plan
 from steerd.daemon.many.sweep.summary import Summary, describe_sweep, list_columns, summarise_sweep
-from steerd.daemon.many.tables import Column, encode_table, frame_of, save_table
-from steerd.daemon.many.units import FAILED, Done, Where, work_through
-
-if TYPE_CHECKING:
-    import pandas
+from steerd.daemon.many.units import Done, Where
+from steerd.sysid.report.report import Report
 
 
 @shown
-@dataclass(frozen=True, eq=False)
-class Sweep:
-    """What a sweep found.
-
-    `print(sweep)` is the screen of `steerd sweep`.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Sweep(Found):
+    """What a sweep found; `print(sweep)` is the screen of `steerd sweep`.
 
     Attributes:
         plan: what was driven.
-        rows: one drive each, values by column; see `columns`.
-        wall: how long this start of the command took [s].
-        driven: how many drives it drove; the others were found in the journal.
     """
 
     plan: SweepPlan
-    rows: tuple[Row, ...] = field(repr=False)
-    wall: float = 0.0
-    driven: int = 0
 
     @property
     def columns(self) -> Sequence[Column]:
         """The columns of the table with units and meanings."""
         return list_columns(self.plan.quantities)
 
+    @property
+    def about(self) -> Mapping[str, str]:
+        """What the table says of where it comes from."""
+        return {"steerd.sweep": self.plan.digest()}
+
     @cached_property
     def summary(self) -> Summary:
         """Distributions, stops, sensitivities."""
         return summarise_sweep(self.plan, self.rows)
 
-    def to_pandas(self) -> "pandas.DataFrame":
-        """The rows as a data frame; `attrs["units"]` holds the units by column."""
-        return frame_of(self.columns, self.rows)
-
-    def encode_table(self) -> bytes:
-        """The rows as a Parquet file; the same rows give the same bytes."""
-        return encode_table(self.columns, self.rows, {"steerd.sweep": self.plan.digest()})
-
-    def save_table(self, path: Path | str) -> Path:
-        """Write that file, whole or not at all; its path.
-
-        Raises:
-            SteerdError: it cannot be written there.
-        """
-        return save_table(path, self.encode_table())
-
-    def render_report(self) -> str:
+    def make_report(self) -> Report:
         """The page: distributions, stops, sensitivity of each to each."""
         from steerd.daemon.many.sweep.page import make_report
-        from steerd.sysid.report.page import render_report
 
-        return render_report(make_report(self.plan, self.rows, self.summary))
+        return make_report(self.plan, self.rows, self.summary)
 
     def __str__(self) -> str:
         mean = sum(row.get("seconds") or 0.0 for row in self.rows) / len(self.rows)
-        speed = self.driven * mean / self.wall if self.driven and self.wall > 0.0 else None
+        speed = self.worked * mean / self.wall if self.worked and self.wall > 0.0 else None
         return describe_sweep(self.plan, self.rows, self.summary, speed)
 
 
@@ -121,53 +97,30 @@ def sweep(
         "seeds": seeds if isinstance(seeds, int) else list(seeds), "path": path, "speed": speed,
         "duration": duration, "rate": rate, "vary": vary,
     }  # fmt: skip
-    plan = make_sweep_plan(read_car(car), given)
-    with notebook_progress("driving", plan.count) as progress:
-        found = run_sweep(plan, Where(jobs), None if output is None else Path(output), progress)
-    if output is not None:
-        finish_sweep(found, Path(output))
-    return found
+    job = make_job(make_sweep_plan(read_car(car), given))
+    return do_in_notebook(job, Where(jobs), output)
 
 
-def run_sweep(
-    plan: SweepPlan,
-    where: Where,
-    output: Path | None,
-    progress: Callable[[int], None] = lambda done: None,
-) -> Sweep:
-    """Drive what is not yet driven.
-
-    Args:
-        plan: what to drive.
-        where: worker processes.
-        output: the table that is to be written; its journal lies beside it until then.
-        progress: is called with the number of drives done.
+def make_job(plan: SweepPlan) -> Job[Sweep]:
+    """A sweep as work for `do_job`.
 
     Raises:
-        SteerdError: the journal belongs to another sweep, or cannot be written.
+        SteerdError: a distribution never yields what its quantity may be.
     """
-    began = time.perf_counter()
-    tasks = {str(case.number): Task(plan, case) for case in list_cases(plan)}
+    cases = {str(case.number): case for case in list_cases(plan)}
 
     def make_row(done: Done) -> Row:
         failed = {"outcome": FAILED, "reason": done.failure}
-        return start_row(tasks[done.unit].case) | (failed if done.row is None else done.row)
+        case = cases[done.unit]
+        return {"drive": case.number, "seed": case.seed, **case.values, **(done.row or failed)}
 
-    rows, driven = work_through(run_case, tasks, where, output, plan.digest(), make_row, progress)
-    return Sweep(plan, rows, time.perf_counter() - began, driven)
+    def make(rows: tuple[Row, ...], worked: int, wall: float) -> Sweep:
+        return Sweep(rows, worked, wall, plan=plan)
 
-
-def finish_sweep(found: Sweep, output: Path) -> None:
-    """Write the table; its journal is then no longer needed.
-
-    Raises:
-        SteerdError: it cannot be written; the journal stays.
-    """
-    write_outputs({output: found.encode_table()}, announced=True)
-    journal_path(output).unlink(missing_ok=True)
+    return Job("driving", partial(run_case, plan), cases, plan.digest(), make_row, make)
 
 
-def find_case(plan: SweepPlan, number: int) -> Task:
+def find_case(plan: SweepPlan, number: int) -> DriveCase:
     """One drive of a sweep, to be driven again alone.
 
     Raises:
@@ -176,4 +129,4 @@ def find_case(plan: SweepPlan, number: int) -> Task:
     if not 0 <= number < plan.count:
         what = f"there is no drive {number}: they are 0 to {plan.count - 1}"
         raise SteerdError(what, "", ExitCode.USAGE)
-    return Task(plan, next(islice(list_cases(plan), number, None)))
+    return next(islice(list_cases(plan), number, None))

@@ -1,7 +1,7 @@
 """What a sweep's table says: distributions, stops, and how much each draw moves each measure."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import sqrt
 from typing import Any
@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.daemon.common.screen import clean, wrap
+from steerd.daemon.many.job import FAILED, Column, Rows
 from steerd.daemon.many.sweep.plan import SweepPlan
 from steerd.daemon.many.sweep.quantities import Quantity
-from steerd.daemon.many.tables import Column
-from steerd.daemon.many.units import FAILED
 from steerd.sysid.report.report import SCALES, Table, format_table
 
 Array = NDArray[np.float64]
@@ -106,7 +105,7 @@ class Summary:
     sensitivities: tuple[Sensitivity, ...]
 
 
-def summarise_sweep(plan: SweepPlan, rows: Sequence[Mapping[str, Any]]) -> Summary:
+def summarise_sweep(plan: SweepPlan, rows: Rows) -> Summary:
     """The figures of a sweep's page and screen."""
     total = len(rows)
     outcomes = Counter(str(row["outcome"]) for row in rows)
@@ -130,7 +129,7 @@ def make_share(name: str, count: int, total: int) -> Share:
     return Share(name, count, total, max(middle - half, 0.0), min(middle + half, 1.0))
 
 
-def column(rows: Sequence[Mapping[str, Any]], name: str) -> Array:
+def column(rows: Rows, name: str) -> Array:
     """A column's numbers (n,); NaN where one is missing."""
     if name == STOPS:
         ends = {DRIVEN: 0.0, STOPPED: 1.0}
@@ -139,7 +138,7 @@ def column(rows: Sequence[Mapping[str, Any]], name: str) -> Array:
     return np.array([np.nan if value is None else float(value) for value in values])
 
 
-def _spread(name: str, unit: str, rows: Sequence[Mapping[str, Any]]) -> Spread | None:
+def _spread(name: str, unit: str, rows: Rows) -> Spread | None:
     values = column(rows, name)
     known = np.flatnonzero(np.isfinite(values))
     if not known.size:
@@ -150,7 +149,7 @@ def _spread(name: str, unit: str, rows: Sequence[Mapping[str, Any]]) -> Spread |
     return Spread(name, unit, known.size, low, middle, high, float(values[at]), rows[at]["drive"])
 
 
-def _sensitivities(plan: SweepPlan, rows: Sequence[Mapping[str, Any]]) -> list[Sensitivity]:
+def _sensitivities(plan: SweepPlan, rows: Rows) -> list[Sensitivity]:
     """Each varied quantity against each measure; none where either does not vary."""
     found = []
     for quantity in plan.quantities:
@@ -243,9 +242,7 @@ _SHOWN = 8
 """Dependences that are shown."""
 
 
-def describe_sweep(
-    plan: SweepPlan, rows: Sequence[Mapping[str, Any]], summary: Summary, speed: float | None
-) -> str:
+def describe_sweep(plan: SweepPlan, rows: Rows, summary: Summary, speed: float | None) -> str:
     """The screen: how it ended, what moved what; `speed` is that of the simulation, if known."""
     varied = ", ".join(plan.vary) or "nothing but the seeds"
     seconds = sum(row.get("seconds") or 0.0 for row in rows)

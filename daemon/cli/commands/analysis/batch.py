@@ -36,21 +36,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Work on the sessions, print, write."""
     from steerd.daemon.common.written import check_outputs
-    from steerd.daemon.many.batch.unit import Question, find_batch, read_cars
-    from steerd.daemon.many.journal import going_on
-    from steerd.daemon.many.units import Where
 
     check_outputs({"-o": args.output, "--page": args.page})
-    paths, where = find_batch(args.sessions), Where(args.jobs, args.dask)
-    question = Question(args.kind, read_cars(args.cars))
-    from steerd.daemon.common.progress import show_progress
-    from steerd.daemon.common.written import write_outputs
-    from steerd.daemon.many.batch.run import run_batch
+    from steerd.daemon.many.batch.run import make_job
+    from steerd.daemon.many.batch.unit import Question, find_batch, read_cars
+    from steerd.daemon.many.job import do_in_terminal
+    from steerd.daemon.many.units import Where
 
-    with show_progress(args.kind, float(len(paths)), even=True) as advance, going_on(args.output):
-        found = run_batch(paths, question, where, args.output, lambda n: advance(float(n)))
-    print(found, flush=True)
-    table = found.encode_table() if args.output else None
-    page = found.render_report() if args.page else None
-    write_outputs({args.output: table, args.page: page}, announced=True)
+    job = make_job(find_batch(args.sessions), Question(args.kind, read_cars(args.cars)))
+    do_in_terminal(job, Where(args.jobs, args.dask), args.output, args.page)
     return ExitCode.OK

@@ -13,7 +13,6 @@ base car's simulation diverges.
 
 import argparse
 import hashlib
-import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -57,7 +56,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(what, "--held-out", "K|FILE,…", text, missing_session, **more)
     option(what, "--runs-held-out", None, argparse.SUPPRESS, dest="held_out", **more)  # until 0.1
     out = parser.add_argument_group("output")
-    option(out, "--json", "FILE", "for programs; alone: to the terminal", nargs="?", const="-")
+    option(
+        out,
+        "--json",
+        "FILE",
+        "for programs; alone: to the terminal",
+        nargs="?",
+        const=Path("-"),
+        type=Path,
+    )
     option(out, "--report", "FILE.html", "one page, plots first", type=Path)
     option(out, "-o --output", "CAR.toml", "the base with the found effect", type=Path)
     option(out, "--prediction", "FILE", "the prediction, before it is measured", type=Path)
@@ -71,11 +78,16 @@ def run(args: argparse.Namespace) -> int:
     """Diagnose, print, write."""
     from steerd.daemon.analysis.diagnosis import DRIVEN, run_diagnosis
     from steerd.daemon.analysis.options import DiagnoseOptions, read_arguments
+    from steerd.daemon.assembly.car_check import report_refusal
+    from steerd.daemon.cli.results import list_outputs, present
     from steerd.daemon.common.progress import show_progress
-    from steerd.daemon.common.written import car_outputs, writing
+    from steerd.daemon.common.written import writing
     from steerd.daemon.sessions.text import print_warnings
 
-    named = _named_outputs(args)
+    if args.json is not None and args.json.suffix == ".mcap":
+        what = f"--json {args.json}: that is a session"
+        raise SteerdError(what, "put --json last, or --json gap.json", ExitCode.USAGE)
+    named = {**list_outputs(args), "--prediction": args.prediction}
     with writing(named, announced=True) as write:
 
         def foretell(text: str) -> None:
@@ -88,35 +100,8 @@ def run(args: argparse.Namespace) -> int:
         with show_progress("diagnosing", 1.0) as advance:
             found = run_diagnosis(paths, options, print_warnings, advance, foretell)
             advance(DRIVEN, "")
-            text = json.dumps(found.to_json(), indent=1) + "\n"
-        car = found.make_car(args.output) if args.output else None
-        there = [write(*each) for each in (car_outputs(args.output, car) if car else {}).items()]
-        write(named["--json"], text)
-        if args.json == "-":
-            print(text, end="", flush=True)
-        else:
-            print(found.describe(args.output if any(there) else None, args.report), flush=True)
-        # What is on the screen is written; what takes longer is added.
-        with show_progress("writing", 1.0) as advance:
-            advance(0.0, "drawing the report" if args.report else "")
-            write(args.report, found.render_report() if args.report else None)
+        car = present(found, args, write)
         write(args.prediction, found.findings.shrinkage.text)  # where it could not be, at first
     if car is not None:
-        from steerd.daemon.assembly.car_check import report_refusal
-
         report_refusal(car)
     return ExitCode.OK
-
-
-def _named_outputs(args: argparse.Namespace) -> dict[str, Path | None]:
-    """What is to be written, by option."""
-    named = args.json if args.json != "-" else None
-    if named is not None and named.endswith(".mcap"):
-        what = f"--json {named}: that is a session"
-        raise SteerdError(what, "put --json last, or --json gap.json", ExitCode.USAGE)
-    return {
-        "--json": Path(named) if named else None,
-        "--report": args.report,
-        "-o": args.output,
-        "--prediction": args.prediction,
-    }

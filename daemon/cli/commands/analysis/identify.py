@@ -12,7 +12,6 @@ the result predicts no better than the start values.
 # Why: docs/decisions/identification.md#d32
 
 import argparse
-import json
 from pathlib import Path
 
 from steerd.daemon.cli.arguments import (
@@ -25,9 +24,6 @@ from steerd.daemon.cli.arguments import (
     split_list,
 )  # fmt: skip
 from steerd.daemon.common.errors import ExitCode, SteerdError
-
-_DRAW, _NOISE = 1.0, 8.0
-"""About what the report's figures and the noise cost, in sessions read."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -92,45 +88,18 @@ def run(args: argparse.Namespace) -> int:
     """Identify, print, write."""
     from steerd.daemon.analysis.identification import FIT, run_identification
     from steerd.daemon.analysis.options import IdentifyOptions, read_arguments
+    from steerd.daemon.assembly.car_check import report_refusal
+    from steerd.daemon.cli.results import list_outputs, present
     from steerd.daemon.common.progress import show_progress
     from steerd.daemon.common.written import writing
     from steerd.daemon.sessions.text import print_warnings
-    from steerd.posterior_file import posterior_path
 
-    to_screen = str(args.json) == "-"
-    beside = None if args.output is None else posterior_path(args.output)
-    named = {"-o": args.output, "--json": None if to_screen else args.json,
-             "--report": args.report, "beside -o": beside}  # fmt: skip
-    with writing(named, announced=True) as write:
+    with writing(list_outputs(args), announced=True) as write:
         paths = pick_sessions(args.sessions)
         with show_progress("identifying", len(paths) + FIT) as advance:
             options = read_arguments(IdentifyOptions, args)
             found = run_identification(paths, options, print_warnings, advance)
-        result = json.dumps(found.to_json(), indent=1) + "\n"
-        car, refused = None, None
-        try:
-            car = found.make_car(args.output) if args.output else None
-        except SteerdError as error:  # a value where no car is: the rest is written all the same
-            refused = error
-        there = write(args.output, car.text if car else None)
-        write(named["--json"], result)
-        if to_screen:
-            print(result, end="", flush=True)
-        else:
-            print(found.describe(args.output if there else None), flush=True)
-        # What is on the screen is written; what takes longer is added.
-        drawn = _DRAW if args.report else 0.0
-        with show_progress("writing", drawn + (_NOISE if there else 0.0)) as advance:
-            advance(0.0, "drawing the report" if args.report else "")
-            write(args.report, found.render_report() if args.report else None)
-            if car is not None and there:
-                advance(drawn, "learning the noise for diagnose")
-                write(beside, found.learn_known(car).posterior)
-    if refused is not None:
-        what = f"{args.output} is not written: {refused.what.removeprefix(f'{args.output}: ')}"
-        raise SteerdError(what, "no car is like that; see the notes above", ExitCode.STOPPED)
+        car = present(found, args, write)
     if car is not None:
-        from steerd.daemon.assembly.car_check import report_refusal
-
         report_refusal(car)
     return ExitCode.OK if found.improved else ExitCode.STOPPED

@@ -60,7 +60,14 @@ def run(args: argparse.Namespace) -> int:
         return ExitCode.OK
     _check(args)
     plan = _read_plan(args.file)
-    return _run_all(plan, args) if args.again is None else _drive_again(plan, args)
+    if args.again is not None:
+        return _drive_again(plan, args)
+    from steerd.daemon.many.job import do_in_terminal
+    from steerd.daemon.many.sweep.run import make_job
+    from steerd.daemon.many.units import Where
+
+    do_in_terminal(make_job(plan), Where(args.jobs), args.output, args.page)
+    return ExitCode.OK
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -84,24 +91,6 @@ def _read_plan(file: Path) -> "SweepPlan":
     return make_sweep_plan(read_car(None if car is None else file.parent / str(car)), given)
 
 
-def _run_all(plan: "SweepPlan", args: argparse.Namespace) -> int:
-    from steerd.daemon.common.progress import show_progress
-    from steerd.daemon.common.written import write_outputs
-    from steerd.daemon.many.journal import going_on
-    from steerd.daemon.many.sweep.run import finish_sweep, run_sweep
-    from steerd.daemon.many.units import Where
-
-    where = Where(args.jobs)
-    with show_progress("driving", float(plan.count), even=True) as advance, going_on(args.output):
-        found = run_sweep(plan, where, args.output, lambda done: advance(float(done)))
-    print(found, flush=True)
-    if args.page is not None:
-        write_outputs({args.page: found.render_report()}, announced=True)
-    if args.output is not None:
-        finish_sweep(found, args.output)
-    return ExitCode.OK
-
-
 def _drive_again(plan: "SweepPlan", args: argparse.Namespace) -> int:
     """Drive one case of the sweep and record it."""
     from steerd.daemon.common.screen import NBSP, wrap
@@ -111,7 +100,7 @@ def _drive_again(plan: "SweepPlan", args: argparse.Namespace) -> int:
     from steerd.daemon.offline.virtual import drive
     from steerd.sim_hw.world import World
 
-    case = find_case(plan, args.again).case
+    case = find_case(plan, args.again)
     run_plan, config = prepare(plan, case)
     drawn = ", ".join(
         f"{name}{NBSP}{value if isinstance(value, str) else format(value, '.4g')}"

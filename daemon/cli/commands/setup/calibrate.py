@@ -9,6 +9,7 @@ keys steer; set the centre, the left and the right stop where the servo is.
 
 import argparse
 import sys
+from collections.abc import Sequence
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +19,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 
 if TYPE_CHECKING:
     from steerd.car_model.car_file import CarFile
+    from steerd.daemon.settings.car_edit import Values
     from steerd.daemon.setup.steering_calibration import SteeringCalibration
     from steerd.vesc_link.scaling import Scaling
 
@@ -44,21 +46,20 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _from_session(args: argparse.Namespace) -> int:
-    from steerd.daemon.common.translate import load_car_file
-    from steerd.daemon.sessions.text import print_warnings
-    from steerd.daemon.setup.calibration_data import load_recorded, make_motion, steering_commands
+    from steerd.daemon.setup.calibration_data import load_recorded
     from steerd.daemon.setup.steering_calibration import calibrate_steering
+    from steerd.steer_bus import topics
 
     r = load_recorded(args.session)
-    track = make_motion(r)
-    found = calibrate_steering(
-        track.t, track.speed, track.yaw_rate, *steering_commands(r), r.settings.file.car
-    )
+    track, steer = r.read.track, r.read.signal(topics.ACTUATION, "steer")
+    if track is None or steer is None:
+        missing = "steering commands" if track else "motion"
+        raise SteerdError(f"the session holds no {missing}", "record with `steerd run`")
+    file = r.settings.file
+    found = calibrate_steering(track.t, track.speed, track.yaw_rate, steer.t, steer.value, file.car)
     scaling = servo_scaling(found, r.settings.scaling)
-    print("\n".join(_describe(found, scaling)))
-    print_warnings(found.warnings)
-    base = load_car_file(args.car) if args.car else r.settings.file
-    return _finish(args, base, servo_values(scaling))
+    print_found(_describe(found, scaling), found.warnings)
+    return finish(args, file, servo_values(scaling), "steerd config --check {}")
 
 
 def servo_scaling(found: "SteeringCalibration", old: "Scaling") -> "Scaling":
@@ -100,11 +101,28 @@ def _describe(found: "SteeringCalibration", scaling: "Scaling") -> list[str]:
     ]
 
 
-def _finish(args: argparse.Namespace, base: "CarFile", values: dict[tuple[str, str], float]) -> int:
+def print_found(lines: Sequence[str], warnings: Sequence[str]) -> None:
+    """Show what a calibration found."""
+    from steerd.daemon.sessions.text import print_warnings
+
+    print("\n".join(lines))
+    print_warnings(warnings)
+
+
+def finish(args: argparse.Namespace, own: "CarFile", values: "Values", then: str) -> int:
+    """Write what a calibration found into a car file, and say what is next.
+
+    Args:
+        args: `car` names the file to start from, `output` the one to make.
+        own: the car file to start from where none is named.
+        values: of the calibration.
+        then: the command for the file that was made.
+    """
+    from steerd.daemon.common.translate import load_car_file
     from steerd.daemon.settings.car_edit import write_edited
 
-    if write_edited(args.output, base, values):
-        print(f"{args.output}: written\n   next: steerd config --check {args.output}")
+    if write_edited(args.output, load_car_file(args.car) if args.car else own, values):
+        print(f"{args.output}: written\n   next: {then.format(args.output)}")
     else:
         print("   next: the same with -o car.toml writes it")
     return ExitCode.OK
@@ -123,4 +141,4 @@ def _from_keys(args: argparse.Namespace) -> int:
     if scaling is None:
         print("nothing was changed")
         return ExitCode.INTERRUPTED
-    return _finish(args, settings.file, servo_values(scaling))
+    return finish(args, settings.file, servo_values(scaling), "steerd config --check {}")

@@ -114,10 +114,8 @@ def _check_live(args: argparse.Namespace) -> "list[Check]":
 
 def _calibrate(args: argparse.Namespace) -> int:
     from steerd.car_model.planar import DRIVES
-    from steerd.daemon.common.translate import load_car_file
+    from steerd.daemon.cli.commands.setup.calibrate import finish, print_found
     from steerd.daemon.common.written import check_outputs
-    from steerd.daemon.sessions.text import print_warnings
-    from steerd.daemon.settings.car_edit import write_edited
     from steerd.daemon.setup.calibration_data import load_recorded, make_drive
     from steerd.daemon.setup.mount_calibration import calibrate_mount
 
@@ -125,15 +123,9 @@ def _calibrate(args: argparse.Namespace) -> int:
     r = load_recorded(args.session)
     file = r.settings.file
     found = calibrate_mount(make_drive(r), file.car, DRIVES.get(file.chassis.drive, 0.0))
-    print("\n".join(_describe(found, r)))
-    print_warnings(found.warnings)
-    base = load_car_file(args.car) if args.car else file
-    if write_edited(args.output, base, new_values(found, r)):
-        print(f"{args.output}: written\n   next: steerd run --sim --car {args.output}")
-        print("         (on the car: --port and --mocap for --sim)")
-    else:
-        print(f"   next: steerd mocap calibrate {args.session} -o car.toml")
-    return ExitCode.OK
+    print_found(_describe(found, r), found.warnings)
+    then = "steerd run --sim --car {}\n         (on the car: --port and --mocap for --sim)"
+    return finish(args, file, new_values(found, r), then)
 
 
 def new_values(found: "MountCalibration", r: "Recorded") -> dict[tuple[str, str], float]:

@@ -239,6 +239,7 @@ def test_what_is_on_the_screen_is_written_and_an_interrupt_leaves_it(
 
     capsys.readouterr()
     monkeypatch.setattr("steerd.daemon.common.progress.show_progress", shown)
+    monkeypatch.setattr("steerd.daemon.cli.results.show_progress", shown)
     monkeypatch.setattr(Identification, "learn_known", interrupted)
     assert main(["identify", str(session), *FREE, *_outputs(out)]) == 130
     assert {path.name for path in out.iterdir()} == {"car.toml", "o.json", "r.html"}

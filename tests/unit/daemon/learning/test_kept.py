@@ -11,11 +11,12 @@ import pytest
 from steerd.car_model.car_file import default_car_path, load_car, parse_car
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.learning.feed import read_memory
-from steerd.daemon.learning.keeping import EVERY_NS, Keeper
 from steerd.daemon.learning.kept import (
     DAY_NS,
+    EVERY_NS,
     METADATA,
     About,
+    Keeper,
     KeptError,
     digest_numbers,
     format_kept,

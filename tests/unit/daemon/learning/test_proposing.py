@@ -5,8 +5,8 @@ from math import nan
 import pytest
 
 from steerd.daemon.learning import proposing
+from steerd.daemon.learning.feed import Wiring, make_sample
 from steerd.daemon.learning.proposing import PAUSE_NS, Proposals, hear, make_proposer, propose
-from steerd.daemon.learning.samples import Wiring, make_sample
 from steerd.daemon.loop.design_desk import REFUSED, make_design, make_no_design, read_design
 from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled
 from steerd.steer_bus import messages as m
@@ -85,9 +85,7 @@ def test_a_car_that_is_as_in_the_file_needs_no_design(at, aims):
 def test_proposals_go_out_as_bytes(at, aims):
     sent = []
     out = Proposals(at, lambda data, t_ns: sent.append((decode(m.Design, data), t_ns)))
-    feed = type("Feed", (), {"learner": None, "state": None})()
-    feed.wiring = type("Wiring", (), {"epoch_ns": 7})()
-    out.propose(feed, 3 * S)
+    out.propose(None, None, 3 * S, 7)
     [(said, t_ns)] = sent
     assert (said.text, t_ns) == ("the car is being learnt", 3 * S)
 

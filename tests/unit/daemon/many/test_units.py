@@ -1,6 +1,5 @@
 """Work units: failures are results, workers may die, a cluster does the same."""
 
-import json
 import math
 import os
 import signal
@@ -11,8 +10,15 @@ import pytest
 from joblib.externals.loky import process_executor
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.many.journal import going_on, journal_path, open_journal
-from steerd.daemon.many.tables import Column, encode_table
+from steerd.daemon.many.job import (
+    Column,
+    Found,
+    Job,
+    do_job,
+    encode_table,
+    finished_path,
+    open_finished,
+)
 from steerd.daemon.many.units import TRIES, Where, describe_failure, run_units
 
 
@@ -123,95 +129,92 @@ def test_a_scheduler_that_does_not_answer_is_one_line(tmp_path, monkeypatch):
     assert caught.value.code is ExitCode.UNREACHABLE
 
 
-# The journal of finished units: what an interrupted command left is found again, whole.
+# What an interrupted command had finished is found again, whole.
 
-ROWS = {"a": {"x": 0.1 + 0.2, "y": None}, "b": {"x": 1e-300, "y": "wörds"}}
+UNITS = {"a": {"x": 0.1 + 0.2, "y": None}, "b": {"x": 1e-300, "y": "wörds"}}
+
+
+class Rows(Found):
+    """The rows alone."""
+
+    columns, about, make_report = (), {}, None
+
+
+def give(row):
+    return row
+
+
+def do(output, basis="p", stop=None, units=UNITS):
+    def make_row(done):
+        if done.unit == stop:
+            raise KeyboardInterrupt
+        return {"outcome": "done", **done.row}
+
+    return do_job(Job("", give, units, basis, make_row, Rows), Where(1), output)
 
 
 @pytest.fixture
-def path(tmp_path):
-    return tmp_path / "out.parquet.journal"
+def output(tmp_path):
+    return tmp_path / "out.parquet"
 
 
-def write(path, rows, purpose="p"):
-    with open_journal(path, purpose) as journal:
-        for unit, row in rows.items():
-            journal.add(unit, row)
+def test_rows_come_back_digit_by_digit_and_are_not_made_again(output):
+    first = do(output)
+    again = do(output, units={**UNITS, "c": {"x": float("inf")}})
+    assert again.rows == (*first.rows, {"outcome": "done", "x": float("inf")})
+    assert (first.worked, again.worked) == (2, 1)
 
 
-def read(path, purpose="p"):
-    with open_journal(path, purpose) as journal:
-        return journal.rows
+def test_ctrl_c_says_that_the_command_goes_on_where_it_was(output, capsys):
+    with pytest.raises(KeyboardInterrupt):
+        do(output, stop="b")
+    assert str(finished_path(output)) in capsys.readouterr().err
+    assert do(output).worked == 1
+    with pytest.raises(KeyboardInterrupt):
+        do(None, stop="b")
+    assert capsys.readouterr().err == ""
 
 
-def test_rows_come_back_digit_by_digit(path):
-    write(path, ROWS)
-    assert read(path) == ROWS
-    write(path, {"c": {"x": float("inf")}})
-    assert read(path) == {**ROWS, "c": {"x": float("inf")}}
+def test_what_a_killed_command_had_finished_is_there(output):
+    child = os.fork()
+    if child == 0:
+        with open_finished(finished_path(output), "p") as (_, keep):
+            keep("a", "p", {"outcome": "done", "x": 1})
+            os.kill(os.getpid(), signal.SIGKILL)
+    os.waitpid(child, 0)
+    found = do(output)
+    assert found.worked == 1
+    assert found.rows[0]["x"] == 1
 
 
-@pytest.mark.parametrize("cut", [1, 5, 20])
-def test_a_torn_line_is_cut_off_and_its_unit_done_again(path, cut):
-    write(path, ROWS)
-    path.write_bytes(path.read_bytes()[:-cut])
-    assert read(path) == {"a": ROWS["a"]}
-    write(path, {"b": ROWS["b"]})
-    assert read(path) == ROWS
-
-
-def test_a_journal_that_never_got_its_first_line_is_begun_anew(path):
-    path.write_bytes(b'{"schema": "steerd.jou')
-    write(path, ROWS)
-    assert read(path) == ROWS
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        (json.dumps({"schema": "steerd.journal/1", "of": "other"}) + "\n", "another command"),
-        ("a note of mine\n", "no journal of steerd"),
-        ("[]\n", "no journal of steerd"),
-        (json.dumps({"schema": "x", "of": "p"}) + "\n", "no journal of steerd"),
-    ],
-)
-def test_another_ones_file_is_refused_and_stays(path, text, said):
-    path.write_text(text)
-    with pytest.raises(SteerdError, match=said) as caught:
-        read(path)
+@pytest.mark.parametrize("text", ["a note of mine\n", "x" * 5000])
+def test_another_ones_file_is_refused_and_stays(output, text):
+    finished_path(output).write_text(text)
+    with pytest.raises(SteerdError, match="no finished rows of steerd") as caught:
+        do(output)
     assert caught.value.code is ExitCode.USAGE
-    assert path.read_text() == text
+    assert finished_path(output).read_text() == text
 
 
-def test_two_commands_do_not_write_one_journal(path):
+def test_rows_of_other_work_are_refused_and_stay(output):
+    do(output, "other")
+    with pytest.raises(SteerdError, match="another command") as caught:
+        do(output)
+    assert caught.value.code is ExitCode.USAGE
+    assert do(output, "other").worked == 0
+
+
+def test_two_commands_do_not_write_one_table(output):
     with (
-        open_journal(path, "p"),
+        open_finished(finished_path(output), "p"),
         pytest.raises(SteerdError, match="another command is writing"),
-        open_journal(path, "p"),
     ):
-        pass
-
-
-def test_without_a_file_rows_stay_in_memory(tmp_path):
-    with open_journal(None, "p") as journal:
-        journal.add("a", {"x": 1})
-        assert journal.rows == {"a": {"x": 1}}
-    assert list(tmp_path.iterdir()) == []
+        do(output)
 
 
 def test_a_folder_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(SteerdError, match="No such file"):
-        read(tmp_path / "none" / "x.journal")
-
-
-def test_ctrl_c_says_that_the_command_goes_on(tmp_path, capsys):
-    output = tmp_path / "out.parquet"
-    with pytest.raises(KeyboardInterrupt), going_on(output):
-        raise KeyboardInterrupt
-    assert str(journal_path(output)) in capsys.readouterr().err
-    with pytest.raises(KeyboardInterrupt), going_on(None):
-        raise KeyboardInterrupt
-    assert capsys.readouterr().err == ""
+    with pytest.raises(SteerdError, match="there is no folder"):
+        do(tmp_path / "none" / "x.parquet")
 
 
 # Parquet files: values and units come back, the same rows are the same bytes.
@@ -220,12 +223,11 @@ COLUMNS = (
     Column("speed", "number", "m/s", "how fast"),
     Column("count", "count", "", "how often"),
     Column("name", "text", "", "which"),
-    Column("good", "truth", "", "whether"),
 )
 MIXED_ROWS = (
-    {"speed": 0.1 + 0.2, "count": 3, "name": "a", "good": True},
+    {"speed": 0.1 + 0.2, "count": 3, "name": "a"},
     {"speed": math.nan, "name": None},
-    {"speed": -math.inf, "count": 2**60, "name": "ü", "good": False, "other": 1},
+    {"speed": -math.inf, "count": 2**60, "name": "ü", "other": 1},
 )
 
 
@@ -234,7 +236,7 @@ def test_values_come_back_and_what_is_missing_is_missing(tmp_path):
     path.write_bytes(encode_table(COLUMNS, MIXED_ROWS, {"made": "here"}))
     first, second, third = polars.read_parquet(path).to_dicts()
     assert first == MIXED_ROWS[0]
-    assert second == {"speed": None, "count": None, "name": None, "good": None}
+    assert second == {"speed": None, "count": None, "name": None}
     assert third["speed"] == -math.inf
     assert third["count"] == 2**60
 

@@ -95,7 +95,7 @@ def test_the_index_can_be_thrown_away(folder, damage):
             index_file().write_bytes(b"no database " * 1000)
         case "old":
             with sqlite3.connect(index_file()) as index:
-                index.execute("UPDATE sessions SET row = '{\"unknown\": 1}'")
+                index.execute("UPDATE rows SET row = '{\"unknown\": 1}'")
             index.close()
         case "folder":
             index_file().unlink()

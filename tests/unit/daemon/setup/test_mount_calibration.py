@@ -12,14 +12,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.virtual import drive
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.daemon.setup.calibration_data import (
-    body_track,
-    load_recorded,
-    make_drive,
-    make_motion,
-    steering_commands,
-    wheel_speed,
-)
+from steerd.daemon.setup.calibration_data import body_track, load_recorded, make_drive, wheel_speed
 from steerd.daemon.setup.least_squares import (
     BLOCKS,
     find_delay,
@@ -30,6 +23,7 @@ from steerd.daemon.setup.least_squares import (
 )
 from steerd.daemon.setup.mount_calibration import Drive, Mount, calibrate_mount, slip_per_accel
 from steerd.daemon.setup.steering_calibration import calibrate_steering
+from steerd.steer_bus import topics
 
 CAR = load_car(default_car_path()).car
 TRUTH = Mount(np.radians(3.0), 0.21, -0.015, 1.07, 0.018)
@@ -228,12 +222,12 @@ def test_wheel_speed_and_commands_are_on_the_clock_of_the_poses(recorded):
     t, speed = wheel_speed(recorded)
     assert np.quantile(speed, 0.9) == pytest.approx(SPEED, rel=0.1)
     moving = t[speed > 0.5 * SPEED]
-    motion = make_motion(recorded)
-    t_order, steer = steering_commands(recorded)
-    assert t_pose[0] <= t_order[0] < moving[0] < moving[-1] < t_pose[-1]
+    assert t_pose[0] < moving[0] < moving[-1] < t_pose[-1]
+    motion, order = recorded.read.track, recorded.read.signal(topics.ACTUATION, "steer")
+    assert motion.t[0] <= order.t[0] < order.t[-1] <= motion.t[-1] + 0.1
     # The circle turns left: wheelbase over radius, give or take the car's understeer.
     wheelbase = recorded.settings.file.car.lf + recorded.settings.file.car.lr
-    assert np.median(steer) == pytest.approx(wheelbase / 2.0, rel=0.3)
+    assert np.median(order.value) == pytest.approx(wheelbase / 2.0, rel=0.3)
     assert np.quantile(motion.speed, 0.9) == pytest.approx(SPEED, rel=0.1)
 
 
@@ -253,8 +247,6 @@ def test_what_a_session_lacks_is_named(recorded):
     empty = replace(recorded, read=replace(recorded.read, tables={}))
     with pytest.raises(SteerdError, match="no wheel speed"):
         wheel_speed(empty)
-    with pytest.raises(SteerdError, match="no steering commands"):
-        steering_commands(empty)
 
 
 # Least squares, jackknife and delay search against cases with known answers.

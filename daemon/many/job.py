@@ -1,0 +1,273 @@
+"""One engine for many drives: a row each, finished ones kept, then a table, a screen and a page.
+
+Finished rows lie in a file beside the table until it is written, or, where a job grows with its
+sessions, for good: the same command does what is new, and what had failed. The table is Parquet,
+which pandas, polars, DuckDB, R and MATLAB read without a word about types or units. This is the
+only file that knows PyArrow.
+"""
+
+import io
+import sqlite3
+import sys
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.notebook import make_frame, notebook_progress
+from steerd.daemon.common.progress import show_progress
+from steerd.daemon.common.row_file import Row, RowFile
+from steerd.daemon.common.written import check_outputs, write_outputs
+from steerd.daemon.many.units import Done, Where, Work, run_units
+from steerd.sysid.report.report import Report
+
+if TYPE_CHECKING:
+    import pandas
+
+FAILED = "failed"
+"""Outcome of a row whose unit failed; the next start tries it again."""
+Rows = Sequence[Mapping[str, Any]]
+_TYPES = {"number": "float64", "count": "int64", "text": "string"}
+
+
+class Column(NamedTuple):
+    """A column of a table.
+
+    Attributes:
+        name: of the column.
+        kind: of its values; each may be missing.
+        unit: SI, `1` for none; empty where it is no number.
+        meaning: one line.
+    """
+
+    name: str
+    kind: Literal["number", "count", "text"]
+    unit: str = ""
+    meaning: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Found(ABC):
+    """What was found on many drives.
+
+    Attributes:
+        rows: one drive each, values by column; see `columns`.
+        worked: how many drives this start worked on; the others had been finished before.
+        wall: how long that took [s].
+    """
+
+    rows: tuple[Row, ...] = field(repr=False)
+    worked: int = 0
+    wall: float = 0.0
+
+    @property
+    @abstractmethod
+    def columns(self) -> Sequence[Column]:
+        """The columns of the table with units and meanings."""
+
+    @property
+    @abstractmethod
+    def about(self) -> Mapping[str, str]:
+        """What the table says of where it comes from."""
+
+    @abstractmethod
+    def make_report(self) -> Report:
+        """What the page shows."""
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """The rows as a data frame; `attrs["units"]` holds the units by column."""
+        values = {c.name: [row.get(c.name) for row in self.rows] for c in self.columns}
+        return make_frame(values, {c.name: c.unit for c in self.columns})
+
+    def encode_table(self) -> bytes:
+        """The rows as a Parquet file; the same rows give the same bytes."""
+        return encode_table(self.columns, self.rows, self.about)
+
+    def save_table(self, path: Path | str) -> Path:
+        """Write that file, whole or not at all; its path.
+
+        Raises:
+            SteerdError: it cannot be written there.
+        """
+        path = Path(path)
+        check_outputs({"save_table": path})
+        write_outputs({path: self.encode_table()})
+        return path
+
+    def render_report(self) -> str:
+        """The page."""
+        from steerd.sysid.report.page import render_report  # Jinja2, which a refusal does without
+
+        return render_report(self.make_report())
+
+
+F = TypeVar("F", bound=Found)
+
+
+class Job(NamedTuple, Generic[F]):
+    """What is to be done with many drives.
+
+    Attributes:
+        label: of the progress.
+        work: what is done with one unit's argument, in a worker.
+        units: arguments by the unit's name.
+        basis: digest of all that the rows depend on.
+        make_row: the table's row of a unit that has ended; its `outcome` is `FAILED` or another.
+        make: the result, of rows, how many of them are new, and the seconds that took.
+        ship: makes an argument complete before it leaves for another machine.
+        grows: the same command will be given again, with more units: what is finished is kept.
+    """
+
+    label: str
+    work: Work
+    units: Mapping[str, Any]
+    basis: str
+    make_row: Callable[[Done], Row]
+    make: Callable[[tuple[Row, ...], int, float], F]
+    ship: Callable[[Any], Any] = lambda about: about
+    grows: bool = False
+
+
+def do_job(
+    job: Job[F],
+    where: Where,
+    output: Path | None = None,
+    progress: Callable[[float], None] = lambda done: None,
+) -> F:
+    """Do what an earlier start did not finish.
+
+    Args:
+        job: the units and what is done with them.
+        where: processes or cluster.
+        output: the table that is to be written; what is finished lies beside it.
+        progress: is called with the number of units done.
+
+    Raises:
+        SteerdError: what lies there belongs to other work, or the cluster is lost.
+    """
+    if output is not None:
+        check_outputs({"-o": output})
+    began = time.perf_counter()
+    with open_finished(output and finished_path(output), job.basis) as (rows, keep):
+        todo = {u: about for u, about in job.units.items() if not _is_done(rows.get(u))}
+        before = len(job.units) - len(todo)
+        progress(before)
+        for number, done in enumerate(run_units(job.work, todo, where, job.ship), 1):
+            rows[done.unit] = job.make_row(done)
+            keep(done.unit, job.basis, rows[done.unit])
+            progress(before + number)
+    found = tuple(rows[unit] for unit in job.units)
+    return job.make(found, len(todo), time.perf_counter() - began)
+
+
+def do_in_notebook(job: Job[F], where: Where, output: Path | str | None) -> F:
+    """Do the job below a cell's bar, and write its table."""
+    path = None if output is None else Path(output)
+    with notebook_progress(job.label, len(job.units)) as progress:
+        found = do_job(job, where, path, progress)
+    write_found(job, found, path)
+    return found
+
+
+def do_in_terminal(job: Job[F], where: Where, output: Path | None, page: Path | None) -> None:
+    """Do the job under a bar, print what was found, write table and page."""
+    with show_progress(job.label, float(len(job.units)), even=True) as progress:
+        found = do_job(job, where, output, progress)
+    print(found, flush=True)
+    write_found(job, found, output, page)
+
+
+def write_found(job: Job[F], found: F, output: Path | None, page: Path | None = None) -> None:
+    """Write table and page; finished rows of a job that does not grow are then no longer needed.
+
+    Raises:
+        SteerdError: one cannot be written; the finished rows stay.
+    """
+    table = found.encode_table() if output else None
+    text = found.render_report() if page else None
+    write_outputs({output: table, page: text}, announced=True)
+    if output and not job.grows:
+        finished_path(output).unlink(missing_ok=True)
+
+
+def finished_path(output: Path) -> Path:
+    """Where the finished units of a table lie."""
+    return output.with_name(f"{output.name}.journal")
+
+
+def _is_done(row: Row | None) -> bool:
+    return row is not None and row["outcome"] != FAILED
+
+
+@contextmanager
+def open_finished(
+    path: Path | None, basis: str
+) -> Iterator[tuple[dict[str, Row], Callable[[str, str, Row], None]]]:
+    """The rows that an earlier start finished by unit, and what keeps one more.
+
+    Raises:
+        SteerdError: they belong to other work, are in use, or cannot be written.
+    """
+    try:
+        file = RowFile(path, alone=True)
+    except sqlite3.Error as error:
+        raise _make_error(path, error) from None
+    try:
+        old = file.read_all()
+        if any(of != basis for of, _ in old.values()):
+            what = f"{path} holds what another command had finished"
+            hint = f"name another -o, or delete {path and path.name}: it is then done again"
+            raise SteerdError(what, hint, ExitCode.USAGE)
+        yield {unit: row for unit, (_, row) in old.items()}, file.write
+    except KeyboardInterrupt:
+        if path is not None:
+            text = "interrupted; the same command goes on where it was"
+            print(f"{text} ({path})", file=sys.stderr)
+        raise
+    except sqlite3.Error as error:
+        raise _make_error(path, error) from None
+    finally:
+        file.close()
+
+
+def _make_error(path: Path | None, error: sqlite3.Error) -> SteerdError:
+    match error.sqlite_errorname:
+        case "SQLITE_NOTADB":
+            what = f"{path} holds no finished rows of steerd"
+            return SteerdError(what, "name another -o, or delete it", ExitCode.USAGE)
+        case "SQLITE_BUSY":
+            what, hint = f"{path}: another command is writing it", "wait for it, or name another -o"
+        case _:
+            what, hint = f"{path}: {error}", "free some space, or choose another folder"
+    return SteerdError(what, hint, ExitCode.UNREADABLE)
+
+
+def encode_table(columns: Sequence[Column], rows: Rows, about: Mapping[str, str]) -> bytes:
+    """A Parquet file; the same rows give the same bytes.
+
+    Args:
+        columns: in the table's order, units and meanings go into the file.
+        rows: values by column's name; what is absent, None or NaN is missing.
+        about: texts that say where the table comes from.
+    """
+    import pyarrow as pa  # noqa: TID251
+    from pyarrow import parquet  # noqa: TID251
+
+    fields, values = [], []
+    for column in columns:
+        kind = _TYPES[column.kind]
+        note = {"unit": column.unit, "meaning": column.meaning}
+        fields.append(pa.field(column.name, kind, metadata=note))
+        values.append(pa.array([_value(row.get(column.name)) for row in rows], kind))
+    schema = pa.schema(fields, metadata=dict(about))
+    out = io.BytesIO()
+    parquet.write_table(pa.table(values, schema=schema), out, compression="zstd")
+    return out.getvalue()
+
+
+def _value(value: Any) -> Any:
+    return None if isinstance(value, float) and value != value else value
