@@ -1,12 +1,10 @@
 """Car files that come out of an identification or a diagnosis."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 from math import floor, isfinite, log10
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import tomlkit
 
@@ -42,63 +40,18 @@ _LEARNT = ("car", "effects", *TABLES)
 """Sections that are about the car, not about its wiring."""
 
 
-class CarFound(ABC):
-    """What was found of a car from drives: a screen, a page, JSON and a car file."""
+def save_car(path: Path, car: CarFile, known: CarFile) -> Path:
+    """Write a car file, then what is known of the car beside it, each whole or not at all.
 
-    FILE: ClassVar[Path]
-    """What messages call a car that no file was named for."""
+    A file that steerd did not write is kept.
 
-    @abstractmethod
-    def to_json(self) -> dict[str, Any]:
-        """JSON values."""
-
-    @abstractmethod
-    def render_report(self) -> str:
-        """The report: one HTML page with its figures."""
-
-    @abstractmethod
-    def describe(self, written: Path | None = None, report: Path | None = None) -> str:
-        """The screen; `written` and `report` are the files that were."""
-
-    @abstractmethod
-    def make_car(self, path: Path) -> CarFile:
-        """The car file that comes out.
-
-        Args:
-            path: what messages call it.
-
-        Raises:
-            SteerdError: a value is none that a car file may hold.
-        """
-
-    def learn_known(self, car: CarFile) -> CarFile:
-        """The car of `make_car` with what is known of it for the file beside it."""
-        return car
-
-    @cached_property
-    def car(self) -> CarFile:
-        """The car with what is known of it: simulate with it, design from it, diagnose by it.
-
-        After `identify` learning its noise takes some seconds, the first time.
-        """
-        return self.learn_known(self.make_car(self.FILE))
-
-    def save_car(self, path: Path | str) -> Path:
-        """Write the car file, then what is known of the car beside it, each whole or not at all.
-
-        A file that steerd did not write is kept.
-
-        Raises:
-            SteerdError: it cannot be written there.
-        """
-        path = Path(path)
-        with writing({"save_car": path, "beside it": posterior_path(path)}) as write:
-            write(path, self.make_car(path).text)
-            write(posterior_path(path), self.car.posterior or None)
-        return path
-
-    def __str__(self) -> str:
-        return self.describe()
+    Raises:
+        SteerdError: it cannot be written there.
+    """
+    with writing({"save_car": path, "beside it": posterior_path(path)}) as write:
+        write(path, car.text)
+        write(posterior_path(path), known.posterior or None)
+    return path
 
 
 def make_car(

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from steerd.car_model.car_file import CarFile, CarFileError
-from steerd.daemon.analysis.car_output import CarFound, diagnosed_values, make_car, with_known
+from steerd.daemon.analysis.car_output import diagnosed_values, make_car, save_car, with_known
 from steerd.daemon.analysis.diagnose_split import Case, split_drives
 from steerd.daemon.analysis.diagnose_text import describe, following_words
 from steerd.daemon.analysis.drives import (
@@ -52,7 +53,7 @@ LOADED, DIAGNOSED, DRIVEN = 0.05, 0.85, 0.95
 
 @shown
 @dataclass(frozen=True, eq=False)
-class Diagnosis(CarFound):
+class Diagnosis:
     """What `diagnose` found.
 
     `print(diagnosis)` is the screen of `steerd diagnose`.
@@ -65,7 +66,6 @@ class Diagnosis(CarFound):
         warnings: what is wrong or doubtful in the sessions.
     """
 
-    FILE = Path("diagnosed.toml")
     case: Case
     findings: engine.Diagnosis
     lane: LaneComparison | None
@@ -94,6 +94,18 @@ class Diagnosis(CarFound):
         from steerd.sim_gap.report.gap_report import make_cards
 
         return list(make_cards(self.findings))
+
+    @cached_property
+    def car(self) -> CarFile:
+        """The base with the found effects: simulate with it, or design from it."""
+        return self.make_car(Path("diagnosed.toml"))
+
+    def save_car(self, path: Path | str) -> Path:
+        """Write the car file and what is known of the car, see `save_car`."""
+        return save_car(Path(path), self.make_car(Path(path)), self.car)
+
+    def __str__(self) -> str:
+        return self.describe()
 
     def make_car(self, path: Path) -> CarFile:
         """The base with the found effects, and with what still holds of what was known of it."""

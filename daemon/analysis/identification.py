@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,11 +13,11 @@ from steerd.car_model.effects import EFFECTS, find_effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
 from steerd.daemon.analysis.car_output import (
-    CarFound,
     find_wiring,
     identified_values,
     learn_known,
     make_car,
+    save_car,
     with_known,
 )
 from steerd.daemon.analysis.drives import Drives, Warn, load_drives, without_reserved
@@ -62,7 +63,7 @@ _WHEELBASE = 0.05, 4.0
 
 @shown
 @dataclass(frozen=True, eq=False)
-class Identification(CarFound):
+class Identification:
     """What `identify` found.
 
     `print(identification)` is the screen of `steerd identify`.
@@ -75,7 +76,6 @@ class Identification(CarFound):
         warnings: what is wrong or doubtful in the sessions.
     """
 
-    FILE = Path("identified.toml")
     options: IdentifyOptions
     base: CarFile
     drives: Drives
@@ -99,6 +99,21 @@ class Identification(CarFound):
         from steerd.sysid.report.identify_report import make_cards
 
         return list(make_cards(self.outcome))
+
+    @cached_property
+    def car(self) -> CarFile:
+        """The identified car, with the noise of its drives: a base for `diagnose`.
+
+        Learning the noise takes some seconds, the first time.
+        """
+        return self.learn_known(self.make_car(Path("identified.toml")))
+
+    def save_car(self, path: Path | str) -> Path:
+        """Write the car file and what is known of the car, see `save_car`."""
+        return save_car(Path(path), self.make_car(Path(path)), self.car)
+
+    def __str__(self) -> str:
+        return self.describe()
 
     def make_car(self, path: Path) -> CarFile:
         """The identified car, comments and other sections as in the start's file.

@@ -2,14 +2,19 @@
 
 import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from steerd.car_model.car_file import CarFile
-from steerd.daemon.analysis.car_output import CarFound
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.written import Write
 from steerd.posterior_file import posterior_path
+
+if TYPE_CHECKING:
+    from steerd.daemon.analysis.diagnosis import Diagnosis
+    from steerd.daemon.analysis.identification import Identification
 
 _DRAW, _NOISE = 1.0, 8.0
 """About what the report's figures and the noise cost, in sessions read."""
@@ -26,13 +31,19 @@ def _is_screen(args: argparse.Namespace) -> bool:
     return str(args.json) == "-"
 
 
-def present(found: CarFound, args: argparse.Namespace, write: Write) -> CarFile | None:
+def present(
+    found: "Identification | Diagnosis",
+    args: argparse.Namespace,
+    write: Write,
+    learn_known: Callable[[CarFile], CarFile] = lambda car: car,
+) -> CarFile | None:
     """Print the screen, and write car, JSON and page.
 
     Args:
         found: what was found.
         args: of the command.
         write: writes one file, see `writing`.
+        learn_known: adds what is learnt for the file beside the car's.
 
     Returns:
         The car; None where none was asked for.
@@ -59,7 +70,7 @@ def present(found: CarFound, args: argparse.Namespace, write: Write) -> CarFile 
         write(args.report, found.render_report() if args.report else None)
         if car is not None and there:
             advance(drawn, "learning the noise for diagnose")
-            write(posterior_path(args.output), found.learn_known(car).posterior or None)
+            write(posterior_path(args.output), learn_known(car).posterior or None)
     if refused is not None:
         what = f"{args.output} is not written: {refused.what.removeprefix(f'{args.output}: ')}"
         raise SteerdError(what, "no car is like that; see the notes above", ExitCode.STOPPED)
