@@ -1,12 +1,13 @@
 """The diagnosis as the schema `steerd.gap/1`."""
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from steerd.sim_gap.diagnosis import Diagnosis
-from steerd.sim_gap.verdict.evidence import Cause
+from steerd.sim_gap.verdict.evidence import Cause, Estimated
 from steerd.sysid.inference.residuals import Gap
 
 SCHEMA = "steerd.gap/1"
@@ -50,10 +51,7 @@ def _cause(cause: Cause, found: Diagnosis) -> dict[str, Any]:
     s = found.shrinkage
     return {
         "effect": cause.effect, "stage": cause.stage, "family": cause.family,
-        "parameters": {
-            name: {"value": value, "sd": sd, "unit": unit}
-            for name, (value, sd, unit) in cause.parameters.items()
-        },
+        "parameters": {n: Estimated(*each)._asdict() for n, each in cause.parameters.items()},
         "confidence": cause.confidence,
         "shrink": {
             "predicted": s.predicted, "measured": s.measured, "low": s.low, "high": s.high,
@@ -64,38 +62,18 @@ def _cause(cause: Cause, found: Diagnosis) -> dict[str, Any]:
 
 def to_json(found: Diagnosis) -> dict[str, Any]:
     """The diagnosis as plain values, exactly in the shape of `steerd.gap/1`."""
-    where = found.where
     following = found.next_manoeuvre
     return dict(_plain({
         "schema": SCHEMA,
         "verdict": found.verdict,
         "gap": {"before": _gap_values(found, "before"), "after": _gap_values(found, "after")},
-        "where": {
-            "stage": where.stage,
-            "equation": [{"name": s.name, "share": s.share} for s in where.equation],
-            "channels": [{"name": s.name, "share": s.share} for s in where.channels],
-            "windows": [
-                {"run": w.run, "t0": w.t0, "t1": w.t1, "share": w.share} for w in where.windows
-            ],
-            "regimes": [
-                {"variable": r.variable, "low": r.low, "high": r.high, "ratio": r.ratio,
-                 "share": r.share, "ratio_low": r.ratio_low, "ratio_high": r.ratio_high,
-                 "unit": r.unit}
-                for r in where.regimes
-            ],
-            "sentence": where.sentence,
-        },
+        "where": asdict(found.where),
         "causes": [_cause(cause, found) for cause in found.causes],
         "candidates": [
             {"effect": n, "probability": p, "gain": g} for n, p, g in found.candidates
         ],
         "something_else": found.something_else,
-        "next_manoeuvre": {} if following is None else {
-            "name": following.name, "how": following.how,
-            "command": following.command,
-            "separates": list(following.separates),
-            "expected_nats": following.expected_nats, "now_nats": following.now_nats,
-        },
+        "next_manoeuvre": {} if following is None else asdict(following),
         "residual": _residual(found),
     }))  # fmt: skip
 

@@ -14,7 +14,7 @@ from steerd.car_model.native.windows import parameter_vector
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference.car_posterior import describe_lost, knowledge_of, taught_car
-from steerd.sysid.inference.engine import Engine
+from steerd.sysid.inference.engine import HORIZON, Engine
 from steerd.sysid.inference.identifiability import (
     Combination,
     Estimate,
@@ -25,7 +25,6 @@ from steerd.sysid.inference.identifiability import (
 )
 from steerd.sysid.inference.noise import signal_noise
 from steerd.sysid.inference.plain_car import Asked, PlainCar, covariance_of, misfit_of, silent_names
-from steerd.sysid.inference.readings import HORIZON
 from steerd.sysid.inference.search import with_size
 from steerd.sysid.inference.teaching import Step, Taught
 
@@ -97,7 +96,7 @@ def fit_of_plain(
     pace *= float(found.point.parameters[chart.names.index("speed_gain")])
     known = estimates(chart, z, covariance)
     error = found.point.linear.error
-    horizon = float(found.engine.readings.layout.spans[:, 3].mean() * runs[0].h)
+    horizon = float(found.engine.layout.spans[:, 3].mean() * runs[0].h)
     return Fit(
         model=_moved(asked.model, known),
         estimates=known | silent_estimates(chart, silent_names(runs, asked.free)),
@@ -168,8 +167,8 @@ def _correlation(covariance: Array) -> Array:
 
 def _residuals(engine: Engine, error: Array, signal: Array) -> Residuals:
     """Errors (W, D) as rows, those of means as large as single readings' would be."""
-    layout, there = engine.readings.layout, engine.padded.there > 0.0
+    layout, there = engine.layout, engine.padded.there > 0.0
     row = engine.padded.row[there]
     window = np.repeat(np.arange(len(there)), there.sum(axis=1))
-    t = layout.t[window] + engine.readings.t[row]
+    t = layout.t[window] + layout.row_t[row]
     return Residuals(t, layout.group[row], (error * np.sqrt(engine.padded.merged))[there], signal)

@@ -12,9 +12,8 @@ from steerd.car_model.model import Model
 from steerd.car_model.params import PARAMETERS, Car
 from steerd.sysid.data.dataset import LogJitter
 from steerd.sysid.data.excitation import Excitation
+from steerd.sysid.estimation.command_timing import Pulse, Ramp
 from steerd.sysid.estimation.fit import Fit
-from steerd.sysid.estimation.servo_pulse import Pulse
-from steerd.sysid.estimation.setpoint_ramp import Ramp
 from steerd.sysid.estimation.validation import Prediction, Regime, Trace
 from steerd.sysid.inference.identifiability import MANOEUVRES, RELATIVE_MAX, Combination, Estimate
 from steerd.sysid.inference.teaching import Step
@@ -236,5 +235,5 @@ def searched_estimates(searches: Sequence[SearchHistory]) -> dict[str, Estimate]
     out = {}
     for name, value, sd in zip(NAMES, best.tolist(), spread.tolist(), strict=True):
         known = sd < RELATIVE_MAX * value
-        out[name] = Estimate(value, sd, nan, known, "" if known else MANOEUVRES[name])
+        out[name] = Estimate(value, sd, known, "" if known else MANOEUVRES[name])
     return out

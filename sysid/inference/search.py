@@ -105,7 +105,7 @@ def derive(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Linear:
     if not linear.finite:
         raise FloatingPointError("the simulation diverges")
     for i, name in enumerate(space.chart.free):
-        step = _secant(name, engine.readings.layout.h / engine.substeps)
+        step = _secant(name, engine.layout.h / engine.substeps)
         if step == 0.0:
             continue
         low, high = (float(np.clip(z[i] + s, space.low[i], space.high[i])) for s in (-step, step))
@@ -125,7 +125,7 @@ def _error(engine: Engine, space: Space, z: Array, x: Array, place: int, value: 
     """(W, D) errors with one coordinate elsewhere."""
     moved = z.copy()
     moved[place] = value
-    return engine.missed(space, moved, x)[0]
+    return engine.errors(space.chart.parameters(moved), x)[0]
 
 
 def _secant(name: str, grid: float) -> float:
@@ -172,12 +172,13 @@ def _settled(likelihood: Likelihood, point: Point) -> Point:
     """
     space, z, size, at = point.space, point.z, point.size, point.at
     x, error, weighed = point.x.copy(), point.linear.error.copy(), point.weighed
+    parameters = point.parameters
     square, share = likelihood.squares(error, x, size), np.ones(len(point.x))
     for _ in range(_ROUNDS):
         if not (square - at.square > _OWED).any():
             break
         tried = x + share[:, None] * at.dx
-        off, _ = likelihood.engine.missed(space, z, tried)
+        off, _ = likelihood.engine.errors(parameters, tried)
         left = likelihood.squares(off, tried, size)
         better = left < square
         x[better], error[better], square[better] = tried[better], off[better], left[better]
@@ -209,7 +210,7 @@ def rescue(likelihood: Likelihood, point: Point) -> Point:
     if not lost.any():
         return point
     part = take_some(likelihood, lost)
-    x = part.engine.readings.layout.guess.copy()
+    x = part.engine.guess.copy()
     try:
         soft = stand(part, point.space, point.z, x, _SOFT + point.size)
         found = fresh(part, replace(fresh(part, soft), size=point.size))
@@ -253,7 +254,7 @@ def _moved(likelihood: Likelihood, point: Point, dz: Array) -> Point | None:
     """The point a step on, with the derivatives of before; None where too much diverges."""
     x = point.x + point.at.dx - point.at.kx @ dz
     z = np.clip(point.z + dz, point.space.low, point.space.high)
-    error, finite = likelihood.engine.missed(point.space, z, x)
+    error, finite = likelihood.engine.errors(point.space.chart.parameters(z), x)
     if not finite:
         return None
     at = likelihood.reduce(point.weighed, error, x)

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from steerd.car_model.effects import find_effect
-from steerd.sim_gap.online.amount import amounts_of
 from steerd.sim_gap.online.changes import SPANS, ratios, sharpened, unknown, with_ratios
 from steerd.sim_gap.online.learner import Change, State, fold
 from steerd.sim_gap.online.looking import may_change
 from steerd.sim_gap.online.naming import EARLY, Finding, believed, find_cause
 from steerd.sim_gap.online.tracking import Track, follow, informed_directions
+from steerd.sim_gap.online.values import amounts_of
 from steerd.sim_gap.verdict.evidence import Cause
-from steerd.sysid.inference.knowledge import Knowledge
 from steerd.sysid.inference.space import make_space
+from steerd.sysid.inference.superset import Knowledge
 
 PRIOR = np.diag([1.0, 4.0, 0.25])
 
