@@ -36,7 +36,7 @@ from steerd.car_model.native.windows import (
 from steerd.car_model.params import GRAVITY, Car
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.data.segments import make_blocks
-from steerd.sysid.estimation.fit import Fit, fit_of_plain
+from steerd.sysid.estimation.outcome import Fit, fit_of_plain
 from steerd.sysid.inference import disturbance_response, engine
 from steerd.sysid.inference import values as simulation
 from steerd.sysid.inference.engine import Engine, Linear

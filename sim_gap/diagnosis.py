@@ -30,9 +30,9 @@ from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import (
     Noise,
     learn_noise,
-    louder,
     noise_floor,
     noise_of_section,
+    noisier_of,
     usual_noise,
 )
 from steerd.sysid.inference.residuals import Gap, blocks_of, folds_of, gap_of, settled, spun_windows
@@ -213,7 +213,7 @@ def _search(
     engine, signals = open_engine(superset, runs), estimate_noise(runs)
     given, nuisance = _known_noise(base, options), nuisance_names(superset, runs)
     x, parameters = engine.guess.copy(), superset.base
-    noise = louder(given or usual_noise(signals), signals)
+    noise = noisier_of(given or usual_noise(signals), signals)
     if given is None:
         options.progress("noise", 0.1)
         rough = Library(make_likelihood(engine, parameters, x, noise), nuisance, effects)

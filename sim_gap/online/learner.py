@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
-from steerd.sim_gap.online.changes import SPANS, faded, ratios, sharpened, with_ratios
+from steerd.sim_gap.online.changes import SPANS, faded, ratios, reweighted, with_ratios
 from steerd.sim_gap.online.looking import Look, look
 from steerd.sim_gap.online.naming import LOOKS, Finding, Known, find_cause, learn
 from steerd.sim_gap.online.samples import (
@@ -209,7 +209,7 @@ def _watch(learner: Learner, state: State, known: Known, seen: Look) -> State:
     looks = (*known.looks, seen)[-SPANS[-1] :]
     tracks = (*known.tracks, known.track)[-SPANS[-1] :]
     table, level = ratios(known.anchor, tracks, looks), known.usual.level()
-    table = sharpened(known.anchor, tracks, looks, table, level)
+    table = reweighted(known.anchor, tracks, looks, table, level)
     judged = table / level
     worst = float(np.nanmax(judged))
     if worst >= ALARM:

@@ -15,10 +15,12 @@ from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.excitation import measure_excitation, speed_tracking_share
 from steerd.sysid.data.segments import describe_unused, hold_out, make_blocks, moving_segments
 from steerd.sysid.estimation.command_timing import Pulse, Ramp, time_commands
-from steerd.sysid.estimation.fit import Fit, fit_of_plain, fit_of_taught
 from steerd.sysid.estimation.outcome import (
+    Fit,
     HeldOut,
     Outcome,
+    fit_of_plain,
+    fit_of_taught,
     make_effect_rows,
     make_rows,
     searched_estimates,

@@ -58,12 +58,7 @@ _NAMED = 3
 
 
 def describe_lost(taught: Taught, runs: Sequence[Run]) -> tuple[str, ...]:
-    """Where the car taught does not hold, and how it was driven there, in a sentence; often none.
-
-    Args:
-        taught: the car.
-        runs: its drives.
-    """
+    """Where the car does not hold, and how it was driven there, in a sentence; often none."""
     engine, layout = taught.likelihood.engine, taught.likelihood.engine.layout
     lost = ratios(taught) >= c.SPUN
     if not lost.any():

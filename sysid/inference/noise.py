@@ -196,7 +196,7 @@ def _likelihood(
     return value, slope * squares
 
 
-def louder(noise: Noise, signals: Array) -> Noise:
+def noisier_of(noise: Noise, signals: Array) -> Noise:
     """Known noise where these drives' own signals are not clearly noisier; else theirs.
 
     Args:

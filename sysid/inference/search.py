@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
-from steerd.sysid.inference.bounded_step import step_within
 from steerd.sysid.inference.engine import Engine, Linear
 from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated, Weighed, take_some
 from steerd.sysid.inference.space import Space
@@ -56,6 +56,10 @@ _SHORTER = 0.25
 """A start's step that led up is tried again so much shorter."""
 _UNTIL = 4
 """Steps before a search may be given up."""
+_EXCHANGES = 200
+"""Of coordinates at and off their bounds, at most."""
+_HAIR = 1e-12
+"""Bounds must lie apart; where they do not, by so much."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,9 +200,9 @@ def _cost(space: Space, at: Reduced, z: Array) -> float:
     return float(at.loss.sum()) + space.prior_cost(z)
 
 
-def curvature(space: Space, at: Reduced) -> Array:
-    """(n, n) Gauss-Newton curvature of the cost."""
-    return np.asarray(np.tensordot(at.weight, at.h, 1) + space.precision)
+def curvature(space: Space, at: Reduced, share: float = 1.0) -> Array:
+    """(n, n) Gauss-Newton curvature of the cost, the drives counting for a share of themselves."""
+    return np.asarray(share * np.tensordot(at.weight, at.h, 1) + space.precision)
 
 
 def rescue(likelihood: Likelihood, point: Point) -> Point:
@@ -305,7 +309,7 @@ def explore(likelihood: Likelihood, point: Point, draws: int = DRAWS) -> Point:
     """
     rng = np.random.default_rng(0)
     space, best = point.space, point
-    lower = np.linalg.cholesky(np.linalg.inv(curvature_at(point, 1.0 / _BLUNT)))
+    lower = np.linalg.cholesky(np.linalg.inv(curvature(space, point.at, 1.0 / _BLUNT)))
     for _ in range(draws):
         z = point.z + lower @ rng.standard_normal(len(point.z))
         z = np.clip(z, space.low, space.high)
@@ -317,12 +321,6 @@ def explore(likelihood: Likelihood, point: Point, draws: int = DRAWS) -> Point:
         if found.cost < best.cost:
             best = found
     return best
-
-
-def curvature_at(point: Point, share: float) -> Array:
-    """(n, n) curvature with the drives counting for a share of themselves."""
-    drives = np.tensordot(point.at.weight, point.at.h, 1)
-    return np.asarray(share * drives + point.space.precision)
 
 
 def _walk(
@@ -357,3 +355,41 @@ def _walk(
 
 def _ended(likelihood: Likelihood, point: Point, stale: float) -> Point:
     return fresh(likelihood, point) if stale > 1.0 else point
+
+
+def step_within(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Array:
+    """The best step of the quadratic model within bounds.
+
+    Newton's where that stays inside, else bounded least squares on the Cholesky factor (Stark and
+    Parker, 1995). Clipping the step of coordinates that move together could go uphill.
+    """
+    dz = np.asarray(np.linalg.solve(h, slope), dtype=np.float64)
+    if ((z + dz >= low) & (z + dz <= high)).all():
+        return dz
+    scale = 1.0 / np.sqrt(np.diag(h))
+    try:
+        lower = np.linalg.cholesky(0.5 * (h + h.T) * np.outer(scale, scale))
+    except np.linalg.LinAlgError:  # two coordinates do the same to the last digit
+        return _shortened(h, slope, z, low, high)
+    room = np.where(high - low <= 0.0, _HAIR, np.maximum(high - z, 0.0))
+    found = lsq_linear(
+        lower.T, np.linalg.solve(lower, slope * scale),
+        (np.minimum(low - z, 0.0) / scale, room / scale), method="bvls", max_iter=_EXCHANGES,
+    )  # fmt: skip
+    inside: Array = np.clip(z + found.x * scale, low, high) - z
+    if float(slope @ inside - 0.5 * inside @ h @ inside) >= 0.0:
+        return inside
+    return _shortened(h, slope, z, low, high)
+
+
+def _shortened(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Array:
+    """A step along the scaled gradient of what is not at a bound, cut where one is met."""
+    dz = np.asarray(slope / np.diag(h), dtype=np.float64)
+    dz[((z <= low) & (dz < 0.0)) | ((z >= high) & (dz > 0.0))] = 0.0
+    moving = dz != 0.0
+    if not moving.any():
+        return dz
+    room = np.where(dz > 0.0, high - z, z - low)
+    share = float(np.min(room[moving] / np.abs(dz[moving]), initial=1.0))
+    along = float(slope @ dz) / float(dz @ h @ dz)
+    return np.asarray(min(share, along) * dz)

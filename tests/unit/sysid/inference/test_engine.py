@@ -13,10 +13,10 @@ from steerd.sysid.inference.noise import (
     Noise,
     calibrated,
     learn_noise,
-    louder,
     noise_floor,
     noise_of_section,
     noise_section,
+    noisier_of,
     slip_shape,
 )
 from steerd.sysid.inference.residuals import blocks_of, folds_of, robust_mean, settled
@@ -112,7 +112,7 @@ def _at_base(engine):
 
 def test_drives_noisier_than_known_are_believed():
     known = Noise((1e-3, 2e-3, 0.06, 0.05), (0.4, 0.3, 2.0))
-    heard = louder(known, np.array([2e-3, 2.1e-3, 0.01, 0.0]))
+    heard = noisier_of(known, np.array([2e-3, 2.1e-3, 0.01, 0.0]))
     assert heard.instruments == (2e-3, 2e-3, 0.06, 0.05)
     assert heard.pushes == known.pushes
 

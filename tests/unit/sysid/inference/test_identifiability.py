@@ -13,11 +13,11 @@ from steerd.car_model.model import Model
 from steerd.car_model.native.windows import parameter_vector
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.planar import make_planar
-from steerd.sysid.inference.bounded_step import step_within
 from steerd.sysid.inference.chart import make_chart
 from steerd.sysid.inference.identifiability import estimates, taught_estimates
 from steerd.sysid.inference.places import DISCS, RADII, suspicious_discs
 from steerd.sysid.inference.plain_car import TYRES
+from steerd.sysid.inference.search import step_within
 from steerd.sysid.inference.superset import (
     EDGES,
     EXCESS_MAX,

@@ -18,7 +18,7 @@ from steerd.car_model.state import State
 from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.data.segments import make_blocks
-from steerd.sysid.estimation.fit import fit_of_plain
+from steerd.sysid.estimation.outcome import fit_of_plain
 from steerd.sysid.inference.chart import SPREAD
 from steerd.sysid.inference.engine import stable_substeps
 from steerd.sysid.inference.plain_car import (
