@@ -1,7 +1,7 @@
 """The learner: `fold(learner, state, sample)` gives the next state and, once a second, a report.
 
 Pure: no clock, no file, no randomness, so a recording gives what the drive gave, to the byte. At
-first it learns the car as it is (`reference`), then it follows it (`tracking`) and watches for a
+first it learns the car as it is (`naming`), then it follows it (`tracking`) and watches for a
 change (`changes`); after one it says what changed (`naming`), and learns the car anew.
 """
 
