@@ -36,22 +36,23 @@ from steerd.car_model.native.windows import (
 from steerd.car_model.params import GRAVITY, Car
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.data.segments import make_blocks
-from steerd.sysid.estimation.fit import Fit, fit_of_plain
+from steerd.sysid.estimation.outcome import Fit, fit_of_plain
 from steerd.sysid.inference import disturbance_response, engine
 from steerd.sysid.inference import values as simulation
 from steerd.sysid.inference.engine import Engine, Linear
 from steerd.sysid.inference.plain_car import TYRES, Asked, search_blocks, search_rough
 from steerd.sysid.inference.space import Space
-from steerd.sysid.paper.baselines import search_cma
 from steerd.sysid.paper.paper_method import (
     NAMES,
+    PAPER_CAR_DIRECT,
+    PAPER_STEP,
     PaperProblem,
     draw_starts,
     make_problem,
     paper_runs,
     search_adam,
+    search_cma,
 )
-from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT, PAPER_STEP
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.segments import make_blocks
-from steerd.sysid.estimation.fit import Fit, fit_of_plain
+from steerd.sysid.estimation.outcome import Fit, fit_of_plain
 from steerd.sysid.inference.plain_car import DEFAULT_FREE, TYRES, Asked, search_blocks, search_rough
 
 BAD = (

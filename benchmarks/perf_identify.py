@@ -12,9 +12,14 @@ from identify import FRICTIONS, TARGET_MM, Judge, circles, ours, ours_watched
 from least_squares import fit_least_squares
 
 from steerd.car_model.native.windows import make_kernels
-from steerd.sysid.paper.baselines import search_cma
-from steerd.sysid.paper.paper_method import draw_starts, make_problem, paper_runs, search_adam
-from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT
+from steerd.sysid.paper.paper_method import (
+    PAPER_CAR_DIRECT,
+    draw_starts,
+    make_problem,
+    paper_runs,
+    search_adam,
+    search_cma,
+)
 
 
 def row(judge: Judge, final: np.ndarray, seconds: float) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from plain_c import make_plain_c
 from timing import Timed, timed
 
+from benchmarks.torch_reference import simulate_reference
 from steerd.car_model.native.threads import threads
 from steerd.car_model.native.windows import (
     HeldCommands,
@@ -34,8 +35,8 @@ from steerd.car_model.native.windows import (
     view_by_window,
 )
 from steerd.car_model.params import Car
+from steerd.sysid.paper.paper_method import PAPER_CAR_DIRECT
 from steerd.sysid.paper.torch_kernel import simulate
-from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT, simulate_reference
 
 Array = NDArray[np.float64]
 RUNS, STEPS, H = 16, 4000, 0.01

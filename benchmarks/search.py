@@ -81,7 +81,7 @@ def open_case(case: Case) -> Library:
     z = np.clip(space.centre + np.linalg.cholesky(space.covariance) @ away, space.low, space.high)
     superset = replace(superset, base=space.chart.parameters(z))
     engine = open_engine(superset, runs)
-    x = engine.readings.layout.guess.copy()
+    x = engine.guess.copy()
     effects = tuple(e for e in superset.effects if e.name == case.effect)
     return Library(make_likelihood(engine, superset.base, x, NOISE), free, effects)
 
@@ -93,7 +93,7 @@ def search_at_random(library: Library, found: Point, case: Case, seed: int) -> f
     own = slice(len(z) - len(case.values), None)
     nulls = np.array(EFFECTS[case.effect].nulls)
     z[own] = nulls + rng.uniform(0.0, 2.0, len(nulls)) * (np.array(case.values) - nulls)
-    z, x = np.clip(z, space.low, space.high), likelihood.engine.readings.layout.guess
+    z, x = np.clip(z, space.low, space.high), likelihood.engine.guess
     try:
         start = stand(likelihood, space, z, x, 20.0)
         size = likelihood.best_size(start.rotated, start.linear.error, start.x)

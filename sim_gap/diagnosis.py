@@ -16,31 +16,30 @@ from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import Effect
 from steerd.car_model.model import Model
 from steerd.sim_gap.verdict.evidence import Cause, Verdict, judge_case
-from steerd.sim_gap.verdict.horizons import Horizon, cross_check
 from steerd.sim_gap.verdict.next_manoeuvre import Manoeuvre, next_manoeuvre
-from steerd.sim_gap.verdict.residual_shape import Shape, shape_of
-from steerd.sim_gap.verdict.shrinkage import Shrinkage, measure, predict
-from steerd.sim_gap.verdict.timeline import Timeline, timeline_of
+from steerd.sim_gap.verdict.residual_shape import Shape, Timeline, shape_of, timeline_of
+from steerd.sim_gap.verdict.shrinkage import Horizon, Shrinkage, cross_check, measure, predict
 from steerd.sim_gap.verdict.where import Where, locate
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.car_posterior import learn_healthy, refine
+from steerd.sysid.inference.car_posterior import refine
 from steerd.sysid.inference.engine import Engine, open_engine
 from steerd.sysid.inference.hypotheses import Findings, Hypothesis, Library, explain
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import (
     Noise,
     learn_noise,
-    louder,
     noise_floor,
     noise_of_section,
+    noisier_of,
     usual_noise,
 )
 from steerd.sysid.inference.residuals import Gap, blocks_of, folds_of, gap_of, settled, spun_windows
 from steerd.sysid.inference.search import Point
 from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names
 from steerd.sysid.inference.superset import Superset, make_superset
+from steerd.sysid.inference.teaching import teach
 
 Array = NDArray[np.float64]
 
@@ -58,7 +57,6 @@ class Options:
         only: effects to look at; None takes the library.
         without: effects to leave out.
         pairs: whether two causes together are tried.
-        jobs: threads for the candidates.
         horizons: whether the gap is looked at over other horizons too.
         progress: called with a stage's name and the share done.
         written: called with the prediction (JSON) before the reserved drives are opened.
@@ -70,7 +68,6 @@ class Options:
     only: Sequence[str] | None = None
     without: Sequence[str] = ()
     pairs: bool = True
-    jobs: int = 1
     horizons: bool = True
     progress: Callable[[str, float], None] = lambda stage, share: None
     written: Callable[[str], None] = lambda prediction: None
@@ -125,7 +122,7 @@ def _known_noise(base: CarFile | Model[float], options: Options) -> Noise | None
     if options.noise is not None:
         return options.noise
     if options.healthy and not isinstance(base, CarFile):
-        return learn_healthy(base, options.healthy)
+        return teach(base, options.healthy).noise
     return noise_of_section(base.sections.get("noise", {})) if isinstance(base, CarFile) else None
 
 
@@ -215,13 +212,13 @@ def _search(
     """Every hypothesis; noise is learnt about the best effect if it is not known."""
     engine, signals = open_engine(superset, runs), estimate_noise(runs)
     given, nuisance = _known_noise(base, options), nuisance_names(superset, runs)
-    x, parameters = engine.readings.layout.guess.copy(), superset.base
-    noise = louder(given or usual_noise(signals), signals)
+    x, parameters = engine.guess.copy(), superset.base
+    noise = noisier_of(given or usual_noise(signals), signals)
     if given is None:
         options.progress("noise", 0.1)
         rough = Library(make_likelihood(engine, parameters, x, noise), nuisance, effects)
         best = explain(rough, 1).best.point
-        noise = learn_noise(engine, best, noise)
+        noise = learn_noise(engine, best.parameters, best.x, best.linear, noise)
         x = best.x
     options.progress("candidates", 0.2)
     library = Library(make_likelihood(engine, parameters, x, noise), nuisance, effects)
@@ -298,7 +295,7 @@ def _conclude(
         noise=case.noise,
         noise_known=case.known,
         notes=(*notes, *_notes(case, int(spun.sum()))),
-        values=_values(engine, chosen),
+        values=_values(engine, chosen.point),
         timeline=timeline_of(engine, before, after, names),
     )
 
@@ -313,19 +310,15 @@ def _table(found: Findings) -> tuple[tuple[str, float, float], ...]:
     )
 
 
-def _values(engine: Engine, chosen: Hypothesis) -> dict[str, tuple[float, ...]]:
-    p = chosen.point.parameters
-    return {e: tuple(float(p[i]) for i in engine.superset.places(e)) for e in chosen.effects}
+def _values(engine: Engine, chosen: Point) -> dict[str, tuple[float, ...]]:
+    p, places = chosen.parameters, engine.superset.places
+    return {e: tuple(p[places(e)].tolist()) for e in chosen.space.effects}
 
 
 def _shrinkage(case: _Case, before: Point, after: Point, options: Options) -> Shrinkage:
     """Predict, hand the prediction out, then measure on the reserved drives."""
     share, low, high = predict(before, after, case.floor, case.blocks, folds_of(case.engine))
-    effects = after.space.effects
-    values = {
-        e: tuple(float(after.parameters[i]) for i in case.engine.superset.places(e))
-        for e in effects
-    }
+    effects, values = after.space.effects, _values(case.engine, after)
     text = json.dumps(
         {"effects": effects, "values": values, "predicted": share, "low": low, "high": high},
         sort_keys=True,
@@ -358,11 +351,11 @@ def _base_notes(superset: Superset, base: CarFile | Model[float]) -> tuple[str, 
 def _notes(case: _Case, spun: int) -> tuple[str, ...]:
     notes = []
     if spun:
-        count = case.engine.readings.count
+        count = case.engine.layout.count
         notes.append(f"the car spun in {spun} of {count} windows: left out of the millimetres")
     if not case.known:
         notes.append("noise was learnt from these drives: a gap like noise is not identifiable")
-    if len(np.unique(case.engine.readings.layout.run)) < 4:
+    if len(np.unique(case.engine.layout.run)) < 4:
         notes.append("fewer than four runs: held-out parts are blocks of the same drives")
     if case.verdict.causes and case.verdict.strain > c.STRAINED:
         notes.append("beside the cause the base moved further than its own uncertainty lets it")

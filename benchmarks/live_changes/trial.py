@@ -9,10 +9,9 @@ import numpy as np
 from benchmarks.blind_gap.car import make_car
 from benchmarks.live_changes.plant import Change, changed, drive
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.sim_gap.online.amount import amounts_of
-from steerd.sim_gap.online.base import make_learner
-from steerd.sim_gap.online.learner import State, fold
+from steerd.sim_gap.online.learner import State, fold, make_learner
 from steerd.sim_gap.online.naming import Finding
+from steerd.sim_gap.online.values import amounts_of
 
 FIRST, LAST = 30.0, 45.0
 """The change comes at a time drawn between these [s]; the car is learnt by 26 s."""

@@ -205,7 +205,7 @@ def run_diagnosis(
     with refusing(case.drives.sessions, identify):
         findings = engine.diagnose(case.split.runs, case.base, engine.Options(
             held_out=case.split.later or (), healthy=case.healthy, only=case.only or None,
-            without=case.without, pairs=options.pairs, jobs=options.jobs, written=written,
+            without=case.without, pairs=options.pairs, written=written,
             progress=lambda stage, share: progress(LOADED + span * share, stage),
         ))  # fmt: skip
     lane, why = None, ""

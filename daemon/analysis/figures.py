@@ -17,7 +17,7 @@ from steerd.sim_gap.report.gap_figures import (
 )
 from steerd.sysid.estimation.outcome import Outcome
 from steerd.sysid.report.drawing import AFTER, BEFORE, FAINT, INK, MEASURED, STYLE, WIDTH
-from steerd.sysid.report.identify_figures import plot_held_out, plot_traces
+from steerd.sysid.report.identify_report import plot_held_out, plot_traces
 
 PANELS = ("lateral error e1", "heading error e2", "speed", "steering angle (left +)", "yaw rate")
 """Panels of the drive's page that the figure shows; the others stay on the page."""

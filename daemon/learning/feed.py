@@ -9,10 +9,9 @@ from steerd.car_model.car_file import CarFile
 from steerd.daemon.ipc.pipe_records import LEARNT_FROM, PipeRecord
 from steerd.daemon.learning.report import make_model
 from steerd.daemon.learning.reported import NS
-from steerd.sim_gap.online.base import make_learner
-from steerd.sim_gap.online.learner import Learner, State, fold
-from steerd.sim_gap.online.memory import Memory
+from steerd.sim_gap.online.learner import Learner, State, fold, make_learner
 from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled, Sample
+from steerd.sim_gap.online.tracking import Memory
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode

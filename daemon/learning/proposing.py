@@ -11,8 +11,8 @@ from steerd.controller.build import DesignTable
 from steerd.controller.design import DesignRefused
 from steerd.controller.learnt import Design, Learnt, approach_learnt, learnt_car, learnt_timing
 from steerd.daemon.loop.design_desk import REFUSED, make_design, make_no_design, read_design
-from steerd.sim_gap.online.followed import find_aim
 from steerd.sim_gap.online.learner import Learner, State
+from steerd.sim_gap.online.values import find_aim
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import encode
 

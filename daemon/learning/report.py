@@ -4,10 +4,9 @@ from dataclasses import fields
 from math import nan
 
 from steerd.daemon.learning.reported import NS, ReportedChange, ReportedValue, pack
-from steerd.sim_gap.online.amount import amounts_of
 from steerd.sim_gap.online.learner import Change, State
-from steerd.sim_gap.online.memory import Remembered
-from steerd.sim_gap.online.values import Value, unit_of, values_of
+from steerd.sim_gap.online.tracking import Remembered
+from steerd.sim_gap.online.values import Value, amounts_of, unit_of, values_of
 from steerd.steer_bus import messages as m
 
 NONE_NS = -1

@@ -28,7 +28,7 @@ class ReportedChange(NamedTuple):
         effect: its name, empty unless it is named.
         confidence: NaN unless it is named.
         alternatives: effects that the drive cannot distinguish from it.
-        parameters: of the effect, by how much they moved (see `sim_gap.online.amount`).
+        parameters: of the effect, by how much they moved (see `sim_gap.online.values`).
     """
 
     since_ns: int

@@ -109,7 +109,7 @@ def _gain(anchor: Anchor, pull: Array, information: Array, mine: NDArray[np.int6
     return 0.5 * float(pull[mine] @ value)
 
 
-def sharpened(
+def reweighted(
     anchor: Anchor, tracks: Sequence[Track], looks: Sequence[Look], table: Array, level: Array
 ) -> Array:
     """The ratios, those that are nearly a change as the change itself would have them.

@@ -1,7 +1,7 @@
 """The learner: `fold(learner, state, sample)` gives the next state and, once a second, a report.
 
 Pure: no clock, no file, no randomness, so a recording gives what the drive gave, to the byte. At
-first it learns the car as it is (`reference`), then it follows it (`tracking`) and watches for a
+first it learns the car as it is (`naming`), then it follows it (`tracking`) and watches for a
 change (`changes`); after one it says what changed (`naming`), and learns the car anew.
 """
 
@@ -10,19 +10,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sim_gap.online.changes import (
-    SPANS,
-    Usual,
-    faded,
-    ratios,
-    sharpened,
-    usual_of,
-    with_ratios,
-)
-from steerd.sim_gap.online.looking import Anchor, Look, look
-from steerd.sim_gap.online.memory import Remembered, with_memory
-from steerd.sim_gap.online.naming import LOOKS, Finding, find_cause
-from steerd.sim_gap.online.reference import learn_reference
+from steerd.car_model.car_file import CarFile
+from steerd.sim_gap.online.changes import SPANS, faded, ratios, reweighted, with_ratios
+from steerd.sim_gap.online.looking import Look, look
+from steerd.sim_gap.online.naming import LOOKS, Finding, Known, find_cause, learn
 from steerd.sim_gap.online.samples import (
     LATE,
     WINDOW,
@@ -33,11 +24,13 @@ from steerd.sim_gap.online.samples import (
     make_window,
     take,
 )
-from steerd.sim_gap.online.tracking import Track, follow
+from steerd.sim_gap.online.tracking import Memory, Remembered, Track, follow, remember
 from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.inference.noise import Noise
-from steerd.sysid.inference.superset import Superset
+from steerd.sysid.inference.chart import RELATIVE
+from steerd.sysid.inference.noise import Noise, noise_of_section
+from steerd.sysid.inference.space import FLOORS, LIMITS
+from steerd.sysid.inference.superset import Superset, make_superset
 
 Array = NDArray[np.float64]
 
@@ -55,6 +48,12 @@ FADING = 1.0 / 1200.0
 """Share of what is usual that is forgotten with a window: ten minutes."""
 PERIOD = 1.0
 """Time between reports [s]."""
+NOT_IDENTIFIED = 20.0
+"""Standard errors of a car file that gives none, per the least that any car's are: a tenth of a
+stiffness, 0.01 rad of a bias. The first half minute of a drive identifies most of them."""
+BETTER_KNOWN = {"lf": 2.5, "lr": 2.5, "steer_gain": 8.0, "c_x": 2.0}
+"""The same for what a ruler, a protractor or the class of the car gives better: along the valley of
+a longer car that steers more (see `chart`) a lane would pull them to where no car is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,26 +73,35 @@ class Learner:
     remembered: tuple[Remembered, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class Known:
-    """The car as learnt, and what was seen since.
+def make_learner(car: CarFile, ramp: float = 0.0, memory: Memory | None = None) -> Learner:
+    """A learner about a car file.
 
-    Attributes:
-        anchor: the car, and its noise.
-        track: what is known of the base now.
-        usual: what ratios the car shows while nothing is the matter.
-        looks: the last windows, oldest first; `tracks` what was known before each.
-        shown: ratios of windows that may yet turn out to be a change's.
-        peak: the largest ratio per what is usual so far that called no change [nats].
+    Args:
+        car: as identified, or its figures as published.
+        ramp: limit of the motor controller's setpoint [m/s^2], 0 for none.
+        memory: of an earlier drive of this car.
+
+    Raises:
+        ValueError: what identify wrote into the file is not what it writes.
     """
+    superset = make_superset(car, ())
+    if superset.knowledge is None and not superset.sd:
+        superset = replace(superset, sd=_published(superset))
+    remembered = remember(superset, memory) if memory is not None else ()
+    return Learner(superset, noise_of_section(car.sections.get("noise", {})), ramp, remembered)
 
-    anchor: Anchor
-    track: Track
-    usual: Usual
-    looks: tuple[Look, ...] = ()
-    tracks: tuple[Track, ...] = ()
-    shown: tuple[Array, ...] = ()
-    peak: float = 0.0
+
+def _published(superset: Superset) -> dict[str, float]:
+    """Standard errors of figures that were published for another car of the class."""
+    names = superset.kernels.names
+    values = {name: abs(float(superset.base[names.index(name)])) for name in FLOORS}
+    return {
+        name: BETTER_KNOWN.get(name, NOT_IDENTIFIED)
+        * floor
+        * (values[name] if name in RELATIVE else 1.0)
+        for name, floor in FLOORS.items()
+        if name not in LIMITS
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,31 +199,9 @@ def _learn(learner: Learner, state: State) -> State:
     """Learn the car once there are windows enough."""
     if len(state.windows) < REFERENCE:
         return state
-    known = learn(learner, state.windows, learner.remembered)
+    known = learn(learner.superset, state.windows, learner.noise, learner.remembered)
     kept = state.windows[-SPANS[-1] :] if known else state.windows[REFERENCE // 2 :]
     return replace(state, windows=kept, known=known)
-
-
-def learn(
-    learner: Learner,
-    windows: tuple[tuple[float, Run], ...],
-    remembered: tuple[Remembered, ...] = (),
-) -> Known | None:
-    """The car as it is in these windows; None where its base's simulation leaves the map.
-
-    Args:
-        learner: the car file's car.
-        windows: drives and when each began [s].
-        remembered: what an earlier drive taught; left out where these windows contradict it.
-    """
-    times, runs = [t for t, _ in windows], [run for _, run in windows]
-    found = learn_reference(learner.superset, runs, times, learner.noise)
-    if found is None:
-        return None
-    track = with_memory(found.anchor, found.track, remembered)
-    usual = usual_of(found.anchor, track, found.looks)
-    looks, tracks = found.looks[-SPANS[-1] :], (track,) * SPANS[-1]
-    return Known(found.anchor, track, usual, looks, tracks[: len(looks)])
 
 
 def _watch(learner: Learner, state: State, known: Known, seen: Look) -> State:
@@ -223,7 +209,7 @@ def _watch(learner: Learner, state: State, known: Known, seen: Look) -> State:
     looks = (*known.looks, seen)[-SPANS[-1] :]
     tracks = (*known.tracks, known.track)[-SPANS[-1] :]
     table, level = ratios(known.anchor, tracks, looks), known.usual.level()
-    table = sharpened(known.anchor, tracks, looks, table, level)
+    table = reweighted(known.anchor, tracks, looks, table, level)
     judged = table / level
     worst = float(np.nanmax(judged))
     if worst >= ALARM:
@@ -262,7 +248,7 @@ def judge(known: Known, change: Change) -> Change:
     finding = find_cause(known.anchor, change.before, runs)
     if finding.cause is None:
         return replace(change, finding=finding)
-    was = known.anchor.superset.nulls[finding.cause.effect]
+    was = known.anchor.superset.values(finding.cause.effect)
     alone = not finding.cause.ambiguous_with and len(runs) >= SETTLED
     proven = (finding.cause, was) if alone else change.proven
     return replace(change, finding=finding, was=was, proven=proven)
@@ -277,7 +263,7 @@ def _after(learner: Learner, state: State, known: Known, change: Change) -> Stat
     if len(windows) < REFERENCE + 1:
         return replace(state, change=change)
     # The first window may hold the change itself.
-    again = learn(learner, windows[1:])
+    again = learn(learner.superset, windows[1:], learner.noise)
     if again is None:
         return replace(state, change=replace(change, windows=windows[REFERENCE // 2 :]))
     past = (*state.past, replace(change, windows=()))

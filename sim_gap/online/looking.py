@@ -7,7 +7,7 @@ coordinates and those of all effects (`engine`), so a window is evaluated once a
 # Why: docs/decisions/diagnosis.md#d78
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 from steerd.car_model.effect import BaseSelection
 from steerd.sim_gap.online.samples import WINDOW
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.data.windows import speed_range
-from steerd.sysid.inference.engine import Engine, make_engine
+from steerd.sysid.inference.engine import open_engine
 from steerd.sysid.inference.likelihood import Reduced, make_likelihood
 from steerd.sysid.inference.noise import Noise
-from steerd.sysid.inference.readings import make_readings
 from steerd.sysid.inference.residuals import settled
 from steerd.sysid.inference.search import stand
 from steerd.sysid.inference.space import Space, informative_effects, make_space
@@ -96,32 +94,6 @@ def may_change(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
     )
 
 
-def anchored(superset: Superset, base: Array) -> Superset:
-    """The superset about other values (P,) of its base."""
-    nulls = {e.name: tuple(base[superset.places(e.name)].tolist()) for e in superset.effects}
-    return replace(superset, base=base, nulls=nulls)
-
-
-def make_anchor(
-    superset: Superset, nuisance: Sequence[str], effects: Sequence[str], noise: Noise
-) -> Anchor:
-    """An anchor at a superset's base.
-
-    Raises:
-        ValueError: a name is unknown.
-    """
-    return Anchor(superset, make_space(superset, nuisance, effects), noise)
-
-
-def open_windows(superset: Superset, runs: Sequence[Run], late: float) -> Engine:
-    """Windows; each run is one.
-
-    Raises:
-        ValueError: no window sees enough poses.
-    """
-    return make_engine(superset, make_readings(runs, late, speed_range(runs), WINDOW))
-
-
 def look(anchor: Anchor, run: Run, t: float) -> Look | None:
     """See one window; None where the anchor's simulation leaves the map.
 
@@ -131,9 +103,9 @@ def look(anchor: Anchor, run: Run, t: float) -> Look | None:
         t: when it began [s].
     """
     try:
-        engine = open_windows(anchor.superset, [run], anchor.late)
+        engine = open_engine(anchor.superset, [run], WINDOW)
         fixed = make_space(anchor.superset, ())
-        guess = engine.readings.layout.guess.copy()
+        guess = engine.guess.copy()
         likelihood = make_likelihood(engine, anchor.superset.base, guess, anchor.noise)
         found = settled(likelihood, fixed, fixed.centre)
         point = stand(likelihood, anchor.space, anchor.space.centre, found.x, 0.0)

@@ -1,22 +1,30 @@
-"""What changed: the diagnosis that `diagnose` makes, of the last seconds of driving.
+"""The car as it was before a change, and what changed: the inference of `diagnose`, live.
 
-The base is the car as it was learnt before the change, its uncertainty what the drive left of it;
-windows, likelihood, hypotheses and verdict are those of `steerd.sysid.inference`.
+Base and noise are learnt on the first windows of a drive. After a change, the last seconds are
+diagnosed: the base is the car as it was learnt, its uncertainty what the drive left of it; windows,
+likelihood, hypotheses and verdict are those of `steerd.sysid.inference`.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from steerd.sim_gap.online.looking import Anchor, anchored, may_change, open_windows
-from steerd.sim_gap.online.tracking import Track
+from steerd.sim_gap.online.changes import SPANS, Usual, usual_of
+from steerd.sim_gap.online.looking import Anchor, Look, looks_of, may_change
+from steerd.sim_gap.online.samples import WINDOW
+from steerd.sim_gap.online.tracking import Remembered, Track, with_memory
 from steerd.sim_gap.verdict.evidence import Cause, Verdict, judge_case
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.inference.hypotheses import Library, explain
-from steerd.sysid.inference.knowledge import Knowledge
+from steerd.sysid.data.windows import estimate_noise
+from steerd.sysid.inference.engine import open_engine
+from steerd.sysid.inference.hypotheses import Library, begin, explain
 from steerd.sysid.inference.likelihood import make_likelihood
-from steerd.sysid.inference.superset import Superset
+from steerd.sysid.inference.noise import Noise, learn_noise, usual_noise
+from steerd.sysid.inference.search import minimise, stand
+from steerd.sysid.inference.space import make_space, nuisance_names
+from steerd.sysid.inference.superset import Knowledge, Superset
 
 LOOKS = (5, 6, 8, 11, 16, 21, 27, 34, 42, 50)
 """Windows after a change at which they are diagnosed: each time costs a third of a second."""
@@ -66,7 +74,7 @@ def believed(anchor: Anchor, track: Track) -> Superset:
     space = anchor.space
     n, z = space.nuisance, space.centre.copy()
     z[:n] += track.mean
-    learnt = anchored(anchor.superset, space.chart.parameters(z))
+    learnt = replace(anchor.superset, base=space.chart.parameters(z))
     known = Knowledge(space.chart.free[:n], track.covariance)
     if learnt.knowledge is not None:
         known = replace(known, excess=learnt.knowledge.excess)
@@ -80,11 +88,85 @@ def _diagnose(base: Superset, anchor: Anchor, runs: Sequence[Run]) -> Verdict:
         ValueError: no window sees enough poses.
         FloatingPointError: the base's simulation leaves the map.
     """
-    engine = open_windows(base, runs, anchor.late)
-    guess = engine.readings.layout.guess.copy()
+    engine = open_engine(base, runs, WINDOW, late=anchor.late)
+    guess = engine.guess.copy()
     likelihood = make_likelihood(engine, base.base, guess, anchor.noise)
     possible = may_change(base, runs)
     effects = tuple(e for e in base.effects if e.name in possible)
     nuisance = anchor.space.chart.free[: anchor.space.nuisance]
     library = Library(likelihood, nuisance, effects)
     return judge_case(library, explain(library, 1), known=True)
+
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """The car as learnt, and what was seen since.
+
+    Attributes:
+        anchor: the car, and its noise.
+        track: what is known of the base now.
+        usual: what ratios the car shows while nothing is the matter.
+        looks: the last windows, oldest first; `tracks` what was known before each.
+        shown: ratios of windows that may yet turn out to be a change's.
+        peak: the largest ratio per what is usual so far that called no change [nats].
+    """
+
+    anchor: Anchor
+    track: Track
+    usual: Usual
+    looks: tuple[Look, ...] = ()
+    tracks: tuple[Track, ...] = ()
+    shown: tuple[Array, ...] = ()
+    peak: float = 0.0
+
+
+def learn(
+    superset: Superset,
+    windows: Sequence[tuple[float, Run]],
+    noise: Noise | None,
+    remembered: Sequence[Remembered] = (),
+) -> Known | None:
+    """The car as it is in windows; None where its base's simulation leaves the map.
+
+    Args:
+        superset: the car file's base.
+        windows: drives and when each began [s].
+        noise: as the car file knows it.
+        remembered: what an earlier drive taught; left out where these windows contradict it.
+    """
+    times, runs = [t for t, _ in windows], [run for _, run in windows]
+    nuisance = nuisance_names(superset, runs)
+    known = {name.partition(".")[0] for name in nuisance if "." in name}
+    built_in = tuple(e.name for e in superset.effects if e.on_every_car and e.name not in known)
+    try:
+        engine = open_engine(superset, runs, WINDOW)
+        x = engine.guess.copy()
+        rough = noise or usual_noise(estimate_noise(runs))
+        likelihood = make_likelihood(engine, superset.base, x, rough)
+        library = Library(likelihood, nuisance, (), known=False)
+        fitted = minimise(likelihood, begin(library, built_in, (), x))
+        noise = learn_noise(engine, fitted.parameters, fitted.x, fitted.linear, noise)
+        likelihood = make_likelihood(engine, fitted.parameters, fitted.x, noise)
+        begun = stand(likelihood, fitted.space, fitted.z, fitted.x, fitted.size)
+        fitted = minimise(likelihood, begun)
+    except (ValueError, FloatingPointError, np.linalg.LinAlgError):
+        return None
+    learnt = replace(superset, base=fitted.parameters)
+    flat = {e.name for e in superset.effects if e.zero_gradient}
+    sloped = [name for name in may_change(learnt, runs) if name not in flat]
+    anchor = Anchor(learnt, make_space(learnt, nuisance, sloped), noise)
+    try:
+        at = stand(likelihood, anchor.space, anchor.space.centre, fitted.x, 0.0).at
+    except FloatingPointError:
+        return None
+    looks = looks_of(at, times)
+    n = anchor.space.nuisance
+    prior = np.asarray(np.linalg.inv(anchor.space.covariance[:n, :n]), np.float64)
+    informed = sum((seen.weight * seen.h[:n, :n] for seen in looks), np.zeros((n, n)))
+    # The windows made the anchor: about it they pull nowhere.
+    track = with_memory(anchor, Track(prior + informed, np.zeros(n), prior), remembered)
+    last = tuple(looks[-SPANS[-1] :])
+    return Known(anchor, track, usual_of(anchor, track, looks), last, (track,) * len(last))

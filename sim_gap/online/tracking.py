@@ -3,12 +3,24 @@
 An information filter about a fixed anchor. Before a window's information is added, what is known in
 just the directions that the window informs is faded (Cao and Schwartz, 2000): on a straight or at a
 standstill no direction is informed, and nothing fades.
+
+What an earlier drive of the same car taught is remembered: each number is a normal distribution,
+inflated by the days since. It counts beside the first windows of a drive, not before them: a fit
+that begins at a wrong car may stay there, and what these windows contradict is given up.
 """
 
+# Why: docs/decisions/diagnosis.md#d87
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from steerd.sim_gap.online.looking import Anchor
+from steerd.sysid.inference.space import Space, make_space
+from steerd.sysid.inference.superset import Superset
 
 Array = NDArray[np.float64]
 
@@ -78,3 +90,89 @@ def follow(track: Track, g: Array, h: Array, memory: float = MEMORY) -> Track:
         faded = old - share * wide @ np.linalg.solve(inner, wide.T)
     kept = track.prior + 0.5 * (faded + faded.T)
     return Track(kept + h, kept @ mean + g, track.prior)
+
+
+PER_DAY = 0.01
+"""Each day adds this share of the car file's variance: a tenth of its standard deviation on the
+first day, and after 25 days what was learnt says no more than the file."""
+FORGOTTEN = 0.25
+"""Share of the car file's variance from which on a number is not remembered."""
+MEASURED = ("lf", "lr")
+"""Never remembered: a ruler knows them better than any lane, and they stay as they are."""
+CONTRADICTED = 3.0
+"""Standard deviations, joined, between memory and first windows from which on it is given up."""
+
+
+class Memory(NamedTuple):
+    """What was kept of an earlier drive.
+
+    Attributes:
+        values: (value, standard deviation) by name, as learnt; SI units.
+        days: how long ago that was.
+    """
+
+    values: Mapping[str, tuple[float, float]]
+    days: float
+
+
+class Remembered(NamedTuple):
+    """One number as it is believed today: a value and its standard deviation, SI units."""
+
+    name: str
+    value: float
+    sd: float
+
+
+def remember(superset: Superset, memory: Memory) -> tuple[Remembered, ...]:
+    """What of a memory still says more than the car file.
+
+    Args:
+        superset: the car file's base.
+        memory: of an earlier drive of that car.
+    """
+    names = [n for n in memory.values if n in superset.kernels.names and n not in MEASURED]
+    space = make_space(superset, names)
+    found = []
+    for i, name in enumerate(space.chart.free[: space.nuisance]):
+        value, sd = memory.values[name]
+        before = _slope(space, i) * float(space.spread[i])
+        today = float(np.hypot(sd, before * np.sqrt(PER_DAY * max(memory.days, 0.0))))
+        if today**2 < FORGOTTEN * before**2:
+            found.append(Remembered(name, value, today))
+    return tuple(found)
+
+
+def _slope(space: Space, place: int) -> float:
+    """How fast a parameter follows its own coordinate."""
+    row = space.chart.names.index(space.chart.free[place])
+    return abs(float(space.chart.slopes(space.centre)[row, place]))
+
+
+def with_memory(anchor: Anchor, track: Track, remembered: Sequence[Remembered]) -> Track:
+    """What is known of the base with what an earlier drive taught.
+
+    Args:
+        anchor: the car as the first windows show it.
+        track: what they say about it.
+        remembered: of the earlier drive.
+
+    Returns:
+        The track as it was where one of the numbers contradicts these windows: it was another car.
+    """
+    space, by_name = anchor.space, {each.name: each for each in remembered}
+    names, at = anchor.superset.kernels.names, anchor.superset.base.copy()
+    own = [i for i, name in enumerate(space.chart.free[: space.nuisance]) if name in by_name]
+    for i in own:
+        at[names.index(space.chart.free[i])] = by_name[space.chart.free[i]].value
+    away = (space.chart.coordinates(at) - space.centre)[own]
+    sd = np.array([by_name[space.chart.free[i]].sd / _slope(space, i) for i in own])
+    seen = np.diag(track.covariance)[own]
+    if (np.abs(away - track.mean[own]) > CONTRADICTED * np.sqrt(sd**2 + seen)).any():
+        return track
+    # The earlier drive's numbers hold the car file's already; the rest counts, and is forgotten, as
+    # windows of that drive would.
+    gained = DISCREPANCY * np.maximum(sd**-2.0 - space.spread[own] ** -2.0, 0.0)
+    information, pull = track.information.copy(), track.pull.copy()
+    information[own, own] += gained
+    pull[own] += gained * away
+    return Track(information, pull, track.prior)

@@ -1,17 +1,41 @@
-"""The car's numbers as learnt: values, standard deviations, and which the drive identifies."""
+"""The car's numbers as learnt, by how much a change moved it, and what a controller is to follow.
 
+Of a change, what the car was learnt to have before is taken off: a base may have the effect
+already, and a lane may not say of it where it lies (a marker's place and the centre of gravity move
+along one valley). How far either moved is known far better.
+
+A controller follows changes that were named beyond doubt, as the effects that they are: their
+windows before and after say far more about them than any number of the base is known by. Beside
+them those numbers of the base that a lane identifies by themselves. Of sets of names only one that
+means the same to a loop is followed, or one with a name that has stood alone. Whatever is in doubt
+is the car file's business.
+"""
+
+# Why: docs/decisions/filter-and-controller.md#d86, docs/decisions/filter-and-controller.md#d99
+# Why: docs/decisions/filter-and-controller.md#d102, docs/decisions/filter-and-controller.md#d105
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from steerd.car_model.effect import Role
 from steerd.car_model.effects import find_effect
-from steerd.car_model.params import PARAMETERS
-from steerd.sim_gap.online.learner import Known
+from steerd.car_model.model import Model
+from steerd.car_model.nominal_car import believed_car
+from steerd.car_model.params import PARAMETERS, Car
+from steerd.controller.learnt import Learnt, learnt_of
+from steerd.sim_gap.online.learner import SETTLED, Change, Learner, State
+from steerd.sim_gap.online.naming import Known
+from steerd.sim_gap.verdict.evidence import Cause
+from steerd.sysid.inference.superset import Superset
 
 INFORMED = 0.5
 """A number is identified by a drive that makes its standard deviation so many times smaller."""
 SHARP = 0.03
 """Or that is known to this share of its bounds' half width, from before."""
+Amount = tuple[float, float, str]
 _UNITS = {parameter.name: parameter.unit for parameter in PARAMETERS}
 
 
@@ -57,3 +81,139 @@ def unit_of(name: str) -> str:
     if not own:
         return _UNITS[name]
     return next(p.unit for p in find_effect(effect).parameters if p.name == own)
+
+
+def amounts_of(change: Change) -> dict[str, Amount]:
+    """What the named effect's parameters moved by: (value, standard error, unit) by name.
+
+    Offsets are differences and ratios quotients, to what was before. What says of which form or
+    where an effect is, has no amount: it is as it is after the change. Empty without a name.
+    """
+    cause = change.finding.cause
+    if cause is None:
+        return {}
+    known = find_effect(cause.effect).parameters
+    return {
+        p.name: _amount(cause.parameters[p.name], before, p.null) if p.role is Role.SIZE else after
+        for p, before in zip(known, change.was, strict=True)
+        for after in [cause.parameters[p.name]]
+    }
+
+
+def _amount(after: Amount, before: float, null: float) -> Amount:
+    value, sd, unit = after
+    if is_ratio(null, before):
+        return value / before, sd / before, unit
+    return value - before, sd, unit
+
+
+def is_ratio(null: float, before: float) -> bool:
+    """Whether a parameter scales what the car has; its null is then one."""
+    return null == 1.0 and before > 0.0
+
+
+SURE = 0.8
+"""A name, or a set of which each is lateness, is followed from this confidence on."""
+BY_ITSELF = ("steer_bias", "speed_gain")
+"""Numbers of the base that a lane identifies whatever else the model misses."""
+BEYOND_DOUBT = 3.0
+"""Standard deviations by which a number must have moved to be followed."""
+LATENESS = frozenset(("steer_delay", "steer_lag", "mocap_latency"))
+"""Effects that a lane barely distinguishes and a lane keeper need not: each is time that passes
+between a pose and what the wheels do about it. A set of these is followed as its likeliest."""
+_BODY = (("mocap_yaw", "body_yaw"), ("marker_offset", "body_forward", "body_left"))
+
+
+def find_aim(learner: Learner, state: State) -> Learnt | str:
+    """The numbers to follow, or why none are."""
+    if state.known is None:
+        return "the car is being learnt"
+    current = () if state.change is None else (state.change,)
+    named = [_named(change) for change in (*state.past, *current)]
+    problem = next((each for each in named if isinstance(each, str)), "")
+    if problem:
+        return problem
+    if state.change is not None and len(state.change.windows) < SETTLED:
+        return "a change is being looked into"
+    file = _numbers(learner.superset, ())
+    now = _numbers(learner.superset, [each for each in named if not isinstance(each, str)])
+    # A base that was learnt anew is held near the file's: a change that was named knows better.
+    own = {
+        name: value
+        for name, value in _by_itself(learner, state).items()
+        if getattr(now, name) == getattr(file, name)
+    }
+    return now._replace(**own)
+
+
+def _named(change: Change) -> tuple[Cause, tuple[float, ...]] | str:
+    """What a change is followed as and what the effect's parameters were before, or why it is not.
+
+    Its name, or that which stood alone before others came beside it.
+    """
+    cause, was = change.finding.cause, change.was
+    if cause is None:
+        unexplained = change.finding.verdict == "unexplained"
+        return "a change is unexplained" if unexplained else "a change is being looked into"
+    sure, others = cause.confidence, cause.ambiguous_with
+    if others and change.proven is not None:
+        proven, before = change.proven
+        if cause.effect == proven.effect:
+            cause, was, others = replace(cause, ambiguous_with=()), before, ()
+        elif proven.effect in others:
+            (cause, was), others = change.proven, ()
+    if others and not LATENESS.issuperset((cause.effect, *others)):
+        return f"a change is {cause.effect} or {' or '.join(others)}"
+    if others:
+        sure = change.finding.sure
+    return (cause, was) if sure >= SURE else "the name of a change is not sure"
+
+
+def _by_itself(learner: Learner, state: State) -> dict[str, float]:
+    """Numbers of the base that the drive identifies and that are not the file's."""
+    if state.known is None:
+        return {}
+    file, names = learner.superset.base, learner.superset.kernels.names
+    return {
+        v.name: v.value
+        for v in values_of(state.known)
+        if v.name in BY_ITSELF
+        and v.identifiable
+        and abs(v.value - float(file[names.index(v.name)])) > BEYOND_DOUBT * v.sd
+    }
+
+
+def _numbers(superset: Superset, changes: Sequence[tuple[Cause, tuple[float, ...]]]) -> Learnt:
+    """The file's car with these changes (see `_named`), as the numbers of a controller."""
+    now = {e.name: superset.values(e.name) for e in superset.effects}
+    for cause, was in changes:
+        now[cause.effect] = tuple(_shifted(cause, was, now[cause.effect]))
+    own = Car(*(float(value) for value in superset.base[: len(Car._fields)]))
+    values = tuple(now[e.name] for e in superset.effects)
+    car = believed_car(Model(own, superset.effects, values, superset.kernels.chassis))
+    found = learnt_of(
+        car._replace(c_sf=car.c_sf * car.mu / own.mu, c_sr=car.c_sr * car.mu / own.mu)
+    )
+    moved = {cause.effect for cause, _ in changes}
+    body = {
+        name: value
+        for effect, *names in _BODY
+        if effect in moved
+        for name, value in zip(names, now[effect], strict=True)
+    }
+    return found._replace(**body)
+
+
+def _shifted(cause: Cause, was: tuple[float, ...], values: tuple[float, ...]) -> Iterator[float]:
+    """An effect's parameters after a change: offsets add up, ratios multiply.
+
+    One that moved by no more than chance stays as it was: of a marker that was pushed forwards a
+    lane shows to a millimetre or two that it is still in the middle, which is what it keeps to.
+    """
+    nulls = find_effect(cause.effect).nulls
+    rows = zip(values, cause.parameters.values(), was, nulls, strict=True)
+    for value, (after, sd, _), before, null in rows:
+        if abs(after - before) <= BEYOND_DOUBT * sd:
+            yield value
+        else:
+            yield value * after / before if is_ratio(null, before) else value + after - before

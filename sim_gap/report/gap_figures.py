@@ -19,8 +19,8 @@ from steerd.sim_gap.lane_comparison import (
     steering_spectrum,
 )
 from steerd.sim_gap.report.summary_text import EQUATIONS, known_leads
+from steerd.sim_gap.verdict.residual_shape import Timeline
 from steerd.sim_gap.verdict.shrinkage import Shrinkage
-from steerd.sim_gap.verdict.timeline import Timeline
 from steerd.sim_gap.verdict.where import Regime, Where, range_words
 from steerd.sysid.inference.residuals import Gap
 from steerd.sysid.report.drawing import (

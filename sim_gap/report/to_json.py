@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from steerd.sim_gap.diagnosis import Diagnosis
-from steerd.sim_gap.verdict.evidence import Cause
+from steerd.sim_gap.verdict.evidence import Cause, Estimated
 from steerd.sysid.inference.residuals import Gap
 
 SCHEMA = "steerd.gap/1"
@@ -51,10 +51,7 @@ def _cause(cause: Cause, found: Diagnosis) -> dict[str, Any]:
     s = found.shrinkage
     return {
         "effect": cause.effect, "stage": cause.stage, "family": cause.family,
-        "parameters": {
-            name: {"value": value, "sd": sd, "unit": unit}
-            for name, (value, sd, unit) in cause.parameters.items()
-        },
+        "parameters": {n: Estimated(*each)._asdict() for n, each in cause.parameters.items()},
         "confidence": cause.confidence,
         "shrink": {
             "predicted": s.predicted, "measured": s.measured, "low": s.low, "high": s.high,
@@ -76,7 +73,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             {"effect": n, "probability": p, "gain": g} for n, p, g in found.candidates
         ],
         "something_else": found.something_else,
-        "next_manoeuvre": asdict(following) if following else {},
+        "next_manoeuvre": {} if following is None else asdict(following),
         "residual": _residual(found),
     }))  # fmt: skip
 

@@ -104,7 +104,7 @@ def _left(found: Findings) -> float:
 
 def _is_lost(point: Point) -> bool:
     """Whether most windows leave more than counts: then the smallest discrepancy costs least."""
-    return float((point.at.square >= c.SPUN * point.at.dof).mean()) > c.HALF
+    return float((point.at.ratio >= c.SPUN).mean()) > c.HALF
 
 
 def base_strain(best: Hypothesis) -> float:

@@ -11,15 +11,13 @@ from steerd.car_model.ops import FLOAT
 from steerd.car_model.rollout import simulate, start
 from steerd.car_model.state import Command, State
 from steerd.sysid.data.dataset import GRID, Run, Signal
+from steerd.sysid.inference.disturbance_response import active_model
 from steerd.sysid.inference.engine import Engine, open_engine
-from steerd.sysid.inference.hypotheses import carry
+from steerd.sysid.inference.hypotheses import Library, carry
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import Noise
 from steerd.sysid.inference.residuals import settled
 from steerd.sysid.inference.search import Point, curvature, stand
-from steerd.sysid.inference.space import make_space
-from steerd.sysid.inference.superset import Superset
-from steerd.sysid.inference.values import active_model
 
 Array = NDArray[np.float64]
 
@@ -115,23 +113,18 @@ def margin(
     """
     superset = likelihood.engine.superset
     names = [*point.space.effects, *(n for n in pair if n not in point.space.effects)]
-    space = make_space(superset, [n for n in nuisance if n not in _twins(superset, names)], names)
+    space = Library(likelihood, tuple(nuisance), (), known=False).space(names)
     at = stand(likelihood, space, carry(space, point), point.x, 0.0).at
     h, n = curvature(space, at), space.nuisance
     s = h[n:, n:] - h[n:, :n] @ np.linalg.solve(h[:n, :n], h[:n, n:])
     free = space.chart.free[n:]
     mine, theirs = ([i for i, f in enumerate(free) if f.startswith(f"{p}.")] for p in pair)
-    size = carry(space, point)[n:][mine] - np.array(superset.nulls[pair[0]])
+    size = carry(space, point)[n:][mine] - np.array(superset.values(pair[0]))
     cross = s[np.ix_(mine, theirs)]
     left = np.linalg.solve(s[np.ix_(mine, mine)], cross)
     right = np.linalg.solve(s[np.ix_(theirs, theirs)], cross.T)
     alike = float(np.clip(np.max(np.real(np.linalg.eigvals(left @ right))), 0.0, 1.0))
     return 0.5 * float(size @ s[np.ix_(mine, mine)] @ size) * (1.0 - alike)
-
-
-def _twins(superset: Superset, names: Sequence[str]) -> set[str]:
-    """Base parameters that are the same quantity as an effect."""
-    return {same for e in superset.effects if e.name in names for same in e.same_as}
 
 
 def next_manoeuvre(
@@ -142,7 +135,7 @@ def next_manoeuvre(
     pair: tuple[str, str],
 ) -> Manoeuvre | None:
     """The manoeuvre of the menu with the largest expected lead, None if all diverge."""
-    layout = likelihood.engine.readings.layout
+    layout = likelihood.engine.layout
     seconds = float((layout.spans[:, 3] * layout.h).sum())
     try:
         now = margin(likelihood, point, nuisance, pair) * SECONDS / max(seconds, 1e-9)
@@ -162,6 +155,6 @@ def next_manoeuvre(
 def _on(engine: Engine, point: Point, noise: Noise, name: str) -> tuple[Likelihood, Point]:
     """The windows and the hypothesis of a manoeuvre not driven yet."""
     other = open_engine(engine.superset, [_drive(engine, point, name)])
-    guess = other.readings.layout.guess.copy()
+    guess = other.guess.copy()
     likelihood = make_likelihood(other, point.parameters, guess, noise)
     return likelihood, settled(likelihood, point.space, point.z)

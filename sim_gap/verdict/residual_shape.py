@@ -1,13 +1,14 @@
-"""What is left: its spectrum, what it goes with, and whether it looks like noise."""
+"""What is left: its spectrum, what it goes with, whether it is like noise; window by window."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steerd.sim_gap.verdict.where import conditions
+from steerd.sysid.inference.engine import Engine
 from steerd.sysid.inference.likelihood import Likelihood
-from steerd.sysid.inference.residuals import ratios
 from steerd.sysid.inference.search import Point
 
 Array = NDArray[np.float64]
@@ -35,7 +36,7 @@ class Shape:
 def shape_of(likelihood: Likelihood, fitted: Point) -> Shape:
     """Describe the error that a fit leaves."""
     peak, prominence = _spectrum(likelihood, fitted)
-    each = ratios(fitted)
+    each = fitted.at.ratio
     found = {
         name: _rank_correlation(values, each)
         for name, values in conditions(likelihood.engine, fitted).items()
@@ -49,7 +50,7 @@ def _spectrum(likelihood: Likelihood, fitted: Point) -> tuple[float, float]:
     """Peak of the mean spectrum of whitened yaw errors [Hz], and its height over the mean."""
     engine = likelihood.engine
     white = fitted.linear.error * np.sqrt(likelihood.precision)
-    channel = engine.readings.channel[engine.padded.row]
+    channel = engine.channel
     rows = [w[(c == 2) & (t > 0)] for w, c, t in zip(
         white, channel, engine.padded.there, strict=True
     )]  # fmt: skip
@@ -58,7 +59,7 @@ def _spectrum(likelihood: Likelihood, fitted: Point) -> tuple[float, float]:
     if length < 8 or not len(even):
         return float("nan"), 1.0
     power = (np.abs(np.fft.rfft(even - even.mean(axis=1, keepdims=True), axis=1)) ** 2).mean(axis=0)
-    step = float(np.median(np.diff(engine.readings.t[engine.readings.channel == 2][:length])))
+    step = float(np.median(np.diff(engine.layout.row_t[engine.layout.channel == 2][:length])))
     at = int(np.argmax(power[1:])) + 1
     return float(at / (length * step)), float(power[at] / max(power[1:].mean(), 1e-12))
 
@@ -68,3 +69,33 @@ def _rank_correlation(a: Array, b: Array) -> float:
         return 0.0
     first, second = (np.argsort(np.argsort(v)).astype(float) for v in (a, b))
     return float(np.corrcoef(first, second)[0, 1])
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """Whitened squared error per degree of freedom of each window; 1 is noise alone.
+
+    Attributes:
+        run: (W,) name of the drive.
+        t0: (W,) where the window begins in its drive [s]; t1: where it ends.
+        before: (W,) under the base.
+        after: (W,) under the explanation.
+    """
+
+    run: tuple[str, ...]
+    t0: Array
+    t1: Array
+    before: Array
+    after: Array
+
+
+def timeline_of(engine: Engine, before: Point, after: Point, names: Sequence[str]) -> Timeline:
+    """The time line of two fits; `names` are those of the runs."""
+    layout = engine.layout
+    return Timeline(
+        tuple(names[r] for r in layout.run),
+        layout.t.copy(),
+        layout.t + layout.spans[:, 3] * layout.h,
+        before.at.ratio,
+        after.at.ratio,
+    )

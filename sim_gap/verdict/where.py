@@ -3,18 +3,17 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from steerd.sim_gap.verdict.moments import moments_words
 from steerd.sysid.inference.disturbance_response import INPUTS, responses
 from steerd.sysid.inference.engine import Engine
 from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.noise import Noise, covariance, shapes, slip_shape
-from steerd.sysid.inference.residuals import interval_of, ratios, robust_mean
+from steerd.sysid.inference.residuals import interval_of, robust_mean
 from steerd.sysid.inference.search import Point
 
 Array = NDArray[np.float64]
@@ -37,6 +36,18 @@ BIN_LEAST = 8
 _BINS = 3
 _SIZES = np.array([0.3, 0.3, 3.0, 0.01, 0.1])
 """Sizes from which the search for hidden inputs starts."""
+FEW = 0.1
+"""Share of the windows that are few."""
+MOST = 0.5
+"""Share of the excess error that is most of it."""
+_LIKE = 0.2
+"""What has more than this share of the worst window's excess belongs to it."""
+_LISTED = 3
+"""Moments that are listed."""
+_NEAR = 2.5
+"""Windows this near to each other are at one place [m]."""
+_HUGE = 1e3
+"""A window that spun counts no more than this often."""
 
 
 @dataclass(frozen=True)
@@ -70,13 +81,13 @@ class Regime:
     """
 
     variable: str
-    unit: str
     low: float
     high: float
     ratio: float
+    share: float
     ratio_low: float
     ratio_high: float
-    share: float
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -99,12 +110,9 @@ def equation_shares(engine: Engine, fitted: Point, noise: Noise) -> tuple[Share,
     """
     seen = responses(engine, fitted.parameters, fitted.x)
     shaped = shapes(engine, seen, range(len(INPUTS)))
-    at = fitted.linear
-    wide = at.by_x * engine.start_spread[:, None, :]
-    known = covariance(engine, noise, [*shaped[:3], slip_shape(engine, at.error)])
-    known += wide @ wide.transpose(0, 2, 1)
-    moved = fitted.x - engine.readings.layout.guess
-    error = at.error + np.einsum("wij,wj->wi", at.by_x, moved)
+    error, by_starts = engine.about_guess(fitted.x, fitted.linear)
+    known = covariance(engine, noise, [*shaped[:3], slip_shape(engine, fitted.linear.error)])
+    known += by_starts
     some = np.unique(np.linspace(0, len(error) - 1, 50).round().astype(int))
     logs = np.log(_SIZES)
     found = minimize(
@@ -146,7 +154,7 @@ def channel_shares(likelihood: Likelihood, before: Point, after: Point) -> tuple
     """Share of each channel in what the explanation removes (or in the error where none does)."""
     precision, engine = likelihood.precision, likelihood.engine
     white = [fitted.linear.error**2 * precision for fitted in (before, after)]
-    channel = engine.readings.channel[engine.padded.row]
+    channel = engine.channel
     removed = white[0] - white[1] if before is not after else white[0]
     parts = np.array([removed[channel == c].clip(-1e4, 1e4).sum() for c in range(5)]).clip(0.0)
     whole = max(float(parts.sum()), 1e-12)
@@ -156,40 +164,23 @@ def channel_shares(likelihood: Likelihood, before: Point, after: Point) -> tuple
 
 def conditions(engine: Engine, fitted: Point) -> dict[str, Array]:
     """What the car was doing in each window (W,), by variable."""
-    layout = engine.readings.layout
+    layout = engine.layout
     x, spans = fitted.x, layout.spans
     rate, acc = np.empty(len(x)), np.empty(len(x))
     for w, (_, _, first, steps, _) in enumerate(spans):
         part = layout.commands[first : first + steps]
         rate[w] = np.abs(np.diff(part[:, 0])).sum() / (steps * layout.h)
         acc[w] = np.abs(part[-1, 1] - x[w, 3]) / (steps * layout.h)
-    curve = _mean_lateral(engine)
-    speed = np.array([
-        np.abs(layout.commands[a : a + n, 1]).mean() for _, _, a, n, _ in spans
-    ])  # fmt: skip
     return {
-        "speed": speed, "lateral_acceleration": curve * speed, "steering_rate": rate,
+        "speed": engine.pace, "lateral_acceleration": engine.lateral, "steering_rate": rate,
         "longitudinal_acceleration": acc, "x": x[:, 0], "y": x[:, 1],
         "heading": (x[:, 2] + np.pi) % (2.0 * np.pi) - np.pi, "run_time": layout.t,
     }  # fmt: skip
 
 
-def _mean_lateral(engine: Engine) -> Array:
-    """Mean absolute yaw rate of each window from the poses [rad/s]."""
-    readings = engine.readings
-    out = np.zeros(readings.count)
-    for w in range(readings.count):
-        rows = readings.rows(w)
-        turn = readings.channel[rows] == 2
-        yaw, t = np.unwrap(readings.layout.values[rows][turn]), readings.t[rows][turn]
-        if len(t) > 1:
-            out[w] = np.abs(np.diff(yaw)).sum() / max(t[-1] - t[0], 1e-3)
-    return out
-
-
 def regimes(engine: Engine, fitted: Point, blocks: NDArray[np.int64]) -> tuple[Regime, ...]:
     """Bins of every variable in which the error differs from elsewhere, strongest first."""
-    each, found = ratios(fitted), []
+    each, found = fitted.at.ratio, []
     excess = np.maximum(np.minimum(each, 100.0) - 1.0, 0.0)
     for name, values in conditions(engine, fitted).items():
         if np.subtract(*np.quantile(values, [0.95, 0.05])) < _VARIES[name]:
@@ -206,32 +197,23 @@ def regimes(engine: Engine, fitted: Point, blocks: NDArray[np.int64]) -> tuple[R
             a, b = (float(v) for v in np.percentile(draws, [5.0, 95.0]))
             share = float(excess[inside].sum() / max(excess.sum(), 1e-9))
             found.append(
-                Regime(name, _UNITS[name], float(low), float(high), float(ratio), a, b, share)
+                Regime(name, float(low), float(high), float(ratio), share, a, b, _UNITS[name])
             )
     return tuple(sorted(found, key=lambda r: -r.ratio_low))
 
 
-def stretches(
-    engine: Engine, fitted: Point, names: Sequence[str], least: float = 2.0
-) -> tuple[Stretch, ...]:
-    """Stretches in which the error stands out: windows above `least` medians, neighbours merged."""
-    layout, each = engine.readings.layout, np.minimum(ratios(fitted), 1e3)
+def stretches(engine: Engine, fitted: Point, names: Sequence[str]) -> tuple[Stretch, ...]:
+    """Stretches in which the error stands out: windows above two medians, neighbours merged."""
+    layout, each = engine.layout, np.minimum(fitted.at.ratio, 1e3)
     excess = np.maximum(each - 1.0, 0.0)
-    bad = each > max(least * float(np.median(each)), 1.5)
+    bad = each > max(2.0 * float(np.median(each)), 1.5)
     found: list[Stretch] = []
-    start = None
-    for w in range(len(each) + 1):
-        ends = w == len(each) or not bad[w] or layout.run[w] != layout.run[max(w - 1, 0)]
-        if start is not None and ends:
-            last = w - 1
-            stop = layout.t[last] + layout.spans[last, 3] * layout.h
-            share = float(excess[start:w].sum() / max(excess.sum(), 1e-9))
-            found.append(
-                Stretch(names[layout.run[start]], float(layout.t[start]), float(stop), share)
-            )
-            start = None
-        if w < len(each) and bad[w] and start is None:
-            start = w
+    for (stands_out, run), group in groupby(range(len(each)), lambda w: (bad[w], layout.run[w])):
+        if stands_out:
+            mine = list(group)
+            stop = layout.t[mine[-1]] + layout.spans[mine[-1], 3] * layout.h
+            share = float(excess[mine].sum() / max(excess.sum(), 1e-9))
+            found.append(Stretch(names[run], float(layout.t[mine[0]]), float(stop), share))
     return tuple(sorted(found, key=lambda s: -s.share)[:12])
 
 
@@ -264,6 +246,46 @@ def sentence_of(equation: Sequence[Share], found: Sequence[Regime], moments: str
     )
 
 
+def find_moments(ratios: Array) -> NDArray[np.int64]:
+    """Windows, the worst first, that hold most of the excess though they are few; else none.
+
+    A place passed once, a bump, a second in which the car spun: held-out drives cannot confirm what
+    shows in one of them alone, so no effect is named for it; when and where it was is what a reader
+    can look at, and drive again.
+
+    Args:
+        ratios: (W,) squared error of each window by what noise leaves.
+    """
+    excess = np.clip(ratios - 1.0, 0.0, _HUGE)
+    order = np.argsort(-excess, kind="stable")
+    worst: NDArray[np.int64] = order[excess[order] > _LIKE * excess.max(initial=0.0)]
+    hold = float(excess[worst].sum()) >= MOST * float(excess.sum())
+    return worst[: len(worst) if hold and len(worst) <= FEW * len(ratios) else 0]
+
+
+def moments_words(ratios: Array, run: Sequence[str], t: Array, place: Array) -> str:
+    """When and where most of the error is, in words; empty where it is spread out.
+
+    Args:
+        ratios: (W,) squared error of each window by what noise leaves.
+        run: (W,) name of each window's drive.
+        t: (W,) when each begins in its drive [s].
+        place: (W, 2) where it does [m].
+    """
+    worst = find_moments(ratios)
+    if not len(worst):
+        return ""
+    excess = np.clip(ratios - 1.0, 0.0, _HUGE)
+    share = excess[worst].sum() / excess.sum()
+    moments = [f"{run[w]} at {t[w]:.0f} s" for w in worst[:_LISTED]]
+    more = ", …" if len(worst) > _LISTED else ""
+    middle = place[worst].mean(axis=0)
+    at_one = bool((np.linalg.norm(place[worst] - middle, axis=1) < _NEAR).all())
+    where = f", near x {middle[0]:.1f} m, y {middle[1]:.1f} m" if at_one else ""
+    count = f"{len(worst)} of {len(ratios)} windows"
+    return f"{share:.0%} of it is in {count}: {', '.join(moments)}{more}{where}"
+
+
 def locate(
     likelihood: Likelihood,
     before: Point,
@@ -276,9 +298,9 @@ def locate(
     engine = likelihood.engine
     equation = equation_shares(engine, before, noise)
     found = regimes(engine, before, blocks)
-    layout = engine.readings.layout
+    layout = engine.layout
     moments = moments_words(
-        ratios(before), [names[run] for run in layout.run], layout.t, before.x[:, :2]
+        before.at.ratio, [names[run] for run in layout.run], layout.t, before.x[:, :2]
     )
     return Where(
         STAGE_OF[equation[0].name], equation, channel_shares(likelihood, before, after),

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.session import Session, open_session
 from steerd.steer_bus.topic_columns import Columns
-from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, THROTTLE, VESC, WHEEL, split_key
+from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, VESC, WHEEL, split_key
 from steerd.sysid.data.data_checks import DataError, check_run, check_times, noise_of
 from steerd.vesc_link.scaling import F1TENTH
 
@@ -54,14 +54,12 @@ class LogJitter(NamedTuple):
         period: of the log [s].
         phase: at the drive's first command, in periods.
         drift: how fast the phase moves [periods/s].
-        log_likelihood: gain over a constant delay [nats].
     """
 
     run: str
     period: float
     phase: float
     drift: float
-    log_likelihood: float
 
     def delay(self, t: Array) -> Array:
         """How late commands logged at `t` were stored [s]."""
@@ -95,17 +93,16 @@ class Run:
         h: step of the command grid [s].
         commands: (N, 2) steer [rad] and speed [m/s], means over the grid's steps.
         speed_source: `command`; or `wheel` or `pose` where there is no speed command and the
-            measured speed is prescribed instead (see `fit.prescribe_speed`).
+            measured speed is prescribed instead (see `superset.prescribe_speed`).
         pose: times and (M, 3) x [m], y [m], yaw [rad, unwrapped]; gaps are allowed.
         wheel: speed as reported with the nominal gain [m/s]; may be empty.
         yaw_rate: gyro [rad/s]; may be empty.
-        throttle: open-loop motor command; may be empty.
         steer: the commanded angles at their own times; may be empty.
         servo_frame: period of the pulses that carry them to the servo [s]; 0 where none are known
-            to do so (see `servo_pulse`).
+            to do so (see `command_timing`).
         speed_command: the commanded speeds at their own times; may be empty.
         speed_ramp: how fast the motor controller's setpoint may follow them [m/s^2]; 0 where it is
-            not known to be limited (see `setpoint_ramp`).
+            not known to be limited (see `command_timing`).
         start: where in its drive this segment begins [s]; drifts count from the drive's start.
         history: how much of the commands before a window is simulated [s]: a linkage with play
             keeps the side of the last turn.
@@ -119,7 +116,6 @@ class Run:
     speed_source: str = "command"
     wheel: Signal = field(default_factory=_none)
     yaw_rate: Signal = field(default_factory=_none)
-    throttle: Signal = field(default_factory=_none)
     steer: Signal = field(default_factory=_none)
     servo_frame: float = 0.0
     speed_command: Signal = field(default_factory=_none)
@@ -230,7 +226,6 @@ def make_run(
     *,
     wheel: Signal | None = None,
     yaw_rate: Signal | None = None,
-    throttle: Signal | None = None,
     h: float = GRID,
     servo_frame: float = 0.0,
     speed_ramp: float = 0.0,
@@ -245,7 +240,6 @@ def make_run(
         pose: (M, 3) x, y, yaw; yaw may wrap.
         wheel: reported speed [m/s].
         yaw_rate: gyro [rad/s].
-        throttle: open-loop motor command.
         h: step of the command grid [s].
         servo_frame: period of the servo's pulses [s]; 0 where it has none.
         speed_ramp: limit of the motor controller's setpoint [m/s^2]; 0 where it has none.
@@ -253,7 +247,7 @@ def make_run(
     Raises:
         DataError: no fit should see these data.
     """
-    steer, commanded, rolled, gyro, motor = map(_clean, (steer, speed, wheel, yaw_rate, throttle))
+    steer, commanded, rolled, gyro = map(_clean, (steer, speed, wheel, yaw_rate))
     named = {"steer": steer, "speed": commanded, "wheel": rolled, "yaw rate": gyro}
     for what, signal in {**named, "pose": pose}.items():
         check_times(name, what, signal.t)
@@ -269,14 +263,14 @@ def make_run(
     pose = Signal(*(part[(pose.t >= 0.0)] for part in pose))
     steps = int(max(end - zero, 0.0) / h + 1e-9)
     edges: Array = np.arange(steps + 1).astype(float) * h
-    moved = [Signal(s.t - zero, s.values) for s in (steer, commanded, rolled, gyro, motor)]
-    steer, commanded, rolled, gyro, motor = moved
+    moved = [Signal(s.t - zero, s.values) for s in (steer, commanded, rolled, gyro)]
+    steer, commanded, rolled, gyro = moved
     source = "command" if len(commanded.t) else _measured_source(rolled, pose)
     check_run(name, edges[-1], pose.t, pose.values, commanded.values)
     run_speed = _speed_input(source, commanded, rolled, pose, edges)
     commands = np.column_stack([hold_means(steer, edges), run_speed])
     return Run(
-        name, h, commands, pose, source, rolled, gyro, motor, steer, servo_frame, commanded,
+        name, h, commands, pose, source, rolled, gyro, steer, servo_frame, commanded,
         speed_ramp,
     )  # fmt: skip
 
@@ -347,7 +341,7 @@ def read_run(session: Session, tables: Mapping[str, Columns] | None = None, h: f
     )
 
 
-_SOURCES = (MOCAP, ACTUATION, VESC, IMU, WHEEL, THROTTLE)
+_SOURCES = (MOCAP, ACTUATION, VESC, IMU, WHEEL)
 
 
 def _signals(session: Session, columns: dict[str, Columns]) -> dict[str, Signal]:
@@ -381,9 +375,6 @@ def _signals(session: Session, columns: dict[str, Columns]) -> dict[str, Signal]
         table = columns[IMU.name]
         middle = (table["t_sent_ns"] + table["t_received_ns"]) // 2
         found["yaw_rate"] = Signal(seconds(middle, epoch), table["gyro_z"].astype(float))
-    if THROTTLE.name in columns:
-        table = columns[THROTTLE.name]
-        found["throttle"] = Signal(seconds(table["t_ns"], epoch), table["throttle"].astype(float))
     return found
 
 

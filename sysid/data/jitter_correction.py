@@ -71,13 +71,11 @@ def find_log_jitter(run: Run) -> LogJitter | None:
     offsets = np.arange(-_RESPONSE_MAX, 1e-9, 2.0 * _STEP)
     for drift in np.linspace(-drift_max, drift_max, 2 * count + 1).tolist():
         for phase in np.arange(0.0, 1.0, 0.5 * _PHASE_STEP).tolist():
-            delay = LogJitter(run.name, period, phase, drift, 0.0).delay(centres)
+            delay = LogJitter(run.name, period, phase, drift).delay(centres)
             total = min(_interpolated_loss(loss, delays, delay + offset) for offset in offsets)
             best = min(best, (total, phase, drift))
     gain = float(loss.sum(axis=0).min()) - best[0]
-    return (
-        LogJitter(run.name, period, best[1], best[2], gain) if gain > LOG_LIKELIHOOD_MIN else None
-    )
+    return LogJitter(run.name, period, *best[1:]) if gain > LOG_LIKELIHOOD_MIN else None
 
 
 def _interpolated_loss(loss: Array, delays: Array, delay: Array) -> float:

@@ -57,7 +57,6 @@ def make_segment(run: Run, low: float, high: float) -> Run:
         pose=part(run.pose),
         wheel=part(run.wheel),
         yaw_rate=part(run.yaw_rate),
-        throttle=part(run.throttle),
         steer=part(run.steer),
         speed_command=part(run.speed_command),
         start=run.start + zero,

@@ -2,7 +2,8 @@
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -21,9 +22,13 @@ FLOORS = np.array([1e-5, 1e-5, 1e-4, 1e-4])
 """Noise levels are at least this; simulated instruments may have none."""
 POSES_MIN = 4
 """A window with fewer poses is left out (its initial state would not be identifiable)."""
+SPACING = 0.05
+"""Time between readings where they are thinned [s]."""
 _WINDOWS_MIN = 4
 _GUESS_SPAN = 0.12
 """Poses within this time of a window's start give the first guess of its state [s]."""
+_CHANNELS = np.array([0, 3, 4])
+"""First channel of each kind of reading."""
 _FORGOTTEN = 0.2
 """Commands that move by so much leave no play as it was; none is wider than 0.15 rad [rad]."""
 
@@ -54,10 +59,9 @@ class Layout:
         run: (W,) which run.
         seen: what is compared.
         values: (R,) measurements.
-        group: (R,) which noise level.
         bounds: (W + 1,) rows of each window.
         guess: (W, 7) first guess of the initial states, from the poses alone; steer 0.
-        has_past: (W,) whether the commands before the window are known.
+        speeds: slowest and fastest of the runs [m/s].
     """
 
     h: float
@@ -67,10 +71,48 @@ class Layout:
     run: Indices
     seen: Seen
     values: Array
-    group: Indices
     bounds: Indices
     guess: Array
-    has_past: NDArray[np.bool_]
+    speeds: tuple[float, float]
+
+    @property
+    def count(self) -> int:
+        """Number of windows."""
+        return len(self.spans)
+
+    @cached_property
+    def _rows(self) -> tuple[Array, Indices]:
+        t, channel = np.empty(len(self.values)), np.empty(len(self.values), np.int64)
+        for number in range(3):
+            mine = (self.seen.kind == 0) | (number == 0)
+            at = self.seen.row[mine] + number
+            t[at], channel[at] = self.seen.t[mine], _CHANNELS[self.seen.kind[mine]] + number
+        return t, channel
+
+    @property
+    def row_t(self) -> Array:
+        """(R,) time of each row since its window's start [s]."""
+        return self._rows[0]
+
+    @property
+    def channel(self) -> Indices:
+        """(R,) 0 x, 1 y, 2 yaw, 3 wheel speed, 4 yaw rate."""
+        return self._rows[1]
+
+    @property
+    def group(self) -> Indices:
+        """(R,) which noise level, see `GROUPS`."""
+        return np.maximum(self.channel - 1, 0)
+
+    @property
+    def has_past(self) -> NDArray[np.bool_]:
+        """(W,) whether the commands before the window are known."""
+        past = self.spans[:, 2] - self.spans[:, 0]
+        return np.asarray(past >= round(HISTORY / self.h) // 2)
+
+    def rows(self, window: int) -> slice:
+        """Rows of a window."""
+        return slice(int(self.bounds[window]), int(self.bounds[window + 1]))
 
     def kernel_windows(self, substeps: int) -> Windows:
         """The windows in integration steps."""
@@ -83,9 +125,8 @@ class Layout:
         seen = self.seen
         true = (seen.t - np.where(seen.kind == 0, pose_delay, 0.0)) / step
         k = np.floor(true).astype(np.int64)
-        first = np.array([0, 3, 4])[seen.kind]
         order = np.lexsort((true, seen.window))
-        places = np.column_stack([k, first, seen.row, seen.kind == 0])[order]
+        places = np.column_stack([k, _CHANNELS[seen.kind], seen.row, seen.kind == 0])[order]
         spans = np.searchsorted(seen.window, np.arange(len(self.spans) + 1))
         return Stations(np.ascontiguousarray(places), (true - k)[order], spans, len(self.values))
 
@@ -199,36 +240,71 @@ def make_layout(
 
 
 def _assemble(runs: Sequence[Run], windows: Sequence[_Window], pose_delay: float) -> Layout:
-    window, t, kinds, rows, values, groups, bounds = [], [], [], [], [], [], [0]
-    row = 0
+    window, t, kinds, values, bounds = [], [], [], [], [0]
     for w, part in enumerate(windows):
         for kind, times, measured in part.kinds:
-            width = 3 if kind == 0 else 1
             window.append(np.full(len(times), w))
             t.append(times)
             kinds.append(np.full(len(times), kind))
-            rows.append(row + width * np.arange(len(times)))
             values.append(measured.ravel())
-            groups.append(np.tile([0, 0, 1] if kind == 0 else [kind + 1], len(times)))
-            row += width * len(times)
-        bounds.append(row)
-    seen = Seen(
-        np.concatenate(window), np.concatenate(t), np.concatenate(kinds), np.concatenate(rows)
-    )
-    spans = np.array([part.span for part in windows], np.int64)
+        bounds.append(sum(map(len, values[-len(part.kinds) :])))
+    every = np.concatenate(kinds)
+    row = np.cumsum(_width(every)) - _width(every)
     return Layout(
         h=runs[0].h,
         commands=np.concatenate([run.commands for run in runs]),
-        spans=spans,
+        spans=np.array([part.span for part in windows], np.int64),
         t=np.array([runs[part.run].start + part.t for part in windows]),
         run=np.array([part.run for part in windows]),
-        seen=seen,
+        seen=Seen(np.concatenate(window), np.concatenate(t), every, row),
         values=np.concatenate(values),
-        group=np.concatenate(groups),
-        bounds=np.array(bounds),
+        bounds=np.cumsum(bounds),
         guess=np.array([guess_state(runs[c.run].pose, c.t + pose_delay) for c in windows]),
-        has_past=spans[:, 2] - spans[:, 0] >= round(HISTORY / runs[0].h) // 2,
+        speeds=speed_range(runs),
     )
+
+
+def _width(kind: Indices) -> Indices:
+    """Rows of readings of these kinds."""
+    return np.where(kind == 0, 3, 1)
+
+
+def thinned(layout: Layout) -> Layout:
+    """Of each window's and instrument's readings, the one nearest to each multiple of `SPACING`.
+
+    Denser readings add nothing but rows: what is not noise of the instrument is correlated over far
+    longer times.
+    """
+    seen = layout.seen
+    slot = np.round(seen.t / SPACING).astype(np.int64)
+    order = np.lexsort((np.abs(seen.t - SPACING * slot), slot, seen.kind, seen.window))
+    key = np.column_stack([seen.window, seen.kind, slot])[order]
+    first = np.append(True, (key[1:] != key[:-1]).any(axis=1))
+    kept = np.zeros(len(order), bool)
+    kept[order[first]] = True
+    return take_readings(layout, kept)
+
+
+def take_readings(layout: Layout, kept: NDArray[np.bool_]) -> Layout:
+    """The layout with some of its readings (mask over `seen`)."""
+    window, kind = layout.seen.window[kept], layout.seen.kind[kept]
+    width = _width(kind)
+    first = np.cumsum(width) - width
+    rows = np.repeat(layout.seen.row[kept] - first, width) + np.arange(width.sum())
+    bounds = np.searchsorted(np.repeat(window, width), np.arange(layout.count + 1))
+    seen = Seen(window, layout.seen.t[kept], kind, first)
+    return replace(layout, seen=seen, values=layout.values[rows], bounds=bounds)
+
+
+def take_windows(layout: Layout, chosen: NDArray[np.bool_]) -> Layout:
+    """The layout of some of its windows (mask (W,))."""
+    cut = take_readings(layout, chosen[layout.seen.window])
+    window = (np.cumsum(chosen) - 1)[cut.seen.window]
+    return replace(
+        cut, spans=cut.spans[chosen], t=cut.t[chosen], run=cut.run[chosen],
+        seen=cut.seen._replace(window=window), guess=cut.guess[chosen],
+        bounds=np.append(0, np.cumsum(np.diff(layout.bounds)[chosen])),
+    )  # fmt: skip
 
 
 def estimate_noise(runs: Sequence[Run]) -> Array:

@@ -14,30 +14,31 @@ from steerd.sysid.data.data_checks import check_excited
 from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.excitation import measure_excitation, speed_tracking_share
 from steerd.sysid.data.segments import describe_unused, hold_out, make_blocks, moving_segments
-from steerd.sysid.estimation.fit import Fit, fit_of_plain, fit_of_taught
-from steerd.sysid.estimation.multistart import (
-    COMPARABLE,
-    candidate_starts,
-    has_one_speed,
-    mark_ambiguous,
-    scatter,
-)
+from steerd.sysid.estimation.command_timing import Pulse, Ramp, time_commands
 from steerd.sysid.estimation.outcome import (
+    Fit,
     HeldOut,
     Outcome,
+    fit_of_plain,
+    fit_of_taught,
     make_effect_rows,
     make_rows,
     searched_estimates,
 )
-from steerd.sysid.estimation.plain_start import possible_starts
 from steerd.sysid.estimation.preparation import (
     add_command_history,
     exceeds_slew_rate,
     restore_end_stops,
     widen_end_stops,
 )
-from steerd.sysid.estimation.servo_pulse import Pulse, settle_servo
-from steerd.sysid.estimation.setpoint_ramp import Ramp, settle_ramp
+from steerd.sysid.estimation.starts import (
+    COMPARABLE,
+    candidate_starts,
+    has_one_speed,
+    mark_ambiguous,
+    possible_starts,
+    scatter,
+)
 from steerd.sysid.estimation.validation import (
     HORIZONS,
     by_lateral_acceleration,
@@ -48,7 +49,7 @@ from steerd.sysid.inference.identifiability import Estimate
 from steerd.sysid.inference.plain_car import (
     POOR,
     Asked,
-    Rough,
+    PlainCar,
     default_free,
     free_of,
     search_blocks,
@@ -91,7 +92,7 @@ class Task:
         starts: how many starts.
         iterations: of the paper's methods; None for 100 (Adam), 500 (CMA-ES).
         seed: of the random starts.
-        jobs, dask: where to work, see `scale.map_jobs`.
+        jobs, dask: where to work, see `parallel.map_jobs`.
         truth: the simulated car, if it is known.
         held: parameters and effects that keep the model's values.
     """
@@ -198,23 +199,23 @@ class _Drives(NamedTuple):
     ramps: tuple[Ramp, ...]
 
 
-def _prepare(task: Task) -> tuple[Task, _Drives, tuple[Rough, ...]]:
+def _prepare(task: Task) -> tuple[Task, _Drives, tuple[PlainCar, ...]]:
     """The task with drives as the car felt them, and rough cars of it, the best first."""
-    if task.method != "ours":
-        moving = tuple(moving_segments(task.runs))
-        return task, _Drives(moving, *_split(task, moving), (), ()), ()
-    task = _with_history(task)
-    moving = tuple(moving_segments(task.runs))
-    check_excited([run.commands[:, 0] for run in moving])
-    roughs = _search_rough(task, moving)
-    if not roughs or not any(run.servo_frame or run.speed_ramp for run in task.runs):
-        return task, _Drives(moving, *_split(task, moving), (), ()), roughs
-    task, pulses, ramps = _apply_timing(task, roughs[0])
-    moving = tuple(moving_segments(task.runs))
+    roughs: tuple[PlainCar, ...] = ()
+    pulses: tuple[Pulse, ...] = ()
+    ramps: tuple[Ramp, ...] = ()
+    if task.method == "ours":
+        task = _with_history(task)
+        moving = moving_segments(task.runs)
+        check_excited([run.commands[:, 0] for run in moving])
+        roughs = _search_rough(task, moving)
+        if roughs and any(run.servo_frame or run.speed_ramp for run in task.runs):
+            task, pulses, ramps = _apply_timing(task, roughs[0])
+    moving = moving_segments(task.runs)
     return task, _Drives(moving, *_split(task, moving), pulses, ramps), roughs
 
 
-def _search_rough(task: Task, moving: Sequence[Run]) -> tuple[Rough, ...]:
+def _search_rough(task: Task, moving: Sequence[Run]) -> tuple[PlainCar, ...]:
     """Short searches from every start.
 
     At one speed a longer car that slides more and a servo that is later but quicker look much
@@ -226,7 +227,7 @@ def _search_rough(task: Task, moving: Sequence[Run]) -> tuple[Rough, ...]:
     asked = task.question._replace(free=free_of(moving, free))
     work = partial(search_rough, runs=moving, asked=asked)
     found = map_jobs(work, starts, task.jobs, task.dask)
-    return tuple(sorted((rough for rough in found if rough), key=lambda rough: rough.cost))
+    return tuple(sorted((rough for rough in found if rough), key=lambda rough: rough.point.cost))
 
 
 def _starts(task: Task) -> list[Model[float]]:
@@ -239,7 +240,7 @@ def _starts(task: Task) -> list[Model[float]]:
     ]
 
 
-def _estimate(task: Task, drives: _Drives, roughs: Sequence[Rough]) -> Fit:
+def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit:
     """The plain car where it leaves no more than noise, else what windows of one second teach.
 
     Raises:
@@ -260,7 +261,7 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[Rough]) -> Fit:
         return plain
 
 
-def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[Rough]) -> Fit | None:
+def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit | None:
     """The plain car over whole blocks; what ends that are as good place elsewhere is open."""
     runs, asked = drives.fitted, task.question
     able = asked._replace(free=free_of(runs, asked.free))
@@ -296,19 +297,14 @@ def _with_history(task: Task) -> Task:
     return replace(task, runs=runs, held_out=held_out, model=model, free=tuple(free))
 
 
-def _apply_timing(task: Task, rough: Rough) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...]]:
+def _apply_timing(task: Task, rough: PlainCar) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...]]:
     """The task with commands as servos and motor controllers let them through."""
     asked = task.question._replace(free=free_of(task.runs, task.question.free))
-    settled: list[tuple[Run, ...]] = []
-    pulses: list[Pulse] = []
-    ramps: list[Ramp] = []
-    for drives in (task.runs, task.held_out):
-        limited, rates = settle_ramp(drives, rough, asked)
-        pulsed, phases = settle_servo(limited, rough, asked)
-        settled.append(pulsed)
-        pulses += phases
-        ramps += rates
-    return replace(task, runs=settled[0], held_out=settled[1]), tuple(pulses), tuple(ramps)
+    timed = [time_commands(run, rough, asked) for run in (*task.runs, *task.held_out)]
+    runs, count = tuple(each.run for each in timed), len(task.runs)
+    pulses = tuple(each.pulse for each in timed if each.pulse)
+    ramps = tuple(each.ramp for each in timed if each.ramp)
+    return replace(task, runs=runs[:count], held_out=runs[count:]), pulses, ramps
 
 
 def _doubts(pulses: Sequence[Pulse]) -> tuple[tuple[str, float], ...]:
@@ -322,8 +318,7 @@ def _search_from(
 ) -> SearchHistory:
     """One start. The problem is made where the work is done: compiled code does not travel."""
     number, start = item
-    from steerd.sysid.paper.baselines import search_cma
-    from steerd.sysid.paper.paper_method import make_problem, search_adam
+    from steerd.sysid.paper.paper_method import make_problem, search_adam, search_cma
 
     problem = make_problem(runs)
     if method == "paper":

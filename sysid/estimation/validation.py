@@ -21,7 +21,7 @@ from steerd.car_model.native.windows import (
     parameter_vector,
 )
 from steerd.sysid.data.dataset import Run, check_sources
-from steerd.sysid.data.windows import Layout, estimate_noise, make_layout, speed_range
+from steerd.sysid.data.windows import Layout, estimate_noise, make_layout
 from steerd.sysid.inference.engine import STATE_SPREAD, stable_substeps
 from steerd.sysid.inference.superset import prescribe_speed
 
@@ -93,7 +93,7 @@ def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> l
     kernels, parameters = make_kernels(model.effects, model.chassis), parameter_vector(model)
     late = float(delays_of(kernels, parameters)[2])
     layout = make_layout(runs, _ROOM * (PAST + horizon), late)
-    substeps = stable_substeps(model.car, *speed_range(runs), layout.h)
+    substeps = stable_substeps(model.car, *layout.speeds, layout.h)
     held = HeldCommands(layout.commands, layout.h, substeps)
     stations, windows = layout.stations(late, held.fine), layout.kernel_windows(substeps)
     seeds, dfirst = np.zeros((len(parameters), _STATES)), np.eye(_STATES)

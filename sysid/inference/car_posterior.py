@@ -21,20 +21,18 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from steerd.car_model.car_file import CarFile
-from steerd.car_model.model import Model
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.knowledge import Knowledge, Spread, inflate_each, knowledge_section
-from steerd.sysid.inference.noise import Noise, noise_section
+from steerd.sysid.inference.noise import noise_section
 from steerd.sysid.inference.posterior import posterior_of
 from steerd.sysid.inference.residuals import blocks_of, robust_mean
+from steerd.sysid.inference.superset import Knowledge, inflate_each, knowledge_section
 from steerd.sysid.inference.teaching import (
     NOTHING,
     Stated,
     Taught,
     excess_of,
     ratios,
-    teach,
     teach_with_limits,
 )
 
@@ -60,13 +58,8 @@ _NAMED = 3
 
 
 def describe_lost(taught: Taught, runs: Sequence[Run]) -> tuple[str, ...]:
-    """Where the car taught does not hold, and how it was driven there, in a sentence; often none.
-
-    Args:
-        taught: the car.
-        runs: its drives.
-    """
-    engine, layout = taught.likelihood.engine, taught.likelihood.engine.readings.layout
+    """Where the car does not hold, and how it was driven there, in a sentence; often none."""
+    engine, layout = taught.likelihood.engine, taught.likelihood.engine.layout
     lost = ratios(taught) >= c.SPUN
     if not lost.any():
         return ()
@@ -84,11 +77,6 @@ def describe_lost(taught: Taught, runs: Sequence[Run]) -> tuple[str, ...]:
     named = ", ".join(places[:_NAMED]) + (", ..." if len(places) > _NAMED else "")
     how = f": {', '.join(why)}" if why else ": driven like the others, so something acts there"
     return (f"the model does not hold {lost.sum()} of {len(lost)} windows of 1 s ({named}){how}",)
-
-
-def learn_healthy(base: CarFile | Model[float], runs: Sequence[Run]) -> Noise:
-    """How large noise is, from drives without the gap (see `noise.noise_section` to keep it)."""
-    return teach(base, runs).noise
 
 
 def refine(base: CarFile, runs: Sequence[Run], stated: Stated = NOTHING) -> CarFile:
@@ -227,9 +215,7 @@ def knowledge_of(taught: Taught) -> Knowledge:
     pulls = at.weight[:, None] * at.g
     sums = np.zeros((int(blocks.max()) + 1, pulls.shape[1]))
     np.add.at(sums, blocks, pulls)
-    sums -= sums.mean(axis=0)
-    inverse = posterior_of(point, 1.0).covariance
-    covariance = inflate_each(inverse, Spread(sums.T @ sums, float(len(sums))))
+    covariance = inflate_each(posterior_of(point, 1.0).covariance, sums)
     excess = excess_of(taught, robust_mean(ratios(taught)))
     p, names = point.parameters, taught.superset.kernels.names
     values = tuple(float(p[names.index(name)]) for name in taught.nuisance)

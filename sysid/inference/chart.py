@@ -139,13 +139,9 @@ class Chart:
                 low[i], high[i] = np.log(low[i]), np.log(high[i])
         return low, high
 
-    def allowed(self, parameters: Array) -> bool:
-        """Whether all parameters are finite and those that follow from others are in bounds."""
-        front, rear = parameters[self.names.index("lf")], parameters[self.names.index("lr")]
-        return bool(np.isfinite(parameters).all() and min(front, rear) > 0.002)
 
-
-def _effect_spread(effects: Sequence[Effect]) -> dict[str, float]:
+def effect_scales(effects: Sequence[Effect]) -> dict[str, float]:
+    """Prior scale of every parameter of effects, by `effect.parameter`."""
     return {f"{e.name}.{p.name}": p.scale for e in effects for p in e.parameters}
 
 
@@ -183,7 +179,7 @@ def make_chart(
 
 
 def _spreads(chart: Chart, effects: Sequence[Effect]) -> Array:
-    own = _effect_spread(effects)
+    own = effect_scales(effects)
     z = chart.coordinates(chart.prior)
     spread = []
     for value, name in zip(z, chart.free, strict=True):

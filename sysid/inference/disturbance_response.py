@@ -6,21 +6,28 @@ actuators aim at (held over the piece). Finite differences of the compiled car.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.chassis import SPEED_KINEMATIC
+from steerd.car_model.model import Model, observe
 from steerd.car_model.native.windows import (
+    STATES,
     HeldCommands,
+    Kernels,
     delays_of,
     make_window_blocks,
     march,
+    model_of,
+    settle,
     view_by_window,
 )
+from steerd.car_model.numpy_ops import NUMPY
+from steerd.car_model.state import State
 from steerd.sysid.inference.engine import Engine
-from steerd.sysid.inference.values import INTEGRATOR, first_states, paths, readings_of
 
 Array = NDArray[np.float64]
 
@@ -34,55 +41,81 @@ _IMPULSES = 3
 """The first inputs are impulses on the chassis."""
 
 
-@dataclass(frozen=True, eq=False)
-class Responses:
-    """Derivative of the readings by the hidden inputs.
-
-    Attributes:
-        by_input: (inputs, W, D, pieces).
-        piece: length of a piece [s].
-    """
-
-    by_input: Array
-    piece: float
+def active_model(kernels: Kernels, parameters: Array) -> Model[float]:
+    """The car with only those effects that do something."""
+    full = model_of(kernels, parameters)
+    pairs = zip(full.effects, full.values, strict=True)
+    kept = [(effect, values) for effect, values in pairs if values != effect.nulls]
+    return full._replace(effects=tuple(e for e, _ in kept), values=tuple(v for _, v in kept))
 
 
 @dataclass(frozen=True, eq=False)
 class _Nominal:
-    """The trajectory that is pushed."""
+    """The trajectory that is pushed: states (W, moments, 7 + memory) at every integration step."""
 
     engine: Engine
     parameters: Array
-    x: Array
+    first: Array
     path: Array
-    fine: float
 
     @property
     def count(self) -> int:
-        return len(self.x)
+        return len(self.first)
 
     @property
     def steps(self) -> int:
         return int(self.path.shape[1]) - 1
 
+    def march(
+        self, first: Array, held: HeldCommands, runs: NDArray[np.int64], t: Array, steps: int
+    ) -> Array:
+        """States (windows, moments, 7 + memory) at every step from the first ones."""
+        blocks, kernels = make_window_blocks(runs, t), self.engine.superset.kernels
+        path = march(kernels, self.parameters, first, held, blocks, steps)
+        return np.ascontiguousarray(view_by_window(path, len(first)))
+
     def shown(self, path: Array) -> Array:
-        """(W, D) readings along a path."""
+        """(W, D) what the instruments read along a path."""
         engine = self.engine
-        kernels, readings = engine.superset.kernels, engine.readings
-        return engine.pad(readings_of(kernels, readings, self.parameters, path, self.fine))
+        layout, fine, kernels = engine.layout, engine.held.fine, engine.superset.kernels
+        seen, late = layout.seen, float(delays_of(kernels, self.parameters)[2])
+        at = (seen.t - np.where(seen.kind == 0, late, 0.0)) / fine
+        last = layout.spans[seen.window, 3] * round(layout.h / fine) - 1
+        k = np.clip(np.floor(at).astype(np.int64), 0, last)
+        a, b = path[seen.window, k, :STATES], path[seen.window, k + 1, :STATES]
+        with np.errstate(invalid="ignore"):  # a car that spun away reads nothing; it is refused
+            state: State[Any] = State(*(a + (at - k)[:, None] * (b - a)).T)
+            every = observe(NUMPY, active_model(kernels, self.parameters), state)
+        out = np.empty(len(layout.values))
+        for channel, values in enumerate(every):
+            mine = seen.kind == max(channel - 2, 0)
+            rows = seen.row[mine] + min(channel, 2) * (channel < 3)
+            out[rows] = np.broadcast_to(values, at.shape)[mine]
+        return engine.pad(out)
+
+
+def _nominal(engine: Engine, parameters: Array, x: Array) -> _Nominal:
+    """From starts `x` (W, 7), the steering settled over known commands."""
+    layout, kernels = engine.layout, engine.superset.kernels
+    first = np.zeros((len(x), STATES + kernels.memory))
+    first[:, :STATES] = x
+    windows = layout.kernel_windows(engine.substeps)
+    first = settle(kernels, parameters, first, engine.held, windows)
+    at, steps = _Nominal(engine, parameters, first, first), int(layout.spans[:, 3].max())
+    path = at.march(first, engine.held, layout.spans[:, :3], layout.t, steps * engine.substeps)
+    return replace(at, path=path)
 
 
 def responses(
     engine: Engine, parameters: Array, x: Array, inputs: Sequence[int] = range(len(INPUTS))
-) -> Responses:
-    """Finite differences about the trajectory from the starts `x` (W, 7).
+) -> Array:
+    """(inputs, W, D, pieces) finite differences about the trajectory from the starts `x` (W, 7).
 
     Zero in a window whose simulation leaves the map: it is lost, whatever pushes it.
     """
-    path = paths(engine.superset.kernels, engine.readings, parameters, x, engine.substeps)
-    at = _Nominal(engine, parameters, x, path, engine.readings.layout.h / engine.substeps)
-    pieces = max(1, round(at.steps * at.fine / PIECE))
-    base = at.shown(path)
+    at = _nominal(engine, parameters, x)
+    pieces = max(1, round(at.steps * engine.held.fine / PIECE))
+    base = at.shown(at.path)
     out = np.empty((len(inputs), *base.shape, pieces))
     for piece in range(pieces):
         low, high = (k * at.steps // pieces for k in (piece, piece + 1))
@@ -92,14 +125,14 @@ def responses(
             with np.errstate(invalid="ignore"):  # a window that left the map
                 out[place, :, :, piece] = (at.shown(pushed[i]) - base) / _SIZES[i]
     out[:, ~np.isfinite(out).all(axis=(0, 2, 3))] = 0.0
-    return Responses(out, PIECE)
+    return out
 
 
 def _impulses(at: _Nominal, kinds: Sequence[int], low: int, high: int) -> dict[int, Array]:
     """Paths with an impulse of each kind in the middle of a piece."""
     engine, middle = at.engine, (low + high) // 2
-    layout, count = engine.readings.layout, at.count
-    time = (high - low) * at.fine
+    layout, count, fine = engine.layout, at.count, engine.held.fine
+    time = (high - low) * fine
     first = np.tile(at.path[:, middle], (len(kinds), 1))
     fast = np.maximum(at.path[:, middle, 3], SPEED_KINEMATIC)
     for lane, kind in enumerate(kinds):
@@ -108,11 +141,8 @@ def _impulses(at: _Nominal, kinds: Sequence[int], low: int, high: int) -> dict[i
         first[mine, column] += _SIZES[kind] * time * scale
     runs = np.tile(layout.spans[:, :3], (len(kinds), 1))
     runs[:, 2] += middle // engine.substeps
-    blocks = make_window_blocks(runs, np.tile(layout.t, len(kinds)) + middle * at.fine)
-    held = HeldCommands(layout.commands, layout.h, engine.substeps, INTEGRATOR)
-    steps = at.steps - middle
-    late = march(engine.superset.kernels, at.parameters, first, held, blocks, steps)
-    moved = view_by_window(late, len(first))
+    t = np.tile(layout.t, len(kinds)) + middle * fine
+    moved = at.march(first, engine.held, runs, t, at.steps - middle)
     out = {}
     for lane, kind in enumerate(kinds):
         path = at.path.copy()
@@ -125,7 +155,7 @@ def _impulses(at: _Nominal, kinds: Sequence[int], low: int, high: int) -> dict[i
 def _aimed(at: _Nominal, kind: int, low: int, high: int) -> Array:
     """The path with one command off while it arrives within a piece."""
     engine, channel = at.engine, kind - _IMPULSES
-    layout, sub = engine.readings.layout, engine.substeps
+    layout, sub = engine.layout, engine.substeps
     late = round(float(delays_of(engine.superset.kernels, at.parameters)[channel]) / layout.h)
     rows = layout.spans[:, 2, None] + np.arange(-late - 1, at.steps // sub + 1)[None, :]
     rows = np.clip(rows, layout.spans[:, 0, None], layout.spans[:, 1, None] - 1)
@@ -134,8 +164,5 @@ def _aimed(at: _Nominal, kind: int, low: int, high: int) -> Array:
     width = commands.shape[1]
     start = np.arange(at.count) * width
     runs = np.column_stack([start, start + width, start + late + 1])
-    kernels = engine.superset.kernels
-    first = first_states(kernels, engine.readings, at.parameters, at.x, sub)
-    held = HeldCommands(commands.reshape(-1, 2), layout.h, sub, INTEGRATOR)
-    path = march(kernels, at.parameters, first, held, make_window_blocks(runs, layout.t), at.steps)
-    return np.ascontiguousarray(view_by_window(path, at.count))
+    held = engine.held._replace(rows=commands.reshape(-1, 2))
+    return at.march(at.first, held, runs, layout.t, at.steps)

@@ -271,7 +271,7 @@ def explain(
         FloatingPointError: the base car's simulation diverges.
     """
     search = _Search(library)
-    start = begin(library, (), (), library.likelihood.engine.readings.layout.guess.copy())
+    start = begin(library, (), (), library.likelihood.engine.guess.copy())
     search.grow(start, c.FITTED, further=False)
     best = search.hypotheses()[0]
     while 0 < len(best.effects) < most:
@@ -299,7 +299,7 @@ def covering_size(likelihood: Likelihood, point: Point) -> float:
     """The least size under which a point's errors are no larger than noise."""
     for size in SIZES.tolist():
         at = with_size(likelihood, point, size).at
-        if robust_mean(at.square / at.dof) <= 1.0:
+        if robust_mean(at.ratio) <= 1.0:
             return float(size)
     return float(SIZES[-1])
 
@@ -407,7 +407,7 @@ def _looks(
         z = carry(space, start)
         z[own] = values
         z = np.clip(z, space.low, space.high)
-        error, finite = library.likelihood.engine.missed(space, z, start.x)
+        error, finite = library.likelihood.engine.errors(space.chart.parameters(z), start.x)
         if finite:
             cost = _expected(library, start, views, space, keep, error)
             yield Look(effect.name, tuple(z[own].tolist()), cost)
@@ -439,7 +439,7 @@ def _ladder(start: Point, effect: Effect, nulls: Sequence[float]) -> list[tuple[
     if effect.scan is not None:
         x, at = start.x, start.at
         ahead = 0.5 * x[:, 3:4] * np.column_stack([np.cos(x[:, 2]), np.sin(x[:, 2])])
-        return list(effect.scan(suspicious_discs(x[:, :2] + ahead, at.square / at.dof)))
+        return list(effect.scan(suspicious_discs(x[:, :2] + ahead, at.ratio)))
     out = []
     for i, parameter in enumerate(effect.parameters):
         if parameter.role is not Role.SIZE:
@@ -467,7 +467,7 @@ def _linear(
         )
         moved = z.copy()
         moved[i] += step
-        error, finite = likelihood.engine.missed(space, moved, start.x)
+        error, finite = likelihood.engine.errors(space.chart.parameters(moved), start.x)
         if not finite:
             return []
         columns.append((start.linear.error - error) / step)
@@ -506,7 +506,8 @@ def size_of(library: Library, posterior: Posterior, effect: Effect) -> tuple[flo
     point, superset = posterior.point, library.likelihood.engine.superset
     places = [i for i, p in enumerate(effect.parameters) if p.role is Role.SIZE]
     first = point.space.chart.free.index(f"{effect.name}.{effect.parameters[0].name}")
-    away = np.array([point.z[first + i] - superset.nulls[effect.name][i] for i in places])
+    own = superset.values(effect.name)
+    away = np.array([point.z[first + i] - own[i] for i in places])
     far = float(np.linalg.norm(away))
     along = away / far if far > 0.0 else np.eye(len(away))[0]
     mine = [first + i for i in places]

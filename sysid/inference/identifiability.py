@@ -70,14 +70,12 @@ class Estimate:
     Attributes:
         value: the estimate.
         sd: its standard error (with the weak prior); of what is not identifiable, with all doubts.
-        prior_sd: what was known before.
         identifiable: whether the data identify it; if not, the value is largely the prior's.
         manoeuvre: what would identify it; empty when it is identifiable.
     """
 
     value: float
     sd: float
-    prior_sd: float
     identifiable: bool
     manoeuvre: str = ""
 
@@ -188,7 +186,7 @@ def estimates(chart: Chart, z: Array, covariance: Array) -> dict[str, Estimate]:
         doubt = float(careful[i])
         known = not stuck and is_identifiable(name, value, doubt, float(priors[i]))
         hint = "" if known else stuck or manoeuvre_for(name)
-        out[name] = Estimate(value, sd if known else max(sd, doubt), float(priors[i]), known, hint)
+        out[name] = Estimate(value, sd if known else max(sd, doubt), known, hint)
     return out
 
 
@@ -202,10 +200,10 @@ def taught_estimates(
     out = {}
     for name, sd in sds.items():
         i = chart.names.index(name)
-        value, prior = float(parameters[i]), float(priors[i])
-        known = is_identifiable(name, value, sd, prior)
+        value = float(parameters[i])
+        known = is_identifiable(name, value, sd, float(priors[i]))
         would = WEIGH if name in BODY_OR_COG else manoeuvre_for(name)
-        out[name] = Estimate(value, sd, prior, known, "" if known else would)
+        out[name] = Estimate(value, sd, known, "" if known else would)
     return out
 
 
@@ -213,7 +211,7 @@ def silent_estimates(chart: Chart, names: Sequence[str]) -> dict[str, Estimate]:
     """What nothing in the drives excites: as believed, and as uncertain as before."""
     hint = f"the speed was never changed: {_SPEED_STEPS}"
     values = dict(zip(chart.names, chart.prior.tolist(), strict=True))
-    return {n: Estimate(values[n], SPREAD[n], SPREAD[n], False, hint) for n in names}
+    return {n: Estimate(values[n], SPREAD[n], False, hint) for n in names}
 
 
 def combinations(

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.disturbance_response import responses
-from steerd.sysid.inference.engine import FREE_STATES, Engine, Linear, take_windows
+from steerd.sysid.inference.engine import FREE_STATES, Engine, Linear
 from steerd.sysid.inference.noise import Noise, covariance, shapes, slip_shape
 
 Array = NDArray[np.float64]
@@ -92,9 +92,14 @@ class Reduced(NamedTuple):
     kx: Array
 
     @property
+    def ratio(self) -> Array:
+        """(W,) whitened squared error per degree of freedom; 1 is noise alone."""
+        return np.asarray(self.square / self.dof)
+
+    @property
     def weight(self) -> Array:
         """(W,) weight of each window under Student's t; a window that spins barely pulls."""
-        ratio = self.square / self.dof
+        ratio = self.ratio
         return np.where(ratio < c.SPUN, 2.0 / (1.0 + ratio), 2.0 * c.SPUN_SHARE / (1.0 + ratio))
 
     @property
@@ -156,7 +161,7 @@ class Likelihood:
 
     def squares(self, error: Array, x: Array, size: float) -> Array:
         """(W,) whitened squared errors with the starts where they are, priors included."""
-        away = self.engine.readings.layout.guess - x
+        away = self.engine.guess - x
         row = self.rotate_error(error)
         white = (self.weights(size) * row**2).sum(axis=1)
         return np.asarray(white + (self.start_precision * away**2).sum(axis=1))
@@ -177,7 +182,7 @@ class Likelihood:
     def reduce(self, by: "Weighed", error: Array, x: Array) -> Reduced:
         """Losses for errors (W, D) at starts `x`; derivatives may be of a near point."""
         row = self.rotate_error(error)
-        away = self.engine.readings.layout.guess - x
+        away = self.engine.guess - x
         pull = (by.turned @ row[:, :, None])[:, :, 0] + away * self.start_precision
         dx = (by.inverse @ pull[:, :, None])[:, :, 0]
         square = (by.weight * row**2).sum(axis=1) + (self.start_precision * away**2).sum(axis=1)
@@ -187,15 +192,8 @@ class Likelihood:
 
     def losses(self, at: Rotated, error: Array, x: Array, size: float) -> Array:
         """(W,) losses at a point, without derivatives by the coordinates."""
-        weight, row = self.weights(size), self.rotate_error(error)
-        turned = (at.by_x * weight[:, :, None]).transpose(0, 2, 1)
-        d, volume = self._starts(turned @ at.by_x, weight)
-        away = self.engine.readings.layout.guess - x
-        pull = (turned @ row[:, :, None])[:, :, 0] + away * self.start_precision
-        square = (weight * row**2).sum(axis=1) + (self.start_precision * away**2).sum(axis=1)
-        taken = (pull * np.linalg.solve(d, pull[:, :, None])[:, :, 0]).sum(axis=1)
-        square = square - np.where(at.held, 0.0, taken)
-        return loss_of(square, self.dof) + volume
+        alone = at._replace(by_z=at.by_z[:, :, :0])
+        return self.reduce(self.weigh(alone, size), error, x).loss
 
     def _starts(self, d: Array, weight: Array) -> tuple[Array, Array]:
         """Curvature of the starts, and half the log determinants with it."""
@@ -223,7 +221,7 @@ class Likelihood:
 
 def take_some(likelihood: Likelihood, chosen: NDArray[np.bool_]) -> Likelihood:
     """The likelihood of some windows (mask (W,))."""
-    engine = take_windows(likelihood.engine, chosen)
+    engine = likelihood.engine.take(chosen)
     width = engine.padded.there.shape[1]
     rotation = likelihood.rotation[chosen][:, :, :width]
     return Likelihood(engine, rotation, likelihood.spectrum[chosen], likelihood.pushed[chosen])
@@ -239,7 +237,7 @@ def make_likelihood(engine: Engine, parameters: Array, x: Array, noise: Noise) -
         noise: how large instruments' noise and ordinary pushes are.
     """
     seen = responses(engine, parameters, x, (0, 1, 2))
-    slip = slip_shape(engine, engine.error_at(parameters, x))
+    slip = slip_shape(engine, engine.errors(parameters, x)[0])
     healthy = covariance(engine, noise, [*shapes(engine, seen, (0, 1, 2)), slip])
     none = [np.zeros_like(slip)] * 4
     instruments = covariance(engine, noise, none)

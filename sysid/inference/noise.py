@@ -8,16 +8,15 @@ good fit on few data does not look like small noise.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from steerd.sysid.inference.constants import NOISE_KEPT
-from steerd.sysid.inference.disturbance_response import Responses, responses
+from steerd.sysid.inference.disturbance_response import PIECE, responses
 from steerd.sysid.inference.engine import FREE_STATES, Engine, Linear
-from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
 
@@ -68,35 +67,6 @@ class Noise:
         return np.array([*self.instruments, *self.pushes, self.wheel_slip])
 
 
-class Optimum(Protocol):
-    """A hypothesis at its best: coordinates, starts, and errors with derivatives there."""
-
-    @property
-    def space(self) -> Space:
-        """Its coordinates."""
-        ...
-
-    @property
-    def z(self) -> Array:
-        """(n,) their values."""
-        ...
-
-    @property
-    def x(self) -> Array:
-        """(W, 7) windows' starts."""
-        ...
-
-    @property
-    def linear(self) -> Linear:
-        """Errors and derivatives."""
-        ...
-
-    @property
-    def parameters(self) -> Array:
-        """(P,) parameters of the superset."""
-        ...
-
-
 def noise_of_sizes(sizes: Array) -> Noise:
     """The reverse of `Noise.sizes`."""
     a, b, c, d, e, f, g, h = (float(s) for s in sizes)
@@ -128,29 +98,27 @@ def slip_shape(engine: Engine, error: Array) -> Array:
         engine: the windows.
         error: (W, D) measurement minus prediction; speed and acceleration are the predicted ones.
     """
-    readings, row = engine.readings, engine.padded.row
-    speed = engine.pad(readings.layout.values) - error
-    wheel = (readings.channel[row] == 3) & (engine.padded.there > 0.0)
+    speed = engine.pad(engine.layout.values) - error
+    wheel = (engine.channel == 3) & (engine.padded.there > 0.0)
     slip = np.zeros(wheel.shape)
     for w in np.flatnonzero(wheel.sum(axis=1) > 1):
-        v, t = speed[w, wheel[w]], readings.t[row[w, wheel[w]]]
+        v, t = speed[w, wheel[w]], engine.layout.row_t[engine.padded.row[w, wheel[w]]]
         slip[w, wheel[w]] = v * np.gradient(v, t)
     return np.asarray(slip[:, :, None] * slip[:, None, :])
 
 
 def shapes(
-    engine: Engine, seen: Responses, inputs: Sequence[int], memory: float = MEMORY
+    engine: Engine, seen: Array, inputs: Sequence[int], memory: float = MEMORY
 ) -> list[Array]:
     """Covariance (W, D, D) of a unit push of each input, correlated over `memory` [s]."""
-    pieces = seen.by_input.shape[3]
-    at = np.arange(pieces) * seen.piece
+    at = np.arange(seen.shape[3]) * PIECE
     kernel = np.exp(-np.abs(at[:, None] - at[None, :]) / memory)
-    return [(seen.by_input[i] @ kernel) @ seen.by_input[i].transpose(0, 2, 1) for i in inputs]
+    return [(seen[i] @ kernel) @ seen[i].transpose(0, 2, 1) for i in inputs]
 
 
 def instrument_rows(engine: Engine) -> Array:
     """(4, W, D) 1 where a row is of a group."""
-    group = engine.readings.layout.group[engine.padded.row]
+    group = np.maximum(engine.channel - 1, 0)
     rows: Array = np.stack([(group == g) * engine.padded.there for g in range(_INSTRUMENTS)])
     return rows
 
@@ -167,20 +135,27 @@ def covariance(engine: Engine, noise: Noise, pushed: Sequence[Array]) -> Array:
     return np.asarray(out)
 
 
-def learn_noise(engine: Engine, fitted: Optimum, guess: Noise | None = None) -> Noise:
+def learn_noise(
+    engine: Engine, parameters: Array, x: Array, linear: Linear, guess: Noise | None = None
+) -> Noise:
     """Sizes under which the errors of a fitted hypothesis are most likely.
 
     Windows that the hypothesis explains badly pull less (Student's t), so that a gap in a few
     places does not pass for noise everywhere.
+
+    Args:
+        engine: the windows.
+        parameters: (P,) of the fitted car.
+        x: (W, 7) the windows' starts.
+        linear: errors and derivatives there.
+        guess: where the search begins.
     """
-    chosen = np.linspace(0, engine.readings.count - 1, WINDOWS_MOST).round().astype(int)
+    chosen = np.linspace(0, engine.layout.count - 1, WINDOWS_MOST).round().astype(int)
     chosen = np.unique(chosen)
-    at = fitted.linear
-    seen = responses(engine, fitted.parameters, fitted.x, (0, 1, 2))
+    seen = responses(engine, parameters, x, (0, 1, 2))
     pushed = [v[chosen] for v in shapes(engine, seen, (0, 1, 2))]
-    pushed.append(slip_shape(engine, at.error)[chosen])
-    known = _marginal(engine, fitted, at)[chosen]
-    error = _own_error(engine, fitted, at)[chosen]
+    pushed.append(slip_shape(engine, linear.error)[chosen])
+    error, known = (part[chosen] for part in engine.about_guess(x, linear))
     rows = instrument_rows(engine)[:, chosen]
     there = engine.padded.there[chosen]
     first = (guess.sizes if guess else _START).clip(_LEAST * 1.01, _MOST * 0.99)
@@ -193,18 +168,6 @@ def learn_noise(engine: Engine, fitted: Optimum, guess: Noise | None = None) -> 
     absent = rows.sum(axis=(1, 2)) == 0
     sizes[:_INSTRUMENTS][absent] = first[:_INSTRUMENTS][absent]
     return noise_of_sizes(sizes)
-
-
-def _own_error(engine: Engine, fitted: Optimum, at: Linear) -> Array:
-    """Errors about the starts' first guesses, by the linear model about the fitted ones."""
-    moved: Array = fitted.x - engine.readings.layout.guess
-    return np.asarray(at.error + np.einsum("wij,wj->wi", at.by_x, moved))
-
-
-def _marginal(engine: Engine, fitted: Optimum, at: Linear) -> Array:
-    """What unknown starts add to the covariance."""
-    wide = at.by_x * engine.start_spread[:, None, :]
-    return np.asarray(wide @ wide.transpose(0, 2, 1))
 
 
 def _likelihood(
@@ -233,7 +196,7 @@ def _likelihood(
     return value, slope * squares
 
 
-def louder(noise: Noise, signals: Array) -> Noise:
+def noisier_of(noise: Noise, signals: Array) -> Noise:
     """Known noise where these drives' own signals are not clearly noisier; else theirs.
 
     Args:
@@ -272,7 +235,7 @@ def noise_share(engine: Engine, wheel: float) -> float:
     """
     counts = instrument_rows(engine).sum(axis=(1, 2))
     worth = np.array([1.0, 1.0, min(1.0, (wheel / WHEEL_LEAST) ** 2), 1.0])
-    free = FREE_STATES * engine.readings.count
+    free = FREE_STATES * engine.layout.count
     share = (counts @ worth - free) / max(float(counts.sum()) - free, 1.0)
     return float(max(share, 0.1))
 

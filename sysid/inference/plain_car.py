@@ -23,15 +23,13 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.segments import BLOCK
 from steerd.sysid.data.windows import GROUPS, estimate_noise
 from steerd.sysid.inference.chart import Chart
-from steerd.sysid.inference.engine import Engine, open_engine, stepped_for
-from steerd.sysid.inference.knowledge import Spread, inflate_each
+from steerd.sysid.inference.engine import HORIZON, Engine, open_engine
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import Noise, instrument_rows, signal_noise
 from steerd.sysid.inference.posterior import posterior_of
-from steerd.sysid.inference.readings import HORIZON
 from steerd.sysid.inference.search import Point, curvature, minimise, open_point, stand, with_size
 from steerd.sysid.inference.space import make_space, weak_knowledge
-from steerd.sysid.inference.superset import make_superset
+from steerd.sysid.inference.superset import inflate_each, make_superset
 
 Array = NDArray[np.float64]
 
@@ -66,18 +64,6 @@ class Asked(NamedTuple):
     model: Model[float]
     free: tuple[str, ...]
     wheelbase: float | None = None
-
-
-class Rough(NamedTuple):
-    """Where a short search ended: its cost [nats], and parameters (P,) of the superset.
-
-    Attributes:
-        explains: whether little more than noise is left.
-    """
-
-    cost: float
-    parameters: Array
-    explains: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,25 +146,22 @@ def silent_names(runs: Sequence[Run], asked: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in asked if name in _SPEED_LOOP)
 
 
-def search_rough(start: Model[float], runs: Sequence[Run], asked: Asked) -> Rough | None:
+def search_rough(start: Model[float], runs: Sequence[Run], asked: Asked) -> PlainCar | None:
     """A car good enough to begin with, from a start; None where its simulation diverges.
 
     Raises:
         ValueError: a name is unknown, the runs' grids differ, or no window sees enough poses.
     """
-    found = _search(runs, asked._replace(model=start), None, HORIZON, ENOUGH)
-    if found is None:
-        return None
-    return Rough(found.point.cost, found.point.parameters, found.explains)
+    return _search(runs, asked._replace(model=start), None, HORIZON, ENOUGH)
 
 
-def search_blocks(runs: Sequence[Run], asked: Asked, rough: Rough) -> PlainCar | None:
+def search_blocks(runs: Sequence[Run], asked: Asked, rough: PlainCar) -> PlainCar | None:
     """The car over windows as long as blocks, from a rough one; None as above."""
     return _search(runs, asked, rough, BLOCK, MOST)
 
 
 def open_plain(
-    runs: Sequence[Run], asked: Asked, rough: Rough | None, horizon: float, most: float
+    runs: Sequence[Run], asked: Asked, rough: PlainCar | None, horizon: float, most: float
 ) -> tuple[Likelihood, Noise]:
     """Windows of `horizon` seconds under the instruments' noise, and that noise.
 
@@ -193,19 +176,19 @@ def open_plain(
     superset = replace(superset, knowledge=weak_knowledge(superset, asked.free))
     engine = open_engine(superset, runs, horizon, most, means=True)
     noise = signal_noise(estimate_noise(runs))
-    about = superset.base if rough is None else rough.parameters
-    engine = stepped_for(engine, about)
-    return make_likelihood(engine, about, engine.readings.layout.guess.copy(), noise), noise
+    about = superset.base if rough is None else rough.point.parameters
+    engine = engine.stepped_for(about)
+    return make_likelihood(engine, about, engine.guess.copy(), noise), noise
 
 
 def _search(
-    runs: Sequence[Run], asked: Asked, rough: Rough | None, horizon: float, most: float
+    runs: Sequence[Run], asked: Asked, rough: PlainCar | None, horizon: float, most: float
 ) -> PlainCar | None:
     """From a start to the optimum, at last under no more discrepancy than is needed."""
     likelihood, noise = open_plain(runs, asked, rough, horizon, most)
     space = make_space(likelihood.engine.superset, asked.free)
-    x = likelihood.engine.readings.layout.guess.copy()
-    z = space.centre if rough is None else space.chart.coordinates(rough.parameters)
+    x = likelihood.engine.guess.copy()
+    z = space.centre if rough is None else space.chart.coordinates(rough.point.parameters)
     try:
         point = minimise(likelihood, open_point(likelihood, space, z, x))
         point = minimise(likelihood, with_size(likelihood, point, 0.0))
@@ -227,9 +210,7 @@ def covariance_of(found: PlainCar, doubts: Sequence[tuple[str, float]]) -> Array
     """
     at, space = found.point.at, found.point.space
     pulls = at.weight[:, None] * at.g
-    pulls -= pulls.mean(axis=0)
-    spread = Spread(pulls.T @ pulls, float(len(pulls)))
-    covariance = inflate_each(posterior_of(found.point, 1.0).covariance, spread)
+    covariance = inflate_each(posterior_of(found.point, 1.0).covariance, pulls)
     for name, sd in doubts:
         if name in space.chart.free:
             covariance[(space.chart.free.index(name),) * 2] += sd**2

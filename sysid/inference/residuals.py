@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.sysid.data.windows import SPACING
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.engine import Engine
 from steerd.sysid.inference.likelihood import Likelihood
-from steerd.sysid.inference.readings import SPACING
 from steerd.sysid.inference.search import Point, fresh, newton, settle, stand, with_size
 from steerd.sysid.inference.space import Space
 
@@ -55,7 +55,7 @@ def settled(likelihood: Likelihood, space: Space, z: Array, x: Array | None = No
     Raises:
         FloatingPointError: the simulation diverges there.
     """
-    x = likelihood.engine.readings.layout.guess.copy() if x is None else x
+    x = likelihood.engine.guess.copy() if x is None else x
     soft = stand(likelihood, space, z, x, _SOFT)
     return settle(likelihood, fresh(likelihood, with_size(likelihood, soft, 0.0)))
 
@@ -74,17 +74,12 @@ def interval_of(values: Array, blocks: NDArray[np.int64], seed: int = 0) -> Arra
     return np.array([robust_mean(values[np.concatenate([members[i] for i in d])]) for d in drawn])
 
 
-def ratios(fitted: Point) -> Array:
-    """(W,) whitened squares per degree of freedom."""
-    return np.asarray(fitted.at.square / fitted.at.dof)
-
-
 def spun_windows(fitted: Point) -> NDArray[np.bool_]:
     """(W,) windows in which the car spins whatever explains the others; none where all are far off.
 
     A chaotic second says nothing in millimetres.
     """
-    spun = ratios(fitted) >= c.SPUN
+    spun = fitted.at.ratio >= c.SPUN
     return np.asarray(spun & (spun.mean() < _FEW))
 
 
@@ -96,7 +91,7 @@ def gap_of(
     leads: Sequence[float] = LEADS,
 ) -> Gap:
     """The gap under a fit; windows that are `spun` count in the whitened error alone."""
-    draws = interval_of(ratios(fitted), blocks)
+    draws = interval_of(fitted.at.ratio, blocks)
     low, high = (float(v) for v in np.percentile(draws, [5.0, 95.0]))
     rows, bounds = [], []
     error = fitted.linear.error
@@ -105,7 +100,7 @@ def gap_of(
         a, b, d = (float(np.sqrt(np.mean(v**2))) if len(v) else 0.0 for v in each)
         rows.append((lead, a, b, d))
         bounds.append(tuple(_rms_interval(c) for c in each))
-    return Gap(robust_mean(ratios(fitted)), (low, high), tuple(rows), tuple(bounds))
+    return Gap(robust_mean(fitted.at.ratio), (low, high), tuple(rows), tuple(bounds))
 
 
 def _rms_interval(errors: Array) -> tuple[float, float]:
@@ -121,9 +116,8 @@ def _at_lead(
     engine: Engine, error: Array, lead: float, kept: NDArray[np.bool_]
 ) -> tuple[Array, Array, Array]:
     """Position, yaw and speed errors of all windows near `lead` (speed from the wheel)."""
-    padded, readings = engine.padded, engine.readings
-    t, channel = readings.t[padded.row], readings.channel[padded.row]
-    away = np.where((padded.there > 0.0) & kept[:, None], np.abs(t - lead), np.inf)
+    t, channel = engine.layout.row_t[engine.padded.row], engine.channel
+    away = np.where((engine.padded.there > 0.0) & kept[:, None], np.abs(t - lead), np.inf)
     planar = _nearest(away, channel <= 1)
     count = np.maximum(planar.sum(axis=1), 1) / 2.0
     position = np.sqrt((error**2 * planar).sum(axis=1) / count)[planar.any(axis=1)]
@@ -141,7 +135,7 @@ def _nearest(away: Array, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def folds_of(engine: Engine) -> NDArray[np.int64]:
     """(W,) fold of each window: whole runs where there are enough, else interleaved blocks."""
-    run = engine.readings.layout.run
+    run = engine.layout.run
     if len(np.unique(run)) >= FOLDS:
         return np.asarray(run % FOLDS)
     return np.asarray((np.arange(len(run)) // BLOCK) % FOLDS)
@@ -149,7 +143,7 @@ def folds_of(engine: Engine) -> NDArray[np.int64]:
 
 def blocks_of(engine: Engine) -> NDArray[np.int64]:
     """(W,) number of the block of neighbouring windows."""
-    layout = engine.readings.layout
+    layout = engine.layout
     first = np.searchsorted(layout.run, layout.run)
     within = (np.arange(len(layout.run)) - first) // BLOCK
     _, block = np.unique(layout.run * 100_000 + within, return_inverse=True)

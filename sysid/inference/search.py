@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
-from steerd.sysid.inference.bounded_step import step_within
 from steerd.sysid.inference.engine import Engine, Linear
 from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated, Weighed, take_some
 from steerd.sysid.inference.space import Space
@@ -56,6 +56,10 @@ _SHORTER = 0.25
 """A start's step that led up is tried again so much shorter."""
 _UNTIL = 4
 """Steps before a search may be given up."""
+_EXCHANGES = 200
+"""Of coordinates at and off their bounds, at most."""
+_HAIR = 1e-12
+"""Bounds must lie apart; where they do not, by so much."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +109,7 @@ def derive(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Linear:
     if not linear.finite:
         raise FloatingPointError("the simulation diverges")
     for i, name in enumerate(space.chart.free):
-        step = _secant(name, engine.readings.layout.h / engine.substeps)
+        step = _secant(name, engine.layout.h / engine.substeps)
         if step == 0.0:
             continue
         low, high = (float(np.clip(z[i] + s, space.low[i], space.high[i])) for s in (-step, step))
@@ -125,7 +129,7 @@ def _error(engine: Engine, space: Space, z: Array, x: Array, place: int, value: 
     """(W, D) errors with one coordinate elsewhere."""
     moved = z.copy()
     moved[place] = value
-    return engine.missed(space, moved, x)[0]
+    return engine.errors(space.chart.parameters(moved), x)[0]
 
 
 def _secant(name: str, grid: float) -> float:
@@ -172,12 +176,13 @@ def _settled(likelihood: Likelihood, point: Point) -> Point:
     """
     space, z, size, at = point.space, point.z, point.size, point.at
     x, error, weighed = point.x.copy(), point.linear.error.copy(), point.weighed
+    parameters = point.parameters
     square, share = likelihood.squares(error, x, size), np.ones(len(point.x))
     for _ in range(_ROUNDS):
         if not (square - at.square > _OWED).any():
             break
         tried = x + share[:, None] * at.dx
-        off, _ = likelihood.engine.missed(space, z, tried)
+        off, _ = likelihood.engine.errors(parameters, tried)
         left = likelihood.squares(off, tried, size)
         better = left < square
         x[better], error[better], square[better] = tried[better], off[better], left[better]
@@ -195,9 +200,9 @@ def _cost(space: Space, at: Reduced, z: Array) -> float:
     return float(at.loss.sum()) + space.prior_cost(z)
 
 
-def curvature(space: Space, at: Reduced) -> Array:
-    """(n, n) Gauss-Newton curvature of the cost."""
-    return np.asarray(np.tensordot(at.weight, at.h, 1) + space.precision)
+def curvature(space: Space, at: Reduced, share: float = 1.0) -> Array:
+    """(n, n) Gauss-Newton curvature of the cost, the drives counting for a share of themselves."""
+    return np.asarray(share * np.tensordot(at.weight, at.h, 1) + space.precision)
 
 
 def rescue(likelihood: Likelihood, point: Point) -> Point:
@@ -209,7 +214,7 @@ def rescue(likelihood: Likelihood, point: Point) -> Point:
     if not lost.any():
         return point
     part = take_some(likelihood, lost)
-    x = part.engine.readings.layout.guess.copy()
+    x = part.engine.guess.copy()
     try:
         soft = stand(part, point.space, point.z, x, _SOFT + point.size)
         found = fresh(part, replace(fresh(part, soft), size=point.size))
@@ -253,7 +258,7 @@ def _moved(likelihood: Likelihood, point: Point, dz: Array) -> Point | None:
     """The point a step on, with the derivatives of before; None where too much diverges."""
     x = point.x + point.at.dx - point.at.kx @ dz
     z = np.clip(point.z + dz, point.space.low, point.space.high)
-    error, finite = likelihood.engine.missed(point.space, z, x)
+    error, finite = likelihood.engine.errors(point.space.chart.parameters(z), x)
     if not finite:
         return None
     at = likelihood.reduce(point.weighed, error, x)
@@ -304,7 +309,7 @@ def explore(likelihood: Likelihood, point: Point, draws: int = DRAWS) -> Point:
     """
     rng = np.random.default_rng(0)
     space, best = point.space, point
-    lower = np.linalg.cholesky(np.linalg.inv(curvature_at(point, 1.0 / _BLUNT)))
+    lower = np.linalg.cholesky(np.linalg.inv(curvature(space, point.at, 1.0 / _BLUNT)))
     for _ in range(draws):
         z = point.z + lower @ rng.standard_normal(len(point.z))
         z = np.clip(z, space.low, space.high)
@@ -316,12 +321,6 @@ def explore(likelihood: Likelihood, point: Point, draws: int = DRAWS) -> Point:
         if found.cost < best.cost:
             best = found
     return best
-
-
-def curvature_at(point: Point, share: float) -> Array:
-    """(n, n) curvature with the drives counting for a share of themselves."""
-    drives = np.tensordot(point.at.weight, point.at.h, 1)
-    return np.asarray(share * drives + point.space.precision)
 
 
 def _walk(
@@ -356,3 +355,41 @@ def _walk(
 
 def _ended(likelihood: Likelihood, point: Point, stale: float) -> Point:
     return fresh(likelihood, point) if stale > 1.0 else point
+
+
+def step_within(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Array:
+    """The best step of the quadratic model within bounds.
+
+    Newton's where that stays inside, else bounded least squares on the Cholesky factor (Stark and
+    Parker, 1995). Clipping the step of coordinates that move together could go uphill.
+    """
+    dz = np.asarray(np.linalg.solve(h, slope), dtype=np.float64)
+    if ((z + dz >= low) & (z + dz <= high)).all():
+        return dz
+    scale = 1.0 / np.sqrt(np.diag(h))
+    try:
+        lower = np.linalg.cholesky(0.5 * (h + h.T) * np.outer(scale, scale))
+    except np.linalg.LinAlgError:  # two coordinates do the same to the last digit
+        return _shortened(h, slope, z, low, high)
+    room = np.where(high - low <= 0.0, _HAIR, np.maximum(high - z, 0.0))
+    found = lsq_linear(
+        lower.T, np.linalg.solve(lower, slope * scale),
+        (np.minimum(low - z, 0.0) / scale, room / scale), method="bvls", max_iter=_EXCHANGES,
+    )  # fmt: skip
+    inside: Array = np.clip(z + found.x * scale, low, high) - z
+    if float(slope @ inside - 0.5 * inside @ h @ inside) >= 0.0:
+        return inside
+    return _shortened(h, slope, z, low, high)
+
+
+def _shortened(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Array:
+    """A step along the scaled gradient of what is not at a bound, cut where one is met."""
+    dz = np.asarray(slope / np.diag(h), dtype=np.float64)
+    dz[((z <= low) & (dz < 0.0)) | ((z >= high) & (dz > 0.0))] = 0.0
+    moving = dz != 0.0
+    if not moving.any():
+        return dz
+    room = np.where(dz > 0.0, high - z, z - low)
+    share = float(np.min(room[moving] / np.abs(dz[moving]), initial=1.0))
+    along = float(slope @ dz) / float(dz @ h @ dz)
+    return np.asarray(min(share, along) * dz)

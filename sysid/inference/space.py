@@ -19,11 +19,11 @@ from steerd.sysid.inference.chart import (
     LOGARITHM,
     RELATIVE,
     Chart,
+    effect_scales,
     make_chart,
     relative_length,
 )
-from steerd.sysid.inference.knowledge import Knowledge
-from steerd.sysid.inference.superset import Superset
+from steerd.sysid.inference.superset import Knowledge, Superset
 
 Array = NDArray[np.float64]
 
@@ -153,14 +153,6 @@ def informative_effects(superset: Superset, runs: Sequence[Run]) -> tuple[str, .
     )
 
 
-def _spread(superset: Superset, name: str) -> float:
-    """Prior standard deviation of a base parameter in its own unit."""
-    floor = FLOORS[name] * _unit(superset, name)
-    if not superset.sd:
-        return UNKNOWN * floor
-    return max(floor, WIDER * min(superset.sd.get(name, 0.0), 20.0 * floor))
-
-
 def make_space(superset: Superset, nuisance: Sequence[str], effects: Sequence[str] = ()) -> Space:
     """Coordinates for some effects beside the base's own parameters.
 
@@ -219,30 +211,32 @@ def _base_covariance(superset: Superset, chart: Chart, nuisance: int) -> Array:
 
 def _floor(superset: Superset, name: str) -> float:
     """Least standard deviation of a base coordinate: what changes from day to day."""
-    if name not in FLOORS and "." not in name:
-        return 0.0
     if name not in FLOORS:
-        effect, _, parameter = name.partition(".")
-        found = next(e for e in superset.effects if e.name == effect)
-        scale = next(p.scale for p in found.parameters if p.name == parameter)
-        return 0.05 * scale
-    value = abs(float(superset.base[superset.kernels.names.index(name)]))
-    floor = FLOORS[name] * _unit(superset, name)
-    return floor / value**2 if name in INVERSE else floor / value if name in LOGARITHM else floor
+        return 0.05 * effect_scales(superset.effects).get(name, 0.0)
+    return _of_coordinate(superset, name, _least(superset, name))
 
 
-def _unit(superset: Superset, name: str) -> float:
-    """What a base parameter's floor is a multiple of: its value, or the car's relative size."""
+def _least(superset: Superset, name: str) -> float:
+    """A base parameter's floor in its own unit."""
     names = superset.kernels.names
     if name in LENGTHS:
-        return relative_length(names, superset.base)
-    return abs(float(superset.base[names.index(name)])) if name in RELATIVE else 1.0
+        return FLOORS[name] * relative_length(names, superset.base)
+    value = abs(float(superset.base[names.index(name)]))
+    return FLOORS[name] * (value if name in RELATIVE else 1.0)
+
+
+def _of_coordinate(superset: Superset, name: str, sd: float) -> float:
+    """Standard deviation of a base parameter's coordinate from that of the parameter."""
+    value = abs(float(superset.base[superset.kernels.names.index(name)]))
+    return sd / value**2 if name in INVERSE else sd / value if name in LOGARITHM else sd
 
 
 def _coordinate_spread(superset: Superset, name: str) -> float:
     """Prior standard deviation of a base parameter's coordinate."""
-    value = float(superset.base[superset.kernels.names.index(name)])
     if name not in FLOORS:
         return _floor(superset, name) / 0.05
-    spread = _spread(superset, name)
-    return spread / value**2 if name in INVERSE else spread / value if name in LOGARITHM else spread
+    floor = _least(superset, name)
+    if not superset.sd:
+        return _of_coordinate(superset, name, UNKNOWN * floor)
+    spread = max(floor, WIDER * min(superset.sd.get(name, 0.0), 20.0 * floor))
+    return _of_coordinate(superset, name, spread)

@@ -25,7 +25,6 @@ from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.engine import Engine, open_engine
 from steerd.sysid.inference.hypotheses import Library, begin, explain
-from steerd.sysid.inference.knowledge import excess_by_regime
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import (
     Noise,
@@ -43,7 +42,7 @@ from steerd.sysid.inference.space import (
     nuisance_names,
     weak_knowledge,
 )
-from steerd.sysid.inference.superset import Superset, make_superset
+from steerd.sysid.inference.superset import Superset, excess_by_regime, make_superset
 
 Array = NDArray[np.float64]
 
@@ -207,14 +206,14 @@ def _first(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated) ->
     shares = {**ORDINARY, **({"lf": MEASURED} if stated.wheelbase else {})}
     superset = replace(superset, knowledge=weak_knowledge(superset, nuisance, shares))
     engine, usual = open_engine(superset, runs), usual_noise(estimate_noise(runs))
-    x = engine.readings.layout.guess.copy()
+    x = engine.guess.copy()
     noise = usual
     begun = _begin(engine, nuisance, x, noise)
     while _bounded(begun[1]) >= _FAR_OFF and noise.sizes[0] < _LOUDEST * usual.sizes[0]:
         noise = noise_of_sizes(_LOUDER * noise.sizes)
         begun = _begin(engine, nuisance, x, noise)
     taught = Taught(begun[0], minimise(*begun), noise, nuisance, shares)
-    return taught if noise is usual else _again(taught, learn_noise(engine, taught.point, noise))
+    return taught if noise is usual else _again(taught, _learnt_noise(taught))
 
 
 def _begin(
@@ -227,7 +226,7 @@ def _begin(
 
 def _bounded(point: Point) -> float:
     """Share of the windows that are so far off that they pull at nothing."""
-    return float((point.at.square >= c.SPUN * point.at.dof).mean())
+    return float((point.at.ratio >= c.SPUN).mean())
 
 
 def _again(taught: Taught, noise: Noise) -> Taught:
@@ -240,12 +239,20 @@ def _again(taught: Taught, noise: Noise) -> Taught:
     return replace(taught, likelihood=likelihood, point=minimise(likelihood, begun), noise=noise)
 
 
+def _learnt_noise(taught: Taught) -> Noise:
+    """Noise given the car."""
+    point = taught.point
+    return learn_noise(
+        taught.likelihood.engine, point.parameters, point.x, point.linear, taught.noise
+    )
+
+
 def _in_turn(taught: Taught, runs: Sequence[Run], rounds: int) -> Taught:
     """Noise and car, each given the other; then what regimes are allowed beyond the noise."""
     for _ in range(rounds):
-        noise = learn_noise(taught.likelihood.engine, taught.point, taught.noise)
+        noise = _learnt_noise(taught)
         taught = _again(taught, noise)
-    noise = learn_noise(taught.likelihood.engine, taught.point, taught.noise)
+    noise = _learnt_noise(taught)
     taught = _again(taught, noise)
     left = robust_mean(unweighed(taught))
     should = noise_share(taught.likelihood.engine, float(estimate_noise(runs)[2]))
@@ -260,8 +267,7 @@ def _in_turn(taught: Taught, runs: Sequence[Run], rounds: int) -> Taught:
 
 def ratios(taught: Taught) -> Array:
     """(W,) whitened squared errors per degree of freedom, no discrepancy allowed."""
-    at = with_size(taught.likelihood, taught.point, 0.0).at
-    return np.asarray(at.square / at.dof)
+    return with_size(taught.likelihood, taught.point, 0.0).at.ratio
 
 
 def unweighed(taught: Taught) -> Array:
@@ -291,13 +297,12 @@ def structure_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
 def _with_effects(taught: Taught, point: Point, runs: Sequence[Run]) -> Taught:
     """What was taught, with the effects of a hypothesis free about its values."""
     old, start = taught.superset, point.parameters
-    centre, nulls = old.base.copy(), dict(old.nulls)
+    centre = old.base.copy()
     for name in point.space.effects:
         centre[old.places(name)] = start[old.places(name)]
-        nulls[name] = tuple(start[old.places(name)].tolist())
     own = tuple(n for n in old.kernels.names if n.partition(".")[0] in point.space.effects)
     nuisance = (*taught.nuisance, *own)
-    superset = replace(old, base=centre, nulls=nulls)
+    superset = replace(old, base=centre)
     superset = replace(superset, knowledge=weak_knowledge(superset, nuisance, taught.shares))
     engine = replace(taught.likelihood.engine, superset=superset)
     likelihood = replace(taught.likelihood, engine=engine)

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from steerd.car_model.native.windows import (
@@ -15,7 +16,6 @@ from steerd.car_model.native.windows import (
     march_back,
     view_by_window,
 )
-from steerd.sysid.paper.torch_ops import Tensor
 
 
 def simulate(
@@ -30,7 +30,7 @@ def simulate(
     history: int = 0,
     t: float = 0.0,
 ) -> Tensor:
-    """Simulate windows side by side; equal to `torch_sim.simulate_reference`, much faster.
+    """Simulate windows side by side; equal to `benchmarks.torch_reference`, much faster.
 
     Args:
         kernels: the compiled car.
@@ -39,7 +39,7 @@ def simulate(
         commands: (B, history + N, 2), each held over a step.
         h: step [s].
         integrator: `rk4` or `euler`.
-        substeps: integration steps to a command (see `stability.stable_substeps`).
+        substeps: integration steps to a command (see `engine.stable_substeps`).
         history: how many of the commands lie before the first step.
         t: time into the run at the first step [s].
 

@@ -1,16 +1,34 @@
-"""The report of `steerd identify`: one HTML file without links, results first."""
+"""The report of `steerd identify`: one HTML file without links, results first, figures inline."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from math import degrees, isnan
 
+import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from steerd.car_model.params import Car
-from steerd.sysid.estimation.outcome import Outcome
-from steerd.sysid.report import identify_figures as figures
-from steerd.sysid.report.design_comparison import Profile, compare_designs
-from steerd.sysid.report.drawing import STYLE, draw
-from steerd.sysid.report.report import Card, Cell, Fold, Report, Section, Table
+from steerd.sysid.data.windows import GROUPS
+from steerd.sysid.estimation.outcome import Fit, HeldOut, Outcome
+from steerd.sysid.estimation.validation import Trace
+from steerd.sysid.paper.search_history import SearchHistory
+from steerd.sysid.report.design_comparison import FRICTIONS, Profile, compare_designs
+from steerd.sysid.report.drawing import (
+    AFTER,
+    BEFORE,
+    FAINT,
+    INK,
+    LINES,
+    MEASURED,
+    STYLE,
+    draw,
+    make_figure,
+    name_colours,
+    to_svg,
+)
+from steerd.sysid.report.report import DEGREES, Card, Cell, Fold, Report, Section, Table
 
 IMPROVEMENT_MIN = 1.02
 """A smaller factor is no improvement."""
@@ -93,33 +111,33 @@ def _sections(outcome: Outcome, profiles: tuple[Profile, ...]) -> Iterator[Secti
         "Prediction of drives that were not fitted",
         f"Validated on {outcome.held_out_of}. Open loop: the state is fitted to the 0.4 s before, "
         "then only the commands are known.",
-        figure=draw(figures.plot_held_out, 2.6, outcome.held_out, columns=2),
+        figure=draw(plot_held_out, 2.6, outcome.held_out, columns=2),
     )
-    yield Section(figure=draw(figures.plot_traces, 4.0, outcome.traces, columns=2))
+    yield Section(figure=draw(plot_traces, 4.0, outcome.traces, columns=2))
     plant = "the identified car" if outcome.truth is None else "the true (simulated) car"
     yield Section(
         "Lane keeping with controllers designed from these parameters",
         f"A figure eight at up to 2 m/s from 0.15 m beside it, on {plant}. {_closed(profiles)}",
-        figure=figures.draw_profiles(profiles),
+        figure=draw_profiles(profiles),
     )
     if outcome.fit is not None:
         yield Section(
             "Residuals",
             "Flat and as narrow as the line: the model explains the drive. Waves or a wide "
             "spread: something is missing, and steerd diagnose looks for it.",
-            figure=figures.draw_residuals(outcome.fit),
+            figure=draw_residuals(outcome.fit),
         )
         yield Section(
             "Correlation of the estimates",
             "Near ±1: the data identify the combination, not its members.",
-            figure=figures.draw_correlation(outcome.fit),
+            figure=draw_correlation(outcome.fit),
         )
     if outcome.searches:
         yield Section(
             "Convergence",
             "Parameters that stay near their starts do not change the loss: "
             "they are not identifiable.",
-            figure=draw(figures.plot_searches, 3.0, outcome.searches, columns=2),
+            figure=draw(plot_searches, 3.0, outcome.searches, columns=2),
         )
 
 
@@ -129,3 +147,131 @@ def _closed(profiles: tuple[Profile, ...]) -> str:
         result = f"refused ({p.refused})" if p.refused else f"{p.rms * 1e3:.1f} mm"
         parts.append(f"{p.design}, {p.friction} friction: {result}")
     return "RMS of e1: " + "; ".join(parts) + "."
+
+
+Array = NDArray[np.float64]
+
+UNITS = {"position": (1e3, "mm"), "yaw": (DEGREES, "°"), "wheel_speed": (1e3, "mm/s"),
+         "yaw_rate": (1.0, "rad/s")}  # fmt: skip
+POINTS_MAX = 1500
+
+
+def _thin(values: Array) -> Array:
+    return values[:: max(1, len(values) // POINTS_MAX)]
+
+
+def plot_traces(plane: Axes, late: Axes, traces: tuple[list[Trace], list[Trace]]) -> None:
+    """Held-out windows in the plane, and the position error as predictions age.
+
+    Args:
+        plane: axes for the positions.
+        late: axes for the errors.
+        traces: predictions after and before.
+    """
+    for after, before in zip(*traces, strict=True):
+        plane.plot(*after.measured[:, :2].T, color=MEASURED, lw=2.2, alpha=0.35)
+        for trace, colour in ((before, BEFORE), (after, AFTER)):
+            plane.plot(*trace.predicted[trace.ahead >= 0.0, :2].T, color=colour, lw=1.0)
+            off = np.linalg.norm(trace.measured[:, :2] - trace.predicted[:, :2], axis=1)
+            late.plot(trace.ahead, 1e3 * off, color=colour, lw=0.8, alpha=0.7)
+    plane.set(xlabel="x [m]", ylabel="y [m]", title="held-out drives and their predictions")
+    plane.set_aspect("equal", adjustable="datalim")
+    name_colours(plane, {"measured": MEASURED, "start values": BEFORE, "identified": AFTER})
+    late.axvline(0.0, color=FAINT, lw=0.8)
+    late.set(xlabel="time since the prediction began [s]", ylabel="distance [mm]",
+             title="prediction error of each window", ylim=(0.0, None))  # fmt: skip
+
+
+def plot_held_out(left: Axes, right: Axes, held_out: Sequence[HeldOut]) -> None:
+    """RMS position (left) and heading (right) errors at the horizons, before and after."""
+    places = np.arange(len(held_out))
+    for axis, field, scale, unit in (
+        (left, "position", 1e3, "mm"),
+        (right, "heading", DEGREES, "°"),
+    ):
+        for shift, name, colour in ((-0.2, "before", BEFORE), (0.2, "after", AFTER)):
+            values = [scale * getattr(getattr(h, name), field) for h in held_out]
+            axis.bar(places + shift, values, 0.36, color=colour)
+        axis.set(xticks=places, yscale="log", ylabel=f"{field} [{unit}]")
+        axis.set_xticklabels([f"{h.after.horizon:g} s" for h in held_out])
+    left.set_title("RMS prediction error on held-out drives")
+    names = {"start values": BEFORE, "identified": AFTER}
+    # Above the axes: bars of any height leave no room in them.
+    name_colours(right, names, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
+
+
+def draw_residuals(found: Fit) -> str:
+    """Residuals of each kind over time, and their spread against the signal's own noise."""
+    left = found.residuals
+    present = [int(g) for g in np.unique(left.group)]
+    figure, axes = make_figure(len(present), 2, 1.5 * len(present) + 0.4)
+    for row, group in zip(axes, present, strict=True):
+        mine = left.group == group
+        scale, unit = UNITS[GROUPS[group]]
+        values = scale * left.error[mine]
+        row[0].plot(_thin(left.t[mine]), _thin(values), ".", ms=1.2, color=AFTER)
+        row[0].set(ylabel=f"{GROUPS[group]} [{unit}]".replace("_", " "))
+        edge = max(4.0 * float(np.sqrt(np.mean(values**2))), 1e-6)
+        bins = np.linspace(-edge, edge, 60)
+        row[1].hist(values, bins, color=AFTER, alpha=0.7, density=True)
+        sigma = scale * float(left.signal[group])
+        bell = np.exp(-0.5 * (bins / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
+        row[1].plot(bins, bell, color=INK, lw=1.0)
+    axes[0, 0].set_title("residuals of the fit")
+    axes[0, 1].set_title("their spread; the line is the instrument's own noise")
+    axes[-1, 0].set_xlabel("time into each drive [s]")
+    return to_svg(figure)
+
+
+def draw_correlation(found: Fit) -> str:
+    """Correlation of the coordinates."""
+    labels = found.labels
+    figure = Figure(figsize=(6.0, 5.0), layout="constrained")
+    axes = figure.subplots()
+    axes.grid(visible=False)
+    image = axes.imshow(found.correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+    places = range(len(labels))
+    axes.set_xticks(places, labels, rotation=90)
+    axes.set_yticks(places, labels)
+    for i in places:
+        for j in places:
+            value = found.correlation[i, j]
+            ink = "white" if abs(value) > 0.6 else "black"
+            axes.text(j, i, f"{value:.1f}", ha="center", va="center", fontsize=6.5, color=ink)
+    figure.colorbar(image, ax=axes, shrink=0.7)
+    return to_svg(figure)
+
+
+def plot_searches(left: Axes, right: Axes, searches: Sequence[SearchHistory]) -> None:
+    """The paper's loss curves: every start's, iterations along x, shifted to be positive."""
+    floor = min(float(search.losses.min()) for search in searches if len(search.losses))
+    for number, search in enumerate(searches):
+        colour = LINES[number % len(LINES)]
+        best = np.minimum.accumulate(search.losses) - floor + 1e-3
+        left.plot(search.losses - floor + 1e-3, color=colour, lw=0.6, alpha=0.5)
+        left.plot(best, color=colour, lw=1.4, label=f"start {number + 1}")
+        right.plot(search.path[:, 2], search.path[:, 3], color=colour, lw=1.0)
+        right.plot(*search.path[0, 2:], "o", color=colour, mfc="white")
+        right.plot(*search.final[2:], "o", color=colour)
+    left.set(yscale="log", xlabel="iterations", ylabel="loss above the lowest")
+    left.set_title("loss of the batch, and the best so far")
+    right.set(xlabel="C_Sf", ylabel="C_Sr", title="stiffness from start (hollow) to end")
+    left.legend(fontsize=8)
+
+
+def draw_profiles(profiles: Sequence[Profile]) -> str:
+    """Lateral and heading error of each design, a column a floor."""
+    names = list(dict.fromkeys(profile.design for profile in profiles))
+    figure, axes = make_figure(2, len(FRICTIONS), 4.4)
+    for column, floor in enumerate(FRICTIONS):
+        for profile in (p for p in profiles if p.friction == floor):
+            colour = (INK, AFTER, BEFORE)[names.index(profile.design) % 3]
+            label = profile.design
+            axes[0, column].plot(profile.t, 1e3 * profile.e1, color=colour, lw=1.1, label=label)
+            axes[1, column].plot(profile.t, np.degrees(profile.e2), color=colour, lw=1.1)
+        axes[0, column].set_title(f"{floor} friction")
+        axes[1, column].set_xlabel("time [s]")
+    axes[0, 0].set_ylabel("e1 [mm]")
+    axes[1, 0].set_ylabel("e2 [°]")
+    axes[0, 0].legend(fontsize=8, title="designed from")
+    return to_svg(figure)

@@ -10,6 +10,6 @@ from steerd.car_model.ops import Ops
 @pytest.fixture(scope="session")
 def torch_ops() -> Ops[Any]:
     """`Ops` over float64 tensors."""
-    from steerd.sysid.paper.torch_ops import TORCH
+    from benchmarks.torch_reference import TORCH
 
     return TORCH

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.torch_reference import simulate_reference
 from steerd.car_model.model import Model
 from steerd.car_model.native.specialised import SPECIALISED_SPEED
 from steerd.car_model.native.windows import (
@@ -26,8 +27,8 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.rollout import euler, start
 from steerd.car_model.rollout import simulate as simulate_floats
 from steerd.car_model.state import Command, State
+from steerd.sysid.paper.paper_method import PAPER_CAR_DIRECT, PAPER_STEP
 from steerd.sysid.paper.torch_kernel import simulate
-from steerd.sysid.paper.torch_sim import PAPER_CAR_DIRECT, PAPER_STEP, simulate_reference
 
 H = 0.005
 

@@ -127,7 +127,7 @@ def test_drives_that_are_too_gentle_are_not_blamed_on_the_axles():
 def test_what_was_undone_and_found_stands_on_the_screen():
     found = replace(
         outcome((0.1, 0.2), (0.2, 0.9)),
-        log_jitters=(LogJitter("a.mcap", 0.1, 0.45, -0.019, 40.0),),
+        log_jitters=(LogJitter("a.mcap", 0.1, 0.45, -0.019),),
         regimes=(Regime(0.0, 2.0, 5, 0.02, 0.03), Regime(6.0, inf, 4, 0.15, 0.2)),
     )
     lines = describe(found).splitlines()

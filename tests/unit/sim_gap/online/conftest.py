@@ -8,12 +8,12 @@ import pytest
 from benchmarks.blind_gap.car import make_car
 from benchmarks.live_changes.plant import Change, changed, drive
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.sim_gap.online.base import make_learner
-from steerd.sim_gap.online.learner import Learner
-from steerd.sim_gap.online.looking import Anchor, Look, make_anchor
+from steerd.sim_gap.online.learner import Learner, make_learner
+from steerd.sim_gap.online.looking import Anchor, Look
 from steerd.sim_gap.online.samples import Sample
 from steerd.sim_gap.online.tracking import Track
 from steerd.sysid.inference.noise import Noise
+from steerd.sysid.inference.space import make_space
 
 NUISANCE = ("lf", "c_sf", "steer_lag")
 EFFECTS = ("steer_bias", "steer_gain", "marker_offset", "tyre_friction")
@@ -28,7 +28,7 @@ def learner() -> Learner:
 @pytest.fixture(scope="session")
 def anchor(learner: Learner) -> Anchor:
     noise = Noise((1e-3, 2e-3, 0.02, 0.05), (0.1, 0.1, 0.7))
-    return make_anchor(learner.superset, NUISANCE, EFFECTS, noise)
+    return Anchor(learner.superset, make_space(learner.superset, NUISANCE, EFFECTS), noise)
 
 
 @pytest.fixture

@@ -8,15 +8,14 @@ import pytest
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.car_model.effects import find_effect
 from steerd.controller.learnt import Learnt, learnt_of
-from steerd.sim_gap.online import followed
-from steerd.sim_gap.online.base import make_learner
-from steerd.sim_gap.online.learner import Change, State
+from steerd.sim_gap.online import values as online
+from steerd.sim_gap.online.learner import Change, State, make_learner
 from steerd.sim_gap.online.naming import Finding
 from steerd.sim_gap.online.values import Value
 from steerd.sim_gap.verdict.evidence import Cause
 
 KNOWN = SimpleNamespace()
-SETTLED = followed.SETTLED
+SETTLED = online.SETTLED
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +27,7 @@ def learner():
 def values(monkeypatch):
     """What the base was learnt as."""
     learnt: list[Value] = []
-    monkeypatch.setattr(followed, "values_of", lambda known: tuple(learnt))
+    monkeypatch.setattr(online, "values_of", lambda known: tuple(learnt))
     return learnt
 
 
@@ -45,11 +44,11 @@ def change(
 
 
 def aim(learner, *past, now=None):
-    return followed.find_aim(learner, State(known=KNOWN, past=past, change=now))
+    return online.find_aim(learner, State(known=KNOWN, past=past, change=now))
 
 
 def test_before_the_car_is_known_there_is_nothing_to_follow(learner):
-    assert followed.find_aim(learner, State()) == "the car is being learnt"
+    assert online.find_aim(learner, State()) == "the car is being learnt"
 
 
 def test_a_car_that_is_as_in_the_file_is_followed_as_that(learner, values):

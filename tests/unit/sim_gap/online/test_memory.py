@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from steerd.sim_gap.online.learner import State, fold
-from steerd.sim_gap.online.memory import Memory, Remembered, remember, with_memory
+from steerd.sim_gap.online.tracking import Memory, Remembered, remember, with_memory
 from steerd.sim_gap.online.values import values_of
 from steerd.sysid.inference.space import make_space
 

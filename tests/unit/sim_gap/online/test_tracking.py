@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from steerd.car_model.effects import find_effect
-from steerd.sim_gap.online.amount import amounts_of
-from steerd.sim_gap.online.changes import SPANS, ratios, sharpened, unknown, with_ratios
+from steerd.sim_gap.online.changes import SPANS, ratios, reweighted, unknown, with_ratios
 from steerd.sim_gap.online.learner import Change, State, fold
 from steerd.sim_gap.online.looking import may_change
 from steerd.sim_gap.online.naming import EARLY, Finding, believed, find_cause
 from steerd.sim_gap.online.tracking import Track, follow, informed_directions
+from steerd.sim_gap.online.values import amounts_of
 from steerd.sim_gap.verdict.evidence import Cause
-from steerd.sysid.inference.knowledge import Knowledge
 from steerd.sysid.inference.space import make_space
+from steerd.sysid.inference.superset import Knowledge
 
 PRIOR = np.diag([1.0, 4.0, 0.25])
 
@@ -72,10 +72,10 @@ def test_directions_do_not_depend_on_units():
 
 
 def tables(anchor, track, looks):
-    """Ratios of windows, and the same sharpened."""
+    """Ratios of windows, and the same with weights at the fit."""
     tracks = [track] * len(looks)
     table = ratios(anchor, tracks, looks)
-    return table, sharpened(anchor, tracks, looks, table, np.ones_like(table))
+    return table, reweighted(anchor, tracks, looks, table, np.ones_like(table))
 
 
 def test_ratios_rise_only_over_windows_since_the_change(anchor, track, windows):
@@ -91,7 +91,7 @@ def test_quiet_windows_keep_their_ratios(anchor, track, windows):
     looks = windows(6)
     table = ratios(anchor, [track] * 6, looks)
     level = np.full_like(table, np.nanmax(table))
-    assert sharpened(anchor, [track] * 6, looks, table, level) is table
+    assert reweighted(anchor, [track] * 6, looks, table, level) is table
 
 
 def test_a_plain_change_counts_for_more_than_its_outlying_windows(anchor, track, windows):

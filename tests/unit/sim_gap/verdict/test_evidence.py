@@ -50,7 +50,7 @@ def _hypothesis(
         z=np.zeros(20),
         size=size,
         parameters=np.concatenate(list(given.values())),
-        at=SimpleNamespace(square=np.where(np.arange(10) < spun, 1e5, 30.0), dof=np.full(10, 30.0)),
+        at=SimpleNamespace(ratio=np.where(np.arange(10) < spun, 3e3, 1.0)),
     )
     posterior = SimpleNamespace(point=point, covariance=1e-6 * np.eye(len(free)))
     return Hypothesis(effects, posterior, 0.0, probability)

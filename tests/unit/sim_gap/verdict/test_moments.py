@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerd.sim_gap.verdict.moments import FEW, MOST, find_moments, moments_words
-from steerd.sim_gap.verdict.where import Share, sentence_of
+from steerd.sim_gap.verdict.where import FEW, MOST, Share, find_moments, moments_words, sentence_of
 
 
 def words(bad, place, count=100):

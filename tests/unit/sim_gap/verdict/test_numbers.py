@@ -88,22 +88,22 @@ def test_a_fit_to_the_noise_leaves_a_whole_share():
     [(1.98, 2.02, "1.980 to 2.020 s"), (68.2, 120.4, "68 to 120 s"), (2.0, 2.0, "2.00 to 2.00 s")],
 )
 def test_a_range_shows_the_digits_that_tell_its_ends_apart(low, high, words):
-    assert range_words(Regime("run_time", "s", low, high, 2.0, 1.5, 3.0, 0.5)) == words
+    assert range_words(Regime("run_time", low, high, 2.0, 0.5, 1.5, 3.0, "s")) == words
 
 
 def test_angles_are_shown_in_degrees():
     assert (
-        range_words(Regime("heading", "rad", -np.pi / 2, 0.75, 2.0, 1.5, 3.0, 0.5)) == "-90 to 43°"
+        range_words(Regime("heading", -np.pi / 2, 0.75, 2.0, 0.5, 1.5, 3.0, "rad")) == "-90 to 43°"
     )
 
 
 def test_the_sentence_names_equation_and_regime():
     shares = [Share("steer", 0.8), Share("yaw", 0.2)]
-    hard = Regime("lateral_acceleration", "m/s^2", 3.0, 5.0, 4.2, 3.0, 6.0, 0.9)
+    hard = Regime("lateral_acceleration", 3.0, 5.0, 4.2, 0.9, 3.0, 6.0, "m/s^2")
     text = sentence_of(shares, [hard])
     assert "steering actuator (80%" in text
     assert "4.2 times as large when lateral acceleration is 3.0 to 5.0 m/s²" in text
-    even = Regime("speed", "m/s", 1.0, 2.0, 1.2, 0.8, 1.6, 0.3)
+    even = Regime("speed", 1.0, 2.0, 1.2, 0.3, 0.8, 1.6, "m/s")
     assert "much the same at every speed" in sentence_of(shares, [even])
 
 

@@ -19,9 +19,9 @@ from steerd.sysid.data.segments import (
     with_wheel_speed,
 )
 from steerd.sysid.estimation.learn import Task, learn
-from steerd.sysid.estimation.multistart import scatter
 from steerd.sysid.estimation.outcome import REPORTED, encode_outcome
 from steerd.sysid.estimation.preparation import fit_wheelbase, free_names, held_names
+from steerd.sysid.estimation.starts import scatter
 from steerd.sysid.estimation.validation import HORIZONS, errors_at, trace_windows
 from steerd.sysid.report.design_comparison import compare_designs
 from steerd.sysid.report.identify_report import make_report

@@ -8,8 +8,8 @@ import pytest
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.data.dataset import Run, Signal
+from steerd.sysid.estimation.command_timing import latch
 from steerd.sysid.estimation.learn import Task, learn
-from steerd.sysid.estimation.servo_pulse import latch
 from steerd.sysid.inference.plain_car import TYRES
 
 FRAME = 0.02

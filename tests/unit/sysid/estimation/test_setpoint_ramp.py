@@ -8,8 +8,8 @@ import pytest
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.data.dataset import RAMP_ERPM, Run, Signal
+from steerd.sysid.estimation.command_timing import ramped
 from steerd.sysid.estimation.learn import Task, learn
-from steerd.sysid.estimation.setpoint_ramp import ramped
 
 RATE = RAMP_ERPM / 4614.0
 

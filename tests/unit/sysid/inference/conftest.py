@@ -22,7 +22,7 @@ def healthy(drive, base) -> Engine:
 
 @pytest.fixture(scope="session")
 def likelihood(healthy) -> Likelihood:
-    guess = healthy.readings.layout.guess.copy()
+    guess = healthy.guess.copy()
     return make_likelihood(healthy, healthy.superset.base, guess, NOISE)
 
 

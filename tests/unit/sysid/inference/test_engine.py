@@ -5,22 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from steerd.sysid.data.windows import SPACING
 from steerd.sysid.inference.constants import NOISE_KEPT
 from steerd.sysid.inference.disturbance_response import INPUTS, responses
-from steerd.sysid.inference.engine import take_windows
 from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.noise import (
     Noise,
     calibrated,
     learn_noise,
-    louder,
     noise_floor,
     noise_of_section,
     noise_section,
+    noisier_of,
     slip_shape,
 )
-from steerd.sysid.inference.readings import SPACING
-from steerd.sysid.inference.residuals import blocks_of, folds_of, ratios, robust_mean, settled
+from steerd.sysid.inference.residuals import blocks_of, folds_of, robust_mean, settled
 from steerd.sysid.inference.search import minimise, stand
 from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names
 
@@ -29,16 +28,14 @@ from steerd.sysid.inference.space import informative_effects, make_space, nuisan
 def fitted(likelihood, drive):
     healthy = likelihood.engine
     space = make_space(healthy.superset, nuisance_names(healthy.superset, drive("", 1, 4.0)))
-    return minimise(
-        likelihood, stand(likelihood, space, space.centre, healthy.readings.layout.guess, 1.0)
-    )
+    return minimise(likelihood, stand(likelihood, space, space.centre, healthy.guess, 1.0))
 
 
 def test_readings_are_thinned_to_one_each_fifty_milliseconds(healthy):
-    readings = healthy.readings
-    for w in range(readings.count):
-        rows = readings.rows(w)
-        t = readings.t[rows][readings.channel[rows] == 0]
+    layout = healthy.layout
+    for w in range(layout.count):
+        rows = layout.rows(w)
+        t = layout.row_t[rows][layout.channel[rows] == 0]
         assert np.all(np.abs(np.diff(t) - SPACING) < 0.011)
         assert len(t) >= 20
 
@@ -68,10 +65,10 @@ def test_a_slope_is_the_difference_quotient(healthy, fitted):
 )
 def test_readings_without_derivatives_are_the_same_numbers(healthy, effect, values):
     space = make_space(healthy.superset, (), [effect])
-    x = healthy.readings.layout.guess.copy()
+    x = healthy.guess.copy()
     x[:, 6] = 0.002
     z = np.array(values)
-    alone, finite = healthy.missed(space, z, x)
+    alone, finite = healthy.errors(space.chart.parameters(z), x)
     assert finite
     assert np.abs(alone - healthy.linear(space, z, x).error).max() < 1e-12
 
@@ -96,26 +93,26 @@ def test_noise_survives_a_car_file():
 
 
 def test_a_slipping_wheel_is_off_by_speed_times_acceleration(healthy):
-    error, _ = healthy.missed(*_at_base(healthy))
+    error, _ = healthy.errors(healthy.superset.base, healthy.guess)
     shape = slip_shape(healthy, error)
-    wheel = (healthy.readings.channel[healthy.padded.row] == 3) & (healthy.padded.there > 0)
+    wheel = (healthy.layout.channel[healthy.padded.row] == 3) & (healthy.padded.there > 0)
     slip = np.sqrt(np.diagonal(shape, axis1=1, axis2=2))
     assert (slip[~wheel] == 0.0).all()
-    speed = healthy.pad(healthy.readings.layout.values) - error
+    speed = healthy.pad(healthy.layout.values) - error
     for w in range(3):
-        t = healthy.readings.t[healthy.padded.row[w, wheel[w]]]
+        t = healthy.layout.row_t[healthy.padded.row[w, wheel[w]]]
         v = speed[w, wheel[w]]
         assert slip[w, wheel[w]] == pytest.approx(np.abs(v * np.gradient(v, t)))
 
 
 def _at_base(engine):
     space = make_space(engine.superset, ())
-    return space, space.centre, engine.readings.layout.guess
+    return space, space.centre, engine.guess
 
 
 def test_drives_noisier_than_known_are_believed():
     known = Noise((1e-3, 2e-3, 0.06, 0.05), (0.4, 0.3, 2.0))
-    heard = louder(known, np.array([2e-3, 2.1e-3, 0.01, 0.0]))
+    heard = noisier_of(known, np.array([2e-3, 2.1e-3, 0.01, 0.0]))
     assert heard.instruments == (2e-3, 2e-3, 0.06, 0.05)
     assert heard.pushes == known.pushes
 
@@ -124,7 +121,7 @@ def test_a_wheel_that_is_trusted_little_leaves_little(healthy):
     there = healthy.padded.there.sum()
     quiet, loud = noise_floor(healthy, 1e-3), noise_floor(healthy, 0.06)
     assert loud == pytest.approx(NOISE_KEPT)
-    wheel = (healthy.readings.layout.group == 2).sum()
+    wheel = (healthy.layout.group == 2).sum()
     assert quiet < loud * (1.0 - 0.9 * wheel / there)
 
 
@@ -139,21 +136,21 @@ def test_prescribed_speed_tells_nothing_of_the_drive(healthy, drive):
 
 def test_a_push_along_the_car_shows_in_speed_and_nowhere_before(healthy, fitted):
     seen = responses(healthy, fitted.parameters, fitted.x)
-    assert seen.by_input.shape[0] == len(INPUTS)
-    channel = healthy.readings.channel[healthy.padded.row]
-    t = healthy.readings.t[healthy.padded.row]
+    assert seen.shape[0] == len(INPUTS)
+    channel = healthy.layout.channel[healthy.padded.row]
+    t = healthy.layout.row_t[healthy.padded.row]
     wheel = (channel == 3) & (healthy.padded.there > 0)
-    last = seen.by_input[0][:, :, -1]
+    last = seen[0][:, :, -1]
     assert np.abs(last[wheel & (t < 0.85)]).max() < 1e-9
-    first = seen.by_input[0][:, :, 0]
+    first = seen[0][:, :, 0]
     late = first[wheel & (t > 0.15) & (t < 0.25)]
     assert np.all(late > 0.0)
     assert np.all(late < 0.11)
 
 
 def test_windows_taken_out_read_the_same(healthy, fitted):
-    chosen = np.arange(healthy.readings.count) % 2 == 0
-    part = take_windows(healthy, chosen)
+    chosen = np.arange(healthy.layout.count) % 2 == 0
+    part = healthy.take(chosen)
     space = make_space(healthy.superset, ())
     whole = healthy.linear(space, space.centre, fitted.x).error[chosen]
     taken = part.linear(space, space.centre, fitted.x[chosen]).error
@@ -162,10 +159,10 @@ def test_windows_taken_out_read_the_same(healthy, fitted):
 
 def test_a_window_that_left_the_map_answers_to_nothing(healthy, fitted):
     """It is lost whatever pushes it, and takes no other window along."""
-    whole = responses(healthy, fitted.parameters, fitted.x).by_input
+    whole = responses(healthy, fitted.parameters, fitted.x)
     x = fitted.x.copy()
     x[2, 3] = np.nan
-    seen = responses(healthy, fitted.parameters, x).by_input
+    seen = responses(healthy, fitted.parameters, x)
     others = np.arange(len(x)) != 2
     assert (seen[:, 2] == 0.0).all()
     assert np.allclose(seen[:, others], whole[:, others], rtol=1e-9, atol=1e-9)
@@ -173,13 +170,13 @@ def test_a_window_that_left_the_map_answers_to_nothing(healthy, fitted):
 
 def _left(engine, noise):
     """What is left of the base per degree of freedom, its starts at their best."""
-    space, guess = make_space(engine.superset, ()), engine.readings.layout.guess
+    space, guess = make_space(engine.superset, ()), engine.guess
     likelihood = make_likelihood(engine, engine.superset.base, guess, noise)
-    return robust_mean(ratios(settled(likelihood, space, space.centre)))
+    return robust_mean(settled(likelihood, space, space.centre).at.ratio)
 
 
 def test_noise_is_learnt_within_a_factor(healthy, fitted):
-    noise = learn_noise(healthy, fitted)
+    noise = learn_noise(healthy, fitted.parameters, fitted.x, fitted.linear)
     assert 4e-4 < noise.instruments[0] < 1.2e-3
     assert 0.2 < noise.pushes[0] < 0.8
     assert 1.2 < noise.pushes[2] < 5.0
@@ -195,8 +192,8 @@ def test_calibrated_noise_leaves_one(healthy):
 
 def test_starts_at_their_best_lower_the_error(likelihood):
     space = make_space(likelihood.engine.superset, ())
-    guess = likelihood.engine.readings.layout.guess
-    error, _ = likelihood.engine.missed(space, space.centre, guess)
+    guess = likelihood.engine.guess
+    error, _ = likelihood.engine.errors(space.chart.parameters(space.centre), guess)
     before = likelihood.squares(error, guess, 0.0)
     after = settled(likelihood, space, space.centre).at.square
     assert (after <= before * (1.0 + 1e-9)).all()
@@ -206,5 +203,5 @@ def test_neighbouring_windows_are_a_block_and_folds_take_turns(healthy):
     blocks, folds = blocks_of(healthy), folds_of(healthy)
     assert len(np.unique(blocks)) >= 4
     assert set(folds.tolist()) == {0, 1, 2, 3}
-    run = healthy.readings.layout.run
+    run = healthy.layout.run
     assert all(len(np.unique(run[blocks == b])) == 1 for b in np.unique(blocks))

@@ -24,7 +24,7 @@ SAME = {e.name: e.same_as for e in EFFECTS.values() if e.same_as}
 
 def _library(runs, base, names=LOOKED_AT):
     engine = open_engine(make_superset(base, runs), runs)
-    guess = engine.readings.layout.guess.copy()
+    guess = engine.guess.copy()
     likelihood = make_likelihood(engine, engine.superset.base, guess, NOISE)
     return Library(
         likelihood, nuisance_names(engine.superset, runs), tuple(map(EFFECTS.get, names))
@@ -76,7 +76,7 @@ def test_an_effect_that_the_base_has_is_freed_once(likelihood):
 
 def test_values_are_carried_by_their_names(likelihood):
     library = Library(likelihood, ("lf", "steer_gain"), ())
-    guess = likelihood.engine.readings.layout.guess
+    guess = likelihood.engine.guess
     wide, narrow = library.space(("steer_lag",)), library.space(("steer_gain",))
     z = wide.centre + 0.1 * wide.spread
     point = stand(likelihood, wide, np.clip(z, wide.low, wide.high), guess, 1.0)
@@ -93,7 +93,7 @@ def test_values_are_carried_by_their_names(likelihood):
 def test_a_start_that_the_base_alone_holds_holds_no_effect_back(late):
     """The windows in which an effect shows are those that the base bends too far."""
     library, _ = late
-    start = begin(library, (), (), library.likelihood.engine.readings.layout.guess.copy())
+    start = begin(library, (), (), library.likelihood.engine.guess.copy())
     found = []
     for fill in (np.zeros_like, np.ones_like):
         rotated = start.rotated._replace(held=fill(start.rotated.held))
@@ -200,7 +200,7 @@ def test_what_an_effect_gains_the_base_cannot_gain_alone(late):
 
 def test_a_search_begins_with_the_base_where_it_was(late):
     library, found = late
-    guess = library.likelihood.engine.readings.layout.guess.copy()
+    guess = library.likelihood.engine.guess.copy()
     start = begin(library, (), (), guess)
     assert start.z == pytest.approx(start.space.centre)
     assert start.size == found.start.size

@@ -13,21 +13,20 @@ from steerd.car_model.model import Model
 from steerd.car_model.native.windows import parameter_vector
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.planar import make_planar
-from steerd.sysid.inference.bounded_step import step_within
 from steerd.sysid.inference.chart import make_chart
 from steerd.sysid.inference.identifiability import estimates, taught_estimates
-from steerd.sysid.inference.knowledge import (
+from steerd.sysid.inference.places import DISCS, RADII, suspicious_discs
+from steerd.sysid.inference.plain_car import TYRES
+from steerd.sysid.inference.search import step_within
+from steerd.sysid.inference.superset import (
     EDGES,
     EXCESS_MAX,
     Knowledge,
-    Spread,
     excess_by_regime,
     inflate_each,
     knowledge_of_section,
     knowledge_section,
 )
-from steerd.sysid.inference.places import DISCS, RADII, suspicious_discs
-from steerd.sysid.inference.plain_car import TYRES
 
 CAR = DEFAULT_CAR._replace(lf=0.16, steer_gain=0.95)
 SD = {"lf": 0.002, "lr": 0.1, "steer_gain": 0.01, "steer_delay": 0.001, "tyre_saturation.q": 0.1}
@@ -95,7 +94,7 @@ def test_each_standard_error_is_as_wide_as_its_own_scores_and_correlations_stay(
         found.append(covariance @ pulls.sum(axis=0))
         left = noise - design @ found[-1]
         pulls = np.einsum("bri,br->bi", design, left)
-        each = inflate_each(covariance, Spread(pulls.T @ pulls, 24.0))
+        each = inflate_each(covariance, pulls)
         wide.append(np.sqrt(np.diag(each)))
     np.testing.assert_allclose(np.median(wide, axis=0), np.std(found, axis=0), rtol=0.15)
     scale, before = np.sqrt(np.diag(each)), np.sqrt(np.diag(covariance))

@@ -18,7 +18,8 @@ from steerd.car_model.state import State
 from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.data.segments import make_blocks
-from steerd.sysid.estimation.fit import fit_of_plain
+from steerd.sysid.estimation.outcome import fit_of_plain
+from steerd.sysid.inference.chart import SPREAD
 from steerd.sysid.inference.engine import stable_substeps
 from steerd.sysid.inference.plain_car import (
     DEFAULT_FREE,
@@ -204,7 +205,7 @@ def test_a_speed_that_is_never_changed_tells_nothing_of_its_loop(make_drive, tru
     lag = found.estimates["speed_lag"]
     assert not lag.identifiable
     assert lag.value == DEFAULT_CAR.speed_lag
-    assert lag.sd == lag.prior_sd
+    assert lag.sd == SPREAD["speed_lag"]
     assert "never changed" in lag.manoeuvre
     assert found.estimates["speed_gain"].identifiable
     with pytest.raises(DataError, match="never changed"):

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from steerd.sysid.paper.chamfer import chamfer
-from steerd.sysid.paper.soft_dtw import soft_dtw, squared_distances
+from steerd.sysid.paper.path_distances import chamfer, soft_dtw, squared_distances
 
 
 def _alignments(rows, columns):

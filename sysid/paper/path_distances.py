@@ -1,8 +1,9 @@
-"""Soft dynamic time warping: the distance of two paths whatever their timing.
+"""Distances of two paths: soft dynamic time warping and chamfer, the two parts of the paper's loss.
 
-Cuturi and Blondel, "Soft-DTW: a differentiable loss function for time-series", ICML 2017: the soft
-minimum `-gamma log sum exp(-cost / gamma)` over all monotone alignments (algorithm 1), and its
-exact gradient by the table of expected alignments (algorithm 2). It may be negative.
+Soft-DTW is a distance whatever the timing: Cuturi and Blondel, "Soft-DTW: a differentiable loss
+function for time-series", ICML 2017: the soft minimum `-gamma log sum exp(-cost / gamma)` over all
+monotone alignments (algorithm 1), and its exact gradient by the table of expected alignments
+(algorithm 2). It may be negative.
 """
 
 from collections.abc import Iterator
@@ -11,9 +12,9 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from torch import Tensor
 from torch.autograd.function import once_differentiable
-
-from steerd.sysid.paper.torch_ops import Tensor
 
 Array = NDArray[np.float64]
 
@@ -108,3 +109,26 @@ def expect(cost: Array, reached: Array, gamma: float) -> Array:
             for a, b in ((1, 0), (0, 1), (1, 1))
         )
     return expected[:, 1:-1, 1:-1].copy()
+
+
+def chamfer(a: Tensor, b: Tensor) -> Tensor:
+    """Chamfer distance of two paths as sets of points, whatever the time.
+
+    Mean squared distance to the nearest point of the other set, both ways (the definition that the
+    paper's library, PyTorch3D, uses). A k-d tree finds the nearest points; given them, the distance
+    is smooth, and its gradient is that of the pairs.
+
+    Args:
+        a: (N, D) float64.
+        b: (M, D) float64.
+
+    Returns:
+        Scalar [square of the points' unit]; NaN if a point is not finite.
+    """
+    here, there = a.detach().numpy(), b.detach().numpy()
+    if not (torch.isfinite(a).all() and torch.isfinite(b).all()):
+        return (a.sum() + b.sum()) * torch.nan
+    to_b = torch.from_numpy(cKDTree(there).query(here)[1])
+    to_a = torch.from_numpy(cKDTree(here).query(there)[1])
+    forth, back = a - b[to_b], b - a[to_a]
+    return (forth * forth).sum(-1).mean() + (back * back).sum(-1).mean()

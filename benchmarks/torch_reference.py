@@ -5,25 +5,68 @@ effects, any loss and any number of runs side by side, and is differentiable in 
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 
 from steerd.car_model.effect import Effect
 from steerd.car_model.model import Model, Moment, delays, memory_size
-from steerd.car_model.params import PAPER_CAR, Car
+from steerd.car_model.ops import Ops
+from steerd.car_model.params import Car
 from steerd.car_model.rollout import Integrator, channel_delayed, euler, rk4, step
 from steerd.car_model.state import Command, State
-from steerd.sysid.paper.torch_ops import TORCH, Tensor
 
+Tensor = torch.Tensor
 INTEGRATORS: dict[str, Integrator[Tensor]] = {"euler": euler, "rk4": rk4}
-
 STATES = len(State._fields)
-PAPER_STEP = 0.002
-"""Euler step of the paper's simulator [s]."""
-PAPER_CAR_DIRECT: Car[float] = PAPER_CAR._replace(
-    steer_delay=0.0, steer_lag=0.0, steer_rate=1e3, speed_lag=0.0, accel_max=1e3, decel_max=1e3
-)
-"""The paper's car (7 states, steering clipped at +-0.34 rad) with actuators that follow at once."""
+
+
+def _same(a: Tensor, b: Tensor | float) -> Tensor:
+    return b if isinstance(b, Tensor) else torch.as_tensor(b, dtype=a.dtype)
+
+
+class TorchOps:
+    """`Ops` over float64 tensors that broadcast against each other."""
+
+    sin = staticmethod(torch.sin)
+    cos = staticmethod(torch.cos)
+    tan = staticmethod(torch.tan)
+    atan = staticmethod(torch.atan)
+    tanh = staticmethod(torch.tanh)
+    exp = staticmethod(torch.exp)
+    sqrt = staticmethod(torch.sqrt)
+
+    @staticmethod
+    def absolute(a: Tensor, /) -> Tensor:
+        """Magnitude; its derivative at zero is -1, as in the compiled kernels."""
+        return torch.where(a > 0.0, a, -a)
+
+    @staticmethod
+    def minimum(a: Tensor, b: Tensor | float, /) -> Tensor:
+        """The smaller of the two; where they are equal, the second."""
+        other = _same(a, b)
+        return torch.where(a < other, a, other)
+
+    @staticmethod
+    def maximum(a: Tensor, b: Tensor | float, /) -> Tensor:
+        """The larger of the two; where they are equal, the second."""
+        other = _same(a, b)
+        return torch.where(a > other, a, other)
+
+    @classmethod
+    def clip(cls, a: Tensor, low: Tensor | float, high: Tensor | float, /) -> Tensor:
+        """`a` kept within [low, high]."""
+        return cls.minimum(cls.maximum(a, low), high)
+
+    @staticmethod
+    def where_positive(
+        condition: Tensor, then: Tensor | float, otherwise: Tensor | float, /
+    ) -> Tensor:
+        """`then` where the condition is strictly positive."""
+        return torch.where(condition > 0.0, _same(condition, then), _same(condition, otherwise))
+
+
+TORCH: Ops[Any] = TorchOps()
 
 
 def tensor_model(effects: Sequence[Effect], parameters: Tensor) -> Model[Tensor]:

@@ -5,9 +5,14 @@ At low lateral acceleration a car follows its wheels: the path's curvature is th
 2.2). So the gain per wheelbase is known before any simulation.
 Which of the two, the drives barely say: a wheelbase that is stated gives the gain; without one the
 commands are taken as the wheels' angles, as far as wheels turn so far.
+At one speed more than one car explains a drive: hence further starts, and estimates that their ends
+do not agree on.
 """
 
+# Why: docs/decisions/identification.md#d59
+
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +20,8 @@ from numpy.typing import NDArray
 from steerd.car_model.model import Model
 from steerd.car_model.params import wheelbase
 from steerd.sysid.data.dataset import Run, pose_rates
+from steerd.sysid.data.excitation import SPEED_SPAN, measure_excitation
+from steerd.sysid.inference.identifiability import ANOTHER_END, Estimate
 from steerd.sysid.inference.teaching import Stated
 
 Array = NDArray[np.float64]
@@ -38,6 +45,14 @@ _HELD = 0.3
 _LARGE = 0.3
 """Curvatures that are off by more than this share of the sharpest bend's count for less."""
 _STEPS = 10
+COMPARABLE = 12.5
+"""Ends whose log-likelihoods differ by less (5 standard deviations) explain drives as well."""
+_REARWARD = 0.7
+"""One candidate's centre of gravity lies closer to the rear axle by this factor."""
+_LATER, _QUICKER = 0.02, 0.6
+"""Another's servo waits so much longer [s], and then follows faster by this factor."""
+START_SPREAD = 0.3
+"""Further starts lie about the first with this relative standard deviation."""
 
 
 def possible_starts(
@@ -129,3 +144,48 @@ def _line(cause: Array, effect: Array, scale: float) -> tuple[float, float]:
         off = (effect - basis @ line) / scale
         weight = 1.0 / (1.0 + off**2)
     return float(np.log1p(off**2).mean()), float(line[0])
+
+
+def scatter(model: Model[float], free: Sequence[str], count: int, seed: int) -> list[Model[float]]:
+    """The model and random ones about it; only lengths, stiffnesses and inertia move."""
+    rng = np.random.default_rng(seed)
+    moving = [n for n in free if n in ("lf", "lr", "c_sf", "c_sr", "inertia_z")]
+    models = [model]
+    for _ in range(count - 1):
+        factors = np.exp(START_SPREAD * rng.standard_normal(len(moving))).tolist()
+        moved = {n: getattr(model.car, n) * f for n, f in zip(moving, factors, strict=True)}
+        models.append(model._replace(car=model.car._replace(**moved)))
+    return models
+
+
+def has_one_speed(runs: Sequence[Run]) -> bool:
+    """Whether the drives have barely more than one speed."""
+    driven = measure_excitation(runs)
+    return driven.speed_high - driven.speed_low < SPEED_SPAN
+
+
+def candidate_starts(model: Model[float], free: Sequence[str]) -> list[Model[float]]:
+    """The start, and others along what one speed leaves open; what is not free stays."""
+    car = model.car
+    lr = _REARWARD * car.lr
+    delay, lag = car.steer_delay + _LATER, _QUICKER * car.steer_lag
+    others = []
+    if "lf" in free and "lr" in free:
+        others.append(car._replace(lf=car.lf + car.lr - lr, lr=lr))
+    if "steer_delay" in free and "steer_lag" in free:
+        others.append(car._replace(steer_delay=delay, steer_lag=lag))
+    return [model, *(model._replace(car=other) for other in others)]
+
+
+def mark_ambiguous(
+    found: dict[str, Estimate], others: Sequence[dict[str, Estimate]]
+) -> dict[str, Estimate]:
+    """The estimates, with what others, as good as they, place elsewhere marked as open."""
+    return {name: _mark(name, e, others) for name, e in found.items()}
+
+
+def _mark(name: str, found: Estimate, others: Sequence[dict[str, Estimate]]) -> Estimate:
+    moved = max((abs(o[name].value - found.value) for o in others), default=0.0)
+    if moved <= found.sd:
+        return found
+    return replace(found, sd=moved, identifiable=False, manoeuvre=found.manoeuvre or ANOTHER_END)

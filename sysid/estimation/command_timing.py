@@ -1,0 +1,242 @@
+"""When commands took effect, which is in no log: the servo's pulses and the speed setpoint's ramp.
+
+A VESC's servo signal carries one angle per frame of 20 ms. Of the commands of a 100 Hz loop every
+second one is never seen; which one depends on the phase of the pulses. And since firmware 5.03 the
+setpoint of `SET_RPM` moves by at most 25000 ERPM/s (`s_pid_ramp_erpms_s`, 5.4 m/s^2 on an F1TENTH
+car). A loop's limit of 2.5 m/s^2 comes in steps of 25 mm/s, and each takes the setpoint half of the
+10 ms until the next: ignored, that is 2 ms of speed lag, and residuals that are correlated over
+half a second.
+
+A drive is judged under each course that its commands may have taken, by the same likelihood as the
+car, all free parameters adapted to each. The steering is put half a frame early, so that a fitted
+`steer_delay` goes on meaning what controllers and filters, which know no frames, take it for: the
+dead time with the mean wait for a pulse (half a frame) included.
+"""
+
+# Why: docs/decisions/identification.md#d24
+# Why: docs/decisions/identification.md#d38
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.sysid.data.dataset import Run, Signal, hold_means
+from steerd.sysid.data.segments import moving_segments
+from steerd.sysid.inference.likelihood import Likelihood
+from steerd.sysid.inference.plain_car import Asked, PlainCar, open_plain
+from steerd.sysid.inference.search import minimise, newton, open_point
+from steerd.sysid.inference.space import Space, make_space
+
+Array = NDArray[np.float64]
+
+SECONDS = 20.0
+"""This much of a drive is enough to judge its commands' course [s]."""
+WINDOW = 2.0
+"""Length of the windows [s]."""
+STEPS = 6
+"""Of a search under each course: they differ by little."""
+PHASES = 8
+"""Phases that are tried, evenly over a frame (2.5 ms apart)."""
+SURE = 3.0
+"""A log-likelihood smaller by less than this does not distinguish two phases."""
+
+
+class Pulse(NamedTuple):
+    """How a drive's servo was pulsed.
+
+    Attributes:
+        run: the drive's name.
+        phase: of the pulses after the drive's first command [s].
+        sure: by how much the log-likelihood falls at the best phase that does not look alike.
+        blur: by how much it may be off: phases between the same two commands look alike, but for a
+            dead time (standard deviation) [s].
+    """
+
+    run: str
+    phase: float
+    sure: float
+    blur: float = 0.0
+
+
+class Ramp(NamedTuple):
+    """Whether a drive's motor controller had its ramp.
+
+    Attributes:
+        run: the drive's name.
+        rate: limit of its setpoint [m/s^2]; 0 where the drive knows none.
+        sure: by how much the other answer's log-likelihood is smaller.
+    """
+
+    run: str
+    rate: float
+    sure: float
+
+
+class Timed(NamedTuple):
+    """A drive with its commands as servo and motor controller took them over.
+
+    Attributes:
+        run: the drive.
+        pulse: of its servo, where that has pulses.
+        ramp: of its motor controller, where it may have one.
+    """
+
+    run: Run
+    pulse: Pulse | None
+    ramp: Ramp | None
+
+
+def time_commands(run: Run, rough: PlainCar, asked: Asked) -> Timed:
+    """A drive's commands on their likeliest course.
+
+    Args:
+        run: a whole drive, not a part of it.
+        rough: a car near the truth.
+        asked: what is free beside the course.
+
+    Raises:
+        DataError: the drive does not move.
+    """
+    limited, ramp = _find_ramp(run, rough, asked)
+    if not run.servo_frame:
+        return Timed(limited, None, ramp)
+    pulse = _find_phase(limited, rough, asked)
+    return Timed(latch(limited, pulse.phase), pulse, ramp)
+
+
+def _edges(run: Run) -> Array:
+    """Times of the command grid's steps [s]."""
+    return np.arange(len(run.commands) + 1).astype(float) * run.h
+
+
+def _find_ramp(run: Run, rough: PlainCar, asked: Asked) -> tuple[Run, Ramp | None]:
+    """The drive as its motor controller let its speed commands through, if that is likelier."""
+    after = ramped(run)
+    if after is run:
+        return run, None
+    plain, limited = _losses(run, (run, after), rough, asked)
+    better = bool(limited < plain)
+    rate = run.speed_ramp if better else 0.0
+    return (after if better else run), Ramp(run.name, rate, float(abs(plain - limited)))
+
+
+def latch(run: Run, phase: float) -> Run:
+    """The drive with its steering as pulses at `phase` take it over, half a frame early."""
+    frame = run.servo_frame
+    t, angles = run.steer
+    first = np.floor((t[0] - phase) / frame)
+    pulses = phase + frame * np.arange(first, np.ceil((run.duration - phase) / frame) + 2)
+    seen = angles[np.maximum(np.searchsorted(t, pulses, side="right") - 1, 0)]
+    steer = hold_means(Signal(pulses - 0.5 * frame, seen), _edges(run))
+    return replace(run, commands=np.column_stack([steer, run.commands[:, 1]]))
+
+
+def _setpoint(command: Signal, rate: float, end: float) -> Signal:
+    """Corners of the setpoint's course: straight in between, moving by `rate` at most."""
+    now = float(command.values[0])
+    times, values = [float(command.t[0])], [now]
+    until = np.append(command.t[1:], max(end, command.t[-1]) + 1.0)
+    for t, wanted, later in zip(
+        command.t.tolist(), command.values.tolist(), until.tolist(), strict=True
+    ):
+        away = wanted - now
+        there = t + abs(away) / rate
+        if away and there < later:
+            times.append(there)
+            values.append(wanted)
+        now = wanted if there <= later else now + np.copysign(rate * (later - t), away)
+        times.append(later)
+        values.append(now)
+    return Signal(np.array(times), np.array(values))
+
+
+def _means(corners: Signal, edges: Array) -> Array:
+    """Mean of a signal that is straight between its corners over each interval (exact)."""
+    t = np.union1d(corners.t, edges)
+    values = np.interp(t, *corners)
+    area = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t))])
+    means: Array = np.diff(np.interp(edges, t, area)) / np.diff(edges)
+    return means
+
+
+def ramped(run: Run) -> Run:
+    """The drive with its speed commands as the ramp lets them through; without one, as it is."""
+    if not run.speed_ramp or not len(run.speed_command.t) or run.speed_source != "command":
+        return run
+    edges = _edges(run)
+    speed = _means(_setpoint(run.speed_command, run.speed_ramp, float(edges[-1])), edges)
+    return replace(run, commands=np.column_stack([run.commands[:, 0], speed]))
+
+
+def _find_phase(run: Run, rough: PlainCar, asked: Asked) -> Pulse:
+    """The likeliest phase of a drive's pulses, all free parameters adapted to each."""
+    step = run.servo_frame / PHASES
+    phases = step * (np.arange(PHASES) + 0.5)
+    tried = _losses(run, [latch(run, float(phase)) for phase in phases], rough, asked)
+    best, alike = _middle(tried)
+    others = tried[~alike]
+    sure = float(others.min() - tried.min()) if len(others) else 0.0
+    phase = _on_grid(float(phases[0] + best * step), run.h, step)
+    possible = int((tried <= tried.min() + SURE).sum())
+    return Pulse(run.name, phase, sure, float(step * possible / np.sqrt(12.0)))
+
+
+def _on_grid(phase: float, h: float, step: float) -> float:
+    """The nearest phase whose pulses fall between steps of the grid, if it is as good as this one.
+
+    A pulse within a step would be blurred over it, and 2 ms of blur pass for inertia.
+    """
+    near = h * round(phase / h)
+    return near if abs(near - phase) <= 0.5 * step + 1e-9 else phase
+
+
+def _middle(cost: Array) -> tuple[float, NDArray[np.bool_]]:
+    """Middle of the stretch of phases (they form a ring) about the best that are as good."""
+    count, best = len(cost), int(np.argmin(cost))
+    good = cost <= cost[best] + SURE
+    up = next((i for i in range(count) if not good[(best + i + 1) % count]), count - 1)
+    down = next((i for i in range(count) if not good[(best - i - 1) % count]), count - 1)
+    alike = np.zeros(count, bool)
+    alike[np.arange(best - down, best + up + 1) % count] = True
+    return (best + 0.5 * (up - down)) % count, alike
+
+
+def _losses(run: Run, courses: Sequence[Run], rough: PlainCar, asked: Asked) -> Array:
+    """Negative log-likelihood of a drive under commands of its own [nats], but for a constant.
+
+    Args:
+        run: a whole drive, not a part of it.
+        courses: the drive with its commands as they may have been taken over.
+        rough: a car near the truth.
+        asked: what is free.
+
+    Returns:
+        (courses,); infinite where the simulation diverges.
+
+    Raises:
+        DataError: the drive does not move.
+    """
+    parts = moving_segments([run])
+    likelihood, _ = open_plain(parts, asked, rough, WINDOW, SECONDS)
+    engine, found = likelihood.engine, []
+    space = make_space(engine.superset, asked.free)
+    first = [round((part.start - run.start) / run.h) for part in parts]
+    for course in courses:
+        cuts = [course.commands[a : a + len(p.commands)] for a, p in zip(first, parts, strict=True)]
+        layout = replace(engine.layout, commands=np.concatenate(cuts))
+        their = replace(likelihood, engine=replace(engine, layout=layout))
+        found.append(_least_cost(their, space, space.chart.coordinates(rough.point.parameters)))
+    return np.array(found)
+
+
+def _least_cost(likelihood: Likelihood, space: Space, z: Array) -> float:
+    """Cost at the minimum, under the discrepancy that is needed there."""
+    try:
+        begun = open_point(likelihood, space, z, likelihood.engine.guess)
+        found = minimise(likelihood, begun, steps=STEPS)
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return np.inf
+    return found.cost - newton(space, found.at, found.z)[1]
