@@ -192,7 +192,7 @@ def best_speed(estimate: StateEstimate | None, wheel_speed: float) -> float:
     if estimate is None or not estimate.health.sound:
         return wheel_speed  # which must be a recent one
     health = estimate.health
-    fed = min(health.pose.age_s, health.wheel_speed.age_s) <= BLIND_S
+    fed = min(health.pose.age_s(estimate.t_ns), health.wheel_speed.age_s(estimate.t_ns)) <= BLIND_S
     return estimate.state.speed if fed else nan
 
 
