@@ -7,6 +7,7 @@ uncertainty, and its residuals show whether those poses agree at all.
 
 import math
 from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
