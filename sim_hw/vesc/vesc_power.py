@@ -4,6 +4,8 @@ Means since the last read are kept as running sums with a bookmark per telemetry
 one field does not touch the others; that is how the firmware's read-and-reset behaves.
 """
 
+from collections.abc import Iterable
+
 from steerd.sim_hw.vesc.vesc_config import VescConfig
 
 _AMBIENT_C = 25.0
@@ -15,13 +17,6 @@ _FIELD_VOLTAGE = 3**-0.5
 """Phase voltage per bus voltage at full duty (space-vector modulation)."""
 _FLAT = 0.1
 """Voltage below which no battery goes here, so that nothing divides by zero [V]."""
-_SUMS = {
-    "motor_current": "_motor_sum",
-    "input_current": "_input_sum",
-    "q_current": "_q_sum",
-    "v_q": "_vq_sum",
-}
-"""Where each mean is summed up; the others (the field-weakening axis) are zero."""
 MEANS = ("motor_current", "input_current", "d_current", "q_current", "v_d", "v_q")
 
 
@@ -75,14 +70,21 @@ class Power:
         self._vq_sum += duty * self.voltage
         self._count += 1
 
-    def read_mean(self, name: str) -> float:
-        """Mean of a field since its last read, which this is now; 0 when read twice at once."""
-        total, count = self._read[name]
-        now = getattr(self, _SUMS[name]) if name in _SUMS else 0.0
-        self._read[name] = (now, self._count)
-        samples = self._count - count
-        mean = (now - total) / samples if samples else 0.0
-        return mean * _FIELD_VOLTAGE if name == "v_q" else mean
+    def read_means(self, names: Iterable[str]) -> dict[str, float]:
+        """Means of fields since the last read of each, which this is; 0 when read twice at once."""
+        sums = {
+            "motor_current": self._motor_sum, "input_current": self._input_sum,
+            "q_current": self._q_sum, "v_q": self._vq_sum,
+            "d_current": 0.0, "v_d": 0.0,  # the field-weakening axis
+        }  # fmt: skip
+        means = {}
+        for name in names:
+            (total, count), now = self._read[name], sums[name]
+            samples = self._count - count
+            mean = (now - total) / samples if samples else 0.0
+            means[name] = mean * _FIELD_VOLTAGE if name == "v_q" else mean
+            self._read[name] = (now, self._count)
+        return means
 
     @property
     def tachometer(self) -> int:

@@ -69,22 +69,23 @@ class ReplyWire:
         self._put(t_ns, t_ns, data)
 
     def _put(self, t_ns: int, due: int, data: bytes) -> None:
-        room = self._config.unread_limit - self._unread
-        if len(data) > room:
+        size, room = len(data), self._config.unread_limit - self._unread
+        if size > room:
             self.cut += 1
             self.blocked_until_ns = t_ns + _USB_WAIT_NS
-            data = data[: max(0, room)]
+            size = max(0, room)
+            data = data[:size]
         if not data:
             return
-        self._unread += len(data)
+        self._unread += size
         trickle = self.fault_state.trickle_ns
         if trickle:
             due = max(due, self.outbox.last_ns)
-            for i in range(len(data)):
+            for i in range(size):
                 self.outbox.put(due + (i + 1) * trickle, data[i : i + 1])
             return
         first = self.outbox.put(due, data[:1])
-        if len(data) > 1:
+        if size > 1:
             self.outbox.put(first + self._config.fragment_gap_ns, data[1:])
 
 
