@@ -82,9 +82,9 @@ def host_number(code: str, scale: float | None, value: Number) -> Number:
     if code == "f":
         return _auto_f32(value)
     scaled = value * (1 if scale is None else scale)
-    if not math.isfinite(scaled):
+    if not -math.inf < scaled < math.inf:
         raise ValueError(f"{value} cannot be sent to a VESC")
-    count = int(math.copysign(math.floor(abs(scaled) + 0.5), scaled))
+    count = math.floor(scaled + 0.5) if scaled >= 0 else -math.floor(0.5 - scaled)
     low, high = _RANGES[code]
     if not low <= count <= high:
         raise ValueError(f"{value} does not fit its field ({low} to {high} counts)")
@@ -108,7 +108,7 @@ def pack_host(fields: tuple[Field, ...], record: object) -> bytes:
     Raises:
         ValueError: a value is not finite or does not fit.
     """
-    values = read_values(fields, record)
+    values = _reader(fields)(record)
     numbers = [host_number(f.code, f.scale, v) for f, v in zip(fields, values, strict=True)]
     return _struct(fields).pack(*numbers)
 
