@@ -340,19 +340,13 @@ class VescLink:
         """Take bytes read at ``t_ns`` (or none) and return what they mean, in order."""
         events: list[Event] = []
         if data or self.parser.buffered:
-            self.parser.ceiling = self._ceiling()
+            driving = self.ready and CommandId.GET_APPCONF not in self._open
+            self.parser.ceiling = RUNNING_CEILING if driving else MAX_PAYLOAD
             for frame in self.parser.feed_stamped(data, t_ns):
                 events += self._on_frame(frame)
         if self._open:
             self._expire(t_ns)
         return events
-
-    def _ceiling(self) -> int:
-        return (
-            RUNNING_CEILING
-            if self.ready and CommandId.GET_APPCONF not in self._open
-            else MAX_PAYLOAD
-        )
 
     def _on_frame(self, frame: Frame) -> list[Event]:
         counters, number = self.counters, command_id(frame.payload[0], self.firmware or FW_7_01)

@@ -272,7 +272,7 @@ class SimVesc:
         if command is None:
             known = command_id(payload[0], firmware) is not None
             self.counts["short" if known and len(payload) < 5 else "unknown"] += 1
-        elif isinstance(command, FEEDS_TIMEOUT):
+        elif type(command) in FEEDS_TIMEOUT:
             self.motor.command(t_ns, command, self._true_erpm())
         elif (reply := self._answer(t_ns, command)) is not None:
             self._reply(t_ns, reply)
