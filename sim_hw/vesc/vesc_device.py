@@ -97,7 +97,7 @@ class SimVesc:
         self.motor = Motor(config, t_ns - uptime_ns)
         self.motor.fault_state = self.fault_state
         self.power = Power(config)
-        self.power.heat_c = self.fault_state.heat_c
+        self.power.heat(self.fault_state.heat_c)
         self.imu = ImuChip(config, self.car, self._noise)
         self._parser = make_parser(config.firmware)
         self.boot_ns = t_ns - uptime_ns
@@ -116,7 +116,7 @@ class SimVesc:
         before, self.fault_state = self.fault_state, faults
         self.connected = faults.plugged and self._off_until_ns < 0
         self.motor.fault_state = self._wire.fault_state = faults
-        self.power.heat_c = faults.heat_c
+        self.power.heat(faults.heat_c)
         if faults.plugged != before.plugged:
             self._wire.reset()
             self._held.clear()
@@ -216,7 +216,7 @@ class SimVesc:
 
         Where it is off, or behind with its orders, the next physics step may change that.
         """
-        due = self._wire.outbox.next_ns
+        due = self._wire.next_ns
         if self._later and (due is None or self._later[0][0] < due):
             due = self._later[0][0]
         if self._held or self._off_until_ns >= 0:
@@ -252,17 +252,10 @@ class SimVesc:
         """What is due by ``t_ns``, read by the host; one that never reads blocks the VESC."""
         while self._later and self._later[0][0] <= t_ns:
             self._reply(*self._later.popleft())
-        if not self.connected:
+        due = self._wire.next_ns
+        if not self.connected or due is None or due > t_ns:
             return b""
-        data, due = b"", self._wire.outbox.next_ns
-        if due is None or due > t_ns:
-            return data
-        for chunk in self._wire.outbox.due(t_ns):
-            data += chunk.data
-            if self.log.enabled:
-                self.log.add(chunk.t_ns, "host", chunk.data)
-        self._wire.on_read(len(data))
-        return data
+        return self._wire.read(t_ns, self.log)
 
     # --- commands
 

@@ -28,6 +28,7 @@ class Power:
         voltage: battery voltage under load [V].
         duty: duty cycle.
         revolutions, travel: electrical revolutions, signed and unsigned.
+        temp_c: of switches and motor.
         warmth, heat_c: above ambient by the motor's own current, and by a fault [K].
     """
 
@@ -36,16 +37,17 @@ class Power:
         self.current = self.duty = 0.0
         self.voltage = config.battery_voltage
         self.revolutions = self.travel = 0.0
-        self.warmth = self.heat_c = 0.0
+        self.warmth = 0.0
+        self.heat(0.0)
         self.input_current = 0.0
         self._motor_sum = self._input_sum = self._q_sum = self._vq_sum = 0.0
         self._count = 0
         self._read: dict[str, tuple[float, int]] = dict.fromkeys(MEANS, (0.0, 0))
 
-    @property
-    def temp_c(self) -> float:
-        """Temperature of switches and motor."""
-        return _AMBIENT_C + self.warmth + self.heat_c
+    def heat(self, heat_c: float) -> None:
+        """A fault heats it by so much."""
+        self.heat_c = heat_c
+        self.temp_c = _AMBIENT_C + self.warmth + heat_c
 
     def step(self, current: float, erpm: float, h: float, sag: float) -> None:
         """Account for ``h`` seconds at a motor current [A] and ERPM, on a battery ``sag`` V low."""
@@ -63,6 +65,7 @@ class Power:
         self.revolutions += revolutions
         self.travel += revolutions if revolutions > 0.0 else -revolutions
         self.warmth += h * (_HEATING * current * current - self.warmth / _COOLING)
+        self.temp_c = _AMBIENT_C + self.warmth + self.heat_c
         strength = current if current > 0.0 else -current
         self._motor_sum += strength if source >= 0.0 else -strength
         self._input_sum += source
