@@ -108,7 +108,7 @@ def pack_host(fields: tuple[Field, ...], record: object) -> bytes:
     Raises:
         ValueError: a value is not finite or does not fit.
     """
-    values = _reader(fields)(record)
+    values = reader(fields)(record)
     numbers = [host_number(f.code, f.scale, v) for f, v in zip(fields, values, strict=True)]
     return _struct(fields).pack(*numbers)
 
@@ -157,13 +157,9 @@ def _device_layout(fields: tuple[Field, ...]) -> _DeviceLayout:
     return _DeviceLayout(measured, singles, scales, codes, "f" not in codes)
 
 
-def read_values(fields: tuple[Field, ...], record: object) -> tuple[Any, ...]:
-    """What a record holds for each field."""
-    return _reader(fields)(record)
-
-
 @lru_cache(maxsize=64)
-def _reader(fields: tuple[Field, ...]) -> Callable[[object], tuple[Any, ...]]:
+def reader(fields: tuple[Field, ...]) -> Callable[[object], tuple[Any, ...]]:
+    """What gives a record's value for each field."""
     if not fields:
         return lambda record: ()
     read = attrgetter(*(field.name for field in fields))
