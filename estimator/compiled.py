@@ -2,7 +2,7 @@
 
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
-from ctypes import byref
+from ctypes import byref, c_char, c_double
 from functools import lru_cache
 from math import nan
 from struct import Struct
@@ -13,19 +13,41 @@ from steerd.car_model.chassis import Chassis
 from steerd.car_model.native.library import Filter, load_function, model_label
 from steerd.car_model.params import Car
 from steerd.car_model.prediction import SIZE
+from steerd.car_model.state import State
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.history import History, dead_times
-from steerd.estimator.initial import Array, Belief
+from steerd.estimator.initial import Belief
 from steerd.estimator.sensors import Kind, Measurement, Sensor
+from steerd.steer_bus.quick_values import quick_value
 
 WIDEST = 3
 """Most values of a measurement."""
 _BELIEF = SIZE + SIZE * SIZE
-_NODE = _BELIEF + WIDEST + 2
+_BELIEF_BYTES = 8 * _BELIEF
+_PREDICTION = _BELIEF + SIZE + 2
+_LINK = Struct(f"={_BELIEF_BYTES}s2d")
 _NO_COMMAND = (nan, nan)
-_PADDING = ((), (0.0, 0.0), (0.0,), ())
-Link = tuple[Belief, Array, float, bool]
-"""What a measurement leaves: belief, innovation, its square, and whether it was believed."""
+_PADDING = (0.0, 0.0)
+
+
+@quick_value
+class Link:
+    """What a measurement leaves."""
+
+    belief: Belief
+    nis: float  # normalised innovation squared
+    believed: bool
+
+
+@quick_value
+class Prediction:
+    """The belief at an instant."""
+
+    belief: Belief
+    state: State[float]  # its mean
+    sd: State[float]  # standard deviation of each state; NaN where its variance is none
+    position_sd: float  # along the worst direction [m]
+    sound: bool  # mean and covariance are finite, the covariance positive definite
 
 
 class Kernel:
@@ -49,7 +71,7 @@ class Kernel:
         load_function(label, "filter_constants")(p.ctypes.data, 0.0, q.ctypes.data)
         instruments = np.array([_numbers_of(sensors[kind]) for kind in Kind])
         self._arrays = p, q, density, instruments  # they live as long as their addresses
-        self._setup = Filter(*(each.ctypes.data for each in self._arrays), *late)
+        self._setup = byref(Filter(*(each.ctypes.data for each in self._arrays), *late))
         self._dead_time = max(late)
         self._fuse: Callable[..., None] = load_function(label, "fuse")
         self._predict: Callable[..., None] = load_function(label, "predict")
@@ -65,31 +87,22 @@ class Kernel:
         count = len(chain)
         given: list[float] = []
         for t_ns, kind, values in chain:
-            given += (t_ns, kind, *values, *_PADDING[len(values)])
+            given += (t_ns, kind, *(*values, *_PADDING)[:WIDEST])
         asked = self._ask(history, first, start_ns, count=count) + _measurements(count).pack(*given)
-        rows = np.empty((count, _NODE))
-        self._fuse(byref(self._setup), asked, rows.ctypes.data)
-        covariances = rows[:, SIZE:_BELIEF].reshape(count, SIZE, SIZE)
-        beliefs = map(Belief, rows[:, :SIZE], covariances)
-        innovations = rows[:, _BELIEF : _BELIEF + WIDEST]
-        judged = rows[:, _BELIEF + WIDEST :].tolist()
+        rows = (c_char * (count * _LINK.size))()
+        self._fuse(self._setup, asked, rows)
         return [
-            (belief, y[: len(m.values)], nis, believed > 0.0)
-            for m, belief, y, (nis, believed) in zip(
-                chain, beliefs, innovations, judged, strict=True
-            )
+            Link(Belief(numbers), nis, believed > 0.0)
+            for numbers, nis, believed in _LINK.iter_unpack(rows)
         ]
 
-    def predict(
-        self, history: History, first: Belief, start_ns: int, stop_ns: int
-    ) -> tuple[Belief, bool]:
-        """The belief at `stop_ns` from the one of `start_ns`; whether it is sound."""
-        row = np.empty(_BELIEF + 1)
-        self._predict(
-            byref(self._setup), self._ask(history, first, start_ns, stop_ns), row.ctypes.data
-        )
-        belief = Belief(row[:SIZE], row[SIZE:_BELIEF].reshape(SIZE, SIZE))
-        return belief, row.item(_BELIEF) > 0.0
+    def predict(self, history: History, first: Belief, start_ns: int, stop_ns: int) -> Prediction:
+        """The belief at `stop_ns` from the one of `start_ns`."""
+        row = (c_double * _PREDICTION)()
+        self._predict(self._setup, self._ask(history, first, start_ns, stop_ns), row)
+        state: State[float] = State(*row[:SIZE])
+        sd: State[float] = State(*row[_BELIEF : _BELIEF + SIZE])
+        return Prediction(Belief(bytes(row)[:_BELIEF_BYTES]), state, sd, row[-2], row[-1] > 0.0)
 
     def _ask(
         self, history: History, first: Belief, start_ns: int, stop_ns: int = 0, count: int = 0
@@ -100,7 +113,7 @@ class Kernel:
         orders = [x for command in history.commands[begin:] for x in command or _NO_COMMAND]
         known = len(times)
         head = _request(known).pack(known, count, start_ns, stop_ns, *times, *orders)
-        return head + first.mean.tobytes() + first.covariance.tobytes()
+        return head + first.numbers
 
 
 def _numbers_of(sensor: Sensor) -> list[float]:

@@ -5,9 +5,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-HEALTH_WINDOW_S = 0.5
-"""Watchdog W5 looks at the share of refused poses over this long [s]."""
-
 
 def _between(low: float, high: float, default: Any) -> Any:
     """A setting and its bounds, between which a simulated car drives.
@@ -46,7 +43,7 @@ class FilterConfig:
     yaw_density: float = _between(0.0, 1.0, 0.0005)  # the same for yaw [rad/sqrt(s)]
     gate_probability: float = _between(0.9, 1.0 - 1e-9, 0.999)
     """A true measurement passes its gate this often (chi-square of 3 degrees: 16.3)."""
-    history_s: float = _between(HEALTH_WINDOW_S, 2.0, 0.6)
+    history_s: float = _between(0.5, 2.0, 0.6)
     """How old a measurement may be at arrival and still be fused where it belongs [s]."""
     initial_poses: int = _between(5, 50, 10)  # mutually consistent poses that start the filter
 

@@ -3,15 +3,16 @@
 import math
 from bisect import bisect_left, bisect_right
 from functools import lru_cache
-from typing import NamedTuple
 
 from steerd.car_model.params import Car
 from steerd.car_model.state import Command
+from steerd.steer_bus.quick_values import quick_value
 
 NS = 1_000_000_000
 
 
-class History(NamedTuple):
+@quick_value
+class History:
     """Commands in the order of their times; each holds until the next."""
 
     times: tuple[int, ...] = ()  # when each was sent [ns]

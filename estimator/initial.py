@@ -7,15 +7,16 @@ uncertainty, and its residuals show whether those poses agree at all.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.chassis import SPEED_DYNAMIC
+from steerd.car_model.prediction import SIZE
 from steerd.car_model.state import State
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.sensors import Measurement, chi_square_above
+from steerd.steer_bus.quick_values import quick_value
 
 Array = NDArray[np.float64]
 SECONDS = 1e-9
@@ -30,11 +31,26 @@ _SLIP_LARGEST = 0.5
 _SLIP_SD, _STEER_SD, _STEER_SD_UNKNOWN = 0.1, 0.05, 0.2
 
 
-class Belief(NamedTuple):
-    """A Gaussian belief about the state. Never changed in place."""
+@quick_value
+class Belief:
+    """A Gaussian belief about the state, as the library reads and writes it."""
 
-    mean: Array  # (n,), in the order of `steerd.car_model.state.State`
-    covariance: Array  # (n, n), symmetric
+    numbers: bytes  # mean (n,), in the order of `State`, then the covariance (n, n), row by row
+
+    @property
+    def mean(self) -> Array:
+        """Of each state, (n,)."""
+        return np.frombuffer(self.numbers)[:SIZE]
+
+    @property
+    def covariance(self) -> Array:
+        """(n, n), symmetric."""
+        return np.frombuffer(self.numbers)[SIZE:].reshape(SIZE, SIZE)
+
+
+def make_belief(mean: Array, covariance: Array) -> Belief:
+    """The belief with this mean (n,) and covariance (n, n)."""
+    return Belief(np.array(mean, np.float64).tobytes() + np.array(covariance, np.float64).tobytes())
 
 
 def initial_belief(
@@ -82,7 +98,7 @@ def _belief(fit: Array, variance: Array, steer: float | None) -> Belief:
         slip_angle=slip_variance + variance[0, 2],
         steer=(_STEER_SD if steer is not None else _STEER_SD_UNKNOWN) ** 2,
     )
-    return Belief(np.array(state), np.diag(np.array(spread, dtype=np.float64)))
+    return make_belief(np.array(state), np.diag(np.array(spread)))
 
 
 def _motion(yaw: float, vx: float, vy: float, variance: float) -> tuple[float, float, float]:

@@ -27,10 +27,10 @@ from steerd.car_model.prediction import (
 )
 from steerd.car_model.state import State
 from steerd.car_model.tape import Tape, program
-from steerd.estimator.compiled import Link
+from steerd.estimator.compiled import Link, Prediction
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.history import History, dead_times
-from steerd.estimator.initial import SECONDS, Array, Belief
+from steerd.estimator.initial import SECONDS, Array, Belief, make_belief
 from steerd.estimator.sensors import Kind, Measurement, Sensor
 
 ABSURD = 1e6
@@ -99,10 +99,8 @@ class Reference:
         numbers = np.array(self._step(*state, *driven[:-1], *density, h))
         return Propagation(numbers[:SIZE], *numbers[SIZE:].reshape(2, SIZE, SIZE))
 
-    def predict(
-        self, history: History, first: Belief, start_ns: int, stop_ns: int
-    ) -> tuple[Belief, bool]:
-        """The belief at `stop_ns` from the one of `start_ns`; whether it is sound.
+    def predict(self, history: History, first: Belief, start_ns: int, stop_ns: int) -> Prediction:
+        """The belief at `stop_ns` from the one of `start_ns`.
 
         The division into steps depends on the two instants alone, so that fusing the same
         measurements in any order of arrival takes the same steps. In a gap that is too long for
@@ -113,17 +111,17 @@ class Reference:
         power = 1
         while power < STEEPEST and span > LONGEST_STEP_NS * count**power:
             power += 1
-        begin, belief = start_ns, first
+        begin, mean, covariance = start_ns, first.mean, first.covariance
         for i in range(1, count + 1):
             end = start_ns + span * i**power // count**power
-            state: State[float] = State(*belief.mean.tolist())
+            state: State[float] = State(*mean.tolist())
             driven = self.drive(history, state.steer, state.speed, begin, end)
             # a servo that nothing drives stays where it is
             density = (*self._density[:-1], self._density[-1] if driven.steered else 0.0)
             mean, F, Q = self.propagate(state, driven, density, (end - begin) * SECONDS)
-            belief = Belief(mean, F @ belief.covariance @ F.T + Q)
+            covariance = F @ covariance @ F.T + Q
             begin = end
-        return belief, _is_sound(belief)
+        return _make_prediction(mean, covariance)
 
     def fuse(
         self, history: History, first: Belief, start_ns: int, chain: Sequence[Measurement]
@@ -132,9 +130,9 @@ class Reference:
         links: list[Link] = []
         belief = first
         for measurement in chain:
-            belief, _ = self.predict(history, belief, start_ns, measurement.t_ns)
-            links.append(_update(self._sensors[measurement.kind], belief, measurement.values))
-            belief, start_ns = links[-1][0], measurement.t_ns
+            prior = self.predict(history, belief, start_ns, measurement.t_ns).belief
+            links.append(_update(self._sensors[measurement.kind], prior, measurement.values))
+            belief, start_ns = links[-1].belief, measurement.t_ns
         return links
 
 
@@ -142,7 +140,7 @@ def _update(sensor: Sensor, prior: Belief, values: tuple[float, ...]) -> Link:
     """The belief after a reading, or the prior where it is absurd or refused."""
     measured, width = np.array(values), len(values)
     if not (np.abs(measured) < ABSURD).all():
-        return prior, measured, math.inf, False
+        return Link(prior, math.inf, False)
     matrix = np.zeros((width, SIZE))
     matrix[range(width), sensor.states] = sensor.gain
 
@@ -153,19 +151,26 @@ def _update(sensor: Sensor, prior: Belief, values: tuple[float, ...]) -> Link:
         return difference
 
     box = ExtendedKalmanFilter(SIZE, width)
-    box.x, box.P = prior
+    box.x, box.P = prior.mean, prior.covariance
     noise = np.diag(sensor.variances)
     box.update(measured, lambda _: matrix, lambda x: matrix @ x, noise, residual=residual)
     nis = float(box.y @ box.SI @ box.y)
     believed = nis <= sensor.gate
-    belief = Belief(box.x, 0.5 * (box.P + box.P.T)) if believed else prior
-    return belief, box.y, nis, believed
+    belief = make_belief(box.x, 0.5 * (box.P + box.P.T)) if believed else prior
+    return Link(belief, nis, believed)
 
 
-def _is_sound(belief: Belief) -> bool:
-    """Whether the belief is finite and its covariance positive definite (Cholesky's test)."""
+def _make_prediction(mean: Array, covariance: Array) -> Prediction:
+    """A belief is sound if it is finite and its covariance positive definite (Cholesky's test)."""
+    variances = covariance.diagonal().tolist()
+    sds: State[float] = State(*(math.sqrt(v) if v >= 0.0 else math.nan for v in variances))
+    (a, b), (_, c) = covariance[:2, :2].tolist()
+    worst = 0.5 * (a + c) + math.hypot(0.5 * (a - c), b)
+    sound = bool(np.isfinite([*mean, *variances]).all())
     try:
-        np.linalg.cholesky(belief.covariance)
+        np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError:
-        return False
-    return bool(np.isfinite([*belief.mean, *belief.covariance.diagonal()]).all())
+        sound = False
+    position_sd = math.sqrt(worst) if worst >= 0.0 else math.nan
+    belief = make_belief(mean, covariance)
+    return Prediction(belief, State(*mean.tolist()), sds, position_sd, sound)

@@ -8,14 +8,10 @@ instant therefore depends on which measurements arrived, never on the order in w
 # Why: docs/decisions/filter-and-controller.md#d9
 
 import math
-from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from operator import attrgetter
-from typing import TYPE_CHECKING, NamedTuple
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from steerd.car_model.actuators import references
 from steerd.car_model.chassis import Chassis
@@ -24,8 +20,8 @@ from steerd.car_model.params import Car
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
 from steerd.estimator.compiled import Kernel
-from steerd.estimator.config import HEALTH_WINDOW_S, FilterConfig
-from steerd.estimator.health import Count, FilterHealth, Tally, count_measurement, make_health
+from steerd.estimator.config import FilterConfig
+from steerd.estimator.health import NO_TALLY, Count, FilterHealth, Tally, count_measurement
 from steerd.estimator.history import (
     NO_HISTORY,
     NS,
@@ -35,9 +31,9 @@ from steerd.estimator.history import (
     dead_times,
     drop_older,
 )
-from steerd.estimator.initial import LONGEST_S, Array, Belief, initial_belief
+from steerd.estimator.initial import LONGEST_S, Belief, initial_belief
 from steerd.estimator.sensors import Kind, Measurement, make_sensors
-from steerd.steer_bus.quick_values import quick_init
+from steerd.steer_bus.quick_values import changed, quick_value
 
 if TYPE_CHECKING:
     from steerd.estimator.reference import Reference
@@ -49,19 +45,18 @@ ABSURD = 1e6
 """No reading of any instrument, in any SI unit, is this large; `filter.h` has it too."""
 
 
-class Node(NamedTuple):
+@quick_value
+class Node:
     """A measurement in its place, and the belief after it."""
 
     measurement: Measurement
     belief: Belief
-    innovation: Array  # measurement minus prediction; empty for the first node
-    nis: float
+    nis: float  # normalised innovation squared; NaN for the first node
     believed: bool
     tally: Tally
 
 
-@quick_init
-@dataclass(frozen=True, slots=True)
+@quick_value
 class FilterState:
     """All that the filter knows. A value: every function returns a new one."""
 
@@ -95,21 +90,15 @@ class StateFilter:
         return round(self.config.history_s * NS)
 
 
-@quick_init
-@dataclass(frozen=True, eq=False, slots=True)
+@quick_value
 class StateEstimate:
     """The car at one instant."""
 
     t_ns: int
     state: State[float]  # yaw is continuous, not wrapped
     sd: State[float]  # standard deviation of each state
-    covariance: Array  # (7, 7)
+    belief: Belief
     health: FilterHealth
-
-
-_HEALTH_WINDOW_NS = round(HEALTH_WINDOW_S * NS)
-_time = attrgetter("measurement.t_ns")
-_measurement = attrgetter("measurement")
 
 
 STEER_LAG_MIN, SPEED_LAG_MIN = 0.002, 0.02
@@ -177,21 +166,18 @@ def step(
     if flt.car.pose_delay:
         measurements = [_correct_latency(flt.car, m) for m in measurements]
     latest_ns = now_ns + FUTURE_NS
-    timely = sorted([m for m in measurements if oldest_ns <= m.t_ns <= latest_ns])
-    if not state.nodes:
-        lost = len(measurements) - len(timely)
+    nodes = state.nodes
+    earliest_ns = max(oldest_ns, nodes[0].measurement.t_ns) if nodes else oldest_ns
+    timely = sorted([m for m in measurements if earliest_ns <= m.t_ns <= latest_ns])
+    untimely = state.untimely + len(measurements) - len(timely)
+    if not nodes:
         recent = drop_older(history, oldest_ns - dead_time_ns)
-        return _start_filter(
-            flt, FilterState((), recent, state.first_poses, state.untimely + lost), timely
-        )
-    first_ns = _time(state.nodes[0])
-    known = [m for m in timely if m.t_ns >= first_ns]
-    untimely = state.untimely + len(measurements) - len(known)
-    nodes = _fuse(flt, history, state.nodes, known, redo_ns)
-    first = 0
-    while first + 1 < len(nodes) and nodes[first + 1].measurement.t_ns <= oldest_ns:
+        return _start_filter(flt, FilterState((), recent, state.first_poses, untimely), timely)
+    nodes = _fuse(flt, history, nodes, timely, redo_ns)
+    first, last = 0, len(nodes) - 1
+    while first < last and nodes[first + 1].measurement.t_ns <= oldest_ns:
         first += 1
-    recent = drop_older(history, _time(nodes[first]) - dead_time_ns)
+    recent = drop_older(history, nodes[first].measurement.t_ns - dead_time_ns)
     return FilterState(nodes[first:], recent, (), untimely)
 
 
@@ -209,17 +195,17 @@ def predict_to(flt: StateFilter, state: FilterState, t_ns: int) -> StateEstimate
 
     Nothing is kept: a look ahead is not a measurement.
     """
-    nodes = state.nodes
-    last = _count_until(nodes, t_ns)
+    last = len(state.nodes)
+    while last and state.nodes[last - 1].measurement.t_ns > t_ns:
+        last -= 1
     if not last:
         return None
-    node = nodes[last - 1]
-    belief, sound = flt.kernel.predict(state.history, node.belief, _time(node), t_ns)
-    begin = max(bisect_right(nodes, t_ns - _HEALTH_WINDOW_NS, key=_time) - 1, 0)
-    health = make_health(belief, sound, t_ns, nodes[begin].tally, node.tally, state.untimely)
-    variance = belief.covariance.diagonal().tolist()
-    sds = [math.sqrt(v) if v >= 0.0 else math.nan for v in variance]
-    return StateEstimate(t_ns, State(*belief.mean.tolist()), State(*sds), belief.covariance, health)
+    node = state.nodes[last - 1]
+    now = flt.kernel.predict(state.history, node.belief, node.measurement.t_ns, t_ns)
+    sds = (now.position_sd, now.sd.yaw) if now.sound else (math.nan, math.nan)
+    wheel_speed, gyro, pose = node.tally
+    health = FilterHealth(now.sound, *sds, wheel_speed, gyro, pose, state.untimely)
+    return StateEstimate(t_ns, now.state, now.sd, now.belief, health)
 
 
 def _correct_latency(car: Car[float], measurement: Measurement) -> Measurement:
@@ -227,14 +213,6 @@ def _correct_latency(car: Car[float], measurement: Measurement) -> Measurement:
     if measurement.kind is not Kind.POSE or not car.pose_delay:
         return measurement
     return measurement._replace(t_ns=measurement.t_ns - round(car.pose_delay * NS))
-
-
-def _count_until(nodes: tuple[Node, ...], t_ns: int) -> int:
-    """How many nodes are not later than `t_ns`, looked for from the end: few are later."""
-    count = len(nodes)
-    while count and nodes[count - 1].measurement.t_ns > t_ns:
-        count -= 1
-    return count
 
 
 def _fuse(
@@ -246,20 +224,23 @@ def _fuse(
 ) -> tuple[Node, ...]:
     """The nodes with fresh measurements in their places, fused again from the first change on.
 
-    A measurement that is there already is not fused twice.
+    That is a fresh measurement, or an order that acts from `redo_ns` on. A measurement that is
+    there already is not fused twice.
     """
-    keep = _count_until(nodes, redo_ns)
-    if fresh:
-        keep = min(keep, bisect_left(nodes, fresh[0], key=_measurement))
-    keep = max(keep, 1)
+    keep, first = len(nodes), fresh[0] if fresh else None
+    while keep > 1:
+        last = nodes[keep - 1].measurement
+        if last.t_ns <= redo_ns and (first is None or last < first):
+            break
+        keep -= 1
     root, later = nodes[keep - 1], sorted([*fresh, *[node.measurement for node in nodes[keep:]]])
     before = [root.measurement, *later]
     chain = [m for m, last in zip(later, before, strict=False) if m != last]
     fused, tally = list(nodes[:keep]), root.tally
-    found = flt.kernel.fuse(history, root.belief, _time(root), chain)
-    for measurement, (belief, innovation, nis, believed) in zip(chain, found, strict=True):
-        tally = count_measurement(tally, measurement.kind, measurement.t_ns, nis, believed)
-        fused.append(Node(measurement, belief, innovation, nis, believed, tally))
+    found = flt.kernel.fuse(history, root.belief, root.measurement.t_ns, chain)
+    for m, link in zip(chain, found, strict=True):
+        tally = count_measurement(tally, m.kind, m.t_ns, link.nis, link.believed)
+        fused.append(Node(m, link.belief, link.nis, link.believed, tally))
     return tuple(fused)
 
 
@@ -281,14 +262,14 @@ def _start_filter(flt: StateFilter, state: FilterState, fresh: list[Measurement]
         t_ns = some[-1].t_ns
         belief = initial_belief(flt.config, some, _commanded_steer(flt.car, state.history, t_ns))
         if belief is not None:
-            tally = Tally(pose=Count(seen=count, believed_ns=t_ns))
-            root = Node(some[-1], belief, np.empty(0), math.nan, True, tally)
+            tally = (*NO_TALLY[: Kind.POSE], Count(seen=count, believed_ns=t_ns))
+            root = Node(some[-1], belief, math.nan, True, tally)
             later = [m for m in fresh if m > some[-1]]
             nodes = _fuse(flt, state.history, (root,), later, t_ns)
             return FilterState(nodes, state.history, (), state.untimely)
     since = gathered[-1].t_ns - round(LONGEST_S * NS) if gathered else 0
     recent = tuple(m for m in gathered[1 - count :] if m.t_ns >= since)
-    return replace(state, first_poses=recent)
+    return changed(state, first_poses=recent)
 
 
 def _commanded_steer(car: Car[float], history: History, t_ns: int) -> float | None:

@@ -150,11 +150,10 @@ class World:
     @property
     def next_wake_ns(self) -> int:
         """When something may be due to be read, or may come to be under way (an exposure)."""
-        vesc, step_ns = self.vesc, self._step_ns
-        t_ns = self.car.t_ns
-        steps = 1 if vesc.unsettled else -(-(self._cameras.next_ns - t_ns) // step_ns)
+        step_ns, t_ns = self._step_ns, self.car.t_ns
+        steps = -(-(self._cameras.next_ns - t_ns) // step_ns)
         wake = t_ns + (steps if steps > 1 else 1) * step_ns
-        due = vesc.next_wake_ns
+        due = self.vesc.next_wake_ns
         if due is not None and due < wake:
             wake = due
         due = self.network.next_ns
@@ -204,11 +203,9 @@ class World:
         """
         if t_ns > self.t_ns or t_ns >= self._edge_ns:
             self.advance(t_ns)
-        vesc = self.vesc
-        if not vesc.connected:
+        if not self.vesc.connected:
             raise OSError(errno.EIO, os.strerror(errno.EIO))
-        due = vesc.next_wake_ns
-        return b"" if due is None or due > t_ns else vesc.read(t_ns)
+        return self.vesc.read(t_ns)
 
     # --- mocap
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from steerd.vesc_link.commands import SetMcConfTemp
 from steerd.vesc_link.ids import CommandId, Firmware
-from steerd.vesc_link.wire import Field, all_finite, pack_device, read_values, unpack_fields
+from steerd.vesc_link.wire import Field, all_finite, pack_device, reader, unpack_fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +143,7 @@ def decode_appconf(payload: bytes) -> AppConf | None:
 
 def encode_appconf(reply: AppConf) -> bytes:
     """GET_APPCONF reply."""
-    head = pack_device(_APPCONF_FIELDS, read_values(_APPCONF_FIELDS, reply))
+    head = pack_device(_APPCONF_FIELDS, reader(_APPCONF_FIELDS)(reply))
     return bytes((CommandId.GET_APPCONF,)) + head + reply.tail
 
 
@@ -194,7 +194,7 @@ def decode_mcconf_temp(payload: bytes) -> McConfTemp | None:
 
 def encode_mcconf_temp(reply: McConfTemp) -> bytes:
     """GET_MCCONF_TEMP reply."""
-    body = pack_device(_MCCONF_FIELDS, read_values(_MCCONF_FIELDS, reply))
+    body = pack_device(_MCCONF_FIELDS, reader(_MCCONF_FIELDS)(reply))
     return bytes((CommandId.GET_MCCONF_TEMP,)) + body
 
 

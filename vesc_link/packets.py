@@ -70,8 +70,8 @@ def encode_command(command: Command, firmware: Firmware = FW_7_01) -> bytes:
             command.
     """
     number, fields = _LAYOUTS[type(command)]
-    payload = bytes((wire_id(number, firmware),)) + pack_host(fields, command)
-    if isinstance(command, c.TerminalCommand):
+    payload = _wire_byte(number, firmware) + pack_host(fields, command)
+    if type(command) is c.TerminalCommand:
         if "\0" in command.text:
             raise ValueError("a terminal command holds no NUL")
         return payload + command.text.encode("ascii")

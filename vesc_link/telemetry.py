@@ -12,7 +12,7 @@ from operator import truediv
 
 from steerd.steer_bus.quick_values import quick_init
 from steerd.vesc_link.ids import FW_3_00, FW_5_03, FW_6_05, CommandId, Firmware
-from steerd.vesc_link.wire import Field, pack_device, read_values, unpack_fields
+from steerd.vesc_link.wire import Field, pack_device, reader, unpack_fields
 
 STANDARD_GRAVITY = 9.80665
 """[m/s^2], the firmware's g."""
@@ -252,8 +252,8 @@ def _imu_units(fields: tuple[Field, ...]) -> tuple[float, ...]:
 
 
 def _device_bytes(reply: Values | Imu, fields: tuple[Field, ...]) -> bytes:
-    numbers = [value or 0 for value in read_values(fields, reply)]
-    if isinstance(reply, Imu):
+    numbers = [value or 0 for value in reader(fields)(reply)]
+    if type(reply) is Imu:
         numbers = list(map(truediv, numbers, _imu_units(fields)))
     return pack_device(fields, numbers)
 

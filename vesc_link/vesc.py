@@ -8,8 +8,7 @@ keep the last motor command running although this program hangs.
 
 from collections import deque
 from dataclasses import dataclass
-from functools import lru_cache
-from math import nan
+from math import inf, nan
 
 from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.quick_values import quick_value
@@ -121,15 +120,25 @@ class Counters:
 
 
 _MASKED = (Values, Uptime, Imu)
-_POLLS = (c.GetValues, c.GetValuesSelective, c.GetImuData, c.GetValuesSetupSelective)
 
 
 @quick_value
 class _Request:
-    """A command that waits for its reply, which echoes its mask."""
+    """A command as it goes out; an answer has its number, and its mask where it has one."""
 
+    command: Command
+    number: CommandId
+    frame: bytes
     mask: int | None
     polled: bool
+    answered: bool
+
+
+@quick_value
+class _Open:
+    """A request that waits for its answer."""
+
+    request: _Request
     t_sent_ns: int
     t_earliest_ns: int
 
@@ -173,11 +182,13 @@ class VescLink:
         self.firmware: Firmware | None = None
         self.appconf: AppConf | None = None
         self.limits: McConfTemp | None = None
-        self._open: dict[CommandId, _Request] = {}
+        self._polls: tuple[_Request, ...] = ()
+        self._uptime_poll: _Request | None = None
+        self._open: dict[CommandId, _Open] = {}
         self._just_expired: dict[CommandId, int] = {}
         self._tries: dict[CommandId, int] = {}
         self._queue: deque[Command] = deque()
-        self._uptime_due_ns: int | None = None
+        self._uptime_due_ns = -inf
         self._fault = 0
         self._uptime_ms = 0
         self._tachometer_abs = 0
@@ -217,10 +228,10 @@ class VescLink:
         step = self._connect_step()
         if step is None or command_number(step) in self._open:
             return b""
-        number = command_number(step)
-        self._tries[number] = self._tries.get(number, 0) + 1
-        self._note_sent(step, t_ns)
-        return _frame_of(step, self.firmware or FW_7_01)
+        request = _make_request(step, self.firmware or FW_7_01)
+        self._tries[request.number] = self._tries.get(request.number, 0) + 1
+        self._note_sent(request, t_ns)
+        return request.frame
 
     def _connect_step(self) -> Command | None:
         firmware = self.firmware
@@ -253,17 +264,15 @@ class VescLink:
         firmware = self.firmware or FW_7_01
         wire = b""
         for command in self._motion(drive):
-            wire += _frame_of(command, firmware)
-        for command in self._polls(t_ns):
-            if command_number(command) in self._open:
-                continue
-            longer = wire + _frame_of(command, firmware)
-            if len(longer) > WRITE_LIMIT:
+            wire += encode_frame(encode_command(command, firmware))
+        for request in self._due(t_ns):
+            longer = wire + request.frame
+            if request.number in self._open or len(longer) > WRITE_LIMIT:
                 continue
             wire = longer
-            if self._queue and command is self._queue[0]:
+            if self._queue and request.command is self._queue[0]:
                 self._queue.popleft()
-            self._note_sent(command, t_ns)
+            self._note_sent(request, t_ns)
         return wire
 
     def _motion(self, drive: Drive) -> list[Command]:
@@ -281,47 +290,49 @@ class VescLink:
             commands.append(c.SetServoPos(steer_to_servo_pos(self._scaling, drive.steer)))
         return commands
 
-    def _polls(self, t_ns: int) -> list[Command]:
+    def _due(self, t_ns: int) -> tuple[_Request, ...]:
         """Requests that are due, the most important first."""
-        firmware = self.firmware
-        if firmware is None:
-            return []
-        due: list[Command] = [self._queue[0]] if self._queue else []
-        selective, imu, uptime = _known_polls(firmware)
-        due.append(self._telemetry_poll if selective else c.GetValues())
-        if self._imu_poll is not None and imu:
-            due.append(self._imu_poll)
-        if uptime and t_ns >= (self._uptime_due_ns or t_ns):
-            due.append(c.GetValuesSetupSelective(UPTIME_MASK))
+        due = self._polls
+        if self._uptime_poll is not None and t_ns >= self._uptime_due_ns:
+            due = (*due, self._uptime_poll)
+        if self._queue and self.firmware is not None:
+            due = (_make_request(self._queue[0], self.firmware), *due)
         return due
 
-    def _note_sent(self, command: Command, t_ns: int) -> None:
-        if expects_reply(command):
-            number = command_number(command)
-            earliest = self._just_expired.pop(number, t_ns)
+    def _make_polls(self, firmware: Firmware) -> None:
+        """What this firmware can be asked for: chosen values, its IMU, its uptime."""
+        selective = knows(firmware, CommandId.GET_VALUES_SELECTIVE)
+        polls: list[Command] = [self._telemetry_poll if selective else c.GetValues()]
+        if self._imu_poll is not None and knows(firmware, CommandId.GET_IMU_DATA):
+            polls.append(self._imu_poll)
+        self._polls = tuple(_make_request(poll, firmware, polled=True) for poll in polls)
+        uptime, timed = c.GetValuesSetupSelective(UPTIME_MASK), firmware >= FW_5_03
+        self._uptime_poll = _make_request(uptime, firmware, polled=True) if timed else None
+
+    def _note_sent(self, request: _Request, t_ns: int) -> None:
+        if request.answered:
+            earliest = self._just_expired.pop(request.number, t_ns)
             still_possible = t_ns - earliest <= 2 * self._expiry_ns
-            mask, polled = getattr(command, "mask", None), type(command) in _POLLS
-            first_ns = earliest if still_possible else t_ns
-            self._open[number] = _Request(mask, polled, t_ns, first_ns)
-        if type(command) is c.GetValuesSetupSelective:
+            self._open[request.number] = _Open(request, t_ns, earliest if still_possible else t_ns)
+        if request.number is CommandId.GET_VALUES_SETUP_SELECTIVE:
             self._uptime_due_ns = t_ns + UPTIME_PERIOD_NS
 
     def _expire(self, t_ns: int) -> None:
         if not self._open:
             return
         overdue_ns = t_ns - self._patience_ns
-        for request in self._open.values():
-            if request.t_sent_ns < overdue_ns:
+        for waits in self._open.values():
+            if waits.t_sent_ns < overdue_ns:
                 break
         else:
             return
-        for number, request in list(self._open.items()):
-            patience = self._patience_ns if request.polled else self._expiry_ns
-            if t_ns - request.t_sent_ns > patience:
+        for number, waits in list(self._open.items()):
+            patience = self._patience_ns if waits.request.polled else self._expiry_ns
+            if t_ns - waits.t_sent_ns > patience:
                 del self._open[number]
                 self.counters.expired += 1
                 # The answer may still come, and then looks like that to the next request.
-                self._just_expired[number] = request.t_earliest_ns
+                self._just_expired[number] = waits.t_earliest_ns
 
     # --- VESC to host ---------------------------------------------------------------------------
 
@@ -329,19 +340,13 @@ class VescLink:
         """Take bytes read at ``t_ns`` (or none) and return what they mean, in order."""
         events: list[Event] = []
         if data or self.parser.buffered:
-            self.parser.ceiling = self._ceiling()
+            driving = self.ready and CommandId.GET_APPCONF not in self._open
+            self.parser.ceiling = RUNNING_CEILING if driving else MAX_PAYLOAD
             for frame in self.parser.feed_stamped(data, t_ns):
                 events += self._on_frame(frame)
         if self._open:
             self._expire(t_ns)
         return events
-
-    def _ceiling(self) -> int:
-        return (
-            RUNNING_CEILING
-            if self.ready and CommandId.GET_APPCONF not in self._open
-            else MAX_PAYLOAD
-        )
 
     def _on_frame(self, frame: Frame) -> list[Event]:
         counters, number = self.counters, command_id(frame.payload[0], self.firmware or FW_7_01)
@@ -354,13 +359,13 @@ class VescLink:
         if reply is None or self._is_odd(reply, len(frame.payload)):
             counters.odd_lengths += 1
             return []
-        request = self._open.get(number)
+        waits = self._open.get(number)
         # A reply that names a mask answers the request for it; others answer by their id alone.
-        if request is None or (isinstance(reply, _MASKED) and reply.mask != request.mask):
+        if waits is None or (isinstance(reply, _MASKED) and reply.mask != waits.request.mask):
             counters.unsolicited += 1
             return []
         del self._open[number]
-        answer = Answer(reply, request.t_earliest_ns, frame.t_first_ns)
+        answer = Answer(reply, waits.t_earliest_ns, frame.t_first_ns)
         return [answer, *self._learn(reply, frame.t_first_ns)]
 
     def _is_odd(self, reply: Reply, size: int) -> bool:
@@ -382,6 +387,7 @@ class VescLink:
                 return [self._rebooted("its uptime went back", t_ns)] if went_back else []
             case FwVersion():
                 self.version, self.firmware = reply, reply.firmware
+                self._make_polls(reply.firmware)
             case AppConf():
                 self.appconf = reply
             case McConfTemp():
@@ -406,14 +412,12 @@ class VescLink:
         return Rebooted(reason, t_ns)
 
 
-@lru_cache(maxsize=8)
-def _known_polls(firmware: Firmware) -> tuple[bool, bool, bool]:
-    """Whether this firmware can be asked for chosen values, its IMU, its uptime."""
-    selective = knows(firmware, CommandId.GET_VALUES_SELECTIVE)
-    return selective, knows(firmware, CommandId.GET_IMU_DATA), firmware >= FW_5_03
-
-
-@lru_cache(maxsize=64)
-def _frame_of(command: Command, firmware: Firmware) -> bytes:
-    """Frame of a command; polls and held setpoints repeat, so the last ones are kept."""
-    return encode_frame(encode_command(command, firmware))
+def _make_request(command: Command, firmware: Firmware, *, polled: bool = False) -> _Request:
+    return _Request(
+        command,
+        command_number(command),
+        encode_frame(encode_command(command, firmware)),
+        getattr(command, "mask", None),
+        polled,
+        expects_reply(command),
+    )

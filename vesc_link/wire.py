@@ -7,7 +7,7 @@ Source: `docs/reference/vesc-serial.md#v1.9` and following.
 
 import math
 import struct
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from operator import attrgetter, mul, truediv
@@ -61,22 +61,16 @@ def to_f32(value: float) -> float:
     Raises:
         ValueError: not finite in single precision.
     """
-    (rounded,) = _round_singles(_SINGLE, (value,))
+    try:
+        rounded: float = _SINGLE.unpack(_SINGLE.pack(value))[0]
+    except OverflowError:
+        rounded = math.inf
     if not -math.inf < rounded < math.inf:
         raise ValueError(f"{value} cannot be sent: {_FINITE}")
     return rounded
 
 
 _FINITE = "the VESC's floats are finite single precision"
-
-
-def _round_singles(singles: struct.Struct, values: Iterable[float]) -> tuple[float, ...]:
-    """Numbers as single precision has them; infinite all where one is too large."""
-    try:
-        rounded: tuple[float, ...] = singles.unpack(singles.pack(*values))
-    except OverflowError:
-        return (math.inf,) * (singles.size // _SINGLE.size)
-    return rounded
 
 
 def host_number(code: str, scale: float | None, value: Number) -> Number:
@@ -88,24 +82,13 @@ def host_number(code: str, scale: float | None, value: Number) -> Number:
     if code == "f":
         return _auto_f32(value)
     scaled = value * (1 if scale is None else scale)
-    if not math.isfinite(scaled):
+    if not -math.inf < scaled < math.inf:
         raise ValueError(f"{value} cannot be sent to a VESC")
-    count = int(math.copysign(math.floor(abs(scaled) + 0.5), scaled))
+    count = math.floor(scaled + 0.5) if scaled >= 0 else -math.floor(0.5 - scaled)
     low, high = _RANGES[code]
     if not low <= count <= high:
         raise ValueError(f"{value} does not fit its field ({low} to {high} counts)")
     return count
-
-
-def device_number(code: str, scale: float | None, value: Number) -> Number:
-    """Wire number as the firmware sends it: single precision product, truncated, saturated.
-
-    Raises:
-        ValueError: NaN or infinity (a simulated device must not have one).
-    """
-    if code == "f" or scale is not None:
-        value = to_f32(to_f32(value) * (scale or 1.0))
-    return _saturated(code, value)
 
 
 def _saturated(code: str, value: Number) -> Number:
@@ -125,20 +108,24 @@ def pack_host(fields: tuple[Field, ...], record: object) -> bytes:
     Raises:
         ValueError: a value is not finite or does not fit.
     """
-    values = read_values(fields, record)
+    values = reader(fields)(record)
     numbers = [host_number(f.code, f.scale, v) for f, v in zip(fields, values, strict=True)]
     return _struct(fields).pack(*numbers)
 
 
 def pack_device(fields: tuple[Field, ...], values: Sequence[Number]) -> bytes:
-    """Values in order, each as `device_number`, all rounded at once.
+    """Values in order as the firmware sends them: single precision products, cut, saturated.
 
     Raises:
-        ValueError: a value is not finite.
+        ValueError: a value is not finite (a simulated device must not have one).
     """
     layout = _device_layout(fields)
-    rounded = _round_singles(layout.singles, map(values.__getitem__, layout.measured))
-    products = _round_singles(layout.singles, map(mul, rounded, layout.scales))
+    singles = layout.singles
+    try:
+        rounded = singles.unpack(singles.pack(*map(values.__getitem__, layout.measured)))
+        products = singles.unpack(singles.pack(*map(mul, rounded, layout.scales)))
+    except OverflowError:
+        products = (math.inf,)
     if not -math.inf < sum(products) < math.inf:  # in double precision no sum of these overflows
         raise ValueError(f"{values} cannot be sent: {_FINITE}")
     numbers = list(values)
@@ -170,13 +157,9 @@ def _device_layout(fields: tuple[Field, ...]) -> _DeviceLayout:
     return _DeviceLayout(measured, singles, scales, codes, "f" not in codes)
 
 
-def read_values(fields: tuple[Field, ...], record: object) -> tuple[Any, ...]:
-    """What a record holds for each field."""
-    return _reader(fields)(record)
-
-
 @lru_cache(maxsize=64)
-def _reader(fields: tuple[Field, ...]) -> Callable[[object], tuple[Any, ...]]:
+def reader(fields: tuple[Field, ...]) -> Callable[[object], tuple[Any, ...]]:
+    """What gives a record's value for each field."""
     if not fields:
         return lambda record: ()
     read = attrgetter(*(field.name for field in fields))

@@ -139,16 +139,22 @@ class LoopCar:
         )
         x += math.cos(yaw) * w.marker_x - math.sin(yaw) * w.marker_y
         y += math.sin(yaw) * w.marker_x + math.cos(yaw) * w.marker_y
-        return Observation(x, y, yaw + w.marker_yaw, self.wheel_speed(), self.state.yaw_rate)
+        return Observation(x, y, yaw + w.marker_yaw, self.wheel_speed, self.state.yaw_rate)
 
     def observe_motor(self) -> Observation[float]:
         """What motor controller and gyro measure now."""
         s = self.state
-        return Observation(s.x, s.y, s.yaw, self.wheel_speed(), s.yaw_rate)
+        return Observation(s.x, s.y, s.yaw, self.wheel_speed, s.yaw_rate)
 
+    @property
+    def speed(self) -> float:
+        """True speed [m/s]."""
+        return self.state.speed
+
+    @property
     def wheel_speed(self) -> float:
         """The speed that the motor controller measures now [m/s]."""
-        rolling = self._stepper.rolling if self.state.speed else 0.0
+        rolling = self._stepper.rolling if self.speed else 0.0
         return rolling / self._wiring.speed_gain
 
 

@@ -12,7 +12,7 @@
 
 enum {
     SIZE = car_STATES, SQUARE = SIZE * SIZE, BELIEF = SIZE + SQUARE, WIDEST = 3,
-    NODE = BELIEF + WIDEST + 2, DRIVEN = 6
+    DRIVEN = 6
 };
 
 /* An instrument: one reading of each state named, times the gain. */
@@ -179,17 +179,15 @@ INLINE int invert(int n, const double *A, double *inverse) {
     return 1;
 }
 
-/* A measurement fused, the covariance in Joseph's form; writes innovation and its square. */
-static void update(const sensor_t *s, belief_t *b, const double *measured, double *y, double *nis) {
+/* A measurement fused, the covariance in Joseph's form; writes the innovation's normalised square. */
+static void update(const sensor_t *s, belief_t *b, const double *measured, double *nis) {
     const int m = (int)s->count;
     const double gain = s->gain;
-    double PHT[SIZE * WIDEST], S[WIDEST * WIDEST], SI[WIDEST * WIDEST], weighed[WIDEST];
+    double PHT[SIZE * WIDEST], S[WIDEST * WIDEST], SI[WIDEST * WIDEST], weighed[WIDEST], y[WIDEST];
     double K[SIZE * WIDEST], KR[SIZE * WIDEST], kept[SQUARE], half[SQUARE], added[SQUARE], *P = b->P;
     *nis = INFINITY;
-    for (int j = 0; j < m; j++) {
-        y[j] = measured[j];
+    for (int j = 0; j < m; j++)
         if (!(fabs(measured[j]) < ABSURD)) return;
-    }
     for (int i = 0; i < SIZE; i++)
         for (int j = 0; j < m; j++) PHT[i * m + j] = P[i * SIZE + (int)s->state[j]] * gain;
     for (int i = 0; i < m; i++)
@@ -222,30 +220,30 @@ static void update(const sensor_t *s, belief_t *b, const double *measured, doubl
         for (int j = 0; j < SIZE; j++) P[i * SIZE + j] = 0.5 * (kept[i * SIZE + j] + kept[j * SIZE + i]);
 }
 
-/* out (count, NODE): for each measurement the belief after it (mean, covariance), the innovation
- * (WIDEST), its normalised square, and whether it was believed. */
+/* out (count, BELIEF + 2): for each measurement the belief after it (mean, covariance), the
+ * innovation's normalised square, and whether it was believed. */
 void EXPORT(fuse)(const setup_t *f, const asked_t *asked, double *out) {
     past_t past;
     belief_t belief, prior;
     const measurement_t *measured = read_asked(asked, &past, &belief);
     int64_t start = asked->start;
-    for (int64_t i = 0; i < asked->count; i++, out += NODE) {
+    for (int64_t i = 0; i < asked->count; i++, out += BELIEF + 2) {
         const sensor_t *sensor = f->sensors + measured[i].kind;
-        double y[WIDEST] = {0.0}, nis;
+        double nis;
         predict_belief(f, &past, &belief, start, measured[i].t);
         prior = belief;
-        update(sensor, &belief, measured[i].values, y, &nis);
+        update(sensor, &belief, measured[i].values, &nis);
         int believed = nis <= sensor->gate;
         if (!believed) belief = prior;
         memcpy(out, &belief, sizeof belief);
-        memcpy(out + BELIEF, y, sizeof y);
-        out[BELIEF + WIDEST] = nis;
-        out[BELIEF + WIDEST + 1] = believed;
+        out[BELIEF] = nis;
+        out[BELIEF + 1] = believed;
         start = measured[i].t;
     }
 }
 
-/* out (BELIEF + 1,): the belief at `stop`, and whether it is finite with a Cholesky factor. */
+/* out (BELIEF + SIZE + 2,): the belief at `stop`, the standard deviation of each state and of the
+ * place along its worst direction, and whether the belief is finite with a Cholesky factor. */
 void EXPORT(predict)(const setup_t *f, const asked_t *asked, double *out) {
     past_t past;
     belief_t belief;
@@ -253,9 +251,16 @@ void EXPORT(predict)(const setup_t *f, const asked_t *asked, double *out) {
     read_asked(asked, &past, &belief);
     predict_belief(f, &past, &belief, asked->start, asked->stop);
     memcpy(out, &belief, sizeof belief);
+    double *sd = out + BELIEF;
     int sound = factor(SIZE, belief.P, L);
-    for (int i = 0; i < SIZE; i++) sound &= isfinite(belief.x[i]) && isfinite(belief.P[i * SIZE + i]);
-    out[BELIEF] = sound;
+    for (int i = 0; i < SIZE; i++) {
+        const double variance = belief.P[i * SIZE + i];
+        sound &= isfinite(belief.x[i]) && isfinite(variance);
+        sd[i] = variance >= 0.0 ? sqrt(variance) : NAN;
+    }
+    const double a = belief.P[0], b = belief.P[1], c = belief.P[SIZE + 1], d = 0.5 * (a - c);
+    sd[SIZE] = sqrt(0.5 * (a + c) + sqrt(d * d + b * b));
+    sd[SIZE + 1] = sound;
 }
 
 /* in (SIZE + 2,) state, wheel, acceleration; out: the rates and their derivatives. */

@@ -81,13 +81,6 @@ class Projection(NamedTuple):
     """Distance to the path [m]; exceeds `|e1|` only outside the ends of an open path."""
 
 
-class _Foot(NamedTuple):
-    """The nearest point of the circle that touches the path at a sample, seen from there."""
-
-    along: float
-    left: float
-
-
 def wrap_angle(angle: float) -> float:
     """`angle` [rad] plus whole turns, in (-pi, pi]."""
     wrapped = math.remainder(angle, math.tau)
@@ -113,7 +106,7 @@ def interpolate(path: Path, column: tuple[float, ...], s: float) -> float:
     return value + share * (column[high] - value)
 
 
-def _touch(path: Path, index: int, x: float, y: float, curvature: float) -> _Foot:
+def _touch(path: Path, index: int, x: float, y: float, curvature: float) -> tuple[float, float]:
     """Arc length from sample `index` to the foot on its circle, and the offset from it.
 
     Exact for an arc of constant curvature. With t, n the point in the sample's frame the circle's
@@ -123,10 +116,10 @@ def _touch(path: Path, index: int, x: float, y: float, curvature: float) -> _Foo
     sin, cos = math.sin(path.yaw[index]), math.cos(path.yaw[index])
     t, n = cos * dx + sin * dy, cos * dy - sin * dx
     if curvature == 0.0:
-        return _Foot(t, n)
+        return t, n
     kt, kn = curvature * t, 1.0 - curvature * n
     left = (2.0 * n - curvature * (t * t + n * n)) / (1.0 + math.hypot(kt, kn))
-    return _Foot(math.atan2(kt, kn) / curvature, left)
+    return math.atan2(kt, kn) / curvature, left
 
 
 def project(path: Path, x: float, y: float, hint: int) -> Projection:
@@ -141,32 +134,32 @@ def project(path: Path, x: float, y: float, hint: int) -> Projection:
     count = len(path.x)
     remaining = SEARCH_REACH
     index = hint
-    foot = _touch(path, index, x, y, path.curvature[index])
+    along, left = _touch(path, index, x, y, path.curvature[index])
     for _ in range(SEARCH_ROUNDS):
-        move = round(max(-remaining, min(remaining, foot.along)) / path.step)
+        move = round(max(-remaining, min(remaining, along)) / path.step)
         after = (index + move) % count if path.closed else max(0, min(count - 1, index + move))
         if after == index:
             break
         index = after
         remaining = max(remaining - abs(move) * path.step, path.step)
-        foot = _touch(path, index, x, y, path.curvature[index])
-    return _place(path, index, foot, x, y)
+        along, left = _touch(path, index, x, y, path.curvature[index])
+    return _place(path, index, along, left, x, y)
 
 
-def _place(path: Path, index: int, foot: _Foot, x: float, y: float) -> Projection:
-    """The projection with its foot near sample `index`."""
-    s = index * path.step + foot.along
+def _place(path: Path, index: int, along: float, left: float, x: float, y: float) -> Projection:
+    """The projection with its foot `along` from sample `index`, and the point `left` of it."""
+    s = index * path.step + along
     if path.closed:
         s %= path.length
     elif s < 0.0 or s > path.length:
-        straight = _touch(path, index, x, y, 0.0)
-        distance = math.hypot(straight.along, straight.left)
+        along, left = _touch(path, index, x, y, 0.0)
+        distance = math.hypot(along, left)
         end = 0.0 if s < 0.0 else path.length
-        return Projection(end, index, straight.left, path.yaw[index], 0.0, distance)
+        return Projection(end, index, left, path.yaw[index], 0.0, distance)
     at_sample = path.curvature[index]
     curvature = interpolate(path, path.curvature, s)
-    yaw_path = path.yaw[index] + 0.5 * (at_sample + curvature) * foot.along
-    return Projection(s, index, foot.left, yaw_path, curvature, abs(foot.left))
+    yaw_path = path.yaw[index] + 0.5 * (at_sample + curvature) * along
+    return Projection(s, index, left, yaw_path, curvature, abs(left))
 
 
 def locate(path: Path, x: float, y: float, yaw: float | None = None) -> Projection:

@@ -9,7 +9,6 @@ from steerd.daemon.loop.findings import Finding, Severity
 from steerd.daemon.loop.flags import Flag
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.daemon.settings.thresholds import Thresholds
-from steerd.steer_bus.quick_values import quick_value
 
 STANDING_SPEED = 0.05
 """A slower car stands [m/s]."""
@@ -32,16 +31,6 @@ class VescInfo(NamedTuple):
     firmware: tuple[int, int]
     timeout_ms: int | None
     timeout_brake_current: float | None
-
-
-@quick_value
-class LaneStatus:
-    """Lane errors of the standing car [m, rad]; or whether an external controller is alive."""
-
-    e1: float
-    e2: float
-    remote: bool
-    remote_alive: bool
 
 
 def check_vesc(vesc: VescInfo | None, brakes: BrakeSettings) -> Iterator[str]:
@@ -72,17 +61,19 @@ def check_flags(flags: int) -> Iterator[str]:
         yield "the VESC does not take this session's speed limit: power it off and on"
 
 
-def check_lane(lane: LaneStatus, thresholds: Thresholds) -> Iterator[str]:
-    """Failures of the car's place in its lane, or of the external controller."""
-    if lane.remote:
-        if not lane.remote_alive:
-            yield "no commands from a controller: start `steerd control` or `steerd teleop`"
-        return
-    if not abs(lane.e1) <= thresholds.lateral_warn:
-        side = "left" if lane.e1 > 0.0 else "right"
-        yield f"the car stands {show(abs(lane.e1), '.2f')} m {side} of the path: put it on the path"
-    elif not abs(lane.e2) <= thresholds.heading_warn:
-        yield f"the car points {show(degrees(lane.e2), '+.0f')}° off the path: turn it"
+def check_controller(alive: bool) -> Iterator[str]:
+    """Failure of an external controller."""
+    if not alive:
+        yield "no commands from a controller: start `steerd control` or `steerd teleop`"
+
+
+def check_lane(e1: float, e2: float, thresholds: Thresholds) -> Iterator[str]:
+    """Failures of the car's place in its lane, by its lane errors [m, rad]."""
+    if not abs(e1) <= thresholds.lateral_warn:
+        side = "left" if e1 > 0.0 else "right"
+        yield f"the car stands {show(abs(e1), '.2f')} m {side} of the path: put it on the path"
+    elif not abs(e2) <= thresholds.heading_warn:
+        yield f"the car points {show(degrees(e2), '+.0f')}° off the path: turn it"
 
 
 def check_findings(findings: Iterable[Finding]) -> Iterator[str]:

@@ -247,7 +247,7 @@ class Core:
         now_ns, epoch = tick.woke_ns, self.outbox.epoch_ns
         self.outbox.post(topics.TICK, tick, now_ns)
         drive = result.order.drive
-        actuation = make_actuation(drive, written, self._seq, now_ns + epoch)
+        actuation = make_actuation(tick.header, drive, written, self._seq)
         self.outbox.post(topics.ACTUATION, actuation, now_ns)
         state = make_state(
             result.estimate,

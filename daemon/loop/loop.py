@@ -24,8 +24,8 @@ from steerd.daemon.loop.adapting import (
 )
 from steerd.daemon.loop.checks import (
     STANDING_SPEED,
-    LaneStatus,
     VescInfo,
+    check_controller,
     check_findings,
     check_flags,
     check_lane,
@@ -48,6 +48,7 @@ from steerd.daemon.loop.following import (
     advance,
     compare,
     follow_span,
+    measure_turns,
     send_order,
 )
 from steerd.daemon.loop.lateness import IN_SIMULATION, Lateness, make_lateness_rules, step_lateness
@@ -212,10 +213,12 @@ class Loop:
         estimate = self.perception.estimate(now_ns)
         speed = best_speed(estimate, self.perception.recent_wheel_speed(now_ns))
         wish, report = self._make_wish(estimate, now_ns)
-        findings = self._run_watchdogs(estimate, report, speed, due_ns, now_ns, flags)
-        failed = self._find_failed_checks(report, findings, speed, now_ns, flags)
+        reported = self._report(estimate, due_ns, now_ns, flags)
+        now = self._measure(estimate, report, speed, now_ns, reported)
+        findings = self._run_watchdogs(now)
+        failed = self._find_failed_checks(now, findings, report is not None, flags)
         bits, text = summarise(findings)
-        facts = bits | self._make_facts(estimate, failed, now_ns, flags)
+        facts = bits | self._make_facts(now, estimate, failed, flags)
         conditions = Conditions(facts, speed, self._timeout_ns(), text)
         old = self.supervisor.state
         self.supervisor, action = step_supervisor(
@@ -288,26 +291,21 @@ class Loop:
         held = self._limiter.order
         return held if self.supervisor.state in _DRIVING else None
 
-    def _run_watchdogs(
-        self,
-        estimate: StateEstimate | None,
-        report: ControlReport | None,
-        speed: float,
-        due_ns: int,
-        now_ns: int,
-        flags: int,
+    def _report(
+        self, estimate: StateEstimate | None, due_ns: int, now_ns: int, flags: int
     ) -> tuple[Finding, ...]:
+        """What is found beside the watchdogs: by runner, lateness, launch and command check."""
         reported = list(make_reported_findings(flags))
         self._lateness, late = step_lateness(
             self._lateness, due_ns, now_ns, self.setup.period_ns, self._late_rules
         )
         if late is not None:
             reported.append(blame_late(late, flags))
-        reported += self._check_launch(estimate, now_ns)
-        reported += self._check_commands(now_ns)
-        inputs = self._measure(estimate, report, speed, now_ns, tuple(reported))
+        return (*reported, *self._check_launch(estimate, now_ns), *self._check_commands(now_ns))
+
+    def _run_watchdogs(self, now: WatchdogInput) -> tuple[Finding, ...]:
         self._watchdogs, findings = step_watchdogs(
-            self.setup.settings.thresholds, self._watchdogs, inputs
+            self.setup.settings.thresholds, self._watchdogs, now
         )
         return tuple(map(advise_simulation, findings)) if self.setup.simulated else findings
 
@@ -367,7 +365,7 @@ class Loop:
         speed = seen.mocap_speed
         ground = speed if isfinite(speed) else 0.0
         self._following = advance(self._following, self._ranges, now_ns, ground)
-        turns = seen.turns(follow_span(self.setup.settings.thresholds, ground))
+        turns = measure_turns(seen.track, follow_span(self.setup.settings.thresholds, ground))
         return compare(self._following, self._ranges, seen.wheel, turns)
 
     def _check_launch(self, estimate: StateEstimate | None, now_ns: int) -> Iterator[Finding]:
@@ -398,47 +396,40 @@ class Loop:
                 yield make_unknown("W25", "no valid command yet")
 
     def _find_failed_checks(
-        self,
-        report: ControlReport | None,
-        findings: tuple[Finding, ...],
-        speed: float,
-        now_ns: int,
-        flags: int,
+        self, now: WatchdogInput, findings: tuple[Finding, ...], estimated: bool, flags: int
     ) -> list[str]:
         """Pre-arm checks that fail, the cause before its consequences."""
         settings = self.setup.settings
-        alive = valid_command(self.remote, now_ns) is not None
         failed = [*check_vesc(self.vesc, settings.brakes), *check_flags(flags)]
-        if report is None:
+        if not estimated:
             failed.append("an estimate: mocap must see the car for a moment, standing")
         failed += check_findings(findings)
-        if report is not None and (self.setup.remote or not self.setup.ignores_lane):
-            e1 = judge_both_lanes(report, self.live.now).e1
-            lane = LaneStatus(e1, report.e2, self.setup.remote, alive)
-            failed += check_lane(lane, settings.thresholds)
-        if self.supervisor.state is not SupervisorState.RUNNING:
-            failed += check_motion(speed)
+        if estimated and self.setup.remote:
+            failed += check_controller(valid_command(self.remote, now.t_ns) is not None)
+        elif estimated:
+            failed += check_lane(now.lateral_error, now.heading_error, settings.thresholds)
+        if now.state is not SupervisorState.RUNNING:
+            failed += check_motion(now.speed)
         return failed
 
     def _make_facts(
-        self, estimate: StateEstimate | None, failed: list[str], now_ns: int, flags: int
+        self, now: WatchdogInput, estimate: StateEstimate | None, failed: list[str], flags: int
     ) -> int:
-        seen, setup = self.perception, self.setup
-        th = setup.settings.thresholds
+        setup, th = self.setup, self.setup.settings.thresholds
         known = self.vesc is not None and self.vesc.expected and self.vesc.timeout_ms is not None
-        fresh = seen.telemetry_age(now_ns) <= th.telemetry
-        running = self.supervisor.state is SupervisorState.RUNNING
-        over = setup.duration_ns is not None and now_ns - self._started_ns >= setup.duration_ns
+        seen = self.perception.accepted_ns is not None and not flags & Flag.MOCAP_REFUSED
+        running = now.state is SupervisorState.RUNNING
+        over = setup.duration_ns is not None and now.t_ns - self._started_ns >= setup.duration_ns
         facts = Fact.SLOWING if is_slowing(self._watchdogs) else 0
         if flags & Flag.LINKED:
             facts |= Fact.LINKED
-        if known and seen.accepted_ns is not None and not flags & Flag.MOCAP_REFUSED:
+        if known and seen:
             facts |= Fact.IDENTIFIED
         if not failed:
             facts |= Fact.CHECKS_PASS
-        if fresh and seen.values.timeout_active:
+        if now.telemetry_age <= th.telemetry and now.status & 1:
             facts |= Fact.FW_TIMEOUT
-        if not setup.leased or lease_age(self.lease, now_ns) <= th.lease:
+        if now.lease_age <= th.lease:
             facts |= Fact.LEASED
         if running and over:
             facts |= Fact.ENDED

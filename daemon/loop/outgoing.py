@@ -4,6 +4,7 @@
 
 from collections.abc import Iterable
 from math import nan
+from operator import attrgetter
 
 from steerd.controller.lane_controller import ControlReport
 from steerd.daemon.loop.findings import Finding
@@ -18,6 +19,14 @@ from steerd.vesc_link.vesc import Answer, Drive
 
 CLOCK_KINDS = tuple(ClockKind)
 _NO_REPORT = ControlReport(*(nan,) * len(ControlReport._fields))
+_COUNTS = attrgetter("tachometer_abs", "fault", "status")
+_ELECTRICAL = attrgetter(
+    "input_voltage", "motor_current", "input_current", "duty", "temp_fet_c", "temp_motor_c",
+    "d_current", "q_current", "v_d", "v_q",
+)  # fmt: skip
+_INERTIAL = attrgetter(
+    "accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z", "q_w", "q_x", "q_y", "q_z"
+)
 
 
 def make_mocap(pose: Pose, epoch_ns: int) -> m.MocapPose:
@@ -42,18 +51,6 @@ def make_mocap(pose: Pose, epoch_ns: int) -> m.MocapPose:
     )
 
 
-def _number(value: float | None) -> float:
-    return nan if value is None else value
-
-
-def _numbers(*values: float | None) -> list[float]:
-    return [nan if value is None else value for value in values]
-
-
-def _count(value: int | None) -> int:
-    return -1 if value is None else value
-
-
 def make_telemetry(header: m.Header, when: Answer, v: Values, uptime_ms: int) -> m.VescTelemetry:
     """A telemetry reply; what the firmware did not send is NaN or -1."""
     return m.VescTelemetry(
@@ -63,35 +60,20 @@ def make_telemetry(header: m.Header, when: Answer, v: Values, uptime_ms: int) ->
         uptime_ms,
         int(v.erpm or 0),
         int(v.tachometer or 0),
-        _count(v.tachometer_abs),
-        _count(v.fault),
-        _count(v.status),
-        *_numbers(
-            v.input_voltage,
-            v.motor_current,
-            v.input_current,
-            v.duty,
-            v.temp_fet_c,
-            v.temp_motor_c,
-            v.d_current,
-            v.q_current,
-            v.v_d,
-            v.v_q,
-        ),
+        *[-1 if value is None else value for value in _COUNTS(v)],
+        *[nan if value is None else value for value in _ELECTRICAL(v)],
     )
 
 
 def make_imu(header: m.Header, when: Answer, i: Imu) -> m.VescImu:
     """An IMU reading."""
-    values = (i.accel_x, i.accel_y, i.accel_z, i.gyro_x, i.gyro_y, i.gyro_z)
-    return m.VescImu(
-        header, when.t_sent_ns, when.t_received_ns, *_numbers(*values, i.q_w, i.q_x, i.q_y, i.q_z)
-    )
+    values = [nan if value is None else value for value in _INERTIAL(i)]
+    return m.VescImu(header, when.t_sent_ns, when.t_received_ns, *values)
 
 
-def make_actuation(drive: Drive, wire: bytes, seq: int, stamp_ns: int) -> m.Actuation:
+def make_actuation(header: m.Header, drive: Drive, wire: bytes, seq: int) -> m.Actuation:
     """The bytes that were written in a tick, and their meaning."""
-    header, steer = m.make_header(stamp_ns, m.BODY), _number(drive.steer)
+    steer = nan if drive.steer is None else drive.steer
     return m.Actuation(header, seq, drive.mode, steer, drive.speed, drive.current, wire)
 
 
@@ -126,7 +108,7 @@ def make_state(
         r.e2,
         r.curvature,
         r.s,
-        _number(drive.steer),
+        nan if drive.steer is None else drive.steer,
         drive.speed,
         estimate.health.pose.nis if estimate else nan,
     )

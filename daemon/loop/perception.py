@@ -6,7 +6,7 @@ from math import hypot, inf, nan
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.params import Car, wheelbase
 from steerd.car_model.state import Command, State
-from steerd.daemon.loop.following import LONG_TURN_S, Turn, measure_turns
+from steerd.daemon.loop.following import LONG_TURN_S
 from steerd.daemon.loop.watchdogs_pose import PoseVerdict, PoseWatch, step_innovation, step_pose
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.estimator.config import FilterConfig
@@ -42,6 +42,8 @@ class Perception:
         values: what it says; all None before the first.
         wheel_speed: by the wheels, from that reply [m/s]; NaN while unknown.
         wheel: the same with its time of validity [ns]; None while unknown.
+        mocap_speed: by mocap alone over the last 100 ms [m/s]; NaN while unknown.
+        track: the poses of the last `LONG_TURN_S`, and the one before.
         accepted_ns: arrival of the last good frame, or None.
         may_rebase: set by the loop: the car is disarmed and stands.
     """
@@ -61,15 +63,13 @@ class Perception:
         self._wheelbase = wheelbase(car)
         self._measurements: list[Measurement] = []
         self._commands: list[tuple[int, Command[float] | None]] = []
-        self._track: deque[Pose] = deque()
-        self._oldest_ns = 0
-        self._mocap_speed: float | None = None
         self._refused = 0
         self._seen = 0
         self.watch = PoseWatch()
+        self.track: deque[Pose] = deque()
         self.telemetry: Answer | None = None
         self.values = Values()
-        self.wheel_speed = nan
+        self.wheel_speed = self.mocap_speed = nan
         self.wheel: tuple[int, float] | None = None
         self.accepted_ns: int | None = None
         self.may_rebase = True
@@ -78,17 +78,16 @@ class Perception:
 
     def on_pose(self, pose: Pose) -> None:
         """Check a pose; an accepted one is fused at its time of validity."""
-        self._mocap_speed = None
         self.watch, verdict = step_pose(
             self._thresholds, self.watch, pose, self.wheel_speed, self.may_rebase
         )
         if verdict is PoseVerdict.REBASED:
             self._state = restart_filter(self._state)
-            self._track.clear()
+            self.track.clear()
         if verdict in _SEEN and pose.rejected is None:
             self.accepted_ns = pose.t_arrival_ns
             self._measurements.append(make_pose(pose.t_valid_ns, pose.x, pose.y, pose.yaw))
-            self._track.append(pose)
+            self.track.append(pose)
             # Now, not in the tick: the pose comes just before its deadline
             # (`steerd.daemon.process.pacing`).
             latest_ns = pose.t_arrival_ns
@@ -124,10 +123,9 @@ class Perception:
         estimate = predict_to(self._filter, self._state, now_ns)
         if estimate is not None:
             self._note_innovations(estimate)
-        while len(self._track) > 2 and self._track[1].t_valid_ns <= now_ns - _TRACK_NS:
-            self._track.popleft()
-        self._oldest_ns = now_ns - _SPEED_SPAN_NS
-        self._mocap_speed = None
+        while len(self.track) > 2 and self.track[1].t_valid_ns <= now_ns - _TRACK_NS:
+            self.track.popleft()
+        self.mocap_speed = self._measure_mocap_speed(now_ns)
         return estimate
 
     def _fuse(self, now_ns: int) -> None:
@@ -150,23 +148,13 @@ class Perception:
         """The same; NaN if the last reply is older than `BLIND_S`."""
         return self.wheel_speed if self.telemetry_age(now_ns) <= BLIND_S else nan
 
-    def turns(self, span: float) -> tuple[Turn, ...]:
-        """What mocap saw over the last `span` seconds and over a longer stretch."""
-        return measure_turns(self._track, span)
-
-    @property
-    def mocap_speed(self) -> float:
-        """Speed by mocap alone over the last 100 ms [m/s]; NaN while unknown."""
-        if self._mocap_speed is None:
-            self._mocap_speed = self._measure_mocap_speed()
-        return self._mocap_speed
-
-    def _measure_mocap_speed(self) -> float:
-        if len(self._track) < 2:
+    def _measure_mocap_speed(self, now_ns: int) -> float:
+        if len(self.track) < 2:
             return nan
-        first, last = self._track[0], self._track[-1]
-        for pose in reversed(self._track):
-            if pose.t_valid_ns <= self._oldest_ns:
+        oldest_ns = now_ns - _SPEED_SPAN_NS
+        first, last = self.track[0], self.track[-1]
+        for pose in reversed(self.track):
+            if pose.t_valid_ns <= oldest_ns:
                 first = pose
                 break
         span_ns = last.t_valid_ns - first.t_valid_ns
@@ -192,7 +180,7 @@ def best_speed(estimate: StateEstimate | None, wheel_speed: float) -> float:
     if estimate is None or not estimate.health.sound:
         return wheel_speed  # which must be a recent one
     health = estimate.health
-    fed = min(health.pose.age_s, health.wheel_speed.age_s) <= BLIND_S
+    fed = min(health.pose.age_s(estimate.t_ns), health.wheel_speed.age_s(estimate.t_ns)) <= BLIND_S
     return estimate.state.speed if fed else nan
 
 

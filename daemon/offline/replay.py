@@ -161,7 +161,7 @@ class Replay:
         if not tick.flags & Flag.LINKED:
             self.loop.on_vesc(None)
         result = self.loop.tick(tick.due_ns, tick.woke_ns, tick.flags)
-        order = make_actuation(result.order.drive, b"", tick.seq, tick.woke_ns)
+        order = make_actuation(tick.header, result.order.drive, b"", tick.seq)
         self._expected = (tick.seq, tick.woke_ns, read_actuation(order))
 
     def _compare(self, actuation: m.Actuation) -> Difference | None:

@@ -2,20 +2,21 @@
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
 
 from steerd.mocap_link.frame import Quat, Vec3, make_body_pose
 from steerd.sim_hw.mocap.mocap_config import MocapConfig
 from steerd.sim_hw.plant.car import SimCar
 from steerd.sim_hw.plant.fault_state import HEALTHY_MOCAP, MocapFaultState
 from steerd.sim_hw.plant.noise import NoiseSource
+from steerd.steer_bus.quick_values import changed, quick_value
 
 _NS = 1_000_000_000
 _IMPOSTOR = (1.5, -1.0, 0.3)
 """Where the other thing stands when the room has none [m, m, rad]."""
 
 
-class Planar(NamedTuple):
+@quick_value
+class Planar:
     """A true or seen pose in the world."""
 
     x: float
@@ -23,7 +24,8 @@ class Planar(NamedTuple):
     yaw: float
 
 
-class BodyPose(NamedTuple):
+@quick_value
+class BodyPose:
     """A tracked body in vendor axes and units; quaternion (w, x, y, z)."""
 
     name: str
@@ -34,7 +36,8 @@ class BodyPose(NamedTuple):
     valid: bool
 
 
-class Capture(NamedTuple):
+@quick_value
+class Capture:
     """One exposure."""
 
     number: int
@@ -100,16 +103,16 @@ class Cameras:
         """The car's body, with faults of the pose itself."""
         faults, last = self.fault_state, self._last
         if last is not None and (faults.frozen or faults.invalid):
-            return last._replace(valid=not faults.invalid)
+            return changed(last, valid=not faults.invalid)
         body = self._body(self._config.body, self._config.body_id, pose)
         self._last = body
         if faults.invalid:
-            body = body._replace(valid=False)
+            body = changed(body, valid=False)
         if faults.mean_error:
-            body = body._replace(mean_error=body.mean_error + faults.mean_error)
+            body = changed(body, mean_error=body.mean_error + faults.mean_error)
         if faults.negative and self._number % 2:
             w, x, y, z = body.quaternion
-            body = body._replace(quaternion=(-w, -x, -y, -z))
+            body = changed(body, quaternion=(-w, -x, -y, -z))
         return _garble(body, faults.garble) if faults.garble else body
 
     def _body(self, name: str, body_id: int, pose: Planar) -> BodyPose:
@@ -150,5 +153,5 @@ def _garble(body: BodyPose, how: str) -> BodyPose:
     """A pose that is none."""
     if how == "nan":
         nan = math.nan
-        return body._replace(position=(nan, nan, nan), quaternion=(nan, nan, nan, nan))
-    return body._replace(position=(0.0, 0.0, 0.0), quaternion=(0.0, 0.0, 0.0, 0.0))
+        return changed(body, position=(nan, nan, nan), quaternion=(nan, nan, nan, nan))
+    return changed(body, position=(0.0, 0.0, 0.0), quaternion=(0.0, 0.0, 0.0, 0.0))

@@ -14,6 +14,7 @@ from steerd.sim_hw.mocap.mocap_config import MULTICAST, TO_DATA, MocapConfig
 from steerd.sim_hw.mocap.network import COMMAND, DATA, FOREIGN, Datagram, Network, Peer
 from steerd.sim_hw.plant.fault_state import HEALTHY_MOCAP, MocapFaultState
 from steerd.sim_hw.plant.noise import NoiseSource
+from steerd.steer_bus.quick_values import changed
 
 _NS = 1_000_000_000
 _APP_VERSION = (3, 1, 0, 0)
@@ -152,10 +153,10 @@ class NatNetServer:
         """The same frame with everything somewhere else."""
         far = self.fault_state.foreign
         bodies = tuple(
-            body._replace(position=(body.position[0] + far, *body.position[1:]))
+            changed(body, position=(body.position[0] + far, *body.position[1:]))
             for body in capture.bodies
         )
-        return capture._replace(bodies=bodies)
+        return changed(capture, bodies=bodies)
 
 
 def _rigid_body(body: BodyPose) -> RigidBody:

@@ -1,10 +1,10 @@
 """The network from mocap server to host: latency, loss, order and foreign senders."""
 
 import heapq
-from typing import NamedTuple
 
 from steerd.sim_hw.plant.fault_state import HEALTHY_MOCAP, MocapFaultState
 from steerd.sim_hw.plant.noise import NoiseSource
+from steerd.steer_bus.quick_values import changed, quick_value
 
 Peer = int | tuple[str, int]
 """Who a message goes to or comes from: a number in virtual time, an address on sockets."""
@@ -15,7 +15,8 @@ COMMAND, DATA, STREAM, FOREIGN, CLOSE = "command", "data", "stream", "foreign", 
 _OVERSIZED = 4096
 
 
-class Datagram(NamedTuple):
+@quick_value
+class Datagram:
     """A message at the time at which it reaches the host [ns]; peer None means everyone."""
 
     t_ns: int
@@ -60,9 +61,9 @@ class Network:
         if faults.jitter_ns:
             late += int(faults.jitter_ns * self._noise.uniform())
         if faults.resend and self._last is not None:
-            frame = frame._replace(data=self._last.data)
+            frame = changed(frame, data=self._last.data)
         self._last = frame
-        frame = frame._replace(t_ns=frame.t_ns + late)
+        frame = changed(frame, t_ns=frame.t_ns + late)
         if faults.reorder:
             self._send_swapped(frame)
         else:
@@ -70,7 +71,7 @@ class Network:
         if faults.duplicate:
             self.send(frame)
         if faults.noise:
-            self.send(frame._replace(data=self._nonsense(frame.data)))
+            self.send(changed(frame, data=self._nonsense(frame.data)))
 
     def _is_lost(self, t_ns: int) -> bool:
         faults = self.fault_state
@@ -83,7 +84,7 @@ class Network:
             self._waiting = frame
             return
         self.send(frame)
-        self.send(self._waiting._replace(t_ns=frame.t_ns))
+        self.send(changed(self._waiting, t_ns=frame.t_ns))
         self._waiting = None
 
     def _nonsense(self, data: bytes) -> bytes:

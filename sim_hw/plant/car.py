@@ -15,12 +15,13 @@ from typing import NamedTuple
 
 from steerd.car_model.chassis import SPEED_KINEMATIC
 from steerd.car_model.model import Model, delays, hooked, observe
+from steerd.car_model.native.windows import STATES
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import GRAVITY
 from steerd.car_model.rollout import stiffness_rate
 from steerd.car_model.state import ORIGIN, Observation, State
 from steerd.sim_hw.plant.noise import NoiseSource
-from steerd.sim_hw.plant.steps import make_steps
+from steerd.sim_hw.plant.steps import Numbers, make_steps
 from steerd.steer_bus.quick_values import quick_value
 
 NS = 1_000_000_000
@@ -45,6 +46,7 @@ class Demand:
 
 
 _SPEED = Drive.SPEED
+_V, _YAW_RATE, _SLIP = map(State._fields.index, ("speed", "yaw_rate", "slip_angle"))
 COAST = Demand(Drive.BRAKE, 0.0)
 
 
@@ -113,7 +115,8 @@ class SimCar:
 
     Attributes:
         t_ns: time of `state`.
-        state: true state.
+        speed: true speed [m/s].
+        wheel_speed: what the motor controller measures [m/s].
         accel_x: longitudinal acceleration over the last step [m/s^2].
         accel_y: lateral acceleration over the last step [m/s^2].
     """
@@ -124,7 +127,7 @@ class SimCar:
         self.model = model
         self.setup = setup
         self.t_ns = self._t_start_ns = t_start_ns
-        self.state = setup.start
+        self.speed = setup.start.speed
         self.accel_x = self.accel_y = 0.0
         self._noise = noise
         self._noisy = any(setup.noise)
@@ -133,7 +136,8 @@ class SimCar:
         h = setup.step_ns / NS
         self._h = h
         self._steps = make_steps(model, h)
-        self._memory: tuple[float, ...] = (0.0,) * self._steps.memory
+        # the true state, and behind it what the effects remember
+        self._numbers: Numbers = (*setup.start, *(0.0,) * self._steps.memory)
         late = delays(model)
         self._pose_delay_ns = round(late.pose * NS)
         self._steer_delay_ns = max(0, round((late.steer - setup.servo_wait) * NS))
@@ -145,13 +149,14 @@ class SimCar:
         self._substeps = h * stiffness_rate(model.car, SPEED_KINEMATIC) * SPEED_KINEMATIC / 2.0
         length = math.ceil((_HISTORY + late.pose) / h)
         self._kept = length
-        self._history = [setup.start] * length
+        self._history = [self._numbers] * length
         self._count = 0
+        self.wheel_speed = self.observe_motor().wheel_speed
 
     def step(self, steer: float, demand: Demand) -> None:
         """One physics step under a servo angle [rad] and a demand, both still without dead time."""
         t0, t1 = self.t_ns, self.t_ns + self._step_ns
-        before, h = self.state, self._h
+        before, speed, h = self._numbers, self.speed, self._h
         t = (t0 - self._t_start_ns) / NS
         if self._steer_delay_ns:
             self._steer.push(t0, steer)
@@ -159,24 +164,28 @@ class SimCar:
         if self._drive_delay_ns:
             demand = self._delay_demand(demand, t0, t1)
         drive, value = demand.drive, demand.value
-        if drive is _SPEED and not -self._substeps < before.speed < self._substeps:
-            numbers = self._steps.follow(*before, *self._memory, steer, value, t)
+        if drive is _SPEED and not -self._substeps < speed < self._substeps:
+            after = self._steps.follow(*before, steer, value, t)
         else:
-            target = value if drive is _SPEED else before.speed
-            end, accel = self._steps.actuate(*before, *self._memory, steer, target, t)
+            target = value if drive is _SPEED else speed
+            end, accel = self._steps.actuate(*before, steer, target, t)
             if drive is not _SPEED:
                 accel = self._free_acceleration(demand)
-            numbers = self._glide(before, end, accel, t)
-        self._memory = numbers[7:]
-        after: State[float] = State(*numbers[:7])
-        if drive is not _SPEED:
-            after = self._keep_rest(before, after, demand)
-        if self._noisy and after.speed:
+            # more, shorter steps where the yaw mode is stiff
+            count = max(1, math.ceil(self._substeps / max(abs(speed), SPEED_KINEMATIC)))
+            after = self._steps.glide(count, *before, end, accel, t)
+        if drive is not _SPEED and self._comes_to_rest(speed, after[_V], demand):
+            after = (*after[:_V], 0.0, *after[_V + 1 :])
+        if self._noisy and after[_V]:
             after = self._add_process_noise(after)
-        self.accel_x = (after.speed - before.speed) / h
-        turn = after.yaw_rate + (after.slip_angle - before.slip_angle) / h
-        self.accel_y = after.speed * turn
-        self.state = after
+        self._numbers, self.speed = after, after[_V]
+        self.wheel_speed = (
+            self.observe_motor().wheel_speed
+            if self._watched
+            else self.speed / self.model.car.speed_gain
+        )
+        self.accel_x = (self.speed - speed) / h
+        self.accel_y = self.speed * (after[_YAW_RATE] + (after[_SLIP] - before[_SLIP]) / h)
         self.t_ns = t1
         self._count += 1
         self._history[self._count % self._kept] = after
@@ -186,19 +195,12 @@ class SimCar:
         self._value.push(t0, demand.value)
         return Demand(Drive(int(self._mode.mean(t0, t0 + 1))), self._value.mean(t0, t1))
 
-    def _glide(
-        self, before: State[float], steer_end: float, accel: float, t: float
-    ) -> tuple[float, ...]:
-        """The chassis' step; more, shorter ones where the yaw mode is stiff."""
-        count = max(1, math.ceil(self._substeps / max(abs(before.speed), SPEED_KINEMATIC)))
-        return self._steps.glide(count, *before, *self._memory, steer_end, accel, t)
-
     def _grip(self) -> float:
         return self.model.car.mu * GRAVITY
 
     def _free_acceleration(self, demand: Demand) -> float:
         """Acceleration by motor and drag at the present speed, within the tyres' grip."""
-        speed, value = self.state.speed, demand.value
+        speed, value = self.speed, demand.value
         drag = self.setup.coast_decel
         if demand.drive is Drive.FORCE:
             if speed == 0.0:
@@ -208,25 +210,24 @@ class SimCar:
             return max(-self._grip(), min(self._grip(), value))
         return -math.copysign(min(value + drag, self._grip()), speed) if speed else 0.0
 
-    def _keep_rest(self, before: State[float], after: State[float], demand: Demand) -> State[float]:
-        """The state after friction, which ends at standstill and holds the car there."""
+    def _comes_to_rest(self, before: float, after: float, demand: Demand) -> bool:
+        """Whether friction ends the motion in this step, or holds the car where it stands."""
         drag = self.setup.coast_decel + (demand.value if demand.drive is Drive.BRAKE else 0.0)
-        stopped = before.speed * after.speed < 0.0
-        held = before.speed == 0.0 and abs(after.speed) <= min(drag, self._grip()) * self._h
-        if stopped and demand.drive is Drive.FORCE and abs(demand.value) > drag:
-            return after
-        if stopped or (held and demand.drive is Drive.BRAKE):
-            return after._replace(speed=0.0)
-        return after
+        if before * after < 0.0:
+            return demand.drive is not Drive.FORCE or abs(demand.value) <= drag
+        held = before == 0.0 and abs(after) <= min(drag, self._grip()) * self._h
+        return held and demand.drive is Drive.BRAKE
 
-    def _add_process_noise(self, state: State[float]) -> State[float]:
-        noise, scale = self._noise, math.sqrt(self._h)
-        speed, yaw, slip = (sd * scale * noise.normal() for sd in self.setup.noise)
-        return state._replace(
-            speed=state.speed + speed,
-            yaw_rate=state.yaw_rate + yaw,
-            slip_angle=state.slip_angle + slip,
-        )
+    def _add_process_noise(self, numbers: Numbers) -> Numbers:
+        noise, scale, after = self._noise, math.sqrt(self._h), list(numbers)
+        for place, sd in zip((_V, _YAW_RATE, _SLIP), self.setup.noise, strict=True):
+            after[place] += sd * scale * noise.normal()
+        return tuple(after)
+
+    @property
+    def state(self) -> State[float]:
+        """True state."""
+        return State(*self._numbers[:STATES])
 
     def state_at(self, t_ns: int) -> State[float]:
         """True state at a past time, straight between grid points; as far back as is kept."""
@@ -237,9 +238,10 @@ class SimCar:
         part = steps - low
         first = self._history[low % self._kept]
         if not part:
-            return first
+            return State(*first[:STATES])
         second = self._history[(low + 1) % self._kept]
-        return State(*(a + part * (b - a) for a, b in zip(first, second, strict=True)))
+        pairs = zip(first[:STATES], second[:STATES], strict=True)
+        return State(*[a + part * (b - a) for a, b in pairs])
 
     def observe_pose(self, t_ns: int) -> Observation[float]:
         """What cameras exposed at ``t_ns`` see: the pose, its channel's dead time ago."""
@@ -248,9 +250,3 @@ class SimCar:
     def observe_motor(self) -> Observation[float]:
         """What motor controller and gyro measure now."""
         return observe(FLOAT, self.model, self.state)
-
-    def wheel_speed(self) -> float:
-        """The speed that the motor controller measures now, without the rest [m/s]."""
-        if self._watched:
-            return self.observe_motor().wheel_speed
-        return self.state.speed / self.model.car.speed_gain

@@ -13,7 +13,7 @@ from steerd.sim_hw.plant.device import ByteLog, Chunk
 from steerd.sim_hw.plant.fault_state import HEALTHY_VESC, VescFaultState
 from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.sim_hw.vesc.vesc_config import MS, VescConfig
-from steerd.sim_hw.vesc.vesc_motor import Act, Mode, Motor, duty_current
+from steerd.sim_hw.vesc.vesc_motor import Mode, Motor, duty_current
 from steerd.sim_hw.vesc.vesc_power import Power
 from steerd.sim_hw.vesc.vesc_replies import (
     ImuChip,
@@ -39,7 +39,6 @@ from steerd.vesc_link.ids import (
 from steerd.vesc_link.packets import FEEDS_TIMEOUT, Reply, decode_command, encode_reply
 from steerd.vesc_link.scaling import Scaling, erpm_to_speed, servo_pos_to_steer
 from steerd.vesc_link.telemetry import UPTIME_MASK, Uptime
-from steerd.vesc_link.wire import device_number
 
 _UNDER_VOLTAGE = FAULT_NAMES.index("UNDER_VOLTAGE")
 _OVER_TEMP = FAULT_NAMES.index("OVER_TEMP_FET")
@@ -98,7 +97,7 @@ class SimVesc:
         self.motor = Motor(config, t_ns - uptime_ns)
         self.motor.fault_state = self.fault_state
         self.power = Power(config)
-        self.power.heat_c = self.fault_state.heat_c
+        self.power.heat(self.fault_state.heat_c)
         self.imu = ImuChip(config, self.car, self._noise)
         self._parser = make_parser(config.firmware)
         self.boot_ns = t_ns - uptime_ns
@@ -117,7 +116,7 @@ class SimVesc:
         before, self.fault_state = self.fault_state, faults
         self.connected = faults.plugged and self._off_until_ns < 0
         self.motor.fault_state = self._wire.fault_state = faults
-        self.power.heat_c = faults.heat_c
+        self.power.heat(faults.heat_c)
         if faults.plugged != before.plugged:
             self._wire.reset()
             self._held.clear()
@@ -168,7 +167,7 @@ class SimVesc:
         if power.temp_c > config.temp_limit_c:
             self.motor.hold_fault(t_ns, _OVER_TEMP)
         erpm = self._true_erpm()
-        demand, current = self._act(self.motor.step(t_ns, h), erpm)
+        demand, current = self._act(*self.motor.step(t_ns, h), erpm)
         power.step(current, erpm, h, faults.sag)
         return self._servo(t_ns), demand
 
@@ -178,13 +177,12 @@ class SimVesc:
             self._move_servo(t_ns)
         return self._servo_steer
 
-    def _act(self, act: Act, erpm: float) -> tuple[Demand, float]:
+    def _act(self, mode: Mode, value: float, erpm: float) -> tuple[Demand, float]:
         """The demand for the wheels and the motor current [A, wire sign]."""
-        mode, value = act.mode, act.value
         gain = self.config.accel_per_amp
         if mode is Mode.SPEED:
             speed = erpm_to_speed(self._scaling, value * self._sign)
-            drag = self.car.setup.coast_decel if self.car.state.speed > 0.0 else 0.0
+            drag = self.car.setup.coast_decel if self.car.speed > 0.0 else 0.0
             return Demand(Drive.SPEED, speed), self._sign * (self.car.accel_x + drag) / gain
         if mode is Mode.BRAKE:
             current = -value if erpm > 0.0 else value if erpm < 0.0 else 0.0
@@ -197,7 +195,7 @@ class SimVesc:
 
     def _true_erpm(self) -> float:
         scaling = self._scaling
-        wheel = self.car.wheel_speed()
+        wheel = self.car.wheel_speed
         return self._sign * (scaling.erpm_gain * wheel + scaling.erpm_offset * (wheel != 0.0))
 
     def _move_servo(self, t_ns: int) -> None:
@@ -214,16 +212,17 @@ class SimVesc:
 
     @property
     def next_wake_ns(self) -> int | None:
-        """When bytes are due at the latest."""
-        due = self._wire.outbox.next_ns
+        """When bytes are due at the latest, or what the host sees may change.
+
+        Where it is off, or behind with its orders, the next physics step may change that.
+        """
+        due = self._wire.next_ns
         if self._later and (due is None or self._later[0][0] < due):
             due = self._later[0][0]
+        if self._held or self._off_until_ns >= 0:
+            step_ns = self.car.t_ns + self.car.setup.step_ns
+            due = step_ns if due is None or step_ns < due else due
         return due
-
-    @property
-    def unsettled(self) -> bool:
-        """Whether the next physics step may change what the host sees: it is off, or behind."""
-        return bool(self._held) or self._off_until_ns >= 0
 
     def on_bytes(self, t_ns: int, data: bytes) -> None:
         """Take bytes from the host."""
@@ -252,18 +251,11 @@ class SimVesc:
     def read(self, t_ns: int) -> bytes:
         """What is due by ``t_ns``, read by the host; one that never reads blocks the VESC."""
         while self._later and self._later[0][0] <= t_ns:
-            due, reply = self._later.popleft()
-            self._reply(due, reply)
-        if not self.connected:
+            self._reply(*self._later.popleft())
+        due = self._wire.next_ns
+        if not self.connected or due is None or due > t_ns:
             return b""
-        data = b""
-        for chunk in self._wire.outbox.due(t_ns):
-            data += chunk.data
-            if self.log.enabled:
-                self.log.add(chunk.t_ns, "host", chunk.data)
-        if data:
-            self._wire.on_read(len(data))
-        return data
+        return self._wire.read(t_ns, self.log)
 
     # --- commands
 
@@ -273,7 +265,7 @@ class SimVesc:
         if command is None:
             known = command_id(payload[0], firmware) is not None
             self.counts["short" if known and len(payload) < 5 else "unknown"] += 1
-        elif isinstance(command, FEEDS_TIMEOUT):
+        elif type(command) in FEEDS_TIMEOUT:
             self.motor.command(t_ns, command, self._true_erpm())
         elif (reply := self._answer(t_ns, command)) is not None:
             self._reply(t_ns, reply)
@@ -308,19 +300,21 @@ class SimVesc:
         return None
 
     def _reply(self, t_ns: int, reply: Reply) -> None:
-        payload = encode_reply(reply, self.config.firmware)
-        self._wire.send(t_ns, _WRONG[self.fault_state.wrong](payload, reply, self.config.firmware))
+        payload, wrong = encode_reply(reply, self.config.firmware), self.fault_state.wrong
+        if wrong:
+            payload = _WRONG[wrong](payload, reply, self.config.firmware)
+        self._wire.send(t_ns, payload)
 
-    def reported_erpm(self) -> int:
+    def reported_erpm(self) -> float:
         """ERPM as reported."""
         faults = self.fault_state
         erpm = faults.erpm_sign * self._true_erpm()
-        if self.car.state.speed:
+        if self.car.speed:
             erpm += self.config.erpm_noise * self._noise.normal()
         if faults.erpm_stuck:
             self._stuck_erpm = int(erpm) if self._stuck_erpm is None else self._stuck_erpm
             return self._stuck_erpm
-        return int(device_number("i", 1.0, erpm))
+        return erpm
 
     def _block(self, t_ns: int, duration_ns: int, reply: Reply) -> None:
         """Run a blocking command; a second one meanwhile is discarded without a word."""
@@ -340,7 +334,6 @@ def _as_older(payload: bytes, reply: Reply, firmware: Firmware) -> bytes:
 
 
 _WRONG: dict[str, Callable[[bytes, Reply, Firmware], bytes]] = {
-    "": lambda payload, reply, firmware: payload,
     "type": lambda payload, reply, firmware: bytes((payload[0] ^ 0x40,)) + payload[1:],
     "length": lambda payload, reply, firmware: payload[: max(1, len(payload) * 2 // 3)],
     "firmware": lambda payload, reply, firmware: _as_older(payload, reply, firmware),

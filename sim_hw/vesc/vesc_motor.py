@@ -9,7 +9,6 @@ from enum import Enum, auto
 
 from steerd.sim_hw.plant.fault_state import HEALTHY_VESC, VescFaultState
 from steerd.sim_hw.vesc.vesc_config import MS, STATUS_KILL, STATUS_TIMEOUT, VescConfig
-from steerd.steer_bus.quick_values import quick_value
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.ids import Firmware
 
@@ -34,16 +33,7 @@ class Mode(Enum):
     DUTY = auto()
 
 
-@quick_value
-class Act:
-    """What the motor does over a physics step: ``value`` is ERPM, A or a duty cycle."""
-
-    mode: Mode
-    value: float
-
-
 _SPEED = Mode.SPEED
-_RELEASE = Act(Mode.RELEASED, 0.0)
 
 
 class Motor:
@@ -138,14 +128,18 @@ class Motor:
     def _set(self, mode: Mode, value: float) -> None:
         self.mode, self.value = mode, value
 
-    def step(self, t_ns: int, h: float) -> Act:
-        """Live through a physics step of ``h`` seconds from ``t_ns``; says what the motor does."""
+    def step(self, t_ns: int, h: float) -> tuple[Mode, float]:
+        """Live through a physics step of ``h`` seconds from ``t_ns``.
+
+        Returns:
+            What the motor does, and its value: ERPM, A or a duty cycle.
+        """
         if t_ns >= self._tick_ns:
             self._tick(t_ns)
         if self.fault and t_ns >= self._fault_until_ns:
             self.fault = 0
         if self.mode is not _SPEED:
-            return Act(self.mode, self.value)
+            return self.mode, self.value
         # The ramp moves; a setpoint that is too slow releases the motor.
         if self._ramps:
             most = self.config.erpm_ramp * h
@@ -154,8 +148,8 @@ class Motor:
         else:
             self.ramped = self.value
         if -self.config.erpm_min < self.ramped < self.config.erpm_min:
-            return _RELEASE
-        return Act(_SPEED, self.ramped)
+            return Mode.RELEASED, 0.0
+        return _SPEED, self.ramped
 
     def _tick(self, t_ns: int) -> None:
         """The 10 ms thread."""

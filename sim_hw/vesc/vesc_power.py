@@ -4,6 +4,8 @@ Means since the last read are kept as running sums with a bookmark per telemetry
 one field does not touch the others; that is how the firmware's read-and-reset behaves.
 """
 
+from collections.abc import Iterable
+
 from steerd.sim_hw.vesc.vesc_config import VescConfig
 
 _AMBIENT_C = 25.0
@@ -15,13 +17,6 @@ _FIELD_VOLTAGE = 3**-0.5
 """Phase voltage per bus voltage at full duty (space-vector modulation)."""
 _FLAT = 0.1
 """Voltage below which no battery goes here, so that nothing divides by zero [V]."""
-_SUMS = {
-    "motor_current": "_motor_sum",
-    "input_current": "_input_sum",
-    "q_current": "_q_sum",
-    "v_q": "_vq_sum",
-}
-"""Where each mean is summed up; the others (the field-weakening axis) are zero."""
 MEANS = ("motor_current", "input_current", "d_current", "q_current", "v_d", "v_q")
 
 
@@ -33,6 +28,7 @@ class Power:
         voltage: battery voltage under load [V].
         duty: duty cycle.
         revolutions, travel: electrical revolutions, signed and unsigned.
+        temp_c: of switches and motor.
         warmth, heat_c: above ambient by the motor's own current, and by a fault [K].
     """
 
@@ -41,16 +37,17 @@ class Power:
         self.current = self.duty = 0.0
         self.voltage = config.battery_voltage
         self.revolutions = self.travel = 0.0
-        self.warmth = self.heat_c = 0.0
+        self.warmth = 0.0
+        self.heat(0.0)
         self.input_current = 0.0
         self._motor_sum = self._input_sum = self._q_sum = self._vq_sum = 0.0
         self._count = 0
         self._read: dict[str, tuple[float, int]] = dict.fromkeys(MEANS, (0.0, 0))
 
-    @property
-    def temp_c(self) -> float:
-        """Temperature of switches and motor."""
-        return _AMBIENT_C + self.warmth + self.heat_c
+    def heat(self, heat_c: float) -> None:
+        """A fault heats it by so much."""
+        self.heat_c = heat_c
+        self.temp_c = _AMBIENT_C + self.warmth + heat_c
 
     def step(self, current: float, erpm: float, h: float, sag: float) -> None:
         """Account for ``h`` seconds at a motor current [A] and ERPM, on a battery ``sag`` V low."""
@@ -68,6 +65,7 @@ class Power:
         self.revolutions += revolutions
         self.travel += revolutions if revolutions > 0.0 else -revolutions
         self.warmth += h * (_HEATING * current * current - self.warmth / _COOLING)
+        self.temp_c = _AMBIENT_C + self.warmth + self.heat_c
         strength = current if current > 0.0 else -current
         self._motor_sum += strength if source >= 0.0 else -strength
         self._input_sum += source
@@ -75,14 +73,21 @@ class Power:
         self._vq_sum += duty * self.voltage
         self._count += 1
 
-    def read_mean(self, name: str) -> float:
-        """Mean of a field since its last read, which this is now; 0 when read twice at once."""
-        total, count = self._read[name]
-        now = getattr(self, _SUMS[name]) if name in _SUMS else 0.0
-        self._read[name] = (now, self._count)
-        samples = self._count - count
-        mean = (now - total) / samples if samples else 0.0
-        return mean * _FIELD_VOLTAGE if name == "v_q" else mean
+    def read_means(self, names: Iterable[str]) -> dict[str, float]:
+        """Means of fields since the last read of each, which this is; 0 when read twice at once."""
+        sums = {
+            "motor_current": self._motor_sum, "input_current": self._input_sum,
+            "q_current": self._q_sum, "v_q": self._vq_sum,
+            "d_current": 0.0, "v_d": 0.0,  # the field-weakening axis
+        }  # fmt: skip
+        means = {}
+        for name in names:
+            (total, count), now = self._read[name], sums[name]
+            samples = self._count - count
+            mean = (now - total) / samples if samples else 0.0
+            means[name] = mean * _FIELD_VOLTAGE if name == "v_q" else mean
+            self._read[name] = (now, self._count)
+        return means
 
     @property
     def tachometer(self) -> int:

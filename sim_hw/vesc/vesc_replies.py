@@ -21,18 +21,15 @@ _APPCONF_TAIL = bytes(range(1, 200)) * 2
 
 
 def make_values(
-    config: VescConfig, motor: Motor, power: Power, erpm: int, mask: int | None
+    config: VescConfig, motor: Motor, power: Power, erpm: float, mask: int | None
 ) -> telemetry.Values:
     """GET_VALUES reply; reads, and thereby restarts, the requested means.
 
     What no client of ours asks for (charge, energy, position, temperature of each switch) is 0.
     """
     temp = power.temp_c
-    means: dict[str, Any] = {
-        name: power.read_mean(name)
-        for name in MEANS
-        if mask is None or mask >> _MEAN_BITS[name] & 1
-    }
+    asked = [name for name in MEANS if mask is None or mask >> _MEAN_BITS[name] & 1]
+    means: dict[str, Any] = power.read_means(asked)
     return telemetry.Values(
         **means,
         temp_fet_c=temp,

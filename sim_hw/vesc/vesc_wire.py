@@ -1,6 +1,8 @@
 """The VESC's sending side: frames cut as USB cuts them, late, or damaged by the fault state."""
 
-from steerd.sim_hw.plant.device import ByteQueue
+from collections import deque
+
+from steerd.sim_hw.plant.device import ByteLog, Chunk
 from steerd.sim_hw.plant.fault_state import HEALTHY_VESC, VescFaultState
 from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.sim_hw.vesc.vesc_config import MS, VescConfig
@@ -18,30 +20,42 @@ class ReplyWire:
 
     Attributes:
         fault_state: what is wrong with the link.
-        outbox: bytes and their times.
+        next_ns: when the next bytes are due; None without any.
         blocked_until_ns: the command thread waits for the host to read.
         cut: replies that were cut because the host did not read.
     """
 
     def __init__(self, config: VescConfig, noise: NoiseSource) -> None:
         self.fault_state: VescFaultState = HEALTHY_VESC
-        self.outbox = ByteQueue()
+        self.next_ns: int | None = None
         self.blocked_until_ns = 0
         self.cut = 0
         self._config = config
         self._noise = noise
+        self._chunks: deque[Chunk] = deque()
+        self._last_ns = 0
         self._unread = 0
         self._broken = False
 
     def reset(self) -> None:
         """Forget a broken-off frame and everything in flight (new cable, reboot)."""
-        self.outbox.clear()
+        self._chunks.clear()
+        self.next_ns = None
         self._unread = 0
         self._broken = False
 
-    def on_read(self, count: int) -> None:
-        """The host has read ``count`` bytes."""
+    def read(self, t_ns: int, log: ByteLog) -> bytes:
+        """What the host reads at ``t_ns``: all that is due."""
+        chunks, data = self._chunks, b""
+        while chunks and chunks[0].t_ns <= t_ns:
+            chunk = chunks.popleft()
+            data += chunk.data
+            if log.enabled:
+                log.add(chunk.t_ns, "host", chunk.data)
+        self.next_ns = chunks[0].t_ns if chunks else None
+        count = len(data)
         self._unread = self._unread - count if count < self._unread else 0
+        return data
 
     def send(self, t_ns: int, payload: bytes) -> None:
         """Send a reply as a frame."""
@@ -69,23 +83,33 @@ class ReplyWire:
         self._put(t_ns, t_ns, data)
 
     def _put(self, t_ns: int, due: int, data: bytes) -> None:
-        room = self._config.unread_limit - self._unread
-        if len(data) > room:
+        size, room = len(data), self._config.unread_limit - self._unread
+        if size > room:
             self.cut += 1
             self.blocked_until_ns = t_ns + _USB_WAIT_NS
-            data = data[: max(0, room)]
+            size = max(0, room)
+            data = data[:size]
         if not data:
             return
-        self._unread += len(data)
+        self._unread += size
         trickle = self.fault_state.trickle_ns
         if trickle:
-            due = max(due, self.outbox.last_ns)
-            for i in range(len(data)):
-                self.outbox.put(due + (i + 1) * trickle, data[i : i + 1])
+            due = max(due, self._last_ns)
+            for i in range(size):
+                self._queue(due + (i + 1) * trickle, data[i : i + 1])
             return
-        first = self.outbox.put(due, data[:1])
-        if len(data) > 1:
-            self.outbox.put(first + self._config.fragment_gap_ns, data[1:])
+        first = self._queue(due, data[:1])
+        if size > 1:
+            self._queue(first + self._config.fragment_gap_ns, data[1:])
+
+    def _queue(self, t_ns: int, data: bytes) -> int:
+        """Bytes due at ``t_ns``, or when those before them are out: no byte overtakes another."""
+        if t_ns > self._last_ns:
+            self._last_ns = t_ns
+        self._chunks.append(Chunk(self._last_ns, data))
+        if self.next_ns is None:
+            self.next_ns = self._last_ns
+        return self._last_ns
 
 
 def flip_bit(data: bytes, noise: NoiseSource) -> bytes:

@@ -65,7 +65,9 @@ def fed(batches: list[list[Measurement]]) -> StateEstimate:
 
 def same(one: StateEstimate, other: StateEstimate) -> None:
     np.testing.assert_allclose(one.state, other.state, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        one.belief.covariance, other.belief.covariance, rtol=1e-9, atol=1e-12
+    )
     assert one.health == other.health or str(one.health) == str(other.health)
 
 
@@ -107,6 +109,7 @@ def test_a_late_command_is_honoured_from_its_time_on(
 def test_belief_stays_sound(measured: list[Measurement]) -> None:
     estimate = fed([measured])
     assert estimate.health.sound
-    assert (estimate.covariance == estimate.covariance.T).all() or np.allclose(
-        estimate.covariance, estimate.covariance.T, rtol=1e-9, atol=1e-15
+    covariance = estimate.belief.covariance
+    assert (covariance == covariance.T).all() or np.allclose(
+        covariance, covariance.T, rtol=1e-9, atol=1e-15
     )

@@ -6,7 +6,7 @@ from typing import Any
 
 from steerd.car_model.state import Command
 from steerd.sim_hw.plant.car import COAST, Demand, Drive
-from steerd.sim_hw.vesc.vesc_motor import Act, Mode
+from steerd.sim_hw.vesc.vesc_motor import Mode
 from tests.safety.rig import Rig
 
 WALL = Demand(Drive.BRAKE, 1000.0)
@@ -29,9 +29,9 @@ def surge(rig: Rig) -> None:
     motor = rig.run.world.vesc.motor
     plain_command = motor.step
 
-    def step(t_ns: int, h: float) -> Act:
-        plain = plain_command(t_ns, h)
-        return Act(plain.mode, plain.value * SURGE if plain.mode is Mode.SPEED else plain.value)
+    def step(t_ns: int, h: float) -> tuple[Mode, float]:
+        mode, value = plain_command(t_ns, h)
+        return mode, value * SURGE if mode is Mode.SPEED else value
 
     motor.step = step  # type: ignore[method-assign]
 
@@ -41,9 +41,9 @@ def hit_a_wall(rig: Rig) -> None:
     vesc = rig.run.world.vesc
     plain_command = vesc._act
 
-    def act(demand: Act, erpm: float) -> tuple[Demand, float]:
-        _, current = plain_command(demand, erpm)
-        return WALL, WALL_CURRENT_A if demand.mode is Mode.SPEED else current
+    def act(mode: Mode, value: float, erpm: float) -> tuple[Demand, float]:
+        _, current = plain_command(mode, value, erpm)
+        return WALL, WALL_CURRENT_A if mode is Mode.SPEED else current
 
     vesc._act = act  # type: ignore[method-assign]
 
@@ -106,7 +106,7 @@ def run_away(rig: Rig) -> None:
 
 def die(rig: Rig) -> None:
     """The motor neither drives nor brakes: the car rolls."""
-    rig.run.world.vesc._act = lambda _demand, _erpm: (COAST, 0.0)  # type: ignore[method-assign]
+    rig.run.world.vesc._act = lambda *_: (COAST, 0.0)  # type: ignore[method-assign]
 
 
 def _push(rig: Rig, instead: Demand) -> None:
@@ -114,9 +114,9 @@ def _push(rig: Rig, instead: Demand) -> None:
     vesc = rig.run.world.vesc
     plain = vesc._act
 
-    def act(demand: Act, erpm: float) -> tuple[Demand, float]:
-        done, current = plain(demand, erpm)
-        return (instead, current) if demand.mode is Mode.SPEED else (done, current)
+    def act(mode: Mode, value: float, erpm: float) -> tuple[Demand, float]:
+        done, current = plain(mode, value, erpm)
+        return (instead, current) if mode is Mode.SPEED else (done, current)
 
     vesc._act = act  # type: ignore[method-assign]
 

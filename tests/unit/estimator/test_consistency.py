@@ -57,7 +57,7 @@ def record(
         assert estimate is not None
         error = np.array(estimate.state) - np.array(drive.truth[t])
         scaled.append(error / np.array(estimate.sd))
-        nees.append(error @ np.linalg.solve(estimate.covariance, error))
+        nees.append(error @ np.linalg.solve(estimate.belief.covariance, error))
     nodes = [node for node in state.nodes if node.measurement.t_ns > SETTLED_NS]
     nis = {kind: [n.nis for n in nodes if n.measurement.kind is kind] for kind in Kind}
     return Record(np.array(scaled), np.array(nees), nis, sum(not n.believed for n in nodes))

@@ -14,7 +14,7 @@ from steerd.car_model.state import Command, State
 from steerd.car_model.tape import TAPE, Tape, jacobian, program
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.history import NO_HISTORY, add_command
-from steerd.estimator.initial import Belief
+from steerd.estimator.initial import make_belief
 from steerd.estimator.reference import Reference
 
 CAR = DEFAULT_CAR
@@ -118,10 +118,11 @@ def test_transition_is_the_derivative_of_the_motion(chassis, state) -> None:
 @pytest.mark.parametrize("speed", [0.05, 0.25, 0.4, 0.55])
 def test_long_steps_at_low_speed_stay_bounded(chassis, speed: float) -> None:
     """A gap of seconds takes steps far beyond the stability limit of an explicit method."""
-    belief = Belief(np.array([0, 0, 0, speed, 2.0, 0.3, 0.1]), np.eye(7) * 1e-2)
+    belief = make_belief(np.array([0, 0, 0, speed, 2.0, 0.3, 0.1]), np.eye(7) * 1e-2)
     history = add_command(NO_HISTORY, 0, Command(0.1, speed))
-    moved, sound = make_reference(chassis).predict(history, belief, 20_000_000, 2_520_000_000)
-    assert sound
+    now = make_reference(chassis).predict(history, belief, 20_000_000, 2_520_000_000)
+    moved = now.belief
+    assert now.sound
     assert np.isfinite(moved.covariance).all()
     assert np.linalg.eigvalsh(moved.covariance).min() > 0.0
     assert abs(moved.mean[4]) < 0.5

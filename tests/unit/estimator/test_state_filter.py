@@ -8,6 +8,7 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.state import ORIGIN, Command, State
+from steerd.estimator.initial import make_belief
 from steerd.estimator.sensors import Kind, Measurement, make_gyro, make_pose, make_wheel_speed
 from steerd.estimator.state_filter import (
     FilterState,
@@ -101,10 +102,9 @@ def test_outliers_and_flips_are_refused_counted_and_harmless(
             assert (np.abs(error(estimate.state, drive.truth[t])) < 5 * np.array(estimate.sd)).all()
     assert estimate is not None
     assert expected <= estimate.health.pose.refused <= expected + 2
-    assert estimate.health.pose.refused_in_row <= 1
 
 
-def test_a_body_swap_raises_streak_and_share_and_never_moves_the_estimate() -> None:
+def test_a_body_swap_is_counted_and_never_moves_the_estimate() -> None:
     t, state = standing()
     before = predict_to(FILTER, state, t)
     assert before is not None
@@ -113,11 +113,9 @@ def test_a_body_swap_raises_streak_and_share_and_never_moves_the_estimate() -> N
         state = on_measurement(FILTER, state, now, make_pose(now, 3.0, 2.0, 0.5))
     after = predict_to(FILTER, state, now)
     assert after is not None
-    assert after.health.pose.refused_in_row == 20
     assert after.health.pose.refused == 20
-    assert after.health.pose.refused_share > 0.3
     assert after.health.pose.nis > 1e3
-    assert after.health.pose.age_s == pytest.approx((now - t + 16 * MS) * 1e-9)
+    assert after.health.pose.age_s(after.t_ns) == pytest.approx((now - t + 16 * MS) * 1e-9)
     assert abs(after.state.x - before.state.x) < 0.001
     again = restart_filter(state)
     assert predict_to(FILTER, again, now) is None
@@ -139,7 +137,7 @@ def test_it_coasts_through_a_gap_of_150_ms(drive: Any, run_filter: Any, begin: i
             continue
         off = error(estimate.state, drive.truth[t])
         assert (np.abs(off) < 5.0 * np.array(estimate.sd)).all()
-        ages.append(estimate.health.pose.age_s)
+        ages.append(estimate.health.pose.age_s(estimate.t_ns))
         worst = max(worst, math.hypot(off[0], off[1]))
         assert estimate.health.position_sd < 0.05
     assert 0.150 < max(ages) < 0.21
@@ -203,7 +201,7 @@ def test_slow_driving_through_zero(simulate: Any, run_filter: Any) -> None:
         assert estimate.health.sound
         off = error(estimate.state, drive.truth[t])
         assert (np.abs(off) < 6.0 * np.array(estimate.sd)).all()
-        nees.append(off @ np.linalg.solve(estimate.covariance, off))
+        nees.append(off @ np.linalg.solve(estimate.belief.covariance, off))
         speeds.append(estimate.state.speed)
     assert min(speeds) < -0.4
     assert max(speeds) > 0.4
@@ -300,7 +298,7 @@ def test_an_unsound_belief_is_called_so() -> None:
     for hurt in (-1.0, math.nan):
         covariance = node.belief.covariance.copy()
         covariance[3, 3] = hurt
-        broken = node._replace(belief=node.belief._replace(covariance=covariance))
+        broken = replace(node, belief=make_belief(node.belief.mean, covariance))
         estimate = predict_to(
             FILTER, replace(state, nodes=(*state.nodes[:-1], broken)), node.measurement.t_ns
         )

@@ -77,7 +77,7 @@ def test_same_estimate_as_the_textbook(simulate: Any, run_filter: Any, seed: int
     begin = next(state for _, state in runs if state.nodes).nodes[0]
     events = sorted(m for _, m in drive.arrivals if m > begin.measurement)
     end_ns = runs[-1][0]
-    x, P = begin.belief
+    x, P = begin.belief.mean, begin.belief.covariance
     delay = round(CAR.steer_delay * 1e9)
     commands = dict(drive.commands)
     first = drive.commands[0][0]

@@ -21,7 +21,7 @@ from steerd.vesc_link.packets import (
     encode_reply,
     expects_reply,
 )
-from steerd.vesc_link.wire import device_number, host_number
+from steerd.vesc_link.wire import Field, host_number, pack_device
 
 LIMITS_SET = c.SetMcConfTemp(
     0.5, 0.5, -9228.0, 9228.0, 0.25, 0.75, -500.0, 500.0, -20.0, 40.0, ack=False
@@ -141,6 +141,13 @@ def test_host_rounds_and_device_truncates_in_single_precision(
 ) -> None:
     assert host_number(code, scale, value) == host
     assert device_number(code, scale, value) == device
+
+
+def device_number(code: str, scale: float | None, value: float) -> float:
+    """The number on the wire as the firmware sends it."""
+    number: float
+    (number,) = struct.unpack(">" + code, pack_device((Field("", code, scale),), (value,)))
+    return number
 
 
 def test_device_saturates_and_float_auto_has_no_denormals() -> None:

@@ -36,7 +36,7 @@ from steerd.car_model.state import Command, State
 from steerd.estimator import compiled
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.history import History
-from steerd.estimator.initial import Belief
+from steerd.estimator.initial import make_belief
 from steerd.estimator.sensors import make_gyro, make_pose, make_sensors, make_wheel_speed
 from steerd.sim_hw.plant.steps import make_steps
 
@@ -123,11 +123,11 @@ def _filtered(chassis):
     kernel = compiled.Kernel(car, chassis, config, make_sensors(car, config))
     orders = tuple(Command(0.2 * (k % 3 - 1), 1.0 + 0.1 * k) for k in range(9))
     history = History(tuple(range(0, 90 * ms, 10 * ms)), orders)
-    first = Belief(np.array([0.1, 0.2, 3.0, 1.0, 0.3, 0.01, 0.05]), 0.01 * np.eye(STATES))
+    first = make_belief(np.array([0.1, 0.2, 3.0, 1.0, 0.3, 0.01, 0.05]), 0.01 * np.eye(STATES))
     chain = [make_wheel_speed(20 * ms, 1.1), make_gyro(33 * ms, 0.4), make_pose(60 * ms, 0, 0, 3)]
-    beliefs = [link[0] for link in kernel.fuse(history, first, 10 * ms, chain)]
-    beliefs.append(kernel.predict(history, beliefs[-1], 60 * ms, 800 * ms)[0])
-    return b"".join(array.tobytes() for belief in beliefs for array in belief)
+    beliefs = [link.belief for link in kernel.fuse(history, first, 10 * ms, chain)]
+    beliefs.append(kernel.predict(history, beliefs[-1], 60 * ms, 800 * ms).belief)
+    return b"".join(belief.numbers for belief in beliefs)
 
 
 def _use(monkeypatch, **chosen):

@@ -5,8 +5,8 @@ from math import nan
 import pytest
 
 from steerd.daemon.loop.checks import (
-    LaneStatus,
     VescInfo,
+    check_controller,
     check_findings,
     check_flags,
     check_lane,
@@ -63,14 +63,14 @@ def test_a_vesc_without_the_session_limits_fails():
     ],
 )
 def test_the_car_must_stand_in_its_lane(e1, e2, said):
-    found = list(check_lane(LaneStatus(e1, e2, remote=False, remote_alive=False), TH))
+    found = list(check_lane(e1, e2, TH))
     assert len(found) == (said is not None)
     assert all(said in text for text in found)
 
 
 def test_with_an_external_controller_only_its_commands_count():
-    assert list(check_lane(LaneStatus(9.0, 3.0, remote=True, remote_alive=True), TH)) == []
-    (text,) = check_lane(LaneStatus(0.0, 0.0, remote=True, remote_alive=False), TH)
+    assert list(check_controller(True)) == []
+    (text,) = check_controller(False)
     assert "steerd control" in text
 
 

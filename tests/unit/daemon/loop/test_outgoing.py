@@ -20,7 +20,7 @@ from steerd.daemon.loop.outgoing import (
 from steerd.daemon.loop.supervisor import Action, make_supervisor_memory
 from steerd.daemon.loop.transitions import MotorOutput, SteeringOutput, SupervisorState
 from steerd.daemon.settings.config import BrakeSettings
-from steerd.steer_bus.messages import ActuationMode
+from steerd.steer_bus.messages import BODY, ActuationMode, make_header
 from steerd.steer_bus.quick_values import changed
 from steerd.vesc_link.scaling import F1TENTH
 from steerd.vesc_link.vesc import Drive
@@ -39,7 +39,7 @@ ACTION = Action(MotorOutput.SILENT, SteeringOutput.NONE, 0.0, "why", "what")
     ],
 )
 def test_an_actuation_holds_what_its_drive_has_and_nan_elsewhere(drive, mode, speed, current):
-    made = make_actuation(drive, b"\x02", 7, 5)
+    made = make_actuation(make_header(5, BODY), drive, b"\x02", 7)
     assert (made.mode, made.steer, made.seq, made.wire) == (mode, 0.1, 7, b"\x02")
     for value, expected in ((made.speed, speed), (made.brake_current_a, current)):
         assert isnan(value) if expected is None else value == expected
