@@ -6,8 +6,6 @@ import sys
 import time
 from pathlib import Path
 
-import pytest
-
 from steerd.version import VERSION
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -54,26 +52,3 @@ def test_help_costs_little_more_than_python_itself() -> None:
     """0.3 s on any machine that starts Python in 0.05 s: a ratio, so that a slow one may run it."""
     bare = cpu_seconds("-c", "pass")
     assert cpu_seconds("-m", "steerd", "--help") < max(6.0 * bare, 0.1)
-
-
-@pytest.mark.parametrize(
-    "command", ["driving.run", "driving.operate", "driving.status", "driving.watch"]
-)
-def test_a_terminal_starts_without_filter_and_design(command: str) -> None:
-    """They took `steerd stop` a second of processor time before it said anything."""
-    code = (
-        f"import sys, steerd.daemon.cli.commands.{command}\n"
-        "heavy = {'control', 'filterpy', 'matplotlib', 'scipy', 'torch', 'mcap', 'foxglove'}\n"
-        "sys.exit(' '.join(heavy & set(sys.modules)) or 0)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, check=False)
-    assert done.returncode == 0, done.stderr
-
-
-def test_every_command_has_its_help() -> None:
-    from steerd.daemon.cli.main import COMMANDS, run_cli
-
-    for name in COMMANDS:
-        with pytest.raises(SystemExit) as ended:
-            run_cli([name, "--help"])
-        assert ended.value.code == 0, name

@@ -5,15 +5,7 @@ import struct
 
 import pytest
 
-from steerd.steer_bus.codec import (
-    MAX_BYTES,
-    CodecError,
-    decode,
-    encode,
-    schema_text,
-    type_hash,
-    type_name,
-)
+from steerd.steer_bus.codec import MAX_BYTES, CodecError, decode, encode, schema_text, type_name
 from steerd.steer_bus.fields import Nested, flat_leaves, message, message_fields
 from steerd.steer_bus.messages import (
     OWN_MESSAGES,
@@ -27,11 +19,6 @@ from steerd.steer_bus.messages import (
 from steerd.steer_bus.standard import DiagnosticArray, Header, KeyValue, Time, make_time
 
 HEADER = make_header(1_700_000_000_123_456_789, WORLD)
-
-
-def test_header_vector():
-    expected = "0001000000f1536515cd5b07040000006d617000"
-    assert encode(HEADER).hex() == expected
 
 
 def test_tick_is_padded_to_eight():
@@ -151,9 +138,3 @@ def test_schema_text_of_a_message_with_dependencies():
         + "=" * 80 + "\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
         + "=" * 80 + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
     )  # fmt: skip
-
-
-def test_type_hash_is_rosidls():
-    # The hash that a ROS 2 installation gives std_msgs/msg/Header (iron and later).
-    expected = "RIHS01_f49fb3ae2cf070f793645ff749683ac6b06203e41c891e17701b1cb597ce6a01"
-    assert type_hash(Header) == expected

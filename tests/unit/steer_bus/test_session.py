@@ -86,15 +86,6 @@ def test_columns_of_a_topic_without_messages(tmp_path):
     assert columns["x"].dtype == np.float64
 
 
-def test_columns_where_the_frame_name_changes(tmp_path):
-    writer = start(tmp_path / "a.mcap", clock=ClockSample)
-    for i, frame in enumerate(["map", "base_link", "map", ""]):
-        writer.write("/clock", clock(i, frame), i)
-    columns = open_session(writer.finish({})).columns(ClockSample)
-    assert columns["monotonic_ns"].tolist() == [0, 1, 2, 3]
-    assert columns["stamp_ns"].tolist() == [0, 1, 2, 3]
-
-
 def test_columns_of_nested_standard_messages(tmp_path, make_random_message):
     rng = np.random.default_rng(1)
     odometry = [make_random_message(Odometry, rng) for _ in range(5)]

@@ -119,13 +119,6 @@ def test_a_stick_that_rests_is_given_the_whole_past():
     assert _remembered(np.full(1000, 0.1), 30, LEAST, MOST) == 80, "the drive's whole past"
 
 
-@pytest.mark.parametrize(("back", "steps"), [(5, 40), (19, 40), (50, 80), (300, 320), (390, 400)])
-def test_it_reaches_from_the_last_large_turn_on(back, steps):
-    steering = np.zeros(1000)
-    steering[: 1000 - back] = 0.3
-    assert _remembered(steering, 999, LEAST, MOST) == steps
-
-
 # The log jitter of two timers is found in a drive and corrected; other logs stay as they are.
 
 Array = NDArray[np.float64]
