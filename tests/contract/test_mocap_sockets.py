@@ -23,7 +23,6 @@ from steerd.mocap_link.sockets import (
     MocapReceiver,
     NatNetReceiver,
     VrpnReceiver,
-    derive_interface,
     make_receiver,
     map_stamp,
 )
@@ -411,7 +410,3 @@ def test_addresses_that_make_no_receiver(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.undo()
     with pytest.raises(ValueError, match="up axis"):
         make_receiver(parse_mocap_url("vrpn://127.0.0.1/car?up=z"), z_forward)
-
-
-def test_derive_interface() -> None:
-    assert derive_interface(LOOPBACK, 1510) == LOOPBACK

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from steerd.daemon.cli.main import run_cli
+from tests.e2e.conftest import free_port
 
 LIBC = ctypes.CDLL(None)
 CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH = 1, 2
@@ -83,23 +84,14 @@ def test_a_mistake_is_reported_in_a_line(argv, code, parts, place, capsys, monke
 
 def run_live(place, *argv, **options):
     """`steerd run` at hardware that is not there: its exit code and text."""
-    full = [
-        sys.executable,
-        "-m",
-        "steerd.daemon.cli.main",
-        "run",
-        "--record",
-        str(place / "drive.mcap"),
-        *argv,
-    ]
+    record = str(place / "drive.mcap")
+    full = [sys.executable, "-m", "steerd.daemon.cli.main", "run", "--record", record, *argv]
     done = subprocess.run(full, capture_output=True, text=True, timeout=60, check=False, **options)
     return done.returncode, done.stderr
 
 
 def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_port()}"
 
 
 @pytest.mark.slow

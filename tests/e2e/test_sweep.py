@@ -106,13 +106,6 @@ def test_what_is_driven_again_is_said_within_80_columns(tmp_path, capsys):
     assert "car.mass " in said
 
 
-def test_a_journal_of_another_sweep_is_refused(file, tmp_path, capsys):
-    out = tmp_path / "t.parquet"
-    out.with_name("t.parquet.journal").write_text('{"schema":"steerd.journal/1","of":"x"}\n')
-    assert run_cli(["sweep", str(file), "-o", str(out)]) == ExitCode.USAGE
-    assert "another command" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [

@@ -15,6 +15,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.session_read import open_session
+from tests.e2e.conftest import free_port
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 WANTED = ("/steerd/car1/state", "/steerd/car1/odom", "/scene", "/tf")
@@ -54,12 +55,6 @@ def decode_ros(channel, payload):
     name = channel["schemaName"]
     store.register(get_types_from_msg(channel["schema"], name))
     return store.deserialize_cdr(payload, name)
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def test_a_client_sees_the_drive_and_the_viewers_death_changes_nothing(steerd, tmp_path):

@@ -10,14 +10,11 @@ import pytest
 
 from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.session_read import open_session
+from tests.e2e.conftest import rms
 
 SLOW_STEERING = "--effect steer_delay=0.03 --effect steer_lag=0.03"
 """30 ms beside the servo's own 10 ms; 50 ms + 30 ms of lag."""
 CAR_FILE = Path(__file__).resolve().parents[2] / "config" / "f1tenth.toml"
-
-
-def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def replays(session, capsys):

@@ -25,7 +25,6 @@ FIXED = settings(derandomize=True, deadline=None, database=None, max_examples=60
 f32 = st.floats(width=32, allow_nan=False)
 f64 = st.floats(allow_nan=False)
 i32 = st.integers(-(2**31), 2**31 - 1)
-u32 = st.integers(0, 2**32 - 1)
 u64 = st.integers(0, 2**64 - 1)
 i16 = st.integers(-(2**15), 2**15 - 1)
 text = st.text(max_size=8).filter(lambda s: "\0" not in s and s.isprintable())

@@ -79,6 +79,7 @@ def test_json_has_exactly_the_shape_of_the_schema(diagnosed):
     assert set(cause) == {
         "effect", "stage", "family", "parameters", "confidence", "shrink", "ambiguous_with"
     }  # fmt: skip
+    assert set(cause["shrink"]) == {"predicted", "measured", "low", "high"}
     assert cause["effect"] == "steer_delay"
     delay = cause["parameters"]["delay"]
     assert delay["value"] == pytest.approx(0.05, abs=0.006)

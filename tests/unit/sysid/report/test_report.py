@@ -60,10 +60,6 @@ def test_a_terminal_shows_names_to_the_left_and_figures_to_the_right():
 # Work on a cluster: compiled cars find their own code there, joblib's work goes there.
 
 
-def _square(value):
-    return value * value
-
-
 def _grow(value):
     process_executor._MAX_MEMORY_LEAK_SIZE = process_executor._MEMORY_LEAK_CHECK_DELAY = -1e18
     return value
