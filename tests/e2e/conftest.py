@@ -22,9 +22,8 @@ import pytest
 from steerd.daemon.assembly.build import RunPlan, make_plan, make_world_config
 from steerd.daemon.cli.commands.driving import run as run_command
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.offline.fast import make_recording
-from steerd.daemon.offline.learn_beside import LearnerBeside
-from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
+from steerd.daemon.offline.fast import record_virtual
+from steerd.daemon.offline.virtual import VirtualRun, drive
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.world import World
 from steerd.steer_bus.codec import encode
@@ -105,13 +104,6 @@ def drive_fast(tmp_path: Path) -> Drive:
         nonlocal count
         count += 1
         driven = Driven(make_drive_plan(line), tmp_path / f"drive{count}.mcap")
-        recording = make_recording(driven.plan, driven.session)
-        learner = LearnerBeside(driven.plan)
-
-        def sink(records: list, t_ns: int) -> None:
-            for record in records:
-                for each in learner.take(record):
-                    recording.add(each)
 
         def note(run: VirtualRun) -> None:
             if run.core.loop.supervisor.state is SupervisorState.RUNNING:
@@ -119,9 +111,7 @@ def drive_fast(tmp_path: Path) -> Drive:
                 driven.track.append((truth.t_ns, truth.state.x, truth.state.y))
 
         world = World(make_world_config(driven.plan), faults)
-        run = make_virtual_run(driven.plan, (sink,), world)
-        drive(run, note)
-        recording.writer.finish({"reason": "end of the run"})
+        run = record_virtual(driven.plan, driven.session, lambda run: drive(run, note), world=world)
         driven.wire = run.wire.hexdigest()
         driven.faulted = run.core.loop.faulted
         driven.reason = run.core.loop.supervisor.reason

@@ -90,7 +90,6 @@ def test_figures_are_matplotlib_figures(fit, gap, tmp_path):
     ("arguments", "what"),
     [
         ({"held_out": 1}, "held out 1"),
-        ({"held_out": 0}, "held out 0"),
         ({"free": ["lenght"]}, "lenght is no parameter"),
         ({"fix": {"mass": -3.0}}, "mass"),
         ({"wheelbase": 330.0}, "in metres"),
