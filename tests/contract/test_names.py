@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from steerd.version import VERSION
+
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = (
     "steer_bus",
@@ -121,3 +123,27 @@ def test_texts_name_no_file_that_a_wheel_lacks(room: str) -> None:
         if NAMED.search(text)
     ]
     assert not found, "\n".join(found)
+
+
+# Layers hold, and the command is there.
+
+SCRIPTS = Path(sys.executable).parent
+
+
+def test_rooms_import_downwards_only() -> None:
+    done = subprocess.run(
+        [SCRIPTS / "lint-imports", "--no-cache"],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout
+    assert "0 broken" in done.stdout
+
+
+def test_the_console_script_is_ours() -> None:
+    points = importlib.metadata.entry_points(group="console_scripts", name="steerd")
+    assert {point.value for point in points} == {"steerd.daemon.cli.main:main"}
+    done = subprocess.run(
+        [SCRIPTS / "steerd", "--version"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0
+    assert done.stdout == f"steerd {VERSION}\n"

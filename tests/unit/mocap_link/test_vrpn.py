@@ -1,7 +1,5 @@
 """VRPN bytes against vectors written out by hand from the protocol's description."""
 
-from math import cos, hypot, sin
-
 import pytest
 
 from steerd.mocap_link import vrpn
@@ -11,6 +9,7 @@ from steerd.mocap_link.source import ClockKind, Pose, SourceState
 from steerd.mocap_link.vrpn_client import VrpnClient, VrpnSource
 from steerd.mocap_link.zenoh_pose import BusPoseSource, encode_pose
 from steerd.sim_hw.mocap.vrpn_device import VrpnServer
+from tests.unit.mocap_link.test_sessions import MS, SECOND, SPEED, T0, assert_no_jump, truth
 
 
 def test_cookie() -> None:
@@ -114,26 +113,8 @@ def test_goodbye_ends_the_session() -> None:
 
 # VRPN and bus sources in virtual time: drive, freeze, reconnect, half-open, bad payloads.
 
-MS = 1_000_000
-SECOND = 1000 * MS
-T0 = 77 * SECOND
 FRAME = FrameConfig(up="y", body_forward="-z", marker_rear_x=0.2, cog_ahead_of_rear=0.17)
 CONFIG = IngestConfig(frame=FRAME)
-SPEED, RADIUS = 1.0, 2.0
-
-
-def truth(t_ns: int) -> tuple[float, float, float]:
-    """The car on a circle: x, y, yaw at a time."""
-    a = SPEED * (t_ns - T0) * 1e-9 / RADIUS
-    return RADIUS * sin(a), RADIUS * (1 - cos(a)), a
-
-
-def assert_no_jump(samples: list[Pose]) -> None:
-    accepted = [s for s in samples if s.rejected is None]
-    assert accepted
-    for s in accepted:
-        x, y, _ = truth(s.t_valid_ns)
-        assert hypot(s.x - x, s.y - y) < 0.03
 
 
 def drive_vrpn(

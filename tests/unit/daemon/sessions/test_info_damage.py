@@ -3,8 +3,6 @@
 The numbers are those of `docs/reference/safety-requirements.md#s9.1`, 1 to 24.
 """
 
-import contextlib
-import io
 import os
 import struct
 import zlib
@@ -12,27 +10,16 @@ import zlib
 import pytest
 import zstandard
 
-from steerd.daemon.cli.main import run_cli
 from steerd.daemon.imports.import_session import MessageMaker
 from steerd.steer_bus.codec import encode, schema_text
 from steerd.steer_bus.messages import MocapPose
 from steerd.steer_bus.session import SessionWriter, open_session
+from tests.unit.daemon.sessions.test_bad_content import steerd
 
 pytestmark = pytest.mark.slow
 
 MAGIC = b"\x89MCAP0\r\n"
 TOPIC = "/steerd/blue/mocap"
-
-
-def steerd(*argv):
-    """Run a command line: exit code, standard output, standard error."""
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = run_cli([str(arg) for arg in argv])
-    assert "Traceback" not in err.getvalue()
-    assert len(out.getvalue().splitlines()) < 60
-    assert len(err.getvalue().splitlines()) < 20
-    return int(code), out.getvalue(), err.getvalue()
 
 
 @pytest.fixture(scope="module")
