@@ -153,6 +153,3 @@ def test_a_path_from_a_file_is_driven_and_replays_without_the_file(
     assert driven.track[-1][1] ** 2 + driven.track[-1][2] ** 2 > 1.0
     file.unlink()
     assert replays(driven.session, capsys)
-
-
-# --- what a supervisor has to live with
