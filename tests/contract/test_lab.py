@@ -165,6 +165,13 @@ def test_a_hub_of_another_lab_is_not_believed(labs):
         ZenohBus(make_spoke_profile(endpoint, ours))
 
 
+def test_a_hub_is_believed_only_at_the_address_of_its_certificate(hub, labs):
+    ours = load_lab(labs / "ours" / "desk")
+    elsewhere = ours.endpoint.replace("127.0.0.1", "localhost")
+    with pytest.raises(BusError):
+        ZenohBus(make_spoke_profile(elsewhere, ours))
+
+
 def test_who_is_taken_out_of_the_list_is_out(labs, tmp_path):
     car = shutil.copytree(labs / "ours" / "car1", tmp_path / "car1")
     roster = (car / "lab.toml").read_text()
