@@ -1,6 +1,7 @@
 """The mount is recovered from drives with a known one; drives that identify none are refused."""
 
 from dataclasses import astuple, fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -206,6 +207,15 @@ def test_the_body_is_the_car_moved_by_a_constant_offset_of_the_mount(recorded):
     ahead = (x - car["x"]) * np.cos(car["yaw"]) + (y - car["y"]) * np.sin(car["yaw"])
     left = (y - car["y"]) * np.cos(car["yaw"]) - (x - car["x"]) * np.sin(car["yaw"])
     assert max(np.ptp(ahead), np.ptp(left)) < 1e-9
+
+
+def test_poses_that_were_rejected_calibrate_nothing(recorded, monkeypatch):
+    (name, table), *_ = ((n, t) for n, t in recorded.read.tables.items() if "reject" in t)
+    jumped = np.where(np.arange(len(table["reject"])) % 10 == 3, "jump", table["reject"])
+    tables = {**recorded.read.tables, name: {**table, "reject": jumped}}
+    read = replace(recorded.read, tables=tables)
+    monkeypatch.setattr("steerd.daemon.setup.calibration_data.load_recording", lambda _: read)
+    assert set(load_recorded(Path("drive.mcap")).poses["reject"]) == {""}
 
 
 def test_what_a_session_lacks_is_named(recorded):
