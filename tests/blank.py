@@ -1,7 +1,10 @@
-"""Messages whose numbers are 0, but for those that a test gives."""
+"""Messages for tests: numbers that are 0 but for those that a test gives, or all drawn."""
 
 from typing import Any
 
+import numpy as np
+
+from steerd.steer_bus.fields import Array, Blob, Nested, Scalar, Text, message_fields
 from steerd.steer_bus.messages import WORLD, make_header
 
 NOW_NS = 1_500_000_000_250_000_000
@@ -12,3 +15,27 @@ def blank(cls: type, **values: Any) -> Any:
     """A message of numbers and a header."""
     zeros = dict.fromkeys(cls.__dataclass_fields__, 0)
     return cls(**{**zeros, "header": make_header(NOW_NS, WORLD), **values})
+
+
+def drawn(cls: type, rng: np.random.Generator) -> Any:
+    """A message of random values."""
+    return cls(*[_value(field.kind, rng) for field in message_fields(cls)])
+
+
+def _value(kind: Any, rng: np.random.Generator) -> Any:
+    match kind:
+        case Text():
+            return "tyre µ"[: int(rng.integers(7))]
+        case Blob():
+            return rng.bytes(int(rng.integers(20)))
+        case Array():
+            return tuple(rng.normal(size=kind.count).tolist())
+        case Nested(many=True):
+            return tuple(drawn(kind.cls, rng) for _ in range(int(rng.integers(3))))
+        case Nested():
+            return drawn(kind.cls, rng)
+        case Scalar(code="?"):
+            return bool(rng.integers(2))
+        case Scalar(code="d" | "f"):
+            return float(np.float32(rng.normal()))
+    return int(rng.integers(100))

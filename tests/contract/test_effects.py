@@ -90,21 +90,6 @@ def test_all_nulls_together_are_bit_identical() -> None:
     assert drive(FLOAT, model, 7, float) == drive(FLOAT, Model(DEFAULT_CAR), 7, float)
 
 
-@pytest.fixture(scope="module")
-def base_run(torch_ops: Any) -> list[torch.Tensor]:
-    return drive(torch_ops, Model(Car(*map(tensor, DEFAULT_CAR))), 1, tensor, SHORT)
-
-
-@pytest.mark.parametrize("effect", EVERY)
-def test_null_is_bit_identical_with_tensors(
-    effect: Effect, torch_ops: Any, base_run: list[torch.Tensor]
-) -> None:
-    values = tuple(map(tensor, effect.nulls))
-    model = Model(Car(*map(tensor, DEFAULT_CAR)), (effect,), (values,))
-    run = drive(torch_ops, model, 1, tensor, SHORT)
-    assert all(torch.equal(a, b) for a, b in zip(run, base_run, strict=True))
-
-
 @pytest.mark.parametrize("effect", EVERY)
 def test_an_ordinary_severity_changes_the_run_and_keeps_it_finite(effect: Effect) -> None:
     for seed in range(4):

@@ -2,8 +2,6 @@
 
 import select
 import shutil
-import socket
-import time
 
 import pytest
 
@@ -11,6 +9,7 @@ from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.lab import load_lab, make_tls_settings
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile, make_spoke_profile
+from tests.contract.test_bus_contract import free_endpoint, until
 
 pytest.importorskip("cryptography")
 STATE, ORDER = "steerd/car1/state", "steerd/car1/cmd/operator"
@@ -20,23 +19,10 @@ POSE = "lab/pose/car1"
 QUIET_S = 0.3
 
 
-def until(condition):
-    end = time.monotonic() + 30.0
-    while not (found := condition()) and time.monotonic() < end:
-        select.select([], [], [], 0.005)
-    return found
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 @pytest.fixture(scope="module")
 def labs(tmp_path_factory):
     """Two labs at one address, made by two authorities with the same names."""
-    root, port = tmp_path_factory.mktemp("labs"), str(free_port())
+    root, port = tmp_path_factory.mktemp("labs"), free_endpoint().rpartition(":")[2]
     people = ["--operator", "desk", "--operator", "tablet", "--viewer", "screen"]
     for name in ("ours", "theirs"):
         where = [str(root / name), "--host", "127.0.0.1", "--port", port]
@@ -172,18 +158,25 @@ def test_no_certificate_another_authority_and_plain_text_are_refused(hub, labs):
 
 def test_a_hub_of_another_lab_is_not_believed(labs):
     """Who stands in for the car gets no orders: the dialler checks the hub's certificate too."""
-    theirs, port = load_lab(labs / "theirs" / "car1"), free_port()
-    endpoint = f"tls/127.0.0.1:{port}"
+    theirs = load_lab(labs / "theirs" / "car1")
+    endpoint = free_endpoint().replace("tcp", "tls")
     ours = load_lab(labs / "ours" / "desk")
     with ZenohBus(make_hub_profile(endpoint, theirs)), pytest.raises(BusError):
         ZenohBus(make_spoke_profile(endpoint, ours))
+
+
+def test_a_hub_is_believed_only_at_the_address_of_its_certificate(hub, labs):
+    ours = load_lab(labs / "ours" / "desk")
+    elsewhere = ours.endpoint.replace("127.0.0.1", "localhost")
+    with pytest.raises(BusError):
+        ZenohBus(make_spoke_profile(elsewhere, ours))
 
 
 def test_who_is_taken_out_of_the_list_is_out(labs, tmp_path):
     car = shutil.copytree(labs / "ours" / "car1", tmp_path / "car1")
     roster = (car / "lab.toml").read_text()
     (car / "lab.toml").write_text(roster.replace('"desk", ', ""))
-    endpoint = f"tls/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint().replace("tcp", "tls")
     lab = load_lab(car)
     with (
         ZenohBus(make_hub_profile(endpoint, lab)) as hub,

@@ -9,6 +9,7 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from itertools import pairwise
 
 import pytest
@@ -23,7 +24,6 @@ from steerd.mocap_link.sockets import (
     MocapReceiver,
     NatNetReceiver,
     VrpnReceiver,
-    derive_interface,
     make_receiver,
     map_stamp,
 )
@@ -37,6 +37,7 @@ GROUP = "239.255.42.98"
 CONFIG = IngestConfig(frame=FrameConfig())
 
 Pump = Callable[[], None]
+Connect = Callable[..., MocapReceiver]
 
 
 def drive(
@@ -53,6 +54,13 @@ def drive(
             samples += receiver.read_ready(fd)
 
 
+def free_port(kind: int = socket.SOCK_DGRAM) -> int:
+    """A port of loopback that nobody uses."""
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind((LOOPBACK, 0))
+        return int(probe.getsockname()[1])
+
+
 class UdpServer:
     """A NatNet server on loopback: answers commands, sends a frame whenever it is pumped."""
 
@@ -67,12 +75,9 @@ class UdpServer:
         loopback = socket.inet_aton(LOOPBACK)
         self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
         self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind((LOOPBACK, 0))
-            self.data_port = probe.getsockname()[1]
+        self.data_port = free_port()
         self.client: tuple[str, int] | None = None
         self.number = 0
-        self.requests = self.sent = 0
 
     def pump(self) -> None:
         while True:
@@ -80,7 +85,6 @@ class UdpServer:
                 datagram, sender = self.command.recvfrom(65_535)
             except BlockingIOError:
                 break
-            self.requests += 1
             self.answer(datagram, sender)
         if self.client is not None:
             self.send_frame()
@@ -119,7 +123,6 @@ class UdpServer:
             self.data.sendto(data, (LOOPBACK, self.data_port))
         elif self.client is not None:
             self.command.sendto(data, self.client)
-        self.sent += 1
 
     def close(self) -> None:
         self.command.close()
@@ -133,124 +136,106 @@ def udp_server(request: pytest.FixtureRequest) -> Iterator[UdpServer]:
     server.close()
 
 
-def make_natnet(server: UdpServer) -> NatNetReceiver:
-    receiver = make_receiver(parse_mocap_url(f"natnet://localhost:{server.port}/car"), CONFIG)
+@pytest.fixture
+def connect() -> Iterator[Connect]:
+    """Make the receiver of an address; it is closed at the end."""
+    with ExitStack() as made:
+        yield lambda url, **more: made.enter_context(
+            closing(make_receiver(parse_mocap_url(url), CONFIG, **more))
+        )
+
+
+def test_natnet_poses_arrive_with_their_exposure_time(
+    udp_server: UdpServer, connect: Connect
+) -> None:
+    receiver, samples = connect(f"natnet://localhost:{udp_server.port}/car"), list[Pose]()
     assert isinstance(receiver, NatNetReceiver)
-    return receiver
-
-
-def test_natnet_poses_arrive_with_their_exposure_time(udp_server: UdpServer) -> None:
-    receiver, samples = make_natnet(udp_server), list[Pose]()
-    try:
-        assert receiver.interface == LOOPBACK
-        drive(
-            receiver, udp_server.pump,
-            lambda: receiver.status().state is SourceState.OK and len(samples) > 60, samples,
-        )  # fmt: skip
-        assert all(s.rejected is None for s in samples)
-        assert samples[-1].clock is ClockKind.ECHO
-        last = samples[-1]
-        ticks = last.source_ticks
-        assert ticks is not None
-        # the server's clock is this host's plus 10^15: the map must find that within the echo's
-        # half round trip, itself bounded by this thread's turn-taking
-        sigma = receiver.status().clock_sigma_ns
-        assert sigma is not None
-        assert abs(last.t_valid_ns - (ticks - 10**15)) < sigma + 2 * MS
-        assert last.t_valid_ns <= last.t_arrival_ns <= time.monotonic_ns()
-        assert last.x == pytest.approx(last.position[0])
-        status = receiver.status()
-        assert (status.server, status.bodies) == ("Loop NatNet 4.1", ("car",))
-        assert len(receiver.fds()) == 2
-    finally:
-        receiver.close()
+    assert receiver.interface == LOOPBACK
+    drive(
+        receiver, udp_server.pump,
+        lambda: receiver.status().state is SourceState.OK and len(samples) > 60, samples,
+    )  # fmt: skip
+    assert all(s.rejected is None for s in samples)
+    assert samples[-1].clock is ClockKind.ECHO
+    last = samples[-1]
+    ticks = last.source_ticks
+    assert ticks is not None
+    # the server's clock is this host's plus 10^15: the map must find that within the echo's
+    # half round trip, itself bounded by this thread's turn-taking
+    sigma = receiver.status().clock_sigma_ns
+    assert sigma is not None
+    assert abs(last.t_valid_ns - (ticks - 10**15)) < sigma + 2 * MS
+    assert last.t_valid_ns <= last.t_arrival_ns <= time.monotonic_ns()
+    assert last.x == pytest.approx(last.position[0])
+    status = receiver.status()
+    assert (status.server, status.bodies) == ("Loop NatNet 4.1", ("car",))
+    assert len(receiver.fds()) == 2
 
 
 @pytest.mark.parametrize("udp_server", ["unicast-command"], indirect=True)
-def test_natnet_ignores_a_stranger(udp_server: UdpServer) -> None:
-    receiver, samples = make_natnet(udp_server), list[Pose]()
-    stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
+def test_natnet_ignores_a_stranger(udp_server: UdpServer, connect: Connect) -> None:
+    receiver, samples = connect(f"natnet://localhost:{udp_server.port}/car"), list[Pose]()
+    drive(receiver, udp_server.pump, lambda: len(samples) > 5, samples)
+    forged = Frame(10**6, (RigidBody(4, (9.0, 9.0, 9.0), (0.0, 0.0, 0.0, 1.0)),))
+    with socket.fromfd(receiver.fds()[0], socket.AF_INET, socket.SOCK_DGRAM) as theirs:
+        command = theirs.getsockname()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.bind(("127.0.0.2", 0))
-        drive(receiver, udp_server.pump, lambda: len(samples) > 5, samples)
-        forged = Frame(10**6, (RigidBody(4, (9.0, 9.0, 9.0), (0.0, 0.0, 0.0, 1.0)),))
-        with socket.fromfd(receiver.fds()[0], socket.AF_INET, socket.SOCK_DGRAM) as theirs:
-            command = theirs.getsockname()
         stranger.sendto(natnet.encode(forged, (4, 1)), command)
-        drive(receiver, udp_server.pump, lambda: receiver.status().counts["foreign"] > 0, samples)
-        assert all(s.x < 1.0 for s in samples)
-    finally:
-        stranger.close()
-        receiver.close()
+    drive(receiver, udp_server.pump, lambda: receiver.status().counts["foreign"] > 0, samples)
+    assert all(s.x < 1.0 for s in samples)
 
 
-def test_natnet_backlog_keeps_the_newest_five() -> None:
-    server = UdpServer("unicast-command")
-    receiver, samples = make_natnet(server), list[Pose]()
-    try:
-        drive(receiver, server.pump, lambda: len(samples) > 5, samples)
-        for _ in range(40):
-            server.send_frame()
-        select.select(receiver.fds(), [], [], 1.0)
-        late = receiver.read_ready(receiver.fds()[0])
-        assert 1 <= len(late) <= 5
-        assert late[-1].frame == server.number
-        assert receiver.status().counts["backlog_dropped"] >= 30
-    finally:
-        receiver.close()
-        server.close()
+@pytest.mark.parametrize("udp_server", ["unicast-command"], indirect=True)
+def test_natnet_backlog_keeps_the_newest_five(udp_server: UdpServer, connect: Connect) -> None:
+    receiver, samples = connect(f"natnet://localhost:{udp_server.port}/car"), list[Pose]()
+    drive(receiver, udp_server.pump, lambda: len(samples) > 5, samples)
+    for _ in range(40):
+        udp_server.send_frame()
+    select.select(receiver.fds(), [], [], 1.0)
+    late = receiver.read_ready(receiver.fds()[0])
+    assert 1 <= len(late) <= 5
+    assert late[-1].frame == udp_server.number
+    assert receiver.status().counts["backlog_dropped"] >= 30
 
 
-def test_natnet_without_a_server_neither_blocks_nor_raises() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as closed:
-        closed.bind((LOOPBACK, 0))
-        port = closed.getsockname()[1]
-    receiver = make_receiver(parse_mocap_url(f"natnet://{LOOPBACK}:{port}/car"), CONFIG)
-    try:
-        for i in range(3):
-            receiver.on_timer(i * 10 * SECOND)
-            for fd in select.select(receiver.fds(), [], [], 0.05)[0]:
-                receiver.read_ready(fd)
-        assert receiver.status().state is SourceState.CONNECTING
-        assert receiver.read_ready(-1) == []
-    finally:
-        receiver.close()
+def test_natnet_without_a_server_neither_blocks_nor_raises(connect: Connect) -> None:
+    port = free_port()
+    receiver = connect(f"natnet://{LOOPBACK}:{port}/car")
+    for i in range(3):
+        receiver.on_timer(i * 10 * SECOND)
+        for fd in select.select(receiver.fds(), [], [], 0.05)[0]:
+            receiver.read_ready(fd)
+    assert receiver.status().state is SourceState.CONNECTING
+    assert receiver.read_ready(-1) == []
 
 
-def test_natnet_data_port_that_is_taken_is_tried_again() -> None:
-    server = UdpServer("unicast-command")
-    taken = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    taken.bind((LOOPBACK, server.data_port))
-    receiver, samples = make_natnet(server), list[Pose]()
-    try:
+@pytest.mark.parametrize("udp_server", ["unicast-command"], indirect=True)
+def test_natnet_data_port_that_is_taken_is_tried_again(
+    udp_server: UdpServer, connect: Connect
+) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind((LOOPBACK, udp_server.data_port))
+        receiver, samples = connect(f"natnet://localhost:{udp_server.port}/car"), list[Pose]()
         # unicast frames may come to the command socket, so this is no reason to stop
-        drive(receiver, server.pump, lambda: len(samples) > 5, samples)
-        assert f"data port {server.data_port}" in receiver.status().detail
+        drive(receiver, udp_server.pump, lambda: len(samples) > 5, samples)
+        assert f"data port {udp_server.data_port}" in receiver.status().detail
         assert len(receiver.fds()) == 1
-        taken.close()
-        receiver.on_timer(time.monotonic_ns() + 2 * SECOND)
-        assert len(receiver.fds()) == 2
-        assert "data port" not in receiver.status().detail
-    finally:
-        taken.close()
-        receiver.close()
-        server.close()
+    receiver.on_timer(time.monotonic_ns() + 2 * SECOND)
+    assert len(receiver.fds()) == 2
+    assert "data port" not in receiver.status().detail
 
 
-def test_natnet_server_comes_back_on_another_data_port() -> None:
-    server = UdpServer("unicast-data")
-    receiver, samples = make_natnet(server), list[Pose]()
-    try:
-        drive(receiver, server.pump, lambda: len(samples) > 5, samples)
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind((LOOPBACK, 0))
-            server.data_port = probe.getsockname()[1]
-        samples.clear()
-        drive(receiver, server.pump, lambda: len(samples) > 5, samples)
-        assert len(receiver.fds()) == 2
-    finally:
-        receiver.close()
-        server.close()
+@pytest.mark.parametrize("udp_server", ["unicast-data"], indirect=True)
+def test_natnet_server_comes_back_on_another_data_port(
+    udp_server: UdpServer, connect: Connect
+) -> None:
+    receiver, samples = connect(f"natnet://localhost:{udp_server.port}/car"), list[Pose]()
+    drive(receiver, udp_server.pump, lambda: len(samples) > 5, samples)
+    udp_server.data_port = free_port()
+    samples.clear()
+    drive(receiver, udp_server.pump, lambda: len(samples) > 5, samples)
+    assert len(receiver.fds()) == 2
 
 
 class TcpServer:
@@ -263,7 +248,6 @@ class TcpServer:
         self.peer: socket.socket | None = None
         self.session = VrpnServer(("car",))
         self.count = self.accepted = 0
-        self.mute = False
 
     def pump(self) -> None:
         if self.peer is None:
@@ -280,8 +264,6 @@ class TcpServer:
             self.peer.sendall(self.session.receive(data, 0))
         except BlockingIOError:
             pass
-        if self.mute:
-            return
         self.count += 1
         stamp = time.monotonic_ns() // 1000
         position = (0.5 + 1e-5 * self.count, 0.25, 0.1)
@@ -304,63 +286,54 @@ def tcp_server() -> Iterator[TcpServer]:
     server.close()
 
 
-def test_vrpn_poses_and_reconnect(tcp_server: TcpServer) -> None:
-    receiver = make_receiver(parse_mocap_url(f"vrpn://localhost:{tcp_server.port}/car"), CONFIG)
+def test_vrpn_poses_and_reconnect(tcp_server: TcpServer, connect: Connect) -> None:
+    receiver = connect(f"vrpn://localhost:{tcp_server.port}/car")
     samples: list[Pose] = []
-    try:
-        drive(receiver, tcp_server.pump, lambda: len(samples) > 50, samples)
-        assert all(s.rejected is None for s in samples)
-        assert [round((s.x - 0.5) * 1e5) for s in samples] == list(range(1, len(samples) + 1))
-        assert receiver.status().connected
-        tcp_server.hang_up()
-        drive(receiver, lambda: None, lambda: not receiver.status().connected, samples)
-        assert receiver.fds() == [] or not receiver.status().connected
-        samples.clear()
-        drive(receiver, tcp_server.pump, lambda: len(samples) > 5, samples)
-        assert tcp_server.accepted == 2
-        assert receiver.status().counts["connects"] == 2
-    finally:
-        receiver.close()
+    drive(receiver, tcp_server.pump, lambda: len(samples) > 50, samples)
+    assert all(s.rejected is None for s in samples)
+    assert [round((s.x - 0.5) * 1e5) for s in samples] == list(range(1, len(samples) + 1))
+    assert receiver.status().connected
+    tcp_server.hang_up()
+    drive(receiver, lambda: None, lambda: not receiver.status().connected, samples)
+    assert receiver.fds() == [] or not receiver.status().connected
+    samples.clear()
+    drive(receiver, tcp_server.pump, lambda: len(samples) > 5, samples)
+    assert tcp_server.accepted == 2
+    assert receiver.status().counts["connects"] == 2
 
 
-def test_vrpn_client_leaves_a_server_of_another_kind() -> None:
+def test_vrpn_client_leaves_a_server_of_another_kind(connect: Connect) -> None:
     with socket.create_server((LOOPBACK, 0)) as listener:
         port = listener.getsockname()[1]
-        receiver = make_receiver(parse_mocap_url(f"vrpn://{LOOPBACK}:{port}/car"), CONFIG)
-        try:
-            receiver.on_timer(0)
-            peer, _ = listener.accept()
-            with peer:
-                peer.sendall(b"220 mail.example ESMTP ready, go ahead\r\n")
-                drive(receiver, lambda: None, lambda: not receiver.fds(), [])
-                assert "not a VRPN 7 server" in receiver.status().detail
-        finally:
-            receiver.close()
+        receiver = connect(f"vrpn://{LOOPBACK}:{port}/car")
+        receiver.on_timer(0)
+        peer, _ = listener.accept()
+        with peer:
+            peer.sendall(b"220 mail.example ESMTP ready, go ahead\r\n")
+            drive(receiver, lambda: None, lambda: not receiver.fds(), [])
+            assert "not a VRPN 7 server" in receiver.status().detail
 
 
-def test_vrpn_without_a_server_backs_off() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as closed:
-        closed.bind((LOOPBACK, 0))
-        port = closed.getsockname()[1]
-    receiver = make_receiver(parse_mocap_url(f"vrpn://{LOOPBACK}:{port}/car"), CONFIG)
-    try:
-        assert isinstance(receiver, VrpnReceiver)
-        attempts = []
-        for i in range(2000):
-            t = i * 10 * MS
-            before = receiver._due
-            receiver.on_timer(t)
-            if receiver._due != before:
-                attempts.append(t // MS)
-        gaps = [b - a for a, b in pairwise(attempts)]
-        assert gaps[:5] == [500, 1000, 2000, 4000, 5000]
-        assert "refused" in receiver.status().detail
-    finally:
-        receiver.close()
+def test_vrpn_without_a_server_backs_off(connect: Connect) -> None:
+    port = free_port(socket.SOCK_STREAM)
+    receiver = connect(f"vrpn://{LOOPBACK}:{port}/car")
+    assert isinstance(receiver, VrpnReceiver)
+    attempts = []
+    for i in range(2000):
+        t = i * 10 * MS
+        before = receiver._due
+        receiver.on_timer(t)
+        if receiver._due != before:
+            attempts.append(t // MS)
+    gaps = [b - a for a, b in pairwise(attempts)]
+    assert gaps[:5] == [500, 1000, 2000, 4000, 5000]
+    assert "refused" in receiver.status().detail
 
 
 @pytest.mark.parametrize("udp_server", ["unicast-command"], indirect=True)
-def test_the_kernel_stamps_udp_and_tcp(udp_server: UdpServer, tcp_server: TcpServer) -> None:
+def test_the_kernel_stamps_udp_and_tcp(
+    udp_server: UdpServer, tcp_server: TcpServer, connect: Connect
+) -> None:
     """A receiver that reads late must still know when the datagram came."""
     offset = [0]
     clock = HostClock(lambda: time.monotonic_ns() + offset[0], lambda: time.time_ns() + offset[0])
@@ -370,19 +343,16 @@ def test_the_kernel_stamps_udp_and_tcp(udp_server: UdpServer, tcp_server: TcpSer
     )
     for url, pump in zip(urls, (udp_server.pump, tcp_server.pump), strict=True):
         offset[0] = 0
-        receiver = make_receiver(parse_mocap_url(url), CONFIG, clock=clock)
+        receiver = connect(url, clock=clock)
         samples: list[Pose] = []
-        try:
-            drive(receiver, pump, lambda got=samples: len(got) > 5, samples)  # type: ignore[misc]
-            pump()
-            sent_by = time.monotonic_ns()
-            ready, _, _ = select.select(receiver.fds(), [], [], 1.0)
-            offset[0] = 100 * MS  # as if the interpreter had been busy for 100 ms
-            late = [s for fd in ready for s in receiver.read_ready(fd)]
-            assert late
-            assert all(s.t_arrival_ns < sent_by + 5 * MS for s in late)
-        finally:
-            receiver.close()
+        drive(receiver, pump, lambda got=samples: len(got) > 5, samples)  # type: ignore[misc]
+        pump()
+        sent_by = time.monotonic_ns()
+        ready, _, _ = select.select(receiver.fds(), [], [], 1.0)
+        offset[0] = 100 * MS  # as if the interpreter had been busy for 100 ms
+        late = [s for fd in ready for s in receiver.read_ready(fd)]
+        assert late
+        assert all(s.t_arrival_ns < sent_by + 5 * MS for s in late)
 
 
 def make_ancillary(stamp_ns: int) -> list[tuple[int, int, bytes]]:
@@ -411,7 +381,3 @@ def test_addresses_that_make_no_receiver(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.undo()
     with pytest.raises(ValueError, match="up axis"):
         make_receiver(parse_mocap_url("vrpn://127.0.0.1/car?up=z"), z_forward)
-
-
-def test_derive_interface() -> None:
-    assert derive_interface(LOOPBACK, 1510) == LOOPBACK

@@ -1,19 +1,18 @@
 """One set of equations over every number type: floats, arrays, tensors and records agree."""
 
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from steerd.car_model.actuators import actuate
 from steerd.car_model.chassis import derivative
 from steerd.car_model.numpy_ops import NUMPY
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.car_model.single_track import SINGLE_TRACK
-from steerd.car_model.state import Command, State
-from steerd.car_model.tape import TAPE, Node, Tape, program
+from steerd.car_model.state import State
+from steerd.car_model.tape import TAPE, Node, Tape
 
 ONE = ("sin", "cos", "tan", "atan", "tanh", "exp", "absolute")
 VALUES = (-1.3, -0.25, 0.0, 0.25, 1.3)
@@ -94,22 +93,3 @@ def test_lanes_of_an_array_are_cars_of_their_own() -> None:
     for i, (state, one_wheel, one_accel) in enumerate(drawn):
         expected = derivative(SINGLE_TRACK, FLOAT, DEFAULT_CAR, state, one_wheel, one_accel)
         assert [v[i] for v in found] == pytest.approx(list(expected), rel=1e-12, abs=1e-12)
-
-
-def test_recorded_programs_give_the_floats() -> None:
-    tape = Tape()
-    names = (*Car._fields, *State._fields, "wheel", "accel", "ref_steer", "ref_speed", "h")
-    inputs = [tape.symbol(name) for name in names]
-    car, rest = Car(*inputs[: len(Car._fields)]), inputs[len(Car._fields) :]
-    state, (wheel, accel, steer, speed, h) = State(*rest[:7]), rest[7:]
-    rates = derivative(SINGLE_TRACK, TAPE, car, state, wheel, accel)
-    ref, step = Command(steer, speed), cast("float", h)
-    moved = actuate(TAPE, car, state, ref, step)
-    run = program(inputs, [*rates, *moved])
-    for at, w, a in points(20):
-        found = run(*DEFAULT_CAR, *at, w, a, 0.3, 2.0, 0.01)
-        expected = (
-            *derivative(SINGLE_TRACK, FLOAT, DEFAULT_CAR, at, w, a),
-            *actuate(FLOAT, DEFAULT_CAR, at, Command(0.3, 2.0), 0.01),
-        )
-        assert found == pytest.approx(expected, rel=1e-11, abs=1e-12)

@@ -1,63 +1,16 @@
-"""Container, launch file, unit and manual page start, test and describe what the code has."""
+"""Launch file, unit and manual page start and describe what the code has."""
 
 import argparse
 import configparser
-import re
 import shlex
 import shutil
 import subprocess
-import tomllib
 import xml.etree.ElementTree as ET
-from pathlib import Path
 
 import pytest
 
 from steerd.daemon.cli.commands.setup.completion import make_full_parser, make_manual
 from steerd.daemon.cli.main import COMMANDS, run_cli
-
-ROOT = Path(__file__).resolve().parents[2]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-
-
-def read_dockerfile():
-    """Stages by name: their instructions as pairs, continued lines joined."""
-    text = re.sub(r"\\\n\s*", "", (ROOT / "Dockerfile").read_text())
-    lines = [line for line in text.splitlines() if line and not line.startswith("#")]
-    stages = {}
-    name = ""
-    for line in lines:
-        word, rest = line.split(maxsplit=1)
-        if word == "FROM":
-            base, name = re.fullmatch(r"(\S+) AS (\w+)", rest).groups()
-            stages[name] = [(word, base)]
-        else:
-            stages[name].append((word, rest))
-    return stages
-
-
-STAGES = read_dockerfile()
-
-
-def steps(stage, word):
-    return [rest for name, rest in STAGES[stage] if name == word]
-
-
-def test_it_installs_as_the_makefile_does_and_tests_as_ci_does():
-    apt, install = steps("built", "RUN")
-    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
-    assert install.split()[0] == "make"
-    assert install.split()[1] in targets
-    assert {"make", "git"} <= set(apt.partition("--no-install-recommends")[2].split())
-    assert steps("test", "CMD") == ['["bash", ".ci/run"]']
-    assert "make test" in (ROOT / ".ci" / "run").read_text()
-
-
-def test_it_starts_the_console_script_and_stops_as_the_unit_does():
-    assert steps("car", "ENTRYPOINT") == [f'["{next(iter(PROJECT["scripts"]))}"]']
-    assert steps("car", "STOPSIGNAL") == ["SIGTERM"]
-    (path,) = (rest for rest in steps("built", "ENV") if rest.startswith("PATH="))
-    assert path == f"PATH={steps('built', 'WORKDIR')[0]}/.venv/bin:$PATH"
-
 
 OPTIONS = [
     "--port", "/dev/vesc", "--mocap", "natnet://10.0.0.2/car?up=y&unicast=1", "--speed", "0.5",

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -84,11 +85,8 @@ def test_port_is_fresh_after_a_program_left_its_lock_and_bytes(sim: SpawnedSim, 
     born = link.lstat().st_mtime_ns
     os.close(fd)
     until(lambda: link.is_symlink() and link.lstat().st_mtime_ns > born, idle)
-    port = open_port(sim.port)
-    try:
+    with closing(open_port(sim.port)) as port:
         assert ask_version(port.fd).uuid == VescConfig().uuid
-    finally:
-        port.close()
 
 
 def test_process_ends_when_its_parent_lets_go_and_cleans_up() -> None:
@@ -137,20 +135,14 @@ def test_foreign_frames_come_from_another_address() -> None:
 def test_reboot_hangs_up_and_the_port_comes_back(idle: int) -> None:
     config = WorldConfig(vesc=replace(VescConfig(), reboot_ns=150_000_000))
     with spawn_sim(config) as sim:
-        port = open_port(sim.port)
-        try:
+        with closing(open_port(sim.port)) as port:
             port.write(encode_frame(encode_command(c.Reboot())))
             until(lambda: not Path(sim.port).exists(), idle)
             with pytest.raises(LinkDown):
                 until(lambda: port.read() == b"never", idle, 1.0)
-        finally:
-            port.close()
         until(lambda: Path(sim.port).exists(), idle)
-        again = open_port(sim.port)
-        try:
+        with closing(open_port(sim.port)) as again:
             assert ask_version(again.fd).firmware == VescConfig().firmware
-        finally:
-            again.close()
 
 
 def fill(fd: int) -> None:

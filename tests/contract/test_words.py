@@ -121,23 +121,6 @@ def test_the_glossary_has_a_table_and_no_word_stands_twice() -> None:
     assert {row.scope for row in banned_words()} == {"text", "name", "function"}
 
 
-@pytest.mark.parametrize(
-    ("text", "seen"),
-    [
-        ("x = 1  # what the data tell\n", True),
-        ("told_by = 1\n", True),
-        ("residuals hang\n# together\n", True),
-        ("def opened() -> None: ...\n", True),
-        ("was_opened = True  # the port opened\n", False),
-        ("at = file.tell()\n", False),
-        ("intelligible = 1  # a storyteller\n", False),
-    ],
-)
-def test_the_check_sees_words_and_not_parts_of_others(text: str, seen: bool) -> None:
-    source = "" if text.startswith("residuals") else text
-    assert bool(find_words(text, is_python=bool(source))) is seen
-
-
 @pytest.mark.parametrize("name", list_files())
 def test_a_file_uses_the_words_of_the_glossary(name: str) -> None:
     found = find_words(read(name), is_python=name.endswith(".py"))

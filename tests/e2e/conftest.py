@@ -12,7 +12,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -22,15 +22,13 @@ import pytest
 from steerd.daemon.assembly.build import RunPlan, make_plan, make_world_config
 from steerd.daemon.cli.commands.driving import run as run_command
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.offline.fast import make_recording
-from steerd.daemon.offline.learn_beside import LearnerBeside
-from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
-from steerd.sim_hw.plant.faults import Fault
+from steerd.daemon.offline.fast import record_virtual
+from steerd.daemon.offline.virtual import VirtualRun, drive
 from steerd.sim_hw.world import World
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import MocapPose, Transition
 from steerd.steer_bus.session import AttachedFile, SessionWriter
-from steerd.steer_bus.session_read import MESSAGE_TYPES, Record, open_session
+from steerd.steer_bus.session_read import MESSAGE_TYPES, open_session
 
 SETTLE_NS = 3_000_000_000
 
@@ -64,11 +62,6 @@ class Driven:
             return distances(np.array(points), np.column_stack([path.x, path.y]), path.closed)
         return distances(np.array(points), curve, True)
 
-    def transitions(self) -> list[Transition]:
-        """The supervisor's changes, as recorded."""
-        records = open_session(self.session).messages(f"/steerd/{self.plan.options.car}/transition")
-        return [record.decode() for record in records]
-
 
 def distances(points: np.ndarray, curve: np.ndarray, closed: bool) -> np.ndarray:
     """Distances from points to a polygon [m], by looking at every side of it (no `project`)."""
@@ -101,51 +94,24 @@ def drive_fast(tmp_path: Path) -> Drive:
     """Drive as `steerd run --sim --fast` does, with the truth beside it."""
     count = 0
 
-    def go(line: str, faults: Sequence[Fault] = ()) -> Driven:
+    def go(line: str) -> Driven:
         nonlocal count
         count += 1
         driven = Driven(make_drive_plan(line), tmp_path / f"drive{count}.mcap")
-        recording = make_recording(driven.plan, driven.session)
-        learner = LearnerBeside(driven.plan)
-
-        def sink(records: list, t_ns: int) -> None:
-            for record in records:
-                for each in learner.take(record):
-                    recording.add(each)
 
         def note(run: VirtualRun) -> None:
             if run.core.loop.supervisor.state is SupervisorState.RUNNING:
                 truth = run.world.truth()
                 driven.track.append((truth.t_ns, truth.state.x, truth.state.y))
 
-        world = World(make_world_config(driven.plan), faults)
-        run = make_virtual_run(driven.plan, (sink,), world)
-        drive(run, note)
-        recording.writer.finish({"reason": "end of the run"})
+        world = World(make_world_config(driven.plan))
+        run = record_virtual(driven.plan, driven.session, lambda run: drive(run, note), world=world)
         driven.wire = run.wire.hexdigest()
         driven.faulted = run.core.loop.faulted
         driven.reason = run.core.loop.supervisor.reason
         return driven
 
     return go
-
-
-Change = Callable[[Record], bytes | None]
-
-
-def copy_session(source: Path, target: Path, change: Change) -> None:
-    """Copy a session, message by message: `change` gives new bytes, the old ones, or None."""
-    session = open_session(source)
-    info = session.info()
-    kept = [AttachedFile(n, "text/plain", session.attachment(n)) for n in info.attachments]
-    classes = {t.name: MESSAGE_TYPES[t.type_name] for t in info.topics}
-    meta = {k: v for k, v in info.metadata.items() if k != "steerd.end"}
-    writer = SessionWriter(target, classes, meta, kept, info.start_ns)
-    for record in session.messages():
-        data = change(record)
-        if data is not None:
-            writer.write(record.topic, data, record.log_ns, record.publish_ns)
-    writer.finish({"reason": "copied"})
 
 
 @pytest.fixture
@@ -156,20 +122,22 @@ def tamper_pose(tmp_path: Path) -> Callable[[Path], Path]:
     """
 
     def go(source: Path) -> Path:
-        poses = sum(r.topic.endswith("/mocap") for r in open_session(source).messages())
-        seen = 0
-
-        def change(record: Record) -> bytes:
-            nonlocal seen
-            if not record.topic.endswith("/mocap"):
-                return record.data
-            seen += 1
-            pose: MocapPose = record.decode()
-            moved = replace(pose, y=pose.y + 0.002, yaw=pose.yaw + 0.004)
-            return encode(moved) if seen == poses // 2 else record.data
-
+        session = open_session(source)
+        info, records = session.info(), list(session.messages())
+        kept = [AttachedFile(n, "text/plain", session.attachment(n)) for n in info.attachments]
+        classes = {t.name: MESSAGE_TYPES[t.type_name] for t in info.topics}
+        meta = {k: v for k, v in info.metadata.items() if k != "steerd.end"}
+        poses = [i for i, record in enumerate(records) if record.topic.endswith("/mocap")]
+        middle = poses[len(poses) // 2]
         target = tmp_path / f"tampered_{source.name}"
-        copy_session(source, target, change)
+        writer = SessionWriter(target, classes, meta, kept, info.start_ns)
+        for i, record in enumerate(records):
+            data = record.data
+            if i == middle:
+                pose: MocapPose = record.decode()
+                data = encode(replace(pose, y=pose.y + 0.002, yaw=pose.yaw + 0.004))
+            writer.write(record.topic, data, record.log_ns, record.publish_ns)
+        writer.finish({"reason": "copied"})
         return target
 
     return go

@@ -97,16 +97,6 @@ def test_an_interrupted_batch_goes_on_where_it_was(drives, tmp_path, capsys, mon
     assert whole.encode_table() == out.read_bytes()
 
 
-def test_another_question_needs_another_table(drives, tmp_path, capsys):
-    out = tmp_path / "t.parquet"
-    line = ["batch", "summarise", str(drives), "-o", str(out), "--jobs", "1"]
-    assert run_cli(line) == ExitCode.OK
-    car = tmp_path / "car.toml"
-    car.write_bytes((GOLDEN.parents[1] / "config" / "f1tenth.toml").read_bytes())
-    assert run_cli([*line, "--cars", str(car)]) == ExitCode.USAGE
-    assert "another command" in capsys.readouterr().err
-
-
 def test_a_session_is_diagnosed_with_its_cars_own_file(fleet, tmp_path):
     folder = tmp_path / "some"
     folder.mkdir()

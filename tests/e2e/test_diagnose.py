@@ -1,25 +1,23 @@
 """Simulated drives with a hidden effect: recorded, diagnosed by the command line, driven again."""
 
-import argparse
 import contextlib
 import hashlib
 import io
 import json
 import re
-import shlex
 
 import numpy as np
 import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.daemon.analysis.gap_closed_loop import try_lane
-from steerd.daemon.assembly.build import make_plan, make_world_config
-from steerd.daemon.cli.commands.driving import run as run_command
+from steerd.daemon.assembly.build import make_world_config
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import drive, make_virtual_run
 from steerd.sim_hw.world import World
 from steerd.steer_bus.session_read import open_session
+from tests.e2e.conftest import make_drive_plan
 
 LANE = "--path figure8 --speed 1.8"
 DELAY = 0.05
@@ -80,13 +78,6 @@ def test_the_last_line_can_be_typed(late, tmp_path):
     quietly(*words, "--record", tmp_path / "again.mcap")
 
 
-def plan_of(line):
-    parser = argparse.ArgumentParser()
-    run_command.add_arguments(parser)
-    args = parser.parse_args(["--sim", "--fast", *shlex.split(line)])
-    return make_plan(run_command.make_options(args))
-
-
 def offsets(plan, world_plan):
     """Lateral offset [m] of a plan's controller on the car of another plan, after 4 s."""
     run = make_virtual_run(plan, (), World(make_world_config(world_plan)))
@@ -104,19 +95,13 @@ def offsets(plan, world_plan):
 
 def test_a_controller_designed_from_the_new_car_file_is_better_on_that_car(late):
     lane = f"{LANE} --duration 14"
-    unaware = plan_of(f"{lane} --effect steer_delay={DELAY}")
-    aware = plan_of(f"{lane} --car {late[0] / 'car.toml'}")
+    unaware = make_drive_plan(f"{lane} --effect steer_delay={DELAY}")
+    aware = make_drive_plan(f"{lane} --car {late[0] / 'car.toml'}")
     before, after = (float(np.std(offsets(plan, unaware))) for plan in (unaware, aware))
     print(f"e1 on the car with the delay: {1e3 * before:.2f} -> {1e3 * after:.2f} mm")
     assert after < 0.5 * before
     told, old = aware.controller.report.timing, unaware.controller.report.timing
     assert told.delay_s + told.lag_s > old.delay_s + old.lag_s + 0.03
-
-
-def test_the_car_file_names_the_session(late):
-    car = load_car(late[0] / "car.toml")
-    assert len(car.effects) == 1
-    assert any("late.mcap" in source for source in car.source.values())
 
 
 def test_steps_of_steering_tell_dead_time_by_its_name(tmp_path):

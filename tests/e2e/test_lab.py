@@ -1,20 +1,14 @@
 """A lab with certificates, as processes: operators are heard, viewers only watch."""
 
 import signal
-import socket
 
 import pytest
 
 from steerd.daemon.cli.main import run_cli
+from tests.e2e.conftest import free_port
 
 pytest.importorskip("cryptography")
 pytestmark = pytest.mark.timeout(240)
-
-
-def free_port() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return str(probe.getsockname()[1])
 
 
 def run_command(steerd, *argv):
@@ -27,7 +21,7 @@ def test_operators_command_and_viewers_watch(undisturbed) -> None:
     def scenario(steerd, folder):
         lab = folder / "lab"
         people = ["--operator", "desk", "--viewer", "screen"]
-        where = ["--host", "127.0.0.1", "--port", free_port()]
+        where = ["--host", "127.0.0.1", "--port", str(free_port())]
         assert run_cli(["keys", str(lab), *where, *people]) == 0
         port, url = steerd.sim(folder)
         record = folder / "drive.mcap"

@@ -16,6 +16,7 @@ from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import decode
 from steerd.steer_bus.session_read import open_session
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
+from tests.e2e.conftest import changes
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -62,11 +63,6 @@ def start_run(steerd, folder, *more, **options):
     record = folder / "drive.mcap"
     argv = ("run", "--listen", steerd.endpoint, "--record", record, *CIRCLE, *more)
     return steerd(*argv, **options), record
-
-
-def last_change(session):
-    records = open_session(session).messages("/steerd/car1/transition")
-    return [record.decode() for record in records]
 
 
 def lane_errors(session):
@@ -206,7 +202,7 @@ def test_an_external_controller_drives_and_its_death_stops_the_car(
         watcher.until(lambda s: s.mode not in STOPS and abs(s.speed) < 0.05, run)
     run.send(signal.SIGINT)
     run.wait()
-    assert "W25 " in next(c.text for c in last_change(record) if c.to_state in STOPS)
+    assert "W25 " in next(c.text for c in changes(record) if c.to_state in STOPS)
     assert open_session(record).columns(m.DriveCommand)["seq"].size > 100
     assert np.abs(lane_errors(record)).max() < 0.05
     capsys.readouterr()

@@ -113,14 +113,16 @@ def test_each_effect_is_told(name, capsys):
     effect = EFFECTS[name]
     told = " ".join(text.split())  # lines break where the window ends
     assert effect.equation in told
+    assert effect.summary in told
     assert all(p.name in told and p.meaning in told for p in effect.parameters)
+    assert max(map(len, text.splitlines())) <= 80
     example = text.rpartition("--effect ")[2].strip()
     ((parsed, values),) = parse_effects(example)
     assert parsed is effect
     assert any(value != p.null for value, p in zip(values, effect.parameters, strict=True))
 
 
-def test_all_effects_in_a_table(capsys):
+def test_all_effects_in_a_table(capsys, monkeypatch):
     assert run_cli(["effects"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert {line.split()[0] for line in lines if line.startswith("  ")} == set(EFFECTS)
@@ -128,6 +130,10 @@ def test_all_effects_in_a_table(capsys):
     assert run_cli(["effects", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert {effect["name"] for effect in document["effects"]} == set(EFFECTS)
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "80")
+    assert run_cli(["effects"]) == 0
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
 
 
 def test_aliases_and_unknown_effects(capsys):

@@ -8,7 +8,6 @@ import pytest
 import steerd
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.many.job import open_finished
 from steerd.daemon.many.sweep import run as sweeping
 from steerd.steer_bus.session_read import open_session
 
@@ -104,14 +103,6 @@ def test_what_is_driven_again_is_said_within_80_columns(tmp_path, capsys):
     assert max(map(len, said.splitlines())) <= 80, said
     assert "mocap.position_noise 0.0002" in said
     assert "car.mass " in said
-
-
-def test_a_journal_of_another_sweep_is_refused(file, tmp_path, capsys):
-    out = tmp_path / "t.parquet"
-    with open_finished(out.with_name("t.parquet.journal"), "x") as (_, keep):
-        keep("0", "x", {"outcome": "driven"})
-    assert run_cli(["sweep", str(file), "-o", str(out)]) == ExitCode.USAGE
-    assert "another command" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.session_read import open_session
+from tests.e2e.conftest import changes, free_port
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 WANTED = ("/steerd/car1/state", "/steerd/car1/odom", "/scene", "/tf")
@@ -56,12 +57,6 @@ def decode_ros(channel, payload):
     return store.deserialize_cdr(payload, name)
 
 
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 def test_a_client_sees_the_drive_and_the_viewers_death_changes_nothing(steerd, tmp_path):
     port, record = free_port(), tmp_path / "drive.mcap"
     run = steerd(
@@ -90,12 +85,8 @@ def test_a_client_sees_the_drive_and_the_viewers_death_changes_nothing(steerd, t
     assert "the viewer ended with code -9" in run.text
     table = open_session(record).columns(m.StateMessage)
     assert not set(table["mode"]) & set(LATE_MODES)
-    recorded = {c.to_state for c in transitions(record)}
+    recorded = {c.to_state for c in changes(record)}
     assert SupervisorState.RUNNING in recorded
-
-
-def transitions(session):
-    return [r.decode() for r in open_session(session).messages("/steerd/car1/transition")]
 
 
 def test_a_taken_port_is_told_before_anything_drives(steerd, tmp_path):

@@ -10,14 +10,11 @@ import pytest
 
 from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.session_read import open_session
+from tests.e2e.conftest import rms
 
 SLOW_STEERING = "--effect steer_delay=0.03 --effect steer_lag=0.03"
 """30 ms beside the servo's own 10 ms; 50 ms + 30 ms of lag."""
 CAR_FILE = Path(__file__).resolve().parents[2] / "config" / "f1tenth.toml"
-
-
-def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def replays(session, capsys):
@@ -156,6 +153,3 @@ def test_a_path_from_a_file_is_driven_and_replays_without_the_file(
     assert driven.track[-1][1] ** 2 + driven.track[-1][2] ** 2 > 1.0
     file.unlink()
     assert replays(driven.session, capsys)
-
-
-# --- what a supervisor has to live with

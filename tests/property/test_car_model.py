@@ -6,11 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerd.car_model.chassis import SPEED_DYNAMIC, SPEED_KINEMATIC, derivative
+from steerd.car_model.chassis import SPEED_DYNAMIC, SPEED_KINEMATIC, Chassis, derivative
 from steerd.car_model.linear import rates_and_jacobian
 from steerd.car_model.model import Model
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, GRAVITY, PARAMETERS, Car
+from steerd.car_model.planar import CHASSIS
 from steerd.car_model.rollout import simulate, start
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
@@ -47,8 +48,13 @@ drives = st.lists(
 STEP = 0.005
 
 
-def run(car: Car[float], first: State[float], drive: list[Command[float]]) -> list[State[float]]:
-    model = Model(car)
+def run(
+    car: Car[float],
+    first: State[float],
+    drive: list[Command[float]],
+    chassis: Chassis = SINGLE_TRACK,
+) -> list[State[float]]:
+    model = Model(car, chassis=chassis)
     return [m.state for m in simulate(FLOAT, model, start(model, first, 0.0), drive, STEP)]
 
 
@@ -119,28 +125,42 @@ def test_above_walking_pace_it_is_commonroads_single_track_model(
     assert (rates.yaw, rates.speed) == (r, accel)
 
 
+every_chassis = pytest.mark.parametrize("chassis", CHASSIS, ids=lambda chassis: chassis.label)
+
+
+@every_chassis
 @repeatable
-@given(states, drives)
-def test_left_and_right_are_mirror_images(first: State[float], drive: list[Command[float]]) -> None:
+@given(first=states, drive=drives)
+def test_left_and_right_are_mirror_images(
+    chassis: Chassis, first: State[float], drive: list[Command[float]]
+) -> None:
     def mirrored(s: State[float]) -> State[float]:
         return State(s.x, -s.y, -s.yaw, s.speed, -s.yaw_rate, -s.slip_angle, -s.steer)
 
-    there = run(DEFAULT_CAR, first, drive)
-    over = run(DEFAULT_CAR, mirrored(first), [c._replace(steer=-c.steer) for c in drive])
-    assert list(map(mirrored, over)) == there
+    there = run(DEFAULT_CAR, first, drive, chassis)
+    turned = [c._replace(steer=-c.steer) for c in drive]
+    assert list(map(mirrored, run(DEFAULT_CAR, mirrored(first), turned, chassis))) == there
 
 
+@every_chassis
 @repeatable
-@given(states, drives, st.floats(-3, 3), st.floats(-10, 10), st.floats(-10, 10))
+@given(
+    first=states, drive=drives, turn=st.floats(-3, 3), dx=st.floats(-10, 10), dy=st.floats(-10, 10)
+)
 def test_the_world_has_no_favourite_place_or_direction(
-    first: State[float], drive: list[Command[float]], turn: float, dx: float, dy: float
+    chassis: Chassis,
+    first: State[float],
+    drive: list[Command[float]],
+    turn: float,
+    dx: float,
+    dy: float,
 ) -> None:
     def moved(s: State[float]) -> State[float]:
         c, d = math.cos(turn), math.sin(turn)
         return s._replace(x=dx + c * s.x - d * s.y, y=dy + d * s.x + c * s.y, yaw=s.yaw + turn)
 
-    there = run(DEFAULT_CAR, first, drive)
-    elsewhere = run(DEFAULT_CAR, moved(first), drive)
+    there = run(DEFAULT_CAR, first, drive, chassis)
+    elsewhere = run(DEFAULT_CAR, moved(first), drive, chassis)
     for a, b in zip(there, elsewhere, strict=True):
         assert tuple(moved(a)) == pytest.approx(tuple(b), abs=1e-9)
 

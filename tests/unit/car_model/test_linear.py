@@ -7,21 +7,14 @@ import pytest
 
 from steerd.car_model.chassis import Chassis, derivative
 from steerd.car_model.linear import augmented, lane_error_model, rates_and_jacobian, sample
-from steerd.car_model.params import DEFAULT_CAR, Car, wheelbase
+from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.car_model.planar import CHASSIS
 from steerd.car_model.state import ORIGIN, State
 from steerd.car_model.tape import TAPE, Tape, jacobian, program
-from tests.textbook import axle_stiffness, understeer_gradient
+from tests.textbook import axle_stiffness
 
 CAR = DEFAULT_CAR
 OVERSTEERING = CAR._replace(c_sf=6.0, c_sr=4.0)
-
-
-def test_understeer_gradient_is_the_textbooks_with_per_axle_stiffness() -> None:
-    cf, cr = axle_stiffness(CAR)
-    textbook = CAR.mass / wheelbase(CAR) * (CAR.lr / cf - CAR.lf / cr)
-    assert understeer_gradient(CAR) == pytest.approx(textbook, rel=1e-12)
-    assert understeer_gradient(OVERSTEERING) < 0.0 < understeer_gradient(CAR)
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, math.nan])

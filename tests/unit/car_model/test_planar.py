@@ -29,33 +29,6 @@ states = st.builds(
 )
 
 
-def mirrored(state: State[float]) -> State[float]:
-    """The same car seen in a mirror along the world's x axis."""
-    return State(
-        state.x, -state.y, -state.yaw, state.speed, -state.yaw_rate, -state.slip_angle, -state.steer
-    )
-
-
-@pytest.mark.parametrize("chassis", EVERY, ids=lambda c: c.label)
-@given(state=states, accel=st.floats(-6, 6))
-def test_left_and_right_are_mirror_images(chassis, state, accel) -> None:
-    here = derivative(chassis, FLOAT, CAR, state, state.steer, accel)
-    there = derivative(chassis, FLOAT, CAR, mirrored(state), -state.steer, accel)
-    signs = (1, -1, -1, 1, -1, -1)
-    assert there == pytest.approx([s * r for s, r in zip(signs, here, strict=True)], abs=1e-9)
-
-
-@pytest.mark.parametrize("chassis", EVERY, ids=lambda c: c.label)
-@given(state=states, turn=st.floats(-3, 3))
-def test_no_direction_of_the_world_is_special(chassis, state, turn) -> None:
-    here = derivative(chassis, FLOAT, CAR, state, state.steer, 0.5)
-    turned = derivative(chassis, FLOAT, CAR, state._replace(yaw=state.yaw + turn), state.steer, 0.5)
-    c, s = math.cos(turn), math.sin(turn)
-    assert turned.x == pytest.approx(c * here.x - s * here.y, abs=1e-9)
-    assert turned.y == pytest.approx(s * here.x + c * here.y, abs=1e-9)
-    assert turned[2:] == pytest.approx(here[2:], abs=1e-12)
-
-
 @pytest.mark.parametrize("chassis", EVERY, ids=lambda c: c.label)
 @given(
     speed=st.floats(0.6, 4.0),

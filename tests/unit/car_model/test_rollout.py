@@ -115,10 +115,6 @@ def believed(text):
     )
 
 
-def test_no_effect_changes_nothing():
-    assert believed_car(Model(DEFAULT_CAR)) == DEFAULT_CAR
-
-
 @pytest.mark.parametrize("name", EFFECTS)
 def test_at_its_null_no_effect_changes_anything(name):
     effect = EFFECTS[name]

@@ -44,62 +44,30 @@ def pass_gate(steer, speed, last=(0.0, 0.0), v=0.0, cap=inf, dt_ns=STEP_NS, limi
     return limit_order(limits, state, Command(steer, speed), v, cap, dt_ns)
 
 
-@pytest.mark.parametrize("wish", near(0.375))
-def test_left_limit(wish):
-    out = pass_gate(wish, 0.0, last=(0.375, 0.0))
-    assert out.order.steer == min(wish, 0.375)
-    assert out.clips == (Clip.STEER if wish > 0.375 else 0)
-    assert out.verdict == (Verdict.CLIPPED if wish > 0.375 else Verdict.PASSED)
-
-
-@pytest.mark.parametrize("wish", near(-0.25))
-def test_right_limit_is_its_own(wish):
-    out = pass_gate(wish, 0.0, last=(-0.25, 0.0))
-    assert out.order.steer == max(wish, -0.25)
-    assert out.clips == (Clip.STEER if wish < -0.25 else 0)
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("wish", near(STEER_STEP))
-def test_servo_rate(wish, sign):
-    out = pass_gate(sign * wish, 0.0)
-    assert out.order.steer == sign * min(wish, STEER_STEP)
-    assert out.clips == (Clip.STEER_RATE if wish > STEER_STEP else 0)
-
-
-@pytest.mark.parametrize("wish", near(1.0 + ACCEL_STEP))
-def test_acceleration(wish):
-    out = pass_gate(0.0, wish, last=(0.0, 1.0))
-    assert out.order.speed == min(wish, 1.0 + ACCEL_STEP)
-    assert out.clips == (Clip.SPEED_RATE if wish > 1.0 + ACCEL_STEP else 0)
-
-
-@pytest.mark.parametrize("wish", near(1.0 - DECEL_STEP))
-def test_deceleration_has_its_own_limit(wish):
-    out = pass_gate(0.0, wish, last=(0.0, 1.0))
-    assert out.order.speed == max(wish, 1.0 - DECEL_STEP)
-    assert out.clips == (Clip.SPEED_RATE if wish < 1.0 - DECEL_STEP else 0)
-
-
-@pytest.mark.parametrize("wish", near(3.0))
-def test_speed_limit(wish):
-    out = pass_gate(0.0, wish, last=(0.0, 3.0))
-    assert out.order.speed == min(wish, 3.0)
-    assert out.clips == (Clip.SPEED if wish > 3.0 else 0)
-
-
-@pytest.mark.parametrize("wish", near(0.0))
-def test_no_reverse(wish):
-    out = pass_gate(0.0, wish)
-    assert out.order.speed == max(wish, 0.0)
-    assert out.clips == (Clip.SPEED if wish < 0.0 else 0)
-
-
-@pytest.mark.parametrize("wish", near(0.5))
-def test_cap_of_the_supervisor(wish):
-    out = pass_gate(0.0, wish, last=(0.0, 0.5), cap=0.5)
-    assert out.order.speed == min(wish, 0.5)
-    assert out.clips == (Clip.SPEED if wish > 0.5 else 0)
+@pytest.mark.parametrize(
+    ("axis", "bound", "side", "last", "cap", "clip"),
+    [
+        ("steer", 0.375, 1, (0.375, 0.0), inf, Clip.STEER),
+        ("steer", -0.25, -1, (-0.25, 0.0), inf, Clip.STEER),
+        ("steer", STEER_STEP, 1, (0.0, 0.0), inf, Clip.STEER_RATE),
+        ("steer", -STEER_STEP, -1, (0.0, 0.0), inf, Clip.STEER_RATE),
+        ("speed", 1.0 + ACCEL_STEP, 1, (0.0, 1.0), inf, Clip.SPEED_RATE),
+        ("speed", 1.0 - DECEL_STEP, -1, (0.0, 1.0), inf, Clip.SPEED_RATE),
+        ("speed", 3.0, 1, (0.0, 3.0), inf, Clip.SPEED),
+        ("speed", 0.0, -1, (0.0, 0.0), inf, Clip.SPEED),
+        ("speed", 0.5, 1, (0.0, 0.5), 0.5, Clip.SPEED),
+    ],
+    ids=["left", "right is its own", "rate to the left", "rate to the right", "acceleration",
+         "deceleration has its own", "top speed", "no reverse", "the supervisor's cap"],
+)  # fmt: skip
+def test_an_order_is_held_at_each_bound_and_passes_before_it(axis, bound, side, last, cap, clip):
+    """`side` is 1 where the bound is the most, -1 where it is the least."""
+    for wish in near(bound):
+        out = pass_gate(**{"steer": 0.0, "speed": 0.0, axis: wish}, last=last, cap=cap)
+        over = side * (wish - bound) > 0.0
+        assert getattr(out.order, axis) == (bound if over else wish)
+        assert out.clips == (clip if over else 0)
+        assert out.verdict == (Verdict.CLIPPED if over else Verdict.PASSED)
 
 
 def test_cap_below_the_last_order_is_reached_at_the_deceleration_limit():

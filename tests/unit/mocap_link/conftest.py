@@ -59,9 +59,6 @@ def capture(capture_dir: Path) -> list[Datagram]:
     return list(read_pcapng((capture_dir / "traffic.pcapng").read_bytes()))
 
 
-CAR_AND_B2 = (natnet.RigidBodyDesc("car", 1), natnet.RigidBodyDesc("b2", 2))
-
-
 @dataclass
 class FakeServer:
     """Answers like Motive, on a clock of its own that runs `skew` off and begins anywhere."""

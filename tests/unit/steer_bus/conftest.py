@@ -7,36 +7,12 @@ import numpy as np
 import pytest
 
 from steerd.steer_bus.codec import encode, type_name
-from steerd.steer_bus.fields import Array, Blob, Scalar, Text, message_fields
 from steerd.steer_bus.messages import OWN_MESSAGES, WORLD, make_header
 from steerd.steer_bus.session import AttachedFile, SessionWriter
-from steerd.steer_bus.standard import Header
+from tests.blank import drawn
 
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 5_000_000
-
-
-def make_value(kind, rng):
-    if isinstance(kind, Text):
-        return "x" * int(rng.integers(0, 9))
-    if isinstance(kind, Blob):
-        return rng.bytes(int(rng.integers(0, 30)))
-    if isinstance(kind, Array):
-        return tuple(rng.normal(size=kind.count).tolist())
-    if isinstance(kind, Scalar):
-        return float(rng.normal()) if kind.code in "df" else int(rng.integers(0, 100))
-    return make_message(kind.cls, rng)
-
-
-def make_message(cls, rng, stamp_ns=START_NS):
-    values = {}
-    for field in message_fields(cls):
-        nested = getattr(field.kind, "cls", None)
-        if nested is Header:
-            values[field.name] = make_header(stamp_ns, WORLD)
-        else:
-            values[field.name] = make_value(field.kind, rng)
-    return cls(**values)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,7 +41,7 @@ def write_drive(path, ticks=200, seed=0):
     for tick in range(ticks):
         stamp = START_NS + tick * PERIOD_NS
         for cls, topic in TOPIC_OF.items():
-            message = make_message(cls, rng, stamp)
+            message = dataclasses.replace(drawn(cls, rng), header=make_header(stamp, WORLD))
             messages[topic].append(message)
             order.append((topic, encode(message)))
             writer.write(topic, encode(message), stamp, stamp - 1000)
@@ -87,8 +63,3 @@ def topic_of():
 @pytest.fixture(scope="session")
 def make_drive():
     return write_drive
-
-
-@pytest.fixture(scope="session")
-def make_random_message():
-    return make_message

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from steerd.steer_bus.bus import BusError
-from steerd.steer_bus.lab import Lab, load_lab, make_access_settings, make_tls_settings
+from steerd.steer_bus.lab import Lab, load_lab, make_access_settings
 from steerd.steer_bus.zenoh_bus import Profile, make_hub_profile, make_settings, make_spoke_profile
 
 ENDPOINT = "tls/10.0.0.5:7447"
@@ -47,17 +47,11 @@ def test_a_key_that_others_can_read_is_refused(folder, mode):
     "text",
     [
         "", "car = ", GOOD.replace("car1", ""), GOOD.replace('"desk"', "3"),
-        GOOD.replace('["screen"]', "7"), GOOD.replace("tls/", "tcp/"), "\x00", GOOD * 2,
+        GOOD.replace('["screen"]', "7"), GOOD.replace("tls/", "tcp/"), "\x00", GOOD * 2, "\xff\xfe",
     ],
 )  # fmt: skip
 def test_an_odd_list_is_refused_by_name(folder, text):
-    (folder / "lab.toml").write_text(text)
-    with pytest.raises(BusError, match=r"lab\.toml"):
-        load_lab(folder)
-
-
-def test_bytes_that_are_no_text_are_refused(folder):
-    (folder / "lab.toml").write_bytes(b"\xff\xfe")
+    (folder / "lab.toml").write_bytes(text.encode("latin-1"))
     with pytest.raises(BusError, match=r"lab\.toml"):
         load_lab(folder)
 
@@ -66,15 +60,6 @@ def rules_of(settings, role):
     access = settings["access_control"]
     policy = next(p for p in access["policies"] if p["subjects"] == [role])
     return [rule for rule in access["rules"] if rule["id"] in policy["rules"]]
-
-
-def test_all_is_denied_but_what_is_listed():
-    access = make_access_settings(LAB)["access_control"]
-    assert access["enabled"] is True
-    assert access["default_permission"] == "deny"
-    assert {rule["permission"] for rule in access["rules"]} == {"allow"}
-    subjects = {s["id"]: s["cert_common_names"] for s in access["subjects"]}
-    assert subjects == {"desk": ["desk"], "viewers": ["screen"]}
 
 
 def test_a_viewer_may_send_nothing_and_an_operator_requests_only():
@@ -96,30 +81,10 @@ def test_a_viewer_may_send_nothing_and_an_operator_requests_only():
     }
 
 
-def test_what_is_published_holds_no_requests():
-    published = next(
-        r["key_exprs"]
-        for r in make_access_settings(LAB)["access_control"]["rules"]
-        if r["flows"] == ["egress"] and "put" in r["messages"]
-    )
-    assert published == ["steerd/car1/*", "steerd/car1/schema/**"]
-
-
 def test_a_role_that_nobody_has_is_left_out():
     access = make_access_settings(Lab(Path("x"), "car1", ENDPOINT, ("desk",)))["access_control"]
     assert [s["id"] for s in access["subjects"]] == ["desk"]
     assert [p["subjects"] for p in access["policies"]] == [["desk"]]
-
-
-@pytest.mark.parametrize(("hub", "side"), [(True, "listen"), (False, "connect")])
-def test_both_ends_show_a_certificate(hub, side):
-    settings = make_tls_settings(LAB, hub=hub)
-    tls = "transport/link/tls/"
-    assert settings[f"{tls}enable_mtls"] is True
-    assert settings[f"{tls}{side}_certificate"] == "/lab/car1/cert.pem"
-    assert settings[f"{tls}{side}_private_key"] == "/lab/car1/key.pem"
-    assert settings[f"{tls}root_ca_certificate"] == "/lab/car1/ca.pem"
-    assert settings[f"{tls}verify_name_on_connect"] is True
 
 
 def test_profiles():

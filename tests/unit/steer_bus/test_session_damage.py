@@ -69,31 +69,6 @@ def codes(path):
     return [warning.code for warning in open_session(path).warnings]
 
 
-@pytest.mark.parametrize(
-    ("content", "code"),
-    [
-        (b"", "empty"),
-        (b"hello, world", "not_mcap"),
-        (MAGIC[:5], "not_mcap"),
-        (b"PK\3\4" + bytes(100), "not_mcap"),
-        (b"SQLite format 3\0", "not_mcap"),
-    ],
-)
-def test_what_is_no_session(tmp_path, content, code):
-    with pytest.raises(SessionError) as caught:
-        open_session(write(tmp_path / "a.mcap", content))
-    assert (caught.value.code, caught.value.exit_code) == (code, 3)
-    assert "\n" not in str(caught.value)
-
-
-def test_what_is_no_file(tmp_path):
-    os.mkfifo(tmp_path / "fifo")
-    for name, code in [("", "not_a_file"), ("fifo", "not_a_file"), ("none", "not_found")]:
-        with pytest.raises(SessionError) as caught:
-            open_session(tmp_path / name)
-        assert caught.value.code == code
-
-
 def test_a_file_without_permission(tmp_path, monkeypatch):
     path = write(tmp_path / "a.mcap", MAGIC)
 
@@ -104,10 +79,6 @@ def test_a_file_without_permission(tmp_path, monkeypatch):
     with pytest.raises(SessionError) as caught:
         open_session(path)
     assert caught.value.code == "unreadable"
-
-
-def test_magic_only(tmp_path):
-    assert codes(write(tmp_path / "a.mcap", MAGIC)) == ["unfinished"]
 
 
 def test_truncation_keeps_everything_before_it(whole, tmp_path):

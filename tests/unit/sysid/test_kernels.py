@@ -33,13 +33,15 @@ from steerd.sysid.paper.torch_kernel import simulate
 H = 0.005
 
 
+def _first(rng, count, slowest=0.25):
+    """States anywhere, at up to 2 m/s."""
+    speed = rng.uniform(slowest, 2.0, (count, 1))
+    return np.c_[rng.normal(size=(count, 3)), speed, 0.1 * rng.normal(size=(count, 3))]
+
+
 def _inputs(model, count=5, steps=40, history=4, seed=0):
     rng = np.random.default_rng(seed)
-    first = np.c_[
-        rng.normal(size=(count, 3)),
-        rng.uniform(0.25, 2.0, (count, 1)),
-        0.1 * rng.normal(size=(count, 3)),
-    ]
+    first = _first(rng, count)
     steer = rng.uniform(-0.4, 0.4, (count, history + steps))
     speed = rng.uniform(0.5, 3.0, (count, history + steps))
     arrays = (parameter_vector(model), first, np.stack([steer, speed], -1))
@@ -52,6 +54,16 @@ def any_model(request, rich_model):
     return Model(car) if request.param == "base" else rich_model
 
 
+def assert_same(fast, slow, *inputs):
+    """Values, and the gradients of a sum of them with random weights."""
+    assert torch.max(torch.abs(fast - slow)) < 1e-9
+    weight = torch.tensor(np.random.default_rng(1).normal(size=tuple(slow.shape)))
+    wanted = torch.autograd.grad((weight * slow).sum(), inputs)
+    got = torch.autograd.grad((weight * fast).sum(), inputs)
+    for a, b in zip(got, wanted, strict=True):
+        assert torch.max(torch.abs(a - b)) < 1e-9 * torch.max(torch.abs(b))
+
+
 @pytest.mark.parametrize("integrator", ["euler", "rk4"])
 def test_kernel_equals_reference_in_value_and_gradient(any_model, integrator):
     p, first, commands = _inputs(any_model)
@@ -60,12 +72,7 @@ def test_kernel_equals_reference_in_value_and_gradient(any_model, integrator):
     fast = simulate(kernels, p, first, commands, H, **options)
     slow = simulate_reference(p, first, commands, H, effects=any_model.effects, **options)
     assert fast.shape == slow.shape == (5, 41, 7 + kernels.memory)
-    assert torch.max(torch.abs(fast - slow)) < 1e-9
-    weight = torch.tensor(np.random.default_rng(1).normal(size=tuple(slow.shape)))
-    wanted = torch.autograd.grad((weight * slow).sum(), [p, first, commands])
-    got = torch.autograd.grad((weight * fast).sum(), [p, first, commands])
-    for a, b in zip(got, wanted, strict=True):
-        assert torch.max(torch.abs(a - b)) < 1e-9 * torch.max(torch.abs(b))
+    assert_same(fast, slow, p, first, commands)
 
 
 @pytest.mark.parametrize("slowest", [0.3, 0.8])
@@ -77,12 +84,7 @@ def test_on_the_move_and_through_walking_pace(any_model, slowest):
     fast = simulate(make_kernels(any_model.effects), p, first, commands, H, history=4)
     slow = simulate_reference(p, first, commands, H, effects=any_model.effects, history=4)
     assert bool((slow[..., 3] > SPECIALISED_SPEED).all()) == (slowest > SPECIALISED_SPEED)
-    assert torch.max(torch.abs(fast - slow)) < 1e-9
-    weight = torch.tensor(np.random.default_rng(1).normal(size=tuple(slow.shape)))
-    wanted = torch.autograd.grad((weight * slow).sum(), [p, first, commands])
-    got = torch.autograd.grad((weight * fast).sum(), [p, first, commands])
-    for a, b in zip(got, wanted, strict=True):
-        assert torch.max(torch.abs(a - b)) < 1e-9 * torch.max(torch.abs(b))
+    assert_same(fast, slow, p, first, commands)
 
 
 def test_more_windows_than_a_block_and_substeps():
@@ -90,11 +92,7 @@ def test_more_windows_than_a_block_and_substeps():
     fast = simulate(make_kernels(), p, first, commands, H, substeps=3, history=4)
     repeated = commands.repeat_interleave(3, dim=1)
     slow = simulate_reference(p, first, repeated, H / 3, history=12)[:, ::3]
-    assert torch.max(torch.abs(fast - slow)) < 1e-9
-    got = torch.autograd.grad((fast**2).sum(), [p, first, commands])
-    wanted = torch.autograd.grad((slow**2).sum(), [p, first, commands])
-    for a, b in zip(got, wanted, strict=True):
-        assert torch.max(torch.abs(a - b)) < 1e-9 * torch.max(torch.abs(b))
+    assert_same(fast, slow, p, first, commands)
 
 
 def test_reference_and_kernel_pass_gradcheck(any_model):
@@ -120,15 +118,9 @@ def test_paper_setting_is_the_float_simulation_with_euler():
     )  # fmt: skip
     first = torch.zeros(1, 7, dtype=torch.float64)
     first[0, 3] = 1.0
-    tensor = torch.tensor([commands], dtype=torch.float64)
-    got = simulate(
-        make_kernels(),
-        torch.tensor([*PAPER_CAR_DIRECT], dtype=torch.float64),
-        first,
-        tensor,
-        PAPER_STEP,
-        integrator="euler",
-    )
+    orders = torch.tensor([commands], dtype=torch.float64)
+    p = torch.tensor([*PAPER_CAR_DIRECT], dtype=torch.float64)
+    got = simulate(make_kernels(), p, first, orders, PAPER_STEP, integrator="euler")
     assert np.abs(got[0, -1].numpy() - np.array(moments[-1].state)).max() < 1e-12
     assert got[0, -1, 6] == PAPER_CAR_DIRECT.steer_max
 
@@ -158,9 +150,7 @@ def _stations(kernels: Kernels, p, held: HeldCommands, windows: int) -> Stations
 def test_sensitivities_are_central_differences(any_model):
     kernels, p = make_kernels(any_model.effects), parameter_vector(any_model)
     rng = np.random.default_rng(3)
-    first = np.c_[
-        rng.normal(size=(2, 3)), rng.uniform(0.4, 2.0, (2, 1)), 0.1 * rng.normal(size=(2, 3))
-    ]
+    first = _first(rng, 2, 0.4)
     commands = np.stack([rng.uniform(-0.3, 0.3, 120), rng.uniform(0.5, 3.0, 120)], -1)
     windows = Windows(np.array([[0, 120, 15, 40, 10], [0, 120, 70, 40, 10]]), np.array([0.1, 0.4]))
     held, count = HeldCommands(commands, H), len(p)
@@ -199,11 +189,7 @@ def _unlike(count, rows, rng):
 def test_a_window_reads_the_same_in_any_company(any_model, substeps):
     kernels, p = make_kernels(any_model.effects), parameter_vector(any_model)
     rng, count = np.random.default_rng(8), 19
-    first = np.c_[
-        rng.normal(size=(count, 3)),
-        rng.uniform(0.3, 2.0, (count, 1)),
-        0.1 * rng.normal(size=(count, 3)),
-    ]
+    first = _first(rng, count, 0.3)
     commands = np.stack([rng.uniform(-0.3, 0.3, 90), rng.uniform(0.3, 3.0, 90)], -1)
     held, windows = HeldCommands(commands, H, substeps), _unlike(count, 90, rng)
     seeds = rng.normal(size=(len(p), 9)) * (rng.uniform(size=(len(p), 9)) < 0.2)
@@ -274,14 +260,6 @@ def test_too_many_sensitivities_are_refused():
     kernels, p = make_kernels(), parameter_vector(Model(DEFAULT_CAR))
     stations = Stations(np.zeros((0, 4), np.int64), np.zeros(0), np.zeros(2, np.int64), 0)
     windows = Windows(np.array([[0, 1, 0, 1, 0]]), np.zeros(1))
+    seeds, dfirst, held = np.zeros((21, 73)), np.zeros((7, 73)), HeldCommands(np.zeros((1, 2)), H)
     with pytest.raises(ValueError, match="73 sensitivities"):
-        compute_readings(
-            kernels,
-            p,
-            np.zeros((21, 73)),
-            np.zeros((1, 7)),
-            np.zeros((7, 73)),
-            HeldCommands(np.zeros((1, 2)), H),
-            windows,
-            stations,
-        )
+        compute_readings(kernels, p, seeds, np.zeros((1, 7)), dfirst, held, windows, stations)

@@ -1,13 +1,18 @@
-"""Car files that come out of an identification: digits, comments and names that are true."""
+"""Car files that come out of an identification: digits, comments, wiring and noise."""
 
 import tomllib
-from math import inf, nan
+from math import inf
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from steerd.car_model.car_file import Learned, default_car_path, load_car, parse_car
-from steerd.daemon.analysis.car_output import make_car
+from steerd.daemon.analysis.car_output import find_wiring, learn_known, make_car
+from steerd.steer_bus.session import AttachedFile, SessionWriter, open_session
+from steerd.sysid.data.dataset import Run, Signal, make_run
+from steerd.sysid.data.segments import SPEED_MIN, moving_segments
+from steerd.sysid.inference.noise import Noise, noise_section
 
 BASE = load_car(default_car_path())
 FOUND = Learned(0.063010764350838, 0.000155127898, "steerd identify (ours): mixed.mcap")
@@ -17,27 +22,17 @@ def line(car, key):
     return next(each for each in car.text.splitlines() if each.startswith(f"{key} = "))
 
 
-def test_a_value_has_the_digits_that_its_error_leaves():
-    car = make_car(BASE, {"steer_lag": FOUND}, Path("blue.toml"))
-    assert car.car.steer_lag == 0.063011
-    assert car.sd["steer_lag"] == 0.00016
-
-
 @pytest.mark.parametrize(
     ("value", "sd", "shown"),
-    [(15.2428916, 0.193184, 15.243), (0.9668802290607, 6.69e-06, 0.96688023),
-     (1234.5678, 250.0, 1235.0), (0.0411234567, None, 0.0411235), (0.0411234567, 0.0, 0.0411235),
-     (0.0411234567, nan, 0.0411235), (0.0411234567, inf, 0.0411235)],
+    [(15.2428916, 0.193184, 15.243), (9.668802290607, 6.69e-05, 9.6688023),
+     (123.45678, 25.0, 123.5), (4.11234567, None, 4.11235), (4.11234567, 0.0, 4.11235),
+     (4.11234567, inf, 4.11235)],
 )  # fmt: skip
-def test_rounding_costs_a_two_hundredth_of_the_error_at_most(value, sd, shown):
-    car = BASE.car._replace(c_x=value)
-    learned = Learned(value if 2.0 <= value <= 200.0 else 15.0, None, "")
-    assert make_car(BASE, {"c_x": learned}, Path("x.toml")).car.c_x == pytest.approx(learned.value)
-    from steerd.daemon.analysis.car_output import _rounded
-
-    assert _rounded(Learned(car.c_x, sd)).value == shown
-    if sd and sd < inf:
-        assert abs(shown - value) <= sd / 200.0 + 1e-12
+def test_a_value_has_the_digits_that_its_error_leaves(value, sd, shown):
+    """Rounding costs a two-hundredth of the error at most."""
+    car = make_car(BASE, {"c_x": Learned(value, sd, "")}, Path("x.toml"))
+    assert car.car.c_x == shown
+    assert not sd or not sd < inf or abs(shown - value) <= sd / 200.0 + 1e-12
 
 
 def test_comments_belong_to_the_values_that_stand_there():
@@ -72,3 +67,94 @@ def test_the_file_is_a_right_car_file_with_everything_else_as_it_was():
     assert {k: v for k, v in old.items() if k != "car"} == {
         k: v for k, v in new.items() if k != "car"
     }
+
+
+# A car file that began as F1TENTH's gets the wiring of the drives that it was learnt from.
+
+MINE = Path("mine.toml")
+OWN = BASE.text.replace("erpm_gain = 4614.0", "erpm_gain = -7300.0").replace('up = "y"', 'up = "z"')
+
+
+@pytest.fixture
+def drive(tmp_path):
+    """Writes a drive with its car file, or with what an import was given about its motor."""
+
+    def write(name, car_text=None, scaling=None):
+        path = tmp_path / f"{name}.mcap"
+        files = (
+            [AttachedFile("car.toml", "application/toml", car_text.encode())] if car_text else []
+        )
+        metadata = {"steerd.session": {}, **({"steerd.scaling": scaling} if scaling else {})}
+        SessionWriter(path, {}, metadata, files).finish({"reason": "end"})
+        return open_session(path)
+
+    return write
+
+
+def test_the_drives_own_motor_and_mocap_stand_in_the_file(drive):
+    wiring = find_wiring(BASE, [drive("a", OWN), drive("b", OWN)])
+    made = tomllib.loads(make_car(BASE, {}, MINE, wiring).text)
+    assert made["vesc"]["erpm_gain"] == -7300.0
+    assert made["mocap"]["up"] == "z"
+    assert made["car"] == tomllib.loads(BASE.text)["car"] | {"name": "mine"}
+
+
+def test_what_an_import_was_given_stands_in_the_file(drive):
+    session = drive("a", scaling={"erpm_gain": "-7350.0", "erpm_offset": "0.0"})
+    assert find_wiring(BASE, [session]) == {("vesc", "erpm_gain"): -7350.0}
+
+
+@pytest.mark.parametrize("case", ["default", "named", "differ", "none"])
+def test_nothing_changes_without_a_wiring_that_all_drives_share(drive, case):
+    base, sessions = BASE, [drive("a", OWN)]
+    if case == "default":
+        sessions = [drive("b", BASE.text)]
+    elif case == "named":
+        base = parse_car(BASE.text, MINE)
+    elif case == "differ":
+        sessions.append(drive("b", BASE.text))
+    else:
+        sessions = [drive("c")]
+    assert find_wiring(base, sessions) == {}
+
+
+def test_a_wiring_that_no_file_may_hold_loses_no_result(drive):
+    wrong = OWN.replace("\n[vesc]", "\n[vesc]\nof_another_version = 1.0")
+    wiring = find_wiring(BASE, [drive("a", wrong)])
+    assert wiring
+    assert make_car(BASE, {}, MINE, wiring).text == make_car(BASE, {}, MINE).text
+
+
+# Noise is learnt where the car moves, as diagnose judges.
+
+NOISE = Noise((1e-3, 2e-3, 0.02, 0.03), (0.4, 0.3, 2.0))
+
+
+def _half_standing() -> Run:
+    """20 s, of which the car stands for the first ten."""
+    t = np.arange(2000) * 0.01
+    speed = np.where(t < 10.0, 0.0, 1.5)
+    pose = np.column_stack([np.cumsum(speed) * 0.01, np.zeros((2000, 2))])
+    return make_run("half", Signal(t, np.zeros(2000)), Signal(t, speed), Signal(t, pose))
+
+
+def test_noise_is_learnt_where_the_car_moves(monkeypatch):
+    seen = []
+    monkeypatch.setattr(
+        "steerd.sysid.inference.car_posterior.learn_sections",
+        lambda car, runs: (seen.extend(runs), {"noise": noise_section(NOISE)})[1],
+    )
+    run = _half_standing()
+    known = learn_known(load_car(default_car_path()), (run,))
+    assert known == {"noise": noise_section(NOISE)}
+    assert [r.duration for r in seen] == [r.duration for r in moving_segments([run])]
+    assert all(np.all(r.commands[:, 1] > SPEED_MIN) for r in seen)
+    assert sum(r.duration for r in seen) < 10.0
+
+
+def test_a_creeping_car_teaches_nothing():
+    t, pace = np.arange(1000) * 0.01, 0.5 * SPEED_MIN
+    pose = Signal(t, np.column_stack([pace * t, np.zeros((1000, 2))]))
+    run = make_run("creep", Signal(t, np.zeros(1000)), Signal(t, np.full(1000, pace)), pose)
+    car = load_car(default_car_path())
+    assert learn_known(car, (run,)) == {}

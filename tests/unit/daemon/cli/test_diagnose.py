@@ -4,7 +4,6 @@ import argparse
 import contextlib
 import hashlib
 import io
-import itertools
 import json
 import re
 from pathlib import Path
@@ -13,15 +12,13 @@ import pytest
 
 from steerd.car_model.car_file import load_car
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.daemon.analysis.car_output import diagnosed_values
 from steerd.daemon.analysis.diagnose_text import COLUMNS, LINES
 from steerd.daemon.analysis.diagnosis import make_case
-from steerd.daemon.analysis.options import DiagnoseOptions, HeldOut, read_arguments, read_held_out
-from steerd.daemon.cli.arguments import split_held_out
+from steerd.daemon.analysis.options import DiagnoseOptions, read_arguments
 from steerd.daemon.cli.commands.analysis import diagnose as command
 from steerd.daemon.cli.main import run_cli as main
 from steerd.daemon.common.errors import SteerdError
-from tests.csv_logs import STEP, import_log, make_noisy_rows
+from tests.csv_logs import import_log, make_noisy_rows
 
 pytestmark = pytest.mark.slow
 
@@ -82,6 +79,7 @@ def test_json_has_exactly_the_shape_of_the_schema(diagnosed):
     assert set(cause) == {
         "effect", "stage", "family", "parameters", "confidence", "shrink", "ambiguous_with"
     }  # fmt: skip
+    assert set(cause["shrink"]) == {"predicted", "measured", "low", "high"}
     assert cause["effect"] == "steer_delay"
     delay = cause["parameters"]["delay"]
     assert delay["value"] == pytest.approx(0.05, abs=0.006)
@@ -128,92 +126,7 @@ def test_the_report_needs_nothing_else(diagnosed):
         assert f"<h2>{heading}</h2>" in page
 
 
-def test_help_says_what_it_does(capsys):
-    with pytest.raises(SystemExit) as stopped:
-        main(["diagnose", "--help"])
-    assert stopped.value.code == 0
-    text = capsys.readouterr().out
-    for option in ("--held-out", "--base", "--only", "--without", "--report"):
-        assert option in text
-    assert "--runs-held-out" not in text
-
-
 # --- what is refused
-
-
-def _millimetres(rows):
-    rows[:, 1:3] *= 1000.0
-
-
-def _clock_step(rows):
-    rows[1200:, 0] += 3.0
-
-
-def _standing(rows):
-    rows[:, 1:4] = rows[0, 1:4]
-
-
-def _crawling(rows):
-    rows[:, 5] = 0.1
-
-
-BROKEN = {
-    "millimetres": (_millimetres, "millimetres"),
-    "clock": (_clock_step, "clock"),
-    "standing": (_standing, "never moved"),
-    "crawling": (_crawling, "m/s"),
-}
-
-
-@pytest.mark.parametrize("kind", BROKEN)
-def test_bad_content_is_one_line_with_a_code_and_leaves_nothing(kind, rows, tmp_path, capsys):
-    spoil, words = BROKEN[kind]
-    spoilt = rows.copy()
-    spoil(spoilt)
-    session = import_log(tmp_path, spoilt, "bad")
-    before = set(tmp_path.iterdir())
-    capsys.readouterr()
-    out = ["--json", str(tmp_path / "o.json"), "-o", str(tmp_path / "o.toml")]
-    assert main(["diagnose", str(session), *out]) == 4
-    error = capsys.readouterr().err
-    assert words in error
-    assert error.count("\n") <= 2
-    assert set(tmp_path.iterdir()) == before
-
-
-@pytest.mark.parametrize(("seconds", "words"), [(0.6, "of driving"), (4.0, "of driving")])
-def test_too_short_a_drive_is_refused(seconds, words, rows, tmp_path, capsys):
-    session = import_log(tmp_path, rows[: round(seconds / STEP)], "short")
-    assert main(["diagnose", str(session)]) == 4
-    assert words in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("content", "codes"), [(b"", (3, 4)), (b"\x89MCAP0\r\n" + b"\x00" * 40, (3, 4)), (None, (3,))]
-)
-def test_files_that_are_no_sessions(content, codes, tmp_path, capsys):
-    path = tmp_path / "bad.mcap"
-    if content is not None:
-        path.write_bytes(content)
-    assert main(["diagnose", str(path)]) in codes
-    assert capsys.readouterr().err.startswith("steerd: ")
-
-
-def test_a_truncated_session_is_refused_in_a_line(diagnosed, tmp_path, capsys):
-    path = tmp_path / "cut.mcap"
-    path.write_bytes((diagnosed[0] / "run.mcap").read_bytes()[:400])
-    assert main(["diagnose", str(path)]) in (3, 4)
-    assert "Traceback" not in capsys.readouterr().err
-
-
-def test_a_session_without_poses_is_refused_with_the_topic(tmp_path, capsys):
-    from steerd.steer_bus.messages import Tick
-    from steerd.steer_bus.session import SessionWriter
-
-    path = tmp_path / "topics.mcap"
-    SessionWriter(path, {"/steerd/car1/tick": Tick}, {}, [], 0).finish({"reason": "end"})
-    assert main(["diagnose", str(path)]) == 4
-    assert "no topic" in capsys.readouterr().err
 
 
 OPTIONS = [
@@ -245,20 +158,6 @@ def test_options_that_make_no_sense(options, code, words, diagnosed, tmp_path, m
     assert error.startswith("steerd: ")
     assert words in error
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("given", "held_out"),
-    [
-        ([], HeldOut()),
-        (["3"], HeldOut(every=3)),
-        (["0"], HeldOut(every=0)),
-        (["a,b", "c"], HeldOut(files=(Path("a"), Path("b"), Path("c")))),
-    ],
-)
-def test_what_is_held_out(given, held_out):
-    parsed = [part for text in given for part in split_held_out(text)]
-    assert read_held_out(parsed) == held_out
 
 
 # --- what is looked at and what is held out
@@ -302,23 +201,6 @@ def test_reserved_sessions_are_not_opened_before_they_are_asked_for(four, tmp_pa
         case.split.later()
 
 
-def test_blocks_of_one_session_share_no_measurement(diagnosed):
-    case = case_of(diagnosed[0] / "run.mcap")
-    spans = sorted(
-        (run.start + run.pose.t[0], run.start + run.pose.t[-1])
-        for run in (*case.split.runs, *case.split.later())
-    )
-    assert len(spans) >= 3
-    assert all(a[1] < b[0] for a, b in itertools.pairwise(spans))
-
-
-def test_windows_of_blocks_reach_a_second_ahead(diagnosed):
-    from steerd.sysid.data.windows import make_layout
-
-    layout = make_layout(case_of(diagnosed[0] / "run.mcap").split.runs, 1.0)
-    assert (layout.spans[:, 3] * layout.h).min() >= 0.99
-
-
 def test_too_few_blocks_for_what_is_asked_are_refused(diagnosed):
     with pytest.raises(SteerdError, match="to hold every 4th out"):
         case_of(diagnosed[0] / "run.mcap", "--held-out", "4")
@@ -351,7 +233,3 @@ def test_old_spellings_mean_the_same(four, diagnosed):
     new = case_of(four[0], four[1], "--held-out", four[1], "--base", car)
     assert old.split.held_out_of == new.split.held_out_of == "run1.mcap"
     assert old.base_source == new.base_source == str(car)
-
-
-def test_a_cause_without_a_name_writes_no_effect(diagnosed):
-    assert diagnosed_values((), (diagnosed[0] / "run.mcap",)) == {}

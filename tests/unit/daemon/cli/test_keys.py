@@ -139,9 +139,18 @@ def test_a_folder_with_the_name_is_not_overwritten(lab):
     assert list((lab / "new").iterdir()) == []
 
 
-@pytest.mark.parametrize("car", ["Car 1", "../car", ""])
-def test_a_car_s_name_is_one_for_the_bus(tmp_path, car):
-    assert keys(tmp_path / "lab", "--host", "10.0.0.2", "--car", car) == ExitCode.USAGE
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--host", " "), "--host is empty"),
+        (("--host", "10.0.0.2", "--car", "Car 1"), "Car 1"),
+        (("--host", "10.0.0.2", "--car", "../car"), "../car"),
+        (("--host", "10.0.0.2", "--car", ""), "car"),
+    ],
+)
+def test_no_lab_is_made_without_an_address_or_a_car_s_name(tmp_path, arguments, said, capsys):
+    assert keys(tmp_path / "lab", *arguments) == ExitCode.USAGE
+    assert said in capsys.readouterr().err
     assert not (tmp_path / "lab").exists()
 
 
@@ -150,12 +159,6 @@ def test_adding_needs_a_lab(tmp_path, capsys):
     error = capsys.readouterr().err
     assert "--host" in error
     assert "lab.toml: No such file or directory" in error
-
-
-def test_a_lab_without_an_address_is_none(tmp_path, capsys):
-    assert keys(tmp_path / "lab", "--host", " ") == ExitCode.USAGE
-    assert "--host is empty" in capsys.readouterr().err
-    assert not (tmp_path / "lab").exists()
 
 
 @pytest.mark.parametrize("damage", [b"", b"-----BEGIN PRIVATE KEY-----\nAAAA\n"])

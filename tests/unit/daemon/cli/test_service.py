@@ -111,16 +111,6 @@ def test_a_unit_gives_no_rights_that_a_drive_does_not_need(monkeypatch, capsys):
         assert unit.get("ProtectSystem") == (account and "full")
 
 
-@pytest.mark.parametrize("what", ["print", "launch"])
-def test_a_file_of_a_service_fits_80_columns_but_for_the_command(what, capsys):
-    """systemd's command stays on one line: others read that file too."""
-    options = ["--port", "/dev/vesc", "--mocap", "natnet://192.168.1.10/car?up=y", "--speed", "0.5"]
-    assert run_cli(["service", what, *options]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    long = [line for line in lines if len(line) > 80 and not line.startswith("ExecStart=")]
-    assert not [line for line in long if "cmd=" not in line], "a command's program may be deep"
-
-
 def test_udev(capsys):
     assert run_cli(["service", "udev"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == UDEV_RULE

@@ -39,23 +39,22 @@ def test_one_line_for_each_fact():
     ]
 
 
-def test_each_warning_has_a_line_of_its_own():
-    lines = format_status("car1", STATUS | {"warnings": "no fixed priority\n\nlow battery"})
-    assert lines[2:4] == ["warning:     no fixed priority", "warning:     low battery"]
+@pytest.mark.parametrize(
+    ("more", "shown"),
+    [
+        ({"warnings": "no priority\n\nlow battery"}, "warning:     no priority"),
+        ({"warnings": "no priority\n\nlow battery"}, "warning:     low battery"),
+        ({"design": "learnt 3", "design_why": ""}, "design:      learnt 3"),
+        ({"design": "car file", "design_why": "silence"}, "design:      car file (silence)"),
+    ],
+)
+def test_warnings_and_the_design_that_steers_have_lines_of_their_own(more, shown):
+    assert shown in format_status("car1", STATUS | more)
 
 
 def test_a_daemon_without_a_vesc_or_mocap_has_a_status_too():
     bare = {"state": "INIT", "reason": "start", "waiting": "the serial port"}
     assert "VESC:        firmware ?, timeout ? ms" in format_status("blue", bare)
-
-
-@pytest.mark.parametrize(
-    ("design", "why", "line"),
-    [("learnt 3", "", "design:      learnt 3"),
-     ("car file", "the learner is silent", "design:      car file (the learner is silent)")],
-)  # fmt: skip
-def test_the_design_that_steers_is_named_with_its_reason(design, why, line):
-    assert line in format_status("car1", {**STATUS, "design": design, "design_why": why})
 
 
 # A simulated drive that its own machine ends goes on in virtual time, and says so.

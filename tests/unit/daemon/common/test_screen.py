@@ -1,12 +1,15 @@
-"""Lines for a terminal: whole words, no control characters."""
+"""Lines for a terminal: whole words, no control characters; and the bar of a long command."""
 
 import io
 import shlex
+import sys
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from steerd.daemon.common import progress
+from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.screen import clean, join_words, print_labelled, show, wrap, wrap_command
 
 
@@ -67,3 +70,29 @@ def test_a_number_that_is_not_known_is_a_dash_of_its_width():
     assert show(1.234, "+.2f") == "+1.23"
     assert show(float("nan"), "+7.2f") == "      –"
     assert show(float("inf"), ".0f") == "–"
+
+
+# The bar of a long command names its step on a terminal, and is silent elsewhere.
+
+
+def watched(monkeypatch):
+    """A terminal of 120 columns, in place of standard error."""
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "120")
+    return terminal
+
+
+def test_the_step_stands_beside_the_bar(monkeypatch):
+    seen = watched(monkeypatch)
+    with show_progress("identifying", 2.0) as advance:
+        advance(1.0, "learning the noise")
+    assert "identifying: learning the noise" in seen.getvalue()
+    assert "50%" in seen.getvalue()
+
+
+def test_items_are_counted_as_they_pass():
+    seen: list[int] = []
+    assert list(progress.watched("abcdefg", seen.append, every=3)) == list("abcdefg")
+    assert seen == [0, 3, 6]

@@ -164,6 +164,7 @@ def test_equal_times_are_kept_and_counted(tmp_path):
         ("t,w\n0,1\n", "no column 'v'", ExitCode.INVALID),
         ("t,v,v\n0,1,2\n", "2 columns named 'v'", ExitCode.INVALID),
         ("t,v\n0,1\n1,abc\n", "row 3, column 'v': 'abc' is not a number", ExitCode.INVALID),
+        ("\n# t,v\n0,1\n\n1,\n2,abc\n", "row 6, column 'v'", ExitCode.INVALID),
         ("t,v\n0,inf\n", "row 2, column 'v': 'inf'", ExitCode.INVALID),
         ("t,v\n0,1_0\n", "row 2, column 'v'", ExitCode.INVALID),
         ("t,v\n0,1e999\n", "row 2, column 'v'", ExitCode.INVALID),

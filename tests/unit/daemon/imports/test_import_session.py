@@ -7,10 +7,8 @@ import pytest
 
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.imports.csv_table import open_table, read_table
-from steerd.daemon.imports.import_map import ColumnSpec, ImportMap
+from steerd.daemon.imports.import_map import ImportMap
 from steerd.daemon.imports.import_session import (
-    ImportNotes,
     MessageMaker,
     Sample,
     check_output,
@@ -66,43 +64,7 @@ def test_a_frame_moves_the_pose_from_the_body_to_the_centre_of_gravity():
     assert (pose.x, pose.y) == pytest.approx((0.15, 0.0))
 
 
-def test_oddities_are_counted_by_kind():
-    notes = ImportNotes()
-    for _ in range(3):
-        notes.add("rows repeat a time")
-    notes.add("frames without the body")
-    assert notes.lines() == ("3 rows repeat a time", "1 frames without the body")
-
-
 # Rows of a csv file: delimiter, header, cells and their errors.
-
-COLUMNS = {"t": ColumnSpec("time"), "x": ColumnSpec("pos x", scale=0.001, offset=1.0)}
-
-
-def rows(path, columns=COLUMNS):
-    with open_table(path) as file:
-        return [(row.number, row.values) for row in read_table(path.name, file, columns, _ignore)]
-
-
-def _ignore(done):
-    pass
-
-
-def write(tmp_path, text):
-    path = tmp_path / "a.csv"
-    path.write_text(text)
-    return path
-
-
-def test_rows_are_numbered_as_an_editor_numbers_lines(tmp_path):
-    text = "\n# time,pos x\n0.0,1\n\n0.1,\nnan,null\n0.2,3\n"
-    assert [number for number, _ in rows(write(tmp_path, text))] == [3, 5, 7]
-
-
-def test_a_missing_column_has_the_closest_names_as_its_hint(tmp_path):
-    with pytest.raises(SteerdError) as caught:
-        rows(write(tmp_path, "time,Pos X,speed\n0.0,1,2\n"))
-    assert caught.value.hint == "in the map, 'Pos X'"
 
 
 # What commands of driven sessions say of an imported one, and of one that breaks off.

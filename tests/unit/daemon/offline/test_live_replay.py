@@ -9,8 +9,7 @@ from steerd.car_model.car_file import default_car_path, load_car
 from steerd.daemon.analysis.gap_closed_loop import NotALaneDriveError, compare_lane
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.offline.fast import make_recording
-from steerd.daemon.offline.virtual import make_virtual_run
+from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
@@ -36,14 +35,12 @@ CHANGES = [
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
     """A drive in virtual time with an operator's changes."""
-    plan = make_plan(OPTIONS)
-    recording = make_recording(plan, tmp_path_factory.mktemp("live") / "drive.mcap")
+    path = tmp_path_factory.mktemp("live") / "drive.mcap"
+    record_virtual(make_plan(OPTIONS), path, ask_on_the_way)
+    return open_session(path)
 
-    def sink(records, _t_ns):
-        for record in records:
-            recording.add(record)
 
-    run = make_virtual_run(plan, (sink,))
+def ask_on_the_way(run):
     for seq, (t_s, values) in enumerate(CHANGES):
         while run.t_ns < t_s * 1e9:
             run.step()
@@ -55,8 +52,6 @@ def session(tmp_path_factory):
         assert run.core.on_request(topics.SET_PARAMETERS.name, encode(request), run.t_ns)
     while not (run.core.loop.ran and run.core.loop.parked):
         run.step()
-    recording.writer.finish({"reason": "test", "written": str(recording.written)})
-    return open_session(recording.writer.path)
 
 
 def test_every_change_is_recorded_with_its_answer(session):

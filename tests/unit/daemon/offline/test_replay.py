@@ -7,9 +7,8 @@ from mcap.writer import Writer  # noqa: TID251
 
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.offline.fast import make_recording
+from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.replay import check_same, describe_difference, make_replay_plan, replay
-from steerd.daemon.offline.virtual import make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import encode, schema_text
@@ -24,18 +23,9 @@ OPTIONS = RunOptions(
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
     """The first three seconds of a drive in virtual time."""
-    plan = make_plan(OPTIONS)
-    recording = make_recording(plan, tmp_path_factory.mktemp("replay") / "drive.mcap")
-
-    def sink(records, _t_ns):
-        for record in records:
-            recording.add(record)
-
-    run = make_virtual_run(plan, (sink,))
-    for _ in range(TICKS):
-        run.step()
-    recording.writer.finish({"reason": "test", "written": str(recording.written)})
-    return open_session(recording.writer.path)
+    path = tmp_path_factory.mktemp("replay") / "drive.mcap"
+    record_virtual(make_plan(OPTIONS), path, lambda run: [run.step() for _ in range(TICKS)])
+    return open_session(path)
 
 
 def test_every_order_is_the_recorded_one(session):

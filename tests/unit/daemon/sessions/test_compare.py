@@ -1,14 +1,11 @@
 """Drives of one lane side by side."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from steerd.car_model.path.path_spec import parse_path
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.sessions.compare import BINS, LaneSession, check_same_lane, render_comparison
-from steerd.sim_gap.lane_comparison import profile
+from steerd.daemon.sessions.compare import LaneSession, check_same_lane, render_comparison
 from steerd.sysid.report.drawing import LINES
 
 CIRCLE = parse_path("circle:radius=2")
@@ -19,24 +16,6 @@ def drive(name="a.mcap", offset=0.0, lane=CIRCLE):
     wave = 0.02 * np.sin(2.0 * np.pi * along / lane.length)
     values = {"e1": wave + offset, "e2": 0.1 * wave, "speed": 1.0 + wave, "steer_ref": wave}
     return LaneSession(name, lane.name, lane, None, along % lane.length, values, 2.0)
-
-
-def test_a_profile_is_the_mean_of_the_laps_at_each_place():
-    one = drive(offset=0.01)
-    at = (np.arange(BINS) + 0.5) / BINS
-    expected = 0.01 + 0.02 * np.sin(2.0 * np.pi * at)
-    np.testing.assert_allclose(
-        profile(one.place, CIRCLE.length, one.values["e1"], BINS), expected, atol=5e-4
-    )
-
-
-def test_where_a_drive_never_was_there_is_no_value():
-    one = drive()
-    half = one.place < 0.5 * CIRCLE.length
-    cut = replace(one, place=one.place[half])
-    means = profile(cut.place, CIRCLE.length, one.values["e1"][half], BINS)
-    assert np.isnan(means[BINS // 2 + 2 :]).all()
-    assert np.isfinite(means[: BINS // 2 - 2]).all()
 
 
 def test_places_of_different_lanes_are_not_compared():

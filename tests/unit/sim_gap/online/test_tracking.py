@@ -143,26 +143,24 @@ def change(effect, after, was):
     return Change(0.0, 1.0, None, (), finding, was)
 
 
-def test_an_offset_moved_by_a_difference():
+@pytest.mark.parametrize(
+    ("effect", "after", "was", "moved"),
+    [
+        ("marker_offset", (0.018, 0.001), (-0.0115, 0.0004), (0.0295, 0.0006)),
+        ("speed_scale", (0.76,), (0.8,), (0.95,)),  # of a ratio the quotient
+        ("lateral_load_transfer", (0.5, 0.7), (0.2, 0.62), (0.3, 0.7)),  # the form is no amount
+        ("steer_bias", (0.02,), (0.0,), (0.02,)),
+    ],
+)
+def test_an_effect_moved_by_a_difference_or_a_quotient(effect, after, was, moved):
+    amounts = amounts_of(change(effect, after, was))
+    assert [value for value, _, _ in amounts.values()] == pytest.approx(moved)
+
+
+def test_an_amount_has_the_error_and_the_unit_of_its_parameter():
     moved = amounts_of(change("marker_offset", (0.018, 0.001), (-0.0115, 0.0004)))
-    assert [value for value, _, _ in moved.values()] == pytest.approx([0.0295, 0.0006])
     assert moved["forward"][1:] == (0.5, "m")
-
-
-def test_a_ratio_moved_by_a_quotient():
-    value, sd, _ = amounts_of(change("speed_scale", (0.76,), (0.8,)))["scale"]
-    assert value == pytest.approx(0.95)
-    assert sd == pytest.approx(0.625)
-
-
-def test_of_which_form_an_effect_is_has_no_amount():
-    moved = amounts_of(change("lateral_load_transfer", (0.5, 0.7), (0.2, 0.62)))
-    assert moved["k"][0] == pytest.approx(0.3)
-    assert moved["moved"][0] == 0.7
-
-
-def test_what_was_not_there_before_moved_by_all_of_it():
-    assert amounts_of(change("steer_bias", (0.02,), (0.0,)))["bias"][0] == 0.02
+    assert amounts_of(change("speed_scale", (0.76,), (0.8,)))["scale"][1] == pytest.approx(0.625)
 
 
 def test_a_change_without_a_name_has_no_amount():

@@ -52,14 +52,6 @@ def test_a_part_keeps_commands_and_measurements_together(run):
     np.testing.assert_array_equal(part.pose.values[0], run.pose.values[at])
 
 
-def test_standstill_is_left_out(make_drive, truth):
-    run = make_drive(truth, 12.0, 2)
-    run.commands[round(5.0 / run.h) : round(6.0 / run.h), 1] = 0.0
-    spans = [(p.pose.t[-1] - p.pose.t[0]) for p in moving_segments([run])]
-    assert len(spans) == 2
-    assert sum(spans) < 11.0
-
-
 def test_kept_blocks_and_fitted_ones_share_no_pose(run):
     fitted, kept = hold_out(moving_segments([run]), 3)
     poses = [{tuple(p) for b in group for p in b.pose.values} for group in (fitted, kept)]

@@ -80,12 +80,6 @@ def test_a_cost_is_what_is_simulated_at_the_optimum(late, found):
     assert (late.squares(again.linear.error, again.x, again.size) - again.at.square < 0.11).all()
 
 
-def test_nothing_leaves_its_bounds(late, found):
-    space = found.space
-    assert (found.z >= space.low).all()
-    assert (found.z <= space.high).all()
-
-
 def test_a_step_of_newton_gains_what_it_promises(likelihood, small):
     guess = likelihood.engine.guess
     point = stand(likelihood, small, small.centre + 0.3 * small.spread, guess, 1.0)

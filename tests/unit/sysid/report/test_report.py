@@ -4,8 +4,6 @@ import pickle
 from dataclasses import replace
 
 import numpy as np
-import pytest
-from joblib.externals.loky import process_executor
 
 from steerd.car_model.native.windows import (
     HeldCommands,
@@ -15,7 +13,6 @@ from steerd.car_model.native.windows import (
     view_by_window,
 )
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.sysid.parallel import map_jobs
 from steerd.sysid.report.page import render_report
 from steerd.sysid.report.report import Card, Cell, Fold, Report, Section, Table, format_table
 
@@ -58,21 +55,6 @@ def test_a_terminal_shows_names_to_the_left_and_figures_to_the_right():
 
 
 # Work on a cluster: compiled cars find their own code there, joblib's work goes there.
-
-
-def _square(value):
-    return value * value
-
-
-def _grow(value):
-    process_executor._MAX_MEMORY_LEAK_SIZE = process_executor._MEMORY_LEAK_CHECK_DELAY = -1e18
-    return value
-
-
-@pytest.mark.slow
-def test_workers_that_have_grown_make_way_without_a_word(recwarn):
-    assert map_jobs(_grow, range(12), jobs=2) == [*range(12)]
-    assert not recwarn.list
 
 
 def test_a_compiled_car_travels_without_its_code():
