@@ -9,10 +9,6 @@ from steerd.daemon.settings.config import BrakeSettings
 from steerd.mocap_link.gates import REASONS
 
 UDEV_NAME = "/etc/udev/rules.d/99-vesc.rules"
-UDEV_RULE = (
-    'SUBSYSTEM=="tty", ATTRS{idVendor}=="0483", ATTRS{idProduct}=="5740", '
-    'ENV{ID_MM_DEVICE_IGNORE}="1", MODE="0660", GROUP="dialout", SYMLINK+="vesc"'
-)
 VESC_USB = "0483:5740"
 TOOL_SERVO = "VESC Tool: App Settings > General > Enable Servo Output"
 SERVO_SINCE = (5, 3)
