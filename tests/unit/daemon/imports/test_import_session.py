@@ -1,16 +1,16 @@
 """The session that an import writes: its messages, its metadata, and nothing after a failure."""
 
 import hashlib
+from collections import Counter
 from math import radians
 
 import pytest
 
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.imports.csv_table import open_table, read_table
+from steerd.daemon.imports.csv_table import CsvTable, open_table
 from steerd.daemon.imports.import_map import ColumnSpec, ImportMap
 from steerd.daemon.imports.import_session import (
-    ImportNotes,
     MessageMaker,
     Sample,
     check_output,
@@ -37,9 +37,9 @@ def test_a_failure_while_writing_leaves_nothing(tmp_path):
         raise SteerdError("row 4: no number")
 
     with pytest.raises(SteerdError, match="row 4"):
-        write_import(out, source, ImportMap(), [WHEEL], failing())
+        write_import(out, source, ImportMap(), [WHEEL], failing(), Counter())
     with pytest.raises(SteerdError, match="holds no sample"):
-        write_import(out, source, ImportMap(), [WHEEL], [])
+        write_import(out, source, ImportMap(), [WHEEL], [], Counter())
     assert list(tmp_path.iterdir()) == [source]
 
 
@@ -66,14 +66,6 @@ def test_a_frame_moves_the_pose_from_the_body_to_the_centre_of_gravity():
     assert (pose.x, pose.y) == pytest.approx((0.15, 0.0))
 
 
-def test_oddities_are_counted_by_kind():
-    notes = ImportNotes()
-    for _ in range(3):
-        notes.add("rows repeat a time")
-    notes.add("frames without the body")
-    assert notes.lines() == ("3 rows repeat a time", "1 frames without the body")
-
-
 # Rows of a csv file: delimiter, header, cells and their errors.
 
 COLUMNS = {"t": ColumnSpec("time"), "x": ColumnSpec("pos x", scale=0.001, offset=1.0)}
@@ -81,7 +73,8 @@ COLUMNS = {"t": ColumnSpec("time"), "x": ColumnSpec("pos x", scale=0.001, offset
 
 def rows(path, columns=COLUMNS):
     with open_table(path) as file:
-        return [(row.number, row.values) for row in read_table(path.name, file, columns, _ignore)]
+        table = CsvTable(path.name, file, {spec.column for spec in columns.values()})
+        return [(table.row, values) for values in table.rows(columns, _ignore)]
 
 
 def _ignore(done):
