@@ -32,23 +32,7 @@ if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 RIGIDS = "phasespace_msgs/msg/Rigids"
-RIGIDS_TEXT = """std_msgs/Header header
-phasespace_msgs/Rigid[] rigids
-================================================================================
-MSG: phasespace_msgs/Rigid
-uint32 id
-uint32 flags
-uint64 time
-float32 x
-float32 y
-float32 z
-float32 qw
-float32 qx
-float32 qy
-float32 qz
-float64 heading_y
-float32 cond
-"""
+RIGIDS_TEXT = Path(__file__).with_name("Rigids.msg").read_text(encoding="utf-8")
 """The ROS 2 form; ROS 1's has no heading_y, and its bags carry their definitions."""
 _ODOMETRY = type_name(Odometry)
 TYPES: Mapping[str, tuple[str, ...]] = {

@@ -6,9 +6,10 @@ Streams of different rates share a file: a row gives a sample of each stream tha
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.packaged import EXAMPLE_MAP
@@ -112,6 +113,12 @@ def _samples(
     table: CsvTable, timed: Iterator[_Timed], the_map: ImportMap, notes: Counter[str]
 ) -> Iterator[Sample]:
     maker = MessageMaker(the_map.epoch_ns, the_map.frame)
+    makers: dict[str, Callable[[int, float], Any]] = {
+        "erpm": maker.telemetry,
+        "wheel_speed": maker.wheel,
+        "throttle": maker.throttle,
+        "yaw_rate": maker.gyro,
+    }
     for t_ns, v in timed:
         if _POSE[0] in v and _POSE[1] in v and _POSE[2] in v:
             yield Sample(MOCAP, t_ns, t_ns, maker.planar_pose(t_ns, v["x"], v["y"], v["yaw"]))
@@ -120,14 +127,9 @@ def _samples(
         if "steer_cmd" in v or "speed_cmd" in v:
             steer, speed = v.get("steer_cmd", math.nan), v.get("speed_cmd", math.nan)
             yield Sample(ACTUATION, t_ns, t_ns, maker.command(t_ns, steer, speed))
-        if "erpm" in v:
-            if abs(v["erpm"]) > _INT32_MAX:
-                column = the_map.columns["erpm"].column
-                table.fail(f"{v['erpm']:g} is no motor speed", column=column)
-            yield Sample(VESC, t_ns, t_ns, maker.telemetry(t_ns, v["erpm"]))
-        if "wheel_speed" in v:
-            yield Sample(WHEEL, t_ns, t_ns, maker.wheel(t_ns, v["wheel_speed"]))
-        if "throttle" in v:
-            yield Sample(THROTTLE, t_ns, t_ns, maker.throttle(t_ns, v["throttle"]))
-        if "yaw_rate" in v:
-            yield Sample(IMU, t_ns, t_ns, maker.gyro(t_ns, v["yaw_rate"]))
+        if abs(v.get("erpm", 0.0)) > _INT32_MAX:
+            column = the_map.columns["erpm"].column
+            table.fail(f"{v['erpm']:g} is no motor speed", column=column)
+        for name, make in makers.items():
+            if name in v:
+                yield Sample(_TOPICS[name], t_ns, t_ns, make(t_ns, v[name]))
