@@ -3,8 +3,8 @@
 import numpy as np
 import torch
 from numpy.typing import NDArray
-
 from steerd.sysid.paper.baselines import SCALE
+
 from steerd.sysid.paper.paper_method import PaperProblem, Watch, never_stop, one_thread, predict
 from steerd.sysid.paper.search_history import SearchHistory
 

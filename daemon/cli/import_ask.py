@@ -15,7 +15,7 @@ from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.imports.propose import Proposal, change, format_map, list_sections
 
 if TYPE_CHECKING:
-    from steerd.daemon.sessions.info import Recording, SessionReport
+    from steerd.daemon.sessions.info import SessionReport
 
 Trial = Callable[[Path, Path], object]
 """Imports by a map file into a session file."""
@@ -75,47 +75,47 @@ def ask(proposal: Proposal, source: Path, trial: Trial) -> str:
 
 def _show(proposal: Proposal, source: Path, trial: Trial, *, fix: bool) -> str:
     """Print the map and its meaning; the map's text, or nothing where it does not work."""
-    meaning = _try(proposal, source, trial)
-    if fix and not isinstance(meaning, str) and _fix(proposal, meaning):
+    meaning, problem = Meaning((), (), None), ""
+    try:
         meaning = _try(proposal, source, trial)
+        if fix and _fix(proposal, meaning):
+            meaning = _try(proposal, source, trial)
+    except SteerdError as error:
+        no_file = error.hint and str(EXAMPLE_MAP) not in error.hint
+        problem = f"{error.what}; {error.hint}" if no_file else error.what
     text = format_map(proposal, source.name)
-    print(f"\nproposed map\n{_indent(text)}\nwhat it would mean")
-    if isinstance(meaning, str):
-        print(f"  nothing yet: {meaning}")
+    print("\nproposed map")
+    print(*(f"  {line}" for line in text.splitlines() if line.strip()), sep="\n")
+    print("\nwhat it would mean")
+    if problem:
+        print(f"  nothing yet: {problem}")
         return ""
-    print("\n".join(f"  {line}" for line in meaning.lines))
-    for warning in meaning.warnings:
-        print(f"  doubtful: {warning}")
+    print(*(f"  {line}" for line in meaning.lines), sep="\n")
+    print(*(f"  doubtful: {warning}\n" for warning in meaning.warnings), sep="", end="")
     return text
 
 
-def _indent(text: str) -> str:
-    return "".join(f"  {line}\n" for line in text.splitlines() if line.strip())
+def _try(proposal: Proposal, source: Path, trial: Trial) -> Meaning:
+    """What the map makes of the log.
 
-
-def _try(proposal: Proposal, source: Path, trial: Trial) -> Meaning | str:
-    """What the map makes of the log, or why it makes nothing."""
-    from steerd.daemon.sessions.info import load_recording
+    Raises:
+        SteerdError: it cannot be imported like this.
+    """
+    from steerd.daemon.sessions.info import load_recording, make_session_report
+    from steerd.daemon.sessions.motion import find_erpm_gain, round_gain
+    from steerd.steer_bus.topics import VESC
 
     with tempfile.TemporaryDirectory(prefix="steerd-") as folder:
         the_map, out = Path(folder) / "map.toml", Path(folder) / "trial.mcap"
         the_map.write_text(format_map(proposal, source.name), encoding="utf-8")
         try:
             trial(the_map, out)
-            return _read_meaning(load_recording(out))
         except SteerdError as error:
-            shown = error.what.replace(f"map {the_map}", "the map")
-            no_file = str(EXAMPLE_MAP) not in error.hint
-            return f"{shown}; {error.hint}" if error.hint and no_file else shown
-
-
-def _read_meaning(read: "Recording") -> Meaning:
-    from steerd.daemon.sessions.info import make_session_report
-    from steerd.daemon.sessions.motion import find_erpm_gain, round_gain
-    from steerd.steer_bus.topics import VESC
-
-    report, track = make_session_report(read), read.track
-    gain = find_erpm_gain(track, read.signal(VESC, "erpm"))
+            what = error.what.replace(f"map {the_map}", "the map")
+            raise SteerdError(what, error.hint, error.code) from error
+        read = load_recording(out)
+        report, track = make_session_report(read), read.track
+        gain = find_erpm_gain(track, read.signal(VESC, "erpm"))
     gain = None if gain is None else round_gain(gain)
     lines = _lines(report, None if track is None else track.yaw, gain)
     return Meaning(tuple(lines), report.warnings, gain)

@@ -5,18 +5,18 @@ read with ROS's standard ones and those of `ackermann_msgs`, `vesc_msgs` and `ph
 """
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from math import nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import Advance
 from steerd.daemon.imports.import_map import ROLES, ImportMap, load_map, with_erpm_gain
 from steerd.daemon.imports.import_session import (
-    ImportNotes,
     ImportReport,
     MessageMaker,
     Sample,
@@ -30,28 +30,9 @@ from steerd.steer_bus.topics import ACTUATION, MOCAP, VESC, WHEEL, Topic
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
-    from rosbags.interfaces import Connection
-
-T = TypeVar("T")
 
 RIGIDS = "phasespace_msgs/msg/Rigids"
-RIGIDS_TEXT = """std_msgs/Header header
-phasespace_msgs/Rigid[] rigids
-================================================================================
-MSG: phasespace_msgs/Rigid
-uint32 id
-uint32 flags
-uint64 time
-float32 x
-float32 y
-float32 z
-float32 qw
-float32 qx
-float32 qy
-float32 qz
-float64 heading_y
-float32 cond
-"""
+RIGIDS_TEXT = Path(__file__).with_name("Rigids.msg").read_text(encoding="utf-8")
 """The ROS 2 form; ROS 1's has no heading_y, and its bags carry their definitions."""
 _ODOMETRY = type_name(Odometry)
 TYPES: Mapping[str, tuple[str, ...]] = {
@@ -112,7 +93,6 @@ def import_bag(
     """
     check_output(out)
     the_map = load_map(map_path) if map_path else ImportMap()
-    notes = ImportNotes()
     with closing(_open(source)) as reader:
         the_map = replace(
             the_map,
@@ -123,11 +103,10 @@ def import_bag(
         types = _types_of(reader)
         roles = _choose_topics(source, types, the_map.topics, choice.topics)
         maker = MessageMaker(the_map.epoch_ns, the_map.frame)
-        bag = _Bag(source, reader, roles, the_map, notes, maker)
+        bag = _Bag(source, reader, roles, the_map, Counter(), maker)
         topics = [_OUT[role] for role in roles]
-        counts = write_import(out, source, the_map, topics, _samples(bag, advance))
-        remarks = tuple(_remarks(roles, types))
-    return ImportReport(out, counts, notes.lines(), remarks)
+        made = write_import(out, source, the_map, topics, _samples(bag, advance), bag.notes)
+    return replace(made, remarks=tuple(_remarks(roles, types)))
 
 
 def _types_of(reader: "AnyReader") -> dict[str, str]:
@@ -183,20 +162,17 @@ def _open(source: Path) -> "AnyReader":
         types = get_types_from_msg(text, name)
         store.register({k: v for k, v in types.items() if k not in store.fielddefs})
 
-    def read() -> AnyReader:
+    with _reading(source):
         reader = AnyReader([source], default_typestore=store)
         reader.open()
         return reader
 
-    return _call_rosbags(source, read)
 
-
-def _call_rosbags(source: Path, read: Callable[[], T]) -> T:
+@contextmanager
+def _reading(source: Path) -> Iterator[None]:
     """Call rosbags, whose readers raise errors of any type on a damaged file."""
     try:
-        return read()
-    except SteerdError:
-        raise
+        yield
     except Exception as error:
         if isinstance(error, OSError) and is_full(error):
             raise  # a compressed bag is unpacked into a temporary folder: the bag itself is good
@@ -284,7 +260,7 @@ class _Bag:
     reader: "AnyReader"
     roles: Mapping[str, str]
     the_map: ImportMap
-    notes: ImportNotes
+    notes: Counter[str]
     maker: MessageMaker
 
 
@@ -292,16 +268,15 @@ def _samples(bag: _Bag, advance: Advance) -> Iterator[Sample]:
     start_ns = bag.the_map.epoch_ns
     span_ns = max(bag.reader.end_time - start_ns, 1)
     other_clock: dict[str, bool] = {}
-    for count, (connection, bag_ns, data) in enumerate(_records(bag)):
+    for count, (topic, bag_ns, message) in enumerate(_records(bag)):
         if count % _ADVANCE_MESSAGES == 0:
             advance((bag_ns - start_ns) / span_ns)
-        topic, message = connection.topic, _decode(bag, connection, data)
         stamp = message.header.stamp
         stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
         if topic not in other_clock:
             other_clock[topic] = abs(stamp_ns - bag_ns) > _OTHER_CLOCK_NS
             if other_clock[topic]:
-                bag.notes.add(f"topic has stamps of another clock, not used: {topic}")
+                bag.notes[f"topic has stamps of another clock, not used: {topic}"] += 1
         log_ns = bag_ns - start_ns
         t_ns = log_ns if other_clock[topic] else stamp_ns - start_ns
         for role in (role for role, wanted in bag.roles.items() if wanted == topic):
@@ -310,15 +285,18 @@ def _samples(bag: _Bag, advance: Advance) -> Iterator[Sample]:
                 yield Sample(_OUT[role], t_ns, log_ns, made)
 
 
-def _records(bag: _Bag) -> Iterator[tuple["Connection", int, bytes]]:
+def _records(bag: _Bag) -> Iterator[tuple[str, int, Any]]:
+    """Topic, time and message of each record of the chosen topics."""
     wanted = [c for c in bag.reader.connections if c.topic in bag.roles.values()]
     records = bag.reader.messages(wanted)
-    while (record := _call_rosbags(bag.source, lambda: next(records, None))) is not None:
-        yield record
-
-
-def _decode(bag: _Bag, connection: "Connection", data: bytes) -> Any:
-    return _call_rosbags(bag.source, lambda: bag.reader.deserialize(data, connection.msgtype))
+    while True:
+        with _reading(bag.source):
+            record = next(records, None)
+            if record is None:
+                return
+            connection, bag_ns, data = record
+            message = bag.reader.deserialize(data, connection.msgtype)
+        yield connection.topic, bag_ns, message
 
 
 def _make_message(bag: _Bag, role: str, message: Any, t_ns: int, log_ns: int) -> Any:
@@ -333,11 +311,11 @@ def _make_message(bag: _Bag, role: str, message: Any, t_ns: int, log_ns: int) ->
         pose = _pose(message, bag.the_map.rigid, bag.notes)
         return pose and bag.maker.pose(t_ns, log_ns, *pose)
     except ValueError:
-        bag.notes.add(f"{role} messages hold no finite values and were left out")
+        bag.notes[f"{role} messages hold no finite values and were left out"] += 1
         return None
 
 
-def _pose(message: Any, rigid: int | None, notes: ImportNotes) -> Any:
+def _pose(message: Any, rigid: int | None, notes: Counter[str]) -> Any:
     """Position and quaternion (w, x, y, z) of a PoseStamped, an Odometry or a Rigids."""
     if hasattr(message, "rigids"):
         return _rigid_pose(message.rigids, rigid, notes)
@@ -346,7 +324,7 @@ def _pose(message: Any, rigid: int | None, notes: ImportNotes) -> Any:
     return (p.x, p.y, p.z), (q.w, q.x, q.y, q.z)
 
 
-def _rigid_pose(rigids: Any, rigid: int | None, notes: ImportNotes) -> Any:
+def _rigid_pose(rigids: Any, rigid: int | None, notes: Counter[str]) -> Any:
     ids = sorted({int(body.id) for body in rigids})
     if rigid is None and len(ids) > 1:
         what = f"the PhaseSpace messages hold rigid bodies {', '.join(map(str, ids))}"
@@ -355,10 +333,9 @@ def _rigid_pose(rigids: Any, rigid: int | None, notes: ImportNotes) -> Any:
         if rigid not in (None, int(body.id)):
             continue
         if body.cond <= 0:  # PhaseSpace: the body was not found in this frame
-            notes.add("frames without the rigid body were left out")
+            notes["frames without the rigid body were left out"] += 1
             return None
-        position = (float(body.x), float(body.y), float(body.z))
-        return position, (float(body.qw), float(body.qx), float(body.qy), float(body.qz))
+        return (body.x, body.y, body.z), (body.qw, body.qx, body.qy, body.qz)
     return None
 
 

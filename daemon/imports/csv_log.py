@@ -5,17 +5,18 @@ Streams of different rates share a file: a row gives a sample of each stream tha
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.common.progress import Advance
-from steerd.daemon.imports.csv_table import CsvRow, fail_cell, open_table, read_table
+from steerd.daemon.imports.csv_table import CsvTable, open_table
 from steerd.daemon.imports.import_map import NS, ImportMap, load_map, with_erpm_gain
 from steerd.daemon.imports.import_session import (
-    ImportNotes,
     ImportReport,
     MessageMaker,
     Sample,
@@ -34,6 +35,8 @@ _TOPICS: dict[str, Topic] = {
     "yaw_rate": IMU,
 }
 _POSE = ("x", "y", "yaw")
+_Timed = tuple[int, dict[str, float]]
+"""The time of a row [ns], and the quantities that have a value in it."""
 _INT32_MAX = (1 << 31) - 1
 """Largest UNIX time [s] and largest ERPM of a message."""
 
@@ -60,37 +63,36 @@ def import_csv(
         hint = f"copy {EXAMPLE_MAP} and name your columns"
         raise SteerdError(f"map {map_path} has no [columns]", hint)
     the_map = replace(the_map, vesc=with_erpm_gain(the_map.vesc, erpm_gain))
-    notes = ImportNotes()
+    notes: Counter[str] = Counter()
     topics = list(dict.fromkeys(_TOPICS[q] for q in the_map.columns if q in _TOPICS))
     with open_table(source) as file:
-        rows = read_table(source.name, file, the_map.columns, advance)
-        the_map, timed = _raise_epoch(the_map, _add_times(source.name, rows, the_map, notes))
-        samples = _samples(source.name, timed, the_map, notes)
-        counts = write_import(out, source, the_map, topics, samples)
-    return ImportReport(out, counts, notes.lines())
+        table = CsvTable(source.name, file, {spec.column for spec in the_map.columns.values()})
+        the_map, timed = _raise_epoch(the_map, _add_times(table, the_map, notes, advance))
+        samples = _samples(table, timed, the_map, notes)
+        return write_import(out, source, the_map, topics, samples, notes)
 
 
 def _add_times(
-    name: str, rows: Iterator[CsvRow], the_map: ImportMap, notes: ImportNotes
-) -> Iterator[tuple[int, CsvRow]]:
+    table: CsvTable, the_map: ImportMap, notes: Counter[str], advance: Advance
+) -> Iterator[_Timed]:
     """Rows with their times [ns], which never go back."""
     column = the_map.columns["t"].column
     last_ns, last_row = None, 0
-    for row in rows:
-        if "t" not in row.values:
-            fail_cell(name, row.number, column, "no time, but other values")
-        t = row.values["t"]
+    for values in table.rows(the_map.columns, advance):
+        if "t" not in values:
+            table.fail("no time, but other values", column=column)
+        t = values["t"]
         if abs(t + the_map.epoch_ns / NS) > _INT32_MAX:
             hint = "scale = 0.001 in the map for milliseconds, 1e-9 for nanoseconds"
-            fail_cell(name, row.number, column, f"{t:g} s is no time", hint)
+            table.fail(f"{t:g} s is no time", hint, column)
         t_ns = _nanoseconds(t)
         if last_ns is not None and t_ns < last_ns:
             what = f"time goes back by {(last_ns - t_ns) / NS:g} s after row {last_row}"
-            fail_cell(name, row.number, column, what, "sort the rows, or import each run by itself")
+            table.fail(what, "sort the rows, or import each run by itself", column)
         if t_ns == last_ns:
-            notes.add("rows repeat the time of the row before")
-        last_ns, last_row = t_ns, row.number
-        yield t_ns, row
+            notes["rows repeat the time of the row before"] += 1
+        last_ns, last_row = t_ns, table.row
+        yield t_ns, values
 
 
 def _nanoseconds(t: float) -> int:
@@ -98,9 +100,7 @@ def _nanoseconds(t: float) -> int:
     return whole * NS + round((t - whole) * NS)
 
 
-def _raise_epoch(
-    the_map: ImportMap, timed: Iterator[tuple[int, CsvRow]]
-) -> tuple[ImportMap, Iterator[tuple[int, CsvRow]]]:
+def _raise_epoch(the_map: ImportMap, timed: Iterator[_Timed]) -> tuple[ImportMap, Iterator[_Timed]]:
     """Raise the epoch if the log begins before 1970: a session's stamps are not negative."""
     first = next(timed, None)
     if first is None:
@@ -110,25 +110,26 @@ def _raise_epoch(
 
 
 def _samples(
-    name: str, timed: Iterator[tuple[int, CsvRow]], the_map: ImportMap, notes: ImportNotes
+    table: CsvTable, timed: Iterator[_Timed], the_map: ImportMap, notes: Counter[str]
 ) -> Iterator[Sample]:
     maker = MessageMaker(the_map.epoch_ns, the_map.frame)
-    for t_ns, (number, v) in timed:
+    makers: dict[str, Callable[[int, float], Any]] = {
+        "erpm": maker.telemetry,
+        "wheel_speed": maker.wheel,
+        "throttle": maker.throttle,
+        "yaw_rate": maker.gyro,
+    }
+    for t_ns, v in timed:
         if _POSE[0] in v and _POSE[1] in v and _POSE[2] in v:
             yield Sample(MOCAP, t_ns, t_ns, maker.planar_pose(t_ns, v["x"], v["y"], v["yaw"]))
         elif any(key in v for key in _POSE):
-            notes.add("rows hold a part of a pose and were left out of it")
+            notes["rows hold a part of a pose and were left out of it"] += 1
         if "steer_cmd" in v or "speed_cmd" in v:
             steer, speed = v.get("steer_cmd", math.nan), v.get("speed_cmd", math.nan)
             yield Sample(ACTUATION, t_ns, t_ns, maker.command(t_ns, steer, speed))
-        if "erpm" in v:
-            if abs(v["erpm"]) > _INT32_MAX:
-                column = the_map.columns["erpm"].column
-                fail_cell(name, number, column, f"{v['erpm']:g} is no motor speed")
-            yield Sample(VESC, t_ns, t_ns, maker.telemetry(t_ns, v["erpm"]))
-        if "wheel_speed" in v:
-            yield Sample(WHEEL, t_ns, t_ns, maker.wheel(t_ns, v["wheel_speed"]))
-        if "throttle" in v:
-            yield Sample(THROTTLE, t_ns, t_ns, maker.throttle(t_ns, v["throttle"]))
-        if "yaw_rate" in v:
-            yield Sample(IMU, t_ns, t_ns, maker.gyro(t_ns, v["yaw_rate"]))
+        if abs(v.get("erpm", 0.0)) > _INT32_MAX:
+            column = the_map.columns["erpm"].column
+            table.fail(f"{v['erpm']:g} is no motor speed", column=column)
+        for name, make in makers.items():
+            if name in v:
+                yield Sample(_TOPICS[name], t_ns, t_ns, make(t_ns, v[name]))

@@ -6,7 +6,7 @@ Rows are numbered as an editor numbers lines. An empty cell, or NaN in any spell
 import csv
 import difflib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple, NoReturn, TextIO
 
@@ -22,13 +22,6 @@ _ADVANCE_ROWS = 1000
 """Rows between two reports of progress."""
 _SHOWN = 12
 """Column names that an error lists."""
-
-
-class CsvRow(NamedTuple):
-    """The quantities that have a value in one line of the file."""
-
-    number: int
-    values: dict[str, float]
 
 
 class Cell(NamedTuple):
@@ -58,87 +51,131 @@ def open_table(source: Path) -> TextIO:
         raise SteerdError(what, "", ExitCode.UNREADABLE) from error
 
 
-def read_header(name: str, file: TextIO) -> tuple[str, list[str]]:
-    """The delimiter and the columns' names of an open table; the rows come next in the file.
-
-    Raises:
-        SteerdError: it holds no line.
-    """
-    return _split_header(_first_line(name, _lines(name, file))[1], set())
-
-
-def read_table(
-    name: str, file: TextIO, columns: Mapping[str, ColumnSpec], advance: Advance
-) -> Iterator[CsvRow]:
-    """Read the rows of an open table.
+class CsvTable:
+    """An open csv file: its header was read, its rows come next.
 
     Args:
         name: the file's name, for messages.
         file: the file, at its start.
-        columns: quantity to column.
-        advance: called with the bytes read so far.
+        wanted: column names that the header should hold.
 
-    Yields:
-        Rows that hold any value; scaled.
-
-    Raises:
-        SteerdError: a column is missing or a cell is no number; the message says which.
-    """
-    lines = _lines(name, file)
-    before, line = _first_line(name, lines)
-    delimiter, header = _split_header(line, {spec.column for spec in columns.values()})
-    cells = tuple(_find(name, header, q, spec) for q, spec in columns.items())
-    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
-    try:
-        for texts in reader:
-            number = before + reader.line_num
-            if number % _ADVANCE_ROWS == 0:
-                advance(file.buffer.tell())
-            if len(texts) > len(header) and any(text.strip() for text in texts[len(header) :]):
-                _fail(name, number, f"{len(texts)} cells under {len(header)} column names")
-            found = ((c.quantity, _value(name, number, c, texts, delimiter)) for c in cells)
-            values = {quantity: value for quantity, value in found if value is not None}
-            if values:
-                yield CsvRow(number, values)
-    except csv.Error as error:
-        _fail(name, before + reader.line_num, str(error))
-
-
-def fail_cell(name: str, row: int, column: str, what: str, hint: str = "") -> NoReturn:
-    """Refuse one cell.
+    Attributes:
+        name: the file's name.
+        header: the columns' names.
+        row: number of the line that was read last.
 
     Raises:
-        SteerdError: always.
+        SteerdError: it holds no line.
     """
-    raise SteerdError(f"{name} row {row}, column {column!r}: {what}", hint)
 
+    def __init__(self, name: str, file: TextIO, wanted: Collection[str] = ()) -> None:
+        self.name, self.row, self._file = name, 0, file
+        self._lines = self._read_lines()
+        first = next((line for line in self._lines if line.strip()), None)
+        if first is None:
+            raise SteerdError(f"{name} holds only blank lines", "", ExitCode.UNREADABLE)
+        self._delimiter, self.header = _split_header(first, set(wanted))
 
-def _fail(name: str, row: int, what: str, hint: str = "") -> NoReturn:
-    raise SteerdError(f"{name} row {row}: {what}", hint)
+    def texts(self) -> Iterator[list[str]]:
+        """The cells of each row."""
+        try:
+            yield from csv.reader(self._lines, delimiter=self._delimiter, skipinitialspace=True)
+        except csv.Error as error:
+            self.fail(str(error))
 
+    def rows(
+        self, columns: Mapping[str, ColumnSpec], advance: Advance
+    ) -> Iterator[dict[str, float]]:
+        """The quantities that have a value in a row, of rows that hold any; scaled.
 
-def _lines(name: str, file: TextIO) -> Iterator[str]:
-    """Lines of bounded length, also of a file without line ends."""
-    number = 0
-    try:
-        while line := file.readline(LINE_MAX):
-            number += 1
-            if len(line) == LINE_MAX:
-                _fail(name, number, f"more than {LINE_MAX} characters", "is it a text table?")
-            yield line
-    except UnicodeDecodeError as error:
-        what = f"{name} is no UTF-8 text (behind row {number}, byte {error.object[error.start]:#x})"
-        raise SteerdError(what, "save it as UTF-8 csv", ExitCode.UNREADABLE) from error
-    except OSError as error:
-        what = f"{name} cannot be read: {error.strerror}"
-        raise SteerdError(what, "", ExitCode.UNREADABLE) from error
+        Args:
+            columns: quantity to column.
+            advance: called with the bytes read so far.
 
+        Raises:
+            SteerdError: a column is missing or a cell is no number; the message says which.
+        """
+        cells = [self._find(quantity, spec) for quantity, spec in columns.items()]
+        for texts in self.texts():
+            if self.row % _ADVANCE_ROWS == 0:
+                advance(self._file.buffer.tell())
+            if any(text.strip() for text in texts[len(self.header) :]):
+                self.fail(f"{len(texts)} cells under {len(self.header)} column names")
+            found = ((cell.quantity, self._value(cell, texts)) for cell in cells)
+            if values := {quantity: value for quantity, value in found if value is not None}:
+                yield values
 
-def _first_line(name: str, lines: Iterator[str]) -> tuple[int, str]:
-    for number, line in enumerate(lines, 1):
-        if line.strip():
-            return number, line
-    raise SteerdError(f"{name} holds only blank lines", "", ExitCode.UNREADABLE)
+    def number(self, texts: list[str], column: int) -> float | None:
+        """The number in a cell; None where it holds none.
+
+        Raises:
+            SteerdError: it holds something else.
+        """
+        text = texts[column].strip() if column < len(texts) else ""
+        if text.lower() in _NO_VALUE:
+            return None
+        if self._delimiter == ";" and "." not in text:
+            text = text.replace(",", ".")
+        try:
+            number = float(text) if "_" not in text else math.inf
+        except ValueError:
+            number = math.inf
+        if not math.isfinite(number):
+            hint = "leave a cell empty where there is no sample"
+            self.fail(f"{text[:40]!r} is not a number", hint, self.header[column])
+        return number
+
+    def fail(self, what: str, hint: str = "", column: str = "") -> NoReturn:
+        """Refuse the row that was read last, or its cell in a column.
+
+        Raises:
+            SteerdError: always.
+        """
+        at = f", column {column!r}" if column else ""
+        raise SteerdError(f"{self.name} row {self.row}{at}: {what}", hint)
+
+    def _read_lines(self) -> Iterator[str]:
+        """Lines of bounded length, also of a file without line ends."""
+        try:
+            while line := self._file.readline(LINE_MAX):
+                self.row += 1
+                if len(line) == LINE_MAX:
+                    self.fail(f"more than {LINE_MAX} characters", "is it a text table?")
+                yield line
+        except UnicodeDecodeError as error:
+            where = f"behind row {self.row}, byte {error.object[error.start]:#x}"
+            what, hint = f"{self.name} is no UTF-8 text ({where})", "save it as UTF-8 csv"
+            raise SteerdError(what, hint, ExitCode.UNREADABLE) from error
+        except OSError as error:
+            what = f"{self.name} cannot be read: {error.strerror}"
+            raise SteerdError(what, "", ExitCode.UNREADABLE) from error
+
+    def _find(self, quantity: str, spec: ColumnSpec) -> Cell:
+        gate = None if spec.gate is None else self._index(quantity, spec.gate)
+        return Cell(quantity, self._index(quantity, spec.column), spec, gate)
+
+    def _index(self, quantity: str, column: str) -> int:
+        count = self.header.count(column)
+        if count == 1:
+            return self.header.index(column)
+        if count:
+            what = f"{self.name} has {count} columns named {column!r}"
+            raise SteerdError(what, "give each column its own name")
+        near = difflib.get_close_matches(column.lower(), [h.lower() for h in self.header], 3, 0.4)
+        names = [h for h in self.header if h.lower() in near] or self.header[:_SHOWN]
+        what = f"{self.name} has no column {column[:80]!r}, which the map names for {quantity}"
+        raise SteerdError(what, f"in the map, {' or '.join(repr(n[:40]) for n in names)}")
+
+    def _value(self, cell: Cell, texts: list[str]) -> float | None:
+        number, spec = self.number(texts, cell.column), cell.spec
+        if number is None:
+            return None
+        if cell.gate is not None and not self.number(texts, cell.gate):
+            return 0.0
+        value = spec.scale * number + spec.offset
+        if not math.isfinite(value):
+            self.fail(f"{number:g} times {spec.scale:g} overflows", column=spec.column)
+        return value
 
 
 def _split_header(line: str, wanted: set[str]) -> tuple[str, list[str]]:
@@ -155,53 +192,3 @@ def _split(line: str, delimiter: str) -> list[str]:
     except csv.Error:
         return []
     return [cell.strip() for cell in row]
-
-
-def _find(name: str, header: list[str], quantity: str, spec: ColumnSpec) -> Cell:
-    gate = None if spec.gate is None else _index(name, header, quantity, spec.gate)
-    return Cell(quantity, _index(name, header, quantity, spec.column), spec, gate)
-
-
-def _index(name: str, header: list[str], quantity: str, column: str) -> int:
-    found = [i for i, cell in enumerate(header) if cell == column]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        what = f"{name} has {len(found)} columns named {column!r}"
-        raise SteerdError(what, "give each column its own name")
-    near = difflib.get_close_matches(column.lower(), [h.lower() for h in header], 3, 0.4)
-    names = [h for h in header if h.lower() in near] or header[:_SHOWN]
-    what = f"{name} has no column {column[:80]!r}, which the map names for {quantity}"
-    raise SteerdError(what, f"in the map, {' or '.join(repr(n[:40]) for n in names)}")
-
-
-def _value(name: str, row: int, cell: Cell, texts: list[str], delimiter: str) -> float | None:
-    number = _number(name, row, cell.spec.column, texts, cell.column, delimiter)
-    if number is None:
-        return None
-    if cell.gate is not None:
-        gate = _number(name, row, cell.spec.gate or "", texts, cell.gate, delimiter)
-        if gate is None or gate == 0.0:
-            return 0.0
-    value = cell.spec.scale * number + cell.spec.offset
-    if not math.isfinite(value):
-        fail_cell(name, row, cell.spec.column, f"{number:g} times {cell.spec.scale:g} overflows")
-    return value
-
-
-def _number(
-    name: str, row: int, column: str, texts: list[str], index: int, delimiter: str
-) -> float | None:
-    text = texts[index].strip() if index < len(texts) else ""
-    if text.lower() in _NO_VALUE:
-        return None
-    if delimiter == ";" and "." not in text:
-        text = text.replace(",", ".")
-    try:
-        number = float(text) if "_" not in text else math.inf
-    except ValueError:
-        number = math.inf
-    if math.isfinite(number):
-        return number
-    what = f"{text[:40]!r} is not a number"
-    fail_cell(name, row, column, what, "leave a cell empty where there is no sample")

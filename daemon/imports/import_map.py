@@ -49,6 +49,10 @@ class VescSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     erpm_gain: float = F1TENTH.erpm_gain
     erpm_offset: float = 0.0
 
+    def __post_init__(self) -> None:
+        if not 1.0 <= abs(self.erpm_gain) <= 1e6 or not abs(self.erpm_offset) <= 1e6:
+            raise ValueError("erpm_gain is the ERPM of 1 m/s, 4614 for an F1TENTH car")
+
 
 class SessionSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What the log does not hold: the car's name, the UNIX time of its time zero, a remark."""
@@ -127,7 +131,7 @@ def parse_map(text: str) -> ImportMap:
         topics=tables.topics,
         rigid=tables.rigid,
         frame=frame,
-        vesc=check_vesc(tables.vesc) if tables.vesc else None,
+        vesc=tables.vesc,
         car=check_car_name(tables.session.car),
         epoch_ns=_epoch_ns(tables.session.epoch),
         comment=tables.session.comment,
@@ -144,20 +148,9 @@ def with_erpm_gain(spec: VescSpec | None, erpm_gain: float | None) -> VescSpec |
     if erpm_gain is None:
         return spec
     try:
-        return check_vesc(msgspec.structs.replace(spec or VescSpec(), erpm_gain=erpm_gain))
+        return msgspec.structs.replace(spec or VescSpec(), erpm_gain=erpm_gain)
     except ValueError as error:
         raise SteerdError(f"--erpm-gain {erpm_gain:g}: {error}", "", ExitCode.USAGE) from None
-
-
-def check_vesc(spec: VescSpec) -> VescSpec:
-    """The VESC's figures.
-
-    Raises:
-        ValueError: they are none.
-    """
-    if not 1.0 <= abs(spec.erpm_gain) <= 1e6 or not abs(spec.erpm_offset) <= 1e6:
-        raise ValueError("[vesc] erpm_gain is the ERPM of 1 m/s, 4614 for an F1TENTH car")
-    return spec
 
 
 def _readable(text: str) -> str:

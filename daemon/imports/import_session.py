@@ -5,8 +5,9 @@ or -1 for a whole number, as in :mod:`steerd.steer_bus.messages`.
 """
 
 import hashlib
+from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import nan
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -63,21 +64,6 @@ class ImportReport:
         return all(self.counts.get(topic.name) for topic in (MOCAP, ACTUATION))
 
 
-@dataclass
-class ImportNotes:
-    """Oddities of a log that do not stop an import, counted."""
-
-    counts: dict[str, int] = field(default_factory=dict)
-
-    def add(self, what: str) -> None:
-        """Count one more of them."""
-        self.counts[what] = self.counts.get(what, 0) + 1
-
-    def lines(self) -> tuple[str, ...]:
-        """One line for each kind."""
-        return tuple(f"{count} {what}" for what, count in self.counts.items())
-
-
 def check_output(out: Path) -> None:
     """Check the output name before the work.
 
@@ -107,12 +93,22 @@ def hash_file(path: Path) -> str:
 
 
 def write_import(
-    out: Path, source: Path, the_map: ImportMap, topics: Iterable[Topic], samples: Iterable[Sample]
-) -> dict[str, int]:
+    out: Path,
+    source: Path,
+    the_map: ImportMap,
+    topics: Iterable[Topic],
+    samples: Iterable[Sample],
+    notes: Counter[str],
+) -> ImportReport:
     """Write the whole session, or leave nothing behind.
 
-    Returns:
-        Messages by topic name.
+    Args:
+        out: the session.
+        source: the log.
+        the_map: what is what in it.
+        topics: of the session.
+        samples: of these topics.
+        notes: oddities of the log that do not stop an import, counted while samples come.
 
     Raises:
         SteerdError: the source cannot be read, holds no sample, or the disk does not take it.
@@ -146,7 +142,7 @@ def write_import(
             what = str(error).removesuffix(f" ({error.hint})")
             raise SteerdError(what, "free some space", ExitCode.UNREADABLE) from error
         raise
-    return counts
+    return ImportReport(out, counts, tuple(f"{count} {what}" for what, count in notes.items()))
 
 
 def _describe(source: Path, the_map: ImportMap) -> dict[str, str]:

@@ -3,11 +3,11 @@
 A proposal is a guess; `steerd import --ask` shows what it would mean before anything is written.
 """
 
-import csv
 import itertools
 import re
 from collections.abc import Iterable, Mapping
-from math import pi
+from contextlib import suppress
+from math import inf, pi
 from pathlib import Path
 from typing import Any
 
@@ -15,26 +15,34 @@ import numpy as np
 import tomlkit
 from numpy.typing import NDArray
 
-from steerd.daemon.imports.csv_table import open_table, read_header
+from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.imports.csv_table import CsvTable, open_table
 from steerd.daemon.imports.import_map import ROLES, STREAM_COLUMNS
 
 Proposal = dict[str, dict[str, Any]]
 """Sections of a map."""
 _ROWS = 20_000
 """Rows that are looked at."""
-_NAMES: tuple[tuple[str, str], ...] = (
-    ("t", r"^#?\s*(t|time|stamp|sec|secs|seconds)$|time|stamp"),
-    ("yaw_rate", r"yaw_?rate|gyro.*z|imu.*wz|^wz$|omega|^r$|angular.*z"),
-    ("yaw", r"^yaw|heading|theta|psi|yaw$"),
-    ("x", r"^(x|px|pos_?x)$|(^|[_. /])x(_?m+)?$|position.*x"),
-    ("y", r"^(y|py|pos_?y)$|(^|[_. /])y(_?m+)?$|position.*y"),
-    ("steer_cmd", r"steer|delta"),
-    ("erpm", r"erpm|(^|_)rpm"),
-    ("speed_cmd", r"(speed|vel|v).*(cmd|ref|set|des|target)|(cmd|ref|set|des|target).*(speed|vel)"),
-    ("throttle", r"throttle|gas|duty"),
-    ("wheel_speed", r"wheel|enc|odom.*v|vesc.*v|^v$|^vx$|speed|vel"),
-)
-"""Quantity and the names that its column often has; the first fit takes the column."""
+_DEGREE = round(pi / 180.0, 10)
+_QUANTITIES: dict[str, tuple[str, float, float]] = {
+    "t": (r"^#?\s*(t|time|stamp|sec|secs|seconds)$|time|stamp", inf, 1.0),
+    "yaw_rate": (r"yaw_?rate|gyro.*z|imu.*wz|^wz$|omega|^r$|angular.*z", 15.0, _DEGREE),
+    "yaw": (r"^yaw|heading|theta|psi|yaw$", 12.0 * pi, _DEGREE),
+    "x": (r"^(x|px|pos_?x)$|(^|[_. /])x(_?m+)?$|position.*x", 100.0, 1e-3),
+    "y": (r"^(y|py|pos_?y)$|(^|[_. /])y(_?m+)?$|position.*y", 100.0, 1e-3),
+    "steer_cmd": (r"steer|delta", pi / 2, _DEGREE),
+    "erpm": (r"erpm|(^|_)rpm", inf, 1.0),
+    "speed_cmd": (
+        r"(speed|vel|v).*(cmd|ref|set|des|target)|(cmd|ref|set|des|target).*(speed|vel)",
+        100.0, 1e-3,
+    ),
+    "throttle": (r"throttle|gas|duty", inf, 1.0),
+    "wheel_speed": (r"wheel|enc|odom.*v|vesc.*v|^v$|^vx$|speed|vel", 100.0, 1e-3),
+}  # fmt: skip
+"""Of each quantity: the names that its column often has, of which the first fit takes the column;
+the largest size that is plausible in SI; the scale that makes larger numbers SI."""
+_TICKS = ((1e5, 1e-9), (300.0, 1e-6), (0.9, 1e-3))
+"""Time steps above these are of a finer unit [-], and its scale."""
 _LINE = re.compile(r"^\s*([\w.]+)\s*=\s*(.*?)\s*(?:\*\s*([-+\d.eE]+))?\s*$")
 
 
@@ -45,17 +53,15 @@ def propose_csv(source: Path) -> Proposal:
         SteerdError: the file cannot be read.
     """
     with open_table(source) as file:
-        delimiter, header = read_header(source.name, file)
-        rows = csv.reader(file, delimiter=delimiter, skipinitialspace=True)
-        texts = list(itertools.islice(rows, _ROWS))
+        table = CsvTable(source.name, file)
+        rows = list(itertools.islice(table.texts(), _ROWS))
     columns: dict[str, Any] = {}
-    free = list(header)
-    for quantity, pattern in _NAMES:
+    free = list(table.header)
+    for quantity, (pattern, _, _) in _QUANTITIES.items():
         fits = [name for name in free if re.search(pattern, name, re.IGNORECASE)]
         if fits:
             free.remove(fits[0])
-            values = _numbers(texts, header.index(fits[0]), delimiter)
-            scale = guess_scale(quantity, values)
+            scale = guess_scale(quantity, _numbers(table, rows, table.header.index(fits[0])))
             named: Any = fits[0]
             columns[quantity] = named if scale == 1.0 else {"column": named, "scale": scale}
     if not {"x", "y", "yaw"} <= columns.keys():
@@ -63,40 +69,25 @@ def propose_csv(source: Path) -> Proposal:
     return {"columns": columns}
 
 
-def _numbers(texts: Iterable[list[str]], index: int, delimiter: str) -> NDArray[np.float64]:
+def _numbers(table: CsvTable, rows: Iterable[list[str]], column: int) -> NDArray[np.float64]:
     found = []
-    for row in texts:
-        text = row[index].strip() if index < len(row) else ""
-        try:
-            found.append(float(text.replace(",", ".") if delimiter == ";" else text))
-        except ValueError:
-            continue
-    values = np.array(found, dtype=np.float64)
-    return np.asarray(values[np.isfinite(values)])
+    for texts in rows:
+        with suppress(SteerdError):  # a cell that is no number does not decide about a unit
+            found.append(table.number(texts, column))
+    return np.array([value for value in found if value is not None], dtype=np.float64)
 
 
 def guess_scale(quantity: str, values: NDArray[np.float64]) -> float:
     """What makes a column SI, by the size of its numbers; 1 where they look so already."""
     if values.size < 2:
         return 1.0
+    if quantity == "t":
+        step = float(np.median(np.abs(np.diff(values))))
+        return next((scale for low, scale in _TICKS if step > low), 1.0)
+    _, most, scale = _QUANTITIES[quantity]
     worst = float(np.quantile(np.abs(values), 0.99))
-    match quantity:
-        case "t":
-            step = float(np.median(np.abs(np.diff(values))))
-            for low, scale in ((1e5, 1e-9), (300.0, 1e-6), (0.9, 1e-3)):
-                if step > low:
-                    return scale
-        case "x" | "y" if worst > 100.0:
-            return 0.001
-        case "yaw" if worst > 12.0 * pi or (worst > 1.1 * pi and _is_wrapped(values, 180.0)):
-            return round(pi / 180.0, 10)
-        case "steer_cmd" if worst > pi / 2:
-            return round(pi / 180.0, 10)
-        case "yaw_rate" if worst > 15.0:
-            return round(pi / 180.0, 10)
-        case "speed_cmd" | "wheel_speed" if worst > 100.0:
-            return 0.001
-    return 1.0
+    turns = quantity == "yaw" and worst > 1.1 * pi and _is_wrapped(values, 180.0)
+    return scale if worst > most or turns else 1.0
 
 
 def _is_wrapped(values: NDArray[np.float64], half: float) -> bool:
@@ -150,18 +141,13 @@ def list_sections(proposal: Mapping[str, Any]) -> dict[str, str]:
 
 def format_map(proposal: Proposal, source: str) -> str:
     """The proposal as the text of a map."""
-    document = tomlkit.document()
-    document.add(tomlkit.comment(f"Which quantity is what in {source}; value = scale * cell."))
-    for section, table in proposal.items():
-        if not table:
-            continue
-        shown = tomlkit.table()
-        for key, value in table.items():
-            if isinstance(value, dict):
-                inline = tomlkit.inline_table()
-                inline.update(value)
-                shown[key] = inline
-            else:
-                shown[key] = value
-        document[section] = shown
-    return tomlkit.dumps(document)
+    lines = [f"# Which quantity is what in {source}; value = scale * cell."]
+    for section, table in ((name, table) for name, table in proposal.items() if table):
+        lines += [f"[{section}]", *(f"{key} = {_toml(value)}" for key, value in table.items()), ""]
+    return "\n".join(lines)
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{key} = {_toml(each)}' for key, each in value.items())}}}"
+    return str(tomlkit.item(value).as_string())

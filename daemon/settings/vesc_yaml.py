@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from math import isfinite, nan
+from pathlib import Path
 
 from steerd.daemon.common.errors import SteerdError
 from steerd.vesc_link.scaling import Scaling
@@ -25,21 +26,6 @@ _LINE = re.compile(
     rf"^(\s*(?P<name>{'|'.join(NAMES)})\s*:\s*)(?P<value>[^\s#]+)(?P<rest>\s*(?:#.*)?)$",
     re.MULTILINE,
 )
-_TEMPLATE = """/**:
-  ros__parameters:
-    # erpm (electrical rpm) = speed_to_erpm_gain * speed (m/s) + speed_to_erpm_offset
-    speed_to_erpm_gain: 0
-    speed_to_erpm_offset: 0
-    # servo value (0 to 1) = steering_angle_to_servo_gain * angle (rad) + offset
-    steering_angle_to_servo_gain: 0
-    steering_angle_to_servo_offset: 0
-vesc_driver:
-  ros__parameters:
-    servo_min: 0
-    servo_max: 0
-    speed_max: 0
-    speed_min: 0
-"""
 _SPEED_MIN = re.compile(r"^(\s*speed_min\s*:\s*)[^\s#]+", re.MULTILINE)
 
 
@@ -78,7 +64,8 @@ def make_vesc_yaml(scaling: Scaling, text: str = "") -> str:
     def number(match: re.Match[str]) -> str:
         return f"{match[1]}{float(values[match['name']])!r}{match['rest']}"
 
-    new = _LINE.sub(number, text or _TEMPLATE)
+    fresh = Path(__file__).with_name("vesc.yaml")
+    new = _LINE.sub(number, text or fresh.read_text(encoding="utf-8"))
     return _SPEED_MIN.sub(lambda m: f"{m[1]}{-float(scaling.erpm_max)!r}", new)
 
 

@@ -34,25 +34,21 @@ def solve_least_squares(rows: Array, values: Array) -> tuple[Array, Array]:
     return np.asarray(solution, dtype=np.float64), values - rows @ solution
 
 
-def make_jackknife_masks(good: Mask) -> list[Mask]:
-    """The good samples without each of `BLOCKS` contiguous blocks in turn; shapes (n,)."""
-    masks = []
+def jackknife_sd(
+    good: Mask, estimate: Callable[[Mask], Array | Sequence[float]]
+) -> tuple[float, ...]:
+    """Standard errors of estimates from their values without each block of samples in turn.
+
+    Args:
+        good: samples that may be used, shape (n,).
+        estimate: from some of them.
+    """
+    parts = []
     for block in np.array_split(np.flatnonzero(good), BLOCKS):
         mask = good.copy()
         mask[block] = False
-        masks.append(mask)
-    return masks
-
-
-def jackknife_sd(parts: Sequence[Array]) -> tuple[float, ...]:
-    """Standard errors of estimates from their values without each block in turn.
-
-    Args:
-        parts: estimates, each of shape (k,).
-    """
-    values = np.array(parts)
-    spread = np.sum((values - values.mean(axis=0)) ** 2, axis=0)
-    return tuple(np.sqrt((len(parts) - 1) / len(parts) * spread).tolist())
+        parts.append(estimate(mask))
+    return tuple((np.sqrt(BLOCKS - 1) * np.std(np.array(parts), axis=0)).tolist())
 
 
 def find_delay(cost: Callable[[float], float]) -> float:

@@ -12,8 +12,9 @@ body's place (r_x, r_y), its heading error and the wheels' gain; the delay is th
 and wheels agree best while the speed changes. Pure.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import atan2, cos, sin
+from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import savgol_filter
@@ -61,8 +62,7 @@ class Drive:
     wheel: Array
 
 
-@dataclass(frozen=True)
-class Mount:
+class Mount(NamedTuple):
     """Place of the mocap body on the car, gain of the wheels and delay of the poses.
 
     Attributes:
@@ -133,21 +133,21 @@ def calibrate_mount(drive: Drive, car: Car[float], front: float = 0.0) -> MountC
     moved = np.hypot(motion.vx, motion.vy)
     turn = wheelbase(car) * motion.yaw_rate / np.maximum(moved, ls.MOVING)
     turned = 1.0 - front + front * np.hypot(1.0, turn)
-    mount, residual = _solve(motion, drive, slip, turned, motion.good)
+
+    def solve(keep: ls.Mask) -> tuple[Mount, float]:
+        return _solve(motion, drive, slip, turned, keep)
+
+    mount, residual = solve(motion.good)
     if not GAIN_MIN < mount.speed_gain < GAIN_MAX:
         what = f"the poses move {mount.speed_gain:.3g} times as far as the wheels say"
         hint = "check [mocap] units, [vesc] erpm_gain, and that this body is on this car"
         raise SteerdError(what, hint)
-    masks = ls.make_jackknife_masks(motion.good)
-    parts = [_solve(motion, drive, slip, turned, keep)[0] for keep in masks]
-    names = [f.name for f in fields(Mount)]
-    rows = [np.array([getattr(part, name) for name in names]) for part in parts]
-    sd = dict(zip(names, ls.jackknife_sd(rows), strict=True))
+    sd = Mount(*ls.jackknife_sd(motion.good, lambda keep: solve(keep)[0]))
     # The uncertainty of the slip is common to all parts, so the jackknife does not show it.
-    sd["rear_x"] = float(np.hypot(sd["rear_x"], _slip_sd(motion, slip)))
+    sd = sd._replace(rear_x=float(np.hypot(sd.rear_x, _slip_sd(motion, slip))))
     seconds = float(motion.good.sum()) / RATE
     warnings = tuple(_find_warnings(motion, drive))
-    return MountCalibration(mount, Mount(**sd), seconds, warnings, residual)
+    return MountCalibration(mount, sd, seconds, warnings, residual)
 
 
 def _differentiate(drive: Drive) -> _Motion:
@@ -205,23 +205,25 @@ def _solve(
 
 
 def _lateral(ux: Array, uy: Array, w: Array, slip: float) -> tuple[float, float, float]:
-    """Remaining heading error [rad], r_x [m], residual [m/s, rms].
-
-    The prior of the slip is one more row, weighted by its standard deviation.
-    """
-    rows = np.column_stack([w, -ux, -(ux**2) * w])
-    weight = LATERAL_NOISE / (SLIP_PRIOR_SHARE * slip)
-    rows = np.vstack([rows, [0.0, 0.0, weight]])
-    (rear_x, turn, _), left = ls.solve_least_squares(rows, np.append(uy, weight * slip))
+    """Remaining heading error [rad], r_x [m], residual [m/s, rms]."""
+    rows = _lateral_rows(ux, w, slip)
+    (rear_x, turn, _), left = ls.solve_least_squares(rows, np.append(uy, rows[-1, 2] * slip))
     return float(turn), float(rear_x), float(np.sqrt(np.mean(left[:-1] ** 2)))
 
 
 def _slip_sd(m: _Motion, slip: float) -> float:
     """Standard error of r_x from the uncertainty of the slip [m]."""
-    speed, w = np.hypot(m.vx, m.vy)[m.good], m.yaw_rate[m.good]
-    rows = np.column_stack([w, -speed, -(speed**2) * w])
-    rows = np.vstack([rows, [0.0, 0.0, LATERAL_NOISE / (SLIP_PRIOR_SHARE * slip)]])
+    rows = _lateral_rows(np.hypot(m.vx, m.vy)[m.good], m.yaw_rate[m.good], slip)
     return LATERAL_NOISE * float(np.sqrt(np.linalg.inv(rows.T @ rows)[0, 0]))
+
+
+def _lateral_rows(ux: Array, w: Array, slip: float) -> Array:
+    """Regressors of the lateral velocity: r_x, heading error, slip.
+
+    The prior of the slip is one more row, weighted by its standard deviation.
+    """
+    prior = [0.0, 0.0, LATERAL_NOISE / (SLIP_PRIOR_SHARE * slip)]
+    return np.vstack([np.column_stack([w, -ux, -(ux**2) * w]), prior])
 
 
 def _find_warnings(m: _Motion, drive: Drive) -> list[str]:

@@ -8,11 +8,6 @@ from steerd.daemon.loop.checks import VescInfo, check_vesc
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.mocap_link.gates import REASONS
 
-UDEV_NAME = "/etc/udev/rules.d/99-vesc.rules"
-UDEV_RULE = (
-    'SUBSYSTEM=="tty", ATTRS{idVendor}=="0483", ATTRS{idProduct}=="5740", '
-    'ENV{ID_MM_DEVICE_IGNORE}="1", MODE="0660", GROUP="dialout", SYMLINK+="vesc"'
-)
 VESC_USB = "0483:5740"
 TOOL_SERVO = "VESC Tool: App Settings > General > Enable Servo Output"
 SERVO_SINCE = (5, 3)
@@ -109,6 +104,7 @@ class MocapSeen:
         height: median [m].
         tilt: median [rad].
         refused: pose checks that failed, and how often.
+        advice: what is wrong with it.
     """
 
     address: str
@@ -127,6 +123,7 @@ class MocapSeen:
     height: float | None = None
     tilt: float | None = None
     refused: tuple[tuple[str, int], ...] = ()
+    advice: tuple[Advice, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -137,6 +134,16 @@ class SocketFound:
     address: str
     port: int
     meaning: str
+
+
+@dataclass(frozen=True)
+class Found:
+    """All that was found; `in_dialout` is whether this user may open serial ports by group."""
+
+    serial: tuple[SerialFound, ...]
+    mocap: tuple[MocapSeen, ...]
+    sockets: tuple[SocketFound, ...]
+    in_dialout: bool
 
 
 def judge_vesc(vesc: VescFound, brakes: BrakeSettings) -> Iterator[Advice]:

@@ -4,7 +4,9 @@ import contextlib
 import os
 import select
 import socket
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +19,13 @@ from steerd.daemon.setup.probe import (
     SerialFound,
     SocketFound,
     VescFound,
+    judge_mocap,
     judge_vesc,
     read_sockets,
 )
 from steerd.mocap_link import natnet
 from steerd.mocap_link.ingest import IngestConfig
-from steerd.mocap_link.mocap_url import MocapUrl
+from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.mocap_link.natnet_wire import NatNetError
 from steerd.mocap_link.sockets import MocapReceiver, make_receiver
 from steerd.mocap_link.source import Pose
@@ -61,28 +64,29 @@ def _usb_id(entry: Path) -> str:
     return ""
 
 
-def ask_port(url: str, usb: str, clock: Clock, brakes: BrakeSettings) -> SerialFound:
-    """Identify the device on a port. Only requests are sent, nothing that moves the car."""
-    try:
-        port = open_port(url)
-    except PortError as error:
-        return SerialFound(url, usb, None, (Advice(str(error), error.hint),))
-    try:
-        vesc = _ask_vesc(port, clock)
-    except PortError as error:
-        return SerialFound(url, usb, None, (Advice(str(error), error.hint),))
-    finally:
-        port.close()
-    if vesc is None:
-        fix = "is it a VESC? is it powered by its battery? USB power alone starts some boards only"
-        return SerialFound(url, usb, None, (Advice("opened, but no VESC answered", fix),))
-    return SerialFound(url, usb, vesc, tuple(judge_vesc(vesc, brakes)))
+def ask_ports(named: str | None, clock: Clock, brakes: BrakeSettings) -> Iterator[SerialFound]:
+    """Identify the device on a port, or on all whose USB id is a VESC's or unknown.
 
-
-def skip_port(url: str, usb: str) -> SerialFound:
-    """A port that is left alone: its USB id is another device's, a lidar's for instance."""
-    what = f"left alone: USB id {usb or 'unknown'}, a VESC has {VESC_USB}"
-    return SerialFound(url, usb, None, (Advice(what, f"steerd probe --port {url}"),))
+    Only requests are sent, nothing that moves the car.
+    """
+    ports = find_ports()
+    for url in ports if named is None else [named]:
+        usb = ports.get(url, "")
+        if named is None and usb not in (VESC_USB, ""):  # a lidar's, for instance
+            what = f"left alone: USB id {usb}, a VESC has {VESC_USB}"
+            yield SerialFound(url, usb, None, (Advice(what, f"steerd probe --port {url}"),))
+            continue
+        try:
+            with contextlib.closing(open_port(url)) as port:
+                vesc = _ask_vesc(port, clock)
+        except PortError as error:
+            yield SerialFound(url, usb, None, (Advice(str(error), error.hint),))
+            continue
+        silent = Advice(
+            "opened, but no VESC answered",
+            "is it a VESC? is it powered by its battery? USB power alone starts some boards only",
+        )
+        yield SerialFound(url, usb, vesc, tuple(judge_vesc(vesc, brakes)) if vesc else (silent,))
 
 
 def _exchange(port: Port, link: VescLink, clock: Clock, wire: bytes, ns: int) -> list[Answer]:
@@ -153,21 +157,24 @@ def discover(
     return found
 
 
-def watch_mocap(
-    url: MocapUrl, address: str, config: IngestConfig, clock: Clock, seconds: float
-) -> MocapSeen:
-    """Listen to a source for a while.
+def ask_mocap(
+    named: str | None, config: IngestConfig, clock: Clock, seconds: float
+) -> Iterator[MocapSeen]:
+    """Listen to a source for a while, or to each NatNet server that answers a discovery.
 
     Raises:
-        OSError: the host does not resolve, or there is no route to it.
+        ValueError: the address is none.
     """
-    receiver = make_receiver(url, config)
-    receiver.ingest.stationary = True
-    try:
-        samples = list(listen(receiver, clock, seconds))
-        return _seen(receiver, address, samples, seconds)
-    finally:
-        receiver.close()
+    for address in [named] if named else [f"natnet://{host}/-" for host in discover(clock)]:
+        url = parse_mocap_url(address)
+        try:
+            with contextlib.closing(make_receiver(url, config)) as receiver:
+                receiver.ingest.stationary = True
+                samples = list(listen(receiver, clock, seconds))
+                seen = _seen(receiver, address, samples, seconds)
+        except OSError as error:
+            seen = MocapSeen(address, detail=str(error))
+        yield replace(seen, advice=tuple(judge_mocap(seen, named=named is not None)))
 
 
 def listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[Pose]:
@@ -185,8 +192,7 @@ def _seen(
     status = receiver.status()
     # The clock offset is not known well in the first second.
     age = np.array([(s.t_arrival_ns - s.t_valid_ns) * 1e-6 for s in samples[len(samples) // 3 :]])
-    good = [s for s in samples if s.rejected is None]
-    refused = {s.rejected for s in samples if s.rejected}
+    refused = Counter(s.rejected for s in samples if s.rejected)
     spread = np.quantile(age, (0.05, 0.5, 0.95)) if age.size else np.full(3, np.nan)
     placed = [s for s in samples if np.isfinite(s.height)]
     sigma = status.clock_sigma_ns
@@ -197,7 +203,7 @@ def _seen(
         detail=status.detail,
         seconds=seconds,
         samples=len(samples),
-        accepted=len(good),
+        accepted=len(samples) - refused.total(),
         rate_hz=status.rate_hz,
         expected_rate_hz=status.expected_rate_hz,
         clock=status.clock.name.lower() if status.clock is not None else "",
@@ -206,7 +212,7 @@ def _seen(
         jitter_ms=float(spread[2] - spread[0]) if age.size else None,
         height=float(np.median([s.height for s in placed])) if placed else None,
         tilt=float(np.median([s.tilt for s in placed])) if placed else None,
-        refused=tuple(sorted((name, sum(s.rejected == name for s in samples)) for name in refused)),
+        refused=tuple(sorted(refused.items())),
     )
 
 

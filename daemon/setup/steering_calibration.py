@@ -97,9 +97,7 @@ def calibrate_steering(
 
     delay = ls.find_delay(lambda tau: float(np.mean(fit(tau)[1] ** 2)))
     (gain, bias), left, commanded = fit(delay)
-    sd_gain, sd_bias = ls.jackknife_sd(
-        [fit(delay, part)[0] for part in ls.make_jackknife_masks(steady)]
-    )
+    sd_gain, sd_bias = ls.jackknife_sd(steady, lambda keep: fit(delay, keep)[0])
     _check_gain(float(gain), sd_gain)
     ends = [_find_end(angle, gain * commanded + bias, side) for side in (1.0, -1.0)]
     return SteeringCalibration(

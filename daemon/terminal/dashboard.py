@@ -112,6 +112,11 @@ class Dashboard:
     tally: Tally = field(default_factory=Tally)
     keys: str = ""
 
+    @property
+    def boot_id(self) -> int:
+        """Of the car's run; 0 before it is known."""
+        return int(self.status.get("boot_id", "0") or 0)
+
     def take(self, record: PipeRecord) -> str | None:
         """Take in a record; returns a line to print where nothing is rendered, or None."""
         if record.topic is topics.STATE:

@@ -7,12 +7,15 @@ import sys
 import termios
 import tty
 from collections.abc import Callable, Iterator, Mapping
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from steerd.daemon.ipc.operator import KEEPALIVE_NS
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus.clock import Clock
-from steerd.steer_bus.messages import Parameters, RequestKind, StateMessage
+from steerd.steer_bus.messages import Parameters, RequestKind
+
+if TYPE_CHECKING:
+    from steerd.daemon.terminal.dashboard import Dashboard
 
 KEYS = {
     "a": RequestKind.ARM,
@@ -40,20 +43,6 @@ _HELD = (
 )
 _ANSWER_NS = 1_500_000_000
 """A car that is not yet in a held state after this time refused to arm [ns]."""
-
-
-class Board(Protocol):
-    """What is known of the car."""
-
-    @property
-    def state(self) -> StateMessage | None:
-        """Its newest state."""
-        ...
-
-    @property
-    def parameters(self) -> Parameters | None:
-        """Its live parameters."""
-        ...
 
 
 def nudge(parameters: Parameters, wanted: Mapping[str, float], key: str) -> dict[str, float]:
@@ -93,7 +82,7 @@ class KeyDesk:
 
     def __init__(
         self,
-        board: Board,
+        board: "Dashboard",
         clock: Clock,
         ask: Callable[[RequestKind], object],
         tune: Callable[[Mapping[str, float]], object],

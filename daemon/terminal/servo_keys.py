@@ -3,6 +3,7 @@
 import os
 import select
 import sys
+from contextlib import closing
 from dataclasses import dataclass, replace
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -60,13 +61,9 @@ def steer_by_keys(url: str, scaling: Scaling, clock: Clock) -> Scaling | None:
     Raises:
         SteerdError: no terminal, or the port cannot be used.
     """
-    try:
-        port = open_port(url)
-    except PortError as error:
-        raise SteerdError(str(error), error.hint, ExitCode.UNREADABLE) from None
     servo = Servo(scaling.servo_offset, scaling)
     try:
-        with keys_one_by_one() as fd:
+        with closing(open_port(url)) as port, keys_one_by_one() as fd:
             if fd is None:
                 hint = "run it in a terminal, or name a session instead of --port"
                 raise SteerdError("keys need a terminal", hint, ExitCode.USAGE)
@@ -84,8 +81,6 @@ def steer_by_keys(url: str, scaling: Scaling, clock: Clock) -> Scaling | None:
                     print(f"\n{error}", file=sys.stderr)
     except PortError as error:
         raise SteerdError(str(error), error.hint, ExitCode.UNREADABLE) from None
-    finally:
-        port.close()
 
 
 def _next_key(fd: int, clock: Clock) -> str:

@@ -2,7 +2,7 @@
 
 import getpass
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from rich.columns import Columns
@@ -15,13 +15,12 @@ from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.bus_operator import BusOperator, Pulse
 from steerd.daemon.terminal.dashboard import Dashboard
-from steerd.daemon.terminal.key_desk import KEY_HELP, KEYS, NUDGE_HELP, KeyDesk
+from steerd.daemon.terminal.key_desk import KEYS, KeyDesk
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus, Sample
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import CodecError, decode
-from steerd.steer_bus.messages import RequestKind
 from steerd.steer_bus.topics import ROOT, find_topic, split_key
 from steerd.vesc_link.ids import fault_name
 
@@ -30,6 +29,8 @@ SILENT_NS = 1_500_000_000
 """A car that sends nothing for this long is reported as silent [ns]."""
 DEPTH = 1024
 """Messages kept between two refreshes."""
+_SHOWN = ("state", "tick", "mocap", "vesc", "imu", "actuation", "diagnostics")
+"""Topics whose rates are shown."""
 _TIMES_KEPT = 2048
 """Arrival times kept per topic; more than a second of the fastest topic."""
 
@@ -133,30 +134,13 @@ class Watch:
         if self.vesc is not None:
             v = self.vesc
             style = "red" if v.fault_code > 0 else ""
-            parts.append(
-                Text(
-                    f"VESC  {show(v.v_in, '.1f')} V  {show(v.current_motor, '+.1f')} A  "
-                    f"{show(v.temp_fet, '.0f')} °C  "
-                    f"fault: {self.fault}",
-                    style=style,
-                )
-            )
+            figures = f"{show(v.v_in, '.1f')} V  {show(v.current_motor, '+.1f')} A"
+            figures += f"  {show(v.temp_fet, '.0f')} °C  fault: {self.fault}"
+            parts.append(Text(f"VESC  {figures}", style))
         if self.undecodable:
-            parts.append(
-                Text(f"{self.undecodable} messages of another steerd version", style="yellow")
-            )
+            text = f"{self.undecodable} messages of another steerd version"
+            parts.append(Text(text, "yellow"))
         return Group(*parts)
-
-
-_SHOWN = (
-    topics.STATE.name,
-    topics.TICK.name,
-    topics.MOCAP.name,
-    topics.VESC.name,
-    topics.IMU.name,
-    topics.ACTUATION.name,
-    topics.DIAGNOSTICS.name,
-)
 
 
 def make_desk(
@@ -168,22 +152,11 @@ def make_desk(
         The keys, and what goes on with a stop that was called for there.
     """
     operator = BusOperator(bus, car, clock, getpass.getuser(), Pulse(bus, car))
-
-    def run_of_the_car() -> int:
-        return int(board.status.get("boot_id", "0") or 0)
-
-    def ask(kind: RequestKind) -> bool:
-        return operator.ask(run_of_the_car(), kind)
-
-    def tune(wanted: Mapping[str, float]) -> bool:
-        return operator.tune(run_of_the_car(), wanted)
-
-    def repeat() -> bool:
-        return operator.repeat(board.state.mode if board.state else None)
-
-    return KeyDesk(board, clock, ask, tune, KEYS if operate else {}), repeat
-
-
-def desk_help(operate: bool) -> str:
-    """What the keys do."""
-    return f"{KEY_HELP}\n{NUDGE_HELP}" if operate else NUDGE_HELP
+    desk = KeyDesk(
+        board,
+        clock,
+        lambda kind: operator.ask(board.boot_id, kind),
+        lambda wanted: operator.tune(board.boot_id, wanted),
+        KEYS if operate else {},
+    )
+    return desk, lambda: operator.repeat(board.state.mode if board.state else None)

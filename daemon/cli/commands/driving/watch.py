@@ -44,8 +44,8 @@ def run(args: argparse.Namespace) -> int:
     from steerd.daemon.common.screen import raw
     from steerd.daemon.process.bus_operator import REPEAT_NS
     from steerd.daemon.terminal.dashboard import Dashboard
-    from steerd.daemon.terminal.key_desk import keys_one_by_one, wait_for_key
-    from steerd.daemon.terminal.watch import DEPTH, SECOND, Watch, desk_help, find_car, make_desk
+    from steerd.daemon.terminal.key_desk import KEY_HELP, NUDGE_HELP, keys_one_by_one, wait_for_key
+    from steerd.daemon.terminal.watch import DEPTH, SECOND, Watch, find_car, make_desk
     from steerd.steer_bus.clock import MonotonicClock
     from steerd.steer_bus.topics import make_key
 
@@ -62,7 +62,8 @@ def run(args: argparse.Namespace) -> int:
                 return ExitCode.OK
             desk, repeat = make_desk(watch.board, bus, car, clock, operate=args.operate)
             with keys_one_by_one() as keys, Live(console=console, auto_refresh=False) as live:
-                watch.board.keys = "" if keys is None else desk_help(args.operate)
+                help_text = f"{KEY_HELP}\n{NUDGE_HELP}" if args.operate else NUDGE_HELP
+                watch.board.keys = "" if keys is None else help_text
                 shown_ns = 0
                 while end is None or clock.now_ns() < end:
                     for sample in received.poll():

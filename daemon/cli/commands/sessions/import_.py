@@ -51,12 +51,11 @@ def run(args: argparse.Namespace) -> int:
     """Import, then print what the session holds."""
     kind, source = read_words(args.words)
     out = args.output or default_output(source)
-    if args.ask:
-        return _ask(args, kind, source, out)
-    if kind == "csv" and args.map is None:
+    the_map = _agree(args, kind, source, out) if args.ask else args.map
+    if kind == "csv" and the_map is None:
         hint = f"`steerd import --ask {source}` proposes one; {EXAMPLE_MAP} is one"
         raise SteerdError("a csv file needs a map of its columns, --map", hint, ExitCode.USAGE)
-    _print_result(_import(args, kind, source, args.map, out), args)
+    _print_result(_import(args, kind, source, the_map, out), args, the_map)
     return ExitCode.OK
 
 
@@ -101,7 +100,8 @@ def _import(
         return import_bag(source, the_map, out, choice, advance)
 
 
-def _ask(args: argparse.Namespace, kind: str, source: Path, out: Path) -> int:
+def _agree(args: argparse.Namespace, kind: str, source: Path, out: Path) -> Path:
+    """The map that somebody agreed to, written beside the session."""
     from steerd.daemon.cli.import_ask import ask
     from steerd.daemon.common.written import write_outputs
     from steerd.daemon.imports.import_session import check_output
@@ -111,9 +111,7 @@ def _ask(args: argparse.Namespace, kind: str, source: Path, out: Path) -> int:
     the_map = out.with_suffix(".map.toml")
     write_outputs({the_map: text})
     print(f"written: {the_map}")
-    asked = argparse.Namespace(**{**vars(args), "map": the_map})
-    _print_result(_import(args, kind, source, the_map, out), asked)
-    return ExitCode.OK
+    return the_map
 
 
 def _propose(kind: str, source: Path) -> dict[str, dict[str, object]]:
@@ -128,7 +126,7 @@ def _propose(kind: str, source: Path) -> dict[str, dict[str, object]]:
     return propose_bag(source)
 
 
-def _print_result(made: "ImportReport", args: argparse.Namespace) -> None:
+def _print_result(made: "ImportReport", args: argparse.Namespace, the_map: Path | None) -> None:
     from steerd.daemon.common.screen import print_labelled
     from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.text import format_report, print_warnings
@@ -142,13 +140,13 @@ def _print_result(made: "ImportReport", args: argparse.Namespace) -> None:
     session = made.path
     if found := re.search(r"--erpm-gain (-?\d+)", " ".join(report.warnings)):
         session = made.path.with_name(f"{made.path.stem}-erpm.mcap")
-        print(f"  again: {make_again(args, found[1], session)}")
+        print(f"  again: {_again(args, the_map, found[1], session)}")
     print(f"   next: steerd {'identify' if made.is_drive else 'plot'} {session}")
 
 
-def make_again(args: argparse.Namespace, erpm_gain: str, out: Path) -> str:
+def _again(args: argparse.Namespace, the_map: Path | None, erpm_gain: str, out: Path) -> str:
     """The same import with the ERPM per m/s that the drive shows."""
-    options = ["--map", str(args.map)] if args.map else []
+    options = ["--map", str(the_map)] if the_map else []
     options += [word for topic in args.topic for word in ("--topic", topic)]
     options += [] if args.rigid is None else ["--rigid", str(args.rigid)]
     last = ["--erpm-gain", erpm_gain, "-o", str(out)]

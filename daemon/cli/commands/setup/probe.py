@@ -8,17 +8,21 @@ steerd probe --port /dev/ttyACM0 --mocap natnet://192.168.1.10/car
 
 import argparse
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from math import degrees
 
 from steerd.daemon.cli.arguments import missing_car, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.setup.probe import VESC_USB, Advice, MocapSeen, SerialFound
+from steerd.daemon.common.screen import clean, join_words, wrap
+from steerd.daemon.setup.probe import VESC_USB, Advice, Found, MocapSeen, VescFound
 
-if TYPE_CHECKING:
-    from steerd.daemon.settings.config import BrakeSettings
-    from steerd.mocap_link.ingest import IngestConfig
+NAME_MAX = 40
+"""Characters of a body's name that are shown."""
+ADVICE_MAX = 500
+"""Characters of a finding that are shown."""
+Rows = Iterable[tuple[str, str]]
+"""Labels and what is said under them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,62 +38,96 @@ def run(args: argparse.Namespace) -> int:
     """Print the findings; exit code 3 if what was named cannot be used, or nothing was found."""
     from steerd.car_model.car_file import default_car_path
     from steerd.daemon.settings.config import load_settings
-    from steerd.daemon.setup.probe_ask import find_sockets, in_group
-    from steerd.daemon.setup.probe_text import format_mocap, format_serial, format_sockets
+    from steerd.daemon.setup.probe_ask import ask_mocap, ask_ports, find_sockets, in_group
+    from steerd.steer_bus.clock import MonotonicClock
 
     if not 0.5 <= args.seconds <= 600.0:
         raise SteerdError(f"--seconds {args.seconds:g}: 0.5 to 600", "", ExitCode.USAGE)
-    settings = load_settings(args.car or default_car_path())
-    serial = list(_serial(args.port, settings.brakes))
-    mocap = list(_mocap(args.mocap, settings.ingest, args.seconds))
-    sockets, may_open = find_sockets(), in_group()
+    settings, clock = load_settings(args.car or default_car_path()), MonotonicClock()
+    serial = tuple(ask_ports(args.port, clock, settings.brakes))
+    try:
+        mocap = tuple(ask_mocap(args.mocap, settings.ingest, clock, args.seconds))
+    except ValueError as error:
+        raise SteerdError(f"--mocap {args.mocap}: {error}", "", ExitCode.USAGE) from None
+    found = Found(serial, mocap, find_sockets(), in_group())
     if args.json:
-        document = {
-            "schema": "steerd.probe/1",
-            "serial": [asdict(port) for port in serial],
-            "mocap": [{**asdict(seen), "advice": [asdict(a) for a in adv]} for seen, adv in mocap],
-            "sockets": [asdict(item) for item in sockets],
-            "in_dialout": may_open,
-        }
+        document = {"schema": "steerd.probe/1", **asdict(found)}
         print(json.dumps(document, indent=1, ensure_ascii=False))
     else:
-        print("\n".join([*format_serial(serial, may_open), "", *format_mocap(mocap), "",
-                         *format_sockets(sockets)]))  # fmt: skip
-    useless = args.port and not any(port.vesc for port in serial)
-    useless = useless or (args.mocap and not any(seen.samples for seen, _ in mocap))
-    nothing = not any(port.vesc for port in serial) and not mocap
-    return ExitCode.UNREADABLE if useless or nothing else ExitCode.OK
+        print("\n".join(format_found(found)))
+    vesc, poses = any(port.vesc for port in serial), any(seen.samples for seen in mocap)
+    useless = (args.port and not vesc) or (args.mocap and not poses) or not (vesc or mocap)
+    return ExitCode.UNREADABLE if useless else ExitCode.OK
 
 
-def _serial(port: str | None, brakes: "BrakeSettings") -> Iterator[SerialFound]:
-    from steerd.daemon.setup.probe_ask import ask_port, find_ports, skip_port
-    from steerd.steer_bus.clock import MonotonicClock
+def format_found(found: Found) -> Iterator[str]:
+    """What was found, in lines of at most 80 columns."""
+    yield "serial ports"
+    if not found.serial:
+        yield "  none: is the VESC powered, and its USB cable one that carries data?"
+    for port in found.serial:
+        head = f"{port.port}{f'  (USB {port.usb})' if port.usb else ''}"
+        yield from _item(head, _vesc(port.vesc) if port.vesc else (), port.advice)
+    if not found.in_dialout:
+        yield "  ! you are not in the group dialout"
+        yield "    try: sudo usermod -aG dialout $USER, then log out and in again"
+    if any(port.vesc or port.usb == VESC_USB for port in found.serial):
+        yield "  for the name /dev/vesc, and to keep ModemManager away from it:"
+        yield "    steerd service udev | sudo tee /etc/udev/rules.d/99-vesc.rules"
+    yield "\nmotion capture"
+    if not found.mocap:
+        yield "  no NatNet server answered a discovery on this network"
+        yield "    try: steerd probe --mocap natnet://HOST/BODY (or vrpn://HOST/BODY)"
+    for seen in found.mocap:
+        yield from _item(clean(seen.address), _source(seen), seen.advice)
+    yield "\nopen sockets"
+    if not found.sockets:
+        yield "  none of zenoh, NatNet and VRPN: nothing is in the way"
+    for item in found.sockets:
+        yield f"  {item.kind} {item.address}:{item.port}  {item.meaning}"
 
-    clock = MonotonicClock()
-    if port is not None:
-        yield ask_port(port, find_ports().get(port, ""), clock, brakes)
-        return
-    for name, usb in find_ports().items():
-        known = usb in (VESC_USB, "")
-        yield ask_port(name, usb, clock, brakes) if known else skip_port(name, usb)
+
+def _vesc(v: VescFound) -> Rows:
+    yield "VESC", f"{clean(v.hardware, 30)}, firmware {v.firmware[0]}.{v.firmware[1]:02d}"
+    yield "UUID", f"{v.uuid or 'unknown'} (car file: [vesc] uuid)"
+    if v.timeout_ms is not None:
+        never = "never" if v.timeout_ms == 0 else f"{v.timeout_ms} ms"
+        yield "timeout", f"{never}, then {v.timeout_brake_a:g} A brake current"
+    electrics = [f"{v.voltage:.1f} V"] if v.voltage is not None else []
+    electrics += [f"{v.temp_fet_c:.0f} °C"] if v.temp_fet_c is not None else []
+    electrics += ["IMU answers" if v.imu else "no IMU"]
+    yield "state", f"{', '.join(electrics)}, fault: {v.fault or 'none'}"
+    if v.round_trip_ms is not None:
+        yield "answers", f"{v.answered:.0%}, after {v.round_trip_ms:.1f} ms"
 
 
-def _mocap(
-    text: str | None, config: "IngestConfig", seconds: float
-) -> Iterator[tuple[MocapSeen, tuple[Advice, ...]]]:
-    from steerd.daemon.setup.probe import judge_mocap
-    from steerd.daemon.setup.probe_ask import discover, watch_mocap
-    from steerd.mocap_link.mocap_url import parse_mocap_url
-    from steerd.steer_bus.clock import MonotonicClock
+def _source(seen: MocapSeen) -> Rows:
+    if seen.server:
+        yield "server", clean(seen.server)
+    if seen.bodies:
+        yield "bodies", ", ".join(join_words(clean(body, NAME_MAX)) for body in seen.bodies)
+    if seen.samples:
+        of = f" of {seen.expected_rate_hz:.0f}" if seen.expected_rate_hz else ""
+        yield "poses", f"{seen.rate_hz:.0f}{of} Hz, {seen.accepted} of {seen.samples} accepted"
+    if seen.latency_ms is not None:
+        sigma = "" if seen.clock_sigma_ms is None else f" ± {seen.clock_sigma_ms:.2f} ms"
+        figures = (
+            f"clock: {seen.clock}{sigma}",
+            f"age on arrival: {seen.latency_ms:.1f} ms",
+            f"jitter: {seen.jitter_ms:.1f} ms",
+        )
+        yield "time", ", ".join(map(join_words, figures))
+    if seen.height is not None and seen.tilt is not None:
+        yield "body", f"{seen.height:.3f} m high, tilted by {degrees(seen.tilt):.1f}°"
 
-    clock = MonotonicClock()
-    addresses = [text] if text else [f"natnet://{host}/-" for host in discover(clock)]
-    for address in addresses:
-        try:
-            url = parse_mocap_url(address)
-            seen = watch_mocap(url, address, config, clock, seconds)
-        except ValueError as error:
-            raise SteerdError(f"--mocap {address}: {error}", "", ExitCode.USAGE) from None
-        except OSError as error:
-            seen = MocapSeen(address, detail=str(error))
-        yield seen, tuple(judge_mocap(seen, named=text is not None))
+
+def _item(head: str, rows: Rows, advice: Sequence[Advice]) -> Iterator[str]:
+    yield f"  {head}"
+    for label, text in rows:
+        yield from wrap(text, f"    {label:<10}", " " * 14)
+    for item in advice:
+        yield from wrap(clean(item.what, ADVICE_MAX), "    ! ", "      ")
+        for i, line in enumerate(item.fix.splitlines()):
+            head = "      try: " if i == 0 else "        "
+            # An indented line is to be copied and stays as it is.
+            yield from [head + line] if line.startswith(" ") else wrap(line, head, " " * 11)

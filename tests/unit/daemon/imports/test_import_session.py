@@ -1,6 +1,7 @@
 """The session that an import writes: its messages, its metadata, and nothing after a failure."""
 
 import hashlib
+from collections import Counter
 from math import radians
 
 import pytest
@@ -35,9 +36,9 @@ def test_a_failure_while_writing_leaves_nothing(tmp_path):
         raise SteerdError("row 4: no number")
 
     with pytest.raises(SteerdError, match="row 4"):
-        write_import(out, source, ImportMap(), [WHEEL], failing())
+        write_import(out, source, ImportMap(), [WHEEL], failing(), Counter())
     with pytest.raises(SteerdError, match="holds no sample"):
-        write_import(out, source, ImportMap(), [WHEEL], [])
+        write_import(out, source, ImportMap(), [WHEEL], [], Counter())
     assert list(tmp_path.iterdir()) == [source]
 
 

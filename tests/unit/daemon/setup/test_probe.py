@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from steerd.daemon.cli.commands.setup.probe import format_found
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.daemon.setup.mocap_check import Movement, check_movement
 from steerd.daemon.setup.probe import (
     Advice,
+    Found,
     MocapSeen,
     SerialFound,
     VescFound,
@@ -19,7 +21,6 @@ from steerd.daemon.setup.probe import (
     read_sockets,
 )
 from steerd.daemon.setup.probe_ask import find_ports, find_sockets
-from steerd.daemon.setup.probe_text import format_mocap, format_serial, format_sockets
 from steerd.mocap_link import sockets
 from steerd.mocap_link.frame import FrameConfig, make_body_pose, make_planar_pose
 from steerd.mocap_link.gates import REASONS
@@ -101,7 +102,7 @@ def test_sockets_of_this_machine(tmp_path):
         TCP.replace("0100007F:1D17", "00000000000000000000000000000000:05E6")
     )
     assert [(s.kind, s.port) for s in find_sockets(tmp_path)] == [("tcp", 7447), ("udp", 1510)]
-    assert "zenoh" in "\n".join(format_sockets(found))
+    assert "zenoh" in "\n".join(format_found(Found((), (), tuple(found), True)))
 
 
 def test_ports_by_their_usb_ids(tmp_path):
@@ -128,16 +129,15 @@ def test_the_text_names_the_udev_file_and_fits_80_columns():
     bad = replace(GOOD, timeout_ms=0, fault="ABS_OVER_CURRENT", voltage=9.0)
     advice = tuple(judge_vesc(bad, BrakeSettings()))
     advice += (Advice("it is busy", f"{'close what uses it, ' * 8}\n  to copy: {'x' * 50}"),)
-    lines = list(format_serial([SerialFound("/dev/ttyACM0", "0483:5740", bad, advice)], False))
-    text = "\n".join(lines)
+    port = SerialFound("/dev/ttyACM0", "0483:5740", bad, advice)
+    text = "\n".join(format_found(Found((port,), (SEEN,), (), False)))
+    lines = text.splitlines()
     assert "timeout   never, then 20 A" in text
     assert "sudo usermod -aG dialout" in text
     assert max(map(len, lines)) <= 80
     assert f"          to copy: {'x' * 50}" in lines
     assert "    steerd service udev | sudo tee /etc/udev/rules.d/99-vesc.rules" in lines
-    shown = "\n".join(format_mocap([(SEEN, tuple(judge_mocap(SEEN, named=True)))]))
-    assert "100 of 100 Hz, 300 of 300 accepted" in shown
-    assert "!" not in shown
+    assert "100 of 100 Hz, 300 of 300 accepted" in text
 
 
 # `steerd mocap check`: a sound room passes, each wrong axis or unit is named with its remedy.

@@ -14,7 +14,7 @@ from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.daemon.terminal.key_desk import KEYS, NUDGE_HELP, NUDGES, nudge
 from steerd.daemon.terminal.servo_keys import Servo, press
 from steerd.daemon.terminal.terminal import Terminal
-from steerd.daemon.terminal.watch import desk_help, make_desk
+from steerd.daemon.terminal.watch import make_desk
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.codec import decode
@@ -114,7 +114,6 @@ def test_the_keys_of_a_watch(operate):
     kinds = [decode(OperatorRequest, s.data).kind for s in (*asked.poll(), *stops.poll())]
     assert kinds == ([KEYS["a"], KEYS[" "]] if operate else [])
     assert desk.holding is operate
-    assert ("[a]rm" in desk_help(operate)) is operate
 
 
 # Keys move the servo and set its centre and stops; the session's servo becomes a new scaling.
