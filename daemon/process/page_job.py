@@ -9,8 +9,8 @@ from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.settings.thresholds import Thresholds
 
-_STEP = 0.05
-"""Distance between drawn points of the lane [m]."""
+LANE_STEP = 0.05
+"""Distance between drawn points of a lane [m]."""
 
 
 def check_page(plan_lab: str, listen: str) -> None:
@@ -55,7 +55,7 @@ def make_lane_job(spec: str | None) -> dict[str, Any]:
 
 
 def _lane(path: Path, half_width: float) -> dict[str, Any]:
-    stride = max(1, round(_STEP / path.step))
+    stride = max(1, round(LANE_STEP / path.step))
     points = list(zip(path.x, path.y, strict=True))[::stride]
     return {
         "lane": [[round(x, 3), round(y, 3)] for x, y in points],

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
 DEFAULT_PORT = 8765
 """Foxglove's own."""
-_LANE_STEP = 0.05
-"""Distance between drawn points of the lane [m]."""
 _WIDTH = 0.27
 """Width of an F1TENTH car [m]; only drawn."""
 
@@ -64,9 +62,11 @@ def make_view_job(plan: "RunPlan") -> dict[str, Any]:
     Raises:
         SteerdError: the address is invalid.
     """
+    from steerd.daemon.process.page_job import LANE_STEP
+
     host, port = parse_view(plan.options.view, plan.options.insecure_lan)
     path, settings = plan.path, plan.settings
-    stride = max(1, round(_LANE_STEP / path.step))
+    stride = max(1, round(LANE_STEP / path.step))
     lane = list(zip(path.x, path.y, path.yaw, strict=True))[::stride]
     run = {"path": plan.options.path, "speed": plan.options.speed, "rate_hz": plan.options.rate_hz}
     return {

@@ -22,18 +22,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the file and say what is not in it."""
-    from steerd.daemon.common.screen import wrap
-    from steerd.daemon.common.written import check_outputs, write_outputs
-    from steerd.daemon.settings.car_export import make_gym_yaml, make_mjcf
-    from steerd.daemon.settings.config import load_settings
+    from dataclasses import replace
 
-    kinds = {".yaml": make_gym_yaml, ".yml": make_gym_yaml, ".xml": make_mjcf}
-    make = kinds.get(args.output.suffix.lower())
-    if make is None:
+    from steerd.daemon.common.screen import clean, wrap
+    from steerd.daemon.common.written import check_outputs, write_outputs
+    from steerd.daemon.settings.config import load_settings
+    from steerd.sysid.report.car_export import make_gym_yaml, make_mjcf
+
+    kind = args.output.suffix.lower()
+    if kind not in (".yaml", ".yml", ".xml"):
         what = f"-o {args.output}: no format of that name"
         raise SteerdError(what, "name it .yaml for f1tenth_gym, .xml for MuJoCo", ExitCode.USAGE)
     check_outputs({"-o": args.output})
-    made = make(load_settings(args.car))
+    settings = load_settings(args.car)
+    file = replace(settings.file, name=clean(settings.file.name))
+    if kind == ".xml":
+        made = make_mjcf(file, settings.controller.speed)
+    else:
+        made = make_gym_yaml(file, settings.limits.speed_max)
     write_outputs({args.output: made.text})
     print(f"{args.output}: written. What is lost:")
     for sentence in made.lost:

@@ -37,73 +37,52 @@ class Step(NamedTuple):
     makes: Path | None = None
 
 
+_STEPS = """\
+is everything there? | Switch on the car and mocap. Nothing moves.
+probe {hardware}
+a car file | Afterwards enter wheelbase, mass and wheel track as you measured them.
+config > {car}
+do units and axes agree? | Push the car 1 m straight forward by hand.
+mocap check --mocap {mocap} --car {car}
+centre and stops of the steering | Lift the front wheels; arrow keys steer, the motor stays off.
+calibrate servo --port {port} --car {car} -o {car}
+slow laps | Clear 6 m by 4 m, hold the power switch. `a` arms, `s` starts, space stops.
+run {hardware} --car {car} --path figure8 --speed 0.8 --duration 60 --record {slow}
+place of the mocap body, ERPM per m/s, delay | Nothing moves.
+mocap calibrate {slow} --car {car} -o {car}
+gain and centre of the steering | Nothing moves.
+calibrate servo {slow} --car {car} -o {car}
+a drive that identifies the car | The same floor; steps and swings are added to the lane keeper's.
+collect {hardware} --car {car} --closed --path figure8 --speed 1.2 --duration 60 --record {mixed}
+the car's parameters | Nothing moves.
+identify {mixed} --car {car} -o {identified}
+"""
+"""Title and preparation, and the command, of each step."""
+
+
 def list_steps(port: str, mocap: str, folder: Path) -> tuple[Step, ...]:
     """What is done for a car, in order; files lie in the folder."""
-    car, slow, mixed = folder / "car.toml", folder / "slow.mcap", folder / "mixed.mcap"
-    hardware = ("--port", port, "--mocap", mocap)
-    with_car = ("--car", f"{car}")
-    made = (*with_car, "-o", f"{car}")
-    return (
-        Step(
-            "is everything there?",
-            "Switch on the car and mocap. Nothing moves.",
-            ("probe", *hardware),
-        ),
-        Step(
-            "a car file",
-            "Afterwards enter wheelbase, mass and wheel track as you measured them.",
-            ("config",),
-            car,
-        ),
-        Step(
-            "do units and axes agree?",
-            "Push the car 1 m straight forward by hand.",
-            ("mocap", "check", "--mocap", mocap, *with_car),
-        ),
-        Step(
-            "centre and stops of the steering",
-            "Lift the front wheels; the arrow keys move the servo, the motor stays off.",
-            ("calibrate", "servo", "--port", port, *made),
-        ),
-        Step(
-            "slow laps",
-            "Clear 6 m by 4 m, hold the power switch. `a` arms, `s` starts, space stops.",
-            ("run", *hardware, *with_car, *_laps(0.8, slow)),
-        ),
-        Step(
-            "place of the mocap body, ERPM per m/s, delay",
-            "Nothing moves.",
-            ("mocap", "calibrate", f"{slow}", *made),
-        ),
-        Step(
-            "gain and centre of the steering",
-            "Nothing moves.",
-            ("calibrate", "servo", f"{slow}", *made),
-        ),
-        Step(
-            "a drive that identifies the car",
-            "The same floor; the lane keeper steers, steps and swings are added.",
-            ("collect", *hardware, *with_car, "--plan", "mixed", "--closed", *_laps(1.2, mixed)),
-        ),
-        Step(
-            "the car's parameters",
-            "Nothing moves.",
-            ("identify", f"{mixed}", *with_car, "-o", f"{folder / 'identified.toml'}"),
-        ),
-    )
-
-
-def _laps(speed: float, record: Path) -> tuple[str, ...]:
-    """A minute of figures of eight."""
-    return (*f"--path figure8 --speed {speed} --duration 60 --record".split(), f"{record}")
+    places = {"port": port, "mocap": mocap} | {
+        name.partition(".")[0]: f"{folder / name}"
+        for name in ("car.toml", "slow.mcap", "mixed.mcap", "identified.toml")
+    }
+    quoted = {name: shlex.quote(text) for name, text in places.items()}
+    quoted["hardware"] = "--port {port} --mocap {mocap}".format(**quoted)
+    lines = _STEPS.splitlines()
+    steps = []
+    for about, command in zip(lines[::2], lines[1::2], strict=True):
+        title, _, before = about.partition(" | ")
+        words, _, makes = command.partition(" > ")
+        made = tuple(shlex.split(words.format(**quoted)))
+        steps.append(Step(title, before, made, folder / "car.toml" if makes else None))
+    return tuple(steps)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The hardware, and where to begin."""
     option(parser, "--port", "DEV", "serial port of the VESC", required=True)
     option(parser, "--mocap", "URL", "the pose source, as `steerd run`", required=True)
-    text = "where car file and sessions are kept"
-    option(parser, "--folder", "DIR", text, type=Path, default=Path("setup"))
+    option(parser, "--folder", "DIR", "of car file and drives", type=Path, default=Path("setup"))
     option(parser, "--from", "N", "begin at this step", type=int, default=1, dest="first")
 
 
@@ -113,12 +92,14 @@ def run(args: argparse.Namespace) -> int:
     if not 1 <= args.first <= len(steps):
         raise SteerdError(f"--from {args.first}: there are {len(steps)} steps", "", ExitCode.USAGE)
     args.folder.mkdir(parents=True, exist_ok=True)
+    hardware = ["--port", args.port, "--mocap", args.mocap]
     left = guide(steps, args.first - 1, read_key, run_step)
     if left < len(steps):
-        again = ("setup", "--port", args.port, "--mocap", args.mocap, "--folder", f"{args.folder}")
-        print(f"   next: {command_line((*again, '--from', f'{left + 1}'))}")
+        again = shlex.join(["setup", *hardware, "--folder", str(args.folder)])
+        print(f"   next: steerd {again} --from {left + 1}")
         return ExitCode.INTERRUPTED
-    print(f"   next: steerd run --port {args.port} --car {args.folder / 'identified.toml'} …")
+    car = str(args.folder / "identified.toml")
+    print(f"   next: steerd {shlex.join(['run', *hardware, '--car', car])}")
     return ExitCode.OK
 
 
@@ -138,7 +119,7 @@ def guide(
     while at < len(steps):
         step = steps[at]
         print(f"\n{at + 1} of {len(steps)}: {step.title}\n{step.before}")
-        print(f"  {command_line(step.words)}" + (f" > {step.makes}" if step.makes else ""))
+        print(f"  steerd {shlex.join(step.words)}" + (f" > {step.makes}" if step.makes else ""))
         answer = ask(_KEYS).strip().lower()
         if answer == "q":
             break
@@ -163,17 +144,10 @@ def read_key(question: str) -> str:
 def run_step(step: Step) -> int:
     """Run the step's command in this terminal; a file that is there is kept."""
     command = [sys.executable, "-m", "steerd", *step.words]
-    if step.makes is None:
-        return subprocess.run(command, check=False).returncode
-    if step.makes.exists():
+    if step.makes and step.makes.exists():
         print(f"{step.makes} is there and stays as it is")
         return 0
-    found = subprocess.run(command, check=False, stdout=subprocess.PIPE)
-    if found.returncode == 0:
+    found = subprocess.run(command, check=False, stdout=subprocess.PIPE if step.makes else None)
+    if step.makes and found.returncode == 0:
         step.makes.write_bytes(found.stdout)
     return found.returncode
-
-
-def command_line(words: Sequence[str]) -> str:
-    """A command of steerd as a shell takes it."""
-    return shlex.join(["steerd", *words])

@@ -10,9 +10,8 @@ from math import inf, sqrt
 from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
+from steerd.car_model.car_file import CarFile
 from steerd.car_model.params import GRAVITY, Car, wheelbase
-from steerd.daemon.common.screen import clean
-from steerd.daemon.settings.config import Settings
 
 _GYM_WIDTH, _GYM_LENGTH = 0.31 / 0.3302, 0.58 / 0.3302
 """Outline of f1tenth_gym's car per wheelbase."""
@@ -37,30 +36,35 @@ class Export(NamedTuple):
     lost: tuple[str, ...]
 
 
-def _find_lost(settings: Settings, neutral: Mapping[str, float]) -> list[str]:
+def _find_lost(file: CarFile, neutral: Mapping[str, float]) -> list[str]:
     """Parameters with another value than the neutral one, effects and chassis, as sentences."""
-    car = settings.file.car
+    car = file.car
     away = [
         f"{name} = {getattr(car, name):g}"
         for name, null in neutral.items()
         if getattr(car, name) != null
     ]
     lost = [f"not in this model: {', '.join(away)}"] if away else []
-    names = ", ".join(effect.name for effect in settings.file.effects)
+    names = ", ".join(effect.name for effect in file.effects)
     return lost + ([f"effects of the car file that are left out: {names}"] if names else [])
 
 
 _DELAYS = {"steer_delay": 0.0, "drive_delay": 0.0, "pose_delay": 0.0}
 
 
-def make_gym_yaml(settings: Settings) -> Export:
-    """The parameters of f1tenth_gym's single-track car, as its `params` take them."""
-    car, top = settings.file.car, settings.limits.speed_max
+def make_gym_yaml(file: CarFile, speed_max: float) -> Export:
+    """The parameters of f1tenth_gym's single-track car, as its `params` take them.
+
+    Args:
+        file: the car.
+        speed_max: what it may drive at most [m/s].
+    """
+    car = file.car
     neutral = {**_DELAYS, "steer_gain": 1.0, "steer_bias": 0.0, "steer_lag": 0.0}
     neutral |= {"speed_gain": 1.0, "speed_lag": 0.0, "decel_max": car.accel_max}
-    lost = _find_lost(settings, neutral)
-    if settings.file.chassis.drive:
-        lost.append(f"the {settings.file.chassis.label} equations: the gym's car is single-track")
+    lost = _find_lost(file, neutral)
+    if file.chassis.drive:
+        lost.append(f"the {file.chassis.label} equations: the gym's car is single-track")
     lost.append("width and length are the gym's own, by wheelbase: a car file has none")
     base = wheelbase(car)
     values = {
@@ -69,16 +73,16 @@ def make_gym_yaml(settings: Settings) -> Export:
         "s_min": car.steer_min, "s_max": car.steer_max,
         "sv_min": -car.steer_rate, "sv_max": car.steer_rate,
         # The motor's limit falls with speed above v_switch; the car file's is the same at all.
-        "v_switch": top, "a_max": car.accel_max, "v_min": 0.0, "v_max": top,
+        "v_switch": speed_max, "a_max": car.accel_max, "v_min": 0.0, "v_max": speed_max,
         "width": _GYM_WIDTH * base, "length": _GYM_LENGTH * base,
     }  # fmt: skip
-    lines = [f"# {line}" for line in _head(settings, lost)]
+    lines = [f"# {line}" for line in _head(file, lost)]
     lines += [f"{name}: {float(f'{value:.6g}')!r}" for name, value in values.items()]
     return Export("\n".join(lines) + "\n", tuple(lost))
 
 
-def _head(settings: Settings, lost: list[str]) -> list[str]:
-    return [f"{clean(settings.file.name)}, written by steerd export. What is lost:", *lost]
+def _head(file: CarFile, lost: list[str]) -> list[str]:
+    return [f"{' '.join(file.name.split())}, written by steerd export. What is lost:", *lost]
 
 
 # -- MuJoCo ----------------------------------------------------------------------------------------
@@ -91,15 +95,15 @@ class _Wheel(NamedTuple):
     coefficient: float  # cornering force per load, friction and slip angle [1/rad]
 
 
-def make_mjcf(settings: Settings) -> Export:
+def make_mjcf(file: CarFile, speed: float) -> Export:
     """A MuJoCo model: a body on four wheels, two of them steered, without suspension.
 
     `steer_left` and `steer_right` take the steering command [rad], `drive` the speed [m/s], with
     the car's gains and lags. MuJoCo's tyres creep with a slip speed, not with a slip angle: in a
-    steady turn the car's and MuJoCo's are equal at the speed of the car file.
+    steady turn the car's and MuJoCo's are equal at this speed [m/s].
     """
-    car, speed = settings.file.car, settings.controller.speed
-    lost = _find_lost(settings, {**_DELAYS, "steer_rate": inf})
+    car = file.car
+    lost = _find_lost(file, {**_DELAYS, "steer_rate": inf})
     lost += [
         f"tyres slip as the car's at {speed:g} m/s, at half that speed twice as far",
         "c_x has no counterpart; friction limits the tyres, which the car's equations do not",
@@ -111,13 +115,13 @@ def make_mjcf(settings: Settings) -> Export:
         for axle, x, coefficient in (("front", car.lf, car.c_sf), ("rear", -car.lr, car.c_sr))
         for side, y in (("left", half), ("right", -half))
     ]
-    drive = settings.file.chassis.drive or "all"
+    drive = file.chassis.drive or "all"
     driven = [w for w in wheels if drive == "all" or w.name.startswith(drive)]
     radius = _RADIUS * wheelbase(car)
     share = radius / len(driven)
     parts = {
-        "name": quoteattr(clean(settings.file.name)),
-        "about": "\n     ".join(_head(settings, lost)).replace("--", "-"),
+        "name": quoteattr(file.name),
+        "about": "\n     ".join(_head(file, lost)).replace("--", "-"),
         "body": _body(car, wheels),
         "contacts": "\n    ".join(_contact(car, wheel, speed) for wheel in wheels),
         "driven": "".join(f'<joint joint="spin_{w.name}" coef="{share:.6g}"/>' for w in driven),

@@ -14,8 +14,7 @@ from steerd.car_model.params import wheelbase
 from steerd.car_model.rollout import simulate, start
 from steerd.car_model.state import ORIGIN, Command
 from steerd.daemon.cli.main import run_cli
-from steerd.daemon.settings.car_export import make_gym_yaml, make_mjcf
-from steerd.daemon.settings.config import make_settings
+from steerd.sysid.report.car_export import make_gym_yaml, make_mjcf
 
 GYM = [
     "mu", "C_Sf", "C_Sr", "lf", "lr", "h", "m", "I", "s_min", "s_max", "sv_min", "sv_max",
@@ -24,13 +23,16 @@ GYM = [
 ANGLE = 0.1
 
 
-def settings_of(**values):
+SPEED = 1.5
+
+
+def car_of(**values):
     file = load_car(default_car_path())
-    return make_settings(replace(file, car=file.car._replace(**values)))
+    return replace(file, car=file.car._replace(**values))
 
 
 def test_the_gym_gets_its_own_names_and_the_cars_numbers():
-    made = make_gym_yaml(settings_of(mass=3.1, c_sf=4.0))
+    made = make_gym_yaml(car_of(mass=3.1, c_sf=4.0), SPEED)
     lines = [line for line in made.text.splitlines() if not line.startswith("#")]
     found = {name: float(value) for name, value in (line.split(": ") for line in lines)}
     assert list(found) == GYM
@@ -40,14 +42,14 @@ def test_the_gym_gets_its_own_names_and_the_cars_numbers():
 
 @pytest.mark.parametrize("make", [make_gym_yaml, make_mjcf])
 def test_what_is_lost_is_said_in_the_file_too(make):
-    made = make(settings_of(steer_delay=0.07, pose_delay=0.02))
+    made = make(car_of(steer_delay=0.07, pose_delay=0.02), SPEED)
     assert any("steer_delay = 0.07, pose_delay = 0.02" in sentence for sentence in made.lost)
     assert all(sentence in made.text for sentence in made.lost)
 
 
 def test_mass_centre_and_yaw_inertia_of_the_bodies_are_the_cars():
-    car = settings_of(mass=3.1, inertia_z=0.03).file.car
-    root = ElementTree.fromstring(make_mjcf(settings_of(mass=3.1, inertia_z=0.03)).text)
+    file = car_of(mass=3.1, inertia_z=0.03)
+    root = ElementTree.fromstring(make_mjcf(file, SPEED).text)
     parts = []
     for body in root.iter("body"):
         place = body.get("pos") if body.get("name") != "car" else "0 0 0"
@@ -60,14 +62,13 @@ def test_mass_centre_and_yaw_inertia_of_the_bodies_are_the_cars():
     assert mass == pytest.approx(3.1, rel=1e-4)
     assert sum(m * at for m, at, _ in parts) / mass == pytest.approx(np.zeros(3), abs=1e-5)
     turning = sum(yaw + m * (at[0] ** 2 + at[1] ** 2) for m, at, yaw in parts)
-    assert turning == pytest.approx(car.inertia_z, rel=1e-4)
+    assert turning == pytest.approx(file.car.inertia_z, rel=1e-4)
 
 
 def test_a_name_cannot_end_the_comment_or_begin_a_line():
-    settings = settings_of()
-    evil = replace(settings, file=replace(settings.file, name='a --> <b>"\nmu: 9'))
-    assert ElementTree.fromstring(make_mjcf(evil).text).get("model").startswith("a -->")
-    assert len(re.findall(r"^mu:", make_gym_yaml(evil).text, re.MULTILINE)) == 1
+    evil = replace(car_of(), name='a --> <b>"\nmu: 9')
+    assert ElementTree.fromstring(make_mjcf(evil, SPEED).text).get("model").startswith("a -->")
+    assert len(re.findall(r"^mu:", make_gym_yaml(evil, SPEED).text, re.MULTILINE)) == 1
 
 
 TYRES = {"as published": (4.718, 5.4562), "understeering": (2.5, 6.0), "oversteering": (6.0, 4.0)}
@@ -77,11 +78,11 @@ TYRES = {"as published": (4.718, 5.4562), "understeering": (2.5, 6.0), "overstee
 def test_mujoco_drives_the_circle_that_steerd_predicts(tyres):
     """Curvature of a steady turn at the file's speed; a tyre without slip would be off by more."""
     mujoco = pytest.importorskip("mujoco")
-    settings = settings_of(c_sf=TYRES[tyres][0], c_sr=TYRES[tyres][1])
-    speed, model = settings.controller.speed, settings.file.model
+    file = car_of(c_sf=TYRES[tyres][0], c_sr=TYRES[tyres][1])
+    speed, model = SPEED, file.model
     moment = start(model, ORIGIN._replace(speed=speed), 0.0)
     ours = simulate(FLOAT, model, moment, [Command(ANGLE, speed)] * 2000, 0.004)[-1].state
-    built = mujoco.MjModel.from_xml_string(make_mjcf(settings).text)
+    built = mujoco.MjModel.from_xml_string(make_mjcf(file, speed).text)
     data = mujoco.MjData(built)
     data.qvel[0] = speed
     data.ctrl[:] = (ANGLE, ANGLE, speed)
@@ -90,7 +91,7 @@ def test_mujoco_drives_the_circle_that_steerd_predicts(tyres):
     theirs = data.qvel[5] / hypot(data.qvel[0], data.qvel[1])
     expected = ours.yaw_rate / ours.speed
     assert theirs == pytest.approx(expected, rel=0.01)
-    without_slip = tan(ANGLE) / wheelbase(settings.file.car)
+    without_slip = tan(ANGLE) / wheelbase(file.car)
     assert abs(theirs - expected) < 0.5 * abs(without_slip - expected)
 
 
