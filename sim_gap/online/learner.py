@@ -213,7 +213,7 @@ def _watch(learner: Learner, state: State, known: Known, seen: Look) -> State:
     judged = table / level
     worst = float(np.nanmax(judged))
     if worst >= ALARM:
-        span = SPANS[int(np.nanargmax(np.nanmax(judged, axis=0)))]
+        span = SPANS[int(np.nanargmax(judged)) % len(SPANS)]
         return _call(learner, state, replace(known, looks=looks, tracks=tracks), span)
     n = known.anchor.space.nuisance
     track, shown = known.track, known.shown
