@@ -131,7 +131,7 @@ def guide(
             code = do(step)
             at += code == 0
             if code:
-                print(f"this step ended with exit code {code}: mend it and repeat it, or skip it")
+                print(f"this step ended with exit code {code}: fix it and repeat it, or skip it")
     return at
 
 
