@@ -427,7 +427,7 @@ class Loop:
             facts |= Fact.IDENTIFIED
         if not failed:
             facts |= Fact.CHECKS_PASS
-        if now.telemetry_age <= th.telemetry and now.status & 1:
+        if now.telemetry_age <= th.telemetry and self.perception.values.timeout_active:
             facts |= Fact.FW_TIMEOUT
         if now.lease_age <= th.lease:
             facts |= Fact.LEASED
