@@ -63,7 +63,8 @@ def load_package(name: str) -> Any:
 @contextmanager
 def notebook_progress(label: str, total: float) -> Iterator[Step]:
     """A bar below the cell while the block runs; nothing outside a notebook."""
-    if "ipykernel" not in sys.modules:
+    shell = import_module("IPython").get_ipython() if "ipykernel" in sys.modules else None
+    if not hasattr(shell, "kernel"):  # a program may import ipykernel outside one too
         yield lambda done, step="", /: None
         return
     ipython: Any = import_module("IPython.display")

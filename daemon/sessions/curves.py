@@ -23,7 +23,6 @@ LEVELS = 65535
 """Largest level of a packed value: 16 bits."""
 FINEST_S = 0.005
 """Shortest pair of slots [s]; half the period of a 100 Hz loop."""
-
 CSV_STEP = 0.01
 """Between rows of a table [s]: the period of a 100 Hz loop."""
 

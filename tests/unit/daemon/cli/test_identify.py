@@ -266,7 +266,7 @@ def test_a_value_where_no_car_is_spoils_the_car_file_alone(monkeypatch, tmp_path
 
     found = SimpleNamespace(
         to_json=dict, make_car=refuse, render_report=lambda: "<html>", improved=False,
-        describe=lambda written: "TABLE",
+        describe=lambda *written: "TABLE", learn_known=lambda car: car,
     )  # fmt: skip
     session = tmp_path / "a.mcap"
     SessionWriter(session, {}, {}).finish({})
