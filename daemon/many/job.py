@@ -10,12 +10,10 @@ import io
 import sqlite3
 import sys
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, Protocol, TypeVar
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import make_frame, notebook_progress
@@ -23,7 +21,6 @@ from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.row_file import Row, RowFile
 from steerd.daemon.common.written import check_outputs, write_outputs
 from steerd.daemon.many.units import Done, Where, Work, run_units
-from steerd.sysid.report.report import Report
 
 if TYPE_CHECKING:
     import pandas
@@ -50,59 +47,14 @@ class Column(NamedTuple):
     meaning: str = ""
 
 
-@dataclass(frozen=True, eq=False)
-class Found(ABC):
-    """What was found on many drives.
-
-    Attributes:
-        rows: one drive each, values by column; see `columns`.
-        worked: how many drives this start worked on; the others had been finished before.
-        wall: how long that took [s].
-    """
-
-    rows: tuple[Row, ...] = field(repr=False)
-    worked: int = 0
-    wall: float = 0.0
-
-    @property
-    @abstractmethod
-    def columns(self) -> Sequence[Column]:
-        """The columns of the table with units and meanings."""
-
-    @property
-    @abstractmethod
-    def about(self) -> Mapping[str, str]:
-        """What the table says of where it comes from."""
-
-    @abstractmethod
-    def make_report(self) -> Report:
-        """What the page shows."""
-
-    def to_pandas(self) -> "pandas.DataFrame":
-        """The rows as a data frame; `attrs["units"]` holds the units by column."""
-        values = {c.name: [row.get(c.name) for row in self.rows] for c in self.columns}
-        return make_frame(values, {c.name: c.unit for c in self.columns})
+class Found(Protocol):
+    """What was found on many drives; `print` shows the screen."""
 
     def encode_table(self) -> bytes:
         """The rows as a Parquet file; the same rows give the same bytes."""
-        return encode_table(self.columns, self.rows, self.about)
-
-    def save_table(self, path: Path | str) -> Path:
-        """Write that file, whole or not at all; its path.
-
-        Raises:
-            SteerdError: it cannot be written there.
-        """
-        path = Path(path)
-        check_outputs({"save_table": path})
-        write_outputs({path: self.encode_table()})
-        return path
 
     def render_report(self) -> str:
         """The page."""
-        from steerd.sysid.report.page import render_report  # Jinja2, which a refusal does without
-
-        return render_report(self.make_report())
 
 
 F = TypeVar("F", bound=Found)
@@ -244,6 +196,24 @@ def _make_error(path: Path | None, error: sqlite3.Error) -> SteerdError:
         case _:
             what, hint = f"{path}: {error}", "free some space, or choose another folder"
     return SteerdError(what, hint, ExitCode.UNREADABLE)
+
+
+def frame_of(columns: Sequence[Column], rows: Rows) -> "pandas.DataFrame":
+    """The rows as a data frame; `attrs["units"]` holds the units by column."""
+    values = {c.name: [row.get(c.name) for row in rows] for c in columns}
+    return make_frame(values, {c.name: c.unit for c in columns})
+
+
+def save_table(path: Path | str, table: bytes) -> Path:
+    """Write a table, whole or not at all; its path.
+
+    Raises:
+        SteerdError: it cannot be written there.
+    """
+    path = Path(path)
+    check_outputs({"save_table": path})
+    write_outputs({path: table})
+    return path
 
 
 def encode_table(columns: Sequence[Column], rows: Rows, about: Mapping[str, str]) -> bytes:

@@ -1,10 +1,11 @@
 """`steerd.batch`: hundreds of sessions, each a row; what changed on which car, and when."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.common.row_file import Row
@@ -27,9 +28,21 @@ from steerd.daemon.many.batch.unit import (
     read_content,
     run_unit,
 )
-from steerd.daemon.many.job import FAILED, Column, Found, Job, Rows, do_in_notebook
+from steerd.daemon.many.job import (
+    FAILED,
+    Column,
+    Job,
+    Rows,
+    do_in_notebook,
+    encode_table,
+    frame_of,
+    save_table,
+)
 from steerd.daemon.many.units import Done, Where
-from steerd.sysid.report.report import Report, format_table
+from steerd.sysid.report.report import format_table
+
+if TYPE_CHECKING:
+    import pandas
 
 DONE = "done"
 _HEAD = (
@@ -46,15 +59,14 @@ _NO_ESTIMATE = ("start", "tries", "seconds", "metres")
 
 
 @shown
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Batch(Found):
-    """What a batch found; `print(batch)` is the screen of `steerd batch`.
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """What a batch found; `print(batch)` is the screen of `steerd batch`."""
 
-    Attributes:
-        kind: what was asked.
-    """
-
-    kind: Kind
+    kind: Kind  # what was asked
+    rows: tuple[Row, ...] = field(repr=False)  # one drive each, values by column
+    worked: int = 0  # drives that this start worked on; the others had been finished before
+    wall: float = 0.0  # how long that took [s]
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -63,10 +75,17 @@ class Batch(Found):
         rest = (Column(n, "text" if n in _TEXTS else "number") for n in sorted(more))
         return (*_HEAD, *rest)
 
-    @property
-    def about(self) -> Mapping[str, str]:
-        """What the table says of where it comes from."""
-        return {"steerd.batch": self.kind}
+    def to_pandas(self) -> "pandas.DataFrame":
+        """The rows as a data frame; `attrs["units"]` holds the units by column."""
+        return frame_of(self.columns, self.rows)
+
+    def encode_table(self) -> bytes:
+        """The rows as a Parquet file; the same rows give the same bytes."""
+        return encode_table(self.columns, self.rows, {"steerd.batch": self.kind})
+
+    def save_table(self, path: Path | str) -> Path:
+        """Write that file; see `save_table`."""
+        return save_table(path, self.encode_table())
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -84,11 +103,12 @@ class Batch(Found):
         """What changed, the clearest first."""
         return tuple(find_changes(self.series))
 
-    def make_report(self) -> Report:
+    def render_report(self) -> str:
         """The page: quantities over weeks with their bands, and the days of changes."""
         from steerd.daemon.many.batch.page import make_report
+        from steerd.sysid.report.page import render_report
 
-        return make_report(self.kind, self.rows, self.series, self.changes)
+        return render_report(make_report(self.kind, self.rows, self.series, self.changes))
 
     def __str__(self) -> str:
         return describe_batch(self.rows, self.worked, len(self.series), self.changes)
@@ -138,7 +158,7 @@ def make_job(paths: Sequence[Path], question: Question) -> Job[Batch]:
         return row | (done.row or {}) | ({} if start is None else {"day": day_of(start)})
 
     def make(rows: tuple[Row, ...], worked: int, wall: float) -> Batch:
-        return Batch(rows, worked, wall, kind=question.kind)
+        return Batch(question.kind, rows, worked, wall)
 
     kind, basis = question.kind, question.digest()
     return Job(kind, run_unit, tasks, basis, make_row, make, read_content, grows=True)

@@ -1,56 +1,73 @@
 """`steerd.sweep`: many drives of the closed loop in virtual time, as a table and a page."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from steerd.daemon.analysis.options import CarSource, read_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.common.row_file import Row
 from steerd.daemon.common.screen import shown
-from steerd.daemon.many.job import FAILED, Column, Found, Job, do_in_notebook
+from steerd.daemon.many.job import (
+    FAILED,
+    Column,
+    Job,
+    do_in_notebook,
+    encode_table,
+    frame_of,
+    save_table,
+)
 from steerd.daemon.many.sweep.drive import run_case
 from steerd.daemon.many.sweep.plan import DriveCase, SweepPlan, list_cases, make_sweep_plan
 from steerd.daemon.many.sweep.summary import Summary, describe_sweep, list_columns, summarise_sweep
 from steerd.daemon.many.units import Done, Where
-from steerd.sysid.report.report import Report
+
+if TYPE_CHECKING:
+    import pandas
 
 
 @shown
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Sweep(Found):
-    """What a sweep found; `print(sweep)` is the screen of `steerd sweep`.
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """What a sweep found; `print(sweep)` is the screen of `steerd sweep`."""
 
-    Attributes:
-        plan: what was driven.
-    """
-
-    plan: SweepPlan
+    plan: SweepPlan  # what was driven
+    rows: tuple[Row, ...] = field(repr=False)  # one drive each, values by column
+    worked: int = 0  # drives that this start worked on; the others had been finished before
+    wall: float = 0.0  # how long that took [s]
 
     @property
     def columns(self) -> Sequence[Column]:
         """The columns of the table with units and meanings."""
         return list_columns(self.plan.quantities)
 
-    @property
-    def about(self) -> Mapping[str, str]:
-        """What the table says of where it comes from."""
-        return {"steerd.sweep": self.plan.digest()}
+    def to_pandas(self) -> "pandas.DataFrame":
+        """The rows as a data frame; `attrs["units"]` holds the units by column."""
+        return frame_of(self.columns, self.rows)
+
+    def encode_table(self) -> bytes:
+        """The rows as a Parquet file; the same rows give the same bytes."""
+        return encode_table(self.columns, self.rows, {"steerd.sweep": self.plan.digest()})
+
+    def save_table(self, path: Path | str) -> Path:
+        """Write that file; see `save_table`."""
+        return save_table(path, self.encode_table())
 
     @cached_property
     def summary(self) -> Summary:
         """Distributions, stops, sensitivities."""
         return summarise_sweep(self.plan, self.rows)
 
-    def make_report(self) -> Report:
+    def render_report(self) -> str:
         """The page: distributions, stops, sensitivity of each to each."""
         from steerd.daemon.many.sweep.page import make_report
+        from steerd.sysid.report.page import render_report
 
-        return make_report(self.plan, self.rows, self.summary)
+        return render_report(make_report(self.plan, self.rows, self.summary))
 
     def __str__(self) -> str:
         mean = sum(row.get("seconds") or 0.0 for row in self.rows) / len(self.rows)
@@ -115,7 +132,7 @@ def make_job(plan: SweepPlan) -> Job[Sweep]:
         return {"drive": case.number, "seed": case.seed, **case.values, **(done.row or failed)}
 
     def make(rows: tuple[Row, ...], worked: int, wall: float) -> Sweep:
-        return Sweep(rows, worked, wall, plan=plan)
+        return Sweep(plan, rows, worked, wall)
 
     return Job("driving", partial(run_case, plan), cases, plan.digest(), make_row, make)
 

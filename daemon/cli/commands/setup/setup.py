@@ -18,23 +18,14 @@ from typing import NamedTuple
 from steerd.daemon.cli.arguments import option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
-_KEYS = "[Enter] do it   [s] skip   [b] back   [q] quit: "
-
 
 class Step(NamedTuple):
-    """One step.
+    """One step."""
 
-    Attributes:
-        title: what it finds out.
-        before: what to do before it, and what to look at.
-        words: the command's arguments after `steerd`.
-        makes: the file that the command's standard output goes to; None for the terminal.
-    """
-
-    title: str
-    before: str
-    words: tuple[str, ...]
-    makes: Path | None = None
+    title: str  # what it finds out
+    before: str  # what to do before it, and what to look at
+    words: tuple[str, ...]  # the command's arguments after `steerd`
+    makes: Path | None = None  # what its standard output is written to; None for the terminal
 
 
 _STEPS = """\
@@ -120,7 +111,7 @@ def guide(
         step = steps[at]
         print(f"\n{at + 1} of {len(steps)}: {step.title}\n{step.before}")
         print(f"  steerd {shlex.join(step.words)}" + (f" > {step.makes}" if step.makes else ""))
-        answer = ask(_KEYS).strip().lower()
+        answer = ask("[Enter] do it   [s] skip   [b] back   [q] quit: ").strip().lower()
         if answer == "q":
             break
         if answer == "b":
