@@ -95,7 +95,7 @@ def realtime_section(priority: int = FIFO_PRIORITY) -> Iterator[RealtimeReport]:
     A process that goes on under a fixed priority, its memory locked and nobody collecting garbage,
     starves others and grows.
     """
-    interval = sys.getswitchinterval()
+    interval, before = sys.getswitchinterval(), (os.sched_getscheduler(0), os.sched_getparam(0))
     report = enter_realtime(priority)
     settle_memory()
     try:
@@ -108,4 +108,4 @@ def realtime_section(priority: int = FIFO_PRIORITY) -> Iterator[RealtimeReport]:
         if report.locked:
             _libc().munlockall()
         if report.fifo:
-            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+            os.sched_setscheduler(0, *before)
