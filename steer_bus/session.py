@@ -2,19 +2,16 @@
 
 A session is written as ``NAME.mcap.partial`` and gets its name when it is finished; its absence
 means a crash, and :func:`recover` (or reading the partial file directly) gets the rest back. The
-only file that knows the mcap library; reading is :mod:`steerd.steer_bus.session_read`.
+mcap library writes; reading is :mod:`steerd.steer_bus.session_read`.
 """
 
 import contextlib
 import os
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from mcap.data_stream import RecordBuilder  # noqa: TID251
-from mcap.records import ChunkIndex  # noqa: TID251
 from mcap.writer import CompressionType, Writer  # noqa: TID251
 
 from steerd.steer_bus.atomic_file import is_full
@@ -42,8 +39,6 @@ Source: `docs/reference/sessions-and-bus.md#b4.2`.
 """
 SYNC_NS = 1_000_000_000
 """How often the disk itself should have everything: the most a power cut can lose [ns]."""
-INDEX_BYTES = 1 << 16
-"""What the chunks' index may take of the memory; four chunks a second are 4 MiB an hour."""
 SCHEMA_VERSION = "1"
 _LIBRARY = "steerd"
 _MAX_TIME_NS = (1 << 63) - 1
@@ -56,46 +51,6 @@ class AttachedFile:
     name: str
     media_type: str
     data: bytes
-
-
-class _ChunkIndices:
-    """Stands in for the library's list of chunk indices, which grows for as long as a drive lasts.
-
-    They are kept as they will be written, on disk where they are many; the library's bytes.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._file = tempfile.SpooledTemporaryFile(INDEX_BYTES, dir=str(folder))  # noqa: SIM115
-
-    def append(self, index: ChunkIndex) -> None:
-        """Take the next.
-
-        Raises:
-            OSError: the disk takes no more.
-        """
-        builder = RecordBuilder()
-        index.write(builder)
-        self._file.write(builder.end())  # type: ignore[no-untyped-call]
-
-    def __iter__(self) -> Iterator["_ChunkIndices"]:
-        yield self
-
-    def write(self, stream: RecordBuilder) -> None:
-        """Append all of them."""
-        self._file.seek(0)
-        stream.write(self._file.read())
-
-    def close(self) -> None:
-        """Forget them."""
-        _close_quietly(self._file)
-
-
-def _bound_memory(writer: Writer, folder: Path) -> _ChunkIndices:
-    """Keep the writer's chunk indices out of memory, where its inside is the one known here."""
-    name, indices = "_Writer__chunk_indices", _ChunkIndices(folder)
-    if getattr(writer, name, None) == []:
-        setattr(writer, name, indices)
-    return indices
 
 
 class SessionWriter:
@@ -140,7 +95,6 @@ class SessionWriter:
             compression=CompressionType.ZSTD,
             enable_data_crcs=True,
         )
-        self._indices = _bound_memory(self._writer, path.parent)
         self._last_log_ns = 0
         self._flush_ns = flush_ns
         self._flushed_ns = self._synced_ns = -(1 << 62)
@@ -258,13 +212,11 @@ class SessionWriter:
             self._writer.flush()  # type: ignore[no-untyped-call]
             self._writer.add_metadata("steerd.end", dict(end))
             _finish(self._writer, self._file, self.partial, self.path)
-        self._indices.close()
         return self.path
 
     def abandon(self) -> None:
         """Close without finishing; the ``.partial`` file stays and can be recovered."""
         _close_quietly(self._file)
-        self._indices.close()
 
     @contextlib.contextmanager
     def _disk(self) -> Iterator[None]:
@@ -347,24 +299,23 @@ def _copy(session: Session, writer: Writer) -> int:
     writer.start(profile=contents.profile, library=_LIBRARY)
     for name, values in contents.metadata.items():
         writer.add_metadata(name, values)
-    for item in contents.attachments:
-        data = session.attachment(item.name)
-        writer.add_attachment(item.create_ns, item.log_ns, item.name, item.media_type, data)
+    for a in session.attachments():
+        writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
     schemas = {
-        key: writer.register_schema(schema.name, schema.encoding, schema.text)
+        key: writer.register_schema(schema.name, schema.encoding, schema.data)
         for key, schema in contents.schemas.items()
     }
     channels = {
-        key: writer.register_channel(c.topic, c.encoding, schemas.get(c.schema_id, 0), c.metadata)
+        key: writer.register_channel(
+            c.topic, c.message_encoding, schemas.get(c.schema_id, 0), c.metadata
+        )
         for key, c in contents.channels.items()
     }
     gap_ns, last_ns = 0, None
-    for key, record in session.raw_messages():
-        writer.add_message(
-            channels[key], record.log_ns, record.data, record.publish_ns, record.sequence
-        )
-        gap_ns = max(gap_ns, record.log_ns - (record.log_ns if last_ns is None else last_ns))
-        last_ns = record.log_ns
+    for r in session.messages():
+        writer.add_message(channels[r.channel], r.log_ns, r.data, r.publish_ns, r.sequence)
+        gap_ns = max(gap_ns, r.log_ns - (r.log_ns if last_ns is None else last_ns))
+        last_ns = r.log_ns
     return gap_ns
 
 
@@ -400,7 +351,7 @@ def _sync_folder(path: Path) -> None:
         os.close(folder)
 
 
-def _close_quietly(file: BinaryIO | tempfile.SpooledTemporaryFile[bytes]) -> None:
+def _close_quietly(file: BinaryIO) -> None:
     """Close a file whose last bytes the disk may refuse: that was said already."""
     with contextlib.suppress(OSError):
         file.close()

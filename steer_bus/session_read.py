@@ -1,36 +1,42 @@
 """Sessions from disk: what a recording holds, as messages in recorded order or as columns.
 
 :func:`open_session` checks the whole file once (CRCs, caps) and opens unfinished and damaged
-files too, with warnings; the :class:`Session` it gives is a value that reads its parts on demand.
+files too, with warnings; the :class:`Session` it gives keeps the file open and reads its parts on
+demand.
 """
 
 # Why: docs/decisions/messages-and-sessions.md#d17
 
 import json
 import math
+import os
 import stat
+import weakref
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any
+
+from mcap.records import Attachment, Channel, Schema  # noqa: TID251
 
 from steerd.steer_bus.codec import CodecError, decode, schema_text, type_name
-from steerd.steer_bus.container import Contents, SessionWarning, read_contents, read_span
-from steerd.steer_bus.mcap_records import (
+from steerd.steer_bus.container import (
     MAGIC,
     MESSAGE_FIELDS,
-    Attachment,
-    Channel,
+    Contents,
     DamageError,
-    Schema,
-    iter_messages,
+    SessionWarning,
+    Span,
+    parse,
+    read_contents,
+    read_span,
     scan_messages,
 )
 from steerd.steer_bus.messages import OWN_MESSAGES
 from steerd.steer_bus.standard import STANDARD_MESSAGES
 from steerd.steer_bus.topic_columns import ColumnBuilder, Columns
-
-M = TypeVar("M")
 
 MESSAGE_TYPES: dict[str, type[Any]] = {
     type_name(cls): cls for cls in (*OWN_MESSAGES, *STANDARD_MESSAGES)
@@ -104,7 +110,7 @@ class SessionInfo:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One recorded message; decoded on request."""
+    """One recorded message, decoded on request; ``channel`` is its number in the file."""
 
     topic: str
     type_name: str
@@ -112,6 +118,7 @@ class Record:
     log_ns: int
     publish_ns: int
     data: bytes
+    channel: int
 
     def decode(self) -> Any:
         """Decode the message by its recorded type.
@@ -126,11 +133,12 @@ class Record:
 
 
 class Session:
-    """A recorded drive. Made by :func:`open_session`."""
+    """A recorded drive. Made by :func:`open_session`; its file stays open as long as it is used."""
 
-    def __init__(self, path: Path, size: int, contents: Contents) -> None:
-        self._path, self.contents = path, contents
+    def __init__(self, path: Path, file: FileIO, size: int, contents: Contents) -> None:
+        self._path, self._file, self.contents = path, file.fileno(), contents
         self._info = _make_info(path, size, contents)
+        weakref.finalize(self, file.close)
 
     def info(self) -> SessionInfo:
         """Give topics, counts, times, metadata and warnings."""
@@ -147,24 +155,19 @@ class Session:
         Raises:
             SessionError: if the file has changed since it was opened.
         """
-        for _, record in self.raw_messages():
-            if not topics or record.topic in topics:
-                yield record
-
-    def raw_messages(self) -> Iterator[tuple[int, Record]]:
-        """Yield (channel id, message) of everything in recorded order; raises as messages()."""
-        known = {
+        wanted = {
             key: (channel.topic, _schema(self.contents, channel).name)
             for key, channel in self.contents.channels.items()
+            if not topics or channel.topic in topics
         }
         for data in self._spans():
-            for key, start, end in iter_messages(data):
-                if key not in known:
-                    continue
-                topic, name = known[key]
+            found = scan_messages(data)[0]
+            places = ((a, b, key) for key in found.keys() & wanted.keys() for a, b in found[key])
+            for start, end, key in sorted(places):
+                topic, name = wanted[key]
                 sequence, log_ns, publish_ns = MESSAGE_FIELDS.unpack_from(data, start)
                 payload = data[start + MESSAGE_FIELDS.size : end]
-                yield key, Record(topic, name, sequence, log_ns, publish_ns, payload)
+                yield Record(topic, name, sequence, log_ns, publish_ns, payload, key)
 
     def columns(self, cls: type[Any], topic: str | None = None) -> Columns:
         """Read one topic as `steerd.steer_bus.topic_columns.Columns`, in recorded order.
@@ -218,13 +221,19 @@ class Session:
         """Read an attached file.
 
         Raises:
-            SessionError: if there is none of this name.
+            SessionError: if there is none of this name, or the file has changed.
         """
-        for item in self.contents.attachments:
-            if item.name == name:
-                return _read_attachment(self._path, item)
-        text = f"{self._path.name} has no attachment {name!r}"
-        raise SessionError("missing_attachment", text, exit_code=WRONG_CONTENT)
+        item = next((a for a in self.attachments(name)), None)
+        if item is None:
+            text = f"{self._path.name} has no attachment {name!r}"
+            raise SessionError("missing_attachment", text, exit_code=WRONG_CONTENT)
+        return item.data
+
+    def attachments(self, *names: str) -> Iterator[Attachment]:
+        """Read the attachments of these names (all if none is given); raises as messages()."""
+        for name, span in self.contents.attachments:
+            if not names or name in names:
+                yield parse(Attachment, self._read(span))
 
     def holes(self) -> tuple[tuple[int, int], ...]:
         """Stretches in which the recorder did not get everything [UNIX ns], in order.
@@ -281,10 +290,11 @@ class Session:
         return found
 
     def _spans(self) -> Iterator[bytes]:
+        return map(self._read, self.contents.spans)
+
+    def _read(self, span: Span) -> bytes:
         try:
-            with self._path.open("rb") as file:
-                for span in self.contents.spans:
-                    yield read_span(file, span)
+            return read_span(self._file, span)
         except (OSError, DamageError) as error:
             text = f"{self._path.name} has changed since it was opened: {error}"
             raise SessionError("changed", text) from error
@@ -302,22 +312,22 @@ def open_session(path: Path | str) -> Session:
         if not stat.S_ISREG(mode):
             kind = "a directory" if stat.S_ISDIR(mode) else "not a regular file"
             raise SessionError("not_a_file", f"{path} is {kind}", "name a session .mcap file")
-        with path.open("rb") as file:
+        with ExitStack() as stack:
+            file = stack.enter_context(path.open("rb", buffering=0))
             size = file.seek(0, 2)
-            _check_magic(path, file)
-            contents = read_contents(file, size)
+            _check_magic(path, os.pread(file.fileno(), len(MAGIC), 0))
+            session = Session(path, file, size, read_contents(file.fileno(), size))
+            stack.pop_all()  # it is now closed with the session
+            return session
     except FileNotFoundError as error:
         partial = path.with_name(path.name + ".partial")
         hint = f"{partial.name} does: steerd recover {path}" if partial.exists() else ""
         raise SessionError("not_found", f"{path} does not exist", hint) from error
     except OSError as error:
         raise SessionError("unreadable", f"{path} cannot be read: {error.strerror}") from error
-    return Session(path, size, contents)
 
 
-def _check_magic(path: Path, file: BinaryIO) -> None:
-    file.seek(0)
-    start = file.read(len(MAGIC))
+def _check_magic(path: Path, start: bytes) -> None:
     if not start:
         raise SessionError("empty", f"{path} is empty")
     if start != MAGIC:
@@ -333,7 +343,7 @@ def _make_info(path: Path, size: int, contents: Contents) -> SessionInfo:
         count = contents.counts.get(key)
         name = _schema(contents, channel).name
         times = (count.count, count.first_ns, count.last_ns) if count else (0, 0, 0)
-        topics.append(TopicInfo(channel.topic, name, channel.encoding, *times))
+        topics.append(TopicInfo(channel.topic, name, channel.message_encoding, *times))
     used = [topic for topic in topics if topic.count]
     return SessionInfo(
         path=path,
@@ -342,24 +352,28 @@ def _make_info(path: Path, size: int, contents: Contents) -> SessionInfo:
         end_ns=max((t.last_ns for t in used), default=0),
         topics=tuple(topics),
         metadata=contents.metadata,
-        attachments=tuple(item.name for item in contents.attachments),
+        attachments=tuple(name for name, _ in contents.attachments),
         warnings=tuple(contents.warnings),
         finished=contents.finished,
         clean=contents.finished and "steerd.end" in contents.metadata,
     )
 
 
+_NO_SCHEMA = Schema(id=0, data=b"", encoding="", name="")
+
+
 def _schema(contents: Contents, channel: Channel) -> Schema:
-    return contents.schemas.get(channel.schema_id, Schema("", "", b""))
+    return contents.schemas.get(channel.schema_id, _NO_SCHEMA)
 
 
 def _mismatch(contents: Contents, channel: Channel, cls: type[Any]) -> str:
     schema = _schema(contents, channel)
-    if channel.encoding != "cdr" or schema.encoding != "ros2msg":
-        return f"is encoded as {channel.encoding!r} with {schema.encoding!r}, not cdr with ros2msg"
+    encodings = channel.message_encoding, schema.encoding
+    if encodings != ("cdr", "ros2msg"):
+        return f"is encoded as {encodings[0]!r} with {encodings[1]!r}, not cdr with ros2msg"
     if schema.name != type_name(cls):
         return f"holds {schema.name or 'no type'}, not {type_name(cls)}"
-    recorded = _field_lines(schema.text.decode(errors="replace"))
+    recorded = _field_lines(schema.data.decode(errors="replace"))
     expected = _field_lines(schema_text(cls))
     if recorded == expected:
         return ""
@@ -371,9 +385,3 @@ def _mismatch(contents: Contents, channel: Channel, cls: type[Any]) -> str:
 def _field_lines(text: str) -> list[str]:
     lines = (" ".join(line.split("#")[0].split()) for line in text.splitlines())
     return [line for line in lines if line and "=" not in line]
-
-
-def _read_attachment(path: Path, item: Attachment) -> bytes:
-    with path.open("rb") as file:
-        file.seek(item.offset)
-        return file.read(item.size)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.steer_bus.codec import CodecError, decode, read_text, type_name
+from steerd.steer_bus.container import MESSAGE_FIELDS
 from steerd.steer_bus.fields import Array, Leaf, Scalar, Text, flat_leaves
-from steerd.steer_bus.mcap_records import MESSAGE_FIELDS
 
 Columns = dict[str, NDArray[Any]]
 """``log_ns``, ``publish_ns``, ``sequence`` and each field by its (dotted) name, all of length n;

@@ -3,6 +3,7 @@
 # Why: docs/decisions/identification.md#d107
 
 import filecmp
+import resource
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -26,6 +27,9 @@ Warn = Callable[[Sequence[str]], None]
 MOST = 1200.0
 """Driving that is looked at, at most [s]: ten times what identifies a car to a percent or two, and
 what a diagnosis judges in minutes; time and memory of either would grow with the rest."""
+
+FILES = 500
+"""Sessions that stay open within a shell's usual limit of 1024 files."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +99,9 @@ def load_drives(
     Raises:
         SteerdError: one cannot be read, or is not fit for a fit.
     """
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    if len(paths) > FILES:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     sessions: list[Session] = []
     found: list[Run] = []
     whole, cut = 0.0, False

@@ -5,6 +5,7 @@ import platform
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -120,7 +121,11 @@ def read_session_car(session: Session) -> CarFile:
             what = f"{session.info().path.name}: the attached {name} is no UTF-8"
             raise SessionError("bad_attachment", what, exit_code=WRONG_CONTENT) from None
     place = Path(f"{session.info().path.name}:car.toml")
-    return parse_car(texts["car.toml"], place, texts.get(ATTACHED, ""))
+    return _parse_once(texts["car.toml"], place, texts.get(ATTACHED, ""))
+
+
+_parse_once = lru_cache(maxsize=8)(parse_car)
+"""Several parts of one command ask for the same session's car."""
 
 
 @contextmanager

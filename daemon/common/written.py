@@ -27,7 +27,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import print_labelled
 from steerd.posterior_file import posterior_path
 from steerd.steer_bus.atomic_file import is_full, write_atomically
-from steerd.steer_bus.mcap_records import MAGIC
+from steerd.steer_bus.container import MAGIC
 
 _REMEMBERED = 10_000
 """Digests kept, the latest ones: 650 kB."""

@@ -58,9 +58,7 @@ def through_a_pipe(whole, out, still):
                 while data := os.read(read_fd, 1 << 20):
                     came += data
     meta = {"metadata": session.contents.metadata, "start_ns": 0}
-    meta["attachments"] = {
-        a.name: session.attachment(a.name).decode() for a in session.contents.attachments
-    }
+    meta["attachments"] = {a.name: a.data.decode() for a in session.attachments()}
     recording = Recording(out, "car1", meta)
     ours, theirs = os.pipe()
 

@@ -31,7 +31,7 @@ from steerd.sim_hw.mocap.vrpn_device import VrpnServer
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import CodecError, decode, encode
-from steerd.steer_bus.mcap_records import MAGIC, RECORD
+from steerd.steer_bus.container import MAGIC, RECORD
 from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.session import SessionWriter
 from steerd.steer_bus.session_read import MESSAGE_TYPES, SessionError, open_session

@@ -36,7 +36,7 @@ def alter(out, metadata=None, attachments=None, options=None):
         old = about["steerd.session"]["options"]
         about["steerd.session"]["options"] = old.replace(*options)
         assert about["steerd.session"]["options"] != old
-    files = {a.name: session.attachment(a.name) for a in session.contents.attachments}
+    files = {a.name: a.data for a in session.attachments()}
     files |= attachments or {}
     writer = Writer(str(out))
     writer.start("ros2", "test")
@@ -47,15 +47,15 @@ def alter(out, metadata=None, attachments=None, options=None):
             writer.add_attachment(0, 0, name, "text/plain", data)
     contents = session.contents
     schemas = {
-        key: writer.register_schema(s.name, s.encoding, s.text)
+        key: writer.register_schema(s.name, s.encoding, s.data)
         for key, s in contents.schemas.items()
     }
     channels = {
-        key: writer.register_channel(c.topic, c.encoding, schemas[c.schema_id])
+        key: writer.register_channel(c.topic, c.message_encoding, schemas[c.schema_id])
         for key, c in contents.channels.items()
     }
-    for key, r in session.raw_messages():
-        writer.add_message(channels[key], r.log_ns, r.data, r.publish_ns, r.sequence)
+    for r in session.messages():
+        writer.add_message(channels[r.channel], r.log_ns, r.data, r.publish_ns, r.sequence)
     writer.finish()
     return out
 

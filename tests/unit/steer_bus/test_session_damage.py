@@ -12,7 +12,7 @@ import zstandard
 from mcap.writer import CompressionType, Writer  # noqa: TID251
 
 from steerd.steer_bus.codec import encode
-from steerd.steer_bus.mcap_records import MAGIC
+from steerd.steer_bus.container import MAGIC
 from steerd.steer_bus.messages import WORLD, ClockSample, StateMessage, make_header
 from steerd.steer_bus.session import SessionError, open_session, recover
 
@@ -72,7 +72,7 @@ def codes(path):
 def test_a_file_without_permission(tmp_path, monkeypatch):
     path = write(tmp_path / "a.mcap", MAGIC)
 
-    def refuse(*_):
+    def refuse(*_, **__):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("pathlib.Path.open", refuse)

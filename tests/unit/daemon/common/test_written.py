@@ -10,7 +10,7 @@ from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common import written
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.written import check_outputs, write_output, write_outputs
-from steerd.steer_bus.mcap_records import MAGIC
+from steerd.steer_bus.container import MAGIC
 
 
 @pytest.fixture(autouse=True)
