@@ -28,9 +28,10 @@ from steerd.steer_bus.fields import (
     flat_leaves,
     message_fields,
     per_class,
+    schema_text,
+    type_hash,
     type_name,
 )
-from steerd.steer_bus.schema import schema_text, type_hash
 
 __all__ = [
     "MAX_BYTES",

@@ -1,4 +1,4 @@
-"""The ROS 2 types that a message field can have, carried by ``Annotated`` aliases.
+"""What a message class is: its ROS 2 types, carried by ``Annotated`` aliases, and its schema.
 
 A message is a frozen dataclass made by :func:`message`; its field types say how it goes on the
 wire and, where a field is a quantity, in which unit::
@@ -8,11 +8,13 @@ wire and, where a field is a quantity, in which unit::
         header: Header
         work_ns: Nanosecond
 
-`steerd.steer_bus.codec` derives the packing from this and `steerd.steer_bus.schema` the
-text.
+The ``ros2msg`` text and the RIHS01 hash are derived from the class alone, and the packing too
+(`steerd.steer_bus.codec`).
 """
 
 import functools
+import hashlib
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import (
@@ -30,11 +32,19 @@ from steerd.steer_bus.quick_values import quick_init
 
 @dataclass(frozen=True, slots=True)
 class Scalar:
-    """A ROS primitive: its name, its ``struct`` code and its size in bytes (= its alignment)."""
+    """A ROS primitive.
+
+    Attributes:
+        ros: its name.
+        code: its ``struct`` code.
+        size: in bytes, which is also its alignment.
+        type_id: in a type description (type_description_interfaces/msg/FieldType).
+    """
 
     ros: str
     code: str
     size: int
+    type_id: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,38 +75,22 @@ class Nested:
 
 Kind = Scalar | Text | Blob | Array | Nested
 
-_FLOAT64 = Scalar("float64", "d", 8)
+_FLOAT64, _BYTE = Scalar("float64", "d", 8, 11), Scalar("uint8", "B", 1, 3)
 
 Float64 = Annotated[float, _FLOAT64]
-Float32 = Annotated[float, Scalar("float32", "f", 4)]
-Int64 = Annotated[int, Scalar("int64", "q", 8)]
-UInt64 = Annotated[int, Scalar("uint64", "Q", 8)]
-Int32 = Annotated[int, Scalar("int32", "i", 4)]
-UInt32 = Annotated[int, Scalar("uint32", "I", 4)]
-Int16 = Annotated[int, Scalar("int16", "h", 2)]
-UInt16 = Annotated[int, Scalar("uint16", "H", 2)]
-UInt8 = Annotated[int, Scalar("uint8", "B", 1)]
-Byte = Annotated[int, Scalar("byte", "B", 1)]
-Bool = Annotated[bool, Scalar("bool", "?", 1)]
+Float32 = Annotated[float, Scalar("float32", "f", 4, 10)]
+Int64 = Annotated[int, Scalar("int64", "q", 8, 8)]
+UInt64 = Annotated[int, Scalar("uint64", "Q", 8, 9)]
+Int32 = Annotated[int, Scalar("int32", "i", 4, 6)]
+UInt32 = Annotated[int, Scalar("uint32", "I", 4, 7)]
+Int16 = Annotated[int, Scalar("int16", "h", 2, 4)]
+UInt16 = Annotated[int, Scalar("uint16", "H", 2, 5)]
+UInt8 = Annotated[int, _BYTE]
+Byte = Annotated[int, Scalar("byte", "B", 1, 16)]
+Bool = Annotated[bool, Scalar("bool", "?", 1, 15)]
 String = Annotated[str, Text()]
 Bytes = Annotated[bytes, Blob()]
 Float64x36 = Annotated[tuple[float, ...], Array(_FLOAT64, 36)]
-
-Metre = Annotated[Float64, "m"]
-MetrePerSecond = Annotated[Float64, "m/s"]
-MetrePerSecond2 = Annotated[Float64, "m/s^2"]
-Radian = Annotated[Float64, "rad"]
-RadianPerSecond = Annotated[Float64, "rad/s"]
-PerMetre = Annotated[Float64, "1/m"]
-PerRadian = Annotated[Float64, "1/rad"]
-Second = Annotated[Float64, "s"]
-KilogramMetre2 = Annotated[Float64, "kg m^2"]
-Ampere = Annotated[Float64, "A"]
-Volt = Annotated[Float64, "V"]
-Celsius = Annotated[Float64, "degC"]
-Unitless = Annotated[Float64, "1"]
-Nanosecond = Annotated[Int64, "ns"]
-Millisecond = Annotated[Int64, "ms"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,3 +195,107 @@ def _field(owner: str, name: str, hint: Any) -> Field:
     if get_origin(hint) is tuple and len(args) == 2 and hasattr(args[0], "__ros_type__"):
         return Field(name, Nested(args[0], many=True), "")
     raise TypeError(f"{owner}.{name}: {hint!r} has no ROS type")
+
+
+# -- what ROS is told of a message -----------------------------------------------------------------
+
+_SEPARATOR = "=" * 80
+_NESTED_ID, _STRING_ID = 1, 17
+_ARRAY_OFFSET, _SEQUENCE_OFFSET = 48, 144
+
+
+@per_class
+def schema_text(cls: type[Any]) -> str:
+    """Give the ``ros2msg`` text of a message, its dependencies appended as ROS does.
+
+    Units stand as comments behind the fields. Dependencies follow once each, in order of first
+    use, separated by 80 ``=`` and a line ``MSG: pkg/Name``.
+    """
+    return _own_text(cls) + "".join(
+        f"{_SEPARATOR}\nMSG: {_short_name(dependency)}\n{_own_text(dependency)}"
+        for dependency in _dependencies(cls)
+    )
+
+
+@per_class
+def type_hash(cls: type[Any]) -> str:
+    """Give the RIHS01 hash (``RIHS01_`` + 64 hex digits) by which rmw_zenoh keys a topic.
+
+    Source: REP-2011 / rosidl: SHA-256 over the JSON of the type description without defaults.
+    """
+    described = {
+        "type_description": _description(cls),
+        "referenced_type_descriptions": [
+            _description(d) for d in sorted(_dependencies(cls), key=type_name)
+        ],
+    }
+    text = json.dumps(described, separators=(", ", ": "), ensure_ascii=True)
+    return "RIHS01_" + hashlib.sha256(text.encode()).hexdigest()
+
+
+def _dependencies(cls: type[Any]) -> list[type[Any]]:
+    found: list[type[Any]] = []
+    for field in message_fields(cls):
+        if isinstance(field.kind, Nested):
+            for dependency in (field.kind.cls, *_dependencies(field.kind.cls)):
+                if dependency not in found:
+                    found.append(dependency)
+    return found
+
+
+def _own_text(cls: type[Any]) -> str:
+    return "".join(_line(field) for field in message_fields(cls))
+
+
+def _line(field: Field) -> str:
+    line = f"{_ros_text(field.kind)} {field.name}"
+    return f"{line}  # {field.unit}\n" if field.unit else f"{line}\n"
+
+
+def _ros_text(kind: Kind) -> str:
+    match kind:
+        case Scalar():
+            return kind.ros
+        case Text():
+            return "string"
+        case Blob():
+            return "uint8[]"
+        case Array():
+            return f"{kind.item.ros}[{kind.count}]"
+        case Nested():
+            return _short_name(kind.cls) + ("[]" if kind.many else "")
+
+
+def _short_name(cls: type[Any]) -> str:
+    package, _, name = type_name(cls).split("/")
+    return f"{package}/{name}"
+
+
+def _description(cls: type[Any]) -> dict[str, Any]:
+    return {
+        "type_name": type_name(cls),
+        "fields": [{"name": f.name, "type": _field_type(f.kind)} for f in message_fields(cls)],
+    }
+
+
+def _field_type(kind: Kind) -> dict[str, Any]:
+    return {
+        "type_id": _type_id(kind),
+        "capacity": kind.count if isinstance(kind, Array) else 0,
+        "string_capacity": 0,
+        "nested_type_name": type_name(kind.cls) if isinstance(kind, Nested) else "",
+    }
+
+
+def _type_id(kind: Kind) -> int:
+    match kind:
+        case Scalar():
+            return kind.type_id
+        case Text():
+            return _STRING_ID
+        case Blob():
+            return _BYTE.type_id + _SEQUENCE_OFFSET
+        case Array():
+            return kind.item.type_id + _ARRAY_OFFSET
+        case Nested():
+            return _NESTED_ID + (_SEQUENCE_OFFSET if kind.many else 0)

@@ -7,31 +7,18 @@ CoG, x forward, y left); yaw and steer are positive to the left.
 """
 
 from enum import IntEnum
+from typing import Annotated, Any
 
 from steerd.steer_bus.fields import (
-    Ampere,
     Bytes,
-    Celsius,
+    Float64,
     Int32,
     Int64,
-    KilogramMetre2,
-    Metre,
-    MetrePerSecond,
-    MetrePerSecond2,
-    Millisecond,
-    Nanosecond,
-    PerMetre,
-    PerRadian,
-    Radian,
-    RadianPerSecond,
-    Second,
     String,
     UInt8,
     UInt16,
     UInt32,
     UInt64,
-    Unitless,
-    Volt,
     message,
 )
 from steerd.steer_bus.standard import Header, make_header, make_time, stamp_ns
@@ -46,6 +33,22 @@ __all__ = [
 
 WORLD = "map"
 BODY = "base_link"
+
+Metre = Annotated[Float64, "m"]
+MetrePerSecond = Annotated[Float64, "m/s"]
+MetrePerSecond2 = Annotated[Float64, "m/s^2"]
+Radian = Annotated[Float64, "rad"]
+RadianPerSecond = Annotated[Float64, "rad/s"]
+PerMetre = Annotated[Float64, "1/m"]
+PerRadian = Annotated[Float64, "1/rad"]
+Second = Annotated[Float64, "s"]
+KilogramMetre2 = Annotated[Float64, "kg m^2"]
+Ampere = Annotated[Float64, "A"]
+Volt = Annotated[Float64, "V"]
+Celsius = Annotated[Float64, "degC"]
+Unitless = Annotated[Float64, "1"]
+Nanosecond = Annotated[Int64, "ns"]
+Millisecond = Annotated[Int64, "ms"]
 
 
 class ActuationMode(IntEnum):
@@ -457,8 +460,6 @@ class Design:
     gains: Bytes
 
 
-OWN_MESSAGES = (
-    Tick, MocapPose, VescTelemetry, VescIdentity, VescImu, Actuation, StateMessage, DriveCommand,
-    OperatorRequest, Transition, ClockSample, WheelSpeed, Throttle, ParameterRequest, Parameters,
-    Model, Design, Heartbeat,
-)  # fmt: skip
+OWN_MESSAGES: tuple[type[Any], ...] = tuple(
+    cls for cls in [*vars().values()] if getattr(cls, "__ros_type__", "").startswith("steerd_msgs/")
+)

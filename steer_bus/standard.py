@@ -4,6 +4,8 @@ Sources: common_interfaces, rcl_interfaces, ackermann_msgs and the ROS 2 branch 
 Units are those of the ROS definitions; ``VescState.speed`` is in electrical rpm, as there.
 """
 
+from typing import Any
+
 from steerd.steer_bus.fields import (
     Byte,
     Float32,
@@ -209,12 +211,9 @@ class Log:
     line: UInt32
 
 
-STANDARD_MESSAGES = (
-    Time, Header, Point, Vector3, Quaternion, Pose, PoseStamped, PoseWithCovariance,
-    Twist, TwistWithCovariance, Odometry, AckermannDrive,
-    AckermannDriveStamped, VescState, VescStateStamped, KeyValue, DiagnosticStatus,
-    DiagnosticArray, Log,
-)  # fmt: skip
+STANDARD_MESSAGES: tuple[type[Any], ...] = tuple(
+    cls for cls in [*vars().values()] if hasattr(cls, "__ros_type__")
+)
 
 
 def make_time(stamp_ns: int) -> Time:

@@ -30,8 +30,8 @@ from steerd.steer_bus.fields import (
 from steerd.steer_bus.messages import OWN_MESSAGES
 from steerd.steer_bus.standard import STANDARD_MESSAGES
 
-Float32x3 = Annotated[tuple[float, ...], Array(Scalar("float32", "f", 4), 3)]
-UInt8x5 = Annotated[tuple[int, ...], Array(Scalar("uint8", "B", 1), 5)]
+Float32x3 = Annotated[tuple[float, ...], Array(Scalar("float32", "f", 4, 10), 3)]
+UInt8x5 = Annotated[tuple[int, ...], Array(Scalar("uint8", "B", 1, 3), 5)]
 
 
 @message("a/msg/Arrays")
