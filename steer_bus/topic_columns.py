@@ -2,16 +2,15 @@
 
 All messages of a topic share one layout as long as their texts (the frame, mostly) keep their
 length; then a topic is one ``np.frombuffer`` over the joined records. Texts and bytes that end a
-message may vary. Anything else is decoded message by message, with the same result.
+message may vary. Records that do not share one are halved until they do.
 """
 
-import operator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.steer_bus.codec import CodecError, decode, read_text, type_name
+from steerd.steer_bus.codec import MAX_BYTES, CodecError, decode, read_text, type_name
 from steerd.steer_bus.container import MESSAGE_FIELDS
 from steerd.steer_bus.fields import Array, Leaf, Scalar, Text, flat_leaves
 
@@ -67,11 +66,17 @@ class ColumnBuilder:
     def _convert(self) -> None:
         if not self._records and self._parts:
             return
-        columns = _fast_columns(self._leaves, self._records) if self._records else None
-        if columns is None:
-            columns = _slow_columns(self._cls, self._leaves, self._records)
-        self._parts.append(columns)
+        self._parts += self._read(self._records)
         self._records = []
+
+    def _read(self, records: list[bytes]) -> list[Columns]:
+        columns, middle = _read_columns(self._leaves, records), len(records) // 2
+        if columns is not None:
+            return [columns]
+        if not middle:
+            decode(self._cls, records[0][_PREFIX:])  # says what is wrong with it
+            raise CodecError(f"{type_name(self._cls)}: its lengths do not add up")
+        return self._read(records[:middle]) + self._read(records[middle:])
 
 
 def _fixed_count(leaves: tuple[Leaf, ...]) -> int:
@@ -93,19 +98,19 @@ def _format(leaf: Leaf, item: Scalar) -> Any:
     return (code, (leaf.kind.count,)) if isinstance(leaf.kind, Array) else code
 
 
-def _fast_columns(leaves: tuple[Leaf, ...], records: list[bytes]) -> Columns | None:
+def _read_columns(leaves: tuple[Leaf, ...], records: list[bytes]) -> Columns | None:
     """Read records of one layout at once; None if they do not share it."""
     fixed = _fixed_count(leaves)
-    found = _layout(leaves[:fixed], records[0])
+    found = _layout(leaves[:fixed], records[0] if records else bytes(MAX_BYTES))
     if found is None:
         return None
     dtype, texts = found
     size = dtype.itemsize
     lengths = np.fromiter(map(len, records), np.int64, len(records))
     longest = np.inf if leaves[fixed:] else size + _MAX_TRAILING
-    if lengths.min() < size or lengths.max() > longest:
+    if records and (lengths.min() < size or lengths.max() > longest):
         return None
-    whole = bool(lengths.max() == size)
+    whole = bool((lengths == size).all())
     table = np.frombuffer(b"".join(records if whole else [r[:size] for r in records]), dtype)
     if (table[_CDR_HEADER] != _LITTLE_ENDIAN).any():
         return None
@@ -159,31 +164,6 @@ def _tail_columns(leaves: tuple[Leaf, ...], records: list[bytes], start: int) ->
                 return None
         if leaves and len(record) - pos > _MAX_TRAILING:
             return None
-    return columns
-
-
-def _slow_columns(cls: type[Any], leaves: tuple[Leaf, ...], records: list[bytes]) -> Columns:
-    """Decode record by record; also where a batch holds a bad record, to say what is wrong."""
-    messages = [decode(cls, record[_PREFIX:]) for record in records]
-    prefixes = [MESSAGE_FIELDS.unpack_from(record) for record in records]
-    numbers = np.array(prefixes, dtype="u8").reshape(-1, 3)
-    columns: Columns = {
-        "sequence": numbers[:, 0].astype("u4"),
-        "log_ns": numbers[:, 1].astype("i8"),
-        "publish_ns": numbers[:, 2].astype("i8"),
-    }
-    fixed = _fixed_count(leaves)
-    for i, leaf in enumerate(leaves):
-        item = _item(leaf)
-        if item is None and i < fixed:
-            continue
-        values = list(map(operator.attrgetter(leaf.path), messages))
-        if item is None:
-            columns[leaf.path] = np.empty(len(values), object)
-            columns[leaf.path][:] = values
-        else:
-            shape = (len(values), leaf.kind.count) if isinstance(leaf.kind, Array) else -1
-            columns[leaf.path] = np.array(values, f"<{item.code}").reshape(shape)
     return columns
 
 

@@ -44,12 +44,6 @@ _ATTACHMENT = struct.Struct("<qqB16s")  # rmw_zenoh's: sequence, UNIX ns, 16, pu
 _GID_SIZE = 16
 _CLOSE_TIMEOUT_S = 2.0
 
-_PRIORITIES = {
-    Priority.REAL_TIME: zenoh.Priority.REAL_TIME,
-    Priority.DATA: zenoh.Priority.DATA,
-    Priority.DATA_LOW: zenoh.Priority.DATA_LOW,
-}
-
 
 @dataclass(frozen=True, slots=True)
 class Profile:
@@ -233,7 +227,7 @@ class ZenohBus:
         encoding = zenoh.Encoding.APPLICATION_CDR
         if topic is not None:
             encoding = encoding.with_schema(type_name(topic.message))
-        priority = _PRIORITIES[topic.priority if topic else Priority.DATA]
+        priority = getattr(zenoh.Priority, (topic.priority if topic else Priority.DATA).value)
         handle = self._ask(
             lambda: self._session.declare_publisher(
                 key,
