@@ -67,7 +67,6 @@ TRANSITION = Topic("transition", m.Transition)
 CLOCK = Topic("clock", m.ClockSample, rate_hz=1.0)
 DRIVE = Topic("cmd/drive", m.DriveCommand, Direction.IN, Priority.REAL_TIME, rate_hz=100.0)
 OPERATOR = Topic("cmd/operator", m.OperatorRequest, Direction.IN, Priority.REAL_TIME)
-STOP = Topic("cmd/stop", m.OperatorRequest, Direction.IN, Priority.REAL_TIME, logged=False)
 ODOM = Topic("odom", standard.Odometry, logged=False, rate_hz=50.0)
 POSE = Topic("pose", standard.PoseStamped, logged=False, rate_hz=50.0)
 EXTERNAL_POSE = Topic(
@@ -77,14 +76,14 @@ VESC_STATE = Topic("vesc_state", standard.VescStateStamped, logged=False, rate_h
 DIAGNOSTICS = Topic(
     "diagnostics", standard.DiagnosticArray, priority=Priority.DATA_LOW, rate_hz=1.0
 )
+LOG = Topic("rosout", standard.Log, priority=Priority.DATA_LOW)
 WHEEL = Topic("wheel", m.WheelSpeed, on_bus=False, rate_hz=100.0)
 THROTTLE = Topic("throttle", m.Throttle, on_bus=False, rate_hz=100.0)
 SET_PARAMETERS = Topic("cmd/parameters", m.ParameterRequest, Direction.IN, Priority.REAL_TIME)
 PARAMETERS = Topic("parameters", m.Parameters, priority=Priority.DATA_LOW, rate_hz=2.0)
-LOG = Topic("rosout", standard.Log, priority=Priority.DATA_LOW)
 MODEL = Topic("model", m.Model, priority=Priority.DATA_LOW, rate_hz=1.0)
 DESIGN = Topic("design", m.Design, priority=Priority.DATA_LOW, rate_hz=1.0)
-
+STOP = Topic("cmd/stop", m.OperatorRequest, Direction.IN, Priority.REAL_TIME, logged=False)
 HEARTBEAT = Topic("heartbeat", m.Heartbeat, Direction.OUT, Priority.REAL_TIME, False, rate_hz=20.0)
 HEARTBEAT_BACK = Topic(
     "cmd/heartbeat", m.Heartbeat, Direction.IN, Priority.REAL_TIME, False, rate_hz=20.0
@@ -95,11 +94,8 @@ ALIVE = "alive"
 LAST_MODEL = "param/model"
 """Key under which a car answers with its newest `model` message."""
 
-TOPICS = (
-    TICK, MOCAP, VESC, IDENTITY, IMU, ACTUATION, STATE, TRANSITION, CLOCK, DRIVE, OPERATOR, ODOM,
-    POSE, EXTERNAL_POSE, VESC_STATE, DIAGNOSTICS, LOG, WHEEL, THROTTLE,
-    SET_PARAMETERS, PARAMETERS, MODEL, DESIGN, STOP, HEARTBEAT, HEARTBEAT_BACK,
-)  # fmt: skip
+TOPICS = tuple(topic for topic in [*vars().values()] if isinstance(topic, Topic))
+"""In the order of the channels of a session file."""
 
 
 def check_car_name(car: str) -> str:

@@ -14,6 +14,7 @@ from steerd.daemon.common.notebook import load_package, make_frame
 from steerd.daemon.common.screen import shown
 from steerd.daemon.common.translate import make_session_error
 from steerd.daemon.sessions.info import (
+    Recording,
     SessionReport,
     load_session,
     make_session_report,
@@ -78,13 +79,18 @@ class Session:
         from steerd.daemon.sessions.plot_data import make_drawing
         from steerd.daemon.sessions.plot_page import list_facts
 
-        drawing = make_drawing(read_recording(self._recording))
+        drawing = make_drawing(self._read)
         return [Card(label, figure, "") for label, figure in list_facts(self.report, drawing)]
 
     @cached_property
     def report(self) -> SessionReport:
         """The numbers of `steerd info`."""
-        return make_session_report(read_recording(self._recording))
+        return make_session_report(self._read)
+
+    @cached_property
+    def _read(self) -> Recording:
+        """Every topic of steerd's, read in one pass for report, cards and figure."""
+        return read_recording(self._recording)
 
     @cached_property
     def _names(self) -> dict[str, tuple[str, type[Any]]]:
@@ -166,7 +172,7 @@ class Session:
         from steerd.daemon.analysis.figures import plot_session
         from steerd.daemon.sessions.plot_data import make_drawing
 
-        return plot_session(make_drawing(read_recording(self._recording)), self.path.name)
+        return plot_session(make_drawing(self._read), self.path.name)
 
     def __str__(self) -> str:
         from steerd.daemon.sessions.text import format_report

@@ -16,8 +16,7 @@ from steerd.controller.loop_model import Timing
 from steerd.daemon.assembly.build import NS, RunPlan, make_plan, make_world_config
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.many.sweep.plan import DriveCase, SweepPlan
-from steerd.daemon.many.sweep.summary import DRIVEN, REFUSED, STOPPED
+from steerd.daemon.many.sweep.plan import DRIVEN, REFUSED, STOPPED, DriveCase, SweepPlan
 from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
 from steerd.daemon.sessions.lane_error import SETTLE, rms
 from steerd.daemon.settings.config import make_settings

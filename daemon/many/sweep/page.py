@@ -6,11 +6,9 @@ from matplotlib.axes import Axes
 
 from steerd.daemon.common.screen import clean
 from steerd.daemon.many.job import Rows
-from steerd.daemon.many.sweep.plan import Choice, SweepPlan
+from steerd.daemon.many.sweep.plan import DRIVEN, STOPPED, Choice, SweepPlan
 from steerd.daemon.many.sweep.quantities import Distribution
 from steerd.daemon.many.sweep.summary import (
-    DRIVEN,
-    STOPPED,
     STOPS,
     UNITS,
     Sensitivity,

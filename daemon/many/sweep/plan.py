@@ -38,6 +38,8 @@ DURATION_MAX = 3600.0
 """Longest drive of a sweep [s]."""
 DRIVES_MAX = 1_000_000
 """More drives are a mistake in a list."""
+DRIVEN, STOPPED, REFUSED = "driven", "stopped", "refused"
+"""How a drive ended: as planned, by a watchdog, or before it began."""
 Value = float | str
 Choice = tuple[Value, ...] | Distribution
 

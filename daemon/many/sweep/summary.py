@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from steerd.daemon.common.screen import clean, wrap
 from steerd.daemon.many.job import FAILED, Column, Rows
-from steerd.daemon.many.sweep.plan import SweepPlan
+from steerd.daemon.many.sweep.plan import DRIVEN, REFUSED, STOPPED, SweepPlan
 from steerd.daemon.many.sweep.quantities import Quantity
 from steerd.sysid.report.report import SCALES, Table, format_table
 
@@ -121,12 +122,8 @@ def summarise_sweep(plan: SweepPlan, rows: Rows) -> Summary:
 
 def make_share(name: str, count: int, total: int) -> Share:
     """A share with Wilson's interval."""
-    p, z2 = count / total, _Z * _Z / total
-    middle, half = (
-        (p + z2 / 2) / (1 + z2),
-        _Z / (1 + z2) * sqrt(p * (1 - p) / total + z2 / 4 / total),
-    )
-    return Share(name, count, total, max(middle - half, 0.0), min(middle + half, 1.0))
+    low, high = stats.binomtest(count, total).proportion_ci(method="wilson")
+    return Share(name, count, total, float(low), float(high))
 
 
 def column(rows: Rows, name: str) -> Array:
@@ -161,8 +158,8 @@ def _sensitivities(plan: SweepPlan, rows: Rows) -> list[Sensitivity]:
             if known.sum() < _LEAST or np.ptp(seen[known]) == 0.0:
                 continue
             if given is not None and np.ptp(given[known]) > 0.0:
-                value, groups = _rank_correlation(given[known], seen[known]), 2
-                means = _outer_means(given[known], seen[known])
+                value = float(stats.spearmanr(given[known], seen[known]).statistic)
+                means, groups = _outer_means(given[known], seen[known]), 2
             elif texts is not None and len(set(texts[known])) > 1:
                 value, groups = _correlation_ratio(texts[known], seen[known])
                 each = [float(seen[known & (texts == text)].mean()) for text in set(texts[known])]
@@ -174,30 +171,16 @@ def _sensitivities(plan: SweepPlan, rows: Rows) -> list[Sensitivity]:
     return found
 
 
-def rank(values: Array) -> Array:
-    """Ranks (n,) of values, ties shared."""
-    _, index, counts = np.unique(values, return_inverse=True, return_counts=True)
-    last = np.cumsum(counts)
-    return np.asarray((last - 0.5 * (counts - 1))[index], dtype=np.float64)
-
-
 def _outer_means(given: Array, seen: Array) -> tuple[float, float]:
     """Means of a measure over the lowest and the highest fifth of a quantity, ties included."""
     low, high = np.quantile(given, (0.2, 0.8))
     return float(seen[given <= low].mean()), float(seen[given >= high].mean())
 
 
-def _rank_correlation(one: Array, other: Array) -> float:
-    return float(np.corrcoef(rank(one), rank(other))[0, 1])
-
-
 def _correlation_ratio(texts: NDArray[Any], seen: Array) -> tuple[float, int]:
     """Share of the ranks' standard deviation that lies between groups, and how many there are."""
-    ranks = rank(seen)
-    names = sorted(set(texts))
-    means = [(np.sum(texts == name), ranks[texts == name].mean()) for name in names]
-    between = sum(count * (mean - ranks.mean()) ** 2 for count, mean in means)
-    return sqrt(float(between / np.sum((ranks - ranks.mean()) ** 2))), len(names)
+    groups = [seen[texts == name] for name in sorted(set(texts))]
+    return sqrt(stats.kruskal(*groups).statistic / (len(seen) - 1)), len(groups)
 
 
 MEASURES = (
@@ -224,7 +207,6 @@ _ENDS = (
     Column("seconds", "number", "s", "driven"),
     Column("metres", "number", "m", "driven"),
 )
-DRIVEN, STOPPED, REFUSED = "driven", "stopped", "refused"
 OUTCOMES = (DRIVEN, STOPPED, REFUSED, FAILED)
 
 

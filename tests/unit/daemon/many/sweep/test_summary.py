@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from steerd.daemon.many.sweep.plan import list_cases
-from steerd.daemon.many.sweep.summary import STOPS, make_share, rank, summarise_sweep
+from steerd.daemon.many.sweep.summary import STOPS, make_share, summarise_sweep
 
 N = 200
 
@@ -74,7 +74,3 @@ def test_shares_have_wilsons_interval(count, total, low, high):
     share = make_share("x", count, total)
     assert share.low == pytest.approx(low, abs=1e-4)
     assert share.high == pytest.approx(high, abs=1e-4)
-
-
-def test_ties_share_their_rank():
-    np.testing.assert_array_equal(rank(np.array([3.0, 1.0, 3.0, 2.0])), [3.5, 1.0, 3.5, 2.0])
