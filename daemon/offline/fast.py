@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 
 from steerd.daemon.assembly.build import RunPlan, make_world_config
@@ -11,7 +12,7 @@ from steerd.daemon.assembly.session_meta import (
     make_metadata,
 )
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.screen import raw
+from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.translate import make_session_error
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
@@ -120,7 +121,14 @@ def run_fast(plan: RunPlan) -> int:
                 print(f"{t_ns * 1e-9:8.2f} s  {line}")
 
     def go(run: VirtualRun) -> None:
-        with_progress(run, duration, lambda tick: drive(run, tick))
+        driven = count(1)
+        with show_progress("driving", duration, even=True) as progress:
+
+            def tick(now: VirtualRun) -> None:
+                if now.core.loop.supervisor.state is SupervisorState.RUNNING:
+                    progress(next(driven) * now.period_ns * 1e-9)
+
+            drive(run, tick)
 
     try:
         run = record_virtual(plan, path, go, see)
@@ -149,21 +157,3 @@ def check_driven(run: VirtualRun) -> None:
     if not run.core.loop.ran:
         waiting = run.core.last.waiting if run.core.last else ""
         raise SteerdError(f"the car was never driven: waiting for {waiting}", "", ExitCode.STOPPED)
-
-
-def with_progress(
-    run: VirtualRun, duration_s: float, go: Callable[[Callable[[VirtualRun], None]], None]
-) -> None:
-    """Drive, with a progress bar on a terminal."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    console = Console(file=raw(sys.stderr))
-    with Progress(console=console, disable=not sys.stderr.isatty(), transient=True) as progress:
-        task = progress.add_task("driving", total=duration_s)
-
-        def tick(now: VirtualRun) -> None:
-            if now.core.loop.supervisor.state is SupervisorState.RUNNING:
-                progress.advance(task, now.period_ns * 1e-9)
-
-        go(tick)

@@ -29,6 +29,7 @@ from steerd.vesc_link.vesc import Answer
 
 TOLERANCE = 1e-9
 """Allowed difference: another machine's libm may differ in the last digits."""
+_SENSED = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z")
 
 
 @dataclass(frozen=True)
@@ -86,15 +87,8 @@ def read_telemetry(vesc: m.VescTelemetry) -> tuple[Answer, Values]:
 
 def read_imu(imu: m.VescImu) -> tuple[int, Imu]:
     """When a recorded IMU reading was measured, and what it says."""
-    reading = Imu(
-        mask=0,
-        accel_x=_or_none(imu.accel_x),
-        accel_y=_or_none(imu.accel_y),
-        accel_z=_or_none(imu.accel_z),
-        gyro_x=_or_none(imu.gyro_x),
-        gyro_y=_or_none(imu.gyro_y),
-        gyro_z=_or_none(imu.gyro_z),
-    )
+    sensed = {name: _or_none(getattr(imu, name)) for name in _SENSED}
+    reading = Imu(mask=0, **sensed)
     return Answer(reading, imu.t_sent_ns, imu.t_received_ns).stamp_ns, reading
 
 
