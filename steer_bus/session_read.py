@@ -169,19 +169,21 @@ class Session:
                 payload = data[start + MESSAGE_FIELDS.size : end]
                 yield Record(topic, name, sequence, log_ns, publish_ns, payload, key)
 
-    def columns(self, cls: type[Any], topic: str | None = None) -> Columns:
+    def columns(self, cls: type[Any], topic: str = "") -> Columns:
         """Read one topic as `steerd.steer_bus.topic_columns.Columns`, in recorded order.
 
         Args:
             cls: the message class.
-            topic: the topic; may be left out if exactly one has this type.
+            topic: the topic; the first of this type where it is left out.
 
         Raises:
-            SessionError: if the topic is missing, ambiguous, of another type or layout, or holds a
-                message that is not what its schema says.
+            SessionError: if the topic is missing, of another type or layout, or holds a message
+                that is not what its schema says.
             TypeError: if the class holds a sequence of messages.
         """
-        name = topic if topic is not None else self.find_topic(cls)
+        kind = type_name(cls)
+        first = (t.name for t in self._info.topics if t.type_name == kind)
+        name = topic or next(first, kind)
         return self.tables({name: cls})[name]
 
     def tables(self, wanted: Mapping[str, type[Any]]) -> dict[str, Columns]:
@@ -200,22 +202,6 @@ class Session:
         except CodecError as error:
             text = f"{self._path.name}: a recorded message is not what its schema says: {error}"
             raise SessionError("bad_message", text, exit_code=WRONG_CONTENT) from error
-
-    def find_topic(self, cls: type[Any]) -> str:
-        """Give the one topic of a message type.
-
-        Raises:
-            SessionError: if there is none or more than one.
-        """
-        name = type_name(cls)
-        found = sorted({t.name for t in self._info.topics if t.type_name == name})
-        if len(found) == 1:
-            return found[0]
-        have = ", ".join(found or sorted(t.name for t in self._info.topics)) or "nothing"
-        problem = "several topics hold" if found else "no topic holds"
-        text = f"{self._path.name}: {problem} {name}; it has {have}"
-        code = "ambiguous_topic" if found else "missing_topic"
-        raise SessionError(code, text, exit_code=WRONG_CONTENT)
 
     def attachment(self, name: str) -> bytes:
         """Read an attached file.

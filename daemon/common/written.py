@@ -27,7 +27,6 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import print_labelled
 from steerd.posterior_file import posterior_path
 from steerd.steer_bus.atomic_file import is_full, write_atomically
-from steerd.steer_bus.container import MAGIC
 
 _REMEMBERED = 10_000
 """Digests kept, the latest ones: 650 kB."""
@@ -243,6 +242,8 @@ def _check(option: str, path: Path) -> None:
 
 def _is_session(path: Path) -> bool:
     """Whether it begins as sessions do; an unreadable file is reported by its reader."""
+    from steerd.steer_bus.container import MAGIC
+
     try:
         if not path.is_file():
             return False
