@@ -24,7 +24,7 @@ from mcap import records as rec  # noqa: TID251
 from mcap.data_stream import ReadDataStream  # noqa: TID251
 from mcap.exceptions import McapError  # noqa: TID251
 from mcap.opcode import Opcode  # noqa: TID251
-from mcap.stream_reader import get_chunk_data_stream  # noqa: TID251
+from mcap.stream_reader import CRCValidationError, get_chunk_data_stream  # noqa: TID251
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD = 64 << 20
@@ -54,10 +54,8 @@ _MAX_RESTARTS = 100_000
 _WINDOW = 1 << 20
 _MAX_METADATA = 1 << 20
 
-_UNPACKING = (
-    zstandard.ZstdError, McapError, ValueError, RuntimeError, EOFError, MemoryError,
-)  # fmt: skip
-"""Errors of the library and of its decompressors, a wrong CRC among them."""
+_UNPACKING = (zstandard.ZstdError, McapError, RuntimeError, EOFError, MemoryError)
+"""Errors of the library and of its decompressors."""
 
 T = TypeVar("T")
 
@@ -249,6 +247,8 @@ def open_chunk(body: bytes) -> bytes:
         if _unpacked_size(chunk) > size:
             raise DamageError("the chunk's size is a lie")
         stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+    except CRCValidationError as error:
+        raise DamageError("CRC mismatch") from error
     except _UNPACKING as error:
         raise DamageError(f"does not decompress ({error})") from error
     if length != size:
