@@ -5,6 +5,7 @@ import hashlib
 import io
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -38,8 +39,17 @@ def late(tmp_path_factory):
     session = folder / "late.mcap"
     quietly("run", "--sim", "--fast", *LANE.split(), "--duration", 24, "--record", session,
             "--effect", f"steer_delay={DELAY}")  # fmt: skip
-    screen = quietly("diagnose", session, "--no-pairs", "--json", folder / "gap.json", "--report",
-                     folder / "gap.html", "-o", folder / "car.toml")  # fmt: skip
+    opened, whole = [], Path.open
+
+    def note(path, *args, **kwargs):
+        opened.append(path)
+        return whole(path, *args, **kwargs)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Path, "open", note)
+        screen = quietly("diagnose", session, "--no-pairs", "--json", folder / "gap.json",
+                         "--report", folder / "gap.html", "-o", folder / "car.toml")  # fmt: skip
+    assert opened.count(session) == 1
     return folder, screen, json.loads((folder / "gap.json").read_text())
 
 
