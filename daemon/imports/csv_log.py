@@ -25,15 +25,15 @@ from steerd.daemon.imports.import_session import (
 )
 from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, THROTTLE, VESC, WHEEL, Topic
 
-_TOPICS: dict[str, Topic] = {
-    "x": MOCAP,
-    "steer_cmd": ACTUATION,
-    "speed_cmd": ACTUATION,
-    "erpm": VESC,
-    "wheel_speed": WHEEL,
-    "throttle": THROTTLE,
-    "yaw_rate": IMU,
+_SINGLE: dict[str, tuple[Topic, Callable[[MessageMaker, int, float], Any]]] = {
+    "erpm": (VESC, MessageMaker.telemetry),
+    "wheel_speed": (WHEEL, MessageMaker.wheel),
+    "throttle": (THROTTLE, MessageMaker.throttle),
+    "yaw_rate": (IMU, MessageMaker.gyro),
 }
+"""Quantities that are a message each: its topic, and what makes it."""
+_TOPICS = {"x": MOCAP, "steer_cmd": ACTUATION, "speed_cmd": ACTUATION}
+_TOPICS |= {quantity: topic for quantity, (topic, _) in _SINGLE.items()}
 _POSE = ("x", "y", "yaw")
 _Timed = tuple[int, dict[str, float]]
 """The time of a row [ns], and the quantities that have a value in it."""
@@ -113,12 +113,6 @@ def _samples(
     table: CsvTable, timed: Iterator[_Timed], the_map: ImportMap, notes: Counter[str]
 ) -> Iterator[Sample]:
     maker = MessageMaker(the_map.epoch_ns, the_map.frame)
-    makers: dict[str, Callable[[int, float], Any]] = {
-        "erpm": maker.telemetry,
-        "wheel_speed": maker.wheel,
-        "throttle": maker.throttle,
-        "yaw_rate": maker.gyro,
-    }
     for t_ns, v in timed:
         if _POSE[0] in v and _POSE[1] in v and _POSE[2] in v:
             yield Sample(MOCAP, t_ns, t_ns, maker.planar_pose(t_ns, v["x"], v["y"], v["yaw"]))
@@ -130,6 +124,6 @@ def _samples(
         if abs(v.get("erpm", 0.0)) > _INT32_MAX:
             column = the_map.columns["erpm"].column
             table.fail(f"{v['erpm']:g} is no motor speed", column=column)
-        for name, make in makers.items():
+        for name, (topic, make) in _SINGLE.items():
             if name in v:
-                yield Sample(_TOPICS[name], t_ns, t_ns, make(t_ns, v[name]))
+                yield Sample(topic, t_ns, t_ns, make(maker, t_ns, v[name]))

@@ -1,7 +1,7 @@
 """`steerd run --sim --fast`: virtual time, one process, the same session file for the same seed."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
 
@@ -14,9 +14,8 @@ from steerd.daemon.assembly.session_meta import (
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.translate import make_session_error
-from steerd.daemon.ipc.pipe_records import PipeRecord
+from steerd.daemon.ipc.pipe_records import PipeRecord, is_learnt_from, read_message
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.offline.learn_beside import LearnerBeside
 from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun, drive, make_virtual_run
 from steerd.daemon.process.recorder import Recording
 from steerd.daemon.terminal.dashboard import Dashboard, closing_lines
@@ -70,12 +69,12 @@ def record_virtual(
     """
     world = world or World(make_world_config(plan))
     recording = make_recording(plan, path)
-    learner = LearnerBeside(plan)
+    take = _learn_beside(plan, lambda data, t_ns: run.core.on_proposal(data, t_ns))
 
     def sink(records: list[PipeRecord], t_ns: int) -> None:
         try:
             for record in records:
-                for each in learner.take(record):
+                for each in take(record):
                     recording.add(each)
             recording.writer.tick(t_ns)
         except SessionError as error:  # not for the core: it would stop the car for a bug (W29)
@@ -83,7 +82,6 @@ def record_virtual(
         see(records, t_ns)
 
     run = make_virtual_run(plan, (sink,), world)
-    learner.propose_to = run.core.on_proposal
     reason = "interrupted"
     try:
         go(run)
@@ -91,6 +89,40 @@ def record_virtual(
     finally:
         _finish(recording, reason)
     return run
+
+
+def _learn_beside(
+    plan: RunPlan, propose: Callable[[bytes, int], None]
+) -> Callable[[PipeRecord], Iterator[PipeRecord]]:
+    """What gives each record of a drive back, with `--learn` also the report that it completes.
+
+    Args:
+        plan: of the drive.
+        propose: takes the proposals of `--adapt`, and when they were made [ns].
+
+    Raises:
+        ValueError: the car file holds what identify does not write.
+    """
+    if not plan.options.learn:  # a drive without it loads no compiler
+        return lambda record: iter((record,))
+    from steerd.controller.build import compute_table
+    from steerd.daemon.learning.feed import make_feed, make_record, wiring_of
+    from steerd.daemon.learning.proposing import Proposals, make_proposer
+
+    feed, numbers = (
+        make_feed(plan.settings.file, wiring_of(EPOCH_NS, plan.settings.scaling)),
+        count(),
+    )
+    if plan.learnt is not None:
+        feed.proposals = Proposals(make_proposer(plan.learnt, compute_table), propose)
+
+    def take(record: PipeRecord) -> Iterator[PipeRecord]:
+        yield record
+        report = feed.take(record.topic, read_message(record)) if is_learnt_from(record) else None
+        if report is not None:
+            yield make_record(report, next(numbers), record.log_time_ns)
+
+    return take
 
 
 def _finish(recording: Recording, reason: str) -> None:

@@ -87,7 +87,7 @@ def read_telemetry(vesc: m.VescTelemetry) -> tuple[Answer, Values]:
 
 def read_imu(imu: m.VescImu) -> tuple[int, Imu]:
     """When a recorded IMU reading was measured, and what it says."""
-    sensed = {name: _or_none(getattr(imu, name)) for name in _SENSED}
+    sensed: dict[str, Any] = {name: _or_none(getattr(imu, name)) for name in _SENSED}
     reading = Imu(mask=0, **sensed)
     return Answer(reading, imu.t_sent_ns, imu.t_received_ns).stamp_ns, reading
 
