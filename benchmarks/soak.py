@@ -201,7 +201,7 @@ def drive(minutes: float, session: Path, rate: float, every: float | None) -> Dr
 def judge_stops(session: Path, events: list[dict[str, Any]]) -> dict[str, Any]:
     """How long each stop took, which were missed, and what else stopped the car."""
     from steerd.daemon.loop.transitions import SupervisorState
-    from steerd.steer_bus.session import open_session
+    from steerd.steer_bus.session_read import open_session
 
     path = session if session.exists() else session.with_name(session.name + ".partial")
     records = open_session(path).messages("/steerd/car1/transition")
@@ -226,7 +226,7 @@ def judge_stops(session: Path, events: list[dict[str, Any]]) -> dict[str, Any]:
 def read_ticks(session: Path) -> dict[str, Any]:
     """What the session holds of the loop: late ticks in each quarter, and whether it is whole."""
     from steerd.steer_bus.messages import Tick
-    from steerd.steer_bus.session import open_session
+    from steerd.steer_bus.session_read import open_session
 
     path = session if session.exists() else session.with_name(session.name + ".partial")
     read = open_session(path)

@@ -17,19 +17,7 @@ from mcap.writer import CompressionType, Writer  # noqa: TID251
 from steerd.steer_bus.atomic_file import is_full
 from steerd.steer_bus.codec import schema_text, type_name
 from steerd.steer_bus.container import SessionWarning
-from steerd.steer_bus.session_read import (
-    Record,
-    Session,
-    SessionError,
-    SessionInfo,
-    TopicInfo,
-    open_session,
-)
-
-__all__ = [
-    "FLUSH_NS", "SYNC_NS", "AttachedFile", "Record", "RecoverReport", "Session", "SessionError",
-    "SessionInfo", "SessionWarning", "SessionWriter", "TopicInfo", "open_session", "recover",
-]  # fmt: skip
+from steerd.steer_bus.session_read import Session, SessionError, open_session
 
 CHUNK_BYTES = 1 << 20
 FLUSH_NS = 250_000_000

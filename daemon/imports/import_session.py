@@ -26,7 +26,8 @@ from steerd.mocap_link.frame import (
 )
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import encode
-from steerd.steer_bus.session import AttachedFile, SessionError, SessionWriter
+from steerd.steer_bus.session import AttachedFile, SessionWriter
+from steerd.steer_bus.session_read import SessionError
 from steerd.steer_bus.topics import ACTUATION, MOCAP, Topic, make_session_topic
 from steerd.version import VERSION
 

@@ -26,7 +26,13 @@ from steerd.daemon.sessions.motion import (
 from steerd.steer_bus import topics
 from steerd.steer_bus.fields import flat_leaves
 from steerd.steer_bus.messages import ActuationMode
-from steerd.steer_bus.session import Session, SessionError, SessionInfo, TopicInfo, open_session
+from steerd.steer_bus.session_read import (
+    Session,
+    SessionError,
+    SessionInfo,
+    TopicInfo,
+    open_session,
+)
 from steerd.steer_bus.topic_columns import Columns
 from steerd.vesc_link.scaling import F1TENTH
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.steer_bus.messages import ActuationMode
-from steerd.steer_bus.session import Session, open_session
+from steerd.steer_bus.session_read import Session, open_session
 from steerd.steer_bus.topic_columns import Columns
 from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, VESC, WHEEL, split_key
 from steerd.sysid.data.data_checks import DataError, check_run, check_times, noise_of

@@ -10,7 +10,8 @@ from steerd.daemon.analysis.hints import complete
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.sim_gap.verdict.next_manoeuvre import MENU
-from steerd.steer_bus.session import SessionWriter, open_session
+from steerd.steer_bus.session import SessionWriter
+from steerd.steer_bus.session_read import open_session
 from steerd.sysid.inference.identifiability import MANOEUVRES
 
 pytestmark = pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from steerd.car_model.effects import ALIASES, EFFECTS, parse_effects
 from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.messages import Actuation, MocapPose, Throttle, WheelSpeed
-from steerd.steer_bus.session import open_session
+from steerd.steer_bus.session_read import open_session
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"

@@ -13,7 +13,7 @@ import pytest
 from mcap.writer import Writer  # noqa: TID251
 
 from steerd.daemon.cli.main import run_cli
-from steerd.steer_bus.session import open_session
+from steerd.steer_bus.session_read import open_session
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "circle.mcap"
 SOON = 20.0

@@ -16,7 +16,8 @@ from steerd.daemon.common.written import car_outputs, write_outputs
 from steerd.daemon.process.learner_memory import make_learner_job
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.posterior_file import ATTACHED, encode_posterior, posterior_path
-from steerd.steer_bus.session import AttachedFile, SessionWriter, open_session
+from steerd.steer_bus.session import AttachedFile, SessionWriter
+from steerd.steer_bus.session_read import open_session
 
 NOISE, KNOWLEDGE = {"position": 1e-3}, {"names": ["lf", "scrub.drag"], "sd": [0.1, 0.2]}
 TABLES = {"noise": NOISE, "knowledge": KNOWLEDGE}

@@ -17,14 +17,8 @@ from steerd.steer_bus.messages import (
     Transition,
     make_header,
 )
-from steerd.steer_bus.session import (
-    FLUSH_NS,
-    SYNC_NS,
-    SessionError,
-    SessionWriter,
-    open_session,
-    recover,
-)
+from steerd.steer_bus.session import FLUSH_NS, SYNC_NS, SessionWriter, recover
+from steerd.steer_bus.session_read import SessionError, open_session
 from steerd.steer_bus.standard import DiagnosticArray, Odometry
 from tests.blank import drawn
 

@@ -15,7 +15,8 @@ from mcap.writer import CompressionType, Writer  # noqa: TID251
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.container import MAGIC
 from steerd.steer_bus.messages import WORLD, ClockSample, StateMessage, make_header
-from steerd.steer_bus.session import SessionError, open_session, recover
+from steerd.steer_bus.session import recover
+from steerd.steer_bus.session_read import SessionError, open_session
 
 pytestmark = pytest.mark.slow
 

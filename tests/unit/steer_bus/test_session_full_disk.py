@@ -16,13 +16,8 @@ from steerd.steer_bus import atomic_file, session
 from steerd.steer_bus.atomic_file import write_atomically
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import WORLD, ClockSample, make_header
-from steerd.steer_bus.session import (
-    AttachedFile,
-    SessionError,
-    SessionWriter,
-    open_session,
-    recover,
-)
+from steerd.steer_bus.session import AttachedFile, SessionWriter, recover
+from steerd.steer_bus.session_read import SessionError, open_session
 
 MESSAGES = 12
 FLUSH_EVERY = 3

@@ -9,7 +9,8 @@ import pytest
 
 from steerd.car_model.car_file import Learned, default_car_path, load_car, parse_car
 from steerd.daemon.analysis.car_output import find_wiring, learn_known, make_car
-from steerd.steer_bus.session import AttachedFile, SessionWriter, open_session
+from steerd.steer_bus.session import AttachedFile, SessionWriter
+from steerd.steer_bus.session_read import open_session
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.data.segments import SPEED_MIN, moving_segments
 from steerd.sysid.inference.noise import Noise, noise_section

@@ -5,7 +5,7 @@ from pathlib import Path
 from steerd.car_model.car_file import CarFileError
 from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.common.translate import make_car_file_error, make_session_error
-from steerd.steer_bus.session import SessionError
+from steerd.steer_bus.session_read import SessionError
 
 
 def test_a_car_file_with_wrong_content_is_invalid():

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.imports.bag import RIGIDS, RIGIDS_TEXT, BagChoice, import_bag
 from steerd.steer_bus.messages import Actuation, MocapPose, VescTelemetry, WheelSpeed
-from steerd.steer_bus.session import open_session
+from steerd.steer_bus.session_read import open_session
 
 START = 1_726_480_861_000_000_000
 ACKERMANN = """Header header

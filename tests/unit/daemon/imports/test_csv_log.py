@@ -22,7 +22,7 @@ from steerd.steer_bus.messages import (
     VescTelemetry,
     WheelSpeed,
 )
-from steerd.steer_bus.session import open_session
+from steerd.steer_bus.session_read import open_session
 
 ALL = """[columns]
 t = "t"

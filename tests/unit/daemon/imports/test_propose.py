@@ -13,7 +13,7 @@ from steerd.daemon.imports.bag import TYPES, find_best
 from steerd.daemon.imports.import_map import parse_map
 from steerd.daemon.imports.propose import change, format_map, guess_scale, propose_csv
 from steerd.steer_bus.messages import Actuation, MocapPose, VescTelemetry
-from steerd.steer_bus.session import open_session
+from steerd.steer_bus.session_read import open_session
 from tests.unit.daemon.imports.test_bag import Bag
 
 NS, START = 10**9, 1_726_480_861_000_000_000

@@ -28,7 +28,7 @@ from steerd.steer_bus.messages import (
     Transition,
     VescTelemetry,
 )
-from steerd.steer_bus.session import open_session
+from steerd.steer_bus.session_read import open_session
 from steerd.steer_bus.topics import find_topic
 
 pytestmark = pytest.mark.slow

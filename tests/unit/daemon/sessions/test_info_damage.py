@@ -13,7 +13,8 @@ import zstandard
 from steerd.daemon.imports.import_session import MessageMaker
 from steerd.steer_bus.codec import encode, schema_text
 from steerd.steer_bus.messages import MocapPose
-from steerd.steer_bus.session import SessionWriter, open_session
+from steerd.steer_bus.session import SessionWriter
+from steerd.steer_bus.session_read import open_session
 from tests.unit.daemon.sessions.test_bad_content import steerd
 
 pytestmark = pytest.mark.slow
