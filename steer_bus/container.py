@@ -46,7 +46,7 @@ _MESSAGE_PREFIX = RECORD.size + 2
 _MESSAGE_MIN = 2 + MESSAGE_FIELDS.size
 _FOOTER_SIZE = 20
 _CHUNK_START = 44
-"""How much of a chunk's body tells whether it is one [bytes]."""
+"""How much of a chunk's body shows whether it is one [bytes]."""
 # Where reading may start again: a chunk or a metadata record below 4 GiB, or the end of the data.
 _RESTART = re.compile(rb"(?=[\x06\x0c].{4}\x00{4}|\x0f\x04\x00{7})", re.DOTALL)
 _RESTART_SIZE = 9

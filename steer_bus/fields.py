@@ -197,7 +197,7 @@ def _field(owner: str, name: str, hint: Any) -> Field:
     raise TypeError(f"{owner}.{name}: {hint!r} has no ROS type")
 
 
-# -- what ROS is told of a message -----------------------------------------------------------------
+# -- a message in the words of ROS ----------------------------------------------------------------
 
 _SEPARATOR = "=" * 80
 _NESTED_ID, _STRING_ID = 1, 17
