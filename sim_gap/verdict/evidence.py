@@ -8,7 +8,9 @@ import numpy as np
 
 from steerd.car_model.effect import Effect
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.hypotheses import Findings, Hypothesis, Library
+from steerd.sysid.inference.hypotheses import Findings
+from steerd.sysid.inference.library import Library
+from steerd.sysid.inference.odds import Hypothesis
 from steerd.sysid.inference.search import Point
 
 

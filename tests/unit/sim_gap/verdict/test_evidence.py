@@ -9,7 +9,8 @@ import pytest
 from steerd.car_model.effects import EFFECTS
 from steerd.sim_gap.verdict.evidence import base_strain, judge_case
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.hypotheses import Findings, Hypothesis
+from steerd.sysid.inference.hypotheses import Findings
+from steerd.sysid.inference.odds import Hypothesis
 
 SMALL, LARGE = 0.5 * c.GAP_SIZE, 4.0 * c.GAP_SIZE
 VALUES = {"steer_delay": (0.03,), "steer_lag": (0.05,), "mass": (1.5,), "yaw_inertia": (1.5,),

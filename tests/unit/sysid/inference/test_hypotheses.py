@@ -9,8 +9,10 @@ import pytest
 from steerd.car_model.effects import EFFECTS
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.engine import open_engine
-from steerd.sysid.inference.hypotheses import Library, begin, carry, explain, judge, look_at_all
+from steerd.sysid.inference.hypotheses import begin, explain, look_at_all
+from steerd.sysid.inference.library import Library, carry
 from steerd.sysid.inference.likelihood import make_likelihood
+from steerd.sysid.inference.odds import judge
 from steerd.sysid.inference.posterior import posterior_of
 from steerd.sysid.inference.search import minimise, stand
 from steerd.sysid.inference.space import FLOORS, nuisance_names
@@ -99,7 +101,7 @@ def test_a_start_that_the_base_alone_holds_holds_no_effect_back(late):
         rotated = start.rotated._replace(held=fill(start.rotated.held))
         found.append(look_at_all(library, replace(start, rotated=rotated)))
     assert found[0] == found[1]
-    assert found[0][0][0].effect == "steer_delay"
+    assert found[0][0].effect == "steer_delay"
 
 
 # --- what comes out
