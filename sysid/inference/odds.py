@@ -143,14 +143,17 @@ def _healthy_gain(library: Library, point: Point, name: str, temper: float, show
 
 
 def _judge(library: Library, posterior: Posterior, evidence: float) -> Hypothesis:
-    """A hypothesis with its prior odds, and the probability that its effects matter."""
+    """A hypothesis with its prior odds, and the probability that its effects matter.
+
+    An effect that ends at its null is none, whatever the base gains by what is free with it.
+    """
     effects = posterior.point.space.effects
     odds = evidence - len(effects) * np.log(max(len(library.effects), 1))
     odds -= max(len(effects) - 1, 0) * np.log(c.FURTHER_ODDS)
     for name in effects:
         effect = library.effect(name)
         far, sd = size_of(library, posterior, effect)
-        odds += log_share_beyond(far, sd, 0.0, effect.least_size)
+        odds += log_share_beyond(far, sd, 0.0, effect.least_size) if far > 0.0 else -np.inf
     return Hypothesis(effects, posterior, float(odds))
 
 

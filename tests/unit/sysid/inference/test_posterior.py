@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal, norm
 
 from steerd.sysid.inference.likelihood import SIZES
-from steerd.sysid.inference.posterior import design_effect, log_share_beyond, posterior_of
+from steerd.sysid.inference.posterior import design_effect, log_mean, log_share_beyond, posterior_of
 
 ROWS = 30
 
@@ -123,3 +123,13 @@ def test_an_effect_that_is_surely_small_has_hardly_a_share() -> None:
     assert log_share_beyond(1e-4, 1e-5, 0.0, 0.002) < -20.0
     assert log_share_beyond(0.02, 1e-5, 0.0, 0.002) == pytest.approx(0.0, abs=1e-9)
     assert log_share_beyond(0.02, 0.0, 0.0, 0.002) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_mean_of_a_normal_likelihood_is_that_of_draws(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    root, wide = rng.standard_normal((2, 2, 2))
+    data, spread, pull, mean = root @ root.T, wide @ wide.T + np.eye(2), *rng.normal(size=(2, 2))
+    x = rng.multivariate_normal(mean, spread, 200_000)
+    exact = np.log(np.exp(x @ pull - 0.5 * ((x @ data) * x).sum(axis=1)).mean())
+    assert log_mean(data, pull, mean, spread) == pytest.approx(exact, abs=0.05)
