@@ -20,7 +20,8 @@ from joblib import Parallel, delayed
 from steerd.car_model.effect import Role
 from steerd.car_model.effects import EFFECTS
 from steerd.sysid.inference.engine import open_engine
-from steerd.sysid.inference.hypotheses import Library, explain
+from steerd.sysid.inference.hypotheses import explain
+from steerd.sysid.inference.library import Library
 from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.noise import Noise
 from steerd.sysid.inference.search import Point, minimise, stand, with_size

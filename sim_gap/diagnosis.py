@@ -25,7 +25,8 @@ from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.car_posterior import refine
 from steerd.sysid.inference.engine import Engine, open_engine
-from steerd.sysid.inference.hypotheses import Findings, Hypothesis, Library, explain
+from steerd.sysid.inference.hypotheses import Findings, explain
+from steerd.sysid.inference.library import Library
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import (
     Noise,
@@ -35,6 +36,7 @@ from steerd.sysid.inference.noise import (
     noisier_of,
     usual_noise,
 )
+from steerd.sysid.inference.odds import Hypothesis
 from steerd.sysid.inference.residuals import Gap, blocks_of, folds_of, gap_of, settled, spun_windows
 from steerd.sysid.inference.search import Point
 from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names

@@ -19,7 +19,8 @@ from steerd.sim_gap.verdict.evidence import Cause, Verdict, judge_case
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference.engine import open_engine
-from steerd.sysid.inference.hypotheses import Library, begin, explain
+from steerd.sysid.inference.hypotheses import begin, explain
+from steerd.sysid.inference.library import Library
 from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.noise import Noise, learn_noise, usual_noise
 from steerd.sysid.inference.search import minimise, stand

@@ -8,7 +8,9 @@ import numpy as np
 
 from steerd.car_model.effect import Effect
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.hypotheses import Findings, Hypothesis, Library
+from steerd.sysid.inference.hypotheses import Findings
+from steerd.sysid.inference.library import Library
+from steerd.sysid.inference.odds import Hypothesis
 from steerd.sysid.inference.search import Point
 
 
@@ -125,11 +127,15 @@ def _is_at_bound(library: Library, best: Hypothesis, name: str) -> bool:
 def _cause(library: Library, found: Findings, name: str, kept: float) -> Cause:
     effect, best = library.effect(name), found.best
     free, superset = best.point.space.chart.free, library.likelihood.engine.superset
-    sd = np.sqrt(np.diag(best.posterior.covariance))
     values = best.point.parameters[superset.places(name)]
+    first, control = free.index(f"{name}.{effect.parameters[0].name}"), library.controls.get(name)
+    square = np.diag(best.posterior.covariance)[first : first + len(values)]
+    if control is not None:  # what the model's errors add in healthy drives, they add here
+        away = control.values - superset.values(name)
+        square = square + np.diag(control.covariance) + away**2
     parameters = {
-        p.name: Estimated(float(value), float(sd[free.index(f"{name}.{p.name}")]), p.unit)
-        for p, value in zip(effect.parameters, values, strict=True)
+        p.name: Estimated(float(value), float(sd), p.unit)
+        for p, value, sd in zip(effect.parameters, values, np.sqrt(square), strict=True)
     }
     alias = effect.confounded_with.note if effect.confounded_with else ""
     confidence = kept * found.probability(name)

@@ -13,7 +13,7 @@ from steerd.car_model.state import Command, State
 from steerd.sysid.data.dataset import GRID, Run, Signal
 from steerd.sysid.inference.disturbance_response import active_model
 from steerd.sysid.inference.engine import Engine, open_engine
-from steerd.sysid.inference.hypotheses import Library, carry
+from steerd.sysid.inference.library import Library, carry
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import Noise
 from steerd.sysid.inference.residuals import settled

@@ -23,6 +23,7 @@ from scipy.special import chdtrc
 from steerd.car_model.car_file import CarFile
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.controls import learn_controls
 from steerd.sysid.inference.noise import noise_section
 from steerd.sysid.inference.posterior import posterior_of
 from steerd.sysid.inference.residuals import blocks_of, robust_mean
@@ -102,10 +103,13 @@ def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, An
         ValueError: no window sees enough poses.
     """
     taught = teach_with_limits(base, runs)
-    return {
-        "noise": noise_section(taught.noise),
-        "knowledge": knowledge_section(knowledge_of(taught)),
-    }
+    return _tables(taught, knowledge_of(taught))
+
+
+def _tables(taught: Taught, known: Knowledge) -> dict[str, dict[str, Any]]:
+    """`[noise]` and `[knowledge]`, with what the drives show of effects beside the car."""
+    known = replace(known, controls=learn_controls(taught, known))
+    return {"noise": noise_section(taught.noise), "knowledge": knowledge_section(known)}
 
 
 def taught_car(base: CarFile, taught: Taught) -> CarFile:
@@ -130,8 +134,7 @@ def taught_car(base: CarFile, taught: Taught) -> CarFile:
         values=tuple(own[e.name] for e in chosen),
         sd={**base.sd, **{n: v for n, v in sd.items() if "." not in n or n.split(".")[0] in own}},
     )
-    tables = {"noise": noise_section(taught.noise), "knowledge": knowledge_section(known)}
-    return replace(moved, sections={**moved.sections, **tables})
+    return replace(moved, sections={**moved.sections, **_tables(taught, known)})
 
 
 def _doubtful(taught: Taught, covariance: Array) -> Array:

@@ -17,14 +17,10 @@ from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect, Role
 from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.library import Library, carry, linearise
 from steerd.sysid.inference.likelihood import SIZES, Likelihood, Weighed, loss_of
+from steerd.sysid.inference.odds import Hypothesis, Shown, rank
 from steerd.sysid.inference.places import suspicious_discs
-from steerd.sysid.inference.posterior import (
-    Posterior,
-    design_effect,
-    log_share_beyond,
-    posterior_of,
-)
 from steerd.sysid.inference.residuals import robust_mean
 from steerd.sysid.inference.search import (
     Point,
@@ -35,7 +31,7 @@ from steerd.sysid.inference.search import (
     stand,
     with_size,
 )
-from steerd.sysid.inference.space import Space, make_space
+from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
 
@@ -47,62 +43,6 @@ _ROOM = 0.4
 """A look that promises less than this share of what a name needs is not followed."""
 _WORSE = 0.5
 """Nats by which a hypothesis counts as worse than another."""
-
-
-@dataclass(frozen=True, eq=False)
-class Library:
-    """What may be a hypothesis.
-
-    Attributes:
-        likelihood: the windows.
-        nuisance: the base's free parameters.
-        effects: what may be added to it.
-        known: whether the base's prior is knowledge from other drives, which windows whose errors
-            repeat outweigh no sooner than as many independent ones as they are worth.
-    """
-
-    likelihood: Likelihood
-    nuisance: tuple[str, ...]
-    effects: tuple[Effect, ...]
-    known: bool = True
-
-    def space(self, names: Sequence[str]) -> Space:
-        """Coordinates of a hypothesis: the base's, then its effects'."""
-        superset = self.likelihood.engine.superset
-        gone = {same for e in superset.effects if e.name in names for same in e.same_as}
-        kept = [name for name in self.nuisance if name not in gone]
-        return make_space(superset, kept, names).heavier(self.worth)
-
-    @cached_property
-    def worth(self) -> float:
-        """How many windows are worth one where nothing is left but noise."""
-        return design_effect(self.likelihood, 0.0) if self.known else 1.0
-
-    def effect(self, name: str) -> Effect:
-        """An effect by name."""
-        return next(e for e in self.likelihood.engine.superset.effects if e.name == name)
-
-
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """Effects beside the base, at their optimum.
-
-    Attributes:
-        effects: their names, in the order in which they were found.
-        posterior: the optimum, its evidence and covariance.
-        log_odds: of the hypothesis, not normalised [nats].
-        probability: among all hypotheses that were brought to their optimum.
-    """
-
-    effects: tuple[str, ...]
-    posterior: Posterior
-    log_odds: float
-    probability: float = 0.0
-
-    @property
-    def point(self) -> Point:
-        """The optimum."""
-        return self.posterior.point
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +85,7 @@ class _Search:
     library: Library
     pool: dict[frozenset[str], Point] = field(default_factory=dict)
     untested: set[str] = field(default_factory=set)
+    shown: Shown = field(default_factory=dict)
     explored: set[tuple[str, ...]] = field(default_factory=set)
     exchanged: set[tuple[tuple[str, ...], tuple[str, ...], int]] = field(default_factory=set)
 
@@ -157,17 +98,9 @@ class _Search:
         """What a first name must gain before its odds are even, not tempered [nats]."""
         return float(np.log(max(len(self.library.effects), 1)))
 
-    def temper(self) -> float:
-        """The design effect under the likeliest optimum's discrepancy."""
-        lowest = min(self.pool.values(), key=lambda point: point.cost)
-        return design_effect(self.likelihood, lowest.size)
-
     def hypotheses(self) -> list[Hypothesis]:
         """All of them with their odds, the likeliest first."""
-        temper = self.temper()
-        lowest = min(self.pool.values(), key=lambda point: point.cost)
-        found = [judge(self.library, point, temper, lowest) for point in self.pool.values()]
-        return sorted(found, key=lambda h: -h.log_odds)
+        return rank(self.library, list(self.pool.values()), self.shown)[0]
 
     def keep(self, point: Point | None) -> None:
         """Keep an optimum if it is the best of its hypothesis so far."""
@@ -186,11 +119,11 @@ class _Search:
             further: whether that is a further cause, against which odds are longer.
         """
         self.keep(_try(self.likelihood, start))
-        looks, level = look_at_all(self.library, start)
+        looks = look_at_all(self.library, start)
         self.untested |= {look.effect for look in looks if not np.isfinite(look.cost)}
         needed = self.surprise + (np.log(c.FURTHER_ODDS) if further else 0.0)
-        least = _ROOM * needed * design_effect(self.likelihood, 0.3 * start.size)
-        chosen = [look for look in looks if level - look.cost > least][:most]
+        least = _ROOM * needed * self.library.design_effect(0.3 * start.size)
+        chosen = [look for look in looks if look.gain > least][:most]
         beat = min((point.cost for point in self.pool.values()), default=np.inf)
         for look in chosen:
             begun = _with_effect(self.library, start, look)
@@ -285,14 +218,14 @@ def explain(
             rest = tuple(n for n in best.effects if n != name)
             search.grow(_again(library, rest, best.point), c.FITTED_FURTHER, further=True)
         best = search.hypotheses()[0]
-    found = search.hypotheses()
+    found, temper = rank(library, list(search.pool.values()), search.shown)
     odds = np.array([h.log_odds for h in found])
     share = np.exp(odds - odds.max())
     share /= share.sum()
     ranked = [replace(h, probability=float(p)) for h, p in zip(found, share, strict=True)]
     untested = tuple(sorted(search.untested))
     before, after = (covering_size(library.likelihood, p) for p in (start, ranked[0].point))
-    return Findings(tuple(ranked), start, search.temper(), untested, (before, after))
+    return Findings(tuple(ranked), start, temper, untested, (before, after))
 
 
 def covering_size(likelihood: Likelihood, point: Point) -> float:
@@ -326,16 +259,6 @@ def _again(library: Library, names: Sequence[str], point: Point) -> Point:
         return point
 
 
-def carry(space: Space, point: Point, own: Point | None = None) -> Array:
-    """A point's values in another hypothesis' coordinates; what it lacks is as in `own`."""
-    known = dict(zip(space.chart.free, space.centre.tolist(), strict=True))
-    if own is not None:
-        known |= dict(zip(own.space.chart.free, own.z.tolist(), strict=True))
-    known |= dict(zip(point.space.chart.free, point.z.tolist(), strict=True))
-    z = np.array([known[name] for name in space.chart.free])
-    return np.asarray(np.clip(z, space.low, space.high))
-
-
 def _stand(likelihood: Likelihood, space: Space, z: Array, x: Array, size: float) -> Point | None:
     try:
         return stand(likelihood, space, z, x, size)
@@ -358,15 +281,17 @@ class Look:
     Attributes:
         effect: its name; `values` of its parameters to start from.
         cost: expected beside the base one step on [nats].
+        gain: below what the start costs so, and with the effect as in healthy drives [nats].
     """
 
     effect: str
     values: tuple[float, ...]
-    cost: float
+    cost: float = np.inf
+    gain: float = -np.inf
 
 
-def look_at_all(library: Library, start: Point) -> tuple[list[Look], float]:
-    """Every effect that the start lacks, the most promising first, and the start's own cost.
+def look_at_all(library: Library, start: Point) -> list[Look]:
+    """Every effect that the start lacks, the most promising first.
 
     No window's start is held here: one that the base alone bends too far may be where an effect
     shows, and could then not follow it.
@@ -376,13 +301,17 @@ def look_at_all(library: Library, start: Point) -> tuple[list[Look], float]:
     views = [library.likelihood.weigh(start.rotated, share * start.size) for share in _LOOKS]
     every = np.arange(len(start.z))
     level = _expected(library, start, views, start.space, every, start.linear.error)
-    left = [e for e in library.effects if e.name not in start.space.effects]
     found = []
-    for effect in left:
-        looks = _looks(library, start, views, effect)
-        none = Look(effect.name, effect.nulls, np.inf)
-        found.append(min(looks, key=lambda look: look.cost, default=none))
-    return sorted(found, key=lambda look: look.cost), level
+    for effect in (e for e in library.effects if e.name not in start.space.effects):
+        known = library.controls.get(effect.name)
+        healthy = [] if known is None else [tuple(known.values.tolist())]
+        tried = [*_ladder(library, start, effect), *_linear(library, start, effect)]
+        looks = list(_looks(library, start, views, effect, tried))
+        others = _looks(library, start, views, effect, healthy)
+        reference = min([level, *(look.cost for look in others)])
+        best = min(looks, key=lambda look: look.cost, default=Look(effect.name, effect.nulls))
+        found.append(replace(best, gain=reference - best.cost))
+    return sorted(found, key=lambda look: -look.gain)
 
 
 def _with_effect(library: Library, start: Point, look: Look) -> Point | None:
@@ -395,15 +324,18 @@ def _with_effect(library: Library, start: Point, look: Look) -> Point | None:
 
 
 def _looks(
-    library: Library, start: Point, views: Sequence[Weighed], effect: Effect
+    library: Library,
+    start: Point,
+    views: Sequence[Weighed],
+    effect: Effect,
+    tried: Iterable[tuple[float, ...]],
 ) -> Iterable[Look]:
     """An effect at several values, the base stepped once beside each."""
     space = library.space([*start.space.effects, effect.name])
     own = slice(len(space.centre) - len(effect.parameters), None)
     names = space.chart.free[: own.start]
     keep = np.array([start.space.chart.free.index(name) for name in names])
-    nulls = space.centre[own].tolist()
-    for values in [*_ladder(start, effect, nulls), *_linear(library, start, effect, space, keep)]:
+    for values in tried:
         z = carry(space, start)
         z[own] = values
         z = np.clip(z, space.low, space.high)
@@ -434,8 +366,9 @@ def _expected(
     return best
 
 
-def _ladder(start: Point, effect: Effect, nulls: Sequence[float]) -> list[tuple[float, ...]]:
+def _ladder(library: Library, start: Point, effect: Effect) -> list[tuple[float, ...]]:
     """Values worth trying about what the base has of the effect."""
+    nulls = library.likelihood.engine.superset.values(effect.name)
     if effect.scan is not None:
         x, at = start.x, start.at
         ahead = 0.5 * x[:, 3:4] * np.column_stack([np.cos(x[:, 2]), np.sin(x[:, 2])])
@@ -453,62 +386,11 @@ def _ladder(start: Point, effect: Effect, nulls: Sequence[float]) -> list[tuple[
     return out
 
 
-def _linear(
-    library: Library, start: Point, effect: Effect, space: Space, keep: NDArray[np.int64]
-) -> list[tuple[float, ...]]:
-    """The values of Newton's step from the null, its derivatives by finite differences."""
-    if effect.zero_gradient:
+def _linear(library: Library, start: Point, effect: Effect) -> list[tuple[float, ...]]:
+    """The values of Newton's step from the null."""
+    found = linearise(library, start, effect)
+    if found is None:
         return []
-    likelihood, z, columns = library.likelihood, carry(space, start), []
-    own = range(len(keep), len(z))
-    for i, parameter in zip(own, effect.parameters, strict=True):
-        step = (
-            0.1 * parameter.scale * (1.0 if z[i] + 0.1 * parameter.scale <= space.high[i] else -1)
-        )
-        moved = z.copy()
-        moved[i] += step
-        error, finite = likelihood.engine.errors(space.chart.parameters(moved), start.x)
-        if not finite:
-            return []
-        columns.append((start.linear.error - error) / step)
-    by_own = likelihood.rotation @ np.stack(columns, axis=2)
-    by_z = np.concatenate([start.rotated.by_z[:, :, keep], by_own], axis=2)
-    rotated = start.rotated._replace(by_z=by_z)
-    view = likelihood.weigh(rotated, start.size)
-    at = likelihood.reduce(view, start.linear.error, start.x)
+    space, z, at = found
     dz, _ = newton(space, at, z)
-    return [tuple((z + dz)[own.start :].tolist())]
-
-
-def judge(library: Library, point: Point, temper: float, lowest: Point) -> Hypothesis:
-    """An optimum's evidence with its prior odds, and the probability that its effects matter.
-
-    The windows that speak loudest for and against it, beside the hypothesis of lowest cost, are
-    left out: a car that nearly spins multiplies any small change, and one such second shall not
-    name a cause.
-    """
-    effects = point.space.effects
-    posterior = posterior_of(point, temper)
-    behind = point.at.loss - lowest.at.loss
-    loudest = float(max(behind.max(), 0.0) + min(behind.min(), 0.0)) / temper
-    posterior = replace(posterior, evidence=posterior.evidence + loudest)
-    odds = posterior.evidence - len(effects) * np.log(max(len(library.effects), 1))
-    odds -= max(len(effects) - 1, 0) * np.log(c.FURTHER_ODDS)
-    for name in effects:
-        effect = library.effect(name)
-        far, sd = size_of(library, posterior, effect)
-        odds += log_share_beyond(far, sd, 0.0, effect.least_size)
-    return Hypothesis(effects, posterior, float(odds))
-
-
-def size_of(library: Library, posterior: Posterior, effect: Effect) -> tuple[float, float]:
-    """How far an effect is from what the base has of it, and the standard error of that."""
-    point, superset = posterior.point, library.likelihood.engine.superset
-    places = [i for i, p in enumerate(effect.parameters) if p.role is Role.SIZE]
-    first = point.space.chart.free.index(f"{effect.name}.{effect.parameters[0].name}")
-    own = superset.values(effect.name)
-    away = np.array([point.z[first + i] - own[i] for i in places])
-    far = float(np.linalg.norm(away))
-    along = away / far if far > 0.0 else np.eye(len(away))[0]
-    mine = [first + i for i in places]
-    return far, float(np.sqrt(along @ posterior.covariance[np.ix_(mine, mine)] @ along))
+    return [tuple((z + dz)[-len(effect.parameters) :].tolist())]

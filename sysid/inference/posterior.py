@@ -2,7 +2,8 @@
 
 Laplace's approximation (MacKay 1992). Model errors of neighbouring windows repeat, so windows are
 worth less than their number: their log likelihood is divided by Kish's design effect (Survey
-Sampling, 1965, 8.2), once for a whole case. What other drives taught of the base counts whole.
+Sampling, 1965, 8.2), once for a whole case. What other drives taught of the base counts whole, and
+an effect that healthy drives show as well is compared with what they show (see `controls`).
 """
 
 # Why: docs/decisions/diagnosis.md#d116
@@ -35,11 +36,18 @@ class Posterior:
     covariance: Array
 
 
-def design_effect(likelihood: Likelihood, size: float, repeats: float = c.REPEATS) -> float:
-    """How many windows are worth one under a discrepancy of this size."""
-    pushed, unknown = float(likelihood.pushed.mean()), likelihood.share(size)
-    alike = repeats * pushed + (1.0 - repeats * pushed) * unknown
-    return 2.0 + (len(likelihood.pushed) - 1) * alike
+def design_effect(likelihood: Likelihood, size: float, controlled: bool = False) -> float:
+    """How many windows are worth one under a discrepancy of this size.
+
+    Args:
+        likelihood: the windows.
+        size: of the discrepancy.
+        controlled: whether what repeats in healthy drives too is compared with them: then only the
+            discrepancy is common to windows, else a share of the ordinary pushes counts as well.
+    """
+    repeats = 0.0 if controlled else c.REPEATS
+    pushed, unknown = repeats * float(likelihood.pushed.mean()), likelihood.share(size)
+    return 2.0 + (len(likelihood.pushed) - 1) * (pushed + (1.0 - pushed) * unknown)
 
 
 def posterior_of(point: Point, temper: float) -> Posterior:
@@ -58,6 +66,22 @@ def posterior_of(point: Point, temper: float) -> Posterior:
     wide = lower @ axes
     covariance = (wide / (1.0 + gain / temper)) @ wide.T
     return Posterior(point, evidence, covariance)
+
+
+def log_mean(data: Array, pull: Array, mean: Array, covariance: Array) -> float:
+    """Log of the mean of exp(pull' x - x' data x / 2) over a normal distribution of x [nats].
+
+    Args:
+        data: (k, k) curvature, not negative; `pull` (k,) slope at 0.
+        pull: see `data`.
+        mean: (k,) of the distribution; `covariance` (k, k).
+        covariance: see `mean`.
+    """
+    before = np.linalg.inv(covariance)
+    whole, slope = data + before, pull + before @ mean
+    volume = np.linalg.slogdet(whole)[1] + np.linalg.slogdet(covariance)[1]
+    height = slope @ np.linalg.solve(whole, slope) - mean @ before @ mean
+    return 0.5 * float(height - volume)
 
 
 def log_share_beyond(value: float, sd: float, null: float, least: float) -> float:

@@ -14,7 +14,7 @@ variance by regime), so that a base that is not good enough there cannot accuse.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,21 @@ EXCESS_MAX = 25.0
 """No regime is trusted less than this."""
 
 
+class Control(NamedTuple):
+    """What healthy drives show of an effect.
+
+    A model that is wrong a little everywhere lets an effect explain a little of any drive.
+
+    Attributes:
+        effect: its name.
+        values: (k,) of its parameters, where they explain healthy drives best; `covariance` (k, k).
+    """
+
+    effect: str
+    values: Array
+    covariance: Array
+
+
 @dataclass(frozen=True, eq=False)
 class Knowledge:
     """What is known of a base.
@@ -50,12 +65,14 @@ class Knowledge:
         covariance: (n, n) of the coordinates.
         excess: (len(EDGES) + 1,) squared error over noise by lateral acceleration, 1 or more.
         values: the parameters' values that the covariance lies about, empty: the base's own.
+        controls: what the healthy drives show of effects.
     """
 
     names: tuple[str, ...]
     covariance: Array
     excess: tuple[float, ...] = (1.0,) * (len(EDGES) + 1)
     values: tuple[float, ...] = ()
+    controls: tuple[Control, ...] = ()
 
     def part(self, names: Sequence[str]) -> Array:
         """Covariance of some of the coordinates, in this order.
@@ -120,7 +137,15 @@ def knowledge_section(known: Knowledge) -> dict[str, Any]:
         "correlation": rows,
         "excess": [round(v, 3) for v in known.excess],
         "values": [float(f"{v:.9g}") for v in known.values],
+        "controls": {
+            one.effect: [_rounded(one.values), [_rounded(row) for row in one.covariance]]
+            for one in known.controls
+        },
     }
+
+
+def _rounded(row: Array) -> list[float]:
+    return [float(f"{v:.6g}") for v in row]
 
 
 def knowledge_of_section(table: Mapping[str, Any]) -> Knowledge | None:
@@ -140,16 +165,30 @@ def knowledge_of_section(table: Mapping[str, Any]) -> Knowledge | None:
             correlation[i, : i + 1] = row
         excess = tuple(float(v) for v in table["excess"])
         values = tuple(float(v) for v in table["values"])
-    except (IndexError, KeyError, TypeError, ValueError) as error:
+        controls = tuple(
+            Control(str(name), np.array(own, float), np.array(spread, float))
+            for name, (own, spread) in table.get("controls", {}).items()
+        )
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"[knowledge] is not what identify writes ({error})") from error
     correlation += np.tril(correlation, -1).T
     shaped = len(rows) == len(sd) == len(values) == len(names) and len(excess) == len(EDGES) + 1
+    shaped &= all(_is_control(one) for one in controls)
     if not (shaped and np.isfinite(correlation).all() and (sd > 0.0).all()):
         raise ValueError("[knowledge] is not what identify writes")
     # Rounding may leave a tiny negative eigenvalue; a covariance has none.
     spectrum, axes = np.linalg.eigh(correlation)
     correlation = (axes * np.maximum(spectrum, 1e-8)) @ axes.T
-    return Knowledge(names, correlation * np.outer(sd, sd), excess, values)
+    return Knowledge(names, correlation * np.outer(sd, sd), excess, values, controls)
+
+
+def _is_control(one: Control) -> bool:
+    """Whether values and covariance are those of an effect of the library."""
+    if one.effect not in EFFECTS or one.covariance.shape != (len(one.values),) * 2:
+        return False
+    finite = np.isfinite(one.values).all() and np.isfinite(one.covariance).all()
+    right = len(one.values) == len(EFFECTS[one.effect].parameters)
+    return bool(finite and right and (np.linalg.eigvalsh(one.covariance) > 0.0).all())
 
 
 @dataclass(frozen=True, eq=False)

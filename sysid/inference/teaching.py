@@ -24,7 +24,8 @@ from steerd.sysid.data.segments import thinned
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.engine import Engine, open_engine
-from steerd.sysid.inference.hypotheses import Library, begin, explain
+from steerd.sysid.inference.hypotheses import begin, explain
+from steerd.sysid.inference.library import Library
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import (
     Noise,

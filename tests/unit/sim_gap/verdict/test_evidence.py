@@ -9,7 +9,9 @@ import pytest
 from steerd.car_model.effects import EFFECTS
 from steerd.sim_gap.verdict.evidence import base_strain, judge_case
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.hypotheses import Findings, Hypothesis
+from steerd.sysid.inference.hypotheses import Findings
+from steerd.sysid.inference.odds import Hypothesis
+from steerd.sysid.inference.superset import Control
 
 SMALL, LARGE = 0.5 * c.GAP_SIZE, 4.0 * c.GAP_SIZE
 VALUES = {"steer_delay": (0.03,), "steer_lag": (0.05,), "mass": (1.5,), "yaw_inertia": (1.5,),
@@ -21,10 +23,12 @@ LIBRARY = SimpleNamespace(
     likelihood=SimpleNamespace(
         engine=SimpleNamespace(
             superset=SimpleNamespace(
-                places=lambda name: [i for i, n in enumerate(NAMES) if n.startswith(f"{name}.")]
+                places=lambda name: [i for i, n in enumerate(NAMES) if n.startswith(f"{name}.")],
+                values=lambda name: EFFECTS[name].nulls,
             )
         )
     ),
+    controls={},
 )
 
 
@@ -111,6 +115,13 @@ def test_what_differs_by_an_equations_form_alone_is_named_with_it(name, other):
     (cause,) = judge_case(LIBRARY, _found(_hypothesis(name)), True).causes
     assert cause.confidence <= c.ALIKE_MOST
     assert other in cause.ambiguous_with
+
+
+def test_what_healthy_drives_show_of_an_effect_is_part_of_its_error():
+    shown = Control("steer_delay", np.array([0.004]), np.array([[9e-6]]))
+    library = SimpleNamespace(**{**vars(LIBRARY), "controls": {"steer_delay": shown}})
+    (cause,) = judge_case(library, _found(_hypothesis("steer_delay")), True).causes
+    assert cause.parameters["delay"].sd == pytest.approx(np.sqrt(1e-6 + 9e-6 + 16e-6))
 
 
 @pytest.mark.parametrize(

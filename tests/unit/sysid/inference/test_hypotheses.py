@@ -9,12 +9,14 @@ import pytest
 from steerd.car_model.effects import EFFECTS
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.engine import open_engine
-from steerd.sysid.inference.hypotheses import Library, begin, carry, explain, judge, look_at_all
+from steerd.sysid.inference.hypotheses import begin, explain, look_at_all
+from steerd.sysid.inference.library import Library, carry
 from steerd.sysid.inference.likelihood import make_likelihood
+from steerd.sysid.inference.odds import rank
 from steerd.sysid.inference.posterior import posterior_of
 from steerd.sysid.inference.search import minimise, stand
-from steerd.sysid.inference.space import FLOORS, nuisance_names
-from steerd.sysid.inference.superset import make_superset
+from steerd.sysid.inference.space import FLOORS, make_space, nuisance_names
+from steerd.sysid.inference.superset import Control, Knowledge, make_superset
 from tests.unit.sysid.inference.conftest import NOISE
 
 LOOKED_AT = ("steer_delay", "steer_lag", "mocap_latency", "speed_scale", "marker_offset",
@@ -99,7 +101,7 @@ def test_a_start_that_the_base_alone_holds_holds_no_effect_back(late):
         rotated = start.rotated._replace(held=fill(start.rotated.held))
         found.append(look_at_all(library, replace(start, rotated=rotated)))
     assert found[0] == found[1]
-    assert found[0][0][0].effect == "steer_delay"
+    assert found[0][0].effect == "steer_delay"
 
 
 # --- what comes out
@@ -161,20 +163,20 @@ def test_an_effect_costs_its_share_of_the_library(late):
 def test_a_second_effect_costs_ten_times_more(both):
     library, found = both
     best, price = found.best, 2.0 * np.log(len(LOOKED_AT)) + np.log(c.FURTHER_ODDS)
-    alone = judge(library, best.point, found.temper, best.point)
+    [alone], temper = rank(library, [best.point])
     assert alone.log_odds == pytest.approx(
-        posterior_of(best.point, found.temper).evidence - price, abs=1e-3
+        posterior_of(best.point, temper).evidence - price, abs=1e-3
     )
 
 
 def test_one_window_changes_no_odds(late):
     """A car that nearly spins multiplies any small change: one such second names no cause."""
     library, found = late
-    best, null, temper = found.best.point, found.null.point, found.temper
+    best, null = found.best.point, found.null.point
     loudest = (null.at.loss - best.at.loss).argmax()
     more = null.at.volume + 100.0 * (np.arange(len(null.at.loss)) == loudest)
     worse = replace(null, at=null.at._replace(volume=more))
-    odds = [judge(library, point, temper, best).log_odds for point in (null, worse)]
+    odds = [rank(library, [best, point])[0][-1].log_odds for point in (null, worse)]
     assert odds[0] == pytest.approx(odds[1], abs=1e-6)
 
 
@@ -204,3 +206,53 @@ def test_a_search_begins_with_the_base_where_it_was(late):
     start = begin(library, (), (), guess)
     assert start.z == pytest.approx(start.space.centre)
     assert start.size == found.start.size
+
+
+# --- healthy drives as controls
+
+
+def _with_controls(library, *controls):
+    """The library of a base whose healthy drives showed these."""
+    engine = library.likelihood.engine
+    space = make_space(engine.superset, library.nuisance)
+    known = Knowledge(space.chart.free, space.covariance, controls=controls)
+    engine = replace(engine, superset=replace(engine.superset, knowledge=known))
+    return replace(library, likelihood=replace(library.likelihood, engine=engine))
+
+
+def _late_by(seconds, sd=1e-3):
+    return Control("steer_delay", np.array([seconds]), np.array([[sd**2]]))
+
+
+@pytest.fixture(scope="module")
+def slightly_late(drive, base):
+    """Base alone and a dead time beside it, at their optima, where steering is a little late."""
+    library = _library(drive("steer_delay=0.008", runs=3, seconds=6.0, seed=21), base)
+    start = begin(library, (), (), library.likelihood.engine.guess.copy())
+    null = minimise(library.likelihood, start)
+    begun = begin(library, ("steer_delay",), (0.008,), null.x)
+    return library, [null, minimise(library.likelihood, begun)]
+
+
+def _gain(library, points):
+    ranked = {h.effects: h.log_odds for h in rank(library, points)[0]}
+    return ranked["steer_delay",] - ranked[()]
+
+
+def test_what_healthy_drives_show_too_is_no_cause(slightly_late):
+    library, points = slightly_late
+    same, other = (_gain(_with_controls(library, _late_by(s)), points) for s in (0.008, 0.0))
+    assert same < 0.0 < other
+
+
+def test_controls_only_take_away(slightly_late):
+    """Wherever healthy drives have an effect, it counts for no more than beside the base alone."""
+    library, points = slightly_late
+    most = _gain(_with_controls(library, _late_by(-0.5, 1e-6)), points)
+    for seconds in np.linspace(-0.01, 0.01, 9):
+        assert _gain(_with_controls(library, _late_by(seconds)), points) <= most + 1e-9
+
+
+def test_without_controls_windows_that_repeat_count_for_less(late):
+    library, _ = late
+    assert _with_controls(library, _late_by(0.0)).worth < library.worth

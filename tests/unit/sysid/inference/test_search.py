@@ -5,7 +5,8 @@ import pytest
 
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.engine import open_engine
-from steerd.sysid.inference.hypotheses import Library, begin
+from steerd.sysid.inference.hypotheses import begin
+from steerd.sysid.inference.library import Library
 from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.search import (
     derive,

@@ -1,0 +1,170 @@
+"""What a hypothesis at its optimum is worth beside the others.
+
+The odds are evidence times prior odds. Where the base's healthy drives were kept as controls, an
+effect counts for what it gains over the base and over what healthy drives show of it, whichever is
+less: what a wrong model lets it explain, it explains in the healthy drives as well.
+"""
+
+# Why: docs/decisions/diagnosis.md#d117
+# Why: docs/decisions/diagnosis.md#d120
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerd.car_model.effect import Effect, Role
+from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.library import Library, Slice, slice_along
+from steerd.sysid.inference.posterior import (
+    Posterior,
+    design_effect,
+    log_mean,
+    log_share_beyond,
+    posterior_of,
+)
+from steerd.sysid.inference.search import Point
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Effects beside the base, at their optimum.
+
+    Attributes:
+        effects: their names, in the order in which they were found.
+        posterior: the optimum, its evidence and covariance.
+        log_odds: of the hypothesis, not normalised [nats].
+        probability: among all hypotheses that were brought to their optimum.
+    """
+
+    effects: tuple[str, ...]
+    posterior: Posterior
+    log_odds: float
+    probability: float = 0.0
+
+    @property
+    def point(self) -> Point:
+        """The optimum."""
+        return self.posterior.point
+
+
+def rank(
+    library: Library, points: Sequence[Point], shown: "Shown | None" = None
+) -> tuple[list[Hypothesis], float]:
+    """Hypotheses at their optima with their odds, the likeliest first; and the design effect.
+
+    The design effect is that under the discrepancy of the likeliest optimum, once for all.
+
+    Args:
+        library: what may be a hypothesis.
+        points: their optima.
+        shown: kept from call to call: what was worked out of points that have not changed.
+    """
+    lowest = min(points, key=lambda point: point.cost)
+    temper = library.design_effect(lowest.size)
+    found = {frozenset(p.space.effects): _posterior(p, temper, lowest) for p in points}
+    evidence = {names: posterior.evidence for names, posterior in found.items()}
+    if library.controls:
+        coarse = design_effect(library.likelihood, lowest.size)
+        alone = {frozenset(p.space.effects): _posterior(p, coarse, lowest) for p in points}
+        evidence = _controlled(library, found, alone, temper, {} if shown is None else shown)
+    ranked = [_judge(library, posterior, evidence[names]) for names, posterior in found.items()]
+    return sorted(ranked, key=lambda h: -h.log_odds), temper
+
+
+def _posterior(point: Point, temper: float, lowest: Point) -> Posterior:
+    """An optimum's posterior.
+
+    The windows that speak loudest for and against it, beside the hypothesis of lowest cost, are
+    left out: a car that nearly spins multiplies any small change, and one such second shall not
+    name a cause.
+    """
+    posterior = posterior_of(point, temper)
+    behind = point.at.loss - lowest.at.loss
+    loudest = float(max(behind.max(), 0.0) + min(behind.min(), 0.0)) / temper
+    return replace(posterior, evidence=posterior.evidence + loudest)
+
+
+Names = frozenset[str]
+Shown = dict[tuple[Point, str], Slice | None]
+"""The cost along effects, by the hypothesis that they are added to."""
+
+
+def _controlled(
+    library: Library,
+    found: dict[Names, Posterior],
+    alone: dict[Names, Posterior],
+    temper: float,
+    shown: Shown,
+) -> dict[Names, float]:
+    """Evidences that count no gain which healthy drives show as well.
+
+    A hypothesis is worth at most what it is without one of its effects, and what that one gains
+    there beyond its values in healthy drives. Where its derivative vanishes at its null, so that no
+    such values are known, it gains what it does with the design effect of drives without controls.
+
+    Args:
+        library: with controls.
+        found: hypotheses' posteriors; `alone` with the design effect of drives without controls.
+        alone: see `found`.
+        temper: the design effect.
+        shown: what is known of points, and is added to.
+    """
+    level: dict[Names, float] = {}
+    for names in sorted(found, key=len):
+        most = found[names].evidence
+        for name in names:
+            rest = names - {name}
+            if rest not in level:
+                continue
+            if name in library.controls:
+                gain = found[names].evidence - found[rest].evidence
+                gain -= max(_healthy_gain(library, found[rest].point, name, temper, shown), 0.0)
+            else:
+                gain = alone[names].evidence - alone[rest].evidence
+            most = min(most, level[rest] + gain)
+        level[names] = most
+    return level
+
+
+def _healthy_gain(library: Library, point: Point, name: str, temper: float, shown: Shown) -> float:
+    """What an effect gains beside a hypothesis by being as healthy drives show it [nats]."""
+    if (point, name) not in shown:
+        shown[point, name] = slice_along(library, point, library.effect(name))
+    along = shown[point, name]
+    if along is None:
+        return 0.0
+    control = library.controls[name]
+    away = control.values - library.likelihood.engine.superset.values(name)
+    return log_mean(along.curved / temper, along.slope / temper, away, control.covariance)
+
+
+def _judge(library: Library, posterior: Posterior, evidence: float) -> Hypothesis:
+    """A hypothesis with its prior odds, and the probability that its effects matter.
+
+    An effect that ends at its null is none, whatever the base gains by what is free with it.
+    """
+    effects = posterior.point.space.effects
+    odds = evidence - len(effects) * np.log(max(len(library.effects), 1))
+    odds -= max(len(effects) - 1, 0) * np.log(c.FURTHER_ODDS)
+    for name in effects:
+        effect = library.effect(name)
+        far, sd = size_of(library, posterior, effect)
+        odds += log_share_beyond(far, sd, 0.0, effect.least_size) if far > 0.0 else -np.inf
+    return Hypothesis(effects, posterior, float(odds))
+
+
+def size_of(library: Library, posterior: Posterior, effect: Effect) -> tuple[float, float]:
+    """How far an effect is from what the base has of it, and the standard error of that."""
+    point, superset = posterior.point, library.likelihood.engine.superset
+    places = [i for i, p in enumerate(effect.parameters) if p.role is Role.SIZE]
+    first = point.space.chart.free.index(f"{effect.name}.{effect.parameters[0].name}")
+    own = superset.values(effect.name)
+    away = np.array([point.z[first + i] - own[i] for i in places])
+    far = float(np.linalg.norm(away))
+    along = away / far if far > 0.0 else np.eye(len(away))[0]
+    mine = [first + i for i in places]
+    return far, float(np.sqrt(along @ posterior.covariance[np.ix_(mine, mine)] @ along))
