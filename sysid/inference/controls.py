@@ -4,7 +4,7 @@ They are the controls of every later diagnosis: a gap that an effect explains in
 drives is the model's error, and it comes again in the next drives.
 """
 
-# Why: docs/decisions/diagnosis.md#d120
+# Why: docs/decisions/diagnosis.md#d121
 
 from dataclasses import replace
 

@@ -6,7 +6,7 @@ less: what a wrong model lets it explain, it explains in the healthy drives as w
 """
 
 # Why: docs/decisions/diagnosis.md#d117
-# Why: docs/decisions/diagnosis.md#d120
+# Why: docs/decisions/diagnosis.md#d121
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
