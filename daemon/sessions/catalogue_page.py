@@ -10,7 +10,8 @@ from steerd.daemon.sessions.catalogue import Entry
 from steerd.sysid.report.report import Card, Cell, Report, Section, Table
 
 _HEADS = (
-    "session", "how it ended", "when", "driven", "e1 mm", "≤ mm", "≤ m/s", "s", "m", "car",
+    "session", "how it ended", "when", "driven", "e1 RMS [mm]", "e1 largest [mm]",
+    "fastest [m/s]", "time [s]", "length [m]", "car",
 )  # fmt: skip
 _NAME = 40
 """Characters of a name that are shown."""
@@ -32,10 +33,10 @@ def make_report(entries: Sequence[Entry], folder: Path) -> Report:
     if errors:
         largest, name = max(errors)
         cards.append(Card("largest e1", f"{1e3 * largest:.1f} mm", name))
-    table = Table(_HEADS, [_row(e, folder) for e in entries], words=(1,))
+    table = Table(_HEADS, [_row(e, folder) for e in entries], words=(0, 1, 3, 9))
     text = (
         "A name leads to the drive's page, where `steerd plot` has made one beside the session. e1 "
-        "is the distance from the lane later than 3 s after the start: RMS, then the largest."
+        "is the distance from the lane later than 3 s after the start."
     )
     return Report(
         title="Recorded drives",

@@ -6,7 +6,6 @@ from math import degrees, isnan
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from steerd.car_model.params import Car
@@ -24,11 +23,12 @@ from steerd.sysid.report.drawing import (
     MEASURED,
     STYLE,
     draw,
-    make_figure,
+    make_axes,
     name_colours,
+    scale_bars,
     to_svg,
 )
-from steerd.sysid.report.report import DEGREES, Card, Cell, Fold, Report, Section, Table
+from steerd.sysid.report.report import DEGREES, Card, Cell, Fold, Report, Section, Table, with_error
 
 IMPROVEMENT_MIN = 1.02
 """A smaller factor is no improvement."""
@@ -71,13 +71,13 @@ def make_cards(outcome: Outcome) -> Iterator[Card]:
 def _values(outcome: Outcome) -> Iterator[Section]:
     """The parameters: free, combined, fixed."""
     lacks = [f"Excitation: {lack}." for lack in outcome.excitation.lacking]
-    heads = ["parameter", "value", "± sd", "start", "unit", ""]
+    heads = ["parameter", "value ± sd", "unit", "start", ""]
     truth = outcome.truth._asdict() if outcome.truth is not None else None
     rows = []
     for name, row in outcome.free_rows.items():
         remark = "" if row.identifiable else f"not identifiable; {row.manoeuvre}"
-        sd = "?" if row.sd is None else f"{row.sd:.2g}"
-        texts = [name, f"{row.value:.5g}", sd, f"{row.before:.5g}", row.unit, remark]
+        unit = "" if row.unit == "1" else row.unit
+        texts = [name, with_error(row.value, row.sd), unit, f"{row.before:.5g}", remark]
         if truth is not None:
             texts.insert(4, f"{truth[name]:.5g}" if name in truth else "")
         rows.append([Cell(text, "" if row.identifiable else "quiet") for text in texts])
@@ -130,7 +130,7 @@ def _sections(outcome: Outcome, profiles: tuple[Profile, ...]) -> Iterator[Secti
         yield Section(
             "Correlation of the estimates",
             "Near ±1: the data identify the combination, not its members.",
-            figure=draw_correlation(outcome.fit),
+            figure=draw(plot_correlation, 4.6, outcome.fit),
         )
     if outcome.searches:
         yield Section(
@@ -152,7 +152,7 @@ def _closed(profiles: tuple[Profile, ...]) -> str:
 Array = NDArray[np.float64]
 
 UNITS = {"position": (1e3, "mm"), "yaw": (DEGREES, "°"), "wheel_speed": (1e3, "mm/s"),
-         "yaw_rate": (1.0, "rad/s")}  # fmt: skip
+         "yaw_rate": (DEGREES, "°/s")}  # fmt: skip
 POINTS_MAX = 1500
 
 
@@ -189,12 +189,15 @@ def plot_held_out(left: Axes, right: Axes, held_out: Sequence[HeldOut]) -> None:
         (left, "position", 1e3, "mm"),
         (right, "heading", DEGREES, "°"),
     ):
+        heights = []
         for shift, name, colour in ((-0.2, "before", BEFORE), (0.2, "after", AFTER)):
             values = [scale * getattr(getattr(h, name), field) for h in held_out]
             axis.bar(places + shift, values, 0.36, color=colour)
-        axis.set(xticks=places, yscale="log", ylabel=f"{field} [{unit}]")
+            heights += values
+        axis.set(xticks=places, title=f"{field} [{unit}]")
+        scale_bars(axis, heights)
         axis.set_xticklabels([f"{h.after.horizon:g} s" for h in held_out])
-    left.set_title("RMS prediction error on held-out drives")
+    left.set_ylabel("root mean square")
     names = {"start values": BEFORE, "identified": AFTER}
     # Above the axes: bars of any height leave no room in them.
     name_colours(right, names, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
@@ -204,32 +207,31 @@ def draw_residuals(found: Fit) -> str:
     """Residuals of each kind over time, and their spread against the signal's own noise."""
     left = found.residuals
     present = [int(g) for g in np.unique(left.group)]
-    figure, axes = make_figure(len(present), 2, 1.5 * len(present) + 0.4)
-    for row, group in zip(axes, present, strict=True):
+    axes = make_axes(2 * len(present), 1.7)
+    for over, spread, group in zip(axes[::2], axes[1::2], present, strict=True):
         mine = left.group == group
         scale, unit = UNITS[GROUPS[group]]
         values = scale * left.error[mine]
-        row[0].plot(_thin(left.t[mine]), _thin(values), ".", ms=1.2, color=AFTER)
-        row[0].set(ylabel=f"{GROUPS[group]} [{unit}]".replace("_", " "))
+        over.plot(_thin(left.t[mine]), _thin(values), ".", ms=1.2, color=AFTER)
+        over.set(
+            xlabel="time into each drive [s]", ylabel=f"{GROUPS[group]} [{unit}]".replace("_", " ")
+        )
         edge = max(4.0 * float(np.sqrt(np.mean(values**2))), 1e-6)
         bins = np.linspace(-edge, edge, 60)
-        row[1].hist(values, bins, color=AFTER, alpha=0.7, density=True)
+        spread.hist(values, bins, color=AFTER, alpha=0.7, density=True)
         sigma = scale * float(left.signal[group])
         bell = np.exp(-0.5 * (bins / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
-        row[1].plot(bins, bell, color=INK, lw=1.0)
-    axes[0, 0].set_title("residuals of the fit")
-    axes[0, 1].set_title("their spread; the line is the instrument's own noise")
-    axes[-1, 0].set_xlabel("time into each drive [s]")
-    return to_svg(figure)
+        spread.plot(bins, bell, color=INK, lw=1.0)
+    axes[0].set_title("residuals of the fit")
+    axes[1].set_title("their spread; the line is the instrument's own noise")
+    return to_svg(axes)
 
 
-def draw_correlation(found: Fit) -> str:
+def plot_correlation(axes: Axes, found: Fit) -> None:
     """Correlation of the coordinates."""
     labels = found.labels
-    figure = Figure(figsize=(6.0, 5.0), layout="constrained")
-    axes = figure.subplots()
     axes.grid(visible=False)
-    image = axes.imshow(found.correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+    axes.imshow(found.correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
     places = range(len(labels))
     axes.set_xticks(places, labels, rotation=90)
     axes.set_yticks(places, labels)
@@ -237,9 +239,7 @@ def draw_correlation(found: Fit) -> str:
         for j in places:
             value = found.correlation[i, j]
             ink = "white" if abs(value) > 0.6 else "black"
-            axes.text(j, i, f"{value:.1f}", ha="center", va="center", fontsize=6.5, color=ink)
-    figure.colorbar(image, ax=axes, shrink=0.7)
-    return to_svg(figure)
+            axes.text(j, i, f"{value:z.1f}", ha="center", va="center", fontsize=6.0, color=ink)
 
 
 def plot_searches(left: Axes, right: Axes, searches: Sequence[SearchHistory]) -> None:
@@ -262,16 +262,13 @@ def plot_searches(left: Axes, right: Axes, searches: Sequence[SearchHistory]) ->
 def draw_profiles(profiles: Sequence[Profile]) -> str:
     """Lateral and heading error of each design, a column a floor."""
     names = list(dict.fromkeys(profile.design for profile in profiles))
-    figure, axes = make_figure(2, len(FRICTIONS), 4.4)
+    axes = make_axes(2 * len(FRICTIONS), 2.2)
+    colours = dict(zip(names, (INK, AFTER, BEFORE), strict=False))
     for column, floor in enumerate(FRICTIONS):
+        e1, e2 = axes[column :: len(FRICTIONS)]
         for profile in (p for p in profiles if p.friction == floor):
-            colour = (INK, AFTER, BEFORE)[names.index(profile.design) % 3]
-            label = profile.design
-            axes[0, column].plot(profile.t, 1e3 * profile.e1, color=colour, lw=1.1, label=label)
-            axes[1, column].plot(profile.t, np.degrees(profile.e2), color=colour, lw=1.1)
-        axes[0, column].set_title(f"{floor} friction")
-        axes[1, column].set_xlabel("time [s]")
-    axes[0, 0].set_ylabel("e1 [mm]")
-    axes[1, 0].set_ylabel("e2 [°]")
-    axes[0, 0].legend(fontsize=8, title="designed from")
-    return to_svg(figure)
+            e1.plot(profile.t, 1e3 * profile.e1, color=colours[profile.design], lw=1.1)
+            e2.plot(profile.t, np.degrees(profile.e2), color=colours[profile.design], lw=1.1)
+        e1.set(title=f"e1 [mm], {floor} friction", xlabel="time [s]")
+        e2.set(title=f"e2 [°], {floor} friction", xlabel="time [s]")
+    return to_svg(axes, {f"designed from {name}": colour for name, colour in colours.items()})

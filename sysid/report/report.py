@@ -2,13 +2,19 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import degrees
+from math import degrees, floor, isfinite, log10
 from typing import Literal, NamedTuple
 
 Tone = Literal["", "quiet", "strong"]
 DEGREES = degrees(1.0)
 SCALES = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (DEGREES, "°"), "1": (1.0, "")}
 """Unit that people read, by the SI unit: factor and name; what is not listed stays in SI."""
+NARROW = 52
+"""Characters of a line on a telephone."""
+PLACES = 8
+"""Digits after the point that are still read; smaller numbers get an exponent."""
+WORDS = 14
+"""Characters of a column that may be broken."""
 
 
 class Cell(NamedTuple):
@@ -37,6 +43,16 @@ class Table:
     def cells(self) -> list[list[Cell]]:
         """The rows, every cell with its tone."""
         return [[c if isinstance(c, Cell) else Cell(c) for c in row] for row in self.rows]
+
+    @property
+    def wide(self) -> bool:
+        """Whether a telephone is too narrow for it: its rows then stand one below the other."""
+        cells = zip(*([c.text for c in row] for row in self.cells), strict=True)
+        widths = [
+            min(max(map(len, (*head.split(), *column))), WORDS if i in (0, *self.words) else NARROW)
+            for i, (head, column) in enumerate(zip(self.heads, cells, strict=False))
+        ]
+        return sum(widths) + 2 * len(widths) > NARROW
 
     def pick(self, *heads: str) -> "Table":
         """The same rows with these columns alone."""
@@ -68,7 +84,7 @@ class Section:
         text: a paragraph about it; `steerd …` in backquotes is shown as a command.
         notes: what a reader should know, each set off.
         table: figures.
-        figure: inline SVG.
+        figure: markup of diagrams, see `drawing.to_svg`.
         fold: what few will read.
     """
 
@@ -117,3 +133,14 @@ def format_table(table: Table) -> Iterator[str]:
             for i, (text, width) in enumerate(zip(row, widths, strict=True))
         ]
         yield "  ".join(cells).rstrip()
+
+
+def with_error(value: float, sd: float | None, sign: str = "") -> str:
+    """A value and its standard error to two digits of the latter; `?` where that is not known."""
+    if not sd or not isfinite(sd):
+        return f"{value:{sign}.5g} ± ?"
+    places = 1 - floor(log10(sd))
+    if places > PLACES:
+        return f"{value:{sign}.3g} ± {sd:.2g}"
+    digits = max(places, 0)
+    return f"{round(value, places):{sign}.{digits}f} ± {round(sd, places):.{digits}f}"

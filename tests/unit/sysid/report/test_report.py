@@ -21,6 +21,7 @@ TABLE = Table(
     [("mass", "3.74", "as `steerd plot` shows"), (Cell("lag", "quiet"), "0.1", Cell("", "strong"))],
     words=(2,),
 )
+WIDE = Table(("name", *(30 * name for name in "ab")), [("mass", "3.74", "kg")])
 REPORT = Report("A <b> title", "x.mcap", "", "It is.", [Section("Part", "Text.", table=TABLE)], "")
 
 
@@ -32,6 +33,7 @@ def test_a_page_shows_its_parts_and_escapes_them():
     assert "as <code>steerd plot</code> shows" in page
     assert '<td class="quiet">lag</td>' in page
     assert '<td class="strong words"></td>' in page
+    assert '<table class="wide">' in render_report(replace(REPORT, sections=[Section(table=WIDE)]))
 
 
 def test_what_is_empty_is_left_out():
