@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import quote
 
-from steerd.daemon.common.screen import clean, cut
+from steerd.daemon.common.screen import clean
 from steerd.daemon.sessions.catalogue import Entry
 from steerd.sysid.report.report import Card, Cell, Report, Section, Table
 
@@ -13,8 +13,6 @@ _HEADS = (
     "session", "how it ended", "when", "driven", "e1 RMS [mm]", "e1 largest [mm]",
     "fastest [m/s]", "time [s]", "length [m]", "car",
 )  # fmt: skip
-_NAME = 40
-"""Characters of a name that are shown."""
 
 
 def make_report(entries: Sequence[Entry], folder: Path) -> Report:
@@ -59,5 +57,5 @@ def _row(e: Entry, folder: Path) -> list[str | Cell]:
         )
     ]  # fmt: skip
     ended = Cell(e.remarks or "ok", "" if e.verdict == "ok" else "strong")
-    named = Cell(cut(clean(e.path.stem), _NAME), link=link)
+    named = Cell(clean(e.path.stem), link=link)
     return [named, ended, f"{e.when:%Y-%m-%d %H:%M}", e.lane, *figures, e.car]

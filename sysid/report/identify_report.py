@@ -46,7 +46,7 @@ def make_report(outcome: Outcome) -> Report:
         f"{e.speed_low:.1f} to {e.speed_high:.1f} m/s, {e.lateral_accel:.1f} m/s² sideways · "
         f"method {outcome.method}, {outcome.seconds:.1f} s",
         lead="What the drives say of the car, judged by drives that were not fitted.",
-        sections=[*_values(outcome), *_sections(outcome, profiles)],
+        sections=[_values(outcome), *_sections(outcome, profiles)],
         foot="Written by steerd identify. Frames are ISO 8855, angles positive to the left; "
         "sd is one standard error.",
         cards=list(make_cards(outcome)),
@@ -68,7 +68,7 @@ def make_cards(outcome: Outcome) -> Iterator[Card]:
         yield Card("off in heading", figure, "both on drives that were not fitted")
 
 
-def _values(outcome: Outcome) -> Iterator[Section]:
+def _values(outcome: Outcome) -> Section:
     """The parameters: free, combined, fixed."""
     lacks = [f"Excitation: {lack}." for lack in outcome.excitation.lacking]
     heads = ["parameter", "value ± sd", "unit", "start", ""]
@@ -83,17 +83,16 @@ def _values(outcome: Outcome) -> Iterator[Section]:
         rows.append([Cell(text, "" if row.identifiable else "quiet") for text in texts])
     if truth is not None:
         heads.insert(4, "true")
-    table = Table(heads, rows, words=[len(heads) - 1])
-    yield Section(notes=[*outcome.notes, *lacks], table=table)
     known = [f"{c.text} = {c.value:.5g} ± {c.sd:.2g} m" for c in outcome.combinations if c.known]
-    combined = outcome.unidentified and known
+    combined = [f"Identifiable combination: {text}." for text in known if outcome.unidentified]
     fixed = [
         f"{name} = {row.value:.5g} {row.unit if row.unit != '1' else ''}".rstrip()
         for name, row in outcome.rows.items()
         if not row.free
     ]
-    yield Section(
-        text=f"Identifiable combinations: {'; '.join(known)}." if combined else "",
+    return Section(
+        notes=[*outcome.notes, *lacks, *combined],
+        table=Table(heads, rows, words=[len(heads) - 1]),
         fold=Fold("fixed parameters", ", ".join(fixed)),
     )
 

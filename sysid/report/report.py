@@ -1,9 +1,9 @@
 """What a command found, as one value; pages and screens are made of it."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from math import degrees, floor, isfinite, log10
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 Tone = Literal["", "quiet", "strong"]
 DEGREES = degrees(1.0)
@@ -144,3 +144,19 @@ def with_error(value: float, sd: float | None, sign: str = "") -> str:
         return f"{value:{sign}.3g} ± {sd:.2g}"
     digits = max(places, 0)
     return f"{round(value, places):{sign}.{digits}f} ± {round(sd, places):.{digits}f}"
+
+
+def finite(value: Any) -> Any:
+    """A value as JSON holds it: a number that is not finite is null, a dataclass an object."""
+    if is_dataclass(value) and not isinstance(value, type):
+        value = asdict(value)
+    elif hasattr(value, "item"):  # a number of NumPy's
+        value = value.item()
+    match value:
+        case float():
+            return value if isfinite(value) else None
+        case dict():
+            return {key: finite(each) for key, each in value.items()}
+        case list() | tuple():
+            return [finite(each) for each in value]
+    return value

@@ -124,7 +124,7 @@ def _list_sessions(rows: Rows) -> Table:
         scaled = (
             "–" if n is None else f"{f[2] * n:.4g}" for n, f in zip(numbers, figures, strict=True)
         )
-        name = clean(str(row["session"]).rpartition("/")[2], 40)
+        name = clean(str(row["session"]).rpartition("/")[2])
         table.append((name, *(clean(str(row.get(text) or "–"), 24) for text in texts), *scaled))
     heads = ("session", *texts, *(head for _, head, _ in figures))
     return Table(heads, table, words=[0, *(i for i, t in enumerate(texts, 1) if t != "day")])
