@@ -29,7 +29,6 @@ from steerd.sysid.report.drawing import (
     INK,
     MEASURED,
     make_axes,
-    name_colours,
     plain_log,
     scale_bars,
     to_svg,
@@ -48,6 +47,11 @@ def _name_rows(axis: Axes, labels: Sequence[str]) -> None:
     axis.set_ylim(len(labels) - 0.4, -0.6)
 
 
+def effect_colours(*, explained: bool) -> dict[str, str]:
+    """Colours of the simulation without and, where something explains the gap, with the effect."""
+    return {"base car": BEFORE} | ({"with the effect": AFTER} if explained else {})
+
+
 def find_measured(gap: Gap) -> list[int]:
     """Which of position, heading and wheel speed have errors, as 0 to 2; position at least."""
     return [i for i in range(3) if any(row[1 + i] > 0.0 for row in gap.errors)] or [0]
@@ -56,7 +60,6 @@ def find_measured(gap: Gap) -> list[int]:
 def plot_gap(axes: Sequence[Axes], found: Diagnosis) -> None:
     """Error after each lead with 90 % intervals, an axis for each of `find_measured`."""
     before, after, explained = found.before, found.after, bool(found.causes)
-    names = {"base car": BEFORE} | ({"with the effect": AFTER} if explained else {})
     gaps = (before, after) if explained else (before,)
     units = (("position [mm]", 1e3), ("heading [°]", DEGREES), ("wheel speed [mm/s]", 1e3))
     for axis, i in zip(axes, find_measured(before), strict=True):
@@ -72,7 +75,6 @@ def plot_gap(axes: Sequence[Axes], found: Diagnosis) -> None:
         scale_bars(axis, [scale * value for value in (*values, *highs)])
         axis.grid(visible=False, axis="x")
     axes[0].set_ylabel("root mean square")
-    name_colours(axes[0], names, loc="upper left")
 
 
 def _bars(axis: Axes, gap: Gap, i: int, scale: float, shift: float, colour: str) -> None:
@@ -103,11 +105,15 @@ def plot_candidates(axis: Axes, found: Diagnosis) -> None:
     axis.set_xlim(0.0, 112.0)
     axis.grid(visible=False, axis="y")
     axis.set_xlabel("posterior probability [%]")
-    colours = {"named": AFTER, "may be it instead": CONFOUNDED, "others": FAINT}
-    if not confounded:
-        del colours["may be it instead"]
-    if names:
-        name_colours(axis, colours, loc="lower right")
+
+
+def candidate_colours(found: Diagnosis) -> dict[str, str]:
+    """Colours of `plot_candidates`; none where nothing is named."""
+    if not found.causes:
+        return {}
+    confounded = any(cause.ambiguous_with for cause in found.causes)
+    other = {"may be it instead": CONFOUNDED} if confounded else {}
+    return {"named": AFTER, **other, "others": FAINT}
 
 
 def plot_where(left: Axes, right: Axes, where: Where) -> None:
@@ -138,7 +144,7 @@ def draw_timeline(line: Timeline, stretches: Sequence[Any], explained: bool) -> 
     for axis, name in zip(axes, runs, strict=True):
         plot_timeline(axis, line, name, stretches, explained)
         axis.set_xlabel("time into the drive [s]")
-    return to_svg(axes, {"base car": BEFORE} | ({"with the effect": AFTER} if explained else {}))
+    return to_svg(axes, effect_colours(explained=explained))
 
 
 def plot_timeline(

@@ -10,7 +10,6 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
 INK, FAINT = "#1f2933", "#9aa5b1"
@@ -21,8 +20,7 @@ LINES = (BEFORE, AFTER, TEAL, VIOLET, GREEN)
 """Of several curves; the eye does not distinguish more."""
 IN_PAGE = MappingProxyType({
     INK: "ink", FAINT: "soft", GRID: "line", BAND: "band", AFTER: "after", BEFORE: "before",
-    CONFOUNDED: "confounded", TEAL: "teal", VIOLET: "violet", GREEN: "green",
-    PAGE: "back",
+    CONFOUNDED: "confounded", TEAL: "teal", VIOLET: "violet", GREEN: "green", PAGE: "back",
 })  # fmt: skip
 """Colours that the page decides: the variables of `look.css`, one value a theme."""
 WIDTH = 9.6
@@ -39,23 +37,24 @@ STYLE: dict[Any, Any] = {
 }  # fmt: skip
 
 
-def draw(plot: Callable[..., None], height: float, *about: Any, columns: int = 1) -> str:
+Colours = Mapping[str, str]
+NONE: Colours = MappingProxyType({})
+"""What colours stand for, by name."""
+
+
+def draw(
+    plot: Callable[..., None], height: float, *about: Any, columns: int = 1, colours: Colours = NONE
+) -> str:
     """The markup of `columns` diagrams that `plot` fills with what they are about."""
     axes = make_axes(columns, height, max(columns, 2))
     plot(*axes, *about)
-    return to_svg(axes)
+    return to_svg(axes, colours)
 
 
-def make_axes(count: int, height: float, columns: int = 2) -> list[Axes]:
+def make_axes(count: int, height: float, columns: int = 2) -> list[Any]:
     """Axes of so many diagrams, each so high [inch] and so wide that `columns` fill the page."""
     size = WIDTH / columns, height
     return [Figure(figsize=size, layout="constrained").subplots() for _ in range(count)]
-
-
-def name_colours(axes: Axes, colours: Mapping[str, str], **where: Any) -> None:
-    """A legend of colours, placed as matplotlib's is."""
-    lines = [Line2D([], [], color=colour, lw=3.0, label=name) for name, colour in colours.items()]
-    axes.legend(handles=lines, fontsize=8, **where)
 
 
 def plain_log(axis: Axis) -> None:
@@ -74,7 +73,7 @@ def scale_bars(axis: Axes, heights: Sequence[float]) -> None:
         axis.set_ylim(0.0, 1.15 * max(known, default=1.0))
 
 
-def to_svg(axes: Sequence[Axes], colours: Mapping[str, str] = MappingProxyType({})) -> str:
+def to_svg(axes: Sequence[Any], colours: Colours = NONE) -> str:
     """Diagrams as markup: side by side where there is room, else below each other.
 
     Args:
@@ -83,25 +82,20 @@ def to_svg(axes: Sequence[Axes], colours: Mapping[str, str] = MappingProxyType({
     """
     wide = axes[0].figure.get_figwidth() / WIDTH if axes else 1.0
     names = "".join(
-        f'<span style="--of:{_in_page(colour)}">{escape(name)}</span>'
+        f'<span style="--of:var(--{IN_PAGE[colour]})">{escape(name)}</span>'
         for name, colour in colours.items()
     )
     diagrams = "".join(_draw(axis) for axis in axes)
     return f'<p class="names">{names}</p><div style="--wide:{48.0 * wide:.1f}rem">{diagrams}</div>'
 
 
-def _draw(axis: Axes) -> str:
+def _draw(axis: Any) -> str:
     text = io.StringIO()
     about = {"Date": None, "Creator": None}
     axis.figure.savefig(text, format="svg", facecolor="none", metadata=about)
     markup = text.getvalue()
     markup = markup[markup.index("<svg") :]
     markup = re.sub(r"<metadata>.*?</metadata>", "", markup, flags=re.DOTALL)
-    return re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', "", _in_page(markup), count=1)
-
-
-def _in_page(markup: str) -> str:
-    """The markup with the page's own colours."""
     for colour, variable in IN_PAGE.items():
         markup = markup.replace(colour, f"var(--{variable})")
-    return markup
+    return re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', "", markup, count=1)

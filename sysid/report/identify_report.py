@@ -8,7 +8,6 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from steerd.car_model.params import Car
 from steerd.sysid.data.windows import GROUPS
 from steerd.sysid.estimation.outcome import Fit, HeldOut, Outcome
 from steerd.sysid.estimation.validation import Trace
@@ -24,12 +23,12 @@ from steerd.sysid.report.drawing import (
     STYLE,
     draw,
     make_axes,
-    name_colours,
     scale_bars,
     to_svg,
 )
 from steerd.sysid.report.report import DEGREES, Card, Cell, Fold, Report, Section, Table, with_error
 
+COLOURS = {"measured": MEASURED, "start values": BEFORE, "identified": AFTER}
 IMPROVEMENT_MIN = 1.02
 """A smaller factor is no improvement."""
 
@@ -37,7 +36,9 @@ IMPROVEMENT_MIN = 1.02
 @rc_context(STYLE)
 def make_report(outcome: Outcome) -> Report:
     """What an identification found."""
-    profiles = compare_designs(*_designs(outcome))
+    truth = {} if outcome.truth is None else {"truth": outcome.truth}
+    designs = {**truth, "identified": outcome.after, "start values": outcome.before}
+    profiles = compare_designs(outcome.truth or outcome.after, designs)
     e = outcome.excitation
     return Report(
         title="The car identified from these drives",
@@ -71,18 +72,16 @@ def make_cards(outcome: Outcome) -> Iterator[Card]:
 def _values(outcome: Outcome) -> Section:
     """The parameters: free, combined, fixed."""
     lacks = [f"Excitation: {lack}." for lack in outcome.excitation.lacking]
-    heads = ["parameter", "value ± sd", "unit", "start", ""]
-    truth = outcome.truth._asdict() if outcome.truth is not None else None
+    heads = ["parameter", "value ± sd", "unit", "start", "true", ""]
+    truth = outcome.truth._asdict() if outcome.truth is not None else {}
     rows = []
     for name, row in outcome.free_rows.items():
         remark = "" if row.identifiable else f"not identifiable; {row.manoeuvre}"
         unit = "" if row.unit == "1" else row.unit
-        texts = [name, with_error(row.value, row.sd), unit, f"{row.before:.5g}", remark]
-        if truth is not None:
-            texts.insert(4, f"{truth[name]:.5g}" if name in truth else "")
+        true = f"{truth[name]:.5g}" if name in truth else ""
+        texts = [name, with_error(row.value, row.sd), unit, f"{row.before:.5g}", true, remark]
         rows.append([Cell(text, "" if row.identifiable else "quiet") for text in texts])
-    if truth is not None:
-        heads.insert(4, "true")
+    table = Table(heads, rows, words=[len(heads) - 1])
     known = [f"{c.text} = {c.value:.5g} ± {c.sd:.2g} m" for c in outcome.combinations if c.known]
     combined = [f"Identifiable combination: {text}." for text in known if outcome.unidentified]
     fixed = [
@@ -92,17 +91,9 @@ def _values(outcome: Outcome) -> Section:
     ]
     return Section(
         notes=[*outcome.notes, *lacks, *combined],
-        table=Table(heads, rows, words=[len(heads) - 1]),
+        table=table if truth else table.pick(*(head for head in heads if head != "true")),
         fold=Fold("fixed parameters", ", ".join(fixed)),
     )
-
-
-def _designs(outcome: Outcome) -> tuple[Car[float], dict[str, Car[float]]]:
-    """The plant, and the cars that controllers are designed from."""
-    designs = {"identified": outcome.after, "start values": outcome.before}
-    if outcome.truth is None:
-        return outcome.after, designs
-    return outcome.truth, {"truth": outcome.truth, **designs}
 
 
 def _sections(outcome: Outcome, profiles: tuple[Profile, ...]) -> Iterator[Section]:
@@ -110,9 +101,9 @@ def _sections(outcome: Outcome, profiles: tuple[Profile, ...]) -> Iterator[Secti
         "Prediction of drives that were not fitted",
         f"Validated on {outcome.held_out_of}. Open loop: the state is fitted to the 0.4 s before, "
         "then only the commands are known.",
-        figure=draw(plot_held_out, 2.6, outcome.held_out, columns=2),
+        figure=draw(plot_held_out, 2.6, outcome.held_out, columns=2, colours=COLOURS)
+        + draw(plot_traces, 4.0, outcome.traces, columns=2),
     )
-    yield Section(figure=draw(plot_traces, 4.0, outcome.traces, columns=2))
     plant = "the identified car" if outcome.truth is None else "the true (simulated) car"
     yield Section(
         "Lane keeping with controllers designed from these parameters",
@@ -155,18 +146,8 @@ UNITS = {"position": (1e3, "mm"), "yaw": (DEGREES, "°"), "wheel_speed": (1e3, "
 POINTS_MAX = 1500
 
 
-def _thin(values: Array) -> Array:
-    return values[:: max(1, len(values) // POINTS_MAX)]
-
-
 def plot_traces(plane: Axes, late: Axes, traces: tuple[list[Trace], list[Trace]]) -> None:
-    """Held-out windows in the plane, and the position error as predictions age.
-
-    Args:
-        plane: axes for the positions.
-        late: axes for the errors.
-        traces: predictions after and before.
-    """
+    """Held-out windows in the plane, and how far off predictions (after, before) are with time."""
     for after, before in zip(*traces, strict=True):
         plane.plot(*after.measured[:, :2].T, color=MEASURED, lw=2.2, alpha=0.35)
         for trace, colour in ((before, BEFORE), (after, AFTER)):
@@ -175,7 +156,6 @@ def plot_traces(plane: Axes, late: Axes, traces: tuple[list[Trace], list[Trace]]
             late.plot(trace.ahead, 1e3 * off, color=colour, lw=0.8, alpha=0.7)
     plane.set(xlabel="x [m]", ylabel="y [m]", title="held-out drives and their predictions")
     plane.set_aspect("equal", adjustable="datalim")
-    name_colours(plane, {"measured": MEASURED, "start values": BEFORE, "identified": AFTER})
     late.axvline(0.0, color=FAINT, lw=0.8)
     late.set(xlabel="time since the prediction began [s]", ylabel="distance [mm]",
              title="prediction error of each window", ylim=(0.0, None))  # fmt: skip
@@ -197,9 +177,6 @@ def plot_held_out(left: Axes, right: Axes, held_out: Sequence[HeldOut]) -> None:
         scale_bars(axis, heights)
         axis.set_xticklabels([f"{h.after.horizon:g} s" for h in held_out])
     left.set_ylabel("root mean square")
-    names = {"start values": BEFORE, "identified": AFTER}
-    # Above the axes: bars of any height leave no room in them.
-    name_colours(right, names, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
 
 
 def draw_residuals(found: Fit) -> str:
@@ -211,10 +188,10 @@ def draw_residuals(found: Fit) -> str:
         mine = left.group == group
         scale, unit = UNITS[GROUPS[group]]
         values = scale * left.error[mine]
-        over.plot(_thin(left.t[mine]), _thin(values), ".", ms=1.2, color=AFTER)
-        over.set(
-            xlabel="time into each drive [s]", ylabel=f"{GROUPS[group]} [{unit}]".replace("_", " ")
-        )
+        step = max(1, len(values) // POINTS_MAX)
+        over.plot(left.t[mine][::step], values[::step], ".", ms=1.2, color=AFTER)
+        over.set_xlabel("time into each drive [s]")
+        over.set_ylabel(f"{GROUPS[group]} [{unit}]".replace("_", " "))
         edge = max(4.0 * float(np.sqrt(np.mean(values**2))), 1e-6)
         bins = np.linspace(-edge, edge, 60)
         spread.hist(values, bins, color=AFTER, alpha=0.7, density=True)
@@ -266,8 +243,9 @@ def draw_profiles(profiles: Sequence[Profile]) -> str:
     for column, floor in enumerate(FRICTIONS):
         e1, e2 = axes[column :: len(FRICTIONS)]
         for profile in (p for p in profiles if p.friction == floor):
-            e1.plot(profile.t, 1e3 * profile.e1, color=colours[profile.design], lw=1.1)
-            e2.plot(profile.t, np.degrees(profile.e2), color=colours[profile.design], lw=1.1)
+            t, off, turned = profile.rows.T
+            e1.plot(t, 1e3 * off, color=colours[profile.design], lw=1.1)
+            e2.plot(t, np.degrees(turned), color=colours[profile.design], lw=1.1)
         e1.set(title=f"e1 [mm], {floor} friction", xlabel="time [s]")
         e2.set(title=f"e2 [°], {floor} friction", xlabel="time [s]")
     return to_svg(axes, {f"designed from {name}": colour for name, colour in colours.items()})

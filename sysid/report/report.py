@@ -1,7 +1,7 @@
 """What a command found, as one value; pages and screens are made of it."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, is_dataclass, replace
+from dataclasses import asdict, dataclass, is_dataclass
 from math import degrees, floor, isfinite, log10
 from typing import Any, Literal, NamedTuple
 
@@ -9,12 +9,8 @@ Tone = Literal["", "quiet", "strong"]
 DEGREES = degrees(1.0)
 SCALES = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (DEGREES, "°"), "1": (1.0, "")}
 """Unit that people read, by the SI unit: factor and name; what is not listed stays in SI."""
-NARROW = 52
-"""Characters of a line on a telephone."""
 PLACES = 8
 """Digits after the point that are still read; smaller numbers get an exponent."""
-WORDS = 14
-"""Characters of a column that may be broken."""
 
 
 class Cell(NamedTuple):
@@ -44,20 +40,11 @@ class Table:
         """The rows, every cell with its tone."""
         return [[c if isinstance(c, Cell) else Cell(c) for c in row] for row in self.rows]
 
-    @property
-    def wide(self) -> bool:
-        """Whether a telephone is too narrow for it: its rows then stand one below the other."""
-        cells = zip(*([c.text for c in row] for row in self.cells), strict=True)
-        widths = [
-            min(max(map(len, (*head.split(), *column))), WORDS if i in (0, *self.words) else NARROW)
-            for i, (head, column) in enumerate(zip(self.heads, cells, strict=False))
-        ]
-        return sum(widths) + 2 * len(widths) > NARROW
-
     def pick(self, *heads: str) -> "Table":
         """The same rows with these columns alone."""
         at = [self.heads.index(head) for head in heads]
-        return replace(self, heads=heads, rows=[[row[i] for i in at] for row in self.rows])
+        words = [place for place, i in enumerate(at) if i in self.words]
+        return Table(heads, [[row[i] for i in at] for row in self.rows], words)
 
 
 class Card(NamedTuple):

@@ -21,7 +21,7 @@ TABLE = Table(
     [("mass", "3.74", "as `steerd plot` shows"), (Cell("lag", "quiet"), "0.1", Cell("", "strong"))],
     words=(2,),
 )
-WIDE = Table(("name", *(30 * name for name in "ab")), [("mass", "3.74", "kg")])
+WIDE = Table(tuple("abcde"), [("mass", "3.74", "kg", "", "")])
 REPORT = Report("A <b> title", "x.mcap", "", "It is.", [Section("Part", "Text.", table=TABLE)], "")
 
 
