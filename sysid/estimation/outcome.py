@@ -39,7 +39,6 @@ from steerd.sysid.inference.plain_car import Asked, PlainCar, covariance_of, mis
 from steerd.sysid.inference.search import with_size
 from steerd.sysid.inference.teaching import Step, Taught
 from steerd.sysid.paper.search_history import NAMES, SearchHistory
-from steerd.sysid.report.report import finite
 
 Array = NDArray[np.float64]
 
@@ -313,12 +312,12 @@ _REGIME = ("lateral_accel_low", "lateral_accel_high", "predictions", "median", "
 
 
 def encode_outcome(outcome: Outcome) -> dict[str, Any]:
-    """The outcome as JSON values: schema `steerd.identify/1`; what is not known is null."""
+    """The outcome as JSON values: schema `steerd.identify/1`; a number that is not known is NaN."""
     rows = {name: outcome.rows[name] for name in REPORTED} | outcome.effect_rows
     horizons = ((h.after.horizon, h.after.position, h.after.heading, h.before.position,
                  h.before.heading) for h in outcome.held_out)  # fmt: skip
     regimes = ((r.low, r.high, r.windows, r.median, r.rms) for r in outcome.regimes)
-    document = {
+    return {
         "schema": SCHEMA,
         "parameters": {
             n: {key: getattr(row, key) for key in _PARAMETER} for n, row in rows.items()
@@ -331,9 +330,8 @@ def encode_outcome(outcome: Outcome) -> dict[str, Any]:
         "excitation": outcome.excitation._asdict(),
         "converged": None if outcome.fit is None else outcome.fit.converged,
         "misfit": None if outcome.fit is None else outcome.fit.misfit,
-        "notes": outcome.notes,
+        "notes": list(outcome.notes),
     }
-    return dict(finite(document))
 
 
 def make_rows(
