@@ -1,15 +1,18 @@
 """What notebooks plot: one matplotlib figure of a drive, an identification or a diagnosis."""
 
 import io
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from steerd.daemon.sessions.plot_data import Drawing, Panel
 from steerd.sim_gap.diagnosis import Diagnosis
 from steerd.sim_gap.report.gap_figures import (
+    effect_colours,
     find_measured,
     plot_candidates,
     plot_gap,
@@ -17,6 +20,7 @@ from steerd.sim_gap.report.gap_figures import (
 )
 from steerd.sysid.estimation.outcome import Outcome
 from steerd.sysid.report.drawing import AFTER, BEFORE, FAINT, INK, MEASURED, STYLE, WIDTH
+from steerd.sysid.report.identify_report import COLOURS as FITTED
 from steerd.sysid.report.identify_report import plot_held_out, plot_traces
 
 PANELS = ("lateral error e1", "heading error e2", "speed", "steering angle (left +)", "yaw rate")
@@ -104,7 +108,13 @@ def plot_identification(outcome: Outcome) -> Figure:
         left, right = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1])
         plot_held_out(left, right, outcome.held_out)
         _plot_parameters(figure.add_subplot(grid[2, :]), outcome)
-        return figure
+        return _name_colours(figure, FITTED)
+
+
+def _name_colours(figure: Figure, colours: Mapping[str, str]) -> Figure:
+    lines = [Line2D([], [], color=colour, lw=3.0, label=name) for name, colour in colours.items()]
+    figure.legend(handles=lines, fontsize=8, loc="outside upper right", ncols=len(lines))
+    return figure
 
 
 def _plot_parameters(axis: Axes, outcome: Outcome) -> None:
@@ -146,4 +156,4 @@ def plot_diagnosis(found: Diagnosis) -> Figure:
                 axis.set_xlabel("time into the drive [s]" if run == runs[-1] else "")
         causes = " and ".join(cause.effect for cause in found.causes)
         figure.suptitle(f"{found.verdict}: {causes}" if causes else found.verdict, fontsize=10)
-        return figure
+        return _name_colours(figure, effect_colours(explained=explained))

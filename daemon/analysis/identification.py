@@ -47,7 +47,7 @@ from steerd.sysid.estimation.preparation import (
     scale_inertia,
 )
 from steerd.sysid.inference.plain_car import default_free
-from steerd.sysid.report.report import Card
+from steerd.sysid.report.report import Card, finite
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -130,7 +130,7 @@ class Identification:
 
     def to_json(self) -> dict[str, Any]:
         """JSON values in the schema `steerd.identify/1`."""
-        return encode_outcome(self.outcome)
+        return dict(finite(encode_outcome(self.outcome)))
 
     def render_report(self) -> str:
         """The report."""

@@ -4,7 +4,7 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Iterator
-from math import degrees, floor, isfinite, isnan, log10
+from math import degrees, isfinite, isnan
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,10 +13,9 @@ from steerd.daemon.common.screen import WIDTH, wrap
 from steerd.steer_bus.session_read import Session
 from steerd.sysid.estimation.outcome import Outcome, Row
 from steerd.sysid.inference.plain_car import POOR
+from steerd.sysid.report.report import with_error
 
 _COMMAND = ("next: steerd", "      steerd")
-_PLACES = 8
-"""Digits after the point that are still read; smaller numbers get an exponent."""
 _CERTAIN = 10.0
 """A phase whose log-likelihood leads by more is identified [nats]."""
 
@@ -92,7 +91,7 @@ def _parameters(outcome: Outcome) -> Iterator[str]:
     width = max([13, *(len(name) + 1 for name in rows)])
     for name, row in rows.items():
         unit = "" if row.unit == "1" else row.unit
-        yield f"{name:<{width}}{_value(row):>24} {unit:<7} {_word(row)}"
+        yield f"{name:<{width}}{with_error(row.value, row.sd):>24} {unit:<7} {_word(row)}"
     if not outcome.unidentified:
         return
     helps = Counter(filter(None, outcome.unidentified.values())).most_common(1)
@@ -100,16 +99,6 @@ def _parameters(outcome: Outcome) -> Iterator[str]:
     yield f"These drives do not identify {', '.join(outcome.unidentified)}{most}."
     for c in (each for each in outcome.combinations if each.known):
         yield f"identifiable combination: {c.text} = {c.value:.5g} ± {c.sd:.2g} m"
-
-
-def _value(row: Row) -> str:
-    """The value to a tenth of its standard error."""
-    if not row.sd or not isfinite(row.sd):
-        return f"{row.value:.5g} ± ?"
-    places = max(1 - floor(log10(row.sd)), 0)
-    if places > _PLACES:
-        return f"{row.value:.3g} ± {row.sd:.2g}"
-    return f"{row.value:.{places}f} ± {row.sd:.{places}f}"
 
 
 def _word(row: Row) -> str:

@@ -5,6 +5,7 @@ from math import nan
 from typing import Any, NamedTuple
 
 from steerd.steer_bus import messages as m
+from steerd.sysid.report.report import finite
 
 NS = 1_000_000_000
 
@@ -43,15 +44,7 @@ class ReportedChange(NamedTuple):
 def pack(values: list[ReportedValue], changes: list[ReportedChange]) -> str:
     """JSON of values and changes; what is no number is null."""
     data = {"values": values, "changes": changes}
-    return json.dumps(_finite(data), separators=(",", ":"), allow_nan=False)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if value - value == 0.0 else None
-    if isinstance(value, dict):
-        return {key: _finite(each) for key, each in value.items()}
-    return [_finite(each) for each in value] if isinstance(value, list | tuple) else value
+    return json.dumps(finite(data), separators=(",", ":"), allow_nan=False)
 
 
 def reported_values(model: m.Model) -> list[ReportedValue]:

@@ -15,6 +15,7 @@ from steerd.daemon.learning.reported import (
     reported_values,
 )
 from steerd.steer_bus import messages as m
+from steerd.sysid.report.report import with_error
 
 LABEL = 13
 """Columns of a label."""
@@ -39,13 +40,7 @@ def with_sd(parameter: ReportedValue, sign: str = "") -> str:
     unit = "" if parameter.unit == "1" else f" {parameter.unit}"
     if not isfinite(parameter.sd) or parameter.sd <= 0.0:
         return join_words(f"{parameter.value:{sign}.4g}{unit}")
-    places = max(0, min(6, 1 - _exponent(parameter.sd)))
-    text = f"{parameter.value:{sign}.{places}f} ± {parameter.sd:.{places}f}{unit}"
-    return join_words(text)
-
-
-def _exponent(value: float) -> int:
-    return int(f"{value:.1e}".partition("e")[2])
+    return join_words(f"{with_error(parameter.value, parameter.sd, sign)}{unit}")
 
 
 def describe_change(model: m.Model, change: ReportedChange) -> str:

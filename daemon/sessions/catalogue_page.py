@@ -5,15 +5,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import quote
 
-from steerd.daemon.common.screen import clean, cut
+from steerd.daemon.common.screen import clean
 from steerd.daemon.sessions.catalogue import Entry
 from steerd.sysid.report.report import Card, Cell, Report, Section, Table
 
 _HEADS = (
-    "session", "how it ended", "when", "driven", "e1 mm", "≤ mm", "≤ m/s", "s", "m", "car",
+    "session", "how it ended", "when", "driven", "e1 RMS [mm]", "e1 largest [mm]",
+    "fastest [m/s]", "time [s]", "length [m]", "car",
 )  # fmt: skip
-_NAME = 40
-"""Characters of a name that are shown."""
 
 
 def make_report(entries: Sequence[Entry], folder: Path) -> Report:
@@ -32,10 +31,10 @@ def make_report(entries: Sequence[Entry], folder: Path) -> Report:
     if errors:
         largest, name = max(errors)
         cards.append(Card("largest e1", f"{1e3 * largest:.1f} mm", name))
-    table = Table(_HEADS, [_row(e, folder) for e in entries], words=(1,))
+    table = Table(_HEADS, [_row(e, folder) for e in entries], words=(0, 1, 3, 9))
     text = (
         "A name leads to the drive's page, where `steerd plot` has made one beside the session. e1 "
-        "is the distance from the lane later than 3 s after the start: RMS, then the largest."
+        "is the distance from the lane later than 3 s after the start."
     )
     return Report(
         title="Recorded drives",
@@ -58,5 +57,5 @@ def _row(e: Entry, folder: Path) -> list[str | Cell]:
         )
     ]  # fmt: skip
     ended = Cell(e.remarks or "ok", "" if e.verdict == "ok" else "strong")
-    named = Cell(cut(clean(e.path.stem), _NAME), link=link)
+    named = Cell(clean(e.path.stem), link=link)
     return [named, ended, f"{e.when:%Y-%m-%d %H:%M}", e.lane, *figures, e.car]

@@ -7,7 +7,6 @@ from math import degrees
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 
 from steerd.car_model.path.path import Path as Lane
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -19,14 +18,14 @@ from steerd.daemon.sessions.motion import Array, Track
 from steerd.daemon.sessions.plot_data import load_lane
 from steerd.sim_gap.lane_comparison import profile
 from steerd.steer_bus import topics
-from steerd.sysid.report.drawing import FAINT, LINES, STYLE, draw, make_figure, to_svg
+from steerd.sysid.report.drawing import FAINT, LINES, STYLE, draw, make_axes, to_svg
 from steerd.sysid.report.page import render_report
 from steerd.sysid.report.report import Report, Section, Table
 
 BINS = 400
 """Places along the lane."""
 NAME_MAX = 40
-_POINTS_MAX = 1200
+_POINTS_MAX, _DOTS_MAX = 1200, 400
 _PANELS = (
     ("e1", "lateral error e1 [mm]", 1e3),
     ("e2", "heading error e2 [°]", degrees(1.0)),
@@ -167,12 +166,12 @@ def _rows(drives: Sequence[LaneSession]) -> Iterator[list[str]]:
         off = [f"{values[1] - values[0]:+{form.lstrip('+')}}"] if len(values) == 2 else []
         return [label, *(format(value, form) for value in values), *off]
 
-    yield row("laps", ".1f", lambda d: d.laps)
-    yield row("e1 RMS [mm]", ".1f", lambda d: 1e3 * rms(d.values["e1"]))
-    yield row("e1 mean [mm]", "+.1f", lambda d: 1e3 * d.values["e1"].mean())
-    yield row("e1 largest [mm]", ".1f", lambda d: 1e3 * np.abs(d.values["e1"]).max())
-    yield row("e2 RMS [°]", ".2f", lambda d: degrees(rms(d.values["e2"])))
-    yield row("fastest [m/s]", ".2f", lambda d: d.values["speed"].max())
+    yield row("laps", "z.1f", lambda d: d.laps)
+    yield row("e1 RMS [mm]", "z.1f", lambda d: 1e3 * rms(d.values["e1"]))
+    yield row("e1 mean [mm]", "+z.1f", lambda d: 1e3 * d.values["e1"].mean())
+    yield row("e1 largest [mm]", "z.1f", lambda d: 1e3 * np.abs(d.values["e1"]).max())
+    yield row("e2 RMS [°]", "z.2f", lambda d: degrees(rms(d.values["e2"])))
+    yield row("fastest [m/s]", "z.2f", lambda d: d.values["speed"].max())
 
 
 def _plot_tracks(axis: Axes, drives: Sequence[LaneSession]) -> None:
@@ -190,24 +189,17 @@ def _plot_tracks(axis: Axes, drives: Sequence[LaneSession]) -> None:
 
 def _draw_curves(drives: Sequence[LaneSession]) -> str:
     """Errors, speed and steering over the place along the lane."""
-    figure, axes = make_figure(len(_PANELS), 1, 1.9 * len(_PANELS))
-    for axis, (name, title, scale) in zip(axes[:, 0], _PANELS, strict=True):
+    axes = make_axes(len(_PANELS), 2.0)
+    for axis, (name, title, scale) in zip(axes, _PANELS, strict=True):
         for drive, colour in zip(drives, LINES, strict=False):
             _draw_drive(axis, drive, scale * drive.values[name], colour)
-        axis.set_title(title)
-        axis.set_xlim(0.0, drives[0].lane.length)
-    axes[-1, 0].set_xlabel("place along the lane [m]")
-    lines = [
-        Line2D([], [], color=colour, lw=3.0, label=drive.name)
-        for drive, colour in zip(drives, LINES, strict=False)
-    ]
-    figure.legend(handles=lines, loc="outside upper left", ncols=2, fontsize=8)
-    return to_svg(figure)
+        axis.set(title=title, xlabel="place along the lane [m]", xlim=(0.0, drives[0].lane.length))
+    return to_svg(axes, {d.name: colour for d, colour in zip(drives, LINES, strict=False)})
 
 
 def _draw_drive(axis: Axes, drive: LaneSession, values: Array, colour: str) -> None:
     """Every lap, faint, and the mean of them."""
-    step = max(1, len(values) // _POINTS_MAX)
+    step = max(1, len(values) // _DOTS_MAX)
     axis.plot(drive.place[::step], values[::step], ".", ms=1.0, color=colour, alpha=0.35)
     at = (np.arange(BINS) + 0.5) / BINS * drive.lane.length
     axis.plot(at, profile(drive.place, drive.lane.length, values, BINS), color=colour, lw=1.4)

@@ -11,11 +11,13 @@ from steerd.daemon.sessions.lane_error import rms
 from steerd.daemon.sessions.motion import Array
 from steerd.daemon.sessions.plot_data import Curve, make_drawing
 from steerd.sim_gap.time_comparison import STEP, Overlay, Pair, find_shift
-from steerd.sysid.report.drawing import INK, LINES, STYLE, make_figure, name_colours, to_svg
+from steerd.sysid.report.drawing import INK, LINES, STYLE, make_axes, to_svg
 from steerd.sysid.report.report import Section, Table
 
 POINTS_MAX = 1200
 """Of a drawn curve."""
+LEAST_SHARE = 0.01
+"""Least height of a difference's axis to either side, as a share of the first drive's largest."""
 _MOTION = ("speed", "steering angle (left +)", "yaw rate")
 """Panels that show when a drive did what; errors are each drive's own."""
 _SHOWN = ("lateral error e1", "heading error e2", *_MOTION)
@@ -73,7 +75,8 @@ def make_section(found: Overlay, names: Sequence[str]) -> Section:
     """Table and curves of the two, and of their difference."""
     where = "found by cross-correlation" if found.found else "as given"
     when, common = "later" if found.shift >= 0.0 else "earlier", found.t[-1] - found.t[0]
-    heads = ["", f"{names[0]}: RMS", f"{names[1]}: RMS", "difference: mean", "RMS", "largest"]
+    heads = ["", f"{names[0]}: RMS", f"{names[1]}: RMS", "difference: mean",
+             "difference: RMS", "difference: largest"]  # fmt: skip
     return Section(
         "Over the same time",
         f"{names[1]} is shown {abs(found.shift):.2f} s {when}, {where}; {common:.1f} s are "
@@ -88,23 +91,22 @@ def _rows(pair: Pair) -> Iterator[list[str]]:
                                                                  pair.difference))  # fmt: skip
     if off.size:
         figures = (rms(one), rms(other), float(off.mean()), rms(off), float(np.abs(off).max()))
-        yield [f"{pair.title} [{pair.unit}]", *(f"{value:.3g}" for value in figures)]
+        yield [f"{pair.title} [{pair.unit}]", *(f"{value:z.3f}" for value in figures)]
 
 
 @rc_context(STYLE)
 def _draw(found: Overlay, names: Sequence[str]) -> str:
-    """Both curves to the left, their difference to the right; a row for each quantity."""
-    figure, axes = make_figure(len(found.pairs), 2, 1.7 * len(found.pairs) + 0.5)
+    """Both curves, then their difference; two diagrams for each quantity."""
+    axes = make_axes(2 * len(found.pairs), 1.8)
     step = max(1, len(found.t) // POINTS_MAX)
     t = found.t[::step]
-    for row, pair in zip(axes, found.pairs, strict=True):
+    for both, off, pair in zip(axes[::2], axes[1::2], found.pairs, strict=True):
         for values, colour in zip((pair.first, pair.second), LINES, strict=False):
-            row[0].plot(t, values[::step], color=colour, lw=1.1)
-        row[1].plot(t, pair.difference[::step], color=INK, lw=0.9)
-        row[0].set_title(f"{pair.title} [{pair.unit}]")
-        row[1].set_title("difference")
-    for axis in axes[-1]:
-        axis.set_xlabel("time [s]")
-    legend = dict(zip(names, LINES, strict=False))
-    name_colours(axes[0, 0], legend, loc="lower left", bbox_to_anchor=(0.0, 1.15), ncols=2)
-    return to_svg(figure)
+            both.plot(t, values[::step], color=colour, lw=1.1)
+        off.plot(t, pair.difference[::step], color=INK, lw=0.9)
+        both.set(title=f"{pair.title} [{pair.unit}]", xlabel="time [s]")
+        off.set(title=f"difference of the {pair.title} [{pair.unit}]", xlabel="time [s]")
+        least = LEAST_SHARE * np.nanmax(np.abs(pair.first))
+        low, high = off.get_ylim()
+        off.set_ylim(min(low, -least), max(high, least))  # what differs by rounding looks so
+    return to_svg(axes, dict(zip(names, LINES, strict=False)))

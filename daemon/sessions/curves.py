@@ -10,6 +10,7 @@ import csv
 import io
 import zlib
 from dataclasses import dataclass
+from math import degrees
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,9 +95,9 @@ def make_csv(drawing: Drawing) -> str:
         for curve in panel.curves
     ]
     if drawing.track is not None:
-        places = (("x [m]", "x"), ("y [m]", "y"), ("yaw [rad]", "yaw"))
-        columns[:0] = [(head, drawing.track.t, getattr(drawing.track, name))
-                       for head, name in places]  # fmt: skip
+        places = (("x [m]", "x", 1.0), ("y [m]", "y", 1.0), ("yaw [°]", "yaw", degrees(1.0)))
+        columns[:0] = [(head, drawing.track.t, scale * getattr(drawing.track, name))
+                       for head, name, scale in places]  # fmt: skip
     steps = 1 + int(max((t[-1] for _, t, _ in columns), default=0.0) / CSV_STEP)
     at = CSV_STEP * np.arange(steps)
     values = [np.interp(at, t, value, np.nan, np.nan) for _, t, value in columns]

@@ -177,11 +177,12 @@ def _command(s: Recording, field: str, scale: float = 1.0) -> Iterator[Curve]:
         yield from make_curve("commanded", "command", s.times(table), value)
 
 
-def _estimate(s: Recording, field: str) -> Iterator[Curve]:
+def _estimate(s: Recording, field: str, scale: float = 1.0) -> Iterator[Curve]:
     """Speed or yaw rate as estimated, or from the poses where nothing was estimated."""
-    curves = tuple(make_field_curve(s, topics.STATE, field, "estimate", "estimate"))
+    curves = tuple(make_field_curve(s, topics.STATE, field, "estimate", "estimate", scale))
     if not curves and s.track is not None:
-        curves = tuple(make_curve("from poses", "estimate", s.track.t, getattr(s.track, field)))
+        value = scale * getattr(s.track, field)
+        curves = tuple(make_curve("from poses", "estimate", s.track.t, value))
     yield from curves
 
 
@@ -201,8 +202,8 @@ def _turning(s: Recording) -> Iterator[Panel]:
     scale = degrees(1.0)
     estimate = make_field_curve(s, topics.STATE, "steer", "estimate", "estimate", scale)
     yield Panel("steering angle (left +)", "°", (*_command(s, "steer", scale), *estimate))
-    gyro = make_field_curve(s, topics.IMU, "gyro_z", "gyro", "measured")
-    yield Panel("yaw rate", "rad/s", (*gyro, *_estimate(s, "yaw_rate")))
+    gyro = make_field_curve(s, topics.IMU, "gyro_z", "gyro", "measured", scale)
+    yield Panel("yaw rate", "°/s", (*gyro, *_estimate(s, "yaw_rate", scale)))
 
 
 def _innovation(s: Recording) -> Iterator[Panel]:

@@ -2,9 +2,9 @@
 
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import fields
 from datetime import UTC, datetime
-from math import degrees, isfinite
+from math import degrees
 from typing import Any
 
 from steerd.daemon.assembly.session_meta import is_virtual
@@ -12,7 +12,7 @@ from steerd.daemon.common.screen import NBSP, WIDTH, clean, cut, join_words, pri
 from steerd.daemon.sessions.info import SessionReport, TopicReport
 from steerd.daemon.sessions.motion import SignalRange
 from steerd.steer_bus.topics import split_key
-from steerd.sysid.report.report import Table, format_table
+from steerd.sysid.report.report import Table, finite, format_table
 
 TOPICS_SHOWN = 18
 STATES_SHOWN = 10
@@ -198,18 +198,5 @@ def make_json(report: SessionReport) -> dict[str, Any]:
         "metadata": {name: dict(values) for name, values in info.metadata.items()},
         "attachments": info.attachments,
     }
-    made: dict[str, Any] = _finite(document | data)
+    made: dict[str, Any] = finite(document | data)
     return made
-
-
-def _finite(value: Any) -> Any:
-    if is_dataclass(value) and not isinstance(value, type):
-        value = asdict(value)
-    match value:
-        case float():
-            return value if isfinite(value) else None
-        case dict():
-            return {key: _finite(item) for key, item in value.items()}
-        case list() | tuple():
-            return [_finite(item) for item in value]
-    return value

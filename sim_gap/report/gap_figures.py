@@ -5,9 +5,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.lines import Line2D
-from matplotlib.ticker import NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
 from steerd.sim_gap.diagnosis import Diagnosis
@@ -31,8 +28,9 @@ from steerd.sysid.report.drawing import (
     FAINT,
     INK,
     MEASURED,
-    make_figure,
-    name_colours,
+    make_axes,
+    plain_log,
+    scale_bars,
     to_svg,
 )
 from steerd.sysid.report.report import DEGREES
@@ -43,16 +41,15 @@ SHOWN_MOST = 12
 """Candidates that are drawn; the rest is in the JSON."""
 
 
-def _plain_log(axis: Axis) -> None:
-    """Plain numbers at a logarithmic axis: powers would be set in fonts that may be missing."""
-    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axis.set_minor_formatter(NullFormatter())
-
-
 def _name_rows(axis: Axes, labels: Sequence[str]) -> None:
     """Names at the left, the first on top."""
     axis.set_yticks(range(len(labels)), labels)
     axis.set_ylim(len(labels) - 0.4, -0.6)
+
+
+def effect_colours(*, explained: bool) -> dict[str, str]:
+    """Colours of the simulation without and, where something explains the gap, with the effect."""
+    return {"base car": BEFORE} | ({"with the effect": AFTER} if explained else {})
 
 
 def find_measured(gap: Gap) -> list[int]:
@@ -63,7 +60,6 @@ def find_measured(gap: Gap) -> list[int]:
 def plot_gap(axes: Sequence[Axes], found: Diagnosis) -> None:
     """Error after each lead with 90 % intervals, an axis for each of `find_measured`."""
     before, after, explained = found.before, found.after, bool(found.causes)
-    names = {"base car": BEFORE} | ({"with the effect": AFTER} if explained else {})
     gaps = (before, after) if explained else (before,)
     units = (("position [mm]", 1e3), ("heading [°]", DEGREES), ("wheel speed [mm/s]", 1e3))
     for axis, i in zip(axes, find_measured(before), strict=True):
@@ -73,19 +69,12 @@ def plot_gap(axes: Sequence[Axes], found: Diagnosis) -> None:
             _bars(axis, after, i, scale, 0.2, AFTER)
         leads = [before.errors[j][0] for j in known_leads(before)]
         axis.set_xticks(range(len(leads)), [f"{lead:g} s" for lead in leads])
-        axis.set(title=label, yscale="log", ylim=_limits(gaps, i, scale))
-        _plain_log(axis.yaxis)
+        axis.set_title(label)
+        values = [gap.errors[j][1 + i] for gap in gaps for j in known_leads(gap)]
+        highs = [gap.intervals[j][i][1] for gap in gaps for j in known_leads(gap)]
+        scale_bars(axis, [scale * value for value in (*values, *highs)])
         axis.grid(visible=False, axis="x")
     axes[0].set_ylabel("root mean square")
-    name_colours(axes[0], names, loc="upper left")
-
-
-def _limits(gaps: Sequence[Gap], i: int, scale: float) -> tuple[float, float]:
-    """Of a logarithmic axis that holds all bars and their intervals."""
-    values = [gap.errors[j][1 + i] for gap in gaps for j in known_leads(gap)]
-    highs = [gap.intervals[j][i][1] for gap in gaps for j in known_leads(gap)]
-    low = max(min((v for v in values if v > 0.0), default=1e-4), 1e-7)
-    return 0.4 * scale * low, 2.0 * scale * max([low, *values, *highs])
 
 
 def _bars(axis: Axes, gap: Gap, i: int, scale: float, shift: float, colour: str) -> None:
@@ -116,11 +105,15 @@ def plot_candidates(axis: Axes, found: Diagnosis) -> None:
     axis.set_xlim(0.0, 112.0)
     axis.grid(visible=False, axis="y")
     axis.set_xlabel("posterior probability [%]")
-    colours = {"named": AFTER, "may be it instead": CONFOUNDED, "others": FAINT}
-    if not confounded:
-        del colours["may be it instead"]
-    if names:
-        name_colours(axis, colours, loc="lower right")
+
+
+def candidate_colours(found: Diagnosis) -> dict[str, str]:
+    """Colours of `plot_candidates`; none where nothing is named."""
+    if not found.causes:
+        return {}
+    confounded = any(cause.ambiguous_with for cause in found.causes)
+    other = {"may be it instead": CONFOUNDED} if confounded else {}
+    return {"named": AFTER, **other, "others": FAINT}
 
 
 def plot_where(left: Axes, right: Axes, where: Where) -> None:
@@ -147,14 +140,11 @@ def _shares(axis: Axes, rows: Sequence[tuple[str, float]]) -> None:
 def draw_timeline(line: Timeline, stretches: Sequence[Any], explained: bool) -> str:
     """Whitened error of each window over its drive's time; stretches that stand out are shaded."""
     runs = list(dict.fromkeys(line.run))[:4]
-    figure, axes = make_figure(len(runs), 1, 0.6 + 1.5 * len(runs))
-    for axis, name in zip(axes[:, 0], runs, strict=True):
+    axes = make_axes(len(runs), 1.9)
+    for axis, name in zip(axes, runs, strict=True):
         plot_timeline(axis, line, name, stretches, explained)
-    axes[-1, 0].set_xlabel("time into the drive [s]")
-    colours = {"base car": BEFORE} | ({"with the effect": AFTER} if explained else {})
-    handles = [Line2D([], [], color=c, lw=3.0, label=name) for name, c in colours.items()]
-    figure.legend(handles=handles, loc="outside lower left", ncols=2, fontsize=8)
-    return to_svg(figure)
+        axis.set_xlabel("time into the drive [s]")
+    return to_svg(axes, effect_colours(explained=explained))
 
 
 def plot_timeline(
@@ -170,7 +160,7 @@ def plot_timeline(
         _steps(axis, line, mine, line.after, AFTER)
     axis.axhline(1.0, color=INK, lw=0.8, ls=":")
     axis.set(yscale="log", ylabel="error / noise", title=run)
-    _plain_log(axis.yaxis)
+    plain_log(axis.yaxis)
 
 
 def _steps(axis: Axes, line: Timeline, mine: Array, values: Array, colour: str) -> None:
@@ -188,8 +178,8 @@ def plot_regimes(axis: Axes, rows: Sequence[Regime]) -> None:
         axis.plot(ratio, place, "o", color=colour)
     _name_rows(axis, [f"{r.variable.replace('_', ' ')} {range_words(r)}" for r in rows])
     axis.axvline(1.0, color=INK, lw=0.8, ls=":")
-    axis.set(xscale="log", xlabel="error there / error elsewhere, with 90 % interval")
-    _plain_log(axis.xaxis)
+    axis.set(xscale="log", xlabel="error there / elsewhere, 90 % interval")
+    plain_log(axis.xaxis)
     ticks = [t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000)
              if axis.get_xlim()[0] <= t <= axis.get_xlim()[1]]  # fmt: skip
     axis.set_xticks(ticks, [f"{t:g}" for t in ticks])
@@ -218,25 +208,21 @@ def draw_lane(lane: LaneComparison) -> str:
     if lane.with_effect is not None:
         drives.append((lane.with_effect, AFTER, 1.3))
         colours["simulated, with the effect"] = AFTER
-    figure, axes = make_figure(1, 3, 3.0)
+    axes = make_axes(3, 3.0, 3)
     for drive, colour, width in drives:
         alpha = 0.45 if drive is lane.recorded else 1.0
-        for axis, field, scale in ((axes[0, 0], "e1", 1e3), (axes[0, 1], "e2", DEGREES)):
+        for axis, field, scale in ((axes[0], "e1", 1e3), (axes[1], "e2", DEGREES)):
             means = profile(drive.s, drive.length, getattr(drive, field))
             at = (np.arange(len(means)) + 0.5) / len(means) * drive.length
             axis.plot(at, scale * means, color=colour, lw=width, alpha=alpha)
         shown = drive if lane.without is None else as_long(drive, lane.without)
         f, density = steering_spectrum(shown)
-        axes[0, 2].plot(f, DEGREES * density, color=colour, lw=width, alpha=alpha)
-    axes[0, 0].set(xlabel="along the lane [m]", title="lateral offset e1 [mm]")
-    axes[0, 1].set(xlabel="along the lane [m]", title="heading error e2 [°]")
-    axes[0, 2].set(xlabel="frequency [Hz]", yscale="log", xscale="log",
+        axes[2].plot(f, DEGREES * density, color=colour, lw=width, alpha=alpha)
+    axes[0].set(xlabel="along the lane [m]", title="lateral offset e1 [mm]")
+    axes[1].set(xlabel="along the lane [m]", title="heading error e2 [°]")
+    axes[2].set(xlabel="frequency [Hz]", yscale="log", xscale="log",
                    title="steering spectrum [°/√Hz]")  # fmt: skip
-    _plain_log(axes[0, 2].xaxis)
-    axes[0, 2].set_xticks([0.2, 0.5, 1, 2, 5], ["0.2", "0.5", "1", "2", "5"])
-    _plain_log(axes[0, 2].yaxis)
-    for label, colour in colours.items():
-        axes[0, 0].plot([], [], color=colour, label=label, lw=3.0)
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower left", ncols=3,
-                  fontsize=8)  # fmt: skip
-    return to_svg(figure)
+    plain_log(axes[2].xaxis)
+    axes[2].set_xticks([0.2, 0.5, 1, 2, 5], ["0.2", "0.5", "1", "2", "5"])
+    plain_log(axes[2].yaxis)
+    return to_svg(axes, colours)

@@ -153,6 +153,7 @@ def _sections(subject: Subject, found: Diagnosis, lane: LaneComparison | None) -
             lambda *axes: figures.plot_gap(axes, found),
             2.5,
             columns=len(figures.find_measured(found.before)),
+            colours=figures.effect_colours(explained=explained),
         ),
     )
     if found.verdict != "none":
@@ -162,7 +163,12 @@ def _sections(subject: Subject, found: Diagnosis, lane: LaneComparison | None) -
         yield Section(
             "Which effect",
             _which(found),
-            figure=draw(figures.plot_candidates, 0.7 + 0.24 * max(shown, 2), found),
+            figure=draw(
+                figures.plot_candidates,
+                0.7 + 0.24 * max(shown, 2),
+                found,
+                colours=figures.candidate_colours(found),
+            ),
         )
     if explained:
         yield from _why(found)

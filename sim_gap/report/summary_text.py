@@ -1,14 +1,14 @@
 """A diagnosis in plain sentences, for the terminal and the report alike."""
 
 from collections.abc import Iterator
-from math import degrees, floor, isfinite, log10
+from math import degrees
 
 from steerd.car_model.effects import EFFECTS
 from steerd.sim_gap.diagnosis import Diagnosis
 from steerd.sim_gap.lane_comparison import LaneComparison, as_long, figures_of
 from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.inference.residuals import Gap
-from steerd.sysid.report.report import DEGREES, SCALES
+from steerd.sysid.report.report import DEGREES, SCALES, with_error
 
 LARGE = 1000.0
 """From here on the larger unit reads better."""
@@ -29,15 +29,7 @@ def value_words(value: float, sd: float, unit: str) -> str:
     if abs(scale * value) >= LARGE:
         scale, small = 1.0, unit
     small = "" if small == "1" else small.replace("^2", "²")
-    return f"{_rounded(scale * value, scale * sd)} {small}".rstrip()
-
-
-def _rounded(value: float, sd: float) -> str:
-    if not (isfinite(sd) and sd > 0.0):
-        return f"{value:.3g} ± ?"
-    places = 1 - floor(log10(sd))
-    digits = min(max(places, 0), 6)
-    return f"{round(value, places):.{digits}f} ± {round(sd, places):.{digits}f}"
+    return f"{with_error(scale * value, scale * sd)} {small}".rstrip()
 
 
 def cause_words(cause: Cause) -> str:

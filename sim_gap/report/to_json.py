@@ -1,29 +1,14 @@
 """The diagnosis as the schema `steerd.gap/1`."""
 
-import math
 from dataclasses import asdict
 from typing import Any
-
-import numpy as np
 
 from steerd.sim_gap.diagnosis import Diagnosis
 from steerd.sim_gap.verdict.evidence import Cause, Estimated
 from steerd.sysid.inference.residuals import Gap
+from steerd.sysid.report.report import finite
 
 SCHEMA = "steerd.gap/1"
-
-
-def _plain(value: Any) -> Any:
-    """Numbers that JSON can hold: what is not finite becomes null."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value
 
 
 def _gap(gap: Gap) -> dict[str, Any]:
@@ -63,7 +48,7 @@ def _cause(cause: Cause, found: Diagnosis) -> dict[str, Any]:
 def to_json(found: Diagnosis) -> dict[str, Any]:
     """The diagnosis as plain values, exactly in the shape of `steerd.gap/1`."""
     following = found.next_manoeuvre
-    return dict(_plain({
+    return dict(finite({
         "schema": SCHEMA,
         "verdict": found.verdict,
         "gap": {"before": _gap_values(found, "before"), "after": _gap_values(found, "after")},

@@ -5,7 +5,7 @@ A `Fit` is what our method found and how sure it is; an `Outcome` is the result 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import isfinite, isnan, nan
+from math import nan
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -305,46 +305,27 @@ class Outcome:
         return {n: r.manoeuvre for n, r in self.free_rows.items() if not r.identifiable}
 
 
-def _number(value: float | None) -> float | None:
-    return None if value is None or isnan(value) else value
+_PARAMETER = ("value", "sd", "unit", "identifiable")
+_HORIZON = ("horizon", "position", "heading", "position_before", "heading_before")
+_REGIME = ("lateral_accel_low", "lateral_accel_high", "predictions", "median", "rms")
+"""Keys of the JSON's objects."""
 
 
 def encode_outcome(outcome: Outcome) -> dict[str, Any]:
-    """The outcome as JSON values: schema `steerd.identify/1`; what is not known is null."""
+    """The outcome as JSON values: schema `steerd.identify/1`; a number that is not known is NaN."""
     rows = {name: outcome.rows[name] for name in REPORTED} | outcome.effect_rows
+    horizons = ((h.after.horizon, h.after.position, h.after.heading, h.before.position,
+                 h.before.heading) for h in outcome.held_out)  # fmt: skip
+    regimes = ((r.low, r.high, r.windows, r.median, r.rms) for r in outcome.regimes)
     return {
         "schema": SCHEMA,
         "parameters": {
-            name: {
-                "value": row.value,
-                "sd": _number(row.sd),
-                "unit": row.unit,
-                "identifiable": row.identifiable,
-            }
-            for name, row in rows.items()
+            n: {key: getattr(row, key) for key in _PARAMETER} for n, row in rows.items()
         },
         "combinations": [c.__dict__ for c in outcome.combinations],
         "held_out": {
-            "horizons": [
-                {
-                    "horizon": h.after.horizon,
-                    "position": _number(h.after.position),
-                    "heading": _number(h.after.heading),
-                    "position_before": _number(h.before.position),
-                    "heading_before": _number(h.before.heading),
-                }
-                for h in outcome.held_out
-            ],
-            "regimes": [
-                {
-                    "lateral_accel_low": r.low,
-                    "lateral_accel_high": r.high if isfinite(r.high) else None,
-                    "predictions": r.windows,
-                    "median": r.median,
-                    "rms": r.rms,
-                }
-                for r in outcome.regimes
-            ],
+            "horizons": [dict(zip(_HORIZON, each, strict=True)) for each in horizons],
+            "regimes": [dict(zip(_REGIME, each, strict=True)) for each in regimes],
         },
         "excitation": outcome.excitation._asdict(),
         "converged": None if outcome.fit is None else outcome.fit.converged,

@@ -6,6 +6,7 @@ one of half its friction. State feedback is exact, so that only the design diffe
 """
 
 from collections.abc import Mapping
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,6 @@ from numpy.typing import NDArray
 from steerd.car_model.model import Model, Moment
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import Car
-from steerd.car_model.path.path import Path
 from steerd.car_model.path.path_shapes import make_figure_eight
 from steerd.car_model.rollout import channel_delayed, step
 from steerd.car_model.state import ORIGIN, Command
@@ -46,21 +46,19 @@ class Profile(NamedTuple):
     Attributes:
         design: whose parameters the controller was designed from.
         friction: which floor.
-        t: [s]; e1: lateral offset [m]; e2: heading error [rad].
+        rows: time [s], lateral offset e1 [m] and heading error e2 [rad], (N, 3).
         refused: why there is no drive; empty otherwise.
     """
 
     design: str
     friction: str
-    t: Array
-    e1: Array
-    e2: Array
+    rows: Array
     refused: str = ""
 
     @property
     def rms(self) -> float:
         """Of the lateral offset [m]."""
-        return float(np.sqrt(np.mean(self.e1**2))) if len(self.e1) else float("nan")
+        return float(np.sqrt(np.mean(self.rows[:, 1] ** 2))) if len(self.rows) else float("nan")
 
 
 def drive_lane(controller: LaneController, plant: Car[float], offset: float = OFFSET) -> Array:
@@ -87,18 +85,13 @@ def drive_lane(controller: LaneController, plant: Car[float], offset: float = OF
 
 def compare_designs(plant: Car[float], designs: Mapping[str, Car[float]]) -> tuple[Profile, ...]:
     """Drive a figure eight with each design on each floor."""
-    path = make_figure_eight(RADIUS)
+    path, config = make_figure_eight(RADIUS), ControllerConfig(speed=SPEED)
     found = []
-    for name, car in designs.items():
-        for floor, share in FRICTIONS.items():
-            found.append(_compare(name, car, floor, plant._replace(mu=plant.mu * share), path))
+    for (name, car), (floor, share) in product(designs.items(), FRICTIONS.items()):
+        try:
+            controller = make_controller(car, path, config, 1.0 / STEP)
+            rows, why = drive_lane(controller, plant._replace(mu=plant.mu * share)), ""
+        except (DesignRefused, ValueError) as error:
+            rows, why = np.empty((0, 3)), str(error)
+        found.append(Profile(name, floor, rows, why))
     return tuple(found)
-
-
-def _compare(name: str, car: Car[float], floor: str, plant: Car[float], path: Path) -> Profile:
-    config = ControllerConfig(speed=SPEED)
-    try:
-        rows = drive_lane(make_controller(car, path, config, 1.0 / STEP), plant)
-    except (DesignRefused, ValueError) as error:
-        return Profile(name, floor, np.empty(0), np.empty(0), np.empty(0), str(error))
-    return Profile(name, floor, rows[:, 0], rows[:, 1], rows[:, 2])

@@ -2,14 +2,15 @@
 
 import io
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
 from types import MappingProxyType
 from typing import Any
 
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from numpy.typing import NDArray
+from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
 INK, FAINT = "#1f2933", "#9aa5b1"
 MEASURED, AFTER, BEFORE = "#1f2933", "#d9480f", "#4c8dca"
@@ -19,17 +20,13 @@ LINES = (BEFORE, AFTER, TEAL, VIOLET, GREEN)
 """Of several curves; the eye does not distinguish more."""
 IN_PAGE = MappingProxyType({
     INK: "ink", FAINT: "soft", GRID: "line", BAND: "band", AFTER: "after", BEFORE: "before",
-    CONFOUNDED: "confounded", TEAL: "teal", VIOLET: "violet", GREEN: "green",
-    PAGE: "back",
+    CONFOUNDED: "confounded", TEAL: "teal", VIOLET: "violet", GREEN: "green", PAGE: "back",
 })  # fmt: skip
 """Colours that the page decides: the variables of `look.css`, one value a theme."""
 WIDTH = 9.6
-"""Of a figure that fills the page [inch]."""
-COLUMNS = 3
-"""Small diagrams side by side."""
-READABLE = 44.0
-"""Width below which the words of such a figure are too small to read; a window that is narrower
-scrolls it [rem]."""
+"""Of a page's text [inch]; diagrams side by side share it."""
+LINEAR = 20.0
+"""Ratio of two bars up to which both can be seen from zero on."""
 STYLE: dict[Any, Any] = {
     "font.family": "sans-serif", "font.size": 9.0, "axes.edgecolor": FAINT, "axes.labelcolor": INK,
     "xtick.color": INK, "ytick.color": INK, "axes.spines.top": False, "axes.spines.right": False,
@@ -40,42 +37,65 @@ STYLE: dict[Any, Any] = {
 }  # fmt: skip
 
 
-def draw(plot: Callable[..., None], height: float, *about: Any, columns: int = 1) -> str:
-    """The markup of a figure whose axes, side by side, `plot` fills with what it is about."""
-    figure, axes = make_figure(1, columns, height)
-    plot(*axes.flat, *about)
-    return to_svg(figure)
+Colours = Mapping[str, str]
+NONE: Colours = MappingProxyType({})
+"""What colours stand for, by name."""
 
 
-def make_figure(rows: int, columns: int, height: float) -> tuple[Figure, NDArray[Any]]:
-    """A figure as wide as the page and its axes (rows, columns)."""
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False)
+def draw(
+    plot: Callable[..., None], height: float, *about: Any, columns: int = 1, colours: Colours = NONE
+) -> str:
+    """The markup of `columns` diagrams that `plot` fills with what they are about."""
+    axes = make_axes(columns, height, max(columns, 2))
+    plot(*axes, *about)
+    return to_svg(axes, colours)
 
 
-def make_grid(count: int, height: float) -> tuple[Figure, list[Any]]:
-    """A figure of `count` small diagrams, each so high [inch], and their axes."""
-    figure, axes = make_figure(-(-count // COLUMNS), COLUMNS, height * -(-count // COLUMNS))
-    for axis in axes.flat[count:]:
-        axis.set_visible(False)
-    return figure, [*axes.flat[:count]]
+def make_axes(count: int, height: float, columns: int = 2) -> list[Any]:
+    """Axes of so many diagrams, each so high [inch] and so wide that `columns` fill the page."""
+    size = WIDTH / columns, height
+    return [Figure(figsize=size, layout="constrained").subplots() for _ in range(count)]
 
 
-def name_colours(axes: Axes, colours: Mapping[str, str], **where: Any) -> None:
-    """A legend of colours, placed as matplotlib's is."""
-    lines = [Line2D([], [], color=colour, lw=3.0, label=name) for name, colour in colours.items()]
-    axes.legend(handles=lines, fontsize=8, **where)
+def plain_log(axis: Axis) -> None:
+    """Plain numbers at a logarithmic axis: powers would be set in fonts that may be missing."""
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
-def to_svg(figure: Figure) -> str:
-    """The figure as markup that scales with the page."""
+def scale_bars(axis: Axes, heights: Sequence[float]) -> None:
+    """From zero on where all bars can be seen there, else logarithmic, from below the least."""
+    known = [height for height in heights if height > 0.0]
+    if known and max(known) > LINEAR * min(known):
+        axis.set(yscale="log", ylim=(0.4 * min(known), 2.0 * max(known)))
+        plain_log(axis.yaxis)
+    else:
+        axis.set_ylim(0.0, 1.15 * max(known, default=1.0))
+
+
+def to_svg(axes: Sequence[Any], colours: Colours = NONE) -> str:
+    """Diagrams as markup: side by side where there is room, else below each other.
+
+    Args:
+        axes: as `make_axes` made them, all of one width.
+        colours: what the colours of the lines stand for, by name.
+    """
+    wide = axes[0].figure.get_figwidth() / WIDTH if axes else 1.0
+    names = "".join(
+        f'<span style="--of:var(--{IN_PAGE[colour]})">{escape(name)}</span>'
+        for name, colour in colours.items()
+    )
+    diagrams = "".join(_draw(axis) for axis in axes)
+    return f'<p class="names">{names}</p><div style="--wide:{48.0 * wide:.1f}rem">{diagrams}</div>'
+
+
+def _draw(axis: Any) -> str:
     text = io.StringIO()
-    figure.savefig(text, format="svg", facecolor="none", metadata={"Date": None, "Creator": None})
+    about = {"Date": None, "Creator": None}
+    axis.figure.savefig(text, format="svg", facecolor="none", metadata=about)
     markup = text.getvalue()
     markup = markup[markup.index("<svg") :]
     markup = re.sub(r"<metadata>.*?</metadata>", "", markup, flags=re.DOTALL)
     for colour, variable in IN_PAGE.items():
         markup = markup.replace(colour, f"var(--{variable})")
-    share = figure.get_figwidth() / WIDTH
-    size = f'width="{share:.0%}" style="min-width:{READABLE * share:.1f}rem"'
-    return re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', size, markup, count=1)
+    return re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', "", markup, count=1)

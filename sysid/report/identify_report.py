@@ -6,10 +6,8 @@ from math import degrees, isnan
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from steerd.car_model.params import Car
 from steerd.sysid.data.windows import GROUPS
 from steerd.sysid.estimation.outcome import Fit, HeldOut, Outcome
 from steerd.sysid.estimation.validation import Trace
@@ -24,12 +22,13 @@ from steerd.sysid.report.drawing import (
     MEASURED,
     STYLE,
     draw,
-    make_figure,
-    name_colours,
+    make_axes,
+    scale_bars,
     to_svg,
 )
-from steerd.sysid.report.report import DEGREES, Card, Cell, Fold, Report, Section, Table
+from steerd.sysid.report.report import DEGREES, Card, Cell, Fold, Report, Section, Table, with_error
 
+COLOURS = {"measured": MEASURED, "start values": BEFORE, "identified": AFTER}
 IMPROVEMENT_MIN = 1.02
 """A smaller factor is no improvement."""
 
@@ -37,7 +36,9 @@ IMPROVEMENT_MIN = 1.02
 @rc_context(STYLE)
 def make_report(outcome: Outcome) -> Report:
     """What an identification found."""
-    profiles = compare_designs(*_designs(outcome))
+    truth = {} if outcome.truth is None else {"truth": outcome.truth}
+    designs = {**truth, "identified": outcome.after, "start values": outcome.before}
+    profiles = compare_designs(outcome.truth or outcome.after, designs)
     e = outcome.excitation
     return Report(
         title="The car identified from these drives",
@@ -46,7 +47,7 @@ def make_report(outcome: Outcome) -> Report:
         f"{e.speed_low:.1f} to {e.speed_high:.1f} m/s, {e.lateral_accel:.1f} m/s² sideways · "
         f"method {outcome.method}, {outcome.seconds:.1f} s",
         lead="What the drives say of the car, judged by drives that were not fitted.",
-        sections=[*_values(outcome), *_sections(outcome, profiles)],
+        sections=[_values(outcome), *_sections(outcome, profiles)],
         foot="Written by steerd identify. Frames are ISO 8855, angles positive to the left; "
         "sd is one standard error.",
         cards=list(make_cards(outcome)),
@@ -68,42 +69,31 @@ def make_cards(outcome: Outcome) -> Iterator[Card]:
         yield Card("off in heading", figure, "both on drives that were not fitted")
 
 
-def _values(outcome: Outcome) -> Iterator[Section]:
+def _values(outcome: Outcome) -> Section:
     """The parameters: free, combined, fixed."""
     lacks = [f"Excitation: {lack}." for lack in outcome.excitation.lacking]
-    heads = ["parameter", "value", "± sd", "start", "unit", ""]
-    truth = outcome.truth._asdict() if outcome.truth is not None else None
+    heads = ["parameter", "value ± sd", "unit", "start", "true", ""]
+    truth = outcome.truth._asdict() if outcome.truth is not None else {}
     rows = []
     for name, row in outcome.free_rows.items():
         remark = "" if row.identifiable else f"not identifiable; {row.manoeuvre}"
-        sd = "?" if row.sd is None else f"{row.sd:.2g}"
-        texts = [name, f"{row.value:.5g}", sd, f"{row.before:.5g}", row.unit, remark]
-        if truth is not None:
-            texts.insert(4, f"{truth[name]:.5g}" if name in truth else "")
+        unit = "" if row.unit == "1" else row.unit
+        true = f"{truth[name]:.5g}" if name in truth else ""
+        texts = [name, with_error(row.value, row.sd), unit, f"{row.before:.5g}", true, remark]
         rows.append([Cell(text, "" if row.identifiable else "quiet") for text in texts])
-    if truth is not None:
-        heads.insert(4, "true")
     table = Table(heads, rows, words=[len(heads) - 1])
-    yield Section(notes=[*outcome.notes, *lacks], table=table)
     known = [f"{c.text} = {c.value:.5g} ± {c.sd:.2g} m" for c in outcome.combinations if c.known]
-    combined = outcome.unidentified and known
+    combined = [f"Identifiable combination: {text}." for text in known if outcome.unidentified]
     fixed = [
         f"{name} = {row.value:.5g} {row.unit if row.unit != '1' else ''}".rstrip()
         for name, row in outcome.rows.items()
         if not row.free
     ]
-    yield Section(
-        text=f"Identifiable combinations: {'; '.join(known)}." if combined else "",
+    return Section(
+        notes=[*outcome.notes, *lacks, *combined],
+        table=table if truth else table.pick(*(head for head in heads if head != "true")),
         fold=Fold("fixed parameters", ", ".join(fixed)),
     )
-
-
-def _designs(outcome: Outcome) -> tuple[Car[float], dict[str, Car[float]]]:
-    """The plant, and the cars that controllers are designed from."""
-    designs = {"identified": outcome.after, "start values": outcome.before}
-    if outcome.truth is None:
-        return outcome.after, designs
-    return outcome.truth, {"truth": outcome.truth, **designs}
 
 
 def _sections(outcome: Outcome, profiles: tuple[Profile, ...]) -> Iterator[Section]:
@@ -111,9 +101,9 @@ def _sections(outcome: Outcome, profiles: tuple[Profile, ...]) -> Iterator[Secti
         "Prediction of drives that were not fitted",
         f"Validated on {outcome.held_out_of}. Open loop: the state is fitted to the 0.4 s before, "
         "then only the commands are known.",
-        figure=draw(plot_held_out, 2.6, outcome.held_out, columns=2),
+        figure=draw(plot_held_out, 2.6, outcome.held_out, columns=2, colours=COLOURS)
+        + draw(plot_traces, 4.0, outcome.traces, columns=2),
     )
-    yield Section(figure=draw(plot_traces, 4.0, outcome.traces, columns=2))
     plant = "the identified car" if outcome.truth is None else "the true (simulated) car"
     yield Section(
         "Lane keeping with controllers designed from these parameters",
@@ -130,7 +120,7 @@ def _sections(outcome: Outcome, profiles: tuple[Profile, ...]) -> Iterator[Secti
         yield Section(
             "Correlation of the estimates",
             "Near ±1: the data identify the combination, not its members.",
-            figure=draw_correlation(outcome.fit),
+            figure=draw(plot_correlation, 4.6, outcome.fit),
         )
     if outcome.searches:
         yield Section(
@@ -152,22 +142,12 @@ def _closed(profiles: tuple[Profile, ...]) -> str:
 Array = NDArray[np.float64]
 
 UNITS = {"position": (1e3, "mm"), "yaw": (DEGREES, "°"), "wheel_speed": (1e3, "mm/s"),
-         "yaw_rate": (1.0, "rad/s")}  # fmt: skip
+         "yaw_rate": (DEGREES, "°/s")}  # fmt: skip
 POINTS_MAX = 1500
 
 
-def _thin(values: Array) -> Array:
-    return values[:: max(1, len(values) // POINTS_MAX)]
-
-
 def plot_traces(plane: Axes, late: Axes, traces: tuple[list[Trace], list[Trace]]) -> None:
-    """Held-out windows in the plane, and the position error as predictions age.
-
-    Args:
-        plane: axes for the positions.
-        late: axes for the errors.
-        traces: predictions after and before.
-    """
+    """Held-out windows in the plane, and how far off predictions (after, before) are with time."""
     for after, before in zip(*traces, strict=True):
         plane.plot(*after.measured[:, :2].T, color=MEASURED, lw=2.2, alpha=0.35)
         for trace, colour in ((before, BEFORE), (after, AFTER)):
@@ -176,7 +156,6 @@ def plot_traces(plane: Axes, late: Axes, traces: tuple[list[Trace], list[Trace]]
             late.plot(trace.ahead, 1e3 * off, color=colour, lw=0.8, alpha=0.7)
     plane.set(xlabel="x [m]", ylabel="y [m]", title="held-out drives and their predictions")
     plane.set_aspect("equal", adjustable="datalim")
-    name_colours(plane, {"measured": MEASURED, "start values": BEFORE, "identified": AFTER})
     late.axvline(0.0, color=FAINT, lw=0.8)
     late.set(xlabel="time since the prediction began [s]", ylabel="distance [mm]",
              title="prediction error of each window", ylim=(0.0, None))  # fmt: skip
@@ -189,47 +168,46 @@ def plot_held_out(left: Axes, right: Axes, held_out: Sequence[HeldOut]) -> None:
         (left, "position", 1e3, "mm"),
         (right, "heading", DEGREES, "°"),
     ):
+        heights = []
         for shift, name, colour in ((-0.2, "before", BEFORE), (0.2, "after", AFTER)):
             values = [scale * getattr(getattr(h, name), field) for h in held_out]
             axis.bar(places + shift, values, 0.36, color=colour)
-        axis.set(xticks=places, yscale="log", ylabel=f"{field} [{unit}]")
+            heights += values
+        axis.set(xticks=places, title=f"{field} [{unit}]")
+        scale_bars(axis, heights)
         axis.set_xticklabels([f"{h.after.horizon:g} s" for h in held_out])
-    left.set_title("RMS prediction error on held-out drives")
-    names = {"start values": BEFORE, "identified": AFTER}
-    # Above the axes: bars of any height leave no room in them.
-    name_colours(right, names, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
+    left.set_ylabel("root mean square")
 
 
 def draw_residuals(found: Fit) -> str:
     """Residuals of each kind over time, and their spread against the signal's own noise."""
     left = found.residuals
     present = [int(g) for g in np.unique(left.group)]
-    figure, axes = make_figure(len(present), 2, 1.5 * len(present) + 0.4)
-    for row, group in zip(axes, present, strict=True):
+    axes = make_axes(2 * len(present), 1.7)
+    for over, spread, group in zip(axes[::2], axes[1::2], present, strict=True):
         mine = left.group == group
         scale, unit = UNITS[GROUPS[group]]
         values = scale * left.error[mine]
-        row[0].plot(_thin(left.t[mine]), _thin(values), ".", ms=1.2, color=AFTER)
-        row[0].set(ylabel=f"{GROUPS[group]} [{unit}]".replace("_", " "))
+        step = max(1, len(values) // POINTS_MAX)
+        over.plot(left.t[mine][::step], values[::step], ".", ms=1.2, color=AFTER)
+        over.set_xlabel("time into each drive [s]")
+        over.set_ylabel(f"{GROUPS[group]} [{unit}]".replace("_", " "))
         edge = max(4.0 * float(np.sqrt(np.mean(values**2))), 1e-6)
         bins = np.linspace(-edge, edge, 60)
-        row[1].hist(values, bins, color=AFTER, alpha=0.7, density=True)
+        spread.hist(values, bins, color=AFTER, alpha=0.7, density=True)
         sigma = scale * float(left.signal[group])
         bell = np.exp(-0.5 * (bins / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
-        row[1].plot(bins, bell, color=INK, lw=1.0)
-    axes[0, 0].set_title("residuals of the fit")
-    axes[0, 1].set_title("their spread; the line is the instrument's own noise")
-    axes[-1, 0].set_xlabel("time into each drive [s]")
-    return to_svg(figure)
+        spread.plot(bins, bell, color=INK, lw=1.0)
+    axes[0].set_title("residuals of the fit")
+    axes[1].set_title("their spread; the line is the instrument's own noise")
+    return to_svg(axes)
 
 
-def draw_correlation(found: Fit) -> str:
+def plot_correlation(axes: Axes, found: Fit) -> None:
     """Correlation of the coordinates."""
     labels = found.labels
-    figure = Figure(figsize=(6.0, 5.0), layout="constrained")
-    axes = figure.subplots()
     axes.grid(visible=False)
-    image = axes.imshow(found.correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+    axes.imshow(found.correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
     places = range(len(labels))
     axes.set_xticks(places, labels, rotation=90)
     axes.set_yticks(places, labels)
@@ -237,9 +215,7 @@ def draw_correlation(found: Fit) -> str:
         for j in places:
             value = found.correlation[i, j]
             ink = "white" if abs(value) > 0.6 else "black"
-            axes.text(j, i, f"{value:.1f}", ha="center", va="center", fontsize=6.5, color=ink)
-    figure.colorbar(image, ax=axes, shrink=0.7)
-    return to_svg(figure)
+            axes.text(j, i, f"{value:z.1f}", ha="center", va="center", fontsize=6.0, color=ink)
 
 
 def plot_searches(left: Axes, right: Axes, searches: Sequence[SearchHistory]) -> None:
@@ -262,16 +238,14 @@ def plot_searches(left: Axes, right: Axes, searches: Sequence[SearchHistory]) ->
 def draw_profiles(profiles: Sequence[Profile]) -> str:
     """Lateral and heading error of each design, a column a floor."""
     names = list(dict.fromkeys(profile.design for profile in profiles))
-    figure, axes = make_figure(2, len(FRICTIONS), 4.4)
+    axes = make_axes(2 * len(FRICTIONS), 2.2)
+    colours = dict(zip(names, (INK, AFTER, BEFORE), strict=False))
     for column, floor in enumerate(FRICTIONS):
+        e1, e2 = axes[column :: len(FRICTIONS)]
         for profile in (p for p in profiles if p.friction == floor):
-            colour = (INK, AFTER, BEFORE)[names.index(profile.design) % 3]
-            label = profile.design
-            axes[0, column].plot(profile.t, 1e3 * profile.e1, color=colour, lw=1.1, label=label)
-            axes[1, column].plot(profile.t, np.degrees(profile.e2), color=colour, lw=1.1)
-        axes[0, column].set_title(f"{floor} friction")
-        axes[1, column].set_xlabel("time [s]")
-    axes[0, 0].set_ylabel("e1 [mm]")
-    axes[1, 0].set_ylabel("e2 [°]")
-    axes[0, 0].legend(fontsize=8, title="designed from")
-    return to_svg(figure)
+            t, off, turned = profile.rows.T
+            e1.plot(t, 1e3 * off, color=colours[profile.design], lw=1.1)
+            e2.plot(t, np.degrees(turned), color=colours[profile.design], lw=1.1)
+        e1.set(title=f"e1 [mm], {floor} friction", xlabel="time [s]")
+        e2.set(title=f"e2 [°], {floor} friction", xlabel="time [s]")
+    return to_svg(axes, {f"designed from {name}": colour for name, colour in colours.items()})

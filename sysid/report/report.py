@@ -1,14 +1,16 @@
 """What a command found, as one value; pages and screens are made of it."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from math import degrees
-from typing import Literal, NamedTuple
+from dataclasses import asdict, dataclass, is_dataclass
+from math import degrees, floor, isfinite, log10
+from typing import Any, Literal, NamedTuple
 
 Tone = Literal["", "quiet", "strong"]
 DEGREES = degrees(1.0)
 SCALES = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (DEGREES, "°"), "1": (1.0, "")}
 """Unit that people read, by the SI unit: factor and name; what is not listed stays in SI."""
+PLACES = 8
+"""Digits after the point that are still read; smaller numbers get an exponent."""
 
 
 class Cell(NamedTuple):
@@ -41,7 +43,8 @@ class Table:
     def pick(self, *heads: str) -> "Table":
         """The same rows with these columns alone."""
         at = [self.heads.index(head) for head in heads]
-        return replace(self, heads=heads, rows=[[row[i] for i in at] for row in self.rows])
+        words = [place for place, i in enumerate(at) if i in self.words]
+        return Table(heads, [[row[i] for i in at] for row in self.rows], words)
 
 
 class Card(NamedTuple):
@@ -68,7 +71,7 @@ class Section:
         text: a paragraph about it; `steerd …` in backquotes is shown as a command.
         notes: what a reader should know, each set off.
         table: figures.
-        figure: inline SVG.
+        figure: markup of diagrams, see `drawing.to_svg`.
         fold: what few will read.
     """
 
@@ -117,3 +120,30 @@ def format_table(table: Table) -> Iterator[str]:
             for i, (text, width) in enumerate(zip(row, widths, strict=True))
         ]
         yield "  ".join(cells).rstrip()
+
+
+def with_error(value: float, sd: float | None, sign: str = "") -> str:
+    """A value and its standard error to two digits of the latter; `?` where that is not known."""
+    if not sd or not isfinite(sd):
+        return f"{value:{sign}.5g} ± ?"
+    places = 1 - floor(log10(sd))
+    if places > PLACES:
+        return f"{value:{sign}.3g} ± {sd:.2g}"
+    digits = max(places, 0)
+    return f"{round(value, places):{sign}.{digits}f} ± {round(sd, places):.{digits}f}"
+
+
+def finite(value: Any) -> Any:
+    """A value as JSON holds it: a number that is not finite is null, a dataclass an object."""
+    if is_dataclass(value) and not isinstance(value, type):
+        value = asdict(value)
+    elif hasattr(value, "item"):  # a number of NumPy's
+        value = value.item()
+    match value:
+        case float():
+            return value if isfinite(value) else None
+        case dict():
+            return {key: finite(each) for key, each in value.items()}
+        case list() | tuple():
+            return [finite(each) for each in value]
+    return value

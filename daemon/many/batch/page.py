@@ -18,7 +18,7 @@ from steerd.daemon.many.batch.changes import (
     tabulate_changes,
 )
 from steerd.daemon.many.job import Rows
-from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, STYLE, make_grid, to_svg
+from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, STYLE, make_axes, to_svg
 from steerd.sysid.report.report import Report, Section, Table
 
 _DAY = 86_400.0
@@ -73,12 +73,12 @@ def make_report(
             table=Table(("session", "why"), shown[:_FAILURES], words=(1,)),
         ))  # fmt: skip
     return Report(
-        title=f"{len(rows)} sessions, {kind}",
+        title=f"{len(rows)} sessions, batch {kind}",
         subject="",
         about="",
         lead=_headline(changes, len(series)),
         sections=sections,
-        foot="Written by steerd batch. Dates are UTC; units are SI.",
+        foot="Written by steerd batch. Dates are UTC; units are SI where none is named.",
     )
 
 
@@ -124,17 +124,18 @@ def _list_sessions(rows: Rows) -> Table:
         scaled = (
             "–" if n is None else f"{f[2] * n:.4g}" for n, f in zip(numbers, figures, strict=True)
         )
-        name = clean(str(row["session"]).rpartition("/")[2], 40)
+        name = clean(str(row["session"]).rpartition("/")[2])
         table.append((name, *(clean(str(row.get(text) or "–"), 24) for text in texts), *scaled))
-    return Table(("session", *texts, *(head for _, head, _ in figures)), table, words=(0,))
+    heads = ("session", *texts, *(head for _, head, _ in figures))
+    return Table(heads, table, words=[0, *(i for i, t in enumerate(texts, 1) if t != "day")])
 
 
 def _draw(series: Sequence[Series], changes: dict[tuple[str, str], Change]) -> str:
     """A small figure for each series."""
-    figure, axes = make_grid(len(series), 2.0)
+    axes = make_axes(len(series), 2.0, 3)
     for axis, s in zip(axes, series, strict=True):
         _draw_series(axis, s, changes.get((s.car, s.quantity)))
-    return to_svg(figure)
+    return to_svg(axes)
 
 
 def _draw_series(axis: Axes, s: Series, change: Change | None) -> None:

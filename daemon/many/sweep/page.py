@@ -19,7 +19,7 @@ from steerd.daemon.many.sweep.summary import (
     tabulate_ends,
     tabulate_spreads,
 )
-from steerd.sysid.report.drawing import AFTER, BEFORE, STYLE, make_grid, to_svg
+from steerd.sysid.report.drawing import AFTER, BEFORE, STYLE, make_axes, to_svg
 from steerd.sysid.report.report import SCALES, Cell, Report, Section, Table
 
 _BINS = 30
@@ -29,6 +29,8 @@ _SCATTERS = 6
 """Strongest dependences that are drawn."""
 _POINTS = 1500
 """Points of a scatter figure; more make a page heavy and show no more."""
+_MOVED = 0.01
+"""A measure that moves less is moved by nothing that matters: damping by its fourth digit."""
 _VALUES = 6
 """Values of a list that are shown."""
 
@@ -39,7 +41,10 @@ def make_report(plan: SweepPlan, rows: Rows, summary: Summary) -> Report:
     fixed = [] if "path" in plan.vary else [plan.path]
     fixed += [] if "speed" in plan.vary else [f"{plan.speed:g} m/s"]
     seeds = f"{len(plan.seeds)} seeds, {plan.duration:g} s each, loop at {plan.rate:g} Hz"
-    varied = [(q.name, _describe(plan.vary[q.name]), q.unit, q.meaning) for q in plan.quantities]
+    varied = [
+        (q.name, _describe(plan.vary[q.name]), q.unit if q.unit != "1" else "", q.meaning)
+        for q in plan.quantities
+    ]
     sections = [
         Section("How they ended", table=tabulate_ends(summary)),
         Section(
@@ -59,7 +64,8 @@ def make_report(plan: SweepPlan, rows: Rows, summary: Summary) -> Report:
         sections.append(Section(
             "What moves what",
             "Rank correlation of each varied quantity with each measure, from −1 to 1; a list of "
-            "texts has no sign. Bold: more than chance alone shows in one case of twenty.",
+            "texts has no sign. Bold: more than chance alone shows in one case of twenty, and the "
+            f"measure moves by more than {_MOVED:.0%}.",
             table=_moves(summary),
             figure=_draw_scatters(plan, rows, summary),
         ))  # fmt: skip
@@ -100,7 +106,7 @@ def _moves(summary: Summary) -> Table:
 def _rank_cell(s: Sensitivity | None) -> Cell:
     if s is None:
         return Cell("–", "quiet")
-    return Cell(f"{s.value:+.2f}", "strong" if s.shown else "quiet")
+    return Cell(f"{s.value:+.2f}", "strong" if s.shown and s.size > _MOVED else "quiet")
 
 
 def _describe(choice: Choice) -> str:
@@ -127,14 +133,14 @@ def _draw_histograms(rows: Rows, summary: Summary) -> str:
     names = [spread.name for spread in summary.spreads]
     if not names:
         return ""
-    figure, axes = make_grid(len(names), 1.9)
+    axes = make_axes(len(names), 1.9, 3)
     for axis, name in zip(axes, names, strict=True):
         values = _scaled(rows, name)
         axis.hist(values[np.isfinite(values)], bins=_BINS, color=BEFORE)
         axis.locator_params(axis="x", nbins=_TICKS)
         axis.set(title=name_measure(name), ylabel="drives")
         axis.yaxis.get_major_locator().set_params(integer=True)
-    return to_svg(figure)
+    return to_svg(axes)
 
 
 def _draw_scatters(plan: SweepPlan, rows: Rows, summary: Summary) -> str:
@@ -143,13 +149,13 @@ def _draw_scatters(plan: SweepPlan, rows: Rows, summary: Summary) -> str:
     strong = [s for s in list_strongest(summary) if s.measure != STOPS][:_SCATTERS]
     if not strong:
         return ""
-    figure, axes = make_grid(len(strong), 2.4)
+    axes = make_axes(len(strong), 2.4, 3)
     for axis, s in zip(axes, strong, strict=True):
         _draw_scatter(axis, rows[:_POINTS], s)
         unit = units[s.quantity]
         axis.set_xlabel(f"{s.quantity} [{unit}]" if unit not in ("", "1") else s.quantity)
         axis.set_ylabel(name_measure(s.measure))
-    return to_svg(figure)
+    return to_svg(axes)
 
 
 def _draw_scatter(axis: Axes, rows: Rows, s: Sensitivity) -> None:

@@ -32,4 +32,4 @@ def test_the_page_names_the_drives_and_their_errors():
     assert "before.mcap" in page
     assert "<b>" not in page
     assert "+30.0" in page
-    assert page.count("<svg") == 2
+    assert page.count("<svg") == 5

@@ -78,7 +78,7 @@ def test_the_curves_are_the_recorded_numbers(tmp_path):
     assert sorted(set(np.round(e1[np.isfinite(e1)], 3))) == [-20.0, 20.0]
     yaw, _ = unpack(panels["yaw rate"]["curves"][0], slots)
     recorded = session.session.columns(m.StateMessage)["yaw_rate"]
-    assert yaw[np.isfinite(yaw)] == pytest.approx(recorded, abs=1e-4)
+    assert yaw[np.isfinite(yaw)] == pytest.approx(np.degrees(recorded), abs=1e-2)
     late = panels["control tick"]["curves"][0]
     assert late["name"] == "late"
     assert 0.9 < late["high"] <= 1.0
@@ -136,7 +136,7 @@ def test_the_table_holds_the_curves_and_figures_are_the_same_each_time(tmp_path,
     table = np.genfromtxt(tmp_path / "a.CSV", delimiter=",", names=True, deletechars="")
     yaw = load_recording(path).session.columns(m.StateMessage)["yaw_rate"]
     assert table["t_[s]"][:3] == pytest.approx([0.0, 0.01, 0.02])
-    assert table["yaw_rate:_estimate_[rad/s]"][::2][:200] == pytest.approx(yaw, abs=1e-5)
+    assert table["yaw_rate:_estimate_[°/s]"][::2][:200] == pytest.approx(np.degrees(yaw), abs=1e-3)
     for name, head in (("a.svg", b"<?xml"), ("a.png", b"\x89PNG"), ("a.pdf", b"%PDF")):
         assert run_cli(["plot", str(path), "-o", str(tmp_path / name)]) == 0
         first = (tmp_path / name).read_bytes()

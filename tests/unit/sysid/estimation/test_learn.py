@@ -130,7 +130,7 @@ def test_the_report_needs_nothing_else(outcome, truth, monkeypatch):
         lambda plant, cars: compare_designs(plant, {"true": plant}),
     )
     page = render_report(make_report(replace(outcome, truth=truth.car)))
-    assert page.count("<svg") == 5
+    assert page.count("<figure") == 4
     for outside in ("<script", "stylesheet", "<img", "src=", "@import"):
         assert outside not in page
     assert "not fitted" in page

@@ -39,10 +39,10 @@ def test_what_is_empty_is_left_out():
     body = page[page.index("<body") :]
     for part in ("cards", "verdict", "<h2>", "<table>", "<figure", "<details>", 'class="note"'):
         assert part not in body
-    fold = Section(fold=Fold("more", "of it"), notes=["mind <this>"], figure="<svg></svg>")
+    fold = Section("", "", ["<this>"], Table("abcde", []), "<svg></svg>", Fold("more", "of it"))
     more = replace(REPORT, sections=[fold], cards=[Card("e1", "3 mm", "largest")], verdict="good")
     body = render_report(more)
-    for part in ("<b>3 mm</b>", ">good</span>", "mind &lt;this&gt;", "<svg></svg>", "of it"):
+    for part in ("<b>3 mm</b>", ">good</span>", "&lt;this&gt;", "<svg></svg>", "of it", '"wide"'):
         assert part in body
 
 
