@@ -86,19 +86,12 @@ def make_pipe() -> tuple[int, int]:
 
 @dataclass(slots=True)
 class PipeWriter:
-    """The core's end of one pipe.
+    """The core's end of one pipe."""
 
-    Attributes:
-        fd: non-blocking write end.
-        dropped: records lost to a full or dead pipe.
-        dead: whether the reader is gone.
-        full_since_ns: since when it has taken nothing that was offered, or None.
-    """
-
-    fd: int
-    dropped: int = 0
-    dead: bool = False
-    full_since_ns: int | None = None
+    fd: int  # non-blocking write end
+    dropped: int = 0  # records lost to a full or dead pipe
+    dead: bool = False  # whether the reader is gone
+    full_since_ns: int | None = None  # since when it has taken nothing that was offered, or None
     _rest: bytes = b""
 
     def write(self, packed: list[bytes], t_ns: int) -> None:
@@ -134,13 +127,9 @@ class PipeWriter:
 
 @dataclass
 class Gaps:
-    """Records that were dropped on the way, by their numbers.
+    """Records that were dropped on the way, by their numbers."""
 
-    Attributes:
-        missed: how many so far.
-    """
-
-    missed: int = 0
+    missed: int = 0  # how many so far
     _spans: list[tuple[int, int]] = field(default_factory=list)
     _last: dict[str, tuple[int, int]] = field(default_factory=dict)
 

@@ -12,13 +12,9 @@ _READ_BYTES = 1 << 16
 
 @dataclass
 class ReportPipe:
-    """One reader's end.
+    """One reader's end."""
 
-    Attributes:
-        fd: to read from; None without a learner, and once it has ended.
-    """
-
-    fd: int | None
+    fd: int | None  # to read from; None without a learner, and once it has ended
     _buffer: bytearray = field(default_factory=bytearray)
 
     def __post_init__(self) -> None:

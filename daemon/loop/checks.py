@@ -16,21 +16,13 @@ _TOOL = "in VESC Tool: App Settings > General"
 
 
 class VescInfo(NamedTuple):
-    """What the VESC reported about itself; None where it did not.
+    """What the VESC reported about itself; None where it did not."""
 
-    Attributes:
-        expected: its UUID is the car file's, or the file names none and it is the run's first.
-        uuid: hex.
-        firmware: (major, minor).
-        timeout_ms: time without commands after which it stops the motor [ms]; 0 for never.
-        timeout_brake_current: brake current that it then applies [A].
-    """
-
-    expected: bool
-    uuid: str
-    firmware: tuple[int, int]
-    timeout_ms: int | None
-    timeout_brake_current: float | None
+    expected: bool  # its UUID is the car file's, or the file names none and it is the run's first
+    uuid: str  # hex
+    firmware: tuple[int, int]  # (major, minor)
+    timeout_ms: int | None  # time without commands after which it stops the motor [ms]; 0 for never
+    timeout_brake_current: float | None  # brake current that it then applies [A]
 
 
 def check_vesc(vesc: VescInfo | None, brakes: BrakeSettings) -> Iterator[str]:

@@ -17,18 +17,12 @@ class Severity(IntEnum):
 
 
 class Finding(NamedTuple):
-    """The report of one watchdog in one tick.
+    """The report of one watchdog in one tick."""
 
-    Attributes:
-        id: of the watchdog.
-        severity: of the stop that it requires.
-        text: for people.
-        known: whether its number was ever measured; if not, people have nothing to look after yet.
-    """
-
-    id: str
-    severity: Severity
-    text: str
+    id: str  # of the watchdog
+    severity: Severity  # of the stop that it requires
+    text: str  # for people
+    # Whether its number was ever measured; if not, people have nothing to look after yet
     known: bool = True
 
 

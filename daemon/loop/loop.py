@@ -99,29 +99,17 @@ _LEASE_KEPT_S = 1.0
 
 @quick_value
 class TickResult:
-    """Decision of one tick and its inputs.
+    """Decision of one tick and its inputs."""
 
-    Attributes:
-        order: for the wire.
-        action: of the supervisor.
-        old: the supervisor's state before the tick.
-        supervisor: the supervisor after it.
-        estimate: of the car's state, None before the first.
-        report: of the lane keeper, None without an estimate.
-        findings: of the watchdogs.
-        waiting: what the supervisor waits for, for people.
-        facts: bits of `Fact`.
-    """
-
-    order: Order
-    action: Action
-    old: SupervisorState
-    supervisor: SupervisorMemory
-    estimate: StateEstimate | None
-    report: ControlReport | None
-    findings: tuple[Finding, ...]
-    waiting: str
-    facts: int
+    order: Order  # for the wire
+    action: Action  # of the supervisor
+    old: SupervisorState  # the supervisor's state before the tick
+    supervisor: SupervisorMemory  # the supervisor after it
+    estimate: StateEstimate | None  # of the car's state, None before the first
+    report: ControlReport | None  # of the lane keeper, None without an estimate
+    findings: tuple[Finding, ...]  # of the watchdogs
+    waiting: str  # what the supervisor waits for, for people
+    facts: int  # bits of `Fact`
 
 
 class Loop:

@@ -31,20 +31,13 @@ _UNBRAKED = {
 @quick_init
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What leaves in this tick.
+    """What leaves in this tick."""
 
-    Attributes:
-        drive: for the wire.
-        limiter: state of the output limiter after it.
-        command: the command as sent, for filter and controller; None when the motor does not
-            follow a speed.
-        verdict: of the limiter; NOT_FINITE means that this order brakes instead.
-    """
-
-    drive: Drive
-    limiter: LimiterState
+    drive: Drive  # for the wire
+    limiter: LimiterState  # state of the output limiter after it
+    # The command as sent, for filter and controller; None when the motor does not follow a speed
     command: Command[float] | None
-    verdict: Verdict
+    verdict: Verdict  # of the limiter; NOT_FINITE means that this order brakes instead
 
 
 def make_order(

@@ -71,17 +71,11 @@ class Ends:
 
 @dataclass
 class Page:
-    """The live page's process, which ends when its lifeline closes.
+    """The live page's process, which ends when its lifeline closes."""
 
-    Attributes:
-        child: the process.
-        lifeline_fd: our end.
-        url: where the page is.
-    """
-
-    child: Child
-    lifeline_fd: int
-    url: str
+    child: Child  # the process
+    lifeline_fd: int  # our end
+    url: str  # where the page is
 
     def end(self) -> None:
         """Close the lifeline and wait; a page that hangs is ended."""
@@ -111,24 +105,17 @@ def start_page(plan: RunPlan) -> Page:
 
 @dataclass
 class RunProcesses:
-    """All processes of a run.
+    """All processes of a run."""
 
-    Attributes:
-        children: core, recorder and gateway; `viewer` and `learner` where they were asked for.
-        fds: this terminal's descriptors: `status` gives records, `requests` and `view_requests` are
-            sockets to the core and from the viewer, `reports` gives the learner's.
-        session: file of the recording.
-        core_report: what the core reported when it was ready.
-        page: of `--page`, or None.
-        view_url: where a viewer connects, with `--view`.
-    """
-
+    # Core, recorder and gateway; `viewer` and `learner` where they were asked for
     children: dict[str, Child]
+    # This terminal's descriptors: `status` gives records, `requests` and `view_requests` are
+    # sockets to the core and from the viewer, `reports` gives the learner's
     fds: dict[str, int]
-    session: Path
-    core_report: dict[str, Any]
-    page: Page | None = None
-    view_url: str = ""
+    session: Path  # file of the recording
+    core_report: dict[str, Any]  # what the core reported when it was ready
+    page: Page | None = None  # of `--page`, or None
+    view_url: str = ""  # where a viewer connects, with `--view`
 
     def __post_init__(self) -> None:
         self.requests = socket.socket(fileno=self.fds["requests"])

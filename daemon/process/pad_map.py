@@ -24,40 +24,26 @@ DEAD_ZONE = 0.05
 
 @dataclass(frozen=True)
 class PadMap:
-    """What the gamepad's parts mean.
+    """What the gamepad's parts mean."""
 
-    Attributes:
-        deadman, go, estop: codes of buttons.
-        steer, speed: names of axes.
-        steer_max: angle at the steering axis's end [rad].
-        speed_max: at the speed axis's end [m/s].
-        quiet_ns: a pad that says nothing for so long is released.
-    """
-
-    deadman: int = BUTTONS["tl"]
+    deadman: int = BUTTONS["tl"]  # code of a button, as the next two
     go: int = BUTTONS["start"]
     estop: int = BUTTONS["east"]
-    steer: str = "x"
+    steer: str = "x"  # name of an axis, as the next
     speed: str = "rz"
-    steer_max: float = 0.34
-    speed_max: float = 1.0
-    quiet_ns: int = 2_000_000_000
+    steer_max: float = 0.34  # angle at the steering axis's end [rad]
+    speed_max: float = 1.0  # at the speed axis's end [m/s]
+    quiet_ns: int = 2_000_000_000  # a pad that says nothing for so long is released
 
 
 @dataclass(frozen=True)
 class PadState:
-    """What is known of the gamepad.
+    """What is known of the gamepad."""
 
-    Attributes:
-        held: whether the deadman's button is held.
-        steer, speed: of the axes, -1 to 1 and 0 to 1.
-        heard_ns: time of the last event.
-    """
-
-    held: bool = False
-    steer: float = 0.0
-    speed: float = 0.0
-    heard_ns: int = 0
+    held: bool = False  # whether the deadman's button is held
+    steer: float = 0.0  # of its axis, -1 to 1
+    speed: float = 0.0  # of its axis, 0 to 1
+    heard_ns: int = 0  # time of the last event
 
 
 def take_event(

@@ -57,21 +57,13 @@ OpenPort = Callable[[], Port]
 
 @dataclass(frozen=True)
 class CoreLinks:
-    """The core's links to the other processes.
+    """The core's links to the other processes."""
 
-    Attributes:
-        recorder: pipe to the recorder, or None when nothing is recorded.
-        gateway: pipe to the gateway, or None.
-        requests: sockets on which requests arrive, the parent's first.
-        stop_fd: gives a byte for each stop signal.
-        designs: on which the learner's proposals arrive, or None.
-    """
-
-    recorder: PipeWriter | None
-    gateway: PipeWriter | None
-    requests: tuple[socket.socket, ...]
-    stop_fd: int
-    designs: socket.socket | None = None
+    recorder: PipeWriter | None  # pipe to the recorder, or None when nothing is recorded
+    gateway: PipeWriter | None  # pipe to the gateway, or None
+    requests: tuple[socket.socket, ...]  # sockets on which requests arrive, the parent's first
+    stop_fd: int  # gives a byte for each stop signal
+    designs: socket.socket | None = None  # on which the learner's proposals arrive, or None
 
 
 class Runner:

@@ -131,19 +131,12 @@ def raise_priority() -> None:
 
 
 class SpawnedSim(NamedTuple):
-    """Simulated hardware in another process. Use as a context manager, or call `stop`.
+    """Simulated hardware in another process. Use as a context manager, or call `stop`."""
 
-    Attributes:
-        port: path of the serial device.
-        mocap_url: address of the mocap server.
-        process: its process.
-        lifeline: pipe whose closing ends it, so that it never outlives us.
-    """
-
-    port: str
-    mocap_url: str
-    process: BaseProcess
-    lifeline: Connection
+    port: str  # path of the serial device
+    mocap_url: str  # address of the mocap server
+    process: BaseProcess  # its process
+    lifeline: Connection  # pipe whose closing ends it, so that it never outlives us
 
     def stop(self) -> None:
         """End it and wait until it is gone."""
