@@ -7,6 +7,10 @@ from typing import NamedTuple
 from steerd.daemon.common.screen import show
 from steerd.daemon.loop.findings import Finding, Severity
 from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.lease import Remote, valid_command
+from steerd.daemon.loop.loop_setup import LoopSetup
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.loop.watchdogs import WatchdogInput
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.daemon.settings.thresholds import Thresholds
 
@@ -45,6 +49,41 @@ def check_vesc(vesc: VescInfo | None, brakes: BrakeSettings) -> Iterator[str]:
         )
     if not vesc.timeout_brake_current > 0.0:
         yield f"the VESC would coast on timeout: set Timeout Brake Current above 0 A {_TOOL}"
+
+
+def find_failures(
+    setup: LoopSetup,
+    vesc: VescInfo | None,
+    remote: Remote,
+    now: WatchdogInput,
+    findings: Iterable[Finding],
+    flags: int,
+    *,
+    estimated: bool,
+) -> list[str]:
+    """Pre-arm checks that fail, the cause before its consequences.
+
+    Args:
+        setup: of the loop.
+        vesc: what it reported about itself.
+        remote: the external controller.
+        now: this tick's measurements.
+        findings: of the watchdogs.
+        flags: of the runner.
+        estimated: there is a sound estimate.
+    """
+    settings = setup.settings
+    failed = [*check_vesc(vesc, settings.brakes), *check_flags(flags)]
+    if not estimated:
+        failed.append("an estimate: mocap must see the car for a moment, standing")
+    failed += check_findings(findings)
+    if estimated and setup.remote:
+        failed += check_controller(valid_command(remote, now.t_ns) is not None)
+    elif estimated:
+        failed += check_lane(now.lateral_error, now.heading_error, settings.thresholds)
+    if now.state is not SupervisorState.RUNNING:
+        failed += check_motion(now.speed)
+    return failed
 
 
 def check_flags(flags: int) -> Iterator[str]:

@@ -10,7 +10,8 @@ from steerd.daemon.loop.design_desk import DesignDesk
 from steerd.daemon.loop.failed_loop import describe_error, make_failed_tick
 from steerd.daemon.loop.flags import CAUSES, Flag
 from steerd.daemon.loop.live import make_parameters
-from steerd.daemon.loop.loop import Loop, TickResult
+from steerd.daemon.loop.loop import Loop
+from steerd.daemon.loop.orders import TickResult
 from steerd.daemon.loop.outgoing import (
     make_actuation,
     make_diagnostics,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from steerd.car_model.state import Command
 from steerd.controller.limits import make_limiter_state
 from steerd.daemon.loop.findings import make_finding, summarise
-from steerd.daemon.loop.orders import make_order
+from steerd.daemon.loop.orders import TickResult, make_order
 from steerd.daemon.loop.supervisor import Conditions, step_supervisor
 from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.settings.config import BrakeSettings
@@ -21,7 +21,7 @@ from steerd.steer_bus.messages import ActuationMode
 from steerd.vesc_link.vesc import Drive
 
 if TYPE_CHECKING:
-    from steerd.daemon.loop.loop import Loop, TickResult
+    from steerd.daemon.loop.loop import Loop
 
 _DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
 
@@ -33,10 +33,8 @@ def describe_error(error: BaseException) -> str:
     return f"{type(error).__name__}{place}: {error}"
 
 
-def make_failed_tick(loop: "Loop", error: BaseException, now_ns: int, linked: bool) -> "TickResult":
+def make_failed_tick(loop: "Loop", error: BaseException, now_ns: int, linked: bool) -> TickResult:
     """Decide a tick without the part that failed: an armed car brakes and latches."""
-    from steerd.daemon.loop.loop import TickResult
-
     finding = make_finding("W29", describe_error(error))
     bits, text = summarise((finding,))
     facts = bits | Fact.IDENTIFIED | Fact.SLOWING | (Fact.LINKED if linked else 0)
@@ -48,9 +46,7 @@ def make_failed_tick(loop: "Loop", error: BaseException, now_ns: int, linked: bo
         loop.fault = loop.supervisor.reason
     loop.ran = loop.ran or (old in _DRIVING and loop.supervisor.state not in _DRIVING)
     limiter = make_limiter_state(settings.limits, Command(0.0, 0.0), now_ns)
-    order = make_order(
-        settings.limits, settings.brakes, settings.scaling, limiter, action, None, speed, now_ns
-    )
+    order = make_order(settings, limiter, action, None, speed, now_ns)
     return TickResult(
         replace(order, drive=_remove_steering(order.drive, settings.brakes)),
         action,

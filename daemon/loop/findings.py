@@ -131,7 +131,12 @@ def make_finding(id: str, measured: str, severity: Severity | None = None) -> Fi
     return Finding(id, level, f"{id} {watchdog.name}: {measured}; {watchdog.advice}")
 
 
-_FACT = (0, Fact.SOFT, Fact.HARD, Fact.KILLED)
+_FACT = {
+    Severity.WARN: 0,
+    Severity.SOFT: Fact.SOFT,
+    Severity.HARD: Fact.HARD,
+    Severity.ESTOP: Fact.KILLED,
+}
 
 
 def summarise(findings: Iterable[Finding]) -> tuple[int, str]:

@@ -6,6 +6,7 @@ Plain integers: an IntFlag "or" takes a microsecond, and these are tested thirty
 from collections.abc import Iterator
 
 from steerd.daemon.loop.findings import ALL_LATE, ALONE, STALLED, Finding, blame, make_finding
+from steerd.daemon.loop.transitions import Request, SupervisorState
 
 
 class Flag:
@@ -27,6 +28,28 @@ class Flag:
     STALLED = 8192  # the host took the processor away; for one tick
     ALL_LATE = 16384  # every process stood still at once; for one tick
     ALONE_LATE = 32768  # the tick was late, the other processes were not; for one tick
+
+
+def merge_requests(pending: int, flags: int, state: SupervisorState, *, starts: bool) -> int:
+    """Requests of this tick: the operators', of stop signals, and of a run that starts by itself.
+
+    Args:
+        pending: bits of `Request` that have arrived.
+        flags: of the runner.
+        state: the supervisor's.
+        starts: the run arms and starts once without an operator, and has not yet.
+    """
+    requests = pending
+    if flags & Flag.QUIT:
+        requests |= int(Request.DISARM)
+    if flags & Flag.ABORT:
+        requests |= int(Request.ABORT)
+    if starts and not flags & (Flag.QUIT | Flag.ABORT):
+        if state is SupervisorState.READY:
+            requests |= int(Request.ARM)
+        elif state is SupervisorState.ARMED:
+            requests |= int(Request.START)
+    return requests
 
 
 CAUSES = Flag.STALLED | Flag.ALL_LATE | Flag.ALONE_LATE

@@ -9,9 +9,12 @@ tests. No clock, no I/O, no randomness.
 
 # Why: docs/decisions/safety.md#d12
 
+from functools import lru_cache
 from math import inf, isfinite
 
 from steerd.daemon.loop.transitions import (
+    GIVEN,
+    REQUESTED,
     STOP_REASON,
     Fact,
     MotorOutput,
@@ -47,7 +50,7 @@ DURATIONS_NS = {
 class Conditions:
     """Measured conditions of one tick."""
 
-    facts: int  # the first twelve bits of `Fact`
+    facts: int  # those of `GIVEN` that hold
     speed: float  # best known speed [m/s]; NaN when no source gives it
     timeout_ns: int  # the VESC's own timeout as read from its appconf
     text: str = ""  # text of the worst watchdog trip, for the log and for people
@@ -81,9 +84,7 @@ class Action:
     waiting: str  # what it waits for
 
 
-_GIVEN = Fact.CHECKS_HELD - 1
-_REQUESTS = (1 << 9) - 1
-_KNOWN = _REQUESTS | int(Request.KEEPALIVE)
+_KNOWN = sum(map(int, (*REQUESTED, Request.KEEPALIVE)))
 _SPOILS_REARM = Fact.SOFT | Fact.DISARM | Fact.UNKNOWN
 
 
@@ -128,12 +129,21 @@ def stands(s: SupervisorMemory, t_ns: int) -> bool:
     return _held(s.still_ns, t_ns, STILL_NS)
 
 
+@lru_cache(maxsize=256)
+def _requested(requests: int) -> int:
+    """Facts of requests; a bit that names none counts as an unknown request."""
+    facts = Fact.UNKNOWN if requests & ~_KNOWN else 0
+    for request, fact in REQUESTED.items():
+        facts |= fact if requests & request else 0
+    return facts
+
+
 def derive_facts(s: SupervisorMemory, c: Conditions, requests: int, t_ns: int) -> int:
     """Return all guard bits (`Fact`); the timers in ``s`` must be those of this tick."""
     requests = int(requests)
-    bits = (c.facts & _GIVEN) | (requests & _REQUESTS) * Fact.ARM
-    if requests & ~_KNOWN:
-        bits |= Fact.UNKNOWN
+    bits = c.facts & GIVEN
+    if requests:
+        bits |= _requested(requests)
     if _held(s.checks_ns, t_ns, CHECKS_HOLD_NS):
         bits |= Fact.CHECKS_HELD
     if stands(s, t_ns):

@@ -1,6 +1,7 @@
 """Outgoing messages: what was written, why the state changed, how bad it is."""
 
 from math import inf, isnan, nan
+from unittest.mock import Mock
 
 import pytest
 
@@ -83,6 +84,7 @@ def test_diagnostics_have_a_level_and_the_supervisors_values(state, warned, leve
 
 BRAKES = BrakeSettings()
 LIMITS = Limits(wheelbase=0.33)
+SETTINGS = Mock(limits=LIMITS, brakes=BRAKES, scaling=F1TENTH)
 T0, TICK = 10**9, 10_000_000
 
 
@@ -98,7 +100,7 @@ def same(drive, other):
 def order(motor, steering=SteeringOutput.LIVE, wish=None, speed=1.0, cap=inf, steer=0.1):
     state = make_limiter_state(LIMITS, Command(steer, 1.0), T0)
     action = Action(motor, steering, cap, "", "")
-    return make_order(LIMITS, BRAKES, F1TENTH, state, action, wish, speed, T0 + TICK)
+    return make_order(SETTINGS, state, action, wish, speed, T0 + TICK)
 
 
 @pytest.mark.parametrize(
