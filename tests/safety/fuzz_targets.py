@@ -27,7 +27,7 @@ from steerd.mocap_link.natnet_frame import Frame, RigidBody
 from steerd.mocap_link.natnet_wire import NatNetError
 from steerd.mocap_link.vrpn_client import VrpnClient
 from steerd.mocap_link.zenoh_pose import BusPoseSource, PoseError, decode_pose
-from steerd.sim_hw.mocap.vrpn_device import VrpnServer
+from steerd.sim_hw.mocap.servers import VrpnServer
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import CodecError, decode, encode

@@ -23,9 +23,9 @@ from steerd.daemon.ipc.pipe_records import unpack_records
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.children import RunProcesses, start_processes
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.sim_hw.plant.device import Logged
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.real_time.links import SimHardware, raise_priority
+from steerd.sim_hw.vesc.vesc_wire import Logged
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.codec import decode

@@ -20,7 +20,7 @@ from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun
 from steerd.daemon.settings.config import Settings
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.mocap_link.natnet_client import NatNetSource
-from steerd.sim_hw.mocap.mocap_config import Bystander
+from steerd.sim_hw.mocap.cameras import Bystander
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.world import World
 from steerd.steer_bus import topics

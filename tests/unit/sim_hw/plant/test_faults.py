@@ -12,11 +12,17 @@ from steerd.car_model.state import ORIGIN
 from steerd.mocap_link import natnet
 from steerd.mocap_link.natnet_frame import EDIT_MODE, MODEL_CHANGED, Frame
 from steerd.mocap_link.natnet_wire import NatNetError
-from steerd.sim_hw.mocap.mocap_config import Bystander, MocapConfig
+from steerd.sim_hw.mocap.cameras import Bystander, MocapConfig
 from steerd.sim_hw.mocap.network import CLOSE, FOREIGN, Datagram
-from steerd.sim_hw.plant.fault_state import HEALTHY_MOCAP, HEALTHY_VESC
-from steerd.sim_hw.plant.faults import FAULTS, Fault, find_fault, make_condition
-from steerd.sim_hw.vesc.vesc_config import STATUS_KILL
+from steerd.sim_hw.plant.faults import (
+    FAULTS,
+    HEALTHY_MOCAP,
+    HEALTHY_VESC,
+    Fault,
+    find_fault,
+    make_condition,
+)
+from steerd.sim_hw.vesc.vesc_motor import STATUS_KILL
 from steerd.sim_hw.world import World, WorldConfig
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.identity import AppConf

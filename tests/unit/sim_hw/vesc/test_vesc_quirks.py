@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from steerd.car_model.state import ORIGIN
-from steerd.sim_hw.vesc.vesc_config import STATUS_KILL
-from steerd.sim_hw.vesc.vesc_motor import duty_current
+from steerd.sim_hw.vesc.vesc_motor import STATUS_KILL, duty_current
 from steerd.sim_hw.world import World, WorldConfig
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.frames import FLUSH, encode_frame
