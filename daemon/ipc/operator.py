@@ -7,7 +7,7 @@ from math import nan
 from pathlib import Path
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.ipc.diagnostics import read_diagnostics
+from steerd.daemon.ipc.requests import read_diagnostics
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus, BusError
 from steerd.steer_bus.clock import Clock

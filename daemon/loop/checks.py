@@ -5,8 +5,7 @@ from math import degrees
 from typing import NamedTuple
 
 from steerd.daemon.common.screen import show
-from steerd.daemon.loop.findings import Finding, Severity
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.findings import Finding, Flag, Severity
 from steerd.daemon.loop.lease import Remote, valid_command
 from steerd.daemon.loop.loop_setup import LoopSetup
 from steerd.daemon.loop.transitions import SupervisorState

@@ -8,7 +8,7 @@ from steerd.daemon.ipc.outbox import Outbox
 from steerd.daemon.loop.checks import VescInfo, check_vesc
 from steerd.daemon.loop.design_desk import DesignDesk
 from steerd.daemon.loop.failed_loop import describe_error, make_failed_tick
-from steerd.daemon.loop.flags import CAUSES, Flag
+from steerd.daemon.loop.findings import CAUSES, Flag
 from steerd.daemon.loop.live import make_parameters
 from steerd.daemon.loop.loop import Loop
 from steerd.daemon.loop.orders import TickResult

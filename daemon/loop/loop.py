@@ -19,8 +19,7 @@ from steerd.daemon.loop.adapting import (
 )
 from steerd.daemon.loop.checks import STANDING_SPEED, VescInfo, find_failures
 from steerd.daemon.loop.design_desk import read_design
-from steerd.daemon.loop.findings import Finding, summarise
-from steerd.daemon.loop.flags import Flag, merge_requests
+from steerd.daemon.loop.findings import Finding, Flag, merge_requests, summarise
 from steerd.daemon.loop.lease import (
     Lease,
     Remote,

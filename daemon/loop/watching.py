@@ -12,8 +12,14 @@ from steerd.car_model.params import Car
 from steerd.car_model.state import Command, State
 from steerd.controller.lane_controller import ControlReport
 from steerd.controller.limits import Verdict
-from steerd.daemon.loop.findings import Finding, advise_simulation, make_finding, make_unknown
-from steerd.daemon.loop.flags import blame_late, make_reported_findings
+from steerd.daemon.loop.findings import (
+    Finding,
+    advise_simulation,
+    blame_late,
+    make_finding,
+    make_reported_findings,
+    make_unknown,
+)
 from steerd.daemon.loop.follow_model import make_follow_model
 from steerd.daemon.loop.following import (
     Followed,

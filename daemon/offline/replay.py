@@ -15,7 +15,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import watched
 from steerd.daemon.common.translate import make_session_error, reading
 from steerd.daemon.loop.core import read_identity
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.loop import Loop
 from steerd.daemon.loop.outgoing import CLOCK_KINDS, make_actuation, read_actuation
 from steerd.daemon.settings.config import make_settings

@@ -13,7 +13,7 @@ from steerd.daemon.assembly.build import RunPlan, make_core, make_world_config
 from steerd.daemon.assembly.session_meta import VIRTUAL_EPOCH_NS
 from steerd.daemon.ipc.outbox import Sink
 from steerd.daemon.loop.core import Core
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.transitions import SupervisorState, is_engaged
 from steerd.mocap_link.natnet_client import NatNetSource, Socket
 from steerd.sim_hw.mocap.network import COMMAND, DATA

@@ -9,8 +9,7 @@ from math import isfinite
 from typing import Any
 
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.ipc.diagnostics import read_diagnostics
-from steerd.daemon.ipc.live_setting import LIVE, parse_setting
+from steerd.daemon.ipc.requests import LIVE, parse_setting, read_diagnostics
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.bus_operator import BusOperator, Pulse
 from steerd.steer_bus import topics

@@ -12,18 +12,17 @@ import socket
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from steerd.daemon.ipc.gateway_wire import REQUEST_MAX, unpack_request
 from steerd.daemon.ipc.pipe_records import PipeWriter
-from steerd.daemon.ipc.sd_notify import ALIVE, READY, STOPPING, Notify, notify_nobody
+from steerd.daemon.ipc.requests import REQUEST_MAX, unpack_request
+from steerd.daemon.ipc.signals import ALIVE, READY, STOPPING, Notify, notify_nobody
 from steerd.daemon.loop.core import Core
 from steerd.daemon.loop.design_desk import DESIGN_BYTES
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.lease import lease_age
 from steerd.daemon.loop.transitions import is_engaged
-from steerd.daemon.process.guard import Guard, sleep_lag_ns
+from steerd.daemon.process.guard import Guard, find_cause, read_steal_ns, sleep_lag_ns
 from steerd.daemon.process.pacing import Pace, early_window_ns, step_pace
 from steerd.daemon.process.remote_path import RemotePath
-from steerd.daemon.process.stall import find_cause, read_steal_ns
 from steerd.mocap_link.sockets import MocapReceiver
 from steerd.mocap_link.source import Pose
 from steerd.mocap_link.zenoh_pose import BusPoseSource

@@ -16,7 +16,7 @@ from typing import Any
 
 import zstandard
 
-from steerd.daemon.ipc.gateway_wire import pack_request, unpack_request
+from steerd.daemon.ipc.requests import pack_request, unpack_request
 from steerd.daemon.loop.lease import Lease, Remote, accept_request, take_command
 from steerd.daemon.loop.outgoing import make_mocap
 from steerd.daemon.loop.transitions import Request

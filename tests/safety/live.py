@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from steerd.daemon.assembly.build import NS, make_plan, make_world_config
-from steerd.daemon.ipc.gateway_wire import pack_request
 from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.ipc.pipe_records import unpack_records
+from steerd.daemon.ipc.requests import pack_request
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.children import RunProcesses, start_processes
 from steerd.daemon.settings.run_options import RunOptions

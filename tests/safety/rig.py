@@ -14,7 +14,7 @@ from steerd.controller.learnt import Design
 from steerd.daemon.assembly.build import NS, RunPlan, make_core, make_plan, make_world_config
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.design_desk import make_design, make_no_design
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun
 from steerd.daemon.settings.config import Settings

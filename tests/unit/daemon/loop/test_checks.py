@@ -13,8 +13,7 @@ from steerd.daemon.loop.checks import (
     check_motion,
     check_vesc,
 )
-from steerd.daemon.loop.findings import Severity, make_finding
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.findings import Flag, Severity, make_finding
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.daemon.settings.thresholds import Thresholds
 

@@ -8,7 +8,7 @@ from steerd.daemon.assembly.build import make_core, make_plan
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop.checks import check_flags
 from steerd.daemon.loop.core import LIMITS_TRIES, Core
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.transitions import Request, SupervisorState
 from steerd.daemon.offline.virtual import VirtualRun, make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions

@@ -7,9 +7,14 @@ import pytest
 
 from steerd.car_model.state import Command
 from steerd.controller.limits import Limits, Verdict, make_limiter_state
-from steerd.daemon.ipc.diagnostics import read_diagnostics
-from steerd.daemon.loop.findings import WATCHDOGS, Severity, make_finding
-from steerd.daemon.loop.flags import Flag, make_reported_findings
+from steerd.daemon.ipc.requests import read_diagnostics
+from steerd.daemon.loop.findings import (
+    WATCHDOGS,
+    Flag,
+    Severity,
+    make_finding,
+    make_reported_findings,
+)
 from steerd.daemon.loop.orders import make_order
 from steerd.daemon.loop.outgoing import (
     make_actuation,

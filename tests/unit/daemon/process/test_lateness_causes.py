@@ -7,12 +7,11 @@ import pytest
 
 from steerd.daemon.cli.main import dispatch
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.loop.findings import make_finding
-from steerd.daemon.loop.flags import CAUSES, Flag, blame_late
+from steerd.daemon.loop.findings import CAUSES, Flag, blame_late, make_finding
 from steerd.daemon.process import rtcheck
+from steerd.daemon.process.guard import LEAST_NS, find_cause, is_stalled, parse_steal, read_steal_ns
 from steerd.daemon.process.guardian import PERIOD_NS
 from steerd.daemon.process.rtcheck import keep_busy, measure_wakes, summarise_wakes
-from steerd.daemon.process.stall import LEAST_NS, find_cause, is_stalled, parse_steal, read_steal_ns
 
 MS = 1_000_000
 START = 10**12

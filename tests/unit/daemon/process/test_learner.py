@@ -7,8 +7,14 @@ from math import sin
 import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.daemon.ipc.pipe_records import Gaps, PipeRecord, PipeWriter, make_pipe, pack_record
-from steerd.daemon.ipc.report_pipe import ReportPipe
+from steerd.daemon.ipc.pipe_records import (
+    Gaps,
+    PipeRecord,
+    PipeWriter,
+    ReportPipe,
+    make_pipe,
+    pack_record,
+)
 from steerd.daemon.learning.feed import Wiring, make_feed, make_record
 from steerd.daemon.process.learner import LearnerLoop, make_learner_feed
 from steerd.steer_bus import messages as m
