@@ -24,7 +24,6 @@ from steerd.daemon.process.learner_memory import make_learner_job, recall_learnt
 from steerd.daemon.process.page_job import make_page_job
 from steerd.daemon.process.view_job import make_view_job
 from steerd.daemon.settings.run_options import RunOptions, encode_options
-from steerd.mocap_link.mocap_url import parse_mocap_url
 
 END_S, VIEWER_END_S = 10.0, 2.0
 """Longest time until a process has ended, before it is killed [s]."""
@@ -182,9 +181,9 @@ def start_processes(
         meta = make_metadata(plan, boot_id, epoch_ns, leased=leased) | dict(memory.metadata)
         job = _make_recorder_job(plan, session, meta, epoch_ns)
         started["recorder"] = spawn(f"{_MODULE}recorder", ends.of["recorder"], job)
-        started["gateway"] = spawn(f"{_MODULE}gateway", ends.of["gateway"], _make_gateway_job(plan))
         job = {"options": encode_options(plan.options), "boot_id": boot_id, "epoch_ns": epoch_ns}
         job["leased"] = leased
+        started["gateway"] = spawn(f"{_MODULE}gateway", ends.of["gateway"], job)
         started["core"] = hand_over(core or prepare(CORE), ends.of["core"], job)
         if plan.options.view:
             started["viewer"] = spawn(f"{_MODULE}view", ends.of["view"], make_view_job(plan))
@@ -259,17 +258,4 @@ def _make_recorder_job(
         "start_ns": epoch_ns,
         "disk_free_min": plan.settings.record.disk_free_min_mb * 1_000_000,
         "flush_ns": plan.settings.record.flush_ms * 1_000_000,
-    }
-
-
-def _make_gateway_job(plan: RunPlan) -> dict[str, Any]:
-    mocap = plan.options.mocap or ""
-    pose_key = parse_mocap_url(mocap).key if mocap.startswith("zenoh:") else None
-    return {
-        "listen": plan.options.listen,
-        "lab": plan.options.lab,
-        "insecure_lan": plan.options.insecure_lan,
-        "car": plan.options.car,
-        "pose_key": pose_key,
-        "ros_domain": plan.options.ros_domain,
     }

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
@@ -45,32 +45,6 @@ class AxisRange(NamedTuple):
     flat: int = 0
 
 
-class Pad(Protocol):
-    """A source of input events.
-
-    Attributes:
-        name: for people.
-        fd: readable when events are there.
-        axes: ranges by the axis's code.
-    """
-
-    name: str
-    fd: int
-    axes: Mapping[int, AxisRange]
-
-    def read(self) -> list[PadEvent]:
-        """The events that are there.
-
-        Raises:
-            PadGoneError: no more will come.
-        """
-        ...
-
-    def close(self) -> None:
-        """Let it go."""
-        ...
-
-
 STICK, TRIGGER = AxisRange(-32768, 32767, 1500), AxisRange(0, 1023)
 XBOX_AXES: Mapping[int, AxisRange] = {
     0: STICK, 1: STICK, 2: TRIGGER, 3: STICK, 4: STICK, 5: TRIGGER,
@@ -80,7 +54,7 @@ XBOX_AXES: Mapping[int, AxisRange] = {
 
 @dataclass
 class StreamPad:
-    """Events as bytes from a pipe."""
+    """Events as bytes from a pipe; `fd` is readable when some are there."""
 
     name: str
     fd: int
@@ -88,7 +62,11 @@ class StreamPad:
     _rest: bytes = b""
 
     def read(self) -> list[PadEvent]:
-        """See `Pad`."""
+        """The events that are there.
+
+        Raises:
+            PadGoneError: no more will come.
+        """
         data = os.read(self.fd, _READ_BYTES)
         if not data:
             raise PadGoneError(self.name)
@@ -98,7 +76,7 @@ class StreamPad:
         return [PadEvent(*event[2:]) for event in EVENT.iter_unpack(data[:whole])]
 
     def close(self) -> None:
-        """See `Pad`."""
+        """Let it go."""
         os.close(self.fd)
 
 
@@ -116,7 +94,7 @@ class DevicePad:
         }
 
     def read(self) -> list[PadEvent]:
-        """See `Pad`."""
+        """As `StreamPad.read`."""
         try:
             return [PadEvent(e.type, e.code, e.value) for e in self._device.read()]
         except BlockingIOError:
@@ -125,8 +103,12 @@ class DevicePad:
             raise PadGoneError(self.name) from None
 
     def close(self) -> None:
-        """See `Pad`."""
+        """Let it go."""
         self._device.close()
+
+
+Pad = StreamPad | DevicePad
+"""A source of input events."""
 
 
 def open_pad(path: Path | None, deadman: int) -> Pad:

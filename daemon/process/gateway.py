@@ -13,10 +13,10 @@ import os
 import select
 import socket
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from steerd.daemon.ipc.pipe_records import PipeRecord, ReportPipe, unpack_records
 from steerd.daemon.ipc.requests import REQUEST_MAX, make_badge, pack_request
@@ -24,6 +24,8 @@ from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.process.bus_operator import STOPS
 from steerd.daemon.process.child import receive_job
 from steerd.daemon.process.views import Views
+from steerd.daemon.settings.run_options import decode_options
+from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus, BusError, Keep, Subscription, Token
 from steerd.steer_bus.codec import CodecError, decode, encode
@@ -40,7 +42,7 @@ from steerd.steer_bus.topics import (
     make_key,
     schema_replies,
 )
-from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile
+from steerd.steer_bus.zenoh_bus import ZenohBus, make_hub_profile
 
 DRIVE_NAME = "drive"
 """What went to the motor controller, as `ackermann_msgs/AckermannDriveStamped`."""
@@ -48,21 +50,10 @@ _FIRST_ENTITY = 10
 """Entity number of the first publisher."""
 
 
-class RosBus(Bus, Protocol):
-    """A bus whose publishers can take the ids that ROS expects."""
-
-    @property
-    def zid(self) -> str:
-        """The session's id in hexadecimal digits."""
-
-    def name_publisher(self, key: str, gid: bytes) -> None:
-        """Publish a key under this id from now on."""
-
-
 class RosBridge:
     """One node ``steerd_<car>`` with a publisher for each topic that the car sends."""
 
-    def __init__(self, bus: RosBus, car: str, domain: int) -> None:
+    def __init__(self, bus: ZenohBus, car: str, domain: int) -> None:
         """Declare node and publishers.
 
         Raises:
@@ -220,13 +211,18 @@ def main() -> int:
     ignore_terminal_signals()
     if (job := receive_job()) is None:
         return 0
-    options, core = job.about, socket.socket(fileno=job.fds["requests"])
+    options, core = decode_options(job.about["options"]), socket.socket(fileno=job.fds["requests"])
+    pose_key = find_pose_key(options.mocap)
     core.setblocking(False)
     try:
-        with ZenohBus(_make_profile(options)) as bus:
-            domain = options["ros_domain"]
-            ros = None if domain is None else RosBridge(bus, options["car"], domain)
-            gateway = Gateway(bus, options["car"], options["pose_key"], ros)
+        lab = load_lab(Path(options.lab)) if options.lab else None
+        profile = make_hub_profile(
+            options.listen, lab, insecure_lan=options.insecure_lan, pose_key=pose_key
+        )
+        with ZenohBus(profile) as bus:
+            domain = options.ros_domain
+            ros = None if domain is None else RosBridge(bus, options.car, domain)
+            gateway = Gateway(bus, options.car, pose_key, ros)
             job.say_ready("ready")
             run_gateway(gateway, job.fds["pipe"], core, ReportPipe(job.fds.get("reports")))
     except BusError as error:
@@ -238,14 +234,9 @@ def main() -> int:
     os._exit(0)
 
 
-def _make_profile(options: Mapping[str, Any]) -> Profile:
-    lab = load_lab(Path(options["lab"])) if options["lab"] else None
-    return make_hub_profile(
-        options["listen"],
-        lab,
-        insecure_lan=bool(options["insecure_lan"]),
-        pose_key=options["pose_key"],
-    )
+def find_pose_key(mocap: str | None) -> str | None:
+    """Key of the bus on which poses come; None where mocap is no program on the bus."""
+    return parse_mocap_url(mocap).key if mocap and mocap.startswith("zenoh:") else None
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Protocol
 
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.process.guardian import PERIOD_NS
@@ -48,42 +47,6 @@ def find_pause(page: HeartbeatPage, now_ns: int) -> tuple[int, int] | None:
     if now_ns - alive_ns > PAUSE_NS:
         return alive_ns, now_ns
     return page.last_pause_ns
-
-
-class Guard(Protocol):
-    """What the runner needs of a guardian."""
-
-    def watch(self, serial_fd: int, brake_frame: bytes, t_ns: int) -> None:
-        """Guard this port from now on."""
-        ...
-
-    def write_heartbeat(self, t_ns: int, engaged: bool) -> None:
-        """The core is alive; `engaged`: motor bytes may flow."""
-        ...
-
-    def stage(self, wire: bytes) -> bytes | memoryview:
-        """The bytes of a motion frame as they are to be written; ask `may_write` afterwards."""
-        ...
-
-    def may_write(self, tick_ns: int, now_ns: int) -> bool:
-        """Whether a motion frame of this tick may still go out."""
-        ...
-
-    def is_silent(self, now_ns: int) -> bool:
-        """Whether the guardian itself is gone or silent."""
-        ...
-
-    def has_tripped(self) -> bool:
-        """Whether it has taken over."""
-        ...
-
-    def pause(self, now_ns: int) -> tuple[int, int] | None:
-        """Its own last pause, from and to; (0, 0) if it made none, None if there is no guardian."""
-        ...
-
-    def mark_clean(self) -> None:
-        """The wheels stand: the guardian need not brake when the core ends."""
-        ...
 
 
 class ProcessGuard:
@@ -135,7 +98,7 @@ class ProcessGuard:
             lifeline.release()
 
     def write_heartbeat(self, t_ns: int, engaged: bool) -> None:
-        """The core is alive at `t_ns`."""
+        """The core is alive at `t_ns`; `engaged`: motor bytes may flow."""
         if self._page is not None:
             self._page.write_heartbeat(t_ns, engaged)
 
@@ -165,7 +128,7 @@ class ProcessGuard:
         return self._page is not None and self._page.tripped_ns != 0
 
     def pause(self, now_ns: int) -> tuple[int, int] | None:
-        """When the guardian itself stood still last, as its page says."""
+        """The guardian's own last pause, from and to; (0, 0): none; None: there is no guardian."""
         return None if self._page is None else find_pause(self._page, now_ns)
 
     def mark_clean(self) -> None:

@@ -20,7 +20,7 @@ from steerd.daemon.loop.design_desk import DESIGN_BYTES
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.lease import lease_age
 from steerd.daemon.loop.transitions import is_engaged
-from steerd.daemon.process.guard import Guard, find_cause, read_steal_ns, sleep_lag_ns
+from steerd.daemon.process.guard import ProcessGuard, find_cause, read_steal_ns, sleep_lag_ns
 from steerd.daemon.process.pacing import Pace, early_window_ns, step_pace
 from steerd.daemon.process.remote_path import RemotePath
 from steerd.mocap_link.sockets import MocapReceiver
@@ -80,7 +80,7 @@ class Runner:
         open_port: OpenPort,
         mocap: MocapReceiver | BusPoseSource,
         links: CoreLinks,
-        guard: Guard,
+        guard: ProcessGuard,
         notify: Notify = notify_nobody,
     ) -> None:
         self._core = core
