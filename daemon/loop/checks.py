@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator
 from math import degrees
-from typing import NamedTuple
 
 from steerd.daemon.common.screen import show
 from steerd.daemon.loop.findings import Finding, Flag, Severity
@@ -12,23 +11,14 @@ from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.loop.watchdogs import WatchdogInput
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.daemon.settings.thresholds import Thresholds
+from steerd.steer_bus.messages import VescIdentity
 
 STANDING_SPEED = 0.05
 """A slower car stands [m/s]."""
 _TOOL = "in VESC Tool: App Settings > General"
 
 
-class VescInfo(NamedTuple):
-    """What the VESC reported about itself; None where it did not."""
-
-    expected: bool  # its UUID is the car file's, or the file names none and it is the run's first
-    uuid: str  # hex
-    firmware: tuple[int, int]  # (major, minor)
-    timeout_ms: int | None  # time without commands after which it stops the motor [ms]; 0 for never
-    timeout_brake_current: float | None  # brake current that it then applies [A]
-
-
-def check_vesc(vesc: VescInfo | None, brakes: BrakeSettings) -> Iterator[str]:
+def check_vesc(vesc: VescIdentity | None, brakes: BrakeSettings) -> Iterator[str]:
     """Failures of the VESC: its identity and its timeout."""
     if vesc is None:
         return
@@ -36,7 +26,7 @@ def check_vesc(vesc: VescInfo | None, brakes: BrakeSettings) -> Iterator[str]:
         yield f"VESC {vesc.uuid} is not the one of the car file: fix [vesc] uuid, or the port"
     elif not vesc.expected:
         yield f"VESC {vesc.uuid} is not the one this run began with: plug that in, or start anew"
-    if vesc.timeout_ms is None or vesc.timeout_brake_current is None:
+    if vesc.timeout_ms < 0:
         yield "the VESC did not report its timeout (firmware before 3.55?): update its firmware"
         return
     if vesc.timeout_ms == 0:
@@ -52,7 +42,7 @@ def check_vesc(vesc: VescInfo | None, brakes: BrakeSettings) -> Iterator[str]:
 
 def find_failures(
     setup: LoopSetup,
-    vesc: VescInfo | None,
+    vesc: VescIdentity | None,
     remote: Remote,
     now: WatchdogInput,
     findings: Iterable[Finding],

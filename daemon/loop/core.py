@@ -5,7 +5,7 @@ same object.
 """
 
 from steerd.daemon.ipc.outbox import Outbox
-from steerd.daemon.loop.checks import VescInfo, check_vesc
+from steerd.daemon.loop.checks import check_vesc
 from steerd.daemon.loop.design_desk import DesignDesk
 from steerd.daemon.loop.failed_loop import describe_error, make_failed_tick
 from steerd.daemon.loop.findings import CAUSES, Flag
@@ -15,6 +15,7 @@ from steerd.daemon.loop.orders import TickResult
 from steerd.daemon.loop.outgoing import (
     make_actuation,
     make_diagnostics,
+    make_identity,
     make_imu,
     make_mocap,
     make_state,
@@ -134,16 +135,9 @@ class Core:
         version, appconf = self.link.version, self.link.appconf
         if version is None:
             return
-        vesc = VescInfo(
-            self._expected,
-            version.uuid.hex() if version.uuid else "",
-            (version.firmware.major, version.firmware.minor),
-            appconf.timeout_ms if appconf else None,
-            appconf.timeout_brake_current if appconf else None,
-        )
+        vesc = make_identity(version, appconf, self._expected, t_ns, self.outbox.epoch_ns)
         self.loop.on_vesc(vesc)
-        message = make_identity(vesc, t_ns, self.outbox.epoch_ns)
-        self.outbox.post(topics.IDENTITY, message, t_ns)
+        self.outbox.post(topics.IDENTITY, vesc, t_ns)
 
     def _apply_session_limits(self, limits: McConfTemp) -> None:
         """Give the VESC this session's limits, in RAM only: it keeps them if this process dies.
@@ -353,37 +347,10 @@ class Core:
             values["design_why"] = adapting.why
         if vesc is not None:
             values["uuid"] = vesc.uuid
-            values["firmware"] = f"{vesc.firmware[0]}.{vesc.firmware[1]:02d}"
-            values["vesc_timeout_ms"] = str(vesc.timeout_ms)
+            values["firmware"] = f"{vesc.fw_major}.{vesc.fw_minor:02d}"
+            values["vesc_timeout_ms"] = "None" if vesc.timeout_ms < 0 else str(vesc.timeout_ms)
         if source is not None:
             values["mocap"] = source.state
             values["mocap_rate_hz"] = f"{source.rate_hz:.0f}"
             values["mocap_detail"] = source.detail
         return values
-
-
-def make_identity(vesc: VescInfo, t_ns: int, epoch_ns: int) -> m.VescIdentity:
-    """The VESC's identity and timeout as a message."""
-    brake = vesc.timeout_brake_current
-    return m.VescIdentity(
-        m.make_header(t_ns + epoch_ns, m.BODY),
-        t_ns,
-        -1 if vesc.timeout_ms is None else vesc.timeout_ms,
-        int(vesc.expected),
-        vesc.firmware[0],
-        vesc.firmware[1],
-        float("nan") if brake is None else brake,
-        vesc.uuid,
-    )
-
-
-def read_identity(message: m.VescIdentity) -> VescInfo:
-    """The inverse of `make_identity`."""
-    known = message.timeout_ms >= 0
-    return VescInfo(
-        bool(message.expected),
-        message.uuid,
-        (message.fw_major, message.fw_minor),
-        message.timeout_ms if known else None,
-        message.timeout_brake_current if known else None,
-    )

@@ -17,7 +17,7 @@ from steerd.daemon.loop.adapting import (
     steer,
     take_design,
 )
-from steerd.daemon.loop.checks import STANDING_SPEED, VescInfo, find_failures
+from steerd.daemon.loop.checks import STANDING_SPEED, find_failures
 from steerd.daemon.loop.design_desk import read_design
 from steerd.daemon.loop.findings import Finding, Flag, merge_requests, summarise
 from steerd.daemon.loop.lease import (
@@ -44,7 +44,7 @@ from steerd.daemon.loop.transitions import Fact, SupervisorState, is_engaged
 from steerd.daemon.loop.watchdogs import WatchdogInput
 from steerd.daemon.loop.watching import Watching
 from steerd.estimator.state_filter import StateEstimate
-from steerd.steer_bus.messages import Design, DriveCommand, OperatorRequest, ParameterRequest
+from steerd.steer_bus import messages as m
 
 _DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
 _HARD = (SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
@@ -85,7 +85,7 @@ class Loop:
         self.remote = Remote()
         self.live = make_live(setup.live)
         self.adapting = make_adapting(setup.controller, setup.learnt, s.thresholds.lateral)
-        self.vesc: VescInfo | None = None
+        self.vesc: m.VescIdentity | None = None
         self.fault = ""
         self.ran = False
         self._limiter = make_limiter_state(s.limits, Command(0.0, 0.0), 0)
@@ -98,18 +98,18 @@ class Loop:
 
     # --- events
 
-    def on_vesc(self, vesc: VescInfo | None) -> None:
+    def on_vesc(self, vesc: m.VescIdentity | None) -> None:
         """The VESC reported about itself, or is gone (None)."""
         self.vesc = vesc
 
-    def on_operator(self, message: OperatorRequest, t_ns: int) -> None:
+    def on_operator(self, message: m.OperatorRequest, t_ns: int) -> None:
         """An operator's request arrived."""
         before = self.lease.holder
         self.lease, request = accept_request(self.lease, message, t_ns, self._is_idle(t_ns))
         self._requests_pending |= int(request)
         self._pass_on(before)
 
-    def on_parameters(self, message: ParameterRequest, t_ns: int) -> None:
+    def on_parameters(self, message: m.ParameterRequest, t_ns: int) -> None:
         """A request for other live parameters arrived."""
         before = self.lease.holder
         self.lease, admitted = admit(self.lease, message, t_ns, self._is_idle(t_ns))
@@ -127,11 +127,11 @@ class Loop:
         if self.setup.leased and before not in (0, self.lease.holder):
             self.live = relax(self.live, "another operator: path and gains as designed")
 
-    def on_drive(self, command: DriveCommand, t_ns: int) -> None:
+    def on_drive(self, command: m.DriveCommand, t_ns: int) -> None:
         """An external controller's command arrived."""
         self.remote = take_command(self.remote, self.setup.boot_id, command, t_ns)
 
-    def on_design(self, message: Design, t_ns: int) -> None:
+    def on_design(self, message: m.Design, t_ns: int) -> None:
         """A design was taken; who hands it over has checked it, or reads what was recorded."""
         design = read_design(message)
         self.adapting = take_design(self.adapting, message.number, design, message.text, t_ns)
@@ -150,7 +150,7 @@ class Loop:
         )
         bits, text = summarise(findings)
         facts = bits | self._make_facts(now, estimate, failed, flags)
-        timeout_ns = (self.vesc.timeout_ms or 0) * 1_000_000 if self.vesc is not None else 0
+        timeout_ns = 0 if self.vesc is None else max(0, self.vesc.timeout_ms) * 1_000_000
         conditions = Conditions(facts, speed, timeout_ns, text)
         old = self.supervisor.state
         starts = self.setup.auto_arm and not self.ran
@@ -234,7 +234,7 @@ class Loop:
         self, now: WatchdogInput, estimate: StateEstimate | None, failed: list[str], flags: int
     ) -> int:
         setup, th, vesc = self.setup, self.setup.settings.thresholds, self.vesc
-        known = vesc is not None and vesc.expected and vesc.timeout_ms is not None
+        known = vesc is not None and vesc.expected == 1 and vesc.timeout_ms >= 0
         seen = self.perception.accepted_ns is not None and not flags & Flag.MOCAP_REFUSED
         over = setup.duration_ns is not None and now.t_ns - self._started_ns >= setup.duration_ns
         shown = now.telemetry_age <= th.telemetry and self.perception.values.timeout_active is True

@@ -14,7 +14,6 @@ from steerd.daemon.assembly.session_meta import read_session_car, recorded_path
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import watched
 from steerd.daemon.common.translate import make_session_error, reading
-from steerd.daemon.loop.core import read_identity
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.loop import Loop
 from steerd.daemon.loop.outgoing import CLOCK_KINDS, make_actuation, read_actuation
@@ -140,7 +139,7 @@ class Replay:
             case m.VescImu() as imu:
                 self.loop.perception.on_imu(*read_imu(imu))
             case m.VescIdentity() as identity:
-                self.loop.on_vesc(read_identity(identity))
+                self.loop.on_vesc(identity)
             case m.OperatorRequest() as request:
                 self.loop.on_operator(request, t_ns)
             case m.DriveCommand() as command:
