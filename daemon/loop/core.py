@@ -108,12 +108,13 @@ class Core:
         header = m.make_header(stamp_ns + self.outbox.epoch_ns, m.BODY)
         match answer.reply:
             case Values() as values:
-                self.loop.perception.on_telemetry(answer, values)
-                message = make_telemetry(header, answer, values, self._uptime_ms)
-                self.outbox.post(topics.VESC, message, t_ns, stamp_ns)
+                telemetry = make_telemetry(header, answer, values, self._uptime_ms)
+                self.loop.perception.on_telemetry(telemetry)
+                self.outbox.post(topics.VESC, telemetry, t_ns, stamp_ns)
             case Imu() as imu:
-                self.loop.perception.on_imu(stamp_ns, imu)
-                self.outbox.post(topics.IMU, make_imu(header, answer, imu), t_ns, stamp_ns)
+                reading = make_imu(header, answer, imu)
+                self.loop.perception.on_imu(reading)
+                self.outbox.post(topics.IMU, reading, t_ns, stamp_ns)
             case Uptime(uptime_ms=uptime_ms):
                 self._uptime_ms = uptime_ms
             case FwVersion(uuid=uuid):

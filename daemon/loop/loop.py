@@ -150,7 +150,8 @@ class Loop:
         )
         bits, text = summarise(findings)
         facts = bits | self._make_facts(now, estimate, failed, flags)
-        timeout_ns = 0 if self.vesc is None else max(0, self.vesc.timeout_ms) * 1_000_000
+        vesc = self.vesc
+        timeout_ns = 0 if vesc is None or vesc.timeout_ms < 0 else vesc.timeout_ms * 1_000_000
         conditions = Conditions(facts, speed, timeout_ns, text)
         old = self.supervisor.state
         starts = self.setup.auto_arm and not self.ran
@@ -237,7 +238,7 @@ class Loop:
         known = vesc is not None and vesc.expected == 1 and vesc.timeout_ms >= 0
         seen = self.perception.accepted_ns is not None and not flags & Flag.MOCAP_REFUSED
         over = setup.duration_ns is not None and now.t_ns - self._started_ns >= setup.duration_ns
-        shown = now.telemetry_age <= th.telemetry and self.perception.values.timeout_active is True
+        shown = now.telemetry_age <= th.telemetry and now.status & 1 == 1
         return (
             Fact.SLOWING * self._watching.slowing
             | Fact.LINKED * (flags & Flag.LINKED != 0)

@@ -166,15 +166,13 @@ class Watching:
             heading_error=lane.e2 if lane else nowhere,
             steer_share=abs(steer)
             / (limits.steer_left_max if steer > 0.0 else limits.steer_right_max),
-            status=v.status or 0,
-            fault_code=v.fault or 0,
-            tachometer=-1 if v.tachometer_abs is None else v.tachometer_abs,
-            cell_voltage=nan if v.input_voltage is None else v.input_voltage / brakes.cells,
-            fet_temperature=nan if v.temp_fet_c is None else v.temp_fet_c,
-            motor_temperature=nan if v.temp_motor_c is None else v.temp_motor_c,
-            current_share=nan
-            if v.motor_current is None
-            else abs(v.motor_current) / brakes.current_max_a,
+            status=v.status if v.status > 0 else 0,  # -1: not sent
+            fault_code=v.fault_code if v.fault_code > 0 else 0,
+            tachometer=v.tachometer_abs,
+            cell_voltage=v.v_in / brakes.cells,
+            fet_temperature=v.temp_fet,
+            motor_temperature=v.temp_motor,
+            current_share=abs(v.current_motor) / brakes.current_max_a,
             followed=self._compare_with_orders(now_ns),
             reported=reported,
         )

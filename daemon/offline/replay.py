@@ -23,8 +23,6 @@ from steerd.mocap_link.source import Pose
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.session_read import Record, Session, SessionError
-from steerd.vesc_link.telemetry import Imu, Values
-from steerd.vesc_link.vesc import Answer
 
 TOLERANCE = 1e-9
 """Allowed difference: another machine's libm may differ in the last digits."""
@@ -40,10 +38,6 @@ class Difference:
     replayed: tuple[float, ...]
 
 
-def _or_none(value: float) -> float | None:
-    return None if isnan(value) else value
-
-
 def read_pose(pose: m.MocapPose) -> Pose:
     """A recorded pose (as far as the loop reads it)."""
     return Pose(
@@ -54,7 +48,7 @@ def read_pose(pose: m.MocapPose) -> Pose:
         t_arrival_ns=pose.t_arrival_ns,
         position=(pose.x_raw, pose.y_raw, pose.z_raw),
         quaternion=(pose.qw, pose.qx, pose.qy, pose.qz),
-        mean_error=_or_none(pose.mean_error),
+        mean_error=None if isnan(pose.mean_error) else pose.mean_error,
         tracking_valid=bool(pose.tracking_valid),
         t_valid_ns=pose.t_valid_ns,
         clock=CLOCK_KINDS[pose.clock_kind],
@@ -65,36 +59,6 @@ def read_pose(pose: m.MocapPose) -> Pose:
         tilt=pose.tilt,
         rejected=pose.reject or None,
     )
-
-
-def read_telemetry(vesc: m.VescTelemetry) -> tuple[Answer, Values]:
-    """The reply of recorded telemetry."""
-    values = Values(
-        erpm=vesc.erpm,
-        tachometer=vesc.tachometer,
-        tachometer_abs=None if vesc.tachometer_abs < 0 else vesc.tachometer_abs,
-        fault=None if vesc.fault_code < 0 else vesc.fault_code,
-        status=None if vesc.status < 0 else vesc.status,
-        input_voltage=_or_none(vesc.v_in),
-        motor_current=_or_none(vesc.current_motor),
-        temp_fet_c=_or_none(vesc.temp_fet),
-        temp_motor_c=_or_none(vesc.temp_motor),
-    )
-    return Answer(values, vesc.t_sent_ns, vesc.t_received_ns), values
-
-
-def read_imu(imu: m.VescImu) -> tuple[int, Imu]:
-    """When a recorded IMU reading was measured, and what it says."""
-    reading = Imu(
-        mask=0,
-        accel_x=_or_none(imu.accel_x),
-        accel_y=_or_none(imu.accel_y),
-        accel_z=_or_none(imu.accel_z),
-        gyro_x=_or_none(imu.gyro_x),
-        gyro_y=_or_none(imu.gyro_y),
-        gyro_z=_or_none(imu.gyro_z),
-    )
-    return Answer(reading, imu.t_sent_ns, imu.t_received_ns).stamp_ns, reading
 
 
 def make_replay_plan(session: Session, name: str) -> tuple[RunPlan, int, int, bool]:
@@ -135,9 +99,9 @@ class Replay:
             case m.MocapPose() as pose:
                 self.loop.perception.on_pose(read_pose(pose))
             case m.VescTelemetry() as vesc:
-                self.loop.perception.on_telemetry(*read_telemetry(vesc))
+                self.loop.perception.on_telemetry(vesc)
             case m.VescImu() as imu:
-                self.loop.perception.on_imu(*read_imu(imu))
+                self.loop.perception.on_imu(imu)
             case m.VescIdentity() as identity:
                 self.loop.on_vesc(identity)
             case m.OperatorRequest() as request:

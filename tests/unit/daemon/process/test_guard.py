@@ -84,6 +84,7 @@ def test_a_plug_that_flaps_leaves_nothing_behind():
 
 HOLDER = """
 import sys, select
+from steerd.daemon.process.heartbeat import Lifeline
 line = Lifeline(int(sys.argv[1]))
 line.hold()
 memory = bytearray(int(sys.argv[2]))
