@@ -1,17 +1,25 @@
 """The control core without I/O: serial bytes and samples in, serial bytes and messages out.
 
 Joins the VESC's protocol, the loop and the outbox. The real-time runner and virtual time drive the
-same object.
+same object. After an exception (W29) a tick is decided by supervisor and brake only: filter,
+controller and watchdogs do not run, because one of them has just raised, and the servo gets no new
+angle, so it holds the last one.
 """
 
+# Why: docs/decisions/safety.md#d42
+
+import traceback
+from dataclasses import replace
+
+from steerd.car_model.state import Command
+from steerd.controller.limits import make_limiter_state
 from steerd.daemon.ipc.outbox import Outbox
 from steerd.daemon.loop.checks import check_vesc
 from steerd.daemon.loop.design_desk import DesignDesk
-from steerd.daemon.loop.failed_loop import describe_error, make_failed_tick
-from steerd.daemon.loop.findings import CAUSES, Flag
+from steerd.daemon.loop.findings import CAUSES, Flag, make_finding, summarise
 from steerd.daemon.loop.live import make_parameters
 from steerd.daemon.loop.loop import Loop
-from steerd.daemon.loop.orders import TickResult
+from steerd.daemon.loop.orders import TickResult, make_order
 from steerd.daemon.loop.outgoing import (
     make_actuation,
     make_diagnostics,
@@ -22,12 +30,14 @@ from steerd.daemon.loop.outgoing import (
     make_telemetry,
     make_transition,
 )
-from steerd.daemon.loop.supervisor import Action
-from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.loop.supervisor import Action, Conditions, step_supervisor
+from steerd.daemon.loop.transitions import Fact, SupervisorState
+from steerd.daemon.settings.config import BrakeSettings
 from steerd.mocap_link.source import Pose, SourceStatus
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import CodecError, decode
+from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.standard import Log, make_time
 from steerd.vesc_link.commands import GetMcConfTemp, SetCurrent, SetCurrentBrake
 from steerd.vesc_link.frames import encode_frame
@@ -355,3 +365,46 @@ class Core:
             values["mocap_rate_hz"] = f"{source.rate_hz:.0f}"
             values["mocap_detail"] = source.detail
         return values
+
+
+_DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
+
+
+def describe_error(error: BaseException) -> str:
+    """Type, place and text of an exception on one line."""
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f" at {frames[-1].name}:{frames[-1].lineno}" if frames else ""
+    return f"{type(error).__name__}{place}: {error}"
+
+
+def make_failed_tick(loop: Loop, error: BaseException, now_ns: int, linked: bool) -> TickResult:
+    """Decide a tick without the part that failed: an armed car brakes and latches."""
+    finding = make_finding("W29", describe_error(error))
+    bits, text = summarise((finding,))
+    facts = bits | Fact.IDENTIFIED | Fact.SLOWING | (Fact.LINKED if linked else 0)
+    settings, speed = loop.setup.settings, loop.perception.recent_wheel_speed(now_ns)
+    old = loop.supervisor.state
+    conditions = Conditions(facts, speed, 0, text)
+    loop.supervisor, action = step_supervisor(loop.supervisor, conditions, 0, now_ns)
+    if loop.supervisor.state is SupervisorState.FAULT_STOP:
+        loop.fault = loop.supervisor.reason
+    loop.ran = loop.ran or (old in _DRIVING and loop.supervisor.state not in _DRIVING)
+    limiter = make_limiter_state(settings.limits, Command(0.0, 0.0), now_ns)
+    order = make_order(settings, limiter, action, None, speed, now_ns)
+    return TickResult(
+        replace(order, drive=_remove_steering(order.drive, settings.brakes)),
+        action,
+        old,
+        loop.supervisor,
+        None,
+        None,
+        (finding,),
+        action.waiting,
+        facts,
+    )
+
+
+def _remove_steering(drive: Drive, brakes: BrakeSettings) -> Drive:
+    if drive.mode is ActuationMode.SPEED:
+        return Drive(ActuationMode.BRAKE, current=brakes.brake_current_a)
+    return replace(drive, steer=None)

@@ -21,8 +21,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import make_pipe
 from steerd.daemon.process.child import CORE, Child, Prepared, hand_over, prepare, spawn
 from steerd.daemon.process.learner_memory import make_learner_job, recall_learnt
-from steerd.daemon.process.page_job import make_page_job
-from steerd.daemon.process.view_job import make_view_job
+from steerd.daemon.process.view_job import make_page_job, make_view_job
 from steerd.daemon.settings.run_options import RunOptions, encode_options
 
 END_S, VIEWER_END_S = 10.0, 2.0

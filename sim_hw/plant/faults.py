@@ -9,6 +9,7 @@ number come from `docs/reference/mocap-protocols.md#m6.1` and `docs/reference/ve
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 
@@ -107,18 +108,13 @@ class FaultKind(NamedTuple):
     must_trip: bool = True  # false for what a supervisor must tolerate
 
 
-def _mocap(
-    code: str, name: str, summary: str, must_trip: bool = True, **settings: Param
+def _kind(
+    target: str, code: str, name: str, summary: str, must_trip: bool = True, **settings: Param
 ) -> FaultKind:
-    return FaultKind(code, name, "mocap", summary, settings, must_trip)
+    return FaultKind(code, name, target, summary, settings, must_trip)
 
 
-def _vesc(
-    code: str, name: str, summary: str, must_trip: bool = True, **settings: Param
-) -> FaultKind:
-    return FaultKind(code, name, "vesc", summary, settings, must_trip)
-
-
+_mocap, _vesc = partial(_kind, "mocap"), partial(_kind, "vesc")
 _OTHER_UUID = bytes.fromhex("0badc0de0badc0de0badc0de")
 
 FAULTS: tuple[FaultKind, ...] = (
