@@ -14,14 +14,8 @@ from steerd.mocap_link.natnet_frame import EDIT_MODE, MODEL_CHANGED, Frame
 from steerd.mocap_link.natnet_wire import NatNetError
 from steerd.sim_hw.mocap.cameras import Bystander, MocapConfig
 from steerd.sim_hw.mocap.network import CLOSE, FOREIGN, Datagram
-from steerd.sim_hw.plant.faults import (
-    FAULTS,
-    HEALTHY_MOCAP,
-    HEALTHY_VESC,
-    Fault,
-    find_fault,
-    make_condition,
-)
+from steerd.sim_hw.plant import faults
+from steerd.sim_hw.plant.faults import FAULTS, Fault, find_fault, make_condition
 from steerd.sim_hw.vesc.vesc_motor import STATUS_KILL
 from steerd.sim_hw.world import World, WorldConfig
 from steerd.vesc_link import commands as c
@@ -45,9 +39,9 @@ def test_catalogue_is_complete_and_each_entry_changes_the_fault_state() -> None:
     assert codes == [f"M{n}" for n in range(1, 23)] + [f"V{n}" for n in range(1, 25)]
     for kind in FAULTS:
         condition = make_condition([Fault(kind.name)], 1 << 40)
-        changed = (condition.vesc, condition.mocap) != (HEALTHY_VESC, HEALTHY_MOCAP)
+        changed = (condition.vesc, condition.mocap) != (faults.HEALTHY_VESC, faults.HEALTHY_MOCAP)
         assert changed, kind.name
-        assert (condition.vesc == HEALTHY_VESC) == (kind.target == "mocap")
+        assert (condition.vesc == faults.HEALTHY_VESC) == (kind.target == "mocap")
 
 
 def test_windows_edges_and_mistakes() -> None:
