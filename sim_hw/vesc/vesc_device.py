@@ -38,6 +38,9 @@ _IMU_PERIOD_NS = 5 * MS
 _MEAN_BITS = {"motor_current": 2, "input_current": 3, "d_current": 4, "q_current": 5}
 _MEAN_BITS |= {"v_d": 19, "v_q": 20}
 _SIGNATURE = 0x2A1B5C03
+_VERSION_TAIL = bytes(9) + bytes.fromhex("deadbeef")
+_VERSION_TAILS = (((3, 48), 1), ((5, 0), 2), ((5, 2), 4), ((5, 3), 7), ((6, 0), 9), ((6, 5), 13))
+"""Firmware versions since which the version reply has a tail of so many bytes."""
 _APPCONF_TAIL = bytes(range(1, 200)) * 2
 """Stands for the rest of the app configuration, whose layout changes with every firmware."""
 
@@ -69,10 +72,9 @@ def make_values(
 
 
 def make_fw_version(config: VescConfig, uuid: bytes) -> identity.FwVersion:
-    """FW_VERSION reply."""
-    return identity.FwVersion(
-        *config.firmware, hw_name=config.hw_name, uuid=uuid, paired=0, hw_config_crc=0xDEADBEEF
-    )
+    """FW_VERSION reply; its tail is as long as this firmware's."""
+    size = max((size for since, size in _VERSION_TAILS if config.firmware >= since), default=0)
+    return identity.FwVersion(*config.firmware, config.hw_name, uuid, _VERSION_TAIL[:size])
 
 
 def make_appconf(config: VescConfig, motor: Motor) -> identity.AppConf:
