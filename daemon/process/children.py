@@ -178,7 +178,7 @@ def start_processes(
         # All at once: each takes a second for its imports. What the core writes before the others
         # are ready waits in its pipes.
         meta = make_metadata(plan, boot_id, epoch_ns, leased=leased) | dict(memory.metadata)
-        job = _make_recorder_job(plan, session, meta, epoch_ns)
+        job = make_recorder_job(plan, session, meta, epoch_ns)
         started["recorder"] = spawn(f"{_MODULE}recorder", ends.of["recorder"], job)
         job = {"options": encode_options(plan.options), "boot_id": boot_id, "epoch_ns": epoch_ns}
         job["leased"] = leased
@@ -239,9 +239,14 @@ def _expect_ready(child: Child, name: str, code: ExitCode) -> None:
         raise SteerdError(line, hint, code)
 
 
-def _make_recorder_job(
+def make_recorder_job(
     plan: RunPlan, session: Path, meta: dict[str, dict[str, str]], epoch_ns: int
 ) -> dict[str, Any]:
+    """What a recording begins with, see `recorder`; its folder is made.
+
+    Raises:
+        SteerdError: there can be no such folder.
+    """
     try:
         session.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

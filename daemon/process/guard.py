@@ -170,16 +170,6 @@ def read_steal_ns() -> int:
         return 0
 
 
-def is_stalled(late_ns: int, stolen_ns: int) -> bool:
-    """Whether the machine, not this program, made a tick late.
-
-    Args:
-        late_ns: lateness of the tick.
-        stolen_ns: time stolen since shortly before it was due.
-    """
-    return late_ns > 0 and stolen_ns >= STALL_SHARE * late_ns
-
-
 Span = tuple[int, int]
 """From and to [ns]."""
 LEAST_NS = 2 * PERIOD_NS
@@ -196,7 +186,7 @@ def find_cause(late: Span, stolen_ns: int, pause: Span | None) -> int:
             made one; None without a guardian.
     """
     length = late[1] - late[0]
-    if is_stalled(length, stolen_ns):
+    if length > 0 and stolen_ns >= STALL_SHARE * length:
         return Flag.STALLED
     if pause is None or length < LEAST_NS:
         return 0
