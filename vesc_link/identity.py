@@ -16,7 +16,7 @@ from steerd.vesc_link.wire import Field, all_finite, pack_device, reader, unpack
 
 @dataclass(frozen=True, slots=True)
 class FwVersion:
-    """FW_VERSION reply: what tells one VESC from another, and the rest raw; None where not sent.
+    """FW_VERSION reply: what identifies a VESC, and the rest raw; None where not sent.
 
     The UUID is the only identity: USB serial numbers are the same on every VESC.
     """

@@ -1,4 +1,4 @@
-"""Signals as bytes on a pipe, taken by a thread in sigwait; and what systemd is told.
+"""Signals as bytes on a pipe, taken by a thread in sigwait; and notices to systemd.
 
 A Python handler runs only when the main thread is back in the interpreter (1.9 s were measured
 during a long C call); a thread in sigwait needs 0.2 ms. Protocol of the service manager:

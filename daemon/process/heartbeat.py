@@ -5,7 +5,7 @@ between its last look at ``tripped`` and the write itself. So it writes motion f
 page: the kernel reads them during the call, and until then the guardian can make them a brake
 frame.
 
-A robust mutex in the page tells of the core's end. A pidfd, the end of a pipe or a parent-death
+A robust mutex in the page shows the core's end. A pidfd, the end of a pipe or a parent-death
 signal report a killed process only after the kernel has freed its memory: 30 to 190 ms were
 measured for a core of 140 to 370 MB. The robust futexes of a dying thread are released before that
 (``exit_mm_release`` comes first in ``do_exit``). Standard library only; without the C library's
