@@ -34,7 +34,7 @@ MODULES = (
     "steer_bus/codec.py",
 )  # fmt: skip
 TABLES = (
-    "daemon/loop/findings.py", "daemon/loop/flags.py", "daemon/settings/thresholds.py",
+    "daemon/loop/findings.py", "daemon/loop/findings.py", "daemon/settings/thresholds.py",
     "daemon/loop/transitions.py",
     "steer_bus/lab.py",
 )  # fmt: skip

@@ -17,17 +17,15 @@ from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import ORIGIN, State
-from steerd.sim_hw.mocap.cameras import Cameras
-from steerd.sim_hw.mocap.mocap_config import MocapConfig
-from steerd.sim_hw.mocap.natnet_server import NatNetServer
+from steerd.sim_hw.mocap.cameras import Cameras, MocapConfig
 from steerd.sim_hw.mocap.network import COMMAND, DATA, Datagram, Network, Peer
-from steerd.sim_hw.mocap.vrpn_device import VrpnDevice
+from steerd.sim_hw.mocap.servers import NatNetServer, VrpnDevice
 from steerd.sim_hw.plant.car import CarSetup, SimCar
-from steerd.sim_hw.plant.device import ByteLog
 from steerd.sim_hw.plant.faults import Fault, in_world_time, make_condition
 from steerd.sim_hw.plant.noise import make_noise_source
-from steerd.sim_hw.vesc.vesc_config import VescConfig
 from steerd.sim_hw.vesc.vesc_device import SimVesc
+from steerd.sim_hw.vesc.vesc_motor import VescConfig
+from steerd.sim_hw.vesc.vesc_wire import ByteLog
 from steerd.vesc_link.scaling import F1TENTH, Scaling
 
 TX_BUFFER = 4096

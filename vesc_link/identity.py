@@ -8,7 +8,6 @@ A session's limits live in the VESC's RAM, whatever the host does: SET_MCCONF_TE
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 from steerd.vesc_link.commands import SetMcConfTemp
 from steerd.vesc_link.ids import CommandId, Firmware
@@ -17,26 +16,16 @@ from steerd.vesc_link.wire import Field, all_finite, pack_device, reader, unpack
 
 @dataclass(frozen=True, slots=True)
 class FwVersion:
-    """FW_VERSION reply; what the firmware did not send is None.
+    """FW_VERSION reply: what identifies a VESC, and the rest raw; None where not sent.
 
     The UUID is the only identity: USB serial numbers are the same on every VESC.
     """
 
     major: int
     minor: int
-    hw_name: str | None = None
+    hw_name: str | None = None  # since firmware 3.07, as the UUID
     uuid: bytes | None = None
-    paired: int | None = None
-    test_build: int | None = None
-    hw_type: int | None = None
-    custom_config_count: int | None = None
-    phase_filters: int | None = None
-    qml_hw: int | None = None
-    qml_app: int | None = None
-    nrf_flags: int | None = None
-    fw_name: str | None = None
-    hw_config_crc: int | None = None
-    extra_bytes: int = 0
+    tail: bytes = b""  # hardware type, test build and so on: more with every firmware since 3.48
 
     @property
     def firmware(self) -> Firmware:
@@ -44,67 +33,35 @@ class FwVersion:
         return Firmware(self.major, self.minor)
 
 
-_VERSION_FIELDS = (
-    Field("hw_name", "text", None, Firmware(3, 7)),
-    Field("uuid", "12s", None, Firmware(3, 7)),
-    Field("paired", "B", None, Firmware(3, 48)),
-    Field("test_build", "B", None, Firmware(5, 0)),
-    Field("hw_type", "B", None, Firmware(5, 2)),
-    Field("custom_config_count", "B", None, Firmware(5, 2)),
-    Field("phase_filters", "B", None, Firmware(5, 3)),
-    Field("qml_hw", "B", None, Firmware(5, 3)),
-    Field("qml_app", "B", None, Firmware(5, 3)),
-    Field("nrf_flags", "B", None, Firmware(6, 0)),
-    Field("fw_name", "text", None, Firmware(6, 0)),
-    Field("hw_config_crc", "I", None, Firmware(6, 5)),
-)
+_UUID_BYTES = 12
+_NAMED_SINCE, _TAIL_SINCE = Firmware(3, 7), Firmware(3, 48)
 
 
 def decode_fw_version(payload: bytes) -> FwVersion | None:
     """Decode while bytes remain; None if not even the version is there."""
     if len(payload) < 3:
         return None
-    values: dict[str, Any] = {}
-    at = 3
-    for field in _VERSION_FIELDS:
-        size = payload.find(b"\0", at) + 1 - at if field.code == "text" else field.size
-        if size < 1 or at + size > len(payload):
-            break
-        values[field.name] = _version_value(field.code, payload[at : at + size])
-        at += size
-    return FwVersion(payload[1], payload[2], **values, extra_bytes=len(payload) - at)
-
-
-def _version_value(code: str, raw: bytes) -> str | bytes | int:
-    if code == "text":
-        return raw[:-1].decode("latin-1")
-    return raw if code == "12s" else int.from_bytes(raw, "big")
+    name, mark, rest = payload[3:].partition(b"\0")
+    hw_name = name.decode("latin-1") if mark else None
+    if len(rest) < _UUID_BYTES:
+        return FwVersion(payload[1], payload[2], hw_name)
+    uuid, tail = rest[:_UUID_BYTES], rest[_UUID_BYTES:]
+    return FwVersion(payload[1], payload[2], hw_name, uuid, tail)
 
 
 def encode_fw_version(reply: FwVersion, firmware: Firmware) -> bytes:
-    """FW_VERSION reply as this firmware sends it; absent text is empty, absent numbers zero.
+    """FW_VERSION reply as this firmware sends it; an absent name is empty.
 
     Raises:
         ValueError: the UUID is not 12 bytes long.
     """
-    parts = [bytes((CommandId.FW_VERSION, reply.major, reply.minor))]
-    for field in _VERSION_FIELDS:
-        if firmware < field.since:
-            break
-        value = getattr(reply, field.name)
-        if field.code == "text":
-            parts.append((value or "").encode("latin-1") + b"\0")
-        elif field.code == "12s":
-            parts.append(_checked_uuid(value))
-        else:
-            parts.append((value or 0).to_bytes(field.size, "big"))
-    return b"".join(parts)
-
-
-def _checked_uuid(uuid: bytes | None) -> bytes:
-    if uuid is None or len(uuid) != 12:
+    head = bytes((CommandId.FW_VERSION, reply.major, reply.minor))
+    if firmware < _NAMED_SINCE:
+        return head
+    if reply.uuid is None or len(reply.uuid) != _UUID_BYTES:
         raise ValueError("a VESC UUID has 12 bytes")
-    return uuid
+    named = head + (reply.hw_name or "").encode("latin-1") + b"\0" + reply.uuid
+    return named + (reply.tail if firmware >= _TAIL_SINCE else b"")
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,25 +13,18 @@ class Scaling:
     """Calibration of one car's drive train and steering.
 
     The defaults are those of the F1TENTH stack's ``vesc.yaml`` (f1tenth_system, humble-devel).
-
-    Attributes:
-        erpm_gain: ERPM per m/s (``speed_to_erpm_gain``).
-        erpm_offset: ERPM at standstill (``speed_to_erpm_offset``).
-        servo_gain: servo position per rad of road-wheel angle; negative, because the servo turns
-            right for growing pulses and steer is positive left (``steering_angle_to_servo_gain``).
-        servo_offset: servo position straight ahead (``steering_angle_to_servo_offset``).
-        servo_min: lowest servo position, full left (``servo_min``).
-        servo_max: highest servo position, full right (``servo_max``).
-        erpm_max: largest ERPM commanded in either direction (``speed_max``).
     """
 
-    erpm_gain: float = 4614.0
-    erpm_offset: float = 0.0
+    erpm_gain: float = 4614.0  # ERPM per m/s (``speed_to_erpm_gain``)
+    erpm_offset: float = 0.0  # ERPM at standstill (``speed_to_erpm_offset``)
+    # Servo position per rad of road-wheel angle; negative, because the servo turns right for
+    # growing pulses and steer is positive left (``steering_angle_to_servo_gain``)
     servo_gain: float = -1.2135
+    # Servo position straight ahead (``steering_angle_to_servo_offset``)
     servo_offset: float = 0.5304
-    servo_min: float = 0.15
-    servo_max: float = 0.85
-    erpm_max: float = 23250.0
+    servo_min: float = 0.15  # lowest servo position, full left (``servo_min``)
+    servo_max: float = 0.85  # highest servo position, full right (``servo_max``)
+    erpm_max: float = 23250.0  # largest ERPM commanded in either direction (``speed_max``)
 
     def __post_init__(self) -> None:
         """Refuse a calibration that cannot be inverted or leaves the servo no room."""

@@ -21,7 +21,6 @@ FAST_MASK = 0x0038E1FF
 UPTIME_MASK = 0x00200000
 """GET_VALUES_SETUP_SELECTIVE bit 21."""
 IMU_ACCEL_GYRO_MASK = 0x01F8
-IMU_ALL_MASK = 0xFFFF
 
 
 @quick_init
@@ -64,11 +63,6 @@ class Values:
     temp_pcb_c: float | None = None
     mask: int | None = None
     extra_bytes: int = 0
-
-    @property
-    def timeout_active(self) -> bool | None:
-        """Whether the VESC's own command timeout has struck; None before firmware 5.03."""
-        return None if self.status is None else bool(self.status & 1)
 
 
 _VALUES_BITS: tuple[tuple[Field, ...], ...] = (
@@ -152,17 +146,14 @@ class Imu:
     controller_id: int | None = None
     extra_bytes: int = 0
 
-    @property
-    def has_chip(self) -> bool | None:
-        """False if the board has no IMU: it answers with zeros all the same.
 
-        A real accelerometer at rest reads 1 g; below 0.1 g there is none
-        (`docs/reference/vesc-serial.md#v2.3.3`). None when the reply holds no complete
-        acceleration.
-        """
-        if self.accel_x is None or self.accel_y is None or self.accel_z is None:
-            return None
-        return math.hypot(self.accel_x, self.accel_y, self.accel_z) >= 0.1 * STANDARD_GRAVITY
+def has_chip(accel_x: float, accel_y: float, accel_z: float) -> bool:
+    """False if the board has no IMU: it answers with zeros all the same.
+
+    A real accelerometer at rest reads 1 g; below 0.1 g [m/s²] there is none
+    (`docs/reference/vesc-serial.md#v2.3.3`). False for NaN too.
+    """
+    return math.hypot(accel_x, accel_y, accel_z) >= 0.1 * STANDARD_GRAVITY
 
 
 _IMU_UNIT = {

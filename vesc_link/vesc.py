@@ -54,36 +54,24 @@ _NOT_BY_REQUEST = (*FEEDS_TIMEOUT, c.SetServoPos, c.Reboot)
 
 @quick_value
 class Drive:
-    """An order for motor and servo; nothing by itself, so that the VESC's own timeout can strike.
+    """An order for motor and servo; by default none, so that the VESC's own timeout can strike."""
 
-    Attributes:
-        mode: SPEED follows `speed`; BRAKE brakes with `current`, which must be repeated; SHORT sets
-            the duty cycle zero, the second means when brake current has no effect; RELEASE lets the
-            car coast; SILENT sends no motor command.
-        steer: road-wheel angle [rad, left positive]; None leaves the servo alone.
-        speed: [m/s].
-        current: [A].
-    """
-
+    # SPEED follows `speed`; BRAKE brakes with `current`, which must be repeated; SHORT sets the
+    # duty cycle zero, the second means when brake current has no effect; RELEASE lets the car
+    # coast; SILENT sends no motor command
     mode: ActuationMode = ActuationMode.SILENT
-    steer: float | None = None
-    speed: float = nan
-    current: float = nan
+    steer: float | None = None  # road-wheel angle [rad, left positive]; None leaves the servo alone
+    speed: float = nan  # [m/s]
+    current: float = nan  # [A]
 
 
 @quick_value
 class Answer:
-    """A reply to a request; the measurement lies between the two times [ns, monotonic].
+    """A reply to a request; the measurement lies between the two times [ns, monotonic]."""
 
-    Attributes:
-        reply: what the VESC said.
-        t_sent_ns: when the request was written.
-        t_received_ns: when the reply's first byte was read.
-    """
-
-    reply: Reply
-    t_sent_ns: int
-    t_received_ns: int
+    reply: Reply  # what the VESC said
+    t_sent_ns: int  # when the request was written
+    t_received_ns: int  # when the reply's first byte was read
 
     @property
     def stamp_ns(self) -> int:
@@ -104,19 +92,12 @@ Event = Answer | Rebooted
 
 @dataclass(slots=True)
 class Counters:
-    """What went wrong on the link so far; the parser counts checksum errors and lost bytes.
+    """What went wrong on the link so far; the parser counts checksum errors and lost bytes."""
 
-    Attributes:
-        expired: requests without an answer in time.
-        unknown_ids: frames of a kind that is not known.
-        unsolicited: replies that nobody asked for; not the text that a VESC prints.
-        odd_lengths: replies too short for this firmware.
-    """
-
-    expired: int = 0
-    unknown_ids: int = 0
-    unsolicited: int = 0
-    odd_lengths: int = 0
+    expired: int = 0  # requests without an answer in time
+    unknown_ids: int = 0  # frames of a kind that is not known
+    unsolicited: int = 0  # replies that nobody asked for; not the text that a VESC prints
+    odd_lengths: int = 0  # replies too short for this firmware
 
 
 _MASKED = (Values, Uptime, Imu)

@@ -32,19 +32,12 @@ Number = float | int
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Field:
-    """One number on the wire; compared by identity, which makes looking up a layout fast.
+    """One number on the wire; compared by identity, which makes looking up a layout fast."""
 
-    Attributes:
-        name: field of the dataclass that holds it.
-        code: its struct code; ``f`` is the firmware's float32_auto, ``?`` a flag byte.
-        scale: wire counts per unit; None for a plain integer.
-        since: first firmware that sends it.
-    """
-
-    name: str
-    code: str
-    scale: float | None = None
-    since: Firmware = ALWAYS
+    name: str  # field of the dataclass that holds it
+    code: str  # its struct code; ``f`` is the firmware's float32_auto, ``?`` a flag byte
+    scale: float | None = None  # wire counts per unit; None for a plain integer
+    since: Firmware = ALWAYS  # first firmware that sends it
 
     @property
     def size(self) -> int:

@@ -274,8 +274,8 @@ def make_world_config(
     Raises:
         SteerdError: the simulated car's file or an effect is refused.
     """
-    from steerd.sim_hw.mocap.mocap_config import MocapConfig
-    from steerd.sim_hw.vesc.vesc_config import VescConfig
+    from steerd.sim_hw.mocap.cameras import MocapConfig
+    from steerd.sim_hw.vesc.vesc_motor import VescConfig
     from steerd.sim_hw.world import WorldConfig
 
     settings, options = plan.sim, plan.options

@@ -7,7 +7,7 @@ from math import nan
 from pathlib import Path
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.ipc.diagnostics import read_diagnostics
+from steerd.daemon.ipc.requests import read_diagnostics
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus, BusError
 from steerd.steer_bus.clock import Clock
@@ -35,19 +35,12 @@ KEEPALIVE_NS = 50_000_000
 
 @dataclass
 class Operator:
-    """One person at one terminal.
+    """One person at one terminal."""
 
-    Attributes:
-        boot_id: of the addressed run.
-        lease_id: random, not zero.
-        name: for the recording.
-        seq: sequence number of the last request.
-    """
-
-    boot_id: int
-    lease_id: int
-    name: str = "operator"
-    seq: int = 0
+    boot_id: int  # of the addressed run
+    lease_id: int  # random, not zero
+    name: str = "operator"  # for the recording
+    seq: int = 0  # sequence number of the last request
 
     def make_request(self, kind: RequestKind, realtime_ns: int) -> bytes:
         """The next request, encoded."""

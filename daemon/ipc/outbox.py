@@ -19,15 +19,10 @@ _Queued = tuple[Topic, int, int, int, Any]
 
 @dataclass(slots=True)
 class Outbox:
-    """Messages of the current tick.
+    """Messages of the current tick."""
 
-    Attributes:
-        epoch_ns: UNIX time minus monotonic time, fixed for the session [ns].
-        sinks: receivers of the records at `flush`.
-    """
-
-    epoch_ns: int
-    sinks: tuple[Sink, ...]
+    epoch_ns: int  # UNIX time minus monotonic time, fixed for the session [ns]
+    sinks: tuple[Sink, ...]  # receivers of the records at `flush`
     _pending: list[_Queued] = field(default_factory=list)
     _counts: dict[str, int] = field(default_factory=dict)
     _last_ns: int = 0

@@ -1,11 +1,13 @@
 """Messages from the control core to recorder, gateway and viewer: records on a pipe.
 
 The core never waits: the pipe is non-blocking, a record is written whole or dropped and counted.
+The learner's reports come the same way.
 """
 
 import contextlib
 import fcntl
 import os
+import select
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -86,19 +88,12 @@ def make_pipe() -> tuple[int, int]:
 
 @dataclass(slots=True)
 class PipeWriter:
-    """The core's end of one pipe.
+    """The core's end of one pipe."""
 
-    Attributes:
-        fd: non-blocking write end.
-        dropped: records lost to a full or dead pipe.
-        dead: whether the reader is gone.
-        full_since_ns: since when it has taken nothing that was offered, or None.
-    """
-
-    fd: int
-    dropped: int = 0
-    dead: bool = False
-    full_since_ns: int | None = None
+    fd: int  # non-blocking write end
+    dropped: int = 0  # records lost to a full or dead pipe
+    dead: bool = False  # whether the reader is gone
+    full_since_ns: int | None = None  # since when it has taken nothing that was offered, or None
     _rest: bytes = b""
 
     def write(self, packed: list[bytes], t_ns: int) -> None:
@@ -134,13 +129,9 @@ class PipeWriter:
 
 @dataclass
 class Gaps:
-    """Records that were dropped on the way, by their numbers.
+    """Records that were dropped on the way, by their numbers."""
 
-    Attributes:
-        missed: how many so far.
-    """
-
-    missed: int = 0
+    missed: int = 0  # how many so far
     _spans: list[tuple[int, int]] = field(default_factory=list)
     _last: dict[str, tuple[int, int]] = field(default_factory=dict)
 
@@ -182,3 +173,39 @@ _WANTED = frozenset(topic.name for topic in (*LEARNT_FROM, topics.DESIGN))
 def is_learnt_from(record: PipeRecord) -> bool:
     """Whether the learner wants a record: of the drive, or what became of its proposals."""
     return record.topic.name in _WANTED
+
+
+_READ_BYTES = 1 << 16
+
+
+@dataclass
+class ReportPipe:
+    """One reader's end."""
+
+    fd: int | None  # to read from; None without a learner, and once it has ended
+    _buffer: bytearray = field(default_factory=bytearray)
+
+    def __post_init__(self) -> None:
+        if self.fd is not None:
+            os.set_blocking(self.fd, False)
+
+    def take(self) -> Iterator[PipeRecord]:
+        """Reports that have come."""
+        while self.fd is not None:
+            try:
+                data = os.read(self.fd, _READ_BYTES)
+            except BlockingIOError:
+                break
+            if not data:
+                os.close(self.fd)
+                self.fd = None
+            self._buffer += data
+        yield from unpack_records(self._buffer)
+
+    def rest(self, wait_ms: int) -> Iterator[PipeRecord]:
+        """Reports until the learner has ended, or sends none for so long."""
+        poll = select.poll()
+        if self.fd is not None:
+            poll.register(self.fd, select.POLLIN | select.POLLHUP)
+        while self.fd is not None and poll.poll(wait_ms):
+            yield from self.take()

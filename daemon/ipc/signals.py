@@ -1,13 +1,18 @@
-"""Signals as bytes on a pipe, taken by a thread in sigwait.
+"""Signals as bytes on a pipe, taken by a thread in sigwait; and notices to systemd.
 
 A Python handler runs only when the main thread is back in the interpreter (1.9 s were measured
-during a long C call); a thread in sigwait needs 0.2 ms.
+during a long C call); a thread in sigwait needs 0.2 ms. Protocol of the service manager:
+sd_notify(3); without `NOTIFY_SOCKET` nothing is sent, and a full or missing socket is ignored: a
+control loop must not wait.
 """
 
+import contextlib
 import ctypes
 import os
 import signal
+import socket
 import threading
+from collections.abc import Callable, Mapping
 
 _PR_SET_PDEATHSIG = 1
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -54,3 +59,26 @@ def raise_on_stop_signals() -> None:
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
+
+
+Notify = Callable[[str], None]
+READY, ALIVE, STOPPING = "READY=1", "WATCHDOG=1", "STOPPING=1"
+
+
+def notify_nobody(_text: str) -> None:
+    """For runs that no service manager started."""
+
+
+def make_notify(environment: Mapping[str, str]) -> Notify:
+    """A function that sends one state line; does nothing where no service manager listens."""
+    address = environment.get("NOTIFY_SOCKET", "")
+    if not address.startswith(("/", "@")):
+        return notify_nobody
+    path = "\0" + address[1:] if address.startswith("@") else address
+
+    def notify(text: str) -> None:
+        kind = socket.SOCK_DGRAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK
+        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, kind) as sock:
+            sock.sendto(text.encode(), path)
+
+    return notify

@@ -40,36 +40,24 @@ LEARNING, DRIVE_ENDED, SILENT, TUNED, FAR, LOST = (
 
 @dataclass(frozen=True)
 class Adapting:
-    """Which design steers.
+    """Which design steers."""
 
-    Attributes:
-        held: what designs are held against; None where none is followed.
-        file: the car file's controller.
-        controller: the one in force, for the numbers `car`.
-        number: of the design in force, 0 for the file's.
-        why: why the file's is in force.
-        coming: the design that was taken last, with its number; None for the file's.
-        heard_ns: when a proposal was taken or renewed last.
-        far_e1: lateral error at which the file's design comes back [m]; `far` whether it was there.
-        given_up: the car was far off its lane under a learnt design in this drive.
-        offset: order still to fade [rad]; `t_ns` of the last tick.
-        servo: where the wheels of the learnt car are.
-    """
-
-    held: Acceptance | None
-    file: LaneController
-    controller: LaneController
+    held: Acceptance | None  # what designs are held against; None where none is followed
+    file: LaneController  # the car file's controller
+    controller: LaneController  # the one in force, for the numbers `car`
     car: Learnt | None = None
-    number: int = 0
-    why: str = LEARNING
+    number: int = 0  # of the design in force, 0 for the file's
+    why: str = LEARNING  # why the file's is in force
+    # The design that was taken last, with its number; None for the file's
     coming: tuple[int, Design] | None = None
-    heard_ns: int = 0
+    heard_ns: int = 0  # when a proposal was taken or renewed last
+    # Lateral error at which the file's design comes back [m]; `far` whether it was there
     far_e1: float = inf
     far: bool = False
-    given_up: bool = False
-    offset: float = 0.0
+    given_up: bool = False  # the car was far off its lane under a learnt design in this drive
+    offset: float = 0.0  # order still to fade [rad]; `t_ns` of the last tick
     t_ns: int = 0
-    servo: Servo = field(default_factory=Servo)
+    servo: Servo = field(default_factory=Servo)  # where the wheels of the learnt car are
 
     @property
     def follows(self) -> bool:

@@ -2,38 +2,23 @@
 
 from collections.abc import Iterable, Iterator
 from math import degrees
-from typing import NamedTuple
 
 from steerd.daemon.common.screen import show
-from steerd.daemon.loop.findings import Finding, Severity
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.findings import Finding, Flag, Severity
+from steerd.daemon.loop.lease import Remote, valid_command
+from steerd.daemon.loop.loop_setup import LoopSetup
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.loop.watchdogs import WatchdogInput
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.daemon.settings.thresholds import Thresholds
+from steerd.steer_bus.messages import VescIdentity
 
 STANDING_SPEED = 0.05
 """A slower car stands [m/s]."""
 _TOOL = "in VESC Tool: App Settings > General"
 
 
-class VescInfo(NamedTuple):
-    """What the VESC reported about itself; None where it did not.
-
-    Attributes:
-        expected: its UUID is the car file's, or the file names none and it is the run's first.
-        uuid: hex.
-        firmware: (major, minor).
-        timeout_ms: time without commands after which it stops the motor [ms]; 0 for never.
-        timeout_brake_current: brake current that it then applies [A].
-    """
-
-    expected: bool
-    uuid: str
-    firmware: tuple[int, int]
-    timeout_ms: int | None
-    timeout_brake_current: float | None
-
-
-def check_vesc(vesc: VescInfo | None, brakes: BrakeSettings) -> Iterator[str]:
+def check_vesc(vesc: VescIdentity | None, brakes: BrakeSettings) -> Iterator[str]:
     """Failures of the VESC: its identity and its timeout."""
     if vesc is None:
         return
@@ -41,7 +26,7 @@ def check_vesc(vesc: VescInfo | None, brakes: BrakeSettings) -> Iterator[str]:
         yield f"VESC {vesc.uuid} is not the one of the car file: fix [vesc] uuid, or the port"
     elif not vesc.expected:
         yield f"VESC {vesc.uuid} is not the one this run began with: plug that in, or start anew"
-    if vesc.timeout_ms is None or vesc.timeout_brake_current is None:
+    if vesc.timeout_ms < 0:
         yield "the VESC did not report its timeout (firmware before 3.55?): update its firmware"
         return
     if vesc.timeout_ms == 0:
@@ -53,6 +38,41 @@ def check_vesc(vesc: VescInfo | None, brakes: BrakeSettings) -> Iterator[str]:
         )
     if not vesc.timeout_brake_current > 0.0:
         yield f"the VESC would coast on timeout: set Timeout Brake Current above 0 A {_TOOL}"
+
+
+def find_failures(
+    setup: LoopSetup,
+    vesc: VescIdentity | None,
+    remote: Remote,
+    now: WatchdogInput,
+    findings: Iterable[Finding],
+    flags: int,
+    *,
+    estimated: bool,
+) -> list[str]:
+    """Pre-arm checks that fail, the cause before its consequences.
+
+    Args:
+        setup: of the loop.
+        vesc: what it reported about itself.
+        remote: the external controller.
+        now: this tick's measurements.
+        findings: of the watchdogs.
+        flags: of the runner.
+        estimated: there is a sound estimate.
+    """
+    settings = setup.settings
+    failed = [*check_vesc(vesc, settings.brakes), *check_flags(flags)]
+    if not estimated:
+        failed.append("an estimate: mocap must see the car for a moment, standing")
+    failed += check_findings(findings)
+    if estimated and setup.remote:
+        failed += check_controller(valid_command(remote, now.t_ns) is not None)
+    elif estimated:
+        failed += check_lane(now.lateral_error, now.heading_error, settings.thresholds)
+    if now.state is not SupervisorState.RUNNING:
+        failed += check_motion(now.speed)
+    return failed
 
 
 def check_flags(flags: int) -> Iterator[str]:

@@ -1,31 +1,43 @@
 """The control core without I/O: serial bytes and samples in, serial bytes and messages out.
 
 Joins the VESC's protocol, the loop and the outbox. The real-time runner and virtual time drive the
-same object.
+same object. After an exception (W29) a tick is decided by supervisor and brake only: filter,
+controller and watchdogs do not run, because one of them has just raised, and the servo gets no new
+angle, so it holds the last one.
 """
 
+# Why: docs/decisions/safety.md#d42
+
+import traceback
+from dataclasses import replace
+
+from steerd.car_model.state import Command
+from steerd.controller.limits import make_limiter_state
 from steerd.daemon.ipc.outbox import Outbox
-from steerd.daemon.loop.checks import VescInfo, check_vesc
+from steerd.daemon.loop.checks import check_vesc
 from steerd.daemon.loop.design_desk import DesignDesk
-from steerd.daemon.loop.failed_loop import describe_error, make_failed_tick
-from steerd.daemon.loop.flags import CAUSES, Flag
+from steerd.daemon.loop.findings import CAUSES, Flag, make_finding, summarise
 from steerd.daemon.loop.live import make_parameters
-from steerd.daemon.loop.loop import Loop, TickResult
+from steerd.daemon.loop.loop import Loop
+from steerd.daemon.loop.orders import TickResult, make_order
 from steerd.daemon.loop.outgoing import (
     make_actuation,
     make_diagnostics,
+    make_identity,
     make_imu,
     make_mocap,
     make_state,
     make_telemetry,
     make_transition,
 )
-from steerd.daemon.loop.supervisor import Action
-from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.loop.supervisor import Action, Conditions, step_supervisor
+from steerd.daemon.loop.transitions import Fact, SupervisorState
+from steerd.daemon.settings.config import BrakeSettings
 from steerd.mocap_link.source import Pose, SourceStatus
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import CodecError, decode
+from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.standard import Log, make_time
 from steerd.vesc_link.commands import GetMcConfTemp, SetCurrent, SetCurrentBrake
 from steerd.vesc_link.frames import encode_frame
@@ -106,12 +118,13 @@ class Core:
         header = m.make_header(stamp_ns + self.outbox.epoch_ns, m.BODY)
         match answer.reply:
             case Values() as values:
-                self.loop.perception.on_telemetry(answer, values)
-                message = make_telemetry(header, answer, values, self._uptime_ms)
-                self.outbox.post(topics.VESC, message, t_ns, stamp_ns)
+                telemetry = make_telemetry(header, answer, values, self._uptime_ms)
+                self.loop.perception.on_telemetry(telemetry)
+                self.outbox.post(topics.VESC, telemetry, t_ns, stamp_ns)
             case Imu() as imu:
-                self.loop.perception.on_imu(stamp_ns, imu)
-                self.outbox.post(topics.IMU, make_imu(header, answer, imu), t_ns, stamp_ns)
+                reading = make_imu(header, answer, imu)
+                self.loop.perception.on_imu(reading)
+                self.outbox.post(topics.IMU, reading, t_ns, stamp_ns)
             case Uptime(uptime_ms=uptime_ms):
                 self._uptime_ms = uptime_ms
             case FwVersion(uuid=uuid):
@@ -133,16 +146,9 @@ class Core:
         version, appconf = self.link.version, self.link.appconf
         if version is None:
             return
-        vesc = VescInfo(
-            self._expected,
-            version.uuid.hex() if version.uuid else "",
-            (version.firmware.major, version.firmware.minor),
-            appconf.timeout_ms if appconf else None,
-            appconf.timeout_brake_current if appconf else None,
-        )
+        vesc = make_identity(version, appconf, self._expected, t_ns, self.outbox.epoch_ns)
         self.loop.on_vesc(vesc)
-        message = make_identity(vesc, t_ns, self.outbox.epoch_ns)
-        self.outbox.post(topics.IDENTITY, message, t_ns)
+        self.outbox.post(topics.IDENTITY, vesc, t_ns)
 
     def _apply_session_limits(self, limits: McConfTemp) -> None:
         """Give the VESC this session's limits, in RAM only: it keeps them if this process dies.
@@ -352,8 +358,8 @@ class Core:
             values["design_why"] = adapting.why
         if vesc is not None:
             values["uuid"] = vesc.uuid
-            values["firmware"] = f"{vesc.firmware[0]}.{vesc.firmware[1]:02d}"
-            values["vesc_timeout_ms"] = str(vesc.timeout_ms)
+            values["firmware"] = f"{vesc.fw_major}.{vesc.fw_minor:02d}"
+            values["vesc_timeout_ms"] = "None" if vesc.timeout_ms < 0 else str(vesc.timeout_ms)
         if source is not None:
             values["mocap"] = source.state
             values["mocap_rate_hz"] = f"{source.rate_hz:.0f}"
@@ -361,28 +367,44 @@ class Core:
         return values
 
 
-def make_identity(vesc: VescInfo, t_ns: int, epoch_ns: int) -> m.VescIdentity:
-    """The VESC's identity and timeout as a message."""
-    brake = vesc.timeout_brake_current
-    return m.VescIdentity(
-        m.make_header(t_ns + epoch_ns, m.BODY),
-        t_ns,
-        -1 if vesc.timeout_ms is None else vesc.timeout_ms,
-        int(vesc.expected),
-        vesc.firmware[0],
-        vesc.firmware[1],
-        float("nan") if brake is None else brake,
-        vesc.uuid,
+_DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
+
+
+def describe_error(error: BaseException) -> str:
+    """Type, place and text of an exception on one line."""
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f" at {frames[-1].name}:{frames[-1].lineno}" if frames else ""
+    return f"{type(error).__name__}{place}: {error}"
+
+
+def make_failed_tick(loop: Loop, error: BaseException, now_ns: int, linked: bool) -> TickResult:
+    """Decide a tick without the part that failed: an armed car brakes and latches."""
+    finding = make_finding("W29", describe_error(error))
+    bits, text = summarise((finding,))
+    facts = bits | Fact.IDENTIFIED | Fact.SLOWING | (Fact.LINKED if linked else 0)
+    settings, speed = loop.setup.settings, loop.perception.recent_wheel_speed(now_ns)
+    old = loop.supervisor.state
+    conditions = Conditions(facts, speed, 0, text)
+    loop.supervisor, action = step_supervisor(loop.supervisor, conditions, 0, now_ns)
+    if loop.supervisor.state is SupervisorState.FAULT_STOP:
+        loop.fault = loop.supervisor.reason
+    loop.ran = loop.ran or (old in _DRIVING and loop.supervisor.state not in _DRIVING)
+    limiter = make_limiter_state(settings.limits, Command(0.0, 0.0), now_ns)
+    order = make_order(settings, limiter, action, None, speed, now_ns)
+    return TickResult(
+        replace(order, drive=_remove_steering(order.drive, settings.brakes)),
+        action,
+        old,
+        loop.supervisor,
+        None,
+        None,
+        (finding,),
+        action.waiting,
+        facts,
     )
 
 
-def read_identity(message: m.VescIdentity) -> VescInfo:
-    """The inverse of `make_identity`."""
-    known = message.timeout_ms >= 0
-    return VescInfo(
-        bool(message.expected),
-        message.uuid,
-        (message.fw_major, message.fw_minor),
-        message.timeout_ms if known else None,
-        message.timeout_brake_current if known else None,
-    )
+def _remove_steering(drive: Drive, brakes: BrakeSettings) -> Drive:
+    if drive.mode is ActuationMode.SPEED:
+        return Drive(ActuationMode.BRAKE, current=brakes.brake_current_a)
+    return replace(drive, steer=None)

@@ -32,58 +32,34 @@ class Band:
 
 
 class Actuator(NamedTuple):
-    """What an actuator can do at least and at most.
+    """What an actuator can do at least and at most."""
 
-    Attributes:
-        lag: [s].
-        slew: limit of the rate, per second; `fall` that towards lower values.
-        fall: the same.
-        delay: dead time [s].
-        soonest_ns: the shortest dead time [ns]; `latest_ns` the longest.
-        latest_ns: the same.
-    """
-
-    lag: Band
-    slew: Band
-    fall: Band
-    delay: Band
-    soonest_ns: int
-    latest_ns: int
+    lag: Band  # [s]
+    slew: Band  # limit of the rate, per second; `fall` that towards lower values
+    fall: Band  # the same
+    delay: Band  # dead time [s]
+    soonest_ns: int  # the shortest dead time [ns]; `latest_ns` the longest
+    latest_ns: int  # the same
 
 
 class FollowModel(NamedTuple):
-    """All cars within the share, as ranges of what matters.
+    """All cars within the share, as ranges of what matters."""
 
-    Attributes:
-        drive: motor; rates in m/s^2.
-        servo: rates in rad/s.
-        gain: wheel angle per ordered angle.
-        bias: wheel angle at order zero [rad].
-        left: end stop [rad]; `right` the other, negative.
-        right: the same.
-        base: wheelbase [m]. Gain and wheelbase are off independently: together by the root of
-            the sum of squares, of which the gain has its full share.
-        understeer: growth of the wheel angle per lateral acceleration [rad s^2/m].
-        settling: time constant of yaw per speed [s^2/m].
-        slack: wheel angle that no file knows: bias, play [rad].
-        speed_margin: noise of the wheel speed [m/s].
-        turn_margin: noise of a turn between two poses [rad].
-        latest_ns: the longest dead time of the two actuators [ns].
-    """
-
-    drive: Actuator
-    servo: Actuator
-    gain: Band
-    bias: float
-    left: Band
-    right: Band
+    drive: Actuator  # motor; rates in m/s^2
+    servo: Actuator  # rates in rad/s
+    gain: Band  # wheel angle per ordered angle
+    bias: float  # wheel angle at order zero [rad]
+    left: Band  # end stop [rad]; `right` the other, negative
+    right: Band  # the same
+    # Wheelbase [m]. Gain and wheelbase are off independently: together by the root of the sum of
+    # squares, of which the gain has its full share.
     base: Band
-    understeer: Band
-    settling: float
-    slack: float
-    speed_margin: float
-    turn_margin: float
-    latest_ns: int
+    understeer: Band  # growth of the wheel angle per lateral acceleration [rad s^2/m]
+    settling: float  # time constant of yaw per speed [s^2/m]
+    slack: float  # wheel angle that no file knows: bias, play [rad]
+    speed_margin: float  # noise of the wheel speed [m/s]
+    turn_margin: float  # noise of a turn between two poses [rad]
+    latest_ns: int  # the longest dead time of the two actuators [ns]
 
 
 def make_follow_model(

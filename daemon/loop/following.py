@@ -44,19 +44,12 @@ class Mark:
 
 @quick_value
 class FollowState:
-    """Memory between ticks; empty while no speed is ordered.
+    """Memory between ticks; empty while no speed is ordered."""
 
-    Attributes:
-        orders: that may still take effect, with their times, in order.
-        steer: wheel angle [rad].
-        curvature: of the path [1/m].
-        trail: the bands lately, the newest last.
-    """
-
-    orders: Orders = ()
-    steer: Band = Band(0.0, 0.0)
-    curvature: Band = Band(0.0, 0.0)
-    trail: tuple[Mark, ...] = ()
+    orders: Orders = ()  # that may still take effect, with their times, in order
+    steer: Band = Band(0.0, 0.0)  # wheel angle [rad]
+    curvature: Band = Band(0.0, 0.0)  # of the path [1/m]
+    trail: tuple[Mark, ...] = ()  # the bands lately, the newest last
 
 
 @quick_value
@@ -71,17 +64,13 @@ class Turn:
 
 @quick_value
 class Followed:
-    """Measurement against band; the excess is above zero where no car of the file does this.
+    """Measurement against band; the excess is above zero where no car of the file does this."""
 
-    Attributes:
-        speed: by the wheels [m/s]; `speed_band` what was expected, `speed_excess` beyond it.
-        turn_rate: by mocap [rad/s]; the same for it.
-    """
-
+    # By the wheels [m/s]; `speed_band` what was expected, `speed_excess` beyond it
     speed: float = 0.0
     speed_band: Band = Band(0.0, 0.0)
     speed_excess: float = 0.0
-    turn_rate: float = 0.0
+    turn_rate: float = 0.0  # by mocap [rad/s]; the same for it
     turn_band: Band = Band(0.0, 0.0)
     turn_excess: float = 0.0
 

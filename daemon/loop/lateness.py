@@ -13,17 +13,11 @@ WINDOW_NS = 1_000_000_000
 
 
 class LatenessRules(NamedTuple):
-    """Limits beyond which the car is stopped.
+    """Limits beyond which the car is stopped."""
 
-    Attributes:
-        late_ns: lateness of one tick.
-        run: number of missed ticks in a row.
-        share: share of missed ticks in a second.
-    """
-
-    late_ns: int
-    run: int
-    share: float
+    late_ns: int  # lateness of one tick
+    run: int  # number of missed ticks in a row
+    share: float  # share of missed ticks in a second
 
 
 def make_lateness_rules(thresholds: Thresholds) -> LatenessRules:

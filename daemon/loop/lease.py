@@ -34,23 +34,14 @@ _FROM_ANYBODY = (RequestKind.STOP, RequestKind.ESTOP)
 
 @dataclass(frozen=True)
 class Lease:
-    """The operator who may arm and start.
+    """The operator who may arm and start."""
 
-    Attributes:
-        boot_id: of this run; requests with another are old or meant for another run.
-        holder: lease id of the operator, 0 for nobody.
-        seq: of the last accepted request.
-        renewed_ns: time of the holder's last request.
-        refused: number of refused requests.
-        former: last sequence numbers of former holders: no request is accepted twice.
-    """
-
-    boot_id: int
-    holder: int = 0
-    seq: int = -1
-    renewed_ns: int = 0
-    refused: int = 0
-    former: Numbers = ()
+    boot_id: int  # of this run; requests with another are old or meant for another run
+    holder: int = 0  # lease id of the operator, 0 for nobody
+    seq: int = -1  # of the last accepted request
+    renewed_ns: int = 0  # time of the holder's last request
+    refused: int = 0  # number of refused requests
+    former: Numbers = ()  # last sequence numbers of former holders: no request is accepted twice
 
 
 def _is_new(former: Numbers, who: int, seq: int) -> bool:
@@ -104,20 +95,13 @@ def lease_age(lease: Lease, t_ns: int) -> float:
 
 @dataclass(frozen=True)
 class Remote:
-    """The external controller.
+    """The external controller."""
 
-    Attributes:
-        holder: lease id of the first valid command; others are refused.
-        command: the newest, or None.
-        arrived_ns: time of its arrival.
-        refused: number of refused commands.
-        former: last sequence numbers of former controllers: no command is accepted twice.
-    """
-
-    holder: int = 0
-    command: DriveCommand | None = None
-    arrived_ns: int = 0
-    refused: int = 0
+    holder: int = 0  # lease id of the first valid command; others are refused
+    command: DriveCommand | None = None  # the newest, or None
+    arrived_ns: int = 0  # time of its arrival
+    refused: int = 0  # number of refused commands
+    # Last sequence numbers of former controllers: no command is accepted twice
     former: Numbers = ()
 
 

@@ -28,26 +28,16 @@ _WHY = {
 @quick_init
 @dataclass(frozen=True, slots=True)
 class Live:
-    """Live parameters of a run.
+    """Live parameters of a run."""
 
-    Attributes:
-        bounds: None where the lane keeper does not drive alone.
-        aim: what was accepted last.
-        now: what is in force, on its way there.
-        t_ns: of the last tick.
-        lease_id, seq: of the last request, 0 before the first.
-        accepted: whether it was.
-        text: the answer to it.
-    """
-
-    bounds: LiveBounds | None
-    aim: LiveValues
-    now: LiveValues
-    t_ns: int = 0
-    lease_id: int = 0
+    bounds: LiveBounds | None  # None where the lane keeper does not drive alone
+    aim: LiveValues  # what was accepted last
+    now: LiveValues  # what is in force, on its way there
+    t_ns: int = 0  # of the last tick
+    lease_id: int = 0  # of the last request, 0 before the first; so is `seq`
     seq: int = 0
-    accepted: bool = False
-    text: str = ""
+    accepted: bool = False  # whether it was
+    text: str = ""  # the answer to it
 
 
 def make_live(bounds: LiveBounds | None) -> Live:

@@ -5,15 +5,10 @@ give the same orders. Decisions are made by the pure functions that it calls; th
 states from tick to tick.
 """
 
-from collections.abc import Iterator
-from math import isfinite, nan
-
-from steerd.car_model.actuators import references
 from steerd.car_model.nominal_car import believed_car
-from steerd.car_model.ops import FLOAT
 from steerd.car_model.state import Command
 from steerd.controller.lane_controller import ControllerState, ControlReport, start_controller
-from steerd.controller.limits import Verdict, make_limiter_state
+from steerd.controller.limits import make_limiter_state
 from steerd.controller.live import AS_DESIGNED
 from steerd.daemon.loop.adapting import (
     lose_estimate,
@@ -22,66 +17,34 @@ from steerd.daemon.loop.adapting import (
     steer,
     take_design,
 )
-from steerd.daemon.loop.checks import (
-    STANDING_SPEED,
-    VescInfo,
-    check_controller,
-    check_findings,
-    check_flags,
-    check_lane,
-    check_motion,
-    check_vesc,
-)
+from steerd.daemon.loop.checks import STANDING_SPEED, find_failures
 from steerd.daemon.loop.design_desk import read_design
-from steerd.daemon.loop.findings import (
-    Finding,
-    advise_simulation,
-    make_finding,
-    make_unknown,
-    summarise,
-)
-from steerd.daemon.loop.flags import Flag, blame_late, make_reported_findings
-from steerd.daemon.loop.follow_model import make_follow_model
-from steerd.daemon.loop.following import (
-    Followed,
-    FollowState,
-    advance,
-    compare,
-    follow_span,
-    measure_turns,
-    send_order,
-)
-from steerd.daemon.loop.lateness import IN_SIMULATION, Lateness, make_lateness_rules, step_lateness
-from steerd.daemon.loop.launch import LaunchInput, LaunchState, make_launch_state, step_launch
+from steerd.daemon.loop.findings import Finding, Flag, merge_requests, summarise
 from steerd.daemon.loop.lease import (
     Lease,
     Remote,
     accept_request,
     admit,
-    command_age,
     lease_age,
     take_command,
     valid_command,
 )
 from steerd.daemon.loop.live import judge_both_lanes, make_live, relax, step_live, take_request
 from steerd.daemon.loop.loop_setup import LoopSetup
-from steerd.daemon.loop.orders import Order, make_order
-from steerd.daemon.loop.perception import Perception, best_speed, estimated_state
+from steerd.daemon.loop.orders import Order, TickResult, make_order
+from steerd.daemon.loop.perception import Perception, best_speed
 from steerd.daemon.loop.plans import Drill
 from steerd.daemon.loop.supervisor import (
-    Action,
     Conditions,
-    SupervisorMemory,
     make_supervisor_memory,
     stands,
     step_supervisor,
 )
-from steerd.daemon.loop.transitions import Fact, Request, SupervisorState, is_engaged
-from steerd.daemon.loop.watchdogs import WatchdogInput, WatchdogState, is_slowing, step_watchdogs
-from steerd.daemon.settings.thresholds import LAUNCH_SPEED
+from steerd.daemon.loop.transitions import Fact, SupervisorState, is_engaged
+from steerd.daemon.loop.watchdogs import WatchdogInput
+from steerd.daemon.loop.watching import Watching
 from steerd.estimator.state_filter import StateEstimate
-from steerd.steer_bus.messages import Design, DriveCommand, OperatorRequest, ParameterRequest
-from steerd.steer_bus.quick_values import quick_value
+from steerd.steer_bus import messages as m
 
 _DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
 _HARD = (SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
@@ -95,33 +58,6 @@ _RELOCATE_TICKS = 25
 """A parked car may be carried: its place on the path is searched anew every so many ticks."""
 _LEASE_KEPT_S = 1.0
 """Time for which a silent operator keeps the lease while the car is not parked [s]."""
-
-
-@quick_value
-class TickResult:
-    """Decision of one tick and its inputs.
-
-    Attributes:
-        order: for the wire.
-        action: of the supervisor.
-        old: the supervisor's state before the tick.
-        supervisor: the supervisor after it.
-        estimate: of the car's state, None before the first.
-        report: of the lane keeper, None without an estimate.
-        findings: of the watchdogs.
-        waiting: what the supervisor waits for, for people.
-        facts: bits of `Fact`.
-    """
-
-    order: Order
-    action: Action
-    old: SupervisorState
-    supervisor: SupervisorMemory
-    estimate: StateEstimate | None
-    report: ControlReport | None
-    findings: tuple[Finding, ...]
-    waiting: str
-    facts: int
 
 
 class Loop:
@@ -142,44 +78,38 @@ class Loop:
     def __init__(self, setup: LoopSetup) -> None:
         s = setup.settings
         self.setup = setup
-        car = self._car = believed_car(s.file.model)
+        car = believed_car(s.file.model)
         self.perception = Perception(car, s.file.chassis, s.filter, s.thresholds, s.scaling)
         self.supervisor = make_supervisor_memory(0)
         self.lease = Lease(setup.boot_id)
         self.remote = Remote()
         self.live = make_live(setup.live)
         self.adapting = make_adapting(setup.controller, setup.learnt, s.thresholds.lateral)
-        self.vesc: VescInfo | None = None
+        self.vesc: m.VescIdentity | None = None
         self.fault = ""
         self.ran = False
         self._limiter = make_limiter_state(s.limits, Command(0.0, 0.0), 0)
         self._issued: Command[float] | None = None
         self._control: ControllerState | None = None
-        self._launch: LaunchState | None = None
-        self._watchdogs = WatchdogState()
-        self._ranges = make_follow_model(car, s.file.sd, s.filter, s.thresholds)
-        self._following = FollowState()
-        self._lateness = Lateness()
-        self._late_rules = IN_SIMULATION if setup.simulated else make_lateness_rules(s.thresholds)
+        self._watching = Watching(setup, car, self.perception)
         self._requests_pending = 0
-        self._not_finite = False
         self._started_ns = 0
         self._ticks = 0
 
     # --- events
 
-    def on_vesc(self, vesc: VescInfo | None) -> None:
+    def on_vesc(self, vesc: m.VescIdentity | None) -> None:
         """The VESC reported about itself, or is gone (None)."""
         self.vesc = vesc
 
-    def on_operator(self, message: OperatorRequest, t_ns: int) -> None:
+    def on_operator(self, message: m.OperatorRequest, t_ns: int) -> None:
         """An operator's request arrived."""
         before = self.lease.holder
         self.lease, request = accept_request(self.lease, message, t_ns, self._is_idle(t_ns))
         self._requests_pending |= int(request)
         self._pass_on(before)
 
-    def on_parameters(self, message: ParameterRequest, t_ns: int) -> None:
+    def on_parameters(self, message: m.ParameterRequest, t_ns: int) -> None:
         """A request for other live parameters arrived."""
         before = self.lease.holder
         self.lease, admitted = admit(self.lease, message, t_ns, self._is_idle(t_ns))
@@ -197,11 +127,11 @@ class Loop:
         if self.setup.leased and before not in (0, self.lease.holder):
             self.live = relax(self.live, "another operator: path and gains as designed")
 
-    def on_drive(self, command: DriveCommand, t_ns: int) -> None:
+    def on_drive(self, command: m.DriveCommand, t_ns: int) -> None:
         """An external controller's command arrived."""
         self.remote = take_command(self.remote, self.setup.boot_id, command, t_ns)
 
-    def on_design(self, message: Design, t_ns: int) -> None:
+    def on_design(self, message: m.Design, t_ns: int) -> None:
         """A design was taken; who hands it over has checked it, or reads what was recorded."""
         design = read_design(message)
         self.adapting = take_design(self.adapting, message.number, design, message.text, t_ns)
@@ -213,35 +143,26 @@ class Loop:
         estimate = self.perception.estimate(now_ns)
         speed = best_speed(estimate, self.perception.recent_wheel_speed(now_ns))
         wish, report = self._make_wish(estimate, now_ns)
-        reported = self._report(estimate, due_ns, now_ns, flags)
-        now = self._measure(estimate, report, speed, now_ns, reported)
-        findings = self._run_watchdogs(now)
-        failed = self._find_failed_checks(now, findings, report is not None, flags)
+        now, findings = self._run_watchdogs(estimate, report, speed, due_ns, now_ns, flags)
+        settings = self.setup.settings
+        failed = find_failures(
+            self.setup, self.vesc, self.remote, now, findings, flags, estimated=report is not None
+        )
         bits, text = summarise(findings)
         facts = bits | self._make_facts(now, estimate, failed, flags)
-        conditions = Conditions(facts, speed, self._timeout_ns(), text)
+        vesc = self.vesc
+        timeout_ns = 0 if vesc is None or vesc.timeout_ms < 0 else vesc.timeout_ms * 1_000_000
+        conditions = Conditions(facts, speed, timeout_ns, text)
         old = self.supervisor.state
-        self.supervisor, action = step_supervisor(
-            self.supervisor, conditions, self._merge_requests(flags), now_ns
-        )
+        starts = self.setup.auto_arm and not self.ran
+        requests = merge_requests(self._requests_pending, flags, old, starts=starts)
+        self.supervisor, action = step_supervisor(self.supervisor, conditions, requests, now_ns)
         self._requests_pending = 0
         self._apply_transition(old, estimate, now_ns, text)
-        order = make_order(
-            self.setup.settings.limits,
-            self.setup.settings.brakes,
-            self.setup.settings.scaling,
-            self._limiter,
-            action,
-            wish,
-            speed,
-            now_ns,
-        )
+        order = make_order(settings, self._limiter, action, wish, speed, now_ns)
         self._remember_order(order, now_ns)
-        waiting = (
-            failed[0]
-            if failed and self.supervisor.state is SupervisorState.DISARMED
-            else action.waiting
-        )
+        disarmed = self.supervisor.state is SupervisorState.DISARMED
+        waiting = failed[0] if failed and disarmed else action.waiting
         return TickResult(
             order, action, old, self.supervisor, estimate, report, findings, waiting, facts
         )
@@ -291,172 +212,44 @@ class Loop:
         held = self._limiter.order
         return held if self.supervisor.state in _DRIVING else None
 
-    def _report(
-        self, estimate: StateEstimate | None, due_ns: int, now_ns: int, flags: int
-    ) -> tuple[Finding, ...]:
-        """What is found beside the watchdogs: by runner, lateness, launch and command check."""
-        reported = list(make_reported_findings(flags))
-        self._lateness, late = step_lateness(
-            self._lateness, due_ns, now_ns, self.setup.period_ns, self._late_rules
-        )
-        if late is not None:
-            reported.append(blame_late(late, flags))
-        return (*reported, *self._check_launch(estimate, now_ns), *self._check_commands(now_ns))
-
-    def _run_watchdogs(self, now: WatchdogInput) -> tuple[Finding, ...]:
-        self._watchdogs, findings = step_watchdogs(
-            self.setup.settings.thresholds, self._watchdogs, now
-        )
-        return tuple(map(advise_simulation, findings)) if self.setup.simulated else findings
-
-    def _measure(
+    def _run_watchdogs(
         self,
         estimate: StateEstimate | None,
         report: ControlReport | None,
         speed: float,
+        due_ns: int,
         now_ns: int,
-        reported: tuple[Finding, ...],
-    ) -> WatchdogInput:
-        """The measurements of a tick, NaN where nothing is known."""
-        seen, settings, ignores_lane = self.perception, self.setup.settings, self.setup.ignores_lane
-        s, health = estimated_state(estimate), estimate.health if estimate else None
-        lane = None if report is None or ignores_lane else judge_both_lanes(report, self.live.now)
-        nowhere = 0.0 if ignores_lane else nan
-        limits, brakes, steer = settings.limits, settings.brakes, self._limiter.order.steer
-        launched = self._launch is not None and self._launch.done
-        v = seen.values
-        return WatchdogInput(
-            t_ns=now_ns,
-            state=self.supervisor.state,
-            pose=seen.watch,
-            mocap_age=seen.mocap_age(now_ns),
-            telemetry_age=seen.telemetry_age(now_ns),
-            lease_age=lease_age(self.lease, now_ns) if self.setup.leased else 0.0,
-            speed=speed,
-            speed_erpm=seen.wheel_speed,
-            speed_mocap=seen.mocap_speed,
-            speed_limit=limits.speed_max if launched else min(LAUNCH_SPEED, limits.speed_max),
-            x=s.x,
-            y=s.y,
-            course=s.yaw + s.slip_angle,
-            sigma_position=health.position_sd if health else nan,
-            sigma_yaw=health.yaw_sd if health else nan,
-            covariance_ok=health.sound if health else True,  # its sigmas are not known: W6 trips
-            lateral_error=lane.e1 if lane else nowhere,
-            heading_error=lane.e2 if lane else nowhere,
-            steer_share=abs(steer)
-            / (limits.steer_left_max if steer > 0.0 else limits.steer_right_max),
-            status=v.status or 0,
-            fault_code=v.fault or 0,
-            tachometer=-1 if v.tachometer_abs is None else v.tachometer_abs,
-            cell_voltage=nan if v.input_voltage is None else v.input_voltage / brakes.cells,
-            fet_temperature=nan if v.temp_fet_c is None else v.temp_fet_c,
-            motor_temperature=nan if v.temp_motor_c is None else v.temp_motor_c,
-            current_share=nan
-            if v.motor_current is None
-            else abs(v.motor_current) / brakes.current_max_a,
-            followed=self._compare_with_orders(now_ns),
-            reported=reported,
+        flags: int,
+    ) -> tuple[WatchdogInput, tuple[Finding, ...]]:
+        """The measurements of this tick, and everything that is wrong."""
+        watching, state, order = self._watching, self.supervisor.state, self._limiter.order
+        reported = watching.find_reported(
+            state, estimate, order, self.remote, due_ns, now_ns, flags
         )
-
-    def _compare_with_orders(self, now_ns: int) -> Followed:
-        """What wheels and pose did since, against the orders that left."""
-        seen = self.perception
-        speed = seen.mocap_speed
-        ground = speed if isfinite(speed) else 0.0
-        self._following = advance(self._following, self._ranges, now_ns, ground)
-        turns = measure_turns(seen.track, follow_span(self.setup.settings.thresholds, ground))
-        return compare(self._following, self._ranges, seen.wheel, turns)
-
-    def _check_launch(self, estimate: StateEstimate | None, now_ns: int) -> Iterator[Finding]:
-        if self.supervisor.state is not SupervisorState.RUNNING or estimate is None:
-            return
-        if self._launch is not None and self._launch.done:
-            return
-        s = estimate.state
-        wheel_speed = self.perception.wheel_speed
-        aim = references(FLOAT, self._car, self._limiter.order)  # gain and bias of the linkage
-        now = LaunchInput(now_ns, s.x, s.y, s.yaw, wheel_speed, aim.steer)
-        if self._launch is None:
-            self._launch = make_launch_state(now)
-            return
-        self._launch, wrong = step_launch(self._launch, now, self.setup.settings.limits.wheelbase)
-        if wrong:
-            yield make_finding("launch", wrong)
-
-    def _check_commands(self, now_ns: int) -> Iterator[Finding]:
-        if self._not_finite:
-            yield make_finding("limiter", "the controller gave a number that is not finite")
-        driving = self.supervisor.state is SupervisorState.RUNNING and self.setup.remote
-        if driving and valid_command(self.remote, now_ns) is None:
-            age = command_age(self.remote, now_ns)
-            if isfinite(age):
-                yield make_finding("W25", f"no valid command for {age * 1e3:.0f} ms")
-            else:
-                yield make_unknown("W25", "no valid command yet")
-
-    def _find_failed_checks(
-        self, now: WatchdogInput, findings: tuple[Finding, ...], estimated: bool, flags: int
-    ) -> list[str]:
-        """Pre-arm checks that fail, the cause before its consequences."""
-        settings = self.setup.settings
-        failed = [*check_vesc(self.vesc, settings.brakes), *check_flags(flags)]
-        if not estimated:
-            failed.append("an estimate: mocap must see the car for a moment, standing")
-        failed += check_findings(findings)
-        if estimated and self.setup.remote:
-            failed += check_controller(valid_command(self.remote, now.t_ns) is not None)
-        elif estimated:
-            failed += check_lane(now.lateral_error, now.heading_error, settings.thresholds)
-        if now.state is not SupervisorState.RUNNING:
-            failed += check_motion(now.speed)
-        return failed
+        counts = report is not None and not self.setup.ignores_lane
+        lane = judge_both_lanes(report, self.live.now) if counts and report is not None else None
+        age = lease_age(self.lease, now_ns) if self.setup.leased else 0.0
+        return watching.judge(state, estimate, lane, speed, order.steer, age, now_ns, reported)
 
     def _make_facts(
         self, now: WatchdogInput, estimate: StateEstimate | None, failed: list[str], flags: int
     ) -> int:
-        setup, th = self.setup, self.setup.settings.thresholds
-        known = self.vesc is not None and self.vesc.expected and self.vesc.timeout_ms is not None
+        setup, th, vesc = self.setup, self.setup.settings.thresholds, self.vesc
+        known = vesc is not None and vesc.expected == 1 and vesc.timeout_ms >= 0
         seen = self.perception.accepted_ns is not None and not flags & Flag.MOCAP_REFUSED
-        running = now.state is SupervisorState.RUNNING
         over = setup.duration_ns is not None and now.t_ns - self._started_ns >= setup.duration_ns
-        facts = Fact.SLOWING if is_slowing(self._watchdogs) else 0
-        if flags & Flag.LINKED:
-            facts |= Fact.LINKED
-        if known and seen:
-            facts |= Fact.IDENTIFIED
-        if not failed:
-            facts |= Fact.CHECKS_PASS
-        if now.telemetry_age <= th.telemetry and self.perception.values.timeout_active:
-            facts |= Fact.FW_TIMEOUT
-        if now.lease_age <= th.lease:
-            facts |= Fact.LEASED
-        if running and over:
-            facts |= Fact.ENDED
-        if self._launch is not None and self._launch.done:
-            facts |= Fact.LAUNCHED
-        if estimate is not None and estimate.health.sound:
-            facts |= Fact.ESTIMATED
-        return facts
-
-    def _timeout_ns(self) -> int:
-        known = self.vesc.timeout_ms if self.vesc is not None else None
-        return (known or 0) * 1_000_000
-
-    def _merge_requests(self, flags: int) -> int:
-        # Plain integers: an IntFlag "or" costs microseconds, and this runs on every tick.
-        requests = self._requests_pending
-        state = self.supervisor.state
-        if flags & Flag.QUIT:
-            requests |= int(Request.DISARM)
-        if flags & Flag.ABORT:
-            requests |= int(Request.ABORT)
-        if self.setup.auto_arm and not self.ran and not flags & (Flag.QUIT | Flag.ABORT):
-            if state is SupervisorState.READY:
-                requests |= int(Request.ARM)
-            elif state is SupervisorState.ARMED:
-                requests |= int(Request.START)
-        return requests
+        shown = now.telemetry_age <= th.telemetry and now.status & 1 == 1
+        return (
+            Fact.SLOWING * self._watching.slowing
+            | Fact.LINKED * (flags & Flag.LINKED != 0)
+            | Fact.IDENTIFIED * (known and seen)
+            | Fact.CHECKS_PASS * (not failed)
+            | Fact.FW_TIMEOUT * shown
+            | Fact.LEASED * (now.lease_age <= th.lease)
+            | Fact.ENDED * (now.state is SupervisorState.RUNNING and over)
+            | Fact.LAUNCHED * self._watching.launched
+            | Fact.ESTIMATED * (estimate is not None and estimate.health.sound)
+        )
 
     def _apply_transition(
         self, old: SupervisorState, estimate: StateEstimate | None, now_ns: int, tripped: str
@@ -464,11 +257,13 @@ class Loop:
         """Start or end what a change of state starts or ends; `tripped`: the worst trip's text."""
         new = self.supervisor.state
         if new is SupervisorState.RUNNING and old is not SupervisorState.RUNNING:
-            self._started_ns, self._launch, self.fault = now_ns, None, ""
+            self._started_ns, self.fault = now_ns, ""
+            self._watching.restart_launch()
             if estimate is not None:
                 self._control = start_controller(self.adapting.controller, estimate.state, now_ns)
         if old in _DRIVING and new not in _DRIVING:
-            self.ran, self._launch = True, None
+            self.ran = True
+            self._watching.restart_launch()
         reason, hard = self.supervisor.reason, new in _HARD
         if new is not old and (hard or (is_engaged(old) and reason == tripped)):
             self.fault = reason
@@ -480,17 +275,9 @@ class Loop:
     def _remember_order(self, order: Order, now_ns: int) -> None:
         """Remember the order, for limiter, filter and controller."""
         self._limiter = order.limiter
-        self._not_finite = order.verdict is Verdict.NOT_FINITE
         if order.command != self._issued:
             self.perception.on_command(now_ns, order.command)
-        rolling = self.perception.wheel_speed
-        self._following = send_order(
-            self._following,
-            self._ranges,
-            now_ns,
-            order.command,
-            rolling if isfinite(rolling) else 0.0,
-        )
+        self._watching.send_order(now_ns, order)
         self.adapting = remember_order(self.adapting, now_ns, order.command)
         self._issued = order.command
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from math import isfinite
 
 from steerd.car_model.state import Command
+from steerd.controller.lane_controller import ControlReport
 from steerd.controller.limits import (
     LimitedOrder,
     LimiterState,
@@ -12,12 +13,14 @@ from steerd.controller.limits import (
     limit_order,
     make_limiter_state,
 )
-from steerd.daemon.loop.supervisor import Action
-from steerd.daemon.loop.transitions import MotorOutput, SteeringOutput
-from steerd.daemon.settings.config import BrakeSettings
+from steerd.daemon.loop.findings import Finding
+from steerd.daemon.loop.supervisor import Action, SupervisorMemory
+from steerd.daemon.loop.transitions import MotorOutput, SteeringOutput, SupervisorState
+from steerd.daemon.settings.config import BrakeSettings, Settings
+from steerd.estimator.state_filter import StateEstimate
 from steerd.steer_bus.messages import ActuationMode
-from steerd.steer_bus.quick_values import quick_init
-from steerd.vesc_link.scaling import Scaling, as_sent
+from steerd.steer_bus.quick_values import quick_init, quick_value
+from steerd.vesc_link.scaling import as_sent
 from steerd.vesc_link.vesc import Drive
 
 _DRIVEN = (MotorOutput.DRIVE, MotorOutput.RAMP_STOP)
@@ -31,26 +34,32 @@ _UNBRAKED = {
 @quick_init
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What leaves in this tick.
+    """What leaves in this tick."""
 
-    Attributes:
-        drive: for the wire.
-        limiter: state of the output limiter after it.
-        command: the command as sent, for filter and controller; None when the motor does not
-            follow a speed.
-        verdict: of the limiter; NOT_FINITE means that this order brakes instead.
-    """
-
-    drive: Drive
-    limiter: LimiterState
+    drive: Drive  # for the wire
+    limiter: LimiterState  # state of the output limiter after it
+    # The command as sent, for filter and controller; None when the motor does not follow a speed
     command: Command[float] | None
-    verdict: Verdict
+    verdict: Verdict  # of the limiter; NOT_FINITE means that this order brakes instead
+
+
+@quick_value
+class TickResult:
+    """Decision of one tick and its inputs."""
+
+    order: Order  # for the wire
+    action: Action  # of the supervisor
+    old: SupervisorState  # the supervisor's state before the tick
+    supervisor: SupervisorMemory  # the supervisor after it
+    estimate: StateEstimate | None  # of the car's state, None before the first
+    report: ControlReport | None  # of the lane keeper, None without an estimate
+    findings: tuple[Finding, ...]  # of the watchdogs
+    waiting: str  # what the supervisor waits for, for people
+    facts: int  # bits of `Fact`
 
 
 def make_order(
-    limits: Limits,
-    brakes: BrakeSettings,
-    scaling: Scaling,
+    settings: Settings,
     state: LimiterState,
     action: Action,
     wish: Command[float] | None,
@@ -60,15 +69,15 @@ def make_order(
     """Make the order for an action; a wish that is missing or not finite brakes.
 
     Args:
-        limits: of the car.
-        brakes: currents.
-        scaling: of the VESC: orders are rounded to what it can express.
+        settings: limits, brake currents, and the VESC's scaling: orders are rounded to what it
+            can express.
         state: of the output limiter.
         action: the supervisor's.
         wish: the controller's, None if it has none.
         speed: the car's, best known [m/s].
         t_ns: now.
     """
+    limits, brakes, scaling = settings.limits, settings.brakes, settings.scaling
     measured = speed if isfinite(speed) else limits.speed_max
     driven = action.motor in _DRIVEN
     limited = limit_order(

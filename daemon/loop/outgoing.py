@@ -14,6 +14,7 @@ from steerd.estimator.state_filter import StateEstimate
 from steerd.mocap_link.source import ClockKind, Pose
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
+from steerd.vesc_link.identity import AppConf, FwVersion
 from steerd.vesc_link.telemetry import Imu, Values
 from steerd.vesc_link.vesc import Answer, Drive
 
@@ -69,6 +70,22 @@ def make_imu(header: m.Header, when: Answer, i: Imu) -> m.VescImu:
     """An IMU reading."""
     values = [nan if value is None else value for value in _INERTIAL(i)]
     return m.VescImu(header, when.t_sent_ns, when.t_received_ns, *values)
+
+
+def make_identity(
+    version: FwVersion, appconf: AppConf | None, expected: bool, t_ns: int, epoch_ns: int
+) -> m.VescIdentity:
+    """Who the VESC is and how it stops by itself, as far as it has said."""
+    return m.VescIdentity(
+        m.make_header(t_ns + epoch_ns, m.BODY),
+        t_ns,
+        -1 if appconf is None else appconf.timeout_ms,
+        int(expected),
+        version.major,
+        version.minor,
+        nan if appconf is None else appconf.timeout_brake_current,
+        version.uuid.hex() if version.uuid else "",
+    )
 
 
 def make_actuation(header: m.Header, drive: Drive, wire: bytes, seq: int) -> m.Actuation:

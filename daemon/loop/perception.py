@@ -1,7 +1,7 @@
 """Perception: checks mocap frames, keeps telemetry, estimates the car's state."""
 
 from collections import deque
-from math import hypot, inf, nan
+from math import hypot, inf, isfinite, nan
 
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.params import Car, wheelbase
@@ -20,9 +20,9 @@ from steerd.estimator.state_filter import (
     step,
 )
 from steerd.mocap_link.source import Pose
+from steerd.steer_bus import messages as m
 from steerd.vesc_link.scaling import Scaling, erpm_to_speed
-from steerd.vesc_link.telemetry import Imu, Values
-from steerd.vesc_link.vesc import Answer
+from steerd.vesc_link.telemetry import has_chip
 
 _TRACK_NS = round(1e9 * LONG_TURN_S)
 """How long poses are kept."""
@@ -30,6 +30,7 @@ _SPEED_SPAN_NS = 100_000_000
 """Time over which mocap speed is taken: single steps at 100 Hz are mostly noise."""
 BLIND_S = 0.5
 """Age after which a measured speed counts as unknown [s]."""
+NO_TELEMETRY = m.VescTelemetry(m.make_header(0, m.BODY), 0, 0, -1, 0, 0, -1, -1, -1, *(nan,) * 10)
 _SEEN = (PoseVerdict.ACCEPTED, PoseVerdict.REBASED)
 
 
@@ -39,7 +40,7 @@ class Perception:
     Attributes:
         watch: memory of the frame watchdogs.
         telemetry: the last reply with telemetry, or None.
-        values: what it says; all None before the first.
+        values: the same; all unknown before the first.
         wheel_speed: by the wheels, from that reply [m/s]; NaN while unknown.
         wheel: the same with its time of validity [ns]; None while unknown.
         mocap_speed: by mocap alone over the last 100 ms [m/s]; NaN while unknown.
@@ -67,8 +68,8 @@ class Perception:
         self._seen = 0
         self.watch = PoseWatch()
         self.track: deque[Pose] = deque()
-        self.telemetry: Answer | None = None
-        self.values = Values()
+        self.telemetry: m.VescTelemetry | None = None
+        self.values = NO_TELEMETRY
         self.wheel_speed = self.mocap_speed = nan
         self.wheel: tuple[int, float] | None = None
         self.accepted_ns: int | None = None
@@ -96,20 +97,18 @@ class Perception:
                     latest_ns = measurement.t_ns
             self._fuse(latest_ns)
 
-    def on_telemetry(self, telemetry: Answer, values: Values) -> None:
+    def on_telemetry(self, telemetry: m.VescTelemetry) -> None:
         """Take motor telemetry; its wheel speed is valid in the middle of the exchange."""
-        self.telemetry, self.values = telemetry, values
-        self.wheel_speed, self.wheel = nan, None
-        if values.erpm is not None:
-            speed = self.wheel_speed = erpm_to_speed(self._scaling, values.erpm)
-            self.wheel = (telemetry.stamp_ns, speed)
-            self._measurements.append(make_wheel_speed(*self.wheel))
+        self.telemetry = self.values = telemetry
+        speed = self.wheel_speed = erpm_to_speed(self._scaling, telemetry.erpm)
+        self.wheel = (telemetry.t_sent_ns + telemetry.t_received_ns) // 2, speed
+        self._measurements.append(make_wheel_speed(*self.wheel))
 
-    def on_imu(self, stamp_ns: int, imu: Imu) -> None:
+    def on_imu(self, imu: m.VescImu) -> None:
         """Take the gyro's yaw rate, if there is a gyro."""
-        yaw_rate = imu.gyro_z
-        if imu.has_chip and yaw_rate is not None:
-            self._measurements.append(make_gyro(stamp_ns, yaw_rate))
+        if has_chip(imu.accel_x, imu.accel_y, imu.accel_z) and isfinite(imu.gyro_z):
+            stamp_ns = (imu.t_sent_ns + imu.t_received_ns) // 2
+            self._measurements.append(make_gyro(stamp_ns, imu.gyro_z))
 
     def on_command(self, t_ns: int, command: Command[float] | None) -> None:
         """Remember the command sent to the car; None when no speed is commanded."""

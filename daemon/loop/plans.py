@@ -54,25 +54,15 @@ class PlanError(ValueError):
 
 
 class Segment(NamedTuple):
-    """One stretch of a plan.
+    """One stretch of a plan."""
 
-    Attributes:
-        seconds: duration [s].
-        speed: target speed [m/s].
-        steer: mean angle [rad].
-        swing: amplitude about it [rad].
-        f0: frequency at the beginning [Hz].
-        f1: frequency at the end, linear in between [Hz].
-        square: steps instead of a sine.
-    """
-
-    seconds: float
-    speed: float
-    steer: float
-    swing: float = 0.0
-    f0: float = 0.0
-    f1: float = 0.0
-    square: bool = False
+    seconds: float  # duration [s]
+    speed: float  # target speed [m/s]
+    steer: float  # mean angle [rad]
+    swing: float = 0.0  # amplitude about it [rad]
+    f0: float = 0.0  # frequency at the beginning [Hz]
+    f1: float = 0.0  # frequency at the end, linear in between [Hz]
+    square: bool = False  # steps instead of a sine
 
     def command(self, t: float) -> Command[float]:
         """The command `t` seconds after the segment's beginning."""
@@ -105,19 +95,12 @@ class Box:
 
 @dataclass(frozen=True)
 class Drill:
-    """A plan to be driven.
+    """A plan to be driven."""
 
-    Attributes:
-        name: of the plan.
-        segments: in order.
-        closed: added to the lane keeper's command, instead of replacing it.
-        box: None without one.
-    """
-
-    name: str
-    segments: tuple[Segment, ...]
-    closed: bool
-    box: Box | None
+    name: str  # of the plan
+    segments: tuple[Segment, ...]  # in order
+    closed: bool  # added to the lane keeper's command, instead of replacing it
+    box: Box | None  # None without one
 
     @property
     def seconds(self) -> float:

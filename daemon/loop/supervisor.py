@@ -9,9 +9,12 @@ tests. No clock, no I/O, no randomness.
 
 # Why: docs/decisions/safety.md#d12
 
+from functools import lru_cache
 from math import inf, isfinite
 
 from steerd.daemon.loop.transitions import (
+    GIVEN,
+    REQUESTED,
     STOP_REASON,
     Fact,
     MotorOutput,
@@ -45,74 +48,43 @@ DURATIONS_NS = {
 
 @quick_value
 class Conditions:
-    """Measured conditions of one tick.
+    """Measured conditions of one tick."""
 
-    Attributes:
-        facts: the first twelve bits of `Fact`.
-        speed: best known speed [m/s]; NaN when no source gives it.
-        timeout_ns: the VESC's own timeout as read from its appconf.
-        text: text of the worst watchdog trip, for the log and for people.
-    """
-
-    facts: int
-    speed: float
-    timeout_ns: int
-    text: str = ""
+    facts: int  # those of `GIVEN` that hold
+    speed: float  # best known speed [m/s]; NaN when no source gives it
+    timeout_ns: int  # the VESC's own timeout as read from its appconf
+    text: str = ""  # text of the worst watchdog trip, for the log and for people
 
 
 @quick_value
 class SupervisorMemory:
-    """The supervisor's memory between ticks; times are [ns], monotonic.
+    """The supervisor's memory between ticks; times are [ns], monotonic."""
 
-    Attributes:
-        state: of the state machine.
-        t_ns: time of the last tick.
-        since_ns: time at which the state was entered.
-        reason: why.
-        still_ns: since when the car stands, or ``NEVER``.
-        checks_ns: since when the pre-arm checks pass, or ``NEVER``.
-        proof_ns: since when the VESC shows its timeout, or ``NEVER``.
-        cap: highest speed that may be ordered [m/s].
-        rearm: whether the car goes back to ARMED after this stop.
-        braking: whether brake current has taken over from the speed ramp.
-        frames: brake frames still to be sent to a port that was just opened.
-    """
-
-    state: SupervisorState
-    t_ns: int
-    since_ns: int
-    reason: str
-    still_ns: int
-    checks_ns: int
-    proof_ns: int
-    cap: float
-    rearm: bool
-    braking: bool
-    frames: int
+    state: SupervisorState  # of the state machine
+    t_ns: int  # time of the last tick
+    since_ns: int  # time at which the state was entered
+    reason: str  # why
+    still_ns: int  # since when the car stands, or ``NEVER``
+    checks_ns: int  # since when the pre-arm checks pass, or ``NEVER``
+    proof_ns: int  # since when the VESC shows its timeout, or ``NEVER``
+    cap: float  # highest speed that may be ordered [m/s]
+    rearm: bool  # whether the car goes back to ARMED after this stop
+    braking: bool  # whether brake current has taken over from the speed ramp
+    frames: int  # brake frames still to be sent to a port that was just opened
 
 
 @quick_value
 class Action:
-    """What this tick must put on the wire, and why.
+    """What this tick must put on the wire, and why."""
 
-    Attributes:
-        motor: kind of motor bytes.
-        steering: kind of servo bytes.
-        cap: highest speed that may be ordered [m/s]; ``inf`` where only the car's limits apply.
-        reason: why the supervisor is in this state.
-        waiting: what it waits for.
-    """
-
-    motor: MotorOutput
-    steering: SteeringOutput
-    cap: float
-    reason: str
-    waiting: str
+    motor: MotorOutput  # kind of motor bytes
+    steering: SteeringOutput  # kind of servo bytes
+    cap: float  # highest speed that may be ordered [m/s]; ``inf`` where only the car's limits apply
+    reason: str  # why the supervisor is in this state
+    waiting: str  # what it waits for
 
 
-_GIVEN = Fact.CHECKS_HELD - 1
-_REQUESTS = (1 << 9) - 1
-_KNOWN = _REQUESTS | int(Request.KEEPALIVE)
+_KNOWN = sum(map(int, (*REQUESTED, Request.KEEPALIVE)))
 _SPOILS_REARM = Fact.SOFT | Fact.DISARM | Fact.UNKNOWN
 
 
@@ -157,12 +129,21 @@ def stands(s: SupervisorMemory, t_ns: int) -> bool:
     return _held(s.still_ns, t_ns, STILL_NS)
 
 
+@lru_cache(maxsize=256)
+def _requested(requests: int) -> int:
+    """Facts of requests; a bit that names none counts as an unknown request."""
+    facts = Fact.UNKNOWN if requests & ~_KNOWN else 0
+    for request, fact in REQUESTED.items():
+        facts |= fact if requests & request else 0
+    return facts
+
+
 def derive_facts(s: SupervisorMemory, c: Conditions, requests: int, t_ns: int) -> int:
     """Return all guard bits (`Fact`); the timers in ``s`` must be those of this tick."""
     requests = int(requests)
-    bits = (c.facts & _GIVEN) | (requests & _REQUESTS) * Fact.ARM
-    if requests & ~_KNOWN:
-        bits |= Fact.UNKNOWN
+    bits = c.facts & GIVEN
+    if requests:
+        bits |= _requested(requests)
     if _held(s.checks_ns, t_ns, CHECKS_HOLD_NS):
         bits |= Fact.CHECKS_HELD
     if stands(s, t_ns):

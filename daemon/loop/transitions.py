@@ -65,7 +65,7 @@ class SteeringOutput(IntEnum):
 
 
 class Fact:
-    """Facts that guards test: the loop gives the first twelve, ``derive_facts`` the others.
+    """Facts that guards test: the loop gives those of `GIVEN`, ``derive_facts`` the others.
 
     Plain integers: an IntFlag "or" takes a microsecond, and these are tested in every tick.
     """
@@ -88,7 +88,7 @@ class Fact:
     PROVEN = 1 << 15  # FW_TIMEOUT through 210 ms of silence
     ELAPSED = 1 << 16  # the state has lasted as long as it may
     REARM = 1 << 17  # this stop was an operator's and nothing else came up
-    ARM = 1 << 18  # from here on Request, in its order
+    ARM = 1 << 18  # from here on requests, see `REQUESTED`
     START = 1 << 19
     STOP = 1 << 20
     DISARM = 1 << 21
@@ -100,15 +100,14 @@ class Fact:
 
 
 class TransitionRow(NamedTuple):
-    """One transition: all of ``needs``, at least one of ``one_of`` (if any), none of ``unless``."""
+    """One transition, by the facts that it tests."""
 
     sources: tuple[SupervisorState, ...]
-    needs: int
-    one_of: int
-    unless: int
     to: SupervisorState
-    reason: str
-    """Empty: the watchdog's text."""
+    reason: str  # empty: the watchdog's text
+    needs: int = 0  # all of these hold
+    one_of: int = 0  # at least one of these holds, if any is named
+    unless: int = 0  # none of these holds
 
 
 _ANY = tuple(SupervisorState)
@@ -124,51 +123,68 @@ UNPROVEN = (
     " Close VESC Tool and its apps, and set App Settings > General > Timeout to 100-200 ms"
 )
 
+REQUESTED = {
+    Request.ARM: Fact.ARM, Request.START: Fact.START, Request.STOP: Fact.STOP,
+    Request.DISARM: Fact.DISARM, Request.CLEAR: Fact.CLEAR, Request.ESTOP: Fact.CALL_ESTOP,
+    Request.RESET: Fact.RESET, Request.ABORT: Fact.ABORT, Request.UNKNOWN: Fact.UNKNOWN,
+}  # fmt: skip
+"""The fact that a request is for the table."""
+GIVEN = (
+    Fact.LINKED | Fact.IDENTIFIED | Fact.CHECKS_PASS | Fact.FW_TIMEOUT | Fact.LEASED | Fact.SOFT
+    | Fact.HARD | Fact.KILLED | Fact.ENDED | Fact.LAUNCHED | Fact.ESTIMATED | Fact.SLOWING
+)  # fmt: skip
+"""Facts that the loop gives; the others are derived from requests and timers."""
+
 # The first row that matches wins. A fault of a car that is not armed is a failed check: the car
 # stays silent and disarmed. Faults of an armed car latch.
-TABLE: tuple[TransitionRow, ...] = tuple(
-    TransitionRow(*row)
-    for row in (
-        (_ANY, Fact.CALL_ESTOP, 0, 0, ESTOP, "emergency stop called"),
-        (_ANY, Fact.KILLED, 0, 0, ESTOP, ""),
-        (_DRIVEN, Fact.HARD, 0, 0, FAULT_STOP, ""),
-        (_DRIVEN, 0, 0, Fact.LINKED, FAULT_STOP, "serial link lost"),
-        (_DRIVEN, Fact.ABORT, 0, 0, FAULT_STOP, "second signal: stopping hard"),
-        (_SILENT, 0, 0, Fact.LINKED, INIT, "serial link lost"),
-        (_SILENT, 0, 0, Fact.IDENTIFIED, INIT, "VESC or mocap is not what the car file names"),
-        ((INIT,), Fact.LINKED | Fact.IDENTIFIED, 0, 0, DISARMED, "VESC identified, mocap seen"),
-        ((DISARMED,), Fact.CHECKS_HELD, 0, _TRIPPED, READY, "all checks pass"),
-        ((READY, SELF_TEST), 0, _TRIPPED, 0, DISARMED, ""),
-        ((READY, SELF_TEST), 0, 0, Fact.CHECKS_PASS, DISARMED, "a pre-arm check failed"),
-        ((READY,), Fact.ARM | Fact.LEASED, 0, _HALT, SELF_TEST, "proving the VESC's timeout"),
-        ((SELF_TEST,), 0, 0, Fact.LEASED, DISARMED, "lease or deadman lost"),
-        ((SELF_TEST,), 0, _HALT, 0, DISARMED, "arming called off"),
-        ((SELF_TEST,), Fact.PROVEN, 0, 0, ARMED, "VESC's timeout proven"),
-        ((SELF_TEST,), Fact.ELAPSED, 0, Fact.FW_TIMEOUT, DISARMED, UNPROVEN),
-        ((ARMED,), Fact.SOFT, 0, 0, DISARMED, ""),
-        ((ARMED,), 0, 0, Fact.LEASED, DISARMED, "lease or deadman lost"),
-        ((ARMED,), 0, _LEAVE, 0, DISARMED, "disarm asked for"),
-        ((ARMED,), Fact.START | Fact.CHECKS_PASS, 0, _HALT, RUNNING, "start asked for"),
-        ((ARMED,), Fact.ELAPSED, 0, 0, DISARMED, "armed for 30 s without a start"),
-        ((RUNNING,), Fact.SOFT, 0, 0, STOPPING, ""),
-        ((RUNNING,), 0, 0, Fact.LEASED, STOPPING, "lease or deadman lost"),
-        ((RUNNING,), 0, _LEAVE, 0, STOPPING, "disarm asked for"),
-        ((RUNNING,), Fact.STOP, 0, 0, STOPPING, STOP_REASON),
-        ((RUNNING,), Fact.ENDED, 0, 0, STOPPING, "end of the run"),
-        ((STOPPING,), Fact.STILL | Fact.REARM, 0, 0, ARMED, "stopped"),
-        ((STOPPING,), Fact.STILL, 0, 0, DISARMED, "stopped"),
-        ((STOPPING,), Fact.ELAPSED, 0, 0, FAULT_STOP, "not stopped after 4 s: braking hard"),
-        ((FAULT_STOP,), Fact.STILL, 0, 0, FAULT_LATCHED, ""),
-        ((FAULT_LATCHED,), Fact.CLEAR | Fact.STILL, 0, _TRIPPED, DISARMED, "fault cleared"),
-        (
-            (ESTOP,),
-            Fact.RESET | Fact.STILL | Fact.ELAPSED,
-            0,
-            _TRIPPED,
-            DISARMED,
-            "emergency stop reset",
-        ),
-    )
+_row = TransitionRow
+TABLE: tuple[TransitionRow, ...] = (
+    _row(_ANY, ESTOP, "emergency stop called", needs=Fact.CALL_ESTOP),
+    _row(_ANY, ESTOP, "", needs=Fact.KILLED),
+    _row(_DRIVEN, FAULT_STOP, "", needs=Fact.HARD),
+    _row(_DRIVEN, FAULT_STOP, "serial link lost", unless=Fact.LINKED),
+    _row(_DRIVEN, FAULT_STOP, "second signal: stopping hard", needs=Fact.ABORT),
+    _row(_SILENT, INIT, "serial link lost", unless=Fact.LINKED),
+    _row(_SILENT, INIT, "VESC or mocap is not what the car file names", unless=Fact.IDENTIFIED),
+    _row((INIT,), DISARMED, "VESC identified, mocap seen", needs=Fact.LINKED | Fact.IDENTIFIED),
+    _row((DISARMED,), READY, "all checks pass", needs=Fact.CHECKS_HELD, unless=_TRIPPED),
+    _row((READY, SELF_TEST), DISARMED, "", one_of=_TRIPPED),
+    _row((READY, SELF_TEST), DISARMED, "a pre-arm check failed", unless=Fact.CHECKS_PASS),
+    _row(
+        (READY,),
+        SELF_TEST,
+        "proving the VESC's timeout",
+        needs=Fact.ARM | Fact.LEASED,
+        unless=_HALT,
+    ),
+    _row((SELF_TEST,), DISARMED, "lease or deadman lost", unless=Fact.LEASED),
+    _row((SELF_TEST,), DISARMED, "arming called off", one_of=_HALT),
+    _row((SELF_TEST,), ARMED, "VESC's timeout proven", needs=Fact.PROVEN),
+    _row((SELF_TEST,), DISARMED, UNPROVEN, needs=Fact.ELAPSED, unless=Fact.FW_TIMEOUT),
+    _row((ARMED,), DISARMED, "", needs=Fact.SOFT),
+    _row((ARMED,), DISARMED, "lease or deadman lost", unless=Fact.LEASED),
+    _row((ARMED,), DISARMED, "disarm asked for", one_of=_LEAVE),
+    _row((ARMED,), RUNNING, "start asked for", needs=Fact.START | Fact.CHECKS_PASS, unless=_HALT),
+    _row((ARMED,), DISARMED, "armed for 30 s without a start", needs=Fact.ELAPSED),
+    _row((RUNNING,), STOPPING, "", needs=Fact.SOFT),
+    _row((RUNNING,), STOPPING, "lease or deadman lost", unless=Fact.LEASED),
+    _row((RUNNING,), STOPPING, "disarm asked for", one_of=_LEAVE),
+    _row((RUNNING,), STOPPING, STOP_REASON, needs=Fact.STOP),
+    _row((RUNNING,), STOPPING, "end of the run", needs=Fact.ENDED),
+    _row((STOPPING,), ARMED, "stopped", needs=Fact.STILL | Fact.REARM),
+    _row((STOPPING,), DISARMED, "stopped", needs=Fact.STILL),
+    _row((STOPPING,), FAULT_STOP, "not stopped after 4 s: braking hard", needs=Fact.ELAPSED),
+    _row((FAULT_STOP,), FAULT_LATCHED, "", needs=Fact.STILL),
+    _row(
+        (FAULT_LATCHED,), DISARMED, "fault cleared", needs=Fact.CLEAR | Fact.STILL, unless=_TRIPPED
+    ),
+    _row(
+        (ESTOP,),
+        DISARMED,
+        "emergency stop reset",
+        needs=Fact.RESET | Fact.STILL | Fact.ELAPSED,
+        unless=_TRIPPED,
+    ),
 )
 ROWS = tuple(tuple(row for row in TABLE if state in row.sources) for state in SupervisorState)
 

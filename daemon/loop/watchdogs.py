@@ -29,66 +29,37 @@ COMMANDED_S = 0.2  # after so long in ARMED or RUNNING telemetry must show that 
 
 @quick_value
 class WatchdogInput:
-    """Measurements of one tick; ages in seconds, NaN where unknown.
+    """Measurements of one tick; ages in seconds, NaN where unknown."""
 
-    Attributes:
-        t_ns: now, monotonic.
-        state: the supervisor's, of the last tick.
-        pose: memory of the frame watchdogs.
-        mocap_age: since the last ACCEPTED frame arrived [s].
-        telemetry_age: since the last good GET_VALUES [s].
-        lease_age: since lease and deadman were last renewed, the older one [s].
-        speed: best known, as the supervisor gets it [m/s].
-        speed_erpm: by the wheels [m/s].
-        speed_mocap: by mocap [m/s].
-        speed_limit: of the car now, launch window included [m/s].
-        x: position [m].
-        y: position [m].
-        course: direction of travel, yaw plus slip [rad].
-        sigma_position: standard deviation of the worse axis [m].
-        sigma_yaw: standard deviation [rad].
-        covariance_ok: finite and positive definite.
-        lateral_error: e1 [m].
-        heading_error: e2 [rad].
-        steer_share: |steer| over the limit on its side.
-        status: status byte of GET_VALUES; bit 0 timeout, bit 1 kill switch.
-        fault_code: of GET_VALUES.
-        tachometer: absolute tachometer, -1 while unknown.
-        cell_voltage: pack voltage over cells [V].
-        fet_temperature: [C].
-        motor_temperature: [C]; NaN without a sensor, which is allowed.
-        current_share: |motor current| over its limit.
-        followed: measured motion against what the orders ask of a car like this one.
-        reported: findings of the runner, the launch check and the command check.
-    """
-
-    t_ns: int
-    state: SupervisorState
-    pose: PoseWatch
-    mocap_age: float
-    telemetry_age: float
-    lease_age: float
-    speed: float
-    speed_erpm: float
-    speed_mocap: float
-    speed_limit: float
-    x: float
-    y: float
-    course: float
-    sigma_position: float
-    sigma_yaw: float
-    covariance_ok: bool
-    lateral_error: float
-    heading_error: float
-    steer_share: float
-    status: int
-    fault_code: int
-    tachometer: int
-    cell_voltage: float
-    fet_temperature: float
-    motor_temperature: float
-    current_share: float
+    t_ns: int  # now, monotonic
+    state: SupervisorState  # the supervisor's, of the last tick
+    pose: PoseWatch  # memory of the frame watchdogs
+    mocap_age: float  # since the last ACCEPTED frame arrived [s]
+    telemetry_age: float  # since the last good GET_VALUES [s]
+    lease_age: float  # since lease and deadman were last renewed, the older one [s]
+    speed: float  # best known, as the supervisor gets it [m/s]
+    speed_erpm: float  # by the wheels [m/s]
+    speed_mocap: float  # by mocap [m/s]
+    speed_limit: float  # of the car now, launch window included [m/s]
+    x: float  # position [m]
+    y: float  # position [m]
+    course: float  # direction of travel, yaw plus slip [rad]
+    sigma_position: float  # standard deviation of the worse axis [m]
+    sigma_yaw: float  # standard deviation [rad]
+    covariance_ok: bool  # finite and positive definite
+    lateral_error: float  # e1 [m]
+    heading_error: float  # e2 [rad]
+    steer_share: float  # |steer| over the limit on its side
+    status: int  # status byte of GET_VALUES; bit 0 timeout, bit 1 kill switch
+    fault_code: int  # of GET_VALUES
+    tachometer: int  # absolute tachometer, -1 while unknown
+    cell_voltage: float  # pack voltage over cells [V]
+    fet_temperature: float  # [C]
+    motor_temperature: float  # [C]; NaN without a sensor, which is allowed
+    current_share: float  # |motor current| over its limit
+    # Measured motion against what the orders ask of a car like this one
     followed: Followed = Followed()
+    # Findings of the runner, the launch check and the command check
     reported: tuple[Finding, ...] = ()
 
 
@@ -333,29 +304,20 @@ _NEVER_HELD = (NEVER,) * len(TIMED)
 
 @quick_value
 class WatchdogState:
-    """Memory of the watchdogs between ticks; times [ns] or ``NEVER``.
+    """Memory of the watchdogs between ticks; times [ns] or ``NEVER``."""
 
-    Attributes:
-        since: when the condition of each row of ``TIMED`` began to hold.
-        commanded: telemetry has shown, since the car was armed, that motor commands arrive.
-        tachometer: the largest seen, -1 for none.
-        saturated_ns: when the steering reached its limit.
-        saturated_error: |e1| then [m].
-        stop: the kind of stop whose effect is being watched, None for none.
-        stop_ns: start of the window in which the car must slow down.
-        stop_speed: speed then [m/s].
-        weak: windows of this stop in which it did not.
-    """
-
+    # When the condition of each row of ``TIMED`` began to hold
     since: tuple[int, ...] = _NEVER_HELD
+    # Telemetry has shown, since the car was armed, that motor commands arrive
     commanded: bool = False
-    tachometer: int = -1
-    saturated_ns: int = NEVER
-    saturated_error: float = 0.0
+    tachometer: int = -1  # the largest seen, -1 for none
+    saturated_ns: int = NEVER  # when the steering reached its limit
+    saturated_error: float = 0.0  # |e1| then [m]
+    # The kind of stop whose effect is being watched, None for none
     stop: SupervisorState | None = None
-    stop_ns: int = 0
-    stop_speed: float = 0.0
-    weak: int = 0
+    stop_ns: int = 0  # start of the window in which the car must slow down
+    stop_speed: float = 0.0  # speed then [m/s]
+    weak: int = 0  # windows of this stop in which it did not
 
 
 def is_slowing(w: WatchdogState) -> bool:

@@ -27,22 +27,16 @@ class PoseVerdict(IntEnum):
 
 @quick_value
 class PoseWatch:
-    """Memory of the frame watchdogs; the counts are of frames in a row.
+    """Memory of the frame watchdogs; the counts are of frames in a row."""
 
-    Attributes:
-        base: the last good frame.
-        before: the last good frame that arrived earlier than `base`.
-        rejections: shift register: bit k set if the innovation was rejected k frames ago.
-    """
-
-    base: Pose | None = None
-    before: Pose | None = None
+    base: Pose | None = None  # the last good frame
+    before: Pose | None = None  # the last good frame that arrived earlier than `base`
     frozen: int = 0
     invalid: int = 0
     jumps: int = 0
     jump_times: tuple[int, ...] = ()
     rejected: int = 0
-    rejections: int = 0
+    rejections: int = 0  # shift register: bit k set if the innovation was rejected k frames ago
 
 
 def is_sane(th: Thresholds, pose: Pose) -> bool:

@@ -6,17 +6,14 @@ from itertools import count
 from pathlib import Path
 
 from steerd.daemon.assembly.build import RunPlan, make_world_config
-from steerd.daemon.assembly.session_meta import (
-    default_session_path,
-    make_attachments,
-    make_metadata,
-)
+from steerd.daemon.assembly.session_meta import default_session_path, make_metadata
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.translate import make_session_error
 from steerd.daemon.ipc.pipe_records import PipeRecord, is_learnt_from, read_message
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun, drive, make_virtual_run
+from steerd.daemon.process.children import make_recorder_job
 from steerd.daemon.process.recorder import Recording
 from steerd.daemon.terminal.dashboard import Dashboard, closing_lines
 from steerd.sim_hw.world import World
@@ -30,20 +27,10 @@ def make_recording(plan: RunPlan, path: Path) -> Recording:
     Raises:
         SteerdError: it cannot be created.
     """
+    meta = make_metadata(plan, plan.options.seed + 1, EPOCH_NS, leased=False, reproducible=True)
+    job = make_recorder_job(plan, path, meta, EPOCH_NS)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        hint = "choose another place with --record"
-        raise SteerdError(f"{path.parent}: {error.strerror}", hint, ExitCode.UNREADABLE) from None
-    meta = {
-        "metadata": make_metadata(
-            plan, plan.options.seed + 1, EPOCH_NS, leased=False, reproducible=True
-        ),
-        "attachments": make_attachments(plan),
-        "start_ns": EPOCH_NS,
-    }
-    try:
-        return Recording(path, plan.options.car, meta)
+        return Recording(path, plan.options.car, job)
     except SessionError as error:
         raise make_session_error(error, "choose another file with --record") from None
 

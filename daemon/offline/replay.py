@@ -14,8 +14,7 @@ from steerd.daemon.assembly.session_meta import read_session_car, recorded_path
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import watched
 from steerd.daemon.common.translate import reading
-from steerd.daemon.loop.core import read_identity
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.loop import Loop
 from steerd.daemon.loop.outgoing import CLOCK_KINDS, make_actuation, read_actuation
 from steerd.daemon.settings.config import make_settings
@@ -24,8 +23,6 @@ from steerd.mocap_link.source import Pose
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.session_read import Record, Session
-from steerd.vesc_link.telemetry import Imu, Values
-from steerd.vesc_link.vesc import Answer
 
 TOLERANCE = 1e-9
 """Allowed difference: another machine's libm may differ in the last digits."""
@@ -42,10 +39,6 @@ class Difference:
     replayed: tuple[float, ...]
 
 
-def _or_none(value: float) -> float | None:
-    return None if isnan(value) else value
-
-
 def read_pose(pose: m.MocapPose) -> Pose:
     """A recorded pose (as far as the loop reads it)."""
     return Pose(
@@ -56,7 +49,7 @@ def read_pose(pose: m.MocapPose) -> Pose:
         t_arrival_ns=pose.t_arrival_ns,
         position=(pose.x_raw, pose.y_raw, pose.z_raw),
         quaternion=(pose.qw, pose.qx, pose.qy, pose.qz),
-        mean_error=_or_none(pose.mean_error),
+        mean_error=None if isnan(pose.mean_error) else pose.mean_error,
         tracking_valid=bool(pose.tracking_valid),
         t_valid_ns=pose.t_valid_ns,
         clock=CLOCK_KINDS[pose.clock_kind],
@@ -67,29 +60,6 @@ def read_pose(pose: m.MocapPose) -> Pose:
         tilt=pose.tilt,
         rejected=pose.reject or None,
     )
-
-
-def read_telemetry(vesc: m.VescTelemetry) -> tuple[Answer, Values]:
-    """The reply of recorded telemetry."""
-    values = Values(
-        erpm=vesc.erpm,
-        tachometer=vesc.tachometer,
-        tachometer_abs=None if vesc.tachometer_abs < 0 else vesc.tachometer_abs,
-        fault=None if vesc.fault_code < 0 else vesc.fault_code,
-        status=None if vesc.status < 0 else vesc.status,
-        input_voltage=_or_none(vesc.v_in),
-        motor_current=_or_none(vesc.current_motor),
-        temp_fet_c=_or_none(vesc.temp_fet),
-        temp_motor_c=_or_none(vesc.temp_motor),
-    )
-    return Answer(values, vesc.t_sent_ns, vesc.t_received_ns), values
-
-
-def read_imu(imu: m.VescImu) -> tuple[int, Imu]:
-    """When a recorded IMU reading was measured, and what it says."""
-    sensed: dict[str, Any] = {name: _or_none(getattr(imu, name)) for name in _SENSED}
-    reading = Imu(mask=0, **sensed)
-    return Answer(reading, imu.t_sent_ns, imu.t_received_ns).stamp_ns, reading
 
 
 def make_replay_plan(session: Session, name: str) -> tuple[RunPlan, int, int, bool]:
@@ -130,11 +100,11 @@ class Replay:
             case m.MocapPose() as pose:
                 self.loop.perception.on_pose(read_pose(pose))
             case m.VescTelemetry() as vesc:
-                self.loop.perception.on_telemetry(*read_telemetry(vesc))
+                self.loop.perception.on_telemetry(vesc)
             case m.VescImu() as imu:
-                self.loop.perception.on_imu(*read_imu(imu))
+                self.loop.perception.on_imu(imu)
             case m.VescIdentity() as identity:
-                self.loop.on_vesc(read_identity(identity))
+                self.loop.on_vesc(identity)
             case m.OperatorRequest() as request:
                 self.loop.on_operator(request, t_ns)
             case m.DriveCommand() as command:

@@ -13,7 +13,7 @@ from steerd.daemon.assembly.build import RunPlan, make_core, make_world_config
 from steerd.daemon.assembly.session_meta import VIRTUAL_EPOCH_NS
 from steerd.daemon.ipc.outbox import Sink
 from steerd.daemon.loop.core import Core
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.transitions import SupervisorState, is_engaged
 from steerd.mocap_link.natnet_client import NatNetSource, Socket
 from steerd.sim_hw.mocap.network import COMMAND, DATA
@@ -34,27 +34,18 @@ _GRACE_NS = 30_000_000_000
 
 @dataclass
 class VirtualRun:
-    """One drive in virtual time.
-
-    Attributes:
-        core: the control core.
-        world: the simulated hardware.
-        source: of mocap poses.
-        period_ns: of the control loop.
-        t_ns: now.
-        failed: why the drive cannot go on although the car could, or None: nothing records it.
-        wire: digest of every byte in both directions.
-    """
+    """One drive in virtual time."""
 
     core: Core
-    world: World
-    source: NatNetSource
-    period_ns: int
-    t_ns: int = 0
+    world: World  # the simulated hardware
+    source: NatNetSource  # of mocap poses
+    period_ns: int  # of the control loop
+    t_ns: int = 0  # now
+    # Why the drive cannot go on although the car could, or None: nothing records it
     failed: Exception | None = None
 
     def __post_init__(self) -> None:
-        self.wire = hashlib.sha256()
+        self.wire = hashlib.sha256()  # digest of every byte in both directions
         self._timer_ns = 0
         self._reopen_ns = 0
         self._opened = self.world.serial_name

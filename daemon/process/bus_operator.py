@@ -10,8 +10,8 @@ from pathlib import Path
 
 import platformdirs
 
-from steerd.daemon.ipc.gateway_wire import make_badge
 from steerd.daemon.ipc.operator import Operator
+from steerd.daemon.ipc.requests import make_badge
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import topics
 from steerd.steer_bus.atomic_file import write_atomically

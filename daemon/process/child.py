@@ -56,27 +56,17 @@ class Child:
 
 @dataclass(frozen=True)
 class Prepared:
-    """A process that waits for its job on standard input.
+    """A process that waits for its job on standard input."""
 
-    Attributes:
-        process: it.
-        end: our end of the socket on which the job is handed over.
-    """
-
-    process: "subprocess.Popen[bytes]"
-    end: socket.socket
+    process: "subprocess.Popen[bytes]"  # it
+    end: socket.socket  # our end of the socket on which the job is handed over
 
 
 class Job(NamedTuple):
-    """What a process is given.
+    """What a process is given."""
 
-    Attributes:
-        fds: its descriptors by name; `ready` takes its first line.
-        about: what it is to do.
-    """
-
-    fds: dict[str, int]
-    about: dict[str, Any]
+    fds: dict[str, int]  # its descriptors by name; `ready` takes its first line
+    about: dict[str, Any]  # what it is to do
 
     def say_ready(self, line: str) -> None:
         """Report the first and only line; nobody may be there to read it."""

@@ -21,10 +21,8 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import make_pipe
 from steerd.daemon.process.child import CORE, Child, Prepared, hand_over, prepare, spawn
 from steerd.daemon.process.learner_memory import make_learner_job, recall_learnt
-from steerd.daemon.process.page_job import make_page_job
-from steerd.daemon.process.view_job import make_view_job
+from steerd.daemon.process.view_job import make_page_job, make_view_job
 from steerd.daemon.settings.run_options import RunOptions, encode_options
-from steerd.mocap_link.mocap_url import parse_mocap_url
 
 END_S, VIEWER_END_S = 10.0, 2.0
 """Longest time until a process has ended, before it is killed [s]."""
@@ -71,17 +69,11 @@ class Ends:
 
 @dataclass
 class Page:
-    """The live page's process, which ends when its lifeline closes.
+    """The live page's process, which ends when its lifeline closes."""
 
-    Attributes:
-        child: the process.
-        lifeline_fd: our end.
-        url: where the page is.
-    """
-
-    child: Child
-    lifeline_fd: int
-    url: str
+    child: Child  # the process
+    lifeline_fd: int  # our end
+    url: str  # where the page is
 
     def end(self) -> None:
         """Close the lifeline and wait; a page that hangs is ended."""
@@ -111,24 +103,17 @@ def start_page(plan: RunPlan) -> Page:
 
 @dataclass
 class RunProcesses:
-    """All processes of a run.
+    """All processes of a run."""
 
-    Attributes:
-        children: core, recorder and gateway; `viewer` and `learner` where they were asked for.
-        fds: this terminal's descriptors: `status` gives records, `requests` and `view_requests` are
-            sockets to the core and from the viewer, `reports` gives the learner's.
-        session: file of the recording.
-        core_report: what the core reported when it was ready.
-        page: of `--page`, or None.
-        view_url: where a viewer connects, with `--view`.
-    """
-
+    # Core, recorder and gateway; `viewer` and `learner` where they were asked for
     children: dict[str, Child]
+    # This terminal's descriptors: `status` gives records, `requests` and `view_requests` are
+    # sockets to the core and from the viewer, `reports` gives the learner's
     fds: dict[str, int]
-    session: Path
-    core_report: dict[str, Any]
-    page: Page | None = None
-    view_url: str = ""
+    session: Path  # file of the recording
+    core_report: dict[str, Any]  # what the core reported when it was ready
+    page: Page | None = None  # of `--page`, or None
+    view_url: str = ""  # where a viewer connects, with `--view`
 
     def __post_init__(self) -> None:
         self.requests = socket.socket(fileno=self.fds["requests"])
@@ -193,11 +178,11 @@ def start_processes(
         # All at once: each takes a second for its imports. What the core writes before the others
         # are ready waits in its pipes.
         meta = make_metadata(plan, boot_id, epoch_ns, leased=leased) | dict(memory.metadata)
-        job = _make_recorder_job(plan, session, meta, epoch_ns)
+        job = make_recorder_job(plan, session, meta, epoch_ns)
         started["recorder"] = spawn(f"{_MODULE}recorder", ends.of["recorder"], job)
-        started["gateway"] = spawn(f"{_MODULE}gateway", ends.of["gateway"], _make_gateway_job(plan))
         job = {"options": encode_options(plan.options), "boot_id": boot_id, "epoch_ns": epoch_ns}
         job["leased"] = leased
+        started["gateway"] = spawn(f"{_MODULE}gateway", ends.of["gateway"], job)
         started["core"] = hand_over(core or prepare(CORE), ends.of["core"], job)
         if plan.options.view:
             started["viewer"] = spawn(f"{_MODULE}view", ends.of["view"], make_view_job(plan))
@@ -254,9 +239,14 @@ def _expect_ready(child: Child, name: str, code: ExitCode) -> None:
         raise SteerdError(line, hint, code)
 
 
-def _make_recorder_job(
+def make_recorder_job(
     plan: RunPlan, session: Path, meta: dict[str, dict[str, str]], epoch_ns: int
 ) -> dict[str, Any]:
+    """What a recording begins with, see `recorder`; its folder is made.
+
+    Raises:
+        SteerdError: there can be no such folder.
+    """
     try:
         session.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -272,17 +262,4 @@ def _make_recorder_job(
         "start_ns": epoch_ns,
         "disk_free_min": plan.settings.record.disk_free_min_mb * 1_000_000,
         "flush_ns": plan.settings.record.flush_ms * 1_000_000,
-    }
-
-
-def _make_gateway_job(plan: RunPlan) -> dict[str, Any]:
-    mocap = plan.options.mocap or ""
-    pose_key = parse_mocap_url(mocap).key if mocap.startswith("zenoh:") else None
-    return {
-        "listen": plan.options.listen,
-        "lab": plan.options.lab,
-        "insecure_lan": plan.options.insecure_lan,
-        "car": plan.options.car,
-        "pose_key": pose_key,
-        "ros_domain": plan.options.ros_domain,
     }

@@ -15,10 +15,14 @@ from steerd.daemon.assembly.build import RunPlan, make_core, make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.outbox import Sink
 from steerd.daemon.ipc.pipe_records import PipeRecord, PipeWriter, is_learnt_from, pack_record
-from steerd.daemon.ipc.sd_notify import make_notify
-from steerd.daemon.ipc.signals import block_stop_signals, make_stop_signal_pipe, wake_at_parents_end
+from steerd.daemon.ipc.signals import (
+    block_stop_signals,
+    make_notify,
+    make_stop_signal_pipe,
+    wake_at_parents_end,
+)
 from steerd.daemon.loop.core import Core
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.findings import Flag
 from steerd.daemon.process.child import Job, receive_job
 from steerd.daemon.process.guard import ProcessGuard
 from steerd.daemon.process.realtime import enter_realtime, settle_memory

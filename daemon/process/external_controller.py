@@ -35,22 +35,15 @@ _PAUSE = 0.1
 
 
 class Lane(NamedTuple):
-    """Where the car is in its lane.
+    """Where the car is in its lane."""
 
-    Attributes:
-        e1, e2: lateral offset, left positive [m], and heading error [rad].
-        curvature: of the lane here, left positive [1/m].
-        s: arc length along the lane [m].
-        speed: that the daemon's own lane keeper would drive [m/s].
-        driving: whether the car drives; `stopping`: whether it is coming to its stop. Otherwise
-            commands only show that the controller is there.
-    """
-
-    e1: float
-    e2: float
-    curvature: float
-    s: float
-    speed: float
+    e1: float  # lateral offset, left positive [m]
+    e2: float  # heading error [rad]
+    curvature: float  # of the lane here, left positive [1/m]
+    s: float  # arc length along the lane [m]
+    speed: float  # that the daemon's own lane keeper would drive [m/s]
+    # Whether the car drives, or is coming to its stop; otherwise commands only show that the
+    # controller is there
     driving: bool
     stopping: bool
 

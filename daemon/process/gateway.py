@@ -2,7 +2,8 @@
 
 The core never waits for it: messages come through a pipe that drops when full, requests go into a
 socket that the core reads. What decodes is passed on, stops first, under the badge of its lease;
-whether it is obeyed is the core's to decide.
+whether it is obeyed is the core's to decide. With `--ros-domain` the car is also a ROS 2 node for
+rmw_zenoh: its topics once more, under ROS's keys.
 """
 
 # Why: docs/decisions/safety.md#d112
@@ -12,25 +13,87 @@ import os
 import select
 import socket
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from steerd.daemon.ipc.gateway_wire import REQUEST_MAX, make_badge, pack_request
-from steerd.daemon.ipc.pipe_records import PipeRecord, unpack_records
-from steerd.daemon.ipc.report_pipe import ReportPipe
+from steerd.daemon.ipc.pipe_records import PipeRecord, ReportPipe, unpack_records
+from steerd.daemon.ipc.requests import REQUEST_MAX, make_badge, pack_request
 from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.process.bus_operator import STOPS
 from steerd.daemon.process.child import receive_job
-from steerd.daemon.process.ros_bridge import RosBridge
 from steerd.daemon.process.views import Views
+from steerd.daemon.settings.run_options import decode_options
+from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.steer_bus import topics
-from steerd.steer_bus.bus import Bus, BusError, Keep, Subscription
+from steerd.steer_bus.bus import Bus, BusError, Keep, Subscription, Token
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import load_lab
-from steerd.steer_bus.topics import ALIVE, LAST_MODEL, Topic, make_key, schema_replies
-from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile
+from steerd.steer_bus.messages import Actuation
+from steerd.steer_bus.ros_keys import make_gid, make_node_token, make_publisher_token, make_ros_key
+from steerd.steer_bus.standard import AckermannDrive, AckermannDriveStamped
+from steerd.steer_bus.topics import (
+    ALIVE,
+    LAST_MODEL,
+    TOPICS,
+    Direction,
+    Topic,
+    make_key,
+    schema_replies,
+)
+from steerd.steer_bus.zenoh_bus import ZenohBus, make_hub_profile
+
+DRIVE_NAME = "drive"
+"""What went to the motor controller, as `ackermann_msgs/AckermannDriveStamped`."""
+_FIRST_ENTITY = 10
+"""Entity number of the first publisher."""
+
+
+class RosBridge:
+    """One node ``steerd_<car>`` with a publisher for each topic that the car sends."""
+
+    def __init__(self, bus: ZenohBus, car: str, domain: int) -> None:
+        """Declare node and publishers.
+
+        Raises:
+            BusError: the bus is closed.
+            ValueError: the domain is invalid.
+        """
+        self._bus = bus
+        node = f"steerd_{car}"
+        sent: dict[str, type[Any]] = {
+            topic.name: topic.message
+            for topic in TOPICS
+            if topic.on_bus and topic.direction is Direction.OUT
+        }
+        sent[DRIVE_NAME] = AckermannDriveStamped
+        self._tokens: list[Token] = [bus.declare_alive(make_node_token(domain, bus.zid, node))]
+        self._keys: dict[str, str] = {}
+        for entity, (name, cls) in enumerate(sent.items(), _FIRST_ENTITY):
+            topic = make_key(car, name)
+            key = self._keys[name] = make_ros_key(domain, topic, cls)
+            token = make_publisher_token(domain, bus.zid, entity, node, topic, cls)
+            bus.name_publisher(key, make_gid(token))
+            self._tokens.append(bus.declare_alive(token))
+
+    def publish(self, record: PipeRecord) -> None:
+        """Publish one record under its ROS key; an actuation also as a drive command."""
+        self._put(record.topic.name, record.data)
+        if record.topic.name == topics.ACTUATION.name:
+            self._put(DRIVE_NAME, encode(make_drive(decode(Actuation, record.data))))
+
+    def _put(self, name: str, data: bytes) -> None:
+        key = self._keys.get(name)
+        if key is not None:
+            with contextlib.suppress(BusError):
+                self._bus.publish(key, data)
+
+
+def make_drive(sent: Actuation) -> AckermannDriveStamped:
+    """The command on the wire in F1TENTH's message; rates and accelerations are 0, unset."""
+    return AckermannDriveStamped(sent.header, AckermannDrive(sent.steer, 0.0, sent.speed, 0.0, 0.0))
+
 
 _POLL_MS = 4
 """Longest time that a request waits here [ms]."""
@@ -148,13 +211,18 @@ def main() -> int:
     ignore_terminal_signals()
     if (job := receive_job()) is None:
         return 0
-    options, core = job.about, socket.socket(fileno=job.fds["requests"])
+    options, core = decode_options(job.about["options"]), socket.socket(fileno=job.fds["requests"])
+    pose_key = find_pose_key(options.mocap)
     core.setblocking(False)
     try:
-        with ZenohBus(_make_profile(options)) as bus:
-            domain = options["ros_domain"]
-            ros = None if domain is None else RosBridge(bus, options["car"], domain)
-            gateway = Gateway(bus, options["car"], options["pose_key"], ros)
+        lab = load_lab(Path(options.lab)) if options.lab else None
+        profile = make_hub_profile(
+            options.listen, lab, insecure_lan=options.insecure_lan, pose_key=pose_key
+        )
+        with ZenohBus(profile) as bus:
+            domain = options.ros_domain
+            ros = None if domain is None else RosBridge(bus, options.car, domain)
+            gateway = Gateway(bus, options.car, pose_key, ros)
             job.say_ready("ready")
             run_gateway(gateway, job.fds["pipe"], core, ReportPipe(job.fds.get("reports")))
     except BusError as error:
@@ -166,14 +234,9 @@ def main() -> int:
     os._exit(0)
 
 
-def _make_profile(options: Mapping[str, Any]) -> Profile:
-    lab = load_lab(Path(options["lab"])) if options["lab"] else None
-    return make_hub_profile(
-        options["listen"],
-        lab,
-        insecure_lan=bool(options["insecure_lan"]),
-        pose_key=options["pose_key"],
-    )
+def find_pose_key(mocap: str | None) -> str | None:
+    """Key of the bus on which poses come; None where mocap is no program on the bus."""
+    return parse_mocap_url(mocap).key if mocap and mocap.startswith("zenoh:") else None
 
 
 if __name__ == "__main__":

@@ -1,19 +1,28 @@
-"""The core's side of the guardian: start one for each port, send heartbeats, read its state."""
+"""The core's side of the guardian: start one for each port, send heartbeats, read its state.
+
+It also says who made a tick late: the machine's host, the whole machine, or this program alone. The
+guardian is the witness: a process of its own, of the highest priority, that wakes every 10 ms.
+Where it stood still together with the control core, so did everything.
+"""
+
+# Why: docs/decisions/safety.md#d35
 
 import os
 import subprocess
 import sys
 import time
-from typing import Protocol
+from pathlib import Path
 
+from steerd.daemon.loop.findings import Flag
+from steerd.daemon.process.guardian import PERIOD_NS
 from steerd.daemon.process.heartbeat import (
     PAGE_BYTES,
     PAUSE_NS,
     STALE_NS,
     STALE_NS_NO_RT,
     HeartbeatPage,
+    Lifeline,
 )
-from steerd.daemon.process.lifeline import Lifeline
 from steerd.daemon.settings.thresholds import Thresholds
 
 START_NS = 1_000_000_000
@@ -38,42 +47,6 @@ def find_pause(page: HeartbeatPage, now_ns: int) -> tuple[int, int] | None:
     if now_ns - alive_ns > PAUSE_NS:
         return alive_ns, now_ns
     return page.last_pause_ns
-
-
-class Guard(Protocol):
-    """What the runner needs of a guardian."""
-
-    def watch(self, serial_fd: int, brake_frame: bytes, t_ns: int) -> None:
-        """Guard this port from now on."""
-        ...
-
-    def write_heartbeat(self, t_ns: int, engaged: bool) -> None:
-        """The core is alive; `engaged`: motor bytes may flow."""
-        ...
-
-    def stage(self, wire: bytes) -> bytes | memoryview:
-        """The bytes of a motion frame as they are to be written; ask `may_write` afterwards."""
-        ...
-
-    def may_write(self, tick_ns: int, now_ns: int) -> bool:
-        """Whether a motion frame of this tick may still go out."""
-        ...
-
-    def is_silent(self, now_ns: int) -> bool:
-        """Whether the guardian itself is gone or silent."""
-        ...
-
-    def has_tripped(self) -> bool:
-        """Whether it has taken over."""
-        ...
-
-    def pause(self, now_ns: int) -> tuple[int, int] | None:
-        """Its own last pause, from and to; (0, 0) if it made none, None if there is no guardian."""
-        ...
-
-    def mark_clean(self) -> None:
-        """The wheels stand: the guardian need not brake when the core ends."""
-        ...
 
 
 class ProcessGuard:
@@ -125,7 +98,7 @@ class ProcessGuard:
             lifeline.release()
 
     def write_heartbeat(self, t_ns: int, engaged: bool) -> None:
-        """The core is alive at `t_ns`."""
+        """The core is alive at `t_ns`; `engaged`: motor bytes may flow."""
         if self._page is not None:
             self._page.write_heartbeat(t_ns, engaged)
 
@@ -155,7 +128,7 @@ class ProcessGuard:
         return self._page is not None and self._page.tripped_ns != 0
 
     def pause(self, now_ns: int) -> tuple[int, int] | None:
-        """When the guardian itself stood still last, as its page says."""
+        """The guardian's own last pause, from and to; (0, 0): none; None: there is no guardian."""
         return None if self._page is None else find_pause(self._page, now_ns)
 
     def mark_clean(self) -> None:
@@ -167,3 +140,58 @@ class ProcessGuard:
 def sleep_lag_ns() -> int:
     """Time that the machine was suspended since boot [ns]."""
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME) - time.monotonic_ns()
+
+
+_STAT = Path("/proc/stat")
+_STEAL = 8
+"""Column of the stolen time in the line of all processors; see proc(5)."""
+STALL_SHARE = 0.5
+"""A tick is late because the machine stood still if so much of its lateness was stolen."""
+
+
+def parse_steal(text: str, ticks_per_second: int) -> int:
+    """Time stolen from all processors since boot [ns]; 0 where the kernel does not say.
+
+    Args:
+        text: of `/proc/stat`.
+        ticks_per_second: of the kernel's accounting, mostly 100.
+    """
+    columns = text.partition("\n")[0].split()
+    if len(columns) <= _STEAL or columns[0] != "cpu" or not columns[_STEAL].isdigit():
+        return 0
+    return int(columns[_STEAL]) * 1_000_000_000 // ticks_per_second
+
+
+def read_steal_ns() -> int:
+    """Time stolen from all processors of this machine since boot [ns]; 0 without `/proc`."""
+    try:
+        return parse_steal(_STAT.read_text(encoding="ascii"), os.sysconf("SC_CLK_TCK"))
+    except (OSError, ValueError):
+        return 0
+
+
+Span = tuple[int, int]
+"""From and to [ns]."""
+LEAST_NS = 2 * PERIOD_NS
+"""Of a shorter delay the guardian, which sleeps for 10 ms, is no witness."""
+
+
+def find_cause(late: Span, stolen_ns: int, pause: Span | None) -> int:
+    """Which flag a late tick gets; 0 where nobody can say.
+
+    Args:
+        late: from the time at which the tick was due to the time at which it began.
+        stolen_ns: time that the host stole since shortly before it was due.
+        pause: the guardian's last pause that was longer than its own sleep, (0, 0) if it never
+            made one; None without a guardian.
+    """
+    length = late[1] - late[0]
+    if length > 0 and stolen_ns >= STALL_SHARE * length:
+        return Flag.STALLED
+    if pause is None or length < LEAST_NS:
+        return 0
+    shared = min(late[1], pause[1]) - max(late[0], pause[0])
+    overslept = pause[1] - pause[0] - PERIOD_NS
+    if min(shared, overslept) >= STALL_SHARE * length:
+        return Flag.ALL_LATE
+    return Flag.ALONE_LATE if shared <= 0 else 0

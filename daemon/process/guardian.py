@@ -16,8 +16,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from steerd.daemon.ipc.signals import wake_at_parents_end
-from steerd.daemon.process.heartbeat import STALE_NS, HeartbeatPage
-from steerd.daemon.process.lifeline import Lifeline
+from steerd.daemon.process.heartbeat import STALE_NS, HeartbeatPage, Lifeline
 
 PERIOD_NS, BRAKE_NS = 10_000_000, 2_000_000_000  # between brake frames; for so long they go on
 PRIORITY = 60  # SCHED_FIFO, above the core's 50

@@ -27,21 +27,14 @@ from steerd.version import VERSION
 
 
 class LearnerMemory(NamedTuple):
-    """Where a run's learner keeps what it learns, and what it begins with.
+    """Where a run's learner keeps what it learns, and what it begins with."""
 
-    Attributes:
-        page: the file; empty for simulated hardware, whose numbers are no car's.
-        about: of what it is.
-        memory: JSON of what it begins with, empty for the car file alone.
-        refused: whether a page is there that cannot be used; it is not overwritten but moved aside.
-        metadata: what the session says of it.
-    """
-
-    page: str = ""
-    about: About = About("", "", "", "")
-    memory: str = ""
+    page: str = ""  # the file; empty for simulated hardware, whose numbers are no car's
+    about: About = About("", "", "", "")  # of what it is
+    memory: str = ""  # JSON of what it begins with, empty for the car file alone
+    # Whether a page is there that cannot be used; it is not overwritten but moved aside
     refused: bool = False
-    metadata: Mapping[str, dict[str, str]] = MappingProxyType({})
+    metadata: Mapping[str, dict[str, str]] = MappingProxyType({})  # what the session says of it
 
 
 def learnt_page(plan: RunPlan) -> Path:

@@ -28,21 +28,13 @@ _LATER, _EARLIER = 2, 8
 
 
 class Pace(NamedTuple):
-    """State of the phase-locked loop.
+    """State of the phase-locked loop."""
 
-    Attributes:
-        arrival_ns: the newest arrival; -1: none yet.
-        lead_ns: expected time of the next arrival before its deadline; negative: after.
-        jitter_ns: mean deviation from it; a whole period at first.
-        shift_ns: shift of the next deadline, later if positive.
-        steady: number of punctual arrivals in a row.
-    """
-
-    arrival_ns: int = -1
-    lead_ns: int = 0
-    jitter_ns: float = 0.0
-    shift_ns: int = 0
-    steady: int = 0
+    arrival_ns: int = -1  # the newest arrival; -1: none yet
+    lead_ns: int = 0  # expected time of the next arrival before its deadline; negative: after
+    jitter_ns: float = 0.0  # mean deviation from it; a whole period at first
+    shift_ns: int = 0  # shift of the next deadline, later if positive
+    steady: int = 0  # number of punctual arrivals in a row
 
 
 def step_pace(pace: Pace, due_ns: int, arrival_ns: int, period_ns: int) -> Pace:

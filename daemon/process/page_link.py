@@ -9,8 +9,7 @@ from math import isfinite
 from typing import Any
 
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.ipc.diagnostics import read_diagnostics
-from steerd.daemon.ipc.live_setting import LIVE, parse_setting
+from steerd.daemon.ipc.requests import LIVE, parse_setting, read_diagnostics
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.bus_operator import BusOperator, Pulse
 from steerd.steer_bus import topics
@@ -43,24 +42,17 @@ _TEXTS = ("state", "reason", "waiting", "warnings", "holder", "leased", "mocap",
 
 @dataclass
 class CarView:
-    """The newest of a car, from the bus.
-
-    Attributes:
-        values: of the supervisor's diagnostics.
-        state, vesc, parameters: the newest messages.
-        heard_ns: when the last message came; None before the first.
-        events: the last state changes, as sentences.
-    """
+    """The newest of a car, from the bus."""
 
     bus: Bus
     car: str
     clock: Clock
-    values: dict[str, str] = field(default_factory=dict)
-    state: StateMessage | None = None
+    values: dict[str, str] = field(default_factory=dict)  # of the supervisor's diagnostics
+    state: StateMessage | None = None  # the newest message, as the next two
     vesc: VescTelemetry | None = None
     parameters: Parameters | None = None
-    heard_ns: int | None = None
-    events: list[str] = field(default_factory=list)
+    heard_ns: int | None = None  # when the last message came; None before the first
+    events: list[str] = field(default_factory=list)  # the last state changes, as sentences
 
     def __post_init__(self) -> None:
         wanted: tuple[tuple[Any, Callable[[Any], None]], ...] = (

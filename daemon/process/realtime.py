@@ -25,17 +25,11 @@ _MCL_CURRENT_AND_FUTURE = 3
 
 @dataclass(frozen=True)
 class RealtimeReport:
-    """What was granted.
+    """What was granted."""
 
-    Attributes:
-        fifo: whether the process runs under SCHED_FIFO.
-        locked: whether its memory is locked.
-        refused: one line for each refused setting, with the remedy.
-    """
-
-    fifo: bool
-    locked: bool
-    refused: tuple[str, ...]
+    fifo: bool  # whether the process runs under SCHED_FIFO
+    locked: bool  # whether its memory is locked
+    refused: tuple[str, ...]  # one line for each refused setting, with the remedy
 
 
 def _libc() -> ctypes.CDLL:

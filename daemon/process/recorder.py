@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from steerd.daemon.common.screen import describe_holes
-from steerd.daemon.ipc.pipe_records import Gaps, PipeRecord, unpack_records
-from steerd.daemon.ipc.report_pipe import ReportPipe
+from steerd.daemon.ipc.pipe_records import Gaps, PipeRecord, ReportPipe, unpack_records
 from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.process.child import receive_job
 from steerd.daemon.process.views import Views

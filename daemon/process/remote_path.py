@@ -17,15 +17,10 @@ BEAT_NS = 50_000_000
 
 @dataclass(slots=True)
 class RemotePath:
-    """Heartbeats of one run.
+    """Heartbeats of one run."""
 
-    Attributes:
-        boot_id: of this run; heartbeats of another are not ours.
-        holder: lease id of the operator who took the lease over the bus, 0 for nobody.
-    """
-
-    boot_id: int
-    holder: int = 0
+    boot_id: int  # of this run; heartbeats of another are not ours
+    holder: int = 0  # lease id of the operator who took the lease over the bus, 0 for nobody
     _asked: int = 0
     _due_ns: int = 0
     _back_ns: int | None = None

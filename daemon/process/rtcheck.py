@@ -17,22 +17,15 @@ P999_LIMIT_NS = 2_000_000
 
 
 class Wakes(NamedTuple):
-    """Statistics of the lateness of an empty loop.
+    """Statistics of the lateness of an empty loop."""
 
-    Attributes:
-        p50_ns, p99_ns, p999_ns, worst_ns: lateness of its wakes.
-        ticks: how many there were.
-        missed: those later than one period; such a tick is skipped.
-        fatal: those later than what stops a car at once (W15).
-    """
-
-    p50_ns: int
+    p50_ns: int  # lateness of its wakes, as the next three
     p99_ns: int
     p999_ns: int
     worst_ns: int
-    ticks: int
-    missed: int
-    fatal: int
+    ticks: int  # how many there were
+    missed: int  # those later than one period; such a tick is skipped
+    fatal: int  # those later than what stops a car at once (W15)
 
     @property
     def good(self) -> bool:

@@ -12,18 +12,17 @@ import socket
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from steerd.daemon.ipc.gateway_wire import REQUEST_MAX, unpack_request
 from steerd.daemon.ipc.pipe_records import PipeWriter
-from steerd.daemon.ipc.sd_notify import ALIVE, READY, STOPPING, Notify, notify_nobody
+from steerd.daemon.ipc.requests import REQUEST_MAX, unpack_request
+from steerd.daemon.ipc.signals import ALIVE, READY, STOPPING, Notify, notify_nobody
 from steerd.daemon.loop.core import Core
 from steerd.daemon.loop.design_desk import DESIGN_BYTES
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.lease import lease_age
 from steerd.daemon.loop.transitions import is_engaged
-from steerd.daemon.process.guard import Guard, sleep_lag_ns
+from steerd.daemon.process.guard import ProcessGuard, find_cause, read_steal_ns, sleep_lag_ns
 from steerd.daemon.process.pacing import Pace, early_window_ns, step_pace
 from steerd.daemon.process.remote_path import RemotePath
-from steerd.daemon.process.stall import find_cause, read_steal_ns
 from steerd.mocap_link.sockets import MocapReceiver
 from steerd.mocap_link.source import Pose
 from steerd.mocap_link.zenoh_pose import BusPoseSource
@@ -57,21 +56,13 @@ OpenPort = Callable[[], Port]
 
 @dataclass(frozen=True)
 class CoreLinks:
-    """The core's links to the other processes.
+    """The core's links to the other processes."""
 
-    Attributes:
-        recorder: pipe to the recorder, or None when nothing is recorded.
-        gateway: pipe to the gateway, or None.
-        requests: sockets on which requests arrive, the parent's first.
-        stop_fd: gives a byte for each stop signal.
-        designs: on which the learner's proposals arrive, or None.
-    """
-
-    recorder: PipeWriter | None
-    gateway: PipeWriter | None
-    requests: tuple[socket.socket, ...]
-    stop_fd: int
-    designs: socket.socket | None = None
+    recorder: PipeWriter | None  # pipe to the recorder, or None when nothing is recorded
+    gateway: PipeWriter | None  # pipe to the gateway, or None
+    requests: tuple[socket.socket, ...]  # sockets on which requests arrive, the parent's first
+    stop_fd: int  # gives a byte for each stop signal
+    designs: socket.socket | None = None  # on which the learner's proposals arrive, or None
 
 
 class Runner:
@@ -89,7 +80,7 @@ class Runner:
         open_port: OpenPort,
         mocap: MocapReceiver | BusPoseSource,
         links: CoreLinks,
-        guard: Guard,
+        guard: ProcessGuard,
         notify: Notify = notify_nobody,
     ) -> None:
         self._core = core

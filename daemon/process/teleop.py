@@ -14,8 +14,15 @@ from dataclasses import replace
 from steerd.daemon.ipc.operator import KEEPALIVE_NS
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.bus_operator import BusOperator
-from steerd.daemon.process.gamepad import AxisRange, Pad, PadEvent
-from steerd.daemon.process.pad_map import PadMap, PadState, is_silent, take_event
+from steerd.daemon.process.gamepad import (
+    AxisRange,
+    Pad,
+    PadEvent,
+    PadMap,
+    PadState,
+    is_silent,
+    take_event,
+)
 from steerd.daemon.process.page_link import CarView
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import Clock

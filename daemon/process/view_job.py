@@ -1,14 +1,74 @@
-"""The job of the viewer's process: address, lane, car, values of the car file."""
+"""Jobs of the processes that show a car, live page and viewer: where, its lane, its body."""
 
 import ipaddress
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
+from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.settings.thresholds import Thresholds
 from steerd.toml_text import parse_toml
 
 if TYPE_CHECKING:
+    from steerd.car_model.path.path import Path
     from steerd.daemon.assembly.build import RunPlan
+
+LANE_STEP = 0.05
+"""Distance between drawn points of a lane [m]."""
+
+
+def check_page(plan_lab: str, listen: str) -> None:
+    """Refuse a page that could not reach the car.
+
+    Raises:
+        SteerdError: the car's bus asks for an operator's certificate, or there is no bus.
+    """
+    if plan_lab:
+        what = "--page: in a lab the page runs where the operator sits"
+        raise SteerdError(what, "steerd page --lab DIR, with an operator's folder", ExitCode.USAGE)
+    if not listen:
+        raise SteerdError("--page needs the bus", "drop --listen ''", ExitCode.USAGE)
+
+
+def make_page_job(plan: "RunPlan") -> dict[str, Any]:
+    """The job as JSON values."""
+    car = plan.settings.file.car
+    return {
+        "endpoint": plan.options.listen,
+        "lab": "",
+        "car": plan.options.car,
+        "port": plan.options.page,
+        **_lane(plan.path, plan.settings.thresholds.lateral),
+        "body": {"lf": car.lf, "lr": car.lr},
+    }
+
+
+def make_lane_job(spec: str | None) -> dict[str, Any]:
+    """What is drawn of a lane that was named, or of none.
+
+    Raises:
+        SteerdError: it is no path.
+    """
+    body = {"lf": DEFAULT_CAR.lf, "lr": DEFAULT_CAR.lr}
+    if spec is None:
+        return {"lane": [], "closed": False, "half_width": 0.0, "body": body}
+    try:
+        from steerd.car_model.path.path_spec import parse_path
+
+        return {**_lane(parse_path(spec), Thresholds().lateral), "body": body}
+    except (OSError, ValueError) as error:
+        raise SteerdError(f"--path {spec}: {error}", "", ExitCode.USAGE) from None
+
+
+def _lane(path: "Path", half_width: float) -> dict[str, Any]:
+    stride = max(1, round(LANE_STEP / path.step))
+    points = list(zip(path.x, path.y, path.yaw, strict=True))[::stride]
+    return {
+        "lane": [[round(value, 6) for value in point] for point in points],
+        "closed": path.closed,
+        "half_width": half_width,
+    }
+
 
 DEFAULT_PORT = 8765
 """Foxglove's own."""
@@ -62,20 +122,14 @@ def make_view_job(plan: "RunPlan") -> dict[str, Any]:
     Raises:
         SteerdError: the address is invalid.
     """
-    from steerd.daemon.process.page_job import LANE_STEP
-
     host, port = parse_view(plan.options.view, plan.options.insecure_lan)
-    path, settings = plan.path, plan.settings
-    stride = max(1, round(LANE_STEP / path.step))
-    lane = list(zip(path.x, path.y, path.yaw, strict=True))[::stride]
+    settings = plan.settings
     run = {"path": plan.options.path, "speed": plan.options.speed, "rate_hz": plan.options.rate_hz}
     return {
         "host": host,
         "port": port,
         "car": plan.options.car,
-        "lane": lane,
-        "closed": path.closed,
-        "half_width": settings.thresholds.lateral,
+        **_lane(plan.path, settings.thresholds.lateral),
         "body": {"lf": settings.file.car.lf, "lr": settings.file.car.lr, "width": _WIDTH},
         "parameters": {
             "run": run,

@@ -21,7 +21,7 @@ from foxglove.messages import (  # noqa: TID251
     Vector3,
 )
 
-from steerd.daemon.ipc.live_setting import LIVE
+from steerd.daemon.ipc.requests import LIVE
 from steerd.daemon.learning.reported import reported_values
 from steerd.steer_bus.messages import BODY, WORLD, Model, Parameters, StateMessage
 from steerd.steer_bus.standard import stamp_ns

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any, NamedTuple
 
-from steerd.daemon.ipc.live_setting import LIVE, format_setting
+from steerd.daemon.ipc.requests import LIVE, format_setting
 from steerd.daemon.process.secret_server import ConnectionClosed, ServerConnection
 
 PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")

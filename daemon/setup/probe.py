@@ -4,9 +4,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import degrees, inf
 
-from steerd.daemon.loop.checks import VescInfo, check_vesc
+from steerd.daemon.loop.checks import check_vesc
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.mocap_link.gates import REASONS
+from steerd.steer_bus.messages import BODY, VescIdentity, make_header
 
 VESC_USB = "0483:5740"
 TOOL_SERVO = "VESC Tool: App Settings > General > Enable Servo Output"
@@ -148,7 +149,10 @@ class Found:
 
 def judge_vesc(vesc: VescFound, brakes: BrakeSettings) -> Iterator[Advice]:
     """Findings about a VESC."""
-    info = VescInfo(True, vesc.uuid, vesc.firmware, vesc.timeout_ms, vesc.timeout_brake_a)
+    timeout_ms, brake = vesc.timeout_ms, vesc.timeout_brake_a
+    timeout_ms = -1 if timeout_ms is None or brake is None else timeout_ms
+    header = make_header(0, BODY)
+    info = VescIdentity(header, 0, timeout_ms, 1, *vesc.firmware, brake or 0.0, vesc.uuid)
     for text in check_vesc(info, brakes):
         what, _, fix = text.partition(": ")
         yield Advice(what, fix)

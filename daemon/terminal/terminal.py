@@ -13,11 +13,9 @@ from rich.console import Console
 from rich.live import Live
 
 from steerd.daemon.common.screen import raw
-from steerd.daemon.ipc.gateway_wire import pack_request
-from steerd.daemon.ipc.live_setting import SETTING_MAX, parse_setting
 from steerd.daemon.ipc.operator import Operator
-from steerd.daemon.ipc.pipe_records import unpack_records
-from steerd.daemon.ipc.report_pipe import ReportPipe
+from steerd.daemon.ipc.pipe_records import ReportPipe, unpack_records
+from steerd.daemon.ipc.requests import SETTING_MAX, pack_request, parse_setting
 from steerd.daemon.ipc.signals import block_stop_signals, make_stop_signal_pipe
 from steerd.daemon.process.children import RunProcesses
 from steerd.daemon.terminal.dashboard import Dashboard

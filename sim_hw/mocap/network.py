@@ -2,7 +2,7 @@
 
 import heapq
 
-from steerd.sim_hw.plant.fault_state import HEALTHY_MOCAP, MocapFaultState
+from steerd.sim_hw.plant.faults import HEALTHY_MOCAP, MocapFaultState
 from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.steer_bus.quick_values import changed, quick_value
 

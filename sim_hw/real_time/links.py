@@ -1,6 +1,6 @@
 """The simulated hardware in real time: a pty for the VESC, sockets for mocap, one poll loop.
 
-The only file here that knows a clock, sockets or processes. The world runs in a process of its own
+The only file here that knows a clock or processes. The world runs in a process of its own
 (`spawn_sim`), so that a latency measured against it is not its own.
 """
 
@@ -11,6 +11,7 @@ import select
 import signal
 import sys
 import tempfile
+import tty
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -20,9 +21,103 @@ from typing import NamedTuple, Self
 
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.real_time.mocap_sockets import MocapSockets, make_mocap_sockets
-from steerd.sim_hw.real_time.pty_port import PtyPort
 from steerd.sim_hw.world import World, WorldConfig
 from steerd.steer_bus.clock import Clock, MonotonicClock
+
+_READ = 4096
+_GRACE_NS = 100_000_000
+"""How long a program that closed the port has to open it again before it is made anew."""
+
+
+class PtyPort:
+    """The VESC's end of a pty, linked as ``vesc`` (or the name the world gives) in a directory.
+
+    A program that was killed leaves its exclusive lock and unread bytes behind in a pty, which a
+    USB port would not; so once nobody has the port open any more it is replaced by a fresh one.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._dir = directory
+        self._name: str | None = None
+        self._near = -1
+        self._pending = b""
+        self._used = self._hung = False
+        self._hung_ns = 0
+
+    def read_fds(self) -> tuple[int, ...]:
+        """What to poll; a port that nobody has open would report so all the time."""
+        return (self._near,) if self._near >= 0 and not self._hung else ()
+
+    def follow(self, world: World, t_ns: int) -> None:
+        """Appear, vanish or change names as the world's device does."""
+        world.advance(t_ns)
+        if world.serial_name == self._name:
+            return
+        self.close()
+        if world.serial_name is not None:
+            self._open(world.serial_name)
+
+    def _open(self, name: str) -> None:
+        self._near, far = os.openpty()
+        tty.setraw(far)
+        os.set_blocking(self._near, False)
+        temporary = self._dir / f".{name}.new"
+        temporary.unlink(missing_ok=True)
+        temporary.symlink_to(os.ttyname(far))
+        temporary.replace(self._dir / name)
+        os.close(far)
+        self._name = name
+        self._used, self._hung = False, True
+
+    def close(self) -> None:
+        """Unplug: programs that have it open get EIO, the name is gone."""
+        if self._name is None:
+            return
+        (self._dir / self._name).unlink(missing_ok=True)
+        os.close(self._near)
+        self._near, self._name, self._pending = -1, None, b""
+
+    def pump(self, world: World, t_ns: int) -> None:
+        """Move bytes both ways."""
+        if self._near < 0:
+            return
+        if not world.vesc.fault_state.stalled:
+            data = self._read()
+            if data:
+                world.serial_write(t_ns, data)
+        if self._watch_users(t_ns) and world.serial_name == self._name:
+            self._write(world, t_ns)
+
+    def _read(self) -> bytes:
+        try:
+            return os.read(self._near, _READ)
+        except OSError:  # nothing there, or nobody has it open
+            return b""
+
+    def _watch_users(self, t_ns: int) -> bool:
+        """Whether somebody has the port open; makes it anew after the last has left."""
+        poll = select.poll()
+        poll.register(self._near, 0)
+        hung = bool(poll.poll(0))
+        if hung and not self._hung:
+            self._hung_ns = t_ns
+        self._hung = hung
+        self._used |= not hung
+        if hung and self._used and t_ns - self._hung_ns > _GRACE_NS and self._name is not None:
+            os.close(self._near)
+            self._pending = b""
+            self._open(self._name)
+        return not hung
+
+    def _write(self, world: World, t_ns: int) -> None:
+        """Hand over what the host's buffer takes; the world hears of a host that does not read."""
+        if not self._pending:
+            self._pending = world.serial_read(t_ns)
+        if self._pending:
+            with contextlib.suppress(BlockingIOError):
+                count = os.write(self._near, self._pending)
+                self._pending = self._pending[count:]
+
 
 _SHORTEST_NS = 100_000
 """Shortest sleep, for when a host leaves bytes lying."""
@@ -131,19 +226,12 @@ def raise_priority() -> None:
 
 
 class SpawnedSim(NamedTuple):
-    """Simulated hardware in another process. Use as a context manager, or call `stop`.
+    """Simulated hardware in another process. Use as a context manager, or call `stop`."""
 
-    Attributes:
-        port: path of the serial device.
-        mocap_url: address of the mocap server.
-        process: its process.
-        lifeline: pipe whose closing ends it, so that it never outlives us.
-    """
-
-    port: str
-    mocap_url: str
-    process: BaseProcess
-    lifeline: Connection
+    port: str  # path of the serial device
+    mocap_url: str  # address of the mocap server
+    process: BaseProcess  # its process
+    lifeline: Connection  # pipe whose closing ends it, so that it never outlives us
 
     def stop(self) -> None:
         """End it and wait until it is gone."""

@@ -4,9 +4,9 @@ import contextlib
 import socket
 
 from steerd.mocap_link.natnet import MULTICAST_GROUP
-from steerd.sim_hw.mocap.mocap_config import MULTICAST
-from steerd.sim_hw.mocap.natnet_server import NatNetServer
+from steerd.sim_hw.mocap.cameras import MULTICAST
 from steerd.sim_hw.mocap.network import CLOSE, COMMAND, FOREIGN, STREAM, Datagram
+from steerd.sim_hw.mocap.servers import NatNetServer
 from steerd.sim_hw.world import World
 
 _HOST = "127.0.0.1"

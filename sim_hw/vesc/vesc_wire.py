@@ -1,12 +1,51 @@
-"""The VESC's sending side: frames cut as USB cuts them, late, or damaged by the fault state."""
+"""The VESC's sending side: frames cut as USB cuts them, late, or damaged by the fault state.
+
+Bytes are in flight with their times, and logged for judges. Times are int nanoseconds on whatever
+monotonic clock the caller keeps; a device never asks for the time.
+"""
 
 from collections import deque
+from typing import NamedTuple
 
-from steerd.sim_hw.plant.device import ByteLog, Chunk
-from steerd.sim_hw.plant.fault_state import HEALTHY_VESC, VescFaultState
+from steerd.sim_hw.plant.faults import HEALTHY_VESC, VescFaultState
 from steerd.sim_hw.plant.noise import NoiseSource
-from steerd.sim_hw.vesc.vesc_config import MS, VescConfig
+from steerd.sim_hw.vesc.vesc_motor import MS, VescConfig
+from steerd.steer_bus.quick_values import quick_value
 from steerd.vesc_link.frames import encode_frame
+
+
+@quick_value
+class Chunk:
+    """Bytes and the time at which they reach the other end [ns]."""
+
+    t_ns: int
+    data: bytes
+
+
+class Logged(NamedTuple):
+    """One entry of a byte log: ``to`` is ``vesc`` or ``host``."""
+
+    t_ns: int
+    to: str
+    data: bytes
+
+
+class ByteLog:
+    """Every byte on a link with its time, for judges of what went over the wire.
+
+    Args:
+        enabled: False keeps nothing (long soaks).
+    """
+
+    def __init__(self, enabled: bool = True) -> None:
+        self.enabled = enabled
+        self.entries: list[Logged] = []
+
+    def add(self, t_ns: int, to: str, data: bytes) -> None:
+        """Note bytes that reached ``to``."""
+        if self.enabled:
+            self.entries.append(Logged(t_ns, to, data))
+
 
 FALSE_HEADER = b"\x03\x02\x00"
 """The head of a frame of 512 bytes."""

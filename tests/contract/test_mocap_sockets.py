@@ -28,7 +28,7 @@ from steerd.mocap_link.sockets import (
     map_stamp,
 )
 from steerd.mocap_link.source import ClockKind, Pose, SourceState
-from steerd.sim_hw.mocap.vrpn_device import VrpnServer
+from steerd.sim_hw.mocap.servers import VrpnServer
 
 MS = 1_000_000
 SECOND = 1000 * MS

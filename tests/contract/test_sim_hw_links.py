@@ -16,7 +16,7 @@ import pytest
 from steerd.mocap_link import natnet
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.mocap_link.natnet_frame import Frame
-from steerd.sim_hw.mocap.mocap_config import MULTICAST, MocapConfig
+from steerd.sim_hw.mocap.cameras import MULTICAST, MocapConfig
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.real_time.links import (
     SimHardware,
@@ -25,7 +25,7 @@ from steerd.sim_hw.real_time.links import (
     fault_windows,
     spawn_sim,
 )
-from steerd.sim_hw.vesc.vesc_config import VescConfig
+from steerd.sim_hw.vesc.vesc_motor import VescConfig
 from steerd.sim_hw.world import WorldConfig
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.frames import FrameParser, encode_frame

@@ -16,12 +16,12 @@ from websockets.sync.client import connect  # noqa: TID251
 
 from steerd.car_model.path.path_spec import parse_path
 from steerd.controller.live import LiveBounds, LiveValues
-from steerd.daemon.ipc.gateway_wire import make_badge
+from steerd.daemon.ipc.requests import make_badge
 from steerd.daemon.loop.live import make_live, make_parameters, take_request
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.page import make_page, run_page
-from steerd.daemon.process.page_job import make_lane_job
 from steerd.daemon.process.page_link import CarView, PageOperator
+from steerd.daemon.process.view_job import make_lane_job
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock

@@ -7,10 +7,10 @@ import pytest
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.setup.probe_ask import discover
 from steerd.mocap_link.mocap_url import parse_mocap_url
-from steerd.sim_hw.mocap.mocap_config import MocapConfig
+from steerd.sim_hw.mocap.cameras import MocapConfig
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.real_time.links import SimOptions, spawn_sim
-from steerd.sim_hw.vesc.vesc_config import VescConfig
+from steerd.sim_hw.vesc.vesc_motor import VescConfig
 from steerd.sim_hw.world import WorldConfig
 from steerd.steer_bus.clock import MonotonicClock
 

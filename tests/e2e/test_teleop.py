@@ -9,8 +9,7 @@ import time
 import pytest
 
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.process.gamepad import ABS, EVENT, KEY
-from steerd.daemon.process.pad_map import AXES, BUTTONS
+from steerd.daemon.process.gamepad import ABS, AXES, BUTTONS, EVENT, KEY
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.session_read import open_session
 from tests.e2e.test_live import Watcher, start_run

@@ -10,7 +10,7 @@ from math import inf, nan
 from typing import Any
 
 from steerd.car_model.state import Command
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.findings import Flag
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import BODY, DriveCommand, OperatorRequest, RequestKind, make_header

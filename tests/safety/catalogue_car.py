@@ -56,7 +56,9 @@ def fence_off(rig: Rig) -> None:
     corners = tuple((state.x + FENCE_M * cos(a), state.y + FENCE_M * sin(a)) for a in turns)
     settings = loop.setup.settings
     thresholds = replace(settings.thresholds, fence=corners)
-    loop.setup = replace(loop.setup, settings=replace(settings, thresholds=thresholds))
+    settings = replace(settings, thresholds=thresholds)
+    loop.setup = loop._watching._setup = replace(loop.setup, settings=settings)
+    loop._watching._settings = settings
 
 
 def diverge(rig: Rig) -> None:

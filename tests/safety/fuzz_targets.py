@@ -16,7 +16,7 @@ from typing import Any
 
 import zstandard
 
-from steerd.daemon.ipc.gateway_wire import pack_request, unpack_request
+from steerd.daemon.ipc.requests import pack_request, unpack_request
 from steerd.daemon.loop.lease import Lease, Remote, accept_request, take_command
 from steerd.daemon.loop.outgoing import make_mocap
 from steerd.daemon.loop.transitions import Request
@@ -27,7 +27,7 @@ from steerd.mocap_link.natnet_frame import Frame, RigidBody
 from steerd.mocap_link.natnet_wire import NatNetError
 from steerd.mocap_link.vrpn_client import VrpnClient
 from steerd.mocap_link.zenoh_pose import BusPoseSource, PoseError, decode_pose
-from steerd.sim_hw.mocap.vrpn_device import VrpnServer
+from steerd.sim_hw.mocap.servers import VrpnServer
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import CodecError, decode, encode

@@ -10,7 +10,7 @@ from itertools import pairwise
 from math import hypot
 from typing import NamedTuple
 
-from steerd.sim_hw.plant.device import Logged
+from steerd.sim_hw.vesc.vesc_wire import Logged
 from steerd.vesc_link.frames import FrameParser
 
 

@@ -17,15 +17,15 @@ from pathlib import Path
 from typing import Any
 
 from steerd.daemon.assembly.build import NS, make_plan, make_world_config
-from steerd.daemon.ipc.gateway_wire import pack_request
 from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.ipc.pipe_records import unpack_records
+from steerd.daemon.ipc.requests import pack_request
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.children import RunProcesses, start_processes
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.sim_hw.plant.device import Logged
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.real_time.links import SimHardware, raise_priority
+from steerd.sim_hw.vesc.vesc_wire import Logged
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.codec import decode

@@ -14,13 +14,13 @@ from steerd.controller.learnt import Design
 from steerd.daemon.assembly.build import NS, RunPlan, make_core, make_plan, make_world_config
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.design_desk import make_design, make_no_design
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun
 from steerd.daemon.settings.config import Settings
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.mocap_link.natnet_client import NatNetSource
-from steerd.sim_hw.mocap.mocap_config import Bystander
+from steerd.sim_hw.mocap.cameras import Bystander
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.world import World
 from steerd.steer_bus import topics

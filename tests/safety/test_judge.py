@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from steerd.sim_hw.plant.device import Logged
+from steerd.sim_hw.vesc.vesc_wire import Logged
 from steerd.vesc_link.frames import encode_frame
 from tests.safety.catalogue import BY_CODE, nothing
 from tests.safety.judge import (

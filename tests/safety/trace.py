@@ -162,7 +162,7 @@ TRACES = {
         _names("suspend_step"), ("H17", "P5"), also=_RUNNER
     ),
     "W29": Trace(
-        "steerd.daemon.loop.failed_loop:make_failed_tick", (),
+        "steerd.daemon.loop.core:make_failed_tick", (),
         ("H13", "P5"), also="H13b to H13e; " + _RUNNER
     ),
     "W30": Trace(
@@ -202,7 +202,7 @@ def silenced(*ids: str) -> Iterator[None]:
 
     with (
         patch("steerd.daemon.loop.loop.summarise", summarise_others),
-        patch("steerd.daemon.loop.failed_loop.summarise", summarise_others),
+        patch("steerd.daemon.loop.core.summarise", summarise_others),
     ):
         yield
 

@@ -16,8 +16,8 @@ from steerd.car_model.car_file import CarFile
 from steerd.car_model.effects import find_effect
 from steerd.car_model.params import PARAMETERS
 from steerd.daemon.common.errors import did_you_mean
-from steerd.sim_hw.mocap.mocap_config import MocapConfig
-from steerd.sim_hw.vesc.vesc_config import VescConfig
+from steerd.sim_hw.mocap.cameras import MocapConfig
+from steerd.sim_hw.vesc.vesc_motor import VescConfig
 
 
 class Quantity(NamedTuple):

@@ -8,7 +8,7 @@ from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.source import ClockKind, Pose, SourceState
 from steerd.mocap_link.vrpn_client import VrpnClient, VrpnSource
 from steerd.mocap_link.zenoh_pose import BusPoseSource, encode_pose
-from steerd.sim_hw.mocap.vrpn_device import VrpnServer
+from steerd.sim_hw.mocap.servers import VrpnServer
 from tests.unit.mocap_link.test_sessions import MS, SECOND, SPEED, T0, assert_no_jump, truth
 
 

@@ -14,7 +14,7 @@ from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.natnet_client import NatNetSource
 from steerd.mocap_link.source import Pose, SourceState
 from steerd.mocap_link.vrpn_client import VrpnSource
-from steerd.sim_hw.mocap.mocap_config import MULTICAST, TO_COMMAND, TO_DATA, MocapConfig
+from steerd.sim_hw.mocap.cameras import MULTICAST, TO_COMMAND, TO_DATA, MocapConfig
 from steerd.sim_hw.mocap.network import COMMAND, STREAM
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.world import World, WorldConfig

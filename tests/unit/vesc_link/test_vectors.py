@@ -52,7 +52,7 @@ COMMANDS: dict[str, c.Command] = {
     "alive": c.Alive(),
     "reboot": c.Reboot(),
     "terminal_cmd_faults": c.TerminalCommand("faults"),
-    "get_imu_data_req_all": c.GetImuData(t.IMU_ALL_MASK),
+    "get_imu_data_req_all": c.GetImuData(0xFFFF),
     "get_imu_data_req_acc_gyro": c.GetImuData(t.IMU_ACCEL_GYRO_MASK),
     "set_mcconf_temp_halfscale": c.SetMcConfTemp(
         0.5, 0.5, -9228, 9228, 0.004999999888241291, 0.949999988079071, -500, 500, -20, 40

@@ -21,8 +21,8 @@ from collections.abc import Callable
 
 from steerd.daemon.cli.arguments import add_car_arguments, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.ipc.gateway_wire import make_badge
 from steerd.daemon.ipc.operator import KEEPALIVE_NS, connect
+from steerd.daemon.ipc.requests import make_badge
 from steerd.daemon.ipc.signals import raise_on_stop_signals
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.bus_operator import (

@@ -30,8 +30,8 @@ def run(args: argparse.Namespace) -> int:
     if args.lab is not None:
         read_lab(args.lab)  # a folder that is none is refused before anything heavy is loaded
     from steerd.daemon.process.page import make_page, run_page
-    from steerd.daemon.process.page_job import make_lane_job
     from steerd.daemon.process.page_link import CarView
+    from steerd.daemon.process.view_job import make_lane_job
     from steerd.steer_bus.clock import MonotonicClock
 
     page = make_page({"car": args.name, **make_lane_job(args.path)})

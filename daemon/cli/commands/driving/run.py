@@ -105,7 +105,7 @@ def make_options(args: argparse.Namespace) -> RunOptions:
     if args.view:
         check_view(args.view, args.insecure_lan, sets=args.view_sets)
     if args.page is not None:
-        from steerd.daemon.process.page_job import check_page
+        from steerd.daemon.process.view_job import check_page
 
         check_page(str(args.lab or ""), "" if args.listen == "" else "bus")
     given = {

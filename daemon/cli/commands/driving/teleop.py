@@ -18,7 +18,7 @@ from pathlib import Path
 from steerd.daemon.cli.arguments import add_car_arguments, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.signals import raise_on_stop_signals
-from steerd.daemon.process.pad_map import AXES, BUTTONS, PadMap
+from steerd.daemon.process.gamepad import AXES, BUTTONS, PadMap
 
 QUIET_MOST_S = 10.0
 """Longest silence of a gamepad that may count as held [s]."""

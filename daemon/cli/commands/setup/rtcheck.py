@@ -24,9 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command."""
+    from steerd.daemon.process.guard import read_steal_ns
     from steerd.daemon.process.realtime import realtime_section
     from steerd.daemon.process.rtcheck import keep_busy, measure_wakes, summarise_wakes
-    from steerd.daemon.process.stall import read_steal_ns
     from steerd.steer_bus.clock import MonotonicClock
 
     if not (0.1 <= args.seconds <= 3600.0 and 20.0 <= args.rate <= 1000.0):

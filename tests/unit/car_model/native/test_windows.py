@@ -38,7 +38,7 @@ from steerd.estimator.config import FilterConfig
 from steerd.estimator.history import History
 from steerd.estimator.initial import make_belief
 from steerd.estimator.sensors import make_gyro, make_pose, make_sensors, make_wheel_speed
-from steerd.sim_hw.plant.steps import make_steps
+from steerd.sim_hw.plant.car import make_steps
 
 H, STEPS, COUNT, N = 0.01, 60, 11, 13
 EVERY = tuple(EFFECTS.values())

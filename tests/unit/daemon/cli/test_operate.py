@@ -4,7 +4,7 @@ import pytest
 
 from steerd.daemon.cli.commands.driving import operate
 from steerd.daemon.cli.main import run_cli
-from steerd.daemon.ipc.gateway_wire import make_badge
+from steerd.daemon.ipc.requests import make_badge
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process import bus_operator
 from steerd.steer_bus import messages as m

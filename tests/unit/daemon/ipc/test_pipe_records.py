@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import pytest
 
-from steerd.daemon.ipc.gateway_wire import pack_request, unpack_request
 from steerd.daemon.ipc.outbox import Outbox
 from steerd.daemon.ipc.pipe_records import (
     PipeRecord,
@@ -15,6 +14,7 @@ from steerd.daemon.ipc.pipe_records import (
     read_message,
     unpack_records,
 )
+from steerd.daemon.ipc.requests import pack_request, unpack_request
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import CodecError, decode, encode

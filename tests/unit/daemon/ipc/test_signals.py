@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.ipc.diagnostics import read_diagnostics
-from steerd.daemon.ipc.sd_notify import make_notify
+from steerd.daemon.ipc.requests import read_diagnostics
+from steerd.daemon.ipc.signals import make_notify
 from steerd.steer_bus.messages import BODY, make_header
 from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
 

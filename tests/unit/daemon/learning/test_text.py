@@ -9,8 +9,7 @@ import pytest
 from rich.console import Console
 
 from steerd.daemon.ipc.operator import read_model
-from steerd.daemon.ipc.pipe_records import PipeRecord, make_pipe, pack_record
-from steerd.daemon.ipc.report_pipe import ReportPipe
+from steerd.daemon.ipc.pipe_records import PipeRecord, ReportPipe, make_pipe, pack_record
 from steerd.daemon.learning.feed import make_record
 from steerd.daemon.learning.reported import ReportedValue
 from steerd.daemon.learning.text import encode_model, format_model, gap_text, with_sd

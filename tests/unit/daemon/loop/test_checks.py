@@ -5,7 +5,6 @@ from math import nan
 import pytest
 
 from steerd.daemon.loop.checks import (
-    VescInfo,
     check_controller,
     check_findings,
     check_flags,
@@ -13,13 +12,14 @@ from steerd.daemon.loop.checks import (
     check_motion,
     check_vesc,
 )
-from steerd.daemon.loop.findings import Severity, make_finding
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.findings import Flag, Severity, make_finding
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.daemon.settings.thresholds import Thresholds
+from steerd.steer_bus.messages import BODY, VescIdentity, make_header
+from steerd.steer_bus.quick_values import changed
 
 BRAKES = BrakeSettings()
-GOOD = VescInfo(True, "ab" * 12, (6, 2), 150, 5.0)
+GOOD = VescIdentity(make_header(0, BODY), 0, 150, 1, 6, 2, 5.0, "ab" * 12)
 TH = Thresholds()
 
 
@@ -31,10 +31,9 @@ def test_a_good_vesc_passes_and_an_unknown_one_is_not_checked():
 @pytest.mark.parametrize(
     ("changes", "uuid", "said"),
     [
-        ({"expected": False}, "cd" * 12, "is not the one of the car file"),
-        ({"expected": False}, "", "is not the one this run began with"),
-        ({"timeout_ms": None}, "", "did not report its timeout"),
-        ({"timeout_brake_current": None}, "", "did not report its timeout"),
+        ({"expected": 0}, "cd" * 12, "is not the one of the car file"),
+        ({"expected": 0}, "", "is not the one this run began with"),
+        ({"timeout_ms": -1}, "", "did not report its timeout"),
         ({"timeout_ms": 0}, "", "never times out"),
         ({"timeout_ms": 201}, "", "timeout is 201 ms, at most 200 ms"),
         ({"timeout_brake_current": 0.0}, "", "would coast on timeout"),
@@ -42,7 +41,7 @@ def test_a_good_vesc_passes_and_an_unknown_one_is_not_checked():
     ],
 )
 def test_a_vesc_that_must_not_be_armed(changes, uuid, said):
-    (text,) = check_vesc(GOOD._replace(**changes), BrakeSettings(uuid=uuid))
+    (text,) = check_vesc(changed(GOOD, **changes), BrakeSettings(uuid=uuid))
     assert said in text
 
 

@@ -8,15 +8,15 @@ from steerd.daemon.assembly.build import make_core, make_plan
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop.checks import check_flags
 from steerd.daemon.loop.core import LIMITS_TRIES, Core
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.findings import Flag
+from steerd.daemon.loop.perception import NO_TELEMETRY
 from steerd.daemon.loop.transitions import Request, SupervisorState
 from steerd.daemon.offline.virtual import VirtualRun, make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.mocap_link.source import Pose
 from steerd.sim_hw.plant.faults import Fault
+from steerd.steer_bus.quick_values import changed
 from steerd.vesc_link.commands import GetMcConfTemp, SetMcConfTemp
-from steerd.vesc_link.telemetry import Values
-from steerd.vesc_link.vesc import Answer
 
 MS, NS = 1_000_000, 1_000_000_000
 
@@ -156,8 +156,8 @@ def test_a_reply_read_before_an_older_pose_is_fused_all_the_same(plan):
         core.loop.perception.on_pose(pose(k, k * 10 * MS))
         seen.estimate(k * 10 * MS + 1)
     now = 1010 * MS
-    values = Values(erpm=4614)
-    core.loop.perception.on_telemetry(Answer(values, now - MS, now), values)
+    told = changed(NO_TELEMETRY, t_sent_ns=now - MS, t_received_ns=now, erpm=4614)
+    core.loop.perception.on_telemetry(told)
     core.loop.perception.on_pose(pose(100, now - 4 * MS))
     health = seen.estimate(now).health
     assert health.untimely == 0

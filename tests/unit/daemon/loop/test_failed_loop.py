@@ -2,7 +2,7 @@
 
 import pytest
 
-from steerd.daemon.loop.failed_loop import describe_error
+from steerd.daemon.loop.core import describe_error
 from steerd.daemon.loop.loop import Flag
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus.messages import RequestKind

@@ -1,14 +1,14 @@
 """Outgoing messages: what was written, why the state changed, how bad it is."""
 
 from math import inf, isnan, nan
+from unittest.mock import Mock
 
 import pytest
 
 from steerd.car_model.state import Command
 from steerd.controller.limits import Limits, Verdict, make_limiter_state
-from steerd.daemon.ipc.diagnostics import read_diagnostics
-from steerd.daemon.loop.findings import WATCHDOGS, Severity, make_finding
-from steerd.daemon.loop.flags import Flag, make_reported_findings
+from steerd.daemon.ipc.requests import read_diagnostics
+from steerd.daemon.loop import findings as fs
 from steerd.daemon.loop.orders import make_order
 from steerd.daemon.loop.outgoing import (
     make_actuation,
@@ -71,7 +71,7 @@ def test_a_transition_names_both_states_and_the_reason():
 )
 def test_diagnostics_have_a_level_and_the_supervisors_values(state, warned, level):
     memory = changed(make_supervisor_memory(0), state=state)
-    findings = [make_finding("W7", "60 ms", Severity.WARN)] if warned else []
+    findings = [fs.make_finding("W7", "60 ms", fs.Severity.WARN)] if warned else []
     made = make_diagnostics(memory, ACTION, "a start", findings, {"uuid": "ab"}, 9)
     assert made.status[0].level == level
     values = read_diagnostics(made)
@@ -83,6 +83,7 @@ def test_diagnostics_have_a_level_and_the_supervisors_values(state, warned, leve
 
 BRAKES = BrakeSettings()
 LIMITS = Limits(wheelbase=0.33)
+SETTINGS = Mock(limits=LIMITS, brakes=BRAKES, scaling=F1TENTH)
 T0, TICK = 10**9, 10_000_000
 
 
@@ -98,7 +99,7 @@ def same(drive, other):
 def order(motor, steering=SteeringOutput.LIVE, wish=None, speed=1.0, cap=inf, steer=0.1):
     state = make_limiter_state(LIMITS, Command(steer, 1.0), T0)
     action = Action(motor, steering, cap, "", "")
-    return make_order(LIMITS, BRAKES, F1TENTH, state, action, wish, speed, T0 + TICK)
+    return make_order(SETTINGS, state, action, wish, speed, T0 + TICK)
 
 
 @pytest.mark.parametrize(
@@ -160,6 +161,7 @@ def test_an_unknown_speed_counts_as_the_highest():
 
 # Flags of the runner as findings of its watchdogs.
 
+Flag = fs.Flag
 NAMES = {
     Flag.SERIAL_FAULT: "W8", Flag.GUARDIAN_LOST: "W16", Flag.GUARDIAN_TRIPPED: "W15",
     Flag.RECORDER_LOST: "W26", Flag.GATEWAY_LOST: "W27", Flag.EXCEPTION: "W29",
@@ -179,6 +181,6 @@ def test_every_flag_is_one_bit_of_its_own():
 @pytest.mark.parametrize("flag", bits_of_flag())
 @pytest.mark.parametrize("linked", [0, Flag.LINKED])
 def test_each_flag_reports_its_watchdog_or_none(flag, linked):
-    found = list(make_reported_findings(flag | linked))
+    found = list(fs.make_reported_findings(flag | linked))
     assert [finding.id for finding in found] == ([NAMES[flag]] if flag in NAMES else [])
-    assert all(finding.severity == WATCHDOGS[finding.id].severity for finding in found)
+    assert all(finding.severity == fs.WATCHDOGS[finding.id].severity for finding in found)

@@ -6,13 +6,18 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.single_track import SINGLE_TRACK
-from steerd.daemon.loop.perception import BLIND_S, Perception, best_speed, estimated_state
+from steerd.daemon.loop.perception import (
+    BLIND_S,
+    NO_TELEMETRY,
+    Perception,
+    best_speed,
+    estimated_state,
+)
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.estimator.config import FilterConfig
 from steerd.mocap_link.source import Pose
+from steerd.steer_bus.quick_values import changed
 from steerd.vesc_link.scaling import F1TENTH
-from steerd.vesc_link.telemetry import Values
-from steerd.vesc_link.vesc import Answer
 
 MS, NS = 1_000_000, 1_000_000_000
 
@@ -30,8 +35,7 @@ def pose(t_ns, x, rejected=None, valid=True):
 
 
 def telemetry(t_ns, erpm):
-    values = Values(erpm=erpm)
-    return Answer(values, t_ns - MS, t_ns), values
+    return changed(NO_TELEMETRY, t_sent_ns=t_ns - MS, t_received_ns=t_ns, erpm=erpm)
 
 
 def drive(seen, seconds=1.0, speed=1.0):
@@ -39,7 +43,7 @@ def drive(seen, seconds=1.0, speed=1.0):
     for k in range(1, round(seconds * 100) + 1):
         t_ns = k * 10 * MS
         seen.on_pose(pose(t_ns, speed * t_ns / NS))
-        seen.on_telemetry(*telemetry(t_ns, speed * F1TENTH.erpm_gain))
+        seen.on_telemetry(telemetry(t_ns, speed * F1TENTH.erpm_gain))
         seen.estimate(t_ns)
     return t_ns
 

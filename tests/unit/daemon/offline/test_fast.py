@@ -7,7 +7,7 @@ import pytest
 
 from steerd.daemon.assembly.build import make_plan, make_world_config
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.fast import check_driven, make_recording, record_virtual, run_fast
 from steerd.daemon.offline.virtual import EPOCH_NS, drive, make_virtual_run

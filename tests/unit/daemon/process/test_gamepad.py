@@ -10,6 +10,8 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.process import gamepad
 from steerd.daemon.process.gamepad import (
     ABS,
+    AXES,
+    BUTTONS,
     KEY,
     SYN,
     SYN_DROPPED,
@@ -18,16 +20,12 @@ from steerd.daemon.process.gamepad import (
     DevicePad,
     PadEvent,
     PadGoneError,
-    StreamPad,
-    find_pad,
-    open_pad,
-)
-from steerd.daemon.process.pad_map import (
-    AXES,
-    BUTTONS,
     PadMap,
     PadState,
+    StreamPad,
+    find_pad,
     is_silent,
+    open_pad,
     read_axis,
     take_event,
 )

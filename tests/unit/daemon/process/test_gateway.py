@@ -5,8 +5,8 @@ import socket
 
 import pytest
 
-from steerd.daemon.ipc.gateway_wire import REQUEST_MAX, make_badge, unpack_request
 from steerd.daemon.ipc.pipe_records import PipeRecord, pack_record
+from steerd.daemon.ipc.requests import REQUEST_MAX, make_badge, unpack_request
 from steerd.daemon.process.gateway import Gateway, run_gateway
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics

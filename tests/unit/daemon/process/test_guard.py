@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from steerd.daemon.process import lifeline
+from steerd.daemon.process import heartbeat
 from steerd.daemon.process.guard import START_NS, ProcessGuard, make_page_fd
-from steerd.daemon.process.lifeline import Lifeline
+from steerd.daemon.process.heartbeat import Lifeline
 
 BRAKE = b"\x02\x01\x00\x00\x00\x03"
 
@@ -84,7 +84,7 @@ def test_a_plug_that_flaps_leaves_nothing_behind():
 
 HOLDER = """
 import sys, select
-from steerd.daemon.process.lifeline import Lifeline
+from steerd.daemon.process.heartbeat import Lifeline
 line = Lifeline(int(sys.argv[1]))
 line.hold()
 memory = bytearray(int(sys.argv[2]))
@@ -111,7 +111,7 @@ def test_a_holder_that_unmapped_its_page_before_it_left_is_heard_of():
     """The kernel cannot hand on a mutex that is not in memory any more: Python's own tidy end."""
     page_fd = make_page_fd()
     leaver = (
-        "import os, sys; from steerd.daemon.process.lifeline import Lifeline; "
+        "import os, sys; from steerd.daemon.process.heartbeat import Lifeline; "
         "line = Lifeline(int(sys.argv[1]))"
     )
     code = f"{leaver}; line.hold(); del line; os._exit(0)"
@@ -162,7 +162,7 @@ def test_the_lifeline_does_not_wait_for_the_memory_to_be_taken_apart():
 
 
 def test_without_a_mutex_the_pidfd_has_to_do(monkeypatch):
-    monkeypatch.setattr(lifeline, "_library", lambda: None)
+    monkeypatch.setattr(heartbeat, "_library", lambda: None)
     page_fd = make_page_fd()
     holder = start_holder(page_fd)
     line = Lifeline(page_fd, os.pidfd_open(holder.pid))

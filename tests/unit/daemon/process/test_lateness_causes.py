@@ -7,12 +7,11 @@ import pytest
 
 from steerd.daemon.cli.main import dispatch
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.loop.findings import make_finding
-from steerd.daemon.loop.flags import CAUSES, Flag, blame_late
+from steerd.daemon.loop.findings import CAUSES, Flag, blame_late, make_finding
 from steerd.daemon.process import rtcheck
+from steerd.daemon.process.guard import LEAST_NS, find_cause, parse_steal, read_steal_ns
 from steerd.daemon.process.guardian import PERIOD_NS
 from steerd.daemon.process.rtcheck import keep_busy, measure_wakes, summarise_wakes
-from steerd.daemon.process.stall import LEAST_NS, find_cause, is_stalled, parse_steal, read_steal_ns
 
 MS = 1_000_000
 START = 10**12
@@ -106,7 +105,8 @@ def test_this_machine_says_what_was_stolen():
     [(40, 40, True), (40, 20, True), (40, 19, False), (40, 0, False), (0, 0, False)],
 )
 def test_the_machine_stalled_if_half_of_the_lateness_was_stolen(late_ms, stolen_ms, stalled):
-    assert is_stalled(late_ms * MS, stolen_ms * MS) is stalled
+    found = find_cause((0, late_ms * MS), stolen_ms * MS, None)
+    assert (found == Flag.STALLED) is stalled
 
 
 def test_a_machine_is_kept_busy_and_let_go(monkeypatch):

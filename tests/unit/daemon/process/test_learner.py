@@ -7,8 +7,7 @@ from math import sin
 import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.daemon.ipc.pipe_records import Gaps, PipeRecord, PipeWriter, make_pipe, pack_record
-from steerd.daemon.ipc.report_pipe import ReportPipe
+from steerd.daemon.ipc import pipe_records as pipes
 from steerd.daemon.learning.feed import Wiring, make_feed, make_record
 from steerd.daemon.process.learner import LearnerLoop, make_learner_feed
 from steerd.steer_bus import messages as m
@@ -26,12 +25,12 @@ def pose_record(number):
     pose = m.MocapPose(
         header, t, t, 0, number, 0, 1, *(0.0,) * 8, 0.01 * number, sin(number), 0.1, 0.1, 0.0, ""
     )
-    return PipeRecord(topics.MOCAP, number, EPOCH + t, EPOCH + t, encode(pose))
+    return pipes.PipeRecord(topics.MOCAP, number, EPOCH + t, EPOCH + t, encode(pose))
 
 
 @pytest.fixture
 def pipe():
-    read_fd, write_fd = make_pipe()
+    read_fd, write_fd = pipes.make_pipe()
     yield read_fd, write_fd
     for fd in (read_fd, write_fd):
         try:
@@ -43,16 +42,16 @@ def pipe():
 @pytest.fixture
 def loop(pipe):
     feed = make_feed(load_car(default_car_path()), Wiring(EPOCH))
-    return LearnerLoop(feed, [PipeWriter(pipe[1])])
+    return LearnerLoop(feed, [pipes.PipeWriter(pipe[1])])
 
 
 def fed(loop, numbers):
-    loop.take(bytearray(b"".join(pack_record(pose_record(n)) for n in numbers)))
+    loop.take(bytearray(b"".join(pipes.pack_record(pose_record(n)) for n in numbers)))
 
 
 def test_a_report_comes_once_a_second(loop, pipe):
     fed(loop, range(350))
-    reports = [decode(m.Model, record.data) for record in ReportPipe(pipe[0]).take()]
+    reports = [decode(m.Model, record.data) for record in pipes.ReportPipe(pipe[0]).take()]
     assert [report.mono_ns // 1_000_000_000 for report in reports] == [1, 2, 3]
     assert {report.verdict for report in reports} == {"learning"}
     assert {report.dropped for report in reports} == {0}
@@ -61,13 +60,13 @@ def test_a_report_comes_once_a_second(loop, pipe):
 
 def test_what_was_dropped_on_the_way_is_counted(loop, pipe):
     fed(loop, [*range(50), *range(80, 250)])
-    last = list(ReportPipe(pipe[0]).take())[-1]
+    last = list(pipes.ReportPipe(pipe[0]).take())[-1]
     assert decode(m.Model, last.data).dropped == 30
 
 
 def test_bytes_that_are_no_message_are_passed_over(loop, pipe):
     broken = replace(pose_record(60), data=b"\0\1\0\0 nonsense")
-    loop.take(bytearray(pack_record(pose_record(0)) + pack_record(broken)))
+    loop.take(bytearray(pipes.pack_record(pose_record(0)) + pipes.pack_record(broken)))
     fed(loop, range(61, 250))
     assert loop.reports == 2
 
@@ -87,7 +86,7 @@ def test_a_reader_that_is_gone_costs_reports_alone(loop, pipe):
 
 
 def test_numbers_that_are_missing_are_counted_by_topic():
-    gaps = Gaps()
+    gaps = pipes.Gaps()
     for number in (5, 6, 9, 9, 10):
         gaps.take(pose_record(number))
     assert gaps.missed == 2
@@ -100,7 +99,7 @@ def report_record(loop):
 
 
 def test_reports_are_read_until_the_learner_ends(loop, pipe):
-    reader, packed = ReportPipe(pipe[0]), pack_record(report_record(loop))
+    reader, packed = pipes.ReportPipe(pipe[0]), pipes.pack_record(report_record(loop))
     assert list(reader.take()) == []
     os.write(pipe[1], packed[:50])
     assert list(reader.take()) == []
@@ -114,7 +113,7 @@ def test_reports_are_read_until_the_learner_ends(loop, pipe):
 
 
 def test_a_run_without_a_learner_has_no_reports():
-    assert list(ReportPipe(None).take()) == list(ReportPipe(None).rest(0)) == []
+    assert list(pipes.ReportPipe(None).take()) == list(pipes.ReportPipe(None).rest(0)) == []
 
 
 def test_a_job_is_a_car_file_and_its_scaling():

@@ -11,7 +11,7 @@ import pytest
 from steerd.daemon.assembly.build import make_core, make_plan
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.pipe_records import PipeRecord, pack_record
-from steerd.daemon.loop.flags import Flag
+from steerd.daemon.loop.findings import Flag
 from steerd.daemon.process import recorder
 from steerd.daemon.process.core_process import latch_stray_exceptions, make_mocap, status_sink
 from steerd.daemon.process.recorder import Recording, check_space, record_pipe

@@ -6,7 +6,7 @@ from math import cos, nan, pi, sin
 import pytest
 
 from steerd.daemon.ipc.pipe_records import PipeRecord
-from steerd.daemon.process.ros_bridge import RosBridge
+from steerd.daemon.process.gateway import RosBridge
 from steerd.daemon.process.views import PERIOD_NS, Views, make_odometry, make_vesc_state
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from steerd.daemon.assembly.build import make_core, make_plan
-from steerd.daemon.ipc.gateway_wire import pack_request
 from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.ipc.pipe_records import PipeWriter, make_pipe, read_message
-from steerd.daemon.loop.flags import CAUSES, Flag
+from steerd.daemon.ipc.requests import pack_request
+from steerd.daemon.loop.findings import CAUSES, Flag
 from steerd.daemon.loop.supervisor import NEVER, STILL_NS
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process import guard as guard_module

@@ -6,9 +6,8 @@ from types import SimpleNamespace
 import pytest
 
 from steerd.daemon.cli.commands.setup.calibrate import servo_scaling, servo_values
-from steerd.daemon.ipc.gateway_wire import unpack_request
-from steerd.daemon.ipc.live_setting import format_setting, parse_setting
 from steerd.daemon.ipc.operator import Operator
+from steerd.daemon.ipc.requests import format_setting, parse_setting, unpack_request
 from steerd.daemon.setup.steering_calibration import SteeringCalibration
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.daemon.terminal.key_desk import KEYS, NUDGE_HELP, NUDGES, nudge

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from steerd.daemon.ipc.gateway_wire import unpack_request
 from steerd.daemon.ipc.operator import KEEPALIVE_NS, Operator
+from steerd.daemon.ipc.requests import unpack_request
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.terminal.key_desk import KEYS
 from steerd.daemon.terminal.terminal import Terminal

@@ -12,11 +12,11 @@ from steerd.car_model.state import ORIGIN
 from steerd.mocap_link import natnet
 from steerd.mocap_link.natnet_frame import EDIT_MODE, MODEL_CHANGED, Frame
 from steerd.mocap_link.natnet_wire import NatNetError
-from steerd.sim_hw.mocap.mocap_config import Bystander, MocapConfig
+from steerd.sim_hw.mocap.cameras import Bystander, MocapConfig
 from steerd.sim_hw.mocap.network import CLOSE, FOREIGN, Datagram
-from steerd.sim_hw.plant.fault_state import HEALTHY_MOCAP, HEALTHY_VESC
+from steerd.sim_hw.plant import faults
 from steerd.sim_hw.plant.faults import FAULTS, Fault, find_fault, make_condition
-from steerd.sim_hw.vesc.vesc_config import STATUS_KILL
+from steerd.sim_hw.vesc.vesc_motor import STATUS_KILL
 from steerd.sim_hw.world import World, WorldConfig
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.identity import AppConf
@@ -39,9 +39,9 @@ def test_catalogue_is_complete_and_each_entry_changes_the_fault_state() -> None:
     assert codes == [f"M{n}" for n in range(1, 23)] + [f"V{n}" for n in range(1, 25)]
     for kind in FAULTS:
         condition = make_condition([Fault(kind.name)], 1 << 40)
-        changed = (condition.vesc, condition.mocap) != (HEALTHY_VESC, HEALTHY_MOCAP)
+        changed = (condition.vesc, condition.mocap) != (faults.HEALTHY_VESC, faults.HEALTHY_MOCAP)
         assert changed, kind.name
-        assert (condition.vesc == HEALTHY_VESC) == (kind.target == "mocap")
+        assert (condition.vesc == faults.HEALTHY_VESC) == (kind.target == "mocap")
 
 
 def test_windows_edges_and_mistakes() -> None:
@@ -400,7 +400,7 @@ def test_v15_reboot_drops_usb_and_coasts(faulty: MakeHost) -> None:
 
 
 def test_v18_to_v21_wrong_telemetry(faulty: MakeHost) -> None:
-    assert faulty("V18").values().timeout_active
+    assert faulty("V18").values().status & 1
     assert faulty("V19").values().status & STATUS_KILL
     host = faulty("V20")
     readings = set()
@@ -422,7 +422,7 @@ def test_v23_second_client_keeps_the_timeout_from_striking(make_host: MakeHost) 
     host = make_host(Fault("V23"), timeout_ms=250)
     for _ in range(40):
         host.run(25)
-        assert not host.values().timeout_active
+        assert not host.values().status & 1
 
 
 def test_v24_appconf_without_timeout(faulty: MakeHost) -> None:

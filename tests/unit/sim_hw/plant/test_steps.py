@@ -12,7 +12,7 @@ from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR
 from steerd.car_model.planar import CHASSIS
 from steerd.car_model.state import ORIGIN
-from steerd.sim_hw.plant.steps import make_steps, plain_steps
+from steerd.sim_hw.plant.car import make_steps, plain_steps
 
 H = 0.002
 

@@ -1,0 +1,189 @@
+"""What is watched in a tick: the watchdogs' measurements, and findings that are not by thresholds.
+
+`watchdogs` judges measurements; here they are taken, with the memories that go from tick to tick:
+lateness of the loop, the launch window, and the orders that wheels and pose are held against.
+"""
+
+from math import isfinite, nan
+
+from steerd.car_model.actuators import references
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.params import Car
+from steerd.car_model.state import Command, State
+from steerd.controller.lane_controller import ControlReport
+from steerd.controller.limits import Verdict
+from steerd.daemon.loop.findings import (
+    Finding,
+    advise_simulation,
+    blame_late,
+    make_finding,
+    make_reported_findings,
+    make_unknown,
+)
+from steerd.daemon.loop.follow_model import make_follow_model
+from steerd.daemon.loop.following import (
+    Followed,
+    FollowState,
+    advance,
+    compare,
+    follow_span,
+    measure_turns,
+    send_order,
+)
+from steerd.daemon.loop.lateness import IN_SIMULATION, Lateness, make_lateness_rules, step_lateness
+from steerd.daemon.loop.launch import LaunchInput, LaunchState, make_launch_state, step_launch
+from steerd.daemon.loop.lease import Remote, command_age, valid_command
+from steerd.daemon.loop.loop_setup import LoopSetup
+from steerd.daemon.loop.orders import Order
+from steerd.daemon.loop.perception import Perception, estimated_state
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.loop.watchdogs import WatchdogInput, WatchdogState, is_slowing, step_watchdogs
+from steerd.daemon.settings.thresholds import LAUNCH_SPEED
+from steerd.estimator.state_filter import StateEstimate
+
+
+class Watching:
+    """Watchdogs and their memories.
+
+    Args:
+        setup: what does not change during a run.
+        car: as the car file believes it.
+        perception: measurements, as the loop keeps them.
+
+    Attributes:
+        launched: whether the launch checks of this drive have passed.
+        slowing: whether a stop works, by the check of W24.
+    """
+
+    def __init__(self, setup: LoopSetup, car: Car[float], perception: Perception) -> None:
+        s = setup.settings
+        self._setup, self._settings, self._car, self._seen = setup, s, car, perception
+        self._launch: LaunchState | None = None
+        self.launched, self.slowing = False, True
+        self._watchdogs = WatchdogState()
+        self._ranges = make_follow_model(car, s.file.sd, s.filter, s.thresholds)
+        self._following = FollowState()
+        self._lateness = Lateness()
+        self._not_finite = False
+        self._late_rules = IN_SIMULATION if setup.simulated else make_lateness_rules(s.thresholds)
+
+    def restart_launch(self) -> None:
+        """A drive begins or has ended: the next one is launched anew."""
+        self._launch, self.launched = None, False
+
+    def send_order(self, t_ns: int, order: Order) -> None:
+        """An order leaves now."""
+        self._not_finite = order.verdict is Verdict.NOT_FINITE
+        rolling = self._seen.wheel_speed
+        speed = rolling if isfinite(rolling) else 0.0
+        self._following = send_order(self._following, self._ranges, t_ns, order.command, speed)
+
+    def find_reported(
+        self,
+        state: SupervisorState,
+        estimate: StateEstimate | None,
+        order: Command[float],
+        remote: Remote,
+        due_ns: int,
+        now_ns: int,
+        flags: int,
+    ) -> tuple[Finding, ...]:
+        """What needs no measurement: the runner's findings, lateness, launch under `order`, W25."""
+        found = list(make_reported_findings(flags))
+        self._lateness, late = step_lateness(
+            self._lateness, due_ns, now_ns, self._setup.period_ns, self._late_rules
+        )
+        if late is not None:
+            found.append(blame_late(late, flags))
+        running = state is SupervisorState.RUNNING
+        if running and estimate is not None and not self.launched:
+            found += self._check_launch(estimate.state, order, now_ns)
+        if self._not_finite:
+            found.append(make_finding("limiter", "the controller gave a number that is not finite"))
+        if running and self._setup.remote and valid_command(remote, now_ns) is None:
+            age = command_age(remote, now_ns)
+            if isfinite(age):
+                found.append(make_finding("W25", f"no valid command for {age * 1e3:.0f} ms"))
+            else:
+                found.append(make_unknown("W25", "no valid command yet"))
+        return tuple(found)
+
+    def _check_launch(self, s: State[float], order: Command[float], t_ns: int) -> list[Finding]:
+        aim = references(FLOAT, self._car, order)  # gain and bias of the linkage
+        now = LaunchInput(t_ns, s.x, s.y, s.yaw, self._seen.wheel_speed, aim.steer)
+        if self._launch is None:
+            self._launch = make_launch_state(now)
+            return []
+        self._launch, wrong = step_launch(self._launch, now, self._settings.limits.wheelbase)
+        self.launched = self._launch.done
+        return [make_finding("launch", wrong)] if wrong else []
+
+    def judge(
+        self,
+        state: SupervisorState,
+        estimate: StateEstimate | None,
+        lane: ControlReport | None,
+        speed: float,
+        steer: float,
+        lease_age: float,
+        now_ns: int,
+        reported: tuple[Finding, ...],
+    ) -> tuple[WatchdogInput, tuple[Finding, ...]]:
+        """The measurements of a tick, NaN where nothing is known, and all findings, reported first.
+
+        Args:
+            state: the supervisor's, of the last tick.
+            estimate: of the car's state.
+            lane: errors of its place in the lane; None where they are not known or do not count.
+            speed: best known [m/s].
+            steer: last ordered angle [rad].
+            lease_age: since the operator's last request [s].
+            now_ns: now.
+            reported: findings that need no measurement.
+        """
+        seen, limits, brakes = self._seen, self._settings.limits, self._settings.brakes
+        s, health = estimated_state(estimate), estimate.health if estimate else None
+        nowhere = 0.0 if self._setup.ignores_lane else nan
+        v = seen.values
+        now = WatchdogInput(
+            t_ns=now_ns,
+            state=state,
+            pose=seen.watch,
+            mocap_age=seen.mocap_age(now_ns),
+            telemetry_age=seen.telemetry_age(now_ns),
+            lease_age=lease_age,
+            speed=speed,
+            speed_erpm=seen.wheel_speed,
+            speed_mocap=seen.mocap_speed,
+            speed_limit=limits.speed_max if self.launched else min(LAUNCH_SPEED, limits.speed_max),
+            x=s.x,
+            y=s.y,
+            course=s.yaw + s.slip_angle,
+            sigma_position=health.position_sd if health else nan,
+            sigma_yaw=health.yaw_sd if health else nan,
+            covariance_ok=health.sound if health else True,  # its sigmas are not known: W6 trips
+            lateral_error=lane.e1 if lane else nowhere,
+            heading_error=lane.e2 if lane else nowhere,
+            steer_share=abs(steer)
+            / (limits.steer_left_max if steer > 0.0 else limits.steer_right_max),
+            status=v.status if v.status > 0 else 0,  # -1: not sent
+            fault_code=v.fault_code if v.fault_code > 0 else 0,
+            tachometer=v.tachometer_abs,
+            cell_voltage=v.v_in / brakes.cells,
+            fet_temperature=v.temp_fet,
+            motor_temperature=v.temp_motor,
+            current_share=abs(v.current_motor) / brakes.current_max_a,
+            followed=self._compare_with_orders(now_ns),
+            reported=reported,
+        )
+        self._watchdogs, found = step_watchdogs(self._settings.thresholds, self._watchdogs, now)
+        self.slowing = is_slowing(self._watchdogs)
+        return now, tuple(map(advise_simulation, found)) if self._setup.simulated else found
+
+    def _compare_with_orders(self, now_ns: int) -> Followed:
+        """What wheels and pose did since, against the orders that left."""
+        seen = self._seen
+        ground = seen.mocap_speed if isfinite(seen.mocap_speed) else 0.0
+        self._following = advance(self._following, self._ranges, now_ns, ground)
+        turns = measure_turns(seen.track, follow_span(self._settings.thresholds, ground))
+        return compare(self._following, self._ranges, seen.wheel, turns)

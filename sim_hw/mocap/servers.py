@@ -1,0 +1,341 @@
+"""The simulated mocap servers: NatNet with sessions, echoes and frames, VRPN by connection.
+
+The wires are `mocap_link`'s.
+"""
+
+from steerd.mocap_link import natnet, vrpn
+from steerd.mocap_link.natnet_frame import (
+    EDIT_MODE,
+    MODEL_CHANGED,
+    TRACKING_VALID,
+    Frame,
+    RigidBody,
+)
+from steerd.mocap_link.natnet_wire import F32, NatNetError
+from steerd.mocap_link.vrpn import VrpnError
+from steerd.sim_hw.mocap.cameras import MULTICAST, TO_DATA, BodyPose, Capture, MocapConfig
+from steerd.sim_hw.mocap.network import (
+    CLOSE,
+    COMMAND,
+    DATA,
+    FOREIGN,
+    STREAM,
+    Datagram,
+    Network,
+    Peer,
+)
+from steerd.sim_hw.plant.faults import HEALTHY_MOCAP, MocapFaultState
+from steerd.sim_hw.plant.noise import NoiseSource
+from steerd.steer_bus.quick_values import changed
+
+_NS = 1_000_000_000
+_APP_VERSION = (3, 1, 0, 0)
+_ANSWER_NS = 150_000
+_ANOTHER = natnet.RigidBodyDesc("newcomer", 9)
+"""Enters the model list when it changes."""
+
+
+class NatNetServer:
+    """One server. `on_message` takes datagrams of the command socket, `publish` sends frames.
+
+    Attributes:
+        fault_state: what is wrong with it.
+        data_port: sent to clients in SERVERINFO; `links` sets the one it really uses.
+    """
+
+    def __init__(
+        self, config: MocapConfig, network: Network, noise: NoiseSource, t_ns: int
+    ) -> None:
+        self.config = config
+        self.fault_state: MocapFaultState = HEALTHY_MOCAP
+        self.data_port = natnet.DATA_PORT
+        self._network = network
+        self._noise = noise
+        self._epoch_ns = t_ns
+        self._epoch_ticks = config.epoch_ticks
+        self._clients: dict[Peer, int] = {}
+        self._model_flag = False
+        self._grown = False
+
+    def set_fault_state(self, t_ns: int, faults: MocapFaultState) -> None:
+        """From ``t_ns`` on, be in this condition."""
+        before, self.fault_state = self.fault_state, faults
+        if faults.restart and not before.restart:
+            self._epoch_ns, self._epoch_ticks = t_ns, self.config.clock_hz  # up for one second
+            self._clients.clear()
+        if faults.model_changed and not before.model_changed:
+            self._model_flag = self._grown = True
+
+    def ticks(self, t_ns: int) -> int:
+        """The server's clock."""
+        elapsed = t_ns - self._epoch_ns + self.fault_state.clock_step_ns
+        hz = self.config.clock_hz
+        skew = int(elapsed * self.config.skew_ppm * 1e-6 * hz / _NS)
+        return self._epoch_ticks + elapsed * hz // _NS + skew
+
+    # --- session
+
+    def on_message(self, t_ns: int, data: bytes, peer: Peer) -> None:
+        """Take a datagram from a client; nonsense is dropped as a real server does."""
+        try:
+            message = natnet.decode(data, self.config.version)
+        except NatNetError:
+            return
+        if message is natnet.Bare.DISCONNECT:
+            self._clients.pop(peer, None)
+            return
+        self._clients[peer] = t_ns
+        answer = self._answer(t_ns, message)
+        if answer is not None and not self.fault_state.silent:
+            data = natnet.encode(answer, self.config.version)
+            self._network.send(Datagram(t_ns + _ANSWER_NS, COMMAND, data, peer))
+
+    def _answer(self, t_ns: int, message: natnet.Message) -> natnet.Message | None:
+        match message:
+            case natnet.Bare.CONNECT | natnet.Bare.DISCOVERY:
+                return self._info()
+            case natnet.EchoRequest():
+                return natnet.EchoResponse(message.client_stamp, self.ticks(t_ns + _ANSWER_NS // 2))
+            case natnet.Bare.REQUEST_MODEL:
+                self._model_flag = False
+                return self._model()
+            case natnet.Request():
+                return _answer_request(message.text, self.config)
+        return None
+
+    def _info(self) -> natnet.ServerInfo:
+        config = self.config
+        return natnet.ServerInfo(
+            "steerd simulated Motive",
+            _APP_VERSION,
+            (*config.version, 0, 0),
+            config.clock_hz,
+            self.data_port,
+            config.transport == MULTICAST,
+        )
+
+    def _model(self) -> natnet.ModelDef:
+        config = self.config
+        bodies = [natnet.RigidBodyDesc(b.name, b.id) for b in config.bystanders]
+        own = natnet.RigidBodyDesc(config.body, config.body_id)
+        return natnet.ModelDef((own, *bodies, *((_ANOTHER,) if self._grown else ())))
+
+    # --- frames
+
+    def publish(self, capture: Capture) -> None:
+        """Send a frame for an exposure."""
+        config = self.config
+        received = capture.t_ns + config.camera_ns
+        sent = received + config.software_ns
+        sent += max(0, round(config.jitter_ns * self._noise.normal()))
+        destinations = self._destinations(capture.t_ns)
+        if not destinations:
+            return
+        data = natnet.encode(self._frame(capture, received, sent), config.version)
+        arrival = sent + config.network_ns
+        for channel, peer in destinations:
+            self._network.send_frame(Datagram(arrival, channel, data, peer))
+            if self.fault_state.foreign:
+                data = natnet.encode(self._frame(self._forge(capture), received, sent))
+                self._network.send(Datagram(arrival, FOREIGN, data, peer))
+
+    def _destinations(self, t_ns: int) -> list[tuple[str, Peer | None]]:
+        config = self.config
+        if config.transport == MULTICAST:
+            return [(DATA, None)]
+        oldest = t_ns - config.keepalive_ns
+        self._clients = {peer: t for peer, t in self._clients.items() if t >= oldest}
+        channel = DATA if config.transport == TO_DATA else COMMAND
+        return [(channel, peer) for peer in self._clients]
+
+    def _frame(self, capture: Capture, received_ns: int, sent_ns: int) -> Frame:
+        faults = self.fault_state
+        params = (MODEL_CHANGED if self._model_flag else 0) | (EDIT_MODE if faults.edit_mode else 0)
+        return Frame(
+            capture.number,
+            tuple(map(_rigid_body, capture.bodies)),
+            timestamp=capture.number / self.config.rate_hz,
+            mid_exposure_ticks=self.ticks(capture.t_ns),
+            data_received_ticks=self.ticks(received_ns),
+            transmit_ticks=self.ticks(sent_ns),
+            params=params,
+        )
+
+    def _forge(self, capture: Capture) -> Capture:
+        """The same frame with everything somewhere else."""
+        far = self.fault_state.foreign
+        bodies = tuple(
+            changed(body, position=(body.position[0] + far, *body.position[1:]))
+            for body in capture.bodies
+        )
+        return changed(capture, bodies=bodies)
+
+
+def _rigid_body(body: BodyPose) -> RigidBody:
+    w, x, y, z = body.quaternion
+    params = TRACKING_VALID if body.valid else 0
+    return RigidBody(body.id, body.position, (x, y, z, w), body.mean_error, params)
+
+
+def _answer_request(text: str, config: MocapConfig) -> natnet.Response | natnet.Unrecognized:
+    known = text.split(",")[0] == "FrameRate"
+    return natnet.Response(F32.pack(config.rate_hz)) if known else natnet.Unrecognized(100)
+
+
+_VRPN_ANSWER_NS = 100_000
+_TYPES = (vrpn.POSE_TYPE, vrpn.PING_TYPE, vrpn.PONG_TYPE)
+_POSE_ID, _PONG_ID = 0, 2
+
+
+class VrpnServer:
+    """One connection's server: greets, names its bodies, answers pings, encodes poses.
+
+    Feed what arrives into `receive`, send what it and the other methods return.
+
+    Args:
+        bodies: names of the bodies; more may come with `add_body`.
+    """
+
+    def __init__(self, bodies: tuple[str, ...]) -> None:
+        self._bodies: list[str] = []
+        self._buffer = bytearray()
+        self._greeted = False
+        self._peer_types: dict[int, str] = {}
+        self._sequence = 0
+        self._hello = vrpn.encode_cookie() + b"".join(
+            vrpn.encode(vrpn.make_description(vrpn.TYPE_DESCRIPTION, i, name))
+            for i, name in enumerate(_TYPES)
+        )
+        self._hello += b"".join(self.add_body(body) for body in bodies)
+
+    def hello(self) -> bytes:
+        """Return what to send as soon as a client connects."""
+        return self._hello
+
+    def add_body(self, name: str) -> bytes:
+        """Enable another body, at any time; returns its description."""
+        self._bodies.append(name)
+        sender = len(self._bodies) - 1
+        return vrpn.encode(vrpn.make_description(vrpn.SENDER_DESCRIPTION, sender, name))
+
+    def pose(
+        self,
+        body: str,
+        stamp_us: int,
+        position: tuple[float, float, float],
+        quaternion_wxyz: tuple[float, float, float, float],
+    ) -> bytes:
+        """Encode one pose [m]; `stamp_us` is on the server's clock."""
+        w, x, y, z = quaternion_wxyz
+        payload = vrpn.write_pose(0, (position, (x, y, z, w)))
+        return self._message(_POSE_ID, self._bodies.index(body), stamp_us, payload)
+
+    def receive(self, data: bytes, stamp_us: int) -> bytes:
+        """Take in bytes from the client; returns the answers.
+
+        Raises:
+            VrpnError: the peer does not speak VRPN; close the connection.
+        """
+        self._buffer += data
+        if not self._greeted:
+            if len(self._buffer) < vrpn.COOKIE_SIZE:
+                return b""
+            vrpn.check_cookie(bytes(self._buffer[: vrpn.COOKIE_SIZE]))
+            del self._buffer[: vrpn.COOKIE_SIZE]
+            self._greeted = True
+        messages, used = vrpn.decode_stream(self._buffer)
+        del self._buffer[:used]
+        return b"".join(self._answer(message, stamp_us) for message in messages)
+
+    def _answer(self, message: vrpn.Message, stamp_us: int) -> bytes:
+        if message.type == vrpn.TYPE_DESCRIPTION:
+            self._peer_types[message.sender] = vrpn.read_description(message.payload)
+        elif self._peer_types.get(message.type) == vrpn.PING_TYPE:
+            return self._message(_PONG_ID, 0, stamp_us, b"")
+        return b""
+
+    def _message(self, kind: int, sender: int, stamp_us: int, payload: bytes) -> bytes:
+        self._sequence += 1
+        sec, usec = divmod(stamp_us, 1_000_000)
+        return vrpn.encode(vrpn.Message(kind, sender, sec, usec, payload, self._sequence))
+
+
+class VrpnDevice:
+    """A VRPN server for any number of clients.
+
+    VRPN has no tracking-valid flag: a body that is not tracked is not sent.
+
+    Attributes:
+        fault_state: what is wrong with it.
+    """
+
+    def __init__(
+        self, config: MocapConfig, network: Network, noise: NoiseSource, t_ns: int
+    ) -> None:
+        self.config = config
+        self.fault_state: MocapFaultState = HEALTHY_MOCAP
+        self._network = network
+        self._noise = noise
+        self._epoch_ns = t_ns
+        self._epoch_us = config.epoch_ticks
+        self._names = (config.body, *(b.name for b in config.bystanders))
+        self._sessions: dict[Peer, VrpnServer] = {}
+        self._deserted: set[Peer] = set()
+
+    def set_fault_state(self, t_ns: int, faults: MocapFaultState) -> None:
+        """From ``t_ns`` on, be in this condition."""
+        before, self.fault_state = self.fault_state, faults
+        if faults.restart and not before.restart:
+            self._epoch_ns, self._epoch_us = t_ns, 1_000_000
+            for peer in tuple(self._sessions):
+                self.on_disconnect(peer)
+                self._network.send(Datagram(t_ns, CLOSE, b"", peer))
+        if faults.half_open and not before.half_open:
+            self._deserted.update(self._sessions)
+
+    def stamp_us(self, t_ns: int) -> int:
+        """The server's clock [us]."""
+        elapsed = t_ns - self._epoch_ns + self.fault_state.clock_step_ns
+        return self._epoch_us + int(elapsed * (1.0 + self.config.skew_ppm * 1e-6)) // 1000
+
+    def on_connect(self, t_ns: int, peer: Peer) -> None:
+        """A client has connected."""
+        session = self._sessions[peer] = VrpnServer(self._names)
+        self._network.send(Datagram(t_ns + _VRPN_ANSWER_NS, STREAM, session.hello(), peer))
+
+    def on_disconnect(self, peer: Peer) -> None:
+        """A client is gone."""
+        self._sessions.pop(peer, None)
+        self._deserted.discard(peer)
+        self._network.forget(peer)
+
+    def on_message(self, t_ns: int, data: bytes, peer: Peer) -> None:
+        """Take bytes from a client; one that does not speak VRPN is hung up on."""
+        session = self._sessions.get(peer)
+        if session is None or peer in self._deserted:
+            return
+        try:
+            answer = session.receive(data, self.stamp_us(t_ns))
+        except VrpnError:
+            self.on_disconnect(peer)
+            self._network.send(Datagram(t_ns, CLOSE, b"", peer))
+            return
+        if answer and not self.fault_state.silent:
+            self._network.send(Datagram(t_ns + _VRPN_ANSWER_NS, STREAM, answer, peer))
+
+    def publish(self, capture: Capture) -> None:
+        """Send the poses of an exposure to every client."""
+        config = self.config
+        late = config.camera_ns + config.software_ns + config.network_ns
+        late += max(0, round(config.jitter_ns * self._noise.normal()))
+        stamp = self.stamp_us(capture.t_ns)
+        for peer, session in self._sessions.items():
+            if peer in self._deserted:
+                continue
+            data = b"".join(
+                session.pose(body.name, stamp, body.position, body.quaternion)
+                for body in capture.bodies
+                if body.valid
+            )
+            if data:
+                self._network.send_frame(Datagram(capture.t_ns + late, STREAM, data, peer))
