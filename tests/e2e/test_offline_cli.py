@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steerd.car_model.effects import ALIASES, EFFECTS, parse_effects
+from steerd.car_model.effects import EFFECTS, parse_effects
 from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.messages import Actuation, MocapPose, Throttle, WheelSpeed
 from steerd.steer_bus.session import open_session
@@ -134,14 +134,6 @@ def test_all_effects_in_a_table(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     assert run_cli(["effects"]) == 0
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
-
-
-def test_aliases_and_unknown_effects(capsys):
-    alias, name = next(iter(ALIASES.items()))
-    assert run_cli(["effects", alias]) == 0
-    assert capsys.readouterr().out.startswith(f"{name}:")
-    assert run_cli(["effects", "steer_dely"]) == 2
-    assert "did you mean 'steer_delay'?" in capsys.readouterr().err
 
 
 def test_the_page_of_effects_is_the_library(capsys):

@@ -104,20 +104,3 @@ def test_figures_are_matplotlib_figures(fit, gap, tmp_path):
         assert len(figure.axes) >= axes
         figure.savefig(tmp_path / f"{name}.png")
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
-
-
-@pytest.mark.parametrize(
-    ("arguments", "what"),
-    [
-        ({"held_out": 1}, "held out 1"),
-        ({"free": ["lenght"]}, "lenght is no parameter"),
-        ({"fix": {"mass": -3.0}}, "mass"),
-        ({"wheelbase": 330.0}, "in metres"),
-        ({"effects": ["wings"]}, "wings"),
-        ({"jobs": 0}, "jobs 0"),
-        ({"car": "none.toml"}, "none.toml"),
-    ],
-)
-def test_identify_refuses_what_makes_no_sense(arguments, what, drive):
-    with pytest.raises(steerd.SteerdError, match=what):
-        steerd.identify(drive, **arguments)

@@ -60,14 +60,6 @@ def test_the_longest_known_prediction_decides(positions, better):
     assert identified(outcome(*positions)).improved is better
 
 
-def test_parameters_of_effects_stand_beside_the_cars():
-    row = Row(0.02, 1.0, 0.99, "1", True, False, "ramp to the limit")
-    said = describe(replace(outcome((0.1, 0.4)), effect_rows={"tyre_saturation.q": row}))
-    told = "These drives do not identify tyre_saturation.q; what would help most is ramp to the"
-    assert told in " ".join(said.split())
-    assert "lf                      0.200 ± 0.010 m       changed" in said
-
-
 def test_what_is_not_identified_is_one_sentence_with_the_drive_that_helps_most():
     hints = {"lf": "slow bends", "lr": "bends", "mass": "", "c_sf": "bends"}
     rows = {n: Row(0.2, 0.16, 0.1, "m", True, False, hint) for n, hint in hints.items()}
@@ -134,11 +126,6 @@ def test_what_was_undone_and_found_stands_on_the_screen():
     assert "log        a.mcap: steering stored 0 to 100 ms late" in lines
     assert any("1.9 ms/s" in line for line in lines)
     assert any(line.endswith("[m/s2]: 20 mm to 2, 150 mm above 6") for line in lines)
-
-
-def test_one_class_of_lateral_acceleration_is_not_shown():
-    alone = replace(outcome((0.1, 0.2)), regimes=(Regime(0.0, 2.0, 5, 0.02, 0.03),))
-    assert "lateral acceleration" not in describe(alone).split("prediction of")[1]
 
 
 def test_nobody_is_sent_driving_with_values_that_nothing_identifies(tmp_path):

@@ -193,14 +193,6 @@ def test_named_files_are_held_out_even_if_they_are_given_twice(four):
     assert any("2 sessions, cut into blocks" in note for note in case.split.notes)
 
 
-def test_reserved_sessions_are_not_opened_before_they_are_asked_for(four, tmp_path):
-    broken = tmp_path / "broken.mcap"
-    broken.write_bytes(b"nothing")
-    case = case_of(*four, "--held-out", broken)
-    with pytest.raises(SteerdError, match=r"broken\.mcap"):
-        case.split.later()
-
-
 def test_too_few_blocks_for_what_is_asked_are_refused(diagnosed):
     with pytest.raises(SteerdError, match="to hold every 4th out"):
         case_of(diagnosed[0] / "run.mcap", "--held-out", "4")

@@ -198,21 +198,6 @@ def test_of_a_folder_the_held_out_session_is_not_fitted(rows, importer, capsys):
     assert "two.mcap" not in screen.partition("prediction of")[0]
 
 
-def test_a_car_file_that_is_missing_is_reported_once(tmp_path, capsys):
-    argv = ["identify", str(tmp_path / "a.mcap"), "--car", str(tmp_path / "none.toml")]
-    assert main(argv) == 3
-    error = capsys.readouterr().err
-    assert error.count("check the path") == 1
-
-
-def test_json_to_the_terminal_is_all_that_is_printed(session, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    capsys.readouterr()
-    assert main(["identify", str(session), *FREE, "--json", "-"]) == 0
-    assert json.loads(capsys.readouterr().out)["schema"] == "steerd.identify/1"
-    assert not (tmp_path / "-").exists()
-
-
 def test_what_is_on_the_screen_is_written_and_an_interrupt_leaves_it(
     session, tmp_path, monkeypatch, capsys
 ):

@@ -207,20 +207,6 @@ def test_commands(script):
 
 
 @needs_bash
-def test_options_of_every_command(script):
-    for name in COMMANDS:
-        assert "--help" in complete(script, "steerd", name, "--h")
-    assert complete(script, "steerd", "run", "--auto") == ["--auto-arm"]
-    assert "--closed" in complete(script, "steerd", "collect", "--clo")
-
-
-@needs_bash
-def test_values_of_options_and_kinds_of_commands(script):
-    assert complete(script, "steerd", "run", "--controller", "") == ["lane", "zenoh"]
-    assert complete(script, "steerd", "mocap", "cal") == ["calibrate"]
-
-
-@needs_bash
 def test_files_where_a_file_is_wanted(script, tmp_path):
     (tmp_path / "drive.mcap").touch()
     (tmp_path / "lab").mkdir()

@@ -231,13 +231,6 @@ def test_values_come_back_and_what_is_missing_is_missing(tmp_path):
     assert third["count"] == 2**60
 
 
-def test_the_same_rows_are_the_same_bytes():
-    assert encode_table(COLUMNS, MIXED_ROWS, {"a": "1"}) == encode_table(
-        COLUMNS, MIXED_ROWS, {"a": "1"}
-    )
-    assert encode_table(COLUMNS, MIXED_ROWS, {}) != encode_table(COLUMNS, MIXED_ROWS[:2], {})
-
-
 def test_an_empty_table_has_its_columns(tmp_path):
     path = tmp_path / "t.parquet"
     path.write_bytes(encode_table(COLUMNS, (), {}))

@@ -326,14 +326,3 @@ def test_15_chunk_indexes_that_overlap_and_go_round(drive, tmp_path):
         code, out, _ = check_info(tmp_path / "a.mcap")
         assert code == 0
         assert json.loads(out)["messages"] == count
-
-
-def test_every_class_of_the_list_is_here_or_among_the_containers():
-    here = {int("".join(c for c in kind.split()[0] if c.isdigit())) for kind in (*BAD, *SCHEMAS)}
-    here |= {
-        int(name.split("_")[1])
-        for name in globals()
-        if name.startswith("test_") and name.split("_")[1].isdigit()
-    }
-    containers = set(range(1, 25))
-    assert here | containers == set(range(1, 65))

@@ -156,13 +156,6 @@ def test_no_line_is_wider_than_80_columns(report):
     assert [line for line in lines if len(line) > 80] == []
 
 
-def test_a_name_that_does_not_fit_ends_in_an_ellipsis_and_columns_stay_aligned(report):
-    head, *rows = [line for line in format_report(report).splitlines() if "Hz" in line or
-                   line.startswith("  topic")]  # fmt: skip
-    assert [row.index("Hz") for row in rows] == [head.index("rate") + 2] * 2
-    assert rows[1].startswith("  /vrpn_client_nod…  PoseS…")
-
-
 def test_texts_of_a_file_reach_no_terminal_as_control_codes(tmp_path):
     path = tmp_path / "a.mcap"
     writer = SessionWriter(
