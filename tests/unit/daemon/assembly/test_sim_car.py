@@ -124,11 +124,7 @@ OPTIONS = RunOptions(car_file="", path="line", speed=1.0)
     ("changes", "said", "code"),
     [
         ({"port": "/dev/ttyACM0", "rate_hz": 49.0}, "50 to 1000 Hz", ExitCode.USAGE),
-        ({"port": "/dev/x", "simulated": True, "rate_hz": 19.0}, "20 to 1000 Hz", ExitCode.USAGE),
         ({"rate_hz": 1001.0}, "20 to 1000 Hz", ExitCode.USAGE),
-        ({"car": "a/b"}, "--name", ExitCode.USAGE),
-        ({"path": "spiral"}, "--path spiral", ExitCode.USAGE),
-        ({"path": "csv:/nowhere.csv"}, "--path csv:/nowhere.csv", ExitCode.USAGE),
         ({"drill": "mixed;open;box=0.5"}, "needs a box of", ExitCode.USAGE),
     ],
 )

@@ -13,8 +13,7 @@ import pytest
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.diagnostics import read_diagnostics
 from steerd.daemon.ipc.sd_notify import make_notify
-from steerd.steer_bus.messages import BODY, make_header
-from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
+from tests.blank import status_message
 
 TAKE = """
 import os, select, signal
@@ -142,19 +141,8 @@ def test_without_a_manager_nothing_happens():
 # The supervisor's values in a diagnostics message; other messages are refused.
 
 
-def make_array(name):
-    values = (KeyValue("state", "READY"), KeyValue("waiting", "arm"))
-    status = DiagnosticStatus(level=0, name=name, message="", hardware_id="", values=values)
-    return DiagnosticArray(make_header(0, BODY), (status,))
-
-
-def test_the_values_of_the_supervisor_are_read_by_key():
-    assert read_diagnostics(make_array("steerd: supervisor")) == {
-        "state": "READY",
-        "waiting": "arm",
-    }
-
-
-def test_another_node_is_refused():
+def test_the_values_of_the_supervisor_are_read_by_key_and_another_node_is_refused():
+    values = {"state": "READY", "waiting": "arm"}
+    assert read_diagnostics(status_message(**values)) == values
     with pytest.raises(SteerdError):
-        read_diagnostics(make_array("lidar"))
+        read_diagnostics(status_message("lidar", **values))
