@@ -17,7 +17,6 @@ from steerd.mocap_link import natnet
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.mocap_link.natnet_frame import Frame
 from steerd.sim_hw.mocap.mocap_config import MULTICAST, MocapConfig
-from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.real_time.links import (
     SimHardware,
     SimOptions,
@@ -119,19 +118,6 @@ def test_natnet_frames_arrive_over_multicast_on_the_loopback() -> None:
                 assert isinstance(natnet.decode(data.recv(65_536), info.version), Frame)
 
 
-def test_foreign_frames_come_from_another_address() -> None:
-    options = SimOptions(faults=(Fault("M20"),))
-    with spawn_sim(WorldConfig(), options) as sim:
-        url = parse_mocap_url(sim.mocap_url)
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-            udp.sendto(natnet.encode(natnet.Bare.CONNECT), (url.host, url.port))
-            senders = set()
-            for _ in range(12):
-                assert wait_for(udp.fileno())
-                senders.add(udp.recvfrom(65_536)[1][0])
-    assert senders == {"127.0.0.1", "127.0.0.9"}
-
-
 def test_reboot_hangs_up_and_the_port_comes_back(idle: int) -> None:
     config = WorldConfig(vesc=replace(VescConfig(), reboot_ns=150_000_000))
     with spawn_sim(config) as sim:
@@ -143,21 +129,6 @@ def test_reboot_hangs_up_and_the_port_comes_back(idle: int) -> None:
         until(lambda: Path(sim.port).exists(), idle)
         with closing(open_port(sim.port)) as again:
             assert ask_version(again.fd).firmware == VescConfig().firmware
-
-
-def fill(fd: int) -> None:
-    for _ in range(1000):
-        os.write(fd, bytes(1024))
-
-
-def test_stalled_reader_fills_the_kernel_buffer() -> None:
-    with spawn_sim(WorldConfig(), SimOptions(faults=(Fault("V6"),))) as sim:
-        fd = os.open(sim.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        try:
-            with pytest.raises(BlockingIOError):
-                fill(fd)
-        finally:
-            os.close(fd)
 
 
 def test_hardware_in_this_process_stops_at_its_pipe_and_its_signal(tmp_path: Path) -> None:

@@ -107,19 +107,12 @@ def test_the_f1tenth_drives(tmp_path, capsys, name, top_speed):
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))
-def test_each_effect_is_told(name, capsys):
+def test_the_example_of_each_effect_can_be_typed(name, capsys):
     assert run_cli(["effects", name]) == 0
-    text = capsys.readouterr().out
-    effect = EFFECTS[name]
-    told = " ".join(text.split())  # lines break where the window ends
-    assert effect.equation in told
-    assert effect.summary in told
-    assert all(p.name in told and p.meaning in told for p in effect.parameters)
-    assert max(map(len, text.splitlines())) <= 80
-    example = text.rpartition("--effect ")[2].strip()
-    ((parsed, values),) = parse_effects(example)
-    assert parsed is effect
-    assert any(value != p.null for value, p in zip(values, effect.parameters, strict=True))
+    example = capsys.readouterr().out.rpartition("--effect ")[2].strip()
+    ((effect, values),) = parse_effects(example)
+    assert effect is EFFECTS[name]
+    assert values != effect.nulls
 
 
 def test_all_effects_in_a_table(capsys, monkeypatch):

@@ -8,7 +8,6 @@ import pytest
 import steerd
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode
-from steerd.daemon.many.sweep import run as sweeping
 from steerd.steer_bus.session_read import open_session
 
 VARY = {"effect.steer_delay": {"low": 0.0, "high": 0.05}, "car.mass": [3.0, 4.5]}
@@ -55,27 +54,6 @@ def test_a_sweep_is_a_table_and_a_page(file, tmp_path, whole, capsys):
     assert "4 drives, each another draw" in text
     assert "http" not in text.replace("http://www.w3.org", "")
     assert not out.with_name("t.parquet.journal").exists()
-
-
-def test_an_interrupted_sweep_goes_on_where_it_was(file, tmp_path, whole, capsys, monkeypatch):
-    out = tmp_path / "t.parquet"
-    journal, real, driven = tmp_path / "t.parquet.journal", sweeping.run_case, []
-
-    def some(plan, case):
-        driven.append(case.number)
-        if len(driven) == 3:
-            raise KeyboardInterrupt
-        return real(plan, case)
-
-    monkeypatch.setattr(sweeping, "run_case", some)
-    argv = ["sweep", str(file), "-o", str(out), "--jobs", "1"]
-    assert run_cli(argv) == ExitCode.INTERRUPTED
-    assert "the same command goes on where it was" in capsys.readouterr().err
-    assert not out.exists()
-    assert journal.exists()
-    assert run_cli(argv) == ExitCode.OK
-    assert driven == [0, 1, 2, 2, 3]
-    assert out.read_bytes() == whole
 
 
 def test_a_drive_of_it_is_driven_again_and_recorded(file, tmp_path, whole, capsys):

@@ -29,10 +29,10 @@ def replays(session, capsys):
 @pytest.mark.parametrize(
     ("line", "bound"),
     [
-        ("--path circle:radius=2 --speed 1 --duration 30", 0.02),
-        ("--path figure8 --speed 1.5 --duration 30", 0.04),
-        ("--path figure8 --speed 1.5 --duration 5 --rate 200", 0.04),
-        ("--path line --speed 1.5 --duration 6", 0.02),
+        ("--path circle:radius=2 --speed 1 --duration 30", 0.0015),
+        ("--path figure8 --speed 1.5 --duration 30", 0.002),
+        ("--path figure8 --speed 1.5 --duration 5 --rate 200", 0.0015),
+        ("--path line --speed 1.5 --duration 6", 0.001),
     ],
 )
 def test_the_car_keeps_its_lane_and_replays(drive_fast, capsys, line, bound):
@@ -49,9 +49,15 @@ def test_delay_and_slow_servo_leave_the_loop_stable(drive_fast, capsys, path):
     assert not driven.faulted, driven.reason
     offsets = driven.offsets()
     third = len(offsets) // 3
-    assert rms(offsets) <= 0.04
+    assert rms(offsets) <= 0.008
     assert rms(offsets[-third:]) <= max(1.5 * rms(offsets[:third]), 0.005)
     assert replays(driven.session, capsys)
+
+
+def test_an_open_line_is_stopped_at_its_end(drive_fast):
+    driven = drive_fast("--path line:length=6 --speed 1.5 --duration 9")
+    assert not driven.faulted, driven.reason
+    assert driven.track[-1][1:] == pytest.approx((6.0, 0.0), abs=0.1)
 
 
 def test_the_papers_design_drives(drive_fast, tmp_path, capsys):

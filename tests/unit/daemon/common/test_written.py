@@ -182,18 +182,6 @@ def test_a_session_is_never_written_over(argv, name, session, tmp_path, capsys):
     assert kept.read_bytes() == MAGIC + bytes(100)
 
 
-@pytest.mark.parametrize(
-    ("name", "code", "text"),
-    [("", 3, "that is a folder"), ("none/car.toml", 3, "there is no folder")],
-)
-def test_what_cannot_be_written_is_reported_before_the_work(
-    name, code, text, session, tmp_path, capsys
-):
-    argv = ["identify", str(session), "-o", str(tmp_path / name)]
-    assert run_cli(argv) == code, "only the work itself would find the session cut short"
-    assert text in capsys.readouterr().err
-
-
 def test_a_folder_without_permission(tmp_path, monkeypatch):
     monkeypatch.setattr("os.access", lambda path, mode: False)
     with pytest.raises(SteerdError, match="cannot be written"):
@@ -205,8 +193,3 @@ def test_two_outputs_are_two_files(tmp_path):
     again = tmp_path / "inner" / ".." / "x"
     with pytest.raises(SteerdError, match="-o and --json name the same file"):
         check_outputs({"-o": tmp_path / "x", "--json": again, "--report": None})
-
-
-def test_files_of_other_kinds_may_be_written_anew(tmp_path):
-    (tmp_path / "car.toml").write_text("[car]\n")
-    check_outputs({"-o": tmp_path / "car.toml", "--json": tmp_path / "new.json", "--report": None})
