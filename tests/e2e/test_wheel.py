@@ -139,14 +139,3 @@ def test_the_wheel_is_a_library_too(home: Path) -> None:
     assert int(rows) > 200
     assert Path(place).is_relative_to(home)
     assert (home / "drive.png").stat().st_size > 10_000
-
-
-def test_the_wheel_brings_its_car_file_effects_and_maps(home: Path) -> None:
-    assert "wheelbase" in steerd(home, "config")
-    assert "steer_backlash" in steerd(home, "effects")
-    code = "from steerd.daemon.common.packaged import EXAMPLE_MAP; print(EXAMPLE_MAP)"
-    shown = Path(run_python(home, code))
-    assert shown.is_relative_to(home)
-    (home / "run.csv").write_text("t,x,y,yaw,steer_cmd,safety,throttle,enc_v\n")
-    text = " ".join(steerd(home, "import", "csv", "--help").split())
-    assert shown.name in text
