@@ -10,9 +10,8 @@ import pytest
 from steerd.car_model.car_file import Learned, default_car_path, load_car, parse_car
 from steerd.daemon.analysis.car_output import find_wiring, learn_known, make_car
 from steerd.steer_bus.session import AttachedFile, SessionWriter, open_session
-from steerd.sysid.data.dataset import Run, Signal, make_run
-from steerd.sysid.data.segments import SPEED_MIN, moving_segments
-from steerd.sysid.inference.noise import Noise, noise_section
+from steerd.sysid.data.dataset import Signal, make_run
+from steerd.sysid.data.segments import SPEED_MIN
 
 BASE = load_car(default_car_path())
 FOUND = Learned(0.063010764350838, 0.000155127898, "steerd identify (ours): mixed.mcap")
@@ -126,30 +125,6 @@ def test_a_wiring_that_no_file_may_hold_loses_no_result(drive):
 
 
 # Noise is learnt where the car moves, as diagnose judges.
-
-NOISE = Noise((1e-3, 2e-3, 0.02, 0.03), (0.4, 0.3, 2.0))
-
-
-def _half_standing() -> Run:
-    """20 s, of which the car stands for the first ten."""
-    t = np.arange(2000) * 0.01
-    speed = np.where(t < 10.0, 0.0, 1.5)
-    pose = np.column_stack([np.cumsum(speed) * 0.01, np.zeros((2000, 2))])
-    return make_run("half", Signal(t, np.zeros(2000)), Signal(t, speed), Signal(t, pose))
-
-
-def test_noise_is_learnt_where_the_car_moves(monkeypatch):
-    seen = []
-    monkeypatch.setattr(
-        "steerd.sysid.inference.car_posterior.learn_sections",
-        lambda car, runs: (seen.extend(runs), {"noise": noise_section(NOISE)})[1],
-    )
-    run = _half_standing()
-    known = learn_known(load_car(default_car_path()), (run,))
-    assert known == {"noise": noise_section(NOISE)}
-    assert [r.duration for r in seen] == [r.duration for r in moving_segments([run])]
-    assert all(np.all(r.commands[:, 1] > SPEED_MIN) for r in seen)
-    assert sum(r.duration for r in seen) < 10.0
 
 
 def test_a_creeping_car_teaches_nothing():
