@@ -8,7 +8,6 @@ import pytest
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.assembly.build import make_design_car, make_plan, make_world_config
 from steerd.daemon.assembly.session_meta import (
-    csv_file,
     default_session_path,
     make_attachments,
     make_metadata,
@@ -181,14 +180,6 @@ def test_reproducible_metadata_say_nothing_of_the_machine(plan):
     assert (session["boot_id"], session["epoch_ns"], session["leased"]) == ("3", "4", "1")
     assert session["mode"] == "sim"
     assert decode_options(session["options"]) == plan.options
-
-
-@pytest.mark.parametrize(
-    ("spec", "file"),
-    [("csv:lane.csv", "lane.csv"), ("csv:a/b.csv,closed", "a/b.csv"), ("circle:radius=2", None)],
-)
-def test_a_path_file_is_known_by_its_description(spec, file):
-    assert csv_file(spec) == file
 
 
 def test_car_file_and_path_file_are_attached_unchanged(plan, tmp_path: Path):
