@@ -92,7 +92,6 @@ def test_a_session_is_diagnosed_with_its_cars_own_file(fleet, tmp_path):
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (["summarise", "none"], 3, "none does not exist"),
         (["summarise", "{tmp}"], 3, "no session"),
         (["identify", "{drives}", "--cars", "{tmp}/none"], 3, "does not exist"),
         (["summarise", "{drives}", "-o", "{drives}/circle.mcap"], 2, "never overwritten"),

@@ -21,7 +21,7 @@ from steerd.daemon.assembly.sim_car import (
     read_true_car,
 )
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.settings.run_options import RunOptions, decode_options, encode_options
+from steerd.daemon.settings.run_options import RunOptions, decode_options
 
 CAR_FILE = Path(__file__).resolve().parents[4] / "config" / "f1tenth.toml"
 
@@ -75,12 +75,6 @@ def test_a_session_tells_its_true_car_and_how_to_drive_it_again():
     assert read_origin(meta(plan)) == "--sim --fast --sim-car hidden:5"
     assert read_origin(meta(make())) == "--sim --fast"
     assert read_origin({"steerd.session": {"mode": "import"}}) == ""
-
-
-def test_a_car_is_driven_again_through_its_own_port_and_mocap():
-    options = RunOptions("gone.toml", port="/dev/vesc", mocap="vrpn://lab/my car")
-    found = {"steerd.session": {"options": encode_options(options)}}
-    assert read_origin(found) == "--port /dev/vesc --mocap 'vrpn://lab/my car'"
 
 
 def test_effects_go_with_the_simulated_car_and_not_with_a_file_that_has_them():

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from steerd.car_model.car_file import load_car
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.analysis.diagnose_text import COLUMNS, LINES
 from steerd.daemon.analysis.diagnosis import make_case
@@ -103,15 +102,6 @@ def test_the_prediction_is_written_and_hashed_before_it_is_measured(diagnosed):
     shrink = json.loads((folder / "gap.json").read_text())["causes"][0]["shrink"]
     assert shrink["measured"] > 0.7
     assert json.loads(prediction)["predicted"] == shrink["predicted"]
-
-
-def test_the_car_file_gets_the_effect_and_drives(diagnosed):
-    car = load_car(diagnosed[0] / "car.toml")
-    assert [effect.name for effect in car.effects] == ["steer_delay"]
-    assert car.values[0][0] == pytest.approx(0.05, abs=0.006)
-    assert car.sd["steer_delay.delay"] > 0.0
-    assert "run.mcap" in car.source["steer_delay.delay"]
-    assert car.car == DEFAULT_CAR
 
 
 def test_the_report_needs_nothing_else(diagnosed):

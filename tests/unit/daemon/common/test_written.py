@@ -129,16 +129,6 @@ def test_one_output_that_fails_does_not_take_the_others_along(state, capsys):
     assert "car.2023-11-14T22-13-20.toml" in said
 
 
-def test_only_the_latest_digests_are_kept(state, monkeypatch):
-    monkeypatch.setattr(written, "_REMEMBERED", 2)
-    first, second = state / "a.html", state / "b.html"
-    write_output(first, "a")
-    write_output(second, "b")
-    write_output(second, "c")
-    assert write_output(second, "d") is None
-    assert write_output(first, "e") is not None
-
-
 @pytest.mark.parametrize("terminal", [True, False])
 def test_a_terminal_is_told_what_was_written(terminal, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
@@ -162,6 +152,7 @@ def session(tmp_path):
 COMMANDS = [
     ("identify", "{drive}", "-o", "{kept}"),
     ("identify", "{drive}", "--json", "{kept}"),
+    ("plot", "{drive}", "-o", "{kept}"),
     ("identify", "{drive}", "--report", "{kept}"),
     ("diagnose", "{drive}", "-o", "{kept}"),
     ("diagnose", "{drive}", "--report", "{kept}"),

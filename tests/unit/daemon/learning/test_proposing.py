@@ -130,11 +130,7 @@ WHEEL = m.WheelSpeed(m.make_header(EPOCH, m.BODY), 4_000_000_000, 1.25)
         (topics.MOCAP, pose(), PoseSeen(2.0, 1.0, 2.0, 0.3)),
         (topics.MOCAP, pose("jump"), None),
         (topics.ACTUATION, actuation(m.ActuationMode.SPEED), Ordered(3.0, 0.1, 1.5)),
-        *(
-            (topics.ACTUATION, actuation(mode), Paused(3.0))
-            for mode in m.ActuationMode
-            if mode != 1
-        ),
+        *((topics.ACTUATION, actuation(mode), Paused(3.0)) for mode in OTHER_ORDERS),
         (topics.VESC, telemetry(6100), Rolled(pytest.approx(1.001), 1.5)),
         (topics.WHEEL, WHEEL, Rolled(4.0, 1.25)),
     ],

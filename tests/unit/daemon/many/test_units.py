@@ -202,11 +202,6 @@ def test_two_commands_do_not_write_one_table(output):
         do(output)
 
 
-def test_a_folder_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(SteerdError, match="there is no folder"):
-        do(tmp_path / "none" / "x.parquet")
-
-
 # Parquet files: values and units come back, the same rows are the same bytes.
 
 COLUMNS = (

@@ -10,7 +10,6 @@ import pytest
 
 from steerd.car_model.state import ORIGIN
 from steerd.sim_hw.vesc.vesc_config import STATUS_KILL
-from steerd.sim_hw.vesc.vesc_motor import duty_current
 from steerd.sim_hw.world import World, WorldConfig
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.frames import FLUSH, encode_frame
@@ -249,16 +248,6 @@ def test_current_pushes_both_ways_and_a_tiny_one_releases(make_host: MakeHost) -
     assert host.speed == pytest.approx(-0.5 * (10.0 * 0.175 - 0.6), rel=0.05)
     host.hold(20, c.SetCurrent(0.04))
     assert host.world.vesc.motor.value == 0.0
-
-
-def test_duty_settles_where_back_emf_meets_the_battery(make_host: MakeHost) -> None:
-    host = make_host()
-    host.hold(4000, c.SetDuty(0.1))
-    config = host.world.config.vesc
-    erpm = host.world.vesc._true_erpm()
-    drag = duty_current(config, 0.1, host.world.vesc.power.voltage, erpm)
-    assert drag * config.accel_per_amp == pytest.approx(0.6, abs=0.05)
-    assert host.values().duty == pytest.approx(0.1, abs=0.01)
 
 
 def test_tachometer_counts_60_degree_steps_and_wraps_nothing_away(make_host: MakeHost) -> None:
