@@ -1,6 +1,5 @@
 """A full disk: one line, an exit code, and what was written can be recovered."""
 
-import errno
 import os
 import resource
 from pathlib import Path
@@ -99,20 +98,6 @@ def test_an_import_leaves_nothing_and_promises_nothing(size, tmp_path, full, cap
     assert "recover" not in said, "nothing is left that could be recovered"
     assert sorted(tmp_path.iterdir()) == [log, the_map]
     assert said_of(["import", "csv", log, "--map", the_map, "-o", out], capsys)[0] == 0
-
-
-def test_a_bag_is_not_blamed_for_a_full_temporary_folder(monkeypatch, tmp_path, capsys):
-    bag = tmp_path / "run.bag"
-    bag.write_bytes(b"#ROSBAG V2.0\n")
-
-    def unpack(*_):
-        raise OSError(errno.ENOSPC, "No space left on device", "/tmp/unpacked")
-
-    monkeypatch.setattr("steerd.daemon.imports.bag._open", unpack)
-    code, said = said_of(["import", "bag", bag], capsys)
-    assert code == 3
-    assert "/tmp/unpacked: No space left on device" in said
-    assert "ROS bag" not in said
 
 
 def test_an_output_that_takes_nothing(monkeypatch, capfd):

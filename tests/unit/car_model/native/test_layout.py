@@ -7,10 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerd.car_model.native.print_c import fast_rates
-from steerd.car_model.native.specialised import SPECIALISED_SPEED, Range, specialise
+from steerd.car_model.native.specialised import Range, specialise
 from steerd.car_model.native.threads import WORTHWHILE, share_out
-from steerd.car_model.native.trace import trace
 from steerd.car_model.native.windows import (
     HeldCommands,
     make_kernels,
@@ -20,29 +18,11 @@ from steerd.car_model.native.windows import (
     view_by_window,
 )
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.car_model.tape import TAPE, Tape, gradient, needed, program
+from steerd.car_model.tape import TAPE, Tape, program
 
 # Equations under bounds of their inputs: the same numbers, fewer operations.
 
 OPS = ("add", "sub", "mul", "min", "max", "select", "neg")
-
-
-def test_above_walking_pace_both_forms_give_the_same_rates():
-    traced = trace(())
-    fast = fast_rates(traced)
-    inputs = [*fast.inputs, *traced.symbols, traced.h]
-    one, other = (program(inputs, list(p.outputs)) for p in (traced.rates, fast))
-    rng = np.random.default_rng(3)
-    for _ in range(200):
-        x = rng.normal(size=len(fast.inputs)) * 0.2
-        x[3] = rng.uniform(SPECIALISED_SPEED, 6.0)
-        numbers = [*x.tolist(), *DEFAULT_CAR, 0.005]
-        np.testing.assert_allclose(other(*numbers), one(*numbers), rtol=1e-13, atol=1e-15)
-    assert len(needed(fast.outputs)) < 0.7 * len(needed(traced.rates.outputs))
-    wheel = fast.inputs[6]
-    assert not {"tan", "atan", "select", "min", "max"} & {
-        traced.tape.entries[p].op for p in needed(gradient([(fast.outputs[5], 1.0)], [wheel]))
-    }
 
 
 @given(st.integers(0, 10**6), st.floats(-2.0, 2.0), st.floats(0.0, 3.0))

@@ -78,11 +78,6 @@ def test_firmware_profiles_send_their_own_layouts(make_host: MakeHost, firmware:
     assert (version.uuid is None) == (firmware <= FW_3_00)
 
 
-def test_numbers_are_single_precision_truncated(make_host: MakeHost) -> None:
-    host = make_host(battery_voltage=11.99)
-    assert host.values().input_voltage == 11.9  # not 12.0
-
-
 def test_reply_comes_as_one_byte_then_the_rest(make_host: MakeHost) -> None:
     host = make_host(reply_delay_ns=300_000, fragment_gap_ns=50_000)
     host.send(c.GetFwVersion())
@@ -352,12 +347,6 @@ def test_imu_measures_the_car_and_repeats_its_200_hz_samples(make_host: MakeHost
     assert one.has_chip
     attitude = 2.0 * math.atan2(one.q_z, one.q_w)
     assert math.remainder(attitude - truth.state.yaw, math.tau) == pytest.approx(0.0, abs=0.05)
-
-
-def test_board_without_imu_answers_zeros_and_identity(make_host: MakeHost) -> None:
-    reply = make_host(imu=False).ask(c.GetImuData(0xFFFF))
-    assert reply.has_chip is False
-    assert (reply.q_w, reply.gyro_z) == (1.0, 0.0)
 
 
 def test_kill_switch_shows_in_the_status_and_releases_the_motor(make_host: MakeHost) -> None:
