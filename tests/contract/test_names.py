@@ -47,11 +47,6 @@ def test_steerd_links_to_every_room_and_to_nothing_else() -> None:
         assert path.resolve().is_relative_to(ROOT)
 
 
-def test_no_other_distribution_brings_our_name() -> None:
-    owners = importlib.metadata.packages_distributions().get("steerd", [])
-    assert len(set(owners)) <= 1
-
-
 @pytest.mark.parametrize(
     ("module", "heavy"),
     [
