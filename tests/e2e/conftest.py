@@ -1,6 +1,5 @@
 """Whole drives: in virtual time within this process, in real time as processes of their own."""
 
-import argparse
 import codecs
 import contextlib
 import os
@@ -27,6 +26,7 @@ from steerd.daemon.offline.virtual import VirtualRun, drive
 from steerd.sim_hw.world import World
 from steerd.steer_bus.messages import Transition
 from steerd.steer_bus.session_read import open_session
+from tests.contract.command_page import make_parser
 
 SETTLE_NS = 3_000_000_000
 
@@ -81,9 +81,7 @@ Drive = Callable[..., Driven]
 
 def make_drive_plan(line: str) -> RunPlan:
     """The plan of a command line after `steerd run --sim --fast`."""
-    parser = argparse.ArgumentParser()
-    run_command.add_arguments(parser)
-    args = parser.parse_args(["--sim", "--fast", *shlex.split(line)])
+    args = make_parser("run").parse_args(["--sim", "--fast", *shlex.split(line)])
     return make_plan(run_command.make_options(args))
 
 

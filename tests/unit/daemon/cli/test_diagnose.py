@@ -1,6 +1,5 @@
 """`steerd diagnose` on an imported log: what it finds and writes, and what it refuses in a line."""
 
-import argparse
 import contextlib
 import hashlib
 import io
@@ -14,9 +13,9 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.analysis.diagnose_text import COLUMNS, LINES
 from steerd.daemon.analysis.diagnosis import make_case
 from steerd.daemon.analysis.options import DiagnoseOptions, read_arguments
-from steerd.daemon.cli.commands.analysis import diagnose as command
 from steerd.daemon.cli.main import run_cli as main
 from steerd.daemon.common.errors import SteerdError
+from tests.contract.command_page import make_parser
 from tests.csv_logs import import_log, make_noisy_rows
 
 pytestmark = pytest.mark.slow
@@ -154,9 +153,7 @@ def test_options_that_make_no_sense(options, code, words, diagnosed, tmp_path, m
 
 
 def case_of(*words):
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    args = parser.parse_args([str(word) for word in words])
+    args = make_parser("diagnose").parse_args([str(word) for word in words])
     options = read_arguments(DiagnoseOptions, args)
     return make_case([Path(p) for p in args.sessions], options, lambda _: None, lambda _: None)
 

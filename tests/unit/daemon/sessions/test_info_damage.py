@@ -6,31 +6,20 @@ The numbers are those of `docs/reference/safety-requirements.md#s9.1`; others of
 
 import os
 import struct
+from pathlib import Path
 
 import pytest
 
-from steerd.daemon.imports.import_session import MessageMaker
-from steerd.steer_bus.codec import encode
-from steerd.steer_bus.messages import MocapPose
-from steerd.steer_bus.session import SessionWriter
 from tests.unit.daemon.sessions.test_bad_content import steerd
 
 pytestmark = pytest.mark.slow
 
 MAGIC = b"\x89MCAP0\r\n"
-TOPIC = "/steerd/blue/mocap"
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    path = tmp_path_factory.mktemp("whole") / "a.mcap"
-    writer = SessionWriter(path, {TOPIC: MocapPose}, {"steerd.session": {"car": "blue"}})
-    maker = MessageMaker(0)
-    for i in range(300):
-        pose = maker.planar_pose(i * 10_000_000, 0.01 * i, 0.0, 0.0)
-        writer.write(TOPIC, encode(pose), i * 10_000_000)
-        writer.tick(i * 10_000_000)
-    return writer.finish({"reason": "end"}).read_bytes()
+@pytest.fixture
+def whole():
+    return (Path(__file__).parents[3] / "golden" / "circle.mcap").read_bytes()
 
 
 def put(path, *parts):

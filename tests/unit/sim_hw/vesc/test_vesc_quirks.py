@@ -13,7 +13,7 @@ from steerd.sim_hw.vesc.vesc_config import STATUS_KILL
 from steerd.sim_hw.world import World, WorldConfig
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.frames import FLUSH, encode_frame
-from steerd.vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp, Print
+from steerd.vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp
 from steerd.vesc_link.ids import (
     FW_3_00,
     FW_3_40,
@@ -273,17 +273,6 @@ def test_voltage_sag_ends_in_under_voltage(make_host: MakeHost) -> None:
     host = make_host(battery_resistance=1.0, voltage_min=9.0)
     host.hold(400, c.SetErpm(4 * ERPM_1))
     assert fault_name(host.values().fault) == "UNDER_VOLTAGE"
-
-
-def test_blocking_commands_are_discarded_while_one_runs(make_host: MakeHost) -> None:
-    host = make_host()
-    host.send(c.TerminalCommand("faults"))
-    host.run(1)
-    host.send(c.TerminalCommand("nonsense"))
-    host.run(20)
-    assert host.heard() == [Print("Fault: FAULT_CODE_NONE")]
-    assert host.world.vesc.counts["discarded"] == 1
-    assert host.ask(c.TerminalCommand("nonsense"), 10) == Print("Invalid command: nonsense")
 
 
 def test_uptime_counts_and_goes_back_with_a_reboot(make_host: MakeHost) -> None:
