@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from steerd.steer_bus.fields import Array, Blob, Nested, Scalar, Text, message_fields
-from steerd.steer_bus.messages import WORLD, make_header
+from steerd.steer_bus.messages import BODY, WORLD, make_header
+from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
 
 NOW_NS = 1_500_000_000_250_000_000
 """UNIX time of their headers."""
@@ -15,6 +16,12 @@ def blank(cls: type, **values: Any) -> Any:
     """A message of numbers and a header."""
     zeros = dict.fromkeys(cls.__dataclass_fields__, 0)
     return cls(**{**zeros, "header": make_header(NOW_NS, WORLD), **values})
+
+
+def status_message(name: str = "steerd: supervisor", **values: str) -> DiagnosticArray:
+    """Diagnostics with these values of one node."""
+    pairs = tuple(KeyValue(key, value) for key, value in values.items())
+    return DiagnosticArray(make_header(0, BODY), (DiagnosticStatus(0, name, "", "", pairs),))
 
 
 def drawn(cls: type, rng: np.random.Generator) -> Any:

@@ -18,7 +18,7 @@ from steerd.steer_bus.zenoh_bus import (
     make_settings,
     make_spoke_profile,
 )
-from tests.local_bus import LocalBus, LocalHub, key_matches
+from tests.local_bus import LocalBus, LocalHub
 
 STATE = "steerd/car1/state"
 DEADLINE_S = 30.0
@@ -192,19 +192,6 @@ def test_a_closed_bus_says_so_and_closes_twice(pair):
     ):
         with pytest.raises(BusError, match="closed"):
             call()
-
-
-@pytest.mark.parametrize(
-    ("pattern", "key", "expected"),
-    [
-        ("a/b", "a/b", True), ("a/*", "a/b", True), ("a/*", "a/b/c", False), ("a/*", "a", False),
-        ("a/**", "a/b/c", True), ("a/**", "a", True), ("**", "a/b", True), ("a/**/d", "a/d", True),
-        ("a/**/d", "a/b/c/d", True), ("a/**/d", "a/b/c", False), ("a", "b", False),
-        ("*", "a", True),
-    ],
-)  # fmt: skip
-def test_key_patterns(pattern, key, expected):
-    assert key_matches(pattern, key) is expected
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.torch_reference import TORCH
 from steerd.car_model.effect import Confounding, Effect, EffectParameter, Role, Stage
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model, delays, observe
@@ -148,11 +149,11 @@ def score(run: list[Any]) -> Any:
     return sum(w * value for w, value in zip(weights, run, strict=True))
 
 
-def gradient(ops: Any, effect: Effect, at: tuple[float, ...], seed: int) -> list[float]:
+def gradient(effect: Effect, at: tuple[float, ...], seed: int) -> list[float]:
     """Gradient of the score by torch."""
     values = tuple(tensor(v).requires_grad_() for v in at)
     model = Model(Car(*map(tensor, DEFAULT_CAR)), (effect,), (values,))
-    total = score(drive(ops, model, seed, tensor, SHORT))
+    total = score(drive(TORCH, model, seed, tensor, SHORT))
     return [float(g) for g in torch.autograd.grad(total, values)]
 
 
@@ -171,10 +172,10 @@ def differences(effect: Effect, at: tuple[float, ...], seed: int) -> list[float]
 
 
 @pytest.mark.parametrize("effect", EVERY)
-def test_gradients_at_and_beside_the_null_are_finite(effect: Effect, torch_ops: Any) -> None:
+def test_gradients_at_and_beside_the_null_are_finite(effect: Effect) -> None:
     for share in (-1e-4, 0.0, 1e-4):
         at = tuple(p.null + share * p.scale for p in effect.parameters)
-        found = gradient(torch_ops, effect, at, 2)
+        found = gradient(effect, at, 2)
         assert all(map(math.isfinite, found))
         if not effect.zero_gradient:
             named = zip(effect.parameters, found, strict=True)
@@ -183,11 +184,11 @@ def test_gradients_at_and_beside_the_null_are_finite(effect: Effect, torch_ops: 
 
 
 @pytest.mark.parametrize("effect", EVERY)
-def test_gradients_are_those_of_the_floats(effect: Effect, torch_ops: Any) -> None:
+def test_gradients_are_those_of_the_floats(effect: Effect) -> None:
     # Off the grid: at a whole number of steps a delay's gradient has two sides.
     at = tuple(
         p.null + 0.87 * (v - p.null)
         for p, v in zip(effect.parameters, ordinary(effect), strict=True)
     )
     expected = differences(effect, at, 5)
-    assert gradient(torch_ops, effect, at, 5) == pytest.approx(expected, rel=2e-4, abs=2e-4)
+    assert gradient(effect, at, 5) == pytest.approx(expected, rel=2e-4, abs=2e-4)

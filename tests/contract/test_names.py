@@ -4,10 +4,8 @@ PyPI has other projects named `steerd` and `python-daemon` (which installs `daem
 ours may stand in site-packages under any other name.
 """
 
-import ast
 import importlib.metadata
 import importlib.util
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -44,17 +42,9 @@ def test_steerd_links_to_every_room_and_to_nothing_else() -> None:
     assert set(links) == set(ROOMS)
     for name, link in links.items():
         assert str(link.readlink()) == f"../{name}"  # relative: a clone may stand anywhere
-
-
-def test_every_link_in_the_package_ends_inside_this_tree() -> None:
-    links = [path for path in (ROOT / "steerd").rglob("*") if path.is_symlink()]
-    assert all(path.exists() for path in links)
-    assert all(path.resolve().is_relative_to(ROOT) for path in links)
-
-
-def test_no_other_distribution_brings_our_name() -> None:
-    owners = importlib.metadata.packages_distributions().get("steerd", [])
-    assert len(set(owners)) <= 1
+    for path in (path for path in (ROOT / "steerd").rglob("*") if path.is_symlink()):
+        assert path.exists()
+        assert path.resolve().is_relative_to(ROOT)
 
 
 @pytest.mark.parametrize(
@@ -87,42 +77,6 @@ def test_importing_steerd_loads_nothing_of_it_and_shows_its_names() -> None:
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-
-
-NAMED = re.compile(r"(?<![\w/.])(?:docs|examples|config|benchmarks|tests)/\w")
-"""A path of the repository that no wheel has."""
-
-
-def screen_texts(path: Path) -> list[str]:
-    """Strings that a user may read: all but docstrings; a command's own is its help text."""
-    tree = ast.parse(path.read_text())
-    documented = (ast.FunctionDef, ast.ClassDef, ast.Module)
-    docs = {
-        id(node.body[0].value)
-        for node in ast.walk(tree)
-        if isinstance(node, documented) and node.body and isinstance(node.body[0], ast.Expr)
-    }
-    attributes = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
-    texts = [
-        node.value
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Constant)
-        and isinstance(node.value, str)
-        and id(node) not in docs | attributes
-    ]
-    help_text = ast.get_docstring(tree) if "commands" in path.parts else None
-    return [*texts, *([help_text] if help_text else [])]
-
-
-@pytest.mark.parametrize("room", ROOMS)
-def test_texts_name_no_file_that_a_wheel_lacks(room: str) -> None:
-    found = [
-        f"{path.relative_to(ROOT)}: {text[:80]!r}"
-        for path in sorted((ROOT / room).rglob("*.py"))
-        for text in screen_texts(path)
-        if NAMED.search(text)
-    ]
-    assert not found, "\n".join(found)
 
 
 # Layers hold, and the command is there.

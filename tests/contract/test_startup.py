@@ -4,15 +4,12 @@ Loading torch, SciPy, Matplotlib or Numba takes seconds on a cold machine. Nobod
 should wait for them to read that a file does not exist.
 """
 
-import argparse
-import importlib
 import os
 import subprocess
 import sys
 
 import pytest
 
-from steerd.daemon.cli.arguments import find_check, list_actions
 from steerd.daemon.cli.main import COMMANDS
 
 HEAVY = ("torch", "scipy", "matplotlib", "numba", "filterpy", "joblib", "pyarrow")
@@ -49,16 +46,6 @@ MISSING = {
     "import": ("import {here} --map none.toml",),
 }  # fmt: skip
 """A line for every argument that names a file, by command; `{here}` is a file that exists."""
-WRITTEN = ("output", "json", "report", "record", "prediction", "to_vesc_yaml", "page")
-"""Arguments that name files, but those that a command writes."""
-FILE_MARKS = (".toml", ".mcap", ".html", ".parquet", "FILE", "SESSION")
-
-
-def make_parser(name: str) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=f"steerd {name}")
-    module = importlib.import_module(f"steerd.daemon.cli.commands.{COMMANDS[name][0]}")
-    module.add_arguments(parser)
-    return parser
 
 
 def load(line: str, folder: object) -> tuple[int, str, set[str]]:
@@ -92,21 +79,6 @@ def test_help_loads_nothing_heavy(name, tmp_path):
     code, said, loaded = load(f"{name} --help", tmp_path)
     assert code == 0, said
     assert loaded <= {"zenoh"}  # arm, stop and the like: nothing of them works without it
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_argument_that_names_a_file_is_looked_for(name):
-    lines = " ".join(MISSING.get(name, ()))
-    for action in list_actions(make_parser(name)):
-        metavar = str(action.metavar or "")
-        if action.dest in WRITTEN or action.help == argparse.SUPPRESS:
-            continue
-        if any(mark in metavar for mark in FILE_MARKS):
-            assert find_check(action) or name == "import", f"{name}: {action.dest}"
-        if find_check(action) and action.option_strings:
-            assert action.option_strings[0] in lines, f"{name}: {action.dest} has no line above"
-        elif find_check(action):
-            assert lines, f"{name}: {action.dest} has no line above"
 
 
 @pytest.mark.parametrize(

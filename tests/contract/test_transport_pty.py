@@ -93,13 +93,6 @@ def test_open_writes_the_zero_flush_which_frees_a_blocked_parser(
     port.close()
 
 
-def test_flush_can_be_left_out(device: Device, tmp_path: Path) -> None:
-    port = open_port(device.path, flush=False, lock_dir=tmp_path)
-    port.write(FRAME)
-    assert device.read(len(FRAME)) == FRAME
-    port.close()
-
-
 def test_bytes_pass_unchanged_both_ways(device: Device, port: Port) -> None:
     everything = bytes(range(256))
     port.write(everything)
@@ -269,13 +262,6 @@ def test_no_such_port(tmp_path: Path) -> None:
     assert "steerd service udev" in error.value.hint
     assert isinstance(error.value, PortError)
     assert isinstance(error.value, OSError)
-
-
-def test_a_file_is_no_port(tmp_path: Path) -> None:
-    path = tmp_path / "notes.txt"
-    path.write_text("hello")
-    with pytest.raises(NotFound, match=r"notes\.txt"):
-        open_port(str(path), lock_dir=tmp_path)
 
 
 @pytest.mark.parametrize("url", ["socket://127.0.0.1:5000", "loop://", "rfc2217://host:1"])

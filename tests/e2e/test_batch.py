@@ -11,7 +11,6 @@ import steerd
 from benchmarks.batch_drives import Hidden, make_fleet
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode
-from steerd.daemon.many.batch import run as batching
 
 pytestmark = pytest.mark.slow
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
@@ -77,26 +76,6 @@ def test_a_failed_session_is_a_row_and_the_next_start_tries_it_again(drives, tmp
     assert polars.read_parquet(out)["outcome"].to_list() == ["done"] * 7
 
 
-def test_an_interrupted_batch_goes_on_where_it_was(drives, tmp_path, capsys, monkeypatch):
-    out, real, seen = tmp_path / "t.parquet", batching.run_unit, []
-
-    def some(task):
-        seen.append(task.path.name)
-        if len(seen) == 4:
-            raise KeyboardInterrupt
-        return real(task)
-
-    argv = ["batch", "summarise", str(drives), "-o", str(out), "--jobs", "1"]
-    monkeypatch.setattr(batching, "run_unit", some)
-    assert run_cli(argv) == ExitCode.INTERRUPTED
-    assert "the same command goes on" in capsys.readouterr().err
-    assert run_cli(argv) == ExitCode.OK
-    assert "5 worked on now" in capsys.readouterr().out, "four are left, and one had failed"
-    monkeypatch.setattr(batching, "run_unit", real)
-    whole = steerd.batch("summarise", drives, jobs=1)
-    assert whole.encode_table() == out.read_bytes()
-
-
 def test_a_session_is_diagnosed_with_its_cars_own_file(fleet, tmp_path):
     folder = tmp_path / "some"
     folder.mkdir()
@@ -113,9 +92,7 @@ def test_a_session_is_diagnosed_with_its_cars_own_file(fleet, tmp_path):
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (["summarise", "none"], 3, "none does not exist"),
         (["summarise", "{tmp}"], 3, "no session"),
-        (["summarise", "{drives}", "--jobs", "-1"], 2, "--jobs -1"),
         (["identify", "{drives}", "--cars", "{tmp}/none"], 3, "does not exist"),
         (["summarise", "{drives}", "-o", "{drives}/circle.mcap"], 2, "never overwritten"),
     ],

@@ -140,23 +140,6 @@ def test_the_prediction_stands_before_a_reserved_session_is_opened(late, tmp_pat
     assert "broken.mcap" in said.err.splitlines()[-1]
 
 
-def test_a_path_file_comes_from_the_session_itself(tmp_path):
-    angle = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)
-    table = np.column_stack([2.0 * np.sin(angle), 2.0 - 2.0 * np.cos(angle)])
-    lane, session = tmp_path / "lane.csv", tmp_path / "csv.mcap"
-    lane.write_text("# x_m, y_m\n" + "\n".join(f"{x:.5f}, {y:.5f}" for x, y in table) + "\n")
-    quietly("run", "--sim", "--fast", "--path", f"csv:{lane}", "--duration", 14,
-            "--record", session)  # fmt: skip
-    lane.unlink()
-    told, why = try_lane([open_session(session)], load_car(default_car_path()), {})
-    assert told is not None, why
-    assert told.again == "--speed 1", "the path's file is gone"
-    assert told.with_effect is None
-    before, after = told.distances
-    assert after is None
-    assert before.e1 < 0.001
-
-
 def test_too_short_a_lane_drive_is_said(tmp_path):
     session = tmp_path / "short.mcap"
     quietly("run", "--sim", "--fast", "--path", "line", "--duration", 3, "--record", session)

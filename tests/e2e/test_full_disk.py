@@ -1,10 +1,8 @@
 """A full disk: one line, an exit code, and what was written can be recovered."""
 
-import errno
 import os
 import resource
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -100,72 +98,6 @@ def test_an_import_leaves_nothing_and_promises_nothing(size, tmp_path, full, cap
     assert "recover" not in said, "nothing is left that could be recovered"
     assert sorted(tmp_path.iterdir()) == [log, the_map]
     assert said_of(["import", "csv", log, "--map", the_map, "-o", out], capsys)[0] == 0
-
-
-def test_a_bag_is_not_blamed_for_a_full_temporary_folder(monkeypatch, tmp_path, capsys):
-    bag = tmp_path / "run.bag"
-    bag.write_bytes(b"#ROSBAG V2.0\n")
-
-    def unpack(*_):
-        raise OSError(errno.ENOSPC, "No space left on device", "/tmp/unpacked")
-
-    monkeypatch.setattr("steerd.daemon.imports.bag._open", unpack)
-    code, said = said_of(["import", "bag", bag], capsys)
-    assert code == 3
-    assert "/tmp/unpacked: No space left on device" in said
-    assert "ROS bag" not in said
-
-
-class Found:
-    """A diagnosis without the work."""
-
-    text, posterior = "mass = 3.0\n", ""
-    findings = SimpleNamespace(shrinkage=SimpleNamespace(text="the prediction"))
-
-    def to_json(self):
-        return {"verdict": "explained"}
-
-    def render_report(self):
-        return "<html>" + 5_000 * "x" + "</html>"
-
-    def make_car(self, _output):
-        return self
-
-    def describe(self, *_):
-        return "THE CAUSE"
-
-
-@pytest.mark.parametrize(
-    ("size", "written"), [(0, []), (100, ["better.toml", "gap.json", "prediction.json"])]
-)
-def test_a_diagnosis_is_told_before_it_is_written(
-    size, written, monkeypatch, tmp_path, full, capsys
-):
-    def diagnose(paths, options, warn, advance, announce):
-        announce("the prediction")
-        return Found()
-
-    monkeypatch.setattr("steerd.daemon.analysis.diagnosis.run_diagnosis", diagnose)
-    names = {
-        "--prediction": "prediction.json", "-o": "better.toml", "--json": "gap.json",
-        "--report": "gap.html",
-    }  # fmt: skip
-    session, out = tmp_path / "drive.mcap", tmp_path / "out"
-    session.touch()
-    out.mkdir()
-    options = [word for flag, name in names.items() for word in (flag, str(out / name))]
-    full(size)
-    code = run_cli(["diagnose", str(session), *options])
-    full()
-    said = capsys.readouterr()
-    assert code == 3
-    assert said.out == "THE CAUSE\n"
-    assert sorted(path.name for path in out.iterdir()) == written
-    lost = [name for name in names.values() if name not in written]
-    *_, what, hint = said.err.splitlines()
-    assert what == "steerd: " + "; ".join(f"{out / name}: File too large" for name in lost)
-    assert HINT in hint
-    assert "predicted before measuring" in said.err
 
 
 def test_an_output_that_takes_nothing(monkeypatch, capfd):

@@ -1,4 +1,4 @@
-"""`steerd identify --jobs` and `--dask`: the same answer from other processes."""
+"""`steerd identify --jobs`: the same answer from other processes."""
 
 import json
 
@@ -28,11 +28,5 @@ def _answer(session, *more):
     return code, json.loads(path.read_text())
 
 
-def test_processes_and_a_cluster_give_the_same_answer(session):
-    distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
-    here = _answer(session)
-    assert _answer(session, "--jobs", "2") == here
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
-    ) as cluster:
-        assert _answer(session, "--dask", cluster.scheduler_address) == here
+def test_processes_give_the_same_answer(session):
+    assert _answer(session, "--jobs", "2") == _answer(session)

@@ -27,8 +27,8 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.codec import decode, encode
 from steerd.steer_bus.messages import BODY, OperatorRequest, RequestKind, make_header
-from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
 from steerd.steer_bus.topics import make_key
+from tests.blank import status_message
 from tests.browser import CHROMIUM, NO_BROWSER, browsing
 from tests.e2e.test_live import Watcher, start_run
 from tests.local_bus import LocalBus, LocalHub
@@ -89,9 +89,7 @@ class FakeCar:
         said = {"state": self.state.name, "reason": "all well", "waiting": "an operator",
                 "warnings": "the battery is low: 10.1 V", "boot_id": "77", "leased": self.leased,
                 "holder": str(self.holder), "mocap": "ok", "mocap_rate_hz": "100.0"}  # fmt: skip
-        pairs = tuple(KeyValue(key, value) for key, value in said.items())
-        status = DiagnosticStatus(0, "steerd: supervisor", "", "", pairs)
-        self._say(topics.DIAGNOSTICS, DiagnosticArray(HEADER, (status,)))
+        self._say(topics.DIAGNOSTICS, status_message(**said))
 
     def _obey(self, request):
         states = SupervisorState
@@ -257,9 +255,7 @@ def test_its_stop_needs_no_status_and_survives_a_garbled_one(car):
         while RequestKind.ESTOP not in car.kinds():
             socket.recv(30.0)
         for values in ({"boot_id": "seven"}, {"state": "FLYING"}):
-            pairs = tuple(KeyValue(key, value) for key, value in values.items())
-            status = DiagnosticStatus(0, "steerd: supervisor", "", "", pairs)
-            car._say(topics.DIAGNOSTICS, DiagnosticArray(HEADER, (status,)))
+            car._say(topics.DIAGNOSTICS, status_message(**values))
         car._say(topics.STATE, a_state(mode=200))
         car.bus.publish(make_key("car1", topics.STATE), b"\0\1\2")
         sent = len(car.asked)

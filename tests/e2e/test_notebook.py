@@ -63,11 +63,3 @@ def test_the_programs_of_a_page_run(page, monkeypatch):
     driven = state[state["mode"] == SupervisorState.RUNNING]
     assert driven["e1"].abs().max() < 0.1, "the MPC keeps its lane"
     assert state.attrs["units"]["e1"] == "m"
-
-
-def test_the_notebook_is_stored_without_outputs():
-    notebook = nbformat.read(NOTEBOOK, as_version=4)
-    nbformat.validate(notebook)
-    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
-    assert len(code) >= 6
-    assert all(not cell.outputs and cell.execution_count is None for cell in code)

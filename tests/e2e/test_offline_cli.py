@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steerd.car_model.effects import ALIASES, EFFECTS, parse_effects
+from steerd.car_model.effects import EFFECTS, parse_effects
 from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.messages import Actuation, MocapPose, Throttle, WheelSpeed
 from steerd.steer_bus.session_read import open_session
@@ -107,19 +107,12 @@ def test_the_f1tenth_drives(tmp_path, capsys, name, top_speed):
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))
-def test_each_effect_is_told(name, capsys):
+def test_the_example_of_each_effect_can_be_typed(name, capsys):
     assert run_cli(["effects", name]) == 0
-    text = capsys.readouterr().out
-    effect = EFFECTS[name]
-    told = " ".join(text.split())  # lines break where the window ends
-    assert effect.equation in told
-    assert effect.summary in told
-    assert all(p.name in told and p.meaning in told for p in effect.parameters)
-    assert max(map(len, text.splitlines())) <= 80
-    example = text.rpartition("--effect ")[2].strip()
-    ((parsed, values),) = parse_effects(example)
-    assert parsed is effect
-    assert any(value != p.null for value, p in zip(values, effect.parameters, strict=True))
+    example = capsys.readouterr().out.rpartition("--effect ")[2].strip()
+    ((effect, values),) = parse_effects(example)
+    assert effect is EFFECTS[name]
+    assert values != effect.nulls
 
 
 def test_all_effects_in_a_table(capsys, monkeypatch):
@@ -134,14 +127,6 @@ def test_all_effects_in_a_table(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     assert run_cli(["effects"]) == 0
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
-
-
-def test_aliases_and_unknown_effects(capsys):
-    alias, name = next(iter(ALIASES.items()))
-    assert run_cli(["effects", alias]) == 0
-    assert capsys.readouterr().out.startswith(f"{name}:")
-    assert run_cli(["effects", "steer_dely"]) == 2
-    assert "did you mean 'steer_delay'?" in capsys.readouterr().err
 
 
 def test_the_page_of_effects_is_the_library(capsys):

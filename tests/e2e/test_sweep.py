@@ -7,8 +7,7 @@ import pytest
 
 import steerd
 from steerd.daemon.cli.main import run_cli
-from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.many.sweep import run as sweeping
+from steerd.daemon.common.errors import ExitCode
 from steerd.steer_bus.session_read import open_session
 
 VARY = {"effect.steer_delay": {"low": 0.0, "high": 0.05}, "car.mass": [3.0, 4.5]}
@@ -57,27 +56,6 @@ def test_a_sweep_is_a_table_and_a_page(file, tmp_path, whole, capsys):
     assert not out.with_name("t.parquet.journal").exists()
 
 
-def test_an_interrupted_sweep_goes_on_where_it_was(file, tmp_path, whole, capsys, monkeypatch):
-    out = tmp_path / "t.parquet"
-    journal, real, driven = tmp_path / "t.parquet.journal", sweeping.run_case, []
-
-    def some(plan, case):
-        driven.append(case.number)
-        if len(driven) == 3:
-            raise KeyboardInterrupt
-        return real(plan, case)
-
-    monkeypatch.setattr(sweeping, "run_case", some)
-    argv = ["sweep", str(file), "-o", str(out), "--jobs", "1"]
-    assert run_cli(argv) == ExitCode.INTERRUPTED
-    assert "the same command goes on where it was" in capsys.readouterr().err
-    assert not out.exists()
-    assert journal.exists()
-    assert run_cli(argv) == ExitCode.OK
-    assert driven == [0, 1, 2, 2, 3]
-    assert out.read_bytes() == whole
-
-
 def test_a_drive_of_it_is_driven_again_and_recorded(file, tmp_path, whole, capsys):
     (tmp_path / "whole.parquet").write_bytes(whole)
     row = polars.read_parquet(tmp_path / "whole.parquet").row(3, named=True)
@@ -92,26 +70,12 @@ def test_a_drive_of_it_is_driven_again_and_recorded(file, tmp_path, whole, capsy
     assert drive.duration > 3.6
 
 
-def test_what_is_driven_again_is_said_within_80_columns(tmp_path, capsys):
-    file = tmp_path / "many.toml"
-    drawn = 'mass" = { share = 0.05 }\n"car.mu" = [0.9]\n"car.c_sf" = [4.7]'
-    other = '"effect.steer_delay" = [0.0335]\n"mocap.position_noise" = [0.0002]'
-    file.write_text(f'seeds = 1\nduration = 0.3\n[vary]\n"car.{drawn}\n{other}\n')
-    session = str(tmp_path / "a.mcap")
-    assert run_cli(["sweep", str(file), "--again", "0", "--record", session]) == 0
-    said = capsys.readouterr().out.partition("written:")[0]
-    assert max(map(len, said.splitlines())) <= 80, said
-    assert "mocap.position_noise 0.0002" in said
-    assert "car.mass " in said
-
-
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
         ([], 2, "a sweep file is needed"),
         (["{file}", "--again", "3"], 2, "--again and --record go together"),
         (["{file}", "--again", "9", "--record", "x.mcap"], 2, "they are 0 to 3"),
-        (["{file}", "--jobs", "-2"], 2, "--jobs -2"),
         (["{file}", "-o", "{tmp}/none/x.parquet"], 3, "there is no folder"),
     ],
 )
@@ -127,8 +91,3 @@ def test_the_example_is_a_sweep_file(tmp_path, capsys):
     path.write_text(capsys.readouterr().out.replace("200", "1").replace("20.0", "0.3"))
     assert run_cli(["sweep", str(path), "--jobs", "1"]) == 0
     assert "2 of 0.3 s" in capsys.readouterr().out
-
-
-def test_a_value_that_cannot_be_is_refused_by_the_api():
-    with pytest.raises(SteerdError, match=r"did you mean car\.mass"):
-        steerd.sweep({"car.mas": [3.0]})

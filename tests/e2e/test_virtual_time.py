@@ -29,10 +29,10 @@ def replays(session, capsys):
 @pytest.mark.parametrize(
     ("line", "bound"),
     [
-        ("--path circle:radius=2 --speed 1 --duration 30", 0.02),
-        ("--path figure8 --speed 1.5 --duration 30", 0.04),
-        ("--path figure8 --speed 1.5 --duration 5 --rate 200", 0.04),
-        ("--path line --speed 1.5 --duration 6", 0.02),
+        ("--path circle:radius=2 --speed 1 --duration 30", 0.0015),
+        ("--path figure8 --speed 1.5 --duration 30", 0.002),
+        ("--path figure8 --speed 1.5 --duration 5 --rate 200", 0.0015),
+        ("--path line --speed 1.5 --duration 6", 0.001),
     ],
 )
 def test_the_car_keeps_its_lane_and_replays(drive_fast, capsys, line, bound):
@@ -49,9 +49,15 @@ def test_delay_and_slow_servo_leave_the_loop_stable(drive_fast, capsys, path):
     assert not driven.faulted, driven.reason
     offsets = driven.offsets()
     third = len(offsets) // 3
-    assert rms(offsets) <= 0.04
+    assert rms(offsets) <= 0.008
     assert rms(offsets[-third:]) <= max(1.5 * rms(offsets[:third]), 0.005)
     assert replays(driven.session, capsys)
+
+
+def test_an_open_line_is_stopped_at_its_end(drive_fast):
+    driven = drive_fast("--path line:length=6 --speed 1.5 --duration 9")
+    assert not driven.faulted, driven.reason
+    assert driven.track[-1][1:] == pytest.approx((6.0, 0.0), abs=0.1)
 
 
 def test_the_papers_design_drives(drive_fast, tmp_path, capsys):
@@ -63,19 +69,6 @@ def test_the_papers_design_drives(drive_fast, tmp_path, capsys):
     assert not driven.faulted, driven.reason
     assert rms(driven.offsets()) <= 0.02
     assert replays(driven.session, capsys)
-
-
-def test_an_unstable_design_is_refused_with_its_reason(tmp_path, capsys):
-    car = tmp_path / "pole.toml"
-    text = CAR_FILE.read_text().replace('design = "lqr" ', 'design = "pole_placement" ')
-    car.write_text(text.replace("[-150.0, 15.0], [-150.0, -15.0]", "[-8.0, 3.0], [-8.0, -3.0]"))
-    record = tmp_path / "never.mcap"
-    argv = ["run", "--sim", "--fast", "--duration", "1", "--car", str(car), "--record", str(record)]
-    assert run_cli(argv) == 4
-    said = capsys.readouterr().err
-    assert "spectral radius" in said
-    assert "'pole_placement' refused" in said
-    assert list(tmp_path.iterdir()) == [car]
 
 
 # --- repeatability
@@ -101,16 +94,6 @@ def test_same_seed_same_bytes_other_seed_other_bytes(drive_fast, tmp_path, capsy
     assert content(other.session) != content(first.session)
 
 
-def test_a_pose_that_was_moved_in_the_recording_is_found(drive_fast, tamper_pose, capsys):
-    driven = drive_fast("--path circle:radius=2 --speed 1 --duration 2")
-    assert replays(driven.session, capsys)
-    assert run_cli(["replay", str(tamper_pose(driven.session))]) == 7
-    said = capsys.readouterr().out
-    first, last = said.splitlines()[0], said.splitlines()[-1]
-    assert re.match(r"tick \d+ .*: recorded SPEED steer .*; replayed SPEED steer ", first)
-    assert re.fullmatch(r"\d+ commands replayed: \d+ of them differ", last)
-
-
 # --- paths from files
 
 
@@ -120,18 +103,6 @@ def ellipse(count):
     return t, 3.0 * np.cos(t), 2.5 * np.sin(t)
 
 
-def write_tum(file):
-    t, x, y = ellipse(80)
-    dx, dy = -3.0 * np.sin(t), 2.5 * np.cos(t)
-    speed = np.hypot(dx, dy)
-    s = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
-    psi = np.arctan2(dy, dx) - pi / 2  # TUM measures from north
-    kappa = 7.5 / speed**3
-    table = np.column_stack([s, x, y, psi, kappa, np.full_like(s, 1.2), np.zeros_like(s)])
-    head = "s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2"
-    np.savetxt(file, table, delimiter="; ", fmt="%.7f", header=head)
-
-
 def write_centreline(file):
     _, x, y = ellipse(80)
     wide = np.full_like(x, 0.8)
@@ -139,12 +110,9 @@ def write_centreline(file):
     np.savetxt(file, np.column_stack([x, y, wide, wide]), delimiter=", ", fmt="%.6f", header=head)
 
 
-@pytest.mark.parametrize("write", [write_tum, write_centreline])
-def test_a_path_from_a_file_is_driven_and_replays_without_the_file(
-    drive_fast, tmp_path, capsys, write
-):
+def test_a_path_from_a_file_is_driven_and_replays_without_the_file(drive_fast, tmp_path, capsys):
     file = tmp_path / "track.csv"
-    write(file)
+    write_centreline(file)
     driven = drive_fast(f"--path csv:{file} --speed 1.2 --duration 6")
     assert not driven.faulted, driven.reason
     _, x, y = ellipse(4000)

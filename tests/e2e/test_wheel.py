@@ -128,25 +128,3 @@ def test_the_wheel_drives_plots_identifies_and_diagnoses(home: Path) -> None:
     screen = steerd(home, "diagnose", "late.mcap", "--only", "steer_delay", "--report", "gap.html")
     assert "steer_delay" in screen
     assert (home / "gap.html").stat().st_size > 10_000
-
-
-def test_the_wheel_is_a_library_too(home: Path) -> None:
-    code = (
-        "import steerd; drive = steerd.simulate(duration=2.0); drive.plot().savefig('drive.png'); "
-        "print(len(drive.table('state')), steerd.__file__)"
-    )
-    rows, place = run_python(home, code).split()
-    assert int(rows) > 200
-    assert Path(place).is_relative_to(home)
-    assert (home / "drive.png").stat().st_size > 10_000
-
-
-def test_the_wheel_brings_its_car_file_effects_and_maps(home: Path) -> None:
-    assert "wheelbase" in steerd(home, "config")
-    assert "steer_backlash" in steerd(home, "effects")
-    code = "from steerd.daemon.common.packaged import EXAMPLE_MAP; print(EXAMPLE_MAP)"
-    shown = Path(run_python(home, code))
-    assert shown.is_relative_to(home)
-    (home / "run.csv").write_text("t,x,y,yaw,steer_cmd,safety,throttle,enc_v\n")
-    text = " ".join(steerd(home, "import", "csv", "--help").split())
-    assert shown.name in text

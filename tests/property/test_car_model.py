@@ -173,11 +173,3 @@ def test_a_run_may_be_cut_anywhere(
     car = DEFAULT_CAR._replace(steer_delay=0.0)
     whole = run(car, first, drive)
     assert run(car, whole[cut], drive[cut:]) == whole[cut:]
-
-
-@repeatable
-@given(cars, states, wheels, accels)
-def test_lateral_forces_never_make_speed(
-    car: Car[float], state: State[float], wheel: float, accel: float
-) -> None:
-    assert derivative(SINGLE_TRACK, FLOAT, car, state, wheel, accel).speed == accel

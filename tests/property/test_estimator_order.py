@@ -102,14 +102,3 @@ def test_a_late_command_is_honoured_from_its_time_on(
     assert one is not None
     assert other is not None
     same(one, other)
-
-
-@settings(derandomize=True, deadline=None, max_examples=60)
-@given(measured=readings())
-def test_belief_stays_sound(measured: list[Measurement]) -> None:
-    estimate = fed([measured])
-    assert estimate.health.sound
-    covariance = estimate.belief.covariance
-    assert (covariance == covariance.T).all() or np.allclose(
-        covariance, covariance.T, rtol=1e-9, atol=1e-15
-    )

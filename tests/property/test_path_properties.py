@@ -7,12 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerd.car_model.path.path import Path, interpolate, locate, project
-from steerd.car_model.path.path_shapes import make_figure_eight
+from steerd.car_model.path.path import Path, locate, project
 from steerd.car_model.path.path_spec import parse_path
 
 PATHS = {spec: parse_path(spec) for spec in ("circle:radius=1.3", "figure8", "line:length=5")}
-FINE_EIGHT = make_figure_eight()
 
 
 def point_beside(path: Path, s: float, offset: float) -> tuple[float, float]:
@@ -54,18 +52,3 @@ def test_the_hint_does_not_matter(spec: str, share: float, offset: float, behind
     far = project(path, x, y, (index + behind) % len(path.x))
     assert far.e1 == pytest.approx(near.e1, abs=1e-6)
     assert (far.s - near.s + 1.0) % path.length == pytest.approx(1.0, abs=1e-4)
-
-
-@settings(max_examples=100, deadline=None, derandomize=True)
-@given(share=st.floats(0.0, 0.999), offset=st.floats(-0.4, 0.4))
-def test_the_foot_and_offset_give_the_point_back(share: float, offset: float) -> None:
-    path = FINE_EIGHT
-    x, y = point_beside(path, share * path.length, offset)
-    seen = project(path, x, y, int(share * path.length / path.step))
-    unclosed = path.x[seen.hint], path.y[seen.hint]
-    along = (seen.s - seen.hint * path.step + 1.0) % path.length - 1.0
-    mean_yaw = 0.5 * (path.yaw[seen.hint] + seen.yaw_path)
-    foot = unclosed[0] + along * math.cos(mean_yaw), unclosed[1] + along * math.sin(mean_yaw)
-    assert foot[0] - seen.e1 * math.sin(seen.yaw_path) == pytest.approx(x, abs=1e-5)
-    assert foot[1] + seen.e1 * math.cos(seen.yaw_path) == pytest.approx(y, abs=1e-5)
-    assert seen.curvature == pytest.approx(interpolate(path, path.curvature, seen.s), abs=1e-9)

@@ -59,13 +59,6 @@ def test_the_shipped_file_holds_the_official_figures() -> None:
     assert (vesc["servo_min"], vesc["servo_max"]) == (0.15, 0.85)
 
 
-def test_every_key_of_the_shipped_file_has_a_comment() -> None:
-    keys = [line for line in TEXT.splitlines() if re.match(r"\w+ = ", line)]
-    bare = [line for line in keys if "#" not in line and not line.startswith("name")]
-    assert len(keys) > 50
-    assert bare == []
-
-
 def test_effects_and_notes_are_read() -> None:
     text = TEXT + (
         '\n[car.sd]\nlf = 0.001\n[car.source]\nlf = "tape"\n'

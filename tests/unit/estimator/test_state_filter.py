@@ -210,25 +210,6 @@ def test_slow_driving_through_zero(simulate: Any, run_filter: Any) -> None:
     assert estimate.health.pose.refused <= 5
 
 
-def test_a_car_seen_in_a_mirror_is_estimated_in_the_mirror(drive: Any, run_filter: Any) -> None:
-    def mirrored(m: Measurement) -> Measurement:
-        x, *rest = m.values
-        return m._replace(values=(x, *(-v for v in rest))) if m.kind is Kind.POSE else m
-
-    image = replace(
-        drive,
-        commands=[(t, Command(-c.steer, c.speed)) for t, c in drive.commands],
-        arrivals=[(t, mirrored(m)) for t, m in drive.arrivals],
-    )
-    signs = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0, -1.0])
-    pairs = zip(run_filter(FILTER, drive), run_filter(FILTER, image), strict=True)
-    for (t, left), (_, right) in pairs:
-        one, other = predict_to(FILTER, left, t), predict_to(FILTER, right, t)
-        if one is not None and other is not None:
-            np.testing.assert_allclose(np.array(one.state) * signs, other.state, atol=1e-9)
-            np.testing.assert_allclose(one.sd, other.sd, rtol=1e-9)
-
-
 def test_stamp_latency_and_speed_gain_of_the_car_are_honoured(
     simulate: Any, run_filter: Any
 ) -> None:

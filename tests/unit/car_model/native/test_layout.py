@@ -7,11 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerd.car_model.effects import find_effect
-from steerd.car_model.native.print_c import fast_rates, row_layout
-from steerd.car_model.native.specialised import SPECIALISED_SPEED, Range, specialise
+from steerd.car_model.native.specialised import Range, specialise
 from steerd.car_model.native.threads import WORTHWHILE, share_out
-from steerd.car_model.native.trace import CHASSIS, trace
 from steerd.car_model.native.windows import (
     HeldCommands,
     make_kernels,
@@ -21,57 +18,11 @@ from steerd.car_model.native.windows import (
     view_by_window,
 )
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.car_model.state import State
-from steerd.car_model.tape import TAPE, Tape, gradient, needed, program
-
-
-@pytest.mark.parametrize("names", [(), ("tyre_relaxation",), ("steer_backlash", "tyre_relaxation")])
-def test_every_row_is_the_input_of_its_name(names):
-    traced = trace(tuple(find_effect(name) for name in names))
-    rows, entries = row_layout(traced), traced.tape.entries
-
-    def inputs(piece):
-        return [entries[node.place].name for node in piece.inputs]
-
-    actuators, rates, remember = map(inputs, (traced.actuators, traced.rates, traced.remember))
-    command = rows["ACTUATORS_COMMAND"]
-    assert actuators[: rows["STATES"]] == list(State._fields)
-    assert actuators[command : command + 2] == ["cmd_steer", "cmd_speed"]
-    assert actuators[rows["ACTUATORS_TIME"]] == rates[rows["RATES_TIME"]] == "t"
-    assert rates[: rows["CHASSIS"]] == list(CHASSIS)
-    assert (rates[rows["RATES_WHEEL"]], rates[rows["RATES_ACCEL"]]) == ("wheel", "accel")
-    assert remember[rows["REMEMBER_AFTER"] + rows["STEER"]] == "steer_after"
-    assert remember[rows["REMEMBER_TIME"] :] == ["t"]
-    assert len(remember) == rows["REMEMBER_INPUTS"]
-    assert actuators[rows["SPEED"]] == "speed"
-    assert rows["ACTUATORS_OUTPUTS"] == rows["MEMORY_END"] + rows["MEMORY"]
-
-
-def test_the_steer_is_the_last_state():
-    assert State._fields == (*CHASSIS, "steer")
-
+from steerd.car_model.tape import TAPE, Tape, program
 
 # Equations under bounds of their inputs: the same numbers, fewer operations.
 
 OPS = ("add", "sub", "mul", "min", "max", "select", "neg")
-
-
-def test_above_walking_pace_both_forms_give_the_same_rates():
-    traced = trace(())
-    fast = fast_rates(traced)
-    inputs = [*fast.inputs, *traced.symbols, traced.h]
-    one, other = (program(inputs, list(p.outputs)) for p in (traced.rates, fast))
-    rng = np.random.default_rng(3)
-    for _ in range(200):
-        x = rng.normal(size=len(fast.inputs)) * 0.2
-        x[3] = rng.uniform(SPECIALISED_SPEED, 6.0)
-        numbers = [*x.tolist(), *DEFAULT_CAR, 0.005]
-        np.testing.assert_allclose(other(*numbers), one(*numbers), rtol=1e-13, atol=1e-15)
-    assert len(needed(fast.outputs)) < 0.7 * len(needed(traced.rates.outputs))
-    wheel = fast.inputs[6]
-    assert not {"tan", "atan", "select", "min", "max"} & {
-        traced.tape.entries[p].op for p in needed(gradient([(fast.outputs[5], 1.0)], [wheel]))
-    }
 
 
 @given(st.integers(0, 10**6), st.floats(-2.0, 2.0), st.floats(0.0, 3.0))
@@ -102,14 +53,6 @@ def test_any_expression_keeps_its_value_within_the_bounds(seed, low, width):
             math.isclose(x, y, rel_tol=1e-12, abs_tol=1e-12)
             for x, y in zip(got, wanted, strict=True)
         )
-
-
-def test_bounds_that_are_not_known_decide_nothing():
-    tape = Tape()
-    a, b = tape.symbol("a"), tape.symbol("b")
-    chosen = TAPE.maximum(a, b * 2.0)
-    assert specialise([chosen], {})[0].place == chosen.place
-    assert specialise([chosen], {a.place: Range(-1.0, math.inf)})[0].place == chosen.place
 
 
 # Pieces of compiled work on several threads.

@@ -93,31 +93,8 @@ def test_a_cause_is_named_and_goes_into_the_car(gap):
     assert data["residual"]["sessions"] == ["late.mcap"]
 
 
-def test_with_its_own_car_a_drive_has_no_such_gap(drive, gap):
-    found = steerd.diagnose(drive, base=gap, only=ONLY, pairs=False, closed_loop=False)
-    assert "steer_delay" not in [cause.effect for cause in found.causes]
-    assert found.findings.before.errors[-1][1] < 0.2 * gap.findings.before.errors[-1][1]
-
-
 def test_figures_are_matplotlib_figures(fit, gap, tmp_path):
     for name, figure, axes in (("fit", fit.plot(), 5), ("gap", gap.plot(), 3)):
         assert len(figure.axes) >= axes
         figure.savefig(tmp_path / f"{name}.png")
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
-
-
-@pytest.mark.parametrize(
-    ("arguments", "what"),
-    [
-        ({"held_out": 1}, "held out 1"),
-        ({"free": ["lenght"]}, "lenght is no parameter"),
-        ({"fix": {"mass": -3.0}}, "mass"),
-        ({"wheelbase": 330.0}, "in metres"),
-        ({"effects": ["wings"]}, "wings"),
-        ({"jobs": 0}, "jobs 0"),
-        ({"car": "none.toml"}, "none.toml"),
-    ],
-)
-def test_identify_refuses_what_makes_no_sense(arguments, what, drive):
-    with pytest.raises(steerd.SteerdError, match=what):
-        steerd.identify(drive, **arguments)

@@ -7,9 +7,8 @@ import pytest
 
 from steerd.daemon.analysis import drives as module
 from steerd.daemon.analysis.diagnose_split import split_drives
-from steerd.daemon.analysis.drives import is_same, load_drives, refuse_copies, without_reserved
+from steerd.daemon.analysis.drives import is_same, load_drives
 from steerd.daemon.analysis.options import HeldOut
-from steerd.daemon.common.errors import SteerdError
 from steerd.sysid.data.dataset import Signal, make_run
 
 
@@ -37,21 +36,6 @@ def drives(tmp_path):
 )
 def test_what_is_the_same_drive(one, other, same, drives):
     assert is_same(drives[one], drives[other]) is same
-
-
-def test_a_drive_counts_once(drives):
-    refuse_copies([drives["a"], drives["b"], drives["none"]])
-    with pytest.raises(SteerdError, match="named twice"):
-        refuse_copies([drives["a"], drives["b"], drives["a"]])
-    with pytest.raises(SteerdError, match=r"copy\.mcap is a copy of .*a\.mcap"):
-        refuse_copies([drives["a"], drives["b"], drives["copy"]])
-
-
-def test_what_is_held_out_is_not_among_the_others(drives):
-    given = [drives["a"], drives["b"]]
-    assert without_reserved(given, [drives["copy"]], "fit") == (drives["b"],)
-    with pytest.raises(SteerdError, match="nothing is left to fit"):
-        without_reserved([drives["a"]], [drives["copy"]], "fit")
 
 
 @pytest.fixture

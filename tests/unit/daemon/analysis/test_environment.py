@@ -47,8 +47,3 @@ def test_leaving_the_lane_terminates_the_episode() -> None:
     assert (terminated, truncated) == (True, False)
     assert 0.5 < -info["state"].e1 < 0.55
     assert 0.0 < info["t"] < 8.0
-
-
-def test_errors_speak_of_arguments() -> None:
-    with pytest.raises(steerd.SteerdError, match=r"^effects: no effect 'wings'"):
-        steerd.Environment(effects={"wings": 1.0})

@@ -104,14 +104,7 @@ def test_effects_are_those_of_the_command_line(value):
 
 @pytest.mark.parametrize(
     ("arguments", "what"),
-    [
-        ({"duration": 0.0}, "duration 0"),
-        ({"speed": -1.0}, "speed -1"),
-        ({"seed": -1}, "seed -1"),
-        ({"path": "spiral"}, "spiral"),
-        ({"effects": {"wings": 1.0}}, "wings"),
-        ({"car": "none.toml"}, "none.toml"),
-    ],
+    [({"duration": 0.0}, "duration 0"), ({"effects": {"wings": 1.0}}, "wings")],
 )
 def test_arguments_that_make_no_sense(arguments, what):
     with pytest.raises(steerd.SteerdError, match=what):

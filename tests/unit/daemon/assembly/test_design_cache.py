@@ -58,15 +58,6 @@ def test_changed_gains_are_computed_again(folder, factor):
     assert file.read_text() == text
 
 
-def test_gains_of_another_car_under_this_ones_name_are_computed_again(folder):
-    heavy = recall_table(CASE[0]._replace(mass=5.0), *CASE[1:])
-    (file,) = folder.iterdir()
-    file.rename(folder / f"{digest_design(*CASE)}.json")
-    with pytest.warns(CacheRefused):
-        found = recall_table(*CASE)
-    assert found == compute_table(*CASE) != heavy
-
-
 def test_gains_that_do_not_hold_the_car_are_refused():
     path = parse_path("circle:radius=3")
 

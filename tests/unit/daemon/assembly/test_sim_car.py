@@ -8,7 +8,6 @@ import pytest
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.assembly.build import make_design_car, make_plan, make_world_config
 from steerd.daemon.assembly.session_meta import (
-    csv_file,
     default_session_path,
     make_attachments,
     make_metadata,
@@ -22,7 +21,7 @@ from steerd.daemon.assembly.sim_car import (
     read_true_car,
 )
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.settings.run_options import RunOptions, decode_options, encode_options
+from steerd.daemon.settings.run_options import RunOptions, decode_options
 
 CAR_FILE = Path(__file__).resolve().parents[4] / "config" / "f1tenth.toml"
 
@@ -78,12 +77,6 @@ def test_a_session_tells_its_true_car_and_how_to_drive_it_again():
     assert read_origin({"steerd.session": {"mode": "import"}}) == ""
 
 
-def test_a_car_is_driven_again_through_its_own_port_and_mocap():
-    options = RunOptions("gone.toml", port="/dev/vesc", mocap="vrpn://lab/my car")
-    found = {"steerd.session": {"options": encode_options(options)}}
-    assert read_origin(found) == "--port /dev/vesc --mocap 'vrpn://lab/my car'"
-
-
 def test_effects_go_with_the_simulated_car_and_not_with_a_file_that_has_them():
     found = meta(make(effects=("steer_lag=0.02",)))
     assert read_origin(found) == "--sim --fast --effect steer_lag=0.02"
@@ -124,11 +117,7 @@ OPTIONS = RunOptions(car_file="", path="line", speed=1.0)
     ("changes", "said", "code"),
     [
         ({"port": "/dev/ttyACM0", "rate_hz": 49.0}, "50 to 1000 Hz", ExitCode.USAGE),
-        ({"port": "/dev/x", "simulated": True, "rate_hz": 19.0}, "20 to 1000 Hz", ExitCode.USAGE),
         ({"rate_hz": 1001.0}, "20 to 1000 Hz", ExitCode.USAGE),
-        ({"car": "a/b"}, "--name", ExitCode.USAGE),
-        ({"path": "spiral"}, "--path spiral", ExitCode.USAGE),
-        ({"path": "csv:/nowhere.csv"}, "--path csv:/nowhere.csv", ExitCode.USAGE),
         ({"drill": "mixed;open;box=0.5"}, "needs a box of", ExitCode.USAGE),
     ],
 )
@@ -185,14 +174,6 @@ def test_reproducible_metadata_say_nothing_of_the_machine(plan):
     assert (session["boot_id"], session["epoch_ns"], session["leased"]) == ("3", "4", "1")
     assert session["mode"] == "sim"
     assert decode_options(session["options"]) == plan.options
-
-
-@pytest.mark.parametrize(
-    ("spec", "file"),
-    [("csv:lane.csv", "lane.csv"), ("csv:a/b.csv,closed", "a/b.csv"), ("circle:radius=2", None)],
-)
-def test_a_path_file_is_known_by_its_description(spec, file):
-    assert csv_file(spec) == file
 
 
 def test_car_file_and_path_file_are_attached_unchanged(plan, tmp_path: Path):

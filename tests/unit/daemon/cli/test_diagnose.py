@@ -1,6 +1,5 @@
 """`steerd diagnose` on an imported log: what it finds and writes, and what it refuses in a line."""
 
-import argparse
 import contextlib
 import hashlib
 import io
@@ -10,14 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from steerd.car_model.car_file import load_car
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.analysis.diagnose_text import COLUMNS, LINES
 from steerd.daemon.analysis.diagnosis import make_case
 from steerd.daemon.analysis.options import DiagnoseOptions, read_arguments
-from steerd.daemon.cli.commands.analysis import diagnose as command
 from steerd.daemon.cli.main import run_cli as main
 from steerd.daemon.common.errors import SteerdError
+from tests.contract.command_page import make_parser
 from tests.csv_logs import import_log, make_noisy_rows
 
 pytestmark = pytest.mark.slow
@@ -105,15 +103,6 @@ def test_the_prediction_is_written_and_hashed_before_it_is_measured(diagnosed):
     assert json.loads(prediction)["predicted"] == shrink["predicted"]
 
 
-def test_the_car_file_gets_the_effect_and_drives(diagnosed):
-    car = load_car(diagnosed[0] / "car.toml")
-    assert [effect.name for effect in car.effects] == ["steer_delay"]
-    assert car.values[0][0] == pytest.approx(0.05, abs=0.006)
-    assert car.sd["steer_delay.delay"] > 0.0
-    assert "run.mcap" in car.source["steer_delay.delay"]
-    assert car.car == DEFAULT_CAR
-
-
 def test_the_report_needs_nothing_else(diagnosed):
     page = (diagnosed[0] / "gap.html").read_text()
     assert len(page) < 2_000_000
@@ -164,9 +153,7 @@ def test_options_that_make_no_sense(options, code, words, diagnosed, tmp_path, m
 
 
 def case_of(*words):
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    args = parser.parse_args([str(word) for word in words])
+    args = make_parser("diagnose").parse_args([str(word) for word in words])
     options = read_arguments(DiagnoseOptions, args)
     return make_case([Path(p) for p in args.sessions], options, lambda _: None, lambda _: None)
 
@@ -191,14 +178,6 @@ def test_named_files_are_held_out_even_if_they_are_given_twice(four):
     assert {run.name for run in case.split.runs} == {"run0.mcap", "run3.mcap"}
     assert {run.name for run in case.split.later()} == {"run1.mcap", "run2.mcap"}
     assert any("2 sessions, cut into blocks" in note for note in case.split.notes)
-
-
-def test_reserved_sessions_are_not_opened_before_they_are_asked_for(four, tmp_path):
-    broken = tmp_path / "broken.mcap"
-    broken.write_bytes(b"nothing")
-    case = case_of(*four, "--held-out", broken)
-    with pytest.raises(SteerdError, match=r"broken\.mcap"):
-        case.split.later()
 
 
 def test_too_few_blocks_for_what_is_asked_are_refused(diagnosed):

@@ -10,12 +10,11 @@ from steerd.daemon.process import bus_operator
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode, encode
-from steerd.steer_bus.messages import BODY, OperatorRequest, RequestKind, make_header
-from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
+from steerd.steer_bus.messages import OperatorRequest, RequestKind
 from steerd.steer_bus.topics import make_key
+from tests.blank import blank, status_message
 from tests.local_bus import LocalBus, LocalHub
 
-HEADER = make_header(0, BODY)
 OBEYED = {
     RequestKind.ARM: SupervisorState.ARMED,
     RequestKind.START: SupervisorState.RUNNING,
@@ -72,14 +71,9 @@ class Bench:
             self._speak()
 
     def _speak(self):
-        numbers = dict.fromkeys(m.StateMessage.__dataclass_fields__, 0.0)
-        numbers |= {"header": HEADER, "mono_ns": 0, "seq": 0, "flags": 0, "mode": self.state}
-        values = {"state": self.state.name, **self._status}
-        pairs = tuple(KeyValue(key, value) for key, value in values.items())
-        status = DiagnosticStatus(0, "steerd: supervisor", "", "", pairs)
         for topic, message in (
-            (topics.STATE, m.StateMessage(**numbers)),
-            (topics.DIAGNOSTICS, DiagnosticArray(HEADER, (status,))),
+            (topics.STATE, blank(m.StateMessage, mode=self.state)),
+            (topics.DIAGNOSTICS, status_message(**{"state": self.state.name, **self._status})),
         ):
             data = self.garbles.get(topic.name, encode(message))
             self._bus.publish(make_key("car1", topic), data)

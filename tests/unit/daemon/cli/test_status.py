@@ -52,11 +52,6 @@ def test_warnings_and_the_design_that_steers_have_lines_of_their_own(more, shown
     assert shown in format_status("car1", STATUS | more)
 
 
-def test_a_daemon_without_a_vesc_or_mocap_has_a_status_too():
-    bare = {"state": "INIT", "reason": "start", "waiting": "the serial port"}
-    assert "VESC:        firmware ?, timeout ? ms" in format_status("blue", bare)
-
-
 # A simulated drive that its own machine ends goes on in virtual time, and says so.
 
 

@@ -26,14 +26,6 @@ def test_a_value_is_one_line_inside_others_and_its_screen_at_a_cells_end():
     assert repr(Screen("drive.mcap\n  car  car1")) == "<steerd.Screen: drive.mcap>"
 
 
-def test_cards_stand_above_the_folded_screen():
-    class Carded(Screen):
-        cards = (("cause", "a < b", "90 % sure"),)
-
-    page = Carded("drives\nall of it")._repr_html_()
-    assert page.index("a &lt; b") < page.index("<details>") < page.index("<pre>drives")
-
-
 @pytest.mark.parametrize(
     ("said", "shown_as"),
     [

@@ -4,13 +4,12 @@ import io
 import shlex
 import sys
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerd.daemon.common import progress
 from steerd.daemon.common.progress import show_progress
-from steerd.daemon.common.screen import clean, join_words, print_labelled, show, wrap, wrap_command
+from steerd.daemon.common.screen import clean, join_words, show, wrap, wrap_command
 
 
 class Terminal(io.StringIO):
@@ -47,23 +46,6 @@ def test_control_characters_are_replaced_and_long_texts_cut():
     assert clean("a\nb\x07\x1b[2J") == "a?b??[2J"
     assert clean("x" * 300) == "x" * 200 + "…"
     assert clean("café °", 4) == "café…"
-
-
-@pytest.mark.parametrize("columns", [80, 40])
-def test_a_terminal_gets_lines_of_its_width(monkeypatch, columns):
-    monkeypatch.setenv("COLUMNS", str(columns))
-    terminal = Terminal()
-    print_labelled("warning: ", "poses are late " * 10, terminal)
-    lines = terminal.getvalue().splitlines()
-    assert lines[0].startswith("warning: poses")
-    assert all(line.startswith(" " * 9 + "p") or line.startswith(" " * 9) for line in lines[1:])
-    assert columns - 8 < max(map(len, lines)) <= columns
-
-
-def test_a_pipe_gets_one_line():
-    pipe = io.StringIO()
-    print_labelled("warning: ", "poses are late " * 10, pipe)
-    assert pipe.getvalue() == "warning: " + "poses are late " * 10 + "\n"
 
 
 def test_a_number_that_is_not_known_is_a_dash_of_its_width():

@@ -129,16 +129,6 @@ def test_one_output_that_fails_does_not_take_the_others_along(state, capsys):
     assert "car.2023-11-14T22-13-20.toml" in said
 
 
-def test_only_the_latest_digests_are_kept(state, monkeypatch):
-    monkeypatch.setattr(written, "_REMEMBERED", 2)
-    first, second = state / "a.html", state / "b.html"
-    write_output(first, "a")
-    write_output(second, "b")
-    write_output(second, "c")
-    assert write_output(second, "d") is None
-    assert write_output(first, "e") is not None
-
-
 @pytest.mark.parametrize("terminal", [True, False])
 def test_a_terminal_is_told_what_was_written(terminal, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
@@ -162,6 +152,7 @@ def session(tmp_path):
 COMMANDS = [
     ("identify", "{drive}", "-o", "{kept}"),
     ("identify", "{drive}", "--json", "{kept}"),
+    ("plot", "{drive}", "-o", "{kept}"),
     ("identify", "{drive}", "--report", "{kept}"),
     ("diagnose", "{drive}", "-o", "{kept}"),
     ("diagnose", "{drive}", "--report", "{kept}"),
@@ -182,18 +173,6 @@ def test_a_session_is_never_written_over(argv, name, session, tmp_path, capsys):
     assert kept.read_bytes() == MAGIC + bytes(100)
 
 
-@pytest.mark.parametrize(
-    ("name", "code", "text"),
-    [("", 3, "that is a folder"), ("none/car.toml", 3, "there is no folder")],
-)
-def test_what_cannot_be_written_is_reported_before_the_work(
-    name, code, text, session, tmp_path, capsys
-):
-    argv = ["identify", str(session), "-o", str(tmp_path / name)]
-    assert run_cli(argv) == code, "only the work itself would find the session cut short"
-    assert text in capsys.readouterr().err
-
-
 def test_a_folder_without_permission(tmp_path, monkeypatch):
     monkeypatch.setattr("os.access", lambda path, mode: False)
     with pytest.raises(SteerdError, match="cannot be written"):
@@ -205,8 +184,3 @@ def test_two_outputs_are_two_files(tmp_path):
     again = tmp_path / "inner" / ".." / "x"
     with pytest.raises(SteerdError, match="-o and --json name the same file"):
         check_outputs({"-o": tmp_path / "x", "--json": again, "--report": None})
-
-
-def test_files_of_other_kinds_may_be_written_anew(tmp_path):
-    (tmp_path / "car.toml").write_text("[car]\n")
-    check_outputs({"-o": tmp_path / "car.toml", "--json": tmp_path / "new.json", "--report": None})

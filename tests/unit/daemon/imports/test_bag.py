@@ -17,62 +17,32 @@ from steerd.steer_bus.messages import Actuation, MocapPose, VescTelemetry, Wheel
 from steerd.steer_bus.session_read import open_session
 
 START = 1_726_480_861_000_000_000
-ACKERMANN = """Header header
-ackermann_msgs/AckermannDrive drive
-================================================================================
-MSG: ackermann_msgs/AckermannDrive
-float32 steering_angle
-float32 steering_angle_velocity
-float32 speed
-float32 acceleration
-float32 jerk
-"""
-VESC_1 = """Header header
-vesc_msgs/VescState state
-================================================================================
-MSG: vesc_msgs/VescState
-float64 voltage_input
-float64 temperature_pcb
-float64 current_motor
-float64 current_input
-float64 speed
-float64 duty_cycle
-float64 charge_drawn
-float64 charge_regen
-float64 energy_drawn
-float64 energy_regen
-float64 displacement
-float64 distance_traveled
-int32 fault_code
-"""
-VESC_2 = """std_msgs/Header header
-vesc_msgs/VescState state
-================================================================================
-MSG: vesc_msgs/VescState
-float64 temp_fet
-float64 temp_motor
-float64 current_motor
-float64 current_input
-float64 avg_id
-float64 avg_iq
-float64 duty_cycle
-float64 speed
-float64 voltage_input
-float64 charge_drawn
-float64 charge_regen
-float64 energy_drawn
-float64 energy_regen
-int32 displacement
-int32 distance_traveled
-int32 fault_code
-float64 pid_pos_now
-int32 controller_id
-float64 ntc_temp_mos1
-float64 ntc_temp_mos2
-float64 ntc_temp_mos3
-float64 avg_vd
-float64 avg_vq
-"""
+
+
+def stamped(package, name, field, **fields):
+    """The definition of a stamped message of another package; its fields by their types."""
+    lines = [f"{kind} {each}" for kind, names in fields.items() for each in names.split()]
+    return "\n".join([f"Header header\n{package}/{name} {field}", 80 * "=",
+                      f"MSG: {package}/{name}", *lines, ""])  # fmt: skip
+
+
+ACKERMANN = stamped(
+    "ackermann_msgs", "AckermannDrive", "drive",
+    float32="steering_angle steering_angle_velocity speed acceleration jerk",
+)  # fmt: skip
+VESC_1 = stamped(
+    "vesc_msgs", "VescState", "state",
+    float64="voltage_input temperature_pcb current_motor current_input speed duty_cycle"
+    " charge_drawn charge_regen energy_drawn energy_regen displacement distance_traveled",
+    int32="fault_code",
+)  # fmt: skip
+VESC_2 = stamped(
+    "vesc_msgs", "VescState", "state",
+    float64="temp_fet temp_motor current_motor current_input avg_id avg_iq duty_cycle speed"
+    " voltage_input charge_drawn charge_regen energy_drawn energy_regen pid_pos_now"
+    " ntc_temp_mos1 ntc_temp_mos2 ntc_temp_mos3 avg_vd avg_vq",
+    int32="displacement distance_traveled fault_code controller_id",
+)  # fmt: skip
 RIGIDS_1 = RIGIDS_TEXT.replace("float64 heading_y\n", "")
 
 

@@ -65,9 +65,6 @@ def test_a_frame_moves_the_pose_from_the_body_to_the_centre_of_gravity():
     assert (pose.x, pose.y) == pytest.approx((0.15, 0.0))
 
 
-# Rows of a csv file: delimiter, header, cells and their errors.
-
-
 # What commands of driven sessions say of an imported one, and of one that breaks off.
 
 MAP = '[columns]\nt = "t"\nx = "x"\ny = "y"\nyaw = "yaw"\nsteer_cmd = "steer"\n'

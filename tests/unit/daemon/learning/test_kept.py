@@ -153,12 +153,6 @@ def test_a_page_that_cannot_be_written_is_said_once(report):
     assert "Permission denied" in said[0]
 
 
-def test_a_memory_is_json_of_days_and_values(page):
-    kept = parse_kept(page.encode())
-    memory = recall(kept, ABOUT, kept.written_ns)
-    assert json.loads(memory) == {"days": 0.0, "values": {"steer_gain": [0.98, 0.012]}}
-
-
 # What a run's learner begins with: the page beside its car file, if it is this car's.
 
 

@@ -120,29 +120,20 @@ def telemetry(erpm):
     )  # fmt: skip
 
 
-def test_a_pose_counts_when_it_was_taken():
-    assert make_sample(WIRING, topics.MOCAP, pose()) == PoseSeen(2.0, 1.0, 2.0, 0.3)
+OTHER_ORDERS = [mode for mode in m.ActuationMode if mode != m.ActuationMode.SPEED]
+WHEEL = m.WheelSpeed(m.make_header(EPOCH, m.BODY), 4_000_000_000, 1.25)
 
 
-def test_a_pose_that_was_refused_says_nothing():
-    assert make_sample(WIRING, topics.MOCAP, pose("jump")) is None
-
-
-def test_a_command_counts_when_it_was_sent():
-    order = make_sample(WIRING, topics.ACTUATION, actuation(m.ActuationMode.SPEED))
-    assert order == Ordered(3.0, 0.1, 1.5)
-
-
-@pytest.mark.parametrize("mode", [mode for mode in m.ActuationMode if mode != 1])
-def test_any_other_order_is_a_pause(mode):
-    assert make_sample(WIRING, topics.ACTUATION, actuation(mode)) == Paused(3.0)
-
-
-def test_wheel_speed_is_in_the_sessions_own_scaling():
-    rolled = make_sample(WIRING, topics.VESC, telemetry(6100))
-    assert rolled == Rolled(pytest.approx(1.001), 1.5)
-
-
-def test_an_encoder_counts_like_telemetry():
-    wheel = m.WheelSpeed(m.make_header(EPOCH, m.BODY), 4_000_000_000, 1.25)
-    assert make_sample(WIRING, topics.WHEEL, wheel) == Rolled(4.0, 1.25)
+@pytest.mark.parametrize(
+    ("topic", "message", "sample"),
+    [
+        (topics.MOCAP, pose(), PoseSeen(2.0, 1.0, 2.0, 0.3)),
+        (topics.MOCAP, pose("jump"), None),
+        (topics.ACTUATION, actuation(m.ActuationMode.SPEED), Ordered(3.0, 0.1, 1.5)),
+        *((topics.ACTUATION, actuation(mode), Paused(3.0)) for mode in OTHER_ORDERS),
+        (topics.VESC, telemetry(6100), Rolled(pytest.approx(1.001), 1.5)),
+        (topics.WHEEL, WHEEL, Rolled(4.0, 1.25)),
+    ],
+)
+def test_a_message_counts_when_it_was_valid_in_the_sessions_own_scaling(topic, message, sample):
+    assert make_sample(WIRING, topic, message) == sample

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
+from steerd.car_model.path.path import locate
 from steerd.daemon.analysis.gap_closed_loop import NotALaneDriveError, compare_lane
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.loop.transitions import SupervisorState
@@ -83,19 +84,14 @@ def test_the_car_does_as_asked_and_is_never_stopped_for_it(session):
 
 
 def true_offsets(session, plan, start, end):
-    """Distance of the estimated positions to the path, left positive, by its samples [m]."""
+    """Distance of the estimated positions to the path, left positive [m]."""
     table = session.columns(m.StateMessage)
     t = (table["mono_ns"] - table["mono_ns"][0]) * 1e-9
     kept = (table["mode"] == SupervisorState.RUNNING) & (t > start) & (t < end)
-    points = np.column_stack([table["x"], table["y"]])[kept]
-    path = np.column_stack([plan.path.x, plan.path.y])
-    found = []
-    for point in points[::10]:
-        i = int(np.argmin(np.hypot(*(path - point).T)))
-        dx, dy = point - path[i]
-        yaw = plan.path.yaw[i]
-        found.append(-np.sin(yaw) * dx + np.cos(yaw) * dy)
-    return np.array(found)
+    places = zip(
+        table["x"][kept][::10], table["y"][kept][::10], table["yaw"][kept][::10], strict=True
+    )
+    return np.array([locate(plan.path, x, y, yaw).e1 for x, y, yaw in places])
 
 
 def test_such_a_drive_is_no_measure_of_a_simulated_one(session):

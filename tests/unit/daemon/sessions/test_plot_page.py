@@ -145,14 +145,3 @@ def test_the_table_holds_the_curves_and_figures_are_the_same_each_time(tmp_path,
         assert (tmp_path / name).read_bytes() == first
     assert run_cli(["plot", str(path), str(path), "-o", str(tmp_path / "b.svg")]) == 2
     assert "compared on a page" in capsys.readouterr().err
-
-
-def test_the_command_line(tmp_path, capsys):
-    path = write_noise(tmp_path / "a.mcap", 2, 20)
-    assert run_cli(["plot", str(path)]) == 0
-    assert (tmp_path / "a.html").stat().st_size > 50_000
-    assert run_cli(["plot", str(path), "-o", str(path)]) == 2
-    assert run_cli(["plot", str(path), "-o", str(tmp_path / "no" / "a.html")]) == 3
-    assert run_cli(["plot", str(tmp_path / "none.mcap")]) == 3
-    assert "there is no folder" in capsys.readouterr().err
-    assert load_recording(path).info.clean

@@ -7,7 +7,6 @@ import pytest
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.settings.car_edit import edit_car
 from steerd.daemon.settings.vesc_yaml import make_car_values, read_vesc_yaml
 from steerd.vesc_link.scaling import F1TENTH
@@ -43,15 +42,6 @@ def test_edits_keep_comments_and_order():
 def test_edits_with_an_invalid_result_are_refused(key, value, said):
     with pytest.raises(SteerdError, match=said):
         edit_car(load_car(default_car_path()), {key: value})
-
-
-def test_a_file_that_cannot_be_read_or_is_invalid_is_refused(tmp_path):
-    with pytest.raises(SteerdError):
-        load_car_file(tmp_path / "none.toml")
-    path = tmp_path / "car.toml"
-    path.write_text("[car]\nmass = -1.0\n")
-    with pytest.raises(SteerdError):
-        load_car_file(path)
 
 
 # F1TENTH's `vesc.yaml`: read, written, refused, and through `steerd config`.

@@ -11,10 +11,8 @@ from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.daemon.setup.mocap_check import Movement, check_movement
 from steerd.daemon.setup.probe import (
-    Advice,
     Found,
     MocapSeen,
-    SerialFound,
     VescFound,
     judge_mocap,
     judge_vesc,
@@ -123,21 +121,6 @@ def test_ports_by_their_usb_ids(tmp_path):
         str(dev / "ttyACM7"): "",
         str(dev / "ttyUSB1"): "10c4:ea60",
     }
-
-
-def test_the_text_names_the_udev_file_and_fits_80_columns():
-    bad = replace(GOOD, timeout_ms=0, fault="ABS_OVER_CURRENT", voltage=9.0)
-    advice = tuple(judge_vesc(bad, BrakeSettings()))
-    advice += (Advice("it is busy", f"{'close what uses it, ' * 8}\n  to copy: {'x' * 50}"),)
-    port = SerialFound("/dev/ttyACM0", "0483:5740", bad, advice)
-    text = "\n".join(format_found(Found((port,), (SEEN,), (), False)))
-    lines = text.splitlines()
-    assert "timeout   never, then 20 A" in text
-    assert "sudo usermod -aG dialout" in text
-    assert max(map(len, lines)) <= 80
-    assert f"          to copy: {'x' * 50}" in lines
-    assert "    steerd service udev | sudo tee /etc/udev/rules.d/99-vesc.rules" in lines
-    assert "100 of 100 Hz, 300 of 300 accepted" in text
 
 
 # `steerd mocap check`: a sound room passes, each wrong axis or unit is named with its remedy.

@@ -6,7 +6,6 @@ import pytest
 
 from steerd.car_model.car_file import default_car_path
 from steerd.daemon.assembly.build import make_plan
-from steerd.daemon.assembly.session_meta import default_session_path
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.daemon.terminal.dashboard import Tally, closing_lines
 
@@ -38,13 +37,3 @@ def test_a_plan_on_an_own_car_is_identified_from_its_own_file(tmp_path):
     plan = make_plan(RunOptions(str(own), drill="mixed;speed=2"), design=False)
     *_, then = closing_lines(plan, TALLY, Path("drive.mcap"))
     assert f"steerd identify drive.mcap --car {own} -o car.toml" in then
-
-
-def test_a_drive_in_the_usual_folder_is_named_in_few_words(monkeypatch):
-    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    monkeypatch.delenv("XDG_DATA_HOME", raising=False)
-    monkeypatch.setenv("HOME", "/home/a_person")
-    _, where, then = lines("", default_session_path("car1", 1_700_000_000_000_000_000, 7))
-    assert where.startswith("session: ~/.local/share/steerd/sessions/2023-11-14T")
-    assert then.strip() == "next: steerd plot @last   (or steerd info)"
-    assert max(len(where), len(then)) <= 80

@@ -9,14 +9,12 @@ from rich.console import Console
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.terminal.dashboard import SETTLE_NS, Dashboard, Tally
-from steerd.daemon.terminal.key_desk import KEY_HELP
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
 from tests.blank import blank
 
 TICK_NS = 10_000_000
-HEADER = m.make_header(1, m.WORLD)
 
 
 def state(t_ns, x=0.0, e1=0.0, mode=SupervisorState.RUNNING):
@@ -57,34 +55,6 @@ def test_a_stop_between_two_drives_is_not_driven_and_settles_anew():
     assert tally.count == before
     assert tally.distance == pytest.approx(6.0 + 1.5)
     assert tally.driven_ns == 5_000_000_000
-
-
-def test_the_panel_fits_80_columns_and_breaks_lines_between_words():
-    board = Dashboard("steerd · car1 on simulated hardware · figure8", keys=KEY_HELP)
-    board.status = {
-        "state": "DISARMED",
-        "waiting": "an estimate: the filter starts with the first mocap pose and wheel speed",
-        "warnings": "the battery is at 10.2 V\nthis kernel allows no fixed priority, so ticks may "
-        "come late on a busy machine",
-        "mocap": "natnet",
-        "mocap_rate_hz": "240",
-    }
-    board.take(PipeRecord(topics.STATE, 0, 1, 1, encode(state(1, x=-12.345, e1=-1.234))))
-    change = m.Transition(
-        HEADER, SupervisorState.INIT, SupervisorState.DISARMED, "c", "ready " * 15
-    )
-    line = board.take(PipeRecord(topics.TRANSITION, 0, 1, 1, encode(change)))
-    assert line is not None
-    assert line.startswith("DISARMED      ready")
-    console = Console(width=80)
-    with console.capture() as caught:
-        console.print(board.render())
-    lines = caught.get().splitlines()
-    assert max(map(len, lines)) <= 80
-    words = {word for text in lines for word in text.replace("│", " ").split()}
-    wanted = " ".join([*board.status.values(), change.text, KEY_HELP]).split()
-    assert set(wanted) <= words
-    assert "-1234.0" in words
 
 
 def test_an_estimate_that_is_not_there_shows_no_number():

@@ -10,7 +10,7 @@ from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.ipc.requests import format_setting, parse_setting, unpack_request
 from steerd.daemon.setup.steering_calibration import SteeringCalibration
 from steerd.daemon.terminal.dashboard import Dashboard
-from steerd.daemon.terminal.key_desk import KEYS, NUDGE_HELP, NUDGES, nudge
+from steerd.daemon.terminal.key_desk import KEYS, nudge
 from steerd.daemon.terminal.servo_keys import Servo, press
 from steerd.daemon.terminal.terminal import Terminal
 from steerd.daemon.terminal.watch import make_desk
@@ -50,13 +50,6 @@ def test_the_last_step_leads_to_the_bound_and_the_next_is_the_cars_to_refuse():
     assert nudge(replace(LIVE, speed=1.45), {}, "+")["speed"] > 1.45
     assert nudge(replace(LIVE, speed=0.35), {}, "-") == {"speed": 0.3}
     assert nudge(replace(LIVE, speed=0.3), {}, "-")["speed"] < 0.3
-
-
-def test_every_key_of_the_help_has_a_meaning_and_fits_the_screen():
-    assert len(NUDGE_HELP) <= 76
-    assert all(f"[{key}]" in NUDGE_HELP for key in "-+<>0")
-    assert "[[][]]" in NUDGE_HELP
-    assert not set(NUDGES) & set(KEYS)
 
 
 @pytest.mark.parametrize(

@@ -80,9 +80,3 @@ def test_an_effect_that_is_not_the_librarys_runs_on_floats() -> None:
     steps = make_steps(model, H)
     slow, fast = (steps.actuate(*ORIGIN, 0.001, speed, 0.0)[0] for speed in (0.5, 2.0))
     assert fast > 2.0 * slow
-
-
-def test_two_effects_with_memory_together() -> None:
-    both = (EFFECTS["steer_backlash"], EFFECTS["tyre_relaxation"])
-    values = tuple(tuple(p.null + 0.5 * p.scale for p in e.parameters) for e in both)
-    drive(Model(DEFAULT_CAR, both, values), seed=4)

@@ -38,12 +38,6 @@ def test_what_is_varied_reaches_the_simulated_hardware(make_plan):
     assert run_plan.options.speed == 1.7
 
 
-def test_designs_are_made_once(make_plan):
-    plan = make_plan({"car.mass": [3.0, 4.0]}, **SHORT)
-    one, other = (prepare(plan, find_case(plan, n))[0] for n in (0, 1))
-    assert one.controller is other.controller
-
-
 def test_a_short_drive_has_its_end_and_no_errors(make_plan):
     plan = make_plan({}, **SHORT)
     row = run_case(plan, find_case(plan, 0))
