@@ -9,14 +9,14 @@ from typing import Any
 from steerd.daemon.analysis.diagnosis import find_base
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import watched
-from steerd.daemon.common.translate import make_session_error, reading
+from steerd.daemon.common.translate import reading
 from steerd.daemon.learning.feed import NEEDED, Wiring, learn_all, make_feed, read_memory
 from steerd.daemon.learning.kept import METADATA
 from steerd.daemon.sessions.info import load_session
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
-from steerd.steer_bus.codec import CodecError, encode
-from steerd.steer_bus.session_read import Record, Session, SessionError
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.session_read import Record, Session
 from steerd.steer_bus.topics import Topic, find_topic
 from steerd.vesc_link.scaling import F1TENTH
 
@@ -103,14 +103,10 @@ def _messages(
     records: Iterable[Record], recorded: list[bytes], path: Path
 ) -> Iterator[tuple[Topic, Any]]:
     """What the learner needs, in recorded order; reports of the drive itself go aside."""
-    try:
+    with reading(path.name):
         for record in records:
             topic = find_topic(record.topic)
             if topic is topics.MODEL:
                 recorded.append(record.data)
             elif topic in NEEDED:
                 yield topic, record.decode()
-    except SessionError as error:
-        raise make_session_error(error) from None
-    except CodecError as error:
-        raise SteerdError(f"{path.name}: {error}", "", ExitCode.INVALID) from None

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import load_package, make_frame
 from steerd.daemon.common.screen import shown
-from steerd.daemon.common.translate import make_session_error
+from steerd.daemon.common.translate import reading
 from steerd.daemon.sessions.info import (
     SessionReport,
     load_session,
@@ -22,7 +22,7 @@ from steerd.daemon.sessions.info import (
 )
 from steerd.steer_bus import session_read
 from steerd.steer_bus.fields import Nested, flat_leaves, message_fields
-from steerd.steer_bus.session_read import MESSAGE_TYPES, SessionError
+from steerd.steer_bus.session_read import MESSAGE_TYPES
 from steerd.steer_bus.topic_columns import Columns
 from steerd.steer_bus.topics import split_key
 from steerd.sysid.report.report import Card
@@ -121,10 +121,8 @@ class Session:
     def tables(self) -> dict[str, Table]:
         """All topics as structured arrays, in one pass over the file; raises as `table`."""
         wanted = dict(self._names.values())
-        try:
+        with reading(self.path.name):
             found = self._recording.tables(wanted)
-        except SessionError as error:
-            raise make_session_error(error) from None
         return {
             name: _make_table(self._with_time(found[topic]))
             for name, (topic, _) in sorted(self._names.items())
@@ -189,10 +187,8 @@ class Session:
 
     def _columns(self, topic: str) -> Columns:
         whole, cls = self._find(topic)
-        try:
+        with reading(self.path.name):
             return self._with_time(self._recording.columns(cls, whole))
-        except SessionError as error:
-            raise make_session_error(error) from None
 
     def _with_time(self, columns: Columns) -> Columns:
         stamps = columns["stamp_ns"] if "stamp_ns" in columns else columns["log_ns"]

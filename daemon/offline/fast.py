@@ -1,8 +1,9 @@
 """`steerd run --sim --fast`: virtual time, one process, the same session file for the same seed."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from steerd.daemon.assembly.build import RunPlan, make_world_config
 from steerd.daemon.assembly.session_meta import (
@@ -12,16 +13,61 @@ from steerd.daemon.assembly.session_meta import (
 )
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import raw
-from steerd.daemon.common.translate import make_session_error
-from steerd.daemon.ipc.pipe_records import PipeRecord
+from steerd.daemon.common.translate import make_session_error, reading
+from steerd.daemon.ipc.pipe_records import PipeRecord, is_learnt_from, read_message
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.offline.learn_beside import LearnerBeside
 from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun, drive, make_virtual_run
 from steerd.daemon.process.recorder import Recording
 from steerd.daemon.terminal.dashboard import Dashboard, closing_lines
 from steerd.sim_hw.world import World
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.session_read import SessionError
+
+if TYPE_CHECKING:
+    from steerd.daemon.learning.feed import Feed
+
+
+class LearnerBeside:
+    """The learner of `--learn`, in virtual time: records in, reports out; without it none.
+
+    Attributes:
+        propose_to: takes the proposals of `--adapt`, and when they were made [ns].
+    """
+
+    def __init__(self, plan: RunPlan) -> None:
+        """Load the car.
+
+        Raises:
+            ValueError: the car file holds what identify does not write.
+        """
+        settings = plan.settings
+        self._feed: Feed | None = None
+        if plan.options.learn:  # a drive without it loads no compiler
+            from steerd.daemon.learning.feed import make_feed, wiring_of
+
+            self._feed = make_feed(settings.file, wiring_of(EPOCH_NS, settings.scaling))
+        self._reports = 0
+        if self._feed is not None and plan.learnt is not None:
+            from steerd.controller.build import compute_table
+            from steerd.daemon.learning.proposing import Proposals, make_proposer
+
+            proposer = make_proposer(plan.learnt, compute_table)
+            self._feed.proposals = Proposals(
+                proposer, lambda data, t_ns: self.propose_to(data, t_ns)
+            )
+        self.propose_to: Callable[[bytes, int], None] = lambda data, t_ns: None
+
+    def take(self, record: PipeRecord) -> Iterator[PipeRecord]:
+        """The record, and the report that it completes."""
+        yield record
+        if self._feed is None or not is_learnt_from(record):
+            return
+        from steerd.daemon.learning.feed import make_record
+
+        report = self._feed.take(record.topic, read_message(record))
+        if report is not None:
+            yield make_record(report, self._reports, record.log_time_ns)
+            self._reports += 1
 
 
 def make_recording(plan: RunPlan, path: Path) -> Recording:
@@ -88,15 +134,9 @@ def record_virtual(
         go(run)
         reason = "end of the run"
     finally:
-        _finish(recording, reason)
+        with reading(path):
+            recording.writer.finish({"reason": reason, "written": str(recording.written)})
     return run
-
-
-def _finish(recording: Recording, reason: str) -> None:
-    try:
-        recording.writer.finish({"reason": reason, "written": str(recording.written)})
-    except SessionError as error:
-        raise make_session_error(error) from None
 
 
 def run_fast(plan: RunPlan) -> int:

@@ -13,7 +13,7 @@ from steerd.daemon.assembly.build import RunPlan, make_loop_setup, make_plan
 from steerd.daemon.assembly.session_meta import read_session_car, recorded_path
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import watched
-from steerd.daemon.common.translate import make_session_error, reading
+from steerd.daemon.common.translate import reading
 from steerd.daemon.loop.core import read_identity
 from steerd.daemon.loop.flags import Flag
 from steerd.daemon.loop.loop import Loop
@@ -23,7 +23,7 @@ from steerd.daemon.settings.run_options import decode_options
 from steerd.mocap_link.source import Pose
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
-from steerd.steer_bus.session_read import Record, Session, SessionError
+from steerd.steer_bus.session_read import Record, Session
 from steerd.vesc_link.telemetry import Imu, Values
 from steerd.vesc_link.vesc import Answer
 
@@ -192,10 +192,8 @@ def replay(
     Raises:
         SteerdError: the session cannot be replayed.
     """
-    try:
+    with reading(name):
         session.check_layouts()
-    except SessionError as error:
-        raise make_session_error(error) from None
     plan, boot_id, epoch_ns, leased = make_replay_plan(session, name)
     run = Replay(plan, boot_id, epoch_ns, leased)
     taken = map(run.take, watched(session.messages(), advance))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from steerd.daemon.cli.arguments import missing_partial, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.translate import make_session_error
+from steerd.daemon.common.translate import reading
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
     from steerd.daemon.imports.import_session import check_output
     from steerd.daemon.sessions.info import load_session
     from steerd.daemon.sessions.text import print_warnings
-    from steerd.steer_bus.session import SessionError, recover
+    from steerd.steer_bus.session import recover
 
     source = find_source(args.session)
     out: Path = args.output or default_output(source)
@@ -35,10 +35,8 @@ def run(args: argparse.Namespace) -> int:
     if not session.info().count:
         raise SteerdError(f"{source} holds no message that can be read", "", ExitCode.INVALID)
     check_output(out)
-    try:
+    with reading(source):
         report = recover(source, out)
-    except SessionError as error:
-        raise make_session_error(error) from error
     print_warnings([warning.message for warning in report.warnings])
     print(f"saved    {report.messages} messages, {session.info().duration_s:.1f} s")
     print(f"lost     {report.lost_bytes} unreadable bytes, and data not yet on the disk")

@@ -133,7 +133,7 @@ def test_what_was_undone_and_found_stands_on_the_screen():
     lines = describe(found).splitlines()
     assert "log        a.mcap: steering stored 0 to 100 ms late" in lines
     assert any("1.9 ms/s" in line for line in lines)
-    assert any(line.endswith("[m/s2]: 20 mm to 2, 150 mm above 6") for line in lines)
+    assert any(line.endswith("[m/s²]: 20 mm to 2, 150 mm above 6") for line in lines)
 
 
 def test_one_class_of_lateral_acceleration_is_not_shown():
