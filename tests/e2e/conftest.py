@@ -8,7 +8,6 @@ import re
 import select
 import shlex
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -29,6 +28,7 @@ from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import MocapPose, Transition
 from steerd.steer_bus.session import AttachedFile, SessionWriter
 from steerd.steer_bus.session_read import MESSAGE_TYPES, open_session
+from tests.safety.live import free_port
 
 SETTLE_NS = 3_000_000_000
 
@@ -247,13 +247,6 @@ class Program:
         os.close(self._end)
         if self.process.stdout is not None:
             self.process.stdout.close()
-
-
-def free_port() -> int:
-    """A TCP port of loopback that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Launcher:

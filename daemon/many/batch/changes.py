@@ -170,7 +170,7 @@ def _find_step(s: Series, questions: int) -> Change | None:
     chance = min(questions * erfc(sqrt(step.gain / birge / 2.0)), 1.0)
     if chance > CHANCE:
         return None
-    near = np.flatnonzero(gain > step.gain - _DROP * birge)
+    near = np.flatnonzero(gain >= step.gain - _DROP * birge)
     return Change(
         s.car, s.quantity, float(s.start[_SIDE + best]), day[near[0]], day[near[-1]],
         step.before, step.before + step.size, sqrt(birge * step.variance), chance,

@@ -89,8 +89,8 @@ def make_cards(rows: Rows, series: Sequence[Series], changes: Sequence[Change]) 
     failed = sum(row["outcome"] != "done" for row in rows)
     yield Card("sessions", str(len(rows)), f"{cars} cars; {failed} failed")
     for c in {change.car: change for change in reversed(changes)}.values():
-        text = f"{clean(c.quantity, 24)} {c.before:.4g} → {c.after:.4g}"
-        yield Card(f"{clean(c.car, 24)} changed", f"since {c.day}", text)
+        text = f"{c.before:.4g} → {c.after:.4g}"
+        yield Card(f"{clean(c.car, 24)} since {c.day}", clean(c.quantity, 24), text)
     if not changes:
         yield Card("changes", "none", nothing_changed(len(series)))
 
