@@ -87,7 +87,7 @@ def make_cards(rows: Rows, series: Sequence[Series], changes: Sequence[Change]) 
     """The figures that are read first; of each car that changed the clearest change."""
     cars = len({row["car"] for row in rows if row.get("car")})
     failed = sum(row["outcome"] != "done" for row in rows)
-    yield Card("sessions", str(len(rows)), f"{cars} cars; {failed} failed")
+    yield Card("sessions", str(len(rows)), f"{cars} car{'s' * (cars != 1)}; {failed} failed")
     for c in {change.car: change for change in reversed(changes)}.values():
         text = f"{c.before:.4g} → {c.after:.4g}"
         yield Card(f"{clean(c.car, 24)} since {c.day}", clean(c.quantity, 24), text)
