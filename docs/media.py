@@ -19,7 +19,7 @@ import steerd
 
 HIDDEN = 0.05
 """Dead time that the drive hides [s]."""
-RUN = {"path": "figure8", "speed": 1.8, "seed": 1}
+RUN = {"path": "figure8", "speed": 1.8}
 DRIVING, READING, CLOSING, RESTING = 36, 14, 20, 26
 """Frames of the four scenes."""
 FRAME_MS = 90
@@ -66,7 +66,7 @@ def draw(figure: Figure, curves: dict[str, np.ndarray], said: str, frame: int) -
 
 def main() -> None:
     """Drive, diagnose, drive again, and write the picture."""
-    drive = steerd.simulate(duration=40, effects={"steer_delay": HIDDEN}, **RUN)
+    drive = steerd.simulate(duration=60, effects={"steer_delay": HIDDEN}, **RUN)
     gap = steerd.diagnose(drive)
     cause = gap.causes[0]
     value = cause.parameters["delay"]

@@ -20,7 +20,7 @@ from steerd.car_model.state import ORIGIN, State
 from steerd.sim_hw.mocap.cameras import Cameras, MocapConfig
 from steerd.sim_hw.mocap.network import COMMAND, DATA, Datagram, Network, Peer
 from steerd.sim_hw.mocap.servers import NatNetServer, VrpnDevice
-from steerd.sim_hw.plant.car import CarSetup, SimCar
+from steerd.sim_hw.plant.car import CarSetup, Demand, Drive, SimCar
 from steerd.sim_hw.plant.faults import Fault, in_world_time, make_condition
 from steerd.sim_hw.plant.noise import make_noise_source
 from steerd.sim_hw.vesc.vesc_device import SimVesc
@@ -30,6 +30,8 @@ from steerd.vesc_link.scaling import F1TENTH, Scaling
 
 TX_BUFFER = 4096
 """Bytes that the host's kernel takes for a device that does not read."""
+_PUSH, _PUSH_NS = 0.4, 2_800_000_000
+"""How fast [m/s] and how long a hand pushes the car: a metre and a bit."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,7 @@ class World:
         self._h = config.step_ns / 1e9
         self._step_ns = config.step_ns
         self._faults = tuple(in_world_time(fault, t_start_ns) for fault in faults)
+        self._push, self._pushed_until_ns = Demand(Drive.SPEED, -_PUSH), t_start_ns
         self._rx = bytearray()
         self._stuck = 0
         self._apply_faults(t_start_ns)
@@ -133,7 +136,7 @@ class World:
         car, vesc, h, step_ns = self.car, self.vesc, self._h, self._step_ns
         while car.t_ns + step_ns <= t_ns:
             steer, demand = vesc.step(car.t_ns, h)
-            car.step(steer, demand)
+            car.step(steer, self._push if car.t_ns < self._pushed_until_ns else demand)
             now = car.t_ns
             if now >= self._edge_ns:
                 self._apply_faults(now)
@@ -144,6 +147,11 @@ class World:
             self._apply_faults(t_ns)
         if t_ns > self.t_ns:
             self.t_ns = t_ns
+
+    def push(self) -> None:
+        """A hand pushes the car forward by a metre; the next time back to where it was."""
+        self._push = Demand(Drive.SPEED, -self._push.value)
+        self._pushed_until_ns = self.car.t_ns + _PUSH_NS
 
     @property
     def next_wake_ns(self) -> int:

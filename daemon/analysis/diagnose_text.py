@@ -103,6 +103,6 @@ def _next(
     if not causes:
         return "repeat with --report gap.html to see where the error lies"
     if written is None:
-        return "repeat with -o car.toml, which a simulation with --car car.toml then drives like"
+        return "repeat with -o car.toml: simulation and controller then know the cause"
     again = f" {lane.again}" if isinstance(lane, LaneComparison) else ""
     return simulate_with(written, case.drives.sessions, again)

@@ -82,6 +82,12 @@ class Environment(_Base):  # type: ignore[misc]
             self.action_space = spaces.Box(low, high)
             self.observation_space = spaces.Box(-np.inf, np.inf, (len(OBSERVED),), np.float32)
 
+    def __repr__(self) -> str:
+        options = self._plan.options
+        return (
+            f"<steerd.Environment: {options.path} {options.speed:g} m/s, {self._ticks / 100:g} s>"
+        )
+
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:

@@ -75,8 +75,8 @@ def compare_lane(session: Session, base: CarFile, found: Values) -> LaneComparis
 def _again(options: RunOptions) -> str:
     """Options of `steerd run` for the same lane; none of a path file that is no longer there."""
     file = csv_file(options.path)
-    lane = "" if file and not Path(file).is_file() else f"--path {shlex.quote(options.path)} "
-    return f"{lane}--speed {options.speed:g}"
+    known = options.path == RunOptions.path or (file and not Path(file).is_file())
+    return f"{'' if known else f'--path {shlex.quote(options.path)} '}--speed {options.speed:g}"
 
 
 @contextmanager

@@ -60,7 +60,7 @@ def _indent(line: str) -> int:
 def _data(outcome: Outcome) -> Iterator[str]:
     e = outcome.excitation
     yield f"data       {', '.join(outcome.sessions)}: {e.seconds:.0f} s, {e.distance:.0f} m"
-    pace = f"{e.speed_low:.1f} to {e.speed_high:.1f} m/s, {e.lateral_accel:.1f} m/s2 sideways"
+    pace = f"{e.speed_low:.1f} to {e.speed_high:.1f} m/s, {e.lateral_accel:.1f} m/s² sideways"
     sides = f"left {e.left:.0%}, right {e.right:.0%}, steering {e.steer_rate:.2f} rad/s"
     yield f"driven     {pace}; {sides}"
     yield from (f"lacking    {what}" for what in e.lacking)
@@ -72,7 +72,7 @@ def _data(outcome: Outcome) -> Iterator[str]:
         certain = "" if pulse.sure > _CERTAIN else " (weakly identifiable)"
         yield f"servo      {pulse.run}: 50 Hz pulses at {1e3 * pulse.phase:.0f} ms{certain}"
     for ramp in outcome.ramps:
-        limit = f"ramp of {ramp.rate:.1f} m/s2" if ramp.rate else "no ramp"
+        limit = f"ramp of {ramp.rate:.1f} m/s²" if ramp.rate else "no ramp"
         certain = "" if ramp.sure > _CERTAIN else " (weakly identifiable)"
         yield f"motor      {ramp.run}: {limit}{certain}"
     for jitter in outcome.log_jitters:
@@ -98,7 +98,7 @@ def _parameters(outcome: Outcome) -> Iterator[str]:
     most = f"; what would help most is {helps[0][0]}" if helps else ""
     yield f"These drives do not identify {', '.join(outcome.unidentified)}{most}."
     for c in (each for each in outcome.combinations if each.known):
-        yield f"identifiable combination: {c.text} = {c.value:.5g} ± {c.sd:.2g} m"
+        yield f"identifiable combination: {c.text} = {c.value:.6f} ± {c.sd:.6f} m"
 
 
 def _word(row: Row) -> str:
@@ -124,19 +124,14 @@ def _class(low: float, high: float) -> str:
     return f"to {high:g}" if isfinite(high) else f"above {low:g}"
 
 
-def _decimals(length: float) -> int:
-    """Of millimetres: one below a centimetre."""
-    return 1 if length < 0.01 else 0
-
-
 def _regimes(outcome: Outcome) -> Iterator[str]:
     if len(outcome.regimes) < 2:
         return
     medians = [
-        f"{1e3 * r.median:.{_decimals(r.median)}f} mm {_class(r.low, r.high)}"
+        f"{1e3 * r.median:.{int(r.median < 0.01)}f} mm {_class(r.low, r.high)}"
         for r in outcome.regimes
     ]
-    yield f"   median after 1 s by lateral acceleration [m/s2]: {', '.join(medians)}"
+    yield f"   median after 1 s by lateral acceleration [m/s²]: {', '.join(medians)}"
 
 
 def _next(outcome: Outcome, asked: Asked) -> Iterator[str]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.packaged import EXAMPLE_MAP
+from steerd.daemon.common.screen import wrap
 from steerd.daemon.imports.propose import Proposal, change, format_map, list_sections
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def ask(proposal: Proposal, source: Path, trial: Trial) -> str:
         if not line or answer == "q":
             raise SteerdError("nothing was written", "", ExitCode.USAGE)
         if answer == "?":
-            print("  " + ", ".join(list_sections(proposal)))
+            print(*wrap(", ".join(list_sections(proposal)), "  ", "  "), sep="\n")
         elif answer:
             wrong = change(proposal, answer)
             if wrong:

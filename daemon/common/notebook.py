@@ -77,7 +77,7 @@ def notebook_progress(label: str, total: float) -> Iterator[Step]:
     try:
         yield move
     finally:
-        bar.update(ipython.HTML(""))
+        bar.update({"text/html": "", "text/plain": ""}, raw=True)
 
 
 def make_frame(columns: Mapping[str, Any], units: Mapping[str, str]) -> "pandas.DataFrame":

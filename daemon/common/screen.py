@@ -172,7 +172,7 @@ def shown(cls: type[T]) -> type[T]:
 
     def line(self: T) -> str:
         lines = str(self).strip().splitlines()
-        first = next((text for text in lines if text.startswith("verdict")), lines[0])
+        first = next((text for text in lines if text.startswith("verdict ")), lines[0])
         return f"<steerd.{cls.__name__}: {' '.join(first.split())}>"
 
     def page(self: T) -> str:

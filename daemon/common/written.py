@@ -145,7 +145,7 @@ def _keep(path: Path, text: str | bytes) -> Path | None:
         raise SteerdError(f"{path}: {error.strerror}", "choose another name") from None
     if old == _encode(text) or (path.suffix != ".toml" and _digest(old) in _written()):
         return None
-    kept = _dated_name(path)
+    kept = dated_name(path)
     try:
         _link(path, kept)
     except OSError as error:
@@ -165,7 +165,7 @@ def _link(path: Path, other: Path) -> None:
         shutil.copy2(path, other)
 
 
-def _dated_name(path: Path) -> Path:
+def dated_name(path: Path) -> Path:
     """`NAME.DATE.SUFFIX` of a file, by its last change in local time; the first that is free."""
     stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.localtime(path.stat().st_mtime))
     count = 1

@@ -47,6 +47,13 @@ class Column(NamedTuple):
     meaning: str = ""
 
 
+class RowTable(tuple[Row, ...]):
+    """Rows of a table; a cell of a notebook shows how many, and their columns."""
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} rows of {', '.join(self[0]) if self else 'nothing'}>"
+
+
 class Found(Protocol):
     """What was found on many drives; `print` shows the screen."""
 
@@ -112,7 +119,7 @@ def do_job(
             rows[done.unit] = job.make_row(done)
             keep(done.unit, job.basis, rows[done.unit])
             progress(before + number)
-    found = tuple(rows[unit] for unit in job.units)
+    found = RowTable(rows[unit] for unit in job.units)
     return job.make(found, len(todo), time.perf_counter() - began)
 
 

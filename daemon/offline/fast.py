@@ -9,7 +9,7 @@ from steerd.daemon.assembly.build import RunPlan, make_world_config
 from steerd.daemon.assembly.session_meta import default_session_path, make_metadata
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import show_progress
-from steerd.daemon.common.translate import make_session_error
+from steerd.daemon.common.translate import make_session_error, reading
 from steerd.daemon.ipc.pipe_records import PipeRecord, is_learnt_from, read_message
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun, drive, make_virtual_run
@@ -74,7 +74,8 @@ def record_virtual(
         go(run)
         reason = "end of the run"
     finally:
-        _finish(recording, reason)
+        with reading(path):
+            recording.writer.finish({"reason": reason, "written": str(recording.written)})
     return run
 
 
@@ -110,13 +111,6 @@ def _learn_beside(
             yield make_record(report, next(numbers), record.log_time_ns)
 
     return take
-
-
-def _finish(recording: Recording, reason: str) -> None:
-    try:
-        recording.writer.finish({"reason": reason, "written": str(recording.written)})
-    except SessionError as error:
-        raise make_session_error(error) from None
 
 
 def run_fast(plan: RunPlan) -> int:

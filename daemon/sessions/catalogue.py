@@ -28,7 +28,6 @@ from steerd.toml_text import load_toml
 
 _SCHEMA = 3
 """Of the remembered rows: others are read anew."""
-_FAULTS = ("FAULT_STOP", "FAULT_LATCHED", "ESTOP")
 _TAG_MAX, _NOTE_MAX = 40, 500
 
 
@@ -218,7 +217,6 @@ def summarise(path: Path) -> Entry:
     state = read.table(topics.STATE) if followed else None
     errors = None if state is None else settled_errors(state, read.times(state))
     driven = errors is not None and errors.size > 0
-    stops = [change.reason for change in report.states if change.state in _FAULTS]
     end = report.end if report.info.finished else "the recorder was killed"
     return Entry(
         path,
@@ -231,7 +229,7 @@ def summarise(path: Path) -> Entry:
         speed=report.speed.high if report.speed else None,
         e1_rms=rms(errors) if driven and errors is not None else None,
         e1_max=float(errors.max()) if driven and errors is not None else None,
-        verdict=clean(stops[0], 60) if stops else "ok" if end else "no end",
+        verdict=clean(report.stops[0], 60) if report.stops else "ok" if end else "no end",
         missing_s=missing_s,
     )
 

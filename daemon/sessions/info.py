@@ -70,6 +70,9 @@ class TopicReport:
     longest_gap_at_s: float
 
 
+FAULTS = ("FAULT_STOP", "FAULT_LATCHED", "ESTOP")
+
+
 @dataclass(frozen=True, slots=True)
 class StateChange:
     """The supervisor's state from a time on."""
@@ -103,6 +106,11 @@ class SessionReport:
     lateral_accel: SignalRange | None
     excitation: tuple[str, ...]
     warnings: tuple[str, ...]
+
+    @property
+    def stops(self) -> list[str]:
+        """Why it was stopped, beginning with the first."""
+        return [change.reason for change in self.states if change.state in FAULTS]
 
     def __repr__(self) -> str:
         return f"<SessionReport of {self.info.path.name}, {len(self.topics)} topics>"

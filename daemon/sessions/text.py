@@ -87,7 +87,7 @@ def _end(report: SessionReport) -> str:
     if report.info.clean:
         dropped = metadata["steerd.end"].get("dropped", "0")
         lost = "" if dropped in ("0", "") else f", {clean(dropped)} messages dropped"
-        return f"{clean(report.end) or 'recorded'}{lost}{tail}"
+        return f"{clean(next(iter(report.stops), report.end)) or 'recorded'}{lost}{tail}"
     if recovered:
         return f"not recorded: the recorder was killed{tail}"
     if report.info.finished:

@@ -172,8 +172,8 @@ def _check_stop(car_file: CarFile, thresholds: Thresholds) -> None:
     needed, given = thresholds.stop_share * thresholds.brake_decel, car.mu * GRAVITY
     if given < needed:
         what = (
-            f"{car_file.path}: friction {car.mu:g} stops the car with {given:.2f} m/s2 at most; "
-            f"[safety] expects {needed:.2f} m/s2 (stop_share x brake_decel)"
+            f"{car_file.path}: friction {car.mu:g} stops the car with {given:.2f} m/s² at most; "
+            f"[safety] expects {needed:.2f} m/s² (stop_share x brake_decel)"
         )
         raise SteerdError(what, "measure brake_decel on this floor, and [car] mu")
     if car.drive_delay > thresholds.stop_lag:

@@ -33,7 +33,7 @@ def check_effects(file: CarFile, th: Thresholds) -> None:
     most = (1.0 - th.stop_share) * SOFT_DECEL
     if max(rolling) > most:
         what = (
-            f"{file.path}: left to roll, this car speeds up by {max(rolling):.2f} m/s2 "
+            f"{file.path}: left to roll, this car speeds up by {max(rolling):.2f} m/s² "
             f"([effects]); with more than {most:.2f} a stop is not distinguishable from none"
         )
         raise SteerdError(what, "measure that floor or that drag; no stop is sure on it")

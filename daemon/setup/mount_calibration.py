@@ -41,6 +41,8 @@ SECONDS_MIN, TURN_MIN, SPEED_SPREAD_MIN = 5.0, 0.15, 0.1
 """Least motion [s], turning [rad/s, rms] and change of speed [m/s, rms] of a drive."""
 GAIN_MIN, GAIN_MAX = 0.2, 5.0
 """Gains of the wheels beyond these are a wrong unit or another car [-]."""
+GAIN_MODEL = 0.002
+"""Standard error of the wheels' gain by the equations alone, as a share [-]: simulated drives."""
 ITERATIONS = 4
 """Iterations of the heading, whose equation is linearised [-]."""
 
@@ -143,8 +145,11 @@ def calibrate_mount(drive: Drive, car: Car[float], front: float = 0.0) -> MountC
         hint = "check [mocap] units, [vesc] erpm_gain, and that this body is on this car"
         raise SteerdError(what, hint)
     sd = Mount(*ls.jackknife_sd(motion.good, lambda keep: solve(keep)[0]))
-    # The uncertainty of the slip is common to all parts, so the jackknife does not show it.
-    sd = sd._replace(rear_x=float(np.hypot(sd.rear_x, _slip_sd(motion, slip))))
+    # What is common to all parts the jackknife does not show: the slip's uncertainty, the model's.
+    sd = sd._replace(
+        rear_x=float(np.hypot(sd.rear_x, _slip_sd(motion, slip))),
+        speed_gain=float(np.hypot(sd.speed_gain, GAIN_MODEL * mount.speed_gain)),
+    )
     seconds = float(motion.good.sum()) / RATE
     warnings = tuple(_find_warnings(motion, drive))
     return MountCalibration(mount, sd, seconds, warnings, residual)

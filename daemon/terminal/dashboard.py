@@ -240,4 +240,5 @@ def closing_lines(plan: RunPlan, tally: Tally, session: Path) -> Iterator[str]:
         car = f" --car {shlex.quote(plan.options.car_file)}" if own else ""
         yield f"   next: steerd identify {name}{car} -o car.toml"
     else:
-        yield f"   next: steerd plot {name}   (or steerd info)"
+        more = "learn" if plan.options.learn else "info"
+        yield f"   next: steerd plot {name}   (or steerd {more})"

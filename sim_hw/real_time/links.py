@@ -132,9 +132,6 @@ class SimOptions:
 
     faults: tuple[Fault, ...] = ()  # what goes wrong; windows count from the start
     link_dir: Path | None = None  # directory for the serial port's name; a fresh one if None
-    command_port: int = 0  # NatNet ports on 127.0.0.1; 0 takes free ones
-    data_port: int = 0
-    vrpn_port: int = 0  # VRPN's TCP port; 0 takes a free one
 
 
 class SimHardware:
@@ -155,9 +152,7 @@ class SimHardware:
         self._dir = options.link_dir or Path(tempfile.mkdtemp(prefix="steerd-sim-"))
         self.world = World(config, options.faults, self._clock.now_ns())
         self._pty = PtyPort(self._dir)
-        self._mocap: MocapSockets = make_mocap_sockets(
-            self.world, options.command_port, options.data_port, options.vrpn_port
-        )
+        self._mocap: MocapSockets = make_mocap_sockets(self.world)
         self._pty.follow(self.world, self._clock.now_ns())
         self.port = str(self._dir / "vesc")
         self.mocap_url = self._mocap.url
@@ -176,18 +171,25 @@ class SimHardware:
             with contextlib.suppress(OSError):
                 self._dir.rmdir()
 
-    def run(self, stop_fd: int) -> None:
+    def run(self, stop_fd: int, push_fds: tuple[int, ...] = ()) -> None:
         """Live in real time until ``stop_fd`` has something to read or is closed at its far end.
 
         Wakes at the absolute times at which the world has bytes to give, and when bytes come in.
+        A line from ``push_fds`` pushes the car.
         """
         while True:
             now = self._clock.now_ns()
             self.pump(now)
             left_ns = max(_SHORTEST_NS, self.world.next_wake_ns - self._clock.now_ns())
-            fds = (stop_fd, *self._pty.read_fds(), *self._mocap.read_fds())
-            if stop_fd in select.select(fds, (), (), left_ns * 1e-9)[0]:
+            fds = (stop_fd, *push_fds, *self._pty.read_fds(), *self._mocap.read_fds())
+            ready = select.select(fds, (), (), left_ns * 1e-9)[0]
+            if stop_fd in ready:
                 return
+            if ready and ready[0] in push_fds:
+                if os.read(ready[0], 1024):
+                    self.world.push()
+                else:  # its end
+                    push_fds = ()
 
     def pump(self, now_ns: int) -> None:
         """Bring the world to ``now_ns`` and move the bytes that are there or due."""

@@ -14,17 +14,11 @@ _STRANGER = "127.0.0.9"
 _READ = 65_536
 
 
-def make_mocap_sockets(
-    world: World, command_port: int, data_port: int, vrpn_port: int
-) -> "MocapSockets":
-    """Open the sockets of the world's mocap system; port 0 takes a free one.
-
-    Raises:
-        OSError: a port is taken.
-    """
+def make_mocap_sockets(world: World) -> "MocapSockets":
+    """Open the sockets of the world's mocap system, on free ports."""
     config = world.config.mocap
     if isinstance(world.mocap, NatNetServer):
-        sockets = NatNetSockets(command_port, data_port)
+        sockets = NatNetSockets()
         world.mocap.data_port = sockets.data_port
         forced = "" if config.transport == MULTICAST else "&unicast=1"
         end = f"up={config.frame.up}{forced}"
@@ -32,7 +26,7 @@ def make_mocap_sockets(
             end += f"&interface={_HOST}"
         sockets.url = f"natnet://{_HOST}:{sockets.port}/{config.body}?{end}"
         return sockets
-    vrpn = VrpnSockets(vrpn_port)
+    vrpn = VrpnSockets()
     vrpn.url = f"vrpn://{_HOST}:{vrpn.port}/{config.body}?up={config.frame.up}"
     return vrpn
 
@@ -44,22 +38,18 @@ def _udp(host: str, port: int) -> socket.socket:
     return udp
 
 
-def _free_udp_port() -> int:
-    with _udp(_HOST, 0) as probe:
-        return int(probe.getsockname()[1])
-
-
 class NatNetSockets:
     """Command socket of a NatNet server, which also sends the frames, and a stranger's socket."""
 
-    def __init__(self, command_port: int, data_port: int) -> None:
+    def __init__(self) -> None:
         self.url = ""
-        self._command = _udp(_HOST, command_port)
+        self._command = _udp(_HOST, 0)
         self._command.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(_HOST))
         self._command.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
         self._stranger: socket.socket | None = None
         self.port = int(self._command.getsockname()[1])
-        self.data_port = data_port or _free_udp_port()
+        with _udp(_HOST, 0) as free:
+            self.data_port = int(free.getsockname()[1])
 
     def read_fds(self) -> tuple[int, ...]:
         """What to poll."""
@@ -98,9 +88,9 @@ class NatNetSockets:
 class VrpnSockets:
     """Listening socket of a VRPN server and its connections."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self) -> None:
         self.url = ""
-        self._listener = socket.create_server((_HOST, port))
+        self._listener = socket.create_server((_HOST, 0))
         self._listener.setblocking(False)
         self.port = int(self._listener.getsockname()[1])
         self._clients: dict[tuple[str, int], socket.socket] = {}

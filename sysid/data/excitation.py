@@ -99,5 +99,5 @@ def _lacking(speed_span: float, steer_rate: float, less: float, lateral: float) 
     if less < ONE_SIDE:
         lacking.append("turns to one side only: drive the other as well")
     if lateral < LATERAL:
-        lacking.append("gentle bends only: tyres are not identifiable below 1 m/s2")
+        lacking.append("gentle bends only: tyres are not identifiable below 1 m/s²")
     return lacking

@@ -69,7 +69,7 @@ def describe_lost(taught: Taught, runs: Sequence[Run]) -> tuple[str, ...]:
         f"{text} in {int((lost & where).sum())}"
         for where, text in (
             (slip > SLIDING, f"sliding by more than {SLIDING:g} rad"),
-            (engine.lateral > HARD, f"more than {HARD:g} m/s2 sideways"),
+            (engine.lateral > HARD, f"more than {HARD:g} m/s² sideways"),
             (speed < SLOW, f"below {SLOW:g} m/s"),
         )
         if (lost & where).any()

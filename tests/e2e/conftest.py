@@ -7,7 +7,6 @@ import re
 import select
 import shlex
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -27,6 +26,7 @@ from steerd.sim_hw.world import World
 from steerd.steer_bus.messages import Transition
 from steerd.steer_bus.session_read import open_session
 from tests.contract.command_page import make_parser
+from tests.safety.live import free_port
 
 SETTLE_NS = 3_000_000_000
 
@@ -214,13 +214,6 @@ class Program:
         os.close(self._end)
         if self.process.stdout is not None:
             self.process.stdout.close()
-
-
-def free_port() -> int:
-    """A TCP port of loopback that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Launcher:

@@ -46,7 +46,7 @@ def test_the_car_and_the_day_of_a_change_are_found(fleet, tmp_path):
     assert (first.car, first.quantity, first.day) == ("car2", "steer_bias", "2026-03-06")
     assert first.after - first.before == pytest.approx(0.02, abs=0.004)
     assert {change.car for change in found.changes} == {"car2"}
-    assert "car2 since 2026-03-06 (steer_bias)" in found.render_report()
+    assert "car2 since 2026-03-06" in found.render_report()
     table = polars.read_parquet(out)
     assert table.height == 2 * DAYS
     assert table["steer_bias_sd"].null_count() == 0

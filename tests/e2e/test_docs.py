@@ -25,13 +25,10 @@ from tests.e2e.conftest import Launcher, free_port
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-ROOMS = "daemon|tests|sysid|sim_gap|sim_hw|car_model|steer_bus"
-ROOMS += "|vesc_link|mocap_link|estimator|controller"
 HARDWARE = re.compile(r"/dev/tty|/dev/vesc|natnet://|vrpn://|zenoh:")
 OWN_EFFECT = re.compile(r"effects --(add|remove)|speed_pull")
 """Run by tests/contract/test_new_effect.py, on an installation of its own."""
-OPERATOR = ("arm", "start", "stop", "disarm", "clear", "estop")
-OPERATOR += ("status", "control", "watch", "page", "teleop")
+OPERATOR = re.compile("arm|start|stop|disarm|clear|estop|status|control|watch|page|teleop")
 LONG = ("identify", "diagnose", "collect", "sweep", "batch")
 """Held by tests of their own, minutes long; here they are read by their parsers."""
 
@@ -73,9 +70,8 @@ def parse(arguments):
 
 def is_prose(command):
     """A name of a command rather than a line to type: placeholders in it."""
-    return bool(
-        re.search(r"…|\b(COMMAND|SESSION|NAME|DEV|DIR|URL|MAP\.toml|FILE\.toml)\b", command)
-    )
+    words = r"…|\b(COMMAND|SESSION|NAME|DEV|DIR|URL|MAP\.toml|FILE\.toml)\b"
+    return bool(re.search(words, command))
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +114,7 @@ def kind_of(command):
     arguments = arguments_of(command)
     if is_prose(command):
         return "prose"
-    if arguments[0] in OPERATOR or arguments[0] in LONG:
+    if OPERATOR.fullmatch(arguments[0]) or arguments[0] in LONG:
         return "parsed"
     if arguments[0] == "import" or ".partial" in command or OWN_EFFECT.search(command):
         return "parsed"
@@ -154,12 +150,6 @@ def test_what_needs_no_hardware_runs(command, workplace, capsys):
         assert code == ExitCode.OK, err
     is_read = ">" not in command  # a file for a shell may be as long as it likes
     assert not is_read or len(out.splitlines()) < 140
-
-
-def against(arguments, port, url):
-    """The line with a simulated port and server in place of the page's."""
-    said = [port if word.startswith("/dev/") else word for word in arguments]
-    return [url if re.match(r"(natnet|vrpn)://", word) else word for word in said]
 
 
 def options_of(command):
@@ -215,7 +205,9 @@ def test_what_needs_hardware_runs_against_simulated_hardware(
         assert run_cli(arguments) == ExitCode.OK
         return
     if "--sim" not in arguments and arguments[0] != "sim":
-        arguments = against(arguments, *hardware)
+        port, url = hardware
+        arguments = [port if word.startswith("/dev/") else word for word in arguments]
+        arguments = [url if re.match(r"(natnet|vrpn)://", word) else word for word in arguments]
     code, said = ExitCode.OK, ""
     match arguments[0]:
         case "sim":
@@ -232,11 +224,8 @@ def test_what_needs_hardware_runs_against_simulated_hardware(
         case "calibrate":
             program, code, said = steerd(*arguments), ExitCode.USAGE, "keys need a terminal"
         case "mocap":  # nobody pushes
-            program, code, said = (
-                steerd(*arguments, "--seconds", 1),
-                ExitCode.STOPPED,
-                "push the car",
-            )
+            program = steerd(*arguments, "--seconds", 1)
+            code, said = ExitCode.STOPPED, "push the car"
         case _:
             program = steerd(*arguments)
     assert program.wait() == code, program.text

@@ -70,7 +70,7 @@ class Change:
 
     Attributes:
         car, quantity: of the series.
-        day: the first day of the new value.
+        begin: the first drive with the new value [UNIX s].
         earliest, latest: days between which the first one lies (95 %).
         before, after: means on both sides.
         sd: standard error of their difference.
@@ -79,13 +79,18 @@ class Change:
 
     car: str
     quantity: str
-    day: str
+    begin: float
     earliest: str
     latest: str
     before: float
     after: float
     sd: float
     chance: float
+
+    @property
+    def day(self) -> str:
+        """The first day of the new value."""
+        return day_of(self.begin)
 
     @property
     def sigmas(self) -> float:
@@ -165,9 +170,9 @@ def _find_step(s: Series, questions: int) -> Change | None:
     chance = min(questions * erfc(sqrt(step.gain / birge / 2.0)), 1.0)
     if chance > CHANCE:
         return None
-    near = np.flatnonzero(gain > step.gain - _DROP * birge)
+    near = np.flatnonzero(gain >= step.gain - _DROP * birge)
     return Change(
-        s.car, s.quantity, day[best], day[near[0]], day[near[-1]],
+        s.car, s.quantity, float(s.start[_SIDE + best]), day[near[0]], day[near[-1]],
         step.before, step.before + step.size, sqrt(birge * step.variance), chance,
     )  # fmt: skip
 

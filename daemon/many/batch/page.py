@@ -1,7 +1,7 @@
 """The page of `steerd batch`: quantities over weeks, car by car, and the days of changes."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -19,7 +19,7 @@ from steerd.daemon.many.batch.changes import (
 )
 from steerd.daemon.many.job import Rows
 from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, STYLE, make_axes, to_svg
-from steerd.sysid.report.report import Report, Section, Table
+from steerd.sysid.report.report import Card, Report, Section, Table
 
 _DAY = 86_400.0
 _FIGURES = 30
@@ -76,22 +76,23 @@ def make_report(
         title=f"{len(rows)} sessions, batch {kind}",
         subject="",
         about="",
-        lead=_headline(changes, len(series)),
+        lead="",
         sections=sections,
         foot="Written by steerd batch. Dates are UTC; units are SI where none is named.",
+        cards=list(make_cards(rows, series, changes)),
     )
 
 
-def _headline(changes: Sequence[Change], series: int) -> str:
-    """The result in a sentence."""
-    clearest: dict[str, Change] = {}
-    for change in changes:
-        clearest.setdefault(change.car, change)
-    if not clearest:
-        why = nothing_changed(series)
-        return f"{why[0].upper()}{why[1:]}."
-    parts = [f"{clean(c.car, 24)} since {c.day} ({c.quantity})" for c in clearest.values()]
-    return f"Changed: {', '.join(parts)}."
+def make_cards(rows: Rows, series: Sequence[Series], changes: Sequence[Change]) -> Iterator[Card]:
+    """The figures that are read first; of each car that changed the clearest change."""
+    cars = len({row["car"] for row in rows if row.get("car")})
+    failed = sum(row["outcome"] != "done" for row in rows)
+    yield Card("sessions", str(len(rows)), f"{cars} car{'s' * (cars != 1)}; {failed} failed")
+    for c in {change.car: change for change in reversed(changes)}.values():
+        text = f"{c.before:.4g} → {c.after:.4g}"
+        yield Card(f"{clean(c.car, 24)} since {c.day}", clean(c.quantity, 24), text)
+    if not changes:
+        yield Card("changes", "none", nothing_changed(len(series)))
 
 
 def _count_cars(rows: Rows) -> Table:
@@ -142,9 +143,8 @@ def _draw_series(axis: Axes, s: Series, change: Change | None) -> None:
     """Estimates as dots, weekly means with their bands, the day of a change."""
     dates, parts = s.start / _DAY, [s]
     if change is not None:
-        day = datetime.fromisoformat(change.day).replace(tzinfo=UTC).timestamp()
-        axis.axvline(day / _DAY, color=AFTER, lw=1.0, ls="--")
-        parts = split_series(s, day)
+        axis.axvline(change.begin / _DAY, color=AFTER, lw=1.0, ls="--")
+        parts = split_series(s, change.begin)
     for band in map(make_band, parts):
         weeks = band.start / _DAY
         axis.fill_between(weeks, band.mean - band.half, band.mean + band.half, color=BAND, lw=0)

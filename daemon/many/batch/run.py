@@ -5,8 +5,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
+from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.common.row_file import Row
 from steerd.daemon.common.screen import clean, shown, wrap
@@ -43,6 +44,8 @@ from steerd.sysid.report.report import format_table
 
 if TYPE_CHECKING:
     import pandas
+
+    from steerd.sysid.report.report import Card
 
 DONE = "done"
 _HEAD = (
@@ -110,6 +113,13 @@ class Batch:
 
         return render_report(make_report(self.kind, self.rows, self.series, self.changes))
 
+    @property
+    def cards(self) -> "list[Card]":
+        """The key figures of the page."""
+        from steerd.daemon.many.batch.page import make_cards
+
+        return list(make_cards(self.rows, self.series, self.changes))
+
     def __str__(self) -> str:
         return describe_batch(self.rows, self.worked, len(self.series), self.changes)
 
@@ -141,6 +151,8 @@ def batch(
     Raises:
         SteerdError: an argument cannot be used. A session that fails is a row.
     """
+    if kind not in get_args(Kind):
+        raise SteerdError(f"kind {kind!r}: {' or '.join(get_args(Kind))}", "", ExitCode.USAGE)
     words = [sessions] if isinstance(sessions, str | Path) else list(sessions)
     paths = find_batch([str(word) for word in words])
     job = make_job(paths, Question(kind, read_cars(None if cars is None else Path(cars))))
@@ -173,7 +185,7 @@ def describe_batch(rows: Rows, worked: int, series: int, changes: Sequence[Chang
     failed = [row for row in rows if row["outcome"] != "done"]
     cars = Counter(str(row["car"]) for row in rows if row.get("car") is not None)
     days = sorted({row["day"] for row in rows if row.get("day")})
-    between = f", {days[0]} to {days[-1]}" if days else ""
+    between = f", {' to '.join(sorted({days[0], days[-1]}))}" if days else ""
     lines = wrap(
         f"sessions   {len(rows)} of {len(cars)} car{'' if len(cars) == 1 else 's'}{between}; "
         f"{worked} worked on now",

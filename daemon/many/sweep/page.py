@@ -1,12 +1,14 @@
 """The page of `steerd sweep`: one HTML file without links."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 
 from steerd.daemon.common.screen import clean
 from steerd.daemon.many.job import Rows
-from steerd.daemon.many.sweep.plan import DRIVEN, STOPPED, Choice, SweepPlan
+from steerd.daemon.many.sweep.plan import DRIVEN, Choice, SweepPlan
 from steerd.daemon.many.sweep.quantities import Distribution
 from steerd.daemon.many.sweep.summary import (
     STOPS,
@@ -20,7 +22,7 @@ from steerd.daemon.many.sweep.summary import (
     tabulate_spreads,
 )
 from steerd.sysid.report.drawing import AFTER, BEFORE, STYLE, make_axes, to_svg
-from steerd.sysid.report.report import SCALES, Cell, Report, Section, Table
+from steerd.sysid.report.report import SCALES, Card, Cell, Report, Section, Table
 
 _BINS = 30
 _TICKS = 5
@@ -73,23 +75,28 @@ def make_report(plan: SweepPlan, rows: Rows, summary: Summary) -> Report:
         title=f"{len(rows)} drives, each another draw",
         subject=clean(plan.car.name),
         about="; ".join([seeds, *fixed]),
-        lead=_headline(summary),
+        lead="",
         sections=sections,
         foot="Written by steerd sweep. Simulated drives in virtual time; both ends of VESC and "
         "mocap are encoded and parsed as on a car.",
+        cards=list(make_cards(summary)),
     )
 
 
-def _headline(summary: Summary) -> str:
-    """The result in a sentence or two."""
-    shares = {share.name: share for share in summary.outcomes}
-    driven, stopped = shares[DRIVEN], shares[STOPPED]
-    text = f"{driven.value:.1%} of the drives ended as planned"
-    text += f", a watchdog stopped {stopped.value:.1%}." if stopped.count else "."
+def make_cards(summary: Summary) -> Iterator[Card]:
+    """The figures that are read first."""
+    driven = next(share for share in summary.outcomes if share.name == DRIVEN)
+    stops = sum(share.count for share in summary.watchdogs)
+    text = f"{driven.count} of {driven.of} drives; a watchdog stopped {stops}"
+    yield Card("ended as planned", f"{driven.value:.1%}", text)
     for s in summary.spreads:
-        if s.name == "true_e1_max":
-            text += f" In 95 % of them the car stays within {1e3 * s.high:.0f} mm of its lane."
-    return text
+        if s.name.startswith("true_e1_"):
+            text = f"in 95 % of the drives; the worst is drive {s.worst_drive}"
+            yield Card(f"{s.name.removeprefix('true_')} below", f"{1e3 * s.high:.3g} mm", text)
+    for move in list_strongest(summary)[:1]:
+        yield Card(
+            "moves most", move.quantity, f"{move.measure}, rank correlation {move.value:+.2f}"
+        )
 
 
 def _moves(summary: Summary) -> Table:

@@ -29,6 +29,8 @@ from steerd.daemon.many.units import Done, Where
 if TYPE_CHECKING:
     import pandas
 
+    from steerd.sysid.report.report import Card
+
 
 @shown
 @dataclass(frozen=True, eq=False)
@@ -68,6 +70,13 @@ class Sweep:
         from steerd.sysid.report.page import render_report
 
         return render_report(make_report(self.plan, self.rows, self.summary))
+
+    @property
+    def cards(self) -> "list[Card]":
+        """The key figures of the page."""
+        from steerd.daemon.many.sweep.page import make_cards
+
+        return list(make_cards(self.summary))
 
     def __str__(self) -> str:
         mean = sum(row.get("seconds") or 0.0 for row in self.rows) / len(self.rows)

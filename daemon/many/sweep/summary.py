@@ -24,6 +24,8 @@ STOPS = "stopped"
 """The measure that says whether a watchdog stopped the drive."""
 _LEAST = 8
 """Drives below which nothing is said about a dependence."""
+_MOVES = 0.005
+"""A smaller move of a measure, as a share of it, is not worth a word [-]."""
 
 
 @dataclass(frozen=True)
@@ -86,8 +88,8 @@ class Sensitivity:
 
     @property
     def shown(self) -> bool:
-        """Whether these drives show a dependence."""
-        return abs(self.value) > self.least
+        """Whether these drives show a dependence that matters."""
+        return abs(self.value) > self.least and self.size > _MOVES
 
     @property
     def size(self) -> float:

@@ -57,6 +57,14 @@ def test_same_seed_same_bytes_other_seed_other_bytes() -> None:
     assert drive_bytes(replace(NOISY, seed=6), FAULTS) != first
 
 
+def test_a_hand_pushes_the_car_a_metre_and_back() -> None:
+    world = World(WorldConfig())
+    for far in (1.1, 0.0):
+        world.push()
+        world.advance(world.t_ns + 4000 * MS)
+        assert world.truth().state.x == pytest.approx(far, abs=0.1)
+
+
 def test_how_time_is_cut_up_changes_nothing() -> None:
     assert drive_bytes(NOISY, []) == drive_bytes(NOISY, [], step=1 * MS)
 

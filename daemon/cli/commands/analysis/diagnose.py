@@ -36,35 +36,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "the car as identified (default: the car file inside the session)"
     option(what, "--base", "CAR.toml", text, missing_car, type=Path)
     option(what, "--car", None, argparse.SUPPRESS, dest="base", type=Path)
-    option(
-        what,
-        "--healthy",
-        "FILE,…",
-        "drives of the same car without the gap: they determine how large noise is",
-        missing_session,
-        type=split_paths,
-        action="extend",
-        default=[],
-    )
+    text = "drives of the same car without the gap: they determine how large noise is"
+    more: dict[str, Any] = {"type": split_paths, "action": "extend", "default": []}
+    option(what, "--healthy", "FILE,…", text, missing_session, **more)
     option(what, "--only", "EFFECT", "look at this one (repeat)", action="append")
     option(what, "--without", "EFFECT", "leave it out (repeat)", action="append")
     option(what, "--no-pairs", "", "one cause at most; faster", dest="pairs", action="store_false")
     text = "wheel: the speed command was not obeyed, take the measured speed instead"
     option(what, "--speed", None, text, choices=("command", "wheel"), default="command")
-    more: dict[str, Any] = {"type": split_held_out, "action": "extend"}
+    more = {"type": split_held_out, "action": "extend"}
     text = "measure the shrinkage on every K-th drive (default 4; 0: none), or on these files"
     option(what, "--held-out", "K|FILE,…", text, missing_session, **more)
     option(what, "--runs-held-out", None, argparse.SUPPRESS, dest="held_out", **more)  # until 0.1
     out = parser.add_argument_group("output")
-    option(
-        out,
-        "--json",
-        "FILE",
-        "for programs; alone: to the terminal",
-        nargs="?",
-        const=Path("-"),
-        type=Path,
-    )
+    more = {"nargs": "?", "const": Path("-"), "type": Path}
+    option(out, "--json", "FILE", "for programs; alone: to the terminal", **more)
     option(out, "--report", "FILE.html", "one page, plots first", type=Path)
     option(out, "-o --output", "CAR.toml", "the base with the found effect", type=Path)
     option(out, "--prediction", "FILE", "the prediction, before it is measured", type=Path)
@@ -93,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         def foretell(text: str) -> None:
             """The prediction's digest, and the prediction itself, before anything is measured."""
             digest = hashlib.sha256(text.encode()).hexdigest()
-            print(f"predicted before measuring: sha256 {digest}", file=sys.stderr)
+            print(f"predicted before measuring: sha256 {digest[:16]}…", file=sys.stderr)
             write(args.prediction, text)
 
         options, paths = read_arguments(DiagnoseOptions, args), pick_sessions(args.sessions)

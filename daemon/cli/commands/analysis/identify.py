@@ -13,6 +13,7 @@ the result predicts no better than the start values.
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from steerd.daemon.cli.arguments import (
     add_sessions,
@@ -37,28 +38,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(what, "--wheelbase", "M", "distance of the axles, measured", type=float)
     text = "wheel: the speed command was not obeyed, take the measured speed instead"
     option(what, "--speed", None, text, choices=("command", "wheel"), default="command")
-    option(
-        what,
-        "--effects",
-        "auto|A,B,…",
-        "learn only these effects of the library (default, auto: all that the drives show)",
-        type=lambda text: "auto" if text == "auto" else split_list(text),
-        default=(),
-    )
+    text = "learn only these effects of the library (default, auto: all that the drives show)"
+    effects: dict[str, Any] = {"type": lambda t: t if t == "auto" else split_list(t), "default": ()}
+    option(what, "--effects", "auto|A,B,…", text, **effects)
     text = "our own, or one of the paper's"
     option(what, "--method", None, text, choices=("ours", "paper", "cma-es"), default="ours")
     option(what, "--starts", "N", "starts (ours: 1, others: 5)", type=int)
     option(what, "--iterations", "N", "of the paper's methods", type=int)
     option(what, "--seed", None, "of random starts", type=int, default=0)
-    option(
-        what,
-        "--held-out",
-        "K|FILE,…",
-        "validate on every K-th block of 5 s (default 4), or on these sessions",
-        missing_session,
-        type=split_held_out,
-        action="extend",
-    )
+    text = "validate on every K-th block of 5 s (default 4), or on these sessions"
+    more: dict[str, Any] = {"type": split_held_out, "action": "extend"}
+    option(what, "--held-out", "K|FILE,…", text, missing_session, **more)
     out = parser.add_argument_group("output")
     option(out, "-o --output", "CAR.toml", "car file to write", type=Path)
     option(out, "--json", "FILE", "the result for programs; -: to the terminal", type=Path)

@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     """Print what was learnt; changes are shown as they are called."""
     from steerd.daemon.analysis.learning import learn_session
     from steerd.daemon.common.progress import show_progress
-    from steerd.daemon.common.screen import print_labelled
+    from steerd.daemon.common.screen import print_labelled, wrap
     from steerd.daemon.learning.text import encode_model, format_model
 
     path = pick_session(args.session)
@@ -42,9 +42,8 @@ def run(args: argparse.Namespace) -> int:
         values = {"schema": "steerd.learn/1", **encode_model(found.report), "reports": reports}
         print(json.dumps(values, indent=1, allow_nan=False))
         return ExitCode.OK
-    half = found.report.windows
-    print(f"{path.name}: {half} half seconds of driving, about {found.base}")
-    print("\n".join(format_model(found.report)))
+    about = f"{path.name}: {found.report.windows} half seconds of driving, about {found.base}"
+    print(*wrap(about, "", "  "), *format_model(found.report), sep="\n")
     if found.recorded:
         print(f"reports in the session: {found.same} of {found.recorded} the same to the byte")
     print(f"{found.reports} reports, sha256 {found.digest[:16]}")

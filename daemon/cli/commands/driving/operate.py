@@ -47,6 +47,7 @@ ANSWER_NS = 1_500_000_000
 """A request that has no effect after this was refused [ns]."""
 REST_NS = 5_000_000_000
 """A car comes to rest within this [ns]."""
+_LATCHED = (SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
 _HOLDING = ("arm", "start")
 """Commands that stay as the deadman."""
 _KINDS = {
@@ -130,8 +131,9 @@ def run(args: argparse.Namespace) -> int:
             )
         if name == "start" and view.mode is not SupervisorState.ARMED:
             waiting = view.values.get("waiting")
+            hint = "steerd clear" if view.mode in _LATCHED else "steerd arm"
             what = f"the car is {view.mode_name}, not ARMED; it is waiting for {waiting}"
-            raise SteerdError(what, "steerd arm", ExitCode.STOPPED)
+            raise SteerdError(what, hint, ExitCode.STOPPED)
         holder, kept = view.values.get("holder", "0"), recall_lease(args.name)
         shared = name == "start" and holder == str(make_badge(bus.who, kept))
         operator = BusOperator(
@@ -169,12 +171,10 @@ def _stop(link: _Link, operator: BusOperator, name: str) -> int:
 
 
 def _make_refusal(view: CarView, name: str) -> SteerdError:
-    return SteerdError(
-        f"{name}: the car stays {view.mode_name}: {view.values.get('reason', '')}; "
-        f"it is waiting for {view.values.get('waiting', '')}",
-        "steerd status",
-        ExitCode.STOPPED,
-    )
+    what = f"{name}: the car stays {view.mode_name}: {view.values.get('reason', '')}; "
+    what += f"it is waiting for {view.values.get('waiting', '')}"
+    hint = "only operators of the lab may" if view.bus.who else "steerd status"
+    return SteerdError(what, "steerd clear" if view.mode in _LATCHED else hint, ExitCode.STOPPED)
 
 
 def _request(link: _Link, operator: BusOperator, name: str, *, hold: bool) -> int:
@@ -203,5 +203,4 @@ def _hold(link: _Link, name: str) -> int:
         link.wait(lambda: link.state is not stay, ANSWER_NS)
         link.wait(lambda: link.state is not SupervisorState.STOPPING, REST_NS)
     print(link.view.mode_name)
-    fault = link.state in (SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
-    return ExitCode.STOPPED if fault else ExitCode.OK
+    return ExitCode.STOPPED if link.state in _LATCHED else ExitCode.OK

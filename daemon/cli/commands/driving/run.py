@@ -46,20 +46,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_drive_arguments(parser)
     run = parser.add_argument_group("run")
     option(run, "--record", "PATH", "session file (default: dated, in the data folder)")
-    option(
-        run, "--seed", None, "of the simulated hardware's noise", type=int, default=RunOptions.seed
-    )
+    text = "of the simulated hardware's noise"
+    option(run, "--seed", None, text, type=int, default=RunOptions.seed)
     text = "unmodelled effect of the simulated car (`steerd effects` lists them)"
     option(run, "--effect", "NAME=VALUE,…", text, action="append")
     option(run, "--auto-arm", "", "simulation: arm and start by itself")
-    option(
-        run,
-        "--controller",
-        None,
-        "zenoh: apply the commands of `steerd control`",
-        choices=[kind.value for kind in ControllerKind],
-        default="lane",
-    )
+    text, kinds = "zenoh: apply the commands of `steerd control`", [k.value for k in ControllerKind]
+    option(run, "--controller", None, text, choices=kinds, default="lane")
     _add_network_arguments(run)
 
 

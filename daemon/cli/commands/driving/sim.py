@@ -1,7 +1,8 @@
 """Simulated hardware alone: a VESC on a pseudo-terminal and a mocap server.
 
 Any VESC program, or `steerd run --port … --mocap …`, can use what it prints.
-Ctrl-C ends it.
+Enter pushes the car 1 m forward, as `steerd mocap check` wants it, and the next
+time back. Ctrl-C ends it.
 """
 
 import argparse
@@ -58,5 +59,5 @@ def run(args: argparse.Namespace) -> int:
         command = f"steerd run --port {sim.port} --mocap '{sim.mocap_url}'"
         shown = wrap_command(command, "   try: ", " " * 10)
         print("", *(shown if sys.stdout.isatty() else [f"   try: {command}"]), sep="\n", flush=True)
-        sim.run(stop)
+        sim.run(stop, (0,) if sys.stdin.isatty() else ())
     return ExitCode.OK

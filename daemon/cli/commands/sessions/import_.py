@@ -27,14 +27,8 @@ _BAG_SUFFIXES = (".bag", ".db3", ".mcap", ".zstd")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The log and how to read it."""
-    option(
-        parser,
-        "words",
-        "[csv|bag] FILE",
-        "the log: a table with one row per time, a ROS 1 .bag, a ROS 2 bag folder or its "
-        ".mcap or .db3 file",
-        nargs="+",
-    )
+    text = "the log: a table with a row per time, a ROS 1 .bag, a ROS 2 folder, .mcap or .db3"
+    option(parser, "words", "[csv|bag] FILE", text, nargs="+")
     option(parser, "-o --output", "SESSION.mcap", "default: beside the log", type=Path)
     option(parser, "--ask", "", "propose a map, show what it means, then write")
     text = f"which column or topic is what (TOML; {EXAMPLE_MAP} is one)"

@@ -92,7 +92,7 @@ def _describe(found: "SteeringCalibration", scaling: "Scaling") -> list[str]:
     stops = {True: "a stop", False: "no stop reached"}
     return [
         f"wheel angle = {found.gain:.3f} ± {found.sd_gain:.3f} × command "
-        f"{degrees(found.bias):+.2f}° ± {degrees(found.sd_bias):.2f}°",
+        f"{degrees(found.bias):+z.2f}° ± {degrees(found.sd_bias):.2f}°",
         f"delay {1e3 * found.delay:.0f} ms, lag included",
         f"reached {degrees(found.left):.1f}° left ({stops[found.clipped_left]}), "
         f"{degrees(-found.right):.1f}° right ({stops[found.clipped_right]})",

@@ -148,11 +148,11 @@ def _describe(found: "MountCalibration", r: "Recorded") -> list[str]:
     moved = hypot(m.rear_x - frame.marker_rear_x, m.rear_y - frame.marker_rear_y)
     return [
         f"from {found.seconds:.0f} s of motion; lateral residual {1e3 * found.residual:.0f} mm/s",
-        f"  heading of the body   {degrees(m.yaw):+.2f}° ± {degrees(sd.yaw):.2f}°"
-        f"   (was {degrees(frame.mount_yaw):+.2f}°)",
+        f"  heading of the body   {degrees(m.yaw):+z.3f}° ± {degrees(sd.yaw):.3f}°"
+        f"   (was {degrees(frame.mount_yaw):+z.2f}°)",
         f"  ahead of rear axle    {1e3 * m.rear_x:+.1f} ± {1e3 * sd.rear_x:.1f} mm"
         f"   (was {1e3 * frame.marker_rear_x:+.1f})",
-        f"  left of centre line   {1e3 * m.rear_y:+.1f} ± {1e3 * sd.rear_y:.1f} mm"
+        f"  left of centre line   {1e3 * m.rear_y:+z.1f} ± {1e3 * sd.rear_y:.1f} mm"
         f"   (was {1e3 * frame.marker_rear_y:+.1f}; moved by {1e3 * moved:.0f} in all)",
         f"  ERPM per m/s          {gain / m.speed_gain:.0f} ± {gain * sd.speed_gain:.0f}"
         f"   (was {gain:.0f})",

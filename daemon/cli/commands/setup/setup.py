@@ -17,6 +17,8 @@ from typing import NamedTuple
 
 from steerd.daemon.cli.arguments import option
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.screen import wrap_command
+from steerd.daemon.common.written import dated_name
 
 
 class Step(NamedTuple):
@@ -31,11 +33,11 @@ class Step(NamedTuple):
 _STEPS = """\
 is everything there? | Switch on the car and mocap. Nothing moves.
 probe {hardware}
-a car file | Afterwards enter wheelbase, mass and wheel track as you measured them.
+a car file | Then set lf + lr, the wheelbase, and mass in it, as you measured them.
 config > {car}
-do units and axes agree? | Push the car 1 m straight forward by hand.
+do units and axes agree? | Push the car 1 m straight forward (`steerd sim`: Enter there).
 mocap check --mocap {mocap} --car {car}
-centre and stops of the steering | Lift the front wheels; arrow keys steer, the motor stays off.
+centre and stops of the steering | Lift the front wheels; arrows steer. Simulated: only w.
 calibrate servo --port {port} --car {car} -o {car}
 slow laps | Clear 6 m by 4 m, hold the power switch. `a` arms, `s` starts, space stops.
 run {hardware} --car {car} --path figure8 --speed 0.8 --duration 60 --record {slow}
@@ -110,7 +112,8 @@ def guide(
     while at < len(steps):
         step = steps[at]
         print(f"\n{at + 1} of {len(steps)}: {step.title}\n{step.before}")
-        print(f"  steerd {shlex.join(step.words)}" + (f" > {step.makes}" if step.makes else ""))
+        typed = f"steerd {shlex.join(step.words)}" + (f" > {step.makes}" if step.makes else "")
+        print(*wrap_command(typed, "  ", " " * 4), sep="\n")
         answer = ask("[Enter] do it   [s] skip   [b] back   [q] quit: ").strip().lower()
         if answer == "q":
             break
@@ -135,10 +138,14 @@ def read_key(question: str) -> str:
 def run_step(step: Step) -> int:
     """Run the step's command in this terminal; a file that is there is kept."""
     command = [sys.executable, "-m", "steerd", *step.words]
+    drive = Path(step.words[-1])
+    if "--record" in step.words and drive.exists():  # a session is never written over
+        print(f"what {drive} was before is kept as {drive.rename(dated_name(drive))}")
     if step.makes and step.makes.exists():
         print(f"{step.makes} is there and stays as it is")
         return 0
     found = subprocess.run(command, check=False, stdout=subprocess.PIPE if step.makes else None)
     if step.makes and found.returncode == 0:
         step.makes.write_bytes(found.stdout)
+        print(f"{step.makes}: written")
     return found.returncode

@@ -52,6 +52,12 @@ def test_the_end_of_standard_input_quits_and_says_where_to_go_on(
     assert run_cli([*words, "--from", "30"]) != 0
 
 
+def test_a_drive_that_is_repeated_keeps_the_one_before(tmp_path: Path) -> None:
+    (drive := tmp_path / "slow.mcap").write_text("before")
+    run_step(Step("", "", ("effects", "--record", f"{drive}")))
+    assert [path.read_text() for path in tmp_path.iterdir() if path != drive] == ["before"]
+
+
 def test_a_car_file_that_is_there_stays(tmp_path: Path) -> None:
     config = next(step for step in list_steps("p", "m", tmp_path) if step.makes)
     assert run_step(config) == 0

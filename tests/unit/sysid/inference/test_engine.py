@@ -105,11 +105,6 @@ def test_a_slipping_wheel_is_off_by_speed_times_acceleration(healthy):
         assert slip[w, wheel[w]] == pytest.approx(np.abs(v * np.gradient(v, t)))
 
 
-def _at_base(engine):
-    space = make_space(engine.superset, ())
-    return space, space.centre, engine.guess
-
-
 def test_drives_noisier_than_known_are_believed():
     known = Noise((1e-3, 2e-3, 0.06, 0.05), (0.4, 0.3, 2.0))
     heard = noisier_of(known, np.array([2e-3, 2.1e-3, 0.01, 0.0]))

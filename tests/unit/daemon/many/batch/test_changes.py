@@ -15,7 +15,8 @@ from steerd.daemon.many.batch.changes import (
     make_band,
     split_series,
 )
-from steerd.daemon.many.batch.run import nothing_changed
+from steerd.daemon.many.batch.run import Batch, nothing_changed
+from steerd.daemon.many.job import RowTable
 
 DAY, BEGIN = 86_400.0, 1_772_366_400.0
 
@@ -36,6 +37,15 @@ def test_a_step_is_found_on_its_day():
         assert found.after - found.before == pytest.approx(0.12, abs=0.05)
         assert found.sigmas > 4.0
     assert np.mean(np.abs(off) <= 1) > 0.95
+
+
+def test_a_change_within_a_day_has_a_page_and_a_line():
+    row = {"session": "s", "car": "a", "outcome": "done"}
+    rows = [row | {"start": BEGIN + i, "x": float(i > 5)} for i in range(12)]
+    found = Batch("identify", RowTable(rows))
+    assert [card.figure for card in found.cards] == ["12", "x"]
+    assert "x" in found.render_report()
+    assert repr(found.rows) == "<12 rows of session, car, outcome, start, x>"
 
 
 def make_quiet(rng):
