@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     from steerd.daemon.common.screen import clean, wrap
     from steerd.daemon.common.written import check_outputs, write_outputs
     from steerd.daemon.settings.config import load_settings
-    from steerd.sysid.report.car_export import make_gym_yaml, make_mjcf
+    from steerd.daemon.setup.car_export import make_gym_yaml, make_mjcf
 
     kind = args.output.suffix.lower()
     if kind not in (".yaml", ".yml", ".xml"):

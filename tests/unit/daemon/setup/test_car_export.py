@@ -14,7 +14,7 @@ from steerd.car_model.params import wheelbase
 from steerd.car_model.rollout import simulate, start
 from steerd.car_model.state import ORIGIN, Command
 from steerd.daemon.cli.main import run_cli
-from steerd.sysid.report.car_export import make_gym_yaml, make_mjcf
+from steerd.daemon.setup.car_export import make_gym_yaml, make_mjcf
 
 GYM = [
     "mu", "C_Sf", "C_Sr", "lf", "lr", "h", "m", "I", "s_min", "s_max", "sv_min", "sv_max",
