@@ -47,19 +47,12 @@ SPEED_BLUR = 0.15
 
 
 class LogJitter(NamedTuple):
-    """Sampling jitter of a steering log: it is late by `period (phase + drift t) mod period`.
+    """Sampling jitter of a steering log: it is late by `period (phase + drift t) mod period`."""
 
-    Attributes:
-        run: the drive's name.
-        period: of the log [s].
-        phase: at the drive's first command, in periods.
-        drift: how fast the phase moves [periods/s].
-    """
-
-    run: str
-    period: float
-    phase: float
-    drift: float
+    run: str  # the drive's name
+    period: float  # of the log [s]
+    phase: float  # at the drive's first command, in periods
+    drift: float  # how fast the phase moves [periods/s]
 
     def delay(self, t: Array) -> Array:
         """How late commands logged at `t` were stored [s]."""
@@ -86,42 +79,34 @@ def _none() -> Signal:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One drive, or a segment of one. Times in seconds from its own first command.
+    """One drive, or a segment of one. Times in seconds from its own first command."""
 
-    Attributes:
-        name: for messages and reports.
-        h: step of the command grid [s].
-        commands: (N, 2) steer [rad] and speed [m/s], means over the grid's steps.
-        speed_source: `command`; or `wheel` or `pose` where there is no speed command and the
-            measured speed is prescribed instead (see `superset.prescribe_speed`).
-        pose: times and (M, 3) x [m], y [m], yaw [rad, unwrapped]; gaps are allowed.
-        wheel: speed as reported with the nominal gain [m/s]; may be empty.
-        yaw_rate: gyro [rad/s]; may be empty.
-        steer: the commanded angles at their own times; may be empty.
-        servo_frame: period of the pulses that carry them to the servo [s]; 0 where none are known
-            to do so (see `command_timing`).
-        speed_command: the commanded speeds at their own times; may be empty.
-        speed_ramp: how fast the motor controller's setpoint may follow them [m/s^2]; 0 where it is
-            not known to be limited (see `command_timing`).
-        start: where in its drive this segment begins [s]; drifts count from the drive's start.
-        history: how much of the commands before a window is simulated [s]: a linkage with play
-            keeps the side of the last turn.
-        log_jitter: sampling jitter of the steering log, corrected in `commands` and `steer`.
-    """
-
-    name: str
-    h: float
-    commands: Array
-    pose: Signal
+    name: str  # for messages and reports
+    h: float  # step of the command grid [s]
+    commands: Array  # (N, 2) steer [rad] and speed [m/s], means over the grid's steps
+    pose: Signal  # times and (M, 3) x [m], y [m], yaw [rad, unwrapped]; gaps are allowed
+    # `command`; or `wheel` or `pose` where there is no speed command and the measured speed is
+    # prescribed instead (see `superset.prescribe_speed`)
     speed_source: str = "command"
+    # Speed as reported with the nominal gain [m/s]; may be empty
     wheel: Signal = field(default_factory=_none)
-    yaw_rate: Signal = field(default_factory=_none)
+    yaw_rate: Signal = field(default_factory=_none)  # gyro [rad/s]; may be empty
+    # The commanded angles at their own times; may be empty
     steer: Signal = field(default_factory=_none)
+    # Period of the pulses that carry them to the servo [s]; 0 where none are known to do so
+    # (see `command_timing`)
     servo_frame: float = 0.0
+    # The commanded speeds at their own times; may be empty
     speed_command: Signal = field(default_factory=_none)
+    # How fast the motor controller's setpoint may follow them [m/s^2]; 0 where it is not known
+    # to be limited (see `command_timing`)
     speed_ramp: float = 0.0
+    # Where in its drive this segment begins [s]; drifts count from the drive's start
     start: float = 0.0
+    # How much of the commands before a window is simulated [s]: a linkage with play keeps the
+    # side of the last turn
     history: float = HISTORY
+    # Sampling jitter of the steering log, corrected in `commands` and `steer`
     log_jitter: LogJitter | None = None
 
     def __repr__(self) -> str:

@@ -34,46 +34,29 @@ _FORGOTTEN = 0.2
 
 
 class Seen(NamedTuple):
-    """Readings at stations, sorted by window: a pose has three rows, the others one.
+    """Readings at stations, sorted by window: a pose has three rows, the others one."""
 
-    Attributes:
-        window: which window; t: time since its start [s]; kind: 0 pose, 1 wheel speed, 2 yaw rate.
-        row: first row of the reading.
-    """
-
+    # Which window; t: time since its start [s]; kind: 0 pose, 1 wheel speed, 2 yaw rate
     window: Indices
     t: Array
     kind: Indices
-    row: Indices
+    row: Indices  # first row of the reading
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Windows of several runs and their measurements.
+    """Windows of several runs and their measurements."""
 
-    Attributes:
-        h: step of the commands [s].
-        commands: (rows, 2) of all runs, one after the other.
-        spans: (W, 5) as `kernels.Windows.spans`, in steps of `h`.
-        t: (W,) time into the drive [s].
-        run: (W,) which run.
-        seen: what is compared.
-        values: (R,) measurements.
-        bounds: (W + 1,) rows of each window.
-        guess: (W, 7) first guess of the initial states, from the poses alone; steer 0.
-        speeds: slowest and fastest of the runs [m/s].
-    """
-
-    h: float
-    commands: Array
-    spans: Indices
-    t: Array
-    run: Indices
-    seen: Seen
-    values: Array
-    bounds: Indices
-    guess: Array
-    speeds: tuple[float, float]
+    h: float  # step of the commands [s]
+    commands: Array  # (rows, 2) of all runs, one after the other
+    spans: Indices  # (W, 5) as `kernels.Windows.spans`, in steps of `h`
+    t: Array  # (W,) time into the drive [s]
+    run: Indices  # (W,) which run
+    seen: Seen  # what is compared
+    values: Array  # (R,) measurements
+    bounds: Indices  # (W + 1,) rows of each window
+    guess: Array  # (W, 7) first guess of the initial states, from the poses alone; steer 0
+    speeds: tuple[float, float]  # slowest and fastest of the runs [m/s]
 
     @property
     def count(self) -> int:

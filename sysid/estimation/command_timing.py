@@ -45,48 +45,30 @@ SURE = 3.0
 
 
 class Pulse(NamedTuple):
-    """How a drive's servo was pulsed.
+    """How a drive's servo was pulsed."""
 
-    Attributes:
-        run: the drive's name.
-        phase: of the pulses after the drive's first command [s].
-        sure: by how much the log-likelihood falls at the best phase that does not look alike.
-        blur: by how much it may be off: phases between the same two commands look alike, but for a
-            dead time (standard deviation) [s].
-    """
-
-    run: str
-    phase: float
-    sure: float
+    run: str  # the drive's name
+    phase: float  # of the pulses after the drive's first command [s]
+    sure: float  # by how much the log-likelihood falls at the best phase that does not look alike
+    # By how much it may be off: phases between the same two commands look alike, but for a dead
+    # time (standard deviation) [s]
     blur: float = 0.0
 
 
 class Ramp(NamedTuple):
-    """Whether a drive's motor controller had its ramp.
+    """Whether a drive's motor controller had its ramp."""
 
-    Attributes:
-        run: the drive's name.
-        rate: limit of its setpoint [m/s^2]; 0 where the drive knows none.
-        sure: by how much the other answer's log-likelihood is smaller.
-    """
-
-    run: str
-    rate: float
-    sure: float
+    run: str  # the drive's name
+    rate: float  # limit of its setpoint [m/s^2]; 0 where the drive knows none
+    sure: float  # by how much the other answer's log-likelihood is smaller
 
 
 class Timed(NamedTuple):
-    """A drive with its commands as servo and motor controller took them over.
+    """A drive with its commands as servo and motor controller took them over."""
 
-    Attributes:
-        run: the drive.
-        pulse: of its servo, where that has pulses.
-        ramp: of its motor controller, where it may have one.
-    """
-
-    run: Run
-    pulse: Pulse | None
-    ramp: Ramp | None
+    run: Run  # the drive
+    pulse: Pulse | None  # of its servo, where that has pulses
+    ramp: Ramp | None  # of its motor controller, where it may have one
 
 
 def time_commands(run: Run, rough: PlainCar, asked: Asked) -> Timed:

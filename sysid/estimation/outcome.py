@@ -51,51 +51,34 @@ REPORTED: tuple[str, ...] = (
 
 
 class Residuals(NamedTuple):
-    """Measurements minus predictions of all windows.
+    """Measurements minus predictions of all windows."""
 
-    Attributes:
-        t: (R,) time into the drive [s].
-        group: (R,) which kind, see `windows.GROUPS`.
-        error: (R,) in units.
-        signal: (4,) noise of the signals themselves.
-    """
-
-    t: Array
-    group: NDArray[np.int64]
-    error: Array
-    signal: Array
+    t: Array  # (R,) time into the drive [s]
+    group: NDArray[np.int64]  # (R,) which kind, see `windows.GROUPS`
+    error: Array  # (R,) in units
+    signal: Array  # (4,) noise of the signals themselves
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """An identified car.
+    """An identified car."""
 
-    Attributes:
-        model: the car with its effects at the estimates.
-        estimates: every free parameter with standard error and whether the data identify it.
-        labels: of the coordinates; correlation: (n, n) of them.
-        converged: whether the search came to its end.
-        misfit: residual over signal noise by group: 1 says that the model explains everything.
-        residuals: of the windows.
-        horizon: length of the windows [s].
-        combinations: sums that the data fix even where they leave their members open.
-        selected: effects that the drives show, those that every car has aside.
-        sections: tables for the car file beside its numbers, where they were learnt with it.
-        notes: what a person should know.
-    """
-
-    model: Model[float]
+    model: Model[float]  # the car with its effects at the estimates
+    # Every free parameter with standard error and whether the data identify it
     estimates: dict[str, Estimate]
-    labels: tuple[str, ...]
+    labels: tuple[str, ...]  # of the coordinates; correlation: (n, n) of them
     correlation: Array
-    converged: bool
+    converged: bool  # whether the search came to its end
+    # Residual over signal noise by group: 1 says that the model explains everything
     misfit: dict[str, float]
-    residuals: Residuals
-    horizon: float
+    residuals: Residuals  # of the windows
+    horizon: float  # length of the windows [s]
+    # Sums that the data fix even where they leave their members open
     combinations: tuple[Combination, ...] = ()
-    selected: tuple[Step, ...] = ()
+    selected: tuple[Step, ...] = ()  # effects that the drives show, those that every car has aside
+    # Tables for the car file beside its numbers, where they were learnt with it
     sections: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what a person should know
 
 
 def fit_of_plain(
@@ -194,24 +177,15 @@ def _residuals(engine: Engine, error: Array, signal: Array) -> Residuals:
 
 
 class Row(NamedTuple):
-    """One parameter.
+    """One parameter."""
 
-    Attributes:
-        value: now; before: at the start.
-        sd: standard error; None where it was not free.
-        unit: of value and sd.
-        free: whether it was fitted.
-        identifiable: whether the data identify it.
-        manoeuvre: what would identify it; empty when identifiable or fixed.
-    """
-
-    value: float
+    value: float  # now; before: at the start
     before: float
-    sd: float | None
-    unit: str
-    free: bool
-    identifiable: bool
-    manoeuvre: str = ""
+    sd: float | None  # standard error; None where it was not free
+    unit: str  # of value and sd
+    free: bool  # whether it was fitted
+    identifiable: bool  # whether the data identify it
+    manoeuvre: str = ""  # what would identify it; empty when identifiable or fixed
 
     @property
     def start(self) -> float:

@@ -46,33 +46,21 @@ _STEADY = 0.2
 
 
 class Prediction(NamedTuple):
-    """Prediction error at one horizon.
+    """Prediction error at one horizon."""
 
-    Attributes:
-        horizon: [s].
-        position: RMS distance [m]; NaN where no window reached so far.
-        heading: RMS angle [rad].
-        poses: how many were compared.
-    """
-
-    horizon: float
-    position: float
-    heading: float
-    poses: int
+    horizon: float  # [s]
+    position: float  # RMS distance [m]; NaN where no window reached so far
+    heading: float  # RMS angle [rad]
+    poses: int  # how many were compared
 
 
 class Trace(NamedTuple):
-    """Measured and predicted poses of one window, for looking at.
+    """Measured and predicted poses of one window, for looking at."""
 
-    Attributes:
-        run: which drive; t: time into it [s]; ahead: time since the prediction's start [s].
-        measured: (M, 3) poses; predicted: (M, 3) poses.
-    """
-
-    run: int
+    run: int  # which drive; t: time into it [s]; ahead: time since the prediction's start [s]
     t: Array
     ahead: Array
-    measured: Array
+    measured: Array  # (M, 3) poses; predicted: (M, 3) poses
     predicted: Array
 
 

@@ -46,25 +46,16 @@ WHEELBASE = "wheelbase"
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Between coordinates and parameters.
+    """Between coordinates and parameters."""
 
-    Attributes:
-        names: of all parameters.
-        prior: (P,) parameters about which the weak priors lie; the fixed ones stay there.
-        free: names of the free ones.
-        wheelbase: known distance of the axles [m]: then of lf and lr, one follows from the other.
-        low: (P,) bounds of the parameters.
-        high: (P,).
-        spread: (n,) prior standard deviation of the coordinates.
-    """
-
-    names: tuple[str, ...]
-    prior: Array
-    free: tuple[str, ...]
+    names: tuple[str, ...]  # of all parameters
+    prior: Array  # (P,) parameters about which the weak priors lie; the fixed ones stay there
+    free: tuple[str, ...]  # names of the free ones
+    # Known distance of the axles [m]: then of lf and lr, one follows from the other
     wheelbase: float | None
-    low: Array
-    high: Array
-    spread: Array
+    low: Array  # (P,) bounds of the parameters
+    high: Array  # (P,)
+    spread: Array  # (n,) prior standard deviation of the coordinates
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -57,52 +57,31 @@ SUBSTEPS_MAX = 16
 
 
 class Padded(NamedTuple):
-    """Rows by window.
+    """Rows by window."""
 
-    Attributes:
-        row: (W, D) place among all rows, of the first where several are averaged.
-        there: (W, D) 1 where there is one.
-        merged: (W, D) how many are averaged.
-        means: (W * D, R) weights of the averages; None where each is one row.
-    """
-
-    row: NDArray[np.int64]
-    there: Array
-    merged: Array
-    means: csr_array | None = None
+    row: NDArray[np.int64]  # (W, D) place among all rows, of the first where several are averaged
+    there: Array  # (W, D) 1 where there is one
+    merged: Array  # (W, D) how many are averaged
+    means: csr_array | None = None  # (W * D, R) weights of the averages; None where each is one row
 
 
 class Linear(NamedTuple):
-    """Errors about one point.
+    """Errors about one point."""
 
-    Attributes:
-        error: (W, D) measurement minus prediction, zero where there is no row.
-        by_z: (W, D, n) derivative of the prediction by the coordinates.
-        by_x: (W, D, 7) by the window's start.
-        finite: whether the simulation stayed finite.
-    """
-
-    error: Array
-    by_z: Array
-    by_x: Array
-    finite: bool
+    error: Array  # (W, D) measurement minus prediction, zero where there is no row
+    by_z: Array  # (W, D, n) derivative of the prediction by the coordinates
+    by_x: Array  # (W, D, 7) by the window's start
+    finite: bool  # whether the simulation stayed finite
 
 
 @dataclass(frozen=True, eq=False)
 class Engine:
-    """Windows of a session seen by the superset of all effects.
+    """Windows of a session seen by the superset of all effects."""
 
-    Attributes:
-        superset: the car.
-        layout: the windows.
-        padded: rows by window.
-        substeps: integration steps to a command.
-    """
-
-    superset: Superset
-    layout: Layout
-    padded: Padded
-    substeps: int
+    superset: Superset  # the car
+    layout: Layout  # the windows
+    padded: Padded  # rows by window
+    substeps: int  # integration steps to a command
 
     @property
     def guess(self) -> Array:

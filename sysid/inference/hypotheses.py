@@ -47,20 +47,13 @@ _WORSE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """All hypotheses that were brought to an optimum, the likeliest first.
+    """All hypotheses that were brought to an optimum, the likeliest first."""
 
-    Attributes:
-        hypotheses: see there.
-        start: the base at its prior, under the discrepancy that it needs.
-        temper: the case's design effect.
-        untested: effects whose simulation does not stay finite.
-        covering: the least sizes that bring errors down to noise, at the start and at the best.
-    """
-
-    hypotheses: tuple[Hypothesis, ...]
-    start: Point
-    temper: float
-    untested: tuple[str, ...]
+    hypotheses: tuple[Hypothesis, ...]  # see there
+    start: Point  # the base at its prior, under the discrepancy that it needs
+    temper: float  # the case's design effect
+    untested: tuple[str, ...]  # effects whose simulation does not stay finite
+    # The least sizes that bring errors down to noise, at the start and at the best
     covering: tuple[float, float]
 
     @property
@@ -276,17 +269,12 @@ def _try(likelihood: Likelihood, start: Point, beat: float = np.inf) -> Point | 
 
 @dataclass(frozen=True)
 class Look:
-    """What an effect promises from the base at its prior.
+    """What an effect promises from the base at its prior."""
 
-    Attributes:
-        effect: its name; `values` of its parameters to start from.
-        cost: expected beside the base one step on [nats].
-        gain: below what the start costs so, and with the effect as in healthy drives [nats].
-    """
-
-    effect: str
+    effect: str  # its name; `values` of its parameters to start from
     values: tuple[float, ...]
-    cost: float = np.inf
+    cost: float = np.inf  # expected beside the base one step on [nats]
+    # Below what the start costs so, and with the effect as in healthy drives [nats]
     gain: float = -np.inf
 
 

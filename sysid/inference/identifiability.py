@@ -65,36 +65,23 @@ ANOTHER_END = f"another car explains these drives as well: {_TWO_SPEEDS}"
 
 @dataclass(frozen=True)
 class Estimate:
-    """One parameter.
+    """One parameter."""
 
-    Attributes:
-        value: the estimate.
-        sd: its standard error (with the weak prior); of what is not identifiable, with all doubts.
-        identifiable: whether the data identify it; if not, the value is largely the prior's.
-        manoeuvre: what would identify it; empty when it is identifiable.
-    """
-
-    value: float
+    value: float  # the estimate
+    # Its standard error (with the weak prior); of what is not identifiable, with all doubts
     sd: float
-    identifiable: bool
-    manoeuvre: str = ""
+    identifiable: bool  # whether the data identify it; if not, the value is largely the prior's
+    manoeuvre: str = ""  # what would identify it; empty when it is identifiable
 
 
 @dataclass(frozen=True)
 class Combination:
-    """A sum of coordinates that the data fix better than its members.
+    """A sum of coordinates that the data fix better than its members."""
 
-    Attributes:
-        text: the sum.
-        value: its value.
-        sd: its standard error.
-        known: whether that is small enough to call the sum known.
-    """
-
-    text: str
-    value: float
-    sd: float
-    known: bool = True
+    text: str  # the sum
+    value: float  # its value
+    sd: float  # its standard error
+    known: bool = True  # whether that is small enough to call the sum known
 
 
 def standard_errors(chart: Chart, z: Array, covariance: Array) -> Array:

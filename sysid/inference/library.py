@@ -20,19 +20,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Library:
-    """What may be a hypothesis.
+    """What may be a hypothesis."""
 
-    Attributes:
-        likelihood: the windows.
-        nuisance: the base's free parameters.
-        effects: what may be added to it.
-        known: whether the base's prior is knowledge from other drives, which windows whose errors
-            repeat outweigh no sooner than as many independent ones as they are worth.
-    """
-
-    likelihood: Likelihood
-    nuisance: tuple[str, ...]
-    effects: tuple[Effect, ...]
+    likelihood: Likelihood  # the windows
+    nuisance: tuple[str, ...]  # the base's free parameters
+    effects: tuple[Effect, ...]  # what may be added to it
+    # Whether the base's prior is knowledge from other drives, which windows whose errors repeat
+    # outweigh no sooner than as many independent ones as they are worth
     known: bool = True
 
     def space(self, names: Sequence[str]) -> Space:

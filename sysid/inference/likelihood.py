@@ -33,63 +33,39 @@ SIZES: Array = np.concatenate([[0.0], np.geomspace(0.02, 40.0, 25)])
 
 
 class Rotated(NamedTuple):
-    """Derivatives about one point in the rotated rows.
+    """Derivatives about one point in the rotated rows."""
 
-    Attributes:
-        by_z: (W, D, n) by the coordinates.
-        by_x: (W, D, 7) by the window's start.
-        held: (W,) windows whose start is held: so bent that no step of it keeps its promise.
-    """
-
-    by_z: Array
-    by_x: Array
+    by_z: Array  # (W, D, n) by the coordinates
+    by_x: Array  # (W, D, 7) by the window's start
+    # (W,) windows whose start is held: so bent that no step of it keeps its promise
     held: NDArray[np.bool_]
 
 
 class Weighed(NamedTuple):
-    """Rotated derivatives under one size, with the starts' part solved.
+    """Rotated derivatives under one size, with the starts' part solved."""
 
-    Attributes:
-        size: of the discrepancy.
-        weight: (W, D) precision of each row.
-        turned: (W, 7, D) derivatives by the starts, weighed; `heavy` (W, n, D) by the coordinates.
-        inverse: (W, 7, 7) inverse curvature of the starts, priors included; zero where held.
-        cross: (W, 7, n) between starts and coordinates; `kx` the starts' step per coordinate's.
-        h: (W, n, n) curvature with the starts eliminated.
-        volume: (W,) see `Reduced`.
-    """
-
-    size: float
-    weight: Array
+    size: float  # of the discrepancy
+    weight: Array  # (W, D) precision of each row
+    # (W, 7, D) derivatives by the starts, weighed; `heavy` (W, n, D) by the coordinates
     turned: Array
     heavy: Array
-    inverse: Array
-    cross: Array
+    inverse: Array  # (W, 7, 7) inverse curvature of the starts, priors included; zero where held
+    cross: Array  # (W, 7, n) between starts and coordinates; `kx` the starts' step per coordinate's
     kx: Array
-    h: Array
-    volume: Array
+    h: Array  # (W, n, n) curvature with the starts eliminated
+    volume: Array  # (W,) see `Reduced`
 
 
 class Reduced(NamedTuple):
-    """Windows' losses as functions of the coordinates alone, about one point at one size.
+    """Windows' losses as functions of the coordinates alone, about one point at one size."""
 
-    Attributes:
-        square: (W,) whitened squared error, the start's prior included, at its best start.
-        dof: (W,) measurements of each window less what a start takes.
-        volume: (W,) half the log determinants of the covariance and of the start's curvature.
-        g: (W, n) minus the slope of half the square.
-        h: (W, n, n) its curvature.
-        dx: (W, 7) step of the start; minus `kx` (W, 7, n) per step of the coordinates.
-        kx: see `dx`.
-    """
-
-    square: Array
-    dof: Array
-    volume: Array
-    g: Array
-    h: Array
-    dx: Array
-    kx: Array
+    square: Array  # (W,) whitened squared error, the start's prior included, at its best start
+    dof: Array  # (W,) measurements of each window less what a start takes
+    volume: Array  # (W,) half the log determinants of the covariance and of the start's curvature
+    g: Array  # (W, n) minus the slope of half the square
+    h: Array  # (W, n, n) its curvature
+    dx: Array  # (W, 7) step of the start; minus `kx` (W, 7, n) per step of the coordinates
+    kx: Array  # see `dx`
 
     @property
     def ratio(self) -> Array:
@@ -117,19 +93,12 @@ def loss_of(square: Array, dof: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
-    """Windows and how they are weighed.
+    """Windows and how they are weighed."""
 
-    Attributes:
-        engine: the windows and the car that is simulated over them.
-        rotation: (W, D, D) `T`; zero for rows that are not there.
-        spectrum: (W, D) variance of a discrepancy of size 1 in each rotated row.
-        pushed: (W,) share of each window's healthy variance that is pushes, not instruments.
-    """
-
-    engine: Engine
-    rotation: Array
-    spectrum: Array
-    pushed: Array
+    engine: Engine  # the windows and the car that is simulated over them
+    rotation: Array  # (W, D, D) `T`; zero for rows that are not there
+    spectrum: Array  # (W, D) variance of a discrepancy of size 1 in each rotated row
+    pushed: Array  # (W,) share of each window's healthy variance that is pushes, not instruments
 
     @cached_property
     def start_precision(self) -> Array:

@@ -48,18 +48,13 @@ _KEYS = ("position", "yaw", "wheel_speed", "yaw_rate", "push_along", "push_acros
 
 @dataclass(frozen=True)
 class Noise:
-    """Sizes of what is random.
+    """Sizes of what is random."""
 
-    Attributes:
-        instruments: standard deviations by `steerd.sysid.data.windows.GROUPS`: [m], [rad], [m/s],
-            [rad/s].
-        pushes: of accelerations along [m/s^2], across [m/s^2] and about the car [rad/s^2].
-        wheel_slip: of the driven wheel's slip per speed and acceleration [s^2/m].
-    """
-
+    # Standard deviations by `steerd.sysid.data.windows.GROUPS`: [m], [rad], [m/s], [rad/s]
     instruments: tuple[float, float, float, float]
+    # Of accelerations along [m/s^2], across [m/s^2] and about the car [rad/s^2]
     pushes: tuple[float, float, float]
-    wheel_slip: float = WHEEL_SLIP
+    wheel_slip: float = WHEEL_SLIP  # of the driven wheel's slip per speed and acceleration [s^2/m]
 
     @property
     def sizes(self) -> Array:

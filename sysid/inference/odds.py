@@ -31,19 +31,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """Effects beside the base, at their optimum.
+    """Effects beside the base, at their optimum."""
 
-    Attributes:
-        effects: their names, in the order in which they were found.
-        posterior: the optimum, its evidence and covariance.
-        log_odds: of the hypothesis, not normalised [nats].
-        probability: among all hypotheses that were brought to their optimum.
-    """
-
-    effects: tuple[str, ...]
-    posterior: Posterior
-    log_odds: float
-    probability: float = 0.0
+    effects: tuple[str, ...]  # their names, in the order in which they were found
+    posterior: Posterior  # the optimum, its evidence and covariance
+    log_odds: float  # of the hypothesis, not normalised [nats]
+    probability: float = 0.0  # among all hypotheses that were brought to their optimum
 
     @property
     def point(self) -> Point:

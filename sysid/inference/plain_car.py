@@ -53,32 +53,21 @@ _OUTLIER = 3.0
 
 
 class Asked(NamedTuple):
-    """What is asked of drives.
+    """What is asked of drives."""
 
-    Attributes:
-        model: the car as believed so far: weak priors lie about it, what is not free stays.
-        free: names of the free parameters.
-        wheelbase: measured distance of the axles [m].
-    """
-
+    # The car as believed so far: weak priors lie about it, what is not free stays
     model: Model[float]
-    free: tuple[str, ...]
-    wheelbase: float | None = None
+    free: tuple[str, ...]  # names of the free parameters
+    wheelbase: float | None = None  # measured distance of the axles [m]
 
 
 @dataclass(frozen=True, eq=False)
 class PlainCar:
-    """A plain car at its best on some windows.
+    """A plain car at its best on some windows."""
 
-    Attributes:
-        likelihood: the windows, under the instruments' noise.
-        point: the car there.
-        noise: of the instruments.
-    """
-
-    likelihood: Likelihood
-    point: Point
-    noise: Noise
+    likelihood: Likelihood  # the windows, under the instruments' noise
+    point: Point  # the car there
+    noise: Noise  # of the instruments
 
     @property
     def engine(self) -> Engine:

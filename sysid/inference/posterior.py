@@ -23,17 +23,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """A hypothesis at its optimum.
+    """A hypothesis at its optimum."""
 
-    Attributes:
-        point: the optimum.
-        evidence: log evidence, tempered [nats].
-        covariance: (n, n) of the coordinates, tempered.
-    """
-
-    point: Point
-    evidence: float
-    covariance: Array
+    point: Point  # the optimum
+    evidence: float  # log evidence, tempered [nats]
+    covariance: Array  # (n, n) of the coordinates, tempered
 
 
 def design_effect(likelihood: Likelihood, size: float, controlled: bool = False) -> float:

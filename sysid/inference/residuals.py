@@ -30,18 +30,13 @@ BLOCK = 3
 
 @dataclass(frozen=True)
 class Gap:
-    """Prediction error of windows.
+    """Prediction error of windows."""
 
-    Attributes:
-        whitened: squared error per degree of freedom, robust; 1 is noise alone.
-        interval: 90 % interval of it.
-        errors: rows (lead [s], position [m], yaw [rad], speed [m/s]), root mean squares.
-        intervals: (position, yaw, speed) 90 % intervals of each row.
-    """
-
-    whitened: float
-    interval: tuple[float, float]
+    whitened: float  # squared error per degree of freedom, robust; 1 is noise alone
+    interval: tuple[float, float]  # 90 % interval of it
+    # Rows (lead [s], position [m], yaw [rad], speed [m/s]), root mean squares
     errors: tuple[tuple[float, float, float, float], ...]
+    # (position, yaw, speed) 90 % intervals of each row
     intervals: tuple[tuple[tuple[float, float], ...], ...]
 
     def position(self, lead: float) -> float:

@@ -64,29 +64,18 @@ _HAIR = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A hypothesis somewhere.
+    """A hypothesis somewhere."""
 
-    Attributes:
-        space: its coordinates.
-        z: (n,) their values; x: (W, 7) the windows' starts.
-        size: of the discrepancy.
-        linear: errors here and derivatives here or near; `rotated` the derivatives, rotated.
-        weighed: the same under the size.
-        at: losses here.
-        cost: losses and prior [nats].
-        whole: whether the search came to its end, not to its limit of steps.
-    """
-
-    space: Space
-    z: Array
+    space: Space  # its coordinates
+    z: Array  # (n,) their values; x: (W, 7) the windows' starts
     x: Array
-    size: float
-    linear: Linear
+    size: float  # of the discrepancy
+    linear: Linear  # errors here and derivatives here or near; `rotated` the derivatives, rotated
     rotated: Rotated
-    weighed: Weighed
-    at: Reduced
-    cost: float
-    whole: bool = True
+    weighed: Weighed  # the same under the size
+    at: Reduced  # losses here
+    cost: float  # losses and prior [nats]
+    whole: bool = True  # whether the search came to its end, not to its limit of steps
 
     @property
     def parameters(self) -> Array:

@@ -54,27 +54,16 @@ UNKNOWN = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """Coordinates of a hypothesis.
+    """Coordinates of a hypothesis."""
 
-    Attributes:
-        chart: between coordinates and parameters.
-        centre: (n,) where the prior lies; the base at its effects' nulls.
-        covariance: (n, n) of the prior: the base's own coordinates move together.
-        precision: (n, n) its inverse, as often as it counts (see `heavier`).
-        low: (n,) physical bounds.
-        high: (n,).
-        effects: names of the hypothesis' effects, none for the base alone.
-        nuisance: how many of the coordinates are the base's; they come first.
-    """
-
-    chart: Chart
-    centre: Array
-    covariance: Array
-    precision: Array
-    low: Array
-    high: Array
-    effects: tuple[str, ...]
-    nuisance: int
+    chart: Chart  # between coordinates and parameters
+    centre: Array  # (n,) where the prior lies; the base at its effects' nulls
+    covariance: Array  # (n, n) of the prior: the base's own coordinates move together
+    precision: Array  # (n, n) its inverse, as often as it counts (see `heavier`)
+    low: Array  # (n,) physical bounds
+    high: Array  # (n,)
+    effects: tuple[str, ...]  # names of the hypothesis' effects, none for the base alone
+    nuisance: int  # how many of the coordinates are the base's; they come first
 
     def heavier(self, times: float) -> "Space":
         """The same with a prior that counts so often, as windows of which so many are worth one.

@@ -45,34 +45,26 @@ class Control(NamedTuple):
     """What healthy drives show of an effect.
 
     A model that is wrong a little everywhere lets an effect explain a little of any drive.
-
-    Attributes:
-        effect: its name.
-        values: (k,) of its parameters, where they explain healthy drives best; `covariance` (k, k).
     """
 
-    effect: str
+    effect: str  # its name
+    # (k,) of its parameters, where they explain healthy drives best; `covariance` (k, k)
     values: Array
     covariance: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """What is known of a base.
+    """What is known of a base."""
 
-    Attributes:
-        names: of the base's free parameters, in the order of the coordinates (see `chart`).
-        covariance: (n, n) of the coordinates.
-        excess: (len(EDGES) + 1,) squared error over noise by lateral acceleration, 1 or more.
-        values: the parameters' values that the covariance lies about, empty: the base's own.
-        controls: what the healthy drives show of effects.
-    """
-
+    # Of the base's free parameters, in the order of the coordinates (see `chart`)
     names: tuple[str, ...]
-    covariance: Array
+    covariance: Array  # (n, n) of the coordinates
+    # (len(EDGES) + 1,) squared error over noise by lateral acceleration, 1 or more
     excess: tuple[float, ...] = (1.0,) * (len(EDGES) + 1)
+    # The parameters' values that the covariance lies about, empty: the base's own
     values: tuple[float, ...] = ()
-    controls: tuple[Control, ...] = ()
+    controls: tuple[Control, ...] = ()  # what the healthy drives show of effects
 
     def part(self, names: Sequence[str]) -> Array:
         """Covariance of some of the coordinates, in this order.
@@ -193,20 +185,14 @@ def _is_control(one: Control) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Superset:
-    """The base car with every effect of the library switched on at its null.
+    """The base car with every effect of the library switched on at its null."""
 
-    Attributes:
-        kernels: the compiled car.
-        base: (P,) parameters of the base; an effect that the base has keeps its values.
-        sd: standard errors of the base by parameter name, as far as they are known.
-        knowledge: the joint covariance that healthy drives gave it, if they did.
-        wheelbase: measured distance of the axles [m]: of `lf` and `lr`, one follows from the other.
-    """
-
-    kernels: Kernels
-    base: Array
-    sd: dict[str, float]
+    kernels: Kernels  # the compiled car
+    base: Array  # (P,) parameters of the base; an effect that the base has keeps its values
+    sd: dict[str, float]  # standard errors of the base by parameter name, as far as they are known
+    # The joint covariance that healthy drives gave it, if they did
     knowledge: Knowledge | None = None
+    # Measured distance of the axles [m]: of `lf` and `lr`, one follows from the other
     wheelbase: float | None = None
 
     @property

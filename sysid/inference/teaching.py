@@ -79,15 +79,10 @@ class Step(NamedTuple):
 
 
 class Stated(NamedTuple):
-    """What whoever asks vouches for.
+    """What whoever asks vouches for."""
 
-    Attributes:
-        wheelbase: whether the model's axles stand at a measured distance.
-        held: parameters and effects that keep the model's values.
-    """
-
-    wheelbase: bool = False
-    held: tuple[str, ...] = ()
+    wheelbase: bool = False  # whether the model's axles stand at a measured distance
+    held: tuple[str, ...] = ()  # parameters and effects that keep the model's values
 
     def holds(self, name: str) -> bool:
         """Whether a parameter (`name` or `effect.name`) keeps its value."""
@@ -99,22 +94,14 @@ NOTHING = Stated()
 
 @dataclass(frozen=True, eq=False)
 class Taught:
-    """A car at its best on healthy drives.
+    """A car at its best on healthy drives."""
 
-    Attributes:
-        likelihood: the windows under what was learnt to be random.
-        point: the car there.
-        noise: how large what is random is.
-        nuisance: names of the car's free parameters.
-        shares: of identification's weak priors, by parameter (see `ORDINARY`).
-        selected: effects beyond those of every car that the drives show, the surest first.
-    """
-
-    likelihood: Likelihood
-    point: Point
-    noise: Noise
-    nuisance: tuple[str, ...]
-    shares: Mapping[str, float]
+    likelihood: Likelihood  # the windows under what was learnt to be random
+    point: Point  # the car there
+    noise: Noise  # how large what is random is
+    nuisance: tuple[str, ...]  # names of the car's free parameters
+    shares: Mapping[str, float]  # of identification's weak priors, by parameter (see `ORDINARY`)
+    # Effects beyond those of every car that the drives show, the surest first
     selected: tuple[Step, ...] = ()
 
     @property

@@ -57,17 +57,11 @@ SCALE = np.array([LENGTH_SCALE, LENGTH_SCALE, 1.0, 1.0])
 
 
 class PaperRun(NamedTuple):
-    """One piece of a drive as the paper's loss sees it.
+    """One piece of a drive as the paper's loss sees it."""
 
-    Attributes:
-        commands: (N, 2) steer and speed at the steps.
-        path: (N, 2) driven x and y at the steps [m].
-        first: (7,) first state; yaw rate and slip are zero, as in the paper.
-    """
-
-    commands: Array
-    path: Array
-    first: Array
+    commands: Array  # (N, 2) steer and speed at the steps
+    path: Array  # (N, 2) driven x and y at the steps [m]
+    first: Array  # (7,) first state; yaw rate and slip are zero, as in the paper
 
 
 Watch = Callable[[int, Array, float], bool]
@@ -110,17 +104,11 @@ def _piece(run: Run, low: float, high: float) -> PaperRun:
 
 
 class PaperProblem(NamedTuple):
-    """The paper's loss over some runs.
+    """The paper's loss over some runs."""
 
-    Attributes:
-        kernels: the compiled car without effects.
-        runs: at least one.
-        base: (P,) parameters; those of `NAMES` are replaced.
-    """
-
-    kernels: Kernels
-    runs: tuple[PaperRun, ...]
-    base: Array
+    kernels: Kernels  # the compiled car without effects
+    runs: tuple[PaperRun, ...]  # at least one
+    base: Array  # (P,) parameters; those of `NAMES` are replaced
 
 
 def make_problem(runs: tuple[PaperRun, ...], base: Car[float] = PAPER_CAR_DIRECT) -> PaperProblem:

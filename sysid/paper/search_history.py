@@ -16,18 +16,10 @@ class BaselineMissingError(ImportError):
 
 
 class SearchHistory(NamedTuple):
-    """History of one start.
+    """History of one start."""
 
-    Attributes:
-        start: (4,) in the order of `NAMES`.
-        losses: loss of each iteration's batch.
-        path: (iterations + 1, 4) parameters.
-        final: (4,) the last ones (Adam), or the best (CMA-ES).
-        diverged: a loss was not finite, which ended it.
-    """
-
-    start: Array
-    losses: Array
-    path: Array
-    final: Array
-    diverged: bool = False
+    start: Array  # (4,) in the order of `NAMES`
+    losses: Array  # loss of each iteration's batch
+    path: Array  # (iterations + 1, 4) parameters
+    final: Array  # (4,) the last ones (Adam), or the best (CMA-ES)
+    diverged: bool = False  # a loss was not finite, which ended it

@@ -41,19 +41,12 @@ FRICTIONS: Mapping[str, float] = {"standard": 1.0, "low": 0.5}
 
 
 class Profile(NamedTuple):
-    """One controlled drive.
+    """One controlled drive."""
 
-    Attributes:
-        design: whose parameters the controller was designed from.
-        friction: which floor.
-        rows: time [s], lateral offset e1 [m] and heading error e2 [rad], (N, 3).
-        refused: why there is no drive; empty otherwise.
-    """
-
-    design: str
-    friction: str
-    rows: Array
-    refused: str = ""
+    design: str  # whose parameters the controller was designed from
+    friction: str  # which floor
+    rows: Array  # time [s], lateral offset e1 [m] and heading error e2 [rad], (N, 3)
+    refused: str = ""  # why there is no drive; empty otherwise
 
     @property
     def rms(self) -> float:

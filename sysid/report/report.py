@@ -23,17 +23,11 @@ class Cell(NamedTuple):
 
 @dataclass(frozen=True)
 class Table:
-    """A table of figures; its first column names the rows.
+    """A table of figures; its first column names the rows."""
 
-    Attributes:
-        heads: a name for each column.
-        rows: cells in the columns' order.
-        words: numbers of the columns that hold sentences, which may be broken.
-    """
-
-    heads: Sequence[str]
-    rows: Sequence[Sequence[str | Cell]]
-    words: Sequence[int] = ()
+    heads: Sequence[str]  # a name for each column
+    rows: Sequence[Sequence[str | Cell]]  # cells in the columns' order
+    words: Sequence[int] = ()  # numbers of the columns that hold sentences, which may be broken
 
     @property
     def cells(self) -> list[list[Cell]]:
@@ -64,50 +58,29 @@ class Fold(NamedTuple):
 
 @dataclass(frozen=True)
 class Section:
-    """A headed part; what is empty is left out.
+    """A headed part; what is empty is left out."""
 
-    Attributes:
-        title: its heading.
-        text: a paragraph about it; `steerd …` in backquotes is shown as a command.
-        notes: what a reader should know, each set off.
-        table: figures.
-        figure: markup of diagrams, see `drawing.to_svg`.
-        fold: what few will read.
-    """
-
-    title: str = ""
-    text: str = ""
-    notes: Sequence[str] = ()
-    table: Table | None = None
-    figure: str = ""
-    fold: Fold | None = None
+    title: str = ""  # its heading
+    text: str = ""  # a paragraph about it; `steerd …` in backquotes is shown as a command
+    notes: Sequence[str] = ()  # what a reader should know, each set off
+    table: Table | None = None  # figures
+    figure: str = ""  # markup of diagrams, see `drawing.to_svg`
+    fold: Fold | None = None  # what few will read
 
 
 @dataclass(frozen=True)
 class Report:
-    """A report, results first.
+    """A report, results first."""
 
-    Attributes:
-        title: what it answers.
-        subject: names of what it is about: sessions, a car.
-        about: facts about that.
-        lead: the result in a sentence or two.
-        sections: in reading order.
-        foot: who wrote it, conventions.
-        verdict: the result in a word; empty where there is none.
-        grade: how good that is: `good`, `fair` or `bad`.
-        cards: figures that are read first.
-    """
-
-    title: str
-    subject: str
-    about: str
-    lead: str
-    sections: Sequence[Section]
-    foot: str
-    verdict: str = ""
-    grade: str = ""
-    cards: Sequence[Card] = ()
+    title: str  # what it answers
+    subject: str  # names of what it is about: sessions, a car
+    about: str  # facts about that
+    lead: str  # the result in a sentence or two
+    sections: Sequence[Section]  # in reading order
+    foot: str  # who wrote it, conventions
+    verdict: str = ""  # the result in a word; empty where there is none
+    grade: str = ""  # how good that is: `good`, `fair` or `bad`
+    cards: Sequence[Card] = ()  # figures that are read first
 
 
 def format_table(table: Table) -> Iterator[str]:
