@@ -48,72 +48,50 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Options:
-    """How to diagnose.
+    """How to diagnose."""
 
-    Attributes:
-        held_out: drives that are only opened after the prediction is written; or how to get them,
-            which is then called after it.
-        healthy: drives of the base car without the gap; they show how large noise is, and
-            refine a base that is a car file (see `car_posterior.refine`).
-        noise: how large noise is, if it is known (also read from the car file's `[noise]`).
-        only: effects to look at; None takes the library.
-        without: effects to leave out.
-        pairs: whether two causes together are tried.
-        horizons: whether the gap is looked at over other horizons too.
-        progress: called with a stage's name and the share done.
-        written: called with the prediction (JSON) before the reserved drives are opened.
-    """
-
+    # Drives that are only opened after the prediction is written; or how to get them, which is
+    # then called after it
     held_out: Sequence[Run] | Callable[[], Sequence[Run]] = ()
+    # Drives of the base car without the gap; they show how large noise is, and refine a base
+    # that is a car file (see `car_posterior.refine`)
     healthy: Sequence[Run] = ()
+    # How large noise is, if it is known (also read from the car file's `[noise]`)
     noise: Noise | None = None
-    only: Sequence[str] | None = None
-    without: Sequence[str] = ()
-    pairs: bool = True
-    horizons: bool = True
+    only: Sequence[str] | None = None  # effects to look at; None takes the library
+    without: Sequence[str] = ()  # effects to leave out
+    pairs: bool = True  # whether two causes together are tried
+    horizons: bool = True  # whether the gap is looked at over other horizons too
+    # Called with a stage's name and the share done
     progress: Callable[[str, float], None] = lambda stage, share: None
+    # Called with the prediction (JSON) before the reserved drives are opened
     written: Callable[[str], None] = lambda prediction: None
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What was found.
+    """What was found."""
 
-    Attributes:
-        verdict: `none`, `explained`, `partial`, `unexplained` or `unjudged`.
-        before: the gap of the base; `after` with the explanation.
-        where: where the base's error lies.
-        causes: named effects, the verdict's first.
-        something_else: posterior probability that no effect of the library is a cause.
-        candidates: (effects, probability, gain over the base alone [nats]) of each hypothesis.
-        shrinkage: predicted and, with reserved drives, measured.
-        next_manoeuvre: what to drive to distinguish ambiguous causes, if there are any.
-        shape: what is left.
-        moved: z-scores of base parameters that moved within their uncertainty.
-        noise: what was taken as random; `noise_known` if not from these drives.
-        notes: what a reader should know about how this was done.
-        values: all effects' parameters of the explanation, by effect, for a car file.
-        timeline: the gap window by window.
-        horizons: the gap over other horizons.
-    """
-
-    verdict: str
-    before: Gap
+    verdict: str  # `none`, `explained`, `partial`, `unexplained` or `unjudged`
+    before: Gap  # the gap of the base; `after` with the explanation
     after: Gap
-    where: Where
-    causes: tuple[Cause, ...]
-    something_else: float
+    where: Where  # where the base's error lies
+    causes: tuple[Cause, ...]  # named effects, the verdict's first
+    something_else: float  # posterior probability that no effect of the library is a cause
+    # (effects, probability, gain over the base alone [nats]) of each hypothesis
     candidates: tuple[tuple[str, float, float], ...]
-    shrinkage: Shrinkage
+    shrinkage: Shrinkage  # predicted and, with reserved drives, measured
+    # What to drive to distinguish ambiguous causes, if there are any
     next_manoeuvre: Manoeuvre | None
-    shape: Shape
-    moved: dict[str, float]
-    noise: Noise
+    shape: Shape  # what is left
+    moved: dict[str, float]  # z-scores of base parameters that moved within their uncertainty
+    noise: Noise  # what was taken as random; `noise_known` if not from these drives
     noise_known: bool
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # what a reader should know about how this was done
+    # All effects' parameters of the explanation, by effect, for a car file
     values: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    timeline: Timeline | None = None
-    horizons: tuple[Horizon, ...] = ()
+    timeline: Timeline | None = None  # the gap window by window
+    horizons: tuple[Horizon, ...] = ()  # the gap over other horizons
 
     def __repr__(self) -> str:
         names = ", ".join(cause.effect for cause in self.causes)
@@ -130,25 +108,16 @@ def _known_noise(base: CarFile | Model[float], options: Options) -> Noise | None
 
 @dataclass(frozen=True, eq=False)
 class _Case:
-    """What the stages share.
+    """What the stages share."""
 
-    Attributes:
-        library: windows, free parameters of the base, effects.
-        likelihood: the windows, their responses taken about the likeliest hypothesis.
-        noise: what was taken as random; `known` if not from these drives.
-        floor: what noise leaves of the whitened error.
-        found: every hypothesis; `verdict` of them.
-        blocks: (W,) windows that follow each other.
-    """
-
-    library: Library
-    likelihood: Likelihood
-    noise: Noise
+    library: Library  # windows, free parameters of the base, effects
+    likelihood: Likelihood  # the windows, their responses taken about the likeliest hypothesis
+    noise: Noise  # what was taken as random; `known` if not from these drives
     known: bool
-    floor: float
-    found: Findings
+    floor: float  # what noise leaves of the whitened error
+    found: Findings  # every hypothesis; `verdict` of them
     verdict: Verdict
-    blocks: NDArray[np.int64]
+    blocks: NDArray[np.int64]  # (W,) windows that follow each other
 
     @property
     def engine(self) -> Engine:

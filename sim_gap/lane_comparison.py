@@ -27,22 +27,14 @@ SHORTEST = 6.0
 
 @dataclass(frozen=True, eq=False)
 class LaneDrive:
-    """One drive in the lane, the way into it left out; all arrays (N,), evenly in time.
+    """One drive in the lane, the way into it left out; all arrays (N,), evenly in time."""
 
-    Attributes:
-        t: [s].
-        s: way along the lane [m].
-        e1: lateral offset [m]; e2: heading error [rad].
-        steer: commanded angle [rad].
-        length: of the lane [m].
-    """
-
-    t: Array
-    s: Array
-    e1: Array
+    t: Array  # [s]
+    s: Array  # way along the lane [m]
+    e1: Array  # lateral offset [m]; e2: heading error [rad]
     e2: Array
-    steer: Array
-    length: float
+    steer: Array  # commanded angle [rad]
+    length: float  # of the lane [m]
 
 
 @dataclass(frozen=True)
@@ -61,37 +53,24 @@ class LaneFigures:
 
 @dataclass(frozen=True)
 class Likeness:
-    """How far a simulated drive is from the recorded one.
+    """How far a simulated drive is from the recorded one."""
 
-    Attributes:
-        e1: RMS difference of the profiles [m]; e2: [rad].
-        steer_db: RMS difference of the steering's spectra [dB].
-    """
-
-    e1: float
+    e1: float  # RMS difference of the profiles [m]; e2: [rad]
     e2: float
-    steer_db: float
+    steer_db: float  # RMS difference of the steering's spectra [dB]
 
 
 @dataclass(frozen=True, eq=False)
 class LaneComparison:
-    """The recorded drive and its simulations.
+    """The recorded drive and its simulations."""
 
-    Attributes:
-        recorded: as driven.
-        without: simulated with the base car; a stopped simulation is None.
-        with_effect: simulated with the found effect; None if none was found or it was stopped.
-        session: which drive.
-        again: options of `steerd run` that drive this lane.
-        remarks: what a reader should know, in words.
-    """
-
-    recorded: LaneDrive
-    without: LaneDrive | None
+    recorded: LaneDrive  # as driven
+    without: LaneDrive | None  # simulated with the base car; a stopped simulation is None
+    # Simulated with the found effect; None if none was found or it was stopped
     with_effect: LaneDrive | None
-    session: str
-    again: str = ""
-    remarks: tuple[str, ...] = ()
+    session: str  # which drive
+    again: str = ""  # options of `steerd run` that drive this lane
+    remarks: tuple[str, ...] = ()  # what a reader should know, in words
 
     @property
     def distances(self) -> tuple[Likeness | None, Likeness | None]:

@@ -36,19 +36,12 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """Two drives over the time that they share.
+    """Two drives over the time that they share."""
 
-    Attributes:
-        t: since the first one's start (n,) [s].
-        shift: by which the second one comes later [s].
-        found: whether that was found, not given.
-        pairs: the quantities that both have.
-    """
-
-    t: Array
-    shift: float
-    found: bool
-    pairs: tuple[Pair, ...]
+    t: Array  # since the first one's start (n,) [s]
+    shift: float  # by which the second one comes later [s]
+    found: bool  # whether that was found, not given
+    pairs: tuple[Pair, ...]  # the quantities that both have
 
 
 def find_shift(first: Sequence[Array], second: Sequence[Array]) -> float:

@@ -18,19 +18,12 @@ class BusError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One received message.
+    """One received message."""
 
-    Attributes:
-        key: the key it was published under.
-        data: the encoded message.
-        seq: the publisher's counter for this key, from 1; 0 if the sender gives none.
-        sent_ns: the publisher's UNIX time [ns]; 0 if the sender gives none.
-    """
-
-    key: str
-    data: bytes
-    seq: int = 0
-    sent_ns: int = 0
+    key: str  # the key it was published under
+    data: bytes  # the encoded message
+    seq: int = 0  # the publisher's counter for this key, from 1; 0 if the sender gives none
+    sent_ns: int = 0  # the publisher's UNIX time [ns]; 0 if the sender gives none
 
 
 class Subscription(Protocol):
@@ -58,13 +51,9 @@ Keep = Callable[[bytes], bool]
 
 
 class Bus(Protocol):
-    """One participant. Keys to listen to may hold ``*`` (one chunk) and ``**`` (any).
+    """One participant. Keys to listen to may hold ``*`` (one chunk) and ``**`` (any)."""
 
-    Attributes:
-        who: the name in this participant's certificate; empty without one.
-    """
-
-    who: str
+    who: str  # the name in this participant's certificate; empty without one
 
     def publish(self, key: str, data: bytes) -> None:
         """Send to whoever listens; never waits for a slow receiver.

@@ -66,19 +66,13 @@ class DamageError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class SessionWarning:
-    """Something wrong with a file that does not prevent reading the rest.
+    """Something wrong with a file that does not prevent reading the rest."""
 
-    Attributes:
-        code: ``unfinished``, ``damaged``, ``unknown_record``, ``unknown_channel`` or ``conflict``.
-        message: one line for people.
-        offset: where in the file [bytes].
-        lost: how much could not be read [bytes].
-    """
-
+    # ``unfinished``, ``damaged``, ``unknown_record``, ``unknown_channel`` or ``conflict``
     code: str
-    message: str
-    offset: int
-    lost: int = 0
+    message: str  # one line for people
+    offset: int  # where in the file [bytes]
+    lost: int = 0  # how much could not be read [bytes]
 
 
 @dataclass(frozen=True, slots=True)

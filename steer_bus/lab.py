@@ -25,23 +25,14 @@ _FILES = ("ca.pem", "cert.pem", "key.pem")
 
 @dataclass(frozen=True, slots=True)
 class Lab:
-    """What a participant's folder says.
+    """What a participant's folder says."""
 
-    Attributes:
-        folder: where its certificate and key lie.
-        car: the car's name, which is the common name of the hub's certificate.
-        endpoint: where the hub listens and everybody dials, such as ``tls/192.168.1.20:7447``.
-        operators: common names that may command and read.
-        viewers: common names that may read.
-        name: this participant's common name.
-    """
-
-    folder: Path
-    car: str
-    endpoint: str
-    operators: tuple[str, ...] = ()
-    viewers: tuple[str, ...] = ()
-    name: str = ""
+    folder: Path  # where its certificate and key lie
+    car: str  # the car's name, which is the common name of the hub's certificate
+    endpoint: str  # where the hub listens and everybody dials, such as ``tls/192.168.1.20:7447``
+    operators: tuple[str, ...] = ()  # common names that may command and read
+    viewers: tuple[str, ...] = ()  # common names that may read
+    name: str = ""  # this participant's common name
 
 
 def load_lab(folder: Path) -> Lab:

@@ -232,21 +232,13 @@ class SessionWriter:
 
 @dataclass(frozen=True, slots=True)
 class RecoverReport:
-    """What a recovery saved, and what it could not.
+    """What a recovery saved, and what it could not."""
 
-    Attributes:
-        path: the new, finished file.
-        messages: how many were saved.
-        lost_bytes: how much of the old file made no sense.
-        longest_gap_s: the longest time without any message: where something is missing.
-        warnings: what was wrong with the old file.
-    """
-
-    path: Path
-    messages: int
-    lost_bytes: int
-    longest_gap_s: float
-    warnings: tuple[SessionWarning, ...]
+    path: Path  # the new, finished file
+    messages: int  # how many were saved
+    lost_bytes: int  # how much of the old file made no sense
+    longest_gap_s: float  # the longest time without any message: where something is missing
+    warnings: tuple[SessionWarning, ...]  # what was wrong with the old file
 
 
 def recover(path_in: Path | str, path_out: Path | str) -> RecoverReport:

@@ -79,12 +79,7 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class SessionInfo:
-    """What a session holds.
-
-    Attributes:
-        finished: the container's end is whole.
-        clean: the recorder also said why it ended (``steerd.end``); its absence means a crash.
-    """
+    """What a session holds."""
 
     path: Path
     size: int
@@ -94,8 +89,8 @@ class SessionInfo:
     metadata: Mapping[str, Mapping[str, str]]
     attachments: tuple[str, ...]
     warnings: tuple[SessionWarning, ...]
-    finished: bool
-    clean: bool
+    finished: bool  # the container's end is whole
+    clean: bool  # the recorder also said why it ended (``steerd.end``); its absence means a crash
 
     @property
     def count(self) -> int:

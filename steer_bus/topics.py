@@ -35,25 +35,15 @@ class Priority(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One topic of a car.
+    """One topic of a car."""
 
-    Attributes:
-        name: the key below ``steerd/<car>/``.
-        message: the message class.
-        direction: who publishes it.
-        priority: network priority.
-        logged: whether the recorder writes it.
-        on_bus: whether the gateway carries it (raw inputs stay in the session file).
-        rate_hz: nominal rate; 0 for events.
-    """
-
-    name: str
-    message: type[Any]
-    direction: Direction = Direction.OUT
-    priority: Priority = Priority.DATA
-    logged: bool = True
-    on_bus: bool = True
-    rate_hz: float = 0.0
+    name: str  # the key below ``steerd/<car>/``
+    message: type[Any]  # the message class
+    direction: Direction = Direction.OUT  # who publishes it
+    priority: Priority = Priority.DATA  # network priority
+    logged: bool = True  # whether the recorder writes it
+    on_bus: bool = True  # whether the gateway carries it (raw inputs stay in the session file)
+    rate_hz: float = 0.0  # nominal rate; 0 for events
 
 
 TICK = Topic("tick", m.Tick, rate_hz=200.0)

@@ -47,23 +47,16 @@ _CLOSE_TIMEOUT_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """How a participant joins.
+    """How a participant joins."""
 
-    Attributes:
-        hub: listen on ``endpoint`` and forward between spokes; otherwise dial it.
-        endpoint: a zenoh locator such as ``tcp/127.0.0.1:7447``.
-        lease_ms: after how long a silent peer counts as dead. Not the command watchdog.
-        insecure_lan: allow a plain-text hub on an address that others can reach.
-        settings: further zenoh settings (TLS, access control) by their ``/`` path.
-        who: the name in this participant's certificate; empty without one.
-    """
-
-    hub: bool
+    hub: bool  # listen on ``endpoint`` and forward between spokes; otherwise dial it
+    # A zenoh locator such as ``tcp/127.0.0.1:7447``
     endpoint: str = f"tcp/127.0.0.1:{DEFAULT_PORT}"
-    lease_ms: int = 1000
-    insecure_lan: bool = False
+    lease_ms: int = 1000  # after how long a silent peer counts as dead. Not the command watchdog
+    insecure_lan: bool = False  # allow a plain-text hub on an address that others can reach
+    # Further zenoh settings (TLS, access control) by their ``/`` path
     settings: Mapping[str, Any] = field(default_factory=dict)
-    who: str = ""
+    who: str = ""  # the name in this participant's certificate; empty without one
 
 
 def make_hub_profile(

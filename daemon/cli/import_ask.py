@@ -25,17 +25,11 @@ _LEFT, _MM = "must be left positive", "millimetres"
 
 @dataclass(frozen=True)
 class Meaning:
-    """What a map makes of a log.
+    """What a map makes of a log."""
 
-    Attributes:
-        lines: in words.
-        warnings: what looks wrong.
-        erpm_gain: ERPM per m/s that the poses show, None where they cannot say.
-    """
-
-    lines: tuple[str, ...]
-    warnings: tuple[str, ...]
-    erpm_gain: float | None
+    lines: tuple[str, ...]  # in words
+    warnings: tuple[str, ...]  # what looks wrong
+    erpm_gain: float | None  # ERPM per m/s that the poses show, None where they cannot say
 
 
 def ask(proposal: Proposal, source: Path, trial: Trial) -> str:

@@ -63,17 +63,11 @@ _SHOWN = 8
 
 @dataclass(frozen=True)
 class BagChoice:
-    """Choices of the command line, which override the map.
+    """Choices of the command line, which override the map."""
 
-    Attributes:
-        topics: `TOPIC`, or `ROLE=TOPIC` with a role of `ROLES`.
-        rigid: which rigid body of a PhaseSpace message is the car.
-        erpm_gain: electrical rpm per m/s, negative for a motor that is wired so.
-    """
-
-    topics: tuple[str, ...] = ()
-    rigid: int | None = None
-    erpm_gain: float | None = None
+    topics: tuple[str, ...] = ()  # `TOPIC`, or `ROLE=TOPIC` with a role of `ROLES`
+    rigid: int | None = None  # which rigid body of a PhaseSpace message is the car
+    erpm_gain: float | None = None  # electrical rpm per m/s, negative for a motor that is wired so
 
 
 def import_bag(

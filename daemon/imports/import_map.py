@@ -73,29 +73,21 @@ class _Tables(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class ImportMap:
-    """A map that was read and checked.
+    """A map that was read and checked."""
 
-    Attributes:
-        columns: quantity to column, `t` included; empty in a map for bags.
-        topics: role to topic.
-        rigid: which rigid body of a PhaseSpace message is the car; None if there is only one.
-        frame: from the recorded body to the centre of gravity; None changes nothing.
-        vesc: electrical rpm per m/s, and its offset; None for the F1TENTH figures.
-        car: the car's name in topics.
-        epoch_ns: UNIX time of the log's time zero [ns].
-        comment: a remark for `steerd info`.
-        text: the map's own text; it is kept inside the session.
-    """
-
+    # Quantity to column, `t` included; empty in a map for bags
     columns: dict[str, ColumnSpec] = field(default_factory=dict)
-    topics: dict[str, str] = field(default_factory=dict)
+    topics: dict[str, str] = field(default_factory=dict)  # role to topic
+    # Which rigid body of a PhaseSpace message is the car; None if there is only one
     rigid: int | None = None
+    # From the recorded body to the centre of gravity; None changes nothing
     frame: FrameConfig | None = None
+    # Electrical rpm per m/s, and its offset; None for the F1TENTH figures
     vesc: VescSpec | None = None
-    car: str = "car"
-    epoch_ns: int = 0
-    comment: str = ""
-    text: str = ""
+    car: str = "car"  # the car's name in topics
+    epoch_ns: int = 0  # UNIX time of the log's time zero [ns]
+    comment: str = ""  # a remark for `steerd info`
+    text: str = ""  # the map's own text; it is kept inside the session
 
 
 def load_map(path: Path) -> ImportMap:

@@ -45,19 +45,12 @@ class Sample(NamedTuple):
 
 @dataclass(frozen=True)
 class ImportReport:
-    """Result of an import.
+    """Result of an import."""
 
-    Attributes:
-        path: the session.
-        counts: messages by topic name.
-        notes: oddities of the log, one line each.
-        remarks: what was chosen, and what the log lacks.
-    """
-
-    path: Path
-    counts: dict[str, int]
-    notes: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
+    path: Path  # the session
+    counts: dict[str, int]  # messages by topic name
+    notes: tuple[str, ...] = ()  # oddities of the log, one line each
+    remarks: tuple[str, ...] = ()  # what was chosen, and what the log lacks
 
     @property
     def is_drive(self) -> bool:
@@ -168,14 +161,10 @@ def _scaling(the_map: ImportMap) -> dict[str, dict[str, str]]:
 
 @dataclass
 class MessageMaker:
-    """Samples of one log as messages.
+    """Samples of one log as messages."""
 
-    Attributes:
-        epoch_ns: UNIX time of the log's time zero [ns].
-        frame: from the recorded body to the centre of gravity; None changes nothing.
-    """
-
-    epoch_ns: int
+    epoch_ns: int  # UNIX time of the log's time zero [ns]
+    # From the recorded body to the centre of gravity; None changes nothing
     frame: FrameConfig | None = None
     _commands: int = 0
     _poses: int = 0

@@ -28,15 +28,10 @@ NEEDED = (*LEARNT_FROM, topics.WHEEL)
 
 @dataclass(frozen=True)
 class Wiring:
-    """How a session's numbers are to be read.
+    """How a session's numbers are to be read."""
 
-    Attributes:
-        epoch_ns: UNIX time minus monotonic time [ns].
-        erpm_gain: of the session's scaling; `erpm_offset` too.
-    """
-
-    epoch_ns: int
-    erpm_gain: float = F1TENTH.erpm_gain
+    epoch_ns: int  # UNIX time minus monotonic time [ns]
+    erpm_gain: float = F1TENTH.erpm_gain  # of the session's scaling; `erpm_offset` too
     erpm_offset: float = F1TENTH.erpm_offset
 
 
@@ -72,20 +67,13 @@ def make_sample(wiring: Wiring, topic: Topic, message: Any) -> Sample | None:
 
 @dataclass
 class Feed:
-    """A learner and where it stands.
+    """A learner and where it stands."""
 
-    Attributes:
-        learner: the car.
-        wiring: how the session's numbers are read.
-        state: what is known so far.
-        dropped: records that were lost on the way here.
-        proposals: of designs for what is learnt, each after its report; None without `--adapt`.
-    """
-
-    learner: Learner
-    wiring: Wiring
-    state: State
-    dropped: int = 0
+    learner: Learner  # the car
+    wiring: Wiring  # how the session's numbers are read
+    state: State  # what is known so far
+    dropped: int = 0  # records that were lost on the way here
+    # Of designs for what is learnt, each after its report; None without `--adapt`
     proposals: "Proposals | None" = None
 
     def take(self, topic: Topic, message: Any) -> m.Model | None:

@@ -39,19 +39,12 @@ class KeptError(ValueError):
 
 
 class About(NamedTuple):
-    """Of what a page is.
+    """Of what a page is."""
 
-    Attributes:
-        car: the car's name.
-        numbers: digest of the car file's numbers, see `digest_numbers`.
-        version: of steerd.
-        session: the file's name.
-    """
-
-    car: str
-    numbers: str
-    version: str
-    session: str
+    car: str  # the car's name
+    numbers: str  # digest of the car file's numbers, see `digest_numbers`
+    version: str  # of steerd
+    session: str  # the file's name
 
 
 class Kept(NamedTuple):
@@ -146,23 +139,15 @@ def recall(kept: Kept, about: About, now_ns: int) -> str:
 
 @dataclass
 class Keeper:
-    """Takes reports and writes some of them.
+    """Takes reports and writes some of them."""
 
-    Attributes:
-        about: of what the page is.
-        write: replaces the page, whole or not at all; raises OSError or SteerdError.
-        complain: is given one line where the page cannot be written.
-        newest: the last report that knows the car and is not written yet.
-        due_ns: when the page is written next (monotonic), None before the first.
-        failed: whether writing failed; then it is not tried again.
-    """
-
-    about: About
+    about: About  # of what the page is
+    # Replaces the page, whole or not at all; raises OSError or SteerdError
     write: Callable[[str], None]
-    complain: Callable[[str], None]
-    newest: m.Model | None = None
-    due_ns: int | None = None
-    failed: bool = False
+    complain: Callable[[str], None]  # is given one line where the page cannot be written
+    newest: m.Model | None = None  # the last report that knows the car and is not written yet
+    due_ns: int | None = None  # when the page is written next (monotonic), None before the first
+    failed: bool = False  # whether writing failed; then it is not tried again
 
     def take(self, report: m.Model) -> None:
         """Take a report; one of a car that is not known yet says nothing new."""

@@ -24,21 +24,13 @@ PAUSE_NS = 15_000_000_000
 
 @dataclass(frozen=True, eq=False)
 class Proposer:
-    """What is proposed next.
+    """What is proposed next."""
 
-    Attributes:
-        held: what the core holds designs against.
-        design_table: computes gains, see `steerd.controller.gains`.
-        at: the numbers in force, as the core said.
-        design: the last proposal; None before the first.
-        refused_ns: when the core refused one last.
-    """
-
-    held: Acceptance
-    design_table: DesignTable
-    at: Learnt
-    design: Design | None = None
-    refused_ns: int = -PAUSE_NS
+    held: Acceptance  # what the core holds designs against
+    design_table: DesignTable  # computes gains, see `steerd.controller.gains`
+    at: Learnt  # the numbers in force, as the core said
+    design: Design | None = None  # the last proposal; None before the first
+    refused_ns: int = -PAUSE_NS  # when the core refused one last
 
 
 def make_proposer(held: Acceptance | None, design_table: DesignTable) -> Proposer:
@@ -107,15 +99,10 @@ def _make(proposer: Proposer, car: Learnt) -> Design:
 
 @dataclass
 class Proposals:
-    """A learner's proposals on their way.
+    """A learner's proposals on their way."""
 
-    Attributes:
-        proposer: what is proposed next.
-        send: takes each as bytes, and when it was made [ns].
-    """
-
-    proposer: Proposer
-    send: Callable[[bytes, int], None]
+    proposer: Proposer  # what is proposed next
+    send: Callable[[bytes, int], None]  # takes each as bytes, and when it was made [ns]
 
     def hear(self, taken: m.Design) -> None:
         """The core took a design, or the file's."""

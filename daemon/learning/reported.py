@@ -21,23 +21,15 @@ class ReportedValue(NamedTuple):
 
 
 class ReportedChange(NamedTuple):
-    """A change of the car; times are monotonic [ns].
+    """A change of the car; times are monotonic [ns]."""
 
-    Attributes:
-        since_ns: when it began; `noticed_ns` when it was called.
-        verdict: `changed`, `named` or `unexplained`.
-        effect: its name, empty unless it is named.
-        confidence: NaN unless it is named.
-        alternatives: effects that the drive cannot distinguish from it.
-        parameters: of the effect, by how much they moved (see `sim_gap.online.values`).
-    """
-
-    since_ns: int
+    since_ns: int  # when it began; `noticed_ns` when it was called
     noticed_ns: int
-    verdict: str
-    effect: str
-    confidence: float
-    alternatives: tuple[str, ...]
+    verdict: str  # `changed`, `named` or `unexplained`
+    effect: str  # its name, empty unless it is named
+    confidence: float  # NaN unless it is named
+    alternatives: tuple[str, ...]  # effects that the drive cannot distinguish from it
+    # Of the effect, by how much they moved (see `sim_gap.online.values`)
     parameters: tuple[ReportedValue, ...]
 
 

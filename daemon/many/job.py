@@ -32,19 +32,12 @@ _TYPES = {"number": "float64", "count": "int64", "text": "string"}
 
 
 class Column(NamedTuple):
-    """A column of a table.
+    """A column of a table."""
 
-    Attributes:
-        name: of the column.
-        kind: of its values; each may be missing.
-        unit: SI, `1` for none; empty where it is no number.
-        meaning: one line.
-    """
-
-    name: str
-    kind: Literal["number", "count", "text"]
-    unit: str = ""
-    meaning: str = ""
+    name: str  # of the column
+    kind: Literal["number", "count", "text"]  # of its values; each may be missing
+    unit: str = ""  # SI, `1` for none; empty where it is no number
+    meaning: str = ""  # one line
 
 
 class RowTable(tuple[Row, ...]):
@@ -68,26 +61,19 @@ F = TypeVar("F", bound=Found)
 
 
 class Job(NamedTuple, Generic[F]):
-    """What is to be done with many drives.
+    """What is to be done with many drives."""
 
-    Attributes:
-        label: of the progress.
-        work: what is done with one unit's argument, in a worker.
-        units: arguments by the unit's name.
-        basis: digest of all that the rows depend on.
-        make_row: the table's row of a unit that has ended; its `outcome` is `FAILED` or another.
-        make: the result, of rows, how many of them are new, and the seconds that took.
-        ship: makes an argument complete before it leaves for another machine.
-        grows: the same command will be given again, with more units: what is finished is kept.
-    """
-
-    label: str
-    work: Work
-    units: Mapping[str, Any]
-    basis: str
+    label: str  # of the progress
+    work: Work  # what is done with one unit's argument, in a worker
+    units: Mapping[str, Any]  # arguments by the unit's name
+    basis: str  # digest of all that the rows depend on
+    # The table's row of a unit that has ended; its `outcome` is `FAILED` or another
     make_row: Callable[[Done], Row]
+    # The result, of rows, how many of them are new, and the seconds that took
     make: Callable[[tuple[Row, ...], int, float], F]
+    # Makes an argument complete before it leaves for another machine
     ship: Callable[[Any], Any] = lambda about: about
+    # The same command will be given again, with more units: what is finished is kept
     grows: bool = False
 
 

@@ -31,32 +31,20 @@ Work = Callable[[Any], dict[str, Any]]
 
 
 class Done(NamedTuple):
-    """A unit that has ended.
+    """A unit that has ended."""
 
-    Attributes:
-        unit: its name.
-        row: what its work gave; None where it failed.
-        failure: why, one sentence; empty where it did not fail.
-        tries: how often it was begun.
-    """
-
-    unit: str
-    row: dict[str, Any] | None
-    failure: str
-    tries: int
+    unit: str  # its name
+    row: dict[str, Any] | None  # what its work gave; None where it failed
+    failure: str  # why, one sentence; empty where it did not fail
+    tries: int  # how often it was begun
 
 
 @dataclass(frozen=True)
 class Where:
-    """Where the work is done.
+    """Where the work is done."""
 
-    Attributes:
-        jobs: processes on this machine; 0 for one per core.
-        dask: address of a Dask scheduler, which then does all of it.
-    """
-
-    jobs: int = 0
-    dask: str | None = None
+    jobs: int = 0  # processes on this machine; 0 for one per core
+    dask: str | None = None  # address of a Dask scheduler, which then does all of it
 
     def __post_init__(self) -> None:
         if self.jobs < 0:

@@ -39,42 +39,25 @@ _BRAKE_CURRENTS = (
 
 @dataclass(frozen=True)
 class BrakeSettings:
-    """Brake currents [A], and what the VESC must do by itself.
+    """Brake currents [A], and what the VESC must do by itself."""
 
-    Attributes:
-        brake_current_a: of a fault stop.
-        soft_brake_current_a: at the end of an ordinary stop.
-        hold_brake_current_a: while armed.
-        estop_brake_current_a: of an emergency stop.
-        timeout_max_ms: longest timeout of the VESC with which the car may be armed [ms].
-        current_max_a: motor current that counts as full [A].
-        cells: number of battery cells in series.
-        uuid: 24 hex digits of the VESC that must answer; empty takes any.
-    """
-
-    brake_current_a: float = 20.0
-    soft_brake_current_a: float = 6.0
-    hold_brake_current_a: float = 4.0
-    estop_brake_current_a: float = 25.0
-    timeout_max_ms: int = 200
-    current_max_a: float = 60.0
-    cells: int = 3
-    uuid: str = ""
+    brake_current_a: float = 20.0  # of a fault stop
+    soft_brake_current_a: float = 6.0  # at the end of an ordinary stop
+    hold_brake_current_a: float = 4.0  # while armed
+    estop_brake_current_a: float = 25.0  # of an emergency stop
+    timeout_max_ms: int = 200  # longest timeout of the VESC with which the car may be armed [ms]
+    current_max_a: float = 60.0  # motor current that counts as full [A]
+    cells: int = 3  # number of battery cells in series
+    uuid: str = ""  # 24 hex digits of the VESC that must answer; empty takes any
 
 
 @dataclass(frozen=True)
 class RecordSettings:
-    """Requirements on the recorder.
+    """Requirements on the recorder."""
 
-    Attributes:
-        required: whether a lost recorder stops the car, and prevents arming (W26).
-        flush_ms: time between writes to the disk [ms], which a killed recorder loses.
-        disk_free_min_mb: less free space [MB] ends the recording; the file stays complete.
-    """
-
-    required: bool = True
-    flush_ms: int = 250
-    disk_free_min_mb: int = 500
+    required: bool = True  # whether a lost recorder stops the car, and prevents arming (W26)
+    flush_ms: int = 250  # time between writes to the disk [ms], which a killed recorder loses
+    disk_free_min_mb: int = 500  # less free space [MB] ends the recording; the file stays complete
 
 
 @dataclass(frozen=True)

@@ -23,19 +23,12 @@ from steerd.steer_bus.topic_columns import Columns
 
 @dataclass(frozen=True)
 class Recorded:
-    """A session as input of a calibration.
+    """A session as input of a calibration."""
 
-    Attributes:
-        settings: of the car file that the drive used.
-        frame: room and body, without any offset of the body on the car.
-        poses: columns of the accepted poses, times increasing.
-        read: every topic's columns.
-    """
-
-    settings: Settings
-    frame: FrameConfig
-    poses: Columns
-    read: Recording
+    settings: Settings  # of the car file that the drive used
+    frame: FrameConfig  # room and body, without any offset of the body on the car
+    poses: Columns  # columns of the accepted poses, times increasing
+    read: Recording  # every topic's columns
 
     @property
     def start_ns(self) -> int:

@@ -83,21 +83,13 @@ class Mount(NamedTuple):
 
 @dataclass(frozen=True)
 class MountCalibration:
-    """A mount with standard errors and warnings about the drive.
+    """A mount with standard errors and warnings about the drive."""
 
-    Attributes:
-        mount: the values.
-        sd: their standard errors.
-        seconds: duration of the motion that was used.
-        warnings: what the drive identifies badly, one sentence each.
-        residual: of the lateral velocity [m/s, rms].
-    """
-
-    mount: Mount
-    sd: Mount
-    seconds: float
-    warnings: tuple[str, ...]
-    residual: float
+    mount: Mount  # the values
+    sd: Mount  # their standard errors
+    seconds: float  # duration of the motion that was used
+    warnings: tuple[str, ...]  # what the drive identifies badly, one sentence each
+    residual: float  # of the lateral velocity [m/s, rms]
 
 
 @dataclass(frozen=True)

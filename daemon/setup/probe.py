@@ -45,33 +45,19 @@ class Advice:
 
 @dataclass(frozen=True)
 class VescFound:
-    """A VESC that answered.
+    """A VESC that answered."""
 
-    Attributes:
-        firmware: (major, minor).
-        hardware: its name for its board.
-        uuid: 24 hex digits.
-        timeout_ms: of its own watchdog; None where unknown, 0 for never.
-        timeout_brake_a: brake current after the timeout [A].
-        voltage: of the battery [V].
-        fault: name of its fault; empty for none.
-        temp_fet_c: of its power stage [°C].
-        round_trip_ms: median time from request to answer.
-        answered: share of requests that were answered.
-        imu: whether it has an IMU that answers.
-    """
-
-    firmware: tuple[int, int]
-    hardware: str
-    uuid: str
-    timeout_ms: int | None
-    timeout_brake_a: float | None
-    voltage: float | None
-    fault: str
-    temp_fet_c: float | None
-    round_trip_ms: float | None
-    answered: float
-    imu: bool
+    firmware: tuple[int, int]  # (major, minor)
+    hardware: str  # its name for its board
+    uuid: str  # 24 hex digits
+    timeout_ms: int | None  # of its own watchdog; None where unknown, 0 for never
+    timeout_brake_a: float | None  # brake current after the timeout [A]
+    voltage: float | None  # of the battery [V]
+    fault: str  # name of its fault; empty for none
+    temp_fet_c: float | None  # of its power stage [°C]
+    round_trip_ms: float | None  # median time from request to answer
+    answered: float  # share of requests that were answered
+    imu: bool  # whether it has an IMU that answers
 
 
 @dataclass(frozen=True)
@@ -86,45 +72,25 @@ class SerialFound:
 
 @dataclass(frozen=True)
 class MocapSeen:
-    """What a mocap server sent while it was listened to.
+    """What a mocap server sent while it was listened to."""
 
-    Attributes:
-        address: as `--mocap` takes it.
-        server: its name and version; empty when it did not answer.
-        bodies: that it offers.
-        detail: the source's latest status.
-        seconds: how long it was listened to.
-        samples: number of poses of the named body.
-        accepted: number of these that passed the pose checks.
-        rate_hz: of frames.
-        expected_rate_hz: the server's own figure; None where unknown.
-        clock: how poses are timed; empty before the first.
-        clock_sigma_ms: standard deviation of the server's clock offset.
-        latency_ms: median age of a pose when it arrives.
-        jitter_ms: 95th minus 5th percentile of that age.
-        height: median [m].
-        tilt: median [rad].
-        refused: pose checks that failed, and how often.
-        advice: what is wrong with it.
-    """
-
-    address: str
-    server: str = ""
-    bodies: tuple[str, ...] = ()
-    detail: str = ""
-    seconds: float = 0.0
-    samples: int = 0
-    accepted: int = 0
-    rate_hz: float = 0.0
-    expected_rate_hz: float | None = None
-    clock: str = ""
-    clock_sigma_ms: float | None = None
-    latency_ms: float | None = None
-    jitter_ms: float | None = None
-    height: float | None = None
-    tilt: float | None = None
-    refused: tuple[tuple[str, int], ...] = ()
-    advice: tuple[Advice, ...] = ()
+    address: str  # as `--mocap` takes it
+    server: str = ""  # its name and version; empty when it did not answer
+    bodies: tuple[str, ...] = ()  # that it offers
+    detail: str = ""  # the source's latest status
+    seconds: float = 0.0  # how long it was listened to
+    samples: int = 0  # number of poses of the named body
+    accepted: int = 0  # number of these that passed the pose checks
+    rate_hz: float = 0.0  # of frames
+    expected_rate_hz: float | None = None  # the server's own figure; None where unknown
+    clock: str = ""  # how poses are timed; empty before the first
+    clock_sigma_ms: float | None = None  # standard deviation of the server's clock offset
+    latency_ms: float | None = None  # median age of a pose when it arrives
+    jitter_ms: float | None = None  # 95th minus 5th percentile of that age
+    height: float | None = None  # median [m]
+    tilt: float | None = None  # median [rad]
+    refused: tuple[tuple[str, int], ...] = ()  # pose checks that failed, and how often
+    advice: tuple[Advice, ...] = ()  # what is wrong with it
 
 
 @dataclass(frozen=True)

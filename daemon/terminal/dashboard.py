@@ -33,21 +33,13 @@ _HARD = (SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
 
 @dataclass
 class Tally:
-    """Figures of one drive, from the states of every tick that was seen.
+    """Figures of one drive, from the states of every tick that was seen."""
 
-    Attributes:
-        count: ticks after settling.
-        square: sum of squared lateral errors [m^2].
-        worst: largest lateral error [m].
-        distance: driven [m].
-        driven_ns: time spent running [ns].
-    """
-
-    count: int = 0
-    square: float = 0.0
-    worst: float = 0.0
-    distance: float = 0.0
-    driven_ns: int = 0
+    count: int = 0  # ticks after settling
+    square: float = 0.0  # sum of squared lateral errors [m^2]
+    worst: float = 0.0  # largest lateral error [m]
+    distance: float = 0.0  # driven [m]
+    driven_ns: int = 0  # time spent running [ns]
     _since_ns: int | None = None
     _last: tuple[int, float, float] | None = None
 
@@ -86,31 +78,19 @@ class Tally:
 
 @dataclass
 class Dashboard:
-    """The latest messages of a run, for rendering.
+    """The latest messages of a run, for rendering."""
 
-    Attributes:
-        title: of the panel.
-        state: latest estimate; None before the first.
-        tick: latest timing; None before the first.
-        parameters: live parameters; None where there are none.
-        model: what the learner reported last; None without one.
-        status: latest diagnostics by name.
-        events: latest transitions, one line each.
-        stop: why the car was stopped last.
-        tally: figures of the drive so far.
-        keys: help line of the keys; empty where there is no keyboard.
-    """
-
-    title: str
-    state: m.StateMessage | None = None
-    tick: m.Tick | None = None
-    parameters: m.Parameters | None = None
-    model: m.Model | None = None
-    status: dict[str, str] = field(default_factory=dict)
+    title: str  # of the panel
+    state: m.StateMessage | None = None  # latest estimate; None before the first
+    tick: m.Tick | None = None  # latest timing; None before the first
+    parameters: m.Parameters | None = None  # live parameters; None where there are none
+    model: m.Model | None = None  # what the learner reported last; None without one
+    status: dict[str, str] = field(default_factory=dict)  # latest diagnostics by name
+    # Latest transitions, one line each
     events: deque[str] = field(default_factory=lambda: deque(maxlen=6))
-    stop: str = ""
-    tally: Tally = field(default_factory=Tally)
-    keys: str = ""
+    stop: str = ""  # why the car was stopped last
+    tally: Tally = field(default_factory=Tally)  # figures of the drive so far
+    keys: str = ""  # help line of the keys; empty where there is no keyboard
 
     @property
     def boot_id(self) -> int:

@@ -58,19 +58,12 @@ def find_car(bus: Bus, name: str | None) -> str:
 
 @dataclass
 class Watch:
-    """What was received from one car.
+    """What was received from one car."""
 
-    Attributes:
-        board: the dashboard that it feeds.
-        vesc: the last telemetry.
-        heard_ns: arrival of the last message; None before the first.
-        undecodable: count of messages that do not decode as their topic's type.
-    """
-
-    board: Dashboard
-    vesc: m.VescTelemetry | None = None
-    heard_ns: int | None = None
-    undecodable: int = 0
+    board: Dashboard  # the dashboard that it feeds
+    vesc: m.VescTelemetry | None = None  # the last telemetry
+    heard_ns: int | None = None  # arrival of the last message; None before the first
+    undecodable: int = 0  # count of messages that do not decode as their topic's type
     _times: dict[str, deque[int]] = field(default_factory=dict)
 
     def take(self, sample: Sample, t_ns: int) -> str | None:

@@ -34,17 +34,11 @@ ROUNDS = 6
 
 @dataclass(frozen=True, eq=False)
 class Usual:
-    """What ratios a car shows while nothing is the matter.
+    """What ratios a car shows while nothing is the matter."""
 
-    Attributes:
-        total: (effects, spans) sum of the ratios [nats], `count` of how many.
-        count: see `total`.
-        peak: (effects, spans) the largest.
-    """
-
-    total: Array
-    count: Array
-    peak: Array
+    total: Array  # (effects, spans) sum of the ratios [nats], `count` of how many
+    count: Array  # see `total`
+    peak: Array  # (effects, spans) the largest
 
     def level(self) -> Array:
         """(effects, spans) by what a ratio is to be divided, 1 where all is noise."""

@@ -58,19 +58,12 @@ a longer car that steers more (see `chart`) a lane would pull them to where no c
 
 @dataclass(frozen=True, eq=False)
 class Learner:
-    """What does not change while a car is learnt.
+    """What does not change while a car is learnt."""
 
-    Attributes:
-        superset: the car file's base, with every effect of the library.
-        noise: as the car file knows it.
-        ramp: limit of the motor controller's setpoint [m/s^2], 0 for none.
-        remembered: what an earlier drive of this car taught.
-    """
-
-    superset: Superset
-    noise: Noise | None = None
-    ramp: float = 0.0
-    remembered: tuple[Remembered, ...] = ()
+    superset: Superset  # the car file's base, with every effect of the library
+    noise: Noise | None = None  # as the car file knows it
+    ramp: float = 0.0  # limit of the motor controller's setpoint [m/s^2], 0 for none
+    remembered: tuple[Remembered, ...] = ()  # what an earlier drive of this car taught
 
 
 def make_learner(car: CarFile, ramp: float = 0.0, memory: Memory | None = None) -> Learner:
@@ -106,50 +99,32 @@ def _published(superset: Superset) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """A change that is being looked into.
+    """A change that is being looked into."""
 
-    Attributes:
-        since: when it began [s]; `noticed` when it was called [s].
-        before: what was known of the base before it.
-        windows: those since, with their times.
-        finding: what is said of it.
-        was: what the named effect's parameters were before it.
-        proven: the last name that stood alone once the change had settled, and what its parameters
-            were before.
-    """
-
-    since: float
+    since: float  # when it began [s]; `noticed` when it was called [s]
     noticed: float
-    before: Track
-    windows: tuple[tuple[float, Run], ...]
-    finding: Finding = field(default_factory=Finding)
-    was: tuple[float, ...] = ()
+    before: Track  # what was known of the base before it
+    windows: tuple[tuple[float, Run], ...]  # those since, with their times
+    finding: Finding = field(default_factory=Finding)  # what is said of it
+    was: tuple[float, ...] = ()  # what the named effect's parameters were before it
+    # The last name that stood alone once the change had settled, and what its parameters were
+    # before
     proven: tuple[Cause, tuple[float, ...]] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Everything that the learner remembers.
+    """Everything that the learner remembers."""
 
-    Attributes:
-        recent: samples of the last seconds.
-        start: when the next window begins [s].
-        windows: drives that the car is learnt from, with their times.
-        known: the car as learnt; None before.
-        change: what is being looked into; None while nothing is the matter.
-        past: changes that the car was learnt anew after, oldest first.
-        taken_back: changes that did not hold.
-        seen: windows so far; `due` when the next report is due [s].
-    """
-
-    recent: Recent = field(default_factory=Recent)
-    start: float = -np.inf
+    recent: Recent = field(default_factory=Recent)  # samples of the last seconds
+    start: float = -np.inf  # when the next window begins [s]
+    # Drives that the car is learnt from, with their times
     windows: tuple[tuple[float, Run], ...] = ()
-    known: Known | None = None
-    change: Change | None = None
-    past: tuple[Change, ...] = ()
-    taken_back: int = 0
-    seen: int = 0
+    known: Known | None = None  # the car as learnt; None before
+    change: Change | None = None  # what is being looked into; None while nothing is the matter
+    past: tuple[Change, ...] = ()  # changes that the car was learnt anew after, oldest first
+    taken_back: int = 0  # changes that did not hold
+    seen: int = 0  # windows so far; `due` when the next report is due [s]
     due: float = -np.inf
 
 

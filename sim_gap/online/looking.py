@@ -28,17 +28,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """The car about which windows are seen.
+    """The car about which windows are seen."""
 
-    Attributes:
-        superset: base and library, the base's values those learnt.
-        space: the base's coordinates first, then those of every effect that may have changed.
-        noise: what is random.
-    """
-
-    superset: Superset
-    space: Space
-    noise: Noise
+    superset: Superset  # base and library, the base's values those learnt
+    space: Space  # the base's coordinates first, then those of every effect that may have changed
+    noise: Noise  # what is random
 
     @property
     def late(self) -> float:
@@ -53,21 +47,13 @@ class Anchor:
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """A window seen.
+    """A window seen."""
 
-    Attributes:
-        t: when it began [s].
-        square: whitened squared error about the anchor, at its best start.
-        dof: its degrees of freedom.
-        g: (n,) pull on the coordinates (direction of steepest improvement).
-        h: (n, n) information about them.
-    """
-
-    t: float
-    square: float
-    dof: int
-    g: Array
-    h: Array
+    t: float  # when it began [s]
+    square: float  # whitened squared error about the anchor, at its best start
+    dof: int  # its degrees of freedom
+    g: Array  # (n,) pull on the coordinates (direction of steepest improvement)
+    h: Array  # (n, n) information about them
 
     @property
     def ratio(self) -> float:

@@ -38,17 +38,11 @@ none."""
 
 @dataclass(frozen=True)
 class Finding:
-    """What is said of a change.
+    """What is said of a change."""
 
-    Attributes:
-        verdict: `changed` (too early to say), `named`, `unexplained` or `none`.
-        cause: the effect, where it is named.
-        sure: probability that it, or one that it is ambiguous with, is the cause.
-    """
-
-    verdict: str = "changed"
-    cause: Cause | None = None
-    sure: float = 0.0
+    verdict: str = "changed"  # `changed` (too early to say), `named`, `unexplained` or `none`
+    cause: Cause | None = None  # the effect, where it is named
+    sure: float = 0.0  # probability that it, or one that it is ambiguous with, is the cause
 
 
 def find_cause(anchor: Anchor, before: Track, windows: Sequence[Run]) -> Finding:
@@ -104,24 +98,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """The car as learnt, and what was seen since.
+    """The car as learnt, and what was seen since."""
 
-    Attributes:
-        anchor: the car, and its noise.
-        track: what is known of the base now.
-        usual: what ratios the car shows while nothing is the matter.
-        looks: the last windows, oldest first; `tracks` what was known before each.
-        shown: ratios of windows that may yet turn out to be a change's.
-        peak: the largest ratio per what is usual so far that called no change [nats].
-    """
-
-    anchor: Anchor
-    track: Track
-    usual: Usual
+    anchor: Anchor  # the car, and its noise
+    track: Track  # what is known of the base now
+    usual: Usual  # what ratios the car shows while nothing is the matter
+    # The last windows, oldest first; `tracks` what was known before each
     looks: tuple[Look, ...] = ()
     tracks: tuple[Track, ...] = ()
-    shown: tuple[Array, ...] = ()
-    peak: float = 0.0
+    shown: tuple[Array, ...] = ()  # ratios of windows that may yet turn out to be a change's
+    peak: float = 0.0  # the largest ratio per what is usual so far that called no change [nats]
 
 
 def learn(

@@ -35,17 +35,11 @@ lap, and does not average out as noise does."""
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What is known of the base's coordinates, as deviations from the anchor.
+    """What is known of the base's coordinates, as deviations from the anchor."""
 
-    Attributes:
-        information: (n, n), prior included.
-        pull: (n,) information times the mean.
-        prior: (n, n) information before any drive.
-    """
-
-    information: Array
-    pull: Array
-    prior: Array
+    information: Array  # (n, n), prior included
+    pull: Array  # (n,) information times the mean
+    prior: Array  # (n, n) information before any drive
 
     @property
     def mean(self) -> Array:
@@ -104,15 +98,11 @@ CONTRADICTED = 3.0
 
 
 class Memory(NamedTuple):
-    """What was kept of an earlier drive.
+    """What was kept of an earlier drive."""
 
-    Attributes:
-        values: (value, standard deviation) by name, as learnt; SI units.
-        days: how long ago that was.
-    """
-
+    # (value, standard deviation) by name, as learnt; SI units
     values: Mapping[str, tuple[float, float]]
-    days: float
+    days: float  # how long ago that was
 
 
 class Remembered(NamedTuple):

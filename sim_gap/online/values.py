@@ -40,20 +40,13 @@ _UNITS = {parameter.name: parameter.unit for parameter in PARAMETERS}
 
 
 class Value(NamedTuple):
-    """One number of the base.
+    """One number of the base."""
 
-    Attributes:
-        name: `name`, or `effect.name` of an effect that the base has.
-        value: the estimate, with its standard deviation `sd`; SI units.
-        unit: of both.
-        identifiable: whether the drive identifies it.
-    """
-
-    name: str
-    value: float
+    name: str  # `name`, or `effect.name` of an effect that the base has
+    value: float  # the estimate, with its standard deviation `sd`; SI units
     sd: float
-    unit: str
-    identifiable: bool
+    unit: str  # of both
+    identifiable: bool  # whether the drive identifies it
 
 
 def values_of(known: Known) -> tuple[Value, ...]:

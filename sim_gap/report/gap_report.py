@@ -45,23 +45,14 @@ METHOD = (
 
 @dataclass(frozen=True)
 class Subject:
-    """What was diagnosed.
+    """What was diagnosed."""
 
-    Attributes:
-        sessions: names of the files.
-        seconds: driving that was looked at [s].
-        base: where the base car comes from.
-        held_out_of: what was held out, as text; empty if nothing.
-        following: what to drive next, as text.
-        notes: what a reader should know about the data.
-    """
-
-    sessions: tuple[str, ...]
-    seconds: float
-    base: str
-    held_out_of: str
-    following: str
-    notes: tuple[str, ...] = ()
+    sessions: tuple[str, ...]  # names of the files
+    seconds: float  # driving that was looked at [s]
+    base: str  # where the base car comes from
+    held_out_of: str  # what was held out, as text; empty if nothing
+    following: str  # what to drive next, as text
+    notes: tuple[str, ...] = ()  # what a reader should know about the data
 
 
 @rc_context(STYLE)

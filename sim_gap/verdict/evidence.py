@@ -24,44 +24,28 @@ class Estimated(NamedTuple):
 
 @dataclass(frozen=True)
 class Cause:
-    """One named effect.
+    """One named effect."""
 
-    Attributes:
-        effect: its name; `stage` and `family` of it.
-        parameters: by name.
-        confidence: posterior probability that it is a cause (0 to 1).
-        ambiguous_with: effects that may be what it stands for.
-        alias: what no drive distinguishes from it, in words; empty if nothing.
-    """
-
-    effect: str
+    effect: str  # its name; `stage` and `family` of it
     stage: str
     family: str
-    parameters: dict[str, Estimated]
-    confidence: float
-    ambiguous_with: tuple[str, ...]
-    alias: str
+    parameters: dict[str, Estimated]  # by name
+    confidence: float  # posterior probability that it is a cause (0 to 1)
+    ambiguous_with: tuple[str, ...]  # effects that may be what it stands for
+    alias: str  # what no drive distinguishes from it, in words; empty if nothing
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the hypotheses say together.
+    """What the hypotheses say together."""
 
-    Attributes:
-        name: `none`, `explained`, `partial` or `unexplained`.
-        causes: named effects, the first found first.
-        something_else: posterior probability that no effect of the library is a cause of the gap.
-        left: share of the gap's size that stays.
-        strain: how far the base moved beside the causes, see `base_strain`.
-        at_bound: named effects with a value at a bound.
-    """
-
-    name: str
-    causes: tuple[Cause, ...]
+    name: str  # `none`, `explained`, `partial` or `unexplained`
+    causes: tuple[Cause, ...]  # named effects, the first found first
+    # Posterior probability that no effect of the library is a cause of the gap
     something_else: float
-    left: float
-    strain: float
-    at_bound: tuple[str, ...]
+    left: float  # share of the gap's size that stays
+    strain: float  # how far the base moved beside the causes, see `base_strain`
+    at_bound: tuple[str, ...]  # named effects with a value at a bound
 
 
 def judge_case(library: Library, found: Findings, known: bool) -> Verdict:

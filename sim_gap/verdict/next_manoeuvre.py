@@ -27,22 +27,14 @@ _SUBSTEPS = 4
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """A drive worth making.
+    """A drive worth making."""
 
-    Attributes:
-        name: from the menu; `how` says it in words.
-        command: drives it.
-        separates: the two suspects.
-        expected_nats: expected log-likelihood by which the wrong one falls behind.
-        now_nats: the same of as many seconds of the present drives.
-    """
-
-    name: str
+    name: str  # from the menu; `how` says it in words
     how: str
-    command: str
-    separates: tuple[str, str]
-    expected_nats: float
-    now_nats: float
+    command: str  # drives it
+    separates: tuple[str, str]  # the two suspects
+    expected_nats: float  # expected log-likelihood by which the wrong one falls behind
+    now_nats: float  # the same of as many seconds of the present drives
 
 
 def _square(t: Array, period: float) -> Array:

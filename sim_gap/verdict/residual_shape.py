@@ -19,18 +19,12 @@ _WHITE = 2.0
 
 @dataclass(frozen=True)
 class Shape:
-    """The remaining error.
+    """The remaining error."""
 
-    Attributes:
-        peak_hz: where the spectrum of the yaw error is largest; `prominence` per its mean.
-        dependence: rank correlations of windows' errors with what the car was doing.
-        noise_like: white in time, and growing with speed: jitter of stamps or lost frames.
-    """
-
-    peak_hz: float
+    peak_hz: float  # where the spectrum of the yaw error is largest; `prominence` per its mean
     prominence: float
-    dependence: dict[str, float]
-    noise_like: bool
+    dependence: dict[str, float]  # rank correlations of windows' errors with what the car was doing
+    noise_like: bool  # white in time, and growing with speed: jitter of stamps or lost frames
 
 
 def shape_of(likelihood: Likelihood, fitted: Point) -> Shape:
@@ -73,20 +67,13 @@ def _rank_correlation(a: Array, b: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """Whitened squared error per degree of freedom of each window; 1 is noise alone.
+    """Whitened squared error per degree of freedom of each window; 1 is noise alone."""
 
-    Attributes:
-        run: (W,) name of the drive.
-        t0: (W,) where the window begins in its drive [s]; t1: where it ends.
-        before: (W,) under the base.
-        after: (W,) under the explanation.
-    """
-
-    run: tuple[str, ...]
-    t0: Array
+    run: tuple[str, ...]  # (W,) name of the drive
+    t0: Array  # (W,) where the window begins in its drive [s]; t1: where it ends
     t1: Array
-    before: Array
-    after: Array
+    before: Array  # (W,) under the base
+    after: Array  # (W,) under the explanation
 
 
 def timeline_of(engine: Engine, before: Point, after: Point, names: Sequence[str]) -> Timeline:

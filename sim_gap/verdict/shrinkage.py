@@ -43,23 +43,17 @@ _WIDE = 0.5
 
 @dataclass(frozen=True)
 class Shrinkage:
-    """Share of the excess whitened error that the explanation removes.
+    """Share of the excess whitened error that the explanation removes."""
 
-    Attributes:
-        predicted: on windows left out of the fit; `low` and `high` its 90 % interval.
-        measured: on the reserved drives, None without them or where they hold too little of the gap
-            for it (then `before` says how little).
-        digest: SHA-256 of `text`, the prediction as it was written.
-        before: the gap on the reserved drives; `after` with the explanation.
-    """
-
-    predicted: float
+    predicted: float  # on windows left out of the fit; `low` and `high` its 90 % interval
+    # On the reserved drives, None without them or where they hold too little of the gap for it
+    # (then `before` says how little)
     measured: float | None
     low: float
     high: float
-    digest: str
+    digest: str  # SHA-256 of `text`, the prediction as it was written
     text: str
-    before: Gap | None
+    before: Gap | None  # the gap on the reserved drives; `after` with the explanation
     after: Gap | None
 
 

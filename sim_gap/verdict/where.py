@@ -70,21 +70,14 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Regime:
-    """A kind of driving.
+    """A kind of driving."""
 
-    Attributes:
-        variable: what is binned; `unit` of it.
-        low: where the bin begins; high: where it ends.
-        ratio: whitened error within it against elsewhere; `ratio_low` and `ratio_high` its 90 %
-            interval.
-        share: part of the excess error that lies in it.
-    """
-
-    variable: str
-    low: float
+    variable: str  # what is binned; `unit` of it
+    low: float  # where the bin begins; high: where it ends
     high: float
+    # Whitened error within it against elsewhere; `ratio_low` and `ratio_high` its 90 % interval
     ratio: float
-    share: float
+    share: float  # part of the excess error that lies in it
     ratio_low: float
     ratio_high: float
     unit: str

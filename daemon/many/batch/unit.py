@@ -30,15 +30,11 @@ _PATTERN = frozenset("*?[")
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of every session.
+    """What is asked of every session."""
 
-    Attributes:
-        kind: summarise, identify or diagnose.
-        cars: car file by the car's name, under "" that of every other car; where there is none,
-            identification starts at the F1TENTH car and a diagnosis takes the session's.
-    """
-
-    kind: Kind
+    kind: Kind  # summarise, identify or diagnose
+    # Car file by the car's name, under "" that of every other car; where there is none,
+    # identification starts at the F1TENTH car and a diagnosis takes the session's
     cars: Mapping[str, CarFile]
 
     def digest(self) -> str:
@@ -50,18 +46,12 @@ class Question:
 
 @dataclass(frozen=True)
 class UnitTask:
-    """One session, as a worker is handed it.
+    """One session, as a worker is handed it."""
 
-    Attributes:
-        path: the file.
-        changed_ns: when it was last written [UNIX ns].
-        question: what is asked.
-        content: of the file, for workers that do not see it; None for those that do.
-    """
-
-    path: Path
-    changed_ns: int
-    question: Question
+    path: Path  # the file
+    changed_ns: int  # when it was last written [UNIX ns]
+    question: Question  # what is asked
+    # Of the file, for workers that do not see it; None for those that do
     content: bytes | None = None
 
 

@@ -91,17 +91,11 @@ class SweepPlan:
 
 @dataclass(frozen=True)
 class DriveCase:
-    """One drive of a sweep.
+    """One drive of a sweep."""
 
-    Attributes:
-        number: from 0, in the order of the table.
-        seed: of the simulated hardware's noise.
-        values: of what is varied.
-    """
-
-    number: int
-    seed: int
-    values: Mapping[str, Value]
+    number: int  # from 0, in the order of the table
+    seed: int  # of the simulated hardware's noise
+    values: Mapping[str, Value]  # of what is varied
 
 
 def list_cases(plan: SweepPlan) -> Iterator[DriveCase]:
