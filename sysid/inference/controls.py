@@ -22,6 +22,9 @@ from steerd.sysid.inference.teaching import Taught
 
 Array = NDArray[np.float64]
 
+_BY_CHANCE = 1.0
+"""What an effect of two parameters gains by chance [nats]."""
+
 
 def learn_controls(taught: Taught, known: Knowledge) -> tuple[Control, ...]:
     """The healthy drives diagnosed against the car that they taught, one Newton step an effect.
@@ -54,4 +57,8 @@ def _control(library: Library, base: Point, effect: Effect, temper: float) -> Co
     prior = np.linalg.inv(space.covariance[own, own])
     covariance = np.linalg.inv(along.curved / temper + prior)
     step = covariance @ (along.slope / temper + prior @ (space.centre[own] - null))
-    return Control(effect.name, np.clip(null + step, space.low[own], space.high[own]), covariance)
+    values = np.clip(null + step, space.low[own], space.high[own])
+    away = values - null
+    gain = float(along.slope @ away - 0.5 * away @ along.curved @ away) / temper
+    per_window = (max(gain, 0.0) + _BY_CHANCE) / len(base.at.dof)
+    return Control(effect.name, values, covariance, per_window)

@@ -132,7 +132,8 @@ def _healthy_gain(library: Library, point: Point, name: str, temper: float, show
         return 0.0
     control = library.controls[name]
     away = control.values - library.likelihood.engine.superset.values(name)
-    return log_mean(along.curved / temper, along.slope / temper, away, control.covariance)
+    gain = log_mean(along.curved / temper, along.slope / temper, away, control.covariance)
+    return min(gain, c.SHOWN_MOST * control.gain * len(point.at.dof))
 
 
 def _judge(library: Library, posterior: Posterior, evidence: float) -> Hypothesis:

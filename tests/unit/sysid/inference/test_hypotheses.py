@@ -220,8 +220,8 @@ def _with_controls(library, *controls):
     return replace(library, likelihood=replace(library.likelihood, engine=engine))
 
 
-def _late_by(seconds, sd=1e-3):
-    return Control("steer_delay", np.array([seconds]), np.array([[sd**2]]))
+def _late_by(seconds, sd=1e-3, gain=9.0):
+    return Control("steer_delay", np.array([seconds]), np.array([[sd**2]]), gain)
 
 
 @pytest.fixture(scope="module")
@@ -251,6 +251,17 @@ def test_controls_only_take_away(slightly_late):
     most = _gain(_with_controls(library, _late_by(-0.5, 1e-6)), points)
     for seconds in np.linspace(-0.01, 0.01, 9):
         assert _gain(_with_controls(library, _late_by(seconds)), points) <= most + 1e-9
+
+
+def test_where_healthy_drives_gain_nothing_little_is_taken_away(slightly_late):
+    """A large gap promises much along any gradient, and healthy drives show how much is usual."""
+    library, points = slightly_late
+    free, small, large = (
+        _gain(_with_controls(library, _late_by(0.008, gain=gain)), points)
+        for gain in (0.0, 1e-3, 9.0)
+    )
+    assert large < small < free
+    assert free - small == pytest.approx(c.SHOWN_MOST * 1e-3 * len(points[0].at.dof))
 
 
 def test_without_controls_windows_that_repeat_count_for_less(late):
