@@ -3,7 +3,7 @@
 For each effect of the library and each of the last windows: how much better the windows since then
 are explained if the effect came about there, the base free within what is known of it. A model that
 misses something makes windows alike that lie near each other on a lap, so a ratio is judged by what
-the same car showed in as many windows while nothing was the matter (`Usual`).
+the same car showed in as many windows while nothing was the matter (`QuietRatios`).
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sim_gap.online.looking import Anchor, Look
+from steerd.sim_gap.online.looking import Loss, Reference
 from steerd.sim_gap.online.tracking import Track
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ ROUNDS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Usual:
+class QuietRatios:
     """What ratios a car shows while nothing is the matter."""
 
     total: Array  # (effects, spans) sum of the ratios [nats], `count` of how many
@@ -49,42 +49,44 @@ class Usual:
         return np.asarray(np.maximum(np.maximum(level, 2.0 * self.peak / PEAK), 1.0))
 
 
-def unknown(effects: int) -> Usual:
+def unknown(effects: int) -> QuietRatios:
     """Nothing seen yet."""
     shape = (effects, len(SPANS))
-    return Usual(np.zeros(shape), np.zeros(shape), np.zeros(shape))
+    return QuietRatios(np.zeros(shape), np.zeros(shape), np.zeros(shape))
 
 
-def with_ratios(usual: Usual, gains: Array) -> Usual:
+def with_ratios(usual: QuietRatios, gains: Array) -> QuietRatios:
     """With the ratios (effects, spans) of one more window; NaN where there was no such span."""
     there = np.isfinite(gains)
     filled = np.where(there, gains, 0.0)
-    return Usual(usual.total + filled, usual.count + there, np.maximum(usual.peak, filled))
+    return QuietRatios(usual.total + filled, usual.count + there, np.maximum(usual.peak, filled))
 
 
-def ratios(anchor: Anchor, tracks: Sequence[Track], looks: Sequence[Look]) -> Array:
+def ratios(reference: Reference, tracks: Sequence[Track], looks: Sequence[Loss]) -> Array:
     """(effects, spans) log-likelihood ratio of each effect since so many windows [nats].
 
     The effect's prior is included; NaN for spans longer than the windows reach back.
 
     Args:
-        anchor: the car.
+        reference: the car.
         tracks: what was known of the base before each of the windows.
         looks: the last windows, oldest first.
     """
-    effects, n = anchor.space.effects, anchor.space.nuisance
-    own = [np.array(anchor.places(effect)) - n for effect in effects]
+    effects, n = reference.space.effects, reference.space.nuisance
+    own = [np.array(reference.places(effect)) - n for effect in effects]
     table = np.full((len(effects), len(SPANS)), np.nan)
     for column, windows in enumerate(SPANS):
         if windows <= len(looks):
-            pull, information = _without_base(anchor, tracks[-windows], looks[-windows:])
-            table[:, column] = [_gain(anchor, pull, information, mine) for mine in own]
+            pull, information = _without_base(reference, tracks[-windows], looks[-windows:])
+            table[:, column] = [_gain(reference, pull, information, mine) for mine in own]
     return table
 
 
-def _without_base(anchor: Anchor, before: Track, looks: Sequence[Look]) -> tuple[Array, Array]:
+def _without_base(
+    reference: Reference, before: Track, looks: Sequence[Loss]
+) -> tuple[Array, Array]:
     """Pull (m,) and information (m, m) of all effects, the base at its best beside each."""
-    n, size = anchor.space.nuisance, len(anchor.space.centre)
+    n, size = reference.space.nuisance, len(reference.space.centre)
     pull, information = np.zeros(size), np.zeros((size, size))
     pull[:n], information[:n, :n] = before.pull, before.information
     for seen in looks:
@@ -95,28 +97,28 @@ def _without_base(anchor: Anchor, before: Track, looks: Sequence[Look]) -> tuple
     return pull[n:] - cross.T @ solved[:, -1], information[n:, n:] - cross.T @ solved[:, :-1]
 
 
-def _gain(anchor: Anchor, pull: Array, information: Array, mine: NDArray[np.int64]) -> float:
+def _gain(reference: Reference, pull: Array, information: Array, mine: NDArray[np.int64]) -> float:
     """What one effect gains at its most likely value [nats]."""
-    spread = anchor.space.spread[anchor.space.nuisance :][mine]
+    spread = reference.space.spread[reference.space.nuisance :][mine]
     precision = information[np.ix_(mine, mine)] + np.diag(spread**-2)
     value = np.linalg.solve(0.5 * (precision + precision.T), pull[mine])
     return 0.5 * float(pull[mine] @ value)
 
 
 def reweighted(
-    anchor: Anchor, tracks: Sequence[Track], looks: Sequence[Look], table: Array, level: Array
+    reference: Reference, tracks: Sequence[Track], looks: Sequence[Loss], table: Array, level: Array
 ) -> Array:
     """The ratios, those that are nearly a change as the change itself would have them.
 
-    The sums weigh a window by how badly the anchor explains it, so one that shows a change plainly
-    counts for as little as one that nothing explains. No ratio becomes smaller.
+    The sums weigh a window by how badly the reference explains it, so one that shows a change
+    plainly counts for as little as one that nothing explains. No ratio becomes smaller.
 
     Args:
-        anchor: the car.
+        reference: the car.
         tracks: what was known of the base before each of the windows.
         looks: the last windows, oldest first.
         table: (effects, spans) see `ratios`.
-        level: (effects, spans) by what they are divided, see `Usual`.
+        level: (effects, spans) by what they are divided, see `QuietRatios`.
     """
     # Why: docs/decisions/diagnosis.md#d98
     judged = np.nan_to_num(table / level, nan=-np.inf).max(axis=1)
@@ -127,21 +129,23 @@ def reweighted(
     for column, windows in enumerate(SPANS):
         if windows <= min(LONGEST, len(looks)):
             since = tracks[-windows], looks[-windows:]
-            null = _cost(anchor, *since, [])
+            null = _cost(reference, *since, [])
             for row in leaders:
-                gain = null - _cost(anchor, *since, anchor.places(anchor.space.effects[row]))
+                gain = null - _cost(
+                    reference, *since, reference.places(reference.space.effects[row])
+                )
                 table[row, column] = max(table[row, column], gain)
     return table
 
 
-def _cost(anchor: Anchor, before: Track, looks: Sequence[Look], own: Sequence[int]) -> float:
+def _cost(reference: Reference, before: Track, looks: Sequence[Loss], own: Sequence[int]) -> float:
     """Loss of windows and prior at the best of the base and some coordinates [nats].
 
     Student's t with weights at the fit; infinite where no car has such values. Windows that the
-    anchor explains badly barely pull, so a large effect that explains them all is looked for from
-    equal weights too.
+    reference explains badly barely pull, so a large effect that explains them all is looked for
+    from equal weights too.
     """
-    space, n = anchor.space, anchor.space.nuisance
+    space, n = reference.space, reference.space.nuisance
     at = [*range(n), *own]
     prior = np.diag(space.spread[at] ** -2)
     prior[:n, :n] = before.information
@@ -163,16 +167,16 @@ def _cost(anchor: Anchor, before: Track, looks: Sequence[Look], own: Sequence[in
     return min(costs, default=np.inf)
 
 
-def usual_of(anchor: Anchor, track: Track, looks: Sequence[Look]) -> Usual:
-    """What the windows that made the anchor show."""
-    usual = unknown(len(anchor.space.effects))
+def quiet_ratios_of(reference: Reference, track: Track, looks: Sequence[Loss]) -> QuietRatios:
+    """What the windows that made the reference show."""
+    usual = unknown(len(reference.space.effects))
     for end in range(1, len(looks) + 1):
         part = looks[max(0, end - SPANS[-1]) : end]
-        usual = with_ratios(usual, ratios(anchor, [track] * len(part), part))
+        usual = with_ratios(usual, ratios(reference, [track] * len(part), part))
     return usual
 
 
-def faded(usual: Usual, share: float) -> Usual:
+def faded(usual: QuietRatios, share: float) -> QuietRatios:
     """With its peaks a little lower and its sums a little lighter."""
     keep = 1.0 - share
     return replace(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
 from steerd.sim_gap.online.changes import SPANS, faded, ratios, reweighted, with_ratios
-from steerd.sim_gap.online.looking import Look, look
+from steerd.sim_gap.online.looking import Loss, look
 from steerd.sim_gap.online.naming import LOOKS, Finding, Known, find_cause, learn
 from steerd.sim_gap.online.samples import (
     LATE,
@@ -27,10 +27,10 @@ from steerd.sim_gap.online.samples import (
 from steerd.sim_gap.online.tracking import Memory, Remembered, Track, follow, remember
 from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.data.dataset import Run
+from steerd.sysid.inference.augmented_car import AugmentedCar, make_augmented_car
 from steerd.sysid.inference.chart import RELATIVE
 from steerd.sysid.inference.noise import Noise, noise_of_section
 from steerd.sysid.inference.space import FLOORS, LIMITS
-from steerd.sysid.inference.superset import Superset, make_superset
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ a longer car that steers more (see `chart`) a lane would pull them to where no c
 class Learner:
     """What does not change while a car is learnt."""
 
-    superset: Superset  # the car file's base, with every effect of the library
+    augmented: AugmentedCar  # the car file's base, with every effect of the library
     noise: Noise | None = None  # as the car file knows it
     ramp: float = 0.0  # limit of the motor controller's setpoint [m/s^2], 0 for none
     remembered: tuple[Remembered, ...] = ()  # what an earlier drive of this car taught
@@ -77,17 +77,17 @@ def make_learner(car: CarFile, ramp: float = 0.0, memory: Memory | None = None) 
     Raises:
         ValueError: what identify wrote into the file is not what it writes.
     """
-    superset = make_superset(car, ())
-    if superset.knowledge is None and not superset.sd:
-        superset = replace(superset, sd=_published(superset))
-    remembered = remember(superset, memory) if memory is not None else ()
-    return Learner(superset, noise_of_section(car.sections.get("noise", {})), ramp, remembered)
+    augmented = make_augmented_car(car, ())
+    if augmented.knowledge is None and not augmented.sd:
+        augmented = replace(augmented, sd=_published(augmented))
+    remembered = remember(augmented, memory) if memory is not None else ()
+    return Learner(augmented, noise_of_section(car.sections.get("noise", {})), ramp, remembered)
 
 
-def _published(superset: Superset) -> dict[str, float]:
+def _published(augmented: AugmentedCar) -> dict[str, float]:
     """Standard errors of figures that were published for another car of the class."""
-    names = superset.kernels.names
-    values = {name: abs(float(superset.base[names.index(name)])) for name in FLOORS}
+    names = augmented.kernels.names
+    values = {name: abs(float(augmented.base[names.index(name)])) for name in FLOORS}
     return {
         name: BETTER_KNOWN.get(name, NOT_IDENTIFIED)
         * floor
@@ -163,7 +163,7 @@ def take_window(learner: Learner, state: State, t: float, run: Run) -> State:
         if len(change.windows) in LOOKS:
             change = judge(state.known, change)
         return _after(learner, state, state.known, change)
-    seen = look(state.known.anchor, run, t)
+    seen = look(state.known.reference, run, t)
     if seen is None:
         return state
     windows = (*state.windows, (t, run))[-SPANS[-1] :]
@@ -174,23 +174,23 @@ def _learn(learner: Learner, state: State) -> State:
     """Learn the car once there are windows enough."""
     if len(state.windows) < REFERENCE:
         return state
-    known = learn(learner.superset, state.windows, learner.noise, learner.remembered)
+    known = learn(learner.augmented, state.windows, learner.noise, learner.remembered)
     kept = state.windows[-SPANS[-1] :] if known else state.windows[REFERENCE // 2 :]
     return replace(state, windows=kept, known=known)
 
 
-def _watch(learner: Learner, state: State, known: Known, seen: Look) -> State:
+def _watch(learner: Learner, state: State, known: Known, seen: Loss) -> State:
     """A window while nothing is the matter; a change is called where it does not fit."""
     looks = (*known.looks, seen)[-SPANS[-1] :]
     tracks = (*known.tracks, known.track)[-SPANS[-1] :]
-    table, level = ratios(known.anchor, tracks, looks), known.usual.level()
-    table = reweighted(known.anchor, tracks, looks, table, level)
+    table, level = ratios(known.reference, tracks, looks), known.usual.level()
+    table = reweighted(known.reference, tracks, looks, table, level)
     judged = table / level
     worst = float(np.nanmax(judged))
     if worst >= ALARM:
         span = SPANS[int(np.nanargmax(judged)) % len(SPANS)]
         return _call(learner, state, replace(known, looks=looks, tracks=tracks), span)
-    n = known.anchor.space.nuisance
+    n = known.reference.space.nuisance
     track, shown = known.track, known.shown
     if worst < DOUBT:
         track = follow(track, seen.weight * seen.g[:n], seen.weight * seen.h[:n, :n])
@@ -220,10 +220,10 @@ def _call(learner: Learner, state: State, known: Known, span: int) -> State:
 def judge(known: Known, change: Change) -> Change:
     """A change with what its windows say."""
     runs = [run for _, run in change.windows]
-    finding = find_cause(known.anchor, change.before, runs)
+    finding = find_cause(known.reference, change.before, runs)
     if finding.cause is None:
         return replace(change, finding=finding)
-    was = known.anchor.superset.values(finding.cause.effect)
+    was = known.reference.augmented.values(finding.cause.effect)
     alone = not finding.cause.ambiguous_with and len(runs) >= SETTLED
     proven = (finding.cause, was) if alone else change.proven
     return replace(change, finding=finding, was=was, proven=proven)
@@ -238,7 +238,7 @@ def _after(learner: Learner, state: State, known: Known, change: Change) -> Stat
     if len(windows) < REFERENCE + 1:
         return replace(state, change=change)
     # The first window may hold the change itself.
-    again = learn(learner.superset, windows[1:], learner.noise)
+    again = learn(learner.augmented, windows[1:], learner.noise)
     if again is None:
         return replace(state, change=replace(change, windows=windows[REFERENCE // 2 :]))
     past = (*state.past, replace(change, windows=()))

@@ -104,18 +104,18 @@ def base_strain(best: Hypothesis) -> float:
 
 
 def _is_at_bound(library: Library, best: Hypothesis, name: str) -> bool:
-    values = best.point.parameters[library.likelihood.engine.superset.places(name)]
+    values = best.point.parameters[library.likelihood.predictor.augmented.places(name)]
     return library.effect(name).is_at_bound(values.tolist())
 
 
 def _cause(library: Library, found: Findings, name: str, kept: float) -> Cause:
     effect, best = library.effect(name), found.best
-    free, superset = best.point.space.chart.free, library.likelihood.engine.superset
-    values = best.point.parameters[superset.places(name)]
+    free, augmented = best.point.space.chart.free, library.likelihood.predictor.augmented
+    values = best.point.parameters[augmented.places(name)]
     first, control = free.index(f"{name}.{effect.parameters[0].name}"), library.controls.get(name)
     square = np.diag(best.posterior.covariance)[first : first + len(values)]
     if control is not None:  # what the model's errors add in healthy drives, they add here
-        away = control.values - superset.values(name)
+        away = control.values - augmented.values(name)
         square = square + np.diag(control.covariance) + away**2
     parameters = {
         p.name: Estimated(float(value), float(sd), p.unit)

@@ -86,7 +86,7 @@ class Run:
     commands: Array  # (N, 2) steer [rad] and speed [m/s], means over the grid's steps
     pose: Signal  # times and (M, 3) x [m], y [m], yaw [rad, unwrapped]; gaps are allowed
     # `command`; or `wheel` or `pose` where there is no speed command and the measured speed is
-    # prescribed instead (see `superset.prescribe_speed`)
+    # prescribed instead (see `augmented_car.prescribe_speed`)
     speed_source: str = "command"
     # Speed as reported with the nominal gain [m/s]; may be empty
     wheel: Signal = field(default_factory=_none)

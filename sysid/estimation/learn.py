@@ -45,6 +45,7 @@ from steerd.sysid.estimation.validation import (
     errors_at,
     trace_windows,
 )
+from steerd.sysid.inference.car_fit import Stated, choose_start, fit_car_with_limits
 from steerd.sysid.inference.identifiability import Estimate
 from steerd.sysid.inference.plain_car import (
     POOR,
@@ -55,7 +56,6 @@ from steerd.sysid.inference.plain_car import (
     search_blocks,
     search_rough,
 )
-from steerd.sysid.inference.teaching import Stated, choose_start, teach_with_limits
 from steerd.sysid.paper.search_history import SearchHistory
 from steerd.sysid.parallel import map_jobs
 
@@ -241,7 +241,7 @@ def _starts(task: Task) -> list[Model[float]]:
 
 
 def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit:
-    """The plain car where it leaves no more than noise, else what windows of one second teach.
+    """The plain car where it leaves no more than noise, else what windows of one second fit_car.
 
     Raises:
         FloatingPointError: no start gives a finite simulation.
@@ -253,7 +253,7 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit:
     try:
         starts = _starts(task)
         start = starts[0] if len(starts) == 1 else choose_start(starts, drives.fitted, task.stated)
-        taught = teach_with_limits(start, drives.fitted, task.stated)
+        taught = fit_car_with_limits(start, drives.fitted, task.stated)
         return fit_of_taught(taught, start, drives.fitted, _doubts(drives.pulses))
     except (FloatingPointError, ValueError):
         if plain is None:

@@ -22,8 +22,8 @@ from steerd.sysid.data.excitation import Excitation
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.estimation.command_timing import Pulse, Ramp
 from steerd.sysid.estimation.validation import Prediction, Regime, Trace
-from steerd.sysid.inference.car_posterior import describe_lost, knowledge_of, taught_car
-from steerd.sysid.inference.engine import HORIZON, Engine
+from steerd.sysid.inference.car_fit import FittedCar, Step
+from steerd.sysid.inference.car_posterior import describe_lost, file_of_fitted, knowledge_of
 from steerd.sysid.inference.identifiability import (
     MANOEUVRES,
     RELATIVE_MAX,
@@ -36,8 +36,8 @@ from steerd.sysid.inference.identifiability import (
 )
 from steerd.sysid.inference.noise import signal_noise
 from steerd.sysid.inference.plain_car import Asked, PlainCar, covariance_of, misfit_of, silent_names
+from steerd.sysid.inference.predictor import HORIZON, Predictor
 from steerd.sysid.inference.search import with_size
-from steerd.sysid.inference.teaching import Step, Taught
 from steerd.sysid.paper.search_history import NAMES, SearchHistory
 
 Array = NDArray[np.float64]
@@ -98,7 +98,7 @@ def fit_of_plain(
     pace *= float(found.point.parameters[chart.names.index("speed_gain")])
     known = estimates(chart, z, covariance)
     error = found.point.linear.error
-    horizon = float(found.engine.layout.spans[:, 3].mean() * runs[0].h)
+    horizon = float(found.predictor.layout.spans[:, 3].mean() * runs[0].h)
     return Fit(
         model=_moved(asked.model, known),
         estimates=known | silent_estimates(chart, silent_names(runs, asked.free)),
@@ -106,14 +106,14 @@ def fit_of_plain(
         correlation=_correlation(covariance),
         converged=found.point.whole,
         misfit=found.misfit,
-        residuals=_residuals(found.engine, error, np.array(found.noise.instruments)),
+        residuals=_residuals(found.predictor, error, np.array(found.noise.instruments)),
         horizon=horizon,
         combinations=combinations(chart, z, covariance, pace),
     )
 
 
 def fit_of_taught(
-    taught: Taught, base: Model[float], runs: Sequence[Run], doubts: Sequence[tuple[str, float]]
+    taught: FittedCar, base: Model[float], runs: Sequence[Run], doubts: Sequence[tuple[str, float]]
 ) -> Fit:
     """What a car says that windows of one second taught, disturbances known.
 
@@ -126,22 +126,22 @@ def fit_of_taught(
     file = CarFile(
         Path("taught.toml"), "taught", base.car, base.effects, base.values, chassis=base.chassis
     )
-    found = taught_car(file, taught)
+    found = file_of_fitted(file, taught)
     kept = {effect.name for effect in found.effects}
     own = {f"{e.name}.{p.name}" for e in found.effects for p in e.parameters}
     sds = {name: sd for name, sd in found.sd.items() if "." not in name or name in own}
     sds |= {name: float(np.hypot(sds[name], sd)) for name, sd in doubts if name in sds}
     signal = signal_noise(estimate_noise(runs))
     at = with_size(taught.likelihood, taught.point, 0.0)
-    engine, error = taught.likelihood.engine, at.linear.error
+    predictor, error = taught.likelihood.predictor, at.linear.error
     return Fit(
         model=found.model,
         estimates=taught_estimates(found.effects, parameter_vector(found.model), sds),
         labels=taught.point.space.chart.labels,
         correlation=_correlation(knowledge_of(taught).covariance),
         converged=taught.point.whole,
-        misfit=misfit_of(engine, error, signal),
-        residuals=_residuals(engine, error, np.array(signal.instruments)),
+        misfit=misfit_of(predictor, error, signal),
+        residuals=_residuals(predictor, error, np.array(signal.instruments)),
         horizon=HORIZON,
         selected=tuple(step for step in taught.selected if step.effect in kept),
         sections=found.sections,
@@ -167,13 +167,15 @@ def _correlation(covariance: Array) -> Array:
     return np.asarray(covariance / np.outer(sd, sd))
 
 
-def _residuals(engine: Engine, error: Array, signal: Array) -> Residuals:
+def _residuals(predictor: Predictor, error: Array, signal: Array) -> Residuals:
     """Errors (W, D) as rows, those of means as large as single readings' would be."""
-    layout, there = engine.layout, engine.padded.there > 0.0
-    row = engine.padded.row[there]
+    layout, there = predictor.layout, predictor.padded.there > 0.0
+    row = predictor.padded.row[there]
     window = np.repeat(np.arange(len(there)), there.sum(axis=1))
     t = layout.t[window] + layout.row_t[row]
-    return Residuals(t, layout.group[row], (error * np.sqrt(engine.padded.merged))[there], signal)
+    return Residuals(
+        t, layout.group[row], (error * np.sqrt(predictor.padded.merged))[there], signal
+    )
 
 
 class Row(NamedTuple):

@@ -21,8 +21,8 @@ from steerd.car_model.model import Model
 from steerd.car_model.params import wheelbase
 from steerd.sysid.data.dataset import Run, pose_rates
 from steerd.sysid.data.excitation import SPEED_SPAN, measure_excitation
+from steerd.sysid.inference.car_fit import Stated
 from steerd.sysid.inference.identifiability import ANOTHER_END, Estimate
-from steerd.sysid.inference.teaching import Stated
 
 Array = NDArray[np.float64]
 

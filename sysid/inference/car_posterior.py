@@ -23,19 +23,19 @@ from scipy.special import chdtrc
 from steerd.car_model.car_file import CarFile
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.augmented_car import BasePrior, inflate_each, knowledge_section
+from steerd.sysid.inference.car_fit import (
+    NOTHING,
+    FittedCar,
+    Stated,
+    excess_of,
+    fit_car_with_limits,
+    ratios,
+)
 from steerd.sysid.inference.controls import learn_controls
 from steerd.sysid.inference.noise import noise_section
 from steerd.sysid.inference.posterior import posterior_of
 from steerd.sysid.inference.residuals import blocks_of, robust_mean
-from steerd.sysid.inference.superset import Knowledge, inflate_each, knowledge_section
-from steerd.sysid.inference.teaching import (
-    NOTHING,
-    Stated,
-    Taught,
-    excess_of,
-    ratios,
-    teach_with_limits,
-)
 
 Array = NDArray[np.float64]
 
@@ -58,9 +58,9 @@ MOVED, FORWARD = "marker_offset", "marker_offset.forward"
 _NAMED = 3
 
 
-def describe_lost(taught: Taught, runs: Sequence[Run]) -> tuple[str, ...]:
+def describe_lost(taught: FittedCar, runs: Sequence[Run]) -> tuple[str, ...]:
     """Where the car does not hold, and how it was driven there, in a sentence; often none."""
-    engine, layout = taught.likelihood.engine, taught.likelihood.engine.layout
+    predictor, layout = taught.likelihood.predictor, taught.likelihood.predictor.layout
     lost = ratios(taught) >= c.SPUN
     if not lost.any():
         return ()
@@ -69,7 +69,7 @@ def describe_lost(taught: Taught, runs: Sequence[Run]) -> tuple[str, ...]:
         f"{text} in {int((lost & where).sum())}"
         for where, text in (
             (slip > SLIDING, f"sliding by more than {SLIDING:g} rad"),
-            (engine.lateral > HARD, f"more than {HARD:g} m/s² sideways"),
+            (predictor.lateral > HARD, f"more than {HARD:g} m/s² sideways"),
             (speed < SLOW, f"below {SLOW:g} m/s"),
         )
         if (lost & where).any()
@@ -92,7 +92,7 @@ def refine(base: CarFile, runs: Sequence[Run], stated: Stated = NOTHING) -> CarF
         FloatingPointError: the base car's simulation diverges.
         ValueError: no window sees enough poses.
     """
-    return taught_car(base, teach_with_limits(base, runs, stated))
+    return file_of_fitted(base, fit_car_with_limits(base, runs, stated))
 
 
 def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
@@ -102,17 +102,17 @@ def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, An
         FloatingPointError: the base car's simulation diverges.
         ValueError: no window sees enough poses.
     """
-    taught = teach_with_limits(base, runs)
+    taught = fit_car_with_limits(base, runs)
     return _tables(taught, knowledge_of(taught))
 
 
-def _tables(taught: Taught, known: Knowledge) -> dict[str, dict[str, Any]]:
+def _tables(taught: FittedCar, known: BasePrior) -> dict[str, dict[str, Any]]:
     """`[noise]` and `[knowledge]`, with what the drives show of effects beside the car."""
     known = replace(known, controls=learn_controls(taught, known))
     return {"noise": noise_section(taught.noise), "knowledge": knowledge_section(known)}
 
 
-def taught_car(base: CarFile, taught: Taught) -> CarFile:
+def file_of_fitted(base: CarFile, taught: FittedCar) -> CarFile:
     """The car file that says what was taught; effects that may as well be absent are left out."""
     known = knowledge_of(taught)
     chart, covariance = taught.point.space.chart, _doubtful(taught, known.covariance)
@@ -124,8 +124,8 @@ def taught_car(base: CarFile, taught: Taught) -> CarFile:
     car = {name: float(p[i]) for name, i in free.items() if "." not in name}
     own = dict(zip((e.name for e in base.effects), base.values, strict=True))
     own = {name: values for name, values in own.items() if name not in _structures(taught)}
-    own |= {name: tuple(p[taught.superset.places(name)].tolist()) for name in kept}
-    chosen = [e for e in taught.superset.effects if e.name in own]
+    own |= {name: tuple(p[taught.augmented.places(name)].tolist()) for name in kept}
+    chosen = [e for e in taught.augmented.effects if e.name in own]
     sd = {name: float(spread[i]) * MODEL_ERROR.get(name, 1.0) for name, i in free.items()}
     moved = replace(
         base,
@@ -137,19 +137,19 @@ def taught_car(base: CarFile, taught: Taught) -> CarFile:
     return replace(moved, sections={**moved.sections, **_tables(taught, known)})
 
 
-def _doubtful(taught: Taught, covariance: Array) -> Array:
+def _doubtful(taught: FittedCar, covariance: Array) -> Array:
     """The covariance with the doubt about the place of the centre of gravity, the body's kept."""
     names, p = list(taught.point.space.chart.free), taught.point.parameters
     if not {"lf", "lr", FORWARD} <= set(names):
         return covariance
-    axle = taught.superset.kernels.names.index
+    axle = taught.augmented.kernels.names.index
     wheelbase = float(p[axle("lf")] + p[axle("lr")])
     along = np.zeros(len(names))
     along[names.index("lr")], along[names.index(FORWARD)] = -wheelbase, wheelbase
     return covariance + c.COG_PLACE**2 * np.outer(along, along)
 
 
-def _as_mounted(taught: Taught, covariance: Array) -> Array:
+def _as_mounted(taught: FittedCar, covariance: Array) -> Array:
     """The covariance where the mocap body is taken to be where it was mounted, within the prior.
 
     That the drives would have it elsewhere is either the model's error or the mounting's: what it
@@ -166,19 +166,19 @@ def _as_mounted(taught: Taught, covariance: Array) -> Array:
     return moved
 
 
-def _structures(taught: Taught) -> list[str]:
+def _structures(taught: FittedCar) -> list[str]:
     """Names of the effects that were free, each once."""
     return list(dict.fromkeys(n.partition(".")[0] for n in taught.nuisance if "." in n))
 
 
-def _without_small(taught: Taught, covariance: Array) -> tuple[Array, list[str]]:
+def _without_small(taught: FittedCar, covariance: Array) -> tuple[Array, list[str]]:
     """Coordinates with every effect at its null that is not clearly elsewhere, and those kept.
 
     The likeliest by chance goes first; what moves with it moves to where it lies given that null.
     """
-    space, superset = taught.point.space, taught.superset
+    space, augmented = taught.point.space, taught.augmented
     labels, z = list(space.chart.free), taught.point.z.copy()
-    nulls = {e.name: e.nulls for e in superset.effects}
+    nulls = {e.name: e.nulls for e in augmented.effects}
     names = {name: [i for i, n in enumerate(labels) if n.startswith(f"{name}.")]
              for name in _structures(taught)}  # fmt: skip
     gone: list[int] = []
@@ -206,7 +206,7 @@ def _place(labels: Sequence[str], i: int) -> int:
     return sum(name.startswith(f"{effect}.") for name in labels[:i])
 
 
-def knowledge_of(taught: Taught) -> Knowledge:
+def knowledge_of(taught: FittedCar) -> BasePrior:
     """Joint covariance and discrepancy of a car.
 
     Scores that vary more from block to block than noise makes them widen the errors (White, 1982):
@@ -214,12 +214,12 @@ def knowledge_of(taught: Taught) -> Knowledge:
     definite: a direction that the drives do not show keeps its prior's width.
     """
     likelihood, point = taught.likelihood, taught.point
-    blocks, at = blocks_of(likelihood.engine), point.at
+    blocks, at = blocks_of(likelihood.predictor), point.at
     pulls = at.weight[:, None] * at.g
     sums = np.zeros((int(blocks.max()) + 1, pulls.shape[1]))
     np.add.at(sums, blocks, pulls)
     covariance = inflate_each(posterior_of(point, 1.0).covariance, sums)
     excess = excess_of(taught, robust_mean(ratios(taught)))
-    p, names = point.parameters, taught.superset.kernels.names
+    p, names = point.parameters, taught.augmented.kernels.names
     values = tuple(float(p[names.index(name)]) for name in taught.nuisance)
-    return Knowledge(taught.nuisance, covariance, excess, values)
+    return BasePrior(taught.nuisance, covariance, excess, values)

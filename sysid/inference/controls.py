@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect
 from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.augmented_car import BasePrior, Control
+from steerd.sysid.inference.car_fit import FittedCar
 from steerd.sysid.inference.hypotheses import begin
 from steerd.sysid.inference.library import Library, slice_along
 from steerd.sysid.inference.posterior import design_effect
 from steerd.sysid.inference.search import Point, minimise
-from steerd.sysid.inference.superset import Control, Knowledge
-from steerd.sysid.inference.teaching import Taught
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ _BY_CHANCE = 1.0
 """What an effect of two parameters gains by chance [nats]."""
 
 
-def learn_controls(taught: Taught, known: Knowledge) -> tuple[Control, ...]:
+def learn_controls(taught: FittedCar, known: BasePrior) -> tuple[Control, ...]:
     """The healthy drives diagnosed against the car that they taught, one Newton step an effect.
 
     Args:
@@ -37,13 +37,13 @@ def learn_controls(taught: Taught, known: Knowledge) -> tuple[Control, ...]:
         FloatingPointError: the car's simulation diverges.
     """
     wider = replace(known, covariance=c.KNOWN_WIDER**2 * known.covariance)
-    superset = replace(taught.superset, base=taught.point.parameters, knowledge=wider)
-    engine = replace(taught.likelihood.engine, superset=superset)
-    likelihood = replace(taught.likelihood, engine=engine)
-    library = Library(likelihood, taught.nuisance, superset.effects)
+    augmented = replace(taught.augmented, base=taught.point.parameters, knowledge=wider)
+    predictor = replace(taught.likelihood.predictor, augmented=augmented)
+    likelihood = replace(taught.likelihood, predictor=predictor)
+    library = Library(likelihood, taught.nuisance, augmented.effects)
     base = minimise(likelihood, begin(library, (), (), taught.point.x))
     temper = design_effect(likelihood, base.size, controlled=True)
-    found = (_control(library, base, effect, temper) for effect in superset.effects)
+    found = (_control(library, base, effect, temper) for effect in augmented.effects)
     return tuple(control for control in found if control is not None)
 
 
@@ -53,7 +53,7 @@ def _control(library: Library, base: Point, effect: Effect, temper: float) -> Co
     if along is None:
         return None
     space, own = library.space([effect.name]), slice(-len(effect.parameters), None)
-    null = np.array(library.likelihood.engine.superset.values(effect.name))
+    null = np.array(library.likelihood.predictor.augmented.values(effect.name))
     prior = np.linalg.inv(space.covariance[own, own])
     covariance = np.linalg.inv(along.curved / temper + prior)
     step = covariance @ (along.slope / temper + prior @ (space.centre[own] - null))

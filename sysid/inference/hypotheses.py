@@ -112,17 +112,17 @@ class _Search:
             further: whether that is a further cause, against which odds are longer.
         """
         self.keep(_try(self.likelihood, start))
-        looks = look_at_all(self.library, start)
+        looks = screen_effects(self.library, start)
         self.untested |= {look.effect for look in looks if not np.isfinite(look.cost)}
         needed = self.surprise + (np.log(c.FURTHER_ODDS) if further else 0.0)
         least = _ROOM * needed * self.library.design_effect(0.3 * start.size)
         chosen = [look for look in looks if look.gain > least][:most]
-        beat = min((point.cost for point in self.pool.values()), default=np.inf)
+        incumbent = min((point.cost for point in self.pool.values()), default=np.inf)
         for look in chosen:
             begun = _with_effect(self.library, start, look)
-            point = None if begun is None else _try(self.likelihood, begun, beat)
+            point = None if begun is None else _try(self.likelihood, begun, incumbent)
             self.keep(point)
-            beat = min(beat, np.inf if point is None else point.cost)
+            incumbent = min(incumbent, np.inf if point is None else point.cost)
         self.exchange()
         self.explore()
 
@@ -197,7 +197,7 @@ def explain(
         FloatingPointError: the base car's simulation diverges.
     """
     search = _Search(library)
-    start = begin(library, (), (), library.likelihood.engine.guess.copy())
+    start = begin(library, (), (), library.likelihood.predictor.guess.copy())
     search.grow(start, c.FITTED, further=False)
     best = search.hypotheses()[0]
     while 0 < len(best.effects) < most:
@@ -259,16 +259,16 @@ def _stand(likelihood: Likelihood, space: Space, z: Array, x: Array, size: float
         return None
 
 
-def _try(likelihood: Likelihood, start: Point, beat: float = np.inf) -> Point | None:
+def _try(likelihood: Likelihood, start: Point, incumbent: float = np.inf) -> Point | None:
     """The optimum from a start; None if the simulation diverges on the way."""
     try:
-        return minimise(likelihood, start, beat)
+        return minimise(likelihood, start, incumbent)
     except (FloatingPointError, np.linalg.LinAlgError):
         return None
 
 
 @dataclass(frozen=True)
-class Look:
+class Candidate:
     """What an effect promises from the base at its prior."""
 
     effect: str  # its name; `values` of its parameters to start from
@@ -278,7 +278,7 @@ class Look:
     gain: float = -np.inf
 
 
-def look_at_all(library: Library, start: Point) -> list[Look]:
+def screen_effects(library: Library, start: Point) -> list[Candidate]:
     """Every effect that the start lacks, the most promising first.
 
     No window's start is held here: one that the base alone bends too far may be where an effect
@@ -297,12 +297,12 @@ def look_at_all(library: Library, start: Point) -> list[Look]:
         looks = list(_looks(library, start, views, effect, tried))
         others = _looks(library, start, views, effect, healthy)
         reference = min([level, *(look.cost for look in others)])
-        best = min(looks, key=lambda look: look.cost, default=Look(effect.name, effect.nulls))
+        best = min(looks, key=lambda look: look.cost, default=Candidate(effect.name, effect.nulls))
         found.append(replace(best, gain=reference - best.cost))
     return sorted(found, key=lambda look: -look.gain)
 
 
-def _with_effect(library: Library, start: Point, look: Look) -> Point | None:
+def _with_effect(library: Library, start: Point, look: Candidate) -> Point | None:
     """The start with an effect at the values of its look."""
     space = library.space([*start.space.effects, look.effect])
     z = carry(space, start)
@@ -317,7 +317,7 @@ def _looks(
     views: Sequence[Weighed],
     effect: Effect,
     tried: Iterable[tuple[float, ...]],
-) -> Iterable[Look]:
+) -> Iterable[Candidate]:
     """An effect at several values, the base stepped once beside each."""
     space = library.space([*start.space.effects, effect.name])
     own = slice(len(space.centre) - len(effect.parameters), None)
@@ -327,10 +327,10 @@ def _looks(
         z = carry(space, start)
         z[own] = values
         z = np.clip(z, space.low, space.high)
-        error, finite = library.likelihood.engine.errors(space.chart.parameters(z), start.x)
+        error, finite = library.likelihood.predictor.errors(space.chart.parameters(z), start.x)
         if finite:
             cost = _expected(library, start, views, space, keep, error)
-            yield Look(effect.name, tuple(z[own].tolist()), cost)
+            yield Candidate(effect.name, tuple(z[own].tolist()), cost)
 
 
 def _expected(
@@ -356,7 +356,7 @@ def _expected(
 
 def _ladder(library: Library, start: Point, effect: Effect) -> list[tuple[float, ...]]:
     """Values worth trying about what the base has of the effect."""
-    nulls = library.likelihood.engine.superset.values(effect.name)
+    nulls = library.likelihood.predictor.augmented.values(effect.name)
     if effect.scan is not None:
         x, at = start.x, start.at
         ahead = 0.5 * x[:, 3:4] * np.column_stack([np.cos(x[:, 2]), np.sin(x[:, 2])])

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect
+from steerd.sysid.inference.augmented_car import Control
 from steerd.sysid.inference.likelihood import Likelihood, Reduced
 from steerd.sysid.inference.posterior import design_effect
 from steerd.sysid.inference.search import Point
 from steerd.sysid.inference.space import Space, make_space
-from steerd.sysid.inference.superset import Control
 
 Array = NDArray[np.float64]
 
@@ -31,10 +31,10 @@ class Library:
 
     def space(self, names: Sequence[str]) -> Space:
         """Coordinates of a hypothesis: the base's, then its effects'."""
-        superset = self.likelihood.engine.superset
-        gone = {same for e in superset.effects if e.name in names for same in e.same_as}
+        augmented = self.likelihood.predictor.augmented
+        gone = {same for e in augmented.effects if e.name in names for same in e.same_as}
         kept = [name for name in self.nuisance if name not in gone]
-        return make_space(superset, kept, names).heavier(self.worth)
+        return make_space(augmented, kept, names).heavier(self.worth)
 
     @cached_property
     def worth(self) -> float:
@@ -44,7 +44,7 @@ class Library:
     @cached_property
     def controls(self) -> dict[str, Control]:
         """What healthy drives show of effects, by name."""
-        known = self.likelihood.engine.superset.knowledge
+        known = self.likelihood.predictor.augmented.knowledge
         return {} if known is None else {one.effect: one for one in known.controls}
 
     def design_effect(self, size: float) -> float:
@@ -53,7 +53,7 @@ class Library:
 
     def effect(self, name: str) -> Effect:
         """An effect by name."""
-        return next(e for e in self.likelihood.engine.superset.effects if e.name == name)
+        return next(e for e in self.likelihood.predictor.augmented.effects if e.name == name)
 
 
 def carry(space: Space, point: Point, own: Point | None = None) -> Array:
@@ -79,13 +79,13 @@ def linearise(
     likelihood, z, columns = library.likelihood, carry(space, start), []
     own = range(len(z) - len(effect.parameters), len(z))
     # The base's parameter that the effect replaces is back at its prior in `z`, not in the start.
-    here, _ = likelihood.engine.errors(space.chart.parameters(z), start.x)
+    here, _ = likelihood.predictor.errors(space.chart.parameters(z), start.x)
     keep = np.array([start.space.chart.free.index(name) for name in space.chart.free[: own.start]])
     for i, parameter in zip(own, effect.parameters, strict=True):
         step = 0.1 * parameter.scale
         moved = z.copy()
         moved[i] += step if z[i] + step <= space.high[i] else -step
-        error, finite = likelihood.engine.errors(space.chart.parameters(moved), start.x)
+        error, finite = likelihood.predictor.errors(space.chart.parameters(moved), start.x)
         if not finite:
             return None
         columns.append((here - error) / (moved[i] - z[i]))

@@ -131,7 +131,7 @@ def _healthy_gain(library: Library, point: Point, name: str, temper: float, show
     if along is None:
         return 0.0
     control = library.controls[name]
-    away = control.values - library.likelihood.engine.superset.values(name)
+    away = control.values - library.likelihood.predictor.augmented.values(name)
     gain = log_mean(along.curved / temper, along.slope / temper, away, control.covariance)
     return min(gain, c.SHOWN_MOST * control.gain * len(point.at.dof))
 
@@ -153,10 +153,10 @@ def _judge(library: Library, posterior: Posterior, evidence: float) -> Hypothesi
 
 def size_of(library: Library, posterior: Posterior, effect: Effect) -> tuple[float, float]:
     """How far an effect is from what the base has of it, and the standard error of that."""
-    point, superset = posterior.point, library.likelihood.engine.superset
+    point, augmented = posterior.point, library.likelihood.predictor.augmented
     places = [i for i, p in enumerate(effect.parameters) if p.role is Role.SIZE]
     first = point.space.chart.free.index(f"{effect.name}.{effect.parameters[0].name}")
-    own = superset.values(effect.name)
+    own = augmented.values(effect.name)
     away = np.array([point.z[first + i] - own[i] for i in places])
     far = float(np.linalg.norm(away))
     along = away / far if far > 0.0 else np.eye(len(away))[0]

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from steerd.sysid.inference.engine import Engine, Linear
 from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated, Weighed, take_some
+from steerd.sysid.inference.predictor import Linear, Predictor
 from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ class Point:
 
     @property
     def parameters(self) -> Array:
-        """(P,) all parameters of the superset."""
+        """(P,) all parameters of the augmented car."""
         return self.space.chart.parameters(self.z)
 
 
@@ -93,12 +93,12 @@ def derive(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Linear:
     Raises:
         FloatingPointError: the simulation diverges there.
     """
-    engine = likelihood.engine
-    linear = engine.linear(space, z, x)
+    predictor = likelihood.predictor
+    linear = predictor.linear(space, z, x)
     if not linear.finite:
         raise FloatingPointError("the simulation diverges")
     for i, name in enumerate(space.chart.free):
-        step = _secant(name, engine.layout.h / engine.substeps)
+        step = _secant(name, predictor.layout.h / predictor.substeps)
         if step == 0.0:
             continue
         low, high = (float(np.clip(z[i] + s, space.low[i], space.high[i])) for s in (-step, step))
@@ -108,17 +108,19 @@ def derive(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Linear:
         if high <= low:
             continue
         error = [
-            linear.error if end == z[i] else _error(engine, space, z, x, i, end) for end in ends
+            linear.error if end == z[i] else _error(predictor, space, z, x, i, end) for end in ends
         ]
         linear.by_z[:, :, i] = (error[0] - error[1]) / (ends[1] - ends[0])
     return linear
 
 
-def _error(engine: Engine, space: Space, z: Array, x: Array, place: int, value: float) -> Array:
+def _error(
+    predictor: Predictor, space: Space, z: Array, x: Array, place: int, value: float
+) -> Array:
     """(W, D) errors with one coordinate elsewhere."""
     moved = z.copy()
     moved[place] = value
-    return engine.errors(space.chart.parameters(moved), x)[0]
+    return predictor.errors(space.chart.parameters(moved), x)[0]
 
 
 def _secant(name: str, grid: float) -> float:
@@ -171,7 +173,7 @@ def _settled(likelihood: Likelihood, point: Point) -> Point:
         if not (square - at.square > _OWED).any():
             break
         tried = x + share[:, None] * at.dx
-        off, _ = likelihood.engine.errors(parameters, tried)
+        off, _ = likelihood.predictor.errors(parameters, tried)
         left = likelihood.squares(off, tried, size)
         better = left < square
         x[better], error[better], square[better] = tried[better], off[better], left[better]
@@ -203,7 +205,7 @@ def rescue(likelihood: Likelihood, point: Point) -> Point:
     if not lost.any():
         return point
     part = take_some(likelihood, lost)
-    x = part.engine.guess.copy()
+    x = part.predictor.guess.copy()
     try:
         soft = stand(part, point.space, point.z, x, _SOFT + point.size)
         found = fresh(part, replace(fresh(part, soft), size=point.size))
@@ -247,7 +249,7 @@ def _moved(likelihood: Likelihood, point: Point, dz: Array) -> Point | None:
     """The point a step on, with the derivatives of before; None where too much diverges."""
     x = point.x + point.at.dx - point.at.kx @ dz
     z = np.clip(point.z + dz, point.space.low, point.space.high)
-    error, finite = likelihood.engine.errors(point.space.chart.parameters(z), x)
+    error, finite = likelihood.predictor.errors(point.space.chart.parameters(z), x)
     if not finite:
         return None
     at = likelihood.reduce(point.weighed, error, x)
@@ -268,7 +270,7 @@ def newton(space: Space, at: Reduced, z: Array, damping: float = 0.0) -> tuple[A
 def minimise(
     likelihood: Likelihood,
     start: Point,
-    beat: float = np.inf,
+    incumbent: float = np.inf,
     steps: int = STEPS,
     fall: float = FALL,
 ) -> Point:
@@ -277,16 +279,16 @@ def minimise(
     Args:
         likelihood: the windows.
         start: where to begin.
-        beat: cost of a better hypothesis; a search that stays clearly above it is given up.
+        incumbent: cost of a better hypothesis; a search that stays clearly above it is given up.
         steps: how many at most.
         fall: factor by which the size may fall a step.
     """
-    now, ended = _walk(likelihood, start, beat, steps, fall)
+    now, ended = _walk(likelihood, start, incumbent, steps, fall)
     for _ in range(_RESCUES if ended else 0):
         again = rescue(likelihood, now)
         if again is now:
             break
-        now, ended = _walk(likelihood, again, beat, steps, fall)
+        now, ended = _walk(likelihood, again, incumbent, steps, fall)
     return replace(now, whole=ended)
 
 
@@ -313,7 +315,7 @@ def explore(likelihood: Likelihood, point: Point, draws: int = DRAWS) -> Point:
 
 
 def _walk(
-    likelihood: Likelihood, start: Point, beat: float, steps: int, fall: float
+    likelihood: Likelihood, start: Point, incumbent: float, steps: int, fall: float
 ) -> tuple[Point, bool]:
     """Steps to the nearest optimum, and whether it was reached."""
     now, stale, damping = start, 0.0, 1e-4
@@ -334,7 +336,7 @@ def _walk(
         if there and max(promised, gained) < ENOUGH:
             return _ended(likelihood, now, stale), True
         lower = with_size(likelihood, now, size)
-        if number >= _UNTIL and there and lower.cost > beat + _BEHIND:
+        if number >= _UNTIL and there and lower.cost > incumbent + _BEHIND:
             return lower, False
         now = lower
         if abs(gained - promised) > _TRUST * max(promised, ENOUGH) or stale > _FAR:

@@ -1,12 +1,12 @@
-"""What drives without a gap teach the base car."""
+"""What drives without a gap fit_car the base car."""
 
 import numpy as np
 import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sim_gap.diagnosis import Options, diagnose
+from steerd.sysid.inference.car_fit import Stated
 from steerd.sysid.inference.car_posterior import refine
-from steerd.sysid.inference.teaching import Stated
 
 pytestmark = pytest.mark.slow
 

@@ -9,9 +9,9 @@ import pytest
 from steerd.car_model.effects import EFFECTS
 from steerd.sim_gap.verdict.evidence import base_strain, judge_case
 from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.augmented_car import Control
 from steerd.sysid.inference.hypotheses import Findings
 from steerd.sysid.inference.odds import Hypothesis
-from steerd.sysid.inference.superset import Control
 
 SMALL, LARGE = 0.5 * c.GAP_SIZE, 4.0 * c.GAP_SIZE
 VALUES = {"steer_delay": (0.03,), "steer_lag": (0.05,), "mass": (1.5,), "yaw_inertia": (1.5,),
@@ -21,8 +21,8 @@ NAMES = [f"{name}.{p.name}" for name in VALUES for p in EFFECTS[name].parameters
 LIBRARY = SimpleNamespace(
     effect=EFFECTS.get,
     likelihood=SimpleNamespace(
-        engine=SimpleNamespace(
-            superset=SimpleNamespace(
+        predictor=SimpleNamespace(
+            augmented=SimpleNamespace(
                 places=lambda name: [i for i, n in enumerate(NAMES) if n.startswith(f"{name}.")],
                 values=lambda name: EFFECTS[name].nulls,
             )

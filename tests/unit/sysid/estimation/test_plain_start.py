@@ -27,9 +27,9 @@ from steerd.sysid.estimation.starts import (
     rolling_length,
 )
 from steerd.sysid.estimation.validation import Trace, by_lateral_acceleration
+from steerd.sysid.inference.car_fit import NOTHING, Stated
 from steerd.sysid.inference.identifiability import Estimate
 from steerd.sysid.inference.plain_car import DEFAULT_FREE
-from steerd.sysid.inference.teaching import NOTHING, Stated
 
 MODEL = Model(DEFAULT_CAR)
 LENGTHS = (0.1, 0.15, 0.33, 0.8, 3.0)

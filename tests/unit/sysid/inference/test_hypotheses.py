@@ -8,15 +8,15 @@ import pytest
 
 from steerd.car_model.effects import EFFECTS
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.engine import open_engine
-from steerd.sysid.inference.hypotheses import begin, explain, look_at_all
+from steerd.sysid.inference.augmented_car import BasePrior, Control, make_augmented_car
+from steerd.sysid.inference.hypotheses import begin, explain, screen_effects
 from steerd.sysid.inference.library import Library, carry
 from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.odds import rank
 from steerd.sysid.inference.posterior import posterior_of
+from steerd.sysid.inference.predictor import open_predictor
 from steerd.sysid.inference.search import minimise, stand
 from steerd.sysid.inference.space import FLOORS, make_space, nuisance_names
-from steerd.sysid.inference.superset import Control, Knowledge, make_superset
 from tests.unit.sysid.inference.conftest import NOISE
 
 LOOKED_AT = ("steer_delay", "steer_lag", "mocap_latency", "speed_scale", "marker_offset",
@@ -25,11 +25,11 @@ SAME = {e.name: e.same_as for e in EFFECTS.values() if e.same_as}
 
 
 def _library(runs, base, names=LOOKED_AT):
-    engine = open_engine(make_superset(base, runs), runs)
-    guess = engine.guess.copy()
-    likelihood = make_likelihood(engine, engine.superset.base, guess, NOISE)
+    predictor = open_predictor(make_augmented_car(base, runs), runs)
+    guess = predictor.guess.copy()
+    likelihood = make_likelihood(predictor, predictor.augmented.base, guess, NOISE)
     return Library(
-        likelihood, nuisance_names(engine.superset, runs), tuple(map(EFFECTS.get, names))
+        likelihood, nuisance_names(predictor.augmented, runs), tuple(map(EFFECTS.get, names))
     )
 
 
@@ -78,7 +78,7 @@ def test_an_effect_that_the_base_has_is_freed_once(likelihood):
 
 def test_values_are_carried_by_their_names(likelihood):
     library = Library(likelihood, ("lf", "steer_gain"), ())
-    guess = likelihood.engine.guess
+    guess = likelihood.predictor.guess
     wide, narrow = library.space(("steer_lag",)), library.space(("steer_gain",))
     z = wide.centre + 0.1 * wide.spread
     point = stand(likelihood, wide, np.clip(z, wide.low, wide.high), guess, 1.0)
@@ -95,11 +95,11 @@ def test_values_are_carried_by_their_names(likelihood):
 def test_a_start_that_the_base_alone_holds_holds_no_effect_back(late):
     """The windows in which an effect shows are those that the base bends too far."""
     library, _ = late
-    start = begin(library, (), (), library.likelihood.engine.guess.copy())
+    start = begin(library, (), (), library.likelihood.predictor.guess.copy())
     found = []
     for fill in (np.zeros_like, np.ones_like):
         rotated = start.rotated._replace(held=fill(start.rotated.held))
-        found.append(look_at_all(library, replace(start, rotated=rotated)))
+        found.append(screen_effects(library, replace(start, rotated=rotated)))
     assert found[0] == found[1]
     assert found[0][0].effect == "steer_delay"
 
@@ -132,7 +132,7 @@ def test_the_hidden_effect_is_named_and_no_second_invented(late):
     assert found.best.effects == ("steer_delay",)
     assert found.probability("steer_delay") > 0.95
     assert found.best.point.size < c.GAP_SIZE < found.start.size
-    place = library.likelihood.engine.superset.places("steer_delay")
+    place = library.likelihood.predictor.augmented.places("steer_delay")
     assert found.best.point.parameters[place] == pytest.approx(0.03, abs=0.003)
 
 
@@ -140,7 +140,7 @@ def test_two_hidden_effects_are_both_named(both):
     library, found = both
     assert set(found.best.effects) == {"steer_delay", "speed_scale"}
     values = found.best.point.parameters
-    places = library.likelihood.engine.superset.places
+    places = library.likelihood.predictor.augmented.places
     assert values[places("steer_delay")] == pytest.approx(0.04, abs=0.004)
     assert values[places("speed_scale")] == pytest.approx(0.93, abs=0.01)
 
@@ -202,7 +202,7 @@ def test_what_an_effect_gains_the_base_cannot_gain_alone(late):
 
 def test_a_search_begins_with_the_base_where_it_was(late):
     library, found = late
-    guess = library.likelihood.engine.guess.copy()
+    guess = library.likelihood.predictor.guess.copy()
     start = begin(library, (), (), guess)
     assert start.z == pytest.approx(start.space.centre)
     assert start.size == found.start.size
@@ -213,11 +213,11 @@ def test_a_search_begins_with_the_base_where_it_was(late):
 
 def _with_controls(library, *controls):
     """The library of a base whose healthy drives showed these."""
-    engine = library.likelihood.engine
-    space = make_space(engine.superset, library.nuisance)
-    known = Knowledge(space.chart.free, space.covariance, controls=controls)
-    engine = replace(engine, superset=replace(engine.superset, knowledge=known))
-    return replace(library, likelihood=replace(library.likelihood, engine=engine))
+    predictor = library.likelihood.predictor
+    space = make_space(predictor.augmented, library.nuisance)
+    known = BasePrior(space.chart.free, space.covariance, controls=controls)
+    predictor = replace(predictor, augmented=replace(predictor.augmented, knowledge=known))
+    return replace(library, likelihood=replace(library.likelihood, predictor=predictor))
 
 
 def _late_by(seconds, sd=1e-3, gain=9.0):
@@ -228,7 +228,7 @@ def _late_by(seconds, sd=1e-3, gain=9.0):
 def slightly_late(drive, base):
     """Base alone and a dead time beside it, at their optima, where steering is a little late."""
     library = _library(drive("steer_delay=0.008", runs=3, seconds=6.0, seed=21), base)
-    start = begin(library, (), (), library.likelihood.engine.guess.copy())
+    start = begin(library, (), (), library.likelihood.predictor.guess.copy())
     null = minimise(library.likelihood, start)
     begun = begin(library, ("steer_delay",), (0.008,), null.x)
     return library, [null, minimise(library.likelihood, begun)]

@@ -13,21 +13,21 @@ from steerd.car_model.model import Model
 from steerd.car_model.native.windows import parameter_vector
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.planar import make_planar
-from steerd.sysid.inference.chart import make_chart
-from steerd.sysid.inference.identifiability import estimates, taught_estimates
-from steerd.sysid.inference.places import DISCS, RADII, suspicious_discs
-from steerd.sysid.inference.plain_car import TYRES
-from steerd.sysid.inference.search import step_within
-from steerd.sysid.inference.superset import (
+from steerd.sysid.inference.augmented_car import (
     EDGES,
     EXCESS_MAX,
+    BasePrior,
     Control,
-    Knowledge,
     excess_by_regime,
     inflate_each,
     knowledge_of_section,
     knowledge_section,
 )
+from steerd.sysid.inference.chart import make_chart
+from steerd.sysid.inference.identifiability import estimates, taught_estimates
+from steerd.sysid.inference.places import DISCS, RADII, suspicious_discs
+from steerd.sysid.inference.plain_car import TYRES
+from steerd.sysid.inference.search import step_within
 
 CAR = DEFAULT_CAR._replace(lf=0.16, steer_gain=0.95)
 SD = {"lf": 0.002, "lr": 0.1, "steer_gain": 0.01, "steer_delay": 0.001, "tyre_saturation.q": 0.1}
@@ -163,16 +163,16 @@ def test_where_no_place_differs_there_is_no_disc(where, badness):
     assert suspicious_discs(where, badness) == []
 
 
-# What healthy drives teach of a base travels beside its car file.
+# What healthy drives fit_car of a base travels beside its car file.
 
 NAMES = ("lf", "lr", "steer_gain", "scrub.drag")
 
 
-def known(seed: int = 0) -> Knowledge:
+def known(seed: int = 0) -> BasePrior:
     root = np.random.default_rng(seed).standard_normal((4, 6)) * [[1e-3], [2e-3], [0.01], [0.3]]
     excess = (1.0, 1.0, 1.2, 1.5, 2.0, 4.0)
     slope = Control("floor_slope", np.array([1e-3, -2e-3, 0.1]), np.diag([1e-6, 2e-6, 0.1]), 0.02)
-    return Knowledge(NAMES, root @ root.T, excess, (0.16, 0.17, 1.01, 0.2), (slope,))
+    return BasePrior(NAMES, root @ root.T, excess, (0.16, 0.17, 1.01, 0.2), (slope,))
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -28,8 +28,8 @@ from steerd.car_model.params import Car
 from steerd.car_model.rollout import stiffness_rate
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import SPACING, Layout, make_layout, take_windows, thinned
+from steerd.sysid.inference.augmented_car import EDGES, AugmentedCar
 from steerd.sysid.inference.space import Space
-from steerd.sysid.inference.superset import EDGES, Superset
 
 Array = NDArray[np.float64]
 
@@ -75,10 +75,10 @@ class Linear(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Engine:
-    """Windows of a session seen by the superset of all effects."""
+class Predictor:
+    """Windows of a session seen by the augmented car of all effects."""
 
-    superset: Superset  # the car
+    augmented: AugmentedCar  # the car
     layout: Layout  # the windows
     padded: Padded  # rows by window
     substeps: int  # integration steps to a command
@@ -127,7 +127,7 @@ class Engine:
     @property
     def excess(self) -> Array:
         """(W,) how much larger than noise healthy errors are where the car corners so hard."""
-        known = self.superset.knowledge
+        known = self.augmented.knowledge
         if known is None:
             return np.ones(self.layout.count)
         return np.array(known.excess)[np.digitize(self.lateral, EDGES)]
@@ -170,7 +170,7 @@ class Engine:
         self, parameters: Array, seeds: Array, x: Array, dfirst: Array
     ) -> tuple[Array, Array]:
         """(W, D) measurements minus readings, angles the short way round; slopes of readings."""
-        layout, kernels = self.layout, self.superset.kernels
+        layout, kernels = self.layout, self.augmented.kernels
         late = float(delays_of(kernels, parameters)[2])
         y, jy = compute_readings(
             kernels, parameters, seeds, x, dfirst, self.held,
@@ -195,21 +195,21 @@ class Engine:
         wide = linear.by_x * self.start_spread[:, None, :]
         return np.asarray(error), np.asarray(wide @ wide.transpose(0, 2, 1))
 
-    def stepped_for(self, parameters: Array) -> "Engine":
+    def stepped_for(self, parameters: Array) -> "Predictor":
         """The same with steps as short as a car (P,) needs, if its own are longer."""
-        car = model_of(self.superset.kernels, parameters).car
+        car = model_of(self.augmented.kernels, parameters).car
         needed = stable_substeps(car, *self.layout.speeds, self.layout.h, INTEGRATOR)
         return replace(self, substeps=max(self.substeps, needed))
 
-    def take(self, chosen: NDArray[np.bool_]) -> "Engine":
-        """The engine on some of its windows (boolean mask (W,))."""
+    def take(self, chosen: NDArray[np.bool_]) -> "Predictor":
+        """The predictor on some of its windows (boolean mask (W,))."""
         layout = take_windows(self.layout, chosen)
         padded = pad_rows(layout, means=self.padded.means is not None)
         return replace(self, layout=layout, padded=padded)
 
 
 def pad_rows(layout: Layout, means: bool = False) -> Padded:
-    """Where the rows of each window lie; `means` as in `open_engine`."""
+    """Where the rows of each window lie; `means` as in `open_predictor`."""
     if means:
         return _pad_means(layout)
     row, there = _places(layout.bounds)
@@ -241,32 +241,32 @@ def _pad_means(layout: Layout) -> Padded:
     return Padded(first[place], there, np.where(there > 0.0, counts[place], 1), weights)
 
 
-def open_engine(
-    superset: Superset,
+def open_predictor(
+    augmented: AugmentedCar,
     runs: Sequence[Run],
     horizon: float = HORIZON,
     most: float = np.inf,
     means: bool = False,
     late: float | None = None,
-) -> Engine:
-    """The windows of some drives as the superset is simulated over them.
+) -> Predictor:
+    """The windows of some drives as the augmented car is simulated over them.
 
     Args:
-        superset: the car.
+        augmented: the car.
         runs: on one grid.
         horizon: length of a window [s].
         most: take windows of so much driving in all, evenly from the whole [s].
         means: compare means over `SPACING` instead of single readings: where instruments' noise is
             all that is random, every reading counts.
-        late: how late poses are [s]; None for what the superset's base says.
+        late: how late poses are [s]; None for what the augmented's base says.
 
     Raises:
         ValueError: the runs' grids differ, or no window sees enough poses.
     """
-    known = float(superset.base[superset.kernels.names.index("pose_delay")])
+    known = float(augmented.base[augmented.kernels.names.index("pose_delay")])
     layout = make_layout(runs, horizon, known if late is None else late, most)
     layout = layout if means else thinned(layout)
-    return Engine(superset, layout, pad_rows(layout, means), 1).stepped_for(superset.base)
+    return Predictor(augmented, layout, pad_rows(layout, means), 1).stepped_for(augmented.base)
 
 
 def decay_rate(car: Car[float], slowest: float, fastest: float) -> float:

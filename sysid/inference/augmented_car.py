@@ -55,7 +55,7 @@ class Control(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Knowledge:
+class BasePrior:
     """What is known of a base."""
 
     # Of the base's free parameters, in the order of the coordinates (see `chart`)
@@ -119,7 +119,7 @@ def excess_by_regime(ratio: Array, lateral: Array) -> tuple[float, ...]:
     return tuple(found)
 
 
-def knowledge_section(known: Knowledge) -> dict[str, Any]:
+def knowledge_section(known: BasePrior) -> dict[str, Any]:
     """The table `knowledge` of the file beside a car file: names, deviations, correlations."""
     sd = np.sqrt(np.diag(known.covariance))
     correlation = known.covariance / np.outer(sd, sd)
@@ -145,8 +145,8 @@ def _rounded(row: Array) -> list[float]:
     return [float(f"{v:.6g}") for v in row]
 
 
-def knowledge_of_section(table: Mapping[str, Any]) -> Knowledge | None:
-    """Knowledge from the table that `knowledge_section` makes, None if it is empty.
+def knowledge_of_section(table: Mapping[str, Any]) -> BasePrior | None:
+    """BasePrior from the table that `knowledge_section` makes, None if it is empty.
 
     Raises:
         ValueError: the table is no covariance.
@@ -176,7 +176,7 @@ def knowledge_of_section(table: Mapping[str, Any]) -> Knowledge | None:
     # Rounding may leave a tiny negative eigenvalue; a covariance has none.
     spectrum, axes = np.linalg.eigh(correlation)
     correlation = (axes * np.maximum(spectrum, 1e-8)) @ axes.T
-    return Knowledge(names, correlation * np.outer(sd, sd), excess, values, controls)
+    return BasePrior(names, correlation * np.outer(sd, sd), excess, values, controls)
 
 
 def _is_control(one: Control) -> bool:
@@ -189,14 +189,14 @@ def _is_control(one: Control) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Superset:
+class AugmentedCar:
     """The base car with every effect of the library switched on at its null."""
 
     kernels: Kernels  # the compiled car
     base: Array  # (P,) parameters of the base; an effect that the base has keeps its values
     sd: dict[str, float]  # standard errors of the base by parameter name, as far as they are known
     # The joint covariance that healthy drives gave it, if they did
-    knowledge: Knowledge | None = None
+    knowledge: BasePrior | None = None
     # Measured distance of the axles [m]: of `lf` and `lr`, one follows from the other
     wheelbase: float | None = None
 
@@ -232,8 +232,8 @@ def prescribe_speed(model: Model[float], runs: Sequence[Run]) -> Model[float]:
     return model._replace(car=car)
 
 
-def make_superset(base: CarFile | Model[float], runs: Sequence[Run]) -> Superset:
-    """The superset about a base car.
+def make_augmented_car(base: CarFile | Model[float], runs: Sequence[Run]) -> AugmentedCar:
+    """The augmented car about a base car.
 
     Where a run has no speed command its measured speed is prescribed. The acceleration of a
     measured speed is mostly noise, so loads and slip do not follow it then.
@@ -252,11 +252,13 @@ def make_superset(base: CarFile | Model[float], runs: Sequence[Run]) -> Superset
     values = tuple(own.get(e.name, e.nulls) for e in effects)
     full: Model[float] = Model(Car(*model.car), effects, values, model.chassis)
     kernels = make_kernels(effects, model.chassis)
-    return _known(Superset(kernels, parameter_vector(full), sd), base, stated)
+    return _known(AugmentedCar(kernels, parameter_vector(full), sd), base, stated)
 
 
-def _known(superset: Superset, base: CarFile | Model[float], stated: Collection[str]) -> Superset:
-    """The superset about what the base's healthy drives taught, if that is known.
+def _known(
+    augmented: AugmentedCar, base: CarFile | Model[float], stated: Collection[str]
+) -> AugmentedCar:
+    """The augmented car about what the base's healthy drives taught, if that is known.
 
     What a prescribed speed states, of parameters or effects, stays.
 
@@ -264,14 +266,14 @@ def _known(superset: Superset, base: CarFile | Model[float], stated: Collection[
         ValueError: the base's `knowledge` is not what identify writes.
     """
     if not isinstance(base, CarFile):
-        return superset
+        return augmented
     known = knowledge_of_section(base.sections.get("knowledge", {}))
     if known is None:
-        return superset
-    names, parameters = superset.kernels.names, superset.base.copy()
+        return augmented
+    names, parameters = augmented.kernels.names, augmented.base.copy()
     for name, value in zip(known.names, known.values, strict=False):
         if name.partition(".")[0] in stated:
             continue
         parameters[names.index(name)] = value
     known = replace(known, covariance=c.KNOWN_WIDER**2 * known.covariance)
-    return replace(superset, base=parameters, knowledge=known)
+    return replace(augmented, base=parameters, knowledge=known)

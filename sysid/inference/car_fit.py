@@ -23,7 +23,7 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.segments import thinned
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.engine import Engine, open_engine
+from steerd.sysid.inference.augmented_car import AugmentedCar, excess_by_regime, make_augmented_car
 from steerd.sysid.inference.hypotheses import begin, explain
 from steerd.sysid.inference.library import Library
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
@@ -35,6 +35,7 @@ from steerd.sysid.inference.noise import (
     noise_share,
     usual_noise,
 )
+from steerd.sysid.inference.predictor import Predictor, open_predictor
 from steerd.sysid.inference.residuals import robust_mean
 from steerd.sysid.inference.search import Point, minimise, stand, with_size
 from steerd.sysid.inference.space import (
@@ -43,7 +44,6 @@ from steerd.sysid.inference.space import (
     nuisance_names,
     weak_knowledge,
 )
-from steerd.sysid.inference.superset import Superset, excess_by_regime, make_superset
 
 Array = NDArray[np.float64]
 
@@ -93,7 +93,7 @@ NOTHING = Stated()
 
 
 @dataclass(frozen=True, eq=False)
-class Taught:
+class FittedCar:
     """A car at its best on healthy drives."""
 
     likelihood: Likelihood  # the windows under what was learnt to be random
@@ -105,12 +105,14 @@ class Taught:
     selected: tuple[Step, ...] = ()
 
     @property
-    def superset(self) -> Superset:
+    def augmented(self) -> AugmentedCar:
         """The car that was fitted."""
-        return self.likelihood.engine.superset
+        return self.likelihood.predictor.augmented
 
 
-def teach(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NOTHING) -> Taught:
+def fit_car(
+    base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NOTHING
+) -> FittedCar:
     """Fit car and noise in turn, under weak priors about the base's values.
 
     Args:
@@ -125,16 +127,16 @@ def teach(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NO
     return _in_turn(_first(base, runs, stated), runs, _ROUNDS)
 
 
-def teach_with_limits(
+def fit_car_with_limits(
     base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NOTHING
-) -> Taught:
-    """`teach`, once more with the limits and the play that the drives show, free like the rest."""
-    taught = teach(base, runs, stated)
-    shown = informative_effects(taught.superset, runs)
+) -> FittedCar:
+    """`fit_car`, once more with the limits and the play that the drives show free as well."""
+    taught = fit_car(base, runs, stated)
+    shown = informative_effects(taught.augmented, runs)
     free = {name.partition(".")[0] for name in taught.nuisance if "." in name}
     effects = tuple(
         e
-        for e in taught.superset.effects
+        for e in taught.augmented.effects
         if e.name in shown
         and e.name not in free
         and not stated.holds(e.name)
@@ -181,34 +183,34 @@ def stiffer(model: Model[float], factor: float, stated: Stated) -> Model[float]:
     return model._replace(car=car._replace(**moved))
 
 
-def _first(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated) -> Taught:
+def _first(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated) -> FittedCar:
     """The car at its best under noise as learnt about it, from noise that forgives the start.
 
     A window that is far off is bounded and pulls at nothing; were all so, the search would stay
     where it began.
     """
     base = replace(base, sd={}, sections={}) if isinstance(base, CarFile) else base
-    superset = make_superset(base, runs)
-    names = (*nuisance_names(superset, runs), *structure_names(superset, runs))
+    augmented = make_augmented_car(base, runs)
+    names = (*nuisance_names(augmented, runs), *structure_names(augmented, runs))
     nuisance = tuple(name for name in names if not stated.holds(name))
     shares = {**ORDINARY, **({"lf": MEASURED} if stated.wheelbase else {})}
-    superset = replace(superset, knowledge=weak_knowledge(superset, nuisance, shares))
-    engine, usual = open_engine(superset, runs), usual_noise(estimate_noise(runs))
-    x = engine.guess.copy()
+    augmented = replace(augmented, knowledge=weak_knowledge(augmented, nuisance, shares))
+    predictor, usual = open_predictor(augmented, runs), usual_noise(estimate_noise(runs))
+    x = predictor.guess.copy()
     noise = usual
-    begun = _begin(engine, nuisance, x, noise)
+    begun = _begin(predictor, nuisance, x, noise)
     while _bounded(begun[1]) >= _FAR_OFF and noise.sizes[0] < _LOUDEST * usual.sizes[0]:
         noise = noise_of_sizes(_LOUDER * noise.sizes)
-        begun = _begin(engine, nuisance, x, noise)
-    taught = Taught(begun[0], minimise(*begun), noise, nuisance, shares)
+        begun = _begin(predictor, nuisance, x, noise)
+    taught = FittedCar(begun[0], minimise(*begun), noise, nuisance, shares)
     return taught if noise is usual else _again(taught, _learnt_noise(taught))
 
 
 def _begin(
-    engine: Engine, nuisance: tuple[str, ...], x: Array, noise: Noise
+    predictor: Predictor, nuisance: tuple[str, ...], x: Array, noise: Noise
 ) -> tuple[Likelihood, Point]:
     """Windows under a noise, and the base at its prior."""
-    likelihood = make_likelihood(engine, engine.superset.base, x, noise)
+    likelihood = make_likelihood(predictor, predictor.augmented.base, x, noise)
     return likelihood, begin(Library(likelihood, nuisance, (), known=False), (), (), x)
 
 
@@ -217,25 +219,25 @@ def _bounded(point: Point) -> float:
     return float((point.at.ratio >= c.SPUN).mean())
 
 
-def _again(taught: Taught, noise: Noise) -> Taught:
+def _again(taught: FittedCar, noise: Noise) -> FittedCar:
     """The car at its best under another noise, its responses taken where the car is now."""
-    engine, old = taught.likelihood.engine, taught.point
-    likelihood = make_likelihood(engine, old.parameters, old.x, noise)
-    space = make_space(engine.superset, taught.nuisance)
+    predictor, old = taught.likelihood.predictor, taught.point
+    likelihood = make_likelihood(predictor, old.parameters, old.x, noise)
+    space = make_space(predictor.augmented, taught.nuisance)
     z = np.clip(space.chart.coordinates(old.parameters), space.low, space.high)
     begun = stand(likelihood, space, z, old.x, max(old.size, c.SIZE_SMALL))
     return replace(taught, likelihood=likelihood, point=minimise(likelihood, begun), noise=noise)
 
 
-def _learnt_noise(taught: Taught) -> Noise:
+def _learnt_noise(taught: FittedCar) -> Noise:
     """Noise given the car."""
     point = taught.point
     return learn_noise(
-        taught.likelihood.engine, point.parameters, point.x, point.linear, taught.noise
+        taught.likelihood.predictor, point.parameters, point.x, point.linear, taught.noise
     )
 
 
-def _in_turn(taught: Taught, runs: Sequence[Run], rounds: int) -> Taught:
+def _in_turn(taught: FittedCar, runs: Sequence[Run], rounds: int) -> FittedCar:
     """Noise and car, each given the other; then what regimes are allowed beyond the noise."""
     for _ in range(rounds):
         noise = _learnt_noise(taught)
@@ -243,56 +245,58 @@ def _in_turn(taught: Taught, runs: Sequence[Run], rounds: int) -> Taught:
     noise = _learnt_noise(taught)
     taught = _again(taught, noise)
     left = robust_mean(unweighed(taught))
-    should = noise_share(taught.likelihood.engine, float(estimate_noise(runs)[2]))
+    should = noise_share(taught.likelihood.predictor, float(estimate_noise(runs)[2]))
     taught = _again(taught, calibrated(noise, left, should))
     excess = excess_of(taught)
-    weak = weak_knowledge(taught.superset, taught.nuisance, taught.shares)
+    weak = weak_knowledge(taught.augmented, taught.nuisance, taught.shares)
     known = replace(weak, excess=tuple(e / excess[0] for e in excess))
-    engine = replace(taught.likelihood.engine, superset=replace(taught.superset, knowledge=known))
-    likelihood = replace(taught.likelihood, engine=engine)
+    predictor = replace(
+        taught.likelihood.predictor, augmented=replace(taught.augmented, knowledge=known)
+    )
+    likelihood = replace(taught.likelihood, predictor=predictor)
     return _again(replace(taught, likelihood=likelihood), taught.noise)
 
 
-def ratios(taught: Taught) -> Array:
+def ratios(taught: FittedCar) -> Array:
     """(W,) whitened squared errors per degree of freedom, no discrepancy allowed."""
     return with_size(taught.likelihood, taught.point, 0.0).at.ratio
 
 
-def unweighed(taught: Taught) -> Array:
+def unweighed(taught: FittedCar) -> Array:
     """(W,) the same without what regimes are allowed beyond the noise."""
-    return ratios(taught) * taught.likelihood.engine.excess
+    return ratios(taught) * taught.likelihood.predictor.excess
 
 
-def excess_of(taught: Taught, should: float = 1.0) -> tuple[float, ...]:
+def excess_of(taught: FittedCar, should: float = 1.0) -> tuple[float, ...]:
     """How much larger than noise errors are by lateral acceleration, whatever they are weighed by.
 
     Hard bends, in which the model misses most, shall not decide about values that gentle ones show.
     """
-    return excess_by_regime(unweighed(taught) / should, taught.likelihood.engine.lateral)
+    return excess_by_regime(unweighed(taught) / should, taught.likelihood.predictor.lateral)
 
 
-def structure_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
+def structure_names(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[str, ...]:
     """Parameters of the effects that no real car is without, as far as such drives show them."""
-    shown = informative_effects(superset, runs)
+    shown = informative_effects(augmented, runs)
     return tuple(
         f"{effect.name}.{parameter.name}"
-        for effect in superset.effects
+        for effect in augmented.effects
         if effect.on_every_car and effect.name in shown
         for parameter in effect.parameters
     )
 
 
-def _with_effects(taught: Taught, point: Point, runs: Sequence[Run]) -> Taught:
+def _with_effects(taught: FittedCar, point: Point, runs: Sequence[Run]) -> FittedCar:
     """What was taught, with the effects of a hypothesis free about its values."""
-    old, start = taught.superset, point.parameters
+    old, start = taught.augmented, point.parameters
     centre = old.base.copy()
     for name in point.space.effects:
         centre[old.places(name)] = start[old.places(name)]
     own = tuple(n for n in old.kernels.names if n.partition(".")[0] in point.space.effects)
     nuisance = (*taught.nuisance, *own)
-    superset = replace(old, base=centre)
-    superset = replace(superset, knowledge=weak_knowledge(superset, nuisance, taught.shares))
-    engine = replace(taught.likelihood.engine, superset=superset)
-    likelihood = replace(taught.likelihood, engine=engine)
+    augmented = replace(old, base=centre)
+    augmented = replace(augmented, knowledge=weak_knowledge(augmented, nuisance, taught.shares))
+    predictor = replace(taught.likelihood.predictor, augmented=augmented)
+    likelihood = replace(taught.likelihood, predictor=predictor)
     grown = replace(taught, likelihood=likelihood, point=point, nuisance=nuisance)
     return _in_turn(grown, runs, 0)
