@@ -96,7 +96,9 @@ def _controlled(
     """Evidences that count no gain which healthy drives show as well.
 
     A hypothesis is worth at most what it is without one of its effects, and what that one gains
-    there beyond its values in healthy drives. Where its derivative vanishes at its null, so that no
+    there beyond its values in healthy drives. To second order a large gap promises much along any
+    gradient: an effect that gains enough beyond that loses no more than is usual in healthy drives,
+    so that among causes the evidence decides. Where its derivative vanishes at its null, so that no
     such values are known, it gains what it does with the design effect of drives without controls.
 
     Args:
@@ -107,6 +109,7 @@ def _controlled(
         shown: what is known of points, and is added to.
     """
     level: dict[Names, float] = {}
+    windows = len(library.likelihood.pushed)
     for names in sorted(found, key=len):
         most = found[names].evidence
         for name in names:
@@ -115,7 +118,10 @@ def _controlled(
                 continue
             if name in library.controls:
                 gain = found[names].evidence - found[rest].evidence
-                gain -= max(_healthy_gain(library, found[rest].point, name, temper, shown), 0.0)
+                healthy = max(_healthy_gain(library, found[rest].point, name, temper, shown), 0.0)
+                sure = gain - healthy > _price(library, len(names))
+                usual = c.SHOWN_MOST * library.controls[name].gain * windows
+                gain -= min(healthy, usual) if sure else healthy
             else:
                 gain = alone[names].evidence - alone[rest].evidence
             most = min(most, level[rest] + gain)
@@ -132,8 +138,13 @@ def _healthy_gain(library: Library, point: Point, name: str, temper: float, show
         return 0.0
     control = library.controls[name]
     away = control.values - library.likelihood.predictor.augmented.values(name)
-    gain = log_mean(along.curved / temper, along.slope / temper, away, control.covariance)
-    return min(gain, c.SHOWN_MOST * control.gain * len(point.at.dof))
+    return log_mean(along.curved / temper, along.slope / temper, away, control.covariance)
+
+
+def _price(library: Library, effects: int) -> float:
+    """What one effect of so many must gain before its odds are even [nats]."""
+    further = np.log(c.FURTHER_ODDS) if effects > 1 else 0.0
+    return float(np.log(max(len(library.effects), 1)) + further)
 
 
 def _judge(library: Library, posterior: Posterior, evidence: float) -> Hypothesis:
@@ -142,8 +153,7 @@ def _judge(library: Library, posterior: Posterior, evidence: float) -> Hypothesi
     An effect that ends at its null is none, whatever the base gains by what is free with it.
     """
     effects = posterior.point.space.effects
-    odds = evidence - len(effects) * np.log(max(len(library.effects), 1))
-    odds -= max(len(effects) - 1, 0) * np.log(c.FURTHER_ODDS)
+    odds = evidence - sum(_price(library, k + 1) for k in range(len(effects)))
     for name in effects:
         effect = library.effect(name)
         far, sd = size_of(library, posterior, effect)
