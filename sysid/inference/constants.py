@@ -46,8 +46,8 @@ its derivatives point nowhere, but where all are far off they still say how far.
 REPEATS = 0.5
 """Share of the ordinary pushes that repeats from window to window (`c` of the design effect)."""
 SHOWN_MOST = 3.0
-"""An effect that is clearly a cause gains at most so many times what it gained in healthy drives,
-per window, by being as they show it."""
+"""What an effect gains by being as healthy drives show it is, per window, at most so many times its
+gain in those: where a gap is large, any change along a gradient promises more."""
 CHANCE = 0.05
 """An effect that chance takes as far from its null this often is left out of the car file."""
 COG_PLACE = 0.035

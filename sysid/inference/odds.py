@@ -95,11 +95,10 @@ def _controlled(
 ) -> dict[Names, float]:
     """Evidences that count no gain which healthy drives show as well.
 
-    A hypothesis is worth at most what it is without one of its effects, and what that one gains
-    there beyond its values in healthy drives. To second order a large gap promises much along any
-    gradient: an effect that gains enough beyond that loses no more than is usual in healthy drives,
-    so that among causes the evidence decides. Where its derivative vanishes at its null, so that no
-    such values are known, it gains what it does with the design effect of drives without controls.
+    A single cause is worth at most what the base alone is, and what it gains beyond its values in
+    healthy drives, where these are known: an effect whose derivative vanishes at its null has none.
+    That one, and every further cause, gains what it does with the design effect of drives without
+    controls: what a wrong name leaves is not what healthy drives show.
 
     Args:
         library: with controls.
@@ -109,19 +108,15 @@ def _controlled(
         shown: what is known of points, and is added to.
     """
     level: dict[Names, float] = {}
-    windows = len(library.likelihood.pushed)
     for names in sorted(found, key=len):
         most = found[names].evidence
         for name in names:
             rest = names - {name}
             if rest not in level:
                 continue
-            if name in library.controls:
+            if name in library.controls and not rest:
                 gain = found[names].evidence - found[rest].evidence
-                healthy = max(_healthy_gain(library, found[rest].point, name, temper, shown), 0.0)
-                sure = gain - healthy > _price(library, len(names))
-                usual = c.SHOWN_MOST * library.controls[name].gain * windows
-                gain -= min(healthy, usual) if sure else healthy
+                gain -= _healthy_gain(library, found[rest].point, name, temper, shown)
             else:
                 gain = alone[names].evidence - alone[rest].evidence
             most = min(most, level[rest] + gain)
@@ -138,13 +133,8 @@ def _healthy_gain(library: Library, point: Point, name: str, temper: float, show
         return 0.0
     control = library.controls[name]
     away = control.values - library.likelihood.predictor.augmented.values(name)
-    return log_mean(along.curved / temper, along.slope / temper, away, control.covariance)
-
-
-def _price(library: Library, effects: int) -> float:
-    """What one effect of so many must gain before its odds are even [nats]."""
-    further = np.log(c.FURTHER_ODDS) if effects > 1 else 0.0
-    return float(np.log(max(len(library.effects), 1)) + further)
+    gain = log_mean(along.curved / temper, along.slope / temper, away, control.covariance)
+    return min(max(gain, 0.0), c.SHOWN_MOST * control.gain * len(point.at.dof))
 
 
 def _judge(library: Library, posterior: Posterior, evidence: float) -> Hypothesis:
@@ -153,7 +143,8 @@ def _judge(library: Library, posterior: Posterior, evidence: float) -> Hypothesi
     An effect that ends at its null is none, whatever the base gains by what is free with it.
     """
     effects = posterior.point.space.effects
-    odds = evidence - sum(_price(library, k + 1) for k in range(len(effects)))
+    odds = evidence - len(effects) * np.log(max(len(library.effects), 1))
+    odds -= max(len(effects) - 1, 0) * np.log(c.FURTHER_ODDS)
     for name in effects:
         effect = library.effect(name)
         far, sd = size_of(library, posterior, effect)
