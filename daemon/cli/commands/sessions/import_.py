@@ -27,7 +27,7 @@ _BAG_SUFFIXES = (".bag", ".db3", ".mcap", ".zstd")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The log and how to read it."""
-    text = "the log: a table with a row per time, a ROS 1 .bag, a ROS 2 folder, .mcap or .db3"
+    text = "the log: a table with a row per time, a ROS 1 .bag, a ROS 2 folder, or its file"
     option(parser, "words", "[csv|bag] FILE", text, nargs="+")
     option(parser, "-o --output", "SESSION.mcap", "default: beside the log", type=Path)
     option(parser, "--ask", "", "propose a map, show what it means, then write")
