@@ -1,21 +1,24 @@
-"""The one string that names a mocap source: `natnet://...`, `vrpn://...` or `zenoh:KEY`."""
+"""The one string that names a mocap source: `natnet://`, `vrpn://`, `ros2:///` or `zenoh:`."""
 
+import re
 from dataclasses import dataclass
 from urllib.parse import parse_qsl, unquote, urlsplit
 
+from steerd.steer_bus.ros_keys import check_domain
+
 DEFAULT_PORTS = {"natnet": 1510, "vrpn": 3883}
-_FORMS = "natnet://HOST[:PORT]/BODY?up=y, vrpn://HOST[:PORT]/BODY or zenoh:KEY"
+_FORMS = "natnet://HOST[:PORT]/BODY?up=y, vrpn://HOST[:PORT]/BODY, ros2:///TOPIC[?domain=N] or zenoh:KEY"
 
 
 @dataclass(frozen=True, slots=True)
 class MocapUrl:
     """A parsed source address."""
 
-    scheme: str  # `natnet`, `vrpn` or `zenoh`
-    host: str = ""  # server name or address; empty for zenoh
-    port: int = 0  # command port (NatNet) or TCP port (VRPN); 0 for zenoh
-    body: str = ""  # body name, or `id:42` (NatNet); empty for zenoh
-    key: str = ""  # key expression (zenoh only)
+    scheme: str  # `natnet`, `vrpn`, `ros2` or `zenoh`
+    host: str = ""  # server name or address; empty for the bus
+    port: int = 0  # command port (NatNet) or TCP port (VRPN); 0 for the bus
+    body: str = ""  # body name, or `id:42` (NatNet); empty for the bus
+    key: str = ""  # key expression on the bus (zenoh, ros2)
     up: str | None = None  # the vendor's up axis, `y` or `z`; None leaves it to the configuration
     # True or False forces it; None follows what the server says (NatNet)
     unicast: bool | None = None
@@ -31,6 +34,8 @@ def parse_mocap_url(text: str) -> MocapUrl:
     scheme, colon, rest = text.partition(":")
     if colon and scheme == "zenoh":
         return _parse_key(text, rest)
+    if colon and scheme == "ros2":
+        return _parse_topic(text, rest)
     if scheme not in DEFAULT_PORTS or not rest.startswith("//"):
         raise ValueError(f"mocap address {text!r}: expected {_FORMS}")
     parts = urlsplit(text)
@@ -64,6 +69,14 @@ def _parse_key(text: str, key: str) -> MocapUrl:
             f"mocap address {text!r}: a zenoh key is like zenoh:lab/pose/car, without outer slashes"
         )
     return MocapUrl("zenoh", key=key)
+
+
+def _parse_topic(text: str, rest: str) -> MocapUrl:
+    # rmw_zenoh's key is domain/topic/type/hash of the type; the type is checked on the bytes
+    match = re.fullmatch(r"///([A-Za-z_]\w*(?:/[A-Za-z_]\w*)*)(?:\?domain=(\d{1,3}))?", rest, re.A)
+    if match is None:
+        raise ValueError(f"mocap address {text!r}: a topic is like ros2:///pf/pose/odom?domain=0")
+    return MocapUrl("ros2", key=f"{check_domain(int(match[2] or 0))}/{match[1]}/*/*", up="z")
 
 
 def _check_id(text: str, scheme: str, body: str) -> None:

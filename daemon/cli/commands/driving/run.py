@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd run`."""
     where = parser.add_argument_group("hardware")
     option(where, "--port", "DEV", "serial port of the VESC, e.g. /dev/ttyACM0")
-    text = "natnet://HOST[:PORT]/BODY[?up=y|z], vrpn://HOST[:PORT]/BODY or zenoh:KEY"
+    text = "natnet://HOST[:PORT]/BODY[?up=y|z], vrpn://HOST[:PORT]/BODY, ros2:///TOPIC or zenoh:KEY"
     option(where, "--mocap", "URL", text)
     option(where, "--sim", "", "simulated hardware on a pty and sockets")
     option(where, "--fast", "", "with --sim: virtual time, repeatable")
@@ -146,10 +146,10 @@ def _list_conflicts(args: argparse.Namespace) -> Iterator[tuple[bool, str, str]]
     yield page and args.fast, "--page shows a drive as it happens", "drop --fast"
     yield page and not 0 <= args.page < 65536, f"--page {args.page}: a port, 0 to 65535", ""
     domain = args.ros_domain
-    wrong = domain is not None and not 0 <= domain <= DOMAIN_MAX
-    yield wrong, f"--ros-domain {domain}: 0 to {DOMAIN_MAX}", ""
+    yield domain is not None and not 0 <= domain <= DOMAIN_MAX, f"--ros-domain {domain}: 0 to {DOMAIN_MAX}", ""
     what = "the hub of a lab passes steerd's own topics only, not those of ROS"
-    yield domain is not None and args.lab is not None, what, "drop --lab or --ros-domain"
+    ros = domain is not None or str(args.mocap).startswith("ros2:")
+    yield ros and args.lab is not None, what, "drop --lab, or --ros-domain and ros2:///"
     yield args.adapt and not args.learn, "--adapt follows what is learnt", "add --learn"
     what = "--adapt is about the lane keeper, and another program drives"
     lane = args.controller == ControllerKind.LANE
