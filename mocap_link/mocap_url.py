@@ -7,7 +7,9 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 from steerd.steer_bus.ros_keys import check_domain
 
 DEFAULT_PORTS = {"natnet": 1510, "vrpn": 3883}
-_FORMS = "natnet://HOST[:PORT]/BODY?up=y, vrpn://HOST[:PORT]/BODY, ros2:///TOPIC[?domain=N] or zenoh:KEY"
+_FORMS = (
+    "natnet://HOST[:PORT]/BODY?up=y, vrpn://HOST[:PORT]/BODY, ros2:///TOPIC[?domain=N] or zenoh:KEY"
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
+from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.mocap_url import parse_mocap_url
-from steerd.mocap_link.zenoh_pose import BusPoseSource, PoseError, decode_ros_pose
+from steerd.mocap_link.zenoh_pose import PoseError, decode_ros_pose, make_bus_source
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TYPES = STORE.types
@@ -69,3 +70,22 @@ def test_the_address_names_the_topic_of_one_domain(query: str, domain: int) -> N
 def test_an_address_without_a_topic_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="ros2:///pf/pose/odom"):
         parse_mocap_url(text)
+
+
+def test_a_topic_that_changes_its_type_or_frame_gives_no_poses() -> None:
+    source = make_bus_source(parse_mocap_url("ros2:///pf/pose/odom"), IngestConfig())
+    data = make("nav_msgs/msg/Odometry")
+    assert source.on_message(data, 7) is not None
+    assert source.on_message(data.replace(b"map\0", b"odo\0", 1), 8) is None
+    assert "pose in frame 'odo', those before were in 'map'" in source.status().detail
+    assert source.on_message(b"\0\1\0\0" + bytes(40), 9) is None
+    assert "right topic?" in source.status().detail
+    assert source.status().counts["malformed"] == 2
+
+
+def test_a_quaternion_off_length_1_is_refused() -> None:
+    source = make_bus_source(parse_mocap_url("ros2:///pf/pose/odom"), IngestConfig())
+    half = np.sqrt(0.5).tobytes()
+    pose = source.on_message(make(KINDS[0]).replace(half, np.float64(0.9).tobytes()), 7)
+    assert pose is not None
+    assert pose.rejected == "quaternion"
