@@ -174,10 +174,8 @@ class NatNetSource:
 
     def _on_server_info(self, info: natnet.ServerInfo, t_ns: int) -> None:
         if not natnet.OLDEST_VERSION <= info.version < (5, 0):
-            self.refused = (
-                f"{info.name} speaks NatNet {info.version[0]}.{info.version[1]}; "
-                "steerd reads 2.9 to 4.x"
-            )
+            spoken = f"{info.version[0]}.{info.version[1]}"
+            self.refused = f"{info.name} speaks NatNet {spoken}; steerd reads 2.9 to 4.x"
             return
         if self.info == info and not self._connecting:
             return

@@ -242,12 +242,8 @@ class NatNetReceiver:
         """Describe the source now."""
         status = self.source.status()
         detail = f"{status.detail}; {self._data_error}" if self._data_error else status.detail
-        counts = {
-            **status.counts,
-            "backlog_dropped": self._backlog_dropped,
-            "socket_error": self._send_errors,
-        }
-        return replace(status, detail=detail, counts=counts)
+        more = {"backlog_dropped": self._backlog_dropped, "socket_error": self._send_errors}
+        return replace(status, detail=detail, counts={**status.counts, **more})
 
     def close(self) -> None:
         """Close the sockets."""

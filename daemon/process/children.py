@@ -276,8 +276,8 @@ def _make_recorder_job(
 
 
 def _make_gateway_job(plan: RunPlan) -> dict[str, Any]:
-    mocap = plan.options.mocap
-    pose_key = (parse_mocap_url(mocap).key or None) if mocap else None
+    mocap = plan.options.mocap or ""
+    pose_key = parse_mocap_url(mocap).key if mocap.startswith(("zenoh:", "ros2:")) else None
     return {
         "listen": plan.options.listen,
         "lab": plan.options.lab,

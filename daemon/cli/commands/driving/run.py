@@ -147,7 +147,7 @@ def _list_conflicts(args: argparse.Namespace) -> Iterator[tuple[bool, str, str]]
     yield page and not 0 <= args.page < 65536, f"--page {args.page}: a port, 0 to 65535", ""
     domain = args.ros_domain
     yield (
-        domain is not None and not 0 <= domain <= DOMAIN_MAX,
+        (domain or 0) not in range(DOMAIN_MAX + 1),
         f"--ros-domain {domain}: 0 to {DOMAIN_MAX}",
         "",
     )
