@@ -277,7 +277,9 @@ def _make_recorder_job(
 
 def _make_gateway_job(plan: RunPlan) -> dict[str, Any]:
     mocap = plan.options.mocap or ""
-    pose_key = parse_mocap_url(mocap).key if mocap.startswith(("zenoh:", "ros2:")) else None
+    pose_key = None
+    with contextlib.suppress(ValueError):  # the core tells what is wrong with the address
+        pose_key = parse_mocap_url(mocap).key or None
     return {
         "listen": plan.options.listen,
         "lab": plan.options.lab,

@@ -146,11 +146,8 @@ def _list_conflicts(args: argparse.Namespace) -> Iterator[tuple[bool, str, str]]
     yield page and args.fast, "--page shows a drive as it happens", "drop --fast"
     yield page and not 0 <= args.page < 65536, f"--page {args.page}: a port, 0 to 65535", ""
     domain = args.ros_domain
-    yield (
-        (domain or 0) not in range(DOMAIN_MAX + 1),
-        f"--ros-domain {domain}: 0 to {DOMAIN_MAX}",
-        "",
-    )
+    wrong = domain is not None and not 0 <= domain <= DOMAIN_MAX
+    yield wrong, f"--ros-domain {domain}: 0 to {DOMAIN_MAX}", ""
     what = "the hub of a lab passes steerd's own topics only, not those of ROS"
     ros = domain is not None or str(args.mocap).startswith("ros2:")
     yield ros and args.lab is not None, what, "drop --lab, or --ros-domain and ros2:///"
