@@ -37,10 +37,10 @@ from steerd.car_model.params import GRAVITY, Car
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.data.segments import make_blocks
 from steerd.sysid.estimation.outcome import Fit, fit_of_plain
-from steerd.sysid.inference import disturbance_response, engine
+from steerd.sysid.inference import disturbance_response, predictor
 from steerd.sysid.inference import values as simulation
-from steerd.sysid.inference.engine import Engine, Linear
 from steerd.sysid.inference.plain_car import TYRES, Asked, search_blocks, search_rough
+from steerd.sysid.inference.predictor import Linear, Predictor
 from steerd.sysid.inference.space import Space
 from steerd.sysid.paper.paper_method import (
     NAMES,
@@ -169,16 +169,16 @@ class Judge:
 @contextmanager
 def watched(judge: Judge) -> Iterator[None]:
     """Our search shows only its end: here every point is watched at which it takes derivatives."""
-    linear = Engine.linear
+    linear = Predictor.linear
 
-    def seen(self: Engine, space: Space, z: Array, x: Array) -> Linear:
+    def seen(self: Predictor, space: Space, z: Array, x: Array) -> Linear:
         found = linear(self, space, z, x)
         four = space.chart.parameters(z)[[space.chart.names.index(name) for name in NAMES]]
         judge.watch(len(judge.log), four, 0.0)
         return found
 
     judge.start()
-    with patch.object(Engine, "linear", seen):
+    with patch.object(Predictor, "linear", seen):
         yield
 
 
@@ -186,10 +186,10 @@ def watched(judge: Judge) -> Iterator[None]:
 def as_simulated() -> Iterator[None]:
     """Our windows integrated as the data are."""
     with (
-        patch.object(engine, "INTEGRATOR", INTEGRATOR),
+        patch.object(predictor, "INTEGRATOR", INTEGRATOR),
         patch.object(simulation, "INTEGRATOR", INTEGRATOR),
         patch.object(disturbance_response, "INTEGRATOR", INTEGRATOR),
-        patch.object(engine, "stable_substeps", lambda *given: round(H / PAPER_STEP)),
+        patch.object(predictor, "stable_substeps", lambda *given: round(H / PAPER_STEP)),
     ):
         yield
 

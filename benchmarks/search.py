@@ -19,13 +19,13 @@ from joblib import Parallel, delayed
 
 from steerd.car_model.effect import Role
 from steerd.car_model.effects import EFFECTS
-from steerd.sysid.inference.engine import open_engine
+from steerd.sysid.inference.augmented_car import augment
 from steerd.sysid.inference.hypotheses import Library, explain
 from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.noise import Noise
+from steerd.sysid.inference.predictor import make_predictor
 from steerd.sysid.inference.search import Point, minimise, stand, with_size
 from steerd.sysid.inference.space import make_space, nuisance_names
-from steerd.sysid.inference.superset import make_superset
 from tests.unit.conftest import make_base, simulate_drives
 
 NOISE = Noise((7e-4, 2e-3, 0.02, 0.05), (0.4, 0.4, 2.5), 1e-4)
@@ -73,17 +73,17 @@ def open_case(case: Case) -> Library:
     """The case's drives from a base that is off."""
     rng = np.random.default_rng([7, case.seed])
     runs = simulate_drives(case.text, runs=2, seconds=12.0, seed=case.seed)
-    superset = make_superset(make_base(), runs)
-    free = nuisance_names(superset, runs)
-    space = make_space(superset, free)
+    augmented = augment(make_base(), runs)
+    free = nuisance_names(augmented, runs)
+    space = make_space(augmented, free)
     away = rng.standard_normal(len(space.centre))
     away *= rng.uniform(0.0, OFF) / np.linalg.norm(away)
     z = np.clip(space.centre + np.linalg.cholesky(space.covariance) @ away, space.low, space.high)
-    superset = replace(superset, base=space.chart.parameters(z))
-    engine = open_engine(superset, runs)
-    x = engine.guess.copy()
-    effects = tuple(e for e in superset.effects if e.name == case.effect)
-    return Library(make_likelihood(engine, superset.base, x, NOISE), free, effects)
+    augmented = replace(augmented, base=space.chart.parameters(z))
+    predictor = make_predictor(augmented, runs)
+    x = predictor.guess.copy()
+    effects = tuple(e for e in augmented.effects if e.name == case.effect)
+    return Library(make_likelihood(predictor, augmented.base, x, NOISE), free, effects)
 
 
 def search_at_random(library: Library, found: Point, case: Case, seed: int) -> float:
@@ -93,7 +93,7 @@ def search_at_random(library: Library, found: Point, case: Case, seed: int) -> f
     own = slice(len(z) - len(case.values), None)
     nulls = np.array(EFFECTS[case.effect].nulls)
     z[own] = nulls + rng.uniform(0.0, 2.0, len(nulls)) * (np.array(case.values) - nulls)
-    z, x = np.clip(z, space.low, space.high), likelihood.engine.guess
+    z, x = np.clip(z, space.low, space.high), likelihood.predictor.guess
     try:
         start = stand(likelihood, space, z, x, 20.0)
         size = likelihood.best_size(start.rotated, start.linear.error, start.x)

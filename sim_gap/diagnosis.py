@@ -23,8 +23,9 @@ from steerd.sim_gap.verdict.where import Where, locate
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.augmented_car import AugmentedCar, augment
+from steerd.sysid.inference.car_fit import fit_car
 from steerd.sysid.inference.car_posterior import refine
-from steerd.sysid.inference.engine import Engine, open_engine
 from steerd.sysid.inference.hypotheses import Findings, Hypothesis, Library, explain
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import (
@@ -35,11 +36,10 @@ from steerd.sysid.inference.noise import (
     noisier_of,
     usual_noise,
 )
+from steerd.sysid.inference.predictor import Predictor, make_predictor
 from steerd.sysid.inference.residuals import Gap, blocks_of, folds_of, gap_of, settled, spun_windows
 from steerd.sysid.inference.search import Point
 from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names
-from steerd.sysid.inference.superset import Superset, make_superset
-from steerd.sysid.inference.teaching import teach
 
 Array = NDArray[np.float64]
 
@@ -122,7 +122,7 @@ def _known_noise(base: CarFile | Model[float], options: Options) -> Noise | None
     if options.noise is not None:
         return options.noise
     if options.healthy and not isinstance(base, CarFile):
-        return teach(base, options.healthy).noise
+        return fit_car(base, options.healthy).noise
     return noise_of_section(base.sections.get("noise", {})) if isinstance(base, CarFile) else None
 
 
@@ -149,9 +149,9 @@ class _Case:
     blocks: NDArray[np.int64]
 
     @property
-    def engine(self) -> Engine:
+    def predictor(self) -> Predictor:
         """The windows."""
-        return self.likelihood.engine
+        return self.likelihood.predictor
 
     def settle(self, hypothesis: Hypothesis) -> Point:
         """A hypothesis without any discrepancy allowed."""
@@ -178,50 +178,50 @@ def diagnose(
     options = options or Options()
     if options.healthy and isinstance(base, CarFile):
         base = refine(base, options.healthy)
-    superset = make_superset(base, runs)
-    only = _chosen(superset, runs, options)
+    augmented = augment(base, runs)
+    only = _chosen(augmented, runs, options)
     options.progress("base", 0.05)
-    case = _search(superset, runs, base, only, options)
-    found = _conclude(case, options, [run.name for run in runs], _base_notes(superset, base))
+    case = _search(augmented, runs, base, only, options)
+    found = _conclude(case, options, [run.name for run in runs], _base_notes(augmented, base))
     if not options.horizons:
         return found
     return _with_horizons(case, found, runs)
 
 
-def _chosen(superset: Superset, runs: Sequence[Run], options: Options) -> tuple[Effect, ...]:
+def _chosen(augmented: AugmentedCar, runs: Sequence[Run], options: Options) -> tuple[Effect, ...]:
     """Effects that may be a cause.
 
     Raises:
         ValueError: an option names none.
     """
-    names = [e.name for e in superset.effects]
+    names = [e.name for e in augmented.effects]
     unknown = [n for n in (*(options.only or ()), *options.without) if n not in names]
     if unknown:
         raise ValueError(f"no effect {unknown[0]!r}; `steerd effects` lists them")
-    only = options.only or informative_effects(superset, runs)
-    return tuple(e for e in superset.effects if e.name in only and e.name not in options.without)
+    only = options.only or informative_effects(augmented, runs)
+    return tuple(e for e in augmented.effects if e.name in only and e.name not in options.without)
 
 
 def _search(
-    superset: Superset,
+    augmented: AugmentedCar,
     runs: Sequence[Run],
     base: CarFile | Model[float],
     effects: tuple[Effect, ...],
     options: Options,
 ) -> _Case:
     """Every hypothesis; noise is learnt about the best effect if it is not known."""
-    engine, signals = open_engine(superset, runs), estimate_noise(runs)
-    given, nuisance = _known_noise(base, options), nuisance_names(superset, runs)
-    x, parameters = engine.guess.copy(), superset.base
+    predictor, signals = make_predictor(augmented, runs), estimate_noise(runs)
+    given, nuisance = _known_noise(base, options), nuisance_names(augmented, runs)
+    x, parameters = predictor.guess.copy(), augmented.base
     noise = noisier_of(given or usual_noise(signals), signals)
     if given is None:
         options.progress("noise", 0.1)
-        rough = Library(make_likelihood(engine, parameters, x, noise), nuisance, effects)
+        rough = Library(make_likelihood(predictor, parameters, x, noise), nuisance, effects)
         best = explain(rough, 1).best.point
-        noise = learn_noise(engine, best.parameters, best.x, best.linear, noise)
+        noise = learn_noise(predictor, best.parameters, best.x, best.linear, noise)
         x = best.x
     options.progress("candidates", 0.2)
-    library = Library(make_likelihood(engine, parameters, x, noise), nuisance, effects)
+    library = Library(make_likelihood(predictor, parameters, x, noise), nuisance, effects)
     found = explain(
         library,
         2 if options.pairs else 1,
@@ -229,18 +229,20 @@ def _search(
     )
     verdict = judge_case(library, found, given is not None)
     best = found.best.point
-    white = make_likelihood(engine, best.parameters, best.x, noise)
-    floor = noise_floor(engine, float(signals[2]))
-    return _Case(library, white, noise, given is not None, floor, found, verdict, blocks_of(engine))
+    white = make_likelihood(predictor, best.parameters, best.x, noise)
+    floor = noise_floor(predictor, float(signals[2]))
+    return _Case(
+        library, white, noise, given is not None, floor, found, verdict, blocks_of(predictor)
+    )
 
 
 def _with_horizons(case: _Case, found: Diagnosis, runs: Sequence[Run]) -> Diagnosis:
     """The gap over other horizons, and what it forbids to say."""
-    fixed = make_space(case.library.likelihood.engine.superset, ())
+    fixed = make_space(case.library.likelihood.predictor.augmented, ())
     before = settled(case.likelihood, fixed, fixed.centre)
     best = case.settle(case.found.best if found.causes else case.found.null)
     horizons, gap, after = cross_check(
-        case.engine, runs, before, best, case.noise, (found.before, found.after)
+        case.predictor, runs, before, best, case.noise, (found.before, found.after)
     )
     verdict, notes = found.verdict, found.notes
     far = any(gap.position(lead) > most for lead, most in c.FAR.items())
@@ -265,8 +267,8 @@ def _conclude(
     case: _Case, options: Options, names: Sequence[str], notes: Sequence[str]
 ) -> Diagnosis:
     """Everything that follows from the hypotheses."""
-    engine, verdict, found = case.engine, case.verdict, case.found
-    fixed = make_space(engine.superset, ())
+    predictor, verdict, found = case.predictor, case.verdict, case.found
+    fixed = make_space(predictor.augmented, ())
     before = settled(case.likelihood, fixed, fixed.centre)
     chosen = found.best if verdict.causes else found.null
     after = case.settle(chosen)
@@ -282,8 +284,8 @@ def _conclude(
         following = next_manoeuvre(case.likelihood, after, case.library.nuisance, case.noise, pair)
     return Diagnosis(
         verdict=verdict.name,
-        before=gap_of(engine, before, case.blocks, spun),
-        after=gap_of(engine, after, case.blocks, spun),
+        before=gap_of(predictor, before, case.blocks, spun),
+        after=gap_of(predictor, after, case.blocks, spun),
         where=where,
         causes=verdict.causes,
         something_else=verdict.something_else,
@@ -295,8 +297,8 @@ def _conclude(
         noise=case.noise,
         noise_known=case.known,
         notes=(*notes, *_notes(case, int(spun.sum()))),
-        values=_values(engine, chosen.point),
-        timeline=timeline_of(engine, before, after, names),
+        values=_values(predictor, chosen.point),
+        timeline=timeline_of(predictor, before, after, names),
     )
 
 
@@ -310,15 +312,15 @@ def _table(found: Findings) -> tuple[tuple[str, float, float], ...]:
     )
 
 
-def _values(engine: Engine, chosen: Point) -> dict[str, tuple[float, ...]]:
-    p, places = chosen.parameters, engine.superset.places
+def _values(predictor: Predictor, chosen: Point) -> dict[str, tuple[float, ...]]:
+    p, places = chosen.parameters, predictor.augmented.places
     return {e: tuple(p[places(e)].tolist()) for e in chosen.space.effects}
 
 
 def _shrinkage(case: _Case, before: Point, after: Point, options: Options) -> Shrinkage:
     """Predict, hand the prediction out, then measure on the reserved drives."""
-    share, low, high = predict(before, after, case.floor, case.blocks, folds_of(case.engine))
-    effects, values = after.space.effects, _values(case.engine, after)
+    share, low, high = predict(before, after, case.floor, case.blocks, folds_of(case.predictor))
+    effects, values = after.space.effects, _values(case.predictor, after)
     text = json.dumps(
         {"effects": effects, "values": values, "predicted": share, "low": low, "high": high},
         sort_keys=True,
@@ -328,7 +330,7 @@ def _shrinkage(case: _Case, before: Point, after: Point, options: Options) -> Sh
     if not options.held_out or not effects:
         return Shrinkage(share, None, low, high, digest, text, None, None)
     held_out = options.held_out
-    other = open_engine(case.engine.superset, held_out() if callable(held_out) else held_out)
+    other = make_predictor(case.predictor.augmented, held_out() if callable(held_out) else held_out)
     return measure(other, after, case.noise, case.floor, (share, low, high), digest, text)
 
 
@@ -340,10 +342,10 @@ def _moved(null: Hypothesis) -> dict[str, float]:
     return dict(sorted(scores.items(), key=lambda item: -abs(item[1])))
 
 
-def _base_notes(superset: Superset, base: CarFile | Model[float]) -> tuple[str, ...]:
+def _base_notes(augmented: AugmentedCar, base: CarFile | Model[float]) -> tuple[str, ...]:
     if isinstance(base, CarFile) and base.remark:
         return (base.remark,)
-    if not superset.sd and superset.knowledge is None:
+    if not augmented.sd and augmented.prior is None:
         return ("the car file gives no standard errors: ordinary ones were assumed",)
     return ()
 
@@ -351,11 +353,11 @@ def _base_notes(superset: Superset, base: CarFile | Model[float]) -> tuple[str, 
 def _notes(case: _Case, spun: int) -> tuple[str, ...]:
     notes = []
     if spun:
-        count = case.engine.layout.count
+        count = case.predictor.layout.count
         notes.append(f"the car spun in {spun} of {count} windows: left out of the millimetres")
     if not case.known:
         notes.append("noise was learnt from these drives: a gap like noise is not identifiable")
-    if len(np.unique(case.engine.layout.run)) < 4:
+    if len(np.unique(case.predictor.layout.run)) < 4:
         notes.append("fewer than four runs: held-out parts are blocks of the same drives")
     if case.verdict.causes and case.verdict.strain > c.STRAINED:
         notes.append("beside the cause the base moved further than its own uncertainty lets it")

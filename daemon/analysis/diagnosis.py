@@ -35,7 +35,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import notebook_progress
 from steerd.daemon.common.screen import shown
 from steerd.posterior_file import TABLES
-from steerd.sim_gap import diagnosis as engine
+from steerd.sim_gap import diagnosis as gap
 from steerd.sim_gap.lane_comparison import LaneComparison, encode_lane
 from steerd.sim_gap.report.to_json import to_json
 from steerd.sim_gap.verdict.evidence import Cause
@@ -67,7 +67,7 @@ class Diagnosis:
     """
 
     case: Case
-    findings: engine.Diagnosis
+    findings: gap.Diagnosis
     lane: LaneComparison | None
     lane_note: str = ""
     warnings: tuple[str, ...] = ()
@@ -203,7 +203,7 @@ def run_diagnosis(
     names = name_all(case.drives.paths)
     identify = f"steerd identify {names} -o car.toml, then --base car.toml"
     with refusing(case.drives.sessions, identify):
-        findings = engine.diagnose(case.split.runs, case.base, engine.Options(
+        findings = gap.diagnose(case.split.runs, case.base, gap.Options(
             held_out=case.split.later or (), healthy=case.healthy, only=case.only or None,
             without=case.without, pairs=options.pairs, written=written,
             progress=lambda stage, share: progress(LOADED + span * share, stage),

@@ -3,7 +3,7 @@
 For each effect of the library and each of the last windows: how much better the windows since then
 are explained if the effect came about there, the base free within what is known of it. A model that
 misses something makes windows alike that lie near each other on a lap, so a ratio is judged by what
-the same car showed in as many windows while nothing was the matter (`Usual`).
+the same car showed in as many windows while nothing was the matter (`QuietRatios`).
 """
 
 from collections.abc import Sequence
@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sim_gap.online.looking import Anchor, Look
+from steerd.sim_gap.online.linearisation import Loss, Reference
 from steerd.sim_gap.online.tracking import Track
 
 Array = NDArray[np.float64]
 
 SPANS: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 12, 16)
 """Numbers of windows that a change may be old."""
-USUAL_PRIOR, USUAL_LEVEL = 6.0, 2.5
+QUIET_PRIOR, QUIET_LEVEL = 6.0, 2.5
 """Before a car has shown anything it counts as having shown so many spans at this level."""
 PEAK = 10.0
 """Largest of many ratios where all is noise, in units of their mean."""
@@ -33,7 +33,7 @@ ROUNDS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Usual:
+class QuietRatios:
     """What ratios a car shows while nothing is the matter.
 
     Attributes:
@@ -51,49 +51,51 @@ class Usual:
         spans = np.array(SPANS, float)
         own = self.count / spans
         mean = 2.0 * self.total / np.maximum(self.count, 1.0)
-        level = (USUAL_PRIOR * USUAL_LEVEL + own * mean) / (USUAL_PRIOR + own)
+        level = (QUIET_PRIOR * QUIET_LEVEL + own * mean) / (QUIET_PRIOR + own)
         return np.asarray(np.maximum(np.maximum(level, 2.0 * self.peak / PEAK), 1.0))
 
 
-def unknown(effects: int) -> Usual:
+def unknown(effects: int) -> QuietRatios:
     """Nothing seen yet."""
     shape = (effects, len(SPANS))
-    return Usual(np.zeros(shape), np.zeros(shape), np.zeros(shape))
+    return QuietRatios(np.zeros(shape), np.zeros(shape), np.zeros(shape))
 
 
-def with_ratios(usual: Usual, gains: Array) -> Usual:
+def with_ratios(quiet: QuietRatios, gains: Array) -> QuietRatios:
     """With the ratios (effects, spans) of one more window; NaN where there was no such span."""
     there = np.isfinite(gains)
     filled = np.where(there, gains, 0.0)
-    return Usual(usual.total + filled, usual.count + there, np.maximum(usual.peak, filled))
+    return QuietRatios(quiet.total + filled, quiet.count + there, np.maximum(quiet.peak, filled))
 
 
-def ratios(anchor: Anchor, tracks: Sequence[Track], looks: Sequence[Look]) -> Array:
+def ratios(reference: Reference, tracks: Sequence[Track], losses: Sequence[Loss]) -> Array:
     """(effects, spans) log-likelihood ratio of each effect since so many windows [nats].
 
     The effect's prior is included; NaN for spans longer than the windows reach back.
 
     Args:
-        anchor: the car.
+        reference: the car.
         tracks: what was known of the base before each of the windows.
-        looks: the last windows, oldest first.
+        losses: the last windows, oldest first.
     """
-    effects, n = anchor.space.effects, anchor.space.nuisance
-    own = [np.array(anchor.places(effect)) - n for effect in effects]
+    effects, n = reference.space.effects, reference.space.nuisance
+    own = [np.array(reference.places(effect)) - n for effect in effects]
     table = np.full((len(effects), len(SPANS)), np.nan)
     for column, windows in enumerate(SPANS):
-        if windows <= len(looks):
-            pull, information = _without_base(anchor, tracks[-windows], looks[-windows:])
-            table[:, column] = [_gain(anchor, pull, information, mine) for mine in own]
+        if windows <= len(losses):
+            pull, information = _without_base(reference, tracks[-windows], losses[-windows:])
+            table[:, column] = [_gain(reference, pull, information, mine) for mine in own]
     return table
 
 
-def _without_base(anchor: Anchor, before: Track, looks: Sequence[Look]) -> tuple[Array, Array]:
+def _without_base(
+    reference: Reference, before: Track, losses: Sequence[Loss]
+) -> tuple[Array, Array]:
     """Pull (m,) and information (m, m) of all effects, the base at its best beside each."""
-    n, size = anchor.space.nuisance, len(anchor.space.centre)
+    n, size = reference.space.nuisance, len(reference.space.centre)
     pull, information = np.zeros(size), np.zeros((size, size))
     pull[:n], information[:n, :n] = before.pull, before.information
-    for seen in looks:
+    for seen in losses:
         pull += seen.weight * seen.g
         information += seen.weight * seen.h
     cross = information[:n, n:]
@@ -101,28 +103,32 @@ def _without_base(anchor: Anchor, before: Track, looks: Sequence[Look]) -> tuple
     return pull[n:] - cross.T @ solved[:, -1], information[n:, n:] - cross.T @ solved[:, :-1]
 
 
-def _gain(anchor: Anchor, pull: Array, information: Array, mine: NDArray[np.int64]) -> float:
+def _gain(reference: Reference, pull: Array, information: Array, mine: NDArray[np.int64]) -> float:
     """What one effect gains at its most likely value [nats]."""
-    spread = anchor.space.spread[anchor.space.nuisance :][mine]
+    spread = reference.space.spread[reference.space.nuisance :][mine]
     precision = information[np.ix_(mine, mine)] + np.diag(spread**-2)
     value = np.linalg.solve(0.5 * (precision + precision.T), pull[mine])
     return 0.5 * float(pull[mine] @ value)
 
 
 def reweighted(
-    anchor: Anchor, tracks: Sequence[Track], looks: Sequence[Look], table: Array, level: Array
+    reference: Reference,
+    tracks: Sequence[Track],
+    losses: Sequence[Loss],
+    table: Array,
+    level: Array,
 ) -> Array:
     """The ratios, those that are nearly a change as the change itself would have them.
 
-    The sums weigh a window by how badly the anchor explains it, so one that shows a change plainly
+    The sums weigh a window by how badly the reference explains it: one that shows a change plainly
     counts for as little as one that nothing explains. No ratio becomes smaller.
 
     Args:
-        anchor: the car.
+        reference: the car.
         tracks: what was known of the base before each of the windows.
-        looks: the last windows, oldest first.
+        losses: the last windows, oldest first.
         table: (effects, spans) see `ratios`.
-        level: (effects, spans) by what they are divided, see `Usual`.
+        level: (effects, spans) by what they are divided, see `QuietRatios`.
     """
     # Why: docs/decisions/diagnosis.md#d98
     judged = np.nan_to_num(table / level, nan=-np.inf).max(axis=1)
@@ -131,33 +137,35 @@ def reweighted(
     table = table.copy()
     leaders = np.argsort(-judged, kind="stable")[:LEADERS]
     for column, windows in enumerate(SPANS):
-        if windows <= min(LONGEST, len(looks)):
-            since = tracks[-windows], looks[-windows:]
-            null = _cost(anchor, *since, [])
+        if windows <= min(LONGEST, len(losses)):
+            since = tracks[-windows], losses[-windows:]
+            null = _cost(reference, *since, [])
             for row in leaders:
-                gain = null - _cost(anchor, *since, anchor.places(anchor.space.effects[row]))
+                gain = null - _cost(
+                    reference, *since, reference.places(reference.space.effects[row])
+                )
                 table[row, column] = max(table[row, column], gain)
     return table
 
 
-def _cost(anchor: Anchor, before: Track, looks: Sequence[Look], own: Sequence[int]) -> float:
+def _cost(reference: Reference, before: Track, losses: Sequence[Loss], own: Sequence[int]) -> float:
     """Loss of windows and prior at the best of the base and some coordinates [nats].
 
     Student's t with weights at the fit; infinite where no car has such values. Windows that the
     anchor explains badly barely pull, so a large effect that explains them all is looked for from
     equal weights too.
     """
-    space, n = anchor.space, anchor.space.nuisance
+    space, n = reference.space, reference.space.nuisance
     at = [*range(n), *own]
     prior = np.diag(space.spread[at] ** -2)
     prior[:n, :n] = before.information
     pull = np.concatenate([before.pull, np.zeros(len(own))])
-    g = np.array([seen.g[at] for seen in looks])
-    h = np.array([seen.h[np.ix_(at, at)] for seen in looks])
-    square = np.array([seen.square for seen in looks])
-    dof = np.array([seen.dof for seen in looks])
+    g = np.array([seen.g[at] for seen in losses])
+    h = np.array([seen.h[np.ix_(at, at)] for seen in losses])
+    square = np.array([seen.square for seen in losses])
+    dof = np.array([seen.dof for seen in losses])
     costs = []
-    for first in (square / dof, np.ones(len(looks))):
+    for first in (square / dof, np.ones(len(losses))):
         z, left = np.zeros(len(at)), first
         for _ in range(ROUNDS):
             weight = 2.0 / (1.0 + left)
@@ -169,18 +177,18 @@ def _cost(anchor: Anchor, before: Track, looks: Sequence[Look], own: Sequence[in
     return min(costs, default=np.inf)
 
 
-def usual_of(anchor: Anchor, track: Track, looks: Sequence[Look]) -> Usual:
-    """What the windows that made the anchor show."""
-    usual = unknown(len(anchor.space.effects))
-    for end in range(1, len(looks) + 1):
-        part = looks[max(0, end - SPANS[-1]) : end]
-        usual = with_ratios(usual, ratios(anchor, [track] * len(part), part))
-    return usual
+def quiet_ratios(reference: Reference, track: Track, losses: Sequence[Loss]) -> QuietRatios:
+    """What the windows that made the reference show."""
+    quiet = unknown(len(reference.space.effects))
+    for end in range(1, len(losses) + 1):
+        part = losses[max(0, end - SPANS[-1]) : end]
+        quiet = with_ratios(quiet, ratios(reference, [track] * len(part), part))
+    return quiet
 
 
-def faded(usual: Usual, share: float) -> Usual:
+def faded(quiet: QuietRatios, share: float) -> QuietRatios:
     """With its peaks a little lower and its sums a little lighter."""
     keep = 1.0 - share
     return replace(
-        usual, total=keep * usual.total, count=keep * usual.count, peak=keep * usual.peak
+        quiet, total=keep * quiet.total, count=keep * quiet.count, peak=keep * quiet.peak
     )

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
 from steerd.sim_gap.online.changes import SPANS, faded, ratios, reweighted, with_ratios
-from steerd.sim_gap.online.looking import Look, look
-from steerd.sim_gap.online.naming import LOOKS, Finding, Known, find_cause, learn
+from steerd.sim_gap.online.linearisation import Loss, linearise
+from steerd.sim_gap.online.naming import DIAGNOSED_AT, Finding, Known, find_cause, learn
 from steerd.sim_gap.online.samples import (
     LATE,
     WINDOW,
@@ -27,10 +27,10 @@ from steerd.sim_gap.online.samples import (
 from steerd.sim_gap.online.tracking import Memory, Remembered, Track, follow, remember
 from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.data.dataset import Run
+from steerd.sysid.inference.augmented_car import AugmentedCar, augment
 from steerd.sysid.inference.chart import RELATIVE
 from steerd.sysid.inference.noise import Noise, noise_of_section
 from steerd.sysid.inference.space import FLOORS, LIMITS
-from steerd.sysid.inference.superset import Superset, make_superset
 
 Array = NDArray[np.float64]
 
@@ -61,13 +61,13 @@ class Learner:
     """What does not change while a car is learnt.
 
     Attributes:
-        superset: the car file's base, with every effect of the library.
+        augmented: the car file's base, with every effect of the library.
         noise: as the car file knows it.
         ramp: limit of the motor controller's setpoint [m/s^2], 0 for none.
         remembered: what an earlier drive of this car taught.
     """
 
-    superset: Superset
+    augmented: AugmentedCar
     noise: Noise | None = None
     ramp: float = 0.0
     remembered: tuple[Remembered, ...] = ()
@@ -84,17 +84,17 @@ def make_learner(car: CarFile, ramp: float = 0.0, memory: Memory | None = None) 
     Raises:
         ValueError: what identify wrote into the file is not what it writes.
     """
-    superset = make_superset(car, ())
-    if superset.knowledge is None and not superset.sd:
-        superset = replace(superset, sd=_published(superset))
-    remembered = remember(superset, memory) if memory is not None else ()
-    return Learner(superset, noise_of_section(car.sections.get("noise", {})), ramp, remembered)
+    augmented = augment(car, ())
+    if augmented.prior is None and not augmented.sd:
+        augmented = replace(augmented, sd=_published(augmented))
+    remembered = remember(augmented, memory) if memory is not None else ()
+    return Learner(augmented, noise_of_section(car.sections.get("noise", {})), ramp, remembered)
 
 
-def _published(superset: Superset) -> dict[str, float]:
+def _published(augmented: AugmentedCar) -> dict[str, float]:
     """Standard errors of figures that were published for another car of the class."""
-    names = superset.kernels.names
-    values = {name: abs(float(superset.base[names.index(name)])) for name in FLOORS}
+    names = augmented.kernels.names
+    values = {name: abs(float(augmented.base[names.index(name)])) for name in FLOORS}
     return {
         name: BETTER_KNOWN.get(name, NOT_IDENTIFIED)
         * floor
@@ -185,10 +185,10 @@ def take_window(learner: Learner, state: State, t: float, run: Run) -> State:
         return _learn(learner, replace(state, windows=(*state.windows, (t, run))))
     if state.change is not None:
         change = replace(state.change, windows=(*state.change.windows, (t, run)))
-        if len(change.windows) in LOOKS:
+        if len(change.windows) in DIAGNOSED_AT:
             change = judge(state.known, change)
         return _after(learner, state, state.known, change)
-    seen = look(state.known.anchor, run, t)
+    seen = linearise(state.known.reference, run, t)
     if seen is None:
         return state
     windows = (*state.windows, (t, run))[-SPANS[-1] :]
@@ -199,32 +199,32 @@ def _learn(learner: Learner, state: State) -> State:
     """Learn the car once there are windows enough."""
     if len(state.windows) < REFERENCE:
         return state
-    known = learn(learner.superset, state.windows, learner.noise, learner.remembered)
+    known = learn(learner.augmented, state.windows, learner.noise, learner.remembered)
     kept = state.windows[-SPANS[-1] :] if known else state.windows[REFERENCE // 2 :]
     return replace(state, windows=kept, known=known)
 
 
-def _watch(learner: Learner, state: State, known: Known, seen: Look) -> State:
+def _watch(learner: Learner, state: State, known: Known, seen: Loss) -> State:
     """A window while nothing is the matter; a change is called where it does not fit."""
-    looks = (*known.looks, seen)[-SPANS[-1] :]
+    losses = (*known.losses, seen)[-SPANS[-1] :]
     tracks = (*known.tracks, known.track)[-SPANS[-1] :]
-    table, level = ratios(known.anchor, tracks, looks), known.usual.level()
-    table = reweighted(known.anchor, tracks, looks, table, level)
+    table, level = ratios(known.reference, tracks, losses), known.quiet.level()
+    table = reweighted(known.reference, tracks, losses, table, level)
     judged = table / level
     worst = float(np.nanmax(judged))
     if worst >= ALARM:
         span = SPANS[int(np.nanargmax(judged)) % len(SPANS)]
-        return _call(learner, state, replace(known, looks=looks, tracks=tracks), span)
-    n = known.anchor.space.nuisance
+        return _call(learner, state, replace(known, losses=losses, tracks=tracks), span)
+    n = known.reference.space.nuisance
     track, shown = known.track, known.shown
     if worst < DOUBT:
         track = follow(track, seen.weight * seen.g[:n], seen.weight * seen.h[:n, :n])
-    shown, usual = (*shown, table), known.usual
+    shown, quiet = (*shown, table), known.quiet
     if len(shown) > DELAY:
-        usual = with_ratios(faded(usual, FADING), shown[0])
+        quiet = with_ratios(faded(quiet, FADING), shown[0])
         shown = shown[1:]
     known = replace(
-        known, track=track, usual=usual, looks=looks, tracks=tracks, shown=shown,
+        known, track=track, quiet=quiet, losses=losses, tracks=tracks, shown=shown,
         peak=max(known.peak, worst),
     )  # fmt: skip
     return replace(state, known=known)
@@ -232,12 +232,12 @@ def _watch(learner: Learner, state: State, known: Known, seen: Look) -> State:
 
 def _call(learner: Learner, state: State, known: Known, span: int) -> State:
     """Call a change that began `span` windows ago."""
-    looks, before = known.looks[-span:], known.tracks[-span]
-    noticed = looks[-1].t + WINDOW + LATE
-    change = Change(looks[0].t, noticed, before, state.windows[-span:])
+    losses, before = known.losses[-span:], known.tracks[-span]
+    noticed = losses[-1].t + WINDOW + LATE
+    change = Change(losses[0].t, noticed, before, state.windows[-span:])
     # What was followed since the change is taken back.
     known = replace(known, track=before, shown=())
-    if span >= LOOKS[0]:
+    if span >= DIAGNOSED_AT[0]:
         change = judge(known, change)
     return _after(learner, state, known, change)
 
@@ -245,10 +245,10 @@ def _call(learner: Learner, state: State, known: Known, span: int) -> State:
 def judge(known: Known, change: Change) -> Change:
     """A change with what its windows say."""
     runs = [run for _, run in change.windows]
-    finding = find_cause(known.anchor, change.before, runs)
+    finding = find_cause(known.reference, change.before, runs)
     if finding.cause is None:
         return replace(change, finding=finding)
-    was = known.anchor.superset.values(finding.cause.effect)
+    was = known.reference.augmented.values(finding.cause.effect)
     alone = not finding.cause.ambiguous_with and len(runs) >= SETTLED
     proven = (finding.cause, was) if alone else change.proven
     return replace(change, finding=finding, was=was, proven=proven)
@@ -258,12 +258,12 @@ def _after(learner: Learner, state: State, known: Known, change: Change) -> Stat
     """The change kept, taken back where there was none, or the car learnt anew after it."""
     windows = change.windows
     if change.finding.verdict == "none":
-        kept = replace(known, looks=(), tracks=())
+        kept = replace(known, losses=(), tracks=())
         return replace(state, known=kept, change=None, taken_back=state.taken_back + 1, windows=())
     if len(windows) < REFERENCE + 1:
         return replace(state, change=change)
     # The first window may hold the change itself.
-    again = learn(learner.superset, windows[1:], learner.noise)
+    again = learn(learner.augmented, windows[1:], learner.noise)
     if again is None:
         return replace(state, change=replace(change, windows=windows[REFERENCE // 2 :]))
     past = (*state.past, replace(change, windows=()))

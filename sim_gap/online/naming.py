@@ -11,22 +11,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sim_gap.online.changes import SPANS, Usual, usual_of
-from steerd.sim_gap.online.looking import Anchor, Look, looks_of, may_change
+from steerd.sim_gap.online.changes import SPANS, QuietRatios, quiet_ratios
+from steerd.sim_gap.online.linearisation import Loss, Reference, may_change, window_losses
 from steerd.sim_gap.online.samples import WINDOW
 from steerd.sim_gap.online.tracking import Remembered, Track, with_memory
 from steerd.sim_gap.verdict.evidence import Cause, Verdict, judge_case
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
-from steerd.sysid.inference.engine import open_engine
+from steerd.sysid.inference.augmented_car import AugmentedCar, BasePrior
 from steerd.sysid.inference.hypotheses import Library, begin, explain
 from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.noise import Noise, learn_noise, usual_noise
+from steerd.sysid.inference.predictor import make_predictor
 from steerd.sysid.inference.search import minimise, stand
 from steerd.sysid.inference.space import make_space, nuisance_names
-from steerd.sysid.inference.superset import Knowledge, Superset
 
-LOOKS = (5, 6, 8, 11, 16, 21, 27, 34, 42, 50)
+DIAGNOSED_AT = (5, 6, 8, 11, 16, 21, 27, 34, 42, 50)
 """Windows after a change at which they are diagnosed: each time costs a third of a second."""
 LATEST = 30
 """No more windows than these are diagnosed, the newest: what came slowly is over in them."""
@@ -50,16 +50,16 @@ class Finding:
     sure: float = 0.0
 
 
-def find_cause(anchor: Anchor, before: Track, windows: Sequence[Run]) -> Finding:
+def find_cause(reference: Reference, before: Track, windows: Sequence[Run]) -> Finding:
     """What the windows since a change say of it.
 
     Args:
-        anchor: the car.
+        reference: the car.
         before: what was known of the base before the change.
         windows: since then; the first may hold the change itself and is left out.
     """
     try:
-        verdict = _diagnose(believed(anchor, before), anchor, windows[1:][-LATEST:])
+        verdict = _diagnose(believed(reference, before), reference, windows[1:][-LATEST:])
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):
         return Finding()
     if verdict.causes:
@@ -69,31 +69,31 @@ def find_cause(anchor: Anchor, before: Track, windows: Sequence[Run]) -> Finding
     return Finding("none" if verdict.name == "none" else "unexplained")
 
 
-def believed(anchor: Anchor, track: Track) -> Superset:
-    """The anchor's car with what was learnt about it: the same drive, so no wider."""
-    space = anchor.space
+def believed(reference: Reference, track: Track) -> AugmentedCar:
+    """The reference's car with what was learnt about it: the same drive, so no wider."""
+    space = reference.space
     n, z = space.nuisance, space.centre.copy()
     z[:n] += track.mean
-    learnt = replace(anchor.superset, base=space.chart.parameters(z))
-    known = Knowledge(space.chart.free[:n], track.covariance)
-    if learnt.knowledge is not None:
-        known = replace(known, excess=learnt.knowledge.excess)
-    return replace(learnt, knowledge=known)
+    learnt = replace(reference.augmented, base=space.chart.parameters(z))
+    known = BasePrior(space.chart.free[:n], track.covariance)
+    if learnt.prior is not None:
+        known = replace(known, excess=learnt.prior.excess)
+    return replace(learnt, prior=known)
 
 
-def _diagnose(base: Superset, anchor: Anchor, runs: Sequence[Run]) -> Verdict:
+def _diagnose(base: AugmentedCar, reference: Reference, runs: Sequence[Run]) -> Verdict:
     """The verdict on windows.
 
     Raises:
         ValueError: no window sees enough poses.
         FloatingPointError: the base's simulation leaves the map.
     """
-    engine = open_engine(base, runs, WINDOW, late=anchor.late)
-    guess = engine.guess.copy()
-    likelihood = make_likelihood(engine, base.base, guess, anchor.noise)
+    predictor = make_predictor(base, runs, WINDOW, late=reference.late)
+    guess = predictor.guess.copy()
+    likelihood = make_likelihood(predictor, base.base, guess, reference.noise)
     possible = may_change(base, runs)
     effects = tuple(e for e in base.effects if e.name in possible)
-    nuisance = anchor.space.chart.free[: anchor.space.nuisance]
+    nuisance = reference.space.chart.free[: reference.space.nuisance]
     library = Library(likelihood, nuisance, effects)
     return judge_case(library, explain(library, 1), known=True)
 
@@ -106,25 +106,25 @@ class Known:
     """The car as learnt, and what was seen since.
 
     Attributes:
-        anchor: the car, and its noise.
+        reference: the car, and its noise.
         track: what is known of the base now.
-        usual: what ratios the car shows while nothing is the matter.
-        looks: the last windows, oldest first; `tracks` what was known before each.
+        quiet: what ratios the car shows while nothing is the matter.
+        losses: the last windows, oldest first; `tracks` what was known before each.
         shown: ratios of windows that may yet turn out to be a change's.
         peak: the largest ratio per what is usual so far that called no change [nats].
     """
 
-    anchor: Anchor
+    reference: Reference
     track: Track
-    usual: Usual
-    looks: tuple[Look, ...] = ()
+    quiet: QuietRatios
+    losses: tuple[Loss, ...] = ()
     tracks: tuple[Track, ...] = ()
     shown: tuple[Array, ...] = ()
     peak: float = 0.0
 
 
 def learn(
-    superset: Superset,
+    augmented: AugmentedCar,
     windows: Sequence[tuple[float, Run]],
     noise: Noise | None,
     remembered: Sequence[Remembered] = (),
@@ -132,41 +132,43 @@ def learn(
     """The car as it is in windows; None where its base's simulation leaves the map.
 
     Args:
-        superset: the car file's base.
+        augmented: the car file's base.
         windows: drives and when each began [s].
         noise: as the car file knows it.
         remembered: what an earlier drive taught; left out where these windows contradict it.
     """
     times, runs = [t for t, _ in windows], [run for _, run in windows]
-    nuisance = nuisance_names(superset, runs)
+    nuisance = nuisance_names(augmented, runs)
     known = {name.partition(".")[0] for name in nuisance if "." in name}
-    built_in = tuple(e.name for e in superset.effects if e.on_every_car and e.name not in known)
+    built_in = tuple(e.name for e in augmented.effects if e.on_every_car and e.name not in known)
     try:
-        engine = open_engine(superset, runs, WINDOW)
-        x = engine.guess.copy()
+        predictor = make_predictor(augmented, runs, WINDOW)
+        x = predictor.guess.copy()
         rough = noise or usual_noise(estimate_noise(runs))
-        likelihood = make_likelihood(engine, superset.base, x, rough)
+        likelihood = make_likelihood(predictor, augmented.base, x, rough)
         library = Library(likelihood, nuisance, (), known=False)
         fitted = minimise(likelihood, begin(library, built_in, (), x))
-        noise = learn_noise(engine, fitted.parameters, fitted.x, fitted.linear, noise)
-        likelihood = make_likelihood(engine, fitted.parameters, fitted.x, noise)
+        noise = learn_noise(predictor, fitted.parameters, fitted.x, fitted.linear, noise)
+        likelihood = make_likelihood(predictor, fitted.parameters, fitted.x, noise)
         begun = stand(likelihood, fitted.space, fitted.z, fitted.x, fitted.size)
         fitted = minimise(likelihood, begun)
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):
         return None
-    learnt = replace(superset, base=fitted.parameters)
-    flat = {e.name for e in superset.effects if e.zero_gradient}
+    learnt = replace(augmented, base=fitted.parameters)
+    flat = {e.name for e in augmented.effects if e.zero_gradient}
     sloped = [name for name in may_change(learnt, runs) if name not in flat]
-    anchor = Anchor(learnt, make_space(learnt, nuisance, sloped), noise)
+    reference = Reference(learnt, make_space(learnt, nuisance, sloped), noise)
     try:
-        at = stand(likelihood, anchor.space, anchor.space.centre, fitted.x, 0.0).at
+        at = stand(likelihood, reference.space, reference.space.centre, fitted.x, 0.0).at
     except FloatingPointError:
         return None
-    looks = looks_of(at, times)
-    n = anchor.space.nuisance
-    prior = np.asarray(np.linalg.inv(anchor.space.covariance[:n, :n]), np.float64)
-    informed = sum((seen.weight * seen.h[:n, :n] for seen in looks), np.zeros((n, n)))
-    # The windows made the anchor: about it they pull nowhere.
-    track = with_memory(anchor, Track(prior + informed, np.zeros(n), prior), remembered)
-    last = tuple(looks[-SPANS[-1] :])
-    return Known(anchor, track, usual_of(anchor, track, looks), last, (track,) * len(last))
+    losses = window_losses(at, times)
+    n = reference.space.nuisance
+    prior = np.asarray(np.linalg.inv(reference.space.covariance[:n, :n]), np.float64)
+    informed = sum((seen.weight * seen.h[:n, :n] for seen in losses), np.zeros((n, n)))
+    # The windows made the reference: about it they pull nowhere.
+    track = with_memory(reference, Track(prior + informed, np.zeros(n), prior), remembered)
+    last = tuple(losses[-SPANS[-1] :])
+    return Known(
+        reference, track, quiet_ratios(reference, track, losses), last, (track,) * len(last)
+    )

@@ -1,7 +1,7 @@
 """The base's coordinates followed window by window; only what data replace is forgotten.
 
-An information filter about a fixed anchor. Before a window's information is added, what is known in
-just the directions that the window informs is faded (Cao and Schwartz, 2000): on a straight or at a
+An information filter about a fixed reference. Before a window's information is added, what is
+known in just the directions that the window informs is faded (Cao and Schwartz, 2000): on a straight or at a
 standstill no direction is informed, and nothing fades.
 
 What an earlier drive of the same car taught is remembered: each number is a normal distribution,
@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sim_gap.online.looking import Anchor
+from steerd.sim_gap.online.linearisation import Reference
+from steerd.sysid.inference.augmented_car import AugmentedCar
 from steerd.sysid.inference.space import Space, make_space
-from steerd.sysid.inference.superset import Superset
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ lap, and does not average out as noise does."""
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What is known of the base's coordinates, as deviations from the anchor.
+    """What is known of the base's coordinates, as deviations from the reference.
 
     Attributes:
         information: (n, n), prior included.
@@ -76,7 +76,7 @@ def follow(track: Track, g: Array, h: Array, memory: float = MEMORY) -> Track:
 
     Args:
         track: before it.
-        g: (n,) the window's pull about the anchor, weighed.
+        g: (n,) the window's pull about the reference, weighed.
         h: (n, n) its information, weighed.
         memory: windows after which information has faded to 1/e.
     """
@@ -123,15 +123,15 @@ class Remembered(NamedTuple):
     sd: float
 
 
-def remember(superset: Superset, memory: Memory) -> tuple[Remembered, ...]:
+def remember(augmented: AugmentedCar, memory: Memory) -> tuple[Remembered, ...]:
     """What of a memory still says more than the car file.
 
     Args:
-        superset: the car file's base.
+        augmented: the car file's base.
         memory: of an earlier drive of that car.
     """
-    names = [n for n in memory.values if n in superset.kernels.names and n not in MEASURED]
-    space = make_space(superset, names)
+    names = [n for n in memory.values if n in augmented.kernels.names and n not in MEASURED]
+    space = make_space(augmented, names)
     found = []
     for i, name in enumerate(space.chart.free[: space.nuisance]):
         value, sd = memory.values[name]
@@ -148,19 +148,19 @@ def _slope(space: Space, place: int) -> float:
     return abs(float(space.chart.slopes(space.centre)[row, place]))
 
 
-def with_memory(anchor: Anchor, track: Track, remembered: Sequence[Remembered]) -> Track:
+def with_memory(reference: Reference, track: Track, remembered: Sequence[Remembered]) -> Track:
     """What is known of the base with what an earlier drive taught.
 
     Args:
-        anchor: the car as the first windows show it.
+        reference: the car as the first windows show it.
         track: what they say about it.
         remembered: of the earlier drive.
 
     Returns:
         The track as it was where one of the numbers contradicts these windows: it was another car.
     """
-    space, by_name = anchor.space, {each.name: each for each in remembered}
-    names, at = anchor.superset.kernels.names, anchor.superset.base.copy()
+    space, by_name = reference.space, {each.name: each for each in remembered}
+    names, at = reference.augmented.kernels.names, reference.augmented.base.copy()
     own = [i for i, name in enumerate(space.chart.free[: space.nuisance]) if name in by_name]
     for i in own:
         at[names.index(space.chart.free[i])] = by_name[space.chart.free[i]].value

@@ -29,7 +29,7 @@ from steerd.controller.learnt import Learnt, learnt_of
 from steerd.sim_gap.online.learner import SETTLED, Change, Learner, State
 from steerd.sim_gap.online.naming import Known
 from steerd.sim_gap.verdict.evidence import Cause
-from steerd.sysid.inference.superset import Superset
+from steerd.sysid.inference.augmented_car import AugmentedCar
 
 INFORMED = 0.5
 """A number is identified by a drive that makes its standard deviation so many times smaller."""
@@ -58,7 +58,7 @@ class Value(NamedTuple):
 
 def values_of(known: Known) -> tuple[Value, ...]:
     """Every free number of the base."""
-    space, track = known.anchor.space, known.track
+    space, track = known.reference.space, known.track
     n = space.nuisance
     z = space.centre.copy()
     z[:n] += track.mean
@@ -135,8 +135,8 @@ def find_aim(learner: Learner, state: State) -> Learnt | str:
         return problem
     if state.change is not None and len(state.change.windows) < SETTLED:
         return "a change is being looked into"
-    file = _numbers(learner.superset, ())
-    now = _numbers(learner.superset, [each for each in named if not isinstance(each, str)])
+    file = _numbers(learner.augmented, ())
+    now = _numbers(learner.augmented, [each for each in named if not isinstance(each, str)])
     # A base that was learnt anew is held near the file's: a change that was named knows better.
     own = {
         name: value
@@ -173,7 +173,7 @@ def _by_itself(learner: Learner, state: State) -> dict[str, float]:
     """Numbers of the base that the drive identifies and that are not the file's."""
     if state.known is None:
         return {}
-    file, names = learner.superset.base, learner.superset.kernels.names
+    file, names = learner.augmented.base, learner.augmented.kernels.names
     return {
         v.name: v.value
         for v in values_of(state.known)
@@ -183,14 +183,14 @@ def _by_itself(learner: Learner, state: State) -> dict[str, float]:
     }
 
 
-def _numbers(superset: Superset, changes: Sequence[tuple[Cause, tuple[float, ...]]]) -> Learnt:
+def _numbers(augmented: AugmentedCar, changes: Sequence[tuple[Cause, tuple[float, ...]]]) -> Learnt:
     """The file's car with these changes (see `_named`), as the numbers of a controller."""
-    now = {e.name: superset.values(e.name) for e in superset.effects}
+    now = {e.name: augmented.values(e.name) for e in augmented.effects}
     for cause, was in changes:
         now[cause.effect] = tuple(_shifted(cause, was, now[cause.effect]))
-    own = Car(*(float(value) for value in superset.base[: len(Car._fields)]))
-    values = tuple(now[e.name] for e in superset.effects)
-    car = believed_car(Model(own, superset.effects, values, superset.kernels.chassis))
+    own = Car(*(float(value) for value in augmented.base[: len(Car._fields)]))
+    values = tuple(now[e.name] for e in augmented.effects)
+    car = believed_car(Model(own, augmented.effects, values, augmented.kernels.chassis))
     found = learnt_of(
         car._replace(c_sf=car.c_sf * car.mu / own.mu, c_sr=car.c_sr * car.mu / own.mu)
     )

@@ -118,15 +118,15 @@ def base_strain(best: Hypothesis) -> float:
 
 
 def _is_at_bound(library: Library, best: Hypothesis, name: str) -> bool:
-    values = best.point.parameters[library.likelihood.engine.superset.places(name)]
+    values = best.point.parameters[library.likelihood.predictor.augmented.places(name)]
     return library.effect(name).is_at_bound(values.tolist())
 
 
 def _cause(library: Library, found: Findings, name: str, kept: float) -> Cause:
     effect, best = library.effect(name), found.best
-    free, superset = best.point.space.chart.free, library.likelihood.engine.superset
+    free, augmented = best.point.space.chart.free, library.likelihood.predictor.augmented
     sd = np.sqrt(np.diag(best.posterior.covariance))
-    values = best.point.parameters[superset.places(name)]
+    values = best.point.parameters[augmented.places(name)]
     parameters = {
         p.name: Estimated(float(value), float(sd[free.index(f"{name}.{p.name}")]), p.unit)
         for p, value in zip(effect.parameters, values, strict=True)

@@ -12,10 +12,10 @@ from steerd.car_model.rollout import simulate, start
 from steerd.car_model.state import Command, State
 from steerd.sysid.data.dataset import GRID, Run, Signal
 from steerd.sysid.inference.disturbance_response import active_model
-from steerd.sysid.inference.engine import Engine, open_engine
 from steerd.sysid.inference.hypotheses import Library, carry
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import Noise
+from steerd.sysid.inference.predictor import Predictor, make_predictor
 from steerd.sysid.inference.residuals import settled
 from steerd.sysid.inference.search import Point, curvature, stand
 
@@ -88,11 +88,11 @@ MENU: Mapping[str, _Drive] = {
 the plans; a test holds both together."""
 
 
-def _drive(engine: Engine, fitted: Point, name: str) -> Run:
+def _drive(predictor: Predictor, fitted: Point, name: str) -> Run:
     """The manoeuvre as the explained car would drive it, without noise."""
     t: Array = np.arange(round(SECONDS / GRID), dtype=np.float64) * GRID
     steer, speed = MENU[name].drive(t)
-    model = active_model(engine.superset.kernels, fitted.parameters)
+    model = active_model(predictor.augmented.kernels, fitted.parameters)
     first = start(model, State(0.0, 0.0, 0.0, float(speed[0]), 0.0, 0.0, float(steer[0])), 0.0)
     held = [
         Command(float(a), float(b))
@@ -111,7 +111,7 @@ def margin(
     Half the square of the first's effect on the readings, less what the second can make of it (the
     largest canonical correlation of both, the base eliminated).
     """
-    superset = likelihood.engine.superset
+    augmented = likelihood.predictor.augmented
     names = [*point.space.effects, *(n for n in pair if n not in point.space.effects)]
     space = Library(likelihood, tuple(nuisance), (), known=False).space(names)
     at = stand(likelihood, space, carry(space, point), point.x, 0.0).at
@@ -119,7 +119,7 @@ def margin(
     s = h[n:, n:] - h[n:, :n] @ np.linalg.solve(h[:n, :n], h[:n, n:])
     free = space.chart.free[n:]
     mine, theirs = ([i for i, f in enumerate(free) if f.startswith(f"{p}.")] for p in pair)
-    size = carry(space, point)[n:][mine] - np.array(superset.values(pair[0]))
+    size = carry(space, point)[n:][mine] - np.array(augmented.values(pair[0]))
     cross = s[np.ix_(mine, theirs)]
     left = np.linalg.solve(s[np.ix_(mine, mine)], cross)
     right = np.linalg.solve(s[np.ix_(theirs, theirs)], cross.T)
@@ -135,7 +135,7 @@ def next_manoeuvre(
     pair: tuple[str, str],
 ) -> Manoeuvre | None:
     """The manoeuvre of the menu with the largest expected lead, None if all diverge."""
-    layout = likelihood.engine.layout
+    layout = likelihood.predictor.layout
     seconds = float((layout.spans[:, 3] * layout.h).sum())
     try:
         now = margin(likelihood, point, nuisance, pair) * SECONDS / max(seconds, 1e-9)
@@ -144,7 +144,7 @@ def next_manoeuvre(
     best: Manoeuvre | None = None
     for name, drive in MENU.items():
         try:
-            gained = margin(*_on(likelihood.engine, point, noise, name), nuisance, pair)
+            gained = margin(*_on(likelihood.predictor, point, noise, name), nuisance, pair)
         except (FloatingPointError, OverflowError, ValueError, np.linalg.LinAlgError):
             continue
         if best is None or gained > best.expected_nats:
@@ -152,9 +152,9 @@ def next_manoeuvre(
     return best
 
 
-def _on(engine: Engine, point: Point, noise: Noise, name: str) -> tuple[Likelihood, Point]:
+def _on(predictor: Predictor, point: Point, noise: Noise, name: str) -> tuple[Likelihood, Point]:
     """The windows and the hypothesis of a manoeuvre not driven yet."""
-    other = open_engine(engine.superset, [_drive(engine, point, name)])
+    other = make_predictor(predictor.augmented, [_drive(predictor, point, name)])
     guess = other.guess.copy()
     likelihood = make_likelihood(other, point.parameters, guess, noise)
     return likelihood, settled(likelihood, point.space, point.z)

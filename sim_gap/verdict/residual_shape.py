@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.sim_gap.verdict.where import conditions
-from steerd.sysid.inference.engine import Engine
 from steerd.sysid.inference.likelihood import Likelihood
+from steerd.sysid.inference.predictor import Predictor
 from steerd.sysid.inference.search import Point
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ def shape_of(likelihood: Likelihood, fitted: Point) -> Shape:
     each = fitted.at.ratio
     found = {
         name: _rank_correlation(values, each)
-        for name, values in conditions(likelihood.engine, fitted).items()
+        for name, values in conditions(likelihood.predictor, fitted).items()
     }
     strong = {k: v for k, v in sorted(found.items(), key=lambda i: -abs(i[1])) if abs(v) > 0.15}
     grows = found.get("speed", 0.0) > _CORRELATED
@@ -48,18 +48,18 @@ def shape_of(likelihood: Likelihood, fitted: Point) -> Shape:
 
 def _spectrum(likelihood: Likelihood, fitted: Point) -> tuple[float, float]:
     """Peak of the mean spectrum of whitened yaw errors [Hz], and its height over the mean."""
-    engine = likelihood.engine
+    predictor = likelihood.predictor
     white = fitted.linear.error * np.sqrt(likelihood.precision)
-    channel = engine.channel
+    channel = predictor.channel
     rows = [w[(c == 2) & (t > 0)] for w, c, t in zip(
-        white, channel, engine.padded.there, strict=True
+        white, channel, predictor.padded.there, strict=True
     )]  # fmt: skip
     length = int(np.median([len(r) for r in rows]))
     even = np.array([r[:length] for r in rows if len(r) >= length])
     if length < 8 or not len(even):
         return float("nan"), 1.0
     power = (np.abs(np.fft.rfft(even - even.mean(axis=1, keepdims=True), axis=1)) ** 2).mean(axis=0)
-    step = float(np.median(np.diff(engine.layout.row_t[engine.layout.channel == 2][:length])))
+    step = float(np.median(np.diff(predictor.layout.row_t[predictor.layout.channel == 2][:length])))
     at = int(np.argmax(power[1:])) + 1
     return float(at / (length * step)), float(power[at] / max(power[1:].mean(), 1e-12))
 
@@ -89,9 +89,11 @@ class Timeline:
     after: Array
 
 
-def timeline_of(engine: Engine, before: Point, after: Point, names: Sequence[str]) -> Timeline:
+def timeline_of(
+    predictor: Predictor, before: Point, after: Point, names: Sequence[str]
+) -> Timeline:
     """The time line of two fits; `names` are those of the runs."""
-    layout = engine.layout
+    layout = predictor.layout
     return Timeline(
         tuple(names[r] for r in layout.run),
         layout.t.copy(),

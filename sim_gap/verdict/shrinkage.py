@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.engine import Engine, open_engine
 from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.noise import Noise
+from steerd.sysid.inference.predictor import Predictor, make_predictor
 from steerd.sysid.inference.residuals import (
     Gap,
     blocks_of,
@@ -145,7 +145,7 @@ def _at_best(fitted: Point) -> Array:
 
 
 def measure(
-    engine: Engine,
+    predictor: Predictor,
     chosen: Point,
     noise: Noise,
     floor: float,
@@ -154,13 +154,13 @@ def measure(
     text: str,
 ) -> Shrinkage:
     """The same share on reserved drives; nothing is refitted but the windows' starts."""
-    base, guess = make_space(engine.superset, ()), engine.guess.copy()
-    likelihood = make_likelihood(engine, chosen.parameters, guess, noise)
+    base, guess = make_space(predictor.augmented, ()), predictor.guess.copy()
+    likelihood = make_likelihood(predictor, chosen.parameters, guess, noise)
     before = settled(likelihood, base, base.centre)
     after = settled(likelihood, chosen.space, chosen.z)
-    blocks = blocks_of(engine)
+    blocks = blocks_of(predictor)
     spun = spun_windows(after)
-    gaps = gap_of(engine, before, blocks, spun), gap_of(engine, after, blocks, spun)
+    gaps = gap_of(predictor, before, blocks, spun), gap_of(predictor, after, blocks, spun)
     found = _shares(before.at.ratio, after.at.ratio, _at_best(after), floor, blocks)
     share = found.share if found.identifiable else None
     return Shrinkage(predicted[0], share, predicted[1], predicted[2], digest, text, *gaps)
@@ -180,7 +180,7 @@ class Horizon:
 
 
 def cross_check(
-    engine: Engine,
+    predictor: Predictor,
     runs: Sequence[Run],
     before: Point,
     after: Point,
@@ -196,7 +196,7 @@ def cross_check(
         if seconds > 0.5 * min(run.driven for run in runs):
             continue
         try:
-            other = open_engine(engine.superset, runs, seconds)
+            other = make_predictor(predictor.augmented, runs, seconds)
             guess = other.guess.copy()
             likelihood = make_likelihood(other, after.parameters, guess, noise)
             fits = [settled(likelihood, f.space, f.z) for f in (before, after)]

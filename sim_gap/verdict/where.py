@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from steerd.sysid.inference.disturbance_response import INPUTS, responses
-from steerd.sysid.inference.engine import Engine
 from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.noise import Noise, covariance, shapes, slip_shape
+from steerd.sysid.inference.predictor import Predictor
 from steerd.sysid.inference.residuals import interval_of, robust_mean
 from steerd.sysid.inference.search import Point
 
@@ -102,16 +102,16 @@ class Where:
     sentence: str
 
 
-def equation_shares(engine: Engine, fitted: Point, noise: Noise) -> tuple[Share, ...]:
+def equation_shares(predictor: Predictor, fitted: Point, noise: Noise) -> tuple[Share, ...]:
     """Share of the removable error that hidden inputs to each equation would take away.
 
     Each of the five inputs gets a variance of its own by maximum likelihood (automatic relevance
     determination); inputs that explain nothing go to zero.
     """
-    seen = responses(engine, fitted.parameters, fitted.x)
-    shaped = shapes(engine, seen, range(len(INPUTS)))
-    error, by_starts = engine.about_guess(fitted.x, fitted.linear)
-    known = covariance(engine, noise, [*shaped[:3], slip_shape(engine, fitted.linear.error)])
+    seen = responses(predictor, fitted.parameters, fitted.x)
+    shaped = shapes(predictor, seen, range(len(INPUTS)))
+    error, by_starts = predictor.about_guess(fitted.x, fitted.linear)
+    known = covariance(predictor, noise, [*shaped[:3], slip_shape(predictor, fitted.linear.error)])
     known += by_starts
     some = np.unique(np.linspace(0, len(error) - 1, 50).round().astype(int))
     logs = np.log(_SIZES)
@@ -152,9 +152,9 @@ def _evidence(
 
 def channel_shares(likelihood: Likelihood, before: Point, after: Point) -> tuple[Share, ...]:
     """Share of each channel in what the explanation removes (or in the error where none does)."""
-    precision, engine = likelihood.precision, likelihood.engine
+    precision, predictor = likelihood.precision, likelihood.predictor
     white = [fitted.linear.error**2 * precision for fitted in (before, after)]
-    channel = engine.channel
+    channel = predictor.channel
     removed = white[0] - white[1] if before is not after else white[0]
     parts = np.array([removed[channel == c].clip(-1e4, 1e4).sum() for c in range(5)]).clip(0.0)
     whole = max(float(parts.sum()), 1e-12)
@@ -162,9 +162,9 @@ def channel_shares(likelihood: Likelihood, before: Point, after: Point) -> tuple
     return tuple(sorted(shares, key=lambda s: -s.share))
 
 
-def conditions(engine: Engine, fitted: Point) -> dict[str, Array]:
+def conditions(predictor: Predictor, fitted: Point) -> dict[str, Array]:
     """What the car was doing in each window (W,), by variable."""
-    layout = engine.layout
+    layout = predictor.layout
     x, spans = fitted.x, layout.spans
     rate, acc = np.empty(len(x)), np.empty(len(x))
     for w, (_, _, first, steps, _) in enumerate(spans):
@@ -172,17 +172,17 @@ def conditions(engine: Engine, fitted: Point) -> dict[str, Array]:
         rate[w] = np.abs(np.diff(part[:, 0])).sum() / (steps * layout.h)
         acc[w] = np.abs(part[-1, 1] - x[w, 3]) / (steps * layout.h)
     return {
-        "speed": engine.pace, "lateral_acceleration": engine.lateral, "steering_rate": rate,
+        "speed": predictor.pace, "lateral_acceleration": predictor.lateral, "steering_rate": rate,
         "longitudinal_acceleration": acc, "x": x[:, 0], "y": x[:, 1],
         "heading": (x[:, 2] + np.pi) % (2.0 * np.pi) - np.pi, "run_time": layout.t,
     }  # fmt: skip
 
 
-def regimes(engine: Engine, fitted: Point, blocks: NDArray[np.int64]) -> tuple[Regime, ...]:
+def regimes(predictor: Predictor, fitted: Point, blocks: NDArray[np.int64]) -> tuple[Regime, ...]:
     """Bins of every variable in which the error differs from elsewhere, strongest first."""
     each, found = fitted.at.ratio, []
     excess = np.maximum(np.minimum(each, 100.0) - 1.0, 0.0)
-    for name, values in conditions(engine, fitted).items():
+    for name, values in conditions(predictor, fitted).items():
         if np.subtract(*np.quantile(values, [0.95, 0.05])) < _VARIES[name]:
             continue
         edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
@@ -202,9 +202,9 @@ def regimes(engine: Engine, fitted: Point, blocks: NDArray[np.int64]) -> tuple[R
     return tuple(sorted(found, key=lambda r: -r.ratio_low))
 
 
-def stretches(engine: Engine, fitted: Point, names: Sequence[str]) -> tuple[Stretch, ...]:
+def stretches(predictor: Predictor, fitted: Point, names: Sequence[str]) -> tuple[Stretch, ...]:
     """Stretches in which the error stands out: windows above two medians, neighbours merged."""
-    layout, each = engine.layout, np.minimum(fitted.at.ratio, 1e3)
+    layout, each = predictor.layout, np.minimum(fitted.at.ratio, 1e3)
     excess = np.maximum(each - 1.0, 0.0)
     bad = each > max(2.0 * float(np.median(each)), 1.5)
     found: list[Stretch] = []
@@ -295,14 +295,14 @@ def locate(
     names: Sequence[str],
 ) -> Where:
     """All of it: `before` is the base, `after` the explanation (or the base again)."""
-    engine = likelihood.engine
-    equation = equation_shares(engine, before, noise)
-    found = regimes(engine, before, blocks)
-    layout = engine.layout
+    predictor = likelihood.predictor
+    equation = equation_shares(predictor, before, noise)
+    found = regimes(predictor, before, blocks)
+    layout = predictor.layout
     moments = moments_words(
         before.at.ratio, [names[run] for run in layout.run], layout.t, before.x[:, :2]
     )
     return Where(
         STAGE_OF[equation[0].name], equation, channel_shares(likelihood, before, after),
-        stretches(engine, before, names), found[:6], sentence_of(equation, found, moments),
+        stretches(predictor, before, names), found[:6], sentence_of(equation, found, moments),
     )  # fmt: skip

@@ -93,7 +93,7 @@ class Run:
         h: step of the command grid [s].
         commands: (N, 2) steer [rad] and speed [m/s], means over the grid's steps.
         speed_source: `command`; or `wheel` or `pose` where there is no speed command and the
-            measured speed is prescribed instead (see `superset.prescribe_speed`).
+            measured speed is prescribed instead (see `augmented_car.prescribe_speed`).
         pose: times and (M, 3) x [m], y [m], yaw [rad, unwrapped]; gaps are allowed.
         wheel: speed as reported with the nominal gain [m/s]; may be empty.
         yaw_rate: gyro [rad/s]; may be empty.

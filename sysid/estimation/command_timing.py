@@ -221,13 +221,13 @@ def _losses(run: Run, courses: Sequence[Run], rough: PlainCar, asked: Asked) -> 
     """
     parts = moving_segments([run])
     likelihood, _ = open_plain(parts, asked, rough, WINDOW, SECONDS)
-    engine, found = likelihood.engine, []
-    space = make_space(engine.superset, asked.free)
+    predictor, found = likelihood.predictor, []
+    space = make_space(predictor.augmented, asked.free)
     first = [round((part.start - run.start) / run.h) for part in parts]
     for course in courses:
         cuts = [course.commands[a : a + len(p.commands)] for a, p in zip(first, parts, strict=True)]
-        layout = replace(engine.layout, commands=np.concatenate(cuts))
-        their = replace(likelihood, engine=replace(engine, layout=layout))
+        layout = replace(predictor.layout, commands=np.concatenate(cuts))
+        their = replace(likelihood, predictor=replace(predictor, layout=layout))
         found.append(_least_cost(their, space, space.chart.coordinates(rough.point.parameters)))
     return np.array(found)
 
@@ -235,7 +235,7 @@ def _losses(run: Run, courses: Sequence[Run], rough: PlainCar, asked: Asked) -> 
 def _least_cost(likelihood: Likelihood, space: Space, z: Array) -> float:
     """Cost at the minimum, under the discrepancy that is needed there."""
     try:
-        begun = open_point(likelihood, space, z, likelihood.engine.guess)
+        begun = open_point(likelihood, space, z, likelihood.predictor.guess)
         found = minimise(likelihood, begun, steps=STEPS)
     except (FloatingPointError, np.linalg.LinAlgError):
         return np.inf

@@ -19,8 +19,8 @@ from steerd.sysid.estimation.outcome import (
     Fit,
     HeldOut,
     Outcome,
+    fit_of_car,
     fit_of_plain,
-    fit_of_taught,
     make_effect_rows,
     make_rows,
     searched_estimates,
@@ -45,6 +45,7 @@ from steerd.sysid.estimation.validation import (
     errors_at,
     trace_windows,
 )
+from steerd.sysid.inference.car_fit import Fixed, choose_start, fit_car_and_effects
 from steerd.sysid.inference.identifiability import Estimate
 from steerd.sysid.inference.plain_car import (
     POOR,
@@ -55,7 +56,6 @@ from steerd.sysid.inference.plain_car import (
     search_blocks,
     search_rough,
 )
-from steerd.sysid.inference.teaching import Stated, choose_start, teach_with_limits
 from steerd.sysid.paper.search_history import SearchHistory
 from steerd.sysid.parallel import map_jobs
 
@@ -119,9 +119,9 @@ class Task:
         return Asked(self.model, free, self.wheelbase)
 
     @property
-    def stated(self) -> Stated:
+    def fixed(self) -> Fixed:
         """What whoever asks vouches for."""
-        return Stated(self.wheelbase is not None, self.held)
+        return Fixed(self.wheelbase is not None, self.held)
 
 
 def learn(task: Task, clock: Callable[[], float]) -> Outcome:
@@ -236,12 +236,12 @@ def _starts(task: Task) -> list[Model[float]]:
         return scatter(task.model, task.question.free, task.starts, task.seed)
     return [
         widen_end_stops(model, task.runs, task.question.free)
-        for model in possible_starts(task.model, task.runs, task.stated)
+        for model in possible_starts(task.model, task.runs, task.fixed)
     ]
 
 
 def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit:
-    """The plain car where it leaves no more than noise, else what windows of one second teach.
+    """The plain car where it leaves no more than noise, else what windows of one second show.
 
     Raises:
         FloatingPointError: no start gives a finite simulation.
@@ -252,9 +252,9 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit:
         return plain
     try:
         starts = _starts(task)
-        start = starts[0] if len(starts) == 1 else choose_start(starts, drives.fitted, task.stated)
-        taught = teach_with_limits(start, drives.fitted, task.stated)
-        return fit_of_taught(taught, start, drives.fitted, _doubts(drives.pulses))
+        start = starts[0] if len(starts) == 1 else choose_start(starts, drives.fitted, task.fixed)
+        fitted = fit_car_and_effects(start, drives.fitted, task.fixed)
+        return fit_of_car(fitted, start, drives.fitted, _doubts(drives.pulses))
     except (FloatingPointError, ValueError):
         if plain is None:
             raise

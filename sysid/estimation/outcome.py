@@ -22,8 +22,8 @@ from steerd.sysid.data.excitation import Excitation
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.estimation.command_timing import Pulse, Ramp
 from steerd.sysid.estimation.validation import Prediction, Regime, Trace
-from steerd.sysid.inference.car_posterior import describe_lost, knowledge_of, taught_car
-from steerd.sysid.inference.engine import HORIZON, Engine
+from steerd.sysid.inference.car_fit import FittedCar, Step
+from steerd.sysid.inference.car_posterior import base_prior_of, describe_lost, taught_car
 from steerd.sysid.inference.identifiability import (
     MANOEUVRES,
     RELATIVE_MAX,
@@ -36,8 +36,8 @@ from steerd.sysid.inference.identifiability import (
 )
 from steerd.sysid.inference.noise import signal_noise
 from steerd.sysid.inference.plain_car import Asked, PlainCar, covariance_of, misfit_of, silent_names
+from steerd.sysid.inference.predictor import HORIZON, Predictor
 from steerd.sysid.inference.search import with_size
-from steerd.sysid.inference.teaching import Step, Taught
 from steerd.sysid.paper.search_history import NAMES, SearchHistory
 
 Array = NDArray[np.float64]
@@ -115,7 +115,7 @@ def fit_of_plain(
     pace *= float(found.point.parameters[chart.names.index("speed_gain")])
     known = estimates(chart, z, covariance)
     error = found.point.linear.error
-    horizon = float(found.engine.layout.spans[:, 3].mean() * runs[0].h)
+    horizon = float(found.predictor.layout.spans[:, 3].mean() * runs[0].h)
     return Fit(
         model=_moved(asked.model, known),
         estimates=known | silent_estimates(chart, silent_names(runs, asked.free)),
@@ -123,46 +123,46 @@ def fit_of_plain(
         correlation=_correlation(covariance),
         converged=found.point.whole,
         misfit=found.misfit,
-        residuals=_residuals(found.engine, error, np.array(found.noise.instruments)),
+        residuals=_residuals(found.predictor, error, np.array(found.noise.instruments)),
         horizon=horizon,
         combinations=combinations(chart, z, covariance, pace),
     )
 
 
-def fit_of_taught(
-    taught: Taught, base: Model[float], runs: Sequence[Run], doubts: Sequence[tuple[str, float]]
+def fit_of_car(
+    fitted: FittedCar, base: Model[float], runs: Sequence[Run], doubts: Sequence[tuple[str, float]]
 ) -> Fit:
-    """What a car says that windows of one second taught, disturbances known.
+    """What a car says that windows of one second show, disturbances known.
 
     Args:
-        taught: the car.
-        base: what it was taught from.
+        fitted: the car.
+        base: what the fit began at.
         runs: its drives.
         doubts: see `plain_car.covariance_of`.
     """
     file = CarFile(
-        Path("taught.toml"), "taught", base.car, base.effects, base.values, chassis=base.chassis
+        Path("fitted.toml"), "fitted", base.car, base.effects, base.values, chassis=base.chassis
     )
-    found = taught_car(file, taught)
+    found = taught_car(file, fitted)
     kept = {effect.name for effect in found.effects}
     own = {f"{e.name}.{p.name}" for e in found.effects for p in e.parameters}
     sds = {name: sd for name, sd in found.sd.items() if "." not in name or name in own}
     sds |= {name: float(np.hypot(sds[name], sd)) for name, sd in doubts if name in sds}
     signal = signal_noise(estimate_noise(runs))
-    at = with_size(taught.likelihood, taught.point, 0.0)
-    engine, error = taught.likelihood.engine, at.linear.error
+    at = with_size(fitted.likelihood, fitted.point, 0.0)
+    predictor, error = fitted.likelihood.predictor, at.linear.error
     return Fit(
         model=found.model,
         estimates=taught_estimates(found.effects, parameter_vector(found.model), sds),
-        labels=taught.point.space.chart.labels,
-        correlation=_correlation(knowledge_of(taught).covariance),
-        converged=taught.point.whole,
-        misfit=misfit_of(engine, error, signal),
-        residuals=_residuals(engine, error, np.array(signal.instruments)),
+        labels=fitted.point.space.chart.labels,
+        correlation=_correlation(base_prior_of(fitted).covariance),
+        converged=fitted.point.whole,
+        misfit=misfit_of(predictor, error, signal),
+        residuals=_residuals(predictor, error, np.array(signal.instruments)),
         horizon=HORIZON,
-        selected=tuple(step for step in taught.selected if step.effect in kept),
+        selected=tuple(step for step in fitted.selected if step.effect in kept),
         sections=found.sections,
-        notes=describe_lost(taught, runs),
+        notes=describe_lost(fitted, runs),
     )
 
 
@@ -184,13 +184,15 @@ def _correlation(covariance: Array) -> Array:
     return np.asarray(covariance / np.outer(sd, sd))
 
 
-def _residuals(engine: Engine, error: Array, signal: Array) -> Residuals:
+def _residuals(predictor: Predictor, error: Array, signal: Array) -> Residuals:
     """Errors (W, D) as rows, those of means as large as single readings' would be."""
-    layout, there = engine.layout, engine.padded.there > 0.0
-    row = engine.padded.row[there]
+    layout, there = predictor.layout, predictor.padded.there > 0.0
+    row = predictor.padded.row[there]
     window = np.repeat(np.arange(len(there)), there.sum(axis=1))
     t = layout.t[window] + layout.row_t[row]
-    return Residuals(t, layout.group[row], (error * np.sqrt(engine.padded.merged))[there], signal)
+    return Residuals(
+        t, layout.group[row], (error * np.sqrt(predictor.padded.merged))[there], signal
+    )
 
 
 class Row(NamedTuple):

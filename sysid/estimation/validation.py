@@ -22,8 +22,8 @@ from steerd.car_model.native.windows import (
 )
 from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.windows import Layout, estimate_noise, make_layout
-from steerd.sysid.inference.engine import STATE_SPREAD, stable_substeps
-from steerd.sysid.inference.superset import prescribe_speed
+from steerd.sysid.inference.augmented_car import prescribe_speed
+from steerd.sysid.inference.predictor import STATE_SPREAD, stable_substeps
 
 Array = NDArray[np.float64]
 

@@ -23,18 +23,18 @@ from scipy.special import chdtrc
 from steerd.car_model.car_file import CarFile
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.augmented_car import BasePrior, inflate_each, prior_section
+from steerd.sysid.inference.car_fit import (
+    NOTHING_FIXED,
+    FittedCar,
+    Fixed,
+    excess_of,
+    fit_car_and_effects,
+    ratios,
+)
 from steerd.sysid.inference.noise import noise_section
 from steerd.sysid.inference.posterior import posterior_of
 from steerd.sysid.inference.residuals import blocks_of, robust_mean
-from steerd.sysid.inference.superset import Knowledge, inflate_each, knowledge_section
-from steerd.sysid.inference.teaching import (
-    NOTHING,
-    Stated,
-    Taught,
-    excess_of,
-    ratios,
-    teach_with_limits,
-)
 
 Array = NDArray[np.float64]
 
@@ -57,18 +57,18 @@ MOVED, FORWARD = "marker_offset", "marker_offset.forward"
 _NAMED = 3
 
 
-def describe_lost(taught: Taught, runs: Sequence[Run]) -> tuple[str, ...]:
+def describe_lost(fitted: FittedCar, runs: Sequence[Run]) -> tuple[str, ...]:
     """Where the car does not hold, and how it was driven there, in a sentence; often none."""
-    engine, layout = taught.likelihood.engine, taught.likelihood.engine.layout
-    lost = ratios(taught) >= c.SPUN
+    predictor, layout = fitted.likelihood.predictor, fitted.likelihood.predictor.layout
+    lost = ratios(fitted) >= c.SPUN
     if not lost.any():
         return ()
-    speed, slip = np.abs(taught.point.x[:, 3]), np.abs(taught.point.x[:, 5])
+    speed, slip = np.abs(fitted.point.x[:, 3]), np.abs(fitted.point.x[:, 5])
     why = [
         f"{text} in {int((lost & where).sum())}"
         for where, text in (
             (slip > SLIDING, f"sliding by more than {SLIDING:g} rad"),
-            (engine.lateral > HARD, f"more than {HARD:g} m/s2 sideways"),
+            (predictor.lateral > HARD, f"more than {HARD:g} m/s2 sideways"),
             (speed < SLOW, f"below {SLOW:g} m/s"),
         )
         if (lost & where).any()
@@ -79,19 +79,19 @@ def describe_lost(taught: Taught, runs: Sequence[Run]) -> tuple[str, ...]:
     return (f"the model does not hold {lost.sum()} of {len(lost)} windows of 1 s ({named}){how}",)
 
 
-def refine(base: CarFile, runs: Sequence[Run], stated: Stated = NOTHING) -> CarFile:
+def refine(base: CarFile, runs: Sequence[Run], fixed: Fixed = NOTHING_FIXED) -> CarFile:
     """The base car as drives without a gap show it: values, errors, `[noise]` and `[knowledge]`.
 
     Args:
         base: as identified; only its values are a start.
         runs: drives without a gap.
-        stated: what keeps the base's value.
+        fixed: what keeps the base's value.
 
     Raises:
         FloatingPointError: the base car's simulation diverges.
         ValueError: no window sees enough poses.
     """
-    return taught_car(base, teach_with_limits(base, runs, stated))
+    return taught_car(base, fit_car_and_effects(base, runs, fixed))
 
 
 def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
@@ -101,27 +101,24 @@ def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, An
         FloatingPointError: the base car's simulation diverges.
         ValueError: no window sees enough poses.
     """
-    taught = teach_with_limits(base, runs)
-    return {
-        "noise": noise_section(taught.noise),
-        "knowledge": knowledge_section(knowledge_of(taught)),
-    }
+    fitted = fit_car_and_effects(base, runs)
+    return {"noise": noise_section(fitted.noise), "knowledge": prior_section(base_prior_of(fitted))}
 
 
-def taught_car(base: CarFile, taught: Taught) -> CarFile:
-    """The car file that says what was taught; effects that may as well be absent are left out."""
-    known = knowledge_of(taught)
-    chart, covariance = taught.point.space.chart, _doubtful(taught, known.covariance)
-    z, kept = _without_small(taught, covariance)
+def taught_car(base: CarFile, fitted: FittedCar) -> CarFile:
+    """The car file that says what was fitted; effects that may as well be absent are left out."""
+    known = base_prior_of(fitted)
+    chart, covariance = fitted.point.space.chart, _doubtful(fitted, known.covariance)
+    z, kept = _without_small(fitted, covariance)
     p, slopes = chart.parameters(z), chart.slopes(z)
-    covariance = covariance if MOVED in kept else _as_mounted(taught, covariance)
+    covariance = covariance if MOVED in kept else _as_mounted(fitted, covariance)
     spread = np.sqrt(np.einsum("pi,ij,pj->p", slopes, covariance, slopes))
-    free = {name: chart.names.index(name) for name in taught.nuisance}
+    free = {name: chart.names.index(name) for name in fitted.nuisance}
     car = {name: float(p[i]) for name, i in free.items() if "." not in name}
     own = dict(zip((e.name for e in base.effects), base.values, strict=True))
-    own = {name: values for name, values in own.items() if name not in _structures(taught)}
-    own |= {name: tuple(p[taught.superset.places(name)].tolist()) for name in kept}
-    chosen = [e for e in taught.superset.effects if e.name in own]
+    own = {name: values for name, values in own.items() if name not in _structures(fitted)}
+    own |= {name: tuple(p[fitted.augmented.places(name)].tolist()) for name in kept}
+    chosen = [e for e in fitted.augmented.effects if e.name in own]
     sd = {name: float(spread[i]) * MODEL_ERROR.get(name, 1.0) for name, i in free.items()}
     moved = replace(
         base,
@@ -130,54 +127,54 @@ def taught_car(base: CarFile, taught: Taught) -> CarFile:
         values=tuple(own[e.name] for e in chosen),
         sd={**base.sd, **{n: v for n, v in sd.items() if "." not in n or n.split(".")[0] in own}},
     )
-    tables = {"noise": noise_section(taught.noise), "knowledge": knowledge_section(known)}
+    tables = {"noise": noise_section(fitted.noise), "knowledge": prior_section(known)}
     return replace(moved, sections={**moved.sections, **tables})
 
 
-def _doubtful(taught: Taught, covariance: Array) -> Array:
+def _doubtful(fitted: FittedCar, covariance: Array) -> Array:
     """The covariance with the doubt about the place of the centre of gravity, the body's kept."""
-    names, p = list(taught.point.space.chart.free), taught.point.parameters
+    names, p = list(fitted.point.space.chart.free), fitted.point.parameters
     if not {"lf", "lr", FORWARD} <= set(names):
         return covariance
-    axle = taught.superset.kernels.names.index
+    axle = fitted.augmented.kernels.names.index
     wheelbase = float(p[axle("lf")] + p[axle("lr")])
     along = np.zeros(len(names))
     along[names.index("lr")], along[names.index(FORWARD)] = -wheelbase, wheelbase
     return covariance + c.COG_PLACE**2 * np.outer(along, along)
 
 
-def _as_mounted(taught: Taught, covariance: Array) -> Array:
+def _as_mounted(fitted: FittedCar, covariance: Array) -> Array:
     """The covariance where the mocap body is taken to be where it was mounted, within the prior.
 
     That the drives would have it elsewhere is either the model's error or the mounting's: what it
     makes of the other parameters counts as their error.
     """
-    space = taught.point.space
+    space = fitted.point.space
     if FORWARD not in space.chart.free:
         return covariance
     place = space.chart.free.index(FORWARD)
     own, mounted = covariance[place], space.covariance[place, place] / c.WEAK**2
-    left_out = own / own[place] * (taught.point.z[place] - space.centre[place])
+    left_out = own / own[place] * (fitted.point.z[place] - space.centre[place])
     known = np.outer(own, own) / (own[place] + mounted)
     moved: Array = covariance - known + np.outer(left_out, left_out)
     return moved
 
 
-def _structures(taught: Taught) -> list[str]:
+def _structures(fitted: FittedCar) -> list[str]:
     """Names of the effects that were free, each once."""
-    return list(dict.fromkeys(n.partition(".")[0] for n in taught.nuisance if "." in n))
+    return list(dict.fromkeys(n.partition(".")[0] for n in fitted.nuisance if "." in n))
 
 
-def _without_small(taught: Taught, covariance: Array) -> tuple[Array, list[str]]:
+def _without_small(fitted: FittedCar, covariance: Array) -> tuple[Array, list[str]]:
     """Coordinates with every effect at its null that is not clearly elsewhere, and those kept.
 
     The likeliest by chance goes first; what moves with it moves to where it lies given that null.
     """
-    space, superset = taught.point.space, taught.superset
-    labels, z = list(space.chart.free), taught.point.z.copy()
-    nulls = {e.name: e.nulls for e in superset.effects}
+    space, augmented = fitted.point.space, fitted.augmented
+    labels, z = list(space.chart.free), fitted.point.z.copy()
+    nulls = {e.name: e.nulls for e in augmented.effects}
     names = {name: [i for i, n in enumerate(labels) if n.startswith(f"{name}.")]
-             for name in _structures(taught)}  # fmt: skip
+             for name in _structures(fitted)}  # fmt: skip
     gone: list[int] = []
     while names:
         chances = {}
@@ -191,8 +188,8 @@ def _without_small(taught: Taught, covariance: Array) -> tuple[Array, list[str]]
         gone += names.pop(least)
         held = np.array([nulls[labels[i].partition(".")[0]][_place(labels, i)] for i in gone])
         rest = [i for i in range(len(z)) if i not in gone]
-        pull = np.linalg.solve(covariance[np.ix_(gone, gone)], held - taught.point.z[gone])
-        z[rest] = taught.point.z[rest] + covariance[np.ix_(rest, gone)] @ pull
+        pull = np.linalg.solve(covariance[np.ix_(gone, gone)], held - fitted.point.z[gone])
+        z[rest] = fitted.point.z[rest] + covariance[np.ix_(rest, gone)] @ pull
         z[gone] = held
     return np.clip(z, space.low, space.high), list(names)
 
@@ -203,20 +200,20 @@ def _place(labels: Sequence[str], i: int) -> int:
     return sum(name.startswith(f"{effect}.") for name in labels[:i])
 
 
-def knowledge_of(taught: Taught) -> Knowledge:
+def base_prior_of(fitted: FittedCar) -> BasePrior:
     """Joint covariance and discrepancy of a car.
 
     Scores that vary more from block to block than noise makes them widen the errors (White, 1982):
     that is how a model that is wrong a little everywhere shows. The covariance is positive
     definite: a direction that the drives do not show keeps its prior's width.
     """
-    likelihood, point = taught.likelihood, taught.point
-    blocks, at = blocks_of(likelihood.engine), point.at
+    likelihood, point = fitted.likelihood, fitted.point
+    blocks, at = blocks_of(likelihood.predictor), point.at
     pulls = at.weight[:, None] * at.g
     sums = np.zeros((int(blocks.max()) + 1, pulls.shape[1]))
     np.add.at(sums, blocks, pulls)
     covariance = inflate_each(posterior_of(point, 1.0).covariance, sums)
-    excess = excess_of(taught, robust_mean(ratios(taught)))
-    p, names = point.parameters, taught.superset.kernels.names
-    values = tuple(float(p[names.index(name)]) for name in taught.nuisance)
-    return Knowledge(taught.nuisance, covariance, excess, values)
+    excess = excess_of(fitted, robust_mean(ratios(fitted)))
+    p, names = point.parameters, fitted.augmented.kernels.names
+    values = tuple(float(p[names.index(name)]) for name in fitted.nuisance)
+    return BasePrior(fitted.nuisance, covariance, excess, values)

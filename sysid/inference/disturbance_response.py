@@ -27,7 +27,7 @@ from steerd.car_model.native.windows import (
 )
 from steerd.car_model.numpy_ops import NUMPY
 from steerd.car_model.state import State
-from steerd.sysid.inference.engine import Engine
+from steerd.sysid.inference.predictor import Predictor
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ def active_model(kernels: Kernels, parameters: Array) -> Model[float]:
 class _Nominal:
     """The trajectory that is pushed: states (W, moments, 7 + memory) at every integration step."""
 
-    engine: Engine
+    predictor: Predictor
     parameters: Array
     first: Array
     path: Array
@@ -70,14 +70,14 @@ class _Nominal:
         self, first: Array, held: HeldCommands, runs: NDArray[np.int64], t: Array, steps: int
     ) -> Array:
         """States (windows, moments, 7 + memory) at every step from the first ones."""
-        blocks, kernels = make_window_blocks(runs, t), self.engine.superset.kernels
+        blocks, kernels = make_window_blocks(runs, t), self.predictor.augmented.kernels
         path = march(kernels, self.parameters, first, held, blocks, steps)
         return np.ascontiguousarray(view_by_window(path, len(first)))
 
     def shown(self, path: Array) -> Array:
         """(W, D) what the instruments read along a path."""
-        engine = self.engine
-        layout, fine, kernels = engine.layout, engine.held.fine, engine.superset.kernels
+        predictor = self.predictor
+        layout, fine, kernels = predictor.layout, predictor.held.fine, predictor.augmented.kernels
         seen, late = layout.seen, float(delays_of(kernels, self.parameters)[2])
         at = (seen.t - np.where(seen.kind == 0, late, 0.0)) / fine
         last = layout.spans[seen.window, 3] * round(layout.h / fine) - 1
@@ -91,30 +91,32 @@ class _Nominal:
             mine = seen.kind == max(channel - 2, 0)
             rows = seen.row[mine] + min(channel, 2) * (channel < 3)
             out[rows] = np.broadcast_to(values, at.shape)[mine]
-        return engine.pad(out)
+        return predictor.pad(out)
 
 
-def _nominal(engine: Engine, parameters: Array, x: Array) -> _Nominal:
+def _nominal(predictor: Predictor, parameters: Array, x: Array) -> _Nominal:
     """From starts `x` (W, 7), the steering settled over known commands."""
-    layout, kernels = engine.layout, engine.superset.kernels
+    layout, kernels = predictor.layout, predictor.augmented.kernels
     first = np.zeros((len(x), STATES + kernels.memory))
     first[:, :STATES] = x
-    windows = layout.kernel_windows(engine.substeps)
-    first = settle(kernels, parameters, first, engine.held, windows)
-    at, steps = _Nominal(engine, parameters, first, first), int(layout.spans[:, 3].max())
-    path = at.march(first, engine.held, layout.spans[:, :3], layout.t, steps * engine.substeps)
+    windows = layout.kernel_windows(predictor.substeps)
+    first = settle(kernels, parameters, first, predictor.held, windows)
+    at, steps = _Nominal(predictor, parameters, first, first), int(layout.spans[:, 3].max())
+    path = at.march(
+        first, predictor.held, layout.spans[:, :3], layout.t, steps * predictor.substeps
+    )
     return replace(at, path=path)
 
 
 def responses(
-    engine: Engine, parameters: Array, x: Array, inputs: Sequence[int] = range(len(INPUTS))
+    predictor: Predictor, parameters: Array, x: Array, inputs: Sequence[int] = range(len(INPUTS))
 ) -> Array:
     """(inputs, W, D, pieces) finite differences about the trajectory from the starts `x` (W, 7).
 
     Zero in a window whose simulation leaves the map: it is lost, whatever pushes it.
     """
-    at = _nominal(engine, parameters, x)
-    pieces = max(1, round(at.steps * engine.held.fine / PIECE))
+    at = _nominal(predictor, parameters, x)
+    pieces = max(1, round(at.steps * predictor.held.fine / PIECE))
     base = at.shown(at.path)
     out = np.empty((len(inputs), *base.shape, pieces))
     for piece in range(pieces):
@@ -130,8 +132,8 @@ def responses(
 
 def _impulses(at: _Nominal, kinds: Sequence[int], low: int, high: int) -> dict[int, Array]:
     """Paths with an impulse of each kind in the middle of a piece."""
-    engine, middle = at.engine, (low + high) // 2
-    layout, count, fine = engine.layout, at.count, engine.held.fine
+    predictor, middle = at.predictor, (low + high) // 2
+    layout, count, fine = predictor.layout, at.count, predictor.held.fine
     time = (high - low) * fine
     first = np.tile(at.path[:, middle], (len(kinds), 1))
     fast = np.maximum(at.path[:, middle, 3], SPEED_KINEMATIC)
@@ -140,9 +142,9 @@ def _impulses(at: _Nominal, kinds: Sequence[int], low: int, high: int) -> dict[i
         column, scale = ((3, 1.0), (5, 1.0 / fast), (4, 1.0))[kind]
         first[mine, column] += _SIZES[kind] * time * scale
     runs = np.tile(layout.spans[:, :3], (len(kinds), 1))
-    runs[:, 2] += middle // engine.substeps
+    runs[:, 2] += middle // predictor.substeps
     t = np.tile(layout.t, len(kinds)) + middle * fine
-    moved = at.march(first, engine.held, runs, t, at.steps - middle)
+    moved = at.march(first, predictor.held, runs, t, at.steps - middle)
     out = {}
     for lane, kind in enumerate(kinds):
         path = at.path.copy()
@@ -154,9 +156,9 @@ def _impulses(at: _Nominal, kinds: Sequence[int], low: int, high: int) -> dict[i
 
 def _aimed(at: _Nominal, kind: int, low: int, high: int) -> Array:
     """The path with one command off while it arrives within a piece."""
-    engine, channel = at.engine, kind - _IMPULSES
-    layout, sub = engine.layout, engine.substeps
-    late = round(float(delays_of(engine.superset.kernels, at.parameters)[channel]) / layout.h)
+    predictor, channel = at.predictor, kind - _IMPULSES
+    layout, sub = predictor.layout, predictor.substeps
+    late = round(float(delays_of(predictor.augmented.kernels, at.parameters)[channel]) / layout.h)
     rows = layout.spans[:, 2, None] + np.arange(-late - 1, at.steps // sub + 1)[None, :]
     rows = np.clip(rows, layout.spans[:, 0, None], layout.spans[:, 1, None] - 1)
     commands = layout.commands[rows]
@@ -164,5 +166,5 @@ def _aimed(at: _Nominal, kind: int, low: int, high: int) -> Array:
     width = commands.shape[1]
     start = np.arange(at.count) * width
     runs = np.column_stack([start, start + width, start + late + 1])
-    held = engine.held._replace(rows=commands.reshape(-1, 2))
+    held = predictor.held._replace(rows=commands.reshape(-1, 2))
     return at.march(at.first, held, runs, layout.t, at.steps)

@@ -41,10 +41,10 @@ Array = NDArray[np.float64]
 
 _LADDER = (-1.5, -0.5, 0.5, 1.5)
 """Values that are tried, in prior scales of the parameter off what the base has."""
-_LOOKS = (1.0, 0.3, 0.1)
-"""Shares of the starting size at which a look compares hypotheses."""
-_ROOM = 0.4
-"""A look that promises less than this share of what a name needs is not followed."""
+_SCREEN_SIZES = (1.0, 0.3, 0.1)
+"""Shares of the starting size at which effects are screened."""
+_SCREEN_SHARE = 0.4
+"""An effect whose expected gain is less than this share of what a name needs is not fitted."""
 _WORSE = 0.5
 """Nats by which a hypothesis counts as worse than another."""
 
@@ -68,10 +68,10 @@ class Library:
 
     def space(self, names: Sequence[str]) -> Space:
         """Coordinates of a hypothesis: the base's, then its effects'."""
-        superset = self.likelihood.engine.superset
-        gone = {same for e in superset.effects if e.name in names for same in e.same_as}
+        augmented = self.likelihood.predictor.augmented
+        gone = {same for e in augmented.effects if e.name in names for same in e.same_as}
         kept = [name for name in self.nuisance if name not in gone]
-        return make_space(superset, kept, names).heavier(self.worth)
+        return make_space(augmented, kept, names).heavier(self.worth)
 
     @cached_property
     def worth(self) -> float:
@@ -80,7 +80,7 @@ class Library:
 
     def effect(self, name: str) -> Effect:
         """An effect by name."""
-        return next(e for e in self.likelihood.engine.superset.effects if e.name == name)
+        return next(e for e in self.likelihood.predictor.augmented.effects if e.name == name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,17 +186,19 @@ class _Search:
             further: whether that is a further cause, against which odds are longer.
         """
         self.keep(_try(self.likelihood, start))
-        looks, level = look_at_all(self.library, start)
-        self.untested |= {look.effect for look in looks if not np.isfinite(look.cost)}
+        candidates, level = screen_effects(self.library, start)
+        self.untested |= {
+            candidate.effect for candidate in candidates if not np.isfinite(candidate.cost)
+        }
         needed = self.surprise + (np.log(c.FURTHER_ODDS) if further else 0.0)
-        least = _ROOM * needed * design_effect(self.likelihood, 0.3 * start.size)
-        chosen = [look for look in looks if level - look.cost > least][:most]
-        beat = min((point.cost for point in self.pool.values()), default=np.inf)
-        for look in chosen:
-            begun = _with_effect(self.library, start, look)
-            point = None if begun is None else _try(self.likelihood, begun, beat)
+        least = _SCREEN_SHARE * needed * design_effect(self.likelihood, 0.3 * start.size)
+        chosen = [candidate for candidate in candidates if level - candidate.cost > least][:most]
+        incumbent = min((point.cost for point in self.pool.values()), default=np.inf)
+        for candidate in chosen:
+            begun = _with_effect(self.library, start, candidate)
+            point = None if begun is None else _try(self.likelihood, begun, incumbent)
             self.keep(point)
-            beat = min(beat, np.inf if point is None else point.cost)
+            incumbent = min(incumbent, np.inf if point is None else point.cost)
         self.exchange()
         self.explore()
 
@@ -271,7 +273,7 @@ def explain(
         FloatingPointError: the base car's simulation diverges.
     """
     search = _Search(library)
-    start = begin(library, (), (), library.likelihood.engine.guess.copy())
+    start = begin(library, (), (), library.likelihood.predictor.guess.copy())
     search.grow(start, c.FITTED, further=False)
     best = search.hypotheses()[0]
     while 0 < len(best.effects) < most:
@@ -343,17 +345,17 @@ def _stand(likelihood: Likelihood, space: Space, z: Array, x: Array, size: float
         return None
 
 
-def _try(likelihood: Likelihood, start: Point, beat: float = np.inf) -> Point | None:
+def _try(likelihood: Likelihood, start: Point, incumbent: float = np.inf) -> Point | None:
     """The optimum from a start; None if the simulation diverges on the way."""
     try:
-        return minimise(likelihood, start, beat)
+        return minimise(likelihood, start, incumbent)
     except (FloatingPointError, np.linalg.LinAlgError):
         return None
 
 
 @dataclass(frozen=True)
-class Look:
-    """What an effect promises from the base at its prior.
+class Candidate:
+    """An effect and its expected cost, from the base at its prior.
 
     Attributes:
         effect: its name; `values` of its parameters to start from.
@@ -365,38 +367,38 @@ class Look:
     cost: float
 
 
-def look_at_all(library: Library, start: Point) -> tuple[list[Look], float]:
-    """Every effect that the start lacks, the most promising first, and the start's own cost.
+def screen_effects(library: Library, start: Point) -> tuple[list[Candidate], float]:
+    """Every effect that the start lacks, the likeliest first, and the start's own cost.
 
     No window's start is held here: one that the base alone bends too far may be where an effect
     shows, and could then not follow it.
     """
     held = np.zeros_like(start.rotated.held)
     start = replace(start, rotated=start.rotated._replace(held=held))
-    views = [library.likelihood.weigh(start.rotated, share * start.size) for share in _LOOKS]
+    views = [library.likelihood.weigh(start.rotated, share * start.size) for share in _SCREEN_SIZES]
     every = np.arange(len(start.z))
     level = _expected(library, start, views, start.space, every, start.linear.error)
     left = [e for e in library.effects if e.name not in start.space.effects]
     found = []
     for effect in left:
-        looks = _looks(library, start, views, effect)
-        none = Look(effect.name, effect.nulls, np.inf)
-        found.append(min(looks, key=lambda look: look.cost, default=none))
-    return sorted(found, key=lambda look: look.cost), level
+        candidates = _candidates_of(library, start, views, effect)
+        none = Candidate(effect.name, effect.nulls, np.inf)
+        found.append(min(candidates, key=lambda candidate: candidate.cost, default=none))
+    return sorted(found, key=lambda candidate: candidate.cost), level
 
 
-def _with_effect(library: Library, start: Point, look: Look) -> Point | None:
-    """The start with an effect at the values of its look."""
-    space = library.space([*start.space.effects, look.effect])
+def _with_effect(library: Library, start: Point, candidate: Candidate) -> Point | None:
+    """The start with an effect at the values of its candidate."""
+    space = library.space([*start.space.effects, candidate.effect])
     z = carry(space, start)
-    z[-len(look.values) :] = look.values
+    z[-len(candidate.values) :] = candidate.values
     z = np.clip(z, space.low, space.high)
     return _stand(library.likelihood, space, z, start.x, start.size)
 
 
-def _looks(
+def _candidates_of(
     library: Library, start: Point, views: Sequence[Weighed], effect: Effect
-) -> Iterable[Look]:
+) -> Iterable[Candidate]:
     """An effect at several values, the base stepped once beside each."""
     space = library.space([*start.space.effects, effect.name])
     own = slice(len(space.centre) - len(effect.parameters), None)
@@ -407,10 +409,10 @@ def _looks(
         z = carry(space, start)
         z[own] = values
         z = np.clip(z, space.low, space.high)
-        error, finite = library.likelihood.engine.errors(space.chart.parameters(z), start.x)
+        error, finite = library.likelihood.predictor.errors(space.chart.parameters(z), start.x)
         if finite:
             cost = _expected(library, start, views, space, keep, error)
-            yield Look(effect.name, tuple(z[own].tolist()), cost)
+            yield Candidate(effect.name, tuple(z[own].tolist()), cost)
 
 
 def _expected(
@@ -467,7 +469,7 @@ def _linear(
         )
         moved = z.copy()
         moved[i] += step
-        error, finite = likelihood.engine.errors(space.chart.parameters(moved), start.x)
+        error, finite = likelihood.predictor.errors(space.chart.parameters(moved), start.x)
         if not finite:
             return []
         columns.append((start.linear.error - error) / step)
@@ -483,15 +485,14 @@ def _linear(
 def judge(library: Library, point: Point, temper: float, lowest: Point) -> Hypothesis:
     """An optimum's evidence with its prior odds, and the probability that its effects matter.
 
-    The windows that speak loudest for and against it, beside the hypothesis of lowest cost, are
-    left out: a car that nearly spins multiplies any small change, and one such second shall not
-    name a cause.
+    The windows that favour it most and least, beside the hypothesis of lowest cost, are left out: a
+    car that nearly spins multiplies any small change, and one such second shall not name a cause.
     """
     effects = point.space.effects
     posterior = posterior_of(point, temper)
-    behind = point.at.loss - lowest.at.loss
-    loudest = float(max(behind.max(), 0.0) + min(behind.min(), 0.0)) / temper
-    posterior = replace(posterior, evidence=posterior.evidence + loudest)
+    deficit = point.at.loss - lowest.at.loss
+    extreme = float(max(deficit.max(), 0.0) + min(deficit.min(), 0.0)) / temper
+    posterior = replace(posterior, evidence=posterior.evidence + extreme)
     odds = posterior.evidence - len(effects) * np.log(max(len(library.effects), 1))
     odds -= max(len(effects) - 1, 0) * np.log(c.FURTHER_ODDS)
     for name in effects:
@@ -503,10 +504,10 @@ def judge(library: Library, point: Point, temper: float, lowest: Point) -> Hypot
 
 def size_of(library: Library, posterior: Posterior, effect: Effect) -> tuple[float, float]:
     """How far an effect is from what the base has of it, and the standard error of that."""
-    point, superset = posterior.point, library.likelihood.engine.superset
+    point, augmented = posterior.point, library.likelihood.predictor.augmented
     places = [i for i, p in enumerate(effect.parameters) if p.role is Role.SIZE]
     first = point.space.chart.free.index(f"{effect.name}.{effect.parameters[0].name}")
-    own = superset.values(effect.name)
+    own = augmented.values(effect.name)
     away = np.array([point.z[first + i] - own[i] for i in places])
     far = float(np.linalg.norm(away))
     along = away / far if far > 0.0 else np.eye(len(away))[0]

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.disturbance_response import responses
-from steerd.sysid.inference.engine import FREE_STATES, Engine, Linear
 from steerd.sysid.inference.noise import Noise, covariance, shapes, slip_shape
+from steerd.sysid.inference.predictor import FREE_STATES, Linear, Predictor
 
 Array = NDArray[np.float64]
 
@@ -120,13 +120,13 @@ class Likelihood:
     """Windows and how they are weighed.
 
     Attributes:
-        engine: the windows and the car that is simulated over them.
+        predictor: the windows and the car that is simulated over them.
         rotation: (W, D, D) `T`; zero for rows that are not there.
         spectrum: (W, D) variance of a discrepancy of size 1 in each rotated row.
         pushed: (W,) share of each window's healthy variance that is pushes, not instruments.
     """
 
-    engine: Engine
+    predictor: Predictor
     rotation: Array
     spectrum: Array
     pushed: Array
@@ -134,12 +134,12 @@ class Likelihood:
     @cached_property
     def start_precision(self) -> Array:
         """(W, 7) prior precisions of the starts about their first guesses."""
-        return np.asarray(self.engine.start_spread**-2)
+        return np.asarray(self.predictor.start_spread**-2)
 
     @cached_property
     def dof(self) -> Array:
         """(W,) degrees of freedom."""
-        return np.asarray(self.engine.padded.there.sum(axis=1) - FREE_STATES)
+        return np.asarray(self.predictor.padded.there.sum(axis=1) - FREE_STATES)
 
     @property
     def precision(self) -> Array:
@@ -161,7 +161,7 @@ class Likelihood:
 
     def squares(self, error: Array, x: Array, size: float) -> Array:
         """(W,) whitened squared errors with the starts where they are, priors included."""
-        away = self.engine.guess - x
+        away = self.predictor.guess - x
         row = self.rotate_error(error)
         white = (self.weights(size) * row**2).sum(axis=1)
         return np.asarray(white + (self.start_precision * away**2).sum(axis=1))
@@ -182,7 +182,7 @@ class Likelihood:
     def reduce(self, by: "Weighed", error: Array, x: Array) -> Reduced:
         """Losses for errors (W, D) at starts `x`; derivatives may be of a near point."""
         row = self.rotate_error(error)
-        away = self.engine.guess - x
+        away = self.predictor.guess - x
         pull = (by.turned @ row[:, :, None])[:, :, 0] + away * self.start_precision
         dx = (by.inverse @ pull[:, :, None])[:, :, 0]
         square = (by.weight * row**2).sum(axis=1) + (self.start_precision * away**2).sum(axis=1)
@@ -215,44 +215,44 @@ class Likelihood:
 
     def share(self, size: float) -> float:
         """Share of the variance that a discrepancy of this size is, mean over all rows."""
-        rows = self.engine.padded.there.sum()
+        rows = self.predictor.padded.there.sum()
         return float((1.0 - self.weights(size)).sum() / rows)
 
 
 def take_some(likelihood: Likelihood, chosen: NDArray[np.bool_]) -> Likelihood:
     """The likelihood of some windows (mask (W,))."""
-    engine = likelihood.engine.take(chosen)
-    width = engine.padded.there.shape[1]
+    predictor = likelihood.predictor.take(chosen)
+    width = predictor.padded.there.shape[1]
     rotation = likelihood.rotation[chosen][:, :, :width]
-    return Likelihood(engine, rotation, likelihood.spectrum[chosen], likelihood.pushed[chosen])
+    return Likelihood(predictor, rotation, likelihood.spectrum[chosen], likelihood.pushed[chosen])
 
 
-def make_likelihood(engine: Engine, parameters: Array, x: Array, noise: Noise) -> Likelihood:
+def make_likelihood(predictor: Predictor, parameters: Array, x: Array, noise: Noise) -> Likelihood:
     """The likelihood with responses about one trajectory of every window.
 
     Args:
-        engine: the windows.
+        predictor: the windows.
         parameters: (P,) of the car that is pushed.
         x: (W, 7) the windows' starts.
         noise: how large instruments' noise and ordinary pushes are.
     """
-    seen = responses(engine, parameters, x, (0, 1, 2))
-    slip = slip_shape(engine, engine.errors(parameters, x)[0])
-    healthy = covariance(engine, noise, [*shapes(engine, seen, (0, 1, 2)), slip])
+    seen = responses(predictor, parameters, x, (0, 1, 2))
+    slip = slip_shape(predictor, predictor.errors(parameters, x)[0])
+    healthy = covariance(predictor, noise, [*shapes(predictor, seen, (0, 1, 2)), slip])
     none = [np.zeros_like(slip)] * 4
-    instruments = covariance(engine, noise, none)
-    healthy *= engine.excess[:, None, None]
-    instruments *= engine.excess[:, None, None]
+    instruments = covariance(predictor, noise, none)
+    healthy *= predictor.excess[:, None, None]
+    instruments *= predictor.excess[:, None, None]
     unknown = sum(
         size**2 * shape
         for size, shape in zip(
-            c.DISCREPANCY, shapes(engine, seen, (0, 1, 2), c.DISCREPANCY_MEMORY), strict=True
+            c.DISCREPANCY, shapes(predictor, seen, (0, 1, 2), c.DISCREPANCY_MEMORY), strict=True
         )
     )
-    there = engine.padded.there
+    there = predictor.padded.there
     lower = np.linalg.inv(np.linalg.cholesky(healthy))
     spectrum, axes = np.linalg.eigh(lower @ unknown @ lower.transpose(0, 2, 1))
     rotation = (axes.transpose(0, 2, 1) @ lower) * there[:, None, :]
     own = ((lower @ instruments) * lower).sum(axis=2)
     pushed = ((1.0 - own) * there).sum(axis=1) / there.sum(axis=1)
-    return Likelihood(engine, rotation, np.maximum(spectrum, 0.0), pushed)
+    return Likelihood(predictor, rotation, np.maximum(spectrum, 0.0), pushed)

@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 
 from steerd.sysid.inference.constants import NOISE_KEPT
 from steerd.sysid.inference.disturbance_response import PIECE, responses
-from steerd.sysid.inference.engine import FREE_STATES, Engine, Linear
+from steerd.sysid.inference.predictor import FREE_STATES, Linear, Predictor
 
 Array = NDArray[np.float64]
 
@@ -91,24 +91,24 @@ def signal_noise(signals: Array) -> Noise:
     return noise_of_sizes(np.concatenate([signals, np.zeros(4)]))
 
 
-def slip_shape(engine: Engine, error: Array) -> Array:
+def slip_shape(predictor: Predictor, error: Array) -> Array:
     """Covariance (W, D, D) of the wheel speed for a unit slip coefficient of each window.
 
     Args:
-        engine: the windows.
+        predictor: the windows.
         error: (W, D) measurement minus prediction; speed and acceleration are the predicted ones.
     """
-    speed = engine.pad(engine.layout.values) - error
-    wheel = (engine.channel == 3) & (engine.padded.there > 0.0)
+    speed = predictor.pad(predictor.layout.values) - error
+    wheel = (predictor.channel == 3) & (predictor.padded.there > 0.0)
     slip = np.zeros(wheel.shape)
     for w in np.flatnonzero(wheel.sum(axis=1) > 1):
-        v, t = speed[w, wheel[w]], engine.layout.row_t[engine.padded.row[w, wheel[w]]]
+        v, t = speed[w, wheel[w]], predictor.layout.row_t[predictor.padded.row[w, wheel[w]]]
         slip[w, wheel[w]] = v * np.gradient(v, t)
     return np.asarray(slip[:, :, None] * slip[:, None, :])
 
 
 def shapes(
-    engine: Engine, seen: Array, inputs: Sequence[int], memory: float = MEMORY
+    predictor: Predictor, seen: Array, inputs: Sequence[int], memory: float = MEMORY
 ) -> list[Array]:
     """Covariance (W, D, D) of a unit push of each input, correlated over `memory` [s]."""
     at = np.arange(seen.shape[3]) * PIECE
@@ -116,27 +116,27 @@ def shapes(
     return [(seen[i] @ kernel) @ seen[i].transpose(0, 2, 1) for i in inputs]
 
 
-def instrument_rows(engine: Engine) -> Array:
+def instrument_rows(predictor: Predictor) -> Array:
     """(4, W, D) 1 where a row is of a group."""
-    group = np.maximum(engine.channel - 1, 0)
-    rows: Array = np.stack([(group == g) * engine.padded.there for g in range(_INSTRUMENTS)])
+    group = np.maximum(predictor.channel - 1, 0)
+    rows: Array = np.stack([(group == g) * predictor.padded.there for g in range(_INSTRUMENTS)])
     return rows
 
 
-def covariance(engine: Engine, noise: Noise, pushed: Sequence[Array]) -> Array:
+def covariance(predictor: Predictor, noise: Noise, pushed: Sequence[Array]) -> Array:
     """(W, D, D) covariance of the errors; 1 where there is no row."""
     sizes = noise.sizes**2
     out = sum(s * shape for s, shape in zip(sizes[_INSTRUMENTS:], pushed, strict=True))
     out = np.array(out)
-    white = np.einsum("g,gwd->wd", sizes[:_INSTRUMENTS], instrument_rows(engine))
-    white /= np.maximum(engine.padded.merged, 1.0)
+    white = np.einsum("g,gwd->wd", sizes[:_INSTRUMENTS], instrument_rows(predictor))
+    white /= np.maximum(predictor.padded.merged, 1.0)
     width = range(out.shape[1])
-    out[:, width, width] += white + (1.0 - engine.padded.there)
+    out[:, width, width] += white + (1.0 - predictor.padded.there)
     return np.asarray(out)
 
 
 def learn_noise(
-    engine: Engine, parameters: Array, x: Array, linear: Linear, guess: Noise | None = None
+    predictor: Predictor, parameters: Array, x: Array, linear: Linear, guess: Noise | None = None
 ) -> Noise:
     """Sizes under which the errors of a fitted hypothesis are most likely.
 
@@ -144,20 +144,20 @@ def learn_noise(
     places does not pass for noise everywhere.
 
     Args:
-        engine: the windows.
+        predictor: the windows.
         parameters: (P,) of the fitted car.
         x: (W, 7) the windows' starts.
         linear: errors and derivatives there.
         guess: where the search begins.
     """
-    chosen = np.linspace(0, engine.layout.count - 1, WINDOWS_MOST).round().astype(int)
+    chosen = np.linspace(0, predictor.layout.count - 1, WINDOWS_MOST).round().astype(int)
     chosen = np.unique(chosen)
-    seen = responses(engine, parameters, x, (0, 1, 2))
-    pushed = [v[chosen] for v in shapes(engine, seen, (0, 1, 2))]
-    pushed.append(slip_shape(engine, linear.error)[chosen])
-    error, known = (part[chosen] for part in engine.about_guess(x, linear))
-    rows = instrument_rows(engine)[:, chosen]
-    there = engine.padded.there[chosen]
+    seen = responses(predictor, parameters, x, (0, 1, 2))
+    pushed = [v[chosen] for v in shapes(predictor, seen, (0, 1, 2))]
+    pushed.append(slip_shape(predictor, linear.error)[chosen])
+    error, known = (part[chosen] for part in predictor.about_guess(x, linear))
+    rows = instrument_rows(predictor)[:, chosen]
+    there = predictor.padded.there[chosen]
     first = (guess.sizes if guess else _START).clip(_LEAST * 1.01, _MOST * 0.99)
     found = minimize(
         _likelihood, np.log(first), (error, known, rows, pushed, there), jac=True,
@@ -224,25 +224,25 @@ def calibrated(noise: Noise, left: float, should: float = 1.0) -> Noise:
     return noise_of_sizes(np.maximum(noise.sizes * np.sqrt(left / should), _LEAST))
 
 
-def noise_share(engine: Engine, wheel: float) -> float:
+def noise_share(predictor: Predictor, wheel: float) -> float:
     """What noise leaves of the whitened error per degree of freedom of the drives it is learnt on.
 
     Wheel speed is trusted less than it deserves (`WHEEL_LEAST`), so its readings leave less.
 
     Args:
-        engine: the windows.
+        predictor: the windows.
         wheel: noise of the wheel speed's own signal [m/s].
     """
-    counts = instrument_rows(engine).sum(axis=(1, 2))
+    counts = instrument_rows(predictor).sum(axis=(1, 2))
     worth = np.array([1.0, 1.0, min(1.0, (wheel / WHEEL_LEAST) ** 2), 1.0])
-    free = FREE_STATES * engine.layout.count
+    free = FREE_STATES * predictor.layout.count
     share = (counts @ worth - free) / max(float(counts.sum()) - free, 1.0)
     return float(max(share, 0.1))
 
 
-def noise_floor(engine: Engine, wheel: float) -> float:
+def noise_floor(predictor: Predictor, wheel: float) -> float:
     """What noise alone should leave of other drives; `wheel` as in `noise_share`."""
-    return NOISE_KEPT * noise_share(engine, wheel)
+    return NOISE_KEPT * noise_share(predictor, wheel)
 
 
 def noise_section(noise: Noise) -> dict[str, float]:

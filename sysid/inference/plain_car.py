@@ -22,14 +22,14 @@ from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.segments import BLOCK
 from steerd.sysid.data.windows import GROUPS, estimate_noise
+from steerd.sysid.inference.augmented_car import augment, inflate_each
 from steerd.sysid.inference.chart import Chart
-from steerd.sysid.inference.engine import HORIZON, Engine, open_engine
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import Noise, instrument_rows, signal_noise
 from steerd.sysid.inference.posterior import posterior_of
+from steerd.sysid.inference.predictor import HORIZON, Predictor, make_predictor
 from steerd.sysid.inference.search import Point, curvature, minimise, open_point, stand, with_size
-from steerd.sysid.inference.space import make_space, weak_knowledge
-from steerd.sysid.inference.superset import inflate_each, make_superset
+from steerd.sysid.inference.space import make_space, weak_prior
 
 Array = NDArray[np.float64]
 
@@ -81,9 +81,9 @@ class PlainCar:
     noise: Noise
 
     @property
-    def engine(self) -> Engine:
+    def predictor(self) -> Predictor:
         """The windows."""
-        return self.likelihood.engine
+        return self.likelihood.predictor
 
     @property
     def chart(self) -> Chart:
@@ -93,7 +93,7 @@ class PlainCar:
     @property
     def misfit(self) -> dict[str, float]:
         """Residual over the instruments' noise by group; 1 says that the car explains all."""
-        return misfit_of(self.engine, self.point.linear.error, self.noise)
+        return misfit_of(self.predictor, self.point.linear.error, self.noise)
 
     @property
     def explains(self) -> bool:
@@ -101,10 +101,12 @@ class PlainCar:
         return max(self.misfit.values()) <= POOR
 
 
-def misfit_of(engine: Engine, error: Array, noise: Noise) -> dict[str, float]:
+def misfit_of(predictor: Predictor, error: Array, noise: Noise) -> dict[str, float]:
     """Root mean square of errors (W, D) over the noise, by group; single outliers bounded."""
-    error, found = error * np.sqrt(engine.padded.merged), {}
-    for rows, name, sigma in zip(instrument_rows(engine), GROUPS, noise.instruments, strict=True):
+    error, found = error * np.sqrt(predictor.padded.merged), {}
+    for rows, name, sigma in zip(
+        instrument_rows(predictor), GROUPS, noise.instruments, strict=True
+    ):
         size = np.abs(error[rows > 0.0]) / sigma
         if len(size):
             limit = _OUTLIER * max(1.0, float(np.median(size)) / 0.6745)
@@ -172,13 +174,13 @@ def open_plain(
         horizon: [s].
         most: take windows of so much driving, evenly from the whole [s].
     """
-    superset = replace(make_superset(asked.model, runs), wheelbase=asked.wheelbase)
-    superset = replace(superset, knowledge=weak_knowledge(superset, asked.free))
-    engine = open_engine(superset, runs, horizon, most, means=True)
+    augmented = replace(augment(asked.model, runs), wheelbase=asked.wheelbase)
+    augmented = replace(augmented, prior=weak_prior(augmented, asked.free))
+    predictor = make_predictor(augmented, runs, horizon, most, means=True)
     noise = signal_noise(estimate_noise(runs))
-    about = superset.base if rough is None else rough.point.parameters
-    engine = engine.stepped_for(about)
-    return make_likelihood(engine, about, engine.guess.copy(), noise), noise
+    about = augmented.base if rough is None else rough.point.parameters
+    predictor = predictor.stepped_for(about)
+    return make_likelihood(predictor, about, predictor.guess.copy(), noise), noise
 
 
 def _search(
@@ -186,8 +188,8 @@ def _search(
 ) -> PlainCar | None:
     """From a start to the optimum, at last under no more discrepancy than is needed."""
     likelihood, noise = open_plain(runs, asked, rough, horizon, most)
-    space = make_space(likelihood.engine.superset, asked.free)
-    x = likelihood.engine.guess.copy()
+    space = make_space(likelihood.predictor.augmented, asked.free)
+    x = likelihood.predictor.guess.copy()
     z = space.centre if rough is None else space.chart.coordinates(rough.point.parameters)
     try:
         point = minimise(likelihood, open_point(likelihood, space, z, x))
@@ -223,9 +225,9 @@ def covariance_of(found: PlainCar, doubts: Sequence[tuple[str, float]]) -> Array
 
 def _by_others(found: PlainCar, names: Sequence[str]) -> Array:
     """(n, k) how far the optimum moves per unit of other parameters."""
-    likelihood, point, superset = found.likelihood, found.point, found.engine.superset
+    likelihood, point, augmented = found.likelihood, found.point, found.predictor.augmented
     n, every = len(point.z), [*point.space.chart.free, *names]
-    wide = make_space(replace(superset, knowledge=weak_knowledge(superset, every)), every)
+    wide = make_space(replace(augmented, prior=weak_prior(augmented, every)), every)
     z = wide.chart.coordinates(point.parameters)
     at = stand(likelihood, wide, z, point.x, point.size).at
     h = curvature(wide, at) - wide.precision

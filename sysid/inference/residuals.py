@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from steerd.sysid.data.windows import SPACING
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.engine import Engine
 from steerd.sysid.inference.likelihood import Likelihood
+from steerd.sysid.inference.predictor import Predictor
 from steerd.sysid.inference.search import Point, fresh, newton, settle, stand, with_size
 from steerd.sysid.inference.space import Space
 
@@ -55,7 +55,7 @@ def settled(likelihood: Likelihood, space: Space, z: Array, x: Array | None = No
     Raises:
         FloatingPointError: the simulation diverges there.
     """
-    x = likelihood.engine.guess.copy() if x is None else x
+    x = likelihood.predictor.guess.copy() if x is None else x
     soft = stand(likelihood, space, z, x, _SOFT)
     return settle(likelihood, fresh(likelihood, with_size(likelihood, soft, 0.0)))
 
@@ -84,7 +84,7 @@ def spun_windows(fitted: Point) -> NDArray[np.bool_]:
 
 
 def gap_of(
-    engine: Engine,
+    predictor: Predictor,
     fitted: Point,
     blocks: NDArray[np.int64],
     spun: NDArray[np.bool_],
@@ -96,7 +96,7 @@ def gap_of(
     rows, bounds = [], []
     error = fitted.linear.error
     for lead in leads:
-        each = _at_lead(engine, error, lead, ~spun)
+        each = _at_lead(predictor, error, lead, ~spun)
         a, b, d = (float(np.sqrt(np.mean(v**2))) if len(v) else 0.0 for v in each)
         rows.append((lead, a, b, d))
         bounds.append(tuple(_rms_interval(c) for c in each))
@@ -113,11 +113,11 @@ def _rms_interval(errors: Array) -> tuple[float, float]:
 
 
 def _at_lead(
-    engine: Engine, error: Array, lead: float, kept: NDArray[np.bool_]
+    predictor: Predictor, error: Array, lead: float, kept: NDArray[np.bool_]
 ) -> tuple[Array, Array, Array]:
     """Position, yaw and speed errors of all windows near `lead` (speed from the wheel)."""
-    t, channel = engine.layout.row_t[engine.padded.row], engine.channel
-    away = np.where((engine.padded.there > 0.0) & kept[:, None], np.abs(t - lead), np.inf)
+    t, channel = predictor.layout.row_t[predictor.padded.row], predictor.channel
+    away = np.where((predictor.padded.there > 0.0) & kept[:, None], np.abs(t - lead), np.inf)
     planar = _nearest(away, channel <= 1)
     count = np.maximum(planar.sum(axis=1), 1) / 2.0
     position = np.sqrt((error**2 * planar).sum(axis=1) / count)[planar.any(axis=1)]
@@ -133,17 +133,17 @@ def _nearest(away: Array, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(there & (away < max(0.0, away[there].min() - _HALF_SLOT) + _HALF_SLOT + 1e-3))
 
 
-def folds_of(engine: Engine) -> NDArray[np.int64]:
+def folds_of(predictor: Predictor) -> NDArray[np.int64]:
     """(W,) fold of each window: whole runs where there are enough, else interleaved blocks."""
-    run = engine.layout.run
+    run = predictor.layout.run
     if len(np.unique(run)) >= FOLDS:
         return np.asarray(run % FOLDS)
     return np.asarray((np.arange(len(run)) // BLOCK) % FOLDS)
 
 
-def blocks_of(engine: Engine) -> NDArray[np.int64]:
+def blocks_of(predictor: Predictor) -> NDArray[np.int64]:
     """(W,) number of the block of neighbouring windows."""
-    layout = engine.layout
+    layout = predictor.layout
     first = np.searchsorted(layout.run, layout.run)
     within = (np.arange(len(layout.run)) - first) // BLOCK
     _, block = np.unique(layout.run * 100_000 + within, return_inverse=True)

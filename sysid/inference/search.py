@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from steerd.sysid.inference.engine import Engine, Linear
 from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated, Weighed, take_some
+from steerd.sysid.inference.predictor import Linear, Predictor
 from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
@@ -33,24 +33,24 @@ _EXPLORED = 0.15
 """Least discrepancy's size under which such a search begins."""
 _LIMITS = {"accel_max": 0.3, "decel_max": 0.3, "steer_rate": 0.05}
 """Steps over which limits are differenced: [m/s^2], and relative for the slew rate."""
-_LOST = 4.0
+_MISFIT = 4.0
 """A window that leaves more than this of its whitened error may sit in a wrong start ..."""
 _SOFT = 3.0
 """... and is taken up anew from the poses, at first under a discrepancy of this size."""
-_ENOUGH_LOST = 1.0
+_MISFIT_GAIN = 1.0
 """Nats that a window must gain by it."""
 _TRUST = 0.4
 """Derivatives are taken anew where a step gains this much more or less than it promised ..."""
 _FAR = 30.0
 """... or after so many nats."""
 _DAMPING_MAX = 1e4
-_BEHIND = 80.0
+_PRUNED = 80.0
 """A search that is so many nats behind another hypothesis is given up."""
 _RESCUES = 2
 """Times that windows are taken up anew and the search goes on."""
 _ROUNDS = 4
 """Steps of every window's start about one point ..."""
-_OWED = 0.1
+_UNSETTLED = 0.1
 """... and what such a step may then still promise to take off a window's square."""
 _SHORTER = 0.25
 """A start's step that led up is tried again so much shorter."""
@@ -90,7 +90,7 @@ class Point:
 
     @property
     def parameters(self) -> Array:
-        """(P,) all parameters of the superset."""
+        """(P,) all parameters of the augmented car."""
         return self.space.chart.parameters(self.z)
 
 
@@ -104,12 +104,12 @@ def derive(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Linear:
     Raises:
         FloatingPointError: the simulation diverges there.
     """
-    engine = likelihood.engine
-    linear = engine.linear(space, z, x)
+    predictor = likelihood.predictor
+    linear = predictor.linear(space, z, x)
     if not linear.finite:
         raise FloatingPointError("the simulation diverges")
     for i, name in enumerate(space.chart.free):
-        step = _secant(name, engine.layout.h / engine.substeps)
+        step = _secant(name, predictor.layout.h / predictor.substeps)
         if step == 0.0:
             continue
         low, high = (float(np.clip(z[i] + s, space.low[i], space.high[i])) for s in (-step, step))
@@ -119,17 +119,19 @@ def derive(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Linear:
         if high <= low:
             continue
         error = [
-            linear.error if end == z[i] else _error(engine, space, z, x, i, end) for end in ends
+            linear.error if end == z[i] else _error(predictor, space, z, x, i, end) for end in ends
         ]
         linear.by_z[:, :, i] = (error[0] - error[1]) / (ends[1] - ends[0])
     return linear
 
 
-def _error(engine: Engine, space: Space, z: Array, x: Array, place: int, value: float) -> Array:
+def _error(
+    predictor: Predictor, space: Space, z: Array, x: Array, place: int, value: float
+) -> Array:
     """(W, D) errors with one coordinate elsewhere."""
     moved = z.copy()
     moved[place] = value
-    return engine.errors(space.chart.parameters(moved), x)[0]
+    return predictor.errors(space.chart.parameters(moved), x)[0]
 
 
 def _secant(name: str, grid: float) -> float:
@@ -179,16 +181,16 @@ def _settled(likelihood: Likelihood, point: Point) -> Point:
     parameters = point.parameters
     square, share = likelihood.squares(error, x, size), np.ones(len(point.x))
     for _ in range(_ROUNDS):
-        if not (square - at.square > _OWED).any():
+        if not (square - at.square > _UNSETTLED).any():
             break
         tried = x + share[:, None] * at.dx
-        off, _ = likelihood.engine.errors(parameters, tried)
+        off, _ = likelihood.predictor.errors(parameters, tried)
         left = likelihood.squares(off, tried, size)
         better = left < square
         x[better], error[better], square[better] = tried[better], off[better], left[better]
         share = np.where(better, 1.0, _SHORTER * share)
         at = likelihood.reduce(weighed, error, x)
-    rotated = point.rotated._replace(held=square - at.square > _OWED)
+    rotated = point.rotated._replace(held=square - at.square > _UNSETTLED)
     if rotated.held.any():
         weighed = likelihood.weigh(rotated, size)
         at = likelihood.reduce(weighed, error, x)
@@ -210,21 +212,21 @@ def rescue(likelihood: Likelihood, point: Point) -> Point:
 
     The likelihood forgives a spun window, so nothing pulls its start back by itself.
     """
-    lost = point.at.square > _LOST * point.at.dof
-    if not lost.any():
+    misfit = point.at.square > _MISFIT * point.at.dof
+    if not misfit.any():
         return point
-    part = take_some(likelihood, lost)
-    x = part.engine.guess.copy()
+    part = take_some(likelihood, misfit)
+    x = part.predictor.guess.copy()
     try:
         soft = stand(part, point.space, point.z, x, _SOFT + point.size)
         found = fresh(part, replace(fresh(part, soft), size=point.size))
     except FloatingPointError:
         return point
-    better = found.at.loss < point.at.loss[lost] - _ENOUGH_LOST
+    better = found.at.loss < point.at.loss[misfit] - _MISFIT_GAIN
     if not better.any():
         return point
     x = point.x.copy()
-    x[np.flatnonzero(lost)[better]] = found.x[better]
+    x[np.flatnonzero(misfit)[better]] = found.x[better]
     again = stand(likelihood, point.space, point.z, x, point.size)
     return again if again.cost < point.cost else point
 
@@ -258,7 +260,7 @@ def _moved(likelihood: Likelihood, point: Point, dz: Array) -> Point | None:
     """The point a step on, with the derivatives of before; None where too much diverges."""
     x = point.x + point.at.dx - point.at.kx @ dz
     z = np.clip(point.z + dz, point.space.low, point.space.high)
-    error, finite = likelihood.engine.errors(point.space.chart.parameters(z), x)
+    error, finite = likelihood.predictor.errors(point.space.chart.parameters(z), x)
     if not finite:
         return None
     at = likelihood.reduce(point.weighed, error, x)
@@ -279,7 +281,7 @@ def newton(space: Space, at: Reduced, z: Array, damping: float = 0.0) -> tuple[A
 def minimise(
     likelihood: Likelihood,
     start: Point,
-    beat: float = np.inf,
+    incumbent: float = np.inf,
     steps: int = STEPS,
     fall: float = FALL,
 ) -> Point:
@@ -288,16 +290,16 @@ def minimise(
     Args:
         likelihood: the windows.
         start: where to begin.
-        beat: cost of a better hypothesis; a search that stays clearly above it is given up.
+        incumbent: cost of a better hypothesis; a search that stays clearly above it is given up.
         steps: how many at most.
         fall: factor by which the size may fall a step.
     """
-    now, ended = _walk(likelihood, start, beat, steps, fall)
+    now, ended = _walk(likelihood, start, incumbent, steps, fall)
     for _ in range(_RESCUES if ended else 0):
         again = rescue(likelihood, now)
         if again is now:
             break
-        now, ended = _walk(likelihood, again, beat, steps, fall)
+        now, ended = _walk(likelihood, again, incumbent, steps, fall)
     return replace(now, whole=ended)
 
 
@@ -324,12 +326,12 @@ def explore(likelihood: Likelihood, point: Point, draws: int = DRAWS) -> Point:
 
 
 def _walk(
-    likelihood: Likelihood, start: Point, beat: float, steps: int, fall: float
+    likelihood: Likelihood, start: Point, incumbent: float, steps: int, fall: float
 ) -> tuple[Point, bool]:
     """Steps to the nearest optimum, and whether it was reached."""
     now, stale, damping = start, 0.0, 1e-4
     for number in range(steps):
-        dz, promised = newton(now.space, now.at, now.z, damping)
+        dz, predicted = newton(now.space, now.at, now.z, damping)
         moved = _moved(likelihood, now, dz)
         gained = -np.inf if moved is None else now.cost - moved.cost
         if moved is not None and gained >= -1e-9 * abs(now.cost):
@@ -342,13 +344,13 @@ def _walk(
             continue
         size = likelihood.best_size(now.rotated, now.linear.error, now.x, now.size / fall)
         there = abs(size - now.size) <= 0.01 * now.size
-        if there and max(promised, gained) < ENOUGH:
+        if there and max(predicted, gained) < ENOUGH:
             return _ended(likelihood, now, stale), True
         lower = with_size(likelihood, now, size)
-        if number >= _UNTIL and there and lower.cost > beat + _BEHIND:
+        if number >= _UNTIL and there and lower.cost > incumbent + _PRUNED:
             return lower, False
         now = lower
-        if abs(gained - promised) > _TRUST * max(promised, ENOUGH) or stale > _FAR:
+        if abs(gained - predicted) > _TRUST * max(predicted, ENOUGH) or stale > _FAR:
             now, stale = fresh(likelihood, now), 0.0
     return _ended(likelihood, now, stale), False
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from steerd.car_model.effect import Channel
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.augmented_car import AugmentedCar, BasePrior
 from steerd.sysid.inference.chart import (
     INVERSE,
     LENGTHS,
@@ -23,7 +24,6 @@ from steerd.sysid.inference.chart import (
     make_chart,
     relative_length,
 )
-from steerd.sysid.inference.superset import Knowledge, Superset
 
 Array = NDArray[np.float64]
 
@@ -107,16 +107,16 @@ class Space:
         return 0.5 * float(away @ np.linalg.solve(self.covariance[own, own], away))
 
 
-def nuisance_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
+def nuisance_names(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[str, ...]:
     """Base parameters that are free in every hypothesis: those that identification frees."""
-    slipping = bool(superset.kernels.chassis.drive)
+    slipping = bool(augmented.kernels.chassis.drive)
     sources = {run.speed_source for run in runs}
     names = [name for name in FLOORS if name != "c_x" or slipping]
-    if superset.knowledge is None and superset.sd:  # an identification from before they were free
+    if augmented.prior is None and augmented.sd:  # an identification from before they were free
         names = [name for name in names if name not in LIMITS]
-    if superset.knowledge is not None:
-        names = [name for name in superset.knowledge.names if "." in name or name in names]
-        held = {e.name for e in superset.effects if e.follows_acceleration}
+    if augmented.prior is not None:
+        names = [name for name in augmented.prior.names if "." in name or name in names]
+        held = {e.name for e in augmented.effects if e.follows_acceleration}
         if sources != {"command"}:
             names = [name for name in names if name.partition(".")[0] not in held]
     if sources != {"command"}:
@@ -125,16 +125,16 @@ def nuisance_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
         )
         names = [name for name in names if name not in gone]
     if (
-        superset.knowledge is None
-        and superset.sd
+        augmented.prior is None
+        and augmented.sd
         and "drive_delay" in names
-        and "drive_delay" not in superset.sd
+        and "drive_delay" not in augmented.sd
     ):
         names.remove("drive_delay")
     return tuple(names)
 
 
-def informative_effects(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
+def informative_effects(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[str, ...]:
     """Effects that such drives can show: where the measured speed is prescribed, none of the drive.
 
     What the motor does is then no prediction, a limit on it would only hold the car back from the
@@ -142,18 +142,20 @@ def informative_effects(superset: Superset, runs: Sequence[Run]) -> tuple[str, .
     """
     commanded = all(run.speed_source == "command" for run in runs)
     missing = set() if commanded else {Channel.SPEED}
-    chassis = superset.kernels.chassis.name
-    built_in = {e.name for e in superset.effects if chassis in e.built_into}
+    chassis = augmented.kernels.chassis.name
+    built_in = {e.name for e in augmented.effects if chassis in e.built_into}
     return tuple(
         e.name
-        for e in superset.effects
+        for e in augmented.effects
         if e.needs_commands not in missing
         and e.name not in built_in
         and (commanded or not e.follows_acceleration)
     )
 
 
-def make_space(superset: Superset, nuisance: Sequence[str], effects: Sequence[str] = ()) -> Space:
+def make_space(
+    augmented: AugmentedCar, nuisance: Sequence[str], effects: Sequence[str] = ()
+) -> Space:
     """Coordinates for some effects beside the base's own parameters.
 
     An effect that the base has itself (`effect.parameter` among `nuisance`) is freed about the
@@ -162,15 +164,15 @@ def make_space(superset: Superset, nuisance: Sequence[str], effects: Sequence[st
     Raises:
         ValueError: a name is unknown.
     """
-    names = superset.kernels.names
-    own = [names[i] for effect in effects for i in superset.places(effect)]
+    names = augmented.kernels.names
+    own = [names[i] for effect in effects for i in augmented.places(effect)]
     base = [name for name in nuisance if name not in own]
-    chart = make_chart(superset.effects, superset.base, [*base, *own], superset.wheelbase)
+    chart = make_chart(augmented.effects, augmented.base, [*base, *own], augmented.wheelbase)
     base = [name for name in base if name in chart.free]
-    centre = chart.coordinates(superset.base)
+    centre = chart.coordinates(augmented.base)
     low, high = chart.bounds()
-    covariance = _base_covariance(superset, chart, len(base))
-    if superset.knowledge is None:
+    covariance = _base_covariance(augmented, chart, len(base))
+    if augmented.prior is None:
         spread = BOX * np.sqrt(np.diag(covariance))[: len(base)]
         low[: len(base)] = np.maximum(low[: len(base)], (centre[: len(base)] - spread))
         high[: len(base)] = np.minimum(high[: len(base)], (centre[: len(base)] + spread))
@@ -181,62 +183,64 @@ def make_space(superset: Superset, nuisance: Sequence[str], effects: Sequence[st
     return Space(chart, centre, covariance, precision, low, high, tuple(effects), len(base))
 
 
-def weak_knowledge(
-    superset: Superset, names: Sequence[str], shares: Mapping[str, float] = MappingProxyType({})
-) -> Knowledge:
+def weak_prior(
+    augmented: AugmentedCar,
+    names: Sequence[str],
+    shares: Mapping[str, float] = MappingProxyType({}),
+) -> BasePrior:
     """Knowing next to nothing: wide spreads of cars, or a share of them by parameter."""
-    chart = make_chart(superset.effects, superset.base, names, superset.wheelbase)
+    chart = make_chart(augmented.effects, augmented.base, names, augmented.wheelbase)
     wide = c.WEAK * np.array([shares.get(name, 1.0) for name in chart.free]) * chart.spread
-    return Knowledge(chart.free, np.diag(np.square(wide)))
+    return BasePrior(chart.free, np.diag(np.square(wide)))
 
 
-def _base_covariance(superset: Superset, chart: Chart, nuisance: int) -> Array:
+def _base_covariance(augmented: AugmentedCar, chart: Chart, nuisance: int) -> Array:
     """(n, n) covariance of what the base knows; zero for what it does not have."""
     free = chart.free
     covariance = np.zeros((len(free),) * 2)
-    known = superset.knowledge
+    known = augmented.prior
     if known is None:
-        spread = [_coordinate_spread(superset, name) for name in free[:nuisance]]
+        spread = [_coordinate_spread(augmented, name) for name in free[:nuisance]]
         covariance[range(nuisance), range(nuisance)] = np.square(spread)
         return covariance
     held = [i for i, name in enumerate(free) if name in known.names]
     covariance[np.ix_(held, held)] = known.part([free[i] for i in held])
     for i, name in enumerate(free[:nuisance]):
         if i in held:
-            covariance[i, i] += (SESSION * _floor(superset, name)) ** 2
+            covariance[i, i] += (SESSION * _floor(augmented, name)) ** 2
         else:
-            covariance[i, i] = _coordinate_spread(superset, name) ** 2
+            covariance[i, i] = _coordinate_spread(augmented, name) ** 2
     return covariance
 
 
-def _floor(superset: Superset, name: str) -> float:
+def _floor(augmented: AugmentedCar, name: str) -> float:
     """Least standard deviation of a base coordinate: what changes from day to day."""
     if name not in FLOORS:
-        return 0.05 * effect_scales(superset.effects).get(name, 0.0)
-    return _of_coordinate(superset, name, _least(superset, name))
+        return 0.05 * effect_scales(augmented.effects).get(name, 0.0)
+    return _of_coordinate(augmented, name, _least(augmented, name))
 
 
-def _least(superset: Superset, name: str) -> float:
+def _least(augmented: AugmentedCar, name: str) -> float:
     """A base parameter's floor in its own unit."""
-    names = superset.kernels.names
+    names = augmented.kernels.names
     if name in LENGTHS:
-        return FLOORS[name] * relative_length(names, superset.base)
-    value = abs(float(superset.base[names.index(name)]))
+        return FLOORS[name] * relative_length(names, augmented.base)
+    value = abs(float(augmented.base[names.index(name)]))
     return FLOORS[name] * (value if name in RELATIVE else 1.0)
 
 
-def _of_coordinate(superset: Superset, name: str, sd: float) -> float:
+def _of_coordinate(augmented: AugmentedCar, name: str, sd: float) -> float:
     """Standard deviation of a base parameter's coordinate from that of the parameter."""
-    value = abs(float(superset.base[superset.kernels.names.index(name)]))
+    value = abs(float(augmented.base[augmented.kernels.names.index(name)]))
     return sd / value**2 if name in INVERSE else sd / value if name in LOGARITHM else sd
 
 
-def _coordinate_spread(superset: Superset, name: str) -> float:
+def _coordinate_spread(augmented: AugmentedCar, name: str) -> float:
     """Prior standard deviation of a base parameter's coordinate."""
     if name not in FLOORS:
-        return _floor(superset, name) / 0.05
-    floor = _least(superset, name)
-    if not superset.sd:
-        return _of_coordinate(superset, name, UNKNOWN * floor)
-    spread = max(floor, WIDER * min(superset.sd.get(name, 0.0), 20.0 * floor))
-    return _of_coordinate(superset, name, spread)
+        return _floor(augmented, name) / 0.05
+    floor = _least(augmented, name)
+    if not augmented.sd:
+        return _of_coordinate(augmented, name, UNKNOWN * floor)
+    spread = max(floor, WIDER * min(augmented.sd.get(name, 0.0), 20.0 * floor))
+    return _of_coordinate(augmented, name, spread)

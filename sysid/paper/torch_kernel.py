@@ -39,7 +39,7 @@ def simulate(
         commands: (B, history + N, 2), each held over a step.
         h: step [s].
         integrator: `rk4` or `euler`.
-        substeps: integration steps to a command (see `engine.stable_substeps`).
+        substeps: integration steps to a command (see `predictor.stable_substeps`).
         history: how many of the commands lie before the first step.
         t: time into the run at the first step [s].
 

@@ -5,8 +5,8 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sim_gap.diagnosis import Options, diagnose
+from steerd.sysid.inference.car_fit import Fixed
 from steerd.sysid.inference.car_posterior import refine
-from steerd.sysid.inference.teaching import Stated
 
 pytestmark = pytest.mark.slow
 
@@ -41,7 +41,7 @@ def test_a_manner_of_the_car_is_no_gap(refined, drive):
 
 def test_a_stated_wheelbase_and_what_is_held_stay(drive, base, refined):
     runs = drive("wheel_slip=0.006,steer_nonlinearity=-0.6", runs=6, seed=5)
-    stated = Stated(wheelbase=True, held=("steer_gain", "tyre_saturation", "c_sr"))
+    stated = Fixed(wheelbase=True, held=("steer_gain", "tyre_saturation", "c_sr"))
     found = refine(base, runs, stated)
     length = base.car.lf + base.car.lr
     assert found.car.lf + found.car.lr == pytest.approx(length, abs=3e-4)

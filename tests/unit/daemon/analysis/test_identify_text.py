@@ -16,7 +16,7 @@ from steerd.sysid.data.dataset import LogJitter
 from steerd.sysid.data.excitation import Excitation
 from steerd.sysid.estimation.outcome import HeldOut, Outcome, Row
 from steerd.sysid.estimation.validation import Prediction, Regime
-from steerd.sysid.inference.teaching import Step
+from steerd.sysid.inference.car_fit import Step
 
 DRIVEN = Excitation(60.0, 100.0, 1.0, 2.0, 0.1, 1.0, 0.4, 0.4, 3.0, ())
 

@@ -9,7 +9,7 @@ from benchmarks.blind_gap.car import make_car
 from benchmarks.live_changes.plant import Change, changed, drive
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.sim_gap.online.learner import Learner, make_learner
-from steerd.sim_gap.online.looking import Anchor, Look
+from steerd.sim_gap.online.linearisation import Loss, Reference
 from steerd.sim_gap.online.samples import Sample
 from steerd.sim_gap.online.tracking import Track
 from steerd.sysid.inference.noise import Noise
@@ -26,37 +26,37 @@ def learner() -> Learner:
 
 
 @pytest.fixture(scope="session")
-def anchor(learner: Learner) -> Anchor:
+def reference(learner: Learner) -> Reference:
     noise = Noise((1e-3, 2e-3, 0.02, 0.05), (0.1, 0.1, 0.7))
-    return Anchor(learner.superset, make_space(learner.superset, NUISANCE, EFFECTS), noise)
+    return Reference(learner.augmented, make_space(learner.augmented, NUISANCE, EFFECTS), noise)
 
 
 @pytest.fixture
-def track(anchor: Anchor) -> Track:
+def track(reference: Reference) -> Track:
     """A base that many windows informed."""
-    n = anchor.space.nuisance
-    prior = np.linalg.inv(anchor.space.covariance[:n, :n])
+    n = reference.space.nuisance
+    prior = np.linalg.inv(reference.space.covariance[:n, :n])
     return Track(400.0 * prior, np.zeros(n), prior)
 
 
 @pytest.fixture
-def windows(anchor: Anchor) -> Callable[..., list[Look]]:
+def windows(reference: Reference) -> Callable[..., list[Loss]]:
     """Windows about a car of which some coordinates are off: `windows(12, steer_bias=0.02)`."""
 
-    def make(count: int, left: float = 1.0, seed: int = 3, **off: float) -> list[Look]:
+    def make(count: int, left: float = 1.0, seed: int = 3, **off: float) -> list[Loss]:
         rng = np.random.default_rng(seed)
-        truth, free = np.zeros(len(anchor.space.centre)), anchor.space.chart.free
+        truth, free = np.zeros(len(reference.space.centre)), reference.space.chart.free
         for name, value in off.items():
             first = next(i for i, each in enumerate(free) if each.startswith(f"{name}."))
             truth[first] = value
-        looks = []
+        losses = []
         for number in range(count):
-            slopes = rng.standard_normal((DOF, len(truth))) / anchor.space.spread
+            slopes = rng.standard_normal((DOF, len(truth))) / reference.space.spread
             h = 40.0 * slopes.T @ slopes
             best = truth + np.linalg.solve(np.linalg.cholesky(h).T, rng.standard_normal(len(truth)))
             square = left * DOF + float(best @ h @ best)
-            looks.append(Look(0.5 * number, square, DOF, h @ best, h))
-        return looks
+            losses.append(Loss(0.5 * number, square, DOF, h @ best, h))
+        return losses
 
     return make
 

@@ -13,59 +13,59 @@ from steerd.sysid.inference.space import make_space
 LEARNT = {"steer_bias": (0.004, 4e-4), "speed_gain": (0.979, 0.001)}
 
 
-def spread_of(superset, name):
+def spread_of(augmented, name):
     """Standard deviation of a parameter before a drive [its unit]."""
-    space = make_space(superset, (name,))
+    space = make_space(augmented, (name,))
     place = space.chart.free.index(name)
     row = space.chart.names.index(name)
     return abs(space.chart.slopes(space.centre)[row, place]) * space.spread[place]
 
 
 def test_what_was_learnt_widens_each_day_until_the_car_file_says_as_much(learner):
-    superset = learner.superset
-    before = spread_of(superset, "steer_bias")
+    augmented = learner.augmented
+    before = spread_of(augmented, "steer_bias")
     for days in (0.0, 1.0, 4.0, 20.0):
-        bias = remember(superset, Memory({"steer_bias": (0.004, 4e-4)}, days))[0]
+        bias = remember(augmented, Memory({"steer_bias": (0.004, 4e-4)}, days))[0]
         assert bias.value == 0.004
         assert bias.sd**2 == pytest.approx(4e-4**2 + 0.01 * days * before**2)
-    assert remember(superset, Memory(LEARNT, 26.0)) == ()
+    assert remember(augmented, Memory(LEARNT, 26.0)) == ()
 
 
 def test_a_clock_that_ran_back_widens_nothing(learner):
-    today, past = (remember(learner.superset, Memory(LEARNT, days)) for days in (0.0, -0.01))
+    today, past = (remember(learner.augmented, Memory(LEARNT, days)) for days in (0.0, -0.01))
     assert today == past
 
 
 def test_lengths_and_unknown_names_are_not_remembered(learner):
     memory = Memory({"lf": (0.17, 1e-4), "lr": (0.16, 1e-4), "no.such": (1.0, 0.1)}, 0.0)
-    assert remember(learner.superset, memory) == ()
+    assert remember(learner.augmented, memory) == ()
 
 
-def test_memory_and_drive_are_joined(anchor, track):
-    place, name = anchor.space.chart.free.index("steer_lag"), "steer_lag"
-    at = float(anchor.space.centre[place])
+def test_memory_and_drive_are_joined(reference, track):
+    place, name = reference.space.chart.free.index("steer_lag"), "steer_lag"
+    at = float(reference.space.centre[place])
     sd = float(np.sqrt(track.covariance[place, place]))
-    joined = with_memory(anchor, track, [Remembered(name, at + sd, sd)])
+    joined = with_memory(reference, track, [Remembered(name, at + sd, sd)])
     assert 0.4 * sd < joined.mean[place] < sd
     assert np.sqrt(joined.covariance[place, place]) < 0.8 * sd
-    others = [i for i in range(anchor.space.nuisance) if i != place]
+    others = [i for i in range(reference.space.nuisance) if i != place]
     np.testing.assert_array_equal(joined.mean[others], track.mean[others])
 
 
-def test_nothing_remembered_changes_no_bit(anchor, track):
+def test_nothing_remembered_changes_no_bit(reference, track):
     for nothing in ((), (Remembered("speed_gain", 1.0, 1e-3),)):
-        joined = with_memory(anchor, track, nothing)
+        joined = with_memory(reference, track, nothing)
         np.testing.assert_array_equal(joined.information, track.information)
         np.testing.assert_array_equal(joined.pull, track.pull)
         np.testing.assert_array_equal(joined.prior, track.prior)
 
 
-def test_a_drive_that_shows_another_car_is_believed(anchor, track):
-    place = anchor.space.chart.free.index("steer_lag")
+def test_a_drive_that_shows_another_car_is_believed(reference, track):
+    place = reference.space.chart.free.index("steer_lag")
     sd = float(np.sqrt(track.covariance[place, place]))
-    at = float(anchor.space.centre[place])
+    at = float(reference.space.centre[place])
     for size, kept in ((4.0, True), (4.5, False)):
-        joined = with_memory(anchor, track, [Remembered("steer_lag", at + size * sd, sd)])
+        joined = with_memory(reference, track, [Remembered("steer_lag", at + size * sd, sd)])
         assert (joined is not track) == kept
 
 
@@ -82,10 +82,10 @@ def test_a_second_drive_goes_on_from_the_first_unless_it_contradicts_it(learner,
     known = drive(learner, samples)
     first = {v.name: v for v in values_of(known)}
     kept = Memory({n: (v.value, v.sd) for n, v in first.items() if v.identifiable}, 0.0)
-    again = drive(replace(learner, remembered=remember(learner.superset, kept)), samples)
+    again = drive(replace(learner, remembered=remember(learner.augmented, kept)), samples)
     second = {v.name: v for v in values_of(again)}
     assert second["speed_gain"].identifiable
     assert second["speed_gain"].sd < first["speed_gain"].sd
     wrong = Memory({"speed_gain": (first["speed_gain"].value + 0.06, 1e-3)}, 0.0)
-    cold = drive(replace(learner, remembered=remember(learner.superset, wrong)), samples)
+    cold = drive(replace(learner, remembered=remember(learner.augmented, wrong)), samples)
     np.testing.assert_array_equal(cold.track.information, known.track.information)

@@ -8,13 +8,13 @@ import pytest
 from steerd.car_model.effects import find_effect
 from steerd.sim_gap.online.changes import SPANS, ratios, reweighted, unknown, with_ratios
 from steerd.sim_gap.online.learner import Change, State, fold
-from steerd.sim_gap.online.looking import may_change
+from steerd.sim_gap.online.linearisation import may_change
 from steerd.sim_gap.online.naming import EARLY, Finding, believed, find_cause
 from steerd.sim_gap.online.tracking import Track, follow, informed_directions
 from steerd.sim_gap.online.values import amounts_of
 from steerd.sim_gap.verdict.evidence import Cause
+from steerd.sysid.inference.augmented_car import BasePrior
 from steerd.sysid.inference.space import make_space
-from steerd.sysid.inference.superset import Knowledge
 
 PRIOR = np.diag([1.0, 4.0, 0.25])
 
@@ -71,60 +71,60 @@ def test_directions_do_not_depend_on_units():
 # Ratios of the last windows, and what of them a car shows as usual.
 
 
-def tables(anchor, track, looks):
+def tables(reference, track, losses):
     """Ratios of windows, and the same with weights at the fit."""
-    tracks = [track] * len(looks)
-    table = ratios(anchor, tracks, looks)
-    return table, reweighted(anchor, tracks, looks, table, np.ones_like(table))
+    tracks = [track] * len(losses)
+    table = ratios(reference, tracks, losses)
+    return table, reweighted(reference, tracks, losses, table, np.ones_like(table))
 
 
-def test_ratios_rise_only_over_windows_since_the_change(anchor, track, windows):
-    looks = [*windows(8), *windows(4, seed=8, steer_bias=0.02)]
-    table = ratios(anchor, [track] * 12, looks)
-    bias = table[anchor.space.effects.index("steer_bias")]
+def test_ratios_rise_only_over_windows_since_the_change(reference, track, windows):
+    losses = [*windows(8), *windows(4, seed=8, steer_bias=0.02)]
+    table = ratios(reference, [track] * 12, losses)
+    bias = table[reference.space.effects.index("steer_bias")]
     assert int(np.nanargmax(bias)) == SPANS.index(4)
     assert bias[SPANS.index(4)] > 50.0
     assert np.isnan(bias[SPANS.index(16)])
 
 
-def test_quiet_windows_keep_their_ratios(anchor, track, windows):
-    looks = windows(6)
-    table = ratios(anchor, [track] * 6, looks)
+def test_quiet_windows_keep_their_ratios(reference, track, windows):
+    losses = windows(6)
+    table = ratios(reference, [track] * 6, losses)
     level = np.full_like(table, np.nanmax(table))
-    assert reweighted(anchor, [track] * 6, looks, table, level) is table
+    assert reweighted(reference, [track] * 6, losses, table, level) is table
 
 
-def test_a_plain_change_counts_for_more_than_its_outlying_windows(anchor, track, windows):
-    table, after = tables(anchor, track, windows(2, steer_bias=0.02))
-    short, bias = SPANS.index(2), anchor.space.effects.index("steer_bias")
+def test_a_plain_change_counts_for_more_than_its_outlying_windows(reference, track, windows):
+    table, after = tables(reference, track, windows(2, steer_bias=0.02))
+    short, bias = SPANS.index(2), reference.space.effects.index("steer_bias")
     assert after[bias, short] > 1.2 * table[bias, short]
     assert int(np.argmax(after[:, short])) == bias
 
 
-def test_no_ratio_becomes_smaller_and_none_appears(anchor, track, windows):
-    table, after = tables(anchor, track, windows(4, tyre_friction=-0.2))
+def test_no_ratio_becomes_smaller_and_none_appears(reference, track, windows):
+    table, after = tables(reference, track, windows(4, tyre_friction=-0.2))
     np.testing.assert_array_equal(np.isnan(table), np.isnan(after))
     there = np.isfinite(table)
     assert (after[there] >= table[there]).all()
 
 
-def test_a_value_that_no_car_has_sharpens_nothing(anchor, track, windows):
-    table, after = tables(anchor, track, windows(3, steer_bias=0.9))
-    bias = anchor.space.effects.index("steer_bias")
+def test_a_value_that_no_car_has_sharpens_nothing(reference, track, windows):
+    table, after = tables(reference, track, windows(3, steer_bias=0.9))
+    bias = reference.space.effects.index("steer_bias")
     np.testing.assert_array_equal(table[bias], after[bias])
 
 
-def test_windows_that_nothing_explains_are_no_change(anchor, track, windows):
-    _, after = tables(anchor, track, windows(2, left=40.0))
+def test_windows_that_nothing_explains_are_no_change(reference, track, windows):
+    _, after = tables(reference, track, windows(2, left=40.0))
     assert np.nanmax(after) < 20.0
 
 
 def test_what_a_car_shows_as_usual_is_no_change():
     shape = (2, len(SPANS))
-    usual = unknown(2)
+    quiet = unknown(2)
     for _ in range(200):
-        usual = with_ratios(usual, np.full(shape, 9.0))
-    assert (usual.level() > 8.0).all()
+        quiet = with_ratios(quiet, np.full(shape, 9.0))
+    assert (quiet.level() > 8.0).all()
     quiet = unknown(2)
     for _ in range(200):
         quiet = with_ratios(quiet, np.full(shape, 0.3))
@@ -172,32 +172,34 @@ def test_a_change_without_a_name_has_no_amount():
 AT = 30.2
 
 
-def test_what_is_known_of_the_base_is_as_wide_as_its_track_and_no_wider(anchor, track):
-    base = believed(anchor, track)
-    free = anchor.space.chart.free[: anchor.space.nuisance]
+def test_what_is_known_of_the_base_is_as_wide_as_its_track_and_no_wider(reference, track):
+    base = believed(reference, track)
+    free = reference.space.chart.free[: reference.space.nuisance]
     space = make_space(base, free)
     widened = np.sqrt(np.diag(space.covariance) / np.diag(track.covariance))
     assert (widened >= 1.0 - 1e-6).all()
-    np.testing.assert_allclose(space.centre, anchor.space.centre[: len(free)])
+    np.testing.assert_allclose(space.centre, reference.space.centre[: len(free)])
 
 
-def test_the_base_begins_where_its_track_is(anchor, track):
-    moved = replace(track, pull=track.information @ np.full(anchor.space.nuisance, 1e-4))
-    at = make_space(believed(anchor, moved), anchor.space.chart.free[: anchor.space.nuisance])
-    np.testing.assert_allclose(at.centre - anchor.space.centre[: len(at.centre)], 1e-4)
+def test_the_base_begins_where_its_track_is(reference, track):
+    moved = replace(track, pull=track.information @ np.full(reference.space.nuisance, 1e-4))
+    at = make_space(
+        believed(reference, moved), reference.space.chart.free[: reference.space.nuisance]
+    )
+    np.testing.assert_allclose(at.centre - reference.space.centre[: len(at.centre)], 1e-4)
 
 
-def test_where_healthy_drives_left_more_than_noise_the_base_does_too(anchor, track):
+def test_where_healthy_drives_left_more_than_noise_the_base_does_too(reference, track):
     excess = (1.0, 1.0, 2.0, 3.0, 4.0, 5.0)
-    free = anchor.space.chart.free[: anchor.space.nuisance]
-    taught = Knowledge(free, track.covariance, excess)
-    car = replace(anchor, superset=replace(anchor.superset, knowledge=taught))
-    assert believed(car, track).knowledge.excess == excess
-    assert believed(anchor, track).knowledge.excess == (1.0,) * len(excess)
+    free = reference.space.chart.free[: reference.space.nuisance]
+    fitted = BasePrior(free, track.covariance, excess)
+    car = replace(reference, augmented=replace(reference.augmented, prior=fitted))
+    assert believed(car, track).prior.excess == excess
+    assert believed(reference, track).prior.excess == (1.0,) * len(excess)
 
 
-def test_windows_that_no_car_drove_say_nothing(anchor, track):
-    assert find_cause(anchor, track, ()) == Finding("changed", None)
+def test_windows_that_no_car_drove_say_nothing(reference, track):
+    assert find_cause(reference, track, ()) == Finding("changed", None)
 
 
 @pytest.fixture(scope="module")
@@ -219,8 +221,8 @@ def loose(learner, drives):
 @pytest.mark.slow
 def test_healthy_windows_have_no_cause(healthy):
     known, runs = healthy.known, [run for _, run in healthy.windows]
-    assert find_cause(known.anchor, known.track, runs) == Finding("none", None)
-    few = find_cause(known.anchor, known.track, runs[-EARLY + 1 :])
+    assert find_cause(known.reference, known.track, runs) == Finding("none", None)
+    few = find_cause(known.reference, known.track, runs[-EARLY + 1 :])
     assert few == Finding("changed", None), "too early to say so"
 
 
@@ -236,6 +238,6 @@ def test_play_is_named_although_it_has_no_gradient_where_there_is_none(loose):
 @pytest.mark.slow
 def test_only_what_a_lane_shows_at_once_can_have_come_about(healthy):
     runs = [run for _, run in healthy.windows]
-    possible = may_change(healthy.known.anchor.superset, runs)
+    possible = may_change(healthy.known.reference.augmented, runs)
     assert {"steer_lag", "steer_backlash", "marker_offset"} <= set(possible)
     assert not {"grip_drift", "grip_patch", "battery_sag"} & set(possible)

@@ -19,8 +19,8 @@ NAMES = [f"{name}.{p.name}" for name in VALUES for p in EFFECTS[name].parameters
 LIBRARY = SimpleNamespace(
     effect=EFFECTS.get,
     likelihood=SimpleNamespace(
-        engine=SimpleNamespace(
-            superset=SimpleNamespace(
+        predictor=SimpleNamespace(
+            augmented=SimpleNamespace(
                 places=lambda name: [i for i, n in enumerate(NAMES) if n.startswith(f"{name}.")]
             )
         )

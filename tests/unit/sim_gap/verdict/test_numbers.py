@@ -70,9 +70,9 @@ def test_noise_leaves_on_few_drives_what_the_best_fit_shows_within_two_errors():
 
 
 def test_windows_left_unexplained_are_no_noise():
-    wild = np.array([-3.0, 3.0] * 50)
-    assert noise_margin(wild, 1.0, 16) == pytest.approx(0.5 * c.NOISE_SPREAD)
-    assert noise_margin(wild, 0.8, 64) == pytest.approx(0.2 * c.NOISE_SPREAD)
+    diverged = np.array([-3.0, 3.0] * 50)
+    assert noise_margin(diverged, 1.0, 16) == pytest.approx(0.5 * c.NOISE_SPREAD)
+    assert noise_margin(diverged, 0.8, 64) == pytest.approx(0.2 * c.NOISE_SPREAD)
 
 
 def test_no_whole_share_while_a_third_of_the_windows_stays_off():

@@ -2,11 +2,11 @@
 
 import pytest
 
-from steerd.sysid.inference.engine import Engine, open_engine
+from steerd.sysid.inference.augmented_car import augment
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import Noise
+from steerd.sysid.inference.predictor import Predictor, make_predictor
 from steerd.sysid.inference.space import Space, make_space
-from steerd.sysid.inference.superset import make_superset
 
 NOISE = Noise((7e-4, 2e-3, 0.02, 0.05), (0.4, 0.4, 2.5), 1e-4)
 """What `tests/unit/conftest.py` adds to its drives."""
@@ -15,18 +15,18 @@ FEW = ("lf", "c_sf", "steer_gain", "steer_bias", "speed_gain")
 
 
 @pytest.fixture(scope="session")
-def healthy(drive, base) -> Engine:
+def healthy(drive, base) -> Predictor:
     runs = drive("", runs=2, seconds=6.0, seed=7)
-    return open_engine(make_superset(base, runs), runs)
+    return make_predictor(augment(base, runs), runs)
 
 
 @pytest.fixture(scope="session")
 def likelihood(healthy) -> Likelihood:
     guess = healthy.guess.copy()
-    return make_likelihood(healthy, healthy.superset.base, guess, NOISE)
+    return make_likelihood(healthy, healthy.augmented.base, guess, NOISE)
 
 
 @pytest.fixture(scope="session")
 def small(healthy) -> Space:
     """A base with a few free parameters."""
-    return make_space(healthy.superset, FEW)
+    return make_space(healthy.augmented, FEW)

@@ -26,8 +26,8 @@ from steerd.sysid.inference.space import informative_effects, make_space, nuisan
 
 @pytest.fixture(scope="module")
 def fitted(likelihood, drive):
-    healthy = likelihood.engine
-    space = make_space(healthy.superset, nuisance_names(healthy.superset, drive("", 1, 4.0)))
+    healthy = likelihood.predictor
+    space = make_space(healthy.augmented, nuisance_names(healthy.augmented, drive("", 1, 4.0)))
     return minimise(likelihood, stand(likelihood, space, space.centre, healthy.guess, 1.0))
 
 
@@ -64,7 +64,7 @@ def test_a_slope_is_the_difference_quotient(healthy, fitted):
     ],
 )
 def test_readings_without_derivatives_are_the_same_numbers(healthy, effect, values):
-    space = make_space(healthy.superset, (), [effect])
+    space = make_space(healthy.augmented, (), [effect])
     x = healthy.guess.copy()
     x[:, 6] = 0.002
     z = np.array(values)
@@ -74,9 +74,9 @@ def test_readings_without_derivatives_are_the_same_numbers(healthy, effect, valu
 
 
 def test_effects_at_their_nulls_change_no_bit(healthy, fitted):
-    names = [e.name for e in healthy.superset.effects if e.name != "grip_patch"]
-    wide = make_space(healthy.superset, (), names[:12])
-    plain = make_space(healthy.superset, ())
+    names = [e.name for e in healthy.augmented.effects if e.name != "grip_patch"]
+    wide = make_space(healthy.augmented, (), names[:12])
+    plain = make_space(healthy.augmented, ())
     a = healthy.linear(plain, plain.centre, fitted.x).error
     b = healthy.linear(wide, wide.centre, fitted.x).error
     assert np.array_equal(a, b)
@@ -93,7 +93,7 @@ def test_noise_survives_a_car_file():
 
 
 def test_a_slipping_wheel_is_off_by_speed_times_acceleration(healthy):
-    error, _ = healthy.errors(healthy.superset.base, healthy.guess)
+    error, _ = healthy.errors(healthy.augmented.base, healthy.guess)
     shape = slip_shape(healthy, error)
     wheel = (healthy.layout.channel[healthy.padded.row] == 3) & (healthy.padded.there > 0)
     slip = np.sqrt(np.diagonal(shape, axis1=1, axis2=2))
@@ -105,9 +105,9 @@ def test_a_slipping_wheel_is_off_by_speed_times_acceleration(healthy):
         assert slip[w, wheel[w]] == pytest.approx(np.abs(v * np.gradient(v, t)))
 
 
-def _at_base(engine):
-    space = make_space(engine.superset, ())
-    return space, space.centre, engine.guess
+def _at_base(predictor):
+    space = make_space(predictor.augmented, ())
+    return space, space.centre, predictor.guess
 
 
 def test_drives_noisier_than_known_are_believed():
@@ -127,9 +127,9 @@ def test_a_wheel_that_is_trusted_little_leaves_little(healthy):
 
 def test_prescribed_speed_tells_nothing_of_the_drive(healthy, drive):
     runs = drive("", 1, 4.0)
-    assert "accel_limit" in informative_effects(healthy.superset, runs)
+    assert "accel_limit" in informative_effects(healthy.augmented, runs)
     measured = [replace(run, speed_source="wheel") for run in runs]
-    left = informative_effects(healthy.superset, measured)
+    left = informative_effects(healthy.augmented, measured)
     assert not {"accel_limit", "rolling_drag", "drive_delay"} & set(left)
     assert "tyre_friction" in left
 
@@ -151,7 +151,7 @@ def test_a_push_along_the_car_shows_in_speed_and_nowhere_before(healthy, fitted)
 def test_windows_taken_out_read_the_same(healthy, fitted):
     chosen = np.arange(healthy.layout.count) % 2 == 0
     part = healthy.take(chosen)
-    space = make_space(healthy.superset, ())
+    space = make_space(healthy.augmented, ())
     whole = healthy.linear(space, space.centre, fitted.x).error[chosen]
     taken = part.linear(space, space.centre, fitted.x[chosen]).error
     assert np.allclose(whole[:, : taken.shape[1]], taken, atol=1e-12)
@@ -168,10 +168,10 @@ def test_a_window_that_left_the_map_answers_to_nothing(healthy, fitted):
     assert np.allclose(seen[:, others], whole[:, others], rtol=1e-9, atol=1e-9)
 
 
-def _left(engine, noise):
+def _left(predictor, noise):
     """What is left of the base per degree of freedom, its starts at their best."""
-    space, guess = make_space(engine.superset, ()), engine.guess
-    likelihood = make_likelihood(engine, engine.superset.base, guess, noise)
+    space, guess = make_space(predictor.augmented, ()), predictor.guess
+    likelihood = make_likelihood(predictor, predictor.augmented.base, guess, noise)
     return robust_mean(settled(likelihood, space, space.centre).at.ratio)
 
 
@@ -191,9 +191,9 @@ def test_calibrated_noise_leaves_one(healthy):
 
 
 def test_starts_at_their_best_lower_the_error(likelihood):
-    space = make_space(likelihood.engine.superset, ())
-    guess = likelihood.engine.guess
-    error, _ = likelihood.engine.errors(space.chart.parameters(space.centre), guess)
+    space = make_space(likelihood.predictor.augmented, ())
+    guess = likelihood.predictor.guess
+    error, _ = likelihood.predictor.errors(space.chart.parameters(space.centre), guess)
     before = likelihood.squares(error, guess, 0.0)
     after = settled(likelihood, space, space.centre).at.square
     assert (after <= before * (1.0 + 1e-9)).all()

@@ -8,13 +8,13 @@ import pytest
 
 from steerd.car_model.effects import EFFECTS
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.engine import open_engine
-from steerd.sysid.inference.hypotheses import Library, begin, carry, explain, judge, look_at_all
+from steerd.sysid.inference.augmented_car import augment
+from steerd.sysid.inference.hypotheses import Library, begin, carry, explain, judge, screen_effects
 from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.posterior import posterior_of
+from steerd.sysid.inference.predictor import make_predictor
 from steerd.sysid.inference.search import minimise, stand
 from steerd.sysid.inference.space import FLOORS, nuisance_names
-from steerd.sysid.inference.superset import make_superset
 from tests.unit.sysid.inference.conftest import NOISE
 
 LOOKED_AT = ("steer_delay", "steer_lag", "mocap_latency", "speed_scale", "marker_offset",
@@ -23,11 +23,11 @@ SAME = {e.name: e.same_as for e in EFFECTS.values() if e.same_as}
 
 
 def _library(runs, base, names=LOOKED_AT):
-    engine = open_engine(make_superset(base, runs), runs)
-    guess = engine.guess.copy()
-    likelihood = make_likelihood(engine, engine.superset.base, guess, NOISE)
+    predictor = make_predictor(augment(base, runs), runs)
+    guess = predictor.guess.copy()
+    likelihood = make_likelihood(predictor, predictor.augmented.base, guess, NOISE)
     return Library(
-        likelihood, nuisance_names(engine.superset, runs), tuple(map(EFFECTS.get, names))
+        likelihood, nuisance_names(predictor.augmented, runs), tuple(map(EFFECTS.get, names))
     )
 
 
@@ -76,7 +76,7 @@ def test_an_effect_that_the_base_has_is_freed_once(likelihood):
 
 def test_values_are_carried_by_their_names(likelihood):
     library = Library(likelihood, ("lf", "steer_gain"), ())
-    guess = likelihood.engine.guess
+    guess = likelihood.predictor.guess
     wide, narrow = library.space(("steer_lag",)), library.space(("steer_gain",))
     z = wide.centre + 0.1 * wide.spread
     point = stand(likelihood, wide, np.clip(z, wide.low, wide.high), guess, 1.0)
@@ -93,11 +93,11 @@ def test_values_are_carried_by_their_names(likelihood):
 def test_a_start_that_the_base_alone_holds_holds_no_effect_back(late):
     """The windows in which an effect shows are those that the base bends too far."""
     library, _ = late
-    start = begin(library, (), (), library.likelihood.engine.guess.copy())
+    start = begin(library, (), (), library.likelihood.predictor.guess.copy())
     found = []
     for fill in (np.zeros_like, np.ones_like):
         rotated = start.rotated._replace(held=fill(start.rotated.held))
-        found.append(look_at_all(library, replace(start, rotated=rotated)))
+        found.append(screen_effects(library, replace(start, rotated=rotated)))
     assert found[0] == found[1]
     assert found[0][0][0].effect == "steer_delay"
 
@@ -130,7 +130,7 @@ def test_the_hidden_effect_is_named_and_no_second_invented(late):
     assert found.best.effects == ("steer_delay",)
     assert found.probability("steer_delay") > 0.95
     assert found.best.point.size < c.GAP_SIZE < found.start.size
-    place = library.likelihood.engine.superset.places("steer_delay")
+    place = library.likelihood.predictor.augmented.places("steer_delay")
     assert found.best.point.parameters[place] == pytest.approx(0.03, abs=0.003)
 
 
@@ -138,7 +138,7 @@ def test_two_hidden_effects_are_both_named(both):
     library, found = both
     assert set(found.best.effects) == {"steer_delay", "speed_scale"}
     values = found.best.point.parameters
-    places = library.likelihood.engine.superset.places
+    places = library.likelihood.predictor.augmented.places
     assert values[places("steer_delay")] == pytest.approx(0.04, abs=0.004)
     assert values[places("speed_scale")] == pytest.approx(0.93, abs=0.01)
 
@@ -200,7 +200,7 @@ def test_what_an_effect_gains_the_base_cannot_gain_alone(late):
 
 def test_a_search_begins_with_the_base_where_it_was(late):
     library, found = late
-    guess = library.likelihood.engine.guess.copy()
+    guess = library.likelihood.predictor.guess.copy()
     start = begin(library, (), (), guess)
     assert start.z == pytest.approx(start.space.centre)
     assert start.size == found.start.size

@@ -13,20 +13,20 @@ from steerd.car_model.model import Model
 from steerd.car_model.native.windows import parameter_vector
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.planar import make_planar
+from steerd.sysid.inference.augmented_car import (
+    EDGES,
+    EXCESS_MAX,
+    BasePrior,
+    excess_by_regime,
+    inflate_each,
+    prior_of_section,
+    prior_section,
+)
 from steerd.sysid.inference.chart import make_chart
 from steerd.sysid.inference.identifiability import estimates, taught_estimates
 from steerd.sysid.inference.places import DISCS, RADII, suspicious_discs
 from steerd.sysid.inference.plain_car import TYRES
 from steerd.sysid.inference.search import step_within
-from steerd.sysid.inference.superset import (
-    EDGES,
-    EXCESS_MAX,
-    Knowledge,
-    excess_by_regime,
-    inflate_each,
-    knowledge_of_section,
-    knowledge_section,
-)
 
 CAR = DEFAULT_CAR._replace(lf=0.16, steer_gain=0.95)
 SD = {"lf": 0.002, "lr": 0.1, "steer_gain": 0.01, "steer_delay": 0.001, "tyre_saturation.q": 0.1}
@@ -167,16 +167,16 @@ def test_where_no_place_differs_there_is_no_disc(where, badness):
 NAMES = ("lf", "lr", "steer_gain", "scrub.drag")
 
 
-def known(seed: int = 0) -> Knowledge:
+def known(seed: int = 0) -> BasePrior:
     root = np.random.default_rng(seed).standard_normal((4, 6)) * [[1e-3], [2e-3], [0.01], [0.3]]
     excess = (1.0, 1.0, 1.2, 1.5, 2.0, 4.0)
-    return Knowledge(NAMES, root @ root.T, excess, (0.16, 0.17, 1.01, 0.2))
+    return BasePrior(NAMES, root @ root.T, excess, (0.16, 0.17, 1.01, 0.2))
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_what_is_known_survives_the_car_file(seed: int) -> None:
     before = known(seed)
-    after = knowledge_of_section(knowledge_section(before))
+    after = prior_of_section(prior_section(before))
     assert after is not None
     assert after.names == before.names
     assert after.values == before.values
@@ -189,11 +189,11 @@ def test_what_is_known_survives_the_car_file(seed: int) -> None:
 
 @pytest.mark.parametrize("key", ["names", "sd", "correlation", "excess", "values"])
 def test_a_damaged_section_is_refused(key: str) -> None:
-    table = knowledge_section(known())
+    table = prior_section(known())
     for damaged in ({k: v for k, v in table.items() if k != key}, {**table, key: "?"}):
         with pytest.raises(ValueError, match="knowledge"):
-            knowledge_of_section(damaged)
-    assert knowledge_of_section({}) is None
+            prior_of_section(damaged)
+    assert prior_of_section({}) is None
 
 
 @settings(deadline=None)

@@ -16,7 +16,7 @@ BODY = (0, 1, 2)
 @pytest.fixture(scope="module")
 def dense(healthy):
     """(W, D, D) covariances of healthy windows and of a discrepancy of size 1, 0 in padding."""
-    parameters, x = healthy.superset.base, healthy.guess
+    parameters, x = healthy.augmented.base, healthy.guess
     seen = responses(healthy, parameters, x, BODY)
     slip = slip_shape(healthy, healthy.errors(parameters, x)[0])
     own = covariance(healthy, NOISE, [*shapes(healthy, seen, BODY), slip])
@@ -28,7 +28,7 @@ def dense(healthy):
 def linear(likelihood, small):
     """Errors and derivatives a little off the base, at starts that are not settled."""
     z = small.centre + 0.5 * small.spread
-    return likelihood.engine.linear(small, z, likelihood.engine.guess)
+    return likelihood.predictor.linear(small, z, likelihood.predictor.guess)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def x(healthy):
 def test_one_rotation_diagonalises_both_covariances(likelihood, dense):
     own, unknown = dense
     turned = likelihood.rotation.transpose(0, 2, 1)
-    there = likelihood.engine.padded.there
+    there = likelihood.predictor.padded.there
     assert likelihood.rotation @ own @ turned == pytest.approx(
         np.eye(there.shape[1]) * there[:, :, None], abs=1e-7
     )
@@ -62,7 +62,7 @@ def test_squares_and_determinants_are_those_of_the_dense_covariance(
     prior = np.diag(likelihood.start_precision[0])
     for w in range(len(x)):
         whole = own[w] + size**2 * unknown[w]
-        away = likelihood.engine.guess[w] - x[w]
+        away = likelihood.predictor.guess[w] - x[w]
         error, by_x = linear.error[w], linear.by_x[w]
         prior = np.diag(likelihood.start_precision[w])
         expected = error @ np.linalg.solve(whole, error) + away @ prior @ away
@@ -79,7 +79,7 @@ def test_the_eliminated_start_is_that_of_a_joint_least_squares(likelihood, dense
     for w in (0, 3, len(x) - 1):
         root = np.linalg.inv(np.linalg.cholesky(own[w] + size**2 * unknown[w]))
         prior = np.diag(np.sqrt(likelihood.start_precision[w]))
-        away = likelihood.engine.guess[w] - x[w]
+        away = likelihood.predictor.guess[w] - x[w]
         rows = np.vstack([root @ linear.by_x[w], prior])
         error = np.concatenate([root @ linear.error[w], prior @ away])
         dx, *_ = np.linalg.lstsq(rows, error, rcond=None)
@@ -94,7 +94,7 @@ def test_the_eliminated_start_is_that_of_a_joint_least_squares(likelihood, dense
 @pytest.mark.parametrize("size", [0.0, 0.5])
 def test_gradient_and_curvature_are_difference_quotients(likelihood, small, size):
     """Of the losses with every start at its best, simulated anew."""
-    guess = likelihood.engine.guess
+    guess = likelihood.predictor.guess
     point = stand(likelihood, small, small.centre + 0.3 * small.spread, guess, size)
     for _ in range(3):
         point = stand(likelihood, small, point.z, point.x + point.at.dx, size)
@@ -117,7 +117,7 @@ def test_derivatives_of_a_near_point_give_the_same_losses(likelihood, linear, x)
 
 
 def test_another_size_is_a_change_of_weights_alone(likelihood, small):
-    guess = likelihood.engine.guess
+    guess = likelihood.predictor.guess
     point = stand(likelihood, small, small.centre, guess, 2.0)
     other = with_size(likelihood, point, 0.3)
     again = likelihood.reduce(likelihood.weigh(point.rotated, 0.3), point.linear.error, point.x)
@@ -127,7 +127,7 @@ def test_another_size_is_a_change_of_weights_alone(likelihood, small):
 
 
 def test_a_window_in_which_the_car_spins_hardly_pulls_and_decides_little(likelihood, small):
-    guess = likelihood.engine.guess
+    guess = likelihood.predictor.guess
     at = stand(likelihood, small, small.centre, guess, 0.0).at
     spun = at._replace(square=at.square * np.where(np.arange(len(guess)) == 2, 1e6, 1.0))
     assert 0.0 < spun.weight[2] < 1e-5 < np.delete(spun.weight, 2).min()
@@ -139,7 +139,7 @@ def test_a_window_in_which_the_car_spins_hardly_pulls_and_decides_little(likelih
 
 def test_a_weight_is_the_slope_of_the_loss(likelihood, small):
     """Half of it per square, below and beyond the bound from which a window counts as spun."""
-    at = stand(likelihood, small, small.centre, likelihood.engine.guess, 0.0).at
+    at = stand(likelihood, small, small.centre, likelihood.predictor.guess, 0.0).at
     for ratio in (0.5, 3.0, 0.9 * c.SPUN, 1.1 * c.SPUN, 50.0 * c.SPUN):
         square, dof = ratio * at.dof, at.dof
         step = 1e-4 * square
@@ -151,7 +151,7 @@ def test_a_weight_is_the_slope_of_the_loss(likelihood, small):
 def test_the_size_is_that_from_which_errors_were_drawn(likelihood, linear, size):
     """Errors of a known covariance, the starts fitted to them."""
     rng = np.random.default_rng(11)
-    there, guess = likelihood.engine.padded.there, likelihood.engine.guess
+    there, guess = likelihood.predictor.padded.there, likelihood.predictor.guess
     own = rng.standard_normal(there.shape) * np.sqrt(1.0 + size**2 * likelihood.spectrum) * there
     error = np.stack([
         np.linalg.lstsq(t, e, rcond=None)[0]
@@ -174,7 +174,7 @@ def test_the_share_of_a_discrepancy_grows_from_nothing_to_nearly_all(likelihood)
 
 
 def test_some_windows_have_the_losses_that_they_have_among_all(likelihood, small):
-    guess = likelihood.engine.guess
+    guess = likelihood.predictor.guess
     chosen = np.arange(len(guess)) % 3 == 1
     part = take_some(likelihood, chosen)
     whole = stand(likelihood, small, small.centre, guess, 0.3)

@@ -19,8 +19,8 @@ from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.data.segments import make_blocks
 from steerd.sysid.estimation.outcome import fit_of_plain
+from steerd.sysid.inference.augmented_car import prescribe_speed
 from steerd.sysid.inference.chart import SPREAD
-from steerd.sysid.inference.engine import stable_substeps
 from steerd.sysid.inference.plain_car import (
     DEFAULT_FREE,
     TYRES,
@@ -29,7 +29,7 @@ from steerd.sysid.inference.plain_car import (
     search_blocks,
     search_rough,
 )
-from steerd.sysid.inference.superset import prescribe_speed
+from steerd.sysid.inference.predictor import stable_substeps
 
 SLID = (0.18917528114233922, 0.29462271010112046, 5.025340279936621, 2.177483451231206)
 """Lengths and stiffnesses of a start in the long valley of long, sliding cars that steer more."""

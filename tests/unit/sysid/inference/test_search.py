@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.engine import open_engine
+from steerd.sysid.inference.augmented_car import augment
 from steerd.sysid.inference.hypotheses import Library, begin
 from steerd.sysid.inference.likelihood import make_likelihood
+from steerd.sysid.inference.predictor import make_predictor
 from steerd.sysid.inference.search import (
     derive,
     explore,
@@ -19,7 +20,6 @@ from steerd.sysid.inference.search import (
     with_size,
 )
 from steerd.sysid.inference.space import make_space
-from steerd.sysid.inference.superset import make_superset
 from tests.unit.sysid.inference.conftest import FEW, NOISE
 
 LATE = 0.03
@@ -31,21 +31,21 @@ MOST_SPREADS = 2.5
 def late(drive, base):
     """The likelihood of a car whose steering is late."""
     runs = drive(f"steer_delay={LATE}", runs=2, seconds=6.0, seed=21)
-    engine = open_engine(make_superset(base, runs), runs)
-    return make_likelihood(engine, engine.superset.base, engine.guess, NOISE)
+    predictor = make_predictor(augment(base, runs), runs)
+    return make_likelihood(predictor, predictor.augmented.base, predictor.guess, NOISE)
 
 
 @pytest.fixture(scope="module")
 def found(late):
     """The optimum with the effect, from the base at its prior."""
     library = Library(late, FEW, ())
-    guess = late.engine.guess
+    guess = late.predictor.guess
     return minimise(late, begin(library, ("steer_delay",), (0.0,), guess))
 
 
 @pytest.fixture(scope="module")
 def settled_base(likelihood, small):
-    point = stand(likelihood, small, small.centre, likelihood.engine.guess, 0.0)
+    point = stand(likelihood, small, small.centre, likelihood.predictor.guess, 0.0)
     return settle(likelihood, fresh(likelihood, point))
 
 
@@ -62,7 +62,7 @@ def test_no_random_start_ends_lower(late, found, seed):
     z = space.centre + space.spread * rng.uniform(-MOST_SPREADS, MOST_SPREADS, len(space.centre))
     z[-1] = rng.uniform(0.0, 0.08)
     z = np.clip(z, space.low, space.high)
-    start = stand(late, space, z, late.engine.guess, 20.0)
+    start = stand(late, space, z, late.predictor.guess, 20.0)
     size = late.best_size(start.rotated, start.linear.error, start.x)
     other = minimise(late, with_size(late, start, size))
     assert other.cost > found.cost - 0.5
@@ -81,7 +81,7 @@ def test_a_cost_is_what_is_simulated_at_the_optimum(late, found):
 
 
 def test_a_step_of_newton_gains_what_it_promises(likelihood, small):
-    guess = likelihood.engine.guess
+    guess = likelihood.predictor.guess
     point = stand(likelihood, small, small.centre + 0.3 * small.spread, guess, 1.0)
     dz, promised = newton(small, point.at, point.z)
     after = stand(likelihood, small, point.z + dz, point.x, 1.0)
@@ -92,7 +92,7 @@ def test_a_step_of_newton_gains_what_it_promises(likelihood, small):
 @pytest.mark.parametrize("name", ["steer_delay", "drive_delay", "accel_max", "steer_rate"])
 def test_dead_times_and_limits_are_differenced_over_a_step(healthy, likelihood, name):
     """A slope between two kinks leads nowhere: the derivative is the quotient over a grid step."""
-    space = make_space(healthy.superset, (name,))
+    space = make_space(healthy.augmented, (name,))
     z, guess = np.clip(space.centre + 1e-3, space.low, space.high), healthy.guess
     grid = healthy.layout.h / healthy.substeps
     step = {"accel_max": 0.3, "steer_rate": 0.05}.get(name, grid)
@@ -109,9 +109,9 @@ def test_a_start_that_cannot_keep_its_promise_is_held(likelihood, small, settled
     x = settled_base.x.copy()
     x += rng.standard_normal(x.shape) * [0.05, 0.05, 0.1, 0.3, 1.0, 0.1, 0.1]
     x[::4] += [0.3, -0.3, 1.5, 2.0, 20.0, 1.2, 0.0]
-    before, _ = likelihood.engine.errors(small.chart.parameters(small.centre), x)
+    before, _ = likelihood.predictor.errors(small.chart.parameters(small.centre), x)
     found = stand(likelihood, small, small.centre, x, 0.0)
-    error, _ = likelihood.engine.errors(small.chart.parameters(small.centre), found.x)
+    error, _ = likelihood.predictor.errors(small.chart.parameters(small.centre), found.x)
     actual, held = likelihood.squares(error, found.x, 0.0), found.rotated.held
     assert held.any(), "some windows are too bent to be settled from so far"
     assert not held.all()
@@ -134,12 +134,12 @@ def test_a_spun_window_is_taken_up_anew_from_the_poses(likelihood, small, settle
 
 
 def test_a_search_that_ends_at_its_limit_of_steps_is_not_whole(late):
-    start = begin(Library(late, FEW, ()), ("steer_delay",), (0.0,), late.engine.guess)
+    start = begin(Library(late, FEW, ()), ("steer_delay",), (0.0,), late.predictor.guess)
     assert not minimise(late, start, steps=2).whole
 
 
 def test_a_start_that_diverges_is_said(likelihood, small):
-    x = likelihood.engine.guess.copy()
+    x = likelihood.predictor.guess.copy()
     x[:, 3] = np.nan
     with pytest.raises(FloatingPointError, match="diverges"):
         stand(likelihood, small, small.centre, x, 1.0)

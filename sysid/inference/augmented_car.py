@@ -42,7 +42,7 @@ EXCESS_MAX = 25.0
 
 
 @dataclass(frozen=True, eq=False)
-class Knowledge:
+class BasePrior:
     """What is known of a base.
 
     Attributes:
@@ -109,7 +109,7 @@ def excess_by_regime(ratio: Array, lateral: Array) -> tuple[float, ...]:
     return tuple(found)
 
 
-def knowledge_section(known: Knowledge) -> dict[str, Any]:
+def prior_section(known: BasePrior) -> dict[str, Any]:
     """The table `knowledge` of the file beside a car file: names, deviations, correlations."""
     sd = np.sqrt(np.diag(known.covariance))
     correlation = known.covariance / np.outer(sd, sd)
@@ -123,8 +123,8 @@ def knowledge_section(known: Knowledge) -> dict[str, Any]:
     }
 
 
-def knowledge_of_section(table: Mapping[str, Any]) -> Knowledge | None:
-    """Knowledge from the table that `knowledge_section` makes, None if it is empty.
+def prior_of_section(table: Mapping[str, Any]) -> BasePrior | None:
+    """The prior from the table that `prior_section` makes, None if it is empty.
 
     Raises:
         ValueError: the table is no covariance.
@@ -149,11 +149,11 @@ def knowledge_of_section(table: Mapping[str, Any]) -> Knowledge | None:
     # Rounding may leave a tiny negative eigenvalue; a covariance has none.
     spectrum, axes = np.linalg.eigh(correlation)
     correlation = (axes * np.maximum(spectrum, 1e-8)) @ axes.T
-    return Knowledge(names, correlation * np.outer(sd, sd), excess, values)
+    return BasePrior(names, correlation * np.outer(sd, sd), excess, values)
 
 
 @dataclass(frozen=True, eq=False)
-class Superset:
+class AugmentedCar:
     """The base car with every effect of the library switched on at its null.
 
     Attributes:
@@ -167,7 +167,7 @@ class Superset:
     kernels: Kernels
     base: Array
     sd: dict[str, float]
-    knowledge: Knowledge | None = None
+    prior: BasePrior | None = None
     wheelbase: float | None = None
 
     @property
@@ -202,8 +202,8 @@ def prescribe_speed(model: Model[float], runs: Sequence[Run]) -> Model[float]:
     return model._replace(car=car)
 
 
-def make_superset(base: CarFile | Model[float], runs: Sequence[Run]) -> Superset:
-    """The superset about a base car.
+def augment(base: CarFile | Model[float], runs: Sequence[Run]) -> AugmentedCar:
+    """The augmented car about a base car.
 
     Where a run has no speed command its measured speed is prescribed. The acceleration of a
     measured speed is mostly noise, so loads and slip do not follow it then.
@@ -222,11 +222,13 @@ def make_superset(base: CarFile | Model[float], runs: Sequence[Run]) -> Superset
     values = tuple(own.get(e.name, e.nulls) for e in effects)
     full: Model[float] = Model(Car(*model.car), effects, values, model.chassis)
     kernels = make_kernels(effects, model.chassis)
-    return _known(Superset(kernels, parameter_vector(full), sd), base, stated)
+    return _known(AugmentedCar(kernels, parameter_vector(full), sd), base, stated)
 
 
-def _known(superset: Superset, base: CarFile | Model[float], stated: Collection[str]) -> Superset:
-    """The superset about what the base's healthy drives taught, if that is known.
+def _known(
+    augmented: AugmentedCar, base: CarFile | Model[float], stated: Collection[str]
+) -> AugmentedCar:
+    """The augmented car about what the base's healthy drives show, if that is known.
 
     What a prescribed speed states, of parameters or effects, stays.
 
@@ -234,14 +236,14 @@ def _known(superset: Superset, base: CarFile | Model[float], stated: Collection[
         ValueError: the base's `knowledge` is not what identify writes.
     """
     if not isinstance(base, CarFile):
-        return superset
-    known = knowledge_of_section(base.sections.get("knowledge", {}))
+        return augmented
+    known = prior_of_section(base.sections.get("knowledge", {}))
     if known is None:
-        return superset
-    names, parameters = superset.kernels.names, superset.base.copy()
+        return augmented
+    names, parameters = augmented.kernels.names, augmented.base.copy()
     for name, value in zip(known.names, known.values, strict=False):
         if name.partition(".")[0] in stated:
             continue
         parameters[names.index(name)] = value
     known = replace(known, covariance=c.KNOWN_WIDER**2 * known.covariance)
-    return replace(superset, base=parameters, knowledge=known)
+    return replace(augmented, base=parameters, prior=known)

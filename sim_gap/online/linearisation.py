@@ -1,7 +1,7 @@
-"""One window seen from an anchor: how its loss changes with every parameter that may have changed.
+"""A window's loss about a reference car, as a quadratic form in all that may have changed.
 
-The anchor is the car as it was learnt. About it each window is a quadratic form in the base's own
-coordinates and those of all effects (`engine`), so a window is evaluated once and never again.
+The reference is the car as it was learnt. The coordinates are the base's own and those of all
+effects (`predictor`), so a window is evaluated once and never again.
 """
 
 # Why: docs/decisions/diagnosis.md#d78
@@ -15,35 +15,35 @@ from numpy.typing import NDArray
 from steerd.car_model.effect import BaseSelection
 from steerd.sim_gap.online.samples import WINDOW
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.inference.engine import open_engine
+from steerd.sysid.inference.augmented_car import AugmentedCar
 from steerd.sysid.inference.likelihood import Reduced, make_likelihood
 from steerd.sysid.inference.noise import Noise
+from steerd.sysid.inference.predictor import make_predictor
 from steerd.sysid.inference.residuals import settled
 from steerd.sysid.inference.search import stand
 from steerd.sysid.inference.space import Space, informative_effects, make_space
-from steerd.sysid.inference.superset import Superset
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Anchor:
+class Reference:
     """The car about which windows are seen.
 
     Attributes:
-        superset: base and library, the base's values those learnt.
+        augmented: base and library, the base's values those learnt.
         space: the base's coordinates first, then those of every effect that may have changed.
         noise: what is random.
     """
 
-    superset: Superset
+    augmented: AugmentedCar
     space: Space
     noise: Noise
 
     @property
     def late(self) -> float:
         """How late poses are [s]."""
-        return float(self.superset.base[self.superset.kernels.names.index("pose_delay")])
+        return float(self.augmented.base[self.augmented.kernels.names.index("pose_delay")])
 
     def places(self, effect: str) -> list[int]:
         """Coordinates of an effect."""
@@ -52,12 +52,12 @@ class Anchor:
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class Loss:
     """A window seen.
 
     Attributes:
         t: when it began [s].
-        square: whitened squared error about the anchor, at its best start.
+        square: whitened squared error about the reference, at its best start.
         dof: its degrees of freedom.
         g: (n,) pull on the coordinates (direction of steepest improvement).
         h: (n, n) information about them.
@@ -80,41 +80,41 @@ class Look:
         return 2.0 / (1.0 + self.ratio)
 
 
-def may_change(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
+def may_change(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[str, ...]:
     """Effects that can come about while a car drives and show at once.
 
     Those that could be part of a car: what is a matter of a place or of the time of day is none
     that a window can show.
     """
-    effects = {e.name: e for e in superset.effects}
+    effects = {e.name: e for e in augmented.effects}
     return tuple(
         name
-        for name in informative_effects(superset, runs)
+        for name in informative_effects(augmented, runs)
         if effects[name].selectable_in_base is not BaseSelection.NEVER
     )
 
 
-def look(anchor: Anchor, run: Run, t: float) -> Look | None:
-    """See one window; None where the anchor's simulation leaves the map.
+def linearise(reference: Reference, run: Run, t: float) -> Loss | None:
+    """See one window; None where the reference's simulation leaves the map.
 
     Args:
-        anchor: the car.
+        reference: the car.
         run: the window.
         t: when it began [s].
     """
     try:
-        engine = open_engine(anchor.superset, [run], WINDOW)
-        fixed = make_space(anchor.superset, ())
-        guess = engine.guess.copy()
-        likelihood = make_likelihood(engine, anchor.superset.base, guess, anchor.noise)
+        predictor = make_predictor(reference.augmented, [run], WINDOW)
+        fixed = make_space(reference.augmented, ())
+        guess = predictor.guess.copy()
+        likelihood = make_likelihood(predictor, reference.augmented.base, guess, reference.noise)
         found = settled(likelihood, fixed, fixed.centre)
-        point = stand(likelihood, anchor.space, anchor.space.centre, found.x, 0.0)
+        point = stand(likelihood, reference.space, reference.space.centre, found.x, 0.0)
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):
         return None
-    return looks_of(point.at, [t])[0]
+    return window_losses(point.at, [t])[0]
 
 
-def looks_of(at: Reduced, times: Sequence[float]) -> list[Look]:
+def window_losses(at: Reduced, times: Sequence[float]) -> list[Loss]:
     """Windows from their losses.
 
     Args:
@@ -122,5 +122,5 @@ def looks_of(at: Reduced, times: Sequence[float]) -> list[Look]:
         times: when each window began [s].
     """
     return [
-        Look(t, float(at.square[w]), int(at.dof[w]), at.g[w], at.h[w]) for w, t in enumerate(times)
+        Loss(t, float(at.square[w]), int(at.dof[w]), at.g[w], at.h[w]) for w, t in enumerate(times)
     ]

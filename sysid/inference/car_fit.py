@@ -1,4 +1,4 @@
-"""A car taught by healthy drives: car and noise in turn, under the errors of one second.
+"""A car fitted to healthy drives: car and noise in turn, under the errors of one second.
 
 Errors are weighed by instruments and disturbances both, the same measure by which a diagnosis
 judges, so that a healthy car has no gap to it. The search begins under a discrepancy as large as
@@ -23,7 +23,7 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.segments import thinned
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.engine import Engine, open_engine
+from steerd.sysid.inference.augmented_car import AugmentedCar, augment, excess_by_regime
 from steerd.sysid.inference.hypotheses import Library, begin, explain
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import (
@@ -34,15 +34,10 @@ from steerd.sysid.inference.noise import (
     noise_share,
     usual_noise,
 )
+from steerd.sysid.inference.predictor import Predictor, make_predictor
 from steerd.sysid.inference.residuals import robust_mean
 from steerd.sysid.inference.search import Point, minimise, stand, with_size
-from steerd.sysid.inference.space import (
-    informative_effects,
-    make_space,
-    nuisance_names,
-    weak_knowledge,
-)
-from steerd.sysid.inference.superset import Superset, excess_by_regime, make_superset
+from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names, weak_prior
 
 Array = NDArray[np.float64]
 
@@ -51,7 +46,7 @@ ORDINARY: dict[str, float] = {
     "marker_offset.forward": 0.25, "accel_max": 0.2, "decel_max": 0.2,
     "lateral_load_transfer.k": 0.3,
 }  # fmt: skip
-"""Share of identification's weak priors that is left when a base is taught.
+"""Share of identification's weak priors that is left when a base is fitted.
 
 A car comes with a wheelbase (the coordinate of `lf`) known to 15 mm, a centre of gravity known
 to 2 cm, markers placed to 5 mm and a gain known to 0.1. A tyre's friction falls by a few tenths at
@@ -60,7 +55,7 @@ for tyres that slide, and says too much of bends harder than the drives'.
 """
 MEASURED = 5e-4
 """The wheelbase's share where it was measured: it stays within 0.1 mm of what was stated."""
-_LOUDER, _LOUDEST = 3.0, 80.0
+_NOISE_STEP, _NOISE_MOST = 3.0, 80.0
 """Noise grows by this factor, and to so many times the usual at most, until ..."""
 _FAR_OFF = 0.2
 """... a smaller share of the windows is bounded at the start."""
@@ -77,7 +72,7 @@ class Step(NamedTuple):
     gain: float
 
 
-class Stated(NamedTuple):
+class Fixed(NamedTuple):
     """What whoever asks vouches for.
 
     Attributes:
@@ -93,11 +88,11 @@ class Stated(NamedTuple):
         return name in self.held or name.partition(".")[0] in self.held
 
 
-NOTHING = Stated()
+NOTHING_FIXED = Fixed()
 
 
 @dataclass(frozen=True, eq=False)
-class Taught:
+class FittedCar:
     """A car at its best on healthy drives.
 
     Attributes:
@@ -117,53 +112,55 @@ class Taught:
     selected: tuple[Step, ...] = ()
 
     @property
-    def superset(self) -> Superset:
+    def augmented(self) -> AugmentedCar:
         """The car that was fitted."""
-        return self.likelihood.engine.superset
+        return self.likelihood.predictor.augmented
 
 
-def teach(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NOTHING) -> Taught:
+def fit_car(
+    base: CarFile | Model[float], runs: Sequence[Run], fixed: Fixed = NOTHING_FIXED
+) -> FittedCar:
     """Fit car and noise in turn, under weak priors about the base's values.
 
     Args:
         base: where it starts.
         runs: drives without a gap.
-        stated: what keeps the base's value.
+        fixed: what keeps the base's value.
 
     Raises:
         FloatingPointError: the base car's simulation diverges.
         ValueError: no window sees enough poses.
     """
-    return _in_turn(_first(base, runs, stated), runs, _ROUNDS)
+    return _in_turn(_first(base, runs, fixed), runs, _ROUNDS)
 
 
-def teach_with_limits(
-    base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NOTHING
-) -> Taught:
-    """`teach`, once more with the limits and the play that the drives show, free like the rest."""
-    taught = teach(base, runs, stated)
-    shown = informative_effects(taught.superset, runs)
-    free = {name.partition(".")[0] for name in taught.nuisance if "." in name}
+def fit_car_and_effects(
+    base: CarFile | Model[float], runs: Sequence[Run], fixed: Fixed = NOTHING_FIXED
+) -> FittedCar:
+    """`fit_car`, then once more with the limits and the play that the drives show free."""
+    fitted = fit_car(base, runs, fixed)
+    shown = informative_effects(fitted.augmented, runs)
+    free = {name.partition(".")[0] for name in fitted.nuisance if "." in name}
     effects = tuple(
         e
-        for e in taught.superset.effects
+        for e in fitted.augmented.effects
         if e.name in shown
         and e.name not in free
-        and not stated.holds(e.name)
-        and not (e.same_as and set(e.same_as) <= set(taught.nuisance))
+        and not fixed.holds(e.name)
+        and not (e.same_as and set(e.same_as) <= set(fitted.nuisance))
         and e.selectable_in_base is not BaseSelection.NEVER
     )
-    found = explain(Library(taught.likelihood, taught.nuisance, effects, known=False), c.BUILT_IN)
+    found = explain(Library(fitted.likelihood, fitted.nuisance, effects, known=False), c.BUILT_IN)
     if not found.best.effects:
         better = found.best.point
-        return replace(taught, point=better) if better.cost < taught.point.cost else taught
+        return replace(fitted, point=better) if better.cost < fitted.point.cost else fitted
     gain = found.best.posterior.evidence - found.null.posterior.evidence
     steps = tuple(Step(name, gain) for name in found.best.effects)
-    return replace(_with_effects(taught, found.best.point, runs), selected=steps)
+    return replace(_with_effects(fitted, found.best.point, runs), selected=steps)
 
 
 def choose_start(
-    starts: Sequence[Model[float]], runs: Sequence[Run], stated: Stated = NOTHING
+    starts: Sequence[Model[float]], runs: Sequence[Run], fixed: Fixed = NOTHING_FIXED
 ) -> Model[float]:
     """The start from which these drives are explained best; each also on stiffer tyres.
 
@@ -175,10 +172,10 @@ def choose_start(
         ValueError: no window sees enough poses.
     """
     some, found = thinned(runs, _ENOUGH), []
-    models = [stiffer(start, factor, stated) for start in starts for factor in (1.0, _STIFFER)]
+    models = [stiffer(start, factor, fixed) for start in starts for factor in (1.0, _STIFFER)]
     for number, start in enumerate(models):
         try:
-            found.append((_first(start, some, stated).point.cost, number))
+            found.append((_first(start, some, fixed).point.cost, number))
         except (FloatingPointError, np.linalg.LinAlgError):
             continue
     if not found:
@@ -186,41 +183,41 @@ def choose_start(
     return models[min(found)[1]]
 
 
-def stiffer(model: Model[float], factor: float, stated: Stated) -> Model[float]:
+def stiffer(model: Model[float], factor: float, fixed: Fixed) -> Model[float]:
     """The model on tyres so many times as stiff, as far as nobody stated what they are."""
     car = model.car
-    moved = {n: factor * getattr(car, n) for n in ("c_sf", "c_sr") if not stated.holds(n)}
+    moved = {n: factor * getattr(car, n) for n in ("c_sf", "c_sr") if not fixed.holds(n)}
     return model._replace(car=car._replace(**moved))
 
 
-def _first(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated) -> Taught:
+def _first(base: CarFile | Model[float], runs: Sequence[Run], fixed: Fixed) -> FittedCar:
     """The car at its best under noise as learnt about it, from noise that forgives the start.
 
     A window that is far off is bounded and pulls at nothing; were all so, the search would stay
     where it began.
     """
     base = replace(base, sd={}, sections={}) if isinstance(base, CarFile) else base
-    superset = make_superset(base, runs)
-    names = (*nuisance_names(superset, runs), *structure_names(superset, runs))
-    nuisance = tuple(name for name in names if not stated.holds(name))
-    shares = {**ORDINARY, **({"lf": MEASURED} if stated.wheelbase else {})}
-    superset = replace(superset, knowledge=weak_knowledge(superset, nuisance, shares))
-    engine, usual = open_engine(superset, runs), usual_noise(estimate_noise(runs))
-    x = engine.guess.copy()
+    augmented = augment(base, runs)
+    names = (*nuisance_names(augmented, runs), *structure_names(augmented, runs))
+    nuisance = tuple(name for name in names if not fixed.holds(name))
+    shares = {**ORDINARY, **({"lf": MEASURED} if fixed.wheelbase else {})}
+    augmented = replace(augmented, prior=weak_prior(augmented, nuisance, shares))
+    predictor, usual = make_predictor(augmented, runs), usual_noise(estimate_noise(runs))
+    x = predictor.guess.copy()
     noise = usual
-    begun = _begin(engine, nuisance, x, noise)
-    while _bounded(begun[1]) >= _FAR_OFF and noise.sizes[0] < _LOUDEST * usual.sizes[0]:
-        noise = noise_of_sizes(_LOUDER * noise.sizes)
-        begun = _begin(engine, nuisance, x, noise)
-    taught = Taught(begun[0], minimise(*begun), noise, nuisance, shares)
-    return taught if noise is usual else _again(taught, _learnt_noise(taught))
+    begun = _begin(predictor, nuisance, x, noise)
+    while _bounded(begun[1]) >= _FAR_OFF and noise.sizes[0] < _NOISE_MOST * usual.sizes[0]:
+        noise = noise_of_sizes(_NOISE_STEP * noise.sizes)
+        begun = _begin(predictor, nuisance, x, noise)
+    fitted = FittedCar(begun[0], minimise(*begun), noise, nuisance, shares)
+    return fitted if noise is usual else _again(fitted, _learnt_noise(fitted))
 
 
 def _begin(
-    engine: Engine, nuisance: tuple[str, ...], x: Array, noise: Noise
+    predictor: Predictor, nuisance: tuple[str, ...], x: Array, noise: Noise
 ) -> tuple[Likelihood, Point]:
     """Windows under a noise, and the base at its prior."""
-    likelihood = make_likelihood(engine, engine.superset.base, x, noise)
+    likelihood = make_likelihood(predictor, predictor.augmented.base, x, noise)
     return likelihood, begin(Library(likelihood, nuisance, (), known=False), (), (), x)
 
 
@@ -229,82 +226,84 @@ def _bounded(point: Point) -> float:
     return float((point.at.ratio >= c.SPUN).mean())
 
 
-def _again(taught: Taught, noise: Noise) -> Taught:
+def _again(fitted: FittedCar, noise: Noise) -> FittedCar:
     """The car at its best under another noise, its responses taken where the car is now."""
-    engine, old = taught.likelihood.engine, taught.point
-    likelihood = make_likelihood(engine, old.parameters, old.x, noise)
-    space = make_space(engine.superset, taught.nuisance)
+    predictor, old = fitted.likelihood.predictor, fitted.point
+    likelihood = make_likelihood(predictor, old.parameters, old.x, noise)
+    space = make_space(predictor.augmented, fitted.nuisance)
     z = np.clip(space.chart.coordinates(old.parameters), space.low, space.high)
     begun = stand(likelihood, space, z, old.x, max(old.size, c.SIZE_SMALL))
-    return replace(taught, likelihood=likelihood, point=minimise(likelihood, begun), noise=noise)
+    return replace(fitted, likelihood=likelihood, point=minimise(likelihood, begun), noise=noise)
 
 
-def _learnt_noise(taught: Taught) -> Noise:
+def _learnt_noise(fitted: FittedCar) -> Noise:
     """Noise given the car."""
-    point = taught.point
+    point = fitted.point
     return learn_noise(
-        taught.likelihood.engine, point.parameters, point.x, point.linear, taught.noise
+        fitted.likelihood.predictor, point.parameters, point.x, point.linear, fitted.noise
     )
 
 
-def _in_turn(taught: Taught, runs: Sequence[Run], rounds: int) -> Taught:
+def _in_turn(fitted: FittedCar, runs: Sequence[Run], rounds: int) -> FittedCar:
     """Noise and car, each given the other; then what regimes are allowed beyond the noise."""
     for _ in range(rounds):
-        noise = _learnt_noise(taught)
-        taught = _again(taught, noise)
-    noise = _learnt_noise(taught)
-    taught = _again(taught, noise)
-    left = robust_mean(unweighed(taught))
-    should = noise_share(taught.likelihood.engine, float(estimate_noise(runs)[2]))
-    taught = _again(taught, calibrated(noise, left, should))
-    excess = excess_of(taught)
-    weak = weak_knowledge(taught.superset, taught.nuisance, taught.shares)
+        noise = _learnt_noise(fitted)
+        fitted = _again(fitted, noise)
+    noise = _learnt_noise(fitted)
+    fitted = _again(fitted, noise)
+    left = robust_mean(unweighed(fitted))
+    should = noise_share(fitted.likelihood.predictor, float(estimate_noise(runs)[2]))
+    fitted = _again(fitted, calibrated(noise, left, should))
+    excess = excess_of(fitted)
+    weak = weak_prior(fitted.augmented, fitted.nuisance, fitted.shares)
     known = replace(weak, excess=tuple(e / excess[0] for e in excess))
-    engine = replace(taught.likelihood.engine, superset=replace(taught.superset, knowledge=known))
-    likelihood = replace(taught.likelihood, engine=engine)
-    return _again(replace(taught, likelihood=likelihood), taught.noise)
+    predictor = replace(
+        fitted.likelihood.predictor, augmented=replace(fitted.augmented, prior=known)
+    )
+    likelihood = replace(fitted.likelihood, predictor=predictor)
+    return _again(replace(fitted, likelihood=likelihood), fitted.noise)
 
 
-def ratios(taught: Taught) -> Array:
+def ratios(fitted: FittedCar) -> Array:
     """(W,) whitened squared errors per degree of freedom, no discrepancy allowed."""
-    return with_size(taught.likelihood, taught.point, 0.0).at.ratio
+    return with_size(fitted.likelihood, fitted.point, 0.0).at.ratio
 
 
-def unweighed(taught: Taught) -> Array:
+def unweighed(fitted: FittedCar) -> Array:
     """(W,) the same without what regimes are allowed beyond the noise."""
-    return ratios(taught) * taught.likelihood.engine.excess
+    return ratios(fitted) * fitted.likelihood.predictor.excess
 
 
-def excess_of(taught: Taught, should: float = 1.0) -> tuple[float, ...]:
+def excess_of(fitted: FittedCar, should: float = 1.0) -> tuple[float, ...]:
     """How much larger than noise errors are by lateral acceleration, whatever they are weighed by.
 
     Hard bends, in which the model misses most, shall not decide about values that gentle ones show.
     """
-    return excess_by_regime(unweighed(taught) / should, taught.likelihood.engine.lateral)
+    return excess_by_regime(unweighed(fitted) / should, fitted.likelihood.predictor.lateral)
 
 
-def structure_names(superset: Superset, runs: Sequence[Run]) -> tuple[str, ...]:
+def structure_names(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[str, ...]:
     """Parameters of the effects that no real car is without, as far as such drives show them."""
-    shown = informative_effects(superset, runs)
+    shown = informative_effects(augmented, runs)
     return tuple(
         f"{effect.name}.{parameter.name}"
-        for effect in superset.effects
+        for effect in augmented.effects
         if effect.on_every_car and effect.name in shown
         for parameter in effect.parameters
     )
 
 
-def _with_effects(taught: Taught, point: Point, runs: Sequence[Run]) -> Taught:
-    """What was taught, with the effects of a hypothesis free about its values."""
-    old, start = taught.superset, point.parameters
+def _with_effects(fitted: FittedCar, point: Point, runs: Sequence[Run]) -> FittedCar:
+    """The fitted car, with the effects of a hypothesis free about its values."""
+    old, start = fitted.augmented, point.parameters
     centre = old.base.copy()
     for name in point.space.effects:
         centre[old.places(name)] = start[old.places(name)]
     own = tuple(n for n in old.kernels.names if n.partition(".")[0] in point.space.effects)
-    nuisance = (*taught.nuisance, *own)
-    superset = replace(old, base=centre)
-    superset = replace(superset, knowledge=weak_knowledge(superset, nuisance, taught.shares))
-    engine = replace(taught.likelihood.engine, superset=superset)
-    likelihood = replace(taught.likelihood, engine=engine)
-    grown = replace(taught, likelihood=likelihood, point=point, nuisance=nuisance)
+    nuisance = (*fitted.nuisance, *own)
+    augmented = replace(old, base=centre)
+    augmented = replace(augmented, prior=weak_prior(augmented, nuisance, fitted.shares))
+    predictor = replace(fitted.likelihood.predictor, augmented=augmented)
+    likelihood = replace(fitted.likelihood, predictor=predictor)
+    grown = replace(fitted, likelihood=likelihood, point=point, nuisance=nuisance)
     return _in_turn(grown, runs, 0)

@@ -28,8 +28,8 @@ from steerd.car_model.params import Car
 from steerd.car_model.rollout import stiffness_rate
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import SPACING, Layout, make_layout, take_windows, thinned
+from steerd.sysid.inference.augmented_car import EDGES, AugmentedCar
 from steerd.sysid.inference.space import Space
-from steerd.sysid.inference.superset import EDGES, Superset
 
 Array = NDArray[np.float64]
 
@@ -45,11 +45,11 @@ STEER_SPREAD = 0.003
 """How far the steering may be from where the known commands bring it [rad]."""
 FREE_STATES = 6
 """States of a start that the window itself determines: what they take is no degree of freedom."""
-WILD = 1e3
+DIVERGED_AT = 1e3
 """Errors beyond this are a simulation that left the map [m, rad, m/s, rad/s]."""
-WILD_SHARE = 0.5
+DIVERGED_SHARE = 0.5
 """Share of such windows above which the whole simulation counts as diverged."""
-WILD_ERROR = 1.0
+DIVERGED_ERROR = 1.0
 """What every reading of such a window is taken to be off by, whatever is changed [m, rad, ...]."""
 DECAY_MAX = {"rk4": 2.0, "midpoint": 1.4, "euler": 1.4}
 """Decay per step that is surely stable (the limits are 2.78, 2 and 2)."""
@@ -89,17 +89,17 @@ class Linear(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Engine:
-    """Windows of a session seen by the superset of all effects.
+class Predictor:
+    """Windows of a session seen by the car with all effects.
 
     Attributes:
-        superset: the car.
+        augmented: the car.
         layout: the windows.
         padded: rows by window.
         substeps: integration steps to a command.
     """
 
-    superset: Superset
+    augmented: AugmentedCar
     layout: Layout
     padded: Padded
     substeps: int
@@ -148,7 +148,7 @@ class Engine:
     @property
     def excess(self) -> Array:
         """(W,) how much larger than noise healthy errors are where the car corners so hard."""
-        known = self.superset.knowledge
+        known = self.augmented.prior
         if known is None:
             return np.ones(self.layout.count)
         return np.array(known.excess)[np.digitize(self.lateral, EDGES)]
@@ -173,9 +173,12 @@ class Engine:
         dfirst = np.zeros((STATES, n + STATES))
         dfirst[:, n:] = np.eye(STATES)
         error, jy = self._simulate(parameters, seeds, x, dfirst)
-        wild = ~((np.abs(error).max(axis=1) < WILD) & (np.abs(jy).max(axis=(1, 2)) < WILD**2))
-        jy[wild] = 0.0
-        error, finite = self._without(wild, error)
+        diverged = ~(
+            (np.abs(error).max(axis=1) < DIVERGED_AT)
+            & (np.abs(jy).max(axis=(1, 2)) < DIVERGED_AT**2)
+        )
+        jy[diverged] = 0.0
+        error, finite = self._without_diverged(diverged, error)
         return Linear(error, jy[:, :, :n], jy[:, :, n:], finite)
 
     def errors(self, parameters: Array, x: Array) -> tuple[Array, bool]:
@@ -185,13 +188,13 @@ class Engine:
         """
         none = np.zeros((len(parameters), 0))
         error, _ = self._simulate(parameters, none, x, np.zeros((STATES, 0)))
-        return self._without(~(np.abs(error).max(axis=1) < WILD), error)
+        return self._without_diverged(~(np.abs(error).max(axis=1) < DIVERGED_AT), error)
 
     def _simulate(
         self, parameters: Array, seeds: Array, x: Array, dfirst: Array
     ) -> tuple[Array, Array]:
         """(W, D) measurements minus readings, angles the short way round; slopes of readings."""
-        layout, kernels = self.layout, self.superset.kernels
+        layout, kernels = self.layout, self.augmented.kernels
         late = float(delays_of(kernels, parameters)[2])
         y, jy = compute_readings(
             kernels, parameters, seeds, x, dfirst, self.held,
@@ -202,10 +205,10 @@ class Engine:
             error[turn] = (error[turn] + np.pi) % (2.0 * np.pi) - np.pi
         return self.pad(error), self.pad(jy) if jy.size else jy
 
-    def _without(self, wild: NDArray[np.bool_], error: Array) -> tuple[Array, bool]:
+    def _without_diverged(self, diverged: NDArray[np.bool_], error: Array) -> tuple[Array, bool]:
         """Errors, of a fixed size in windows that left the map, and whether these are few."""
-        error[wild] = WILD_ERROR * self.padded.there[wild]
-        return error, bool(wild.mean() <= WILD_SHARE)
+        error[diverged] = DIVERGED_ERROR * self.padded.there[diverged]
+        return error, bool(diverged.mean() <= DIVERGED_SHARE)
 
     def about_guess(self, x: Array, linear: Linear) -> tuple[Array, Array]:
         """Errors (W, D) about the starts' first guesses, by the linear model about starts `x`.
@@ -216,21 +219,21 @@ class Engine:
         wide = linear.by_x * self.start_spread[:, None, :]
         return np.asarray(error), np.asarray(wide @ wide.transpose(0, 2, 1))
 
-    def stepped_for(self, parameters: Array) -> "Engine":
+    def stepped_for(self, parameters: Array) -> "Predictor":
         """The same with steps as short as a car (P,) needs, if its own are longer."""
-        car = model_of(self.superset.kernels, parameters).car
+        car = model_of(self.augmented.kernels, parameters).car
         needed = stable_substeps(car, *self.layout.speeds, self.layout.h, INTEGRATOR)
         return replace(self, substeps=max(self.substeps, needed))
 
-    def take(self, chosen: NDArray[np.bool_]) -> "Engine":
-        """The engine on some of its windows (boolean mask (W,))."""
+    def take(self, chosen: NDArray[np.bool_]) -> "Predictor":
+        """The predictor on some of its windows (boolean mask (W,))."""
         layout = take_windows(self.layout, chosen)
         padded = pad_rows(layout, means=self.padded.means is not None)
         return replace(self, layout=layout, padded=padded)
 
 
 def pad_rows(layout: Layout, means: bool = False) -> Padded:
-    """Where the rows of each window lie; `means` as in `open_engine`."""
+    """Where the rows of each window lie; `means` as in `make_predictor`."""
     if means:
         return _pad_means(layout)
     row, there = _places(layout.bounds)
@@ -262,32 +265,32 @@ def _pad_means(layout: Layout) -> Padded:
     return Padded(first[place], there, np.where(there > 0.0, counts[place], 1), weights)
 
 
-def open_engine(
-    superset: Superset,
+def make_predictor(
+    augmented: AugmentedCar,
     runs: Sequence[Run],
     horizon: float = HORIZON,
     most: float = np.inf,
     means: bool = False,
     late: float | None = None,
-) -> Engine:
-    """The windows of some drives as the superset is simulated over them.
+) -> Predictor:
+    """The windows of some drives as the augmented car is simulated over them.
 
     Args:
-        superset: the car.
+        augmented: the car.
         runs: on one grid.
         horizon: length of a window [s].
         most: take windows of so much driving in all, evenly from the whole [s].
         means: compare means over `SPACING` instead of single readings: where instruments' noise is
             all that is random, every reading counts.
-        late: how late poses are [s]; None for what the superset's base says.
+        late: how late poses are [s]; None for what the augmented car's base says.
 
     Raises:
         ValueError: the runs' grids differ, or no window sees enough poses.
     """
-    known = float(superset.base[superset.kernels.names.index("pose_delay")])
+    known = float(augmented.base[augmented.kernels.names.index("pose_delay")])
     layout = make_layout(runs, horizon, known if late is None else late, most)
     layout = layout if means else thinned(layout)
-    return Engine(superset, layout, pad_rows(layout, means), 1).stepped_for(superset.base)
+    return Predictor(augmented, layout, pad_rows(layout, means), 1).stepped_for(augmented.base)
 
 
 def decay_rate(car: Car[float], slowest: float, fastest: float) -> float:
