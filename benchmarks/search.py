@@ -83,7 +83,7 @@ def open_case(case: Case) -> Library:
     predictor = make_predictor(augmented, runs)
     x = predictor.guess.copy()
     effects = tuple(e for e in augmented.effects if e.name == case.effect)
-    return Library(make_likelihood(predictor, augmented.base, x, NOISE), free, effects)
+    return Library(make_likelihood(predictor, NOISE), free, effects)
 
 
 def search_at_random(library: Library, found: Point, case: Case, seed: int) -> float:

@@ -212,16 +212,16 @@ def _search(
     """Every hypothesis; noise is learnt about the best effect if it is not known."""
     predictor, signals = make_predictor(augmented, runs), estimate_noise(runs)
     given, nuisance = _known_noise(base, options), nuisance_names(augmented, runs)
-    x, parameters = predictor.guess.copy(), augmented.base
+    x = None
     noise = noisier_of(given or usual_noise(signals), signals)
     if given is None:
         options.progress("noise", 0.1)
-        rough = Library(make_likelihood(predictor, parameters, x, noise), nuisance, effects)
+        rough = Library(make_likelihood(predictor, noise), nuisance, effects)
         best = explain(rough, 1).best.point
         noise = learn_noise(predictor, best.parameters, best.x, best.linear, noise)
         x = best.x
     options.progress("candidates", 0.2)
-    library = Library(make_likelihood(predictor, parameters, x, noise), nuisance, effects)
+    library = Library(make_likelihood(predictor, noise, x=x), nuisance, effects)
     found = explain(
         library,
         2 if options.pairs else 1,
@@ -229,7 +229,7 @@ def _search(
     )
     verdict = judge_case(library, found, given is not None)
     best = found.best.point
-    white = make_likelihood(predictor, best.parameters, best.x, noise)
+    white = make_likelihood(predictor, noise, best.parameters, best.x)
     floor = noise_floor(predictor, float(signals[2]))
     return _Case(
         library, white, noise, given is not None, floor, found, verdict, blocks_of(predictor)

@@ -105,8 +105,7 @@ def linearise(reference: Reference, run: Run, t: float) -> Loss | None:
     try:
         predictor = make_predictor(reference.augmented, [run], WINDOW)
         fixed = make_space(reference.augmented, ())
-        guess = predictor.guess.copy()
-        likelihood = make_likelihood(predictor, reference.augmented.base, guess, reference.noise)
+        likelihood = make_likelihood(predictor, reference.noise)
         found = settled(likelihood, fixed, fixed.centre)
         point = stand(likelihood, reference.space, reference.space.centre, found.x, 0.0)
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):

@@ -1,8 +1,8 @@
 """The base's coordinates followed window by window; only what data replace is forgotten.
 
 An information filter about a fixed reference. Before a window's information is added, what is
-known in just the directions that the window informs is faded (Cao and Schwartz, 2000): on a straight or at a
-standstill no direction is informed, and nothing fades.
+known in just the directions that the window informs is faded (Cao and Schwartz, 2000): on a
+straight or at a standstill no direction is informed, and nothing fades.
 
 What an earlier drive of the same car taught is remembered: each number is a normal distribution,
 inflated by the days since. It counts beside the first windows of a drive, not before them: a fit

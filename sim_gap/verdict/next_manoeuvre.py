@@ -155,6 +155,5 @@ def next_manoeuvre(
 def _on(predictor: Predictor, point: Point, noise: Noise, name: str) -> tuple[Likelihood, Point]:
     """The windows and the hypothesis of a manoeuvre not driven yet."""
     other = make_predictor(predictor.augmented, [_drive(predictor, point, name)])
-    guess = other.guess.copy()
-    likelihood = make_likelihood(other, point.parameters, guess, noise)
+    likelihood = make_likelihood(other, noise, point.parameters)
     return likelihood, settled(likelihood, point.space, point.z)

@@ -154,8 +154,8 @@ def measure(
     text: str,
 ) -> Shrinkage:
     """The same share on reserved drives; nothing is refitted but the windows' starts."""
-    base, guess = make_space(predictor.augmented, ()), predictor.guess.copy()
-    likelihood = make_likelihood(predictor, chosen.parameters, guess, noise)
+    base = make_space(predictor.augmented, ())
+    likelihood = make_likelihood(predictor, noise, chosen.parameters)
     before = settled(likelihood, base, base.centre)
     after = settled(likelihood, chosen.space, chosen.z)
     blocks = blocks_of(predictor)
@@ -197,8 +197,7 @@ def cross_check(
             continue
         try:
             other = make_predictor(predictor.augmented, runs, seconds)
-            guess = other.guess.copy()
-            likelihood = make_likelihood(other, after.parameters, guess, noise)
+            likelihood = make_likelihood(other, noise, after.parameters)
             fits = [settled(likelihood, f.space, f.z) for f in (before, after)]
         except (FloatingPointError, ValueError, np.linalg.LinAlgError):
             continue

@@ -23,7 +23,7 @@ from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.estimation.command_timing import Pulse, Ramp
 from steerd.sysid.estimation.validation import Prediction, Regime, Trace
 from steerd.sysid.inference.car_fit import FittedCar, Step
-from steerd.sysid.inference.car_posterior import base_prior_of, describe_lost, taught_car
+from steerd.sysid.inference.car_posterior import base_prior_of, car_file_of, describe_misfits
 from steerd.sysid.inference.identifiability import (
     MANOEUVRES,
     RELATIVE_MAX,
@@ -31,8 +31,8 @@ from steerd.sysid.inference.identifiability import (
     Estimate,
     combinations,
     estimates,
+    fitted_estimates,
     silent_estimates,
-    taught_estimates,
 )
 from steerd.sysid.inference.noise import signal_noise
 from steerd.sysid.inference.plain_car import Asked, PlainCar, covariance_of, misfit_of, silent_names
@@ -143,7 +143,7 @@ def fit_of_car(
     file = CarFile(
         Path("fitted.toml"), "fitted", base.car, base.effects, base.values, chassis=base.chassis
     )
-    found = taught_car(file, fitted)
+    found = car_file_of(file, fitted)
     kept = {effect.name for effect in found.effects}
     own = {f"{e.name}.{p.name}" for e in found.effects for p in e.parameters}
     sds = {name: sd for name, sd in found.sd.items() if "." not in name or name in own}
@@ -153,7 +153,7 @@ def fit_of_car(
     predictor, error = fitted.likelihood.predictor, at.linear.error
     return Fit(
         model=found.model,
-        estimates=taught_estimates(found.effects, parameter_vector(found.model), sds),
+        estimates=fitted_estimates(found.effects, parameter_vector(found.model), sds),
         labels=fitted.point.space.chart.labels,
         correlation=_correlation(base_prior_of(fitted).covariance),
         converged=fitted.point.whole,
@@ -162,7 +162,7 @@ def fit_of_car(
         horizon=HORIZON,
         selected=tuple(step for step in fitted.selected if step.effect in kept),
         sections=found.sections,
-        notes=describe_lost(fitted, runs),
+        notes=describe_misfits(fitted, runs),
     )
 
 

@@ -203,22 +203,21 @@ def _first(base: CarFile | Model[float], runs: Sequence[Run], fixed: Fixed) -> F
     shares = {**ORDINARY, **({"lf": MEASURED} if fixed.wheelbase else {})}
     augmented = replace(augmented, prior=weak_prior(augmented, nuisance, shares))
     predictor, usual = make_predictor(augmented, runs), usual_noise(estimate_noise(runs))
-    x = predictor.guess.copy()
     noise = usual
-    begun = _begin(predictor, nuisance, x, noise)
+    begun = _begin(predictor, nuisance, noise)
     while _bounded(begun[1]) >= _FAR_OFF and noise.sizes[0] < _NOISE_MOST * usual.sizes[0]:
         noise = noise_of_sizes(_NOISE_STEP * noise.sizes)
-        begun = _begin(predictor, nuisance, x, noise)
+        begun = _begin(predictor, nuisance, noise)
     fitted = FittedCar(begun[0], minimise(*begun), noise, nuisance, shares)
     return fitted if noise is usual else _again(fitted, _learnt_noise(fitted))
 
 
 def _begin(
-    predictor: Predictor, nuisance: tuple[str, ...], x: Array, noise: Noise
+    predictor: Predictor, nuisance: tuple[str, ...], noise: Noise
 ) -> tuple[Likelihood, Point]:
     """Windows under a noise, and the base at its prior."""
-    likelihood = make_likelihood(predictor, predictor.augmented.base, x, noise)
-    return likelihood, begin(Library(likelihood, nuisance, (), known=False), (), (), x)
+    likelihood = make_likelihood(predictor, noise)
+    return likelihood, begin(Library(likelihood, nuisance, (), known=False))
 
 
 def _bounded(point: Point) -> float:
@@ -229,7 +228,7 @@ def _bounded(point: Point) -> float:
 def _again(fitted: FittedCar, noise: Noise) -> FittedCar:
     """The car at its best under another noise, its responses taken where the car is now."""
     predictor, old = fitted.likelihood.predictor, fitted.point
-    likelihood = make_likelihood(predictor, old.parameters, old.x, noise)
+    likelihood = make_likelihood(predictor, noise, old.parameters, old.x)
     space = make_space(predictor.augmented, fitted.nuisance)
     z = np.clip(space.chart.coordinates(old.parameters), space.low, space.high)
     begun = stand(likelihood, space, z, old.x, max(old.size, c.SIZE_SMALL))

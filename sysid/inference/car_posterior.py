@@ -57,7 +57,7 @@ MOVED, FORWARD = "marker_offset", "marker_offset.forward"
 _NAMED = 3
 
 
-def describe_lost(fitted: FittedCar, runs: Sequence[Run]) -> tuple[str, ...]:
+def describe_misfits(fitted: FittedCar, runs: Sequence[Run]) -> tuple[str, ...]:
     """Where the car does not hold, and how it was driven there, in a sentence; often none."""
     predictor, layout = fitted.likelihood.predictor, fitted.likelihood.predictor.layout
     lost = ratios(fitted) >= c.SPUN
@@ -91,7 +91,7 @@ def refine(base: CarFile, runs: Sequence[Run], fixed: Fixed = NOTHING_FIXED) -> 
         FloatingPointError: the base car's simulation diverges.
         ValueError: no window sees enough poses.
     """
-    return taught_car(base, fit_car_and_effects(base, runs, fixed))
+    return car_file_of(base, fit_car_and_effects(base, runs, fixed))
 
 
 def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
@@ -105,7 +105,7 @@ def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, An
     return {"noise": noise_section(fitted.noise), "knowledge": prior_section(base_prior_of(fitted))}
 
 
-def taught_car(base: CarFile, fitted: FittedCar) -> CarFile:
+def car_file_of(base: CarFile, fitted: FittedCar) -> CarFile:
     """The car file that says what was fitted; effects that may as well be absent are left out."""
     known = base_prior_of(fitted)
     chart, covariance = fitted.point.space.chart, _doubtful(fitted, known.covariance)

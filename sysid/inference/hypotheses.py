@@ -273,7 +273,7 @@ def explain(
         FloatingPointError: the base car's simulation diverges.
     """
     search = _Search(library)
-    start = begin(library, (), (), library.likelihood.predictor.guess.copy())
+    start = begin(library)
     search.grow(start, c.FITTED, further=False)
     best = search.hypotheses()[0]
     while 0 < len(best.effects) < most:
@@ -306,8 +306,15 @@ def covering_size(likelihood: Likelihood, point: Point) -> float:
     return float(SIZES[-1])
 
 
-def begin(library: Library, names: Sequence[str], values: Sequence[float], x: Array) -> Point:
+def begin(
+    library: Library,
+    names: Sequence[str] = (),
+    values: Sequence[float] = (),
+    x: Array | None = None,
+) -> Point:
     """The base at its prior with some effects' values, under the discrepancy that this needs.
+
+    The windows' starts are sought from `x` (W, 7), or from their first guesses.
 
     Raises:
         FloatingPointError: the simulation diverges there.
@@ -315,7 +322,7 @@ def begin(library: Library, names: Sequence[str], values: Sequence[float], x: Ar
     space, likelihood = library.space(names), library.likelihood
     z = space.centre.copy()
     z[len(z) - len(values) :] = values
-    return open_point(likelihood, space, z, x)
+    return open_point(likelihood, space, z, likelihood.predictor.guess.copy() if x is None else x)
 
 
 def _again(library: Library, names: Sequence[str], point: Point) -> Point:

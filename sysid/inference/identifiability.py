@@ -190,7 +190,7 @@ def estimates(chart: Chart, z: Array, covariance: Array) -> dict[str, Estimate]:
     return out
 
 
-def taught_estimates(
+def fitted_estimates(
     effects: Sequence[Effect], parameters: Array, sds: Mapping[str, float]
 ) -> dict[str, Estimate]:
     """The same of parameters (P,) whose standard errors, by name, are known already."""

@@ -227,15 +227,19 @@ def take_some(likelihood: Likelihood, chosen: NDArray[np.bool_]) -> Likelihood:
     return Likelihood(predictor, rotation, likelihood.spectrum[chosen], likelihood.pushed[chosen])
 
 
-def make_likelihood(predictor: Predictor, parameters: Array, x: Array, noise: Noise) -> Likelihood:
+def make_likelihood(
+    predictor: Predictor, noise: Noise, parameters: Array | None = None, x: Array | None = None
+) -> Likelihood:
     """The likelihood with responses about one trajectory of every window.
 
     Args:
         predictor: the windows.
-        parameters: (P,) of the car that is pushed.
-        x: (W, 7) the windows' starts.
         noise: how large instruments' noise and ordinary pushes are.
+        parameters: (P,) of the car that is pushed; None for the base's.
+        x: (W, 7) the windows' starts; None for their first guesses.
     """
+    parameters = predictor.augmented.base if parameters is None else parameters
+    x = predictor.guess if x is None else x
     seen = responses(predictor, parameters, x, (0, 1, 2))
     slip = slip_shape(predictor, predictor.errors(parameters, x)[0])
     healthy = covariance(predictor, noise, [*shapes(predictor, seen, (0, 1, 2)), slip])

@@ -180,7 +180,7 @@ def open_plain(
     noise = signal_noise(estimate_noise(runs))
     about = augmented.base if rough is None else rough.point.parameters
     predictor = predictor.stepped_for(about)
-    return make_likelihood(predictor, about, predictor.guess.copy(), noise), noise
+    return make_likelihood(predictor, noise, about), noise
 
 
 def _search(

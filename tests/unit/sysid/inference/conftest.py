@@ -22,8 +22,7 @@ def healthy(drive, base) -> Predictor:
 
 @pytest.fixture(scope="session")
 def likelihood(healthy) -> Likelihood:
-    guess = healthy.guess.copy()
-    return make_likelihood(healthy, healthy.augmented.base, guess, NOISE)
+    return make_likelihood(healthy, NOISE)
 
 
 @pytest.fixture(scope="session")

@@ -24,8 +24,7 @@ SAME = {e.name: e.same_as for e in EFFECTS.values() if e.same_as}
 
 def _library(runs, base, names=LOOKED_AT):
     predictor = make_predictor(augment(base, runs), runs)
-    guess = predictor.guess.copy()
-    likelihood = make_likelihood(predictor, predictor.augmented.base, guess, NOISE)
+    likelihood = make_likelihood(predictor, NOISE)
     return Library(
         likelihood, nuisance_names(predictor.augmented, runs), tuple(map(EFFECTS.get, names))
     )
@@ -93,7 +92,7 @@ def test_values_are_carried_by_their_names(likelihood):
 def test_a_start_that_the_base_alone_holds_holds_no_effect_back(late):
     """The windows in which an effect shows are those that the base bends too far."""
     library, _ = late
-    start = begin(library, (), (), library.likelihood.predictor.guess.copy())
+    start = begin(library)
     found = []
     for fill in (np.zeros_like, np.ones_like):
         rotated = start.rotated._replace(held=fill(start.rotated.held))
@@ -200,7 +199,6 @@ def test_what_an_effect_gains_the_base_cannot_gain_alone(late):
 
 def test_a_search_begins_with_the_base_where_it_was(late):
     library, found = late
-    guess = library.likelihood.predictor.guess.copy()
-    start = begin(library, (), (), guess)
+    start = begin(library)
     assert start.z == pytest.approx(start.space.centre)
     assert start.size == found.start.size

@@ -23,7 +23,7 @@ from steerd.sysid.inference.augmented_car import (
     prior_section,
 )
 from steerd.sysid.inference.chart import make_chart
-from steerd.sysid.inference.identifiability import estimates, taught_estimates
+from steerd.sysid.inference.identifiability import estimates, fitted_estimates
 from steerd.sysid.inference.places import DISCS, RADII, suspicious_discs
 from steerd.sysid.inference.plain_car import TYRES
 from steerd.sysid.inference.search import step_within
@@ -55,7 +55,7 @@ def test_nothing_is_told_while_a_length_sits_at_its_bound():
 
 def _taught(effects, values, sd):
     model = Model(CAR, effects, values, make_planar("rear"))
-    return taught_estimates(effects, parameter_vector(model), sd)
+    return fitted_estimates(effects, parameter_vector(model), sd)
 
 
 def test_identifiable_is_what_is_known_to_a_few_percent():

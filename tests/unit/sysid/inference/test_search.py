@@ -32,15 +32,14 @@ def late(drive, base):
     """The likelihood of a car whose steering is late."""
     runs = drive(f"steer_delay={LATE}", runs=2, seconds=6.0, seed=21)
     predictor = make_predictor(augment(base, runs), runs)
-    return make_likelihood(predictor, predictor.augmented.base, predictor.guess, NOISE)
+    return make_likelihood(predictor, NOISE)
 
 
 @pytest.fixture(scope="module")
 def found(late):
     """The optimum with the effect, from the base at its prior."""
     library = Library(late, FEW, ())
-    guess = late.predictor.guess
-    return minimise(late, begin(library, ("steer_delay",), (0.0,), guess))
+    return minimise(late, begin(library, ("steer_delay",), (0.0,)))
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +133,7 @@ def test_a_spun_window_is_taken_up_anew_from_the_poses(likelihood, small, settle
 
 
 def test_a_search_that_ends_at_its_limit_of_steps_is_not_whole(late):
-    start = begin(Library(late, FEW, ()), ("steer_delay",), (0.0,), late.predictor.guess)
+    start = begin(Library(late, FEW, ()), ("steer_delay",), (0.0,))
     assert not minimise(late, start, steps=2).whole
 
 

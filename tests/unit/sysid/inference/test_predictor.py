@@ -170,8 +170,8 @@ def test_a_window_that_left_the_map_answers_to_nothing(healthy, fitted):
 
 def _left(predictor, noise):
     """What is left of the base per degree of freedom, its starts at their best."""
-    space, guess = make_space(predictor.augmented, ()), predictor.guess
-    likelihood = make_likelihood(predictor, predictor.augmented.base, guess, noise)
+    space = make_space(predictor.augmented, ())
+    likelihood = make_likelihood(predictor, noise)
     return robust_mean(settled(likelihood, space, space.centre).at.ratio)
 
 
