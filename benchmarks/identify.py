@@ -39,9 +39,9 @@ from steerd.sysid.data.segments import make_blocks
 from steerd.sysid.estimation.outcome import Fit, fit_of_plain
 from steerd.sysid.inference import disturbance_response, predictor
 from steerd.sysid.inference import values as simulation
-from steerd.sysid.inference.plain_car import TYRES, Asked, search_blocks, search_rough
+from steerd.sysid.inference.plain_car import TYRES, search_blocks, search_rough
 from steerd.sysid.inference.predictor import Linear, Predictor
-from steerd.sysid.inference.space import Space
+from steerd.sysid.inference.space import Asked, Space
 from steerd.sysid.paper.paper_method import (
     NAMES,
     PAPER_CAR_DIRECT,

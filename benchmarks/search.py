@@ -81,7 +81,6 @@ def open_case(case: Case) -> Library:
     z = np.clip(space.centre + np.linalg.cholesky(space.covariance) @ away, space.low, space.high)
     augmented = replace(augmented, base=space.chart.parameters(z))
     predictor = make_predictor(augmented, runs)
-    x = predictor.guess.copy()
     effects = tuple(e for e in augmented.effects if e.name == case.effect)
     return Library(make_likelihood(predictor, NOISE), free, effects)
 

@@ -39,7 +39,7 @@ from steerd.sysid.inference.noise import (
 from steerd.sysid.inference.predictor import Predictor, make_predictor
 from steerd.sysid.inference.residuals import Gap, blocks_of, folds_of, gap_of, settled, spun_windows
 from steerd.sysid.inference.search import Point
-from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names
+from steerd.sysid.inference.space import Asked, informative_effects, make_space, nuisance_names
 
 Array = NDArray[np.float64]
 
@@ -122,7 +122,7 @@ def _known_noise(base: CarFile | Model[float], options: Options) -> Noise | None
     if options.noise is not None:
         return options.noise
     if options.healthy and not isinstance(base, CarFile):
-        return fit_car(base, options.healthy).noise
+        return fit_car(Asked(base), options.healthy).noise
     return noise_of_section(base.sections.get("noise", {})) if isinstance(base, CarFile) else None
 
 
@@ -281,7 +281,7 @@ def _conclude(
     following = None
     if ambiguous:
         pair = (ambiguous[0].effect, ambiguous[0].ambiguous_with[0])
-        following = next_manoeuvre(case.likelihood, after, case.library.nuisance, case.noise, pair)
+        following = next_manoeuvre(case.predictor, after, case.library.nuisance, case.noise, pair)
     return Diagnosis(
         verdict=verdict.name,
         before=gap_of(predictor, before, case.blocks, spun),
@@ -327,11 +327,12 @@ def _shrinkage(case: _Case, before: Point, after: Point, options: Options) -> Sh
     )
     digest = hashlib.sha256(text.encode()).hexdigest()
     options.written(text)
+    predicted = Shrinkage(share, None, low, high, digest, text, None, None)
     if not options.held_out or not effects:
-        return Shrinkage(share, None, low, high, digest, text, None, None)
+        return predicted
     held_out = options.held_out
     other = make_predictor(case.predictor.augmented, held_out() if callable(held_out) else held_out)
-    return measure(other, after, case.noise, case.floor, (share, low, high), digest, text)
+    return measure(other, after, case.noise, case.floor, predicted)
 
 
 def _moved(null: Hypothesis) -> dict[str, float]:

@@ -34,7 +34,6 @@ class Manoeuvre:
         command: drives it.
         separates: the two suspects.
         expected_nats: expected log-likelihood by which the wrong one falls behind.
-        now_nats: the same of as many seconds of the present drives.
     """
 
     name: str
@@ -42,7 +41,6 @@ class Manoeuvre:
     command: str
     separates: tuple[str, str]
     expected_nats: float
-    now_nats: float
 
 
 def _square(t: Array, period: float) -> Array:
@@ -128,27 +126,17 @@ def margin(
 
 
 def next_manoeuvre(
-    likelihood: Likelihood,
-    point: Point,
-    nuisance: Sequence[str],
-    noise: Noise,
-    pair: tuple[str, str],
+    predictor: Predictor, point: Point, nuisance: Sequence[str], noise: Noise, pair: tuple[str, str]
 ) -> Manoeuvre | None:
     """The manoeuvre of the menu with the largest expected lead, None if all diverge."""
-    layout = likelihood.predictor.layout
-    seconds = float((layout.spans[:, 3] * layout.h).sum())
-    try:
-        now = margin(likelihood, point, nuisance, pair) * SECONDS / max(seconds, 1e-9)
-    except (FloatingPointError, np.linalg.LinAlgError):
-        return None
     best: Manoeuvre | None = None
     for name, drive in MENU.items():
         try:
-            gained = margin(*_on(likelihood.predictor, point, noise, name), nuisance, pair)
+            gained = margin(*_on(predictor, point, noise, name), nuisance, pair)
         except (FloatingPointError, OverflowError, ValueError, np.linalg.LinAlgError):
             continue
         if best is None or gained > best.expected_nats:
-            best = Manoeuvre(name, drive.how, drive.command, pair, gained, now)
+            best = Manoeuvre(name, drive.how, drive.command, pair, gained)
     return best
 
 

@@ -145,13 +145,7 @@ def _at_best(fitted: Point) -> Array:
 
 
 def measure(
-    predictor: Predictor,
-    chosen: Point,
-    noise: Noise,
-    floor: float,
-    predicted: tuple[float, float, float],
-    digest: str,
-    text: str,
+    predictor: Predictor, chosen: Point, noise: Noise, floor: float, predicted: Shrinkage
 ) -> Shrinkage:
     """The same share on reserved drives; nothing is refitted but the windows' starts."""
     base = make_space(predictor.augmented, ())
@@ -160,10 +154,10 @@ def measure(
     after = settled(likelihood, chosen.space, chosen.z)
     blocks = blocks_of(predictor)
     spun = spun_windows(after)
-    gaps = gap_of(predictor, before, blocks, spun), gap_of(predictor, after, blocks, spun)
+    gaps = [gap_of(predictor, fit, blocks, spun) for fit in (before, after)]
     found = _shares(before.at.ratio, after.at.ratio, _at_best(after), floor, blocks)
     share = found.share if found.identifiable else None
-    return Shrinkage(predicted[0], share, predicted[1], predicted[2], digest, text, *gaps)
+    return replace(predicted, measured=share, before=gaps[0], after=gaps[1])
 
 
 CROSS: tuple[float, ...] = (0.25, 3.0)

@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from steerd.sysid.data.dataset import Run, Signal, hold_means
 from steerd.sysid.data.segments import moving_segments
 from steerd.sysid.inference.likelihood import Likelihood
-from steerd.sysid.inference.plain_car import Asked, PlainCar, open_plain
+from steerd.sysid.inference.plain_car import PlainCar, open_plain
 from steerd.sysid.inference.search import minimise, newton, open_point
-from steerd.sysid.inference.space import Space, make_space
+from steerd.sysid.inference.space import Asked, Space, make_space
 
 Array = NDArray[np.float64]
 

@@ -45,17 +45,17 @@ from steerd.sysid.estimation.validation import (
     errors_at,
     trace_windows,
 )
-from steerd.sysid.inference.car_fit import Fixed, choose_start, fit_car_and_effects
+from steerd.sysid.inference.car_fit import choose_start, fit_car_and_effects
 from steerd.sysid.inference.identifiability import Estimate
 from steerd.sysid.inference.plain_car import (
     POOR,
-    Asked,
     PlainCar,
     default_free,
     free_of,
     search_blocks,
     search_rough,
 )
+from steerd.sysid.inference.space import Asked
 from steerd.sysid.paper.search_history import SearchHistory
 from steerd.sysid.parallel import map_jobs
 
@@ -116,12 +116,7 @@ class Task:
     def question(self) -> Asked:
         """What is asked of the drives."""
         free = self.free or default_free(self.model.chassis)
-        return Asked(self.model, free, self.wheelbase)
-
-    @property
-    def fixed(self) -> Fixed:
-        """What whoever asks vouches for."""
-        return Fixed(self.wheelbase is not None, self.held)
+        return Asked(self.model, free, self.wheelbase, self.held)
 
 
 def learn(task: Task, clock: Callable[[], float]) -> Outcome:
@@ -236,7 +231,7 @@ def _starts(task: Task) -> list[Model[float]]:
         return scatter(task.model, task.question.free, task.starts, task.seed)
     return [
         widen_end_stops(model, task.runs, task.question.free)
-        for model in possible_starts(task.model, task.runs, task.fixed)
+        for model in possible_starts(task.question, task.runs)
     ]
 
 
@@ -251,9 +246,9 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit:
     if plain is not None and max(plain.misfit.values()) <= POOR:
         return plain
     try:
-        starts = _starts(task)
-        start = starts[0] if len(starts) == 1 else choose_start(starts, drives.fitted, task.fixed)
-        fitted = fit_car_and_effects(start, drives.fitted, task.fixed)
+        asked, starts = task.question, _starts(task)
+        start = starts[0] if len(starts) == 1 else choose_start(starts, drives.fitted, asked)
+        fitted = fit_car_and_effects(asked._replace(model=start), drives.fitted)
         return fit_of_car(fitted, start, drives.fitted, _doubts(drives.pulses))
     except (FloatingPointError, ValueError):
         if plain is None:

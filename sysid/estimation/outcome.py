@@ -35,9 +35,10 @@ from steerd.sysid.inference.identifiability import (
     silent_estimates,
 )
 from steerd.sysid.inference.noise import signal_noise
-from steerd.sysid.inference.plain_car import Asked, PlainCar, covariance_of, misfit_of, silent_names
+from steerd.sysid.inference.plain_car import PlainCar, covariance_of, misfit_of, silent_names
 from steerd.sysid.inference.predictor import HORIZON, Predictor
 from steerd.sysid.inference.search import with_size
+from steerd.sysid.inference.space import Asked
 from steerd.sysid.paper.search_history import NAMES, SearchHistory
 
 Array = NDArray[np.float64]

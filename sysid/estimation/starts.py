@@ -21,8 +21,8 @@ from steerd.car_model.model import Model
 from steerd.car_model.params import wheelbase
 from steerd.sysid.data.dataset import Run, pose_rates
 from steerd.sysid.data.excitation import SPEED_SPAN, measure_excitation
-from steerd.sysid.inference.car_fit import Fixed
 from steerd.sysid.inference.identifiability import ANOTHER_END, Estimate
+from steerd.sysid.inference.space import Asked
 
 Array = NDArray[np.float64]
 
@@ -55,27 +55,25 @@ START_SPREAD = 0.3
 """Further starts lie about the first with this relative standard deviation."""
 
 
-def possible_starts(
-    model: Model[float], runs: Sequence[Run], fixed: Fixed
-) -> tuple[Model[float], ...]:
+def possible_starts(asked: Asked, runs: Sequence[Run]) -> tuple[Model[float], ...]:
     """The car as given, and before it one of the size, or the gain, that the curvature asks for.
 
     Hard drives barely show it, so both are starts; the drives choose.
 
     Args:
-        model: the car as given, of any size.
+        asked: the car as given, of any size, and what keeps its value.
         runs: drives.
-        fixed: what keeps the model's value.
     """
+    model = asked.model
     length, gain = wheelbase(model.car), model.car.steer_gain
-    known = fixed.wheelbase or bool({"lf", "lr"} & set(fixed.held))
-    if known and fixed.holds("steer_gain"):
+    known = asked.wheelbase is not None or bool({"lf", "lr"} & set(asked.held))
+    if known and asked.holds("steer_gain"):
         return (model,)
     if known:
         scale, new = 1.0, steering_gain(runs, length)
     else:
         widest = gain * max(float(np.abs(run.commands[:, 0]).max()) for run in runs)
-        own_unit = widest > WIDEST and not fixed.holds("steer_gain")
+        own_unit = widest > WIDEST and not asked.holds("steer_gain")
         new = gain * LOCK / widest if own_unit else gain
         scale = rolling_length(runs, new) / length
     if not (scale > 0.0 and new > 0.0) or abs(np.log(new / scale / gain)) < NEAR:

@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import BaseSelection
 from steerd.car_model.model import Model
 from steerd.sysid.data.dataset import Run
@@ -37,7 +36,13 @@ from steerd.sysid.inference.noise import (
 from steerd.sysid.inference.predictor import Predictor, make_predictor
 from steerd.sysid.inference.residuals import robust_mean
 from steerd.sysid.inference.search import Point, minimise, stand, with_size
-from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names, weak_prior
+from steerd.sysid.inference.space import (
+    Asked,
+    informative_effects,
+    make_space,
+    nuisance_names,
+    weak_prior,
+)
 
 Array = NDArray[np.float64]
 
@@ -72,25 +77,6 @@ class Step(NamedTuple):
     gain: float
 
 
-class Fixed(NamedTuple):
-    """What whoever asks vouches for.
-
-    Attributes:
-        wheelbase: whether the model's axles stand at a measured distance.
-        held: parameters and effects that keep the model's values.
-    """
-
-    wheelbase: bool = False
-    held: tuple[str, ...] = ()
-
-    def holds(self, name: str) -> bool:
-        """Whether a parameter (`name` or `effect.name`) keeps its value."""
-        return name in self.held or name.partition(".")[0] in self.held
-
-
-NOTHING_FIXED = Fixed()
-
-
 @dataclass(frozen=True, eq=False)
 class FittedCar:
     """A car at its best on healthy drives.
@@ -117,28 +103,23 @@ class FittedCar:
         return self.likelihood.predictor.augmented
 
 
-def fit_car(
-    base: CarFile | Model[float], runs: Sequence[Run], fixed: Fixed = NOTHING_FIXED
-) -> FittedCar:
-    """Fit car and noise in turn, under weak priors about the base's values.
+def fit_car(asked: Asked, runs: Sequence[Run]) -> FittedCar:
+    """Fit car and noise in turn, under weak priors about the model's values.
 
     Args:
-        base: where it starts.
+        asked: where it starts, and what keeps its value.
         runs: drives without a gap.
-        fixed: what keeps the base's value.
 
     Raises:
-        FloatingPointError: the base car's simulation diverges.
+        FloatingPointError: the model's simulation diverges.
         ValueError: no window sees enough poses.
     """
-    return _in_turn(_first(base, runs, fixed), runs, _ROUNDS)
+    return _in_turn(_first(asked, runs), runs, _ROUNDS)
 
 
-def fit_car_and_effects(
-    base: CarFile | Model[float], runs: Sequence[Run], fixed: Fixed = NOTHING_FIXED
-) -> FittedCar:
+def fit_car_and_effects(asked: Asked, runs: Sequence[Run]) -> FittedCar:
     """`fit_car`, then once more with the limits and the play that the drives show free."""
-    fitted = fit_car(base, runs, fixed)
+    fitted = fit_car(asked, runs)
     shown = informative_effects(fitted.augmented, runs)
     free = {name.partition(".")[0] for name in fitted.nuisance if "." in name}
     effects = tuple(
@@ -146,7 +127,7 @@ def fit_car_and_effects(
         for e in fitted.augmented.effects
         if e.name in shown
         and e.name not in free
-        and not fixed.holds(e.name)
+        and not asked.holds(e.name)
         and not (e.same_as and set(e.same_as) <= set(fitted.nuisance))
         and e.selectable_in_base is not BaseSelection.NEVER
     )
@@ -159,9 +140,7 @@ def fit_car_and_effects(
     return replace(_with_effects(fitted, found.best.point, runs), selected=steps)
 
 
-def choose_start(
-    starts: Sequence[Model[float]], runs: Sequence[Run], fixed: Fixed = NOTHING_FIXED
-) -> Model[float]:
+def choose_start(starts: Sequence[Model[float]], runs: Sequence[Run], asked: Asked) -> Model[float]:
     """The start from which these drives are explained best; each also on stiffer tyres.
 
     From tyres that are too soft, hard bends lead to softer ones still instead of to ones that
@@ -172,10 +151,10 @@ def choose_start(
         ValueError: no window sees enough poses.
     """
     some, found = thinned(runs, _ENOUGH), []
-    models = [stiffer(start, factor, fixed) for start in starts for factor in (1.0, _STIFFER)]
+    models = [stiffer(start, factor, asked) for start in starts for factor in (1.0, _STIFFER)]
     for number, start in enumerate(models):
         try:
-            found.append((_first(start, some, fixed).point.cost, number))
+            found.append((_first(asked._replace(model=start), some).point.cost, number))
         except (FloatingPointError, np.linalg.LinAlgError):
             continue
     if not found:
@@ -183,24 +162,23 @@ def choose_start(
     return models[min(found)[1]]
 
 
-def stiffer(model: Model[float], factor: float, fixed: Fixed) -> Model[float]:
+def stiffer(model: Model[float], factor: float, asked: Asked) -> Model[float]:
     """The model on tyres so many times as stiff, as far as nobody stated what they are."""
     car = model.car
-    moved = {n: factor * getattr(car, n) for n in ("c_sf", "c_sr") if not fixed.holds(n)}
+    moved = {n: factor * getattr(car, n) for n in ("c_sf", "c_sr") if not asked.holds(n)}
     return model._replace(car=car._replace(**moved))
 
 
-def _first(base: CarFile | Model[float], runs: Sequence[Run], fixed: Fixed) -> FittedCar:
+def _first(asked: Asked, runs: Sequence[Run]) -> FittedCar:
     """The car at its best under noise as learnt about it, from noise that forgives the start.
 
     A window that is far off is bounded and pulls at nothing; were all so, the search would stay
     where it began.
     """
-    base = replace(base, sd={}, sections={}) if isinstance(base, CarFile) else base
-    augmented = augment(base, runs)
+    augmented = augment(asked.model, runs)
     names = (*nuisance_names(augmented, runs), *structure_names(augmented, runs))
-    nuisance = tuple(name for name in names if not fixed.holds(name))
-    shares = {**ORDINARY, **({"lf": MEASURED} if fixed.wheelbase else {})}
+    nuisance = tuple(name for name in names if not asked.holds(name))
+    shares = {**ORDINARY, **({"lf": MEASURED} if asked.wheelbase is not None else {})}
     augmented = replace(augmented, prior=weak_prior(augmented, nuisance, shares))
     predictor, usual = make_predictor(augmented, runs), usual_noise(estimate_noise(runs))
     noise = usual

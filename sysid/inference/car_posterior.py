@@ -24,17 +24,11 @@ from steerd.car_model.car_file import CarFile
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import BasePrior, inflate_each, prior_section
-from steerd.sysid.inference.car_fit import (
-    NOTHING_FIXED,
-    FittedCar,
-    Fixed,
-    excess_of,
-    fit_car_and_effects,
-    ratios,
-)
+from steerd.sysid.inference.car_fit import FittedCar, excess_of, fit_car_and_effects, ratios
 from steerd.sysid.inference.noise import noise_section
 from steerd.sysid.inference.posterior import posterior_of
 from steerd.sysid.inference.residuals import blocks_of, robust_mean
+from steerd.sysid.inference.space import Asked
 
 Array = NDArray[np.float64]
 
@@ -79,19 +73,18 @@ def describe_misfits(fitted: FittedCar, runs: Sequence[Run]) -> tuple[str, ...]:
     return (f"the model does not hold {lost.sum()} of {len(lost)} windows of 1 s ({named}){how}",)
 
 
-def refine(base: CarFile, runs: Sequence[Run], fixed: Fixed = NOTHING_FIXED) -> CarFile:
+def refine(base: CarFile, runs: Sequence[Run]) -> CarFile:
     """The base car as drives without a gap show it: values, errors, `[noise]` and `[knowledge]`.
 
     Args:
         base: as identified; only its values are a start.
         runs: drives without a gap.
-        fixed: what keeps the base's value.
 
     Raises:
         FloatingPointError: the base car's simulation diverges.
         ValueError: no window sees enough poses.
     """
-    return car_file_of(base, fit_car_and_effects(base, runs, fixed))
+    return car_file_of(base, fit_car_and_effects(Asked(base.model), runs))
 
 
 def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
@@ -101,7 +94,7 @@ def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, An
         FloatingPointError: the base car's simulation diverges.
         ValueError: no window sees enough poses.
     """
-    fitted = fit_car_and_effects(base, runs)
+    fitted = fit_car_and_effects(Asked(base.model), runs)
     return {"noise": noise_section(fitted.noise), "knowledge": prior_section(base_prior_of(fitted))}
 
 

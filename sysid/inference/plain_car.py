@@ -11,7 +11,6 @@ starts fade. What is known of the car then is far more than windows of one secon
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +28,7 @@ from steerd.sysid.inference.noise import Noise, instrument_rows, signal_noise
 from steerd.sysid.inference.posterior import posterior_of
 from steerd.sysid.inference.predictor import HORIZON, Predictor, make_predictor
 from steerd.sysid.inference.search import Point, curvature, minimise, open_point, stand, with_size
-from steerd.sysid.inference.space import make_space, weak_prior
+from steerd.sysid.inference.space import Asked, make_space, weak_prior
 
 Array = NDArray[np.float64]
 
@@ -50,20 +49,6 @@ _SPEED_LOOP = ("speed_lag", "drive_delay", "accel_max", "decel_max")
 _SPEED_OF_COMMANDS = ("speed_gain", *_SPEED_LOOP)
 _OUTLIER = 3.0
 """Errors beyond so many standard deviations count as that many."""
-
-
-class Asked(NamedTuple):
-    """What is asked of drives.
-
-    Attributes:
-        model: the car as believed so far: weak priors lie about it, what is not free stays.
-        free: names of the free parameters.
-        wheelbase: measured distance of the axles [m].
-    """
-
-    model: Model[float]
-    free: tuple[str, ...]
-    wheelbase: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,11 +6,13 @@ The base's parameters are nuisance: an effect is named only for what no believab
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.effect import Channel
+from steerd.car_model.model import Model
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import AugmentedCar, BasePrior
@@ -50,6 +52,26 @@ SESSION = 0.3
 """Of the floors, what a car differs by from one day to the next beside that."""
 UNKNOWN = 3.0
 """How much wider the floors are where the car file gives no standard error."""
+
+
+class Asked(NamedTuple):
+    """What is asked of drives, and what whoever asks vouches for.
+
+    Attributes:
+        model: the car as believed so far: weak priors lie about it, what is not free stays.
+        free: names of the plain car's free parameters.
+        wheelbase: measured distance of the axles [m], at which the model's stand.
+        held: parameters and effects that keep the model's values.
+    """
+
+    model: Model[float]
+    free: tuple[str, ...] = ()
+    wheelbase: float | None = None
+    held: tuple[str, ...] = ()
+
+    def holds(self, name: str) -> bool:
+        """Whether a parameter (`name` or `effect.name`) keeps its value."""
+        return name in self.held or name.partition(".")[0] in self.held
 
 
 @dataclass(frozen=True, eq=False)

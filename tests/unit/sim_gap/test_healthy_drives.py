@@ -5,8 +5,9 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sim_gap.diagnosis import Options, diagnose
-from steerd.sysid.inference.car_fit import Fixed
-from steerd.sysid.inference.car_posterior import refine
+from steerd.sysid.inference.car_fit import fit_car_and_effects
+from steerd.sysid.inference.car_posterior import car_file_of, refine
+from steerd.sysid.inference.space import Asked
 
 pytestmark = pytest.mark.slow
 
@@ -41,9 +42,9 @@ def test_a_manner_of_the_car_is_no_gap(refined, drive):
 
 def test_a_stated_wheelbase_and_what_is_held_stay(drive, base, refined):
     runs = drive("wheel_slip=0.006,steer_nonlinearity=-0.6", runs=6, seed=5)
-    stated = Fixed(wheelbase=True, held=("steer_gain", "tyre_saturation", "c_sr"))
-    found = refine(base, runs, stated)
     length = base.car.lf + base.car.lr
+    asked = Asked(base.model, (), length, ("steer_gain", "tyre_saturation", "c_sr"))
+    found = car_file_of(base, fit_car_and_effects(asked, runs))
     assert found.car.lf + found.car.lr == pytest.approx(length, abs=3e-4)
     assert found.car.steer_gain == base.car.steer_gain
     assert found.car.c_sr == base.car.c_sr

@@ -27,9 +27,9 @@ from steerd.sysid.estimation.starts import (
     rolling_length,
 )
 from steerd.sysid.estimation.validation import Trace, by_lateral_acceleration
-from steerd.sysid.inference.car_fit import NOTHING_FIXED, Fixed
 from steerd.sysid.inference.identifiability import Estimate
 from steerd.sysid.inference.plain_car import DEFAULT_FREE
+from steerd.sysid.inference.space import Asked
 
 MODEL = Model(DEFAULT_CAR)
 LENGTHS = (0.1, 0.15, 0.33, 0.8, 3.0)
@@ -55,7 +55,7 @@ def drive(length, seed, *, unit=1.0, delay=0.1, rate=20.0, blur=0.001):
 @pytest.mark.parametrize("length", LENGTHS)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_wheelbase_follows_from_the_curvature(length, seed):
-    start, *given = possible_starts(MODEL, [drive(length, seed)], NOTHING_FIXED)
+    start, *given = possible_starts(Asked(MODEL), [drive(length, seed)])
     assert wheelbase(start.car) == pytest.approx(length, rel=0.1)
     assert start.car.lf / start.car.lr == pytest.approx(DEFAULT_CAR.lf / DEFAULT_CAR.lr)
     size = wheelbase(start.car) / wheelbase(DEFAULT_CAR)
@@ -67,7 +67,7 @@ def test_the_wheelbase_follows_from_the_curvature(length, seed):
 def test_a_stated_wheelbase_stays_and_the_curvature_gives_the_steerings_unit(length):
     scale = length / wheelbase(DEFAULT_CAR)
     car = DEFAULT_CAR._replace(lf=DEFAULT_CAR.lf * scale, lr=DEFAULT_CAR.lr * scale)
-    start = possible_starts(Model(car), [drive(length, 3, unit=0.5)], Fixed(wheelbase=True))[0]
+    start = possible_starts(Asked(Model(car), (), length), [drive(length, 3, unit=0.5)])[0]
     assert (start.car.lf, start.car.lr) == (car.lf, car.lr)
     assert start.car.steer_gain == pytest.approx(0.5, rel=0.1)
 
@@ -77,16 +77,16 @@ def test_commands_that_no_wheel_follows_have_a_unit_of_their_own(length):
     run = drive(length, 4, unit=0.4)
     widest = float(np.abs(run.commands[:, 0]).max())
     assert widest > WIDEST
-    start = possible_starts(MODEL, [run], NOTHING_FIXED)[0]
+    start = possible_starts(Asked(MODEL), [run])[0]
     assert start.car.steer_gain * widest == pytest.approx(LOCK)
     assert wheelbase(start.car) == pytest.approx(start.car.steer_gain / 0.4 * length, rel=0.1)
 
 
 def test_what_is_held_stays():
     run = drive(0.33, 5, unit=0.5)
-    held = Fixed(wheelbase=True, held=("steer_gain",))
-    assert possible_starts(MODEL, [run], held) == (MODEL,)
-    start = possible_starts(MODEL, [run], Fixed(held=("steer_gain",)))[0]
+    held = Asked(MODEL, held=("steer_gain",))
+    assert possible_starts(held._replace(wheelbase=0.33), [run]) == (MODEL,)
+    start = possible_starts(held, [run])[0]
     assert start.car.steer_gain == MODEL.car.steer_gain
 
 

@@ -24,12 +24,12 @@ from steerd.sysid.inference.chart import SPREAD
 from steerd.sysid.inference.plain_car import (
     DEFAULT_FREE,
     TYRES,
-    Asked,
     free_of,
     search_blocks,
     search_rough,
 )
 from steerd.sysid.inference.predictor import stable_substeps
+from steerd.sysid.inference.space import Asked
 
 SLID = (0.18917528114233922, 0.29462271010112046, 5.025340279936621, 2.177483451231206)
 """Lengths and stiffnesses of a start in the long valley of long, sliding cars that steer more."""
