@@ -113,7 +113,7 @@ def responses(
 ) -> Array:
     """(inputs, W, D, pieces) finite differences about the trajectory from the starts `x` (W, 7).
 
-    Zero in a window whose simulation leaves the map: it is lost, whatever pushes it.
+    Zero in a window whose simulation diverges: it says nothing, whatever pushes it.
     """
     at = _nominal(predictor, parameters, x)
     pieces = max(1, round(at.steps * predictor.held.fine / PIECE))

@@ -38,7 +38,7 @@ class Rotated(NamedTuple):
     Attributes:
         by_z: (W, D, n) by the coordinates.
         by_x: (W, D, 7) by the window's start.
-        held: (W,) windows whose start is held: so bent that no step of it keeps its promise.
+        held: (W,) windows whose start is held: so bent that no step of it gains what it predicts.
     """
 
     by_z: Array

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 FALL = 2.2
 """The size falls by this factor a step at most: faster, dead times are left behind."""
 ENOUGH = 0.3
-"""A step that promises and gains less than this many nats at the last size ends the search."""
+"""A step that predicts and gains less than this many nats at the last size ends the search."""
 STEPS = 24
 DRAWS = 4
 """Starts along the valley of an optimum that counts."""
@@ -40,7 +40,7 @@ _SOFT = 3.0
 _MISFIT_GAIN = 1.0
 """Nats that a window must gain by it."""
 _TRUST = 0.4
-"""Derivatives are taken anew where a step gains this much more or less than it promised ..."""
+"""Derivatives are taken anew where a step gains this much more or less than was predicted ..."""
 _FAR = 30.0
 """... or after so many nats."""
 _DAMPING_MAX = 1e4
@@ -51,7 +51,7 @@ _RESCUES = 2
 _ROUNDS = 4
 """Steps of every window's start about one point ..."""
 _UNSETTLED = 0.1
-"""... and what such a step may then still promise to take off a window's square."""
+"""... and what such a step may then still be predicted to take off a window's square."""
 _SHORTER = 0.25
 """A start's step that led up is tried again so much shorter."""
 _UNTIL = 4
@@ -170,10 +170,10 @@ def open_point(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Poin
 
 
 def _settled(likelihood: Likelihood, point: Point) -> Point:
-    """The windows' starts stepped, each for itself, until a further step promises nothing.
+    """The windows' starts stepped, each for itself, until a further step predicts no gain.
 
-    Losses count what a start's next step promises as taken. Where a window is so bent that no step
-    keeps that promise its start is held: else the search would compare every step with a cost that
+    Losses count what a start's next step predicts as taken. Where a window is so bent that no step
+    keeps that prediction its start is held: else the search would compare every step with a cost that
     nothing reaches, and stop where it stands (docs/decisions/diagnosis.md#d91).
     """
     space, z, size, at = point.space, point.z, point.size, point.at
@@ -271,7 +271,7 @@ def _moved(likelihood: Likelihood, point: Point, dz: Array) -> Point | None:
 
 
 def newton(space: Space, at: Reduced, z: Array, damping: float = 0.0) -> tuple[Array, float]:
-    """The bounded step of the quadratic model, and what it promises [nats]."""
+    """The bounded step of the quadratic model, and the gain it predicts [nats]."""
     h, slope = curvature(space, at), at.weight @ at.g + space.prior_pull(z)
     damped = h + damping * np.diag(np.diag(h))
     dz = step_within(damped, slope, z, space.low, space.high)
