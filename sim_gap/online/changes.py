@@ -152,8 +152,8 @@ def _cost(reference: Reference, before: Track, losses: Sequence[Loss], own: Sequ
     """Loss of windows and prior at the best of the base and some coordinates [nats].
 
     Student's t with weights at the fit; infinite where no car has such values. Windows that the
-    reference explains badly barely pull, so a large effect that explains them all is looked for from
-    equal weights too.
+    reference explains badly barely pull, so a large effect that explains them all is looked for
+    from equal weights too.
     """
     space, n = reference.space, reference.space.nuisance
     at = [*range(n), *own]

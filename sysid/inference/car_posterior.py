@@ -54,25 +54,23 @@ _NAMED = 3
 def describe_misfits(fitted: FittedCar, runs: Sequence[Run]) -> tuple[str, ...]:
     """Where the car does not hold, and how it was driven there, in a sentence; often none."""
     predictor, layout = fitted.likelihood.predictor, fitted.likelihood.predictor.layout
-    missed = ratios(fitted) >= c.SPUN
-    if not missed.any():
+    spun = ratios(fitted) >= c.SPUN
+    if not spun.any():
         return ()
     speed, slip = np.abs(fitted.point.x[:, 3]), np.abs(fitted.point.x[:, 5])
     why = [
-        f"{text} in {int((missed & where).sum())}"
+        f"{text} in {int((spun & where).sum())}"
         for where, text in (
             (slip > SLIDING, f"sliding by more than {SLIDING:g} rad"),
             (predictor.lateral > HARD, f"more than {HARD:g} m/s2 sideways"),
             (speed < SLOW, f"below {SLOW:g} m/s"),
         )
-        if (missed & where).any()
+        if (spun & where).any()
     ]
-    places = [f"{runs[layout.run[w]].name} {layout.t[w]:.1f} s" for w in np.flatnonzero(missed)]
+    places = [f"{runs[layout.run[w]].name} {layout.t[w]:.1f} s" for w in np.flatnonzero(spun)]
     named = ", ".join(places[:_NAMED]) + (", ..." if len(places) > _NAMED else "")
     how = f": {', '.join(why)}" if why else ": driven like the others, so something acts there"
-    return (
-        f"the model does not hold {missed.sum()} of {len(missed)} windows of 1 s ({named}){how}",
-    )
+    return (f"the model does not hold {spun.sum()} of {len(spun)} windows of 1 s ({named}){how}",)
 
 
 def refine(base: CarFile, runs: Sequence[Run]) -> CarFile:

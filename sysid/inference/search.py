@@ -173,8 +173,8 @@ def _settled(likelihood: Likelihood, point: Point) -> Point:
     """The windows' starts stepped, each for itself, until a further step predicts no gain.
 
     Losses count what a start's next step predicts as taken. Where a window is so bent that no step
-    keeps that prediction its start is held: else the search would compare every step with a cost that
-    nothing reaches, and stop where it stands (docs/decisions/diagnosis.md#d91).
+    keeps that prediction its start is held: else the search would compare every step with a cost
+    that nothing reaches, and stop where it stands (docs/decisions/diagnosis.md#d91).
     """
     space, z, size, at = point.space, point.z, point.size, point.at
     x, error, weighed = point.x.copy(), point.linear.error.copy(), point.weighed
