@@ -143,8 +143,7 @@ class Watching:
         """
         seen, limits, brakes = self._seen, self._settings.limits, self._settings.brakes
         s, health = estimated_state(estimate), estimate.health if estimate else None
-        nowhere = 0.0 if self._setup.ignores_lane else nan
-        v = seen.values
+        nowhere, v = 0.0 if self._setup.ignores_lane else nan, seen.values
         now = WatchdogInput(
             t_ns=now_ns,
             state=state,

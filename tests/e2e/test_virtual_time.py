@@ -97,6 +97,29 @@ def test_same_seed_same_bytes_other_seed_other_bytes(drive_fast, tmp_path, capsy
 # --- paths from files
 
 
+def test_an_unstable_design_is_refused_with_its_reason(tmp_path, capsys):
+    car = tmp_path / "pole.toml"
+    text = CAR_FILE.read_text().replace('design = "lqr" ', 'design = "pole_placement" ')
+    car.write_text(text.replace("[-150.0, 15.0], [-150.0, -15.0]", "[-8.0, 3.0], [-8.0, -3.0]"))
+    record = tmp_path / "never.mcap"
+    argv = ["run", "--sim", "--fast", "--duration", "1", "--car", str(car), "--record", str(record)]
+    assert run_cli(argv) == 4
+    said = capsys.readouterr().err
+    assert "spectral radius" in said
+    assert "'pole_placement' refused" in said
+    assert list(tmp_path.iterdir()) == [car]
+
+
+def test_a_pose_that_was_moved_in_the_recording_is_found(drive_fast, tamper_pose, capsys):
+    driven = drive_fast("--path circle:radius=2 --speed 1 --duration 2")
+    assert replays(driven.session, capsys)
+    assert run_cli(["replay", str(tamper_pose(driven.session))]) == 7
+    said = capsys.readouterr().out
+    first, last = said.splitlines()[0], said.splitlines()[-1]
+    assert re.match(r"tick \d+ .*: recorded SPEED steer .*; replayed SPEED steer ", first)
+    assert re.fullmatch(r"\d+ commands replayed: \d+ of them differ", last)
+
+
 def ellipse(count):
     """Points of an ellipse with semi-axes 3 m and 2.5 m, driven counter-clockwise from (3, 0)."""
     t = np.arange(count) * 2.0 * pi / count
