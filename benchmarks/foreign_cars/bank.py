@@ -59,6 +59,8 @@ def draw_cases(
 ) -> list[Case]:
     """Cases of a nonce, shared out among the cars of each plant; no two nonces share a car.
 
+    Their order is random: the first of them are a fair sample.
+
     Args:
         nonce: fixes the list.
         shares: how many of which kind.
@@ -73,7 +75,8 @@ def draw_cases(
         for number, hidden in enumerate(_hidden(make_plant(name, cars[0]), shares, rng)):
             car = cars[number % len(cars)]
             cases.append(Case(name, car, number, hidden, temper, push=push))
-    return cases
+    order = np.random.default_rng([nonce, len(PLANTS)]).permutation(len(cases))
+    return [cases[i] for i in order]
 
 
 def save_cases(path: Path, cases: Sequence[Case], sealed: bool = False) -> str:
