@@ -170,6 +170,12 @@ def _at(array: Array | Indices | NDArray[np.uint8]) -> int:
     return int(array.ctypes.data)
 
 
+def _each(array: Array | Indices) -> range:
+    """Where the numbers of each of its first index begin; the array must outlive their use."""
+    first, size = _at(array), array[0].nbytes
+    return range(first, first + len(array) * size, size)
+
+
 class WindowBlocks(NamedTuple):
     """Windows arranged side by side: blocks of `SLOTS`, the last padded with copies."""
 
@@ -431,22 +437,22 @@ def compute_readings(
     late = _delays(kernels, parameters)[1] @ seeds / held.fine
     moved: NDArray[np.uint8] = np.any(wide, axis=1).astype(np.uint8)
     directions = Directions(count, _at(moved), _at(wide), _at(start), _at(late))
-    ranges = np.column_stack([stations.spans[:-1], stations.spans[1:]])
     blocks = _in_blocks(np.lexsort((windows.spans[:, 4], windows.spans[:, 3])))
+    ranges = np.column_stack([stations.spans[:-1], stations.spans[1:]])[blocks]
+    ranges.reshape(-1, 2)[len(first) :, 1] = 0  # copies are not read
+    rows = np.ascontiguousarray(state[blocks].transpose(0, 2, 1))
+    spans, t = windows.spans[blocks], windows.t[blocks]
+    read = _at(stations.places), _at(stations.shares)
+    into = _at(scale), _at(y), _at(jy), total, count if start_pose else 0
+    starts = _each(rows), _each(ranges), _each(spans), _each(t)
+    commands = _at(held.rows)
 
     def block(number: int, _worker: int) -> None:
-        here = blocks[number]
-        spans, t, own = windows.spans[here], windows.t[here], ranges[here]
-        own[len(first) - number * SLOTS :, 1] = 0  # copies are not read
-        rows = np.ascontiguousarray(state[here].T)
-        place = _block(held, spans, t)
-        into = Readings(
-            _at(stations.places), _at(stations.shares), _at(own), _at(scale), _at(y), _at(jy),
-            total, count if start_pose else 0,
-        )  # fmt: skip
+        row, own, span, time = (at[number] for at in starts)
+        place, readings = Block(commands, span, time), Readings(*read, own, *into)
         kernels.call(
-            "readings", byref(car.integration), byref(place), byref(directions), _at(rows),
-            byref(into),
+            "readings", byref(car.integration), byref(place), byref(directions), row,
+            byref(readings),
         )  # fmt: skip
 
     share_out(block, len(blocks), SLOTS * int(windows.spans[:, 3].mean()))

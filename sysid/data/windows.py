@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -103,15 +103,17 @@ class Layout:
         spans[:, 3:] *= substeps
         return Windows(spans, self.t)
 
-    def stations(self, pose_delay: float, step: float) -> Stations:
-        """Where to read, when poses are `pose_delay` late and steps are `step` long [s]."""
-        seen = self.seen
-        true = (seen.t - np.where(seen.kind == 0, pose_delay, 0.0)) / step
-        k = np.floor(true).astype(np.int64)
-        order = np.lexsort((true, seen.window))
-        places = np.column_stack([k, _CHANNELS[seen.kind], seen.row, seen.kind == 0])[order]
-        spans = np.searchsorted(seen.window, np.arange(len(self.spans) + 1))
-        return Stations(np.ascontiguousarray(places), (true - k)[order], spans, len(self.values))
+
+@lru_cache(maxsize=4)
+def make_stations(layout: Layout, pose_delay: float, step: float) -> Stations:
+    """Where to read, when poses are `pose_delay` late and steps are `step` long [s]."""
+    seen = layout.seen
+    true = (seen.t - np.where(seen.kind == 0, pose_delay, 0.0)) / step
+    k = np.floor(true).astype(np.int64)
+    order = np.lexsort((true, seen.window))
+    places = np.column_stack([k, _CHANNELS[seen.kind], seen.row, seen.kind == 0])[order]
+    spans = np.searchsorted(seen.window, np.arange(len(layout.spans) + 1))
+    return Stations(np.ascontiguousarray(places), (true - k)[order], spans, len(layout.values))
 
 
 class _Window(NamedTuple):

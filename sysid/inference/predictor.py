@@ -27,7 +27,14 @@ from steerd.car_model.numpy_ops import NUMPY
 from steerd.car_model.params import Car
 from steerd.car_model.rollout import stiffness_rate
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.data.windows import SPACING, Layout, make_layout, take_windows, thinned
+from steerd.sysid.data.windows import (
+    SPACING,
+    Layout,
+    make_layout,
+    make_stations,
+    take_windows,
+    thinned,
+)
 from steerd.sysid.inference.augmented_car import EDGES, AugmentedCar
 from steerd.sysid.inference.space import Space
 
@@ -174,7 +181,7 @@ class Predictor:
         late = float(delays_of(kernels, parameters)[2])
         y, jy = compute_readings(
             kernels, parameters, seeds, x, dfirst, self.held,
-            layout.kernel_windows(self.substeps), layout.stations(late, self.held.fine),
+            layout.kernel_windows(self.substeps), make_stations(layout, late, self.held.fine),
         )  # fmt: skip
         error, turn = layout.values - y, layout.channel == 2
         with np.errstate(invalid="ignore"):  # a window that left the map
