@@ -64,12 +64,19 @@ def _bullet(rng: Random) -> Plant:
     return make_bullet(rng)
 
 
+def _box2d(rng: Random) -> Plant:
+    from benchmarks.foreign_cars.box2d_car import make_box2d
+
+    return make_box2d(rng)
+
+
 _MAKERS: dict[str, tuple[str, Callable[[Random], Plant]]] = {
     "own": ("numba", make_own),
     "mujoco": ("mujoco", _mujoco(False)),
     "mujoco-contact": ("mujoco", _mujoco(True)),
     "commonroad": ("vehiclemodels", _commonroad),
     "bullet": ("pybullet", _bullet),
+    "box2d": ("Box2D", _box2d),
 }
 PLANTS = tuple(_MAKERS)
 
