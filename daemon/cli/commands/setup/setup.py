@@ -12,6 +12,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,6 +29,11 @@ class Step(NamedTuple):
     before: str  # what to do before it, and what to look at
     words: tuple[str, ...]  # the command's arguments after `steerd`
     makes: Path | None = None  # what its standard output is written to; None for the terminal
+
+    @property
+    def typed(self) -> str:
+        """The command as a user would type it."""
+        return f"steerd {shlex.join(self.words)}" + (f" > {self.makes}" if self.makes else "")
 
 
 _STEPS = """\
@@ -77,6 +83,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--mocap", "URL", "the pose source, as `steerd run`", required=True)
     option(parser, "--folder", "DIR", "of car file and drives", type=Path, default=Path("setup"))
     option(parser, "--from", "N", "begin at this step", type=int, default=1, dest="first")
+    text = "the steps in a browser on this machine too; keys stay in the terminal"
+    option(parser, "--page", "PORT", text, nargs="?", type=int, const=0)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -86,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
         raise SteerdError(f"--from {args.first}: there are {len(steps)} steps", "", ExitCode.USAGE)
     args.folder.mkdir(parents=True, exist_ok=True)
     hardware = ["--port", args.port, "--mocap", args.mocap]
-    left = guide(steps, args.first - 1, read_key, run_step)
+    left = _guide_here(steps, args.first - 1, args.page)
     if left < len(steps):
         again = shlex.join(["setup", *hardware, "--folder", str(args.folder)])
         print(f"   next: steerd {again} --from {left + 1}")
@@ -96,8 +104,33 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.OK
 
 
+def _guide_here(steps: Sequence[Step], at: int, port: int | None) -> int:
+    """Go through the steps in this terminal and, where a port is given, on a page as well."""
+    if port is None:
+        return guide(steps, at, read_key, run_step)
+    from steerd.daemon.process.guide_page import GuidePage  # a web server: only where it is used
+
+    page = GuidePage([
+        {"title": step.title, "before": step.before, "command": step.typed} for step in steps
+    ])  # fmt: skip
+    try:
+        print(f"   page: {page.open(port)} (in a browser on this machine)")
+    except OSError as error:
+        hint = "--page with another port"
+        raise SteerdError(f"--page {port}: {error}", hint, ExitCode.UNREACHABLE) from error
+    return guide(steps, at, page.ask, partial(run_step, execute=page.run), page.stand)
+
+
+def _unseen(at: int, state: str) -> None:
+    """Nobody looks on."""
+
+
 def guide(
-    steps: Sequence[Step], at: int, ask: Callable[[str], str], do: Callable[[Step], int]
+    steps: Sequence[Step],
+    at: int,
+    ask: Callable[[str], str],
+    do: Callable[[Step], int],
+    stand: Callable[[int, str], None] = _unseen,
 ) -> int:
     """Go through steps as answers say; where it ended, the number of steps if all are done.
 
@@ -108,12 +141,13 @@ def guide(
         at: the first.
         ask: shows a question; the answer.
         do: runs a step; its exit code.
+        stand: told of the present step, and whether it is `asked`, `runs`, is `done` or `failed`.
     """
     while at < len(steps):
         step = steps[at]
         print(f"\n{at + 1} of {len(steps)}: {step.title}\n{step.before}")
-        typed = f"steerd {shlex.join(step.words)}" + (f" > {step.makes}" if step.makes else "")
-        print(*wrap_command(typed, "  ", " " * 4), sep="\n")
+        print(*wrap_command(step.typed, "  ", " " * 4), sep="\n")
+        stand(at, "asked")
         answer = ask("[Enter] do it   [s] skip   [b] back   [q] quit: ").strip().lower()
         if answer == "q":
             break
@@ -122,7 +156,9 @@ def guide(
         elif answer == "s":
             at += 1
         elif answer == "":
+            stand(at, "runs")
             code = do(step)
+            stand(at, "failed" if code else "done")
             at += code == 0
             if code:
                 print(f"this step ended with exit code {code}: fix it and repeat it, or skip it")
@@ -135,7 +171,7 @@ def read_key(question: str) -> str:
     return sys.stdin.readline() or "q"
 
 
-def run_step(step: Step) -> int:
+def run_step(step: Step, execute: Callable[[Sequence[str]], int] = subprocess.call) -> int:
     """Run the step's command in this terminal; a file that is there is kept."""
     command = [sys.executable, "-m", "steerd", *step.words]
     drive = Path(step.words[-1])
@@ -144,8 +180,10 @@ def run_step(step: Step) -> int:
     if step.makes and step.makes.exists():
         print(f"{step.makes} is there and stays as it is")
         return 0
-    found = subprocess.run(command, check=False, stdout=subprocess.PIPE if step.makes else None)
-    if step.makes and found.returncode == 0:
+    if not step.makes:
+        return execute(command)
+    found = subprocess.run(command, check=False, stdout=subprocess.PIPE)
+    if found.returncode == 0:
         step.makes.write_bytes(found.stdout)
         print(f"{step.makes}: written")
     return found.returncode

@@ -1,0 +1,141 @@
+"""The page of `steerd setup`: a browser sees the steps and answers; the terminal still does."""
+
+import json
+import os
+import sys
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from websockets.exceptions import InvalidStatus  # noqa: TID251
+from websockets.sync.client import ClientConnection, connect  # noqa: TID251
+from websockets.typing import Origin  # noqa: TID251
+
+from steerd.daemon.cli.commands.setup.setup import Step, guide
+from steerd.daemon.process.guide_page import GuidePage, plain_text
+
+STEPS = [Step(name, f"before {name}", (name,)) for name in "abc"]
+
+
+@pytest.fixture
+def typed() -> Iterator[tuple[GuidePage, int]]:
+    """A page, and the end of a pipe that is its terminal's keyboard."""
+    read, write = os.pipe()
+    with os.fdopen(read) as terminal:
+        shown = [{"title": s.title, "before": s.before, "command": s.typed} for s in STEPS]
+        page = GuidePage(shown, terminal)
+        page.open(0)
+        yield page, write
+        os.close(write)
+
+
+def look(page: GuidePage) -> ClientConnection:
+    where = page.url.removeprefix("http://")
+    return connect(f"ws://{where}live", origin=Origin(f"http://{where.split('/')[0]}"))
+
+
+def until(socket: ClientConnection, there: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    """What the page shows once something is there."""
+    while not there(seen := json.loads(socket.recv(timeout=20.0))):
+        pass
+    return dict(seen)
+
+
+def test_buttons_and_keys_both_answer(typed: tuple[GuidePage, int]) -> None:
+    page, keyboard = typed
+    with look(page) as socket:
+        done: list[str] = []
+
+        def do(step: Step) -> int:
+            done.append(step.title)
+            return 0
+
+        def ask(question: str) -> str:
+            if page.shown()["at"] == 1:  # the second step is answered on the keyboard
+                os.write(keyboard, b"\n")
+            else:
+                until(socket, lambda seen: bool(seen["asked"]))
+                socket.send(f"{page.shown()['at']} do")
+            return page.ask(question)
+
+        assert guide(STEPS, 0, ask, do, page.stand) == 3
+        assert done == ["a", "b", "c"]
+        seen = until(socket, lambda seen: seen["steps"][2]["state"] == "done")
+        assert [step["state"] for step in seen["steps"]] == ["done", "done", "done"]
+
+
+@pytest.mark.parametrize("word", ["0 do", "2 skip", "1 rm", "", "1", "do 1"])
+def test_a_word_of_another_step_or_of_no_button_answers_nothing(
+    typed: tuple[GuidePage, int], word: str
+) -> None:
+    page, keyboard = typed
+    page.stand(1, "asked")
+    page.press(word)
+    os.write(keyboard, b"s\n")
+    assert page.ask("") == "s\n"
+
+
+def test_nothing_is_answered_while_a_step_runs(typed: tuple[GuidePage, int]) -> None:
+    page, keyboard = typed
+    page.stand(1, "runs")
+    page.press("1 do")
+    page.stand(1, "asked")
+    page.press("1 skip")
+    page.press("1 quit")  # pressed twice: the first counts
+    assert page.ask("") == "s"
+    os.write(keyboard, b"b\n")
+    assert page.ask("") == "b\n"
+
+
+def test_the_end_of_the_terminal_quits(typed: tuple[GuidePage, int]) -> None:
+    page, keyboard = typed
+    os.write(keyboard, b"")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), keyboard)  # the only writer goes
+    assert page.ask("") == "q"
+
+
+def test_what_a_step_says_is_shown(
+    typed: tuple[GuidePage, int], capfd: pytest.CaptureFixture[str]
+) -> None:
+    page, _ = typed
+    page.stand(0, "runs")
+    script = "import os; print('one\\rtwo', os.get_terminal_size().columns); raise SystemExit(4)"
+    assert (
+        page.run([sys.executable, "-c", f"import time; print(end='x', flush=True); {script}"]) == 4
+    )
+    assert "two" in capfd.readouterr().out
+    assert page.shown()["steps"][0]["output"].splitlines()[0].startswith("two")
+
+
+@pytest.mark.parametrize(
+    ("output", "shown"),
+    [
+        ("a\r\nb\n", "a\nb\n"),
+        ("10 %\r20 %\r\n", "20 %\n"),
+        ("\x1b[32mgreen\x1b[0m", "green"),
+        ("one\ntwo\n\x1b[2A\rthree\n", "three\n"),
+        ("\x1b[9A\x1b[?25lx", "x"),
+        ("", ""),
+    ],
+)
+def test_text_as_the_terminal_shows_it(output: str, shown: str) -> None:
+    assert plain_text(output) == shown
+
+
+def test_only_whoever_knows_the_word_is_shown_it(typed: tuple[GuidePage, int]) -> None:
+    page, _ = typed
+    with urllib.request.urlopen(page.url) as answer:
+        assert b"steerd setup" in answer.read()
+    root = "/".join(page.url.split("/")[:3])
+    with pytest.raises(urllib.error.HTTPError):
+        urllib.request.urlopen(f"{root}/other/")
+    with pytest.raises(InvalidStatus):
+        connect(page.url.replace("http", "ws") + "live", origin=Origin("http://evil.example"))
+
+
+def test_a_port_that_is_taken_is_said(typed: tuple[GuidePage, int]) -> None:
+    port = int(typed[0].url.split(":")[2].split("/")[0])
+    with pytest.raises(OSError, match="address"):
+        GuidePage([]).open(port)
