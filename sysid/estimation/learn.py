@@ -38,6 +38,7 @@ from steerd.sysid.estimation.starts import (
     mark_ambiguous,
     possible_starts,
     scatter,
+    sliding_starts,
 )
 from steerd.sysid.estimation.validation import (
     HORIZONS,
@@ -252,6 +253,7 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit:
         return plain
     try:
         starts = _starts(task)
+        starts += sliding_starts(starts, drives.fitted, task.stated)
         start = starts[0] if len(starts) == 1 else choose_start(starts, drives.fitted, task.stated)
         taught = fit_car_with_limits(start, drives.fitted, task.stated)
         return fit_of_taught(taught, start, drives.fitted, _doubts(drives.pulses))

@@ -17,8 +17,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
-from steerd.car_model.params import wheelbase
+from steerd.car_model.params import GRAVITY, wheelbase
 from steerd.sysid.data.dataset import Run, pose_rates
 from steerd.sysid.data.excitation import SPEED_SPAN, measure_excitation
 from steerd.sysid.inference.car_fit import Stated
@@ -51,6 +52,10 @@ _REARWARD = 0.7
 """One candidate's centre of gravity lies closer to the rear axle by this factor."""
 _LATER, _QUICKER = 0.02, 0.6
 """Another's servo waits so much longer [s], and then follows faster by this factor."""
+SLIDING = 0.75
+"""Share of the floor's grip from which tyres' forces are no longer in proportion to slip ..."""
+TYRES = (1.0, 0.5), (3.0, 0.5)
+"""... and curves of such tyres: parameters of `tyre_saturation`."""
 START_SPREAD = 0.3
 """Further starts lie about the first with this relative standard deviation."""
 
@@ -81,6 +86,24 @@ def possible_starts(
     if not (scale > 0.0 and new > 0.0) or abs(np.log(new / scale / gain)) < NEAR:
         return (model,)
     return (_with(model, scale, new), model)
+
+
+def sliding_starts(
+    models: Sequence[Model[float]], runs: Sequence[Run], stated: Stated
+) -> tuple[Model[float], ...]:
+    """The starts on tyres that level off, where drives come near the limit of grip; else none.
+
+    On tyres whose force grows with slip for ever the search ends at a car that spins.
+    """
+    effect, lateral = EFFECTS["tyre_saturation"], measure_excitation(runs).lateral_accel
+    return tuple(
+        model._replace(effects=(*model.effects, effect), values=(*model.values, tyres))
+        for tyres in TYRES
+        for model in models
+        if lateral > SLIDING * model.car.mu * GRAVITY
+        and effect not in model.effects
+        and not stated.holds(effect.name)
+    )
 
 
 def _with(model: Model[float], scale: float, gain: float) -> Model[float]:
