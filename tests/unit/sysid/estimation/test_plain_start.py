@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR, wheelbase
 from steerd.sysid.data.dataset import Signal, make_run
@@ -25,13 +26,14 @@ from steerd.sysid.estimation.starts import (
     mark_ambiguous,
     possible_starts,
     rolling_length,
+    sliding_starts,
 )
 from steerd.sysid.estimation.validation import Trace, by_lateral_acceleration
 from steerd.sysid.inference.car_fit import NOTHING, Stated
 from steerd.sysid.inference.identifiability import Estimate
 from steerd.sysid.inference.plain_car import DEFAULT_FREE
 
-MODEL = Model(DEFAULT_CAR)
+MODEL, TYRES = Model(DEFAULT_CAR), EFFECTS["tyre_saturation"]
 LENGTHS = (0.1, 0.15, 0.33, 0.8, 3.0)
 
 
@@ -88,6 +90,15 @@ def test_what_is_held_stays():
     assert possible_starts(MODEL, [run], held) == (MODEL,)
     start = possible_starts(MODEL, [run], Stated(held=("steer_gain",)))[0]
     assert start.car.steer_gain == MODEL.car.steer_gain
+
+
+def test_tyres_level_off_in_further_starts_where_a_drive_uses_up_the_grip():
+    hard, grip = [drive(0.33, 1)], Model(DEFAULT_CAR._replace(mu=0.2))
+    found = sliding_starts([grip], hard, NOTHING)
+    assert {dict(zip(m.effects, m.values, strict=True))[TYRES][0] for m in found} == {1.0, 3.0}
+    assert sliding_starts([MODEL], hard, NOTHING) == ()  # far from the limit
+    assert sliding_starts(found, hard, NOTHING) == ()  # they do already
+    assert sliding_starts([grip], hard, Stated(held=(TYRES.name,))) == ()
 
 
 def test_poses_of_a_centimetre_and_steady_circles_show_the_curvature():
