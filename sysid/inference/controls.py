@@ -22,9 +22,6 @@ from steerd.sysid.inference.search import Point, minimise
 
 Array = NDArray[np.float64]
 
-_BY_CHANCE = 1.0
-"""What an effect of two parameters gains by chance [nats]."""
-
 
 def learn_controls(taught: FittedCar, known: BasePrior) -> tuple[Control, ...]:
     """The healthy drives diagnosed against the car that they taught, one Newton step an effect.
@@ -58,7 +55,4 @@ def _control(library: Library, base: Point, effect: Effect, temper: float) -> Co
     covariance = np.linalg.inv(along.curved / temper + prior)
     step = covariance @ (along.slope / temper + prior @ (space.centre[own] - null))
     values = np.clip(null + step, space.low[own], space.high[own])
-    away = values - null
-    gain = float(along.slope @ away - 0.5 * away @ along.curved @ away) / temper
-    per_window = (max(gain, 0.0) + _BY_CHANCE) / len(base.at.dof)
-    return Control(effect.name, values, covariance, per_window)
+    return Control(effect.name, values, covariance)

@@ -1,7 +1,7 @@
 """What may be a hypothesis, and where one is beside another."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect
+from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import Control
 from steerd.sysid.inference.likelihood import Likelihood, Reduced
 from steerd.sysid.inference.posterior import design_effect
@@ -35,6 +36,19 @@ class Library:
         gone = {same for e in augmented.effects if e.name in names for same in e.same_as}
         kept = [name for name in self.nuisance if name not in gone]
         return make_space(augmented, kept, names).heavier(self.worth)
+
+    def healthy_space(self, name: str) -> Space:
+        """Those of a single effect whose prior is what healthy drives show of it.
+
+        On another day it may differ by as much more as the base may.
+        """
+        space, control = self.space([name]), self.controls[name]
+        own = slice(len(space.centre) - len(control.values), None)
+        centre, covariance = space.centre.copy(), space.covariance.copy()
+        centre[own] = control.values
+        covariance[own, own] = c.KNOWN_WIDER**2 * control.covariance
+        precision = np.asarray(self.worth * np.linalg.inv(covariance), np.float64)
+        return replace(space, centre=centre, covariance=covariance, precision=precision)
 
     @cached_property
     def worth(self) -> float:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal, norm
 
 from steerd.sysid.inference.likelihood import SIZES
-from steerd.sysid.inference.posterior import design_effect, log_mean, log_share_beyond, posterior_of
+from steerd.sysid.inference.posterior import design_effect, log_share_beyond, posterior_of
 
 ROWS = 30
 
@@ -124,14 +124,3 @@ def test_an_effect_that_is_surely_small_has_hardly_a_share() -> None:
     assert log_share_beyond(1e-4, 1e-5, 0.0, 0.002) < -20.0
     assert log_share_beyond(0.02, 1e-5, 0.0, 0.002) == pytest.approx(0.0, abs=1e-9)
     assert log_share_beyond(0.02, 0.0, 0.0, 0.002) == pytest.approx(0.0, abs=1e-9)
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_the_mean_of_a_normal_likelihood_is_the_exact_one(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    root, wide = rng.standard_normal((2, 3, 3))
-    data, spread = root @ root.T + 0.1 * np.eye(3), wide @ wide.T + 0.1 * np.eye(3)
-    mean, best = rng.standard_normal((2, 3))
-    exact = multivariate_normal(mean, spread + np.linalg.inv(data)).logpdf(best)
-    exact += 0.5 * (best @ data @ best + 3.0 * np.log(2.0 * np.pi) - np.linalg.slogdet(data)[1])
-    assert log_mean(data, data @ best, mean, spread) == pytest.approx(exact)
