@@ -69,18 +69,13 @@ class World:
         config: what it is.
         faults: what goes wrong; their windows count from ``t_start_ns``.
         t_start_ns: the caller's clock now.
-
-    Attributes:
-        car, vesc: the parts, for judges and tests.
-        log: every serial byte with its time, if the configuration keeps them.
-        t_ns: how far time has come.
     """
 
     def __init__(
         self, config: WorldConfig, faults: Sequence[Fault] = (), t_start_ns: int = 0
     ) -> None:
         self.config = config
-        self.t_ns = t_start_ns
+        self.t_ns = t_start_ns  # how far time has come
         self._t_start_ns = t_start_ns
         setup = CarSetup(
             config.step_ns,
@@ -90,7 +85,9 @@ class World:
             config.start,
         )
         model = Model(config.car, config.effects, config.effect_values, config.chassis)
+        # The parts, for judges and tests
         self.car = SimCar(model, setup, make_noise_source(config.seed, "car"), t_start_ns)
+        # Every serial byte with its time, if the configuration keeps them
         self.log = ByteLog(config.keep_bytes)
         self.vesc = SimVesc(
             config.vesc, config.scaling, self.car, make_noise_source(config.seed, "vesc"), self.log

@@ -32,19 +32,12 @@ from steerd.steer_bus.quick_values import quick_init
 
 @dataclass(frozen=True, slots=True)
 class Scalar:
-    """A ROS primitive.
+    """A ROS primitive."""
 
-    Attributes:
-        ros: its name.
-        code: its ``struct`` code.
-        size: in bytes, which is also its alignment.
-        type_id: in a type description (type_description_interfaces/msg/FieldType).
-    """
-
-    ros: str
-    code: str
-    size: int
-    type_id: int
+    ros: str  # its name
+    code: str  # its ``struct`` code
+    size: int  # in bytes, which is also its alignment
+    type_id: int  # in a type description (type_description_interfaces/msg/FieldType)
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,17 +46,13 @@ UNREADABLE, WRONG_CONTENT = 3, 4
 
 
 class SessionError(Exception):
-    """A session that cannot be used, in one line, with what to do about it.
-
-    Attributes:
-        code: a stable word for programs.
-        hint: what the user can do; may be empty.
-        exit_code: 3 if the file cannot be read, 4 if it holds the wrong content.
-    """
+    """A session that cannot be used, in one line, with what to do about it."""
 
     def __init__(self, code: str, message: str, hint: str = "", exit_code: int = UNREADABLE):
         super().__init__(f"{message} ({hint})" if hint else message)
-        self.code, self.hint, self.exit_code = code, hint, exit_code
+        self.code = code  # a stable word for programs
+        self.hint = hint  # what the user can do; may be empty
+        self.exit_code = exit_code  # 3 if it cannot be read, 4 if it holds the wrong content
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,25 +50,15 @@ class Slope(NamedTuple):
 
 @dataclass
 class Printer:
-    """Prints pieces of one record.
+    """Prints pieces of one record."""
 
-    Attributes:
-        tape: the record.
-        symbols: the parameters.
-        h: the step.
-        prefix: of every name.
-        timeless: inputs by which no derivative is taken.
-        lines: what is printed.
-        hoisted: places among the constants.
-    """
-
-    tape: Tape
-    symbols: tuple[Node, ...]
-    h: Node
-    prefix: str
-    timeless: frozenset[int] = frozenset()
-    lines: list[str] = field(default_factory=list)
-    hoisted: dict[int, int] = field(default_factory=dict)
+    tape: Tape  # the record
+    symbols: tuple[Node, ...]  # the parameters
+    h: Node  # the step
+    prefix: str  # of every name
+    timeless: frozenset[int] = frozenset()  # inputs by which no derivative is taken
+    lines: list[str] = field(default_factory=list)  # what is printed
+    hoisted: dict[int, int] = field(default_factory=dict)  # places among the constants
 
     def __post_init__(self) -> None:
         self.entries: list[Entry] = self.tape.entries

@@ -27,18 +27,12 @@ class ExitCode(IntEnum):
 
 
 class SteerdError(Exception):
-    """A failure that a person can act on.
-
-    Attributes:
-        what: what happened, one sentence.
-        hint: what to try, one sentence; may be empty.
-        code: the exit code.
-    """
+    """A failure that a person can act on."""
 
     def __init__(self, what: str, hint: str = "", code: ExitCode = ExitCode.INVALID) -> None:
         super().__init__(what)
-        self.what = what
-        self.hint = hint
+        self.what = what  # what happened, one sentence
+        self.hint = hint  # what to try, one sentence; may be empty
         self.code = code
 
     def __str__(self) -> str:

@@ -123,14 +123,10 @@ def remove_controls(text: str) -> str:
 
 
 class PlainStream:
-    """A stream whose text passes `remove_controls`; `raw` is for what draws on a terminal itself.
-
-    Attributes:
-        raw: the stream behind it.
-    """
+    """A stream whose text passes `remove_controls`; `raw` is for what draws there itself."""
 
     def __init__(self, raw: TextIO) -> None:
-        self.raw = raw
+        self.raw = raw  # the stream behind it
 
     def write(self, text: str) -> int:
         """Write what a terminal may show."""

@@ -37,25 +37,15 @@ _PANELS = (
 
 @dataclass(frozen=True, eq=False)
 class LaneSession:
-    """One drive on its lane, settled.
+    """One drive on its lane, settled."""
 
-    Attributes:
-        name: the file's.
-        spec: the path, as `--path` took it.
-        lane: the path.
-        track: of the car; None without poses.
-        place: along the lane [m], in [0, its length).
-        values: fields of `_PANELS` at these places, SI.
-        laps: how often the lane's length was driven.
-    """
-
-    name: str
-    spec: str
+    name: str  # the file's
+    spec: str  # the path, as `--path` took it
     lane: Lane
-    track: Track | None
-    place: Array
-    values: dict[str, Array]
-    laps: float
+    track: Track | None  # of the car; None without poses
+    place: Array  # along the lane [m], in [0, its length)
+    values: dict[str, Array]  # fields of `_PANELS` at these places, SI
+    laps: float  # how often the lane's length was driven
 
 
 def make_lane_session(read: Recording) -> LaneSession:

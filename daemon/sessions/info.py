@@ -52,22 +52,15 @@ LATERAL_ACCEL_MIN = 1.0
 
 @dataclass(frozen=True, slots=True)
 class TopicReport:
-    """One topic; times in seconds from the session's start.
-
-    Attributes:
-        rate_hz: by the median interval, so that gaps do not lower it; 0 where there is none.
-        gaps: pauses of more than `GAP_FACTOR` median intervals; None for irregular topics.
-        longest_gap_s: the longest of them.
-        longest_gap_at_s: when it began.
-    """
+    """One topic; times in seconds from the session's start."""
 
     name: str
     type_name: str
     count: int
-    rate_hz: float
-    gaps: int | None
-    longest_gap_s: float
-    longest_gap_at_s: float
+    rate_hz: float  # by the median interval, so that gaps do not lower it; 0 where there is none
+    gaps: int | None  # pauses of more than `GAP_FACTOR` median intervals; None for irregular topics
+    longest_gap_s: float  # the longest of them
+    longest_gap_at_s: float  # when it began
 
 
 FAULTS = ("FAULT_STOP", "FAULT_LATCHED", "ESTOP")
@@ -84,14 +77,7 @@ class StateChange:
 
 @dataclass(frozen=True, slots=True)
 class SessionReport:
-    """What `steerd info` shows.
-
-    Attributes:
-        end: why the recording ended; empty if it does not say.
-        length_m: path driven; None without poses.
-        excitation: what cannot be identified from this drive, one sentence each.
-        warnings: what is wrong with the file or implausible in its numbers.
-    """
+    """What `steerd info` shows."""
 
     info: SessionInfo
     car: str
@@ -99,13 +85,13 @@ class SessionReport:
     topics: tuple[TopicReport, ...]
     empty_topics: tuple[str, ...]
     states: tuple[StateChange, ...]
-    end: str
-    length_m: float | None
+    end: str  # why the recording ended; empty if it does not say
+    length_m: float | None  # path driven; None without poses
     speed: SignalRange | None
     steer: SignalRange | None
     lateral_accel: SignalRange | None
-    excitation: tuple[str, ...]
-    warnings: tuple[str, ...]
+    excitation: tuple[str, ...]  # what cannot be identified from this drive, one sentence each
+    warnings: tuple[str, ...]  # what is wrong with the file or implausible in its numbers
 
     @property
     def stops(self) -> list[str]:
@@ -132,17 +118,11 @@ def load_session(path: Path) -> Session:
 
 @dataclass(frozen=True)
 class Recording:
-    """A session whose tables were read, in one pass.
+    """A session whose tables were read, in one pass."""
 
-    Attributes:
-        session: the file.
-        tables: columns by the topic's name in the file.
-        problems: what could not be read, as sentences.
-    """
-
-    session: Session
-    tables: dict[str, Columns]
-    problems: Sequence[str]
+    session: Session  # the file
+    tables: dict[str, Columns]  # columns by the topic's name in the file
+    problems: Sequence[str]  # what could not be read, as sentences
 
     @property
     def info(self) -> SessionInfo:

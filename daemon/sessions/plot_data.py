@@ -51,23 +51,14 @@ class Panel:
 
 @dataclass(frozen=True)
 class Drawing:
-    """Everything that is drawn; times in seconds from the session's start.
+    """Everything that is drawn; times in seconds from the session's start."""
 
-    Attributes:
-        panels: those for which the session holds data.
-        track: of the car; None without poses.
-        e1: lateral error at the track's times [m], NaN where unknown; empty without a track.
-        lane: the path, if the session names one.
-        half_width: of the lane [m].
-        facts: label and value of the key figures.
-    """
-
-    panels: tuple[Panel, ...]
-    track: Track | None
-    e1: Array
-    lane: Lane | None
-    half_width: float
-    facts: tuple[tuple[str, str], ...]
+    panels: tuple[Panel, ...]  # those for which the session holds data
+    track: Track | None  # of the car; None without poses
+    e1: Array  # lateral error at the track's times [m], NaN where unknown; empty without a track
+    lane: Lane | None  # the path, if the session names one
+    half_width: float  # of the lane [m]
+    facts: tuple[tuple[str, str], ...]  # label and value of the key figures
 
 
 def make_curve(name: str, role: str, t: Array, value: Array) -> Iterator[Curve]:

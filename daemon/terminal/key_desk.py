@@ -75,9 +75,6 @@ class KeyDesk:
         ask: sends a request.
         tune: sends a request for other live parameters.
         kinds: which keys are requests.
-
-    Attributes:
-        holding: whether a car was armed or started here and still needs somebody.
     """
 
     def __init__(
@@ -90,7 +87,7 @@ class KeyDesk:
     ) -> None:
         self._board, self._clock = board, clock
         self._ask, self._tune, self._kinds = ask, tune, kinds
-        self.holding = False
+        self.holding = False  # whether a car was armed or started here and still needs somebody
         self._requested_ns = self._alive_ns = 0
         self._answered: Parameters | None = None
         self._wanted: dict[str, float] = {}

@@ -105,16 +105,11 @@ class Capture:
 
 
 class Cameras:
-    """Exposes at the configured rate from ``t_start_ns``.
-
-    Attributes:
-        next_ns: the next exposure.
-        fault_state: what is wrong with the tracking.
-    """
+    """Exposes at the configured rate from ``t_start_ns``."""
 
     def __init__(self, config: MocapConfig, noise: NoiseSource, t_start_ns: int) -> None:
-        self.fault_state: MocapFaultState = HEALTHY_MOCAP
-        self.next_ns = t_start_ns
+        self.fault_state: MocapFaultState = HEALTHY_MOCAP  # what is wrong with the tracking
+        self.next_ns = t_start_ns  # the next exposure
         self._config = config
         self._noise = noise
         self._t_start_ns = t_start_ns

@@ -36,18 +36,14 @@ _ANOTHER = natnet.RigidBodyDesc("newcomer", 9)
 
 
 class NatNetServer:
-    """One server. `on_message` takes datagrams of the command socket, `publish` sends frames.
-
-    Attributes:
-        fault_state: what is wrong with it.
-        data_port: sent to clients in SERVERINFO; `links` sets the one it really uses.
-    """
+    """One server. `on_message` takes datagrams of the command socket, `publish` sends frames."""
 
     def __init__(
         self, config: MocapConfig, network: Network, noise: NoiseSource, t_ns: int
     ) -> None:
         self.config = config
-        self.fault_state: MocapFaultState = HEALTHY_MOCAP
+        self.fault_state: MocapFaultState = HEALTHY_MOCAP  # what is wrong with it
+        # Sent to clients in SERVERINFO; `links` sets the one it really uses
         self.data_port = natnet.DATA_PORT
         self._network = network
         self._noise = noise
@@ -264,16 +260,13 @@ class VrpnDevice:
     """A VRPN server for any number of clients.
 
     VRPN has no tracking-valid flag: a body that is not tracked is not sent.
-
-    Attributes:
-        fault_state: what is wrong with it.
     """
 
     def __init__(
         self, config: MocapConfig, network: Network, noise: NoiseSource, t_ns: int
     ) -> None:
         self.config = config
-        self.fault_state: MocapFaultState = HEALTHY_MOCAP
+        self.fault_state: MocapFaultState = HEALTHY_MOCAP  # what is wrong with it
         self._network = network
         self._noise = noise
         self._epoch_ns = t_ns

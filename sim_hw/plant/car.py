@@ -214,24 +214,18 @@ class DelayLine:
 
 
 class SimCar:
-    """The plant on a grid of ``step_ns`` from ``t_start_ns``.
-
-    Attributes:
-        t_ns: time of `state`.
-        speed: true speed [m/s].
-        wheel_speed: what the motor controller measures [m/s].
-        accel_x: longitudinal acceleration over the last step [m/s^2].
-        accel_y: lateral acceleration over the last step [m/s^2].
-    """
+    """The plant on a grid of ``step_ns`` from ``t_start_ns``."""
 
     def __init__(
         self, model: Model[float], setup: CarSetup, noise: NoiseSource, t_start_ns: int = 0
     ) -> None:
         self.model = model
         self.setup = setup
-        self.t_ns = self._t_start_ns = t_start_ns
-        self.speed = setup.start.speed
-        self.accel_x = self.accel_y = 0.0
+        self.t_ns = self._t_start_ns = t_start_ns  # time of `state`
+        self.speed = setup.start.speed  # true speed [m/s]
+        self.accel_x = self.accel_y = (
+            0.0  # acceleration over the last step, along and across [m/s^2]
+        )
         self._noise = noise
         self._noisy = any(setup.noise)
         self._step_ns = setup.step_ns
@@ -254,6 +248,7 @@ class SimCar:
         self._kept = length
         self._history = [self._numbers] * length
         self._count = 0
+        # What the motor controller measures [m/s]
         self.wheel_speed = self.observe_motor().wheel_speed
 
     def step(self, steer: float, demand: Demand) -> None:

@@ -135,13 +135,7 @@ class SimOptions:
 
 
 class SimHardware:
-    """A world with open ends. Use as a context manager, or call `close`.
-
-    Attributes:
-        world: the simulated hardware; its clock is CLOCK_MONOTONIC.
-        port: path of the serial device (a link to a pty; it goes away with the device).
-        mocap_url: address for `steerd.mocap_link.source.parse_mocap_url`.
-    """
+    """A world with open ends. Use as a context manager, or call `close`."""
 
     def __init__(
         self, config: WorldConfig, options: SimOptions | None = None, clock: Clock | None = None
@@ -150,12 +144,14 @@ class SimHardware:
         self._clock = clock or MonotonicClock()
         self._own_dir = options.link_dir is None
         self._dir = options.link_dir or Path(tempfile.mkdtemp(prefix="steerd-sim-"))
+        # The simulated hardware; its clock is CLOCK_MONOTONIC
         self.world = World(config, options.faults, self._clock.now_ns())
         self._pty = PtyPort(self._dir)
         self._mocap: MocapSockets = make_mocap_sockets(self.world)
         self._pty.follow(self.world, self._clock.now_ns())
+        # Path of the serial device (a link to a pty; it goes away with the device)
         self.port = str(self._dir / "vesc")
-        self.mocap_url = self._mocap.url
+        self.mocap_url = self._mocap.url  # address for `steerd.mocap_link.source.parse_mocap_url`
 
     def __enter__(self) -> Self:
         return self

@@ -160,18 +160,7 @@ def make_parser(firmware: Firmware) -> FrameParser:
 
 
 class SimVesc:
-    """One VESC on one car. Call `step` once per physics step, `on_bytes` and `advance` at any time.
-
-    Attributes:
-        motor: modes, timeout, faults.
-        power: electrical measurements.
-        imu: what GET_IMU_DATA reads.
-        boot_ns: when it came up.
-        counts: host bugs and losses by name: ``short`` (a command without its arguments),
-            ``unknown`` ids, ``discarded`` blocking commands, ``lost`` bytes while off.
-        log: every byte with its time.
-        connected: whether the host sees the USB device.
-    """
+    """One VESC on one car: `step` once per physics step, `on_bytes` and `read` at any time."""
 
     def __init__(
         self,
@@ -183,8 +172,10 @@ class SimVesc:
     ) -> None:
         self.config = config
         self.car = car
-        self.log = ByteLog() if log is None else log
+        self.log = ByteLog() if log is None else log  # every byte with its time
         self.fault_state: VescFaultState = HEALTHY_VESC
+        # Host bugs and losses by name: ``short`` (a command without its arguments), ``unknown``
+        # ids, ``discarded`` blocking commands, ``lost`` bytes while off
         self.counts: Counter[str] = Counter()
         self._scaling = scaling
         self._sign = -1 if config.invert else 1
@@ -192,19 +183,19 @@ class SimVesc:
         self._wire = ReplyWire(config, noise)
         self._held: deque[Chunk] = deque()
         self._off_until_ns = -1
-        self.connected = True
+        self.connected = True  # whether the host sees the USB device
         self._stuck_erpm: int | None = None
         self._boot(car.t_ns, config.uptime_ns)
 
     def _boot(self, t_ns: int, uptime_ns: int = 0) -> None:
         config = self.config
-        self.motor = Motor(config, t_ns - uptime_ns)
+        self.motor = Motor(config, t_ns - uptime_ns)  # modes, timeout, faults
         self.motor.fault_state = self.fault_state
-        self.power = Power(config)
+        self.power = Power(config)  # electrical measurements
         self.power.heat(self.fault_state.heat_c)
-        self.imu = ImuChip(config, self.car, self._noise)
+        self.imu = ImuChip(config, self.car, self._noise)  # what GET_IMU_DATA reads
         self._parser = make_parser(config.firmware)
-        self.boot_ns = t_ns - uptime_ns
+        self.boot_ns = t_ns - uptime_ns  # when it came up
         self._servo_target = self._servo_out = 0.5
         self._servo_steer = servo_pos_to_steer(self._scaling, self._servo_out)
         self._servo_next_ns = t_ns + config.servo_phase_ns

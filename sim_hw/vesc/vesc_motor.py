@@ -102,24 +102,16 @@ _SPEED = Mode.SPEED
 
 
 class Motor:
-    """The motor side of the firmware.
-
-    Attributes:
-        mode, value: command in force, as requested.
-        ramped: the speed controller's present setpoint [ERPM].
-        timed_out: the timeout has struck and no command has come since.
-        fault: fault code, 0 for none.
-        limits: session limits in RAM (SET_MCCONF_TEMP), with those configured as their start.
-        fault_state: what is wrong with it.
-    """
+    """The motor side of the firmware."""
 
     def __init__(self, config: VescConfig, t_ns: int) -> None:
         self.config = config
-        self.fault_state: VescFaultState = HEALTHY_VESC
-        self.mode = Mode.RELEASED
-        self.value = self.ramped = 0.0
-        self.timed_out = False
-        self.fault = 0
+        self.fault_state: VescFaultState = HEALTHY_VESC  # what is wrong with it
+        self.mode, self.value = Mode.RELEASED, 0.0  # command in force, as requested
+        self.ramped = 0.0  # the speed controller's present setpoint [ERPM]
+        self.timed_out = False  # the timeout has struck and no command has come since
+        self.fault = 0  # fault code, 0 for none
+        # Session limits in RAM (SET_MCCONF_TEMP), with those configured as their start
         self.limits = make_limits(config)
         self._ramps = config.firmware >= _RAMP_SINCE
         self._fed_ns = t_ns
@@ -270,23 +262,15 @@ MEANS = ("motor_current", "input_current", "d_current", "q_current", "v_d", "v_q
 
 
 class Power:
-    """Currents, voltages, temperature and tachometer of the simulated VESC.
-
-    Attributes:
-        current: motor current, positive drives forward on the wire [A].
-        voltage: battery voltage under load [V].
-        duty: duty cycle.
-        revolutions, travel: electrical revolutions, signed and unsigned.
-        temp_c: of switches and motor.
-        warmth, heat_c: above ambient by the motor's own current, and by a fault [K].
-    """
+    """Currents, voltages, temperature and tachometer of the simulated VESC."""
 
     def __init__(self, config: VescConfig) -> None:
         self.config = config
-        self.current = self.duty = 0.0
-        self.voltage = config.battery_voltage
-        self.revolutions = self.travel = 0.0
-        self.warmth = 0.0
+        self.current = 0.0  # of the motor, positive drives forward on the wire [A]
+        self.duty = 0.0  # duty cycle
+        self.voltage = config.battery_voltage  # battery voltage under load [V]
+        self.revolutions = self.travel = 0.0  # electrical revolutions, signed and unsigned
+        self.warmth = 0.0  # above ambient by the motor's own current [K]
         self.heat(0.0)
         self.input_current = 0.0
         self._motor_sum = self._input_sum = self._q_sum = self._vq_sum = 0.0
@@ -295,7 +279,8 @@ class Power:
 
     def heat(self, heat_c: float) -> None:
         """A fault heats it by so much."""
-        self.heat_c = heat_c
+        self.heat_c = heat_c  # above ambient by a fault [K]
+        # Of switches and motor
         self.temp_c = _AMBIENT_C + self.warmth + heat_c
 
     def step(self, current: float, erpm: float, h: float, sag: float) -> None:

@@ -49,43 +49,28 @@ _GROUP = 4
 
 @dataclass(frozen=True)
 class Series:
-    """Estimates of one quantity of one car, in the order of time.
+    """Estimates of one quantity of one car, in the order of time."""
 
-    Attributes:
-        car, quantity: their names.
-        start: of the drives [UNIX s], (n,).
-        value, sd: estimates and their standard errors, (n,); an unknown error is 0.
-    """
-
-    car: str
+    car: str  # names of car and quantity
     quantity: str
-    start: Array
-    value: Array
-    sd: Array
+    start: Array  # of the drives [UNIX s], (n,)
+    value: Array  # estimates, (n,)
+    sd: Array  # their standard errors, (n,); an unknown one is 0
 
 
 @dataclass(frozen=True)
 class Change:
-    """A step in a quantity.
+    """A step in a quantity."""
 
-    Attributes:
-        car, quantity: of the series.
-        begin: the first drive with the new value [UNIX s].
-        earliest, latest: days between which the first one lies (95 %).
-        before, after: means on both sides.
-        sd: standard error of their difference.
-        chance: probability of a step as clear anywhere in the batch, without any change.
-    """
-
-    car: str
+    car: str  # car and quantity of the series
     quantity: str
-    begin: float
-    earliest: str
+    begin: float  # the first drive with the new value [UNIX s]
+    earliest: str  # days between which the first one lies (95 %)
     latest: str
-    before: float
+    before: float  # mean before it, and after
     after: float
-    sd: float
-    chance: float
+    sd: float  # standard error of their difference
+    chance: float  # probability of a step as clear anywhere in the batch, without any change
 
     @property
     def day(self) -> str:
@@ -100,16 +85,11 @@ class Change:
 
 @dataclass(frozen=True)
 class Band:
-    """Weekly means of a series with 95 % bands.
+    """Weekly means of a series with 95 % bands."""
 
-    Attributes:
-        start: middle of each week's drives [UNIX s].
-        mean, half: mean, and half the band's width.
-    """
-
-    start: Array
+    start: Array  # middle of each week's drives [UNIX s]
     mean: Array
-    half: Array
+    half: Array  # half the band's width
 
 
 def list_series(rows: Rows, quantities: Sequence[str]) -> Iterator[Series]:
@@ -136,18 +116,12 @@ def find_changes(series: Sequence[Series]) -> list[Change]:
 
 
 class _Step(NamedTuple):
-    """The fit of a step that begins with a drive: what it says of it.
+    """The fit of a step that begins with a drive: what it says of it."""
 
-    Attributes:
-        before, size: level before it, and how much larger the values are from it on.
-        variance: of the size.
-        spread: weighted squares that are left.
-    """
-
-    before: float
-    size: float
-    variance: float
-    spread: float
+    before: float  # level before it
+    size: float  # how much larger the values are from it on
+    variance: float  # of the size
+    spread: float  # weighted squares that are left
 
     @property
     def gain(self) -> float:

@@ -91,25 +91,16 @@ def _vary_instruments(config: WorldConfig, values: Mapping[str, float | str]) ->
 
 @dataclass
 class Seen:
-    """What a drive shows tick by tick, once it has settled on its lane.
+    """What a drive shows tick by tick, once it has settled on its lane."""
 
-    Attributes:
-        plan: of the drive.
-        e1, e2: lateral and heading error as estimated.
-        true_e1: lateral error of the simulated car.
-        steer: share of the wheel angle used.
-        began_ns: when the car began to drive; None before.
-        seconds, metres: driven, the approach with it.
-    """
-
-    plan: RunPlan
-    e1: list[float] = field(default_factory=list)
-    e2: list[float] = field(default_factory=list)
-    true_e1: list[float] = field(default_factory=list)
-    steer: list[float] = field(default_factory=list)
-    began_ns: int | None = None
-    seconds: float = 0.0
-    metres: float = 0.0
+    plan: RunPlan  # of the drive
+    e1: list[float] = field(default_factory=list)  # lateral error as estimated
+    e2: list[float] = field(default_factory=list)  # heading error as estimated
+    true_e1: list[float] = field(default_factory=list)  # lateral error of the simulated car
+    steer: list[float] = field(default_factory=list)  # share of the wheel angle used
+    began_ns: int | None = None  # when the car began to drive; None before
+    seconds: float = 0.0  # driven, the approach with it
+    metres: float = 0.0  # the same
     _hint: int = 0
 
     def take(self, run: VirtualRun) -> None:

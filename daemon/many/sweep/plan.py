@@ -46,23 +46,15 @@ Choice = tuple[Value, ...] | Distribution
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """A sweep that can be driven.
+    """A sweep that can be driven."""
 
-    Attributes:
-        car: what the controller is designed from, and the simulated car unless varied.
-        seeds: of draws and of the simulated hardware's noise.
-        duration: of a drive [s].
-        rate: of the loop [Hz].
-        path, speed: of all drives, where they are not varied.
-        vary: values or a distribution by the quantity's name.
-    """
-
-    car: CarFile
-    seeds: tuple[int, ...] = tuple(range(100))
-    duration: float = 20.0
-    rate: float = 100.0
-    path: str = "figure8"
-    speed: float = 1.0
+    car: CarFile  # what the controller is designed from, and the simulated car unless varied
+    seeds: tuple[int, ...] = tuple(range(100))  # of draws and of the simulated hardware's noise
+    duration: float = 20.0  # of a drive [s]
+    rate: float = 100.0  # of the loop [Hz]
+    path: str = "figure8"  # of all drives, unless varied
+    speed: float = 1.0  # of all drives, unless varied [m/s]
+    # Values or a distribution by the quantity's name
     vary: Mapping[str, Choice] = field(default_factory=dict)
 
     @property

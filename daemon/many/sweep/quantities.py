@@ -21,21 +21,14 @@ from steerd.sim_hw.vesc.vesc_motor import VescConfig
 
 
 class Quantity(NamedTuple):
-    """One thing that may be varied.
+    """One thing that may be varied."""
 
-    Attributes:
-        name: as a sweep file says it.
-        low, high: bounds.
-        unit: SI, `1` for none; empty for a text.
-        meaning: one line.
-        usual: the car file's or the simulator's own value; None where there is none.
-    """
-
-    name: str
-    low: float
+    name: str  # as a sweep file says it
+    low: float  # bounds, this and the next
     high: float
-    unit: str
-    meaning: str
+    unit: str  # SI, `1` for none; empty for a text
+    meaning: str  # one line
+    # The car file's or the simulator's own value; None where there is none
     usual: float | None = None
 
     @property
@@ -120,19 +113,12 @@ _KEYS: Mapping[Shape, tuple[str, str]] = {
 
 @dataclass(frozen=True)
 class Distribution:
-    """A distribution that is cut at bounds.
-
-    Attributes:
-        shape: `uniform` between one and other; `log_uniform`; `normal` with mean `one` and standard
-            deviation `other`; `log_normal` with median `one` and factor `other`.
-        one, other: see `shape`.
-        low, high: no draw lies outside.
-    """
+    """A distribution that is cut at bounds."""
 
     shape: Shape
-    one: float
-    other: float
-    low: float
+    one: float  # lower end of (log_)uniform, mean of normal, median of log_normal
+    other: float  # upper end; standard deviation; factor
+    low: float  # no draw lies outside `low` and `high`
     high: float
 
     def draw(self, name: str, seed: int) -> float:

@@ -30,24 +30,16 @@ _MOVES = 0.005
 
 @dataclass(frozen=True)
 class Spread:
-    """Distribution of a measure.
+    """Distribution of a measure."""
 
-    Attributes:
-        name, unit: of the measure.
-        count: drives that have it.
-        low, middle, high: 5 %, 50 % and 95 % of them lie below.
-        worst: the least favourable value.
-        worst_drive: number of the drive that has it.
-    """
-
-    name: str
+    name: str  # name and unit of the measure
     unit: str
-    count: int
-    low: float
-    middle: float
-    high: float
-    worst: float
-    worst_drive: int
+    count: int  # drives that have it
+    low: float  # 5 % of them lie below
+    middle: float  # 50 %
+    high: float  # 95 %
+    worst: float  # the least favourable value
+    worst_drive: int  # number of the drive that has it
 
 
 @dataclass(frozen=True)
@@ -68,21 +60,16 @@ class Share:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """How much of a measure's ranks one varied quantity explains, and how far it moves it.
+    """How much of a measure's ranks one varied quantity explains, and how far it moves it."""
 
-    Attributes:
-        quantity, measure: their names.
-        value: rank correlation (Spearman's rho) of numbers; of a list of texts the correlation
-            ratio of the ranks, which has no sign.
-        least: what chance alone exceeds in one case in twenty.
-        start, end: mean of the measure over the fifth of the drives with the lowest and with the
-            highest values of the quantity; of texts, over those with the least and the greatest.
-    """
-
-    quantity: str
+    quantity: str  # names of quantity and measure
     measure: str
+    # Rank correlation (Spearman's rho) of numbers; of a list of texts the correlation ratio of the
+    # ranks, which has no sign
     value: float
-    least: float
+    least: float  # what chance alone exceeds in one case in twenty
+    # Mean of the measure over the fifth of the drives with the lowest and with the highest values
+    # of the quantity; of texts, over those with the least and the greatest
     start: float
     end: float
 
