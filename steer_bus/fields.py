@@ -32,30 +32,22 @@ from steerd.steer_bus.quick_values import quick_init
 
 @dataclass(frozen=True, slots=True)
 class Scalar:
-    """A ROS primitive."""
+    """A ROS primitive, or a fixed-length array of it, held as a tuple."""
 
-    ros: str  # its name
-    code: str  # its ``struct`` code
-    size: int  # in bytes, which is also its alignment
+    ros: str  # its type in a schema
     type_id: int  # in a type description (type_description_interfaces/msg/FieldType)
+    code: str  # ``struct`` code of one number
+    size: int  # of one number in bytes, which is also its alignment
+    count: int = 0  # numbers of an array; 0 for one alone
 
 
 @dataclass(frozen=True, slots=True)
-class Text:
-    """A ROS ``string``: ``uint32`` length with the NUL, UTF-8 bytes, NUL."""
+class Sized:
+    """Bytes behind their ``uint32`` length: a ROS ``string`` with its NUL, or ``uint8[]``."""
 
-
-@dataclass(frozen=True, slots=True)
-class Blob:
-    """A ROS ``uint8[]``, held as ``bytes``."""
-
-
-@dataclass(frozen=True, slots=True)
-class Array:
-    """A fixed-length array of ``count`` primitives, held as a tuple."""
-
-    item: Scalar
-    count: int
+    ros: str
+    type_id: int
+    is_text: bool  # held as ``str``, in UTF-8, else as ``bytes``
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,25 +57,31 @@ class Nested:
     cls: type[Any]
     many: bool = False
 
+    @property
+    def ros(self) -> str:
+        """Its type in a schema."""
+        return _short_name(self.cls) + ("[]" if self.many else "")
 
-Kind = Scalar | Text | Blob | Array | Nested
+    @property
+    def type_id(self) -> int:
+        """In a type description."""
+        return 145 if self.many else 1
 
-_FLOAT64, _BYTE = Scalar("float64", "d", 8, 11), Scalar("uint8", "B", 1, 3)
 
-Float64 = Annotated[float, _FLOAT64]
-Float32 = Annotated[float, Scalar("float32", "f", 4, 10)]
-Int64 = Annotated[int, Scalar("int64", "q", 8, 8)]
-UInt64 = Annotated[int, Scalar("uint64", "Q", 8, 9)]
-Int32 = Annotated[int, Scalar("int32", "i", 4, 6)]
-UInt32 = Annotated[int, Scalar("uint32", "I", 4, 7)]
-Int16 = Annotated[int, Scalar("int16", "h", 2, 4)]
-UInt16 = Annotated[int, Scalar("uint16", "H", 2, 5)]
-UInt8 = Annotated[int, _BYTE]
-Byte = Annotated[int, Scalar("byte", "B", 1, 16)]
-Bool = Annotated[bool, Scalar("bool", "?", 1, 15)]
-String = Annotated[str, Text()]
-Bytes = Annotated[bytes, Blob()]
-Float64x36 = Annotated[tuple[float, ...], Array(_FLOAT64, 36)]
+Kind = Scalar | Sized | Nested
+
+Float64 = Annotated[float, Scalar("float64", 11, "d", 8)]
+Float32 = Annotated[float, Scalar("float32", 10, "f", 4)]
+Int64 = Annotated[int, Scalar("int64", 8, "q", 8)]
+UInt64 = Annotated[int, Scalar("uint64", 9, "Q", 8)]
+Int32 = Annotated[int, Scalar("int32", 6, "i", 4)]
+UInt32 = Annotated[int, Scalar("uint32", 7, "I", 4)]
+UInt16 = Annotated[int, Scalar("uint16", 5, "H", 2)]
+UInt8 = Annotated[int, Scalar("uint8", 3, "B", 1)]
+Byte = Annotated[int, Scalar("byte", 16, "B", 1)]
+String = Annotated[str, Sized("string", 17, is_text=True)]
+Bytes = Annotated[bytes, Sized("uint8[]", 147, is_text=False)]
+Float64x36 = Annotated[tuple[float, ...], Scalar("float64[36]", 59, "d", 8, 36)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,25 +98,10 @@ class Leaf:
     """A field of a flattened message, named by its dotted path from the root."""
 
     path: str
-    kind: Scalar | Text | Blob | Array
+    kind: Scalar | Sized
 
 
 C = TypeVar("C")
-R = TypeVar("R")
-
-
-def per_class(derive: Callable[[type[Any]], R]) -> Callable[[type[Any]], R]:
-    """Remember what a function derives from a message class."""
-    known: dict[type[Any], R] = {}
-
-    @functools.wraps(derive)
-    def derive_once(cls: type[Any]) -> R:
-        try:
-            return known[cls]
-        except KeyError:
-            return known.setdefault(cls, derive(cls))
-
-    return derive_once
 
 
 @dataclass_transform(frozen_default=True)
@@ -145,7 +128,7 @@ def type_name(cls: type[Any]) -> str:
     return name
 
 
-@per_class
+@functools.cache
 def message_fields(cls: type[Any]) -> tuple[Field, ...]:
     """Give the fields of a message class in wire order.
 
@@ -160,7 +143,7 @@ def message_fields(cls: type[Any]) -> tuple[Field, ...]:
     return found
 
 
-@per_class
+@functools.cache
 def flat_leaves(cls: type[Any]) -> tuple[Leaf, ...] | None:
     """Give a message's leaves in wire order, or None if it holds a sequence of messages."""
     leaves: list[Leaf] = []
@@ -178,7 +161,7 @@ def flat_leaves(cls: type[Any]) -> tuple[Leaf, ...] | None:
 def _field(owner: str, name: str, hint: Any) -> Field:
     if get_origin(hint) is Annotated:
         notes = get_args(hint)[1:]
-        kinds = [n for n in notes if isinstance(n, Scalar | Text | Blob | Array)]
+        kinds = [n for n in notes if isinstance(n, Scalar | Sized)]
         units = [n for n in notes if isinstance(n, str)]
         if kinds:
             return Field(name, kinds[0], units[0] if units else "")
@@ -193,11 +176,9 @@ def _field(owner: str, name: str, hint: Any) -> Field:
 # -- a message in the words of ROS ----------------------------------------------------------------
 
 _SEPARATOR = "=" * 80
-_NESTED_ID, _STRING_ID = 1, 17
-_ARRAY_OFFSET, _SEQUENCE_OFFSET = 48, 144
 
 
-@per_class
+@functools.cache
 def schema_text(cls: type[Any]) -> str:
     """Give the ``ros2msg`` text of a message, its dependencies appended as ROS does.
 
@@ -210,7 +191,7 @@ def schema_text(cls: type[Any]) -> str:
     )
 
 
-@per_class
+@functools.cache
 def type_hash(cls: type[Any]) -> str:
     """Give the RIHS01 hash (``RIHS01_`` + 64 hex digits) by which rmw_zenoh keys a topic.
 
@@ -241,22 +222,8 @@ def _own_text(cls: type[Any]) -> str:
 
 
 def _line(field: Field) -> str:
-    line = f"{_ros_text(field.kind)} {field.name}"
+    line = f"{field.kind.ros} {field.name}"
     return f"{line}  # {field.unit}\n" if field.unit else f"{line}\n"
-
-
-def _ros_text(kind: Kind) -> str:
-    match kind:
-        case Scalar():
-            return kind.ros
-        case Text():
-            return "string"
-        case Blob():
-            return "uint8[]"
-        case Array():
-            return f"{kind.item.ros}[{kind.count}]"
-        case Nested():
-            return _short_name(kind.cls) + ("[]" if kind.many else "")
 
 
 def _short_name(cls: type[Any]) -> str:
@@ -265,30 +232,14 @@ def _short_name(cls: type[Any]) -> str:
 
 
 def _description(cls: type[Any]) -> dict[str, Any]:
-    return {
-        "type_name": type_name(cls),
-        "fields": [{"name": f.name, "type": _field_type(f.kind)} for f in message_fields(cls)],
-    }
+    fields = [{"name": f.name, "type": _field_type(f.kind)} for f in message_fields(cls)]
+    return {"type_name": type_name(cls), "fields": fields}
 
 
 def _field_type(kind: Kind) -> dict[str, Any]:
     return {
-        "type_id": _type_id(kind),
-        "capacity": kind.count if isinstance(kind, Array) else 0,
+        "type_id": kind.type_id,
+        "capacity": kind.count if isinstance(kind, Scalar) else 0,
         "string_capacity": 0,
         "nested_type_name": type_name(kind.cls) if isinstance(kind, Nested) else "",
     }
-
-
-def _type_id(kind: Kind) -> int:
-    match kind:
-        case Scalar():
-            return kind.type_id
-        case Text():
-            return _STRING_ID
-        case Blob():
-            return _BYTE.type_id + _SEQUENCE_OFFSET
-        case Array():
-            return kind.item.type_id + _ARRAY_OFFSET
-        case Nested():
-            return _NESTED_ID + (_SEQUENCE_OFFSET if kind.many else 0)

@@ -10,7 +10,7 @@ from typing import Any
 
 import xxhash  # noqa: TID251
 
-from steerd.steer_bus.codec import type_hash, type_name
+from steerd.steer_bus.fields import type_hash, type_name
 
 DOMAIN_MAX = 232
 """Largest ROS domain that DDS has ports for; rmw_zenoh takes more, other tools do not."""

@@ -21,7 +21,7 @@ from typing import Any
 
 from mcap.records import Attachment, Channel, Schema  # noqa: TID251
 
-from steerd.steer_bus.codec import CodecError, decode, schema_text, type_name
+from steerd.steer_bus.codec import CodecError, decode
 from steerd.steer_bus.container import (
     MAGIC,
     MESSAGE_FIELDS,
@@ -34,6 +34,7 @@ from steerd.steer_bus.container import (
     read_span,
     scan_messages,
 )
+from steerd.steer_bus.fields import schema_text, type_name
 from steerd.steer_bus.messages import OWN_MESSAGES
 from steerd.steer_bus.standard import STANDARD_MESSAGES
 from steerd.steer_bus.topic_columns import ColumnBuilder, Columns

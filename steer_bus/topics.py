@@ -12,7 +12,7 @@ from typing import Any
 
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import standard
-from steerd.steer_bus.codec import schema_text, type_name
+from steerd.steer_bus.fields import schema_text, type_name
 
 ROOT = "steerd"
 _CAR_NAME = re.compile(r"[a-z0-9_]{1,64}")

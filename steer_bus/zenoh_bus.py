@@ -30,7 +30,7 @@ from steerd.steer_bus.bus import (
     check_size,
 )
 from steerd.steer_bus.clock import Clock, MonotonicClock
-from steerd.steer_bus.codec import type_name
+from steerd.steer_bus.fields import type_name
 from steerd.steer_bus.lab import (
     DEFAULT_PORT,
     Lab,

@@ -24,7 +24,7 @@ from steerd.daemon.imports.import_session import (
     write_import,
 )
 from steerd.steer_bus.atomic_file import is_full
-from steerd.steer_bus.codec import schema_text, type_name
+from steerd.steer_bus.fields import schema_text, type_name
 from steerd.steer_bus.standard import AckermannDriveStamped, Odometry, PoseStamped, VescStateStamped
 from steerd.steer_bus.topics import ACTUATION, MOCAP, VESC, WHEEL, Topic
 
