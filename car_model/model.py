@@ -64,9 +64,7 @@ def delays(model: Model[T]) -> Delays[T]:
     total = Delays(model.car.steer_delay, model.car.drive_delay, model.car.pose_delay)
     for b in bound_hooks(model.effects, "delays"):
         extra = b.hook(model.values[b.position])
-        total = Delays(
-            total.steer + extra.steer, total.drive + extra.drive, total.pose + extra.pose
-        )
+        total = Delays(*(a + b for a, b in zip(total, extra, strict=True)))
     return total
 
 
@@ -137,13 +135,8 @@ def remember(
 
 def observe(ops: Ops[T], model: Model[T], state: State[T]) -> Observation[T]:
     """What pose, wheel speed and gyro would read at this instant, without noise or latency."""
-    seen = Observation(
-        x=state.x,
-        y=state.y,
-        yaw=state.yaw,
-        wheel_speed=state.speed / model.car.speed_gain,
-        yaw_rate=state.yaw_rate,
-    )
+    wheel_speed = state.speed / model.car.speed_gain
+    seen = Observation(state.x, state.y, state.yaw, wheel_speed, state.yaw_rate)
     for b in bound_hooks(model.effects, "observe"):
         seen = b.hook(ops, model.values[b.position], state, seen)
     return seen

@@ -136,13 +136,8 @@ def make_planar(drive: str = "rear") -> Chassis:
     if drive not in DRIVES:
         raise ValueError(f"drive is {drive!r}; one of {', '.join(DRIVES)}")
     front = DRIVES[drive]
-    return Chassis(
-        "planar",
-        drive,
-        partial(slip_angles, front=front),
-        axle_loads,
-        partial(chassis_rates, front=front),
-    )
+    slips, rates = partial(slip_angles, front=front), partial(chassis_rates, front=front)
+    return Chassis("planar", drive, slips, axle_loads, rates)
 
 
 PLANAR = make_planar("all")

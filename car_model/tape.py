@@ -70,8 +70,7 @@ class Node:
     def __add__(self, other: Any, /) -> "Node":
         return apply("add", self, other)
 
-    def __radd__(self, other: Any, /) -> "Node":
-        return apply("add", self, other)
+    __radd__ = __add__
 
     def __sub__(self, other: Any, /) -> "Node":
         return apply("sub", self, other)
@@ -82,8 +81,7 @@ class Node:
     def __mul__(self, other: Any, /) -> "Node":
         return apply("mul", self, other)
 
-    def __rmul__(self, other: Any, /) -> "Node":
-        return apply("mul", self, other)
+    __rmul__ = __mul__
 
     def __truediv__(self, other: Any, /) -> "Node":
         # As a product with the inverse: inverses are shared, and hoisted out of loops.

@@ -11,11 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from steerd.car_model.chassis import Chassis
-from steerd.car_model.effect import Effect
 from steerd.car_model.model import Model
-from steerd.car_model.params import DEFAULT_CAR, Car
-from steerd.car_model.single_track import SINGLE_TRACK
+from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.state import ORIGIN, State
 from steerd.sim_hw.mocap.cameras import Cameras, MocapConfig
 from steerd.sim_hw.mocap.network import COMMAND, DATA, Datagram, Network, Peer
@@ -39,10 +36,8 @@ class WorldConfig:
     """Everything that a simulated run depends on, besides what is done to it."""
 
     seed: int = 0  # root of all randomness
-    car: Car[float] = DEFAULT_CAR  # true parameters of the car
-    effects: tuple[Effect, ...] = ()  # unmodelled effects that are on, and their parameters
-    effect_values: tuple[tuple[float, ...], ...] = ()
-    chassis: Chassis = SINGLE_TRACK  # its true equations
+    # The true car, with its unmodelled effects
+    model: Model[float] = field(default_factory=lambda: Model(DEFAULT_CAR))
     scaling: Scaling = F1TENTH  # how the car's servo and motor are really geared
     vesc: VescConfig = field(default_factory=VescConfig)  # the devices
     mocap: MocapConfig = field(default_factory=MocapConfig)
@@ -84,9 +79,8 @@ class World:
             config.process_noise,
             config.start,
         )
-        model = Model(config.car, config.effects, config.effect_values, config.chassis)
         # The parts, for judges and tests
-        self.car = SimCar(model, setup, make_noise_source(config.seed, "car"), t_start_ns)
+        self.car = SimCar(config.model, setup, make_noise_source(config.seed, "car"), t_start_ns)
         # Every serial byte with its time, if the configuration keeps them
         self.log = ByteLog(config.keep_bytes)
         self.vesc = SimVesc(

@@ -27,23 +27,16 @@ ACCEL_LIMIT = Effect(
     summary="current or ramp limits cap the acceleration",
     equation="|d(speed)/dt| <= limit",
     parameters=(
-        EffectParameter(
-            "limit",
-            20.0,
-            0.2,
-            20.0,
-            "m/s^2",
-            16.0,
-            "largest acceleration and deceleration",
-            scan=(0.5, 1.0, 1.5, 2.0, 3.0, 4.0),
-        ),
+        EffectParameter("limit", 20.0, 0.2, 20.0, "m/s^2", 16.0,
+                        "largest acceleration and deceleration",
+                        scan=(0.5, 1.0, 1.5, 2.0, 3.0, 4.0)),
     ),
     least_size=0.0,
     needs_commands=Channel.SPEED,
     same_as=("accel_max", "decel_max"),
     car=partial(cap, ("accel_max", "decel_max")),
     aliases=("current_limit", "acceleration_limit"),
-)
+)  # fmt: skip
 """A motor that cannot speed up or brake as hard as the model's.
 
 Below the limit it changes nothing, so its gradient at the null is zero: it must be looked for with

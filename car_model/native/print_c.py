@@ -7,7 +7,7 @@ computed where some direction moves the parameter (`moved`). What depends on par
 alone is computed once per call, in `constants`. `march.h` has the loops around the pieces.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from math import inf
 from typing import NamedTuple
@@ -112,22 +112,21 @@ class Printer:
         rows = [p for p in places if p not in numbers and self.entries[p].args]
         used = {a for p in rows for a in self.entries[p].args} | {n.place for _, n, _ in targets}
         self.lines.append(f"static void {self.prefix}_{head} {{")
-        for k, symbol in enumerate(self.symbols):
-            if symbol.place in used:
-                self.lines.append(f"    const double v{symbol.place} = p[{k}];")
-        for place in sorted(used & numbers):
-            entry = self.entries[place]
-            if entry.op == "const":
-                self.lines.append(f"    const double v{place} = {entry.value!r};")
-            elif place == self.h.place:
-                self.lines.append(f"    const double v{place} = h;")
-            elif entry.args:
-                self.lines.append(f"    const double v{place} = q[{self.slot(place)}];")
+        self._declare(sorted(used & numbers), lambda place: f"q[{self.slot(place)}]")
         for k, node in enumerate(inputs):
             if node.place in used:
                 self.lines.append(f"    const vec v{node.place} = in[{k}];")
         self._grouped(rows, need, numbers, targets)
         self.lines += ["}", ""]
+
+    def _declare(self, places: Iterable[int], computed: Callable[[int], str]) -> None:
+        """Numbers at these places: parameters, the step, constants, and what is computed."""
+        given = {symbol.place: f"p[{k}]" for k, symbol in enumerate(self.symbols)}
+        given[self.h.place] = "h"
+        for place in places:
+            entry = self.entries[place]
+            text = repr(entry.value) if entry.op == "const" else given.get(place)
+            self.lines.append(f"    const double v{place} = {text or computed(place)};")
 
     def _grouped(
         self,
@@ -240,19 +239,8 @@ class Printer:
         self.lines.append(
             f"static void {self.prefix}_constants(const double *p, double h, double *q) {{"
         )
-        for k, symbol in enumerate(self.symbols):
-            if symbol.place in places:
-                self.lines.append(f"    const double v{symbol.place} = p[{k}];")
         numbers = set(places)
-        for place in places:
-            entry = self.entries[place]
-            if entry.op == "const":
-                self.lines.append(f"    const double v{place} = {entry.value!r};")
-            elif place == self.h.place:
-                self.lines.append(f"    const double v{place} = h;")
-            elif entry.args:
-                text = self.operation(place, False, numbers)
-                self.lines.append(f"    const double v{place} = {text};")
+        self._declare(places, lambda place: self.operation(place, False, numbers))
         self.lines += [f"    q[{slot}] = v{place};" for place, slot in self.hoisted.items()]
         self.lines += ["}", f"enum {{ {self.prefix}_CONSTANTS = {len(self.hoisted)} }};", ""]
 

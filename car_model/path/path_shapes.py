@@ -1,7 +1,6 @@
 """Paths from a formula: line, circle, figure eight. All start at the origin along +x."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -75,24 +74,8 @@ def make_figure_eight(radius: float = FIGURE_EIGHT_RADIUS) -> Path:
     count = 4 * max(8, round(length / STEP / 4))
     u = math.tau * np.arange(count) / count
     x, y = _integrate(u, math.tau / count, length / math.tau)
-    return Path(
-        "figure8",
-        length / count,
-        True,
-        _floats(x),
-        _floats(y),
-        _floats(_figure_eight_yaw(u)),
-        _floats(np.sin(u) / radius),
-    )
-
-
-def make_figure_eight_of_size(size: float) -> Path:
-    """A figure eight whose largest extent is `size` [m].
-
-    Raises:
-        ValueError: as for a radius.
-    """
-    return make_figure_eight(size / FIGURE_EIGHT_EXTENT)
+    columns = (x, y, _figure_eight_yaw(u), np.sin(u) / radius)
+    return Path("figure8", length / count, True, *(tuple(c.tolist()) for c in columns))
 
 
 def _figure_eight_yaw(u: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -110,10 +93,6 @@ def _integrate(
         np.concatenate([start, np.cumsum(np.cos(yaw) @ weights)]),
         np.concatenate([start, np.cumsum(np.sin(yaw) @ weights)]),
     )
-
-
-def _floats(values: npt.NDArray[np.float64] | Sequence[float]) -> tuple[float, ...]:
-    return tuple(float(value) for value in values)
 
 
 def _require(condition: bool, message: str) -> None:

@@ -9,10 +9,10 @@ from pathlib import Path as FilePath
 from steerd.car_model.path.path import Path
 from steerd.car_model.path.path_csv import load_path
 from steerd.car_model.path.path_shapes import (
+    FIGURE_EIGHT_EXTENT,
     FIGURE_EIGHT_RADIUS,
     make_circle,
     make_figure_eight,
-    make_figure_eight_of_size,
     make_line,
 )
 
@@ -79,7 +79,7 @@ def _figure_eight(options: PathOptions) -> Path:
     if "size" in options and "radius" in options:
         raise ValueError("figure8: give its smallest radius or its size, not both")
     if "size" in options:
-        return make_figure_eight_of_size(_number(options, "size", 5.0))
+        return make_figure_eight(_number(options, "size", 5.0) / FIGURE_EIGHT_EXTENT)
     return make_figure_eight(_number(options, "radius", FIGURE_EIGHT_RADIUS))
 
 

@@ -279,13 +279,9 @@ def make_world_config(
     from steerd.sim_hw.world import WorldConfig
 
     settings, options = plan.sim, plan.options
-    model = make_true_model(settings, options.effects)
     return WorldConfig(
         seed=options.seed,
-        car=model.car,
-        chassis=model.chassis,
-        effects=model.effects,
-        effect_values=model.values,
+        model=make_true_model(settings, options.effects),
         scaling=settings.scaling,
         vesc=VescConfig(current_limit=settings.brakes.current_max_a),
         mocap=MocapConfig(kind=mocap_kind, frame=settings.ingest.frame),

@@ -2,8 +2,7 @@
 
 A motor controller does not only follow a speed: it also pushes with a torque, brakes against the
 motion, or lets go. Torque and brake act through friction that opposes motion and never reverses
-it, so a braked car comes to rest and stays there. Steps are the compiled library's; on floats where
-an effect is not in it.
+it, so a braked car comes to rest and stays there. Steps are the compiled library's.
 """
 
 # Why: docs/decisions/vehicle-model.md#d19
@@ -19,9 +18,8 @@ from math import inf
 from struct import Struct
 from typing import NamedTuple
 
-from steerd.car_model.actuators import actuate
 from steerd.car_model.chassis import SPEED_KINEMATIC
-from steerd.car_model.model import Model, Moment, aim, car_now, delays, hooked, memory_size, observe
+from steerd.car_model.model import Model, delays, hooked, observe
 from steerd.car_model.native.windows import (
     STATES,
     Kernels,
@@ -31,9 +29,8 @@ from steerd.car_model.native.windows import (
 )
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import GRAVITY
-from steerd.car_model.rollout import glide, stiffness_rate
-from steerd.car_model.rollout import step as step_floats
-from steerd.car_model.state import ORIGIN, Command, Observation, State
+from steerd.car_model.rollout import stiffness_rate
+from steerd.car_model.state import ORIGIN, Observation, State
 from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.steer_bus.quick_values import quick_value
 
@@ -59,11 +56,9 @@ def make_steps(model: Model[float], h: float) -> Steps:
 
     Raises:
         LibraryError: the library was not built.
+        ValueError: an effect is not in it.
     """
-    try:
-        kernels = make_kernels(model.effects, model.chassis)
-    except ValueError:
-        return plain_steps(model, h)
+    kernels = make_kernels(model.effects, model.chassis)
     size = STATES + kernels.memory
 
     @lru_cache(maxsize=16)
@@ -96,35 +91,6 @@ def _compiled(
         return found
 
     return call
-
-
-def plain_steps(model: Model[float], h: float) -> Steps:
-    """The same on floats."""
-    memory = memory_size(model.effects)
-
-    def split(numbers: Numbers) -> tuple[Moment[float], Numbers]:
-        return Moment(State(*numbers[:STATES]), numbers[STATES:-3]), numbers[-3:]
-
-    def follow_floats(*numbers: float) -> Numbers:
-        moment, (steer, speed, t) = split(numbers)
-        after = step_floats(FLOAT, model, moment, Command(steer, speed), t, h)
-        return (*after.state, *after.memory)
-
-    def actuate_floats(*numbers: float) -> Numbers:
-        moment, (steer, speed, t) = split(numbers)
-        car = car_now(FLOAT, model, moment.state, t)
-        ref = aim(FLOAT, model, car, Command(steer, speed), t)
-        return tuple(actuate(FLOAT, car, moment.state, ref, h))
-
-    def glide_floats(count: int, *numbers: float) -> Numbers:
-        moment, (end, accel, t) = split(numbers)
-        begun, part = moment.state.steer, h / count
-        for i in range(count):
-            steer = begun + (end - begun) * (i + 1) / count
-            moment = glide(FLOAT, model, moment, steer, accel, t + i * part, part)
-        return (*moment.state, *moment.memory)
-
-    return Steps(memory, follow_floats, actuate_floats, glide_floats)
 
 
 NS = 1_000_000_000

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from steerd.car_model.effects import find_effect
-from steerd.car_model.model import Model
 from steerd.car_model.nominal_car import believed_car
 from steerd.car_model.params import PARAMETERS
 from steerd.car_model.path.path import locate, project
@@ -160,8 +159,7 @@ def _judge_end(run: VirtualRun) -> dict[str, Any]:
 
 def _judge_loop(plan: RunPlan, config: WorldConfig) -> dict[str, Any]:
     """How stable the designed gains hold the car that was drawn."""
-    model = Model(config.car, config.effects, config.effect_values, config.chassis)
-    car, table = believed_car(model), plan.controller.table
+    car, table = believed_car(config.model), plan.controller.table
     timing = Timing(plan.options.rate_hz, car.steer_delay + car.pose_delay, car.steer_lag)
     return {
         "damping": min(at.damping for at in assess(car, table, timing)),
