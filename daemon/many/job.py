@@ -10,10 +10,11 @@ import io
 import sqlite3
 import sys
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import make_frame, notebook_progress
@@ -24,6 +25,8 @@ from steerd.daemon.many.units import Done, Where, Work, run_units
 
 if TYPE_CHECKING:
     import pandas
+
+    from steerd.sysid.report.report import Report
 
 FAILED = "failed"
 """Outcome of a row whose unit failed; the next start tries it again."""
@@ -47,14 +50,49 @@ class RowTable(tuple[Row, ...]):
         return f"<{len(self)} rows of {', '.join(self[0]) if self else 'nothing'}>"
 
 
-class Found(Protocol):
+class Found(ABC):
     """What was found on many drives; `print` shows the screen."""
+
+    rows: tuple[Row, ...]  # one drive each, values by column
+
+    @property
+    @abstractmethod
+    def columns(self) -> Sequence[Column]:
+        """The columns of the table with units and meanings."""
+
+    @property
+    @abstractmethod
+    def origin(self) -> Mapping[str, str]:
+        """Texts that say where the table comes from."""
+
+    @abstractmethod
+    def make_report(self) -> "Report":
+        """What the page shows."""
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """The rows as a data frame; `attrs["units"]` holds the units by column."""
+        values = {c.name: [row.get(c.name) for row in self.rows] for c in self.columns}
+        return make_frame(values, {c.name: c.unit for c in self.columns})
 
     def encode_table(self) -> bytes:
         """The rows as a Parquet file; the same rows give the same bytes."""
+        return encode_table(self.columns, self.rows, self.origin)
+
+    def save_table(self, path: Path | str) -> Path:
+        """Write that file, whole or not at all; its path.
+
+        Raises:
+            SteerdError: it cannot be written there.
+        """
+        check_outputs({"save_table": Path(path)})
+        write_outputs({Path(path): self.encode_table()})
+        return Path(path)
 
     def render_report(self) -> str:
-        """The page."""
+        """The page, one file."""
+        from steerd.sysid.report.page import render_report
+
+        return render_report(self.make_report())
 
 
 F = TypeVar("F", bound=Found)
@@ -189,24 +227,6 @@ def _make_error(path: Path | None, error: sqlite3.Error) -> SteerdError:
         case _:
             what, hint = f"{path}: {error}", "free some space, or choose another folder"
     return SteerdError(what, hint, ExitCode.UNREADABLE)
-
-
-def frame_of(columns: Sequence[Column], rows: Rows) -> "pandas.DataFrame":
-    """The rows as a data frame; `attrs["units"]` holds the units by column."""
-    values = {c.name: [row.get(c.name) for row in rows] for c in columns}
-    return make_frame(values, {c.name: c.unit for c in columns})
-
-
-def save_table(path: Path | str, table: bytes) -> Path:
-    """Write a table, whole or not at all; its path.
-
-    Raises:
-        SteerdError: it cannot be written there.
-    """
-    path = Path(path)
-    check_outputs({"save_table": path})
-    write_outputs({path: table})
-    return path
 
 
 def encode_table(columns: Sequence[Column], rows: Rows, about: Mapping[str, str]) -> bytes:

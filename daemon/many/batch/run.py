@@ -29,23 +29,12 @@ from steerd.daemon.many.batch.unit import (
     read_content,
     run_unit,
 )
-from steerd.daemon.many.job import (
-    FAILED,
-    Column,
-    Job,
-    Rows,
-    do_in_notebook,
-    encode_table,
-    frame_of,
-    save_table,
-)
+from steerd.daemon.many.job import FAILED, Column, Found, Job, Rows, do_in_notebook
 from steerd.daemon.many.units import Done, Where
 from steerd.sysid.report.report import format_table
 
 if TYPE_CHECKING:
-    import pandas
-
-    from steerd.sysid.report.report import Card
+    from steerd.sysid.report.report import Card, Report
 
 DONE = "done"
 _HEAD = (
@@ -63,7 +52,7 @@ _NO_ESTIMATE = ("start", "tries", "seconds", "metres")
 
 @shown
 @dataclass(frozen=True, eq=False)
-class Batch:
+class Batch(Found):
     """What a batch found; `print(batch)` is the screen of `steerd batch`."""
 
     kind: Kind  # what was asked
@@ -78,17 +67,10 @@ class Batch:
         rest = (Column(n, "text" if n in _TEXTS else "number") for n in sorted(more))
         return (*_HEAD, *rest)
 
-    def to_pandas(self) -> "pandas.DataFrame":
-        """The rows as a data frame; `attrs["units"]` holds the units by column."""
-        return frame_of(self.columns, self.rows)
-
-    def encode_table(self) -> bytes:
-        """The rows as a Parquet file; the same rows give the same bytes."""
-        return encode_table(self.columns, self.rows, {"steerd.batch": self.kind})
-
-    def save_table(self, path: Path | str) -> Path:
-        """Write that file; see `save_table`."""
-        return save_table(path, self.encode_table())
+    @property
+    def origin(self) -> dict[str, str]:
+        """What was asked."""
+        return {"steerd.batch": self.kind}
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -106,12 +88,11 @@ class Batch:
         """What changed, the clearest first."""
         return tuple(find_changes(self.series))
 
-    def render_report(self) -> str:
-        """The page: quantities over weeks with their bands, and the days of changes."""
+    def make_report(self) -> "Report":
+        """What the page shows: quantities over weeks with their bands, and the days of changes."""
         from steerd.daemon.many.batch.page import make_report
-        from steerd.sysid.report.page import render_report
 
-        return render_report(make_report(self.kind, self.rows, self.series, self.changes))
+        return make_report(self.kind, self.rows, self.series, self.changes)
 
     @property
     def cards(self) -> "list[Card]":
