@@ -30,7 +30,6 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd diagnose`."""
     add_sessions(parser)
     what = parser.add_argument_group("what is compared")
     text = "the car as identified (default: the car file inside the session)"
@@ -61,7 +60,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Diagnose, print, write."""
     from steerd.daemon.analysis.diagnosis import DRIVEN, run_diagnosis
     from steerd.daemon.analysis.options import DiagnoseOptions, read_arguments
     from steerd.daemon.assembly.car_check import report_refusal

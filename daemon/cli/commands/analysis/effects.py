@@ -17,7 +17,6 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The effect and the output format."""
     option(parser, "name", "NAME", "one effect, or an alias of it", nargs="?")
     option(parser, "--json", "", "the same for programs")
     option(parser, "--page", "", "the same as a Markdown page")
@@ -27,7 +26,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the table, or one effect."""
     if args.add or args.remove:
         return _change(args)
     from steerd.car_model.effects import EFFECTS, find_effect

@@ -28,7 +28,6 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd identify`."""
     add_sessions(parser)
     what = parser.add_argument_group("what is learnt")
     option(what, "--car", "FILE.toml", "start values (F1TENTH's)", missing_car, type=Path)
@@ -75,7 +74,6 @@ def parse_fix(text: str) -> dict[str, float | None]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Identify, print, write."""
     from steerd.daemon.analysis.identification import FIT, run_identification
     from steerd.daemon.analysis.options import IdentifyOptions, read_arguments
     from steerd.daemon.assembly.car_check import report_refusal

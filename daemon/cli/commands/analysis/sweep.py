@@ -40,7 +40,6 @@ speed = 1.5          # [m/s]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd sweep`."""
     option(parser, "file", "SWEEP.toml", "what to drive", missing_file, type=Path, nargs="?")
     option(parser, "--example", "", "print a sweep file and end")
     out = parser.add_argument_group("output")
@@ -54,7 +53,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Drive, print, write."""
     if args.example:
         print(EXAMPLE, end="")
         return ExitCode.OK

@@ -28,7 +28,6 @@ FIRST_OPTIONS = ("--plan", "--closed", "--box", *driving.FIRST_OPTIONS)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd collect`: those of `steerd run`, and the plan's."""
     what = parser.add_argument_group("plan")
     option(what, "--plan", None, "what to drive", choices=NAMES, default="mixed")
     text = "add the plan to the lane keeper's commands, along --path (default: open loop)"
@@ -82,6 +81,5 @@ def plan_drive(options: RunOptions, *, design: bool = True) -> "RunPlan":
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command."""
     options = make_options(args)
     return driving.drive(lambda: plan_drive(options, design=args.fast), fast=args.fast)

@@ -63,7 +63,6 @@ _WANTED = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of these commands."""
     add_car_arguments(parser)
     option(parser, "--no-hold", "", "arm, start: do not stay (cars without a deadman only)")
 
@@ -109,7 +108,6 @@ class _Link:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command."""
     # A closed terminal means that the operator has left: end at once, the deadman stops the car.
     raise_on_stop_signals()
     clock, name = MonotonicClock(), str(args.command)

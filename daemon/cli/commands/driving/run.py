@@ -34,7 +34,6 @@ FIRST_OPTIONS = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd run`."""
     where = parser.add_argument_group("hardware")
     option(where, "--port", "DEV", "serial port of the VESC, e.g. /dev/ttyACM0")
     text = "natnet://HOST[:PORT]/BODY[?up=y|z], vrpn://HOST[:PORT]/BODY or zenoh:KEY"
@@ -165,7 +164,6 @@ def _choose_endpoint(args: argparse.Namespace) -> str:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command."""
     options = make_options(args)
 
     def make() -> "RunPlan":

@@ -14,7 +14,6 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd sim`."""
     text = "the simulated car (default: F1TENTH's figures; hidden: one that the seed hides)"
     option(parser, "--car", "FILE.toml|hidden:SEED", text, missing_car)
     text = "protocol of its server"
@@ -27,7 +26,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command."""
     from steerd.daemon.assembly.build import make_plan, make_world_config
     from steerd.daemon.common.screen import wrap_command
     from steerd.daemon.settings.run_options import RunOptions

@@ -16,13 +16,11 @@ LABEL = 13
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd status`."""
     add_car_arguments(parser)
     option(parser, "--json", "", "for programs")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command."""
     with connect(args.connect, args.lab) as bus:
         status = read_status(bus, args.name, MonotonicClock())
         model = read_model(bus, args.name)

@@ -22,7 +22,6 @@ _FIGURES = (".png", ".svg", ".pdf")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The sessions and the page."""
     add_sessions(parser)
     option(parser, "-o --output", "FILE.html", "default: beside the session", type=Path)
     text = "of two drives: the second comes so much later (default: found from the drives)"
@@ -30,7 +29,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the page and say where it is."""
     from steerd.daemon.common.written import check_outputs, write_outputs
     from steerd.daemon.sessions.info import load_recording
 

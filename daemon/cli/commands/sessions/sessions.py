@@ -23,7 +23,6 @@ SHOWN = 40
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The list's options, and what can be written about a drive."""
     option(parser, "--folder", "DIR", "another folder than these", type=Path)
     option(parser, "--tag", "TAG", "only drives with this tag")
     option(parser, "--car", "NAME", "only drives of this car")
@@ -42,7 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """List the drives, or write about one."""
     from steerd.daemon.sessions.catalogue import default_folders, find_session
 
     if args.folder is not None and not args.folder.is_dir():

@@ -33,7 +33,6 @@ class Roster(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd keys`."""
     option(parser, "folder", "DIR", "the lab's folder", type=Path)
     option(parser, "--host", None, "the car's address or name in the lab's network")
     option(parser, "--port", None, "its TCP port", type=int, default=DEFAULT_PORT)
@@ -44,7 +43,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Make a lab, or add people to one."""
     if not 0.0 < args.years <= 50.0 or not 0 < args.port < 65536:
         raise SteerdError("--years: up to 50; --port: 1 to 65535", "", ExitCode.USAGE)
     if args.host is not None and not args.host.strip():

@@ -26,7 +26,6 @@ Rows = Iterable[tuple[str, str]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Where to look."""
     option(parser, "--port", "DEV", "query this port only, whatever its USB id")
     option(parser, "--mocap", "URL", "listen to this source, as `steerd run`")
     option(parser, "--car", "FILE.toml", "car file: units, axes, cells, timeout", missing_car)

@@ -24,7 +24,6 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What to do, for whom, and what to run."""
     option(parser, "action", None, "", choices=("install", "uninstall", "print", "launch", "udev"))
     whose = parser.add_mutually_exclusive_group()
     option(whose, "--user", "", "your own service manager (default)")
@@ -34,7 +33,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write, remove or print."""
     user = not args.system
     if args.action == "uninstall":
         return _uninstall(_unit_path(user), user)
