@@ -16,9 +16,9 @@ from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.sim_hw.vesc.vesc_motor import MEANS, MS, Mode, Motor, Power, VescConfig, duty_current
 from steerd.sim_hw.vesc.vesc_wire import FALSE_HEADER, ByteLog, Chunk, ReplyWire
 from steerd.vesc_link import commands as c
-from steerd.vesc_link import identity, telemetry
+from steerd.vesc_link import telemetry
 from steerd.vesc_link.frames import FrameParser
-from steerd.vesc_link.identity import Ack
+from steerd.vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp, Print
 from steerd.vesc_link.ids import (
     FAULT_NAMES,
     FW_3_00,
@@ -71,38 +71,10 @@ def make_values(
     )
 
 
-def make_fw_version(config: VescConfig, uuid: bytes) -> identity.FwVersion:
+def make_fw_version(config: VescConfig, uuid: bytes) -> FwVersion:
     """FW_VERSION reply; its tail is as long as this firmware's."""
     size = max((size for since, size in _VERSION_TAILS if config.firmware >= since), default=0)
-    return identity.FwVersion(*config.firmware, config.hw_name, uuid, _VERSION_TAIL[:size])
-
-
-def make_appconf(config: VescConfig, motor: Motor) -> identity.AppConf:
-    """GET_APPCONF reply: timeout and its brake current, then a tail that no one should read."""
-    return identity.AppConf(
-        _SIGNATURE,
-        config.controller_id,
-        motor.timeout_ms,
-        motor.timeout_brake_current,
-        _APPCONF_TAIL,
-    )
-
-
-def make_mcconf_temp(config: VescConfig, motor: Motor) -> identity.McConfTemp:
-    """GET_MCCONF_TEMP reply: the limits in force."""
-    return identity.McConfTemp(
-        **motor.limits,
-        motor_poles=config.motor_poles,
-        gear_ratio=config.gear_ratio,
-        wheel_diameter=config.wheel_diameter,
-    )
-
-
-def make_terminal_answer(motor: Motor, text: str) -> identity.Print:
-    """What the terminal prints."""
-    if text == "faults":
-        return identity.Print(f"Fault: FAULT_CODE_{fault_name(motor.fault)}")
-    return identity.Print(f"Invalid command: {text}")
+    return FwVersion(*config.firmware, config.hw_name, uuid, _VERSION_TAIL[:size])
 
 
 class ImuChip:
@@ -382,14 +354,18 @@ class SimVesc:
             case c.GetFwVersion():
                 return make_fw_version(config, self.uuid)
             case c.GetAppConf():
-                return make_appconf(config, motor)
+                timeout = motor.timeout_ms, motor.timeout_brake_current
+                return AppConf(_SIGNATURE, config.controller_id, *timeout, _APPCONF_TAIL)
             case c.GetMcConfTemp():
-                return make_mcconf_temp(config, motor)
+                train = config.motor_poles, config.gear_ratio, config.wheel_diameter
+                return McConfTemp(*motor.limits.values(), *train)
             case c.SetMcConfTemp():
                 motor.set_limits(command)
                 return Ack(CommandId.SET_MCCONF_TEMP) if command.ack else None
             case c.TerminalCommand():
-                self._block(t_ns, _TERMINAL_NS, make_terminal_answer(motor, command.text))
+                faults = f"Fault: FAULT_CODE_{fault_name(motor.fault)}"
+                text = faults if command.text == "faults" else f"Invalid command: {command.text}"
+                self._block(t_ns, _TERMINAL_NS, Print(text))
             case c.Reboot():
                 self.reboot(t_ns)
         return None

@@ -1,1 +1,1 @@
-"""One module per subcommand: its docstring is the help; `add_arguments(parser)`, `run(args) -> int`."""
+"""A module for each subcommand: its docstring is the help, with `add_arguments` and `run`."""

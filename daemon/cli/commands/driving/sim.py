@@ -31,27 +31,22 @@ def run(args: argparse.Namespace) -> int:
     from steerd.daemon.settings.run_options import RunOptions
     from steerd.sim_hw.real_time.links import (
         SimHardware,
-        SimOptions,
         fault_windows,
         raise_priority,
         stop_on_signals,
     )
 
     options = RunOptions(
-        "",
-        simulated=True,
-        seed=args.seed,
-        effects=tuple(args.effect),
-        path="line",
+        "", path="line", seed=args.seed, simulated=True, effects=tuple(args.effect),
         sim_car=args.car or "",
-    )
+    )  # fmt: skip
     world = make_world_config(make_plan(options, design=False), args.mocap)
     try:
         faults = fault_windows(args.fault)
     except ValueError as error:
         raise SteerdError(f"--fault: {error}", "", ExitCode.USAGE) from None
     raise_priority()
-    with stop_on_signals() as stop, SimHardware(world, SimOptions(faults, args.link_dir)) as sim:
+    with stop_on_signals() as stop, SimHardware(world, faults, args.link_dir) as sim:
         print(f"VESC:  {sim.port}")
         print(f"mocap: {sim.mocap_url}")
         command = f"steerd run --port {sim.port} --mocap '{sim.mocap_url}'"
