@@ -19,8 +19,7 @@ import numpy as np
 
 from steerd.car_model.car_file import default_car_path
 from steerd.car_model.effects import parse_effects
-from steerd.car_model.model import Model
-from steerd.car_model.nominal_car import believed_car
+from steerd.car_model.model import Model, believed_car
 from steerd.car_model.path.path import locate, project
 from steerd.controller.build import compute_table
 from steerd.controller.learnt import Design, Learnt, learnt_car, learnt_of, learnt_timing

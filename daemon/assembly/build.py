@@ -8,8 +8,8 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 from steerd.car_model.car_file import default_car_path
+from steerd.car_model.model import believed_car
 from steerd.car_model.native.library import load_library
-from steerd.car_model.nominal_car import believed_car
 from steerd.car_model.params import Car
 from steerd.car_model.path.path import Path
 from steerd.car_model.path.path_spec import parse_path

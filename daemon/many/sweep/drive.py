@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from steerd.car_model.effects import find_effect
-from steerd.car_model.nominal_car import believed_car
+from steerd.car_model.model import believed_car
 from steerd.car_model.params import PARAMETERS
 from steerd.car_model.path.path import locate, project
 from steerd.controller.design import assess, delay_margin

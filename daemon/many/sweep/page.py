@@ -8,8 +8,7 @@ from matplotlib.axes import Axes
 
 from steerd.daemon.common.screen import clean
 from steerd.daemon.many.job import Rows
-from steerd.daemon.many.sweep.plan import DRIVEN, Choice, SweepPlan
-from steerd.daemon.many.sweep.quantities import Distribution
+from steerd.daemon.many.sweep.plan import DRIVEN, Choice, Distribution, SweepPlan
 from steerd.daemon.many.sweep.summary import (
     STOPS,
     UNITS,

@@ -12,8 +12,7 @@ from scipy import stats
 
 from steerd.daemon.common.screen import clean, wrap
 from steerd.daemon.many.job import FAILED, Column, Rows
-from steerd.daemon.many.sweep.plan import DRIVEN, REFUSED, STOPPED, SweepPlan
-from steerd.daemon.many.sweep.quantities import Quantity
+from steerd.daemon.many.sweep.plan import DRIVEN, REFUSED, STOPPED, Quantity, SweepPlan
 from steerd.sysid.report.report import SCALES, Table, format_table
 
 Array = NDArray[np.float64]

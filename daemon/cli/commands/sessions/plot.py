@@ -58,13 +58,12 @@ def _draw(read: "Recording", suffix: str) -> bytes:
     from steerd.daemon.sessions.curves import make_csv
     from steerd.daemon.sessions.info import make_session_report
     from steerd.daemon.sessions.plot_data import make_drawing
-    from steerd.daemon.sessions.plot_model import with_model
     from steerd.daemon.sessions.plot_page import make_page
     from steerd.daemon.sessions.text import print_warnings
 
     report = make_session_report(read)
     print_warnings(report.warnings)
-    drawing = with_model(make_drawing(read), read)
+    drawing = make_drawing(read)
     if suffix in _FIGURES:
         from steerd.daemon.analysis.figures import plot_session, save_figure
 
