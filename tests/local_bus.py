@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from steerd.steer_bus.bus import (
     Answer,
@@ -99,10 +100,6 @@ class LocalBus:
         self._hub.rings.append(ring)
         return _LocalSubscription(ring, self._hold(lambda: self._hub.rings.remove(ring)))
 
-    def has_subscriber(self, key: str) -> bool:
-        """See :meth:`Bus.has_subscriber`."""
-        return any(key_matches(ring.pattern, key) for ring in self._hub.rings)
-
     def declare_alive(self, key: str) -> Token:
         """See :meth:`Bus.declare_alive`."""
         self._check_open()
@@ -143,3 +140,12 @@ class LocalBus:
     def _check_open(self) -> None:
         if self._closed:
             raise BusError("the bus is closed")
+
+
+def is_heard(bus: Any, key: str) -> bool:
+    """Whether anybody listens to a key, on this bus or on zenoh's."""
+    if isinstance(bus, LocalBus):
+        return any(key_matches(ring.pattern, key) for ring in bus._hub.rings)
+    if key not in bus._publishers:
+        bus._publishers[key] = bus._declare(key)
+    return bool(bus._publishers[key].handle.matching_status.matching)
