@@ -132,7 +132,8 @@ def apply(op: str, first: Node, *others: Any) -> Node:
     return Node(tape, tape.place(Entry(op, places)))
 
 
-def _is(entry: Entry, value: float) -> bool:
+def is_number(entry: Entry, value: float) -> bool:
+    """Whether it is this constant."""
     return entry.op == "const" and entry.value == value
 
 
@@ -143,9 +144,9 @@ def _plain(op: str, nodes: Sequence[Node], entries: Sequence[Entry]) -> Node | N
     if op == "sub":
         if nodes[0].place == nodes[1].place:
             return nodes[0].tape.constant(0.0)
-        if _is(entries[0], 0.0):
+        if is_number(entries[0], 0.0):
             return -nodes[1]
-        return nodes[0] if _is(entries[1], 0.0) else None
+        return nodes[0] if is_number(entries[1], 0.0) else None
     if op == "neg" and entries[0].op == "neg":
         return Node(nodes[0].tape, entries[0].args[0])
     if op == "select" and nodes[1].place == nodes[2].place:
@@ -156,11 +157,11 @@ def _plain(op: str, nodes: Sequence[Node], entries: Sequence[Entry]) -> Node | N
 def _plain_commutative(op: str, nodes: Sequence[Node], entries: Sequence[Entry]) -> Node | None:
     neutral = 0.0 if op == "add" else 1.0
     for one, other in ((0, 1), (1, 0)):
-        if _is(entries[one], neutral):
+        if is_number(entries[one], neutral):
             return nodes[other]
-        if op == "mul" and _is(entries[one], 0.0):
+        if op == "mul" and is_number(entries[one], 0.0):
             return nodes[one]
-        if op == "mul" and _is(entries[one], -1.0):
+        if op == "mul" and is_number(entries[one], -1.0):
             return -nodes[other]
     return None
 

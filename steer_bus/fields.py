@@ -218,12 +218,8 @@ def _dependencies(cls: type[Any]) -> list[type[Any]]:
 
 
 def _own_text(cls: type[Any]) -> str:
-    return "".join(_line(field) for field in message_fields(cls))
-
-
-def _line(field: Field) -> str:
-    line = f"{field.kind.ros} {field.name}"
-    return f"{line}  # {field.unit}\n" if field.unit else f"{line}\n"
+    units = ((f, f"  # {f.unit}" if f.unit else "") for f in message_fields(cls))
+    return "".join(f"{field.kind.ros} {field.name}{unit}\n" for field, unit in units)
 
 
 def _short_name(cls: type[Any]) -> str:

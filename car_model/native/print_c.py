@@ -27,7 +27,7 @@ from steerd.car_model.prediction import (
     recorded_tangent,
 )
 from steerd.car_model.state import State
-from steerd.car_model.tape import Entry, Node, Tape, gradient, needed
+from steerd.car_model.tape import Entry, Node, Tape, gradient, is_number, needed
 
 ALWAYS = -1
 """Stands for a parameter that is always moved: what outputs and derivatives by inputs need."""
@@ -199,7 +199,9 @@ class Printer:
         for i in range(len(first.outputs)):
             by = [gradient([(form.outputs[i], 1.0)], sources) for form in forms]
             for k, formulas in enumerate(zip(*by, strict=True)):
-                if sources[k].place not in self.timeless and not all(map(_zero, formulas)):
+                if sources[k].place not in self.timeless and not all(
+                    is_number(node.entry, 0.0) for node in formulas
+                ):
                     found.append(Slope(i, k, formulas))
         return sorted(found, key=lambda s: s.source >= len(first.inputs))
 
@@ -316,10 +318,6 @@ def fast_rates(traced: Traced) -> Piece:
     return Piece(
         rates.inputs, specialise(rates.outputs, {speed.place: Range(SPECIALISED_SPEED, inf)})
     )
-
-
-def _zero(node: Node) -> bool:
-    return node.entry.op == "const" and node.entry.value == 0.0
 
 
 def print_model(traced: Traced, prefix: str) -> str:

@@ -136,12 +136,13 @@ def do_job(
         check_outputs({"-o": output})
     began = time.perf_counter()
     with open_finished(output and finished_path(output), job.basis) as (rows, keep):
-        todo = {u: about for u, about in job.units.items() if not _is_done(rows.get(u))}
+        done = {unit for unit, row in rows.items() if row["outcome"] != FAILED}
+        todo = {unit: about for unit, about in job.units.items() if unit not in done}
         before = len(job.units) - len(todo)
         progress(before)
-        for number, done in enumerate(run_units(job.work, todo, where, job.ship), 1):
-            rows[done.unit] = job.make_row(done)
-            keep(done.unit, job.basis, rows[done.unit])
+        for number, end in enumerate(run_units(job.work, todo, where, job.ship), 1):
+            rows[end.unit] = job.make_row(end)
+            keep(end.unit, job.basis, rows[end.unit])
             progress(before + number)
     found = RowTable(rows[unit] for unit in job.units)
     return job.make(found, len(todo), time.perf_counter() - began)
@@ -180,10 +181,6 @@ def write_found(job: Job[F], found: F, output: Path | None, page: Path | None = 
 def finished_path(output: Path) -> Path:
     """Where the finished units of a table lie."""
     return output.with_name(f"{output.name}.journal")
-
-
-def _is_done(row: Row | None) -> bool:
-    return row is not None and row["outcome"] != FAILED
 
 
 @contextmanager
@@ -245,12 +242,9 @@ def encode_table(columns: Sequence[Column], rows: Rows, about: Mapping[str, str]
         kind = _TYPES[column.kind]
         note = {"unit": column.unit, "meaning": column.meaning}
         fields.append(pa.field(column.name, kind, metadata=note))
-        values.append(pa.array([_value(row.get(column.name)) for row in rows], kind))
+        given = (row.get(column.name) for row in rows)
+        values.append(pa.array([None if value != value else value for value in given], kind))
     schema = pa.schema(fields, metadata=dict(about))
     out = io.BytesIO()
     parquet.write_table(pa.table(values, schema=schema), out, compression="zstd")
     return out.getvalue()
-
-
-def _value(value: Any) -> Any:
-    return None if isinstance(value, float) and value != value else value

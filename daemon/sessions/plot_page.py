@@ -45,8 +45,9 @@ def make_page(report: SessionReport, drawing: Drawing) -> str:
 
 def _data(report: SessionReport, drawing: Drawing, buckets: int) -> dict[str, Any]:
     grid = make_grid(0.0, max(report.info.duration_s, 0.01), buckets)
+    title = (clean(report.car), clean(report.info.path.name), when(report))
     return {
-        "title": _title(report),
+        "title": " · ".join(filter(None, title)),
         "facts": list_facts(report, drawing),
         "warnings": [clean(text) for text in report.warnings[:WARNINGS_SHOWN]],
         "states": [[round(change.t_s, 4), change.state] for change in report.states],
@@ -65,11 +66,6 @@ def _data(report: SessionReport, drawing: Drawing, buckets: int) -> dict[str, An
         "track": None if drawing.track is None else _track(drawing.track, drawing.e1),
         "lane": _lane(drawing),
     }
-
-
-def _title(report: SessionReport) -> str:
-    parts = (clean(report.car), clean(report.info.path.name), when(report))
-    return " · ".join(filter(None, parts))
 
 
 def list_facts(report: SessionReport, drawing: Drawing) -> list[tuple[str, str]]:

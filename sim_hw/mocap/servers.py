@@ -96,7 +96,9 @@ class NatNetServer:
                 self._model_flag = False
                 return self._model()
             case natnet.Request():
-                return _answer_request(message.text, self.config)
+                known = message.text.split(",")[0] == "FrameRate"
+                rate = natnet.Response(F32.pack(self.config.rate_hz))
+                return rate if known else natnet.Unrecognized(100)
         return None
 
     def _info(self) -> natnet.ServerInfo:
@@ -171,11 +173,6 @@ def _rigid_body(body: BodyPose) -> RigidBody:
     w, x, y, z = body.quaternion
     params = TRACKING_VALID if body.valid else 0
     return RigidBody(body.id, body.position, (x, y, z, w), body.mean_error, params)
-
-
-def _answer_request(text: str, config: MocapConfig) -> natnet.Response | natnet.Unrecognized:
-    known = text.split(",")[0] == "FrameRate"
-    return natnet.Response(F32.pack(config.rate_hz)) if known else natnet.Unrecognized(100)
 
 
 _VRPN_ANSWER_NS = 100_000

@@ -39,7 +39,9 @@ def run(args: argparse.Namespace) -> int:
     if args.action == "udev":
         text = _fill("99-vesc.rules")
     elif args.action == "launch":
-        text = _make_launch(_make_command(args))
+        command = _make_command(args)
+        _expect_writable(command, "launch file", "\n\r\0", "$(")  # which ROS would substitute
+        text = _fill("steerd.launch.xml", command=quoteattr(shlex.join(command)))
     else:
         account = "" if user else os.environ.get("SUDO_USER") or getpass.getuser()
         text = make_unit(_make_command(args), args.name, account=account)
@@ -142,12 +144,6 @@ def make_unit(command: Sequence[str], car: str, *, account: str = "") -> str:
     wanted = "multi-user.target" if account else "default.target"
     words = " ".join(map(_quote, command))
     return _fill("steerd.service", car=car, command=words, protected=protected, wanted=wanted)
-
-
-def _make_launch(command: Sequence[str]) -> str:
-    """A ROS 2 launch file for the same command line; `$(` in it would be substituted."""
-    _expect_writable(command, "launch file", "\n\r\0", "$(")
-    return _fill("steerd.launch.xml", command=quoteattr(shlex.join(command)))
 
 
 def _expect_writable(words: Iterable[str], file: str, characters: str, *texts: str) -> None:
