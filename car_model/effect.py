@@ -83,16 +83,6 @@ class EffectParameter(NamedTuple):
     scan: tuple[float, ...] = ()  # values worth trying where the gradient at the null is zero
     role: Role = Role.SIZE
 
-    @property
-    def typical(self) -> float:
-        """An ordinary severity within the bounds: the scan's middle, or one scale off the null.
-
-        The contract test exercises each effect with it, about the place (2, 2) m.
-        """
-        if self.scan:
-            return self.scan[len(self.scan) // 2]
-        return min(self.null + self.scale, 0.5 * (self.null + self.high))
-
 
 class Contact(NamedTuple, Generic[T]):
     """The car on its tyres at one instant."""

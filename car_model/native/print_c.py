@@ -199,9 +199,8 @@ class Printer:
         for i in range(len(first.outputs)):
             by = [gradient([(form.outputs[i], 1.0)], sources) for form in forms]
             for k, formulas in enumerate(zip(*by, strict=True)):
-                if sources[k].place not in self.timeless and not all(
-                    is_number(node.entry, 0.0) for node in formulas
-                ):
+                moves = not all(is_number(node.entry, 0.0) for node in formulas)
+                if moves and sources[k].place not in self.timeless:
                     found.append(Slope(i, k, formulas))
         return sorted(found, key=lambda s: s.source >= len(first.inputs))
 

@@ -151,16 +151,23 @@ def make_range(values: Array) -> SignalRange | None:
 
 def find_erpm_gain(track: Track | None, erpm: Signal | None) -> float | None:
     """Electrical rpm per m/s that the poses show, sign included; None where they cannot say."""
-    if track is None or erpm is None:
+    found = None if track is None or erpm is None else _while_driven(track, erpm)
+    if found is None:
         return None
-    speed = np.interp(erpm.t, track.t, np.nan_to_num(track.speed), np.nan, np.nan)
-    both = np.isfinite(speed) & np.isfinite(erpm.value) & (np.abs(speed) > _DRIVING)
-    if np.count_nonzero(both) < _SAMPLES_MIN:
-        return None
-    speed, value = speed[both], erpm.value[both]
+    speed, _, value = found
     gain = float(np.sum(speed * value) / np.sum(speed**2))
     left = float(np.sqrt(np.mean((value - gain * speed) ** 2) / np.mean(value**2)))
     return gain if left < _ERPM_LEFT and abs(gain) >= 1.0 else None
+
+
+def _while_driven(track: Track, signal: Signal, later: float = 0.0) -> tuple[Array, ...] | None:
+    """Speed and yaw rate of the poses, so much later [s], and the signal; None of too few."""
+    poses = (np.nan_to_num(track.speed), np.nan_to_num(track.yaw_rate))
+    speed, rate = (np.interp(signal.t + later, track.t, each, np.nan, np.nan) for each in poses)
+    both = np.isfinite(speed) & np.isfinite(signal.value) & (np.abs(speed) > _DRIVING)
+    if np.count_nonzero(both) < _SAMPLES_MIN:
+        return None
+    return speed[both], rate[both], signal.value[both]
 
 
 def check_erpm(track: Track | None, erpm: Signal | None, stated: float) -> list[str]:
@@ -197,12 +204,8 @@ def find_implausible(
     warnings += heading
     if heading:
         return warnings
-    if wheel is not None:
-        warnings += _check_wheel(track, wheel)
-    if gyro is not None:
-        warnings += _check_gyro(track, gyro)
-    if steer is not None:
-        warnings += _check_steer(track, steer)
+    for check, signal in ((_check_wheel, wheel), (_check_gyro, gyro), (_check_steer, steer)):
+        warnings += [] if signal is None else check(track, signal)
     return warnings
 
 
@@ -253,20 +256,15 @@ def _wrap(angle: Array) -> Array:
 
 
 def _check_wheel(track: Track, wheel: Signal) -> list[str]:
-    speed = np.interp(wheel.t, track.t, np.nan_to_num(track.speed), np.nan, np.nan)
-    both = np.isfinite(speed) & np.isfinite(wheel.value) & (np.abs(speed) > _DRIVING)
-    if np.count_nonzero(both) < _SAMPLES_MIN:
+    found = _while_driven(track, wheel)
+    if found is None:
         return []
-    ratio = float(np.sum(np.abs(wheel.value[both])) / np.sum(np.abs(speed[both])))
+    speed, _, value = found
+    ratio = float(np.sum(np.abs(value)) / np.sum(np.abs(speed)))
     if _RATIO_LOW <= ratio <= _RATIO_HIGH:
         return []
-    kinds: tuple[tuple[float, str], ...] = (
-        (1000.0, "millimetres"),
-        (3.6, "km/h"),
-        (57.3, "degrees"),
-        (0.001, "millimetres (x, y)"),
-    )
-    near = [name for factor, name in kinds if _RATIO_LOW <= ratio / factor <= _RATIO_HIGH]
+    kinds = {"millimetres": 1e3, "km/h": 3.6, "degrees": 57.3, "millimetres (x, y)": 1e-3}
+    near = [n for n, factor in kinds.items() if _RATIO_LOW <= ratio / factor <= _RATIO_HIGH]
     guess = f": {near[0]}?" if near else ": another unit, gear ratio or wheel?"
     return [f"the wheel drives {ratio:.3g} times the path{guess}"]
 
@@ -287,14 +285,11 @@ def _check_gyro(track: Track, gyro: Signal) -> list[str]:
 
 
 def _check_steer(track: Track, steer: Signal) -> list[str]:
-    rate = np.interp(
-        steer.t + _STEER_LATENCY, track.t, np.nan_to_num(track.yaw_rate), np.nan, np.nan
-    )
-    speed = np.interp(steer.t + _STEER_LATENCY, track.t, np.nan_to_num(track.speed), np.nan, np.nan)
-    both = np.isfinite(rate) & np.isfinite(steer.value) & (np.abs(speed) > _DRIVING)
-    if np.count_nonzero(both) < _SAMPLES_MIN:
+    found = _while_driven(track, steer, _STEER_LATENCY)
+    if found is None:
         return []
-    curvature, value = rate[both] / speed[both], steer.value[both]
+    speed, rate, value = found
+    curvature = rate / speed
     strength = float(np.sqrt(np.sum(curvature**2) * np.sum(value**2)))
     if strength > 0.0 and float(np.sum(curvature * value)) / strength < -0.5:
         return ["the car turns right where steer_cmd is positive: steer_cmd must be left positive"]

@@ -29,6 +29,7 @@ import numpy as np
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effects import find_effect
 from steerd.car_model.params import PARAMETERS
+from steerd.daemon.analysis.options import read_car
 from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean
 from steerd.sim_hw.mocap.cameras import MocapConfig
 from steerd.sim_hw.vesc.vesc_motor import VescConfig
@@ -318,18 +319,20 @@ def _draw(
         raise SteerdError(str(error), "", ExitCode.USAGE) from None
 
 
-def read_sweep_file(path: Path) -> dict[str, Any]:
-    """The tables of a sweep file.
+def load_sweep(path: Path) -> SweepPlan:
+    """The sweep of a file.
 
     Raises:
-        SteerdError: it cannot be read, or is no TOML.
+        SteerdError: it or its car file cannot be read, or says something impossible.
     """
     try:
-        return load_toml(path)
+        given = load_toml(path)
     except OSError as error:
         raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
     except TomlError as error:
         raise SteerdError(f"{path}: {error}", "", ExitCode.INVALID) from None
+    car = given.pop("car", None)
+    return make_sweep_plan(read_car(None if car is None else path.parent / str(car)), given)
 
 
 def make_sweep_plan(car: CarFile, given: Mapping[str, Any]) -> SweepPlan:
