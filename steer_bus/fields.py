@@ -21,6 +21,7 @@ from typing import (
     Annotated,
     Any,
     TypeVar,
+    cast,
     dataclass_transform,
     get_args,
     get_origin,
@@ -102,6 +103,12 @@ class Leaf:
 
 
 C = TypeVar("C")
+R = TypeVar("R")
+
+
+def per_class(derive: Callable[[type[Any]], R]) -> Callable[[type[Any]], R]:
+    """Remember what a function derives from a message class."""
+    return cast("Callable[[type[Any]], R]", functools.cache(derive))
 
 
 @dataclass_transform(frozen_default=True)
@@ -128,7 +135,7 @@ def type_name(cls: type[Any]) -> str:
     return name
 
 
-@functools.cache
+@per_class
 def message_fields(cls: type[Any]) -> tuple[Field, ...]:
     """Give the fields of a message class in wire order.
 
@@ -143,7 +150,7 @@ def message_fields(cls: type[Any]) -> tuple[Field, ...]:
     return found
 
 
-@functools.cache
+@per_class
 def flat_leaves(cls: type[Any]) -> tuple[Leaf, ...] | None:
     """Give a message's leaves in wire order, or None if it holds a sequence of messages."""
     leaves: list[Leaf] = []
@@ -178,7 +185,7 @@ def _field(owner: str, name: str, hint: Any) -> Field:
 _SEPARATOR = "=" * 80
 
 
-@functools.cache
+@per_class
 def schema_text(cls: type[Any]) -> str:
     """Give the ``ros2msg`` text of a message, its dependencies appended as ROS does.
 
@@ -191,7 +198,7 @@ def schema_text(cls: type[Any]) -> str:
     )
 
 
-@functools.cache
+@per_class
 def type_hash(cls: type[Any]) -> str:
     """Give the RIHS01 hash (``RIHS01_`` + 64 hex digits) by which rmw_zenoh keys a topic.
 

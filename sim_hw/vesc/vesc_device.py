@@ -33,6 +33,8 @@ from steerd.vesc_link.packets import FEEDS_TIMEOUT, Reply, decode_command, encod
 from steerd.vesc_link.scaling import Scaling, erpm_to_speed, servo_pos_to_steer
 from steerd.vesc_link.telemetry import UPTIME_MASK, Uptime
 
+_TRAIN = ("motor_poles", "gear_ratio", "wheel_diameter")
+"""What the reply to GET_MCCONF_TEMP says beside the limits in force."""
 _IMU_PERIOD_NS = 5 * MS
 """The firmware samples its IMU at 200 Hz; faster polling reads the same sample again."""
 _MEAN_BITS = {"motor_current": 2, "input_current": 3, "d_current": 4, "q_current": 5}
@@ -357,8 +359,8 @@ class SimVesc:
                 timeout = motor.timeout_ms, motor.timeout_brake_current
                 return AppConf(_SIGNATURE, config.controller_id, *timeout, _APPCONF_TAIL)
             case c.GetMcConfTemp():
-                train = config.motor_poles, config.gear_ratio, config.wheel_diameter
-                return McConfTemp(*motor.limits.values(), *train)
+                train: dict[str, Any] = {name: getattr(config, name) for name in _TRAIN}
+                return McConfTemp(**{**motor.limits, **train})
             case c.SetMcConfTemp():
                 motor.set_limits(command)
                 return Ack(CommandId.SET_MCCONF_TEMP) if command.ack else None
