@@ -18,15 +18,7 @@ from collections.abc import Callable, Iterator
 from itertools import islice
 from typing import Any, TypeVar
 
-from steerd.steer_bus.fields import (
-    Kind,
-    Nested,
-    Scalar,
-    Sized,
-    flat_leaves,
-    message_fields,
-    per_class,
-)
+from steerd.steer_bus.fields import Kind, Nested, Scalar, Sized, cached, flat_leaves, message_fields
 
 MAX_BYTES = 63 << 10
 """Largest encoded message; the bus drops 64 KiB and more, its own framing included."""
@@ -84,7 +76,7 @@ def decode(cls: type[M], data: bytes) -> M:
 # -- encoding ------------------------------------------------------------------------------------
 
 
-@per_class
+@cached
 def _encoder(cls: type[Any]) -> Callable[[Any], bytes]:
     leaves = flat_leaves(cls)
     if leaves is None:
@@ -185,7 +177,7 @@ def _collect(msg: Any, tokens: list[_Token], args: list[Any]) -> None:
 _Step = tuple[struct.Struct, ...] | Sized | type[Any]
 
 
-@per_class
+@cached
 def _steps(cls: type[Any]) -> tuple[_Step, ...]:
     """Give what to read in order: runs of primitives (one layout per phase), texts, sequences."""
     steps: list[_Step] = []
@@ -258,7 +250,7 @@ def read_text(raw: bytes) -> str:
     return raw[:-1].decode()
 
 
-@per_class
+@cached
 def _builder(cls: type[Any]) -> Callable[[Iterator[Any]], Any]:
     parts = [_part(field.kind) for field in message_fields(cls)]
     return lambda values: cls(*[part(values) for part in parts])

@@ -106,7 +106,7 @@ C = TypeVar("C")
 R = TypeVar("R")
 
 
-def per_class(derive: Callable[[type[Any]], R]) -> Callable[[type[Any]], R]:
+def cached(derive: Callable[[type[Any]], R]) -> Callable[[type[Any]], R]:
     """Remember what a function derives from a message class."""
     return cast("Callable[[type[Any]], R]", functools.cache(derive))
 
@@ -135,7 +135,7 @@ def type_name(cls: type[Any]) -> str:
     return name
 
 
-@per_class
+@cached
 def message_fields(cls: type[Any]) -> tuple[Field, ...]:
     """Give the fields of a message class in wire order.
 
@@ -150,7 +150,7 @@ def message_fields(cls: type[Any]) -> tuple[Field, ...]:
     return found
 
 
-@per_class
+@cached
 def flat_leaves(cls: type[Any]) -> tuple[Leaf, ...] | None:
     """Give a message's leaves in wire order, or None if it holds a sequence of messages."""
     leaves: list[Leaf] = []
@@ -185,7 +185,7 @@ def _field(owner: str, name: str, hint: Any) -> Field:
 _SEPARATOR = "=" * 80
 
 
-@per_class
+@cached
 def schema_text(cls: type[Any]) -> str:
     """Give the ``ros2msg`` text of a message, its dependencies appended as ROS does.
 
@@ -198,7 +198,7 @@ def schema_text(cls: type[Any]) -> str:
     )
 
 
-@per_class
+@cached
 def type_hash(cls: type[Any]) -> str:
     """Give the RIHS01 hash (``RIHS01_`` + 64 hex digits) by which rmw_zenoh keys a topic.
 
