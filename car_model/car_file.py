@@ -28,8 +28,7 @@ from steerd.posterior_file import TABLES, find_known, posterior_path, read_besid
 from steerd.toml_text import TomlError, parse_toml, read_toml
 
 _OWN = ("car", "effects")
-IDENTIFIED = "steerd identify"
-"""Begins the source of a value that identify found."""
+IDENTIFIED = "steerd identify"  # begins the source of a value that identify found
 
 
 class CarFileError(ValueError):

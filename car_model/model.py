@@ -142,8 +142,7 @@ def observe(ops: Ops[T], model: Model[T], state: State[T]) -> Observation[T]:
     return seen
 
 
-_FAR = 1e6
-"""A place outside every patch of floor [m]."""
+_FAR = 1e6  # a place outside every patch of floor [m]
 
 
 def believed_car(model: Model[float]) -> Car[float]:

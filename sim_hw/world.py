@@ -25,8 +25,7 @@ from steerd.sim_hw.vesc.vesc_motor import VescConfig
 from steerd.sim_hw.vesc.vesc_wire import ByteLog
 from steerd.vesc_link.scaling import F1TENTH, Scaling
 
-TX_BUFFER = 4096
-"""Bytes that the host's kernel takes for a device that does not read."""
+TX_BUFFER = 4096  # bytes that the host's kernel takes for a device that does not read
 _PUSH, _PUSH_NS = 0.4, 2_800_000_000
 """How fast [m/s] and how long a hand pushes the car: a metre and a bit."""
 

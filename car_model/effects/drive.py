@@ -149,8 +149,7 @@ they turn the motor by is not what the rear wheels do.
 """
 
 
-_FADE = 10.0
-"""Full drag from about 0.2 m/s up [s/m]."""
+_FADE = 10.0  # full drag from about 0.2 m/s up [s/m]
 
 
 def _rolling_drag_rates(ops: Ops[T], p: Values[T], at: Contact[T], rates: Rates[T]) -> Rates[T]:

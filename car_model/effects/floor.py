@@ -72,10 +72,8 @@ GRIP_DRIFT = Effect(
 """Grip that changes over the run: tyres warm up, dust comes off, or goes on."""
 
 
-_EDGE = 0.1
-"""Half width of the edge [m]."""
-_SCAN_DROPS = (0.25, 0.5)
-"""Shares of grip lost that a scan tries."""
+_EDGE = 0.1  # half width of the edge [m]
+_SCAN_DROPS = (0.25, 0.5)  # shares of grip lost that a scan tries
 
 
 def _grip_patch_car(ops: Ops[T], p: Values[T], car: Car[T], state: State[T], t: float) -> Car[T]:

@@ -21,8 +21,7 @@ from steerd.car_model.state import State
 
 _BEND_LEAST = 0.25
 """Keeps the square root real where a fit tries tyres that stiffen: at most twice the force."""
-_ROUND = 0.05
-"""Rounds off the corner of `|z|` at zero."""
+_ROUND = 0.05  # rounds off the corner of `|z|` at zero
 
 
 def _smooth_size(ops: Ops[T], z: T) -> T:
@@ -64,8 +63,7 @@ CORNERING_STIFFNESS = Effect(
 """Tyres that are stiffer or softer than modelled, front and rear alike."""
 
 
-_GRIP_LEAST = 0.01
-"""Some lateral grip stays when the tyres are spinning."""
+_GRIP_LEAST = 0.01  # some lateral grip stays when the tyres are spinning
 
 
 def _friction_ellipse_forces(ops: Ops[T], p: Values[T], at: Contact[T]) -> Axles[T]:
@@ -103,10 +101,8 @@ floor of mu 1.05 a full ellipse costs 4 % of the force where both axles drive al
 """
 
 
-_COEFFICIENT_LEAST = 0.1
-"""Some of the coefficient stays under any load."""
-_MOVED = 0.62
-"""2 h / track of the F1TENTH car: CoG 74 mm high on a track of 240 mm."""
+_COEFFICIENT_LEAST = 0.1  # some of the coefficient stays under any load
+_MOVED = 0.62  # 2 h / track of the F1TENTH car: CoG 74 mm high on a track of 240 mm
 
 
 def _lateral_load_transfer_forces(ops: Ops[T], p: Values[T], at: Contact[T]) -> Axles[T]:

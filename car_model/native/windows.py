@@ -38,17 +38,12 @@ from steerd.car_model.state import State
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-SLOTS = 8
-"""Windows side by side: one vector of AVX-512, two of AVX2, four of NEON."""
-SENSITIVITIES = 72
-"""Most directions at once."""
-STATES = len(State._fields)
-"""Numbers of a state before the effects' memory."""
+SLOTS = 8  # windows side by side: one vector of AVX-512, two of AVX2, four of NEON
+SENSITIVITIES = 72  # most directions at once
+STATES = len(State._fields)  # numbers of a state before the effects' memory
 STEER = State._fields.index("steer")
-START_POSE = 3
-"""Derivatives by the pose of a window's start: x, y, yaw."""
-CACHE_LINE = 64
-"""[byte]."""
+START_POSE = 3  # derivatives by the pose of a window's start: x, y, yaw
+CACHE_LINE = 64  # [byte]
 TABLEAUS: dict[str, Array] = {
     "euler": np.array([[0.0], [1.0]]),
     "midpoint": np.array([[0.0, 0.5], [0.0, 1.0]]),

@@ -23,18 +23,12 @@ from steerd.car_model.path.path import Path, place_at_origin
 
 Array = npt.NDArray[np.float64]
 
-STEP = 0.05
-"""Distance aimed at between samples of a path from a file [m]."""
-POINTS_MIN = 5
-"""Fewest points that a cubic spline takes, closed."""
-GAP_CLOSED = 2.5
-"""A path is closed if its ends lie within this many times the usual spacing."""
-FINE = 20
-"""Spline evaluations per sample, from which arc length is measured."""
-PSI_TOLERANCE = 0.3
-"""Largest median disagreement of a file's psi with its positions [rad]."""
-NORTH = -0.5 * math.pi
-"""psi minus yaw where psi is measured from the +y axis [rad]."""
+STEP = 0.05  # distance aimed at between samples of a path from a file [m]
+POINTS_MIN = 5  # fewest points that a cubic spline takes, closed
+GAP_CLOSED = 2.5  # a path is closed if its ends lie within this many times the usual spacing
+FINE = 20  # spline evaluations per sample, from which arc length is measured
+PSI_TOLERANCE = 0.3  # largest median disagreement of a file's psi with its positions [rad]
+NORTH = -0.5 * math.pi  # psi minus yaw where psi is measured from the +y axis [rad]
 COLUMNS = {
     7: ("s_m", "x_m", "y_m", "psi_rad", "kappa_radpm", "vx_mps", "ax_mps2"),
     4: ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m"),

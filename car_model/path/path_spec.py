@@ -13,14 +13,12 @@ import numpy.typing as npt
 from steerd.car_model.path.path import Path
 from steerd.car_model.path.path_csv import load_path
 
-STEP = 0.02
-"""Distance that sampled shapes aim at between samples [m]."""
+STEP = 0.02  # distance that sampled shapes aim at between samples [m]
 FIGURE_EIGHT_SWING = 2.404825557695773
 """First zero of the Bessel function J0: the heading swing [rad] that closes a figure eight."""
 FIGURE_EIGHT_EXTENT = 5.664286
 """Largest extent of the figure eight over its smallest radius (from its samples; tested)."""
-LENGTH_MAX = 1e4
-"""Longest dimension of a shape [m]."""
+LENGTH_MAX = 1e4  # longest dimension of a shape [m]
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 

@@ -79,8 +79,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
 }
 """Commands by what they are for: folder below `commands` and one line of help, by name."""
 _MODULES = dict.fromkeys(("start", "stop", "estop", "arm", "disarm", "clear"), "operate")
-_MODULES["import"] = "import_"
-"""Modules that are not called as their command."""
+_MODULES["import"] = "import_"  # modules that are not called as their command
 COMMANDS = {
     name: (f"{folder}.{_MODULES.get(name, name)}", text)
     for group in GROUPS.values()

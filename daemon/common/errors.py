@@ -8,22 +8,14 @@ class ExitCode(IntEnum):
     """Exit codes of the `steerd` command; documented in docs/how-to/troubleshooting.md."""
 
     OK = 0
-    USAGE = 2
-    """The command line makes no sense."""
-    UNREADABLE = 3
-    """A device or file cannot be opened or read."""
-    INVALID = 4
-    """A car file, map or session was read but its content is wrong."""
-    STOPPED = 5
-    """A safety stop ended the run, or a result is not reliable enough to be used."""
-    UNREACHABLE = 6
-    """No running daemon answered."""
-    DIFFERS = 7
-    """A replay gave other commands than were recorded."""
-    INTERNAL = 70
-    """A bug in steerd."""
-    INTERRUPTED = 130
-    """Ctrl-C before there was anything to stop."""
+    USAGE = 2  # the command line makes no sense
+    UNREADABLE = 3  # a device or file cannot be opened or read
+    INVALID = 4  # a car file, map or session was read but its content is wrong
+    STOPPED = 5  # a safety stop ended the run, or a result is not reliable enough to be used
+    UNREACHABLE = 6  # no running daemon answered
+    DIFFERS = 7  # a replay gave other commands than were recorded
+    INTERNAL = 70  # a bug in steerd
+    INTERRUPTED = 130  # Ctrl-C before there was anything to stop
 
 
 class SteerdError(Exception):

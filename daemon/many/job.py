@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 
     from steerd.sysid.report.report import Report
 
-FAILED = "failed"
-"""Outcome of a row whose unit failed; the next start tries it again."""
+FAILED = "failed"  # outcome of a row whose unit failed; the next start tries it again
 Rows = Sequence[Mapping[str, Any]]
 _TYPES = {"number": "float64", "count": "int64", "text": "string"}
 

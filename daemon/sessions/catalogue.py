@@ -26,8 +26,7 @@ from steerd.daemon.common.translate import reading
 from steerd.daemon.common.written import write_whole
 from steerd.toml_text import load_toml
 
-_SCHEMA = 3
-"""Of the remembered rows: others are read anew."""
+_SCHEMA = 3  # of the remembered rows: others are read anew
 _TAG_MAX, _NOTE_MAX = 40, 500
 
 
@@ -234,8 +233,7 @@ def _lane(about: Mapping[str, str]) -> tuple[str, bool]:
     return clean(f"{options.path} {options.speed:g} m/s", 40), True
 
 
-_NAME, _CAR, _LANE = 20, 8, 17
-"""Columns of the names [characters]."""
+_NAME, _CAR, _LANE = 20, 8, 17  # columns of the names [characters]
 
 
 def format_entries(entries: Sequence[Entry], numbers: Sequence[int]) -> Iterator[str]:

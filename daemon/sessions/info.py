@@ -36,18 +36,12 @@ from steerd.steer_bus.session_read import (
 from steerd.steer_bus.topic_columns import Columns
 from steerd.vesc_link.scaling import F1TENTH
 
-GAP_FACTOR = 3.0
-"""A pause of more than this many median intervals is a gap."""
-STATES_MAX = 1000
-"""State changes kept; a damaged file may hold any number."""
-DISTANCE_MIN = 0.5
-"""A shorter drive identifies nothing [m]."""
-STEER_SD_MIN = 0.01
-"""Steering that varies less counts as constant [rad]."""
-SPEED_SPAN_MIN = 0.3
-"""Speed that varies less counts as constant [m/s]."""
-LATERAL_ACCEL_MIN = 1.0
-"""Tyre parameters need more lateral acceleration than this [m/s^2]."""
+GAP_FACTOR = 3.0  # a pause of more than this many median intervals is a gap
+STATES_MAX = 1000  # state changes kept; a damaged file may hold any number
+DISTANCE_MIN = 0.5  # a shorter drive identifies nothing [m]
+STEER_SD_MIN = 0.01  # steering that varies less counts as constant [rad]
+SPEED_SPAN_MIN = 0.3  # speed that varies less counts as constant [m/s]
+LATERAL_ACCEL_MIN = 1.0  # tyre parameters need more lateral acceleration than this [m/s^2]
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,7 @@ from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.motion import Array
 from steerd.steer_bus.topic_columns import Columns
 
-SETTLE = 3.0
-"""The approach to the lane at the start of a drive is left out of the errors [s]."""
+SETTLE = 3.0  # the approach to the lane at the start of a drive is left out of the errors [s]
 
 
 def find_settled(state: Columns, t: Array) -> NDArray[np.bool_]:

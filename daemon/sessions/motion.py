@@ -15,33 +15,20 @@ Array = NDArray[np.float64]
 WINDOW = 0.2
 WINDOW_MAX = 1.0
 """Span of the differences [s]: the shorter for mocap, up to the longer for coarse poses."""
-_SPEED_NOISE = 0.05
-"""Standard deviation of the speed that the window allows [m/s]."""
-GAP_MAX = 0.5
-"""No motion is interpolated across a longer gap between poses [s]."""
-COORDINATE_MAX = 1e9
-"""Larger coordinates are damage, not places [m]."""
-MOVING = 0.05
-"""Below this a car counts as standing [m/s]."""
-_DRIVING = 0.3
-"""Ratios of speeds are formed above this [m/s]."""
-_TURNING = 0.1
-"""The gyro is compared above this yaw rate [rad/s, rms]."""
-_SHARE = 0.95
-"""A car that moves backwards for this share of its samples does so throughout."""
-_SAMPLES_MIN = 10
-"""Fewer samples decide nothing."""
-_EXTENT_MAX, _SPEED_MAX = 100.0, 20.0
-"""A larger room [m] at a higher speed [m/s] is a wrong unit."""
-_STEP = 0.05
-"""Directions of the path are taken over this distance [m]."""
+_SPEED_NOISE = 0.05  # standard deviation of the speed that the window allows [m/s]
+GAP_MAX = 0.5  # no motion is interpolated across a longer gap between poses [s]
+COORDINATE_MAX = 1e9  # larger coordinates are damage, not places [m]
+MOVING = 0.05  # below this a car counts as standing [m/s]
+_DRIVING = 0.3  # ratios of speeds are formed above this [m/s]
+_TURNING = 0.1  # the gyro is compared above this yaw rate [rad/s, rms]
+_SHARE = 0.95  # a car that moves backwards for this share of its samples does so throughout
+_SAMPLES_MIN = 10  # fewer samples decide nothing
+_EXTENT_MAX, _SPEED_MAX = 100.0, 20.0  # a larger room [m] at a higher speed [m/s] is a wrong unit
+_STEP = 0.05  # directions of the path are taken over this distance [m]
 _STEPS_MAX = 10_000
-_RATIO_LOW, _RATIO_HIGH = 0.8, 1.25
-"""Wheel speed over path speed within these is plausible [-]."""
-_ERPM_LEFT = 0.3
-"""Share of the electrical rpm that a gain must leave unexplained at most [-]."""
-_STEER_LATENCY = 0.15
-"""Delay and lag of an ordinary car's steering [s]."""
+_RATIO_LOW, _RATIO_HIGH = 0.8, 1.25  # wheel speed over path speed within these is plausible [-]
+_ERPM_LEFT = 0.3  # share of the electrical rpm that a gain must leave unexplained at most [-]
+_STEER_LATENCY = 0.15  # delay and lag of an ordinary car's steering [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,13 +38,10 @@ class Track:
     t: Array
     x: Array
     y: Array
-    yaw: Array
-    """As recorded, unwrapped [rad]."""
-    speed: Array
-    """Along the body's axis; NaN for a pose between two gaps [m/s]."""
+    yaw: Array  # as recorded, unwrapped [rad]
+    speed: Array  # along the body's axis; NaN for a pose between two gaps [m/s]
     yaw_rate: Array
-    window: float
-    """Span of the differences that gave speed and yaw rate [s]."""
+    window: float  # span of the differences that gave speed and yaw rate [s]
 
     @property
     def coarse(self) -> bool:

@@ -23,12 +23,10 @@ from steerd.steer_bus.topics import Topic
 from steerd.toml_text import decode_toml, parse_toml
 from steerd.vesc_link.scaling import F1TENTH
 
-NIS_95 = 7.815
-"""95 % of a chi-squared distribution with 3 degrees of freedom lie below."""
+NIS_95 = 7.815  # 95 % of a chi-squared distribution with 3 degrees of freedom lie below
 LANE_HALF_WIDTH = 0.30
 """[m], where the lateral watchdog stops the car unless the car file says otherwise."""
-GAP = 0.5
-"""A line breaks where samples are further apart [s]."""
+GAP = 0.5  # a line breaks where samples are further apart [s]
 
 
 @dataclass(frozen=True)
@@ -260,8 +258,7 @@ def _current(s: Recording) -> Iterator[Panel]:
 
 # -- what the learner reported -------------------------------------------------------------------
 
-BAND = 2.0
-"""Standard deviations to either side: 95 % of a normal distribution."""
+BAND = 2.0  # standard deviations to either side: 95 % of a normal distribution
 PANELS: tuple[tuple[str, str, tuple[str, ...], float], ...] = (
     ("learnt: gains", "", ("steer_gain", "speed_gain"), 1.0),
     ("learnt: steering bias", "°", ("steer_bias",), degrees(1.0)),

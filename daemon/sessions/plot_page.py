@@ -16,14 +16,11 @@ from steerd.daemon.sessions.plot_data import Drawing
 from steerd.daemon.sessions.text import when
 from steerd.sysid.report.page import render_page
 
-SIZE_MAX = 2_000_000
-"""A page must fit into a mail and open quickly [bytes]."""
+SIZE_MAX = 2_000_000  # a page must fit into a mail and open quickly [bytes]
 BUCKETS = (20_000, 12_000, 6_000, 2_000)
 """Pairs of slots for all curves: the first number whose page is small enough is taken."""
-TRACK_SLOTS = 12_000
-"""Largest number of points of the track."""
-LANE_POINTS = 1500
-"""Largest number of points of the lane."""
+TRACK_SLOTS = 12_000  # largest number of points of the track
+LANE_POINTS = 1500  # largest number of points of the lane
 WARNINGS_SHOWN = 8
 _TEMPLATE = Path(__file__).parent / "page" / "plot.html"
 

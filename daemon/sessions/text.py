@@ -19,8 +19,7 @@ STATES_SHOWN = 10
 WARNINGS_SHOWN = 10
 EMPTY_SHOWN = 12
 _LABEL = 12
-_NAME_MIN, _NAME_MAX, _TYPE_MIN = 12, 24, 6
-"""Columns of the topic table [characters]."""
+_NAME_MIN, _NAME_MAX, _TYPE_MIN = 12, 24, 6  # columns of the topic table [characters]
 
 
 def print_warnings(texts: Sequence[str]) -> None:

@@ -27,12 +27,9 @@ from steerd.vesc_link.scaling import Scaling, steer_limits
 S = TypeVar("S")
 FLUSH_MS_MIN, FLUSH_MS_MAX = 10, 250
 """Range of `[record] flush_ms` [ms]: rarer loses too much, more often costs too much."""
-DISK_FREE_MIN_MB = 100
-"""Least `[record] disk_free_min_mb` [MB]."""
-BRAKE_CURRENT_MAX_A = 200.0
-"""Largest brake current that a car file may give [A]."""
-UUID_BYTES = 12
-"""Length of a VESC's UUID."""
+DISK_FREE_MIN_MB = 100  # least `[record] disk_free_min_mb` [MB]
+BRAKE_CURRENT_MAX_A = 200.0  # largest brake current that a car file may give [A]
+UUID_BYTES = 12  # length of a VESC's UUID
 _BRAKE_CURRENTS = (
     "brake_current_a", "soft_brake_current_a", "hold_brake_current_a", "estop_brake_current_a",
 )  # fmt: skip
@@ -304,10 +301,8 @@ def _thresholds(table: Mapping[str, Any]) -> Thresholds:
 
 HEADING_MOST = 0.1
 """Heading error of the poses beyond which W5 stops a drive [rad]; 0.15 stopped, 0.1 did not."""
-_HEADINGS = 24
-"""Headings at which a car is let roll."""
-_FAR = 1e6
-"""Away from places that differ from the rest of the floor [m]."""
+_HEADINGS = 24  # headings at which a car is let roll
+_FAR = 1e6  # away from places that differ from the rest of the floor [m]
 
 
 def check_effects(file: CarFile, th: Thresholds) -> None:

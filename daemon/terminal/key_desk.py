@@ -32,8 +32,7 @@ NUDGES = {
     "]": ("gain", 0.1), "[": ("gain", -0.1),
 }  # fmt: skip
 """Live parameters, and by how much a key changes them [m/s, m, -]."""
-BACK = "0"
-"""This key asks for the path and the designed feedback again."""
+BACK = "0"  # this key asks for the path and the designed feedback again
 NUDGE_HELP = "speed [-][+]  lane left [<] right [>]  gain [[][]]  path and gain back [0]"
 _HELD = (
     SupervisorState.SELF_TEST,

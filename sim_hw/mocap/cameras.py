@@ -70,8 +70,7 @@ class MocapConfig:
 
 
 _NS = 1_000_000_000
-_IMPOSTOR = (1.5, -1.0, 0.3)
-"""Where the other thing stands when the room has none [m, m, rad]."""
+_IMPOSTOR = (1.5, -1.0, 0.3)  # where the other thing stands when the room has none [m, m, rad]
 
 
 @quick_value

@@ -31,8 +31,7 @@ from steerd.steer_bus.quick_values import changed
 _NS = 1_000_000_000
 _APP_VERSION = (3, 1, 0, 0)
 _ANSWER_NS = 150_000
-_ANOTHER = natnet.RigidBodyDesc("newcomer", 9)
-"""Enters the model list when it changes."""
+_ANOTHER = natnet.RigidBodyDesc("newcomer", 9)  # enters the model list when it changes
 
 
 class NatNetServer:

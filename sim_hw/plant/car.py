@@ -94,8 +94,7 @@ def _compiled(
 
 
 NS = 1_000_000_000
-_HISTORY = 0.5
-"""How far back poses are kept, beyond the pose channel's own dead time [s]."""
+_HISTORY = 0.5  # how far back poses are kept, beyond the pose channel's own dead time [s]
 
 
 class Drive(IntEnum):

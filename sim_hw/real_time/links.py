@@ -118,8 +118,7 @@ class PtyPort:
                 self._pending = self._pending[count:]
 
 
-_SHORTEST_NS = 100_000
-"""Shortest sleep, for when a host leaves bytes lying."""
+_SHORTEST_NS = 100_000  # shortest sleep, for when a host leaves bytes lying
 _READY_SECONDS = 20.0
 _STOP_SECONDS = 5.0
 _PRIORITY = 40

@@ -145,5 +145,4 @@ class VrpnSockets:
         self._clients.clear()
 
 
-MocapSockets = NatNetSockets | VrpnSockets
-"""The open ends of a mocap server."""
+MocapSockets = NatNetSockets | VrpnSockets  # the open ends of a mocap server

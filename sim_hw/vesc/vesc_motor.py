@@ -77,13 +77,10 @@ class VescConfig:
         return self.servo_frame_ns / 2e9
 
 
-TICK_NS = 10 * MS
-"""Period of the firmware's timeout thread."""
-FAULT_STOP_NS = 500 * MS
-"""How long a fault outlasts its condition (m_fault_stop_time_ms)."""
+TICK_NS = 10 * MS  # period of the firmware's timeout thread
+FAULT_STOP_NS = 500 * MS  # how long a fault outlasts its condition (m_fault_stop_time_ms)
 _KILL_NS = 20 * MS
-_CURRENT_MIN = 0.05
-"""Below this the motor is released (cc_min_current) [A]."""
+_CURRENT_MIN = 0.05  # below this the motor is released (cc_min_current) [A]
 _RAMP_SINCE = Firmware(5, 3)
 _NS = 1e9
 
@@ -252,12 +249,9 @@ def duty_current(config: VescConfig, duty: float, voltage: float, erpm: float) -
 _AMBIENT_C = 25.0
 _HEATING = 2e-4
 """Warming per squared motor current [K/s/A^2]; with `_COOLING`, 30 A settle at +22 K."""
-_COOLING = 120.0
-"""Thermal time constant [s]."""
-_FIELD_VOLTAGE = 3**-0.5
-"""Phase voltage per bus voltage at full duty (space-vector modulation)."""
-_FLAT = 0.1
-"""Voltage below which no battery goes here, so that nothing divides by zero [V]."""
+_COOLING = 120.0  # thermal time constant [s]
+_FIELD_VOLTAGE = 3**-0.5  # phase voltage per bus voltage at full duty (space-vector modulation)
+_FLAT = 0.1  # voltage below which no battery goes here, so that nothing divides by zero [V]
 MEANS = ("motor_current", "input_current", "d_current", "q_current", "v_d", "v_q")
 
 

@@ -47,11 +47,9 @@ class ByteLog:
             self.entries.append(Logged(t_ns, to, data))
 
 
-FALSE_HEADER = b"\x03\x02\x00"
-"""The head of a frame of 512 bytes."""
+FALSE_HEADER = b"\x03\x02\x00"  # the head of a frame of 512 bytes
 _UNKNOWN_FRAME = encode_frame(b"\xfaunsolicited")
-_USB_WAIT_NS = 100 * MS
-"""How long the firmware's USB thread waits for a host that does not read."""
+_USB_WAIT_NS = 100 * MS  # how long the firmware's USB thread waits for a host that does not read
 
 
 class ReplyWire:

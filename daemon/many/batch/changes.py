@@ -28,23 +28,17 @@ from steerd.daemon.many.job import Rows
 from steerd.sysid.report.report import Table
 
 Array = NDArray[np.float64]
-CHANCE = 1e-3
-"""Probability that a batch without any change reports one."""
-LEAST = 6
-"""Drives of a car below which nothing is said about a change."""
-_SIDE = 3
-"""Least drives on either side of a step: of one or two the scatter explains anything."""
+CHANCE = 1e-3  # probability that a batch without any change reports one
+LEAST = 6  # drives of a car below which nothing is said about a change
+_SIDE = 3  # least drives on either side of a step: of one or two the scatter explains anything
 _ROBUST = 1.4826 / sqrt(2.0)
 """Median size of differences of neighbours to the standard deviation of one."""
-_DROP = 3.84
-"""Loss of twice the log-likelihood within which a day still may be the one (95 %)."""
-WEEK = 7 * 86_400.0
-"""[s]."""
+_DROP = 3.84  # loss of twice the log-likelihood within which a day still may be the one (95 %)
+WEEK = 7 * 86_400.0  # [s]
 _WIDE = 1.96
 _SURER = 3.0
 """A drive whose error is so many times smaller than the middle one's knows it by another model."""
-_GROUP = 4
-"""Least such drives, and least others, for a level of their own."""
+_GROUP = 4  # least such drives, and least others, for a level of their own
 
 
 @dataclass(frozen=True)

@@ -157,8 +157,7 @@ def make_job(paths: Sequence[Path], question: Question) -> Job[Batch]:
     return Job(kind, run_unit, tasks, basis, make_row, make, read_content, grows=True)
 
 
-_FAILURES, _CHANGES = 5, 12
-"""Lines of each that are shown."""
+_FAILURES, _CHANGES = 5, 12  # lines of each that are shown
 
 
 def describe_batch(rows: Rows, worked: int, series: int, changes: Sequence[Change]) -> str:

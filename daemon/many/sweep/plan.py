@@ -112,8 +112,7 @@ def _hint(name: str) -> str:
     return did_you_mean(name, known) or more
 
 
-_STREAM = 23
-"""Keeps these numbers apart from those of the simulated instruments' noise."""
+_STREAM = 23  # keeps these numbers apart from those of the simulated instruments' noise
 _REDRAWS = 1000
 """Draws outside the bounds that are thrown away, before a distribution counts as impossible."""
 Shape = Literal["uniform", "log_uniform", "normal", "log_normal"]
@@ -236,10 +235,8 @@ def is_list(given: Any) -> bool:
     return isinstance(given, Sequence) and not isinstance(given, str)
 
 
-DURATION_MAX = 3600.0
-"""Longest drive of a sweep [s]."""
-DRIVES_MAX = 1_000_000
-"""More drives are a mistake in a list."""
+DURATION_MAX = 3600.0  # longest drive of a sweep [s]
+DRIVES_MAX = 1_000_000  # more drives are a mistake in a list
 DRIVEN, STOPPED, REFUSED = "driven", "stopped", "refused"
 """How a drive ended: as planned, by a watchdog, or before it began."""
 Value = float | str

@@ -17,14 +17,10 @@ from steerd.sysid.report.report import SCALES, Table, format_table
 
 Array = NDArray[np.float64]
 QUANTILES = (0.05, 0.5, 0.95)
-_Z = 1.96
-"""Standard deviations of a 95 % interval."""
-STOPS = "stopped"
-"""The measure that says whether a watchdog stopped the drive."""
-_LEAST = 8
-"""Drives below which nothing is said about a dependence."""
-_MOVES = 0.005
-"""A smaller move of a measure, as a share of it, is not worth a word [-]."""
+_Z = 1.96  # standard deviations of a 95 % interval
+STOPS = "stopped"  # the measure that says whether a watchdog stopped the drive
+_LEAST = 8  # drives below which nothing is said about a dependence
+_MOVES = 0.005  # a smaller move of a measure, as a share of it, is not worth a word [-]
 
 
 @dataclass(frozen=True)
@@ -206,10 +202,8 @@ def list_columns(quantities: Iterable[Quantity]) -> Sequence[Column]:
     return (*_HEAD, *varied, *_ENDS, *MEASURES)
 
 
-UNITS = {c.name: c.unit for c in MEASURES}
-"""SI unit by measure."""
-_SHOWN = 8
-"""Dependences that are shown."""
+UNITS = {c.name: c.unit for c in MEASURES}  # SI unit by measure
+_SHOWN = 8  # dependences that are shown
 
 
 def describe_sweep(plan: SweepPlan, rows: Rows, summary: Summary, speed: float | None) -> str:

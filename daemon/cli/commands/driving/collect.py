@@ -22,8 +22,7 @@ from steerd.daemon.settings.run_options import RunOptions
 if TYPE_CHECKING:
     from steerd.daemon.assembly.build import RunPlan
 
-SPEED = 2.5
-"""Highest speed of a plan unless said otherwise [m/s]."""
+SPEED = 2.5  # highest speed of a plan unless said otherwise [m/s]
 FIRST_OPTIONS = ("--plan", "--closed", "--box", *driving.FIRST_OPTIONS)
 
 

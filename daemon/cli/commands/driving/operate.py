@@ -41,15 +41,11 @@ from steerd.steer_bus.codec import decode
 from steerd.steer_bus.messages import RequestKind, Transition
 from steerd.steer_bus.topics import make_key
 
-STATUS_NS = 2_000_000_000
-"""A car on the bus says how it is within this [ns]."""
-ANSWER_NS = 1_500_000_000
-"""A request that has no effect after this was refused [ns]."""
-REST_NS = 5_000_000_000
-"""A car comes to rest within this [ns]."""
+STATUS_NS = 2_000_000_000  # a car on the bus says how it is within this [ns]
+ANSWER_NS = 1_500_000_000  # a request that has no effect after this was refused [ns]
+REST_NS = 5_000_000_000  # a car comes to rest within this [ns]
 _LATCHED = (SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
-_HOLDING = ("arm", "start")
-"""Commands that stay as the deadman."""
+_HOLDING = ("arm", "start")  # commands that stay as the deadman
 _KINDS = {
     name: RequestKind[name.upper()] for name in ("arm", "start", "stop", "disarm", "clear", "estop")
 }

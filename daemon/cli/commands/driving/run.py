@@ -203,8 +203,7 @@ def _run_simulated(plan: "RunPlan", core: Prepared) -> int:
     return code
 
 
-_LIVE = "steerd.daemon.terminal.terminal"
-"""What a drive in real time loads first."""
+_LIVE = "steerd.daemon.terminal.terminal"  # what a drive in real time loads first
 _BUSY = ("W1 ", "W7 ", "W8 ", "W9 ", "W15 ", "W16 ")
 """Watchdogs that a machine without time for simulated hardware trips."""
 

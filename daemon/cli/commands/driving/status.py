@@ -11,8 +11,7 @@ from steerd.daemon.ipc.operator import connect, read_model, read_status
 from steerd.daemon.learning.text import design_text, encode_model, format_model
 from steerd.steer_bus.clock import MonotonicClock
 
-LABEL = 13
-"""Columns of the labels."""
+LABEL = 13  # columns of the labels
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

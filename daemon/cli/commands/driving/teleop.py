@@ -20,8 +20,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.signals import raise_on_stop_signals
 from steerd.daemon.process.gamepad import AXES, BUTTONS, PadMap
 
-QUIET_MOST_S = 10.0
-"""Longest silence of a gamepad that may count as held [s]."""
+QUIET_MOST_S = 10.0  # longest silence of a gamepad that may count as held [s]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

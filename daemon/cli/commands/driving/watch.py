@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from steerd.steer_bus.bus import Subscription
     from steerd.steer_bus.clock import Clock
 
-REFRESH_NS = 100_000_000
-"""Time between two refreshes [ns]."""
+REFRESH_NS = 100_000_000  # time between two refreshes [ns]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

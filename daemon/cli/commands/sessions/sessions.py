@@ -18,8 +18,7 @@ from pathlib import Path
 from steerd.daemon.cli.arguments import missing_session, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
-SHOWN = 40
-"""Drives that are listed unless all are asked for."""
+SHOWN = 40  # drives that are listed unless all are asked for
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -20,8 +20,7 @@ from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.lab import DEFAULT_PORT, Lab, read_members
 from steerd.steer_bus.topics import check_car_name
 
-ROSTER = "lab.toml"
-"""Members of the lab, in each folder."""
+ROSTER = "lab.toml"  # members of the lab, in each folder
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

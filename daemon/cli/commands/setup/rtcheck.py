@@ -11,8 +11,7 @@ import sys
 from steerd.daemon.cli.arguments import option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
-STOLEN_SHARE = 0.001
-"""A host that takes more of the time than this is the first suspect."""
+STOLEN_SHARE = 0.001  # a host that takes more of the time than this is the first suspect
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
