@@ -15,18 +15,10 @@ The ``ros2msg`` text and the RIHS01 hash are derived from the class alone, and t
 import functools
 import hashlib
 import json
+import typing
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import (
-    Annotated,
-    Any,
-    TypeVar,
-    cast,
-    dataclass_transform,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Annotated, Any, TypeVar, cast, dataclass_transform
 
 from steerd.steer_bus.quick_values import quick_init
 
@@ -143,7 +135,7 @@ def message_fields(cls: type[Any]) -> tuple[Field, ...]:
         TypeError: if the class is no message, has no field, or a field has no ROS type.
     """
     name = type_name(cls)
-    hints = get_type_hints(cls, include_extras=True)
+    hints = typing.get_type_hints(cls, include_extras=True)
     found = tuple(_field(name, f.name, hints[f.name]) for f in fields(cls))
     if not found:
         raise TypeError(f"{name} has no field")
@@ -166,16 +158,16 @@ def flat_leaves(cls: type[Any]) -> tuple[Leaf, ...] | None:
 
 
 def _field(owner: str, name: str, hint: Any) -> Field:
-    if get_origin(hint) is Annotated:
-        notes = get_args(hint)[1:]
+    if typing.get_origin(hint) is Annotated:
+        notes = typing.get_args(hint)[1:]
         kinds = [n for n in notes if isinstance(n, Scalar | Sized)]
         units = [n for n in notes if isinstance(n, str)]
         if kinds:
             return Field(name, kinds[0], units[0] if units else "")
     if hasattr(hint, "__ros_type__"):
         return Field(name, Nested(hint), "")
-    args = get_args(hint)
-    if get_origin(hint) is tuple and len(args) == 2 and hasattr(args[0], "__ros_type__"):
+    args = typing.get_args(hint)
+    if typing.get_origin(hint) is tuple and len(args) == 2 and hasattr(args[0], "__ros_type__"):
         return Field(name, Nested(args[0], many=True), "")
     raise TypeError(f"{owner}.{name}: {hint!r} has no ROS type")
 

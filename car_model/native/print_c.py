@@ -12,20 +12,11 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import NamedTuple
 
+from steerd.car_model import prediction
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.native.specialised import SPECIALISED_SPEED, Range, specialise
 from steerd.car_model.native.trace import CHASSIS, Piece, Traced
 from steerd.car_model.params import Car
-from steerd.car_model.prediction import (
-    GIVEN,
-    LONGEST_STEP_NS,
-    MOST_STEPS,
-    SO_FAR,
-    STEEPEST,
-    recorded_piece,
-    recorded_step,
-    recorded_tangent,
-)
 from steerd.car_model.state import State
 from steerd.car_model.tape import Entry, Node, Tape, gradient, is_number, needed
 
@@ -295,17 +286,16 @@ def print_filter(chassis: Chassis) -> str:
     car: Car[Node] = Car(*map(tape.symbol, Car._fields))
     printer = Printer(tape, tuple(car), tape.symbol("no step"), "filter")
     programs = {
-        "piece": recorded_piece(tape, car),
-        "propagate": recorded_step(tape, car, chassis),
-        "tangent": recorded_tangent(tape, car, chassis),
+        "piece": prediction.recorded_piece(tape, car),
+        "propagate": prediction.recorded_step(tape, car, chassis),
+        "tangent": prediction.recorded_tangent(tape, car, chassis),
     }
     for name, (inputs, outputs) in programs.items():
         printer.values(name, Piece(tuple(inputs), tuple(outputs)))
     printer.constants()
-    sizes = {
-        "GIVEN": len(GIVEN), "SO_FAR": len(SO_FAR), "LONGEST_STEP_NS": LONGEST_STEP_NS,
-        "MOST_STEPS": MOST_STEPS, "STEEPEST": STEEPEST,
-    }  # fmt: skip
+    sizes = {"GIVEN": len(prediction.GIVEN), "SO_FAR": len(prediction.SO_FAR)}
+    named = ("LONGEST_STEP_NS", "MOST_STEPS", "STEEPEST")
+    sizes |= {name: getattr(prediction, name) for name in named}
     listed = ", ".join(f"{name} = {size}" for name, size in sizes.items())
     return "\n".join([f"enum {{ {listed} }};", *printer.lines])
 

@@ -20,15 +20,7 @@ from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model, memory_size
-from steerd.car_model.native.library import (
-    Block,
-    Directions,
-    Integration,
-    Loss,
-    Readings,
-    load_function,
-    model_label,
-)
+from steerd.car_model.native import library
 from steerd.car_model.native.threads import share_out, threads
 from steerd.car_model.native.trace import parameter_names
 from steerd.car_model.params import Car
@@ -73,7 +65,7 @@ class Kernels:
 
     def function(self, name: str) -> Any:
         """A function of the library."""
-        return load_function(model_label(self.effects, self.chassis), name)
+        return library.load_function(library.model_label(self.effects, self.chassis), name)
 
     def spread(self, rows: Array) -> Array:
         """(P, ...) rows by parameter among those of the library's car, zero elsewhere."""
@@ -142,7 +134,7 @@ class CarNumbers(NamedTuple):
 
     p: Array  # parameters of the library's car
     q: Array  # what depends on them and the step alone
-    integration: Integration  # both, and how to integrate
+    integration: library.Integration  # both, and how to integrate
 
 
 def car_numbers(
@@ -153,7 +145,7 @@ def car_numbers(
     q = np.empty(kernels.call("constant_count") + 1)
     kernels.call("constants", _at(p), h, _at(q))
     stages = tableau.shape[1]
-    return CarNumbers(p, q, Integration(_at(p), _at(q), _at(tableau), h, stages, substeps))
+    return CarNumbers(p, q, library.Integration(_at(p), _at(q), _at(tableau), h, stages, substeps))
 
 
 def _held_car(kernels: Kernels, parameters: Array, held: HeldCommands) -> CarNumbers:
@@ -243,8 +235,8 @@ def _spans(blocks: WindowBlocks, steps: int) -> Indices:
     return spans
 
 
-def _block(held: HeldCommands, spans: Indices, t: Array) -> Block:
-    return Block(_at(held.rows), _at(spans), _at(t))
+def _block(held: HeldCommands, spans: Indices, t: Array) -> library.Block:
+    return library.Block(_at(held.rows), _at(spans), _at(t))
 
 
 class Windows(NamedTuple):
@@ -326,7 +318,7 @@ def march_back(
 
     def simulate_back(number: int, worker: int) -> None:
         block = _block(held, spans[number], blocks.t[number])
-        loss = Loss(_at(values), *strides.tolist(), blocks.windows, number * SLOTS)
+        loss = library.Loss(_at(values), *strides.tolist(), blocks.windows, number * SLOTS)
         into = _at(path) + number * SLOTS * path.itemsize
         kernels.call(
             "march_back", byref(car.integration), byref(block), steps, blocks.slots, into,
@@ -425,7 +417,7 @@ def compute_readings(
     wide, start = kernels.spread(seeds), np.ascontiguousarray(dfirst)
     late = _delays(kernels, parameters)[1] @ seeds / held.fine
     moved: NDArray[np.uint8] = np.any(wide, axis=1).astype(np.uint8)
-    directions = Directions(count, _at(moved), _at(wide), _at(start), _at(late))
+    directions = library.Directions(count, _at(moved), _at(wide), _at(start), _at(late))
     ranges = np.column_stack([stations.spans[:-1], stations.spans[1:]])
     blocks = _in_blocks(np.lexsort((windows.spans[:, 4], windows.spans[:, 3])))
 
@@ -435,7 +427,7 @@ def compute_readings(
         own[len(first) - number * SLOTS :, 1] = 0  # copies are not read
         rows = np.ascontiguousarray(state[here].T)
         place = _block(held, spans, t)
-        into = Readings(
+        into = library.Readings(
             _at(stations.places), _at(stations.shares), _at(own), _at(scale), _at(y), _at(jy),
             total, count if start_pose else 0,
         )  # fmt: skip

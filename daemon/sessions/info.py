@@ -23,16 +23,10 @@ from steerd.daemon.sessions.motion import (
     make_range,
     make_track,
 )
-from steerd.steer_bus import topics
+from steerd.steer_bus import session_read, topics
 from steerd.steer_bus.fields import flat_leaves
 from steerd.steer_bus.messages import ActuationMode
-from steerd.steer_bus.session_read import (
-    Session,
-    SessionError,
-    SessionInfo,
-    TopicInfo,
-    open_session,
-)
+from steerd.steer_bus.session_read import Session, SessionError, SessionInfo, TopicInfo
 from steerd.steer_bus.topic_columns import Columns
 from steerd.vesc_link.scaling import F1TENTH
 
@@ -103,7 +97,7 @@ def load_session(path: Path) -> Session:
         SteerdError: it cannot be opened, or holds nothing at all.
     """
     with reading(path):
-        session = open_session(path)
+        session = session_read.open_session(path)
     if not session.info().count and not session.info().metadata:
         why = session.warnings[0].message if session.warnings else "no messages"
         raise SteerdError(f"{path} holds no session ({why})", "", ExitCode.INVALID)

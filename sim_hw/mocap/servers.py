@@ -3,27 +3,11 @@
 The wires are `mocap_link`'s.
 """
 
-from steerd.mocap_link import natnet, vrpn
-from steerd.mocap_link.natnet_frame import (
-    EDIT_MODE,
-    MODEL_CHANGED,
-    TRACKING_VALID,
-    Frame,
-    RigidBody,
-)
+from steerd.mocap_link import natnet, natnet_frame, vrpn
 from steerd.mocap_link.natnet_wire import F32, NatNetError
 from steerd.mocap_link.vrpn import VrpnError
+from steerd.sim_hw.mocap import network as net
 from steerd.sim_hw.mocap.cameras import MULTICAST, TO_DATA, BodyPose, Capture, MocapConfig
-from steerd.sim_hw.mocap.network import (
-    CLOSE,
-    COMMAND,
-    DATA,
-    FOREIGN,
-    STREAM,
-    Datagram,
-    Network,
-    Peer,
-)
 from steerd.sim_hw.plant.faults import HEALTHY_MOCAP, MocapFaultState
 from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.steer_bus.quick_values import changed
@@ -38,7 +22,7 @@ class NatNetServer:
     """One server. `on_message` takes datagrams of the command socket, `publish` sends frames."""
 
     def __init__(
-        self, config: MocapConfig, network: Network, noise: NoiseSource, t_ns: int
+        self, config: MocapConfig, network: net.Network, noise: NoiseSource, t_ns: int
     ) -> None:
         self.config = config
         self.fault_state: MocapFaultState = HEALTHY_MOCAP  # what is wrong with it
@@ -48,7 +32,7 @@ class NatNetServer:
         self._noise = noise
         self._epoch_ns = t_ns
         self._epoch_ticks = config.epoch_ticks
-        self._clients: dict[Peer, int] = {}
+        self._clients: dict[net.Peer, int] = {}
         self._model_flag = False
         self._grown = False
 
@@ -70,7 +54,7 @@ class NatNetServer:
 
     # --- session
 
-    def on_message(self, t_ns: int, data: bytes, peer: Peer) -> None:
+    def on_message(self, t_ns: int, data: bytes, peer: net.Peer) -> None:
         """Take a datagram from a client; nonsense is dropped as a real server does."""
         try:
             message = natnet.decode(data, self.config.version)
@@ -83,7 +67,7 @@ class NatNetServer:
         answer = self._answer(t_ns, message)
         if answer is not None and not self.fault_state.silent:
             data = natnet.encode(answer, self.config.version)
-            self._network.send(Datagram(t_ns + _ANSWER_NS, COMMAND, data, peer))
+            self._network.send(net.Datagram(t_ns + _ANSWER_NS, net.COMMAND, data, peer))
 
     def _answer(self, t_ns: int, message: natnet.Message) -> natnet.Message | None:
         match message:
@@ -131,24 +115,25 @@ class NatNetServer:
         data = natnet.encode(self._frame(capture, received, sent), config.version)
         arrival = sent + config.network_ns
         for channel, peer in destinations:
-            self._network.send_frame(Datagram(arrival, channel, data, peer))
+            self._network.send_frame(net.Datagram(arrival, channel, data, peer))
             if self.fault_state.foreign:
                 data = natnet.encode(self._frame(self._forge(capture), received, sent))
-                self._network.send(Datagram(arrival, FOREIGN, data, peer))
+                self._network.send(net.Datagram(arrival, net.FOREIGN, data, peer))
 
-    def _destinations(self, t_ns: int) -> list[tuple[str, Peer | None]]:
+    def _destinations(self, t_ns: int) -> list[tuple[str, net.Peer | None]]:
         config = self.config
         if config.transport == MULTICAST:
-            return [(DATA, None)]
+            return [(net.DATA, None)]
         oldest = t_ns - config.keepalive_ns
         self._clients = {peer: t for peer, t in self._clients.items() if t >= oldest}
-        channel = DATA if config.transport == TO_DATA else COMMAND
+        channel = net.DATA if config.transport == TO_DATA else net.COMMAND
         return [(channel, peer) for peer in self._clients]
 
-    def _frame(self, capture: Capture, received_ns: int, sent_ns: int) -> Frame:
+    def _frame(self, capture: Capture, received_ns: int, sent_ns: int) -> natnet_frame.Frame:
         faults = self.fault_state
-        params = (MODEL_CHANGED if self._model_flag else 0) | (EDIT_MODE if faults.edit_mode else 0)
-        return Frame(
+        params = natnet_frame.MODEL_CHANGED if self._model_flag else 0
+        params |= natnet_frame.EDIT_MODE if faults.edit_mode else 0
+        return natnet_frame.Frame(
             capture.number,
             tuple(map(_rigid_body, capture.bodies)),
             timestamp=capture.number / self.config.rate_hz,
@@ -168,10 +153,10 @@ class NatNetServer:
         return changed(capture, bodies=bodies)
 
 
-def _rigid_body(body: BodyPose) -> RigidBody:
+def _rigid_body(body: BodyPose) -> natnet_frame.RigidBody:
     w, x, y, z = body.quaternion
-    params = TRACKING_VALID if body.valid else 0
-    return RigidBody(body.id, body.position, (x, y, z, w), body.mean_error, params)
+    params = natnet_frame.TRACKING_VALID if body.valid else 0
+    return natnet_frame.RigidBody(body.id, body.position, (x, y, z, w), body.mean_error, params)
 
 
 _VRPN_ANSWER_NS = 100_000
@@ -259,7 +244,7 @@ class VrpnDevice:
     """
 
     def __init__(
-        self, config: MocapConfig, network: Network, noise: NoiseSource, t_ns: int
+        self, config: MocapConfig, network: net.Network, noise: NoiseSource, t_ns: int
     ) -> None:
         self.config = config
         self.fault_state: MocapFaultState = HEALTHY_MOCAP  # what is wrong with it
@@ -268,8 +253,8 @@ class VrpnDevice:
         self._epoch_ns = t_ns
         self._epoch_us = config.epoch_ticks
         self._names = (config.body, *(b.name for b in config.bystanders))
-        self._sessions: dict[Peer, VrpnServer] = {}
-        self._deserted: set[Peer] = set()
+        self._sessions: dict[net.Peer, VrpnServer] = {}
+        self._deserted: set[net.Peer] = set()
 
     def set_fault_state(self, t_ns: int, faults: MocapFaultState) -> None:
         """From ``t_ns`` on, be in this condition."""
@@ -278,7 +263,7 @@ class VrpnDevice:
             self._epoch_ns, self._epoch_us = t_ns, 1_000_000
             for peer in tuple(self._sessions):
                 self.on_disconnect(peer)
-                self._network.send(Datagram(t_ns, CLOSE, b"", peer))
+                self._network.send(net.Datagram(t_ns, net.CLOSE, b"", peer))
         if faults.half_open and not before.half_open:
             self._deserted.update(self._sessions)
 
@@ -287,18 +272,18 @@ class VrpnDevice:
         elapsed = t_ns - self._epoch_ns + self.fault_state.clock_step_ns
         return self._epoch_us + int(elapsed * (1.0 + self.config.skew_ppm * 1e-6)) // 1000
 
-    def on_connect(self, t_ns: int, peer: Peer) -> None:
+    def on_connect(self, t_ns: int, peer: net.Peer) -> None:
         """A client has connected."""
         session = self._sessions[peer] = VrpnServer(self._names)
-        self._network.send(Datagram(t_ns + _VRPN_ANSWER_NS, STREAM, session.hello(), peer))
+        self._network.send(net.Datagram(t_ns + _VRPN_ANSWER_NS, net.STREAM, session.hello(), peer))
 
-    def on_disconnect(self, peer: Peer) -> None:
+    def on_disconnect(self, peer: net.Peer) -> None:
         """A client is gone."""
         self._sessions.pop(peer, None)
         self._deserted.discard(peer)
         self._network.forget(peer)
 
-    def on_message(self, t_ns: int, data: bytes, peer: Peer) -> None:
+    def on_message(self, t_ns: int, data: bytes, peer: net.Peer) -> None:
         """Take bytes from a client; one that does not speak VRPN is hung up on."""
         session = self._sessions.get(peer)
         if session is None or peer in self._deserted:
@@ -307,10 +292,10 @@ class VrpnDevice:
             answer = session.receive(data, self.stamp_us(t_ns))
         except VrpnError:
             self.on_disconnect(peer)
-            self._network.send(Datagram(t_ns, CLOSE, b"", peer))
+            self._network.send(net.Datagram(t_ns, net.CLOSE, b"", peer))
             return
         if answer and not self.fault_state.silent:
-            self._network.send(Datagram(t_ns + _VRPN_ANSWER_NS, STREAM, answer, peer))
+            self._network.send(net.Datagram(t_ns + _VRPN_ANSWER_NS, net.STREAM, answer, peer))
 
     def publish(self, capture: Capture) -> None:
         """Send the poses of an exposure to every client."""
@@ -327,4 +312,4 @@ class VrpnDevice:
                 if body.valid
             )
             if data:
-                self._network.send_frame(Datagram(capture.t_ns + late, STREAM, data, peer))
+                self._network.send_frame(net.Datagram(capture.t_ns + late, net.STREAM, data, peer))

@@ -20,13 +20,7 @@ from typing import NamedTuple
 
 from steerd.car_model.chassis import SPEED_KINEMATIC
 from steerd.car_model.model import Model, delays, hooked, observe
-from steerd.car_model.native.windows import (
-    STATES,
-    Kernels,
-    car_numbers,
-    make_kernels,
-    parameter_vector,
-)
+from steerd.car_model.native import windows
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import GRAVITY
 from steerd.car_model.rollout import stiffness_rate
@@ -58,8 +52,8 @@ def make_steps(model: Model[float], h: float) -> Steps:
         LibraryError: the library was not built.
         ValueError: an effect is not in it.
     """
-    kernels = make_kernels(model.effects, model.chassis)
-    size = STATES + kernels.memory
+    kernels = windows.make_kernels(model.effects, model.chassis)
+    size = windows.STATES + kernels.memory
 
     @lru_cache(maxsize=16)
     def part(count: int) -> Callable[..., Numbers]:
@@ -74,11 +68,11 @@ def make_steps(model: Model[float], h: float) -> Steps:
 
 
 def _compiled(
-    kernels: Kernels, model: Model[float], name: str, size: int, h: float, count: int = 1
+    kernels: windows.Kernels, model: Model[float], name: str, size: int, h: float, count: int = 1
 ) -> Callable[..., Numbers]:
     """A function of the library that takes state, memory and three numbers and gives `size`."""
-    car = car_numbers(kernels, parameter_vector(model), h / count, "rk4", count)
-    function, given = kernels.function(name), Struct(f"={STATES + kernels.memory + 3}d")
+    car = windows.car_numbers(kernels, windows.parameter_vector(model), h / count, "rk4", count)
+    function, given = kernels.function(name), Struct(f"={windows.STATES + kernels.memory + 3}d")
     taken, integration = Struct(f"={size}d"), byref(car.integration)
     memory = bytearray(taken.size)
     into = (c_char * taken.size).from_buffer(memory)
@@ -290,7 +284,7 @@ class SimCar:
     @property
     def state(self) -> State[float]:
         """True state."""
-        return State(*self._numbers[:STATES])
+        return State(*self._numbers[: windows.STATES])
 
     def state_at(self, t_ns: int) -> State[float]:
         """True state at a past time, straight between grid points; as far back as is kept."""
@@ -301,9 +295,9 @@ class SimCar:
         part = steps - low
         first = self._history[low % self._kept]
         if not part:
-            return State(*first[:STATES])
+            return State(*first[: windows.STATES])
         second = self._history[(low + 1) % self._kept]
-        pairs = zip(first[:STATES], second[:STATES], strict=True)
+        pairs = zip(first[: windows.STATES], second[: windows.STATES], strict=True)
         return State(*[a + part * (b - a) for a, b in pairs])
 
     def observe_pose(self, t_ns: int) -> Observation[float]:

@@ -29,12 +29,7 @@ def run(args: argparse.Namespace) -> int:
     from steerd.daemon.assembly.build import make_plan, make_world_config
     from steerd.daemon.common.screen import wrap_command
     from steerd.daemon.settings.run_options import RunOptions
-    from steerd.sim_hw.real_time.links import (
-        SimHardware,
-        fault_windows,
-        raise_priority,
-        stop_on_signals,
-    )
+    from steerd.sim_hw.real_time import links
 
     options = RunOptions(
         "", path="line", seed=args.seed, simulated=True, effects=tuple(args.effect),
@@ -42,11 +37,11 @@ def run(args: argparse.Namespace) -> int:
     )  # fmt: skip
     world = make_world_config(make_plan(options, design=False), args.mocap)
     try:
-        faults = fault_windows(args.fault)
+        faults = links.fault_windows(args.fault)
     except ValueError as error:
         raise SteerdError(f"--fault: {error}", "", ExitCode.USAGE) from None
-    raise_priority()
-    with stop_on_signals() as stop, SimHardware(world, faults, args.link_dir) as sim:
+    links.raise_priority()
+    with links.stop_on_signals() as stop, links.SimHardware(world, faults, args.link_dir) as sim:
         print(f"VESC:  {sim.port}")
         print(f"mocap: {sim.mocap_url}")
         command = f"steerd run --port {sim.port} --mocap '{sim.mocap_url}'"
