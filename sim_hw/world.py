@@ -71,13 +71,9 @@ class World:
         self.config = config
         self.t_ns = t_start_ns  # how far time has come
         self._t_start_ns = t_start_ns
-        setup = CarSetup(
-            config.step_ns,
-            config.coast_decel,
-            config.vesc.servo_wait if config.vesc.servo_out else 0.0,
-            config.process_noise,
-            config.start,
-        )
+        wait = config.vesc.servo_wait if config.vesc.servo_out else 0.0
+        noise = config.process_noise
+        setup = CarSetup(config.step_ns, config.coast_decel, wait, noise, config.start)
         # The parts, for judges and tests
         self.car = SimCar(config.model, setup, make_noise_source(config.seed, "car"), t_start_ns)
         # Every serial byte with its time, if the configuration keeps them
@@ -86,9 +82,9 @@ class World:
             config.vesc, config.scaling, self.car, make_noise_source(config.seed, "vesc"), self.log
         )
         self.network = Network(make_noise_source(config.seed, "network"))
-        noise = make_noise_source(config.seed, "server")
+        own = make_noise_source(config.seed, "server")
         kind = VrpnDevice if config.mocap.kind == "vrpn" else NatNetServer
-        self.mocap: VrpnDevice | NatNetServer = kind(config.mocap, self.network, noise, t_start_ns)
+        self.mocap: VrpnDevice | NatNetServer = kind(config.mocap, self.network, own, t_start_ns)
         self._cameras = Cameras(config.mocap, make_noise_source(config.seed, "cameras"), t_start_ns)
         self._h = config.step_ns / 1e9
         self._step_ns = config.step_ns

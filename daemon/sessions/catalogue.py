@@ -188,7 +188,7 @@ def _remembered(index: RowFile, path: Path) -> Entry:
 def summarise(path: Path) -> Entry:
     """Read a session's figures; what cannot be read is said in the verdict."""
     from steerd.daemon.sessions.info import load_recording, make_session_report
-    from steerd.daemon.sessions.lane_error import rms, settled_errors
+    from steerd.daemon.sessions.motion import rms, settled_errors
     from steerd.steer_bus import topics
 
     changed_ns = path.stat().st_mtime_ns

@@ -12,8 +12,7 @@ from steerd.car_model.path.path import Path as Lane
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import clean
 from steerd.daemon.sessions.info import Recording
-from steerd.daemon.sessions.lane_error import find_settled, rms
-from steerd.daemon.sessions.motion import Array, Track
+from steerd.daemon.sessions.motion import Array, Track, find_settled, rms
 from steerd.daemon.sessions.plot_data import Curve, load_lane, make_drawing
 from steerd.sim_gap.lane_comparison import profile
 from steerd.sim_gap.time_comparison import STEP, Overlay, Pair, find_shift

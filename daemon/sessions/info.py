@@ -13,16 +13,8 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import describe_holes
 from steerd.daemon.common.translate import reading
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.sessions.motion import (
-    Array,
-    Signal,
-    SignalRange,
-    Track,
-    check_erpm,
-    find_implausible,
-    make_range,
-    make_track,
-)
+from steerd.daemon.sessions import motion
+from steerd.daemon.sessions.motion import Array, Signal, SignalRange, Track
 from steerd.steer_bus import session_read, topics
 from steerd.steer_bus.fields import flat_leaves
 from steerd.steer_bus.messages import ActuationMode
@@ -127,7 +119,7 @@ class Recording:
             poses = self.table(topics.STATE)
         if poses is None:
             return None
-        return make_track(self.times(poses), poses["x"], poses["y"], poses["yaw"])
+        return motion.make_track(self.times(poses), poses["x"], poses["y"], poses["yaw"])
 
     def table(self, topic: topics.Topic) -> Columns | None:
         """The columns of a topic, whatever the car's name; None where there is none."""
@@ -217,11 +209,10 @@ def _make_report(read: Recording) -> SessionReport:
     info, track = read.info, read.track
     steer, wheel = read.signal(topics.ACTUATION, "steer"), read.signal(topics.WHEEL, "speed")
     gyro = read.signal(topics.IMU, "gyro_z")
-    motion = _motion(read, wheel, gyro)
     about, end = (info.metadata.get(f"steerd.{name}", {}) for name in ("session", "end"))
     cars = sorted({key[0] for topic in info.topics if (key := topics.split_key(topic.name))})
-    values = (steer.value if steer else np.empty(0), *motion)
-    steer_range, speed_range, lateral_range = map(make_range, values)
+    values = (steer.value if steer else np.empty(0), *_motion(read, wheel, gyro))
+    steer_range, speed_range, lateral_range = map(motion.make_range, values)
     dropped = describe_holes(end.get("dropped", ""), read.session.holes(), info.start_ns)
     return SessionReport(
         info=info,
@@ -240,7 +231,7 @@ def _make_report(read: Recording) -> SessionReport:
             *(warning.message for warning in info.warnings),
             *filter(None, [dropped]),
             *read.problems,
-            *find_implausible(track, steer, wheel, gyro),
+            *motion.find_implausible(track, steer, wheel, gyro),
             *(_check_erpm(read) if about.get("mode") == "import" else ()),
         ),
     )
@@ -249,7 +240,7 @@ def _make_report(read: Recording) -> SessionReport:
 def _check_erpm(read: Recording) -> list[str]:
     """Doubts about the ERPM of another system's log; steerd's own have their car file's figures."""
     gain = read.session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
-    return check_erpm(read.track, read.signal(topics.VESC, "erpm"), gain)
+    return motion.check_erpm(read.track, read.signal(topics.VESC, "erpm"), gain)
 
 
 def _motion(read: Recording, wheel: Signal | None, gyro: Signal | None) -> tuple[Array, Array]:

@@ -12,8 +12,7 @@ from steerd.daemon.assembly.session_meta import recorded_path
 from steerd.daemon.common.translate import reading
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.info import Recording
-from steerd.daemon.sessions.lane_error import rms, settled_errors
-from steerd.daemon.sessions.motion import Array, Track
+from steerd.daemon.sessions.motion import Array, Track, rms, settled_errors
 from steerd.daemon.settings.run_options import decode_options
 from steerd.steer_bus import topics
 from steerd.steer_bus.messages import ActuationMode

@@ -172,13 +172,8 @@ class Cameras:
         config, noise = self._config, self._noise
         sd = config.position_noise
         x, y, yaw, height = noise.normals(4)
-        position, quaternion = make_body_pose(
-            config.frame,
-            pose.x + sd * x,
-            pose.y + sd * y,
-            pose.yaw + config.yaw_noise * yaw,
-            config.height + sd * height,
-        )
+        place = pose.x + sd * x, pose.y + sd * y, pose.yaw + config.yaw_noise * yaw
+        position, quaternion = make_body_pose(config.frame, *place, config.height + sd * height)
         if config.tilt_noise:
             tilt = 0.5 * config.tilt_noise
             ahead, aside = noise.normals(2)

@@ -86,13 +86,9 @@ class NatNetServer:
 
     def _info(self) -> natnet.ServerInfo:
         config = self.config
+        version, group = (*config.version, 0, 0), config.transport == MULTICAST
         return natnet.ServerInfo(
-            "steerd simulated Motive",
-            _APP_VERSION,
-            (*config.version, 0, 0),
-            config.clock_hz,
-            self.data_port,
-            config.transport == MULTICAST,
+            "steerd simulated Motive", _APP_VERSION, version, config.clock_hz, self.data_port, group
         )
 
     def _model(self) -> natnet.ModelDef:

@@ -16,19 +16,9 @@ from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.sim_hw.vesc.vesc_motor import MEANS, MS, Mode, Motor, Power, VescConfig, duty_current
 from steerd.sim_hw.vesc.vesc_wire import FALSE_HEADER, ByteLog, Chunk, ReplyWire
 from steerd.vesc_link import commands as c
-from steerd.vesc_link import telemetry
+from steerd.vesc_link import ids, telemetry
 from steerd.vesc_link.frames import FrameParser
 from steerd.vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp, Print
-from steerd.vesc_link.ids import (
-    FAULT_NAMES,
-    FW_3_00,
-    FW_3_40,
-    FW_5_03,
-    CommandId,
-    Firmware,
-    command_id,
-    fault_name,
-)
 from steerd.vesc_link.packets import FEEDS_TIMEOUT, Reply, decode_command, encode_reply
 from steerd.vesc_link.scaling import Scaling, erpm_to_speed, servo_pos_to_steer
 from steerd.vesc_link.telemetry import UPTIME_MASK, Uptime
@@ -118,18 +108,18 @@ class ImuChip:
         }
 
 
-_UNDER_VOLTAGE = FAULT_NAMES.index("UNDER_VOLTAGE")
-_OVER_TEMP = FAULT_NAMES.index("OVER_TEMP_FET")
+_UNDER_VOLTAGE = ids.FAULT_NAMES.index("UNDER_VOLTAGE")
+_OVER_TEMP = ids.FAULT_NAMES.index("OVER_TEMP_FET")
 _TERMINAL_NS = 5 * MS
-_PARSER_512 = Firmware(3, 48)
+_PARSER_512 = ids.Firmware(3, 48)
 _decode = lru_cache(maxsize=512)(decode_command)
 
 
-def make_parser(firmware: Firmware) -> FrameParser:
+def make_parser(firmware: ids.Firmware) -> FrameParser:
     """The receiver of this firmware: longest payload and patience with a silent sender."""
     if firmware < _PARSER_512:
         return FrameParser(max_payload=1024, strict=True, gap_ns=2 * MS)
-    gap_ns = None if firmware >= FW_5_03 else 1000 * MS
+    gap_ns = None if firmware >= ids.FW_5_03 else 1000 * MS
     return FrameParser(strict=True, gap_ns=gap_ns)
 
 
@@ -332,7 +322,7 @@ class SimVesc:
         firmware = self.config.firmware
         command = _decode(payload, firmware)
         if command is None:
-            known = command_id(payload[0], firmware) is not None
+            known = ids.command_id(payload[0], firmware) is not None
             self.counts["short" if known and len(payload) < 5 else "unknown"] += 1
         elif type(command) in FEEDS_TIMEOUT:
             self.motor.command(t_ns, command, self._true_erpm())
@@ -363,9 +353,9 @@ class SimVesc:
                 return McConfTemp(**{**motor.limits, **train})
             case c.SetMcConfTemp():
                 motor.set_limits(command)
-                return Ack(CommandId.SET_MCCONF_TEMP) if command.ack else None
+                return Ack(ids.CommandId.SET_MCCONF_TEMP) if command.ack else None
             case c.TerminalCommand():
-                faults = f"Fault: FAULT_CODE_{fault_name(motor.fault)}"
+                faults = f"Fault: FAULT_CODE_{ids.fault_name(motor.fault)}"
                 text = faults if command.text == "faults" else f"Invalid command: {command.text}"
                 self._block(t_ns, _TERMINAL_NS, Print(text))
             case c.Reboot():
@@ -398,15 +388,15 @@ class SimVesc:
         self._later.append((self._busy_until_ns, reply))
 
 
-def _as_older(payload: bytes, reply: Reply, firmware: Firmware) -> bytes:
+def _as_older(payload: bytes, reply: Reply, firmware: ids.Firmware) -> bytes:
     """The reply in an old firmware's layout, where that firmware has such a reply at all."""
     try:
-        return encode_reply(reply, FW_3_40 if firmware > FW_3_40 else FW_3_00)
+        return encode_reply(reply, ids.FW_3_40 if firmware > ids.FW_3_40 else ids.FW_3_00)
     except ValueError:
         return payload
 
 
-_WRONG: dict[str, Callable[[bytes, Reply, Firmware], bytes]] = {
+_WRONG: dict[str, Callable[[bytes, Reply, ids.Firmware], bytes]] = {
     "type": lambda payload, reply, firmware: bytes((payload[0] ^ 0x40,)) + payload[1:],
     "length": lambda payload, reply, firmware: payload[: max(1, len(payload) * 2 // 3)],
     "firmware": lambda payload, reply, firmware: _as_older(payload, reply, firmware),

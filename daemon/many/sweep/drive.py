@@ -17,7 +17,7 @@ from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.many.sweep.plan import DRIVEN, REFUSED, STOPPED, DriveCase, SweepPlan
 from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
-from steerd.daemon.sessions.lane_error import SETTLE, rms
+from steerd.daemon.sessions.motion import SETTLE, rms
 from steerd.daemon.settings.config import make_settings
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.sim_hw.world import World, WorldConfig
