@@ -8,8 +8,7 @@ from steerd.steer_bus.fields import Nested, Scalar, Sized, message_fields
 from steerd.steer_bus.messages import BODY, WORLD, make_header
 from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
 
-NOW_NS = 1_500_000_000_250_000_000
-"""UNIX time of their headers."""
+NOW_NS = 1_500_000_000_250_000_000  # UNIX time of their headers
 
 
 def blank(cls: type, **values: Any) -> Any:

@@ -85,7 +85,6 @@ class LocalBus:
         self._closed = False
 
     def publish(self, key: str, data: bytes) -> None:
-        """See :meth:`Bus.publish`."""
         self._check_open()
         seq = self._seqs[key] = self._seqs.get(check_key(key), 0) + 1
         sample = Sample(key, bytes(check_size(data)), seq)
@@ -94,31 +93,26 @@ class LocalBus:
                 ring.samples.append(sample)
 
     def subscribe(self, key: str, depth: int = 1, keep: Keep | None = None) -> Subscription:
-        """See :meth:`Bus.subscribe`."""
         self._check_open()
         ring = _Ring(key, deque(maxlen=depth), keep)
         self._hub.rings.append(ring)
         return _LocalSubscription(ring, self._hold(lambda: self._hub.rings.remove(ring)))
 
     def declare_alive(self, key: str) -> Token:
-        """See :meth:`Bus.declare_alive`."""
         self._check_open()
         self._hub.tokens.append(check_key(key))
         return self._hold(lambda: self._hub.tokens.remove(key))
 
     def alive(self, key: str) -> frozenset[str]:
-        """See :meth:`Bus.alive`."""
         return frozenset(token for token in self._hub.tokens if key_matches(key, token))
 
     def serve(self, key: str, answer: Answer) -> Token:
-        """See :meth:`Bus.serve`."""
         self._check_open()
         entry = (key, answer)
         self._hub.answers.append(entry)
         return self._hold(lambda: self._hub.answers.remove(entry))
 
     def query(self, key: str, timeout_s: float = 1.0) -> dict[str, bytes]:
-        """See :meth:`Bus.query`; ``timeout_s`` is not needed here."""
         self._check_open()
         found = {}
         for pattern, answer in self._hub.answers:
@@ -127,7 +121,6 @@ class LocalBus:
         return found
 
     def close(self) -> None:
-        """See :meth:`Bus.close`."""
         self._closed = True
         for held in self._held:
             held.close()

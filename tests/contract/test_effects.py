@@ -26,8 +26,7 @@ CONTRACT = set(
     """.split()  # noqa: SIM905
 )
 STEP = 0.01
-SHORT = 15
-"""Steps of a run over scalar tensors, which are slow one by one."""
+SHORT = 15  # steps of a run over scalar tensors, which are slow one by one
 EVERY = [pytest.param(effect, id=name) for name, effect in EFFECTS.items()]
 
 
