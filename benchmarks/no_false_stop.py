@@ -74,7 +74,8 @@ def drive_once(seed: int, seconds: float, off: float = 0.0) -> Drive:
     plan = make_plan(options, load_identified(speed) if off else None)
     faults = (Fault("M17"), Fault("M18"))
     config = make_world_config(plan)
-    config = replace(config, car=draw_car(config.car, off, seed))
+    drawn = draw_car(config.model.car, off, seed)
+    config = replace(config, model=config.model._replace(car=drawn))
     run = make_virtual_run(plan, world=World(config, faults))
     driven, why = 0, ""
 

@@ -28,27 +28,19 @@ from steerd.posterior_file import TABLES, find_known, posterior_path, read_besid
 from steerd.toml_text import TomlError, parse_toml, read_toml
 
 _OWN = ("car", "effects")
-IDENTIFIED = "steerd identify"
-"""Begins the source of a value that identify found."""
+IDENTIFIED = "steerd identify"  # begins the source of a value that identify found
 
 
 class CarFileError(ValueError):
-    """A car file that cannot be used.
-
-    Attributes:
-        path: the file.
-        where: the key or line in it, empty for the whole file.
-        what: what is wrong there.
-        hint: what to try.
-    """
+    """A car file that cannot be used."""
 
     def __init__(self, path: Path, where: str, what: str, hint: str) -> None:
         place = f"{path}: {where}" if where else str(path)
         super().__init__(f"{place}: {what}; try: {hint}")
-        self.path = path
-        self.where = where
-        self.what = what
-        self.hint = hint
+        self.path = path  # the file
+        self.where = where  # the key or line in it, empty for the whole file
+        self.what = what  # what is wrong there
+        self.hint = hint  # what to try
 
 
 class Learned(NamedTuple):

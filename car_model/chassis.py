@@ -13,10 +13,8 @@ from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.state import State
 
-SPEED_KINEMATIC = 0.2
-"""At and below this speed the car follows its wheels without slip [m/s]."""
-SPEED_DYNAMIC = 0.5
-"""At and above this speed the tyre equations hold alone [m/s]."""
+SPEED_KINEMATIC = 0.2  # at and below this speed the car follows its wheels without slip [m/s]
+SPEED_DYNAMIC = 0.5  # at and above this speed the tyre equations hold alone [m/s]
 KINEMATIC_RATE = 50.0
 """How fast yaw rate and slip settle on the kinematic values at crawling speed [1/s]."""
 

@@ -19,8 +19,7 @@ from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.state import Command, Delays, Observation, State
 
-_EDGE = 1e-6
-"""A value so near a bound is at it [share of the range]."""
+_EDGE = 1e-6  # a value so near a bound is at it [share of the range]
 
 
 class Stage(StrEnum):
@@ -42,10 +41,8 @@ class Channel(StrEnum):
 class BaseSelection(StrEnum):
     """Whether an effect may be a built-in part of a car's base, and which fit puts it there."""
 
-    NEVER = "never"
-    """A matter of a place or a day, or not identifiable from poses: always a gap."""
-    HEALTHY = "healthy"
-    """Built in where drives without a gap show it clearly."""
+    NEVER = "never"  # a matter of a place or a day, or not identifiable from poses: always a gap
+    HEALTHY = "healthy"  # built in where drives without a gap show it clearly
     IDENTIFY = "identify"
     """The same, and a candidate of `steerd identify`: any car may have it, and no parameter of the
     base equations stands for it."""
@@ -54,10 +51,8 @@ class BaseSelection(StrEnum):
 class Role(StrEnum):
     """What a parameter says of its effect."""
 
-    SIZE = "size"
-    """How large the effect is: its distance from the null counts in the effect's size."""
-    FORM = "form"
-    """Of what form it is: it changes nothing while the others are at their nulls."""
+    SIZE = "size"  # how large the effect is: its distance from the null counts in the effect's size
+    FORM = "form"  # of what form it is: it changes nothing while the others are at their nulls
     PLACE = "place"
     """Where it acts: no part of its size, but a value at a bound means another cause."""
 
@@ -83,16 +78,6 @@ class EffectParameter(NamedTuple):
     scan: tuple[float, ...] = ()  # values worth trying where the gradient at the null is zero
     role: Role = Role.SIZE
 
-    @property
-    def typical(self) -> float:
-        """An ordinary severity within the bounds: the scan's middle, or one scale off the null.
-
-        The contract test exercises each effect with it, about the place (2, 2) m.
-        """
-        if self.scan:
-            return self.scan[len(self.scan) // 2]
-        return min(self.null + self.scale, 0.5 * (self.null + self.high))
-
 
 class Contact(NamedTuple, Generic[T]):
     """The car on its tyres at one instant."""
@@ -106,13 +91,11 @@ class Contact(NamedTuple, Generic[T]):
     forces: Axles[T]  # lateral [N]
 
 
-Values = Sequence[T]
-"""The numbers of an effect: its parameters `p`, or what it remembers."""
+Values = Sequence[T]  # the numbers of an effect: its parameters `p`, or what it remembers
 
 ScanHook = Callable[[Sequence[tuple[float, float, float]]], Sequence[tuple[float, ...]]]
 """(discs): values of all parameters worth trying; errors are larger in discs (x, y, radius) [m]."""
-DelayHook = Callable[[Values[T]], Delays[T]]
-"""(p): dead times to add to each channel [s]."""
+DelayHook = Callable[[Values[T]], Delays[T]]  # (p): dead times to add to each channel [s]
 CarHook = Callable[[Ops[T], Values[T], Car[T], State[T], float], Car[T]]
 """(ops, p, car, state, t): the car's parameters `t` seconds into the run."""
 ReferenceHook = Callable[[Ops[T], Values[T], Command[T], float], Command[T]]

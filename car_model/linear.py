@@ -18,10 +18,8 @@ from steerd.car_model.state import ORIGIN, State
 
 Matrix = NDArray[np.float64]
 
-_YAW_RATE, _SLIP, _WHEEL = 4, 5, 6
-"""Rows and columns of the Jacobian."""
-_TAYLOR_TERMS = 14
-"""Of a matrix whose norm is at most a half: the rest is below 1e-16."""
+_YAW_RATE, _SLIP, _WHEEL = 4, 5, 6  # rows and columns of the Jacobian
+_TAYLOR_TERMS = 14  # of a matrix whose norm is at most a half: the rest is below 1e-16
 
 
 class LaneErrorModel(NamedTuple):

@@ -8,10 +8,10 @@ from steerd.car_model.actuators import references
 from steerd.car_model.chassis import Axles, Chassis, Rates, lateral_forces
 from steerd.car_model.effect import HOOKS, BoundHook, Contact, Effect
 from steerd.car_model.effects import EFFECTS
-from steerd.car_model.ops import Ops, T
+from steerd.car_model.ops import FLOAT, Ops, T
 from steerd.car_model.params import Car
 from steerd.car_model.single_track import SINGLE_TRACK
-from steerd.car_model.state import Command, Delays, Observation, State
+from steerd.car_model.state import ORIGIN, Command, Delays, Observation, State
 
 _RANK = {name: place for place, name in enumerate(EFFECTS)}
 
@@ -64,9 +64,7 @@ def delays(model: Model[T]) -> Delays[T]:
     total = Delays(model.car.steer_delay, model.car.drive_delay, model.car.pose_delay)
     for b in bound_hooks(model.effects, "delays"):
         extra = b.hook(model.values[b.position])
-        total = Delays(
-            total.steer + extra.steer, total.drive + extra.drive, total.pose + extra.pose
-        )
+        total = Delays(*(a + b for a, b in zip(total, extra, strict=True)))
     return total
 
 
@@ -137,13 +135,23 @@ def remember(
 
 def observe(ops: Ops[T], model: Model[T], state: State[T]) -> Observation[T]:
     """What pose, wheel speed and gyro would read at this instant, without noise or latency."""
-    seen = Observation(
-        x=state.x,
-        y=state.y,
-        yaw=state.yaw,
-        wheel_speed=state.speed / model.car.speed_gain,
-        yaw_rate=state.yaw_rate,
-    )
+    wheel_speed = state.speed / model.car.speed_gain
+    seen = Observation(state.x, state.y, state.yaw, wheel_speed, state.yaw_rate)
     for b in bound_hooks(model.effects, "observe"):
         seen = b.hook(ops, model.values[b.position], state, seen)
     return seen
+
+
+_FAR = 1e6  # a place outside every patch of floor [m]
+
+
+def believed_car(model: Model[float]) -> Car[float]:
+    """The car's parameters with those effects folded in that are changes of parameters.
+
+    Dead times add up; gains, lags, limits, stiffnesses, masses and lengths are as the effects make
+    them at the start of a drive and away from special places. What has no counterpart among the
+    parameters (backlash, a saturating tyre, a slope) is left out. Without effects nothing changes.
+    """
+    car = car_now(FLOAT, model, ORIGIN._replace(x=_FAR, y=_FAR, speed=1.0), 0.0)
+    late = delays(model)
+    return car._replace(steer_delay=late.steer, drive_delay=late.drive, pose_delay=late.pose)

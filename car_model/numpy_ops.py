@@ -13,16 +13,9 @@ Array = NDArray[np.float64]
 class NumpyOps:
     """`Ops` over float64 arrays that broadcast against each other."""
 
-    sin = staticmethod(np.sin)
-    cos = staticmethod(np.cos)
-    tan = staticmethod(np.tan)
-    atan = staticmethod(np.arctan)
-    tanh = staticmethod(np.tanh)
-    exp = staticmethod(np.exp)
-    sqrt = staticmethod(np.sqrt)
-    absolute = staticmethod(np.absolute)
-    minimum = staticmethod(np.minimum)
-    maximum = staticmethod(np.maximum)
+    sin, cos, tan, atan = map(staticmethod, (np.sin, np.cos, np.tan, np.arctan))
+    tanh, exp, sqrt, absolute = map(staticmethod, (np.tanh, np.exp, np.sqrt, np.absolute))
+    minimum, maximum = map(staticmethod, (np.minimum, np.maximum))
 
     @staticmethod
     def clip(a: Array, low: Array | float, high: Array | float, /) -> Array:

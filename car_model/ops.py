@@ -50,14 +50,8 @@ class Ops(Protocol[T]):
 class FloatOps:
     """`Ops` over Python floats (the C library's functions)."""
 
-    sin = staticmethod(math.sin)
-    cos = staticmethod(math.cos)
-    tan = staticmethod(math.tan)
-    atan = staticmethod(math.atan)
-    tanh = staticmethod(math.tanh)
-    exp = staticmethod(math.exp)
-    sqrt = staticmethod(math.sqrt)
-    absolute = staticmethod(math.fabs)
+    sin, cos, tan, atan = map(staticmethod, (math.sin, math.cos, math.tan, math.atan))
+    tanh, exp, sqrt, absolute = map(staticmethod, (math.tanh, math.exp, math.sqrt, math.fabs))
 
     @staticmethod
     def minimum(a: float, b: float, /) -> float:

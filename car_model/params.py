@@ -8,8 +8,7 @@ from typing import Generic, NamedTuple
 
 from steerd.car_model.ops import T
 
-GRAVITY = 9.81
-"""[m/s^2], the value the paper and CommonRoad use."""
+GRAVITY = 9.81  # [m/s^2], the value the paper and CommonRoad use
 
 
 class Car(NamedTuple, Generic[T]):

@@ -136,17 +136,11 @@ def make_planar(drive: str = "rear") -> Chassis:
     if drive not in DRIVES:
         raise ValueError(f"drive is {drive!r}; one of {', '.join(DRIVES)}")
     front = DRIVES[drive]
-    return Chassis(
-        "planar",
-        drive,
-        partial(slip_angles, front=front),
-        axle_loads,
-        partial(chassis_rates, front=front),
-    )
+    slips, rates = partial(slip_angles, front=front), partial(chassis_rates, front=front)
+    return Chassis("planar", drive, slips, axle_loads, rates)
 
 
-PLANAR = make_planar("all")
-"""The default of new car files: F1TENTH cars drive all four wheels."""
+PLANAR = make_planar("all")  # the default of new car files: F1TENTH cars drive all four wheels
 CHASSIS: tuple[Chassis, ...] = (SINGLE_TRACK, *map(make_planar, DRIVES))
 """All that there are, in the order in which machine code numbers them."""
 CHASSIS_NAMES: tuple[str, ...] = (SINGLE_TRACK.name, PLANAR.name)

@@ -24,8 +24,7 @@ SIZE = len(State._fields)
 LONGEST_STEP_NS = 10_000_000
 MOST_STEPS = 25
 """A gap without any measurement is divided no finer: a tick must stay cheap however long it is."""
-STEEPEST = 3
-"""Highest power by which the steps of a long gap grow."""
+STEEPEST = 3  # highest power by which the steps of a long gap grow
 _WHEEL, _ACCEL = 6, 7
 """Columns of the inputs in the Jacobian of the rates, after the six chassis states."""
 _FED = (4, 5, 0, 1)
@@ -34,8 +33,7 @@ SLIP = State._fields.index("slip_angle")
 
 Rows = Sequence[Sequence[Any]]
 """A matrix of numbers of any kind that has arithmetic: floats, or numbers being recorded."""
-Record = tuple[list[Node], list[Node]]
-"""Inputs and outputs of a program."""
+Record = tuple[list[Node], list[Node]]  # inputs and outputs of a program
 
 
 class ActuatorMotion(NamedTuple):

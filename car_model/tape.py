@@ -70,8 +70,7 @@ class Node:
     def __add__(self, other: Any, /) -> "Node":
         return apply("add", self, other)
 
-    def __radd__(self, other: Any, /) -> "Node":
-        return apply("add", self, other)
+    __radd__ = __add__
 
     def __sub__(self, other: Any, /) -> "Node":
         return apply("sub", self, other)
@@ -82,8 +81,7 @@ class Node:
     def __mul__(self, other: Any, /) -> "Node":
         return apply("mul", self, other)
 
-    def __rmul__(self, other: Any, /) -> "Node":
-        return apply("mul", self, other)
+    __rmul__ = __mul__
 
     def __truediv__(self, other: Any, /) -> "Node":
         # As a product with the inverse: inverses are shared, and hoisted out of loops.
@@ -134,7 +132,8 @@ def apply(op: str, first: Node, *others: Any) -> Node:
     return Node(tape, tape.place(Entry(op, places)))
 
 
-def _is(entry: Entry, value: float) -> bool:
+def is_number(entry: Entry, value: float) -> bool:
+    """Whether it is this constant."""
     return entry.op == "const" and entry.value == value
 
 
@@ -145,9 +144,9 @@ def _plain(op: str, nodes: Sequence[Node], entries: Sequence[Entry]) -> Node | N
     if op == "sub":
         if nodes[0].place == nodes[1].place:
             return nodes[0].tape.constant(0.0)
-        if _is(entries[0], 0.0):
+        if is_number(entries[0], 0.0):
             return -nodes[1]
-        return nodes[0] if _is(entries[1], 0.0) else None
+        return nodes[0] if is_number(entries[1], 0.0) else None
     if op == "neg" and entries[0].op == "neg":
         return Node(nodes[0].tape, entries[0].args[0])
     if op == "select" and nodes[1].place == nodes[2].place:
@@ -158,11 +157,11 @@ def _plain(op: str, nodes: Sequence[Node], entries: Sequence[Entry]) -> Node | N
 def _plain_commutative(op: str, nodes: Sequence[Node], entries: Sequence[Entry]) -> Node | None:
     neutral = 0.0 if op == "add" else 1.0
     for one, other in ((0, 1), (1, 0)):
-        if _is(entries[one], neutral):
+        if is_number(entries[one], neutral):
             return nodes[other]
-        if op == "mul" and _is(entries[one], 0.0):
+        if op == "mul" and is_number(entries[one], 0.0):
             return nodes[one]
-        if op == "mul" and _is(entries[one], -1.0):
+        if op == "mul" and is_number(entries[one], -1.0):
             return -nodes[other]
     return None
 

@@ -11,11 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from steerd.car_model.chassis import Chassis
-from steerd.car_model.effect import Effect
 from steerd.car_model.model import Model
-from steerd.car_model.params import DEFAULT_CAR, Car
-from steerd.car_model.single_track import SINGLE_TRACK
+from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.state import ORIGIN, State
 from steerd.sim_hw.mocap.cameras import Cameras, MocapConfig
 from steerd.sim_hw.mocap.network import COMMAND, DATA, Datagram, Network, Peer
@@ -28,8 +25,7 @@ from steerd.sim_hw.vesc.vesc_motor import VescConfig
 from steerd.sim_hw.vesc.vesc_wire import ByteLog
 from steerd.vesc_link.scaling import F1TENTH, Scaling
 
-TX_BUFFER = 4096
-"""Bytes that the host's kernel takes for a device that does not read."""
+TX_BUFFER = 4096  # bytes that the host's kernel takes for a device that does not read
 _PUSH, _PUSH_NS = 0.4, 2_800_000_000
 """How fast [m/s] and how long a hand pushes the car: a metre and a bit."""
 
@@ -39,10 +35,8 @@ class WorldConfig:
     """Everything that a simulated run depends on, besides what is done to it."""
 
     seed: int = 0  # root of all randomness
-    car: Car[float] = DEFAULT_CAR  # true parameters of the car
-    effects: tuple[Effect, ...] = ()  # unmodelled effects that are on, and their parameters
-    effect_values: tuple[tuple[float, ...], ...] = ()
-    chassis: Chassis = SINGLE_TRACK  # its true equations
+    # The true car, with its unmodelled effects
+    model: Model[float] = field(default_factory=lambda: Model(DEFAULT_CAR))
     scaling: Scaling = F1TENTH  # how the car's servo and motor are really geared
     vesc: VescConfig = field(default_factory=VescConfig)  # the devices
     mocap: MocapConfig = field(default_factory=MocapConfig)
@@ -69,36 +63,28 @@ class World:
         config: what it is.
         faults: what goes wrong; their windows count from ``t_start_ns``.
         t_start_ns: the caller's clock now.
-
-    Attributes:
-        car, vesc: the parts, for judges and tests.
-        log: every serial byte with its time, if the configuration keeps them.
-        t_ns: how far time has come.
     """
 
     def __init__(
         self, config: WorldConfig, faults: Sequence[Fault] = (), t_start_ns: int = 0
     ) -> None:
         self.config = config
-        self.t_ns = t_start_ns
+        self.t_ns = t_start_ns  # how far time has come
         self._t_start_ns = t_start_ns
-        setup = CarSetup(
-            config.step_ns,
-            config.coast_decel,
-            config.vesc.servo_wait if config.vesc.servo_out else 0.0,
-            config.process_noise,
-            config.start,
-        )
-        model = Model(config.car, config.effects, config.effect_values, config.chassis)
-        self.car = SimCar(model, setup, make_noise_source(config.seed, "car"), t_start_ns)
+        wait = config.vesc.servo_wait if config.vesc.servo_out else 0.0
+        noise = config.process_noise
+        setup = CarSetup(config.step_ns, config.coast_decel, wait, noise, config.start)
+        # The parts, for judges and tests
+        self.car = SimCar(config.model, setup, make_noise_source(config.seed, "car"), t_start_ns)
+        # Every serial byte with its time, if the configuration keeps them
         self.log = ByteLog(config.keep_bytes)
         self.vesc = SimVesc(
             config.vesc, config.scaling, self.car, make_noise_source(config.seed, "vesc"), self.log
         )
         self.network = Network(make_noise_source(config.seed, "network"))
-        noise = make_noise_source(config.seed, "server")
+        own = make_noise_source(config.seed, "server")
         kind = VrpnDevice if config.mocap.kind == "vrpn" else NatNetServer
-        self.mocap: VrpnDevice | NatNetServer = kind(config.mocap, self.network, noise, t_start_ns)
+        self.mocap: VrpnDevice | NatNetServer = kind(config.mocap, self.network, own, t_start_ns)
         self._cameras = Cameras(config.mocap, make_noise_source(config.seed, "cameras"), t_start_ns)
         self._h = config.step_ns / 1e9
         self._step_ns = config.step_ns

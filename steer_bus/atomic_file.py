@@ -6,8 +6,7 @@ import os
 import tempfile
 from pathlib import Path
 
-MODE = 0o644
-"""Everybody may read, the owner may write."""
+MODE = 0o644  # everybody may read, the owner may write
 
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

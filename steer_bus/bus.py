@@ -65,9 +65,6 @@ class Bus(Protocol):
     def subscribe(self, key: str, depth: int = 1, keep: Keep | None = None) -> Subscription:
         """Receive a key's newest ``depth`` samples; what is not kept displaces none."""
 
-    def has_subscriber(self, key: str) -> bool:
-        """Say whether anybody listens to a key."""
-
     def declare_alive(self, key: str) -> Token:
         """Show a liveliness token until it is closed or this process dies."""
 

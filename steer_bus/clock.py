@@ -26,8 +26,7 @@ class MonotonicClock:
     now_ns = staticmethod(time.monotonic_ns)
     """CLOCK_MONOTONIC in nanoseconds; itself, because a tick asks a dozen times."""
 
-    realtime_ns = staticmethod(time.time_ns)
-    """CLOCK_REALTIME in nanoseconds."""
+    realtime_ns = staticmethod(time.time_ns)  # CLOCK_REALTIME in nanoseconds
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
         """Sleep to an absolute deadline, so that a late tick never delays the next."""

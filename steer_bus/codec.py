@@ -18,31 +18,7 @@ from collections.abc import Callable, Iterator
 from itertools import islice
 from typing import Any, TypeVar
 
-from steerd.steer_bus.fields import (
-    Array,
-    Blob,
-    Kind,
-    Nested,
-    Scalar,
-    Text,
-    flat_leaves,
-    message_fields,
-    per_class,
-    schema_text,
-    type_hash,
-    type_name,
-)
-
-__all__ = [
-    "MAX_BYTES",
-    "CodecError",
-    "decode",
-    "encode",
-    "read_text",
-    "schema_text",
-    "type_hash",
-    "type_name",
-]
+from steerd.steer_bus.fields import Kind, Nested, Scalar, Sized, cached, flat_leaves, message_fields
 
 MAX_BYTES = 63 << 10
 """Largest encoded message; the bus drops 64 KiB and more, its own framing included."""
@@ -100,7 +76,7 @@ def decode(cls: type[M], data: bytes) -> M:
 # -- encoding ------------------------------------------------------------------------------------
 
 
-@per_class
+@cached
 def _encoder(cls: type[Any]) -> Callable[[Any], bytes]:
     leaves = flat_leaves(cls)
     if leaves is None:
@@ -108,19 +84,19 @@ def _encoder(cls: type[Any]) -> Callable[[Any], bytes]:
     kinds = [leaf.kind for leaf in leaves]
     getter = operator.attrgetter(*(leaf.path for leaf in leaves))
     read = getter if len(leaves) > 1 else lambda msg: (getter(msg),)
-    sized = [i for i, kind in enumerate(kinds) if isinstance(kind, Text | Blob)]
-    if len(sized) == 1 and not any(isinstance(kind, Array) for kind in kinds):
-        return _one_text_encoder(kinds, read, sized[0])
-    return _flat_encoder(kinds, read, sized)
+    sized = [i for i, kind in enumerate(kinds) if isinstance(kind, Sized)]
+    arrays = [(i, k.count) for i, k in enumerate(kinds) if isinstance(k, Scalar) and k.count][::-1]
 
+    @functools.lru_cache(maxsize=_MAX_LAYOUTS)
+    def layout_for(*lengths: int) -> struct.Struct:
+        remaining = iter(lengths)
+        return _layout([token for kind in kinds for token in _tokens(kind, remaining)])
 
-def _flat_encoder(
-    kinds: list[Scalar | Text | Blob | Array],
-    read: Callable[[Any], tuple[Any, ...]],
-    sized: list[int],
-) -> Callable[[Any], bytes]:
-    arrays = [(i, k.count) for i, k in enumerate(kinds) if isinstance(k, Array)][::-1]
-    layout_for = _layouts(kinds)
+    def encode_one_text(msg: Any) -> bytes:
+        # Most records hold one text, the frame: without the loops below they take a third less.
+        args = [*read(msg)]
+        blob = args[at] = _prefixed(args[at])
+        return layout_for(len(blob)).pack(_HEADER, *args)
 
     def encode_flat(msg: Any) -> bytes:
         args = list(read(msg))
@@ -131,30 +107,10 @@ def _flat_encoder(
             args[i : i + 1] = _checked(args[i], count)
         return layout_for(*lengths).pack(_HEADER, *args)
 
-    return encode_flat
-
-
-def _one_text_encoder(
-    kinds: list[Scalar | Text | Blob | Array], read: Callable[[Any], tuple[Any, ...]], at: int
-) -> Callable[[Any], bytes]:
-    # Most records hold one text, the frame: without the general loops they take a third less.
-    layout_for = _layouts(kinds)
-
-    def encode_one_text(msg: Any) -> bytes:
-        args = [*read(msg)]
-        blob = args[at] = _prefixed(args[at])
-        return layout_for(len(blob)).pack(_HEADER, *args)
-
+    if len(sized) != 1 or arrays:
+        return encode_flat
+    at = sized[0]
     return encode_one_text
-
-
-def _layouts(kinds: list[Scalar | Text | Blob | Array]) -> Callable[..., struct.Struct]:
-    @functools.lru_cache(maxsize=_MAX_LAYOUTS)
-    def layout_for(*lengths: int) -> struct.Struct:
-        remaining = iter(lengths)
-        return _layout([token for kind in kinds for token in _tokens(kind, remaining)])
-
-    return layout_for
 
 
 @functools.lru_cache(maxsize=1024)
@@ -173,18 +129,15 @@ _Token = tuple[int, int, str]  # alignment, size, struct code
 
 
 def _tokens(kind: Kind, lengths: Iterator[int]) -> list[_Token]:
-    match kind:
-        case Scalar():
-            return [(kind.size, kind.size, kind.code)]
-        case Array():
-            return [(kind.item.size, kind.item.size, kind.item.code)] * kind.count
-        case _:
-            size = next(lengths)
-            return [(_LENGTH.size, size, f"{size}s")]
+    if isinstance(kind, Scalar):
+        return [(kind.size, kind.size, kind.code)] * (kind.count or 1)
+    size = next(lengths)
+    return [(_LENGTH.size, size, f"{size}s")]
 
 
-def _layout(tokens: list[_Token]) -> struct.Struct:
-    offset, parts = 0, [f"<{len(_HEADER)}s"]
+def _layout(tokens: list[_Token], offset: int = 0, head: str = f"{len(_HEADER)}s") -> struct.Struct:
+    """What stands in line behind a head, from so many bytes behind an alignment on."""
+    parts = ["<", head]
     for align, size, code in tokens:
         pad = -offset % align
         parts.append("x" * pad + code)
@@ -210,29 +163,27 @@ def _collect(msg: Any, tokens: list[_Token], args: list[Any]) -> None:
                 args.append(len(value))
                 for item in value:
                     _collect(item, tokens, args)
-            case Text() | Blob():
+            case Sized():
                 blob = _prefixed(value)
                 tokens += _tokens(field.kind, iter([len(blob)]))
                 args.append(blob)
-            case _:
+            case Scalar(count=count):
                 tokens += _tokens(field.kind, iter(()))
-                args += (
-                    _checked(value, field.kind.count) if isinstance(field.kind, Array) else (value,)
-                )
+                args += _checked(value, count) if count else (value,)
 
 
 # -- decoding ------------------------------------------------------------------------------------
 
-_Step = tuple[struct.Struct, ...] | Text | Blob | type[Any]
+_Step = tuple[struct.Struct, ...] | Sized | type[Any]
 
 
-@per_class
+@cached
 def _steps(cls: type[Any]) -> tuple[_Step, ...]:
     """Give what to read in order: runs of primitives (one layout per phase), texts, sequences."""
     steps: list[_Step] = []
     run: list[_Token] = []
     for kind in _kinds(cls):
-        if isinstance(kind, Scalar | Array):
+        if isinstance(kind, Scalar):
             run += _tokens(kind, iter(()))
             continue
         if run:
@@ -251,15 +202,7 @@ def _kinds(cls: type[Any]) -> Iterator[Kind]:
 
 
 def _phases(run: list[_Token]) -> tuple[struct.Struct, ...]:
-    layouts = []
-    for phase in range(8):
-        offset, parts = phase, ["<"]
-        for align, size, code in run:
-            pad = -offset % align
-            parts.append("x" * pad + code)
-            offset += pad + size
-        layouts.append(struct.Struct("".join(parts)))
-    return tuple(layouts)
+    return tuple(_layout(run, phase, "") for phase in range(8))
 
 
 def _read(steps: tuple[_Step, ...], data: bytes, pos: int, values: list[Any]) -> int:
@@ -274,11 +217,9 @@ def _read(steps: tuple[_Step, ...], data: bytes, pos: int, values: list[Any]) ->
         pos += 4
         if count > len(data) - pos:
             raise CodecError(f"length {count} at byte {pos - 4} exceeds the data")
-        if isinstance(step, Text):
-            values.append(read_text(data[pos : pos + count]))
-            pos += count
-        elif isinstance(step, Blob):
-            values.append(bytes(data[pos : pos + count]))
+        if isinstance(step, Sized):
+            raw = data[pos : pos + count]
+            values.append(read_text(raw) if step.is_text else bytes(raw))
             pos += count
         else:
             items, pos = _read_items(step, data, pos, count)
@@ -309,7 +250,7 @@ def read_text(raw: bytes) -> str:
     return raw[:-1].decode()
 
 
-@per_class
+@cached
 def _builder(cls: type[Any]) -> Callable[[Iterator[Any]], Any]:
     parts = [_part(field.kind) for field in message_fields(cls)]
     return lambda values: cls(*[part(values) for part in parts])
@@ -318,6 +259,6 @@ def _builder(cls: type[Any]) -> Callable[[Iterator[Any]], Any]:
 def _part(kind: Kind) -> Callable[[Iterator[Any]], Any]:
     if isinstance(kind, Nested) and not kind.many:
         return _builder(kind.cls)
-    if isinstance(kind, Array):
+    if isinstance(kind, Scalar) and kind.count:
         return lambda values: tuple(islice(values, kind.count))
     return next

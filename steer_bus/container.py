@@ -27,15 +27,12 @@ from mcap.opcode import Opcode  # noqa: TID251
 from mcap.stream_reader import CRCValidationError, get_chunk_data_stream  # noqa: TID251
 
 MAGIC = b"\x89MCAP0\r\n"
-MAX_RECORD = 64 << 20
-"""Largest record body and largest decompressed chunk [bytes]."""
-MAX_RATIO = 200
-"""Highest compression ratio believed of a chunk above ``FREE_SIZE``."""
+MAX_RECORD = 64 << 20  # largest record body and largest decompressed chunk [bytes]
+MAX_RATIO = 200  # highest compression ratio believed of a chunk above ``FREE_SIZE``
 FREE_SIZE = 2 << 20
 """Decompressed size up to which any ratio is harmless [bytes]; our own chunks are half of it."""
 MAX_CHANNELS = 4096
-MAX_RESYNC = 64 << 20
-"""How far behind damage the next good record is looked for [bytes]."""
+MAX_RESYNC = 64 << 20  # how far behind damage the next good record is looked for [bytes]
 
 RECORD = struct.Struct("<BQ")
 MESSAGE_FIELDS = struct.Struct("<IQQ")
@@ -45,8 +42,7 @@ _MESSAGE_START = struct.Struct("<BQH")
 _MESSAGE_PREFIX = RECORD.size + 2
 _MESSAGE_MIN = 2 + MESSAGE_FIELDS.size
 _FOOTER_SIZE = 20
-_CHUNK_START = 44
-"""How much of a chunk's body shows whether it is one [bytes]."""
+_CHUNK_START = 44  # how much of a chunk's body shows whether it is one [bytes]
 # Where reading may start again: a chunk or a metadata record below 4 GiB, or the end of the data.
 _RESTART = re.compile(rb"(?=[\x06\x0c].{4}\x00{4}|\x0f\x04\x00{7})", re.DOTALL)
 _RESTART_SIZE = 9

@@ -15,54 +15,32 @@ The ``ros2msg`` text and the RIHS01 hash are derived from the class alone, and t
 import functools
 import hashlib
 import json
+import typing
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import (
-    Annotated,
-    Any,
-    TypeVar,
-    dataclass_transform,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Annotated, Any, TypeVar, cast, dataclass_transform
 
 from steerd.steer_bus.quick_values import quick_init
 
 
 @dataclass(frozen=True, slots=True)
 class Scalar:
-    """A ROS primitive.
+    """A ROS primitive, or a fixed-length array of it, held as a tuple."""
 
-    Attributes:
-        ros: its name.
-        code: its ``struct`` code.
-        size: in bytes, which is also its alignment.
-        type_id: in a type description (type_description_interfaces/msg/FieldType).
-    """
+    ros: str  # its type in a schema
+    type_id: int  # in a type description (type_description_interfaces/msg/FieldType)
+    code: str  # ``struct`` code of one number
+    size: int  # of one number in bytes, which is also its alignment
+    count: int = 0  # numbers of an array; 0 for one alone
+
+
+@dataclass(frozen=True, slots=True)
+class Sized:
+    """Bytes behind their ``uint32`` length: a ROS ``string`` with its NUL, or ``uint8[]``."""
 
     ros: str
-    code: str
-    size: int
     type_id: int
-
-
-@dataclass(frozen=True, slots=True)
-class Text:
-    """A ROS ``string``: ``uint32`` length with the NUL, UTF-8 bytes, NUL."""
-
-
-@dataclass(frozen=True, slots=True)
-class Blob:
-    """A ROS ``uint8[]``, held as ``bytes``."""
-
-
-@dataclass(frozen=True, slots=True)
-class Array:
-    """A fixed-length array of ``count`` primitives, held as a tuple."""
-
-    item: Scalar
-    count: int
+    is_text: bool  # held as ``str``, in UTF-8, else as ``bytes``
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,25 +50,31 @@ class Nested:
     cls: type[Any]
     many: bool = False
 
+    @property
+    def ros(self) -> str:
+        """Its type in a schema."""
+        return _short_name(self.cls) + ("[]" if self.many else "")
 
-Kind = Scalar | Text | Blob | Array | Nested
+    @property
+    def type_id(self) -> int:
+        """In a type description."""
+        return 145 if self.many else 1
 
-_FLOAT64, _BYTE = Scalar("float64", "d", 8, 11), Scalar("uint8", "B", 1, 3)
 
-Float64 = Annotated[float, _FLOAT64]
-Float32 = Annotated[float, Scalar("float32", "f", 4, 10)]
-Int64 = Annotated[int, Scalar("int64", "q", 8, 8)]
-UInt64 = Annotated[int, Scalar("uint64", "Q", 8, 9)]
-Int32 = Annotated[int, Scalar("int32", "i", 4, 6)]
-UInt32 = Annotated[int, Scalar("uint32", "I", 4, 7)]
-Int16 = Annotated[int, Scalar("int16", "h", 2, 4)]
-UInt16 = Annotated[int, Scalar("uint16", "H", 2, 5)]
-UInt8 = Annotated[int, _BYTE]
-Byte = Annotated[int, Scalar("byte", "B", 1, 16)]
-Bool = Annotated[bool, Scalar("bool", "?", 1, 15)]
-String = Annotated[str, Text()]
-Bytes = Annotated[bytes, Blob()]
-Float64x36 = Annotated[tuple[float, ...], Array(_FLOAT64, 36)]
+Kind = Scalar | Sized | Nested
+
+Float64 = Annotated[float, Scalar("float64", 11, "d", 8)]
+Float32 = Annotated[float, Scalar("float32", 10, "f", 4)]
+Int64 = Annotated[int, Scalar("int64", 8, "q", 8)]
+UInt64 = Annotated[int, Scalar("uint64", 9, "Q", 8)]
+Int32 = Annotated[int, Scalar("int32", 6, "i", 4)]
+UInt32 = Annotated[int, Scalar("uint32", 7, "I", 4)]
+UInt16 = Annotated[int, Scalar("uint16", 5, "H", 2)]
+UInt8 = Annotated[int, Scalar("uint8", 3, "B", 1)]
+Byte = Annotated[int, Scalar("byte", 16, "B", 1)]
+String = Annotated[str, Sized("string", 17, is_text=True)]
+Bytes = Annotated[bytes, Sized("uint8[]", 147, is_text=False)]
+Float64x36 = Annotated[tuple[float, ...], Scalar("float64[36]", 59, "d", 8, 36)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,25 +91,16 @@ class Leaf:
     """A field of a flattened message, named by its dotted path from the root."""
 
     path: str
-    kind: Scalar | Text | Blob | Array
+    kind: Scalar | Sized
 
 
 C = TypeVar("C")
 R = TypeVar("R")
 
 
-def per_class(derive: Callable[[type[Any]], R]) -> Callable[[type[Any]], R]:
+def cached(derive: Callable[[type[Any]], R]) -> Callable[[type[Any]], R]:
     """Remember what a function derives from a message class."""
-    known: dict[type[Any], R] = {}
-
-    @functools.wraps(derive)
-    def derive_once(cls: type[Any]) -> R:
-        try:
-            return known[cls]
-        except KeyError:
-            return known.setdefault(cls, derive(cls))
-
-    return derive_once
+    return cast("Callable[[type[Any]], R]", functools.cache(derive))
 
 
 @dataclass_transform(frozen_default=True)
@@ -152,7 +127,7 @@ def type_name(cls: type[Any]) -> str:
     return name
 
 
-@per_class
+@cached
 def message_fields(cls: type[Any]) -> tuple[Field, ...]:
     """Give the fields of a message class in wire order.
 
@@ -160,14 +135,14 @@ def message_fields(cls: type[Any]) -> tuple[Field, ...]:
         TypeError: if the class is no message, has no field, or a field has no ROS type.
     """
     name = type_name(cls)
-    hints = get_type_hints(cls, include_extras=True)
+    hints = typing.get_type_hints(cls, include_extras=True)
     found = tuple(_field(name, f.name, hints[f.name]) for f in fields(cls))
     if not found:
         raise TypeError(f"{name} has no field")
     return found
 
 
-@per_class
+@cached
 def flat_leaves(cls: type[Any]) -> tuple[Leaf, ...] | None:
     """Give a message's leaves in wire order, or None if it holds a sequence of messages."""
     leaves: list[Leaf] = []
@@ -183,16 +158,16 @@ def flat_leaves(cls: type[Any]) -> tuple[Leaf, ...] | None:
 
 
 def _field(owner: str, name: str, hint: Any) -> Field:
-    if get_origin(hint) is Annotated:
-        notes = get_args(hint)[1:]
-        kinds = [n for n in notes if isinstance(n, Scalar | Text | Blob | Array)]
+    if typing.get_origin(hint) is Annotated:
+        notes = typing.get_args(hint)[1:]
+        kinds = [n for n in notes if isinstance(n, Scalar | Sized)]
         units = [n for n in notes if isinstance(n, str)]
         if kinds:
             return Field(name, kinds[0], units[0] if units else "")
     if hasattr(hint, "__ros_type__"):
         return Field(name, Nested(hint), "")
-    args = get_args(hint)
-    if get_origin(hint) is tuple and len(args) == 2 and hasattr(args[0], "__ros_type__"):
+    args = typing.get_args(hint)
+    if typing.get_origin(hint) is tuple and len(args) == 2 and hasattr(args[0], "__ros_type__"):
         return Field(name, Nested(args[0], many=True), "")
     raise TypeError(f"{owner}.{name}: {hint!r} has no ROS type")
 
@@ -200,11 +175,9 @@ def _field(owner: str, name: str, hint: Any) -> Field:
 # -- a message in the words of ROS ----------------------------------------------------------------
 
 _SEPARATOR = "=" * 80
-_NESTED_ID, _STRING_ID = 1, 17
-_ARRAY_OFFSET, _SEQUENCE_OFFSET = 48, 144
 
 
-@per_class
+@cached
 def schema_text(cls: type[Any]) -> str:
     """Give the ``ros2msg`` text of a message, its dependencies appended as ROS does.
 
@@ -217,7 +190,7 @@ def schema_text(cls: type[Any]) -> str:
     )
 
 
-@per_class
+@cached
 def type_hash(cls: type[Any]) -> str:
     """Give the RIHS01 hash (``RIHS01_`` + 64 hex digits) by which rmw_zenoh keys a topic.
 
@@ -244,26 +217,8 @@ def _dependencies(cls: type[Any]) -> list[type[Any]]:
 
 
 def _own_text(cls: type[Any]) -> str:
-    return "".join(_line(field) for field in message_fields(cls))
-
-
-def _line(field: Field) -> str:
-    line = f"{_ros_text(field.kind)} {field.name}"
-    return f"{line}  # {field.unit}\n" if field.unit else f"{line}\n"
-
-
-def _ros_text(kind: Kind) -> str:
-    match kind:
-        case Scalar():
-            return kind.ros
-        case Text():
-            return "string"
-        case Blob():
-            return "uint8[]"
-        case Array():
-            return f"{kind.item.ros}[{kind.count}]"
-        case Nested():
-            return _short_name(kind.cls) + ("[]" if kind.many else "")
+    units = ((f, f"  # {f.unit}" if f.unit else "") for f in message_fields(cls))
+    return "".join(f"{field.kind.ros} {field.name}{unit}\n" for field, unit in units)
 
 
 def _short_name(cls: type[Any]) -> str:
@@ -272,30 +227,14 @@ def _short_name(cls: type[Any]) -> str:
 
 
 def _description(cls: type[Any]) -> dict[str, Any]:
-    return {
-        "type_name": type_name(cls),
-        "fields": [{"name": f.name, "type": _field_type(f.kind)} for f in message_fields(cls)],
-    }
+    fields = [{"name": f.name, "type": _field_type(f.kind)} for f in message_fields(cls)]
+    return {"type_name": type_name(cls), "fields": fields}
 
 
 def _field_type(kind: Kind) -> dict[str, Any]:
     return {
-        "type_id": _type_id(kind),
-        "capacity": kind.count if isinstance(kind, Array) else 0,
+        "type_id": kind.type_id,
+        "capacity": kind.count if isinstance(kind, Scalar) else 0,
         "string_capacity": 0,
         "nested_type_name": type_name(kind.cls) if isinstance(kind, Nested) else "",
     }
-
-
-def _type_id(kind: Kind) -> int:
-    match kind:
-        case Scalar():
-            return kind.type_id
-        case Text():
-            return _STRING_ID
-        case Blob():
-            return _BYTE.type_id + _SEQUENCE_OFFSET
-        case Array():
-            return kind.item.type_id + _ARRAY_OFFSET
-        case Nested():
-            return _NESTED_ID + (_SEQUENCE_OFFSET if kind.many else 0)

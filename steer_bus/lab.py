@@ -46,21 +46,27 @@ def load_lab(folder: Path) -> Lab:
         raise BusError(f"{folder} has no {', '.join(missing)}: make such a folder with steerd keys")
     if stat.S_IMODE((folder / "key.pem").stat().st_mode) & 0o077:
         raise BusError(f"others can read the private key: chmod 600 {folder / 'key.pem'}")
-    try:
-        table = load_toml(folder / "lab.toml")
-        lab = Lab(
-            folder,
-            _text(table["car"]),
-            _text(table["endpoint"]),
-            tuple(map(_text, table["operators"])),
-            tuple(map(_text, table["viewers"])),
-            _text(table.get("name", folder.name)),
-        )
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise BusError(f"{folder / 'lab.toml'}: {error!s}") from None
+    lab = read_members(folder)
     if not lab.endpoint.startswith("tls/"):
         raise BusError(f"{folder / 'lab.toml'}: endpoint {lab.endpoint!r} is not tls/HOST:PORT")
     return lab
+
+
+def read_members(folder: Path) -> Lab:
+    """What the `lab.toml` of a folder says.
+
+    Raises:
+        BusError: it cannot be read, or something is missing or odd in it.
+    """
+    try:
+        table = load_toml(folder / "lab.toml")
+        own = table["car"], table["endpoint"], table.get("name", folder.name)
+        car, endpoint, name = map(_text, own)
+        operators, viewers = (tuple(map(_text, table[key])) for key in ("operators", "viewers"))
+        return Lab(folder, car, endpoint, operators, viewers, name)
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise BusError(f"{folder / 'lab.toml'}: {why}") from None
 
 
 def make_tls_settings(lab: Lab, *, hub: bool) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import xxhash  # noqa: TID251
 
-from steerd.steer_bus.codec import type_hash, type_name
+from steerd.steer_bus.fields import type_hash, type_name
 
 DOMAIN_MAX = 232
 """Largest ROS domain that DDS has ports for; rmw_zenoh takes more, other tools do not."""
@@ -21,17 +21,6 @@ _NODE_ID = 0
 _NONE = "%"
 
 
-def check_domain(domain: int) -> int:
-    """Give a ROS domain back if it is one.
-
-    Raises:
-        ValueError: unless it is 0 to 232.
-    """
-    if not 0 <= domain <= DOMAIN_MAX:
-        raise ValueError(f"ROS domain {domain}: 0 to {DOMAIN_MAX}")
-    return domain
-
-
 def dds_type(cls: type[Any]) -> str:
     """A message's type as DDS writes it: ``nav_msgs::msg::dds_::Odometry_``."""
     package, kind, name = type_name(cls).split("/")
@@ -39,13 +28,9 @@ def dds_type(cls: type[Any]) -> str:
 
 
 def make_ros_key(domain: int, topic: str, cls: type[Any]) -> str:
-    """The key under which a ROS subscription to `topic` receives messages of `cls`.
-
-    Raises:
-        ValueError: on a bad domain.
-    """
+    """The key under which a ROS subscription to `topic` receives messages of `cls`."""
     name = topic.strip("/")
-    return f"{check_domain(domain)}/{name}/{dds_type(cls)}/{type_hash(cls)}"
+    return f"{domain}/{name}/{dds_type(cls)}/{type_hash(cls)}"
 
 
 def make_node_token(domain: int, zid: str, node: str) -> str:
@@ -55,24 +40,17 @@ def make_node_token(domain: int, zid: str, node: str) -> str:
         domain: ROS domain.
         zid: the zenoh session's id in hexadecimal digits.
         node: its name.
-
-    Raises:
-        ValueError: on a bad domain.
     """
-    ids = f"{check_domain(domain)}/{zid}/{_NODE_ID}/{_NODE_ID}"
+    ids = f"{domain}/{zid}/{_NODE_ID}/{_NODE_ID}"
     return f"{_SPACE}/{ids}/NN/{_NONE}/{_NONE}/{node}"
 
 
 def make_publisher_token(
     domain: int, zid: str, entity: int, node: str, topic: str, cls: type[Any]
 ) -> str:
-    """The token of a node's publisher; `entity` is its number within the session.
-
-    Raises:
-        ValueError: on a bad domain.
-    """
-    ids = f"{check_domain(domain)}/{zid}/{_NODE_ID}/{entity}"
-    name = mangle("/" + topic.strip("/"))
+    """The token of a node's publisher; `entity` is its number within the session."""
+    ids = f"{domain}/{zid}/{_NODE_ID}/{entity}"
+    name = f"/{topic.strip('/')}".replace("/", _NONE)
     said = f"{name}/{dds_type(cls)}/{type_hash(cls)}/{QOS}"
     return f"{_SPACE}/{ids}/MP/{_NONE}/{_NONE}/{node}/{said}"
 
@@ -80,8 +58,3 @@ def make_publisher_token(
 def make_gid(token: str) -> bytes:
     """The 16 bytes by which ROS knows a publisher: XXH3-128 of its token, low half first."""
     return xxhash.xxh3_128_intdigest(token.encode()).to_bytes(16, "little")
-
-
-def mangle(name: str) -> str:
-    """A name as one chunk of a key."""
-    return name.replace("/", _NONE)

@@ -15,8 +15,8 @@ from typing import Any, BinaryIO
 from mcap.writer import CompressionType, Writer  # noqa: TID251
 
 from steerd.steer_bus.atomic_file import is_full
-from steerd.steer_bus.codec import schema_text, type_name
 from steerd.steer_bus.container import SessionWarning
+from steerd.steer_bus.fields import schema_text, type_name
 from steerd.steer_bus.session_read import Session, SessionError, open_session
 
 CHUNK_BYTES = 1 << 20

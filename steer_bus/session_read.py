@@ -21,19 +21,9 @@ from typing import Any
 
 from mcap.records import Attachment, Channel, Schema  # noqa: TID251
 
-from steerd.steer_bus.codec import CodecError, decode, schema_text, type_name
-from steerd.steer_bus.container import (
-    MAGIC,
-    MESSAGE_FIELDS,
-    Contents,
-    DamageError,
-    SessionWarning,
-    Span,
-    parse,
-    read_contents,
-    read_span,
-    scan_messages,
-)
+from steerd.steer_bus import container
+from steerd.steer_bus.codec import CodecError, decode
+from steerd.steer_bus.fields import schema_text, type_name
 from steerd.steer_bus.messages import OWN_MESSAGES
 from steerd.steer_bus.standard import STANDARD_MESSAGES
 from steerd.steer_bus.topic_columns import ColumnBuilder, Columns
@@ -46,17 +36,13 @@ UNREADABLE, WRONG_CONTENT = 3, 4
 
 
 class SessionError(Exception):
-    """A session that cannot be used, in one line, with what to do about it.
-
-    Attributes:
-        code: a stable word for programs.
-        hint: what the user can do; may be empty.
-        exit_code: 3 if the file cannot be read, 4 if it holds the wrong content.
-    """
+    """A session that cannot be used, in one line, with what to do about it."""
 
     def __init__(self, code: str, message: str, hint: str = "", exit_code: int = UNREADABLE):
         super().__init__(f"{message} ({hint})" if hint else message)
-        self.code, self.hint, self.exit_code = code, hint, exit_code
+        self.code = code  # a stable word for programs
+        self.hint = hint  # what the user can do; may be empty
+        self.exit_code = exit_code  # 3 if it cannot be read, 4 if it holds the wrong content
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +74,7 @@ class SessionInfo:
     topics: tuple[TopicInfo, ...]
     metadata: Mapping[str, Mapping[str, str]]
     attachments: tuple[str, ...]
-    warnings: tuple[SessionWarning, ...]
+    warnings: tuple[container.SessionWarning, ...]
     finished: bool  # the container's end is whole
     clean: bool  # the recorder also said why it ended (``steerd.end``); its absence means a crash
 
@@ -130,7 +116,7 @@ class Record:
 class Session:
     """A recorded drive. Made by :func:`open_session`; its file stays open as long as it is used."""
 
-    def __init__(self, path: Path, file: FileIO, size: int, contents: Contents) -> None:
+    def __init__(self, path: Path, file: FileIO, size: int, contents: container.Contents) -> None:
         self._path, self._file, self.contents = path, file.fileno(), contents
         self._info = _make_info(path, size, contents)
         weakref.finalize(self, file.close)
@@ -140,7 +126,7 @@ class Session:
         return self._info
 
     @property
-    def warnings(self) -> tuple[SessionWarning, ...]:
+    def warnings(self) -> tuple[container.SessionWarning, ...]:
         """What was wrong with the file; empty for a whole one."""
         return self._info.warnings
 
@@ -156,12 +142,12 @@ class Session:
             if not topics or channel.topic in topics
         }
         for data in self._spans():
-            found = scan_messages(data)[0]
+            found = container.scan_messages(data)[0]
             places = ((a, b, key) for key in found.keys() & wanted.keys() for a, b in found[key])
             for start, end, key in sorted(places):
                 topic, name = wanted[key]
-                sequence, log_ns, publish_ns = MESSAGE_FIELDS.unpack_from(data, start)
-                payload = data[start + MESSAGE_FIELDS.size : end]
+                sequence, log_ns, publish_ns = container.MESSAGE_FIELDS.unpack_from(data, start)
+                payload = data[start + container.MESSAGE_FIELDS.size : end]
                 yield Record(topic, name, sequence, log_ns, publish_ns, payload, key)
 
     def columns(self, cls: type[Any], topic: str = "") -> Columns:
@@ -190,7 +176,7 @@ class Session:
             by_channel |= dict.fromkeys(self._channels(topic, cls), topic)
         try:
             for data in self._spans():
-                for key, places in scan_messages(data)[0].items():
+                for key, places in container.scan_messages(data)[0].items():
                     if key in by_channel:
                         builders[by_channel[key]].add([data[a:b] for a, b in places])
             return {topic: builder.finish() for topic, builder in builders.items()}
@@ -214,7 +200,7 @@ class Session:
         """Read the attachments of these names (all if none is given); raises as messages()."""
         for name, span in self.contents.attachments:
             if not names or name in names:
-                yield parse(Attachment, self._read(span))
+                yield container.parse(Attachment, self._read(span))
 
     def holes(self) -> tuple[tuple[int, int], ...]:
         """Stretches in which the recorder did not get everything [UNIX ns], in order.
@@ -273,10 +259,10 @@ class Session:
     def _spans(self) -> Iterator[bytes]:
         return map(self._read, self.contents.spans)
 
-    def _read(self, span: Span) -> bytes:
+    def _read(self, span: container.Span) -> bytes:
         try:
-            return read_span(self._file, span)
-        except (OSError, DamageError) as error:
+            return container.read_span(self._file, span)
+        except (OSError, container.DamageError) as error:
             text = f"{self._path.name} has changed since it was opened: {error}"
             raise SessionError("changed", text) from error
 
@@ -296,8 +282,8 @@ def open_session(path: Path | str) -> Session:
         with ExitStack() as stack:
             file = stack.enter_context(path.open("rb", buffering=0))
             size = file.seek(0, 2)
-            _check_magic(path, os.pread(file.fileno(), len(MAGIC), 0))
-            session = Session(path, file, size, read_contents(file.fileno(), size))
+            _check_magic(path, os.pread(file.fileno(), len(container.MAGIC), 0))
+            session = Session(path, file, size, container.read_contents(file.fileno(), size))
             stack.pop_all()  # it is now closed with the session
             return session
     except FileNotFoundError as error:
@@ -311,14 +297,14 @@ def open_session(path: Path | str) -> Session:
 def _check_magic(path: Path, start: bytes) -> None:
     if not start:
         raise SessionError("empty", f"{path} is empty")
-    if start != MAGIC:
+    if start != container.MAGIC:
         hint = ""
         if start.startswith(b"SQLite"):
             hint = "a rosbag2 .db3: convert it with `ros2 bag convert`"
         raise SessionError("not_mcap", f"{path} is not an MCAP file", hint)
 
 
-def _make_info(path: Path, size: int, contents: Contents) -> SessionInfo:
+def _make_info(path: Path, size: int, contents: container.Contents) -> SessionInfo:
     topics = []
     for key, channel in sorted(contents.channels.items()):
         count = contents.counts.get(key)
@@ -343,11 +329,11 @@ def _make_info(path: Path, size: int, contents: Contents) -> SessionInfo:
 _NO_SCHEMA = Schema(id=0, data=b"", encoding="", name="")
 
 
-def _schema(contents: Contents, channel: Channel) -> Schema:
+def _schema(contents: container.Contents, channel: Channel) -> Schema:
     return contents.schemas.get(channel.schema_id, _NO_SCHEMA)
 
 
-def _mismatch(contents: Contents, channel: Channel, cls: type[Any]) -> str:
+def _mismatch(contents: container.Contents, channel: Channel, cls: type[Any]) -> str:
     schema = _schema(contents, channel)
     encodings = channel.message_encoding, schema.encoding
     if encodings != ("cdr", "ros2msg"):

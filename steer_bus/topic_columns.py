@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.steer_bus.codec import MAX_BYTES, CodecError, decode, read_text, type_name
+from steerd.steer_bus.codec import MAX_BYTES, CodecError, decode, read_text
 from steerd.steer_bus.container import MESSAGE_FIELDS
-from steerd.steer_bus.fields import Array, Leaf, Scalar, Text, flat_leaves
+from steerd.steer_bus.fields import Leaf, Scalar, flat_leaves, type_name
 
 Columns = dict[str, NDArray[Any]]
 """``log_ns``, ``publish_ns``, ``sequence`` and each field by its (dotted) name, all of length n;
@@ -79,28 +79,10 @@ class ColumnBuilder:
         return self._read(records[:middle]) + self._read(records[middle:])
 
 
-def _fixed_count(leaves: tuple[Leaf, ...]) -> int:
-    return 1 + max((i for i, leaf in enumerate(leaves) if _item(leaf)), default=-1)
-
-
-def _item(leaf: Leaf) -> Scalar | None:
-    match leaf.kind:
-        case Scalar():
-            return leaf.kind
-        case Array():
-            return leaf.kind.item
-        case _:
-            return None
-
-
-def _format(leaf: Leaf, item: Scalar) -> Any:
-    code = f"<{item.code}"
-    return (code, (leaf.kind.count,)) if isinstance(leaf.kind, Array) else code
-
-
 def _read_columns(leaves: tuple[Leaf, ...], records: list[bytes]) -> Columns | None:
     """Read records of one layout at once; None if they do not share it."""
-    fixed = _fixed_count(leaves)
+    numbers = (i for i, leaf in enumerate(leaves) if isinstance(leaf.kind, Scalar))
+    fixed = 1 + max(numbers, default=-1)
     found = _layout(leaves[:fixed], records[0] if records else bytes(MAX_BYTES))
     if found is None:
         return None
@@ -127,17 +109,19 @@ def _layout(leaves: tuple[Leaf, ...], first: bytes) -> tuple[np.dtype[Any], dict
     formats: list[Any] = ["<u4", "<i8", "<i8", "<u2"]
     offsets, texts, pos = [0, 4, 12, _PREFIX], {}, 0
     for leaf in leaves:
-        item = _item(leaf)
-        pos += -pos % (item.size if item else 4)
-        offsets.append(_CDR + pos)
-        names.append(leaf.path if item else f"{leaf.path}#")
-        formats.append(_format(leaf, item) if item else "<u4")
-        if item:
-            pos += item.size * (leaf.kind.count if isinstance(leaf.kind, Array) else 1)
+        if isinstance(kind := leaf.kind, Scalar):
+            pos += -pos % kind.size
+            names.append(leaf.path)
+            offsets.append(_CDR + pos)
+            formats.append((f"<{kind.code}", (kind.count,)) if kind.count else f"<{kind.code}")
+            pos += kind.size * (kind.count or 1)
         else:
-            texts[f"{leaf.path}#"] = length = int.from_bytes(
-                first[_CDR + pos : _CDR + pos + 4], "little"
-            )
+            pos += -pos % 4
+            names.append(f"{leaf.path}#")
+            offsets.append(_CDR + pos)
+            formats.append("<u4")
+            at = _CDR + pos
+            texts[names[-1]] = length = int.from_bytes(first[at : at + 4], "little")
             pos += 4 + length
         if _CDR + pos > len(first):
             return None
@@ -155,7 +139,7 @@ def _tail_columns(leaves: tuple[Leaf, ...], records: list[bytes], start: int) ->
             pos, raw = pos + 4 + length, record[pos + 4 : pos + 4 + length]
             if pos > len(record):
                 return None
-            if not isinstance(leaf.kind, Text):
+            if isinstance(leaf.kind, Scalar) or not leaf.kind.is_text:
                 columns[leaf.path][row] = raw
                 continue
             try:

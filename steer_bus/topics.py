@@ -12,7 +12,7 @@ from typing import Any
 
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import standard
-from steerd.steer_bus.codec import schema_text, type_name
+from steerd.steer_bus.fields import schema_text, type_name
 
 ROOT = "steerd"
 _CAR_NAME = re.compile(r"[a-z0-9_]{1,64}")
@@ -79,10 +79,8 @@ HEARTBEAT_BACK = Topic(
     "cmd/heartbeat", m.Heartbeat, Direction.IN, Priority.REAL_TIME, False, rate_hz=20.0
 )
 
-ALIVE = "alive"
-"""Name of a car's liveliness token."""
-LAST_MODEL = "param/model"
-"""Key under which a car answers with its newest `model` message."""
+ALIVE = "alive"  # name of a car's liveliness token
+LAST_MODEL = "param/model"  # key under which a car answers with its newest `model` message
 
 TOPICS = tuple(topic for topic in [*vars().values()] if isinstance(topic, Topic))
 """In the order of the channels of a session file."""

@@ -19,18 +19,9 @@ from typing import Any
 
 import zenoh  # noqa: TID251
 
-from steerd.steer_bus.bus import (
-    Answer,
-    BusError,
-    Keep,
-    Sample,
-    Subscription,
-    Token,
-    check_key,
-    check_size,
-)
+from steerd.steer_bus.bus import Answer, BusError, Keep, Sample, check_key, check_size
 from steerd.steer_bus.clock import Clock, MonotonicClock
-from steerd.steer_bus.codec import type_name
+from steerd.steer_bus.fields import type_name
 from steerd.steer_bus.lab import (
     DEFAULT_PORT,
     Lab,
@@ -147,7 +138,7 @@ class ZenohBus:
         except zenoh.ZError as error:
             raise BusError(f"cannot publish {key}: {error}") from error
 
-    def subscribe(self, key: str, depth: int = 1, keep: Keep | None = None) -> Subscription:
+    def subscribe(self, key: str, depth: int = 1, keep: Keep | None = None) -> "_Ring":
         """See `steerd.steer_bus.bus.Bus.subscribe`; ``keep`` runs in a thread of its own.
 
         Whoever sends faster than it decides is held back on their own connection.
@@ -166,13 +157,7 @@ class ZenohBus:
         handle = self._ask(lambda: self._session.declare_subscriber(key, handler))
         return _Ring(handle, lambda: kept.popleft() if kept else None)
 
-    def has_subscriber(self, key: str) -> bool:
-        """See `steerd.steer_bus.bus.Bus.has_subscriber`."""
-        if key not in self._publishers:
-            self._publishers[key] = self._declare(key)
-        return bool(self._publishers[key].handle.matching_status.matching)
-
-    def declare_alive(self, key: str) -> Token:
+    def declare_alive(self, key: str) -> "_Declared":
         """See `steerd.steer_bus.bus.Bus.declare_alive`."""
         handle = self._ask(lambda: self._session.liveliness().declare_token(check_key(key)))
         return _Declared(handle, self._held)
@@ -182,7 +167,7 @@ class ZenohBus:
         replies = self._ask(lambda: self._session.liveliness().get(key, timeout=1.0))
         return frozenset(str(r.ok.key_expr) for r in replies if r.ok is not None)
 
-    def serve(self, key: str, answer: Answer) -> Token:
+    def serve(self, key: str, answer: Answer) -> "_Declared":
         """See `steerd.steer_bus.bus.Bus.serve`; ``answer`` runs in zenoh's callback thread."""
 
         def reply(query: zenoh.Query) -> None:

@@ -4,12 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from steerd.steer_bus.fields import Array, Blob, Nested, Scalar, Text, message_fields
+from steerd.steer_bus.fields import Nested, Scalar, Sized, message_fields
 from steerd.steer_bus.messages import BODY, WORLD, make_header
 from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
 
-NOW_NS = 1_500_000_000_250_000_000
-"""UNIX time of their headers."""
+NOW_NS = 1_500_000_000_250_000_000  # UNIX time of their headers
 
 
 def blank(cls: type, **values: Any) -> Any:
@@ -31,18 +30,16 @@ def drawn(cls: type, rng: np.random.Generator) -> Any:
 
 def _value(kind: Any, rng: np.random.Generator) -> Any:
     match kind:
-        case Text():
+        case Sized(is_text=True):
             return "tyre µ"[: int(rng.integers(7))]
-        case Blob():
+        case Sized():
             return rng.bytes(int(rng.integers(20)))
-        case Array():
-            return tuple(rng.normal(size=kind.count).tolist())
+        case Scalar(count=count) if count:
+            return tuple(rng.normal(size=count).tolist())
         case Nested(many=True):
             return tuple(drawn(kind.cls, rng) for _ in range(int(rng.integers(3))))
         case Nested():
             return drawn(kind.cls, rng)
-        case Scalar(code="?"):
-            return bool(rng.integers(2))
         case Scalar(code="d" | "f"):
             return float(np.float32(rng.normal()))
     return int(rng.integers(100))

@@ -22,15 +22,13 @@ CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), ""
 )
 NO_BROWSER = "no Chromium on this machine (apt-get install chromium)"
-DEADLINE_S = 90.0
-"""A hung browser fails its test after this."""
+DEADLINE_S = 90.0  # a hung browser fails its test after this
 FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--hide-scrollbars", "--disable-background-networking", "--disable-component-update",
     "--disable-sync", "--disable-dev-shm-usage", "--remote-debugging-port=0",
 )  # fmt: skip
-POSIX = "en-US@posix"
-"""What some browsers call the language of LANG=C.UTF-8; `Intl` throws at it."""
+POSIX = "en-US@posix"  # what some browsers call the language of LANG=C.UTF-8; `Intl` throws at it
 LAYOUT = (Path(__file__).parent / "browser_layout.js").read_text(encoding="utf-8")
 
 

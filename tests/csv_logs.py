@@ -15,8 +15,7 @@ from steerd.car_model.native.windows import (
 from steerd.car_model.params import Car
 from steerd.daemon.cli.main import run_cli
 
-STEP = 0.01
-"""Time between two rows [s]."""
+STEP = 0.01  # time between two rows [s]
 NAMES = ("t", "x", "y", "yaw", "steer", "speed")
 MAP = """[columns]
 t = "t"
@@ -28,8 +27,7 @@ speed_cmd = "speed"
 [session]
 car = "lab"
 """
-FIRST = (0.0, 0.0, 0.3, 1.2, 0.0, 0.0, 0.0)
-"""The car's state at the first row."""
+FIRST = (0.0, 0.0, 0.3, 1.2, 0.0, 0.0, 0.0)  # the car's state at the first row
 
 
 def make_rows(

@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from steerd.steer_bus.bus import (
     Answer,
@@ -84,7 +85,6 @@ class LocalBus:
         self._closed = False
 
     def publish(self, key: str, data: bytes) -> None:
-        """See :meth:`Bus.publish`."""
         self._check_open()
         seq = self._seqs[key] = self._seqs.get(check_key(key), 0) + 1
         sample = Sample(key, bytes(check_size(data)), seq)
@@ -93,35 +93,26 @@ class LocalBus:
                 ring.samples.append(sample)
 
     def subscribe(self, key: str, depth: int = 1, keep: Keep | None = None) -> Subscription:
-        """See :meth:`Bus.subscribe`."""
         self._check_open()
         ring = _Ring(key, deque(maxlen=depth), keep)
         self._hub.rings.append(ring)
         return _LocalSubscription(ring, self._hold(lambda: self._hub.rings.remove(ring)))
 
-    def has_subscriber(self, key: str) -> bool:
-        """See :meth:`Bus.has_subscriber`."""
-        return any(key_matches(ring.pattern, key) for ring in self._hub.rings)
-
     def declare_alive(self, key: str) -> Token:
-        """See :meth:`Bus.declare_alive`."""
         self._check_open()
         self._hub.tokens.append(check_key(key))
         return self._hold(lambda: self._hub.tokens.remove(key))
 
     def alive(self, key: str) -> frozenset[str]:
-        """See :meth:`Bus.alive`."""
         return frozenset(token for token in self._hub.tokens if key_matches(key, token))
 
     def serve(self, key: str, answer: Answer) -> Token:
-        """See :meth:`Bus.serve`."""
         self._check_open()
         entry = (key, answer)
         self._hub.answers.append(entry)
         return self._hold(lambda: self._hub.answers.remove(entry))
 
     def query(self, key: str, timeout_s: float = 1.0) -> dict[str, bytes]:
-        """See :meth:`Bus.query`; ``timeout_s`` is not needed here."""
         self._check_open()
         found = {}
         for pattern, answer in self._hub.answers:
@@ -130,7 +121,6 @@ class LocalBus:
         return found
 
     def close(self) -> None:
-        """See :meth:`Bus.close`."""
         self._closed = True
         for held in self._held:
             held.close()
@@ -143,3 +133,12 @@ class LocalBus:
     def _check_open(self) -> None:
         if self._closed:
             raise BusError("the bus is closed")
+
+
+def is_heard(bus: Any, key: str) -> bool:
+    """Whether anybody listens to a key, on this bus or on zenoh's."""
+    if isinstance(bus, LocalBus):
+        return any(key_matches(ring.pattern, key) for ring in bus._hub.rings)
+    if key not in bus._publishers:
+        bus._publishers[key] = bus._declare(key)
+    return bool(bus._publishers[key].handle.matching_status.matching)

@@ -19,8 +19,7 @@ import numpy as np
 
 from steerd.car_model.car_file import default_car_path
 from steerd.car_model.effects import parse_effects
-from steerd.car_model.model import Model
-from steerd.car_model.nominal_car import believed_car
+from steerd.car_model.model import Model, believed_car
 from steerd.car_model.path.path import locate, project
 from steerd.controller.build import compute_table
 from steerd.controller.learnt import Design, Learnt, learnt_car, learnt_of, learnt_timing
@@ -71,7 +70,7 @@ def change_car(world: World, text: str, share: float) -> None:
         for effect, value in chosen
     )
     config, old = world.config, world.car
-    model = Model(config.car, tuple(effect for effect, _ in chosen), values, config.chassis)
+    model = config.model._replace(effects=tuple(effect for effect, _ in chosen), values=values)
     setup = replace(old.setup, start=old.state)
     car = world.car = world.vesc.car = SimCar(model, setup, old._noise, old.t_ns)  # noqa: SLF001
     world.vesc.imu._car = car  # noqa: SLF001

@@ -13,8 +13,7 @@ from importlib import import_module
 
 from steerd.car_model.effect import Effect, EffectParameter
 
-Setting = tuple[Effect, tuple[float, ...]]
-"""An effect and the values of its parameters."""
+Setting = tuple[Effect, tuple[float, ...]]  # an effect and the values of its parameters
 
 
 def _discovered() -> dict[str, Effect]:

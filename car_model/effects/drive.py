@@ -27,23 +27,16 @@ ACCEL_LIMIT = Effect(
     summary="current or ramp limits cap the acceleration",
     equation="|d(speed)/dt| <= limit",
     parameters=(
-        EffectParameter(
-            "limit",
-            20.0,
-            0.2,
-            20.0,
-            "m/s^2",
-            16.0,
-            "largest acceleration and deceleration",
-            scan=(0.5, 1.0, 1.5, 2.0, 3.0, 4.0),
-        ),
+        EffectParameter("limit", 20.0, 0.2, 20.0, "m/s^2", 16.0,
+                        "largest acceleration and deceleration",
+                        scan=(0.5, 1.0, 1.5, 2.0, 3.0, 4.0)),
     ),
     least_size=0.0,
     needs_commands=Channel.SPEED,
     same_as=("accel_max", "decel_max"),
     car=partial(cap, ("accel_max", "decel_max")),
     aliases=("current_limit", "acceleration_limit"),
-)
+)  # fmt: skip
 """A motor that cannot speed up or brake as hard as the model's.
 
 Below the limit it changes nothing, so its gradient at the null is zero: it must be looked for with
@@ -156,8 +149,7 @@ they turn the motor by is not what the rear wheels do.
 """
 
 
-_FADE = 10.0
-"""Full drag from about 0.2 m/s up [s/m]."""
+_FADE = 10.0  # full drag from about 0.2 m/s up [s/m]
 
 
 def _rolling_drag_rates(ops: Ops[T], p: Values[T], at: Contact[T], rates: Rates[T]) -> Rates[T]:

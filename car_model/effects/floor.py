@@ -39,21 +39,13 @@ FLOOR_SLOPE = Effect(
     parameters=(
         EffectParameter("x", 0.0, -0.1, 0.1, "rad", 0.01, "downhill towards world x"),
         EffectParameter("y", 0.0, -0.1, 0.1, "rad", 0.01, "downhill towards world y"),
-        EffectParameter(
-            "spinning",
-            0.0,
-            0.0,
-            1.0,
-            "1",
-            0.15,
-            "inertia of wheels and motor per mass of the car",
-            role=Role.FORM,
-        ),
+        EffectParameter("spinning", 0.0, 0.0, 1.0, "1", 0.15,
+                        "inertia of wheels and motor per mass of the car", role=Role.FORM),
     ),
     least_size=0.004,
     rates=_floor_slope_rates,
     aliases=("slope", "tilt"),
-)
+)  # fmt: skip
 """A floor that is not level: gravity pulls the same way in the world, whatever the heading.
 
 Along the path it has to spin up wheels and motor as well as move the car, across it has not.
@@ -80,10 +72,8 @@ GRIP_DRIFT = Effect(
 """Grip that changes over the run: tyres warm up, dust comes off, or goes on."""
 
 
-_EDGE = 0.1
-"""Half width of the edge [m]."""
-_SCAN_DROPS = (0.25, 0.5)
-"""Shares of grip lost that a scan tries."""
+_EDGE = 0.1  # half width of the edge [m]
+_SCAN_DROPS = (0.25, 0.5)  # shares of grip lost that a scan tries
 
 
 def _grip_patch_car(ops: Ops[T], p: Values[T], car: Car[T], state: State[T], t: float) -> Car[T]:
@@ -110,16 +100,15 @@ GRIP_PATCH = Effect(
         EffectParameter("x", 0.0, -100.0, 100.0, "m", 2.0, "centre in the world", role=Role.PLACE),
         EffectParameter("y", 0.0, -100.0, 100.0, "m", 2.0, "centre in the world", role=Role.PLACE),
         EffectParameter("radius", 0.5, 0.1, 20.0, "m", 0.5, "of the disc", role=Role.PLACE),
-        EffectParameter(
-            "drop", 0.0, 0.0, 0.95, "1", 0.3, "share of grip lost inside", scan=(0.2, 0.4, 0.6)
-        ),
+        EffectParameter("drop", 0.0, 0.0, 0.95, "1", 0.3, "share of grip lost inside",
+                        scan=(0.2, 0.4, 0.6)),
     ),
     least_size=0.0,
     selectable_in_base=BaseSelection.NEVER,
     scan=_grip_patch_scan,
     car=_grip_patch_car,
     aliases=("slippery_patch", "patch"),
-)
+)  # fmt: skip
 """A slippery place on the floor: a disc with a soft edge, fixed in the world.
 
 Where it lies has no gradient while it does nothing: look for place and drop together.

@@ -32,15 +32,8 @@ STEER_ASYMMETRY = Effect(
     summary="left and right turns get different wheel angles",
     equation="wheel = steer + asymmetry |steer|",
     parameters=(
-        EffectParameter(
-            "asymmetry",
-            0.0,
-            -0.5,
-            0.5,
-            "1",
-            0.1,
-            "gain 1 + this to the left, 1 - this to the right",
-        ),
+        EffectParameter("asymmetry", 0.0, -0.5, 0.5, "1", 0.1,
+                        "gain 1 + this to the left, 1 - this to the right"),
     ),
     least_size=0.0045,
     needs_commands=Channel.STEER,
@@ -48,7 +41,7 @@ STEER_ASYMMETRY = Effect(
     on_every_car=True,
     linkage=_steer_asymmetry_linkage,
     aliases=("left_right_asymmetry", "steering_asymmetry"),
-)
+)  # fmt: skip
 """A linkage that turns further to one side than to the other."""
 
 
@@ -68,16 +61,8 @@ STEER_BACKLASH = Effect(
     summary="play in the steering linkage",
     equation="wheel = clip(last wheel, steer - play/2, steer + play/2)",
     parameters=(
-        EffectParameter(
-            "play",
-            0.0,
-            0.0,
-            0.15,
-            "rad",
-            0.02,
-            "whole width of the gap",
-            scan=(0.005, 0.01, 0.02, 0.03, 0.04, 0.06),
-        ),
+        EffectParameter("play", 0.0, 0.0, 0.15, "rad", 0.02, "whole width of the gap",
+                        scan=(0.005, 0.01, 0.02, 0.03, 0.04, 0.06)),
     ),
     least_size=0.0019,
     needs_commands=Channel.STEER,
@@ -85,7 +70,7 @@ STEER_BACKLASH = Effect(
     memory=1,
     linkage=_steer_backlash_linkage,
     aliases=("backlash", "play", "steer_deadband"),
-)
+)  # fmt: skip
 """Play in the linkage: the wheels follow only after the slack is taken up.
 
 The play operator: the wheel angle stays until the servo pushes it from one side of the gap or the
@@ -123,22 +108,14 @@ STEER_CLIP = Effect(
     summary="the wheels stop before the model's end stops",
     equation="aim = clip(aim, -limit, limit)",
     parameters=(
-        EffectParameter(
-            "limit",
-            1.0,
-            0.03,
-            1.0,
-            "rad",
-            0.75,
-            "largest wheel angle either way",
-            scan=(0.1, 0.15, 0.2, 0.24, 0.28, 0.32),
-        ),
+        EffectParameter("limit", 1.0, 0.03, 1.0, "rad", 0.75, "largest wheel angle either way",
+                        scan=(0.1, 0.15, 0.2, 0.24, 0.28, 0.32)),
     ),
     least_size=0.0,
     needs_commands=Channel.STEER,
     reference=_steer_clip_reference,
     aliases=("clip", "end_stop", "steer_limit"),
-)
+)  # fmt: skip
 """End stops inside the model's: a servo limit, a wheel touching the chassis.
 
 Where no command passes the stop it changes nothing, so its gradient at the null is zero: it must be
@@ -214,9 +191,8 @@ STEER_NONLINEARITY = Effect(
     summary="the linkage's gain changes towards the ends",
     equation="wheel = steer + cubic steer^3",
     parameters=(
-        EffectParameter(
-            "cubic", 0.0, -2.85, 4.0, "1/rad^2", 1.0, "at -1 the wheels turn 12 % less at 0.34 rad"
-        ),
+        EffectParameter("cubic", 0.0, -2.85, 4.0, "1/rad^2", 1.0,
+                        "at -1 the wheels turn 12 % less at 0.34 rad"),
     ),
     least_size=0.2,
     needs_commands=Channel.STEER,
@@ -224,7 +200,7 @@ STEER_NONLINEARITY = Effect(
     on_every_car=True,
     linkage=_steer_nonlinearity_linkage,
     aliases=("steer_cubic", "steering_nonlinearity"),
-)
+)  # fmt: skip
 """A linkage that bends: less (or more) wheel angle towards the ends.
 
 The lower bound is 1 / (3 x 0.34^2): beyond it the wheels would turn back at the ends.
@@ -238,23 +214,15 @@ STEER_RATE_LIMIT = Effect(
     summary="the servo turns no faster than its slew rate",
     equation="|d(steer)/dt| <= rate",
     parameters=(
-        EffectParameter(
-            "rate",
-            50.0,
-            0.2,
-            50.0,
-            "rad/s",
-            45.0,
-            "largest speed of the wheel angle",
-            scan=(0.5, 0.8, 1.2, 1.6, 2.0, 2.5, 3.0, 4.0),
-        ),
+        EffectParameter("rate", 50.0, 0.2, 50.0, "rad/s", 45.0, "largest speed of the wheel angle",
+                        scan=(0.5, 0.8, 1.2, 1.6, 2.0, 2.5, 3.0, 4.0)),
     ),
     least_size=0.0,
     needs_commands=Channel.STEER,
     same_as=("steer_rate",),
     car=partial(cap, ("steer_rate",)),
     aliases=("rate_limit", "slew_limit", "steer_slew"),
-)
+)  # fmt: skip
 """A servo that turns no faster than so.
 
 Below the limit it changes nothing, so its gradient at the null is zero: it must be looked for with

@@ -21,8 +21,7 @@ from steerd.car_model.state import State
 
 _BEND_LEAST = 0.25
 """Keeps the square root real where a fit tries tyres that stiffen: at most twice the force."""
-_ROUND = 0.05
-"""Rounds off the corner of `|z|` at zero."""
+_ROUND = 0.05  # rounds off the corner of `|z|` at zero
 
 
 def _smooth_size(ops: Ops[T], z: T) -> T:
@@ -64,8 +63,7 @@ CORNERING_STIFFNESS = Effect(
 """Tyres that are stiffer or softer than modelled, front and rear alike."""
 
 
-_GRIP_LEAST = 0.01
-"""Some lateral grip stays when the tyres are spinning."""
+_GRIP_LEAST = 0.01  # some lateral grip stays when the tyres are spinning
 
 
 def _friction_ellipse_forces(ops: Ops[T], p: Values[T], at: Contact[T]) -> Axles[T]:
@@ -86,16 +84,8 @@ FRICTION_ELLIPSE = Effect(
     equation="F -> F sqrt(1 - share (2 part accel / (mu g))^2), part: rear, or 1 - rear in front",
     parameters=(
         EffectParameter("share", 0.0, 0.0, 9.0, "1", 0.5, "1: the textbook ellipse at mu"),
-        EffectParameter(
-            "rear",
-            0.5,
-            0.0,
-            1.0,
-            "1",
-            0.15,
-            "rear axle's part of drive and braking",
-            role=Role.FORM,
-        ),
+        EffectParameter("rear", 0.5, 0.0, 1.0, "1", 0.15, "rear axle's part of drive and braking",
+                        role=Role.FORM),
     ),
     least_size=0.16,
     needs_commands=Channel.SPEED,
@@ -103,7 +93,7 @@ FRICTION_ELLIPSE = Effect(
     follows_acceleration=True,
     forces=_friction_ellipse_forces,
     aliases=("combined_slip", "friction_circle"),
-)
+)  # fmt: skip
 """Lateral grip that acceleration and braking use up.
 
 Rear-wheel drive takes it from the rear axle alone. Needs hard driving to show: at 3 m/s^2 on a
@@ -111,10 +101,8 @@ floor of mu 1.05 a full ellipse costs 4 % of the force where both axles drive al
 """
 
 
-_COEFFICIENT_LEAST = 0.1
-"""Some of the coefficient stays under any load."""
-_MOVED = 0.62
-"""2 h / track of the F1TENTH car: CoG 74 mm high on a track of 240 mm."""
+_COEFFICIENT_LEAST = 0.1  # some of the coefficient stays under any load
+_MOVED = 0.62  # 2 h / track of the F1TENTH car: CoG 74 mm high on a track of 240 mm
 
 
 def _lateral_load_transfer_forces(ops: Ops[T], p: Values[T], at: Contact[T]) -> Axles[T]:
@@ -142,16 +130,8 @@ LATERAL_LOAD_TRANSFER = Effect(
     equation="F -> F (1 - k / moved^2 (Fz / Fz0 - 1)) (1 - k (a_y / g)^2)",
     parameters=(
         EffectParameter("k", 0.0, 0.0, 5.0, "1", 0.5, "grip lost per (a_y / g)^2"),
-        EffectParameter(
-            "moved",
-            _MOVED,
-            0.3,
-            1.5,
-            "1",
-            0.1,
-            "load moved at 1 g per load of a side: 2 h / track",
-            role=Role.FORM,
-        ),
+        EffectParameter("moved", _MOVED, 0.3, 1.5, "1", 0.1,
+                        "load moved at 1 g per load of a side: 2 h / track", role=Role.FORM),
     ),
     least_size=0.4,
     confounded_with=Confounding(
@@ -162,7 +142,7 @@ LATERAL_LOAD_TRANSFER = Effect(
     on_every_car=True,
     forces=_lateral_load_transfer_forces,
     aliases=("lateral_transfer", "roll_transfer"),
-)
+)  # fmt: skip
 """Grip lost because the outer wheels carry more and the inner less: mu falls with load.
 
 A tyre's coefficient falls with its load, mu (1 - e (Fz / Fz0 - 1)). Across the car the two wheels
@@ -331,12 +311,10 @@ TYRE_SATURATION = Effect(
     summary="tyre forces level off at large slip",
     equation="F = mu Fz z / sqrt(1 + q (z^2 + early |z|)), z = C_S slip",
     parameters=(
-        EffectParameter(
-            "q", 0.0, 0.0, 12.0, "1", 1.0, "1: plateau at mu Fz; 4: at half of it; 0: never"
-        ),
-        EffectParameter(
-            "early", 0.0, 0.0, 4.0, "1", 0.5, "0.5: brushes; 0: straight at first", role=Role.FORM
-        ),
+        EffectParameter("q", 0.0, 0.0, 12.0, "1", 1.0,
+                        "1: plateau at mu Fz; 4: at half of it; 0: never"),
+        EffectParameter("early", 0.0, 0.0, 4.0, "1", 0.5, "0.5: brushes; 0: straight at first",
+                        role=Role.FORM),
     ),
     least_size=0.2,
     confounded_with=Confounding(
@@ -347,7 +325,7 @@ TYRE_SATURATION = Effect(
     on_every_car=True,
     forces=_tyre_saturation_forces,
     aliases=("saturation", "pacejka"),
-)
+)  # fmt: skip
 """Tyres whose lateral force levels off instead of growing for ever with slip."""
 
 
@@ -364,9 +342,8 @@ WHEEL_SLIP = Effect(
     summary="driven wheels slip as they accelerate and brake the car",
     equation="(dx/dt, dy/dt) -> (1 - slip d(speed)/dt) (dx/dt, dy/dt)",
     parameters=(
-        EffectParameter(
-            "slip", 0.0, 0.0, 0.1, "s^2/m", 0.005, "slip per acceleration: 1 / (mu g C)"
-        ),
+        EffectParameter("slip", 0.0, 0.0, 0.1, "s^2/m", 0.005,
+                        "slip per acceleration: 1 / (mu g C)"),
     ),
     least_size=0.004,
     needs_commands=Channel.SPEED,
@@ -375,7 +352,7 @@ WHEEL_SLIP = Effect(
     built_into=("planar",),
     rates=_wheel_slip_rates,
     aliases=("longitudinal_slip",),
-)
+)  # fmt: skip
 """Driven wheels that turn faster than the car moves while they accelerate it, slower in braking.
 
 A tyre's longitudinal force needs slip, F_x = mu Fz C kappa, so wheels that give an acceleration a

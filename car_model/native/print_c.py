@@ -7,27 +7,18 @@ computed where some direction moves the parameter (`moved`). What depends on par
 alone is computed once per call, in `constants`. `march.h` has the loops around the pieces.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from math import inf
 from typing import NamedTuple
 
+from steerd.car_model import prediction
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.native.specialised import SPECIALISED_SPEED, Range, specialise
 from steerd.car_model.native.trace import CHASSIS, Piece, Traced
 from steerd.car_model.params import Car
-from steerd.car_model.prediction import (
-    GIVEN,
-    LONGEST_STEP_NS,
-    MOST_STEPS,
-    SO_FAR,
-    STEEPEST,
-    recorded_piece,
-    recorded_step,
-    recorded_tangent,
-)
 from steerd.car_model.state import State
-from steerd.car_model.tape import Entry, Node, Tape, gradient, needed
+from steerd.car_model.tape import Entry, Node, Tape, gradient, is_number, needed
 
 ALWAYS = -1
 """Stands for a parameter that is always moved: what outputs and derivatives by inputs need."""
@@ -50,25 +41,15 @@ class Slope(NamedTuple):
 
 @dataclass
 class Printer:
-    """Prints pieces of one record.
+    """Prints pieces of one record."""
 
-    Attributes:
-        tape: the record.
-        symbols: the parameters.
-        h: the step.
-        prefix: of every name.
-        timeless: inputs by which no derivative is taken.
-        lines: what is printed.
-        hoisted: places among the constants.
-    """
-
-    tape: Tape
-    symbols: tuple[Node, ...]
-    h: Node
-    prefix: str
-    timeless: frozenset[int] = frozenset()
-    lines: list[str] = field(default_factory=list)
-    hoisted: dict[int, int] = field(default_factory=dict)
+    tape: Tape  # the record
+    symbols: tuple[Node, ...]  # the parameters
+    h: Node  # the step
+    prefix: str  # of every name
+    timeless: frozenset[int] = frozenset()  # inputs by which no derivative is taken
+    lines: list[str] = field(default_factory=list)  # what is printed
+    hoisted: dict[int, int] = field(default_factory=dict)  # places among the constants
 
     def __post_init__(self) -> None:
         self.entries: list[Entry] = self.tape.entries
@@ -122,22 +103,21 @@ class Printer:
         rows = [p for p in places if p not in numbers and self.entries[p].args]
         used = {a for p in rows for a in self.entries[p].args} | {n.place for _, n, _ in targets}
         self.lines.append(f"static void {self.prefix}_{head} {{")
-        for k, symbol in enumerate(self.symbols):
-            if symbol.place in used:
-                self.lines.append(f"    const double v{symbol.place} = p[{k}];")
-        for place in sorted(used & numbers):
-            entry = self.entries[place]
-            if entry.op == "const":
-                self.lines.append(f"    const double v{place} = {entry.value!r};")
-            elif place == self.h.place:
-                self.lines.append(f"    const double v{place} = h;")
-            elif entry.args:
-                self.lines.append(f"    const double v{place} = q[{self.slot(place)}];")
+        self._declare(sorted(used & numbers), lambda place: f"q[{self.slot(place)}]")
         for k, node in enumerate(inputs):
             if node.place in used:
                 self.lines.append(f"    const vec v{node.place} = in[{k}];")
         self._grouped(rows, need, numbers, targets)
         self.lines += ["}", ""]
+
+    def _declare(self, places: Iterable[int], computed: Callable[[int], str]) -> None:
+        """Numbers at these places: parameters, the step, constants, and what is computed."""
+        given = {symbol.place: f"p[{k}]" for k, symbol in enumerate(self.symbols)}
+        given[self.h.place] = "h"
+        for place in places:
+            entry = self.entries[place]
+            text = repr(entry.value) if entry.op == "const" else given.get(place)
+            self.lines.append(f"    const double v{place} = {text or computed(place)};")
 
     def _grouped(
         self,
@@ -210,7 +190,8 @@ class Printer:
         for i in range(len(first.outputs)):
             by = [gradient([(form.outputs[i], 1.0)], sources) for form in forms]
             for k, formulas in enumerate(zip(*by, strict=True)):
-                if sources[k].place not in self.timeless and not all(map(_zero, formulas)):
+                moves = not all(is_number(node.entry, 0.0) for node in formulas)
+                if moves and sources[k].place not in self.timeless:
                     found.append(Slope(i, k, formulas))
         return sorted(found, key=lambda s: s.source >= len(first.inputs))
 
@@ -250,19 +231,8 @@ class Printer:
         self.lines.append(
             f"static void {self.prefix}_constants(const double *p, double h, double *q) {{"
         )
-        for k, symbol in enumerate(self.symbols):
-            if symbol.place in places:
-                self.lines.append(f"    const double v{symbol.place} = p[{k}];")
         numbers = set(places)
-        for place in places:
-            entry = self.entries[place]
-            if entry.op == "const":
-                self.lines.append(f"    const double v{place} = {entry.value!r};")
-            elif place == self.h.place:
-                self.lines.append(f"    const double v{place} = h;")
-            elif entry.args:
-                text = self.operation(place, False, numbers)
-                self.lines.append(f"    const double v{place} = {text};")
+        self._declare(places, lambda place: self.operation(place, False, numbers))
         self.lines += [f"    q[{slot}] = v{place};" for place, slot in self.hoisted.items()]
         self.lines += ["}", f"enum {{ {self.prefix}_CONSTANTS = {len(self.hoisted)} }};", ""]
 
@@ -316,17 +286,16 @@ def print_filter(chassis: Chassis) -> str:
     car: Car[Node] = Car(*map(tape.symbol, Car._fields))
     printer = Printer(tape, tuple(car), tape.symbol("no step"), "filter")
     programs = {
-        "piece": recorded_piece(tape, car),
-        "propagate": recorded_step(tape, car, chassis),
-        "tangent": recorded_tangent(tape, car, chassis),
+        "piece": prediction.recorded_piece(tape, car),
+        "propagate": prediction.recorded_step(tape, car, chassis),
+        "tangent": prediction.recorded_tangent(tape, car, chassis),
     }
     for name, (inputs, outputs) in programs.items():
         printer.values(name, Piece(tuple(inputs), tuple(outputs)))
     printer.constants()
-    sizes = {
-        "GIVEN": len(GIVEN), "SO_FAR": len(SO_FAR), "LONGEST_STEP_NS": LONGEST_STEP_NS,
-        "MOST_STEPS": MOST_STEPS, "STEEPEST": STEEPEST,
-    }  # fmt: skip
+    sizes = {"GIVEN": len(prediction.GIVEN), "SO_FAR": len(prediction.SO_FAR)}
+    named = ("LONGEST_STEP_NS", "MOST_STEPS", "STEEPEST")
+    sizes |= {name: getattr(prediction, name) for name in named}
     listed = ", ".join(f"{name} = {size}" for name, size in sizes.items())
     return "\n".join([f"enum {{ {listed} }};", *printer.lines])
 
@@ -338,10 +307,6 @@ def fast_rates(traced: Traced) -> Piece:
     return Piece(
         rates.inputs, specialise(rates.outputs, {speed.place: Range(SPECIALISED_SPEED, inf)})
     )
-
-
-def _zero(node: Node) -> bool:
-    return node.entry.op == "const" and node.entry.value == 0.0
 
 
 def print_model(traced: Traced, prefix: str) -> str:

@@ -29,11 +29,6 @@ class Range(NamedTuple):
 ANY = Range(-inf, inf)
 
 
-def _of(values: Sequence[float]) -> Range:
-    found = Range(min(values), max(values))
-    return found if all(map(isfinite, values)) else ANY
-
-
 def _add(a: Range, b: Range) -> Range:
     return Range(a.low + b.low, a.high + b.high)
 
@@ -43,7 +38,8 @@ def _multiply(a: Range, b: Range) -> Range:
         return Range(a.low * b.low, a.low * b.high)
     if 0.0 < b.low == b.high:
         return _multiply(b, a)
-    return _of([x * y for x in a for y in b])
+    found = [x * y for x in a for y in b]
+    return Range(min(found), max(found)) if all(map(isfinite, found)) else ANY
 
 
 def _range(op: str, args: Sequence[Range]) -> Range:

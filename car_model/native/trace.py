@@ -63,15 +63,6 @@ def parameter_names(effects: tuple[Effect, ...]) -> tuple[str, ...]:
     return (*Car._fields, *own)
 
 
-def _model(
-    tape: Tape, effects: tuple[Effect, ...], chassis: Chassis
-) -> tuple[Model[Node], tuple[Node, ...]]:
-    every = _inputs(tape, *parameter_names(effects))
-    rest = iter(every[len(Car._fields) :])
-    values = tuple(tuple(next(rest) for _ in effect.parameters) for effect in effects)
-    return Model(Car(*every[: len(Car._fields)]), effects, values, chassis), every
-
-
 def _inputs(tape: Tape, *names: str) -> tuple[Node, ...]:
     return tuple(tape.symbol(name) for name in names)
 
@@ -127,7 +118,10 @@ def _trace_remember(s: _Symbols) -> Piece:
 def trace(effects: tuple[Effect, ...] = (), chassis: Chassis = SINGLE_TRACK) -> Traced:
     """Record a car with these effects on this chassis; every parameter stays an input."""
     tape = Tape()
-    model, every = _model(tape, effects, chassis)
+    every = _inputs(tape, *parameter_names(effects))
+    rest = iter(every[len(Car._fields) :])
+    values = tuple(tuple(next(rest) for _ in effect.parameters) for effect in effects)
+    model = Model(Car(*every[: len(Car._fields)]), effects, values, chassis)
     state: State[Node] = State(*_inputs(tape, *State._fields))
     memory = _inputs(tape, *(f"memory_{i}" for i in range(memory_size(effects))))
     t, h = _inputs(tape, "t", "h")

@@ -20,15 +20,7 @@ from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model, memory_size
-from steerd.car_model.native.library import (
-    Block,
-    Directions,
-    Integration,
-    Loss,
-    Readings,
-    load_function,
-    model_label,
-)
+from steerd.car_model.native import library
 from steerd.car_model.native.threads import share_out, threads
 from steerd.car_model.native.trace import parameter_names
 from steerd.car_model.params import Car
@@ -38,17 +30,12 @@ from steerd.car_model.state import State
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-SLOTS = 8
-"""Windows side by side: one vector of AVX-512, two of AVX2, four of NEON."""
-SENSITIVITIES = 72
-"""Most directions at once."""
-STATES = len(State._fields)
-"""Numbers of a state before the effects' memory."""
+SLOTS = 8  # windows side by side: one vector of AVX-512, two of AVX2, four of NEON
+SENSITIVITIES = 72  # most directions at once
+STATES = len(State._fields)  # numbers of a state before the effects' memory
 STEER = State._fields.index("steer")
-START_POSE = 3
-"""Derivatives by the pose of a window's start: x, y, yaw."""
-CACHE_LINE = 64
-"""[byte]."""
+START_POSE = 3  # derivatives by the pose of a window's start: x, y, yaw
+CACHE_LINE = 64  # [byte]
 TABLEAUS: dict[str, Array] = {
     "euler": np.array([[0.0], [1.0]]),
     "midpoint": np.array([[0.0, 0.5], [0.0, 1.0]]),
@@ -78,7 +65,7 @@ class Kernels:
 
     def function(self, name: str) -> Any:
         """A function of the library."""
-        return load_function(model_label(self.effects, self.chassis), name)
+        return library.load_function(library.model_label(self.effects, self.chassis), name)
 
     def spread(self, rows: Array) -> Array:
         """(P, ...) rows by parameter among those of the library's car, zero elsewhere."""
@@ -147,7 +134,7 @@ class CarNumbers(NamedTuple):
 
     p: Array  # parameters of the library's car
     q: Array  # what depends on them and the step alone
-    integration: Integration  # both, and how to integrate
+    integration: library.Integration  # both, and how to integrate
 
 
 def car_numbers(
@@ -158,7 +145,7 @@ def car_numbers(
     q = np.empty(kernels.call("constant_count") + 1)
     kernels.call("constants", _at(p), h, _at(q))
     stages = tableau.shape[1]
-    return CarNumbers(p, q, Integration(_at(p), _at(q), _at(tableau), h, stages, substeps))
+    return CarNumbers(p, q, library.Integration(_at(p), _at(q), _at(tableau), h, stages, substeps))
 
 
 def _held_car(kernels: Kernels, parameters: Array, held: HeldCommands) -> CarNumbers:
@@ -254,8 +241,8 @@ def _spans(blocks: WindowBlocks, steps: int) -> Indices:
     return spans
 
 
-def _block(held: HeldCommands, spans: Indices, t: Array) -> Block:
-    return Block(_at(held.rows), _at(spans), _at(t))
+def _block(held: HeldCommands, spans: Indices, t: Array) -> library.Block:
+    return library.Block(_at(held.rows), _at(spans), _at(t))
 
 
 class Windows(NamedTuple):
@@ -337,7 +324,7 @@ def march_back(
 
     def simulate_back(number: int, worker: int) -> None:
         block = _block(held, spans[number], blocks.t[number])
-        loss = Loss(_at(values), *strides.tolist(), blocks.windows, number * SLOTS)
+        loss = library.Loss(_at(values), *strides.tolist(), blocks.windows, number * SLOTS)
         into = _at(path) + number * SLOTS * path.itemsize
         kernels.call(
             "march_back", byref(car.integration), byref(block), steps, blocks.slots, into,
@@ -436,7 +423,7 @@ def compute_readings(
     wide, start = kernels.spread(seeds), np.ascontiguousarray(dfirst)
     late = _delays(kernels, parameters)[1] @ seeds / held.fine
     moved: NDArray[np.uint8] = np.any(wide, axis=1).astype(np.uint8)
-    directions = Directions(count, _at(moved), _at(wide), _at(start), _at(late))
+    directions = library.Directions(count, _at(moved), _at(wide), _at(start), _at(late))
     blocks = _in_blocks(np.lexsort((windows.spans[:, 4], windows.spans[:, 3])))
     ranges = np.column_stack([stations.spans[:-1], stations.spans[1:]])[blocks]
     ranges.reshape(-1, 2)[len(first) :, 1] = 0  # copies are not read
@@ -449,7 +436,7 @@ def compute_readings(
 
     def block(number: int, _worker: int) -> None:
         row, own, span, time = (at[number] for at in starts)
-        place, readings = Block(commands, span, time), Readings(*read, own, *into)
+        place, readings = library.Block(commands, span, time), library.Readings(*read, own, *into)
         kernels.call(
             "readings", byref(car.integration), byref(place), byref(directions), row,
             byref(readings),

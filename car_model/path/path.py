@@ -15,8 +15,7 @@ SEARCH_ROUNDS = 6
 """Newton rounds of the local search; two are usual, and the last needs no further accuracy."""
 HEADING_WEIGHT = 1.0
 """What a radian of heading error counts in metres when a branch is chosen [m/rad]."""
-SAMPLES_MIN = 3
-"""Fewest samples that make a path."""
+SAMPLES_MIN = 3  # fewest samples that make a path
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -13,6 +13,7 @@ files made by hand often hold yaw itself. Both are taken, anything else is refus
 """
 
 import math
+from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import NamedTuple
 
@@ -23,18 +24,12 @@ from steerd.car_model.path.path import Path, place_at_origin
 
 Array = npt.NDArray[np.float64]
 
-STEP = 0.05
-"""Distance aimed at between samples of a path from a file [m]."""
-POINTS_MIN = 5
-"""Fewest points that a cubic spline takes, closed."""
-GAP_CLOSED = 2.5
-"""A path is closed if its ends lie within this many times the usual spacing."""
-FINE = 20
-"""Spline evaluations per sample, from which arc length is measured."""
-PSI_TOLERANCE = 0.3
-"""Largest median disagreement of a file's psi with its positions [rad]."""
-NORTH = -0.5 * math.pi
-"""psi minus yaw where psi is measured from the +y axis [rad]."""
+STEP = 0.05  # distance aimed at between samples of a path from a file [m]
+POINTS_MIN = 5  # fewest points that a cubic spline takes, closed
+GAP_CLOSED = 2.5  # a path is closed if its ends lie within this many times the usual spacing
+FINE = 20  # spline evaluations per sample, from which arc length is measured
+PSI_TOLERANCE = 0.3  # largest median disagreement of a file's psi with its positions [rad]
+NORTH = -0.5 * math.pi  # psi minus yaw where psi is measured from the +y axis [rad]
 COLUMNS = {
     7: ("s_m", "x_m", "y_m", "psi_rad", "kappa_radpm", "vx_mps", "ax_mps2"),
     4: ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m"),
@@ -138,18 +133,12 @@ def make_path(track: Track, smooth: float = 0.0) -> Path:
     (x, y), (dx, dy), (ddx, ddy) = (np.asarray(splev(at, spline, der=n)) for n in range(3))
     yaw = np.unwrap(np.arctan2(dy, dx))
     _check_psi(track, chords, at, yaw)
-    return Path(
-        track.name,
-        step,
-        track.closed,
-        tuple(x.tolist()),
-        tuple(y.tolist()),
-        tuple(yaw.tolist()),
-        tuple(((dx * ddy - dy * ddx) / (dx * dx + dy * dy) ** 1.5).tolist()),
-        _column(track, "vx_mps", chords, at),
-        _column(track, "w_tr_left_m", chords, at),
-        _column(track, "w_tr_right_m", chords, at),
-    )
+    curvature = (dx * ddy - dy * ddx) / (dx * dx + dy * dy) ** 1.5
+    columns = (tuple(column.tolist()) for column in (x, y, yaw, curvature))
+    speed = _column(track, "vx_mps", chords, at)
+    left, right = (_column(track, f"w_tr_{side}_m", chords, at) for side in ("left", "right"))
+    path = Path(track.name, step, track.closed, *columns)
+    return replace(path, speed=speed, width_left=left, width_right=right)
 
 
 def _equal_steps(spline: object, end: float, closed: bool) -> tuple[Array, float]:

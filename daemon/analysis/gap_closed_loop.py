@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile, CarFileError
 from steerd.car_model.effects import EFFECTS
+from steerd.car_model.model import Model
 from steerd.car_model.state import ORIGIN, State
 from steerd.daemon.assembly.build import RunPlan, make_plan, make_world_config
 from steerd.daemon.assembly.session_meta import csv_file, read_session_car, recorded_path
@@ -166,14 +167,9 @@ def _simulated(
     """The plan driven by its controller on a car; None, and a remark, if it does not last."""
     label = "with the effect" if found else "without the effect"
     own = dict(zip((e.name for e in base.effects), base.values, strict=True)) | dict(found)
-    config = replace(
-        make_world_config(plan),
-        car=base.car,
-        chassis=base.chassis,
-        effects=tuple(EFFECTS[name] for name in own),
-        effect_values=tuple(own.values()),
-        start=start,
-    )
+    effects = tuple(EFFECTS[name] for name in own)
+    model = Model(base.car, effects, tuple(own.values()), base.chassis)
+    config = replace(make_world_config(plan), model=model, start=start)
     rows: list[tuple[float, ...]] = []
 
     def sink(records: list[PipeRecord], t_ns: int) -> None:

@@ -8,8 +8,8 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 from steerd.car_model.car_file import default_car_path
+from steerd.car_model.model import believed_car
 from steerd.car_model.native.library import load_library
-from steerd.car_model.nominal_car import believed_car
 from steerd.car_model.params import Car
 from steerd.car_model.path.path import Path
 from steerd.car_model.path.path_spec import parse_path
@@ -279,13 +279,9 @@ def make_world_config(
     from steerd.sim_hw.world import WorldConfig
 
     settings, options = plan.sim, plan.options
-    model = make_true_model(settings, options.effects)
     return WorldConfig(
         seed=options.seed,
-        car=model.car,
-        chassis=model.chassis,
-        effects=model.effects,
-        effect_values=model.values,
+        model=make_true_model(settings, options.effects),
         scaling=settings.scaling,
         vesc=VescConfig(current_limit=settings.brakes.current_max_a),
         mocap=MocapConfig(kind=mocap_kind, frame=settings.ingest.frame),

@@ -22,8 +22,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.atomic_file import write_atomically
 
 AUTHORITY = "authority"
-_PRIVATE = 0o600
-"""Only the owner reads and writes."""
+_PRIVATE = 0o600  # only the owner reads and writes
 _NAME = re.compile(r"[a-zA-Z0-9_.-]{1,60}")
 _SKEW = timedelta(days=1)
 """Certificates are valid from this long ago, for machines whose clock is behind."""

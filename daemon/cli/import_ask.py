@@ -18,8 +18,7 @@ from steerd.daemon.imports.propose import Proposal, change, format_map, list_sec
 if TYPE_CHECKING:
     from steerd.daemon.sessions.info import SessionReport
 
-Trial = Callable[[Path, Path], object]
-"""Imports by a map file into a session file."""
+Trial = Callable[[Path, Path], object]  # imports by a map file into a session file
 _LEFT, _MM = "must be left positive", "millimetres"
 
 

@@ -28,72 +28,64 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "drive": {
-        "run": ("driving.run", "drive: the control loop on a car or on simulated hardware"),
-        "start": ("driving.operate", "drive an armed car; it stops when this terminal is closed"),
-        "stop": ("driving.operate", "stop a driving car"),
-        "estop": ("driving.operate", "emergency stop"),
-        "arm": ("driving.operate", "arm a running daemon"),
-        "disarm": ("driving.operate", "disarm a running daemon"),
-        "clear": ("driving.operate", "acknowledge a latched fault"),
-        "status": ("driving.status", "state of a running daemon and what it is waiting for"),
-        "watch": ("driving.watch", "a running car in the terminal: state, errors, rates, faults"),
-        "page": ("driving.page", "a running car as a live page in a browser, with a stop button"),
-        "teleop": ("driving.teleop", "drive by gamepad, with a deadman's button"),
-        "control": ("driving.control", "the lane keeper as a process of its own, over zenoh"),
-        "collect": ("driving.collect", "drive an excitation plan and record it"),
+        "run": ("driving", "drive: the control loop on a car or on simulated hardware"),
+        "start": ("driving", "drive an armed car; it stops when this terminal is closed"),
+        "stop": ("driving", "stop a driving car"),
+        "estop": ("driving", "emergency stop"),
+        "arm": ("driving", "arm a running daemon"),
+        "disarm": ("driving", "disarm a running daemon"),
+        "clear": ("driving", "acknowledge a latched fault"),
+        "status": ("driving", "state of a running daemon and what it is waiting for"),
+        "watch": ("driving", "a running car in the terminal: state, errors, rates, faults"),
+        "page": ("driving", "a running car as a live page in a browser, with a stop button"),
+        "teleop": ("driving", "drive by gamepad, with a deadman's button"),
+        "control": ("driving", "the lane keeper as a process of its own, over zenoh"),
+        "collect": ("driving", "drive an excitation plan and record it"),
     },
     "sessions": {
-        "sessions": ("sessions.sessions", "the recorded drives: date, car, errors, notes"),
-        "info": ("sessions.info", "contents of a session"),
-        "plot": ("sessions.plot", "a drive as one HTML page: track, errors, commands, timing"),
-        "replay": (
-            "sessions.replay",
-            "feed a recorded session through the loop and compare its commands",
-        ),
-        "recover": ("sessions.recover", "rebuild the session of a recorder that was killed"),
-        "import": ("sessions.import_", "turn a lab's own log (csv, ROS bag) into a session"),
+        "sessions": ("sessions", "the recorded drives: date, car, errors, notes"),
+        "info": ("sessions", "contents of a session"),
+        "plot": ("sessions", "a drive as one HTML page: track, errors, commands, timing"),
+        "replay": ("sessions", "feed a recorded session through the loop and compare its commands"),
+        "recover": ("sessions", "rebuild the session of a recorder that was killed"),
+        "import": ("sessions", "turn a lab's own log (csv, ROS bag) into a session"),
     },
     "learn": {
-        "identify": ("analysis.identify", "learn the car from its sessions"),
+        "identify": ("analysis", "learn the car from its sessions"),
         "diagnose": (
-            "analysis.diagnose",
+            "analysis",
             "where simulation and car differ, why, and how far adding it helps",
         ),
-        "learn": (
-            "analysis.learn",
-            "the parameters that a drive identifies, and when the car changed",
-        ),
-        "effects": (
-            "analysis.effects",
-            "the unmodelled effects that can be simulated and diagnosed",
-        ),
-        "sweep": ("analysis.sweep", "many drives in virtual time, each another draw of the car"),
-        "batch": (
-            "analysis.batch",
-            "hundreds of sessions: each a row; what changed, and since when",
-        ),
+        "learn": ("analysis", "the parameters that a drive identifies, and when the car changed"),
+        "effects": ("analysis", "the unmodelled effects that can be simulated and diagnosed"),
+        "sweep": ("analysis", "many drives in virtual time, each another draw of the car"),
+        "batch": ("analysis", "hundreds of sessions: each a row; what changed, and since when"),
     },
     "set up": {
-        "setup": ("setup.setup", "from a car that nobody measured to its car file, step by step"),
-        "probe": ("setup.probe", "find VESCs and mocap servers, and what is wrong with them"),
-        "config": (
-            "setup.config",
-            "print a commented car file, check one, convert F1TENTH's gains",
-        ),
-        "export": ("setup.export", "a car file for f1tenth_gym or MuJoCo"),
-        "mocap": ("setup.mocap", "check mocap; calibrate the place of its body on the car"),
-        "calibrate": ("setup.calibrate", "centre, gain and limits of the steering"),
-        "sim": ("driving.sim", "simulated hardware alone: a VESC on a pty, a mocap server"),
-        "rtcheck": ("setup.rtcheck", "measure whether this machine can run a control loop on time"),
-        "completion": ("setup.completion", "completion scripts for bash, zsh, tcsh and fish"),
+        "setup": ("setup", "from a car that nobody measured to its car file, step by step"),
+        "probe": ("setup", "find VESCs and mocap servers, and what is wrong with them"),
+        "config": ("setup", "print a commented car file, check one, convert F1TENTH's gains"),
+        "export": ("setup", "a car file for f1tenth_gym or MuJoCo"),
+        "mocap": ("setup", "check mocap; calibrate the place of its body on the car"),
+        "calibrate": ("setup", "centre, gain and limits of the steering"),
+        "sim": ("driving", "simulated hardware alone: a VESC on a pty, a mocap server"),
+        "rtcheck": ("setup", "measure whether this machine can run a control loop on time"),
+        "completion": ("setup", "completion scripts for bash, zsh, tcsh and fish"),
     },
     "lab": {
-        "keys": ("setup.keys", "certificates of a lab: for the car, its operators, its viewers"),
-        "service": ("setup.service", "a systemd unit that starts disarmed, and the udev file"),
+        "keys": ("setup", "certificates of a lab: for the car, its operators, its viewers"),
+        "service": ("setup", "a systemd unit that starts disarmed, and the udev file"),
     },
 }
-"""Commands by what they are for: module below `commands` and one line of help, by name."""
-COMMANDS = {name: each for group in GROUPS.values() for name, each in group.items()}
+"""Commands by what they are for: folder below `commands` and one line of help, by name."""
+_MODULES = dict.fromkeys(("start", "stop", "estop", "arm", "disarm", "clear"), "operate")
+_MODULES["import"] = "import_"  # modules that are not called as their command
+COMMANDS = {
+    name: (f"{folder}.{_MODULES.get(name, name)}", text)
+    for group in GROUPS.values()
+    for name, (folder, text) in group.items()
+}
+"""Module below `commands` and one line of help, by name."""
 
 
 def make_parser() -> argparse.ArgumentParser:

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from steerd.daemon.analysis.diagnosis import Diagnosis
     from steerd.daemon.analysis.identification import Identification
 
-_DRAW, _NOISE = 1.0, 8.0
-"""About what the report's figures and the noise cost, in sessions read."""
+_DRAW, _NOISE = 1.0, 8.0  # about what the report's figures and the noise cost, in sessions read
 
 
 def list_outputs(args: argparse.Namespace) -> dict[str, Path | None]:

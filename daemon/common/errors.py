@@ -8,37 +8,23 @@ class ExitCode(IntEnum):
     """Exit codes of the `steerd` command; documented in docs/how-to/troubleshooting.md."""
 
     OK = 0
-    USAGE = 2
-    """The command line makes no sense."""
-    UNREADABLE = 3
-    """A device or file cannot be opened or read."""
-    INVALID = 4
-    """A car file, map or session was read but its content is wrong."""
-    STOPPED = 5
-    """A safety stop ended the run, or a result is not reliable enough to be used."""
-    UNREACHABLE = 6
-    """No running daemon answered."""
-    DIFFERS = 7
-    """A replay gave other commands than were recorded."""
-    INTERNAL = 70
-    """A bug in steerd."""
-    INTERRUPTED = 130
-    """Ctrl-C before there was anything to stop."""
+    USAGE = 2  # the command line makes no sense
+    UNREADABLE = 3  # a device or file cannot be opened or read
+    INVALID = 4  # a car file, map or session was read but its content is wrong
+    STOPPED = 5  # a safety stop ended the run, or a result is not reliable enough to be used
+    UNREACHABLE = 6  # no running daemon answered
+    DIFFERS = 7  # a replay gave other commands than were recorded
+    INTERNAL = 70  # a bug in steerd
+    INTERRUPTED = 130  # Ctrl-C before there was anything to stop
 
 
 class SteerdError(Exception):
-    """A failure that a person can act on.
-
-    Attributes:
-        what: what happened, one sentence.
-        hint: what to try, one sentence; may be empty.
-        code: the exit code.
-    """
+    """A failure that a person can act on."""
 
     def __init__(self, what: str, hint: str = "", code: ExitCode = ExitCode.INVALID) -> None:
         super().__init__(what)
-        self.what = what
-        self.hint = hint
+        self.what = what  # what happened, one sentence
+        self.hint = hint  # what to try, one sentence; may be empty
         self.code = code
 
     def __str__(self) -> str:

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 P = ParamSpec("P")
 _OPTION = re.compile(r"`[^`]*`|(?<!\w)--([a-z][a-z-]*)(?:[ =]([\w./]+)(?=$|[:,;]))?")
-_ARGUMENTS = {"effect": "effects"}
-"""Arguments that are not called as their option."""
+_ARGUMENTS = {"effect": "effects"}  # arguments that are not called as their option
 
 
 def speaking_of_arguments(function: Callable[P, T]) -> Callable[P, T]:

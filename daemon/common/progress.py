@@ -8,8 +8,7 @@ from typing import Protocol, TypeVar
 from steerd.daemon.common.screen import raw
 
 T = TypeVar("T")
-Advance = Callable[[float], None]
-"""Called with the amount of work done, in the unit of the total."""
+Advance = Callable[[float], None]  # called with the amount of work done, in the unit of the total
 
 
 class Step(Protocol):

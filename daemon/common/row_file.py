@@ -5,8 +5,7 @@ import sqlite3
 from pathlib import Path
 from typing import Any
 
-Row = dict[str, Any]
-"""Values by column, each a number, a text, a truth value or None."""
+Row = dict[str, Any]  # values by column, each a number, a text, a truth value or None
 
 
 class RowFile:

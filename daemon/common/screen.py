@@ -11,13 +11,11 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, TextIO, TypeVar
 
-WIDTH = 80
-"""Columns of the narrowest terminal that reports are made for."""
+WIDTH = 80  # columns of the narrowest terminal that reports are made for
 NBSP = "\u00a0"
 """Joins what must stand on one line, a figure and its unit for instance; shown as a space."""
 _COMMAND = re.compile("`steerd [^`]*`")
-TEXT_MAX = 200
-"""Text from a file is cut after so many characters."""
+TEXT_MAX = 200  # text from a file is cut after so many characters
 
 
 def clean(text: str, length: int = TEXT_MAX) -> str:
@@ -123,14 +121,10 @@ def remove_controls(text: str) -> str:
 
 
 class PlainStream:
-    """A stream whose text passes `remove_controls`; `raw` is for what draws on a terminal itself.
-
-    Attributes:
-        raw: the stream behind it.
-    """
+    """A stream whose text passes `remove_controls`; `raw` is for what draws there itself."""
 
     def __init__(self, raw: TextIO) -> None:
-        self.raw = raw
+        self.raw = raw  # the stream behind it
 
     def write(self, text: str) -> int:
         """Write what a terminal may show."""

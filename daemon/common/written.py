@@ -28,8 +28,7 @@ from steerd.daemon.common.screen import print_labelled
 from steerd.posterior_file import posterior_path
 from steerd.steer_bus.atomic_file import is_full, write_atomically
 
-_REMEMBERED = 10_000
-"""Digests kept, the latest ones: 650 kB."""
+_REMEMBERED = 10_000  # digests kept, the latest ones: 650 kB
 
 
 def write_output(path: Path, text: str | bytes) -> Path | None:

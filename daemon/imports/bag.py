@@ -24,7 +24,7 @@ from steerd.daemon.imports.import_session import (
     write_import,
 )
 from steerd.steer_bus.atomic_file import is_full
-from steerd.steer_bus.codec import schema_text, type_name
+from steerd.steer_bus.fields import schema_text, type_name
 from steerd.steer_bus.standard import AckermannDriveStamped, Odometry, PoseStamped, VescStateStamped
 from steerd.steer_bus.topics import ACTUATION, MOCAP, VESC, WHEEL, Topic
 
@@ -55,10 +55,8 @@ PREFERRED: Mapping[str, tuple[str, ...]] = {
 what goes to the VESC before what somebody asked for."""
 _OTHER_CLOCK_NS = 10_000_000_000
 """Header stamps this far from the bag's time are of another clock [ns]."""
-_ADVANCE_MESSAGES = 1000
-"""Messages between two reports of progress."""
-_SHOWN = 8
-"""Topics that an error lists."""
+_ADVANCE_MESSAGES = 1000  # messages between two reports of progress
+_SHOWN = 8  # topics that an error lists
 
 
 @dataclass(frozen=True)

@@ -37,8 +37,7 @@ _TOPICS |= {quantity: topic for quantity, (topic, _) in _SINGLE.items()}
 _POSE = ("x", "y", "yaw")
 _Timed = tuple[int, dict[str, float]]
 """The time of a row [ns], and the quantities that have a value in it."""
-_INT32_MAX = (1 << 31) - 1
-"""Largest UNIX time [s] and largest ERPM of a message."""
+_INT32_MAX = (1 << 31) - 1  # largest UNIX time [s] and largest ERPM of a message
 
 
 def import_csv(

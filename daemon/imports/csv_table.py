@@ -14,14 +14,11 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import Advance
 from steerd.daemon.imports.import_map import ColumnSpec
 
-LINE_MAX = 1 << 20
-"""No row is longer than this [characters]."""
+LINE_MAX = 1 << 20  # no row is longer than this [characters]
 _DELIMITERS = ",;\t| "
 _NO_VALUE = frozenset(("", "nan", "+nan", "-nan", "na", "n/a", "null", "none"))
-_ADVANCE_ROWS = 1000
-"""Rows between two reports of progress."""
-_SHOWN = 12
-"""Column names that an error lists."""
+_ADVANCE_ROWS = 1000  # rows between two reports of progress
+_SHOWN = 12  # column names that an error lists
 
 
 class Cell(NamedTuple):

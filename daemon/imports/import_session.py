@@ -36,10 +36,8 @@ class Sample(NamedTuple):
     """One value of a stream."""
 
     topic: Topic
-    t_ns: int
-    """Time of validity, in the log's own time."""
-    log_ns: int
-    """When it was logged, in the log's own time."""
+    t_ns: int  # time of validity, in the log's own time
+    log_ns: int  # when it was logged, in the log's own time
     message: Any
 
 

@@ -19,10 +19,8 @@ from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.imports.csv_table import CsvTable, open_table
 from steerd.daemon.imports.import_map import ROLES, STREAM_COLUMNS
 
-Proposal = dict[str, dict[str, Any]]
-"""Sections of a map."""
-_ROWS = 20_000
-"""Rows that are looked at."""
+Proposal = dict[str, dict[str, Any]]  # sections of a map
+_ROWS = 20_000  # rows that are looked at
 _DEGREE = round(pi / 180.0, 10)
 _QUANTITIES: dict[str, tuple[str, float, float]] = {
     "t": (r"^#?\s*(t|time|stamp|sec|secs|seconds)$|time|stamp", inf, 1.0),

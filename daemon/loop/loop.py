@@ -5,7 +5,7 @@ give the same orders. Decisions are made by the pure functions that it calls; th
 states from tick to tick.
 """
 
-from steerd.car_model.nominal_car import believed_car
+from steerd.car_model.model import believed_car
 from steerd.car_model.state import Command
 from steerd.controller.lane_controller import ControllerState, ControlReport, start_controller
 from steerd.controller.limits import make_limiter_state

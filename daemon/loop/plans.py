@@ -11,7 +11,7 @@ from math import atan, cos, floor, inf, isfinite, pi, sin, sqrt, tan
 from typing import NamedTuple
 
 from steerd.car_model.params import GRAVITY, Car, wheelbase
-from steerd.car_model.path.path_shapes import FIGURE_EIGHT_EXTENT
+from steerd.car_model.path.path_spec import FIGURE_EIGHT_EXTENT
 from steerd.car_model.state import Command
 from steerd.controller.limits import Limits
 from steerd.daemon.loop.launch import LAUNCH_DISTANCE

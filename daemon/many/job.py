@@ -10,10 +10,11 @@ import io
 import sqlite3
 import sys
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import make_frame, notebook_progress
@@ -25,8 +26,9 @@ from steerd.daemon.many.units import Done, Where, Work, run_units
 if TYPE_CHECKING:
     import pandas
 
-FAILED = "failed"
-"""Outcome of a row whose unit failed; the next start tries it again."""
+    from steerd.sysid.report.report import Report
+
+FAILED = "failed"  # outcome of a row whose unit failed; the next start tries it again
 Rows = Sequence[Mapping[str, Any]]
 _TYPES = {"number": "float64", "count": "int64", "text": "string"}
 
@@ -47,14 +49,49 @@ class RowTable(tuple[Row, ...]):
         return f"<{len(self)} rows of {', '.join(self[0]) if self else 'nothing'}>"
 
 
-class Found(Protocol):
+class Found(ABC):
     """What was found on many drives; `print` shows the screen."""
+
+    rows: tuple[Row, ...]  # one drive each, values by column
+
+    @property
+    @abstractmethod
+    def columns(self) -> Sequence[Column]:
+        """The columns of the table with units and meanings."""
+
+    @property
+    @abstractmethod
+    def origin(self) -> Mapping[str, str]:
+        """Texts that say where the table comes from."""
+
+    @abstractmethod
+    def make_report(self) -> "Report":
+        """What the page shows."""
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """The rows as a data frame; `attrs["units"]` holds the units by column."""
+        values = {c.name: [row.get(c.name) for row in self.rows] for c in self.columns}
+        return make_frame(values, {c.name: c.unit for c in self.columns})
 
     def encode_table(self) -> bytes:
         """The rows as a Parquet file; the same rows give the same bytes."""
+        return encode_table(self.columns, self.rows, self.origin)
+
+    def save_table(self, path: Path | str) -> Path:
+        """Write that file, whole or not at all; its path.
+
+        Raises:
+            SteerdError: it cannot be written there.
+        """
+        check_outputs({"save_table": Path(path)})
+        write_outputs({Path(path): self.encode_table()})
+        return Path(path)
 
     def render_report(self) -> str:
-        """The page."""
+        """The page, one file."""
+        from steerd.sysid.report.page import render_report
+
+        return render_report(self.make_report())
 
 
 F = TypeVar("F", bound=Found)
@@ -98,12 +135,13 @@ def do_job(
         check_outputs({"-o": output})
     began = time.perf_counter()
     with open_finished(output and finished_path(output), job.basis) as (rows, keep):
-        todo = {u: about for u, about in job.units.items() if not _is_done(rows.get(u))}
+        done = {unit for unit, row in rows.items() if row["outcome"] != FAILED}
+        todo = {unit: about for unit, about in job.units.items() if unit not in done}
         before = len(job.units) - len(todo)
         progress(before)
-        for number, done in enumerate(run_units(job.work, todo, where, job.ship), 1):
-            rows[done.unit] = job.make_row(done)
-            keep(done.unit, job.basis, rows[done.unit])
+        for number, end in enumerate(run_units(job.work, todo, where, job.ship), 1):
+            rows[end.unit] = job.make_row(end)
+            keep(end.unit, job.basis, rows[end.unit])
             progress(before + number)
     found = RowTable(rows[unit] for unit in job.units)
     return job.make(found, len(todo), time.perf_counter() - began)
@@ -142,10 +180,6 @@ def write_found(job: Job[F], found: F, output: Path | None, page: Path | None = 
 def finished_path(output: Path) -> Path:
     """Where the finished units of a table lie."""
     return output.with_name(f"{output.name}.journal")
-
-
-def _is_done(row: Row | None) -> bool:
-    return row is not None and row["outcome"] != FAILED
 
 
 @contextmanager
@@ -191,24 +225,6 @@ def _make_error(path: Path | None, error: sqlite3.Error) -> SteerdError:
     return SteerdError(what, hint, ExitCode.UNREADABLE)
 
 
-def frame_of(columns: Sequence[Column], rows: Rows) -> "pandas.DataFrame":
-    """The rows as a data frame; `attrs["units"]` holds the units by column."""
-    values = {c.name: [row.get(c.name) for row in rows] for c in columns}
-    return make_frame(values, {c.name: c.unit for c in columns})
-
-
-def save_table(path: Path | str, table: bytes) -> Path:
-    """Write a table, whole or not at all; its path.
-
-    Raises:
-        SteerdError: it cannot be written there.
-    """
-    path = Path(path)
-    check_outputs({"save_table": path})
-    write_outputs({path: table})
-    return path
-
-
 def encode_table(columns: Sequence[Column], rows: Rows, about: Mapping[str, str]) -> bytes:
     """A Parquet file; the same rows give the same bytes.
 
@@ -225,12 +241,9 @@ def encode_table(columns: Sequence[Column], rows: Rows, about: Mapping[str, str]
         kind = _TYPES[column.kind]
         note = {"unit": column.unit, "meaning": column.meaning}
         fields.append(pa.field(column.name, kind, metadata=note))
-        values.append(pa.array([_value(row.get(column.name)) for row in rows], kind))
+        given = (row.get(column.name) for row in rows)
+        values.append(pa.array([None if value != value else value for value in given], kind))
     schema = pa.schema(fields, metadata=dict(about))
     out = io.BytesIO()
     parquet.write_table(pa.table(values, schema=schema), out, compression="zstd")
     return out.getvalue()
-
-
-def _value(value: Any) -> Any:
-    return None if isinstance(value, float) and value != value else value

@@ -16,12 +16,9 @@ from typing import Any, NamedTuple
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.sysid.parallel import quiet_workers
 
-TRIES = 3
-"""Times that a unit is begun before it is given up."""
-AHEAD = 4
-"""Units that wait at a cluster for each of its workers: their content is in memory."""
-_ANSWER = "10s"
-"""Time that a scheduler has to answer."""
+TRIES = 3  # times that a unit is begun before it is given up
+AHEAD = 4  # units that wait at a cluster for each of its workers: their content is in memory
+_ANSWER = "10s"  # time that a scheduler has to answer
 
 _AGAIN = ("lost", "pending")
 """A result that died with its worker before it was fetched: the scheduler computes it again."""

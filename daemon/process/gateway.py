@@ -58,7 +58,6 @@ class RosBridge:
 
         Raises:
             BusError: the bus is closed.
-            ValueError: the domain is invalid.
         """
         self._bus = bus
         node = f"steerd_{car}"

@@ -40,7 +40,8 @@ from steerd.daemon.process.view_server import (
 )
 from steerd.daemon.process.views import Views
 from steerd.steer_bus import topics
-from steerd.steer_bus.codec import decode, schema_text, type_name
+from steerd.steer_bus.codec import decode
+from steerd.steer_bus.fields import schema_text, type_name
 from steerd.steer_bus.messages import Model, Parameters, StateMessage
 from steerd.steer_bus.topics import TOPICS, make_session_topic
 

@@ -26,42 +26,28 @@ from steerd.daemon.common.translate import reading
 from steerd.daemon.common.written import write_whole
 from steerd.toml_text import load_toml
 
-_SCHEMA = 3
-"""Of the remembered rows: others are read anew."""
+_SCHEMA = 3  # of the remembered rows: others are read anew
 _TAG_MAX, _NOTE_MAX = 40, 500
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One session; figures that it does not hold are None or empty.
+    """One session; figures that it does not hold are None or empty."""
 
-    Attributes:
-        path: the file.
-        changed_ns: when it was last written [UNIX ns]: when the drive ended.
-        car, mode: as in the session.
-        lane: the path, as `--path` takes it, or the excitation plan.
-        seconds, metres: length.
-        speed: the highest [m/s].
-        e1_rms, e1_max: lateral error after the approach [m].
-        verdict: `ok`, or why it was stopped or cannot be used.
-        missing_s: how long the recorder did not get everything.
-        tags, note: what people wrote about it.
-    """
-
-    path: Path
-    changed_ns: int
-    car: str = ""
-    mode: str = ""
-    lane: str = ""
-    seconds: float = 0.0
-    metres: float | None = None
-    speed: float | None = None
-    e1_rms: float | None = None
-    e1_max: float | None = None
-    verdict: str = ""
-    missing_s: float = 0.0
-    tags: tuple[str, ...] = ()
-    note: str = ""
+    path: Path  # the file
+    changed_ns: int  # when it was last written [UNIX ns]: when the drive ended
+    car: str = ""  # as in the session
+    mode: str = ""  # the same
+    lane: str = ""  # the path, as `--path` takes it, or the excitation plan
+    seconds: float = 0.0  # length
+    metres: float | None = None  # driven
+    speed: float | None = None  # the highest [m/s]
+    e1_rms: float | None = None  # lateral error after the approach [m]
+    e1_max: float | None = None  # the largest [m]
+    verdict: str = ""  # `ok`, or why it was stopped or cannot be used
+    missing_s: float = 0.0  # how long the recorder did not get everything
+    tags: tuple[str, ...] = ()  # what people wrote about it
+    note: str = ""  # the same, a sentence
 
     @property
     def when(self) -> datetime:
@@ -202,7 +188,7 @@ def _remembered(index: RowFile, path: Path) -> Entry:
 def summarise(path: Path) -> Entry:
     """Read a session's figures; what cannot be read is said in the verdict."""
     from steerd.daemon.sessions.info import load_recording, make_session_report
-    from steerd.daemon.sessions.lane_error import rms, settled_errors
+    from steerd.daemon.sessions.motion import rms, settled_errors
     from steerd.steer_bus import topics
 
     changed_ns = path.stat().st_mtime_ns
@@ -247,8 +233,7 @@ def _lane(about: Mapping[str, str]) -> tuple[str, bool]:
     return clean(f"{options.path} {options.speed:g} m/s", 40), True
 
 
-_NAME, _CAR, _LANE = 20, 8, 17
-"""Columns of the names [characters]."""
+_NAME, _CAR, _LANE = 20, 8, 17  # columns of the names [characters]
 
 
 def format_entries(entries: Sequence[Entry], numbers: Sequence[int]) -> Iterator[str]:

@@ -20,12 +20,9 @@ from steerd.daemon.sessions.plot_data import Drawing
 
 HELD, VALUE, BREAK = 0, 1, 2
 """What a slot holds: nothing new (the line passes through), a value, or a break in the line."""
-LEVELS = 65535
-"""Largest level of a packed value: 16 bits."""
-FINEST_S = 0.005
-"""Shortest pair of slots [s]; half the period of a 100 Hz loop."""
-CSV_STEP = 0.01
-"""Between rows of a table [s]: the period of a 100 Hz loop."""
+LEVELS = 65535  # largest level of a packed value: 16 bits
+FINEST_S = 0.005  # shortest pair of slots [s]; half the period of a 100 Hz loop
+CSV_STEP = 0.01  # between rows of a table [s]: the period of a 100 Hz loop
 
 
 @dataclass(frozen=True, slots=True)

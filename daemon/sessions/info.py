@@ -13,61 +13,34 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import describe_holes
 from steerd.daemon.common.translate import reading
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.sessions.motion import (
-    Array,
-    Signal,
-    SignalRange,
-    Track,
-    check_erpm,
-    find_implausible,
-    make_range,
-    make_track,
-)
-from steerd.steer_bus import topics
+from steerd.daemon.sessions import motion
+from steerd.daemon.sessions.motion import Array, Signal, SignalRange, Track
+from steerd.steer_bus import session_read, topics
 from steerd.steer_bus.fields import flat_leaves
 from steerd.steer_bus.messages import ActuationMode
-from steerd.steer_bus.session_read import (
-    Session,
-    SessionError,
-    SessionInfo,
-    TopicInfo,
-    open_session,
-)
+from steerd.steer_bus.session_read import Session, SessionError, SessionInfo, TopicInfo
 from steerd.steer_bus.topic_columns import Columns
 from steerd.vesc_link.scaling import F1TENTH
 
-GAP_FACTOR = 3.0
-"""A pause of more than this many median intervals is a gap."""
-STATES_MAX = 1000
-"""State changes kept; a damaged file may hold any number."""
-DISTANCE_MIN = 0.5
-"""A shorter drive identifies nothing [m]."""
-STEER_SD_MIN = 0.01
-"""Steering that varies less counts as constant [rad]."""
-SPEED_SPAN_MIN = 0.3
-"""Speed that varies less counts as constant [m/s]."""
-LATERAL_ACCEL_MIN = 1.0
-"""Tyre parameters need more lateral acceleration than this [m/s^2]."""
+GAP_FACTOR = 3.0  # a pause of more than this many median intervals is a gap
+STATES_MAX = 1000  # state changes kept; a damaged file may hold any number
+DISTANCE_MIN = 0.5  # a shorter drive identifies nothing [m]
+STEER_SD_MIN = 0.01  # steering that varies less counts as constant [rad]
+SPEED_SPAN_MIN = 0.3  # speed that varies less counts as constant [m/s]
+LATERAL_ACCEL_MIN = 1.0  # tyre parameters need more lateral acceleration than this [m/s^2]
 
 
 @dataclass(frozen=True, slots=True)
 class TopicReport:
-    """One topic; times in seconds from the session's start.
-
-    Attributes:
-        rate_hz: by the median interval, so that gaps do not lower it; 0 where there is none.
-        gaps: pauses of more than `GAP_FACTOR` median intervals; None for irregular topics.
-        longest_gap_s: the longest of them.
-        longest_gap_at_s: when it began.
-    """
+    """One topic; times in seconds from the session's start."""
 
     name: str
     type_name: str
     count: int
-    rate_hz: float
-    gaps: int | None
-    longest_gap_s: float
-    longest_gap_at_s: float
+    rate_hz: float  # by the median interval, so that gaps do not lower it; 0 where there is none
+    gaps: int | None  # pauses of more than `GAP_FACTOR` median intervals; None for irregular topics
+    longest_gap_s: float  # the longest of them
+    longest_gap_at_s: float  # when it began
 
 
 FAULTS = ("FAULT_STOP", "FAULT_LATCHED", "ESTOP")
@@ -84,14 +57,7 @@ class StateChange:
 
 @dataclass(frozen=True, slots=True)
 class SessionReport:
-    """What `steerd info` shows.
-
-    Attributes:
-        end: why the recording ended; empty if it does not say.
-        length_m: path driven; None without poses.
-        excitation: what cannot be identified from this drive, one sentence each.
-        warnings: what is wrong with the file or implausible in its numbers.
-    """
+    """What `steerd info` shows."""
 
     info: SessionInfo
     car: str
@@ -99,13 +65,13 @@ class SessionReport:
     topics: tuple[TopicReport, ...]
     empty_topics: tuple[str, ...]
     states: tuple[StateChange, ...]
-    end: str
-    length_m: float | None
+    end: str  # why the recording ended; empty if it does not say
+    length_m: float | None  # path driven; None without poses
     speed: SignalRange | None
     steer: SignalRange | None
     lateral_accel: SignalRange | None
-    excitation: tuple[str, ...]
-    warnings: tuple[str, ...]
+    excitation: tuple[str, ...]  # what cannot be identified from this drive, one sentence each
+    warnings: tuple[str, ...]  # what is wrong with the file or implausible in its numbers
 
     @property
     def stops(self) -> list[str]:
@@ -123,7 +89,7 @@ def load_session(path: Path) -> Session:
         SteerdError: it cannot be opened, or holds nothing at all.
     """
     with reading(path):
-        session = open_session(path)
+        session = session_read.open_session(path)
     if not session.info().count and not session.info().metadata:
         why = session.warnings[0].message if session.warnings else "no messages"
         raise SteerdError(f"{path} holds no session ({why})", "", ExitCode.INVALID)
@@ -132,17 +98,11 @@ def load_session(path: Path) -> Session:
 
 @dataclass(frozen=True)
 class Recording:
-    """A session whose tables were read, in one pass.
+    """A session whose tables were read, in one pass."""
 
-    Attributes:
-        session: the file.
-        tables: columns by the topic's name in the file.
-        problems: what could not be read, as sentences.
-    """
-
-    session: Session
-    tables: dict[str, Columns]
-    problems: Sequence[str]
+    session: Session  # the file
+    tables: dict[str, Columns]  # columns by the topic's name in the file
+    problems: Sequence[str]  # what could not be read, as sentences
 
     @property
     def info(self) -> SessionInfo:
@@ -159,7 +119,7 @@ class Recording:
             poses = self.table(topics.STATE)
         if poses is None:
             return None
-        return make_track(self.times(poses), poses["x"], poses["y"], poses["yaw"])
+        return motion.make_track(self.times(poses), poses["x"], poses["y"], poses["yaw"])
 
     def table(self, topic: topics.Topic) -> Columns | None:
         """The columns of a topic, whatever the car's name; None where there is none."""
@@ -249,11 +209,10 @@ def _make_report(read: Recording) -> SessionReport:
     info, track = read.info, read.track
     steer, wheel = read.signal(topics.ACTUATION, "steer"), read.signal(topics.WHEEL, "speed")
     gyro = read.signal(topics.IMU, "gyro_z")
-    motion = _motion(read, wheel, gyro)
     about, end = (info.metadata.get(f"steerd.{name}", {}) for name in ("session", "end"))
     cars = sorted({key[0] for topic in info.topics if (key := topics.split_key(topic.name))})
-    values = (steer.value if steer else np.empty(0), *motion)
-    steer_range, speed_range, lateral_range = map(make_range, values)
+    values = (steer.value if steer else np.empty(0), *_motion(read, wheel, gyro))
+    steer_range, speed_range, lateral_range = map(motion.make_range, values)
     dropped = describe_holes(end.get("dropped", ""), read.session.holes(), info.start_ns)
     return SessionReport(
         info=info,
@@ -272,7 +231,7 @@ def _make_report(read: Recording) -> SessionReport:
             *(warning.message for warning in info.warnings),
             *filter(None, [dropped]),
             *read.problems,
-            *find_implausible(track, steer, wheel, gyro),
+            *motion.find_implausible(track, steer, wheel, gyro),
             *(_check_erpm(read) if about.get("mode") == "import" else ()),
         ),
     )
@@ -281,7 +240,7 @@ def _make_report(read: Recording) -> SessionReport:
 def _check_erpm(read: Recording) -> list[str]:
     """Doubts about the ERPM of another system's log; steerd's own have their car file's figures."""
     gain = read.session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
-    return check_erpm(read.track, read.signal(topics.VESC, "erpm"), gain)
+    return motion.check_erpm(read.track, read.signal(topics.VESC, "erpm"), gain)
 
 
 def _motion(read: Recording, wheel: Signal | None, gyro: Signal | None) -> tuple[Array, Array]:

@@ -10,38 +10,28 @@ from math import pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.steer_bus.topic_columns import Columns
+
 Array = NDArray[np.float64]
 
 WINDOW = 0.2
 WINDOW_MAX = 1.0
 """Span of the differences [s]: the shorter for mocap, up to the longer for coarse poses."""
-_SPEED_NOISE = 0.05
-"""Standard deviation of the speed that the window allows [m/s]."""
-GAP_MAX = 0.5
-"""No motion is interpolated across a longer gap between poses [s]."""
-COORDINATE_MAX = 1e9
-"""Larger coordinates are damage, not places [m]."""
-MOVING = 0.05
-"""Below this a car counts as standing [m/s]."""
-_DRIVING = 0.3
-"""Ratios of speeds are formed above this [m/s]."""
-_TURNING = 0.1
-"""The gyro is compared above this yaw rate [rad/s, rms]."""
-_SHARE = 0.95
-"""A car that moves backwards for this share of its samples does so throughout."""
-_SAMPLES_MIN = 10
-"""Fewer samples decide nothing."""
-_EXTENT_MAX, _SPEED_MAX = 100.0, 20.0
-"""A larger room [m] at a higher speed [m/s] is a wrong unit."""
-_STEP = 0.05
-"""Directions of the path are taken over this distance [m]."""
+_SPEED_NOISE = 0.05  # standard deviation of the speed that the window allows [m/s]
+GAP_MAX = 0.5  # no motion is interpolated across a longer gap between poses [s]
+COORDINATE_MAX = 1e9  # larger coordinates are damage, not places [m]
+MOVING = 0.05  # below this a car counts as standing [m/s]
+_DRIVING = 0.3  # ratios of speeds are formed above this [m/s]
+_TURNING = 0.1  # the gyro is compared above this yaw rate [rad/s, rms]
+_SHARE = 0.95  # a car that moves backwards for this share of its samples does so throughout
+_SAMPLES_MIN = 10  # fewer samples decide nothing
+_EXTENT_MAX, _SPEED_MAX = 100.0, 20.0  # a larger room [m] at a higher speed [m/s] is a wrong unit
+_STEP = 0.05  # directions of the path are taken over this distance [m]
 _STEPS_MAX = 10_000
-_RATIO_LOW, _RATIO_HIGH = 0.8, 1.25
-"""Wheel speed over path speed within these is plausible [-]."""
-_ERPM_LEFT = 0.3
-"""Share of the electrical rpm that a gain must leave unexplained at most [-]."""
-_STEER_LATENCY = 0.15
-"""Delay and lag of an ordinary car's steering [s]."""
+_RATIO_LOW, _RATIO_HIGH = 0.8, 1.25  # wheel speed over path speed within these is plausible [-]
+_ERPM_LEFT = 0.3  # share of the electrical rpm that a gain must leave unexplained at most [-]
+_STEER_LATENCY = 0.15  # delay and lag of an ordinary car's steering [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,13 +41,10 @@ class Track:
     t: Array
     x: Array
     y: Array
-    yaw: Array
-    """As recorded, unwrapped [rad]."""
-    speed: Array
-    """Along the body's axis; NaN for a pose between two gaps [m/s]."""
+    yaw: Array  # as recorded, unwrapped [rad]
+    speed: Array  # along the body's axis; NaN for a pose between two gaps [m/s]
     yaw_rate: Array
-    window: float
-    """Span of the differences that gave speed and yaw rate [s]."""
+    window: float  # span of the differences that gave speed and yaw rate [s]
 
     @property
     def coarse(self) -> bool:
@@ -151,16 +138,23 @@ def make_range(values: Array) -> SignalRange | None:
 
 def find_erpm_gain(track: Track | None, erpm: Signal | None) -> float | None:
     """Electrical rpm per m/s that the poses show, sign included; None where they cannot say."""
-    if track is None or erpm is None:
+    found = None if track is None or erpm is None else _while_driven(track, erpm)
+    if found is None:
         return None
-    speed = np.interp(erpm.t, track.t, np.nan_to_num(track.speed), np.nan, np.nan)
-    both = np.isfinite(speed) & np.isfinite(erpm.value) & (np.abs(speed) > _DRIVING)
-    if np.count_nonzero(both) < _SAMPLES_MIN:
-        return None
-    speed, value = speed[both], erpm.value[both]
+    speed, _, value = found
     gain = float(np.sum(speed * value) / np.sum(speed**2))
     left = float(np.sqrt(np.mean((value - gain * speed) ** 2) / np.mean(value**2)))
     return gain if left < _ERPM_LEFT and abs(gain) >= 1.0 else None
+
+
+def _while_driven(track: Track, signal: Signal, later: float = 0.0) -> tuple[Array, ...] | None:
+    """Speed and yaw rate of the poses, so much later [s], and the signal; None of too few."""
+    poses = (np.nan_to_num(track.speed), np.nan_to_num(track.yaw_rate))
+    speed, rate = (np.interp(signal.t + later, track.t, each, np.nan, np.nan) for each in poses)
+    both = np.isfinite(speed) & np.isfinite(signal.value) & (np.abs(speed) > _DRIVING)
+    if np.count_nonzero(both) < _SAMPLES_MIN:
+        return None
+    return speed[both], rate[both], signal.value[both]
 
 
 def check_erpm(track: Track | None, erpm: Signal | None, stated: float) -> list[str]:
@@ -197,12 +191,8 @@ def find_implausible(
     warnings += heading
     if heading:
         return warnings
-    if wheel is not None:
-        warnings += _check_wheel(track, wheel)
-    if gyro is not None:
-        warnings += _check_gyro(track, gyro)
-    if steer is not None:
-        warnings += _check_steer(track, steer)
+    for check, signal in ((_check_wheel, wheel), (_check_gyro, gyro), (_check_steer, steer)):
+        warnings += [] if signal is None else check(track, signal)
     return warnings
 
 
@@ -253,20 +243,15 @@ def _wrap(angle: Array) -> Array:
 
 
 def _check_wheel(track: Track, wheel: Signal) -> list[str]:
-    speed = np.interp(wheel.t, track.t, np.nan_to_num(track.speed), np.nan, np.nan)
-    both = np.isfinite(speed) & np.isfinite(wheel.value) & (np.abs(speed) > _DRIVING)
-    if np.count_nonzero(both) < _SAMPLES_MIN:
+    found = _while_driven(track, wheel)
+    if found is None:
         return []
-    ratio = float(np.sum(np.abs(wheel.value[both])) / np.sum(np.abs(speed[both])))
+    speed, _, value = found
+    ratio = float(np.sum(np.abs(value)) / np.sum(np.abs(speed)))
     if _RATIO_LOW <= ratio <= _RATIO_HIGH:
         return []
-    kinds: tuple[tuple[float, str], ...] = (
-        (1000.0, "millimetres"),
-        (3.6, "km/h"),
-        (57.3, "degrees"),
-        (0.001, "millimetres (x, y)"),
-    )
-    near = [name for factor, name in kinds if _RATIO_LOW <= ratio / factor <= _RATIO_HIGH]
+    kinds = {"millimetres": 1e3, "km/h": 3.6, "degrees": 57.3, "millimetres (x, y)": 1e-3}
+    near = [n for n, factor in kinds.items() if _RATIO_LOW <= ratio / factor <= _RATIO_HIGH]
     guess = f": {near[0]}?" if near else ": another unit, gear ratio or wheel?"
     return [f"the wheel drives {ratio:.3g} times the path{guess}"]
 
@@ -287,15 +272,36 @@ def _check_gyro(track: Track, gyro: Signal) -> list[str]:
 
 
 def _check_steer(track: Track, steer: Signal) -> list[str]:
-    rate = np.interp(
-        steer.t + _STEER_LATENCY, track.t, np.nan_to_num(track.yaw_rate), np.nan, np.nan
-    )
-    speed = np.interp(steer.t + _STEER_LATENCY, track.t, np.nan_to_num(track.speed), np.nan, np.nan)
-    both = np.isfinite(rate) & np.isfinite(steer.value) & (np.abs(speed) > _DRIVING)
-    if np.count_nonzero(both) < _SAMPLES_MIN:
+    found = _while_driven(track, steer, _STEER_LATENCY)
+    if found is None:
         return []
-    curvature, value = rate[both] / speed[both], steer.value[both]
+    speed, rate, value = found
+    curvature = rate / speed
     strength = float(np.sqrt(np.sum(curvature**2) * np.sum(value**2)))
     if strength > 0.0 and float(np.sum(curvature * value)) / strength < -0.5:
         return ["the car turns right where steer_cmd is positive: steer_cmd must be left positive"]
     return []
+
+
+# -- the lateral error, one definition for every page ----------------------------------------------
+
+SETTLE = 3.0  # the approach to the lane at the start of a drive is left out of the errors [s]
+
+
+def find_settled(state: Columns, t: Array) -> NDArray[np.bool_]:
+    """Which rows of the `state` topic, at these times [s], were driven for more than `SETTLE`."""
+    running = state["mode"] == SupervisorState.RUNNING
+    begins = running & ~np.concatenate(([False], running[:-1]))
+    since = np.maximum.accumulate(np.where(begins, t, -np.inf))
+    return np.asarray(running & (t - since >= SETTLE))
+
+
+def settled_errors(state: Columns, t: Array) -> Array:
+    """Sizes of the lateral error while the car was driven and had settled [m]."""
+    e1 = np.abs(state["e1"][find_settled(state, t)])
+    return np.asarray(e1[np.isfinite(e1)], dtype=np.float64)
+
+
+def rms(errors: Array) -> float:
+    """Root mean square; NaN of nothing."""
+    return float(np.sqrt(np.mean(errors**2))) if errors.size else float("nan")

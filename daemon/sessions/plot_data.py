@@ -12,22 +12,20 @@ from steerd.daemon.assembly.session_meta import recorded_path
 from steerd.daemon.common.translate import reading
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.info import Recording
-from steerd.daemon.sessions.lane_error import rms, settled_errors
-from steerd.daemon.sessions.motion import Array, Track
+from steerd.daemon.sessions.motion import Array, Track, rms, settled_errors
 from steerd.daemon.settings.run_options import decode_options
 from steerd.steer_bus import topics
 from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.session_read import Session, SessionError
+from steerd.steer_bus.topic_columns import Columns
 from steerd.steer_bus.topics import Topic
 from steerd.toml_text import decode_toml, parse_toml
 from steerd.vesc_link.scaling import F1TENTH
 
-NIS_95 = 7.815
-"""95 % of a chi-squared distribution with 3 degrees of freedom lie below."""
+NIS_95 = 7.815  # 95 % of a chi-squared distribution with 3 degrees of freedom lie below
 LANE_HALF_WIDTH = 0.30
 """[m], where the lateral watchdog stops the car unless the car file says otherwise."""
-GAP = 0.5
-"""A line breaks where samples are further apart [s]."""
+GAP = 0.5  # a line breaks where samples are further apart [s]
 
 
 @dataclass(frozen=True)
@@ -51,23 +49,14 @@ class Panel:
 
 @dataclass(frozen=True)
 class Drawing:
-    """Everything that is drawn; times in seconds from the session's start.
+    """Everything that is drawn; times in seconds from the session's start."""
 
-    Attributes:
-        panels: those for which the session holds data.
-        track: of the car; None without poses.
-        e1: lateral error at the track's times [m], NaN where unknown; empty without a track.
-        lane: the path, if the session names one.
-        half_width: of the lane [m].
-        facts: label and value of the key figures.
-    """
-
-    panels: tuple[Panel, ...]
-    track: Track | None
-    e1: Array
-    lane: Lane | None
-    half_width: float
-    facts: tuple[tuple[str, str], ...]
+    panels: tuple[Panel, ...]  # those for which the session holds data
+    track: Track | None  # of the car; None without poses
+    e1: Array  # lateral error at the track's times [m], NaN where unknown; empty without a track
+    lane: Lane | None  # the path, if the session names one
+    half_width: float  # of the lane [m]
+    facts: tuple[tuple[str, str], ...]  # label and value of the key figures
 
 
 def make_curve(name: str, role: str, t: Array, value: Array) -> Iterator[Curve]:
@@ -266,6 +255,61 @@ def _current(s: Recording) -> Iterator[Panel]:
     yield Panel("current", "A", (*brake, *motor))
 
 
+# -- what the learner reported -------------------------------------------------------------------
+
+BAND = 2.0  # standard deviations to either side: 95 % of a normal distribution
+PANELS: tuple[tuple[str, str, tuple[str, ...], float], ...] = (
+    ("learnt: gains", "", ("steer_gain", "speed_gain"), 1.0),
+    ("learnt: steering bias", "°", ("steer_bias",), degrees(1.0)),
+    ("learnt: steering dead time and lag", "ms", ("steer_delay", "steer_lag"), 1e3),
+    ("learnt: cornering coefficients", "1/rad", ("c_sf", "c_sr"), 1.0),
+)
+"""Title, unit, the fields of the message that are drawn, and their scale."""
+_ROLES = ("estimate", "measured")
+
+
+def _learnt(s: Recording) -> Iterator[Panel]:
+    """Panels of the learner, if it ran: bands, and the moments of change."""
+    table = s.table(topics.MODEL)
+    if table is None:
+        return
+    t = s.times(table)
+    for title, unit, fields, scale in PANELS:
+        pairs = zip(fields, _ROLES, strict=False)
+        curves = [c for field, role in pairs for c in _banded(table, t, field, role, scale)]
+        if curves:
+            yield Panel(title, unit, (*curves, *_moments(table, t, curves)))
+
+
+def _banded(table: Columns, t: Array, field: str, role: str, scale: float) -> list[Curve]:
+    """A parameter and its band, where it was learnt."""
+    value, sd = table[field].astype(float), table[f"{field}_sd"].astype(float)
+    known = np.isfinite(value)
+    if not known.any():
+        return []
+    t, value, width = t[known], scale * value[known], scale * BAND * sd[known]
+    return [
+        Curve(field, role, t, value),
+        Curve(f"{field}, 95 %", "bound", t, value + width),
+        Curve(f"{field}, 95 %", "bound", t, value - width),
+    ]
+
+
+def _moments(table: Columns, t: Array, curves: list[Curve]) -> list[Curve]:
+    """An upright line where each change began."""
+    since = table["since_ns"].astype(np.int64)
+    low = min(float(curve.value.min()) for curve in curves)
+    high = max(float(curve.value.max()) for curve in curves)
+    lines = []
+    for moment in np.unique(since[since >= 0]):
+        row = int(np.flatnonzero(since == moment)[-1])
+        at = t[row] + 1e-9 * float(moment - int(table["mono_ns"][row]))
+        name = str(table["effect"][row]) or str(table["verdict"][row])
+        ends = np.array([at, at + 1e-3])
+        lines.append(Curve(f"change: {name}", "command", ends, np.array([low, high])))
+    return lines
+
+
 _PANELS = (
-    _errors, _speed, _turning, _innovation, _pose_residual, _timing, _latency, _current,
+    _errors, _speed, _turning, _innovation, _pose_residual, _timing, _latency, _current, _learnt,
 )  # fmt: skip

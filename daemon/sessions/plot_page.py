@@ -16,14 +16,11 @@ from steerd.daemon.sessions.plot_data import Drawing
 from steerd.daemon.sessions.text import when
 from steerd.sysid.report.page import render_page
 
-SIZE_MAX = 2_000_000
-"""A page must fit into a mail and open quickly [bytes]."""
+SIZE_MAX = 2_000_000  # a page must fit into a mail and open quickly [bytes]
 BUCKETS = (20_000, 12_000, 6_000, 2_000)
 """Pairs of slots for all curves: the first number whose page is small enough is taken."""
-TRACK_SLOTS = 12_000
-"""Largest number of points of the track."""
-LANE_POINTS = 1500
-"""Largest number of points of the lane."""
+TRACK_SLOTS = 12_000  # largest number of points of the track
+LANE_POINTS = 1500  # largest number of points of the lane
 WARNINGS_SHOWN = 8
 _TEMPLATE = Path(__file__).parent / "page" / "plot.html"
 
@@ -45,8 +42,9 @@ def make_page(report: SessionReport, drawing: Drawing) -> str:
 
 def _data(report: SessionReport, drawing: Drawing, buckets: int) -> dict[str, Any]:
     grid = make_grid(0.0, max(report.info.duration_s, 0.01), buckets)
+    title = (clean(report.car), clean(report.info.path.name), when(report))
     return {
-        "title": _title(report),
+        "title": " · ".join(filter(None, title)),
         "facts": list_facts(report, drawing),
         "warnings": [clean(text) for text in report.warnings[:WARNINGS_SHOWN]],
         "states": [[round(change.t_s, 4), change.state] for change in report.states],
@@ -65,11 +63,6 @@ def _data(report: SessionReport, drawing: Drawing, buckets: int) -> dict[str, An
         "track": None if drawing.track is None else _track(drawing.track, drawing.e1),
         "lane": _lane(drawing),
     }
-
-
-def _title(report: SessionReport) -> str:
-    parts = (clean(report.car), clean(report.info.path.name), when(report))
-    return " · ".join(filter(None, parts))
 
 
 def list_facts(report: SessionReport, drawing: Drawing) -> list[tuple[str, str]]:

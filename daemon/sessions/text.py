@@ -19,8 +19,7 @@ STATES_SHOWN = 10
 WARNINGS_SHOWN = 10
 EMPTY_SHOWN = 12
 _LABEL = 12
-_NAME_MIN, _NAME_MAX, _TYPE_MIN = 12, 24, 6
-"""Columns of the topic table [characters]."""
+_NAME_MIN, _NAME_MAX, _TYPE_MIN = 12, 24, 6  # columns of the topic table [characters]
 
 
 def print_warnings(texts: Sequence[str]) -> None:
@@ -38,7 +37,8 @@ def format_report(report: SessionReport) -> str:
     lines += _item("car", _car(report))
     lines += _item("note", clean(info.metadata.get("steerd.session", {}).get("comment", "")))
     lines += _item("when", when(report))
-    lines += _item("size", f"{_bytes(info.size)}, {_count(info.count)} messages")
+    size = f"{info.size / 1e6:.1f} MB" if info.size >= 1e5 else f"{info.size / 1e3:.1f} kB"
+    lines += _item("size", f"{size}, {_count(info.count)} messages")
     lines += _item("end", _end(report))
     if report.states:
         lines += _item("states", _states(report))
@@ -130,7 +130,13 @@ def _topics(report: SessionReport) -> list[str]:
     shown = report.topics[:TOPICS_SHOWN]
     if not shown:
         return []
-    rows = [(_short(t.name), _type(t), _count(t.count), _rate(t), _gaps(t)) for t in shown]
+    rows = [
+        (
+            _short(t.name), clean(t.type_name.rpartition("/")[2] or "?", 40), _count(t.count),
+            f"{t.rate_hz:.1f} Hz" if t.gaps is not None else "", _gaps(t),
+        )
+        for t in shown
+    ]  # fmt: skip
     lines = [f"  {line}" for line in format_table(_fit_width(rows))]
     more = len(report.topics) - len(shown)
     if more:
@@ -156,14 +162,6 @@ def _short(name: str) -> str:
     return clean(key[1] if key else name, 40)
 
 
-def _type(topic: TopicReport) -> str:
-    return clean(topic.type_name.rpartition("/")[2] or "?", 40)
-
-
-def _rate(topic: TopicReport) -> str:
-    return f"{topic.rate_hz:.1f} Hz" if topic.gaps is not None else ""
-
-
 def _gaps(topic: TopicReport) -> str:
     if topic.gaps is None:
         return ""
@@ -174,10 +172,6 @@ def _gaps(topic: TopicReport) -> str:
 
 def _count(number: int) -> str:
     return f"{number:,}".replace(",", " ")
-
-
-def _bytes(size: int) -> str:
-    return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
 
 
 def make_json(report: SessionReport) -> dict[str, Any]:

@@ -13,8 +13,7 @@ from steerd.daemon.common.translate import make_car_file_error
 from steerd.daemon.common.written import car_outputs, write_outputs
 from steerd.daemon.settings.config import make_settings
 
-Values = Mapping[tuple[str, str], float | str]
-"""New values by (section, key)."""
+Values = Mapping[tuple[str, str], float | str]  # new values by (section, key)
 
 
 def edit_car(base: CarFile, values: Values) -> CarFile:

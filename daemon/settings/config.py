@@ -3,21 +3,22 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from math import radians
+from math import pi, radians
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
 
 from steerd.car_model.car_file import CarFile
-from steerd.car_model.nominal_car import believed_car
+from steerd.car_model.model import Model, believed_car, car_now, memory_size, model_rates, observe
+from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import GRAVITY, wheelbase
+from steerd.car_model.state import ORIGIN, State
 from steerd.controller.config import ControllerConfig, load_controller_config
 from steerd.controller.limits import Limits
 from steerd.daemon.common.errors import SteerdError, did_you_mean, find_near
 from steerd.daemon.common.translate import load_car_file
-from steerd.daemon.settings.effect_checks import check_effects
-from steerd.daemon.settings.thresholds import LAUNCH_RATIO, LAUNCH_SPEED, Thresholds
+from steerd.daemon.settings.thresholds import LAUNCH_RATIO, LAUNCH_SPEED, SOFT_DECEL, Thresholds
 from steerd.estimator.config import FilterConfig, load_filter_config
 from steerd.mocap_link.frame import FrameConfig
 from steerd.mocap_link.ingest import IngestConfig
@@ -26,12 +27,9 @@ from steerd.vesc_link.scaling import Scaling, steer_limits
 S = TypeVar("S")
 FLUSH_MS_MIN, FLUSH_MS_MAX = 10, 250
 """Range of `[record] flush_ms` [ms]: rarer loses too much, more often costs too much."""
-DISK_FREE_MIN_MB = 100
-"""Least `[record] disk_free_min_mb` [MB]."""
-BRAKE_CURRENT_MAX_A = 200.0
-"""Largest brake current that a car file may give [A]."""
-UUID_BYTES = 12
-"""Length of a VESC's UUID."""
+DISK_FREE_MIN_MB = 100  # least `[record] disk_free_min_mb` [MB]
+BRAKE_CURRENT_MAX_A = 200.0  # largest brake current that a car file may give [A]
+UUID_BYTES = 12  # length of a VESC's UUID
 _BRAKE_CURRENTS = (
     "brake_current_a", "soft_brake_current_a", "hold_brake_current_a", "estop_brake_current_a",
 )  # fmt: skip
@@ -299,3 +297,55 @@ def _thresholds(table: Mapping[str, Any]) -> Thresholds:
     if "fence" in values:
         values["fence"] = tuple((float(x), float(y)) for x, y in values["fence"])
     return _convert(values, Thresholds)
+
+
+HEADING_MOST = 0.1
+"""Heading error of the poses beyond which W5 stops a drive [rad]; 0.15 stopped, 0.1 did not."""
+_HEADINGS = 24  # headings at which a car is let roll
+_FAR = 1e6  # away from places that differ from the rest of the floor [m]
+
+
+def check_effects(file: CarFile, th: Thresholds) -> None:
+    """Refuse a car that its effects keep from stopping, from starting, or from being seen right.
+
+    What they do is asked of the car's own equations, so that no effect is named here.
+
+    Raises:
+        SteerdError: a watchdog would end each of its drives.
+    """
+    if not file.model.effects:
+        return
+    rolling = [_roll(file.model, 2.0 * pi * k / _HEADINGS) for k in range(_HEADINGS)]
+    most = (1.0 - th.stop_share) * SOFT_DECEL
+    if max(rolling) > most:
+        what = (
+            f"{file.path}: left to roll, this car speeds up by {max(rolling):.2f} m/s² "
+            f"([effects]); with more than {most:.2f} a stop is not distinguishable from none"
+        )
+        raise SteerdError(what, "measure that floor or that drag; no stop is sure on it")
+    lack, allowed = (
+        -min(rolling) * believed_car(file.model).speed_lag,
+        th.follow_share * LAUNCH_SPEED,
+    )
+    if lack > allowed * (1.0 + 1e-6):
+        what = (
+            f"{file.path}: this car lags {lack:.2f} m/s behind its orders ([effects], speed_lag); "
+            f"W30 lets {allowed:.2f} pass at a start"
+        )
+        raise SteerdError(what, "identify speed_lag and drag; a tight speed loop has no such lag")
+    off = observe(FLOAT, file.model, _at(0.0)).yaw
+    if abs(off) > HEADING_MOST:
+        what = f"{file.path}: mocap shows a heading {off:+.2f} rad off the car's ([effects])"
+        raise SteerdError(what, "turn the body by [mocap] mount_yaw_deg: `steerd mocap calibrate`")
+
+
+def _at(heading: float) -> State[float]:
+    return ORIGIN._replace(x=_FAR, y=_FAR, yaw=heading, speed=1.0)
+
+
+def _roll(model: Model[float], heading: float) -> float:
+    """Acceleration of a car that rolls straight on [m/s^2]."""
+    state = _at(heading)
+    car = car_now(FLOAT, model, state, 0.0)
+    memory = (0.0,) * memory_size(model.effects)
+    return model_rates(FLOAT, model, car, memory, state, 0.0, 0.0).speed

@@ -15,46 +15,31 @@ class ControllerKind(StrEnum):
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of one drive: those of `steerd run`, whose help explains them, by their names.
+    """Options of one drive: those of `steerd run`, whose help explains them, by their names."""
 
-    Attributes:
-        car_file: path of the TOML car file.
-        car: the car's name in keys and file names.
-        port, mocap: as the options; None in virtual time.
-        duration_s: length of the drive [s]; None until stopped.
-        record: session file, or None for a name made from date and car.
-        rate_hz: control rate [Hz].
-        auto_arm: arm and start without an operator (simulated hardware only).
-        listen: zenoh endpoint of the gateway, or "" for none.
-        drill: excitation plan of `steerd collect` (see `plans.parse_drill`), or "".
-        lab: this machine's folder of `steerd keys`, or "" for plain loopback.
-        page: port of the live page on loopback, 0 for a free one; None for no page.
-        sim_car: car file of the simulated car, or `hidden:SEED`; "" for the car file's own car.
-        view: ``[HOST:]PORT`` of the viewer's WebSocket, or "" for none.
-    """
-
-    car_file: str
-    car: str = "car1"
-    port: str | None = None
-    mocap: str | None = None
+    car_file: str  # path of the TOML car file
+    car: str = "car1"  # the car's name in keys and file names
+    port: str | None = None  # None in virtual time
+    mocap: str | None = None  # the same
     path: str = "figure8"
     speed: float = 1.0
-    duration_s: float | None = None
-    record: str | None = None
+    duration_s: float | None = None  # length of the drive [s]; None until stopped
+    record: str | None = None  # session file, or None for a name made from date and car
     seed: int = 0
-    rate_hz: float = 100.0
+    rate_hz: float = 100.0  # control rate [Hz]
     controller: ControllerKind = ControllerKind.LANE
     simulated: bool = False
-    auto_arm: bool = False
+    auto_arm: bool = False  # arm and start without an operator (simulated hardware only)
     effects: tuple[str, ...] = ()
-    listen: str = "tcp/127.0.0.1:7447"
-    lab: str = ""
+    listen: str = "tcp/127.0.0.1:7447"  # zenoh endpoint of the gateway, or "" for none
+    lab: str = ""  # this machine's folder of `steerd keys`, or "" for plain loopback
     insecure_lan: bool = False
-    drill: str = ""
-    view: str = ""
+    drill: str = ""  # excitation plan of `steerd collect` (see `plans.parse_drill`), or ""
+    view: str = ""  # ``[HOST:]PORT`` of the viewer's WebSocket, or "" for none
     ros_domain: int | None = None
+    # Car file of the simulated car, or `hidden:SEED`; "" for the car file's own car
     sim_car: str = ""
-    page: int | None = None
+    page: int | None = None  # port of the live page on loopback, 0 for a free one; None for no page
     view_sets: bool = False
     learn: bool = False
     adapt: bool = False

@@ -138,9 +138,6 @@ BOUNDS: Mapping[str, Bound] = {
     if hasattr(hint, "__metadata__")
 }
 """Ranges and units as the annotations of `Thresholds` state them."""
-LAUNCH_SPEED = 0.5
-"""Until the launch checks have passed [m/s]."""
-SOFT_DECEL = 1.5
-"""Slope of the speed cap while stopping [m/s^2]."""
-LAUNCH_RATIO = 0.7, 1.4
-"""Mocap's distance over the wheels' that the launch check lets pass."""
+LAUNCH_SPEED = 0.5  # until the launch checks have passed [m/s]
+SOFT_DECEL = 1.5  # slope of the speed cap while stopping [m/s^2]
+LAUNCH_RATIO = 0.7, 1.4  # mocap's distance over the wheels' that the launch check lets pass

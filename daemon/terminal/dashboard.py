@@ -158,35 +158,21 @@ class Dashboard:
         table = Table.grid(padding=(0, 3))
         late_ms = max(self.tick.woke_ns - self.tick.due_ns, 0) * 1e-6 if self.tick else 0.0
         work_ms = self.tick.work_ns * 1e-6 if self.tick else 0.0
-        table.add_row(
-            "pose",
-            f"x {show(s.x, '+7.3f')} m",
-            f"y {show(s.y, '+7.3f')} m",
-            f"yaw {show(degrees(remainder(s.yaw, tau)), '+7.1f')}°",
-        )
-        table.add_row(
-            "motion",
-            f"v {show(s.speed, '+6.2f')} m/s",
-            f"r {show(s.yaw_rate, '+6.2f')} rad/s",
-            f"slip {show(degrees(s.slip_angle), '+5.1f')}°",
-        )
-        table.add_row(
-            "lane",
-            f"e1 {show(1e3 * s.e1, '+6.1f')} mm",
-            f"e2 {show(degrees(s.e2), '+6.2f')}°",
-            f"RMS {1e3 * self.tally.rms:.1f} mm",
-        )
-        table.add_row(
-            "command",
-            _format_command("steer", degrees(s.steer_ref), "6.2f", "°"),
-            _format_command("speed", s.speed_ref, "5.2f", " m/s"),
-        )
-        table.add_row(
-            "links",
-            f"mocap {self.status.get('mocap', '?')} {self.status.get('mocap_rate_hz', '?')} Hz",
-            f"tick late {late_ms:.2f} ms",
-            f"work {work_ms:.2f} ms",
-        )
+        mocap, hz = (self.status.get(name, "?") for name in ("mocap", "mocap_rate_hz"))
+        rows = (
+            ("pose", f"x {show(s.x, '+7.3f')} m", f"y {show(s.y, '+7.3f')} m",
+             f"yaw {show(degrees(remainder(s.yaw, tau)), '+7.1f')}°"),
+            ("motion", f"v {show(s.speed, '+6.2f')} m/s", f"r {show(s.yaw_rate, '+6.2f')} rad/s",
+             f"slip {show(degrees(s.slip_angle), '+5.1f')}°"),
+            ("lane", f"e1 {show(1e3 * s.e1, '+6.1f')} mm", f"e2 {show(degrees(s.e2), '+6.2f')}°",
+             f"RMS {1e3 * self.tally.rms:.1f} mm"),
+            ("command", _format_command("steer", degrees(s.steer_ref), "6.2f", "°"),
+             _format_command("speed", s.speed_ref, "5.2f", " m/s")),
+            ("links", f"mocap {mocap} {hz} Hz", f"tick late {late_ms:.2f} ms",
+             f"work {work_ms:.2f} ms"),
+        )  # fmt: skip
+        for row in rows:
+            table.add_row(*row)
         return table
 
 

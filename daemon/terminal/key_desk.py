@@ -32,8 +32,7 @@ NUDGES = {
     "]": ("gain", 0.1), "[": ("gain", -0.1),
 }  # fmt: skip
 """Live parameters, and by how much a key changes them [m/s, m, -]."""
-BACK = "0"
-"""This key asks for the path and the designed feedback again."""
+BACK = "0"  # this key asks for the path and the designed feedback again
 NUDGE_HELP = "speed [-][+]  lane left [<] right [>]  gain [[][]]  path and gain back [0]"
 _HELD = (
     SupervisorState.SELF_TEST,
@@ -75,9 +74,6 @@ class KeyDesk:
         ask: sends a request.
         tune: sends a request for other live parameters.
         kinds: which keys are requests.
-
-    Attributes:
-        holding: whether a car was armed or started here and still needs somebody.
     """
 
     def __init__(
@@ -90,7 +86,7 @@ class KeyDesk:
     ) -> None:
         self._board, self._clock = board, clock
         self._ask, self._tune, self._kinds = ask, tune, kinds
-        self.holding = False
+        self.holding = False  # whether a car was armed or started here and still needs somebody
         self._requested_ns = self._alive_ns = 0
         self._answered: Parameters | None = None
         self._wanted: dict[str, float] = {}

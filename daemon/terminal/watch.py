@@ -25,14 +25,11 @@ from steerd.steer_bus.topics import ROOT, find_topic, split_key
 from steerd.vesc_link.ids import fault_name
 
 SECOND = 1_000_000_000
-SILENT_NS = 1_500_000_000
-"""A car that sends nothing for this long is reported as silent [ns]."""
-DEPTH = 1024
-"""Messages kept between two refreshes."""
+SILENT_NS = 1_500_000_000  # a car that sends nothing for this long is reported as silent [ns]
+DEPTH = 1024  # messages kept between two refreshes
 _SHOWN = ("state", "tick", "mocap", "vesc", "imu", "actuation", "diagnostics")
 """Topics whose rates are shown."""
-_TIMES_KEPT = 2048
-"""Arrival times kept per topic; more than a second of the fastest topic."""
+_TIMES_KEPT = 2048  # arrival times kept per topic; more than a second of the fastest topic
 
 
 def find_car(bus: Bus, name: str | None) -> str:

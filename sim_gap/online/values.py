@@ -22,8 +22,7 @@ import numpy as np
 
 from steerd.car_model.effect import Role
 from steerd.car_model.effects import find_effect
-from steerd.car_model.model import Model
-from steerd.car_model.nominal_car import believed_car
+from steerd.car_model.model import Model, believed_car
 from steerd.car_model.params import PARAMETERS, Car
 from steerd.controller.learnt import Learnt, learnt_of
 from steerd.sim_gap.online.learner import SETTLED, Change, Learner, State

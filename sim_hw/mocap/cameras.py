@@ -70,8 +70,7 @@ class MocapConfig:
 
 
 _NS = 1_000_000_000
-_IMPOSTOR = (1.5, -1.0, 0.3)
-"""Where the other thing stands when the room has none [m, m, rad]."""
+_IMPOSTOR = (1.5, -1.0, 0.3)  # where the other thing stands when the room has none [m, m, rad]
 
 
 @quick_value
@@ -105,16 +104,11 @@ class Capture:
 
 
 class Cameras:
-    """Exposes at the configured rate from ``t_start_ns``.
-
-    Attributes:
-        next_ns: the next exposure.
-        fault_state: what is wrong with the tracking.
-    """
+    """Exposes at the configured rate from ``t_start_ns``."""
 
     def __init__(self, config: MocapConfig, noise: NoiseSource, t_start_ns: int) -> None:
-        self.fault_state: MocapFaultState = HEALTHY_MOCAP
-        self.next_ns = t_start_ns
+        self.fault_state: MocapFaultState = HEALTHY_MOCAP  # what is wrong with the tracking
+        self.next_ns = t_start_ns  # the next exposure
         self._config = config
         self._noise = noise
         self._t_start_ns = t_start_ns
@@ -178,13 +172,8 @@ class Cameras:
         config, noise = self._config, self._noise
         sd = config.position_noise
         x, y, yaw, height = noise.normals(4)
-        position, quaternion = make_body_pose(
-            config.frame,
-            pose.x + sd * x,
-            pose.y + sd * y,
-            pose.yaw + config.yaw_noise * yaw,
-            config.height + sd * height,
-        )
+        place = pose.x + sd * x, pose.y + sd * y, pose.yaw + config.yaw_noise * yaw
+        position, quaternion = make_body_pose(config.frame, *place, config.height + sd * height)
         if config.tilt_noise:
             tilt = 0.5 * config.tilt_noise
             ahead, aside = noise.normals(2)

@@ -26,21 +26,16 @@ class Datagram:
 
 
 class Network:
-    """Messages in flight, by time of arrival.
-
-    Attributes:
-        fault_state: what is wrong with it.
-        next_ns: when the next message arrives; None without any.
-    """
+    """Messages in flight, by time of arrival."""
 
     def __init__(self, noise: NoiseSource) -> None:
-        self.fault_state: MocapFaultState = HEALTHY_MOCAP
+        self.fault_state: MocapFaultState = HEALTHY_MOCAP  # what is wrong with it
         self._noise = noise
         self._heap: list[tuple[int, int, Datagram]] = []
         self._count = 0
         self._last: Datagram | None = None
         self._waiting: Datagram | None = None
-        self.next_ns: int | None = None
+        self.next_ns: int | None = None  # when the next message arrives; None without any
 
     def send(self, message: Datagram) -> None:
         """Send something that no fault touches (answers, descriptions)."""

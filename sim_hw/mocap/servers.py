@@ -3,27 +3,11 @@
 The wires are `mocap_link`'s.
 """
 
-from steerd.mocap_link import natnet, vrpn
-from steerd.mocap_link.natnet_frame import (
-    EDIT_MODE,
-    MODEL_CHANGED,
-    TRACKING_VALID,
-    Frame,
-    RigidBody,
-)
+from steerd.mocap_link import natnet, natnet_frame, vrpn
 from steerd.mocap_link.natnet_wire import F32, NatNetError
 from steerd.mocap_link.vrpn import VrpnError
+from steerd.sim_hw.mocap import network as net
 from steerd.sim_hw.mocap.cameras import MULTICAST, TO_DATA, BodyPose, Capture, MocapConfig
-from steerd.sim_hw.mocap.network import (
-    CLOSE,
-    COMMAND,
-    DATA,
-    FOREIGN,
-    STREAM,
-    Datagram,
-    Network,
-    Peer,
-)
 from steerd.sim_hw.plant.faults import HEALTHY_MOCAP, MocapFaultState
 from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.steer_bus.quick_values import changed
@@ -31,29 +15,24 @@ from steerd.steer_bus.quick_values import changed
 _NS = 1_000_000_000
 _APP_VERSION = (3, 1, 0, 0)
 _ANSWER_NS = 150_000
-_ANOTHER = natnet.RigidBodyDesc("newcomer", 9)
-"""Enters the model list when it changes."""
+_ANOTHER = natnet.RigidBodyDesc("newcomer", 9)  # enters the model list when it changes
 
 
 class NatNetServer:
-    """One server. `on_message` takes datagrams of the command socket, `publish` sends frames.
-
-    Attributes:
-        fault_state: what is wrong with it.
-        data_port: sent to clients in SERVERINFO; `links` sets the one it really uses.
-    """
+    """One server. `on_message` takes datagrams of the command socket, `publish` sends frames."""
 
     def __init__(
-        self, config: MocapConfig, network: Network, noise: NoiseSource, t_ns: int
+        self, config: MocapConfig, network: net.Network, noise: NoiseSource, t_ns: int
     ) -> None:
         self.config = config
-        self.fault_state: MocapFaultState = HEALTHY_MOCAP
+        self.fault_state: MocapFaultState = HEALTHY_MOCAP  # what is wrong with it
+        # Sent to clients in SERVERINFO; `links` sets the one it really uses
         self.data_port = natnet.DATA_PORT
         self._network = network
         self._noise = noise
         self._epoch_ns = t_ns
         self._epoch_ticks = config.epoch_ticks
-        self._clients: dict[Peer, int] = {}
+        self._clients: dict[net.Peer, int] = {}
         self._model_flag = False
         self._grown = False
 
@@ -75,7 +54,7 @@ class NatNetServer:
 
     # --- session
 
-    def on_message(self, t_ns: int, data: bytes, peer: Peer) -> None:
+    def on_message(self, t_ns: int, data: bytes, peer: net.Peer) -> None:
         """Take a datagram from a client; nonsense is dropped as a real server does."""
         try:
             message = natnet.decode(data, self.config.version)
@@ -88,7 +67,7 @@ class NatNetServer:
         answer = self._answer(t_ns, message)
         if answer is not None and not self.fault_state.silent:
             data = natnet.encode(answer, self.config.version)
-            self._network.send(Datagram(t_ns + _ANSWER_NS, COMMAND, data, peer))
+            self._network.send(net.Datagram(t_ns + _ANSWER_NS, net.COMMAND, data, peer))
 
     def _answer(self, t_ns: int, message: natnet.Message) -> natnet.Message | None:
         match message:
@@ -100,18 +79,16 @@ class NatNetServer:
                 self._model_flag = False
                 return self._model()
             case natnet.Request():
-                return _answer_request(message.text, self.config)
+                known = message.text.split(",")[0] == "FrameRate"
+                rate = natnet.Response(F32.pack(self.config.rate_hz))
+                return rate if known else natnet.Unrecognized(100)
         return None
 
     def _info(self) -> natnet.ServerInfo:
         config = self.config
+        version, group = (*config.version, 0, 0), config.transport == MULTICAST
         return natnet.ServerInfo(
-            "steerd simulated Motive",
-            _APP_VERSION,
-            (*config.version, 0, 0),
-            config.clock_hz,
-            self.data_port,
-            config.transport == MULTICAST,
+            "steerd simulated Motive", _APP_VERSION, version, config.clock_hz, self.data_port, group
         )
 
     def _model(self) -> natnet.ModelDef:
@@ -134,24 +111,25 @@ class NatNetServer:
         data = natnet.encode(self._frame(capture, received, sent), config.version)
         arrival = sent + config.network_ns
         for channel, peer in destinations:
-            self._network.send_frame(Datagram(arrival, channel, data, peer))
+            self._network.send_frame(net.Datagram(arrival, channel, data, peer))
             if self.fault_state.foreign:
                 data = natnet.encode(self._frame(self._forge(capture), received, sent))
-                self._network.send(Datagram(arrival, FOREIGN, data, peer))
+                self._network.send(net.Datagram(arrival, net.FOREIGN, data, peer))
 
-    def _destinations(self, t_ns: int) -> list[tuple[str, Peer | None]]:
+    def _destinations(self, t_ns: int) -> list[tuple[str, net.Peer | None]]:
         config = self.config
         if config.transport == MULTICAST:
-            return [(DATA, None)]
+            return [(net.DATA, None)]
         oldest = t_ns - config.keepalive_ns
         self._clients = {peer: t for peer, t in self._clients.items() if t >= oldest}
-        channel = DATA if config.transport == TO_DATA else COMMAND
+        channel = net.DATA if config.transport == TO_DATA else net.COMMAND
         return [(channel, peer) for peer in self._clients]
 
-    def _frame(self, capture: Capture, received_ns: int, sent_ns: int) -> Frame:
+    def _frame(self, capture: Capture, received_ns: int, sent_ns: int) -> natnet_frame.Frame:
         faults = self.fault_state
-        params = (MODEL_CHANGED if self._model_flag else 0) | (EDIT_MODE if faults.edit_mode else 0)
-        return Frame(
+        params = natnet_frame.MODEL_CHANGED if self._model_flag else 0
+        params |= natnet_frame.EDIT_MODE if faults.edit_mode else 0
+        return natnet_frame.Frame(
             capture.number,
             tuple(map(_rigid_body, capture.bodies)),
             timestamp=capture.number / self.config.rate_hz,
@@ -171,15 +149,10 @@ class NatNetServer:
         return changed(capture, bodies=bodies)
 
 
-def _rigid_body(body: BodyPose) -> RigidBody:
+def _rigid_body(body: BodyPose) -> natnet_frame.RigidBody:
     w, x, y, z = body.quaternion
-    params = TRACKING_VALID if body.valid else 0
-    return RigidBody(body.id, body.position, (x, y, z, w), body.mean_error, params)
-
-
-def _answer_request(text: str, config: MocapConfig) -> natnet.Response | natnet.Unrecognized:
-    known = text.split(",")[0] == "FrameRate"
-    return natnet.Response(F32.pack(config.rate_hz)) if known else natnet.Unrecognized(100)
+    params = natnet_frame.TRACKING_VALID if body.valid else 0
+    return natnet_frame.RigidBody(body.id, body.position, (x, y, z, w), body.mean_error, params)
 
 
 _VRPN_ANSWER_NS = 100_000
@@ -264,23 +237,20 @@ class VrpnDevice:
     """A VRPN server for any number of clients.
 
     VRPN has no tracking-valid flag: a body that is not tracked is not sent.
-
-    Attributes:
-        fault_state: what is wrong with it.
     """
 
     def __init__(
-        self, config: MocapConfig, network: Network, noise: NoiseSource, t_ns: int
+        self, config: MocapConfig, network: net.Network, noise: NoiseSource, t_ns: int
     ) -> None:
         self.config = config
-        self.fault_state: MocapFaultState = HEALTHY_MOCAP
+        self.fault_state: MocapFaultState = HEALTHY_MOCAP  # what is wrong with it
         self._network = network
         self._noise = noise
         self._epoch_ns = t_ns
         self._epoch_us = config.epoch_ticks
         self._names = (config.body, *(b.name for b in config.bystanders))
-        self._sessions: dict[Peer, VrpnServer] = {}
-        self._deserted: set[Peer] = set()
+        self._sessions: dict[net.Peer, VrpnServer] = {}
+        self._deserted: set[net.Peer] = set()
 
     def set_fault_state(self, t_ns: int, faults: MocapFaultState) -> None:
         """From ``t_ns`` on, be in this condition."""
@@ -289,7 +259,7 @@ class VrpnDevice:
             self._epoch_ns, self._epoch_us = t_ns, 1_000_000
             for peer in tuple(self._sessions):
                 self.on_disconnect(peer)
-                self._network.send(Datagram(t_ns, CLOSE, b"", peer))
+                self._network.send(net.Datagram(t_ns, net.CLOSE, b"", peer))
         if faults.half_open and not before.half_open:
             self._deserted.update(self._sessions)
 
@@ -298,18 +268,18 @@ class VrpnDevice:
         elapsed = t_ns - self._epoch_ns + self.fault_state.clock_step_ns
         return self._epoch_us + int(elapsed * (1.0 + self.config.skew_ppm * 1e-6)) // 1000
 
-    def on_connect(self, t_ns: int, peer: Peer) -> None:
+    def on_connect(self, t_ns: int, peer: net.Peer) -> None:
         """A client has connected."""
         session = self._sessions[peer] = VrpnServer(self._names)
-        self._network.send(Datagram(t_ns + _VRPN_ANSWER_NS, STREAM, session.hello(), peer))
+        self._network.send(net.Datagram(t_ns + _VRPN_ANSWER_NS, net.STREAM, session.hello(), peer))
 
-    def on_disconnect(self, peer: Peer) -> None:
+    def on_disconnect(self, peer: net.Peer) -> None:
         """A client is gone."""
         self._sessions.pop(peer, None)
         self._deserted.discard(peer)
         self._network.forget(peer)
 
-    def on_message(self, t_ns: int, data: bytes, peer: Peer) -> None:
+    def on_message(self, t_ns: int, data: bytes, peer: net.Peer) -> None:
         """Take bytes from a client; one that does not speak VRPN is hung up on."""
         session = self._sessions.get(peer)
         if session is None or peer in self._deserted:
@@ -318,10 +288,10 @@ class VrpnDevice:
             answer = session.receive(data, self.stamp_us(t_ns))
         except VrpnError:
             self.on_disconnect(peer)
-            self._network.send(Datagram(t_ns, CLOSE, b"", peer))
+            self._network.send(net.Datagram(t_ns, net.CLOSE, b"", peer))
             return
         if answer and not self.fault_state.silent:
-            self._network.send(Datagram(t_ns + _VRPN_ANSWER_NS, STREAM, answer, peer))
+            self._network.send(net.Datagram(t_ns + _VRPN_ANSWER_NS, net.STREAM, answer, peer))
 
     def publish(self, capture: Capture) -> None:
         """Send the poses of an exposure to every client."""
@@ -338,4 +308,4 @@ class VrpnDevice:
                 if body.valid
             )
             if data:
-                self._network.send_frame(Datagram(capture.t_ns + late, STREAM, data, peer))
+                self._network.send_frame(net.Datagram(capture.t_ns + late, net.STREAM, data, peer))

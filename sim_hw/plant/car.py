@@ -2,8 +2,7 @@
 
 A motor controller does not only follow a speed: it also pushes with a torque, brakes against the
 motion, or lets go. Torque and brake act through friction that opposes motion and never reverses
-it, so a braked car comes to rest and stays there. Steps are the compiled library's; on floats where
-an effect is not in it.
+it, so a braked car comes to rest and stays there. Steps are the compiled library's.
 """
 
 # Why: docs/decisions/vehicle-model.md#d19
@@ -19,21 +18,13 @@ from math import inf
 from struct import Struct
 from typing import NamedTuple
 
-from steerd.car_model.actuators import actuate
 from steerd.car_model.chassis import SPEED_KINEMATIC
-from steerd.car_model.model import Model, Moment, aim, car_now, delays, hooked, memory_size, observe
-from steerd.car_model.native.windows import (
-    STATES,
-    Kernels,
-    car_numbers,
-    make_kernels,
-    parameter_vector,
-)
+from steerd.car_model.model import Model, delays, hooked, observe
+from steerd.car_model.native import windows
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import GRAVITY
-from steerd.car_model.rollout import glide, stiffness_rate
-from steerd.car_model.rollout import step as step_floats
-from steerd.car_model.state import ORIGIN, Command, Observation, State
+from steerd.car_model.rollout import stiffness_rate
+from steerd.car_model.state import ORIGIN, Observation, State
 from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.steer_bus.quick_values import quick_value
 
@@ -59,12 +50,10 @@ def make_steps(model: Model[float], h: float) -> Steps:
 
     Raises:
         LibraryError: the library was not built.
+        ValueError: an effect is not in it.
     """
-    try:
-        kernels = make_kernels(model.effects, model.chassis)
-    except ValueError:
-        return plain_steps(model, h)
-    size = STATES + kernels.memory
+    kernels = windows.make_kernels(model.effects, model.chassis)
+    size = windows.STATES + kernels.memory
 
     @lru_cache(maxsize=16)
     def part(count: int) -> Callable[..., Numbers]:
@@ -79,11 +68,11 @@ def make_steps(model: Model[float], h: float) -> Steps:
 
 
 def _compiled(
-    kernels: Kernels, model: Model[float], name: str, size: int, h: float, count: int = 1
+    kernels: windows.Kernels, model: Model[float], name: str, size: int, h: float, count: int = 1
 ) -> Callable[..., Numbers]:
     """A function of the library that takes state, memory and three numbers and gives `size`."""
-    car = car_numbers(kernels, parameter_vector(model), h / count, "rk4", count)
-    function, given = kernels.function(name), Struct(f"={STATES + kernels.memory + 3}d")
+    car = windows.car_numbers(kernels, windows.parameter_vector(model), h / count, "rk4", count)
+    function, given = kernels.function(name), Struct(f"={windows.STATES + kernels.memory + 3}d")
     taken, integration = Struct(f"={size}d"), byref(car.integration)
     memory = bytearray(taken.size)
     into = (c_char * taken.size).from_buffer(memory)
@@ -98,38 +87,8 @@ def _compiled(
     return call
 
 
-def plain_steps(model: Model[float], h: float) -> Steps:
-    """The same on floats."""
-    memory = memory_size(model.effects)
-
-    def split(numbers: Numbers) -> tuple[Moment[float], Numbers]:
-        return Moment(State(*numbers[:STATES]), numbers[STATES:-3]), numbers[-3:]
-
-    def follow_floats(*numbers: float) -> Numbers:
-        moment, (steer, speed, t) = split(numbers)
-        after = step_floats(FLOAT, model, moment, Command(steer, speed), t, h)
-        return (*after.state, *after.memory)
-
-    def actuate_floats(*numbers: float) -> Numbers:
-        moment, (steer, speed, t) = split(numbers)
-        car = car_now(FLOAT, model, moment.state, t)
-        ref = aim(FLOAT, model, car, Command(steer, speed), t)
-        return tuple(actuate(FLOAT, car, moment.state, ref, h))
-
-    def glide_floats(count: int, *numbers: float) -> Numbers:
-        moment, (end, accel, t) = split(numbers)
-        begun, part = moment.state.steer, h / count
-        for i in range(count):
-            steer = begun + (end - begun) * (i + 1) / count
-            moment = glide(FLOAT, model, moment, steer, accel, t + i * part, part)
-        return (*moment.state, *moment.memory)
-
-    return Steps(memory, follow_floats, actuate_floats, glide_floats)
-
-
 NS = 1_000_000_000
-_HISTORY = 0.5
-"""How far back poses are kept, beyond the pose channel's own dead time [s]."""
+_HISTORY = 0.5  # how far back poses are kept, beyond the pose channel's own dead time [s]
 
 
 class Drive(IntEnum):
@@ -214,24 +173,18 @@ class DelayLine:
 
 
 class SimCar:
-    """The plant on a grid of ``step_ns`` from ``t_start_ns``.
-
-    Attributes:
-        t_ns: time of `state`.
-        speed: true speed [m/s].
-        wheel_speed: what the motor controller measures [m/s].
-        accel_x: longitudinal acceleration over the last step [m/s^2].
-        accel_y: lateral acceleration over the last step [m/s^2].
-    """
+    """The plant on a grid of ``step_ns`` from ``t_start_ns``."""
 
     def __init__(
         self, model: Model[float], setup: CarSetup, noise: NoiseSource, t_start_ns: int = 0
     ) -> None:
         self.model = model
         self.setup = setup
-        self.t_ns = self._t_start_ns = t_start_ns
-        self.speed = setup.start.speed
-        self.accel_x = self.accel_y = 0.0
+        self.t_ns = self._t_start_ns = t_start_ns  # time of `state`
+        self.speed = setup.start.speed  # true speed [m/s]
+        self.accel_x = self.accel_y = (
+            0.0  # acceleration over the last step, along and across [m/s^2]
+        )
         self._noise = noise
         self._noisy = any(setup.noise)
         self._step_ns = setup.step_ns
@@ -254,6 +207,7 @@ class SimCar:
         self._kept = length
         self._history = [self._numbers] * length
         self._count = 0
+        # What the motor controller measures [m/s]
         self.wheel_speed = self.observe_motor().wheel_speed
 
     def step(self, steer: float, demand: Demand) -> None:
@@ -330,7 +284,7 @@ class SimCar:
     @property
     def state(self) -> State[float]:
         """True state."""
-        return State(*self._numbers[:STATES])
+        return State(*self._numbers[: windows.STATES])
 
     def state_at(self, t_ns: int) -> State[float]:
         """True state at a past time, straight between grid points; as far back as is kept."""
@@ -341,9 +295,9 @@ class SimCar:
         part = steps - low
         first = self._history[low % self._kept]
         if not part:
-            return State(*first[:STATES])
+            return State(*first[: windows.STATES])
         second = self._history[(low + 1) % self._kept]
-        pairs = zip(first[:STATES], second[:STATES], strict=True)
+        pairs = zip(first[: windows.STATES], second[: windows.STATES], strict=True)
         return State(*[a + part * (b - a) for a, b in pairs])
 
     def observe_pose(self, t_ns: int) -> Observation[float]:

@@ -8,7 +8,7 @@ number come from `docs/reference/mocap-protocols.md#m6.1` and `docs/reference/ve
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -135,14 +135,8 @@ FAULTS: tuple[FaultKind, ...] = (
     _mocap("M15", "out_of_order", "each second frame after its successor", reorder=True),
     _mocap("M16", "duplicated", "every frame twice", must_trip=False, duplicate=True),
     _mocap("M17", "loss", "5 % of the frames are lost", must_trip=False, loss=0.05),
-    _mocap(
-        "M18",
-        "gap",
-        "no frames for 50 ms of every second",
-        must_trip=False,
-        gap_ns=50 * _MS,
-        gap_every_ns=1000 * _MS,
-    ),
+    _mocap("M18", "gap", "no frames for 50 ms of every second", must_trip=False,
+           gap_ns=50 * _MS, gap_every_ns=1000 * _MS),
     _mocap("M19", "garbage", "malformed datagrams between", must_trip=False, noise="truncated"),
     _mocap("M20", "foreign_sender", "someone else sends frames", must_trip=False, foreign=1.0),
     _mocap("M21", "clock_step", "the server's clock steps", clock_step_ns=1000 * _MS),
@@ -156,20 +150,10 @@ FAULTS: tuple[FaultKind, ...] = (
     _mocap("", "mean_error_ramp", "a large marker residual", mean_error=0.02),
     _mocap("", "half_open", "the TCP peer is gone without a word", half_open=True),
     _vesc("V1", "unplug", "the USB cable is out", plugged=False),
-    _vesc(
-        "V2",
-        "replug_other_name",
-        "unplugged, back under another name",
-        port_suffix="-1",
-        outage_ns=300 * _MS,
-    ),
-    _vesc(
-        "V3",
-        "replug_other_uuid",
-        "unplugged, then another VESC is there",
-        uuid=_OTHER_UUID,
-        outage_ns=300 * _MS,
-    ),
+    _vesc("V2", "replug_other_name", "unplugged, back under another name",
+          port_suffix="-1", outage_ns=300 * _MS),
+    _vesc("V3", "replug_other_uuid", "unplugged, then another VESC is there",
+          uuid=_OTHER_UUID, outage_ns=300 * _MS),
     _vesc("V4", "no_replies", "takes commands, answers nothing", mute=True),
     _vesc("V5", "ignores_commands", "answers, keeps the last motor command", deaf=True),
     _vesc("V6", "reader_stalled", "reads nothing: the transmit buffer fills", stalled=True),
@@ -190,13 +174,12 @@ FAULTS: tuple[FaultKind, ...] = (
     _vesc("V21", "erpm_flipped", "ERPM has the wrong sign", erpm_sign=-1),
     _vesc("V22", "servo_disabled", "no servo output", servo_dead=True),
     _vesc("V23", "second_client_alive", "a phone app feeds the timeout", alive_ns=200 * _MS),
-    _vesc(
-        "V24", "no_timeout", "timeout and brake current 0", timeout_ms=0, timeout_brake_current=0.0
-    ),
+    _vesc("V24", "no_timeout", "timeout and brake current 0", timeout_ms=0,
+          timeout_brake_current=0.0),
     _vesc("", "reply_loss", "5 % of the replies are lost", must_trip=False, drop=0.05),
     _vesc("", "reply_jitter", "up to 8 ms late", must_trip=False, jitter_ns=8 * _MS),
     _vesc("", "unsolicited", "unknown frames between", must_trip=False, unsolicited=True),
-)
+)  # fmt: skip
 _BY_NAME = {key: kind for kind in FAULTS for key in (kind.code, kind.name) if key}
 
 
@@ -242,13 +225,9 @@ class Fault:
                 raise ValueError(f"fault {name}: no setting {setting!r}")
         if t_from_ns >= t_to_ns:
             raise ValueError(f"fault {name}: it ends before it begins")
-        for key, value in (
-            ("name", name),
-            ("t_from_ns", t_from_ns),
-            ("t_to_ns", t_to_ns),
-            ("params", dict(params)),
-        ):
-            object.__setattr__(self, key, value)
+        values = (name, t_from_ns, t_to_ns, dict(params))
+        for each, value in zip(fields(self), values, strict=True):
+            object.__setattr__(self, each.name, value)
 
     @property
     def kind(self) -> FaultKind:

@@ -8,8 +8,7 @@ from zlib import crc32
 
 import numpy as np
 
-_BLOCK = 512
-"""Numbers drawn at once: a scalar draw from NumPy costs 20 times as much."""
+_BLOCK = 512  # numbers drawn at once: a scalar draw from NumPy costs 20 times as much
 
 
 class NoiseSource:

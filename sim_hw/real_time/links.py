@@ -13,7 +13,6 @@ import sys
 import tempfile
 import tty
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -22,7 +21,7 @@ from typing import NamedTuple, Self
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.real_time.mocap_sockets import MocapSockets, make_mocap_sockets
 from steerd.sim_hw.world import World, WorldConfig
-from steerd.steer_bus.clock import Clock, MonotonicClock
+from steerd.steer_bus.clock import MonotonicClock
 
 _READ = 4096
 _GRACE_NS = 100_000_000
@@ -119,43 +118,35 @@ class PtyPort:
                 self._pending = self._pending[count:]
 
 
-_SHORTEST_NS = 100_000
-"""Shortest sleep, for when a host leaves bytes lying."""
+_SHORTEST_NS = 100_000  # shortest sleep, for when a host leaves bytes lying
 _READY_SECONDS = 20.0
 _STOP_SECONDS = 5.0
 _PRIORITY = 40
 
 
-@dataclass(frozen=True)
-class SimOptions:
-    """Where the simulated hardware is offered."""
-
-    faults: tuple[Fault, ...] = ()  # what goes wrong; windows count from the start
-    link_dir: Path | None = None  # directory for the serial port's name; a fresh one if None
-
-
 class SimHardware:
     """A world with open ends. Use as a context manager, or call `close`.
 
-    Attributes:
-        world: the simulated hardware; its clock is CLOCK_MONOTONIC.
-        port: path of the serial device (a link to a pty; it goes away with the device).
-        mocap_url: address for `steerd.mocap_link.source.parse_mocap_url`.
+    Args:
+        config: of the world.
+        faults: what goes wrong; windows count from the start.
+        link_dir: directory for the serial port's name; a fresh one if None.
     """
 
     def __init__(
-        self, config: WorldConfig, options: SimOptions | None = None, clock: Clock | None = None
+        self, config: WorldConfig, faults: Sequence[Fault] = (), link_dir: Path | None = None
     ) -> None:
-        options = options or SimOptions()
-        self._clock = clock or MonotonicClock()
-        self._own_dir = options.link_dir is None
-        self._dir = options.link_dir or Path(tempfile.mkdtemp(prefix="steerd-sim-"))
-        self.world = World(config, options.faults, self._clock.now_ns())
+        self._clock = MonotonicClock()
+        self._own_dir = link_dir is None
+        self._dir = link_dir or Path(tempfile.mkdtemp(prefix="steerd-sim-"))
+        # The simulated hardware; its clock is CLOCK_MONOTONIC
+        self.world = World(config, faults, self._clock.now_ns())
         self._pty = PtyPort(self._dir)
         self._mocap: MocapSockets = make_mocap_sockets(self.world)
         self._pty.follow(self.world, self._clock.now_ns())
+        # Path of the serial device (a link to a pty; it goes away with the device)
         self.port = str(self._dir / "vesc")
-        self.mocap_url = self._mocap.url
+        self.mocap_url = self._mocap.url  # address for `steerd.mocap_link.source.parse_mocap_url`
 
     def __enter__(self) -> Self:
         return self
@@ -250,7 +241,7 @@ class SpawnedSim(NamedTuple):
         self.stop()
 
 
-def spawn_sim(config: WorldConfig, options: SimOptions | None = None) -> SpawnedSim:
+def spawn_sim(config: WorldConfig, faults: Sequence[Fault] = ()) -> SpawnedSim:
     """Start simulated hardware in a process of its own.
 
     Effects in ``config`` must be importable (hooks defined at module level).
@@ -261,7 +252,7 @@ def spawn_sim(config: WorldConfig, options: SimOptions | None = None) -> Spawned
     context = mp.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(
-        target=_child, args=(config, options, theirs), name="steerd-sim", daemon=True
+        target=_child, args=(config, faults, theirs), name="steerd-sim", daemon=True
     )
     process.start()
     theirs.close()
@@ -277,11 +268,11 @@ def spawn_sim(config: WorldConfig, options: SimOptions | None = None) -> Spawned
     return SpawnedSim(port, url, process, ours)
 
 
-def _child(config: WorldConfig, options: SimOptions | None, pipe: Connection) -> None:
+def _child(config: WorldConfig, faults: Sequence[Fault], pipe: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for our parent, who then closes us
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # through SimHardware.close
     raise_priority()
-    with SimHardware(config, options) as hardware:
+    with SimHardware(config, faults) as hardware:
         pipe.send((hardware.port, hardware.mocap_url))
         hardware.run(pipe.fileno())
 

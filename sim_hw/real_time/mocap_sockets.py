@@ -5,7 +5,7 @@ import socket
 
 from steerd.mocap_link.natnet import MULTICAST_GROUP
 from steerd.sim_hw.mocap.cameras import MULTICAST
-from steerd.sim_hw.mocap.network import CLOSE, COMMAND, FOREIGN, STREAM, Datagram
+from steerd.sim_hw.mocap.network import CLOSE, COMMAND, DATA, FOREIGN, STREAM, Datagram
 from steerd.sim_hw.mocap.servers import NatNetServer
 from steerd.sim_hw.world import World
 
@@ -65,16 +65,12 @@ class NatNetSockets:
             self._send(message)
 
     def _send(self, message: Datagram) -> None:
-        peer = message.peer
-        host = peer[0] if isinstance(peer, tuple) else MULTICAST_GROUP
-        direct = message.channel == COMMAND and isinstance(peer, tuple)
-        port = peer[1] if direct and isinstance(peer, tuple) else self.data_port
-        sender = self._command
+        peer, sender = message.peer, self._command
+        host, port = peer if isinstance(peer, tuple) else (MULTICAST_GROUP, self.data_port)
+        if message.channel == DATA:
+            port = self.data_port
         if message.channel == FOREIGN:
-            if self._stranger is None:
-                self._stranger = _udp(_STRANGER, 0)
-            sender = self._stranger
-            port = peer[1] if isinstance(peer, tuple) else self.data_port
+            sender = self._stranger = self._stranger or _udp(_STRANGER, 0)
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
             sender.sendto(message.data, (host, port))
 
@@ -149,5 +145,4 @@ class VrpnSockets:
         self._clients.clear()
 
 
-MocapSockets = NatNetSockets | VrpnSockets
-"""The open ends of a mocap server."""
+MocapSockets = NatNetSockets | VrpnSockets  # the open ends of a mocap server

@@ -16,23 +16,15 @@ from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.sim_hw.vesc.vesc_motor import MEANS, MS, Mode, Motor, Power, VescConfig, duty_current
 from steerd.sim_hw.vesc.vesc_wire import FALSE_HEADER, ByteLog, Chunk, ReplyWire
 from steerd.vesc_link import commands as c
-from steerd.vesc_link import identity, telemetry
+from steerd.vesc_link import ids, telemetry
 from steerd.vesc_link.frames import FrameParser
-from steerd.vesc_link.identity import Ack
-from steerd.vesc_link.ids import (
-    FAULT_NAMES,
-    FW_3_00,
-    FW_3_40,
-    FW_5_03,
-    CommandId,
-    Firmware,
-    command_id,
-    fault_name,
-)
+from steerd.vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp, Print
 from steerd.vesc_link.packets import FEEDS_TIMEOUT, Reply, decode_command, encode_reply
 from steerd.vesc_link.scaling import Scaling, erpm_to_speed, servo_pos_to_steer
 from steerd.vesc_link.telemetry import UPTIME_MASK, Uptime
 
+_TRAIN = ("motor_poles", "gear_ratio", "wheel_diameter")
+"""What the reply to GET_MCCONF_TEMP says beside the limits in force."""
 _IMU_PERIOD_NS = 5 * MS
 """The firmware samples its IMU at 200 Hz; faster polling reads the same sample again."""
 _MEAN_BITS = {"motor_current": 2, "input_current": 3, "d_current": 4, "q_current": 5}
@@ -71,38 +63,10 @@ def make_values(
     )
 
 
-def make_fw_version(config: VescConfig, uuid: bytes) -> identity.FwVersion:
+def make_fw_version(config: VescConfig, uuid: bytes) -> FwVersion:
     """FW_VERSION reply; its tail is as long as this firmware's."""
     size = max((size for since, size in _VERSION_TAILS if config.firmware >= since), default=0)
-    return identity.FwVersion(*config.firmware, config.hw_name, uuid, _VERSION_TAIL[:size])
-
-
-def make_appconf(config: VescConfig, motor: Motor) -> identity.AppConf:
-    """GET_APPCONF reply: timeout and its brake current, then a tail that no one should read."""
-    return identity.AppConf(
-        _SIGNATURE,
-        config.controller_id,
-        motor.timeout_ms,
-        motor.timeout_brake_current,
-        _APPCONF_TAIL,
-    )
-
-
-def make_mcconf_temp(config: VescConfig, motor: Motor) -> identity.McConfTemp:
-    """GET_MCCONF_TEMP reply: the limits in force."""
-    return identity.McConfTemp(
-        **motor.limits,
-        motor_poles=config.motor_poles,
-        gear_ratio=config.gear_ratio,
-        wheel_diameter=config.wheel_diameter,
-    )
-
-
-def make_terminal_answer(motor: Motor, text: str) -> identity.Print:
-    """What the terminal prints."""
-    if text == "faults":
-        return identity.Print(f"Fault: FAULT_CODE_{fault_name(motor.fault)}")
-    return identity.Print(f"Invalid command: {text}")
+    return FwVersion(*config.firmware, config.hw_name, uuid, _VERSION_TAIL[:size])
 
 
 class ImuChip:
@@ -144,34 +108,23 @@ class ImuChip:
         }
 
 
-_UNDER_VOLTAGE = FAULT_NAMES.index("UNDER_VOLTAGE")
-_OVER_TEMP = FAULT_NAMES.index("OVER_TEMP_FET")
+_UNDER_VOLTAGE = ids.FAULT_NAMES.index("UNDER_VOLTAGE")
+_OVER_TEMP = ids.FAULT_NAMES.index("OVER_TEMP_FET")
 _TERMINAL_NS = 5 * MS
-_PARSER_512 = Firmware(3, 48)
+_PARSER_512 = ids.Firmware(3, 48)
 _decode = lru_cache(maxsize=512)(decode_command)
 
 
-def make_parser(firmware: Firmware) -> FrameParser:
+def make_parser(firmware: ids.Firmware) -> FrameParser:
     """The receiver of this firmware: longest payload and patience with a silent sender."""
     if firmware < _PARSER_512:
         return FrameParser(max_payload=1024, strict=True, gap_ns=2 * MS)
-    gap_ns = None if firmware >= FW_5_03 else 1000 * MS
+    gap_ns = None if firmware >= ids.FW_5_03 else 1000 * MS
     return FrameParser(strict=True, gap_ns=gap_ns)
 
 
 class SimVesc:
-    """One VESC on one car. Call `step` once per physics step, `on_bytes` and `advance` at any time.
-
-    Attributes:
-        motor: modes, timeout, faults.
-        power: electrical measurements.
-        imu: what GET_IMU_DATA reads.
-        boot_ns: when it came up.
-        counts: host bugs and losses by name: ``short`` (a command without its arguments),
-            ``unknown`` ids, ``discarded`` blocking commands, ``lost`` bytes while off.
-        log: every byte with its time.
-        connected: whether the host sees the USB device.
-    """
+    """One VESC on one car: `step` once per physics step, `on_bytes` and `read` at any time."""
 
     def __init__(
         self,
@@ -183,8 +136,10 @@ class SimVesc:
     ) -> None:
         self.config = config
         self.car = car
-        self.log = ByteLog() if log is None else log
+        self.log = ByteLog() if log is None else log  # every byte with its time
         self.fault_state: VescFaultState = HEALTHY_VESC
+        # Host bugs and losses by name: ``short`` (a command without its arguments), ``unknown``
+        # ids, ``discarded`` blocking commands, ``lost`` bytes while off
         self.counts: Counter[str] = Counter()
         self._scaling = scaling
         self._sign = -1 if config.invert else 1
@@ -192,19 +147,19 @@ class SimVesc:
         self._wire = ReplyWire(config, noise)
         self._held: deque[Chunk] = deque()
         self._off_until_ns = -1
-        self.connected = True
+        self.connected = True  # whether the host sees the USB device
         self._stuck_erpm: int | None = None
         self._boot(car.t_ns, config.uptime_ns)
 
     def _boot(self, t_ns: int, uptime_ns: int = 0) -> None:
         config = self.config
-        self.motor = Motor(config, t_ns - uptime_ns)
+        self.motor = Motor(config, t_ns - uptime_ns)  # modes, timeout, faults
         self.motor.fault_state = self.fault_state
-        self.power = Power(config)
+        self.power = Power(config)  # electrical measurements
         self.power.heat(self.fault_state.heat_c)
-        self.imu = ImuChip(config, self.car, self._noise)
+        self.imu = ImuChip(config, self.car, self._noise)  # what GET_IMU_DATA reads
         self._parser = make_parser(config.firmware)
-        self.boot_ns = t_ns - uptime_ns
+        self.boot_ns = t_ns - uptime_ns  # when it came up
         self._servo_target = self._servo_out = 0.5
         self._servo_steer = servo_pos_to_steer(self._scaling, self._servo_out)
         self._servo_next_ns = t_ns + config.servo_phase_ns
@@ -367,7 +322,7 @@ class SimVesc:
         firmware = self.config.firmware
         command = _decode(payload, firmware)
         if command is None:
-            known = command_id(payload[0], firmware) is not None
+            known = ids.command_id(payload[0], firmware) is not None
             self.counts["short" if known and len(payload) < 5 else "unknown"] += 1
         elif type(command) in FEEDS_TIMEOUT:
             self.motor.command(t_ns, command, self._true_erpm())
@@ -391,14 +346,18 @@ class SimVesc:
             case c.GetFwVersion():
                 return make_fw_version(config, self.uuid)
             case c.GetAppConf():
-                return make_appconf(config, motor)
+                timeout = motor.timeout_ms, motor.timeout_brake_current
+                return AppConf(_SIGNATURE, config.controller_id, *timeout, _APPCONF_TAIL)
             case c.GetMcConfTemp():
-                return make_mcconf_temp(config, motor)
+                train: dict[str, Any] = {name: getattr(config, name) for name in _TRAIN}
+                return McConfTemp(**{**motor.limits, **train})
             case c.SetMcConfTemp():
                 motor.set_limits(command)
-                return Ack(CommandId.SET_MCCONF_TEMP) if command.ack else None
+                return Ack(ids.CommandId.SET_MCCONF_TEMP) if command.ack else None
             case c.TerminalCommand():
-                self._block(t_ns, _TERMINAL_NS, make_terminal_answer(motor, command.text))
+                faults = f"Fault: FAULT_CODE_{ids.fault_name(motor.fault)}"
+                text = faults if command.text == "faults" else f"Invalid command: {command.text}"
+                self._block(t_ns, _TERMINAL_NS, Print(text))
             case c.Reboot():
                 self.reboot(t_ns)
         return None
@@ -429,15 +388,15 @@ class SimVesc:
         self._later.append((self._busy_until_ns, reply))
 
 
-def _as_older(payload: bytes, reply: Reply, firmware: Firmware) -> bytes:
+def _as_older(payload: bytes, reply: Reply, firmware: ids.Firmware) -> bytes:
     """The reply in an old firmware's layout, where that firmware has such a reply at all."""
     try:
-        return encode_reply(reply, FW_3_40 if firmware > FW_3_40 else FW_3_00)
+        return encode_reply(reply, ids.FW_3_40 if firmware > ids.FW_3_40 else ids.FW_3_00)
     except ValueError:
         return payload
 
 
-_WRONG: dict[str, Callable[[bytes, Reply, Firmware], bytes]] = {
+_WRONG: dict[str, Callable[[bytes, Reply, ids.Firmware], bytes]] = {
     "type": lambda payload, reply, firmware: bytes((payload[0] ^ 0x40,)) + payload[1:],
     "length": lambda payload, reply, firmware: payload[: max(1, len(payload) * 2 // 3)],
     "firmware": lambda payload, reply, firmware: _as_older(payload, reply, firmware),

@@ -77,13 +77,10 @@ class VescConfig:
         return self.servo_frame_ns / 2e9
 
 
-TICK_NS = 10 * MS
-"""Period of the firmware's timeout thread."""
-FAULT_STOP_NS = 500 * MS
-"""How long a fault outlasts its condition (m_fault_stop_time_ms)."""
+TICK_NS = 10 * MS  # period of the firmware's timeout thread
+FAULT_STOP_NS = 500 * MS  # how long a fault outlasts its condition (m_fault_stop_time_ms)
 _KILL_NS = 20 * MS
-_CURRENT_MIN = 0.05
-"""Below this the motor is released (cc_min_current) [A]."""
+_CURRENT_MIN = 0.05  # below this the motor is released (cc_min_current) [A]
 _RAMP_SINCE = Firmware(5, 3)
 _NS = 1e9
 
@@ -102,24 +99,16 @@ _SPEED = Mode.SPEED
 
 
 class Motor:
-    """The motor side of the firmware.
-
-    Attributes:
-        mode, value: command in force, as requested.
-        ramped: the speed controller's present setpoint [ERPM].
-        timed_out: the timeout has struck and no command has come since.
-        fault: fault code, 0 for none.
-        limits: session limits in RAM (SET_MCCONF_TEMP), with those configured as their start.
-        fault_state: what is wrong with it.
-    """
+    """The motor side of the firmware."""
 
     def __init__(self, config: VescConfig, t_ns: int) -> None:
         self.config = config
-        self.fault_state: VescFaultState = HEALTHY_VESC
-        self.mode = Mode.RELEASED
-        self.value = self.ramped = 0.0
-        self.timed_out = False
-        self.fault = 0
+        self.fault_state: VescFaultState = HEALTHY_VESC  # what is wrong with it
+        self.mode, self.value = Mode.RELEASED, 0.0  # command in force, as requested
+        self.ramped = 0.0  # the speed controller's present setpoint [ERPM]
+        self.timed_out = False  # the timeout has struck and no command has come since
+        self.fault = 0  # fault code, 0 for none
+        # Session limits in RAM (SET_MCCONF_TEMP), with those configured as their start
         self.limits = make_limits(config)
         self._ramps = config.firmware >= _RAMP_SINCE
         self._fed_ns = t_ns
@@ -260,33 +249,22 @@ def duty_current(config: VescConfig, duty: float, voltage: float, erpm: float) -
 _AMBIENT_C = 25.0
 _HEATING = 2e-4
 """Warming per squared motor current [K/s/A^2]; with `_COOLING`, 30 A settle at +22 K."""
-_COOLING = 120.0
-"""Thermal time constant [s]."""
-_FIELD_VOLTAGE = 3**-0.5
-"""Phase voltage per bus voltage at full duty (space-vector modulation)."""
-_FLAT = 0.1
-"""Voltage below which no battery goes here, so that nothing divides by zero [V]."""
+_COOLING = 120.0  # thermal time constant [s]
+_FIELD_VOLTAGE = 3**-0.5  # phase voltage per bus voltage at full duty (space-vector modulation)
+_FLAT = 0.1  # voltage below which no battery goes here, so that nothing divides by zero [V]
 MEANS = ("motor_current", "input_current", "d_current", "q_current", "v_d", "v_q")
 
 
 class Power:
-    """Currents, voltages, temperature and tachometer of the simulated VESC.
-
-    Attributes:
-        current: motor current, positive drives forward on the wire [A].
-        voltage: battery voltage under load [V].
-        duty: duty cycle.
-        revolutions, travel: electrical revolutions, signed and unsigned.
-        temp_c: of switches and motor.
-        warmth, heat_c: above ambient by the motor's own current, and by a fault [K].
-    """
+    """Currents, voltages, temperature and tachometer of the simulated VESC."""
 
     def __init__(self, config: VescConfig) -> None:
         self.config = config
-        self.current = self.duty = 0.0
-        self.voltage = config.battery_voltage
-        self.revolutions = self.travel = 0.0
-        self.warmth = 0.0
+        self.current = 0.0  # of the motor, positive drives forward on the wire [A]
+        self.duty = 0.0  # duty cycle
+        self.voltage = config.battery_voltage  # battery voltage under load [V]
+        self.revolutions = self.travel = 0.0  # electrical revolutions, signed and unsigned
+        self.warmth = 0.0  # above ambient by the motor's own current [K]
         self.heat(0.0)
         self.input_current = 0.0
         self._motor_sum = self._input_sum = self._q_sum = self._vq_sum = 0.0
@@ -295,7 +273,8 @@ class Power:
 
     def heat(self, heat_c: float) -> None:
         """A fault heats it by so much."""
-        self.heat_c = heat_c
+        self.heat_c = heat_c  # above ambient by a fault [K]
+        # Of switches and motor
         self.temp_c = _AMBIENT_C + self.warmth + heat_c
 
     def step(self, current: float, erpm: float, h: float, sag: float) -> None:

@@ -47,28 +47,19 @@ class ByteLog:
             self.entries.append(Logged(t_ns, to, data))
 
 
-FALSE_HEADER = b"\x03\x02\x00"
-"""The head of a frame of 512 bytes."""
+FALSE_HEADER = b"\x03\x02\x00"  # the head of a frame of 512 bytes
 _UNKNOWN_FRAME = encode_frame(b"\xfaunsolicited")
-_USB_WAIT_NS = 100 * MS
-"""How long the firmware's USB thread waits for a host that does not read."""
+_USB_WAIT_NS = 100 * MS  # how long the firmware's USB thread waits for a host that does not read
 
 
 class ReplyWire:
-    """Replies in flight to the host.
-
-    Attributes:
-        fault_state: what is wrong with the link.
-        next_ns: when the next bytes are due; None without any.
-        blocked_until_ns: the command thread waits for the host to read.
-        cut: replies that were cut because the host did not read.
-    """
+    """Replies in flight to the host."""
 
     def __init__(self, config: VescConfig, noise: NoiseSource) -> None:
-        self.fault_state: VescFaultState = HEALTHY_VESC
-        self.next_ns: int | None = None
-        self.blocked_until_ns = 0
-        self.cut = 0
+        self.fault_state: VescFaultState = HEALTHY_VESC  # what is wrong with the link
+        self.next_ns: int | None = None  # when the next bytes are due; None without any
+        self.blocked_until_ns = 0  # the command thread waits for the host to read
+        self.cut = 0  # replies that were cut because the host did not read
         self._config = config
         self._noise = noise
         self._chunks: deque[Chunk] = deque()

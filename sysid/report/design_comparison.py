@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from steerd.car_model.model import Model, Moment
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import Car
-from steerd.car_model.path.path_shapes import make_figure_eight
+from steerd.car_model.path.path_spec import make_figure_eight
 from steerd.car_model.rollout import channel_delayed, step
 from steerd.car_model.state import ORIGIN, Command
 from steerd.controller.build import make_controller

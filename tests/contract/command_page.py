@@ -11,8 +11,7 @@ from steerd.daemon.cli.main import COMMANDS
 from steerd.daemon.common.packaged import EXAMPLES
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "commands.md"
-COMMON = 3
-"""Commands with the same line from which it is a common one."""
+COMMON = 3  # commands with the same line from which it is a common one
 _HEAD = """# Commands
 
 Every command with its arguments and options, from the parsers themselves.

@@ -18,7 +18,7 @@ from steerd.steer_bus.zenoh_bus import (
     make_settings,
     make_spoke_profile,
 )
-from tests.local_bus import LocalBus, LocalHub
+from tests.local_bus import LocalBus, LocalHub, is_heard
 
 STATE = "steerd/car1/state"
 DEADLINE_S = 30.0
@@ -83,7 +83,7 @@ def collect(subscription, count):
 def test_a_message_arrives_once_in_order(pair):
     sender, receiver = pair
     subscription = receiver.subscribe(STATE, depth=10)
-    assert until(lambda: sender.has_subscriber(STATE))
+    assert until(lambda: is_heard(sender, STATE))
     for i in range(5):
         sender.publish(STATE, bytes([i]))
     taken = collect(subscription, 5)
@@ -97,8 +97,8 @@ def test_a_ring_keeps_the_newest(pair):
     sender, receiver = pair
     ring = receiver.subscribe(STATE)
     marker = receiver.subscribe("steerd/car1/marker")
-    assert until(lambda: sender.has_subscriber(STATE))
-    assert until(lambda: sender.has_subscriber("steerd/car1/marker"))
+    assert until(lambda: is_heard(sender, STATE))
+    assert until(lambda: is_heard(sender, "steerd/car1/marker"))
     for i in range(8):
         sender.publish(STATE, bytes([i]))
     sender.publish("steerd/car1/marker", b"")
@@ -111,8 +111,8 @@ def test_wildcards_receive_and_never_send(pair):
     sender, receiver = pair
     every_car = receiver.subscribe("steerd/*/state", depth=4)
     everything = receiver.subscribe("steerd/**", depth=4)
-    assert until(lambda: sender.has_subscriber(STATE))
-    assert until(lambda: sender.has_subscriber("steerd/car2/cmd/drive"))
+    assert until(lambda: is_heard(sender, STATE))
+    assert until(lambda: is_heard(sender, "steerd/car2/cmd/drive"))
     sender.publish(STATE, b"a")
     sender.publish("steerd/car2/cmd/drive", b"b")
     assert {s.key for s in collect(everything, 2)} == {STATE, "steerd/car2/cmd/drive"}
@@ -125,7 +125,7 @@ def test_wildcards_receive_and_never_send(pair):
 def test_what_is_not_kept_displaces_nothing(pair):
     sender, receiver = pair
     ring = receiver.subscribe(STATE, 2, lambda data: len(data) == 1)
-    assert until(lambda: sender.has_subscriber(STATE))
+    assert until(lambda: is_heard(sender, STATE))
     for data in (b"a", b"b", *[b"no"] * 50, b"c"):
         sender.publish(STATE, data)
     taken = []
@@ -136,16 +136,16 @@ def test_what_is_not_kept_displaces_nothing(pair):
 def test_closing_a_subscription_ends_it(pair):
     sender, receiver = pair
     subscription = receiver.subscribe(STATE)
-    assert until(lambda: sender.has_subscriber(STATE))
+    assert until(lambda: is_heard(sender, STATE))
     subscription.close()
-    assert until(lambda: not sender.has_subscriber(STATE))
+    assert until(lambda: not is_heard(sender, STATE))
     sender.publish(STATE, b"nobody hears")
 
 
 def test_a_message_at_the_limit_passes_and_a_longer_one_is_refused(pair):
     sender, receiver = pair
     subscription = receiver.subscribe(STATE)
-    assert until(lambda: sender.has_subscriber(STATE))
+    assert until(lambda: is_heard(sender, STATE))
     sender.publish(STATE, bytes(MAX_BYTES))
     assert [len(s.data) for s in collect(subscription, 1)] == [MAX_BYTES]
     with pytest.raises(BusError, match="exceeds"):
@@ -242,7 +242,7 @@ def test_at_a_plain_hub_nobody_hears_requests_or_speaks_as_the_car():
     ):
         spied, heard = stranger.subscribe("**", 64), hub.subscribe(f"{requests}/**", 64)
         forged = operator.subscribe("steerd/car1/*", 64)
-        assert until(lambda: operator.has_subscriber(requests))
+        assert until(lambda: is_heard(operator, requests))
         operator.publish(requests, b"secret")
         stranger.publish(STATE, b"forged")
         stranger.publish("steerd/car1/in/pose", b"pose")

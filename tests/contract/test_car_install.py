@@ -11,8 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 CAR = PYPROJECT["dependency-groups"]["car"]
-BROUGHT = {"matplotlib"}
-"""What a car needs only because python-control imports it."""
+BROUGHT = {"matplotlib"}  # what a car needs only because python-control imports it
 REST = sorted(
     each
     for each in set(PYPROJECT["project"]["dependencies"]) - set(CAR)

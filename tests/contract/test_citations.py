@@ -12,8 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = {".py", ".pyi", ".md", ".toml", ".yaml", ".yml", ".html"}
 SKIPPED = {"build", "dist", "node_modules", "site", "__pycache__"}
-HISTORY = {"CHANGELOG.md"}
-"""What it names was there when it was written."""
+HISTORY = {"CHANGELOG.md"}  # what it names was there when it was written
 
 CITED = re.compile(r"(?<![\w./-])(docs/[\w./-]+\.md)\b(?:#([\w.-]*\w))?")
 LINKED = re.compile(r"\]\((?!\w+:)([^)\s#]*)(?:#([^)\s]+))?\)")

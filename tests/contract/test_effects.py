@@ -26,8 +26,7 @@ CONTRACT = set(
     """.split()  # noqa: SIM905
 )
 STEP = 0.01
-SHORT = 15
-"""Steps of a run over scalar tensors, which are slow one by one."""
+SHORT = 15  # steps of a run over scalar tensors, which are slow one by one
 EVERY = [pytest.param(effect, id=name) for name, effect in EFFECTS.items()]
 
 
@@ -71,7 +70,10 @@ def tensor(value: float) -> torch.Tensor:
 
 def ordinary(effect: Effect) -> tuple[float, ...]:
     """A severity that is ordinary on such a car, within bounds."""
-    return tuple(p.typical for p in effect.parameters)
+    return tuple(
+        p.scan[len(p.scan) // 2] if p.scan else min(p.null + p.scale, 0.5 * (p.null + p.high))
+        for p in effect.parameters
+    )
 
 
 def test_the_contract_names_are_all_there() -> None:

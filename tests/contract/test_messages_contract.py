@@ -7,8 +7,8 @@ import pytest
 from mcap.reader import make_reader  # noqa: TID251
 from mcap_ros2.decoder import DecoderFactory
 
-from steerd.steer_bus.codec import encode, type_name
-from steerd.steer_bus.fields import Array, Blob, Nested, Scalar, message_fields
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.fields import Nested, Scalar, Sized, message_fields, type_name
 from steerd.steer_bus.messages import OWN_MESSAGES
 from steerd.steer_bus.session import SessionWriter
 from steerd.steer_bus.standard import STANDARD_MESSAGES
@@ -42,7 +42,9 @@ def assert_same(theirs, ours):
                     assert_same(a, b)
             case Nested():
                 assert_same(value, expected)
-            case Array() | Blob():
+            case Sized(is_text=False):
+                assert list(value) == list(expected)
+            case Scalar(count=count) if count:
                 assert list(value) == list(expected)
             case Scalar(ros="byte"):
                 assert ord(value) == expected if isinstance(value, bytes) else value == expected

@@ -15,8 +15,7 @@ import pytest
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
-PULL = 0.012
-"""Wheel angle per speed that the simulated car has [rad s/m]."""
+PULL = 0.012  # wheel angle per speed that the simulated car has [rad s/m]
 PAGE = (ROOT / "docs" / "how-to" / "your-own-effect.md").read_text()
 NEW_EFFECT = PAGE.partition("```python\n")[2].partition("```")[0]
 

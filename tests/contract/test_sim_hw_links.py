@@ -18,13 +18,7 @@ from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.mocap_link.natnet_frame import Frame
 from steerd.sim_hw.mocap.cameras import MULTICAST, MocapConfig
 from steerd.sim_hw.plant.faults import Fault
-from steerd.sim_hw.real_time.links import (
-    SimHardware,
-    SimOptions,
-    SpawnedSim,
-    fault_windows,
-    spawn_sim,
-)
+from steerd.sim_hw.real_time.links import SimHardware, SpawnedSim, fault_windows, spawn_sim
 from steerd.sim_hw.vesc.vesc_motor import VescConfig
 from steerd.sim_hw.world import WorldConfig
 from steerd.vesc_link import commands as c
@@ -120,8 +114,7 @@ def test_natnet_frames_arrive_over_multicast_on_the_loopback() -> None:
 
 
 def test_foreign_frames_come_from_another_address() -> None:
-    options = SimOptions(faults=(Fault("M20"),))
-    with spawn_sim(WorldConfig(), options) as sim:
+    with spawn_sim(WorldConfig(), (Fault("M20"),)) as sim:
         url = parse_mocap_url(sim.mocap_url)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
             udp.sendto(natnet.encode(natnet.Bare.CONNECT), (url.host, url.port))
@@ -151,7 +144,7 @@ def fill(fd: int) -> None:
 
 
 def test_stalled_reader_fills_the_kernel_buffer() -> None:
-    with spawn_sim(WorldConfig(), SimOptions(faults=(Fault("V6"),))) as sim:
+    with spawn_sim(WorldConfig(), (Fault("V6"),)) as sim:
         fd = os.open(sim.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             with pytest.raises(BlockingIOError):
@@ -163,7 +156,7 @@ def test_stalled_reader_fills_the_kernel_buffer() -> None:
 def test_hardware_in_this_process_stops_at_its_pipe_and_its_signal(tmp_path: Path) -> None:
     read, write = os.pipe()
     os.close(write)
-    with SimHardware(WorldConfig(), SimOptions(link_dir=tmp_path)) as hardware:
+    with SimHardware(WorldConfig(), link_dir=tmp_path) as hardware:
         assert hardware.port == str(tmp_path / "vesc")
         hardware.run(read)
     os.close(read)

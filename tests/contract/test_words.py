@@ -32,8 +32,7 @@ PRODUCT = (
 )
 PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs")
 SUFFIXES = (".py", ".pyi", ".toml", ".md", ".html", ".js", ".css")
-FOREIGN = ("uplot.min.js", "uplot.min.css")
-"""Files of other authors, taken as they are."""
+FOREIGN = ("uplot.min.js", "uplot.min.css")  # files of other authors, taken as they are
 KEYS: dict[str, str] = {"sim_gap/lane_comparison.py": '"nearer":'}
 """Keys of JSON contracts that programs read (here `steerd.gap/1`): they stay as they are."""
 

@@ -18,8 +18,7 @@ from steerd.sysid.data.segments import pauses
 pytestmark = pytest.mark.slow
 
 NS = 1_000_000_000
-FROM, UNTIL = 8.0, 14.0
-"""When the recorder stands still [s]; a pipe takes some seconds more."""
+FROM, UNTIL = 8.0, 14.0  # when the recorder stands still [s]; a pipe takes some seconds more
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,7 @@ from steerd.steer_bus.session_read import open_session
 from tests.e2e.conftest import free_port
 from tests.e2e.test_live import Watcher, start_run
 
-EVIL = "http://evil.example"
-"""Where a page of somebody else comes from."""
+EVIL = "http://evil.example"  # where a page of somebody else comes from
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 
 

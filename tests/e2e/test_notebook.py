@@ -14,12 +14,9 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOK = ROOT / "examples" / "notebooks" / "first-look.ipynb"
 FIGURES = 3
-LINES_MOST = 60
-"""Lines of text below a cell: more than a screen nobody reads."""
-HIDDEN_MS = 50.0
-"""The steering delay that the notebook adds to its car."""
-SD_MOST = 10.0
-"""A larger standard error [ms] would say nothing of such a delay."""
+LINES_MOST = 60  # lines of text below a cell: more than a screen nobody reads
+HIDDEN_MS = 50.0  # the steering delay that the notebook adds to its car
+SD_MOST = 10.0  # a larger standard error [ms] would say nothing of such a delay
 
 
 def test_the_notebook_runs_and_shows_its_figures(tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ from steerd.daemon.setup.probe_ask import discover
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.sim_hw.mocap.cameras import MocapConfig
 from steerd.sim_hw.plant.faults import Fault
-from steerd.sim_hw.real_time.links import SimOptions, spawn_sim
+from steerd.sim_hw.real_time.links import spawn_sim
 from steerd.sim_hw.vesc.vesc_motor import VescConfig
 from steerd.sim_hw.world import WorldConfig
 from steerd.steer_bus.clock import MonotonicClock
@@ -61,7 +61,7 @@ def test_what_is_wrong_is_found(capsys):
 
 @pytest.mark.realtime
 def test_a_dead_port_and_a_silent_server(capsys, tmp_path):
-    with spawn_sim(WorldConfig(), SimOptions((Fault("no_replies"),))) as sim:
+    with spawn_sim(WorldConfig(), (Fault("no_replies"),)) as sim:
         code, found = probe(capsys, "--port", sim.port)
     assert code == 3
     assert "no VESC answered" in found["serial"][0]["advice"][0]["what"]

@@ -3,6 +3,7 @@
 The last classes are here for what no message of ours has side by side.
 """
 
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -11,27 +12,28 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from steerd.steer_bus.codec import CodecError, decode, encode, schema_text, type_hash, type_name
+from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.fields import (
-    Array,
-    Blob,
     Bytes,
     Float64,
-    Int16,
     Nested,
     Scalar,
+    Sized,
     String,
-    Text,
     UInt8,
     UInt32,
     message,
     message_fields,
+    schema_text,
+    type_hash,
+    type_name,
 )
 from steerd.steer_bus.messages import OWN_MESSAGES
 from steerd.steer_bus.standard import STANDARD_MESSAGES
 
-Float32x3 = Annotated[tuple[float, ...], Array(Scalar("float32", "f", 4, 10), 3)]
-UInt8x5 = Annotated[tuple[int, ...], Array(Scalar("uint8", "B", 1, 3), 5)]
+Float32x3 = Annotated[tuple[float, ...], Scalar("float32[3]", 58, "f", 4, 3)]
+UInt8x5 = Annotated[tuple[int, ...], Scalar("uint8[5]", 51, "B", 1, 5)]
+Int16 = Annotated[int, Scalar("int16", 4, "h", 2)]
 
 
 @message("a/msg/Arrays")
@@ -79,18 +81,16 @@ TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0")
 
 def value_of(kind):
     match kind:
-        case Text():
+        case Sized(is_text=True):
             return TEXT
-        case Blob():
+        case Sized():
             return st.binary(max_size=40)
-        case Array():
-            return st.tuples(*[value_of(kind.item)] * kind.count)
+        case Scalar(count=count) if count:
+            return st.tuples(*[value_of(replace(kind, count=0))] * count)
         case Nested(many=False):
             return message_of(kind.cls)
         case Nested():
             return st.lists(message_of(kind.cls), max_size=3).map(tuple)
-        case Scalar(code="?"):
-            return st.booleans()
         case Scalar(ros="byte"):  # rosbags takes it as signed; ROS uses 0 to 3
             return st.integers(0, 127)
         case Scalar(code="d" | "f"):
@@ -118,9 +118,9 @@ def to_rosbags(message, store):
     for field in message_fields(type(message)):
         value = getattr(message, field.name)
         match field.kind:
-            case Array():
-                value = np.array(value, field.kind.item.ros)
-            case Blob():
+            case Scalar(count=count) if count:
+                value = np.array(value, f"={field.kind.code}")
+            case Sized(is_text=False):
                 value = np.frombuffer(value, np.uint8)
             case Nested(many=False):
                 value = to_rosbags(value, store)

@@ -19,10 +19,8 @@ from tests.safety.rig import BOOT_ID, LEASE_ID, MS, Rig
 
 FRAME, TRANSIT = 0.010, 0.006
 """Seconds from one mocap frame to the next, and from exposure to arrival."""
-STALE = 0.150
-"""W1 below 2 m/s: as long as 0.30 m allow."""
-MUTE = 0.100 + 0.020
-"""W7, counted from the last poll's answer."""
+STALE = 0.150  # W1 below 2 m/s: as long as 0.30 m allow
+MUTE = 0.100 + 0.020  # W7, counted from the last poll's answer
 COAST = 0.6
 """Slowing of a car whose motor is let go [m/s^2]; nothing on the wire can do better then."""
 

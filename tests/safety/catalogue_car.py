@@ -95,10 +95,8 @@ def restart_quietly(rig: Rig) -> None:
     vesc.boot_ns = rig.t_ns
 
 
-RUNAWAY = 2.0
-"""Acceleration of wheels that obey no speed [m/s^2]."""
-SLOW_SERVO = 0.32
-"""A tenth of a servo's slew rate [rad/s]."""
+RUNAWAY = 2.0  # acceleration of wheels that obey no speed [m/s^2]
+SLOW_SERVO = 0.32  # a tenth of a servo's slew rate [rad/s]
 
 
 def run_away(rig: Rig) -> None:

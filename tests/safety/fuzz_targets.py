@@ -53,8 +53,7 @@ HELD = MAX_PAYLOAD + 6
 SERVER = "10.0.0.1"
 LOSSY = (c.TerminalCommand, c.SetMcConfTemp)
 """Commands with text, or with flags that are any byte: they need not come back."""
-MOST = 4096
-"""More bytes than this from one input only take time."""
+MOST = 4096  # more bytes than this from one input only take time
 
 Piece = tuple[int, bytes]
 

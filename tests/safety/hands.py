@@ -35,8 +35,7 @@ from tests.e2e.test_live import CIRCLE, Watcher
 from tests.e2e.test_live_page import live, until
 from tests.e2e.test_teleop import ABS, AXES, BUTTONS, KEY, Hand, press_until_driving
 
-SPEAK_S = 0.05
-"""How often the page's script says that it is there."""
+SPEAK_S = 0.05  # how often the page's script says that it is there
 DRIVE_S = 1.5
 _AT_REST = (SupervisorState.DISARMED, SupervisorState.READY)
 _SIGNALS = {"killed": signal.SIGKILL, "frozen": signal.SIGSTOP}
@@ -92,8 +91,7 @@ class Tap:
             os.close(fd)
 
 
-Go = Callable[[str], int]
-"""Ends the driving in the named way; when that was [ns]."""
+Go = Callable[[str], int]  # ends the driving in the named way; when that was [ns]
 
 
 def press_until_driving_there(socket: Any) -> None:

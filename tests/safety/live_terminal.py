@@ -17,8 +17,7 @@ from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 from tests.e2e.conftest import Program, children
 from tests.safety.live import CLOCK, Live, free_port, start_hardware
 
-END_S = 15.0
-"""After so long without its parent every child has ended."""
+END_S = 15.0  # after so long without its parent every child has ended
 _KEYS = {RequestKind.ARM: "a", RequestKind.START: "s", RequestKind.STOP: " "}
 _PARTS = ("core_process", "recorder", "gateway", "guardian")
 

@@ -19,16 +19,13 @@ from tests.safety.judge import (
 )
 from tests.safety.rig import MS, PHASES, Rig, at_phase, twin
 
-TICK = 0.011
-"""One period and 1 ms: what a detected fault needs to reach the wire."""
+TICK = 0.011  # one period and 1 ms: what a detected fault needs to reach the wire
 WATCH_S, LONGEST_S, STANDING_S, COLD_S = 2.0, 9.0, 1.5, 6.0
 STOP_ASKED_NS = 500 * MS
 SOFT_DECEL, HARD_DECEL = 1.5, 3.5
 SLACK_M = 0.06
-SPEED_LAG_S = 0.1
-"""How far a VESC's speed loop stays behind the ramp."""
-LAUNCH_M = 0.80
-"""The launch window of 0.5 m, and a stop from 0.5 m/s after up to 0.3 s."""
+SPEED_LAG_S = 0.1  # how far a VESC's speed loop stays behind the ramp
+LAUNCH_M = 0.80  # the launch window of 0.5 m, and a stop from 0.5 m/s after up to 0.3 s
 UPWARD = {SupervisorState.SELF_TEST, SupervisorState.ARMED, SupervisorState.RUNNING}
 MOVING = ("P4", "P5", "P6", "P7", "P8")
 

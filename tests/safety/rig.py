@@ -168,8 +168,8 @@ def make_rig(
     if settings is not None:
         plan = make_plan(plan.options, settings)
     config = make_world_config(plan, keep_bytes=True)
-    other = config.car._replace(**(car or {}))
-    config = replace(config, car=other, mocap=replace(config.mocap, bystanders=(BYSTANDER,)))
+    model = config.model._replace(car=config.model.car._replace(**(car or {})))
+    config = replace(config, model=model, mocap=replace(config.mocap, bystanders=(BYSTANDER,)))
     notes = Notes()
     core = make_core(plan, BOOT_ID, EPOCH_NS, (notes,), leased=True)
     core.flags |= Flag.LINKED

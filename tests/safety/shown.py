@@ -52,8 +52,7 @@ DRIVES = (
 
 `steps` is a straight on which something else than the lane keeper steers by `STEP`, left and right.
 """
-STEP, STEP_S = 0.15, 0.5
-"""Angle [rad] and duration [s] of a step."""
+STEP, STEP_S = 0.15, 0.5  # angle [rad] and duration [s] of a step
 PAGE = Path(__file__).parents[2] / "docs" / "results" / "safety.md"
 _GROUPS = (
     ("steer_gain",), ("lf", "lr"), ("steer_lag", "steer_delay", "speed_lag"),

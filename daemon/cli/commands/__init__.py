@@ -1,1 +1,1 @@
-"""One module per subcommand: `add_arguments(parser)` and `run(args) -> int`."""
+"""A module for each subcommand: its docstring is the help, with `add_arguments` and `run`."""

@@ -28,64 +28,43 @@ from steerd.daemon.many.job import Rows
 from steerd.sysid.report.report import Table
 
 Array = NDArray[np.float64]
-CHANCE = 1e-3
-"""Probability that a batch without any change reports one."""
-LEAST = 6
-"""Drives of a car below which nothing is said about a change."""
-_SIDE = 3
-"""Least drives on either side of a step: of one or two the scatter explains anything."""
+CHANCE = 1e-3  # probability that a batch without any change reports one
+LEAST = 6  # drives of a car below which nothing is said about a change
+_SIDE = 3  # least drives on either side of a step: of one or two the scatter explains anything
 _ROBUST = 1.4826 / sqrt(2.0)
 """Median size of differences of neighbours to the standard deviation of one."""
-_DROP = 3.84
-"""Loss of twice the log-likelihood within which a day still may be the one (95 %)."""
-WEEK = 7 * 86_400.0
-"""[s]."""
+_DROP = 3.84  # loss of twice the log-likelihood within which a day still may be the one (95 %)
+WEEK = 7 * 86_400.0  # [s]
 _WIDE = 1.96
 _SURER = 3.0
 """A drive whose error is so many times smaller than the middle one's knows it by another model."""
-_GROUP = 4
-"""Least such drives, and least others, for a level of their own."""
+_GROUP = 4  # least such drives, and least others, for a level of their own
 
 
 @dataclass(frozen=True)
 class Series:
-    """Estimates of one quantity of one car, in the order of time.
+    """Estimates of one quantity of one car, in the order of time."""
 
-    Attributes:
-        car, quantity: their names.
-        start: of the drives [UNIX s], (n,).
-        value, sd: estimates and their standard errors, (n,); an unknown error is 0.
-    """
-
-    car: str
+    car: str  # names of car and quantity
     quantity: str
-    start: Array
-    value: Array
-    sd: Array
+    start: Array  # of the drives [UNIX s], (n,)
+    value: Array  # estimates, (n,)
+    sd: Array  # their standard errors, (n,); an unknown one is 0
 
 
 @dataclass(frozen=True)
 class Change:
-    """A step in a quantity.
+    """A step in a quantity."""
 
-    Attributes:
-        car, quantity: of the series.
-        begin: the first drive with the new value [UNIX s].
-        earliest, latest: days between which the first one lies (95 %).
-        before, after: means on both sides.
-        sd: standard error of their difference.
-        chance: probability of a step as clear anywhere in the batch, without any change.
-    """
-
-    car: str
+    car: str  # car and quantity of the series
     quantity: str
-    begin: float
-    earliest: str
+    begin: float  # the first drive with the new value [UNIX s]
+    earliest: str  # days between which the first one lies (95 %)
     latest: str
-    before: float
+    before: float  # mean before it, and after
     after: float
-    sd: float
-    chance: float
+    sd: float  # standard error of their difference
+    chance: float  # probability of a step as clear anywhere in the batch, without any change
 
     @property
     def day(self) -> str:
@@ -100,16 +79,11 @@ class Change:
 
 @dataclass(frozen=True)
 class Band:
-    """Weekly means of a series with 95 % bands.
+    """Weekly means of a series with 95 % bands."""
 
-    Attributes:
-        start: middle of each week's drives [UNIX s].
-        mean, half: mean, and half the band's width.
-    """
-
-    start: Array
+    start: Array  # middle of each week's drives [UNIX s]
     mean: Array
-    half: Array
+    half: Array  # half the band's width
 
 
 def list_series(rows: Rows, quantities: Sequence[str]) -> Iterator[Series]:
@@ -136,18 +110,12 @@ def find_changes(series: Sequence[Series]) -> list[Change]:
 
 
 class _Step(NamedTuple):
-    """The fit of a step that begins with a drive: what it says of it.
+    """The fit of a step that begins with a drive: what it says of it."""
 
-    Attributes:
-        before, size: level before it, and how much larger the values are from it on.
-        variance: of the size.
-        spread: weighted squares that are left.
-    """
-
-    before: float
-    size: float
-    variance: float
-    spread: float
+    before: float  # level before it
+    size: float  # how much larger the values are from it on
+    variance: float  # of the size
+    spread: float  # weighted squares that are left
 
     @property
     def gain(self) -> float:

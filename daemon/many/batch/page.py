@@ -24,8 +24,7 @@ from steerd.sysid.report.report import Card, Report, Section, Table
 _DAY = 86_400.0
 _FIGURES = 30
 """Series that are drawn: those that changed first; more make a page nobody looks through."""
-_SESSIONS, _FAILURES = 200, 20
-"""Rows of a table; the others are in the file of `-o`."""
+_SESSIONS, _FAILURES = 200, 20  # rows of a table; the others are in the file of `-o`
 _WORDS = ("car", "day", "verdict", "causes", "lane")
 _FOUND = (
     ("seconds", "driven [s]", 1.0), ("metres", "driven [m]", 1.0), ("e1_rms", "e1 RMS [mm]", 1e3),
@@ -33,8 +32,7 @@ _FOUND = (
 )  # fmt: skip
 """Columns of the table of sessions: texts, then figures with their heads and scales."""
 _ESTIMATES = 5
-_LEAST_SHARE = 0.01
-"""Least height of a diagram, as a share of what it shows."""
+_LEAST_SHARE = 0.01  # least height of a diagram, as a share of what it shows
 
 
 @rc_context(STYLE)

@@ -11,6 +11,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.common.row_file import Row
 from steerd.daemon.common.screen import clean, shown, wrap
+from steerd.daemon.many.batch import unit
 from steerd.daemon.many.batch.changes import (
     Change,
     Series,
@@ -19,33 +20,12 @@ from steerd.daemon.many.batch.changes import (
     nothing_changed,
     tabulate_changes,
 )
-from steerd.daemon.many.batch.unit import (
-    Kind,
-    Question,
-    day_of,
-    find_batch,
-    make_tasks,
-    read_cars,
-    read_content,
-    run_unit,
-)
-from steerd.daemon.many.job import (
-    FAILED,
-    Column,
-    Job,
-    Rows,
-    do_in_notebook,
-    encode_table,
-    frame_of,
-    save_table,
-)
+from steerd.daemon.many.job import FAILED, Column, Found, Job, Rows, do_in_notebook
 from steerd.daemon.many.units import Done, Where
 from steerd.sysid.report.report import format_table
 
 if TYPE_CHECKING:
-    import pandas
-
-    from steerd.sysid.report.report import Card
+    from steerd.sysid.report.report import Card, Report
 
 DONE = "done"
 _HEAD = (
@@ -63,10 +43,10 @@ _NO_ESTIMATE = ("start", "tries", "seconds", "metres")
 
 @shown
 @dataclass(frozen=True, eq=False)
-class Batch:
+class Batch(Found):
     """What a batch found; `print(batch)` is the screen of `steerd batch`."""
 
-    kind: Kind  # what was asked
+    kind: unit.Kind  # what was asked
     rows: tuple[Row, ...] = field(repr=False)  # one drive each, values by column
     worked: int = 0  # drives that this start worked on; the others had been finished before
     wall: float = 0.0  # how long that took [s]
@@ -78,17 +58,10 @@ class Batch:
         rest = (Column(n, "text" if n in _TEXTS else "number") for n in sorted(more))
         return (*_HEAD, *rest)
 
-    def to_pandas(self) -> "pandas.DataFrame":
-        """The rows as a data frame; `attrs["units"]` holds the units by column."""
-        return frame_of(self.columns, self.rows)
-
-    def encode_table(self) -> bytes:
-        """The rows as a Parquet file; the same rows give the same bytes."""
-        return encode_table(self.columns, self.rows, {"steerd.batch": self.kind})
-
-    def save_table(self, path: Path | str) -> Path:
-        """Write that file; see `save_table`."""
-        return save_table(path, self.encode_table())
+    @property
+    def origin(self) -> dict[str, str]:
+        """What was asked."""
+        return {"steerd.batch": self.kind}
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -106,12 +79,11 @@ class Batch:
         """What changed, the clearest first."""
         return tuple(find_changes(self.series))
 
-    def render_report(self) -> str:
-        """The page: quantities over weeks with their bands, and the days of changes."""
+    def make_report(self) -> "Report":
+        """What the page shows: quantities over weeks with their bands, and the days of changes."""
         from steerd.daemon.many.batch.page import make_report
-        from steerd.sysid.report.page import render_report
 
-        return render_report(make_report(self.kind, self.rows, self.series, self.changes))
+        return make_report(self.kind, self.rows, self.series, self.changes)
 
     @property
     def cards(self) -> "list[Card]":
@@ -126,7 +98,7 @@ class Batch:
 
 @speaking_of_arguments
 def batch(
-    kind: Kind,
+    kind: unit.Kind,
     sessions: str | Path | Sequence[str | Path],
     *,
     cars: Path | str | None = None,
@@ -151,33 +123,32 @@ def batch(
     Raises:
         SteerdError: an argument cannot be used. A session that fails is a row.
     """
-    if kind not in get_args(Kind):
-        raise SteerdError(f"kind {kind!r}: {' or '.join(get_args(Kind))}", "", ExitCode.USAGE)
+    if kind not in get_args(unit.Kind):
+        raise SteerdError(f"kind {kind!r}: {' or '.join(get_args(unit.Kind))}", "", ExitCode.USAGE)
     words = [sessions] if isinstance(sessions, str | Path) else list(sessions)
-    paths = find_batch([str(word) for word in words])
-    job = make_job(paths, Question(kind, read_cars(None if cars is None else Path(cars))))
+    paths = unit.find_batch([str(word) for word in words])
+    job = make_job(paths, unit.Question(kind, unit.read_cars(None if cars is None else Path(cars))))
     return do_in_notebook(job, Where(jobs, dask), output)
 
 
-def make_job(paths: Sequence[Path], question: Question) -> Job[Batch]:
+def make_job(paths: Sequence[Path], question: unit.Question) -> Job[Batch]:
     """What is asked of sessions as work for `do_job`."""
-    tasks = make_tasks(paths, question)
+    tasks = unit.make_tasks(paths, question)
 
     def make_row(done: Done) -> Row:
         row = {"session": str(tasks[done.unit].path), "tries": done.tries}
         row |= {"outcome": FAILED if done.row is None else DONE, "failure": done.failure}
         start = (done.row or {}).get("start")
-        return row | (done.row or {}) | ({} if start is None else {"day": day_of(start)})
+        return row | (done.row or {}) | ({} if start is None else {"day": unit.day_of(start)})
 
     def make(rows: tuple[Row, ...], worked: int, wall: float) -> Batch:
         return Batch(question.kind, rows, worked, wall)
 
     kind, basis = question.kind, question.digest()
-    return Job(kind, run_unit, tasks, basis, make_row, make, read_content, grows=True)
+    return Job(kind, unit.run_unit, tasks, basis, make_row, make, unit.read_content, grows=True)
 
 
-_FAILURES, _CHANGES = 5, 12
-"""Lines of each that are shown."""
+_FAILURES, _CHANGES = 5, 12  # lines of each that are shown
 
 
 def describe_batch(rows: Rows, worked: int, series: int, changes: Sequence[Change]) -> str:

@@ -22,8 +22,7 @@ from steerd.steer_bus.session_read import SessionInfo
 
 _EARLIEST_NS = 946_684_800_000_000_000
 """The year 2000 [UNIX ns]: a log whose clock began at zero has no date of its own."""
-_CAR_MAX = 24
-"""Characters of a car's name that are kept."""
+_CAR_MAX = 24  # characters of a car's name that are kept
 Kind = Literal["summarise", "identify", "diagnose"]
 _PATTERN = frozenset("*?[")
 

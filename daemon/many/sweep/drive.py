@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from steerd.car_model.effects import find_effect
-from steerd.car_model.model import Model
-from steerd.car_model.nominal_car import believed_car
+from steerd.car_model.model import believed_car
 from steerd.car_model.params import PARAMETERS
 from steerd.car_model.path.path import locate, project
 from steerd.controller.design import assess, delay_margin
@@ -18,7 +17,7 @@ from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.many.sweep.plan import DRIVEN, REFUSED, STOPPED, DriveCase, SweepPlan
 from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
-from steerd.daemon.sessions.lane_error import SETTLE, rms
+from steerd.daemon.sessions.motion import SETTLE, rms
 from steerd.daemon.settings.config import make_settings
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.sim_hw.world import World, WorldConfig
@@ -91,25 +90,16 @@ def _vary_instruments(config: WorldConfig, values: Mapping[str, float | str]) ->
 
 @dataclass
 class Seen:
-    """What a drive shows tick by tick, once it has settled on its lane.
+    """What a drive shows tick by tick, once it has settled on its lane."""
 
-    Attributes:
-        plan: of the drive.
-        e1, e2: lateral and heading error as estimated.
-        true_e1: lateral error of the simulated car.
-        steer: share of the wheel angle used.
-        began_ns: when the car began to drive; None before.
-        seconds, metres: driven, the approach with it.
-    """
-
-    plan: RunPlan
-    e1: list[float] = field(default_factory=list)
-    e2: list[float] = field(default_factory=list)
-    true_e1: list[float] = field(default_factory=list)
-    steer: list[float] = field(default_factory=list)
-    began_ns: int | None = None
-    seconds: float = 0.0
-    metres: float = 0.0
+    plan: RunPlan  # of the drive
+    e1: list[float] = field(default_factory=list)  # lateral error as estimated
+    e2: list[float] = field(default_factory=list)  # heading error as estimated
+    true_e1: list[float] = field(default_factory=list)  # lateral error of the simulated car
+    steer: list[float] = field(default_factory=list)  # share of the wheel angle used
+    began_ns: int | None = None  # when the car began to drive; None before
+    seconds: float = 0.0  # driven, the approach with it
+    metres: float = 0.0  # the same
     _hint: int = 0
 
     def take(self, run: VirtualRun) -> None:
@@ -169,8 +159,7 @@ def _judge_end(run: VirtualRun) -> dict[str, Any]:
 
 def _judge_loop(plan: RunPlan, config: WorldConfig) -> dict[str, Any]:
     """How stable the designed gains hold the car that was drawn."""
-    model = Model(config.car, config.effects, config.effect_values, config.chassis)
-    car, table = believed_car(model), plan.controller.table
+    car, table = believed_car(config.model), plan.controller.table
     timing = Timing(plan.options.rate_hz, car.steer_delay + car.pose_delay, car.steer_lag)
     return {
         "damping": min(at.damping for at in assess(car, table, timing)),

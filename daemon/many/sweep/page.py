@@ -8,8 +8,7 @@ from matplotlib.axes import Axes
 
 from steerd.daemon.common.screen import clean
 from steerd.daemon.many.job import Rows
-from steerd.daemon.many.sweep.plan import DRIVEN, Choice, SweepPlan
-from steerd.daemon.many.sweep.quantities import Distribution
+from steerd.daemon.many.sweep.plan import DRIVEN, Choice, Distribution, SweepPlan
 from steerd.daemon.many.sweep.summary import (
     STOPS,
     UNITS,
@@ -25,16 +24,12 @@ from steerd.sysid.report.drawing import AFTER, BEFORE, STYLE, make_axes, to_svg
 from steerd.sysid.report.report import SCALES, Card, Cell, Report, Section, Table
 
 _BINS = 30
-_TICKS = 5
-"""Numbers below a small diagram at most: more would touch."""
-_SCATTERS = 6
-"""Strongest dependences that are drawn."""
-_POINTS = 1500
-"""Points of a scatter figure; more make a page heavy and show no more."""
+_TICKS = 5  # numbers below a small diagram at most: more would touch
+_SCATTERS = 6  # strongest dependences that are drawn
+_POINTS = 1500  # points of a scatter figure; more make a page heavy and show no more
 _MOVED = 0.01
 """A measure that moves less is moved by nothing that matters: damping by its fourth digit."""
-_VALUES = 6
-"""Values of a list that are shown."""
+_VALUES = 6  # values of a list that are shown
 
 
 @rc_context(STYLE)

@@ -12,29 +12,19 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.common.row_file import Row
 from steerd.daemon.common.screen import shown
-from steerd.daemon.many.job import (
-    FAILED,
-    Column,
-    Job,
-    do_in_notebook,
-    encode_table,
-    frame_of,
-    save_table,
-)
+from steerd.daemon.many.job import FAILED, Column, Found, Job, do_in_notebook
 from steerd.daemon.many.sweep.drive import run_case
 from steerd.daemon.many.sweep.plan import DriveCase, SweepPlan, list_cases, make_sweep_plan
 from steerd.daemon.many.sweep.summary import Summary, describe_sweep, list_columns, summarise_sweep
 from steerd.daemon.many.units import Done, Where
 
 if TYPE_CHECKING:
-    import pandas
-
-    from steerd.sysid.report.report import Card
+    from steerd.sysid.report.report import Card, Report
 
 
 @shown
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class Sweep(Found):
     """What a sweep found; `print(sweep)` is the screen of `steerd sweep`."""
 
     plan: SweepPlan  # what was driven
@@ -47,29 +37,21 @@ class Sweep:
         """The columns of the table with units and meanings."""
         return list_columns(self.plan.quantities)
 
-    def to_pandas(self) -> "pandas.DataFrame":
-        """The rows as a data frame; `attrs["units"]` holds the units by column."""
-        return frame_of(self.columns, self.rows)
-
-    def encode_table(self) -> bytes:
-        """The rows as a Parquet file; the same rows give the same bytes."""
-        return encode_table(self.columns, self.rows, {"steerd.sweep": self.plan.digest()})
-
-    def save_table(self, path: Path | str) -> Path:
-        """Write that file; see `save_table`."""
-        return save_table(path, self.encode_table())
+    @property
+    def origin(self) -> dict[str, str]:
+        """What was driven, as a digest."""
+        return {"steerd.sweep": self.plan.digest()}
 
     @cached_property
     def summary(self) -> Summary:
         """Distributions, stops, sensitivities."""
         return summarise_sweep(self.plan, self.rows)
 
-    def render_report(self) -> str:
-        """The page: distributions, stops, sensitivity of each to each."""
+    def make_report(self) -> "Report":
+        """What the page shows: distributions, stops, sensitivity of each to each."""
         from steerd.daemon.many.sweep.page import make_report
-        from steerd.sysid.report.page import render_report
 
-        return render_report(make_report(self.plan, self.rows, self.summary))
+        return make_report(self.plan, self.rows, self.summary)
 
     @property
     def cards(self) -> "list[Card]":

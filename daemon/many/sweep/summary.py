@@ -12,42 +12,29 @@ from scipy import stats
 
 from steerd.daemon.common.screen import clean, wrap
 from steerd.daemon.many.job import FAILED, Column, Rows
-from steerd.daemon.many.sweep.plan import DRIVEN, REFUSED, STOPPED, SweepPlan
-from steerd.daemon.many.sweep.quantities import Quantity
+from steerd.daemon.many.sweep.plan import DRIVEN, REFUSED, STOPPED, Quantity, SweepPlan
 from steerd.sysid.report.report import SCALES, Table, format_table
 
 Array = NDArray[np.float64]
 QUANTILES = (0.05, 0.5, 0.95)
-_Z = 1.96
-"""Standard deviations of a 95 % interval."""
-STOPS = "stopped"
-"""The measure that says whether a watchdog stopped the drive."""
-_LEAST = 8
-"""Drives below which nothing is said about a dependence."""
-_MOVES = 0.005
-"""A smaller move of a measure, as a share of it, is not worth a word [-]."""
+_Z = 1.96  # standard deviations of a 95 % interval
+STOPS = "stopped"  # the measure that says whether a watchdog stopped the drive
+_LEAST = 8  # drives below which nothing is said about a dependence
+_MOVES = 0.005  # a smaller move of a measure, as a share of it, is not worth a word [-]
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Distribution of a measure.
+    """Distribution of a measure."""
 
-    Attributes:
-        name, unit: of the measure.
-        count: drives that have it.
-        low, middle, high: 5 %, 50 % and 95 % of them lie below.
-        worst: the least favourable value.
-        worst_drive: number of the drive that has it.
-    """
-
-    name: str
+    name: str  # name and unit of the measure
     unit: str
-    count: int
-    low: float
-    middle: float
-    high: float
-    worst: float
-    worst_drive: int
+    count: int  # drives that have it
+    low: float  # 5 % of them lie below
+    middle: float  # 50 %
+    high: float  # 95 %
+    worst: float  # the least favourable value
+    worst_drive: int  # number of the drive that has it
 
 
 @dataclass(frozen=True)
@@ -68,21 +55,16 @@ class Share:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """How much of a measure's ranks one varied quantity explains, and how far it moves it.
+    """How much of a measure's ranks one varied quantity explains, and how far it moves it."""
 
-    Attributes:
-        quantity, measure: their names.
-        value: rank correlation (Spearman's rho) of numbers; of a list of texts the correlation
-            ratio of the ranks, which has no sign.
-        least: what chance alone exceeds in one case in twenty.
-        start, end: mean of the measure over the fifth of the drives with the lowest and with the
-            highest values of the quantity; of texts, over those with the least and the greatest.
-    """
-
-    quantity: str
+    quantity: str  # names of quantity and measure
     measure: str
+    # Rank correlation (Spearman's rho) of numbers; of a list of texts the correlation ratio of the
+    # ranks, which has no sign
     value: float
-    least: float
+    least: float  # what chance alone exceeds in one case in twenty
+    # Mean of the measure over the fifth of the drives with the lowest and with the highest values
+    # of the quantity; of texts, over those with the least and the greatest
     start: float
     end: float
 
@@ -220,10 +202,8 @@ def list_columns(quantities: Iterable[Quantity]) -> Sequence[Column]:
     return (*_HEAD, *varied, *_ENDS, *MEASURES)
 
 
-UNITS = {c.name: c.unit for c in MEASURES}
-"""SI unit by measure."""
-_SHOWN = 8
-"""Dependences that are shown."""
+UNITS = {c.name: c.unit for c in MEASURES}  # SI unit by measure
+_SHOWN = 8  # dependences that are shown
 
 
 def describe_sweep(plan: SweepPlan, rows: Rows, summary: Summary, speed: float | None) -> str:

@@ -6,8 +6,7 @@ from itertools import pairwise
 import pytest
 
 from steerd.car_model.effects import EFFECTS, parse_effects
-from steerd.car_model.model import Model
-from steerd.car_model.nominal_car import believed_car
+from steerd.car_model.model import Model, believed_car
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car, wheelbase
 from steerd.car_model.rollout import (

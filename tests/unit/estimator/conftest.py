@@ -41,11 +41,9 @@ def slalom(t: float) -> Command[float]:
 class Drive:
     """Ground truth and what the instruments said."""
 
-    truth: dict[int, State[float]]
-    """By time [ns], every tick."""
+    truth: dict[int, State[float]]  # by time [ns], every tick
     commands: list[tuple[int, Command[float] | None]]
-    arrivals: list[tuple[int, Measurement]]
-    """(time of arrival, measurement) in order of arrival."""
+    arrivals: list[tuple[int, Measurement]]  # (time of arrival, measurement) in order of arrival
 
 
 def add_process_noise(

@@ -37,10 +37,8 @@ WIDTHS = {Kind.POSE: 3, Kind.WHEEL_SPEED: 1, Kind.GYRO: 1}
 class Record:
     """What one run gave."""
 
-    scaled: np.ndarray
-    """(instants, 7) errors over their standard deviations."""
-    nees: np.ndarray
-    """(instants,)."""
+    scaled: np.ndarray  # (instants, 7) errors over their standard deviations
+    nees: np.ndarray  # (instants,)
     nis: dict[Kind, list[float]]
     refused: int
 

@@ -7,6 +7,8 @@ from typing import Any
 import pytest
 
 from steerd.car_model.effects import parse_effects
+from steerd.car_model.model import Model
+from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.state import ORIGIN
 from steerd.mocap_link import natnet
 from steerd.mocap_link.frame import FrameConfig
@@ -195,10 +197,8 @@ def test_vrpn_hangs_up_on_a_peer_that_speaks_something_else() -> None:
 def test_effects_change_the_car_and_pose_latency_is_not_stamped() -> None:
     def end(text: str | None) -> Any:
         setting = parse_effects(text) if text else []
-        config = WorldConfig(
-            effects=tuple(e for e, _ in setting), effect_values=tuple(v for _, v in setting)
-        )
-        world = World(config)
+        effects, values = (tuple(each[i] for each in setting) for i in (0, 1))
+        world = World(WorldConfig(model=Model(DEFAULT_CAR, effects, values)))
         for t in range(0, 1000 * MS, TICK):
             world.serial_write(t, encode_frame(encode_command(c.SetErpm(2 * 4614))))
         world.advance(1000 * MS)

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steerd.steer_bus.codec import encode, type_name
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.fields import type_name
 from steerd.steer_bus.messages import OWN_MESSAGES, WORLD, make_header
 from steerd.steer_bus.session import AttachedFile, SessionWriter
 from tests.blank import drawn

@@ -5,8 +5,16 @@ import struct
 
 import pytest
 
-from steerd.steer_bus.codec import MAX_BYTES, CodecError, decode, encode, schema_text, type_name
-from steerd.steer_bus.fields import Bytes, Nested, flat_leaves, message, message_fields
+from steerd.steer_bus.codec import MAX_BYTES, CodecError, decode, encode
+from steerd.steer_bus.fields import (
+    Bytes,
+    Nested,
+    flat_leaves,
+    message,
+    message_fields,
+    schema_text,
+    type_name,
+)
 from steerd.steer_bus.messages import (
     OWN_MESSAGES,
     WORLD,

@@ -3,8 +3,7 @@
 import pytest
 
 from steerd.steer_bus.clock import MonotonicClock
-from steerd.steer_bus.codec import schema_text, type_name
-from steerd.steer_bus.fields import String, message
+from steerd.steer_bus.fields import String, message, schema_text, type_name
 from steerd.steer_bus.messages import StateMessage
 from steerd.steer_bus.ros_keys import make_node_token, make_publisher_token, make_ros_key
 from steerd.steer_bus.standard import Odometry, PoseStamped

@@ -20,7 +20,6 @@ _KINDS = ("summarise", "identify", "diagnose")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd batch`."""
     option(parser, "kind", None, "what is asked of each session", choices=_KINDS)
     option(parser, "sessions", "DIR|PATTERN", "folders, patterns in quotes, or files", nargs="+")
     text = "car files: NAME.toml for the car NAME, or one for all"
@@ -34,7 +33,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Work on the sessions, print, write."""
     from steerd.daemon.common.written import check_outputs
 
     check_outputs({"-o": args.output, "--page": args.page})

@@ -17,20 +17,18 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from steerd.daemon.cli import arguments
 from steerd.daemon.cli.arguments import (
     add_sessions,
     missing_car,
     missing_session,
     option,
-    pick_sessions,
-    split_held_out,
     split_paths,
-)  # fmt: skip
+)
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd diagnose`."""
     add_sessions(parser)
     what = parser.add_argument_group("what is compared")
     text = "the car as identified (default: the car file inside the session)"
@@ -44,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(what, "--no-pairs", "", "one cause at most; faster", dest="pairs", action="store_false")
     text = "wheel: the speed command was not obeyed, take the measured speed instead"
     option(what, "--speed", None, text, choices=("command", "wheel"), default="command")
-    more = {"type": split_held_out, "action": "extend"}
+    more = {"type": arguments.split_held_out, "action": "extend"}
     text = "measure the shrinkage on every K-th drive (default 4; 0: none), or on these files"
     option(what, "--held-out", "K|FILE,…", text, missing_session, **more)
     option(what, "--runs-held-out", None, argparse.SUPPRESS, dest="held_out", **more)  # until 0.1
@@ -61,7 +59,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Diagnose, print, write."""
     from steerd.daemon.analysis.diagnosis import DRIVEN, run_diagnosis
     from steerd.daemon.analysis.options import DiagnoseOptions, read_arguments
     from steerd.daemon.assembly.car_check import report_refusal
@@ -82,7 +79,8 @@ def run(args: argparse.Namespace) -> int:
             print(f"predicted before measuring: sha256 {digest[:16]}…", file=sys.stderr)
             write(args.prediction, text)
 
-        options, paths = read_arguments(DiagnoseOptions, args), pick_sessions(args.sessions)
+        options = read_arguments(DiagnoseOptions, args)
+        paths = arguments.pick_sessions(args.sessions)
         with show_progress("diagnosing", 1.0) as advance:
             found = run_diagnosis(paths, options, print_warnings, advance, foretell)
             advance(DRIVEN, "")

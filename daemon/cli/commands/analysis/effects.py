@@ -17,7 +17,6 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The effect and the output format."""
     option(parser, "name", "NAME", "one effect, or an alias of it", nargs="?")
     option(parser, "--json", "", "the same for programs")
     option(parser, "--page", "", "the same as a Markdown page")
@@ -27,16 +26,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the table, or one effect."""
     if args.add or args.remove:
         return _change(args)
     from steerd.car_model.effects import EFFECTS, find_effect
-    from steerd.daemon.analysis.effects_text import (
-        format_effect,
-        format_table,
-        make_json,
-        make_page,
-    )
+    from steerd.daemon.analysis import effects_text
 
     try:
         effect = find_effect(args.name) if args.name else None
@@ -46,11 +39,12 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         import json
 
-        print(json.dumps(make_json([effect] if effect else EFFECTS.values()), indent=1))
+        chosen = [effect] if effect else EFFECTS.values()
+        print(json.dumps(effects_text.make_json(chosen), indent=1))
     elif args.page:
-        print(make_page(), end="")
+        print(effects_text.make_page(), end="")
     else:
-        print(format_effect(effect) if effect else format_table())
+        print(effects_text.format_effect(effect) if effect else effects_text.format_table())
     return ExitCode.OK
 
 

@@ -15,20 +15,18 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from steerd.daemon.cli import arguments
 from steerd.daemon.cli.arguments import (
     add_sessions,
     missing_car,
     missing_session,
     option,
-    pick_sessions,
-    split_held_out,
     split_list,
-)  # fmt: skip
+)
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd identify`."""
     add_sessions(parser)
     what = parser.add_argument_group("what is learnt")
     option(what, "--car", "FILE.toml", "start values (F1TENTH's)", missing_car, type=Path)
@@ -47,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(what, "--iterations", "N", "of the paper's methods", type=int)
     option(what, "--seed", None, "of random starts", type=int, default=0)
     text = "validate on every K-th block of 5 s (default 4), or on these sessions"
-    more: dict[str, Any] = {"type": split_held_out, "action": "extend"}
+    more: dict[str, Any] = {"type": arguments.split_held_out, "action": "extend"}
     option(what, "--held-out", "K|FILE,…", text, missing_session, **more)
     out = parser.add_argument_group("output")
     option(out, "-o --output", "CAR.toml", "car file to write", type=Path)
@@ -75,7 +73,6 @@ def parse_fix(text: str) -> dict[str, float | None]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Identify, print, write."""
     from steerd.daemon.analysis.identification import FIT, run_identification
     from steerd.daemon.analysis.options import IdentifyOptions, read_arguments
     from steerd.daemon.assembly.car_check import report_refusal
@@ -85,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     from steerd.daemon.sessions.text import print_warnings
 
     with writing(list_outputs(args), announced=True) as write:
-        paths = pick_sessions(args.sessions)
+        paths = arguments.pick_sessions(args.sessions)
         with show_progress("identifying", len(paths) + FIT) as advance:
             options = read_arguments(IdentifyOptions, args)
             found = run_identification(paths, options, print_warnings, advance)

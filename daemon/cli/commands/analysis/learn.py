@@ -16,7 +16,6 @@ from steerd.daemon.common.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The session, the car and the form of the output."""
     add_session(parser)
     base = "the car as believed (default: the session's)"
     option(parser, "--base", "FILE.toml", base, missing_car, type=Path)
@@ -24,7 +23,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what was learnt; changes are shown as they are called."""
     from steerd.daemon.analysis.learning import learn_session
     from steerd.daemon.common.progress import show_progress
     from steerd.daemon.common.screen import print_labelled, wrap

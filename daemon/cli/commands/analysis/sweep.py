@@ -40,7 +40,6 @@ speed = 1.5          # [m/s]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd sweep`."""
     option(parser, "file", "SWEEP.toml", "what to drive", missing_file, type=Path, nargs="?")
     option(parser, "--example", "", "print a sweep file and end")
     out = parser.add_argument_group("output")
@@ -54,18 +53,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Drive, print, write."""
     if args.example:
         print(EXAMPLE, end="")
         return ExitCode.OK
     _check(args)
-    plan = _read_plan(args.file)
-    if args.again is not None:
-        return _drive_again(plan, args)
     from steerd.daemon.many.job import do_in_terminal
+    from steerd.daemon.many.sweep.plan import load_sweep
     from steerd.daemon.many.sweep.run import make_job
     from steerd.daemon.many.units import Where
 
+    plan = load_sweep(args.file)
+    if args.again is not None:
+        return _drive_again(plan, args)
     do_in_terminal(make_job(plan), Where(args.jobs), args.output, args.page)
     return ExitCode.OK
 
@@ -80,15 +79,6 @@ def _check(args: argparse.Namespace) -> None:
     check_outputs({"-o": args.output, "--page": args.page})
     if (args.again is None) != (args.record is None):
         raise SteerdError("--again and --record go together", "name both", ExitCode.USAGE)
-
-
-def _read_plan(file: Path) -> "SweepPlan":
-    from steerd.daemon.analysis.options import read_car
-    from steerd.daemon.many.sweep.plan import make_sweep_plan, read_sweep_file
-
-    given = read_sweep_file(file)
-    car = given.pop("car", None)
-    return make_sweep_plan(read_car(None if car is None else file.parent / str(car)), given)
 
 
 def _drive_again(plan: "SweepPlan", args: argparse.Namespace) -> int:

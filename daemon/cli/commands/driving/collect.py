@@ -22,13 +22,11 @@ from steerd.daemon.settings.run_options import RunOptions
 if TYPE_CHECKING:
     from steerd.daemon.assembly.build import RunPlan
 
-SPEED = 2.5
-"""Highest speed of a plan unless said otherwise [m/s]."""
+SPEED = 2.5  # highest speed of a plan unless said otherwise [m/s]
 FIRST_OPTIONS = ("--plan", "--closed", "--box", *driving.FIRST_OPTIONS)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd collect`: those of `steerd run`, and the plan's."""
     what = parser.add_argument_group("plan")
     option(what, "--plan", None, "what to drive", choices=NAMES, default="mixed")
     text = "add the plan to the lane keeper's commands, along --path (default: open loop)"
@@ -82,6 +80,5 @@ def plan_drive(options: RunOptions, *, design: bool = True) -> "RunPlan":
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command."""
     options = make_options(args)
     return driving.drive(lambda: plan_drive(options, design=args.fast), fast=args.fast)

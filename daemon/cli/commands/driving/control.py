@@ -15,13 +15,11 @@ from steerd.daemon.ipc.signals import raise_on_stop_signals
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd control`."""
     add_bus_arguments(parser)
     add_drive_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command."""
     from steerd.daemon.assembly.build import make_plan
     from steerd.daemon.ipc.operator import connect, read_status
     from steerd.daemon.process.external_controller import ExternalController, answer, keep_lane

@@ -25,15 +25,7 @@ from steerd.daemon.ipc.operator import KEEPALIVE_NS, connect
 from steerd.daemon.ipc.requests import make_badge
 from steerd.daemon.ipc.signals import raise_on_stop_signals
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.process.bus_operator import (
-    CALL_NS,
-    REPEAT_NS,
-    STOPS,
-    BusOperator,
-    Pulse,
-    keep_lease,
-    recall_lease,
-)
+from steerd.daemon.process import bus_operator
 from steerd.daemon.process.page_link import CarView
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
@@ -41,15 +33,11 @@ from steerd.steer_bus.codec import decode
 from steerd.steer_bus.messages import RequestKind, Transition
 from steerd.steer_bus.topics import make_key
 
-STATUS_NS = 2_000_000_000
-"""A car on the bus says how it is within this [ns]."""
-ANSWER_NS = 1_500_000_000
-"""A request that has no effect after this was refused [ns]."""
-REST_NS = 5_000_000_000
-"""A car comes to rest within this [ns]."""
+STATUS_NS = 2_000_000_000  # a car on the bus says how it is within this [ns]
+ANSWER_NS = 1_500_000_000  # a request that has no effect after this was refused [ns]
+REST_NS = 5_000_000_000  # a car comes to rest within this [ns]
 _LATCHED = (SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
-_HOLDING = ("arm", "start")
-"""Commands that stay as the deadman."""
+_HOLDING = ("arm", "start")  # commands that stay as the deadman
 _KINDS = {
     name: RequestKind[name.upper()] for name in ("arm", "start", "stop", "disarm", "clear", "estop")
 }
@@ -58,12 +46,11 @@ _WANTED = {
     RequestKind.START: (SupervisorState.RUNNING,),
     RequestKind.DISARM: (SupervisorState.STOPPING, SupervisorState.DISARMED, SupervisorState.READY),
     RequestKind.CLEAR: (SupervisorState.DISARMED, SupervisorState.READY),
-    **STOPS,
+    **bus_operator.STOPS,
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of these commands."""
     add_car_arguments(parser)
     option(parser, "--no-hold", "", "arm, start: do not stay (cars without a deadman only)")
 
@@ -71,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 class _Link:
     """One operator on the bus and what they see of the car."""
 
-    def __init__(self, view: CarView, operator: BusOperator) -> None:
+    def __init__(self, view: CarView, operator: bus_operator.BusOperator) -> None:
         self.view, self._operator, self._clock = view, operator, view.clock
         self._changes = view.bus.subscribe(make_key(view.car, topics.TRANSITION), 32)
         self._alive_ns = 0
@@ -103,20 +90,20 @@ class _Link:
                 self._alive_ns = now
                 self.send(RequestKind.KEEPALIVE)
             self._operator.repeat(self.state)
-            self._clock.sleep_until_ns(now + REPEAT_NS // 2)
+            self._clock.sleep_until_ns(now + bus_operator.REPEAT_NS // 2)
             self.receive()
         return True
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command."""
     # A closed terminal means that the operator has left: end at once, the deadman stops the car.
     raise_on_stop_signals()
     clock, name = MonotonicClock(), str(args.command)
     kind = _KINDS[name]
     with connect(args.connect, args.lab) as bus:
-        if kind in STOPS:
-            operator = BusOperator(bus, args.name, clock, getpass.getuser(), Pulse(bus, args.name))
+        if kind in bus_operator.STOPS:
+            pulse = bus_operator.Pulse(bus, args.name)
+            operator = bus_operator.BusOperator(bus, args.name, clock, getpass.getuser(), pulse)
             operator.ask(0, kind)  # before anything is known of the car, and whatever it says
             return _stop(_Link(CarView(bus, args.name, clock), operator), operator, name)
         view = CarView(bus, args.name, clock)
@@ -134,9 +121,9 @@ def run(args: argparse.Namespace) -> int:
             hint = "steerd clear" if view.mode in _LATCHED else "steerd arm"
             what = f"the car is {view.mode_name}, not ARMED; it is waiting for {waiting}"
             raise SteerdError(what, hint, ExitCode.STOPPED)
-        holder, kept = view.values.get("holder", "0"), recall_lease(args.name)
+        holder, kept = view.values.get("holder", "0"), bus_operator.recall_lease(args.name)
         shared = name == "start" and holder == str(make_badge(bus.who, kept))
-        operator = BusOperator(
+        operator = bus_operator.BusOperator(
             bus, args.name, clock, getpass.getuser(), view.pulse, kept if shared else 0
         )
         return _request(_Link(view, operator), operator, name, hold=not args.no_hold)
@@ -153,18 +140,19 @@ def _expect_car(view: CarView) -> None:
         if view.clock.now_ns() > end:
             hint = f"is the car called {view.car!r}? name it with --name"
             raise SteerdError(f"no car {view.car!r} on the bus", hint, ExitCode.UNREACHABLE)
-        view.clock.sleep_until_ns(view.clock.now_ns() + REPEAT_NS // 2)
+        view.clock.sleep_until_ns(view.clock.now_ns() + bus_operator.REPEAT_NS // 2)
         view.poll()
 
 
-def _stop(link: _Link, operator: BusOperator, name: str) -> int:
+def _stop(link: _Link, operator: bus_operator.BusOperator, name: str) -> int:
     """Call for a stop until the car shows it; the request is out before anything was received."""
     link.wait(lambda: not operator.repeat(link.state), None, hold=False)
-    if link.state in STOPS[_KINDS[name]]:
+    if link.state in bus_operator.STOPS[_KINDS[name]]:
         print(link.view.mode_name)
         return ExitCode.OK
     if link.state is None:
-        what = f"{name} was sent for {CALL_NS * 1e-9:.0f} s, and no car {link.view.car!r} shows it"
+        sent = f"{name} was sent for {bus_operator.CALL_NS * 1e-9:.0f} s"
+        what = f"{sent}, and no car {link.view.car!r} shows it"
         hint = "look at the car; is it called so? name it with --name"
         raise SteerdError(what, hint, ExitCode.UNREACHABLE)
     raise _make_refusal(link.view, name)
@@ -177,13 +165,13 @@ def _make_refusal(view: CarView, name: str) -> SteerdError:
     return SteerdError(what, "steerd clear" if view.mode in _LATCHED else hint, ExitCode.STOPPED)
 
 
-def _request(link: _Link, operator: BusOperator, name: str, *, hold: bool) -> int:
+def _request(link: _Link, operator: bus_operator.BusOperator, name: str, *, hold: bool) -> int:
     kind = _KINDS[name]
     link.send(kind)
     if not link.wait(lambda: link.state in _WANTED[kind], ANSWER_NS):
         raise _make_refusal(link.view, name)
     if name == "arm":
-        keep_lease(link.view.car, operator.secret)
+        bus_operator.keep_lease(link.view.car, operator.secret)
     if name in _HOLDING and hold:
         return _hold(link, name)
     print(link.view.mode_name)

@@ -17,14 +17,12 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Which car, and where the page is."""
     add_car_arguments(parser)
     option(parser, "--path", None, "the lane to draw, as --path of run")
     option(parser, "--port", "N", "of the page (default: a free one)", type=int, default=0)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve the page until Ctrl-C."""
     from steerd.daemon.ipc.operator import connect, read_lab
 
     if args.lab is not None:

@@ -34,7 +34,6 @@ FIRST_OPTIONS = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd run`."""
     where = parser.add_argument_group("hardware")
     option(where, "--port", "DEV", "serial port of the VESC, e.g. /dev/ttyACM0")
     text = "natnet://HOST[:PORT]/BODY[?up=y|z], vrpn://HOST[:PORT]/BODY or zenoh:KEY"
@@ -165,7 +164,6 @@ def _choose_endpoint(args: argparse.Namespace) -> str:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command."""
     options = make_options(args)
 
     def make() -> "RunPlan":
@@ -205,8 +203,7 @@ def _run_simulated(plan: "RunPlan", core: Prepared) -> int:
     return code
 
 
-_LIVE = "steerd.daemon.terminal.terminal"
-"""What a drive in real time loads first."""
+_LIVE = "steerd.daemon.terminal.terminal"  # what a drive in real time loads first
 _BUSY = ("W1 ", "W7 ", "W8 ", "W9 ", "W15 ", "W16 ")
 """Watchdogs that a machine without time for simulated hardware trips."""
 

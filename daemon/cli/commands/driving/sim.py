@@ -14,7 +14,6 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd sim`."""
     text = "the simulated car (default: F1TENTH's figures; hidden: one that the seed hides)"
     option(parser, "--car", "FILE.toml|hidden:SEED", text, missing_car)
     text = "protocol of its server"
@@ -27,33 +26,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command."""
     from steerd.daemon.assembly.build import make_plan, make_world_config
     from steerd.daemon.common.screen import wrap_command
     from steerd.daemon.settings.run_options import RunOptions
-    from steerd.sim_hw.real_time.links import (
-        SimHardware,
-        SimOptions,
-        fault_windows,
-        raise_priority,
-        stop_on_signals,
-    )
+    from steerd.sim_hw.real_time import links
 
     options = RunOptions(
-        "",
-        simulated=True,
-        seed=args.seed,
-        effects=tuple(args.effect),
-        path="line",
+        "", path="line", seed=args.seed, simulated=True, effects=tuple(args.effect),
         sim_car=args.car or "",
-    )
+    )  # fmt: skip
     world = make_world_config(make_plan(options, design=False), args.mocap)
     try:
-        faults = fault_windows(args.fault)
+        faults = links.fault_windows(args.fault)
     except ValueError as error:
         raise SteerdError(f"--fault: {error}", "", ExitCode.USAGE) from None
-    raise_priority()
-    with stop_on_signals() as stop, SimHardware(world, SimOptions(faults, args.link_dir)) as sim:
+    links.raise_priority()
+    with links.stop_on_signals() as stop, links.SimHardware(world, faults, args.link_dir) as sim:
         print(f"VESC:  {sim.port}")
         print(f"mocap: {sim.mocap_url}")
         command = f"steerd run --port {sim.port} --mocap '{sim.mocap_url}'"

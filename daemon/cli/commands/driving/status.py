@@ -11,18 +11,15 @@ from steerd.daemon.ipc.operator import connect, read_model, read_status
 from steerd.daemon.learning.text import design_text, encode_model, format_model
 from steerd.steer_bus.clock import MonotonicClock
 
-LABEL = 13
-"""Columns of the labels."""
+LABEL = 13  # columns of the labels
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd status`."""
     add_car_arguments(parser)
     option(parser, "--json", "", "for programs")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command."""
     with connect(args.connect, args.lab) as bus:
         status = read_status(bus, args.name, MonotonicClock())
         model = read_model(bus, args.name)

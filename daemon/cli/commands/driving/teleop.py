@@ -20,12 +20,10 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.signals import raise_on_stop_signals
 from steerd.daemon.process.gamepad import AXES, BUTTONS, PadMap
 
-QUIET_MOST_S = 10.0
-"""Longest silence of a gamepad that may count as held [s]."""
+QUIET_MOST_S = 10.0  # longest silence of a gamepad that may count as held [s]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Which car, which gamepad, and what its parts mean."""
     add_car_arguments(parser)
     text = "gamepad, or a pipe of its events (default: the only one)"
     option(parser, "--device", "DEV", text, type=Path)
@@ -43,7 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Drive until Ctrl-C or the gamepad's end."""
     from steerd.controller.limits import CEILINGS
 
     highest = (CEILINGS["speed_max"].high, CEILINGS["steer_left_max"].high, QUIET_MOST_S)

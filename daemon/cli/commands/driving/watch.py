@@ -20,12 +20,10 @@ if TYPE_CHECKING:
     from steerd.steer_bus.bus import Subscription
     from steerd.steer_bus.clock import Clock
 
-REFRESH_NS = 100_000_000
-"""Time between two refreshes [ns]."""
+REFRESH_NS = 100_000_000  # time between two refreshes [ns]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Which car, and how long."""
     add_bus_arguments(parser)
     option(parser, "--name", None, "the car's name (default: the only one on the bus)")
     option(parser, "--operate", "", "keys arm, start and stop: closing this stops it")
@@ -33,7 +31,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show the car until Ctrl-C."""
     from steerd.daemon.ipc.operator import connect, read_lab
 
     if args.lab is not None:

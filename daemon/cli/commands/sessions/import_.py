@@ -26,7 +26,6 @@ _BAG_SUFFIXES = (".bag", ".db3", ".mcap", ".zstd")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The log and how to read it."""
     text = "the log: a table with a row per time, a ROS 1 .bag, a ROS 2 folder, or its file"
     option(parser, "words", "[csv|bag] FILE", text, nargs="+")
     option(parser, "-o --output", "SESSION.mcap", "default: beside the log", type=Path)
@@ -42,7 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import, then print what the session holds."""
     kind, source = read_words(args.words)
     out = args.output or default_output(source)
     the_map = _agree(args, kind, source, out) if args.ask else args.map

@@ -11,13 +11,11 @@ from steerd.daemon.common.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The session and the form of the output."""
     add_session(parser)
     option(parser, "--json", "", "the same for programs")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what the session holds; warnings go to standard error."""
     from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.text import format_report, make_json, print_warnings
 

@@ -10,19 +10,14 @@ steerd plot BEFORE.mcap AFTER.mcap       # by place on the lane, and over time
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from steerd.daemon.cli.arguments import add_sessions, option, pick_sessions
 from steerd.daemon.common.errors import ExitCode, SteerdError
-
-if TYPE_CHECKING:
-    from steerd.daemon.sessions.info import Recording
 
 _FIGURES = (".png", ".svg", ".pdf")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The sessions and the page."""
     add_sessions(parser)
     option(parser, "-o --output", "FILE.html", "default: beside the session", type=Path)
     text = "of two drives: the second comes so much later (default: found from the drives)"
@@ -30,9 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the page and say where it is."""
     from steerd.daemon.common.written import check_outputs, write_outputs
-    from steerd.daemon.sessions.info import load_recording
 
     paths = pick_sessions(args.sessions)
     if args.shift is not None and len(paths) != 2:
@@ -44,32 +37,32 @@ def run(args: argparse.Namespace) -> int:
     if other and len(paths) > 1:
         what = f"{output.name}: several drives are compared on a page"
         raise SteerdError(what, "-o FILE.html", ExitCode.USAGE)
-    reads = [load_recording(path) for path in paths]
-    if len(reads) > 1:
+    if len(paths) > 1:
         from steerd.daemon.sessions.compare import render_recordings
+        from steerd.daemon.sessions.info import load_recording
 
-        content = render_recordings(reads, args.shift).encode()
+        content = render_recordings(list(map(load_recording, paths)), args.shift).encode()
     else:
-        content = _draw(reads[0], output.suffix.lower())
+        content = _draw(paths[0], output.suffix.lower())
     write_outputs({output: content})
     print(f"{output}: {len(content) / 1e6:.1f} MB{'' if other else '; open it in a browser'}")
     return ExitCode.OK
 
 
-def _draw(read: "Recording", suffix: str) -> bytes:
+def _draw(path: Path, suffix: str) -> bytes:
     from steerd.daemon.sessions.curves import make_csv
-    from steerd.daemon.sessions.info import make_session_report
+    from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.plot_data import make_drawing
-    from steerd.daemon.sessions.plot_model import with_model
     from steerd.daemon.sessions.plot_page import make_page
     from steerd.daemon.sessions.text import print_warnings
 
+    read = load_recording(path)
     report = make_session_report(read)
     print_warnings(report.warnings)
-    drawing = with_model(make_drawing(read), read)
+    drawing = make_drawing(read)
     if suffix in _FIGURES:
         from steerd.daemon.analysis.figures import plot_session, save_figure
 
-        return save_figure(plot_session(drawing, read.info.path.name), suffix[1:])
+        return save_figure(plot_session(drawing, path.name), suffix[1:])
     text = make_csv(drawing) if suffix == ".csv" else make_page(report, drawing)
     return text.encode()

@@ -14,13 +14,11 @@ from steerd.daemon.common.translate import reading
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The broken file and the name of the new one."""
     option(parser, "session", "SESSION", "an unfinished session file", missing_partial, type=Path)
     option(parser, "-o --output", "OUT.mcap", "default: NAME.recovered.mcap", type=Path)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Copy what can be read and print what was saved and what was lost."""
     from steerd.daemon.imports.import_session import check_output
     from steerd.daemon.sessions.info import load_session
     from steerd.daemon.sessions.text import print_warnings

@@ -6,13 +6,11 @@ from steerd.daemon.cli.arguments import add_session, option, pick_session
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd replay`."""
     add_session(parser)
     option(parser, "--show", "N", "differences to print", type=int, default=5)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command."""
     from steerd.daemon.common.progress import show_progress
     from steerd.daemon.offline.replay import check_same, describe_difference, replay
     from steerd.daemon.sessions.info import load_session

@@ -18,12 +18,10 @@ from pathlib import Path
 from steerd.daemon.cli.arguments import missing_session, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
-SHOWN = 40
-"""Drives that are listed unless all are asked for."""
+SHOWN = 40  # drives that are listed unless all are asked for
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The list's options, and what can be written about a drive."""
     option(parser, "--folder", "DIR", "another folder than these", type=Path)
     option(parser, "--tag", "TAG", "only drives with this tag")
     option(parser, "--car", "NAME", "only drives of this car")
@@ -42,7 +40,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """List the drives, or write about one."""
     from steerd.daemon.sessions.catalogue import default_folders, find_session
 
     if args.folder is not None and not args.folder.is_dir():
@@ -56,20 +53,15 @@ def run(args: argparse.Namespace) -> int:
 def _list(args: argparse.Namespace, folders: tuple[Path, ...]) -> int:
     from steerd.daemon.common.progress import show_progress
     from steerd.daemon.common.written import check_outputs, write_outputs
-    from steerd.daemon.sessions.catalogue import (
-        find_sessions,
-        format_entries,
-        list_entries,
-        make_json,
-    )
+    from steerd.daemon.sessions import catalogue
 
     page = folders[0] / "sessions.html" if args.page == Path() else args.page
     if page:
         check_outputs({"--page": page})
-    paths = find_sessions(folders)
+    paths = catalogue.find_sessions(folders)
     shown = paths if args.all or args.tag or args.car or args.json or page else paths[:SHOWN]
     with show_progress("reading the drives", float(len(shown)), even=True) as advance:
-        entries = list(list_entries(shown, advance))
+        entries = list(catalogue.list_entries(shown, advance))
     places = {path: number for number, path in enumerate(paths, 1)}
     entries = [
         e
@@ -79,7 +71,7 @@ def _list(args: argparse.Namespace, folders: tuple[Path, ...]) -> int:
     if args.json:
         import json
 
-        print(json.dumps(make_json(entries), indent=1, allow_nan=False))
+        print(json.dumps(catalogue.make_json(entries), indent=1, allow_nan=False))
         return ExitCode.OK
     if page:
         from steerd.daemon.sessions.catalogue_page import make_report
@@ -91,7 +83,7 @@ def _list(args: argparse.Namespace, folders: tuple[Path, ...]) -> int:
     if not entries:
         print(f"no drive in {' or '.join(str(folder) for folder in folders)}", file=sys.stderr)
         return ExitCode.OK
-    print("\n".join(format_entries(entries, [places[e.path] for e in entries])))
+    print("\n".join(catalogue.format_entries(entries, [places[e.path] for e in entries])))
     if len(paths) > len(shown):
         print(f"and {len(paths) - len(shown)} older ones: --all")
     return ExitCode.OK

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What to calibrate, and from what."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="servo")
     servo = kinds.add_parser("servo", help="centre, gain and limits of the steering")
     option(servo, "session", "SESSION", "", missing_session, nargs="?", type=Path)
@@ -35,7 +34,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Calibrate."""
     from steerd.daemon.common.written import check_outputs
 
     if bool(args.session) == bool(args.port):

@@ -25,12 +25,10 @@ _HEAD = re.compile(r"^\.TH .*$", re.MULTILINE)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What to print."""
     option(parser, "shell", None, "a shell, or man for the manual", choices=(*SHELLS, "man"))
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the script or the page."""
     parser = make_full_parser()
     print(make_manual(parser) if args.shell == "man" else shtab.complete(parser, args.shell))
     return ExitCode.OK

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What to do with the car file."""
     option(parser, "--check", "FILE.toml", "check this car file", missing_car, type=Path)
     text = "print a car file with its gains"
     option(parser, "--from-vesc-yaml", "FILE", text, missing_file, type=Path)
@@ -28,7 +27,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print, check or convert."""
     from steerd.car_model.car_file import default_car_path
     from steerd.daemon.settings.car_edit import edit_car
     from steerd.daemon.settings.config import load_settings

@@ -14,14 +14,12 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The car and the file."""
     option(parser, "car", "CAR.toml", "a car file", missing_car, type=Path)
     text = "FILE.yaml for f1tenth_gym, FILE.xml for MuJoCo"
     option(parser, "-o --output", "FILE", text, type=Path, required=True)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the file and say what is not in it."""
     from dataclasses import replace
 
     from steerd.daemon.common.screen import clean, wrap

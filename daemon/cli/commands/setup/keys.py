@@ -9,31 +9,21 @@ desk` on the desk. Later, `steerd keys lab --operator new` adds somebody.
 
 import argparse
 import json
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import NamedTuple
 
 from steerd.daemon.cli.arguments import option
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.clock import MonotonicClock
-from steerd.steer_bus.lab import DEFAULT_PORT
+from steerd.steer_bus.lab import DEFAULT_PORT, Lab, read_members
 from steerd.steer_bus.topics import check_car_name
-from steerd.toml_text import load_toml
 
-ROSTER = "lab.toml"
-
-
-class Roster(NamedTuple):
-    """Members of a lab; written into each folder as `lab.toml`."""
-
-    car: str
-    endpoint: str
-    operators: tuple[str, ...]
-    viewers: tuple[str, ...]
+ROSTER = "lab.toml"  # members of the lab, in each folder
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd keys`."""
     option(parser, "folder", "DIR", "the lab's folder", type=Path)
     option(parser, "--host", None, "the car's address or name in the lab's network")
     option(parser, "--port", None, "its TCP port", type=int, default=DEFAULT_PORT)
@@ -44,7 +34,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Make a lab, or add people to one."""
     if not 0.0 < args.years <= 50.0 or not 0 < args.port < 65536:
         raise SteerdError("--years: up to 50; --port: 1 to 65535", "", ExitCode.USAGE)
     if args.host is not None and not args.host.strip():
@@ -60,30 +49,30 @@ def run(args: argparse.Namespace) -> int:
     if not added:
         hint = "steerd keys DIR --host ADDRESS, or --operator NAME to add to a lab"
         raise SteerdError("nothing to make: no --host and no new name", hint, ExitCode.USAGE)
-    old = _begin_roster(args) if began else _read_roster(args.folder)
+    old = _begin_lab(args) if began else _read_lab(args.folder)
     _check_names(old, added)  # of all, before anything is written
     operators, viewers = (*old.operators, *args.operator), (*old.viewers, *args.viewer)
-    roster = old._replace(operators=operators, viewers=viewers)
-    _issue_all(args, roster.car if began else None, added)
-    _write_roster(args.folder, roster, added, car_new=began)
-    print(explain(args.folder, roster, began=began, added=added))
+    lab = replace(old, operators=operators, viewers=viewers)
+    _issue_all(args, lab.car if began else None, added)
+    _write_rosters(args.folder, lab, added, car_new=began)
+    print(explain(args.folder, lab, began=began, added=added))
     return ExitCode.OK
 
 
-def _begin_roster(args: argparse.Namespace) -> Roster:
+def _begin_lab(args: argparse.Namespace) -> Lab:
     """A lab without people."""
     try:
         car = check_car_name(args.car)
     except ValueError as error:
         raise SteerdError(str(error), "--car car1", ExitCode.USAGE) from None
     host = f"[{args.host}]" if ":" in args.host and "[" not in args.host else args.host
-    return Roster(car, f"tls/{host}:{args.port}", (), ())
+    return Lab(args.folder, car, f"tls/{host}:{args.port}")
 
 
-def _check_names(roster: Roster, added: tuple[str, ...]) -> None:
+def _check_names(lab: Lab, added: tuple[str, ...]) -> None:
     from steerd.daemon.cli.certificates import check_name
 
-    known = {roster.car, *roster.operators, *roster.viewers}
+    known = {lab.car, *lab.operators, *lab.viewers}
     for name in map(check_name, added):
         if name in known:
             hint = "choose another name; a certificate is never replaced"
@@ -105,42 +94,38 @@ def _issue_all(args: argparse.Namespace, new_car: str | None, added: tuple[str, 
         issue(args.folder, issuer, name, None, now, args.years)
 
 
-def _read_roster(folder: Path) -> Roster:
+def _read_lab(folder: Path) -> Lab:
     from steerd.daemon.cli.certificates import AUTHORITY
 
-    path = folder / AUTHORITY / ROSTER
     try:
-        table = load_toml(path)
-        people = tuple(table["operators"]), tuple(table["viewers"])
-        return Roster(str(table["car"]), str(table["endpoint"]), *people)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        return read_members(folder / AUTHORITY)
+    except BusError as error:
         hint = "steerd keys DIR --host ADDRESS makes a lab"
-        why = getattr(error, "strerror", None) or error
-        raise SteerdError(f"{path}: {why}", hint, ExitCode.UNREADABLE) from None
+        raise SteerdError(str(error), hint, ExitCode.UNREADABLE) from None
 
 
-def _write_roster(folder: Path, roster: Roster, added: tuple[str, ...], *, car_new: bool) -> None:
+def _write_rosters(folder: Path, lab: Lab, added: tuple[str, ...], *, car_new: bool) -> None:
     from steerd.daemon.cli.certificates import AUTHORITY, write_private
 
     text = "# Made by steerd keys. The car admits only the names in its copy of this list.\n"
-    for key, value in roster._asdict().items():
-        text += f"{key} = {json.dumps(value)}\n"
-    for name in (*added, AUTHORITY, roster.car):
+    for key in ("car", "endpoint", "operators", "viewers"):
+        text += f"{key} = {json.dumps(getattr(lab, key))}\n"
+    for name in (*added, AUTHORITY, lab.car):
         if (folder / name).is_dir():
             data = f"{text}name = {json.dumps(name)}\n".encode()
             write_private(folder / name / ROSTER, data, new=car_new or name in added)
 
 
-def explain(folder: Path, roster: Roster, *, began: bool, added: tuple[str, ...]) -> str:
+def explain(folder: Path, lab: Lab, *, began: bool, added: tuple[str, ...]) -> str:
     """Which folder to copy to which machine."""
-    car = folder / roster.car
-    width = max(len(str(folder / name)) for name in (roster.car, "authority", *added))
-    what = f"to the car: steerd run --lab {roster.car} …"
+    car = folder / lab.car
+    width = max(len(str(folder / name)) for name in (lab.car, "authority", *added))
+    what = f"to the car: steerd run --lab {lab.car} …"
     if not began:
         what = f"to the car again: {ROSTER} in it has the new names"
     lines = [f"{car!s:<{width}}  {what}"]
     for name in added:
-        if name in roster.operators:
+        if name in lab.operators:
             what = f"to who may drive: steerd arm --lab {name}, steerd start --lab {name}"
         else:
             what = f"to who may watch: steerd watch --lab {name}"
@@ -148,7 +133,7 @@ def explain(folder: Path, roster: Roster, *, began: bool, added: tuple[str, ...]
     lines.append(f"{folder / 'authority'!s:<{width}}  keep it safe: its owner can make operators")
     lines += [
         "",
-        f"The car listens on {roster.endpoint}.",
+        f"The car listens on {lab.endpoint}.",
         "Copy with `scp -rp`, which keeps the keys private.",
         f"To remove somebody, delete the name from {ROSTER} on the car and restart steerd.",
     ]

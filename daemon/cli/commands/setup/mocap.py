@@ -26,7 +26,6 @@ _ANSWER_S = 4.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Check or calibrate."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="check|calibrate")
     check = kinds.add_parser("check", help="units, axes and heading, from a short push or a drive")
     option(check, "session", "SESSION", "", missing_session, nargs="?", type=Path)
@@ -41,7 +40,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check or calibrate."""
     return _check(args) if args.kind == "check" else _calibrate(args)
 
 

@@ -17,16 +17,12 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import clean, join_words, wrap
 from steerd.daemon.setup.probe import VESC_USB, Advice, Found, MocapSeen, VescFound
 
-NAME_MAX = 40
-"""Characters of a body's name that are shown."""
-ADVICE_MAX = 500
-"""Characters of a finding that are shown."""
-Rows = Iterable[tuple[str, str]]
-"""Labels and what is said under them."""
+NAME_MAX = 40  # characters of a body's name that are shown
+ADVICE_MAX = 500  # characters of a finding that are shown
+Rows = Iterable[tuple[str, str]]  # labels and what is said under them
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Where to look."""
     option(parser, "--port", "DEV", "query this port only, whatever its USB id")
     option(parser, "--mocap", "URL", "listen to this source, as `steerd run`")
     option(parser, "--car", "FILE.toml", "car file: units, axes, cells, timeout", missing_car)

@@ -11,19 +11,16 @@ import sys
 from steerd.daemon.cli.arguments import option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
-STOLEN_SHARE = 0.001
-"""A host that takes more of the time than this is the first suspect."""
+STOLEN_SHARE = 0.001  # a host that takes more of the time than this is the first suspect
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `steerd rtcheck`."""
     option(parser, "--seconds", None, "how long to measure", type=float, default=10.0)
     option(parser, "--under-load", "", "keep every processor busy meanwhile")
     option(parser, "--rate", "HZ", "of the loop", type=float, default=100.0)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command."""
     from steerd.daemon.process.guard import read_steal_ns
     from steerd.daemon.process.realtime import realtime_section
     from steerd.daemon.process.rtcheck import keep_busy, measure_wakes, summarise_wakes

@@ -24,7 +24,6 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What to do, for whom, and what to run."""
     option(parser, "action", None, "", choices=("install", "uninstall", "print", "launch", "udev"))
     whose = parser.add_mutually_exclusive_group()
     option(whose, "--user", "", "your own service manager (default)")
@@ -34,14 +33,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write, remove or print."""
     user = not args.system
     if args.action == "uninstall":
         return _uninstall(_unit_path(user), user)
     if args.action == "udev":
         text = _fill("99-vesc.rules")
     elif args.action == "launch":
-        text = _make_launch(_make_command(args))
+        command = _make_command(args)
+        _expect_writable(command, "launch file", "\n\r\0", "$(")  # which ROS would substitute
+        text = _fill("steerd.launch.xml", command=quoteattr(shlex.join(command)))
     else:
         account = "" if user else os.environ.get("SUDO_USER") or getpass.getuser()
         text = make_unit(_make_command(args), args.name, account=account)
@@ -144,12 +144,6 @@ def make_unit(command: Sequence[str], car: str, *, account: str = "") -> str:
     wanted = "multi-user.target" if account else "default.target"
     words = " ".join(map(_quote, command))
     return _fill("steerd.service", car=car, command=words, protected=protected, wanted=wanted)
-
-
-def _make_launch(command: Sequence[str]) -> str:
-    """A ROS 2 launch file for the same command line; `$(` in it would be substituted."""
-    _expect_writable(command, "launch file", "\n\r\0", "$(")
-    return _fill("steerd.launch.xml", command=quoteattr(shlex.join(command)))
 
 
 def _expect_writable(words: Iterable[str], file: str, characters: str, *texts: str) -> None:

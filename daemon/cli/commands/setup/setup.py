@@ -78,7 +78,6 @@ def list_steps(port: str, mocap: str, folder: Path) -> tuple[Step, ...]:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The hardware, and where to begin."""
     option(parser, "--port", "DEV", "serial port of the VESC", required=True)
     option(parser, "--mocap", "URL", "the pose source, as `steerd run`", required=True)
     option(parser, "--folder", "DIR", "of car file and drives", type=Path, default=Path("setup"))
@@ -88,7 +87,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Go through the steps."""
     steps = list_steps(args.port, args.mocap, args.folder)
     if not 1 <= args.first <= len(steps):
         raise SteerdError(f"--from {args.first}: there are {len(steps)} steps", "", ExitCode.USAGE)

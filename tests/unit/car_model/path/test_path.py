@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.special import j0
 
-from steerd.car_model.path import path_shapes
+from steerd.car_model.path import path_spec
 from steerd.car_model.path.path import Path, interpolate, locate, project, wrap_angle
 from steerd.car_model.path.path_csv import load_path, make_path, read_track
 from steerd.car_model.path.path_spec import parse_path
@@ -64,9 +64,9 @@ def test_known_circles() -> None:
 
 def test_figure_eight_is_drivable_and_crosses_itself_at_the_origin() -> None:
     path = parse_path("figure8")
-    assert j0(path_shapes.FIGURE_EIGHT_SWING) == pytest.approx(0.0, abs=1e-15)
+    assert j0(path_spec.FIGURE_EIGHT_SWING) == pytest.approx(0.0, abs=1e-15)
     assert max(map(abs, path.curvature)) == pytest.approx(
-        1.0 / path_shapes.FIGURE_EIGHT_RADIUS, rel=1e-9
+        1.0 / path_spec.FIGURE_EIGHT_RADIUS, rel=1e-9
     )
     half = len(path.x) // 2
     assert math.hypot(path.x[half], path.y[half]) < 1e-12

@@ -15,8 +15,7 @@ pytestmark = pytest.mark.slow
 
 FREE = ["steer_delay", "speed_lag"]
 DELAY = 0.05
-LINES_MOST = 60
-"""Of a cell's output: more than a screen nobody reads."""
+LINES_MOST = 60  # of a cell's output: more than a screen nobody reads
 ONLY = ["steer_delay", "steer_backlash", "speed_delay"]
 
 

@@ -11,7 +11,8 @@ from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.replay import check_same, describe_difference, make_replay_plan, replay
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import messages as m
-from steerd.steer_bus.codec import encode, schema_text
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.fields import schema_text
 from steerd.steer_bus.session_read import open_session
 
 TICKS = 300

@@ -20,7 +20,8 @@ import pytest
 from mcap.writer import Writer  # noqa: TID251
 
 from steerd.daemon.cli.main import run_cli
-from steerd.steer_bus.codec import decode, encode, schema_text, type_name
+from steerd.steer_bus.codec import decode, encode
+from steerd.steer_bus.fields import schema_text, type_name
 from steerd.steer_bus.messages import (
     Actuation,
     MocapPose,

@@ -11,7 +11,8 @@ import pytest
 import zstandard
 
 from steerd.daemon.imports.import_session import MessageMaker
-from steerd.steer_bus.codec import encode, schema_text
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.fields import schema_text
 from steerd.steer_bus.messages import MocapPose
 from steerd.steer_bus.session import SessionWriter
 from steerd.steer_bus.session_read import open_session

@@ -5,8 +5,16 @@ import pytest
 
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.info import seconds_since
-from steerd.daemon.sessions.lane_error import SETTLE, find_settled, rms, settled_errors
-from steerd.daemon.sessions.motion import Signal, find_implausible, make_range, make_track
+from steerd.daemon.sessions.motion import (
+    SETTLE,
+    Signal,
+    find_implausible,
+    find_settled,
+    make_range,
+    make_track,
+    rms,
+    settled_errors,
+)
 
 RADIUS, SPEED = 2.0, 1.5
 

@@ -8,8 +8,7 @@ import pytest
 
 from steerd.daemon.imports.import_session import MessageMaker
 from steerd.daemon.sessions.info import load_recording
-from steerd.daemon.sessions.plot_data import GAP, LANE_HALF_WIDTH, make_curve, make_drawing
-from steerd.daemon.sessions.plot_model import PANELS, with_model
+from steerd.daemon.sessions.plot_data import GAP, LANE_HALF_WIDTH, PANELS, make_curve, make_drawing
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import BODY, Model, make_header
 from steerd.steer_bus.session import AttachedFile, SessionWriter
@@ -93,7 +92,7 @@ def session(tmp_path):
 
 
 def test_a_parameter_has_a_band_and_a_change_a_line(session):
-    panels = with_model(make_drawing(session), session).panels
+    panels = make_drawing(session).panels
     (panel,) = [p for p in panels if p.title == "learnt: steering bias"]
     value, above, below, change = panel.curves
     np.testing.assert_allclose(value.t, np.arange(3, 10))
@@ -104,5 +103,5 @@ def test_a_parameter_has_a_band_and_a_change_a_line(session):
 
 
 def test_what_was_not_learnt_has_no_panel(session):
-    titles = [panel.title for panel in with_model(make_drawing(session), session).panels]
+    titles = [panel.title for panel in make_drawing(session).panels]
     assert titles == [title for title, _, fields, _ in PANELS if "steer_bias" in fields]

@@ -144,8 +144,7 @@ def test_m4_jump_and_m5_drift_move_the_pose() -> None:
         assert off[-1] == pytest.approx(at_end, abs=0.003)
 
 
-THERE = pytest.approx((3.0, 1.0), abs=0.002)
-"""Where the box stands."""
+THERE = pytest.approx((3.0, 1.0), abs=0.002)  # where the box stands
 SHOWN: dict[str, Callable[[Frame, Frame], bool]] = {
     "M6": lambda f, _: abs(yaw(f)) > 3.0,
     "M8": lambda f, _: all(map(math.isnan, (*place(f), *f.rigid_bodies[0].quaternion))),

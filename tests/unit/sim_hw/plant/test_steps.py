@@ -5,16 +5,49 @@ import math
 import numpy as np
 import pytest
 
+from steerd.car_model.actuators import actuate
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect, Stage
 from steerd.car_model.effects import EFFECTS
-from steerd.car_model.model import Model
+from steerd.car_model.model import Model, Moment, aim, car_now, memory_size
+from steerd.car_model.native.windows import STATES
+from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR
 from steerd.car_model.planar import CHASSIS
-from steerd.car_model.state import ORIGIN
-from steerd.sim_hw.plant.car import make_steps, plain_steps
+from steerd.car_model.rollout import glide, step
+from steerd.car_model.state import ORIGIN, Command, State
+from steerd.sim_hw.plant.car import Numbers, Steps, make_steps
 
 H = 0.002
+
+
+def plain_steps(model: Model[float], h: float) -> Steps:
+    """The model's own steps on floats."""
+    memory = memory_size(model.effects)
+
+    def split(numbers: Numbers) -> tuple[Moment[float], Numbers]:
+        return Moment(State(*numbers[:STATES]), numbers[STATES:-3]), numbers[-3:]
+
+    def follow_floats(*numbers: float) -> Numbers:
+        moment, (steer, speed, t) = split(numbers)
+        after = step(FLOAT, model, moment, Command(steer, speed), t, h)
+        return (*after.state, *after.memory)
+
+    def actuate_floats(*numbers: float) -> Numbers:
+        moment, (steer, speed, t) = split(numbers)
+        car = car_now(FLOAT, model, moment.state, t)
+        ref = aim(FLOAT, model, car, Command(steer, speed), t)
+        return tuple(actuate(FLOAT, car, moment.state, ref, h))
+
+    def glide_floats(count: int, *numbers: float) -> Numbers:
+        moment, (end, accel, t) = split(numbers)
+        begun, part = moment.state.steer, h / count
+        for i in range(count):
+            steer = begun + (end - begun) * (i + 1) / count
+            moment = glide(FLOAT, model, moment, steer, accel, t + i * part, part)
+        return (*moment.state, *moment.memory)
+
+    return Steps(memory, follow_floats, actuate_floats, glide_floats)
 
 
 def drive(model: Model[float], seed: int, steps: int = 150) -> None:
@@ -61,22 +94,7 @@ def test_every_effect_is_equal(name: str) -> None:
     drive(Model(DEFAULT_CAR, (effect,), (values,)), seed=2)
 
 
-def branching(ops, p, ref, t):  # type: ignore[no-untyped-def]
-    return ref._replace(steer=ref.steer + 0.01) if ref.speed > 1.0 else ref
-
-
-def test_an_effect_that_is_not_the_librarys_runs_on_floats() -> None:
-    effect = Effect(
-        name="branching",
-        stage=Stage.COMMAND,
-        family="steering",
-        summary="",
-        equation="",
-        parameters=(),
-        least_size=0.0,
-        reference=branching,
-    )
-    model = Model(DEFAULT_CAR, (effect,), ((),))
-    steps = make_steps(model, H)
-    slow, fast = (steps.actuate(*ORIGIN, 0.001, speed, 0.0)[0] for speed in (0.5, 2.0))
-    assert fast > 2.0 * slow
+def test_an_effect_that_is_not_the_librarys_is_refused() -> None:
+    effect = Effect("own", Stage.COMMAND, "steering", "", "", (), least_size=0.0)
+    with pytest.raises(ValueError, match="without own"):
+        make_steps(Model(DEFAULT_CAR, (effect,), ((),)), H)

@@ -10,8 +10,7 @@ from steerd.sysid.inference.space import Space, make_space
 
 NOISE = Noise((7e-4, 2e-3, 0.02, 0.05), (0.4, 0.4, 2.5), 1e-4)
 """What `tests/unit/conftest.py` adds to its drives."""
-FEW = ("lf", "c_sf", "steer_gain", "steer_bias", "speed_gain")
-"""Base parameters without kinks."""
+FEW = ("lf", "c_sf", "steer_gain", "steer_bias", "speed_gain")  # base parameters without kinks
 
 
 @pytest.fixture(scope="session")

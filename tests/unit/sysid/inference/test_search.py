@@ -24,8 +24,7 @@ from steerd.sysid.inference.space import make_space
 from tests.unit.sysid.inference.conftest import FEW, NOISE
 
 LATE = 0.03
-MOST_SPREADS = 2.5
-"""Prior standard deviations over which random starts are drawn, each way."""
+MOST_SPREADS = 2.5  # prior standard deviations over which random starts are drawn, each way
 
 
 @pytest.fixture(scope="module")

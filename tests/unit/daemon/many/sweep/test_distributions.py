@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from steerd.daemon.many.sweep.quantities import Quantity, parse_distribution
+from steerd.daemon.many.sweep.plan import Quantity, parse_distribution
 
 N = 4000
 

@@ -3,7 +3,7 @@
 import pytest
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.many.sweep.plan import list_cases, read_sweep_file
+from steerd.daemon.many.sweep.plan import list_cases, load_sweep
 
 
 def test_lists_are_crossed_and_every_combination_meets_every_seed(make_plan):
@@ -73,8 +73,8 @@ def test_what_is_impossible_is_refused_in_a_line(make_plan, vary, more, said):
 def test_a_file_that_is_no_toml_is_refused(tmp_path):
     (tmp_path / "s.toml").write_text("[vary\n")
     with pytest.raises(SteerdError) as caught:
-        read_sweep_file(tmp_path / "s.toml")
+        load_sweep(tmp_path / "s.toml")
     assert caught.value.code is ExitCode.INVALID
     with pytest.raises(SteerdError) as caught:
-        read_sweep_file(tmp_path / "none.toml")
+        load_sweep(tmp_path / "none.toml")
     assert caught.value.code is ExitCode.UNREADABLE
