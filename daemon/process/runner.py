@@ -20,7 +20,13 @@ from steerd.daemon.loop.design_desk import DESIGN_BYTES
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.lease import lease_age
 from steerd.daemon.loop.transitions import is_engaged
-from steerd.daemon.process.guard import ProcessGuard, find_cause, read_steal_ns, sleep_lag_ns
+from steerd.daemon.process.guard import (
+    ProcessGuard,
+    find_cause,
+    find_pause,
+    read_steal_ns,
+    sleep_lag_ns,
+)
 from steerd.daemon.process.pacing import Pace, early_window_ns, step_pace
 from steerd.daemon.process.remote_path import RemotePath
 from steerd.mocap_link.sockets import MocapReceiver
@@ -258,7 +264,8 @@ class Runner:
         if late_ns > self._period_ns:
             now = self._clock.now_ns()
             stolen_ns = read_steal_ns() - self._stolen_ns
-            self._core.flags |= find_cause((now - late_ns, now), stolen_ns, self._guard.pause(now))
+            pause = find_pause(self._guard.page, now)
+            self._core.flags |= find_cause((now - late_ns, now), stolen_ns, pause)
         lag = sleep_lag_ns()
         if lag - self._slept_ns > self._core.loop.setup.settings.thresholds.suspend_step * 1e9:
             self._core.flags |= Flag.SUSPENDED
@@ -359,14 +366,15 @@ class Runner:
 
     def _write(self, wire: bytes, tick_ns: int) -> bytes:
         """Send the heartbeat and write a tick's bytes; return what was written."""
-        if self._port is None:
+        page = self._guard.page
+        if self._port is None or page is None:
             return b""
         last = self._core.last
         engaged = last is not None and is_engaged(last.supervisor.state)
-        self._guard.write_heartbeat(tick_ns, engaged)
+        page.write_heartbeat(tick_ns, engaged)
         staged: bytes | memoryview = wire
         if last is not None and last.order.command is not None:
-            staged = self._guard.stage(wire)
+            staged = page.stage(wire)
             if not self._guard.may_write(tick_ns, self._clock.now_ns()):
                 self._core.flags |= Flag.GUARDIAN_TRIPPED
                 return b""
