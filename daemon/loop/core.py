@@ -191,8 +191,8 @@ class Core:
         """Mocap's poses, in order of arrival; never raises."""
         try:
             for pose in poses:
-                self.loop.perception.on_pose(pose)
                 message = make_mocap(pose, self.outbox.epoch_ns)
+                self.loop.perception.on_pose(message)
                 self.outbox.post(topics.MOCAP, message, pose.t_arrival_ns, pose.t_valid_ns)
         except Exception as error:
             self.latch_exception(error)

@@ -19,7 +19,6 @@ from steerd.estimator.state_filter import (
     restart_filter,
     step,
 )
-from steerd.mocap_link.source import Pose
 from steerd.steer_bus import messages as m
 from steerd.vesc_link.scaling import Scaling, erpm_to_speed
 from steerd.vesc_link.telemetry import has_chip
@@ -67,7 +66,7 @@ class Perception:
         self._refused = 0
         self._seen = 0
         self.watch = PoseWatch()
-        self.track: deque[Pose] = deque()
+        self.track: deque[m.MocapPose] = deque()
         self.telemetry: m.VescTelemetry | None = None
         self.values = NO_TELEMETRY
         self.wheel_speed = self.mocap_speed = nan
@@ -77,7 +76,7 @@ class Perception:
 
     # --- what arrives
 
-    def on_pose(self, pose: Pose) -> None:
+    def on_pose(self, pose: m.MocapPose) -> None:
         """Check a pose; an accepted one is fused at its time of validity."""
         self.watch, verdict = step_pose(
             self._thresholds, self.watch, pose, self.wheel_speed, self.may_rebase
@@ -85,7 +84,7 @@ class Perception:
         if verdict is PoseVerdict.REBASED:
             self._state = restart_filter(self._state)
             self.track.clear()
-        if verdict in _SEEN and pose.rejected is None:
+        if verdict in _SEEN and not pose.reject:
             self.accepted_ns = pose.t_arrival_ns
             self._measurements.append(make_pose(pose.t_valid_ns, pose.x, pose.y, pose.yaw))
             self.track.append(pose)
