@@ -9,20 +9,17 @@ rmw_zenoh: its topics once more, under ROS's keys.
 # Why: docs/decisions/safety.md#d112
 
 import contextlib
-import os
-import select
 import socket
-import sys
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from steerd.daemon.ipc.pipe_records import PipeRecord, ReportPipe, unpack_records
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord
 from steerd.daemon.ipc.requests import REQUEST_MAX, make_badge, pack_request
-from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.process.bus_operator import STOPS
-from steerd.daemon.process.child import receive_job
+from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.views import Views
 from steerd.daemon.settings.run_options import decode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
@@ -97,7 +94,6 @@ def make_drive(sent: Actuation) -> AckermannDriveStamped:
 
 _POLL_MS = 4
 """Longest time that a request waits here [ms]."""
-_READ_BYTES = 1 << 20
 _DEPTH = 16
 """Requests kept of each topic between two polls."""
 _INWARD = (topics.STOP, topics.OPERATOR, topics.DRIVE, topics.SET_PARAMETERS, topics.HEARTBEAT_BACK)
@@ -150,11 +146,7 @@ class Gateway:
         self._model: bytes | None = None
         self._tokens.append(bus.serve(make_key(car, LAST_MODEL), lambda _: self._model))
 
-    def publish(self, buffer: bytearray) -> None:
-        """Publish every whole record, with its standard ROS message."""
-        self.publish_records(unpack_records(buffer))
-
-    def publish_records(self, records: Iterable[PipeRecord]) -> None:
+    def publish(self, records: Iterable[PipeRecord]) -> None:
         """Publish records, each with its standard ROS message."""
         for record in records:
             for each in (record, *self._views.convert(record)):
@@ -185,32 +177,25 @@ def _send(core: socket.socket, topic: Topic, data: bytes) -> None:
 
 
 def run_gateway(
-    gateway: Gateway, pipe_fd: int, core: socket.socket, reports: ReportPipe | None = None
+    gateway: Gateway, records: PipeReader, core: socket.socket, reports: PipeReader
 ) -> None:
     """Publish and pass on until the core's pipe closes."""
-    reports = reports or ReportPipe(None)
-    buffer = bytearray()
-    poll = select.poll()
-    poll.register(pipe_fd, select.POLLIN | select.POLLHUP)
-    while True:
-        if poll.poll(_POLL_MS):
-            data = os.read(pipe_fd, _READ_BYTES)
-            if not data:
-                return
-            buffer += data
-            gateway.publish(buffer)
-        gateway.publish_records(reports.take())
+    while records.fd is not None:
+        records.wait(_POLL_MS)
+        gateway.publish(records.take())
+        gateway.publish(reports.take())
         try:
             gateway.forward_requests(core)
         except OSError:
             return
 
 
-def main() -> int:
-    """Process entry."""
-    ignore_terminal_signals()
-    if (job := receive_job()) is None:
-        return 0
+def serve(job: Job) -> int:
+    """The process; it ends with the core's pipe.
+
+    Raises:
+        SteerdError: the bus cannot be opened as asked for.
+    """
     options, core = decode_options(job.about["options"]), socket.socket(fileno=job.fds["requests"])
     pose_key = find_pose_key(options.mocap)
     core.setblocking(False)
@@ -223,15 +208,14 @@ def main() -> int:
             domain = options.ros_domain
             ros = None if domain is None else RosBridge(bus, options.car, domain)
             gateway = Gateway(bus, options.car, pose_key, ros)
-            job.say_ready("ready")
-            run_gateway(gateway, job.fds["pipe"], core, ReportPipe(job.fds.get("reports")))
+            job.say_ready()
+            reports = PipeReader(job.fds.get("reports"))
+            run_gateway(gateway, PipeReader(job.fds["pipe"]), core, reports)
     except BusError as error:
-        with contextlib.suppress(OSError):
-            job.say_ready(str(error))
-        return 3
-    # zenoh's threads may keep the interpreter alive; nothing is left to do.
-    sys.stderr.flush()
-    os._exit(0)
+        taken = "already in use" in str(error)
+        hint = "end that one, or --listen tcp/127.0.0.1:7448" if taken else ""
+        raise SteerdError(str(error), hint, ExitCode.UNREACHABLE) from None
+    return 0
 
 
 def find_pose_key(mocap: str | None) -> str | None:
@@ -240,4 +224,4 @@ def find_pose_key(mocap: str | None) -> str | None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_process(serve)

@@ -102,13 +102,13 @@ class Words(ctypes.Structure):
     Each is stored as 8 aligned bytes at once, so no lock is needed.
     """
 
-    heartbeat_ns: int  # of the core, as the next two: when it was last alive
-    engaged: int  # whether motor bytes may flow
-    clean: int  # whether the wheels stand: no need to brake when the core ends
-    tripped_ns: int  # of the guardian, as the next three: when it took over
-    guardian_ns: int  # when it was last alive (W16)
-    pause_from_ns: int  # its last pause
-    pause_to_ns: int
+    heartbeat_ns: int  # core: when it was last alive
+    engaged: int  # core: whether motor bytes may flow
+    tripped_ns: int  # guardian: when it took over
+    guardian_ns: int  # guardian: when it was last alive (W16)
+    clean: int  # core: whether the wheels stand, no need to brake when it ends
+    pause_from_ns: int  # guardian: its last pause
+    pause_to_ns: int  # guardian: the end of that
     _fields_ = tuple((name, ctypes.c_uint64) for name in __annotations__)
 
 

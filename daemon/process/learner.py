@@ -7,28 +7,25 @@ without it goes on.
 # Why: docs/decisions/processes-and-time.md#d79
 
 import contextlib
-import os
 import socket
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from steerd.car_model.car_file import parse_car
 from steerd.controller.build import compute_table
 from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.written import write_output, write_whole
-from steerd.daemon.ipc.pipe_records import Gaps, PipeWriter, pack_record, unpack_records
-from steerd.daemon.ipc.signals import ignore_terminal_signals
+from steerd.daemon.ipc.pipe_records import Gaps, PipeReader, PipeRecord, PipeWriter, pack_record
 from steerd.daemon.learning.feed import Feed, Wiring, make_feed, make_record, read_memory
 from steerd.daemon.learning.kept import About, Keeper
 from steerd.daemon.learning.proposing import Proposals, make_proposer
-from steerd.daemon.process.child import receive_job
+from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.settings.run_options import decode_options
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import CodecError, decode
-
-_READ_BYTES = 1 << 16
 
 
 class LearnerLoop:
@@ -50,9 +47,9 @@ class LearnerLoop:
         self.reports = 0
         self._gaps = Gaps()
 
-    def take(self, buffer: bytearray) -> None:
-        """Take in every whole record; one that does not decode is as good as dropped."""
-        for record in unpack_records(buffer):
+    def take(self, records: Iterable[PipeRecord]) -> None:
+        """Take in records; one that does not decode is as good as dropped."""
+        for record in records:
             self._gaps.take(record)
             self.feed.dropped = self._gaps.missed
             try:
@@ -64,11 +61,6 @@ class LearnerLoop:
                 self._send(report, record.log_time_ns)
                 if self.keeper is not None:
                     self.keeper.take(report)
-
-    def end(self) -> None:
-        """The drive is over: keep what was learnt."""
-        if self.keeper is not None:
-            self.keeper.end()
 
     def _send(self, report: m.Model, log_time_ns: int) -> None:
         packed = pack_record(make_record(report, self.reports, log_time_ns))
@@ -128,28 +120,28 @@ def _make_proposals(options: str, fd: int) -> Proposals:
     return Proposals(make_proposer(held, compute_table), send)
 
 
-def main() -> int:
-    """Process entry."""
-    ignore_terminal_signals()
-    if (given := receive_job()) is None:
-        return 0
+def serve(given: Job) -> int:
+    """The process; it ends with the core's pipe, and keeps what was learnt.
+
+    Raises:
+        SteerdError: it cannot learn this car.
+    """
+    given.say_ready()  # nobody waits for it
     job, fds = given.about, given.fds
     try:
         feed = make_learner_feed(job)
-        if job["adapt"]:
-            feed.proposals = _make_proposals(job["adapt"], fds["designs"])
     except ValueError as error:
-        print(f"steerd learner: {error}", file=sys.stderr)
-        return 4
-    given.say_ready("ready")
+        raise SteerdError(str(error)) from None
+    if job["adapt"]:
+        feed.proposals = _make_proposals(job["adapt"], fds["designs"])
     outputs = [PipeWriter(fd) for name, fd in fds.items() if name.startswith("to_")]
-    loop, buffer = LearnerLoop(feed, outputs, make_keeper(job)), bytearray()
-    while data := os.read(fds["pipe"], _READ_BYTES):
-        buffer += data
-        loop.take(buffer)
-    loop.end()
+    loop, records = LearnerLoop(feed, outputs, make_keeper(job)), PipeReader(fds["pipe"])
+    while records.wait():
+        loop.take(records.take())
+    if loop.keeper is not None:
+        loop.keeper.end()
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_process(serve)

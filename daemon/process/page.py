@@ -5,15 +5,12 @@
 import asyncio
 import contextlib
 import json
-import os
-import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from steerd.daemon.ipc.operator import read_lab
-from steerd.daemon.ipc.signals import ignore_terminal_signals
-from steerd.daemon.process.child import Job, receive_job
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.page_link import CarView, PageOperator
 from steerd.daemon.process.secret_server import ConnectionClosed, SecretServer, ServerConnection
 from steerd.steer_bus.bus import BusError
@@ -101,39 +98,29 @@ async def run_page(
         await server.wait_closed()
 
 
-def join(job: Mapping[str, Any]) -> ZenohBus:
-    """Join the car's bus.
-
-    Raises:
-        BusError: nobody answers.
-    """
-    lab = read_lab(Path(job["lab"])) if job["lab"] else None
-    return ZenohBus(make_spoke_profile(job["endpoint"], lab))
-
-
-async def _serve_child(given: Job) -> None:
+async def _serve(given: Job) -> None:
     ended, job = asyncio.Event(), given.about
     asyncio.get_running_loop().add_reader(given.fds["lifeline"], ended.set)
-    with join(job) as bus:
+    with ZenohBus(make_spoke_profile(job["endpoint"], None)) as bus:
         view = CarView(bus, job["car"], MonotonicClock())
-        await run_page(view, make_page(job), job["port"], given.say_ready, ended)
+        await run_page(
+            view, make_page(job), job["port"], lambda url: given.say_ready(url=url), ended
+        )
 
 
-def main() -> int:
-    """Process entry."""
-    ignore_terminal_signals()
-    os.nice(_NICE)
-    if (given := receive_job()) is None:
-        return 0
+def serve(given: Job) -> int:
+    """The process; it ends when its lifeline closes.
+
+    Raises:
+        SteerdError: its port is taken, or it cannot reach the car.
+    """
     try:
-        asyncio.run(_serve_child(given))
+        asyncio.run(_serve(given))
     except (BusError, OSError) as error:
-        with contextlib.suppress(OSError):
-            given.say_ready(f"--page {given.about['port']}: {error}")
-        return 3
-    sys.stderr.flush()
-    os._exit(0)  # zenoh's threads may keep the interpreter alive
+        what = f"--page {given.about['port']}: {error}"
+        raise SteerdError(what, "--page with another port", ExitCode.UNREACHABLE) from None
+    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_process(serve, _NICE)

@@ -9,16 +9,15 @@ live parameters. The viewer's end is reported and changes nothing else.
 
 import asyncio
 import contextlib
-import os
 import socket
 import sys
 from collections.abc import Callable
 
 from foxglove.messages import FrameTransforms, SceneUpdate  # noqa: TID251
 
-from steerd.daemon.ipc.pipe_records import PipeRecord, unpack_records
-from steerd.daemon.ipc.signals import ignore_terminal_signals
-from steerd.daemon.process.child import Job, receive_job
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord
+from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.secret_server import SecretServer
 from steerd.daemon.process.view_scene import (
     Body,
@@ -50,7 +49,6 @@ SCENE_NS = 50_000_000
 """The car is drawn 20 times a second; channels carry every message."""
 LANE_NS = 1_000_000_000
 """The lane is sent again for clients that have just connected."""
-_READ_BYTES = 1 << 20
 _NICE = 10
 """Lower priority than the control processes'."""
 
@@ -68,14 +66,7 @@ class Viewer:
         self._views = Views()
         self._seen: dict[str, int] = {}
         self._scene_due_ns = self._lane_due_ns = 0
-        self._buffer = bytearray()
         self.missed = 0
-
-    def read(self, data: bytes) -> None:
-        """Show what has come through the pipe."""
-        self._buffer += data
-        for record in unpack_records(self._buffer):
-            self.show(record)
 
     def show(self, record: PipeRecord) -> None:
         """Pass one record on, with what is drawn of it."""
@@ -127,23 +118,25 @@ async def run_viewer(given: Job) -> int:
     Raises:
         OSError: the address is taken or no address of this machine.
     """
-    job, pipe_fd = given.about, given.fds["pipe"]
+    job, records = given.about, PipeReader(given.fds["pipe"])
     car, lane = job["car"], make_lane(job["lane"], job["half_width"], closed=job["closed"])
     known = ViewParameters(make_parameters(job["parameters"]), _make_ask(given.fds.get("requests")))
     shown = ViewServer(f"steerd {car}", make_channels(car), known)
     viewer = Viewer(car, Body(**job["body"]), lane, shown)
     secret = SecretServer(job["host"], shown.talk)
     server = await secret.open(job["port"], WORDS_MAX, PROTOCOLS)
-    given.say_ready(secret.url)
+    given.say_ready(url=secret.url)
     ended = asyncio.Event()
 
     def read() -> None:
-        data = os.read(pipe_fd, _READ_BYTES)
-        viewer.read(data)
-        if not data:
+        for record in records.take():
+            viewer.show(record)
+        if records.fd is None:
+            loop.remove_reader(pipe_fd)
             ended.set()
 
-    asyncio.get_running_loop().add_reader(pipe_fd, read)
+    loop, pipe_fd = asyncio.get_running_loop(), given.fds["pipe"]
+    loop.add_reader(pipe_fd, read)
     await ended.wait()
     server.close()
     return viewer.missed
@@ -163,22 +156,21 @@ def _make_ask(fd: int | None) -> Callable[[str], object] | None:
     return ask
 
 
-def main() -> int:
-    """Process entry."""
-    ignore_terminal_signals()
-    os.nice(_NICE)
-    if (given := receive_job()) is None:
-        return 0
+def serve(given: Job) -> int:
+    """The process; it ends with the core's pipe.
+
+    Raises:
+        SteerdError: its address cannot be used.
+    """
     try:
         missed = asyncio.run(run_viewer(given))
     except OSError as error:
-        with contextlib.suppress(OSError):
-            given.say_ready(f"--view {given.about['host']}:{given.about['port']}: {error}")
-        return 3
+        where = f"{given.about['host']}:{given.about['port']}"
+        raise SteerdError(f"--view {where}: {error}", "", ExitCode.UNREADABLE) from None
     if missed:
         print(f"note: {missed} messages did not reach the viewer", file=sys.stderr)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_process(serve, _NICE)

@@ -249,12 +249,13 @@ def _run_live(plan: "RunPlan", core: Prepared) -> tuple[int, str]:
     )
     leased = plan.settings.deadman and not plan.options.simulated
     processes = start_processes(plan, session, boot_id, epoch_ns, leased, core)
-    for line in processes.core_report.get("realtime", ()):
+    for line in processes.reports["core"].get("realtime", ()):
         print(f"note: {line}", file=sys.stderr)
-    if processes.view_url:
-        print(f"view: {processes.view_url} (Foxglove or Lichtblick: Open connection)")
-    if processes.page is not None:
-        print(f"page: {processes.page.url} (in a browser on this machine)")
+    if "viewer" in processes.reports:
+        url = processes.reports["viewer"]["url"]
+        print(f"view: {url} (Foxglove or Lichtblick: Open connection)")
+    if "page" in processes.reports:
+        print(f"page: {processes.reports['page']['url']} (in a browser on this machine)")
     where = "simulated hardware" if plan.options.simulated else str(plan.options.port)
     board = Dashboard(f"steerd · {plan.options.car} on {where} · {plan.path.name}")
     operator = Operator(boot_id, secrets.randbits(62) + 1, "terminal")

@@ -46,12 +46,12 @@ def loop(pipe):
 
 
 def fed(loop, numbers):
-    loop.take(bytearray(b"".join(pipes.pack_record(pose_record(n)) for n in numbers)))
+    loop.take(map(pose_record, numbers))
 
 
 def test_a_report_comes_once_a_second(loop, pipe):
     fed(loop, range(350))
-    reports = [decode(m.Model, record.data) for record in pipes.ReportPipe(pipe[0]).take()]
+    reports = [decode(m.Model, record.data) for record in pipes.PipeReader(pipe[0]).take()]
     assert [report.mono_ns // 1_000_000_000 for report in reports] == [1, 2, 3]
     assert {report.verdict for report in reports} == {"learning"}
     assert {report.dropped for report in reports} == {0}
@@ -60,13 +60,13 @@ def test_a_report_comes_once_a_second(loop, pipe):
 
 def test_what_was_dropped_on_the_way_is_counted(loop, pipe):
     fed(loop, [*range(50), *range(80, 250)])
-    last = list(pipes.ReportPipe(pipe[0]).take())[-1]
+    last = list(pipes.PipeReader(pipe[0]).take())[-1]
     assert decode(m.Model, last.data).dropped == 30
 
 
 def test_bytes_that_are_no_message_are_passed_over(loop, pipe):
     broken = replace(pose_record(60), data=b"\0\1\0\0 nonsense")
-    loop.take(bytearray(pipes.pack_record(pose_record(0)) + pipes.pack_record(broken)))
+    loop.take([pose_record(0), broken])
     fed(loop, range(61, 250))
     assert loop.reports == 2
 
@@ -99,7 +99,7 @@ def report_record(loop):
 
 
 def test_reports_are_read_until_the_learner_ends(loop, pipe):
-    reader, packed = pipes.ReportPipe(pipe[0]), pipes.pack_record(report_record(loop))
+    reader, packed = pipes.PipeReader(pipe[0]), pipes.pack_record(report_record(loop))
     assert list(reader.take()) == []
     os.write(pipe[1], packed[:50])
     assert list(reader.take()) == []
@@ -113,7 +113,7 @@ def test_reports_are_read_until_the_learner_ends(loop, pipe):
 
 
 def test_a_run_without_a_learner_has_no_reports():
-    assert list(pipes.ReportPipe(None).take()) == list(pipes.ReportPipe(None).rest(0)) == []
+    assert list(pipes.PipeReader(None).take()) == list(pipes.PipeReader(None).rest(0)) == []
 
 
 def test_a_job_is_a_car_file_and_its_scaling():

@@ -15,7 +15,7 @@ from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.outbox import Outbox
-from steerd.daemon.ipc.pipe_records import PipeWriter, make_pipe, pack_record
+from steerd.daemon.ipc.pipe_records import PipeReader, PipeWriter, make_pipe, pack_record
 from steerd.daemon.ipc.requests import parse_setting
 from steerd.daemon.process.view import Viewer, make_channels
 from steerd.daemon.process.view_job import make_view_job, parse_view
@@ -92,9 +92,8 @@ def test_a_viewer_counts_what_the_pipe_dropped():
     lane = make_lane([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], 0.3, closed=False)
     server = ViewServer("x", make_channels("car1"), ViewParameters({}))
     viewer = Viewer("car1", BODY, lane, server)
-    while data := os.read(read_fd, 1000):
-        viewer.read(data)
-    os.close(read_fd)
+    for record in PipeReader(read_fd).take():
+        viewer.show(record)
     assert viewer.missed == 2
 
 
