@@ -21,6 +21,7 @@ from steerd.daemon.loop.live import make_parameters
 from steerd.daemon.loop.loop import Loop
 from steerd.daemon.loop.orders import TickResult, make_order
 from steerd.daemon.loop.outgoing import (
+    ALARM,
     make_actuation,
     make_diagnostics,
     make_identity,
@@ -30,9 +31,10 @@ from steerd.daemon.loop.outgoing import (
     make_telemetry,
     make_transition,
 )
-from steerd.daemon.loop.supervisor import Action, Conditions, step_supervisor
-from steerd.daemon.loop.transitions import Fact, SupervisorState
+from steerd.daemon.loop.supervisor import WAITING, Conditions, step_supervisor
+from steerd.daemon.loop.transitions import Fact, SupervisorState, is_engaged
 from steerd.daemon.settings.config import BrakeSettings
+from steerd.mocap_link.ingest import PoseIngest
 from steerd.mocap_link.source import Pose, SourceStatus
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
@@ -63,7 +65,6 @@ _INFO, _ERROR = 20, 40
 """Levels of `rcl_interfaces/Log`."""
 _HANDSHAKE = (m.ActuationMode.SILENT, m.ActuationMode.BRAKE)
 """Orders beside which a tick's write has room for the questions at the start."""
-_ALARM = (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
 
 
 class Core:
@@ -98,6 +99,38 @@ class Core:
         self._uuid: bytes | None = None
         self._expected = True
         self._error_logged = False
+
+    # --- the links to VESC and mocap
+
+    @property
+    def may_link(self) -> bool:
+        """Whether a port may be opened: one that comes back does not bring motion back."""
+        return not is_engaged(self.loop.supervisor.state) or self.loop.at_rest
+
+    def open_link(self) -> None:
+        """The port is open; who the VESC is will be asked."""
+        self.link.reset()
+        self.flags |= Flag.LINKED
+        self.flags &= ~(Flag.SERIAL_FAULT | Flag.GUARDIAN_LOST | Flag.GUARDIAN_TRIPPED)
+
+    def lose_link(self) -> None:
+        """The port is gone, or does not take its bytes (W8)."""
+        self.flags |= Flag.SERIAL_FAULT
+        self.flags &= ~Flag.LINKED
+        self.link.reset()
+        self.loop.on_vesc(None)
+
+    def feed_back(self, ingest: PoseIngest) -> None:
+        """Tell the mocap pipeline what it needs of the car."""
+        seen = self.loop.perception
+        ingest.wheel_speed = seen.wheel_speed if seen.telemetry else None
+        ingest.stationary = seen.may_rebase
+
+    def on_source(self, source: SourceStatus) -> None:
+        """How the mocap source is now."""
+        self.source = source
+        self.flags &= ~Flag.MOCAP_REFUSED
+        self.flags |= Flag.MOCAP_REFUSED if source.refused else 0
 
     # --- events
 
@@ -255,17 +288,7 @@ class Core:
         drive = result.order.drive
         actuation = make_actuation(tick.header, drive, written, self._seq)
         self.outbox.post(topics.ACTUATION, actuation, now_ns)
-        state = make_state(
-            result.estimate,
-            result.report,
-            drive,
-            result.supervisor.state,
-            result.facts,
-            self._seq,
-            now_ns,
-            epoch,
-        )
-        self.outbox.post(topics.STATE, state, now_ns)
+        self.outbox.post(topics.STATE, make_state(result, self._seq, now_ns, epoch), now_ns)
         self._post_changes(result, now_ns)
         self._take_design(now_ns)
         self.outbox.flush(now_ns)
@@ -305,21 +328,14 @@ class Core:
             self._log(_ERROR, f"W29 {describe_error(self.error)}", now_ns)
         changed = result.supervisor.state is not result.old
         if changed:
-            transition = make_transition(result.old, result.supervisor, stamp_ns)
-            self.outbox.post(topics.TRANSITION, transition, now_ns)
-            level = _ERROR if result.supervisor.state in _ALARM else _INFO
+            self.outbox.post(topics.TRANSITION, make_transition(result, stamp_ns), now_ns)
+            level = _ERROR if result.supervisor.state in ALARM else _INFO
             text = f"{result.supervisor.state.name}: {result.supervisor.reason}"
             self._log(level, text, now_ns)
         if changed or now_ns - self._diagnostics_ns >= DIAGNOSTICS_PERIOD_NS:
             self._diagnostics_ns = now_ns
-            diagnostics = make_diagnostics(
-                result.supervisor,
-                result.action,
-                self._describe_waiting(result.action, result.waiting),
-                result.findings,
-                self._make_extra_values(),
-                stamp_ns,
-            )
+            waiting, extra = self._describe_waiting(result.waiting), self._make_extra_values()
+            diagnostics = make_diagnostics(result, waiting, extra, stamp_ns)
             self.outbox.post(topics.DIAGNOSTICS, diagnostics, now_ns)
             self._post_parameters(now_ns)
 
@@ -332,9 +348,9 @@ class Core:
         log = Log(make_time(now_ns + self.outbox.epoch_ns), level, "steerd", text, "", "", 0)
         self.outbox.post(topics.LOG, log, now_ns)
 
-    def _describe_waiting(self, action: Action, waiting: str) -> str:
+    def _describe_waiting(self, waiting: str) -> str:
         """What the loop waits for, in more detail where only the links know it."""
-        if action.waiting != waiting or self.loop.supervisor.state is not SupervisorState.INIT:
+        if self.loop.supervisor.state is not SupervisorState.INIT:
             return waiting
         if not self.flags & Flag.LINKED:
             return "the serial port to open"
@@ -393,13 +409,12 @@ def make_failed_tick(loop: Loop, error: BaseException, now_ns: int, linked: bool
     order = make_order(settings, limiter, action, None, speed, now_ns)
     return TickResult(
         replace(order, drive=_remove_steering(order.drive, settings.brakes)),
-        action,
         old,
         loop.supervisor,
         None,
         None,
         (finding,),
-        action.waiting,
+        WAITING[loop.supervisor.state],
         facts,
     )
 

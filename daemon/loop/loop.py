@@ -19,7 +19,7 @@ from steerd.daemon.loop.adapting import (
 )
 from steerd.daemon.loop.checks import STANDING_SPEED, find_failures
 from steerd.daemon.loop.design_desk import read_design
-from steerd.daemon.loop.findings import Finding, Flag, merge_requests, summarise
+from steerd.daemon.loop.findings import Flag, merge_requests, summarise
 from steerd.daemon.loop.lease import (
     Lease,
     Remote,
@@ -35,6 +35,7 @@ from steerd.daemon.loop.orders import Order, TickResult, make_order
 from steerd.daemon.loop.perception import Perception, best_speed
 from steerd.daemon.loop.plans import Drill
 from steerd.daemon.loop.supervisor import (
+    WAITING,
     Conditions,
     make_supervisor_memory,
     stands,
@@ -143,7 +144,12 @@ class Loop:
         estimate = self.perception.estimate(now_ns)
         speed = best_speed(estimate, self.perception.recent_wheel_speed(now_ns))
         wish, report = self._make_wish(estimate, now_ns)
-        now, findings = self._run_watchdogs(estimate, report, speed, due_ns, now_ns, flags)
+        silent = lease_age(self.lease, now_ns) if self.setup.leased else 0.0
+        lane, last = judge_both_lanes(report, self.live.now), self._limiter.order
+        now, findings = self._watching.look(
+            self.supervisor.state, estimate, lane, self.remote, last, speed, silent, due_ns, now_ns,
+            flags,
+        )  # fmt: skip
         settings = self.setup.settings
         failed = find_failures(
             self.setup, self.vesc, self.remote, now, findings, flags, estimated=report is not None
@@ -162,10 +168,8 @@ class Loop:
         order = make_order(settings, self._limiter, action, wish, speed, now_ns)
         self._remember_order(order, now_ns)
         disarmed = self.supervisor.state is SupervisorState.DISARMED
-        waiting = failed[0] if failed and disarmed else action.waiting
-        return TickResult(
-            order, action, old, self.supervisor, estimate, report, findings, waiting, facts
-        )
+        waiting = failed[0] if failed and disarmed else WAITING[self.supervisor.state]
+        return TickResult(order, old, self.supervisor, estimate, report, findings, waiting, facts)
 
     def _make_wish(
         self, estimate: StateEstimate | None, now_ns: int
@@ -211,25 +215,6 @@ class Loop:
         # Lost while driving: hold the angle; the stop that follows takes the speed away.
         held = self._limiter.order
         return held if self.supervisor.state in _DRIVING else None
-
-    def _run_watchdogs(
-        self,
-        estimate: StateEstimate | None,
-        report: ControlReport | None,
-        speed: float,
-        due_ns: int,
-        now_ns: int,
-        flags: int,
-    ) -> tuple[WatchdogInput, tuple[Finding, ...]]:
-        """The measurements of this tick, and everything that is wrong."""
-        watching, state, order = self._watching, self.supervisor.state, self._limiter.order
-        reported = watching.find_reported(
-            state, estimate, order, self.remote, due_ns, now_ns, flags
-        )
-        counts = report is not None and not self.setup.ignores_lane
-        lane = judge_both_lanes(report, self.live.now) if counts and report is not None else None
-        age = lease_age(self.lease, now_ns) if self.setup.leased else 0.0
-        return watching.judge(state, estimate, lane, speed, order.steer, age, now_ns, reported)
 
     def _make_facts(
         self, now: WatchdogInput, estimate: StateEstimate | None, failed: list[str], flags: int

@@ -48,7 +48,6 @@ class TickResult:
     """Decision of one tick and its inputs."""
 
     order: Order  # for the wire
-    action: Action  # of the supervisor
     old: SupervisorState  # the supervisor's state before the tick
     supervisor: SupervisorMemory  # the supervisor after it
     estimate: StateEstimate | None  # of the car's state, None before the first

@@ -75,13 +75,11 @@ class SupervisorMemory:
 
 @quick_value
 class Action:
-    """What this tick must put on the wire, and why."""
+    """What this tick must put on the wire."""
 
     motor: MotorOutput  # kind of motor bytes
     steering: SteeringOutput  # kind of servo bytes
     cap: float  # highest speed that may be ordered [m/s]; ``inf`` where only the car's limits apply
-    reason: str  # why the supervisor is in this state
-    waiting: str  # what it waits for
 
 
 _KNOWN = sum(map(int, (*REQUESTED, Request.KEEPALIVE)))
@@ -236,7 +234,7 @@ def _count_frames(s: SupervisorMemory, bits: int) -> int:
     return max(0, s.frames - 1) if bits & Fact.LINKED else OPEN_FRAMES
 
 
-_WAITING = {
+WAITING = {
     SupervisorState.INIT: "VESC firmware, UUID and settings, and a first mocap frame",
     SupervisorState.DISARMED: "all checks to pass for 1 s",
     SupervisorState.READY: "arm",
@@ -248,6 +246,7 @@ _WAITING = {
     SupervisorState.FAULT_LATCHED: "the cause to go, then clear",
     SupervisorState.ESTOP: "the car to stand still, then reset",
 }
+"""What a state waits for, for people."""
 
 
 def step_supervisor(
@@ -289,4 +288,4 @@ def step_supervisor(
     steering = _choose_steering(s, bits, motor)
     if s.state == SupervisorState.INIT:
         s = changed(s, frames=_count_frames(s, bits))
-    return s, Action(motor, steering, cap, s.reason, _WAITING[s.state])
+    return s, Action(motor, steering, cap)

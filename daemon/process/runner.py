@@ -293,14 +293,10 @@ class Runner:
         self._watch_processes(now_ns)
 
     def _step_mocap(self, now_ns: int) -> None:
-        seen = self._core.loop.perception
-        self._mocap.ingest.wheel_speed = seen.wheel_speed if seen.telemetry else None
-        self._mocap.ingest.stationary = seen.may_rebase
+        self._core.feed_back(self._mocap.ingest)
         samples = self._mocap.on_timer(self._clock.now_ns())
         self._on_poses(samples or [])
-        source = self._core.source = self._mocap.status()
-        self._core.flags &= ~Flag.MOCAP_REFUSED
-        self._core.flags |= Flag.MOCAP_REFUSED if source.refused else 0
+        self._core.on_source(self._mocap.status())
 
     def _post_clock(self, now_ns: int) -> None:
         self._notify(ALIVE)
@@ -340,19 +336,16 @@ class Runner:
 
     def _try_open(self, now_ns: int) -> None:
         self._reopen_ns = now_ns + REOPEN_NS
-        loop = self._core.loop
-        if is_engaged(loop.supervisor.state) and not loop.at_rest:
-            return  # a port that comes back does not bring motion back
+        if not self._core.may_link:
+            return
         try:
             self._port = self._open_port()
         except PortError as error:
             self.error = error
             return
         self.error = None
-        self._core.link.reset()
         self._guard.watch(self._port.fd, self._core.brake_frame(), now_ns)
-        self._core.flags |= Flag.LINKED
-        self._core.flags &= ~(Flag.SERIAL_FAULT | Flag.GUARDIAN_LOST | Flag.GUARDIAN_TRIPPED)
+        self._core.open_link()
 
     def _read_serial(self) -> None:
         if self._port is None:
@@ -408,10 +401,7 @@ class Runner:
         if port is not None:
             with contextlib.suppress(OSError):
                 port.close()
-        self._core.flags |= Flag.SERIAL_FAULT
-        self._core.flags &= ~Flag.LINKED
-        self._core.link.reset()
-        self._core.loop.on_vesc(None)
+        self._core.lose_link()
 
     # --- the end
 

@@ -110,9 +110,7 @@ def test_another_vesc_at_the_same_plug_is_not_armed(plan):
     until(run, lambda: False, 8.0)
     assert state_of(run) in (SupervisorState.INIT, SupervisorState.DISARMED)
     last = run.core.last
-    assert "not the one this run began with" in run.core._describe_waiting(
-        last.action, last.waiting
-    )
+    assert "not the one this run began with" in run.core._describe_waiting(last.waiting)
 
 
 @pytest.mark.parametrize("fault", ["V1", "V4"])
