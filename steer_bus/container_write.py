@@ -30,7 +30,7 @@ _NONE: Mapping[str, str] = MappingProxyType({})
 
 def _encode(record: rec.McapRecord) -> bytes:
     builder = RecordBuilder()
-    record.write(builder)  # type: ignore[no-untyped-call]
+    record.write(builder)
     data: bytes = builder.end()  # type: ignore[no-untyped-call]
     return data
 
@@ -96,7 +96,7 @@ class ContainerWriter:
             self._index[channel] = rec.MessageIndex(channel, [])
         self._index[channel].records.append((log_ns, self._chunk.count))
         message = rec.Message(channel, log_ns, data, publish_ns, sequence)
-        message.write(self._chunk)  # type: ignore[no-untyped-call]
+        message.write(self._chunk)
         if self._chunk.count > CHUNK_BYTES:
             self._close_chunk()
 

@@ -8,19 +8,12 @@ from pathlib import Path
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.requests import read_diagnostics
+from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus, BusError
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import DEFAULT_PORT, Lab, load_lab
-from steerd.steer_bus.messages import (
-    BODY,
-    Model,
-    OperatorRequest,
-    ParameterRequest,
-    RequestKind,
-    make_header,
-)
 from steerd.steer_bus.standard import DiagnosticArray
 from steerd.steer_bus.topics import LAST_MODEL, make_key
 from steerd.steer_bus.zenoh_bus import ZenohBus, make_spoke_profile
@@ -42,11 +35,11 @@ class Operator:
     name: str = "operator"  # for the recording
     seq: int = 0  # sequence number of the last request
 
-    def make_request(self, kind: RequestKind, realtime_ns: int) -> bytes:
+    def make_request(self, kind: m.RequestKind, realtime_ns: int) -> bytes:
         """The next request, encoded."""
         self.seq += 1
-        header = make_header(realtime_ns, BODY)
-        request = OperatorRequest(
+        header = m.make_header(realtime_ns, m.BODY)
+        request = m.OperatorRequest(
             header, self.boot_id, self.lease_id, self.seq, int(kind), self.name
         )
         return encode(request)
@@ -63,10 +56,10 @@ class Operator:
         """
         self.seq += 1
         values = {"speed": nan, "offset": nan, "gain": nan, **wanted}
-        header = make_header(realtime_ns, BODY)
+        header = m.make_header(realtime_ns, m.BODY)
         who = (self.boot_id, self.lease_id, self.seq)
         return encode(
-            ParameterRequest(
+            m.ParameterRequest(
                 header, *who, values["speed"], values["offset"], values["gain"], name or self.name
             )
         )
@@ -123,9 +116,9 @@ def read_status(bus: Bus, car: str, clock: Clock, timeout_s: float = 2.0) -> dic
     raise SteerdError(f"no car {car!r} on the bus", hint, ExitCode.UNREACHABLE)
 
 
-def read_model(bus: Bus, car: str) -> Model | None:
+def read_model(bus: Bus, car: str) -> m.Model | None:
     """The newest report of a car's learner; None without one, or one of another version."""
     for data in bus.query(make_key(car, LAST_MODEL), MODEL_WAIT_S).values():
         with contextlib.suppress(CodecError):
-            return decode(Model, data)
+            return decode(m.Model, data)
     return None

@@ -14,23 +14,13 @@ from dataclasses import replace
 from steerd.car_model.state import Command
 from steerd.controller.limits import make_limiter_state
 from steerd.daemon.ipc.outbox import Outbox
+from steerd.daemon.loop import outgoing
 from steerd.daemon.loop.checks import check_vesc
 from steerd.daemon.loop.design_desk import DesignDesk
 from steerd.daemon.loop.findings import CAUSES, Flag, make_finding, summarise
 from steerd.daemon.loop.live import make_parameters
 from steerd.daemon.loop.loop import Loop
 from steerd.daemon.loop.orders import TickResult, make_order
-from steerd.daemon.loop.outgoing import (
-    ALARM,
-    make_actuation,
-    make_diagnostics,
-    make_identity,
-    make_imu,
-    make_mocap,
-    make_state,
-    make_telemetry,
-    make_transition,
-)
 from steerd.daemon.loop.supervisor import WAITING, Conditions, step_supervisor
 from steerd.daemon.loop.transitions import Fact, SupervisorState, is_engaged
 from steerd.daemon.settings.config import BrakeSettings
@@ -41,16 +31,9 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.codec import CodecError, decode
 from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.standard import Log, make_time
+from steerd.vesc_link import identity
 from steerd.vesc_link.commands import GetMcConfTemp, SetCurrent, SetCurrentBrake
 from steerd.vesc_link.frames import encode_frame
-from steerd.vesc_link.identity import (
-    AppConf,
-    FwVersion,
-    McConfTemp,
-    limits_hold,
-    make_restored_limits,
-    make_session_limits,
-)
 from steerd.vesc_link.packets import encode_command
 from steerd.vesc_link.telemetry import Imu, Uptime, Values
 from steerd.vesc_link.vesc import Answer, Drive, VescLink
@@ -94,7 +77,7 @@ class Core:
         self._seq = 0
         self._tick: m.Tick | None = None
         self._diagnostics_ns = -DIAGNOSTICS_PERIOD_NS
-        self._limits_before: McConfTemp | None = None
+        self._limits_before: identity.McConfTemp | None = None
         self._limits_tries = 0
         self._uuid: bytes | None = None
         self._expected = True
@@ -121,7 +104,7 @@ class Core:
         self.loop.on_vesc(None)
 
     def feed_back(self, ingest: PoseIngest) -> None:
-        """Tell the mocap pipeline what it needs of the car."""
+        """Show the mocap pipeline what it needs of the car."""
         seen = self.loop.perception
         ingest.wheel_speed = seen.wheel_speed if seen.telemetry else None
         ingest.stationary = seen.may_rebase
@@ -151,21 +134,21 @@ class Core:
         header = m.make_header(stamp_ns + self.outbox.epoch_ns, m.BODY)
         match answer.reply:
             case Values() as values:
-                telemetry = make_telemetry(header, answer, values, self._uptime_ms)
+                telemetry = outgoing.make_telemetry(header, answer, values, self._uptime_ms)
                 self.loop.perception.on_telemetry(telemetry)
                 self.outbox.post(topics.VESC, telemetry, t_ns, stamp_ns)
             case Imu() as imu:
-                reading = make_imu(header, answer, imu)
+                reading = outgoing.make_imu(header, answer, imu)
                 self.loop.perception.on_imu(reading)
                 self.outbox.post(topics.IMU, reading, t_ns, stamp_ns)
             case Uptime(uptime_ms=uptime_ms):
                 self._uptime_ms = uptime_ms
-            case FwVersion(uuid=uuid):
+            case identity.FwVersion(uuid=uuid):
                 self._check_identity(uuid)
                 self._post_identity(t_ns)
-            case AppConf():
+            case identity.AppConf():
                 self._post_identity(t_ns)
-            case McConfTemp() as limits:
+            case identity.McConfTemp() as limits:
                 self._apply_session_limits(limits)
 
     def _check_identity(self, uuid: bytes | None) -> None:
@@ -179,11 +162,11 @@ class Core:
         version, appconf = self.link.version, self.link.appconf
         if version is None:
             return
-        vesc = make_identity(version, appconf, self._expected, t_ns, self.outbox.epoch_ns)
+        vesc = outgoing.make_identity(version, appconf, self._expected, t_ns, self.outbox.epoch_ns)
         self.loop.on_vesc(vesc)
         self.outbox.post(topics.IDENTITY, vesc, t_ns)
 
-    def _apply_session_limits(self, limits: McConfTemp) -> None:
+    def _apply_session_limits(self, limits: identity.McConfTemp) -> None:
         """Give the VESC this session's limits, in RAM only: it keeps them if this process dies.
 
         It loses them when it restarts, so that the limits that it reports are compared each time.
@@ -193,8 +176,8 @@ class Core:
         self._limits_before = self._limits_before or limits
         scaling = self.loop.setup.settings.scaling
         erpm_max = abs(scaling.erpm_gain) * self.loop.setup.settings.limits.speed_max * ERPM_MARGIN
-        bounds = make_session_limits(limits, min(erpm_max, scaling.erpm_max))
-        if limits_hold(bounds, limits):
+        bounds = identity.make_session_limits(limits, min(erpm_max, scaling.erpm_max))
+        if identity.limits_hold(bounds, limits):
             self.flags &= ~Flag.UNBOUNDED
         elif self._limits_tries < LIMITS_TRIES:
             self._limits_tries += 1
@@ -217,14 +200,16 @@ class Core:
         """Frames for a car at rest: release the motor, restore the VESC's own limits."""
         frames = encode_frame(encode_command(SetCurrent(0.0)))
         if self._limits_before is not None and self._expected:
-            frames += encode_frame(encode_command(make_restored_limits(self._limits_before)))
+            frames += encode_frame(
+                encode_command(identity.make_restored_limits(self._limits_before))
+            )
         return frames
 
     def on_poses(self, poses: list[Pose]) -> None:
         """Mocap's poses, in order of arrival; never raises."""
         try:
             for pose in poses:
-                message = make_mocap(pose, self.outbox.epoch_ns)
+                message = outgoing.make_mocap(pose, self.outbox.epoch_ns)
                 self.loop.perception.on_pose(message)
                 self.outbox.post(topics.MOCAP, message, pose.t_arrival_ns, pose.t_valid_ns)
         except Exception as error:
@@ -286,9 +271,11 @@ class Core:
         now_ns, epoch = tick.woke_ns, self.outbox.epoch_ns
         self.outbox.post(topics.TICK, tick, now_ns)
         drive = result.order.drive
-        actuation = make_actuation(tick.header, drive, written, self._seq)
+        actuation = outgoing.make_actuation(tick.header, drive, written, self._seq)
         self.outbox.post(topics.ACTUATION, actuation, now_ns)
-        self.outbox.post(topics.STATE, make_state(result, self._seq, now_ns, epoch), now_ns)
+        self.outbox.post(
+            topics.STATE, outgoing.make_state(result, self._seq, now_ns, epoch), now_ns
+        )
         self._post_changes(result, now_ns)
         self._take_design(now_ns)
         self.outbox.flush(now_ns)
@@ -328,14 +315,14 @@ class Core:
             self._log(_ERROR, f"W29 {describe_error(self.error)}", now_ns)
         changed = result.supervisor.state is not result.old
         if changed:
-            self.outbox.post(topics.TRANSITION, make_transition(result, stamp_ns), now_ns)
-            level = _ERROR if result.supervisor.state in ALARM else _INFO
+            self.outbox.post(topics.TRANSITION, outgoing.make_transition(result, stamp_ns), now_ns)
+            level = _ERROR if result.supervisor.state in outgoing.ALARM else _INFO
             text = f"{result.supervisor.state.name}: {result.supervisor.reason}"
             self._log(level, text, now_ns)
         if changed or now_ns - self._diagnostics_ns >= DIAGNOSTICS_PERIOD_NS:
             self._diagnostics_ns = now_ns
             waiting, extra = self._describe_waiting(result.waiting), self._make_extra_values()
-            diagnostics = make_diagnostics(result, waiting, extra, stamp_ns)
+            diagnostics = outgoing.make_diagnostics(result, waiting, extra, stamp_ns)
             self.outbox.post(topics.DIAGNOSTICS, diagnostics, now_ns)
             self._post_parameters(now_ns)
 

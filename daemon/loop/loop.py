@@ -10,25 +10,11 @@ from steerd.car_model.state import Command
 from steerd.controller.lane_controller import ControllerState, ControlReport, start_controller
 from steerd.controller.limits import make_limiter_state
 from steerd.controller.live import AS_DESIGNED
-from steerd.daemon.loop.adapting import (
-    lose_estimate,
-    make_adapting,
-    remember_order,
-    steer,
-    take_design,
-)
+from steerd.daemon.loop import adapting
+from steerd.daemon.loop import lease as leases
 from steerd.daemon.loop.checks import STANDING_SPEED, find_failures
 from steerd.daemon.loop.design_desk import read_design
 from steerd.daemon.loop.findings import Flag, merge_requests, summarise
-from steerd.daemon.loop.lease import (
-    Lease,
-    Remote,
-    accept_request,
-    admit,
-    lease_age,
-    take_command,
-    valid_command,
-)
 from steerd.daemon.loop.live import judge_both_lanes, make_live, relax, step_live, take_request
 from steerd.daemon.loop.loop_setup import LoopSetup
 from steerd.daemon.loop.orders import Order, TickResult, make_order
@@ -82,10 +68,10 @@ class Loop:
         car = believed_car(s.file.model)
         self.perception = Perception(car, s.file.chassis, s.filter, s.thresholds, s.scaling)
         self.supervisor = make_supervisor_memory(0)
-        self.lease = Lease(setup.boot_id)
-        self.remote = Remote()
+        self.lease = leases.Lease(setup.boot_id)
+        self.remote = leases.Remote()
         self.live = make_live(setup.live)
-        self.adapting = make_adapting(setup.controller, setup.learnt, s.thresholds.lateral)
+        self.adapting = adapting.make_adapting(setup.controller, setup.learnt, s.thresholds.lateral)
         self.vesc: m.VescIdentity | None = None
         self.fault = ""
         self.ran = False
@@ -106,14 +92,14 @@ class Loop:
     def on_operator(self, message: m.OperatorRequest, t_ns: int) -> None:
         """An operator's request arrived."""
         before = self.lease.holder
-        self.lease, request = accept_request(self.lease, message, t_ns, self._is_idle(t_ns))
+        self.lease, request = leases.accept_request(self.lease, message, t_ns, self._is_idle(t_ns))
         self._requests_pending |= int(request)
         self._pass_on(before)
 
     def on_parameters(self, message: m.ParameterRequest, t_ns: int) -> None:
         """A request for other live parameters arrived."""
         before = self.lease.holder
-        self.lease, admitted = admit(self.lease, message, t_ns, self._is_idle(t_ns))
+        self.lease, admitted = leases.admit(self.lease, message, t_ns, self._is_idle(t_ns))
         self._pass_on(before)
         self.live = take_request(self.live, message, admitted)
 
@@ -121,7 +107,7 @@ class Loop:
         """Whether the operator has been silent for so long that another may take over."""
         parked = self.supervisor.state in _PARKED
         patience_s = self.setup.settings.thresholds.lease if parked else _LEASE_KEPT_S
-        return lease_age(self.lease, t_ns) > patience_s
+        return leases.lease_age(self.lease, t_ns) > patience_s
 
     def _pass_on(self, before: int) -> None:
         """An operator does not inherit what another tuned; without a deadman there is no holder."""
@@ -130,12 +116,14 @@ class Loop:
 
     def on_drive(self, command: m.DriveCommand, t_ns: int) -> None:
         """An external controller's command arrived."""
-        self.remote = take_command(self.remote, self.setup.boot_id, command, t_ns)
+        self.remote = leases.take_command(self.remote, self.setup.boot_id, command, t_ns)
 
     def on_design(self, message: m.Design, t_ns: int) -> None:
         """A design was taken; who hands it over has checked it, or reads what was recorded."""
         design = read_design(message)
-        self.adapting = take_design(self.adapting, message.number, design, message.text, t_ns)
+        self.adapting = adapting.take_design(
+            self.adapting, message.number, design, message.text, t_ns
+        )
 
     # --- the tick
 
@@ -144,7 +132,7 @@ class Loop:
         estimate = self.perception.estimate(now_ns)
         speed = best_speed(estimate, self.perception.recent_wheel_speed(now_ns))
         wish, report = self._make_wish(estimate, now_ns)
-        silent = lease_age(self.lease, now_ns) if self.setup.leased else 0.0
+        silent = leases.lease_age(self.lease, now_ns) if self.setup.leased else 0.0
         lane, last = judge_both_lanes(report, self.live.now), self._limiter.order
         now, findings = self._watching.look(
             self.supervisor.state, estimate, lane, self.remote, last, speed, silent, due_ns, now_ns,
@@ -177,7 +165,7 @@ class Loop:
         """The controller's command and its report on the lane errors."""
         if estimate is None or not estimate.health.sound:
             self._control = None
-            self.adapting = lose_estimate(self.adapting)
+            self.adapting = adapting.lose_estimate(self.adapting)
             return None, None
         self._ticks += 1
         self.live = step_live(self.live, now_ns, self.supervisor.state in _PARKED)
@@ -186,7 +174,7 @@ class Loop:
             design = self.adapting.controller
             self._control = start_controller(design, estimate.state, now_ns)
         state = self.supervisor.state
-        wish, report, self._control, self.adapting = steer(
+        wish, report, self._control, self.adapting = adapting.steer(
             self.adapting,
             self._control,
             estimate.state,
@@ -209,7 +197,7 @@ class Loop:
         return lane if drill.closed else Command(self._limiter.order.steer, lane.speed)
 
     def _make_remote_wish(self, now_ns: int) -> Command[float] | None:
-        command = valid_command(self.remote, now_ns)
+        command = leases.valid_command(self.remote, now_ns)
         if command is not None:
             return Command(command.steer, command.speed)
         # Lost while driving: hold the angle; the stop that follows takes the speed away.
@@ -263,7 +251,7 @@ class Loop:
         if order.command != self._issued:
             self.perception.on_command(now_ns, order.command)
         self._watching.send_order(now_ns, order)
-        self.adapting = remember_order(self.adapting, now_ns, order.command)
+        self.adapting = adapting.remember_order(self.adapting, now_ns, order.command)
         self._issued = order.command
 
     @property

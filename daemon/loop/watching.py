@@ -12,24 +12,9 @@ from steerd.car_model.params import Car
 from steerd.car_model.state import Command, State
 from steerd.controller.lane_controller import ControlReport
 from steerd.controller.limits import Verdict
-from steerd.daemon.loop.findings import (
-    Finding,
-    advise_simulation,
-    blame_late,
-    make_finding,
-    make_reported_findings,
-    make_unknown,
-)
+from steerd.daemon.loop import findings as fs
+from steerd.daemon.loop import following
 from steerd.daemon.loop.follow_model import make_follow_model
-from steerd.daemon.loop.following import (
-    Followed,
-    FollowState,
-    advance,
-    compare,
-    follow_span,
-    measure_turns,
-    send_order,
-)
 from steerd.daemon.loop.lateness import IN_SIMULATION, Lateness, make_lateness_rules, step_lateness
 from steerd.daemon.loop.launch import LaunchInput, LaunchState, make_launch_state, step_launch
 from steerd.daemon.loop.lease import Remote, command_age, valid_command
@@ -62,7 +47,7 @@ class Watching:
         self.launched, self.slowing = False, True
         self._watchdogs = WatchdogState()
         self._ranges = make_follow_model(car, s.file.sd, s.filter, s.thresholds)
-        self._following = FollowState()
+        self._following = following.FollowState()
         self._lateness = Lateness()
         self._not_finite = False
         self._late_rules = IN_SIMULATION if setup.simulated else make_lateness_rules(s.thresholds)
@@ -76,7 +61,9 @@ class Watching:
         self._not_finite = order.verdict is Verdict.NOT_FINITE
         rolling = self._seen.wheel_speed
         speed = rolling if isfinite(rolling) else 0.0
-        self._following = send_order(self._following, self._ranges, t_ns, order.command, speed)
+        self._following = following.send_order(
+            self._following, self._ranges, t_ns, order.command, speed
+        )
 
     def look(
         self,
@@ -90,7 +77,7 @@ class Watching:
         due_ns: int,
         now_ns: int,
         flags: int,
-    ) -> tuple[WatchdogInput, tuple[Finding, ...]]:
+    ) -> tuple[WatchdogInput, tuple[fs.Finding, ...]]:
         """The measurements of a tick, NaN where nothing is known, and all findings.
 
         Args:
@@ -105,13 +92,13 @@ class Watching:
             now_ns: now.
             flags: of the runner.
         """
-        reported = [*make_reported_findings(flags), *self._find_late(due_ns, now_ns, flags)]
+        reported = [*fs.make_reported_findings(flags), *self._find_late(due_ns, now_ns, flags)]
         running = state is SupervisorState.RUNNING
         if running and estimate is not None and not self.launched:
             reported += self._check_launch(estimate.state, order, now_ns)
         if self._not_finite:
             what = "the controller gave a number that is not finite"
-            reported.append(make_finding("limiter", what))
+            reported.append(fs.make_finding("limiter", what))
         if running and self._setup.remote:
             reported += _find_silence(remote, now_ns)
         seen, limits, brakes = self._seen, self._settings.limits, self._settings.brakes
@@ -152,16 +139,16 @@ class Watching:
         )
         self._watchdogs, found = step_watchdogs(self._settings.thresholds, self._watchdogs, now)
         self.slowing = is_slowing(self._watchdogs)
-        return now, tuple(map(advise_simulation, found)) if self._setup.simulated else found
+        return now, tuple(map(fs.advise_simulation, found)) if self._setup.simulated else found
 
-    def _find_late(self, due_ns: int, now_ns: int, flags: int) -> list[Finding]:
+    def _find_late(self, due_ns: int, now_ns: int, flags: int) -> list[fs.Finding]:
         """W15."""
         self._lateness, late = step_lateness(
             self._lateness, due_ns, now_ns, self._setup.period_ns, self._late_rules
         )
-        return [] if late is None else [blame_late(late, flags)]
+        return [] if late is None else [fs.blame_late(late, flags)]
 
-    def _check_launch(self, s: State[float], order: Command[float], t_ns: int) -> list[Finding]:
+    def _check_launch(self, s: State[float], order: Command[float], t_ns: int) -> list[fs.Finding]:
         aim = references(FLOAT, self._car, order)  # gain and bias of the linkage
         now = LaunchInput(t_ns, s.x, s.y, s.yaw, self._seen.wheel_speed, aim.steer)
         if self._launch is None:
@@ -169,22 +156,24 @@ class Watching:
             return []
         self._launch, wrong = step_launch(self._launch, now, self._settings.limits.wheelbase)
         self.launched = self._launch.done
-        return [make_finding("launch", wrong)] if wrong else []
+        return [fs.make_finding("launch", wrong)] if wrong else []
 
-    def _compare_with_orders(self, now_ns: int) -> Followed:
+    def _compare_with_orders(self, now_ns: int) -> following.Followed:
         """What wheels and pose did since, against the orders that left."""
         seen = self._seen
         ground = seen.mocap_speed if isfinite(seen.mocap_speed) else 0.0
-        self._following = advance(self._following, self._ranges, now_ns, ground)
-        turns = measure_turns(seen.track, follow_span(self._settings.thresholds, ground))
-        return compare(self._following, self._ranges, seen.wheel, turns)
+        self._following = following.advance(self._following, self._ranges, now_ns, ground)
+        turns = following.measure_turns(
+            seen.track, following.follow_span(self._settings.thresholds, ground)
+        )
+        return following.compare(self._following, self._ranges, seen.wheel, turns)
 
 
-def _find_silence(remote: Remote, now_ns: int) -> list[Finding]:
+def _find_silence(remote: Remote, now_ns: int) -> list[fs.Finding]:
     """W25 of an external controller."""
     if valid_command(remote, now_ns) is not None:
         return []
     age = command_age(remote, now_ns)
     if not isfinite(age):
-        return [make_unknown("W25", "no valid command yet")]
-    return [make_finding("W25", f"no valid command for {age * 1e3:.0f} ms")]
+        return [fs.make_unknown("W25", "no valid command yet")]
+    return [fs.make_finding("W25", f"no valid command for {age * 1e3:.0f} ms")]

@@ -30,15 +30,6 @@ from steerd.steer_bus.lab import load_lab
 from steerd.steer_bus.messages import Actuation
 from steerd.steer_bus.ros_keys import make_gid, make_node_token, make_publisher_token, make_ros_key
 from steerd.steer_bus.standard import AckermannDrive, AckermannDriveStamped
-from steerd.steer_bus.topics import (
-    ALIVE,
-    LAST_MODEL,
-    TOPICS,
-    Direction,
-    Topic,
-    make_key,
-    schema_replies,
-)
 from steerd.steer_bus.zenoh_bus import ZenohBus, make_hub_profile
 
 DRIVE_NAME = "drive"
@@ -61,14 +52,14 @@ class RosBridge:
         node = f"steerd_{car}"
         sent: dict[str, type[Any]] = {
             topic.name: topic.message
-            for topic in TOPICS
-            if topic.on_bus and topic.direction is Direction.OUT
+            for topic in topics.TOPICS
+            if topic.on_bus and topic.direction is topics.Direction.OUT
         }
         sent[DRIVE_NAME] = AckermannDriveStamped
         self._tokens: list[Token] = [bus.declare_alive(make_node_token(domain, bus.zid, node))]
         self._keys: dict[str, str] = {}
         for entity, (name, cls) in enumerate(sent.items(), _FIRST_ENTITY):
-            topic = make_key(car, name)
+            topic = topics.make_key(car, name)
             key = self._keys[name] = make_ros_key(domain, topic, cls)
             token = make_publisher_token(domain, bus.zid, entity, node, topic, cls)
             bus.name_publisher(key, make_gid(token))
@@ -100,7 +91,7 @@ _INWARD = (topics.STOP, topics.OPERATOR, topics.DRIVE, topics.SET_PARAMETERS, to
 """What comes from the bus, in the order in which it is passed on."""
 
 
-def make_keep(topic: Topic) -> Keep:
+def make_keep(topic: topics.Topic) -> Keep:
     """Which bytes are requests of a topic: those that decode; under `STOP`, stops."""
 
     def keep(data: bytes) -> bool:
@@ -115,7 +106,7 @@ def make_keep(topic: Topic) -> Keep:
     return keep
 
 
-def seal(topic: Topic, data: bytes, who: str) -> bytes:
+def seal(topic: topics.Topic, data: bytes, who: str) -> bytes:
     """A request for the core: with its lease's badge, and the name that a certificate proves."""
     request = decode(topic.message, data)
     request = replace(request, lease_id=make_badge(who, request.lease_id))
@@ -133,18 +124,20 @@ class Gateway:
         self._ros = ros
         self._car = car
         self._views = Views()
-        self._requests: list[tuple[Topic, Subscription]] = [
-            (topic, bus.subscribe(make_key(car, topic, "**"), _DEPTH, make_keep(topic)))
+        self._requests: list[tuple[topics.Topic, Subscription]] = [
+            (topic, bus.subscribe(topics.make_key(car, topic, "**"), _DEPTH, make_keep(topic)))
             for topic in _INWARD
         ]
-        self._plain = [(topics.HEARTBEAT, bus.subscribe(make_key(car, topics.HEARTBEAT)))]
+        self._plain = [(topics.HEARTBEAT, bus.subscribe(topics.make_key(car, topics.HEARTBEAT)))]
         if pose_key is not None:
             self._plain.append((topics.EXTERNAL_POSE, bus.subscribe(pose_key, _DEPTH)))
-        self._tokens = [bus.declare_alive(make_key(car, ALIVE))]
-        schemas = schema_replies(car)
-        self._tokens.append(bus.serve(make_key(car, "schema/**"), schemas.get))
+        self._tokens = [bus.declare_alive(topics.make_key(car, topics.ALIVE))]
+        schemas = topics.schema_replies(car)
+        self._tokens.append(bus.serve(topics.make_key(car, "schema/**"), schemas.get))
         self._model: bytes | None = None
-        self._tokens.append(bus.serve(make_key(car, LAST_MODEL), lambda _: self._model))
+        self._tokens.append(
+            bus.serve(topics.make_key(car, topics.LAST_MODEL), lambda _: self._model)
+        )
 
     def publish(self, records: Iterable[PipeRecord]) -> None:
         """Publish records, each with its standard ROS message."""
@@ -154,7 +147,7 @@ class Gateway:
                     self._model = each.data
                 if each.topic.direction is topics.Direction.OUT:
                     with contextlib.suppress(BusError):
-                        self._bus.publish(make_key(self._car, each.topic), each.data)
+                        self._bus.publish(topics.make_key(self._car, each.topic), each.data)
                     if self._ros is not None:
                         self._ros.publish(each)
 
@@ -163,7 +156,7 @@ class Gateway:
         for topic, subscription in self._requests:
             known = topics.OPERATOR if topic is topics.STOP else topic
             for sample in subscription.poll():
-                who = sample.key.removeprefix(make_key(self._car, topic)).removeprefix("/")
+                who = sample.key.removeprefix(topics.make_key(self._car, topic)).removeprefix("/")
                 _send(core, known, seal(topic, sample.data, who))
         for topic, subscription in self._plain:
             for sample in subscription.poll():
@@ -171,7 +164,7 @@ class Gateway:
                     _send(core, topic, sample.data)
 
 
-def _send(core: socket.socket, topic: Topic, data: bytes) -> None:
+def _send(core: socket.socket, topic: topics.Topic, data: bytes) -> None:
     with contextlib.suppress(BlockingIOError):
         core.send(pack_request(topic.name, data))
 

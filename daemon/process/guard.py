@@ -14,15 +14,8 @@ import time
 from pathlib import Path
 
 from steerd.daemon.loop.findings import Flag
+from steerd.daemon.process import heartbeat
 from steerd.daemon.process.guardian import PERIOD_NS
-from steerd.daemon.process.heartbeat import (
-    PAGE_BYTES,
-    PAUSE_NS,
-    STALE_NS,
-    STALE_NS_NO_RT,
-    HeartbeatPage,
-    Lifeline,
-)
 from steerd.daemon.settings.thresholds import Thresholds
 
 START_NS = 1_000_000_000
@@ -35,16 +28,16 @@ SILENT_S = Thresholds().guardian
 def make_page_fd() -> int:
     """Return the fd of a fresh page, inheritable, to be mapped by core and guardian."""
     fd = os.memfd_create("steerd-heartbeat", 0)
-    os.truncate(fd, PAGE_BYTES)
+    os.truncate(fd, heartbeat.PAGE_BYTES)
     return fd
 
 
-def find_pause(page: HeartbeatPage | None, now_ns: int) -> tuple[int, int] | None:
+def find_pause(page: heartbeat.HeartbeatPage | None, now_ns: int) -> tuple[int, int] | None:
     """The guardian's last pause, which may go on; (0, 0): none; None: it never lived."""
     if page is None or not page.words.guardian_ns:
         return None
     alive_ns = page.words.guardian_ns
-    if now_ns - alive_ns > PAUSE_NS:
+    if now_ns - alive_ns > heartbeat.PAUSE_NS:
         return alive_ns, now_ns
     return page.words.pause_from_ns, page.words.pause_to_ns
 
@@ -65,14 +58,14 @@ class ProcessGuard:
         self, realtime: bool, *, simulated: bool = False, silent_s: float = SILENT_S
     ) -> None:
         self._silent_ns = round(silent_s * 1e9)
-        self._stale_ns = STALE_NS if realtime else STALE_NS_NO_RT
+        self._stale_ns = heartbeat.STALE_NS if realtime else heartbeat.STALE_NS_NO_RT
         if simulated:
             self._stale_ns = STALE_NS_SIMULATED
-        self.page: HeartbeatPage | None = None
+        self.page: heartbeat.HeartbeatPage | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._started_ns = 0
         # Kept while their guardians live: the kernel walks through them when this thread dies.
-        self._lifelines: list[tuple[subprocess.Popen[bytes], Lifeline]] = []
+        self._lifelines: list[tuple[subprocess.Popen[bytes], heartbeat.Lifeline]] = []
 
     def watch(self, serial_fd: int, brake_frame: bytes, t_ns: int) -> None:
         """Start a guardian for a port that was just opened."""
@@ -83,9 +76,9 @@ class ProcessGuard:
         fds = (serial_fd, page_fd, pid_fd)
         command = [sys.executable, "-I", "-m", "steerd.daemon.process.guardian", *map(str, fds)]
         command += [brake_frame.hex(), str(self._stale_ns)]
-        self.page = HeartbeatPage(page_fd)
+        self.page = heartbeat.HeartbeatPage(page_fd)
         self.page.write_heartbeat(t_ns, engaged=False)
-        lifeline = Lifeline(page_fd)
+        lifeline = heartbeat.Lifeline(page_fd)
         lifeline.hold()
         self._process = subprocess.Popen(command, pass_fds=fds, process_group=0)
         self._lifelines.append((self._process, lifeline))

@@ -12,17 +12,11 @@ from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.requests import LIVE, parse_setting, read_diagnostics
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.bus_operator import BusOperator, Pulse
+from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import decode
-from steerd.steer_bus.messages import (
-    Parameters,
-    RequestKind,
-    StateMessage,
-    Transition,
-    VescTelemetry,
-)
 from steerd.steer_bus.standard import DiagnosticArray
 from steerd.steer_bus.topics import make_key
 from steerd.vesc_link.ids import fault_name
@@ -32,9 +26,9 @@ EVENTS = 8
 NAME = "page"
 """Of the page's operators, in recordings."""
 _KINDS = {
-    "alive": RequestKind.KEEPALIVE, "arm": RequestKind.ARM, "start": RequestKind.START,
-    "stop": RequestKind.STOP, "disarm": RequestKind.DISARM, "clear": RequestKind.CLEAR,
-    "estop": RequestKind.ESTOP,
+    "alive": m.RequestKind.KEEPALIVE, "arm": m.RequestKind.ARM, "start": m.RequestKind.START,
+    "stop": m.RequestKind.STOP, "disarm": m.RequestKind.DISARM, "clear": m.RequestKind.CLEAR,
+    "estop": m.RequestKind.ESTOP,
 }  # fmt: skip
 _NUMBERS = ("x", "y", "yaw", "speed", "e1", "e2", "steer", "steer_ref", "speed_ref", "path_s")
 _TEXTS = ("state", "reason", "waiting", "warnings", "holder", "leased", "mocap", "mocap_rate_hz")
@@ -48,9 +42,9 @@ class CarView:
     car: str
     clock: Clock
     values: dict[str, str] = field(default_factory=dict)  # of the supervisor's diagnostics
-    state: StateMessage | None = None  # the newest message, as the next two
-    vesc: VescTelemetry | None = None
-    parameters: Parameters | None = None
+    state: m.StateMessage | None = None  # the newest message, as the next two
+    vesc: m.VescTelemetry | None = None
+    parameters: m.Parameters | None = None
     heard_ns: int | None = None  # when the last message came; None before the first
     events: list[str] = field(default_factory=list)  # the last state changes, as sentences
 
@@ -91,14 +85,14 @@ class CarView:
         """The state's name; `?` before it is known."""
         return "?" if self.mode is None else self.mode.name
 
-    def _take_state(self, state: StateMessage) -> None:
+    def _take_state(self, state: m.StateMessage) -> None:
         SupervisorState(state.mode)  # a state of another version is not taken
         self.state = state
 
-    def _take_vesc(self, vesc: VescTelemetry) -> None:
+    def _take_vesc(self, vesc: m.VescTelemetry) -> None:
         self.vesc = vesc
 
-    def _take_change(self, change: Transition) -> None:
+    def _take_change(self, change: m.Transition) -> None:
         name = SupervisorState(change.to_state).name
         self.events = [*self.events, f"{name.lower().replace('_', ' ')}: {change.text}"][-EVENTS:]
 
@@ -107,7 +101,7 @@ class CarView:
         int(values.get("boot_id", "0") or 0)  # what is no number is not taken
         self.values = values
 
-    def _take_parameters(self, message: Parameters) -> None:
+    def _take_parameters(self, message: m.Parameters) -> None:
         self.parameters = message
 
     def snapshot(self) -> dict[str, Any]:
@@ -128,7 +122,7 @@ class CarView:
         return shown | {"silent": round(silent, 2), "events": self.events}
 
 
-def _show_live(p: Parameters) -> dict[str, Any]:
+def _show_live(p: m.Parameters) -> dict[str, Any]:
     """Live parameters as value, least and most, and the answer to the last request."""
     shown: dict[str, Any] = {
         name: [_finite(getattr(p, name + end)) for end in ("", "_min", "_max")] for name in LIVE

@@ -17,19 +17,9 @@ from foxglove.messages import FrameTransforms, SceneUpdate  # noqa: TID251
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord
+from steerd.daemon.process import view_scene as scene
 from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.secret_server import SecretServer
-from steerd.daemon.process.view_scene import (
-    Body,
-    LaneLines,
-    make_car_scene,
-    make_lane,
-    make_lane_scene,
-    make_learnt_parameters,
-    make_live_parameters,
-    make_parameters,
-    make_transform,
-)
 from steerd.daemon.process.view_server import (
     PROTOCOLS,
     WORDS_MAX,
@@ -60,9 +50,11 @@ class Viewer:
         missed: messages that the pipe had no room for.
     """
 
-    def __init__(self, car: str, body: Body, lane: LaneLines, server: ViewServer) -> None:
+    def __init__(
+        self, car: str, body: scene.Body, lane: scene.LaneLines, server: ViewServer
+    ) -> None:
         self._car, self._server = car, server
-        self._body, self._lane = body, make_lane_scene(lane)
+        self._body, self._lane = body, scene.make_lane_scene(lane)
         self._views = Views()
         self._seen: dict[str, int] = {}
         self._scene_due_ns = self._lane_due_ns = 0
@@ -78,16 +70,16 @@ class Viewer:
                 topic = make_session_topic(self._car, each.topic)
                 self._server.log(topic, each.data, each.log_time_ns)
         if name == topics.PARAMETERS.name:
-            self._server.show(make_live_parameters(decode(Parameters, record.data)))
+            self._server.show(scene.make_live_parameters(decode(Parameters, record.data)))
         if name == topics.MODEL.name:
-            self._server.show(make_learnt_parameters(decode(Model, record.data)))
+            self._server.show(scene.make_learnt_parameters(decode(Model, record.data)))
         if name == topics.STATE.name and record.log_time_ns >= self._scene_due_ns:
             self._scene_due_ns = record.log_time_ns + SCENE_NS
             self._draw(decode(StateMessage, record.data), record.log_time_ns)
 
     def _draw(self, state: StateMessage, log_ns: int) -> None:
-        self._server.log(TRANSFORMS, make_transform(state).encode(), log_ns)
-        self._server.log(SCENE, make_car_scene(state, self._body).encode(), log_ns)
+        self._server.log(TRANSFORMS, scene.make_transform(state).encode(), log_ns)
+        self._server.log(SCENE, scene.make_car_scene(state, self._body).encode(), log_ns)
         if log_ns >= self._lane_due_ns:
             self._lane_due_ns = log_ns + LANE_NS
             self._server.log(SCENE, self._lane.encode(), log_ns)
@@ -119,10 +111,12 @@ async def run_viewer(given: Job) -> int:
         OSError: the address is taken or no address of this machine.
     """
     job, records = given.about, PipeReader(given.fds["pipe"])
-    car, lane = job["car"], make_lane(job["lane"], job["half_width"], closed=job["closed"])
-    known = ViewParameters(make_parameters(job["parameters"]), _make_ask(given.fds.get("requests")))
+    car, lane = job["car"], scene.make_lane(job["lane"], job["half_width"], closed=job["closed"])
+    known = ViewParameters(
+        scene.make_parameters(job["parameters"]), _make_ask(given.fds.get("requests"))
+    )
     shown = ViewServer(f"steerd {car}", make_channels(car), known)
-    viewer = Viewer(car, Body(**job["body"]), lane, shown)
+    viewer = Viewer(car, scene.Body(**job["body"]), lane, shown)
     secret = SecretServer(job["host"], shown.talk)
     server = await secret.open(job["port"], WORDS_MAX, PROTOCOLS)
     given.say_ready(url=secret.url)
