@@ -10,7 +10,7 @@ import os
 import select
 import socket
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from steerd.daemon.ipc.pipe_records import PipeWriter
 from steerd.daemon.ipc.requests import REQUEST_MAX, unpack_request
@@ -96,7 +96,8 @@ class Runner:
         self._mocap = mocap
         self._links = links
         self._parent = links.requests[0] if links.requests else None
-        self._always: tuple[CoreLinks, tuple[int, ...]] | None = None
+        self._requests = {end.fileno(): end for end in links.requests}
+        self._designs = links.designs
         self._guard = guard
         self._port: Port | None = None
         self._period_ns = core.loop.setup.period_ns
@@ -161,7 +162,7 @@ class Runner:
         socketed = None if isinstance(self._mocap, BusPoseSource) else self._mocap
         while True:
             left_ns = due_ns - self._clock.now_ns()
-            fds = [*self._lasting_fds()]
+            fds = [self._links.stop_fd, *self._requests]
             if self._port is not None:
                 fds.append(self._port.fd)
             if socketed is not None:
@@ -171,14 +172,6 @@ class Runner:
                 self._try(self._take, fd)
             if left_ns <= 0 or early_ns <= self._pose_ns:
                 return
-
-    def _lasting_fds(self) -> tuple[int, ...]:
-        """What is waited for in every tick, stop signals and requests: as long as its links."""
-        links, known = self._links, self._always
-        if known is None or known[0] is not links:
-            known = links, (links.stop_fd, *(end.fileno() for end in links.requests))
-            self._always = known
-        return known[1]
 
     def _try(self, take: Callable[[int], None], what: int) -> None:
         """Handle an input; an unexpected exception stops the car (W29)."""
@@ -193,27 +186,24 @@ class Runner:
         elif fd == self._links.stop_fd:
             with contextlib.suppress(BlockingIOError):
                 self._take_signals(len(os.read(fd, 16)), None)
+        elif fd in self._requests:
+            self._read_requests(self._requests[fd])
         elif not isinstance(self._mocap, BusPoseSource) and fd in self._mocap.fds():
             self._on_poses(self._mocap.read_ready(fd))
-        else:
-            self._read_requests(fd)
 
     def _on_poses(self, samples: list[Pose]) -> None:
         if samples:  # never ahead of now: a wrong stamp must not bring ticks without waiting
             self._pose_ns = min(samples[-1].t_arrival_ns, self._clock.now_ns())
         self._core.on_poses(samples)
 
-    def _read_requests(self, fd: int) -> None:
-        for end in self._links.requests:
-            if end.fileno() != fd:
-                continue
-            with contextlib.suppress(BlockingIOError):
-                for _ in range(_PACKETS_MAX):
-                    packet = end.recv(REQUEST_MAX + _KEY_BYTES)
-                    if not packet:
-                        self._close_requests(end)
-                        return
-                    self._on_request(packet, end)
+    def _read_requests(self, end: socket.socket) -> None:
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(_PACKETS_MAX):
+                packet = end.recv(REQUEST_MAX + _KEY_BYTES)
+                if not packet:
+                    self._close_requests(end)
+                    return
+                self._on_request(packet, end)
 
     def _on_request(self, packet: bytes, end: socket.socket) -> None:
         name, data = unpack_request(packet)
@@ -231,17 +221,16 @@ class Runner:
 
     def _close_requests(self, end: socket.socket) -> None:
         """A process that sends requests has ended: the gateway, or the parent, which means quit."""
-        rest = tuple(other for other in self._links.requests if other is not end)
         if end is self._parent:
             self._take_signals(1, ORPHAN_NS)
         else:
             self._core.flags |= Flag.GATEWAY_LOST
+        self._requests.pop(end.fileno(), None)
         end.close()
-        self._links = replace(self._links, requests=rest)
 
     def _read_designs(self, now_ns: int) -> None:
         """The newest of a few proposals a tick: a flood of them waits in the socket."""
-        end, newest = self._links.designs, b""
+        end, newest = self._designs, b""
         if end is None:
             return
         with contextlib.suppress(BlockingIOError):
@@ -252,7 +241,7 @@ class Runner:
                     newest = b""
                 if not newest:  # the learner has ended, which the loop sees by its silence
                     end.close()
-                    self._links = replace(self._links, designs=None)
+                    self._designs = None
                     return
         if newest:
             self._core.on_proposal(newest, now_ns)

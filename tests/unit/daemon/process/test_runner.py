@@ -275,7 +275,7 @@ def hold(plan, ends, read_fds, who, answers, seconds=3.0):
             beat = encode(replace(beats[-1], lease_id=lease_id))
             others[REMOTE].send(pack_request(topics.HEARTBEAT_BACK.name, beat))
         for end in cores:
-            it._read_requests(end.fileno())
+            it._read_requests(end)
         it._housekeeping(now[0])
         if r.core.flags & Flag.GATEWAY_LOST:
             return now[0] // MS
@@ -364,8 +364,8 @@ def test_a_port_comes_back_after_an_emergency_stop_at_rest(plan, state, still_ns
 
 def test_the_end_of_the_gateway_is_no_second_signal(plan):
     r = make_runner(plan)
-    parent, gateway = SimpleNamespace(close=lambda: None), SimpleNamespace(close=lambda: None)
-    r.it._links, r.it._parent = replace(r.it._links, requests=(parent, gateway)), parent
+    r.it._parent = parent = SimpleNamespace(fileno=lambda: 1, close=lambda: None)
+    gateway = SimpleNamespace(fileno=lambda: 2, close=lambda: None)
     r.it._close_requests(parent)
     r.it._close_requests(gateway)
     assert r.it.signals == 1
