@@ -69,7 +69,7 @@ class Loop:
         self.perception = Perception(car, s.file.chassis, s.filter, s.thresholds, s.scaling)
         self.supervisor = make_supervisor_memory(0)
         self.lease = leases.Lease(setup.boot_id)
-        self.remote = leases.Remote()
+        self.remote = leases.Remote(leases.Lease(setup.boot_id))
         self.live = make_live(setup.live)
         self.adapting = adapting.make_adapting(setup.controller, setup.learnt, s.thresholds.lateral)
         self.vesc: m.VescIdentity | None = None
@@ -116,7 +116,7 @@ class Loop:
 
     def on_drive(self, command: m.DriveCommand, t_ns: int) -> None:
         """An external controller's command arrived."""
-        self.remote = leases.take_command(self.remote, self.setup.boot_id, command, t_ns)
+        self.remote = leases.take_command(self.remote, command, t_ns)
 
     def on_design(self, message: m.Design, t_ns: int) -> None:
         """A design was taken; who hands it over has checked it, or reads what was recorded."""
@@ -139,9 +139,10 @@ class Loop:
             flags,
         )  # fmt: skip
         settings = self.setup.settings
-        failed = find_failures(
+        failures = find_failures(
             self.setup, self.vesc, self.remote, now, findings, flags, estimated=report is not None
         )
+        failed = next(failures, "")
         bits, text = summarise(findings)
         facts = bits | self._make_facts(now, estimate, failed, flags)
         vesc = self.vesc
@@ -156,7 +157,7 @@ class Loop:
         order = make_order(settings, self._limiter, action, wish, speed, now_ns)
         self._remember_order(order, now_ns)
         disarmed = self.supervisor.state is SupervisorState.DISARMED
-        waiting = failed[0] if failed and disarmed else WAITING[self.supervisor.state]
+        waiting = failed if failed and disarmed else WAITING[self.supervisor.state]
         return TickResult(order, old, self.supervisor, estimate, report, findings, waiting, facts)
 
     def _make_wish(
@@ -205,7 +206,7 @@ class Loop:
         return held if self.supervisor.state in _DRIVING else None
 
     def _make_facts(
-        self, now: WatchdogInput, estimate: StateEstimate | None, failed: list[str], flags: int
+        self, now: WatchdogInput, estimate: StateEstimate | None, failed: str, flags: int
     ) -> int:
         setup, th, vesc = self.setup, self.setup.settings.thresholds, self.vesc
         known = vesc is not None and vesc.expected == 1 and vesc.timeout_ms >= 0

@@ -17,7 +17,7 @@ from steerd.daemon.loop import following
 from steerd.daemon.loop.follow_model import make_follow_model
 from steerd.daemon.loop.lateness import IN_SIMULATION, Lateness, make_lateness_rules, step_lateness
 from steerd.daemon.loop.launch import LaunchInput, LaunchState, make_launch_state, step_launch
-from steerd.daemon.loop.lease import Remote, command_age, valid_command
+from steerd.daemon.loop.lease import Remote, lease_age, valid_command
 from steerd.daemon.loop.loop_setup import LoopSetup
 from steerd.daemon.loop.orders import Order
 from steerd.daemon.loop.perception import Perception, estimated_state
@@ -73,7 +73,7 @@ class Watching:
         remote: Remote,
         order: Command[float],
         speed: float,
-        lease_age: float,
+        silent: float,
         due_ns: int,
         now_ns: int,
         flags: int,
@@ -87,7 +87,7 @@ class Watching:
             remote: the external controller.
             order: the last one.
             speed: best known [m/s].
-            lease_age: since the operator's last request [s].
+            silent: time since the operator's last request [s].
             due_ns: when the tick was due.
             now_ns: now.
             flags: of the runner.
@@ -112,7 +112,7 @@ class Watching:
             pose=seen.watch,
             mocap_age=seen.mocap_age(now_ns),
             telemetry_age=seen.telemetry_age(now_ns),
-            lease_age=lease_age,
+            lease_age=silent,
             speed=speed,
             speed_erpm=seen.wheel_speed,
             speed_mocap=seen.mocap_speed,
@@ -173,7 +173,7 @@ def _find_silence(remote: Remote, now_ns: int) -> list[fs.Finding]:
     """W25 of an external controller."""
     if valid_command(remote, now_ns) is not None:
         return []
-    age = command_age(remote, now_ns)
+    age = lease_age(remote.lease, now_ns)
     if not isfinite(age):
         return [fs.make_unknown("W25", "no valid command yet")]
     return [fs.make_finding("W25", f"no valid command for {age * 1e3:.0f} ms")]
