@@ -7,7 +7,7 @@ from math import nan
 from pathlib import Path
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.ipc.requests import read_diagnostics
+from steerd.daemon.ipc.requests import LIVE, read_diagnostics
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus, BusError
@@ -37,12 +37,7 @@ class Operator:
 
     def make_request(self, kind: m.RequestKind, realtime_ns: int) -> bytes:
         """The next request, encoded."""
-        self.seq += 1
-        header = m.make_header(realtime_ns, m.BODY)
-        request = m.OperatorRequest(
-            header, self.boot_id, self.lease_id, self.seq, int(kind), self.name
-        )
-        return encode(request)
+        return encode(m.OperatorRequest(*self._begin(realtime_ns), int(kind), self.name))
 
     def make_parameters(
         self, wanted: Mapping[str, float], realtime_ns: int, name: str = ""
@@ -54,15 +49,12 @@ class Operator:
             realtime_ns: now.
             name: who asks under this lease, where it is not its holder.
         """
+        values = [wanted.get(each, nan) for each in LIVE]
+        return encode(m.ParameterRequest(*self._begin(realtime_ns), *values, name or self.name))
+
+    def _begin(self, realtime_ns: int) -> tuple[m.Header, int, int, int]:
         self.seq += 1
-        values = {"speed": nan, "offset": nan, "gain": nan, **wanted}
-        header = m.make_header(realtime_ns, m.BODY)
-        who = (self.boot_id, self.lease_id, self.seq)
-        return encode(
-            m.ParameterRequest(
-                header, *who, values["speed"], values["offset"], values["gain"], name or self.name
-            )
-        )
+        return m.make_header(realtime_ns, m.BODY), self.boot_id, self.lease_id, self.seq
 
 
 def connect(given_endpoint: str | None, folder: Path | None, first: str = "steerd run") -> ZenohBus:

@@ -6,20 +6,18 @@ without it goes on.
 
 # Why: docs/decisions/processes-and-time.md#d79
 
-import contextlib
-import socket
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from steerd.car_model.car_file import parse_car
 from steerd.controller.build import compute_table
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.written import write_output, write_whole
 from steerd.daemon.ipc.pipe_records import Gaps, PipeReader, PipeRecord, PipeWriter, pack_record
-from steerd.daemon.learning.feed import Feed, Wiring, make_feed, make_record, read_memory
+from steerd.daemon.ipc.requests import make_sender
+from steerd.daemon.learning.feed import Feed, make_feed, make_record, read_memory, wiring_of
 from steerd.daemon.learning.kept import About, Keeper
 from steerd.daemon.learning.proposing import Proposals, make_proposer
 from steerd.daemon.process.child import Job, run_process
@@ -69,24 +67,11 @@ class LearnerLoop:
             output.write([packed], report.mono_ns)
 
 
-def make_learner_feed(job: Mapping[str, Any]) -> Feed:
-    """The feed of a job, see `make_learner_job`.
-
-    Raises:
-        ValueError: the car file holds what identify does not write.
-    """
-    wiring = Wiring(int(job["epoch_ns"]), float(job["erpm_gain"]), float(job["erpm_offset"]))
-    car = parse_car(job["car"], Path(job["path"]), job.get("posterior", ""))
-    if car.remark:
-        print(f"steerd learner: {car.remark}", file=sys.stderr)
-    return make_feed(car, wiring, read_memory(job.get("memory", "")))
-
-
 def make_keeper(job: Mapping[str, Any]) -> Keeper | None:
     """Who keeps what the job's learner learns; None for simulated hardware."""
-    if not job.get("page"):
+    if not job["page"]:
         return None
-    page, refused = Path(job["page"]), bool(job["page_refused"])
+    page, refused = Path(job["page"]), bool(job["refused"])
 
     def write(text: str) -> None:
         nonlocal refused
@@ -103,23 +88,6 @@ def make_keeper(job: Mapping[str, Any]) -> Keeper | None:
     return Keeper(About(*job["about"]), write, complain)
 
 
-def _make_proposals(options: str, fd: int) -> Proposals:
-    """Proposals to the core's end of a socket; one that does not fit is dropped.
-
-    Raises:
-        SteerdError: the plan cannot be made again, as the core could.
-    """
-    core = socket.socket(fileno=fd)
-    core.setblocking(False)
-
-    def send(data: bytes, _t_ns: int) -> None:
-        with contextlib.suppress(OSError):
-            core.send(data)
-
-    held = make_plan(decode_options(options)).learnt
-    return Proposals(make_proposer(held, compute_table), send)
-
-
 def serve(given: Job) -> int:
     """The process; it ends with the core's pipe, and keeps what was learnt.
 
@@ -128,12 +96,19 @@ def serve(given: Job) -> int:
     """
     given.say_ready()  # nobody waits for it
     job, fds = given.about, given.fds
+    options = decode_options(job["options"])
+    plan = make_plan(options, design=options.adapt)
+    if plan.settings.file.remark:
+        print(f"steerd learner: {plan.settings.file.remark}", file=sys.stderr)
     try:
-        feed = make_learner_feed(job)
+        wiring = wiring_of(int(job["epoch_ns"]), plan.settings.scaling)
+        feed = make_feed(plan.settings.file, wiring, read_memory(job["memory"]))
     except ValueError as error:
         raise SteerdError(str(error)) from None
-    if job["adapt"]:
-        feed.proposals = _make_proposals(job["adapt"], fds["designs"])
+    if plan.learnt is not None:
+        send = make_sender(fds["designs"])
+        proposer = make_proposer(plan.learnt, compute_table)
+        feed.proposals = Proposals(proposer, lambda data, _t_ns: send(data))
     outputs = [PipeWriter(fd) for name, fd in fds.items() if name.startswith("to_")]
     loop, records = LearnerLoop(feed, outputs, make_keeper(job)), PipeReader(fds["pipe"])
     while records.wait():

@@ -71,17 +71,6 @@ _NO_MEMORY = LearnerMemory()
 def make_learner_job(
     plan: RunPlan, epoch_ns: int, memory: LearnerMemory = _NO_MEMORY
 ) -> dict[str, Any]:
-    """Car file, scaling and memory, see `learner.make_learner_feed` and `make_keeper`."""
-    return {
-        "epoch_ns": epoch_ns,
-        "car": plan.settings.file.text,
-        "posterior": plan.settings.file.posterior,
-        "path": str(plan.settings.file.path),
-        "erpm_gain": plan.settings.scaling.erpm_gain,
-        "erpm_offset": plan.settings.scaling.erpm_offset,
-        "memory": memory.memory,
-        "page": memory.page,
-        "page_refused": memory.refused,
-        "about": memory.about,
-        "adapt": encode_options(plan.options) if plan.options.adapt else "",
-    }
+    """What the learner makes its plan of, and its memory."""
+    about = memory._asdict() | {"metadata": {}}
+    return about | {"options": encode_options(plan.options), "epoch_ns": epoch_ns}

@@ -8,15 +8,13 @@ live parameters. The viewer's end is reported and changes nothing else.
 # Why: docs/decisions/messages-and-sessions.md#d26
 
 import asyncio
-import contextlib
-import socket
 import sys
-from collections.abc import Callable
 
 from foxglove.messages import FrameTransforms, SceneUpdate  # noqa: TID251
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord
+from steerd.daemon.ipc.pipe_records import Gaps, PipeReader, PipeRecord
+from steerd.daemon.ipc.requests import make_sender
 from steerd.daemon.process import view_scene as scene
 from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.secret_server import SecretServer
@@ -47,7 +45,7 @@ class Viewer:
     """One car's messages, and what is drawn of them.
 
     Attributes:
-        missed: messages that the pipe had no room for.
+        gaps: messages that the pipe had no room for.
     """
 
     def __init__(
@@ -56,15 +54,13 @@ class Viewer:
         self._car, self._server = car, server
         self._body, self._lane = body, scene.make_lane_scene(lane)
         self._views = Views()
-        self._seen: dict[str, int] = {}
         self._scene_due_ns = self._lane_due_ns = 0
-        self.missed = 0
+        self.gaps = Gaps()
 
     def show(self, record: PipeRecord) -> None:
         """Pass one record on, with what is drawn of it."""
         name = record.topic.name
-        self.missed += record.sequence - self._seen.get(name, record.sequence - 1) - 1
-        self._seen[name] = record.sequence
+        self.gaps.take(record)
         for each in (record, *self._views.convert(record)):
             if each.topic.on_bus:
                 topic = make_session_topic(self._car, each.topic)
@@ -112,9 +108,8 @@ async def run_viewer(given: Job) -> int:
     """
     job, records = given.about, PipeReader(given.fds["pipe"])
     car, lane = job["car"], scene.make_lane(job["lane"], job["half_width"], closed=job["closed"])
-    known = ViewParameters(
-        scene.make_parameters(job["parameters"]), _make_ask(given.fds.get("requests"))
-    )
+    asks = make_sender(given.fds["requests"]) if "requests" in given.fds else None
+    known = ViewParameters(scene.make_parameters(job["parameters"]), asks)
     shown = ViewServer(f"steerd {car}", make_channels(car), known)
     viewer = Viewer(car, scene.Body(**job["body"]), lane, shown)
     secret = SecretServer(job["host"], shown.talk)
@@ -133,21 +128,7 @@ async def run_viewer(given: Job) -> int:
     loop.add_reader(pipe_fd, read)
     await ended.wait()
     server.close()
-    return viewer.missed
-
-
-def _make_ask(fd: int | None) -> Callable[[str], object] | None:
-    """Sends a setting to the run's terminal; what does not fit is dropped."""
-    if fd is None:
-        return None
-    terminal = socket.socket(fileno=fd)
-    terminal.setblocking(False)
-
-    def ask(text: str) -> None:
-        with contextlib.suppress(OSError):
-            terminal.send(text.encode())
-
-    return ask
+    return viewer.gaps.missed
 
 
 def serve(given: Job) -> int:

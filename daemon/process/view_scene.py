@@ -22,11 +22,11 @@ _HEIGHT = 0.05
 
 
 class Body(NamedTuple):
-    """What is drawn of the car [m]: axles before and behind the CoG, and the track width."""
+    """What is drawn of the car [m]: axles before and behind the CoG, and an F1TENTH's width."""
 
     lf: float
     lr: float
-    width: float
+    width: float = 0.27
 
 
 class LaneLines(NamedTuple):

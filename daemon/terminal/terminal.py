@@ -39,7 +39,7 @@ class Terminal:
         self._operator, self._clock = operator, clock
         self._waiting = ""
         self._signals, self._kill_ns = 0, inf
-        self._records = PipeReader(processes.fds["status"])
+        self._records = PipeReader(processes.fds.get("status"))
         self._reports = PipeReader(processes.fds.get("reports"))
         self._desk = KeyDesk(board, clock, self._ask, self._tune)
 

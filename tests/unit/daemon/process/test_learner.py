@@ -9,7 +9,7 @@ import pytest
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.daemon.ipc import pipe_records as pipes
 from steerd.daemon.learning.feed import Wiring, make_feed, make_record
-from steerd.daemon.process.learner import LearnerLoop, make_learner_feed
+from steerd.daemon.process.learner import LearnerLoop
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode, encode
@@ -114,19 +114,3 @@ def test_reports_are_read_until_the_learner_ends(loop, pipe):
 
 def test_a_run_without_a_learner_has_no_reports():
     assert list(pipes.PipeReader(None).take()) == list(pipes.PipeReader(None).rest(0)) == []
-
-
-def test_a_job_is_a_car_file_and_its_scaling():
-    path = default_car_path()
-    job = {"epoch_ns": EPOCH, "car": path.read_text(), "path": str(path),
-           "erpm_gain": 4000.0, "erpm_offset": 10.0}  # fmt: skip
-    feed = make_learner_feed(job)
-    assert feed.wiring == Wiring(EPOCH, 4000.0, 10.0)
-    assert feed.learner.ramp == pytest.approx(25_000.0 / 4000.0)
-
-
-def test_a_car_file_that_cannot_be_used_says_so():
-    job = {"epoch_ns": 0, "car": "[car]\nmass = -1", "path": "car.toml", "erpm_gain": 1.0,
-           "erpm_offset": 0.0}  # fmt: skip
-    with pytest.raises(ValueError, match=r"car\.toml"):
-        make_learner_feed(job)

@@ -51,8 +51,8 @@ def test_a_live_parameter_is_asked_for_and_keeps_its_value_until_the_car_changes
     assert known.set({"live.speed": 1.25}) == {"live.speed": 1.5}
     known.set({"car.lf": 9.0, "live.mass": 9.0, "live.gain": True, "live.offset": -1})
     known.set({"live.gain": "2"})
-    assert asked == ["set speed 1.25", "set offset -1.0"]
-    assert [parse_setting(text) for text in asked] == [{"speed": 1.25}, {"offset": -1.0}]
+    assert asked == [b"set speed 1.25", b"set offset -1.0"]
+    assert [parse_setting(text.decode()) for text in asked] == [{"speed": 1.25}, {"offset": -1.0}]
     changed = known.take({"live.speed": 1.25, "live.gain": 1.0})
     assert changed == {"live.speed": 1.25, "live.gain": 1.0}
     assert known.take({"live.speed": 1.25}) == {}
@@ -94,7 +94,7 @@ def test_a_viewer_counts_what_the_pipe_dropped():
     viewer = Viewer("car1", BODY, lane, server)
     for record in PipeReader(read_fd).take():
         viewer.show(record)
-    assert viewer.missed == 2
+    assert viewer.gaps.missed == 2
 
 
 def test_every_topic_has_a_channel_with_its_schema():
