@@ -22,7 +22,7 @@ from steerd.daemon.loop.live import make_parameters
 from steerd.daemon.loop.loop import Loop
 from steerd.daemon.loop.orders import TickResult, make_order
 from steerd.daemon.loop.supervisor import WAITING, Conditions, step_supervisor
-from steerd.daemon.loop.transitions import Fact, SupervisorState, is_engaged
+from steerd.daemon.loop.transitions import DRIVING, Fact, SupervisorState, is_engaged
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.mocap_link.ingest import PoseIngest
 from steerd.mocap_link.source import Pose, SourceStatus
@@ -370,9 +370,6 @@ class Core:
         return values
 
 
-_DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
-
-
 def describe_error(error: BaseException) -> str:
     """Type, place and text of an exception on one line."""
     frames = traceback.extract_tb(error.__traceback__)
@@ -391,7 +388,7 @@ def make_failed_tick(loop: Loop, error: BaseException, now_ns: int, linked: bool
     loop.supervisor, action = step_supervisor(loop.supervisor, conditions, 0, now_ns)
     if loop.supervisor.state is SupervisorState.FAULT_STOP:
         loop.fault = loop.supervisor.reason
-    loop.ran = loop.ran or (old in _DRIVING and loop.supervisor.state not in _DRIVING)
+    loop.ran = loop.ran or (old in DRIVING and loop.supervisor.state not in DRIVING)
     limiter = make_limiter_state(settings.limits, Command(0.0, 0.0), now_ns)
     order = make_order(settings, limiter, action, None, speed, now_ns)
     return TickResult(

@@ -27,20 +27,19 @@ from steerd.daemon.loop.supervisor import (
     stands,
     step_supervisor,
 )
-from steerd.daemon.loop.transitions import Fact, SupervisorState, is_engaged
+from steerd.daemon.loop.transitions import (
+    BRAKED,
+    DRIVING,
+    PARKED,
+    Fact,
+    SupervisorState,
+    is_engaged,
+)
 from steerd.daemon.loop.watchdogs import WatchdogInput
 from steerd.daemon.loop.watching import Watching
 from steerd.estimator.state_filter import StateEstimate
 from steerd.steer_bus import messages as m
 
-_DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
-_HARD = (SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
-_PARKED = (
-    SupervisorState.INIT,
-    SupervisorState.DISARMED,
-    SupervisorState.READY,
-    SupervisorState.FAULT_LATCHED,
-)
 _RELOCATE_TICKS = 25
 """A parked car may be carried: its place on the path is searched anew every so many ticks."""
 _LEASE_KEPT_S = 1.0
@@ -105,7 +104,7 @@ class Loop:
 
     def _is_idle(self, t_ns: int) -> bool:
         """Whether the operator has been silent for so long that another may take over."""
-        parked = self.supervisor.state in _PARKED
+        parked = self.supervisor.state in PARKED
         patience_s = self.setup.settings.thresholds.lease if parked else _LEASE_KEPT_S
         return leases.lease_age(self.lease, t_ns) > patience_s
 
@@ -169,8 +168,8 @@ class Loop:
             self.adapting = adapting.lose_estimate(self.adapting)
             return None, None
         self._ticks += 1
-        self.live = step_live(self.live, now_ns, self.supervisor.state in _PARKED)
-        lost = self.supervisor.state in _PARKED and self._ticks % _RELOCATE_TICKS == 0
+        self.live = step_live(self.live, now_ns, self.supervisor.state in PARKED)
+        lost = self.supervisor.state in PARKED and self._ticks % _RELOCATE_TICKS == 0
         if self._control is None or lost:
             design = self.adapting.controller
             self._control = start_controller(design, estimate.state, now_ns)
@@ -181,7 +180,7 @@ class Loop:
             estimate.state,
             now_ns,
             issued=self._issued,
-            driving=state in _DRIVING,
+            driving=state in DRIVING,
             stop=state is not SupervisorState.RUNNING,
             live=self.live.now if self.setup.live else AS_DESIGNED,
         )
@@ -203,7 +202,7 @@ class Loop:
             return Command(command.steer, command.speed)
         # Lost while driving: hold the angle; the stop that follows takes the speed away.
         held = self._limiter.order
-        return held if self.supervisor.state in _DRIVING else None
+        return held if self.supervisor.state in DRIVING else None
 
     def _make_facts(
         self, now: WatchdogInput, estimate: StateEstimate | None, failed: str, flags: int
@@ -235,16 +234,16 @@ class Loop:
             self._watching.restart_launch()
             if estimate is not None:
                 self._control = start_controller(self.adapting.controller, estimate.state, now_ns)
-        if old in _DRIVING and new not in _DRIVING:
+        if old in DRIVING and new not in DRIVING:
             self.ran = True
             self._watching.restart_launch()
-        reason, hard = self.supervisor.reason, new in _HARD
+        reason, hard = self.supervisor.reason, new in BRAKED
         if new is not old and (hard or (is_engaged(old) and reason == tripped)):
             self.fault = reason
         if hard:
             self.live = relax(self.live, "a fault: path and gains as designed")
         rolling = abs(self.perception.wheel_speed) > STANDING_SPEED
-        self.perception.may_rebase = new in _PARKED and not rolling
+        self.perception.may_rebase = new in PARKED and not rolling
 
     def _remember_order(self, order: Order, now_ns: int) -> None:
         """Remember the order, for limiter, filter and controller."""
@@ -263,7 +262,7 @@ class Loop:
     @property
     def parked(self) -> bool:
         """Whether no motor command is sent: disarmed, or latched."""
-        return self.supervisor.state in _PARKED
+        return self.supervisor.state in PARKED
 
     @property
     def at_rest(self) -> bool:

@@ -16,7 +16,7 @@ from steerd.daemon.common.screen import show
 from steerd.daemon.loop.findings import Finding, Severity, make_finding, make_unknown
 from steerd.daemon.loop.follow_model import Band
 from steerd.daemon.loop.following import Followed, follow_span
-from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.loop.transitions import BRAKED, DRIVING, HELD, SupervisorState
 from steerd.daemon.loop.watchdogs_pose import PoseWatch, is_flapping, rejected_share
 from steerd.daemon.settings.thresholds import SOFT_DECEL, Thresholds
 from steerd.steer_bus.quick_values import changed, quick_value
@@ -66,10 +66,8 @@ class WatchdogInput:
 Report = Callable[[Finding], None]
 """Takes a finding of this tick."""
 Check = Callable[[Thresholds, WatchdogInput, Report], None]
-_DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
 _COMMANDED = (SupervisorState.ARMED, SupervisorState.RUNNING)
-_LEASED = (SupervisorState.ARMED, SupervisorState.RUNNING, SupervisorState.STOPPING)
-_STOPS = (SupervisorState.STOPPING, SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
+_STOPS = (SupervisorState.STOPPING, *BRAKED)
 
 
 def mocap_timeout(th: Thresholds, speed: float) -> float:
@@ -165,7 +163,7 @@ def _check_temperature(th: Thresholds, i: WatchdogInput, report: Report) -> None
 
 
 def _check_path(th: Thresholds, i: WatchdogInput, report: Report) -> None:
-    if i.state not in _DRIVING:
+    if i.state not in DRIVING:
         return
     lateral, heading = abs(i.lateral_error), abs(i.heading_error)
     if not lateral <= th.lateral_warn:
@@ -195,7 +193,7 @@ def _check_fence(th: Thresholds, i: WatchdogInput, report: Report) -> None:
 
 
 def _check_lease(th: Thresholds, i: WatchdogInput, report: Report) -> None:
-    if i.lease_age <= th.lease_warn or i.state not in _LEASED:
+    if i.lease_age <= th.lease_warn or i.state not in HELD:
         return
     text = f"not renewed for {i.lease_age * 1e3:.0f} ms"
     _report_measured(report, "W25", i.lease_age, th.lease, text, "no operator yet")
@@ -221,7 +219,7 @@ def _is_starved(_th: Thresholds, i: WatchdogInput) -> bool:
 
 
 def _is_fast(th: Thresholds, i: WatchdogInput) -> bool:
-    if i.state not in _DRIVING:
+    if i.state not in DRIVING:
         return False
     limit = max(i.speed_limit * th.overspeed_ratio, i.speed_limit + th.overspeed_margin)
     return not (-limit <= i.speed_erpm <= limit and -limit <= i.speed_mocap <= limit)
@@ -229,7 +227,7 @@ def _is_fast(th: Thresholds, i: WatchdogInput) -> bool:
 
 def _is_mismatched(th: Thresholds, i: WatchdogInput) -> bool:
     off = abs(i.speed_erpm - i.speed_mocap)
-    if off <= th.mismatch_speed or i.state not in _DRIVING:
+    if off <= th.mismatch_speed or i.state not in DRIVING:
         return False
     larger = max(abs(i.speed_erpm), abs(i.speed_mocap))
     return not off <= th.mismatch_share * larger
@@ -265,7 +263,7 @@ TIMED: tuple[Timed, ...] = (
     ),
     Timed(
         "W17",
-        lambda th, i: i.state in _DRIVING and abs(i.lateral_error) > th.lateral,
+        lambda th, i: i.state in DRIVING and abs(i.lateral_error) > th.lateral,
         lambda th, _: th.lateral_hold,
         lambda i: f"{show(abs(i.lateral_error), '.2f')} m",
     ),
@@ -274,7 +272,7 @@ TIMED: tuple[Timed, ...] = (
     Timed("W22", _is_blocked, lambda th, _: th.blocked_hold, _describe_block),
     Timed(
         "W30",
-        lambda _, i: i.state in _DRIVING and not i.followed.speed_excess <= 0.0,
+        lambda _, i: i.state in DRIVING and not i.followed.speed_excess <= 0.0,
         lambda th, i: follow_span(th, i.speed_erpm),
         lambda i: (
             f"wheels {show(i.followed.speed, '.2f')} m/s, "
@@ -283,7 +281,7 @@ TIMED: tuple[Timed, ...] = (
     ),
     Timed(
         "W31",
-        lambda _, i: i.state in _DRIVING and not i.followed.turn_excess <= 0.0,
+        lambda _, i: i.state in DRIVING and not i.followed.turn_excess <= 0.0,
         lambda th, i: 0.5 * follow_span(th, i.speed_mocap),
         lambda i: (
             f"turns at {show(i.followed.turn_rate, '.2f')} rad/s, "
@@ -347,7 +345,7 @@ def _step_saturation(
     th: Thresholds, w: WatchdogState, i: WatchdogInput, report: Report
 ) -> tuple[int, float]:
     """W23: full lock for long while the lateral error grows."""
-    if i.state not in _DRIVING or i.steer_share <= th.saturated:
+    if i.state not in DRIVING or i.steer_share <= th.saturated:
         return NEVER, 0.0
     error = abs(i.lateral_error)
     if w.saturated_ns == NEVER:

@@ -5,8 +5,7 @@ Deterministic: the same plan and seed give the same bytes. The clock jumps to th
 
 import gc
 import hashlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from steerd.daemon.assembly.build import RunPlan, make_core, make_world_config
@@ -142,16 +141,10 @@ def drive(run: VirtualRun, on_tick: Callable[[VirtualRun], None] | None = None) 
     Raises:
         Exception: the run's own, once it has failed.
     """
-    with _collecting_rarely():
-        _drive(run, on_tick)
-
-
-@contextmanager
-def _collecting_rarely() -> Iterator[None]:
     before = gc.get_threshold()
     gc.set_threshold(_GC_THRESHOLD)
     try:
-        yield
+        _drive(run, on_tick)
     finally:
         gc.set_threshold(*before)
 

@@ -3,7 +3,6 @@
 The bus on one side, JSON values on the other; no socket of a browser here.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any
@@ -30,6 +29,7 @@ _KINDS = {
     "stop": m.RequestKind.STOP, "disarm": m.RequestKind.DISARM, "clear": m.RequestKind.CLEAR,
     "estop": m.RequestKind.ESTOP,
 }  # fmt: skip
+_SHOWN = (topics.STATE, topics.VESC, topics.TRANSITION, topics.DIAGNOSTICS, topics.PARAMETERS)
 _NUMBERS = ("x", "y", "yaw", "speed", "e1", "e2", "steer", "steer_ref", "speed_ref", "path_s")
 _TEXTS = ("state", "reason", "waiting", "warnings", "holder", "leased", "mocap", "mocap_rate_hz")
 
@@ -49,24 +49,18 @@ class CarView:
     events: list[str] = field(default_factory=list)  # the last state changes, as sentences
 
     def __post_init__(self) -> None:
-        wanted: tuple[tuple[Any, Callable[[Any], None]], ...] = (
-            (topics.STATE, self._take_state), (topics.VESC, self._take_vesc),
-            (topics.TRANSITION, self._take_change), (topics.DIAGNOSTICS, self._take_values),
-            (topics.PARAMETERS, self._take_parameters),
-        )  # fmt: skip
         self.pulse = Pulse(self.bus, self.car)
         self._wanted = [
-            (self.bus.subscribe(make_key(self.car, topic)), topic.message, take)
-            for topic, take in wanted
+            (self.bus.subscribe(make_key(self.car, topic)), topic.message) for topic in _SHOWN
         ]
 
     def poll(self) -> None:
         """Take in what has come; what cannot be read, of another version, is left out."""
-        for subscription, message, take in self._wanted:
+        for subscription, message in self._wanted:
             for sample in subscription.poll():
                 self.heard_ns = self.clock.now_ns()
                 try:
-                    take(decode(message, sample.data))
+                    self._take(decode(message, sample.data))
                 except (ValueError, SteerdError):
                     continue
 
@@ -85,24 +79,23 @@ class CarView:
         """The state's name; `?` before it is known."""
         return "?" if self.mode is None else self.mode.name
 
-    def _take_state(self, state: m.StateMessage) -> None:
-        SupervisorState(state.mode)  # a state of another version is not taken
-        self.state = state
-
-    def _take_vesc(self, vesc: m.VescTelemetry) -> None:
-        self.vesc = vesc
-
-    def _take_change(self, change: m.Transition) -> None:
-        name = SupervisorState(change.to_state).name
-        self.events = [*self.events, f"{name.lower().replace('_', ' ')}: {change.text}"][-EVENTS:]
-
-    def _take_values(self, message: DiagnosticArray) -> None:
-        values = read_diagnostics(message)
-        int(values.get("boot_id", "0") or 0)  # what is no number is not taken
-        self.values = values
-
-    def _take_parameters(self, message: m.Parameters) -> None:
-        self.parameters = message
+    def _take(self, message: Any) -> None:
+        """Take in a message; one of another version raises ValueError or SteerdError."""
+        match message:
+            case m.StateMessage(mode=mode):
+                SupervisorState(mode)
+                self.state = message
+            case m.VescTelemetry():
+                self.vesc = message
+            case m.Parameters():
+                self.parameters = message
+            case m.Transition(to_state=state, text=text):
+                name = SupervisorState(state).name.lower().replace("_", " ")
+                self.events = [*self.events, f"{name}: {text}"][-EVENTS:]
+            case DiagnosticArray():
+                values = read_diagnostics(message)
+                int(values.get("boot_id", "0") or 0)
+                self.values = values
 
     def snapshot(self) -> dict[str, Any]:
         """What the page shows, as JSON values; unknown numbers are None."""
