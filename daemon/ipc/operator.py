@@ -49,8 +49,9 @@ class Operator:
             realtime_ns: now.
             name: who asks under this lease, where it is not its holder.
         """
-        values = [wanted.get(each, nan) for each in LIVE]
-        return encode(m.ParameterRequest(*self._begin(realtime_ns), *values, name or self.name))
+        speed, offset, gain = (wanted.get(each, nan) for each in LIVE)
+        start, who = self._begin(realtime_ns), name or self.name
+        return encode(m.ParameterRequest(*start, speed, offset, gain, who))
 
     def _begin(self, realtime_ns: int) -> tuple[m.Header, int, int, int]:
         self.seq += 1
