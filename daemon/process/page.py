@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.process.bus_operator import BusOperator
 from steerd.daemon.process.child import Job, run_process
-from steerd.daemon.process.page_link import CarView, PageOperator
+from steerd.daemon.process.page_link import CarView, make_page_operator, pass_on
 from steerd.daemon.process.secret_server import ConnectionClosed, SecretServer, ServerConnection
 from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.clock import MonotonicClock
@@ -44,26 +45,28 @@ class PageTalk:
 
     def __init__(self, view: CarView) -> None:
         self._view = view
-        self.operators: set[PageOperator] = set()
+        self.operators: set[BusOperator] = set()
 
     async def talk(self, connection: ServerConnection) -> None:
         """Show the car to one page, and pass on what it asks for."""
-        operator = PageOperator(self._view)
+        operator = make_page_operator(self._view)
         self.operators.add(operator)
         shown = asyncio.create_task(self._show(connection, operator))
         try:
             async for word in connection:
                 if isinstance(word, str):
-                    operator.ask(word)
+                    pass_on(self._view, operator, word)
         except ConnectionClosed:
             pass
         finally:
             shown.cancel()
-            while operator.repeat():  # the last word of a page that is left may be a stop
+            while operator.repeat(
+                self._view.mode
+            ):  # the last word of a page that is left may be a stop
                 await asyncio.sleep(_POLL_S)
             self.operators.discard(operator)
 
-    async def _show(self, connection: ServerConnection, operator: PageOperator) -> None:
+    async def _show(self, connection: ServerConnection, operator: BusOperator) -> None:
         with contextlib.suppress(ConnectionClosed):
             while True:
                 seen = self._view.snapshot()
@@ -90,7 +93,7 @@ async def run_page(
         while not ended.is_set():
             view.poll()
             for operator in pages.operators:
-                operator.repeat()
+                operator.repeat(view.mode)
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(ended.wait(), _POLL_S)
     finally:

@@ -127,36 +127,25 @@ def _finite(value: float) -> float | None:
     return round(value, 5) if isfinite(value) else None
 
 
-class PageOperator:
-    """One open page: an operator as any other, alive only as long as its browser says so.
+def make_page_operator(view: CarView) -> BusOperator:
+    """The operator of an open page, as any other.
 
-    Nothing here sends by itself, but a stop again until it is seen: every keepalive on the bus is
-    one that the browser sent. A tab that is closed, hidden, frozen or cut off is silent, and the
-    lease ends 0.3 s later.
+    Nothing is sent by itself, but a stop again until it is seen: every keepalive on the bus is one
+    that the browser sent. A tab that is closed, hidden, frozen or cut off is silent, and the lease
+    ends 0.3 s later.
     """
+    return BusOperator(view.bus, view.car, view.clock, NAME, view.pulse)
 
-    def __init__(self, view: CarView) -> None:
-        self._view = view
-        self._operator = BusOperator(view.bus, view.car, view.clock, NAME, view.pulse)
 
-    @property
-    def lease(self) -> str:
-        """This page's lease, as the car's `holder` names it."""
-        return self._operator.lease
+def pass_on(view: CarView, operator: BusOperator, word: str) -> bool:
+    """Send a request of a page: one of its words, or `set NAME VALUE`.
 
-    def ask(self, what: str) -> bool:
-        """Send a request of the page: one of its words, or `set NAME VALUE`.
-
-        Returns:
-            Whether it was sent; not for words that are no request, and only a stop before the car
-            was heard.
-        """
-        wanted = parse_setting(what)
-        if wanted is not None:
-            return self._operator.tune(self._view.boot_id, wanted)
-        kind = _KINDS.get(what)
-        return kind is not None and self._operator.ask(self._view.boot_id, kind)
-
-    def repeat(self) -> bool:
-        """Send a stop again that the car has not shown yet; whether there is one."""
-        return self._operator.repeat(self._view.mode)
+    Returns:
+        Whether it was sent; not for words that are no request, and only a stop before the car was
+        heard.
+    """
+    wanted = parse_setting(word)
+    if wanted is not None:
+        return operator.tune(view.boot_id, wanted)
+    kind = _KINDS.get(word)
+    return kind is not None and operator.ask(view.boot_id, kind)
