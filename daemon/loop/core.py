@@ -23,13 +23,11 @@ from steerd.daemon.loop.loop import Loop
 from steerd.daemon.loop.orders import TickResult, make_order
 from steerd.daemon.loop.supervisor import WAITING, Conditions, step_supervisor
 from steerd.daemon.loop.transitions import DRIVING, Fact, SupervisorState, is_engaged
-from steerd.daemon.settings.config import BrakeSettings
 from steerd.mocap_link.ingest import PoseIngest
 from steerd.mocap_link.source import Pose, SourceStatus
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import CodecError, decode
-from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.standard import Log, make_time
 from steerd.vesc_link import identity
 from steerd.vesc_link.commands import GetMcConfTemp, SetCurrent, SetCurrentBrake
@@ -391,19 +389,6 @@ def make_failed_tick(loop: Loop, error: BaseException, now_ns: int, linked: bool
     loop.ran = loop.ran or (old in DRIVING and loop.supervisor.state not in DRIVING)
     limiter = make_limiter_state(settings.limits, Command(0.0, 0.0), now_ns)
     order = make_order(settings, limiter, action, None, speed, now_ns)
-    return TickResult(
-        replace(order, drive=_remove_steering(order.drive, settings.brakes)),
-        old,
-        loop.supervisor,
-        None,
-        None,
-        (finding,),
-        WAITING[loop.supervisor.state],
-        facts,
-    )
-
-
-def _remove_steering(drive: Drive, brakes: BrakeSettings) -> Drive:
-    if drive.mode is ActuationMode.SPEED:
-        return Drive(ActuationMode.BRAKE, current=brakes.brake_current_a)
-    return replace(drive, steer=None)
+    order = replace(order, drive=replace(order.drive, steer=None))
+    waiting = WAITING[loop.supervisor.state]
+    return TickResult(order, old, loop.supervisor, None, None, (finding,), waiting, facts)

@@ -7,7 +7,7 @@ from operator import attrgetter
 
 from steerd.controller.lane_controller import ControlReport
 from steerd.daemon.loop.orders import TickResult
-from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.loop.transitions import BRAKED, SupervisorState
 from steerd.mocap_link.source import ClockKind, Pose
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -16,7 +16,7 @@ from steerd.vesc_link.telemetry import Imu, Values
 from steerd.vesc_link.vesc import Answer, Drive
 
 CLOCK_KINDS = tuple(ClockKind)
-ALARM = (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
+ALARM = (*BRAKED, SupervisorState.FAULT_LATCHED)
 """States of a car that was stopped hard."""
 _NO_REPORT = ControlReport(*(nan,) * len(ControlReport._fields))
 _COUNTS = attrgetter("tachometer_abs", "fault", "status")
