@@ -73,12 +73,8 @@ def test_both_sides_see_the_same_words():
     fd = make_page_fd()
     core, watcher = HeartbeatPage(fd), HeartbeatPage(fd)
     os.close(fd)
-    assert (
-        watcher.words.heartbeat_ns,
-        watcher.words.engaged,
-        watcher.words.tripped_ns,
-        watcher.words.clean,
-    ) == (0, False, 0, 0)
+    seen = watcher.words
+    assert (seen.heartbeat_ns, seen.engaged, seen.tripped_ns, seen.clean) == (0, 0, 0, 0)
     core.write_heartbeat(2**63 + 5, True)
     assert (watcher.words.heartbeat_ns, watcher.words.engaged) == (2**63 + 5, True)
     watcher.watch(11)
