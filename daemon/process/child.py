@@ -81,7 +81,7 @@ class Job(NamedTuple):
         os.close(ready_fd)
 
     def refuse(self, error: SteerdError) -> int:
-        """Report what it cannot do, before it is ready to the parent; its exit code."""
+        """Say what it cannot do: to the parent, or in words once it was ready; its exit code."""
         if "ready" in self.fds:
             self.say_ready(what=error.what, hint=error.hint, code=int(error.code))
         else:
