@@ -43,8 +43,8 @@ ROOT = Path(__file__).parents[1]
 SAMPLE_S = 5.0
 WARM_S = 20.0
 """Processes start and caches fill; not judged."""
-RSS_MIB_PER_H = {"recorder": 25.0}
-"""Growth of resident memory that counts as flat; the recorder's is the file's index of chunks."""
+RSS_MIB_PER_H = {"recorder": 2.0}
+"""Growth of resident memory that counts as flat; the recorder keeps the index of its chunks."""
 NAMES = ("core", "guardian", "recorder", "gateway", "view", "hardware", "world")
 STOP_S = 0.2
 """A stop that takes longer, from its sending to the tick that brakes, is missed."""

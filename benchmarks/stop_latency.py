@@ -63,12 +63,14 @@ def be_core(serial_fd: int) -> None:
     guard = ProcessGuard(report.fifo)
     guard.watch(serial_fd, BRAKE, time.monotonic_ns())
     pause, due = select.poll(), time.monotonic_ns()
-    while not guard._page.guardian_ns:  # type: ignore[union-attr]  # noqa: SLF001
+    page = guard.page
+    assert page is not None
+    while not page.words.guardian_ns:
         pause.poll(5)  # as the loop does: nothing is armed before the guardian shows itself
     while True:
         now = time.monotonic_ns()
-        guard.write_heartbeat(now, engaged=True)
-        staged = guard.stage(DRIVE)
+        page.write_heartbeat(now, engaged=True)
+        staged = page.stage(DRIVE)
         if guard.may_write(now, time.monotonic_ns()):
             os.write(serial_fd, staged)
         due = max(due + PERIOD_NS, now)
@@ -158,7 +160,7 @@ def run_trial(how: str, phase_ns: int, watchers: Watchers) -> dict[str, Any]:
     return {
         "how": how,
         "ms": None if first_ns is None else round((first_ns - hit_ns) / 1e6, 3),
-        "noticed_ms": round((page.tripped_ns - hit_ns) / 1e6, 3) if page else None,
+        "noticed_ms": round((page.words.tripped_ns - hit_ns) / 1e6, 3) if page else None,
         "motion_after_brake": late,
         "stall_ms": round(watchers.worst_ms(hit_ns, first_ns or hit_ns + AFTER_NS), 2),
         "runnable": Path("/proc/loadavg").read_text(encoding="ascii").split()[3],

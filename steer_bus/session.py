@@ -1,8 +1,8 @@
 """Session files: one MCAP per drive, written so that a crash loses a quarter of a second.
 
 A session is written as ``NAME.mcap.partial`` and gets its name when it is finished; its absence
-means a crash, and :func:`recover` (or reading the partial file directly) gets the rest back. The
-mcap library writes; reading is :mod:`steerd.steer_bus.session_read`.
+means a crash, and :func:`recover` (or reading the partial file directly) gets the rest back.
+Reading is :mod:`steerd.steer_bus.session_read`.
 """
 
 import contextlib
@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from mcap.writer import CompressionType, Writer  # noqa: TID251
+from mcap.records import Attachment  # noqa: TID251
 
 from steerd.steer_bus.atomic_file import is_full
 from steerd.steer_bus.container import SessionWarning
+from steerd.steer_bus.container_write import ContainerWriter
 from steerd.steer_bus.fields import schema_text, type_name
 from steerd.steer_bus.session_read import Session, SessionError, open_session
 
-CHUNK_BYTES = 1 << 20
 FLUSH_NS = 250_000_000
 """How often a chunk is closed and handed to the kernel: the most a SIGKILL can lose [ns].
 
@@ -27,8 +27,7 @@ Source: `docs/reference/sessions-and-bus.md#b4.2`.
 """
 SYNC_NS = 1_000_000_000
 """How often the disk itself should have everything: the most a power cut can lose [ns]."""
-SCHEMA_VERSION = "1"
-_LIBRARY = "steerd"
+SCHEMA_VERSION, _SESSION = "1", "steerd.session"
 _MAX_TIME_NS = (1 << 63) - 1
 
 
@@ -77,18 +76,18 @@ class SessionWriter:
         self.partial = path.with_name(path.name + ".partial")
         self._file = _create(self.path, self.partial)
         self._broken: SessionError | None = None
-        self._writer = Writer(
-            self._file,
-            chunk_size=CHUNK_BYTES,
-            compression=CompressionType.ZSTD,
-            enable_data_crcs=True,
-        )
         self._last_log_ns = 0
         self._flush_ns = flush_ns
         self._flushed_ns = self._synced_ns = -(1 << 62)
         try:
             with self._disk():
-                self._begin(metadata, attachments, start_ns)
+                self._writer = ContainerWriter(self._file, "ros2")
+                for name, values in metadata.items():
+                    version = {"schema_version": SCHEMA_VERSION} if name == _SESSION else {}
+                    self._writer.add_metadata(name, {**version, **values})
+                for a in attachments:
+                    at = start_ns, start_ns
+                    self._writer.add_attachment(Attachment(*at, a.name, a.media_type, a.data))
                 self._channels = {topic: self._add_topic(topic, of) for topic, of in topics.items()}
                 self._file.flush()
                 _sync_folder(path)
@@ -98,19 +97,6 @@ class SessionWriter:
                 raise _disk_error(self.partial, error.__cause__, _ROOM) from error.__cause__
             raise
         self._sequences = dict.fromkeys(self._channels, 0)
-
-    def _begin(
-        self,
-        metadata: Mapping[str, Mapping[str, str]],
-        attachments: Sequence[AttachedFile],
-        start_ns: int,
-    ) -> None:
-        self._writer.start(profile="ros2", library=_LIBRARY)
-        for name, values in metadata.items():
-            version = {"schema_version": SCHEMA_VERSION} if name == "steerd.session" else {}
-            self._writer.add_metadata(name, {**version, **values})
-        for item in attachments:
-            self._writer.add_attachment(start_ns, start_ns, item.name, item.media_type, item.data)
 
     @property
     def count(self) -> int:
@@ -152,7 +138,7 @@ class SessionWriter:
             SessionError: if the disk does not take it.
         """
         with self._disk():
-            self._writer.flush()  # type: ignore[no-untyped-call]
+            self._writer.flush()
 
     def tick(self, t_ns: int) -> bool:
         """Flush if it is time (a quarter of a second by default); say whether :meth:`sync` is due.
@@ -197,7 +183,7 @@ class SessionWriter:
             SessionError: if the disk does not take it; what was flushed stays in ``.partial``.
         """
         with self._disk():
-            self._writer.flush()  # type: ignore[no-untyped-call]
+            self._writer.flush()
             self._writer.add_metadata("steerd.end", dict(end))
             _finish(self._writer, self._file, self.partial, self.path)
         return self.path
@@ -226,8 +212,8 @@ class SessionWriter:
         return self._broken
 
     def _add_topic(self, topic: str, cls: type[Any]) -> int:
-        schema = self._writer.register_schema(type_name(cls), "ros2msg", schema_text(cls).encode())
-        return self._writer.register_channel(topic, "cdr", schema)
+        schema = self._writer.add_schema(type_name(cls), "ros2msg", schema_text(cls).encode())
+        return self._writer.add_channel(topic, "cdr", schema)
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,7 +241,7 @@ def recover(path_in: Path | str, path_out: Path | str) -> RecoverReport:
     partial = path_out.with_name(path_out.name + ".recovering")
     file = _create(path_out, partial)
     try:
-        writer = Writer(file, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
+        writer = ContainerWriter(file, session.contents.profile)
         gap_ns = _copy(session, writer)
         lost = sum(warning.lost for warning in session.warnings)
         writer.add_metadata("steerd.recovered", {"source": path_in.name, "lost_bytes": str(lost)})
@@ -273,20 +259,19 @@ def recover(path_in: Path | str, path_out: Path | str) -> RecoverReport:
     return RecoverReport(path_out, written.count, lost, gap_ns * 1e-9, session.warnings)
 
 
-def _copy(session: Session, writer: Writer) -> int:
+def _copy(session: Session, writer: ContainerWriter) -> int:
     """Copy definitions, texts and messages; give the longest gap between messages [ns]."""
     contents = session.contents
-    writer.start(profile=contents.profile, library=_LIBRARY)
     for name, values in contents.metadata.items():
         writer.add_metadata(name, values)
     for a in session.attachments():
-        writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
+        writer.add_attachment(a)
     schemas = {
-        key: writer.register_schema(schema.name, schema.encoding, schema.data)
+        key: writer.add_schema(schema.name, schema.encoding, schema.data)
         for key, schema in contents.schemas.items()
     }
     channels = {
-        key: writer.register_channel(
+        key: writer.add_channel(
             c.topic, c.message_encoding, schemas.get(c.schema_id, 0), c.metadata
         )
         for key, c in contents.channels.items()
@@ -312,8 +297,8 @@ def _create(path: Path, partial: Path) -> BinaryIO:
         raise SessionError("disk", text) from error
 
 
-def _finish(writer: Writer, file: BinaryIO, partial: Path, path: Path) -> None:
-    writer.finish()  # type: ignore[no-untyped-call]
+def _finish(writer: ContainerWriter, file: BinaryIO, partial: Path, path: Path) -> None:
+    writer.finish()
     file.flush()
     os.fsync(file.fileno())
     file.close()

@@ -14,7 +14,7 @@ import platformdirs
 from steerd.car_model.car_file import CarFile, parse_car
 from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.assembly.sim_car import make_true_model, make_truth
-from steerd.daemon.settings.run_options import encode_options
+from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.posterior_file import ATTACHED
 from steerd.steer_bus.session_read import WRONG_CONTENT, Session, SessionError, SessionInfo
 from steerd.version import VERSION
@@ -41,6 +41,13 @@ def default_session_path(car: str, realtime_ns: int, boot_id: int) -> Path:
 
     stamp = datetime.fromtimestamp(realtime_ns // 1_000_000_000, UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
     return data_folder() / "sessions" / f"{stamp}_{car}_{boot_id & 0xFFFFFFFF:08x}.mcap"
+
+
+def session_path(options: RunOptions, realtime_ns: int, boot_id: int) -> Path:
+    """The file of `--record`, or the default."""
+    if options.record:
+        return Path(options.record)
+    return default_session_path(options.car, realtime_ns, boot_id)
 
 
 def _git() -> dict[str, str]:

@@ -7,20 +7,13 @@ from math import nan
 from pathlib import Path
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.ipc.requests import read_diagnostics
+from steerd.daemon.ipc.requests import LIVE, read_diagnostics
+from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus, BusError
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import DEFAULT_PORT, Lab, load_lab
-from steerd.steer_bus.messages import (
-    BODY,
-    Model,
-    OperatorRequest,
-    ParameterRequest,
-    RequestKind,
-    make_header,
-)
 from steerd.steer_bus.standard import DiagnosticArray
 from steerd.steer_bus.topics import LAST_MODEL, make_key
 from steerd.steer_bus.zenoh_bus import ZenohBus, make_spoke_profile
@@ -42,14 +35,9 @@ class Operator:
     name: str = "operator"  # for the recording
     seq: int = 0  # sequence number of the last request
 
-    def make_request(self, kind: RequestKind, realtime_ns: int) -> bytes:
+    def make_request(self, kind: m.RequestKind, realtime_ns: int) -> bytes:
         """The next request, encoded."""
-        self.seq += 1
-        header = make_header(realtime_ns, BODY)
-        request = OperatorRequest(
-            header, self.boot_id, self.lease_id, self.seq, int(kind), self.name
-        )
-        return encode(request)
+        return encode(m.OperatorRequest(*self._begin(realtime_ns), int(kind), self.name))
 
     def make_parameters(
         self, wanted: Mapping[str, float], realtime_ns: int, name: str = ""
@@ -61,15 +49,13 @@ class Operator:
             realtime_ns: now.
             name: who asks under this lease, where it is not its holder.
         """
+        speed, offset, gain = (wanted.get(each, nan) for each in LIVE)
+        start, who = self._begin(realtime_ns), name or self.name
+        return encode(m.ParameterRequest(*start, speed, offset, gain, who))
+
+    def _begin(self, realtime_ns: int) -> tuple[m.Header, int, int, int]:
         self.seq += 1
-        values = {"speed": nan, "offset": nan, "gain": nan, **wanted}
-        header = make_header(realtime_ns, BODY)
-        who = (self.boot_id, self.lease_id, self.seq)
-        return encode(
-            ParameterRequest(
-                header, *who, values["speed"], values["offset"], values["gain"], name or self.name
-            )
-        )
+        return m.make_header(realtime_ns, m.BODY), self.boot_id, self.lease_id, self.seq
 
 
 def connect(given_endpoint: str | None, folder: Path | None, first: str = "steerd run") -> ZenohBus:
@@ -123,9 +109,9 @@ def read_status(bus: Bus, car: str, clock: Clock, timeout_s: float = 2.0) -> dic
     raise SteerdError(f"no car {car!r} on the bus", hint, ExitCode.UNREACHABLE)
 
 
-def read_model(bus: Bus, car: str) -> Model | None:
+def read_model(bus: Bus, car: str) -> m.Model | None:
     """The newest report of a car's learner; None without one, or one of another version."""
     for data in bus.query(make_key(car, LAST_MODEL), MODEL_WAIT_S).values():
         with contextlib.suppress(CodecError):
-            return decode(Model, data)
+            return decode(m.Model, data)
     return None

@@ -175,37 +175,46 @@ def is_learnt_from(record: PipeRecord) -> bool:
     return record.topic.name in _WANTED
 
 
-_READ_BYTES = 1 << 16
+_READ_BYTES = 1 << 20
 
 
 @dataclass
-class ReportPipe:
-    """One reader's end."""
+class PipeReader:
+    """One reader's end; without a writer, and once that has ended, it gives nothing."""
 
-    fd: int | None  # to read from; None without a learner, and once it has ended
+    fd: int | None  # to read from; None without a writer, and once it has ended
     _buffer: bytearray = field(default_factory=bytearray)
 
     def __post_init__(self) -> None:
+        self._poll = select.poll()
         if self.fd is not None:
             os.set_blocking(self.fd, False)
+            self._poll.register(self.fd, select.POLLIN | select.POLLHUP)
+
+    def wait(self, ms: int | None = None) -> bool:
+        """Wait for so long at most; whether records have come, or the end."""
+        return self.fd is not None and bool(self._poll.poll(ms))
 
     def take(self) -> Iterator[PipeRecord]:
-        """Reports that have come."""
+        """Records that have come."""
         while self.fd is not None:
             try:
                 data = os.read(self.fd, _READ_BYTES)
             except BlockingIOError:
                 break
             if not data:
-                os.close(self.fd)
-                self.fd = None
+                self.close()
             self._buffer += data
-        yield from unpack_records(self._buffer)
+            yield from unpack_records(self._buffer)
+
+    def close(self) -> None:
+        """Take no more: the writer sees it."""
+        if self.fd is not None:
+            self._poll.unregister(self.fd)
+            os.close(self.fd)
+            self.fd = None
 
     def rest(self, wait_ms: int) -> Iterator[PipeRecord]:
-        """Reports until the learner has ended, or sends none for so long."""
-        poll = select.poll()
-        if self.fd is not None:
-            poll.register(self.fd, select.POLLIN | select.POLLHUP)
-        while self.fd is not None and poll.poll(wait_ms):
+        """Records until the writer has ended, or sends none for so long."""
+        while self.wait(wait_ms):
             yield from self.take()

@@ -49,7 +49,7 @@ def find_failures(
     flags: int,
     *,
     estimated: bool,
-) -> list[str]:
+) -> Iterator[str]:
     """Pre-arm checks that fail, the cause before its consequences.
 
     Args:
@@ -61,30 +61,20 @@ def find_failures(
         flags: of the runner.
         estimated: there is a sound estimate.
     """
-    settings = setup.settings
-    failed = [*check_vesc(vesc, settings.brakes), *check_flags(flags)]
-    if not estimated:
-        failed.append("an estimate: mocap must see the car for a moment, standing")
-    failed += check_findings(findings)
-    if estimated and setup.remote:
-        failed += check_controller(valid_command(remote, now.t_ns) is not None)
-    elif estimated:
-        failed += check_lane(now.lateral_error, now.heading_error, settings.thresholds)
-    if now.state is not SupervisorState.RUNNING:
-        failed += check_motion(now.speed)
-    return failed
-
-
-def check_flags(flags: int) -> Iterator[str]:
-    """Failures that the core's flags report."""
+    yield from check_vesc(vesc, setup.settings.brakes)
     if flags & Flag.UNBOUNDED:
         yield "the VESC does not take this session's speed limit: power it off and on"
-
-
-def check_controller(alive: bool) -> Iterator[str]:
-    """Failure of an external controller."""
-    if not alive:
+    if not estimated:
+        yield "an estimate: mocap must see the car for a moment, standing"
+    for finding in findings:
+        if finding.severity > Severity.WARN:  # it would trip an armed car
+            yield finding.text
+    if estimated and not setup.remote:
+        yield from check_lane(now.lateral_error, now.heading_error, setup.settings.thresholds)
+    elif estimated and valid_command(remote, now.t_ns) is None:
         yield "no commands from a controller: start `steerd control` or `steerd teleop`"
+    if now.state is not SupervisorState.RUNNING and not abs(now.speed) < STANDING_SPEED:
+        yield f"the car moves at {show(now.speed, '.2f')} m/s: let it stand"
 
 
 def check_lane(e1: float, e2: float, thresholds: Thresholds) -> Iterator[str]:
@@ -94,14 +84,3 @@ def check_lane(e1: float, e2: float, thresholds: Thresholds) -> Iterator[str]:
         yield f"the car stands {show(abs(e1), '.2f')} m {side} of the path: put it on the path"
     elif not abs(e2) <= thresholds.heading_warn:
         yield f"the car points {show(degrees(e2), '+.0f')}° off the path: turn it"
-
-
-def check_findings(findings: Iterable[Finding]) -> Iterator[str]:
-    """Watchdogs that would trip an armed car."""
-    return (finding.text for finding in findings if finding.severity > Severity.WARN)
-
-
-def check_motion(speed: float) -> Iterator[str]:
-    """Failure of a car that moves."""
-    if not abs(speed) < STANDING_SPEED:
-        yield f"the car moves at {show(speed, '.2f')} m/s: let it stand"

@@ -14,41 +14,24 @@ from dataclasses import replace
 from steerd.car_model.state import Command
 from steerd.controller.limits import make_limiter_state
 from steerd.daemon.ipc.outbox import Outbox
+from steerd.daemon.loop import outgoing
 from steerd.daemon.loop.checks import check_vesc
 from steerd.daemon.loop.design_desk import DesignDesk
 from steerd.daemon.loop.findings import CAUSES, Flag, make_finding, summarise
 from steerd.daemon.loop.live import make_parameters
 from steerd.daemon.loop.loop import Loop
 from steerd.daemon.loop.orders import TickResult, make_order
-from steerd.daemon.loop.outgoing import (
-    make_actuation,
-    make_diagnostics,
-    make_identity,
-    make_imu,
-    make_mocap,
-    make_state,
-    make_telemetry,
-    make_transition,
-)
-from steerd.daemon.loop.supervisor import Action, Conditions, step_supervisor
-from steerd.daemon.loop.transitions import Fact, SupervisorState
-from steerd.daemon.settings.config import BrakeSettings
+from steerd.daemon.loop.supervisor import WAITING, Conditions, step_supervisor
+from steerd.daemon.loop.transitions import DRIVING, Fact, SupervisorState, is_engaged
+from steerd.mocap_link.ingest import PoseIngest
 from steerd.mocap_link.source import Pose, SourceStatus
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import CodecError, decode
-from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.standard import Log, make_time
+from steerd.vesc_link import identity
 from steerd.vesc_link.commands import GetMcConfTemp, SetCurrent, SetCurrentBrake
 from steerd.vesc_link.frames import encode_frame
-from steerd.vesc_link.identity import (
-    AppConf,
-    FwVersion,
-    McConfTemp,
-    limits_hold,
-    make_restored_limits,
-    make_session_limits,
-)
 from steerd.vesc_link.packets import encode_command
 from steerd.vesc_link.telemetry import Imu, Uptime, Values
 from steerd.vesc_link.vesc import Answer, Drive, VescLink
@@ -63,7 +46,6 @@ _INFO, _ERROR = 20, 40
 """Levels of `rcl_interfaces/Log`."""
 _HANDSHAKE = (m.ActuationMode.SILENT, m.ActuationMode.BRAKE)
 """Orders beside which a tick's write has room for the questions at the start."""
-_ALARM = (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
 
 
 class Core:
@@ -93,11 +75,43 @@ class Core:
         self._seq = 0
         self._tick: m.Tick | None = None
         self._diagnostics_ns = -DIAGNOSTICS_PERIOD_NS
-        self._limits_before: McConfTemp | None = None
+        self._limits_before: identity.McConfTemp | None = None
         self._limits_tries = 0
         self._uuid: bytes | None = None
         self._expected = True
         self._error_logged = False
+
+    # --- the links to VESC and mocap
+
+    @property
+    def may_link(self) -> bool:
+        """Whether a port may be opened: one that comes back does not bring motion back."""
+        return not is_engaged(self.loop.supervisor.state) or self.loop.at_rest
+
+    def open_link(self) -> None:
+        """The port is open; who the VESC is will be asked."""
+        self.link.reset()
+        self.flags |= Flag.LINKED
+        self.flags &= ~(Flag.SERIAL_FAULT | Flag.GUARDIAN_LOST | Flag.GUARDIAN_TRIPPED)
+
+    def lose_link(self) -> None:
+        """The port is gone, or does not take its bytes (W8)."""
+        self.flags |= Flag.SERIAL_FAULT
+        self.flags &= ~Flag.LINKED
+        self.link.reset()
+        self.loop.on_vesc(None)
+
+    def feed_back(self, ingest: PoseIngest) -> None:
+        """Show the mocap pipeline what it needs of the car."""
+        seen = self.loop.perception
+        ingest.wheel_speed = seen.wheel_speed if seen.telemetry else None
+        ingest.stationary = seen.may_rebase
+
+    def on_source(self, source: SourceStatus) -> None:
+        """How the mocap source is now."""
+        self.source = source
+        self.flags &= ~Flag.MOCAP_REFUSED
+        self.flags |= Flag.MOCAP_REFUSED if source.refused else 0
 
     # --- events
 
@@ -118,21 +132,21 @@ class Core:
         header = m.make_header(stamp_ns + self.outbox.epoch_ns, m.BODY)
         match answer.reply:
             case Values() as values:
-                telemetry = make_telemetry(header, answer, values, self._uptime_ms)
+                telemetry = outgoing.make_telemetry(header, answer, values, self._uptime_ms)
                 self.loop.perception.on_telemetry(telemetry)
                 self.outbox.post(topics.VESC, telemetry, t_ns, stamp_ns)
             case Imu() as imu:
-                reading = make_imu(header, answer, imu)
+                reading = outgoing.make_imu(header, answer, imu)
                 self.loop.perception.on_imu(reading)
                 self.outbox.post(topics.IMU, reading, t_ns, stamp_ns)
             case Uptime(uptime_ms=uptime_ms):
                 self._uptime_ms = uptime_ms
-            case FwVersion(uuid=uuid):
+            case identity.FwVersion(uuid=uuid):
                 self._check_identity(uuid)
                 self._post_identity(t_ns)
-            case AppConf():
+            case identity.AppConf():
                 self._post_identity(t_ns)
-            case McConfTemp() as limits:
+            case identity.McConfTemp() as limits:
                 self._apply_session_limits(limits)
 
     def _check_identity(self, uuid: bytes | None) -> None:
@@ -146,11 +160,11 @@ class Core:
         version, appconf = self.link.version, self.link.appconf
         if version is None:
             return
-        vesc = make_identity(version, appconf, self._expected, t_ns, self.outbox.epoch_ns)
+        vesc = outgoing.make_identity(version, appconf, self._expected, t_ns, self.outbox.epoch_ns)
         self.loop.on_vesc(vesc)
         self.outbox.post(topics.IDENTITY, vesc, t_ns)
 
-    def _apply_session_limits(self, limits: McConfTemp) -> None:
+    def _apply_session_limits(self, limits: identity.McConfTemp) -> None:
         """Give the VESC this session's limits, in RAM only: it keeps them if this process dies.
 
         It loses them when it restarts, so that the limits that it reports are compared each time.
@@ -160,8 +174,8 @@ class Core:
         self._limits_before = self._limits_before or limits
         scaling = self.loop.setup.settings.scaling
         erpm_max = abs(scaling.erpm_gain) * self.loop.setup.settings.limits.speed_max * ERPM_MARGIN
-        bounds = make_session_limits(limits, min(erpm_max, scaling.erpm_max))
-        if limits_hold(bounds, limits):
+        bounds = identity.make_session_limits(limits, min(erpm_max, scaling.erpm_max))
+        if identity.limits_hold(bounds, limits):
             self.flags &= ~Flag.UNBOUNDED
         elif self._limits_tries < LIMITS_TRIES:
             self._limits_tries += 1
@@ -184,15 +198,17 @@ class Core:
         """Frames for a car at rest: release the motor, restore the VESC's own limits."""
         frames = encode_frame(encode_command(SetCurrent(0.0)))
         if self._limits_before is not None and self._expected:
-            frames += encode_frame(encode_command(make_restored_limits(self._limits_before)))
+            frames += encode_frame(
+                encode_command(identity.make_restored_limits(self._limits_before))
+            )
         return frames
 
     def on_poses(self, poses: list[Pose]) -> None:
         """Mocap's poses, in order of arrival; never raises."""
         try:
             for pose in poses:
-                self.loop.perception.on_pose(pose)
-                message = make_mocap(pose, self.outbox.epoch_ns)
+                message = outgoing.make_mocap(pose, self.outbox.epoch_ns)
+                self.loop.perception.on_pose(message)
                 self.outbox.post(topics.MOCAP, message, pose.t_arrival_ns, pose.t_valid_ns)
         except Exception as error:
             self.latch_exception(error)
@@ -253,19 +269,11 @@ class Core:
         now_ns, epoch = tick.woke_ns, self.outbox.epoch_ns
         self.outbox.post(topics.TICK, tick, now_ns)
         drive = result.order.drive
-        actuation = make_actuation(tick.header, drive, written, self._seq)
+        actuation = outgoing.make_actuation(tick.header, drive, written, self._seq)
         self.outbox.post(topics.ACTUATION, actuation, now_ns)
-        state = make_state(
-            result.estimate,
-            result.report,
-            drive,
-            result.supervisor.state,
-            result.facts,
-            self._seq,
-            now_ns,
-            epoch,
+        self.outbox.post(
+            topics.STATE, outgoing.make_state(result, self._seq, now_ns, epoch), now_ns
         )
-        self.outbox.post(topics.STATE, state, now_ns)
         self._post_changes(result, now_ns)
         self._take_design(now_ns)
         self.outbox.flush(now_ns)
@@ -305,21 +313,14 @@ class Core:
             self._log(_ERROR, f"W29 {describe_error(self.error)}", now_ns)
         changed = result.supervisor.state is not result.old
         if changed:
-            transition = make_transition(result.old, result.supervisor, stamp_ns)
-            self.outbox.post(topics.TRANSITION, transition, now_ns)
-            level = _ERROR if result.supervisor.state in _ALARM else _INFO
+            self.outbox.post(topics.TRANSITION, outgoing.make_transition(result, stamp_ns), now_ns)
+            level = _ERROR if result.supervisor.state in outgoing.ALARM else _INFO
             text = f"{result.supervisor.state.name}: {result.supervisor.reason}"
             self._log(level, text, now_ns)
         if changed or now_ns - self._diagnostics_ns >= DIAGNOSTICS_PERIOD_NS:
             self._diagnostics_ns = now_ns
-            diagnostics = make_diagnostics(
-                result.supervisor,
-                result.action,
-                self._describe_waiting(result.action, result.waiting),
-                result.findings,
-                self._make_extra_values(),
-                stamp_ns,
-            )
+            waiting, extra = self._describe_waiting(result.waiting), self._make_extra_values()
+            diagnostics = outgoing.make_diagnostics(result, waiting, extra, stamp_ns)
             self.outbox.post(topics.DIAGNOSTICS, diagnostics, now_ns)
             self._post_parameters(now_ns)
 
@@ -332,9 +333,9 @@ class Core:
         log = Log(make_time(now_ns + self.outbox.epoch_ns), level, "steerd", text, "", "", 0)
         self.outbox.post(topics.LOG, log, now_ns)
 
-    def _describe_waiting(self, action: Action, waiting: str) -> str:
+    def _describe_waiting(self, waiting: str) -> str:
         """What the loop waits for, in more detail where only the links know it."""
-        if action.waiting != waiting or self.loop.supervisor.state is not SupervisorState.INIT:
+        if self.loop.supervisor.state is not SupervisorState.INIT:
             return waiting
         if not self.flags & Flag.LINKED:
             return "the serial port to open"
@@ -367,9 +368,6 @@ class Core:
         return values
 
 
-_DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
-
-
 def describe_error(error: BaseException) -> str:
     """Type, place and text of an exception on one line."""
     frames = traceback.extract_tb(error.__traceback__)
@@ -388,23 +386,9 @@ def make_failed_tick(loop: Loop, error: BaseException, now_ns: int, linked: bool
     loop.supervisor, action = step_supervisor(loop.supervisor, conditions, 0, now_ns)
     if loop.supervisor.state is SupervisorState.FAULT_STOP:
         loop.fault = loop.supervisor.reason
-    loop.ran = loop.ran or (old in _DRIVING and loop.supervisor.state not in _DRIVING)
+    loop.ran = loop.ran or (old in DRIVING and loop.supervisor.state not in DRIVING)
     limiter = make_limiter_state(settings.limits, Command(0.0, 0.0), now_ns)
     order = make_order(settings, limiter, action, None, speed, now_ns)
-    return TickResult(
-        replace(order, drive=_remove_steering(order.drive, settings.brakes)),
-        action,
-        old,
-        loop.supervisor,
-        None,
-        None,
-        (finding,),
-        action.waiting,
-        facts,
-    )
-
-
-def _remove_steering(drive: Drive, brakes: BrakeSettings) -> Drive:
-    if drive.mode is ActuationMode.SPEED:
-        return Drive(ActuationMode.BRAKE, current=brakes.brake_current_a)
-    return replace(drive, steer=None)
+    order = replace(order, drive=replace(order.drive, steer=None))
+    waiting = WAITING[loop.supervisor.state]
+    return TickResult(order, old, loop.supervisor, None, None, (finding,), waiting, facts)

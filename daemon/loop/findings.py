@@ -103,11 +103,6 @@ def advise_simulation(finding: Finding) -> Finding:
     return blame(finding, advice) if own else finding
 
 
-STALLED = "the host of this virtual machine took the processor away: drive from a real one"
-ALL_LATE = "all processes stood still at once: this machine stalled; steerd rtcheck --under-load"
-ALONE = f"this program alone was late; {WATCHDOGS['W15'].advice}"
-
-
 def blame(finding: Finding, why: str) -> Finding:
     """The finding of a late tick with what made it late in place of its advice."""
     text = finding.text.removesuffix(f"; {WATCHDOGS[finding.id].advice}")
@@ -196,9 +191,14 @@ def merge_requests(pending: int, flags: int, state: SupervisorState, *, starts: 
     return requests
 
 
-CAUSES = Flag.STALLED | Flag.ALL_LATE | Flag.ALONE_LATE
+_BLAMES = {
+    Flag.STALLED: "the host of this virtual machine took the processor away: drive from a real one",
+    Flag.ALL_LATE: "all processes stood still at once: this machine stalled; "
+    "steerd rtcheck --under-load",
+    Flag.ALONE_LATE: f"this program alone was late; {WATCHDOGS['W15'].advice}",
+}
 """Who made this one tick late."""
-
+CAUSES = sum(_BLAMES)
 
 _REPORTS = (
     (Flag.SERIAL_FAULT, "W8", "a write failed"),
@@ -222,8 +222,5 @@ def make_reported_findings(flags: int) -> Iterator[Finding]:
 
 def blame_late(late: Finding, flags: int) -> Finding:
     """The finding of a late tick with who made it late, as far as the runner knows."""
-    why = next((why for flag, why in _BLAMES if flags & flag), None)
+    why = next((why for flag, why in _BLAMES.items() if flags & flag), None)
     return late if why is None else blame(late, why)
-
-
-_BLAMES = ((Flag.STALLED, STALLED), (Flag.ALL_LATE, ALL_LATE), (Flag.ALONE_LATE, ALONE))

@@ -20,7 +20,7 @@ from steerd.car_model.state import Command
 from steerd.daemon.loop.follow_model import Actuator, Band, FollowModel
 from steerd.daemon.loop.supervisor import SOFT_BRAKE_SPEED
 from steerd.daemon.settings.thresholds import Thresholds
-from steerd.mocap_link.source import Pose
+from steerd.steer_bus.messages import MocapPose
 from steerd.steer_bus.quick_values import changed, quick_value
 
 LONG_TURN, LONG_TURN_S = 3.0, 0.2
@@ -179,7 +179,7 @@ def _compare_turn(
     return rate, band, (over if over > under else under) - margin / span
 
 
-def measure_turns(track: Sequence[Pose], span: float) -> tuple[Turn, ...]:
+def measure_turns(track: Sequence[MocapPose], span: float) -> tuple[Turn, ...]:
     """The ways from the newest pose back over `span` and over `LONG_TURN` times as long.
 
     A large miss shows in the short one at once, a small one in the long one above the noise.

@@ -34,7 +34,7 @@ _FROM_ANYBODY = (RequestKind.STOP, RequestKind.ESTOP)
 
 @dataclass(frozen=True)
 class Lease:
-    """The operator who may arm and start."""
+    """Who may command: the operator who arms and starts, or the external controller."""
 
     boot_id: int  # of this run; requests with another are old or meant for another run
     holder: int = 0  # lease id of the operator, 0 for nobody
@@ -73,7 +73,7 @@ def accept_request(
 
 
 def admit(
-    lease: Lease, request: OperatorRequest | ParameterRequest, t_ns: int, idle: bool
+    lease: Lease, request: OperatorRequest | ParameterRequest | DriveCommand, t_ns: int, idle: bool
 ) -> tuple[Lease, bool]:
     """Whether the sender of a request holds the lease, or takes one that is free now."""
     own = request.lease_id == lease.holder != 0 and request.seq > lease.seq
@@ -95,39 +95,24 @@ def lease_age(lease: Lease, t_ns: int) -> float:
 
 @dataclass(frozen=True)
 class Remote:
-    """The external controller."""
+    """The external controller, who holds a lease of its own by its commands."""
 
-    holder: int = 0  # lease id of the first valid command; others are refused
+    lease: Lease
     command: DriveCommand | None = None  # the newest, or None
-    arrived_ns: int = 0  # time of its arrival
-    refused: int = 0  # number of refused commands
-    # Last sequence numbers of former controllers: no command is accepted twice
-    former: Numbers = ()
 
 
-def take_command(remote: Remote, boot_id: int, command: DriveCommand, t_ns: int) -> Remote:
+def take_command(remote: Remote, command: DriveCommand, t_ns: int) -> Remote:
     """Accept a command of this run's controller if it is newer than its last one."""
-    last, former = remote.command, remote.former
-    same = command.lease_id == remote.holder
-    if last is not None and not same:
-        former = _remember(former, remote.holder, last.seq)
-    known = ((remote.holder, last.seq),) if last is not None and same else former
-    newer = _is_new(known, command.lease_id, command.seq)
-    ours = same or remote.holder == 0 or command_age(remote, t_ns) > HANDOVER_S
-    timely = 0 < command.valid_ms <= VALID_MAX_MS
-    if not (command.boot_id == boot_id and command.lease_id and ours and newer and timely):
-        return replace(remote, refused=remote.refused + 1)
-    return Remote(command.lease_id, command, t_ns, remote.refused, former)
-
-
-def command_age(remote: Remote, t_ns: int) -> float:
-    """Seconds since the newest command arrived; infinite without one."""
-    return (t_ns - remote.arrived_ns) * 1e-9 if remote.command else inf
+    if not 0 < command.valid_ms <= VALID_MAX_MS:
+        return replace(remote, lease=replace(remote.lease, refused=remote.lease.refused + 1))
+    idle = lease_age(remote.lease, t_ns) > HANDOVER_S
+    lease, admitted = admit(remote.lease, command, t_ns, idle)
+    return Remote(lease, command if admitted else remote.command)
 
 
 def valid_command(remote: Remote, t_ns: int) -> DriveCommand | None:
     """The newest command while it is valid."""
     command = remote.command
-    if command is None or t_ns - remote.arrived_ns > command.valid_ms * 1_000_000:
+    if command is None or t_ns - remote.lease.renewed_ns > command.valid_ms * 1_000_000:
         return None
     return command

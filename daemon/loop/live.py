@@ -102,9 +102,9 @@ def relax(live: Live, why: str) -> Live:
     return live if aim == live.aim else replace(live, aim=aim, text=why)
 
 
-def judge_both_lanes(report: ControlReport, now: LiveValues) -> ControlReport:
+def judge_both_lanes(report: ControlReport | None, now: LiveValues) -> ControlReport | None:
     """The report with the larger of the errors against path and shifted lane, for watchdogs."""
-    if not now.offset:
+    if report is None or not now.offset:
         return report
     on_path = report.e1 + now.offset
     return report._replace(e1=on_path) if abs(on_path) > abs(report.e1) else report

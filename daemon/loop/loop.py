@@ -10,50 +10,36 @@ from steerd.car_model.state import Command
 from steerd.controller.lane_controller import ControllerState, ControlReport, start_controller
 from steerd.controller.limits import make_limiter_state
 from steerd.controller.live import AS_DESIGNED
-from steerd.daemon.loop.adapting import (
-    lose_estimate,
-    make_adapting,
-    remember_order,
-    steer,
-    take_design,
-)
+from steerd.daemon.loop import adapting
+from steerd.daemon.loop import lease as leases
 from steerd.daemon.loop.checks import STANDING_SPEED, find_failures
 from steerd.daemon.loop.design_desk import read_design
-from steerd.daemon.loop.findings import Finding, Flag, merge_requests, summarise
-from steerd.daemon.loop.lease import (
-    Lease,
-    Remote,
-    accept_request,
-    admit,
-    lease_age,
-    take_command,
-    valid_command,
-)
+from steerd.daemon.loop.findings import Flag, merge_requests, summarise
 from steerd.daemon.loop.live import judge_both_lanes, make_live, relax, step_live, take_request
 from steerd.daemon.loop.loop_setup import LoopSetup
 from steerd.daemon.loop.orders import Order, TickResult, make_order
 from steerd.daemon.loop.perception import Perception, best_speed
 from steerd.daemon.loop.plans import Drill
 from steerd.daemon.loop.supervisor import (
+    WAITING,
     Conditions,
     make_supervisor_memory,
     stands,
     step_supervisor,
 )
-from steerd.daemon.loop.transitions import Fact, SupervisorState, is_engaged
+from steerd.daemon.loop.transitions import (
+    BRAKED,
+    DRIVING,
+    PARKED,
+    Fact,
+    SupervisorState,
+    is_engaged,
+)
 from steerd.daemon.loop.watchdogs import WatchdogInput
 from steerd.daemon.loop.watching import Watching
 from steerd.estimator.state_filter import StateEstimate
 from steerd.steer_bus import messages as m
 
-_DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
-_HARD = (SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
-_PARKED = (
-    SupervisorState.INIT,
-    SupervisorState.DISARMED,
-    SupervisorState.READY,
-    SupervisorState.FAULT_LATCHED,
-)
 _RELOCATE_TICKS = 25
 """A parked car may be carried: its place on the path is searched anew every so many ticks."""
 _LEASE_KEPT_S = 1.0
@@ -81,10 +67,10 @@ class Loop:
         car = believed_car(s.file.model)
         self.perception = Perception(car, s.file.chassis, s.filter, s.thresholds, s.scaling)
         self.supervisor = make_supervisor_memory(0)
-        self.lease = Lease(setup.boot_id)
-        self.remote = Remote()
+        self.lease = leases.Lease(setup.boot_id)
+        self.remote = leases.Remote(leases.Lease(setup.boot_id))
         self.live = make_live(setup.live)
-        self.adapting = make_adapting(setup.controller, setup.learnt, s.thresholds.lateral)
+        self.adapting = adapting.make_adapting(setup.controller, setup.learnt, s.thresholds.lateral)
         self.vesc: m.VescIdentity | None = None
         self.fault = ""
         self.ran = False
@@ -105,22 +91,22 @@ class Loop:
     def on_operator(self, message: m.OperatorRequest, t_ns: int) -> None:
         """An operator's request arrived."""
         before = self.lease.holder
-        self.lease, request = accept_request(self.lease, message, t_ns, self._is_idle(t_ns))
+        self.lease, request = leases.accept_request(self.lease, message, t_ns, self._is_idle(t_ns))
         self._requests_pending |= int(request)
         self._pass_on(before)
 
     def on_parameters(self, message: m.ParameterRequest, t_ns: int) -> None:
         """A request for other live parameters arrived."""
         before = self.lease.holder
-        self.lease, admitted = admit(self.lease, message, t_ns, self._is_idle(t_ns))
+        self.lease, admitted = leases.admit(self.lease, message, t_ns, self._is_idle(t_ns))
         self._pass_on(before)
         self.live = take_request(self.live, message, admitted)
 
     def _is_idle(self, t_ns: int) -> bool:
         """Whether the operator has been silent for so long that another may take over."""
-        parked = self.supervisor.state in _PARKED
+        parked = self.supervisor.state in PARKED
         patience_s = self.setup.settings.thresholds.lease if parked else _LEASE_KEPT_S
-        return lease_age(self.lease, t_ns) > patience_s
+        return leases.lease_age(self.lease, t_ns) > patience_s
 
     def _pass_on(self, before: int) -> None:
         """An operator does not inherit what another tuned; without a deadman there is no holder."""
@@ -129,12 +115,14 @@ class Loop:
 
     def on_drive(self, command: m.DriveCommand, t_ns: int) -> None:
         """An external controller's command arrived."""
-        self.remote = take_command(self.remote, self.setup.boot_id, command, t_ns)
+        self.remote = leases.take_command(self.remote, command, t_ns)
 
     def on_design(self, message: m.Design, t_ns: int) -> None:
         """A design was taken; who hands it over has checked it, or reads what was recorded."""
         design = read_design(message)
-        self.adapting = take_design(self.adapting, message.number, design, message.text, t_ns)
+        self.adapting = adapting.take_design(
+            self.adapting, message.number, design, message.text, t_ns
+        )
 
     # --- the tick
 
@@ -143,11 +131,17 @@ class Loop:
         estimate = self.perception.estimate(now_ns)
         speed = best_speed(estimate, self.perception.recent_wheel_speed(now_ns))
         wish, report = self._make_wish(estimate, now_ns)
-        now, findings = self._run_watchdogs(estimate, report, speed, due_ns, now_ns, flags)
+        silent = leases.lease_age(self.lease, now_ns) if self.setup.leased else 0.0
+        lane, last = judge_both_lanes(report, self.live.now), self._limiter.order
+        now, findings = self._watching.look(
+            self.supervisor.state, estimate, lane, self.remote, last, speed, silent, due_ns, now_ns,
+            flags,
+        )  # fmt: skip
         settings = self.setup.settings
-        failed = find_failures(
+        failures = find_failures(
             self.setup, self.vesc, self.remote, now, findings, flags, estimated=report is not None
         )
+        failed = next(failures, "")
         bits, text = summarise(findings)
         facts = bits | self._make_facts(now, estimate, failed, flags)
         vesc = self.vesc
@@ -162,10 +156,8 @@ class Loop:
         order = make_order(settings, self._limiter, action, wish, speed, now_ns)
         self._remember_order(order, now_ns)
         disarmed = self.supervisor.state is SupervisorState.DISARMED
-        waiting = failed[0] if failed and disarmed else action.waiting
-        return TickResult(
-            order, action, old, self.supervisor, estimate, report, findings, waiting, facts
-        )
+        waiting = failed if failed and disarmed else WAITING[self.supervisor.state]
+        return TickResult(order, old, self.supervisor, estimate, report, findings, waiting, facts)
 
     def _make_wish(
         self, estimate: StateEstimate | None, now_ns: int
@@ -173,22 +165,22 @@ class Loop:
         """The controller's command and its report on the lane errors."""
         if estimate is None or not estimate.health.sound:
             self._control = None
-            self.adapting = lose_estimate(self.adapting)
+            self.adapting = adapting.lose_estimate(self.adapting)
             return None, None
         self._ticks += 1
-        self.live = step_live(self.live, now_ns, self.supervisor.state in _PARKED)
-        lost = self.supervisor.state in _PARKED and self._ticks % _RELOCATE_TICKS == 0
+        self.live = step_live(self.live, now_ns, self.supervisor.state in PARKED)
+        lost = self.supervisor.state in PARKED and self._ticks % _RELOCATE_TICKS == 0
         if self._control is None or lost:
             design = self.adapting.controller
             self._control = start_controller(design, estimate.state, now_ns)
         state = self.supervisor.state
-        wish, report, self._control, self.adapting = steer(
+        wish, report, self._control, self.adapting = adapting.steer(
             self.adapting,
             self._control,
             estimate.state,
             now_ns,
             issued=self._issued,
-            driving=state in _DRIVING,
+            driving=state in DRIVING,
             stop=state is not SupervisorState.RUNNING,
             live=self.live.now if self.setup.live else AS_DESIGNED,
         )
@@ -205,34 +197,15 @@ class Loop:
         return lane if drill.closed else Command(self._limiter.order.steer, lane.speed)
 
     def _make_remote_wish(self, now_ns: int) -> Command[float] | None:
-        command = valid_command(self.remote, now_ns)
+        command = leases.valid_command(self.remote, now_ns)
         if command is not None:
             return Command(command.steer, command.speed)
         # Lost while driving: hold the angle; the stop that follows takes the speed away.
         held = self._limiter.order
-        return held if self.supervisor.state in _DRIVING else None
-
-    def _run_watchdogs(
-        self,
-        estimate: StateEstimate | None,
-        report: ControlReport | None,
-        speed: float,
-        due_ns: int,
-        now_ns: int,
-        flags: int,
-    ) -> tuple[WatchdogInput, tuple[Finding, ...]]:
-        """The measurements of this tick, and everything that is wrong."""
-        watching, state, order = self._watching, self.supervisor.state, self._limiter.order
-        reported = watching.find_reported(
-            state, estimate, order, self.remote, due_ns, now_ns, flags
-        )
-        counts = report is not None and not self.setup.ignores_lane
-        lane = judge_both_lanes(report, self.live.now) if counts and report is not None else None
-        age = lease_age(self.lease, now_ns) if self.setup.leased else 0.0
-        return watching.judge(state, estimate, lane, speed, order.steer, age, now_ns, reported)
+        return held if self.supervisor.state in DRIVING else None
 
     def _make_facts(
-        self, now: WatchdogInput, estimate: StateEstimate | None, failed: list[str], flags: int
+        self, now: WatchdogInput, estimate: StateEstimate | None, failed: str, flags: int
     ) -> int:
         setup, th, vesc = self.setup, self.setup.settings.thresholds, self.vesc
         known = vesc is not None and vesc.expected == 1 and vesc.timeout_ms >= 0
@@ -261,16 +234,16 @@ class Loop:
             self._watching.restart_launch()
             if estimate is not None:
                 self._control = start_controller(self.adapting.controller, estimate.state, now_ns)
-        if old in _DRIVING and new not in _DRIVING:
+        if old in DRIVING and new not in DRIVING:
             self.ran = True
             self._watching.restart_launch()
-        reason, hard = self.supervisor.reason, new in _HARD
+        reason, hard = self.supervisor.reason, new in BRAKED
         if new is not old and (hard or (is_engaged(old) and reason == tripped)):
             self.fault = reason
         if hard:
             self.live = relax(self.live, "a fault: path and gains as designed")
         rolling = abs(self.perception.wheel_speed) > STANDING_SPEED
-        self.perception.may_rebase = new in _PARKED and not rolling
+        self.perception.may_rebase = new in PARKED and not rolling
 
     def _remember_order(self, order: Order, now_ns: int) -> None:
         """Remember the order, for limiter, filter and controller."""
@@ -278,7 +251,7 @@ class Loop:
         if order.command != self._issued:
             self.perception.on_command(now_ns, order.command)
         self._watching.send_order(now_ns, order)
-        self.adapting = remember_order(self.adapting, now_ns, order.command)
+        self.adapting = adapting.remember_order(self.adapting, now_ns, order.command)
         self._issued = order.command
 
     @property
@@ -289,7 +262,7 @@ class Loop:
     @property
     def parked(self) -> bool:
         """Whether no motor command is sent: disarmed, or latched."""
-        return self.supervisor.state in _PARKED
+        return self.supervisor.state in PARKED
 
     @property
     def at_rest(self) -> bool:

@@ -1,18 +1,13 @@
 """From the supervisor's action and the controller's wish to the wire, through the limiter."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import isfinite
+from operator import attrgetter
 
 from steerd.car_model.state import Command
 from steerd.controller.lane_controller import ControlReport
-from steerd.controller.limits import (
-    LimitedOrder,
-    LimiterState,
-    Limits,
-    Verdict,
-    limit_order,
-    make_limiter_state,
-)
+from steerd.controller.limits import LimiterState, Verdict, limit_order, make_limiter_state
 from steerd.daemon.loop.findings import Finding
 from steerd.daemon.loop.supervisor import Action, SupervisorMemory
 from steerd.daemon.loop.transitions import MotorOutput, SteeringOutput, SupervisorState
@@ -24,6 +19,12 @@ from steerd.vesc_link.scaling import as_sent
 from steerd.vesc_link.vesc import Drive
 
 _DRIVEN = (MotorOutput.DRIVE, MotorOutput.RAMP_STOP)
+_CURRENTS: Mapping[MotorOutput, Callable[[BrakeSettings], float]] = {
+    MotorOutput.SOFT_BRAKE: attrgetter("soft_brake_current_a"),
+    MotorOutput.HOLD_BRAKE: attrgetter("hold_brake_current_a"),
+    MotorOutput.BRAKE: attrgetter("brake_current_a"),
+    MotorOutput.ESTOP_BRAKE: attrgetter("estop_brake_current_a"),
+}
 _UNBRAKED = {
     MotorOutput.DUTY_ZERO: ActuationMode.SHORT,
     MotorOutput.RELEASE_ONCE: ActuationMode.RELEASE,
@@ -48,7 +49,6 @@ class TickResult:
     """Decision of one tick and its inputs."""
 
     order: Order  # for the wire
-    action: Action  # of the supervisor
     old: SupervisorState  # the supervisor's state before the tick
     supervisor: SupervisorMemory  # the supervisor after it
     estimate: StateEstimate | None  # of the car's state, None before the first
@@ -91,7 +91,9 @@ def make_order(
         drive = Drive(ActuationMode.SPEED, sent.steer, sent.speed)
         return Order(drive, limited.state, sent, limited.verdict)
     steer = None if action.steering is SteeringOutput.NONE else limited.order.steer
-    rolling = _track_speed(limits, limited, measured, t_ns)
+    # While no speed is commanded, the next order starts from the measured one.
+    seen = Command(limited.order.steer, max(measured, 0.0))
+    rolling = make_limiter_state(limits, seen, t_ns)
     return Order(_make_brake_drive(action.motor, brakes, steer), rolling, None, limited.verdict)
 
 
@@ -106,22 +108,7 @@ def _make_target(
     return Command(steer, wish.speed if wish is not None and action.motor in _DRIVEN else speed)
 
 
-def _track_speed(limits: Limits, limited: LimitedOrder, speed: float, t_ns: int) -> LimiterState:
-    """State while no speed is commanded: the next order starts from the measured speed."""
-    order = Command(limited.order.steer, max(speed, 0.0))
-    return make_limiter_state(limits, order, t_ns)
-
-
 def _make_brake_drive(motor: MotorOutput, brakes: BrakeSettings, steer: float | None) -> Drive:
-    match motor:
-        case MotorOutput.SOFT_BRAKE:
-            current = brakes.soft_brake_current_a
-        case MotorOutput.HOLD_BRAKE:
-            current = brakes.hold_brake_current_a
-        case MotorOutput.BRAKE:
-            current = brakes.brake_current_a
-        case MotorOutput.ESTOP_BRAKE:
-            current = brakes.estop_brake_current_a
-        case _:
-            return Drive(_UNBRAKED.get(motor, ActuationMode.SILENT), steer)
-    return Drive(ActuationMode.BRAKE, steer, current=current)
+    if motor in _CURRENTS:
+        return Drive(ActuationMode.BRAKE, steer, current=_CURRENTS[motor](brakes))
+    return Drive(_UNBRAKED.get(motor, ActuationMode.SILENT), steer)

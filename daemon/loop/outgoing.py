@@ -2,15 +2,12 @@
 
 # Why: docs/decisions/messages-and-sessions.md#d23
 
-from collections.abc import Iterable
 from math import nan
 from operator import attrgetter
 
 from steerd.controller.lane_controller import ControlReport
-from steerd.daemon.loop.findings import Finding
-from steerd.daemon.loop.supervisor import Action, SupervisorMemory
-from steerd.daemon.loop.transitions import SupervisorState
-from steerd.estimator.state_filter import StateEstimate
+from steerd.daemon.loop.orders import TickResult
+from steerd.daemon.loop.transitions import BRAKED, SupervisorState
 from steerd.mocap_link.source import ClockKind, Pose
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -19,6 +16,8 @@ from steerd.vesc_link.telemetry import Imu, Values
 from steerd.vesc_link.vesc import Answer, Drive
 
 CLOCK_KINDS = tuple(ClockKind)
+ALARM = (*BRAKED, SupervisorState.FAULT_LATCHED)
+"""States of a car that was stopped hard."""
 _NO_REPORT = ControlReport(*(nan,) * len(ControlReport._fields))
 _COUNTS = attrgetter("tachometer_abs", "fault", "status")
 _ELECTRICAL = attrgetter(
@@ -99,26 +98,18 @@ def read_actuation(actuation: m.Actuation) -> tuple[int, float, float, float]:
     return actuation.mode, actuation.steer, actuation.speed, actuation.brake_current_a
 
 
-def make_state(
-    estimate: StateEstimate | None,
-    report: ControlReport | None,
-    drive: Drive,
-    mode: SupervisorState,
-    flags: int,
-    seq: int,
-    t_ns: int,
-    epoch_ns: int,
-) -> m.StateMessage:
+def make_state(tick: TickResult, seq: int, t_ns: int, epoch_ns: int) -> m.StateMessage:
     """The state message of a tick; NaN where nothing is known yet."""
-    r = report or _NO_REPORT
+    estimate, drive = tick.estimate, tick.order.drive
+    r = tick.report or _NO_REPORT
     state = estimate.state if estimate else (nan,) * 7
     sd = estimate.sd if estimate else (nan,) * 7
     return m.StateMessage(
         m.make_header(t_ns + epoch_ns, m.WORLD),
         t_ns,
         seq,
-        flags,
-        mode,
+        tick.facts,
+        tick.supervisor.state,
         *state,
         *sd,
         r.e1,
@@ -131,39 +122,30 @@ def make_state(
     )
 
 
-def make_transition(old: SupervisorState, new: SupervisorMemory, stamp_ns: int) -> m.Transition:
+def make_transition(tick: TickResult, stamp_ns: int) -> m.Transition:
     """A change of the supervisor's state, with its reason."""
-    code = f"{old.name.lower()}_{new.state.name.lower()}"
-    return m.Transition(m.make_header(stamp_ns, m.BODY), old, new.state, code, new.reason)
+    old, new = tick.old, tick.supervisor.state
+    code = f"{old.name.lower()}_{new.name.lower()}"
+    return m.Transition(m.make_header(stamp_ns, m.BODY), old, new, code, tick.supervisor.reason)
 
 
 def make_diagnostics(
-    supervisor: SupervisorMemory,
-    action: Action,
-    waiting: str,
-    findings: Iterable[Finding],
-    extra: dict[str, str],
-    stamp_ns: int,
+    tick: TickResult, waiting: str, extra: dict[str, str], stamp_ns: int
 ) -> DiagnosticArray:
     """State, why it is so, what it waits for, warnings: for `steerd status` and for viewers."""
-    level = (
-        2 if supervisor.state in (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED) else 0
-    )
-    level = 2 if supervisor.state is SupervisorState.ESTOP else level
-    warnings = [finding.text for finding in findings if finding.known]
-    if warnings and level == 0:
-        level = 1
+    state, reason = tick.supervisor.state, tick.supervisor.reason
+    warnings = [finding.text for finding in tick.findings if finding.known]
     values = {
-        "state": supervisor.state.name,
-        "reason": action.reason,
+        "state": state.name,
+        "reason": reason,
         "waiting": waiting,
         "warnings": "\n".join(warnings),
         **extra,
     }
     status = DiagnosticStatus(
-        level=level,
+        level=2 if state in ALARM else int(bool(warnings)),
         name="steerd: supervisor",
-        message=f"{supervisor.state.name}: {action.reason}",
+        message=f"{state.name}: {reason}",
         hardware_id=extra.get("uuid", ""),
         values=tuple(KeyValue(key, value) for key, value in values.items()),
     )

@@ -9,17 +9,9 @@ from steerd.car_model.state import Command, State
 from steerd.daemon.loop.following import LONG_TURN_S
 from steerd.daemon.loop.watchdogs_pose import PoseVerdict, PoseWatch, step_innovation, step_pose
 from steerd.daemon.settings.thresholds import Thresholds
+from steerd.estimator import state_filter as sf
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.sensors import Measurement, make_gyro, make_pose, make_wheel_speed
-from steerd.estimator.state_filter import (
-    FilterState,
-    StateEstimate,
-    make_state_filter,
-    predict_to,
-    restart_filter,
-    step,
-)
-from steerd.mocap_link.source import Pose
 from steerd.steer_bus import messages as m
 from steerd.vesc_link.scaling import Scaling, erpm_to_speed
 from steerd.vesc_link.telemetry import has_chip
@@ -57,8 +49,8 @@ class Perception:
         thresholds: Thresholds,
         scaling: Scaling,
     ) -> None:
-        self._filter = make_state_filter(car, config, chassis=chassis)
-        self._state = FilterState()
+        self._filter = sf.make_state_filter(car, config, chassis=chassis)
+        self._state = sf.FilterState()
         self._thresholds = thresholds
         self._scaling = scaling
         self._wheelbase = wheelbase(car)
@@ -67,7 +59,7 @@ class Perception:
         self._refused = 0
         self._seen = 0
         self.watch = PoseWatch()
-        self.track: deque[Pose] = deque()
+        self.track: deque[m.MocapPose] = deque()
         self.telemetry: m.VescTelemetry | None = None
         self.values = NO_TELEMETRY
         self.wheel_speed = self.mocap_speed = nan
@@ -77,15 +69,15 @@ class Perception:
 
     # --- what arrives
 
-    def on_pose(self, pose: Pose) -> None:
+    def on_pose(self, pose: m.MocapPose) -> None:
         """Check a pose; an accepted one is fused at its time of validity."""
         self.watch, verdict = step_pose(
             self._thresholds, self.watch, pose, self.wheel_speed, self.may_rebase
         )
         if verdict is PoseVerdict.REBASED:
-            self._state = restart_filter(self._state)
+            self._state = sf.restart_filter(self._state)
             self.track.clear()
-        if verdict in _SEEN and pose.rejected is None:
+        if verdict in _SEEN and not pose.reject:
             self.accepted_ns = pose.t_arrival_ns
             self._measurements.append(make_pose(pose.t_valid_ns, pose.x, pose.y, pose.yaw))
             self.track.append(pose)
@@ -116,10 +108,10 @@ class Perception:
 
     # --- what follows
 
-    def estimate(self, now_ns: int) -> StateEstimate | None:
+    def estimate(self, now_ns: int) -> sf.StateEstimate | None:
         """Fuse what arrived and predict to now; None before the first estimate."""
         self._fuse(now_ns)
-        estimate = predict_to(self._filter, self._state, now_ns)
+        estimate = sf.predict_to(self._filter, self._state, now_ns)
         if estimate is not None:
             self._note_innovations(estimate)
         while len(self.track) > 2 and self.track[1].t_valid_ns <= now_ns - _TRACK_NS:
@@ -131,10 +123,10 @@ class Perception:
         """Give the filter what came since the last call; the calls' number changes no estimate."""
         if self._measurements or self._commands:
             new, sent = self._measurements, self._commands
-            self._state = step(self._filter, self._state, now_ns, new, sent)
+            self._state = sf.step(self._filter, self._state, now_ns, new, sent)
             self._measurements, self._commands = [], []
 
-    def _note_innovations(self, estimate: StateEstimate) -> None:
+    def _note_innovations(self, estimate: sf.StateEstimate) -> None:
         pose = estimate.health.pose
         if pose.seen < self._seen or pose.refused < self._refused:
             self._seen = self._refused = 0
@@ -170,7 +162,7 @@ class Perception:
         return (now_ns - self.telemetry.t_received_ns) * 1e-9
 
 
-def best_speed(estimate: StateEstimate | None, wheel_speed: float) -> float:
+def best_speed(estimate: sf.StateEstimate | None, wheel_speed: float) -> float:
     """The speed for the supervisor [m/s]: the filter's while it is sound and has measurements.
 
     NaN if the last pose and the last wheel speed are older than `BLIND_S`: a filter that only
@@ -183,6 +175,6 @@ def best_speed(estimate: StateEstimate | None, wheel_speed: float) -> float:
     return estimate.state.speed if fed else nan
 
 
-def estimated_state(estimate: StateEstimate | None) -> State[float]:
+def estimated_state(estimate: sf.StateEstimate | None) -> State[float]:
     """The estimated state, or NaNs."""
     return estimate.state if estimate is not None else State(*(nan,) * 7)

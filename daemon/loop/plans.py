@@ -85,12 +85,8 @@ class Box:
     @property
     def fence(self) -> tuple[tuple[float, float], ...]:
         """Its corners, anticlockwise."""
-        return (
-            (self.x_min, self.y_min),
-            (self.x_max, self.y_min),
-            (self.x_max, self.y_max),
-            (self.x_min, self.y_max),
-        )
+        left, low, right, high = self.x_min, self.y_min, self.x_max, self.y_max
+        return (left, low), (right, low), (right, high), (left, high)
 
 
 @dataclass(frozen=True)
@@ -156,11 +152,16 @@ _Pattern = tuple[tuple[float, float, float, bool], ...]
 
 
 class _Orbit(NamedTuple):
-    """Mean and swing of the steering [rad] and the highest speed [m/s] on an orbit."""
+    """Mean and swing of the steering [rad], lowest and highest speed [m/s] on an orbit."""
 
     steer: float
     swing: float
-    speed: float
+    slowest: float
+    fastest: float
+
+
+_PROBING = _Orbit(0.0, PROBE, 0.0, 1.0)
+"""What is added to the lane keeper's command: shares of its speed."""
 
 
 def _make_orbit(
@@ -172,13 +173,14 @@ def _make_orbit(
     swing = min(share * steer, bound - steer)
     sharpest = tan(steer + swing) / length
     fastest = sqrt(_GRIP_SHARE * limits.lateral_accel_max / sharpest)
-    return _Orbit(steer, swing, min(speed, limits.speed_max, fastest))
+    fastest = min(speed, limits.speed_max, fastest)
+    return _Orbit(steer, swing, min(SPEED_LOW, fastest), fastest)
 
 
 def _make_waves(orbit: _Orbit, side: float, pattern: _Pattern) -> Iterator[Segment]:
     """A pattern on one side's orbit."""
     for seconds, share, top, square in pattern:
-        speed = max(share * orbit.speed, min(SPEED_LOW, orbit.speed))
+        speed = max(share * orbit.fastest, orbit.slowest)
         low = _CHIRP_LOW_HZ if top > 1.0 else top
         steer, swing = side * orbit.steer, orbit.swing if top else 0.0
         yield Segment(seconds, speed, steer, swing, low, top, square)
@@ -242,14 +244,9 @@ def _simulate(
             speed = g.speed + change * _STEP
             wheel = car.steer_gain * wish.steer + car.steer_bias
             turn = gain * speed * tan(wheel) / (wheelbase(car) + bend * speed * speed)
-            yaw, distance = g.yaw + turn * _STEP, speed * _STEP
-            g = _ForecastState(
-                g.x + distance * cos(yaw),
-                g.y + distance * sin(yaw),
-                yaw,
-                speed,
-                g.distance + distance,
-            )
+            yaw, way = g.yaw + turn * _STEP, speed * _STEP
+            x, y = g.x + way * cos(yaw), g.y + way * sin(yaw)
+            g = _ForecastState(x, y, yaw, speed, g.distance + way)
             yield g
 
 
@@ -329,19 +326,7 @@ def make_closed_drill(name: str, box: Box | None) -> Drill:
     _check_name(name)
     if name == "circles":
         raise PlanError("circles are driven open loop: steering at its limit leaves no room")
-    segments = tuple(
-        Segment(
-            seconds,
-            share,
-            0.0,
-            PROBE if top else 0.0,
-            _CHIRP_LOW_HZ if top > 1.0 else top,
-            top,
-            square,
-        )
-        for seconds, share, top, square in _PATTERNS[name] * 2
-    )
-    return Drill(name, segments, True, box)
+    return Drill(name, tuple(_make_waves(_PROBING, 1.0, _PATTERNS[name] * 2)), True, box)
 
 
 def _check_name(name: str) -> None:

@@ -13,6 +13,7 @@ from functools import lru_cache
 from math import inf, isfinite
 
 from steerd.daemon.loop.transitions import (
+    BRAKED,
     GIVEN,
     REQUESTED,
     STOP_REASON,
@@ -75,13 +76,11 @@ class SupervisorMemory:
 
 @quick_value
 class Action:
-    """What this tick must put on the wire, and why."""
+    """What this tick must put on the wire."""
 
     motor: MotorOutput  # kind of motor bytes
     steering: SteeringOutput  # kind of servo bytes
     cap: float  # highest speed that may be ordered [m/s]; ``inf`` where only the car's limits apply
-    reason: str  # why the supervisor is in this state
-    waiting: str  # what it waits for
 
 
 _KNOWN = sum(map(int, (*REQUESTED, Request.KEEPALIVE)))
@@ -96,9 +95,6 @@ def make_supervisor_memory(t_ns: int) -> SupervisorMemory:
     )  # fmt: skip
 
 
-_BRAKING = (SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
-
-
 def _since(holds: object, began: int, t_ns: int) -> int:
     """When a condition was first seen to hold, ``NEVER`` while it does not."""
     if not holds:
@@ -110,7 +106,7 @@ def _renew_timers(s: SupervisorMemory, c: Conditions, t_ns: int) -> tuple[int, i
     """Return since when the car stands, the checks pass, the timeout is shown."""
     if not 0 <= t_ns - s.t_ns <= GAP_NS:
         return NEVER, NEVER, NEVER
-    blind = s.state in _BRAKING and not isfinite(c.speed) and t_ns - s.since_ns >= BLIND_NS
+    blind = s.state in BRAKED and not isfinite(c.speed) and t_ns - s.since_ns >= BLIND_NS
     still = blind or -STILL_SPEED < c.speed < STILL_SPEED
     proof = c.facts & Fact.FW_TIMEOUT and s.state == SupervisorState.SELF_TEST
     return (
@@ -169,11 +165,11 @@ def derive_facts(s: SupervisorMemory, c: Conditions, requests: int, t_ns: int) -
 def _enter(s: SupervisorMemory, row: TransitionRow, c: Conditions, t_ns: int) -> SupervisorMemory:
     text = s.reason if row.to == SupervisorState.FAULT_LATCHED else c.text
     reason = row.reason or text or "a watchdog tripped"
-    frames = OPEN_FRAMES if row.to == SupervisorState.INIT else s.frames
-    rearm = row.reason == STOP_REASON
-    return SupervisorMemory(
-        row.to, t_ns, t_ns, reason, s.still_ns, NEVER, NEVER, s.cap, rearm, False, frames
-    )
+    return changed(
+        s, state=row.to, since_ns=t_ns, reason=reason, checks_ns=NEVER, proof_ns=NEVER,
+        rearm=row.reason == STOP_REASON, braking=False,
+        frames=OPEN_FRAMES if row.to == SupervisorState.INIT else s.frames,
+    )  # fmt: skip
 
 
 def _next_cap(s: SupervisorMemory, old: SupervisorMemory, bits: int, speed: float) -> float:
@@ -231,12 +227,7 @@ def _choose_steering(s: SupervisorMemory, bits: int, motor: MotorOutput) -> Stee
             return SteeringOutput.NONE
 
 
-def _count_frames(s: SupervisorMemory, bits: int) -> int:
-    """Brake frames still to be sent to a port that was just opened."""
-    return max(0, s.frames - 1) if bits & Fact.LINKED else OPEN_FRAMES
-
-
-_WAITING = {
+WAITING = {
     SupervisorState.INIT: "VESC firmware, UUID and settings, and a first mocap frame",
     SupervisorState.DISARMED: "all checks to pass for 1 s",
     SupervisorState.READY: "arm",
@@ -248,6 +239,7 @@ _WAITING = {
     SupervisorState.FAULT_LATCHED: "the cause to go, then clear",
     SupervisorState.ESTOP: "the car to stand still, then reset",
 }
+"""What a state waits for, for people."""
 
 
 def step_supervisor(
@@ -265,10 +257,7 @@ def step_supervisor(
         The new memory, and what this tick must put on the wire.
     """
     still, checks, proof = _renew_timers(old, conditions, t_ns)
-    s = SupervisorMemory(
-        old.state, t_ns, old.since_ns, old.reason, still, checks, proof, old.cap, old.rearm,
-        old.braking, old.frames,
-    )  # fmt: skip
+    s = changed(old, t_ns=t_ns, still_ns=still, checks_ns=checks, proof_ns=proof)
     bits = derive_facts(s, conditions, requests, t_ns)
     row = choose_row(s.state, bits)
     if row is not None and row.to != s.state:
@@ -281,12 +270,9 @@ def step_supervisor(
     braking = s.state == SupervisorState.STOPPING and (
         s.braking or cap < SOFT_BRAKE_SPEED or not abs(conditions.speed) >= SOFT_BRAKE_SPEED
     )
-    s = SupervisorMemory(
-        s.state, t_ns, s.since_ns, s.reason, s.still_ns, s.checks_ns, s.proof_ns, cap, rearm,
-        braking, s.frames,
-    )  # fmt: skip
+    s = changed(s, cap=cap, rearm=rearm, braking=braking)
     motor = _choose_motor(s, old, bits)
     steering = _choose_steering(s, bits, motor)
-    if s.state == SupervisorState.INIT:
-        s = changed(s, frames=_count_frames(s, bits))
-    return s, Action(motor, steering, cap, s.reason, _WAITING[s.state])
+    if s.state == SupervisorState.INIT:  # a port that was just opened
+        s = changed(s, frames=max(0, s.frames - 1) if bits & Fact.LINKED else OPEN_FRAMES)
+    return s, Action(motor, steering, cap)

@@ -113,7 +113,13 @@ class TransitionRow(NamedTuple):
 _ANY = tuple(SupervisorState)
 INIT, DISARMED, READY, SELF_TEST, ARMED, RUNNING, STOPPING, FAULT_STOP, FAULT_LATCHED, ESTOP = _ANY
 _SILENT = (DISARMED, READY, SELF_TEST)
-_DRIVEN = (ARMED, RUNNING, STOPPING)
+PARKED = (INIT, DISARMED, READY, FAULT_LATCHED)
+"""No motor command is sent."""
+HELD = (ARMED, RUNNING, STOPPING)
+"""Somebody must hold the car."""
+DRIVING = (RUNNING, STOPPING)
+BRAKED = (FAULT_STOP, ESTOP)
+"""The car is being stopped hard."""
 _TRIPPED = Fact.SOFT | Fact.HARD
 _LEAVE = Fact.DISARM | Fact.UNKNOWN
 _HALT = Fact.STOP | Fact.DISARM | Fact.ABORT | Fact.UNKNOWN
@@ -141,9 +147,9 @@ _row = TransitionRow
 TABLE: tuple[TransitionRow, ...] = (
     _row(_ANY, ESTOP, "emergency stop called", needs=Fact.CALL_ESTOP),
     _row(_ANY, ESTOP, "", needs=Fact.KILLED),
-    _row(_DRIVEN, FAULT_STOP, "", needs=Fact.HARD),
-    _row(_DRIVEN, FAULT_STOP, "serial link lost", unless=Fact.LINKED),
-    _row(_DRIVEN, FAULT_STOP, "second signal: stopping hard", needs=Fact.ABORT),
+    _row(HELD, FAULT_STOP, "", needs=Fact.HARD),
+    _row(HELD, FAULT_STOP, "serial link lost", unless=Fact.LINKED),
+    _row(HELD, FAULT_STOP, "second signal: stopping hard", needs=Fact.ABORT),
     _row(_SILENT, INIT, "serial link lost", unless=Fact.LINKED),
     _row(_SILENT, INIT, "VESC or mocap is not what the car file names", unless=Fact.IDENTIFIED),
     _row((INIT,), DISARMED, "VESC identified, mocap seen", needs=Fact.LINKED | Fact.IDENTIFIED),
@@ -191,7 +197,7 @@ ROWS = tuple(tuple(row for row in TABLE if state in row.sources) for state in Su
 
 def is_engaged(state: SupervisorState) -> bool:
     """Whether motor bytes flow in this state, so that the guardian must brake if the core dies."""
-    return state in (ARMED, RUNNING, STOPPING, FAULT_STOP, ESTOP)
+    return state in HELD or state in BRAKED
 
 
 def choose_row(state: SupervisorState, bits: int) -> TransitionRow | None:

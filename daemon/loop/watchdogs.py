@@ -16,7 +16,7 @@ from steerd.daemon.common.screen import show
 from steerd.daemon.loop.findings import Finding, Severity, make_finding, make_unknown
 from steerd.daemon.loop.follow_model import Band
 from steerd.daemon.loop.following import Followed, follow_span
-from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.loop.transitions import BRAKED, DRIVING, HELD, SupervisorState
 from steerd.daemon.loop.watchdogs_pose import PoseWatch, is_flapping, rejected_share
 from steerd.daemon.settings.thresholds import SOFT_DECEL, Thresholds
 from steerd.steer_bus.quick_values import changed, quick_value
@@ -66,10 +66,8 @@ class WatchdogInput:
 Report = Callable[[Finding], None]
 """Takes a finding of this tick."""
 Check = Callable[[Thresholds, WatchdogInput, Report], None]
-_DRIVING = (SupervisorState.RUNNING, SupervisorState.STOPPING)
 _COMMANDED = (SupervisorState.ARMED, SupervisorState.RUNNING)
-_LEASED = (SupervisorState.ARMED, SupervisorState.RUNNING, SupervisorState.STOPPING)
-_STOPS = (SupervisorState.STOPPING, SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
+_STOPS = (SupervisorState.STOPPING, *BRAKED)
 
 
 def mocap_timeout(th: Thresholds, speed: float) -> float:
@@ -90,16 +88,23 @@ def is_inside(fence: tuple[tuple[float, float], ...], x: float, y: float) -> boo
     return inside
 
 
+def _report_measured(
+    report: Report, id: str, value: float, trip: float, text: str, unknown: str
+) -> None:
+    """A value beyond its warning: a trip beyond its limit, or that it was never measured."""
+    if not isfinite(value):
+        report(make_unknown(id, unknown))
+    else:
+        report(make_finding(id, text, _WARN if value <= trip else None))
+
+
 def _check_mocap_age(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     if i.mocap_age <= th.mocap_warn:
-        return
-    if not isfinite(i.mocap_age):
-        report(make_unknown("W1", "no good frame yet"))
         return
     speed = i.speed if abs(i.speed) > abs(i.speed_erpm) else i.speed_erpm
     allowed = mocap_timeout(th, speed)
     text = f"no good frame for {i.mocap_age * 1e3:.0f} ms (limit {allowed * 1e3:.0f} ms)"
-    report(make_finding("W1", text, None if not i.mocap_age <= allowed else _WARN))
+    _report_measured(report, "W1", i.mocap_age, allowed, text, "no good frame yet")
 
 
 def _check_poses(th: Thresholds, i: WatchdogInput, report: Report) -> None:
@@ -136,11 +141,8 @@ def _check_estimate(th: Thresholds, i: WatchdogInput, report: Report) -> None:
 def _check_vesc(th: Thresholds, i: WatchdogInput, report: Report) -> None:
     """W7, W10 to W12, and the first threshold of W13, by the last telemetry."""
     if not i.telemetry_age <= th.telemetry_warn:
-        if isfinite(i.telemetry_age):
-            text = f"no reply for {i.telemetry_age * 1e3:.0f} ms"
-            report(make_finding("W7", text, _WARN if i.telemetry_age <= th.telemetry else None))
-        else:
-            report(make_unknown("W7", "no reply yet"))
+        text = f"no reply for {i.telemetry_age * 1e3:.0f} ms"
+        _report_measured(report, "W7", i.telemetry_age, th.telemetry, text, "no reply yet")
     if i.status & 2:
         report(make_finding("W10", "status bit 1 is set"))
     if i.fault_code:
@@ -151,33 +153,25 @@ def _check_vesc(th: Thresholds, i: WatchdogInput, report: Report) -> None:
 
 
 def _check_temperature(th: Thresholds, i: WatchdogInput, report: Report) -> None:
-    fet_trips, motor_trips = not i.fet_temperature <= th.fet, i.motor_temperature > th.motor
-    if fet_trips and not isfinite(i.fet_temperature):
-        report(make_unknown("W14", "the transistors' temperature is not known yet"))
-    elif fet_trips or i.fet_temperature > th.fet_warn:
-        text = f"transistors at {i.fet_temperature:.0f} C"
-        report(make_finding("W14", text, None if fet_trips else _WARN))
-    if motor_trips or i.motor_temperature > th.motor_warn:
-        text = f"motor at {show(i.motor_temperature, '.0f')} C"
-        report(make_finding("W14", text, None if motor_trips else _WARN))
+    fet, motor = i.fet_temperature, i.motor_temperature
+    if not fet <= th.fet or fet > th.fet_warn:
+        unknown = "the transistors' temperature is not known yet"
+        _report_measured(report, "W14", fet, th.fet, f"transistors at {fet:.0f} C", unknown)
+    if motor > th.motor or motor > th.motor_warn:
+        text = f"motor at {show(motor, '.0f')} C"
+        report(make_finding("W14", text, None if motor > th.motor else _WARN))
 
 
 def _check_path(th: Thresholds, i: WatchdogInput, report: Report) -> None:
-    if i.state not in _DRIVING:
+    if i.state not in DRIVING:
         return
     lateral, heading = abs(i.lateral_error), abs(i.heading_error)
     if not lateral <= th.lateral_warn:
-        if isfinite(lateral):
-            stop = None if lateral > th.lateral_max else _WARN
-            report(make_finding("W17", f"{lateral:.2f} m", stop))
-        else:
-            report(make_unknown("W17", "no lane error"))
+        text = f"{lateral:.2f} m"
+        _report_measured(report, "W17", lateral, th.lateral_max, text, "no lane error")
     if not heading <= th.heading_warn:
-        if isfinite(heading):
-            stop = None if heading > th.heading else _WARN
-            report(make_finding("W18", f"{degrees(heading):.0f}°", stop))
-        else:
-            report(make_unknown("W18", "no heading error"))
+        text = f"{degrees(heading):.0f}°"
+        _report_measured(report, "W18", heading, th.heading, text, "no heading error")
 
 
 def _check_fence(th: Thresholds, i: WatchdogInput, report: Report) -> None:
@@ -199,13 +193,10 @@ def _check_fence(th: Thresholds, i: WatchdogInput, report: Report) -> None:
 
 
 def _check_lease(th: Thresholds, i: WatchdogInput, report: Report) -> None:
-    if i.lease_age <= th.lease_warn or i.state not in _LEASED:
+    if i.lease_age <= th.lease_warn or i.state not in HELD:
         return
-    if not isfinite(i.lease_age):
-        report(make_unknown("W25", "no operator yet"))
-    else:
-        text = f"not renewed for {i.lease_age * 1e3:.0f} ms"
-        report(make_finding("W25", text, _WARN if i.lease_age <= th.lease else None))
+    text = f"not renewed for {i.lease_age * 1e3:.0f} ms"
+    _report_measured(report, "W25", i.lease_age, th.lease, text, "no operator yet")
 
 
 INSTANT: tuple[Check, ...] = (
@@ -228,7 +219,7 @@ def _is_starved(_th: Thresholds, i: WatchdogInput) -> bool:
 
 
 def _is_fast(th: Thresholds, i: WatchdogInput) -> bool:
-    if i.state not in _DRIVING:
+    if i.state not in DRIVING:
         return False
     limit = max(i.speed_limit * th.overspeed_ratio, i.speed_limit + th.overspeed_margin)
     return not (-limit <= i.speed_erpm <= limit and -limit <= i.speed_mocap <= limit)
@@ -236,7 +227,7 @@ def _is_fast(th: Thresholds, i: WatchdogInput) -> bool:
 
 def _is_mismatched(th: Thresholds, i: WatchdogInput) -> bool:
     off = abs(i.speed_erpm - i.speed_mocap)
-    if off <= th.mismatch_speed or i.state not in _DRIVING:
+    if off <= th.mismatch_speed or i.state not in DRIVING:
         return False
     larger = max(abs(i.speed_erpm), abs(i.speed_mocap))
     return not off <= th.mismatch_share * larger
@@ -272,7 +263,7 @@ TIMED: tuple[Timed, ...] = (
     ),
     Timed(
         "W17",
-        lambda th, i: i.state in _DRIVING and abs(i.lateral_error) > th.lateral,
+        lambda th, i: i.state in DRIVING and abs(i.lateral_error) > th.lateral,
         lambda th, _: th.lateral_hold,
         lambda i: f"{show(abs(i.lateral_error), '.2f')} m",
     ),
@@ -281,7 +272,7 @@ TIMED: tuple[Timed, ...] = (
     Timed("W22", _is_blocked, lambda th, _: th.blocked_hold, _describe_block),
     Timed(
         "W30",
-        lambda _, i: i.state in _DRIVING and not i.followed.speed_excess <= 0.0,
+        lambda _, i: i.state in DRIVING and not i.followed.speed_excess <= 0.0,
         lambda th, i: follow_span(th, i.speed_erpm),
         lambda i: (
             f"wheels {show(i.followed.speed, '.2f')} m/s, "
@@ -290,7 +281,7 @@ TIMED: tuple[Timed, ...] = (
     ),
     Timed(
         "W31",
-        lambda _, i: i.state in _DRIVING and not i.followed.turn_excess <= 0.0,
+        lambda _, i: i.state in DRIVING and not i.followed.turn_excess <= 0.0,
         lambda th, i: 0.5 * follow_span(th, i.speed_mocap),
         lambda i: (
             f"turns at {show(i.followed.turn_rate, '.2f')} rad/s, "
@@ -354,7 +345,7 @@ def _step_saturation(
     th: Thresholds, w: WatchdogState, i: WatchdogInput, report: Report
 ) -> tuple[int, float]:
     """W23: full lock for long while the lateral error grows."""
-    if i.state not in _DRIVING or i.steer_share <= th.saturated:
+    if i.state not in DRIVING or i.steer_share <= th.saturated:
         return NEVER, 0.0
     error = abs(i.lateral_error)
     if w.saturated_ns == NEVER:

@@ -6,9 +6,10 @@ for a good estimate; these watchdogs independently detect that mocap cannot be t
 
 from enum import IntEnum
 from math import hypot, isfinite, remainder, sqrt, tau
+from operator import attrgetter
 
 from steerd.daemon.settings.thresholds import Thresholds
-from steerd.mocap_link.source import Pose
+from steerd.steer_bus.messages import MocapPose
 from steerd.steer_bus.quick_values import changed, quick_value
 
 JUMP_TIMES = 5  # number of jumps within ``jump_window`` that trip, in a row or not
@@ -29,8 +30,8 @@ class PoseVerdict(IntEnum):
 class PoseWatch:
     """Memory of the frame watchdogs; the counts are of frames in a row."""
 
-    base: Pose | None = None  # the last good frame
-    before: Pose | None = None  # the last good frame that arrived earlier than `base`
+    base: MocapPose | None = None  # the last good frame
+    before: MocapPose | None = None  # the last good frame that arrived earlier than `base`
     frozen: int = 0
     invalid: int = 0
     jumps: int = 0
@@ -39,28 +40,26 @@ class PoseWatch:
     rejections: int = 0  # shift register: bit k set if the innovation was rejected k frames ago
 
 
-def is_sane(th: Thresholds, pose: Pose) -> bool:
+def is_sane(th: Thresholds, pose: MocapPose) -> bool:
     """Whether a frame is a pose at all (W3): finite, unit quaternion, not exactly the origin."""
-    w, x, y, z = pose.quaternion
+    w, x, y, z = pose.qw, pose.qx, pose.qy, pose.qz
     norm = sqrt(w * w + x * x + y * y + z * z)
     return (
-        pose.tracking_valid
-        and pose.live
+        pose.tracking_valid != 0
         and bool(pose.x or pose.y or pose.height)
         and isfinite(pose.x + pose.y + pose.height + pose.yaw)
         and abs(norm - 1.0) <= th.quaternion_tolerance
     )
 
 
-def _is_newer(base: Pose, pose: Pose) -> bool:
-    if pose.frame is None or pose.frame < 0:
+def _is_newer(base: MocapPose, pose: MocapPose) -> bool:
+    if pose.frame < 0:
         # A stream keeps its order, but the poses of one TCP segment share its stamp.
         return pose.t_arrival_ns >= base.t_arrival_ns
-    last = -1 if base.frame is None else base.frame
-    return pose.frame > last and pose.t_arrival_ns > base.t_arrival_ns
+    return pose.frame > base.frame and pose.t_arrival_ns > base.t_arrival_ns
 
 
-def _is_jump(th: Thresholds, base: Pose, before: Pose | None, pose: Pose) -> bool:
+def _is_jump(th: Thresholds, base: MocapPose, before: MocapPose | None, pose: MocapPose) -> bool:
     # Poses that arrived at one time have had the time since the arrival before, all together.
     at_once = pose.t_arrival_ns == base.t_arrival_ns
     start = before if before is not None and at_once else base
@@ -69,13 +68,11 @@ def _is_jump(th: Thresholds, base: Pose, before: Pose | None, pose: Pose) -> boo
     return step > bound or abs(remainder(pose.yaw - base.yaw, tau)) > th.yaw_step
 
 
-def _is_repeated(base: Pose, pose: Pose) -> bool:
-    """Whether it is the last good pose bit by bit."""
-    there = (base.x, base.y, base.height, base.quaternion)
-    return (pose.x, pose.y, pose.height, pose.quaternion) == there
+_place = attrgetter("x", "y", "height", "qw", "qx", "qy", "qz")
+"""All that the last good pose must have in common with one that repeats it bit by bit."""
 
 
-def _check_pose(th: Thresholds, w: PoseWatch, pose: Pose, wheel_speed: float) -> PoseVerdict:
+def _check_pose(th: Thresholds, w: PoseWatch, pose: MocapPose, wheel_speed: float) -> PoseVerdict:
     if not is_sane(th, pose):
         return PoseVerdict.INVALID
     base = w.base
@@ -83,13 +80,13 @@ def _check_pose(th: Thresholds, w: PoseWatch, pose: Pose, wheel_speed: float) ->
         return PoseVerdict.REBASED
     if not _is_newer(base, pose):
         return PoseVerdict.INVALID
-    if abs(wheel_speed) > th.freeze_speed and _is_repeated(base, pose):
+    if abs(wheel_speed) > th.freeze_speed and _place(base) == _place(pose):
         return PoseVerdict.FROZEN
     return PoseVerdict.JUMP if _is_jump(th, base, w.before, pose) else PoseVerdict.ACCEPTED
 
 
 def step_pose(
-    th: Thresholds, w: PoseWatch, pose: Pose, wheel_speed: float, may_rebase: bool
+    th: Thresholds, w: PoseWatch, pose: MocapPose, wheel_speed: float, may_rebase: bool
 ) -> tuple[PoseWatch, PoseVerdict]:
     """Check one frame.
 

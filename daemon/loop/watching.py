@@ -12,27 +12,12 @@ from steerd.car_model.params import Car
 from steerd.car_model.state import Command, State
 from steerd.controller.lane_controller import ControlReport
 from steerd.controller.limits import Verdict
-from steerd.daemon.loop.findings import (
-    Finding,
-    advise_simulation,
-    blame_late,
-    make_finding,
-    make_reported_findings,
-    make_unknown,
-)
+from steerd.daemon.loop import findings as fs
+from steerd.daemon.loop import following
 from steerd.daemon.loop.follow_model import make_follow_model
-from steerd.daemon.loop.following import (
-    Followed,
-    FollowState,
-    advance,
-    compare,
-    follow_span,
-    measure_turns,
-    send_order,
-)
 from steerd.daemon.loop.lateness import IN_SIMULATION, Lateness, make_lateness_rules, step_lateness
 from steerd.daemon.loop.launch import LaunchInput, LaunchState, make_launch_state, step_launch
-from steerd.daemon.loop.lease import Remote, command_age, valid_command
+from steerd.daemon.loop.lease import Remote, lease_age, valid_command
 from steerd.daemon.loop.loop_setup import LoopSetup
 from steerd.daemon.loop.orders import Order
 from steerd.daemon.loop.perception import Perception, estimated_state
@@ -62,7 +47,7 @@ class Watching:
         self.launched, self.slowing = False, True
         self._watchdogs = WatchdogState()
         self._ranges = make_follow_model(car, s.file.sd, s.filter, s.thresholds)
-        self._following = FollowState()
+        self._following = following.FollowState()
         self._lateness = Lateness()
         self._not_finite = False
         self._late_rules = IN_SIMULATION if setup.simulated else make_lateness_rules(s.thresholds)
@@ -76,81 +61,58 @@ class Watching:
         self._not_finite = order.verdict is Verdict.NOT_FINITE
         rolling = self._seen.wheel_speed
         speed = rolling if isfinite(rolling) else 0.0
-        self._following = send_order(self._following, self._ranges, t_ns, order.command, speed)
-
-    def find_reported(
-        self,
-        state: SupervisorState,
-        estimate: StateEstimate | None,
-        order: Command[float],
-        remote: Remote,
-        due_ns: int,
-        now_ns: int,
-        flags: int,
-    ) -> tuple[Finding, ...]:
-        """What needs no measurement: the runner's findings, lateness, launch under `order`, W25."""
-        found = list(make_reported_findings(flags))
-        self._lateness, late = step_lateness(
-            self._lateness, due_ns, now_ns, self._setup.period_ns, self._late_rules
+        self._following = following.send_order(
+            self._following, self._ranges, t_ns, order.command, speed
         )
-        if late is not None:
-            found.append(blame_late(late, flags))
-        running = state is SupervisorState.RUNNING
-        if running and estimate is not None and not self.launched:
-            found += self._check_launch(estimate.state, order, now_ns)
-        if self._not_finite:
-            found.append(make_finding("limiter", "the controller gave a number that is not finite"))
-        if running and self._setup.remote and valid_command(remote, now_ns) is None:
-            age = command_age(remote, now_ns)
-            if isfinite(age):
-                found.append(make_finding("W25", f"no valid command for {age * 1e3:.0f} ms"))
-            else:
-                found.append(make_unknown("W25", "no valid command yet"))
-        return tuple(found)
 
-    def _check_launch(self, s: State[float], order: Command[float], t_ns: int) -> list[Finding]:
-        aim = references(FLOAT, self._car, order)  # gain and bias of the linkage
-        now = LaunchInput(t_ns, s.x, s.y, s.yaw, self._seen.wheel_speed, aim.steer)
-        if self._launch is None:
-            self._launch = make_launch_state(now)
-            return []
-        self._launch, wrong = step_launch(self._launch, now, self._settings.limits.wheelbase)
-        self.launched = self._launch.done
-        return [make_finding("launch", wrong)] if wrong else []
-
-    def judge(
+    def look(
         self,
         state: SupervisorState,
         estimate: StateEstimate | None,
         lane: ControlReport | None,
+        remote: Remote,
+        order: Command[float],
         speed: float,
-        steer: float,
-        lease_age: float,
+        silent: float,
+        due_ns: int,
         now_ns: int,
-        reported: tuple[Finding, ...],
-    ) -> tuple[WatchdogInput, tuple[Finding, ...]]:
-        """The measurements of a tick, NaN where nothing is known, and all findings, reported first.
+        flags: int,
+    ) -> tuple[WatchdogInput, tuple[fs.Finding, ...]]:
+        """The measurements of a tick, NaN where nothing is known, and all findings.
 
         Args:
             state: the supervisor's, of the last tick.
             estimate: of the car's state.
-            lane: errors of its place in the lane; None where they are not known or do not count.
+            lane: errors of its place in the lane; None where they are not known.
+            remote: the external controller.
+            order: the last one.
             speed: best known [m/s].
-            steer: last ordered angle [rad].
-            lease_age: since the operator's last request [s].
+            silent: time since the operator's last request [s].
+            due_ns: when the tick was due.
             now_ns: now.
-            reported: findings that need no measurement.
+            flags: of the runner.
         """
+        reported = [*fs.make_reported_findings(flags), *self._find_late(due_ns, now_ns, flags)]
+        running = state is SupervisorState.RUNNING
+        if running and estimate is not None and not self.launched:
+            reported += self._check_launch(estimate.state, order, now_ns)
+        if self._not_finite:
+            what = "the controller gave a number that is not finite"
+            reported.append(fs.make_finding("limiter", what))
+        if running and self._setup.remote:
+            reported += _find_silence(remote, now_ns)
         seen, limits, brakes = self._seen, self._settings.limits, self._settings.brakes
         s, health = estimated_state(estimate), estimate.health if estimate else None
-        nowhere, v = 0.0 if self._setup.ignores_lane else nan, seen.values
+        v, (e1, e2) = seen.values, (lane.e1, lane.e2) if lane else (nan, nan)
+        if self._setup.ignores_lane:
+            e1 = e2 = 0.0
         now = WatchdogInput(
             t_ns=now_ns,
             state=state,
             pose=seen.watch,
             mocap_age=seen.mocap_age(now_ns),
             telemetry_age=seen.telemetry_age(now_ns),
-            lease_age=lease_age,
+            lease_age=silent,
             speed=speed,
             speed_erpm=seen.wheel_speed,
             speed_mocap=seen.mocap_speed,
@@ -161,10 +123,10 @@ class Watching:
             sigma_position=health.position_sd if health else nan,
             sigma_yaw=health.yaw_sd if health else nan,
             covariance_ok=health.sound if health else True,  # its sigmas are not known: W6 trips
-            lateral_error=lane.e1 if lane else nowhere,
-            heading_error=lane.e2 if lane else nowhere,
-            steer_share=abs(steer)
-            / (limits.steer_left_max if steer > 0.0 else limits.steer_right_max),
+            lateral_error=e1,
+            heading_error=e2,
+            steer_share=abs(order.steer)
+            / (limits.steer_left_max if order.steer > 0.0 else limits.steer_right_max),
             status=v.status if v.status > 0 else 0,  # -1: not sent
             fault_code=v.fault_code if v.fault_code > 0 else 0,
             tachometer=v.tachometer_abs,
@@ -173,16 +135,45 @@ class Watching:
             motor_temperature=v.temp_motor,
             current_share=abs(v.current_motor) / brakes.current_max_a,
             followed=self._compare_with_orders(now_ns),
-            reported=reported,
+            reported=tuple(reported),
         )
         self._watchdogs, found = step_watchdogs(self._settings.thresholds, self._watchdogs, now)
         self.slowing = is_slowing(self._watchdogs)
-        return now, tuple(map(advise_simulation, found)) if self._setup.simulated else found
+        return now, tuple(map(fs.advise_simulation, found)) if self._setup.simulated else found
 
-    def _compare_with_orders(self, now_ns: int) -> Followed:
+    def _find_late(self, due_ns: int, now_ns: int, flags: int) -> list[fs.Finding]:
+        """W15."""
+        self._lateness, late = step_lateness(
+            self._lateness, due_ns, now_ns, self._setup.period_ns, self._late_rules
+        )
+        return [] if late is None else [fs.blame_late(late, flags)]
+
+    def _check_launch(self, s: State[float], order: Command[float], t_ns: int) -> list[fs.Finding]:
+        aim = references(FLOAT, self._car, order)  # gain and bias of the linkage
+        now = LaunchInput(t_ns, s.x, s.y, s.yaw, self._seen.wheel_speed, aim.steer)
+        if self._launch is None:
+            self._launch = make_launch_state(now)
+            return []
+        self._launch, wrong = step_launch(self._launch, now, self._settings.limits.wheelbase)
+        self.launched = self._launch.done
+        return [fs.make_finding("launch", wrong)] if wrong else []
+
+    def _compare_with_orders(self, now_ns: int) -> following.Followed:
         """What wheels and pose did since, against the orders that left."""
         seen = self._seen
         ground = seen.mocap_speed if isfinite(seen.mocap_speed) else 0.0
-        self._following = advance(self._following, self._ranges, now_ns, ground)
-        turns = measure_turns(seen.track, follow_span(self._settings.thresholds, ground))
-        return compare(self._following, self._ranges, seen.wheel, turns)
+        self._following = following.advance(self._following, self._ranges, now_ns, ground)
+        turns = following.measure_turns(
+            seen.track, following.follow_span(self._settings.thresholds, ground)
+        )
+        return following.compare(self._following, self._ranges, seen.wheel, turns)
+
+
+def _find_silence(remote: Remote, now_ns: int) -> list[fs.Finding]:
+    """W25 of an external controller."""
+    if valid_command(remote, now_ns) is not None:
+        return []
+    age = lease_age(remote.lease, now_ns)
+    if not isfinite(age):
+        return [fs.make_unknown("W25", "no valid command yet")]
+    return [fs.make_finding("W25", f"no valid command for {age * 1e3:.0f} ms")]

@@ -16,17 +16,15 @@ from steerd.daemon.common.progress import watched
 from steerd.daemon.common.translate import reading
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.loop import Loop
-from steerd.daemon.loop.outgoing import CLOCK_KINDS, make_actuation, read_actuation
+from steerd.daemon.loop.outgoing import make_actuation, read_actuation
 from steerd.daemon.settings.config import make_settings
 from steerd.daemon.settings.run_options import decode_options
-from steerd.mocap_link.source import Pose
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.session_read import Record, Session
 
 TOLERANCE = 1e-9
 """Allowed difference: another machine's libm may differ in the last digits."""
-_SENSED = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z")
 
 
 @dataclass(frozen=True)
@@ -37,29 +35,6 @@ class Difference:
     t_ns: int
     recorded: tuple[float, ...]
     replayed: tuple[float, ...]
-
-
-def read_pose(pose: m.MocapPose) -> Pose:
-    """A recorded pose (as far as the loop reads it)."""
-    return Pose(
-        body="",
-        frame=None if pose.frame < 0 else pose.frame,
-        source_ticks=pose.source_ticks,
-        transmit_ticks=None,
-        t_arrival_ns=pose.t_arrival_ns,
-        position=(pose.x_raw, pose.y_raw, pose.z_raw),
-        quaternion=(pose.qw, pose.qx, pose.qy, pose.qz),
-        mean_error=None if isnan(pose.mean_error) else pose.mean_error,
-        tracking_valid=bool(pose.tracking_valid),
-        t_valid_ns=pose.t_valid_ns,
-        clock=CLOCK_KINDS[pose.clock_kind],
-        x=pose.x,
-        y=pose.y,
-        yaw=pose.yaw,
-        height=pose.height,
-        tilt=pose.tilt,
-        rejected=pose.reject or None,
-    )
 
 
 def make_replay_plan(session: Session, name: str) -> tuple[RunPlan, int, int, bool]:
@@ -90,35 +65,30 @@ class Replay:
         self.loop = Loop(make_loop_setup(plan, boot_id, leased))
         self.ticks = 0
         self._epoch_ns = epoch_ns
+        loop, seen = self.loop, self.loop.perception
+        self._seen: dict[type, Callable[[Any], None]] = {
+            m.MocapPose: seen.on_pose, m.VescTelemetry: seen.on_telemetry, m.VescImu: seen.on_imu,
+            m.VescIdentity: loop.on_vesc,
+        }  # fmt: skip
+        self._asked: dict[type, Callable[[Any, int], None]] = {
+            m.OperatorRequest: loop.on_operator, m.DriveCommand: loop.on_drive,
+            m.ParameterRequest: loop.on_parameters, m.Design: loop.on_design,
+        }  # fmt: skip
         self._expected: tuple[int, int, tuple[float, ...]] | None = None
 
     def take(self, record: Record) -> Difference | None:
         """Feed one recorded message; a difference if there is one."""
-        topic = topics.find_topic(record.topic)
-        t_ns = record.log_ns - self._epoch_ns
-        match record.decode() if topic is not None else None:
-            case m.MocapPose() as pose:
-                self.loop.perception.on_pose(read_pose(pose))
-            case m.VescTelemetry() as vesc:
-                self.loop.perception.on_telemetry(vesc)
-            case m.VescImu() as imu:
-                self.loop.perception.on_imu(imu)
-            case m.VescIdentity() as identity:
-                self.loop.on_vesc(identity)
-            case m.OperatorRequest() as request:
-                self.loop.on_operator(request, t_ns)
-            case m.DriveCommand() as command:
-                self.loop.on_drive(command, t_ns)
-            case m.ParameterRequest() as wanted:
-                self.loop.on_parameters(wanted, t_ns)
-            case m.Design() as design:
-                self.loop.on_design(design, t_ns)
-            case m.Tick() as tick:
-                self._tick(tick)
-            case m.Actuation() as actuation:
-                return self._compare(actuation)
-            case _:
-                pass
+        if topics.find_topic(record.topic) is None:
+            return None
+        message, t_ns = record.decode(), record.log_ns - self._epoch_ns
+        if type(message) in self._seen:
+            self._seen[type(message)](message)
+        elif type(message) in self._asked:
+            self._asked[type(message)](message, t_ns)
+        elif isinstance(message, m.Tick):
+            self._tick(message)
+        elif isinstance(message, m.Actuation):
+            return self._compare(message)
         return None
 
     def _tick(self, tick: m.Tick) -> None:

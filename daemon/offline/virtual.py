@@ -5,8 +5,7 @@ Deterministic: the same plan and seed give the same bytes. The clock jumps to th
 
 import gc
 import hashlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from steerd.daemon.assembly.build import RunPlan, make_core, make_world_config
@@ -14,7 +13,7 @@ from steerd.daemon.assembly.session_meta import VIRTUAL_EPOCH_NS
 from steerd.daemon.ipc.outbox import Sink
 from steerd.daemon.loop.core import Core
 from steerd.daemon.loop.findings import Flag
-from steerd.daemon.loop.transitions import SupervisorState, is_engaged
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.mocap_link.natnet_client import NatNetSource, Socket
 from steerd.sim_hw.mocap.network import COMMAND, DATA
 from steerd.sim_hw.world import World, WorldConfig
@@ -62,7 +61,7 @@ class VirtualRun:
             self.t_ns = due + late_ns
             self._receive(self.t_ns)
         now = self.t_ns
-        self._feed_back()
+        self.core.feed_back(self.source.ingest)
         data = self.core.tick(due, now)
         if data and self.core.flags & Flag.LINKED:
             self._write(now, data)
@@ -77,12 +76,6 @@ class VirtualRun:
             self.t_ns = wake_ns if wake_ns < end else end
             self._receive(self.t_ns)
 
-    def _feed_back(self) -> None:
-        """Give the mocap pipeline what it needs of the car."""
-        ingest, seen = self.source.ingest, self.core.loop.perception
-        ingest.wheel_speed = seen.wheel_speed if seen.telemetry else None
-        ingest.stationary = seen.may_rebase
-
     def _write(self, t_ns: int, data: bytes) -> None:
         self.wire.update(b">" + t_ns.to_bytes(8, "big") + data)
         try:
@@ -90,13 +83,7 @@ class VirtualRun:
         except OSError:
             taken = -1
         if taken != len(data):
-            self._lose_link()
-
-    def _lose_link(self) -> None:
-        self.core.flags |= Flag.SERIAL_FAULT
-        self.core.flags &= ~Flag.LINKED
-        self.core.link.reset()
-        self.core.loop.on_vesc(None)
+            self.core.lose_link()
 
     def _receive(self, t_ns: int) -> None:
         self._read_serial(t_ns)
@@ -110,20 +97,18 @@ class VirtualRun:
             self._timer_ns = t_ns + _TIMER_NS
             for datagram in self.source.on_timer(t_ns):
                 self.world.mocap_write(t_ns, datagram)
-            source = self.core.source = self.source.status()
-            self.core.flags &= ~Flag.MOCAP_REFUSED
-            self.core.flags |= Flag.MOCAP_REFUSED if source.refused else 0
+            self.core.on_source(self.source.status())
 
     def _read_serial(self, t_ns: int) -> None:
         linked = bool(self.core.flags & Flag.LINKED)
         if linked and self.world.serial_name != self._opened:
-            self._lose_link()
+            self.core.lose_link()
         elif linked:
             try:
                 data = self.world.serial_read(t_ns)
             except OSError:  # pulled out in this moment
                 data = b""
-                self._lose_link()
+                self.core.lose_link()
             if data:
                 self.wire.update(b"<" + t_ns.to_bytes(8, "big") + data)
                 self.core.on_serial(t_ns, data)
@@ -133,13 +118,10 @@ class VirtualRun:
 
     def _try_open(self) -> None:
         """As the runner does it: every 200 ms, and never while motor bytes may flow."""
-        name, loop = self.world.serial_name, self.core.loop
-        if name is None or (is_engaged(loop.supervisor.state) and not loop.at_rest):
-            return
-        self._opened = name
-        self.core.link.reset()
-        self.core.flags |= Flag.LINKED
-        self.core.flags &= ~Flag.SERIAL_FAULT
+        name = self.world.serial_name
+        if name is not None and self.core.may_link:
+            self._opened = name
+            self.core.open_link()
 
 
 def make_virtual_run(
@@ -159,16 +141,10 @@ def drive(run: VirtualRun, on_tick: Callable[[VirtualRun], None] | None = None) 
     Raises:
         Exception: the run's own, once it has failed.
     """
-    with _collecting_rarely():
-        _drive(run, on_tick)
-
-
-@contextmanager
-def _collecting_rarely() -> Iterator[None]:
     before = gc.get_threshold()
     gc.set_threshold(_GC_THRESHOLD)
     try:
-        yield
+        _drive(run, on_tick)
     finally:
         gc.set_threshold(*before)
 

@@ -13,11 +13,13 @@ import select
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.ipc.signals import ignore_terminal_signals
 
 CORE = "steerd.daemon.process.core_process"
 """Module of the control core, which takes longest to load."""
@@ -34,11 +36,11 @@ class Child:
     process: "subprocess.Popen[bytes]"
     ready_fd: int
 
-    def wait_ready(self, name: str) -> str:
-        """Its first line.
+    def wait_ready(self, name: str) -> dict[str, Any]:
+        """What it reports once it is ready.
 
         Raises:
-            SteerdError: it ended, or nothing came in time.
+            SteerdError: it cannot be, with its own text; it ended, or nothing came in time.
         """
         poll = select.poll()
         poll.register(self.ready_fd, select.POLLIN | select.POLLHUP)
@@ -51,7 +53,10 @@ class Child:
                 code = self.process.wait()
                 raise SteerdError(f"the {name} ended with code {code}", "", ExitCode.INTERNAL)
             line += data
-        return line.decode().strip()
+        report: dict[str, Any] = json.loads(line)
+        if "what" in report:
+            raise SteerdError(report["what"], report["hint"], ExitCode(report["code"]))
+        return report
 
 
 @dataclass(frozen=True)
@@ -65,14 +70,23 @@ class Prepared:
 class Job(NamedTuple):
     """What a process is given."""
 
-    fds: dict[str, int]  # its descriptors by name; `ready` takes its first line
+    fds: dict[str, int]  # its descriptors by name; `ready` takes its report
     about: dict[str, Any]  # what it is to do
 
-    def say_ready(self, line: str) -> None:
-        """Report the first and only line; nobody may be there to read it."""
+    def say_ready(self, **report: object) -> None:
+        """Report once that it is ready; nobody may be there to read it."""
+        ready_fd = self.fds.pop("ready")
         with contextlib.suppress(BrokenPipeError):  # Ctrl-C ended the terminal
-            os.write(self.fds["ready"], f"{line}\n".encode())
-        os.close(self.fds["ready"])
+            os.write(ready_fd, json.dumps(report).encode() + b"\n")
+        os.close(ready_fd)
+
+    def refuse(self, error: SteerdError) -> int:
+        """Say what it cannot do: to the parent, or in words once it was ready; its exit code."""
+        if "ready" in self.fds:
+            self.say_ready(what=error.what, hint=error.hint, code=int(error.code))
+        else:
+            print(f"steerd {Path(sys.argv[0]).stem}: {error.what}", file=sys.stderr)
+        return int(error.code)
 
 
 def prepare(module: str) -> Prepared:
@@ -127,3 +141,26 @@ def receive_job() -> Job | None:
         return None
     names, _, about = data.partition(b"\n")
     return Job(dict(zip(json.loads(names), numbers, strict=True)), json.loads(about))
+
+
+def run_process(
+    serve: Callable[[Job], int], nice: int = 0, begin: Callable[[], None] = ignore_terminal_signals
+) -> NoReturn:
+    """The whole of a process.
+
+    Args:
+        serve: does the job and gives an exit code, or raises SteerdError.
+        nice: so much lower is its priority than the control processes'.
+        begin: what comes before its job; most end when the core's pipe closes, not by signals.
+    """
+    begin()
+    os.nice(nice)
+    code = 0
+    if (given := receive_job()) is not None:
+        try:
+            code = serve(given)
+        except SteerdError as error:
+            code = given.refuse(error)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)  # threads of a library may keep the interpreter alive; nothing is left to do

@@ -3,14 +3,12 @@
 # Why: docs/decisions/safety.md#d16
 
 import contextlib
-import json
 import os
 import socket
 import subprocess
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,6 +50,8 @@ class Ends:
             self._socket("core", "designs", "learner", "designs")
         if options.view_sets:
             self._socket("view", "requests", "terminal", "view_requests")
+        if options.page is not None:
+            self._pipe("terminal", "lifeline", "page", "lifeline")
 
     def _pipe(self, writer: str, written: str, reader: str, read: str) -> None:
         self.of[reader][read], self.of[writer][written] = make_pipe()
@@ -68,52 +68,17 @@ class Ends:
 
 
 @dataclass
-class Page:
-    """The live page's process, which ends when its lifeline closes."""
-
-    child: Child  # the process
-    lifeline_fd: int  # our end
-    url: str  # where the page is
-
-    def end(self) -> None:
-        """Close the lifeline and wait; a page that hangs is ended."""
-        os.close(self.lifeline_fd)
-        _end(self.child, VIEWER_END_S)
-
-
-def start_page(plan: RunPlan) -> Page:
-    """Start the live page of a car whose bus is up.
-
-    Raises:
-        SteerdError: its port is taken, or it cannot reach the car.
-    """
-    read_fd, write_fd = os.pipe()
-    child = spawn(f"{_MODULE}page", {"lifeline": read_fd}, make_page_job(plan))
-    os.close(read_fd)
-    try:
-        line = child.wait_ready("page")
-    except SteerdError:
-        os.close(write_fd)
-        raise
-    if not line.startswith("http"):
-        os.close(write_fd)
-        raise SteerdError(line, "--page with another port", ExitCode.UNREACHABLE)
-    return Page(child, write_fd, line)
-
-
-@dataclass
 class RunProcesses:
     """All processes of a run."""
 
-    # Core, recorder and gateway; `viewer` and `learner` where they were asked for
+    # Core, recorder and gateway; `viewer`, `page` and `learner` where they were asked for
     children: dict[str, Child]
     # This terminal's descriptors: `status` gives records, `requests` and `view_requests` are
-    # sockets to the core and from the viewer, `reports` gives the learner's
+    # sockets to the core and from the viewer, `reports` gives the learner's; the page ends when
+    # `lifeline` closes
     fds: dict[str, int]
     session: Path  # file of the recording
-    core_report: dict[str, Any]  # what the core reported when it was ready
-    page: Page | None = None  # of `--page`, or None
-    view_url: str = ""  # where a viewer connects, with `--view`
+    reports: dict[str, dict[str, Any]]  # what each reported when it was ready
 
     def __post_init__(self) -> None:
         self.requests = socket.socket(fileno=self.fds["requests"])
@@ -140,11 +105,11 @@ class RunProcesses:
                 end.close()
         recorded, _ = (_end(self.children[name], END_S) for name in ("recorder", "gateway"))
         code = code or recorded
-        for name in self.children.keys() & {"viewer", "learner"}:
+        if "lifeline" in self.fds:
+            os.close(self.fds["lifeline"])
+        for name in self.children.keys() & {"viewer", "page", "learner"}:
             if lost := _end(self.children[name], VIEWER_END_S):  # the exit code stays the core's
                 print(f"note: the {name} ended with code {lost}", file=sys.stderr)
-        if self.page is not None:
-            self.page.end()
         return ExitCode.STOPPED if code < 0 else code
 
 
@@ -173,7 +138,7 @@ def start_processes(
     """
     ends, memory = Ends(plan.options), recall_learnt(plan, session, epoch_ns + time.monotonic_ns())
     started: dict[str, Child] = {}
-    recording = False
+    reports: dict[str, dict[str, Any]] = {}
     try:
         # All at once: each takes a second for its imports. What the core writes before the others
         # are ready waits in its pipes.
@@ -182,61 +147,27 @@ def start_processes(
         started["recorder"] = spawn(f"{_MODULE}recorder", ends.of["recorder"], job)
         job = {"options": encode_options(plan.options), "boot_id": boot_id, "epoch_ns": epoch_ns}
         job["leased"] = leased
-        started["gateway"] = spawn(f"{_MODULE}gateway", ends.of["gateway"], job)
         started["core"] = hand_over(core or prepare(CORE), ends.of["core"], job)
+        started["gateway"] = spawn(f"{_MODULE}gateway", ends.of["gateway"], job)
         if plan.options.view:
             started["viewer"] = spawn(f"{_MODULE}view", ends.of["view"], make_view_job(plan))
-        _expect_ready(started["recorder"], "recorder", ExitCode.UNREADABLE)
-        recording = True
-        report, view_url = _wait_ready(started)
-        page = None if plan.options.page is None else start_page(plan)
+        for name, child in started.items():
+            reports[name] = child.wait_ready(name)
+        if plan.options.page is not None:  # the bus is up
+            started["page"] = spawn(f"{_MODULE}page", ends.of["page"], make_page_job(plan))
+            reports["page"] = started["page"].wait_ready("page")
     except SteerdError:
         ends.close()
         for child in started.values():
             _end(child, END_S)
-        if recording:
+        if "recorder" in reports:
             session.unlink(missing_ok=True)
         raise
     if plan.options.learn:  # nobody waits for it
         job = make_learner_job(plan, epoch_ns, memory)
         started["learner"] = spawn(f"{_MODULE}learner", ends.of["learner"], job)
     ends.close(keep="terminal")
-    return RunProcesses(started, ends.of["terminal"], session, report, page, view_url)
-
-
-def _wait_ready(started: Mapping[str, Child]) -> tuple[dict[str, Any], str]:
-    """What the core reports, and the viewer's address, once all are ready.
-
-    Raises:
-        SteerdError: one is not, with its own text.
-    """
-    report = _read_core_report(started["core"])
-    _expect_ready(started["gateway"], "gateway", ExitCode.UNREACHABLE)
-    viewer = started.get("viewer")
-    view_url = viewer.wait_ready("viewer") if viewer else ""
-    if viewer and not view_url.startswith("ws:"):
-        raise SteerdError(view_url, "", ExitCode.UNREADABLE)
-    return report, view_url
-
-
-def _read_core_report(core: Child) -> dict[str, Any]:
-    """What a core reports that is ready.
-
-    Raises:
-        SteerdError: it is not, with its own text.
-    """
-    report: dict[str, Any] = json.loads(core.wait_ready("control core"))
-    if "what" in report:
-        raise SteerdError(report["what"], report["hint"], ExitCode(report["code"]))
-    return report
-
-
-def _expect_ready(child: Child, name: str, code: ExitCode) -> None:
-    line = child.wait_ready(name)
-    if line != "ready":
-        taken = "already in use" in line and name == "gateway"
-        hint = "end that one, or --listen tcp/127.0.0.1:7448" if taken else ""
-        raise SteerdError(line, hint, code)
+    return RunProcesses(started, ends.of["terminal"], session, reports)
 
 
 def make_recorder_job(

@@ -1,7 +1,6 @@
 """The control core as a process: no zenoh, no mcap, no torch, no thread but the one in sigwait."""
 
 import gc
-import json
 import os
 import socket
 import sys
@@ -23,7 +22,7 @@ from steerd.daemon.ipc.signals import (
 )
 from steerd.daemon.loop.core import Core
 from steerd.daemon.loop.findings import Flag
-from steerd.daemon.process.child import Job, receive_job
+from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.guard import ProcessGuard
 from steerd.daemon.process.realtime import enter_realtime, settle_memory
 from steerd.daemon.process.runner import CoreLinks, Runner
@@ -141,7 +140,7 @@ def _run(given: Job) -> Core:
     )
     report = enter_realtime()
     design = plan.controller.report.describe()
-    given.say_ready(json.dumps({"realtime": report.refused, "design": design}))
+    given.say_ready(realtime=report.refused, design=design)
     runner = Runner(
         core,
         clock,
@@ -170,25 +169,22 @@ def latch_stray_exceptions(core: Core) -> None:
     threading.excepthook = lambda raised: take(raised.exc_value)
 
 
-def main() -> int:
-    """Process entry."""
+def _begin() -> None:
     block_stop_signals()
     wake_at_parents_end()
     gc.freeze()  # what imports made stays: no need to search it for garbage again
-    if (given := receive_job()) is None:
-        return ExitCode.OK
-    try:
-        core = _run(given)
-    except SteerdError as error:
-        why = {"what": error.what, "hint": error.hint, "code": int(error.code)}
-        given.say_ready(json.dumps(why))
-        return int(error.code)
+
+
+def serve(given: Job) -> int:
+    """The process.
+
+    Raises:
+        SteerdError: the run cannot be begun.
+    """
+    core = _run(given)
     if core.error is not None:
         traceback.print_exception(core.error)
-    sys.stdout.flush()
-    sys.stderr.flush()
-    # Nothing is left to clean up; interpreter shutdown would only delay the parent.
-    os._exit(int(_exit_code(core)))
+    return _exit_code(core)
 
 
 def _exit_code(core: Core) -> ExitCode:
@@ -199,4 +195,4 @@ def _exit_code(core: Core) -> ExitCode:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_process(serve, begin=_begin)

@@ -9,20 +9,17 @@ rmw_zenoh: its topics once more, under ROS's keys.
 # Why: docs/decisions/safety.md#d112
 
 import contextlib
-import os
-import select
 import socket
-import sys
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from steerd.daemon.ipc.pipe_records import PipeRecord, ReportPipe, unpack_records
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord
 from steerd.daemon.ipc.requests import REQUEST_MAX, make_badge, pack_request
-from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.process.bus_operator import STOPS
-from steerd.daemon.process.child import receive_job
+from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.views import Views
 from steerd.daemon.settings.run_options import decode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
@@ -33,15 +30,6 @@ from steerd.steer_bus.lab import load_lab
 from steerd.steer_bus.messages import Actuation
 from steerd.steer_bus.ros_keys import make_gid, make_node_token, make_publisher_token, make_ros_key
 from steerd.steer_bus.standard import AckermannDrive, AckermannDriveStamped
-from steerd.steer_bus.topics import (
-    ALIVE,
-    LAST_MODEL,
-    TOPICS,
-    Direction,
-    Topic,
-    make_key,
-    schema_replies,
-)
 from steerd.steer_bus.zenoh_bus import ZenohBus, make_hub_profile
 
 DRIVE_NAME = "drive"
@@ -63,14 +51,14 @@ class RosBridge:
         node = f"steerd_{car}"
         sent: dict[str, type[Any]] = {
             topic.name: topic.message
-            for topic in TOPICS
-            if topic.on_bus and topic.direction is Direction.OUT
+            for topic in topics.TOPICS
+            if topic.on_bus and topic.direction is topics.Direction.OUT
         }
         sent[DRIVE_NAME] = AckermannDriveStamped
         self._tokens: list[Token] = [bus.declare_alive(make_node_token(domain, bus.zid, node))]
         self._keys: dict[str, str] = {}
         for entity, (name, cls) in enumerate(sent.items(), _FIRST_ENTITY):
-            topic = make_key(car, name)
+            topic = topics.make_key(car, name)
             key = self._keys[name] = make_ros_key(domain, topic, cls)
             token = make_publisher_token(domain, bus.zid, entity, node, topic, cls)
             bus.name_publisher(key, make_gid(token))
@@ -96,14 +84,13 @@ def make_drive(sent: Actuation) -> AckermannDriveStamped:
 
 _POLL_MS = 4
 """Longest time that a request waits here [ms]."""
-_READ_BYTES = 1 << 20
 _DEPTH = 16
 """Requests kept of each topic between two polls."""
 _INWARD = (topics.STOP, topics.OPERATOR, topics.DRIVE, topics.SET_PARAMETERS, topics.HEARTBEAT_BACK)
 """What comes from the bus, in the order in which it is passed on."""
 
 
-def make_keep(topic: Topic) -> Keep:
+def make_keep(topic: topics.Topic) -> Keep:
     """Which bytes are requests of a topic: those that decode; under `STOP`, stops."""
 
     def keep(data: bytes) -> bool:
@@ -118,7 +105,7 @@ def make_keep(topic: Topic) -> Keep:
     return keep
 
 
-def seal(topic: Topic, data: bytes, who: str) -> bytes:
+def seal(topic: topics.Topic, data: bytes, who: str) -> bytes:
     """A request for the core: with its lease's badge, and the name that a certificate proves."""
     request = decode(topic.message, data)
     request = replace(request, lease_id=make_badge(who, request.lease_id))
@@ -136,24 +123,22 @@ class Gateway:
         self._ros = ros
         self._car = car
         self._views = Views()
-        self._requests: list[tuple[Topic, Subscription]] = [
-            (topic, bus.subscribe(make_key(car, topic, "**"), _DEPTH, make_keep(topic)))
+        self._requests: list[tuple[topics.Topic, Subscription]] = [
+            (topic, bus.subscribe(topics.make_key(car, topic, "**"), _DEPTH, make_keep(topic)))
             for topic in _INWARD
         ]
-        self._plain = [(topics.HEARTBEAT, bus.subscribe(make_key(car, topics.HEARTBEAT)))]
+        self._plain = [(topics.HEARTBEAT, bus.subscribe(topics.make_key(car, topics.HEARTBEAT)))]
         if pose_key is not None:
             self._plain.append((topics.EXTERNAL_POSE, bus.subscribe(pose_key, _DEPTH)))
-        self._tokens = [bus.declare_alive(make_key(car, ALIVE))]
-        schemas = schema_replies(car)
-        self._tokens.append(bus.serve(make_key(car, "schema/**"), schemas.get))
+        self._tokens = [bus.declare_alive(topics.make_key(car, topics.ALIVE))]
+        schemas = topics.schema_replies(car)
+        self._tokens.append(bus.serve(topics.make_key(car, "schema/**"), schemas.get))
         self._model: bytes | None = None
-        self._tokens.append(bus.serve(make_key(car, LAST_MODEL), lambda _: self._model))
+        self._tokens.append(
+            bus.serve(topics.make_key(car, topics.LAST_MODEL), lambda _: self._model)
+        )
 
-    def publish(self, buffer: bytearray) -> None:
-        """Publish every whole record, with its standard ROS message."""
-        self.publish_records(unpack_records(buffer))
-
-    def publish_records(self, records: Iterable[PipeRecord]) -> None:
+    def publish(self, records: Iterable[PipeRecord]) -> None:
         """Publish records, each with its standard ROS message."""
         for record in records:
             for each in (record, *self._views.convert(record)):
@@ -161,7 +146,7 @@ class Gateway:
                     self._model = each.data
                 if each.topic.direction is topics.Direction.OUT:
                     with contextlib.suppress(BusError):
-                        self._bus.publish(make_key(self._car, each.topic), each.data)
+                        self._bus.publish(topics.make_key(self._car, each.topic), each.data)
                     if self._ros is not None:
                         self._ros.publish(each)
 
@@ -170,7 +155,7 @@ class Gateway:
         for topic, subscription in self._requests:
             known = topics.OPERATOR if topic is topics.STOP else topic
             for sample in subscription.poll():
-                who = sample.key.removeprefix(make_key(self._car, topic)).removeprefix("/")
+                who = sample.key.removeprefix(topics.make_key(self._car, topic)).removeprefix("/")
                 _send(core, known, seal(topic, sample.data, who))
         for topic, subscription in self._plain:
             for sample in subscription.poll():
@@ -178,38 +163,31 @@ class Gateway:
                     _send(core, topic, sample.data)
 
 
-def _send(core: socket.socket, topic: Topic, data: bytes) -> None:
+def _send(core: socket.socket, topic: topics.Topic, data: bytes) -> None:
     with contextlib.suppress(BlockingIOError):
         core.send(pack_request(topic.name, data))
 
 
 def run_gateway(
-    gateway: Gateway, pipe_fd: int, core: socket.socket, reports: ReportPipe | None = None
+    gateway: Gateway, records: PipeReader, core: socket.socket, reports: PipeReader
 ) -> None:
     """Publish and pass on until the core's pipe closes."""
-    reports = reports or ReportPipe(None)
-    buffer = bytearray()
-    poll = select.poll()
-    poll.register(pipe_fd, select.POLLIN | select.POLLHUP)
-    while True:
-        if poll.poll(_POLL_MS):
-            data = os.read(pipe_fd, _READ_BYTES)
-            if not data:
-                return
-            buffer += data
-            gateway.publish(buffer)
-        gateway.publish_records(reports.take())
+    while records.fd is not None:
+        records.wait(_POLL_MS)
+        gateway.publish(records.take())
+        gateway.publish(reports.take())
         try:
             gateway.forward_requests(core)
         except OSError:
             return
 
 
-def main() -> int:
-    """Process entry."""
-    ignore_terminal_signals()
-    if (job := receive_job()) is None:
-        return 0
+def serve(job: Job) -> int:
+    """The process; it ends with the core's pipe.
+
+    Raises:
+        SteerdError: the bus cannot be opened as asked for.
+    """
     options, core = decode_options(job.about["options"]), socket.socket(fileno=job.fds["requests"])
     pose_key = find_pose_key(options.mocap)
     core.setblocking(False)
@@ -222,15 +200,14 @@ def main() -> int:
             domain = options.ros_domain
             ros = None if domain is None else RosBridge(bus, options.car, domain)
             gateway = Gateway(bus, options.car, pose_key, ros)
-            job.say_ready("ready")
-            run_gateway(gateway, job.fds["pipe"], core, ReportPipe(job.fds.get("reports")))
+            job.say_ready()
+            reports = PipeReader(job.fds.get("reports"))
+            run_gateway(gateway, PipeReader(job.fds["pipe"]), core, reports)
     except BusError as error:
-        with contextlib.suppress(OSError):
-            job.say_ready(str(error))
-        return 3
-    # zenoh's threads may keep the interpreter alive; nothing is left to do.
-    sys.stderr.flush()
-    os._exit(0)
+        taken = "already in use" in str(error)
+        hint = "end that one, or --listen tcp/127.0.0.1:7448" if taken else ""
+        raise SteerdError(str(error), hint, ExitCode.UNREACHABLE) from None
+    return 0
 
 
 def find_pose_key(mocap: str | None) -> str | None:
@@ -239,4 +216,4 @@ def find_pose_key(mocap: str | None) -> str | None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_process(serve)

@@ -14,15 +14,8 @@ import time
 from pathlib import Path
 
 from steerd.daemon.loop.findings import Flag
+from steerd.daemon.process import heartbeat
 from steerd.daemon.process.guardian import PERIOD_NS
-from steerd.daemon.process.heartbeat import (
-    PAGE_BYTES,
-    PAUSE_NS,
-    STALE_NS,
-    STALE_NS_NO_RT,
-    HeartbeatPage,
-    Lifeline,
-)
 from steerd.daemon.settings.thresholds import Thresholds
 
 START_NS = 1_000_000_000
@@ -35,18 +28,18 @@ SILENT_S = Thresholds().guardian
 def make_page_fd() -> int:
     """Return the fd of a fresh page, inheritable, to be mapped by core and guardian."""
     fd = os.memfd_create("steerd-heartbeat", 0)
-    os.truncate(fd, PAGE_BYTES)
+    os.truncate(fd, heartbeat.PAGE_BYTES)
     return fd
 
 
-def find_pause(page: HeartbeatPage, now_ns: int) -> tuple[int, int] | None:
+def find_pause(page: heartbeat.HeartbeatPage | None, now_ns: int) -> tuple[int, int] | None:
     """The guardian's last pause, which may go on; (0, 0): none; None: it never lived."""
-    alive_ns = page.guardian_ns
-    if not alive_ns:
+    if page is None or not page.words.guardian_ns:
         return None
-    if now_ns - alive_ns > PAUSE_NS:
+    alive_ns = page.words.guardian_ns
+    if now_ns - alive_ns > heartbeat.PAUSE_NS:
         return alive_ns, now_ns
-    return page.last_pause_ns
+    return page.words.pause_from_ns, page.words.pause_to_ns
 
 
 class ProcessGuard:
@@ -56,20 +49,23 @@ class ProcessGuard:
         realtime: whether the core has a fixed priority; without, its heartbeat may be later.
         simulated: the hardware is simulated; a machine that stalls must not end the run.
         silent_s: largest age of the guardian's own heartbeat (W16) [s].
+
+    Attributes:
+        page: shared with the newest guardian; None before the first.
     """
 
     def __init__(
         self, realtime: bool, *, simulated: bool = False, silent_s: float = SILENT_S
     ) -> None:
         self._silent_ns = round(silent_s * 1e9)
-        self._stale_ns = STALE_NS if realtime else STALE_NS_NO_RT
+        self._stale_ns = heartbeat.STALE_NS if realtime else heartbeat.STALE_NS_NO_RT
         if simulated:
             self._stale_ns = STALE_NS_SIMULATED
-        self._page: HeartbeatPage | None = None
+        self.page: heartbeat.HeartbeatPage | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._started_ns = 0
         # Kept while their guardians live: the kernel walks through them when this thread dies.
-        self._lifelines: list[tuple[subprocess.Popen[bytes], Lifeline]] = []
+        self._lifelines: list[tuple[subprocess.Popen[bytes], heartbeat.Lifeline]] = []
 
     def watch(self, serial_fd: int, brake_frame: bytes, t_ns: int) -> None:
         """Start a guardian for a port that was just opened."""
@@ -80,9 +76,9 @@ class ProcessGuard:
         fds = (serial_fd, page_fd, pid_fd)
         command = [sys.executable, "-I", "-m", "steerd.daemon.process.guardian", *map(str, fds)]
         command += [brake_frame.hex(), str(self._stale_ns)]
-        self._page = HeartbeatPage(page_fd)
-        self._page.write_heartbeat(t_ns, engaged=False)
-        lifeline = Lifeline(page_fd)
+        self.page = heartbeat.HeartbeatPage(page_fd)
+        self.page.write_heartbeat(t_ns, engaged=False)
+        lifeline = heartbeat.Lifeline(page_fd)
         lifeline.hold()
         self._process = subprocess.Popen(command, pass_fds=fds, process_group=0)
         self._lifelines.append((self._process, lifeline))
@@ -97,44 +93,28 @@ class ProcessGuard:
         for _, lifeline in gone:
             lifeline.release()
 
-    def write_heartbeat(self, t_ns: int, engaged: bool) -> None:
-        """The core is alive at `t_ns`; `engaged`: motor bytes may flow."""
-        if self._page is not None:
-            self._page.write_heartbeat(t_ns, engaged)
-
-    def stage(self, wire: bytes) -> bytes | memoryview:
-        """A motion frame where the guardian can make it a brake frame until the kernel has it.
-
-        Raises:
-            ValueError: more bytes than a tick that moves the car has.
-        """
-        return wire if self._page is None else self._page.stage(wire)
-
     def may_write(self, tick_ns: int, now_ns: int) -> bool:
         """Whether a motion frame may go out: the guardian has not tripped, the tick is fresh."""
-        return self._page is not None and self._page.may_write(tick_ns, now_ns, self._stale_ns)
+        return self.page is not None and self.page.may_write(tick_ns, now_ns, self._stale_ns)
 
     def is_silent(self, now_ns: int) -> bool:
         """Whether the guardian is gone or its heartbeat is too old (W16)."""
-        if self._page is None or self._process is None:
+        if self.page is None or self._process is None:
             return False
-        if now_ns - self._started_ns < START_NS and not self._page.guardian_ns:
+        alive_ns = self.page.words.guardian_ns
+        if now_ns - self._started_ns < START_NS and not alive_ns:
             return False
-        stale = now_ns - self._page.guardian_ns > max(self._silent_ns, self._stale_ns)
+        stale = now_ns - alive_ns > max(self._silent_ns, self._stale_ns)
         return stale or self._process.poll() is not None
 
     def has_tripped(self) -> bool:
         """Whether the guardian has taken over."""
-        return self._page is not None and self._page.tripped_ns != 0
-
-    def pause(self, now_ns: int) -> tuple[int, int] | None:
-        """The guardian's own last pause, from and to; (0, 0): none; None: there is no guardian."""
-        return None if self._page is None else find_pause(self._page, now_ns)
+        return self.page is not None and self.page.words.tripped_ns != 0
 
     def mark_clean(self) -> None:
         """The wheels stand: the guardian ends with the core and does not brake."""
-        if self._page is not None:
-            self._page.mark_clean()
+        if self.page is not None:
+            self.page.words.clean = 1
 
 
 def sleep_lag_ns() -> int:

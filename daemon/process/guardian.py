@@ -29,14 +29,14 @@ def wait_for_fault(
     while True:
         t_ns = now()
         page.watch(t_ns)
-        heartbeat_ns = page.heartbeat_ns
-        if page.engaged and t_ns - heartbeat_ns > stale_ns:
+        words, heartbeat_ns = page.words, page.words.heartbeat_ns
+        if words.engaged and t_ns - heartbeat_ns > stale_ns:
             return True
-        if page.clean and not page.engaged:
+        if words.clean and not words.engaged:
             return False
-        left_ms = (heartbeat_ns + stale_ns - t_ns) // 1_000_000 + 1 if page.engaged else 10
+        left_ms = (heartbeat_ns + stale_ns - t_ns) // 1_000_000 + 1 if words.engaged else 10
         if core.poll(max(1, min(10, left_ms))):
-            return page.engaged and not page.clean
+            return bool(words.engaged and not words.clean)
 
 
 def brake(page: HeartbeatPage, serial_fd: int, frame: bytes, now: Callable[[], int]) -> None:

@@ -94,26 +94,39 @@ PAUSE_NS = 15_000_000
 OUTGOING, OUTGOING_BYTES = OFFSET + MUTEX_BYTES, 256
 """Where the outgoing bytes lie; a tick that moves the car writes some 60."""
 PAGE_BYTES = OUTGOING + OUTGOING_BYTES
-_HEARTBEAT, _ENGAGED, _TRIPPED, _GUARDIAN, _CLEAN, _PAUSE_BEGIN, _PAUSE_END = range(7)
+
+
+class Words(ctypes.Structure):
+    """Integers in shared memory, times by CLOCK_MONOTONIC [ns], 0 for never.
+
+    Each is stored as 8 aligned bytes at once, so no lock is needed.
+    """
+
+    heartbeat_ns: int  # core: when it was last alive
+    engaged: int  # core: whether motor bytes may flow
+    tripped_ns: int  # guardian: when it took over
+    guardian_ns: int  # guardian: when it was last alive (W16)
+    clean: int  # core: whether the wheels stand, no need to brake when it ends
+    pause_from_ns: int  # guardian: its last pause
+    pause_to_ns: int  # guardian: the end of that
+    _fields_ = tuple((name, ctypes.c_uint64) for name in __annotations__)
 
 
 class HeartbeatPage:
-    """Seven 8-byte integers in shared memory; each store is aligned, so no lock is needed.
+    """The page of `PAGE_BYTES` as core and guardian use it; ``words`` may be read by both.
 
-    Core: heartbeat and ``clean``; guardian: the rest. Times: CLOCK_MONOTONIC [ns], 0 for never.
+    Args:
+        fd: of the page, a memfd, see `steerd.daemon.process.guard.make_page_fd`.
     """
 
     def __init__(self, fd: int) -> None:
-        """Map ``fd`` (a memfd of ``PAGE_BYTES``, see ``guard.make_page_fd``)."""
-        page = memoryview(mmap.mmap(fd, PAGE_BYTES))
-        # A memoryview of native 'Q' copies 8 aligned bytes at once; struct.pack_into does not.
-        self._words = page[:OFFSET].cast("Q")
-        self._outgoing = page[OUTGOING:]
+        page = mmap.mmap(fd, PAGE_BYTES)
+        self.words, self._outgoing = Words.from_buffer(page), memoryview(page)[OUTGOING:]
 
     def write_heartbeat(self, t_ns: int, engaged: bool) -> None:
         """Core, each tick before its write: alive at ``t_ns``; motor bytes may flow or not."""
-        self._words[_HEARTBEAT] = t_ns
-        self._words[_ENGAGED] = engaged
+        self.words.heartbeat_ns = t_ns
+        self.words.engaged = engaged
 
     def stage(self, wire: bytes) -> memoryview:
         """Core, before ``may_write``: the same bytes, where the guardian can still change them.
@@ -129,52 +142,18 @@ class HeartbeatPage:
 
     def may_write(self, tick_ns: int, now_ns: int, stale_ns: int = STALE_NS) -> bool:
         """Core, right before a write: the guardian has not tripped and the tick is still fresh."""
-        return not self._words[_TRIPPED] and now_ns - tick_ns < stale_ns
-
-    def mark_clean(self) -> None:
-        """Core: the wheels stand; do not brake when the core ends."""
-        self._words[_CLEAN] = 1
+        return not self.words.tripped_ns and now_ns - tick_ns < stale_ns
 
     def watch(self, t_ns: int) -> None:
         """Guardian: alive at ``t_ns``."""
-        before, self._words[_GUARDIAN] = self._words[_GUARDIAN], t_ns
+        before, self.words.guardian_ns = self.words.guardian_ns, t_ns
         if 0 < before < t_ns - PAUSE_NS:
-            self._words[_PAUSE_BEGIN], self._words[_PAUSE_END] = before, t_ns
+            self.words.pause_from_ns, self.words.pause_to_ns = before, t_ns
 
     def trip(self, t_ns: int, brake_frame: bytes) -> None:
         """Guardian: from now on the core must not move the car, and what it has staged brakes.
 
         Zeros fill the rest: a VESC skips them before the next frame.
         """
-        self._words[_TRIPPED] = t_ns  # first: who stages later looks at it
+        self.words.tripped_ns = t_ns  # first: who stages later looks at it
         self._outgoing[:] = brake_frame.ljust(OUTGOING_BYTES, b"\0")
-
-    @property
-    def heartbeat_ns(self) -> int:
-        """When the core was last alive."""
-        return self._words[_HEARTBEAT]
-
-    @property
-    def engaged(self) -> bool:
-        """Whether motor bytes may flow."""
-        return bool(self._words[_ENGAGED])
-
-    @property
-    def tripped_ns(self) -> int:
-        """When the guardian took over, 0 for never."""
-        return self._words[_TRIPPED]
-
-    @property
-    def guardian_ns(self) -> int:
-        """When the guardian was last alive (W16)."""
-        return self._words[_GUARDIAN]
-
-    @property
-    def last_pause_ns(self) -> tuple[int, int]:
-        """The guardian's last pause, from and to; (0, 0) for none yet."""
-        return self._words[_PAUSE_BEGIN], self._words[_PAUSE_END]
-
-    @property
-    def clean(self) -> bool:
-        """Whether the core left in good order."""
-        return bool(self._words[_CLEAN])

@@ -6,29 +6,24 @@ without it goes on.
 
 # Why: docs/decisions/processes-and-time.md#d79
 
-import contextlib
-import os
-import socket
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from steerd.car_model.car_file import parse_car
 from steerd.controller.build import compute_table
 from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.written import write_output, write_whole
-from steerd.daemon.ipc.pipe_records import Gaps, PipeWriter, pack_record, unpack_records
-from steerd.daemon.ipc.signals import ignore_terminal_signals
-from steerd.daemon.learning.feed import Feed, Wiring, make_feed, make_record, read_memory
+from steerd.daemon.ipc.pipe_records import Gaps, PipeReader, PipeRecord, PipeWriter, pack_record
+from steerd.daemon.ipc.requests import make_sender
+from steerd.daemon.learning.feed import Feed, make_feed, make_record, read_memory, wiring_of
 from steerd.daemon.learning.kept import About, Keeper
 from steerd.daemon.learning.proposing import Proposals, make_proposer
-from steerd.daemon.process.child import receive_job
+from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.settings.run_options import decode_options
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import CodecError, decode
-
-_READ_BYTES = 1 << 16
 
 
 class LearnerLoop:
@@ -50,9 +45,9 @@ class LearnerLoop:
         self.reports = 0
         self._gaps = Gaps()
 
-    def take(self, buffer: bytearray) -> None:
-        """Take in every whole record; one that does not decode is as good as dropped."""
-        for record in unpack_records(buffer):
+    def take(self, records: Iterable[PipeRecord]) -> None:
+        """Take in records; one that does not decode is as good as dropped."""
+        for record in records:
             self._gaps.take(record)
             self.feed.dropped = self._gaps.missed
             try:
@@ -65,11 +60,6 @@ class LearnerLoop:
                 if self.keeper is not None:
                     self.keeper.take(report)
 
-    def end(self) -> None:
-        """The drive is over: keep what was learnt."""
-        if self.keeper is not None:
-            self.keeper.end()
-
     def _send(self, report: m.Model, log_time_ns: int) -> None:
         packed = pack_record(make_record(report, self.reports, log_time_ns))
         self.reports += 1
@@ -77,24 +67,11 @@ class LearnerLoop:
             output.write([packed], report.mono_ns)
 
 
-def make_learner_feed(job: Mapping[str, Any]) -> Feed:
-    """The feed of a job, see `make_learner_job`.
-
-    Raises:
-        ValueError: the car file holds what identify does not write.
-    """
-    wiring = Wiring(int(job["epoch_ns"]), float(job["erpm_gain"]), float(job["erpm_offset"]))
-    car = parse_car(job["car"], Path(job["path"]), job.get("posterior", ""))
-    if car.remark:
-        print(f"steerd learner: {car.remark}", file=sys.stderr)
-    return make_feed(car, wiring, read_memory(job.get("memory", "")))
-
-
 def make_keeper(job: Mapping[str, Any]) -> Keeper | None:
     """Who keeps what the job's learner learns; None for simulated hardware."""
-    if not job.get("page"):
+    if not job["page"]:
         return None
-    page, refused = Path(job["page"]), bool(job["page_refused"])
+    page, refused = Path(job["page"]), bool(job["refused"])
 
     def write(text: str) -> None:
         nonlocal refused
@@ -111,45 +88,35 @@ def make_keeper(job: Mapping[str, Any]) -> Keeper | None:
     return Keeper(About(*job["about"]), write, complain)
 
 
-def _make_proposals(options: str, fd: int) -> Proposals:
-    """Proposals to the core's end of a socket; one that does not fit is dropped.
+def serve(given: Job) -> int:
+    """The process; it ends with the core's pipe, and keeps what was learnt.
 
     Raises:
-        SteerdError: the plan cannot be made again, as the core could.
+        SteerdError: it cannot learn this car.
     """
-    core = socket.socket(fileno=fd)
-    core.setblocking(False)
-
-    def send(data: bytes, _t_ns: int) -> None:
-        with contextlib.suppress(OSError):
-            core.send(data)
-
-    held = make_plan(decode_options(options)).learnt
-    return Proposals(make_proposer(held, compute_table), send)
-
-
-def main() -> int:
-    """Process entry."""
-    ignore_terminal_signals()
-    if (given := receive_job()) is None:
-        return 0
+    given.say_ready()  # nobody waits for it
     job, fds = given.about, given.fds
+    options = decode_options(job["options"])
+    plan = make_plan(options, design=options.adapt)
+    if plan.settings.file.remark:
+        print(f"steerd learner: {plan.settings.file.remark}", file=sys.stderr)
     try:
-        feed = make_learner_feed(job)
-        if job["adapt"]:
-            feed.proposals = _make_proposals(job["adapt"], fds["designs"])
+        wiring = wiring_of(int(job["epoch_ns"]), plan.settings.scaling)
+        feed = make_feed(plan.settings.file, wiring, read_memory(job["memory"]))
     except ValueError as error:
-        print(f"steerd learner: {error}", file=sys.stderr)
-        return 4
-    given.say_ready("ready")
+        raise SteerdError(str(error)) from None
+    if plan.learnt is not None:
+        send = make_sender(fds["designs"])
+        proposer = make_proposer(plan.learnt, compute_table)
+        feed.proposals = Proposals(proposer, lambda data, _t_ns: send(data))
     outputs = [PipeWriter(fd) for name, fd in fds.items() if name.startswith("to_")]
-    loop, buffer = LearnerLoop(feed, outputs, make_keeper(job)), bytearray()
-    while data := os.read(fds["pipe"], _READ_BYTES):
-        buffer += data
-        loop.take(buffer)
-    loop.end()
+    loop, records = LearnerLoop(feed, outputs, make_keeper(job)), PipeReader(fds["pipe"])
+    while records.wait():
+        loop.take(records.take())
+    if loop.keeper is not None:
+        loop.keeper.end()
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_process(serve)

@@ -13,15 +13,7 @@ from steerd.car_model.car_file import default_car_path
 from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.assembly.session_meta import data_folder
 from steerd.daemon.common.screen import print_labelled
-from steerd.daemon.learning.kept import (
-    METADATA,
-    SIZE_MAX,
-    About,
-    KeptError,
-    digest_numbers,
-    parse_kept,
-    recall,
-)
+from steerd.daemon.learning import kept
 from steerd.daemon.settings.run_options import encode_options
 from steerd.version import VERSION
 
@@ -30,7 +22,7 @@ class LearnerMemory(NamedTuple):
     """Where a run's learner keeps what it learns, and what it begins with."""
 
     page: str = ""  # the file; empty for simulated hardware, whose numbers are no car's
-    about: About = About("", "", "", "")  # of what it is
+    about: kept.About = kept.About("", "", "", "")  # of what it is
     memory: str = ""  # JSON of what it begins with, empty for the car file alone
     # Whether a page is there that cannot be used; it is not overwritten but moved aside
     refused: bool = False
@@ -56,21 +48,21 @@ def recall_learnt(plan: RunPlan, session: Path, now_ns: int) -> LearnerMemory:
     if not plan.options.learn or plan.options.simulated:
         return LearnerMemory()
     page, scaling = learnt_page(plan), plan.settings.scaling
-    numbers = digest_numbers(plan.settings.file, scaling.erpm_gain, scaling.erpm_offset)
-    about = About(plan.options.car, numbers, VERSION, session.name)
+    numbers = kept.digest_numbers(plan.settings.file, scaling.erpm_gain, scaling.erpm_offset)
+    about = kept.About(plan.options.car, numbers, VERSION, session.name)
     try:
         with page.open("rb") as file:
-            data = file.read(SIZE_MAX + 1)
-        memory = recall(parse_kept(data), about, now_ns)
+            data = file.read(kept.SIZE_MAX + 1)
+        memory = kept.recall(kept.parse_kept(data), about, now_ns)
     except FileNotFoundError:
         return LearnerMemory(str(page), about)
-    except (OSError, KeptError) as error:
-        why = error if isinstance(error, KeptError) else f"cannot be read ({error.strerror})"
+    except (OSError, kept.KeptError) as error:
+        why = error if isinstance(error, kept.KeptError) else f"cannot be read ({error.strerror})"
         text = f"{page} {why}. The learner begins with the car file."
         print_labelled("note: ", text, sys.stderr)
         return LearnerMemory(str(page), about, refused=True)
     metadata = {"file": page.name, "sha256": hashlib.sha256(data).hexdigest(), "memory": memory}
-    return LearnerMemory(str(page), about, memory, metadata={METADATA: metadata})
+    return LearnerMemory(str(page), about, memory, metadata={kept.METADATA: metadata})
 
 
 _NO_MEMORY = LearnerMemory()
@@ -79,17 +71,6 @@ _NO_MEMORY = LearnerMemory()
 def make_learner_job(
     plan: RunPlan, epoch_ns: int, memory: LearnerMemory = _NO_MEMORY
 ) -> dict[str, Any]:
-    """Car file, scaling and memory, see `learner.make_learner_feed` and `make_keeper`."""
-    return {
-        "epoch_ns": epoch_ns,
-        "car": plan.settings.file.text,
-        "posterior": plan.settings.file.posterior,
-        "path": str(plan.settings.file.path),
-        "erpm_gain": plan.settings.scaling.erpm_gain,
-        "erpm_offset": plan.settings.scaling.erpm_offset,
-        "memory": memory.memory,
-        "page": memory.page,
-        "page_refused": memory.refused,
-        "about": memory.about,
-        "adapt": encode_options(plan.options) if plan.options.adapt else "",
-    }
+    """What the learner makes its plan of, and its memory."""
+    about = memory._asdict() | {"metadata": {}}
+    return about | {"options": encode_options(plan.options), "epoch_ns": epoch_ns}

@@ -5,16 +5,14 @@
 import asyncio
 import contextlib
 import json
-import os
-import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from steerd.daemon.ipc.operator import read_lab
-from steerd.daemon.ipc.signals import ignore_terminal_signals
-from steerd.daemon.process.child import Job, receive_job
-from steerd.daemon.process.page_link import CarView, PageOperator
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.process.bus_operator import BusOperator
+from steerd.daemon.process.child import Job, run_process
+from steerd.daemon.process.page_link import CarView, make_page_operator, pass_on
 from steerd.daemon.process.secret_server import ConnectionClosed, SecretServer, ServerConnection
 from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.clock import MonotonicClock
@@ -47,26 +45,28 @@ class PageTalk:
 
     def __init__(self, view: CarView) -> None:
         self._view = view
-        self.operators: set[PageOperator] = set()
+        self.operators: set[BusOperator] = set()
 
     async def talk(self, connection: ServerConnection) -> None:
         """Show the car to one page, and pass on what it asks for."""
-        operator = PageOperator(self._view)
+        operator = make_page_operator(self._view)
         self.operators.add(operator)
         shown = asyncio.create_task(self._show(connection, operator))
         try:
             async for word in connection:
                 if isinstance(word, str):
-                    operator.ask(word)
+                    pass_on(self._view, operator, word)
         except ConnectionClosed:
             pass
         finally:
             shown.cancel()
-            while operator.repeat():  # the last word of a page that is left may be a stop
+            while operator.repeat(
+                self._view.mode
+            ):  # the last word of a page that is left may be a stop
                 await asyncio.sleep(_POLL_S)
             self.operators.discard(operator)
 
-    async def _show(self, connection: ServerConnection, operator: PageOperator) -> None:
+    async def _show(self, connection: ServerConnection, operator: BusOperator) -> None:
         with contextlib.suppress(ConnectionClosed):
             while True:
                 seen = self._view.snapshot()
@@ -93,7 +93,7 @@ async def run_page(
         while not ended.is_set():
             view.poll()
             for operator in pages.operators:
-                operator.repeat()
+                operator.repeat(view.mode)
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(ended.wait(), _POLL_S)
     finally:
@@ -101,39 +101,29 @@ async def run_page(
         await server.wait_closed()
 
 
-def join(job: Mapping[str, Any]) -> ZenohBus:
-    """Join the car's bus.
-
-    Raises:
-        BusError: nobody answers.
-    """
-    lab = read_lab(Path(job["lab"])) if job["lab"] else None
-    return ZenohBus(make_spoke_profile(job["endpoint"], lab))
-
-
-async def _serve_child(given: Job) -> None:
+async def _serve(given: Job) -> None:
     ended, job = asyncio.Event(), given.about
     asyncio.get_running_loop().add_reader(given.fds["lifeline"], ended.set)
-    with join(job) as bus:
+    with ZenohBus(make_spoke_profile(job["endpoint"], None)) as bus:
         view = CarView(bus, job["car"], MonotonicClock())
-        await run_page(view, make_page(job), job["port"], given.say_ready, ended)
+        await run_page(
+            view, make_page(job), job["port"], lambda url: given.say_ready(url=url), ended
+        )
 
 
-def main() -> int:
-    """Process entry."""
-    ignore_terminal_signals()
-    os.nice(_NICE)
-    if (given := receive_job()) is None:
-        return 0
+def serve(given: Job) -> int:
+    """The process; it ends when its lifeline closes.
+
+    Raises:
+        SteerdError: its port is taken, or it cannot reach the car.
+    """
     try:
-        asyncio.run(_serve_child(given))
+        asyncio.run(_serve(given))
     except (BusError, OSError) as error:
-        with contextlib.suppress(OSError):
-            given.say_ready(f"--page {given.about['port']}: {error}")
-        return 3
-    sys.stderr.flush()
-    os._exit(0)  # zenoh's threads may keep the interpreter alive
+        what = f"--page {given.about['port']}: {error}"
+        raise SteerdError(what, "--page with another port", ExitCode.UNREACHABLE) from None
+    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_process(serve, _NICE)

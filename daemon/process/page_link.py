@@ -3,7 +3,6 @@
 The bus on one side, JSON values on the other; no socket of a browser here.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any
@@ -12,17 +11,11 @@ from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.requests import LIVE, parse_setting, read_diagnostics
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.bus_operator import BusOperator, Pulse
+from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import decode
-from steerd.steer_bus.messages import (
-    Parameters,
-    RequestKind,
-    StateMessage,
-    Transition,
-    VescTelemetry,
-)
 from steerd.steer_bus.standard import DiagnosticArray
 from steerd.steer_bus.topics import make_key
 from steerd.vesc_link.ids import fault_name
@@ -32,10 +25,11 @@ EVENTS = 8
 NAME = "page"
 """Of the page's operators, in recordings."""
 _KINDS = {
-    "alive": RequestKind.KEEPALIVE, "arm": RequestKind.ARM, "start": RequestKind.START,
-    "stop": RequestKind.STOP, "disarm": RequestKind.DISARM, "clear": RequestKind.CLEAR,
-    "estop": RequestKind.ESTOP,
+    "alive": m.RequestKind.KEEPALIVE, "arm": m.RequestKind.ARM, "start": m.RequestKind.START,
+    "stop": m.RequestKind.STOP, "disarm": m.RequestKind.DISARM, "clear": m.RequestKind.CLEAR,
+    "estop": m.RequestKind.ESTOP,
 }  # fmt: skip
+_SHOWN = (topics.STATE, topics.VESC, topics.TRANSITION, topics.DIAGNOSTICS, topics.PARAMETERS)
 _NUMBERS = ("x", "y", "yaw", "speed", "e1", "e2", "steer", "steer_ref", "speed_ref", "path_s")
 _TEXTS = ("state", "reason", "waiting", "warnings", "holder", "leased", "mocap", "mocap_rate_hz")
 
@@ -48,31 +42,25 @@ class CarView:
     car: str
     clock: Clock
     values: dict[str, str] = field(default_factory=dict)  # of the supervisor's diagnostics
-    state: StateMessage | None = None  # the newest message, as the next two
-    vesc: VescTelemetry | None = None
-    parameters: Parameters | None = None
+    state: m.StateMessage | None = None  # the newest message, as the next two
+    vesc: m.VescTelemetry | None = None
+    parameters: m.Parameters | None = None
     heard_ns: int | None = None  # when the last message came; None before the first
     events: list[str] = field(default_factory=list)  # the last state changes, as sentences
 
     def __post_init__(self) -> None:
-        wanted: tuple[tuple[Any, Callable[[Any], None]], ...] = (
-            (topics.STATE, self._take_state), (topics.VESC, self._take_vesc),
-            (topics.TRANSITION, self._take_change), (topics.DIAGNOSTICS, self._take_values),
-            (topics.PARAMETERS, self._take_parameters),
-        )  # fmt: skip
         self.pulse = Pulse(self.bus, self.car)
         self._wanted = [
-            (self.bus.subscribe(make_key(self.car, topic)), topic.message, take)
-            for topic, take in wanted
+            (self.bus.subscribe(make_key(self.car, topic)), topic.message) for topic in _SHOWN
         ]
 
     def poll(self) -> None:
         """Take in what has come; what cannot be read, of another version, is left out."""
-        for subscription, message, take in self._wanted:
+        for subscription, message in self._wanted:
             for sample in subscription.poll():
                 self.heard_ns = self.clock.now_ns()
                 try:
-                    take(decode(message, sample.data))
+                    self._take(decode(message, sample.data))
                 except (ValueError, SteerdError):
                     continue
 
@@ -91,24 +79,23 @@ class CarView:
         """The state's name; `?` before it is known."""
         return "?" if self.mode is None else self.mode.name
 
-    def _take_state(self, state: StateMessage) -> None:
-        SupervisorState(state.mode)  # a state of another version is not taken
-        self.state = state
-
-    def _take_vesc(self, vesc: VescTelemetry) -> None:
-        self.vesc = vesc
-
-    def _take_change(self, change: Transition) -> None:
-        name = SupervisorState(change.to_state).name
-        self.events = [*self.events, f"{name.lower().replace('_', ' ')}: {change.text}"][-EVENTS:]
-
-    def _take_values(self, message: DiagnosticArray) -> None:
-        values = read_diagnostics(message)
-        int(values.get("boot_id", "0") or 0)  # what is no number is not taken
-        self.values = values
-
-    def _take_parameters(self, message: Parameters) -> None:
-        self.parameters = message
+    def _take(self, message: Any) -> None:
+        """Take in a message; one of another version raises ValueError or SteerdError."""
+        match message:
+            case m.StateMessage(mode=mode):
+                SupervisorState(mode)
+                self.state = message
+            case m.VescTelemetry():
+                self.vesc = message
+            case m.Parameters():
+                self.parameters = message
+            case m.Transition(to_state=state, text=text):
+                name = SupervisorState(state).name.lower().replace("_", " ")
+                self.events = [*self.events, f"{name}: {text}"][-EVENTS:]
+            case DiagnosticArray():
+                values = read_diagnostics(message)
+                int(values.get("boot_id", "0") or 0)
+                self.values = values
 
     def snapshot(self) -> dict[str, Any]:
         """What the page shows, as JSON values; unknown numbers are None."""
@@ -128,7 +115,7 @@ class CarView:
         return shown | {"silent": round(silent, 2), "events": self.events}
 
 
-def _show_live(p: Parameters) -> dict[str, Any]:
+def _show_live(p: m.Parameters) -> dict[str, Any]:
     """Live parameters as value, least and most, and the answer to the last request."""
     shown: dict[str, Any] = {
         name: [_finite(getattr(p, name + end)) for end in ("", "_min", "_max")] for name in LIVE
@@ -140,36 +127,25 @@ def _finite(value: float) -> float | None:
     return round(value, 5) if isfinite(value) else None
 
 
-class PageOperator:
-    """One open page: an operator as any other, alive only as long as its browser says so.
+def make_page_operator(view: CarView) -> BusOperator:
+    """The operator of an open page, as any other.
 
-    Nothing here sends by itself, but a stop again until it is seen: every keepalive on the bus is
-    one that the browser sent. A tab that is closed, hidden, frozen or cut off is silent, and the
-    lease ends 0.3 s later.
+    Nothing is sent by itself, but a stop again until it is seen: every keepalive on the bus is one
+    that the browser sent. A tab that is closed, hidden, frozen or cut off is silent, and the lease
+    ends 0.3 s later.
     """
+    return BusOperator(view.bus, view.car, view.clock, NAME, view.pulse)
 
-    def __init__(self, view: CarView) -> None:
-        self._view = view
-        self._operator = BusOperator(view.bus, view.car, view.clock, NAME, view.pulse)
 
-    @property
-    def lease(self) -> str:
-        """This page's lease, as the car's `holder` names it."""
-        return self._operator.lease
+def pass_on(view: CarView, operator: BusOperator, word: str) -> bool:
+    """Send a request of a page: one of its words, or `set NAME VALUE`.
 
-    def ask(self, what: str) -> bool:
-        """Send a request of the page: one of its words, or `set NAME VALUE`.
-
-        Returns:
-            Whether it was sent; not for words that are no request, and only a stop before the car
-            was heard.
-        """
-        wanted = parse_setting(what)
-        if wanted is not None:
-            return self._operator.tune(self._view.boot_id, wanted)
-        kind = _KINDS.get(what)
-        return kind is not None and self._operator.ask(self._view.boot_id, kind)
-
-    def repeat(self) -> bool:
-        """Send a stop again that the car has not shown yet; whether there is one."""
-        return self._operator.repeat(self._view.mode)
+    Returns:
+        Whether it was sent; not for words that are no request, and only a stop before the car was
+        heard.
+    """
+    wanted = parse_setting(word)
+    if wanted is not None:
+        return operator.tune(view.boot_id, wanted)
+    kind = _KINDS.get(word)
+    return kind is not None and operator.ask(view.boot_id, kind)

@@ -5,8 +5,6 @@ end. At most `[record] flush_ms` of a session is lost when it is killed.
 """
 
 import json
-import os
-import select
 import shutil
 import sys
 import threading
@@ -15,10 +13,10 @@ from mimetypes import guess_type
 from pathlib import Path
 from typing import Any
 
+from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import describe_holes
-from steerd.daemon.ipc.pipe_records import Gaps, PipeRecord, ReportPipe, unpack_records
-from steerd.daemon.ipc.signals import ignore_terminal_signals
-from steerd.daemon.process.child import receive_job
+from steerd.daemon.ipc.pipe_records import Gaps, PipeReader, PipeRecord
+from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.views import Views
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.session import FLUSH_NS, AttachedFile, SessionWriter
@@ -27,15 +25,12 @@ from steerd.steer_bus.topics import TOPICS, make_session_topic
 
 _POLL_MS = 50
 """Longest wait for records before the file and the disk are looked after [ms]."""
-_READ_BYTES = 1 << 20
 _REPORTS_MS = 2000
 """Longest pause after which the learner's last reports are not waited for [ms]."""
 _DISK_CHECK_NS = 1_000_000_000
 _BEHIND_NS = 1_000_000_000
 """A pipe that ends so long after its last record was full before [ns]."""
 _NEARLY_FULL = "disk nearly full"
-_UNREADABLE = 3
-"""Exit code; its parent knows it by the name."""
 
 
 class Recording:
@@ -109,39 +104,35 @@ def check_space(path: Path, disk_free_min: int) -> None:
 
 
 def record_pipe(
-    recording: Recording, fd: int, disk_free_min: int, reports: ReportPipe | None = None
+    recording: Recording, core: PipeReader, disk_free_min: int, learner: PipeReader
 ) -> str:
-    """Write until the pipe closes or the disk is nearly full; return the reason.
+    """Write until the core's pipe closes or the disk is nearly full; return the reason.
 
     The learner's reports are written as they come; it may end before the drive.
     """
-    reports = reports or ReportPipe(None)
-    clock, buffer = MonotonicClock(), bytearray()
-    poll = select.poll()
-    poll.register(fd, select.POLLIN | select.POLLHUP)
+    clock = MonotonicClock()
     began_ns = last_ns = disk_due_ns = 0
     while True:
-        if poll.poll(_POLL_MS):
-            data = os.read(fd, _READ_BYTES)
-            if not data:
-                _note_end(recording, clock.now_ns() - began_ns, last_ns)
-                for record in reports.rest(_REPORTS_MS):
-                    recording.add(record)
-                return "end of the run"
-            buffer += data
-            for record in unpack_records(buffer):
-                recording.take(record)
-                began_ns = began_ns or clock.now_ns()
-                last_ns = record.log_time_ns
-        _take_reports(recording, reports)
+        core.wait(_POLL_MS)
+        for record in core.take():
+            recording.take(record)
+            began_ns = began_ns or clock.now_ns()
+            last_ns = record.log_time_ns
         now = clock.now_ns()
-        if recording.writer.tick(now):
-            # In a thread: the disk may be slow, the pipe must be read.
-            threading.Thread(target=_sync, args=(recording.writer,), daemon=True).start()
         if now >= disk_due_ns:
             disk_due_ns = now + _DISK_CHECK_NS
             if shutil.disk_usage(recording.writer.partial.parent).free < disk_free_min:
+                core.close()
                 return _NEARLY_FULL
+        if core.fd is None:
+            _note_end(recording, now - began_ns, last_ns)
+            for record in learner.rest(_REPORTS_MS):
+                recording.add(record)
+            return "end of the run"
+        _take_reports(recording, learner)
+        if recording.writer.tick(now):
+            # In a thread: the disk may be slow, the pipe must be read.
+            threading.Thread(target=_sync, args=(recording.writer,), daemon=True).start()
 
 
 def _note_end(recording: Recording, since_ns: int, last_ns: int) -> None:
@@ -151,7 +142,7 @@ def _note_end(recording: Recording, since_ns: int, last_ns: int) -> None:
         recording.gaps.add(last_ns, last_ns + left_ns)
 
 
-def _take_reports(recording: Recording, reports: ReportPipe) -> None:
+def _take_reports(recording: Recording, reports: PipeReader) -> None:
     """Write what the learner reported; say when it has ended while the drive goes on."""
     there = reports.fd is not None
     for record in reports.take():
@@ -167,34 +158,29 @@ def _sync(writer: SessionWriter) -> None:
         return  # the writing thread meets the same error and reports it
 
 
-def main() -> int:
-    """Process entry."""
-    ignore_terminal_signals()
-    if (job := receive_job()) is None:
-        return 0
-    meta, reports = job.about, ReportPipe(job.fds.get("reports"))
-    disk_free_min = int(meta["disk_free_min"])
+def serve(job: Job) -> int:
+    """The process; it ends with the core's pipe.
+
+    Raises:
+        SteerdError: the session cannot be begun, or not be ended.
+    """
+    meta, disk_free_min = job.about, int(job.about["disk_free_min"])
     try:
         check_space(Path(meta["path"]), disk_free_min)
         recording = Recording(Path(meta["path"]), meta["car"], meta)
-    except SessionError as error:
-        job.say_ready(str(error))
-        return _UNREADABLE
-    job.say_ready("ready")
-    try:
-        reason = record_pipe(recording, job.fds["pipe"], disk_free_min, reports)
-        os.close(job.fds["pipe"])
+        job.say_ready()
+        core, learner = PipeReader(job.fds["pipe"]), PipeReader(job.fds.get("reports"))
+        reason = record_pipe(recording, core, disk_free_min, learner)
         missing = recording.finish(reason)
     except SessionError as error:
-        print(f"steerd recorder: {error}", file=sys.stderr)
-        return _UNREADABLE
+        raise SteerdError(str(error), "", ExitCode.UNREADABLE) from None
     if missing:
         print(f"steerd recorder: {missing}", file=sys.stderr)
     if reason == _NEARLY_FULL:
         print(f"steerd recorder: {reason}; {recording.writer.path} is whole", file=sys.stderr)
-        return _UNREADABLE
-    return 0
+        return ExitCode.UNREADABLE
+    return ExitCode.OK
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_process(serve)

@@ -10,7 +10,7 @@ import os
 import select
 import socket
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from steerd.daemon.ipc.pipe_records import PipeWriter
 from steerd.daemon.ipc.requests import REQUEST_MAX, unpack_request
@@ -20,7 +20,13 @@ from steerd.daemon.loop.design_desk import DESIGN_BYTES
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.lease import lease_age
 from steerd.daemon.loop.transitions import is_engaged
-from steerd.daemon.process.guard import ProcessGuard, find_cause, read_steal_ns, sleep_lag_ns
+from steerd.daemon.process.guard import (
+    ProcessGuard,
+    find_cause,
+    find_pause,
+    read_steal_ns,
+    sleep_lag_ns,
+)
 from steerd.daemon.process.pacing import Pace, early_window_ns, step_pace
 from steerd.daemon.process.remote_path import RemotePath
 from steerd.mocap_link.sockets import MocapReceiver
@@ -90,7 +96,8 @@ class Runner:
         self._mocap = mocap
         self._links = links
         self._parent = links.requests[0] if links.requests else None
-        self._always: tuple[CoreLinks, tuple[int, ...]] | None = None
+        self._requests = {end.fileno(): end for end in links.requests}
+        self._designs = links.designs
         self._guard = guard
         self._port: Port | None = None
         self._period_ns = core.loop.setup.period_ns
@@ -155,7 +162,7 @@ class Runner:
         socketed = None if isinstance(self._mocap, BusPoseSource) else self._mocap
         while True:
             left_ns = due_ns - self._clock.now_ns()
-            fds = [*self._lasting_fds()]
+            fds = [self._links.stop_fd, *self._requests]
             if self._port is not None:
                 fds.append(self._port.fd)
             if socketed is not None:
@@ -165,14 +172,6 @@ class Runner:
                 self._try(self._take, fd)
             if left_ns <= 0 or early_ns <= self._pose_ns:
                 return
-
-    def _lasting_fds(self) -> tuple[int, ...]:
-        """What is waited for in every tick, stop signals and requests: as long as its links."""
-        links, known = self._links, self._always
-        if known is None or known[0] is not links:
-            known = links, (links.stop_fd, *(end.fileno() for end in links.requests))
-            self._always = known
-        return known[1]
 
     def _try(self, take: Callable[[int], None], what: int) -> None:
         """Handle an input; an unexpected exception stops the car (W29)."""
@@ -187,27 +186,24 @@ class Runner:
         elif fd == self._links.stop_fd:
             with contextlib.suppress(BlockingIOError):
                 self._take_signals(len(os.read(fd, 16)), None)
+        elif fd in self._requests:
+            self._read_requests(self._requests[fd])
         elif not isinstance(self._mocap, BusPoseSource) and fd in self._mocap.fds():
             self._on_poses(self._mocap.read_ready(fd))
-        else:
-            self._read_requests(fd)
 
     def _on_poses(self, samples: list[Pose]) -> None:
         if samples:  # never ahead of now: a wrong stamp must not bring ticks without waiting
             self._pose_ns = min(samples[-1].t_arrival_ns, self._clock.now_ns())
         self._core.on_poses(samples)
 
-    def _read_requests(self, fd: int) -> None:
-        for end in self._links.requests:
-            if end.fileno() != fd:
-                continue
-            with contextlib.suppress(BlockingIOError):
-                for _ in range(_PACKETS_MAX):
-                    packet = end.recv(REQUEST_MAX + _KEY_BYTES)
-                    if not packet:
-                        self._close_requests(end)
-                        return
-                    self._on_request(packet, end)
+    def _read_requests(self, end: socket.socket) -> None:
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(_PACKETS_MAX):
+                packet = end.recv(REQUEST_MAX + _KEY_BYTES)
+                if not packet:
+                    self._close_requests(end)
+                    return
+                self._on_request(packet, end)
 
     def _on_request(self, packet: bytes, end: socket.socket) -> None:
         name, data = unpack_request(packet)
@@ -225,17 +221,16 @@ class Runner:
 
     def _close_requests(self, end: socket.socket) -> None:
         """A process that sends requests has ended: the gateway, or the parent, which means quit."""
-        rest = tuple(other for other in self._links.requests if other is not end)
         if end is self._parent:
             self._take_signals(1, ORPHAN_NS)
         else:
             self._core.flags |= Flag.GATEWAY_LOST
+        self._requests.pop(end.fileno(), None)
         end.close()
-        self._links = replace(self._links, requests=rest)
 
     def _read_designs(self, now_ns: int) -> None:
         """The newest of a few proposals a tick: a flood of them waits in the socket."""
-        end, newest = self._links.designs, b""
+        end, newest = self._designs, b""
         if end is None:
             return
         with contextlib.suppress(BlockingIOError):
@@ -246,7 +241,7 @@ class Runner:
                     newest = b""
                 if not newest:  # the learner has ended, which the loop sees by its silence
                     end.close()
-                    self._links = replace(self._links, designs=None)
+                    self._designs = None
                     return
         if newest:
             self._core.on_proposal(newest, now_ns)
@@ -258,7 +253,8 @@ class Runner:
         if late_ns > self._period_ns:
             now = self._clock.now_ns()
             stolen_ns = read_steal_ns() - self._stolen_ns
-            self._core.flags |= find_cause((now - late_ns, now), stolen_ns, self._guard.pause(now))
+            pause = find_pause(self._guard.page, now)
+            self._core.flags |= find_cause((now - late_ns, now), stolen_ns, pause)
         lag = sleep_lag_ns()
         if lag - self._slept_ns > self._core.loop.setup.settings.thresholds.suspend_step * 1e9:
             self._core.flags |= Flag.SUSPENDED
@@ -286,14 +282,10 @@ class Runner:
         self._watch_processes(now_ns)
 
     def _step_mocap(self, now_ns: int) -> None:
-        seen = self._core.loop.perception
-        self._mocap.ingest.wheel_speed = seen.wheel_speed if seen.telemetry else None
-        self._mocap.ingest.stationary = seen.may_rebase
+        self._core.feed_back(self._mocap.ingest)
         samples = self._mocap.on_timer(self._clock.now_ns())
         self._on_poses(samples or [])
-        source = self._core.source = self._mocap.status()
-        self._core.flags &= ~Flag.MOCAP_REFUSED
-        self._core.flags |= Flag.MOCAP_REFUSED if source.refused else 0
+        self._core.on_source(self._mocap.status())
 
     def _post_clock(self, now_ns: int) -> None:
         self._notify(ALIVE)
@@ -333,19 +325,16 @@ class Runner:
 
     def _try_open(self, now_ns: int) -> None:
         self._reopen_ns = now_ns + REOPEN_NS
-        loop = self._core.loop
-        if is_engaged(loop.supervisor.state) and not loop.at_rest:
-            return  # a port that comes back does not bring motion back
+        if not self._core.may_link:
+            return
         try:
             self._port = self._open_port()
         except PortError as error:
             self.error = error
             return
         self.error = None
-        self._core.link.reset()
         self._guard.watch(self._port.fd, self._core.brake_frame(), now_ns)
-        self._core.flags |= Flag.LINKED
-        self._core.flags &= ~(Flag.SERIAL_FAULT | Flag.GUARDIAN_LOST | Flag.GUARDIAN_TRIPPED)
+        self._core.open_link()
 
     def _read_serial(self) -> None:
         if self._port is None:
@@ -359,14 +348,15 @@ class Runner:
 
     def _write(self, wire: bytes, tick_ns: int) -> bytes:
         """Send the heartbeat and write a tick's bytes; return what was written."""
-        if self._port is None:
+        page = self._guard.page
+        if self._port is None or page is None:
             return b""
         last = self._core.last
         engaged = last is not None and is_engaged(last.supervisor.state)
-        self._guard.write_heartbeat(tick_ns, engaged)
+        page.write_heartbeat(tick_ns, engaged)
         staged: bytes | memoryview = wire
         if last is not None and last.order.command is not None:
-            staged = self._guard.stage(wire)
+            staged = page.stage(wire)
             if not self._guard.may_write(tick_ns, self._clock.now_ns()):
                 self._core.flags |= Flag.GUARDIAN_TRIPPED
                 return b""
@@ -400,10 +390,7 @@ class Runner:
         if port is not None:
             with contextlib.suppress(OSError):
                 port.close()
-        self._core.flags |= Flag.SERIAL_FAULT
-        self._core.flags &= ~Flag.LINKED
-        self._core.link.reset()
-        self._core.loop.on_vesc(None)
+        self._core.lose_link()
 
     # --- the end
 

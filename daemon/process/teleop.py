@@ -13,16 +13,8 @@ from dataclasses import replace
 
 from steerd.daemon.ipc.operator import KEEPALIVE_NS
 from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.process import gamepad
 from steerd.daemon.process.bus_operator import BusOperator
-from steerd.daemon.process.gamepad import (
-    AxisRange,
-    Pad,
-    PadEvent,
-    PadMap,
-    PadState,
-    is_silent,
-    take_event,
-)
 from steerd.daemon.process.page_link import CarView
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import Clock
@@ -44,20 +36,22 @@ class Teleop:
         view: the car, from the bus.
     """
 
-    def __init__(self, view: CarView, pads: PadMap, axes: Mapping[int, AxisRange]) -> None:
-        self.pad = PadState()
+    def __init__(
+        self, view: CarView, pads: gamepad.PadMap, axes: Mapping[int, gamepad.AxisRange]
+    ) -> None:
+        self.pad = gamepad.PadState()
         self.view, self._pads, self._axes = view, pads, axes
         self._operator = BusOperator(view.bus, view.car, view.clock, "gamepad", view.pulse)
         self._lease = secrets.randbits(62) + 1
         self._seq = view.clock.realtime_ns() // 1_000_000 % 2_000_000_000
         self._alive_ns = 0
 
-    def take(self, events: list[PadEvent]) -> None:
+    def take(self, events: list[gamepad.PadEvent]) -> None:
         """Take in the gamepad's events."""
         for event in events:
             before = self.pad.held
             now = self.view.clock.now_ns()
-            self.pad, pressed = take_event(self.pad, event, self._pads, self._axes, now)
+            self.pad, pressed = gamepad.take_event(self.pad, event, self._pads, self._axes, now)
             if before and not self.pad.held:
                 self.release()
             if pressed == self._pads.estop:
@@ -81,7 +75,7 @@ class Teleop:
         """Every `PERIOD_NS`: hold the car and command it; gives what was released and why."""
         now = self.view.clock.now_ns()
         self._operator.repeat(self.view.mode)
-        if is_silent(self.pad, self._pads, now):
+        if gamepad.is_silent(self.pad, self._pads, now):
             self.release()
             return f"no event of the gamepad for {self._pads.quiet_ns * 1e-9:g} s: released"
         if not (self.pad.held and self.view.boot_id):
@@ -106,7 +100,7 @@ class Teleop:
         )  # fmt: skip
 
 
-def serve_pad(teleop: Teleop, pad: Pad, clock: Clock, say: Callable[[str], object]) -> None:
+def serve_pad(teleop: Teleop, pad: gamepad.Pad, clock: Clock, say: Callable[[str], object]) -> None:
     """Serve until the gamepad is gone.
 
     Raises:

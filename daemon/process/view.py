@@ -8,29 +8,16 @@ live parameters. The viewer's end is reported and changes nothing else.
 # Why: docs/decisions/messages-and-sessions.md#d26
 
 import asyncio
-import contextlib
-import os
-import socket
 import sys
-from collections.abc import Callable
 
 from foxglove.messages import FrameTransforms, SceneUpdate  # noqa: TID251
 
-from steerd.daemon.ipc.pipe_records import PipeRecord, unpack_records
-from steerd.daemon.ipc.signals import ignore_terminal_signals
-from steerd.daemon.process.child import Job, receive_job
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.ipc.pipe_records import Gaps, PipeReader, PipeRecord
+from steerd.daemon.ipc.requests import make_sender
+from steerd.daemon.process import view_scene as scene
+from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.secret_server import SecretServer
-from steerd.daemon.process.view_scene import (
-    Body,
-    LaneLines,
-    make_car_scene,
-    make_lane,
-    make_lane_scene,
-    make_learnt_parameters,
-    make_live_parameters,
-    make_parameters,
-    make_transform,
-)
 from steerd.daemon.process.view_server import (
     PROTOCOLS,
     WORDS_MAX,
@@ -51,7 +38,6 @@ SCENE_NS = 50_000_000
 """The car is drawn 20 times a second; channels carry every message."""
 LANE_NS = 1_000_000_000
 """The lane is sent again for clients that have just connected."""
-_READ_BYTES = 1 << 20
 _NICE = 10
 """Lower priority than the control processes'."""
 
@@ -60,44 +46,37 @@ class Viewer:
     """One car's messages, and what is drawn of them.
 
     Attributes:
-        missed: messages that the pipe had no room for.
+        gaps: messages that the pipe had no room for.
     """
 
-    def __init__(self, car: str, body: Body, lane: LaneLines, server: ViewServer) -> None:
+    def __init__(
+        self, car: str, body: scene.Body, lane: scene.LaneLines, server: ViewServer
+    ) -> None:
         self._car, self._server = car, server
-        self._body, self._lane = body, make_lane_scene(lane)
+        self._body, self._lane = body, scene.make_lane_scene(lane)
         self._views = Views()
-        self._seen: dict[str, int] = {}
         self._scene_due_ns = self._lane_due_ns = 0
-        self._buffer = bytearray()
-        self.missed = 0
-
-    def read(self, data: bytes) -> None:
-        """Show what has come through the pipe."""
-        self._buffer += data
-        for record in unpack_records(self._buffer):
-            self.show(record)
+        self.gaps = Gaps()
 
     def show(self, record: PipeRecord) -> None:
         """Pass one record on, with what is drawn of it."""
         name = record.topic.name
-        self.missed += record.sequence - self._seen.get(name, record.sequence - 1) - 1
-        self._seen[name] = record.sequence
+        self.gaps.take(record)
         for each in (record, *self._views.convert(record)):
             if each.topic.on_bus:
                 topic = make_session_topic(self._car, each.topic)
                 self._server.log(topic, each.data, each.log_time_ns)
         if name == topics.PARAMETERS.name:
-            self._server.show(make_live_parameters(decode(Parameters, record.data)))
+            self._server.show(scene.make_live_parameters(decode(Parameters, record.data)))
         if name == topics.MODEL.name:
-            self._server.show(make_learnt_parameters(decode(Model, record.data)))
+            self._server.show(scene.make_learnt_parameters(decode(Model, record.data)))
         if name == topics.STATE.name and record.log_time_ns >= self._scene_due_ns:
             self._scene_due_ns = record.log_time_ns + SCENE_NS
             self._draw(decode(StateMessage, record.data), record.log_time_ns)
 
     def _draw(self, state: StateMessage, log_ns: int) -> None:
-        self._server.log(TRANSFORMS, make_transform(state).encode(), log_ns)
-        self._server.log(SCENE, make_car_scene(state, self._body).encode(), log_ns)
+        self._server.log(TRANSFORMS, scene.make_transform(state).encode(), log_ns)
+        self._server.log(SCENE, scene.make_car_scene(state, self._body).encode(), log_ns)
         if log_ns >= self._lane_due_ns:
             self._lane_due_ns = log_ns + LANE_NS
             self._server.log(SCENE, self._lane.encode(), log_ns)
@@ -128,58 +107,46 @@ async def run_viewer(given: Job) -> int:
     Raises:
         OSError: the address is taken or no address of this machine.
     """
-    job, pipe_fd = given.about, given.fds["pipe"]
-    car, lane = job["car"], make_lane(job["lane"], job["half_width"], closed=job["closed"])
-    known = ViewParameters(make_parameters(job["parameters"]), _make_ask(given.fds.get("requests")))
+    job, records = given.about, PipeReader(given.fds["pipe"])
+    car, lane = job["car"], scene.make_lane(job["lane"], job["half_width"], closed=job["closed"])
+    asks = make_sender(given.fds["requests"]) if "requests" in given.fds else None
+    known = ViewParameters(scene.make_parameters(job["parameters"]), asks)
     shown = ViewServer(f"steerd {car}", make_channels(car), known)
-    viewer = Viewer(car, Body(**job["body"]), lane, shown)
+    viewer = Viewer(car, scene.Body(**job["body"]), lane, shown)
     secret = SecretServer(job["host"], shown.talk)
     server = await secret.open(job["port"], WORDS_MAX, PROTOCOLS)
-    given.say_ready(secret.url)
+    given.say_ready(url=secret.url)
     ended = asyncio.Event()
 
     def read() -> None:
-        data = os.read(pipe_fd, _READ_BYTES)
-        viewer.read(data)
-        if not data:
+        for record in records.take():
+            viewer.show(record)
+        if records.fd is None:
+            loop.remove_reader(pipe_fd)
             ended.set()
 
-    asyncio.get_running_loop().add_reader(pipe_fd, read)
+    loop, pipe_fd = asyncio.get_running_loop(), given.fds["pipe"]
+    loop.add_reader(pipe_fd, read)
     await ended.wait()
     server.close()
-    return viewer.missed
+    return viewer.gaps.missed
 
 
-def _make_ask(fd: int | None) -> Callable[[str], object] | None:
-    """Sends a setting to the run's terminal; what does not fit is dropped."""
-    if fd is None:
-        return None
-    terminal = socket.socket(fileno=fd)
-    terminal.setblocking(False)
+def serve(given: Job) -> int:
+    """The process; it ends with the core's pipe.
 
-    def ask(text: str) -> None:
-        with contextlib.suppress(OSError):
-            terminal.send(text.encode())
-
-    return ask
-
-
-def main() -> int:
-    """Process entry."""
-    ignore_terminal_signals()
-    os.nice(_NICE)
-    if (given := receive_job()) is None:
-        return 0
+    Raises:
+        SteerdError: its address cannot be used.
+    """
     try:
         missed = asyncio.run(run_viewer(given))
     except OSError as error:
-        with contextlib.suppress(OSError):
-            given.say_ready(f"--view {given.about['host']}:{given.about['port']}: {error}")
-        return 3
+        where = f"{given.about['host']}:{given.about['port']}"
+        raise SteerdError(f"--view {where}: {error}", "", ExitCode.UNREADABLE) from None
     if missed:
         print(f"note: {missed} messages did not reach the viewer", file=sys.stderr)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_process(serve, _NICE)

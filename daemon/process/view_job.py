@@ -4,7 +4,7 @@ import ipaddress
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.toml_text import parse_toml
@@ -32,15 +32,9 @@ def check_page(plan_lab: str, listen: str) -> None:
 
 def make_page_job(plan: "RunPlan") -> dict[str, Any]:
     """The job as JSON values."""
-    car = plan.settings.file.car
-    return {
-        "endpoint": plan.options.listen,
-        "lab": "",
-        "car": plan.options.car,
-        "port": plan.options.page,
-        **_lane(plan.path, plan.settings.thresholds.lateral),
-        "body": {"lf": car.lf, "lr": car.lr},
-    }
+    options, settings = plan.options, plan.settings
+    where = {"endpoint": options.listen, "car": options.car, "port": options.page}
+    return where | draw_lane(plan.path, settings.thresholds.lateral, settings.file.car)
 
 
 def make_lane_job(spec: str | None) -> dict[str, Any]:
@@ -49,31 +43,27 @@ def make_lane_job(spec: str | None) -> dict[str, Any]:
     Raises:
         SteerdError: it is no path.
     """
-    body = {"lf": DEFAULT_CAR.lf, "lr": DEFAULT_CAR.lr}
-    if spec is None:
-        return {"lane": [], "closed": False, "half_width": 0.0, "body": body}
     try:
         from steerd.car_model.path.path_spec import parse_path
 
-        return {**_lane(parse_path(spec), Thresholds().lateral), "body": body}
+        return draw_lane(parse_path(spec) if spec else None, Thresholds().lateral, DEFAULT_CAR)
     except (OSError, ValueError) as error:
         raise SteerdError(f"--path {spec}: {error}", "", ExitCode.USAGE) from None
 
 
-def _lane(path: "Path", half_width: float) -> dict[str, Any]:
+def draw_lane(path: "Path | None", half_width: float, car: Car[float]) -> dict[str, Any]:
+    """A car and its lane, if that is known, as JSON values."""
+    body = {"lf": car.lf, "lr": car.lr}
+    if path is None:
+        return {"lane": [], "closed": False, "half_width": 0.0, "body": body}
     stride = max(1, round(LANE_STEP / path.step))
-    points = list(zip(path.x, path.y, path.yaw, strict=True))[::stride]
-    return {
-        "lane": [[round(value, 6) for value in point] for point in points],
-        "closed": path.closed,
-        "half_width": half_width,
-    }
+    points = [*zip(path.x, path.y, path.yaw, strict=True)][::stride]
+    lane = [[round(value, 6) for value in point] for point in points]
+    return {"lane": lane, "closed": path.closed, "half_width": half_width, "body": body}
 
 
 DEFAULT_PORT = 8765
 """Foxglove's own."""
-_WIDTH = 0.27
-"""Width of an F1TENTH car [m]; only drawn."""
 
 
 def parse_view(text: str, insecure_lan: bool) -> tuple[str, int]:
@@ -129,8 +119,7 @@ def make_view_job(plan: "RunPlan") -> dict[str, Any]:
         "host": host,
         "port": port,
         "car": plan.options.car,
-        **_lane(plan.path, settings.thresholds.lateral),
-        "body": {"lf": settings.file.car.lf, "lr": settings.file.car.lr, "width": _WIDTH},
+        **draw_lane(plan.path, settings.thresholds.lateral, settings.file.car),
         "parameters": {
             "run": run,
             "car": settings.file.car._asdict(),

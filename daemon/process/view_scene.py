@@ -4,44 +4,29 @@ from collections.abc import Mapping, Sequence
 from math import cos, isfinite, sin
 from typing import Any, NamedTuple
 
-from foxglove.messages import (  # noqa: TID251
-    ArrowPrimitive,
-    Color,
-    CubePrimitive,
-    FrameTransform,
-    FrameTransforms,
-    LinePrimitive,
-    LinePrimitiveLineType,
-    Point3,
-    Pose,
-    Quaternion,
-    SceneEntity,
-    SceneUpdate,
-    Timestamp,
-    Vector3,
-)
+from foxglove import messages as fox  # noqa: TID251
 
 from steerd.daemon.ipc.requests import LIVE
 from steerd.daemon.learning.reported import reported_values
 from steerd.steer_bus.messages import BODY, WORLD, Model, Parameters, StateMessage
 from steerd.steer_bus.standard import stamp_ns
 
-_LANE = Color(r=0.25, g=0.55, b=0.95, a=0.9)
-_BORDER = Color(r=0.6, g=0.6, b=0.6, a=0.6)
-_CHASSIS = Color(r=0.95, g=0.55, b=0.15, a=0.9)
-_WHEEL = Color(r=0.1, g=0.1, b=0.1, a=1.0)
-_SPEED = Color(r=0.2, g=0.75, b=0.3, a=0.9)
-_WHEEL_SIZE = Vector3(x=0.1, y=0.04, z=0.1)
+_LANE = fox.Color(r=0.25, g=0.55, b=0.95, a=0.9)
+_BORDER = fox.Color(r=0.6, g=0.6, b=0.6, a=0.6)
+_CHASSIS = fox.Color(r=0.95, g=0.55, b=0.15, a=0.9)
+_WHEEL = fox.Color(r=0.1, g=0.1, b=0.1, a=1.0)
+_SPEED = fox.Color(r=0.2, g=0.75, b=0.3, a=0.9)
+_WHEEL_SIZE = fox.Vector3(x=0.1, y=0.04, z=0.1)
 _HEIGHT = 0.05
 """Of the wheels' axes over the floor [m]."""
 
 
 class Body(NamedTuple):
-    """What is drawn of the car [m]: axles before and behind the CoG, and the track width."""
+    """What is drawn of the car [m]: axles before and behind the CoG, and an F1TENTH's width."""
 
     lf: float
     lr: float
-    width: float
+    width: float = 0.27
 
 
 class LaneLines(NamedTuple):
@@ -68,24 +53,24 @@ def make_lane(points: Sequence[Sequence[float]], half_width: float, *, closed: b
     return LaneLines(beside(0.0), beside(half_width), beside(-half_width), closed)
 
 
-def make_transform(state: StateMessage) -> FrameTransforms:
+def make_transform(state: StateMessage) -> fox.FrameTransforms:
     """The body frame in the world."""
-    frame = FrameTransform(
+    frame = fox.FrameTransform(
         timestamp=_time(state),
         parent_frame_id=WORLD,
         child_frame_id=BODY,
-        translation=Vector3(x=state.x, y=state.y, z=0.0),
+        translation=fox.Vector3(x=state.x, y=state.y, z=0.0),
         rotation=_turn(state.yaw),
     )
-    return FrameTransforms(transforms=[frame])
+    return fox.FrameTransforms(transforms=[frame])
 
 
-def make_car_scene(state: StateMessage, body: Body) -> SceneUpdate:
+def make_car_scene(state: StateMessage, body: Body) -> fox.SceneUpdate:
     """Chassis, steered wheels and velocity, in the body frame."""
     x = 0.5 * (body.lf - body.lr)
-    size = Vector3(x=1.45 * (body.lf + body.lr), y=0.7 * body.width, z=0.06)
-    chassis = CubePrimitive(pose=_pose(x, 0.0, 0.0), size=size, color=_CHASSIS)
-    speed = ArrowPrimitive(
+    size = fox.Vector3(x=1.45 * (body.lf + body.lr), y=0.7 * body.width, z=0.06)
+    chassis = fox.CubePrimitive(pose=_pose(x, 0.0, 0.0), size=size, color=_CHASSIS)
+    speed = fox.ArrowPrimitive(
         pose=_pose(0.0, 0.0, state.slip_angle, 2.0 * _HEIGHT),
         shaft_length=max(0.3 * state.speed, 0.0),
         shaft_diameter=0.02,
@@ -93,7 +78,7 @@ def make_car_scene(state: StateMessage, body: Body) -> SceneUpdate:
         head_diameter=0.05,
         color=_SPEED,
     )
-    entity = SceneEntity(
+    entity = fox.SceneEntity(
         timestamp=_time(state),
         frame_id=BODY,
         id="car",
@@ -101,21 +86,22 @@ def make_car_scene(state: StateMessage, body: Body) -> SceneUpdate:
         cubes=[chassis, *_wheels(body, state.steer)],
         arrows=[speed],
     )
-    return SceneUpdate(entities=[entity])
+    return fox.SceneUpdate(entities=[entity])
 
 
-def _wheels(body: Body, steer: float) -> list[CubePrimitive]:
+def _wheels(body: Body, steer: float) -> list[fox.CubePrimitive]:
     half = 0.5 * body.width
     places = [(body.lf, half, steer), (body.lf, -half, steer), (-body.lr, half, 0.0)]
     places.append((-body.lr, -half, 0.0))
     return [
-        CubePrimitive(pose=_pose(x, y, yaw), size=_WHEEL_SIZE, color=_WHEEL) for x, y, yaw in places
+        fox.CubePrimitive(pose=_pose(x, y, yaw), size=_WHEEL_SIZE, color=_WHEEL)
+        for x, y, yaw in places
     ]
 
 
-def make_lane_scene(lane: LaneLines) -> SceneUpdate:
+def make_lane_scene(lane: LaneLines) -> fox.SceneUpdate:
     """The path and the lane's borders on the floor."""
-    entity = SceneEntity(
+    entity = fox.SceneEntity(
         frame_id=WORLD,
         id="lane",
         lines=[
@@ -124,7 +110,7 @@ def make_lane_scene(lane: LaneLines) -> SceneUpdate:
             _line(lane.right, lane.closed, _BORDER, 0.015),
         ],
     )
-    return SceneUpdate(entities=[entity])
+    return fox.SceneUpdate(entities=[entity])
 
 
 def make_parameters(values: Mapping[str, Any]) -> dict[str, float | str]:
@@ -160,21 +146,21 @@ def make_learnt_parameters(model: Model) -> dict[str, float | str]:
 
 
 def _line(
-    points: Sequence[tuple[float, float]], closed: bool, color: Color, thickness: float
-) -> LinePrimitive:
-    kind = LinePrimitiveLineType.LineLoop if closed else LinePrimitiveLineType.LineStrip
-    floor = [Point3(x=x, y=y, z=0.0) for x, y in points]
-    return LinePrimitive(type=kind, points=floor, color=color, thickness=thickness)
+    points: Sequence[tuple[float, float]], closed: bool, color: fox.Color, thickness: float
+) -> fox.LinePrimitive:
+    kind = fox.LinePrimitiveLineType.LineLoop if closed else fox.LinePrimitiveLineType.LineStrip
+    floor = [fox.Point3(x=x, y=y, z=0.0) for x, y in points]
+    return fox.LinePrimitive(type=kind, points=floor, color=color, thickness=thickness)
 
 
-def _pose(x: float, y: float, yaw: float, z: float = _HEIGHT) -> Pose:
-    return Pose(position=Vector3(x=x, y=y, z=z), orientation=_turn(yaw))
+def _pose(x: float, y: float, yaw: float, z: float = _HEIGHT) -> fox.Pose:
+    return fox.Pose(position=fox.Vector3(x=x, y=y, z=z), orientation=_turn(yaw))
 
 
-def _turn(yaw: float) -> Quaternion:
-    return Quaternion(x=0.0, y=0.0, z=sin(0.5 * yaw), w=cos(0.5 * yaw))
+def _turn(yaw: float) -> fox.Quaternion:
+    return fox.Quaternion(x=0.0, y=0.0, z=sin(0.5 * yaw), w=cos(0.5 * yaw))
 
 
-def _time(state: StateMessage) -> Timestamp:
+def _time(state: StateMessage) -> fox.Timestamp:
     sec, nsec = divmod(stamp_ns(state.header), 1_000_000_000)
-    return Timestamp(sec=sec, nsec=nsec)
+    return fox.Timestamp(sec=sec, nsec=nsec)

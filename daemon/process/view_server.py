@@ -50,7 +50,7 @@ class ViewParameters:
     """
 
     def __init__(
-        self, values: Mapping[str, Value], ask: Callable[[str], object] | None = None
+        self, values: Mapping[str, Value], ask: Callable[[bytes], object] | None = None
     ) -> None:
         self._values = dict(values)
         self._ask = ask
@@ -73,7 +73,7 @@ class ViewParameters:
             if self._ask is None or group != "live" or name not in LIVE:
                 continue
             if isinstance(value, int | float) and not isinstance(value, bool):
-                self._ask(format_setting(name, float(value)))
+                self._ask(format_setting(name, float(value)).encode())
         return self.get(wanted)
 
 

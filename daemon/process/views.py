@@ -7,29 +7,17 @@ from typing import Any
 
 from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
 from steerd.steer_bus import messages as m
+from steerd.steer_bus import standard as ros
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
-from steerd.steer_bus.standard import (
-    Odometry,
-    Point,
-    Pose,
-    PoseStamped,
-    PoseWithCovariance,
-    Quaternion,
-    Twist,
-    TwistWithCovariance,
-    Vector3,
-    VescState,
-    VescStateStamped,
-)
 from steerd.steer_bus.topics import Topic
 
 PERIOD_NS = 20_000_000
 """Shortest time between two messages of a kind."""
 
 
-def _pose(x: float, y: float, yaw: float) -> Pose:
-    return Pose(Point(x, y, 0.0), Quaternion(0.0, 0.0, sin(0.5 * yaw), cos(0.5 * yaw)))
+def _pose(x: float, y: float, yaw: float) -> ros.Pose:
+    return ros.Pose(ros.Point(x, y, 0.0), ros.Quaternion(0.0, 0.0, sin(0.5 * yaw), cos(0.5 * yaw)))
 
 
 def _diagonal(*variances: float) -> tuple[float, ...]:
@@ -39,31 +27,31 @@ def _diagonal(*variances: float) -> tuple[float, ...]:
     return tuple(matrix)
 
 
-def make_odometry(state: m.StateMessage) -> Odometry:
+def make_odometry(state: m.StateMessage) -> ros.Odometry:
     """The estimate as `nav_msgs/Odometry`, velocity in the body frame."""
     vx, vy = state.speed * cos(state.slip_angle), state.speed * sin(state.slip_angle)
-    twist = Twist(Vector3(vx, vy, 0.0), Vector3(0.0, 0.0, state.yaw_rate))
-    return Odometry(
+    twist = ros.Twist(ros.Vector3(vx, vy, 0.0), ros.Vector3(0.0, 0.0, state.yaw_rate))
+    return ros.Odometry(
         state.header,
         m.BODY,
-        PoseWithCovariance(
+        ros.PoseWithCovariance(
             _pose(state.x, state.y, state.yaw),
             _diagonal(state.x_sd**2, state.y_sd**2, state.yaw_sd**2),
         ),
-        TwistWithCovariance(
+        ros.TwistWithCovariance(
             twist, _diagonal(state.speed_sd**2, state.speed_sd**2, state.yaw_rate_sd**2)
         ),
     )
 
 
-def make_pose_stamped(pose: m.MocapPose) -> PoseStamped:
+def make_pose_stamped(pose: m.MocapPose) -> ros.PoseStamped:
     """A processed mocap sample as `geometry_msgs/PoseStamped`."""
-    return PoseStamped(pose.header, _pose(pose.x, pose.y, pose.yaw))
+    return ros.PoseStamped(pose.header, _pose(pose.x, pose.y, pose.yaw))
 
 
-def make_vesc_state(vesc: m.VescTelemetry) -> VescStateStamped:
+def make_vesc_state(vesc: m.VescTelemetry) -> ros.VescStateStamped:
     """Telemetry as `vesc_msgs/VescStateStamped` (`speed` is ERPM there)."""
-    state = VescState(
+    state = ros.VescState(
         temp_fet=vesc.temp_fet,
         temp_motor=vesc.temp_motor,
         current_motor=vesc.current_motor,
@@ -88,7 +76,7 @@ def make_vesc_state(vesc: m.VescTelemetry) -> VescStateStamped:
         avg_vd=vesc.vd,
         avg_vq=vesc.vq,
     )
-    return VescStateStamped(vesc.header, state)
+    return ros.VescStateStamped(vesc.header, state)
 
 
 _VIEWS: dict[str, tuple[Topic, Callable[[Any], Any]]] = {

@@ -14,7 +14,7 @@ from rich.live import Live
 
 from steerd.daemon.common.screen import raw
 from steerd.daemon.ipc.operator import Operator
-from steerd.daemon.ipc.pipe_records import ReportPipe, unpack_records
+from steerd.daemon.ipc.pipe_records import PipeReader
 from steerd.daemon.ipc.requests import SETTING_MAX, pack_request, parse_setting
 from steerd.daemon.ipc.signals import block_stop_signals, make_stop_signal_pipe
 from steerd.daemon.process.children import RunProcesses
@@ -37,9 +37,10 @@ class Terminal:
     ) -> None:
         self._processes, self._board = processes, board
         self._operator, self._clock = operator, clock
-        self._buffer, self._waiting = bytearray(), ""
+        self._waiting = ""
         self._signals, self._kill_ns = 0, inf
-        self._reports = ReportPipe(processes.fds.get("reports"))
+        self._records = PipeReader(processes.fds.get("status"))
+        self._reports = PipeReader(processes.fds.get("reports"))
         self._desk = KeyDesk(board, clock, self._ask, self._tune)
 
     def run(self) -> None:
@@ -85,9 +86,7 @@ class Terminal:
                 self._processes.core.process.kill()
 
     def _show(self, live: Live | None, console: Console) -> bool:
-        data = os.read(self._processes.fds["status"], 1 << 16)
-        self._buffer += data
-        for record in (*unpack_records(self._buffer), *self._reports.take()):
+        for record in (*self._records.take(), *self._reports.take()):
             line = self._board.take(record)
             if live is None and line is not None:
                 console.print(line, highlight=False, soft_wrap=True)
@@ -97,7 +96,7 @@ class Terminal:
             console.print(f"{'':14}waiting for {waiting}", highlight=False, soft_wrap=True)
         if live is not None:
             live.update(self._board.render(), refresh=True)
-        return bool(data)
+        return self._records.fd is not None
 
     def _pass_signal(self, number: int) -> None:
         self._signals += 1

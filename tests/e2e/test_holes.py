@@ -9,7 +9,13 @@ import pytest
 
 from steerd.daemon.analysis.drives import load_drive
 from steerd.daemon.cli.main import run_cli
-from steerd.daemon.ipc.pipe_records import PipeRecord, PipeWriter, make_pipe, pack_record
+from steerd.daemon.ipc.pipe_records import (
+    PipeReader,
+    PipeRecord,
+    PipeWriter,
+    make_pipe,
+    pack_record,
+)
 from steerd.daemon.process.recorder import Recording, record_pipe
 from steerd.steer_bus.session_read import open_session
 from steerd.steer_bus.topics import find_topic
@@ -67,9 +73,9 @@ def through_a_pipe(whole, out, still):
 
     thread = threading.Thread(target=send)
     thread.start()
-    reason = record_pipe(recording, ours, 0)
+    reason = record_pipe(recording, PipeReader(ours), 0, PipeReader(None))
     thread.join()
-    for fd in (ours, read_fd, write_fd):
+    for fd in (read_fd, write_fd):
         os.close(fd)
     return recording.finish(reason), writer.dropped
 

@@ -6,7 +6,12 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from steerd.daemon.loop.supervisor import Conditions, make_supervisor_memory, step_supervisor
+from steerd.daemon.loop.supervisor import (
+    WAITING,
+    Conditions,
+    make_supervisor_memory,
+    step_supervisor,
+)
 from steerd.daemon.loop.transitions import Fact, MotorOutput, Request, SupervisorState
 
 GOOD = int(
@@ -105,8 +110,8 @@ class CarLife(RuleBasedStateMachine):
         assert (
             state in (SupervisorState.RUNNING, SupervisorState.STOPPING) or self.action.cap == 0.0
         )
-        assert self.action.reason
-        assert self.action.waiting
+        assert self.memory.reason
+        assert WAITING[self.memory.state]
 
 
 TestCarLife = CarLife.TestCase

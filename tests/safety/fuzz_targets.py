@@ -313,7 +313,7 @@ def check_codec(script: bytes) -> None:
 
 def check_requests(script: bytes) -> None:
     """Any requests: without this run's boot id and a rising number only a stop is accepted."""
-    lease, remote, t_ns = Lease(BOOT), Remote(), 0
+    lease, remote, t_ns = Lease(BOOT), Remote(Lease(BOOT)), 0
     taken: dict[int, int] = {}
     for op, body in cut(script[:MOST]):
         t_ns += 50 * MS
@@ -334,7 +334,7 @@ def check_requests(script: bytes) -> None:
                     taken[message.lease_id] = message.seq
             elif name == topics.DRIVE.name:
                 command = decode(m.DriveCommand, data)
-                old, remote = remote, take_command(remote, BOOT, command, t_ns)
+                old, remote = remote, take_command(remote, command, t_ns)
                 good = command.boot_id == BOOT and 0 < command.valid_ms <= 300
                 assert good or remote.command is old.command
         except CodecError:

@@ -176,7 +176,6 @@ class Live:
         """All processes of the run by name, and those beside it."""
         run = self.processes
         children = {name: each for name, each in run.children.items() if name != "viewer"}
-        children |= {"page": run.page.child} if run.page else {}
         found = {name: child.process.pid for name, child in children.items()}
         core = found["core"]
         with contextlib.suppress(OSError):

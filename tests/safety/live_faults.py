@@ -113,17 +113,18 @@ _WORDS = {RequestKind.KEEPALIVE: "alive", RequestKind.ARM: "arm", RequestKind.ST
 @contextlib.contextmanager
 def held_by_page(folder: Path) -> Iterator[Live]:
     """A run whose operator sits at the page."""
-    with start_live(folder, page=0) as live:
-        assert live.processes.page is not None
-        with open_page(live.processes.page.url) as socket:
+    with (
+        start_live(folder, page=0) as live,
+        open_page(live.processes.reports["page"]["url"]) as socket,
+    ):
 
-            def say(kind: RequestKind) -> None:
-                with contextlib.suppress(ConnectionClosed):
-                    socket.send(_WORDS[kind])
+        def say(kind: RequestKind) -> None:
+            with contextlib.suppress(ConnectionClosed):
+                socket.send(_WORDS[kind])
 
-            live.hand = say
-            yield live
-            send("page", signal.SIGCONT)(live)
+        live.hand = say
+        yield live
+        send("page", signal.SIGCONT)(live)
 
 
 @contextlib.contextmanager

@@ -229,7 +229,7 @@ def _fall_back(plan: "RunPlan") -> int:
 
 def _run_live(plan: "RunPlan", core: Prepared) -> tuple[int, str]:
     """Drive in real time; the exit code, and why the car was stopped."""
-    from steerd.daemon.assembly.session_meta import default_session_path
+    from steerd.daemon.assembly.session_meta import session_path
     from steerd.daemon.ipc.operator import Operator
     from steerd.daemon.process.children import start_processes
     from steerd.daemon.terminal.dashboard import Dashboard, closing_lines
@@ -238,20 +238,16 @@ def _run_live(plan: "RunPlan", core: Prepared) -> tuple[int, str]:
 
     clock, boot_id = MonotonicClock(), secrets.randbits(63)
     epoch_ns = clock.realtime_ns() - clock.now_ns()
-    record = plan.options.record
-    session = (
-        Path(record)
-        if record
-        else default_session_path(plan.options.car, clock.realtime_ns(), boot_id)
-    )
+    session = session_path(plan.options, clock.realtime_ns(), boot_id)
     leased = plan.settings.deadman and not plan.options.simulated
     processes = start_processes(plan, session, boot_id, epoch_ns, leased, core)
-    for line in processes.core_report.get("realtime", ()):
+    for line in processes.reports["core"].get("realtime", ()):
         print(f"note: {line}", file=sys.stderr)
-    if processes.view_url:
-        print(f"view: {processes.view_url} (Foxglove or Lichtblick: Open connection)")
-    if processes.page is not None:
-        print(f"page: {processes.page.url} (in a browser on this machine)")
+    if "viewer" in processes.reports:
+        url = processes.reports["viewer"]["url"]
+        print(f"view: {url} (Foxglove or Lichtblick: Open connection)")
+    if "page" in processes.reports:
+        print(f"page: {processes.reports['page']['url']} (in a browser on this machine)")
     where = "simulated hardware" if plan.options.simulated else str(plan.options.port)
     board = Dashboard(f"steerd · {plan.options.car} on {where} · {plan.path.name}")
     operator = Operator(boot_id, secrets.randbits(62) + 1, "terminal")

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from steerd.daemon.ipc.operator import read_model
-from steerd.daemon.ipc.pipe_records import PipeRecord, ReportPipe, make_pipe, pack_record
+from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord, make_pipe, pack_record
 from steerd.daemon.learning.feed import make_record
 from steerd.daemon.learning.reported import ReportedValue
 from steerd.daemon.learning.text import encode_model, format_model, gap_text, with_sd
@@ -123,16 +123,8 @@ def test_a_change_is_an_event_once(make_report, make_change):
     assert list(board.events) == [line, reported]
 
 
-@pytest.fixture
-def core_pipe():
-    """A core's pipe that is closed, so that the gateway ends after one look."""
-    read_fd, write_fd = make_pipe()
-    yield read_fd, write_fd
-    os.close(read_fd)
-
-
-def test_the_gateway_publishes_reports_and_answers_with_the_last(make_report, core_pipe):
-    hub, (read_fd, write_fd) = LocalHub(), core_pipe
+def test_the_gateway_publishes_reports_and_answers_with_the_last(make_report):
+    hub, (read_fd, write_fd) = LocalHub(), make_pipe()
     listener, gateway = LocalBus(hub), Gateway(LocalBus(hub), "car1", None)
     heard = listener.subscribe(make_key("car1", topics.MODEL), 8)
     assert read_model(listener, "car1") is None
@@ -143,7 +135,7 @@ def test_the_gateway_publishes_reports_and_answers_with_the_last(make_report, co
     os.close(report_end)
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     os.close(write_fd)
-    run_gateway(gateway, read_fd, ours, ReportPipe(report_fd))
+    run_gateway(gateway, PipeReader(read_fd), ours, PipeReader(report_fd))
     ours.close()
     theirs.close()
     assert [sample.data for sample in heard.poll()] == [encode(report)]

@@ -1,5 +1,7 @@
 """An exception in the loop: the brake, the reason, and no recovery without a restart."""
 
+from operator import attrgetter
+
 import pytest
 
 from steerd.daemon.loop.core import describe_error
@@ -18,11 +20,12 @@ def broken(*_):
     raise BrokenError("no such gain")
 
 
-@pytest.mark.parametrize("part", ["_make_wish", "_run_watchdogs", "_make_facts"])
+@pytest.mark.parametrize("part", ["_make_wish", "_watching.look", "_make_facts"])
 def test_whatever_raises_the_same_tick_brakes(part):
     rig = twin(at_phase("P4"))
     broken_ns = rig.t_ns
-    setattr(rig.run.core.loop, part, broken)
+    loop, (*inside, name) = rig.run.core.loop, part.split(".")
+    setattr(attrgetter(*inside)(loop) if inside else loop, name, broken)
     rig.step()
     assert rig.state is SupervisorState.FAULT_STOP
     after = [f for f in read_motor_frames(rig.run.world.log.entries) if f.t_ns >= broken_ns]

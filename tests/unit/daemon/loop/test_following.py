@@ -29,6 +29,7 @@ from steerd.daemon.loop.following import (
     measure_turns,
     send_order,
 )
+from steerd.daemon.loop.outgoing import make_mocap
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.estimator.config import FilterConfig
 from steerd.mocap_link.source import Pose
@@ -427,7 +428,8 @@ def test_a_turn_between_ticks_and_the_one_that_is_furthest_off():
 
 def pose(t_ns, x, y, yaw):
     place, turn = (x, y, 0.1), (1.0, 0.0, 0.0, 0.0)
-    return Pose("car", None, None, None, t_ns, place, turn, t_valid_ns=t_ns, x=x, y=y, yaw=yaw)
+    sent = Pose("car", None, None, None, t_ns, place, turn, t_valid_ns=t_ns, x=x, y=y, yaw=yaw)
+    return make_mocap(sent, 0)
 
 
 def test_turns_are_measured_over_a_short_and_a_long_stretch():

@@ -9,7 +9,6 @@ from steerd.daemon.loop.lease import (
     Lease,
     Remote,
     accept_request,
-    command_age,
     lease_age,
     take_command,
     valid_command,
@@ -147,11 +146,17 @@ def test_its_age_is_seconds_since_the_holder_was_heard():
     assert lease_age(HELD, T0) == 0.0
 
 
-TAKEN = Remote(ANN, command(7), T0, refused=2)
+def driven(who=0, seq=-1, t_ns=0, refused=0, former=(), last=None):
+    """An external controller."""
+    return Remote(Lease(BOOT, who, seq, t_ns, refused, former), last)
+
+
+TAKEN = driven(ANN, 7, T0, 2, last=command(7))
 
 
 def test_the_first_command_brings_its_holder():
-    assert take_command(Remote(refused=3), BOOT, command(7), T0) == Remote(ANN, command(7), T0, 3)
+    taken = take_command(driven(refused=3), command(7), T0)
+    assert taken == driven(ANN, 7, T0, 3, last=command(7))
 
 
 @pytest.mark.parametrize(
@@ -163,43 +168,38 @@ def test_the_first_command_brings_its_holder():
     ids=["again", "older", "another run", "another", "nobody", "no time", "too long"],
 )  # fmt: skip
 def test_commands_that_are_refused_leave_the_last(bad):
-    assert take_command(TAKEN, BOOT, bad, T0 + 1) == Remote(ANN, command(7), T0, 3)
+    assert take_command(TAKEN, bad, T0 + 1) == driven(ANN, 7, T0, 3, last=command(7))
 
 
 @pytest.mark.parametrize("valid_ms", [1, 300])
 def test_the_longest_and_shortest_validity(valid_ms):
     new = command(8, valid_ms=valid_ms)
-    assert take_command(TAKEN, BOOT, new, T0 + 1) == Remote(ANN, new, T0 + 1, 2)
+    assert take_command(TAKEN, new, T0 + 1) == driven(ANN, 8, T0 + 1, 2, last=new)
 
 
 def test_a_first_command_of_nobody_is_refused():
-    assert take_command(Remote(), BOOT, command(1, who=0), T0) == Remote(refused=1)
+    assert take_command(driven(), command(1, who=0), T0) == driven(refused=1)
 
 
 def test_another_controller_may_take_over_only_after_a_second_of_silence():
     other = command(1, who=BOB)
-    assert take_command(TAKEN, BOOT, other, T0 + 1_000_000_000).holder == ANN
-    assert take_command(TAKEN, BOOT, other, T0 + 1_000_000_001) == Remote(
-        BOB, other, T0 + 1_000_000_001, 2, ((ANN, 7),)
+    assert take_command(TAKEN, other, T0 + 1_000_000_000).lease.holder == ANN
+    assert take_command(TAKEN, other, T0 + 1_000_000_001) == driven(
+        BOB, 1, T0 + 1_000_000_001, 2, ((ANN, 7),), other
     )
 
 
 def test_no_command_of_a_former_controller_is_taken_twice():
     late = 2_000_000_000
-    bob = take_command(TAKEN, BOOT, command(1, who=BOB), T0 + late)
+    bob = take_command(TAKEN, command(1, who=BOB), T0 + late)
     for seq in (7, 6):
-        refused = take_command(bob, BOOT, command(seq), T0 + 2 * late)
+        refused = take_command(bob, command(seq), T0 + 2 * late).lease
         assert (refused.holder, refused.refused) == (BOB, 3)
-    back = take_command(bob, BOOT, command(8), T0 + 2 * late)
+    back = take_command(bob, command(8), T0 + 2 * late).lease
     assert (back.holder, back.former) == (ANN, ((ANN, 7), (BOB, 1)))
 
 
 def test_a_command_is_valid_to_the_last_nanosecond_and_no_longer():
     assert valid_command(TAKEN, T0 + 100_000_000) == command(7)
     assert valid_command(TAKEN, T0 + 100_000_001) is None
-    assert valid_command(Remote(), T0) is None
-
-
-def test_a_command_s_age():
-    assert command_age(TAKEN, T0 + 30_000_000) == pytest.approx(0.03)
-    assert command_age(Remote(), T0) == inf
+    assert valid_command(driven(), T0) is None

@@ -37,7 +37,7 @@ def test_a_second_start_is_as_slow_as_the_first():
     for _ in range(2):
         ask(run, RequestKind.START)
         reach(SupervisorState.RUNNING)
-        assert run.core.last.action.cap == LAUNCH_SPEED
+        assert run.core.last.supervisor.cap == LAUNCH_SPEED
         assert not run.core.last.facts & Fact.LAUNCHED
         until(run, lambda: run.core.last.facts & Fact.LAUNCHED)
         ask(run, RequestKind.STOP)

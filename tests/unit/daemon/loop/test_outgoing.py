@@ -9,7 +9,7 @@ from steerd.car_model.state import Command
 from steerd.controller.limits import Limits, Verdict, make_limiter_state
 from steerd.daemon.ipc.requests import read_diagnostics
 from steerd.daemon.loop import findings as fs
-from steerd.daemon.loop.orders import make_order
+from steerd.daemon.loop.orders import Order, TickResult, make_order
 from steerd.daemon.loop.outgoing import (
     make_actuation,
     make_diagnostics,
@@ -25,7 +25,13 @@ from steerd.steer_bus.quick_values import changed
 from steerd.vesc_link.scaling import F1TENTH
 from steerd.vesc_link.vesc import Drive
 
-ACTION = Action(MotorOutput.SILENT, SteeringOutput.NONE, 0.0, "why", "what")
+MEMORY = make_supervisor_memory(0)
+
+
+def tick(memory=MEMORY, old=SupervisorState.RUNNING, findings=()):
+    """A tick without an estimate."""
+    order = Order(Drive(), None, None, Verdict.PASSED)
+    return TickResult(order, old, memory, None, None, tuple(findings), "what", 5)
 
 
 @pytest.mark.parametrize(
@@ -47,14 +53,14 @@ def test_an_actuation_holds_what_its_drive_has_and_nan_elsewhere(drive, mode, sp
 
 
 def test_a_state_without_estimate_is_nan_and_has_mode_and_flags():
-    made = make_state(None, None, Drive(), SupervisorState.READY, 5, 3, 10, 100)
+    made = make_state(tick(changed(MEMORY, state=SupervisorState.READY)), 3, 10, 100)
     assert (made.mode, made.flags, made.seq, made.mono_ns) == (SupervisorState.READY, 5, 3, 10)
     assert all(isnan(value) for value in (made.x, made.speed, made.e1, made.x_sd))
 
 
 def test_a_transition_names_both_states_and_the_reason():
-    memory = changed(make_supervisor_memory(0), state=SupervisorState.ESTOP, reason="W10 pressed")
-    made = make_transition(SupervisorState.RUNNING, memory, 9)
+    memory = changed(MEMORY, state=SupervisorState.ESTOP, reason="W10 pressed")
+    made = make_transition(tick(memory), 9)
     assert (made.from_state, made.to_state) == (SupervisorState.RUNNING, SupervisorState.ESTOP)
     assert (made.code, made.text) == ("running_estop", "W10 pressed")
 
@@ -70,9 +76,9 @@ def test_a_transition_names_both_states_and_the_reason():
     ],
 )
 def test_diagnostics_have_a_level_and_the_supervisors_values(state, warned, level):
-    memory = changed(make_supervisor_memory(0), state=state)
+    memory = changed(MEMORY, state=state, reason="why")
     findings = [fs.make_finding("W7", "60 ms", fs.Severity.WARN)] if warned else []
-    made = make_diagnostics(memory, ACTION, "a start", findings, {"uuid": "ab"}, 9)
+    made = make_diagnostics(tick(memory, findings=findings), "a start", {"uuid": "ab"}, 9)
     assert made.status[0].level == level
     values = read_diagnostics(made)
     assert (values["state"], values["reason"], values["waiting"]) == (state.name, "why", "a start")
@@ -98,7 +104,7 @@ def same(drive, other):
 
 def order(motor, steering=SteeringOutput.LIVE, wish=None, speed=1.0, cap=inf, steer=0.1):
     state = make_limiter_state(LIMITS, Command(steer, 1.0), T0)
-    action = Action(motor, steering, cap, "", "")
+    action = Action(motor, steering, cap)
     return make_order(SETTINGS, state, action, wish, speed, T0 + TICK)
 
 

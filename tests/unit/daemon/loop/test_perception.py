@@ -6,6 +6,7 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.single_track import SINGLE_TRACK
+from steerd.daemon.loop.outgoing import make_mocap
 from steerd.daemon.loop.perception import (
     BLIND_S,
     NO_TELEMETRY,
@@ -28,10 +29,11 @@ def make_perception():
 
 def pose(t_ns, x, rejected=None, valid=True):
     place, level = (x, 0.0, 0.1), (1.0, 0.0, 0.0, 0.0)
-    return Pose(
+    sent = Pose(
         "", None, 0, None, t_ns, place, level, None, valid, True, t_ns, x=x, y=0.0, yaw=0.0,
         height=0.1, tilt=0.0, rejected=rejected,
     )  # fmt: skip
+    return make_mocap(sent, 0)
 
 
 def telemetry(t_ns, erpm):

@@ -8,6 +8,7 @@ import pytest
 from steerd.daemon.loop.supervisor import (
     NEVER,
     OPEN_FRAMES,
+    WAITING,
     SupervisorMemory,
     make_supervisor_memory,
 )
@@ -68,7 +69,7 @@ def test_disarmed_centres_for_half_a_second_and_needs_passing_checks_for_one():
     assert car.action.steering == SteeringOutput.NONE
     assert car.ticks(50) == DISARMED
     assert car.tick() == READY  # 1.00 s after the first tick in DISARMED
-    assert car.action.waiting == "arm"
+    assert WAITING[car.memory.state] == "arm"
 
 
 def test_a_failed_check_starts_the_second_again():
@@ -128,7 +129,7 @@ def test_arming_is_silent_until_the_timeout_has_shown_for_210_ms():
         MotorOutput.HOLD_BRAKE,
         SteeringOutput.CENTRE,
     )
-    assert car.action.reason == "VESC's timeout proven"
+    assert car.memory.reason == "VESC's timeout proven"
 
 
 def test_timeout_bit_that_never_rises_refuses_to_arm_and_says_why():
@@ -137,7 +138,7 @@ def test_timeout_bit_that_never_rises_refuses_to_arm_and_says_why():
     car.tick(Request.ARM)
     assert car.ticks(19) == SELF_TEST
     assert car.tick() == DISARMED  # timeout 150 ms + 50 ms
-    assert "Close VESC Tool" in car.action.reason
+    assert "Close VESC Tool" in car.memory.reason
 
 
 def test_timeout_bit_may_rise_as_late_as_its_timeout_plus_50_ms():
@@ -176,7 +177,7 @@ def test_self_test_can_be_called_off(asked):
     car = Car().ready()
     car.tick(Request.ARM)
     assert car.tick(asked) == DISARMED
-    assert car.action.reason == "arming called off"
+    assert car.memory.reason == "arming called off"
 
 
 @pytest.mark.parametrize(
@@ -188,7 +189,7 @@ def test_self_test_ends_with_its_conditions(gone, reason):
     car.tick(Request.ARM)
     car.facts &= ~gone
     assert car.tick() == DISARMED
-    assert car.action.reason == reason
+    assert car.memory.reason == reason
 
 
 @pytest.mark.parametrize("trip", [Fact.SOFT, Fact.HARD])
@@ -197,7 +198,7 @@ def test_a_trip_of_a_car_that_is_not_armed_is_a_failed_check(trip):
     car.facts |= trip
     car.text = "W1 mocap stale: no good frame for 170 ms"
     assert car.tick() == DISARMED
-    assert car.action.reason == car.text
+    assert car.memory.reason == car.text
     assert car.action.motor == MotorOutput.SILENT
     assert car.ticks(200) == DISARMED
 
@@ -207,7 +208,7 @@ def test_armed_for_30_s_without_a_start_disarms_and_keepalives_do_not_help():
     for _ in range(2999):
         assert car.tick(Request.KEEPALIVE) == ARMED
     assert car.tick(Request.KEEPALIVE) == DISARMED
-    assert "30 s" in car.action.reason
+    assert "30 s" in car.memory.reason
 
 
 def test_start_needs_passing_checks_and_no_contradiction():

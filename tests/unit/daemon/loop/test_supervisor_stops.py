@@ -103,7 +103,7 @@ def test_soft_reasons_stop_and_disarm(change, reason):
     car.text = "W13 low"
     change(car)
     assert car.tick() == STOPPING
-    assert car.action.reason == reason
+    assert car.memory.reason == reason
     car.facts = GOOD
     car.speed = 0.0
     car.until(DISARMED)
@@ -129,7 +129,7 @@ def test_hard_fault_brakes_in_the_same_tick_and_latches(prepare, fault):
         car.facts &= ~Fact.LINKED
     assert car.tick(Request.ABORT if fault == "abort" else 0) == FAULT_STOP
     assert car.action.motor == MotorOutput.BRAKE
-    reason = car.action.reason
+    reason = car.memory.reason
     assert (
         reason
         == {"hard": car.text, "link": "serial link lost", "abort": "second signal: stopping hard"}[
@@ -139,7 +139,7 @@ def test_hard_fault_brakes_in_the_same_tick_and_latches(prepare, fault):
     car.text = "W1 another"
     car.speed = 0.0
     car.until(FAULT_LATCHED)
-    assert car.action.reason == reason
+    assert car.memory.reason == reason
     assert (car.action.motor, car.action.steering) == (
         MotorOutput.RELEASE_ONCE,
         SteeringOutput.CENTRE,
@@ -156,7 +156,7 @@ def test_a_trip_without_text_still_has_a_reason():
     car = Car().running()
     car.facts |= Fact.HARD
     car.tick()
-    assert car.action.reason == "a watchdog tripped"
+    assert car.memory.reason == "a watchdog tripped"
 
 
 def test_fault_stop_steers_while_the_estimate_is_good_and_holds_otherwise():

@@ -5,6 +5,7 @@ from math import cos, inf, nan, nextafter, pi, sin
 import numpy as np
 import pytest
 
+from steerd.daemon.loop.outgoing import make_mocap
 from steerd.daemon.loop.watchdogs_pose import (
     PoseVerdict,
     PoseWatch,
@@ -28,10 +29,11 @@ S = 10**9
 
 def make_pose(t_ns, number, place, quaternion, yaw, valid=True, live=True):
     x, y, height = place
-    return Pose(
+    sent = Pose(
         "car", number, None, None, t_ns, place, quaternion, None, valid, live, t_ns,
         x=x, y=y, yaw=yaw, height=height,
     )  # fmt: skip
+    return make_mocap(sent, 0)
 
 
 def frame(t_s=1.0, number=1, x=1.0, y=2.0, yaw=0.0, **changes):

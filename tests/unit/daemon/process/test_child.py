@@ -12,7 +12,7 @@ import os
 from steerd.daemon.process.child import receive_job
 job = receive_job()
 if job is not None:
-    job.say_ready(f"{job.about['word']} {os.getpgid(0) == os.getpid()}")
+    job.say_ready(word=job.about["word"], leads=os.getpgid(0) == os.getpid())
     os.write(job.fds["answer"], b"done")
 """
 
@@ -32,7 +32,7 @@ def test_a_job_comes_with_its_descriptors_by_name_and_may_be_long(waiter):
     with prepared(waiter) as waiting, os.fdopen(read_fd) as answer:
         child = hand_over(waiting, {"other": read_fd, "answer": write_fd}, {"word": word})
         os.close(write_fd)
-        assert child.wait_ready("waiter") == f"{word} True"
+        assert child.wait_ready("waiter") == {"word": word, "leads": True}
         assert answer.read() == "done"
         assert child.process.wait() == 0
         os.close(child.ready_fd)

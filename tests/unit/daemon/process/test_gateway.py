@@ -5,7 +5,7 @@ import socket
 
 import pytest
 
-from steerd.daemon.ipc.pipe_records import PipeRecord, pack_record
+from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord, pack_record
 from steerd.daemon.ipc.requests import REQUEST_MAX, make_badge, unpack_request
 from steerd.daemon.process.gateway import Gateway, run_gateway
 from steerd.steer_bus import messages as m
@@ -57,17 +57,23 @@ def test_whole_records_are_published_and_the_rest_waits(hub):
     gateway = Gateway(LocalBus(hub), "car1", None)
     heard = LocalBus(hub).subscribe(make_key("car1", topics.TICK), 8)
     record = pack_record(PipeRecord(topics.TICK, 0, 0, 0, TICK))
-    buffer = bytearray(record + record[:-1])
-    gateway.publish(buffer)
+    read_fd, write_fd = os.pipe()
+    reader = PipeReader(read_fd)
+    os.write(write_fd, record + record[:-1])
+    gateway.publish(reader.take())
     assert [sample.data for sample in heard.poll()] == [TICK]
-    assert buffer == record[:-1]
+    os.write(write_fd, record[-1:])
+    gateway.publish(reader.take())
+    assert [sample.data for sample in heard.poll()] == [TICK]
+    reader.close()
+    os.close(write_fd)
 
 
 def test_what_comes_from_the_bus_is_not_sent_back_to_it(hub):
     gateway = Gateway(LocalBus(hub), "car1", None)
     heard = LocalBus(hub).subscribe(make_key("car1", topics.OPERATOR), 8)
     request = m.OperatorRequest(m.make_header(1, m.BODY), 1, 2, 3, int(m.RequestKind.ARM), "me")
-    gateway.publish(bytearray(pack_record(PipeRecord(topics.OPERATOR, 0, 0, 0, encode(request)))))
+    gateway.publish([PipeRecord(topics.OPERATOR, 0, 0, 0, encode(request))])
     assert heard.poll() == []
 
 
@@ -178,6 +184,7 @@ def test_it_ends_when_the_pipe_closes_after_all_is_published(hub, ends):
     read_fd, write_fd = os.pipe()
     os.write(write_fd, pack_record(PipeRecord(topics.TICK, 0, 0, 0, TICK)))
     os.close(write_fd)
-    run_gateway(Gateway(LocalBus(hub), "car1", None), read_fd, ends[0])
-    os.close(read_fd)
+    run_gateway(
+        Gateway(LocalBus(hub), "car1", None), PipeReader(read_fd), ends[0], PipeReader(None)
+    )
     assert len(heard.poll()) == 1

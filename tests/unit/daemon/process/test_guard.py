@@ -20,7 +20,6 @@ BRAKE = b"\x02\x01\x00\x00\x00\x03"
 def test_before_a_port_is_open_nothing_may_move_and_nothing_is_missed():
     guard = ProcessGuard(realtime=True)
     now = time.monotonic_ns()
-    guard.write_heartbeat(now, engaged=True)
     guard.mark_clean()
     assert not guard.may_write(now, now)
     assert not guard.is_silent(now)
@@ -44,15 +43,15 @@ def test_a_guardian_shows_itself_brakes_a_silent_core_and_is_missed_when_killed(
     assert not guard.is_silent(start + START_NS - 1), "it has a second to come up"
     assert guard.is_silent(start + START_NS), "and no longer"
     end = time.monotonic() + 20.0
-    while not guard._page.guardian_ns and time.monotonic() < end:
-        guard.write_heartbeat(time.monotonic_ns(), engaged=False)
+    while not guard.page.words.guardian_ns and time.monotonic() < end:
+        guard.page.write_heartbeat(time.monotonic_ns(), engaged=False)
         select.select([], [], [], 0.005)
-    shown = guard._page.guardian_ns
+    shown = guard.page.words.guardian_ns
     assert shown
     assert not guard.is_silent(shown + 300_000_000)
     assert guard.is_silent(shown + 300_000_001)
     now = time.monotonic_ns()
-    guard.write_heartbeat(now, engaged=True)
+    guard.page.write_heartbeat(now, engaged=True)
     assert guard.may_write(now, now)
     assert not guard.may_write(now, now + 300_000_000), "a tick of before a stop is not sent after"
     assert select.select([read], [], [], 20.0)[0], "no heartbeat any more: the guardian brakes"

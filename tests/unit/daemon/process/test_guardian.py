@@ -73,21 +73,17 @@ def test_both_sides_see_the_same_words():
     fd = make_page_fd()
     core, watcher = HeartbeatPage(fd), HeartbeatPage(fd)
     os.close(fd)
-    assert (watcher.heartbeat_ns, watcher.engaged, watcher.tripped_ns, watcher.clean) == (
-        0,
-        False,
-        0,
-        0,
-    )
+    seen = watcher.words
+    assert (seen.heartbeat_ns, seen.engaged, seen.tripped_ns, seen.clean) == (0, 0, 0, 0)
     core.write_heartbeat(2**63 + 5, True)
-    assert (watcher.heartbeat_ns, watcher.engaged) == (2**63 + 5, True)
+    assert (watcher.words.heartbeat_ns, watcher.words.engaged) == (2**63 + 5, True)
     watcher.watch(11)
     watcher.trip(12, BRAKE)
-    assert (core.guardian_ns, core.tripped_ns, core.clean) == (11, 12, False)
-    core.mark_clean()
-    assert watcher.clean
+    assert (core.words.guardian_ns, core.words.tripped_ns, core.words.clean) == (11, 12, False)
+    core.words.clean = 1
+    assert watcher.words.clean
     core.write_heartbeat(1, False)
-    assert not watcher.engaged
+    assert not watcher.words.engaged
 
 
 def test_the_page_tells_when_the_guardian_itself_stood_still(page):
@@ -125,7 +121,7 @@ def test_what_a_core_has_staged_is_a_brake_frame_once_the_guardian_took_over(wir
     assert bytes(staged) == wire
     watcher.trip(9, frame)
     assert bytes(staged) == frame.ljust(OUTGOING_BYTES, b"\0")[: len(wire)]
-    assert (core.heartbeat_ns, core.tripped_ns, core.engaged) == (7, 9, True)
+    assert (core.words.heartbeat_ns, core.words.tripped_ns, core.words.engaged) == (7, 9, True)
 
 
 def test_a_frame_that_does_not_fit_is_refused(page):
@@ -137,9 +133,9 @@ def test_a_frame_that_does_not_fit_is_refused(page):
 @pytest.mark.parametrize(("age", "faulty"), [(STALE_NS, False), (STALE_NS + 1, True)])
 def test_heartbeat_is_stale_strictly_beyond_its_limit(page, age, faulty):
     page.write_heartbeat(1000, True)
-    core = Core(1, page.mark_clean)
+    core = Core(1, lambda: setattr(page.words, "clean", 1))
     assert wait_for_fault(page, core, STALE_NS, Times(1000 + age)) is faulty
-    assert page.guardian_ns == 1000 + age
+    assert page.words.guardian_ns == 1000 + age
     assert (STALE_NS, STALE_NS_NO_RT) == (30 * MS, 60 * MS)
     assert core.waits == ([] if faulty else [1])
 
@@ -163,17 +159,19 @@ def test_it_wakes_when_the_heartbeat_would_be_stale_but_at_least_every_10_ms(pag
 def test_end_of_the_core_is_a_fault_if_it_was_driving_and_did_not_say_goodbye(page, engaged, clean):
     page.write_heartbeat(5, engaged)
     if clean:
-        page.mark_clean()
+        page.words.clean = 1
     assert wait_for_fault(page, Core(1), STALE_NS, Times(6)) is (engaged and not clean)
 
 
 def test_brake_trips_first_and_repeats_for_two_seconds(page, monkeypatch):
     seen = []
-    monkeypatch.setattr(guardian.os, "write", lambda fd, data: seen.append((page.tripped_ns, fd)))
+    monkeypatch.setattr(
+        guardian.os, "write", lambda fd, data: seen.append((page.words.tripped_ns, fd))
+    )
     clock = Times(7, step=PERIOD_NS)
     brake(page, 42, BRAKE, clock)
     assert seen == [(7, 42)] * (BRAKE_NS // PERIOD_NS) == [(7, 42)] * 200
-    assert page.guardian_ns > 7
+    assert page.words.guardian_ns > 7
 
 
 @pytest.mark.parametrize(("step", "waits"), [(0, range(10, 2001, 10)), (BRAKE_NS, [0] * 200)])
@@ -237,7 +235,7 @@ def test_run_as_a_program_it_wants_its_five_words(monkeypatch, capsys):
 
 def test_a_port_that_an_unarmed_core_lets_go_is_guarded_no_longer(page):
     page.write_heartbeat(0, engaged=False)
-    page.mark_clean()
+    page.words.clean = 1
     assert not wait_for_fault(page, Core(2), STALE_NS, Times(0))
     page.write_heartbeat(0, engaged=True)
     assert wait_for_fault(page, Core(99), STALE_NS, Times(0, STALE_NS + 1)), "armed: it stays"
@@ -296,7 +294,7 @@ class Rig:
         )
         for fd in (page_fd, pidfd):
             os.close(fd)
-        self.read_until(lambda _: self.page.guardian_ns > 0)
+        self.read_until(lambda _: self.page.words.guardian_ns > 0)
         self.read_until(lambda data: len(data) > 5 * len(frame))
 
     def spawn(self, arguments, fds):
@@ -347,7 +345,7 @@ def test_killed_core_is_followed_by_brake_frames(rig):
     assert first - killed < 0.2
     more, _ = rig.read_until(lambda data: data.count(BRAKE) >= 20)
     assert_only_brakes_after_the_first(data + more)
-    assert rig.page.tripped_ns > 0
+    assert rig.page.words.tripped_ns > 0
     rig.read_until(lambda _: rig.guardian.poll() is not None)
     assert rig.guardian.returncode == 0
 
@@ -360,9 +358,9 @@ def test_stopped_core_is_braked_and_sends_nothing_stale_when_it_goes_on(rig):
     assert first - stopped + 0.05 > 0.2
     assert first - stopped < 0.5 + 10 * STALE_NS / 1e9
     rig.core.send_signal(signal.SIGCONT)
-    heartbeat = rig.page.heartbeat_ns
+    heartbeat = rig.page.words.heartbeat_ns
     more, _ = rig.read_until(
-        lambda data: data.count(BRAKE) >= 50 and rig.page.heartbeat_ns > heartbeat
+        lambda data: data.count(BRAKE) >= 50 and rig.page.words.heartbeat_ns > heartbeat
     )
     assert_only_brakes_after_the_first(data + more)
     assert rig.core.poll() is None
@@ -373,10 +371,10 @@ def test_a_core_frozen_between_its_last_look_and_the_write_sends_a_brake_frame(r
     (tmp_path / "freeze").touch()
     data, _ = rig.read_until(lambda data: data.count(BRAKE) >= 3)
     (tmp_path / "freeze").unlink()
-    heartbeat = rig.page.heartbeat_ns
+    heartbeat = rig.page.words.heartbeat_ns
     rig.core.send_signal(signal.SIGCONT)
     more, _ = rig.read_until(
-        lambda data: data.count(BRAKE) >= 20 and rig.page.heartbeat_ns > heartbeat
+        lambda data: data.count(BRAKE) >= 20 and rig.page.words.heartbeat_ns > heartbeat
     )
     assert_only_brakes_after_the_first(data + more)
 
@@ -387,7 +385,7 @@ def test_disarmed_core_may_die_without_a_byte(rig):
     rig.core.kill()
     data, _ = rig.read_until(lambda _: rig.guardian.poll() is not None)
     assert rig.guardian.returncode == 0
-    assert rig.page.tripped_ns == 0
+    assert rig.page.words.tripped_ns == 0
     assert BRAKE not in data
     assert not select.select([rig.device], [], [], 0.0)[0]
 
@@ -396,8 +394,8 @@ def test_disarmed_core_may_die_without_a_byte(rig):
 def test_ctrl_c_to_the_whole_group_does_not_end_the_guardian(rig):
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
         rig.guardian.send_signal(number)
-    alive = rig.page.guardian_ns
-    rig.read_until(lambda _: rig.page.guardian_ns > alive + 50 * MS)
+    alive = rig.page.words.guardian_ns
+    rig.read_until(lambda _: rig.page.words.guardian_ns > alive + 50 * MS)
     assert rig.guardian.poll() is None
     rig.core.kill()
     data, _ = rig.read_until(lambda data: data.count(BRAKE) >= 3)

@@ -9,7 +9,7 @@ import pytest
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.daemon.ipc import pipe_records as pipes
 from steerd.daemon.learning.feed import Wiring, make_feed, make_record
-from steerd.daemon.process.learner import LearnerLoop, make_learner_feed
+from steerd.daemon.process.learner import LearnerLoop
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode, encode
@@ -46,12 +46,12 @@ def loop(pipe):
 
 
 def fed(loop, numbers):
-    loop.take(bytearray(b"".join(pipes.pack_record(pose_record(n)) for n in numbers)))
+    loop.take(map(pose_record, numbers))
 
 
 def test_a_report_comes_once_a_second(loop, pipe):
     fed(loop, range(350))
-    reports = [decode(m.Model, record.data) for record in pipes.ReportPipe(pipe[0]).take()]
+    reports = [decode(m.Model, record.data) for record in pipes.PipeReader(pipe[0]).take()]
     assert [report.mono_ns // 1_000_000_000 for report in reports] == [1, 2, 3]
     assert {report.verdict for report in reports} == {"learning"}
     assert {report.dropped for report in reports} == {0}
@@ -60,13 +60,13 @@ def test_a_report_comes_once_a_second(loop, pipe):
 
 def test_what_was_dropped_on_the_way_is_counted(loop, pipe):
     fed(loop, [*range(50), *range(80, 250)])
-    last = list(pipes.ReportPipe(pipe[0]).take())[-1]
+    last = list(pipes.PipeReader(pipe[0]).take())[-1]
     assert decode(m.Model, last.data).dropped == 30
 
 
 def test_bytes_that_are_no_message_are_passed_over(loop, pipe):
     broken = replace(pose_record(60), data=b"\0\1\0\0 nonsense")
-    loop.take(bytearray(pipes.pack_record(pose_record(0)) + pipes.pack_record(broken)))
+    loop.take([pose_record(0), broken])
     fed(loop, range(61, 250))
     assert loop.reports == 2
 
@@ -99,7 +99,7 @@ def report_record(loop):
 
 
 def test_reports_are_read_until_the_learner_ends(loop, pipe):
-    reader, packed = pipes.ReportPipe(pipe[0]), pipes.pack_record(report_record(loop))
+    reader, packed = pipes.PipeReader(pipe[0]), pipes.pack_record(report_record(loop))
     assert list(reader.take()) == []
     os.write(pipe[1], packed[:50])
     assert list(reader.take()) == []
@@ -113,20 +113,4 @@ def test_reports_are_read_until_the_learner_ends(loop, pipe):
 
 
 def test_a_run_without_a_learner_has_no_reports():
-    assert list(pipes.ReportPipe(None).take()) == list(pipes.ReportPipe(None).rest(0)) == []
-
-
-def test_a_job_is_a_car_file_and_its_scaling():
-    path = default_car_path()
-    job = {"epoch_ns": EPOCH, "car": path.read_text(), "path": str(path),
-           "erpm_gain": 4000.0, "erpm_offset": 10.0}  # fmt: skip
-    feed = make_learner_feed(job)
-    assert feed.wiring == Wiring(EPOCH, 4000.0, 10.0)
-    assert feed.learner.ramp == pytest.approx(25_000.0 / 4000.0)
-
-
-def test_a_car_file_that_cannot_be_used_says_so():
-    job = {"epoch_ns": 0, "car": "[car]\nmass = -1", "path": "car.toml", "erpm_gain": 1.0,
-           "erpm_offset": 0.0}  # fmt: skip
-    with pytest.raises(ValueError, match=r"car\.toml"):
-        make_learner_feed(job)
+    assert list(pipes.PipeReader(None).take()) == list(pipes.PipeReader(None).rest(0)) == []

@@ -10,7 +10,7 @@ import pytest
 
 from steerd.daemon.assembly.build import make_core, make_plan
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.ipc.pipe_records import PipeRecord, pack_record
+from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord, pack_record
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.process import recorder
 from steerd.daemon.process.core_process import latch_stray_exceptions, make_mocap, status_sink
@@ -37,8 +37,7 @@ def record(tmp_path, chunks, disk_free_min=0):
     for chunk in chunks:
         os.write(write_fd, chunk)
     os.close(write_fd)
-    reason = record_pipe(recording, read_fd, disk_free_min)
-    os.close(read_fd)
+    reason = record_pipe(recording, PipeReader(read_fd), disk_free_min, PipeReader(None))
     recording.writer.finish({"reason": reason, "written": str(recording.written)})
     return reason, open_session(tmp_path / "drive.mcap")
 

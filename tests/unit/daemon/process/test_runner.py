@@ -18,7 +18,8 @@ from steerd.daemon.loop.supervisor import NEVER, STILL_NS
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process import guard as guard_module
 from steerd.daemon.process import runner as runner_module
-from steerd.daemon.process.guard import ProcessGuard
+from steerd.daemon.process.guard import ProcessGuard, make_page_fd
+from steerd.daemon.process.heartbeat import HeartbeatPage
 from steerd.daemon.process.pacing import MARGIN
 from steerd.daemon.process.runner import CoreLinks, Runner
 from steerd.daemon.settings.run_options import RunOptions
@@ -57,16 +58,10 @@ class FakeGuard:
 
     def __init__(self):
         self.quiet = self.took_over = self.clean = False
-        self.paused = None
+        self.page = HeartbeatPage(make_page_fd())
 
     def watch(self, *_):
         self.clean = False
-
-    def write_heartbeat(self, *_):
-        pass
-
-    def stage(self, wire):
-        return b"staged " + wire
 
     def may_write(self, *_):
         return not self.took_over
@@ -76,9 +71,6 @@ class FakeGuard:
 
     def has_tripped(self):
         return self.took_over
-
-    def pause(self, _):
-        return self.paused
 
     def mark_clean(self):
         self.clean = True
@@ -283,7 +275,7 @@ def hold(plan, ends, read_fds, who, answers, seconds=3.0):
             beat = encode(replace(beats[-1], lease_id=lease_id))
             others[REMOTE].send(pack_request(topics.HEARTBEAT_BACK.name, beat))
         for end in cores:
-            it._read_requests(end.fileno())
+            it._read_requests(end)
         it._housekeeping(now[0])
         if r.core.flags & Flag.GATEWAY_LOST:
             return now[0] // MS
@@ -372,8 +364,8 @@ def test_a_port_comes_back_after_an_emergency_stop_at_rest(plan, state, still_ns
 
 def test_the_end_of_the_gateway_is_no_second_signal(plan):
     r = make_runner(plan)
-    parent, gateway = SimpleNamespace(close=lambda: None), SimpleNamespace(close=lambda: None)
-    r.it._links, r.it._parent = replace(r.it._links, requests=(parent, gateway)), parent
+    r.it._parent = parent = SimpleNamespace(fileno=lambda: 1, close=lambda: None)
+    gateway = SimpleNamespace(fileno=lambda: 2, close=lambda: None)
     r.it._close_requests(parent)
     r.it._close_requests(gateway)
     assert r.it.signals == 1
@@ -391,7 +383,9 @@ def test_what_the_guardian_forbade_is_not_reported_as_written(plan):
     assert r.port.sent == []
     r.guard.took_over = False
     assert r.it._write(b"go", 0) == b"go"
-    assert r.port.sent == [b"staged go"], "motion leaves from where the guardian can change it"
+    assert r.port.sent == [b"go"]
+    r.guard.page.trip(1, b"no")
+    assert r.port.sent == [b"no"], "motion leaves from where the guardian can change it"
     r.core.last.order.command = None
     r.it._write(b"brake", 0)
     assert r.port.sent[1:] == [b"brake"]
@@ -468,7 +462,7 @@ def ticks_of(monkeypatch, every_ns: int, count: int = 400, **wrong: int):
     arrivals: list[int] = []
     core.on_poses = lambda samples: arrivals.extend(s.t_arrival_ns for s in samples)
     monkeypatch.setattr(runner_module.select, "select", world.select)
-    guard = SimpleNamespace(has_tripped=lambda: False)
+    guard = SimpleNamespace(has_tripped=lambda: False, page=None)
     it = Runner(core, world, lambda: None, world, CoreLinks(None, None, (), STOP), guard)
     it._try_open = lambda _t_ns: None
     it._is_done = lambda: len(notes) >= count
@@ -594,7 +588,8 @@ def test_a_late_tick_says_whether_the_guardian_stood_still_too(
     monkeypatch.setattr(runner_module, "read_steal_ns", lambda: 0)
     r = make_runner(plan)
     start = r.it._clock.now_ns() - 41 * MS
-    r.guard.paused = stood and (start + stood[0] * MS, start + stood[1] * MS)
+    pause = stood and (start + stood[0] * MS, start + stood[1] * MS)
+    monkeypatch.setattr(runner_module, "find_pause", lambda *_: pause)
     r.it._set_flags(41 * MS)
     assert r.core.flags & CAUSES == flag
     r.core.tick(0, 41 * MS)

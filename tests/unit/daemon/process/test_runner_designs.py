@@ -83,4 +83,4 @@ def test_a_learner_that_ends_is_no_fault(ends, unread):
     ends[0].close()
     for tick in range(3):
         reader.read(tick)
-    assert reader.runner._links.designs is None
+    assert reader.runner._designs is None

@@ -15,7 +15,7 @@ from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.outbox import Outbox
-from steerd.daemon.ipc.pipe_records import PipeWriter, make_pipe, pack_record
+from steerd.daemon.ipc.pipe_records import PipeReader, PipeWriter, make_pipe, pack_record
 from steerd.daemon.ipc.requests import parse_setting
 from steerd.daemon.process.view import Viewer, make_channels
 from steerd.daemon.process.view_job import make_view_job, parse_view
@@ -51,8 +51,8 @@ def test_a_live_parameter_is_asked_for_and_keeps_its_value_until_the_car_changes
     assert known.set({"live.speed": 1.25}) == {"live.speed": 1.5}
     known.set({"car.lf": 9.0, "live.mass": 9.0, "live.gain": True, "live.offset": -1})
     known.set({"live.gain": "2"})
-    assert asked == ["set speed 1.25", "set offset -1.0"]
-    assert [parse_setting(text) for text in asked] == [{"speed": 1.25}, {"offset": -1.0}]
+    assert asked == [b"set speed 1.25", b"set offset -1.0"]
+    assert [parse_setting(text.decode()) for text in asked] == [{"speed": 1.25}, {"offset": -1.0}]
     changed = known.take({"live.speed": 1.25, "live.gain": 1.0})
     assert changed == {"live.speed": 1.25, "live.gain": 1.0}
     assert known.take({"live.speed": 1.25}) == {}
@@ -92,10 +92,9 @@ def test_a_viewer_counts_what_the_pipe_dropped():
     lane = make_lane([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], 0.3, closed=False)
     server = ViewServer("x", make_channels("car1"), ViewParameters({}))
     viewer = Viewer("car1", BODY, lane, server)
-    while data := os.read(read_fd, 1000):
-        viewer.read(data)
-    os.close(read_fd)
-    assert viewer.missed == 2
+    for record in PipeReader(read_fd).take():
+        viewer.show(record)
+    assert viewer.gaps.missed == 2
 
 
 def test_every_topic_has_a_channel_with_its_schema():
