@@ -27,7 +27,7 @@ from steerd.daemon.offline import fast
 from steerd.sysid.data.dataset import load_run
 from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.outcome import Outcome
-from steerd.sysid.estimation.preparation import fit_wheelbase
+from steerd.sysid.estimation.preparation import FitOptions, fit_wheelbase
 from steerd.sysid.inference.plain_car import DEFAULT_FREE
 
 NAMES = DEFAULT_FREE
@@ -100,7 +100,7 @@ def identify(session: Path, seed: int) -> Outcome:
     car = hide(seed).car
     length = car.lf + car.lr
     base = fit_wheelbase(Model(DEFAULT_CAR), length)
-    return learn(Task((load_run(session),), base, wheelbase=length), lambda: 0.0)
+    return learn(Task((load_run(session),), base, FitOptions(wheelbase=length)), lambda: 0.0)
 
 
 def pulls(outcome: Outcome, car: Car[float]) -> list[tuple[float, float]]:

@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steerd.car_model.car_file import CarFile
-from steerd.daemon.analysis.drives import Drives, Warn, load_drives
+from steerd.daemon.analysis.drives import Warn, load_drives
 from steerd.daemon.analysis.options import EVERY, HeldOut, Speed
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.sysid.data.data_checks import DataError
@@ -40,31 +39,6 @@ class Split(NamedTuple):
     later: Callable[[], Sequence[Run]] | None = None
     held_out_of: str = ""
     notes: tuple[str, ...] = ()
-
-    @property
-    def seconds(self) -> float:
-        """Driving that is looked at [s]."""
-        return sum(run.driven for run in self.runs)
-
-
-class Case(NamedTuple):
-    """A diagnosis to make.
-
-    Attributes:
-        drives: the sessions.
-        split: their drives, cut to where the car moves, and what is held out.
-        healthy: drives without the gap.
-        base: the car as believed; `base_source` says where it comes from.
-        only, without: effects by their own names; `only` empty for the library.
-    """
-
-    drives: Drives
-    split: Split
-    healthy: tuple[Run, ...]
-    base: CarFile
-    base_source: str
-    only: tuple[str, ...]
-    without: tuple[str, ...]
 
 
 def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, warn: Warn) -> Split:

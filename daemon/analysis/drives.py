@@ -32,6 +32,17 @@ FILES = 500
 """Sessions that stay open within a shell's usual limit of 1024 files."""
 
 
+def gather(warn: Warn) -> tuple[list[str], Warn]:
+    """What was handed on so far, and what hands on to `warn`."""
+    given: list[str] = []
+
+    def take(texts: Sequence[str]) -> None:
+        given.extend(texts)
+        warn(texts)
+
+    return given, take
+
+
 @dataclass(frozen=True, eq=False)
 class Drives:
     """Open sessions, and what of them is looked at.

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from math import degrees
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 
 from steerd.car_model.path.path import Path as Lane
@@ -18,7 +17,7 @@ from steerd.daemon.sessions.motion import Array, Track
 from steerd.daemon.sessions.plot_data import load_lane
 from steerd.sim_gap.lane_comparison import profile
 from steerd.steer_bus import topics
-from steerd.sysid.report.drawing import FAINT, LINES, STYLE, draw, make_axes, to_svg
+from steerd.sysid.report.drawing import FAINT, LINES, draw
 from steerd.sysid.report.page import render_report
 from steerd.sysid.report.report import Report, Section, Table
 
@@ -133,7 +132,6 @@ def render_recordings(reads: Sequence[Recording], shift: float | None = None) ->
     return render_comparison(drives, both)
 
 
-@rc_context(STYLE)
 def render_comparison(drives: Sequence[LaneSession], over_time: Section | None = None) -> str:
     """The page of several drives of one lane, with what is known of two of them over time."""
     names = [drive.name for drive in drives]
@@ -148,9 +146,17 @@ def render_comparison(drives: Sequence[LaneSession], over_time: Section | None =
             Section(
                 "At the same place along the lane",
                 "Dots are single samples of every lap, the line is their mean at that place.",
-                figure=_draw_curves(drives),
+                figures=[
+                    draw(
+                        lambda *axes: _plot_curves(axes, drives),
+                        2.0,
+                        count=len(_PANELS),
+                        columns=2,
+                        colours=dict(zip(names, LINES, strict=False)),
+                    )
+                ],
             ),
-            Section("Tracks", figure=draw(_plot_tracks, 4.2, drives)),
+            Section("Tracks", figures=[draw(_plot_tracks, 4.2, drives)]),
             *([over_time] if over_time else []),
         ],
         foot="Written by steerd plot. Frames are ISO 8855, angles positive to the left.",
@@ -187,14 +193,12 @@ def _plot_tracks(axis: Axes, drives: Sequence[LaneSession]) -> None:
     axis.set(xlabel="x [m]", ylabel="y [m]")
 
 
-def _draw_curves(drives: Sequence[LaneSession]) -> str:
+def _plot_curves(axes: Sequence[Axes], drives: Sequence[LaneSession]) -> None:
     """Errors, speed and steering over the place along the lane."""
-    axes = make_axes(len(_PANELS), 2.0)
     for axis, (name, title, scale) in zip(axes, _PANELS, strict=True):
         for drive, colour in zip(drives, LINES, strict=False):
             _draw_drive(axis, drive, scale * drive.values[name], colour)
         axis.set(title=title, xlabel="place along the lane [m]", xlim=(0.0, drives[0].lane.length))
-    return to_svg(axes, {d.name: colour for d, colour in zip(drives, LINES, strict=False)})
 
 
 def _draw_drive(axis: Axes, drive: LaneSession, values: Array, colour: str) -> None:

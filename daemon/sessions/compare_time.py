@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from matplotlib import rc_context
+from matplotlib.axes import Axes
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.sessions.info import Recording
@@ -11,7 +11,7 @@ from steerd.daemon.sessions.lane_error import rms
 from steerd.daemon.sessions.motion import Array
 from steerd.daemon.sessions.plot_data import Curve, make_drawing
 from steerd.sim_gap.time_comparison import STEP, Overlay, Pair, find_shift
-from steerd.sysid.report.drawing import INK, LINES, STYLE, make_axes, to_svg
+from steerd.sysid.report.drawing import INK, LINES, draw
 from steerd.sysid.report.report import Section, Table
 
 POINTS_MAX = 1200
@@ -82,7 +82,15 @@ def make_section(found: Overlay, names: Sequence[str]) -> Section:
         f"{names[1]} is shown {abs(found.shift):.2f} s {when}, {where}; {common:.1f} s are "
         f"common to both. The difference is {names[1]} minus {names[0]}.",
         table=Table(heads, [row for pair in found.pairs for row in _rows(pair)]),
-        figure=_draw(found, names),
+        figures=[
+            draw(
+                lambda *axes: _plot(axes, found),
+                1.8,
+                count=2 * len(found.pairs),
+                columns=2,
+                colours=dict(zip(names, LINES, strict=False)),
+            )
+        ],
     )
 
 
@@ -94,10 +102,8 @@ def _rows(pair: Pair) -> Iterator[list[str]]:
         yield [f"{pair.title} [{pair.unit}]", *(f"{value:z.3f}" for value in figures)]
 
 
-@rc_context(STYLE)
-def _draw(found: Overlay, names: Sequence[str]) -> str:
+def _plot(axes: Sequence[Axes], found: Overlay) -> None:
     """Both curves, then their difference; two diagrams for each quantity."""
-    axes = make_axes(2 * len(found.pairs), 1.8)
     step = max(1, len(found.t) // POINTS_MAX)
     t = found.t[::step]
     for both, off, pair in zip(axes[::2], axes[1::2], found.pairs, strict=True):
@@ -109,4 +115,3 @@ def _draw(found: Overlay, names: Sequence[str]) -> str:
         least = LEAST_SHARE * np.nanmax(np.abs(pair.first))
         low, high = off.get_ylim()
         off.set_ylim(min(low, -least), max(high, least))  # what differs by rounding looks so
-    return to_svg(axes, dict(zip(names, LINES, strict=False)))

@@ -1,37 +1,40 @@
-"""The gap report: one HTML file that needs nothing else, for a reader who was not there."""
+"""What is shown of a diagnosis: on a terminal, on a page, in a notebook's figure."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-
-from matplotlib import rc_context
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 from steerd.car_model.effects import EFFECTS
 from steerd.sim_gap.diagnosis import Diagnosis
-from steerd.sim_gap.lane_comparison import LaneComparison
-from steerd.sim_gap.report import gap_figures as figures
 from steerd.sim_gap.report.summary_text import (
     EQUATIONS,
-    FAMILIES,
     ambiguity,
     cause_words,
+    gap_words,
     headline,
     known_leads,
     lane_rows,
     lane_words,
+    manoeuvre_words,
     residual_words,
     share_words,
     short,
     shrink_words,
-    summary_of,
     value_words,
 )
-from steerd.sim_gap.verdict.evidence import Cause
-from steerd.sysid.report.drawing import STYLE, draw
-from steerd.sysid.report.report import Card, Fold, Report, Section, Table
+from steerd.sim_gap.verdict.evidence import Cause, Estimated
+from steerd.sysid.report.report import Card, Fold, Late, Line, Report, Section, Table
+
+if TYPE_CHECKING:
+    from steerd.sysid.report.drawing import Diagrams
 
 OTHER_SHOWN = 0.005
 """Something else is shown from this probability on."""
-GRADES = {"explained": "good", "partial": "fair", "unexplained": "bad", "unjudged": "bad"}
+VERDICTS = {
+    "none": ("no gap", ""), "explained": ("explained", "good"),
+    "partial": ("partly explained", "fair"), "unexplained": ("a gap without a name", "bad"),
+    "unjudged": ("cannot be judged", "bad"),
+}  # fmt: skip
+"""What a page calls a verdict, and how good that is."""
 METHOD = (
     "The drives are cut into windows of one second. From each window's start, which is unknown and "
     "estimated, the base car predicts what mocap, wheels and gyro should show, from the commands "
@@ -43,60 +46,96 @@ METHOD = (
 )
 
 
-@dataclass(frozen=True)
-class Subject:
-    """What was diagnosed."""
+def make_report(
+    found: Diagnosis, complete: Callable[[str], str] = str, following: str = ""
+) -> Report:
+    """What a diagnosis found.
 
-    sessions: tuple[str, ...]  # names of the files
-    seconds: float  # driving that was looked at [s]
-    base: str  # where the base car comes from
-    held_out_of: str  # what was held out, as text; empty if nothing
-    following: str  # what to drive next, as text
-    notes: tuple[str, ...] = ()  # what a reader should know about the data
-
-
-@rc_context(STYLE)
-def make_report(subject: Subject, found: Diagnosis, lane: LaneComparison | None) -> Report:
-    """What a diagnosis found."""
-    s = found.shrinkage
+    Args:
+        found: what it found.
+        complete: makes commands in a text run as they are printed.
+        following: the command to type next.
+    """
+    case, to_drive = found.case, complete(manoeuvre_words(found))
+    notes = (*case.notes, *([found.lane_note] if found.lane_note else []), *found.notes)
+    sessions = ", ".join(case.sessions)
+    verdict, grade = VERDICTS[found.verdict]
     how = Section(
         "How this was done",
         METHOD,
-        notes=(*subject.notes, *found.notes),
+        notes=notes,
         fold=Fold(
             "the prediction, as it was written before the reserved drives were opened",
-            f"{s.text} SHA-256 {s.digest}",
+            f"{found.shrinkage.text} SHA-256 {found.shrinkage.digest}",
         ),
     )
     return Report(
         title="What the simulation is missing of this car",
-        subject=", ".join(subject.sessions),
-        about=f"{subject.seconds:.0f} s to explain · base: {subject.base}",
+        subject=sessions,
+        about=f"{case.seconds:.0f} s to explain · base: {case.base_source}",
         lead=headline(found),
-        sections=[*_sections(subject, found, lane), how],
+        sections=Late(lambda: (*_sections(found, to_drive), how)),
         foot="Written by steerd diagnose. Frames are ISO 8855, angles positive to the left; "
         "sd is one standard error; intervals are 90 %.",
-        verdict=FAMILIES[found.verdict],
-        grade=GRADES.get(found.verdict, ""),
-        cards=list(make_cards(found)),
-    )
+        verdict=verdict,
+        grade=grade,
+        cards=list(_cards(found)),
+        screen=[
+            Line("drives", f"{case.seconds:.0f} s to explain, of {sessions}; base: "
+                 f"{case.base_source}"),
+            Line("verdict", f"{found.verdict.upper()}. {headline(found)}"),
+            *_screen(found),
+            Line("drive next", to_drive),
+            *(Line("note", note) for note in (*case.notes, *found.notes)),
+            Line("next", following, whole=True),
+        ],
+        figures=Late(lambda: _figures(found)),
+    )  # fmt: skip
 
 
-def make_cards(found: Diagnosis) -> Iterator[Card]:
+def _screen(found: Diagnosis) -> Iterator[Line]:
+    if found.verdict != "none":
+        yield Line("where", found.where.sentence)
+    for cause in found.causes:
+        sure = f"confidence {cause.confidence:.0%}"
+        yield Line("cause", f"{cause.effect}: {cause_words(cause)}, {sure}")
+        if ambiguity(cause):
+            yield Line("confounded", ambiguity(cause))
+    if found.causes and found.something_else >= OTHER_SHOWN:
+        yield Line("", f"something else than the library's effects: {found.something_else:.0%}")
+    if found.verdict in ("unexplained", "partial"):
+        yield Line("left over", residual_words(found))
+    yield Line("gap after", "; ".join(gap_words(found)))
+    if found.causes:
+        yield Line("shrinks by", shrink_words(found))
+        yield Line("", f"prediction sha256 {found.shrinkage.digest[:16]}…")
+    if found.lane is not None:
+        yield Line("closed loop", lane_words(found.lane))
+    elif found.lane_note and found.causes:
+        yield Line("closed loop", found.lane_note.removeprefix("closed loop "))
+
+
+def _cards(found: Diagnosis) -> Iterator[Card]:
     """The figures that are read first."""
     leads = known_leads(found.before) or [0]
     last = min(leads, key=lambda i: abs(found.before.errors[i][0] - 1.0))
     before, after = found.before.errors[last], found.after.errors[last]
     lead = f"position error after {before[0]:g} s"
     if found.causes:
-        first = found.causes[0]
+        first, other = found.causes[0], found.something_else
         parameter, (value, sd, unit) = _surest(first)
+        sure = f"{' and '.join(f'{cause.confidence:.0%}' for cause in found.causes)} sure"
+        sure += f"; something else {other:.0%}" if other >= OTHER_SHOWN else ""
         more = f" and {found.causes[1].effect}" if len(found.causes) > 1 else ""
-        yield Card("cause", f"{first.effect}{more}", _sureness(found))
+        yield Card("cause", f"{first.effect}{more}", sure)
         yield Card("how large", value_words(value, sd, unit), f"{first.effect}: {parameter} ± sd")
         figure = f"{short(1e3 * before[1])} → {short(1e3 * after[1])} mm"
         yield Card(lead, figure, "base car → with the effect")
-        yield _shrunk(found)
+        s, share = found.shrinkage, share_words(found.shrinkage.predicted)
+        figure, text = share, "predicted"
+        if s.measured is not None:
+            figure, text = share_words(s.measured), f"measured; predicted {share}"
+        yield Card("excess error removed", figure, text)
         return
     yield Card(lead, f"{short(1e3 * before[1])} mm", "root mean square, base car")
     low, high = found.before.interval
@@ -107,114 +146,95 @@ def make_cards(found: Diagnosis) -> Iterator[Card]:
         yield Card("best candidate", effect, f"{probability:.0%}: not enough")
 
 
-def _sureness(found: Diagnosis) -> str:
-    """How sure the names are, and how likely something else is."""
-    sure = " and ".join(f"{cause.confidence:.0%}" for cause in found.causes)
-    other = found.something_else
-    return f"{sure} sure" + (f"; something else {other:.0%}" if other >= OTHER_SHOWN else "")
-
-
-def _surest(cause: Cause) -> tuple[str, tuple[float, float, str]]:
+def _surest(cause: Cause) -> tuple[str, Estimated]:
     """The parameter that is furthest from doing nothing, in its standard errors."""
     nulls = {p.name: p.null for p in EFFECTS[cause.effect].parameters}
 
-    def sigmas(item: tuple[str, tuple[float, float, str]]) -> float:
+    def sigmas(item: tuple[str, Estimated]) -> float:
         name, (value, sd, _) = item
         return abs(value - nulls[name]) / max(sd, 1e-12)
 
     return max(cause.parameters.items(), key=sigmas)
 
 
-def _shrunk(found: Diagnosis) -> Card:
-    s, label = found.shrinkage, "excess error removed"
-    if s.measured is None:
-        return Card(label, share_words(s.predicted), "predicted")
-    said = f"measured; predicted {share_words(s.predicted)}"
-    return Card(label, share_words(s.measured), said)
+def _figures(found: Diagnosis) -> "list[Diagrams]":
+    from steerd.sim_gap.report.gap_figures import draw_main
+
+    return draw_main(found)
 
 
-def _sections(subject: Subject, found: Diagnosis, lane: LaneComparison | None) -> Iterator[Section]:
-    explained = bool(found.causes)
+def _sections(found: Diagnosis, to_drive: str) -> Iterator[Section]:
+    from steerd.sim_gap.report import gap_figures as figures
+    from steerd.sysid.report.drawing import draw
+
+    gap, candidates, timeline = _figures(found)
+    where, lane = found.where, found.lane
     yield Section(
         "How large the gap is",
         "The car's pose and wheel speed are predicted from a window's start; this is how far the "
         "prediction is off after so many seconds, with 90 % intervals. The start itself is fitted "
         "to the window, so a wrong model is met best somewhere in its middle.",
-        figure=draw(
-            lambda *axes: figures.plot_gap(axes, found),
-            2.5,
-            columns=len(figures.find_measured(found.before)),
-            colours=figures.effect_colours(explained=explained),
-        ),
+        figures=[gap],
     )
     if found.verdict != "none":
-        yield from _where(found, explained)
-    if found.candidates:
-        shown = min(len(found.candidates) + 1, figures.SHOWN_MOST)
         yield Section(
-            "Which effect",
-            _which(found),
-            figure=draw(
-                figures.plot_candidates,
-                0.7 + 0.24 * max(shown, 2),
-                found,
-                colours=figures.candidate_colours(found),
-            ),
+            "Where it lies", where.sentence, figures=[draw(figures.plot_where, 1.9, where, count=2)]
         )
-    if explained:
-        yield from _why(found)
+        yield Section(
+            text="Over time: each bar is a window of one second. Shaded stretches stand out; the "
+            "dotted line is noise alone.",
+            figures=[timeline],
+        )
+        if where.regimes:
+            yield Section(
+                text="By regime: right of the dotted line the error is larger than elsewhere "
+                "(coloured where its interval says so).",
+                figures=[
+                    draw(figures.plot_regimes, 0.7 + 0.28 * len(where.regimes), where.regimes)
+                ],
+            )
+    if found.candidates:
+        yield Section("Which effect", _which(found), figures=[candidates])
+    if found.causes:
+        rows = [
+            (
+                cause.effect,
+                cause_words(cause),
+                f"{cause.confidence:.0%}",
+                "{0.summary}: {0.equation}".format(EFFECTS[cause.effect]).replace("->", "→"),
+                ambiguity(cause) or "nothing",
+            )
+            for cause in found.causes
+        ]
+        heads = ("effect", "value ± sd", "confidence", "what it is", "not distinguishable from")
+        other = f"Something else than the library: {found.something_else:.0%}."
+        yield Section("How sure", other, table=Table(heads, rows, words=(1, 3, 4)))
         yield Section(
             "How far the gap shrinks",
-            f"Adding the effect: {shrink_words(found, subject.held_out_of)}.",
-            figure=draw(figures.plot_shrinkage, 1.35, found.shrinkage),
+            f"Adding the effect: {shrink_words(found)}.",
+            figures=[draw(figures.plot_shrinkage, 1.35, found.shrinkage)],
         )
     if lane is not None:
         yield Section(
             "Lane keeping, driven again",
             f"{_sentence(lane_words(lane))} Laps are averaged by place along the lane; controller, "
             "path and speed are the session's own, only the simulated car is exchanged.",
-            figure=figures.draw_lane(lane),
+            figures=[figures.draw_lane(lane)],
             table=Table(("", "recorded", "base car", "with the effect"), lane_rows(lane)),
         )
     if found.verdict in ("unexplained", "partial"):
-        yield Section("What is left", f"{_sentence(residual_words(found))}")
-    yield Section("What next", f"{_sentence('to drive: ' + subject.following)} {_typed(found)}")
-
-
-def _typed(found: Diagnosis) -> str:
-    if not found.causes:
-        return ""
-    return (
-        "The same command with -o CAR.toml writes the effect into a car file. A simulation with "
+        yield Section("What is left", _sentence(residual_words(found)))
+    typed = (
+        " The same command with -o CAR.toml writes the effect into a car file. A simulation with "
         "--car CAR.toml then behaves like this car, and controllers and filters designed from that "
         "file know of the effect as far as it is a parameter of theirs."
     )
+    text = _sentence(f"to drive: {to_drive}")
+    yield Section("What next", text + typed if found.causes else f"{text} ")
 
 
 def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
-
-
-def _where(found: Diagnosis, explained: bool) -> Iterator[Section]:
-    where = found.where
-    yield Section(
-        "Where it lies", where.sentence, figure=draw(figures.plot_where, 1.9, where, columns=2)
-    )
-    if found.timeline is not None:
-        yield Section(
-            "",
-            "Over time: each bar is a window of one second. Shaded stretches stand out; the dotted "
-            "line is noise alone.",
-            figure=figures.draw_timeline(found.timeline, where.windows, explained),
-        )
-    regimes = where.regimes[:6]
-    if regimes:
-        yield Section(
-            "",
-            "By regime: right of the dotted line the error is larger than elsewhere "
-            "(coloured where its interval says so).",
-            figure=draw(figures.plot_regimes, 0.7 + 0.28 * len(regimes), regimes),
-        )
 
 
 def _which(found: Diagnosis) -> str:
@@ -229,19 +249,3 @@ def _which(found: Diagnosis) -> str:
     if not confounded:
         return f"{text}On these drives nothing in the library is mistaken for what was found."
     return f"{text}Not distinguishable from it: {'; '.join(confounded)}."
-
-
-def _why(found: Diagnosis) -> Iterator[Section]:
-    rows = [
-        (
-            cause.effect,
-            cause_words(cause),
-            f"{cause.confidence:.0%}",
-            f"{summary_of(cause.effect)}: {EFFECTS[cause.effect].equation}".replace("->", "→"),
-            ambiguity(cause) or "nothing",
-        )
-        for cause in found.causes
-    ]
-    heads = ("effect", "value ± sd", "confidence", "what it is", "not distinguishable from")
-    other = f"Something else than the library: {found.something_else:.0%}."
-    yield Section("How sure", other, table=Table(heads, rows, words=(1, 3, 4)))

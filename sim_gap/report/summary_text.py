@@ -19,8 +19,6 @@ EQUATIONS = {
     "steer": "steering actuator",
     "drive": "drive actuator",
 }
-FAMILIES = {"none": "no gap", "explained": "explained", "partial": "partly explained",
-            "unexplained": "a gap without a name", "unjudged": "cannot be judged"}  # fmt: skip
 
 
 def value_words(value: float, sd: float, unit: str) -> str:
@@ -40,11 +38,6 @@ def cause_words(cause: Cause) -> str:
     )
 
 
-def summary_of(effect: str) -> str:
-    """What an effect is, as text."""
-    return EFFECTS[effect].summary if effect in EFFECTS else effect
-
-
 def headline(found: Diagnosis) -> str:
     """The verdict in one sentence."""
     if found.verdict == "none":
@@ -58,7 +51,7 @@ def headline(found: Diagnosis) -> str:
     if found.verdict == "unexplained" or not found.causes:
         return "There is a gap, and none of the known effects explains it."
     names = " and ".join(cause.effect for cause in found.causes)
-    what = "; ".join(summary_of(cause.effect) for cause in found.causes)
+    what = "; ".join(EFFECTS[cause.effect].summary for cause in found.causes)
     if found.verdict == "partial":
         return f"Part of the gap behaves like {names}: {what}."
     return f"The gap is explained by {names}: {what}."
@@ -102,11 +95,9 @@ def share_words(share: float) -> str:
     return ">99%" if 0.99 < share < 1.0 else f"{share:.0%}"
 
 
-def shrink_words(found: Diagnosis, held_out_of: str) -> str:
+def shrink_words(found: Diagnosis) -> str:
     """Predicted and measured shrinkage."""
-    if not found.causes:
-        return "no effect was found that could be added"
-    s = found.shrinkage
+    s, held_out_of = found.shrinkage, found.case.held_out_of
     low, best, high = map(share_words, (s.low, s.predicted, s.high))
     text = f"predicted {best} of the excess error ({low} to {high})"
     if s.before is None:

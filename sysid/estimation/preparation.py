@@ -1,8 +1,9 @@
 """What is free, and drives and a start that do not stand in a search's way."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
+from typing import Literal
 
 import numpy as np
 
@@ -22,6 +23,39 @@ AGREE = 5e-4
 """Lengths that agree to this are the same measurement [m]."""
 _ROOM = 1.5
 """A gain that is not known yet may be so much larger."""
+
+
+Method = Literal["ours", "paper", "cma-es"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitOptions:
+    """What is learnt, and how.
+
+    Attributes:
+        effects: the only effects of the library that may be learnt with the car; empty or `auto`
+            for all that the drives show (empty with `free`: none but those).
+        free: parameters to fit; empty for all that the drives can hold.
+        fix: parameters that keep the start value (None) or take this one, in SI units.
+        wheelbase: measured distance of the axles [m].
+        method: `ours`, or the paper's `paper` and `cma-es`.
+        starts: how many starts; None for 1 (ours) or 5.
+        iterations: of the paper's methods; None for 100 (`paper`) or 500.
+        seed: of random starts.
+        jobs: worker processes.
+        dask: address of a Dask scheduler instead.
+    """
+
+    effects: Sequence[str] | Literal["auto"] = ()
+    free: Sequence[str] = ()
+    fix: Mapping[str, float | None] = field(default_factory=dict)
+    wheelbase: float | None = None
+    method: Method = "ours"
+    starts: int | None = None
+    iterations: int | None = None
+    seed: int = 0
+    jobs: int = 1
+    dask: str | None = None
 
 
 def add_command_history(runs: Sequence[Run], model: Model[float], asked: bool = False) -> list[Run]:
@@ -133,38 +167,27 @@ def fit_wheelbase(
     return model._replace(car=model.car._replace(lf=model.car.lf * scale, lr=model.car.lr * scale))
 
 
-def free_names(
-    free: Sequence[str] | None,
-    fixed: Sequence[str],
-    default: Sequence[str],
-    *,
-    axles_known: bool = False,
-) -> tuple[str, ...]:
+def free_names(asked: FitOptions, default: Sequence[str]) -> tuple[str, ...]:
     """Free parameters after `--free` and `--fix`.
 
     With the distance of the axles known, one fixed length leaves nothing of the other to learn.
     """
-    known = {"lf", "lr"} if axles_known and {"lf", "lr"} & set(fixed) else set()
-    return tuple(name for name in (free or default) if name not in known.union(fixed))
+    lengths = {"lf", "lr"} if asked.wheelbase is not None and {"lf", "lr"} & set(asked.fix) else ()
+    return tuple(name for name in (asked.free or default) if name not in {*lengths, *asked.fix})
 
 
-def held_names(
-    fixed: Sequence[str],
-    free: Sequence[str],
-    *,
-    axles_known: bool,
-    effects: Sequence[str] | None = None,
-) -> tuple[str, ...]:
+def held_names(asked: FitOptions) -> tuple[str, ...]:
     """What keeps its value: what is fixed, and all else where `--free` names what does not.
 
     With the distance of the axles known, the other length follows from the one that is fixed or
-    free. `effects` are the only ones that may be learnt; None leaves it to `free`.
+    free. Effects are the only ones that may be learnt; without any, `--free` decides.
     """
-    axles = ("lf", "lr") if axles_known else ()
-    kept = axles if set(axles) & set(fixed) else ()
-    follows = axles if set(axles) & set(free) else ()
-    moving = {*free, *follows, *(effects or ())}
-    others = [name for name in Car._fields if name not in moving] if free else []
-    if free or effects is not None:  # an effect may bear the name of the parameter that it moves
+    effects = tuple(EFFECTS) if asked.effects == "auto" else asked.effects
+    axles = ("lf", "lr") if asked.wheelbase is not None else ()
+    kept = axles if set(axles) & set(asked.fix) else ()
+    follows = axles if set(axles) & set(asked.free) else ()
+    moving = {*asked.free, *follows, *effects}
+    others = [name for name in Car._fields if name not in moving] if asked.free else []
+    if asked.free or effects:  # an effect may bear the name of the parameter that it moves
         others += [name for name in EFFECTS if name not in (*moving, *Car._fields)]
-    return tuple(dict.fromkeys((*fixed, *kept, *others)))
+    return tuple(dict.fromkeys((*asked.fix, *kept, *others)))

@@ -10,6 +10,7 @@ from steerd.car_model.params import DEFAULT_CAR, wheelbase
 from steerd.sysid.data.dataset import Signal, make_run
 from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.preparation import (
+    FitOptions,
     exceeds_slew_rate,
     largest_steering,
     level_loads,
@@ -144,7 +145,7 @@ def test_what_two_ends_place_differently_is_left_open():
 
 @pytest.mark.slow
 def test_one_speed_tells_no_more_than_it_can(slow, truth):
-    outcome = learn(Task((slow,), DEFAULT, wheelbase=0.332), lambda: 0.0)
+    outcome = learn(Task((slow,), DEFAULT, FitOptions(wheelbase=0.332)), lambda: 0.0)
     for name, row in outcome.free_rows.items():
         if row.identifiable:
             assert abs(row.value - getattr(truth.car, name)) < 4.0 * row.sd, name
