@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from steerd.sysid.data.data_checks import check_excited
 from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.excitation import measure_excitation, speed_tracking_share
 from steerd.sysid.data.segments import describe_unused, hold_out, make_blocks, moving_segments
-from steerd.sysid.estimation.command_timing import Pulse, Ramp, time_commands
+from steerd.sysid.estimation.command_timing import Pulse, Ramp, Timed, time_commands
 from steerd.sysid.estimation.outcome import (
     Fit,
     HeldOut,
@@ -25,19 +25,17 @@ from steerd.sysid.estimation.outcome import (
     searched_estimates,
 )
 from steerd.sysid.estimation.preparation import (
+    COMPARABLE,
     FitOptions,
     add_command_history,
-    exceeds_slew_rate,
-    restore_end_stops,
-    widen_end_stops,
-)
-from steerd.sysid.estimation.starts import (
-    COMPARABLE,
     candidate_starts,
+    exceeds_slew_rate,
     has_one_speed,
     mark_ambiguous,
     possible_starts,
+    restore_end_stops,
     scatter,
+    widen_end_stops,
 )
 from steerd.sysid.estimation.validation import (
     HORIZONS,
@@ -57,9 +55,6 @@ from steerd.sysid.inference.plain_car import (
 )
 from steerd.sysid.paper.search_history import SearchHistory
 from steerd.sysid.parallel import map_jobs
-
-if TYPE_CHECKING:
-    from steerd.sysid.paper.paper_method import PaperRun
 
 Array = NDArray[np.float64]
 
@@ -160,36 +155,41 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
 
 
 class _Drives(NamedTuple):
-    """The drives as they are used.
+    """The drives as they are used."""
 
-    Attributes:
-        moving: their segments in motion.
-        fitted, held_out: what is fitted, and what validates; `held_out_of` says in words which.
-        pulses, ramps: what was found out of the servo's and the motor controller's timing.
-    """
-
-    moving: tuple[Run, ...]
-    fitted: tuple[Run, ...]
-    held_out: tuple[Run, ...]
+    moving: tuple[Run, ...]  # their segments in motion
+    fitted: tuple[Run, ...]  # what is fitted
+    held_out: tuple[Run, ...]  # what validates, and `held_out_of` in words
     held_out_of: str
-    pulses: tuple[Pulse, ...]
-    ramps: tuple[Ramp, ...]
+    pulses: tuple[Pulse, ...] = ()  # of the servos
+    ramps: tuple[Ramp, ...] = ()  # of the motor controllers
 
 
 def _prepare(task: Task) -> tuple[Task, _Drives, tuple[PlainCar, ...]]:
     """The task with drives as the car felt them, and rough cars of it, the best first."""
     roughs: tuple[PlainCar, ...] = ()
-    pulses: tuple[Pulse, ...] = ()
-    ramps: tuple[Ramp, ...] = ()
+    timed: list[Timed] = []
     if task.asked.method == "ours":
         task = _with_history(task)
         moving = moving_segments(task.runs)
         check_excited([run.commands[:, 0] for run in moving])
         roughs = _search_rough(task, moving)
         if roughs and any(run.servo_frame or run.speed_ramp for run in task.runs):
-            task, pulses, ramps = _apply_timing(task, roughs[0])
+            asked = task.question._replace(free=free_of(task.runs, task.question.free))
+            both = (*task.runs, *task.held_out)
+            timed = [time_commands(run, roughs[0], asked) for run in both]
+            runs, count = tuple(each.run for each in timed), len(task.runs)
+            task = replace(task, runs=runs[:count], held_out=runs[count:])
     moving = moving_segments(task.runs)
-    return task, _Drives(moving, *_split(task, moving), pulses, ramps), roughs
+    if task.held_out:
+        words = ", ".join(run.name for run in task.held_out)
+        split = make_blocks(moving), moving_segments(task.held_out), words
+    else:
+        words = f"every {task.every}th block of 5 s, not fitted"
+        split = (*hold_out(moving, task.every), words)
+    pulses = tuple(each.pulse for each in timed if each.pulse)
+    ramps = tuple(each.ramp for each in timed if each.ramp)
+    return task, _Drives(moving, *split, pulses, ramps), roughs
 
 
 def _search_rough(task: Task, moving: Sequence[Run]) -> tuple[PlainCar, ...]:
@@ -254,14 +254,6 @@ def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit |
     return replace(found, estimates=estimates)
 
 
-def _split(task: Task, parts: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...], str]:
-    """What is fitted, what is held out, and the latter in words."""
-    if task.held_out:
-        words = ", ".join(run.name for run in task.held_out)
-        return make_blocks(parts), moving_segments(task.held_out), words
-    return *hold_out(parts, task.every), f"every {task.every}th block of 5 s, not fitted"
-
-
 def _with_history(task: Task) -> Task:
     """The task with a past as long, and end stops as wide, as the drives need."""
     runs, held_out = (
@@ -274,48 +266,23 @@ def _with_history(task: Task) -> Task:
     return replace(task, runs=runs, held_out=held_out, model=model, free=tuple(free))
 
 
-def _apply_timing(task: Task, rough: PlainCar) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...]]:
-    """The task with commands as servos and motor controllers let them through."""
-    asked = task.question._replace(free=free_of(task.runs, task.question.free))
-    timed = [time_commands(run, rough, asked) for run in (*task.runs, *task.held_out)]
-    runs, count = tuple(each.run for each in timed), len(task.runs)
-    pulses = tuple(each.pulse for each in timed if each.pulse)
-    ramps = tuple(each.ramp for each in timed if each.ramp)
-    return replace(task, runs=runs[:count], held_out=runs[count:]), pulses, ramps
-
-
 def _doubts(pulses: Sequence[Pulse]) -> tuple[tuple[str, float], ...]:
     """What no log says about times."""
     wait = max((pulse.blur for pulse in pulses), default=0.0)
     return tuple({**TIMES, "steer_delay": float(np.hypot(TIMES["steer_delay"], wait))}.items())
 
 
-def _search_from(
-    item: tuple[int, Array], runs: "tuple[PaperRun, ...]", method: str, iterations: int | None
-) -> SearchHistory:
-    """One start. The problem is made where the work is done: compiled code does not travel."""
-    number, start = item
-    from steerd.sysid.paper.paper_method import make_problem, search_adam, search_cma
-
-    problem = make_problem(runs)
-    if method == "paper":
-        return search_adam(problem, start, iterations or 100)
-    return search_cma(problem, start, iterations or 500, seed=number)
-
-
 def _search(task: Task) -> tuple[SearchHistory, ...]:
     """The paper's method or its baseline from random starts."""
-    from steerd.sysid.paper.paper_method import (  # torch: a second that our method need not wait
-        draw_starts,
-        paper_runs,
-    )
+    # torch: a second that our method need not wait
+    from steerd.sysid.paper.paper_method import draw_starts, paper_runs, search_from
 
-    runs = paper_runs(task.runs)
-    starts = draw_starts(np.random.default_rng(task.asked.seed), task.starts)
+    asked = task.asked
+    starts = draw_starts(np.random.default_rng(asked.seed), task.starts)
     work = partial(
-        _search_from, runs=runs, method=task.asked.method, iterations=task.asked.iterations
+        search_from, runs=paper_runs(task.runs), method=asked.method, iterations=asked.iterations
     )
-    searches = map_jobs(work, list(enumerate(starts)), task.asked.jobs, task.asked.dask)
+    searches = map_jobs(work, list(enumerate(starts)), asked.jobs, asked.dask)
     if all(search.diverged for search in searches):
         raise FloatingPointError("the simulation diverges from every start")
     return tuple(searches)

@@ -20,8 +20,13 @@ from steerd.sysid.data.segments import (
 )
 from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.outcome import REPORTED, encode_outcome
-from steerd.sysid.estimation.preparation import FitOptions, fit_wheelbase, free_names, held_names
-from steerd.sysid.estimation.starts import scatter
+from steerd.sysid.estimation.preparation import (
+    FitOptions,
+    fit_wheelbase,
+    free_names,
+    held_names,
+    scatter,
+)
 from steerd.sysid.estimation.validation import HORIZONS, errors_at, trace_windows
 from steerd.sysid.report.design_comparison import compare_designs
 from steerd.sysid.report.identify_report import make_report

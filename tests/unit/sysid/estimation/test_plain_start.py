@@ -10,22 +10,20 @@ from steerd.car_model.params import DEFAULT_CAR, wheelbase
 from steerd.sysid.data.dataset import Signal, make_run
 from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.preparation import (
-    FitOptions,
-    exceeds_slew_rate,
-    largest_steering,
-    level_loads,
-    restore_end_stops,
-    scale_inertia,
-    widen_end_stops,
-)
-from steerd.sysid.estimation.starts import (
     LOCK,
     WIDEST,
+    FitOptions,
     candidate_starts,
+    exceeds_slew_rate,
     has_one_speed,
+    largest_steering,
+    level_loads,
     mark_ambiguous,
     possible_starts,
+    restore_end_stops,
     rolling_length,
+    scale_inertia,
+    widen_end_stops,
 )
 from steerd.sysid.estimation.validation import Trace, by_lateral_acceleration
 from steerd.sysid.inference.car_fit import NOTHING, Stated
