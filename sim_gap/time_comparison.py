@@ -16,16 +16,11 @@ REFINED = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A quantity of two drives on one axis of time; NaN where a drive has none of it.
-
-    Attributes:
-        title, unit: of the quantity.
-        first, second: its values (n,).
-    """
+    """A quantity of two drives on one axis of time; NaN where a drive has none of it."""
 
     title: str
     unit: str
-    first: Array
+    first: Array  # (n,) values of the first drive; second: of the second
     second: Array
 
     @property

@@ -26,19 +26,12 @@ LEAST = 5.0
 
 
 class Split(NamedTuple):
-    """Drives, cut to where the car moves.
+    """Drives, cut to where the car moves."""
 
-    Attributes:
-        runs: what is looked at.
-        later: opens the drives that are held out; None if there are none.
-        held_out_of: what is held out, as text.
-        notes: what a reader should know.
-    """
-
-    runs: tuple[Run, ...]
-    later: Callable[[], Sequence[Run]] | None = None
-    held_out_of: str = ""
-    notes: tuple[str, ...] = ()
+    runs: tuple[Run, ...]  # what is looked at
+    later: Callable[[], Sequence[Run]] | None = None  # opens the drives that are held out
+    held_out_of: str = ""  # what is held out, as text
+    notes: tuple[str, ...] = ()  # what a reader should know
 
 
 def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, warn: Warn) -> Split:

@@ -45,15 +45,10 @@ def gather(warn: Warn) -> tuple[list[str], Warn]:
 
 @dataclass(frozen=True, eq=False)
 class Drives:
-    """Open sessions, and what of them is looked at.
+    """Open sessions, and what of them is looked at."""
 
-    Attributes:
-        sessions: each opened once.
-        runs: their drives; of long ones pieces, evenly from the whole.
-    """
-
-    sessions: tuple[Session, ...]
-    runs: tuple[Run, ...]
+    sessions: tuple[Session, ...]  # each opened once
+    runs: tuple[Run, ...]  # their drives; of long ones pieces, evenly from the whole
 
     def __repr__(self) -> str:
         return f"<Drives of {', '.join(path.name for path in self.paths)}>"

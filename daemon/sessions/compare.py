@@ -17,7 +17,7 @@ from steerd.daemon.sessions.motion import Array, Track
 from steerd.daemon.sessions.plot_data import load_lane
 from steerd.sim_gap.lane_comparison import profile
 from steerd.steer_bus import topics
-from steerd.sysid.report.drawing import FAINT, LINES, draw
+from steerd.sysid.report.drawing import FAINT, LINES, Diagrams
 from steerd.sysid.report.page import render_report
 from steerd.sysid.report.report import Report, Section, Table
 
@@ -147,7 +147,7 @@ def render_comparison(drives: Sequence[LaneSession], over_time: Section | None =
                 "At the same place along the lane",
                 "Dots are single samples of every lap, the line is their mean at that place.",
                 figures=[
-                    draw(
+                    Diagrams(
                         lambda *axes: _plot_curves(axes, drives),
                         2.0,
                         count=len(_PANELS),
@@ -156,7 +156,7 @@ def render_comparison(drives: Sequence[LaneSession], over_time: Section | None =
                     )
                 ],
             ),
-            Section("Tracks", figures=[draw(_plot_tracks, 4.2, drives)]),
+            Section("Tracks", figures=[Diagrams(_plot_tracks, 4.2, (drives,))]),
             *([over_time] if over_time else []),
         ],
         foot="Written by steerd plot. Frames are ISO 8855, angles positive to the left.",

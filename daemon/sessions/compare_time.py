@@ -11,7 +11,7 @@ from steerd.daemon.sessions.lane_error import rms
 from steerd.daemon.sessions.motion import Array
 from steerd.daemon.sessions.plot_data import Curve, make_drawing
 from steerd.sim_gap.time_comparison import STEP, Overlay, Pair, find_shift
-from steerd.sysid.report.drawing import INK, LINES, draw
+from steerd.sysid.report.drawing import INK, LINES, Diagrams
 from steerd.sysid.report.report import Section, Table
 
 POINTS_MAX = 1200
@@ -83,7 +83,7 @@ def make_section(found: Overlay, names: Sequence[str]) -> Section:
         f"common to both. The difference is {names[1]} minus {names[0]}.",
         table=Table(heads, [row for pair in found.pairs for row in _rows(pair)]),
         figures=[
-            draw(
+            Diagrams(
                 lambda *axes: _plot(axes, found),
                 1.8,
                 count=2 * len(found.pairs),

@@ -1,6 +1,7 @@
 """The gap report's figures as inline SVG, styled as those of the identification."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -27,7 +28,6 @@ from steerd.sysid.report.drawing import (
     INK,
     MEASURED,
     Diagrams,
-    draw,
     plain_log,
     scale_bars,
 )
@@ -54,23 +54,18 @@ def draw_main(found: Diagnosis) -> list[Diagrams]:
     named = {"named": AFTER} if found.causes else {}
     if any(cause.ambiguous_with for cause in found.causes):
         named["may be it instead"] = CONFOUNDED
+    wide, height = max(len(measured), 2), 0.7 + 0.24 * max(rows, 2)
+    named |= {"others": FAINT} if named else {}
+    gap = partial(_plot_gap, found=found, measured=measured)
+    timeline = partial(_plot_timeline, found=found, runs=runs)
     return [
-        draw(
-            lambda *axes: _plot_gap(axes, found, measured), 2.5, count=len(measured),
-            colours=colours,
-        ),
-        draw(
-            _plot_candidates, 0.7 + 0.24 * max(rows, 2), found,
-            colours=named | ({"others": FAINT} if named else {}),
-        ),
-        draw(
-            lambda *axes: _plot_timeline(axes, found, runs), 1.9, count=len(runs), columns=2,
-            colours=colours,
-        ),
-    ]  # fmt: skip
+        Diagrams(gap, 2.5, count=len(measured), columns=wide, colours=colours),
+        Diagrams(_plot_candidates, height, [found], colours=named),
+        Diagrams(timeline, 1.9, count=len(runs), colours=colours),
+    ]
 
 
-def _plot_gap(axes: Sequence[Axes], found: Diagnosis, measured: Sequence[int]) -> None:
+def _plot_gap(*axes: Axes, found: Diagnosis, measured: Sequence[int]) -> None:
     """Error after each lead with 90 % intervals: position, heading, wheel speed, as measured."""
     before, after, explained = found.before, found.after, bool(found.causes)
     gaps = (before, after) if explained else (before,)
@@ -141,7 +136,7 @@ def _shares(axis: Axes, rows: Sequence[tuple[str, float]]) -> None:
     axis.grid(visible=False, axis="y")
 
 
-def _plot_timeline(axes: Sequence[Axes], found: Diagnosis, runs: Sequence[str]) -> None:
+def _plot_timeline(*axes: Axes, found: Diagnosis, runs: Sequence[str]) -> None:
     """Whitened error of each window over its drive's time; stretches that stand out are shaded."""
     line, shown = found.timeline, [(found.timeline.before, BEFORE)]
     shown += [(found.timeline.after, AFTER)] if found.causes else []
@@ -197,25 +192,25 @@ def draw_lane(lane: LaneComparison) -> Diagrams:
     )
     drives = [(drive, colour) for drive, colour, _ in rows if drive is not None]
     colours = {name: colour for drive, colour, name in rows if drive is not None}
-    return draw(lambda *axes: _plot_lane(axes, lane, drives), 3.0, count=3, colours=colours)
+    return Diagrams(_plot_lane, 3.0, (lane, drives), 3, 3, colours)
 
 
 def _plot_lane(
-    axes: Sequence[Axes], lane: LaneComparison, drives: Sequence[tuple[LaneDrive, str]]
+    e1: Axes, e2: Axes, steer: Axes, lane: LaneComparison, drives: Sequence[tuple[LaneDrive, str]]
 ) -> None:
     for drive, colour in drives:
         width, alpha = (2.4, 0.45) if drive is lane.recorded else (1.3, 1.0)
-        for axis, field, scale in ((axes[0], "e1", 1e3), (axes[1], "e2", DEGREES)):
+        for axis, field, scale in ((e1, "e1", 1e3), (e2, "e2", DEGREES)):
             means = profile(drive.s, drive.length, getattr(drive, field))
             at = (np.arange(len(means)) + 0.5) / len(means) * drive.length
             axis.plot(at, scale * means, color=colour, lw=width, alpha=alpha)
         shown = drive if lane.without is None else as_long(drive, lane.without)
         f, density = steering_spectrum(shown)
-        axes[2].plot(f, DEGREES * density, color=colour, lw=width, alpha=alpha)
-    axes[0].set(xlabel="along the lane [m]", title="lateral offset e1 [mm]")
-    axes[1].set(xlabel="along the lane [m]", title="heading error e2 [°]")
-    axes[2].set(xlabel="frequency [Hz]", yscale="log", xscale="log",
+        steer.plot(f, DEGREES * density, color=colour, lw=width, alpha=alpha)
+    e1.set(xlabel="along the lane [m]", title="lateral offset e1 [mm]")
+    e2.set(xlabel="along the lane [m]", title="heading error e2 [°]")
+    steer.set(xlabel="frequency [Hz]", yscale="log", xscale="log",
                    title="steering spectrum [°/√Hz]")  # fmt: skip
-    plain_log(axes[2].xaxis)
-    axes[2].set_xticks([0.2, 0.5, 1, 2, 5], ["0.2", "0.5", "1", "2", "5"])
-    plain_log(axes[2].yaxis)
+    plain_log(steer.xaxis)
+    steer.set_xticks([0.2, 0.5, 1, 2, 5], ["0.2", "0.5", "1", "2", "5"])
+    plain_log(steer.yaxis)

@@ -165,7 +165,7 @@ def _figures(found: Diagnosis) -> "list[Diagrams]":
 
 def _sections(found: Diagnosis, to_drive: str) -> Iterator[Section]:
     from steerd.sim_gap.report import gap_figures as figures
-    from steerd.sysid.report.drawing import draw
+    from steerd.sysid.report.drawing import Diagrams
 
     gap, candidates, timeline = _figures(found)
     where, lane = found.where, found.lane
@@ -178,7 +178,7 @@ def _sections(found: Diagnosis, to_drive: str) -> Iterator[Section]:
     )
     if found.verdict != "none":
         yield Section(
-            "Where it lies", where.sentence, figures=[draw(figures.plot_where, 1.9, where, count=2)]
+            "Where it lies", where.sentence, figures=[Diagrams(figures.plot_where, 1.9, [where], 2)]
         )
         yield Section(
             text="Over time: each bar is a window of one second. Shaded stretches stand out; the "
@@ -190,7 +190,7 @@ def _sections(found: Diagnosis, to_drive: str) -> Iterator[Section]:
                 text="By regime: right of the dotted line the error is larger than elsewhere "
                 "(coloured where its interval says so).",
                 figures=[
-                    draw(figures.plot_regimes, 0.7 + 0.28 * len(where.regimes), where.regimes)
+                    Diagrams(figures.plot_regimes, 0.7 + 0.28 * len(where.regimes), [where.regimes])
                 ],
             )
     if found.candidates:
@@ -212,7 +212,7 @@ def _sections(found: Diagnosis, to_drive: str) -> Iterator[Section]:
         yield Section(
             "How far the gap shrinks",
             f"Adding the effect: {shrink_words(found)}.",
-            figures=[draw(figures.plot_shrinkage, 1.35, found.shrinkage)],
+            figures=[Diagrams(figures.plot_shrinkage, 1.35, [found.shrinkage])],
         )
     if lane is not None:
         yield Section(

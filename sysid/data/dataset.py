@@ -113,6 +113,11 @@ class Run:
         return f"<Run {self.name!r}, {len(self.commands)} commands of {self.h:g} s>"
 
     @property
+    def edges(self) -> Array:
+        """Times at which the command grid's steps begin and end [s]."""
+        return np.arange(len(self.commands) + 1).astype(float) * self.h
+
+    @property
     def duration(self) -> float:
         """Length of the commands [s]."""
         return len(self.commands) * self.h

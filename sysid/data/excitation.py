@@ -20,28 +20,18 @@ TRACKING_ERROR, TRACKING_SHARE = 0.2, 0.3
 
 
 class Excitation(NamedTuple):
-    """Excitation of drives.
+    """Excitation of drives."""
 
-    Attributes:
-        seconds: of driving; distance: [m].
-        speed_low, speed_high: 5th and 95th percentile [m/s].
-        steer_rms: about its mean [rad].
-        steer_rate: RMS of the commanded steering's rate [rad/s].
-        left, right: share of time in turns to either side.
-        lateral_accel: 99th percentile [m/s^2].
-        lacking: what was missing, for the reader.
-    """
-
-    seconds: float
-    distance: float
-    speed_low: float
-    speed_high: float
-    steer_rms: float
-    steer_rate: float
-    left: float
+    seconds: float  # of driving
+    distance: float  # [m]
+    speed_low: float  # 5th percentile [m/s]
+    speed_high: float  # 95th percentile [m/s]
+    steer_rms: float  # about its mean [rad]
+    steer_rate: float  # RMS of the commanded steering's rate [rad/s]
+    left: float  # share of time in turns to the left; right: to the right
     right: float
-    lateral_accel: float
-    lacking: tuple[str, ...]
+    lateral_accel: float  # 99th percentile [m/s^2]
+    lacking: tuple[str, ...]  # what was missing, for the reader
 
 
 def measure_excitation(runs: Sequence[Run]) -> Excitation:

@@ -142,19 +142,15 @@ def _curvature(run: Run) -> tuple[Array, Array, NDArray[np.bool_]]:
     return grid, rate / np.maximum(forward, _SPEED_MIN), valid
 
 
-def undo_log_jitter(run: Run, jitter: LogJitter) -> Run:
-    """The drive with its steering at the times at which it was sent."""
+def correct_log_jitter(run: Run) -> Run:
+    """The drive with its steering at the times at which it was sent, if its log has jitter."""
+    jitter = None if run.servo_frame else find_log_jitter(run)
+    if jitter is None:
+        return run
     t, values = run.steer
     changed = np.concatenate([[True], np.diff(values) != 0.0])
     moved = t[changed] - jitter.delay(t[changed])
     moved[0] = t[0]
     steer = Signal(np.maximum.accumulate(moved), values[changed])
-    edges: Array = np.arange(len(run.commands) + 1).astype(float) * run.h
-    commands = np.column_stack([hold_means(steer, edges), run.commands[:, 1]])
+    commands = np.column_stack([hold_means(steer, run.edges), run.commands[:, 1]])
     return replace(run, commands=commands, steer=steer, log_jitter=jitter)
-
-
-def correct_log_jitter(run: Run) -> Run:
-    """The drive with the sampling jitter of its steering log corrected, if it has any."""
-    jitter = None if run.servo_frame else find_log_jitter(run)
-    return undo_log_jitter(run, jitter) if jitter else run

@@ -98,10 +98,20 @@ def fit_of_plain(
     pace = float(np.median(np.abs(np.concatenate([run.commands[:, 1] for run in runs]))))
     pace *= float(found.point.parameters[chart.names.index("speed_gain")])
     known = estimates(chart, z, covariance)
+    values = tuple(
+        tuple(
+            known[f"{e.name}.{p.name}"].value if f"{e.name}.{p.name}" in known else value
+            for p, value in zip(e.parameters, own, strict=True)
+        )
+        for e, own in zip(asked.model.effects, asked.model.values, strict=True)
+    )
     error = found.point.linear.error
     horizon = float(found.predictor.layout.spans[:, 3].mean() * runs[0].h)
     return Fit(
-        model=_moved(asked.model, known),
+        model=asked.model._replace(
+            car=asked.model.car._replace(**{n: e.value for n, e in known.items() if "." not in n}),
+            values=values,
+        ),
         estimates=known | silent_estimates(chart, silent_names(runs, asked.free)),
         labels=chart.labels,
         correlation=_correlation(covariance),
@@ -150,19 +160,6 @@ def fit_of_taught(
     )
 
 
-def _moved(model: Model[float], known: Mapping[str, Estimate]) -> Model[float]:
-    """The model at the estimates."""
-    values = tuple(
-        tuple(
-            known[f"{e.name}.{p.name}"].value if f"{e.name}.{p.name}" in known else value
-            for p, value in zip(e.parameters, own, strict=True)
-        )
-        for e, own in zip(model.effects, model.values, strict=True)
-    )
-    car = model.car._replace(**{n: e.value for n, e in known.items() if "." not in n})
-    return model._replace(car=car, values=values)
-
-
 def _correlation(covariance: Array) -> Array:
     sd = np.sqrt(np.diag(covariance))
     return np.asarray(covariance / np.outer(sd, sd))
@@ -205,47 +202,26 @@ class HeldOut(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """An identification.
+    """An identification."""
 
-    Attributes:
-        method: `ours`, `paper` or `cma-es`.
-        sessions: fitted files.
-        held_out_of: what the prediction errors were measured on, in words.
-        before, after: the car.
-        rows: every parameter of the car, and those of its effects that were free, as
-            `effect.parameter`.
-        held_out: prediction errors.
-        excitation: of the fitted drives.
-        traces: predictions of the held-out drives, after and before.
-        fit: of our method.
-        searches: each start of a search.
-        seconds: how long the fit took.
-        notes: what a person should know.
-        truth: the simulated car, where the sessions are simulated.
-        pulses: phases of the servo's pulses, by drive.
-        ramps: limits of the motor controller's setpoint, by drive.
-        log_jitters: how late slow logs stored the steering, by drive.
-        regimes: prediction errors after 1 s by lateral acceleration.
-    """
-
-    method: str
-    sessions: tuple[str, ...]
-    held_out_of: str
-    before: Car[float]
-    after: Car[float]
-    rows: dict[str, Row]
-    held_out: tuple[HeldOut, ...]
-    excitation: Excitation
-    traces: tuple[list[Trace], list[Trace]]
-    fit: Fit | None = None
-    searches: tuple[SearchHistory, ...] = ()
-    seconds: float = 0.0
-    notes: tuple[str, ...] = ()
-    truth: Car[float] | None = None
-    pulses: tuple[Pulse, ...] = ()
-    ramps: tuple[Ramp, ...] = ()
-    log_jitters: tuple[LogJitter, ...] = ()
-    regimes: tuple[Regime, ...] = ()
+    method: str  # `ours`, `paper` or `cma-es`
+    sessions: tuple[str, ...]  # fitted files
+    held_out_of: str  # what the prediction errors were measured on, in words
+    before: Car[float]  # the start values
+    after: Car[float]  # the identified car
+    rows: dict[str, Row]  # every parameter of the car, and its effects' free ones by `effect.name`
+    held_out: tuple[HeldOut, ...]  # prediction errors
+    excitation: Excitation  # of the fitted drives
+    traces: tuple[list[Trace], list[Trace]]  # predictions of held-out drives, after and before
+    fit: Fit | None = None  # of our method
+    searches: tuple[SearchHistory, ...] = ()  # each start of a search
+    seconds: float = 0.0  # how long the fit took
+    notes: tuple[str, ...] = ()  # what a person should know
+    truth: Car[float] | None = None  # the simulated car, where the sessions are simulated
+    pulses: tuple[Pulse, ...] = ()  # phases of the servo's pulses, by drive
+    ramps: tuple[Ramp, ...] = ()  # limits of the motor controller's setpoint, by drive
+    log_jitters: tuple[LogJitter, ...] = ()  # how late slow logs stored the steering, by drive
+    regimes: tuple[Regime, ...] = ()  # prediction errors after 1 s by lateral acceleration
 
     def __repr__(self) -> str:
         return f"<Outcome of {', '.join(self.sessions)}>"

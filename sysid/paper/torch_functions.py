@@ -1,4 +1,4 @@
-"""What the paper's loss is made of, as torch functions: simulated paths, and distances of two paths.
+"""What the paper's loss is made of, as torch functions: simulated paths, distances of two paths.
 
 `simulate` is the compiled simulator, its gradients by the adjoint: any loss on the states can be
 minimised. Soft-DTW is a distance whatever the timing: Cuturi and Blondel, "Soft-DTW: a

@@ -3,7 +3,7 @@
 import io
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from html import escape
 from types import MappingProxyType
 from typing import Any
@@ -42,21 +42,16 @@ STYLE: dict[Any, Any] = {
 }  # fmt: skip
 
 
-Colours = Mapping[str, str]
-NONE: Colours = MappingProxyType({})
-"""What colours stand for, by name."""
-
-
 @dataclass(frozen=True)
 class Diagrams:
     """Diagrams that are drawn where they are shown: a page's, or a figure's."""
 
     plot: Callable[..., None]  # fills the axes, which come first, with what they are `about`
     height: float  # of a diagram [inch]
-    about: Sequence[Any]
-    count: int  # how many diagrams
-    columns: int  # how many of them fill the page's width
-    colours: Colours  # what the colours of the lines stand for, by name
+    about: Sequence[Any] = ()
+    count: int = 1  # how many diagrams
+    columns: int = 2  # how many of them fill the page's width
+    colours: Mapping[str, str] = field(default_factory=dict)  # what they stand for, by name
 
     def __html__(self) -> str:
         """Markup: side by side where there is room, else below each other."""
@@ -71,18 +66,6 @@ class Diagrams:
         )
         wide = 48.0 / self.columns
         return f'<p class="names">{names}</p><div style="--wide:{wide:.1f}rem">{diagrams}</div>'
-
-
-def draw(
-    plot: Callable[..., None],
-    height: float,
-    *about: Any,
-    count: int = 1,
-    columns: int = 0,
-    colours: Colours = NONE,
-) -> Diagrams:
-    """Diagrams that `plot` fills; as many as there are stand side by side, at least two would."""
-    return Diagrams(plot, height, about, count, columns or max(count, 2), colours)
 
 
 def plot_report(report: Report) -> Figure:

@@ -20,7 +20,6 @@ from steerd.sysid.report.drawing import (
     LINES,
     MEASURED,
     Diagrams,
-    draw,
     scale_bars,
 )
 from steerd.sysid.report.report import DEGREES
@@ -36,9 +35,9 @@ def draw_main(outcome: Outcome) -> list[Diagrams]:
     """Predictions, their errors and the parameters: what is drawn of every identification."""
     colours = {"measured": MEASURED, "start values": BEFORE, "identified": AFTER}
     return [
-        draw(plot_traces, 4.0, outcome.traces, count=2, colours=colours),
-        draw(plot_held_out, 2.6, outcome.held_out, count=2),
-        draw(plot_parameters, 2.4, outcome.free_rows, columns=1),
+        Diagrams(plot_traces, 4.0, [outcome.traces], 2, colours=colours),
+        Diagrams(plot_held_out, 2.6, [outcome.held_out], 2),
+        Diagrams(plot_parameters, 2.4, [outcome.free_rows], columns=1),
     ]
 
 
@@ -78,7 +77,7 @@ def plot_held_out(left: Axes, right: Axes, held_out: Sequence[HeldOut]) -> None:
 def draw_residuals(left: Residuals) -> list[Diagrams]:
     """Residuals of each kind."""
     present = np.unique(left.group).tolist()
-    return [draw(_plot_residuals, 1.7, left, group, count=2) for group in present]
+    return [Diagrams(_plot_residuals, 1.7, (left, group), 2) for group in present]
 
 
 def _plot_residuals(over: Any, spread: Any, left: Residuals, group: int) -> None:
@@ -149,7 +148,7 @@ def draw_profiles(profiles: Sequence[Profile]) -> Diagrams:
             e2.set(title=f"e2 [°], {floor} friction", xlabel="time [s]")
 
     said = {f"designed from {name}": colour for name, colour in colours.items()}
-    return draw(plot, 2.2, count=2 * len(floors), columns=2, colours=said)
+    return Diagrams(plot, 2.2, count=2 * len(floors), colours=said)
 
 
 def plot_parameters(axis: Axes, free: Mapping[str, Row]) -> None:

@@ -146,7 +146,7 @@ def _figures(outcome: Outcome) -> "list[Diagrams]":
 
 def _sections(outcome: Outcome) -> Iterator[Section]:
     from steerd.sysid.report import identify_figures as figures
-    from steerd.sysid.report.drawing import draw
+    from steerd.sysid.report.drawing import Diagrams
 
     traces, held_out, parameters = _figures(outcome)
     lacks = [f"Excitation: {lack}." for lack in outcome.excitation.lacking]
@@ -190,14 +190,14 @@ def _sections(outcome: Outcome) -> Iterator[Section]:
         yield Section(
             "Correlation of the estimates",
             "Near ±1: the data identify the combination, not its members.",
-            figures=[draw(figures.plot_correlation, 4.6, outcome.fit)],
+            figures=[Diagrams(figures.plot_correlation, 4.6, [outcome.fit])],
         )
     if outcome.searches:
         yield Section(
             "Convergence",
             "Parameters that stay near their starts do not change the loss: "
             "they are not identifiable.",
-            figures=[draw(figures.plot_searches, 3.0, outcome.searches, count=2)],
+            figures=[Diagrams(figures.plot_searches, 3.0, [outcome.searches], 2)],
         )
 
 

@@ -17,7 +17,7 @@ from steerd.daemon.many.batch.changes import (
     tabulate_changes,
 )
 from steerd.daemon.many.job import Rows
-from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, draw
+from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, Diagrams
 from steerd.sysid.report.report import Card, Report, Section, Table
 
 _DAY = 86_400.0
@@ -60,7 +60,7 @@ def make_report(
             "Dots are single drives, the line is the mean of each week with its 95 % band; a "
             f"dashed line marks a change. {len(drawn)} of {len(ordered)} series are drawn, those "
             "that changed first.",
-            figures=[draw(
+            figures=[Diagrams(
                 lambda *axes: _plot(axes, drawn, first), 2.0, count=len(drawn), columns=3
             )],
         ))  # fmt: skip

@@ -20,7 +20,7 @@ from steerd.daemon.many.sweep.summary import (
     tabulate_ends,
     tabulate_spreads,
 )
-from steerd.sysid.report.drawing import AFTER, BEFORE, Diagrams, draw
+from steerd.sysid.report.drawing import AFTER, BEFORE, Diagrams
 from steerd.sysid.report.report import SCALES, Card, Cell, Report, Section, Table
 
 _BINS = 30
@@ -145,7 +145,7 @@ def _draw_histograms(rows: Rows, summary: Summary) -> list[Diagrams]:
             axis.set(title=name_measure(name), ylabel="drives")
             axis.locator_params(axis="y", integer=True)
 
-    return [draw(plot, 1.9, count=len(names), columns=3)] if names else []
+    return [Diagrams(plot, 1.9, count=len(names), columns=3)] if names else []
 
 
 def _draw_scatters(plan: SweepPlan, rows: Rows, summary: Summary) -> list[Diagrams]:
@@ -160,7 +160,7 @@ def _draw_scatters(plan: SweepPlan, rows: Rows, summary: Summary) -> list[Diagra
             axis.set_xlabel(f"{s.quantity} [{unit}]" if unit not in ("", "1") else s.quantity)
             axis.set_ylabel(name_measure(s.measure))
 
-    return [draw(plot, 2.4, count=len(strong), columns=3)] if strong else []
+    return [Diagrams(plot, 2.4, count=len(strong), columns=3)] if strong else []
 
 
 def _draw_scatter(axis: Axes, rows: Rows, s: Sensitivity) -> None:
