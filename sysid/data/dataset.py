@@ -1,6 +1,6 @@
 """Drives as arrays: commands on a uniform grid, measurements at their own times.
 
-`load_run` reads a session, `make_run` takes arrays; both refuse unusable data (`data_checks`), with
+`read_run` reads a session, `make_run` takes arrays; both refuse unusable data (`data_checks`), with
 a typed error that says what is wrong and what to do.
 """
 
@@ -9,14 +9,13 @@ a typed error that says what is wrong and what to do.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steerd.steer_bus.messages import ActuationMode
-from steerd.steer_bus.session_read import Session, open_session
+from steerd.steer_bus.session_read import Session
 from steerd.steer_bus.topic_columns import Columns
 from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, VESC, WHEEL, split_key
 from steerd.sysid.data.data_checks import DataError, check_run, check_times, noise_of
@@ -276,11 +275,6 @@ def _measured_speed(rolled: Signal, pose: Signal) -> tuple[str, Signal]:
     span = 4.0 * float(np.median(np.diff(pose.t))) if len(pose.t) > 1 else 0.0
     sharp = 0.0 < 2.0**0.5 * blur < POSE_SPEED_NOISE_MAX * span
     return ("pose", pose_speed(pose)) if sharp or not len(rolled.t) else ("wheel", rolled)
-
-
-def load_run(path: Path | str, h: float = GRID) -> Run:
-    """Read a drive from a session (steerd's own or an imported one); raises as `read_run`."""
-    return read_run(open_session(path), h=h)
 
 
 def read_run(session: Session, tables: Mapping[str, Columns] | None = None, h: float = GRID) -> Run:
