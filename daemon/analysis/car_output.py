@@ -171,12 +171,7 @@ def identified_values(
         for name in ("lf", "lr", "inertia_z")
         if getattr(outcome.after, name) != getattr(base.model.car, name)
     }
-    return {**carried, **given, **_fitted_values(outcome)}
-
-
-def _fitted_values(outcome: "Outcome") -> dict[str, Learned]:
-    names = ", ".join(outcome.sessions)
-    updates = {}
+    updates, names = {**carried, **given}, ", ".join(outcome.sessions)
     for name, row in outcome.rows.items():
         how, more = "", ""
         if row.free and "." not in name:

@@ -29,7 +29,7 @@ from steerd.sim_hw.world import World
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode
 from steerd.steer_bus.session_read import Session, SessionError
-from steerd.steer_bus.topics import split_key
+from steerd.steer_bus.topics import find_topic
 
 SECONDS = 20.0
 """Length of a simulated drive: several bends; longer adds nothing to a profile [s]."""
@@ -120,7 +120,7 @@ def _require_unchanged(session: Session) -> None:
         NotALaneDriveError: they were.
     """
     for topic in session.info().topics:
-        if (split_key(topic.name) or ("", ""))[1] == topics.PARAMETERS.name:
+        if find_topic(topic.name) is topics.PARAMETERS:
             said = [record.decode() for record in session.messages(topic.name)]
             if len({(p.speed, p.offset, p.gain) for p in said}) > 1:
                 raise NotALaneDriveError("its live parameters were changed while it drove")
@@ -128,11 +128,8 @@ def _require_unchanged(session: Session) -> None:
 
 def _recorded(session: Session) -> Rows:
     """Rows t, s, e1, e2, steer, x, y, yaw while the car was driven."""
-    wanted = {
-        t.name: topics.STATE.message
-        for t in session.info().topics
-        if (split_key(t.name) or ("", ""))[1] == topics.STATE.name
-    }
+    named = [t.name for t in session.info().topics if find_topic(t.name) is topics.STATE]
+    wanted = dict.fromkeys(named, topics.STATE.message)
     tables = session.tables(wanted) if wanted else {}
     if not tables:
         raise NotALaneDriveError("it holds no lane errors")

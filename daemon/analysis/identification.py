@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from steerd.car_model.car_file import CarFile, CarFileError, Learned, update_car
 from steerd.car_model.effects import find_effect
-from steerd.car_model.model import Model
 from steerd.car_model.params import Car
 from steerd.daemon.analysis.car_output import (
     find_wiring,
@@ -264,8 +263,16 @@ def _make_task(
     if held_out.every == 0:
         raise SteerdError("held out 0: something must validate the fit", "2 or more", _USAGE)
     stated = {*options.free, *options.fix}
-    _check_names((*options.free, *options.fix), base.model)
-    model = _with_fixed(base, _given_values(options.fix))
+    effects = [f"{e.name}.{p.name}" for e in base.effects for p in e.parameters]
+    for name in (*options.free, *options.fix):
+        if name not in Car._fields and name not in effects:
+            known = ", ".join((*Car._fields, *effects))
+            raise SteerdError(f"{name} is no parameter of the car", f"one of {known}", _USAGE)
+    try:  # each stated value within what a car file may say
+        given = _given_values(options.fix)
+        model = update_car(base.path, base, given).model if given else base.model
+    except CarFileError as error:
+        raise SteerdError(f"fix {error.where}: {error.what}", error.hint, _USAGE) from None
     if length is not None and not _WHEELBASE[0] <= length <= _WHEELBASE[1]:
         raise SteerdError(f"wheelbase {length:g}: in metres", "", _USAGE)
     if options.effects != "auto":
@@ -312,19 +319,3 @@ def _given_values(fix: Mapping[str, float | None]) -> dict[str, Learned]:
     """What the user stated: the file that comes out is of that car."""
     stated = {name: value for name, value in fix.items() if value is not None}
     return {name: Learned(value, None, "given with --fix") for name, value in stated.items()}
-
-
-def _with_fixed(base: CarFile, given: Mapping[str, Learned]) -> Model[float]:
-    """The car with the stated values, each within what a car file may say."""
-    try:
-        return update_car(base.path, base, given).model if given else base.model
-    except CarFileError as error:
-        raise SteerdError(f"fix {error.where}: {error.what}", error.hint, _USAGE) from None
-
-
-def _check_names(names: Iterable[str], model: Model[float]) -> None:
-    effects = [f"{e.name}.{p.name}" for e in model.effects for p in e.parameters]
-    for name in names:
-        if name not in Car._fields and name not in effects:
-            known = ", ".join((*Car._fields, *effects))
-            raise SteerdError(f"{name} is no parameter of the car", f"one of {known}", _USAGE)

@@ -15,9 +15,9 @@ from steerd.sim_gap.lane_comparison import (
     profile,
     steering_spectrum,
 )
-from steerd.sim_gap.report.summary_text import EQUATIONS, known_leads
+from steerd.sim_gap.report.summary_text import known_leads
 from steerd.sim_gap.verdict.shrinkage import Shrinkage
-from steerd.sim_gap.verdict.where import Regime, Where, range_words
+from steerd.sim_gap.verdict.where import EQUATIONS, Regime, Where, range_words
 from steerd.sysid.inference.residuals import Gap
 from steerd.sysid.report.drawing import (
     AFTER,
@@ -117,7 +117,7 @@ def _plot_candidates(axis: Axes, found: Diagnosis) -> None:
 
 def plot_where(left: Axes, right: Axes, where: Where) -> None:
     """Shares by equation and by measured channel."""
-    _shares(left, [(EQUATIONS.get(s.name, s.name), s.share) for s in where.equation])
+    _shares(left, [(EQUATIONS[s.name], s.share) for s in where.equation])
     left.set_title("hidden input that would remove the error")
     shown = [s for s in where.channels if s.share > 5e-3] or where.channels[:1]
     _shares(right, [(s.name.replace("_", " "), s.share) for s in shown])

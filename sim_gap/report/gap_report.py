@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 from steerd.car_model.effects import EFFECTS
 from steerd.sim_gap.diagnosis import Diagnosis
 from steerd.sim_gap.report.summary_text import (
-    EQUATIONS,
     ambiguity,
     cause_words,
     gap_words,
@@ -22,6 +21,7 @@ from steerd.sim_gap.report.summary_text import (
     value_words,
 )
 from steerd.sim_gap.verdict.evidence import Cause, Estimated
+from steerd.sim_gap.verdict.where import EQUATIONS
 from steerd.sysid.report.report import Card, Fold, Late, Line, Report, Section, Table
 
 if TYPE_CHECKING:
@@ -243,7 +243,7 @@ def _which(found: Diagnosis) -> str:
             "The likeliest effects, each added to the base. None is so much likelier than the base "
             "alone that it could be called a cause."
         )
-    stage = EQUATIONS.get(found.where.equation[0].name, found.where.stage)
+    stage = EQUATIONS[found.where.equation[0].name]
     text = f"The error lies in the {stage}; every effect was tried all the same. "
     confounded = [f"{c.effect} ({ambiguity(c)})" for c in found.causes if ambiguity(c)]
     if not confounded:

@@ -12,13 +12,6 @@ from steerd.sysid.report.report import DEGREES, SCALES, with_error
 
 LARGE = 1000.0
 """From here on the larger unit reads better."""
-EQUATIONS = {
-    "accel": "longitudinal equation",
-    "lateral": "side-slip equation",
-    "yaw": "yaw equation",
-    "steer": "steering actuator",
-    "drive": "drive actuator",
-}
 
 
 def value_words(value: float, sd: float, unit: str) -> str:

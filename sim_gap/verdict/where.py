@@ -18,9 +18,9 @@ from steerd.sysid.inference.search import Point
 
 Array = NDArray[np.float64]
 
-STAGE_OF = {
-    "accel": "forces", "lateral": "forces", "yaw": "forces", "steer": "actuator",
-    "drive": "actuator",
+EQUATIONS = {
+    "accel": "longitudinal equation", "lateral": "side-slip equation", "yaw": "yaw equation",
+    "steer": "steering actuator", "drive": "drive actuator",
 }  # fmt: skip
 CHANNELS: tuple[str, ...] = ("x", "y", "yaw", "wheel_speed", "yaw_rate")
 _UNITS = {"speed": "m/s", "lateral_acceleration": "m/s^2", "steering_rate": "rad/s",
@@ -222,12 +222,9 @@ def range_words(regime: Regime) -> str:
 
 def sentence_of(equation: Sequence[Share], found: Sequence[Regime], moments: str = "") -> str:
     """The localisation in one sentence; `moments` says which few windows hold most of it."""
-    words = {
-        "accel": "the longitudinal equation", "lateral": "the side-slip equation",
-        "yaw": "the yaw equation", "steer": "the steering actuator", "drive": "the drive actuator",
-    }  # fmt: skip
-    text = f"The error lies in {words[equation[0].name]} ({equation[0].share:.0%} of what hidden"
-    text += " inputs would remove)"
+    most = equation[0]
+    text = f"The error lies in the {EQUATIONS[most.name]} ({most.share:.0%} of what hidden inputs"
+    text += " would remove)"
     if moments:
         return f"{text}; {moments}."
     if not found or found[0].ratio_low <= _WORTH_NAMING:
@@ -295,7 +292,8 @@ def locate(
     moments = moments_words(
         before.at.ratio, [names[run] for run in layout.run], layout.t, before.x[:, :2]
     )
+    stage = "actuator" if equation[0].name in ("steer", "drive") else "forces"
     return Where(
-        STAGE_OF[equation[0].name], equation, channel_shares(likelihood, before, after),
+        stage, equation, channel_shares(likelihood, before, after),
         stretches(predictor, before, names), found[:6], sentence_of(equation, found, moments),
     )  # fmt: skip

@@ -266,21 +266,12 @@ def possible_starts(
         scale = rolling_length(runs, new) / length
     if not (scale > 0.0 and new > 0.0) or abs(np.log(new / scale / gain)) < NEAR:
         return (model,)
-    return (_with(model, scale, new), model)
-
-
-def _with(model: Model[float], scale: float, gain: float) -> Model[float]:
-    """The model so many times as long, of the same mass, and with a steering gain."""
     car = model.car
-    return model._replace(
-        car=car._replace(
-            lf=car.lf * scale,
-            lr=car.lr * scale,
-            inertia_z=car.inertia_z * scale**2,
-            cog_height=car.cog_height * scale,
-            steer_gain=gain,
-        )
-    )
+    moved = car._replace(
+        lf=car.lf * scale, lr=car.lr * scale, inertia_z=car.inertia_z * scale**2,
+        cog_height=car.cog_height * scale, steer_gain=new,
+    )  # fmt: skip
+    return (model._replace(car=moved), model)
 
 
 def steering_gain(runs: Sequence[Run], length: float) -> float:
@@ -367,11 +358,10 @@ def mark_ambiguous(
     found: dict[str, Estimate], others: Sequence[dict[str, Estimate]]
 ) -> dict[str, Estimate]:
     """The estimates, with what others, as good as they, place elsewhere marked as open."""
-    return {name: _mark(name, e, others) for name, e in found.items()}
-
-
-def _mark(name: str, found: Estimate, others: Sequence[dict[str, Estimate]]) -> Estimate:
-    moved = max((abs(o[name].value - found.value) for o in others), default=0.0)
-    if moved <= found.sd:
-        return found
-    return replace(found, sd=moved, identifiable=False, manoeuvre=found.manoeuvre or ANOTHER_END)
+    marked = dict(found)
+    for name, e in found.items():
+        moved = max((abs(other[name].value - e.value) for other in others), default=0.0)
+        if moved > e.sd:
+            why = e.manoeuvre or ANOTHER_END
+            marked[name] = replace(e, sd=moved, identifiable=False, manoeuvre=why)
+    return marked
