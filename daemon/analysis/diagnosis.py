@@ -259,7 +259,7 @@ def make_case(
     drives = load_drives(sessions, options.speed, warn, advance)
     warn(compare_truths(drives.metadata))
     base, source, notes = find_base(options.base, drives.sessions)
-    jitters = dict.fromkeys(" ".join(d.log_jitter.describe()) for d in drives.runs if d.log_jitter)
+    jitters = dict.fromkeys(d.log_jitter.describe() for d in drives.runs if d.log_jitter)
     without_gap = load_drives(quiet, options.speed, warn)
     with refusing((*drives.sessions, *without_gap.sessions)):
         runs = add_command_history(drives.runs, base.model, asked=True)

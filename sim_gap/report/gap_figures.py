@@ -15,7 +15,7 @@ from steerd.sim_gap.lane_comparison import (
     profile,
     steering_spectrum,
 )
-from steerd.sim_gap.report.summary_text import known_leads
+from steerd.sim_gap.report.gap_report import known_leads
 from steerd.sim_gap.verdict.shrinkage import Shrinkage
 from steerd.sim_gap.verdict.where import EQUATIONS, Regime, Where, range_words
 from steerd.sysid.inference.residuals import Gap

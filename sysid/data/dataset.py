@@ -58,11 +58,11 @@ class LogJitter(NamedTuple):
         delayed: Array = self.period * np.mod(self.phase + self.drift * t, 1.0)
         return delayed
 
-    def describe(self) -> tuple[str, str]:
+    def describe(self) -> str:
         """What was found, and what was done about it."""
         late, drift = 1e3 * self.period, 1e3 * abs(self.drift) * self.period
-        found = f"{self.run}: steering stored 0 to {late:.0f} ms late"
-        return found, f"(two timers drift apart by {drift:.1f} ms/s), corrected"
+        apart = f"(two timers drift apart by {drift:.1f} ms/s), corrected"
+        return f"{self.run}: steering stored 0 to {late:.0f} ms late {apart}"
 
 
 class Signal(NamedTuple):

@@ -87,7 +87,7 @@ def _data(outcome: Outcome, pace: str) -> Iterator[Line]:
     for ramp in outcome.ramps:
         limit = f"ramp of {ramp.rate:.1f} m/s²" if ramp.rate else "no ramp"
         yield Line("motor", f"{ramp.run}: {limit}{'' if ramp.sure > _CERTAIN else weakly}")
-    yield from (Line("log", " ".join(jitter.describe())) for jitter in outcome.log_jitters)
+    yield from (Line("log", jitter.describe()) for jitter in outcome.log_jitters)
     for step in fit.selected if fit else ():
         gain = f"gains {step.gain:.0f} nats"
         yield Line("effect", f"{step.effect}: selected, these drives show it ({gain})")
