@@ -22,7 +22,6 @@ EVERY = 4
 
 Speed = Literal["command", "wheel"]
 """What drives the simulated car: the speed command, or the measured wheel speed."""
-Method = Literal["ours", "paper", "cma-es"]
 
 
 class HasPath(Protocol):
