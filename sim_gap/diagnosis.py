@@ -117,6 +117,11 @@ class Diagnosis:
     lane: LaneComparison | None = None  # a session's lane, driven again in simulation
     lane_note: str = ""  # why it was not; empty if it was, or was not asked for
 
+    @property
+    def all_notes(self) -> tuple[str, ...]:
+        """What a reader should know about drives, method and closed loop."""
+        return (*self.case.notes, *self.notes, *filter(None, [self.lane_note]))
+
     def __repr__(self) -> str:
         names = ", ".join(cause.effect for cause in self.causes)
         return f"<Diagnosis: {self.verdict}{names and f', {names}'}>"

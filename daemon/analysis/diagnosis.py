@@ -110,7 +110,7 @@ class Diagnosis:
     @property
     def notes(self) -> tuple[str, ...]:
         """What a reader should know about data and method."""
-        return tuple(self.to_json()["residual"]["notes"])
+        return self.findings.all_notes
 
     @property
     def cards(self) -> Sequence[Card]:

@@ -58,13 +58,12 @@ def make_report(
         following: the command to type next.
     """
     case, to_drive = found.case, complete(manoeuvre_words(found))
-    notes = (*case.notes, *([found.lane_note] if found.lane_note else []), *found.notes)
     sessions = ", ".join(case.sessions)
     verdict, grade = VERDICTS[found.verdict]
     how = Section(
         "How this was done",
         METHOD,
-        notes=notes,
+        notes=found.all_notes,
         fold=Fold(
             "the prediction, as it was written before the reserved drives were opened",
             f"{found.shrinkage.text} SHA-256 {found.shrinkage.digest}",

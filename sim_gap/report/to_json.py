@@ -33,7 +33,6 @@ def to_json(found: Diagnosis, complete: Callable[[str], str] = str) -> dict[str,
         complete: makes a command run as it is printed.
     """
     s, shape, case, following = found.shrinkage, found.shape, found.case, found.next_manoeuvre
-    lane_note = (found.lane_note,) if found.lane_note else ()
     horizons = {
         which: [
             {"horizon_s": each.seconds, "whitened": getattr(each, which)} for each in found.horizons
@@ -75,7 +74,7 @@ def to_json(found: Diagnosis, complete: Callable[[str], str] = str) -> dict[str,
             "held_out": None if s.before is None or s.after is None else {
                 "before": _gap(s.before), "after": _gap(s.after)
             },
-            "notes": (*case.notes, *found.notes, *lane_note),
+            "notes": found.all_notes,
             "sessions": case.sessions,
             "base": case.base_source,
             "held_out_of": case.held_out_of or None,
