@@ -9,9 +9,10 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from math import isfinite
 from pathlib import Path
-from typing import Any, TextIO, TypeVar
+from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
-from steerd.sysid.report.report import Line
+if TYPE_CHECKING:
+    from steerd.sysid.report.report import Line
 
 WIDTH = 80
 """Columns of the narrowest terminal that reports are made for."""
@@ -168,7 +169,7 @@ MARGIN = 12
 _ROWS = 3
 
 
-def format_screen(lines: Iterable[Line], most: int = 0) -> str:
+def format_screen(lines: "Iterable[Line]", most: int = 0) -> str:
     """A report on a terminal.
 
     Args:
@@ -188,7 +189,7 @@ def format_screen(lines: Iterable[Line], most: int = 0) -> str:
     return "\n".join(shown)
 
 
-def _lay_out(line: Line, short: bool) -> list[str]:
+def _lay_out(line: "Line", short: bool) -> list[str]:
     label = f"{line.label:<{MARGIN}}"
     if line.whole or not line.text:
         return [f"{label}{line.text}".rstrip()]

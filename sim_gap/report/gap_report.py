@@ -59,7 +59,7 @@ def make_report(
     """
     case, to_drive = found.case, complete(manoeuvre_words(found))
     sessions = ", ".join(case.sessions)
-    verdict, grade = VERDICTS[found.verdict]
+    facts, (verdict, grade) = f"{case.seconds:.0f} s to explain", VERDICTS[found.verdict]
     how = Section(
         "How this was done",
         METHOD,
@@ -72,7 +72,7 @@ def make_report(
     return Report(
         title="What the simulation is missing of this car",
         subject=sessions,
-        about=f"{case.seconds:.0f} s to explain · base: {case.base_source}",
+        about=f"{facts} · base: {case.base_source}",
         lead=headline(found),
         sections=Late(lambda: (*_sections(found, to_drive), how)),
         foot="Written by steerd diagnose. Frames are ISO 8855, angles positive to the left; "
@@ -81,8 +81,7 @@ def make_report(
         grade=grade,
         cards=list(_cards(found)),
         screen=[
-            Line("drives", f"{case.seconds:.0f} s to explain, of {sessions}; base: "
-                 f"{case.base_source}"),
+            Line("drives", f"{facts}, of {sessions}; base: {case.base_source}"),
             Line("verdict", f"{found.verdict.upper()}. {headline(found)}"),
             *_screen(found),
             Line("drive next", to_drive),
@@ -90,7 +89,7 @@ def make_report(
             Line("next", following, whole=True),
         ],
         figures=Late(lambda: _figures(found)),
-    )  # fmt: skip
+    )
 
 
 def _screen(found: Diagnosis) -> Iterator[Line]:
