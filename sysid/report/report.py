@@ -85,7 +85,7 @@ SPACE = Line("", "")
 
 @dataclass(frozen=True)
 class Late(Generic[T]):
-    """What is made where it is read: a screen waits for no diagram."""
+    """What is made where it is read: a screen needs no diagrams."""
 
     make: Callable[[], Iterable[T]]
 
