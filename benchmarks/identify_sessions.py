@@ -24,10 +24,11 @@ from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.daemon.cli import main as cli
 from steerd.daemon.offline import fast
-from steerd.sysid.data.dataset import load_run
+from steerd.steer_bus.session_read import open_session
+from steerd.sysid.data.dataset import read_run
 from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.outcome import Outcome
-from steerd.sysid.estimation.preparation import fit_wheelbase
+from steerd.sysid.estimation.preparation import FitOptions, fit_wheelbase
 from steerd.sysid.inference.plain_car import DEFAULT_FREE
 
 NAMES = DEFAULT_FREE
@@ -100,7 +101,9 @@ def identify(session: Path, seed: int) -> Outcome:
     car = hide(seed).car
     length = car.lf + car.lr
     base = fit_wheelbase(Model(DEFAULT_CAR), length)
-    return learn(Task((load_run(session),), base, wheelbase=length), lambda: 0.0)
+    return learn(
+        Task((read_run(open_session(session)),), base, FitOptions(wheelbase=length)), lambda: 0.0
+    )
 
 
 def pulls(outcome: Outcome, car: Car[float]) -> list[tuple[float, float]]:

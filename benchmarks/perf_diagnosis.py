@@ -17,7 +17,7 @@ from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.native.windows import Kernels, make_kernels
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.sim_gap.diagnosis import Options, diagnose
+from steerd.sim_gap.diagnosis import Case, GapOptions, diagnose
 from steerd.sysid.data.dataset import Run, Signal, make_run
 
 H, SECONDS, DRIVES, LATE = 0.01, 15.0, 4, 3
@@ -42,7 +42,7 @@ def make_drive(kernels: Kernels, number: int) -> Run:
 def measure(runs: list[Run], count: int, jobs: int) -> dict[str, Any]:
     names = ["steer_delay", *(name for name in EFFECTS if name != "steer_delay")][:count]
     cpu, wall = time.process_time(), time.perf_counter()
-    diagnosis = diagnose(runs, Model(DEFAULT_CAR), Options(only=names, pairs=False, jobs=jobs))
+    diagnosis = diagnose(Case(runs, Model(DEFAULT_CAR), GapOptions(only=names, pairs=False)))
     return {
         "candidates": len(names),
         "jobs": jobs,

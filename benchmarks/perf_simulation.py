@@ -36,7 +36,7 @@ from steerd.car_model.native.windows import (
 )
 from steerd.car_model.params import Car
 from steerd.sysid.paper.paper_method import PAPER_CAR_DIRECT
-from steerd.sysid.paper.torch_kernel import simulate
+from steerd.sysid.paper.torch_functions import simulate
 
 Array = NDArray[np.float64]
 RUNS, STEPS, H = 16, 4000, 0.01

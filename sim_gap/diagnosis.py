@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import Effect
 from steerd.car_model.model import Model
+from steerd.sim_gap.lane_comparison import LaneComparison
 from steerd.sim_gap.verdict.evidence import Cause, Verdict, judge_case
 from steerd.sim_gap.verdict.next_manoeuvre import Manoeuvre, next_manoeuvre
 from steerd.sim_gap.verdict.residual_shape import Shape, Timeline, shape_of, timeline_of
@@ -37,7 +38,6 @@ from steerd.sysid.inference.noise import (
     noisier_of,
     usual_noise,
 )
-from steerd.sysid.inference.odds import Hypothesis
 from steerd.sysid.inference.predictor import Predictor, open_predictor
 from steerd.sysid.inference.residuals import Gap, blocks_of, folds_of, gap_of, settled, spun_windows
 from steerd.sysid.inference.search import Point
@@ -46,32 +46,54 @@ from steerd.sysid.inference.space import informative_effects, make_space, nuisan
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Options:
-    """How to diagnose."""
+@dataclass(frozen=True, kw_only=True)
+class GapOptions:
+    """What is looked for.
 
-    # Drives that are only opened after the prediction is written; or how to get them, which is
-    # then called after it
-    held_out: Sequence[Run] | Callable[[], Sequence[Run]] = ()
+    Attributes:
+        only: effects to look at; empty for the library.
+        without: effects to leave out.
+        pairs: whether two causes together are tried.
+    """
+
+    only: Sequence[str] = ()
+    without: Sequence[str] = ()
+    pairs: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """What is diagnosed, and what a reader should know of it."""
+
+    runs: Sequence[Run]  # to explain; one is split into blocks, several are left out whole
+    # The car as identified; with standard errors its own uncertainty is known, without them
+    # ordinary ones are assumed (and said)
+    base: CarFile | Model[float]
+    asked: GapOptions = field(default_factory=GapOptions)
+    # Opens the drives that are held out, after the prediction is written; None if there are none
+    later: Callable[[], Sequence[Run]] | None = None
     # Drives of the base car without the gap; they show how large noise is, and refine a base
     # that is a car file (see `car_posterior.refine`)
     healthy: Sequence[Run] = ()
     # How large noise is, if it is known (also read from the car file's `[noise]`)
     noise: Noise | None = None
-    only: Sequence[str] | None = None  # effects to look at; None takes the library
-    without: Sequence[str] = ()  # effects to leave out
-    pairs: bool = True  # whether two causes together are tried
     horizons: bool = True  # whether the gap is looked at over other horizons too
-    # Called with a stage's name and the share done
-    progress: Callable[[str, float], None] = lambda stage, share: None
-    # Called with the prediction (JSON) before the reserved drives are opened
-    written: Callable[[str], None] = lambda prediction: None
+    sessions: tuple[str, ...] = ()  # names of the files
+    base_source: str = ""  # where the base comes from, as text
+    held_out_of: str = ""  # what is held out, as text
+    notes: tuple[str, ...] = ()  # what a reader should know about the drives
+
+    @property
+    def seconds(self) -> float:
+        """Driving that is looked at [s]."""
+        return sum(run.driven for run in self.runs)
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """What was found."""
 
+    case: Case  # what was diagnosed
     verdict: str  # `none`, `explained`, `partial`, `unexplained` or `unjudged`
     before: Gap  # the gap of the base; `after` with the explanation
     after: Gap
@@ -84,39 +106,42 @@ class Diagnosis:
     # What to drive to distinguish ambiguous causes, if there are any
     next_manoeuvre: Manoeuvre | None
     shape: Shape  # what is left
-    moved: dict[str, float]  # z-scores of base parameters that moved within their uncertainty
+    moved: dict[str, float]  # z-scores of base parameters that moved, the largest first
     noise: Noise  # what was taken as random; `noise_known` if not from these drives
     noise_known: bool
     notes: tuple[str, ...]  # what a reader should know about how this was done
     # All effects' parameters of the explanation, by effect, for a car file
-    values: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    timeline: Timeline | None = None  # the gap window by window
+    values: dict[str, tuple[float, ...]]
+    timeline: Timeline  # the gap window by window
     horizons: tuple[Horizon, ...] = ()  # the gap over other horizons
+    lane: LaneComparison | None = None  # a session's lane, driven again in simulation
+    lane_note: str = ""  # why it was not; empty if it was, or was not asked for
+
+    @property
+    def all_notes(self) -> tuple[str, ...]:
+        """What a reader should know about drives, method and closed loop."""
+        return (*self.case.notes, *self.notes, *filter(None, [self.lane_note]))
 
     def __repr__(self) -> str:
         names = ", ".join(cause.effect for cause in self.causes)
         return f"<Diagnosis: {self.verdict}{names and f', {names}'}>"
 
 
-def _known_noise(base: CarFile | Model[float], options: Options) -> Noise | None:
-    if options.noise is not None:
-        return options.noise
-    if options.healthy and not isinstance(base, CarFile):
-        return fit_car(base, options.healthy).noise
-    return noise_of_section(base.sections.get("noise", {})) if isinstance(base, CarFile) else None
+Progress = Callable[[str, float], None]
+"""Is called with a stage's name and the share done."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Case:
-    """What the stages share."""
+class _Search:
+    """Every hypothesis, and what they were judged by."""
 
+    case: Case
     library: Library  # windows, free parameters of the base, effects
     likelihood: Likelihood  # the windows, their responses taken about the likeliest hypothesis
     noise: Noise  # what was taken as random; `known` if not from these drives
     known: bool
     floor: float  # what noise leaves of the whitened error
-    found: Findings  # every hypothesis; `verdict` of them
-    verdict: Verdict
+    found: Findings  # every hypothesis
     blocks: NDArray[np.int64]  # (W,) windows that follow each other
 
     @property
@@ -124,107 +149,77 @@ class _Case:
         """The windows."""
         return self.likelihood.predictor
 
-    def settle(self, hypothesis: Hypothesis) -> Point:
-        """A hypothesis without any discrepancy allowed."""
-        point = hypothesis.point
-        return settled(self.likelihood, point.space, point.z, point.x)
+    def values(self, chosen: Point) -> dict[str, tuple[float, ...]]:
+        """Parameters of a hypothesis's effects."""
+        places = self.predictor.augmented.places
+        return {e: tuple(chosen.parameters[places(e)].tolist()) for e in chosen.space.effects}
 
 
 def diagnose(
-    runs: Sequence[Run], base: CarFile | Model[float], options: Options | None = None
+    case: Case,
+    progress: Progress = lambda stage, share: None,
+    written: Callable[[str], None] = lambda prediction: None,
 ) -> Diagnosis:
     """Diagnose the gap between a base car and drives.
 
     Args:
-        runs: the drives to explain; one is split into blocks, several are left out whole.
-        base: the car as identified; with standard errors the base's own uncertainty is known,
-            without them ordinary ones are assumed (and said).
-        options: see `Options`.
+        case: the drives and the car.
+        progress: see `Progress`.
+        written: is called with the prediction (JSON) before the reserved drives are opened.
 
     Raises:
         DataError: the drives are not fit for it.
         ValueError: runs on different grids, or an unknown effect.
         FloatingPointError: the base car's simulation diverges.
     """
-    options = options or Options()
-    if options.healthy and isinstance(base, CarFile):
-        base = refine(base, options.healthy)
-    augmented = make_augmented_car(base, runs)
-    only = _chosen(augmented, runs, options)
-    options.progress("base", 0.05)
-    case = _search(augmented, runs, base, only, options)
-    found = _conclude(case, options, [run.name for run in runs], _base_notes(augmented, base))
-    if not options.horizons:
-        return found
-    return _with_horizons(case, found, runs)
+    if case.healthy and isinstance(case.base, CarFile):
+        case = replace(case, base=refine(case.base, case.healthy))
+    augmented = make_augmented_car(case.base, case.runs)
+    only = _chosen(augmented, case)
+    progress("base", 0.05)
+    return _conclude(_search(augmented, case, only, progress), progress, written)
 
 
-def _chosen(augmented: AugmentedCar, runs: Sequence[Run], options: Options) -> tuple[Effect, ...]:
+def _chosen(augmented: AugmentedCar, case: Case) -> tuple[Effect, ...]:
     """Effects that may be a cause.
 
     Raises:
         ValueError: an option names none.
     """
-    names = [e.name for e in augmented.effects]
-    unknown = [n for n in (*(options.only or ()), *options.without) if n not in names]
+    asked, names = case.asked, [e.name for e in augmented.effects]
+    unknown = [n for n in (*asked.only, *asked.without) if n not in names]
     if unknown:
         raise ValueError(f"no effect {unknown[0]!r}; `steerd effects` lists them")
-    only = options.only or informative_effects(augmented, runs)
-    return tuple(e for e in augmented.effects if e.name in only and e.name not in options.without)
+    only = asked.only or informative_effects(augmented, case.runs)
+    return tuple(e for e in augmented.effects if e.name in only and e.name not in asked.without)
 
 
 def _search(
-    augmented: AugmentedCar,
-    runs: Sequence[Run],
-    base: CarFile | Model[float],
-    effects: tuple[Effect, ...],
-    options: Options,
-) -> _Case:
+    augmented: AugmentedCar, case: Case, effects: tuple[Effect, ...], progress: Progress
+) -> _Search:
     """Every hypothesis; noise is learnt about the best effect if it is not known."""
-    predictor, signals = open_predictor(augmented, runs), estimate_noise(runs)
-    given, nuisance = _known_noise(base, options), nuisance_names(augmented, runs)
+    predictor, signals = open_predictor(augmented, case.runs), estimate_noise(case.runs)
+    base, nuisance, given = case.base, nuisance_names(augmented, case.runs), case.noise
+    if given is None and isinstance(base, CarFile):
+        given = noise_of_section(base.sections.get("noise", {}))
+    elif given is None and case.healthy:
+        given = fit_car(base, case.healthy).noise
     x, parameters = predictor.guess.copy(), augmented.base
     noise = noisier_of(given or usual_noise(signals), signals)
     if given is None:
-        options.progress("noise", 0.1)
+        progress("noise", 0.1)
         rough = Library(make_likelihood(predictor, parameters, x, noise), nuisance, effects)
         best = explain(rough, 1).best.point
         noise = learn_noise(predictor, best.parameters, best.x, best.linear, noise)
         x = best.x
-    options.progress("candidates", 0.2)
+    progress("candidates", 0.2)
     library = Library(make_likelihood(predictor, parameters, x, noise), nuisance, effects)
-    found = explain(
-        library,
-        2 if options.pairs else 1,
-        lambda share: options.progress("pairs", 0.2 + 0.5 * share),
-    )
-    verdict = judge_case(library, found, given is not None)
+    count = 2 if case.asked.pairs else 1
+    found = explain(library, count, lambda share: progress("pairs", 0.2 + 0.5 * share))
     best = found.best.point
     white = make_likelihood(predictor, best.parameters, best.x, noise)
-    floor = noise_floor(predictor, float(signals[2]))
-    return _Case(
-        library, white, noise, given is not None, floor, found, verdict, blocks_of(predictor)
-    )
-
-
-def _with_horizons(case: _Case, found: Diagnosis, runs: Sequence[Run]) -> Diagnosis:
-    """The gap over other horizons, and what it forbids to say."""
-    fixed = make_space(case.library.likelihood.predictor.augmented, ())
-    before = settled(case.likelihood, fixed, fixed.centre)
-    best = case.settle(case.found.best if found.causes else case.found.null)
-    horizons, gap, after = cross_check(
-        case.predictor, runs, before, best, case.noise, (found.before, found.after)
-    )
-    verdict, notes = found.verdict, found.notes
-    far = any(gap.position(lead) > most for lead, most in c.FAR.items())
-    if verdict == "none" and far:
-        verdict = "unjudged"
-    leads = grown_leads(gap, after) if found.causes else ()
-    if leads:
-        shown = ", ".join(f"{lead:g} s" for lead in leads)
-        notes = (*notes, f"position errors grow with the explanation after {shown}")
-        verdict = "partial"
-    return replace(found, verdict=verdict, notes=notes, horizons=horizons, before=gap, after=after)
+    floor, blocks = noise_floor(predictor, float(signals[2])), blocks_of(predictor)
+    return _Search(case, library, white, noise, given is not None, floor, found, blocks)
 
 
 def grown_leads(before: Gap, after: Gap) -> tuple[float, ...]:
@@ -234,109 +229,105 @@ def grown_leads(before: Gap, after: Gap) -> tuple[float, ...]:
     )
 
 
-def _conclude(
-    case: _Case, options: Options, names: Sequence[str], notes: Sequence[str]
-) -> Diagnosis:
+def _conclude(search: _Search, progress: Progress, written: Callable[[str], None]) -> Diagnosis:
     """Everything that follows from the hypotheses."""
-    predictor, verdict, found = case.predictor, case.verdict, case.found
-    fixed = make_space(predictor.augmented, ())
-    before = settled(case.likelihood, fixed, fixed.centre)
-    chosen = found.best if verdict.causes else found.null
-    after = case.settle(chosen)
+    predictor, found, case = search.predictor, search.found, search.case
+    judged = judge_case(search.library, found, search.known)
+    fixed, names = make_space(predictor.augmented, ()), [run.name for run in case.runs]
+    before = settled(search.likelihood, fixed, fixed.centre)
+    chosen = (found.best if judged.causes else found.null).point
+    after = settled(search.likelihood, chosen.space, chosen.z, chosen.x)
     spun = spun_windows(after)
-    options.progress("where", 0.75)
-    where = locate(case.likelihood, before, after, case.noise, case.blocks, names)
-    options.progress("shrinkage", 0.85)
-    shrinkage = _shrinkage(case, before, after, options)
-    ambiguous = [cause for cause in verdict.causes if cause.ambiguous_with]
+    gaps = [gap_of(predictor, fit, search.blocks, spun) for fit in (before, after)]
+    progress("where", 0.75)
+    where = locate(search.likelihood, before, after, search.noise, search.blocks, names)
+    progress("shrinkage", 0.85)
+    shrinkage = _shrinkage(search, before, after, written)
     following = None
-    if ambiguous:
-        pair = (ambiguous[0].effect, ambiguous[0].ambiguous_with[0])
-        following = next_manoeuvre(case.likelihood, after, case.library.nuisance, case.noise, pair)
+    for cause in [cause for cause in judged.causes if cause.ambiguous_with][:1]:
+        pair, library = (cause.effect, cause.ambiguous_with[0]), search.library
+        following = next_manoeuvre(search.likelihood, after, library.nuisance, search.noise, pair)
+    verdict, notes = judged.name, _notes(search, judged, int(spun.sum()))
+    horizons: tuple[Horizon, ...] = ()
+    if case.horizons:
+        horizons, gaps = cross_check(predictor, case.runs, before, after, search.noise, gaps)
+        far = any(gaps[0].position(lead) > most for lead, most in c.FAR.items())
+        if verdict == "none" and far:
+            verdict = "unjudged"
+        if judged.causes and (leads := grown_leads(*gaps)):
+            shown = ", ".join(f"{lead:g} s" for lead in leads)
+            notes.append(f"position errors grow with the explanation after {shown}")
+            verdict = "partial"
+    null = found.null.posterior.evidence
+    space = found.null.point.space
+    away = (found.null.point.z - space.centre) / space.spread
+    moved = zip(space.chart.labels, away.tolist(), strict=True)
     return Diagnosis(
-        verdict=verdict.name,
-        before=gap_of(predictor, before, case.blocks, spun),
-        after=gap_of(predictor, after, case.blocks, spun),
+        case=case,
+        verdict=verdict,
+        before=gaps[0],
+        after=gaps[1],
         where=where,
-        causes=verdict.causes,
-        something_else=verdict.something_else,
-        candidates=_table(found),
+        causes=judged.causes,
+        something_else=judged.something_else,
+        candidates=tuple(
+            ("+".join(h.effects), h.probability, h.posterior.evidence - null)
+            for h in found.hypotheses
+            if h.effects
+        ),
         shrinkage=shrinkage,
         next_manoeuvre=following,
-        shape=shape_of(case.likelihood, after),
-        moved=_moved(found.null),
-        noise=case.noise,
-        noise_known=case.known,
-        notes=(*notes, *_notes(case, int(spun.sum()))),
-        values=_values(predictor, chosen.point),
+        shape=shape_of(search.likelihood, after),
+        moved=dict(sorted(moved, key=lambda item: -abs(item[1]))),
+        noise=search.noise,
+        noise_known=search.known,
+        notes=tuple(notes),
+        values=search.values(chosen),
         timeline=timeline_of(predictor, before, after, names),
+        horizons=horizons,
     )
 
 
-def _table(found: Findings) -> tuple[tuple[str, float, float], ...]:
-    """Hypotheses with their probability and what they gain over the base alone [nats]."""
-    null = found.null.posterior.evidence
-    return tuple(
-        ("+".join(h.effects), h.probability, h.posterior.evidence - null)
-        for h in found.hypotheses
-        if h.effects
-    )
-
-
-def _values(predictor: Predictor, chosen: Point) -> dict[str, tuple[float, ...]]:
-    p, places = chosen.parameters, predictor.augmented.places
-    return {e: tuple(p[places(e)].tolist()) for e in chosen.space.effects}
-
-
-def _shrinkage(case: _Case, before: Point, after: Point, options: Options) -> Shrinkage:
+def _shrinkage(
+    search: _Search, before: Point, after: Point, written: Callable[[str], None]
+) -> Shrinkage:
     """Predict, hand the prediction out, then measure on the reserved drives."""
-    share, low, high = predict(before, after, case.floor, case.blocks, folds_of(case.predictor))
-    effects, values = after.space.effects, _values(case.predictor, after)
+    predictor, effects, later = search.predictor, after.space.effects, search.case.later
+    share, low, high = predict(before, after, search.floor, search.blocks, folds_of(predictor))
     text = json.dumps(
-        {"effects": effects, "values": values, "predicted": share, "low": low, "high": high},
+        {
+            "effects": effects, "values": search.values(after), "predicted": share, "low": low,
+            "high": high,
+        },
         sort_keys=True,
+    )  # fmt: skip
+    predicted = Shrinkage(share, low, high, text, hashlib.sha256(text.encode()).hexdigest())
+    written(text)
+    if later is None or not effects:
+        return predicted
+    return measure(
+        open_predictor(predictor.augmented, later()), after, search.noise, search.floor, predicted
     )
-    digest = hashlib.sha256(text.encode()).hexdigest()
-    options.written(text)
-    if not options.held_out or not effects:
-        return Shrinkage(share, None, low, high, digest, text, None, None)
-    held_out = options.held_out
-    other = open_predictor(case.predictor.augmented, held_out() if callable(held_out) else held_out)
-    return measure(other, after, case.noise, case.floor, (share, low, high), digest, text)
 
 
-def _moved(null: Hypothesis) -> dict[str, float]:
-    """z-scores of the base's parameters, in prior standard deviations, the largest first."""
-    space = null.point.space
-    away = (null.point.z - space.centre) / space.spread
-    scores = dict(zip(space.chart.labels, away.tolist(), strict=True))
-    return dict(sorted(scores.items(), key=lambda item: -abs(item[1])))
-
-
-def _base_notes(augmented: AugmentedCar, base: CarFile | Model[float]) -> tuple[str, ...]:
+def _notes(search: _Search, judged: Verdict, spun: int) -> list[str]:
+    """What a reader should know about how it was done."""
+    base, augmented, notes = search.case.base, search.predictor.augmented, []
     if isinstance(base, CarFile) and base.remark:
-        return (base.remark,)
-    if not augmented.sd and augmented.knowledge is None:
-        return ("the car file gives no standard errors: ordinary ones were assumed",)
-    return ()
-
-
-def _notes(case: _Case, spun: int) -> tuple[str, ...]:
-    notes = []
+        notes.append(base.remark)
+    elif not augmented.sd and augmented.knowledge is None:
+        notes.append("the car file gives no standard errors: ordinary ones were assumed")
     if spun:
-        count = case.predictor.layout.count
+        count = search.predictor.layout.count
         notes.append(f"the car spun in {spun} of {count} windows: left out of the millimetres")
-    if not case.known:
+    if not search.known:
         notes.append("noise was learnt from these drives: a gap like noise is not identifiable")
-    if len(np.unique(case.predictor.layout.run)) < 4:
+    if len(np.unique(search.predictor.layout.run)) < 4:
         notes.append("fewer than four runs: held-out parts are blocks of the same drives")
-    if case.verdict.causes and case.verdict.strain > c.STRAINED:
+    if judged.causes and judged.strain > c.STRAINED:
         notes.append("beside the cause the base moved further than its own uncertainty lets it")
-    if case.found.untested:
-        names = ", ".join(case.found.untested)
+    if search.found.untested:
+        names = ", ".join(search.found.untested)
         notes.append(f"could not be tested, the simulation diverges with it: {names}")
-    notes += [
-        f"{name} is at its bound: not this, but what it makes up for"
-        for name in case.verdict.at_bound
-    ]
-    return tuple(notes)
+    bounded = (f"{n} is at its bound: not this, but what it makes up for" for n in judged.at_bound)
+    return [*notes, *bounded]

@@ -96,21 +96,15 @@ class LaneComparison:
         return after.e1 < before.e1, after.e2 < before.e2, after.steer_db < before.steer_db
 
 
-def _density(t: Array, values: Array) -> tuple[Array, Array]:
-    """Frequencies [Hz] and amplitude density of a signal, its mean left out."""
-    from scipy.signal import welch  # a second that a diagnosis without a lane need not wait
-
-    rate = 1.0 / float(np.median(np.diff(t)))
-    length = min(len(values), round(SEGMENT * rate))
-    f, power = welch(values, rate, nperseg=length, detrend="constant")
-    return f, np.sqrt(power)
-
-
 def steering_spectrum(drive: LaneDrive) -> tuple[Array, Array]:
     """Frequencies [Hz] and amplitude density [rad/sqrt(Hz)] of the steering, within the band."""
-    f, density = _density(drive.t, drive.steer)
+    from scipy.signal import welch  # a second that a diagnosis without a lane need not wait
+
+    rate = 1.0 / float(np.median(np.diff(drive.t)))
+    length = min(len(drive.steer), round(SEGMENT * rate))
+    f, power = welch(drive.steer, rate, nperseg=length, detrend="constant")
     kept = (f >= BAND[0] - 1e-9) & (f <= BAND[1])
-    return f[kept], density[kept]
+    return f[kept], np.sqrt(power[kept])
 
 
 def _peak(t: Array, values: Array) -> float:

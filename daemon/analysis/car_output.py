@@ -171,33 +171,21 @@ def identified_values(
         for name in ("lf", "lr", "inertia_z")
         if getattr(outcome.after, name) != getattr(base.model.car, name)
     }
-    return {**carried, **given, **_fitted_values(outcome)}
-
-
-def _fitted_values(outcome: "Outcome") -> dict[str, Learned]:
-    names = ", ".join(outcome.sessions)
-    updates = {}
+    updates, names = {**carried, **given}, ", ".join(outcome.sessions)
     for name, row in outcome.rows.items():
-        if row.free:
-            source = f"{IDENTIFIED} ({outcome.method}): {names}"
-            source += "" if row.identifiable else "; not identifiable from these data"
-            source += _servo_wait(outcome) if name == "steer_delay" else ""
-            updates[name] = Learned(row.value, row.sd, source)
-        elif row.value != row.before:
-            updates[name] = Learned(row.value, None, f"{IDENTIFIED}: {names}")
-    effects = {
-        name: Learned(row.value, row.sd, f"{IDENTIFIED}: {names}")
-        for name, row in outcome.effect_rows.items()
-        if row.free
-    }
-    return updates | effects
-
-
-def _servo_wait(outcome: "Outcome") -> str:
-    """What a fitted dead time of the steering contains."""
-    if outcome.pulses:
-        return "; half a frame (10 ms) is the mean wait for a pulse of the 50 Hz servo signal"
-    return "; it contains the wait for the servo's next pulse"
+        how, more = "", ""
+        if row.free and "." not in name:
+            how = f" ({outcome.method})"
+            more = "" if row.identifiable else "; not identifiable from these data"
+        if name == "steer_delay" and row.free:  # a fitted dead time of the steering contains this
+            more += (
+                "; half a frame (10 ms) is the mean wait for a pulse of the 50 Hz servo signal"
+                if outcome.pulses
+                else "; it contains the wait for the servo's next pulse"
+            )
+        if row.free or row.value != row.start:
+            updates[name] = Learned(row.value, row.sd, f"{IDENTIFIED}{how}: {names}{more}")
+    return updates
 
 
 def diagnosed_values(causes: "Sequence[Cause]", sessions: Sequence[Path]) -> dict[str, Learned]:

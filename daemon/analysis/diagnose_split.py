@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steerd.car_model.car_file import CarFile
-from steerd.daemon.analysis.drives import Drives, Warn, load_drives
+from steerd.daemon.analysis.drives import Warn, load_drives
 from steerd.daemon.analysis.options import EVERY, HeldOut, Speed
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.sysid.data.data_checks import DataError
@@ -27,44 +26,12 @@ LEAST = 5.0
 
 
 class Split(NamedTuple):
-    """Drives, cut to where the car moves.
+    """Drives, cut to where the car moves."""
 
-    Attributes:
-        runs: what is looked at.
-        later: opens the drives that are held out; None if there are none.
-        held_out_of: what is held out, as text.
-        notes: what a reader should know.
-    """
-
-    runs: tuple[Run, ...]
-    later: Callable[[], Sequence[Run]] | None = None
-    held_out_of: str = ""
-    notes: tuple[str, ...] = ()
-
-    @property
-    def seconds(self) -> float:
-        """Driving that is looked at [s]."""
-        return sum(run.driven for run in self.runs)
-
-
-class Case(NamedTuple):
-    """A diagnosis to make.
-
-    Attributes:
-        drives: the sessions.
-        split: their drives, cut to where the car moves, and what is held out.
-        healthy: drives without the gap.
-        base: the car as believed; `base_source` says where it comes from.
-        only, without: effects by their own names; `only` empty for the library.
-    """
-
-    drives: Drives
-    split: Split
-    healthy: tuple[Run, ...]
-    base: CarFile
-    base_source: str
-    only: tuple[str, ...]
-    without: tuple[str, ...]
+    runs: tuple[Run, ...]  # what is looked at
+    later: Callable[[], Sequence[Run]] | None = None  # opens the drives that are held out
+    held_out_of: str = ""  # what is held out, as text
+    notes: tuple[str, ...] = ()  # what a reader should know
 
 
 def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, warn: Warn) -> Split:
@@ -80,58 +47,47 @@ def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, warn: W
         DataError: there is too little driving.
         SteerdError: there is too little to hold so much out.
     """
-    parts, every, reserved = moving_segments(drives), held_out.every, held_out.files
+    parts, every = moving_segments(drives), held_out.every
     seconds = sum(run.driven for run in parts)
     if seconds < LEAST:
         what = f"only {seconds:.1f} s of driving at more than walking pace"
         raise DataError(what, "drive `steerd collect --plan mixed`")
-    if reserved:
+    # Of long sessions there are several drives. Few drives are cut, so that parts of them can be
+    # left out of fits.
+    sessions, few = list(dict.fromkeys(run.name for run in drives)), len(drives) < EVERY
+    notes = describe_unused(drives)
+    if few:
+        count = "one session" if len(sessions) == 1 else f"{len(sessions)} sessions"
+        cut = f"{count}, cut into blocks of {BLOCK:g} s or more: they stand in for further drives"
+        notes = (cut, *notes)
+    blocks = make_blocks(parts)
+    if held_out.files:
         past = drives[0].history
 
         def later() -> Sequence[Run]:
-            opened = load_drives(reserved, speed, warn)
+            opened = load_drives(held_out.files, speed, warn)
             return moving_segments([replace(drive, history=past) for drive in opened.runs])
 
-        names = ", ".join(path.name for path in reserved)
-        return Split(_in_blocks(drives, parts), later, names, _block_notes(drives))
-    return _whole_sessions(drives, parts, every) or _some_blocks(drives, parts, every)
-
-
-def _whole_sessions(
-    drives: Sequence[Run], parts: tuple[Run, ...], every: int | None
-) -> Split | None:
-    """Every so many sessions held out whole; None if there are too few of them."""
-    if every == 0:
-        return None
+        names = ", ".join(path.name for path in held_out.files)
+        return Split(blocks if few else parts, later, names, notes)
     number = every or EVERY
-    names = _sessions(drives)[number - 1 :: number]
-    kept = tuple(run for run in parts if run.name in names)
-    fitted = tuple(run for run in parts if run.name not in names)
-    if not kept or not fitted:
-        return None
-    named = f"every {_ordinal(number)} session: {', '.join(sorted(names))}"
-    return Split(_in_blocks(drives, fitted), lambda: kept, named, _block_notes(drives))
-
-
-def _some_blocks(drives: Sequence[Run], parts: tuple[Run, ...], every: int | None) -> Split:
-    """Every so many blocks held out, if that is asked for or there are enough of them."""
-    blocks, notes = make_blocks(parts), _block_notes(drives)
+    out = sessions[number - 1 :: number]
+    whole = tuple(run for run in parts if run.name in out)
+    fitted = tuple(run for run in parts if run.name not in out)
+    if every != 0 and whole and fitted:
+        named = f"every {_ordinal(number)} session: {', '.join(sorted(out))}"
+        return Split(make_blocks(fitted) if few else fitted, lambda: whole, named, notes)
     if every is None:
         every = min(EVERY, len(blocks)) if len(blocks) >= FEWEST else 0
     if every == 0:
         note = "nothing is held out: the shrinkage is predicted, not measured"
-        return Split(_in_blocks(drives, parts), notes=(*notes, note))
+        return Split(blocks if few else parts, notes=(*notes, note))
     if len(blocks) < every:
         what = f"only {len(blocks)} blocks: too few to hold every {_ordinal(every)} out"
         raise SteerdError(what, "--held-out 0, or name a session", ExitCode.INVALID)
     kept = blocks[every - 1 :: every]
     fitted = tuple(b for i, b in enumerate(blocks) if i % every != every - 1)
     return Split(fitted, lambda: kept, f"every {_ordinal(every)} block of the drive", notes)
-
-
-def _sessions(drives: Sequence[Run]) -> list[str]:
-    """Names of the sessions, of which long ones are several drives."""
-    return list(dict.fromkeys(run.name for run in drives))
 
 
 def _ordinal(number: int) -> str:
@@ -145,28 +101,9 @@ def make_blocks(parts: Sequence[Run]) -> tuple[Run, ...]:
     for part in parts:
         start, end = float(part.pose.t[0]), min(float(part.pose.t[-1]), part.duration)
         edges = np.linspace(start, end, max(1, int((end - start) / BLOCK)) + 1)
-        found += [
-            make_segment(part, low, _whole_windows(low, high)) for low, high in pairwise(edges)
-        ]
+        for low, high in pairwise(edges.tolist()):
+            # Its windows of about a second must not be shorter than that.
+            whole = floor(high - low)
+            last = min(high - 1e-6, low + whole + _OVER) if whole else high
+            found.append(make_segment(part, low, last))
     return tuple(found)
-
-
-def _whole_windows(low: float, high: float) -> float:
-    """Where a block ends: its windows of about a second must not be shorter than that."""
-    whole = floor(high - low)
-    return min(high - 1e-6, low + whole + _OVER) if whole else high
-
-
-def _in_blocks(drives: Sequence[Run], parts: tuple[Run, ...]) -> tuple[Run, ...]:
-    """Few drives are cut, so that parts of them can be left out of fits."""
-    return make_blocks(parts) if len(drives) < EVERY else parts
-
-
-def _block_notes(drives: Sequence[Run]) -> tuple[str, ...]:
-    unused = describe_unused(drives)
-    if len(drives) >= EVERY:
-        return unused
-    count = len(_sessions(drives))
-    what = "one session" if count == 1 else f"{count} sessions"
-    first = f"{what}, cut into blocks of {BLOCK:g} s or more: they stand in for further drives"
-    return (first, *unused)

@@ -1,29 +1,31 @@
 """`steerd.diagnose`: where simulation and car differ, why, and how far adding the cause helps."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from steerd.car_model.car_file import CarFile, CarFileError
 from steerd.daemon.analysis.car_output import diagnosed_values, make_car, save_car, with_known
-from steerd.daemon.analysis.diagnose_split import Case, split_drives
-from steerd.daemon.analysis.diagnose_text import describe, following_words
+from steerd.daemon.analysis.diagnose_split import split_drives
 from steerd.daemon.analysis.drives import (
+    Drives,
     Warn,
+    gather,
     is_same,
     load_drives,
     refuse_copies,
     without_reserved,
 )
-from steerd.daemon.analysis.hints import complete, name_all, refusing
+from steerd.daemon.analysis.hints import complete, name_all, refusing, simulate_with
 from steerd.daemon.analysis.identification import find_effects
 from steerd.daemon.analysis.options import (
     CarSource,
-    DiagnoseOptions,
     HeldOut,
+    HeldOutSource,
     SessionSources,
+    Speed,
     by_keywords,
     list_sessions,
     read_car,
@@ -33,22 +35,47 @@ from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.assembly.sim_car import compare_truths, read_origin
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import notebook_progress
-from steerd.daemon.common.screen import shown
+from steerd.daemon.common.screen import format_screen, shown
 from steerd.posterior_file import TABLES
 from steerd.sim_gap import diagnosis as engine
-from steerd.sim_gap.lane_comparison import LaneComparison, encode_lane
+from steerd.sim_gap.diagnosis import GapOptions
 from steerd.sim_gap.report.to_json import to_json
 from steerd.sim_gap.verdict.evidence import Cause
 from steerd.steer_bus.session_read import Session
 from steerd.sysid.data.segments import moving_segments
 from steerd.sysid.estimation.preparation import add_command_history
-from steerd.sysid.report.report import Card
+from steerd.sysid.report.report import Card, Report
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+LINES = 30
+"""A screen has no more of them."""
 LOADED, DIAGNOSED, DRIVEN = 0.05, 0.85, 0.95
 """Shares of the work done after loading, after the diagnosis, after the closed loop."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnoseOptions(GapOptions):
+    """How to diagnose.
+
+    Attributes:
+        base: the car as believed: a car file, an `Identification`; None for the car file inside
+            the first session.
+        healthy: drives of the same car without the gap: they determine how large noise is.
+        held_out: what the shrinkage is measured on: every k-th drive or block (default 4, 0 for
+            none), or whole sessions.
+        closed_loop: whether a lane drive is driven again in simulation, with and without.
+        speed: `wheel` takes the measured wheel speed for the command, where a car did not obey it.
+        jobs: threads for the candidates.
+    """
+
+    base: CarSource = None
+    healthy: SessionSources = ()
+    held_out: HeldOutSource = None
+    closed_loop: bool = True
+    speed: Speed = "command"
+    jobs: int = 1
 
 
 @shown
@@ -59,17 +86,15 @@ class Diagnosis:
     `print(diagnosis)` is the screen of `steerd diagnose`.
 
     Attributes:
-        case: drives, base car and what was held out.
+        base: the car as believed.
+        drives: the sessions.
         findings: every number of the diagnosis.
-        lane: the session's lane driven again in simulation; None if that was not possible.
-        lane_note: why not; empty if it was, or was not asked for.
         warnings: what is wrong or doubtful in the sessions.
     """
 
-    case: Case
+    base: CarFile
+    drives: Drives
     findings: engine.Diagnosis
-    lane: LaneComparison | None
-    lane_note: str = ""
     warnings: tuple[str, ...] = ()
 
     @property
@@ -85,15 +110,12 @@ class Diagnosis:
     @property
     def notes(self) -> tuple[str, ...]:
         """What a reader should know about data and method."""
-        lane = (self.lane_note,) if self.lane_note else ()
-        return (*self.case.split.notes, *self.findings.notes, *lane)
+        return self.findings.all_notes
 
     @property
-    def cards(self) -> list[Card]:
+    def cards(self) -> Sequence[Card]:
         """The figures that the report shows first."""
-        from steerd.sim_gap.report.gap_report import make_cards
-
-        return list(make_cards(self.findings))
+        return self.make_report().cards
 
     @cached_property
     def car(self) -> CarFile:
@@ -104,14 +126,11 @@ class Diagnosis:
         """Write the car file and what is known of the car, see `save_car`."""
         return save_car(Path(path), self.make_car(Path(path)), self.car)
 
-    def __str__(self) -> str:
-        return self.describe()
-
     def make_car(self, path: Path) -> CarFile:
         """The base with the found effects, and with what still holds of what was known of it."""
-        values = diagnosed_values(self.causes, self.case.drives.paths)
-        car = make_car(self.case.base, values, path)
-        sections = self.case.base.sections
+        values = diagnosed_values(self.causes, self.drives.paths)
+        car = make_car(self.base, values, path)
+        sections = self.base.sections
         known = {name: sections[name] for name in TABLES if name in sections}
         # The covariance is about the base: it says nothing of an effect beyond it.
         if any(name in values for name in known.get("knowledge", {}).get("names", ())):
@@ -120,44 +139,52 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """JSON values in the schema `steerd.gap/1`; what they rest on is under `residual`."""
-        data = to_json(self.findings)
-        sessions = self.case.drives.sessions
-        if data["next_manoeuvre"] and read_origin(sessions[0].info().metadata):
-            command = data["next_manoeuvre"]["command"]
-            data["next_manoeuvre"]["command"] = complete(f"`{command}`", sessions).strip("`")
-        data["residual"] |= {
-            "sessions": [path.name for path in self.case.drives.paths],
-            "base": self.case.base_source,
-            "held_out_of": self.case.split.held_out_of or None,
-            "prediction": self.findings.shrinkage.text,
-            "notes": list(self.notes),
-            "closed_loop": None if self.lane is None else encode_lane(self.lane),
-        }
-        return data
 
-    def render_report(self) -> str:
-        """The report."""
-        from steerd.sim_gap.report.gap_report import Subject, make_report
-        from steerd.sysid.report.page import render_report
+        def runs(command: str) -> str:
+            known = read_origin(self.drives.sessions[0].info().metadata)
+            return self._complete(f"`{command}`").strip("`") if known else command
 
-        case, split = self.case, self.case.split
-        notes = (*split.notes, self.lane_note) if self.lane_note else split.notes
-        names = tuple(path.name for path in case.drives.paths)
-        following = following_words(case, self.findings)
-        subject = Subject(
-            names, split.seconds, case.base_source, split.held_out_of, following, notes
-        )
-        return render_report(make_report(subject, self.findings, self.lane))
+        return to_json(self.findings, runs)
 
-    def plot(self) -> "Figure":
-        """Prediction errors before and after, candidate effects, the gap over time."""
-        from steerd.daemon.analysis.figures import plot_diagnosis
+    def make_report(self, written: Path | None = None, report: Path | None = None) -> Report:
+        """What screen, page and figure show; `written` and `report` are the files that were."""
+        from steerd.sim_gap.report.gap_report import make_report
 
-        return plot_diagnosis(self.findings)
+        if self.causes and written is not None:
+            again = f" {lane.again}" if (lane := self.findings.lane) else ""
+            following = simulate_with(written, self.drives.sessions, again)
+        elif self.causes:
+            following = "repeat with -o car.toml: simulation and controller then know the cause"
+        elif report is not None:
+            following = f"open {report} in a browser: it shows where the error lies"
+        elif written is not None:
+            base = f"{written} is the base as it was"
+            following = f"--report gap.html shows where the error lies; {base}"
+        else:
+            following = "repeat with --report gap.html to see where the error lies"
+        return make_report(self.findings, self._complete, following)
+
+    def _complete(self, text: str) -> str:
+        return complete(text, self.drives.sessions)
+
+    def __str__(self) -> str:
+        return self.describe()
 
     def describe(self, written: Path | None = None, report: Path | None = None) -> str:
         """The screen; `written` and `report` are the files that were."""
-        return describe(self.case, self.findings, self.lane or self.lane_note, written, report)
+        return format_screen(self.make_report(written, report).screen, LINES)
+
+    def render_report(self) -> str:
+        """The report."""
+        from steerd.sysid.report.page import render_report
+
+        return render_report(self.make_report())
+
+    def plot(self) -> "Figure":
+        """Prediction errors before and after, candidate effects, the gap over time."""
+        from steerd.sysid.report.drawing import plot_report
+
+        return plot_report(self.make_report())
 
 
 @by_keywords(DiagnoseOptions)
@@ -191,36 +218,28 @@ def run_diagnosis(
     Raises:
         SteerdError: as `diagnose`.
     """
-    warnings: list[str] = []
-
-    def take(texts: Sequence[str]) -> None:
-        warnings.extend(texts)
-        warn(texts)
-
+    warnings, take = gather(warn)
     progress(0.0, "reading the drives")
-    case = make_case(paths, options, take, lambda share: progress(LOADED * share, ""))
+    drives, case, base = make_case(paths, options, take, lambda share: progress(LOADED * share, ""))
     span = DIAGNOSED - LOADED
-    names = name_all(case.drives.paths)
-    identify = f"steerd identify {names} -o car.toml, then --base car.toml"
-    with refusing(case.drives.sessions, identify):
-        findings = engine.diagnose(case.split.runs, case.base, engine.Options(
-            held_out=case.split.later or (), healthy=case.healthy, only=case.only or None,
-            without=case.without, pairs=options.pairs, written=written,
-            progress=lambda stage, share: progress(LOADED + span * share, stage),
-        ))  # fmt: skip
-    lane, why = None, ""
+    identify = f"steerd identify {name_all(drives.paths)} -o car.toml, then --base car.toml"
+    with refusing(drives.sessions, identify):
+        findings = engine.diagnose(
+            case, lambda stage, share: progress(LOADED + span * share, stage), written
+        )
     if options.closed_loop:
         from steerd.daemon.analysis.gap_closed_loop import try_lane
 
         progress(DIAGNOSED, "driving the lane again")
-        lane, why = try_lane(case.drives.sessions, case.base, findings.values)
-    return Diagnosis(case, findings, lane, why, tuple(warnings))
+        lane, why = try_lane(drives.sessions, base, findings.values)
+        findings = replace(findings, lane=lane, lane_note=why)
+    return Diagnosis(base, drives, findings, tuple(warnings))
 
 
 def make_case(
     paths: Sequence[Path], options: DiagnoseOptions, warn: Warn, advance: Callable[[float], None]
-) -> Case:
-    """Everything that can be refused is refused here.
+) -> tuple[Drives, engine.Case, CarFile]:
+    """The drives, what is diagnosed of them and the car; what can be refused is refused here.
 
     Args:
         paths: the sessions.
@@ -240,15 +259,28 @@ def make_case(
     drives = load_drives(sessions, options.speed, warn, advance)
     warn(compare_truths(drives.metadata))
     base, source, notes = find_base(options.base, drives.sessions)
-    jitters = dict.fromkeys(" ".join(d.log_jitter.describe()) for d in drives.runs if d.log_jitter)
+    jitters = dict.fromkeys(d.log_jitter.describe() for d in drives.runs if d.log_jitter)
     without_gap = load_drives(quiet, options.speed, warn)
     with refusing((*drives.sessions, *without_gap.sessions)):
         runs = add_command_history(drives.runs, base.model, asked=True)
         split = split_drives(runs, held_out, options.speed, warn)
         past = add_command_history(without_gap.runs, base.model, asked=True)
         healthy = moving_segments(past) if quiet else ()
-    split = split._replace(notes=(*notes, *jitters, *split.notes))
-    return Case(drives, split, healthy, base, source, only, without)
+    return (
+        drives,
+        engine.Case(
+            split.runs,
+            base,
+            replace(options, only=only, without=without),
+            split.later,
+            healthy,
+            sessions=tuple(path.name for path in drives.paths),
+            base_source=source,
+            held_out_of=split.held_out_of,
+            notes=(*notes, *jitters, *split.notes),
+        ),
+        base,
+    )
 
 
 def _check(

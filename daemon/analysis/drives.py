@@ -32,17 +32,23 @@ FILES = 500
 """Sessions that stay open within a shell's usual limit of 1024 files."""
 
 
+def gather(warn: Warn) -> tuple[list[str], Warn]:
+    """What was handed on so far, and what hands on to `warn`."""
+    given: list[str] = []
+
+    def take(texts: Sequence[str]) -> None:
+        given.extend(texts)
+        warn(texts)
+
+    return given, take
+
+
 @dataclass(frozen=True, eq=False)
 class Drives:
-    """Open sessions, and what of them is looked at.
+    """Open sessions, and what of them is looked at."""
 
-    Attributes:
-        sessions: each opened once.
-        runs: their drives; of long ones pieces, evenly from the whole.
-    """
-
-    sessions: tuple[Session, ...]
-    runs: tuple[Run, ...]
+    sessions: tuple[Session, ...]  # each opened once
+    runs: tuple[Run, ...]  # their drives; of long ones pieces, evenly from the whole
 
     def __repr__(self) -> str:
         return f"<Drives of {', '.join(path.name for path in self.paths)}>"
@@ -76,7 +82,12 @@ def load_drive(path: Path, speed: Speed, warn: Warn) -> tuple[Session, Run]:
         with reading(path):
             read = read_recording(session)
             run = correct_log_jitter(read_run(session, read.tables))
-        _check_angles(run)
+        # No wheel turns across the car: such a log is in degrees, and a fit would absorb that.
+        found = make_range(run.commands[:, 0])
+        worst = max(-found.low, found.high) if found is not None else 0.0
+        if worst > pi / 2:
+            what = f"{run.name}: steering reaches {worst:.3g} rad: is it in degrees?"
+            raise SteerdError(what, "import it with scale = 0.0174532925 in the map")
         report = make_session_report(read)
         warn([f"{path.name}: {each}" for each in report.warnings if each not in damage])
         return session, with_wheel_speed(run) if speed == "wheel" else run
@@ -119,15 +130,6 @@ def load_drives(
         what = f"of {whole / 3600.0:.1f} h {used:.0f} min are used, in pieces of {PIECE:g} s"
         warn([f"{what}, evenly from all sessions"])
     return Drives(tuple(sessions), tuple(kept))
-
-
-def _check_angles(run: Run) -> None:
-    """No wheel turns across the car: such a log is in degrees, and a fit would absorb that."""
-    found = make_range(run.commands[:, 0])
-    if found is not None and max(-found.low, found.high) > pi / 2:
-        worst = max(-found.low, found.high)
-        what = f"{run.name}: steering reaches {worst:.3g} rad: is it in degrees?"
-        raise SteerdError(what, "import it with scale = 0.0174532925 in the map")
 
 
 def is_same(one: Path, other: Path) -> bool:

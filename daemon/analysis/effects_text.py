@@ -48,11 +48,8 @@ def _brief(parameters: Iterable[EffectParameter]) -> str:
     if len(parameters) > 1:
         return ", ".join(p.name for p in parameters)
     (p,) = parameters
-    return f"{p.name} {p.null:g} ({p.low:g} to {p.high:g}) {_unit(p.unit)}".rstrip()
-
-
-def _unit(unit: str) -> str:
-    return "" if unit == "1" else unit
+    unit = "" if p.unit == "1" else p.unit
+    return f"{p.name} {p.null:g} ({p.low:g} to {p.high:g}) {unit}".rstrip()
 
 
 def format_effect(effect: Effect) -> str:
@@ -84,6 +81,9 @@ def _example(effect: Effect) -> str:
     return f"{effect.name}={','.join(f'{value:g}' for value in moved)}"
 
 
+_FIELDS = ("name", "null", "low", "high", "unit", "scale", "meaning", "scan")
+
+
 def make_json(effects: Iterable[Effect]) -> dict[str, Any]:
     """The effects as JSON values."""
     return {
@@ -96,17 +96,13 @@ def make_json(effects: Iterable[Effect]) -> dict[str, Any]:
                 "summary": effect.summary,
                 "equation": effect.equation,
                 "aliases": list(effect.aliases),
-                "parameters": [_parameter_json(p) for p in effect.parameters],
+                "parameters": [
+                    {name: getattr(p, name) for name in _FIELDS} for p in effect.parameters
+                ],
             }
             for effect in effects
         ],
     }
-
-
-def _parameter_json(p: EffectParameter) -> dict[str, Any]:
-    """A parameter as JSON values."""
-    names = ("name", "null", "low", "high", "unit", "scale", "meaning", "scan")
-    return {name: getattr(p, name) for name in names}
 
 
 def make_page() -> str:
@@ -117,19 +113,13 @@ def make_page() -> str:
         lines += ["| effect | what it is | equation | parameter | null, range | usual |"]
         lines += ["|---|---|---|---|---|---|"]
         for effect in effects:
-            lines += _page_rows(effect)
+            equation = effect.equation.replace("|", "\\|")
+            head = f"`{effect.name}` | {effect.summary} | {equation}"
+            for index, p in enumerate(effect.parameters):
+                cells = f"`{p.name}` | {p.null:g}, {p.low:g}..{p.high:g} | {p.scale:g} {p.unit}"
+                lines.append(f"| {'| |' if index else head} | {cells} |")
         lines.append("")
     return "\n".join(lines)
-
-
-def _page_rows(effect: Effect) -> list[str]:
-    equation = effect.equation.replace("|", "\\|")
-    head = f"`{effect.name}` | {effect.summary} | {equation}"
-    rows = []
-    for index, p in enumerate(effect.parameters):
-        cells = f"`{p.name}` | {p.null:g}, {p.low:g}..{p.high:g} | {p.scale:g} {p.unit}"
-        rows.append(f"| {'| |' if index else head} | {cells} |")
-    return rows
 
 
 _HEAD = """# Unmodelled effects

@@ -30,7 +30,7 @@ from steerd.sim_hw.world import World
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode
 from steerd.steer_bus.session_read import Session, SessionError
-from steerd.steer_bus.topics import split_key
+from steerd.steer_bus.topics import find_topic
 
 SECONDS = 20.0
 """Length of a simulated drive: several bends; longer adds nothing to a profile [s]."""
@@ -59,8 +59,14 @@ def compare_lane(session: Session, base: CarFile, found: Values) -> LaneComparis
         NotALaneDriveError: there is no lane drive to compare with.
         SteerdError: the session's own car file or path is refused now.
     """
-    with _planned(session) as plan:
-        _require_unchanged(session)
+    options, name = _options_of(session), session.info().path.name
+    with _planned(session, options) as plan:
+        for topic in session.info().topics:
+            if find_topic(topic.name) is topics.PARAMETERS:
+                said = [record.decode() for record in session.messages(topic.name)]
+                if len({(p.speed, p.offset, p.gain) for p in said}) > 1:
+                    # Simulated, it would be another drive.
+                    raise NotALaneDriveError("its live parameters were changed while it drove")
         rows = _recorded(session)
         recorded = _lane_drive(rows[:, :5], plan)
         x, y, yaw = (float(v) for v in rows[0, 5:])
@@ -68,22 +74,16 @@ def compare_lane(session: Session, base: CarFile, found: Values) -> LaneComparis
         remarks: list[str] = []
         without = _simulated(plan, base, {}, start, remarks)
         other = _simulated(plan, base, found, start, remarks) if found else None
-    again = _again(_options_of(session))
-    name = session.info().path.name
+    # Options of `steerd run` for the same lane; none of a path file that is no longer there.
+    file = csv_file(options.path)
+    known = options.path == RunOptions.path or (file and not Path(file).is_file())
+    again = f"{'' if known else f'--path {shlex.quote(options.path)} '}--speed {options.speed:g}"
     return LaneComparison(recorded, without, other, name, again, tuple(remarks))
 
 
-def _again(options: RunOptions) -> str:
-    """Options of `steerd run` for the same lane; none of a path file that is no longer there."""
-    file = csv_file(options.path)
-    known = options.path == RunOptions.path or (file and not Path(file).is_file())
-    return f"{'' if known else f'--path {shlex.quote(options.path)} '}--speed {options.speed:g}"
-
-
 @contextmanager
-def _planned(session: Session) -> Iterator[RunPlan]:
+def _planned(session: Session, options: RunOptions) -> Iterator[RunPlan]:
     """The session's plan; the file that its path names comes from the session itself."""
-    options = _options_of(session)
     try:
         settings = make_settings(read_session_car(session), options.speed)
         settings = replace(settings, brakes=replace(settings.brakes, uuid=""))
@@ -114,26 +114,10 @@ def _options_of(session: Session) -> RunOptions:
     )  # fmt: skip
 
 
-def _require_unchanged(session: Session) -> None:
-    """Refuse a drive whose live parameters were changed: simulated, it would be another drive.
-
-    Raises:
-        NotALaneDriveError: they were.
-    """
-    for topic in session.info().topics:
-        if (split_key(topic.name) or ("", ""))[1] == topics.PARAMETERS.name:
-            said = [record.decode() for record in session.messages(topic.name)]
-            if len({(p.speed, p.offset, p.gain) for p in said}) > 1:
-                raise NotALaneDriveError("its live parameters were changed while it drove")
-
-
 def _recorded(session: Session) -> Rows:
     """Rows t, s, e1, e2, steer, x, y, yaw while the car was driven."""
-    wanted = {
-        t.name: topics.STATE.message
-        for t in session.info().topics
-        if (split_key(t.name) or ("", ""))[1] == topics.STATE.name
-    }
+    named = [t.name for t in session.info().topics if find_topic(t.name) is topics.STATE]
+    wanted = dict.fromkeys(named, topics.STATE.message)
     tables = session.tables(wanted) if wanted else {}
     if not tables:
         raise NotALaneDriveError("it holds no lane errors")

@@ -1,7 +1,8 @@
 """`steerd.identify`: the car's parameters from recorded drives, with errors and a validation."""
 
+import shlex
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isnan
@@ -9,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from steerd.car_model.car_file import CarFile, CarFileError, Learned, update_car
-from steerd.car_model.effects import EFFECTS, find_effect
-from steerd.car_model.model import Model
+from steerd.car_model.effects import find_effect
 from steerd.car_model.params import Car
 from steerd.daemon.analysis.car_output import (
     find_wiring,
@@ -20,13 +20,14 @@ from steerd.daemon.analysis.car_output import (
     save_car,
     with_known,
 )
-from steerd.daemon.analysis.drives import Drives, Warn, load_drives, without_reserved
-from steerd.daemon.analysis.hints import complete, refusing
-from steerd.daemon.analysis.identify_text import Asked, describe
+from steerd.daemon.analysis.drives import Drives, Warn, gather, load_drives, without_reserved
+from steerd.daemon.analysis.hints import complete, name_all, refusing, simulate_with
 from steerd.daemon.analysis.options import (
     EVERY,
-    IdentifyOptions,
+    CarSource,
+    HeldOutSource,
     SessionSources,
+    Speed,
     by_keywords,
     list_sessions,
     read_car,
@@ -35,30 +36,44 @@ from steerd.daemon.analysis.options import (
 from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import notebook_progress
-from steerd.daemon.common.screen import shown
-from steerd.steer_bus.session_read import Session
+from steerd.daemon.common.screen import format_screen, shown
 from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.outcome import Outcome, Row, encode_outcome
 from steerd.sysid.estimation.preparation import (
+    FitOptions,
     fit_wheelbase,
     free_names,
     held_names,
     level_loads,
     scale_inertia,
 )
-from steerd.sysid.inference.plain_car import default_free
-from steerd.sysid.report.report import Card, finite
+from steerd.sysid.inference.plain_car import POOR, default_free
+from steerd.sysid.report.report import Card, Line, Report, finite
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _USAGE = ExitCode.USAGE
-_STARTS = {"ours": 1, "paper": 5, "cma-es": 5}
 FIT = 2.0
 """About what a fit costs, in sessions read."""
 _LEAST = {"starts": 1, "iterations": 1, "jobs": 1, "seed": 0}
 _WHEELBASE = 0.05, 4.0
 """Between a toy's and a lorry's wheelbase [m]; millimetres lie above."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentifyOptions(FitOptions):
+    """How to identify a car.
+
+    Attributes:
+        car: start values: a car file, an `Identification`; None for the F1TENTH car.
+        held_out: what validates: every k-th block of 5 s (default 4), or whole sessions.
+        speed: `wheel` takes the measured wheel speed for the command, where a car did not obey it.
+    """
+
+    car: CarSource = None
+    held_out: HeldOutSource = None
+    speed: Speed = "command"
 
 
 @shown
@@ -94,11 +109,9 @@ class Identification:
         return bool(known) and known[-1].after.position <= 1.02 * known[-1].before.position
 
     @property
-    def cards(self) -> list[Card]:
+    def cards(self) -> Sequence[Card]:
         """The figures that the report shows first."""
-        from steerd.sysid.report.identify_report import make_cards
-
-        return list(make_cards(self.outcome))
+        return self.make_report().cards
 
     @cached_property
     def car(self) -> CarFile:
@@ -112,9 +125,6 @@ class Identification:
         """Write the car file and what is known of the car, see `save_car`."""
         return save_car(Path(path), self.make_car(Path(path)), self.car)
 
-    def __str__(self) -> str:
-        return self.describe()
-
     def make_car(self, path: Path) -> CarFile:
         """The identified car, comments and other sections as in the start's file.
 
@@ -126,29 +136,66 @@ class Identification:
 
     def learn_known(self, car: CarFile) -> CarFile:
         """The car of `make_car` with its noise and covariance: some seconds."""
-        return with_known(car, self.outcome.sections or learn_known(car, self.drives.runs))
+        fit = self.outcome.fit
+        return with_known(car, (fit and fit.sections) or learn_known(car, self.drives.runs))
 
     def to_json(self) -> dict[str, Any]:
         """JSON values in the schema `steerd.identify/1`."""
         return dict(finite(encode_outcome(self.outcome)))
 
-    def render_report(self) -> str:
-        """The report."""
+    def make_report(self, written: Path | None = None) -> Report:
+        """What screen, page and figure show; `written` is the car file that was written."""
         from steerd.sysid.report.identify_report import make_report
-        from steerd.sysid.report.page import render_report
 
-        return render_report(make_report(self.outcome))
+        return make_report(self.outcome, [*self._next(written)])
 
-    def plot(self) -> "Figure":
-        """Held-out drives and their predictions, prediction errors, parameters with errors."""
-        from steerd.daemon.analysis.figures import plot_identification
-
-        return plot_identification(self.outcome)
+    def __str__(self) -> str:
+        return self.describe()
 
     def describe(self, written: Path | None = None, report: Path | None = None) -> str:
         """The screen; `written` is the car file that was written."""
-        measured = self.options.wheelbase is not None
-        return describe(self.outcome, Asked(self.drives.sessions, self.improved, measured, written))
+        return format_screen(self.make_report(written).screen)
+
+    def render_report(self) -> str:
+        """The report."""
+        from steerd.sysid.report.page import render_report
+
+        return render_report(self.make_report())
+
+    def plot(self) -> "Figure":
+        """Held-out drives and their predictions, prediction errors, parameters with errors."""
+        from steerd.sysid.report.drawing import plot_report
+
+        return plot_report(self.make_report())
+
+    def _next(self, written: Path | None) -> Iterator[Line]:
+        """What to do next."""
+        outcome, sessions = self.outcome, self.drives.sessions
+        if any("`--speed wheel`" in note for note in outcome.notes):
+            yield Line("next", "the same command with --speed wheel: these values explain a speed "
+                       "that the car was not driven at; do not drive with them")  # fmt: skip
+        elif not self.improved:
+            why = "these values predict no better than the start; keep the old car file"
+            poor = outcome.fit is None or max(outcome.fit.misfit.values(), default=0.0) > POOR
+            yield Line("next", why)
+            if poor and self.options.wheelbase is None:
+                yield Line("", "measure the distance of the axles and give it as --wheelbase M: a "
+                           "longer car, a smaller steering gain and a slower one are hard to "
+                           "distinguish")  # fmt: skip
+            elif not poor and outcome.unidentified:
+                text = "the start explains these drives, and they are too gentle to improve it: "
+                yield Line("", complete(f"{text}drive `steerd collect --plan mixed`", sessions))
+        elif not any(row.identifiable for row in outcome.free_rows.values()):
+            yield Line("next", "nothing is identifiable from these data; do not drive with these "
+                       "values: keep the old car file, and do what the notes say")  # fmt: skip
+        elif written is not None:
+            names, car = name_all(self.drives.paths), shlex.quote(str(written))
+            yield Line("next", simulate_with(written, sessions), whole=True)
+            yield Line("", "(on the car: its --port and --mocap for --sim --fast)")
+            yield Line("", f"steerd diagnose {names} --base {car}", whole=True)
+            yield Line("", "(what this model still misses)")
+        else:
+            yield Line("next", "repeat with -o car.toml, which writes a car file to drive with")
 
 
 @by_keywords(IdentifyOptions)
@@ -180,30 +227,24 @@ def run_identification(
     Raises:
         SteerdError: as `identify`.
     """
-    warnings: list[str] = []
-
-    def take(texts: Sequence[str]) -> None:
-        warnings.extend(texts)
-        warn(texts)
-
+    warnings, take = gather(warn)
     progress(0.0, "reading the drives")
     base = read_car(options.car)
     drives, task = _make_task(paths, options, base, take)
     progress(float(len(paths)), "fitting the car")
     closer = "give start values closer to the car: --car FILE.toml, --wheelbase"
     with refusing(drives.sessions, closer):
-        outcome = _completed(learn(task, time.perf_counter), drives.sessions)
-    return Identification(options, base, drives, outcome, tuple(warnings))
-
-
-def _completed(outcome: Outcome, sessions: Sequence[Session]) -> Outcome:
-    """The outcome with commands that run as printed."""
-    rows, effect_rows = (
-        {n: r._replace(manoeuvre=complete(r.manoeuvre, sessions)) for n, r in named.items()}
-        for named in (outcome.rows, outcome.effect_rows)
+        found = learn(task, time.perf_counter)
+    # Commands that the result names run as they are printed.
+    outcome = replace(
+        found,
+        rows={
+            name: row._replace(manoeuvre=complete(row.manoeuvre, drives.sessions))
+            for name, row in found.rows.items()
+        },
+        notes=tuple(complete(note, drives.sessions) for note in found.notes),
     )
-    notes = tuple(complete(note, sessions) for note in outcome.notes)
-    return replace(outcome, rows=rows, effect_rows=effect_rows, notes=notes)
+    return Identification(options, base, drives, outcome, tuple(warnings))
 
 
 def _make_task(
@@ -214,24 +255,35 @@ def _make_task(
     Raises:
         SteerdError: a session or an option cannot be used.
     """
-    fixed, free, length = [*options.fix], [*options.free], options.wheelbase
-    held_out = read_held_out(options.held_out)
-    _check_counts(options, held_out.every)
-    _check_names((*free, *fixed), base.model)
-    model = _with_fixed(base, _given_values(options.fix))
+    held_out, length = read_held_out(options.held_out), options.wheelbase
+    for name, least in _LEAST.items():
+        value = getattr(options, name)
+        if value is not None and value < least:
+            raise SteerdError(f"{name} {value}: {least} or more", "", _USAGE)
+    if held_out.every == 0:
+        raise SteerdError("held out 0: something must validate the fit", "2 or more", _USAGE)
+    stated = {*options.free, *options.fix}
+    effects = [f"{e.name}.{p.name}" for e in base.effects for p in e.parameters]
+    for name in (*options.free, *options.fix):
+        if name not in Car._fields and name not in effects:
+            known = ", ".join((*Car._fields, *effects))
+            raise SteerdError(f"{name} is no parameter of the car", f"one of {known}", _USAGE)
+    try:  # each stated value within what a car file may say
+        given = _given_values(options.fix)
+        model = update_car(base.path, base, given).model if given else base.model
+    except CarFileError as error:
+        raise SteerdError(f"fix {error.where}: {error.what}", error.hint, _USAGE) from None
     if length is not None and not _WHEELBASE[0] <= length <= _WHEELBASE[1]:
         raise SteerdError(f"wheelbase {length:g}: in metres", "", _USAGE)
-    auto = options.effects == "auto"
-    candidates = tuple(EFFECTS) if auto else find_effects(options.effects) or None
+    if options.effects != "auto":
+        options = replace(options, effects=find_effects(options.effects))
     try:
-        model = fit_wheelbase(model, length, fixed)
+        model = fit_wheelbase(model, length, [*options.fix])
     except ValueError as error:
         raise SteerdError(str(error), "fix one of lf and lr, or neither", _USAGE) from None
-    stated = {*free, *fixed}
     if "inertia_z" not in stated:
         model = scale_inertia(model, base.model)
-    sessions = without_reserved(paths, held_out.files, "fit")
-    drives = load_drives(sessions, options.speed, warn)
+    drives = load_drives(without_reserved(paths, held_out.files, "fit"), options.speed, warn)
     other = load_drives(held_out.files, options.speed, warn)
     if "cog_height" not in stated:
         model = level_loads(model, drives.runs)
@@ -239,20 +291,14 @@ def _make_task(
     warn(different)
     first = drives.sessions[0].info().metadata
     return drives, Task(
-        runs=drives.runs,
+        drives.runs,
+        model,
+        options,
         held_out=other.runs,
-        every=EVERY if held_out.every is None else held_out.every,
-        model=model,
-        free=free_names(free, fixed, default_free(model.chassis), axles_known=length is not None),
-        wheelbase=length,
-        method=options.method,
-        starts=options.starts or _STARTS[options.method],
-        iterations=options.iterations,
-        seed=options.seed,
-        jobs=options.jobs,
-        dask=options.dask,
+        every=held_out.every or EVERY,
+        free=free_names(options, default_free(model.chassis)),
+        held=held_names(options),
         truth=None if different else read_true_car(first),
-        held=held_names(fixed, free, axles_known=length is not None, effects=candidates),
     )
 
 
@@ -273,28 +319,3 @@ def _given_values(fix: Mapping[str, float | None]) -> dict[str, Learned]:
     """What the user stated: the file that comes out is of that car."""
     stated = {name: value for name, value in fix.items() if value is not None}
     return {name: Learned(value, None, "given with --fix") for name, value in stated.items()}
-
-
-def _with_fixed(base: CarFile, given: Mapping[str, Learned]) -> Model[float]:
-    """The car with the stated values, each within what a car file may say."""
-    try:
-        return update_car(base.path, base, given).model if given else base.model
-    except CarFileError as error:
-        raise SteerdError(f"fix {error.where}: {error.what}", error.hint, _USAGE) from None
-
-
-def _check_names(names: Iterable[str], model: Model[float]) -> None:
-    effects = [f"{e.name}.{p.name}" for e in model.effects for p in e.parameters]
-    for name in names:
-        if name not in Car._fields and name not in effects:
-            known = ", ".join((*Car._fields, *effects))
-            raise SteerdError(f"{name} is no parameter of the car", f"one of {known}", _USAGE)
-
-
-def _check_counts(options: IdentifyOptions, every: int | None) -> None:
-    for name, least in _LEAST.items():
-        value = getattr(options, name)
-        if value is not None and value < least:
-            raise SteerdError(f"{name} {value}: {least} or more", "", _USAGE)
-    if every == 0:
-        raise SteerdError("held out 0: something must validate the fit", "2 or more", _USAGE)

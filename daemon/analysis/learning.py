@@ -23,27 +23,15 @@ from steerd.vesc_link.scaling import F1TENTH
 
 @dataclass(frozen=True)
 class Learnt:
-    """What the learner makes of a recorded drive.
+    """What the learner makes of a recorded drive."""
 
-    Attributes:
-        session: its file.
-        base: where the car came from, as text.
-        remark: why what identify knew of the car is not used; empty where it is.
-        report: the last report.
-        reports: how many there were, and the SHA-256 of their bytes.
-        digest: see `reports`.
-        recorded: how many the session itself holds, `same` of which are equal to the byte.
-        same: see `recorded`.
-    """
-
-    session: Path
-    base: str
-    remark: str
-    report: m.Model
-    reports: int
-    digest: str
-    recorded: int
-    same: int
+    base: str  # where the car came from, as text
+    remark: str  # why what identify knew of the car is not used; empty where it is
+    report: m.Model  # the last report
+    reports: int  # how many there were
+    digest: str  # SHA-256 of their bytes
+    recorded: int  # how many the session itself holds
+    same: int  # how many of those are equal to the byte
 
 
 def learn_session(
@@ -81,7 +69,7 @@ def learn_session(
         raise SteerdError(what, "record mocap and actuation of a drive", ExitCode.INVALID)
     digest = hashlib.sha256(b"".join(made)).hexdigest()
     same = sum(one == other for one, other in zip(made, recorded, strict=False))
-    return Learnt(path, source, base.remark, report, len(made), digest, len(recorded), same)
+    return Learnt(source, base.remark, report, len(made), digest, len(recorded), same)
 
 
 def wiring_of_session(session: Session) -> Wiring:

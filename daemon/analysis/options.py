@@ -6,8 +6,8 @@ command line.
 
 import argparse
 import inspect
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Sequence
+from dataclasses import fields
 from functools import wraps
 from pathlib import Path
 from typing import Any, Concatenate, Literal, NamedTuple, ParamSpec, Protocol, TypeVar
@@ -22,7 +22,6 @@ EVERY = 4
 
 Speed = Literal["command", "wheel"]
 """What drives the simulated car: the speed command, or the measured wheel speed."""
-Method = Literal["ours", "paper", "cma-es"]
 
 
 class HasPath(Protocol):
@@ -47,71 +46,6 @@ CarSource = CarFile | HasCar | Path | str | None
 HeldOutSource = int | SessionSource | Sequence[int | SessionSource] | None
 
 
-@dataclass(frozen=True, kw_only=True)
-class IdentifyOptions:
-    """How to identify a car.
-
-    Attributes:
-        car: start values: a car file, an `Identification`; None for the F1TENTH car.
-        held_out: what validates: every k-th block of 5 s (default 4), or whole sessions.
-        effects: the only effects of the library that may be learnt with the car; empty or `auto`
-            for all that the drives show (empty with `free`: none but those).
-        free: parameters to fit; empty for all that the drives can hold.
-        fix: parameters that keep the start value (None) or take this one, in SI units.
-        wheelbase: measured distance of the axles [m].
-        speed: `wheel` takes the measured wheel speed for the command, where a car did not obey it.
-        method: `ours`, or the paper's `paper` and `cma-es`.
-        starts: how many starts; None for 1 (ours) or 5.
-        iterations: of the paper's methods; None for their own number.
-        seed: of random starts.
-        jobs: worker processes.
-        dask: address of a Dask scheduler instead.
-    """
-
-    car: CarSource = None
-    held_out: HeldOutSource = None
-    effects: Sequence[str] | Literal["auto"] = ()
-    free: Sequence[str] = ()
-    fix: Mapping[str, float | None] = field(default_factory=dict)
-    wheelbase: float | None = None
-    speed: Speed = "command"
-    method: Method = "ours"
-    starts: int | None = None
-    iterations: int | None = None
-    seed: int = 0
-    jobs: int = 1
-    dask: str | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class DiagnoseOptions:
-    """How to diagnose.
-
-    Attributes:
-        base: the car as believed: a car file, an `Identification`; None for the car file inside
-            the first session.
-        healthy: drives of the same car without the gap: they determine how large noise is.
-        held_out: what the shrinkage is measured on: every k-th drive or block (default 4, 0 for
-            none), or whole sessions.
-        only: effects to look at; empty for the library.
-        without: effects to leave out.
-        pairs: whether two causes together are tried.
-        closed_loop: whether a lane drive is driven again in simulation, with and without.
-        speed: `wheel` takes the measured wheel speed for the command, where a car did not obey it.
-        jobs: threads for the candidates.
-    """
-
-    base: CarSource = None
-    healthy: SessionSources = ()
-    held_out: HeldOutSource = None
-    only: Sequence[str] = ()
-    without: Sequence[str] = ()
-    pairs: bool = True
-    closed_loop: bool = True
-    speed: Speed = "command"
-    jobs: int = 1
-
-
 P = ParamSpec("P")
 O = TypeVar("O")  # noqa: E741
 R = TypeVar("R")
@@ -131,7 +65,8 @@ def by_keywords(
         keywords = inspect.signature(options).parameters.values()
         shown = inspect.Signature([first, *keywords])
         call.__dict__["__signature__"] = shown
-        call.__doc__ = f"{work.__doc__}\n{options.__doc__}"
+        asked = inspect.getmro(options)[:-1]  # type: ignore[arg-type]
+        call.__doc__ = "\n".join(str(each.__doc__) for each in (work, *asked))
         return call
 
     return decorate

@@ -100,7 +100,7 @@ def plan_drive(
         raise SteerdError(f"seed {seed}: 0 or more", "", ExitCode.USAGE)
     options = RunOptions(
         car_file="", path=path, speed=speed, duration_s=duration, seed=seed, simulated=True,
-        auto_arm=True, effects=_format_effects(effects or {}),
+        auto_arm=True, effects=tuple(_format_effect(*each) for each in (effects or {}).items()),
         controller=ControllerKind.ZENOH if external else ControllerKind.LANE,
     )  # fmt: skip
     return make_plan(options, make_settings(read_car(car), speed))
@@ -113,7 +113,8 @@ def _record(plan: RunPlan, file: Path, controller: Controller | None) -> Session
         steered = Steered(controller, plan.options.seed + 1)
         run = record_virtual(plan, file, lambda run: drive(run, steered.command), steered.see)
     check_driven(run)
-    _warn_stopped(run)
+    if run.core.loop.faulted:
+        warnings.warn(f"the drive was stopped: {run.core.loop.fault}", stacklevel=4)
     return Session(file, load_session(file))
 
 
@@ -143,17 +144,6 @@ class Steered:
         command = self._made.compute_command(self.newest, EPOCH_NS + run.t_ns)
         if command is not None:
             run.core.on_request(topics.DRIVE.name, encode(command), run.t_ns)
-
-
-def _warn_stopped(run: VirtualRun) -> None:
-    loop = run.core.loop
-    if loop.faulted:
-        warnings.warn(f"the drive was stopped: {loop.fault}", stacklevel=5)
-
-
-def _format_effects(effects: EffectValues) -> tuple[str, ...]:
-    """Effects as `--effect` takes them."""
-    return tuple(_format_effect(name, values) for name, values in effects.items())
 
 
 def _format_effect(name: str, values: float | Sequence[float] | Mapping[str, float]) -> str:

@@ -5,11 +5,14 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 from math import isfinite
 from pathlib import Path
-from typing import Any, TextIO, TypeVar
+from typing import TYPE_CHECKING, Any, TextIO, TypeVar
+
+if TYPE_CHECKING:
+    from steerd.sysid.report.report import Line
 
 WIDTH = 80  # columns of the narrowest terminal that reports are made for
 NBSP = "\u00a0"
@@ -153,6 +156,41 @@ def prepare_streams() -> None:
         stream = getattr(sys, name) or os.fdopen(number, "w", encoding="utf-8", closefd=False)
         stream.reconfigure(errors="replace")
         setattr(sys, name, PlainStream(stream))
+
+
+MARGIN = 12
+"""Columns of a label."""
+_ROWS = 3
+
+
+def format_screen(lines: "Iterable[Line]", most: int = 0) -> str:
+    """A report on a terminal.
+
+    Args:
+        lines: of the report.
+        most: lines of the terminal; what matters least is left out where it would not fit: notes,
+            and what a paragraph says beyond its third line. 0 for as many as there are.
+    """
+    found = [(line, _lay_out(line, most > 0)) for line in lines]
+    room = most - sum(len(rows) for line, rows in found if line.label != "note")
+    shown: list[str] = []
+    for line, rows in found:
+        if most and line.label == "note":
+            rows, room = rows[: max(room, 0)], room - len(rows)
+        shown += rows
+    if most:
+        del shown[most - 1 : -1]
+    return "\n".join(shown)
+
+
+def _lay_out(line: "Line", short: bool) -> list[str]:
+    label = f"{line.label:<{MARGIN}}"
+    if line.whole or not line.text:
+        return [f"{label}{line.text}".rstrip()]
+    rows = wrap(line.text, label, " " * MARGIN)
+    if not short or len(rows) <= _ROWS:
+        return rows
+    return [*rows[: _ROWS - 1], f"{rows[_ROWS - 1][: WIDTH - 2]} …"]
 
 
 T = TypeVar("T")

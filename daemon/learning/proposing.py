@@ -73,28 +73,22 @@ def propose(
         return replace(proposer, design=None), make_no_design(mono_ns, epoch_ns, aim)
     held = proposer.held
     car = approach_learnt(proposer.at, aim, held.bounds, held.steps)
-    if proposer.design is None or not _is_near(held, car, proposer.design.car):
+    near = proposer.design is not None and all(
+        abs(a - b) <= STILL * most
+        for a, b, most in zip(car, proposer.design.car, held.steps, strict=True)
+    )
+    if not near:
+        file = held.file
         try:
-            proposer = replace(proposer, design=_make(proposer, car))
+            table = proposer.design_table(
+                learnt_car(file, car), file.config, learnt_timing(file, car), file.profile.fastest
+            )
+            proposer = replace(proposer, design=Design(car, table))
         except DesignRefused as error:
             return replace(proposer, design=None), make_no_design(mono_ns, epoch_ns, str(error))
     if proposer.design is None or proposer.design.car == file_numbers(held):
         return proposer, make_no_design(mono_ns, epoch_ns, "the car is as in the car file")
     return proposer, make_design(mono_ns, epoch_ns, 1, proposer.design)
-
-
-def _is_near(held: Acceptance, car: Learnt, other: Learnt) -> bool:
-    return all(
-        abs(a - b) <= STILL * most for a, b, most in zip(car, other, held.steps, strict=True)
-    )
-
-
-def _make(proposer: Proposer, car: Learnt) -> Design:
-    file = proposer.held.file
-    table = proposer.design_table(
-        learnt_car(file, car), file.config, learnt_timing(file, car), file.profile.fastest
-    )
-    return Design(car, table)
 
 
 @dataclass

@@ -17,19 +17,6 @@ _LEARNT = tuple(
 """The car's numbers that the message has fields for."""
 
 
-def verdict_of(state: State) -> str:
-    """`learning`, `none`, or the newest change's."""
-    if state.known is None:
-        return "learning"
-    changes = changes_of(state)
-    return changes[-1].finding.verdict if changes else "none"
-
-
-def changes_of(state: State) -> tuple[Change, ...]:
-    """All changes so far, oldest first."""
-    return (*state.past, state.change) if state.change is not None else state.past
-
-
 def make_model(
     state: State, mono_ns: int, epoch_ns: int, dropped: int, remembered: tuple[Remembered, ...] = ()
 ) -> m.Model:
@@ -45,8 +32,10 @@ def make_model(
     early = (Value(*each, unit_of(each.name), True) for each in remembered)
     values = values_of(state.known) if state.known else tuple(early)
     by_name = {value.name: value for value in values}
-    changes = [_reported_change(change) for change in changes_of(state)]
+    current = () if state.change is None else (state.change,)
+    changes = [_reported_change(change) for change in (*state.past, *current)]
     newest = changes[-1] if changes else None
+    verdict = newest.verdict if newest else "none"
     numbers = {
         key: number
         for name in _LEARNT
@@ -61,7 +50,7 @@ def make_model(
         dropped=dropped,
         confidence=newest.confidence if newest else nan,
         **numbers,
-        verdict=verdict_of(state),
+        verdict="learning" if state.known is None else verdict,
         effect=newest.effect if newest else "",
         alternatives=",".join(newest.alternatives) if newest else "",
         identifiable=",".join(value.name for value in values if value.identifiable),
@@ -74,17 +63,10 @@ def _number(value: Value | None) -> tuple[float, float]:
 
 
 def _reported_change(change: Change) -> ReportedChange:
-    finding, cause = change.finding, change.finding.cause
+    verdict, cause = change.finding.verdict, change.finding.cause
     since, noticed = round(change.since * NS), round(change.noticed * NS)
     if cause is None:
-        return ReportedChange(since, noticed, finding.verdict, "", nan, (), ())
-    reported = tuple(ReportedValue(name, *amount) for name, amount in amounts_of(change).items())
-    return ReportedChange(
-        since,
-        noticed,
-        finding.verdict,
-        cause.effect,
-        cause.confidence,
-        cause.ambiguous_with,
-        reported,
-    )
+        return ReportedChange(since, noticed, verdict, "", nan, (), ())
+    moved = tuple(ReportedValue(name, *amount) for name, amount in amounts_of(change).items())
+    named = cause.effect, cause.confidence, cause.ambiguous_with
+    return ReportedChange(since, noticed, verdict, *named, moved)

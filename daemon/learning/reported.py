@@ -41,30 +41,23 @@ def pack(values: list[ReportedValue], changes: list[ReportedChange]) -> str:
 
 def reported_values(model: m.Model) -> list[ReportedValue]:
     """The car's numbers in a report."""
-    return [_value(each) for each in json.loads(model.details)["values"]]
+    return [_value(*row) for row in json.loads(model.details)["values"]]
 
 
 def reported_changes(model: m.Model) -> list[ReportedChange]:
     """The changes in a report, oldest first."""
     return [
         ReportedChange(
-            since,
-            noticed,
-            verdict,
-            effect,
-            _or_nan(sure),
-            tuple(alternatives),
-            tuple(map(_value, reported)),
+            since, noticed, verdict, effect, _or_nan(sure), tuple(others),
+            tuple(_value(*each) for each in moved),
         )
-        for since, noticed, verdict, effect, sure, alternatives, reported in json.loads(
-            model.details
-        )["changes"]
-    ]
+        for since, noticed, verdict, effect, sure, others, moved
+        in json.loads(model.details)["changes"]
+    ]  # fmt: skip
 
 
-def _value(row: list[Any]) -> ReportedValue:
-    name, value, sd, unit, identifiable = row
-    return ReportedValue(name, _or_nan(value), _or_nan(sd), unit, identifiable)
+def _value(name: str, value: float | None, sd: float | None, *more: Any) -> ReportedValue:
+    return ReportedValue(name, _or_nan(value), _or_nan(sd), *more)
 
 
 def _or_nan(value: float | None) -> float:

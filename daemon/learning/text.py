@@ -1,6 +1,6 @@
 """What was learnt, as lines of a screen and as JSON values."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from math import isfinite
 from typing import Any
@@ -29,12 +29,6 @@ _VERDICTS = {
 }
 
 
-def clock_of(model: m.Model, mono_ns: int) -> str:
-    """Time of day (UTC) of a monotonic time."""
-    stamp = m.stamp_ns(model.header) - model.mono_ns + mono_ns
-    return datetime.fromtimestamp(stamp // NS, UTC).strftime("%H:%M:%S")
-
-
 def with_sd(parameter: ReportedValue, sign: str = "") -> str:
     """A number, its standard deviation to two digits and its unit, on one line."""
     unit = "" if parameter.unit == "1" else f" {parameter.unit}"
@@ -45,7 +39,8 @@ def with_sd(parameter: ReportedValue, sign: str = "") -> str:
 
 def describe_change(model: m.Model, change: ReportedChange) -> str:
     """One change in one sentence."""
-    since = f"since {clock_of(model, change.since_ns)}"
+    stamp = m.stamp_ns(model.header) - model.mono_ns + change.since_ns
+    since = f"since {datetime.fromtimestamp(stamp // NS, UTC):%H:%M:%S}"
     if change.verdict != "named":
         return f"{since}: {_VERDICTS[change.verdict]}"
     several = len(change.parameters) > 1
@@ -92,14 +87,23 @@ def format_model(model: m.Model) -> list[str]:
 
 
 def encode_model(model: m.Model) -> dict[str, Any]:
-    """JSON values: `gap` and `model`."""
-    changes = [_encode_change(model, change) for change in reported_changes(model)]
-    newest = changes[-1] if changes else None
+    """JSON values: `gap` and `model`; times are UNIX."""
+    epoch_ns = m.stamp_ns(model.header) - model.mono_ns
+    changes = [
+        {
+            "verdict": change.verdict,
+            "since_s": (epoch_ns + change.since_ns) * 1e-9,
+            "noticed_s": (epoch_ns + change.noticed_ns) * 1e-9,
+            "causes": _causes(change),
+        }
+        for change in reported_changes(model)
+    ]
+    newest = changes[-1] if changes else {"since_s": None, "causes": []}
     return {
         "gap": {
             "verdict": model.verdict,
-            "since_s": newest["since_s"] if newest else None,
-            "causes": newest["causes"] if newest else [],
+            "since_s": newest["since_s"],
+            "causes": newest["causes"],
             "changes": changes,
         },
         "model": {
@@ -111,25 +115,15 @@ def encode_model(model: m.Model) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _encode_change(model: m.Model, change: ReportedChange) -> dict[str, Any]:
-    """One change; `since_s` is UNIX time."""
-    epoch_ns = m.stamp_ns(model.header) - model.mono_ns
-    return {
-        "verdict": change.verdict,
-        "since_s": (epoch_ns + change.since_ns) * 1e-9,
-        "noticed_s": (epoch_ns + change.noticed_ns) * 1e-9,
-        "causes": _causes(change),
-    }
-
-
-def _causes(change: ReportedChange) -> Sequence[dict[str, Any]]:
+def _causes(change: ReportedChange) -> list[dict[str, Any]]:
     if not change.effect:
         return []
-    parameters = {p.name: {"value": p.value, "sd": p.sd, "unit": p.unit} for p in change.parameters}
     return [
         {
             "effect": change.effect,
-            "parameters": parameters,
+            "parameters": {
+                p.name: {"value": p.value, "sd": p.sd, "unit": p.unit} for p in change.parameters
+            },
             "confidence": change.confidence,
             "alternatives": list(change.alternatives),
         }

@@ -1,27 +1,27 @@
-"""Drives side by side, as one HTML page: of one lane by place, and of two also over time."""
+"""Drives of one lane side by side: what each did at the same place, as one HTML page."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import degrees
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 
 from steerd.car_model.path.path import Path as Lane
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import clean
+from steerd.daemon.sessions import compare_time
 from steerd.daemon.sessions.info import Recording
 from steerd.daemon.sessions.motion import Array, Track, find_settled, rms
-from steerd.daemon.sessions.plot_data import Curve, load_lane, make_drawing
+from steerd.daemon.sessions.plot_data import load_lane
 from steerd.sim_gap.lane_comparison import profile
-from steerd.sim_gap.time_comparison import STEP, Overlay, Pair, find_shift
 from steerd.steer_bus import topics
-from steerd.sysid.report.drawing import FAINT, INK, LINES, STYLE, draw, make_axes, to_svg
+from steerd.sysid.report.drawing import FAINT, LINES, Diagrams
 from steerd.sysid.report.page import render_report
 from steerd.sysid.report.report import Report, Section, Table
 
-BINS = 400  # places along the lane
+BINS = 400
+"""Places along the lane."""
 NAME_MAX = 40
 _POINTS_MAX, _DOTS_MAX = 1200, 400
 _PANELS = (
@@ -35,15 +35,25 @@ _PANELS = (
 
 @dataclass(frozen=True, eq=False)
 class LaneSession:
-    """One drive on its lane, settled."""
+    """One drive on its lane, settled.
 
-    name: str  # the file's
-    spec: str  # the path, as `--path` took it
+    Attributes:
+        name: the file's.
+        spec: the path, as `--path` took it.
+        lane: the path.
+        track: of the car; None without poses.
+        place: along the lane [m], in [0, its length).
+        values: fields of `_PANELS` at these places, SI.
+        laps: how often the lane's length was driven.
+    """
+
+    name: str
+    spec: str
     lane: Lane
-    track: Track | None  # of the car; None without poses
-    place: Array  # along the lane [m], in [0, its length)
-    values: dict[str, Array]  # fields of `_PANELS` at these places, SI
-    laps: float  # how often the lane's length was driven
+    track: Track | None
+    place: Array
+    values: dict[str, Array]
+    laps: float
 
 
 def make_lane_session(read: Recording) -> LaneSession:
@@ -110,7 +120,7 @@ def render_recordings(reads: Sequence[Recording], shift: float | None = None) ->
         check_same_lane(drives)
         return render_comparison(drives)
     names = [clean(read.info.path.name, NAME_MAX) for read in reads]
-    both = make_section(overlay(reads[0], reads[1], shift), names)
+    both = compare_time.make_section(compare_time.overlay(reads[0], reads[1], shift), names)
     try:
         drives = [make_lane_session(read) for read in reads]
     except SteerdError as error:  # over time alone
@@ -121,7 +131,6 @@ def render_recordings(reads: Sequence[Recording], shift: float | None = None) ->
     return render_comparison(drives, both)
 
 
-@rc_context(STYLE)
 def render_comparison(drives: Sequence[LaneSession], over_time: Section | None = None) -> str:
     """The page of several drives of one lane, with what is known of two of them over time."""
     names = [drive.name for drive in drives]
@@ -136,9 +145,17 @@ def render_comparison(drives: Sequence[LaneSession], over_time: Section | None =
             Section(
                 "At the same place along the lane",
                 "Dots are single samples of every lap, the line is their mean at that place.",
-                figure=_draw_curves(drives),
+                figures=[
+                    Diagrams(
+                        lambda *axes: _plot_curves(axes, drives),
+                        2.0,
+                        count=len(_PANELS),
+                        columns=2,
+                        colours=dict(zip(names, LINES, strict=False)),
+                    )
+                ],
             ),
-            Section("Tracks", figure=draw(_plot_tracks, 4.2, drives)),
+            Section("Tracks", figures=[Diagrams(_plot_tracks, 4.2, (drives,))]),
             *([over_time] if over_time else []),
         ],
         foot="Written by steerd plot. Frames are ISO 8855, angles positive to the left.",
@@ -175,14 +192,12 @@ def _plot_tracks(axis: Axes, drives: Sequence[LaneSession]) -> None:
     axis.set(xlabel="x [m]", ylabel="y [m]")
 
 
-def _draw_curves(drives: Sequence[LaneSession]) -> str:
+def _plot_curves(axes: Sequence[Axes], drives: Sequence[LaneSession]) -> None:
     """Errors, speed and steering over the place along the lane."""
-    axes = make_axes(len(_PANELS), 2.0)
     for axis, (name, title, scale) in zip(axes, _PANELS, strict=True):
         for drive, colour in zip(drives, LINES, strict=False):
             _draw_drive(axis, drive, scale * drive.values[name], colour)
         axis.set(title=title, xlabel="place along the lane [m]", xlim=(0.0, drives[0].lane.length))
-    return to_svg(axes, {d.name: colour for d, colour in zip(drives, LINES, strict=False)})
 
 
 def _draw_drive(axis: Axes, drive: LaneSession, values: Array, colour: str) -> None:
@@ -191,96 +206,3 @@ def _draw_drive(axis: Axes, drive: LaneSession, values: Array, colour: str) -> N
     axis.plot(drive.place[::step], values[::step], ".", ms=1.0, color=colour, alpha=0.35)
     at = (np.arange(BINS) + 0.5) / BINS * drive.lane.length
     axis.plot(at, profile(drive.place, drive.lane.length, values, BINS), color=colour, lw=1.4)
-
-
-LEAST_SHARE = 0.01
-"""Least height of a difference's axis to either side, as a share of the first drive's largest."""
-_MOTION = ("speed", "steering angle (left +)", "yaw rate")
-"""Panels that show when a drive did what; errors are each drive's own."""
-_SHOWN = ("lateral error e1", "heading error e2", *_MOTION)
-
-
-def overlay(first: Recording, second: Recording, shift: float | None = None) -> Overlay:
-    """Put two drives on one axis of time, at this shift [s], or at the one that is found.
-
-    Raises:
-        SteerdError: they have nothing in common, or no time at that shift.
-    """
-    panels = [{panel.title: panel for panel in make_drawing(r).panels} for r in (first, second)]
-    curves = {
-        title: _pick(panels[0][title].curves, panels[1][title].curves)
-        for title in _SHOWN
-        if all(title in found for found in panels)
-    }
-    motion = [curves[title] for title in _MOTION if title in curves]
-    if not motion:
-        what = "the two drives have neither speed nor steering nor yaw rate in common"
-        raise SteerdError(what, "name drives that were recorded alike", ExitCode.INVALID)
-    lengths = [read.info.duration_s for read in (first, second)]
-    at = shift
-    if at is None:
-        axes = [np.arange(0.0, length + STEP, STEP) for length in lengths]
-        sampled = ([_sample(pair[i], axis) for pair in motion] for i, axis in enumerate(axes))
-        at = find_shift(*sampled)
-    t = np.arange(max(0.0, at), min(lengths[0], lengths[1] + at), STEP)
-    if len(t) < 2:
-        what = f"shifted by {at:g} s the drives have no time in common"
-        hint = f"they last {lengths[0]:.1f} s and {lengths[1]:.1f} s"
-        raise SteerdError(what, hint, ExitCode.USAGE)
-    pairs = (
-        Pair(title, panels[0][title].unit, _sample(one, t), _sample(other, t - at))
-        for title, (one, other) in curves.items()
-    )
-    return Overlay(t, at, shift is None, tuple(pairs))
-
-
-def _pick(first: Sequence[Curve], second: Sequence[Curve]) -> tuple[Curve, Curve]:
-    """The last curve that two panels both have, by name; else the last of each: the estimate."""
-    names = {curve.name: curve for curve in second}
-    both = [curve for curve in first if curve.name in names]
-    return (both[-1], names[both[-1].name]) if both else (first[-1], second[-1])
-
-
-def _sample(curve: Curve, at: Array) -> Array:
-    return np.interp(at, curve.t, curve.value, np.nan, np.nan)
-
-
-def make_section(found: Overlay, names: Sequence[str]) -> Section:
-    """Table and curves of the two, and of their difference."""
-    where = "found by cross-correlation" if found.found else "as given"
-    when, common = "later" if found.shift >= 0.0 else "earlier", found.t[-1] - found.t[0]
-    heads = ["", f"{names[0]}: RMS", f"{names[1]}: RMS", "difference: mean",
-             "difference: RMS", "difference: largest"]  # fmt: skip
-    return Section(
-        "Over the same time",
-        f"{names[1]} is shown {abs(found.shift):.2f} s {when}, {where}; {common:.1f} s are "
-        f"common to both. The difference is {names[1]} minus {names[0]}.",
-        table=Table(heads, [row for pair in found.pairs for row in _list_figures(pair)]),
-        figure=_draw(found, names),
-    )
-
-
-def _list_figures(pair: Pair) -> Iterator[list[str]]:
-    one, other, off = (v[np.isfinite(pair.difference)] for v in (pair.first, pair.second,
-                                                                 pair.difference))  # fmt: skip
-    if off.size:
-        figures = (rms(one), rms(other), float(off.mean()), rms(off), float(np.abs(off).max()))
-        yield [f"{pair.title} [{pair.unit}]", *(f"{value:z.3f}" for value in figures)]
-
-
-@rc_context(STYLE)
-def _draw(found: Overlay, names: Sequence[str]) -> str:
-    """Both curves, then their difference; two diagrams for each quantity."""
-    axes = make_axes(2 * len(found.pairs), 1.8)
-    step = max(1, len(found.t) // _POINTS_MAX)
-    t = found.t[::step]
-    for both, off, pair in zip(axes[::2], axes[1::2], found.pairs, strict=True):
-        for values, colour in zip((pair.first, pair.second), LINES, strict=False):
-            both.plot(t, values[::step], color=colour, lw=1.1)
-        off.plot(t, pair.difference[::step], color=INK, lw=0.9)
-        both.set(title=f"{pair.title} [{pair.unit}]", xlabel="time [s]")
-        off.set(title=f"difference of the {pair.title} [{pair.unit}]", xlabel="time [s]")
-        least = LEAST_SHARE * np.nanmax(np.abs(pair.first))
-        low, high = off.get_ylim()
-        off.set_ylim(min(low, -least), max(high, least))  # what differs by rounding looks so
-    return to_svg(axes, dict(zip(names, LINES, strict=False)))

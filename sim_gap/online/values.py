@@ -84,19 +84,15 @@ def amounts_of(change: Change) -> dict[str, Amount]:
     cause = change.finding.cause
     if cause is None:
         return {}
-    known = find_effect(cause.effect).parameters
-    return {
-        p.name: _amount(cause.parameters[p.name], before, p.null) if p.role is Role.SIZE else after
-        for p, before in zip(known, change.was, strict=True)
-        for after in [cause.parameters[p.name]]
-    }
-
-
-def _amount(after: Amount, before: float, null: float) -> Amount:
-    value, sd, unit = after
-    if is_ratio(null, before):
-        return value / before, sd / before, unit
-    return value - before, sd, unit
+    moved: dict[str, Amount] = {}
+    for p, before in zip(find_effect(cause.effect).parameters, change.was, strict=True):
+        value, sd, unit = cause.parameters[p.name]
+        if p.role is Role.SIZE and is_ratio(p.null, before):
+            value, sd = value / before, sd / before
+        elif p.role is Role.SIZE:
+            value -= before
+        moved[p.name] = value, sd, unit
+    return moved
 
 
 def is_ratio(null: float, before: float) -> bool:

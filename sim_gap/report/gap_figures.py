@@ -1,7 +1,7 @@
 """The gap report's figures as inline SVG, styled as those of the identification."""
 
 from collections.abc import Sequence
-from typing import Any
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,10 +15,9 @@ from steerd.sim_gap.lane_comparison import (
     profile,
     steering_spectrum,
 )
-from steerd.sim_gap.report.summary_text import EQUATIONS, known_leads
-from steerd.sim_gap.verdict.residual_shape import Timeline
+from steerd.sim_gap.report.gap_report import known_leads
 from steerd.sim_gap.verdict.shrinkage import Shrinkage
-from steerd.sim_gap.verdict.where import Regime, Where, range_words
+from steerd.sim_gap.verdict.where import EQUATIONS, Regime, Where, range_words
 from steerd.sysid.inference.residuals import Gap
 from steerd.sysid.report.drawing import (
     AFTER,
@@ -28,17 +27,16 @@ from steerd.sysid.report.drawing import (
     FAINT,
     INK,
     MEASURED,
-    make_axes,
+    Diagrams,
     plain_log,
     scale_bars,
-    to_svg,
 )
 from steerd.sysid.report.report import DEGREES
 
 Array = NDArray[np.float64]
 
-SHOWN_MOST = 12
-"""Candidates that are drawn; the rest is in the JSON."""
+SHOWN_MOST, RUNS_MOST = 12, 4
+"""Candidates and drives that are drawn; the rest is in the JSON."""
 
 
 def _name_rows(axis: Axes, labels: Sequence[str]) -> None:
@@ -47,22 +45,32 @@ def _name_rows(axis: Axes, labels: Sequence[str]) -> None:
     axis.set_ylim(len(labels) - 0.4, -0.6)
 
 
-def effect_colours(*, explained: bool) -> dict[str, str]:
-    """Colours of the simulation without and, where something explains the gap, with the effect."""
-    return {"base car": BEFORE} | ({"with the effect": AFTER} if explained else {})
+def draw_main(found: Diagnosis) -> list[Diagrams]:
+    """The gap, the candidates and the gap over time: what is drawn of every diagnosis."""
+    colours = {"base car": BEFORE, **({"with the effect": AFTER} if found.causes else {})}
+    measured = [i for i in range(3) if any(row[1 + i] > 0.0 for row in found.before.errors)] or [0]
+    rows = min(len(found.candidates) + 1, SHOWN_MOST)
+    runs = list(dict.fromkeys(found.timeline.run))[:RUNS_MOST]
+    named = {"named": AFTER} if found.causes else {}
+    if any(cause.ambiguous_with for cause in found.causes):
+        named["may be it instead"] = CONFOUNDED
+    wide, height = max(len(measured), 2), 0.7 + 0.24 * max(rows, 2)
+    named |= {"others": FAINT} if named else {}
+    gap = partial(_plot_gap, found=found, measured=measured)
+    timeline = partial(_plot_timeline, found=found, runs=runs)
+    return [
+        Diagrams(gap, 2.5, count=len(measured), columns=wide, colours=colours),
+        Diagrams(_plot_candidates, height, [found], colours=named),
+        Diagrams(timeline, 1.9, count=len(runs), colours=colours),
+    ]
 
 
-def find_measured(gap: Gap) -> list[int]:
-    """Which of position, heading and wheel speed have errors, as 0 to 2; position at least."""
-    return [i for i in range(3) if any(row[1 + i] > 0.0 for row in gap.errors)] or [0]
-
-
-def plot_gap(axes: Sequence[Axes], found: Diagnosis) -> None:
-    """Error after each lead with 90 % intervals, an axis for each of `find_measured`."""
+def _plot_gap(*axes: Axes, found: Diagnosis, measured: Sequence[int]) -> None:
+    """Error after each lead with 90 % intervals: position, heading, wheel speed, as measured."""
     before, after, explained = found.before, found.after, bool(found.causes)
     gaps = (before, after) if explained else (before,)
     units = (("position [mm]", 1e3), ("heading [°]", DEGREES), ("wheel speed [mm/s]", 1e3))
-    for axis, i in zip(axes, find_measured(before), strict=True):
+    for axis, i in zip(axes, measured, strict=True):
         label, scale = units[i]
         _bars(axis, before, i, scale, -0.2 if explained else 0.0, BEFORE)
         if explained:
@@ -88,7 +96,7 @@ def _bars(axis: Axes, gap: Gap, i: int, scale: float, shift: float, colour: str)
     )  # fmt: skip
 
 
-def plot_candidates(axis: Axes, found: Diagnosis) -> None:
+def _plot_candidates(axis: Axes, found: Diagnosis) -> None:
     """Posterior probability of each hypothesis, something else among them."""
     none = "no gap" if found.verdict == "none" else "something else"
     rows = [(name, p) for name, p, _ in found.candidates] + [(none, found.something_else)]
@@ -107,18 +115,9 @@ def plot_candidates(axis: Axes, found: Diagnosis) -> None:
     axis.set_xlabel("posterior probability [%]")
 
 
-def candidate_colours(found: Diagnosis) -> dict[str, str]:
-    """Colours of `plot_candidates`; none where nothing is named."""
-    if not found.causes:
-        return {}
-    confounded = any(cause.ambiguous_with for cause in found.causes)
-    other = {"may be it instead": CONFOUNDED} if confounded else {}
-    return {"named": AFTER, **other, "others": FAINT}
-
-
 def plot_where(left: Axes, right: Axes, where: Where) -> None:
     """Shares by equation and by measured channel."""
-    _shares(left, [(EQUATIONS.get(s.name, s.name), s.share) for s in where.equation])
+    _shares(left, [(EQUATIONS[s.name], s.share) for s in where.equation])
     left.set_title("hidden input that would remove the error")
     shown = [s for s in where.channels if s.share > 5e-3] or where.channels[:1]
     _shares(right, [(s.name.replace("_", " "), s.share) for s in shown])
@@ -137,35 +136,21 @@ def _shares(axis: Axes, rows: Sequence[tuple[str, float]]) -> None:
     axis.grid(visible=False, axis="y")
 
 
-def draw_timeline(line: Timeline, stretches: Sequence[Any], explained: bool) -> str:
+def _plot_timeline(*axes: Axes, found: Diagnosis, runs: Sequence[str]) -> None:
     """Whitened error of each window over its drive's time; stretches that stand out are shaded."""
-    runs = list(dict.fromkeys(line.run))[:4]
-    axes = make_axes(len(runs), 1.9)
-    for axis, name in zip(axes, runs, strict=True):
-        plot_timeline(axis, line, name, stretches, explained)
-        axis.set_xlabel("time into the drive [s]")
-    return to_svg(axes, effect_colours(explained=explained))
-
-
-def plot_timeline(
-    axis: Axes, line: Timeline, run: str, stretches: Sequence[Any], explained: bool
-) -> None:
-    """Whitened error of one drive's windows over its time, before and after."""
-    mine = np.array([name == run for name in line.run])
-    for stretch in stretches:
-        if stretch.run == run:
-            axis.axvspan(stretch.t0, stretch.t1, color=BAND, lw=0)
-    _steps(axis, line, mine, line.before, BEFORE)
-    if explained:
-        _steps(axis, line, mine, line.after, AFTER)
-    axis.axhline(1.0, color=INK, lw=0.8, ls=":")
-    axis.set(yscale="log", ylabel="error / noise", title=run)
-    plain_log(axis.yaxis)
-
-
-def _steps(axis: Axes, line: Timeline, mine: Array, values: Array, colour: str) -> None:
-    shown = np.clip(values[mine], 1e-2, 1e5)
-    axis.hlines(shown, line.t0[mine], line.t1[mine], color=colour, lw=2.0)
+    line, shown = found.timeline, [(found.timeline.before, BEFORE)]
+    shown += [(found.timeline.after, AFTER)] if found.causes else []
+    for axis, run in zip(axes, runs, strict=True):
+        mine = np.array([name == run for name in line.run])
+        for stretch in found.where.windows:
+            if stretch.run == run:
+                axis.axvspan(stretch.t0, stretch.t1, color=BAND, lw=0)
+        for values, colour in shown:
+            height = np.clip(values[mine], 1e-2, 1e5)
+            axis.hlines(height, line.t0[mine], line.t1[mine], color=colour, lw=2.0)
+        axis.axhline(1.0, color=INK, lw=0.8, ls=":")
+        axis.set(yscale="log", ylabel="error / noise", title=run, xlabel="time into the drive [s]")
+        plain_log(axis.yaxis)
 
 
 def plot_regimes(axis: Axes, rows: Sequence[Regime]) -> None:
@@ -198,31 +183,34 @@ def plot_shrinkage(axis: Axes, s: Shrinkage) -> None:
     axis.set(xlim=(-2.0, 104.0), xlabel="excess error removed [%]; 100 leaves noise alone")
 
 
-def draw_lane(lane: LaneComparison) -> str:
+def draw_lane(lane: LaneComparison) -> Diagrams:
     """e1 and e2 along the lane, and the steering's spectrum: recorded and simulated."""
-    drives: list[tuple[LaneDrive, str, float]] = [(lane.recorded, MEASURED, 2.4)]
-    colours = {"recorded": MEASURED}
-    if lane.without is not None:
-        drives.append((lane.without, BEFORE, 1.3))
-        colours["simulated, base car"] = BEFORE
-    if lane.with_effect is not None:
-        drives.append((lane.with_effect, AFTER, 1.3))
-        colours["simulated, with the effect"] = AFTER
-    axes = make_axes(3, 3.0, 3)
-    for drive, colour, width in drives:
-        alpha = 0.45 if drive is lane.recorded else 1.0
-        for axis, field, scale in ((axes[0], "e1", 1e3), (axes[1], "e2", DEGREES)):
+    rows = (
+        (lane.recorded, MEASURED, "recorded"),
+        (lane.without, BEFORE, "simulated, base car"),
+        (lane.with_effect, AFTER, "simulated, with the effect"),
+    )
+    drives = [(drive, colour) for drive, colour, _ in rows if drive is not None]
+    colours = {name: colour for drive, colour, name in rows if drive is not None}
+    return Diagrams(_plot_lane, 3.0, (lane, drives), 3, 3, colours)
+
+
+def _plot_lane(
+    e1: Axes, e2: Axes, steer: Axes, lane: LaneComparison, drives: Sequence[tuple[LaneDrive, str]]
+) -> None:
+    for drive, colour in drives:
+        width, alpha = (2.4, 0.45) if drive is lane.recorded else (1.3, 1.0)
+        for axis, field, scale in ((e1, "e1", 1e3), (e2, "e2", DEGREES)):
             means = profile(drive.s, drive.length, getattr(drive, field))
             at = (np.arange(len(means)) + 0.5) / len(means) * drive.length
             axis.plot(at, scale * means, color=colour, lw=width, alpha=alpha)
         shown = drive if lane.without is None else as_long(drive, lane.without)
         f, density = steering_spectrum(shown)
-        axes[2].plot(f, DEGREES * density, color=colour, lw=width, alpha=alpha)
-    axes[0].set(xlabel="along the lane [m]", title="lateral offset e1 [mm]")
-    axes[1].set(xlabel="along the lane [m]", title="heading error e2 [°]")
-    axes[2].set(xlabel="frequency [Hz]", yscale="log", xscale="log",
+        steer.plot(f, DEGREES * density, color=colour, lw=width, alpha=alpha)
+    e1.set(xlabel="along the lane [m]", title="lateral offset e1 [mm]")
+    e2.set(xlabel="along the lane [m]", title="heading error e2 [°]")
+    steer.set(xlabel="frequency [Hz]", yscale="log", xscale="log",
                    title="steering spectrum [°/√Hz]")  # fmt: skip
-    plain_log(axes[2].xaxis)
-    axes[2].set_xticks([0.2, 0.5, 1, 2, 5], ["0.2", "0.5", "1", "2", "5"])
-    plain_log(axes[2].yaxis)
-    return to_svg(axes, colours)
+    plain_log(steer.xaxis)
+    steer.set_xticks([0.2, 0.5, 1, 2, 5], ["0.2", "0.5", "1", "2", "5"])
+    plain_log(steer.yaxis)

@@ -1,37 +1,41 @@
-"""The gap report: one HTML file that needs nothing else, for a reader who was not there."""
+"""What is shown of a diagnosis: on a terminal, on a page, in a notebook's figure."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-
-from matplotlib import rc_context
+from collections.abc import Callable, Iterator
+from math import degrees
+from typing import TYPE_CHECKING
 
 from steerd.car_model.effects import EFFECTS
 from steerd.sim_gap.diagnosis import Diagnosis
-from steerd.sim_gap.lane_comparison import LaneComparison
-from steerd.sim_gap.report import gap_figures as figures
-from steerd.sim_gap.report.summary_text import (
-    EQUATIONS,
-    FAMILIES,
-    ambiguity,
-    cause_words,
-    headline,
-    known_leads,
-    lane_rows,
-    lane_words,
-    residual_words,
-    share_words,
-    short,
-    shrink_words,
-    summary_of,
-    value_words,
+from steerd.sim_gap.lane_comparison import LaneComparison, as_long, figures_of
+from steerd.sim_gap.verdict.evidence import Cause, Estimated
+from steerd.sim_gap.verdict.where import EQUATIONS
+from steerd.sysid.inference.residuals import Gap
+from steerd.sysid.report.report import (
+    DEGREES,
+    SCALES,
+    Card,
+    Fold,
+    Late,
+    Line,
+    Report,
+    Section,
+    Table,
+    with_error,
 )
-from steerd.sim_gap.verdict.evidence import Cause
-from steerd.sysid.report.drawing import STYLE, draw
-from steerd.sysid.report.report import Card, Fold, Report, Section, Table
 
+if TYPE_CHECKING:
+    from steerd.sysid.report.drawing import Diagrams
+
+LARGE = 1000.0
+"""From here on the larger unit reads better."""
 OTHER_SHOWN = 0.005
 """Something else is shown from this probability on."""
-GRADES = {"explained": "good", "partial": "fair", "unexplained": "bad", "unjudged": "bad"}
+VERDICTS = {
+    "none": ("no gap", ""), "explained": ("explained", "good"),
+    "partial": ("partly explained", "fair"), "unexplained": ("a gap without a name", "bad"),
+    "unjudged": ("cannot be judged", "bad"),
+}  # fmt: skip
+"""What a page calls a verdict, and how good that is."""
 METHOD = (
     "The drives are cut into windows of one second. From each window's start, which is unknown and "
     "estimated, the base car predicts what mocap, wheels and gyro should show, from the commands "
@@ -43,60 +47,94 @@ METHOD = (
 )
 
 
-@dataclass(frozen=True)
-class Subject:
-    """What was diagnosed."""
+def make_report(
+    found: Diagnosis, complete: Callable[[str], str] = str, following: str = ""
+) -> Report:
+    """What a diagnosis found.
 
-    sessions: tuple[str, ...]  # names of the files
-    seconds: float  # driving that was looked at [s]
-    base: str  # where the base car comes from
-    held_out_of: str  # what was held out, as text; empty if nothing
-    following: str  # what to drive next, as text
-    notes: tuple[str, ...] = ()  # what a reader should know about the data
-
-
-@rc_context(STYLE)
-def make_report(subject: Subject, found: Diagnosis, lane: LaneComparison | None) -> Report:
-    """What a diagnosis found."""
-    s = found.shrinkage
+    Args:
+        found: what it found.
+        complete: makes commands in a text run as they are printed.
+        following: the command to type next.
+    """
+    case, to_drive = found.case, complete(manoeuvre_words(found))
+    sessions = ", ".join(case.sessions)
+    facts, (verdict, grade) = f"{case.seconds:.0f} s to explain", VERDICTS[found.verdict]
     how = Section(
         "How this was done",
         METHOD,
-        notes=(*subject.notes, *found.notes),
+        notes=found.all_notes,
         fold=Fold(
             "the prediction, as it was written before the reserved drives were opened",
-            f"{s.text} SHA-256 {s.digest}",
+            f"{found.shrinkage.text} SHA-256 {found.shrinkage.digest}",
         ),
     )
     return Report(
         title="What the simulation is missing of this car",
-        subject=", ".join(subject.sessions),
-        about=f"{subject.seconds:.0f} s to explain · base: {subject.base}",
+        subject=sessions,
+        about=f"{facts} · base: {case.base_source}",
         lead=headline(found),
-        sections=[*_sections(subject, found, lane), how],
+        sections=Late(lambda: (*_sections(found, to_drive), how)),
         foot="Written by steerd diagnose. Frames are ISO 8855, angles positive to the left; "
         "sd is one standard error; intervals are 90 %.",
-        verdict=FAMILIES[found.verdict],
-        grade=GRADES.get(found.verdict, ""),
-        cards=list(make_cards(found)),
+        verdict=verdict,
+        grade=grade,
+        cards=list(_cards(found)),
+        screen=[
+            Line("drives", f"{facts}, of {sessions}; base: {case.base_source}"),
+            Line("verdict", f"{found.verdict.upper()}. {headline(found)}"),
+            *_screen(found),
+            Line("drive next", to_drive),
+            *(Line("note", note) for note in (*case.notes, *found.notes)),
+            Line("next", following, whole=True),
+        ],
+        figures=Late(lambda: _figures(found)),
     )
 
 
-def make_cards(found: Diagnosis) -> Iterator[Card]:
+def _screen(found: Diagnosis) -> Iterator[Line]:
+    if found.verdict != "none":
+        yield Line("where", found.where.sentence)
+    for cause in found.causes:
+        sure = f"confidence {cause.confidence:.0%}"
+        yield Line("cause", f"{cause.effect}: {cause_words(cause)}, {sure}")
+        if ambiguity(cause):
+            yield Line("confounded", ambiguity(cause))
+    if found.causes and found.something_else >= OTHER_SHOWN:
+        yield Line("", f"something else than the library's effects: {found.something_else:.0%}")
+    if found.verdict in ("unexplained", "partial"):
+        yield Line("left over", residual_words(found))
+    yield Line("gap after", "; ".join(gap_words(found)))
+    if found.causes:
+        yield Line("shrinks by", shrink_words(found))
+        yield Line("", f"prediction sha256 {found.shrinkage.digest[:16]}…")
+    if found.lane is not None:
+        yield Line("closed loop", lane_words(found.lane))
+    elif found.lane_note and found.causes:
+        yield Line("closed loop", found.lane_note.removeprefix("closed loop "))
+
+
+def _cards(found: Diagnosis) -> Iterator[Card]:
     """The figures that are read first."""
     leads = known_leads(found.before) or [0]
     last = min(leads, key=lambda i: abs(found.before.errors[i][0] - 1.0))
     before, after = found.before.errors[last], found.after.errors[last]
     lead = f"position error after {before[0]:g} s"
     if found.causes:
-        first = found.causes[0]
+        first, other = found.causes[0], found.something_else
         parameter, (value, sd, unit) = _surest(first)
+        sure = f"{' and '.join(f'{cause.confidence:.0%}' for cause in found.causes)} sure"
+        sure += f"; something else {other:.0%}" if other >= OTHER_SHOWN else ""
         more = f" and {found.causes[1].effect}" if len(found.causes) > 1 else ""
-        yield Card("cause", f"{first.effect}{more}", _sureness(found))
+        yield Card("cause", f"{first.effect}{more}", sure)
         yield Card("how large", value_words(value, sd, unit), f"{first.effect}: {parameter} ± sd")
         figure = f"{short(1e3 * before[1])} → {short(1e3 * after[1])} mm"
         yield Card(lead, figure, "base car → with the effect")
-        yield _shrunk(found)
+        s, share = found.shrinkage, share_words(found.shrinkage.predicted)
+        figure, text = share, "predicted"
+        if s.measured is not None:
+            figure, text = share_words(s.measured), f"measured; predicted {share}"
+        yield Card("excess error removed", figure, text)
         return
     yield Card(lead, f"{short(1e3 * before[1])} mm", "root mean square, base car")
     low, high = found.before.interval
@@ -107,114 +145,95 @@ def make_cards(found: Diagnosis) -> Iterator[Card]:
         yield Card("best candidate", effect, f"{probability:.0%}: not enough")
 
 
-def _sureness(found: Diagnosis) -> str:
-    """How sure the names are, and how likely something else is."""
-    sure = " and ".join(f"{cause.confidence:.0%}" for cause in found.causes)
-    other = found.something_else
-    return f"{sure} sure" + (f"; something else {other:.0%}" if other >= OTHER_SHOWN else "")
-
-
-def _surest(cause: Cause) -> tuple[str, tuple[float, float, str]]:
+def _surest(cause: Cause) -> tuple[str, Estimated]:
     """The parameter that is furthest from doing nothing, in its standard errors."""
     nulls = {p.name: p.null for p in EFFECTS[cause.effect].parameters}
 
-    def sigmas(item: tuple[str, tuple[float, float, str]]) -> float:
+    def sigmas(item: tuple[str, Estimated]) -> float:
         name, (value, sd, _) = item
         return abs(value - nulls[name]) / max(sd, 1e-12)
 
     return max(cause.parameters.items(), key=sigmas)
 
 
-def _shrunk(found: Diagnosis) -> Card:
-    s, label = found.shrinkage, "excess error removed"
-    if s.measured is None:
-        return Card(label, share_words(s.predicted), "predicted")
-    said = f"measured; predicted {share_words(s.predicted)}"
-    return Card(label, share_words(s.measured), said)
+def _figures(found: Diagnosis) -> "list[Diagrams]":
+    from steerd.sim_gap.report.gap_figures import draw_main
+
+    return draw_main(found)
 
 
-def _sections(subject: Subject, found: Diagnosis, lane: LaneComparison | None) -> Iterator[Section]:
-    explained = bool(found.causes)
+def _sections(found: Diagnosis, to_drive: str) -> Iterator[Section]:
+    from steerd.sim_gap.report import gap_figures as figures
+    from steerd.sysid.report.drawing import Diagrams
+
+    gap, candidates, timeline = _figures(found)
+    where, lane = found.where, found.lane
     yield Section(
         "How large the gap is",
         "The car's pose and wheel speed are predicted from a window's start; this is how far the "
         "prediction is off after so many seconds, with 90 % intervals. The start itself is fitted "
         "to the window, so a wrong model is met best somewhere in its middle.",
-        figure=draw(
-            lambda *axes: figures.plot_gap(axes, found),
-            2.5,
-            columns=len(figures.find_measured(found.before)),
-            colours=figures.effect_colours(explained=explained),
-        ),
+        figures=[gap],
     )
     if found.verdict != "none":
-        yield from _where(found, explained)
-    if found.candidates:
-        shown = min(len(found.candidates) + 1, figures.SHOWN_MOST)
         yield Section(
-            "Which effect",
-            _which(found),
-            figure=draw(
-                figures.plot_candidates,
-                0.7 + 0.24 * max(shown, 2),
-                found,
-                colours=figures.candidate_colours(found),
-            ),
+            "Where it lies", where.sentence, figures=[Diagrams(figures.plot_where, 1.9, [where], 2)]
         )
-    if explained:
-        yield from _why(found)
+        yield Section(
+            text="Over time: each bar is a window of one second. Shaded stretches stand out; the "
+            "dotted line is noise alone.",
+            figures=[timeline],
+        )
+        if where.regimes:
+            yield Section(
+                text="By regime: right of the dotted line the error is larger than elsewhere "
+                "(coloured where its interval says so).",
+                figures=[
+                    Diagrams(figures.plot_regimes, 0.7 + 0.28 * len(where.regimes), [where.regimes])
+                ],
+            )
+    if found.candidates:
+        yield Section("Which effect", _which(found), figures=[candidates])
+    if found.causes:
+        rows = [
+            (
+                cause.effect,
+                cause_words(cause),
+                f"{cause.confidence:.0%}",
+                "{0.summary}: {0.equation}".format(EFFECTS[cause.effect]).replace("->", "→"),
+                ambiguity(cause) or "nothing",
+            )
+            for cause in found.causes
+        ]
+        heads = ("effect", "value ± sd", "confidence", "what it is", "not distinguishable from")
+        other = f"Something else than the library: {found.something_else:.0%}."
+        yield Section("How sure", other, table=Table(heads, rows, words=(1, 3, 4)))
         yield Section(
             "How far the gap shrinks",
-            f"Adding the effect: {shrink_words(found, subject.held_out_of)}.",
-            figure=draw(figures.plot_shrinkage, 1.35, found.shrinkage),
+            f"Adding the effect: {shrink_words(found)}.",
+            figures=[Diagrams(figures.plot_shrinkage, 1.35, [found.shrinkage])],
         )
     if lane is not None:
         yield Section(
             "Lane keeping, driven again",
             f"{_sentence(lane_words(lane))} Laps are averaged by place along the lane; controller, "
             "path and speed are the session's own, only the simulated car is exchanged.",
-            figure=figures.draw_lane(lane),
+            figures=[figures.draw_lane(lane)],
             table=Table(("", "recorded", "base car", "with the effect"), lane_rows(lane)),
         )
     if found.verdict in ("unexplained", "partial"):
-        yield Section("What is left", f"{_sentence(residual_words(found))}")
-    yield Section("What next", f"{_sentence('to drive: ' + subject.following)} {_typed(found)}")
-
-
-def _typed(found: Diagnosis) -> str:
-    if not found.causes:
-        return ""
-    return (
-        "The same command with -o CAR.toml writes the effect into a car file. A simulation with "
+        yield Section("What is left", _sentence(residual_words(found)))
+    typed = (
+        " The same command with -o CAR.toml writes the effect into a car file. A simulation with "
         "--car CAR.toml then behaves like this car, and controllers and filters designed from that "
         "file know of the effect as far as it is a parameter of theirs."
     )
+    text = _sentence(f"to drive: {to_drive}")
+    yield Section("What next", text + typed if found.causes else f"{text} ")
 
 
 def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
-
-
-def _where(found: Diagnosis, explained: bool) -> Iterator[Section]:
-    where = found.where
-    yield Section(
-        "Where it lies", where.sentence, figure=draw(figures.plot_where, 1.9, where, columns=2)
-    )
-    if found.timeline is not None:
-        yield Section(
-            "",
-            "Over time: each bar is a window of one second. Shaded stretches stand out; the dotted "
-            "line is noise alone.",
-            figure=figures.draw_timeline(found.timeline, where.windows, explained),
-        )
-    regimes = where.regimes[:6]
-    if regimes:
-        yield Section(
-            "",
-            "By regime: right of the dotted line the error is larger than elsewhere "
-            "(coloured where its interval says so).",
-            figure=draw(figures.plot_regimes, 0.7 + 0.28 * len(regimes), regimes),
-        )
 
 
 def _which(found: Diagnosis) -> str:
@@ -223,7 +242,7 @@ def _which(found: Diagnosis) -> str:
             "The likeliest effects, each added to the base. None is so much likelier than the base "
             "alone that it could be called a cause."
         )
-    stage = EQUATIONS.get(found.where.equation[0].name, found.where.stage)
+    stage = EQUATIONS[found.where.equation[0].name]
     text = f"The error lies in the {stage}; every effect was tried all the same. "
     confounded = [f"{c.effect} ({ambiguity(c)})" for c in found.causes if ambiguity(c)]
     if not confounded:
@@ -231,17 +250,161 @@ def _which(found: Diagnosis) -> str:
     return f"{text}Not distinguishable from it: {'; '.join(confounded)}."
 
 
-def _why(found: Diagnosis) -> Iterator[Section]:
-    rows = [
-        (
-            cause.effect,
-            cause_words(cause),
-            f"{cause.confidence:.0%}",
-            f"{summary_of(cause.effect)}: {EFFECTS[cause.effect].equation}".replace("->", "→"),
-            ambiguity(cause) or "nothing",
+# -- in words --------------------------------------------------------------------------------------
+
+
+def value_words(value: float, sd: float, unit: str) -> str:
+    """A value with its standard error to two digits of it, in a unit that suits the value."""
+    scale, small = SCALES.get(unit, (1.0, unit))
+    if abs(scale * value) >= LARGE:
+        scale, small = 1.0, unit
+    small = "" if small == "1" else small.replace("^2", "²")
+    return f"{with_error(scale * value, scale * sd)} {small}".rstrip()
+
+
+def cause_words(cause: Cause) -> str:
+    """An effect's parameters in a line."""
+    return ", ".join(
+        f"{name} = {value_words(value, sd, unit)}"
+        for name, (value, sd, unit) in cause.parameters.items()
+    )
+
+
+def headline(found: Diagnosis) -> str:
+    """The verdict in one sentence."""
+    if found.verdict == "none":
+        return "What the simulation does not predict of these drives looks like noise."
+    if found.verdict == "unjudged":
+        lead, off = found.before.errors[-1][:2]
+        return (
+            f"These drives cannot be judged: the simulation is {short(1e3 * off)} mm off after "
+            f"{lead:g} s, and what was learnt as noise hides why."
         )
-        for cause in found.causes
+    if found.verdict == "unexplained" or not found.causes:
+        return "There is a gap, and none of the known effects explains it."
+    names = " and ".join(cause.effect for cause in found.causes)
+    what = "; ".join(EFFECTS[cause.effect].summary for cause in found.causes)
+    if found.verdict == "partial":
+        return f"Part of the gap behaves like {names}: {what}."
+    return f"The gap is explained by {names}: {what}."
+
+
+def ambiguity(cause: Cause) -> str:
+    """What is not distinguishable from a cause."""
+    parts = []
+    if cause.ambiguous_with:
+        parts.append(f"on these drives: {', '.join(cause.ambiguous_with)}")
+    if cause.alias:
+        parts.append(f"in general: {cause.alias}")
+    return "; ".join(parts)
+
+
+def short(value: float) -> str:
+    """Two digits, and never an exponent."""
+    return f"{value:.2g}" if abs(value) < 99.5 else f"{value:.0f}"
+
+
+def known_leads(gap: Gap) -> list[int]:
+    """Which leads have errors: windows may end just before the last."""
+    return [i for i, row in enumerate(gap.errors) if row[1] > 0.0]
+
+
+def gap_words(found: Diagnosis) -> Iterator[str]:
+    """Position and heading error before and after by lead."""
+    for i in known_leads(found.before):
+        before, after = found.before.errors[i], found.after.errors[i]
+        if not found.causes:
+            yield f"{before[0]:g} s: {short(1e3 * before[1])} mm, {short(degrees(before[2]))}°"
+            continue
+        yield (
+            f"{before[0]:g} s: {short(1e3 * before[1])} → {short(1e3 * after[1])} mm, "
+            f"{short(degrees(before[2]))} → {short(degrees(after[2]))}°"
+        )
+
+
+def share_words(share: float) -> str:
+    """A share in percent; nearly all is not all."""
+    return ">99%" if 0.99 < share < 1.0 else f"{share:.0%}"
+
+
+def shrink_words(found: Diagnosis) -> str:
+    """Predicted and measured shrinkage."""
+    s, held_out_of = found.shrinkage, found.case.held_out_of
+    low, best, high = map(share_words, (s.low, s.predicted, s.high))
+    text = f"predicted {best} of the excess error ({low} to {high})"
+    if s.before is None:
+        return f"{text}; not measured: nothing was held out"
+    if s.measured is None:
+        return f"{text}; {held_out_of} shows too little of the gap to measure it there"
+    return f"{text}, measured {share_words(s.measured)} on {held_out_of}"
+
+
+def manoeuvre_words(found: Diagnosis) -> str:
+    """What to drive next."""
+    following = found.next_manoeuvre
+    if following is not None:
+        first, second = following.separates
+        what = f"`{following.command}` ({following.name})"
+        return f"to distinguish {first} from {second}: {what}"
+    if found.verdict == "none":
+        return "nothing; if the car behaves badly elsewhere, record it there"
+    if found.verdict == "unjudged":
+        return (
+            "nothing yet: first `steerd identify`, then `--base` that car, `--healthy` its drives"
+        )
+    if found.verdict == "unexplained":
+        return "`steerd collect --plan mixed`: more kinds of driving identify more of it"
+    if found.verdict == "partial":
+        return "the same once more, and faster: the remainder must be reproducible to be modelled"
+    return "nothing more is needed to name it"
+
+
+def lane_words(lane: LaneComparison) -> str:
+    """The closed loop in a sentence."""
+    before, after = lane.distances
+    if before is None or after is None:
+        return "; ".join(lane.remarks) or (
+            f"the lane keeper on {lane.session}, re-run without an effect: e1 profile off by "
+            f"{1e3 * before.e1:.2g} mm" if before else "no simulated drive to compare with"
+        )  # fmt: skip
+    votes = lane.votes
+    count = f"in {sum(votes)} of {len(votes)} measures" if any(votes) else "in no measure"
+    return (
+        f"with the effect the re-run loop is closer to {lane.session} {count}: e1 profile off by "
+        f"{1e3 * before.e1:.2g} → {1e3 * after.e1:.2g} mm, e2 by {degrees(before.e2):.2g} → "
+        f"{degrees(after.e2):.2g}°, steering spectrum by {before.steer_db:.2g} → "
+        f"{after.steer_db:.2g} dB"
+    )
+
+
+def lane_rows(lane: LaneComparison) -> list[list[str]]:
+    """A table: figures of the recorded and the simulated drives."""
+    drives = [lane.recorded, lane.without, lane.with_effect]
+    if lane.without is not None:
+        drives[0] = as_long(lane.recorded, lane.without)
+    found = [None if d is None else figures_of(d) for d in drives]
+    rows = [
+        ("e1 RMS [mm]", 1e3, "e1_rms"), ("e1 mean [mm]", 1e3, "e1_mean"),
+        ("e1 strongest at [Hz]", 1.0, "e1_peak_hz"), ("e2 RMS [°]", DEGREES, "e2_rms"),
+        ("e2 mean [°]", DEGREES, "e2_mean"), ("e2 strongest at [Hz]", 1.0, "e2_peak_hz"),
+        ("steering RMS [°]", DEGREES, "steer_rms"), ("steering strongest at [Hz]", 1.0,
+                                                   "steer_peak_hz"),
+    ]  # fmt: skip
+    return [
+        [label, *("–" if f is None else f"{scale * getattr(f, name):.3g}" for f in found)]
+        for label, scale, name in rows
     ]
-    heads = ("effect", "value ± sd", "confidence", "what it is", "not distinguishable from")
-    other = f"Something else than the library: {found.something_else:.0%}."
-    yield Section("How sure", other, table=Table(heads, rows, words=(1, 3, 4)))
+
+
+def residual_words(found: Diagnosis) -> str:
+    """What is left, as text."""
+    shape, parts = found.shape, []
+    if shape.noise_like:
+        parts.append("it is white in time and grows with speed: jitter of stamps or lost frames")
+    elif shape.prominence > 3.0:
+        parts.append(f"its heading error is strongest at {shape.peak_hz:.2g} Hz")
+    if shape.dependence:
+        name, size = next(iter(shape.dependence.items()))
+        trend = "grows" if size > 0 else "falls"
+        parts.append(f"it {trend} with {name.replace('_', ' ')} (rank correlation {size:+.2f})")
+    return "; ".join(parts) or "no pattern stands out"

@@ -1,10 +1,11 @@
 """The diagnosis as the schema `steerd.gap/1`."""
 
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
 from steerd.sim_gap.diagnosis import Diagnosis
-from steerd.sim_gap.verdict.evidence import Cause, Estimated
+from steerd.sim_gap.lane_comparison import encode_lane
 from steerd.sysid.inference.residuals import Gap
 from steerd.sysid.report.report import finite
 
@@ -24,57 +25,60 @@ def _gap(gap: Gap) -> dict[str, Any]:
     return {"whitened": gap.whitened, "low": low, "high": high, "errors": leads}
 
 
-def _gap_values(found: Diagnosis, which: str) -> dict[str, Any]:
-    """A gap with its whitened error over other horizons."""
-    horizons = [
-        {"horizon_s": each.seconds, "whitened": getattr(each, which)} for each in found.horizons
-    ]
-    return {**_gap(getattr(found, which)), "horizons": horizons}
+def to_json(found: Diagnosis, complete: Callable[[str], str] = str) -> dict[str, Any]:
+    """The diagnosis as plain values, exactly in the shape of `steerd.gap/1`.
 
-
-def _cause(cause: Cause, found: Diagnosis) -> dict[str, Any]:
-    s = found.shrinkage
-    return {
-        "effect": cause.effect, "stage": cause.stage, "family": cause.family,
-        "parameters": {n: Estimated(*each)._asdict() for n, each in cause.parameters.items()},
-        "confidence": cause.confidence,
-        "shrink": {
-            "predicted": s.predicted, "measured": s.measured, "low": s.low, "high": s.high,
-        },
-        "ambiguous_with": list(cause.ambiguous_with),
-    }  # fmt: skip
-
-
-def to_json(found: Diagnosis) -> dict[str, Any]:
-    """The diagnosis as plain values, exactly in the shape of `steerd.gap/1`."""
-    following = found.next_manoeuvre
+    Args:
+        found: the diagnosis; what it rests on is under `residual`.
+        complete: makes a command run as it is printed.
+    """
+    s, shape, case, following = found.shrinkage, found.shape, found.case, found.next_manoeuvre
+    horizons = {
+        which: [
+            {"horizon_s": each.seconds, "whitened": getattr(each, which)} for each in found.horizons
+        ]
+        for which in ("before", "after")
+    }
     return dict(finite({
         "schema": SCHEMA,
         "verdict": found.verdict,
-        "gap": {"before": _gap_values(found, "before"), "after": _gap_values(found, "after")},
+        "gap": {n: {**_gap(getattr(found, n)), "horizons": rows} for n, rows in horizons.items()},
         "where": asdict(found.where),
-        "causes": [_cause(cause, found) for cause in found.causes],
+        "causes": [
+            {
+                "effect": cause.effect, "stage": cause.stage, "family": cause.family,
+                "parameters": {name: each._asdict() for name, each in cause.parameters.items()},
+                "confidence": cause.confidence,
+                "shrink": {
+                    name: getattr(s, name) for name in ("predicted", "measured", "low", "high")
+                },
+                "ambiguous_with": cause.ambiguous_with,
+            }
+            for cause in found.causes
+        ],
         "candidates": [
             {"effect": n, "probability": p, "gain": g} for n, p, g in found.candidates
         ],
         "something_else": found.something_else,
-        "next_manoeuvre": {} if following is None else asdict(following),
-        "residual": _residual(found),
-    }))  # fmt: skip
-
-
-def _residual(found: Diagnosis) -> dict[str, Any]:
-    s, shape = found.shrinkage, found.shape
-    return {
-        "spectrum_peak_hz": shape.peak_hz, "prominence": shape.prominence,
-        "dependence": shape.dependence, "noise_like": shape.noise_like,
-        "noise": {"instruments": list(found.noise.instruments), "pushes": list(found.noise.pushes),
-                  "known": found.noise_known},
-        "moved": found.moved,
-        "aliases": {c.effect: c.alias for c in found.causes if c.alias},
-        "prediction_sha256": s.digest,
-        "held_out": None if s.before is None or s.after is None else {
-            "before": _gap(s.before), "after": _gap(s.after)
+        "next_manoeuvre": {} if following is None else {
+            **asdict(following), "command": complete(following.command)
         },
-        "notes": list(found.notes),
-    }  # fmt: skip
+        "residual": {
+            "spectrum_peak_hz": shape.peak_hz, "prominence": shape.prominence,
+            "dependence": shape.dependence, "noise_like": shape.noise_like,
+            "noise": {"instruments": found.noise.instruments, "pushes": found.noise.pushes,
+                      "known": found.noise_known},
+            "moved": found.moved,
+            "aliases": {c.effect: c.alias for c in found.causes if c.alias},
+            "prediction_sha256": s.digest,
+            "held_out": None if s.before is None or s.after is None else {
+                "before": _gap(s.before), "after": _gap(s.after)
+            },
+            "notes": found.all_notes,
+            "sessions": case.sessions,
+            "base": case.base_source,
+            "held_out_of": case.held_out_of or None,
+            "prediction": s.text,
+            "closed_loop": None if found.lane is None else encode_lane(found.lane),
+        },
+    }))  # fmt: skip

@@ -46,15 +46,15 @@ class Shrinkage:
     """Share of the excess whitened error that the explanation removes."""
 
     predicted: float  # on windows left out of the fit; `low` and `high` its 90 % interval
-    # On the reserved drives, None without them or where they hold too little of the gap for it
-    # (then `before` says how little)
-    measured: float | None
     low: float
     high: float
-    digest: str  # SHA-256 of `text`, the prediction as it was written
-    text: str
-    before: Gap | None  # the gap on the reserved drives; `after` with the explanation
-    after: Gap | None
+    text: str  # the prediction as it was written; `digest`: its SHA-256
+    digest: str
+    # On the reserved drives, None without them or where they hold too little of the gap for it
+    # (then `before` says how little)
+    measured: float | None = None
+    before: Gap | None = None  # the gap on the reserved drives; `after` with the explanation
+    after: Gap | None = None
 
 
 def explained_share(before: float, after: float, floor: float) -> float:
@@ -139,25 +139,18 @@ def _at_best(fitted: Point) -> Array:
 
 
 def measure(
-    predictor: Predictor,
-    chosen: Point,
-    noise: Noise,
-    floor: float,
-    predicted: tuple[float, float, float],
-    digest: str,
-    text: str,
+    predictor: Predictor, chosen: Point, noise: Noise, floor: float, predicted: Shrinkage
 ) -> Shrinkage:
     """The same share on reserved drives; nothing is refitted but the windows' starts."""
     base, guess = make_space(predictor.augmented, ()), predictor.guess.copy()
     likelihood = make_likelihood(predictor, chosen.parameters, guess, noise)
     before = settled(likelihood, base, base.centre)
     after = settled(likelihood, chosen.space, chosen.z)
-    blocks = blocks_of(predictor)
-    spun = spun_windows(after)
-    gaps = gap_of(predictor, before, blocks, spun), gap_of(predictor, after, blocks, spun)
+    blocks, spun = blocks_of(predictor), spun_windows(after)
+    gaps = [gap_of(predictor, fit, blocks, spun) for fit in (before, after)]
     found = _shares(before.at.ratio, after.at.ratio, _at_best(after), floor, blocks)
     share = found.share if found.identifiable else None
-    return Shrinkage(predicted[0], share, predicted[1], predicted[2], digest, text, *gaps)
+    return replace(predicted, measured=share, before=gaps[0], after=gaps[1])
 
 
 CROSS: tuple[float, ...] = (0.25, 3.0)
@@ -179,8 +172,8 @@ def cross_check(
     before: Point,
     after: Point,
     noise: Noise,
-    gaps: tuple[Gap, Gap],
-) -> tuple[tuple[Horizon, ...], Gap, Gap]:
+    gaps: Sequence[Gap],
+) -> tuple[tuple[Horizon, ...], list[Gap]]:
     """Whitened errors over `CROSS`, and the gaps with the errors at the longest lead added.
 
     Horizons longer than the drives, or over which the simulation diverges, are left out.
@@ -201,11 +194,10 @@ def cross_check(
         there = [gap_of(other, fit, blocks, spun, (lead,)) for fit in fits]
         found.append(Horizon(seconds, there[0].whitened, there[1].whitened))
         if seconds > 1.0:
-            gaps = (_longer(gaps[0], there[0]), _longer(gaps[1], there[1]))
-    return tuple(found), *gaps
-
-
-def _longer(gap: Gap, more: Gap) -> Gap:
-    return replace(
-        gap, errors=(*gap.errors, *more.errors), intervals=(*gap.intervals, *more.intervals)
-    )
+            gaps = [
+                replace(
+                    g, errors=(*g.errors, *more.errors), intervals=(*g.intervals, *more.intervals)
+                )
+                for g, more in zip(gaps, there, strict=True)
+            ]
+    return tuple(found), list(gaps)

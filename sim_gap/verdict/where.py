@@ -18,18 +18,18 @@ from steerd.sysid.inference.search import Point
 
 Array = NDArray[np.float64]
 
-STAGE_OF = {
-    "accel": "forces", "lateral": "forces", "yaw": "forces", "steer": "actuator",
-    "drive": "actuator",
+EQUATIONS = {
+    "accel": "longitudinal equation", "lateral": "side-slip equation", "yaw": "yaw equation",
+    "steer": "steering actuator", "drive": "drive actuator",
 }  # fmt: skip
 CHANNELS: tuple[str, ...] = ("x", "y", "yaw", "wheel_speed", "yaw_rate")
-_UNITS = {"speed": "m/s", "lateral_acceleration": "m/s^2", "steering_rate": "rad/s",
-          "longitudinal_acceleration": "m/s^2", "x": "m", "y": "m", "heading": "rad",
-          "run_time": "s"}  # fmt: skip
-_VARIES = {"speed": 0.2, "lateral_acceleration": 0.5, "steering_rate": 0.1,
-           "longitudinal_acceleration": 0.3, "x": 0.5, "y": 0.5, "heading": 0.5,
-           "run_time": 5.0}  # fmt: skip
-"""What a variable must spread over (5th to 95th percentile) before anything is said of its bins."""
+_VARIABLES = {
+    "speed": ("m/s", 0.2), "lateral_acceleration": ("m/s^2", 0.5), "steering_rate": ("rad/s", 0.1),
+    "longitudinal_acceleration": ("m/s^2", 0.3), "x": ("m", 0.5), "y": ("m", 0.5),
+    "heading": ("rad", 0.5), "run_time": ("s", 5.0),
+}  # fmt: skip
+"""Unit, and what a variable must spread over (5th to 95th percentile) before anything is said of
+its bins."""
 _WORTH_NAMING = 1.5
 """Lower end of a regime's ratio before the sentence names it."""
 BIN_LEAST = 8
@@ -176,7 +176,8 @@ def regimes(predictor: Predictor, fitted: Point, blocks: NDArray[np.int64]) -> t
     each, found = fitted.at.ratio, []
     excess = np.maximum(np.minimum(each, 100.0) - 1.0, 0.0)
     for name, values in conditions(predictor, fitted).items():
-        if np.subtract(*np.quantile(values, [0.95, 0.05])) < _VARIES[name]:
+        unit, least = _VARIABLES[name]
+        if np.subtract(*np.quantile(values, [0.95, 0.05])) < least:
             continue
         edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
         for low, high in pairwise(edges):
@@ -189,9 +190,7 @@ def regimes(predictor: Predictor, fitted: Point, blocks: NDArray[np.int64]) -> t
             ratio = robust_mean(each[inside]) / max(robust_mean(each[~inside]), 1e-9)
             a, b = (float(v) for v in np.percentile(draws, [5.0, 95.0]))
             share = float(excess[inside].sum() / max(excess.sum(), 1e-9))
-            found.append(
-                Regime(name, float(low), float(high), float(ratio), share, a, b, _UNITS[name])
-            )
+            found.append(Regime(name, float(low), float(high), float(ratio), share, a, b, unit))
     return tuple(sorted(found, key=lambda r: -r.ratio_low))
 
 
@@ -222,12 +221,9 @@ def range_words(regime: Regime) -> str:
 
 def sentence_of(equation: Sequence[Share], found: Sequence[Regime], moments: str = "") -> str:
     """The localisation in one sentence; `moments` says which few windows hold most of it."""
-    words = {
-        "accel": "the longitudinal equation", "lateral": "the side-slip equation",
-        "yaw": "the yaw equation", "steer": "the steering actuator", "drive": "the drive actuator",
-    }  # fmt: skip
-    text = f"The error lies in {words[equation[0].name]} ({equation[0].share:.0%} of what hidden"
-    text += " inputs would remove)"
+    most = equation[0]
+    text = f"The error lies in the {EQUATIONS[most.name]} ({most.share:.0%} of what hidden inputs"
+    text += " would remove)"
     if moments:
         return f"{text}; {moments}."
     if not found or found[0].ratio_low <= _WORTH_NAMING:
@@ -295,7 +291,8 @@ def locate(
     moments = moments_words(
         before.at.ratio, [names[run] for run in layout.run], layout.t, before.x[:, :2]
     )
+    stage = "actuator" if equation[0].name in ("steer", "drive") else "forces"
     return Where(
-        STAGE_OF[equation[0].name], equation, channel_shares(likelihood, before, after),
+        stage, equation, channel_shares(likelihood, before, after),
         stretches(predictor, before, names), found[:6], sentence_of(equation, found, moments),
     )  # fmt: skip

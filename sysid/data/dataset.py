@@ -1,6 +1,6 @@
 """Drives as arrays: commands on a uniform grid, measurements at their own times.
 
-`load_run` reads a session, `make_run` takes arrays; both refuse unusable data (`data_checks`), with
+`read_run` reads a session, `make_run` takes arrays; both refuse unusable data (`data_checks`), with
 a typed error that says what is wrong and what to do.
 """
 
@@ -9,14 +9,13 @@ a typed error that says what is wrong and what to do.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steerd.steer_bus.messages import ActuationMode
-from steerd.steer_bus.session_read import Session, open_session
+from steerd.steer_bus.session_read import Session
 from steerd.steer_bus.topic_columns import Columns
 from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, VESC, WHEEL, split_key
 from steerd.sysid.data.data_checks import DataError, check_run, check_times, noise_of
@@ -59,11 +58,11 @@ class LogJitter(NamedTuple):
         delayed: Array = self.period * np.mod(self.phase + self.drift * t, 1.0)
         return delayed
 
-    def describe(self) -> tuple[str, str]:
+    def describe(self) -> str:
         """What was found, and what was done about it."""
         late, drift = 1e3 * self.period, 1e3 * abs(self.drift) * self.period
-        found = f"{self.run}: steering stored 0 to {late:.0f} ms late"
-        return found, f"(two timers drift apart by {drift:.1f} ms/s), corrected"
+        apart = f"(two timers drift apart by {drift:.1f} ms/s), corrected"
+        return f"{self.run}: steering stored 0 to {late:.0f} ms late {apart}"
 
 
 class Signal(NamedTuple):
@@ -111,6 +110,11 @@ class Run:
 
     def __repr__(self) -> str:
         return f"<Run {self.name!r}, {len(self.commands)} commands of {self.h:g} s>"
+
+    @property
+    def edges(self) -> Array:
+        """Times at which the command grid's steps begin and end [s]."""
+        return np.arange(len(self.commands) + 1).astype(float) * self.h
 
     @property
     def duration(self) -> float:
@@ -250,40 +254,27 @@ def make_run(
     edges: Array = np.arange(steps + 1).astype(float) * h
     moved = [Signal(s.t - zero, s.values) for s in (steer, commanded, rolled, gyro)]
     steer, commanded, rolled, gyro = moved
-    source = "command" if len(commanded.t) else _measured_source(rolled, pose)
+    source, measured = "command", commanded
+    if not len(commanded.t):
+        source, measured = _measured_speed(rolled, pose)
     check_run(name, edges[-1], pose.t, pose.values, commanded.values)
-    run_speed = _speed_input(source, commanded, rolled, pose, edges)
-    commands = np.column_stack([hold_means(steer, edges), run_speed])
+    if source == "command":
+        along = hold_means(measured, edges)
+    else:  # a measured speed is that of the step's end
+        along = np.interp(edges[1:], *measured)
+    commands = np.column_stack([hold_means(steer, edges), along])
     return Run(
         name, h, commands, pose, source, rolled, gyro, steer, servo_frame, commanded,
         speed_ramp,
     )  # fmt: skip
 
 
-def _measured_source(rolled: Signal, pose: Signal) -> str:
+def _measured_speed(rolled: Signal, pose: Signal) -> tuple[str, Signal]:
     """Which measurement gives the speed: precise poses, else the wheel, which spins and skids."""
-    if not len(rolled.t):
-        return "pose"
     blur = max(noise_of(pose.t, pose.values[:, i]) for i in (0, 1))
     span = 4.0 * float(np.median(np.diff(pose.t))) if len(pose.t) > 1 else 0.0
     sharp = 0.0 < 2.0**0.5 * blur < POSE_SPEED_NOISE_MAX * span
-    return "pose" if sharp else "wheel"
-
-
-def _speed_input(
-    source: str, commanded: Signal, rolled: Signal, pose: Signal, edges: Array
-) -> Array:
-    """Commanded speed by step; a measured one is that of the step's end."""
-    if source == "command":
-        return hold_means(commanded, edges)
-    measured = rolled if source == "wheel" else pose_speed(pose)
-    at_end: Array = np.interp(edges[1:], *measured)
-    return at_end
-
-
-def load_run(path: Path | str, h: float = GRID) -> Run:
-    """Read a drive from a session (steerd's own or an imported one); raises as `read_run`."""
-    return read_run(open_session(path), h=h)
+    return ("pose", pose_speed(pose)) if sharp or not len(rolled.t) else ("wheel", rolled)
 
 
 def read_run(session: Session, tables: Mapping[str, Columns] | None = None, h: float = GRID) -> Run:
@@ -317,20 +308,21 @@ def read_run(session: Session, tables: Mapping[str, Columns] | None = None, h: f
     columns = {name: tables[key] for name, key in by_name.items() if key in tables}
     scaling = session.contents.metadata.get("steerd.scaling", {})
     ours = "servo_gain" in scaling  # an import may state the ERPM of a VESC that steerd never drove
+    gain = session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
     return make_run(
         name,
-        **_signals(session, columns),
+        **_signals(session, columns, gain),
         h=h,
         servo_frame=SERVO_FRAME if ours else 0.0,
-        speed_ramp=_speed_ramp(session) if ours else 0.0,
+        speed_ramp=RAMP_ERPM / abs(gain) if ours else 0.0,
     )
 
 
 _SOURCES = (MOCAP, ACTUATION, VESC, IMU, WHEEL)
 
 
-def _signals(session: Session, columns: dict[str, Columns]) -> dict[str, Signal]:
-    """Every signal on the core's monotonic clock [s]."""
+def _signals(session: Session, columns: dict[str, Columns], gain: float) -> dict[str, Signal]:
+    """Every signal on the core's monotonic clock [s]; `gain`: ERPM per m/s."""
     mocap, actuation = columns[MOCAP.name], columns[ACTUATION.name]
     accepted = np.array([reject == "" for reject in mocap["reject"]], bool)
     epoch = int(mocap["stamp_ns"][0]) - int(mocap["t_valid_ns"][0]) if len(accepted) else 0
@@ -352,7 +344,9 @@ def _signals(session: Session, columns: dict[str, Columns]) -> dict[str, Signal]
     if VESC.name in columns:
         table = columns[VESC.name]
         middle = (table["t_sent_ns"] + table["t_received_ns"]) // 2
-        found["wheel"] = Signal(seconds(middle, epoch), _wheel_speed(session, table["erpm"]))
+        offset = session.number("steerd.scaling", "erpm_offset", F1TENTH.erpm_offset)
+        speed = (table["erpm"].astype(float) - offset) / gain
+        found["wheel"] = Signal(seconds(middle, epoch), speed)
     elif WHEEL.name in columns:
         table = columns[WHEEL.name]
         found["wheel"] = Signal(seconds(table["t_ns"], epoch), table["speed"].astype(float))
@@ -361,16 +355,3 @@ def _signals(session: Session, columns: dict[str, Columns]) -> dict[str, Signal]
         middle = (table["t_sent_ns"] + table["t_received_ns"]) // 2
         found["yaw_rate"] = Signal(seconds(middle, epoch), table["gyro_z"].astype(float))
     return found
-
-
-def _speed_ramp(session: Session) -> float:
-    """Limit of the motor controller's setpoint [m/s^2] under the session's scaling."""
-    return RAMP_ERPM / abs(session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain))
-
-
-def _wheel_speed(session: Session, erpm: NDArray[Any]) -> Array:
-    """Reported speed [m/s] with the scaling that the session was driven with."""
-    gain = session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
-    offset = session.number("steerd.scaling", "erpm_offset", F1TENTH.erpm_offset)
-    speed: Array = (erpm.astype(float) - offset) / gain
-    return speed

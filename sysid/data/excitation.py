@@ -20,45 +20,41 @@ TRACKING_ERROR, TRACKING_SHARE = 0.2, 0.3
 
 
 class Excitation(NamedTuple):
-    """Excitation of drives.
+    """Excitation of drives."""
 
-    Attributes:
-        seconds: of driving; distance: [m].
-        speed_low, speed_high: 5th and 95th percentile [m/s].
-        steer_rms: about its mean [rad].
-        steer_rate: RMS of the commanded steering's rate [rad/s].
-        left, right: share of time in turns to either side.
-        lateral_accel: 99th percentile [m/s^2].
-        lacking: what was missing, for the reader.
-    """
-
-    seconds: float
-    distance: float
-    speed_low: float
-    speed_high: float
-    steer_rms: float
-    steer_rate: float
-    left: float
+    seconds: float  # of driving
+    distance: float  # [m]
+    speed_low: float  # 5th percentile [m/s]
+    speed_high: float  # 95th percentile [m/s]
+    steer_rms: float  # about its mean [rad]
+    steer_rate: float  # RMS of the commanded steering's rate [rad/s]
+    left: float  # share of time in turns to the left; right: to the right
     right: float
-    lateral_accel: float
-    lacking: tuple[str, ...]
+    lateral_accel: float  # 99th percentile [m/s^2]
+    lacking: tuple[str, ...]  # what was missing, for the reader
 
 
 def measure_excitation(runs: Sequence[Run]) -> Excitation:
     """Measure the excitation of drives together."""
-    steer = np.concatenate([run.commands[:, 0] for run in runs])
-    rate = np.concatenate([_smooth_rate(run) for run in runs])
-    speed = np.concatenate([pose_speed(run.pose).values for run in runs])
-    turn = np.concatenate([_lateral(run) for run in runs])
-    low, high = np.percentile(np.abs(speed), [5.0, 95.0])
+    steers, rates = [run.commands[:, 0] for run in runs], [pose_rates(run.pose) for run in runs]
+    turned = [np.diff(s, prepend=s[:1]) / run.h for s, run in zip(steers, runs, strict=True)]
+    steer, rate = np.concatenate(steers), np.concatenate(turned)
+    speed = np.abs(np.concatenate([each.speed for each in rates]))
+    aside = np.abs(np.concatenate([each.yaw_rate * each.speed for each in rates]))
+    low, high = (float(value) for value in np.percentile(speed, [5.0, 95.0]))
     left, right = float(np.mean(steer > TURNING)), float(np.mean(steer < -TURNING))
     seconds = sum(float(np.ptp(run.pose.t)) for run in runs)
-    lateral = float(np.percentile(turn, 99.0))
+    lateral = float(np.percentile(aside, 99.0))
     steer_rate = float(np.sqrt(np.mean(rate**2)))
+    poor = {
+        "one speed only: drive bends at two or more speeds": high - low < SPEED_SPAN,
+        "slow steering: add steps or a chirp": steer_rate < STEER_RATE,
+        "turns to one side only: drive the other as well": min(left, right) < ONE_SIDE,
+        "gentle bends only: tyres are not identifiable below 1 m/s²": lateral < LATERAL,
+    }
     return Excitation(
-        seconds, float(np.abs(speed).mean()) * seconds, float(low), float(high),
-        float(np.std(steer)), steer_rate, left, right, lateral,
-        tuple(_lacking(float(high - low), steer_rate, min(left, right), lateral)),
+        seconds, float(speed.mean()) * seconds, low, high, float(np.std(steer)), steer_rate, left,
+        right, lateral, tuple(text for text, lacks in poor.items() if lacks),
     )  # fmt: skip
 
 
@@ -77,27 +73,3 @@ def speed_tracking_share(runs: Sequence[Run]) -> float:
             )
     every = np.concatenate(near)
     return float(every.mean()) if len(every) else 1.0
-
-
-def _smooth_rate(run: Run) -> Array:
-    steer = run.commands[:, 0]
-    return np.diff(steer, prepend=steer[:1]) / run.h
-
-
-def _lateral(run: Run) -> Array:
-    """Lateral acceleration from poses [m/s^2]."""
-    rates = pose_rates(run.pose)
-    return np.asarray(np.abs(rates.yaw_rate * rates.speed))
-
-
-def _lacking(speed_span: float, steer_rate: float, less: float, lateral: float) -> list[str]:
-    lacking = []
-    if speed_span < SPEED_SPAN:
-        lacking.append("one speed only: drive bends at two or more speeds")
-    if steer_rate < STEER_RATE:
-        lacking.append("slow steering: add steps or a chirp")
-    if less < ONE_SIDE:
-        lacking.append("turns to one side only: drive the other as well")
-    if lateral < LATERAL:
-        lacking.append("gentle bends only: tyres are not identifiable below 1 m/s²")
-    return lacking

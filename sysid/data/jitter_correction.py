@@ -100,19 +100,16 @@ def _losses(run: Run, delays: Array) -> tuple[Array, Array]:
     pick = np.array(starts)[:, None] + np.arange(size)
     y = curvature[pick]
     y = y - y.mean(axis=1, keepdims=True)
-    responses = (_response(run, t, float(delay))[pick] for delay in delays)
-    unexplained = np.array([_residual_variance(y, x) for x in responses]).T
+    left = []  # mean square residual of a regression on the steering with a slope of 0 or more
+    for delay in delays:
+        x = _response(run, t, float(delay))[pick]
+        x = x - x.mean(axis=1, keepdims=True)
+        slope = np.sum(x * y, axis=1) / np.maximum(np.sum(x * x, axis=1), 1e-12)
+        left.append(np.mean((y - np.maximum(slope, 0.0)[:, None] * x) ** 2, axis=1))
+    unexplained = np.array(left).T
     noise = np.maximum(np.median(unexplained.min(axis=1)), 1e-12)
     counts = _HOP / _CORRELATED  # windows overlap: each counts for its hop only
     return t[pick].mean(axis=1), 0.5 * counts * np.log1p(unexplained / noise)
-
-
-def _residual_variance(y: Array, x: Array) -> Array:
-    """Mean square residual (W,) of a regression of `y` (W, N) on `x` with a slope of 0 or more."""
-    x = x - x.mean(axis=1, keepdims=True)
-    slope = np.sum(x * y, axis=1) / np.maximum(np.sum(x * x, axis=1), 1e-12)
-    unexplained: Array = np.mean((y - np.maximum(slope, 0.0)[:, None] * x) ** 2, axis=1)
-    return unexplained
 
 
 def _response(run: Run, t: Array, delay: float) -> Array:
@@ -142,19 +139,15 @@ def _curvature(run: Run) -> tuple[Array, Array, NDArray[np.bool_]]:
     return grid, rate / np.maximum(forward, _SPEED_MIN), valid
 
 
-def undo_log_jitter(run: Run, jitter: LogJitter) -> Run:
-    """The drive with its steering at the times at which it was sent."""
+def correct_log_jitter(run: Run) -> Run:
+    """The drive with its steering at the times at which it was sent, if its log has jitter."""
+    jitter = None if run.servo_frame else find_log_jitter(run)
+    if jitter is None:
+        return run
     t, values = run.steer
     changed = np.concatenate([[True], np.diff(values) != 0.0])
     moved = t[changed] - jitter.delay(t[changed])
     moved[0] = t[0]
     steer = Signal(np.maximum.accumulate(moved), values[changed])
-    edges: Array = np.arange(len(run.commands) + 1).astype(float) * run.h
-    commands = np.column_stack([hold_means(steer, edges), run.commands[:, 1]])
+    commands = np.column_stack([hold_means(steer, run.edges), run.commands[:, 1]])
     return replace(run, commands=commands, steer=steer, log_jitter=jitter)
-
-
-def correct_log_jitter(run: Run) -> Run:
-    """The drive with the sampling jitter of its steering log corrected, if it has any."""
-    jitter = None if run.servo_frame else find_log_jitter(run)
-    return undo_log_jitter(run, jitter) if jitter else run

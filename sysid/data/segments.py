@@ -83,7 +83,9 @@ def spread_evenly(run: Run, most: float, lead: float) -> list[Run]:
     count = max(1, round(len(pieces) * most / driven))
     chosen = np.linspace(0, len(pieces) - 1, count).round().astype(int)
     longer = replace(run, history=max(lead, run.history))
-    return [_own(replace(make_segment(longer, *pieces[i]), history=run.history)) for i in chosen]
+    cut = [make_segment(longer, *pieces[i]) for i in chosen]
+    # Commands of their own: a view would keep the whole drive in memory.
+    return [replace(p, history=run.history, commands=p.commands.copy()) for p in cut]
 
 
 def thinned(runs: Sequence[Run], most: float) -> list[Run]:
@@ -96,11 +98,6 @@ def thinned(runs: Sequence[Run], most: float) -> list[Run]:
             return [runs[i] for i in chosen]
         count = min(count - 1, int(count * most / driven))
     return list(runs[:1])
-
-
-def _own(run: Run) -> Run:
-    """The same with commands of its own: a view would keep the whole drive in memory."""
-    return replace(run, commands=run.commands.copy())
 
 
 def with_wheel_speed(run: Run) -> Run:

@@ -82,27 +82,17 @@ def time_commands(run: Run, rough: PlainCar, asked: Asked) -> Timed:
     Raises:
         DataError: the drive does not move.
     """
-    limited, ramp = _find_ramp(run, rough, asked)
+    ramp, limited = None, ramped(run)
+    if limited is not run:
+        losses = _losses(run, (run, limited), rough, asked)
+        better = bool(losses[1] < losses[0])
+        rate = run.speed_ramp if better else 0.0
+        ramp = Ramp(run.name, rate, float(abs(losses[0] - losses[1])))
+        limited = limited if better else run
     if not run.servo_frame:
         return Timed(limited, None, ramp)
     pulse = _find_phase(limited, rough, asked)
     return Timed(latch(limited, pulse.phase), pulse, ramp)
-
-
-def _edges(run: Run) -> Array:
-    """Times of the command grid's steps [s]."""
-    return np.arange(len(run.commands) + 1).astype(float) * run.h
-
-
-def _find_ramp(run: Run, rough: PlainCar, asked: Asked) -> tuple[Run, Ramp | None]:
-    """The drive as its motor controller let its speed commands through, if that is likelier."""
-    after = ramped(run)
-    if after is run:
-        return run, None
-    plain, limited = _losses(run, (run, after), rough, asked)
-    better = bool(limited < plain)
-    rate = run.speed_ramp if better else 0.0
-    return (after if better else run), Ramp(run.name, rate, float(abs(plain - limited)))
 
 
 def latch(run: Run, phase: float) -> Run:
@@ -112,7 +102,7 @@ def latch(run: Run, phase: float) -> Run:
     first = np.floor((t[0] - phase) / frame)
     pulses = phase + frame * np.arange(first, np.ceil((run.duration - phase) / frame) + 2)
     seen = angles[np.maximum(np.searchsorted(t, pulses, side="right") - 1, 0)]
-    steer = hold_means(Signal(pulses - 0.5 * frame, seen), _edges(run))
+    steer = hold_means(Signal(pulses - 0.5 * frame, seen), run.edges)
     return replace(run, commands=np.column_stack([steer, run.commands[:, 1]]))
 
 
@@ -148,8 +138,8 @@ def ramped(run: Run) -> Run:
     """The drive with its speed commands as the ramp lets them through; without one, as it is."""
     if not run.speed_ramp or not len(run.speed_command.t) or run.speed_source != "command":
         return run
-    edges = _edges(run)
-    speed = _means(_setpoint(run.speed_command, run.speed_ramp, float(edges[-1])), edges)
+    corners = _setpoint(run.speed_command, run.speed_ramp, float(run.edges[-1]))
+    speed = _means(corners, run.edges)
     return replace(run, commands=np.column_stack([run.commands[:, 0], speed]))
 
 
@@ -161,18 +151,13 @@ def _find_phase(run: Run, rough: PlainCar, asked: Asked) -> Pulse:
     best, alike = _middle(tried)
     others = tried[~alike]
     sure = float(others.min() - tried.min()) if len(others) else 0.0
-    phase = _on_grid(float(phases[0] + best * step), run.h, step)
+    phase = float(phases[0] + best * step)
+    # Where it is as good, one whose pulses fall between steps of the grid: within a step a pulse
+    # would be blurred, and 2 ms of blur pass for inertia.
+    near = run.h * round(phase / run.h)
+    phase = near if abs(near - phase) <= 0.5 * step + 1e-9 else phase
     possible = int((tried <= tried.min() + SURE).sum())
     return Pulse(run.name, phase, sure, float(step * possible / np.sqrt(12.0)))
-
-
-def _on_grid(phase: float, h: float, step: float) -> float:
-    """The nearest phase whose pulses fall between steps of the grid, if it is as good as this one.
-
-    A pulse within a step would be blurred over it, and 2 ms of blur pass for inertia.
-    """
-    near = h * round(phase / h)
-    return near if abs(near - phase) <= 0.5 * step + 1e-9 else phase
 
 
 def _middle(cost: Array) -> tuple[float, NDArray[np.bool_]]:

@@ -1,9 +1,9 @@
 """From drives to an outcome: fit by one of the methods, validate on what was held out."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,31 +14,29 @@ from steerd.sysid.data.data_checks import check_excited
 from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.excitation import measure_excitation, speed_tracking_share
 from steerd.sysid.data.segments import describe_unused, hold_out, make_blocks, moving_segments
-from steerd.sysid.estimation.command_timing import Pulse, Ramp, time_commands
+from steerd.sysid.estimation.command_timing import Pulse, Ramp, Timed, time_commands
 from steerd.sysid.estimation.outcome import (
     Fit,
     HeldOut,
     Outcome,
     fit_of_plain,
     fit_of_taught,
-    make_effect_rows,
     make_rows,
     searched_estimates,
 )
 from steerd.sysid.estimation.preparation import (
-    add_command_history,
-    exceeds_slew_rate,
-    restore_end_stops,
-    widen_end_stops,
-)
-from steerd.sysid.estimation.starts import (
     COMPARABLE,
+    FitOptions,
+    add_command_history,
     candidate_starts,
+    exceeds_slew_rate,
     has_one_speed,
     mark_ambiguous,
     possible_starts,
+    restore_end_stops,
     scatter,
     sliding_starts,
+    widen_end_stops,
 )
 from steerd.sysid.estimation.validation import (
     HORIZONS,
@@ -47,7 +45,6 @@ from steerd.sysid.estimation.validation import (
     trace_windows,
 )
 from steerd.sysid.inference.car_fit import Stated, choose_start, fit_car_with_limits
-from steerd.sysid.inference.identifiability import Estimate
 from steerd.sysid.inference.plain_car import (
     POOR,
     Asked,
@@ -60,12 +57,8 @@ from steerd.sysid.inference.plain_car import (
 from steerd.sysid.paper.search_history import SearchHistory
 from steerd.sysid.parallel import map_jobs
 
-if TYPE_CHECKING:
-    from steerd.sysid.paper.paper_method import PaperRun
-
 Array = NDArray[np.float64]
 
-METHODS: tuple[str, ...] = ("ours", "paper", "cma-es")
 TIMES: dict[str, float] = {
     "drive_delay": 1e-3, "steer_delay": 1e-3, "pose_delay": 1e-4, "steer_lag": 1e-4,
 }  # fmt: skip
@@ -80,49 +73,32 @@ REGIME = 1.0
 
 @dataclass(frozen=True)
 class Task:
-    """What to learn.
+    """What to learn of which drives."""
 
-    Attributes:
-        runs: drives to fit.
-        held_out: drives to validate with; empty holds out blocks of `runs`.
-        every: every k-th block of 5 s is held out.
-        model: the car as believed so far.
-        free: names of the free parameters; None for `default_free`.
-        wheelbase: measured distance of the axles [m].
-        method: one of `METHODS`.
-        starts: how many starts.
-        iterations: of the paper's methods; None for 100 (Adam), 500 (CMA-ES).
-        seed: of the random starts.
-        jobs, dask: where to work, see `parallel.map_jobs`.
-        truth: the simulated car, if it is known.
-        held: parameters and effects that keep the model's values.
-    """
-
-    runs: tuple[Run, ...]
-    model: Model[float]
-    held_out: tuple[Run, ...] = ()
-    every: int = 4
-    free: tuple[str, ...] | None = None
-    wheelbase: float | None = None
-    method: str = "ours"
-    starts: int = 1
-    iterations: int | None = None
-    seed: int = 0
-    jobs: int = 1
-    dask: str | None = None
-    truth: Car[float] | None = None
-    held: tuple[str, ...] = ()
+    runs: tuple[Run, ...]  # drives to fit
+    model: Model[float]  # the car as believed so far
+    asked: FitOptions = field(default_factory=FitOptions)
+    held_out: tuple[Run, ...] = ()  # drives to validate with; empty holds out blocks of `runs`
+    every: int = 4  # every k-th block of 5 s is held out
+    free: tuple[str, ...] = ()  # names of the free parameters; empty for `default_free`
+    held: tuple[str, ...] = ()  # parameters and effects that keep the model's values
+    truth: Car[float] | None = None  # the simulated car, if it is known
 
     @property
     def question(self) -> Asked:
         """What is asked of the drives."""
         free = self.free or default_free(self.model.chassis)
-        return Asked(self.model, free, self.wheelbase)
+        return Asked(self.model, free, self.asked.wheelbase)
 
     @property
     def stated(self) -> Stated:
         """What whoever asks vouches for."""
-        return Stated(self.wheelbase is not None, self.held)
+        return Stated(self.asked.wheelbase is not None, self.held)
+
+    @property
+    def starts(self) -> int:
+        """How many starts."""
+        return self.asked.starts or (1 if self.asked.method == "ours" else 5)
 
 
 def learn(task: Task, clock: Callable[[], float]) -> Outcome:
@@ -141,20 +117,29 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
     check_sources((*task.runs, *task.held_out))
     began, given = clock(), task.model
     task, drives, roughs = _prepare(task)
-    fit = _estimate(task, drives, roughs) if task.method == "ours" else None
-    searches = () if fit is not None else _search(task)
-    known = fit.estimates if fit is not None else searched_estimates(searches)
-    after = _after(task, given.car, fit, known)
+    fit: Fit | None = None
+    searches: tuple[SearchHistory, ...] = ()
+    if task.asked.method == "ours":
+        fit = _estimate(task, drives, roughs)
+        after, known = fit.model, fit.estimates
+        # End stops stay where they were as far as the drives allow.
+        if after.car.steer_max != given.car.steer_max:
+            after = after._replace(car=restore_end_stops(after.car, given.car, task.runs))
+    else:
+        searches = _search(task)
+        known = searched_estimates(searches)
+        car = task.model.car._replace(**{name: e.value for name, e in known.items()})
+        after = task.model._replace(car=car)
     seconds = clock() - began
     traces = [trace_windows(each, drives.held_out, max(HORIZONS)) for each in (after, task.model)]
     errors = [errors_at(each, HORIZONS) for each in traces]
     return Outcome(
-        method=task.method,
+        method=task.asked.method,
         sessions=tuple(dict.fromkeys(run.name for run in task.runs)),
         held_out_of=drives.held_out_of,
         before=task.model.car,
         after=after.car,
-        rows=make_rows(given.car, after.car, known),
+        rows=make_rows(given, after, known),
         held_out=tuple(HeldOut(a, b) for a, b in zip(*errors, strict=True)),
         excitation=measure_excitation(drives.moving),
         traces=(traces[0], traces[1]),
@@ -165,55 +150,47 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         truth=task.truth,
         pulses=drives.pulses,
         ramps=drives.ramps,
-        effect_rows=make_effect_rows(given, after, known),
         log_jitters=tuple(run.log_jitter for run in (*task.runs, *task.held_out) if run.log_jitter),
         regimes=by_lateral_acceleration(traces[0], REGIME),
     )
 
 
-def _after(
-    task: Task, given: Car[float], fit: Fit | None, known: Mapping[str, Estimate]
-) -> Model[float]:
-    """The identified car, its end stops where they were as far as the drives allow."""
-    if fit is None:
-        car = task.model.car._replace(**{name: e.value for name, e in known.items()})
-        return task.model._replace(car=car)
-    if fit.model.car.steer_max == given.steer_max:
-        return fit.model
-    return fit.model._replace(car=restore_end_stops(fit.model.car, given, task.runs))
-
-
 class _Drives(NamedTuple):
-    """The drives as they are used.
+    """The drives as they are used."""
 
-    Attributes:
-        moving: their segments in motion.
-        fitted, held_out: what is fitted, and what validates; `held_out_of` says in words which.
-        pulses, ramps: what was found out of the servo's and the motor controller's timing.
-    """
-
-    moving: tuple[Run, ...]
-    fitted: tuple[Run, ...]
-    held_out: tuple[Run, ...]
+    moving: tuple[Run, ...]  # their segments in motion
+    fitted: tuple[Run, ...]  # what is fitted
+    held_out: tuple[Run, ...]  # what validates, and `held_out_of` in words
     held_out_of: str
-    pulses: tuple[Pulse, ...]
-    ramps: tuple[Ramp, ...]
+    pulses: tuple[Pulse, ...] = ()  # of the servos
+    ramps: tuple[Ramp, ...] = ()  # of the motor controllers
 
 
 def _prepare(task: Task) -> tuple[Task, _Drives, tuple[PlainCar, ...]]:
     """The task with drives as the car felt them, and rough cars of it, the best first."""
     roughs: tuple[PlainCar, ...] = ()
-    pulses: tuple[Pulse, ...] = ()
-    ramps: tuple[Ramp, ...] = ()
-    if task.method == "ours":
+    timed: list[Timed] = []
+    if task.asked.method == "ours":
         task = _with_history(task)
         moving = moving_segments(task.runs)
         check_excited([run.commands[:, 0] for run in moving])
         roughs = _search_rough(task, moving)
         if roughs and any(run.servo_frame or run.speed_ramp for run in task.runs):
-            task, pulses, ramps = _apply_timing(task, roughs[0])
+            asked = task.question._replace(free=free_of(task.runs, task.question.free))
+            both = (*task.runs, *task.held_out)
+            timed = [time_commands(run, roughs[0], asked) for run in both]
+            runs, count = tuple(each.run for each in timed), len(task.runs)
+            task = replace(task, runs=runs[:count], held_out=runs[count:])
     moving = moving_segments(task.runs)
-    return task, _Drives(moving, *_split(task, moving), pulses, ramps), roughs
+    if task.held_out:
+        words = ", ".join(run.name for run in task.held_out)
+        split = make_blocks(moving), moving_segments(task.held_out), words
+    else:
+        words = f"every {task.every}th block of 5 s, not fitted"
+        split = (*hold_out(moving, task.every), words)
+    pulses = tuple(each.pulse for each in timed if each.pulse)
+    ramps = tuple(each.ramp for each in timed if each.ramp)
+    return task, _Drives(moving, *split, pulses, ramps), roughs
 
 
 def _search_rough(task: Task, moving: Sequence[Run]) -> tuple[PlainCar, ...]:
@@ -227,14 +204,14 @@ def _search_rough(task: Task, moving: Sequence[Run]) -> tuple[PlainCar, ...]:
         starts = [each for model in starts for each in candidate_starts(model, free)]
     asked = task.question._replace(free=free_of(moving, free))
     work = partial(search_rough, runs=moving, asked=asked)
-    found = map_jobs(work, starts, task.jobs, task.dask)
+    found = map_jobs(work, starts, task.asked.jobs, task.asked.dask)
     return tuple(sorted((rough for rough in found if rough), key=lambda rough: rough.point.cost))
 
 
 def _starts(task: Task) -> list[Model[float]]:
     """Where searches begin: about the car as given, or of the drives' own size."""
     if task.starts > 1:
-        return scatter(task.model, task.question.free, task.starts, task.seed)
+        return scatter(task.model, task.question.free, task.starts, task.asked.seed)
     return [
         widen_end_stops(model, task.runs, task.question.free)
         for model in possible_starts(task.model, task.runs, task.stated)
@@ -279,14 +256,6 @@ def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit |
     return replace(found, estimates=estimates)
 
 
-def _split(task: Task, parts: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...], str]:
-    """What is fitted, what is held out, and the latter in words."""
-    if task.held_out:
-        words = ", ".join(run.name for run in task.held_out)
-        return make_blocks(parts), moving_segments(task.held_out), words
-    return *hold_out(parts, task.every), f"every {task.every}th block of 5 s, not fitted"
-
-
 def _with_history(task: Task) -> Task:
     """The task with a past as long, and end stops as wide, as the drives need."""
     runs, held_out = (
@@ -299,46 +268,23 @@ def _with_history(task: Task) -> Task:
     return replace(task, runs=runs, held_out=held_out, model=model, free=tuple(free))
 
 
-def _apply_timing(task: Task, rough: PlainCar) -> tuple[Task, tuple[Pulse, ...], tuple[Ramp, ...]]:
-    """The task with commands as servos and motor controllers let them through."""
-    asked = task.question._replace(free=free_of(task.runs, task.question.free))
-    timed = [time_commands(run, rough, asked) for run in (*task.runs, *task.held_out)]
-    runs, count = tuple(each.run for each in timed), len(task.runs)
-    pulses = tuple(each.pulse for each in timed if each.pulse)
-    ramps = tuple(each.ramp for each in timed if each.ramp)
-    return replace(task, runs=runs[:count], held_out=runs[count:]), pulses, ramps
-
-
 def _doubts(pulses: Sequence[Pulse]) -> tuple[tuple[str, float], ...]:
     """What no log says about times."""
     wait = max((pulse.blur for pulse in pulses), default=0.0)
     return tuple({**TIMES, "steer_delay": float(np.hypot(TIMES["steer_delay"], wait))}.items())
 
 
-def _search_from(
-    item: tuple[int, Array], runs: "tuple[PaperRun, ...]", method: str, iterations: int | None
-) -> SearchHistory:
-    """One start. The problem is made where the work is done: compiled code does not travel."""
-    number, start = item
-    from steerd.sysid.paper.paper_method import make_problem, search_adam, search_cma
-
-    problem = make_problem(runs)
-    if method == "paper":
-        return search_adam(problem, start, iterations or 100)
-    return search_cma(problem, start, iterations or 500, seed=number)
-
-
 def _search(task: Task) -> tuple[SearchHistory, ...]:
     """The paper's method or its baseline from random starts."""
-    from steerd.sysid.paper.paper_method import (  # torch: a second that our method need not wait
-        draw_starts,
-        paper_runs,
-    )
+    # torch: a second that our method need not wait
+    from steerd.sysid.paper.paper_method import draw_starts, paper_runs, search_from
 
-    runs = paper_runs(task.runs)
-    starts = draw_starts(np.random.default_rng(task.seed), max(task.starts, 1))
-    work = partial(_search_from, runs=runs, method=task.method, iterations=task.iterations)
-    searches = map_jobs(work, list(enumerate(starts)), task.jobs, task.dask)
+    asked = task.asked
+    starts = draw_starts(np.random.default_rng(asked.seed), task.starts)
+    work = partial(
+        search_from, runs=paper_runs(task.runs), method=asked.method, iterations=asked.iterations
+    )
+    searches = map_jobs(work, list(enumerate(starts)), asked.jobs, asked.dask)
     if all(search.diverged for search in searches):
         raise FloatingPointError("the simulation diverges from every start")
     return tuple(searches)

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
+from steerd.car_model.effect import EffectParameter
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.native.windows import parameter_vector
-from steerd.car_model.params import PARAMETERS, Car
+from steerd.car_model.params import PARAMETERS, Car, Parameter
 from steerd.sysid.data.dataset import LogJitter, Run
 from steerd.sysid.data.excitation import Excitation
 from steerd.sysid.data.windows import estimate_noise
@@ -97,10 +98,20 @@ def fit_of_plain(
     pace = float(np.median(np.abs(np.concatenate([run.commands[:, 1] for run in runs]))))
     pace *= float(found.point.parameters[chart.names.index("speed_gain")])
     known = estimates(chart, z, covariance)
+    values = tuple(
+        tuple(
+            known[f"{e.name}.{p.name}"].value if f"{e.name}.{p.name}" in known else value
+            for p, value in zip(e.parameters, own, strict=True)
+        )
+        for e, own in zip(asked.model.effects, asked.model.values, strict=True)
+    )
     error = found.point.linear.error
     horizon = float(found.predictor.layout.spans[:, 3].mean() * runs[0].h)
     return Fit(
-        model=_moved(asked.model, known),
+        model=asked.model._replace(
+            car=asked.model.car._replace(**{n: e.value for n, e in known.items() if "." not in n}),
+            values=values,
+        ),
         estimates=known | silent_estimates(chart, silent_names(runs, asked.free)),
         labels=chart.labels,
         correlation=_correlation(covariance),
@@ -149,19 +160,6 @@ def fit_of_taught(
     )
 
 
-def _moved(model: Model[float], known: Mapping[str, Estimate]) -> Model[float]:
-    """The model at the estimates."""
-    values = tuple(
-        tuple(
-            known[f"{e.name}.{p.name}"].value if f"{e.name}.{p.name}" in known else value
-            for p, value in zip(e.parameters, own, strict=True)
-        )
-        for e, own in zip(model.effects, model.values, strict=True)
-    )
-    car = model.car._replace(**{n: e.value for n, e in known.items() if "." not in n})
-    return model._replace(car=car, values=values)
-
-
 def _correlation(covariance: Array) -> Array:
     sd = np.sqrt(np.diag(covariance))
     return np.asarray(covariance / np.outer(sd, sd))
@@ -181,18 +179,13 @@ def _residuals(predictor: Predictor, error: Array, signal: Array) -> Residuals:
 class Row(NamedTuple):
     """One parameter."""
 
-    value: float  # now; before: at the start
-    before: float
+    value: float  # as identified
+    start: float  # before
     sd: float | None  # standard error; None where it was not free
     unit: str  # of value and sd
     free: bool  # whether it was fitted
     identifiable: bool  # whether the data identify it
     manoeuvre: str = ""  # what would identify it; empty when identifiable or fixed
-
-    @property
-    def start(self) -> float:
-        """The value before."""
-        return self.before
 
 
 class HeldOut(NamedTuple):
@@ -209,48 +202,26 @@ class HeldOut(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """An identification.
+    """An identification."""
 
-    Attributes:
-        method: `ours`, `paper` or `cma-es`.
-        sessions: fitted files.
-        held_out_of: what the prediction errors were measured on, in words.
-        before, after: the car.
-        rows: every parameter of the car; effect_rows: those of its effects that were free, as
-            `effect.parameter`.
-        held_out: prediction errors.
-        excitation: of the fitted drives.
-        traces: predictions of the held-out drives, after and before.
-        fit: of our method.
-        searches: each start of a search.
-        seconds: how long the fit took.
-        notes: what a person should know.
-        truth: the simulated car, where the sessions are simulated.
-        pulses: phases of the servo's pulses, by drive.
-        ramps: limits of the motor controller's setpoint, by drive.
-        log_jitters: how late slow logs stored the steering, by drive.
-        regimes: prediction errors after 1 s by lateral acceleration.
-    """
-
-    method: str
-    sessions: tuple[str, ...]
-    held_out_of: str
-    before: Car[float]
-    after: Car[float]
-    rows: dict[str, Row]
-    held_out: tuple[HeldOut, ...]
-    excitation: Excitation
-    traces: tuple[list[Trace], list[Trace]]
-    fit: Fit | None = None
-    searches: tuple[SearchHistory, ...] = ()
-    seconds: float = 0.0
-    notes: tuple[str, ...] = ()
-    truth: Car[float] | None = None
-    pulses: tuple[Pulse, ...] = ()
-    ramps: tuple[Ramp, ...] = ()
-    effect_rows: dict[str, Row] = field(default_factory=dict)
-    log_jitters: tuple[LogJitter, ...] = ()
-    regimes: tuple[Regime, ...] = ()
+    method: str  # `ours`, `paper` or `cma-es`
+    sessions: tuple[str, ...]  # fitted files
+    held_out_of: str  # what the prediction errors were measured on, in words
+    before: Car[float]  # the start values
+    after: Car[float]  # the identified car
+    rows: dict[str, Row]  # every parameter of the car, and its effects' free ones by `effect.name`
+    held_out: tuple[HeldOut, ...]  # prediction errors
+    excitation: Excitation  # of the fitted drives
+    traces: tuple[list[Trace], list[Trace]]  # predictions of held-out drives, after and before
+    fit: Fit | None = None  # of our method
+    searches: tuple[SearchHistory, ...] = ()  # each start of a search
+    seconds: float = 0.0  # how long the fit took
+    notes: tuple[str, ...] = ()  # what a person should know
+    truth: Car[float] | None = None  # the simulated car, where the sessions are simulated
+    pulses: tuple[Pulse, ...] = ()  # phases of the servo's pulses, by drive
+    ramps: tuple[Ramp, ...] = ()  # limits of the motor controller's setpoint, by drive
+    log_jitters: tuple[LogJitter, ...] = ()  # how late slow logs stored the steering, by drive
+    regimes: tuple[Regime, ...] = ()  # prediction errors after 1 s by lateral acceleration
 
     def __repr__(self) -> str:
         return f"<Outcome of {', '.join(self.sessions)}>"
@@ -261,19 +232,9 @@ class Outcome:
         return self.fit.combinations if self.fit else ()
 
     @property
-    def selected_effects(self) -> tuple[Step, ...]:
-        """Effects that the drives showed, those that every car has aside."""
-        return self.fit.selected if self.fit else ()
-
-    @property
-    def sections(self) -> Mapping[str, Mapping[str, Any]]:
-        """Tables that were learnt with the car, for its file; empty where they were not."""
-        return self.fit.sections if self.fit else {}
-
-    @property
     def free_rows(self) -> dict[str, Row]:
         """What was fitted."""
-        return {n: r for n, r in (self.rows | self.effect_rows).items() if r.free}
+        return {n: r for n, r in self.rows.items() if r.free}
 
     @property
     def unidentified(self) -> dict[str, str]:
@@ -289,7 +250,8 @@ _REGIME = ("lateral_accel_low", "lateral_accel_high", "predictions", "median", "
 
 def encode_outcome(outcome: Outcome) -> dict[str, Any]:
     """The outcome as JSON values: schema `steerd.identify/1`; a number that is not known is NaN."""
-    rows = {name: outcome.rows[name] for name in REPORTED} | outcome.effect_rows
+    effects = [name for name in outcome.rows if "." in name]
+    rows = {name: outcome.rows[name] for name in (*REPORTED, *effects)}
     horizons = ((h.after.horizon, h.after.position, h.after.heading, h.before.position,
                  h.before.heading) for h in outcome.held_out)  # fmt: skip
     regimes = ((r.low, r.high, r.windows, r.median, r.rms) for r in outcome.regimes)
@@ -311,39 +273,33 @@ def encode_outcome(outcome: Outcome) -> dict[str, Any]:
 
 
 def make_rows(
-    given: Car[float], after: Car[float], known: Mapping[str, Estimate]
-) -> dict[str, Row]:
-    """A row for each parameter of the car; what is not among the estimates was not free."""
-    return {
-        p.name: _row(getattr(after, p.name), getattr(given, p.name), p.unit, known.get(p.name))
-        for p in PARAMETERS
-    }
-
-
-def make_effect_rows(
     start: Model[float], after: Model[float], known: Mapping[str, Estimate]
 ) -> dict[str, Row]:
-    """A row for each free parameter of the effects that the car came out with."""
+    """A row for each parameter of the car, and for each free one of the effects that it has.
+
+    What is not among the estimates was not free.
+    """
+    rows = {
+        p.name: _row(getattr(after.car, p.name), getattr(start.car, p.name), p, known.get(p.name))
+        for p in PARAMETERS
+    }
     before = {
         f"{e.name}.{p.name}": value
         for e, values in zip(start.effects, start.values, strict=True)
         for p, value in zip(e.parameters, values, strict=True)
     }
-    rows = {}
     for effect in after.effects:
         for p in EFFECTS[effect.name].parameters:
-            name = f"{effect.name}.{p.name}"
-            if name in known:
-                found = known[name]
-                rows[name] = _row(found.value, before.get(name, p.null), p.unit, found)
+            if found := known.get(name := f"{effect.name}.{p.name}"):
+                rows[name] = _row(found.value, before.get(name, p.null), p, found)
     return rows
 
 
-def _row(value: float, before: float, unit: str, found: Estimate | None) -> Row:
-    if found is None:
-        return Row(float(value), float(before), None, unit, False, False)
-    sd = None if np.isnan(found.sd) else found.sd
-    return Row(float(value), float(before), sd, unit, True, found.identifiable, found.manoeuvre)
+def _row(value: float, start: float, of: Parameter | EffectParameter, e: Estimate | None) -> Row:
+    if e is None:
+        return Row(float(value), float(start), None, of.unit, False, False)
+    sd = None if np.isnan(e.sd) else e.sd
+    return Row(float(value), float(start), sd, of.unit, True, e.identifiable, e.manoeuvre)
 
 
 def searched_estimates(searches: Sequence[SearchHistory]) -> dict[str, Estimate]:

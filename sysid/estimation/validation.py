@@ -90,7 +90,13 @@ def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> l
         return compute_readings(kernels, parameters, seeds, x, dfirst, held, windows, stations)
 
     sigma = np.maximum(estimate_noise(runs), _FLOORS)
-    return _traces(layout, look(_settle(layout, sigma, look))[0])
+    y, seen, found = look(_settle(layout, sigma, look))[0], layout.seen, []
+    for w in range(len(layout.spans)):
+        mine = (seen.window == w) & (seen.kind == 0)
+        rows, t = seen.row[mine][:, None] + np.arange(3), seen.t[mine]
+        run, start = int(layout.run[w]), layout.t[w]
+        found.append(Trace(run, start + t, t - PAST, layout.values[rows], y[rows]))
+    return found
 
 
 def _settle(layout: Layout, sigma: Array, look: Callable[[Array], tuple[Array, Array]]) -> Array:
@@ -111,20 +117,10 @@ def _angles(error: Array) -> Array:
     return wrapped
 
 
-def _past(layout: Layout) -> NDArray[np.bool_]:
-    """(R,) rows that show the start."""
-    early_rows = np.zeros(len(layout.values), bool)
-    seen = layout.seen
-    early = seen.t <= PAST
-    for offset in range(3):
-        rows = seen.row[early & ((offset == 0) | (seen.kind == 0))] + offset
-        early_rows[rows] = True
-    return early_rows
-
-
 def _correct(layout: Layout, sigma: Array, x: Array, y: Array, jy: Array) -> tuple[Array, Array]:
     """Cost of initial states on the past alone (W,), and the Gauss-Newton step from them (W, 7)."""
-    weight = _past(layout) / sigma[layout.group]
+    early = (layout.row_t <= PAST).astype(float)  # rows that show the start
+    weight = early / sigma[layout.group]
     error = layout.values - y
     error[layout.group == 1] = _angles(error[layout.group == 1])
     error, slopes = error * weight, jy * weight[:, None]
@@ -138,18 +134,6 @@ def _correct(layout: Layout, sigma: Array, x: Array, y: Array, jy: Array) -> tup
         square = slopes[a:b].T @ slopes[a:b] + np.diag(STATE_SPREAD**-2)
         step[w] = np.linalg.solve(square, slopes[a:b].T @ error[a:b] + off / STATE_SPREAD)
     return cost, step
-
-
-def _traces(layout: Layout, y: Array) -> list[Trace]:
-    seen, found = layout.seen, []
-    for w in range(len(layout.spans)):
-        mine = (seen.window == w) & (seen.kind == 0)
-        rows = seen.row[mine][:, None] + np.arange(3)
-        t = seen.t[mine]
-        found.append(
-            Trace(int(layout.run[w]), layout.t[w] + t, t - PAST, layout.values[rows], y[rows])
-        )
-    return found
 
 
 def errors_at(traces: Sequence[Trace], horizons: Sequence[float]) -> tuple[Prediction, ...]:
@@ -169,18 +153,12 @@ def errors_at(traces: Sequence[Trace], horizons: Sequence[float]) -> tuple[Predi
 
 
 class Regime(NamedTuple):
-    """Prediction error where the car was driven within some range of lateral acceleration.
+    """Prediction error where the car was driven within some range of lateral acceleration."""
 
-    Attributes:
-        low, high: of the greatest lateral acceleration on the way [m/s^2].
-        windows: how many predictions.
-        median, rms: of the position error at the horizon [m].
-    """
-
-    low: float
+    low: float  # of the greatest lateral acceleration on the way [m/s^2]; high: as well
     high: float
-    windows: int
-    median: float
+    windows: int  # how many predictions
+    median: float  # of the position error at the horizon [m]; rms: as well
     rms: float
 
 

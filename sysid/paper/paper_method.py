@@ -22,9 +22,14 @@ from steerd.car_model.native.windows import Kernels, make_kernels
 from steerd.car_model.params import PAPER_CAR, Car
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import guess_state
-from steerd.sysid.paper.path_distances import PAPER_GAMMA, chamfer, soft_dtw, squared_distances
 from steerd.sysid.paper.search_history import NAMES, BaselineMissingError, SearchHistory
-from steerd.sysid.paper.torch_kernel import simulate
+from steerd.sysid.paper.torch_functions import (
+    PAPER_GAMMA,
+    chamfer,
+    simulate,
+    soft_dtw,
+    squared_distances,
+)
 
 Array = NDArray[np.float64]
 
@@ -193,24 +198,6 @@ def search_adam(
     )
 
 
-def loss_value(problem: PaperProblem, four: Array, iteration: int) -> float:
-    """Loss of an iteration's batch without gradient; a large number where it diverges."""
-    with torch.no_grad():
-        value = float(loss_of(problem, torch.from_numpy(four), batch_of(problem, iteration)))
-    return value if np.isfinite(value) else 1e9
-
-
-def _optuna() -> Any:
-    try:
-        import cmaes as _cmaes  # type: ignore[import-untyped]  # noqa: F401
-        import optuna
-    except ImportError as error:
-        text = "CMA-ES needs Optuna: pip install optuna cmaes"
-        raise BaselineMissingError(text) from error
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
-    return optuna
-
-
 @one_thread()
 def search_cma(
     problem: PaperProblem, start: Array, trials: int = 500, seed: int = 0, watch: Watch = never_stop
@@ -220,7 +207,12 @@ def search_cma(
     Raises:
         BaselineMissingError: Optuna is not installed.
     """
-    optuna = _optuna()
+    try:
+        import cmaes as _cmaes  # type: ignore[import-untyped]  # noqa: F401
+        import optuna
+    except ImportError as error:
+        raise BaselineMissingError("CMA-ES needs Optuna: pip install optuna cmaes") from error
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
     first = dict(zip(NAMES, (start * SCALE).tolist(), strict=True))
     with warnings.catch_warnings():
         # Optuna announces that its CMA-ES will move; start and spread are the paper's.
@@ -233,7 +225,9 @@ def search_cma(
     def try_once(trial: Any) -> float:
         bounds = zip(NAMES, LOW * SCALE, HIGH * SCALE, strict=True)
         four = np.array([trial.suggest_float(name, a, b) for name, a, b in bounds]) / SCALE
-        loss = loss_value(problem, four, len(losses))
+        with torch.no_grad():
+            value = float(loss_of(problem, torch.from_numpy(four), batch_of(problem, len(losses))))
+        loss = value if np.isfinite(value) else 1e9
         losses.append(loss)
         path.append(four)
         best = path[1 + int(np.argmin(losses))]
@@ -246,3 +240,13 @@ def search_cma(
     return SearchHistory(
         np.array(start, float), np.array(losses), np.array(path), np.asarray(final, float)
     )
+
+
+def search_from(
+    item: tuple[int, Array], runs: tuple[PaperRun, ...], method: str, iterations: int | None
+) -> SearchHistory:
+    """A numbered start. The problem is made where the work is: compiled code does not travel."""
+    number, start = item
+    if method == "paper":
+        return search_adam(make_problem(runs), start, iterations or 100)
+    return search_cma(make_problem(runs), start, iterations or 500, seed=number)

@@ -3,14 +3,19 @@
 import io
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from html import escape
 from types import MappingProxyType
 from typing import Any
 
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter, StrMethodFormatter
+
+from steerd.sysid.report.report import Report
 
 INK, FAINT = "#1f2933", "#9aa5b1"
 MEASURED, AFTER, BEFORE = "#1f2933", "#d9480f", "#4c8dca"
@@ -37,24 +42,49 @@ STYLE: dict[Any, Any] = {
 }  # fmt: skip
 
 
-Colours = Mapping[str, str]
-NONE: Colours = MappingProxyType({})
-"""What colours stand for, by name."""
+@dataclass(frozen=True)
+class Diagrams:
+    """Diagrams that are drawn where they are shown: a page's, or a figure's."""
+
+    plot: Callable[..., None]  # fills the axes, which come first, with what they are `about`
+    height: float  # of a diagram [inch]
+    about: Sequence[Any] = ()
+    count: int = 1  # how many diagrams
+    columns: int = 2  # how many of them fill the page's width
+    colours: Mapping[str, str] = field(default_factory=dict)  # what they stand for, by name
+
+    def __html__(self) -> str:
+        """Markup: side by side where there is room, else below each other."""
+        with rc_context(STYLE):
+            size = WIDTH / self.columns, self.height
+            axes = [Figure(size, layout="constrained").subplots() for _ in range(self.count)]
+            self.plot(*axes, *self.about)
+            diagrams = "".join(map(_draw, axes))
+        names = "".join(
+            f'<span style="--of:var(--{IN_PAGE[colour]})">{escape(name)}</span>'
+            for name, colour in self.colours.items()
+        )
+        wide = 48.0 / self.columns
+        return f'<p class="names">{names}</p><div style="--wide:{wide:.1f}rem">{diagrams}</div>'
 
 
-def draw(
-    plot: Callable[..., None], height: float, *about: Any, columns: int = 1, colours: Colours = NONE
-) -> str:
-    """The markup of `columns` diagrams that `plot` fills with what they are about."""
-    axes = make_axes(columns, height, max(columns, 2))
-    plot(*axes, *about)
-    return to_svg(axes, colours)
-
-
-def make_axes(count: int, height: float, columns: int = 2) -> list[Any]:
-    """Axes of so many diagrams, each so high [inch] and so wide that `columns` fill the page."""
-    size = WIDTH / columns, height
-    return [Figure(figsize=size, layout="constrained").subplots() for _ in range(count)]
+def plot_report(report: Report) -> Figure:
+    """A report as one figure."""
+    shown = list(report.figures)
+    heights = [each.height * -(-each.count // each.columns) for each in shown]
+    colours = {name: colour for each in shown for name, colour in each.colours.items()}
+    with rc_context(STYLE):
+        figure = Figure((WIDTH, sum(heights) + 0.8), layout="constrained")
+        parts = figure.subfigures(len(shown), 1, squeeze=False, height_ratios=heights)[:, 0]
+        for part, each in zip(parts, shown, strict=True):
+            columns = min(each.columns, each.count)
+            grid = part.add_gridspec(-(-each.count // columns), columns)
+            axes = [part.add_subplot(grid[divmod(i, columns)]) for i in range(each.count)]
+            each.plot(*axes, *each.about)
+        figure.suptitle(report.verdict, fontsize=10)
+        lines = [Line2D([], [], color=c, lw=3.0, label=name) for name, c in colours.items()]
+        figure.legend(handles=lines, fontsize=8, loc="outside upper right", ncols=len(lines))
+        return figure
 
 
 def plain_log(axis: Axis) -> None:
@@ -71,22 +101,6 @@ def scale_bars(axis: Axes, heights: Sequence[float]) -> None:
         plain_log(axis.yaxis)
     else:
         axis.set_ylim(0.0, 1.15 * max(known, default=1.0))
-
-
-def to_svg(axes: Sequence[Any], colours: Colours = NONE) -> str:
-    """Diagrams as markup: side by side where there is room, else below each other.
-
-    Args:
-        axes: as `make_axes` made them, all of one width.
-        colours: what the colours of the lines stand for, by name.
-    """
-    wide = axes[0].figure.get_figwidth() / WIDTH if axes else 1.0
-    names = "".join(
-        f'<span style="--of:var(--{IN_PAGE[colour]})">{escape(name)}</span>'
-        for name, colour in colours.items()
-    )
-    diagrams = "".join(_draw(axis) for axis in axes)
-    return f'<p class="names">{names}</p><div style="--wide:{48.0 * wide:.1f}rem">{diagrams}</div>'
 
 
 def _draw(axis: Any) -> str:

@@ -1,60 +1,63 @@
-"""The report of `steerd identify`: one HTML file without links, results first, figures inline."""
+"""What is shown of an identification: on a terminal, on a page, in a notebook's figure."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from math import degrees, isnan
+from math import degrees, isfinite, isnan
+from typing import TYPE_CHECKING
 
-import numpy as np
-from matplotlib import rc_context
-from matplotlib.axes import Axes
-from numpy.typing import NDArray
-
-from steerd.sysid.data.windows import GROUPS
-from steerd.sysid.estimation.outcome import Fit, HeldOut, Outcome
-from steerd.sysid.estimation.validation import Trace
-from steerd.sysid.paper.search_history import SearchHistory
-from steerd.sysid.report.design_comparison import FRICTIONS, Profile, compare_designs
-from steerd.sysid.report.drawing import (
-    AFTER,
-    BEFORE,
-    FAINT,
-    INK,
-    LINES,
-    MEASURED,
-    STYLE,
-    draw,
-    make_axes,
-    scale_bars,
-    to_svg,
+from steerd.sysid.estimation.outcome import Outcome
+from steerd.sysid.report.report import (
+    SPACE,
+    Card,
+    Cell,
+    Fold,
+    Late,
+    Line,
+    Report,
+    Section,
+    Table,
+    with_error,
 )
-from steerd.sysid.report.report import DEGREES, Card, Cell, Fold, Report, Section, Table, with_error
 
-COLOURS = {"measured": MEASURED, "start values": BEFORE, "identified": AFTER}
+if TYPE_CHECKING:
+    from steerd.sysid.report.drawing import Diagrams
+
 IMPROVEMENT_MIN = 1.02
 """A smaller factor is no improvement."""
+_CERTAIN = 10.0
+"""A phase whose log-likelihood leads by more is identified [nats]."""
 
 
-@rc_context(STYLE)
-def make_report(outcome: Outcome) -> Report:
-    """What an identification found."""
-    truth = {} if outcome.truth is None else {"truth": outcome.truth}
-    designs = {**truth, "identified": outcome.after, "start values": outcome.before}
-    profiles = compare_designs(outcome.truth or outcome.after, designs)
+def make_report(outcome: Outcome, following: Sequence[Line] = ()) -> Report:
+    """What an identification found; `following` ends the screen."""
     e = outcome.excitation
+    driven = f"{e.seconds:.0f} s, {e.distance:.0f} m"
+    pace = f"{e.speed_low:.1f} to {e.speed_high:.1f} m/s, {e.lateral_accel:.1f} m/s² sideways"
     return Report(
         title="The car identified from these drives",
         subject=", ".join(outcome.sessions),
-        about=f"{e.seconds:.0f} s, {e.distance:.0f} m, "
-        f"{e.speed_low:.1f} to {e.speed_high:.1f} m/s, {e.lateral_accel:.1f} m/s² sideways · "
-        f"method {outcome.method}, {outcome.seconds:.1f} s",
+        about=f"{driven}, {pace} · method {outcome.method}, {outcome.seconds:.1f} s",
         lead="What the drives say of the car, judged by drives that were not fitted.",
-        sections=[_values(outcome), *_sections(outcome, profiles)],
+        sections=Late(lambda: _sections(outcome)),
         foot="Written by steerd identify. Frames are ISO 8855, angles positive to the left; "
         "sd is one standard error.",
-        cards=list(make_cards(outcome)),
+        cards=list(_cards(outcome)),
+        screen=[
+            Line("data", f"{', '.join(outcome.sessions)}: {driven}"),
+            *_data(outcome, pace),
+            SPACE,
+            *_parameters(outcome),
+            SPACE,
+            *_validation(outcome),
+            SPACE,
+            *(Line("note", note) for note in outcome.notes),
+            *following,
+        ],
+        figures=Late(lambda: _figures(outcome)),
     )
 
 
-def make_cards(outcome: Outcome) -> Iterator[Card]:
+def _cards(outcome: Outcome) -> Iterator[Card]:
     """The figures that are read first."""
     free = outcome.free_rows.values()
     count = sum(row.identifiable for row in free)
@@ -69,8 +72,83 @@ def make_cards(outcome: Outcome) -> Iterator[Card]:
         yield Card("off in heading", figure, "both on drives that were not fitted")
 
 
-def _values(outcome: Outcome) -> Section:
-    """The parameters: free, combined, fixed."""
+# -- the screen ------------------------------------------------------------------------------------
+
+
+def _data(outcome: Outcome, pace: str) -> Iterator[Line]:
+    e, fit = outcome.excitation, outcome.fit
+    sides = f"left {e.left:.0%}, right {e.right:.0%}, steering {e.steer_rate:.2f} rad/s"
+    yield Line("driven", f"{pace}; {sides}")
+    yield from (Line("lacking", what) for what in e.lacking)
+    weakly = " (weakly identifiable)"
+    for pulse in outcome.pulses:
+        certain = "" if pulse.sure > _CERTAIN else weakly
+        yield Line("servo", f"{pulse.run}: 50 Hz pulses at {1e3 * pulse.phase:.0f} ms{certain}")
+    for ramp in outcome.ramps:
+        limit = f"ramp of {ramp.rate:.1f} m/s²" if ramp.rate else "no ramp"
+        yield Line("motor", f"{ramp.run}: {limit}{'' if ramp.sure > _CERTAIN else weakly}")
+    yield from (Line("log", jitter.describe()) for jitter in outcome.log_jitters)
+    for step in fit.selected if fit else ():
+        gain = f"gains {step.gain:.0f} nats"
+        yield Line("effect", f"{step.effect}: selected, these drives show it ({gain})")
+    how = {
+        "ours": f"windows of {fit.horizon:.0f} s" if fit else "",
+        "paper": f"soft-DTW and chamfer by Adam, {len(outcome.searches)} starts",
+        "cma-es": f"the same loss by CMA-ES, {len(outcome.searches)} starts",
+    }
+    yield Line("method", f"{outcome.method} ({how[outcome.method]}), {outcome.seconds:.1f} s")
+
+
+def _parameters(outcome: Outcome) -> Iterator[Line]:
+    """A line for each parameter that the drives identify; one sentence for all the others."""
+    rows = {name: row for name, row in outcome.free_rows.items() if row.identifiable}
+    width = max([13, *(len(name) + 1 for name in rows)])
+    for name, row in rows.items():
+        moved = abs(row.value - row.start) > 2.0 * (row.sd or 0.0)
+        unit, word = "" if row.unit == "1" else row.unit, "changed" if moved else "unchanged"
+        value = with_error(row.value, row.sd)
+        yield Line("", f"{name:<{width}}{value:>22} {unit:<7} {word}", whole=True)
+    if not outcome.unidentified:
+        return
+    helps = Counter(filter(None, outcome.unidentified.values())).most_common(1)
+    most = f"; what would help most is {helps[0][0]}" if helps else ""
+    yield Line("open", f"these drives do not identify {', '.join(outcome.unidentified)}{most}.")
+    for c in (each for each in outcome.combinations if each.known):
+        yield Line("", f"identifiable combination: {c.text} = {c.value:.6f} ± {c.sd:.6f} m")
+
+
+def _validation(outcome: Outcome) -> Iterator[Line]:
+    yield Line("prediction", f"of {outcome.held_out_of}")
+    for h in outcome.held_out:
+        a, b = h.after, h.before
+        text = "no held-out drive is so long"
+        if not isnan(a.position):
+            start = f"{b.position * 1e3:.1f} mm {degrees(b.heading):.2f}°: {h.factor:.1f} x"
+            text = f"{a.position * 1e3:7.1f} mm {degrees(a.heading):6.2f}°   (start {start})"
+        yield Line("", f"{a.horizon:.1f} s   {text}", whole=True)
+    if len(outcome.regimes) > 1:
+        medians = ", ".join(
+            f"{1e3 * r.median:.{int(r.median < 0.01)}f} mm "
+            + (f"to {r.high:g}" if isfinite(r.high) else f"above {r.low:g}")
+            for r in outcome.regimes
+        )
+        yield Line("", f"median after 1 s by lateral acceleration [m/s²]: {medians}")
+
+
+# -- the page --------------------------------------------------------------------------------------
+
+
+def _figures(outcome: Outcome) -> "list[Diagrams]":
+    from steerd.sysid.report.identify_figures import draw_main
+
+    return draw_main(outcome)
+
+
+def _sections(outcome: Outcome) -> Iterator[Section]:
+    from steerd.sysid.report import identify_figures as figures
+    from steerd.sysid.report.drawing import Diagrams
+
+    traces, held_out, parameters = _figures(outcome)
     lacks = [f"Excitation: {lack}." for lack in outcome.excitation.lacking]
     heads = ["parameter", "value ± sd", "unit", "start", "true", ""]
     truth = outcome.truth._asdict() if outcome.truth is not None else {}
@@ -79,7 +157,7 @@ def _values(outcome: Outcome) -> Section:
         remark = "" if row.identifiable else f"not identifiable; {row.manoeuvre}"
         unit = "" if row.unit == "1" else row.unit
         true = f"{truth[name]:.5g}" if name in truth else ""
-        texts = [name, with_error(row.value, row.sd), unit, f"{row.before:.5g}", true, remark]
+        texts = [name, with_error(row.value, row.sd), unit, f"{row.start:.5g}", true, remark]
         rows.append([Cell(text, "" if row.identifiable else "quiet") for text in texts])
     table = Table(heads, rows, words=[len(heads) - 1])
     known = [f"{c.text} = {c.value:.5g} ± {c.sd:.2g} m" for c in outcome.combinations if c.known]
@@ -89,163 +167,55 @@ def _values(outcome: Outcome) -> Section:
         for name, row in outcome.rows.items()
         if not row.free
     ]
-    return Section(
+    yield Section(
         notes=[*outcome.notes, *lacks, *combined],
         table=table if truth else table.pick(*(head for head in heads if head != "true")),
+        figures=[parameters],
         fold=Fold("fixed parameters", ", ".join(fixed)),
     )
-
-
-def _sections(outcome: Outcome, profiles: tuple[Profile, ...]) -> Iterator[Section]:
     yield Section(
         "Prediction of drives that were not fitted",
         f"Validated on {outcome.held_out_of}. Open loop: the state is fitted to the 0.4 s before, "
         "then only the commands are known.",
-        figure=draw(plot_held_out, 2.6, outcome.held_out, columns=2, colours=COLOURS)
-        + draw(plot_traces, 4.0, outcome.traces, columns=2),
+        figures=[traces, held_out],
     )
-    plant = "the identified car" if outcome.truth is None else "the true (simulated) car"
-    yield Section(
-        "Lane keeping with controllers designed from these parameters",
-        f"A figure eight at up to 2 m/s from 0.15 m beside it, on {plant}. {_closed(profiles)}",
-        figure=draw_profiles(profiles),
-    )
+    yield _designs(outcome)
     if outcome.fit is not None:
         yield Section(
             "Residuals",
             "Flat and as narrow as the line: the model explains the drive. Waves or a wide "
             "spread: something is missing, and steerd diagnose looks for it.",
-            figure=draw_residuals(outcome.fit),
+            figures=figures.draw_residuals(outcome.fit.residuals),
         )
         yield Section(
             "Correlation of the estimates",
             "Near ±1: the data identify the combination, not its members.",
-            figure=draw(plot_correlation, 4.6, outcome.fit),
+            figures=[Diagrams(figures.plot_correlation, 4.6, [outcome.fit])],
         )
     if outcome.searches:
         yield Section(
             "Convergence",
             "Parameters that stay near their starts do not change the loss: "
             "they are not identifiable.",
-            figure=draw(plot_searches, 3.0, outcome.searches, columns=2),
+            figures=[Diagrams(figures.plot_searches, 3.0, [outcome.searches], 2)],
         )
 
 
-def _closed(profiles: tuple[Profile, ...]) -> str:
-    parts = []
-    for p in profiles:
-        result = f"refused ({p.refused})" if p.refused else f"{p.rms * 1e3:.1f} mm"
-        parts.append(f"{p.design}, {p.friction} friction: {result}")
-    return "RMS of e1: " + "; ".join(parts) + "."
+def _designs(outcome: Outcome) -> Section:
+    """Lane keeping with the parameters before and after."""
+    from steerd.sysid.report import design_comparison, identify_figures
 
-
-Array = NDArray[np.float64]
-
-UNITS = {"position": (1e3, "mm"), "yaw": (DEGREES, "°"), "wheel_speed": (1e3, "mm/s"),
-         "yaw_rate": (DEGREES, "°/s")}  # fmt: skip
-POINTS_MAX = 1500
-
-
-def plot_traces(plane: Axes, late: Axes, traces: tuple[list[Trace], list[Trace]]) -> None:
-    """Held-out windows in the plane, and how far off predictions (after, before) are with time."""
-    for after, before in zip(*traces, strict=True):
-        plane.plot(*after.measured[:, :2].T, color=MEASURED, lw=2.2, alpha=0.35)
-        for trace, colour in ((before, BEFORE), (after, AFTER)):
-            plane.plot(*trace.predicted[trace.ahead >= 0.0, :2].T, color=colour, lw=1.0)
-            off = np.linalg.norm(trace.measured[:, :2] - trace.predicted[:, :2], axis=1)
-            late.plot(trace.ahead, 1e3 * off, color=colour, lw=0.8, alpha=0.7)
-    plane.set(xlabel="x [m]", ylabel="y [m]", title="held-out drives and their predictions")
-    plane.set_aspect("equal", adjustable="datalim")
-    late.axvline(0.0, color=FAINT, lw=0.8)
-    late.set(xlabel="time since the prediction began [s]", ylabel="distance [mm]",
-             title="prediction error of each window", ylim=(0.0, None))  # fmt: skip
-
-
-def plot_held_out(left: Axes, right: Axes, held_out: Sequence[HeldOut]) -> None:
-    """RMS position (left) and heading (right) errors at the horizons, before and after."""
-    places = np.arange(len(held_out))
-    for axis, field, scale, unit in (
-        (left, "position", 1e3, "mm"),
-        (right, "heading", DEGREES, "°"),
-    ):
-        heights = []
-        for shift, name, colour in ((-0.2, "before", BEFORE), (0.2, "after", AFTER)):
-            values = [scale * getattr(getattr(h, name), field) for h in held_out]
-            axis.bar(places + shift, values, 0.36, color=colour)
-            heights += values
-        axis.set(xticks=places, title=f"{field} [{unit}]")
-        scale_bars(axis, heights)
-        axis.set_xticklabels([f"{h.after.horizon:g} s" for h in held_out])
-    left.set_ylabel("root mean square")
-
-
-def draw_residuals(found: Fit) -> str:
-    """Residuals of each kind over time, and their spread against the signal's own noise."""
-    left = found.residuals
-    present = [int(g) for g in np.unique(left.group)]
-    axes = make_axes(2 * len(present), 1.7)
-    for over, spread, group in zip(axes[::2], axes[1::2], present, strict=True):
-        mine = left.group == group
-        scale, unit = UNITS[GROUPS[group]]
-        values = scale * left.error[mine]
-        step = max(1, len(values) // POINTS_MAX)
-        over.plot(left.t[mine][::step], values[::step], ".", ms=1.2, color=AFTER)
-        over.set_xlabel("time into each drive [s]")
-        over.set_ylabel(f"{GROUPS[group]} [{unit}]".replace("_", " "))
-        edge = max(4.0 * float(np.sqrt(np.mean(values**2))), 1e-6)
-        bins = np.linspace(-edge, edge, 60)
-        spread.hist(values, bins, color=AFTER, alpha=0.7, density=True)
-        sigma = scale * float(left.signal[group])
-        bell = np.exp(-0.5 * (bins / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
-        spread.plot(bins, bell, color=INK, lw=1.0)
-    axes[0].set_title("residuals of the fit")
-    axes[1].set_title("their spread; the line is the instrument's own noise")
-    return to_svg(axes)
-
-
-def plot_correlation(axes: Axes, found: Fit) -> None:
-    """Correlation of the coordinates."""
-    labels = found.labels
-    axes.grid(visible=False)
-    axes.imshow(found.correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
-    places = range(len(labels))
-    axes.set_xticks(places, labels, rotation=90)
-    axes.set_yticks(places, labels)
-    for i in places:
-        for j in places:
-            value = found.correlation[i, j]
-            ink = "white" if abs(value) > 0.6 else "black"
-            axes.text(j, i, f"{value:z.1f}", ha="center", va="center", fontsize=6.0, color=ink)
-
-
-def plot_searches(left: Axes, right: Axes, searches: Sequence[SearchHistory]) -> None:
-    """The paper's loss curves: every start's, iterations along x, shifted to be positive."""
-    floor = min(float(search.losses.min()) for search in searches if len(search.losses))
-    for number, search in enumerate(searches):
-        colour = LINES[number % len(LINES)]
-        best = np.minimum.accumulate(search.losses) - floor + 1e-3
-        left.plot(search.losses - floor + 1e-3, color=colour, lw=0.6, alpha=0.5)
-        left.plot(best, color=colour, lw=1.4, label=f"start {number + 1}")
-        right.plot(search.path[:, 2], search.path[:, 3], color=colour, lw=1.0)
-        right.plot(*search.path[0, 2:], "o", color=colour, mfc="white")
-        right.plot(*search.final[2:], "o", color=colour)
-    left.set(yscale="log", xlabel="iterations", ylabel="loss above the lowest")
-    left.set_title("loss of the batch, and the best so far")
-    right.set(xlabel="C_Sf", ylabel="C_Sr", title="stiffness from start (hollow) to end")
-    left.legend(fontsize=8)
-
-
-def draw_profiles(profiles: Sequence[Profile]) -> str:
-    """Lateral and heading error of each design, a column a floor."""
-    names = list(dict.fromkeys(profile.design for profile in profiles))
-    axes = make_axes(2 * len(FRICTIONS), 2.2)
-    colours = dict(zip(names, (INK, AFTER, BEFORE), strict=False))
-    for column, floor in enumerate(FRICTIONS):
-        e1, e2 = axes[column :: len(FRICTIONS)]
-        for profile in (p for p in profiles if p.friction == floor):
-            t, off, turned = profile.rows.T
-            e1.plot(t, 1e3 * off, color=colours[profile.design], lw=1.1)
-            e2.plot(t, np.degrees(turned), color=colours[profile.design], lw=1.1)
-        e1.set(title=f"e1 [mm], {floor} friction", xlabel="time [s]")
-        e2.set(title=f"e2 [°], {floor} friction", xlabel="time [s]")
-    return to_svg(axes, {f"designed from {name}": colour for name, colour in colours.items()})
+    truth = {} if outcome.truth is None else {"truth": outcome.truth}
+    designs = {**truth, "identified": outcome.after, "start values": outcome.before}
+    profiles = design_comparison.compare_designs(outcome.truth or outcome.after, designs)
+    plant = "the identified car" if outcome.truth is None else "the true (simulated) car"
+    results = "; ".join(
+        f"{p.design}, {p.friction} friction: "
+        + (f"refused ({p.refused})" if p.refused else f"{p.rms * 1e3:.1f} mm")
+        for p in profiles
+    )
+    return Section(
+        "Lane keeping with controllers designed from these parameters",
+        f"A figure eight at up to 2 m/s from 0.15 m beside it, on {plant}. RMS of e1: {results}.",
+        figures=[identify_figures.draw_profiles(profiles)],
+    )

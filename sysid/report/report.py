@@ -1,10 +1,14 @@
 """What a command found, as one value; pages and screens are made of it."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, is_dataclass
 from math import degrees, floor, isfinite, log10
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
 
+if TYPE_CHECKING:
+    from steerd.sysid.report.drawing import Diagrams
+
+T = TypeVar("T")
 Tone = Literal["", "quiet", "strong"]
 DEGREES = degrees(1.0)
 SCALES = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (DEGREES, "°"), "1": (1.0, "")}
@@ -64,8 +68,29 @@ class Section:
     text: str = ""  # a paragraph about it; `steerd …` in backquotes is shown as a command
     notes: Sequence[str] = ()  # what a reader should know, each set off
     table: Table | None = None  # figures
-    figure: str = ""  # markup of diagrams, see `drawing.to_svg`
+    figures: Sequence["Diagrams"] = ()  # drawn where they are shown
     fold: Fold | None = None  # what few will read
+
+
+class Line(NamedTuple):
+    """A paragraph of a terminal's screen."""
+
+    label: str  # what it is; empty where it goes on with what is above it
+    text: str
+    whole: bool = False  # whether its line is never broken: a command to copy, columns
+
+
+SPACE = Line("", "")
+
+
+@dataclass(frozen=True)
+class Late(Generic[T]):
+    """What is made where it is read: a screen needs no diagrams."""
+
+    make: Callable[[], Iterable[T]]
+
+    def __iter__(self) -> Iterator[T]:
+        return iter(self.make())
 
 
 @dataclass(frozen=True)
@@ -76,11 +101,13 @@ class Report:
     subject: str  # names of what it is about: sessions, a car
     about: str  # facts about that
     lead: str  # the result in a sentence or two
-    sections: Sequence[Section]  # in reading order
+    sections: Iterable[Section]  # in reading order
     foot: str  # who wrote it, conventions
     verdict: str = ""  # the result in a word; empty where there is none
     grade: str = ""  # how good that is: `good`, `fair` or `bad`
     cards: Sequence[Card] = ()  # figures that are read first
+    screen: Sequence[Line] = ()  # what a terminal shows
+    figures: Iterable["Diagrams"] = ()  # what a notebook's figure shows
 
 
 def format_table(table: Table) -> Iterator[str]:

@@ -5,7 +5,7 @@ import pytest
 
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.session_read import open_session
-from steerd.sysid.data.dataset import load_run
+from steerd.sysid.data.dataset import read_run
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 PLAN = ("--plan", "steps", "--box", "14", "--duration", "4")
@@ -20,7 +20,7 @@ def check_drive(record):
     asked = open_session(record).columns(m.Actuation)
     driven = asked["mode"] == m.ActuationMode.SPEED
     assert np.ptp(asked["steer"][driven]) > 0.05
-    run = load_run(record)
+    run = read_run(open_session(record))
     assert run.duration > 2.5
     assert run.servo_frame == 0.02
     assert np.ptp(run.pose.values[:, 0]) > 1.0

@@ -126,7 +126,7 @@ def test_a_drive_is_cut_there(holed):
 
 
 def test_a_hole_of_a_tick_is_a_pause_too(drive, tmp_path):
-    from steerd.sysid.data.dataset import load_run
+    from steerd.sysid.data.dataset import read_run
 
     whole = open_session(drive)
     middle = whole.info().start_ns + 10 * NS
@@ -140,5 +140,5 @@ def test_a_hole_of_a_tick_is_a_pause_too(drive, tmp_path):
             for record in batch:
                 recording.take(record)
     assert recording.finish("end of the run")
-    ((first, last),) = pauses(load_run(out))
+    ((first, last),) = pauses(read_run(open_session(out)))
     assert 0.3 <= last - first < 0.4

@@ -22,6 +22,6 @@ def test_the_lane_error_of_an_unknown_car_falls_to_millimetres(tmp_path, capsys)
     before = drive()
     go("collect --sim --fast --sim-car hidden:4 --plan mixed --record {folder}/mixed.mcap")
     found = go("identify {folder}/mixed.mcap --wheelbase 0.3302 -o {folder}/car.toml")
-    assert re.search(r"next: steerd run --sim --fast .*--sim-car hidden:4", " ".join(found.split()))
+    assert re.search(r"next steerd run --sim --fast .*--sim-car hidden:4", " ".join(found.split()))
     after = drive("--car", "{folder}/car.toml")
     assert before > 20.0 > 3.0 > after

@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 
 from steerd.daemon.common.screen import clean
@@ -18,7 +17,7 @@ from steerd.daemon.many.batch.changes import (
     tabulate_changes,
 )
 from steerd.daemon.many.job import Rows
-from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, STYLE, make_axes, to_svg
+from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, Diagrams
 from steerd.sysid.report.report import Card, Report, Section, Table
 
 _DAY = 86_400.0
@@ -35,7 +34,6 @@ _ESTIMATES = 5
 _LEAST_SHARE = 0.01  # least height of a diagram, as a share of what it shows
 
 
-@rc_context(STYLE)
 def make_report(
     kind: str, rows: Rows, series: Sequence[Series], changes: Sequence[Change]
 ) -> Report:
@@ -60,7 +58,9 @@ def make_report(
             "Dots are single drives, the line is the mean of each week with its 95 % band; a "
             f"dashed line marks a change. {len(drawn)} of {len(ordered)} series are drawn, those "
             "that changed first.",
-            figure=_draw(drawn, first),
+            figures=[Diagrams(
+                lambda *axes: _plot(axes, drawn, first), 2.0, count=len(drawn), columns=3
+            )],
         ))  # fmt: skip
     failed = [row for row in rows if row["outcome"] != "done"]
     if failed:
@@ -129,15 +129,15 @@ def _list_sessions(rows: Rows) -> Table:
     return Table(heads, table, words=[0, *(i for i, t in enumerate(texts, 1) if t != "day")])
 
 
-def _draw(series: Sequence[Series], changes: dict[tuple[str, str], Change]) -> str:
+def _plot(
+    axes: Sequence[Axes], series: Sequence[Series], changes: dict[tuple[str, str], Change]
+) -> None:
     """A small figure for each series."""
-    axes = make_axes(len(series), 2.0, 3)
     for axis, s in zip(axes, series, strict=True):
-        _draw_series(axis, s, changes.get((s.car, s.quantity)))
-    return to_svg(axes)
+        _plot_series(axis, s, changes.get((s.car, s.quantity)))
 
 
-def _draw_series(axis: Axes, s: Series, change: Change | None) -> None:
+def _plot_series(axis: Axes, s: Series, change: Change | None) -> None:
     """Estimates as dots, weekly means with their bands, the day of a change."""
     dates, parts = s.start / _DAY, [s]
     if change is not None:

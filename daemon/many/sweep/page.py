@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 
 from steerd.daemon.common.screen import clean
@@ -20,7 +19,7 @@ from steerd.daemon.many.sweep.summary import (
     tabulate_ends,
     tabulate_spreads,
 )
-from steerd.sysid.report.drawing import AFTER, BEFORE, STYLE, make_axes, to_svg
+from steerd.sysid.report.drawing import AFTER, BEFORE, Diagrams
 from steerd.sysid.report.report import SCALES, Card, Cell, Report, Section, Table
 
 _BINS = 30
@@ -32,7 +31,6 @@ _MOVED = 0.01
 _VALUES = 6  # values of a list that are shown
 
 
-@rc_context(STYLE)
 def make_report(plan: SweepPlan, rows: Rows, summary: Summary) -> Report:
     """The page: distributions, stops, sensitivity of each to each."""
     fixed = [] if "path" in plan.vary else [plan.path]
@@ -54,7 +52,7 @@ def make_report(plan: SweepPlan, rows: Rows, summary: Summary) -> Report:
             "sweep FILE.toml` `--again N` `--record drive.mcap` drives it once more and records "
             "it.",
             table=tabulate_spreads(summary),
-            figure=_draw_histograms(rows, summary),
+            figures=_draw_histograms(rows, summary),
         ),
     ]
     if summary.sensitivities:
@@ -64,7 +62,7 @@ def make_report(plan: SweepPlan, rows: Rows, summary: Summary) -> Report:
             "texts has no sign. Bold: more than chance alone shows in one case of twenty, and the "
             f"measure moves by more than {_MOVED:.0%}.",
             table=_moves(summary),
-            figure=_draw_scatters(plan, rows, summary),
+            figures=_draw_scatters(plan, rows, summary),
         ))  # fmt: skip
     return Report(
         title=f"{len(rows)} drives, each another draw",
@@ -130,34 +128,34 @@ def _scaled(rows: Rows, name: str) -> np.ndarray:
     return column(rows, name) * SCALES.get(UNITS.get(name, ""), (1.0, ""))[0]
 
 
-def _draw_histograms(rows: Rows, summary: Summary) -> str:
+def _draw_histograms(rows: Rows, summary: Summary) -> list[Diagrams]:
     """How often each measure takes which value."""
     names = [spread.name for spread in summary.spreads]
-    if not names:
-        return ""
-    axes = make_axes(len(names), 1.9, 3)
-    for axis, name in zip(axes, names, strict=True):
-        values = _scaled(rows, name)
-        axis.hist(values[np.isfinite(values)], bins=_BINS, color=BEFORE)
-        axis.locator_params(axis="x", nbins=_TICKS)
-        axis.set(title=name_measure(name), ylabel="drives")
-        axis.yaxis.get_major_locator().set_params(integer=True)
-    return to_svg(axes)
+
+    def plot(*axes: Axes) -> None:
+        for axis, name in zip(axes, names, strict=True):
+            values = _scaled(rows, name)
+            axis.hist(values[np.isfinite(values)], bins=_BINS, color=BEFORE)
+            axis.locator_params(axis="x", nbins=_TICKS)
+            axis.set(title=name_measure(name), ylabel="drives")
+            axis.locator_params(axis="y", integer=True)
+
+    return [Diagrams(plot, 1.9, count=len(names), columns=3)] if names else []
 
 
-def _draw_scatters(plan: SweepPlan, rows: Rows, summary: Summary) -> str:
+def _draw_scatters(plan: SweepPlan, rows: Rows, summary: Summary) -> list[Diagrams]:
     """The strongest dependences, a point for each drive."""
     units = {q.name: q.unit for q in plan.quantities}
     strong = [s for s in list_strongest(summary) if s.measure != STOPS][:_SCATTERS]
-    if not strong:
-        return ""
-    axes = make_axes(len(strong), 2.4, 3)
-    for axis, s in zip(axes, strong, strict=True):
-        _draw_scatter(axis, rows[:_POINTS], s)
-        unit = units[s.quantity]
-        axis.set_xlabel(f"{s.quantity} [{unit}]" if unit not in ("", "1") else s.quantity)
-        axis.set_ylabel(name_measure(s.measure))
-    return to_svg(axes)
+
+    def plot(*axes: Axes) -> None:
+        for axis, s in zip(axes, strong, strict=True):
+            _draw_scatter(axis, rows[:_POINTS], s)
+            unit = units[s.quantity]
+            axis.set_xlabel(f"{s.quantity} [{unit}]" if unit not in ("", "1") else s.quantity)
+            axis.set_ylabel(name_measure(s.measure))
+
+    return [Diagrams(plot, 2.4, count=len(strong), columns=3)] if strong else []
 
 
 def _draw_scatter(axis: Axes, rows: Rows, s: Sensitivity) -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from steerd.sim_gap.diagnosis import Options, diagnose
+from steerd.sim_gap.diagnosis import Case, GapOptions, diagnose
 from steerd.sysid.inference.noise import Noise
 
 pytestmark = pytest.mark.slow
@@ -15,7 +15,7 @@ NOISE = Noise((7e-4, 2e-3, 0.02, 0.05), (0.4, 0.4, 2.5), 1e-4)
 
 
 def test_a_healthy_car_has_no_gap(drive, base):
-    told = diagnose(drive("", seed=2), base, Options(pairs=False))
+    told = diagnose(Case(drive("", seed=2), base, GapOptions(pairs=False)))
     assert told.verdict == "none"
     assert told.causes == ()
     assert "noise was learnt" in " ".join(told.notes)
@@ -23,7 +23,7 @@ def test_a_healthy_car_has_no_gap(drive, base):
 
 def test_unknown_effects_are_refused(drive, base):
     with pytest.raises(ValueError, match="no effect 'wings'"):
-        diagnose(drive("", runs=1, seconds=4.0), base, Options(only=("wings",)))
+        diagnose(Case(drive("", runs=1, seconds=4.0), base, GapOptions(only=("wings",))))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -32,7 +32,7 @@ def test_unknown_effects_are_refused(drive, base):
 )
 def test_a_single_cause_is_named_and_no_second_beside_it(drive, base, hidden, seed):
     """Against the whole library, pairs tried."""
-    told = diagnose(drive(hidden, seed=40 + seed), base, Options(noise=NOISE, horizons=False))
+    told = diagnose(Case(drive(hidden, seed=40 + seed), base, noise=NOISE, horizons=False))
     name = hidden.partition("=")[0]
     (cause,) = told.causes
     assert name in {cause.effect, *cause.ambiguous_with}
@@ -42,7 +42,7 @@ def test_a_single_cause_is_named_and_no_second_beside_it(drive, base, hidden, se
 
 @pytest.mark.parametrize("seed", range(3))
 def test_healthy_drives_are_none_where_noise_is_known(drive, base, seed):
-    told = diagnose(drive("", seed=50 + seed), base, Options(noise=NOISE, horizons=False))
+    told = diagnose(Case(drive("", seed=50 + seed), base, noise=NOISE, horizons=False))
     assert (told.verdict, told.causes) == ("none", ())
 
 
@@ -58,7 +58,7 @@ def _wobbling(run, size, hz):
 @pytest.mark.parametrize("hz", [1.1, 2.3])
 def test_what_is_in_no_library_gets_no_sure_name(drive, base, hz):
     runs = [_wobbling(run, 0.03, hz) for run in drive("", seed=60)]
-    told = diagnose(runs, base, Options(noise=NOISE, horizons=False))
+    told = diagnose(Case(runs, base, noise=NOISE, horizons=False))
     assert told.verdict in ("unexplained", "partial")
     assert told.before.whitened > 1.5
     assert not [cause for cause in told.causes if cause.confidence > 0.8], told.causes

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.sim_gap.diagnosis import Options, diagnose
+from steerd.sim_gap.diagnosis import Case, GapOptions, diagnose
 from steerd.sysid.inference.car_fit import Stated
 from steerd.sysid.inference.car_posterior import refine
 
@@ -36,7 +36,7 @@ def test_what_is_learnt_lies_within_its_errors(refined):
 
 def test_a_manner_of_the_car_is_no_gap(refined, drive):
     again = drive("wheel_slip=0.006,steer_nonlinearity=-0.6", runs=4, seed=9)
-    assert diagnose(again, refined, Options(pairs=False)).verdict == "none"
+    assert diagnose(Case(again, refined, GapOptions(pairs=False))).verdict == "none"
 
 
 def test_a_stated_wheelbase_and_what_is_held_stay(drive, base, refined):
@@ -60,7 +60,7 @@ def learnt(drive, base):
 
 def test_other_drives_of_the_same_car_have_no_gap(learnt, drive):
     again = drive("", runs=4, seconds=6.0, seed=4, wheel_sd=0.001)
-    told = diagnose(again, learnt, Options(pairs=False, horizons=False))
+    told = diagnose(Case(again, learnt, GapOptions(pairs=False), horizons=False))
     assert told.noise_known
     assert told.verdict == "none"
 

@@ -13,7 +13,7 @@ from steerd.sim_gap.lane_comparison import (
     likeness,
     profile,
 )
-from steerd.sim_gap.report.summary_text import lane_rows, lane_words
+from steerd.sim_gap.report.gap_report import lane_rows, lane_words
 
 RATE, LENGTH, SPEED = 100.0, 12.0, 1.5
 

@@ -28,7 +28,7 @@ from steerd.car_model.rollout import euler, start
 from steerd.car_model.rollout import simulate as simulate_floats
 from steerd.car_model.state import Command, State
 from steerd.sysid.paper.paper_method import PAPER_CAR_DIRECT, PAPER_STEP
-from steerd.sysid.paper.torch_kernel import simulate
+from steerd.sysid.paper.torch_functions import simulate
 
 H = 0.005
 

@@ -59,8 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from steerd.daemon.analysis.diagnosis import DRIVEN, run_diagnosis
-    from steerd.daemon.analysis.options import DiagnoseOptions, read_arguments
+    from steerd.daemon.analysis.diagnosis import DRIVEN, DiagnoseOptions, run_diagnosis
+    from steerd.daemon.analysis.options import read_arguments
     from steerd.daemon.assembly.car_check import report_refusal
     from steerd.daemon.cli.results import list_outputs, present
     from steerd.daemon.common.progress import show_progress

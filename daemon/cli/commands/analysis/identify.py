@@ -73,8 +73,8 @@ def parse_fix(text: str) -> dict[str, float | None]:
 
 
 def run(args: argparse.Namespace) -> int:
-    from steerd.daemon.analysis.identification import FIT, run_identification
-    from steerd.daemon.analysis.options import IdentifyOptions, read_arguments
+    from steerd.daemon.analysis.identification import FIT, IdentifyOptions, run_identification
+    from steerd.daemon.analysis.options import read_arguments
     from steerd.daemon.assembly.car_check import report_refusal
     from steerd.daemon.cli.results import list_outputs, present
     from steerd.daemon.common.progress import show_progress

@@ -9,8 +9,7 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.analysis.drives import Drives
-from steerd.daemon.analysis.identification import Identification
-from steerd.daemon.analysis.options import IdentifyOptions
+from steerd.daemon.analysis.identification import Identification, IdentifyOptions
 from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.sysid.data.excitation import Excitation
 from steerd.sysid.estimation.outcome import HeldOut, Outcome, Row
@@ -65,8 +64,9 @@ def test_what_is_not_identified_is_one_sentence_with_the_drive_that_helps_most()
     rows["mu"] = Row(1.0, 1.001, 0.01, "1", True, True)
     said = describe(replace(outcome((0.1, 0.4)), rows=rows)).split("\n\n")[1]
     assert said.splitlines() == [
-        "mu                      1.000 ± 0.010         unchanged",
-        "These drives do not identify lf, lr, mass, c_sf; what would help most is bends.",
+        "            mu                    1.000 ± 0.010         unchanged",
+        "open        these drives do not identify lf, lr, mass, c_sf; what would help",
+        "            most is bends.",
     ]
 
 
@@ -101,8 +101,8 @@ def test_drives_that_are_too_gentle_are_not_blamed_on_the_axles():
     assert "`steerd collect --help`" in describe(found, metadata={})
     assert "--wheelbase" not in said
     lines = said.splitlines()
-    assert "effect     steer_backlash: selected, these drives show it (gains 97 nats)" in lines
-    assert any(line.startswith("method     ours (windows of 5 s)") for line in lines)
+    assert "effect      steer_backlash: selected, these drives show it (gains 97 nats)" in lines
+    assert any(line.startswith("method      ours (windows of 5 s)") for line in lines)
 
 
 def test_nobody_is_sent_driving_with_values_that_nothing_identifies(tmp_path):
@@ -116,5 +116,5 @@ def test_nobody_is_sent_driving_with_values_that_nothing_identifies(tmp_path):
 def test_nobody_is_sent_driving_with_a_speed_that_was_not_driven(tmp_path):
     note = "the car went about as fast as asked in 2%: `--speed wheel` takes the measured speed"
     said = describe(replace(outcome((0.1, 0.4)), notes=(note,)), tmp_path / "car.toml")
-    assert "next: the same command with --speed wheel" in said
+    assert "next        the same command with --speed wheel" in said
     assert "steerd run" not in said

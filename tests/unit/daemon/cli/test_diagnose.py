@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.daemon.analysis.diagnose_text import COLUMNS, LINES
-from steerd.daemon.analysis.diagnosis import make_case
-from steerd.daemon.analysis.options import DiagnoseOptions, read_arguments
+from steerd.daemon.analysis.diagnosis import LINES, DiagnoseOptions, make_case
+from steerd.daemon.analysis.options import read_arguments
 from steerd.daemon.cli.main import run_cli as main
 from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.common.screen import WIDTH
 from tests.contract.command_page import make_parser
 from tests.csv_logs import import_log, make_noisy_rows
 
@@ -49,7 +49,7 @@ def test_the_screen_names_the_cause_on_one_screen(diagnosed):
     _, screen, _ = diagnosed
     lines = screen.splitlines()
     assert len(lines) <= LINES
-    assert max(map(len, lines[:-1])) <= COLUMNS
+    assert max(map(len, lines[:-1])) <= WIDTH
     assert "steer_delay: delay = " in screen
     assert "the default car is assumed" in screen
     assert "cut into blocks of 6.5 s or more" in screen
@@ -155,7 +155,7 @@ def test_options_that_make_no_sense(options, code, words, diagnosed, tmp_path, m
 def case_of(*words):
     args = make_parser("diagnose").parse_args([str(word) for word in words])
     options = read_arguments(DiagnoseOptions, args)
-    return make_case([Path(p) for p in args.sessions], options, lambda _: None, lambda _: None)
+    return make_case([Path(p) for p in args.sessions], options, lambda _: None, lambda _: None)[1]
 
 
 @pytest.fixture(scope="module")
@@ -166,18 +166,18 @@ def four(rows, tmp_path_factory):
 
 def test_of_many_sessions_every_fourth_is_held_out_whole(four):
     case = case_of(*four)
-    assert {run.name for run in case.split.runs} == {"run0.mcap", "run1.mcap", "run2.mcap"}
-    assert {run.name for run in case.split.later()} == {"run3.mcap"}
-    assert case.split.held_out_of == "every 4th session: run3.mcap"
-    assert not any("blocks" in note for note in case.split.notes)
+    assert {run.name for run in case.runs} == {"run0.mcap", "run1.mcap", "run2.mcap"}
+    assert {run.name for run in case.later()} == {"run3.mcap"}
+    assert case.held_out_of == "every 4th session: run3.mcap"
+    assert not any("blocks" in note for note in case.notes)
 
 
 def test_named_files_are_held_out_even_if_they_are_given_twice(four):
     case = case_of(*four, "--held-out", f"{four[1]},{four[2]}")
-    assert {path.name for path in case.drives.paths} == {"run0.mcap", "run3.mcap"}
-    assert {run.name for run in case.split.runs} == {"run0.mcap", "run3.mcap"}
-    assert {run.name for run in case.split.later()} == {"run1.mcap", "run2.mcap"}
-    assert any("2 sessions, cut into blocks" in note for note in case.split.notes)
+    assert set(case.sessions) == {"run0.mcap", "run3.mcap"}
+    assert {run.name for run in case.runs} == {"run0.mcap", "run3.mcap"}
+    assert {run.name for run in case.later()} == {"run1.mcap", "run2.mcap"}
+    assert any("2 sessions, cut into blocks" in note for note in case.notes)
 
 
 def test_too_few_blocks_for_what_is_asked_are_refused(diagnosed):
@@ -187,8 +187,8 @@ def test_too_few_blocks_for_what_is_asked_are_refused(diagnosed):
 
 def test_nothing_is_held_out_on_demand(diagnosed):
     case = case_of(diagnosed[0] / "run.mcap", "--held-out", "0")
-    assert case.split.later is None
-    assert any("predicted, not measured" in note for note in case.split.notes)
+    assert case.later is None
+    assert any("predicted, not measured" in note for note in case.notes)
 
 
 def test_healthy_drives_and_the_named_base_are_taken(four, diagnosed):
@@ -197,18 +197,18 @@ def test_healthy_drives_and_the_named_base_are_taken(four, diagnosed):
     )
     assert {run.name for run in case.healthy} == {"run1.mcap", "run2.mcap"}
     assert [effect.name for effect in case.base.effects] == ["steer_delay"]
-    assert not any("default car" in note for note in case.split.notes)
+    assert not any("default car" in note for note in case.notes)
 
 
 def test_effects_go_by_their_aliases_too(four):
     case = case_of(four[0], "--only", "servo_lag", "--only", "steer_delay", "--without", "mass")
-    assert case.only == ("steer_lag", "steer_delay")
-    assert case.without == ("mass",)
+    assert case.asked.only == ("steer_lag", "steer_delay")
+    assert case.asked.without == ("mass",)
 
 
 def test_old_spellings_mean_the_same(four, diagnosed):
     car = diagnosed[0] / "car.toml"
     old = case_of(four[0], four[1], "--runs-held-out", four[1], "--car", car)
     new = case_of(four[0], four[1], "--held-out", four[1], "--base", car)
-    assert old.split.held_out_of == new.split.held_out_of == "run1.mcap"
+    assert old.held_out_of == new.held_out_of == "run1.mcap"
     assert old.base_source == new.base_source == str(car)

@@ -54,7 +54,7 @@ def test_a_drive_becomes_a_car_file_json_and_report(session, tmp_path, capsys):
     given = ["--fix", "mass=3.2"]
     assert main(["identify", str(session), *FREE, *given, *_outputs(tmp_path)]) == 0
     screen = capsys.readouterr().out
-    assert "next: steerd run --sim --fast --duration 20 --car" in screen
+    assert "next        steerd run --sim --fast --duration 20 --car" in screen
     car = load_car(tmp_path / "car.toml")
     assert not {"noise", "knowledge"} & tomllib.loads(car.text).keys()
     assert {"noise", "knowledge"} <= car.sections.keys()
@@ -193,8 +193,8 @@ def test_of_a_folder_the_held_out_session_is_not_fitted(rows, importer, capsys):
     base = ["--base", str(default_car_path())]  # another spelling of --car
     assert main(["identify", str(one), str(two), "--held-out", str(two), *FREE, *base]) == 0
     screen = capsys.readouterr().out
-    assert "prediction of two.mcap" in screen
-    assert "two.mcap" not in screen.partition("prediction of")[0]
+    assert "prediction  of two.mcap" in screen
+    assert "two.mcap" not in screen.partition("prediction ")[0]
 
 
 def test_what_is_on_the_screen_is_written_and_an_interrupt_leaves_it(

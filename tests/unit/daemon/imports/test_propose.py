@@ -146,9 +146,9 @@ def test_the_sign_and_scale_of_a_foreign_vesc_are_doubted_and_can_be_stated(tmp_
     assert "ERPM" not in capsys.readouterr().err, "the line works as it stands"
     scaling = open_session(tmp_path / "b.mcap").info().metadata["steerd.scaling"]
     assert float(scaling["erpm_gain"]) == -7300.0
-    from steerd.sysid.data.dataset import load_run
+    from steerd.sysid.data.dataset import read_run
 
-    run = load_run(tmp_path / "b.mcap")
+    run = read_run(open_session(tmp_path / "b.mcap"))
     assert np.median(run.wheel.values) == pytest.approx(1.0)
     assert (run.servo_frame, run.speed_ramp) == (0.0, 0.0), "steerd never drove this VESC"
 

@@ -7,9 +7,8 @@ import pytest
 
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.sessions.compare import overlay
+from steerd.daemon.sessions.compare_time import STEP, find_shift, overlay
 from steerd.daemon.sessions.info import load_recording
-from steerd.sim_gap.time_comparison import STEP, find_shift
 from tests.unit.daemon.sessions.test_plot_page import write_noise
 
 GOLDEN = Path(__file__).resolve().parents[3] / "golden"

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerd.sim_gap.diagnosis import grown_leads
-from steerd.sim_gap.report.summary_text import headline, manoeuvre_words, share_words
+from steerd.sim_gap.report.gap_report import headline, manoeuvre_words, share_words
 from steerd.sim_gap.verdict.shrinkage import _shares, explained_share, floor_of, noise_margin
 from steerd.sim_gap.verdict.where import (
     FEW,

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from steerd.steer_bus.session_read import open_session
 from steerd.sysid.data.data_checks import DataError, noise_of
-from steerd.sysid.data.dataset import Signal, hold_means, load_run, make_run
+from steerd.sysid.data.dataset import Signal, hold_means, make_run, read_run
 from steerd.sysid.data.excitation import speed_tracking_share
 from steerd.sysid.data.windows import make_layout
 
@@ -130,7 +131,7 @@ def test_a_session_without_poses_says_what_to_do(tmp_path):
     topics = {make_session_topic("car", ACTUATION): Actuation}
     SessionWriter(path, topics, {"steerd.session": {}}).finish({"reason": "test"})
     with pytest.raises(DataError, match="no topic 'mocap'"):
-        load_run(path)
+        read_run(open_session(path))
 
 
 def test_a_car_that_does_not_follow_its_speed_commands_is_noticed():

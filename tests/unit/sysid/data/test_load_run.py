@@ -22,8 +22,9 @@ from steerd.steer_bus.messages import (
     make_header,
 )
 from steerd.steer_bus.session import SessionWriter
+from steerd.steer_bus.session_read import open_session
 from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, VESC, make_session_topic
-from steerd.sysid.data.dataset import Run, Signal, load_run, make_run
+from steerd.sysid.data.dataset import Run, Signal, make_run, read_run
 from steerd.sysid.data.jitter_correction import correct_log_jitter, find_log_jitter, log_period
 from steerd.sysid.data.windows import _remembered
 
@@ -70,7 +71,7 @@ def session(tmp_path):
 
 
 def test_signals_share_the_commands_clock(session):
-    run = load_run(session, h=0.01)
+    run = read_run(open_session(session), h=0.01)
     assert run.name == "drive.mcap"
     assert run.speed_source == "command"
     assert len(run.pose.t) == 379  # 20 before the drive, one rejected
@@ -162,7 +163,7 @@ def test_a_drifting_delay_is_found_and_corrected() -> None:
     off = (found - true + 0.05) % 0.1 - 0.05
     off -= np.median(off)  # a common delay is a dead time: the fit finds it
     assert np.sqrt(np.mean(off**2)) < 0.012
-    assert jitter.describe()[0] == "drive: steering stored 0 to 100 ms late"
+    assert jitter.describe().startswith("drive: steering stored 0 to 100 ms late (")
     corrected = correct_log_jitter(run)
     assert corrected.log_jitter == jitter
     assert len(corrected.commands) == len(run.commands)

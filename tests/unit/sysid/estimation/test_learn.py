@@ -18,10 +18,9 @@ from steerd.sysid.data.segments import (
     smooth_speed,
     with_wheel_speed,
 )
+from steerd.sysid.estimation import preparation as prep
 from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.outcome import REPORTED, encode_outcome
-from steerd.sysid.estimation.preparation import fit_wheelbase, free_names, held_names
-from steerd.sysid.estimation.starts import scatter
 from steerd.sysid.estimation.validation import HORIZONS, errors_at, trace_windows
 from steerd.sysid.report.design_comparison import compare_designs
 from steerd.sysid.report.identify_report import make_report
@@ -40,7 +39,7 @@ def run(make_drive, truth):
 
 @pytest.fixture(scope="module")
 def outcome(run):
-    return learn(Task((run,), DEFAULT, wheelbase=0.332), lambda: 0.0)
+    return learn(Task((run,), DEFAULT, prep.FitOptions(wheelbase=0.332)), lambda: 0.0)
 
 
 def test_a_part_keeps_commands_and_measurements_together(run):
@@ -126,11 +125,11 @@ def test_the_report_needs_nothing_else(outcome, truth, monkeypatch):
     monkeypatch.setattr("steerd.sysid.report.design_comparison.SECONDS", 2.0)
     monkeypatch.setattr("steerd.sysid.report.design_comparison.FRICTIONS", {"standard": 1.0})
     monkeypatch.setattr(
-        "steerd.sysid.report.identify_report.compare_designs",
+        "steerd.sysid.report.design_comparison.compare_designs",
         lambda plant, cars: compare_designs(plant, {"true": plant}),
     )
     page = render_report(make_report(replace(outcome, truth=truth.car)))
-    assert page.count("<figure") == 4
+    assert page.count("<figure") == 5
     for outside in ("<script", "stylesheet", "<img", "src=", "@import"):
         assert outside not in page
     assert "not fitted" in page
@@ -139,7 +138,8 @@ def test_the_report_needs_nothing_else(outcome, truth, monkeypatch):
 
 def test_the_papers_method_tells_its_spread(make_circles):
     runs = tuple(make_circles(4, 2.5))
-    task = Task(runs[:3], DEFAULT, runs[3:], method="paper", starts=2, iterations=4)
+    asked = prep.FitOptions(method="paper", starts=2, iterations=4)
+    task = Task(runs[:3], DEFAULT, asked, runs[3:])
     outcome = learn(task, lambda: 0.0)
     assert len(outcome.searches) == 2
     assert outcome.rows["c_sf"].sd > 0.0
@@ -148,7 +148,7 @@ def test_the_papers_method_tells_its_spread(make_circles):
 
 
 def test_further_starts_lie_about_the_first():
-    models = scatter(DEFAULT, FREE, 20, seed=1)
+    models = prep.scatter(DEFAULT, FREE, 20, seed=1)
     assert models[0] == DEFAULT
     factors = np.array([m.car.c_sf / DEFAULT.car.c_sf for m in models[1:]])
     assert 0.1 < np.std(np.log(factors)) < 0.5
@@ -156,16 +156,16 @@ def test_further_starts_lie_about_the_first():
 
 
 def test_a_fixed_length_and_the_wheelbase_make_the_other():
-    car = fit_wheelbase(DEFAULT._replace(car=DEFAULT_CAR._replace(lr=0.2)), 0.33, ["lr"]).car
+    car = prep.fit_wheelbase(DEFAULT._replace(car=DEFAULT_CAR._replace(lr=0.2)), 0.33, ["lr"]).car
     assert (car.lf, car.lr) == (pytest.approx(0.13), 0.2)
     free = ("lf", "lr", "c_sf")
-    assert free_names(None, ["lr"], free, axles_known=True) == ("c_sf",)
-    assert free_names(None, ["lr"], free) == ("lf", "c_sf")
-    assert free_names(None, [], free, axles_known=True) == free
+    assert prep.free_names(prep.FitOptions(fix={"lr": None}, wheelbase=0.33), free) == ("c_sf",)
+    assert prep.free_names(prep.FitOptions(fix={"lr": None}), free) == ("lf", "c_sf")
+    assert prep.free_names(prep.FitOptions(wheelbase=0.33), free) == free
     agreed = DEFAULT._replace(car=DEFAULT_CAR._replace(lf=0.15, lr=0.18))
-    assert fit_wheelbase(agreed, 0.33, ["lf", "lr"]) == agreed
+    assert prep.fit_wheelbase(agreed, 0.33, ["lf", "lr"]) == agreed
     with pytest.raises(ValueError, match="do not make a wheelbase"):
-        fit_wheelbase(agreed._replace(car=agreed.car._replace(lf=0.1)), 0.33, ["lf", "lr"])
+        prep.fit_wheelbase(agreed._replace(car=agreed.car._replace(lf=0.1)), 0.33, ["lf", "lr"])
 
 
 def test_drives_with_and_without_speed_commands_are_not_one_fit(run, truth):
@@ -189,7 +189,7 @@ def _stepping(make, truth, faster):
 
 def test_a_slew_limit_that_nobody_measured_is_learnt_where_it_is_felt(simulated, truth):
     run = _stepping(simulated, truth, 7.0)
-    task = Task((run,), DEFAULT, wheelbase=0.332)
+    task = Task((run,), DEFAULT, prep.FitOptions(wheelbase=0.332))
     found = learn(task, lambda: 0.0)
     for name, row in found.free_rows.items():
         if row.identifiable:
@@ -201,13 +201,14 @@ def test_a_slew_limit_that_nobody_measured_is_learnt_where_it_is_felt(simulated,
 
 
 def test_what_keeps_its_value():
-    assert held_names((), (), axles_known=True) == ()
-    assert held_names(("mass",), (), axles_known=False) == ("mass",)
-    assert set(held_names(("lf",), (), axles_known=True)) == {"lf", "lr"}
-    held = held_names((), ("lr", "steer_gain"), axles_known=False)
+    assert prep.held_names(prep.FitOptions(wheelbase=0.33)) == ()
+    assert prep.held_names(prep.FitOptions(fix={"mass": None})) == ("mass",)
+    assert set(prep.held_names(prep.FitOptions(fix={"lf": 0.2}, wheelbase=0.33))) == {"lf", "lr"}
+    held = prep.held_names(prep.FitOptions(free=("lr", "steer_gain")))
     assert "lf" in held
     assert "tyre_saturation" in held
     assert not {"lr", "steer_gain"} & set(held)
-    follows = held_names((), ("lr",), axles_known=True)
+    follows = prep.held_names(prep.FitOptions(free=("lr",), wheelbase=0.33))
     assert not {"lf", "lr"} & set(follows), "of a known distance one length follows from the other"
-    assert {"lf", "lr"} <= set(held_names(("lf",), ("lr",), axles_known=True))
+    both = prep.held_names(prep.FitOptions(fix={"lf": None}, free=("lr",), wheelbase=0.33))
+    assert {"lf", "lr"} <= set(both)

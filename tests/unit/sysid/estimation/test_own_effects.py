@@ -8,15 +8,15 @@ import pytest
 from steerd.car_model.effects import find_effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
+from steerd.sysid.estimation import preparation as prep
 from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.outcome import encode_outcome
-from steerd.sysid.estimation.preparation import add_command_history, held_names, holds_still
 
 pytestmark = pytest.mark.slow
 
 BENT, PLAY = find_effect("steer_asymmetry"), find_effect("steer_backlash")
 FREE = ("lf", "lr", "c_sf", "c_sr", "steer_gain", "steer_lag")
-HELD = held_names((), (), axles_known=True, effects=(BENT.name, PLAY.name))
+ASKED = prep.FitOptions(wheelbase=0.332, effects=(BENT.name, PLAY.name))
 
 
 @pytest.fixture(scope="module")
@@ -26,15 +26,19 @@ def bent(make_drive, truth):
 
 
 def _learnt(run, truth):
-    return learn(Task((run,), truth, free=FREE, wheelbase=0.332, held=HELD), lambda: 0.0)
+    return learn(Task((run,), truth, ASKED, free=FREE, held=prep.held_names(ASKED)), lambda: 0.0)
+
+
+def _effects(outcome):
+    return {name.partition(".")[0] for name in outcome.rows if "." in name}
 
 
 def test_a_bend_of_the_linkage_is_learnt_and_predicted_with(bent, truth):
     outcome = _learnt(bent, truth)
-    row = outcome.effect_rows["steer_asymmetry.asymmetry"]
-    assert row.before == 0.0
+    row = outcome.rows["steer_asymmetry.asymmetry"]
+    assert row.start == 0.0
     assert row.value == pytest.approx(0.08, abs=min(0.01, 5 * row.sd))
-    assert {name.partition(".")[0] for name in outcome.effect_rows} == {"steer_asymmetry"}
+    assert _effects(outcome) == {"steer_asymmetry"}
     assert outcome.held_out[-1].factor > 3.0
     page = encode_outcome(outcome)
     assert page["parameters"]["steer_asymmetry.asymmetry"]["identifiable"]
@@ -45,35 +49,35 @@ def test_play_that_no_car_has_by_itself_is_selected(make_drive, truth):
     outcome = _learnt(
         make_drive(truth._replace(effects=(PLAY,), values=((0.04,),)), 30.0, 5), truth
     )
-    assert [step.effect for step in outcome.selected_effects] == ["steer_backlash"]
-    assert outcome.selected_effects[0].gain > 3.0
-    row = outcome.effect_rows["steer_backlash.play"]
+    assert [step.effect for step in outcome.fit.selected] == ["steer_backlash"]
+    assert outcome.fit.selected[0].gain > 3.0
+    row = outcome.rows["steer_backlash.play"]
     assert row.value == pytest.approx(0.04, abs=min(0.008, 5 * row.sd))
 
 
 def test_a_car_without_effects_gets_none(make_drive, truth):
     outcome = _learnt(make_drive(truth, 30.0, 6), truth)
-    assert outcome.selected_effects == ()
-    assert outcome.effect_rows == {}
+    assert outcome.fit.selected == ()
+    assert _effects(outcome) == set()
 
 
 def test_a_car_that_misses_much_is_said_to(make_drive, truth):
     run = make_drive(truth._replace(effects=(BENT,), values=((0.45,),)), 20.0, 5)
-    none = held_names((), (), axles_known=True, effects=())
-    outcome = learn(Task((run,), truth, free=FREE, wheelbase=0.332, held=none), lambda: 0.0)
+    none = (*prep.held_names(ASKED), BENT.name, PLAY.name)
+    outcome = learn(Task((run,), truth, ASKED, free=FREE, held=none), lambda: 0.0)
     assert any("`steerd diagnose` looks for it" in note for note in outcome.notes)
 
 
 def test_only_play_needs_a_long_past(bent):
     played = Model(DEFAULT_CAR, (PLAY,), ((0.02,),))
-    assert add_command_history([bent], played)[0].history > bent.history
-    assert add_command_history([bent], Model(DEFAULT_CAR))[0].history == bent.history
+    assert prep.add_command_history([bent], played)[0].history > bent.history
+    assert prep.add_command_history([bent], Model(DEFAULT_CAR))[0].history == bent.history
 
 
 def test_whether_there_is_play_is_asked_of_drives_that_rest(bent):
     turning = replace(bent, commands=bent.commands + np.arange(len(bent.commands))[:, None] * 0.01)
-    assert holds_still(bent)
-    assert not holds_still(turning)
+    assert prep.holds_still(bent)
+    assert not prep.holds_still(turning)
     for run in (bent, turning):
-        found = add_command_history([run], Model(DEFAULT_CAR), asked=True)[0]
-        assert (found.history > run.history) == holds_still(run)
+        found = prep.add_command_history([run], Model(DEFAULT_CAR), asked=True)[0]
+        assert (found.history > run.history) == prep.holds_still(run)

@@ -9,25 +9,8 @@ from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR, wheelbase
 from steerd.sysid.data.dataset import Signal, make_run
+from steerd.sysid.estimation import preparation as prep
 from steerd.sysid.estimation.learn import Task, learn
-from steerd.sysid.estimation.preparation import (
-    exceeds_slew_rate,
-    largest_steering,
-    level_loads,
-    restore_end_stops,
-    scale_inertia,
-    widen_end_stops,
-)
-from steerd.sysid.estimation.starts import (
-    LOCK,
-    WIDEST,
-    candidate_starts,
-    has_one_speed,
-    mark_ambiguous,
-    possible_starts,
-    rolling_length,
-    sliding_starts,
-)
 from steerd.sysid.estimation.validation import Trace, by_lateral_acceleration
 from steerd.sysid.inference.car_fit import NOTHING, Stated
 from steerd.sysid.inference.identifiability import Estimate
@@ -57,7 +40,7 @@ def drive(length, seed, *, unit=1.0, delay=0.1, rate=20.0, blur=0.001):
 @pytest.mark.parametrize("length", LENGTHS)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_wheelbase_follows_from_the_curvature(length, seed):
-    start, *given = possible_starts(MODEL, [drive(length, seed)], NOTHING)
+    start, *given = prep.possible_starts(MODEL, [drive(length, seed)], NOTHING)
     assert wheelbase(start.car) == pytest.approx(length, rel=0.1)
     assert start.car.lf / start.car.lr == pytest.approx(DEFAULT_CAR.lf / DEFAULT_CAR.lr)
     size = wheelbase(start.car) / wheelbase(DEFAULT_CAR)
@@ -69,7 +52,8 @@ def test_the_wheelbase_follows_from_the_curvature(length, seed):
 def test_a_stated_wheelbase_stays_and_the_curvature_gives_the_steerings_unit(length):
     scale = length / wheelbase(DEFAULT_CAR)
     car = DEFAULT_CAR._replace(lf=DEFAULT_CAR.lf * scale, lr=DEFAULT_CAR.lr * scale)
-    start = possible_starts(Model(car), [drive(length, 3, unit=0.5)], Stated(wheelbase=True))[0]
+    known = Stated(wheelbase=True)
+    start = prep.possible_starts(Model(car), [drive(length, 3, unit=0.5)], known)[0]
     assert (start.car.lf, start.car.lr) == (car.lf, car.lr)
     assert start.car.steer_gain == pytest.approx(0.5, rel=0.1)
 
@@ -78,39 +62,39 @@ def test_a_stated_wheelbase_stays_and_the_curvature_gives_the_steerings_unit(len
 def test_commands_that_no_wheel_follows_have_a_unit_of_their_own(length):
     run = drive(length, 4, unit=0.4)
     widest = float(np.abs(run.commands[:, 0]).max())
-    assert widest > WIDEST
-    start = possible_starts(MODEL, [run], NOTHING)[0]
-    assert start.car.steer_gain * widest == pytest.approx(LOCK)
+    assert widest > prep.WIDEST
+    start = prep.possible_starts(MODEL, [run], NOTHING)[0]
+    assert start.car.steer_gain * widest == pytest.approx(prep.LOCK)
     assert wheelbase(start.car) == pytest.approx(start.car.steer_gain / 0.4 * length, rel=0.1)
 
 
 def test_what_is_held_stays():
     run = drive(0.33, 5, unit=0.5)
     held = Stated(wheelbase=True, held=("steer_gain",))
-    assert possible_starts(MODEL, [run], held) == (MODEL,)
-    start = possible_starts(MODEL, [run], Stated(held=("steer_gain",)))[0]
+    assert prep.possible_starts(MODEL, [run], held) == (MODEL,)
+    start = prep.possible_starts(MODEL, [run], Stated(held=("steer_gain",)))[0]
     assert start.car.steer_gain == MODEL.car.steer_gain
 
 
 def test_tyres_level_off_in_further_starts_where_a_drive_uses_up_the_grip():
     hard, grip = [drive(0.33, 1)], Model(DEFAULT_CAR._replace(mu=0.2))
-    found = sliding_starts([grip], hard, NOTHING)
+    found = prep.sliding_starts([grip], hard, NOTHING)
     assert {dict(zip(m.effects, m.values, strict=True))[TYRES][0] for m in found} == {1.0, 3.0}
-    assert sliding_starts([MODEL], hard, NOTHING) == ()  # far from the limit
-    assert sliding_starts(found, hard, NOTHING) == ()  # they do already
-    assert sliding_starts([grip], hard, Stated(held=(TYRES.name,))) == ()
+    assert prep.sliding_starts([MODEL], hard, NOTHING) == ()  # far from the limit
+    assert prep.sliding_starts(found, hard, NOTHING) == ()  # they do already
+    assert prep.sliding_starts([grip], hard, Stated(held=(TYRES.name,))) == ()
 
 
 def test_poses_of_a_centimetre_and_steady_circles_show_the_curvature():
     noisy = drive(0.33, 6, rate=50.0, blur=0.01)
-    assert rolling_length([noisy], 1.0) == pytest.approx(0.33, rel=0.15)
+    assert prep.rolling_length([noisy], 1.0) == pytest.approx(0.33, rel=0.15)
     steady = drive(0.33, 7)
     for sign in (1.0, -1.0):
         t, yaw = steady.pose.t, sign * steady.pose.t * np.tan(0.2) / 0.33
         radius = sign * 0.33 / np.tan(0.2)
         pose = np.column_stack([radius * np.sin(yaw), -radius * np.cos(yaw), yaw])
         run = make_run("circle", Signal(t, np.full(len(t), 0.2 * sign)), None, Signal(t, pose))
-        assert rolling_length([run], 1.0) == pytest.approx(0.33, rel=0.05)
+        assert prep.rolling_length([run], 1.0) == pytest.approx(0.33, rel=0.05)
 
 
 # Drives at one speed: other starts, and what is left open where ends differ.
@@ -124,18 +108,18 @@ def slow(make_drive, truth):
 
 
 def test_one_speed_is_distinguished_from_several(slow, make_drive, truth):
-    assert has_one_speed([slow])
-    assert not has_one_speed([make_drive(truth, 24.0, 4)])
+    assert prep.has_one_speed([slow])
+    assert not prep.has_one_speed([make_drive(truth, 24.0, 4)])
 
 
 def test_candidate_starts_keep_the_axles_apart_and_what_is_fixed(truth):
-    start, *others = candidate_starts(truth, DEFAULT_FREE)
+    start, *others = prep.candidate_starts(truth, DEFAULT_FREE)
     assert start == truth
     assert len({other.car.lr for other in others}) == 2
     assert len({other.car.steer_delay for other in others}) == 2
     for other in others:
         assert wheelbase(other.car) == pytest.approx(wheelbase(truth.car))
-    assert candidate_starts(truth, ("lf", "c_sf", "steer_lag")) == [truth]
+    assert prep.candidate_starts(truth, ("lf", "c_sf", "steer_lag")) == [truth]
 
 
 def test_what_two_ends_place_differently_is_left_open():
@@ -145,8 +129,8 @@ def test_what_two_ends_place_differently_is_left_open():
     def other(by):
         return {**found, "steer_gain": replace(first, value=first.value + by * first.sd)}
 
-    assert mark_ambiguous(found, [other(0.1)]) == found
-    left = mark_ambiguous(found, [other(0.1), other(3.0)])
+    assert prep.mark_ambiguous(found, [other(0.1)]) == found
+    left = prep.mark_ambiguous(found, [other(0.1), other(3.0)])
     assert not left["steer_gain"].identifiable
     assert left["steer_gain"].sd == pytest.approx(3.0 * first.sd)
     assert "as well" in left["steer_gain"].manoeuvre
@@ -155,7 +139,7 @@ def test_what_two_ends_place_differently_is_left_open():
 
 @pytest.mark.slow
 def test_one_speed_tells_no_more_than_it_can(slow, truth):
-    outcome = learn(Task((slow,), DEFAULT, wheelbase=0.332), lambda: 0.0)
+    outcome = learn(Task((slow,), DEFAULT, prep.FitOptions(wheelbase=0.332)), lambda: 0.0)
     for name, row in outcome.free_rows.items():
         if row.identifiable:
             assert abs(row.value - getattr(truth.car, name)) < 4.0 * row.sd, name
@@ -180,25 +164,25 @@ def test_inertia_follows_mass_and_length_squared():
             lf=DEFAULT_CAR.lf / 2, lr=DEFAULT_CAR.lr / 2, mass=DEFAULT_CAR.mass / 2
         )
     )
-    assert scale_inertia(half, CAR).car.inertia_z == pytest.approx(DEFAULT_CAR.inertia_z / 8)
-    assert scale_inertia(CAR, CAR) == CAR
+    assert prep.scale_inertia(half, CAR).car.inertia_z == pytest.approx(DEFAULT_CAR.inertia_z / 8)
+    assert prep.scale_inertia(CAR, CAR) == CAR
 
 
 def test_loads_do_not_follow_a_measured_speed():
-    assert level_loads(CAR, [_run(speed=False)]).car.cog_height == 0.0
-    assert level_loads(CAR, [_run()]) == CAR
+    assert prep.level_loads(CAR, [_run(speed=False)]).car.cog_height == 0.0
+    assert prep.level_loads(CAR, [_run()]) == CAR
 
 
 def test_end_stops_of_another_car_do_not_clip_a_log():
     run = _run(steer=0.3)
-    wide = widen_end_stops(CAR, [run], ()).car
+    wide = prep.widen_end_stops(CAR, [run], ()).car
     assert wide.steer_max == -wide.steer_min == pytest.approx(0.45, abs=1e-3)
-    assert widen_end_stops(CAR, [_run(steer=0.1)], ()) == CAR
-    assert widen_end_stops(CAR, [run], ("steer_max",)) == CAR
-    assert widen_end_stops(CAR, [_run(servo_frame=0.02)], ()) == CAR
-    known = restore_end_stops(wide._replace(steer_gain=1.4), CAR.car, [run])
-    assert known.steer_max == pytest.approx(1.4 * largest_steering([run]), rel=1e-3)
-    assert restore_end_stops(wide, CAR.car, [run]).steer_max == CAR.car.steer_max
+    assert prep.widen_end_stops(CAR, [_run(steer=0.1)], ()) == CAR
+    assert prep.widen_end_stops(CAR, [run], ("steer_max",)) == CAR
+    assert prep.widen_end_stops(CAR, [_run(servo_frame=0.02)], ()) == CAR
+    known = prep.restore_end_stops(wide._replace(steer_gain=1.4), CAR.car, [run])
+    assert known.steer_max == pytest.approx(1.4 * prep.largest_steering([run]), rel=1e-3)
+    assert prep.restore_end_stops(wide, CAR.car, [run]).steer_max == CAR.car.steer_max
 
 
 def test_errors_are_told_by_lateral_acceleration():
@@ -225,6 +209,7 @@ def test_only_steps_that_the_file_s_servo_cannot_follow_outpace_it():
 
     steps = asked(0.2 * np.sign(np.sin(t)))
     ramps = asked(np.clip(3.0 * (np.abs(t % 4.0 - 2.0) - 1.0), -0.3, 0.3))
-    assert exceeds_slew_rate(CAR, steps)
-    assert not exceeds_slew_rate(CAR, ramps)
-    assert not exceeds_slew_rate(CAR._replace(car=DEFAULT_CAR._replace(steer_rate=12.0)), steps)
+    assert prep.exceeds_slew_rate(CAR, steps)
+    assert not prep.exceeds_slew_rate(CAR, ramps)
+    fast = CAR._replace(car=DEFAULT_CAR._replace(steer_rate=12.0))
+    assert not prep.exceeds_slew_rate(fast, steps)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from steerd.sysid.paper.path_distances import chamfer, soft_dtw, squared_distances
+from steerd.sysid.paper.torch_functions import chamfer, soft_dtw, squared_distances
 
 
 def _alignments(rows, columns):

@@ -4,6 +4,7 @@ import pickle
 from dataclasses import replace
 
 import numpy as np
+from markupsafe import Markup
 
 from steerd.car_model.native.windows import (
     HeldCommands,
@@ -39,7 +40,8 @@ def test_what_is_empty_is_left_out():
     body = page[page.index("<body") :]
     for part in ("cards", "verdict", "<h2>", "<table>", "<figure", "<details>", 'class="note"'):
         assert part not in body
-    fold = Section("", "", ["<this>"], Table("abcde", []), "<svg></svg>", Fold("more", "of it"))
+    drawn = [Markup("<svg></svg>")]
+    fold = Section("", "", ["<this>"], Table("abcde", []), drawn, Fold("more", "of it"))
     more = replace(REPORT, sections=[fold], cards=[Card("e1", "3 mm", "largest")], verdict="good")
     body = render_report(more)
     for part in ("<b>3 mm</b>", ">good</span>", "&lt;this&gt;", "<svg></svg>", "of it", '"wide"'):
