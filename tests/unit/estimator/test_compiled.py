@@ -134,7 +134,6 @@ def test_readings_that_are_no_numbers_are_not_believed() -> None:
 
 def test_a_belief_that_is_not_finite_is_not_sound_and_believes_nothing() -> None:
     kernel = both(DEFAULT_CAR)[1].kernel
-    assert kernel is not None
     huge = make_belief(np.full(7, 1e300), 1e300 * np.eye(7))
     assert not kernel.predict(History(), huge, T0, T0 + 5 * MS).sound
     (link,) = kernel.fuse(History(), huge, T0, [make_gyro(T0 + MS, 0.0)])
@@ -144,7 +143,6 @@ def test_a_belief_that_is_not_finite_is_not_sound_and_believes_nothing() -> None
 
 def test_a_long_chain_is_followed_to_its_end() -> None:
     kernel = both(DEFAULT_CAR)[1].kernel
-    assert kernel is not None
     chain = [make_gyro(T0 + k * MS, 0.0) for k in range(400)]
     found = kernel.fuse(History(), make_belief(np.zeros(7), np.eye(7)), T0, chain)
     assert len(found) == 400

@@ -54,7 +54,6 @@ def record(
         if t < SETTLED_NS or (t - SETTLED_NS) % SAMPLE_NS:
             continue
         estimate = predict_to(flt, state, t)
-        assert estimate is not None
         error = np.array(estimate.state) - np.array(drive.truth[t])
         scaled.append(error / np.array(estimate.sd))
         nees.append(error @ np.linalg.solve(estimate.belief.covariance, error))

@@ -39,7 +39,6 @@ def test_first_belief_covers_the_truth(
     errors = []
     for seed in range(50):
         belief = initial_belief(CONFIG, poses_on_a_curve(seed, speed, yaw, yaw_rate, slip), 0.0)
-        assert belief is not None
         error = belief.mean[:6] - truth
         error[2] = math.remainder(error[2], math.tau)
         errors.append(error / np.sqrt(np.diag(belief.covariance)[:6]))
@@ -65,5 +64,4 @@ def test_poses_far_apart_in_time_do_not_start_a_filter() -> None:
 def test_a_carried_car_starts_without_slip() -> None:
     poses = [make_pose(i * 10 * MS, 0.0, 0.01 * i, 0.0) for i in range(10)]
     belief = initial_belief(CONFIG, poses, None)
-    assert belief is not None
     assert belief.mean[5] == 0.0

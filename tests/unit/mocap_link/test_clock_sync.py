@@ -77,7 +77,6 @@ def test_echo_is_within_a_tenth_of_a_millisecond(hz: int, skew: float) -> None:
     out = run(timing, Truth(hz, skew), np.random.default_rng(1), T0, 90.0)
     assert {kind for *_, kind in out} == {ClockKind.ECHO}
     assert max(abs(error) for _, error, _ in out) < 0.3 * MS
-    assert timing.echo is not None
     # the fit's window is 60 s: the slope is known to about a ppm by then
     assert timing.echo.skew == pytest.approx(-skew, abs=3e-6)
     assert 0.3 * MS < timing.echo.sigma_ns < 0.6 * MS
@@ -207,7 +206,6 @@ def test_real_capture_is_about_six_milliseconds_old_on_arrival(capture: list[Any
                         (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0),
                     )
                 )  # fmt: skip
-    assert timing.echo is not None
     assert timing.echo.ready
     stamps = []
     for raw in raws:

@@ -132,7 +132,6 @@ def test_connect_reads_who_it_is_and_how_it_is_set(vesc: Vesc) -> None:
     assert link.expected
     assert link.firmware == FW_7_01
     assert link.appconf == vesc.appconf
-    assert link.limits is not None
     assert link.limits.erpm_max == 23250
     assert link.make_connect(10**9) == b""
 

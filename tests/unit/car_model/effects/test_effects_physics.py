@@ -46,7 +46,6 @@ def tyres(
     name: str, values: tuple[float, ...], slips: Axles[float], accel: float = 0.0
 ) -> Axles[float]:
     effect = EFFECTS[name]
-    assert effect.forces is not None
     loads = loads_at(CAR, accel)
     linear = lateral_forces(CAR, slips, loads)
     at = Contact(CAR, ORIGIN, 0.0, accel, slips, loads, linear)
@@ -56,7 +55,6 @@ def tyres(
 
 def test_backlash_holds_the_wheels_inside_the_gap() -> None:
     effect = EFFECTS["steer_backlash"]
-    assert effect.linkage is not None
     memory: tuple[float, ...] = (0.0,)
     wheels = []
     for angle in (0.0, 0.005, 0.02, 0.05, 0.045, 0.035, 0.0, -0.05):
@@ -67,7 +65,6 @@ def test_backlash_holds_the_wheels_inside_the_gap() -> None:
 
 def test_relaxation_answers_a_slip_ramp_as_a_first_order_lag() -> None:
     effect = EFFECTS["tyre_relaxation"]
-    assert effect.remember is not None
     length, speed, h, slope = 0.06, 2.0, 0.004, 0.5
     memory: tuple[float, ...] = (0.0, 0.0)
     for k in range(50):
@@ -183,7 +180,6 @@ def test_drag_is_the_deceleration_of_a_car_left_to_roll() -> None:
 
 def test_scrub_with_drag_one_takes_the_power_of_slip() -> None:
     hook = EFFECTS["scrub"].rates
-    assert hook is not None
     turn = steady_turn(2.0, 0.8)
     v, r, beta = turn.speed, turn.yaw_rate, turn.slip_angle
     slips = Axles(turn.steer - beta - CAR.lf * r / v, CAR.lr * r / v - beta)
@@ -231,7 +227,6 @@ def test_a_patch_is_slippery_inside_and_not_outside() -> None:
     values = (2.0, 1.0, 0.5, 0.4)
 
     def mu(x: float, y: float) -> float:
-        assert effect.car is not None
         now: float = effect.car(FLOAT, values, CAR, ORIGIN._replace(x=x, y=y), 0.0).mu
         return now / CAR.mu
 
@@ -268,7 +263,6 @@ def test_speed_scale_changes_true_speed_and_not_the_reported_one() -> None:
 
 def test_battery_sag_over_a_minute() -> None:
     effect = EFFECTS["battery_sag"]
-    assert effect.reference is not None
     assert effect.reference(FLOAT, (0.1,), Command(0.1, 2.0), 60.0) == pytest.approx(
         (0.1, 2.0 * math.exp(-0.1))
     )
@@ -297,7 +291,6 @@ def test_the_linkage_maps_servo_to_wheel(
     name: str, value: float, angle: float, wheel: float
 ) -> None:
     linkage = EFFECTS[name].linkage
-    assert linkage is not None
     assert linkage(FLOAT, (value,), (), angle)[0] == pytest.approx(wheel)
 
 
@@ -308,9 +301,7 @@ def test_limits_only_ever_lower() -> None:
         ("accel_limit", 3.0, "decel_max"),
     ):
         hook = EFFECTS[name].car
-        assert hook is not None
         assert getattr(hook(FLOAT, (value,), CAR, ORIGIN, 0.0), field) == value
         assert getattr(hook(FLOAT, (19.0,), CAR, ORIGIN, 0.0), field) == getattr(CAR, field)
     stop = EFFECTS["steer_clip"].reference
-    assert stop is not None
     assert stop(FLOAT, (0.2,), Command(-0.3, 1.0), 0.0) == (-0.2, 1.0)

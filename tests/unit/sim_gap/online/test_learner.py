@@ -68,7 +68,6 @@ def test_the_same_samples_give_the_same_state_to_the_bit(learner, drives, quiet)
 )
 def test_a_change_is_noticed_and_named(learner, drives, name, value, seconds):
     state, _ = follow(learner, drives(AT + seconds, name, AT))
-    assert state.change is not None
     assert state.change.finding.verdict == "named"
     assert state.change.finding.cause.effect == name
     assert state.change.noticed - AT < 3.0

@@ -57,7 +57,6 @@ def test_a_window_needs_the_commands_before_it():
     recent = driven(1.5)
     assert first_start(recent) == pytest.approx(LEAD)
     run = make_window(recent, 0.7, 0.0)
-    assert run is not None
     assert run.pose.t[-1] - run.pose.t[0] == pytest.approx(WINDOW, abs=0.011)
     assert run.pose.t[0] >= LEAD - 0.011
 

@@ -179,7 +179,6 @@ def known(seed: int = 0) -> BasePrior:
 def test_what_is_known_survives_the_car_file(seed: int) -> None:
     before = known(seed)
     after = knowledge_of_section(knowledge_section(before))
-    assert after is not None
     assert after.names == before.names
     assert after.values == before.values
     assert after.excess == before.excess
