@@ -5,16 +5,9 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car
 from steerd.car_model.path.path_spec import parse_path
+from steerd.controller import design
 from steerd.controller.build import make_controller
 from steerd.controller.config import PAPER_POLES, ControllerConfig
-from steerd.controller.design import (
-    DesignRefused,
-    assess,
-    closed_loop,
-    delay_margin,
-    stability,
-    stability_at,
-)
 from steerd.controller.gains import design_table, pole_placement_gains
 from steerd.controller.loop_model import Timing, pack_gains
 
@@ -26,8 +19,8 @@ CIRCLE = parse_path("circle:radius=2")
 
 def radius_of(rate_hz: float, delay_s: float, speed: float = 1.0) -> float:
     row = pack_gains(pole_placement_gains(BARE, speed, PAPER_POLES), chained=False)
-    closed = closed_loop(BARE, row, 0, speed, Timing(rate_hz, delay_s, 0.0))
-    return stability(closed, speed, 1.0 / rate_hz).radius
+    closed = design.closed_loop(BARE, row, 0, speed, Timing(rate_hz, delay_s, 0.0))
+    return design.stability(closed, speed, 1.0 / rate_hz).radius
 
 
 @pytest.mark.parametrize(
@@ -48,7 +41,7 @@ def test_the_closed_loop_is_the_loop_run_by_hand() -> None:
     config, timing = ControllerConfig(), Timing(100.0, 0.025, 0.05)
     table = design_table(DEFAULT_CAR, config, timing, 1.0)
     real = Timing(100.0, 0.04, 0.08)
-    closed = closed_loop(DEFAULT_CAR, table.rows[-1], table.pasts, 1.0, real)
+    closed = design.closed_loop(DEFAULT_CAR, table.rows[-1], table.pasts, 1.0, real)
     assert closed.shape == (9, 9)  # five states and the four references that are really under way
     x = np.zeros(9)
     x[0] = 1.0
@@ -57,21 +50,21 @@ def test_the_closed_loop_is_the_loop_run_by_hand() -> None:
         x = closed @ x
         sizes.append(float(np.linalg.norm(x)))
     measured = (sizes[-1] / sizes[-1001]) ** (1.0 / 1000.0)
-    assert stability(closed, 1.0, 0.01).radius == pytest.approx(measured, abs=1e-3)
+    assert design.stability(closed, 1.0, 0.01).radius == pytest.approx(measured, abs=1e-3)
 
 
 def test_fewer_references_under_way_than_the_design_believes() -> None:
     table = design_table(DEFAULT_CAR, ControllerConfig(), Timing(100.0, 0.04, 0.05), 1.0)
     for real in (Timing(100.0, 0.0, 0.05), Timing(100.0, 0.0, 0.0), Timing(100.0, 0.015, 0.05)):
-        closed = closed_loop(DEFAULT_CAR, table.rows[-1], table.pasts, 1.0, real)
-        assert stability(closed, 1.0, 0.01).radius < 1.0
+        closed = design.closed_loop(DEFAULT_CAR, table.rows[-1], table.pasts, 1.0, real)
+        assert design.stability(closed, 1.0, 0.01).radius < 1.0
 
 
 def test_damping_is_that_of_the_mode() -> None:
     gone_at_once = 0.01 * np.array([[0.0, -1.0], [1.0, 0.0]])
     turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
     both = np.block([[np.exp(-0.1) * turn, np.zeros((2, 2))], [np.zeros((2, 2)), gone_at_once]])
-    seen = stability(both, 2.0, 0.01)
+    seen = design.stability(both, 2.0, 0.01)
     assert seen.radius == pytest.approx(np.exp(-0.1))
     assert seen.damping == pytest.approx(0.1 / np.hypot(0.1, 0.3))
 
@@ -83,7 +76,7 @@ def test_the_papers_poles_pass_where_they_are_stable() -> None:
 
 
 def test_the_papers_poles_are_refused_with_a_tick_of_delay() -> None:
-    with pytest.raises(DesignRefused) as refused:
+    with pytest.raises(design.DesignRefused) as refused:
         make_controller(BARE, CIRCLE, PAPER, 100.0, 0.01)
     said = str(refused.value)
     for part in ("1.00 m/s", "100 Hz", "10.0 ms dead time", "1.18", "design = 'lqr' (passes)"):
@@ -91,7 +84,7 @@ def test_the_papers_poles_are_refused_with_a_tick_of_delay() -> None:
 
 
 def test_what_a_refusal_says_passes_does_pass() -> None:
-    with pytest.raises(DesignRefused) as refused:
+    with pytest.raises(design.DesignRefused) as refused:
         make_controller(BARE, CIRCLE, PAPER, 50.0)
     said = str(refused.value)
     assert "100 Hz (passes)" in said
@@ -102,7 +95,7 @@ def test_what_a_refusal_says_passes_does_pass() -> None:
 
 def test_poles_by_the_cars_own_fast_modes_bear_a_servo() -> None:
     midway = ControllerConfig(design="pole_placement", poles=(-2 + 2j, -2 - 2j, -60, -40))
-    with pytest.raises(DesignRefused, match=r'poles = \["-2-2j", "-2\+2j", "-52'):
+    with pytest.raises(design.DesignRefused, match=r'poles = \["-2-2j", "-2\+2j", "-52'):
         make_controller(DEFAULT_CAR, CIRCLE, midway, 100.0)
     gentle = ControllerConfig(
         design="pole_placement", poles=(-2 - 2j, -2 + 2j, -52.5, -113.1), grid_speed_min=1.0
@@ -114,7 +107,7 @@ def test_an_ill_damped_design_is_refused() -> None:
     ringing = ControllerConfig(
         design="pole_placement", poles=(-1 + 15j, -1 - 15j, -52.6, -93.6), grid_speed_min=1.0
     )
-    with pytest.raises(DesignRefused, match=r"has damping 0\.0"):
+    with pytest.raises(design.DesignRefused, match=r"has damping 0\.0"):
         make_controller(BARE, CIRCLE, ringing, 100.0)
 
 
@@ -122,7 +115,7 @@ def test_an_ill_damped_design_is_refused() -> None:
 @pytest.mark.parametrize("delay_s", [0.0, 0.013, 0.04, 0.1])
 def test_lqr_passes_at_every_rate_and_delay(rate_hz: float, delay_s: float) -> None:
     table = design_table(DEFAULT_CAR, ControllerConfig(), Timing(rate_hz, delay_s, 0.05), 1.5)
-    for at in assess(DEFAULT_CAR, table, Timing(rate_hz, delay_s, 0.05)):
+    for at in design.assess(DEFAULT_CAR, table, Timing(rate_hz, delay_s, 0.05)):
         assert at.radius < 1.0
         assert at.damping > 0.5
 
@@ -130,12 +123,12 @@ def test_lqr_passes_at_every_rate_and_delay(rate_hz: float, delay_s: float) -> N
 def test_the_delay_margin_is_where_the_loop_turns_unstable() -> None:
     timing = Timing(100.0, 0.01, 0.05)
     table = design_table(DEFAULT_CAR, ControllerConfig(speed=4.0), timing, 4.0)
-    margin = delay_margin(DEFAULT_CAR, table, timing)
+    margin = design.delay_margin(DEFAULT_CAR, table, timing)
     assert 0.03 < margin < 0.2
     over = timing._replace(delay_s=timing.delay_s + margin + 0.005)
     inside = timing._replace(delay_s=timing.delay_s + margin)
     radii = {
-        late: max(stability_at(DEFAULT_CAR, table, v, late).radius for v in table.speeds)
+        late: max(design.stability_at(DEFAULT_CAR, table, v, late).radius for v in table.speeds)
         for late in (inside, over)
     }
     assert radii[inside] < 1.0 <= radii[over]

@@ -6,15 +6,7 @@ from math import cos, pi, radians, sin
 import numpy as np
 import pytest
 
-from steerd.mocap_link.frame import (
-    FrameConfig,
-    make_body_pose,
-    make_planar_pose,
-    relabel_quaternion,
-    relabel_vector,
-    rotate,
-    wrap_angle,
-)
+from steerd.mocap_link import frame
 from steerd.mocap_link.mocap_url import MocapUrl, parse_mocap_url
 from steerd.mocap_link.source import MonitorConfig, MonitorState, SourceState, step_monitor
 
@@ -39,45 +31,49 @@ def test_y_up_is_a_relabelling_on_1000_random_rotations() -> None:
         q /= np.linalg.norm(q)
         p = rng.normal(size=3)
         w, x, y, z = map(float, q)
-        np.testing.assert_allclose(relabel_vector(tuple(p), "y"), RELABEL @ p)
+        np.testing.assert_allclose(frame.relabel_vector(tuple(p), "y"), RELABEL @ p)
         # world and body axes are renamed alike: R' = P R P^T
         renamed = RELABEL @ matrix(q) @ RELABEL.T
         np.testing.assert_allclose(
-            matrix(np.array(relabel_quaternion((w, x, y, z), "y"))), renamed, atol=1e-12
+            matrix(np.array(frame.relabel_quaternion((w, x, y, z), "y"))), renamed, atol=1e-12
         )
-        np.testing.assert_allclose(rotate((w, x, y, z), tuple(p)), matrix(q) @ p, atol=1e-12)
-        pose = make_planar_pose(FrameConfig(up="y"), tuple(p), (w, x, y, z))
+        np.testing.assert_allclose(frame.rotate((w, x, y, z), tuple(p)), matrix(q) @ p, atol=1e-12)
+        pose = frame.make_planar_pose(frame.FrameConfig(up="y"), tuple(p), (w, x, y, z))
         forward = renamed @ [1.0, 0.0, 0.0]
-        assert abs(wrap_angle(pose.yaw - np.arctan2(forward[1], forward[0]))) < 1e-9
+        assert abs(frame.wrap_angle(pose.yaw - np.arctan2(forward[1], forward[0]))) < 1e-9
         assert pose.tilt == pytest.approx(np.arccos(renamed[2, 2]), abs=1e-6)
         assert pose.height == pytest.approx(p[1])
 
 
 def test_the_forward_axis_decides_by_90_degrees() -> None:
     q = (cos(0.35), 0.0, sin(0.35), 0.0)  # 0.70 rad about the vendor's y
-    along_x = make_planar_pose(FrameConfig(up="y", body_forward="+x"), (1.0, 0.0, 0.0), q)
-    along_z = make_planar_pose(FrameConfig(up="y", body_forward="+z"), (1.0, 0.0, 0.0), q)
+    along_x = frame.make_planar_pose(
+        frame.FrameConfig(up="y", body_forward="+x"), (1.0, 0.0, 0.0), q
+    )
+    along_z = frame.make_planar_pose(
+        frame.FrameConfig(up="y", body_forward="+z"), (1.0, 0.0, 0.0), q
+    )
     assert along_x.yaw == pytest.approx(0.70)
     assert along_z.yaw == pytest.approx(0.70 - pi / 2)
 
 
 def test_the_sign_of_the_quaternion_does_not_matter() -> None:
-    a = make_planar_pose(FrameConfig(), (1.0, 2.0, 3.0), (0.8, 0.0, 0.0, 0.6))
-    b = make_planar_pose(FrameConfig(), (1.0, 2.0, 3.0), (-0.8, 0.0, 0.0, -0.6))
+    a = frame.make_planar_pose(frame.FrameConfig(), (1.0, 2.0, 3.0), (0.8, 0.0, 0.0, 0.6))
+    b = frame.make_planar_pose(frame.FrameConfig(), (1.0, 2.0, 3.0), (-0.8, 0.0, 0.0, -0.6))
     assert a == pytest.approx(b)
 
 
 def test_offsets_by_hand() -> None:
     # car faces +y; marker 0.21 m ahead of the rear axle and 0.015 m right; CoG 0.17 m ahead
-    config = FrameConfig(marker_rear_x=0.21, marker_rear_y=-0.015, cog_ahead_of_rear=0.17)
+    config = frame.FrameConfig(marker_rear_x=0.21, marker_rear_y=-0.015, cog_ahead_of_rear=0.17)
     q = (cos(pi / 4), 0.0, 0.0, sin(pi / 4))
-    pose = make_planar_pose(config, (1.0, 2.0, 0.1), q)
+    pose = frame.make_planar_pose(config, (1.0, 2.0, 0.1), q)
     assert (pose.x, pose.y) == pytest.approx((1.0 - 0.015, 2.0 - 0.04))
 
 
 def test_mount_yaw_is_what_the_body_reads_too_much() -> None:
     q = (cos(0.5), 0.0, 0.0, sin(0.5))
-    pose = make_planar_pose(FrameConfig(mount_yaw=radians(3.0)), (0.0, 0.0, 0.0), q)
+    pose = frame.make_planar_pose(frame.FrameConfig(mount_yaw=radians(3.0)), (0.0, 0.0, 0.0), q)
     assert pose.yaw == pytest.approx(1.0 - radians(3.0))
 
 
@@ -88,21 +84,21 @@ def test_body_pose_and_back(up: str, units: str) -> None:
     axes = {"y": ["+x", "-x", "+z", "-z"], "z": ["+x", "-x", "+y", "-y"]}[up]
     for _ in range(200):
         r = rng.uniform(-1, 1, 6)
-        config = FrameConfig(
+        config = frame.FrameConfig(
             units, up, str(rng.choice(axes)), pi * r[0], (r[1], r[2]), 0.2 * r[3], r[4], r[5], 0.17
         )
         x, y, yaw, height = (float(v) for v in rng.uniform(-3, 3, 4))
-        position, q = make_body_pose(config, x, y, yaw, height)
-        pose = make_planar_pose(config, position, q)
+        position, q = frame.make_body_pose(config, x, y, yaw, height)
+        pose = frame.make_planar_pose(config, position, q)
         assert pose[:4] == pytest.approx((x, y, yaw, height))
         assert pose.tilt == pytest.approx(0.0, abs=1e-7)
 
 
 def test_a_car_pushed_ahead_moves_along_its_heading() -> None:
-    config = FrameConfig(up="y", body_forward="-z", mount_yaw=0.1, world_yaw=0.7)
-    a, q = make_body_pose(config, 0.0, 0.0, 0.4)
-    b, _ = make_body_pose(config, cos(0.4), sin(0.4), 0.4)
-    start, end = make_planar_pose(config, a, q), make_planar_pose(config, b, q)
+    config = frame.FrameConfig(up="y", body_forward="-z", mount_yaw=0.1, world_yaw=0.7)
+    a, q = frame.make_body_pose(config, 0.0, 0.0, 0.4)
+    b, _ = frame.make_body_pose(config, cos(0.4), sin(0.4), 0.4)
+    start, end = frame.make_planar_pose(config, a, q), frame.make_planar_pose(config, b, q)
     assert end.x - start.x == pytest.approx(cos(start.yaw))
     assert end.y - start.y == pytest.approx(sin(start.yaw))
 
@@ -112,19 +108,19 @@ def test_a_car_pushed_ahead_moves_along_its_heading() -> None:
 )
 def test_meaningless_configurations_are_refused(bad: dict[str, str]) -> None:
     with pytest.raises(ValueError, match=r"mocap|body_forward"):
-        FrameConfig(**bad)  # type: ignore[arg-type]
+        frame.FrameConfig(**bad)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("q", [(0.0,) * 4, (float("nan"), 0.0, 0.0, 1.0), (1e308,) * 4])
 def test_no_rotation_is_refused(q: tuple[float, float, float, float]) -> None:
     with pytest.raises(ValueError, match="no pose"):
-        make_planar_pose(FrameConfig(), (0.0, 0.0, 0.0), q)
+        frame.make_planar_pose(frame.FrameConfig(), (0.0, 0.0, 0.0), q)
 
 
 def test_wrap_angle_is_half_open() -> None:
-    assert wrap_angle(-pi) == pi
-    assert wrap_angle(pi) == pi
-    assert wrap_angle(3 * pi + 0.1) == pytest.approx(-pi + 0.1)
+    assert frame.wrap_angle(-pi) == pi
+    assert frame.wrap_angle(pi) == pi
+    assert frame.wrap_angle(3 * pi + 0.1) == pytest.approx(-pi + 0.1)
 
 
 # Addresses and the source state machine.

@@ -20,13 +20,7 @@ from steerd.daemon.loop.live import (
 from steerd.daemon.loop.loop import Loop
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions
-from steerd.steer_bus.messages import (
-    BODY,
-    OperatorRequest,
-    ParameterRequest,
-    RequestKind,
-    make_header,
-)
+from steerd.steer_bus import messages as m
 from steerd.steer_bus.quick_values import changed
 
 BOUNDS = LiveBounds(
@@ -38,8 +32,8 @@ ANN, BOB = 5, 9
 
 
 def ask(speed=nan, offset=nan, gain=nan, *, boot=1, who=ANN, seq=1):
-    header = make_header(0, BODY)
-    return ParameterRequest(header, boot, who, seq, speed, offset, gain, "desk")
+    header = m.make_header(0, m.BODY)
+    return m.ParameterRequest(header, boot, who, seq, speed, offset, gain, "desk")
 
 
 def test_what_a_request_leaves_out_stays():
@@ -136,8 +130,8 @@ def make_loop(leased=True, **options):
 
 
 def hold(loop, who, seq, t_ns):
-    kind = int(RequestKind.KEEPALIVE)
-    loop.on_operator(OperatorRequest(make_header(0, BODY), 1, who, seq, kind, "desk"), t_ns)
+    kind = int(m.RequestKind.KEEPALIVE)
+    loop.on_operator(m.OperatorRequest(m.make_header(0, m.BODY), 1, who, seq, kind, "desk"), t_ns)
 
 
 def test_the_lease_is_that_of_every_other_request():

@@ -12,18 +12,9 @@ from steerd.car_model.state import ORIGIN
 from steerd.sim_hw.vesc.vesc_motor import STATUS_KILL, duty_current
 from steerd.sim_hw.world import World, WorldConfig
 from steerd.vesc_link import commands as c
+from steerd.vesc_link import ids
 from steerd.vesc_link.frames import FLUSH, encode_frame
 from steerd.vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp, Print
-from steerd.vesc_link.ids import (
-    FW_3_00,
-    FW_3_40,
-    FW_3_60,
-    FW_5_02,
-    FW_5_03,
-    PROFILES,
-    Firmware,
-    fault_name,
-)
 from steerd.vesc_link.packets import encode_command
 from steerd.vesc_link.scaling import F1TENTH, servo_pos_to_steer
 from steerd.vesc_link.telemetry import FAST_MASK, UPTIME_MASK, Imu, Values, has_chip, values_size
@@ -53,10 +44,11 @@ def test_zero_flush_frees_the_parser(make_host: MakeHost) -> None:
 
 
 @pytest.mark.parametrize(
-    ("firmware", "freed"), [(FW_3_40, True), (FW_3_60, True), (FW_5_02, True), (FW_5_03, False)]
+    ("firmware", "freed"),
+    [(ids.FW_3_40, True), (ids.FW_3_60, True), (ids.FW_5_02, True), (ids.FW_5_03, False)],
 )
 def test_only_old_firmware_resets_its_parser_after_silence(
-    make_host: MakeHost, firmware: Firmware, freed: bool
+    make_host: MakeHost, firmware: ids.Firmware, freed: bool
 ) -> None:
     host = make_host(firmware=firmware)
     host.world.serial_write(0, b"\x02\xff\x00")
@@ -64,8 +56,10 @@ def test_only_old_firmware_resets_its_parser_after_silence(
     assert isinstance(host.ask(c.GetFwVersion()), FwVersion) == freed
 
 
-@pytest.mark.parametrize("firmware", [FW_3_00, *PROFILES], ids=str)
-def test_firmware_profiles_send_their_own_layouts(make_host: MakeHost, firmware: Firmware) -> None:
+@pytest.mark.parametrize("firmware", [ids.FW_3_00, *ids.PROFILES], ids=str)
+def test_firmware_profiles_send_their_own_layouts(
+    make_host: MakeHost, firmware: ids.Firmware
+) -> None:
     host = make_host(firmware=firmware)
     version = host.ask(c.GetFwVersion())
     assert version.firmware == firmware
@@ -73,9 +67,11 @@ def test_firmware_profiles_send_their_own_layouts(make_host: MakeHost, firmware:
     host.run(1)
     (payload,) = host.parser.feed(host.world.serial_read(host.t_ns), host.t_ns)
     assert len(payload) == values_size(None, firmware)
-    if firmware >= FW_3_60:
-        assert (host.ask(c.GetValuesSelective(FAST_MASK)).status is None) == (firmware < FW_5_03)
-    assert (version.uuid is None) == (firmware <= FW_3_00)
+    if firmware >= ids.FW_3_60:
+        assert (host.ask(c.GetValuesSelective(FAST_MASK)).status is None) == (
+            firmware < ids.FW_5_03
+        )
+    assert (version.uuid is None) == (firmware <= ids.FW_3_00)
 
 
 def test_numbers_are_single_precision_truncated(make_host: MakeHost) -> None:
@@ -203,14 +199,14 @@ def test_speed_ramp_is_25000_erpm_per_second_from_the_actual_speed(make_host: Ma
 
 
 def test_firmware_before_5_03_has_no_ramp(make_host: MakeHost) -> None:
-    host = make_host(config=ROLLING, firmware=FW_5_02)
+    host = make_host(config=ROLLING, firmware=ids.FW_5_02)
     host.send(c.SetErpm(5 * ERPM_1))
     host.run(2)
     assert host.world.vesc.motor.ramped == 5 * ERPM_1
 
 
 def test_setpoints_below_900_erpm_coast(make_host: MakeHost) -> None:
-    host = make_host(config=ROLLING, firmware=FW_5_02)
+    host = make_host(config=ROLLING, firmware=ids.FW_5_02)
     host.hold(500, c.SetErpm(899))
     assert host.speed == pytest.approx(2.0 - 0.5 * 0.6, abs=0.02)
 
@@ -273,7 +269,7 @@ def test_faults_clear_themselves_500_ms_after_their_condition(make_host: MakeHos
     host = make_host(timeout_ms=0)
     host.hold(500, c.SetErpm(ERPM_1))
     host.world.vesc.motor.hold_fault(host.t_ns, 4)
-    assert fault_name(host.values().fault) == "ABS_OVER_CURRENT"
+    assert ids.fault_name(host.values().fault) == "ABS_OVER_CURRENT"
     host.hold(480, c.SetErpm(ERPM_1))
     assert host.values().fault == 4
     assert host.world.vesc.motor.mode.name == "RELEASED"  # commands are ignored
@@ -286,7 +282,7 @@ def test_faults_clear_themselves_500_ms_after_their_condition(make_host: MakeHos
 def test_voltage_sag_ends_in_under_voltage(make_host: MakeHost) -> None:
     host = make_host(battery_resistance=1.0, voltage_min=9.0)
     host.hold(400, c.SetErpm(4 * ERPM_1))
-    assert fault_name(host.values().fault) == "UNDER_VOLTAGE"
+    assert ids.fault_name(host.values().fault) == "UNDER_VOLTAGE"
 
 
 def test_blocking_commands_are_discarded_while_one_runs(make_host: MakeHost) -> None:
