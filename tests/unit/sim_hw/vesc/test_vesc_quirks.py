@@ -25,6 +25,17 @@ ROLLING = WorldConfig(start=ORIGIN._replace(speed=2.0))
 ERPM_1 = 4614.0
 
 
+@pytest.fixture
+def host(make_host: MakeHost) -> Any:
+    return make_host()
+
+
+@pytest.fixture
+def rolling(make_host: MakeHost) -> Any:
+    """A host of a car at 2 m/s."""
+    return make_host(config=ROLLING)
+
+
 def test_head_of_line_blocking_delivers_everything_late_at_once(make_host: MakeHost) -> None:
     host = make_host(timeout_ms=0)
     host.world.serial_write(0, b"\x03\x02\x00")
@@ -36,8 +47,7 @@ def test_head_of_line_blocking_delivers_everything_late_at_once(make_host: MakeH
     assert host.world.vesc.motor.value in (1050.0, 1051.0)
 
 
-def test_zero_flush_frees_the_parser(make_host: MakeHost) -> None:
-    host = make_host()
+def test_zero_flush_frees_the_parser(host: Any) -> None:
     host.world.serial_write(0, b"\x03\x02\x00")
     host.world.serial_write(0, FLUSH)
     assert isinstance(host.ask(c.GetFwVersion()), FwVersion)
@@ -88,8 +98,7 @@ def test_reply_comes_as_one_byte_then_the_rest(make_host: MakeHost) -> None:
     assert len(host.world.serial_read(350_000)) > 30
 
 
-def test_averages_restart_on_every_read_and_two_pollers_steal(make_host: MakeHost) -> None:
-    host = make_host()
+def test_averages_restart_on_every_read_and_two_pollers_steal(host: Any) -> None:
     host.hold(300, c.SetErpm(ERPM_1))
     host.values()
     host.hold(50, c.SetErpm(3 * ERPM_1))
@@ -142,18 +151,14 @@ def test_timeout_zero_never_strikes(make_host: MakeHost) -> None:
     assert host.speed == pytest.approx(2.0, abs=0.01)
 
 
-def test_timeout_ends_with_the_next_command(make_host: MakeHost) -> None:
-    host = make_host()
+def test_timeout_ends_with_the_next_command(host: Any) -> None:
     host.run(500)
     assert host.values().status & 1
     host.hold(30, c.SetErpm(ERPM_1))
     assert not host.values().status & 1
 
 
-def test_servo_commands_and_polls_do_not_feed_the_timeout_but_alive_does(
-    make_host: MakeHost,
-) -> None:
-    host = make_host()
+def test_servo_commands_and_polls_do_not_feed_the_timeout_but_alive_does(host: Any) -> None:
     host.send(c.SetErpm(ERPM_1))
     host.hold(300, c.SetServoPos(0.5), c.GetValues())
     assert host.world.vesc.motor.timed_out
@@ -163,8 +168,7 @@ def test_servo_commands_and_polls_do_not_feed_the_timeout_but_alive_does(
     assert host.speed == pytest.approx(1.0, abs=0.05)  # ALIVE keeps the last command running
 
 
-def test_servo_holds_its_last_angle_for_ever(make_host: MakeHost) -> None:
-    host = make_host()
+def test_servo_holds_its_last_angle_for_ever(host: Any) -> None:
     host.send(c.SetServoPos(0.3))
     host.run(20_000)
     steer = servo_pos_to_steer(F1TENTH, 0.3)
@@ -191,11 +195,10 @@ def test_servo_samples_at_50_hz(make_host: MakeHost) -> None:
     assert {b - a for a, b in itertools.pairwise(changes)} == {4}
 
 
-def test_speed_ramp_is_25000_erpm_per_second_from_the_actual_speed(make_host: MakeHost) -> None:
-    host = make_host(config=ROLLING)
-    host.send(c.SetErpm(5 * ERPM_1))
-    host.run(40)
-    assert host.world.vesc.motor.ramped == pytest.approx(2 * ERPM_1 + 1000, abs=60)
+def test_speed_ramp_is_25000_erpm_per_second_from_the_actual_speed(rolling: Any) -> None:
+    rolling.send(c.SetErpm(5 * ERPM_1))
+    rolling.run(40)
+    assert rolling.world.vesc.motor.ramped == pytest.approx(2 * ERPM_1 + 1000, abs=60)
 
 
 def test_firmware_before_5_03_has_no_ramp(make_host: MakeHost) -> None:
@@ -211,12 +214,11 @@ def test_setpoints_below_900_erpm_coast(make_host: MakeHost) -> None:
     assert host.speed == pytest.approx(2.0 - 0.5 * 0.6, abs=0.02)
 
 
-def test_set_rpm_0_brakes_along_the_ramp_and_then_coasts(make_host: MakeHost) -> None:
-    host = make_host(config=ROLLING)
-    host.hold(1000, c.SetErpm(0))
-    mode, _ = host.world.vesc.motor.step(host.t_ns, 0.002)
+def test_set_rpm_0_brakes_along_the_ramp_and_then_coasts(rolling: Any) -> None:
+    rolling.hold(1000, c.SetErpm(0))
+    mode, _ = rolling.world.vesc.motor.step(rolling.t_ns, 0.002)
     assert mode.name == "RELEASED"
-    assert 0.0 <= host.speed < 1.0
+    assert 0.0 <= rolling.speed < 1.0
 
 
 def test_invert_flag_turns_commands_telemetry_and_tachometer(make_host: MakeHost) -> None:
@@ -228,25 +230,22 @@ def test_invert_flag_turns_commands_telemetry_and_tachometer(make_host: MakeHost
     assert values.tachometer > 0
 
 
-def test_brake_current_slows_by_its_constant_and_never_reverses(make_host: MakeHost) -> None:
-    host = make_host(config=ROLLING)
-    host.hold(100, c.SetCurrentBrake(10.0))
-    decel = 10.0 * host.world.config.vesc.accel_per_amp + 0.6
-    assert host.speed == pytest.approx(2.0 - 0.1 * decel, abs=0.02)
-    host.hold(2000, c.SetCurrentBrake(10.0))
-    assert host.speed == 0.0
+def test_brake_current_slows_by_its_constant_and_never_reverses(rolling: Any) -> None:
+    rolling.hold(100, c.SetCurrentBrake(10.0))
+    decel = 10.0 * rolling.world.config.vesc.accel_per_amp + 0.6
+    assert rolling.speed == pytest.approx(2.0 - 0.1 * decel, abs=0.02)
+    rolling.hold(2000, c.SetCurrentBrake(10.0))
+    assert rolling.speed == 0.0
 
 
-def test_current_pushes_both_ways_and_a_tiny_one_releases(make_host: MakeHost) -> None:
-    host = make_host()
+def test_current_pushes_both_ways_and_a_tiny_one_releases(host: Any) -> None:
     host.hold(500, c.SetCurrent(-10.0))
     assert host.speed == pytest.approx(-0.5 * (10.0 * 0.175 - 0.6), rel=0.05)
     host.hold(20, c.SetCurrent(0.04))
     assert host.world.vesc.motor.value == 0.0
 
 
-def test_duty_settles_where_back_emf_meets_the_battery(make_host: MakeHost) -> None:
-    host = make_host()
+def test_duty_settles_where_back_emf_meets_the_battery(host: Any) -> None:
     host.hold(4000, c.SetDuty(0.1))
     config = host.world.config.vesc
     erpm = host.world.vesc._true_erpm()
@@ -255,12 +254,11 @@ def test_duty_settles_where_back_emf_meets_the_battery(make_host: MakeHost) -> N
     assert host.values().duty == pytest.approx(0.1, abs=0.01)
 
 
-def test_tachometer_counts_60_degree_steps_and_wraps_nothing_away(make_host: MakeHost) -> None:
-    host = make_host(config=ROLLING)
-    host.hold(1000, c.SetErpm(2 * ERPM_1))
-    host.hold(1000, c.SetErpm(-2 * ERPM_1))
-    host.hold(1500, c.SetErpm(-2 * ERPM_1))
-    values, state = host.values(), host.world.truth().state
+def test_tachometer_counts_60_degree_steps_and_wraps_nothing_away(rolling: Any) -> None:
+    rolling.hold(1000, c.SetErpm(2 * ERPM_1))
+    rolling.hold(1000, c.SetErpm(-2 * ERPM_1))
+    rolling.hold(1500, c.SetErpm(-2 * ERPM_1))
+    values, state = rolling.values(), rolling.world.truth().state
     assert values.tachometer == pytest.approx(state.x * ERPM_1 / 10, abs=3)
     assert values.tachometer_abs > abs(values.tachometer)
 
@@ -285,8 +283,7 @@ def test_voltage_sag_ends_in_under_voltage(make_host: MakeHost) -> None:
     assert ids.fault_name(host.values().fault) == "UNDER_VOLTAGE"
 
 
-def test_blocking_commands_are_discarded_while_one_runs(make_host: MakeHost) -> None:
-    host = make_host()
+def test_blocking_commands_are_discarded_while_one_runs(host: Any) -> None:
     host.send(c.TerminalCommand("faults"))
     host.run(1)
     host.send(c.TerminalCommand("nonsense"))
@@ -309,8 +306,7 @@ def test_uptime_counts_and_goes_back_with_a_reboot(make_host: MakeHost) -> None:
     assert host.ask(c.GetValuesSetupSelective(UPTIME_MASK)).uptime_ms <= 101
 
 
-def test_reboot_forgets_ram_limits_and_centres_the_servo(make_host: MakeHost) -> None:
-    host = make_host()
+def test_reboot_forgets_ram_limits_and_centres_the_servo(host: Any) -> None:
     host.send(limits(erpm_max=5000.0), c.SetServoPos(0.2))
     host.run(50)
     host.send(c.Reboot())
@@ -324,8 +320,7 @@ def limits(**changes: float) -> c.SetMcConfTemp:
     return replace(usual, **changes)  # type: ignore[arg-type]
 
 
-def test_limits_in_ram_are_acknowledged_read_back_and_enforced(make_host: MakeHost) -> None:
-    host = make_host()
+def test_limits_in_ram_are_acknowledged_read_back_and_enforced(host: Any) -> None:
     assert isinstance(host.ask(limits(erpm_max=1.5 * ERPM_1, current_min_scale=0.1)), Ack)
     held = host.ask(c.GetMcConfTemp())
     assert isinstance(held, McConfTemp)
@@ -365,16 +360,14 @@ def test_board_without_imu_answers_zeros_and_identity(make_host: MakeHost) -> No
     assert (reply.q_w, reply.gyro_z) == (1.0, 0.0)
 
 
-def test_kill_switch_shows_in_the_status_and_releases_the_motor(make_host: MakeHost) -> None:
-    host = make_host(config=ROLLING)
-    host.world.vesc.set_fault_state(0, replace(host.world.vesc.fault_state, kill=True))
-    host.hold(500, c.SetErpm(3 * ERPM_1))
-    assert host.values().status & STATUS_KILL
-    assert host.speed < 1.8
+def test_kill_switch_shows_in_the_status_and_releases_the_motor(rolling: Any) -> None:
+    rolling.world.vesc.set_fault_state(0, replace(rolling.world.vesc.fault_state, kill=True))
+    rolling.hold(500, c.SetErpm(3 * ERPM_1))
+    assert rolling.values().status & STATUS_KILL
+    assert rolling.speed < 1.8
 
 
-def test_short_commands_are_ignored_and_counted_as_a_host_bug(make_host: MakeHost) -> None:
-    host = make_host()
+def test_short_commands_are_ignored_and_counted_as_a_host_bug(host: Any) -> None:
     host.world.serial_write(0, encode_frame(b"\x08\x00\x00"))
     assert host.world.vesc.motor.value == 0.0
     assert host.world.vesc.counts["short"] == 1
@@ -402,8 +395,7 @@ def test_boot_garbage_comes_before_everything(make_host: MakeHost) -> None:
     assert isinstance(host.ask(c.GetFwVersion()), FwVersion)
 
 
-def test_byte_log_holds_every_byte_with_time_and_direction(make_host: MakeHost) -> None:
-    host = make_host()
+def test_byte_log_holds_every_byte_with_time_and_direction(host: Any) -> None:
     host.run(7)
     frame = encode_frame(encode_command(c.GetFwVersion()))
     host.ask(c.GetFwVersion())
