@@ -114,7 +114,7 @@ def read(name: str) -> str:
     return text.replace(KEYS[name], '"":', 1) if name in KEYS else text
 
 
-def test_the_glossary_has_a_table_and_no_word_stands_twice() -> None:
+def test_the_glossary_has_a_table_and_no_word_stands_twice():
     words = [(row.word, row.scope) for row in banned_words()]
     assert len(words) > 30
     assert len(set(words)) == len(words)
@@ -122,12 +122,12 @@ def test_the_glossary_has_a_table_and_no_word_stands_twice() -> None:
 
 
 @pytest.mark.parametrize("name", list_files())
-def test_a_file_uses_the_words_of_the_glossary(name: str) -> None:
+def test_a_file_uses_the_words_of_the_glossary(name):
     found = find_words(read(name), is_python=name.endswith(".py"))
     assert not found, f"{name}:" + "\n  ".join(["", *found])
 
 
-def test_what_is_exempt_still_needs_it() -> None:
+def test_what_is_exempt_still_needs_it():
     for name, key in KEYS.items():
         text = (ROOT / name).read_text(encoding="utf-8")
         assert text.count(key) == 1, f"{name}: {key} is gone, remove"

@@ -63,7 +63,7 @@ def receive(url, process):
     return samples, status, states
 
 
-def test_the_capture_gives_a_filtered_track(motive) -> None:
+def test_the_capture_gives_a_filtered_track(motive):
     samples, status, states = receive(*motive)
     assert status.server == "Motive NatNet 3.0"
     assert status.bodies == ("RaceQuad",)

@@ -27,16 +27,16 @@ def radius_of(rate_hz: float, delay_s: float, speed: float = 1.0) -> float:
     ("rate_hz", "ticks", "radius"),
     [(100.0, 0, 0.98), (100.0, 1, 1.18), (200.0, 1, 0.99), (50.0, 0, 1.86)],
 )
-def test_the_papers_poles_at_real_rates(rate_hz: float, ticks: int, radius: float) -> None:
+def test_the_papers_poles_at_real_rates(rate_hz, ticks, radius):
     assert radius_of(rate_hz, ticks / rate_hz) == pytest.approx(radius, abs=0.0055)
 
 
-def test_a_fraction_of_a_tick_lies_between() -> None:
+def test_a_fraction_of_a_tick_lies_between():
     radii = [radius_of(100.0, delay) for delay in (0.0, 0.006, 0.008, 0.009, 0.01)]
     assert radii[0] < 1.0 < radii[2] < radii[3] < radii[4]
 
 
-def test_the_closed_loop_is_the_loop_run_by_hand() -> None:
+def test_the_closed_loop_is_the_loop_run_by_hand():
     """Eigenvalues of the matrix against a simulated loop with fractional delay and lag."""
     config, timing = ControllerConfig(), Timing(100.0, 0.025, 0.05)
     table = design_table(DEFAULT_CAR, config, timing, 1.0)
@@ -53,14 +53,14 @@ def test_the_closed_loop_is_the_loop_run_by_hand() -> None:
     assert design.stability(closed, 1.0, 0.01).radius == pytest.approx(measured, abs=1e-3)
 
 
-def test_fewer_references_under_way_than_the_design_believes() -> None:
+def test_fewer_references_under_way_than_the_design_believes():
     table = design_table(DEFAULT_CAR, ControllerConfig(), Timing(100.0, 0.04, 0.05), 1.0)
     for real in (Timing(100.0, 0.0, 0.05), Timing(100.0, 0.0, 0.0), Timing(100.0, 0.015, 0.05)):
         closed = design.closed_loop(DEFAULT_CAR, table.rows[-1], table.pasts, 1.0, real)
         assert design.stability(closed, 1.0, 0.01).radius < 1.0
 
 
-def test_damping_is_that_of_the_mode() -> None:
+def test_damping_is_that_of_the_mode():
     gone_at_once = 0.01 * np.array([[0.0, -1.0], [1.0, 0.0]])
     turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
     both = np.block([[np.exp(-0.1) * turn, np.zeros((2, 2))], [np.zeros((2, 2)), gone_at_once]])
@@ -69,13 +69,13 @@ def test_damping_is_that_of_the_mode() -> None:
     assert seen.damping == pytest.approx(0.1 / np.hypot(0.1, 0.3))
 
 
-def test_the_papers_poles_pass_where_they_are_stable() -> None:
+def test_the_papers_poles_pass_where_they_are_stable():
     made = make_controller(BARE, CIRCLE, PAPER, 100.0)
     assert max(at.radius for at in made.report.stabilities) < 1.0
     assert "pole_placement, 100 Hz" in made.report.describe()
 
 
-def test_the_papers_poles_are_refused_with_a_tick_of_delay() -> None:
+def test_the_papers_poles_are_refused_with_a_tick_of_delay():
     with pytest.raises(design.DesignRefused) as refused:
         make_controller(BARE, CIRCLE, PAPER, 100.0, 0.01)
     said = str(refused.value)
@@ -83,7 +83,7 @@ def test_the_papers_poles_are_refused_with_a_tick_of_delay() -> None:
         assert part in said
 
 
-def test_what_a_refusal_says_passes_does_pass() -> None:
+def test_what_a_refusal_says_passes_does_pass():
     with pytest.raises(design.DesignRefused) as refused:
         make_controller(BARE, CIRCLE, PAPER, 50.0)
     said = str(refused.value)
@@ -93,7 +93,7 @@ def test_what_a_refusal_says_passes_does_pass() -> None:
     make_controller(BARE, CIRCLE, ControllerConfig(design="pole_placement", speed=0.68), 50.0)
 
 
-def test_poles_by_the_cars_own_fast_modes_bear_a_servo() -> None:
+def test_poles_by_the_cars_own_fast_modes_bear_a_servo():
     midway = ControllerConfig(design="pole_placement", poles=(-2 + 2j, -2 - 2j, -60, -40))
     with pytest.raises(design.DesignRefused, match=r'poles = \["-2-2j", "-2\+2j", "-52'):
         make_controller(DEFAULT_CAR, CIRCLE, midway, 100.0)
@@ -103,7 +103,7 @@ def test_poles_by_the_cars_own_fast_modes_bear_a_servo() -> None:
     assert make_controller(DEFAULT_CAR, CIRCLE, gentle, 100.0).report.delay_margin_s > 0.0
 
 
-def test_an_ill_damped_design_is_refused() -> None:
+def test_an_ill_damped_design_is_refused():
     ringing = ControllerConfig(
         design="pole_placement", poles=(-1 + 15j, -1 - 15j, -52.6, -93.6), grid_speed_min=1.0
     )
@@ -113,14 +113,14 @@ def test_an_ill_damped_design_is_refused() -> None:
 
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0, 200.0, 500.0])
 @pytest.mark.parametrize("delay_s", [0.0, 0.013, 0.04, 0.1])
-def test_lqr_passes_at_every_rate_and_delay(rate_hz: float, delay_s: float) -> None:
+def test_lqr_passes_at_every_rate_and_delay(rate_hz, delay_s):
     table = design_table(DEFAULT_CAR, ControllerConfig(), Timing(rate_hz, delay_s, 0.05), 1.5)
     for at in design.assess(DEFAULT_CAR, table, Timing(rate_hz, delay_s, 0.05)):
         assert at.radius < 1.0
         assert at.damping > 0.5
 
 
-def test_the_delay_margin_is_where_the_loop_turns_unstable() -> None:
+def test_the_delay_margin_is_where_the_loop_turns_unstable():
     timing = Timing(100.0, 0.01, 0.05)
     table = design_table(DEFAULT_CAR, ControllerConfig(speed=4.0), timing, 4.0)
     margin = design.delay_margin(DEFAULT_CAR, table, timing)
@@ -134,12 +134,12 @@ def test_the_delay_margin_is_where_the_loop_turns_unstable() -> None:
     assert radii[inside] < 1.0 <= radii[over]
 
 
-def test_a_path_tighter_than_the_car_is_refused() -> None:
+def test_a_path_tighter_than_the_car_is_refused():
     with pytest.raises(ValueError, match=r"radius 0\.80 m .* wheel angle of -0\.4"):
         make_controller(DEFAULT_CAR, parse_path("circle:radius=-0.8"), ControllerConfig(), 100.0)
 
 
 @pytest.mark.parametrize(("rate_hz", "delay_s"), [(0.0, 0.0), (100.0, -0.1), (100.0, 3.0)])
-def test_senseless_timing_is_refused(rate_hz: float, delay_s: float) -> None:
+def test_senseless_timing_is_refused(rate_hz, delay_s):
     with pytest.raises(ValueError, match="rate"):
         make_controller(DEFAULT_CAR, CIRCLE, ControllerConfig(), rate_hz, delay_s)

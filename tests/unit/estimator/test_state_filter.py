@@ -58,7 +58,7 @@ def altered(drive: Any, change: Callable[[int, Measurement], Measurement | None]
     return replace(drive, arrivals=arrivals)
 
 
-def test_nothing_is_known_before_the_first_poses() -> None:
+def test_nothing_is_known_before_the_first_poses():
     state = step(FILTER, FilterState(), T0, [make_wheel_speed(T0, 1.0), make_gyro(T0, 0.0)])
     assert predict_to(FILTER, state, T0) is None
     for k in range(9):
@@ -71,7 +71,7 @@ def test_nothing_is_known_before_the_first_poses() -> None:
     assert estimate.health.pose.seen == 10
 
 
-def test_it_starts_on_a_moving_car_and_follows(drive: Any, run_filter: Any) -> None:
+def test_it_starts_on_a_moving_car_and_follows(drive, run_filter):
     for t, state in run_filter(FILTER, drive):
         estimate = predict_to(FILTER, state, t)
         if t < T0 + 130 * MS or estimate is None:
@@ -84,9 +84,7 @@ def test_it_starts_on_a_moving_car_and_follows(drive: Any, run_filter: Any) -> N
 @pytest.mark.parametrize(
     "shift", [(0.5, 0.0, 0.0), (0.0, -0.5, 0.0), (0.0, 0.0, math.pi), (0.0, 0.0, 0.3)]
 )
-def test_outliers_and_flips_are_refused_counted_and_harmless(
-    drive: Any, run_filter: Any, shift: tuple[float, float, float]
-) -> None:
+def test_outliers_and_flips_are_refused_counted_and_harmless(drive, run_filter, shift):
     def wrong(number: int, m: Measurement) -> Measurement:
         if number % 20 != 15:
             return m
@@ -102,7 +100,7 @@ def test_outliers_and_flips_are_refused_counted_and_harmless(
     assert expected <= estimate.health.pose.refused <= expected + 2
 
 
-def test_a_body_swap_is_counted_and_never_moves_the_estimate() -> None:
+def test_a_body_swap_is_counted_and_never_moves_the_estimate():
     t, state = standing()
     before = predict_to(FILTER, state, t)
     for k in range(20):
@@ -123,7 +121,7 @@ def test_a_body_swap_is_counted_and_never_moves_the_estimate() -> None:
 
 
 @pytest.mark.parametrize("begin", [60, 110, 161])
-def test_it_coasts_through_a_gap_of_150_ms(drive: Any, run_filter: Any, begin: int) -> None:
+def test_it_coasts_through_a_gap_of_150_ms(drive, run_filter, begin):
     gap = altered(drive, lambda number, m: None if begin <= number < begin + 15 else m)
     ages, worst = [], 0.0
     for t, state in run_filter(FILTER, gap):
@@ -141,7 +139,7 @@ def test_it_coasts_through_a_gap_of_150_ms(drive: Any, run_filter: Any, begin: i
     assert estimate.health.pose.refused <= 2
 
 
-def test_without_any_measurement_uncertainty_grows_and_stays_cheap() -> None:
+def test_without_any_measurement_uncertainty_grows_and_stays_cheap():
     t, state = standing()
     spread = []
     for seconds in (0.0, 0.15, 1.0, 600.0):
@@ -152,7 +150,7 @@ def test_without_any_measurement_uncertainty_grows_and_stays_cheap() -> None:
     assert spread[-1][0] > 0.15
 
 
-def test_standing_for_minutes_stays_bounded() -> None:
+def test_standing_for_minutes_stays_bounded():
     t, state = standing()
     rng = np.random.default_rng(3)
     config = FILTER.config
@@ -178,7 +176,7 @@ def test_standing_for_minutes_stays_bounded() -> None:
     assert np.abs(errors)[:, 3:6].max() < 0.2
 
 
-def test_slow_driving_through_zero(simulate: Any, run_filter: Any) -> None:
+def test_slow_driving_through_zero(simulate, run_filter):
     """Forward, through standstill, backwards, and again: where slip angles lose their meaning."""
 
     def plan(t: float) -> Command[float]:
@@ -201,9 +199,7 @@ def test_slow_driving_through_zero(simulate: Any, run_filter: Any) -> None:
     assert estimate.health.pose.refused <= 5
 
 
-def test_stamp_latency_and_speed_gain_of_the_car_are_honoured(
-    simulate: Any, run_filter: Any
-) -> None:
+def test_stamp_latency_and_speed_gain_of_the_car_are_honoured(simulate, run_filter):
     car = DEFAULT_CAR._replace(speed_gain=1.1)
     late = car._replace(pose_delay=0.02)
     drive = simulate(2, 1.5, car=car)
@@ -227,7 +223,7 @@ def test_stamp_latency_and_speed_gain_of_the_car_are_honoured(
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e300])
-def test_nonsense_is_refused(bad: float) -> None:
+def test_nonsense_is_refused(bad):
     t, state = standing()
     for m in (make_pose(t, bad, 2.0, 0.5), make_wheel_speed(t, bad), make_gyro(t, bad)):
         state = on_measurement(FILTER, state, t, m)
@@ -238,7 +234,7 @@ def test_nonsense_is_refused(bad: float) -> None:
     assert estimate.state.x == pytest.approx(1.0, abs=1e-6)
 
 
-def test_measurements_out_of_time_are_counted_and_not_fused() -> None:
+def test_measurements_out_of_time_are_counted_and_not_fused():
     t, state = standing()
     before = predict_to(FILTER, state, t)
     for wrong in (t - 700 * MS, t + 3 * MS, t + 10**10):
@@ -248,7 +244,7 @@ def test_measurements_out_of_time_are_counted_and_not_fused() -> None:
     assert after.health.untimely == before.health.untimely + 3
 
 
-def test_a_measurement_that_comes_twice_counts_once() -> None:
+def test_a_measurement_that_comes_twice_counts_once():
     t, state = standing()
     pose = make_pose(t - 8 * MS, 1.0005, 2.0, 0.5)
     once = on_measurement(FILTER, state, t, pose)
@@ -258,7 +254,7 @@ def test_a_measurement_that_comes_twice_counts_once() -> None:
     assert one.health == two.health
 
 
-def test_an_unsound_belief_is_called_so() -> None:
+def test_an_unsound_belief_is_called_so():
     _, state = standing()
     node = state.nodes[-1]
     for hurt in (-1.0, math.nan):
@@ -273,7 +269,7 @@ def test_an_unsound_belief_is_called_so() -> None:
         assert math.isnan(estimate.sd.speed)
 
 
-def test_waiting_for_a_first_pose_keeps_nothing_that_grows() -> None:
+def test_waiting_for_a_first_pose_keeps_nothing_that_grows():
     state = FilterState()
     for k in range(2000):
         t = T0 + k * 5 * MS

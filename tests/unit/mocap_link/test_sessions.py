@@ -134,7 +134,7 @@ def assert_no_jump(samples: Iterable[Pose]) -> None:
 
 @pytest.mark.parametrize("version", [(3, 0), (3, 1), (4, 0), (4, 1), (4, 2)])
 @pytest.mark.parametrize("skew", [-40e-6, 40e-6])
-def test_a_good_drive(make_room: Any, version: tuple[int, int], skew: float) -> None:
+def test_a_good_drive(make_room, version, skew):
     room = make_room(version=version, skew=skew)
     samples = room.run(5.0)
     late = [s for s in samples if s.t_arrival_ns > T0 + SECOND]
@@ -150,7 +150,7 @@ def test_a_good_drive(make_room: Any, version: tuple[int, int], skew: float) -> 
     assert status.bodies == ("car", "b2")
 
 
-def test_2_9_is_timed_one_way(make_room: Any) -> None:
+def test_2_9_is_timed_one_way(make_room):
     room = make_room(version=(2, 9))
     samples = room.run(4.0)
     assert room.state is SourceState.OK
@@ -203,7 +203,7 @@ FAULTS: dict[str, tuple[str, Mutate]] = {
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_fault_ends_in_its_counter_and_in_lost(room: Room, name: str) -> None:
+def test_fault_ends_in_its_counter_and_in_lost(room, name):
     reason, room.mutate = FAULTS[name]
     last = room.source.status().last_good_ns
     room.run(0.1)
@@ -219,14 +219,14 @@ def test_fault_ends_in_its_counter_and_in_lost(room: Room, name: str) -> None:
     assert_no_jump(room.samples)
 
 
-def test_edit_mode_is_not_live(room: Room) -> None:
+def test_edit_mode_is_not_live(room):
     room.params = EDIT_MODE
     room.run(0.2)
     assert room.count("not_live") >= 18
     assert room.state is SourceState.LOST
 
 
-def test_five_percent_loss_and_a_50_ms_gap_are_no_fault(room: Room) -> None:
+def test_five_percent_loss_and_a_50_ms_gap_are_no_fault(room):
     room.drop = lambda i: i % 20 == 0 or 200 <= i < 203
     states = set()
     for _ in range(200):
@@ -237,7 +237,7 @@ def test_five_percent_loss_and_a_50_ms_gap_are_no_fault(room: Room) -> None:
     assert all(s.rejected is None for s in room.samples)
 
 
-def test_silence_is_lost_after_150_ms_and_comes_back(room: Room) -> None:
+def test_silence_is_lost_after_150_ms_and_comes_back(room):
     room.silent = True
     room.run(0.04)
     assert room.state is SourceState.STALE
@@ -251,13 +251,13 @@ def test_silence_is_lost_after_150_ms_and_comes_back(room: Room) -> None:
     assert_no_jump(room.samples)
 
 
-def test_strangers_are_not_heard(room: Room) -> None:
+def test_strangers_are_not_heard(room):
     room.from_ip = "10.0.0.66"
     assert room.run(0.1) == []
     assert room.count("foreign") >= 10
 
 
-def test_garbage_is_counted(room: Room) -> None:
+def test_garbage_is_counted(room):
     for i in range(1, 60):
         data = room.server.frame(room.now, (make_body(room.now),))[:i]
         assert room.source.on_datagram(data, room.now, "10.0.0.1", "data") == []
@@ -267,7 +267,7 @@ def test_garbage_is_counted(room: Room) -> None:
 
 
 @pytest.mark.parametrize("multicast", [True, False])
-def test_server_restart_with_a_new_epoch(make_room: Any, multicast: bool) -> None:
+def test_server_restart_with_a_new_epoch(make_room, multicast):
     room = make_room(multicast=multicast)
     room.run(2.0)
     room.silent = room.deaf = True
@@ -290,7 +290,7 @@ def test_server_restart_with_a_new_epoch(make_room: Any, multicast: bool) -> Non
     assert_no_jump(room.samples)
 
 
-def test_restart_without_a_gap(room: Room) -> None:
+def test_restart_without_a_gap(room):
     room.server.number, room.server.epoch_ticks = 0, 42
     room.run(2.0)
     assert room.state is SourceState.OK
@@ -299,7 +299,7 @@ def test_restart_without_a_gap(room: Room) -> None:
     assert_no_jump(room.samples)
 
 
-def test_source_clock_steps_by_a_second(room: Room) -> None:
+def test_source_clock_steps_by_a_second(room):
     room.server.epoch_ticks += room.server.clock_hz
     room.run(0.2)
     assert {s.clock for s in room.samples[-5:]} <= {ClockKind.ARRIVAL, ClockKind.ECHO}
@@ -309,7 +309,7 @@ def test_source_clock_steps_by_a_second(room: Room) -> None:
     assert_no_jump(room.samples)
 
 
-def test_model_change_is_followed(room: Room) -> None:
+def test_model_change_is_followed(room):
     room.server.received.clear()
     room.params = MODEL_CHANGED
     room.run(0.02)
@@ -323,13 +323,13 @@ def test_model_change_is_followed(room: Room) -> None:
     assert room.state is SourceState.OK
 
 
-def test_body_by_id_needs_no_name(make_room: Any) -> None:
+def test_body_by_id_needs_no_name(make_room):
     room = make_room(body="id:1")
     room.run(1.0)
     assert room.state is SourceState.OK
 
 
-def test_unknown_body_lists_what_there_is(make_room: Any) -> None:
+def test_unknown_body_lists_what_there_is(make_room):
     room = make_room(body="cra")
     room.run(0.5)
     status = room.source.status()
@@ -345,7 +345,7 @@ def test_unknown_body_lists_what_there_is(make_room: Any) -> None:
         ((natnet.RigidBodyDesc("car", 1), natnet.RigidBodyDesc("car", 2)), "named 'car'"),
     ],
 )
-def test_ambiguous_bodies_are_refused(make_room: Any, bodies: Any, words: str) -> None:
+def test_ambiguous_bodies_are_refused(make_room, bodies, words):
     room = make_room(bodies=bodies)
     samples = room.run(0.5)
     status = room.source.status()
@@ -354,20 +354,20 @@ def test_ambiguous_bodies_are_refused(make_room: Any, bodies: Any, words: str) -
     assert all(s.rejected for s in samples[3:]) or not samples
 
 
-def test_a_server_of_another_age_is_refused(make_room: Any) -> None:
+def test_a_server_of_another_age_is_refused(make_room):
     room = make_room(version=(2, 7))
     room.run(0.3)
     assert "NatNet 2.7" in room.source.status().detail
 
 
-def test_answers_but_no_frames_explains_itself(make_room: Any) -> None:
+def test_answers_but_no_frames_explains_itself(make_room):
     room = make_room()
     room.silent = True
     room.run(1.5)
     assert "wrong interface" in room.source.status().detail
 
 
-def test_connect_backs_off(make_room: Any) -> None:
+def test_connect_backs_off(make_room):
     room = make_room()
     room.deaf = True
     sent = []
@@ -378,7 +378,7 @@ def test_connect_backs_off(make_room: Any) -> None:
     assert gaps[:5] == [0.5, 1.0, 2.0, 4.0, 5.0]
 
 
-def test_echoes_and_keepalives_keep_their_pace(make_room: Any) -> None:
+def test_echoes_and_keepalives_keep_their_pace(make_room):
     room = make_room(multicast=False)
     room.run(10.0)
     received = room.server.received
@@ -387,7 +387,7 @@ def test_echoes_and_keepalives_keep_their_pace(make_room: Any) -> None:
     assert received.count(natnet.Bare.CONNECT) == 1
 
 
-def test_the_height_of_a_lifted_car_is_taken_anew_when_stopped(room: Room) -> None:
+def test_the_height_of_a_lifted_car_is_taken_anew_when_stopped(room):
     room.mutate = FAULTS["lifted"][1]
     room.source.ingest.stationary = True
     samples = room.run(0.3)

@@ -53,7 +53,7 @@ def tyres(
     return forces
 
 
-def test_backlash_holds_the_wheels_inside_the_gap() -> None:
+def test_backlash_holds_the_wheels_inside_the_gap():
     effect = EFFECTS["steer_backlash"]
     memory: tuple[float, ...] = (0.0,)
     wheels = []
@@ -63,7 +63,7 @@ def test_backlash_holds_the_wheels_inside_the_gap() -> None:
     assert wheels == pytest.approx([0.0, 0.0, 0.01, 0.04, 0.04, 0.04, 0.01, -0.04])
 
 
-def test_relaxation_answers_a_slip_ramp_as_a_first_order_lag() -> None:
+def test_relaxation_answers_a_slip_ramp_as_a_first_order_lag():
     effect = EFFECTS["tyre_relaxation"]
     length, speed, h, slope = 0.06, 2.0, 0.004, 0.5
     memory: tuple[float, ...] = (0.0, 0.0)
@@ -75,7 +75,7 @@ def test_relaxation_answers_a_slip_ramp_as_a_first_order_lag() -> None:
     assert memory == pytest.approx((lag, 0.0), rel=1e-12)
 
 
-def test_relaxation_leaves_the_steady_turn_alone() -> None:
+def test_relaxation_leaves_the_steady_turn_alone():
     turn = steady_turn(2.0, 0.6)
     last = drive("tyre_relaxation", (0.08,), turn, Command(turn.steer, 2.0), 3.0)[-1]
     assert last.state.yaw_rate == pytest.approx(1.2, rel=1e-6)
@@ -83,7 +83,7 @@ def test_relaxation_leaves_the_steady_turn_alone() -> None:
 
 
 @pytest.mark.parametrize("q", [1.0, 4.0])
-def test_saturation_levels_off_at_the_friction_limit(q: float) -> None:
+def test_saturation_levels_off_at_the_friction_limit(q):
     limit = CAR.mu * loads_at(CAR, 0.0).front
     small, large = tyres("tyre_saturation", (q, 0.0), Axles(1e-3, 0.0)), Axles(100.0, 0.0)
     assert small.front == pytest.approx(limit * CAR.c_sf * 1e-3, rel=1e-4)
@@ -92,7 +92,7 @@ def test_saturation_levels_off_at_the_friction_limit(q: float) -> None:
     )
 
 
-def test_saturation_that_begins_early_is_a_brush_tyre() -> None:
+def test_saturation_that_begins_early_is_a_brush_tyre():
     """Fiala's tyre (Pacejka, section 3.2) that slides as a whole at 0.6 mu Fz, to 4 %."""
     limit, slides = CAR.mu * loads_at(CAR, 0.0).front, 0.6
     for z in (0.02, 0.1, 0.3, 0.6, 1.0, 1.5):
@@ -109,8 +109,8 @@ def test_saturation_that_begins_early_is_a_brush_tyre() -> None:
     [(2.0, 1.5, -0.03, 0.2, 0.0), (1.5, 1.2, 0.02, 0.3, -1.0), (3.0, -1.0, 0.05, -0.15, 1.0)],
 )
 def test_a_drive_split_of_minus_a_half_makes_four_driven_wheels_two(
-    speed: float, yaw_rate: float, slip_angle: float, wheel: float, accel: float
-) -> None:
+    speed, yaw_rate, slip_angle, wheel, accel
+):
     """But for the slip of rear wheels that carry twice the force, small with stiff tyres."""
     stiff = CAR._replace(c_x=1e4)
     state = ORIGIN._replace(speed=speed, yaw_rate=yaw_rate, slip_angle=slip_angle)
@@ -125,7 +125,7 @@ def test_a_drive_split_of_minus_a_half_makes_four_driven_wheels_two(
     assert (off <= 0.25 * apart + 1e-3).all(), (got, four, two)
 
 
-def test_friction_is_stiffness_when_gentle_and_a_plateau_at_the_limit() -> None:
+def test_friction_is_stiffness_when_gentle_and_a_plateau_at_the_limit():
     p, limit = 0.5, CAR.mu * loads_at(CAR, 0.0).front
     gentle = tyres("tyre_friction", (p,), Axles(1e-3, 1e-3))
     assert gentle.front == pytest.approx(p * limit * CAR.c_sf * 1e-3, rel=1e-4)
@@ -133,7 +133,7 @@ def test_friction_is_stiffness_when_gentle_and_a_plateau_at_the_limit() -> None:
     assert plateau == pytest.approx(limit * p * p / math.sqrt(1.0 - p * p), rel=1e-3)
 
 
-def test_the_ellipse_takes_what_acceleration_uses() -> None:
+def test_the_ellipse_takes_what_acceleration_uses():
     slips, accel = Axles(0.05, 0.04), 3.0
     whole = lateral_forces(CAR, slips, loads_at(CAR, accel))
     left = math.sqrt(1.0 - (accel / (CAR.mu * GRAVITY)) ** 2)
@@ -141,7 +141,7 @@ def test_the_ellipse_takes_what_acceleration_uses() -> None:
     assert found == pytest.approx((whole.front * left, whole.rear * left))
 
 
-def test_rear_wheel_drive_takes_grip_from_the_rear_alone() -> None:
+def test_rear_wheel_drive_takes_grip_from_the_rear_alone():
     slips, accel = Axles(0.05, 0.04), 3.0
     whole = lateral_forces(CAR, slips, loads_at(CAR, accel))
     left = math.sqrt(1.0 - (2.0 * accel / (CAR.mu * GRAVITY)) ** 2)
@@ -149,7 +149,7 @@ def test_rear_wheel_drive_takes_grip_from_the_rear_alone() -> None:
     assert found == pytest.approx((whole.front, whole.rear * left))
 
 
-def test_lateral_transfer_costs_grip_with_the_square_of_lateral_acceleration() -> None:
+def test_lateral_transfer_costs_grip_with_the_square_of_lateral_acceleration():
     slips = Axles(0.05, 0.05)
     whole = lateral_forces(CAR, slips, loads_at(CAR, 0.0))
     found = tyres("lateral_load_transfer", (0.5, 0.6), slips)
@@ -157,7 +157,7 @@ def test_lateral_transfer_costs_grip_with_the_square_of_lateral_acceleration() -
     assert found.front == pytest.approx(whole.front * (1.0 - 0.5 * lateral**2))
 
 
-def test_what_falls_with_load_across_the_car_does_so_along_it() -> None:
+def test_what_falls_with_load_across_the_car_does_so_along_it():
     """Two wheels with mu (1 - e (load - 1)) lose e s^2 with s moved; one axle e s under it."""
     e, moved, accel = 0.4, 0.5, 2.0
     pair = sum(0.5 * load * (1.0 - e * (load - 1.0)) for load in (1.0 + moved, 1.0 - moved))
@@ -170,7 +170,7 @@ def test_what_falls_with_load_across_the_car_does_so_along_it() -> None:
     assert found.front > whole.front
 
 
-def test_drag_is_the_deceleration_of_a_car_left_to_roll() -> None:
+def test_drag_is_the_deceleration_of_a_car_left_to_roll():
     model = Model(CAR, (EFFECTS["rolling_drag"],), ((0.8,),))
     moment = start(model, ORIGIN._replace(speed=3.0), 0.0)
     for _ in range(100):
@@ -178,7 +178,7 @@ def test_drag_is_the_deceleration_of_a_car_left_to_roll() -> None:
     assert moment.state.speed == pytest.approx(3.0 - 0.8, abs=1e-6)
 
 
-def test_scrub_with_drag_one_takes_the_power_of_slip() -> None:
+def test_scrub_with_drag_one_takes_the_power_of_slip():
     hook = EFFECTS["scrub"].rates
     turn = steady_turn(2.0, 0.8)
     v, r, beta = turn.speed, turn.yaw_rate, turn.slip_angle
@@ -191,7 +191,7 @@ def test_scrub_with_drag_one_takes_the_power_of_slip() -> None:
     assert -found.speed * CAR.mass * v == pytest.approx(power, rel=1e-9)
 
 
-def test_slope_pulls_downhill_whatever_the_heading() -> None:
+def test_slope_pulls_downhill_whatever_the_heading():
     model = Model(CAR, (EFFECTS["floor_slope"],), ((0.01, 0.0, 0.0),))
     for yaw, sign in ((0.0, 1.0), (math.pi, -1.0), (math.pi / 2, 0.0)):
         moment = start(model, ORIGIN._replace(speed=2.0, yaw=yaw), 0.0)
@@ -200,7 +200,7 @@ def test_slope_pulls_downhill_whatever_the_heading() -> None:
         assert gained == pytest.approx(sign * 0.01 * GRAVITY, abs=1e-3)
 
 
-def test_slope_spins_the_wheels_up_along_the_path_and_not_across() -> None:
+def test_slope_spins_the_wheels_up_along_the_path_and_not_across():
     values = ((0.01, 0.0, 0.25),)
     model = Model(CAR, (EFFECTS["floor_slope"],), values)
     rates = {}
@@ -212,7 +212,7 @@ def test_slope_spins_the_wheels_up_along_the_path_and_not_across() -> None:
     assert across == pytest.approx(-0.01 * GRAVITY, rel=0.1)
 
 
-def test_slip_leaves_the_car_behind_its_wheels_while_they_accelerate_it() -> None:
+def test_slip_leaves_the_car_behind_its_wheels_while_they_accelerate_it():
     model = Model(CAR, (EFFECTS["wheel_slip"],), ((0.01,),))
     for accel in (3.0, -3.0):
         moment = start(model, ORIGIN._replace(speed=2.0), 0.0)
@@ -221,7 +221,7 @@ def test_slip_leaves_the_car_behind_its_wheels_while_they_accelerate_it() -> Non
         assert speed == pytest.approx(2.0 * (1.0 - 0.01 * accel), rel=2e-3)
 
 
-def test_a_patch_is_slippery_inside_and_not_outside() -> None:
+def test_a_patch_is_slippery_inside_and_not_outside():
     effect = EFFECTS["grip_patch"]
     assert effect.car is not None
     values = (2.0, 1.0, 0.5, 0.4)
@@ -235,7 +235,7 @@ def test_a_patch_is_slippery_inside_and_not_outside() -> None:
     assert mu(3.0, 1.0) == pytest.approx(1.0, abs=1e-3)
 
 
-def test_payload_is_a_smaller_inertia_and_a_weaker_motor() -> None:
+def test_payload_is_a_smaller_inertia_and_a_weaker_motor():
     heavy = drive("mass", (0.5,), ORIGIN._replace(speed=2.0), Command(0.2, 3.5))
     share = CAR.mass / (CAR.mass + 0.5)
     weak = CAR._replace(
@@ -254,21 +254,21 @@ def test_payload_is_a_smaller_inertia_and_a_weaker_motor() -> None:
     assert tuple(heavy[-1].state) == pytest.approx(tuple(run[-1].state), rel=1e-9)
 
 
-def test_speed_scale_changes_true_speed_and_not_the_reported_one() -> None:
+def test_speed_scale_changes_true_speed_and_not_the_reported_one():
     model = Model(CAR, (EFFECTS["speed_scale"],), ((1.1,),))
     last = drive("speed_scale", (1.1,), ORIGIN, Command(0.0, 2.0), 3.0)[-1].state
     assert last.speed == pytest.approx(2.2, rel=1e-6)
     assert observe(FLOAT, model, last).wheel_speed == pytest.approx(2.0, rel=1e-6)
 
 
-def test_battery_sag_over_a_minute() -> None:
+def test_battery_sag_over_a_minute():
     effect = EFFECTS["battery_sag"]
     assert effect.reference(FLOAT, (0.1,), Command(0.1, 2.0), 60.0) == pytest.approx(
         (0.1, 2.0 * math.exp(-0.1))
     )
 
 
-def test_instruments_see_the_marker_and_the_body_not_the_car() -> None:
+def test_instruments_see_the_marker_and_the_body_not_the_car():
     state = ORIGIN._replace(x=1.0, y=2.0, yaw=math.pi / 2)
     marker = Model(CAR, (EFFECTS["marker_offset"],), ((0.03, 0.01),))
     seen = observe(FLOAT, marker, state)
@@ -287,14 +287,12 @@ def test_instruments_see_the_marker_and_the_body_not_the_car() -> None:
         ("steer_nonlinearity", -1.0, 0.3, 0.273),
     ],
 )
-def test_the_linkage_maps_servo_to_wheel(
-    name: str, value: float, angle: float, wheel: float
-) -> None:
+def test_the_linkage_maps_servo_to_wheel(name, value, angle, wheel):
     linkage = EFFECTS[name].linkage
     assert linkage(FLOAT, (value,), (), angle)[0] == pytest.approx(wheel)
 
 
-def test_limits_only_ever_lower() -> None:
+def test_limits_only_ever_lower():
     for name, value, field in (
         ("steer_rate_limit", 2.0, "steer_rate"),
         ("accel_limit", 3.0, "accel_max"),

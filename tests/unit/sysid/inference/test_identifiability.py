@@ -169,7 +169,7 @@ def known(seed: int = 0) -> augmented_car.BasePrior:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_what_is_known_survives_the_car_file(seed: int) -> None:
+def test_what_is_known_survives_the_car_file(seed):
     before = known(seed)
     after = augmented_car.knowledge_of_section(augmented_car.knowledge_section(before))
     assert after.names == before.names
@@ -186,7 +186,7 @@ def test_what_is_known_survives_the_car_file(seed: int) -> None:
 
 
 @pytest.mark.parametrize("key", ["names", "sd", "correlation", "excess", "values"])
-def test_a_damaged_section_is_refused(key: str) -> None:
+def test_a_damaged_section_is_refused(key):
     table = augmented_car.knowledge_section(known())
     for damaged in ({k: v for k, v in table.items() if k != key}, {**table, key: "?"}):
         with pytest.raises(ValueError, match="knowledge"):
@@ -202,14 +202,14 @@ def test_a_damaged_section_is_refused(key: str) -> None:
 
 @settings(deadline=None)
 @given(st.lists(st.tuples(st.floats(0.01, 500.0), st.floats(0.0, 12.0)), min_size=1, max_size=60))
-def test_excess_is_never_less_than_noise_and_never_falls(rows: list[tuple[float, float]]) -> None:
+def test_excess_is_never_less_than_noise_and_never_falls(rows):
     ratio, lateral = np.array(rows).T
     found = augmented_car.excess_by_regime(ratio, lateral)
     assert len(found) == len(augmented_car.EDGES) + 1
     assert all(1.0 <= a <= b <= augmented_car.EXCESS_MAX for a, b in itertools.pairwise(found))
 
 
-def test_excess_is_learnt_where_the_model_fails() -> None:
+def test_excess_is_learnt_where_the_model_fails():
     lateral = np.concatenate([np.full(20, 0.5), np.full(20, 5.0)])
     ratio = np.concatenate([np.full(20, 1.0), np.full(20, 6.0)])
     found = augmented_car.excess_by_regime(ratio, lateral)
@@ -234,7 +234,7 @@ def _quadratic(seed: int, n: int) -> tuple[np.ndarray, ...]:
 
 @settings(deadline=None, max_examples=200)
 @given(seed=st.integers(0, 10**6), n=st.integers(1, 8))
-def test_no_step_promises_less_than_nothing_or_leaves_the_bounds(seed: int, n: int) -> None:
+def test_no_step_promises_less_than_nothing_or_leaves_the_bounds(seed, n):
     h, slope, z, low, high = _quadratic(seed, n)
     dz = step_within(h, slope, z, low, high)
     assert np.isfinite(dz).all()
@@ -244,14 +244,14 @@ def test_no_step_promises_less_than_nothing_or_leaves_the_bounds(seed: int, n: i
     assert promised >= -1e-9 * (1.0 + abs(slope @ dz))
 
 
-def test_without_bounds_it_is_newtons_step() -> None:
+def test_without_bounds_it_is_newtons_step():
     h, slope, z, _, _ = _quadratic(3, 5)
     wide = np.full(5, 1e9)
     assert step_within(h, slope, z, -wide, wide) == pytest.approx(np.linalg.solve(h, slope))
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_it_is_the_best_step_within_the_bounds(seed: int) -> None:
+def test_it_is_the_best_step_within_the_bounds(seed):
     """Against another of SciPy's bounded minimisers."""
     rng = np.random.default_rng(seed)
     root = rng.standard_normal((4, 4)) + 2.0 * np.eye(4)
@@ -265,7 +265,7 @@ def test_it_is_the_best_step_within_the_bounds(seed: int) -> None:
     assert slope @ dz - 0.5 * dz @ h @ dz == pytest.approx(-best.fun, rel=1e-5)
 
 
-def test_two_coordinates_that_do_the_same_still_give_a_step() -> None:
+def test_two_coordinates_that_do_the_same_still_give_a_step():
     """A curvature that is singular to the last digit, with a bound in Newton's way."""
     h = np.array([[1.0, 1.0, 0.0], [1.0, 1.0 - 1e-15, 0.0], [0.0, 0.0, 1.0]])
     slope, edge = np.array([1.0, 1.0, 1.0]), np.full(3, 0.1)
