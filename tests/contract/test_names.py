@@ -13,20 +13,9 @@ from pathlib import Path
 import pytest
 
 from steerd.version import VERSION
+from tests.contract.size import GOALS, ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
-ROOMS = (
-    "steer_bus",
-    "car_model",
-    "vesc_link",
-    "mocap_link",
-    "estimator",
-    "controller",
-    "sysid",
-    "sim_hw",
-    "sim_gap",
-    "daemon",
-)
+ROOMS = [name for name in GOALS["product"][0] if name != "steerd"]
 
 
 @pytest.mark.parametrize("name", ROOMS)

@@ -5,7 +5,9 @@ import os
 import pty
 import select
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -62,8 +64,14 @@ def device() -> Iterator[Device]:
 
 
 @pytest.fixture
-def port(device: Device, tmp_path: Path) -> Iterator[Port]:
-    opened = open_port(device.path, lock_dir=tmp_path)
+def reopen(device: Device, tmp_path: Path) -> Callable[..., Port]:
+    """Open the device, its lock file in a folder of the test's own."""
+    return partial(open_port, device.path, lock_dir=tmp_path)
+
+
+@pytest.fixture
+def port(device: Device, reopen: Callable[..., Port]) -> Iterator[Port]:
+    opened = reopen()
     assert device.read(len(FLUSH)) == FLUSH
     device.release()
     yield opened
@@ -82,13 +90,12 @@ def read_exactly(port: Port, count: int) -> bytes:
     return got
 
 
-def test_open_writes_the_zero_flush_which_frees_a_blocked_parser(device, tmp_path):
+def test_open_writes_the_zero_flush_which_frees_a_blocked_parser(device, reopen):
     firmware = FrameParser(strict=True)
     assert firmware.feed(b"\x03\x02\x00", 0) == []
-    port = open_port(device.path, lock_dir=tmp_path)
-    port.write(FRAME)
-    assert firmware.feed(device.read(len(FLUSH) + len(FRAME)), 1) == [FRAME[2:-3]]
-    port.close()
+    with closing(reopen()) as port:
+        port.write(FRAME)
+        assert firmware.feed(device.read(len(FLUSH) + len(FRAME)), 1) == [FRAME[2:-3]]
 
 
 def test_bytes_pass_unchanged_both_ways(device, port):
@@ -126,12 +133,9 @@ def test_unread_device_fills_the_buffer_and_write_says_so_at_once(port):
 def test_out_queue_of_an_idle_port_is_empty_and_of_a_closed_one_a_fault(port):
     assert port.out_queue() == 0
     port.close()
-    with pytest.raises(LinkDown):
-        port.out_queue()
-    with pytest.raises(LinkDown):
-        port.write(FRAME)
-    with pytest.raises(LinkDown):
-        port.read()
+    for use in (port.out_queue, lambda: port.write(FRAME), port.read):
+        with pytest.raises(LinkDown):
+            use()
 
 
 def test_short_write_is_a_fault(port, monkeypatch):
@@ -225,9 +229,9 @@ def test_missing_lock_directory_leaves_the_device_locks(device, tmp_path):
     port.close()
 
 
-def test_close_frees_everything_and_can_be_repeated(device, tmp_path):
+def test_close_frees_everything_and_can_be_repeated(reopen):
     for _ in range(3):
-        port = open_port(device.path, lock_dir=tmp_path)
+        port = reopen()
         port.close()
         port.close()
         assert port.fd == -1

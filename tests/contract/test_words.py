@@ -7,29 +7,14 @@ import ast
 import re
 import subprocess
 from functools import cache
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.contract.size import GOALS, ROOT
+
 GLOSSARY = "docs/glossary.md"
-PRODUCT = (
-    "steer_bus",
-    "car_model",
-    "vesc_link",
-    "mocap_link",
-    "estimator",
-    "controller",
-    "sysid",
-    "sim_hw",
-    "sim_gap",
-    "daemon",
-    "steerd",
-    "config",
-    "examples",
-    "benchmarks",
-)
+PRODUCT = (*GOALS["product"][0], "config", "examples", "benchmarks")
 PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs")
 SUFFIXES = (".py", ".pyi", ".toml", ".md", ".html", ".js", ".css")
 FOREIGN = ("uplot.min.js", "uplot.min.css")
@@ -96,13 +81,8 @@ def find_words(text: str, is_python: bool) -> list[str]:
 
 def list_files() -> list[str]:
     """Tracked files of product code and docs, as paths from the root."""
-    done = subprocess.run(
-        ["git", "ls-files", "--", *PRODUCT, *PAGES],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    listing = ["git", "ls-files", "--", *PRODUCT, *PAGES]
+    done = subprocess.run(listing, cwd=ROOT, capture_output=True, text=True, check=True)
     files = [name for name in done.stdout.splitlines() if name.endswith(SUFFIXES)]
     return [name for name in files if not name.endswith(FOREIGN) and (ROOT / name).is_file()]
 

@@ -19,6 +19,13 @@ def held():
     return standard()
 
 
+def refusal(held, at, design):
+    """Why a design is refused."""
+    refused = accept(held, at, design)
+    assert isinstance(refused, str)
+    return refused
+
+
 @pytest.mark.parametrize(
     "changed",
     [NEAR, {"steer_lag": 0.058}, {"speed_gain": 0.985}, {"c_sf": 4.4, "c_sr": 5.7},
@@ -53,8 +60,7 @@ def test_the_far_end_of_each_bound_is_reached_by_steps(held):
 )
 def test_numbers_out_of_reach_are_refused(held, changed, why):
     design = design_for(held)._replace(car=numbers(held, **changed))
-    refused = accept(held, numbers(held), design)
-    assert isinstance(refused, str)
+    refused = refusal(held, numbers(held), design)
     assert why in refused
     assert next(iter(changed)) in refused
 
@@ -70,27 +76,22 @@ def test_a_table_of_another_form_is_refused(held):
         "another car": good.table._replace(rows=tuple((*row[:-4], 2.0, *row[-3:]) for row in rows)),
     }
     for why, table in bad.items():
-        refused = accept(held, numbers(held), good._replace(table=table))
-        assert isinstance(refused, str), why
-        assert why in refused
+        assert why in refusal(held, numbers(held), good._replace(table=table))
 
 
 @pytest.mark.parametrize("factor", [-1.0, 0.0, 30.0])
 def test_an_unstable_or_undamped_loop_is_refused(held, factor):
-    refused = accept(held, numbers(held), scaled(design_for(held, **NEAR), factor))
-    assert isinstance(refused, str)
+    refused = refusal(held, numbers(held), scaled(design_for(held, **NEAR), factor))
     assert "unstable" in refused or "margin" in refused
 
 
 def test_a_loop_that_is_stable_with_little_to_spare_is_refused(held):
     design = scaled(design_for(held), 5.0, 0, 4)
     car, timing = (
-        learnt.learnt_car(held.file, design.car),
-        learnt.learnt_timing(held.file, design.car),
+        make(held.file, design.car) for make in (learnt.learnt_car, learnt.learnt_timing)
     )
     assert all(at.radius < 1.0 for at in assess(car, design.table, timing))
-    refused = accept(held, numbers(held), design)
-    assert isinstance(refused, str)
+    refused = refusal(held, numbers(held), design)
     assert "margin" in refused or "damped" in refused
 
 
@@ -98,8 +99,7 @@ def test_a_loop_that_the_files_car_would_not_survive_is_refused(held):
     """For the car as proposed it is fine; whoever proposes may be wrong about that."""
     claimed = {"steer_delay": 0.11, "steer_lag": 0.13, "c_sf": 7.5, "c_sr": 2.2}
     design = scaled(design_for(held, **claimed), -1.0, 5, -4)
-    refused = accept(held, design.car, design)
-    assert isinstance(refused, str)
+    refusal(held, design.car, design)
 
 
 def test_the_check_comes_in_pieces_and_ends_with_the_reason(held):

@@ -58,6 +58,21 @@ def altered(drive: Any, change: Callable[[int, Measurement], Measurement | None]
     return replace(drive, arrivals=arrivals)
 
 
+@pytest.fixture
+def follow(run_filter):
+    """The filter's estimates of a drive and their errors, each within its standard deviations."""
+
+    def follow(measured, truth, most=5.0, settled_ms=130):
+        for t, state in run_filter(FILTER, measured):
+            estimate = predict_to(FILTER, state, t)
+            if estimate is not None and t >= T0 + settled_ms * MS:
+                off = error(estimate.state, truth[t])
+                assert (np.abs(off) < most * np.array(estimate.sd)).all()
+                yield estimate, off
+
+    return follow
+
+
 def test_nothing_is_known_before_the_first_poses():
     state = step(FILTER, FilterState(), T0, [make_wheel_speed(T0, 1.0), make_gyro(T0, 0.0)])
     assert predict_to(FILTER, state, T0) is None
@@ -71,20 +86,15 @@ def test_nothing_is_known_before_the_first_poses():
     assert estimate.health.pose.seen == 10
 
 
-def test_it_starts_on_a_moving_car_and_follows(drive, run_filter):
-    for t, state in run_filter(FILTER, drive):
-        estimate = predict_to(FILTER, state, t)
-        if t < T0 + 130 * MS or estimate is None:
-            continue
-        off = error(estimate.state, drive.truth[t])
-        assert (np.abs(off) < 5.0 * np.array(estimate.sd)).all()
+def test_it_starts_on_a_moving_car_and_follows(drive, follow):
+    for _, off in follow(drive, drive.truth):
         assert math.hypot(off[0], off[1]) < 0.006
 
 
 @pytest.mark.parametrize(
     "shift", [(0.5, 0.0, 0.0), (0.0, -0.5, 0.0), (0.0, 0.0, math.pi), (0.0, 0.0, 0.3)]
 )
-def test_outliers_and_flips_are_refused_counted_and_harmless(drive, run_filter, shift):
+def test_outliers_and_flips_are_refused_counted_and_harmless(drive, follow, shift):
     def wrong(number: int, m: Measurement) -> Measurement:
         if number % 20 != 15:
             return m
@@ -93,10 +103,7 @@ def test_outliers_and_flips_are_refused_counted_and_harmless(drive, run_filter, 
     broken = altered(drive, wrong)
     poses = sum(m.kind is Kind.POSE for _, m in broken.arrivals)
     expected = len(range(15, poses, 20))
-    for t, state in run_filter(FILTER, broken):
-        estimate = predict_to(FILTER, state, t)
-        if estimate is not None and t > T0 + 130 * MS:
-            assert (np.abs(error(estimate.state, drive.truth[t])) < 5 * np.array(estimate.sd)).all()
+    *_, (estimate, _) = follow(broken, drive.truth)
     assert expected <= estimate.health.pose.refused <= expected + 2
 
 
@@ -121,15 +128,10 @@ def test_a_body_swap_is_counted_and_never_moves_the_estimate():
 
 
 @pytest.mark.parametrize("begin", [60, 110, 161])
-def test_it_coasts_through_a_gap_of_150_ms(drive, run_filter, begin):
+def test_it_coasts_through_a_gap_of_150_ms(drive, follow, begin):
     gap = altered(drive, lambda number, m: None if begin <= number < begin + 15 else m)
     ages, worst = [], 0.0
-    for t, state in run_filter(FILTER, gap):
-        estimate = predict_to(FILTER, state, t)
-        if estimate is None or t < T0 + 130 * MS:
-            continue
-        off = error(estimate.state, drive.truth[t])
-        assert (np.abs(off) < 5.0 * np.array(estimate.sd)).all()
+    for estimate, off in follow(gap, drive.truth):
         ages.append(estimate.health.pose.age_s(estimate.t_ns))
         worst = max(worst, math.hypot(off[0], off[1]))
         assert estimate.health.position_sd < 0.05
@@ -176,7 +178,7 @@ def test_standing_for_minutes_stays_bounded():
     assert np.abs(errors)[:, 3:6].max() < 0.2
 
 
-def test_slow_driving_through_zero(simulate, run_filter):
+def test_slow_driving_through_zero(simulate, follow):
     """Forward, through standstill, backwards, and again: where slip angles lose their meaning."""
 
     def plan(t: float) -> Command[float]:
@@ -184,13 +186,8 @@ def test_slow_driving_through_zero(simulate, run_filter):
 
     drive = simulate(11, 5.0, plan, first=ORIGIN._replace(speed=0.7), config=FILTER.config)
     speeds, nees = [], []
-    for t, state in run_filter(FILTER, drive):
-        estimate = predict_to(FILTER, state, t)
-        if estimate is None or t < T0 + 200 * MS:
-            continue
+    for estimate, off in follow(drive, drive.truth, 6.0, 200):
         assert estimate.health.sound
-        off = error(estimate.state, drive.truth[t])
-        assert (np.abs(off) < 6.0 * np.array(estimate.sd)).all()
         nees.append(off @ np.linalg.solve(estimate.belief.covariance, off))
         speeds.append(estimate.state.speed)
     assert min(speeds) < -0.4

@@ -26,12 +26,14 @@ class Truth:
         return self.epoch + round((t_ns - T0) * (1 + self.skew) * self.hz / SECOND)
 
 
+def pose(exposed: int | None, sent: int | None, arrival_ns: int) -> Pose:
+    """A pose of a body at the origin, with its stamps."""
+    return Pose("car", None, exposed, sent, arrival_ns, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0))
+
+
 def make_raw(truth: Truth, t_ns: int, pipeline_ns: int, network_ns: int) -> Pose:
     sent = t_ns + pipeline_ns
-    return Pose(
-        "car", None, truth.ticks(t_ns), truth.ticks(sent), sent + network_ns,
-        (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0),
-    )  # fmt: skip
+    return pose(truth.ticks(t_ns), truth.ticks(sent), sent + network_ns)
 
 
 def echo(timing: SourceTiming, truth: Truth, t_ns: int, rng: np.random.Generator) -> None:
@@ -157,14 +159,14 @@ def test_one_way_step_drops_the_stamps_then_learns_anew():
 
 def test_arrival_subtracts_the_servers_pipeline_delay():
     timing = SourceTiming(1_000_000_000, extra_latency_ns=3 * MS)
-    raw = Pose("car", 1, 100 * MS, 105 * MS, T0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    raw = pose(100 * MS, 105 * MS, T0)
     assert timing.time_pose(raw) == (T0 - 8 * MS, ClockKind.ARRIVAL)
 
 
 @pytest.mark.parametrize("sent", [101 * MS, 2**64 - 1])
 def test_a_pipeline_is_never_longer_than_a_pose_may_be_late(sent):
     timing = SourceTiming(1)
-    raw = Pose("car", 1, 0, sent, T0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    raw = pose(0, sent, T0)
     assert timing.time_pose(raw) == (T0 - timing.late_ns, ClockKind.ARRIVAL)
 
 
@@ -172,7 +174,7 @@ def test_without_stamps_arrival_it_is_and_ready_after_two_seconds():
     timing = SourceTiming(1_000_000_000, extra_latency_ns=MS)
     for i in range(201):
         assert not timing.ready
-        raw = Pose("car", i, None, None, T0 + i * 10 * MS, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0))
+        raw = pose(None, None, T0 + i * 10 * MS)
         assert timing.time_pose(raw) == (raw.t_arrival_ns - MS, ClockKind.ARRIVAL)
     assert timing.ready
     assert timing.sigma_ns is None
@@ -199,12 +201,7 @@ def test_real_capture_is_about_six_milliseconds_old_on_arrival(capture):
             case natnet.EchoResponse() as m if m.client_stamp in sent:
                 timing.add_echo(sent[m.client_stamp], d.t_ns, m.server_ticks)
             case Frame() as f:
-                raws.append(
-                    Pose(
-                        "x", f.number, f.mid_exposure_ticks, f.transmit_ticks, d.t_ns,
-                        (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0),
-                    )
-                )  # fmt: skip
+                raws.append(pose(f.mid_exposure_ticks, f.transmit_ticks, d.t_ns))
     assert timing.echo.ready
     stamps = []
     for raw in raws:

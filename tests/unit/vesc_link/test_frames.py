@@ -48,13 +48,8 @@ def test_low_ceiling_ends_head_of_line_blocking():
 
 
 def test_zero_flush_frees_the_firmware_whatever_was_half_sent():
-    for stray in (
-        b"\x03\x02\x00",
-        b"\x02",
-        b"\x02\xff",
-        b"\x03\x01",
-        encode_frame(bytes(500))[:-1],
-    ):
+    cut = encode_frame(bytes(500))[:-1]
+    for stray in (b"\x03\x02\x00", b"\x02", b"\x02\xff", b"\x03\x01", cut):
         parser = FrameParser(strict=True)
         assert parser.feed(stray, 0) == []
         assert parser.feed(FLUSH, 0) == []

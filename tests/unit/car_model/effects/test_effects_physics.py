@@ -42,6 +42,15 @@ def drive(
     return simulate(FLOAT, model, start(model, first, 0.0), [command] * round(seconds / h), h)
 
 
+def glided(
+    name: str, values: tuple[float, ...], yaw: float = 0.0, accel: float = 0.0, h: float = 0.001
+) -> State[float]:
+    """A moment after 2 m/s, with straight wheels."""
+    model = Model(CAR, (EFFECTS[name],), (values,))
+    moment = start(model, ORIGIN._replace(speed=2.0, yaw=yaw), 0.0)
+    return glide(FLOAT, model, moment, 0.0, accel, 0.0, h).state
+
+
 def tyres(
     name: str, values: tuple[float, ...], slips: Axles[float], accel: float = 0.0
 ) -> Axles[float]:
@@ -85,11 +94,9 @@ def test_relaxation_leaves_the_steady_turn_alone():
 @pytest.mark.parametrize("q", [1.0, 4.0])
 def test_saturation_levels_off_at_the_friction_limit(q):
     limit = CAR.mu * loads_at(CAR, 0.0).front
-    small, large = tyres("tyre_saturation", (q, 0.0), Axles(1e-3, 0.0)), Axles(100.0, 0.0)
+    small, large = (tyres("tyre_saturation", (q, 0.0), Axles(slip, 0.0)) for slip in (1e-3, 100.0))
     assert small.front == pytest.approx(limit * CAR.c_sf * 1e-3, rel=1e-4)
-    assert tyres("tyre_saturation", (q, 0.0), large).front == pytest.approx(
-        limit / math.sqrt(q), rel=1e-3
-    )
+    assert large.front == pytest.approx(limit / math.sqrt(q), rel=1e-3)
 
 
 def test_saturation_that_begins_early_is_a_brush_tyre():
@@ -133,20 +140,14 @@ def test_friction_is_stiffness_when_gentle_and_a_plateau_at_the_limit():
     assert plateau == pytest.approx(limit * p * p / math.sqrt(1.0 - p * p), rel=1e-3)
 
 
-def test_the_ellipse_takes_what_acceleration_uses():
+@pytest.mark.parametrize("rear", [0.5, 1.0], ids=["all four", "rear alone"])
+def test_the_ellipse_takes_from_each_axle_what_its_drive_uses(rear):
     slips, accel = Axles(0.05, 0.04), 3.0
     whole = lateral_forces(CAR, slips, loads_at(CAR, accel))
-    left = math.sqrt(1.0 - (accel / (CAR.mu * GRAVITY)) ** 2)
-    found = tyres("friction_ellipse", (1.0, 0.5), slips, accel)
-    assert found == pytest.approx((whole.front * left, whole.rear * left))
-
-
-def test_rear_wheel_drive_takes_grip_from_the_rear_alone():
-    slips, accel = Axles(0.05, 0.04), 3.0
-    whole = lateral_forces(CAR, slips, loads_at(CAR, accel))
-    left = math.sqrt(1.0 - (2.0 * accel / (CAR.mu * GRAVITY)) ** 2)
-    found = tyres("friction_ellipse", (1.0, 1.0), slips, accel)
-    assert found == pytest.approx((whole.front, whole.rear * left))
+    used = [2.0 * share * accel / (CAR.mu * GRAVITY) for share in (1.0 - rear, rear)]
+    found = tyres("friction_ellipse", (1.0, rear), slips, accel)
+    left = [force * math.sqrt(1.0 - u * u) for force, u in zip(whole, used, strict=True)]
+    assert found == pytest.approx(left)
 
 
 def test_lateral_transfer_costs_grip_with_the_square_of_lateral_acceleration():
@@ -192,39 +193,26 @@ def test_scrub_with_drag_one_takes_the_power_of_slip():
 
 
 def test_slope_pulls_downhill_whatever_the_heading():
-    model = Model(CAR, (EFFECTS["floor_slope"],), ((0.01, 0.0, 0.0),))
     for yaw, sign in ((0.0, 1.0), (math.pi, -1.0), (math.pi / 2, 0.0)):
-        moment = start(model, ORIGIN._replace(speed=2.0, yaw=yaw), 0.0)
-        moment = glide(FLOAT, model, moment, 0.0, 0.0, 0.0, 0.01)
-        gained = (moment.state.speed - 2.0) / 0.01
+        moved = glided("floor_slope", (0.01, 0.0, 0.0), yaw=yaw, h=0.01)
+        gained = (moved.speed - 2.0) / 0.01
         assert gained == pytest.approx(sign * 0.01 * GRAVITY, abs=1e-3)
 
 
 def test_slope_spins_the_wheels_up_along_the_path_and_not_across():
-    values = ((0.01, 0.0, 0.25),)
-    model = Model(CAR, (EFFECTS["floor_slope"],), values)
-    rates = {}
-    for yaw in (0.0, math.pi / 2):
-        moment = start(model, ORIGIN._replace(speed=2.0, yaw=yaw), 0.0)
-        rates[yaw] = glide(FLOAT, model, moment, 0.0, 0.0, 0.0, 0.001).state
-    assert (rates[0.0].speed - 2.0) / 0.001 == pytest.approx(0.01 * GRAVITY / 1.25, rel=1e-2)
-    across = 2.0 * rates[math.pi / 2].slip_angle / 0.001
-    assert across == pytest.approx(-0.01 * GRAVITY, rel=0.1)
+    down, across = (glided("floor_slope", (0.01, 0.0, 0.25), yaw=y) for y in (0.0, math.pi / 2))
+    assert (down.speed - 2.0) / 0.001 == pytest.approx(0.01 * GRAVITY / 1.25, rel=1e-2)
+    assert 2.0 * across.slip_angle / 0.001 == pytest.approx(-0.01 * GRAVITY, rel=0.1)
 
 
 def test_slip_leaves_the_car_behind_its_wheels_while_they_accelerate_it():
-    model = Model(CAR, (EFFECTS["wheel_slip"],), ((0.01,),))
     for accel in (3.0, -3.0):
-        moment = start(model, ORIGIN._replace(speed=2.0), 0.0)
-        moved = glide(FLOAT, model, moment, 0.0, accel, 0.0, 0.001).state
-        speed = (moved.x - ORIGIN.x) / 0.001
+        speed = (glided("wheel_slip", (0.01,), accel=accel).x - ORIGIN.x) / 0.001
         assert speed == pytest.approx(2.0 * (1.0 - 0.01 * accel), rel=2e-3)
 
 
 def test_a_patch_is_slippery_inside_and_not_outside():
-    effect = EFFECTS["grip_patch"]
-    assert effect.car is not None
-    values = (2.0, 1.0, 0.5, 0.4)
+    effect, values = EFFECTS["grip_patch"], (2.0, 1.0, 0.5, 0.4)
 
     def mu(x: float, y: float) -> float:
         now: float = effect.car(FLOAT, values, CAR, ORIGIN._replace(x=x, y=y), 0.0).mu
@@ -238,20 +226,11 @@ def test_a_patch_is_slippery_inside_and_not_outside():
 def test_payload_is_a_smaller_inertia_and_a_weaker_motor():
     heavy = drive("mass", (0.5,), ORIGIN._replace(speed=2.0), Command(0.2, 3.5))
     share = CAR.mass / (CAR.mass + 0.5)
-    weak = CAR._replace(
-        accel_max=CAR.accel_max * share,
-        decel_max=CAR.decel_max * share,
-        inertia_z=CAR.inertia_z * share,
-    )
-    model = Model(weak)
-    run = simulate(
-        FLOAT,
-        model,
-        start(model, ORIGIN._replace(speed=2.0), 0.0),
-        [Command(0.2, 3.5)] * 200,
-        0.005,
-    )
-    assert tuple(heavy[-1].state) == pytest.approx(tuple(run[-1].state), rel=1e-9)
+    scaled = ("accel_max", "decel_max", "inertia_z")
+    model = Model(CAR._replace(**{name: share * getattr(CAR, name) for name in scaled}))
+    begun = start(model, ORIGIN._replace(speed=2.0), 0.0)
+    weak = simulate(FLOAT, model, begun, [Command(0.2, 3.5)] * 200, 0.005)
+    assert tuple(heavy[-1].state) == pytest.approx(tuple(weak[-1].state), rel=1e-9)
 
 
 def test_speed_scale_changes_true_speed_and_not_the_reported_one():
@@ -263,9 +242,8 @@ def test_speed_scale_changes_true_speed_and_not_the_reported_one():
 
 def test_battery_sag_over_a_minute():
     effect = EFFECTS["battery_sag"]
-    assert effect.reference(FLOAT, (0.1,), Command(0.1, 2.0), 60.0) == pytest.approx(
-        (0.1, 2.0 * math.exp(-0.1))
-    )
+    found = effect.reference(FLOAT, (0.1,), Command(0.1, 2.0), 60.0)
+    assert found == pytest.approx((0.1, 2.0 * math.exp(-0.1)))
 
 
 def test_instruments_see_the_marker_and_the_body_not_the_car():
