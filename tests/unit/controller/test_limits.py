@@ -139,14 +139,11 @@ def test_time_running_backwards_allows_nothing():
     assert out.state.t_ns == 10**9
 
 
-def test_steer_bound_is_wide_open_at_rest_and_closes_with_speed():
+def test_steer_bound_closes_with_speed_and_speed_bound_with_steering():
     assert steer_bound(LIMITS, 0.0) > 1.5
     assert steer_bound(LIMITS, 0.5) == atan(0.75 / 0.25), "at walking pace"
     assert steer_bound(LIMITS, 2.0) == atan(0.75 / 4.0)
     assert steer_bound(LIMITS, 1e200) == 0.0
-
-
-def test_speed_bound_is_the_speed_limit_when_straight():
     assert speed_bound(LIMITS, 0.0) == 3.0
     assert speed_bound(LIMITS, -0.375) == (0.75 / tan(0.375)) ** 0.5
 

@@ -105,12 +105,9 @@ def test_text_refuses_what_the_wire_cannot_hold():
         encode_command(c.TerminalCommand("µ"))
 
 
-def test_what_feeds_the_motor_timeout():
+def test_what_feeds_the_motor_timeout_and_what_is_answered():
     fed = {command_number(example) for example in EXAMPLES if isinstance(example, FEEDS_TIMEOUT)}
     assert fed == {5, 6, 7, 8, 30}
-
-
-def test_what_is_answered():
     answered = {command_number(example) for example in EXAMPLES if expects_reply(example)}
     assert answered == {0, 4, 17, 50, 51, 65, 91}
     assert expects_reply(dataclasses.replace(LIMITS_SET, ack=True))

@@ -5,11 +5,8 @@ import pytest
 from steerd.car_model.effects import ALIASES, EFFECTS, find_effect, parse_effects
 
 
-def test_one_value():
-    assert parse_effects("steer_delay=0.03") == [(EFFECTS["steer_delay"], (0.03,))]
-
-
 def test_values_in_order_and_by_name():
+    assert parse_effects("steer_delay=0.03") == [(EFFECTS["steer_delay"], (0.03,))]
     assert parse_effects("grip_patch=1,-2, 0.5,0.3")[0][1] == (1.0, -2.0, 0.5, 0.3)
     assert parse_effects("grip_patch:drop=0.3,x=2")[0][1] == (2.0, 0.0, 0.5, 0.3)
     assert parse_effects("floor_slope=0.01")[0][1] == (0.01, 0.0, 0.0)

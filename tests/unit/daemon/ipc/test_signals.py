@@ -146,13 +146,8 @@ def make_array(name):
     return DiagnosticArray(make_header(0, BODY), (status,))
 
 
-def test_the_values_of_the_supervisor_are_read_by_key():
-    assert read_diagnostics(make_array("steerd: supervisor")) == {
-        "state": "READY",
-        "waiting": "arm",
-    }
-
-
-def test_another_node_is_refused():
+def test_the_values_of_the_supervisor_are_read_by_key_and_another_node_is_refused():
+    values = read_diagnostics(make_array("steerd: supervisor"))
+    assert values == {"state": "READY", "waiting": "arm"}
     with pytest.raises(SteerdError):
         read_diagnostics(make_array("lidar"))

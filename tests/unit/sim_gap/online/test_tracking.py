@@ -7,7 +7,7 @@ import pytest
 
 from steerd.car_model.effects import find_effect
 from steerd.sim_gap.online.changes import SPANS, ratios, reweighted, unknown, with_ratios
-from steerd.sim_gap.online.learner import Change, State, fold
+from steerd.sim_gap.online.learner import Change
 from steerd.sim_gap.online.looking import may_change
 from steerd.sim_gap.online.naming import EARLY, Finding, believed, find_cause
 from steerd.sim_gap.online.tracking import Track, follow, informed_directions
@@ -200,15 +200,8 @@ def test_windows_that_no_car_drove_say_nothing(reference, track):
     assert find_cause(reference, track, ()) == Finding("changed", None)
 
 
-def learn(learner, samples):
-    state = State()
-    for sample in samples:
-        state, _ = fold(learner, state, sample)
-    return state
-
-
 @pytest.fixture(scope="module")
-def healthy(learner, drives):
+def healthy(learner, drives, learn):
     return learn(learner, drives(AT))
 
 
@@ -221,7 +214,7 @@ def test_healthy_windows_have_no_cause(healthy):
 
 
 @pytest.mark.slow
-def test_play_is_named_although_it_has_no_gradient_where_there_is_none(learner, drives):
+def test_play_is_named_although_it_has_no_gradient_where_there_is_none(learner, drives, learn):
     cause = learn(learner, drives(AT + 7.0, "steer_backlash", AT)).change.finding.cause
     assert cause.effect == "steer_backlash"
     value, sd, _ = cause.parameters["play"]
