@@ -353,8 +353,11 @@ def test_a_page_that_goes_stops_the_car_within_the_lease(undisturbed, end):
                 page = run.child("steerd.daemon.process.page")
                 os.kill(page, signal.SIGKILL)
             assert watcher.stopped(run) in (SupervisorState.FAULT_STOP, SupervisorState.STOPPING)
-        later = (s for s in watcher.seen if s.mono_ns > driven.mono_ns)
-        stop = next(s for s in later if s.mode != SupervisorState.RUNNING)
+        stop = next(
+            s
+            for s in watcher.seen
+            if s.mono_ns > driven.mono_ns and s.mode != SupervisorState.RUNNING
+        )
         assert (stop.mono_ns - driven.mono_ns) * 1e-9 < 0.3 + 0.35, "the lease and a slow machine"
         watcher.close()
         run.send(signal.SIGINT)
