@@ -51,6 +51,12 @@ def refuse(folder, text, the_map=ALL):
     return caught.value
 
 
+def rows(session, cls, *names):
+    """The messages of a kind, each as a tuple of these columns."""
+    columns = session.columns(cls)
+    return list(zip(*(columns[name].tolist() for name in names), strict=True))
+
+
 def test_every_stream_becomes_its_message(tmp_path):
     report, session = convert(
         tmp_path, HEADER + "0.5,1,2,0.25,0.1,1.5,0.3,1.4,6000,0.7\n1.0,1.5,2,4,,,,,,\n"
@@ -58,25 +64,18 @@ def test_every_stream_becomes_its_message(tmp_path):
     assert report.counts == {
         "mocap": 2, "actuation": 1, "vesc": 1, "wheel": 1, "throttle": 1, "imu": 1,
     }  # fmt: skip
-    pose = session.columns(m.MocapPose)
-    assert pose["x"].tolist() == [1.0, 1.5]
-    assert pose["y"].tolist() == [2.0, 2.0]
-    assert pose["yaw"] == pytest.approx([0.25, 4 - 2 * math.pi])
-    assert pose["t_valid_ns"].tolist() == [500_000_000, 1_000_000_000]
-    assert pose["reject"].tolist() == ["", ""]
-    assert pose["tracking_valid"].tolist() == [1, 1]
-    command = session.columns(m.Actuation)
-    assert command["mode"].tolist() == [m.ActuationMode.SPEED]
-    assert (command["steer"][0], command["speed"][0]) == (0.1, 1.5)
-    assert session.columns(m.VescTelemetry)["erpm"].tolist() == [6000]
-    assert session.columns(m.VescTelemetry)["tachometer"].tolist() == [-1]
+    assert rows(session, m.MocapPose, "x", "y", "t_valid_ns", "reject", "tracking_valid") == [
+        (1.0, 2.0, 500_000_000, "", 1), (1.5, 2.0, 1_000_000_000, "", 1)
+    ]  # fmt: skip
+    assert session.columns(m.MocapPose)["yaw"] == pytest.approx([0.25, 4 - 2 * math.pi])
+    speed_mode = m.ActuationMode.SPEED
+    assert rows(session, m.Actuation, "mode", "steer", "speed") == [(speed_mode, 0.1, 1.5)]
+    assert rows(session, m.VescTelemetry, "erpm", "tachometer") == [(6000, -1)]
     assert math.isnan(session.columns(m.VescTelemetry)["v_in"][0])
-    assert session.columns(m.WheelSpeed)["speed"].tolist() == [1.4]
-    assert session.columns(m.WheelSpeed)["t_ns"].tolist() == [500_000_000]
-    assert session.columns(m.Throttle)["throttle"].tolist() == [0.3]
-    imu = session.columns(m.VescImu)
-    assert imu["gyro_z"].tolist() == [0.7]
-    assert math.isnan(imu["accel_x"][0])
+    assert rows(session, m.WheelSpeed, "speed", "t_ns") == [(1.4, 500_000_000)]
+    assert rows(session, m.Throttle, "throttle") == [(0.3,)]
+    assert rows(session, m.VescImu, "gyro_z") == [(0.7,)]
+    assert math.isnan(session.columns(m.VescImu)["accel_x"][0])
 
 
 def test_metadata_says_where_it_comes_from(tmp_path):
@@ -111,8 +110,8 @@ def test_scale_offset_and_gate(tmp_path):
         'throttle = { column = "gas", scale = 2.0, offset = 0.5, gate = "safe" }\n'
     )
     _, session = convert(tmp_path, "ms,rpm,gas,safe\n1500,300,0.2,1\n1600,100,0.2,0\n", the_map)
-    assert session.columns(m.WheelSpeed)["speed"].tolist() == [2.0, 0.0]
-    assert session.columns(m.WheelSpeed)["t_ns"].tolist() == [1_500_000_000, 1_600_000_000]
+    wheel = rows(session, m.WheelSpeed, "t_ns", "speed")
+    assert wheel == [(1_500_000_000, 2.0), (1_600_000_000, 0.0)]
     assert session.columns(m.Throttle)["throttle"].tolist() == [0.9, 0.0]
 
 
@@ -129,8 +128,7 @@ def test_delimiters_and_headers_that_labs_write(tmp_path, delimiter, newline, st
 def test_quoted_names_and_decimal_commas(tmp_path):
     the_map = '[columns]\nt = "time, s"\nwheel_speed = "v"\n'
     _, session = convert(tmp_path, '"time, s";"v"\n0,5;1,25\n', the_map)
-    assert session.columns(m.WheelSpeed)["t_ns"].tolist() == [500_000_000]
-    assert session.columns(m.WheelSpeed)["speed"].tolist() == [1.25]
+    assert rows(session, m.WheelSpeed, "t_ns", "speed") == [(500_000_000, 1.25)]
 
 
 def test_times_before_zero_raise_the_epoch(tmp_path):

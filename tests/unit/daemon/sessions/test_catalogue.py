@@ -38,11 +38,8 @@ def by_name(folder):
 
 
 def test_the_drive_that_ended_last_comes_first(folder):
-    assert [path.stem for path in catalogue.find_sessions([folder])] == [
-        "straight",
-        "estop",
-        "circle",
-    ]
+    stems = [path.stem for path in catalogue.find_sessions([folder])]
+    assert stems == ["straight", "estop", "circle"]
     assert catalogue.find_session("@last").stem == "straight"
     assert catalogue.find_session("@-1").stem == "straight"
     assert catalogue.find_session("@-3").stem == "circle"

@@ -115,9 +115,8 @@ def state():
 
 
 def test_each_start_settles_anew(state):
-    assert np.flatnonzero(
-        find_settled(state, seconds_since(START_NS, state["stamp_ns"]))
-    ).tolist() == [4, 5, 11]
+    settled = find_settled(state, seconds_since(START_NS, state["stamp_ns"]))
+    assert np.flatnonzero(settled).tolist() == [4, 5, 11]
     assert SETTLE == 3.0
 
 

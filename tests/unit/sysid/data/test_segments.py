@@ -40,9 +40,8 @@ def test_windows_of_blocks_keep_the_time_of_the_drive(drive):
 def test_what_is_kept_back_keeps_its_time(drive):
     fitted, kept = segments.hold_out(segments.moving_segments([drive]), 2)
     starts = sorted(run.start for run in (*fitted, *kept))
-    assert starts == sorted(
-        run.start for run in segments.make_blocks(segments.moving_segments([drive]))
-    )
+    blocks = segments.make_blocks(segments.moving_segments([drive]))
+    assert starts == sorted(run.start for run in blocks)
     assert len(set(starts)) == len(starts)
 
 
