@@ -29,16 +29,12 @@ def test_lane_errors_are_rajamanis_equation_2_45(car, speed):
     """Rajamani's C_af is per tyre and appears as 2 C_af, which is cf per axle here."""
     cf, cr = axle_stiffness(car)
     m, inertia, lf, lr, v = car.mass, car.inertia_z, car.lf, car.lr, speed
+    moment, turning = cf * lf - cr * lr, cf * lf**2 + cr * lr**2
     a = [
         [0, 1, 0, 0],
         [0, -(cf + cr) / (m * v), (cf + cr) / m, (-cf * lf + cr * lr) / (m * v)],
         [0, 0, 0, 1],
-        [
-            0,
-            -(cf * lf - cr * lr) / (inertia * v),
-            (cf * lf - cr * lr) / inertia,
-            -(cf * lf**2 + cr * lr**2) / (inertia * v),
-        ],
+        [0, -moment / (inertia * v), moment / inertia, -turning / (inertia * v)],
     ]
     b1 = [0, cf / m, 0, cf * lf / inertia]
     b2 = [0, -(cf * lf - cr * lr) / (m * v) - v, 0, -(cf * lf**2 + cr * lr**2) / (inertia * v)]

@@ -201,20 +201,12 @@ def test_stamp_latency_and_speed_gain_of_the_car_are_honoured(simulate, run_filt
     late = car._replace(pose_delay=0.02)
     drive = simulate(2, 1.5, car=car)
     flt = make_state_filter(late)
-    shifted = replace(
-        drive,
-        arrivals=[
-            (t, m._replace(t_ns=m.t_ns + 20 * MS) if m.kind is Kind.POSE else m)
-            for t, m in drive.arrivals
-        ],
-    )
-    future = replace(
-        shifted,
-        arrivals=sorted(
-            ((max(t, m.t_ns), m) for t, m in shifted.arrivals), key=lambda pair: pair[0]
-        ),
-    )
-    *_, (t, state) = run_filter(flt, future)
+    late_poses = [
+        m._replace(t_ns=m.t_ns + 20 * MS) if m.kind is Kind.POSE else m for _, m in drive.arrivals
+    ]
+    came = [max(t, m.t_ns) for (t, _), m in zip(drive.arrivals, late_poses, strict=True)]
+    arrivals = sorted(zip(came, late_poses, strict=True), key=lambda pair: pair[0])
+    *_, (t, state) = run_filter(flt, replace(drive, arrivals=arrivals))
     estimate = predict_to(flt, state, t)
     assert (np.abs(error(estimate.state, drive.truth[t])) < 4.0 * np.array(estimate.sd)).all()
 

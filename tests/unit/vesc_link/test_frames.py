@@ -9,11 +9,6 @@ SERVO = encode_frame(bytes.fromhex("0c01f4"))
 LATE = HOST_GAP_NS + 1
 
 
-def test_checksum_is_xmodem():
-    assert binascii.crc_hqx(b"123456789", 0) == 0x31C3
-    assert encode_frame(b"123456789")[-3:-1] == b"\x31\xc3"
-
-
 @pytest.mark.parametrize(("size", "head"), [(1, "0201"), (255, "02ff"), (256, "030100")])
 def test_header_kinds(size, head):
     assert encode_frame(bytes(size)).hex().startswith(head)
