@@ -91,7 +91,7 @@ def find_fault(citation: Citation) -> str:
     return ""
 
 
-def test_every_citation_resolves() -> None:
+def test_every_citation_resolves():
     cited = [citation for path in files() for citation in find_citations(path)]
     reference = [citation for citation in cited if citation.page.startswith("docs/reference/")]
     assert len({c.source for c in reference if c.source.endswith(".py")}) > 25
@@ -99,7 +99,7 @@ def test_every_citation_resolves() -> None:
     assert not faults, "\n".join(faults)
 
 
-def test_a_page_names_files_that_are_there() -> None:
+def test_a_page_names_files_that_are_there():
     pages = [path for path in files() if path.suffix == ".md"]
     assert ROOT / "CONTRIBUTING.md" in pages
     wrong = [
@@ -114,12 +114,12 @@ def test_a_page_names_files_that_are_there() -> None:
 @pytest.mark.parametrize(
     "page", sorted((ROOT / "docs" / "reference").glob("*.md")), ids=lambda page: page.name
 )
-def test_an_anchor_stands_once(page: Path) -> None:
+def test_an_anchor_stands_once(page):
     ids = re.findall(r"<a id=\"([^\"]+)\"", page.read_text(encoding="utf-8"))
     assert sorted(set(ids)) == sorted(ids)
 
 
-def test_a_wrong_anchor_or_page_is_found() -> None:
+def test_a_wrong_anchor_or_page_is_found():
     page = "docs/reference/safety-requirements.md"
     assert not find_fault(Citation("x.py", page, "w5"))
     assert "no anchor w99" in find_fault(Citation("x.py", page, "w99"))

@@ -56,14 +56,14 @@ def session(scratch: Path) -> Path:
     return path
 
 
-def test_it_is_listed(scratch: Path) -> None:
+def test_it_is_listed(scratch):
     assert "pull" in steerd(scratch, "effects", "speed_pull")
     assert "speed_pull" in {
         effect["name"] for effect in json.loads(steerd(scratch, "effects", "--json"))["effects"]
     }
 
 
-def test_diagnose_names_it_fits_it_and_keeps_it_in_a_car_file(scratch: Path, session: Path) -> None:
+def test_diagnose_names_it_fits_it_and_keeps_it_in_a_car_file(scratch, session):
     report, car = scratch / "gap.json", scratch / "car.toml"
     steerd(scratch, "diagnose", session, "--no-pairs", "--json", report, "-o", car)
     verdict = json.loads(report.read_text())

@@ -33,19 +33,19 @@ def kind(request: pytest.FixtureRequest) -> tuple[Any, Any]:
 
 
 @pytest.mark.parametrize("name", ONE)
-def test_functions_of_one_number(kind: tuple[Any, Any], name: str) -> None:
+def test_functions_of_one_number(kind, name):
     ops, number = kind
     for a in VALUES:
         found = value(getattr(ops, name)(number(a)))
         assert found == pytest.approx(getattr(FLOAT, name)(a), rel=1e-14, abs=1e-15)
 
 
-def test_square_root(kind: tuple[Any, Any]) -> None:
+def test_square_root(kind):
     ops, number = kind
     assert value(ops.sqrt(number(2.25))) == pytest.approx(1.5, rel=1e-15)
 
 
-def test_choices(kind: tuple[Any, Any]) -> None:
+def test_choices(kind):
     ops, number = kind
     for a in VALUES:
         for b in VALUES:
@@ -71,7 +71,7 @@ def points(count: int) -> list[tuple[State[float], float, float]]:
     ]
 
 
-def test_rates_agree(kind: tuple[Any, Any]) -> None:
+def test_rates_agree(kind):
     ops, number = kind
     for state, wheel, accel in points(20):
         car, at = Car(*map(number, DEFAULT_CAR)), State(*map(number, state))
@@ -80,7 +80,7 @@ def test_rates_agree(kind: tuple[Any, Any]) -> None:
         assert [value(v) for v in found] == pytest.approx(list(expected), rel=1e-12, abs=1e-12)
 
 
-def test_lanes_of_an_array_are_cars_of_their_own() -> None:
+def test_lanes_of_an_array_are_cars_of_their_own():
     drawn = points(16)
     lanes = State(*(np.array(v) for v in zip(*(s for s, _, _ in drawn), strict=True)))
     wheel, accel = (np.array([d[i] for d in drawn]) for i in (1, 2))

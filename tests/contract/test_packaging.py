@@ -56,12 +56,8 @@ def test_the_manual_page_has_every_command_and_option():
 def test_the_manual_page_is_set_without_a_warning(tmp_path):
     path = tmp_path / "steerd.1"
     path.write_text(make_manual(make_full_parser()))
-    done = subprocess.run(
-        ["man", "--warnings", "-l", str(path)],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={"LANG": "C.UTF-8", "MANWIDTH": "80", "PATH": "/usr/bin:/bin"},
-    )
+    argv = ["man", "--warnings", "-l", str(path)]
+    plain = {"LANG": "C.UTF-8", "MANWIDTH": "80", "PATH": "/usr/bin:/bin"}
+    done = subprocess.run(argv, capture_output=True, text=True, check=True, env=plain)
     assert done.stderr == ""
     assert "teleop" in done.stdout

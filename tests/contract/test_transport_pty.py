@@ -5,7 +5,9 @@ import os
 import pty
 import select
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -62,8 +64,14 @@ def device() -> Iterator[Device]:
 
 
 @pytest.fixture
-def port(device: Device, tmp_path: Path) -> Iterator[Port]:
-    opened = open_port(device.path, lock_dir=tmp_path)
+def reopen(device: Device, tmp_path: Path) -> Callable[..., Port]:
+    """Open the device, its lock file in a folder of the test's own."""
+    return partial(open_port, device.path, lock_dir=tmp_path)
+
+
+@pytest.fixture
+def port(device: Device, reopen: Callable[..., Port]) -> Iterator[Port]:
+    opened = reopen()
     assert device.read(len(FLUSH)) == FLUSH
     device.release()
     yield opened
@@ -82,18 +90,15 @@ def read_exactly(port: Port, count: int) -> bytes:
     return got
 
 
-def test_open_writes_the_zero_flush_which_frees_a_blocked_parser(
-    device: Device, tmp_path: Path
-) -> None:
+def test_open_writes_the_zero_flush_which_frees_a_blocked_parser(device, reopen):
     firmware = FrameParser(strict=True)
     assert firmware.feed(b"\x03\x02\x00", 0) == []
-    port = open_port(device.path, lock_dir=tmp_path)
-    port.write(FRAME)
-    assert firmware.feed(device.read(len(FLUSH) + len(FRAME)), 1) == [FRAME[2:-3]]
-    port.close()
+    with closing(reopen()) as port:
+        port.write(FRAME)
+        assert firmware.feed(device.read(len(FLUSH) + len(FRAME)), 1) == [FRAME[2:-3]]
 
 
-def test_bytes_pass_unchanged_both_ways(device: Device, port: Port) -> None:
+def test_bytes_pass_unchanged_both_ways(device, port):
     everything = bytes(range(256))
     port.write(everything)
     assert device.read(256) == everything
@@ -101,12 +106,12 @@ def test_bytes_pass_unchanged_both_ways(device: Device, port: Port) -> None:
     assert read_exactly(port, 256) == everything
 
 
-def test_read_of_an_idle_port_is_empty_and_returns_at_once(port: Port) -> None:
+def test_read_of_an_idle_port_is_empty_and_returns_at_once(port):
     assert port.read() == b""
     assert not os.get_blocking(port.fd)
 
 
-def test_read_drains_and_is_bounded(device: Device, port: Port) -> None:
+def test_read_drains_and_is_bounded(device, port):
     os.write(device.fd, bytes(600))
     wait_readable(port)
     assert port.read(limit=500) == bytes(500)
@@ -114,7 +119,7 @@ def test_read_drains_and_is_bounded(device: Device, port: Port) -> None:
     assert port.read() == b""
 
 
-def test_unread_device_fills_the_buffer_and_write_says_so_at_once(port: Port) -> None:
+def test_unread_device_fills_the_buffer_and_write_says_so_at_once(port):
     def write_on() -> None:
         for _ in range(100_000):
             port.write(FRAME)
@@ -125,27 +130,22 @@ def test_unread_device_fills_the_buffer_and_write_says_so_at_once(port: Port) ->
         port.write(bytes(4096))
 
 
-def test_out_queue_of_an_idle_port_is_empty_and_of_a_closed_one_a_fault(port: Port) -> None:
+def test_out_queue_of_an_idle_port_is_empty_and_of_a_closed_one_a_fault(port):
     assert port.out_queue() == 0
     port.close()
-    with pytest.raises(LinkDown):
-        port.out_queue()
-    with pytest.raises(LinkDown):
-        port.write(FRAME)
-    with pytest.raises(LinkDown):
-        port.read()
+    for use in (port.out_queue, lambda: port.write(FRAME), port.read):
+        with pytest.raises(LinkDown):
+            use()
 
 
-def test_short_write_is_a_fault(port: Port, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_short_write_is_a_fault(port, monkeypatch):
     monkeypatch.setattr(os, "write", lambda fd, data: 2)
     with pytest.raises(LinkDown, match="short write: 2 of 10 bytes"):
         port.write(FRAME)
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF])
-def test_errors_of_the_device_are_link_down(
-    port: Port, monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
+def test_errors_of_the_device_are_link_down(port, monkeypatch, number):
     def fail(*_: object) -> int:
         raise OSError(number, os.strerror(number))
 
@@ -157,9 +157,7 @@ def test_errors_of_the_device_are_link_down(
         port.read()
 
 
-def test_bytes_before_a_failure_are_still_delivered(
-    port: Port, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bytes_before_a_failure_are_still_delivered(port, monkeypatch):
     answers: list[bytes | int] = [FRAME, errno.EIO, FRAME, 0]
 
     def scripted(*_: object) -> bytes:
@@ -178,7 +176,7 @@ def test_bytes_before_a_failure_are_still_delivered(
     assert answers == []
 
 
-def test_unplug_is_seen_by_read_and_write(device: Device, port: Port) -> None:
+def test_unplug_is_seen_by_read_and_write(device, port):
     device.unplug()
     with pytest.raises(LinkDown) as read_error:
         port.read()
@@ -187,9 +185,7 @@ def test_unplug_is_seen_by_read_and_write(device: Device, port: Port) -> None:
     assert "cable" in read_error.value.hint
 
 
-def test_second_open_is_refused_and_names_the_holder(
-    device: Device, port: Port, tmp_path: Path
-) -> None:
+def test_second_open_is_refused_and_names_the_holder(device, port, tmp_path):
     with pytest.raises(Busy) as error:
         open_port(device.path, lock_dir=tmp_path)
     assert "VESC Tool" in error.value.hint
@@ -199,16 +195,14 @@ def test_second_open_is_refused_and_names_the_holder(
         open_port(device.path, lock_dir=other)
 
 
-def test_another_name_of_the_same_device_is_the_same_lock(
-    device: Device, port: Port, tmp_path: Path
-) -> None:
+def test_another_name_of_the_same_device_is_the_same_lock(device, port, tmp_path):
     link = tmp_path / "vesc"
     link.symlink_to(device.path)
     with pytest.raises(Busy, match="another steerd"):
         open_port(str(link), lock_dir=tmp_path)
 
 
-def test_a_link_in_the_locks_place_is_not_followed(device: Device, tmp_path: Path) -> None:
+def test_a_link_in_the_locks_place_is_not_followed(device, tmp_path):
     """A lock opened through it would make a file of somebody else's choice, or change it."""
     name = str(Path(device.path).resolve()).strip("/").replace("/", "_")
     target = tmp_path / "target"
@@ -220,9 +214,7 @@ def test_a_link_in_the_locks_place_is_not_followed(device: Device, tmp_path: Pat
     port.close()
 
 
-def test_locks_lie_in_a_folder_of_the_users_own(
-    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_locks_lie_in_a_folder_of_the_users_own(device, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     port = open_port(device.path)
     (lock,) = (tmp_path / "steerd" / "locks").iterdir()
@@ -230,24 +222,22 @@ def test_locks_lie_in_a_folder_of_the_users_own(
     port.close()
 
 
-def test_missing_lock_directory_leaves_the_device_locks(device: Device, tmp_path: Path) -> None:
+def test_missing_lock_directory_leaves_the_device_locks(device, tmp_path):
     port = open_port(device.path, lock_dir=tmp_path / "absent")
     with pytest.raises(Busy):
         open_port(device.path, lock_dir=tmp_path / "absent")
     port.close()
 
 
-def test_close_frees_everything_and_can_be_repeated(device: Device, tmp_path: Path) -> None:
+def test_close_frees_everything_and_can_be_repeated(reopen):
     for _ in range(3):
-        port = open_port(device.path, lock_dir=tmp_path)
+        port = reopen()
         port.close()
         port.close()
         assert port.fd == -1
 
 
-def test_failed_open_frees_the_lock(
-    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_failed_open_frees_the_lock(device, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(transport, "FLUSH", bytes(1 << 20))
         with pytest.raises(LinkDown, match="short write") as error:
@@ -256,7 +246,7 @@ def test_failed_open_frees_the_lock(
     open_port(device.path, lock_dir=tmp_path).close()
 
 
-def test_no_such_port(tmp_path: Path) -> None:
+def test_no_such_port(tmp_path):
     with pytest.raises(NotFound) as error:
         open_port(str(tmp_path / "ttyACM9"), lock_dir=tmp_path)
     assert "steerd service udev" in error.value.hint
@@ -265,7 +255,7 @@ def test_no_such_port(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("url", ["socket://127.0.0.1:5000", "loop://", "rfc2217://host:1"])
-def test_urls_without_a_descriptor_are_refused(url: str, tmp_path: Path) -> None:
+def test_urls_without_a_descriptor_are_refused(url, tmp_path):
     with pytest.raises(NotFound, match="no file descriptor"):
         open_port(url, lock_dir=tmp_path)
 
@@ -279,9 +269,7 @@ def test_urls_without_a_descriptor_are_refused(url: str, tmp_path: Path) -> None
         (errno.ENOENT, NotFound, "powered"),
     ],
 )
-def test_errors_of_open_become_types_with_a_hint(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, kind: type[PortError], hint: str
-) -> None:
+def test_errors_of_open_become_types_with_a_hint(tmp_path, monkeypatch, number, kind, hint):
     def refuse(*_: object, **__: object) -> None:
         raise transport.serial.SerialException(number, "no")
 
@@ -292,7 +280,7 @@ def test_errors_of_open_become_types_with_a_hint(
     assert os.strerror(number) in str(error.value)
 
 
-def test_spy_url_logs_what_passes(device: Device, tmp_path: Path) -> None:
+def test_spy_url_logs_what_passes(device, tmp_path):
     log = tmp_path / "trace.txt"
     port = open_port(f"spy://{device.path}?file={log}", flush=False, lock_dir=tmp_path)
     port.write(FRAME)

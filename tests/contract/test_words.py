@@ -7,29 +7,14 @@ import ast
 import re
 import subprocess
 from functools import cache
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.contract.size import GOALS, ROOT
+
 GLOSSARY = "docs/glossary.md"
-PRODUCT = (
-    "steer_bus",
-    "car_model",
-    "vesc_link",
-    "mocap_link",
-    "estimator",
-    "controller",
-    "sysid",
-    "sim_hw",
-    "sim_gap",
-    "daemon",
-    "steerd",
-    "config",
-    "examples",
-    "benchmarks",
-)
+PRODUCT = (*GOALS["product"][0], "config", "examples", "benchmarks")
 PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs")
 SUFFIXES = (".py", ".pyi", ".toml", ".md", ".html", ".js", ".css")
 FOREIGN = ("uplot.min.js", "uplot.min.css")  # files of other authors, taken as they are
@@ -95,13 +80,8 @@ def find_words(text: str, is_python: bool) -> list[str]:
 
 def list_files() -> list[str]:
     """Tracked files of product code and docs, as paths from the root."""
-    done = subprocess.run(
-        ["git", "ls-files", "--", *PRODUCT, *PAGES],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    listing = ["git", "ls-files", "--", *PRODUCT, *PAGES]
+    done = subprocess.run(listing, cwd=ROOT, capture_output=True, text=True, check=True)
     files = [name for name in done.stdout.splitlines() if name.endswith(SUFFIXES)]
     return [name for name in files if not name.endswith(FOREIGN) and (ROOT / name).is_file()]
 
@@ -113,7 +93,7 @@ def read(name: str) -> str:
     return text.replace(KEYS[name], '"":', 1) if name in KEYS else text
 
 
-def test_the_glossary_has_a_table_and_no_word_stands_twice() -> None:
+def test_the_glossary_has_a_table_and_no_word_stands_twice():
     words = [(row.word, row.scope) for row in banned_words()]
     assert len(words) > 30
     assert len(set(words)) == len(words)
@@ -121,12 +101,12 @@ def test_the_glossary_has_a_table_and_no_word_stands_twice() -> None:
 
 
 @pytest.mark.parametrize("name", list_files())
-def test_a_file_uses_the_words_of_the_glossary(name: str) -> None:
+def test_a_file_uses_the_words_of_the_glossary(name):
     found = find_words(read(name), is_python=name.endswith(".py"))
     assert not found, f"{name}:" + "\n  ".join(["", *found])
 
 
-def test_what_is_exempt_still_needs_it() -> None:
+def test_what_is_exempt_still_needs_it():
     for name, key in KEYS.items():
         text = (ROOT / name).read_text(encoding="utf-8")
         assert text.count(key) == 1, f"{name}: {key} is gone, remove"

@@ -17,7 +17,7 @@ def run_command(steerd, *argv):
 
 
 @pytest.mark.realtime
-def test_operators_command_and_viewers_watch(undisturbed) -> None:
+def test_operators_command_and_viewers_watch(undisturbed):
     def scenario(steerd, folder):
         lab = folder / "lab"
         people = ["--operator", "desk", "--viewer", "screen"]
@@ -46,7 +46,7 @@ def test_operators_command_and_viewers_watch(undisturbed) -> None:
 
 
 @pytest.mark.parametrize("endpoint", ["tcp/0.0.0.0:7999", "tcp/[::]:7999", "tls/127.0.0.2:7999"])
-def test_a_hub_that_would_let_anybody_drive_is_refused(steerd, tmp_path, endpoint) -> None:
+def test_a_hub_that_would_let_anybody_drive_is_refused(steerd, tmp_path, endpoint):
     run = steerd("run", "--sim", "--listen", endpoint, "--record", tmp_path / "a.mcap")
     assert run.wait() != 0, run.text
     expected = "zenoh does not start" if endpoint.startswith("tls") else "--insecure-lan"

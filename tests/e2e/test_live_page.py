@@ -209,14 +209,8 @@ def test_live_parameters_are_set_by_who_holds_the_car(car):
         until(socket, lambda seen: seen["live"].get("speed") == [1.5, 0.3, 1.5])
         socket.send("arm")
         until(socket, lambda seen: seen["mine"])
-        for wrong in (
-            "set speed",
-            "set speed fast",
-            "set speed nan",
-            "set mass 1",
-            "set speed 1 2",
-        ):
-            socket.send(wrong)
+        for wrong in ("speed", "speed fast", "speed nan", "mass 1", "speed 1 2"):
+            socket.send(f"set {wrong}")
         socket.send("set speed 0.75")
         seen = until(socket, lambda seen: seen["live"]["speed"][0] == 0.75)
         assert not seen["live"]["refused"]

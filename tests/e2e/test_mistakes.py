@@ -66,7 +66,7 @@ def is_clear(said: str, parts: list[str]) -> None:
     TABLE,
     ids=lambda v: " ".join(map(str, v))[:60] if isinstance(v, tuple) else "",
 )
-def test_a_mistake_is_reported_in_a_line(argv, code, parts, place, capsys, monkeypatch) -> None:
+def test_a_mistake_is_reported_in_a_line(argv, code, parts, place, capsys, monkeypatch):
     monkeypatch.setenv("STATE_DIRECTORY", str(place))
     before = sorted(place.rglob("*"))
     assert run_cli([text.format(tmp=place) for text in argv]) == code
@@ -100,7 +100,7 @@ def free_endpoint() -> str:
         ("{tty}", "vrpn://no.such.host.invalid/car", 3, ["no.such.host.invalid"]),
     ],
 )
-def test_wrong_hardware_is_reported_in_a_line(port, mocap, code, parts, place) -> None:
+def test_wrong_hardware_is_reported_in_a_line(port, mocap, code, parts, place):
     ours, theirs = os.openpty()
     before = sorted(place.iterdir())
     argv = ("--port", port.format(tmp=place, tty=os.ttyname(theirs)), "--mocap", mocap)
@@ -119,7 +119,7 @@ def give_up_override() -> None:
 
 
 @pytest.mark.slow
-def test_a_port_without_permission_says_which_group(place) -> None:
+def test_a_port_without_permission_says_which_group(place):
     ours, theirs = os.openpty()
     os.fchmod(theirs, 0)
     argv = ("--port", os.ttyname(theirs), "--mocap", "natnet://127.0.0.1/car")
@@ -131,7 +131,7 @@ def test_a_port_without_permission_says_which_group(place) -> None:
 
 
 @pytest.mark.slow
-def test_a_busy_endpoint_is_told_in_a_line(place) -> None:
+def test_a_busy_endpoint_is_told_in_a_line(place):
     before = sorted(place.iterdir())
     with socket.create_server(("127.0.0.1", 0)) as server:
         endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
@@ -143,7 +143,7 @@ def test_a_busy_endpoint_is_told_in_a_line(place) -> None:
 
 
 @pytest.mark.slow
-def test_nobody_answers(capsys) -> None:
+def test_nobody_answers(capsys):
     for command in ("status", "arm", "start", "stop", "disarm", "control"):
         assert run_cli([command, "--connect", free_endpoint()]) == 6
         said = capsys.readouterr().err
@@ -152,7 +152,7 @@ def test_nobody_answers(capsys) -> None:
 
 
 @pytest.mark.slow
-def test_a_second_run_on_the_same_port_is_refused(steerd, tmp_path) -> None:
+def test_a_second_run_on_the_same_port_is_refused(steerd, tmp_path):
     port, url = steerd.sim(tmp_path)
     argv = ("run", "--port", port, "--mocap", url)
     first = steerd(*argv, "--listen", steerd.endpoint, "--record", tmp_path / "first.mcap")

@@ -33,7 +33,6 @@ def motive():
         pytest.skip("the Motive capture (../shared/spec/natnet-capture) is not here")
     argv = [sys.executable, "benchmarks/motive_replay.py", str(capture), "--delay", "0.5"]
     process = subprocess.Popen(argv, cwd=ROOT, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
     said = process.stdout.readline()
     found = re.match(rf"{FRAMES} frames: (natnet://\S+)", said)
     assert found, said
@@ -64,7 +63,7 @@ def receive(url, process):
     return samples, status, states
 
 
-def test_the_capture_gives_a_filtered_track(motive) -> None:
+def test_the_capture_gives_a_filtered_track(motive):
     samples, status, states = receive(*motive)
     assert status.server == "Motive NatNet 3.0"
     assert status.bodies == ("RaceQuad",)
@@ -96,7 +95,6 @@ def check_track(samples):
         estimate = predict_to(flt, state, s.t_arrival_ns)
         if estimate is not None:
             nis.append(estimate.health.pose.nis)  # NaN at the first
-    assert estimate is not None
     assert estimate.health.pose.refused == 0
     assert estimate.health.sound
     assert np.nanpercentile(nis, 99) < 16.3  # chi-square of 3 degrees at 99.9 %

@@ -90,7 +90,7 @@ def run_python(home: Path, code: str) -> str:
     return done.stdout.strip()
 
 
-def test_the_wheel_has_one_top_level_name_and_every_file(wheel: Path) -> None:
+def test_the_wheel_has_one_top_level_name_and_every_file(wheel):
     names = {PurePosixPath(name) for name in zipfile.ZipFile(wheel).namelist()}
     tops = {name.parts[0] for name in names}
     assert tops == {"steerd", f"steer_daemon-{VERSION}.dist-info"}
@@ -107,7 +107,7 @@ def test_the_wheel_has_one_top_level_name_and_every_file(wheel: Path) -> None:
     assert not [name for name in names if "test_" in name.name or "tests" in name.parts]
 
 
-def test_python_daemon_and_steerd_leave_each_other_alone(home: Path) -> None:
+def test_python_daemon_and_steerd_leave_each_other_alone(home):
     code = (
         "import daemon, steerd.daemon; print(daemon.DaemonContext.__name__); "
         "print(daemon.__file__); print(steerd.daemon.__file__)"
@@ -118,7 +118,7 @@ def test_python_daemon_and_steerd_leave_each_other_alone(home: Path) -> None:
     assert Path(ours).is_relative_to(home)
 
 
-def test_the_wheel_drives_plots_identifies_and_diagnoses(home: Path) -> None:
+def test_the_wheel_drives_plots_identifies_and_diagnoses(home):
     steerd(home, "run", "--sim", "--fast", *LATE.split())
     steerd(home, "plot", "late.mcap")
     assert "<script" in (home / "late.html").read_text()

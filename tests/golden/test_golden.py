@@ -143,7 +143,7 @@ def find_changes(path: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_every_order_is_the_golden_one(name: str, request: pytest.FixtureRequest) -> None:
+def test_every_order_is_the_golden_one(name, request):
     path = FOLDER / f"{name}.mcap"
     if request.config.getoption("--update-golden"):
         before = find_changes(path)
@@ -156,7 +156,7 @@ def test_every_order_is_the_golden_one(name: str, request: pytest.FixtureRequest
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_it_holds_the_scene_that_its_name_promises(name: str) -> None:
+def test_it_holds_the_scene_that_its_name_promises(name):
     path = FOLDER / f"{name}.mcap"
     assert path.stat().st_size < BYTES_MAX
     session = open_session(path)
@@ -172,7 +172,7 @@ def test_it_holds_the_scene_that_its_name_promises(name: str) -> None:
     assert (modes == m.ActuationMode.SPEED).sum() > 100
 
 
-def test_a_loop_that_steers_otherwise_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_loop_that_steers_otherwise_is_noticed(monkeypatch):
     """The golden comparison itself: 1e-4 rad must not pass."""
     import steerd.daemon.loop.adapting as loop
 

@@ -65,9 +65,7 @@ def near_a_seam(speed: float) -> bool:
 
 @repeatable
 @given(cars, states, wheels, accels)
-def test_generated_rates_are_the_equations(
-    car: Car[float], state: State[float], wheel: float, accel: float
-) -> None:
+def test_generated_rates_are_the_equations(car, state, wheel, accel):
     rates, _ = rates_and_jacobian(car, state, wheel, accel)
     expected = derivative(SINGLE_TRACK, FLOAT, car, state, wheel, accel)
     assert rates == pytest.approx(tuple(expected), rel=1e-11, abs=1e-11)
@@ -75,9 +73,7 @@ def test_generated_rates_are_the_equations(
 
 @repeatable
 @given(cars, states, wheels, accels)
-def test_generated_jacobian_is_that_of_central_differences(
-    car: Car[float], state: State[float], wheel: float, accel: float
-) -> None:
+def test_generated_jacobian_is_that_of_central_differences(car, state, wheel, accel):
     if near_a_seam(state.speed):
         state = state._replace(speed=state.speed + 1e-3)
     jacobian = rates_and_jacobian(car, state, wheel, accel)[1]
@@ -97,9 +93,7 @@ def test_generated_jacobian_is_that_of_central_differences(
 
 @repeatable
 @given(cars, states, wheels, accels)
-def test_above_walking_pace_it_is_commonroads_single_track_model(
-    car: Car[float], state: State[float], wheel: float, accel: float
-) -> None:
+def test_above_walking_pace_it_is_commonroads_single_track_model(car, state, wheel, accel):
     """CommonRoad vehicle models, section ST, written out longhand."""
     state = state._replace(speed=SPEED_DYNAMIC + abs(state.speed))
     mu, m, inertia, h = car.mu, car.mass, car.inertia_z, car.cog_height
@@ -131,9 +125,7 @@ every_chassis = pytest.mark.parametrize("chassis", CHASSIS, ids=lambda chassis: 
 @every_chassis
 @repeatable
 @given(first=states, drive=drives)
-def test_left_and_right_are_mirror_images(
-    chassis: Chassis, first: State[float], drive: list[Command[float]]
-) -> None:
+def test_left_and_right_are_mirror_images(chassis, first, drive):
     def mirrored(s: State[float]) -> State[float]:
         return State(s.x, -s.y, -s.yaw, s.speed, -s.yaw_rate, -s.slip_angle, -s.steer)
 
@@ -147,14 +139,7 @@ def test_left_and_right_are_mirror_images(
 @given(
     first=states, drive=drives, turn=st.floats(-3, 3), dx=st.floats(-10, 10), dy=st.floats(-10, 10)
 )
-def test_the_world_has_no_favourite_place_or_direction(
-    chassis: Chassis,
-    first: State[float],
-    drive: list[Command[float]],
-    turn: float,
-    dx: float,
-    dy: float,
-) -> None:
+def test_the_world_has_no_favourite_place_or_direction(chassis, first, drive, turn, dx, dy):
     def moved(s: State[float]) -> State[float]:
         c, d = math.cos(turn), math.sin(turn)
         return s._replace(x=dx + c * s.x - d * s.y, y=dy + d * s.x + c * s.y, yaw=s.yaw + turn)
@@ -167,9 +152,7 @@ def test_the_world_has_no_favourite_place_or_direction(
 
 @repeatable
 @given(states, drives, st.integers(1, 4))
-def test_a_run_may_be_cut_anywhere(
-    first: State[float], drive: list[Command[float]], cut: int
-) -> None:
+def test_a_run_may_be_cut_anywhere(first, drive, cut):
     car = DEFAULT_CAR._replace(steer_delay=0.0)
     whole = run(car, first, drive)
     assert run(car, whole[cut], drive[cut:]) == whole[cut:]

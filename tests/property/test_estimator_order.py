@@ -73,27 +73,21 @@ def same(one: StateEstimate, other: StateEstimate) -> None:
 
 @settings(derandomize=True, deadline=None, max_examples=60)
 @given(data=st.data(), measured=readings())
-def test_any_order_of_arrival_gives_the_same_belief(
-    data: st.DataObject, measured: list[Measurement]
-) -> None:
+def test_any_order_of_arrival_gives_the_same_belief(data, measured):
     shuffled = data.draw(st.permutations(measured))
     same(fed([[m] for m in sorted(measured)]), fed([[m] for m in shuffled]))
 
 
 @settings(derandomize=True, deadline=None, max_examples=30)
 @given(data=st.data(), measured=readings())
-def test_any_division_into_batches_gives_the_same_belief(
-    data: st.DataObject, measured: list[Measurement]
-) -> None:
+def test_any_division_into_batches_gives_the_same_belief(data, measured):
     cut = data.draw(st.integers(0, len(measured)))
     same(fed([measured]), fed([measured[cut:], measured[:cut]]))
 
 
 @settings(derandomize=True, deadline=None, max_examples=30)
 @given(data=st.data(), measured=readings())
-def test_a_late_command_is_honoured_from_its_time_on(
-    data: st.DataObject, measured: list[Measurement]
-) -> None:
+def test_a_late_command_is_honoured_from_its_time_on(data, measured):
     t = T0 + data.draw(st.integers(100, 370)) * MS
     command = Command(data.draw(st.floats(-0.3, 0.3)), 1.0)
     before = step(FILTER, step(FILTER, BEGUN, NOW, (), [(t, command)]), NOW, measured)

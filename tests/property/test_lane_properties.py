@@ -38,9 +38,7 @@ def errors_at(path: Path, state: State[float], hint: int) -> LaneErrors:
 
 @settings(max_examples=100, deadline=None, derandomize=True)
 @given(SHARES, OFFSETS, HEADINGS, SPEEDS, YAW_RATES, SLIPS)
-def test_rates_are_the_derivatives_of_the_errors(
-    share: float, e1: float, e2: float, speed: float, yaw_rate: float, slip: float
-) -> None:
+def test_rates_are_the_derivatives_of_the_errors(share, e1, e2, speed, yaw_rate, slip):
     hint, x, y, yaw = beside(EIGHT, share, e1, e2)
     state = State(x, y, yaw, speed, yaw_rate, slip, 0.0)
     rates = derivative(SINGLE_TRACK, FLOAT, DEFAULT_CAR, state, 0.0, 0.0)
@@ -57,9 +55,7 @@ def test_rates_are_the_derivatives_of_the_errors(
 
 @settings(max_examples=50, deadline=None, derandomize=True)
 @given(SHARES, OFFSETS, HEADINGS, SPEEDS, YAW_RATES, SLIPS)
-def test_left_is_the_mirror_image_of_right(
-    share: float, e1: float, e2: float, speed: float, yaw_rate: float, slip: float
-) -> None:
+def test_left_is_the_mirror_image_of_right(share, e1, e2, speed, yaw_rate, slip):
     hint, x, y, yaw = beside(LEFT, share, e1, e2)
     left = errors_at(LEFT, State(x, y, yaw, speed, yaw_rate, slip, 0.0), hint)
     right = errors_at(RIGHT, State(x, -y, -yaw, speed, -yaw_rate, -slip, 0.0), hint)

@@ -43,7 +43,7 @@ def keep(frame: Frame, version: tuple[int, int]) -> Frame:
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_frames_survive_a_round_trip(version: tuple[int, int]) -> None:
+def test_frames_survive_a_round_trip(version):
     @FIXED
     @given(frames)
     def check(frame: Frame) -> None:
@@ -69,7 +69,7 @@ def make_datagrams(version: tuple[int, int]) -> list[bytes]:
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_every_truncation_is_refused_or_read(version: tuple[int, int]) -> None:
+def test_every_truncation_is_refused_or_read(version):
     for data in make_datagrams(version):
         whole = natnet.decode(data, version)
         for size in range(len(data)):
@@ -87,7 +87,7 @@ def test_every_truncation_is_refused_or_read(version: tuple[int, int]) -> None:
 
 @FIXED
 @given(st.integers(-10, 10), st.binary(max_size=64), i32, i32)
-def test_vrpn_messages_survive(kind: int, payload: bytes, sec: int, usec: int) -> None:
+def test_vrpn_messages_survive(kind, payload, sec, usec):
     message = vrpn.Message(kind, 3, sec, usec, payload, 9)
     data = vrpn.encode(message)
     assert len(data) % 8 == 0

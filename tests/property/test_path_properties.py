@@ -33,7 +33,7 @@ def brute_distance(path: Path, x: float, y: float) -> float:
 @pytest.mark.parametrize("spec", PATHS)
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(share=st.floats(0.0, 0.999), offset=st.floats(-0.5, 0.5))
-def test_offset_equals_brute_force(spec: str, share: float, offset: float) -> None:
+def test_offset_equals_brute_force(spec, share, offset):
     path = PATHS[spec]
     x, y = point_beside(path, share * path.length, offset)
     seen = locate(path, x, y)
@@ -44,7 +44,7 @@ def test_offset_equals_brute_force(spec: str, share: float, offset: float) -> No
 @pytest.mark.parametrize("spec", PATHS)
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(share=st.floats(0.05, 0.95), offset=st.floats(-0.5, 0.5), behind=st.integers(-12, 12))
-def test_the_hint_does_not_matter(spec: str, share: float, offset: float, behind: int) -> None:
+def test_the_hint_does_not_matter(spec, share, offset, behind):
     path = PATHS[spec]
     x, y = point_beside(path, share * path.length, offset)
     index = int(share * path.length / path.step)

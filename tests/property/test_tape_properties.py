@@ -74,7 +74,7 @@ def recorded(formula: Any, *, slopes: bool = False) -> Callable[..., tuple[float
 
 @repeatable
 @given(formulas, points)
-def test_a_record_gives_the_same_values(formula: Any, point: tuple[float, float, float]) -> None:
+def test_a_record_gives_the_same_values(formula, point):
     expected = evaluated(FLOAT, formula, point)
     near = [evaluated(FLOAT, formula, [v + d for v in point]) for d in (1e-9, -1e-9)]
     size = max(map(abs, (expected, *near)))
@@ -86,9 +86,7 @@ def test_a_record_gives_the_same_values(formula: Any, point: tuple[float, float,
 
 @repeatable
 @given(formulas, points)
-def test_gradients_are_those_of_central_differences(
-    formula: Any, point: tuple[float, float, float]
-) -> None:
+def test_gradients_are_those_of_central_differences(formula, point):
     slopes = recorded(formula, slopes=True)
     found = slopes(*point)
     for i in range(3):

@@ -62,7 +62,7 @@ def firmware_step(buffer: bytes) -> tuple[int, bytes | None]:
 @given(SOUP)
 @CHECKED
 @example(b"\x02\x05\x08\x00\x00\x12\x02\x03\x0c\x01\xf4\xe9\xcb\x03")
-def test_strict_parser_is_the_firmware_byte_for_byte(data: bytes) -> None:
+def test_strict_parser_is_the_firmware_byte_for_byte(data):
     parser = FrameParser(strict=True)
     got = [(n, p) for n, byte in enumerate(data, 1) for p in parser.feed(bytes((byte,)), 0)]
     assert got == firmware_reference(data)
@@ -70,7 +70,7 @@ def test_strict_parser_is_the_firmware_byte_for_byte(data: bytes) -> None:
 
 @given(SOUP, CUTS)
 @CHECKED
-def test_strict_parser_does_not_care_about_chunks(data: bytes, cuts: list[int]) -> None:
+def test_strict_parser_does_not_care_about_chunks(data, cuts):
     whole = FrameParser(strict=True).feed(data, 0)
     parser = FrameParser(strict=True)
     assert [p for chunk in chunks(data, cuts) for p in parser.feed(chunk, 0)] == whole
@@ -78,9 +78,7 @@ def test_strict_parser_does_not_care_about_chunks(data: bytes, cuts: list[int]) 
 
 @given(st.lists(PAYLOADS, max_size=6), CUTS)
 @CHECKED
-def test_host_parser_gives_the_same_packets_for_any_chunks(
-    payloads: list[bytes], cuts: list[int]
-) -> None:
+def test_host_parser_gives_the_same_packets_for_any_chunks(payloads, cuts):
     parser = FrameParser()
     data = b"".join(map(encode_frame, payloads))
     assert [p for chunk in chunks(data, cuts) for p in parser.feed(chunk, 0)] == payloads
@@ -99,8 +97,8 @@ READS = st.lists(
 @CHECKED
 @given(READS, st.booleans(), st.sampled_from([None, 1_000_000_000]), st.integers(100, 512))
 def test_reads_of_whole_frames_are_what_the_general_way_makes_of_them(
-    reads: list[tuple[bytes, int]], strict: bool, gap_ns: int | None, ceiling: int
-) -> None:
+    reads, strict, gap_ns, ceiling
+):
     one, general = (FrameParser(strict=strict, gap_ns=gap_ns) for _ in range(2))
     general._take_whole = lambda data, t_ns: None  # type: ignore[method-assign]
     one.ceiling = general.ceiling = ceiling
@@ -114,9 +112,7 @@ def test_reads_of_whole_frames_are_what_the_general_way_makes_of_them(
 
 @given(SOUP, CUTS, st.booleans(), st.lists(st.integers(0, 40_000_000), min_size=21, max_size=21))
 @CHECKED
-def test_soup_never_raises_nor_yields_a_bad_packet_nor_grows(
-    data: bytes, cuts: list[int], strict: bool, waits: list[int]
-) -> None:
+def test_soup_never_raises_nor_yields_a_bad_packet_nor_grows(data, cuts, strict, waits):
     parser = FrameParser(strict=strict)
     t_ns = frame_bytes = 0
     for chunk, wait in zip(chunks(data, cuts), waits, strict=False):
@@ -137,9 +133,7 @@ def frames_of(payload: bytes) -> list[bytes]:
 
 @given(SOUP, PAYLOADS)
 @CHECKED
-def test_good_frame_behind_any_garbage_is_found_at_once_by_the_host(
-    garbage: bytes, payload: bytes
-) -> None:
+def test_good_frame_behind_any_garbage_is_found_at_once_by_the_host(garbage, payload):
     """At once but for one case: the garbage is a frame's beginning and eats this one's start."""
     parser = FrameParser()
     parser.feed(garbage, 0)
@@ -149,9 +143,7 @@ def test_good_frame_behind_any_garbage_is_found_at_once_by_the_host(
 
 @given(SOUP, PAYLOADS)
 @CHECKED
-def test_firmware_finds_a_good_frame_behind_any_garbage_and_the_zero_flush(
-    garbage: bytes, payload: bytes
-) -> None:
+def test_firmware_finds_a_good_frame_behind_any_garbage_and_the_zero_flush(garbage, payload):
     parser = FrameParser(strict=True)
     parser.feed(garbage + bytes(520), 0)
     assert parser.feed(encode_frame(payload), 1) == [payload]
@@ -159,9 +151,7 @@ def test_firmware_finds_a_good_frame_behind_any_garbage_and_the_zero_flush(
 
 @given(PAYLOADS, st.data())
 @CHECKED
-def test_any_truncation_delivers_nothing_and_any_flip_is_noticed(
-    payload: bytes, data: st.DataObject
-) -> None:
+def test_any_truncation_delivers_nothing_and_any_flip_is_noticed(payload, data):
     frame = encode_frame(payload)
     cut = data.draw(st.integers(0, len(frame) - 1))
     assert payload not in FrameParser().feed(frame[:cut], 0)

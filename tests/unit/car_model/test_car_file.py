@@ -42,7 +42,7 @@ def error(text: str) -> CarFileError:
     return caught.value
 
 
-def test_the_shipped_file_is_the_default_car_with_every_section() -> None:
+def test_the_shipped_file_is_the_default_car_with_every_section():
     file = load_car(default_car_path())
     assert file.car == DEFAULT_CAR
     assert file.model == Model(DEFAULT_CAR, chassis=make_planar("all"))
@@ -52,14 +52,14 @@ def test_the_shipped_file_is_the_default_car_with_every_section() -> None:
     assert file.name == "F1TENTH, published figures"
 
 
-def test_the_shipped_file_holds_the_official_figures() -> None:
+def test_the_shipped_file_holds_the_official_figures():
     vesc = load_car(default_car_path()).sections["vesc"]
     assert (vesc["erpm_gain"], vesc["erpm_offset"], vesc["erpm_max"]) == (4614.0, 0.0, 23250.0)
     assert (vesc["servo_gain"], vesc["servo_offset"]) == (-1.2135, 0.5304)
     assert (vesc["servo_min"], vesc["servo_max"]) == (0.15, 0.85)
 
 
-def test_effects_and_notes_are_read() -> None:
+def test_effects_and_notes_are_read():
     text = TEXT + (
         '\n[car.sd]\nlf = 0.001\n[car.source]\nlf = "tape"\n'
         '[effects.backlash]\nplay = 0.02\nsd = { play = 0.003 }\nsource = "diagnose"\n'
@@ -73,7 +73,7 @@ def test_effects_and_notes_are_read() -> None:
 
 
 @pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda p: p.name)
-def test_every_parameter_must_be_there_within_bounds(parameter: object) -> None:
+def test_every_parameter_must_be_there_within_bounds(parameter):
     p = next(q for q in PARAMETERS if q is parameter)
     if p.name != "c_x":  # which older files and sessions have not
         assert error(edited(f"{p.name} ", "")).where == f"car.{p.name}"
@@ -115,13 +115,13 @@ def test_every_parameter_must_be_there_within_bounds(parameter: object) -> None:
         ("\0", "line 1", ""),
     ],
 )
-def test_a_wrong_file_is_refused_with_place_and_reason(text: str, where: str, what: str) -> None:
+def test_a_wrong_file_is_refused_with_place_and_reason(text, where, what):
     found = error(text)
     assert where in found.where
     assert what in found.what
 
 
-def test_every_prefix_of_a_file_gives_a_car_or_one_line() -> None:
+def test_every_prefix_of_a_file_gives_a_car_or_one_line():
     said = []
     for end in range(0, len(TEXT), 37):
         try:
@@ -140,7 +140,7 @@ def test_every_prefix_of_a_file_gives_a_car_or_one_line() -> None:
         (b"#" * 1_000_001, "larger than 1 MB"),
     ],
 )
-def test_unreadable_files(tmp_path: Path, content: bytes | None, what: str) -> None:
+def test_unreadable_files(tmp_path, content, what):
     path = tmp_path / "car.toml"
     if content is not None:
         path.write_bytes(content)
@@ -150,7 +150,7 @@ def test_unreadable_files(tmp_path: Path, content: bytes | None, what: str) -> N
         load_car(tmp_path)
 
 
-def test_saving_keeps_comments_sections_and_order(tmp_path: Path) -> None:
+def test_saving_keeps_comments_sections_and_order(tmp_path):
     base = load_car(default_car_path())
     path = tmp_path / "learned.toml"
     learned = {
@@ -170,7 +170,7 @@ def test_saving_keeps_comments_sections_and_order(tmp_path: Path) -> None:
     assert [c for c in comments if c not in new.text] == []
 
 
-def test_saving_again_replaces_notes_and_effects(tmp_path: Path) -> None:
+def test_saving_again_replaces_notes_and_effects(tmp_path):
     path = tmp_path / "car.toml"
     path.write_text(TEXT + "[effects.backlash]\nplay = 0.01\n", encoding="utf-8")
     learned = {"lf": Learned(0.16, 0.01, "tape"), "steer_backlash.play": Learned(0.02)}
@@ -179,7 +179,7 @@ def test_saving_again_replaces_notes_and_effects(tmp_path: Path) -> None:
     assert tomllib.loads(last.text)["effects"] == {"backlash": {"play": 0.02}}
 
 
-def test_an_update_is_checked_as_a_car_file_is(tmp_path: Path) -> None:
+def test_an_update_is_checked_as_a_car_file_is(tmp_path):
     path = tmp_path / "a.toml"
     for name, value in (("lf", 99.0), ("lf", float("nan")), ("lz", 1.0)):
         with pytest.raises(CarFileError):
@@ -189,7 +189,7 @@ def test_an_update_is_checked_as_a_car_file_is(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_no_updates_change_no_byte() -> None:
+def test_no_updates_change_no_byte():
     base = load_car(default_car_path())
     assert update_car(base.path, base, {}).text == TEXT
 
@@ -200,14 +200,14 @@ def chassis_lines(chassis: str, drive: str = 'drive = "all"') -> str:
 
 
 @pytest.mark.parametrize("drive", ["rear", "front", "all"])
-def test_the_chassis_is_the_one_that_the_file_names(drive: str) -> None:
+def test_the_chassis_is_the_one_that_the_file_names(drive):
     text = chassis_lines('chassis = "planar"', f'drive = "{drive}"')
     found = parse_car(text, HERE)
     assert found.chassis is make_planar(drive)
     assert found.model.chassis is found.chassis
 
 
-def test_the_default_car_is_planar_and_a_file_without_a_chassis_single_track() -> None:
+def test_the_default_car_is_planar_and_a_file_without_a_chassis_single_track():
     assert parse_car(TEXT, HERE).chassis is make_planar("all")
     assert parse_car(edited("chassis ", ""), HERE).chassis is SINGLE_TRACK
 
@@ -220,5 +220,5 @@ def test_the_default_car_is_planar_and_a_file_without_a_chassis_single_track() -
         ("chassis = 2", 'drive = "all"'),
     ],
 )
-def test_an_unknown_chassis_or_drive_is_refused(chassis: str, drive: str) -> None:
+def test_an_unknown_chassis_or_drive_is_refused(chassis, drive):
     assert error(chassis_lines(chassis, drive)).where.startswith("car.")

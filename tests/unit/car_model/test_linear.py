@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from steerd.car_model.chassis import Chassis, derivative
+from steerd.car_model.chassis import derivative
 from steerd.car_model.linear import augmented, lane_error_model, rates_and_jacobian, sample
-from steerd.car_model.params import DEFAULT_CAR, Car
+from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.planar import CHASSIS
 from steerd.car_model.state import ORIGIN, State
 from steerd.car_model.tape import TAPE, Tape, jacobian, program
@@ -18,27 +18,23 @@ OVERSTEERING = CAR._replace(c_sf=6.0, c_sr=4.0)
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, math.nan])
-def test_lane_errors_need_speed(speed: float) -> None:
+def test_lane_errors_need_speed(speed):
     with pytest.raises(ValueError, match="positive speed"):
         lane_error_model(CAR, speed)
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 2.5, 5.0])
 @pytest.mark.parametrize("car", [CAR, OVERSTEERING], ids=["understeers", "oversteers"])
-def test_lane_errors_are_rajamanis_equation_2_45(car: Car[float], speed: float) -> None:
+def test_lane_errors_are_rajamanis_equation_2_45(car, speed):
     """Rajamani's C_af is per tyre and appears as 2 C_af, which is cf per axle here."""
     cf, cr = axle_stiffness(car)
     m, inertia, lf, lr, v = car.mass, car.inertia_z, car.lf, car.lr, speed
+    moment, turning = cf * lf - cr * lr, cf * lf**2 + cr * lr**2
     a = [
         [0, 1, 0, 0],
         [0, -(cf + cr) / (m * v), (cf + cr) / m, (-cf * lf + cr * lr) / (m * v)],
         [0, 0, 0, 1],
-        [
-            0,
-            -(cf * lf - cr * lr) / (inertia * v),
-            (cf * lf - cr * lr) / inertia,
-            -(cf * lf**2 + cr * lr**2) / (inertia * v),
-        ],
+        [0, -moment / (inertia * v), moment / inertia, -turning / (inertia * v)],
     ]
     b1 = [0, cf / m, 0, cf * lf / inertia]
     b2 = [0, -(cf * lf - cr * lr) / (m * v) - v, 0, -(cf * lf**2 + cr * lr**2) / (inertia * v)]
@@ -51,9 +47,7 @@ def test_lane_errors_are_rajamanis_equation_2_45(car: Car[float], speed: float) 
 @pytest.mark.parametrize("chassis", CHASSIS, ids=lambda chassis: chassis.label)
 @pytest.mark.parametrize("car", [CAR, OVERSTEERING], ids=["understeers", "oversteers"])
 @pytest.mark.parametrize("speed", [0.1, 0.3, 0.5, 1.5, 4.0])
-def test_about_straight_driving_every_chassis_has_the_same_linear_model(
-    chassis: Chassis, car: Car[float], speed: float
-) -> None:
+def test_about_straight_driving_every_chassis_has_the_same_linear_model(chassis, car, speed):
     """What a design is made from: what sets the chassis apart is of second order there."""
     tape = Tape()
     inputs = [tape.symbol(name) for name in ("yaw_rate", "slip_angle", "speed", "wheel", "accel")]
@@ -68,7 +62,7 @@ def test_about_straight_driving_every_chassis_has_the_same_linear_model(
     np.testing.assert_allclose(found, expected[4:, columns], rtol=1e-12, atol=1e-12)
 
 
-def test_sampling_a_double_integrator_is_exact() -> None:
+def test_sampling_a_double_integrator_is_exact():
     a, b = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
     h = 0.1
     plain = sample(a, b, h)
@@ -81,7 +75,7 @@ def test_sampling_a_double_integrator_is_exact() -> None:
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.004, 0.01, 0.013, 0.025, 0.03])
-def test_the_augmented_system_is_the_delayed_car(delay: float) -> None:
+def test_the_augmented_system_is_the_delayed_car(delay):
     period, fine = 0.01, 1000
     errors = lane_error_model(CAR, 1.5)
     a, b = errors.a, errors.b_steer[:, None]
@@ -100,6 +94,6 @@ def test_the_augmented_system_is_the_delayed_car(delay: float) -> None:
 
 
 @pytest.mark.parametrize(("period", "delay"), [(0.0, 0.0), (-1.0, 0.0), (0.01, -0.001)])
-def test_sampling_refuses_nonsense(period: float, delay: float) -> None:
+def test_sampling_refuses_nonsense(period, delay):
     with pytest.raises(ValueError, match="cannot sample"):
         sample(np.zeros((1, 1)), np.ones((1, 1)), period, delay)

@@ -36,7 +36,7 @@ states = st.builds(
     rate=st.floats(-1e-2, 1e-2),
     wheel=st.floats(-1e-3, 1e-3),
 )
-def test_small_angles_are_the_single_track_car(chassis, speed, slip, rate, wheel) -> None:
+def test_small_angles_are_the_single_track_car(chassis, speed, slip, rate, wheel):
     state = ORIGIN._replace(speed=speed, slip_angle=slip, yaw_rate=rate)
     here = derivative(chassis, FLOAT, STIFF, state, wheel, 0.0)
     there = derivative(SINGLE_TRACK, FLOAT, STIFF, state, wheel, 0.0)
@@ -44,7 +44,7 @@ def test_small_angles_are_the_single_track_car(chassis, speed, slip, rate, wheel
 
 
 @given(state=states, accel=st.floats(-4, 4), wheel=st.floats(-0.4, 0.4))
-def test_forces_and_accelerations_balance(state, accel, wheel) -> None:
+def test_forces_and_accelerations_balance(state, accel, wheel):
     """Newton in the body's frame, from the rates: no force is lost between the axes."""
     state = state._replace(speed=max(state.speed, 0.6))
     chassis = make_planar("rear")
@@ -66,7 +66,7 @@ def test_forces_and_accelerations_balance(state, accel, wheel) -> None:
 
 
 @pytest.mark.parametrize("drive", DRIVES)
-def test_driven_wheels_turn_faster_than_the_ground_passes(drive: str) -> None:
+def test_driven_wheels_turn_faster_than_the_ground_passes(drive):
     """In a straight line slip is the drive force over mu C_x times the driven load."""
     accel, chassis = 3.0, make_planar(drive)
     state = ORIGIN._replace(speed=2.0)
@@ -77,7 +77,7 @@ def test_driven_wheels_turn_faster_than_the_ground_passes(drive: str) -> None:
     assert rates.x == pytest.approx(2.0 * (1.0 - kappa), rel=1e-12)
 
 
-def test_unknown_names_are_refused() -> None:
+def test_unknown_names_are_refused():
     with pytest.raises(ValueError, match="no chassis"):
         find_chassis("bicycle", "rear")
     with pytest.raises(ValueError, match="drive is"):

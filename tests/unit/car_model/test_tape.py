@@ -28,12 +28,12 @@ SEAMS = [
 
 
 @pytest.mark.parametrize(("function", "seam", "slopes"), SEAMS)
-def test_a_seam_has_the_derivative_of_the_branch_taken(function, seam, slopes) -> None:  # type: ignore[no-untyped-def]
+def test_a_seam_has_the_derivative_of_the_branch_taken(function, seam, slopes):  # type: ignore[no-untyped-def]
     at = (math.nextafter(seam, -9.0), seam, math.nextafter(seam, 9.0))
     assert tuple(slope(function, x) for x in at) == slopes
 
 
-def test_what_nothing_depends_on_has_no_derivative() -> None:
+def test_what_nothing_depends_on_has_no_derivative():
     a, b = inputs("a", "b")
     (by_b,) = gradient([(a * a, 1.0)], [b])
     assert by_b.entry.value == 0.0
@@ -41,13 +41,13 @@ def test_what_nothing_depends_on_has_no_derivative() -> None:
     assert gradient([], [a])[0].entry.value == 0.0
 
 
-def test_an_operation_without_a_derivative_is_refused() -> None:
+def test_an_operation_without_a_derivative_is_refused():
     (a,) = inputs("a")
     with pytest.raises(ValueError, match="no derivative for floor"):
         gradient([(apply("floor", a), 1.0)], [a])
 
 
-def test_constants_are_worked_out_and_zeros_keep_their_sign() -> None:
+def test_constants_are_worked_out_and_zeros_keep_their_sign():
     tape = Tape()
     a = tape.symbol("a")
     assert (tape.constant(2.0) * 3.0 - 1.0).entry.value == 5.0
@@ -57,7 +57,7 @@ def test_constants_are_worked_out_and_zeros_keep_their_sign() -> None:
     assert tape.node(a) is a
 
 
-def test_a_record_cannot_be_branched_on() -> None:
+def test_a_record_cannot_be_branched_on():
     (a,) = inputs("a")
     with pytest.raises(TypeError, match="branch"):
         bool(a)

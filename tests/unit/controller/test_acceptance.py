@@ -5,20 +5,10 @@ from math import inf, nan
 import pytest
 
 from steerd.car_model.params import DEFAULT_CAR, PARAMETERS
+from steerd.controller import learnt
 from steerd.controller.acceptance import check_design
 from steerd.controller.design import assess
 from steerd.controller.lane_controller import LaneController
-from steerd.controller.learnt import (
-    OF_CAR,
-    Learnt,
-    approach_learnt,
-    follow_learnt,
-    learnt_car,
-    learnt_of,
-    learnt_timing,
-    make_bounds,
-    steps,
-)
 from tests.designs import accept, design_for, numbers, scaled, standard
 
 NEAR = {"steer_gain": 0.98, "steer_bias": 0.004, "steer_delay": 0.016}
@@ -27,6 +17,13 @@ NEAR = {"steer_gain": 0.98, "steer_bias": 0.004, "steer_delay": 0.016}
 @pytest.fixture(scope="module")
 def held():
     return standard()
+
+
+def refusal(held, at, design):
+    """Why a design is refused."""
+    refused = accept(held, at, design)
+    assert isinstance(refused, str)
+    return refused
 
 
 @pytest.mark.parametrize(
@@ -63,8 +60,7 @@ def test_the_far_end_of_each_bound_is_reached_by_steps(held):
 )
 def test_numbers_out_of_reach_are_refused(held, changed, why):
     design = design_for(held)._replace(car=numbers(held, **changed))
-    refused = accept(held, numbers(held), design)
-    assert isinstance(refused, str)
+    refused = refusal(held, numbers(held), design)
     assert why in refused
     assert next(iter(changed)) in refused
 
@@ -80,24 +76,22 @@ def test_a_table_of_another_form_is_refused(held):
         "another car": good.table._replace(rows=tuple((*row[:-4], 2.0, *row[-3:]) for row in rows)),
     }
     for why, table in bad.items():
-        refused = accept(held, numbers(held), good._replace(table=table))
-        assert isinstance(refused, str), why
-        assert why in refused
+        assert why in refusal(held, numbers(held), good._replace(table=table))
 
 
 @pytest.mark.parametrize("factor", [-1.0, 0.0, 30.0])
 def test_an_unstable_or_undamped_loop_is_refused(held, factor):
-    refused = accept(held, numbers(held), scaled(design_for(held, **NEAR), factor))
-    assert isinstance(refused, str)
+    refused = refusal(held, numbers(held), scaled(design_for(held, **NEAR), factor))
     assert "unstable" in refused or "margin" in refused
 
 
 def test_a_loop_that_is_stable_with_little_to_spare_is_refused(held):
     design = scaled(design_for(held), 5.0, 0, 4)
-    car, timing = learnt_car(held.file, design.car), learnt_timing(held.file, design.car)
+    car, timing = (
+        make(held.file, design.car) for make in (learnt.learnt_car, learnt.learnt_timing)
+    )
     assert all(at.radius < 1.0 for at in assess(car, design.table, timing))
-    refused = accept(held, numbers(held), design)
-    assert isinstance(refused, str)
+    refused = refusal(held, numbers(held), design)
     assert "margin" in refused or "damped" in refused
 
 
@@ -105,8 +99,7 @@ def test_a_loop_that_the_files_car_would_not_survive_is_refused(held):
     """For the car as proposed it is fine; whoever proposes may be wrong about that."""
     claimed = {"steer_delay": 0.11, "steer_lag": 0.13, "c_sf": 7.5, "c_sr": 2.2}
     design = scaled(design_for(held, **claimed), -1.0, 5, -4)
-    refused = accept(held, design.car, design)
-    assert isinstance(refused, str)
+    refusal(held, design.car, design)
 
 
 def test_the_check_comes_in_pieces_and_ends_with_the_reason(held):
@@ -120,27 +113,27 @@ def test_the_check_comes_in_pieces_and_ends_with_the_reason(held):
 
 # The numbers that a controller follows: bounds, steps and what stays the file's.
 
-FILE = learnt_of(DEFAULT_CAR)
+FILE = learnt.learnt_of(DEFAULT_CAR)
 
 
 def test_the_bounds_hold_the_file_and_no_impossible_car():
-    low, high = make_bounds(DEFAULT_CAR)
-    for name, at, least, most in zip(Learnt._fields, FILE, low, high, strict=True):
+    low, high = learnt.make_bounds(DEFAULT_CAR)
+    for name, at, least, most in zip(learnt.Learnt._fields, FILE, low, high, strict=True):
         assert least <= at <= most, name
     physical = {p.name: (p.low, p.high) for p in PARAMETERS}
-    for name in OF_CAR:
+    for name in learnt.OF_CAR:
         assert physical[name][0] <= getattr(low, name)
         assert getattr(high, name) <= physical[name][1]
     assert low.steer_delay == 0.0, "no order arrives before it left"
 
 
 def test_each_step_comes_nearer_and_ends_there():
-    bounds, most = make_bounds(DEFAULT_CAR), steps(DEFAULT_CAR)
+    bounds, most = learnt.make_bounds(DEFAULT_CAR), learnt.steps(DEFAULT_CAR)
     aim = FILE._replace(steer_gain=0.88, steer_bias=0.02, steer_delay=0.05)
     at, taken = FILE, 0
     while at != aim:
-        before, at = at, approach_learnt(at, aim, bounds, most)
-        for name, a, b, far in zip(Learnt._fields, before, at, most, strict=True):
+        before, at = at, learnt.approach_learnt(at, aim, bounds, most)
+        for name, a, b, far in zip(learnt.Learnt._fields, before, at, most, strict=True):
             assert abs(b - a) <= far + 1e-12, name
         taken += 1
         assert taken < 10
@@ -148,16 +141,16 @@ def test_each_step_comes_nearer_and_ends_there():
 
 
 def test_an_aim_out_of_bounds_ends_at_the_bound():
-    bounds, most = make_bounds(DEFAULT_CAR), steps(DEFAULT_CAR)
+    bounds, most = learnt.make_bounds(DEFAULT_CAR), learnt.steps(DEFAULT_CAR)
     at = FILE
     for _ in range(100):
-        at = approach_learnt(at, FILE._replace(steer_gain=0.1), bounds, most)
+        at = learnt.approach_learnt(at, FILE._replace(steer_gain=0.1), bounds, most)
     assert at.steer_gain == pytest.approx(bounds.low.steer_gain)
 
 
 def test_what_is_not_followed_stays_the_files():
     held = standard()
-    made = follow_learnt(held.file, design_for(held, steer_gain=0.98, steer_delay=0.016))
+    made = learnt.follow_learnt(held.file, design_for(held, steer_gain=0.98, steer_delay=0.016))
     same = set(DEFAULT_CAR._fields) - {"steer_gain", "steer_delay"}
     assert all(getattr(made.car, name) == getattr(held.file.car, name) for name in same)
     assert made.config == held.file.config

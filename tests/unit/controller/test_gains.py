@@ -24,14 +24,14 @@ TIMING = Timing(rate_hz=100.0, delay_s=0.025, lag_s=0.05)
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 3.0])
-def test_pole_placement_puts_the_continuous_poles(speed: float) -> None:
+def test_pole_placement_puts_the_continuous_poles(speed):
     errors = lane_error_model(PAPER_CAR, speed)
     gains = pole_placement_gains(PAPER_CAR, speed, PAPER_POLES)
     poles = np.linalg.eigvals(errors.a - errors.b_steer[:, None] @ gains)
     np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(PAPER_POLES), rtol=1e-6)
 
 
-def test_poles_that_cannot_be_placed_are_refused() -> None:
+def test_poles_that_cannot_be_placed_are_refused():
     with pytest.raises(DesignRefused, match=r"pole_placement at 1\.00 m/s"):
         pole_placement_gains(PAPER_CAR, 1.0, (-2, -2, -2, -2))
 
@@ -48,7 +48,7 @@ def cost_of(gains: np.ndarray, weights: LqrWeights) -> float:
     return total
 
 
-def test_lqr_is_the_cheapest_of_its_neighbours() -> None:
+def test_lqr_is_the_cheapest_of_its_neighbours():
     weights = LqrWeights()
     best = lqr_gains(DEFAULT_CAR, 1.0, TIMING, weights)
     assert best.shape == (1, 5 + 3)  # 25 ms at 100 Hz: three references under way
@@ -59,14 +59,14 @@ def test_lqr_is_the_cheapest_of_its_neighbours() -> None:
         assert cost_of(nearby, weights) > lowest
 
 
-def test_lqr_without_lag_or_delay_feeds_back_the_lane_errors_alone() -> None:
+def test_lqr_without_lag_or_delay_feeds_back_the_lane_errors_alone():
     config = ControllerConfig()
     table = design_table(DEFAULT_CAR, config, Timing(100.0, 0.0, 0.0), 1.0)
     assert table.pasts == 0
     assert all(row[4] == 0.0 for row in table.rows)
 
 
-def test_the_table_spans_the_speeds() -> None:
+def test_the_table_spans_the_speeds():
     table = design_table(DEFAULT_CAR, ControllerConfig(), TIMING, 1.6)
     assert table.speeds[0] == 0.1
     assert table.speeds[-1] == pytest.approx(1.6)
@@ -78,7 +78,7 @@ def test_the_table_spans_the_speeds() -> None:
     assert design_table(DEFAULT_CAR, by_poles, TIMING, 1.0).speeds[0] == 0.5
 
 
-def test_lookup_is_linear_between_and_holds_outside() -> None:
+def test_lookup_is_linear_between_and_holds_outside():
     table = GainTable(1.0, 0.5, ((0.0, 10.0), (1.0, 20.0), (5.0, 0.0)))
     assert look_up(table, 1.25) == (0.5, 15.0)
     assert look_up(table, 1.5) == (1.0, 20.0)
@@ -89,13 +89,13 @@ def test_lookup_is_linear_between_and_holds_outside() -> None:
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 3.0, 6.0])
-def test_the_turn_is_the_cars_steady_one(speed: float) -> None:
+def test_the_turn_is_the_cars_steady_one(speed):
     turning = turn_response(DEFAULT_CAR, speed)
     assert turning.wheel == pytest.approx(feedforward_steer(DEFAULT_CAR, speed, 1.0))
     assert turning.heading == pytest.approx(-steady_slip(DEFAULT_CAR, speed, 1.0))
 
 
-def test_a_steadily_tightening_turn_leaves_no_offset() -> None:
+def test_a_steadily_tightening_turn_leaves_no_offset():
     speed, rate = 1.5, 0.4
     errors, turning = lane_error_model(DEFAULT_CAR, speed), turn_response(DEFAULT_CAR, speed)
     curvature, h = 0.0, 1e-4
@@ -158,7 +158,7 @@ def test_more_feedback_and_more_delay_bring_it_nearer(held):
 # Settings: defaults, forms of poles, and what a wrong one reports.
 
 
-def test_nothing_given_is_the_default() -> None:
+def test_nothing_given_is_the_default():
     config = load_controller_config({})
     assert config == ControllerConfig()
     assert config.design == "lqr"
@@ -166,7 +166,7 @@ def test_nothing_given_is_the_default() -> None:
     assert config.start_ramp == config.stop_ramp == 1.5
 
 
-def test_a_whole_table() -> None:
+def test_a_whole_table():
     config = load_controller_config(
         {
             "design": "pole_placement",
@@ -208,6 +208,6 @@ def test_a_whole_table() -> None:
         ({"poles": ["-2+2j", "-2", "-3", "-4"]}, "conjugate pairs"),
     ],
 )
-def test_a_wrong_setting_is_named_with_its_problem(table: dict[str, object], said: str) -> None:
+def test_a_wrong_setting_is_named_with_its_problem(table, said):
     with pytest.raises(ValueError, match=said):
         load_controller_config(table)

@@ -29,7 +29,7 @@ def made(
     return make_controller(car, parse_path(spec), settings, RATE_HZ)
 
 
-def test_a_cars_gain_and_bias_are_undone() -> None:
+def test_a_cars_gain_and_bias_are_undone():
     crooked = DEFAULT_CAR._replace(steer_gain=0.8, steer_bias=0.05, speed_gain=0.9)
     assert to_command(crooked, 0.05, 0.9) == pytest.approx((0.0, 1.0))
 
@@ -39,7 +39,7 @@ def first_ticks(controller: LaneController) -> tuple[ControllerState, State[floa
     return start_controller(controller, estimate, 0), estimate
 
 
-def test_a_command_that_left_unchanged_changes_nothing() -> None:
+def test_a_command_that_left_unchanged_changes_nothing():
     controller = made("figure8", 1.5, SLOW_SERVO)
     state, estimate = first_ticks(controller)
     assert len(state.past) == 4
@@ -50,7 +50,7 @@ def test_a_command_that_left_unchanged_changes_nothing() -> None:
     assert informed[2].past == pytest.approx(alone[2].past)
 
 
-def test_a_command_that_was_held_back_is_remembered_as_it_left() -> None:
+def test_a_command_that_was_held_back_is_remembered_as_it_left():
     controller = made("figure8", 1.5, SLOW_SERVO)
     state, estimate = first_ticks(controller)
     command, _, after = control(controller, state, estimate, 10_000_000)
@@ -59,7 +59,7 @@ def test_a_command_that_was_held_back_is_remembered_as_it_left() -> None:
     assert informed.past[1] == pytest.approx(held.steer - after.feedforward)
 
 
-def test_no_delay_means_no_past() -> None:
+def test_no_delay_means_no_past():
     controller = made("circle", 1.0, DEFAULT_CAR._replace(steer_delay=0.0))
     state, estimate = first_ticks(controller)
     command, _, after = control(controller, state, estimate, 10_000_000)
@@ -67,7 +67,7 @@ def test_no_delay_means_no_past() -> None:
     assert control(controller, after, estimate, 20_000_000, issued=command)[2].past == ()
 
 
-def test_a_clock_that_stands_or_leaps_is_no_leap_in_speed() -> None:
+def test_a_clock_that_stands_or_leaps_is_no_leap_in_speed():
     controller = made("circle", 1.0)
     state, estimate = start_controller(controller, ORIGIN, 0), ORIGIN
     assert control(controller, state, estimate, 0)[2].speed == 0.0
@@ -77,14 +77,14 @@ def test_a_clock_that_stands_or_leaps_is_no_leap_in_speed() -> None:
 
 @pytest.mark.parametrize("field", State._fields)
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_an_estimate_that_is_not_finite_is_refused(field: str, value: float) -> None:
+def test_an_estimate_that_is_not_finite_is_refused(field, value):
     controller = made("circle", 1.0)
     state, estimate = first_ticks(controller)
     with pytest.raises(ValueError, match="not finite"):
         control(controller, state, estimate._replace(**{field: value}), 10_000_000)
 
 
-def test_a_start_on_the_crossing_takes_the_branch_the_car_heads_along() -> None:
+def test_a_start_on_the_crossing_takes_the_branch_the_car_heads_along():
     controller = made("figure8", 1.0)
     path = controller.keeper.path
     other = ORIGIN._replace(yaw=path.yaw[len(path.x) // 2])

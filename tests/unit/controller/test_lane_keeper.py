@@ -29,7 +29,7 @@ def row(past: tuple[float, ...] = (), **gains: float) -> tuple[float, ...]:
     return (*(gains.get(name, 0.0) for name in names), *past, *NO_TURNING)
 
 
-def test_signs_left_of_the_line_and_turned_left() -> None:
+def test_signs_left_of_the_line_and_turned_left():
     estimate = State(1.0, 0.1, 0.2, 1.5, 0.3, 0.05, 0.0)
     errors = lane_errors(estimate, project(LINE, 1.0, 0.1, 50))
     assert errors.e1 == pytest.approx(0.1)
@@ -38,14 +38,14 @@ def test_signs_left_of_the_line_and_turned_left() -> None:
     assert errors.e2_rate == pytest.approx(0.3)
 
 
-def test_heading_error_wraps() -> None:
+def test_heading_error_wraps():
     at = project(LINE, 1.0, 0.0, 50)
     for turns in (-2, 0, 3):
         estimate = ORIGIN._replace(x=1.0, yaw=0.1 + turns * math.tau)
         assert lane_errors(estimate, at).e2 == pytest.approx(0.1)
 
 
-def test_at_the_centre_of_the_turn_the_rates_stay_finite() -> None:
+def test_at_the_centre_of_the_turn_the_rates_stay_finite():
     estimate = State(0.0, 2.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     errors = lane_errors(estimate, project(LEFT, 0.0, 2.0, 0))
     assert errors.e2_rate == pytest.approx(-0.5 / 0.1)
@@ -58,7 +58,7 @@ def wheel_reference(
     return step(KEEPER, gains, errors, at, ORIGIN._replace(speed=1.0, steer=0.1), past).wheel
 
 
-def test_each_gain_steers_against_its_error() -> None:
+def test_each_gain_steers_against_its_error():
     errors = LaneErrors(0.1, 0.2, 0.03, 0.4)
     assert wheel_reference(row(e1=2.0), errors) == pytest.approx(-0.2)
     assert wheel_reference(row(e1_rate=0.5), errors) == pytest.approx(-0.1)
@@ -68,17 +68,17 @@ def test_each_gain_steers_against_its_error() -> None:
     assert wheel_reference(row(past=(0.5, 0.25)), errors, (0.1, -0.4)) == pytest.approx(0.05)
 
 
-def test_the_order_stays_within_the_end_stops() -> None:
+def test_the_order_stays_within_the_end_stops():
     assert wheel_reference(row(e1=100.0), LaneErrors(1.0, 0.0, 0.0, 0.0)) == KEEPER.wheel_min
     assert wheel_reference(row(e1=100.0), LaneErrors(-1.0, 0.0, 0.0, 0.0)) == KEEPER.wheel_max
 
 
-def test_a_past_that_does_not_fit_the_table_is_an_error() -> None:
+def test_a_past_that_does_not_fit_the_table_is_an_error():
     with pytest.raises(ValueError, match="zip"):
         wheel_reference(row(past=(0.5,)), LaneErrors(0.0, 0.0, 0.0, 0.0), (0.1, 0.2))
 
 
-def test_the_curvature_is_read_where_the_order_will_act() -> None:
+def test_the_curvature_is_read_where_the_order_will_act():
     eight = parse_path("figure8")
     keeper = LaneKeeper(eight, 0.2, -0.34, 0.34)
     at = project(eight, eight.x[100], eight.y[100], 100)
@@ -98,13 +98,13 @@ def profile_of(path: Path, config: ControllerConfig = CONFIG) -> SpeedProfile:
     return make_speed_profile(DEFAULT_CAR, path, config)
 
 
-def test_a_circle_is_driven_at_its_lateral_limit() -> None:
+def test_a_circle_is_driven_at_its_lateral_limit():
     profile = profile_of(parse_path("circle:radius=2"))
     np.testing.assert_allclose(profile.speed, 2.0)  # sqrt(2 m/s^2 * 2 m)
     assert profile.fastest == pytest.approx(2.0)
 
 
-def test_no_limit_is_exceeded_anywhere_round_a_figure_eight() -> None:
+def test_no_limit_is_exceeded_anywhere_round_a_figure_eight():
     path = parse_path("figure8:radius=1")
     v = np.array(profile_of(path).speed)
     assert (v**2 * np.abs(path.curvature)).max() <= 2.0 + 1e-9
@@ -114,7 +114,7 @@ def test_no_limit_is_exceeded_anywhere_round_a_figure_eight() -> None:
     assert v.max() > 1.2 * v.min()
 
 
-def test_an_open_path_ends_standing() -> None:
+def test_an_open_path_ends_standing():
     path = parse_path("line:length=10")
     profile = profile_of(path)
     assert profile.speed[0] == 3.0
@@ -125,14 +125,14 @@ def test_an_open_path_ends_standing() -> None:
     )
 
 
-def test_a_files_speeds_cap_it_unless_configured_not_to() -> None:
+def test_a_files_speeds_cap_it_unless_configured_not_to():
     path = parse_path("circle:radius=20")
     slow = replace(path, speed=(0.7,) * len(path.x))
     assert profile_of(slow).fastest == pytest.approx(0.7)
     assert profile_of(slow, replace(CONFIG, file_speeds=False)).fastest == 3.0
 
 
-def test_the_profile_is_read_ahead_by_the_drives_lag() -> None:
+def test_the_profile_is_read_ahead_by_the_drives_lag():
     path = parse_path("line:length=10")
     profile = profile_of(path)
     assert profile.preview_s == pytest.approx(DEFAULT_CAR.speed_lag + DEFAULT_CAR.drive_delay)
@@ -141,7 +141,7 @@ def test_the_profile_is_read_ahead_by_the_drives_lag() -> None:
     assert profile_speed(profile, 9.0, -1.0) == pytest.approx(2.0, abs=1e-3)
 
 
-def test_the_reference_climbs_at_the_start_ramp_and_stops_at_the_stop_ramp() -> None:
+def test_the_reference_climbs_at_the_start_ramp_and_stops_at_the_stop_ramp():
     config = ControllerConfig(start_ramp=1.5, stop_ramp=1.0)
     speed, climbed = 0.0, []
     for _ in range(100):
@@ -158,7 +158,7 @@ def test_the_reference_climbs_at_the_start_ramp_and_stops_at_the_stop_ramp() -> 
     assert speed == 0.0
 
 
-def test_the_reference_follows_the_profile_down() -> None:
+def test_the_reference_follows_the_profile_down():
     assert step_speed(2.0, 1.2, 0.01, ControllerConfig(), stop=False) == 1.2
 
 

@@ -113,23 +113,23 @@ def test_not_finite_is_a_verdict_and_never_clipped(bad, place):
         bad if place == name else 0.25 for name in ("steer", "speed", "measured")
     )
     out = pass_gate(steer, speed, last=(0.125, 1.0), v=measured)
-    assert out.verdict == Verdict.NOT_FINITE
-    assert out.order == Command(0.125, 1.0)
-    assert out.state.t_ns == 0
+    assert (out.verdict, out.clips) == (Verdict.NOT_FINITE, 0)
+    assert (out.order, out.state.t_ns) == (Command(0.125, 1.0), 0)
 
 
-@pytest.mark.parametrize("cap", [nan, -1e-300, -inf])
-def test_cap_that_is_no_speed_is_refused(cap):
-    assert pass_gate(0.0, 0.0, cap=cap).verdict == Verdict.NOT_FINITE
-
-
-def test_cap_of_zero_is_a_speed():
+def test_cap_of_zero_is_a_speed_and_what_is_none_is_refused():
     assert pass_gate(0.0, 0.0, cap=0.0).verdict == Verdict.PASSED
+    for cap in (nan, -1e-300, -inf):
+        assert pass_gate(0.0, 0.0, cap=cap).verdict == Verdict.NOT_FINITE
 
 
-def test_a_pause_does_not_allow_a_jump():
-    out = pass_gate(0.25, 3.0, dt_ns=3_600 * 10**9)
-    assert out.order == Command(STEER_STEP, ACCEL_STEP)
+@pytest.mark.parametrize(
+    ("dt_ns", "steer", "speed"),
+    [(5_000_000, 2.0 * 0.005, 2.0 * 0.005), (3_600 * 10**9, STEER_STEP, ACCEL_STEP)],
+)
+def test_rates_are_per_second_and_a_pause_does_not_allow_a_jump(dt_ns, steer, speed):
+    out = pass_gate(0.25, 3.0, dt_ns=dt_ns)
+    assert out.order == Command(pytest.approx(steer), pytest.approx(speed))
 
 
 def test_time_running_backwards_allows_nothing():
@@ -139,13 +139,11 @@ def test_time_running_backwards_allows_nothing():
     assert out.state.t_ns == 10**9
 
 
-def test_steer_bound_is_wide_open_at_rest_and_closes_with_speed():
+def test_steer_bound_closes_with_speed_and_speed_bound_with_steering():
     assert steer_bound(LIMITS, 0.0) > 1.5
-    assert steer_bound(LIMITS, 1e200) == 0.0
+    assert steer_bound(LIMITS, 0.5) == atan(0.75 / 0.25), "at walking pace"
     assert steer_bound(LIMITS, 2.0) == atan(0.75 / 4.0)
-
-
-def test_speed_bound_is_the_speed_limit_when_straight():
+    assert steer_bound(LIMITS, 1e200) == 0.0
     assert speed_bound(LIMITS, 0.0) == 3.0
     assert speed_bound(LIMITS, -0.375) == (0.75 / tan(0.375)) ** 0.5
 
@@ -199,16 +197,6 @@ def test_ceilings_are_these_and_changing_one_is_a_decision():
         "lateral_accel_max": (0.1, 3.0),
         "step_max": (0.001, 0.025),
     }
-
-
-def test_rates_are_per_second():
-    out = pass_gate(0.25, 3.0, dt_ns=5_000_000)
-    assert out.order == Command(pytest.approx(2.0 * 0.005), pytest.approx(2.0 * 0.005))
-
-
-def test_steer_bound_at_walking_pace_is_already_finite():
-    assert steer_bound(LIMITS, 0.5) == atan(0.75 / 0.25)
-    assert pass_gate(nan, 0.0).clips == 0
 
 
 @pytest.mark.parametrize("steer", [0.0, 0.01, 0.5, -0.5])

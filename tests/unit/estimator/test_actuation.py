@@ -31,9 +31,7 @@ def random_history(
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize(("scale", "tolerance"), [(0.1, 1e-12), (1.0, 0.02)])
-def test_actuators_follow_the_car_model_under_delayed_commands(
-    seed: int, scale: float, tolerance: float
-) -> None:
+def test_actuators_follow_the_car_model_under_delayed_commands(seed, scale, tolerance):
     """To the last digit within the slew limits; a limit left midway is only met to a step."""
     history, commands = random_history(seed, scale=scale)
     grid = [command for command in commands for _ in range(5)]
@@ -49,7 +47,7 @@ def test_actuators_follow_the_car_model_under_delayed_commands(
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("span_ms", [2, 5, 17])
-def test_derivatives_are_exact(seed: int, span_ms: int) -> None:
+def test_derivatives_are_exact(seed, span_ms):
     history, _ = random_history(seed)
     rng = np.random.default_rng(seed)
     steer, speed = float(rng.uniform(-0.2, 0.2)), float(rng.uniform(1.0, 2.0))
@@ -63,7 +61,7 @@ def test_derivatives_are_exact(seed: int, span_ms: int) -> None:
     assert (right.accel - out.accel) / eps == pytest.approx(out.accel_by_speed, abs=1e-6)
 
 
-def test_without_a_command_steering_holds_and_the_car_rolls() -> None:
+def test_without_a_command_steering_holds_and_the_car_rolls():
     out = drive(NO_HISTORY, 0.2, 1.0, 0, 10 * MS)
     assert (out.steer, out.wheel, out.accel) == (0.2, 0.2, 0.0)
     released = add_command(add_command(NO_HISTORY, 0, Command(0.3, 3.0)), 5 * MS, None)
@@ -71,7 +69,7 @@ def test_without_a_command_steering_holds_and_the_car_rolls() -> None:
     assert (out.steer, out.accel, out.steered) == (0.2, 0.0, False)
 
 
-def test_history_keeps_order_and_the_command_in_force() -> None:
+def test_history_keeps_order_and_the_command_in_force():
     history = NO_HISTORY
     for t in (20, 0, 10):
         history = add_command(history, t, Command(float(t), 0.0))
@@ -84,6 +82,6 @@ def test_history_keeps_order_and_the_command_in_force() -> None:
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_a_command_that_is_not_finite_is_an_error(bad: float) -> None:
+def test_a_command_that_is_not_finite_is_an_error(bad):
     with pytest.raises(ValueError, match="not finite"):
         add_command(NO_HISTORY, 0, Command(0.0, bad))

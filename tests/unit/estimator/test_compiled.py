@@ -64,7 +64,7 @@ def assert_same(one: FilterState, other: FilterState) -> None:
 
 @pytest.mark.parametrize("chassis", CHASSIS, ids=lambda chassis: chassis.label)
 @pytest.mark.parametrize("car", [DEFAULT_CAR, ODD_CAR])
-def test_a_drive_gives_the_same(simulate: Any, run_filter: Any, car: Any, chassis: Chassis) -> None:
+def test_a_drive_gives_the_same(simulate, run_filter, car, chassis):
     drive = simulate(seed=3, seconds=1.0, car=car, gyro=True)
     reference, compiled = both(car, chassis)
     pairs = zip(run_filter(reference, drive), run_filter(compiled, drive), strict=True)
@@ -107,9 +107,7 @@ def scenes(draw: st.DrawFn) -> tuple[Node, History, list[Any]]:
 @given(
     scene=scenes(), car=st.sampled_from([DEFAULT_CAR, ODD_CAR]), chassis=st.sampled_from(CHASSIS)
 )
-def test_any_belief_orders_and_measurements_give_the_same(
-    scene: Any, car: Any, chassis: Chassis
-) -> None:
+def test_any_belief_orders_and_measurements_give_the_same(scene, car, chassis):
     node, history, measured = scene
     end = T0 + 450 * MS
     states = []
@@ -122,7 +120,7 @@ def test_any_belief_orders_and_measurements_give_the_same(
     assert_close(compiled_look.health.position_sd, look.health.position_sd)
 
 
-def test_readings_that_are_no_numbers_are_not_believed() -> None:
+def test_readings_that_are_no_numbers_are_not_believed():
     flts = both(DEFAULT_CAR)
     start = make_belief(np.zeros(7), np.eye(7))
     node = Node(make_pose(T0, 0, 0, 0), start, math.nan, True, NO_TALLY)
@@ -132,9 +130,8 @@ def test_readings_that_are_no_numbers_are_not_believed() -> None:
     assert not other.nodes[-1].believed
 
 
-def test_a_belief_that_is_not_finite_is_not_sound_and_believes_nothing() -> None:
+def test_a_belief_that_is_not_finite_is_not_sound_and_believes_nothing():
     kernel = both(DEFAULT_CAR)[1].kernel
-    assert kernel is not None
     huge = make_belief(np.full(7, 1e300), 1e300 * np.eye(7))
     assert not kernel.predict(History(), huge, T0, T0 + 5 * MS).sound
     (link,) = kernel.fuse(History(), huge, T0, [make_gyro(T0 + MS, 0.0)])
@@ -142,16 +139,15 @@ def test_a_belief_that_is_not_finite_is_not_sound_and_believes_nothing() -> None
     assert not math.isfinite(link.nis)
 
 
-def test_a_long_chain_is_followed_to_its_end() -> None:
+def test_a_long_chain_is_followed_to_its_end():
     kernel = both(DEFAULT_CAR)[1].kernel
-    assert kernel is not None
     chain = [make_gyro(T0 + k * MS, 0.0) for k in range(400)]
     found = kernel.fuse(History(), make_belief(np.zeros(7), np.eye(7)), T0, chain)
     assert len(found) == 400
     assert found[-1].believed
 
 
-def test_another_configuration_is_another_kernel(simulate: Any, run_filter: Any) -> None:
+def test_another_configuration_is_another_kernel(simulate, run_filter):
     config = replace(FilterConfig(), wheel_speed_sd=0.1, yaw_accel_density=3.0)
     drive = simulate(seed=5, seconds=0.5)
     flts = both(DEFAULT_CAR, config=config)

@@ -6,7 +6,7 @@ import pytest
 from steerd.estimator.config import FilterConfig, load_filter_config
 
 
-def test_defaults_pass_their_own_validation() -> None:
+def test_defaults_pass_their_own_validation():
     assert load_filter_config(asdict(FilterConfig())) == FilterConfig()
     assert load_filter_config({}) == FilterConfig()
 
@@ -23,7 +23,7 @@ def test_defaults_pass_their_own_validation() -> None:
         ({"initial_poses": 7.5}, "initial_poses must be a whole number"),
     ],
 )
-def test_each_problem_is_named(mapping: dict[str, object], words: str) -> None:
+def test_each_problem_is_named(mapping, words):
     with pytest.raises(ValueError) as caught:  # noqa: PT011
         load_filter_config(mapping)
     assert words in str(caught.value)
@@ -31,6 +31,6 @@ def test_each_problem_is_named(mapping: dict[str, object], words: str) -> None:
 
 @pytest.mark.parametrize("name", [field.name for field in fields(FilterConfig)])
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -1.0])
-def test_no_field_takes_nonsense(name: str, bad: float) -> None:
+def test_no_field_takes_nonsense(name, bad):
     with pytest.raises(ValueError, match=name):
         load_filter_config({name: bad})

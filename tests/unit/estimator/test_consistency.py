@@ -52,7 +52,6 @@ def record(
         if t < SETTLED_NS or (t - SETTLED_NS) % SAMPLE_NS:
             continue
         estimate = predict_to(flt, state, t)
-        assert estimate is not None
         error = np.array(estimate.state) - np.array(drive.truth[t])
         scaled.append(error / np.array(estimate.sd))
         nees.append(error @ np.linalg.solve(estimate.belief.covariance, error))
@@ -102,11 +101,11 @@ def total_nis(records: Iterable[Record], kind: Kind) -> tuple[float, int]:
     return sum(values), WIDTHS[kind] * len(values)
 
 
-def test_nees_lies_within_its_bounds(records: list[Record]) -> None:
+def test_nees_lies_within_its_bounds(records):
     assert within(*total_nees(records))
 
 
-def test_nees_lies_within_its_bounds_at_every_instant(records: list[Record]) -> None:
+def test_nees_lies_within_its_bounds_at_every_instant(records):
     """One of nine instants may stray: that happens to 8 % of consistent filters, two to 0.3 %."""
     instants = np.sum([r.nees for r in records], axis=0)
     assert instants.size == 9
@@ -114,24 +113,24 @@ def test_nees_lies_within_its_bounds_at_every_instant(records: list[Record]) -> 
 
 
 @pytest.mark.parametrize("index", range(7), ids=State._fields)
-def test_each_state_has_unit_variance_and_no_bias(records: list[Record], index: int) -> None:
+def test_each_state_has_unit_variance_and_no_bias(records, index):
     scaled = np.concatenate([r.scaled[:, index] for r in records])
     assert within(float((scaled**2).sum()), scaled.size, 0.999)
     assert abs(scaled.mean()) < 3.3 / np.sqrt(scaled.size)
 
 
 @pytest.mark.parametrize("kind", list(Kind))
-def test_nis_lies_within_its_bounds(records: list[Record], kind: Kind) -> None:
+def test_nis_lies_within_its_bounds(records, kind):
     assert within(*total_nis(records, kind))
 
 
-def test_gates_refuse_about_one_in_a_thousand(records: list[Record]) -> None:
+def test_gates_refuse_about_one_in_a_thousand(records):
     seen = sum(len(values) for r in records for values in r.nis.values())
     refused = sum(r.refused for r in records)
     assert chi2.ppf(0.005, 2 * refused) / 2 < 0.001 * seen < chi2.ppf(0.995, 2 * refused + 2) / 2
 
 
-def test_a_planar_car_in_tight_bends(hard_drives: list[Any], run_filter: Any) -> None:
+def test_a_planar_car_in_tight_bends(hard_drives, run_filter):
     """Its own equations are consistent there; small angles and wheels without slip are not."""
     fastest = max(abs(s.speed * s.yaw_rate) for d in hard_drives for s in d.truth.values())
     assert fastest > 8.0
@@ -145,9 +144,7 @@ def test_a_planar_car_in_tight_bends(hard_drives: list[Any], run_filter: Any) ->
 
 @pytest.mark.parametrize("factor", [0.6, 1.6])
 @pytest.mark.parametrize("name", ["yaw_accel_density", "longitudinal_accel_density"])
-def test_a_wrong_process_noise_is_noticed(
-    drives: list[Any], run_filter: Any, name: str, factor: float
-) -> None:
+def test_a_wrong_process_noise_is_noticed(drives, run_filter, name, factor):
     wrong = replace(CONFIG, **{name: factor * getattr(CONFIG, name)})
     some = [record(drive, run_filter, wrong) for drive in drives[:8]]
     checks = [within(*total_nees(some)), *(within(*total_nis(some, kind)) for kind in Kind)]

@@ -32,14 +32,11 @@ def poses_on_a_curve(
     ("speed", "yaw", "yaw_rate", "slip"),
     [(0.0, 0.4, 0.0, 0.0), (2.0, 3.1, 1.0, 0.03), (-1.5, -2.0, 0.4, 0.0), (0.3, 1.0, -0.5, 0.0)],
 )
-def test_first_belief_covers_the_truth(
-    speed: float, yaw: float, yaw_rate: float, slip: float
-) -> None:
+def test_first_belief_covers_the_truth(speed, yaw, yaw_rate, slip):
     truth = np.array([0.0, 0.0, yaw, speed, yaw_rate, slip])
     errors = []
     for seed in range(50):
         belief = initial_belief(CONFIG, poses_on_a_curve(seed, speed, yaw, yaw_rate, slip), 0.0)
-        assert belief is not None
         error = belief.mean[:6] - truth
         error[2] = math.remainder(error[2], math.tau)
         errors.append(error / np.sqrt(np.diag(belief.covariance)[:6]))
@@ -49,21 +46,20 @@ def test_first_belief_covers_the_truth(
 
 @pytest.mark.parametrize("index", range(10))
 @pytest.mark.parametrize("shift", [(0.5, 0.0, 0.0), (0.0, 0.0, math.pi)])
-def test_one_wrong_pose_stops_the_start(index: int, shift: tuple[float, float, float]) -> None:
+def test_one_wrong_pose_stops_the_start(index, shift):
     poses = poses_on_a_curve(1, 1.0, 0.0, 0.0, 0.0)
     x, y, yaw = (a + b for a, b in zip(poses[index].values, shift, strict=True))
     poses[index] = make_pose(poses[index].t_ns, x, y, yaw)
     assert initial_belief(CONFIG, poses, None) is None
 
 
-def test_poses_far_apart_in_time_do_not_start_a_filter() -> None:
+def test_poses_far_apart_in_time_do_not_start_a_filter():
     poses = [make_pose(i * 100 * MS, 0.0, 0.0, 0.0) for i in range(10)]
     assert initial_belief(CONFIG, poses, None) is None
     assert initial_belief(CONFIG, [poses[0]] * 10, None) is None
 
 
-def test_a_carried_car_starts_without_slip() -> None:
+def test_a_carried_car_starts_without_slip():
     poses = [make_pose(i * 10 * MS, 0.0, 0.01 * i, 0.0) for i in range(10)]
     belief = initial_belief(CONFIG, poses, None)
-    assert belief is not None
     assert belief.mean[5] == 0.0

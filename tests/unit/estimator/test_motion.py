@@ -50,7 +50,7 @@ def rates_and_jacobian(chassis: Chassis, car, state, wheel: float, accel: float)
 
 @every_chassis
 @pytest.mark.parametrize("state", STATES)
-def test_step_is_the_implicit_midpoint_of_the_whole_jacobian(chassis, state) -> None:
+def test_step_is_the_implicit_midpoint_of_the_whole_jacobian(chassis, state):
     driven = ActuatorMotion(0.13, 0.11, 0.7, 0.9, 0.95, -8.0)
     h = 0.008
     rates, J = rates_and_jacobian(chassis, CAR, state, driven.wheel, driven.accel)
@@ -79,7 +79,7 @@ def plant(
 
 @every_chassis
 @pytest.mark.parametrize("state", [STATES[0], STATES[3]])
-def test_error_falls_with_the_square_of_the_step(chassis, state) -> None:
+def test_error_falls_with_the_square_of_the_step(chassis, state):
     command = Command(state.steer + 0.1, state.speed + 0.2)  # within the slew limits
     car = CAR._replace(steer_delay=0.0)
     history = add_command(NO_HISTORY, 0, command)
@@ -99,7 +99,7 @@ def test_error_falls_with_the_square_of_the_step(chassis, state) -> None:
 
 @every_chassis
 @pytest.mark.parametrize("state", [STATES[0], STATES[3]])
-def test_transition_is_the_derivative_of_the_motion(chassis, state) -> None:
+def test_transition_is_the_derivative_of_the_motion(chassis, state):
     command, h = Command(state.steer + 0.1, state.speed + 0.2), 0.0002
     car = CAR._replace(steer_delay=0.0)
     history = add_command(NO_HISTORY, 0, command)
@@ -116,7 +116,7 @@ def test_transition_is_the_derivative_of_the_motion(chassis, state) -> None:
 
 @every_chassis
 @pytest.mark.parametrize("speed", [0.05, 0.25, 0.4, 0.55])
-def test_long_steps_at_low_speed_stay_bounded(chassis, speed: float) -> None:
+def test_long_steps_at_low_speed_stay_bounded(chassis, speed):
     """A gap of seconds takes steps far beyond the stability limit of an explicit method."""
     belief = make_belief(np.array([0, 0, 0, speed, 2.0, 0.3, 0.1]), np.eye(7) * 1e-2)
     history = add_command(NO_HISTORY, 0, Command(0.1, speed))
@@ -130,7 +130,7 @@ def test_long_steps_at_low_speed_stay_bounded(chassis, speed: float) -> None:
 
 
 @pytest.mark.parametrize("state", STATES)
-def test_noise_enters_evenly_along_the_step(state) -> None:
+def test_noise_enters_evenly_along_the_step(state):
     """`Q` is the integral of noise carried on by an `F` that grows linearly, summed in pieces."""
     density = list(FilterConfig().noise_density)
     h, pieces = 0.008, 2000

@@ -70,7 +70,7 @@ def textbook_update(
 
 
 @pytest.mark.parametrize("seed", [21, 22])
-def test_same_estimate_as_the_textbook(simulate: Any, run_filter: Any, seed: int) -> None:
+def test_same_estimate_as_the_textbook(simulate, run_filter, seed):
     drive = simulate(seed, 1.0, config=CONFIG, gyro=True)
     flt = make_state_filter(CAR, CONFIG)
     runs = list(run_filter(flt, drive))

@@ -6,15 +6,7 @@ from math import cos, pi, radians, sin
 import numpy as np
 import pytest
 
-from steerd.mocap_link.frame import (
-    FrameConfig,
-    make_body_pose,
-    make_planar_pose,
-    relabel_quaternion,
-    relabel_vector,
-    rotate,
-    wrap_angle,
-)
+from steerd.mocap_link import frame
 from steerd.mocap_link.mocap_url import MocapUrl, parse_mocap_url
 from steerd.mocap_link.source import MonitorConfig, MonitorState, SourceState, step_monitor
 
@@ -32,77 +24,81 @@ def matrix(q: np.ndarray) -> np.ndarray:
     )
 
 
-def test_y_up_is_a_relabelling_on_1000_random_rotations() -> None:
+def test_y_up_is_a_relabelling_on_1000_random_rotations():
     rng = np.random.default_rng(11)
     for _ in range(1000):
         q = rng.normal(size=4)
         q /= np.linalg.norm(q)
         p = rng.normal(size=3)
         w, x, y, z = map(float, q)
-        np.testing.assert_allclose(relabel_vector(tuple(p), "y"), RELABEL @ p)
+        np.testing.assert_allclose(frame.relabel_vector(tuple(p), "y"), RELABEL @ p)
         # world and body axes are renamed alike: R' = P R P^T
         renamed = RELABEL @ matrix(q) @ RELABEL.T
         np.testing.assert_allclose(
-            matrix(np.array(relabel_quaternion((w, x, y, z), "y"))), renamed, atol=1e-12
+            matrix(np.array(frame.relabel_quaternion((w, x, y, z), "y"))), renamed, atol=1e-12
         )
-        np.testing.assert_allclose(rotate((w, x, y, z), tuple(p)), matrix(q) @ p, atol=1e-12)
-        pose = make_planar_pose(FrameConfig(up="y"), tuple(p), (w, x, y, z))
+        np.testing.assert_allclose(frame.rotate((w, x, y, z), tuple(p)), matrix(q) @ p, atol=1e-12)
+        pose = frame.make_planar_pose(frame.FrameConfig(up="y"), tuple(p), (w, x, y, z))
         forward = renamed @ [1.0, 0.0, 0.0]
-        assert abs(wrap_angle(pose.yaw - np.arctan2(forward[1], forward[0]))) < 1e-9
+        assert abs(frame.wrap_angle(pose.yaw - np.arctan2(forward[1], forward[0]))) < 1e-9
         assert pose.tilt == pytest.approx(np.arccos(renamed[2, 2]), abs=1e-6)
         assert pose.height == pytest.approx(p[1])
 
 
-def test_the_forward_axis_decides_by_90_degrees() -> None:
+def test_the_forward_axis_decides_by_90_degrees():
     q = (cos(0.35), 0.0, sin(0.35), 0.0)  # 0.70 rad about the vendor's y
-    along_x = make_planar_pose(FrameConfig(up="y", body_forward="+x"), (1.0, 0.0, 0.0), q)
-    along_z = make_planar_pose(FrameConfig(up="y", body_forward="+z"), (1.0, 0.0, 0.0), q)
+    along_x = frame.make_planar_pose(
+        frame.FrameConfig(up="y", body_forward="+x"), (1.0, 0.0, 0.0), q
+    )
+    along_z = frame.make_planar_pose(
+        frame.FrameConfig(up="y", body_forward="+z"), (1.0, 0.0, 0.0), q
+    )
     assert along_x.yaw == pytest.approx(0.70)
     assert along_z.yaw == pytest.approx(0.70 - pi / 2)
 
 
-def test_the_sign_of_the_quaternion_does_not_matter() -> None:
-    a = make_planar_pose(FrameConfig(), (1.0, 2.0, 3.0), (0.8, 0.0, 0.0, 0.6))
-    b = make_planar_pose(FrameConfig(), (1.0, 2.0, 3.0), (-0.8, 0.0, 0.0, -0.6))
+def test_the_sign_of_the_quaternion_does_not_matter():
+    a = frame.make_planar_pose(frame.FrameConfig(), (1.0, 2.0, 3.0), (0.8, 0.0, 0.0, 0.6))
+    b = frame.make_planar_pose(frame.FrameConfig(), (1.0, 2.0, 3.0), (-0.8, 0.0, 0.0, -0.6))
     assert a == pytest.approx(b)
 
 
-def test_offsets_by_hand() -> None:
+def test_offsets_by_hand():
     # car faces +y; marker 0.21 m ahead of the rear axle and 0.015 m right; CoG 0.17 m ahead
-    config = FrameConfig(marker_rear_x=0.21, marker_rear_y=-0.015, cog_ahead_of_rear=0.17)
+    config = frame.FrameConfig(marker_rear_x=0.21, marker_rear_y=-0.015, cog_ahead_of_rear=0.17)
     q = (cos(pi / 4), 0.0, 0.0, sin(pi / 4))
-    pose = make_planar_pose(config, (1.0, 2.0, 0.1), q)
+    pose = frame.make_planar_pose(config, (1.0, 2.0, 0.1), q)
     assert (pose.x, pose.y) == pytest.approx((1.0 - 0.015, 2.0 - 0.04))
 
 
-def test_mount_yaw_is_what_the_body_reads_too_much() -> None:
+def test_mount_yaw_is_what_the_body_reads_too_much():
     q = (cos(0.5), 0.0, 0.0, sin(0.5))
-    pose = make_planar_pose(FrameConfig(mount_yaw=radians(3.0)), (0.0, 0.0, 0.0), q)
+    pose = frame.make_planar_pose(frame.FrameConfig(mount_yaw=radians(3.0)), (0.0, 0.0, 0.0), q)
     assert pose.yaw == pytest.approx(1.0 - radians(3.0))
 
 
 @pytest.mark.parametrize("up", ["y", "z"])
 @pytest.mark.parametrize("units", ["m", "mm"])
-def test_body_pose_and_back(up: str, units: str) -> None:
+def test_body_pose_and_back(up, units):
     rng = np.random.default_rng(12)
     axes = {"y": ["+x", "-x", "+z", "-z"], "z": ["+x", "-x", "+y", "-y"]}[up]
     for _ in range(200):
         r = rng.uniform(-1, 1, 6)
-        config = FrameConfig(
+        config = frame.FrameConfig(
             units, up, str(rng.choice(axes)), pi * r[0], (r[1], r[2]), 0.2 * r[3], r[4], r[5], 0.17
         )
         x, y, yaw, height = (float(v) for v in rng.uniform(-3, 3, 4))
-        position, q = make_body_pose(config, x, y, yaw, height)
-        pose = make_planar_pose(config, position, q)
+        position, q = frame.make_body_pose(config, x, y, yaw, height)
+        pose = frame.make_planar_pose(config, position, q)
         assert pose[:4] == pytest.approx((x, y, yaw, height))
         assert pose.tilt == pytest.approx(0.0, abs=1e-7)
 
 
-def test_a_car_pushed_ahead_moves_along_its_heading() -> None:
-    config = FrameConfig(up="y", body_forward="-z", mount_yaw=0.1, world_yaw=0.7)
-    a, q = make_body_pose(config, 0.0, 0.0, 0.4)
-    b, _ = make_body_pose(config, cos(0.4), sin(0.4), 0.4)
-    start, end = make_planar_pose(config, a, q), make_planar_pose(config, b, q)
+def test_a_car_pushed_ahead_moves_along_its_heading():
+    config = frame.FrameConfig(up="y", body_forward="-z", mount_yaw=0.1, world_yaw=0.7)
+    a, q = frame.make_body_pose(config, 0.0, 0.0, 0.4)
+    b, _ = frame.make_body_pose(config, cos(0.4), sin(0.4), 0.4)
+    start, end = frame.make_planar_pose(config, a, q), frame.make_planar_pose(config, b, q)
     assert end.x - start.x == pytest.approx(cos(start.yaw))
     assert end.y - start.y == pytest.approx(sin(start.yaw))
 
@@ -110,21 +106,21 @@ def test_a_car_pushed_ahead_moves_along_its_heading() -> None:
 @pytest.mark.parametrize(
     "bad", [{"units": "cm"}, {"up": "x"}, {"body_forward": "x"}, {"body_forward": "+y", "up": "y"}]
 )
-def test_meaningless_configurations_are_refused(bad: dict[str, str]) -> None:
+def test_meaningless_configurations_are_refused(bad):
     with pytest.raises(ValueError, match=r"mocap|body_forward"):
-        FrameConfig(**bad)  # type: ignore[arg-type]
+        frame.FrameConfig(**bad)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("q", [(0.0,) * 4, (float("nan"), 0.0, 0.0, 1.0), (1e308,) * 4])
-def test_no_rotation_is_refused(q: tuple[float, float, float, float]) -> None:
+def test_no_rotation_is_refused(q):
     with pytest.raises(ValueError, match="no pose"):
-        make_planar_pose(FrameConfig(), (0.0, 0.0, 0.0), q)
+        frame.make_planar_pose(frame.FrameConfig(), (0.0, 0.0, 0.0), q)
 
 
-def test_wrap_angle_is_half_open() -> None:
-    assert wrap_angle(-pi) == pi
-    assert wrap_angle(pi) == pi
-    assert wrap_angle(3 * pi + 0.1) == pytest.approx(-pi + 0.1)
+def test_wrap_angle_is_half_open():
+    assert frame.wrap_angle(-pi) == pi
+    assert frame.wrap_angle(pi) == pi
+    assert frame.wrap_angle(3 * pi + 0.1) == pytest.approx(-pi + 0.1)
 
 
 # Addresses and the source state machine.
@@ -162,12 +158,12 @@ BAD = {
 
 
 @pytest.mark.parametrize("text", GOOD)
-def test_addresses(text: str) -> None:
+def test_addresses(text):
     assert parse_mocap_url(text) == GOOD[text]
 
 
 @pytest.mark.parametrize("text", BAD)
-def test_bad_addresses_say_what_is_wrong(text: str) -> None:
+def test_bad_addresses_say_what_is_wrong(text):
     with pytest.raises(ValueError, match=BAD[text]):
         parse_mocap_url(text)
 
@@ -183,7 +179,7 @@ def bring_up() -> MonitorState:
     return s
 
 
-def test_start_up() -> None:
+def test_start_up():
     s = step_monitor(CONFIG, MonitorState(), 0, connected=False, clock_ready=False)
     assert s.state is SourceState.CONNECTING
     s = step_monitor(CONFIG, s, 0, connected=True, clock_ready=False)
@@ -196,7 +192,7 @@ def test_start_up() -> None:
     assert s.state is SourceState.CONNECTING
 
 
-def test_ok_needs_ten_good_frames_in_a_row() -> None:
+def test_ok_needs_ten_good_frames_in_a_row():
     s = MonitorState()
     for i in range(9):
         s = feed(s, 10 * i, True)
@@ -208,7 +204,7 @@ def test_ok_needs_ten_good_frames_in_a_row() -> None:
     assert feed(s, 190, True).state is SourceState.OK
 
 
-def test_timing_of_stale_and_lost_is_exact() -> None:
+def test_timing_of_stale_and_lost_is_exact():
     s = bring_up()
     assert s.state is SourceState.OK
     for ms, state in {120: "ok", 120.001: "stale", 240: "stale", 240.001: "lost"}.items():
@@ -216,14 +212,14 @@ def test_timing_of_stale_and_lost_is_exact() -> None:
     assert feed(feed(s, 130), 131, True).state is SourceState.OK
 
 
-def test_bad_frames_are_not_life() -> None:
+def test_bad_frames_are_not_life():
     s = bring_up()
     for i in range(10, 30):
         s = feed(s, 10 * i, False)
     assert s.state is SourceState.LOST
 
 
-def test_lost_ends_after_ten_good_frames() -> None:
+def test_lost_ends_after_ten_good_frames():
     s = feed(bring_up(), 500)
     assert s.state is SourceState.LOST
     for i in range(9):
@@ -232,7 +228,7 @@ def test_lost_ends_after_ten_good_frames() -> None:
     assert feed(s, 600, True).state is SourceState.OK
 
 
-def test_lost_stays_lost_when_disconnected_or_without_clock() -> None:
+def test_lost_stays_lost_when_disconnected_or_without_clock():
     s = feed(bring_up(), 500)
     s = step_monitor(CONFIG, s, 600 * MS, connected=False, clock_ready=True)
     assert s.state is SourceState.LOST

@@ -177,7 +177,6 @@ def test_sigkill_loses_at_most_three_tenths_of_a_second(tmp_path, progress_ns):
     with subprocess.Popen(
         [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE
     ) as process:
-        assert process.stdout is not None
         first = last = int.from_bytes(process.stdout.read(8), "little")
         while last - first < progress_ns:
             last = int.from_bytes(process.stdout.read(8), "little")

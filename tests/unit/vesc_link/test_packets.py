@@ -55,13 +55,13 @@ def present(values: object) -> dict[str, object]:
     return {k: v for k, v in dataclasses.asdict(values).items() if v is not None}
 
 
-def test_examples_hold_every_command_once() -> None:
+def test_examples_hold_every_command_once():
     assert {type(example) for example in EXAMPLES} == set(get_args(Command))
 
 
 @pytest.mark.parametrize("firmware", OLD_AND_NEW, ids=str)
 @pytest.mark.parametrize("command", EXAMPLES, ids=lambda command: type(command).__name__)
-def test_command_round_trip_on_every_firmware(command: Command, firmware: Firmware) -> None:
+def test_command_round_trip_on_every_firmware(command, firmware):
     if not knows(firmware, command_number(command)):
         with pytest.raises(ValueError, match="needs firmware"):
             encode_command(command, firmware)
@@ -71,7 +71,7 @@ def test_command_round_trip_on_every_firmware(command: Command, firmware: Firmwa
 
 
 @pytest.mark.parametrize("command", EXAMPLES, ids=lambda command: type(command).__name__)
-def test_command_cut_at_any_byte_is_no_command_or_legally_shorter(command: Command) -> None:
+def test_command_cut_at_any_byte_is_no_command_or_legally_shorter(command):
     payload = encode_command(command)
     for length in range(len(payload)):
         short = decode_command(payload[:length])
@@ -84,12 +84,12 @@ def test_command_cut_at_any_byte_is_no_command_or_legally_shorter(command: Comma
 @pytest.mark.parametrize(
     "kind", [c.SetDuty, c.SetCurrent, c.SetCurrentBrake, c.SetErpm, c.SetServoPos]
 )
-def test_setpoint_that_is_no_number_is_refused(kind: type[c.SetDuty], value: float) -> None:
+def test_setpoint_that_is_no_number_is_refused(kind, value):
     with pytest.raises(ValueError, match=r"cannot be sent|does not fit"):
         encode_command(kind(value))
 
 
-def test_limits_that_are_no_number_are_refused_both_ways() -> None:
+def test_limits_that_are_no_number_are_refused_both_ways():
     limits = dataclasses.replace(LIMITS_SET, watt_max=math.nan)
     with pytest.raises(ValueError, match="finite"):
         encode_command(limits)
@@ -98,25 +98,22 @@ def test_limits_that_are_no_number_are_refused_both_ways() -> None:
     assert decode_command(bytes(payload)) is None
 
 
-def test_text_refuses_what_the_wire_cannot_hold() -> None:
+def test_text_refuses_what_the_wire_cannot_hold():
     with pytest.raises(ValueError, match="NUL"):
         encode_command(c.TerminalCommand("a\0b"))
     with pytest.raises(ValueError, match="ascii"):
         encode_command(c.TerminalCommand("µ"))
 
 
-def test_what_feeds_the_motor_timeout() -> None:
+def test_what_feeds_the_motor_timeout_and_what_is_answered():
     fed = {command_number(example) for example in EXAMPLES if isinstance(example, FEEDS_TIMEOUT)}
     assert fed == {5, 6, 7, 8, 30}
-
-
-def test_what_is_answered() -> None:
     answered = {command_number(example) for example in EXAMPLES if expects_reply(example)}
     assert answered == {0, 4, 17, 50, 51, 65, 91}
     assert expects_reply(dataclasses.replace(LIMITS_SET, ack=True))
 
 
-def test_old_firmware_shifts_ids_from_the_handbrake_on() -> None:
+def test_old_firmware_shifts_ids_from_the_handbrake_on():
     assert encode_command(c.SetServoPos(0.5), FW_3_00)[0] == 11
     assert encode_command(c.Alive(), FW_3_00)[0] == 29
     assert encode_command(c.Alive(), Firmware(3, 7))[0] == 30
@@ -138,9 +135,7 @@ def test_old_firmware_shifts_ids_from_the_handbrake_on() -> None:
         ("i", 1e0, 16777217.0, 16777217, 16777216),  # the firmware's floats have 24 bits
     ],
 )
-def test_host_rounds_and_device_truncates_in_single_precision(
-    code: str, scale: float | None, value: float, host: int, device: int
-) -> None:
+def test_host_rounds_and_device_truncates_in_single_precision(code, scale, value, host, device):
     assert host_number(code, scale, value) == host
     assert device_number(code, scale, value) == device
 
@@ -152,7 +147,7 @@ def device_number(code: str, scale: float | None, value: float) -> float:
     return number
 
 
-def test_device_saturates_and_float_auto_has_no_denormals() -> None:
+def test_device_saturates_and_float_auto_has_no_denormals():
     assert device_number("h", 1e1, 1e9) == 32767
     assert device_number("B", None, -4) == 0
     assert host_number("f", None, 1e-39) == 0
@@ -162,7 +157,7 @@ def test_device_saturates_and_float_auto_has_no_denormals() -> None:
 
 
 @pytest.mark.parametrize(("version", "size"), FULL_SIZE.items())
-def test_full_telemetry_of_every_firmware(version: tuple[int, int], size: int) -> None:
+def test_full_telemetry_of_every_firmware(version, size):
     firmware = Firmware(*version)
     payload = encode_reply(ALL_VALUES, firmware)
     assert len(payload) == size == t.values_size(None, firmware)
@@ -176,12 +171,12 @@ def test_full_telemetry_of_every_firmware(version: tuple[int, int], size: int) -
     assert values.extra_bytes == 0
 
 
-def test_fast_reply_fits_one_usb_packet() -> None:
+def test_fast_reply_fits_one_usb_packet():
     fast = encode_reply(dataclasses.replace(ALL_VALUES, mask=t.FAST_MASK))
     assert len(encode_frame(fast)) == 56
 
 
-def test_telemetry_cut_at_any_byte_has_no_invented_field() -> None:
+def test_telemetry_cut_at_any_byte_has_no_invented_field():
     payload = encode_reply(ALL_VALUES)
     for length in range(1, len(payload) + 20):
         if length == 56:
@@ -195,7 +190,7 @@ def test_telemetry_cut_at_any_byte_has_no_invented_field() -> None:
         assert 0 <= extra < max(6, length - 73)
 
 
-def test_flags_and_fault_names() -> None:
+def test_flags_and_fault_names():
     assert fault_name(10) == "BOOTING_FROM_WATCHDOG_RESET"
     assert fault_name(33) == "ABS_OVERSPEED"
     assert fault_name(34) == "FAULT_34"
@@ -208,7 +203,7 @@ IMU = t.Imu(
 
 
 @pytest.mark.parametrize(("firmware", "size"), [((6, 0), 67), ((6, 5), 68), ((7, 1), 68)])
-def test_imu_round_trip_in_si_units(firmware: tuple[int, int], size: int) -> None:
+def test_imu_round_trip_in_si_units(firmware, size):
     payload = encode_reply(IMU, Firmware(*firmware))
     assert len(payload) == size
     got = decode_reply(payload)
@@ -223,7 +218,7 @@ def test_imu_round_trip_in_si_units(firmware: tuple[int, int], size: int) -> Non
         assert value == pytest.approx(getattr(IMU, name), rel=1e-6), name
 
 
-def test_board_without_imu_answers_zeros_and_is_recognised() -> None:
+def test_board_without_imu_answers_zeros_and_is_recognised():
     nothing = decode_reply(encode_reply(t.Imu(t.IMU_ACCEL_GYRO_MASK)))
     assert isinstance(nothing, t.Imu)
     assert not t.has_chip(nothing.accel_x, nothing.accel_y, nothing.accel_z)
@@ -243,7 +238,7 @@ OTHERS: tuple[Reply, ...] = (
 
 
 @pytest.mark.parametrize("reply", OTHERS, ids=lambda reply: type(reply).__name__)
-def test_reply_round_trip(reply: Reply) -> None:
+def test_reply_round_trip(reply):
     assert decode_reply(encode_reply(reply)) == reply
 
 
@@ -252,7 +247,7 @@ def test_reply_round_trip(reply: Reply) -> None:
     [((2, 18), 3), ((3, 40), 22), ((3, 60), 23), ((5, 2), 26), ((5, 3), 29), ((6, 0), 31),
      ((6, 5), 35), ((7, 1), 35)],
 )  # fmt: skip
-def test_version_reply_of_every_firmware(firmware: tuple[int, int], size: int) -> None:
+def test_version_reply_of_every_firmware(firmware, size):
     reply = make_fw_version(VescConfig(firmware=Firmware(*firmware)), bytes(12))
     payload = encode_reply(reply, Firmware(*firmware))
     assert len(payload) == size
@@ -264,12 +259,12 @@ def test_version_reply_of_every_firmware(firmware: tuple[int, int], size: int) -
         encode_reply(dataclasses.replace(reply, uuid=b"short"), FW_7_01)
 
 
-def test_limits_imply_the_erpm_gain() -> None:
+def test_limits_imply_the_erpm_gain():
     assert LIMITS.erpm_gain == pytest.approx(60 * 2 * 11.75 / (math.pi * 0.125))
 
 
 @pytest.mark.parametrize("reply", [LIMITS, IMU, APPCONF], ids=lambda r: str(type(r)))
-def test_reply_with_a_number_that_is_none_is_refused(reply: Reply) -> None:
+def test_reply_with_a_number_that_is_none_is_refused(reply):
     payload = encode_reply(reply)
     at = {t.Imu: 3, i.AppConf: 10}.get(type(reply), 1)
     assert decode_reply(payload[:at] + struct.pack(">f", math.nan) + payload[at + 4 :]) is None

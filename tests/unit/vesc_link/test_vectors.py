@@ -120,24 +120,24 @@ def payload_of(name: str) -> bytes:
     return bytes.fromhex(VECTORS[name]["payload"])
 
 
-def test_every_request_vector_has_a_command_or_is_not_used() -> None:
+def test_every_request_vector_has_a_command_or_is_not_used():
     assert sorted(COMMANDS) == sorted(REQUESTS)
 
 
 @pytest.mark.parametrize("name", [*FOREIGN, SETUP_REPLY])
-def test_what_is_not_used_is_neither_command_nor_reply(name: str) -> None:
+def test_what_is_not_used_is_neither_command_nor_reply(name):
     assert decode_reply(payload_of(name)) is None
     assert name == SETUP_REPLY or decode_command(payload_of(name)) is None
 
 
 @pytest.mark.parametrize("name", REQUESTS)
-def test_command_encodes_to_the_frame_and_back(name: str) -> None:
+def test_command_encodes_to_the_frame_and_back(name):
     assert encode_frame(encode_command(COMMANDS[name])) == frame_of(name)
     assert decode_command(payload_of(name)) == COMMANDS[name]
 
 
 @pytest.mark.parametrize("name", REPLIES)
-def test_reply_decodes_to_the_numbers_and_back(name: str) -> None:
+def test_reply_decodes_to_the_numbers_and_back(name):
     reply = decode_reply(payload_of(name))
     assert reply is not None
     got = dataclasses.asdict(reply)
@@ -156,7 +156,7 @@ def short_form(name: str) -> str:
 
 
 @pytest.mark.parametrize("stream", SPEC["streams"], ids=lambda s: s["name"])
-def test_stream_completes_at_the_firmware_byte(stream: dict[str, Any]) -> None:
+def test_stream_completes_at_the_firmware_byte(stream):
     data = bytes.fromhex(stream["bytes"])
     strict = FrameParser(strict=True)
     got = [(p.hex(), n) for n, b in enumerate(data, 1) for p in strict.feed(bytes((b,)), 0)]
@@ -164,9 +164,7 @@ def test_stream_completes_at_the_firmware_byte(stream: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("stream", SPEC["streams"], ids=lambda s: s["name"])
-def test_stream_whole_gives_the_same_payloads_and_the_host_is_never_later(
-    stream: dict[str, Any],
-) -> None:
+def test_stream_whole_gives_the_same_payloads_and_the_host_is_never_later(stream):
     data = bytes.fromhex(stream["bytes"])
     for strict in (True, False):
         whole = FrameParser(strict=strict).feed(data, 0)
@@ -177,7 +175,7 @@ def test_stream_whole_gives_the_same_payloads_and_the_host_is_never_later(
     assert all(n <= late for (_, n), late in zip(got, stream["completed_at_byte"], strict=True))
 
 
-def test_first_good_frame_behind_a_false_long_header_reaches_the_host_at_once() -> None:
+def test_first_good_frame_behind_a_false_long_header_reaches_the_host_at_once():
     stream = next(s for s in SPEC["streams"] if s["name"] == "false_long_header_512")
     host = FrameParser()
     first = bytes.fromhex(stream["bytes"])[:11]

@@ -5,17 +5,14 @@ import pytest
 from steerd.car_model.effects import ALIASES, EFFECTS, find_effect, parse_effects
 
 
-def test_one_value() -> None:
+def test_values_in_order_and_by_name():
     assert parse_effects("steer_delay=0.03") == [(EFFECTS["steer_delay"], (0.03,))]
-
-
-def test_values_in_order_and_by_name() -> None:
     assert parse_effects("grip_patch=1,-2, 0.5,0.3")[0][1] == (1.0, -2.0, 0.5, 0.3)
     assert parse_effects("grip_patch:drop=0.3,x=2")[0][1] == (2.0, 0.0, 0.5, 0.3)
     assert parse_effects("floor_slope=0.01")[0][1] == (0.01, 0.0, 0.0)
 
 
-def test_several_effects() -> None:
+def test_several_effects():
     found = parse_effects("floor_slope=0.01,0.02,backlash:play=0.02,mu=0.6")
     assert [(e.name, v) for e, v in found] == [
         ("floor_slope", (0.01, 0.02, 0.0)),
@@ -24,12 +21,12 @@ def test_several_effects() -> None:
     ]
 
 
-def test_a_name_that_is_a_parameter_too_starts_a_new_effect_after_plain_values() -> None:
+def test_a_name_that_is_a_parameter_too_starts_a_new_effect_after_plain_values():
     found = parse_effects("steer_gain=0.9,mass=0.5")
     assert [e.name for e, _ in found] == ["steer_gain", "mass"]
 
 
-def test_aliases_lead_to_effects_and_hide_none() -> None:
+def test_aliases_lead_to_effects_and_hide_none():
     assert not set(ALIASES) & set(EFFECTS)
     assert sum(len(e.aliases) for e in EFFECTS.values()) == len(ALIASES)
     for alias, name in ALIASES.items():
@@ -53,6 +50,6 @@ def test_aliases_lead_to_effects_and_hide_none() -> None:
         ("grip_patch:x=1,2", "NAME=VALUE"),
     ],
 )
-def test_a_wrong_line_is_named_with_its_problem(text: str, says: str) -> None:
+def test_a_wrong_line_is_named_with_its_problem(text, says):
     with pytest.raises(ValueError, match=says.replace("(", r"\(")):
         parse_effects(text)

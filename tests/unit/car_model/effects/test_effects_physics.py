@@ -42,11 +42,19 @@ def drive(
     return simulate(FLOAT, model, start(model, first, 0.0), [command] * round(seconds / h), h)
 
 
+def glided(
+    name: str, values: tuple[float, ...], yaw: float = 0.0, accel: float = 0.0, h: float = 0.001
+) -> State[float]:
+    """A moment after 2 m/s, with straight wheels."""
+    model = Model(CAR, (EFFECTS[name],), (values,))
+    moment = start(model, ORIGIN._replace(speed=2.0, yaw=yaw), 0.0)
+    return glide(FLOAT, model, moment, 0.0, accel, 0.0, h).state
+
+
 def tyres(
     name: str, values: tuple[float, ...], slips: Axles[float], accel: float = 0.0
 ) -> Axles[float]:
     effect = EFFECTS[name]
-    assert effect.forces is not None
     loads = loads_at(CAR, accel)
     linear = lateral_forces(CAR, slips, loads)
     at = Contact(CAR, ORIGIN, 0.0, accel, slips, loads, linear)
@@ -54,9 +62,8 @@ def tyres(
     return forces
 
 
-def test_backlash_holds_the_wheels_inside_the_gap() -> None:
+def test_backlash_holds_the_wheels_inside_the_gap():
     effect = EFFECTS["steer_backlash"]
-    assert effect.linkage is not None
     memory: tuple[float, ...] = (0.0,)
     wheels = []
     for angle in (0.0, 0.005, 0.02, 0.05, 0.045, 0.035, 0.0, -0.05):
@@ -65,9 +72,8 @@ def test_backlash_holds_the_wheels_inside_the_gap() -> None:
     assert wheels == pytest.approx([0.0, 0.0, 0.01, 0.04, 0.04, 0.04, 0.01, -0.04])
 
 
-def test_relaxation_answers_a_slip_ramp_as_a_first_order_lag() -> None:
+def test_relaxation_answers_a_slip_ramp_as_a_first_order_lag():
     effect = EFFECTS["tyre_relaxation"]
-    assert effect.remember is not None
     length, speed, h, slope = 0.06, 2.0, 0.004, 0.5
     memory: tuple[float, ...] = (0.0, 0.0)
     for k in range(50):
@@ -78,7 +84,7 @@ def test_relaxation_answers_a_slip_ramp_as_a_first_order_lag() -> None:
     assert memory == pytest.approx((lag, 0.0), rel=1e-12)
 
 
-def test_relaxation_leaves_the_steady_turn_alone() -> None:
+def test_relaxation_leaves_the_steady_turn_alone():
     turn = steady_turn(2.0, 0.6)
     last = drive("tyre_relaxation", (0.08,), turn, Command(turn.steer, 2.0), 3.0)[-1]
     assert last.state.yaw_rate == pytest.approx(1.2, rel=1e-6)
@@ -86,16 +92,14 @@ def test_relaxation_leaves_the_steady_turn_alone() -> None:
 
 
 @pytest.mark.parametrize("q", [1.0, 4.0])
-def test_saturation_levels_off_at_the_friction_limit(q: float) -> None:
+def test_saturation_levels_off_at_the_friction_limit(q):
     limit = CAR.mu * loads_at(CAR, 0.0).front
-    small, large = tyres("tyre_saturation", (q, 0.0), Axles(1e-3, 0.0)), Axles(100.0, 0.0)
+    small, large = (tyres("tyre_saturation", (q, 0.0), Axles(slip, 0.0)) for slip in (1e-3, 100.0))
     assert small.front == pytest.approx(limit * CAR.c_sf * 1e-3, rel=1e-4)
-    assert tyres("tyre_saturation", (q, 0.0), large).front == pytest.approx(
-        limit / math.sqrt(q), rel=1e-3
-    )
+    assert large.front == pytest.approx(limit / math.sqrt(q), rel=1e-3)
 
 
-def test_saturation_that_begins_early_is_a_brush_tyre() -> None:
+def test_saturation_that_begins_early_is_a_brush_tyre():
     """Fiala's tyre (Pacejka, section 3.2) that slides as a whole at 0.6 mu Fz, to 4 %."""
     limit, slides = CAR.mu * loads_at(CAR, 0.0).front, 0.6
     for z in (0.02, 0.1, 0.3, 0.6, 1.0, 1.5):
@@ -112,8 +116,8 @@ def test_saturation_that_begins_early_is_a_brush_tyre() -> None:
     [(2.0, 1.5, -0.03, 0.2, 0.0), (1.5, 1.2, 0.02, 0.3, -1.0), (3.0, -1.0, 0.05, -0.15, 1.0)],
 )
 def test_a_drive_split_of_minus_a_half_makes_four_driven_wheels_two(
-    speed: float, yaw_rate: float, slip_angle: float, wheel: float, accel: float
-) -> None:
+    speed, yaw_rate, slip_angle, wheel, accel
+):
     """But for the slip of rear wheels that carry twice the force, small with stiff tyres."""
     stiff = CAR._replace(c_x=1e4)
     state = ORIGIN._replace(speed=speed, yaw_rate=yaw_rate, slip_angle=slip_angle)
@@ -128,7 +132,7 @@ def test_a_drive_split_of_minus_a_half_makes_four_driven_wheels_two(
     assert (off <= 0.25 * apart + 1e-3).all(), (got, four, two)
 
 
-def test_friction_is_stiffness_when_gentle_and_a_plateau_at_the_limit() -> None:
+def test_friction_is_stiffness_when_gentle_and_a_plateau_at_the_limit():
     p, limit = 0.5, CAR.mu * loads_at(CAR, 0.0).front
     gentle = tyres("tyre_friction", (p,), Axles(1e-3, 1e-3))
     assert gentle.front == pytest.approx(p * limit * CAR.c_sf * 1e-3, rel=1e-4)
@@ -136,23 +140,17 @@ def test_friction_is_stiffness_when_gentle_and_a_plateau_at_the_limit() -> None:
     assert plateau == pytest.approx(limit * p * p / math.sqrt(1.0 - p * p), rel=1e-3)
 
 
-def test_the_ellipse_takes_what_acceleration_uses() -> None:
+@pytest.mark.parametrize("rear", [0.5, 1.0], ids=["all four", "rear alone"])
+def test_the_ellipse_takes_from_each_axle_what_its_drive_uses(rear):
     slips, accel = Axles(0.05, 0.04), 3.0
     whole = lateral_forces(CAR, slips, loads_at(CAR, accel))
-    left = math.sqrt(1.0 - (accel / (CAR.mu * GRAVITY)) ** 2)
-    found = tyres("friction_ellipse", (1.0, 0.5), slips, accel)
-    assert found == pytest.approx((whole.front * left, whole.rear * left))
+    used = [2.0 * share * accel / (CAR.mu * GRAVITY) for share in (1.0 - rear, rear)]
+    found = tyres("friction_ellipse", (1.0, rear), slips, accel)
+    left = [force * math.sqrt(1.0 - u * u) for force, u in zip(whole, used, strict=True)]
+    assert found == pytest.approx(left)
 
 
-def test_rear_wheel_drive_takes_grip_from_the_rear_alone() -> None:
-    slips, accel = Axles(0.05, 0.04), 3.0
-    whole = lateral_forces(CAR, slips, loads_at(CAR, accel))
-    left = math.sqrt(1.0 - (2.0 * accel / (CAR.mu * GRAVITY)) ** 2)
-    found = tyres("friction_ellipse", (1.0, 1.0), slips, accel)
-    assert found == pytest.approx((whole.front, whole.rear * left))
-
-
-def test_lateral_transfer_costs_grip_with_the_square_of_lateral_acceleration() -> None:
+def test_lateral_transfer_costs_grip_with_the_square_of_lateral_acceleration():
     slips = Axles(0.05, 0.05)
     whole = lateral_forces(CAR, slips, loads_at(CAR, 0.0))
     found = tyres("lateral_load_transfer", (0.5, 0.6), slips)
@@ -160,7 +158,7 @@ def test_lateral_transfer_costs_grip_with_the_square_of_lateral_acceleration() -
     assert found.front == pytest.approx(whole.front * (1.0 - 0.5 * lateral**2))
 
 
-def test_what_falls_with_load_across_the_car_does_so_along_it() -> None:
+def test_what_falls_with_load_across_the_car_does_so_along_it():
     """Two wheels with mu (1 - e (load - 1)) lose e s^2 with s moved; one axle e s under it."""
     e, moved, accel = 0.4, 0.5, 2.0
     pair = sum(0.5 * load * (1.0 - e * (load - 1.0)) for load in (1.0 + moved, 1.0 - moved))
@@ -173,7 +171,7 @@ def test_what_falls_with_load_across_the_car_does_so_along_it() -> None:
     assert found.front > whole.front
 
 
-def test_drag_is_the_deceleration_of_a_car_left_to_roll() -> None:
+def test_drag_is_the_deceleration_of_a_car_left_to_roll():
     model = Model(CAR, (EFFECTS["rolling_drag"],), ((0.8,),))
     moment = start(model, ORIGIN._replace(speed=3.0), 0.0)
     for _ in range(100):
@@ -181,9 +179,8 @@ def test_drag_is_the_deceleration_of_a_car_left_to_roll() -> None:
     assert moment.state.speed == pytest.approx(3.0 - 0.8, abs=1e-6)
 
 
-def test_scrub_with_drag_one_takes_the_power_of_slip() -> None:
+def test_scrub_with_drag_one_takes_the_power_of_slip():
     hook = EFFECTS["scrub"].rates
-    assert hook is not None
     turn = steady_turn(2.0, 0.8)
     v, r, beta = turn.speed, turn.yaw_rate, turn.slip_angle
     slips = Axles(turn.steer - beta - CAR.lf * r / v, CAR.lr * r / v - beta)
@@ -195,43 +192,29 @@ def test_scrub_with_drag_one_takes_the_power_of_slip() -> None:
     assert -found.speed * CAR.mass * v == pytest.approx(power, rel=1e-9)
 
 
-def test_slope_pulls_downhill_whatever_the_heading() -> None:
-    model = Model(CAR, (EFFECTS["floor_slope"],), ((0.01, 0.0, 0.0),))
+def test_slope_pulls_downhill_whatever_the_heading():
     for yaw, sign in ((0.0, 1.0), (math.pi, -1.0), (math.pi / 2, 0.0)):
-        moment = start(model, ORIGIN._replace(speed=2.0, yaw=yaw), 0.0)
-        moment = glide(FLOAT, model, moment, 0.0, 0.0, 0.0, 0.01)
-        gained = (moment.state.speed - 2.0) / 0.01
+        moved = glided("floor_slope", (0.01, 0.0, 0.0), yaw=yaw, h=0.01)
+        gained = (moved.speed - 2.0) / 0.01
         assert gained == pytest.approx(sign * 0.01 * GRAVITY, abs=1e-3)
 
 
-def test_slope_spins_the_wheels_up_along_the_path_and_not_across() -> None:
-    values = ((0.01, 0.0, 0.25),)
-    model = Model(CAR, (EFFECTS["floor_slope"],), values)
-    rates = {}
-    for yaw in (0.0, math.pi / 2):
-        moment = start(model, ORIGIN._replace(speed=2.0, yaw=yaw), 0.0)
-        rates[yaw] = glide(FLOAT, model, moment, 0.0, 0.0, 0.0, 0.001).state
-    assert (rates[0.0].speed - 2.0) / 0.001 == pytest.approx(0.01 * GRAVITY / 1.25, rel=1e-2)
-    across = 2.0 * rates[math.pi / 2].slip_angle / 0.001
-    assert across == pytest.approx(-0.01 * GRAVITY, rel=0.1)
+def test_slope_spins_the_wheels_up_along_the_path_and_not_across():
+    down, across = (glided("floor_slope", (0.01, 0.0, 0.25), yaw=y) for y in (0.0, math.pi / 2))
+    assert (down.speed - 2.0) / 0.001 == pytest.approx(0.01 * GRAVITY / 1.25, rel=1e-2)
+    assert 2.0 * across.slip_angle / 0.001 == pytest.approx(-0.01 * GRAVITY, rel=0.1)
 
 
-def test_slip_leaves_the_car_behind_its_wheels_while_they_accelerate_it() -> None:
-    model = Model(CAR, (EFFECTS["wheel_slip"],), ((0.01,),))
+def test_slip_leaves_the_car_behind_its_wheels_while_they_accelerate_it():
     for accel in (3.0, -3.0):
-        moment = start(model, ORIGIN._replace(speed=2.0), 0.0)
-        moved = glide(FLOAT, model, moment, 0.0, accel, 0.0, 0.001).state
-        speed = (moved.x - ORIGIN.x) / 0.001
+        speed = (glided("wheel_slip", (0.01,), accel=accel).x - ORIGIN.x) / 0.001
         assert speed == pytest.approx(2.0 * (1.0 - 0.01 * accel), rel=2e-3)
 
 
-def test_a_patch_is_slippery_inside_and_not_outside() -> None:
-    effect = EFFECTS["grip_patch"]
-    assert effect.car is not None
-    values = (2.0, 1.0, 0.5, 0.4)
+def test_a_patch_is_slippery_inside_and_not_outside():
+    effect, values = EFFECTS["grip_patch"], (2.0, 1.0, 0.5, 0.4)
 
     def mu(x: float, y: float) -> float:
-        assert effect.car is not None
         now: float = effect.car(FLOAT, values, CAR, ORIGIN._replace(x=x, y=y), 0.0).mu
         return now / CAR.mu
 
@@ -240,41 +223,30 @@ def test_a_patch_is_slippery_inside_and_not_outside() -> None:
     assert mu(3.0, 1.0) == pytest.approx(1.0, abs=1e-3)
 
 
-def test_payload_is_a_smaller_inertia_and_a_weaker_motor() -> None:
+def test_payload_is_a_smaller_inertia_and_a_weaker_motor():
     heavy = drive("mass", (0.5,), ORIGIN._replace(speed=2.0), Command(0.2, 3.5))
     share = CAR.mass / (CAR.mass + 0.5)
-    weak = CAR._replace(
-        accel_max=CAR.accel_max * share,
-        decel_max=CAR.decel_max * share,
-        inertia_z=CAR.inertia_z * share,
-    )
-    model = Model(weak)
-    run = simulate(
-        FLOAT,
-        model,
-        start(model, ORIGIN._replace(speed=2.0), 0.0),
-        [Command(0.2, 3.5)] * 200,
-        0.005,
-    )
-    assert tuple(heavy[-1].state) == pytest.approx(tuple(run[-1].state), rel=1e-9)
+    scaled = ("accel_max", "decel_max", "inertia_z")
+    model = Model(CAR._replace(**{name: share * getattr(CAR, name) for name in scaled}))
+    begun = start(model, ORIGIN._replace(speed=2.0), 0.0)
+    weak = simulate(FLOAT, model, begun, [Command(0.2, 3.5)] * 200, 0.005)
+    assert tuple(heavy[-1].state) == pytest.approx(tuple(weak[-1].state), rel=1e-9)
 
 
-def test_speed_scale_changes_true_speed_and_not_the_reported_one() -> None:
+def test_speed_scale_changes_true_speed_and_not_the_reported_one():
     model = Model(CAR, (EFFECTS["speed_scale"],), ((1.1,),))
     last = drive("speed_scale", (1.1,), ORIGIN, Command(0.0, 2.0), 3.0)[-1].state
     assert last.speed == pytest.approx(2.2, rel=1e-6)
     assert observe(FLOAT, model, last).wheel_speed == pytest.approx(2.0, rel=1e-6)
 
 
-def test_battery_sag_over_a_minute() -> None:
+def test_battery_sag_over_a_minute():
     effect = EFFECTS["battery_sag"]
-    assert effect.reference is not None
-    assert effect.reference(FLOAT, (0.1,), Command(0.1, 2.0), 60.0) == pytest.approx(
-        (0.1, 2.0 * math.exp(-0.1))
-    )
+    found = effect.reference(FLOAT, (0.1,), Command(0.1, 2.0), 60.0)
+    assert found == pytest.approx((0.1, 2.0 * math.exp(-0.1)))
 
 
-def test_instruments_see_the_marker_and_the_body_not_the_car() -> None:
+def test_instruments_see_the_marker_and_the_body_not_the_car():
     state = ORIGIN._replace(x=1.0, y=2.0, yaw=math.pi / 2)
     marker = Model(CAR, (EFFECTS["marker_offset"],), ((0.03, 0.01),))
     seen = observe(FLOAT, marker, state)
@@ -293,24 +265,19 @@ def test_instruments_see_the_marker_and_the_body_not_the_car() -> None:
         ("steer_nonlinearity", -1.0, 0.3, 0.273),
     ],
 )
-def test_the_linkage_maps_servo_to_wheel(
-    name: str, value: float, angle: float, wheel: float
-) -> None:
+def test_the_linkage_maps_servo_to_wheel(name, value, angle, wheel):
     linkage = EFFECTS[name].linkage
-    assert linkage is not None
     assert linkage(FLOAT, (value,), (), angle)[0] == pytest.approx(wheel)
 
 
-def test_limits_only_ever_lower() -> None:
+def test_limits_only_ever_lower():
     for name, value, field in (
         ("steer_rate_limit", 2.0, "steer_rate"),
         ("accel_limit", 3.0, "accel_max"),
         ("accel_limit", 3.0, "decel_max"),
     ):
         hook = EFFECTS[name].car
-        assert hook is not None
         assert getattr(hook(FLOAT, (value,), CAR, ORIGIN, 0.0), field) == value
         assert getattr(hook(FLOAT, (19.0,), CAR, ORIGIN, 0.0), field) == getattr(CAR, field)
     stop = EFFECTS["steer_clip"].reference
-    assert stop is not None
     assert stop(FLOAT, (0.2,), Command(-0.3, 1.0), 0.0) == (-0.2, 1.0)

@@ -7,16 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from steerd.car_model.native import windows
 from steerd.car_model.native.specialised import Range, specialise
 from steerd.car_model.native.threads import WORTHWHILE, share_out
-from steerd.car_model.native.windows import (
-    HeldCommands,
-    make_kernels,
-    make_window_blocks,
-    march,
-    march_back,
-    view_by_window,
-)
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.tape import TAPE, Tape, program
 
@@ -85,21 +78,23 @@ def test_what_fails_in_another_thread_fails_here(monkeypatch):
 
 
 def test_two_threads_give_the_numbers_of_one(monkeypatch):
-    kernels, p, count, steps = make_kernels(), np.array(DEFAULT_CAR), 20, WORTHWHILE
+    kernels, p, count, steps = windows.make_kernels(), np.array(DEFAULT_CAR), 20, WORTHWHILE
     rng = np.random.default_rng(7)
     rows = np.stack([rng.uniform(-0.2, 0.2, count * steps), np.ones(count * steps)], -1)
     low = steps * np.arange(count)
-    blocks = make_window_blocks(np.stack([low, low + steps, low], axis=1), np.zeros(count))
+    blocks = windows.make_window_blocks(np.stack([low, low + steps, low], axis=1), np.zeros(count))
     first = np.zeros((count, 7))
     first[:, 3] = 1.0
-    held, found = HeldCommands(rows, 0.005), []
+    held, found = windows.HeldCommands(rows, 0.005), []
     for threads in (1, 2):
         monkeypatch.setenv("OMP_NUM_THREADS", str(threads))
-        path = march(kernels, p, first, held, blocks, steps)
-        seen = view_by_window(path, count)
+        path = windows.march(kernels, p, first, held, blocks, steps)
+        seen = windows.view_by_window(path, count)
         assert np.shares_memory(seen, path)
-        back = march_back(kernels, p, path, seen, held, blocks)
+        back = windows.march_back(kernels, p, path, seen, held, blocks)
         found.append((seen, back.first, back.commands, back.parameters))
-        assert not len(march_back(kernels, p, path, seen, held, blocks, commands=False).commands)
+        assert not len(
+            windows.march_back(kernels, p, path, seen, held, blocks, commands=False).commands
+        )
     for one, other in zip(*found, strict=True):
         np.testing.assert_array_equal(one, other)

@@ -30,7 +30,7 @@ def env():
     return steerd.Environment(path="circle:radius=2", duration=2.0)
 
 
-def test_the_same_seed_and_actions_give_the_same_episode(env) -> None:
+def test_the_same_seed_and_actions_give_the_same_episode(env):
     one, terminated, truncated, info = episode(env, 4)
     assert (terminated, truncated, info["t"]) == (False, True, pytest.approx(2.0))
     assert one.shape == (200, len(OBSERVED) + 1)
@@ -41,7 +41,7 @@ def test_the_same_seed_and_actions_give_the_same_episode(env) -> None:
         env.step((0.0, 0.0))
 
 
-def test_leaving_the_lane_terminates_the_episode() -> None:
+def test_leaving_the_lane_terminates_the_episode():
     env = steerd.Environment(path="circle:radius=2", duration=8.0)
     _, terminated, truncated, info = episode(env, 4, lambda _: (-0.26, 1.0))
     assert (terminated, truncated) == (True, False)

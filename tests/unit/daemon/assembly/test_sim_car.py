@@ -176,7 +176,7 @@ def test_reproducible_metadata_say_nothing_of_the_machine(plan):
     assert decode_options(session["options"]) == plan.options
 
 
-def test_car_file_and_path_file_are_attached_unchanged(plan, tmp_path: Path):
+def test_car_file_and_path_file_are_attached_unchanged(plan, tmp_path):
     lane = tmp_path / "lane.csv"
     lane.write_text("x,y\n0,0\n1,0\n")
     with_file = replace(plan, options=replace(plan.options, path=f"csv:{lane},closed"))

@@ -16,12 +16,14 @@ from steerd.daemon.cli import main
 from steerd.daemon.cli.main import COMMANDS, run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
+EFFECTS = "steerd.daemon.cli.commands.analysis.effects.run"
+
 
 def test_a_bug_has_its_own_code_and_says_that_it_is_one(monkeypatch, capsys):
     def broken(args):
         raise ZeroDivisionError("in a command")
 
-    monkeypatch.setattr("steerd.daemon.cli.commands.analysis.effects.run", broken)
+    monkeypatch.setattr(EFFECTS, broken)
     assert run_cli(["effects"]) == ExitCode.INTERNAL
     error = capsys.readouterr().err
     assert "ZeroDivisionError: in a command" in error
@@ -33,7 +35,7 @@ def test_a_place_that_refuses_is_no_bug(number, monkeypatch, capsys):
     def refused(args):
         raise OSError(number, os.strerror(number), "/srv/cache")
 
-    monkeypatch.setattr("steerd.daemon.cli.commands.analysis.effects.run", refused)
+    monkeypatch.setattr(EFFECTS, refused)
     assert run_cli(["effects"]) == ExitCode.UNREADABLE
     what, hint = capsys.readouterr().err.splitlines()
     assert what == f"steerd: /srv/cache: {os.strerror(number)}"
@@ -43,8 +45,7 @@ def test_a_place_that_refuses_is_no_bug(number, monkeypatch, capsys):
 def test_equations_that_were_not_compiled_are_a_line_with_the_command(
     tmp_path, monkeypatch, capsys
 ):
-    target = "steerd.daemon.cli.commands.analysis.effects.run"
-    monkeypatch.setattr(target, lambda args: load_library(tmp_path / "none.so"))
+    monkeypatch.setattr(EFFECTS, lambda args: load_library(tmp_path / "none.so"))
     assert run_cli(["effects"]) == ExitCode.UNREADABLE
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("steerd: the compiled equations")
@@ -66,7 +67,7 @@ def test_own_warnings_are_told_as_errors_are_and_others_with_their_place(monkeyp
             warnings.warn("of a library", RuntimeWarning, stacklevel=1)
         return 0
 
-    monkeypatch.setattr("steerd.daemon.cli.commands.analysis.effects.run", warned)
+    monkeypatch.setattr(EFFECTS, warned)
     assert run_cli(["effects"]) == 0
     first, second, *_ = capsys.readouterr().err.splitlines()
     assert first == "steerd: /srv/cache: full"
@@ -107,7 +108,7 @@ def test_an_error_is_wrapped_on_a_terminal_and_is_one_line_in_a_pipe(monkeypatch
     def failing(args):
         raise SteerdError(what.strip(), hint, ExitCode.INVALID)
 
-    monkeypatch.setattr("steerd.daemon.cli.commands.analysis.effects.run", failing)
+    monkeypatch.setattr(EFFECTS, failing)
     monkeypatch.setenv("COLUMNS", "80")
     assert run_cli(["effects"]) == ExitCode.INVALID
     assert capsys.readouterr().err == f"steerd: {what.strip()}\n   try: change it\n"

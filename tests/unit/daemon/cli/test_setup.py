@@ -13,7 +13,7 @@ STEPS = list_steps("/dev/ttyACM0", "natnet://h/car", Path("made here"))
 
 
 @pytest.mark.parametrize("step", STEPS, ids=lambda step: step.title)
-def test_every_step_is_a_command_as_a_user_would_type_it(step: Step) -> None:
+def test_every_step_is_a_command_as_a_user_would_type_it(step):
     make_parser(step.words[0]).parse_args(step.words[1:])
 
 
@@ -27,9 +27,7 @@ def test_every_step_is_a_command_as_a_user_would_type_it(step: Step) -> None:
         (["what", "", "q"], [0], "a", 1),  # an unknown key does nothing
     ],
 )
-def test_steps_go_on_when_they_succeeded(
-    answers: list[str], codes: list[int], done: str, ended: int
-) -> None:
+def test_steps_go_on_when_they_succeeded(answers, codes, done, ended):
     ran: list[str] = []
     typed, results = iter(answers), iter(codes)
 
@@ -42,9 +40,7 @@ def test_steps_go_on_when_they_succeeded(
     assert "".join(ran) == done
 
 
-def test_the_end_of_standard_input_quits_and_says_where_to_go_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_end_of_standard_input_quits_and_says_where_to_go_on(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin", StringIO())
     words = ["setup", "--port", "/dev/vesc", "--mocap", "vrpn://h/car", "--folder", str(tmp_path)]
     assert run_cli([*words, "--from", "3"]) != 0
@@ -52,13 +48,13 @@ def test_the_end_of_standard_input_quits_and_says_where_to_go_on(
     assert run_cli([*words, "--from", "30"]) != 0
 
 
-def test_a_drive_that_is_repeated_keeps_the_one_before(tmp_path: Path) -> None:
+def test_a_drive_that_is_repeated_keeps_the_one_before(tmp_path):
     (drive := tmp_path / "slow.mcap").write_text("before")
     run_step(Step("", "", ("effects", "--record", f"{drive}")))
     assert [path.read_text() for path in tmp_path.iterdir() if path != drive] == ["before"]
 
 
-def test_a_car_file_that_is_there_stays(tmp_path: Path) -> None:
+def test_a_car_file_that_is_there_stays(tmp_path):
     config = next(step for step in list_steps("p", "m", tmp_path) if step.makes)
     assert run_step(config) == 0
     assert "lf" in (tmp_path / "car.toml").read_text()

@@ -7,7 +7,6 @@ import time
 import pytest
 
 from steerd.daemon.cli.main import run_cli
-from steerd.daemon.common import written
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.written import check_outputs, write_output, write_outputs
 from steerd.steer_bus.container import MAGIC
@@ -73,35 +72,27 @@ def test_the_same_content_needs_no_second_file(state):
     assert names(state) == ["car.toml"]
 
 
-@pytest.mark.parametrize("links", [True, False])
-def test_a_write_that_fails_leaves_everything_as_it_was(state, monkeypatch, links):
+@pytest.mark.parametrize(
+    ("failing", "said"),
+    [
+        (["write_atomically"], "No space left"),
+        (["os.link", "write_atomically"], "No space left"),
+        (["os.link", "shutil.copy2"], "cannot be kept: No space left"),
+    ],
+)
+def test_a_write_that_fails_leaves_everything_as_it_was(state, monkeypatch, failing, said):
     path = state / "car.toml"
     path.write_text("by hand")
 
     def refuse(*_):
         raise OSError(28, "No space left on device")
 
-    if not links:
-        monkeypatch.setattr(written.os, "link", refuse)
-    monkeypatch.setattr(written, "write_atomically", refuse)
-    with pytest.raises(SteerdError, match="No space left"):
+    for name in failing:
+        monkeypatch.setattr(f"steerd.daemon.common.written.{name}", refuse)
+    with pytest.raises(SteerdError, match=said):
         write_output(path, "new")
     assert path.read_text() == "by hand"
     assert names(state) == ["car.toml"]
-
-
-def test_a_file_that_can_neither_be_linked_nor_copied_is_not_replaced(state, monkeypatch):
-    path = state / "car.toml"
-    path.write_text("by hand")
-
-    def refuse(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(written.os, "link", refuse)
-    monkeypatch.setattr(written.shutil, "copy2", refuse)
-    with pytest.raises(SteerdError, match="cannot be kept: No space left"):
-        write_output(path, "new")
-    assert path.read_text() == "by hand"
 
 
 def test_without_a_state_folder_every_other_file_is_kept(state, tmp_path):

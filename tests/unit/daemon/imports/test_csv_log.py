@@ -13,15 +13,7 @@ from hypothesis import strategies as st
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.imports.csv_log import import_csv
 from steerd.daemon.imports.csv_table import LINE_MAX
-from steerd.steer_bus.messages import (
-    Actuation,
-    ActuationMode,
-    MocapPose,
-    Throttle,
-    VescImu,
-    VescTelemetry,
-    WheelSpeed,
-)
+from steerd.steer_bus import messages as m
 from steerd.steer_bus.session_read import open_session
 
 ALL = """[columns]
@@ -59,6 +51,12 @@ def refuse(folder, text, the_map=ALL):
     return caught.value
 
 
+def rows(session, cls, *names):
+    """The messages of a kind, each as a tuple of these columns."""
+    columns = session.columns(cls)
+    return list(zip(*(columns[name].tolist() for name in names), strict=True))
+
+
 def test_every_stream_becomes_its_message(tmp_path):
     report, session = convert(
         tmp_path, HEADER + "0.5,1,2,0.25,0.1,1.5,0.3,1.4,6000,0.7\n1.0,1.5,2,4,,,,,,\n"
@@ -66,25 +64,18 @@ def test_every_stream_becomes_its_message(tmp_path):
     assert report.counts == {
         "mocap": 2, "actuation": 1, "vesc": 1, "wheel": 1, "throttle": 1, "imu": 1,
     }  # fmt: skip
-    pose = session.columns(MocapPose)
-    assert pose["x"].tolist() == [1.0, 1.5]
-    assert pose["y"].tolist() == [2.0, 2.0]
-    assert pose["yaw"] == pytest.approx([0.25, 4 - 2 * math.pi])
-    assert pose["t_valid_ns"].tolist() == [500_000_000, 1_000_000_000]
-    assert pose["reject"].tolist() == ["", ""]
-    assert pose["tracking_valid"].tolist() == [1, 1]
-    command = session.columns(Actuation)
-    assert command["mode"].tolist() == [ActuationMode.SPEED]
-    assert (command["steer"][0], command["speed"][0]) == (0.1, 1.5)
-    assert session.columns(VescTelemetry)["erpm"].tolist() == [6000]
-    assert session.columns(VescTelemetry)["tachometer"].tolist() == [-1]
-    assert math.isnan(session.columns(VescTelemetry)["v_in"][0])
-    assert session.columns(WheelSpeed)["speed"].tolist() == [1.4]
-    assert session.columns(WheelSpeed)["t_ns"].tolist() == [500_000_000]
-    assert session.columns(Throttle)["throttle"].tolist() == [0.3]
-    imu = session.columns(VescImu)
-    assert imu["gyro_z"].tolist() == [0.7]
-    assert math.isnan(imu["accel_x"][0])
+    assert rows(session, m.MocapPose, "x", "y", "t_valid_ns", "reject", "tracking_valid") == [
+        (1.0, 2.0, 500_000_000, "", 1), (1.5, 2.0, 1_000_000_000, "", 1)
+    ]  # fmt: skip
+    assert session.columns(m.MocapPose)["yaw"] == pytest.approx([0.25, 4 - 2 * math.pi])
+    speed_mode = m.ActuationMode.SPEED
+    assert rows(session, m.Actuation, "mode", "steer", "speed") == [(speed_mode, 0.1, 1.5)]
+    assert rows(session, m.VescTelemetry, "erpm", "tachometer") == [(6000, -1)]
+    assert math.isnan(session.columns(m.VescTelemetry)["v_in"][0])
+    assert rows(session, m.WheelSpeed, "speed", "t_ns") == [(1.4, 500_000_000)]
+    assert rows(session, m.Throttle, "throttle") == [(0.3,)]
+    assert rows(session, m.VescImu, "gyro_z") == [(0.7,)]
+    assert math.isnan(session.columns(m.VescImu)["accel_x"][0])
 
 
 def test_metadata_says_where_it_comes_from(tmp_path):
@@ -98,13 +89,13 @@ def test_metadata_says_where_it_comes_from(tmp_path):
     assert session.info().clean
     assert [topic.name for topic in session.info().topics if topic.count] == ["/steerd/red/mocap"]
     assert session.info().start_ns == 1_726_480_863_000_000_000
-    assert session.columns(MocapPose)["stamp_ns"].tolist() == [1_726_480_863_000_000_000]
+    assert session.columns(m.MocapPose)["stamp_ns"].tolist() == [1_726_480_863_000_000_000]
 
 
 def test_a_channel_without_a_value_is_nan_and_a_stream_without_one_is_silent(tmp_path):
     rows = "0,,,,0.1,,,,,\n1,,,,,2,,,,\n2,nan,NaN,NA,,,,1,,null\n3,1,2,,,,,,,\n"
     report, session = convert(tmp_path, HEADER + rows)
-    command = session.columns(Actuation)
+    command = session.columns(m.Actuation)
     np.testing.assert_equal(command["steer"], [0.1, math.nan])
     np.testing.assert_equal(command["speed"], [math.nan, 2.0])
     assert report.counts["mocap"] == 0
@@ -119,9 +110,9 @@ def test_scale_offset_and_gate(tmp_path):
         'throttle = { column = "gas", scale = 2.0, offset = 0.5, gate = "safe" }\n'
     )
     _, session = convert(tmp_path, "ms,rpm,gas,safe\n1500,300,0.2,1\n1600,100,0.2,0\n", the_map)
-    assert session.columns(WheelSpeed)["speed"].tolist() == [2.0, 0.0]
-    assert session.columns(WheelSpeed)["t_ns"].tolist() == [1_500_000_000, 1_600_000_000]
-    assert session.columns(Throttle)["throttle"].tolist() == [0.9, 0.0]
+    wheel = rows(session, m.WheelSpeed, "t_ns", "speed")
+    assert wheel == [(1_500_000_000, 2.0), (1_600_000_000, 0.0)]
+    assert session.columns(m.Throttle)["throttle"].tolist() == [0.9, 0.0]
 
 
 @pytest.mark.parametrize("delimiter", [",", ";", "\t", "|", " ", ", "])
@@ -131,25 +122,24 @@ def test_delimiters_and_headers_that_labs_write(tmp_path, delimiter, newline, st
     rows = [["t", "v", "note"], ["0.5", "1.25", "7"], ["0.75", "-3e-1", "8"]]
     text = start + newline.join(delimiter.join(row) for row in rows)
     _, session = convert(tmp_path, text.encode(), WHEEL)
-    assert session.columns(WheelSpeed)["speed"].tolist() == [1.25, -0.3]
+    assert session.columns(m.WheelSpeed)["speed"].tolist() == [1.25, -0.3]
 
 
 def test_quoted_names_and_decimal_commas(tmp_path):
     the_map = '[columns]\nt = "time, s"\nwheel_speed = "v"\n'
     _, session = convert(tmp_path, '"time, s";"v"\n0,5;1,25\n', the_map)
-    assert session.columns(WheelSpeed)["t_ns"].tolist() == [500_000_000]
-    assert session.columns(WheelSpeed)["speed"].tolist() == [1.25]
+    assert rows(session, m.WheelSpeed, "t_ns", "speed") == [(500_000_000, 1.25)]
 
 
 def test_times_before_zero_raise_the_epoch(tmp_path):
     _, session = convert(tmp_path, "t,v\n-2.5,1\n-1.5,2\n", WHEEL)
     assert session.info().start_ns == 0
-    assert session.columns(WheelSpeed)["t_ns"].tolist() == [-2_500_000_000, -1_500_000_000]
+    assert session.columns(m.WheelSpeed)["t_ns"].tolist() == [-2_500_000_000, -1_500_000_000]
 
 
 def test_equal_times_are_kept_and_counted(tmp_path):
     report, session = convert(tmp_path, "t,v\n1,1\n1,2\n", WHEEL)
-    assert session.columns(WheelSpeed)["speed"].tolist() == [1.0, 2.0]
+    assert session.columns(m.WheelSpeed)["speed"].tolist() == [1.0, 2.0]
     assert report.notes == ("1 rows repeat the time of the row before",)
 
 
@@ -230,7 +220,7 @@ def test_any_cells_are_taken_or_refused_in_one_line(tmp_path_factory, rows, time
     assert "\n" not in refusal
     assert bool(refusal) != bool(list(folder.glob("out*")))
     if not refusal:
-        values = session.columns(WheelSpeed)["speed"]
+        values = session.columns(m.WheelSpeed)["speed"]
         assert len(values) == report.counts["wheel"] > 0
         assert np.isfinite(values).all()
 
@@ -246,7 +236,7 @@ def test_numbers_come_back_as_written(tmp_path_factory, values, step_ns):
     folder = tmp_path_factory.mktemp("numbers")
     rows = [f"{i * step_ns / 1e9!r},{'' if v is None else repr(v)}" for i, v in enumerate(values)]
     _, session = convert(folder, "t,v\n" + "\n".join(rows), WHEEL)
-    columns = session.columns(WheelSpeed)
+    columns = session.columns(m.WheelSpeed)
     kept = [i for i, value in enumerate(values) if value is not None]
     times = [round(Fraction(i * step_ns / 1e9) * 10**9) for i in kept]
     assert columns["t_ns"].tolist() == times

@@ -23,7 +23,6 @@ def test_a_whole_map():
     assert the_map.columns["t"].column == "time"
     assert (the_map.columns["steer_cmd"].scale, the_map.columns["steer_cmd"].offset) == (0.5, -0.1)
     assert the_map.columns["throttle"].gate == "safety"
-    assert the_map.frame is not None
     assert the_map.frame.mount_yaw == radians(90.0)
     assert (the_map.car, the_map.comment) == ("blue_1", "wet")
     assert the_map.epoch_ns == 1_726_480_861_000_000_000

@@ -5,15 +5,8 @@ from dataclasses import replace
 
 import pytest
 
+from steerd.daemon.ipc import pipe_records
 from steerd.daemon.ipc.outbox import Outbox
-from steerd.daemon.ipc.pipe_records import (
-    PipeRecord,
-    PipeWriter,
-    make_pipe,
-    pack_record,
-    read_message,
-    unpack_records,
-)
 from steerd.daemon.ipc.requests import pack_request, unpack_request
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
@@ -21,10 +14,10 @@ from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.messages import BODY, Tick, make_header
 
 MESSAGE = m.OperatorRequest(m.make_header(5, m.BODY), 1, 2, 3, int(m.RequestKind.STOP), "desk")
-RECORD = PipeRecord(topics.OPERATOR, 7, 11, 13, encode(MESSAGE), MESSAGE)
+RECORD = pipe_records.PipeRecord(topics.OPERATOR, 7, 11, 13, encode(MESSAGE), MESSAGE)
 
 
-def read_all(fd: int) -> list[PipeRecord]:
+def read_all(fd: int) -> list[pipe_records.PipeRecord]:
     """Every whole record that lies in the pipe."""
     os.set_blocking(fd, False)
     buffer = bytearray()
@@ -36,34 +29,34 @@ def read_all(fd: int) -> list[PipeRecord]:
         if not data:
             break
         buffer += data
-    return list(unpack_records(buffer))
+    return list(pipe_records.unpack_records(buffer))
 
 
 def test_a_record_returns_from_the_pipe_as_it_was():
-    (found,) = unpack_records(bytearray(pack_record(RECORD)))
+    (found,) = pipe_records.unpack_records(bytearray(pipe_records.pack_record(RECORD)))
     assert found == replace(RECORD, message=None)
-    assert read_message(found) == read_message(RECORD) == MESSAGE
+    assert pipe_records.read_message(found) == pipe_records.read_message(RECORD) == MESSAGE
 
 
 def test_records_are_found_wherever_the_bytes_are_split():
-    packed, found = pack_record(RECORD) * 3, []
+    packed, found = pipe_records.pack_record(RECORD) * 3, []
     buffer = bytearray()
     for byte in packed:
         buffer.append(byte)
-        found += unpack_records(buffer)
+        found += pipe_records.unpack_records(buffer)
     assert [record.sequence for record in found] == [7, 7, 7]
     assert buffer == b""
 
 
 def test_a_full_pipe_drops_whole_records_and_recovers():
-    read_fd, write_fd = make_pipe()
-    pipe, sent = PipeWriter(write_fd), 0
+    read_fd, write_fd = pipe_records.make_pipe()
+    pipe, sent = pipe_records.PipeWriter(write_fd), 0
     while not pipe.dropped:
-        pipe.write([pack_record(replace(RECORD, sequence=sent))], sent)
+        pipe.write([pipe_records.pack_record(replace(RECORD, sequence=sent))], sent)
         sent += 1
     assert pipe.full_since_ns is not None
     before = read_all(read_fd)
-    pipe.write([pack_record(replace(RECORD, sequence=sent))], sent)
+    pipe.write([pipe_records.pack_record(replace(RECORD, sequence=sent))], sent)
     assert pipe.full_since_ns is None
     numbers = [record.sequence for record in before + read_all(read_fd)]
     assert len(numbers) == sent + 1 - pipe.dropped
@@ -75,8 +68,8 @@ def test_a_full_pipe_drops_whole_records_and_recovers():
 
 @pytest.mark.parametrize("size", [600, 1400, 4000, 4200, 9000])
 def test_the_age_of_a_full_pipe_grows_until_its_reader_takes_something(size):
-    read_fd, write_fd = make_pipe()
-    pipe, batch, t_ns = PipeWriter(write_fd), [bytes(size)], 0
+    read_fd, write_fd = pipe_records.make_pipe()
+    pipe, batch, t_ns = pipe_records.PipeWriter(write_fd), [bytes(size)], 0
     while pipe.full_since_ns is None:
         t_ns += 1
         pipe.write(batch, t_ns)
@@ -92,29 +85,29 @@ def test_the_age_of_a_full_pipe_grows_until_its_reader_takes_something(size):
 
 
 def test_a_tick_without_records_tears_none_that_was_taken_in_part():
-    read_fd, write_fd = make_pipe()
-    pipe, size = PipeWriter(write_fd), 3 * len(pack_record(RECORD))
+    read_fd, write_fd = pipe_records.make_pipe()
+    pipe, size = pipe_records.PipeWriter(write_fd), 3 * len(pipe_records.pack_record(RECORD))
     while not pipe.dropped:
-        pipe.write([pack_record(RECORD)] * 300, 0)
+        pipe.write([pipe_records.pack_record(RECORD)] * 300, 0)
     assert pipe.full_since_ns == 0
     read_all(read_fd)
-    for packed in ([], [pack_record(RECORD)] * 3):
+    for packed in ([], [pipe_records.pack_record(RECORD)] * 3):
         pipe.write(packed, 1)
     data = os.read(read_fd, 1 << 20)
     assert len(data) > size
     assert len(data) % (size // 3) != 0
-    assert data.endswith(pack_record(RECORD) * 3)
+    assert data.endswith(pipe_records.pack_record(RECORD) * 3)
     os.close(read_fd)
     os.close(write_fd)
 
 
 def test_a_reader_that_is_gone_costs_one_write_and_no_exception():
-    read_fd, write_fd = make_pipe()
-    pipe = PipeWriter(write_fd)
+    read_fd, write_fd = pipe_records.make_pipe()
+    pipe = pipe_records.PipeWriter(write_fd)
     os.close(read_fd)
-    pipe.write([pack_record(RECORD)], 1)
+    pipe.write([pipe_records.pack_record(RECORD)], 1)
     assert pipe.dead
-    pipe.write([pack_record(RECORD)] * 2, 2)
+    pipe.write([pipe_records.pack_record(RECORD)] * 2, 2)
     assert pipe.dropped == 3
     os.close(write_fd)
 

@@ -74,7 +74,6 @@ def test_a_frozen_child_ends_when_its_parent_is_killed():
     parent = subprocess.Popen(
         [sys.executable, "-c", PARENT, CHILD], stdout=subprocess.PIPE, text=True
     )
-    assert parent.stdout is not None
     child = os.pidfd_open(pid := int(parent.stdout.readline()))
     status = Path(f"/proc/{pid}/status")
     while "State:\tT" not in status.read_text():
@@ -109,7 +108,6 @@ def test_a_holder_started_in_the_background_can_be_interrupted(number):
         stdin=subprocess.PIPE, stdout=subprocess.PIPE,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
     )  # fmt: skip
-    assert holder.stdout is not None
     assert holder.stdout.readline() == "holding\n"
     holder.send_signal(number)
     out, _ = holder.communicate(timeout=60)
@@ -148,13 +146,8 @@ def make_array(name):
     return DiagnosticArray(make_header(0, BODY), (status,))
 
 
-def test_the_values_of_the_supervisor_are_read_by_key():
-    assert read_diagnostics(make_array("steerd: supervisor")) == {
-        "state": "READY",
-        "waiting": "arm",
-    }
-
-
-def test_another_node_is_refused():
+def test_the_values_of_the_supervisor_are_read_by_key_and_another_node_is_refused():
+    values = read_diagnostics(make_array("steerd: supervisor"))
+    assert values == {"state": "READY", "waiting": "arm"}
     with pytest.raises(SteerdError):
         read_diagnostics(make_array("lidar"))

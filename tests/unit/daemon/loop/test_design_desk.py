@@ -56,6 +56,16 @@ class Bench:
         raise AssertionError("nothing was taken")
 
 
+@pytest.fixture
+def following(held, near):
+    """A bench whose loop follows the near design."""
+    bench = Bench(held)
+    bench.offer(near)
+    bench.until_taken()
+    bench.step()
+    return bench
+
+
 def test_a_good_design_is_taken_after_some_ticks(held, near):
     bench = Bench(held)
     bench.offer(near)
@@ -66,27 +76,19 @@ def test_a_good_design_is_taken_after_some_ticks(held, near):
     assert bench.now.follows
 
 
-def test_the_same_again_is_no_second_check(held, near):
-    bench = Bench(held)
-    bench.offer(near)
-    bench.until_taken()
-    bench.step()
-    bench.offer(near)
-    ticks, taken = bench.until_taken()
+def test_the_same_again_is_no_second_check(following, near):
+    following.offer(near)
+    ticks, taken = following.until_taken()
     assert (ticks, taken.number) == (1, 1)
 
 
-def test_a_bad_one_is_refused_with_the_reason_and_the_files_comes_back(held, near):
-    bench = Bench(held)
-    bench.offer(near)
-    bench.until_taken()
-    bench.step()
-    bench.offer(scaled(design_for(held, steer_gain=0.97), -1.0))
-    _, taken = bench.until_taken()
+def test_a_bad_one_is_refused_with_the_reason_and_the_files_comes_back(following, held):
+    following.offer(scaled(design_for(held, steer_gain=0.97), -1.0))
+    _, taken = following.until_taken()
     assert taken.number == 0
     assert taken.text.startswith(REFUSED)
-    bench.step()
-    assert (bench.now.follows, bench.desk.refused) == (False, 1)
+    following.step()
+    assert (following.now.follows, following.desk.refused) == (False, 1)
 
 
 def test_what_comes_during_a_check_is_left_alone(held, near):
@@ -114,39 +116,27 @@ def test_bytes_that_are_no_design_are_left_alone(held, data):
     assert bench.desk.refused == 0
 
 
-def test_no_proposal_brings_the_files_design_back(held, near):
-    bench = Bench(held)
-    bench.offer(near)
-    bench.until_taken()
-    bench.step()
-    said = encode(make_no_design(bench.t, 0, "a change is being looked into"))
-    bench.desk.offer(bench.now, said, bench.t)
-    taken = bench.step()
+def test_no_proposal_brings_the_files_design_back(following):
+    said = encode(make_no_design(following.t, 0, "a change is being looked into"))
+    following.desk.offer(following.now, said, following.t)
+    taken = following.step()
     assert (taken.number, taken.text) == (0, "a change is being looked into")
-    bench.step()
-    assert not bench.now.follows
+    following.step()
+    assert not following.now.follows
 
 
-def test_the_loops_own_way_back_is_said_once(held, near):
-    bench = Bench(held)
-    bench.offer(near)
-    bench.until_taken()
-    bench.step()
-    taken = bench.step(driving=False)
+def test_the_loops_own_way_back_is_said_once(following):
+    taken = following.step(driving=False)
     assert (taken.number, taken.text) == (0, "no drive")
-    assert bench.step(driving=False) is None
+    assert following.step(driving=False) is None
 
 
-def test_a_check_against_what_is_no_longer_in_force_counts_for_nothing(held, near):
-    bench = Bench(held)
-    bench.offer(near)
-    bench.until_taken()
-    bench.step()
-    bench.offer(design_for(held, steer_gain=0.955))
-    bench.step()
-    bench.step(driving=False)
-    assert all(bench.step() is None for _ in range(100))
-    assert not bench.now.follows
+def test_a_check_against_what_is_no_longer_in_force_counts_for_nothing(following, held):
+    following.offer(design_for(held, steer_gain=0.955))
+    following.step()
+    following.step(driving=False)
+    assert all(following.step() is None for _ in range(100))
+    assert not following.now.follows
 
 
 def test_without_the_option_nothing_is_looked_at(held, near):

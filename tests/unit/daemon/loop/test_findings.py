@@ -120,12 +120,8 @@ def test_text_of_a_stop_that_does_not_work():
 def test_text_of_steering_at_its_limit():
     memory, texts = WatchdogState(), []
     for tick in range(130):
-        i = changed(
-            CALM,
-            t_ns=CALM.t_ns + tick * 10_000_000,
-            steer_share=1.0,
-            lateral_error=0.1 + 0.001 * tick,
-        )
+        i = changed(CALM, t_ns=CALM.t_ns + tick * 10_000_000, steer_share=1.0)
+        i = changed(i, lateral_error=0.1 + 0.001 * tick)
         memory, found = step_watchdogs(TH, memory, i)
         texts += [f.text for f in found if f.id == "W23"]
     assert ": at the limit for 1.0 s, 0.20 m off and growing; " in " ".join(texts)

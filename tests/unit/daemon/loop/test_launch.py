@@ -43,11 +43,6 @@ def test_wrong_unit_or_gear_is_found(scale):
     assert not done
 
 
-@pytest.mark.parametrize("scale", [0.71, 1.39])
-def test_a_tolerable_gear_ratio_passes(scale):
-    assert launch(scale=scale)[0] == ""
-
-
 def test_wheels_that_do_not_count_are_found_by_mocap():
     assert "units" in launch(erpm=0.0)[0]
 
@@ -72,17 +67,15 @@ def test_hardly_steered_launches_say_nothing_about_the_sign():
 
 
 def test_a_reversing_car_is_judged_in_its_own_direction():
-    assert launch(speed=-0.5)[0] == ""
+    wrong, _, done = launch(speed=-0.5)
+    assert (wrong, done) == ("", True)
     assert "body forward axis" in launch(speed=-0.5, flip=pi)[0]
 
 
-def test_done_stays_done_and_time_does_not_run_backwards():
+def test_time_does_not_run_backwards():
     start = LaunchInput(0, 0.0, 0.0, 0.0, 0.5, 0.0)
-    state = make_launch_state(start)
-    back, wrong = step_launch(state, start._replace(t_ns=-(10**9)), WHEELBASE)
+    back, wrong = step_launch(make_launch_state(start), start._replace(t_ns=-(10**9)), WHEELBASE)
     assert (back.travelled, wrong) == (0.0, "")
-    done = state._replace(done=True)
-    assert step_launch(done, start._replace(x=99.0), WHEELBASE) == (done, "")
 
 
 def shown(mocap, wheels, turned=0.0, expected=0.0, sideways=0.0):
@@ -95,7 +88,7 @@ def shown(mocap, wheels, turned=0.0, expected=0.0, sideways=0.0):
 
 
 def test_every_bound_of_the_launch_exactly():
-    assert shown(0.0, 0.2499)[1] == ""
+    assert shown(0.0, 0.2499)[1] == shown(0.2499, 0.0)[1] == ""
     assert "units" in shown(0.0, 0.25)[1]
     assert "units" in shown(0.25, 0.0)[1]
     assert shown(0.5, 0.5) == (shown(0.5, 0.5)[0]._replace(done=True), "")
@@ -116,14 +109,6 @@ def end_of(x=0.25, y=0.0, wheels=0.25, yaw=0.0, steer=0.0, wheelbase=1.0):
 
 
 @pytest.mark.parametrize(
-    ("x", "wheels", "judged"),
-    [(0.0, 0.25, True), (0.0, 0.2499, False), (0.25, 0.0, True), (0.2499, 0.0, False)],
-)
-def test_it_is_judged_from_a_quarter_of_a_metre_by_either(x, wheels, judged):
-    assert bool(end_of(x=x, wheels=wheels)[1]) is judged
-
-
-@pytest.mark.parametrize(
     ("x", "fits"), [(0.7, True), (0.6999, False), (1.4, True), (1.4001, False)]
 )
 def test_the_ratio_of_distances_to_its_last_digit(x, fits):
@@ -131,34 +116,21 @@ def test_the_ratio_of_distances_to_its_last_digit(x, fits):
 
 
 def test_distances_are_from_where_the_car_stood():
-    far = LaunchInput(0, 10.0, 20.0, 0.0, 0.0, 0.0)
-    step = LaunchInput(1_000_000_000, 10.5, 20.0, 0.0, 0.5, 0.0)
-    state, wrong = step_launch(make_launch_state(far), step, 1.0)
-    assert (wrong, state.done) == ("", True)
-    north = LaunchInput(0, 10.0, 20.0, pi / 2, 0.0, 0.0)
-    step = LaunchInput(1_000_000_000, 10.0, 20.5, pi / 2, 0.5, 0.0)
-    state, wrong = step_launch(make_launch_state(north), step, 1.0)
-    assert (wrong, state.done) == ("", True)
+    for yaw, east, north in ((0.0, 0.5, 0.0), (pi / 2, 0.0, 0.5)):
+        far = LaunchInput(0, 10.0, 20.0, yaw, 0.0, 0.0)
+        end = LaunchInput(1_000_000_000, 10.0 + east, 20.0 + north, yaw, 0.5, 0.0)
+        state, wrong = step_launch(make_launch_state(far), end, 1.0)
+        assert (wrong, state.done) == ("", True)
 
 
-@pytest.mark.parametrize(("wheels", "done"), [(0.5, True), (0.4999, False)])
-def test_the_window_ends_at_half_a_metre(wheels, done):
-    assert end_of(x=wheels, wheels=wheels)[0].done is done
-
-
-def test_backwards_counts_as_well_and_is_no_turned_body():
-    state, wrong = end_of(x=-0.5, wheels=-0.5)
-    assert (wrong, state.done) == ("", True)
-    assert "body forward axis" in end_of(x=0.5, wheels=-0.5)[1]
-
-
-@pytest.mark.parametrize(("angle", "found"), [(pi / 6 - 1e-9, False), (pi / 6 + 1e-9, True)])
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_thirty_degrees_off_the_heading(angle, found, side):
-    wrong = end_of(x=0.5 * cos(angle), y=side * 0.5 * sin(angle), wheels=0.5)[1]
-    assert ("body forward axis" in wrong) is found
-    if found:
-        assert f"travels {side * 30:.0f}°" in wrong
+def test_thirty_degrees_off_the_heading(side):
+    inside, beyond = (
+        end_of(x=0.5 * cos(angle), y=side * 0.5 * sin(angle), wheels=0.5)[1]
+        for angle in (pi / 6 - 1e-9, pi / 6 + 1e-9)
+    )
+    assert "body forward axis" not in inside
+    assert f"travels {side * 30:.0f}° off its mocap heading: body forward axis" in beyond
 
 
 @pytest.mark.parametrize(
@@ -181,13 +153,6 @@ def test_a_launch_that_went_wrong_is_not_done_and_a_done_one_is_left_alone():
     done = end_of(x=0.5, wheels=0.5)[0]
     after = LaunchInput(2_000_000_000, 99.0, 0.0, 3.0, 0.0, 0.0)
     assert step_launch(done, after, 1.0) == (done, "")
-
-
-def test_a_clock_that_goes_back_moves_nothing():
-    start = LaunchInput(10_000_000_000, 0.0, 0.0, 0.0, 0.0, 0.0)
-    step = LaunchInput(9_000_000_000, 0.0, 0.0, 0.0, 5.0, 0.0)
-    state, wrong = step_launch(make_launch_state(start), step, 1.0)
-    assert (state.travelled, wrong) == (0.0, "")
 
 
 def test_what_is_said_is_said_to_the_letter():

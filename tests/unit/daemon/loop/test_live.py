@@ -20,13 +20,7 @@ from steerd.daemon.loop.live import (
 from steerd.daemon.loop.loop import Loop
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions
-from steerd.steer_bus.messages import (
-    BODY,
-    OperatorRequest,
-    ParameterRequest,
-    RequestKind,
-    make_header,
-)
+from steerd.steer_bus import messages as m
 from steerd.steer_bus.quick_values import changed
 
 BOUNDS = LiveBounds(
@@ -38,8 +32,8 @@ ANN, BOB = 5, 9
 
 
 def ask(speed=nan, offset=nan, gain=nan, *, boot=1, who=ANN, seq=1):
-    header = make_header(0, BODY)
-    return ParameterRequest(header, boot, who, seq, speed, offset, gain, "desk")
+    header = m.make_header(0, m.BODY)
+    return m.ParameterRequest(header, boot, who, seq, speed, offset, gain, "desk")
 
 
 def test_what_a_request_leaves_out_stays():
@@ -76,16 +70,18 @@ def test_a_value_out_of_bounds_is_refused_with_its_reason_and_all_others_with_it
     assert said in live.text
 
 
-def test_where_something_else_drives_there_is_nothing_to_set():
-    live = take_request(make_live(None), ask(speed=1.0), admitted=True)
-    assert (live.aim, live.accepted) == (AS_DESIGNED, False)
-    assert "not the lane keeper alone" in live.text
-
-
-def test_who_does_not_hold_the_car_sets_nothing():
-    live = take_request(LIVE, ask(speed=1.0), admitted=False)
-    assert (live.aim, live.accepted) == (LIVE.aim, False)
-    assert "somebody else holds this car" in live.text
+@pytest.mark.parametrize(
+    ("before", "admitted", "aim", "said"),
+    [
+        (make_live(None), True, AS_DESIGNED, "not the lane keeper alone"),
+        (LIVE, False, LIVE.aim, "somebody else holds this car"),
+    ],
+    ids=["something else drives", "somebody else holds the car"],
+)
+def test_who_may_not_sets_nothing(before, admitted, aim, said):
+    live = take_request(before, ask(speed=1.0), admitted=admitted)
+    assert (live.aim, live.accepted) == (aim, False)
+    assert said in live.text
 
 
 def test_a_moving_car_comes_to_its_values_gradually_and_a_parked_one_has_them():
@@ -136,8 +132,8 @@ def make_loop(leased=True, **options):
 
 
 def hold(loop, who, seq, t_ns):
-    kind = int(RequestKind.KEEPALIVE)
-    loop.on_operator(OperatorRequest(make_header(0, BODY), 1, who, seq, kind, "desk"), t_ns)
+    kind = int(m.RequestKind.KEEPALIVE)
+    loop.on_operator(m.OperatorRequest(m.make_header(0, m.BODY), 1, who, seq, kind, "desk"), t_ns)
 
 
 def test_the_lease_is_that_of_every_other_request():
@@ -153,11 +149,18 @@ def test_the_lease_is_that_of_every_other_request():
     assert loop.lease.seq == 2, "one number for all requests"
 
 
-def test_another_operator_does_not_inherit_what_was_tuned():
+@pytest.fixture
+def tuned():
+    """A loop whose parameters Ann has set."""
     loop = make_loop()
     hold(loop, ANN, 1, 0)
     loop.on_parameters(ask(0.5, 0.1, 1.2, seq=2), 0)
     assert loop.live.aim == LiveValues(0.5, 0.1, 1.2)
+    return loop
+
+
+def test_another_operator_does_not_inherit_what_was_tuned(tuned):
+    loop = tuned
     hold(loop, BOB, 1, 2 * 10**9)
     assert loop.live.aim == LiveValues(0.5, 0.0, 1.0)
     assert "another operator" in loop.live.text
@@ -176,10 +179,8 @@ def test_only_the_lane_keeper_alone_has_live_parameters():
     assert make_loop(drill="mixed;closed").setup.live is None
 
 
-def test_a_fault_ends_what_was_tuned():
-    loop = make_loop()
-    hold(loop, ANN, 1, 0)
-    loop.on_parameters(ask(0.5, 0.1, 1.2, seq=2), 0)
+def test_a_fault_ends_what_was_tuned(tuned):
+    loop = tuned
     loop.supervisor = changed(loop.supervisor, state=SupervisorState.FAULT_STOP)
     loop._apply_transition(SupervisorState.RUNNING, None, 0, "")
     assert isinstance(loop.live, Live)

@@ -24,11 +24,13 @@ from steerd.daemon.loop.transitions import (
 )
 from steerd.steer_bus.quick_values import changed
 
+S, M = SupervisorState, MotorOutput
+DRIVEN = (S.ARMED, S.RUNNING, S.STOPPING)
 T_NS, AGO_NS = 100 * 10**9, 50 * 10**9
 REQUEST_BITS = {getattr(Fact, r.name if r != Request.ESTOP else "CALL_ESTOP"): r for r in Request
                 if r not in (Request.NONE, Request.KEEPALIVE)}  # fmt: skip
 GIVEN = int(Fact.CHECKS_HELD) - 1
-MOTION = (MotorOutput.DRIVE, MotorOutput.RAMP_STOP)
+MOTION = (M.DRIVE, M.RAMP_STOP)
 
 
 def used_bits(state):
@@ -99,28 +101,17 @@ def test_cases_are_many_and_step_follows_the_table(outcomes):
 def test_i1_motion_only_while_running_or_stopping(outcomes):
     for _, _, _, _, new, action in outcomes[1]:
         if action.motor in MOTION:
-            assert (
-                new.state
-                == (SupervisorState.RUNNING, SupervisorState.STOPPING)[MOTION.index(action.motor)]
-            )
-        assert (
-            new.state
-            in (SupervisorState.DISARMED, SupervisorState.READY, SupervisorState.SELF_TEST)
-        ) <= (action.motor == 0)
+            assert new.state == (S.RUNNING, S.STOPPING)[MOTION.index(action.motor)]
+        assert (new.state in (S.DISARMED, S.READY, S.SELF_TEST)) <= (action.motor == 0)
 
 
 def test_i2_hard_fault_leaves_in_the_same_tick(outcomes):
     state, found = outcomes
-    driven = state in (SupervisorState.ARMED, SupervisorState.RUNNING, SupervisorState.STOPPING)
     for bits, _, _, _, new, action in found:
-        if driven and bits & Fact.HARD:
-            assert new.state in (SupervisorState.FAULT_STOP, SupervisorState.ESTOP)
-            assert action.motor in (
-                MotorOutput.BRAKE,
-                MotorOutput.DUTY_ZERO,
-                MotorOutput.ESTOP_BRAKE,
-            )
-            assert (action.motor == MotorOutput.DUTY_ZERO) == (not bits & Fact.SLOWING)
+        if state in DRIVEN and bits & Fact.HARD:
+            assert new.state in (S.FAULT_STOP, S.ESTOP)
+            assert action.motor in (M.BRAKE, M.DUTY_ZERO, M.ESTOP_BRAKE)
+            assert (action.motor == M.DUTY_ZERO) == (not bits & Fact.SLOWING)
 
 
 def test_i3_no_way_from_a_fault_to_running_without_disarmed_arm_and_self_test():
@@ -128,74 +119,63 @@ def test_i3_no_way_from_a_fault_to_running_without_disarmed_arm_and_self_test():
         state: {s for row in TABLE if row.to == state for s in row.sources}
         for state in SupervisorState
     }
-    assert into[SupervisorState.RUNNING] == {SupervisorState.ARMED}
-    assert into[SupervisorState.ARMED] == {SupervisorState.SELF_TEST, SupervisorState.STOPPING}
-    assert into[SupervisorState.STOPPING] == {SupervisorState.RUNNING}
-    assert into[SupervisorState.SELF_TEST] == {SupervisorState.READY}
-    assert into[SupervisorState.READY] == {SupervisorState.DISARMED}
+    assert into[S.RUNNING] == {S.ARMED}
+    assert into[S.ARMED] == {S.SELF_TEST, S.STOPPING}
+    assert into[S.STOPPING] == {S.RUNNING}
+    assert into[S.SELF_TEST] == {S.READY}
+    assert into[S.READY] == {S.DISARMED}
     for row in TABLE:
-        assert row.to != SupervisorState.RUNNING or row.needs & Fact.START
-        assert row.to != SupervisorState.SELF_TEST or row.needs & Fact.ARM
-        assert row.to != SupervisorState.ARMED or row.needs & (Fact.PROVEN | Fact.REARM)
+        assert row.to != S.RUNNING or row.needs & Fact.START
+        assert row.to != S.SELF_TEST or row.needs & Fact.ARM
+        assert row.to != S.ARMED or row.needs & (Fact.PROVEN | Fact.REARM)
 
 
 def test_i4_emergency_stop_dominates(outcomes):
     for bits, _, _, _, new, action in outcomes[1]:
         if bits & (Fact.CALL_ESTOP | Fact.KILLED):
-            assert new.state == SupervisorState.ESTOP
-            assert action.motor in (
-                MotorOutput.ESTOP_BRAKE,
-                MotorOutput.DUTY_ZERO,
-                MotorOutput.SILENT,
-            )
-            if outcomes[0] != SupervisorState.ESTOP:
-                assert action.motor != MotorOutput.SILENT
+            assert new.state == S.ESTOP
+            assert action.motor in (M.ESTOP_BRAKE, M.DUTY_ZERO, M.SILENT)
+            if outcomes[0] != S.ESTOP:
+                assert action.motor != M.SILENT
 
 
 def test_i5_nothing_raises_the_speed_of_a_stop(outcomes):
     state, found = outcomes
     for _, old, _, _, new, action in found:
-        if new.state == SupervisorState.STOPPING:
+        if new.state == S.STOPPING:
             assert action.cap <= old.cap
-            assert action.cap == pytest.approx(0.985) or state == SupervisorState.RUNNING
-        elif new.state != SupervisorState.RUNNING:
+            assert action.cap == pytest.approx(0.985) or state == S.RUNNING
+        elif new.state != S.RUNNING:
             assert action.cap == 0.0
 
 
 def test_i6_caps_are_speeds(outcomes):
     state, found = outcomes
     for _, _, conditions, _, new, action in found:
-        launched = state == SupervisorState.RUNNING and conditions.facts & Fact.LAUNCHED
+        launched = state == S.RUNNING and conditions.facts & Fact.LAUNCHED
         assert action.cap >= 0.0
-        assert isfinite(action.cap) or (new.state == SupervisorState.RUNNING and launched)
+        assert isfinite(action.cap) or (new.state == S.RUNNING and launched)
         assert action.cap <= (inf if launched else 1.0)
 
 
 def test_i7_nothing_but_an_operator_lifts_a_state(outcomes):
     state, found = outcomes
     asks = Fact.ARM | Fact.START | Fact.CLEAR | Fact.RESET
-    latched = (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
+    latched = (S.FAULT_STOP, S.FAULT_LATCHED, S.ESTOP)
     for bits, _, _, _, new, _ in found:
         if bits & asks:
             continue
-        assert (
-            new.state not in (SupervisorState.SELF_TEST, SupervisorState.RUNNING)
-            or new.state == state
-        )
+        assert new.state not in (S.SELF_TEST, S.RUNNING) or new.state == state
         assert state not in latched or new.state in latched
-        if new.state == SupervisorState.ARMED != state:
-            assert state in (SupervisorState.SELF_TEST, SupervisorState.STOPPING)
+        if new.state == S.ARMED != state:
+            assert state in (S.SELF_TEST, S.STOPPING)
 
 
 def test_i8_an_unknown_event_is_a_stop(outcomes):
     for bits, old, conditions, requests, new, action in outcomes[1]:
         if bits & Fact.UNKNOWN:
-            assert new.state not in (
-                SupervisorState.SELF_TEST,
-                SupervisorState.ARMED,
-                SupervisorState.RUNNING,
-            )
-            assert action.motor != MotorOutput.DRIVE
+            assert new.state not in (S.SELF_TEST, S.ARMED, S.RUNNING)
+            assert action.motor != M.DRIVE
             alien = (requests & ~int(Request.UNKNOWN)) | 1 << 40
             assert step_supervisor(old, conditions, alien, T_NS) == (new, action)
 
@@ -220,18 +200,12 @@ def test_requests_and_facts_line_up():
 
 
 def test_guardian_is_engaged_exactly_where_motor_bytes_flow():
-    engaged = (
-        SupervisorState.ARMED,
-        SupervisorState.RUNNING,
-        SupervisorState.STOPPING,
-        SupervisorState.FAULT_STOP,
-        SupervisorState.ESTOP,
-    )
+    engaged = (S.ARMED, S.RUNNING, S.STOPPING, S.FAULT_STOP, S.ESTOP)
     assert tuple(state for state in SupervisorState if is_engaged(state)) == engaged
 
 
 def test_derived_facts_cannot_be_given_and_every_unknown_bit_is_unknown():
-    old = realise(SupervisorState.ARMED, 0)[0]
+    old = realise(S.ARMED, 0)[0]
     everything = Conditions((1 << 40) - 1, nan, 0)
     assert derive_facts(old, everything, 0, T_NS) == GIVEN
     for bit in (*range(10, 14), 31, 63):

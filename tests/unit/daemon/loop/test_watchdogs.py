@@ -60,22 +60,15 @@ def test_warning_becomes_a_trip(name, edge, beyond, id, severity):
     assert brief(look(**{name: beyond})) == [(id, severity)]
 
 
-@pytest.mark.parametrize(
-    ("name", "id"),
-    [
-        ("mocap_age", "W1"),
-        ("telemetry_age", "W7"),
-        ("lease_age", "W25"),
-        ("sigma_position", "W6"),
-        ("sigma_yaw", "W6"),
-        ("fet_temperature", "W14"),
-        ("lateral_error", "W17"),
-        ("heading_error", "W18"),
-    ],
-)
+TRIPPED_BY_NAN = {
+    "mocap_age": "W1", "telemetry_age": "W7", "lease_age": "W25", "sigma_position": "W6",
+    "sigma_yaw": "W6", "fet_temperature": "W14", "lateral_error": "W17", "heading_error": "W18",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "id"), TRIPPED_BY_NAN.items())
 def test_nan_trips_at_once(name, id):
-    severity = WATCHDOGS[id].severity
-    assert brief(look(**{name: nan})) == [(id, severity)]
+    assert brief(look(**{name: nan})) == [(id, WATCHDOGS[id].severity)]
 
 
 def test_no_motor_sensor_is_allowed():
@@ -269,9 +262,8 @@ def test_saturation_that_ends_is_forgotten():
     state, _ = step_watchdogs(TH, WatchdogState(), changed(CALM, steer_share=1.0))
     state, _ = step_watchdogs(TH, state, changed(CALM, t_ns=S + 1))
     state, _ = step_watchdogs(TH, state, changed(CALM, t_ns=2 * S, steer_share=1.0))
-    assert (
-        look(memory=state, t_ns=3 * S - 1, steer_share=1.0, lateral_error=0.1)[0].severity == WARN
-    )
+    found = look(memory=state, t_ns=3 * S - 1, steer_share=1.0, lateral_error=0.1)
+    assert found[0].severity == WARN
 
 
 def test_what_the_runner_reports_comes_first_and_counts():

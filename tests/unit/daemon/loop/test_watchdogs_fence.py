@@ -43,9 +43,8 @@ def test_fence_counts_the_stopping_distance():
     assert unknown.text == "W19 fence: where the car is is not known"
     assert brief(look(th, x=1.0, speed=0.0, state=SupervisorState.DISARMED)) == []
     assert cos(0.0) == 1.0
-    assert brief(look(th, x=2.0 - 0.125, speed=0.0, state=SupervisorState.DISARMED)) == [
-        ("W19", HARD)
-    ]
+    parked = look(th, x=2.0 - 0.125, speed=0.0, state=SupervisorState.DISARMED)
+    assert brief(parked) == [("W19", HARD)]
 
 
 def test_slanted_fences_and_diagonal_travel():

@@ -2,6 +2,8 @@
 
 from math import nan
 
+import pytest
+
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.loop.watchdogs import WatchdogState, is_slowing, step_watchdogs
 from steerd.steer_bus.quick_values import changed
@@ -21,27 +23,33 @@ def stop(kind, speeds, dt=S // 16, wheels=0.0, telemetry_age=0.0):
     return out
 
 
-def test_a_stop_that_works_has_no_findings():
-    for decel, kind in (
-        (0.75, SupervisorState.STOPPING),
-        (2.0, SupervisorState.FAULT_STOP),
-        (2.0, SupervisorState.ESTOP),
-    ):
-        found = stop(kind, [2.0 - decel * max(0.0, k / 16 - 0.125) for k in range(12)])
-        assert all(words == [] and slowing for words, slowing in found)
+KINDS = pytest.mark.parametrize(
+    ("kind", "least"),
+    [
+        (SupervisorState.STOPPING, 0.75),
+        (SupervisorState.FAULT_STOP, 2.0),
+        (SupervisorState.ESTOP, 2.0),
+    ],
+)
+"""The least deceleration [m/s^2] with which each stop works."""
 
 
-def test_a_stop_that_is_too_weak_is_found_after_lag_and_window():
-    for decel, kind in (
-        (0.74, SupervisorState.STOPPING),
-        (1.99, SupervisorState.FAULT_STOP),
-        (1.99, SupervisorState.ESTOP),
-    ):
-        found = stop(kind, [2.0 - decel * max(0.0, k / 16 - 0.125) for k in range(11)])
-        assert [slowing for _, slowing in found] == [True] * 6 + [False] * 5
-        assert "W24" in found[6][0][0]
-        assert "CUT POWER:" not in found[9][0][0]
-        assert "CUT POWER:" in found[10][0][0]
+def slowed(decel, ticks):
+    return [2.0 - decel * max(0.0, k / 16 - 0.125) for k in range(ticks)]
+
+
+@KINDS
+def test_a_stop_that_works_has_no_findings(kind, least):
+    assert all(words == [] and slowing for words, slowing in stop(kind, slowed(least, 12)))
+
+
+@KINDS
+def test_a_stop_that_is_too_weak_is_found_after_lag_and_window(kind, least):
+    found = stop(kind, slowed(least - 0.01, 11))
+    assert [slowing for _, slowing in found] == [True] * 6 + [False] * 5
+    assert "W24" in found[6][0][0]
+    assert "CUT POWER:" not in found[9][0][0]
+    assert "CUT POWER:" in found[10][0][0]
 
 
 def test_a_stop_that_does_nothing_alarms_and_stays_found_even_if_it_starts_to_work():
@@ -58,8 +66,7 @@ def test_slow_or_unknown_speeds_are_not_judged():
 
 
 def test_wheels_that_roll_on_count_while_their_telemetry_is_new():
-    speeds = [2.0 - 2.0 * max(0.0, k / 16 - 0.125) for k in range(12)]
-    kind = SupervisorState.FAULT_STOP
+    speeds, kind = slowed(2.0, 12), SupervisorState.FAULT_STOP
     for wheels in (2.0, -2.0):
         assert "still 2.00 m/s" in stop(kind, speeds, wheels=wheels)[6][0][0]
         assert stop(kind, speeds, wheels=wheels, telemetry_age=TH.telemetry)[6][0]
@@ -69,18 +76,16 @@ def test_wheels_that_roll_on_count_while_their_telemetry_is_new():
 
 
 def test_each_kind_of_stop_is_judged_anew():
-    state = WatchdogState()
+    def watch(memory, t_ns, state):
+        return step_watchdogs(TH, memory, changed(CALM, t_ns=t_ns, state=state))
+
+    memory = WatchdogState()
     for k in range(7):
-        state, _ = step_watchdogs(
-            TH, state, changed(CALM, t_ns=S + k * S // 16, state=SupervisorState.STOPPING)
-        )
-    assert not is_slowing(state)
-    state, found = step_watchdogs(
-        TH, state, changed(CALM, t_ns=2 * S, state=SupervisorState.FAULT_STOP)
-    )
-    assert (is_slowing(state), found) == (True, ())
-    state, _ = step_watchdogs(TH, state, changed(CALM, t_ns=2 * S, state=SupervisorState.DISARMED))
-    assert state.stop is None
+        memory, _ = watch(memory, S + k * S // 16, SupervisorState.STOPPING)
+    assert not is_slowing(memory)
+    memory, found = watch(memory, 2 * S, SupervisorState.FAULT_STOP)
+    assert (is_slowing(memory), found) == (True, ())
+    assert watch(memory, 2 * S, SupervisorState.DISARMED)[0].stop is None
 
 
 def test_nothing_is_weak_before_and_after_a_stop():

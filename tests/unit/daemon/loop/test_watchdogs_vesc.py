@@ -39,12 +39,8 @@ def test_timeout_bit_left_from_the_self_test_is_no_starvation():
     assert not quiet.commanded
     state, found = step_watchdogs(TH, quiet, changed(CALM, state=SupervisorState.ARMED, status=1))
     assert (state.commanded, found) == (False, ())
-    assert (
-        step_watchdogs(TH, WatchdogState(), changed(CALM, state=SupervisorState.STOPPING))[
-            0
-        ].commanded
-        is False
-    )
+    stopping = changed(CALM, state=SupervisorState.STOPPING)
+    assert step_watchdogs(TH, WatchdogState(), stopping)[0].commanded is False
 
 
 def test_reboot_shows_in_the_tachometer():

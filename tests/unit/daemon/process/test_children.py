@@ -37,14 +37,12 @@ def test_the_cores_code_counts_then_the_recorders_never_the_viewers(
 
 @pytest.mark.parametrize("asked", [False, True])
 def test_every_end_belongs_to_one_process_and_the_terminal_keeps_its_own(asked):
-    ends = Ends(
-        RunOptions(car_file="", learn=asked, adapt=asked, view="1" * asked, view_sets=asked)
-    )
+    options = {"learn": asked, "adapt": asked, "view": "1" * asked, "view_sets": asked}
+    ends = Ends(RunOptions(car_file="", **options))
     every = [fd for fds in ends.of.values() for fd in fds.values()]
     assert len(set(every)) == len(every)
-    assert set(ends.of) == {"core", "recorder", "gateway", "terminal"} | (
-        {"learner", "view"} if asked else set()
-    )
+    always = {"core", "recorder", "gateway", "terminal"}
+    assert set(ends.of) == always | ({"learner", "view"} if asked else set())
     ends.close(keep="terminal")
     kept = set(ends.of["terminal"].values())
     for fd in every:

@@ -43,7 +43,7 @@ def until(socket: ClientConnection, there: Callable[[dict[str, Any]], bool]) -> 
     return dict(seen)
 
 
-def test_buttons_and_keys_both_answer(typed: tuple[GuidePage, int]) -> None:
+def test_buttons_and_keys_both_answer(typed):
     page, keyboard = typed
     with look(page) as socket:
         done: list[str] = []
@@ -67,9 +67,7 @@ def test_buttons_and_keys_both_answer(typed: tuple[GuidePage, int]) -> None:
 
 
 @pytest.mark.parametrize("word", ["0 do", "2 skip", "1 rm", "", "1", "do 1"])
-def test_a_word_of_another_step_or_of_no_button_answers_nothing(
-    typed: tuple[GuidePage, int], word: str
-) -> None:
+def test_a_word_of_another_step_or_of_no_button_answers_nothing(typed, word):
     page, keyboard = typed
     page.stand(1, "asked")
     page.press(word)
@@ -77,7 +75,7 @@ def test_a_word_of_another_step_or_of_no_button_answers_nothing(
     assert page.ask("") == "s\n"
 
 
-def test_nothing_is_answered_while_a_step_runs(typed: tuple[GuidePage, int]) -> None:
+def test_nothing_is_answered_while_a_step_runs(typed):
     page, keyboard = typed
     page.stand(1, "runs")
     page.press("1 do")
@@ -89,16 +87,14 @@ def test_nothing_is_answered_while_a_step_runs(typed: tuple[GuidePage, int]) -> 
     assert page.ask("") == "b\n"
 
 
-def test_the_end_of_the_terminal_quits(typed: tuple[GuidePage, int]) -> None:
+def test_the_end_of_the_terminal_quits(typed):
     page, keyboard = typed
     os.write(keyboard, b"")
     os.dup2(os.open(os.devnull, os.O_WRONLY), keyboard)  # the only writer goes
     assert page.ask("") == "q"
 
 
-def test_what_a_step_says_is_shown(
-    typed: tuple[GuidePage, int], capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_step_says_is_shown(typed, capfd):
     page, _ = typed
     page.stand(0, "runs")
     script = "import os; print('one\\rtwo', os.get_terminal_size().columns); raise SystemExit(4)"
@@ -120,11 +116,11 @@ def test_what_a_step_says_is_shown(
         ("", ""),
     ],
 )
-def test_text_as_the_terminal_shows_it(output: str, shown: str) -> None:
+def test_text_as_the_terminal_shows_it(output, shown):
     assert plain_text(output) == shown
 
 
-def test_only_whoever_knows_the_word_is_shown_it(typed: tuple[GuidePage, int]) -> None:
+def test_only_whoever_knows_the_word_is_shown_it(typed):
     page, _ = typed
     with urllib.request.urlopen(page.url) as answer:
         assert b"steerd setup" in answer.read()
@@ -135,7 +131,7 @@ def test_only_whoever_knows_the_word_is_shown_it(typed: tuple[GuidePage, int]) -
         connect(page.url.replace("http", "ws") + "live", origin=Origin("http://evil.example"))
 
 
-def test_a_port_that_is_taken_is_said(typed: tuple[GuidePage, int]) -> None:
+def test_a_port_that_is_taken_is_said(typed):
     port = int(typed[0].url.split(":")[2].split("/")[0])
     with pytest.raises(OSError, match="address"):
         GuidePage([]).open(port)

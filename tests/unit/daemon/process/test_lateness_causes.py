@@ -81,32 +81,15 @@ def test_each_cause_has_its_own_sentence_and_stops_as_before():
 STAT = "cpu  10 0 5 900 1 0 0 42 0 0\ncpu0 10 0 5 900 1 0 0 42 0 0\n"
 
 
-@pytest.mark.parametrize(
-    ("text", "stolen_ns"),
-    [
-        (STAT, 420 * MS),
-        ("cpu 1 2 3 4\n", 0),
-        ("", 0),
-        ("intr 1 2 3 4 5 6 7 8 9\n", 0),
-        ("cpu 1 2 3 4 5 6 7 x 9\n", 0),
-    ],
-)
-def test_stolen_time_of_all_processors(text, stolen_ns):
-    assert parse_steal(text, 100) == stolen_ns
+def test_stolen_time_of_all_processors():
+    assert parse_steal(STAT, 100) == 420 * MS
+    for other in ("cpu 1 2 3 4\n", "", "intr 1 2 3 4 5 6 7 8 9\n", "cpu 1 2 3 4 5 6 7 x 9\n"):
+        assert parse_steal(other, 100) == 0, other
 
 
 def test_this_machine_says_what_was_stolen():
     first = read_steal_ns()
     assert 0 <= first <= read_steal_ns()
-
-
-@pytest.mark.parametrize(
-    ("late_ms", "stolen_ms", "stalled"),
-    [(40, 40, True), (40, 20, True), (40, 19, False), (40, 0, False), (0, 0, False)],
-)
-def test_the_machine_stalled_if_half_of_the_lateness_was_stolen(late_ms, stolen_ms, stalled):
-    found = find_cause((0, late_ms * MS), stolen_ms * MS, None)
-    assert (found == Flag.STALLED) is stalled
 
 
 def test_a_machine_is_kept_busy_and_let_go(monkeypatch):

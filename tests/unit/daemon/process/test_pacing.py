@@ -38,9 +38,7 @@ def arrivals(every: float, phase: float, jitter: float, seed: int, share: float 
 
 @pytest.mark.parametrize("period_ms", [2, 5, 10])
 @pytest.mark.parametrize("phase", [0.02, 0.3, 0.5, 0.7, 0.98])
-def test_a_punctual_pose_comes_shortly_before_its_deadline_from_any_phase(
-    period_ms: int, phase: float
-) -> None:
+def test_a_punctual_pose_comes_shortly_before_its_deadline_from_any_phase(period_ms, phase):
     period = period_ms * MS
     _, waits, _ = drive(period, arrivals(period, phase, 0.02 * MS, 5))
     settled = np.array(waits[TICKS // 2 :])
@@ -49,14 +47,14 @@ def test_a_punctual_pose_comes_shortly_before_its_deadline_from_any_phase(
 
 
 @pytest.mark.parametrize("ratio", [0.5, 2.0])
-def test_poses_twice_or_half_as_often_are_followed_too(ratio: float) -> None:
+def test_poses_twice_or_half_as_often_are_followed_too(ratio):
     period = 5 * MS
     _, waits, _ = drive(period, arrivals(period * ratio, 0.4, 0.02 * MS, 6))
     settled = np.array(waits[TICKS // 2 :]) % period
     assert np.quantile(settled, 0.99) < MARGIN * period + MS // 5
 
 
-def test_lost_poses_do_not_move_what_is_in_step() -> None:
+def test_lost_poses_do_not_move_what_is_in_step():
     period = 10 * MS
     _, waits, _ = drive(period, arrivals(period, 0.3, 0.02 * MS, 7, share=0.8))
     fresh = [wait for wait in waits[TICKS // 2 :] if wait < period // 2]
@@ -64,7 +62,7 @@ def test_lost_poses_do_not_move_what_is_in_step() -> None:
     assert max(fresh) < MARGIN * period + MS // 5
 
 
-def test_a_mocap_clock_that_is_a_little_fast_is_followed() -> None:
+def test_a_mocap_clock_that_is_a_little_fast_is_followed():
     period = 10 * MS
     dues, waits, _ = drive(period, arrivals(period / 1.002, 0.3, 0.02 * MS, 8))
     assert max(waits[TICKS // 2 :]) < MARGIN * period + MS // 2
@@ -72,25 +70,25 @@ def test_a_mocap_clock_that_is_a_little_fast_is_followed() -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [120, 240, 360, 1000 / 7.3])
-def test_poses_that_keep_no_time_with_the_ticks_move_nothing(rate_hz: float) -> None:
+def test_poses_that_keep_no_time_with_the_ticks_move_nothing(rate_hz):
     period = 10 * MS
     dues, _, _ = drive(period, arrivals(1e9 / rate_hz, 0.3, 0.02 * MS, 9))
     assert np.ptp(np.diff(dues[50:])) == 0
 
 
-def test_a_jittery_network_moves_nothing() -> None:
+def test_a_jittery_network_moves_nothing():
     period = 5 * MS
     dues, _, _ = drive(period, arrivals(period, 0.3, 1.5 * MS, 10))
     assert np.ptp(np.diff(dues[50:])) == 0
 
 
-def test_without_poses_ticks_come_on_time() -> None:
+def test_without_poses_ticks_come_on_time():
     dues, _, paces = drive(10 * MS, [])
     assert set(np.diff(dues)) == {10 * MS}
     assert paces[-1].arrival_ns == -1
 
 
-def test_when_poses_end_the_period_is_the_nominal_one() -> None:
+def test_when_poses_end_the_period_is_the_nominal_one():
     period = 10 * MS
     frames = arrivals(period, 0.9, 0.0, 11)[:300]
     dues, _, _ = drive(period, frames)
@@ -101,9 +99,7 @@ def test_when_poses_end_the_period_is_the_nominal_one() -> None:
     period=st.integers(MS, 20 * MS),
     steps=st.lists(st.integers(0, 40 * MS), min_size=1, max_size=60),
 )
-def test_no_arrivals_whatever_bend_a_period_by_more_than_the_slew(
-    period: int, steps: list[int]
-) -> None:
+def test_no_arrivals_whatever_bend_a_period_by_more_than_the_slew(period, steps):
     frames = np.cumsum(steps).tolist()
     dues, _, _ = drive(period, frames, 80)
     assert np.abs(np.diff(dues) - period).max() <= SLEW * period + 1
@@ -111,9 +107,7 @@ def test_no_arrivals_whatever_bend_a_period_by_more_than_the_slew(
 
 @pytest.mark.parametrize("period_ms", [2, 5, 10])
 @pytest.mark.parametrize("ratio", [0.5, 1.0, 2.0])
-def test_only_the_pose_that_belongs_to_a_deadline_makes_its_tick(
-    period_ms: int, ratio: float
-) -> None:
+def test_only_the_pose_that_belongs_to_a_deadline_makes_its_tick(period_ms, ratio):
     period = period_ms * MS
     frames = arrivals(period * ratio, 0.4, 0.02 * MS, 12)
     dues, waits, paces = drive(period, frames)
@@ -130,7 +124,7 @@ def test_only_the_pose_that_belongs_to_a_deadline_makes_its_tick(
 @pytest.mark.parametrize(
     ("every", "jitter"), [(1e9 / 120, 0.0), (5 * MS, 1.5 * MS)], ids=["rhythm", "network"]
 )
-def test_poses_that_are_not_followed_make_no_ticks(every: float, jitter: float) -> None:
+def test_poses_that_are_not_followed_make_no_ticks(every, jitter):
     period = 5 * MS
     _, _, paces = drive(period, arrivals(every, 0.3, jitter, 13))
     assert {early_window_ns(pace, period) for pace in paces[50:]} == {0}
@@ -138,5 +132,5 @@ def test_poses_that_are_not_followed_make_no_ticks(every: float, jitter: float) 
 
 
 @given(jitter=st.floats(0.0, 1e9), period=st.integers(MS, 20 * MS))
-def test_no_pose_is_early_by_more_than_half_a_period(jitter: float, period: int) -> None:
+def test_no_pose_is_early_by_more_than_half_a_period(jitter, period):
     assert 0 <= early_window_ns(Pace(0, 0, jitter), period) <= period // 2

@@ -63,36 +63,43 @@ class Desk:
         return [decode(DriveCommand, s.data) for s in self._driven.poll()]
 
 
-def test_nothing_is_sent_while_nobody_holds_the_deadman():
-    desk = Desk()
+@pytest.fixture
+def desk():
+    return Desk()
+
+
+@pytest.fixture
+def held(desk):
+    """A desk whose deadman is held."""
+    desk.press(DEADMAN)
+    return desk
+
+
+def test_nothing_is_sent_while_nobody_holds_the_deadman(desk):
     desk.move("rz", 1023)
     desk.press(GO)
     assert desk.wait(1.0) == []
     assert (desk.asked(), desk.driven()) == ([], [])
 
 
-def test_who_holds_it_is_operator_and_controller():
-    desk = Desk()
-    desk.press(DEADMAN)
-    desk.wait(1.0)
-    assert desk.asked().count(RequestKind.KEEPALIVE) >= 16, "twenty a second, in steps of 20 ms"
-    commands = desk.driven()
+def test_who_holds_it_is_operator_and_controller(held):
+    held.wait(1.0)
+    assert held.asked().count(RequestKind.KEEPALIVE) >= 16, "twenty a second, in steps of 20 ms"
+    commands = held.driven()
     assert len(commands) == 50
     assert {(c.boot_id, c.valid_ms) for c in commands} == {(5, VALID_MS)}
     assert len({c.lease_id for c in commands}) == 1
     assert [c.seq for c in commands] == list(range(commands[0].seq, commands[0].seq + 50))
 
 
-def test_start_arms_a_ready_car_and_starts_an_armed_one():
-    desk = Desk()
-    desk.press(DEADMAN)
-    desk.press(GO)
-    desk.press(GO, 0)
-    desk.show(SupervisorState.ARMED)
-    desk.press(GO)
-    desk.show(SupervisorState.RUNNING)
-    desk.press(GO)
-    assert desk.asked() == [RequestKind.ARM, RequestKind.START]
+def test_start_arms_a_ready_car_and_starts_an_armed_one(held):
+    held.press(GO)
+    held.press(GO, 0)
+    held.show(SupervisorState.ARMED)
+    held.press(GO)
+    held.show(SupervisorState.RUNNING)
+    held.press(GO)
+    assert held.asked() == [RequestKind.ARM, RequestKind.START]
 
 
 def test_axes_drive_a_running_car_only():
@@ -120,8 +127,7 @@ def release_by_lost_events(desk):
 
 
 @pytest.mark.parametrize("let_go", [release_by_hand, release_by_silence, release_by_lost_events])
-def test_a_release_is_a_stop_and_then_silence(let_go):
-    desk = Desk()
+def test_a_release_is_a_stop_and_then_silence(desk, let_go):
     desk.show(SupervisorState.RUNNING)
     desk.press(DEADMAN)
     desk.move("rz", 1023)
@@ -141,21 +147,16 @@ def test_a_release_is_a_stop_and_then_silence(let_go):
     assert (desk.asked(), desk.stops(), desk.driven()) == ([], [], [])
 
 
-def test_an_emergency_stop_needs_no_deadman_and_no_status():
-    desk = Desk()
+def test_an_emergency_stop_needs_no_deadman_and_no_status(desk):
     desk.show(SupervisorState.READY, boot_id="")
     desk.press(ESTOP)
     assert desk.stops() == [RequestKind.ESTOP]
 
 
-def test_another_run_of_the_car_gets_a_lease_of_its_own():
-    desk = Desk()
-    desk.press(DEADMAN)
-    desk.wait(0.1)
-    desk.driven()
-    desk.show(SupervisorState.READY, boot_id="6")
-    desk.wait(0.1)
-    assert {c.boot_id for c in desk.driven()} == {6}
-    desk.show(SupervisorState.READY, boot_id="")
-    desk.wait(0.1)
-    assert desk.driven() == []
+def test_another_run_of_the_car_gets_a_lease_of_its_own(held):
+    held.wait(0.1)
+    held.driven()
+    for boot_id, seen in (("6", {6}), ("", set())):
+        held.show(SupervisorState.READY, boot_id=boot_id)
+        held.wait(0.1)
+        assert {c.boot_id for c in held.driven()} == seen

@@ -11,14 +11,6 @@ import pytest
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.sessions import catalogue
-from steerd.daemon.sessions.catalogue import (
-    find_session,
-    find_sessions,
-    index_file,
-    list_entries,
-    read_notes,
-    write_notes,
-)
 
 GOLDEN = Path(__file__).resolve().parents[3] / "golden"
 DAY_NS = 86_400_000_000_000
@@ -42,27 +34,28 @@ def folder(tmp_path, monkeypatch):
 
 
 def by_name(folder):
-    return {e.path.stem: e for e in list_entries(find_sessions([folder]))}
+    return {e.path.stem: e for e in catalogue.list_entries(catalogue.find_sessions([folder]))}
 
 
 def test_the_drive_that_ended_last_comes_first(folder):
-    assert [path.stem for path in find_sessions([folder])] == ["straight", "estop", "circle"]
-    assert find_session("@last").stem == "straight"
-    assert find_session("@-1").stem == "straight"
-    assert find_session("@-3").stem == "circle"
-    assert find_session("other.mcap") == Path("other.mcap")
+    stems = [path.stem for path in catalogue.find_sessions([folder])]
+    assert stems == ["straight", "estop", "circle"]
+    assert catalogue.find_session("@last").stem == "straight"
+    assert catalogue.find_session("@-1").stem == "straight"
+    assert catalogue.find_session("@-3").stem == "circle"
+    assert catalogue.find_session("other.mcap") == Path("other.mcap")
 
 
 @pytest.mark.parametrize("word", ["@", "@first", "@-0", "@-x", "@3"])
 def test_a_word_that_names_no_place_is_refused(folder, word):
     with pytest.raises(SteerdError) as caught:
-        find_session(word)
+        catalogue.find_session(word)
     assert caught.value.code == ExitCode.USAGE
 
 
 def test_more_than_there_are_says_how_many_and_where(folder):
     with pytest.raises(SteerdError, match="3 sessions in"):
-        find_session("@-4")
+        catalogue.find_session("@-4")
 
 
 def test_figures_come_from_the_files(folder):
@@ -90,16 +83,16 @@ def test_the_index_can_be_thrown_away(folder, damage):
     first = by_name(folder)
     match damage:
         case "delete":
-            index_file().unlink()
+            catalogue.index_file().unlink()
         case "garbage":
-            index_file().write_bytes(b"no database " * 1000)
+            catalogue.index_file().write_bytes(b"no database " * 1000)
         case "old":
-            with sqlite3.connect(index_file()) as index:
+            with sqlite3.connect(catalogue.index_file()) as index:
                 index.execute("UPDATE rows SET row = '{\"unknown\": 1}'")
             index.close()
         case "folder":
-            index_file().unlink()
-            index_file().mkdir()
+            catalogue.index_file().unlink()
+            catalogue.index_file().mkdir()
     assert by_name(folder) == first
 
 
@@ -109,12 +102,12 @@ def test_a_file_that_is_no_session_is_listed_as_such(folder):
 
 
 def test_tags_and_notes_go_where_the_file_goes(folder):
-    write_notes(folder / "circle.mcap", ["wet", "new", "wet"], 'tyre "B"')
-    assert read_notes(folder / "circle.mcap") == (("wet", "new"), 'tyre "B"')
+    catalogue.write_notes(folder / "circle.mcap", ["wet", "new", "wet"], 'tyre "B"')
+    assert catalogue.read_notes(folder / "circle.mcap") == (("wet", "new"), 'tyre "B"')
     entry = by_name(folder)["circle"]
     assert (entry.tags, entry.note) == (("wet", "new"), 'tyre "B"')
     (folder / "circle.notes.toml").write_text("tags = 3 [")
-    assert read_notes(folder / "circle.mcap") == ((), "")
+    assert catalogue.read_notes(folder / "circle.mcap") == ((), "")
 
 
 def test_the_command_lists_tags_and_filters(folder, capsys):
@@ -137,7 +130,7 @@ def test_the_command_lists_tags_and_filters(folder, capsys):
 def test_the_page_leads_to_each_drives_page_from_wherever_it_lies(folder, tmp_path, capsys):
     (folder / "circle.mcap").rename(folder / "a #1 <b>.mcap")
     (folder / "a #1 <b>.html").write_text("")
-    write_notes(folder / "estop.mcap", ["wet"], "")
+    catalogue.write_notes(folder / "estop.mcap", ["wet"], "")
     assert run_cli(["sessions", "--folder", ".", "--page"]) == 0
     assert "sessions.html: 3 drives" in capsys.readouterr().out
     page = (folder / "sessions.html").read_text(encoding="utf-8")

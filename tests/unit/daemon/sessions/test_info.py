@@ -53,20 +53,15 @@ def test_a_known_circle_is_described_as_it_was(tmp_path):
     report = report_of(write_circle(tmp_path / "a.mcap"))
     assert (report.car, report.mode, report.end) == ("blue", "hw", "end of the run")
     assert report.length_m == pytest.approx(SPEED * 9.99, rel=2e-3)
-    assert report.speed is not None
     assert (report.speed.low, report.speed.high) == pytest.approx((SPEED, SPEED), rel=2e-3)
-    assert report.lateral_accel is not None
     assert report.lateral_accel.high == pytest.approx(SPEED**2 / RADIUS, rel=2e-3)
-    assert report.steer is not None
     assert report.steer.high == pytest.approx(0.2, rel=1e-3)
     assert report.excitation == ("speed is constant: drive lag and delay are not identifiable",)
     assert [s.state for s in report.states] == [SupervisorState(i).name for i in range(8)]
     assert [s.t_s for s in report.states] == pytest.approx([0.0, *range(7)])
-    assert {t.name: (t.count, t.gaps) for t in report.topics} == {
-        "/steerd/blue/mocap": (1000, 0),
-        "/steerd/blue/actuation": (1000, 0),
-        "/steerd/blue/transition": (7, None),
-    }
+    counts = {t.name.rpartition("/")[2]: (t.count, t.gaps) for t in report.topics}
+    assert counts == {"mocap": (1000, 0), "actuation": (1000, 0), "transition": (7, None)}
+    assert all(t.name.startswith("/steerd/blue/") for t in report.topics)
     assert report.topics[0].rate_hz == pytest.approx(100.0)
     assert report.empty_topics == ("/steerd/blue/wheel",)
     assert report.warnings == ()
@@ -86,15 +81,12 @@ def test_it_fits_a_screen(tmp_path):
     assert len(lines) < 24
     assert max(map(len, lines)) <= 80
     text = "\n".join(lines)
-    for words in (
-        "blue, on the car",
-        "tyres cold",
-        "2024-09-16 10:01:01 UTC, 10.0 s",
-        "3 messages dropped",
-        "init → disarmed 0.0 → ready 1.0",
-        "100.0 Hz  1, worst 0.51 s at 3.0 s",
-    ):
-        assert words in text
+    assert "blue, on the car" in text
+    assert "tyres cold" in text
+    assert "2024-09-16 10:01:01 UTC, 10.0 s" in text
+    assert "3 messages dropped" in text
+    assert "init → disarmed 0.0 → ready 1.0" in text
+    assert "100.0 Hz  1, worst 0.51 s at 3.0 s" in text
 
 
 def test_an_unfinished_file_says_what_to_do(tmp_path):

@@ -30,7 +30,6 @@ def circle(count=1000, dt=0.01, *, noise=0.0, seed=1):
 def test_noise_widens_the_window_and_the_length_stays():
     for noise in (0.0, 3e-4, 0.02, 0.05):
         track = make_track(*circle(2000, noise=noise))
-        assert track is not None
         assert track.length == pytest.approx(SPEED * 19.99, rel=0.03)
         assert track.coarse == (noise > 0.01)
 
@@ -38,7 +37,6 @@ def test_noise_widens_the_window_and_the_length_stays():
 def test_reversing_has_a_sign():
     t, x, y, yaw = circle()
     track = make_track(t, x[::-1], y[::-1], yaw[::-1])
-    assert track is not None
     assert np.nanmedian(track.speed) == pytest.approx(-SPEED, rel=1e-2)
 
 
@@ -50,7 +48,6 @@ def test_tracks_of_bad_poses():
     assert make_track(five[:2], five[:2], five[:2], five[:2]) is None
     assert make_track(five, five * 1e300, five, five) is None
     shuffled = make_track(np.array([2.0, 0.0, 1.0, 1.0, 3.0]), five, five, five)
-    assert shuffled is not None
     assert shuffled.t.tolist() == [0.0, 1.0, 2.0, 3.0]
 
 
@@ -126,9 +123,8 @@ def state():
 
 
 def test_each_start_settles_anew(state):
-    assert np.flatnonzero(
-        find_settled(state, seconds_since(START_NS, state["stamp_ns"]))
-    ).tolist() == [4, 5, 11]
+    settled = find_settled(state, seconds_since(START_NS, state["stamp_ns"]))
+    assert np.flatnonzero(settled).tolist() == [4, 5, 11]
     assert SETTLE == 3.0
 
 

@@ -122,7 +122,6 @@ def test_the_lane_comes_from_the_session(tmp_path):
     kept = AttachedFile("path.csv", "text/plain", f"# x_m,y_m\n{rows}\n".encode())
     lane = load_lane(load_session(write_noise(tmp_path / "a.mcap", 2, 20, options=options,
                                               files=[kept])))  # fmt: skip
-    assert lane is not None
     assert np.hypot(lane.x, lane.y) == pytest.approx(2.0, abs=0.01)
     absent = load_session(write_noise(tmp_path / "b.mcap", 2, 20, options=options))
     assert load_lane(absent) is None

@@ -15,14 +15,9 @@ DEFAULT = default_car_path().read_text()
 
 
 def test_edits_keep_comments_and_order():
-    text = edit_car(
-        load_car(default_car_path()),
-        {
-            ("mocap", "marker_rear_x"): 0.21,
-            ("vesc", "erpm_gain"): 4300.0,
-            ("vesc", "uuid"): "ab" * 12,
-        },
-    ).text
+    edits = {("mocap", "marker_rear_x"): 0.21, ("vesc", "erpm_gain"): 4300.0}
+    edits |= {("vesc", "uuid"): "ab" * 12}
+    text = edit_car(load_car(default_car_path()), edits).text
     old, new = DEFAULT.splitlines(), text.splitlines()
     kept = [line for line in new if "uuid" not in line]
     changed = [(a, b) for a, b in zip(old, kept, strict=True) if a != b]

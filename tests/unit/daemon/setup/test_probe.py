@@ -9,15 +9,8 @@ from steerd.daemon.cli.commands.setup.probe import format_found
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.settings.config import BrakeSettings
+from steerd.daemon.setup import probe
 from steerd.daemon.setup.mocap_check import Movement, check_movement
-from steerd.daemon.setup.probe import (
-    Found,
-    MocapSeen,
-    VescFound,
-    judge_mocap,
-    judge_vesc,
-    read_sockets,
-)
 from steerd.daemon.setup.probe_ask import find_ports, find_sockets
 from steerd.mocap_link import sockets
 from steerd.mocap_link.frame import FrameConfig, make_body_pose, make_planar_pose
@@ -25,8 +18,8 @@ from steerd.mocap_link.gates import REASONS
 from steerd.mocap_link.source import SourceState, SourceStatus
 from steerd.steer_bus import clock
 
-GOOD = VescFound((6, 5), "60_MK6", "ab" * 12, 150, 20.0, 11.8, "", 25.0, 1.5, 1.0, True)
-SEEN = MocapSeen(
+GOOD = probe.VescFound((6, 5), "60_MK6", "ab" * 12, 150, 20.0, 11.8, "", 25.0, 1.5, 1.0, True)
+SEEN = probe.MocapSeen(
     "natnet://h/car", "Motive NatNet 4.1", ("car",), "streaming", 3.0, 300, 300, 100.0, 100.0,
     "echo", 0.1, 6.0, 1.0, 0.1, 0.01,
 )  # fmt: skip
@@ -37,7 +30,7 @@ def fixes(advice):
 
 
 def test_a_sound_vesc_leaves_only_what_no_vesc_reports():
-    assert [a.what.split(":")[0] for a in judge_vesc(GOOD, BrakeSettings())] == [
+    assert [a.what.split(":")[0] for a in probe.judge_vesc(GOOD, BrakeSettings())] == [
         "the VESC does not report whether its servo output is on"
     ]
 
@@ -57,7 +50,7 @@ def test_a_sound_vesc_leaves_only_what_no_vesc_reports():
     ],
 )
 def test_what_is_wrong_with_a_vesc(change, said):
-    assert said in fixes(judge_vesc(replace(GOOD, **change), BrakeSettings()))
+    assert said in fixes(probe.judge_vesc(replace(GOOD, **change), BrakeSettings()))
 
 
 @pytest.mark.parametrize(
@@ -74,14 +67,14 @@ def test_what_is_wrong_with_a_vesc(change, said):
     ],
 )
 def test_what_is_wrong_with_a_source(change, said):
-    assert said in fixes(judge_mocap(replace(SEEN, **change), named=True))
+    assert said in fixes(probe.judge_mocap(replace(SEEN, **change), named=True))
 
 
 def test_a_sound_source_and_a_server_without_a_named_body():
-    assert list(judge_mocap(SEEN, named=True)) == []
-    assert list(judge_mocap(replace(SEEN, samples=0), named=False)) == []
+    assert list(probe.judge_mocap(SEEN, named=True)) == []
+    assert list(probe.judge_mocap(replace(SEEN, samples=0), named=False)) == []
     rare = replace(SEEN, refused=(("jump", 2),))
-    assert list(judge_mocap(rare, named=True)) == []
+    assert list(probe.judge_mocap(rare, named=True)) == []
 
 
 TCP = """  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid
@@ -92,15 +85,15 @@ TCP = """  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retr
 
 
 def test_sockets_of_this_machine(tmp_path):
-    found = list(read_sockets(TCP, "tcp"))
+    found = list(probe.read_sockets(TCP, "tcp"))
     assert [(s.kind, s.address, s.port) for s in found] == [("tcp", "127.0.0.1", 7447)]
-    assert list(read_sockets(TCP, "udp")) == []
+    assert list(probe.read_sockets(TCP, "udp")) == []
     (tmp_path / "tcp").write_text(TCP)
     (tmp_path / "udp6").write_text(
         TCP.replace("0100007F:1D17", "00000000000000000000000000000000:05E6")
     )
     assert [(s.kind, s.port) for s in find_sockets(tmp_path)] == [("tcp", 7447), ("udp", 1510)]
-    assert "zenoh" in "\n".join(format_found(Found((), (), tuple(found), True)))
+    assert "zenoh" in "\n".join(format_found(probe.Found((), (), tuple(found), True)))
 
 
 def test_ports_by_their_usb_ids(tmp_path):

@@ -14,22 +14,16 @@ from steerd.daemon.terminal.key_desk import KEYS, nudge
 from steerd.daemon.terminal.servo_keys import Servo, press
 from steerd.daemon.terminal.terminal import Terminal
 from steerd.daemon.terminal.watch import make_desk
+from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.codec import decode
-from steerd.steer_bus.messages import (
-    BODY,
-    OperatorRequest,
-    ParameterRequest,
-    Parameters,
-    make_header,
-)
 from steerd.steer_bus.topics import make_key
 from steerd.vesc_link.scaling import F1TENTH, Scaling, steer_to_servo_pos
 from tests.local_bus import LocalBus, LocalHub
 
-LIVE = Parameters(
-    make_header(0, BODY), 0, 0, 0, 1.0, 0.3, 1.45, 0.0, -0.15, 0.15, 1.0, 0.5, 1.2, ""
+LIVE = m.Parameters(
+    m.make_header(0, m.BODY), 0, 0, 0, 1.0, 0.3, 1.45, 0.0, -0.15, 0.15, 1.0, 0.5, 1.2, ""
 )
 
 
@@ -74,7 +68,7 @@ def test_a_viewers_setting_goes_out_under_the_terminals_lease():
     terminal._on_key("+")
     out = [unpack_request(packet) for packet in sent]
     assert {name for name, _ in out} == {topics.SET_PARAMETERS.name}
-    gain, speed = (decode(ParameterRequest, data) for _, data in out)
+    gain, speed = (decode(m.ParameterRequest, data) for _, data in out)
     assert (gain.gain, speed.speed) == (1.1, 1.1)
     assert [(r.boot_id, r.lease_id, r.seq) for r in (gain, speed)] == [(1, 77, 1), (1, 77, 2)]
     assert [r.operator for r in (gain, speed)] == ["viewer", "desk"], "who set it is said"
@@ -90,7 +84,7 @@ def test_the_keys_of_a_watch(operate):
     board = Dashboard("watch", parameters=LIVE)
     desk, repeat = make_desk(board, LocalBus(hub), "car1", MonotonicClock(), operate=operate)
     desk.on_key("e")
-    kinds = [decode(OperatorRequest, sample.data).kind for sample in stops.poll()]
+    kinds = [decode(m.OperatorRequest, sample.data).kind for sample in stops.poll()]
     assert kinds == ([KEYS["e"]] if operate else []), "a stop needs to know nothing of the car"
     assert repeat() is operate
     desk.on_key("+")
@@ -98,12 +92,12 @@ def test_the_keys_of_a_watch(operate):
     board.status["boot_id"] = "5"
     for key in "+a+x ":
         desk.on_key(key)
-    speeds = [decode(ParameterRequest, sample.data) for sample in tuned.poll()]
+    speeds = [decode(m.ParameterRequest, sample.data) for sample in tuned.poll()]
     assert [(s.boot_id, s.speed) for s in speeds] == [(5, 1.2), (5, 1.3)], "faster than the answer"
     board.parameters = replace(LIVE, speed=0.7)
     desk.on_key("+")
-    assert [decode(ParameterRequest, sample.data).speed for sample in tuned.poll()] == [0.8]
-    kinds = [decode(OperatorRequest, s.data).kind for s in (*asked.poll(), *stops.poll())]
+    assert [decode(m.ParameterRequest, sample.data).speed for sample in tuned.poll()] == [0.8]
+    kinds = [decode(m.OperatorRequest, s.data).kind for s in (*asked.poll(), *stops.poll())]
     assert kinds == ([KEYS["a"], KEYS[" "]] if operate else [])
     assert desk.holding is operate
 

@@ -1,6 +1,6 @@
 """A learner about the default car, windows as quadratic forms, and drives of the hidden plant."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ import pytest
 from benchmarks.blind_gap.car import make_car
 from benchmarks.live_changes.plant import Change, changed, drive
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.sim_gap.online.learner import Learner, make_learner
+from steerd.sim_gap.online.learner import Learner, State, fold, make_learner
 from steerd.sim_gap.online.looking import Loss, Reference
 from steerd.sim_gap.online.samples import Sample
 from steerd.sim_gap.online.tracking import Track
@@ -29,6 +29,19 @@ def learner() -> Learner:
 def reference(learner: Learner) -> Reference:
     noise = Noise((1e-3, 2e-3, 0.02, 0.05), (0.1, 0.1, 0.7))
     return Reference(learner.augmented, make_space(learner.augmented, NUISANCE, EFFECTS), noise)
+
+
+@pytest.fixture(scope="session")
+def learn() -> Callable[..., State]:
+    """What a learner makes of samples: `learn(learner, samples)`, or on from a state."""
+
+    def learn(learner: Learner, samples: Iterable[Sample], state: State | None = None) -> State:
+        state = state or State()
+        for sample in samples:
+            state, _ = fold(learner, state, sample)
+        return state
+
+    return learn
 
 
 @pytest.fixture

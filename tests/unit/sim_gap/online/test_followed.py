@@ -9,18 +9,13 @@ from steerd.car_model.car_file import default_car_path, load_car
 from steerd.car_model.effects import find_effect
 from steerd.controller.learnt import Learnt, learnt_of
 from steerd.sim_gap.online import values as online
-from steerd.sim_gap.online.learner import Change, State, make_learner
+from steerd.sim_gap.online.learner import Change, State
 from steerd.sim_gap.online.naming import Finding
 from steerd.sim_gap.online.values import Value
 from steerd.sim_gap.verdict.evidence import Cause
 
 KNOWN = SimpleNamespace()
 SETTLED = online.SETTLED
-
-
-@pytest.fixture(scope="module")
-def learner():
-    return make_learner(load_car(default_car_path()))
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from steerd.sim_gap.online.learner import State, fold
 from steerd.sim_gap.online.tracking import Memory, Remembered, remember, with_memory
 from steerd.sim_gap.online.values import values_of
 from steerd.sysid.inference.space import make_space
@@ -69,23 +68,16 @@ def test_a_drive_that_shows_another_car_is_believed(reference, track):
         assert (joined is not track) == kept
 
 
-def drive(learner, samples):
-    state = State()
-    for sample in samples:
-        state, _ = fold(learner, state, sample)
-    return state.known
-
-
 @pytest.mark.slow
-def test_a_second_drive_goes_on_from_the_first_unless_it_contradicts_it(learner, drives):
+def test_a_second_drive_goes_on_from_the_first_unless_it_contradicts_it(learner, drives, learn):
     samples = drives(27.0)
-    known = drive(learner, samples)
+    known = learn(learner, samples).known
     first = {v.name: v for v in values_of(known)}
     kept = Memory({n: (v.value, v.sd) for n, v in first.items() if v.identifiable}, 0.0)
-    again = drive(replace(learner, remembered=remember(learner.augmented, kept)), samples)
-    second = {v.name: v for v in values_of(again)}
+    again = learn(replace(learner, remembered=remember(learner.augmented, kept)), samples)
+    second = {v.name: v for v in values_of(again.known)}
     assert second["speed_gain"].identifiable
     assert second["speed_gain"].sd < first["speed_gain"].sd
     wrong = Memory({"speed_gain": (first["speed_gain"].value + 0.06, 1e-3)}, 0.0)
-    cold = drive(replace(learner, remembered=remember(learner.augmented, wrong)), samples)
-    np.testing.assert_array_equal(cold.track.information, known.track.information)
+    cold = learn(replace(learner, remembered=remember(learner.augmented, wrong)), samples)
+    np.testing.assert_array_equal(cold.known.track.information, known.track.information)

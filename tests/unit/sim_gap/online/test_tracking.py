@@ -7,7 +7,7 @@ import pytest
 
 from steerd.car_model.effects import find_effect
 from steerd.sim_gap.online.changes import SPANS, ratios, reweighted, unknown, with_ratios
-from steerd.sim_gap.online.learner import Change, State, fold
+from steerd.sim_gap.online.learner import Change
 from steerd.sim_gap.online.looking import may_change
 from steerd.sim_gap.online.naming import EARLY, Finding, believed, find_cause
 from steerd.sim_gap.online.tracking import Track, follow, informed_directions
@@ -121,13 +121,11 @@ def test_windows_that_nothing_explains_are_no_change(reference, track, windows):
 
 def test_what_a_car_shows_as_usual_is_no_change():
     shape = (2, len(SPANS))
-    usual = unknown(2)
+    loud = quiet = unknown(2)
     for _ in range(200):
-        usual = with_ratios(usual, np.full(shape, 9.0))
-    assert (usual.level() > 8.0).all()
-    quiet = unknown(2)
-    for _ in range(200):
+        loud = with_ratios(loud, np.full(shape, 9.0))
         quiet = with_ratios(quiet, np.full(shape, 0.3))
+    assert (loud.level() > 8.0).all()
     assert (quiet.level() < 2.0).all()
 
 
@@ -203,19 +201,8 @@ def test_windows_that_no_car_drove_say_nothing(reference, track):
 
 
 @pytest.fixture(scope="module")
-def healthy(learner, drives):
-    state = State()
-    for sample in drives(AT):
-        state, _ = fold(learner, state, sample)
-    return state
-
-
-@pytest.fixture(scope="module")
-def loose(learner, drives):
-    state = State()
-    for sample in drives(AT + 7.0, "steer_backlash", AT):
-        state, _ = fold(learner, state, sample)
-    return state
+def healthy(learner, drives, learn):
+    return learn(learner, drives(AT))
 
 
 @pytest.mark.slow
@@ -227,8 +214,8 @@ def test_healthy_windows_have_no_cause(healthy):
 
 
 @pytest.mark.slow
-def test_play_is_named_although_it_has_no_gradient_where_there_is_none(loose):
-    cause = loose.change.finding.cause
+def test_play_is_named_although_it_has_no_gradient_where_there_is_none(learner, drives, learn):
+    cause = learn(learner, drives(AT + 7.0, "steer_backlash", AT)).change.finding.cause
     assert cause.effect == "steer_backlash"
     value, sd, _ = cause.parameters["play"]
     assert value == pytest.approx(0.03, abs=4.0 * sd)

@@ -16,7 +16,7 @@ def make_car(model: Model[float] | None = None, **setup: object) -> SimCar:
     return SimCar(model or Model(DEFAULT_CAR), CarSetup(**setup), make_noise_source(0, "car"))  # type: ignore[arg-type]
 
 
-def test_brake_stops_within_computed_distance_and_never_reverses() -> None:
+def test_brake_stops_within_computed_distance_and_never_reverses():
     car = make_car(start=ORIGIN._replace(speed=3.0))
     speeds = []
     for _ in range(1500):
@@ -27,14 +27,14 @@ def test_brake_stops_within_computed_distance_and_never_reverses() -> None:
     assert car.state.x == pytest.approx(3.0**2 / 2 / (3.4 + 0.6), rel=0.01)
 
 
-def test_coasting_loses_speed_to_drag_alone() -> None:
+def test_coasting_loses_speed_to_drag_alone():
     car = make_car(start=ORIGIN._replace(speed=1.0))
     for _ in range(500):
         car.step(0.0, COAST)
     assert car.state.speed == pytest.approx(1.0 - 0.6, abs=1e-9)
 
 
-def test_force_below_drag_does_not_move_a_car_at_rest_and_above_it_does() -> None:
+def test_force_below_drag_does_not_move_a_car_at_rest_and_above_it_does():
     car = make_car()
     for _ in range(200):
         car.step(0.0, Demand(Drive.FORCE, 0.5))
@@ -44,7 +44,7 @@ def test_force_below_drag_does_not_move_a_car_at_rest_and_above_it_does() -> Non
     assert car.state.speed == pytest.approx(-0.4, rel=0.02)
 
 
-def test_brake_holds_on_a_slope_where_coasting_rolls() -> None:
+def test_brake_holds_on_a_slope_where_coasting_rolls():
     slope = EFFECTS["floor_slope"]
     model = Model(DEFAULT_CAR, (slope,), ((-0.15, 0.0, 0.0),))
     braked, free = make_car(model), make_car(model)
@@ -55,13 +55,13 @@ def test_brake_holds_on_a_slope_where_coasting_rolls() -> None:
     assert abs(free.state.speed) > 0.3
 
 
-def test_grip_bounds_braking() -> None:
+def test_grip_bounds_braking():
     car = make_car(Model(DEFAULT_CAR._replace(mu=0.2)), start=ORIGIN._replace(speed=3.0))
     car.step(0.0, Demand(Drive.BRAKE, 50.0))
     assert car.accel_x == pytest.approx(-0.2 * 9.81, rel=1e-6)
 
 
-def test_history_interpolates_and_pose_delay_looks_back() -> None:
+def test_history_interpolates_and_pose_delay_looks_back():
     model = Model(DEFAULT_CAR._replace(pose_delay=0.1))
     car = make_car(model, start=ORIGIN._replace(speed=1.0))
     for _ in range(200):
@@ -72,7 +72,7 @@ def test_history_interpolates_and_pose_delay_looks_back() -> None:
     assert car.state_at(-1).x <= car.state.x
 
 
-def test_process_noise_is_seeded_and_leaves_a_resting_car_alone() -> None:
+def test_process_noise_is_seeded_and_leaves_a_resting_car_alone():
     def end(seed: int, speed: float) -> object:
         setup = CarSetup(noise=(0.1, 0.5, 0.1), start=ORIGIN._replace(speed=speed))
         car = SimCar(Model(DEFAULT_CAR), setup, make_noise_source(seed, "car"))
@@ -91,9 +91,7 @@ def test_process_noise_is_seeded_and_leaves_a_resting_car_alone() -> None:
     ),
 )
 @settings(deadline=None, derandomize=True)
-def test_delay_line_keeps_the_area_of_the_signal(
-    delay: int, changes: list[tuple[int, float]]
-) -> None:
+def test_delay_line_keeps_the_area_of_the_signal(delay, changes):
     line = DelayLine(delay, 0.0)
     t, area, held, step, read, out = 0, 0.0, 0.0, 2_000_000, 0, 0.0
     for gap, value in changes:

@@ -34,7 +34,7 @@ DRIVING = WorldConfig(
 # --- the catalogue
 
 
-def test_catalogue_is_complete_and_each_entry_changes_the_fault_state() -> None:
+def test_catalogue_is_complete_and_each_entry_changes_the_fault_state():
     codes = [kind.code for kind in FAULTS if kind.code]
     assert codes == [f"M{n}" for n in range(1, 23)] + [f"V{n}" for n in range(1, 25)]
     for kind in FAULTS:
@@ -44,7 +44,7 @@ def test_catalogue_is_complete_and_each_entry_changes_the_fault_state() -> None:
         assert (condition.vesc == faults.HEALTHY_VESC) == (kind.target == "mocap")
 
 
-def test_windows_edges_and_mistakes() -> None:
+def test_windows_edges_and_mistakes():
     fault = Fault("M4", 10, 20, jump=1.0)
     assert [fault.active(t) for t in (9, 10, 19, 20)] == [False, True, True, False]
     assert fault.kind is find_fault("jump")
@@ -58,7 +58,7 @@ def test_windows_edges_and_mistakes() -> None:
         Fault("M4", 0, kump=1.0)
 
 
-def test_faults_at_the_same_time_add_up() -> None:
+def test_faults_at_the_same_time_add_up():
     condition = make_condition([Fault("M4"), Fault("M5"), Fault("V4")], 5)
     assert (condition.mocap.jump, condition.mocap.drift, condition.vesc.mute) == (0.5, 0.1, True)
 
@@ -113,26 +113,26 @@ def yaw(frame: Frame) -> float:
 CLEAN = frames()
 
 
-def test_m1_silence() -> None:
+def test_m1_silence():
     run = frames(Fault("M1", ON, OFF))
     assert during(run) == []
     assert outside(run) == outside(CLEAN)
 
 
-def test_m2_freeze_keeps_the_pose_bit_for_bit_with_new_stamps() -> None:
+def test_m2_freeze_keeps_the_pose_bit_for_bit_with_new_stamps():
     held = during(frames(Fault("M2", ON, OFF)))
     assert len({f.rigid_bodies[0] for f in held}) == 1
     ticks = [f.mid_exposure_ticks for f in held]
     assert all(b > a for a, b in pairwise(ticks))
 
 
-def test_m3_resend_is_one_frame_again_and_again() -> None:
+def test_m3_resend_is_one_frame_again_and_again():
     held = during(frames(Fault("M3", ON, OFF)))
     assert len(held) > 90
     assert len(set(held)) == 1
 
 
-def test_m4_jump_and_m5_drift_move_the_pose() -> None:
+def test_m4_jump_and_m5_drift_move_the_pose():
     clean = during(CLEAN)
     for name, at_start, at_end in (("M4", 0.5, 0.5), ("M5", 0.002, 0.1)):
         held = during(frames(Fault(name, ON, OFF)))
@@ -163,12 +163,12 @@ SHOWN: dict[str, Callable[[Frame, Frame], bool]] = {
 
 
 @pytest.mark.parametrize("name", SHOWN)
-def test_every_frame_shows_its_fault(name: str) -> None:
+def test_every_frame_shows_its_fault(name):
     for held, clean in zip(during(frames(Fault(name, ON, OFF))), during(CLEAN), strict=True):
         assert SHOWN[name](held, clean)
 
 
-def test_signs_that_alternate_do_so_from_frame_to_frame() -> None:
+def test_signs_that_alternate_do_so_from_frame_to_frame():
     flipped = [abs(yaw(f)) > 1.5 for f in during(frames(Fault("M7", ON, OFF)))]
     held = during(frames(Fault("quaternion_sign", ON, OFF)))
     signs = [f.rigid_bodies[0].quaternion[3] > 0 for f in held]
@@ -176,7 +176,7 @@ def test_signs_that_alternate_do_so_from_frame_to_frame() -> None:
         assert all(a != b for a, b in pairwise(each))
 
 
-def test_m13_latency_m14_jitter() -> None:
+def test_m13_latency_m14_jitter():
     late = [t for t, f in frames(Fault("M13", ON, OFF)) if 120 < f.number < 180]
     clean = [t for t, f in CLEAN if 120 < f.number < 180]
     assert {b - a for a, b in zip(clean, late, strict=True)} == {80 * MS}
@@ -186,7 +186,7 @@ def test_m13_latency_m14_jitter() -> None:
     assert 30 * MS < max(spread) < 40 * MS
 
 
-def test_m15_out_of_order_m16_duplicated() -> None:
+def test_m15_out_of_order_m16_duplicated():
     numbers = [f.number for f in during(frames(Fault("M15", ON, OFF)))]
     steps = [b - a for a, b in pairwise(numbers)]
     assert min(steps) == -1
@@ -195,7 +195,7 @@ def test_m15_out_of_order_m16_duplicated() -> None:
     assert [n for i, n in enumerate(twice) if i % 2 == 0] == sorted(set(twice))
 
 
-def test_m17_loss_m18_gap_m22_half_rate() -> None:
+def test_m17_loss_m18_gap_m22_half_rate():
     lost = 100 - len(during(frames(Fault("M17", ON, OFF, loss=0.3))))
     assert 15 < lost < 50
     gap = frames(Fault("M18", ON, OFF))
@@ -207,7 +207,7 @@ def test_m17_loss_m18_gap_m22_half_rate() -> None:
 
 
 @pytest.mark.parametrize("how", ["truncated", "oversized", "garbage"])
-def test_m19_malformed_datagrams_come_between_good_ones(how: str) -> None:
+def test_m19_malformed_datagrams_come_between_good_ones(how):
     messages = datagrams(Fault("M19", ON, OFF, noise=how))
     good = {m.data for m in datagrams()}
     bad = [m for m in messages if m.data not in good]
@@ -215,7 +215,7 @@ def test_m19_malformed_datagrams_come_between_good_ones(how: str) -> None:
     assert len(during(list(decoded(messages)))) >= 90
 
 
-def test_m20_foreign_sender_forges_frames() -> None:
+def test_m20_foreign_sender_forges_frames():
     messages = datagrams(Fault("M20", ON, OFF))
     forged = [m for m in messages if m.channel == FOREIGN]
     assert len(forged) > 90
@@ -223,19 +223,19 @@ def test_m20_foreign_sender_forges_frames() -> None:
     assert list(decoded(messages)) == CLEAN
 
 
-def test_m21_clock_step_moves_all_stamps() -> None:
+def test_m21_clock_step_moves_all_stamps():
     for held, clean in zip(during(frames(Fault("M21", ON, OFF))), during(CLEAN), strict=True):
         step = held.mid_exposure_ticks - clean.mid_exposure_ticks
         assert step == pytest.approx(10_000_000, abs=200)
         assert held.transmit_ticks > held.mid_exposure_ticks
 
 
-def test_the_mean_error_rises() -> None:
+def test_the_mean_error_rises():
     held = during(frames(Fault("mean_error_ramp", ON, OFF)))
     assert min(f.rigid_bodies[0].mean_error for f in held) > 0.005
 
 
-def test_server_restart_begins_numbers_and_clock_again() -> None:
+def test_server_restart_begins_numbers_and_clock_again():
     world = World(DRIVING, [Fault("server_restart", ON, OFF)])
     numbers, ticks = [], []
     for t in range(0, 2000 * MS, 10 * MS):
@@ -247,7 +247,7 @@ def test_server_restart_begins_numbers_and_clock_again() -> None:
     assert sum(b < a for a, b in pairwise(ticks)) == 1
 
 
-def test_half_open_tcp_is_silent_for_those_connected_before() -> None:
+def test_half_open_tcp_is_silent_for_those_connected_before():
     config = replace(DRIVING, mocap=MocapConfig(kind="vrpn"))
     world = World(config, [Fault("half_open", ON)])
     world.mocap_connect(0, peer=1)
@@ -275,7 +275,7 @@ def faulty(make_host: MakeHost) -> Callable[..., Any]:
     return make
 
 
-def test_v1_unplug_is_eio_and_the_firmware_timeout_stops_the_car(faulty: MakeHost) -> None:
+def test_v1_unplug_is_eio_and_the_firmware_timeout_stops_the_car(faulty):
     host = faulty("V1")
     for use in (lambda: host.send(c.GetValues()), lambda: host.world.serial_read(host.t_ns)):
         with pytest.raises(OSError, match="Input/output"):
@@ -287,7 +287,7 @@ def test_v1_unplug_is_eio_and_the_firmware_timeout_stops_the_car(faulty: MakeHos
     assert isinstance(host.values(), Values)
 
 
-def test_v2_other_name_and_v3_other_uuid_after_an_outage(faulty: MakeHost) -> None:
+def test_v2_other_name_and_v3_other_uuid_after_an_outage(faulty):
     host = faulty("V2")
     assert host.world.serial_name is None
     host.run(310)
@@ -299,7 +299,7 @@ def test_v2_other_name_and_v3_other_uuid_after_an_outage(faulty: MakeHost) -> No
     assert host.ask(c.GetFwVersion()).uuid != own
 
 
-def test_v4_mute_obeys_but_says_nothing(faulty: MakeHost) -> None:
+def test_v4_mute_obeys_but_says_nothing(faulty):
     host = faulty("V4")
     host.send(c.GetValues())
     host.hold(300, c.SetErpm(2 * 4614))
@@ -307,7 +307,7 @@ def test_v4_mute_obeys_but_says_nothing(faulty: MakeHost) -> None:
     assert host.speed > 1.5
 
 
-def test_v5_deaf_answers_and_drives_on_whatever_it_is_commanded(faulty: MakeHost) -> None:
+def test_v5_deaf_answers_and_drives_on_whatever_it_is_commanded(faulty):
     host = faulty("V5")
     host.hold(400, c.SetCurrentBrake(20.0))
     host.run(400)
@@ -315,7 +315,7 @@ def test_v5_deaf_answers_and_drives_on_whatever_it_is_commanded(faulty: MakeHost
     assert host.values().fault == 0
 
 
-def test_v6_stalled_reader_fills_the_hosts_buffer(faulty: MakeHost) -> None:
+def test_v6_stalled_reader_fills_the_hosts_buffer(faulty):
     host = faulty("V6")
     assert host.world.serial_write(host.t_ns, bytes(4000)) == 4000
     assert host.world.serial_write(host.t_ns, bytes(200)) == 96
@@ -323,7 +323,7 @@ def test_v6_stalled_reader_fills_the_hosts_buffer(faulty: MakeHost) -> None:
         host.world.serial_write(host.t_ns, b"x")
 
 
-def test_v7_trickle_takes_5_ms_per_byte(faulty: MakeHost) -> None:
+def test_v7_trickle_takes_5_ms_per_byte(faulty):
     host = faulty("V7")
     host.send(c.GetValuesSelective(0x180))  # 17 bytes
     host.run(79)
@@ -332,7 +332,7 @@ def test_v7_trickle_takes_5_ms_per_byte(faulty: MakeHost) -> None:
     assert isinstance(host.heard()[0], Values)
 
 
-def test_v8_garbage_and_v9_crc_errors_and_v12_wrong_replies(faulty: MakeHost) -> None:
+def test_v8_garbage_and_v9_crc_errors_and_v12_wrong_replies(faulty):
     host = faulty("V8")
     host.send(c.GetValues())
     host.run(1)
@@ -352,7 +352,7 @@ def test_v8_garbage_and_v9_crc_errors_and_v12_wrong_replies(faulty: MakeHost) ->
     assert old.controller_id == 107
 
 
-def test_v10_partial_frame_then_silence(faulty: MakeHost) -> None:
+def test_v10_partial_frame_then_silence(faulty):
     host = faulty("V10")
     host.send(c.GetValues())
     host.run(5)
@@ -362,13 +362,13 @@ def test_v10_partial_frame_then_silence(faulty: MakeHost) -> None:
     assert host.world.serial_read(host.t_ns) == b""
 
 
-def test_v11_false_long_header_comes_once(faulty: MakeHost) -> None:
+def test_v11_false_long_header_comes_once(faulty):
     host = faulty("V11")
     host.run(100)
     assert host.world.serial_read(host.t_ns) == b"\x03\x02\x00"
 
 
-def test_v13_to_v17_fault_codes(faulty: MakeHost) -> None:
+def test_v13_to_v17_fault_codes(faulty):
     for name, code in (("V13", 3), ("V16", 2), ("V17", 5)):
         host = faulty(name)
         host.hold(900, c.SetErpm(4614))
@@ -382,7 +382,7 @@ def test_v13_to_v17_fault_codes(faulty: MakeHost) -> None:
     assert host.values().fault == 0
 
 
-def test_v15_reboot_drops_usb_and_coasts(faulty: MakeHost) -> None:
+def test_v15_reboot_drops_usb_and_coasts(faulty):
     host = faulty("V15")
     assert host.world.serial_name is None
     host.run(1000)
@@ -391,7 +391,7 @@ def test_v15_reboot_drops_usb_and_coasts(faulty: MakeHost) -> None:
     assert host.ask(c.GetValuesSetupSelective(0x200000)).uptime_ms < 200
 
 
-def test_v18_to_v21_wrong_telemetry(faulty: MakeHost) -> None:
+def test_v18_to_v21_wrong_telemetry(faulty):
     assert faulty("V18").values().status & 1
     assert faulty("V19").values().status & STATUS_KILL
     host = faulty("V20")
@@ -403,27 +403,27 @@ def test_v18_to_v21_wrong_telemetry(faulty: MakeHost) -> None:
     assert faulty("V21").values().erpm == pytest.approx(-4614, abs=60)
 
 
-def test_v22_servo_stays(faulty: MakeHost) -> None:
+def test_v22_servo_stays(faulty):
     host = faulty("V22")
     before = host.world.truth().state.steer
     host.hold(300, c.SetServoPos(0.2))
     assert host.world.truth().state.steer == pytest.approx(before, abs=1e-6)
 
 
-def test_v23_second_client_keeps_the_timeout_from_striking(make_host: MakeHost) -> None:
+def test_v23_second_client_keeps_the_timeout_from_striking(make_host):
     host = make_host(Fault("V23"), timeout_ms=250)
     for _ in range(40):
         host.run(25)
         assert not host.values().status & 1
 
 
-def test_v24_appconf_without_timeout(faulty: MakeHost) -> None:
+def test_v24_appconf_without_timeout(faulty):
     reply = faulty("V24").ask(c.GetAppConf())
     assert isinstance(reply, AppConf)
     assert (reply.timeout_ms, reply.timeout_brake_current) == (0, 0.0)
 
 
-def test_lossy_jittery_and_chatty_links_still_work(faulty: MakeHost) -> None:
+def test_lossy_jittery_and_chatty_links_still_work(faulty):
     for name in ("reply_loss", "reply_jitter", "unsolicited"):
         host = faulty(name)
         good = 0

@@ -12,18 +12,9 @@ from steerd.car_model.state import ORIGIN
 from steerd.sim_hw.vesc.vesc_motor import STATUS_KILL, duty_current
 from steerd.sim_hw.world import World, WorldConfig
 from steerd.vesc_link import commands as c
+from steerd.vesc_link import ids
 from steerd.vesc_link.frames import FLUSH, encode_frame
 from steerd.vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp, Print
-from steerd.vesc_link.ids import (
-    FW_3_00,
-    FW_3_40,
-    FW_3_60,
-    FW_5_02,
-    FW_5_03,
-    PROFILES,
-    Firmware,
-    fault_name,
-)
 from steerd.vesc_link.packets import encode_command
 from steerd.vesc_link.scaling import F1TENTH, servo_pos_to_steer
 from steerd.vesc_link.telemetry import FAST_MASK, UPTIME_MASK, Imu, Values, has_chip, values_size
@@ -34,7 +25,18 @@ ROLLING = WorldConfig(start=ORIGIN._replace(speed=2.0))
 ERPM_1 = 4614.0
 
 
-def test_head_of_line_blocking_delivers_everything_late_at_once(make_host: MakeHost) -> None:
+@pytest.fixture
+def host(make_host: MakeHost) -> Any:
+    return make_host()
+
+
+@pytest.fixture
+def rolling(make_host: MakeHost) -> Any:
+    """A host of a car at 2 m/s."""
+    return make_host(config=ROLLING)
+
+
+def test_head_of_line_blocking_delivers_everything_late_at_once(make_host):
     host = make_host(timeout_ms=0)
     host.world.serial_write(0, b"\x03\x02\x00")
     for erpm in range(1000, 1051):
@@ -45,27 +47,25 @@ def test_head_of_line_blocking_delivers_everything_late_at_once(make_host: MakeH
     assert host.world.vesc.motor.value in (1050.0, 1051.0)
 
 
-def test_zero_flush_frees_the_parser(make_host: MakeHost) -> None:
-    host = make_host()
+def test_zero_flush_frees_the_parser(host):
     host.world.serial_write(0, b"\x03\x02\x00")
     host.world.serial_write(0, FLUSH)
     assert isinstance(host.ask(c.GetFwVersion()), FwVersion)
 
 
 @pytest.mark.parametrize(
-    ("firmware", "freed"), [(FW_3_40, True), (FW_3_60, True), (FW_5_02, True), (FW_5_03, False)]
+    ("firmware", "freed"),
+    [(ids.FW_3_40, True), (ids.FW_3_60, True), (ids.FW_5_02, True), (ids.FW_5_03, False)],
 )
-def test_only_old_firmware_resets_its_parser_after_silence(
-    make_host: MakeHost, firmware: Firmware, freed: bool
-) -> None:
+def test_only_old_firmware_resets_its_parser_after_silence(make_host, firmware, freed):
     host = make_host(firmware=firmware)
     host.world.serial_write(0, b"\x02\xff\x00")
     host.run(1500)
     assert isinstance(host.ask(c.GetFwVersion()), FwVersion) == freed
 
 
-@pytest.mark.parametrize("firmware", [FW_3_00, *PROFILES], ids=str)
-def test_firmware_profiles_send_their_own_layouts(make_host: MakeHost, firmware: Firmware) -> None:
+@pytest.mark.parametrize("firmware", [ids.FW_3_00, *ids.PROFILES], ids=str)
+def test_firmware_profiles_send_their_own_layouts(make_host, firmware):
     host = make_host(firmware=firmware)
     version = host.ask(c.GetFwVersion())
     assert version.firmware == firmware
@@ -73,17 +73,19 @@ def test_firmware_profiles_send_their_own_layouts(make_host: MakeHost, firmware:
     host.run(1)
     (payload,) = host.parser.feed(host.world.serial_read(host.t_ns), host.t_ns)
     assert len(payload) == values_size(None, firmware)
-    if firmware >= FW_3_60:
-        assert (host.ask(c.GetValuesSelective(FAST_MASK)).status is None) == (firmware < FW_5_03)
-    assert (version.uuid is None) == (firmware <= FW_3_00)
+    if firmware >= ids.FW_3_60:
+        assert (host.ask(c.GetValuesSelective(FAST_MASK)).status is None) == (
+            firmware < ids.FW_5_03
+        )
+    assert (version.uuid is None) == (firmware <= ids.FW_3_00)
 
 
-def test_numbers_are_single_precision_truncated(make_host: MakeHost) -> None:
+def test_numbers_are_single_precision_truncated(make_host):
     host = make_host(battery_voltage=11.99)
     assert host.values().input_voltage == 11.9  # not 12.0
 
 
-def test_reply_comes_as_one_byte_then_the_rest(make_host: MakeHost) -> None:
+def test_reply_comes_as_one_byte_then_the_rest(make_host):
     host = make_host(reply_delay_ns=300_000, fragment_gap_ns=50_000)
     host.send(c.GetFwVersion())
     assert host.world.serial_read(299_999) == b""
@@ -92,8 +94,7 @@ def test_reply_comes_as_one_byte_then_the_rest(make_host: MakeHost) -> None:
     assert len(host.world.serial_read(350_000)) > 30
 
 
-def test_averages_restart_on_every_read_and_two_pollers_steal(make_host: MakeHost) -> None:
-    host = make_host()
+def test_averages_restart_on_every_read_and_two_pollers_steal(host):
     host.hold(300, c.SetErpm(ERPM_1))
     host.values()
     host.hold(50, c.SetErpm(3 * ERPM_1))
@@ -106,7 +107,7 @@ def test_averages_restart_on_every_read_and_two_pollers_steal(make_host: MakeHos
     assert only_voltage.motor_current is None
 
 
-def test_timeout_strikes_on_the_10_ms_thread_although_polled(make_host: MakeHost) -> None:
+def test_timeout_strikes_on_the_10_ms_thread_although_polled(make_host):
     """The pre-arm proof: silence but for polls must raise status bit 0 in timeout + 20 ms."""
     host = make_host(timeout_ms=200)
     host.send(c.SetCurrentBrake(1.0))
@@ -118,11 +119,10 @@ def test_timeout_strikes_on_the_10_ms_thread_although_polled(make_host: MakeHost
         if reply.status & 1:
             struck = ms
             break
-    assert struck is not None
     assert 200 <= struck <= 220
 
 
-def test_timeout_releases_then_brakes_to_rest(make_host: MakeHost) -> None:
+def test_timeout_releases_then_brakes_to_rest(make_host):
     host = make_host(timeout_ms=150, timeout_brake_current=20.0)
     host.hold(1500, c.SetErpm(2 * ERPM_1))
     x, v = host.world.truth().state.x, host.speed
@@ -132,14 +132,14 @@ def test_timeout_releases_then_brakes_to_rest(make_host: MakeHost) -> None:
     assert host.world.truth().state.x - x <= v * 0.17 + v * v / 2 / decel + 0.05
 
 
-def test_timeout_with_brake_current_zero_coasts(make_host: MakeHost) -> None:
+def test_timeout_with_brake_current_zero_coasts(make_host):
     host = make_host(timeout_ms=150, timeout_brake_current=0.0)
     host.hold(1500, c.SetErpm(2 * ERPM_1))
     host.run(1160)
     assert host.speed == pytest.approx(2.0 - 0.6, abs=0.1)
 
 
-def test_timeout_zero_never_strikes(make_host: MakeHost) -> None:
+def test_timeout_zero_never_strikes(make_host):
     host = make_host(timeout_ms=0)
     host.send(c.SetErpm(2 * ERPM_1))
     host.run(5000)
@@ -147,18 +147,14 @@ def test_timeout_zero_never_strikes(make_host: MakeHost) -> None:
     assert host.speed == pytest.approx(2.0, abs=0.01)
 
 
-def test_timeout_ends_with_the_next_command(make_host: MakeHost) -> None:
-    host = make_host()
+def test_timeout_ends_with_the_next_command(host):
     host.run(500)
     assert host.values().status & 1
     host.hold(30, c.SetErpm(ERPM_1))
     assert not host.values().status & 1
 
 
-def test_servo_commands_and_polls_do_not_feed_the_timeout_but_alive_does(
-    make_host: MakeHost,
-) -> None:
-    host = make_host()
+def test_servo_commands_and_polls_do_not_feed_the_timeout_but_alive_does(host):
     host.send(c.SetErpm(ERPM_1))
     host.hold(300, c.SetServoPos(0.5), c.GetValues())
     assert host.world.vesc.motor.timed_out
@@ -168,15 +164,14 @@ def test_servo_commands_and_polls_do_not_feed_the_timeout_but_alive_does(
     assert host.speed == pytest.approx(1.0, abs=0.05)  # ALIVE keeps the last command running
 
 
-def test_servo_holds_its_last_angle_for_ever(make_host: MakeHost) -> None:
-    host = make_host()
+def test_servo_holds_its_last_angle_for_ever(host):
     host.send(c.SetServoPos(0.3))
     host.run(20_000)
     steer = servo_pos_to_steer(F1TENTH, 0.3)
     assert host.world.truth().state.steer == pytest.approx(steer, abs=1e-6)
 
 
-def test_servo_does_nothing_when_its_output_is_disabled(make_host: MakeHost) -> None:
+def test_servo_does_nothing_when_its_output_is_disabled(make_host):
     host = make_host(servo_out=False)
     before = host.ask(c.GetValues()) and host.world.truth().state.steer
     host.hold(500, c.SetServoPos(0.15))
@@ -185,7 +180,7 @@ def test_servo_does_nothing_when_its_output_is_disabled(make_host: MakeHost) -> 
     assert abs(before - centre) < 0.03
 
 
-def test_servo_samples_at_50_hz(make_host: MakeHost) -> None:
+def test_servo_samples_at_50_hz(make_host):
     host = make_host(servo_phase_ns=6 * MS)
     angles = []
     for k in range(20):  # a new angle every 5 ms
@@ -196,35 +191,33 @@ def test_servo_samples_at_50_hz(make_host: MakeHost) -> None:
     assert {b - a for a, b in itertools.pairwise(changes)} == {4}
 
 
-def test_speed_ramp_is_25000_erpm_per_second_from_the_actual_speed(make_host: MakeHost) -> None:
-    host = make_host(config=ROLLING)
-    host.send(c.SetErpm(5 * ERPM_1))
-    host.run(40)
-    assert host.world.vesc.motor.ramped == pytest.approx(2 * ERPM_1 + 1000, abs=60)
+def test_speed_ramp_is_25000_erpm_per_second_from_the_actual_speed(rolling):
+    rolling.send(c.SetErpm(5 * ERPM_1))
+    rolling.run(40)
+    assert rolling.world.vesc.motor.ramped == pytest.approx(2 * ERPM_1 + 1000, abs=60)
 
 
-def test_firmware_before_5_03_has_no_ramp(make_host: MakeHost) -> None:
-    host = make_host(config=ROLLING, firmware=FW_5_02)
+def test_firmware_before_5_03_has_no_ramp(make_host):
+    host = make_host(config=ROLLING, firmware=ids.FW_5_02)
     host.send(c.SetErpm(5 * ERPM_1))
     host.run(2)
     assert host.world.vesc.motor.ramped == 5 * ERPM_1
 
 
-def test_setpoints_below_900_erpm_coast(make_host: MakeHost) -> None:
-    host = make_host(config=ROLLING, firmware=FW_5_02)
+def test_setpoints_below_900_erpm_coast(make_host):
+    host = make_host(config=ROLLING, firmware=ids.FW_5_02)
     host.hold(500, c.SetErpm(899))
     assert host.speed == pytest.approx(2.0 - 0.5 * 0.6, abs=0.02)
 
 
-def test_set_rpm_0_brakes_along_the_ramp_and_then_coasts(make_host: MakeHost) -> None:
-    host = make_host(config=ROLLING)
-    host.hold(1000, c.SetErpm(0))
-    mode, _ = host.world.vesc.motor.step(host.t_ns, 0.002)
+def test_set_rpm_0_brakes_along_the_ramp_and_then_coasts(rolling):
+    rolling.hold(1000, c.SetErpm(0))
+    mode, _ = rolling.world.vesc.motor.step(rolling.t_ns, 0.002)
     assert mode.name == "RELEASED"
-    assert 0.0 <= host.speed < 1.0
+    assert 0.0 <= rolling.speed < 1.0
 
 
-def test_invert_flag_turns_commands_telemetry_and_tachometer(make_host: MakeHost) -> None:
+def test_invert_flag_turns_commands_telemetry_and_tachometer(make_host):
     host = make_host(invert=True)
     host.hold(1000, c.SetErpm(ERPM_1))
     assert host.speed == pytest.approx(-1.0, abs=0.02)
@@ -233,25 +226,22 @@ def test_invert_flag_turns_commands_telemetry_and_tachometer(make_host: MakeHost
     assert values.tachometer > 0
 
 
-def test_brake_current_slows_by_its_constant_and_never_reverses(make_host: MakeHost) -> None:
-    host = make_host(config=ROLLING)
-    host.hold(100, c.SetCurrentBrake(10.0))
-    decel = 10.0 * host.world.config.vesc.accel_per_amp + 0.6
-    assert host.speed == pytest.approx(2.0 - 0.1 * decel, abs=0.02)
-    host.hold(2000, c.SetCurrentBrake(10.0))
-    assert host.speed == 0.0
+def test_brake_current_slows_by_its_constant_and_never_reverses(rolling):
+    rolling.hold(100, c.SetCurrentBrake(10.0))
+    decel = 10.0 * rolling.world.config.vesc.accel_per_amp + 0.6
+    assert rolling.speed == pytest.approx(2.0 - 0.1 * decel, abs=0.02)
+    rolling.hold(2000, c.SetCurrentBrake(10.0))
+    assert rolling.speed == 0.0
 
 
-def test_current_pushes_both_ways_and_a_tiny_one_releases(make_host: MakeHost) -> None:
-    host = make_host()
+def test_current_pushes_both_ways_and_a_tiny_one_releases(host):
     host.hold(500, c.SetCurrent(-10.0))
     assert host.speed == pytest.approx(-0.5 * (10.0 * 0.175 - 0.6), rel=0.05)
     host.hold(20, c.SetCurrent(0.04))
     assert host.world.vesc.motor.value == 0.0
 
 
-def test_duty_settles_where_back_emf_meets_the_battery(make_host: MakeHost) -> None:
-    host = make_host()
+def test_duty_settles_where_back_emf_meets_the_battery(host):
     host.hold(4000, c.SetDuty(0.1))
     config = host.world.config.vesc
     erpm = host.world.vesc._true_erpm()
@@ -260,21 +250,20 @@ def test_duty_settles_where_back_emf_meets_the_battery(make_host: MakeHost) -> N
     assert host.values().duty == pytest.approx(0.1, abs=0.01)
 
 
-def test_tachometer_counts_60_degree_steps_and_wraps_nothing_away(make_host: MakeHost) -> None:
-    host = make_host(config=ROLLING)
-    host.hold(1000, c.SetErpm(2 * ERPM_1))
-    host.hold(1000, c.SetErpm(-2 * ERPM_1))
-    host.hold(1500, c.SetErpm(-2 * ERPM_1))
-    values, state = host.values(), host.world.truth().state
+def test_tachometer_counts_60_degree_steps_and_wraps_nothing_away(rolling):
+    rolling.hold(1000, c.SetErpm(2 * ERPM_1))
+    rolling.hold(1000, c.SetErpm(-2 * ERPM_1))
+    rolling.hold(1500, c.SetErpm(-2 * ERPM_1))
+    values, state = rolling.values(), rolling.world.truth().state
     assert values.tachometer == pytest.approx(state.x * ERPM_1 / 10, abs=3)
     assert values.tachometer_abs > abs(values.tachometer)
 
 
-def test_faults_clear_themselves_500_ms_after_their_condition(make_host: MakeHost) -> None:
+def test_faults_clear_themselves_500_ms_after_their_condition(make_host):
     host = make_host(timeout_ms=0)
     host.hold(500, c.SetErpm(ERPM_1))
     host.world.vesc.motor.hold_fault(host.t_ns, 4)
-    assert fault_name(host.values().fault) == "ABS_OVER_CURRENT"
+    assert ids.fault_name(host.values().fault) == "ABS_OVER_CURRENT"
     host.hold(480, c.SetErpm(ERPM_1))
     assert host.values().fault == 4
     assert host.world.vesc.motor.mode.name == "RELEASED"  # commands are ignored
@@ -284,14 +273,13 @@ def test_faults_clear_themselves_500_ms_after_their_condition(make_host: MakeHos
     assert host.speed == pytest.approx(1.0, abs=0.02)  # the next command drives again
 
 
-def test_voltage_sag_ends_in_under_voltage(make_host: MakeHost) -> None:
+def test_voltage_sag_ends_in_under_voltage(make_host):
     host = make_host(battery_resistance=1.0, voltage_min=9.0)
     host.hold(400, c.SetErpm(4 * ERPM_1))
-    assert fault_name(host.values().fault) == "UNDER_VOLTAGE"
+    assert ids.fault_name(host.values().fault) == "UNDER_VOLTAGE"
 
 
-def test_blocking_commands_are_discarded_while_one_runs(make_host: MakeHost) -> None:
-    host = make_host()
+def test_blocking_commands_are_discarded_while_one_runs(host):
     host.send(c.TerminalCommand("faults"))
     host.run(1)
     host.send(c.TerminalCommand("nonsense"))
@@ -301,7 +289,7 @@ def test_blocking_commands_are_discarded_while_one_runs(make_host: MakeHost) -> 
     assert host.ask(c.TerminalCommand("nonsense"), 10) == Print("Invalid command: nonsense")
 
 
-def test_uptime_counts_and_goes_back_with_a_reboot(make_host: MakeHost) -> None:
+def test_uptime_counts_and_goes_back_with_a_reboot(make_host):
     host = make_host(uptime_ns=60_000 * MS)
     host.run(1000)
     assert host.ask(c.GetValuesSetupSelective(UPTIME_MASK)).uptime_ms == 61_000
@@ -314,8 +302,7 @@ def test_uptime_counts_and_goes_back_with_a_reboot(make_host: MakeHost) -> None:
     assert host.ask(c.GetValuesSetupSelective(UPTIME_MASK)).uptime_ms <= 101
 
 
-def test_reboot_forgets_ram_limits_and_centres_the_servo(make_host: MakeHost) -> None:
-    host = make_host()
+def test_reboot_forgets_ram_limits_and_centres_the_servo(host):
     host.send(limits(erpm_max=5000.0), c.SetServoPos(0.2))
     host.run(50)
     host.send(c.Reboot())
@@ -329,8 +316,7 @@ def limits(**changes: float) -> c.SetMcConfTemp:
     return replace(usual, **changes)  # type: ignore[arg-type]
 
 
-def test_limits_in_ram_are_acknowledged_read_back_and_enforced(make_host: MakeHost) -> None:
-    host = make_host()
+def test_limits_in_ram_are_acknowledged_read_back_and_enforced(host):
     assert isinstance(host.ask(limits(erpm_max=1.5 * ERPM_1, current_min_scale=0.1)), Ack)
     held = host.ask(c.GetMcConfTemp())
     assert isinstance(held, McConfTemp)
@@ -342,14 +328,14 @@ def test_limits_in_ram_are_acknowledged_read_back_and_enforced(make_host: MakeHo
     assert host.world.vesc.motor.value == pytest.approx(6.0)
 
 
-def test_appconf_says_timeout_and_brake_current(make_host: MakeHost) -> None:
+def test_appconf_says_timeout_and_brake_current(make_host):
     reply = make_host(timeout_ms=180, timeout_brake_current=12.5).ask(c.GetAppConf())
     assert isinstance(reply, AppConf)
     assert (reply.timeout_ms, reply.timeout_brake_current) == (180, 12.5)
     assert len(reply.tail) > 100
 
 
-def test_imu_measures_the_car_and_repeats_its_200_hz_samples(make_host: MakeHost) -> None:
+def test_imu_measures_the_car_and_repeats_its_200_hz_samples(make_host):
     host = make_host(gyro_noise=0.001, accel_noise=0.01)
     host.send(c.SetServoPos(0.3))
     host.hold(2000, c.SetErpm(2 * ERPM_1))
@@ -364,22 +350,20 @@ def test_imu_measures_the_car_and_repeats_its_200_hz_samples(make_host: MakeHost
     assert math.remainder(attitude - truth.state.yaw, math.tau) == pytest.approx(0.0, abs=0.05)
 
 
-def test_board_without_imu_answers_zeros_and_identity(make_host: MakeHost) -> None:
+def test_board_without_imu_answers_zeros_and_identity(make_host):
     reply = make_host(imu=False).ask(c.GetImuData(0xFFFF))
     assert not has_chip(reply.accel_x, reply.accel_y, reply.accel_z)
     assert (reply.q_w, reply.gyro_z) == (1.0, 0.0)
 
 
-def test_kill_switch_shows_in_the_status_and_releases_the_motor(make_host: MakeHost) -> None:
-    host = make_host(config=ROLLING)
-    host.world.vesc.set_fault_state(0, replace(host.world.vesc.fault_state, kill=True))
-    host.hold(500, c.SetErpm(3 * ERPM_1))
-    assert host.values().status & STATUS_KILL
-    assert host.speed < 1.8
+def test_kill_switch_shows_in_the_status_and_releases_the_motor(rolling):
+    rolling.world.vesc.set_fault_state(0, replace(rolling.world.vesc.fault_state, kill=True))
+    rolling.hold(500, c.SetErpm(3 * ERPM_1))
+    assert rolling.values().status & STATUS_KILL
+    assert rolling.speed < 1.8
 
 
-def test_short_commands_are_ignored_and_counted_as_a_host_bug(make_host: MakeHost) -> None:
-    host = make_host()
+def test_short_commands_are_ignored_and_counted_as_a_host_bug(host):
     host.world.serial_write(0, encode_frame(b"\x08\x00\x00"))
     assert host.world.vesc.motor.value == 0.0
     assert host.world.vesc.counts["short"] == 1
@@ -387,7 +371,7 @@ def test_short_commands_are_ignored_and_counted_as_a_host_bug(make_host: MakeHos
     assert host.world.vesc.counts["unknown"] == 1
 
 
-def test_host_that_does_not_read_blocks_the_vesc_and_gets_cut_frames(make_host: MakeHost) -> None:
+def test_host_that_does_not_read_blocks_the_vesc_and_gets_cut_frames(make_host):
     host = make_host(unread_limit=300, timeout_ms=0)
     for _ in range(4):
         host.send(c.GetValues())
@@ -400,15 +384,14 @@ def test_host_that_does_not_read_blocks_the_vesc_and_gets_cut_frames(make_host: 
     assert len([r for r in host.heard() if isinstance(r, Values)]) == 3
 
 
-def test_boot_garbage_comes_before_everything(make_host: MakeHost) -> None:
+def test_boot_garbage_comes_before_everything(make_host):
     host = make_host(boot_garbage=40)
     host.run(5)
     assert len(host.world.serial_read(host.t_ns)) == 40
     assert isinstance(host.ask(c.GetFwVersion()), FwVersion)
 
 
-def test_byte_log_holds_every_byte_with_time_and_direction(make_host: MakeHost) -> None:
-    host = make_host()
+def test_byte_log_holds_every_byte_with_time_and_direction(host):
     host.run(7)
     frame = encode_frame(encode_command(c.GetFwVersion()))
     host.ask(c.GetFwVersion())

@@ -5,17 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from steerd.sysid.data import segments
 from steerd.sysid.data.dataset import HISTORY, Signal, make_run, pose_speed
-from steerd.sysid.data.segments import (
-    DURATION_MIN,
-    PIECE,
-    describe_unused,
-    hold_out,
-    make_blocks,
-    moving_segments,
-    spread_evenly,
-    thinned,
-)
 from steerd.sysid.data.windows import make_layout
 
 
@@ -29,7 +20,7 @@ def drive():
 
 
 def test_a_part_begins_where_the_car_began_to_move(drive):
-    (part,) = moving_segments([drive])
+    (part,) = segments.moving_segments([drive])
     assert 3.9 < part.start < 4.1
     first = part.start + part.pose.t[0]
     assert np.isclose(
@@ -38,8 +29,8 @@ def test_a_part_begins_where_the_car_began_to_move(drive):
 
 
 def test_windows_of_blocks_keep_the_time_of_the_drive(drive):
-    parts = moving_segments([drive])
-    whole, yaw = make_layout(parts, 1.0).t, make_layout(make_blocks(parts), 1.0).t
+    parts = segments.moving_segments([drive])
+    whole, yaw = make_layout(parts, 1.0).t, make_layout(segments.make_blocks(parts), 1.0).t
     assert whole[0] == pytest.approx(yaw[0])
     assert np.ptp(yaw) > 18.0
     assert np.all(np.diff(yaw) > 0.5)
@@ -47,9 +38,10 @@ def test_windows_of_blocks_keep_the_time_of_the_drive(drive):
 
 
 def test_what_is_kept_back_keeps_its_time(drive):
-    fitted, kept = hold_out(moving_segments([drive]), 2)
+    fitted, kept = segments.hold_out(segments.moving_segments([drive]), 2)
     starts = sorted(run.start for run in (*fitted, *kept))
-    assert starts == sorted(run.start for run in make_blocks(moving_segments([drive])))
+    blocks = segments.make_blocks(segments.moving_segments([drive]))
+    assert starts == sorted(run.start for run in blocks)
     assert len(set(starts)) == len(starts)
 
 
@@ -64,13 +56,13 @@ def long_drive():
 
 
 def test_pieces_stand_for_a_long_drive(long_drive):
-    pieces = spread_evenly(long_drive, 600.0, 4.0)
-    moving = moving_segments(pieces)
+    pieces = segments.spread_evenly(long_drive, 600.0, 4.0)
+    moving = segments.moving_segments(pieces)
     assert sum(part.driven for part in moving) == pytest.approx(600.0, rel=0.05)
     begins = [part.start for part in pieces]
     assert begins[0] < 120.0
     assert begins[-1] > 3500.0
-    assert np.diff(begins).max() < 3.0 * 3600.0 * PIECE / 600.0
+    assert np.diff(begins).max() < 3.0 * 3600.0 * segments.PIECE / 600.0
     for piece in pieces:
         first = piece.start + piece.pose.t[0]
         assert np.interp(first, *(long_drive.pose.t, long_drive.pose.values[:, 0])) == (
@@ -82,18 +74,18 @@ def test_pieces_stand_for_a_long_drive(long_drive):
 
 
 def test_a_short_drive_stays_as_it_is(drive):
-    assert spread_evenly(drive, 60.0, 4.0)[0] is drive
+    assert segments.spread_evenly(drive, 60.0, 4.0)[0] is drive
 
 
 def test_drives_are_thinned_evenly_to_what_is_wanted(drive):
     drives = [replace(drive, name=f"{i}") for i in range(40)]
-    assert thinned(drives, 40 * drive.driven) == drives
-    kept = thinned(drives, 10 * drive.driven)
+    assert segments.thinned(drives, 40 * drive.driven) == drives
+    kept = segments.thinned(drives, 10 * drive.driven)
     numbers = [int(run.name) for run in kept]
     assert len(kept) == 10
     assert (numbers[0], numbers[-1]) == (0, 39)
     assert set(np.diff(numbers)) == {4, 5}
-    assert thinned(drives, 0.0) == drives[:1]
+    assert segments.thinned(drives, 0.0) == drives[:1]
 
 
 def imported(speed, rate, blur=0.0):
@@ -109,30 +101,30 @@ def imported(speed, rate, blur=0.0):
 @pytest.mark.parametrize("rate", [20.0, 100.0])
 def test_reverse_is_left_out_and_its_neighbourhood_stays(rate):
     run = imported(lambda t: np.where((t > 8.0) & (t < 12.0), -1.0, 1.0), rate)
-    parts = moving_segments([run])
+    parts = segments.moving_segments([run])
     spans = [(part.start + part.pose.t[0], part.start + part.pose.t[-1]) for part in parts]
     assert np.allclose(spans, [(HISTORY, 8.0), (12.0 + HISTORY, 20.0)], atol=0.3)
-    assert describe_unused([run]) == ()
+    assert segments.describe_unused([run]) == ()
 
 
-@pytest.mark.parametrize("length", [DURATION_MIN + 0.2, 1.6, 2.2])
+@pytest.mark.parametrize("length", [segments.DURATION_MIN + 0.2, 1.6, 2.2])
 def test_stretches_from_little_more_than_a_second_on_are_used(length):
     run = imported(lambda t: np.where(t % 4.0 < length, 1.0, 0.0), 50.0)
-    parts = moving_segments([run])
+    parts = segments.moving_segments([run])
     assert len(parts) == 5
     lengths = [part.pose.t[-1] - part.pose.t[0] for part in parts]
-    assert min(lengths) > DURATION_MIN - 0.1
+    assert min(lengths) > segments.DURATION_MIN - 0.1
     assert len(make_layout(parts, 1.0).t) >= 5
 
 
 def test_shorter_ones_are_counted():
     run = imported(lambda t: np.where((t > 10.0) & (t % 4.0 > 0.9), 0.0, 1.0), 50.0)
-    (text,) = describe_unused([run])
+    (text,) = segments.describe_unused([run])
     assert "2 stretches of driving shorter than 1.2 s" in text
 
 
 def test_a_centimetre_of_noise_does_not_chop_a_drive():
     run = imported(lambda t: 0.6 + 0.0 * t, 100.0, blur=0.01)
     assert np.std(pose_speed(run.pose).values) < 0.2
-    (part,) = moving_segments([run])
+    (part,) = segments.moving_segments([run])
     assert part.pose.t[-1] - part.pose.t[0] > 18.0

@@ -35,25 +35,29 @@ def _library(runs, base, names=LOOKED_AT):
 
 
 @pytest.fixture(scope="module")
-def late(drive, base):
-    """All hypotheses of up to two effects about drives whose steering is late."""
-    library = _library(drive("steer_delay=0.03", runs=3, seconds=6.0, seed=21), base)
-    return library, explain(library)
+def explained(drive, base):
+    """All hypotheses of up to two effects about drives with these."""
+
+    def explained(text, seed):
+        library = _library(drive(text, runs=3, seconds=6.0, seed=seed), base)
+        return library, explain(library)
+
+    return explained
 
 
 @pytest.fixture(scope="module")
-def both(drive, base):
-    """The same of drives with two causes."""
-    text = "steer_delay=0.04,speed_scale=0.93"
-    library = _library(drive(text, runs=3, seconds=6.0, seed=8), base)
-    return library, explain(library)
+def late(explained):
+    return explained("steer_delay=0.03", 21)
 
 
 @pytest.fixture(scope="module")
-def fine(drive, base):
-    """The same of healthy drives."""
-    library = _library(drive("", runs=3, seconds=6.0, seed=2), base)
-    return library, explain(library)
+def both(explained):
+    return explained("steer_delay=0.04,speed_scale=0.93", 8)
+
+
+@pytest.fixture(scope="module")
+def fine(explained):
+    return explained("", 2)
 
 
 # --- what is free

@@ -13,16 +13,7 @@ from steerd.car_model.model import Model
 from steerd.car_model.native.windows import parameter_vector
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.planar import make_planar
-from steerd.sysid.inference.augmented_car import (
-    EDGES,
-    EXCESS_MAX,
-    BasePrior,
-    Control,
-    excess_by_regime,
-    inflate_each,
-    knowledge_of_section,
-    knowledge_section,
-)
+from steerd.sysid.inference import augmented_car
 from steerd.sysid.inference.chart import make_chart
 from steerd.sysid.inference.identifiability import estimates, taught_estimates
 from steerd.sysid.inference.places import DISCS, RADII, suspicious_discs
@@ -95,7 +86,7 @@ def test_each_standard_error_is_as_wide_as_its_own_scores_and_correlations_stay(
         found.append(covariance @ pulls.sum(axis=0))
         left = noise - design @ found[-1]
         pulls = np.einsum("bri,br->bi", design, left)
-        each = inflate_each(covariance, pulls)
+        each = augmented_car.inflate_each(covariance, pulls)
         wide.append(np.sqrt(np.diag(each)))
     np.testing.assert_allclose(np.median(wide, axis=0), np.std(found, axis=0), rtol=0.15)
     scale, before = np.sqrt(np.diag(each)), np.sqrt(np.diag(covariance))
@@ -168,18 +159,19 @@ def test_where_no_place_differs_there_is_no_disc(where, badness):
 NAMES = ("lf", "lr", "steer_gain", "scrub.drag")
 
 
-def known(seed: int = 0) -> BasePrior:
+def known(seed: int = 0) -> augmented_car.BasePrior:
     root = np.random.default_rng(seed).standard_normal((4, 6)) * [[1e-3], [2e-3], [0.01], [0.3]]
     excess = (1.0, 1.0, 1.2, 1.5, 2.0, 4.0)
-    slope = Control("floor_slope", np.array([1e-3, -2e-3, 0.1]), np.diag([1e-6, 2e-6, 0.1]))
-    return BasePrior(NAMES, root @ root.T, excess, (0.16, 0.17, 1.01, 0.2), (slope,))
+    slope = augmented_car.Control(
+        "floor_slope", np.array([1e-3, -2e-3, 0.1]), np.diag([1e-6, 2e-6, 0.1])
+    )
+    return augmented_car.BasePrior(NAMES, root @ root.T, excess, (0.16, 0.17, 1.01, 0.2), (slope,))
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_what_is_known_survives_the_car_file(seed: int) -> None:
+def test_what_is_known_survives_the_car_file(seed):
     before = known(seed)
-    after = knowledge_of_section(knowledge_section(before))
-    assert after is not None
+    after = augmented_car.knowledge_of_section(augmented_car.knowledge_section(before))
     assert after.names == before.names
     assert after.values == before.values
     assert after.excess == before.excess
@@ -194,33 +186,33 @@ def test_what_is_known_survives_the_car_file(seed: int) -> None:
 
 
 @pytest.mark.parametrize("key", ["names", "sd", "correlation", "excess", "values"])
-def test_a_damaged_section_is_refused(key: str) -> None:
-    table = knowledge_section(known())
+def test_a_damaged_section_is_refused(key):
+    table = augmented_car.knowledge_section(known())
     for damaged in ({k: v for k, v in table.items() if k != key}, {**table, key: "?"}):
         with pytest.raises(ValueError, match="knowledge"):
-            knowledge_of_section(damaged)
+            augmented_car.knowledge_of_section(damaged)
     for controls in (
         {"nothing": [[0.0], [[1.0]]]}, {"mass": [[0.0], [[-1.0]]]},
         {"mass": [[0.0, 1.0], [[1.0]]]}, {"mass": [[np.nan], [[1.0]]]}, "?",
     ):  # fmt: skip
         with pytest.raises(ValueError, match="knowledge"):
-            knowledge_of_section({**table, "controls": controls})
-    assert knowledge_of_section({}) is None
+            augmented_car.knowledge_of_section({**table, "controls": controls})
+    assert augmented_car.knowledge_of_section({}) is None
 
 
 @settings(deadline=None)
 @given(st.lists(st.tuples(st.floats(0.01, 500.0), st.floats(0.0, 12.0)), min_size=1, max_size=60))
-def test_excess_is_never_less_than_noise_and_never_falls(rows: list[tuple[float, float]]) -> None:
+def test_excess_is_never_less_than_noise_and_never_falls(rows):
     ratio, lateral = np.array(rows).T
-    found = excess_by_regime(ratio, lateral)
-    assert len(found) == len(EDGES) + 1
-    assert all(1.0 <= a <= b <= EXCESS_MAX for a, b in itertools.pairwise(found))
+    found = augmented_car.excess_by_regime(ratio, lateral)
+    assert len(found) == len(augmented_car.EDGES) + 1
+    assert all(1.0 <= a <= b <= augmented_car.EXCESS_MAX for a, b in itertools.pairwise(found))
 
 
-def test_excess_is_learnt_where_the_model_fails() -> None:
+def test_excess_is_learnt_where_the_model_fails():
     lateral = np.concatenate([np.full(20, 0.5), np.full(20, 5.0)])
     ratio = np.concatenate([np.full(20, 1.0), np.full(20, 6.0)])
-    found = excess_by_regime(ratio, lateral)
+    found = augmented_car.excess_by_regime(ratio, lateral)
     assert found[0] == pytest.approx(1.0)
     assert found[4] == pytest.approx(6.0)
     assert found[5] > found[4]  # nobody drove so hard: no better than where somebody did
@@ -242,7 +234,7 @@ def _quadratic(seed: int, n: int) -> tuple[np.ndarray, ...]:
 
 @settings(deadline=None, max_examples=200)
 @given(seed=st.integers(0, 10**6), n=st.integers(1, 8))
-def test_no_step_promises_less_than_nothing_or_leaves_the_bounds(seed: int, n: int) -> None:
+def test_no_step_promises_less_than_nothing_or_leaves_the_bounds(seed, n):
     h, slope, z, low, high = _quadratic(seed, n)
     dz = step_within(h, slope, z, low, high)
     assert np.isfinite(dz).all()
@@ -252,14 +244,14 @@ def test_no_step_promises_less_than_nothing_or_leaves_the_bounds(seed: int, n: i
     assert promised >= -1e-9 * (1.0 + abs(slope @ dz))
 
 
-def test_without_bounds_it_is_newtons_step() -> None:
+def test_without_bounds_it_is_newtons_step():
     h, slope, z, _, _ = _quadratic(3, 5)
     wide = np.full(5, 1e9)
     assert step_within(h, slope, z, -wide, wide) == pytest.approx(np.linalg.solve(h, slope))
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_it_is_the_best_step_within_the_bounds(seed: int) -> None:
+def test_it_is_the_best_step_within_the_bounds(seed):
     """Against another of SciPy's bounded minimisers."""
     rng = np.random.default_rng(seed)
     root = rng.standard_normal((4, 4)) + 2.0 * np.eye(4)
@@ -273,7 +265,7 @@ def test_it_is_the_best_step_within_the_bounds(seed: int) -> None:
     assert slope @ dz - 0.5 * dz @ h @ dz == pytest.approx(-best.fun, rel=1e-5)
 
 
-def test_two_coordinates_that_do_the_same_still_give_a_step() -> None:
+def test_two_coordinates_that_do_the_same_still_give_a_step():
     """A curvature that is singular to the last digit, with a bound in Newton's way."""
     h = np.array([[1.0, 1.0, 0.0], [1.0, 1.0 - 1e-15, 0.0], [0.0, 0.0, 1.0]])
     slope, edge = np.array([1.0, 1.0, 1.0]), np.full(3, 0.1)

@@ -44,9 +44,7 @@ def _linear(
 
 @pytest.mark.parametrize("temper", [1.0, 9.0])
 @pytest.mark.parametrize("seed", range(8))
-def test_evidence_of_a_linear_model_is_the_exact_marginal_likelihood(
-    seed: int, temper: float
-) -> None:
+def test_evidence_of_a_linear_model_is_the_exact_marginal_likelihood(seed, temper):
     """A tempered Gaussian likelihood is one of a variance as many times as large."""
     point, data, by_z = _linear(seed, 4, temper=temper)
     space = point.space
@@ -60,7 +58,7 @@ def test_evidence_of_a_linear_model_is_the_exact_marginal_likelihood(
 @given(
     seed=st.integers(0, 10**6), n=st.integers(1, 8), flat=st.integers(0, 2), temper=st.floats(1, 30)
 )
-def test_a_covariance_is_positive_definite(seed: int, n: int, flat: int, temper: float) -> None:
+def test_a_covariance_is_positive_definite(seed, n, flat, temper):
     point, _, _ = _linear(seed, n, min(flat, n))
     covariance = posterior_of(point, temper).covariance
     sd = np.sqrt(np.diag(covariance))
@@ -71,13 +69,13 @@ def test_a_covariance_is_positive_definite(seed: int, n: int, flat: int, temper:
 
 
 @pytest.mark.parametrize("temper", [1.0, 9.0])
-def test_a_covariance_is_that_of_the_tempered_curvature(temper: float) -> None:
+def test_a_covariance_is_that_of_the_tempered_curvature(temper):
     point, _, by_z = _linear(2, 5)
     expected = np.linalg.inv(point.space.precision + by_z.T @ by_z / temper)
     assert posterior_of(point, temper).covariance == pytest.approx(expected, rel=1e-5)
 
 
-def test_a_direction_that_nothing_shows_keeps_its_priors_width() -> None:
+def test_a_direction_that_nothing_shows_keeps_its_priors_width():
     point, _, _ = _linear(4, 3)
     flat = np.zeros((3, 3))
     point.at.h = flat[None]
@@ -86,7 +84,7 @@ def test_a_direction_that_nothing_shows_keeps_its_priors_width() -> None:
     assert posterior_of(point, 5.0).covariance == pytest.approx(point.space.covariance)
 
 
-def test_a_parameter_that_does_nothing_costs_no_evidence() -> None:
+def test_a_parameter_that_does_nothing_costs_no_evidence():
     point, _, _ = _linear(6, 4, flat=1)
     space = point.space
     other = SimpleNamespace(**vars(point))
@@ -99,7 +97,7 @@ def test_a_parameter_that_does_nothing_costs_no_evidence() -> None:
     assert posterior_of(other, 1.0).evidence == pytest.approx(posterior_of(point, 1.0).evidence)
 
 
-def test_the_design_effect_lies_between_two_and_all_windows(likelihood) -> None:
+def test_the_design_effect_lies_between_two_and_all_windows(likelihood):
     count = len(likelihood.pushed)
     found = [design_effect(likelihood, float(size)) for size in SIZES]
     assert found[0] == pytest.approx(2.0 + (count - 1) * 0.5 * likelihood.pushed.mean())
@@ -114,13 +112,13 @@ def test_the_design_effect_lies_between_two_and_all_windows(likelihood) -> None:
 @pytest.mark.parametrize(
     ("value", "sd", "null", "least"), [(0.03, 0.01, 0.0, 0.002), (-0.4, 0.5, 0.1, 0.6)]
 )
-def test_the_share_beyond_a_size_is_that_of_a_normal_value(value, sd, null, least) -> None:
+def test_the_share_beyond_a_size_is_that_of_a_normal_value(value, sd, null, least):
     drawn = norm(value, sd).rvs(200_000, random_state=1)
     share = float(np.mean(np.abs(drawn - null) >= least))
     assert np.exp(log_share_beyond(value, sd, null, least)) == pytest.approx(share, abs=0.004)
 
 
-def test_an_effect_that_is_surely_small_has_hardly_a_share() -> None:
+def test_an_effect_that_is_surely_small_has_hardly_a_share():
     assert log_share_beyond(1e-4, 1e-5, 0.0, 0.002) < -20.0
     assert log_share_beyond(0.02, 1e-5, 0.0, 0.002) == pytest.approx(0.0, abs=1e-9)
     assert log_share_beyond(0.02, 0.0, 0.0, 0.002) == pytest.approx(0.0, abs=1e-9)

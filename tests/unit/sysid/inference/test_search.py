@@ -4,22 +4,12 @@ import numpy as np
 import pytest
 
 from steerd.sysid.inference import constants as c
+from steerd.sysid.inference import search
 from steerd.sysid.inference.augmented_car import make_augmented_car
 from steerd.sysid.inference.hypotheses import begin
 from steerd.sysid.inference.library import Library
 from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.predictor import open_predictor
-from steerd.sysid.inference.search import (
-    derive,
-    explore,
-    fresh,
-    minimise,
-    newton,
-    rescue,
-    settle,
-    stand,
-    with_size,
-)
 from steerd.sysid.inference.space import make_space
 from tests.unit.sysid.inference.conftest import FEW, NOISE
 
@@ -40,13 +30,13 @@ def found(late):
     """The optimum with the effect, from the base at its prior."""
     library = Library(late, FEW, ())
     guess = late.predictor.guess
-    return minimise(late, begin(library, ("steer_delay",), (0.0,), guess))
+    return search.minimise(late, begin(library, ("steer_delay",), (0.0,), guess))
 
 
 @pytest.fixture(scope="module")
 def settled_base(likelihood, small):
-    point = stand(likelihood, small, small.centre, likelihood.predictor.guess, 0.0)
-    return settle(likelihood, fresh(likelihood, point))
+    point = search.stand(likelihood, small, small.centre, likelihood.predictor.guess, 0.0)
+    return search.settle(likelihood, search.fresh(likelihood, point))
 
 
 def test_the_effect_is_found_with_its_size(found):
@@ -62,29 +52,29 @@ def test_no_random_start_ends_lower(late, found, seed):
     z = space.centre + space.spread * rng.uniform(-MOST_SPREADS, MOST_SPREADS, len(space.centre))
     z[-1] = rng.uniform(0.0, 0.08)
     z = np.clip(z, space.low, space.high)
-    start = stand(late, space, z, late.predictor.guess, 20.0)
+    start = search.stand(late, space, z, late.predictor.guess, 20.0)
     size = late.best_size(start.rotated, start.linear.error, start.x)
-    other = minimise(late, with_size(late, start, size))
+    other = search.minimise(late, search.with_size(late, start, size))
     assert other.cost > found.cost - 0.5
     assert other.cost == pytest.approx(found.cost, abs=0.5)
 
 
 def test_more_starts_along_the_valley_end_no_lower(late, found):
-    assert explore(late, found).cost > found.cost - 0.5
+    assert search.explore(late, found).cost > found.cost - 0.5
 
 
 def test_a_cost_is_what_is_simulated_at_the_optimum(late, found):
     """No cost rests on derivatives of another point, or on a start's unfulfilled promise."""
-    again = stand(late, found.space, found.z, found.x, found.size)
+    again = search.stand(late, found.space, found.z, found.x, found.size)
     assert again.cost == pytest.approx(found.cost, abs=0.1)
     assert (late.squares(again.linear.error, again.x, again.size) - again.at.square < 0.11).all()
 
 
 def test_a_step_of_newton_gains_what_it_promises(likelihood, small):
     guess = likelihood.predictor.guess
-    point = stand(likelihood, small, small.centre + 0.3 * small.spread, guess, 1.0)
-    dz, promised = newton(small, point.at, point.z)
-    after = stand(likelihood, small, point.z + dz, point.x, 1.0)
+    point = search.stand(likelihood, small, small.centre + 0.3 * small.spread, guess, 1.0)
+    dz, promised = search.newton(small, point.at, point.z)
+    after = search.stand(likelihood, small, point.z + dz, point.x, 1.0)
     assert promised > 0.0
     assert point.cost - after.cost == pytest.approx(promised, rel=0.3, abs=0.1)
 
@@ -100,7 +90,9 @@ def test_dead_times_and_limits_are_differenced_over_a_step(healthy, likelihood, 
     below, above = (np.clip(v, space.low, space.high) for v in (below, z + step))
     errors = [healthy.errors(space.chart.parameters(v), guess)[0] for v in (below, above)]
     expected = (errors[0] - errors[1]) / (above - below)
-    assert derive(likelihood, space, z, guess).by_z[:, :, 0] == pytest.approx(expected, abs=1e-6)
+    assert search.derive(likelihood, space, z, guess).by_z[:, :, 0] == pytest.approx(
+        expected, abs=1e-6
+    )
 
 
 def test_a_start_that_cannot_keep_its_promise_is_held(likelihood, small, settled_base):
@@ -110,7 +102,7 @@ def test_a_start_that_cannot_keep_its_promise_is_held(likelihood, small, settled
     x += rng.standard_normal(x.shape) * [0.05, 0.05, 0.1, 0.3, 1.0, 0.1, 0.1]
     x[::4] += [0.3, -0.3, 1.5, 2.0, 20.0, 1.2, 0.0]
     before, _ = likelihood.predictor.errors(small.chart.parameters(small.centre), x)
-    found = stand(likelihood, small, small.centre, x, 0.0)
+    found = search.stand(likelihood, small, small.centre, x, 0.0)
     error, _ = likelihood.predictor.errors(small.chart.parameters(small.centre), found.x)
     actual, held = likelihood.squares(error, found.x, 0.0), found.rotated.held
     assert held.any(), "some windows are too bent to be settled from so far"
@@ -125,21 +117,21 @@ def test_a_start_that_cannot_keep_its_promise_is_held(likelihood, small, settled
 def test_a_spun_window_is_taken_up_anew_from_the_poses(likelihood, small, settled_base):
     x = settled_base.x.copy()
     x[3] += [2.0, -2.0, 3.0, -2.0, 40.0, 2.0, 0.0]
-    spun = stand(likelihood, small, small.centre, x, 0.0)
+    spun = search.stand(likelihood, small, small.centre, x, 0.0)
     assert spun.cost > settled_base.cost + 20.0
-    again = rescue(likelihood, spun)
+    again = search.rescue(likelihood, spun)
     assert again.cost == pytest.approx(settled_base.cost, abs=1.0)
     assert again.at.square[3] == pytest.approx(settled_base.at.square[3], rel=0.1)
-    assert rescue(likelihood, settled_base) is settled_base
+    assert search.rescue(likelihood, settled_base) is settled_base
 
 
 def test_a_search_that_ends_at_its_limit_of_steps_is_not_whole(late):
     start = begin(Library(late, FEW, ()), ("steer_delay",), (0.0,), late.predictor.guess)
-    assert not minimise(late, start, steps=2).whole
+    assert not search.minimise(late, start, steps=2).whole
 
 
 def test_a_start_that_diverges_is_said(likelihood, small):
     x = likelihood.predictor.guess.copy()
     x[:, 3] = np.nan
     with pytest.raises(FloatingPointError, match="diverges"):
-        stand(likelihood, small, small.centre, x, 1.0)
+        search.stand(likelihood, small, small.centre, x, 1.0)

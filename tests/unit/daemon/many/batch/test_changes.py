@@ -5,16 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from steerd.daemon.many.batch.changes import (
-    CHANCE,
-    LEAST,
-    WEEK,
-    Series,
-    find_changes,
-    list_series,
-    make_band,
-    split_series,
-)
+from steerd.daemon.many.batch import changes
 from steerd.daemon.many.batch.run import Batch, nothing_changed
 from steerd.daemon.many.job import RowTable
 
@@ -25,13 +16,13 @@ def make_series(rng, count=30, at=None, step=0.0, sd=0.02, extra=0.0, car="a", n
     value = 1.0 + rng.normal(0.0, np.hypot(sd, extra), count)
     if at is not None:
         value[at:] += step
-    return Series(car, name, BEGIN + DAY * np.arange(count), value, np.full(count, sd))
+    return changes.Series(car, name, BEGIN + DAY * np.arange(count), value, np.full(count, sd))
 
 
 def test_a_step_is_found_on_its_day():
     rng, off = np.random.default_rng(1), []
     for _ in range(50):
-        (found,) = find_changes([make_series(rng, at=12, step=0.12, extra=0.02)])
+        (found,) = changes.find_changes([make_series(rng, at=12, step=0.12, extra=0.02)])
         off.append(int(found.day[-2:]) - 13)
         assert found.earliest <= found.day <= found.latest
         assert found.after - found.before == pytest.approx(0.12, abs=0.05)
@@ -77,8 +68,8 @@ def make_mixed(rng):
 )
 def test_where_nothing_changed_a_step_is_found_rarely(make, most):
     rng = np.random.default_rng(2)
-    wrong = sum(bool(find_changes(make(rng))) for _ in range(300))
-    assert wrong <= most, f"{wrong} of 300 batches, at a bound of {CHANCE}"
+    wrong = sum(bool(changes.find_changes(make(rng))) for _ in range(300))
+    assert wrong <= most, f"{wrong} of 300 batches, at a bound of {changes.CHANCE}"
 
 
 def test_a_step_is_found_among_drives_that_are_too_sure():
@@ -87,7 +78,7 @@ def test_a_step_is_found_among_drives_that_are_too_sure():
         series = make_series(rng, at=12, step=0.3)
         odd = rng.choice(30, 5, replace=False)
         series.sd[odd] = 0.002
-        (found,) = find_changes([series])
+        (found,) = changes.find_changes([series])
         assert abs(int(found.day[-2:]) - 13) <= 1
 
 
@@ -103,7 +94,7 @@ def make_two_models(rng, at, step):
 def test_a_step_that_only_surer_drives_see_is_found():
     rng = np.random.default_rng(10)
     for _ in range(20):
-        (found,) = find_changes([make_two_models(rng, 15, 0.015)])
+        (found,) = changes.find_changes([make_two_models(rng, 15, 0.015)])
         assert found.earliest <= "2026-03-16" <= found.latest
         assert found.after - found.before == pytest.approx(0.015, abs=0.004)
 
@@ -115,7 +106,7 @@ def test_the_clearest_comes_first_and_carries_its_names():
         make_series(rng, at=20, step=0.4, car="b", name="y"),
         make_series(rng, car="c"),
     ]
-    found = find_changes(series)
+    found = changes.find_changes(series)
     assert [(c.car, c.quantity) for c in found] == [("b", "y"), ("a", "x")]
     assert found[0].day == "2026-03-21"
 
@@ -123,10 +114,10 @@ def test_the_clearest_comes_first_and_carries_its_names():
 def test_few_drives_say_nothing():
     rows = [
         {"car": "a", "start": BEGIN + DAY * i, "session": str(i), "x": float(i > 2)}
-        for i in range(LEAST)
+        for i in range(changes.LEAST)
     ]
-    assert list(list_series(rows[:-1], ("x",))) == []
-    assert len(list(list_series(rows, ("x", "y")))) == 1
+    assert list(changes.list_series(rows[:-1], ("x",))) == []
+    assert len(list(changes.list_series(rows, ("x", "y")))) == 1
 
 
 def test_series_are_a_cars_own_in_the_order_of_time():
@@ -136,7 +127,7 @@ def test_series_are_a_cars_own_in_the_order_of_time():
         for car in ("b", "a")
     ]
     rows.append({"car": None, "start": None, "session": "broken"})
-    one, two = list_series(rows, ("x",))
+    one, two = changes.list_series(rows, ("x",))
     assert (one.car, two.car) == ("a", "b")
     np.testing.assert_array_equal(one.value, range(6))
     np.testing.assert_array_equal(one.sd, [0.1] * 6)
@@ -144,20 +135,20 @@ def test_series_are_a_cars_own_in_the_order_of_time():
 
 def test_a_band_mixes_no_drives_from_before_and_after_a_change():
     series = make_series(np.random.default_rng(6), 14, at=9, step=3.0)
-    before, after = split_series(series, BEGIN + 9 * DAY)
+    before, after = changes.split_series(series, BEGIN + 9 * DAY)
     assert (len(before.value), len(after.value)) == (9, 5)
-    assert make_band(before).mean.max() < 1.5
-    assert make_band(after).mean.min() > 3.5
-    (alone,) = split_series(series, BEGIN + DAY)[:1]
-    assert make_band(alone).mean == pytest.approx(alone.value)
+    assert changes.make_band(before).mean.max() < 1.5
+    assert changes.make_band(after).mean.min() > 3.5
+    (alone,) = changes.split_series(series, BEGIN + DAY)[:1]
+    assert changes.make_band(alone).mean == pytest.approx(alone.value)
 
 
 def test_bands_are_weekly_means():
     rng = np.random.default_rng(5)
     series = make_series(rng, 28, sd=0.02)
-    band = make_band(series)
+    band = changes.make_band(series)
     assert len(band.mean) == 4
-    assert np.diff(band.start) == pytest.approx(WEEK)
+    assert np.diff(band.start) == pytest.approx(changes.WEEK)
     first = series.value[:7]
     assert band.mean[0] == pytest.approx(first.mean(), abs=1e-9)
     assert 1.96 * 0.02 / np.sqrt(7) <= band.half[0] < 0.05

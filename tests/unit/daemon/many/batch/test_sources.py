@@ -8,14 +8,7 @@ import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.many.batch.unit import (
-    Question,
-    UnitTask,
-    find_batch,
-    make_tasks,
-    read_cars,
-    read_content,
-)
+from steerd.daemon.many.batch import unit
 
 
 @pytest.fixture
@@ -33,17 +26,17 @@ def names(paths, folder):
 
 def test_folders_patterns_and_files_name_each_session_once(folder):
     every = ["a/b/two.mcap", "a/one.mcap", "three.mcap"]
-    assert names(find_batch([str(folder)]), folder) == every
-    assert names(find_batch([f"{folder}/**/*.mcap", str(folder / "a")]), folder) == every
-    assert names(find_batch([f"{folder}/a/*"]), folder) == ["a/one.mcap"]
-    assert names(find_batch([str(folder / "three.mcap")]), folder) == ["three.mcap"]
+    assert names(unit.find_batch([str(folder)]), folder) == every
+    assert names(unit.find_batch([f"{folder}/**/*.mcap", str(folder / "a")]), folder) == every
+    assert names(unit.find_batch([f"{folder}/a/*"]), folder) == ["a/one.mcap"]
+    assert names(unit.find_batch([str(folder / "three.mcap")]), folder) == ["three.mcap"]
 
 
 @pytest.mark.parametrize("word", ["none", "none/*.mcap", "a/b/*.txt"])
 def test_a_word_that_names_nothing_is_refused(folder, word, monkeypatch):
     monkeypatch.chdir(folder)
     with pytest.raises(SteerdError) as caught:
-        find_batch(["three.mcap", word])
+        unit.find_batch(["three.mcap", word])
     assert caught.value.code is ExitCode.UNREADABLE
     assert word in caught.value.what
 
@@ -52,44 +45,44 @@ def test_car_files_are_found_by_name(tmp_path):
     text = default_car_path().read_text()
     (tmp_path / "red.toml").write_text(text)
     (tmp_path / "blue.toml").write_text(text.replace("mass = 3.74", "mass = 3.9"))
-    cars = read_cars(tmp_path)
+    cars = unit.read_cars(tmp_path)
     assert set(cars) == {"red", "blue"}
     assert cars["red"] != cars["blue"]
-    assert read_cars(tmp_path / "red.toml") == {"": cars["red"]}
-    assert read_cars(None) == {}
+    assert unit.read_cars(tmp_path / "red.toml") == {"": cars["red"]}
+    assert unit.read_cars(None) == {}
 
 
 def test_a_folder_without_a_car_file_is_refused(tmp_path):
     with pytest.raises(SteerdError, match="no car file"):
-        read_cars(tmp_path)
+        unit.read_cars(tmp_path)
     (tmp_path / "odd.toml").write_text("[car]\nmass = 'heavy'\n")
     with pytest.raises(SteerdError, match="mass"):
-        read_cars(tmp_path)
+        unit.read_cars(tmp_path)
 
 
 def test_a_file_that_was_written_since_is_another_unit(folder):
-    question, path = Question("summarise", {}), folder / "three.mcap"
-    (before,) = make_tasks([path], question)
+    question, path = unit.Question("summarise", {}), folder / "three.mcap"
+    (before,) = unit.make_tasks([path], question)
     os.utime(path, ns=(0, 5))
-    (after,) = make_tasks([path], question)
+    (after,) = unit.make_tasks([path], question)
     assert before != after
-    assert make_tasks([path], question)[after].changed_ns == 5
+    assert unit.make_tasks([path], question)[after].changed_ns == 5
 
 
 def test_rows_depend_on_the_question_and_the_cars():
     car = load_car(default_car_path())
-    one = Question("identify", {"red": car})
-    assert one.digest() == Question("identify", {"red": car}).digest()
+    one = unit.Question("identify", {"red": car})
+    assert one.digest() == unit.Question("identify", {"red": car}).digest()
     others = [
-        Question("diagnose", {"red": car}),
-        Question("identify", {"red": replace(car, text="y")}),
-        Question("identify", {"red": replace(car, posterior="y")}),
+        unit.Question("diagnose", {"red": car}),
+        unit.Question("identify", {"red": replace(car, text="y")}),
+        unit.Question("identify", {"red": replace(car, posterior="y")}),
     ]
     assert len({one.digest(), *(other.digest() for other in others)}) == 4
 
 
 def test_what_is_shipped_is_read_when_it_leaves(folder):
-    question = Question("summarise", {})
+    question = unit.Question("summarise", {})
     path, gone = folder / "three.mcap", Path("gone.mcap")
-    assert read_content(UnitTask(path, 1, question)).content == path.read_bytes()
-    assert read_content(UnitTask(gone, 1, question)).content is None
+    assert unit.read_content(unit.UnitTask(path, 1, question)).content == path.read_bytes()
+    assert unit.read_content(unit.UnitTask(gone, 1, question)).content is None
