@@ -16,7 +16,7 @@ from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import BasePrior, Control
 from steerd.sysid.inference.car_fit import FittedCar
 from steerd.sysid.inference.hypotheses import begin
-from steerd.sysid.inference.library import Library, slice_along
+from steerd.sysid.inference.library import Library, linearise
 from steerd.sysid.inference.posterior import design_effect
 from steerd.sysid.inference.search import Point, minimise
 
@@ -45,14 +45,17 @@ def learn_controls(taught: FittedCar, known: BasePrior) -> tuple[Control, ...]:
 
 
 def _control(library: Library, base: Point, effect: Effect, temper: float) -> Control | None:
-    """Where an effect explains the drives best; no wider than its own prior."""
-    along = slice_along(library, base, effect)
-    if along is None:
+    """Where an effect explains the drives best, to second order; no wider than its own prior."""
+    found = linearise(library, base, effect)
+    if found is None:  # no derivative shows it
         return None
-    space, own = library.space([effect.name]), slice(-len(effect.parameters), None)
+    space, _, at = found
+    rest, own = slice(0, -len(effect.parameters)), slice(-len(effect.parameters), None)
+    h = np.tensordot(at.weight, at.h, 1)
+    inner = h[rest, rest] + space.precision[rest, rest]
+    curved = h[own, own] - h[own, rest] @ np.linalg.solve(inner, h[rest, own])
     null = np.array(library.likelihood.predictor.augmented.values(effect.name))
     prior = np.linalg.inv(space.covariance[own, own])
-    covariance = np.linalg.inv(along.curved / temper + prior)
-    step = covariance @ (along.slope / temper + prior @ (space.centre[own] - null))
-    values = np.clip(null + step, space.low[own], space.high[own])
-    return Control(effect.name, values, covariance)
+    covariance = np.linalg.inv(curved / temper + prior)
+    step = covariance @ ((at.weight @ at.g)[own] / temper + prior @ (space.centre[own] - null))
+    return Control(effect.name, np.clip(null + step, space.low[own], space.high[own]), covariance)

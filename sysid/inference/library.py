@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +45,7 @@ class Library:
         own = slice(len(space.centre) - len(control.values), None)
         centre, covariance = space.centre.copy(), space.covariance.copy()
         centre[own] = control.values
+        covariance[own, :] = covariance[:, own] = 0.0  # a base that has the effect knows it jointly
         covariance[own, own] = c.KNOWN_WIDER**2 * control.covariance
         precision = np.asarray(self.worth * np.linalg.inv(covariance), np.float64)
         return replace(space, centre=centre, covariance=covariance, precision=precision)
@@ -108,30 +108,3 @@ def linearise(
     rotated = start.rotated._replace(by_z=by_z)
     view = likelihood.weigh(rotated, start.size)
     return space, z, likelihood.reduce(view, start.linear.error, start.x)
-
-
-class Slice(NamedTuple):
-    """The cost as a function of one effect's parameters alone, the base at its best beside each.
-
-    From the effect's null it falls by `slope' d - d' curved d / 2` over a distance `d` [nats].
-    """
-
-    slope: Array
-    curved: Array
-
-
-def slice_along(library: Library, start: Point, effect: Effect) -> Slice | None:
-    """The cost along an effect that a hypothesis lacks, its own prior left out.
-
-    To second order about the hypothesis' optimum, where nothing else pulls. None where no
-    derivative shows it.
-    """
-    found = linearise(library, start, effect)
-    if found is None:
-        return None
-    space, _, at = found
-    rest, own = slice(0, -len(effect.parameters)), slice(-len(effect.parameters), None)
-    h = np.tensordot(at.weight, at.h, 1)
-    inner = h[rest, rest] + space.precision[rest, rest]
-    curved = h[own, own] - h[own, rest] @ np.linalg.solve(inner, h[rest, own])
-    return Slice((at.weight @ at.g)[own], curved)

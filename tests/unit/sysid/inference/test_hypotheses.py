@@ -270,6 +270,25 @@ def test_a_clear_cause_stays_clear(late):
     assert kept > 50.0
 
 
+def test_what_healthy_drives_show_replaces_what_a_base_knows_of_its_own_effect(slightly_late):
+    library, _ = slightly_late
+    predictor, names = (
+        library.likelihood.predictor,
+        (*library.nuisance, "scrub.yaw_damping", "scrub.drag"),
+    )
+    space = make_space(predictor.augmented, names)
+    joint = np.outer(space.spread, space.spread) * (0.9 + 0.1 * np.eye(len(space.spread)))
+    shown = Control("scrub", np.zeros(2), 1e-6 * np.eye(2))
+    known = BasePrior(space.chart.free, joint, controls=(shown,))
+    predictor = replace(predictor, augmented=replace(predictor.augmented, knowledge=known))
+    likelihood = replace(library.likelihood, predictor=predictor)
+    healthy = replace(library, likelihood=likelihood, nuisance=names).healthy_space("scrub")
+    assert (
+        np.linalg.eigvalsh(healthy.covariance / np.outer(healthy.spread, healthy.spread)).min()
+        > 0.0
+    )
+
+
 def test_without_controls_windows_that_repeat_count_for_less(late):
     library, _ = late
     assert _with_controls(library, _late_by(0.0)).worth < library.worth
