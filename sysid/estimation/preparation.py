@@ -47,32 +47,21 @@ Method = Literal["ours", "paper", "cma-es"]
 
 @dataclass(frozen=True, kw_only=True)
 class FitOptions:
-    """What is learnt, and how.
+    """What is learnt, and how."""
 
-    Attributes:
-        effects: the only effects of the library that may be learnt with the car; empty or `auto`
-            for all that the drives show (empty with `free`: none but those).
-        free: parameters to fit; empty for all that the drives can hold.
-        fix: parameters that keep the start value (None) or take this one, in SI units.
-        wheelbase: measured distance of the axles [m].
-        method: `ours`, or the paper's `paper` and `cma-es`.
-        starts: how many starts; None for 1 (ours) or 5.
-        iterations: of the paper's methods; None for 100 (`paper`) or 500.
-        seed: of random starts.
-        jobs: worker processes.
-        dask: address of a Dask scheduler instead.
-    """
-
+    # The only effects of the library that may be learnt with the car; empty or `auto` for all that
+    # the drives show (empty with `free`: none but those)
     effects: Sequence[str] | Literal["auto"] = ()
-    free: Sequence[str] = ()
+    free: Sequence[str] = ()  # parameters to fit; empty for all that the drives can hold
+    # Parameters that keep the start value (None) or take this one, in SI units
     fix: Mapping[str, float | None] = field(default_factory=dict)
-    wheelbase: float | None = None
-    method: Method = "ours"
-    starts: int | None = None
-    iterations: int | None = None
-    seed: int = 0
-    jobs: int = 1
-    dask: str | None = None
+    wheelbase: float | None = None  # measured distance of the axles [m]
+    method: Method = "ours"  # or the paper's `paper` and `cma-es`
+    starts: int | None = None  # how many starts; None for 1 (ours) or 5
+    iterations: int | None = None  # of the paper's methods; None for 100 (`paper`) or 500
+    seed: int = 0  # of random starts
+    jobs: int = 1  # worker processes
+    dask: str | None = None  # address of a Dask scheduler instead
 
 
 def add_command_history(runs: Sequence[Run], model: Model[float], asked: bool = False) -> list[Run]:
