@@ -145,7 +145,7 @@ class Identification:
 
     def make_report(self, written: Path | None = None) -> Report:
         """What screen, page and figure show; `written` is the car file that was written."""
-        from steerd.sysid.report.identify_report import make_report
+        from steerd.daemon.analysis.identify_report import make_report
 
         return make_report(self.outcome, [*self._next(written)])
 

@@ -51,6 +51,7 @@ class Control(NamedTuple):
     # (k,) of its parameters, where they explain healthy drives best; `covariance` (k, k)
     values: Array
     covariance: Array
+    gain: float  # what that gains there per window, chance included [nats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +131,11 @@ def knowledge_section(known: BasePrior) -> dict[str, Any]:
         "excess": [round(v, 3) for v in known.excess],
         "values": [float(f"{v:.9g}") for v in known.values],
         "controls": {
-            one.effect: [_rounded(one.values), [_rounded(row) for row in one.covariance]]
+            one.effect: [
+                _rounded(one.values),
+                [_rounded(row) for row in one.covariance],
+                round(one.gain, 4),
+            ]
             for one in known.controls
         },
     }
@@ -158,8 +163,8 @@ def knowledge_of_section(table: Mapping[str, Any]) -> BasePrior | None:
         excess = tuple(float(v) for v in table["excess"])
         values = tuple(float(v) for v in table["values"])
         controls = tuple(
-            Control(str(name), np.array(own, float), np.array(spread, float))
-            for name, (own, spread, *_) in table.get("controls", {}).items()
+            Control(str(name), np.array(own, float), np.array(spread, float), float(gain))
+            for name, (own, spread, gain) in table.get("controls", {}).items()
         )
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"[knowledge] is not what identify writes ({error})") from error
@@ -178,7 +183,7 @@ def _is_control(one: Control) -> bool:
     """Whether values and covariance are those of an effect of the library."""
     if one.effect not in EFFECTS or one.covariance.shape != (len(one.values),) * 2:
         return False
-    finite = np.isfinite(one.values).all() and np.isfinite(one.covariance).all()
+    finite = np.isfinite(one.values).all() and np.isfinite([*one.covariance.flat, one.gain]).all()
     right = len(one.values) == len(EFFECTS[one.effect].parameters)
     return bool(finite and right and (np.linalg.eigvalsh(one.covariance) > 0.0).all())
 

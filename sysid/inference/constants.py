@@ -8,8 +8,6 @@ FITTED, FITTED_FURTHER = 6, 3
 """Hypotheses with a first effect that are brought to their optimum, and with a further one."""
 NEARLY = 4.0
 """Hypotheses whose log odds lie this near to the best's are searched from more starts [nats]."""
-ACCUSED = 40.0
-"""The base alone is, where it lies this near: no car is accused for want of a search [nats]."""
 FURTHER_ODDS = 10.0
 """Odds against each further cause, beside its share of the library."""
 KNOWN_WIDER = 2.0
@@ -47,6 +45,9 @@ SPUN, SPUN_SHARE = 12.0, 0.2
 its derivatives point nowhere, but where all are far off they still say how far."""
 REPEATS = 0.5
 """Share of the ordinary pushes that repeats from window to window (`c` of the design effect)."""
+SHOWN_MOST = 3.0
+"""What an effect gains by being as healthy drives show it is, per window, at most so many times its
+gain in those: where a gap is large, any change along a gradient promises more."""
 CHANCE = 0.05
 """An effect that chance takes as far from its null this often is left out of the car file."""
 COG_PLACE = 0.035

@@ -16,11 +16,14 @@ from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import BasePrior, Control
 from steerd.sysid.inference.car_fit import FittedCar
 from steerd.sysid.inference.hypotheses import begin
-from steerd.sysid.inference.library import Library, linearise
+from steerd.sysid.inference.library import Library, slice_along
 from steerd.sysid.inference.posterior import design_effect
 from steerd.sysid.inference.search import Point, minimise
 
 Array = NDArray[np.float64]
+
+_BY_CHANCE = 1.0
+"""What an effect of two parameters gains by chance [nats]."""
 
 
 def learn_controls(taught: FittedCar, known: BasePrior) -> tuple[Control, ...]:
@@ -45,17 +48,17 @@ def learn_controls(taught: FittedCar, known: BasePrior) -> tuple[Control, ...]:
 
 
 def _control(library: Library, base: Point, effect: Effect, temper: float) -> Control | None:
-    """Where an effect explains the drives best, to second order; no wider than its own prior."""
-    found = linearise(library, base, effect)
-    if found is None:  # no derivative shows it
+    """Where an effect explains the drives best; no wider than its own prior."""
+    along = slice_along(library, base, effect)
+    if along is None:
         return None
-    space, _, at = found
-    rest, own = slice(0, -len(effect.parameters)), slice(-len(effect.parameters), None)
-    h = np.tensordot(at.weight, at.h, 1)
-    inner = h[rest, rest] + space.precision[rest, rest]
-    curved = h[own, own] - h[own, rest] @ np.linalg.solve(inner, h[rest, own])
+    space, own = library.space([effect.name]), slice(-len(effect.parameters), None)
     null = np.array(library.likelihood.predictor.augmented.values(effect.name))
     prior = np.linalg.inv(space.covariance[own, own])
-    covariance = np.linalg.inv(curved / temper + prior)
-    step = covariance @ ((at.weight @ at.g)[own] / temper + prior @ (space.centre[own] - null))
-    return Control(effect.name, np.clip(null + step, space.low[own], space.high[own]), covariance)
+    covariance = np.linalg.inv(along.curved / temper + prior)
+    step = covariance @ (along.slope / temper + prior @ (space.centre[own] - null))
+    values = np.clip(null + step, space.low[own], space.high[own])
+    away = values - null
+    gain = float(along.slope @ away - 0.5 * away @ along.curved @ away) / temper
+    per_window = (max(gain, 0.0) + _BY_CHANCE) / len(base.at.dof)
+    return Control(effect.name, values, covariance, per_window)

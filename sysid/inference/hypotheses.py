@@ -19,7 +19,7 @@ from steerd.car_model.effect import Effect, Role
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.library import Library, carry, linearise
 from steerd.sysid.inference.likelihood import SIZES, Likelihood, Weighed, loss_of
-from steerd.sysid.inference.odds import Hypothesis, rank
+from steerd.sysid.inference.odds import Hypothesis, Shown, rank
 from steerd.sysid.inference.places import suspicious_discs
 from steerd.sysid.inference.residuals import robust_mean
 from steerd.sysid.inference.search import (
@@ -78,7 +78,7 @@ class _Search:
     library: Library
     pool: dict[frozenset[str], Point] = field(default_factory=dict)
     untested: set[str] = field(default_factory=set)
-    healthy: dict[frozenset[str], Point | None] = field(default_factory=dict)
+    shown: Shown = field(default_factory=dict)
     explored: set[tuple[str, ...]] = field(default_factory=set)
     exchanged: set[tuple[tuple[str, ...], tuple[str, ...], int]] = field(default_factory=set)
 
@@ -91,20 +91,9 @@ class _Search:
         """What a first name must gain before its odds are even, not tempered [nats]."""
         return float(np.log(max(len(self.library.effects), 1)))
 
-    def hypotheses(self) -> tuple[list[Hypothesis], float]:
-        """All of them with their odds, the likeliest first; and the design effect.
-
-        The likeliest one's effects were compared with what healthy drives show of them.
-        """
-        while True:
-            known = {names: point for names, point in self.healthy.items() if point}
-            ranked, temper = rank(self.library, list(self.pool.values()), known)
-            single = [frozenset([e]) for e in ranked[0].effects if e in self.library.controls]
-            new = [one for one in single if one in self.pool and one not in self.healthy]
-            if not new:
-                return ranked, temper
-            base = self.pool[frozenset()]
-            self.healthy |= {one: as_healthy(self.library, base, self.pool[one]) for one in new}
+    def hypotheses(self) -> list[Hypothesis]:
+        """All of them with their odds, the likeliest first."""
+        return rank(self.library, list(self.pool.values()), self.shown)[0]
 
     def keep(self, point: Point | None) -> None:
         """Keep an optimum if it is the best of its hypothesis so far."""
@@ -139,12 +128,8 @@ class _Search:
 
     def explore(self) -> None:
         """A cause that is named, and what competes with it, from more starts."""
-        ranked, _ = self.hypotheses()
-        near = [
-            h
-            for h in ranked
-            if ranked[0].log_odds - h.log_odds < (c.NEARLY if h.effects else c.ACCUSED)
-        ]
+        ranked = self.hypotheses()
+        near = [h for h in ranked if ranked[0].log_odds - h.log_odds < c.NEARLY]
         if len(near) < 2 and not ranked[0].effects:
             return
         for h in near:
@@ -182,15 +167,20 @@ class _Search:
             return False
         self.exchanged.add(key)
         space, wider = point.space, max(1.5 * other.size, c.SIZE_SMALL)
-        found = _from(self.likelihood, space, carry(space, other, point), other, wider)
+        found = self._from(space, carry(space, other, point), other, wider)
         lowest = min(point.cost, np.inf if found is None else found.cost)
         if set(other.space.effects) < set(space.effects) and lowest > other.cost + _WORSE:
-            again = _from(self.likelihood, space, carry(space, other), other, other.size)
+            again = self._from(space, carry(space, other), other, other.size)
             found = min((p for p in (found, again) if p), key=lambda p: p.cost, default=None)
         if found is None or found.cost > point.cost - _WORSE:
             return False
         self.keep(found)
         return True
+
+    def _from(self, space: Space, z: Array, other: Point, size: float) -> Point | None:
+        """The optimum from coordinates at another hypothesis' starts."""
+        begun = _stand(self.likelihood, space, z, other.x, size)
+        return None if begun is None else _try(self.likelihood, begun)
 
 
 def explain(
@@ -209,19 +199,19 @@ def explain(
     search = _Search(library)
     start = begin(library, (), (), library.likelihood.predictor.guess.copy())
     search.grow(start, c.FITTED, further=False)
-    best = search.hypotheses()[0][0]
+    best = search.hypotheses()[0]
     while 0 < len(best.effects) < most:
         progress(0.5)
         search.grow(_again(library, best.effects, best.point), c.FITTED_FURTHER, further=True)
-        likeliest = search.hypotheses()[0][0]
+        likeliest = search.hypotheses()[0]
         if likeliest.effects == best.effects:
             break
         best = likeliest
         for name in best.effects[: len(best.effects) if len(best.effects) > 1 else 0]:
             rest = tuple(n for n in best.effects if n != name)
             search.grow(_again(library, rest, best.point), c.FITTED_FURTHER, further=True)
-        best = search.hypotheses()[0][0]
-    found, temper = search.hypotheses()
+        best = search.hypotheses()[0]
+    found, temper = rank(library, list(search.pool.values()), search.shown)
     odds = np.array([h.log_odds for h in found])
     share = np.exp(odds - odds.max())
     share /= share.sum()
@@ -267,28 +257,6 @@ def _stand(likelihood: Likelihood, space: Space, z: Array, x: Array, size: float
         return stand(likelihood, space, z, x, size)
     except FloatingPointError:
         return None
-
-
-def _from(
-    likelihood: Likelihood, space: Space, z: Array, other: Point, size: float
-) -> Point | None:
-    """The optimum from coordinates at another hypothesis' starts."""
-    begun = _stand(likelihood, space, z, other.x, size)
-    return None if begun is None else _try(likelihood, begun)
-
-
-def as_healthy(library: Library, base: Point, own: Point) -> Point | None:
-    """The optimum with an effect as healthy drives show it; None where the simulation diverges.
-
-    Args:
-        library: with controls.
-        base: the base alone at its optimum; `own` with the effect beside it, wherever that leads.
-        own: see `base`.
-    """
-    space = library.healthy_space(own.space.effects[0])
-    starts = [(start, max(1.5 * start.size, c.SIZE_SMALL)) for start in (base, own)]
-    found = [_from(library.likelihood, space, carry(space, s), s, size) for s, size in starts]
-    return min((p for p in found if p), key=lambda p: p.cost, default=None)
 
 
 def _try(likelihood: Likelihood, start: Point, incumbent: float = np.inf) -> Point | None:

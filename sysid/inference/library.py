@@ -1,14 +1,14 @@
 """What may be a hypothesis, and where one is beside another."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect
-from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import Control
 from steerd.sysid.inference.likelihood import Likelihood, Reduced
 from steerd.sysid.inference.posterior import design_effect
@@ -35,20 +35,6 @@ class Library:
         gone = {same for e in augmented.effects if e.name in names for same in e.same_as}
         kept = [name for name in self.nuisance if name not in gone]
         return make_space(augmented, kept, names).heavier(self.worth)
-
-    def healthy_space(self, name: str) -> Space:
-        """Those of a single effect whose prior is what healthy drives show of it.
-
-        On another day it may differ by as much more as the base may.
-        """
-        space, control = self.space([name]), self.controls[name]
-        own = slice(len(space.centre) - len(control.values), None)
-        centre, covariance = space.centre.copy(), space.covariance.copy()
-        centre[own] = control.values
-        covariance[own, :] = covariance[:, own] = 0.0  # a base that has the effect knows it jointly
-        covariance[own, own] = c.KNOWN_WIDER**2 * control.covariance
-        precision = np.asarray(self.worth * np.linalg.inv(covariance), np.float64)
-        return replace(space, centre=centre, covariance=covariance, precision=precision)
 
     @cached_property
     def worth(self) -> float:
@@ -108,3 +94,30 @@ def linearise(
     rotated = start.rotated._replace(by_z=by_z)
     view = likelihood.weigh(rotated, start.size)
     return space, z, likelihood.reduce(view, start.linear.error, start.x)
+
+
+class Slice(NamedTuple):
+    """The cost as a function of one effect's parameters alone, the base at its best beside each.
+
+    From the effect's null it falls by `slope' d - d' curved d / 2` over a distance `d` [nats].
+    """
+
+    slope: Array
+    curved: Array
+
+
+def slice_along(library: Library, start: Point, effect: Effect) -> Slice | None:
+    """The cost along an effect that a hypothesis lacks, its own prior left out.
+
+    To second order about the hypothesis' optimum, where nothing else pulls. None where no
+    derivative shows it.
+    """
+    found = linearise(library, start, effect)
+    if found is None:
+        return None
+    space, _, at = found
+    rest, own = slice(0, -len(effect.parameters)), slice(-len(effect.parameters), None)
+    h = np.tensordot(at.weight, at.h, 1)
+    inner = h[rest, rest] + space.precision[rest, rest]
+    curved = h[own, own] - h[own, rest] @ np.linalg.solve(inner, h[rest, own])
+    return Slice((at.weight @ at.g)[own], curved)

@@ -1,14 +1,14 @@
 """What a hypothesis at its optimum is worth beside the others.
 
 The odds are evidence times prior odds. Where the base's healthy drives were kept as controls, an
-effect counts for what it gains over the base, and over the base with the effect as healthy drives
-show it, whichever is less: what a wrong model lets it explain, it explains in those as well.
+effect counts for what it gains over the base and over what healthy drives show of it, whichever is
+less: what a wrong model lets it explain, it explains in the healthy drives as well.
 """
 
 # Why: docs/decisions/diagnosis.md#d117
 # Why: docs/decisions/diagnosis.md#d121
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect, Role
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.library import Library
+from steerd.sysid.inference.library import Library, Slice, slice_along
 from steerd.sysid.inference.posterior import (
     Posterior,
     design_effect,
+    log_mean,
     log_share_beyond,
     posterior_of,
 )
-from steerd.sysid.inference.residuals import blocks_of
 from steerd.sysid.inference.search import Point
 
 Array = NDArray[np.float64]
@@ -44,11 +44,8 @@ class Hypothesis:
         return self.posterior.point
 
 
-Names = frozenset[str]
-
-
 def rank(
-    library: Library, points: Sequence[Point], healthy: Mapping[Names, Point]
+    library: Library, points: Sequence[Point], shown: "Shown | None" = None
 ) -> tuple[list[Hypothesis], float]:
     """Hypotheses at their optima with their odds, the likeliest first; and the design effect.
 
@@ -57,45 +54,44 @@ def rank(
     Args:
         library: what may be a hypothesis.
         points: their optima.
-        healthy: of some single effects, the optimum with the effect as healthy drives show it.
+        shown: kept from call to call: what was worked out of points that have not changed.
     """
     lowest = min(points, key=lambda point: point.cost)
-    blocks, temper = blocks_of(library.likelihood.predictor), library.design_effect(lowest.size)
-    found = {frozenset(p.space.effects): _posterior(p, temper, lowest, blocks) for p in points}
+    temper = library.design_effect(lowest.size)
+    found = {frozenset(p.space.effects): _posterior(p, temper, lowest) for p in points}
     evidence = {names: posterior.evidence for names, posterior in found.items()}
     if library.controls:
         coarse = design_effect(library.likelihood, lowest.size)
-        alone = {
-            names: _posterior(one.point, coarse, lowest, blocks).evidence
-            for names, one in found.items()
-        }
-        as_healthy = {
-            names: _posterior(point, temper, lowest, blocks).evidence
-            for names, point in healthy.items()
-        }
-        evidence = _controlled(library, evidence, alone, as_healthy)
+        alone = {frozenset(p.space.effects): _posterior(p, coarse, lowest) for p in points}
+        evidence = _controlled(library, found, alone, temper, {} if shown is None else shown)
     ranked = [_judge(library, posterior, evidence[names]) for names, posterior in found.items()]
     return sorted(ranked, key=lambda h: -h.log_odds), temper
 
 
-def _posterior(point: Point, temper: float, lowest: Point, blocks: NDArray[np.int64]) -> Posterior:
+def _posterior(point: Point, temper: float, lowest: Point) -> Posterior:
     """An optimum's posterior.
 
-    The blocks of windows that speak loudest for and against it, beside the hypothesis of lowest
-    cost, are left out: a car that nearly spins multiplies any small change, and one such moment
-    shall not name a cause.
+    The windows that speak loudest for and against it, beside the hypothesis of lowest cost, are
+    left out: a car that nearly spins multiplies any small change, and one such second shall not
+    name a cause.
     """
     posterior = posterior_of(point, temper)
-    behind = np.bincount(blocks, point.at.loss - lowest.at.loss)
+    behind = point.at.loss - lowest.at.loss
     loudest = float(max(behind.max(), 0.0) + min(behind.min(), 0.0)) / temper
     return replace(posterior, evidence=posterior.evidence + loudest)
 
 
+Names = frozenset[str]
+Shown = dict[tuple[Point, str], Slice | None]
+"""The cost along effects, by the hypothesis that they are added to."""
+
+
 def _controlled(
     library: Library,
-    found: Mapping[Names, float],
-    alone: Mapping[Names, float],
-    healthy: Mapping[Names, float],
+    found: dict[Names, Posterior],
+    alone: dict[Names, Posterior],
+    temper: float,
+    shown: Shown,
 ) -> dict[Names, float]:
     """Evidences that count no gain which healthy drives show as well.
 
@@ -106,24 +102,39 @@ def _controlled(
 
     Args:
         library: with controls.
-        found: hypotheses' evidences; `alone` with the design effect of drives without controls.
+        found: hypotheses' posteriors; `alone` with the design effect of drives without controls.
         alone: see `found`.
-        healthy: of single effects as healthy drives show them.
+        temper: the design effect.
+        shown: what is known of points, and is added to.
     """
     level: dict[Names, float] = {}
     for names in sorted(found, key=len):
-        most = found[names]
+        most = found[names].evidence
         for name in names:
             rest = names - {name}
             if rest not in level:
                 continue
             if name in library.controls and not rest:
-                gain = found[names] - max(found[rest], healthy.get(names, -np.inf))
+                gain = found[names].evidence - found[rest].evidence
+                gain -= _healthy_gain(library, found[rest].point, name, temper, shown)
             else:
-                gain = alone[names] - alone[rest]
+                gain = alone[names].evidence - alone[rest].evidence
             most = min(most, level[rest] + gain)
         level[names] = most
     return level
+
+
+def _healthy_gain(library: Library, point: Point, name: str, temper: float, shown: Shown) -> float:
+    """What an effect gains beside a hypothesis by being as healthy drives show it [nats]."""
+    if (point, name) not in shown:
+        shown[point, name] = slice_along(library, point, library.effect(name))
+    along = shown[point, name]
+    if along is None:
+        return 0.0
+    control = library.controls[name]
+    away = control.values - library.likelihood.predictor.augmented.values(name)
+    gain = log_mean(along.curved / temper, along.slope / temper, away, control.covariance)
+    return min(max(gain, 0.0), c.SHOWN_MOST * control.gain * len(point.at.dof))
 
 
 def _judge(library: Library, posterior: Posterior, evidence: float) -> Hypothesis:

@@ -62,6 +62,22 @@ def posterior_of(point: Point, temper: float) -> Posterior:
     return Posterior(point, evidence, covariance)
 
 
+def log_mean(data: Array, pull: Array, mean: Array, covariance: Array) -> float:
+    """Log of the mean of exp(pull' x - x' data x / 2) over a normal distribution of x [nats].
+
+    Args:
+        data: (k, k) curvature, not negative; `pull` (k,) slope at 0.
+        pull: see `data`.
+        mean: (k,) of the distribution; `covariance` (k, k).
+        covariance: see `mean`.
+    """
+    before = np.linalg.inv(covariance)
+    whole, slope = data + before, pull + before @ mean
+    volume = np.linalg.slogdet(whole)[1] + np.linalg.slogdet(covariance)[1]
+    height = slope @ np.linalg.solve(whole, slope) - mean @ before @ mean
+    return 0.5 * float(height - volume)
+
+
 def log_share_beyond(value: float, sd: float, null: float, least: float) -> float:
     """Log probability that a normal value differs from its null by `least` or more."""
     away = abs(value - null)

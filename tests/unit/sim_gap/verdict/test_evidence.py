@@ -118,7 +118,7 @@ def test_what_differs_by_an_equations_form_alone_is_named_with_it(name, other):
 
 
 def test_what_healthy_drives_show_of_an_effect_is_part_of_its_error():
-    shown = Control("steer_delay", np.array([0.004]), np.array([[9e-6]]))
+    shown = Control("steer_delay", np.array([0.004]), np.array([[9e-6]]), 0.1)
     library = SimpleNamespace(**{**vars(LIBRARY), "controls": {"steer_delay": shown}})
     (cause,) = judge_case(library, _found(_hypothesis("steer_delay")), True).causes
     assert cause.parameters["delay"].sd == pytest.approx(np.sqrt(1e-6 + 9e-6 + 16e-6))

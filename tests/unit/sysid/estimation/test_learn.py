@@ -8,6 +8,7 @@ import pytest
 
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
+from steerd.daemon.analysis.identify_report import make_report
 from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.excitation import measure_excitation
 from steerd.sysid.data.segments import (
@@ -23,7 +24,6 @@ from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.outcome import REPORTED, encode_outcome
 from steerd.sysid.estimation.validation import HORIZONS, errors_at, trace_windows
 from steerd.sysid.report.design_comparison import compare_designs
-from steerd.sysid.report.identify_report import make_report
 from steerd.sysid.report.page import render_report
 
 pytestmark = pytest.mark.slow

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal, norm
 
 from steerd.sysid.inference.likelihood import SIZES
-from steerd.sysid.inference.posterior import design_effect, log_share_beyond, posterior_of
+from steerd.sysid.inference.posterior import design_effect, log_mean, log_share_beyond, posterior_of
 
 ROWS = 30
 
@@ -44,7 +44,9 @@ def _linear(
 
 @pytest.mark.parametrize("temper", [1.0, 9.0])
 @pytest.mark.parametrize("seed", range(8))
-def test_evidence_of_a_linear_model_is_the_exact_marginal_likelihood(seed, temper):
+def test_evidence_of_a_linear_model_is_the_exact_marginal_likelihood(
+    seed: int, temper: float
+) -> None:
     """A tempered Gaussian likelihood is one of a variance as many times as large."""
     point, data, by_z = _linear(seed, 4, temper=temper)
     space = point.space
@@ -58,7 +60,7 @@ def test_evidence_of_a_linear_model_is_the_exact_marginal_likelihood(seed, tempe
 @given(
     seed=st.integers(0, 10**6), n=st.integers(1, 8), flat=st.integers(0, 2), temper=st.floats(1, 30)
 )
-def test_a_covariance_is_positive_definite(seed, n, flat, temper):
+def test_a_covariance_is_positive_definite(seed: int, n: int, flat: int, temper: float) -> None:
     point, _, _ = _linear(seed, n, min(flat, n))
     covariance = posterior_of(point, temper).covariance
     sd = np.sqrt(np.diag(covariance))
@@ -69,13 +71,13 @@ def test_a_covariance_is_positive_definite(seed, n, flat, temper):
 
 
 @pytest.mark.parametrize("temper", [1.0, 9.0])
-def test_a_covariance_is_that_of_the_tempered_curvature(temper):
+def test_a_covariance_is_that_of_the_tempered_curvature(temper: float) -> None:
     point, _, by_z = _linear(2, 5)
     expected = np.linalg.inv(point.space.precision + by_z.T @ by_z / temper)
     assert posterior_of(point, temper).covariance == pytest.approx(expected, rel=1e-5)
 
 
-def test_a_direction_that_nothing_shows_keeps_its_priors_width():
+def test_a_direction_that_nothing_shows_keeps_its_priors_width() -> None:
     point, _, _ = _linear(4, 3)
     flat = np.zeros((3, 3))
     point.at.h = flat[None]
@@ -84,7 +86,7 @@ def test_a_direction_that_nothing_shows_keeps_its_priors_width():
     assert posterior_of(point, 5.0).covariance == pytest.approx(point.space.covariance)
 
 
-def test_a_parameter_that_does_nothing_costs_no_evidence():
+def test_a_parameter_that_does_nothing_costs_no_evidence() -> None:
     point, _, _ = _linear(6, 4, flat=1)
     space = point.space
     other = SimpleNamespace(**vars(point))
@@ -97,7 +99,7 @@ def test_a_parameter_that_does_nothing_costs_no_evidence():
     assert posterior_of(other, 1.0).evidence == pytest.approx(posterior_of(point, 1.0).evidence)
 
 
-def test_the_design_effect_lies_between_two_and_all_windows(likelihood):
+def test_the_design_effect_lies_between_two_and_all_windows(likelihood) -> None:
     count = len(likelihood.pushed)
     found = [design_effect(likelihood, float(size)) for size in SIZES]
     assert found[0] == pytest.approx(2.0 + (count - 1) * 0.5 * likelihood.pushed.mean())
@@ -112,13 +114,24 @@ def test_the_design_effect_lies_between_two_and_all_windows(likelihood):
 @pytest.mark.parametrize(
     ("value", "sd", "null", "least"), [(0.03, 0.01, 0.0, 0.002), (-0.4, 0.5, 0.1, 0.6)]
 )
-def test_the_share_beyond_a_size_is_that_of_a_normal_value(value, sd, null, least):
+def test_the_share_beyond_a_size_is_that_of_a_normal_value(value, sd, null, least) -> None:
     drawn = norm(value, sd).rvs(200_000, random_state=1)
     share = float(np.mean(np.abs(drawn - null) >= least))
     assert np.exp(log_share_beyond(value, sd, null, least)) == pytest.approx(share, abs=0.004)
 
 
-def test_an_effect_that_is_surely_small_has_hardly_a_share():
+def test_an_effect_that_is_surely_small_has_hardly_a_share() -> None:
     assert log_share_beyond(1e-4, 1e-5, 0.0, 0.002) < -20.0
     assert log_share_beyond(0.02, 1e-5, 0.0, 0.002) == pytest.approx(0.0, abs=1e-9)
     assert log_share_beyond(0.02, 0.0, 0.0, 0.002) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_mean_of_a_normal_likelihood_is_the_exact_one(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    root, wide = rng.standard_normal((2, 3, 3))
+    data, spread = root @ root.T + 0.1 * np.eye(3), wide @ wide.T + 0.1 * np.eye(3)
+    mean, best = rng.standard_normal((2, 3))
+    exact = multivariate_normal(mean, spread + np.linalg.inv(data)).logpdf(best)
+    exact += 0.5 * (best @ data @ best + 3.0 * np.log(2.0 * np.pi) - np.linalg.slogdet(data)[1])
+    assert log_mean(data, data @ best, mean, spread) == pytest.approx(exact)
