@@ -184,7 +184,8 @@ class Diagnosis:
         """Prediction errors before and after, candidate effects, the gap over time."""
         from steerd.sysid.report.drawing import plot_report
 
-        return plot_report(self.make_report())
+        report = self.make_report()
+        return plot_report(report.verdict, list(report.figures))
 
 
 @by_keywords(DiagnoseOptions)

@@ -166,7 +166,8 @@ class Identification:
         """Held-out drives and their predictions, prediction errors, parameters with errors."""
         from steerd.sysid.report.drawing import plot_report
 
-        return plot_report(self.make_report())
+        report = self.make_report()
+        return plot_report(report.verdict, list(report.figures))
 
     def _next(self, written: Path | None) -> Iterator[Line]:
         """What to do next."""

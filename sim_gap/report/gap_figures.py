@@ -15,7 +15,6 @@ from steerd.sim_gap.lane_comparison import (
     profile,
     steering_spectrum,
 )
-from steerd.sim_gap.report.gap_report import known_leads
 from steerd.sim_gap.verdict.shrinkage import Shrinkage
 from steerd.sim_gap.verdict.where import EQUATIONS, Regime, Where, range_words
 from steerd.sysid.inference.residuals import Gap
@@ -75,18 +74,18 @@ def _plot_gap(*axes: Axes, found: Diagnosis, measured: Sequence[int]) -> None:
         _bars(axis, before, i, scale, -0.2 if explained else 0.0, BEFORE)
         if explained:
             _bars(axis, after, i, scale, 0.2, AFTER)
-        leads = [before.errors[j][0] for j in known_leads(before)]
+        leads = [before.errors[j][0] for j in before.known_leads]
         axis.set_xticks(range(len(leads)), [f"{lead:g} s" for lead in leads])
         axis.set_title(label)
-        values = [gap.errors[j][1 + i] for gap in gaps for j in known_leads(gap)]
-        highs = [gap.intervals[j][i][1] for gap in gaps for j in known_leads(gap)]
+        values = [gap.errors[j][1 + i] for gap in gaps for j in gap.known_leads]
+        highs = [gap.intervals[j][i][1] for gap in gaps for j in gap.known_leads]
         scale_bars(axis, [scale * value for value in (*values, *highs)])
         axis.grid(visible=False, axis="x")
     axes[0].set_ylabel("root mean square")
 
 
 def _bars(axis: Axes, gap: Gap, i: int, scale: float, shift: float, colour: str) -> None:
-    kept = known_leads(gap)
+    kept = gap.known_leads
     values = scale * np.array([gap.errors[j][1 + i] for j in kept])
     bounds = scale * np.array([gap.intervals[j][i] for j in kept]).reshape(-1, 2)
     off = np.clip(np.column_stack([values - bounds[:, 0], bounds[:, 1] - values]).T, 0.0, None)

@@ -9,7 +9,6 @@ from steerd.sim_gap.diagnosis import Diagnosis
 from steerd.sim_gap.lane_comparison import LaneComparison, as_long, figures_of
 from steerd.sim_gap.verdict.evidence import Cause, Estimated
 from steerd.sim_gap.verdict.where import EQUATIONS
-from steerd.sysid.inference.residuals import Gap
 from steerd.sysid.report.report import (
     DEGREES,
     SCALES,
@@ -116,7 +115,7 @@ def _screen(found: Diagnosis) -> Iterator[Line]:
 
 def _cards(found: Diagnosis) -> Iterator[Card]:
     """The figures that are read first."""
-    leads = known_leads(found.before) or [0]
+    leads = found.before.known_leads or [0]
     last = min(leads, key=lambda i: abs(found.before.errors[i][0] - 1.0))
     before, after = found.before.errors[last], found.after.errors[last]
     lead = f"position error after {before[0]:g} s"
@@ -304,14 +303,9 @@ def short(value: float) -> str:
     return f"{value:.2g}" if abs(value) < 99.5 else f"{value:.0f}"
 
 
-def known_leads(gap: Gap) -> list[int]:
-    """Which leads have errors: windows may end just before the last."""
-    return [i for i, row in enumerate(gap.errors) if row[1] > 0.0]
-
-
 def gap_words(found: Diagnosis) -> Iterator[str]:
     """Position and heading error before and after by lead."""
-    for i in known_leads(found.before):
+    for i in found.before.known_leads:
         before, after = found.before.errors[i], found.after.errors[i]
         if not found.causes:
             yield f"{before[0]:g} s: {short(1e3 * before[1])} mm, {short(degrees(before[2]))}°"

@@ -39,6 +39,11 @@ class Gap:
     # (position, yaw, speed) 90 % intervals of each row
     intervals: tuple[tuple[tuple[float, float], ...], ...]
 
+    @property
+    def known_leads(self) -> list[int]:
+        """Which rows have errors: windows may end just before the last."""
+        return [i for i, row in enumerate(self.errors) if row[1] > 0.0]
+
     def position(self, lead: float) -> float:
         """Root mean square of the position error after `lead` seconds [m], NaN if not reported."""
         return next((row[1] for row in self.errors if row[0] == lead), float("nan"))

@@ -15,8 +15,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
-from steerd.sysid.report.report import Report
-
 INK, FAINT = "#1f2933", "#9aa5b1"
 MEASURED, AFTER, BEFORE = "#1f2933", "#d9480f", "#4c8dca"
 BAND, CONFOUNDED, GRID, PAGE = "#fff0e6", "#f0a77f", "#e4e7eb", "#fefefe"
@@ -68,9 +66,8 @@ class Diagrams:
         return f'<p class="names">{names}</p><div style="--wide:{wide:.1f}rem">{diagrams}</div>'
 
 
-def plot_report(report: Report) -> Figure:
-    """A report as one figure."""
-    shown = list(report.figures)
+def plot_report(title: str, shown: Sequence[Diagrams]) -> Figure:
+    """A report's diagrams as one figure."""
     heights = [each.height * -(-each.count // each.columns) for each in shown]
     colours = {name: colour for each in shown for name, colour in each.colours.items()}
     with rc_context(STYLE):
@@ -81,7 +78,7 @@ def plot_report(report: Report) -> Figure:
             grid = part.add_gridspec(-(-each.count // columns), columns)
             axes = [part.add_subplot(grid[divmod(i, columns)]) for i in range(each.count)]
             each.plot(*axes, *each.about)
-        figure.suptitle(report.verdict, fontsize=10)
+        figure.suptitle(title, fontsize=10)
         lines = [Line2D([], [], color=c, lw=3.0, label=name) for name, c in colours.items()]
         figure.legend(handles=lines, fontsize=8, loc="outside upper right", ncols=len(lines))
         return figure

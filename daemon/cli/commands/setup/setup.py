@@ -139,7 +139,7 @@ def guide(
         at: the first.
         ask: shows a question; the answer.
         do: runs a step; its exit code.
-        stand: told of the present step, and whether it is `asked`, `runs`, is `done` or `failed`.
+        stand: hears of the present step, and whether it is `asked`, `runs`, `done` or `failed`.
     """
     while at < len(steps):
         step = steps[at]

@@ -12,7 +12,7 @@ import pytest
 
 from steerd.car_model.effects import EFFECTS, find_effect
 from steerd.car_model.model import Model, memory_size
-from steerd.car_model.native import windows
+from steerd.car_model.native import library
 from steerd.car_model.native.build import BuildError, Compiler, compile_model, link, model_text
 from steerd.car_model.native.library import LibraryError, load_function, load_library, model_label
 from steerd.car_model.native.windows import (
@@ -133,7 +133,7 @@ def _filtered(chassis):
 def _use(monkeypatch, **chosen):
     """Take all functions from a library or level of one's own choice."""
     own = partial(load_function, **chosen)
-    for module in (windows, compiled):
+    for module in (library, compiled):
         monkeypatch.setattr(module, "load_function", own)
 
 

@@ -63,8 +63,8 @@ def test_the_car_file_is_the_controllers_and_the_other_one_is_driven(tmp_path):
     heavy.write_text(CAR_FILE.read_text().replace("steer_bias = 0.0", "steer_bias = 0.02"))
     plan = make(str(heavy), ("steer_lag=0.02",))
     world = make_world_config(plan)
-    assert world.car.steer_bias == 0.02
-    assert [effect.name for effect in world.effects] == ["steer_lag"]
+    assert world.model.car.steer_bias == 0.02
+    assert [effect.name for effect in world.model.effects] == ["steer_lag"]
     assert plan.settings.file.car.steer_bias == 0.0
     assert make_attachments(plan)["sim_car.toml"] == heavy.read_text()
 
