@@ -4,7 +4,7 @@ from collections import deque
 from math import hypot, inf, isfinite, nan
 
 from steerd.car_model.chassis import Chassis
-from steerd.car_model.params import Car, wheelbase
+from steerd.car_model.params import Car
 from steerd.car_model.state import Command, State
 from steerd.daemon.loop.following import LONG_TURN_S
 from steerd.daemon.loop.watchdogs_pose import PoseVerdict, PoseWatch, step_innovation, step_pose
@@ -61,7 +61,6 @@ class Perception:
         self._state = FilterState()
         self._thresholds = thresholds
         self._scaling = scaling
-        self._wheelbase = wheelbase(car)
         self._measurements: list[Measurement] = []
         self._commands: list[tuple[int, Command[float] | None]] = []
         self._refused = 0

@@ -26,7 +26,6 @@ from steerd.steer_bus.session_read import Record, Session
 
 TOLERANCE = 1e-9
 """Allowed difference: another machine's libm may differ in the last digits."""
-_SENSED = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z")
 
 
 @dataclass(frozen=True)

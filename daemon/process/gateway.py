@@ -13,7 +13,7 @@ import os
 import select
 import socket
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,16 +21,17 @@ from typing import Any
 from steerd.daemon.ipc.pipe_records import PipeRecord, ReportPipe, unpack_records
 from steerd.daemon.ipc.requests import REQUEST_MAX, make_badge, pack_request
 from steerd.daemon.ipc.signals import ignore_terminal_signals
+from steerd.daemon.loop.lease import VALID_MS
 from steerd.daemon.process.bus_operator import STOPS
 from steerd.daemon.process.child import receive_job
 from steerd.daemon.process.views import Views
-from steerd.daemon.settings.run_options import decode_options
+from steerd.daemon.settings.run_options import ControllerKind, RunOptions, decode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus, BusError, Keep, Subscription, Token
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import load_lab
-from steerd.steer_bus.messages import Actuation
+from steerd.steer_bus.messages import BODY, Actuation, DriveCommand
 from steerd.steer_bus.ros_keys import make_gid, make_node_token, make_publisher_token, make_ros_key
 from steerd.steer_bus.standard import AckermannDrive, AckermannDriveStamped
 from steerd.steer_bus.topics import (
@@ -90,6 +91,36 @@ class RosBridge:
                 self._bus.publish(key, data)
 
 
+class RosDrive:
+    """`/drive` of ROS 2 nodes as an external controller's commands.
+
+    Each publisher has a lease of its own: a second one is refused while the first one drives.
+    """
+
+    def __init__(self, bus: Bus, domain: int, boot_id: int) -> None:
+        """Listen.
+
+        Raises:
+            ValueError: the domain is invalid.
+        """
+        key = make_ros_key(domain, DRIVE_NAME, AckermannDriveStamped).rpartition("/")[0]
+        topic = Topic(DRIVE_NAME, AckermannDriveStamped, Direction.IN)
+        # ROS 2 Humble writes no hash of the type
+        self._heard = bus.subscribe(f"{key}/*", _DEPTH, make_keep(topic))
+        self._boot_id, self._seq = boot_id, 0
+
+    def take(self) -> Iterator[DriveCommand]:
+        """The commands that came since the last call."""
+        for sample in self._heard.poll():
+            message = decode(AckermannDriveStamped, sample.data)
+            header = replace(message.header, frame_id=BODY)
+            self._seq += 1
+            yield DriveCommand(
+                header, self._boot_id, make_badge(sample.sender.hex(), 1), sample.sent_ns,
+                self._seq, VALID_MS, message.drive.steering_angle, message.drive.speed,
+            )  # fmt: skip
+
+
 def make_drive(sent: Actuation) -> AckermannDriveStamped:
     """The command on the wire in F1TENTH's message; rates and accelerations are 0, unset."""
     return AckermannDriveStamped(sent.header, AckermannDrive(sent.steer, 0.0, sent.speed, 0.0, 0.0))
@@ -131,10 +162,15 @@ class Gateway:
     """One car on the bus, and in ROS's graph if there is a bridge."""
 
     def __init__(
-        self, bus: Bus, car: str, pose_key: str | None, ros: RosBridge | None = None
+        self,
+        bus: Bus,
+        car: str,
+        pose_key: str | None,
+        ros: RosBridge | None = None,
+        ros_drive: RosDrive | None = None,
     ) -> None:
         self._bus = bus
-        self._ros = ros
+        self._ros, self._ros_drive = ros, ros_drive
         self._car = car
         self._views = Views()
         self._requests: list[tuple[Topic, Subscription]] = [
@@ -173,6 +209,8 @@ class Gateway:
             for sample in subscription.poll():
                 who = sample.key.removeprefix(make_key(self._car, topic)).removeprefix("/")
                 _send(core, known, seal(topic, sample.data, who))
+        for command in self._ros_drive.take() if self._ros_drive else ():
+            _send(core, topics.DRIVE, encode(command))
         for topic, subscription in self._plain:
             for sample in subscription.poll():
                 if len(sample.data) <= REQUEST_MAX:
@@ -212,7 +250,7 @@ def main() -> int:
     if (job := receive_job()) is None:
         return 0
     options, core = decode_options(job.about["options"]), socket.socket(fileno=job.fds["requests"])
-    pose_key = find_pose_key(options.mocap)
+    pose_key = find_pose_key(options)
     core.setblocking(False)
     try:
         lab = load_lab(Path(options.lab)) if options.lab else None
@@ -222,7 +260,9 @@ def main() -> int:
         with ZenohBus(profile) as bus:
             domain = options.ros_domain
             ros = None if domain is None else RosBridge(bus, options.car, domain)
-            gateway = Gateway(bus, options.car, pose_key, ros)
+            driven = options.controller is ControllerKind.ROS2
+            drive = RosDrive(bus, domain or 0, job.about["boot_id"]) if driven else None
+            gateway = Gateway(bus, options.car, pose_key, ros, drive)
             job.say_ready("ready")
             run_gateway(gateway, job.fds["pipe"], core, ReportPipe(job.fds.get("reports")))
     except BusError as error:
@@ -234,9 +274,14 @@ def main() -> int:
     os._exit(0)
 
 
-def find_pose_key(mocap: str | None) -> str | None:
+def find_pose_key(options: RunOptions) -> str | None:
     """Key of the bus on which poses come; None where mocap is no program on the bus."""
-    return parse_mocap_url(mocap).key if mocap and mocap.startswith("zenoh:") else None
+    try:
+        url = parse_mocap_url(options.mocap or "")
+    except ValueError:  # the core says what is wrong with the address
+        return None
+    # rmw_zenoh's keys are domain, topic, type and its hash
+    return f"{options.ros_domain or 0}/{url.key}/*/*" if url.scheme == "ros2" else url.key or None
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `steerd run`."""
     where = parser.add_argument_group("hardware")
     option(where, "--port", "DEV", "serial port of the VESC, e.g. /dev/ttyACM0")
-    text = "natnet://HOST[:PORT]/BODY[?up=y|z], vrpn://HOST[:PORT]/BODY or zenoh:KEY"
+    text = "natnet://HOST[:PORT]/BODY[?up=y|z], vrpn://HOST[:PORT]/BODY, ros2:///TOPIC or zenoh:KEY"
     option(where, "--mocap", "URL", text)
     option(where, "--sim", "", "simulated hardware on a pty and sockets")
     option(where, "--fast", "", "with --sim: virtual time, repeatable")
@@ -51,7 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "unmodelled effect of the simulated car (`steerd effects` lists them)"
     option(run, "--effect", "NAME=VALUE,…", text, action="append")
     option(run, "--auto-arm", "", "simulation: arm and start by itself")
-    text, kinds = "zenoh: apply the commands of `steerd control`", [k.value for k in ControllerKind]
+    text = "zenoh: apply the commands of `steerd control`; ros2: those of a ROS node's /drive"
+    kinds = [kind.value for kind in ControllerKind]
     option(run, "--controller", None, text, choices=kinds, default="lane")
     _add_network_arguments(run)
 
@@ -142,7 +143,9 @@ def _list_conflicts(args: argparse.Namespace) -> Iterator[tuple[bool, str, str]]
     wrong = domain is not None and not 0 <= domain <= DOMAIN_MAX
     yield wrong, f"--ros-domain {domain}: 0 to {DOMAIN_MAX}", ""
     what = "the hub of a lab passes steerd's own topics only, not those of ROS"
-    yield domain is not None and args.lab is not None, what, "drop --lab or --ros-domain"
+    ros = domain is not None or args.controller == ControllerKind.ROS2
+    ros = ros or str(args.mocap).startswith("ros2:")
+    yield ros and args.lab is not None, what, "drop --lab, or --ros-domain and what is ros2"
     yield args.adapt and not args.learn, "--adapt follows what is learnt", "add --learn"
     what = "--adapt is about the lane keeper, and another program drives"
     lane = args.controller == ControllerKind.LANE
