@@ -14,7 +14,7 @@ import platformdirs
 from steerd.car_model.car_file import CarFile, parse_car
 from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.assembly.sim_car import make_true_model, make_truth
-from steerd.daemon.settings.run_options import encode_options
+from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.posterior_file import ATTACHED
 from steerd.steer_bus.session_read import WRONG_CONTENT, Session, SessionError, SessionInfo
 from steerd.version import VERSION
@@ -33,6 +33,12 @@ def is_virtual(info: SessionInfo) -> bool:
 def data_folder() -> Path:
     """The user's data folder (systemd: `$STATE_DIRECTORY`)."""
     return Path(os.environ.get("STATE_DIRECTORY") or platformdirs.user_data_path("steerd"))
+
+
+def choose_session_path(options: RunOptions, realtime_ns: int, boot_id: int) -> Path:
+    """The session file that was asked for, or the default one."""
+    given = options.record
+    return Path(given) if given else default_session_path(options.car, realtime_ns, boot_id)
 
 
 def default_session_path(car: str, realtime_ns: int, boot_id: int) -> Path:

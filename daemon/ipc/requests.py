@@ -5,7 +5,9 @@ A request is one packet. Pages and viewers, who hold no codec, write a live para
 """
 
 import contextlib
+import socket
 import struct
+from collections.abc import Callable
 from hashlib import blake2b
 from math import isfinite
 
@@ -26,6 +28,18 @@ def unpack_request(packet: bytes) -> tuple[str, bytes]:
     """The inverse of `pack_request`; an empty name if it is no request."""
     name, mark, data = packet.partition(b"\0")
     return (name.decode("ascii", "replace"), data) if mark else ("", b"")
+
+
+def make_sender(fd: int) -> Callable[[bytes], None]:
+    """Sends packets into a socket; one that does not fit, or that nobody reads, is dropped."""
+    end = socket.socket(fileno=fd)
+    end.setblocking(False)
+
+    def send(packet: bytes) -> None:
+        with contextlib.suppress(OSError):
+            end.send(packet)
+
+    return send
 
 
 def make_badge(who: str, lease_id: int) -> int:

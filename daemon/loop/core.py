@@ -21,6 +21,7 @@ from steerd.daemon.loop.live import make_parameters
 from steerd.daemon.loop.loop import Loop
 from steerd.daemon.loop.orders import TickResult, make_order
 from steerd.daemon.loop.outgoing import (
+    ALARM,
     make_actuation,
     make_diagnostics,
     make_identity,
@@ -63,7 +64,6 @@ _INFO, _ERROR = 20, 40
 """Levels of `rcl_interfaces/Log`."""
 _HANDSHAKE = (m.ActuationMode.SILENT, m.ActuationMode.BRAKE)
 """Orders beside which a tick's write has room for the questions at the start."""
-_ALARM = (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
 
 
 class Core:
@@ -307,7 +307,7 @@ class Core:
         if changed:
             transition = make_transition(result.old, result.supervisor, stamp_ns)
             self.outbox.post(topics.TRANSITION, transition, now_ns)
-            level = _ERROR if result.supervisor.state in _ALARM else _INFO
+            level = _ERROR if result.supervisor.state in ALARM else _INFO
             text = f"{result.supervisor.state.name}: {result.supervisor.reason}"
             self._log(level, text, now_ns)
         if changed or now_ns - self._diagnostics_ns >= DIAGNOSTICS_PERIOD_NS:

@@ -18,6 +18,8 @@ from steerd.vesc_link.identity import AppConf, FwVersion
 from steerd.vesc_link.telemetry import Imu, Values
 from steerd.vesc_link.vesc import Answer, Drive
 
+ALARM = (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
+"""States that are an error."""
 CLOCK_KINDS = tuple(ClockKind)
 _NO_REPORT = ControlReport(*(nan,) * len(ControlReport._fields))
 _COUNTS = attrgetter("tachometer_abs", "fault", "status")
@@ -146,13 +148,8 @@ def make_diagnostics(
     stamp_ns: int,
 ) -> DiagnosticArray:
     """State, why it is so, what it waits for, warnings: for `steerd status` and for viewers."""
-    level = (
-        2 if supervisor.state in (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED) else 0
-    )
-    level = 2 if supervisor.state is SupervisorState.ESTOP else level
     warnings = [finding.text for finding in findings if finding.known]
-    if warnings and level == 0:
-        level = 1
+    level = 2 if supervisor.state in ALARM else int(bool(warnings))
     values = {
         "state": supervisor.state.name,
         "reason": action.reason,

@@ -6,7 +6,7 @@ from itertools import count
 from pathlib import Path
 
 from steerd.daemon.assembly.build import RunPlan, make_world_config
-from steerd.daemon.assembly.session_meta import default_session_path, make_metadata
+from steerd.daemon.assembly.session_meta import choose_session_path, make_metadata
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.translate import make_session_error, reading
@@ -97,10 +97,8 @@ def _learn_beside(
     from steerd.daemon.learning.feed import make_feed, make_record, wiring_of
     from steerd.daemon.learning.proposing import Proposals, make_proposer
 
-    feed, numbers = (
-        make_feed(plan.settings.file, wiring_of(EPOCH_NS, plan.settings.scaling)),
-        count(),
-    )
+    feed = make_feed(plan.settings.file, wiring_of(EPOCH_NS, plan.settings.scaling))
+    numbers = count()
     if plan.learnt is not None:
         feed.proposals = Proposals(make_proposer(plan.learnt, compute_table), propose)
 
@@ -119,12 +117,7 @@ def run_fast(plan: RunPlan) -> int:
         raise SteerdError("--fast needs an end", "add --duration 30", ExitCode.USAGE)
     clock = MonotonicClock()
     began = clock.now_ns()
-    record = plan.options.record
-    path = (
-        Path(record)
-        if record
-        else default_session_path(plan.options.car, clock.realtime_ns(), began)
-    )
+    path = choose_session_path(plan.options, clock.realtime_ns(), began)
     board, duration = Dashboard(""), plan.options.duration_s
 
     def see(records: list[PipeRecord], t_ns: int) -> None:

@@ -13,11 +13,12 @@ import select
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.ipc.signals import ignore_terminal_signals
 
 CORE = "steerd.daemon.process.core_process"
 """Module of the control core, which takes longest to load."""
@@ -127,3 +128,11 @@ def receive_job() -> Job | None:
         return None
     names, _, about = data.partition(b"\n")
     return Job(dict(zip(json.loads(names), numbers, strict=True)), json.loads(about))
+
+
+def run_child(serve: Callable[[Job], int], nice: int = 0) -> int:
+    """Entry of a process that ends when its pipe closes: its job's exit code, 0 without a job."""
+    ignore_terminal_signals()
+    os.nice(nice)
+    given = receive_job()
+    return 0 if given is None else serve(given)

@@ -20,10 +20,9 @@ from typing import Any
 
 from steerd.daemon.ipc.pipe_records import PipeRecord, ReportPipe, unpack_records
 from steerd.daemon.ipc.requests import REQUEST_MAX, make_badge, pack_request
-from steerd.daemon.ipc.signals import ignore_terminal_signals
 from steerd.daemon.loop.lease import VALID_MS
 from steerd.daemon.process.bus_operator import STOPS
-from steerd.daemon.process.child import receive_job
+from steerd.daemon.process.child import Job, run_child
 from steerd.daemon.process.views import Views
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions, decode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
@@ -98,11 +97,6 @@ class RosDrive:
     """
 
     def __init__(self, bus: Bus, domain: int, boot_id: int) -> None:
-        """Listen.
-
-        Raises:
-            ValueError: the domain is invalid.
-        """
         key = make_ros_key(domain, DRIVE_NAME, AckermannDriveStamped).rpartition("/")[0]
         topic = Topic(DRIVE_NAME, AckermannDriveStamped, Direction.IN)
         # ROS 2 Humble writes no hash of the type
@@ -244,11 +238,8 @@ def run_gateway(
             return
 
 
-def main() -> int:
-    """Process entry."""
-    ignore_terminal_signals()
-    if (job := receive_job()) is None:
-        return 0
+def serve_job(job: Job) -> int:
+    """Serve until the core's pipe closes; the exit code."""
     options, core = decode_options(job.about["options"]), socket.socket(fileno=job.fds["requests"])
     pose_key = find_pose_key(options)
     core.setblocking(False)
@@ -285,4 +276,4 @@ def find_pose_key(options: RunOptions) -> str | None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_child(serve_job))

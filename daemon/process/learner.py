@@ -6,9 +6,7 @@ without it goes on.
 
 # Why: docs/decisions/processes-and-time.md#d79
 
-import contextlib
 import os
-import socket
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,11 +17,11 @@ from steerd.controller.build import compute_table
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.common.written import write_output, write_whole
 from steerd.daemon.ipc.pipe_records import Gaps, PipeWriter, pack_record, unpack_records
-from steerd.daemon.ipc.signals import ignore_terminal_signals
+from steerd.daemon.ipc.requests import make_sender
 from steerd.daemon.learning.feed import Feed, Wiring, make_feed, make_record, read_memory
 from steerd.daemon.learning.kept import About, Keeper
 from steerd.daemon.learning.proposing import Proposals, make_proposer
-from steerd.daemon.process.child import receive_job
+from steerd.daemon.process.child import Job, run_child
 from steerd.daemon.settings.run_options import decode_options
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import CodecError, decode
@@ -112,27 +110,17 @@ def make_keeper(job: Mapping[str, Any]) -> Keeper | None:
 
 
 def _make_proposals(options: str, fd: int) -> Proposals:
-    """Proposals to the core's end of a socket; one that does not fit is dropped.
+    """Proposals to the core's end of a socket.
 
     Raises:
         SteerdError: the plan cannot be made again, as the core could.
     """
-    core = socket.socket(fileno=fd)
-    core.setblocking(False)
-
-    def send(data: bytes, _t_ns: int) -> None:
-        with contextlib.suppress(OSError):
-            core.send(data)
-
-    held = make_plan(decode_options(options)).learnt
-    return Proposals(make_proposer(held, compute_table), send)
+    send, held = make_sender(fd), make_plan(decode_options(options)).learnt
+    return Proposals(make_proposer(held, compute_table), lambda data, _t_ns: send(data))
 
 
-def main() -> int:
-    """Process entry."""
-    ignore_terminal_signals()
-    if (given := receive_job()) is None:
-        return 0
+def serve_job(given: Job) -> int:
+    """Learn until the pipe closes; the exit code."""
     job, fds = given.about, given.fds
     try:
         feed = make_learner_feed(job)
@@ -152,4 +140,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_child(serve_job))

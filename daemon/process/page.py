@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from steerd.daemon.ipc.operator import read_lab
-from steerd.daemon.ipc.signals import ignore_terminal_signals
-from steerd.daemon.process.child import Job, receive_job
+from steerd.daemon.process.child import Job, run_child
 from steerd.daemon.process.page_link import CarView, PageOperator
 from steerd.daemon.process.secret_server import ConnectionClosed, SecretServer, ServerConnection
 from steerd.steer_bus.bus import BusError
@@ -119,12 +118,8 @@ async def _serve_child(given: Job) -> None:
         await run_page(view, make_page(job), job["port"], given.say_ready, ended)
 
 
-def main() -> int:
-    """Process entry."""
-    ignore_terminal_signals()
-    os.nice(_NICE)
-    if (given := receive_job()) is None:
-        return 0
+def serve_job(given: Job) -> int:
+    """Show the page until its lifeline closes; the exit code."""
     try:
         asyncio.run(_serve_child(given))
     except (BusError, OSError) as error:
@@ -136,4 +131,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_child(serve_job, _NICE))

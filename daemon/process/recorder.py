@@ -17,8 +17,7 @@ from typing import Any
 
 from steerd.daemon.common.screen import describe_holes
 from steerd.daemon.ipc.pipe_records import Gaps, PipeRecord, ReportPipe, unpack_records
-from steerd.daemon.ipc.signals import ignore_terminal_signals
-from steerd.daemon.process.child import receive_job
+from steerd.daemon.process.child import Job, run_child
 from steerd.daemon.process.views import Views
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.session import FLUSH_NS, AttachedFile, SessionWriter
@@ -167,11 +166,8 @@ def _sync(writer: SessionWriter) -> None:
         return  # the writing thread meets the same error and reports it
 
 
-def main() -> int:
-    """Process entry."""
-    ignore_terminal_signals()
-    if (job := receive_job()) is None:
-        return 0
+def serve_job(job: Job) -> int:
+    """Record until the pipe closes; the exit code."""
     meta, reports = job.about, ReportPipe(job.fds.get("reports"))
     disk_free_min = int(meta["disk_free_min"])
     try:
@@ -197,4 +193,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_child(serve_job))

@@ -10,15 +10,14 @@ live parameters. The viewer's end is reported and changes nothing else.
 import asyncio
 import contextlib
 import os
-import socket
 import sys
 from collections.abc import Callable
 
 from foxglove.messages import FrameTransforms, SceneUpdate  # noqa: TID251
 
-from steerd.daemon.ipc.pipe_records import PipeRecord, unpack_records
-from steerd.daemon.ipc.signals import ignore_terminal_signals
-from steerd.daemon.process.child import Job, receive_job
+from steerd.daemon.ipc.pipe_records import Gaps, PipeRecord, unpack_records
+from steerd.daemon.ipc.requests import make_sender
+from steerd.daemon.process.child import Job, run_child
 from steerd.daemon.process.secret_server import SecretServer
 from steerd.daemon.process.view_scene import (
     Body,
@@ -59,17 +58,16 @@ class Viewer:
     """One car's messages, and what is drawn of them.
 
     Attributes:
-        missed: messages that the pipe had no room for.
+        gaps: messages that the pipe had no room for.
     """
 
     def __init__(self, car: str, body: Body, lane: LaneLines, server: ViewServer) -> None:
         self._car, self._server = car, server
         self._body, self._lane = body, make_lane_scene(lane)
         self._views = Views()
-        self._seen: dict[str, int] = {}
         self._scene_due_ns = self._lane_due_ns = 0
         self._buffer = bytearray()
-        self.missed = 0
+        self.gaps = Gaps()
 
     def read(self, data: bytes) -> None:
         """Show what has come through the pipe."""
@@ -80,8 +78,7 @@ class Viewer:
     def show(self, record: PipeRecord) -> None:
         """Pass one record on, with what is drawn of it."""
         name = record.topic.name
-        self.missed += record.sequence - self._seen.get(name, record.sequence - 1) - 1
-        self._seen[name] = record.sequence
+        self.gaps.take(record)
         for each in (record, *self._views.convert(record)):
             if each.topic.on_bus:
                 topic = make_session_topic(self._car, each.topic)
@@ -146,29 +143,19 @@ async def run_viewer(given: Job) -> int:
     asyncio.get_running_loop().add_reader(pipe_fd, read)
     await ended.wait()
     server.close()
-    return viewer.missed
+    return viewer.gaps.missed
 
 
 def _make_ask(fd: int | None) -> Callable[[str], object] | None:
-    """Sends a setting to the run's terminal; what does not fit is dropped."""
+    """Sends a setting to the run's terminal."""
     if fd is None:
         return None
-    terminal = socket.socket(fileno=fd)
-    terminal.setblocking(False)
-
-    def ask(text: str) -> None:
-        with contextlib.suppress(OSError):
-            terminal.send(text.encode())
-
-    return ask
+    send = make_sender(fd)
+    return lambda text: send(text.encode())
 
 
-def main() -> int:
-    """Process entry."""
-    ignore_terminal_signals()
-    os.nice(_NICE)
-    if (given := receive_job()) is None:
-        return 0
+def serve_job(given: Job) -> int:
+    """Show the car until the pipe closes; the exit code."""
     try:
         missed = asyncio.run(run_viewer(given))
     except OSError as error:
@@ -181,4 +168,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_child(serve_job, _NICE))

@@ -235,7 +235,7 @@ def _fall_back(plan: "RunPlan") -> int:
 
 def _run_live(plan: "RunPlan", core: Prepared) -> tuple[int, str]:
     """Drive in real time; the exit code, and why the car was stopped."""
-    from steerd.daemon.assembly.session_meta import default_session_path
+    from steerd.daemon.assembly.session_meta import choose_session_path
     from steerd.daemon.ipc.operator import Operator
     from steerd.daemon.process.children import start_processes
     from steerd.daemon.terminal.dashboard import Dashboard, closing_lines
@@ -244,12 +244,7 @@ def _run_live(plan: "RunPlan", core: Prepared) -> tuple[int, str]:
 
     clock, boot_id = MonotonicClock(), secrets.randbits(63)
     epoch_ns = clock.realtime_ns() - clock.now_ns()
-    record = plan.options.record
-    session = (
-        Path(record)
-        if record
-        else default_session_path(plan.options.car, clock.realtime_ns(), boot_id)
-    )
+    session = choose_session_path(plan.options, clock.realtime_ns(), boot_id)
     leased = plan.settings.deadman and not plan.options.simulated
     processes = start_processes(plan, session, boot_id, epoch_ns, leased, core)
     for line in processes.core_report.get("realtime", ()):

@@ -95,7 +95,7 @@ def test_a_viewer_counts_what_the_pipe_dropped():
     while data := os.read(read_fd, 1000):
         viewer.read(data)
     os.close(read_fd)
-    assert viewer.missed == 2
+    assert viewer.gaps.missed == 2
 
 
 def test_every_topic_has_a_channel_with_its_schema():
