@@ -84,7 +84,7 @@ def check_flags(flags: int) -> Iterator[str]:
 def check_controller(alive: bool) -> Iterator[str]:
     """Failure of an external controller."""
     if not alive:
-        yield "no commands from a controller: start `steerd control` or `steerd teleop`"
+        yield "no commands from a controller: start `steerd control`, `steerd teleop` or /drive"
 
 
 def check_lane(e1: float, e2: float, thresholds: Thresholds) -> Iterator[str]:

@@ -97,6 +97,7 @@ def steer(endpoint):
             x, y = pose.position.x, pose.position.y - RADIUS
             yaw = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
             turned = math.remainder(yaw - math.atan2(x, -y), 2.0 * math.pi)
+            turned += COG_AHEAD / RADIUS  # on a circle the body points out of it
             angle = WHEELBASE / RADIUS + 0.8 * (math.hypot(x, y) - RADIUS) - turned
             publisher.send(pack_drive(angle, SPEED))
 
