@@ -193,7 +193,7 @@ class NatNetReceiver:
         self._backlog_dropped += len(old)
         return [item for i, item in enumerate(queue) if i not in old]
 
-    def on_timer(self, t_ns: int) -> list[Pose]:
+    def on_timer(self, t_ns: int) -> None:
         """Send what the session wants; open the data socket when the server named its port."""
         for datagram in self.source.on_timer(t_ns):
             try:
@@ -203,7 +203,6 @@ class NatNetReceiver:
         info = self.source.info
         if info is not None:
             self._follow(info, t_ns)
-        return []
 
     def _follow(self, info: ServerInfo, t_ns: int) -> None:
         want = (info.data_port, info.group, self.source.unicast)
@@ -296,17 +295,16 @@ class VrpnReceiver:
             self._after_session()
         return samples
 
-    def on_timer(self, t_ns: int) -> list[Pose]:
-        """Connect, ping, send; returns nothing, poses come with reads."""
+    def on_timer(self, t_ns: int) -> None:
+        """Connect, ping, send; poses come with reads."""
         if self._sock is None:
             if t_ns >= self._due:
                 self._connect(t_ns)
         elif not self.source.up:
-            self._finish_connect(t_ns)
+            self._finish_connect(self._sock, t_ns)
         self._out += self.source.on_timer(t_ns)
         self._after_session()
         self._flush()
-        return []
 
     def _connect(self, t_ns: int) -> None:
         self._deadline = t_ns + self.connect_timeout_ns
@@ -323,15 +321,13 @@ class VrpnReceiver:
             return
         self._begin()
 
-    def _finish_connect(self, t_ns: int) -> None:
-        if self._sock is None:
-            return
-        code = self._sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+    def _finish_connect(self, sock: socket.socket, t_ns: int) -> None:
+        code = sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         if code:
             self._close(f"no connection to {self._server[0]}: {os.strerror(code)}")
             return
         try:
-            self._sock.getpeername()
+            sock.getpeername()
         except OSError:
             if t_ns > self._deadline:
                 self._close(f"{self._server[0]} does not answer on port {self._server[1]}")

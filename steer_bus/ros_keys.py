@@ -72,7 +72,7 @@ def make_publisher_token(
         ValueError: on a bad domain.
     """
     ids = f"{check_domain(domain)}/{zid}/{_NODE_ID}/{entity}"
-    name = mangle("/" + topic.strip("/"))
+    name = f"/{topic.strip('/')}".replace("/", _NONE)
     said = f"{name}/{dds_type(cls)}/{type_hash(cls)}/{QOS}"
     return f"{_SPACE}/{ids}/MP/{_NONE}/{_NONE}/{node}/{said}"
 
@@ -80,8 +80,3 @@ def make_publisher_token(
 def make_gid(token: str) -> bytes:
     """The 16 bytes by which ROS knows a publisher: XXH3-128 of its token, low half first."""
     return xxhash.xxh3_128_intdigest(token.encode()).to_bytes(16, "little")
-
-
-def mangle(name: str) -> str:
-    """A name as one chunk of a key."""
-    return name.replace("/", _NONE)

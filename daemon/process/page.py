@@ -11,13 +11,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from steerd.daemon.ipc.operator import read_lab
+from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.ipc.operator import connect
 from steerd.daemon.process.child import Job, run_child
 from steerd.daemon.process.page_link import CarView, PageOperator
 from steerd.daemon.process.secret_server import ConnectionClosed, SecretServer, ServerConnection
-from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.clock import MonotonicClock
-from steerd.steer_bus.zenoh_bus import ZenohBus, make_spoke_profile
 from steerd.sysid.report.page import render_page
 
 HOST = "127.0.0.1"
@@ -100,20 +99,10 @@ async def run_page(
         await server.wait_closed()
 
 
-def join(job: Mapping[str, Any]) -> ZenohBus:
-    """Join the car's bus.
-
-    Raises:
-        BusError: nobody answers.
-    """
-    lab = read_lab(Path(job["lab"])) if job["lab"] else None
-    return ZenohBus(make_spoke_profile(job["endpoint"], lab))
-
-
 async def _serve_child(given: Job) -> None:
     ended, job = asyncio.Event(), given.about
     asyncio.get_running_loop().add_reader(given.fds["lifeline"], ended.set)
-    with join(job) as bus:
+    with connect(job["endpoint"], None) as bus:
         view = CarView(bus, job["car"], MonotonicClock())
         await run_page(view, make_page(job), job["port"], given.say_ready, ended)
 
@@ -122,7 +111,7 @@ def serve_job(given: Job) -> int:
     """Show the page until its lifeline closes; the exit code."""
     try:
         asyncio.run(_serve_child(given))
-    except (BusError, OSError) as error:
+    except (SteerdError, OSError) as error:
         with contextlib.suppress(OSError):
             given.say_ready(f"--page {given.about['port']}: {error}")
         return 3

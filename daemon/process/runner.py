@@ -289,8 +289,7 @@ class Runner:
         seen = self._core.loop.perception
         self._mocap.ingest.wheel_speed = seen.wheel_speed if seen.telemetry else None
         self._mocap.ingest.stationary = seen.may_rebase
-        samples = self._mocap.on_timer(self._clock.now_ns())
-        self._on_poses(samples or [])
+        self._mocap.on_timer(self._clock.now_ns())
         source = self._core.source = self._mocap.status()
         self._core.flags &= ~Flag.MOCAP_REFUSED
         self._core.flags |= Flag.MOCAP_REFUSED if source.refused else 0

@@ -35,7 +35,6 @@ def make_page_job(plan: "RunPlan") -> dict[str, Any]:
     car = plan.settings.file.car
     return {
         "endpoint": plan.options.listen,
-        "lab": "",
         "car": plan.options.car,
         "port": plan.options.page,
         **_lane(plan.path, plan.settings.thresholds.lateral),
