@@ -88,9 +88,8 @@ class Runner:
         self._clock = clock
         self._open_port = open_port
         self._mocap = mocap
-        self._links = links
+        self._set_links(links)
         self._parent = links.requests[0] if links.requests else None
-        self._always: tuple[CoreLinks, tuple[int, ...]] | None = None
         self._guard = guard
         self._port: Port | None = None
         self._period_ns = core.loop.setup.period_ns
@@ -155,7 +154,7 @@ class Runner:
         socketed = None if isinstance(self._mocap, BusPoseSource) else self._mocap
         while True:
             left_ns = due_ns - self._clock.now_ns()
-            fds = [*self._lasting_fds()]
+            fds = [*self._always]
             if self._port is not None:
                 fds.append(self._port.fd)
             if socketed is not None:
@@ -166,13 +165,10 @@ class Runner:
             if left_ns <= 0 or early_ns <= self._pose_ns:
                 return
 
-    def _lasting_fds(self) -> tuple[int, ...]:
-        """What is waited for in every tick, stop signals and requests: as long as its links."""
-        links, known = self._links, self._always
-        if known is None or known[0] is not links:
-            known = links, (links.stop_fd, *(end.fileno() for end in links.requests))
-            self._always = known
-        return known[1]
+    def _set_links(self, links: CoreLinks) -> None:
+        """Use these links; stop signals and requests are waited for in every tick."""
+        self._links = links
+        self._always = (links.stop_fd, *(end.fileno() for end in links.requests))
 
     def _try(self, take: Callable[[int], None], what: int) -> None:
         """Handle an input; an unexpected exception stops the car (W29)."""
@@ -231,7 +227,7 @@ class Runner:
         else:
             self._core.flags |= Flag.GATEWAY_LOST
         end.close()
-        self._links = replace(self._links, requests=rest)
+        self._set_links(replace(self._links, requests=rest))
 
     def _read_designs(self, now_ns: int) -> None:
         """The newest of a few proposals a tick: a flood of them waits in the socket."""

@@ -77,6 +77,10 @@ class Settings:
     record: RecordSettings
 
 
+JUMP_SDS = 7.0
+"""Standard deviations of a pose by which two may differ: five of their difference."""
+
+
 def load_settings(path: Path | str, speed: float | None = None) -> Settings:
     """Read a car file and check every section.
 
@@ -100,13 +104,19 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
     read = partial(_read, car_file)
     scaling = read("vesc", lambda table: _convert(_split(table)[1], Scaling))
     frame, noise = read("mocap", read_frame), read("estimator", load_filter_config)
+    usual = GateConfig()
+    gates = replace(
+        usual,
+        jump_slack=max(usual.jump_slack, JUMP_SDS * noise.pose_position_sd),
+        yaw_slack=max(usual.yaw_slack, JUMP_SDS * noise.pose_yaw_sd),
+    )
     safety = read("safety", dict)
     deadman = bool(safety.pop("deadman", True))
     settings = Settings(
         file=car_file,
         scaling=scaling,
         brakes=read("vesc", lambda table: _check_brakes(_convert(_split(table)[0], BrakeSettings))),
-        ingest=IngestConfig(replace(frame, cog_ahead_of_rear=car_file.car.lr), _gates(noise)),
+        ingest=IngestConfig(replace(frame, cog_ahead_of_rear=car_file.car.lr), gates),
         limits=read("limits", lambda table: _limits(car_file, scaling, table)),
         controller=_at_speed(car_file, speed),
         filter=noise,
@@ -261,8 +271,6 @@ def _record(table: Mapping[str, Any]) -> RecordSettings:
     return record
 
 
-JUMP_SDS = 7.0
-"""Standard deviations of a pose by which two may differ: five of their difference."""
 FRAME_ANGLES = ("world_yaw", "mount_yaw")
 """Of a `FrameConfig`; tables give them in degrees, as `NAME_deg`."""
 
@@ -279,16 +287,6 @@ def read_frame(table: Mapping[str, Any]) -> FrameConfig:
         value = values.pop(name)
         values[angles[name]] = radians(value) if isinstance(value, int | float) else value
     return _convert(values, FrameConfig)
-
-
-def _gates(noise: FilterConfig) -> GateConfig:
-    """Gates that let the noise of two poses pass: a localiser's is more than mocap's."""
-    usual = GateConfig()
-    return replace(
-        usual,
-        jump_slack=max(usual.jump_slack, JUMP_SDS * noise.pose_position_sd),
-        yaw_slack=max(usual.yaw_slack, JUMP_SDS * noise.pose_yaw_sd),
-    )
 
 
 def _limits(car_file: CarFile, scaling: Scaling, table: Mapping[str, Any]) -> Limits:

@@ -98,10 +98,6 @@ def make_options(args: argparse.Namespace) -> RunOptions:
             raise SteerdError(what, hint, ExitCode.USAGE)
     if args.view:
         check_view(args.view, args.insecure_lan, sets=args.view_sets)
-    if args.page is not None:
-        from steerd.daemon.process.view_job import check_page
-
-        check_page(str(args.lab or ""), "" if args.listen == "" else "bus")
     given = {
         each.name: getattr(args, each.name) for each in fields(RunOptions) if each.name in args
     }
@@ -139,12 +135,14 @@ def _list_conflicts(args: argparse.Namespace) -> Iterator[tuple[bool, str, str]]
     page = args.page is not None
     yield page and args.fast, "--page shows a drive as it happens", "drop --fast"
     yield page and not 0 <= args.page < 65536, f"--page {args.page}: a port, 0 to 65535", ""
+    yield page and args.listen == "", "--page needs the bus", "drop --listen ''"
+    what = "--page: in a lab the page runs where the operator sits"
+    yield page and args.lab is not None, what, "steerd page --lab DIR, with an operator's folder"
     domain = args.ros_domain
     wrong = domain is not None and not 0 <= domain <= DOMAIN_MAX
     yield wrong, f"--ros-domain {domain}: 0 to {DOMAIN_MAX}", ""
     what = "the hub of a lab passes steerd's own topics only, not those of ROS"
-    ros = domain is not None or args.controller == ControllerKind.ROS2
-    ros = ros or str(args.mocap).startswith("ros2:")
+    ros = domain is not None or "ros2" in (args.controller, str(args.mocap).partition(":")[0])
     yield ros and args.lab is not None, what, "drop --lab, or --ros-domain and what is ros2"
     yield args.adapt and not args.learn, "--adapt follows what is learnt", "add --learn"
     what = "--adapt is about the lane keeper, and another program drives"

@@ -373,7 +373,8 @@ def test_a_port_comes_back_after_an_emergency_stop_at_rest(plan, state, still_ns
 def test_the_end_of_the_gateway_is_no_second_signal(plan):
     r = make_runner(plan)
     parent, gateway = SimpleNamespace(close=lambda: None), SimpleNamespace(close=lambda: None)
-    r.it._links, r.it._parent = replace(r.it._links, requests=(parent, gateway)), parent
+    r.it._set_links(replace(r.it._links, requests=(parent, gateway)))
+    r.it._parent = parent
     r.it._close_requests(parent)
     r.it._close_requests(gateway)
     assert r.it.signals == 1
