@@ -97,12 +97,12 @@ def decode_ros_pose(payload: bytes, t_arrival_ns: int) -> Pose:
     """
     for kind in _ROS_POSES:
         try:
-            told: Any = decode(kind, payload)
+            sent: Any = decode(kind, payload)
         except CodecError:
             continue
-        pose = told.pose if kind is standard.PoseStamped else told.pose.pose
+        pose = sent.pose if kind is standard.PoseStamped else sent.pose.pose
         p, q = pose.position, pose.orientation
-        ticks, frame = standard.stamp_ns(told.header), told.header.frame_id
+        ticks, frame = standard.stamp_ns(sent.header), sent.header.frame_id
         return Pose(
             frame, None, ticks if ticks > 0 else None, None, t_arrival_ns,
             (p.x, p.y, p.z), (q.w, q.x, q.y, q.z),

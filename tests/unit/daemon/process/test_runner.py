@@ -372,7 +372,7 @@ def test_a_port_comes_back_after_an_emergency_stop_at_rest(plan, state, still_ns
 
 def test_the_end_of_the_gateway_is_no_second_signal(plan):
     r = make_runner(plan)
-    parent, gateway = SimpleNamespace(close=lambda: None), SimpleNamespace(close=lambda: None)
+    parent, gateway = (SimpleNamespace(close=lambda: None, fileno=lambda: 0) for _ in range(2))
     r.it._set_links(replace(r.it._links, requests=(parent, gateway)))
     r.it._parent = parent
     r.it._close_requests(parent)
