@@ -170,7 +170,7 @@ def chosen(commands):
 
 HARDWARE_LINES = [p.values[0] for p in command_lines() if kind_of(p.values[0]) == "hardware"]
 ELSEWHERE = [c for c in HARDWARE_LINES if re.search("vrpn:|zenoh|ros2", c)]
-"""Driven by tests/e2e/test_live.py and test_ros.py, with programs beside them that the pages do not show."""
+"""Driven by test_live.py and test_ros.py, with programs beside them that the pages do not show."""
 DRIVEN = chosen([c for c in HARDWARE_LINES if c not in ELSEWHERE])
 
 
