@@ -48,17 +48,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class GapOptions:
-    """What is looked for.
+    """What is looked for."""
 
-    Attributes:
-        only: effects to look at; empty for the library.
-        without: effects to leave out.
-        pairs: whether two causes together are tried.
-    """
-
-    only: Sequence[str] = ()
-    without: Sequence[str] = ()
-    pairs: bool = True
+    only: Sequence[str] = ()  # effects to look at; empty for the library
+    without: Sequence[str] = ()  # effects to leave out
+    pairs: bool = True  # whether two causes together are tried
 
 
 @dataclass(frozen=True, eq=False)

@@ -194,24 +194,8 @@ def _sections(found: Diagnosis, to_drive: str) -> Iterator[Section]:
     if found.candidates:
         yield Section("Which effect", _which(found), figures=[candidates])
     if found.causes:
-        rows = [
-            (
-                cause.effect,
-                cause_words(cause),
-                f"{cause.confidence:.0%}",
-                "{0.summary}: {0.equation}".format(EFFECTS[cause.effect]).replace("->", "→"),
-                ambiguity(cause) or "nothing",
-            )
-            for cause in found.causes
-        ]
-        heads = ("effect", "value ± sd", "confidence", "what it is", "not distinguishable from")
-        other = f"Something else than the library: {found.something_else:.0%}."
-        yield Section("How sure", other, table=Table(heads, rows, words=(1, 3, 4)))
-        yield Section(
-            "How far the gap shrinks",
-            f"Adding the effect: {shrink_words(found)}.",
-            figures=[Diagrams(figures.plot_shrinkage, 1.35, [found.shrinkage])],
-        )
+        shrinks = Diagrams(figures.plot_shrinkage, 1.35, [found.shrinkage])
+        yield from _cause_sections(found, shrinks)
     if lane is not None:
         yield Section(
             "Lane keeping, driven again",
@@ -229,6 +213,26 @@ def _sections(found: Diagnosis, to_drive: str) -> Iterator[Section]:
     )
     text = _sentence(f"to drive: {to_drive}")
     yield Section("What next", text + typed if found.causes else f"{text} ")
+
+
+def _cause_sections(found: Diagnosis, shrinks: "Diagrams") -> Iterator[Section]:
+    """How sure the causes are, and how far they shrink the gap."""
+    rows = [
+        (
+            cause.effect,
+            cause_words(cause),
+            f"{cause.confidence:.0%}",
+            "{0.summary}: {0.equation}".format(EFFECTS[cause.effect]).replace("->", "→"),
+            ambiguity(cause) or "nothing",
+        )
+        for cause in found.causes
+    ]
+    heads = ("effect", "value ± sd", "confidence", "what it is", "not distinguishable from")
+    other = f"Something else than the library: {found.something_else:.0%}."
+    yield Section("How sure", other, table=Table(heads, rows, words=(1, 3, 4)))
+    yield Section(
+        "How far the gap shrinks", f"Adding the effect: {shrink_words(found)}.", figures=[shrinks]
+    )
 
 
 def _sentence(text: str) -> str:
