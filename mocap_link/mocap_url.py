@@ -1,25 +1,45 @@
-"""The one string that names a mocap source: `natnet://...`, `vrpn://...` or `zenoh:KEY`."""
+"""The one string that names a mocap source: `natnet://`, `vrpn://`, `ros2:///` or `zenoh:`."""
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from urllib.parse import parse_qsl, unquote, urlsplit
 
+from steerd.mocap_link.frame import FrameConfig
+
 DEFAULT_PORTS = {"natnet": 1510, "vrpn": 3883}
-_FORMS = "natnet://HOST[:PORT]/BODY?up=y, vrpn://HOST[:PORT]/BODY or zenoh:KEY"
+_FORMS = "natnet://HOST[:PORT]/BODY?up=y, vrpn://HOST[:PORT]/BODY, ros2:///TOPIC or zenoh:KEY"
+_ON_BUS = {
+    "zenoh": (
+        r"([^/]+(?:/[^/]+)*)",
+        "a zenoh key is like zenoh:lab/pose/car, without outer slashes",
+    ),
+    "ros2": (r"///([A-Za-z_]\w*(?:/[A-Za-z_]\w*)*)", "a topic is like ros2:///pf/pose/odom"),
+}
+"""What follows the colon where poses come over the bus, and what is right."""
 
 
 @dataclass(frozen=True, slots=True)
 class MocapUrl:
     """A parsed source address."""
 
-    scheme: str  # `natnet`, `vrpn` or `zenoh`
-    host: str = ""  # server name or address; empty for zenoh
-    port: int = 0  # command port (NatNet) or TCP port (VRPN); 0 for zenoh
-    body: str = ""  # body name, or `id:42` (NatNet); empty for zenoh
-    key: str = ""  # key expression (zenoh only)
+    scheme: str  # `natnet`, `vrpn`, `ros2` or `zenoh`
+    host: str = ""  # server name or address; empty for the bus
+    port: int = 0  # command port (NatNet) or TCP port (VRPN); 0 for the bus
+    body: str = ""  # body name, or `id:42` (NatNet); empty for the bus
+    key: str = ""  # on the bus: a key expression (zenoh), or a topic without its domain (ros2)
     up: str | None = None  # the vendor's up axis, `y` or `z`; None leaves it to the configuration
     # True or False forces it; None follows what the server says (NatNet)
     unicast: bool | None = None
     interface: str | None = None  # local address that joins the multicast group; None derives it
+
+    def apply(self, frame: FrameConfig) -> FrameConfig:
+        """The frame with what the address says of it: the up axis, and metres where it is ROS.
+
+        Raises:
+            ValueError: the up axis contradicts the body's forward axis.
+        """
+        units = "m" if self.scheme == "ros2" else frame.units
+        return replace(frame, up=self.up or frame.up, units=units)
 
 
 def parse_mocap_url(text: str) -> MocapUrl:
@@ -28,9 +48,9 @@ def parse_mocap_url(text: str) -> MocapUrl:
     Raises:
         ValueError: the text does not name a source; the message says what is wrong with it.
     """
-    scheme, colon, rest = text.partition(":")
-    if colon and scheme == "zenoh":
-        return _parse_key(text, rest)
+    scheme, _, rest = text.partition(":")
+    if scheme in _ON_BUS:
+        return _parse_key(text, scheme, rest)
     if scheme not in DEFAULT_PORTS or not rest.startswith("//"):
         raise ValueError(f"mocap address {text!r}: expected {_FORMS}")
     parts = urlsplit(text)
@@ -58,12 +78,12 @@ def parse_mocap_url(text: str) -> MocapUrl:
     )
 
 
-def _parse_key(text: str, key: str) -> MocapUrl:
-    if not key or key.startswith("/") or key.endswith("/") or "//" in key:
-        raise ValueError(
-            f"mocap address {text!r}: a zenoh key is like zenoh:lab/pose/car, without outer slashes"
-        )
-    return MocapUrl("zenoh", key=key)
+def _parse_key(text: str, scheme: str, rest: str) -> MocapUrl:
+    form, right = _ON_BUS[scheme]
+    match = re.fullmatch(form, rest, re.ASCII)
+    if match is None:
+        raise ValueError(f"mocap address {text!r}: {right}")
+    return MocapUrl(scheme, key=match[1], up="z" if scheme == "ros2" else None)
 
 
 def _check_id(text: str, scheme: str, body: str) -> None:

@@ -335,10 +335,8 @@ def _write_model_def(model: ModelDef, version: Version) -> bytes:
     """Each body with the marker set of its name, as Motive sends them, and all markers' set."""
     items = []
     for body in model.rigid_bodies:
-        items += [
-            (_MARKER_SET, _write_marker_set(body.name)),
-            (_RIGID_BODY, _write_rigid_body(body, version)),
-        ]
+        items.append((_MARKER_SET, _write_marker_set(body.name)))
+        items.append((_RIGID_BODY, _write_rigid_body(body, version)))
     items.append((_MARKER_SET, _write_marker_set("all")))
     sized = version >= (4, 1)
     heads = (SECTION.pack(kind, len(item)) if sized else I32.pack(kind) for kind, item in items)

@@ -64,18 +64,11 @@ class NatNetSource:
     malformed_to_reconnect = 10
 
     def __init__(
-        self,
-        body: str,
-        server_ip: str,
-        config: IngestConfig,
-        *,
-        unicast: bool | None = None,
-        extra_latency_ns: int | None = None,
+        self, body: str, server_ip: str, config: IngestConfig, *, unicast: bool | None = None
     ) -> None:
         self.body = body
         self.server_ip = server_ip
         self.ingest = PoseIngest(config, SourceTiming(1, two_way=False))
-        self._extra_latency_ns = extra_latency_ns
         self._echo_resets = 0
         self._foreign_ip = ""
         self.info: natnet.ServerInfo | None = None
@@ -181,10 +174,8 @@ class NatNetSource:
 
     def _on_server_info(self, info: natnet.ServerInfo, t_ns: int) -> None:
         if not natnet.OLDEST_VERSION <= info.version < (5, 0):
-            self.refused = (
-                f"{info.name} speaks NatNet {info.version[0]}.{info.version[1]}; "
-                "steerd reads 2.9 to 4.x"
-            )
+            spoken = f"{info.version[0]}.{info.version[1]}"
+            self.refused = f"{info.name} speaks NatNet {spoken}; steerd reads 2.9 to 4.x"
             return
         if self.info == info and not self._connecting:
             return
@@ -199,9 +190,7 @@ class NatNetSource:
         self._model_due = self._keepalive_due = 0
         self._echoes.clear()
         self._note = f"connected to {info.name}"
-        extra = self._extra_latency_ns
-        if extra is None:
-            extra = DEFAULT_EXTRA_LATENCY_NS["natnet" if info.clock_hz else "natnet2"]
+        extra = DEFAULT_EXTRA_LATENCY_NS["natnet" if info.clock_hz else "natnet2"]
         hz = info.clock_hz or _LEGACY_TICKS_HZ
         self.ingest.timing = SourceTiming(hz, extra, two_way=bool(info.clock_hz))
         self._echo_resets = 0
@@ -236,16 +225,14 @@ class NatNetSource:
             self._note = f"following {self.body!r} (id {self._id})"
 
     def _on_frame(self, frame: Frame, t_ns: int) -> list[Pose]:
-        self._frame_seen_ns = t_ns
+        self._frame_seen_ns, bodies = t_ns, frame.rigid_bodies
         self._silence = ""
         self.counts["frames"] += 1
-        if frame.params & MODEL_CHANGED or any(
-            b.id not in self._known_ids for b in frame.rigid_bodies
-        ):
+        if frame.params & MODEL_CHANGED or any(b.id not in self._known_ids for b in bodies):
             self._model_wanted = True
         if frame.params & BITSTREAM_CHANGED:
             self._reconnect("the server changed its stream version")
-        mine = [b for b in frame.rigid_bodies if b.id == self._id]
+        mine = [b for b in bodies if b.id == self._id]
         if len(mine) > 1:
             self.refused = f"{len(mine)} bodies stream with id {self._id}"
         if self.refused is not None or len(mine) != 1:
@@ -261,18 +248,8 @@ class NatNetSource:
             # before 3.0 there are no ticks: seconds since start, taken as microseconds
             micros = frame.timestamp * 1e6
             source = round(micros) if 0.0 < micros < 2**63 else None
-        return Pose(
-            self.body,
-            frame.number,
-            source,
-            transmit,
-            t_ns,
-            body.position,
-            (w, x, y, z),
-            body.mean_error,
-            body.tracking_valid,
-            not frame.params & EDIT_MODE,
-        )
+        sent = self.body, frame.number, source, transmit, t_ns, body.position, (w, x, y, z)
+        return Pose(*sent, body.mean_error, body.tracking_valid, not frame.params & EDIT_MODE)
 
     def _reconnect(self, why: str) -> None:
         self._connecting = True

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from steerd.mocap_link.ingest import IngestConfig, PoseIngest
+from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.mocap_url import MocapUrl
 from steerd.mocap_link.natnet import FRAME_ID, ServerInfo, peek_id
 from steerd.mocap_link.natnet_client import NatNetSource, Socket
@@ -38,11 +38,7 @@ class HostClock:
 
 
 def make_receiver(
-    url: MocapUrl,
-    config: IngestConfig,
-    *,
-    clock: HostClock | None = None,
-    extra_latency_ns: int | None = None,
+    url: MocapUrl, config: IngestConfig, *, clock: HostClock | None = None
 ) -> "MocapReceiver":
     """Make the receiver that an address asks for; blocks while the host name is resolved.
 
@@ -50,24 +46,20 @@ def make_receiver(
         url: the address; its `up` goes before the configuration's.
         config: the pipeline.
         clock: the host's clocks, injected for tests.
-        extra_latency_ns: None takes the protocol's default.
 
     Raises:
-        ValueError: a zenoh address (feed `sessions.BusPoseSource` from the bus), or an up axis
+        ValueError: a zenoh address (feed `zenoh_pose.make_bus_source` from the bus), or an up axis
             that contradicts the body's forward axis.
         OSError: the host name does not resolve, or no socket can be made.
     """
-    if url.up is not None:
-        config = replace(config, frame=replace(config.frame, up=url.up))
+    config = replace(config, frame=url.apply(config.frame))
     clock = clock or HostClock()
     if url.scheme == "natnet":
         ip = resolve(url.host)
-        source = NatNetSource(
-            url.body, ip, config, unicast=url.unicast, extra_latency_ns=extra_latency_ns
-        )
+        source = NatNetSource(url.body, ip, config, unicast=url.unicast)
         return NatNetReceiver(source, url.port, clock, interface=url.interface)
     if url.scheme == "vrpn":
-        vrpn = VrpnSource(url.body, config, extra_latency_ns=extra_latency_ns)
+        vrpn = VrpnSource(url.body, config)
         return VrpnReceiver(vrpn, (resolve(url.host), url.port), clock)
     raise ValueError(f"{url.scheme} poses come over the bus, not over a socket")
 
@@ -144,7 +136,7 @@ class NatNetReceiver:
     def __init__(
         self, source: NatNetSource, port: int, clock: HostClock, *, interface: str | None = None
     ) -> None:
-        self.source = source
+        self.source, self.ingest = source, source.ingest
         self._server = (source.server_ip, port)
         self._clock = clock
         self.interface = interface or derive_interface(*self._server)
@@ -157,11 +149,6 @@ class NatNetReceiver:
         self._backlog_dropped = self._send_errors = 0
         self._fds: list[int] = []
         self._note_fds()
-
-    @property
-    def ingest(self) -> PoseIngest:
-        """The pipeline."""
-        return self.source.ingest
 
     def fds(self) -> list[int]:
         """Return the descriptors to poll for reading."""
@@ -206,7 +193,7 @@ class NatNetReceiver:
         self._backlog_dropped += len(old)
         return [item for i, item in enumerate(queue) if i not in old]
 
-    def on_timer(self, t_ns: int) -> list[Pose]:
+    def on_timer(self, t_ns: int) -> None:
         """Send what the session wants; open the data socket when the server named its port."""
         for datagram in self.source.on_timer(t_ns):
             try:
@@ -216,7 +203,6 @@ class NatNetReceiver:
         info = self.source.info
         if info is not None:
             self._follow(info, t_ns)
-        return []
 
     def _follow(self, info: ServerInfo, t_ns: int) -> None:
         want = (info.data_port, info.group, self.source.unicast)
@@ -254,12 +240,8 @@ class NatNetReceiver:
         """Describe the source now."""
         status = self.source.status()
         detail = f"{status.detail}; {self._data_error}" if self._data_error else status.detail
-        counts = {
-            **status.counts,
-            "backlog_dropped": self._backlog_dropped,
-            "socket_error": self._send_errors,
-        }
-        return replace(status, detail=detail, counts=counts)
+        more = {"backlog_dropped": self._backlog_dropped, "socket_error": self._send_errors}
+        return replace(status, detail=detail, counts={**status.counts, **more})
 
     def close(self) -> None:
         """Close the sockets."""
@@ -278,7 +260,7 @@ class VrpnReceiver:
     retry_last_ns = 5 * SECOND
 
     def __init__(self, source: VrpnSource, server: tuple[str, int], clock: HostClock) -> None:
-        self.source = source
+        self.source, self.ingest = source, source.ingest
         self._server = server
         self._clock = clock
         self._sock: socket.socket | None = None
@@ -286,11 +268,6 @@ class VrpnReceiver:
         self._due = self._deadline = 0
         self._retry_ns = self.retry_first_ns
         self._connects = 0
-
-    @property
-    def ingest(self) -> PoseIngest:
-        """The pipeline."""
-        return self.source.ingest
 
     def fds(self) -> list[int]:
         """Return the descriptor to poll for reading, if there is a connection."""
@@ -318,17 +295,16 @@ class VrpnReceiver:
             self._after_session()
         return samples
 
-    def on_timer(self, t_ns: int) -> list[Pose]:
-        """Connect, ping, send; returns nothing, poses come with reads."""
+    def on_timer(self, t_ns: int) -> None:
+        """Connect, ping, send; poses come with reads."""
         if self._sock is None:
             if t_ns >= self._due:
                 self._connect(t_ns)
         elif not self.source.up:
-            self._finish_connect(t_ns)
+            self._finish_connect(self._sock, t_ns)
         self._out += self.source.on_timer(t_ns)
         self._after_session()
         self._flush()
-        return []
 
     def _connect(self, t_ns: int) -> None:
         self._deadline = t_ns + self.connect_timeout_ns
@@ -345,15 +321,13 @@ class VrpnReceiver:
             return
         self._begin()
 
-    def _finish_connect(self, t_ns: int) -> None:
-        if self._sock is None:
-            return
-        code = self._sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+    def _finish_connect(self, sock: socket.socket, t_ns: int) -> None:
+        code = sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         if code:
             self._close(f"no connection to {self._server[0]}: {os.strerror(code)}")
             return
         try:
-            self._sock.getpeername()
+            sock.getpeername()
         except OSError:
             if t_ns > self._deadline:
                 self._close(f"{self._server[0]} does not answer on port {self._server[1]}")

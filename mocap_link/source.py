@@ -120,12 +120,6 @@ def _next_state(
     config: MonitorConfig, state: SourceState, age: int | None, connected: bool, ready: bool
 ) -> SourceState:
     fresh = age is not None and age <= config.stale_frames * config.period_ns
-    if (
-        fresh
-        and state is SourceState.OK
-        and config.stale_frames * config.period_ns <= config.lost_ns
-    ):
-        return state
     match state:
         case SourceState.CONNECTING:
             return SourceState.SYNCING if connected else state

@@ -74,16 +74,9 @@ def encode(message: Message) -> bytes:
     Raises:
         struct.error: a field does not fit 32 bits.
     """
-    payload = message.payload
-    head = _HEADER.pack(
-        _HEADER.size + len(payload),
-        message.sec,
-        message.usec,
-        message.sender,
-        message.type,
-        message.sequence,
-    )
-    return head + payload + bytes(-len(payload) % 8)
+    m, size = message, len(message.payload)
+    head = _HEADER.pack(_HEADER.size + size, m.sec, m.usec, m.sender, m.type, m.sequence)
+    return head + m.payload + bytes(-size % 8)
 
 
 def decode_stream(buffer: bytes | bytearray) -> tuple[list[Message], int]:

@@ -162,12 +162,9 @@ class VrpnClient:
 class VrpnSource:
     """A VRPN server's one body, from a byte stream to samples; survives reconnects."""
 
-    def __init__(
-        self, body: str, config: IngestConfig, *, extra_latency_ns: int | None = None
-    ) -> None:
-        extra = DEFAULT_EXTRA_LATENCY_NS["vrpn"] if extra_latency_ns is None else extra_latency_ns
+    def __init__(self, body: str, config: IngestConfig) -> None:
         self.client = VrpnClient(body)
-        self.ingest = PoseIngest(config, SourceTiming(TICKS_HZ, extra))
+        self.ingest = PoseIngest(config, SourceTiming(TICKS_HZ, DEFAULT_EXTRA_LATENCY_NS["vrpn"]))
         self.up = False
         self._old_counts: Counter[str] = Counter()
         self._why = "connecting"

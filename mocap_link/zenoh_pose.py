@@ -1,21 +1,28 @@
-"""External pose topic, schema v1: anything that can publish JSON can be the mocap system.
+"""Poses from the bus: schema v1, which anything that can publish JSON can send, and ROS 2.
 
 One JSON object per pose::
 
     {"v": 1, "body": "car", "t_src_ns": 123 | null, "seq": 7,
      "p": [x, y, z], "q": [w, x, y, z], "valid": true, "err": 0.0005 | null}
 
-`p` and `q` are in the publisher's units and axes, `t_src_ns` on the publisher's own clock. The
+`p` and `q` are in the publisher's units and axes, `t_src_ns` on the publisher's own clock. Of ROS
+localisers: Odometry, PoseStamped and PoseWithCovarianceStamped in CDR, as rmw_zenoh sends. The
 bus is not this module's business: bytes in, `Pose` out.
 """
 
-from typing import Annotated
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Annotated, Any
 
 import msgspec
 
 from steerd.mocap_link.ingest import IngestConfig, PoseIngest
+from steerd.mocap_link.mocap_url import MocapUrl
 from steerd.mocap_link.source import Pose, SourceStatus
 from steerd.mocap_link.timing import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
+from steerd.steer_bus import standard
+from steerd.steer_bus.codec import CodecError, decode
+from steerd.steer_bus.fields import message
 
 TICKS_HZ = 1_000_000_000
 MAX_PAYLOAD = 4096
@@ -25,7 +32,7 @@ _Count = Annotated[int, msgspec.Meta(ge=0, le=(1 << 63) - 1)]
 
 
 class PoseError(ValueError):
-    """A payload that is not a pose of schema v1."""
+    """A payload that is not a pose."""
 
 
 class _Pose(msgspec.Struct, frozen=True):
@@ -65,26 +72,63 @@ def decode_pose(payload: bytes, t_arrival_ns: int) -> Pose:
 
 def encode_pose(raw: Pose) -> bytes:
     """Encode one payload; NaN and infinity become null and will not decode."""
-    return _ENCODER.encode(
-        _Pose(
-            1,
-            raw.body,
-            raw.frame or 0,
-            raw.position,
-            raw.quaternion,
-            raw.source_ticks,
-            raw.tracking_valid,
-            raw.mean_error,
-        )
-    )
+    sent = raw.frame or 0, raw.position, raw.quaternion, raw.source_ticks
+    return _ENCODER.encode(_Pose(1, raw.body, *sent, raw.tracking_valid, raw.mean_error))
+
+
+@message("geometry_msgs/msg/PoseWithCovarianceStamped")
+class PoseWithCovarianceStamped:
+    """A pose with its covariance in a frame at a time."""
+
+    header: standard.Header
+    pose: standard.PoseWithCovariance
+
+
+_ROS_POSES = (standard.PoseStamped, PoseWithCovarianceStamped, standard.Odometry)
+
+
+def decode_ros_pose(payload: bytes, t_arrival_ns: int) -> Pose:
+    """Decode one ROS message [m]; its type is the one whose layout the bytes fill to the end.
+
+    A stamp that is not after 1970 is none.
+
+    Raises:
+        PoseError: it is none of the three.
+    """
+    for kind in _ROS_POSES:
+        try:
+            sent: Any = decode(kind, payload)
+        except CodecError:
+            continue
+        pose = sent.pose if kind is standard.PoseStamped else sent.pose.pose
+        p, q = pose.position, pose.orientation
+        ticks, frame = standard.stamp_ns(sent.header), sent.header.frame_id
+        return Pose(
+            frame, None, ticks if ticks > 0 else None, None, t_arrival_ns,
+            (p.x, p.y, p.z), (q.w, q.x, q.y, q.z),
+        )  # fmt: skip
+    what = "not an Odometry, a PoseStamped or a PoseWithCovarianceStamped"
+    raise PoseError(f"{len(payload)} bytes that are {what}: is it the right topic?")
+
+
+def make_bus_source(url: MocapUrl, config: IngestConfig) -> "BusPoseSource":
+    """The source of an address with a key.
+
+    Raises:
+        ValueError: the up axis contradicts the body's forward axis.
+    """
+    config = replace(config, frame=url.apply(config.frame))
+    return BusPoseSource(config, decode_ros_pose if url.scheme == "ros2" else decode_pose)
 
 
 class BusPoseSource:
     """The external pose topic, from payloads to samples; whoever owns the bus feeds it."""
 
-    def __init__(self, config: IngestConfig, *, extra_latency_ns: int | None = None) -> None:
-        extra = DEFAULT_EXTRA_LATENCY_NS["zenoh"] if extra_latency_ns is None else extra_latency_ns
-        self.ingest = PoseIngest(config, SourceTiming(TICKS_HZ, extra))
+    def __init__(
+        self, config: IngestConfig, decode_bytes: Callable[[bytes, int], Pose] = decode_pose
+    ) -> None:
+        self._decode = decode_bytes
+        self.ingest = PoseIngest(config, SourceTiming(TICKS_HZ, DEFAULT_EXTRA_LATENCY_NS["zenoh"]))
         self.malformed = 0
         self._detail = "waiting for a first pose"
         self._body = ""
@@ -92,7 +136,9 @@ class BusPoseSource:
     def on_message(self, payload: bytes, t_arrival_ns: int) -> Pose | None:
         """Take in one payload; one that is not a pose is counted and gives None."""
         try:
-            raw = decode_pose(payload, t_arrival_ns)
+            raw = self._decode(payload, t_arrival_ns)
+            if self._body not in ("", raw.body):
+                raise PoseError(f"a pose of {raw.body!r}, those before were of {self._body!r}")
         except PoseError as error:
             self.malformed += 1
             self._detail = str(error)

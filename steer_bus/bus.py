@@ -24,6 +24,7 @@ class Sample:
     data: bytes  # the encoded message
     seq: int = 0  # the publisher's counter for this key, from 1; 0 if the sender gives none
     sent_ns: int = 0  # the publisher's UNIX time [ns]; 0 if the sender gives none
+    sender: bytes = b""  # the publisher's id of 16 bytes; empty if the sender gives none
 
 
 class Subscription(Protocol):

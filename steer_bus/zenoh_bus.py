@@ -259,8 +259,9 @@ class _Ring:
 
 def _make_sample(sample: zenoh.Sample) -> Sample:
     raw = sample.attachment.to_bytes() if sample.attachment is not None else b""
-    seq, sent_ns = _ATTACHMENT.unpack(raw)[:2] if len(raw) == _ATTACHMENT.size else (0, 0)
-    return Sample(str(sample.key_expr), sample.payload.to_bytes(), seq, sent_ns)
+    whole = len(raw) == _ATTACHMENT.size
+    seq, sent_ns, _, sender = _ATTACHMENT.unpack(raw) if whole else (0, 0, 0, b"")
+    return Sample(str(sample.key_expr), sample.payload.to_bytes(), seq, sent_ns, sender)
 
 
 def _open(profile: Profile) -> zenoh.Session:

@@ -87,7 +87,7 @@ class LocalBus:
     def publish(self, key: str, data: bytes) -> None:
         self._check_open()
         seq = self._seqs[key] = self._seqs.get(check_key(key), 0) + 1
-        sample = Sample(key, bytes(check_size(data)), seq)
+        sample = Sample(key, bytes(check_size(data)), seq, sender=id(self).to_bytes(16))
         for ring in self._hub.rings:
             if key_matches(ring.pattern, key) and (not ring.keep or ring.keep(sample.data)):
                 ring.samples.append(sample)

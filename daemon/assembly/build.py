@@ -229,7 +229,7 @@ def make_loop_setup(plan: RunPlan, boot_id: int, leased: bool) -> LoopSetup:
         controller=plan.controller,
         period_ns=plan.period_ns,
         boot_id=boot_id,
-        remote=plan.options.controller is ControllerKind.ZENOH,
+        remote=plan.options.controller is not ControllerKind.LANE,
         auto_arm=plan.options.auto_arm,
         leased=leased,
         duration_ns=None if duration is None else round(duration * NS),

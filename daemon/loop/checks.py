@@ -72,7 +72,7 @@ def find_failures(
     if estimated and not setup.remote:
         yield from check_lane(now.lateral_error, now.heading_error, setup.settings.thresholds)
     elif estimated and valid_command(remote, now.t_ns) is None:
-        yield "no commands from a controller: start `steerd control` or `steerd teleop`"
+        yield "no commands from a controller: start `steerd control`, `steerd teleop` or /drive"
     if now.state is not SupervisorState.RUNNING and not abs(now.speed) < STANDING_SPEED:
         yield f"the car moves at {show(now.speed, '.2f')} m/s: let it stand"
 

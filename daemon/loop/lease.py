@@ -8,8 +8,8 @@ from math import inf
 from steerd.daemon.loop.transitions import Request
 from steerd.steer_bus.messages import DriveCommand, OperatorRequest, ParameterRequest, RequestKind
 
-VALID_MAX_MS = 300
-"""Longest validity of an external command [ms]."""
+VALID_MS, VALID_MAX_MS = 100, 300
+"""How long an external command may be applied, and the longest that is accepted [ms]."""
 
 HANDOVER_S = 1.0
 """Silence after which another controller may take over [s]; the car has stopped before."""

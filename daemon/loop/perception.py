@@ -4,7 +4,7 @@ from collections import deque
 from math import hypot, inf, isfinite, nan
 
 from steerd.car_model.chassis import Chassis
-from steerd.car_model.params import Car, wheelbase
+from steerd.car_model.params import Car
 from steerd.car_model.state import Command, State
 from steerd.daemon.loop.following import LONG_TURN_S
 from steerd.daemon.loop.watchdogs_pose import PoseVerdict, PoseWatch, step_innovation, step_pose
@@ -18,8 +18,9 @@ from steerd.vesc_link.telemetry import has_chip
 
 _TRACK_NS = round(1e9 * LONG_TURN_S)
 """How long poses are kept."""
-_SPEED_SPAN_NS = 100_000_000
-"""Time over which mocap speed is taken: single steps at 100 Hz are mostly noise."""
+_SPEED_SPAN_S, _SPAN_OF_SD = 0.1, 20.0
+"""Time over which mocap speed is taken, single steps at 100 Hz are mostly noise; and least time per
+metre that a pose may be off, by which a noisy localiser's is longer, up to `LONG_TURN_S` [s/m]."""
 BLIND_S = 0.5
 """Age after which a measured speed counts as unknown [s]."""
 NO_TELEMETRY = m.VescTelemetry(m.make_header(0, m.BODY), 0, 0, -1, 0, 0, -1, -1, -1, *(nan,) * 10)
@@ -35,7 +36,7 @@ class Perception:
         values: the same; all unknown before the first.
         wheel_speed: by the wheels, from that reply [m/s]; NaN while unknown.
         wheel: the same with its time of validity [ns]; None while unknown.
-        mocap_speed: by mocap alone over the last 100 ms [m/s]; NaN while unknown.
+        mocap_speed: by mocap alone over the last 100 to 200 ms [m/s]; NaN while unknown.
         track: the poses of the last `LONG_TURN_S`, and the one before.
         accepted_ns: arrival of the last good frame, or None.
         may_rebase: set by the loop: the car is disarmed and stands.
@@ -53,7 +54,8 @@ class Perception:
         self._state = sf.FilterState()
         self._thresholds = thresholds
         self._scaling = scaling
-        self._wheelbase = wheelbase(car)
+        span_s = max(_SPEED_SPAN_S, _SPAN_OF_SD * config.pose_position_sd)
+        self._speed_span_ns = round(1e9 * min(span_s, LONG_TURN_S))
         self._measurements: list[Measurement] = []
         self._commands: list[tuple[int, Command[float] | None]] = []
         self._refused = 0
@@ -142,7 +144,7 @@ class Perception:
     def _measure_mocap_speed(self, now_ns: int) -> float:
         if len(self.track) < 2:
             return nan
-        oldest_ns = now_ns - _SPEED_SPAN_NS
+        oldest_ns = now_ns - self._speed_span_ns
         first, last = self.track[0], self.track[-1]
         for pose in reversed(self.track):
             if pose.t_valid_ns <= oldest_ns:

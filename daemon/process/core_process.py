@@ -29,7 +29,7 @@ from steerd.daemon.process.runner import CoreLinks, Runner
 from steerd.daemon.settings.run_options import decode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.mocap_link.sockets import MocapReceiver, make_receiver
-from steerd.mocap_link.zenoh_pose import BusPoseSource
+from steerd.mocap_link.zenoh_pose import BusPoseSource, make_bus_source
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.vesc_link.transport import Port, PortError, open_port
@@ -82,8 +82,8 @@ def make_mocap(plan: RunPlan) -> MocapReceiver | BusPoseSource:
     text = plan.options.mocap or ""
     try:
         url = parse_mocap_url(text)
-        if url.scheme == "zenoh":
-            return BusPoseSource(plan.settings.ingest)
+        if url.key:
+            return make_bus_source(url, plan.settings.ingest)
         return make_receiver(url, plan.settings.ingest)
     except ValueError as error:
         raise SteerdError(f"--mocap {text}: {error}", "", ExitCode.USAGE) from None

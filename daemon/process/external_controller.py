@@ -18,6 +18,7 @@ from steerd.controller.lane_controller import (
     start_controller,
 )
 from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.loop.lease import VALID_MS
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus
@@ -26,8 +27,6 @@ from steerd.steer_bus.codec import decode, encode
 from steerd.steer_bus.messages import BODY, DriveCommand, StateMessage, make_header
 from steerd.steer_bus.topics import make_key
 
-VALID_MS = 100
-"""How long a command may be applied [ms]."""
 _POLL_NS = 1_000_000
 """Time between two looks at the bus [ns]."""
 _PAUSE = 0.1

@@ -10,7 +10,7 @@ rmw_zenoh: its topics once more, under ROS's keys.
 
 import contextlib
 import socket
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,16 +18,17 @@ from typing import Any
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord
 from steerd.daemon.ipc.requests import REQUEST_MAX, make_badge, pack_request
+from steerd.daemon.loop.lease import VALID_MS
 from steerd.daemon.process.bus_operator import STOPS
 from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.views import Views
-from steerd.daemon.settings.run_options import decode_options
+from steerd.daemon.settings.run_options import ControllerKind, RunOptions, decode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus, BusError, Keep, Subscription, Token
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import load_lab
-from steerd.steer_bus.messages import Actuation
+from steerd.steer_bus.messages import BODY, Actuation, DriveCommand
 from steerd.steer_bus.ros_keys import make_gid, make_node_token, make_publisher_token, make_ros_key
 from steerd.steer_bus.standard import AckermannDrive, AckermannDriveStamped
 from steerd.steer_bus.zenoh_bus import ZenohBus, make_hub_profile
@@ -77,6 +78,31 @@ class RosBridge:
                 self._bus.publish(key, data)
 
 
+class RosDrive:
+    """`/drive` of ROS 2 nodes as an external controller's commands.
+
+    Each publisher has a lease of its own: a second one is refused while the first one drives.
+    """
+
+    def __init__(self, bus: Bus, domain: int, boot_id: int) -> None:
+        key = make_ros_key(domain, DRIVE_NAME, AckermannDriveStamped).rpartition("/")[0]
+        topic = topics.Topic(DRIVE_NAME, AckermannDriveStamped, topics.Direction.IN)
+        # ROS 2 Humble writes no hash of the type
+        self._heard = bus.subscribe(f"{key}/*", _DEPTH, make_keep(topic))
+        self._boot_id, self._seq = boot_id, 0
+
+    def take(self) -> Iterator[DriveCommand]:
+        """The commands that came since the last call."""
+        for sample in self._heard.poll():
+            message = decode(AckermannDriveStamped, sample.data)
+            header = replace(message.header, frame_id=BODY)
+            self._seq += 1
+            yield DriveCommand(
+                header, self._boot_id, make_badge(sample.sender.hex(), 1), sample.sent_ns,
+                self._seq, VALID_MS, message.drive.steering_angle, message.drive.speed,
+            )  # fmt: skip
+
+
 def make_drive(sent: Actuation) -> AckermannDriveStamped:
     """The command on the wire in F1TENTH's message; rates and accelerations are 0, unset."""
     return AckermannDriveStamped(sent.header, AckermannDrive(sent.steer, 0.0, sent.speed, 0.0, 0.0))
@@ -117,10 +143,15 @@ class Gateway:
     """One car on the bus, and in ROS's graph if there is a bridge."""
 
     def __init__(
-        self, bus: Bus, car: str, pose_key: str | None, ros: RosBridge | None = None
+        self,
+        bus: Bus,
+        car: str,
+        pose_key: str | None,
+        ros: RosBridge | None = None,
+        ros_drive: RosDrive | None = None,
     ) -> None:
         self._bus = bus
-        self._ros = ros
+        self._ros, self._ros_drive = ros, ros_drive
         self._car = car
         self._views = Views()
         self._requests: list[tuple[topics.Topic, Subscription]] = [
@@ -157,6 +188,8 @@ class Gateway:
             for sample in subscription.poll():
                 who = sample.key.removeprefix(topics.make_key(self._car, topic)).removeprefix("/")
                 _send(core, known, seal(topic, sample.data, who))
+        for command in self._ros_drive.take() if self._ros_drive else ():
+            _send(core, topics.DRIVE, encode(command))
         for topic, subscription in self._plain:
             for sample in subscription.poll():
                 if len(sample.data) <= REQUEST_MAX:
@@ -189,7 +222,7 @@ def serve(job: Job) -> int:
         SteerdError: the bus cannot be opened as asked for.
     """
     options, core = decode_options(job.about["options"]), socket.socket(fileno=job.fds["requests"])
-    pose_key = find_pose_key(options.mocap)
+    pose_key = find_pose_key(options)
     core.setblocking(False)
     try:
         lab = load_lab(Path(options.lab)) if options.lab else None
@@ -199,7 +232,9 @@ def serve(job: Job) -> int:
         with ZenohBus(profile) as bus:
             domain = options.ros_domain
             ros = None if domain is None else RosBridge(bus, options.car, domain)
-            gateway = Gateway(bus, options.car, pose_key, ros)
+            driven = options.controller is ControllerKind.ROS2
+            drive = RosDrive(bus, domain or 0, job.about["boot_id"]) if driven else None
+            gateway = Gateway(bus, options.car, pose_key, ros, drive)
             job.say_ready()
             reports = PipeReader(job.fds.get("reports"))
             run_gateway(gateway, PipeReader(job.fds["pipe"]), core, reports)
@@ -210,9 +245,14 @@ def serve(job: Job) -> int:
     return 0
 
 
-def find_pose_key(mocap: str | None) -> str | None:
+def find_pose_key(options: RunOptions) -> str | None:
     """Key of the bus on which poses come; None where mocap is no program on the bus."""
-    return parse_mocap_url(mocap).key if mocap and mocap.startswith("zenoh:") else None
+    try:
+        url = parse_mocap_url(options.mocap or "")
+    except ValueError:  # the core says what is wrong with the address
+        return None
+    # rmw_zenoh's keys are domain, topic, type and its hash
+    return f"{options.ros_domain or 0}/{url.key}/*/*" if url.scheme == "ros2" else url.key or None
 
 
 if __name__ == "__main__":

@@ -17,19 +17,6 @@ LANE_STEP = 0.05
 """Distance between drawn points of a lane [m]."""
 
 
-def check_page(plan_lab: str, listen: str) -> None:
-    """Refuse a page that could not reach the car.
-
-    Raises:
-        SteerdError: the car's bus asks for an operator's certificate, or there is no bus.
-    """
-    if plan_lab:
-        what = "--page: in a lab the page runs where the operator sits"
-        raise SteerdError(what, "steerd page --lab DIR, with an operator's folder", ExitCode.USAGE)
-    if not listen:
-        raise SteerdError("--page needs the bus", "drop --listen ''", ExitCode.USAGE)
-
-
 def make_page_job(plan: "RunPlan") -> dict[str, Any]:
     """The job as JSON values."""
     options, settings = plan.options, plan.settings

@@ -21,6 +21,7 @@ from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.settings.thresholds import LAUNCH_RATIO, LAUNCH_SPEED, SOFT_DECEL, Thresholds
 from steerd.estimator.config import FilterConfig, load_filter_config
 from steerd.mocap_link.frame import FrameConfig
+from steerd.mocap_link.gates import GateConfig
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.vesc_link.scaling import Scaling, steer_limits
 
@@ -74,6 +75,10 @@ class Settings:
     record: RecordSettings
 
 
+JUMP_SDS = 7.0
+"""Standard deviations of a pose by which two may differ: five of their difference."""
+
+
 def load_settings(path: Path | str, speed: float | None = None) -> Settings:
     """Read a car file and check every section.
 
@@ -96,17 +101,23 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
     _check_sections(car_file)
     read = partial(_read, car_file)
     scaling = read("vesc", lambda table: _convert(_split(table)[1], Scaling))
-    frame = read("mocap", read_frame)
+    frame, noise = read("mocap", read_frame), read("estimator", load_filter_config)
+    usual = GateConfig()
+    gates = replace(
+        usual,
+        jump_slack=max(usual.jump_slack, JUMP_SDS * noise.pose_position_sd),
+        yaw_slack=max(usual.yaw_slack, JUMP_SDS * noise.pose_yaw_sd),
+    )
     safety = read("safety", dict)
     deadman = bool(safety.pop("deadman", True))
     settings = Settings(
         file=car_file,
         scaling=scaling,
         brakes=read("vesc", lambda table: _check_brakes(_convert(_split(table)[0], BrakeSettings))),
-        ingest=IngestConfig(replace(frame, cog_ahead_of_rear=car_file.car.lr)),
+        ingest=IngestConfig(replace(frame, cog_ahead_of_rear=car_file.car.lr), gates),
         limits=read("limits", lambda table: _limits(car_file, scaling, table)),
         controller=_at_speed(car_file, speed),
-        filter=read("estimator", load_filter_config),
+        filter=noise,
         thresholds=_make(car_file, "safety", _thresholds, safety),
         deadman=deadman,
         record=read("record", _record),

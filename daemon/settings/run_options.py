@@ -7,10 +7,11 @@ import msgspec
 
 
 class ControllerKind(StrEnum):
-    """Who steers: the built-in lane keeper, or a program that publishes commands on the bus."""
+    """Who steers: the built-in lane keeper, a program on the bus, or a ROS node's `/drive`."""
 
     LANE = "lane"
     ZENOH = "zenoh"
+    ROS2 = "ros2"
 
 
 @dataclass(frozen=True)

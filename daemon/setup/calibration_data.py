@@ -71,7 +71,7 @@ def _frame_without_mount(settings: Settings, session: Session) -> FrameConfig:
     about = session.info().metadata.get("steerd.session", {})
     try:
         url = parse_mocap_url(decode_options(about.get("options", "")).mocap or "")
-        frame = replace(frame, up=url.up or frame.up)
+        frame = url.apply(frame)
     except ValueError:
         pass
     return replace(frame, mount_yaw=0.0, marker_rear_x=0.0, marker_rear_y=0.0,

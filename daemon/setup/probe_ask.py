@@ -181,7 +181,7 @@ def listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[Po
     """The samples of so many seconds, as they come."""
     end = clock.now_ns() + round(seconds * 1e9)
     while clock.now_ns() < end:
-        yield from receiver.on_timer(clock.now_ns()) or []
+        receiver.on_timer(clock.now_ns())
         for fd in select.select(receiver.fds(), [], [], 0.01)[0]:
             yield from receiver.read_ready(fd)
 

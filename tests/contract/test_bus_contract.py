@@ -90,6 +90,7 @@ def test_a_message_arrives_once_in_order(pair):
     assert [s.data for s in taken] == [bytes([i]) for i in range(5)]
     assert [s.seq for s in taken] == [1, 2, 3, 4, 5]
     assert {s.key for s in taken} == {STATE}
+    assert [len(sender) for sender in {s.sender for s in taken}] == [16]
     assert subscription.poll() == []
 
 

@@ -260,7 +260,7 @@ def steerd() -> Iterator[Launcher]:
     launcher.close()
 
 
-LATE = re.compile(r"\bW(1|15) ")
+LATE = re.compile(r"\bW(1|7|15) ")
 
 
 def changes(session: Path) -> list[Transition]:
@@ -308,9 +308,10 @@ def tamper_pose(tmp_path: Path) -> Callable[[Path], Path]:
 def undisturbed(tmp_path: Path) -> Callable[[Scenario], None]:
     """Run a scenario on "hardware"; once more if the machine stopped it.
 
-    On a real port a tick that comes 25 ms late stops the car (W15), and so does mocap that a
-    stalled simulator keeps back (W1): rightly so, and a shared virtual machine stalls for longer
-    now and then. Only then, and only if the session itself says so, there is a second try.
+    On a real port a tick that comes 25 ms late stops the car (W15), and so do mocap and telemetry
+    that a stalled simulator keeps back (W1, W7): rightly so, and a shared virtual machine stalls
+    for longer now and then. Only then, and only if the session itself says so, there is a second
+    try.
     """
 
     def attempt(scenario: Scenario, folder: Path) -> None:

@@ -155,7 +155,7 @@ def test_what_needs_no_hardware_runs(command, workplace, capsys):
 def options_of(command):
     """The command and its options, without their values; mocap addresses by their protocol."""
     arguments = arguments_of(command)
-    schemes = re.findall(r"\b(natnet|vrpn|zenoh):", command)
+    schemes = re.findall(r"\b(natnet|vrpn|zenoh|ros2):", command)
     return frozenset([arguments[0], *schemes, *(w for w in arguments if w.startswith("--"))])
 
 
@@ -169,8 +169,8 @@ def chosen(commands):
 
 
 HARDWARE_LINES = [p.values[0] for p in command_lines() if kind_of(p.values[0]) == "hardware"]
-ELSEWHERE = [c for c in HARDWARE_LINES if "vrpn:" in c or "zenoh" in c]
-"""Driven by tests/e2e/test_live.py, with programs beside them that the pages do not show."""
+ELSEWHERE = [c for c in HARDWARE_LINES if re.search("vrpn:|zenoh|ros2", c)]
+"""Driven by test_live.py and test_ros.py, with programs beside them that the pages do not show."""
 DRIVEN = chosen([c for c in HARDWARE_LINES if c not in ELSEWHERE])
 
 

@@ -20,6 +20,7 @@ from tests.e2e.conftest import changes
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+ROS_PEER = ("-m", "tests.e2e.ros_peer")
 CIRCLE = ("--path", "circle:radius=2", "--speed", "1")
 STOPS = {SupervisorState.STOPPING, SupervisorState.FAULT_STOP}
 
@@ -187,19 +188,36 @@ def start_sim_run(steerd, folder, *more):
     return run, record
 
 
-def test_an_external_controller_drives_and_its_death_stops_the_car(
-    steerd, tmp_path, capsys
+CONTROLLERS = {
+    "steerd control": (
+        ("--controller", "zenoh"),
+        lambda steerd: steerd("control", "--connect", steerd.endpoint, *CIRCLE),
+        signal.SIGKILL,
+    ),
+    "a ROS 2 node's /drive": (
+        ("--controller", "ros2", "--ros-domain", "0"),
+        lambda steerd: steerd("steer", steerd.endpoint, module=ROS_PEER),
+        signal.SIGSTOP,
+    ),
+}
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_an_external_controller_drives_and_its_silence_stops_the_car(
+    controller, steerd, tmp_path, capsys
 ) -> None:
-    run, record = start_sim_run(steerd, tmp_path, "--controller", "zenoh")
+    options, start, end = CONTROLLERS[controller]
+    run, record = start_sim_run(steerd, tmp_path, *options)
     with closing(Watcher(steerd.endpoint)) as watcher:
-        keeper = steerd("control", "--connect", steerd.endpoint, *CIRCLE)
+        keeper = start(steerd)
         watcher.driving(run, 2.5)
         assert watcher.seen[-1].mode == SupervisorState.RUNNING, run.text
-        killed_ns = time.monotonic_ns()
-        keeper.send(signal.SIGKILL)
+        silent_ns = time.monotonic_ns()
+        keeper.send(end)
         stop = watcher.until(lambda s: s.mode in STOPS, run)
-        assert 0.05 < (stop.mono_ns - killed_ns) * 1e-9 < 0.5
+        assert 0.05 < (stop.mono_ns - silent_ns) * 1e-9 < 0.5
         watcher.until(lambda s: s.mode not in STOPS and abs(s.speed) < 0.05, run)
+    keeper.send(signal.SIGKILL)
     run.send(signal.SIGINT)
     run.wait()
     assert "W25 " in next(c.text for c in changes(record) if c.to_state in STOPS)

@@ -1,17 +1,26 @@
-"""`--ros-domain`: a subscriber with nothing of ours sees the car as rmw_zenoh would."""
+"""ROS 2 nodes on rmw_zenoh, with nothing of ours: they see the car, and say where it is."""
 
-import json
+import os
+import re
 import signal
 import struct
 import time
 from contextlib import closing
+from pathlib import Path
 
+import numpy as np
 import pytest
 import xxhash  # noqa: TID251
 import zenoh  # noqa: TID251
-from rosbags.typesys import Stores, get_typestore
 
+from steerd.car_model.car_file import default_car_path
 from steerd.daemon.cli.main import run_cli
+from steerd.steer_bus import messages as m
+from steerd.steer_bus.session_read import open_session
+from tests.e2e.conftest import changes
+from tests.e2e.ros_peer import LATENCY, NOISE, RADIUS, YAW_NOISE, connect
+from tests.e2e.test_live import ROS_PEER, STOPS, Watcher, start_run
+from tests.ros_messages import ODOMETRY, STORE, make_key
 
 pytestmark = pytest.mark.timeout(240)
 
@@ -20,11 +29,7 @@ class Listener:
     """A plain zenoh client; ROS's own sessions dial their router in the same way."""
 
     def __init__(self, endpoint):
-        config = zenoh.Config()
-        config.insert_json5("mode", json.dumps("client"))
-        config.insert_json5("connect/endpoints", json.dumps([endpoint]))
-        config.insert_json5("scouting/multicast/enabled", "false")
-        self._session = zenoh.open(config)
+        self._session = connect(endpoint)
 
     def hear(self, key, run):
         """The first sample of a key."""
@@ -50,20 +55,18 @@ def test_a_ros_subscription_finds_and_decodes_the_car(steerd, tmp_path):
         "--record", tmp_path / "drive.mcap",
     )  # fmt: skip
     run.expect("DISARMED")
-    store = get_typestore(Stores.ROS2_HUMBLE)
     with closing(Listener(steerd.endpoint)) as listener:
-        hash_of = store.hash_rihs01("nav_msgs/msg/Odometry")
-        name = f"3/steerd/car1/odom/nav_msgs::msg::dds_::Odometry_/{hash_of}"
+        name = make_key(3, "steerd/car1/odom", ODOMETRY)
         odom = listener.hear("3/*/car1/odom/**", run)
         assert str(odom.key_expr) == name
-        decoded = store.deserialize_cdr(odom.payload.to_bytes(), "nav_msgs/msg/Odometry")
+        decoded = STORE.deserialize_cdr(odom.payload.to_bytes(), ODOMETRY)
         assert decoded.child_frame_id == "base_link"
         nodes = listener.tokens("@ros2_lv/3/**/NN/**")
         assert [token.rpartition("/")[2] for token in nodes] == ["steerd_car1"]
         publishers = listener.tokens("@ros2_lv/3/**/MP/**")
         assert len(publishers) == len({token.split("/")[4] for token in publishers}) > 10
         (token,) = [t for t in publishers if "/%steerd%car1%odom/" in t]
-        assert f"/nav_msgs::msg::dds_::Odometry_/{hash_of}/" in token
+        assert f"/{name.split('/', 4)[4]}/" in token
         drive = listener.hear("3/*/car1/drive/**", run)
     sequence, stamp_ns, size, gid = struct.unpack("<qqB16s", odom.attachment.to_bytes())
     assert sequence >= 1
@@ -82,6 +85,69 @@ def test_a_domain_that_is_none_is_told(capsys):
     assert "0 to 232" in capsys.readouterr().err
 
 
-def test_a_lab_with_keys_shows_nothing_to_ros(tmp_path, capsys):
-    assert run_cli(["run", "--sim", "--ros-domain", "0", "--lab", str(tmp_path)]) == 2
-    assert "--ros-domain" in capsys.readouterr().err
+@pytest.mark.parametrize("asked", ["--ros-domain=0", "--mocap=ros2:///pf", "--controller=ros2"])
+def test_a_lab_with_keys_has_no_part_in_ros(asked, tmp_path, capsys):
+    real = ["--port", "/dev/ttyACM0", "--mocap", "zenoh:pose"]
+    assert run_cli(["run", *real, asked, "--lab", str(tmp_path)]) == 2
+    assert "not those of ROS" in capsys.readouterr().err
+
+
+def test_an_address_without_a_topic_is_one_line(steerd):
+    port = os.ttyname(os.openpty()[1])
+    run = steerd("run", "--port", port, "--mocap", "ros2://pf", "--listen", steerd.endpoint)
+    assert run.wait() == 2
+    assert re.fullmatch(r"steerd: .+: a topic is like ros2:///pf/pose/odom\n", run.text)
+
+
+def make_lidar_car(path: Path) -> Path:
+    """The car file as docs/how-to/use-with-ros.md changes it for a localiser."""
+    text = default_car_path().read_text()
+    changed = {
+        "pose_position_sd": NOISE,
+        "pose_yaw_sd": YAW_NOISE,
+        "pose_delay": LATENCY,
+        "marker_rear_x": 0.0,
+    }
+    for name, value in changed.items():
+        text, count = re.subn(rf"^{name} = \S+", f"{name} = {value}", text, flags=re.MULTILINE)
+        assert count == 1
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_localisers_poses_drive_the_car_and_their_end_stops_it(end, undisturbed, capsys):
+    def scenario(steerd, folder):
+        port, url = steerd.sim(folder)
+        given = ("--mocap", "ros2:///pf/pose/odom", "--car", make_lidar_car(folder / "car.toml"))
+        run, record = start_run(steerd, folder, "--port", port, *given)
+        run.expect("first pose")
+        track = folder / "track"
+        peer = steerd("localise", url, steerd.endpoint, track, module=ROS_PEER)
+        run.expect("READY")
+        steerd("arm", "--connect", steerd.endpoint).expect("armed:")
+        steerd("start", "--connect", steerd.endpoint).expect("driving")
+        with closing(Watcher(steerd.endpoint)) as watcher:
+            driven = watcher.driving(run, 5.0)
+            assert driven.mode not in STOPS, run.text
+            ended_ns = time.monotonic_ns()
+            peer.send(end)
+            stop = watcher.until(lambda s: s.mode in STOPS, run)
+            assert 0.05 < (stop.mono_ns - ended_ns) * 1e-9 < 0.5
+            watcher.until(lambda s: s.mode not in STOPS and abs(s.speed) < 0.05, run)
+        peer.send(signal.SIGKILL)
+        run.send(signal.SIGINT)
+        run.wait()
+        assert "W1 " in next(c.text for c in changes(record) if c.to_state in STOPS)
+        x, y = np.loadtxt(track).T
+        assert np.abs(np.hypot(x, y - RADIUS) - RADIUS).max() < 0.04
+        assert np.ptp(np.unwrap(np.arctan2(y - RADIUS, x))) * RADIUS > 3.0, "it drove"
+        poses = open_session(record).columns(m.MocapPose)
+        off = np.hypot(poses["x"], poses["y"] - RADIUS) - RADIUS
+        assert np.std(off) == pytest.approx(NOISE, rel=0.3), "as a LiDAR sees it"
+        assert np.mean(poses["reject"] == "") > 0.95
+        capsys.readouterr()
+        assert run_cli(["replay", str(record)]) == 0
+
+    undisturbed(scenario)

@@ -26,7 +26,7 @@ from steerd.mocap_link.natnet_client import NatNetSource
 from steerd.mocap_link.natnet_frame import Frame, RigidBody
 from steerd.mocap_link.natnet_wire import NatNetError
 from steerd.mocap_link.vrpn_client import VrpnClient
-from steerd.mocap_link.zenoh_pose import BusPoseSource, PoseError, decode_pose
+from steerd.mocap_link.zenoh_pose import BusPoseSource, PoseError, decode_pose, decode_ros_pose
 from steerd.sim_hw.mocap.servers import VrpnServer
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
@@ -251,16 +251,17 @@ def check_vrpn(script: bytes) -> None:
 
 
 def check_pose(data: bytes) -> None:
-    """Any JSON on the pose topic: `PoseError` or a pose, which a message can hold."""
-    source = BusPoseSource(IngestConfig())
-    try:
-        decode_pose(data, 0)
-    except PoseError:
-        assert source.on_message(data, 0) is None
-        return
-    sample = source.on_message(data, 0)
-    assert sample is not None
-    encode(make_mocap(sample, 0))
+    """Any bytes on a pose topic: `PoseError` or a pose, which a message can hold."""
+    for decode_bytes in (decode_pose, decode_ros_pose):
+        source = BusPoseSource(IngestConfig(), decode_bytes)
+        try:
+            decode_bytes(data, 0)
+        except PoseError:
+            assert source.on_message(data, 0) is None
+            continue
+        sample = source.on_message(data, 0)
+        assert sample is not None
+        encode(make_mocap(sample, 0))
 
 
 def natnet_seeds() -> list[bytes]:

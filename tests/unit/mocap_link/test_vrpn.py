@@ -152,7 +152,8 @@ def test_vrpn_drive_freeze_and_reconnect() -> None:
 
 @pytest.mark.parametrize("held", [2, 6, 12])
 def test_poses_that_tcp_held_back_are_each_where_the_car_was(held: int) -> None:
-    source, server = VrpnSource("car", CONFIG, extra_latency_ns=0), VrpnServer(("car",))
+    source, server = VrpnSource("car", CONFIG), VrpnServer(("car",))
+    source.ingest.timing.extra_latency_ns = 0
     source.on_connect()
     source.on_bytes(server.hello(), T0)
     drive_vrpn(source, server, T0, 300)

@@ -36,7 +36,7 @@ FIRST_OPTIONS = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = parser.add_argument_group("hardware")
     option(where, "--port", "DEV", "serial port of the VESC, e.g. /dev/ttyACM0")
-    text = "natnet://HOST[:PORT]/BODY[?up=y|z], vrpn://HOST[:PORT]/BODY or zenoh:KEY"
+    text = "natnet://HOST[:PORT]/BODY[?up=y|z], vrpn://HOST[:PORT]/BODY, ros2:///TOPIC or zenoh:KEY"
     option(where, "--mocap", "URL", text)
     option(where, "--sim", "", "simulated hardware on a pty and sockets")
     option(where, "--fast", "", "with --sim: virtual time, repeatable")
@@ -50,7 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "unmodelled effect of the simulated car (`steerd effects` lists them)"
     option(run, "--effect", "NAME=VALUE,…", text, action="append")
     option(run, "--auto-arm", "", "simulation: arm and start by itself")
-    text, kinds = "zenoh: apply the commands of `steerd control`", [k.value for k in ControllerKind]
+    text = "zenoh: apply the commands of `steerd control`; ros2: those of a ROS node's /drive"
+    kinds = [kind.value for kind in ControllerKind]
     option(run, "--controller", None, text, choices=kinds, default="lane")
     _add_network_arguments(run)
 
@@ -96,10 +97,6 @@ def make_options(args: argparse.Namespace) -> RunOptions:
             raise SteerdError(what, hint, ExitCode.USAGE)
     if args.view:
         check_view(args.view, args.insecure_lan, sets=args.view_sets)
-    if args.page is not None:
-        from steerd.daemon.process.view_job import check_page
-
-        check_page(str(args.lab or ""), "" if args.listen == "" else "bus")
     given = {
         each.name: getattr(args, each.name) for each in fields(RunOptions) if each.name in args
     }
@@ -137,11 +134,15 @@ def _list_conflicts(args: argparse.Namespace) -> Iterator[tuple[bool, str, str]]
     page = args.page is not None
     yield page and args.fast, "--page shows a drive as it happens", "drop --fast"
     yield page and not 0 <= args.page < 65536, f"--page {args.page}: a port, 0 to 65535", ""
+    yield page and args.listen == "", "--page needs the bus", "drop --listen ''"
+    what = "--page: in a lab the page runs where the operator sits"
+    yield page and args.lab is not None, what, "steerd page --lab DIR, with an operator's folder"
     domain = args.ros_domain
     wrong = domain is not None and not 0 <= domain <= DOMAIN_MAX
     yield wrong, f"--ros-domain {domain}: 0 to {DOMAIN_MAX}", ""
     what = "the hub of a lab passes steerd's own topics only, not those of ROS"
-    yield domain is not None and args.lab is not None, what, "drop --lab or --ros-domain"
+    ros = domain is not None or "ros2" in (args.controller, str(args.mocap).partition(":")[0])
+    yield ros and args.lab is not None, what, "drop --lab, or --ros-domain and what is ros2"
     yield args.adapt and not args.learn, "--adapt follows what is learnt", "add --learn"
     what = "--adapt is about the lane keeper, and another program drives"
     lane = args.controller == ControllerKind.LANE

@@ -23,8 +23,8 @@ from steerd.vesc_link.scaling import F1TENTH
 MS, NS = 1_000_000, 1_000_000_000
 
 
-def make_perception():
-    return Perception(DEFAULT_CAR, SINGLE_TRACK, FilterConfig(), Thresholds(), F1TENTH)
+def make_perception(config=FilterConfig()):  # noqa: B008
+    return Perception(DEFAULT_CAR, SINGLE_TRACK, config, Thresholds(), F1TENTH)
 
 
 def pose(t_ns, x, rejected=None, valid=True):
@@ -69,6 +69,15 @@ def test_a_straight_drive_is_estimated():
     assert seen.mocap_speed == pytest.approx(1.0)
     assert seen.mocap_age(end + 30 * MS) == pytest.approx(0.03)
     assert seen.telemetry_age(end + 20 * MS) == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(("sd", "span"), [(0.001, 0.1), (0.008, 0.16), (0.05, 0.2)])
+def test_mocap_speed_is_taken_over_longer_where_poses_are_noisier(sd, span):
+    seen = make_perception(FilterConfig(pose_position_sd=sd))
+    for k in range(60):
+        seen.on_pose(pose(k * 10 * MS, 0.01 * max(0, k - 55)))
+        seen.estimate(k * 10 * MS)
+    assert seen.mocap_speed == pytest.approx(0.04 / span)
 
 
 @pytest.mark.parametrize("bad", [{"rejected": "jump"}, {"valid": False}])

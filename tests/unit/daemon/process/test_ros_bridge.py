@@ -1,21 +1,26 @@
-"""The bridge into ROS's graph, on a bus that records what is published."""
+"""ROS's graph: the car's bridge into it, and a node's /drive, on a bus inside the process."""
 
 import struct
-from math import cos, nan, pi, sin
+from math import cos, isnan, nan, pi, sin
 
 import pytest
 
 from steerd.daemon.ipc.pipe_records import PipeRecord
-from steerd.daemon.process.gateway import RosBridge
+from steerd.daemon.loop.lease import VALID_MS, Lease, Remote, take_command, valid_command
+from steerd.daemon.process.gateway import RosBridge, RosDrive, find_pose_key
 from steerd.daemon.process.views import PERIOD_NS, Views, make_odometry, make_vesc_state
+from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
-from steerd.steer_bus.bus import BusError
+from steerd.steer_bus.bus import BusError, Sample
 from steerd.steer_bus.codec import decode, encode
 from steerd.steer_bus.ros_keys import make_gid, make_ros_key
 from steerd.steer_bus.standard import AckermannDriveStamped, Odometry
 from tests.blank import blank
 from tests.local_bus import LocalBus, LocalHub
+from tests.ros_messages import DRIVE, ODOMETRY, make_key, pack_drive
+
+BOOT, MS = 815, 1_000_000
 
 
 class NamedBus(LocalBus):
@@ -82,6 +87,69 @@ def test_a_closed_bus_stops_no_gateway(bus):
     bridge.publish(PipeRecord(topics.CLOCK, 0, 0, 0, data))
     with pytest.raises(BusError):
         bus.publish("a", data)
+
+
+# A node's /drive, packed by rosbags.
+
+
+@pytest.mark.parametrize("hash_of_type", [None, "TypeHashNotSupported"])
+def test_a_nodes_drive_is_a_controllers_command(bus, hash_of_type):
+    drive = RosDrive(bus, 3, BOOT)
+    bus.publish(make_key(3, "drive", DRIVE, hash_of_type), pack_drive(0.25, 2.0, 7_000_000_009))
+    bus.publish(make_key(4, "drive", DRIVE), pack_drive(0.1, 1.0))
+    bus.publish(make_key(3, "car2/drive", DRIVE), pack_drive(0.1, 1.0))
+    bus.publish(make_key(3, "drive", ODOMETRY), pack_drive(0.1, 1.0))
+    (command,) = drive.take()
+    assert (command.boot_id, command.valid_ms) == (BOOT, VALID_MS)
+    assert (command.steer, command.speed, m.stamp_ns(command.header)) == (0.25, 2.0, 7_000_000_009)
+    assert list(drive.take()) == []
+
+
+def test_a_second_node_is_refused_while_the_first_drives():
+    hub = LocalHub()
+    drive, nodes = RosDrive(LocalBus(hub), 0, BOOT), (LocalBus(hub), LocalBus(hub))
+    remote = Remote(Lease(BOOT))
+    for t_ms, node, refused in ((0, 0, 0), (20, 1, 1), (40, 0, 1), (1041, 1, 1)):
+        nodes[node].publish(make_key(0, "drive", DRIVE), pack_drive(0.1 * node, 1.0))
+        (command,) = drive.take()
+        remote = take_command(remote, command, t_ms * MS)
+        assert remote.lease.refused == refused
+    assert valid_command(remote, 1041 * MS) is command
+
+
+def test_what_is_no_drive_command_displaces_none(bus):
+    drive, whole = RosDrive(bus, 0, BOOT), pack_drive(nan, 1.0)
+    bus.publish(make_key(0, "drive", DRIVE), whole)
+    for size in (*range(len(whole)), *range(len(whole) + 4, 5000, 50)):
+        bus.publish(make_key(0, "drive", DRIVE), whole.ljust(size, b"\xff")[:size])
+    (command,) = drive.take()
+    assert isnan(command.steer), "not finite: the loop brakes"
+
+
+def test_a_nodes_odd_times_go_into_no_message_that_cannot_be_packed():
+    class Said(LocalBus):
+        def subscribe(self, key, depth=1, keep=None):
+            return self
+
+        def poll(self):
+            return [Sample("", pack_drive(0.1, 1.0, -1), -1, -(1 << 63), b"")]
+
+    (command,) = RosDrive(Said(LocalHub()), 0, BOOT).take()
+    assert decode(m.DriveCommand, encode(command)).t_source_ns == -(1 << 63)
+
+
+@pytest.mark.parametrize(
+    ("mocap", "key"),
+    [
+        ("ros2:///pf/pose/odom", "3/pf/pose/odom/*/*"),
+        ("zenoh:lab/pose", "lab/pose"),
+        ("natnet://10.0.0.1/car", None),
+        ("ros2://pf", None),
+        (None, None),
+    ],
+)
+def test_poses_are_listened_for_where_the_address_says(mocap, key):
+    assert find_pose_key(RunOptions("", mocap=mocap, ros_domain=3)) == key
 
 
 # Standard ROS messages: made from the car's own, at most 50 of each kind per second.

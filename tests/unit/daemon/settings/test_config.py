@@ -18,6 +18,7 @@ from steerd.daemon.settings.run_options import (
     encode_options,
 )
 from steerd.daemon.settings.thresholds import BOUNDS, Thresholds
+from steerd.mocap_link.gates import GateConfig
 
 DEFAULT = default_car_path().read_text()
 
@@ -95,6 +96,13 @@ def test_thresholds_of_a_car_file_replace_the_defaults(tmp_path):
     settings = settings_with(tmp_path, "safety", jump_speed=5, deadman=False)
     assert (settings.thresholds.jump_speed, settings.deadman) == (5.0, False)
     assert settings.thresholds.jump_frames == 3
+
+
+def test_gates_let_the_noise_of_a_localiser_pass(tmp_path):
+    assert settings_with(tmp_path, "estimator").ingest.gates == GateConfig()
+    noisy = settings_with(tmp_path, "estimator", pose_position_sd=0.02, pose_yaw_sd=0.02)
+    gates = noisy.ingest.gates
+    assert (gates.jump_slack, gates.yaw_slack) == pytest.approx((0.14, 0.14))
 
 
 # Options of a run as JSON: they return as they were, unknown types are refused.

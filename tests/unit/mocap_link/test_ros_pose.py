@@ -1,0 +1,108 @@
+"""Poses of ROS 2 nodes, made by the serialiser of rosbags."""
+
+import re
+from math import nan, pi, sqrt
+
+import pytest
+
+from steerd.mocap_link.frame import FrameConfig
+from steerd.mocap_link.ingest import IngestConfig
+from steerd.mocap_link.mocap_url import parse_mocap_url
+from steerd.mocap_link.zenoh_pose import decode_ros_pose, make_bus_source
+from tests.ros_messages import ODOMETRY, POSE, UNSURE_POSE, pack_pose
+
+KINDS = (POSE, UNSURE_POSE, ODOMETRY)
+PLACE, LEFT, STAMP_NS = (
+    (1.5, -2.0, 0.1),
+    (sqrt(0.5), 0.0, 0.0, sqrt(0.5)),
+    1_700_000_000_000_000_250,
+)
+URL = parse_mocap_url("ros2:///pf/pose/odom")
+
+
+def pose_of(kind=ODOMETRY, stamp_ns=STAMP_NS, place=PLACE, turn=LEFT, frame="map"):
+    """A message at `PLACE`, turned left by 90 degrees."""
+    return pack_pose(kind, stamp_ns, place, turn, frame)
+
+
+@pytest.fixture
+def source():
+    """The pipeline of a car file for millimetres and y up, which ROS is not."""
+    frame = FrameConfig(units="mm", up="y", marker_rear_x=0.0, cog_ahead_of_rear=0.17)
+    return make_bus_source(URL, IngestConfig(frame))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("frame", ["", "map", "/map", "odom_of_car"])
+def test_each_kind_is_known_by_itself(kind, frame):
+    pose = decode_ros_pose(pose_of(kind, frame=frame), 7)
+    assert (pose.position, pose.quaternion, pose.body) == (PLACE, LEFT, frame)
+    assert (pose.source_ticks, pose.t_arrival_ns) == (STAMP_NS, 7)
+
+
+def test_a_pose_is_placed_in_metres_with_z_up(source):
+    pose = source.on_message(pose_of(), 7)
+    assert (pose.x, pose.y, pose.yaw) == pytest.approx((1.5, -2.0 + 0.17, pi / 2))
+    assert (pose.height, pose.tilt, pose.rejected) == (pytest.approx(0.1), 0.0, None)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_bytes_of_any_other_length_are_one_line_and_no_pose(kind, source):
+    whole = pose_of(kind)
+    cut = [whole[:size] for size in range(len(whole))]
+    for data in (*cut, *(whole + bytes(size) for size in range(4, 64))):
+        pose = source.on_message(data, 0)
+        if pose is None:
+            assert re.fullmatch(r"\d+ bytes that are not an Odometry, .+", source.status().detail)
+        else:  # what is cut behind its pose is a PoseStamped; one in front of it is no place
+            assert pose.rejected or pose.position == PLACE
+    assert source.on_message(whole, 0).rejected is None
+
+
+@pytest.mark.parametrize("at", range(0, 60, 3))
+@pytest.mark.parametrize("to", [0x00, 0x7F, 0xFF])
+def test_a_damaged_byte_crashes_nothing(at, to, source):
+    data = bytearray(pose_of(POSE))
+    data[at] = to
+    source.on_message(bytes(data), 0)
+    source.on_timer(1)
+    assert source.status().detail
+
+
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [
+        ({"place": (nan, 0.0, 0.0)}, "not_finite"),
+        ({"turn": (nan, 0.0, 0.0, 1.0)}, "not_finite"),
+        ({"turn": (0.9, 0.0, 0.0, sqrt(0.5))}, "quaternion"),
+        ({"turn": (0.0, 0.0, 0.0, 0.0)}, "quaternion"),
+        ({"turn": (sqrt(0.5), sqrt(0.5), 0.0, 0.0)}, "tilt"),
+        ({"place": (0.0, 0.0, 0.0)}, "zero_pose"),
+        ({"place": (1.5, 1e4, 0.0)}, "units"),
+    ],
+)
+def test_what_is_no_planar_pose_is_refused_as_of_every_source(wrong, reason, source):
+    assert source.on_message(pose_of(**wrong), 7).rejected == reason
+
+
+@pytest.mark.parametrize("stamp_ns", [0, -1_000_000_000])
+def test_a_stamp_that_is_none_leaves_the_time_of_arrival(stamp_ns, source):
+    assert source.on_message(pose_of(stamp_ns=stamp_ns), 7).t_valid_ns == 7
+
+
+def test_a_topic_that_changes_its_frame_gives_no_poses(source):
+    assert source.on_message(pose_of(), 7) is not None
+    assert source.on_message(pose_of(frame="odom"), 8) is None
+    assert source.status().detail == "a pose of 'odom', those before were of 'map'"
+
+
+def test_the_address_names_a_topic():
+    assert (URL.scheme, URL.key, URL.up) == ("ros2", "pf/pose/odom", "z")
+
+
+@pytest.mark.parametrize(
+    "text", ["ros2:/pf", "ros2://host/pf", "ros2:///", "ros2:///a//b", "ros2:///a/*", "ros2:///a/"]
+)
+def test_an_address_without_a_topic_is_refused(text):
+    with pytest.raises(ValueError, match="ros2:///pf/pose/odom"):
+        parse_mocap_url(text)
