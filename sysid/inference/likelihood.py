@@ -14,7 +14,7 @@ it measures what is left beside an explanation (Kennedy and O'Hagan, 2001).
 # Why: docs/decisions/diagnosis.md#d115
 # Why: docs/decisions/diagnosis.md#d119
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -99,6 +99,10 @@ class Likelihood:
     rotation: Array  # (W, D, D) `T`; zero for rows that are not there
     spectrum: Array  # (W, D) variance of a discrepancy of size 1 in each rotated row
     pushed: Array  # (W,) share of each window's healthy variance that is pushes, not instruments
+    # (W, D, 7) derivatives by the starts about the trajectories that the responses are about,
+    # rotated: what is not known of a start is taken from them alone
+    by_start: Array
+    _volumes: dict[float, Array] = field(default_factory=dict, repr=False)
 
     @cached_property
     def start_precision(self) -> Array:
@@ -139,14 +143,14 @@ class Likelihood:
         """Derivatives under a discrepancy of this size, ready for any errors near their point."""
         weight = self.weights(size)
         turned = np.ascontiguousarray((at.by_x * weight[:, :, None]).transpose(0, 2, 1))
-        d, volume = self._starts(turned @ at.by_x, weight)
+        d = self._starts(turned @ at.by_x)
         cross = turned @ at.by_z
         free = (~at.held)[:, None, None]
         inverse: Array = np.asarray(np.linalg.inv(d) * free, np.float64)
         kx = inverse @ cross
         heavy = (at.by_z * weight[:, :, None]).transpose(0, 2, 1)
         h = heavy @ at.by_z - cross.transpose(0, 2, 1) @ kx
-        return Weighed(size, weight, turned, heavy, inverse, cross, kx, h, volume)
+        return Weighed(size, weight, turned, heavy, inverse, cross, kx, h, self.volume(size))
 
     def reduce(self, by: "Weighed", error: Array, x: Array) -> Reduced:
         """Losses for errors (W, D) at starts `x`; derivatives may be of a near point."""
@@ -164,11 +168,23 @@ class Likelihood:
         alone = at._replace(by_z=at.by_z[:, :, :0])
         return self.reduce(self.weigh(alone, size), error, x).loss
 
-    def _starts(self, d: Array, weight: Array) -> tuple[Array, Array]:
-        """Curvature of the starts, and half the log determinants with it."""
+    def _starts(self, d: Array) -> Array:
+        """Curvature of the starts from that of the errors (W, 7, 7)."""
         d[:, range(d.shape[1]), range(d.shape[1])] += self.start_precision
-        volume = 0.5 * (np.linalg.slogdet(d)[1] - np.log(weight).sum(axis=1))
-        return d, np.asarray(volume)
+        return d
+
+    def volume(self, size: float) -> Array:
+        """(W,) half the log determinants of the covariance and of the starts' curvature.
+
+        The same for every hypothesis: a curvature taken anew with each would change the cost along
+        directions that no derivative sees (docs/decisions/diagnosis.md#d119).
+        """
+        if size not in self._volumes:
+            weight, by = self.weights(size), self.by_start
+            d = self._starts((by * weight[:, :, None]).transpose(0, 2, 1) @ by)
+            logs = np.linalg.slogdet(d)[1] - np.log(weight).sum(axis=1)
+            self._volumes[size] = np.asarray(0.5 * logs)
+        return self._volumes[size]
 
     def best_size(self, at: Rotated, error: Array, x: Array, least: float = 0.0) -> float:
         """The size of `SIZES` under which these errors are most likely, `least` at least."""
@@ -193,7 +209,10 @@ def take_some(likelihood: Likelihood, chosen: NDArray[np.bool_]) -> Likelihood:
     predictor = likelihood.predictor.take(chosen)
     width = predictor.padded.there.shape[1]
     rotation = likelihood.rotation[chosen][:, :, :width]
-    return Likelihood(predictor, rotation, likelihood.spectrum[chosen], likelihood.pushed[chosen])
+    return Likelihood(
+        predictor, rotation, likelihood.spectrum[chosen], likelihood.pushed[chosen],
+        likelihood.by_start[chosen],
+    )  # fmt: skip
 
 
 def make_likelihood(predictor: Predictor, parameters: Array, x: Array, noise: Noise) -> Likelihood:
@@ -224,4 +243,5 @@ def make_likelihood(predictor: Predictor, parameters: Array, x: Array, noise: No
     rotation = (axes.transpose(0, 2, 1) @ lower) * there[:, None, :]
     own = ((lower @ instruments) * lower).sum(axis=2)
     pushed = ((1.0 - own) * there).sum(axis=1) / there.sum(axis=1)
-    return Likelihood(predictor, rotation, np.maximum(spectrum, 0.0), pushed)
+    by_start = rotation @ predictor.by_starts(parameters, x)
+    return Likelihood(predictor, rotation, np.maximum(spectrum, 0.0), pushed, by_start)

@@ -95,9 +95,9 @@ def _controlled(
 ) -> dict[Names, float]:
     """Evidences that count no gain which healthy drives show as well.
 
-    A single cause is worth at most what the base alone is, and what it gains beyond its values in
-    healthy drives, where these are known: an effect whose derivative vanishes at its null has none.
-    That one, and every further cause, gains what it does with the design effect of drives without
+    A single cause gains what it does beyond its values in healthy drives, where these are known: an
+    effect whose derivative vanishes at its null has none. That one, and every further cause beside
+    the likeliest with one fewer, gains what it does with the design effect of drives without
     controls: what a wrong name leaves is not what healthy drives show.
 
     Args:
@@ -109,18 +109,18 @@ def _controlled(
     """
     level: dict[Names, float] = {}
     for names in sorted(found, key=len):
-        most = found[names].evidence
-        for name in names:
-            rest = names - {name}
-            if rest not in level:
-                continue
-            if name in library.controls and not rest:
-                gain = found[names].evidence - found[rest].evidence
-                gain -= _healthy_gain(library, found[rest].point, name, temper, shown)
-            else:
-                gain = alone[names].evidence - alone[rest].evidence
-            most = min(most, level[rest] + gain)
-        level[names] = most
+        fewer = [rest for rest in level if len(rest) == len(names) - 1]
+        if not fewer:
+            level[names] = found[names].evidence
+            continue
+        best = max(fewer, key=lambda rest: level[rest])
+        name = min(names)
+        if not best and name in library.controls:
+            gain = found[names].evidence - found[best].evidence
+            gain -= _healthy_gain(library, found[best].point, name, temper, shown)
+        else:
+            gain = alone[names].evidence - alone[best].evidence
+        level[names] = min(found[names].evidence, level[best] + gain)
     return level
 
 

@@ -153,9 +153,16 @@ class Predictor:
 
     def linear(self, space: Space, z: Array, x: Array) -> Linear:
         """Errors and derivatives at coordinates `z` and starts `x`."""
-        parameters, n = space.chart.parameters(z), len(z)
+        return self._linear(space.chart.parameters(z), space.chart.slopes(z), x)
+
+    def by_starts(self, parameters: Array, x: Array) -> Array:
+        """(W, D, 7) derivatives of the errors by the starts alone."""
+        return self._linear(parameters, np.zeros((len(parameters), 0)), x).by_x
+
+    def _linear(self, parameters: Array, slopes: Array, x: Array) -> Linear:
+        n = slopes.shape[1]
         seeds = np.zeros((len(parameters), n + STATES))
-        seeds[:, :n] = space.chart.slopes(z)
+        seeds[:, :n] = slopes
         dfirst = np.zeros((STATES, n + STATES))
         dfirst[:, n:] = np.eye(STATES)
         error, jy = self._simulate(parameters, seeds, x, dfirst)
