@@ -227,10 +227,10 @@ def _late_by(seconds, sd=1e-3, gain=9.0):
 @pytest.fixture(scope="module")
 def slightly_late(drive, base):
     """Base alone and a dead time beside it, at their optima, where steering is a little late."""
-    library = _library(drive("steer_delay=0.008", runs=3, seconds=6.0, seed=21), base)
+    library = _library(drive("steer_delay=0.009", runs=3, seconds=6.0, seed=21), base)
     start = begin(library, (), (), library.likelihood.predictor.guess.copy())
     null = minimise(library.likelihood, start)
-    begun = begin(library, ("steer_delay",), (0.008,), null.x)
+    begun = begin(library, ("steer_delay",), (0.009,), null.x)
     return library, [null, minimise(library.likelihood, begun)]
 
 
@@ -241,7 +241,7 @@ def _gain(library, points):
 
 def test_what_healthy_drives_show_too_is_no_cause(slightly_late):
     library, points = slightly_late
-    same, other = (_gain(_with_controls(library, _late_by(s)), points) for s in (0.008, 0.0))
+    same, other = (_gain(_with_controls(library, _late_by(s)), points) for s in (0.009, 0.0))
     assert same < 0.0 < other
 
 
@@ -261,6 +261,21 @@ def test_a_clear_cause_loses_no_more_than_is_usual(late):
         _gain(_with_controls(library, _late_by(0.002, gain=g)), points) for g in (0.0, 0.1)
     )
     assert free - small == pytest.approx(c.SHOWN_MOST * 0.1 * len(points[0].at.dof))
+
+
+def test_two_causes_are_worth_the_same_whatever_little_one_of_them_is_alone(both):
+    library, found = both
+    controls = (Control(n, np.zeros(1), np.eye(1) * 1e-6, 0.1) for n in found.best.effects)
+    library = _with_controls(library, *controls)
+    guess = library.likelihood.predictor.guess
+    alone = [minimise(library.likelihood, begin(library, (n,), (0.0,), guess))
+             for n in found.best.effects]  # fmt: skip
+    weak = max(alone, key=lambda point: point.cost)
+    points = [found.null.point, *alone, found.best.point]
+    with_weak = rank(library, points)[0][0]
+    without = rank(library, [point for point in points if point is not weak])[0][0]
+    assert with_weak.effects == without.effects == found.best.effects
+    assert with_weak.log_odds == pytest.approx(without.log_odds, abs=1e-6)
 
 
 def test_without_controls_windows_that_repeat_count_for_less(late):

@@ -59,11 +59,12 @@ def test_squares_and_determinants_are_those_of_the_dense_covariance(
     own, unknown = dense
     by = likelihood.weigh(likelihood.rotate(linear), size)
     square = likelihood.squares(linear.error, x, size)
-    prior = np.diag(likelihood.start_precision[0])
+    about = likelihood.predictor  # the trajectories that the responses are about
+    by_start = about.by_starts(about.augmented.base, about.guess)
     for w in range(len(x)):
         whole = own[w] + size**2 * unknown[w]
         away = likelihood.predictor.guess[w] - x[w]
-        error, by_x = linear.error[w], linear.by_x[w]
+        error, by_x = linear.error[w], by_start[w]
         prior = np.diag(likelihood.start_precision[w])
         expected = error @ np.linalg.solve(whole, error) + away @ prior @ away
         assert square[w] == pytest.approx(expected, rel=1e-7)

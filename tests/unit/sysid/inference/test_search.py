@@ -70,6 +70,27 @@ def test_a_cost_is_what_is_simulated_at_the_optimum(late, found):
     assert (late.squares(again.linear.error, again.x, again.size) - again.at.square < 0.11).all()
 
 
+SMOOTH = ("c_sf", "c_sr", "inertia_z", "steer_lag", "tyre_relaxation.length", "scrub.yaw_damping")
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_the_cost_falls_as_its_derivatives_say(healthy, likelihood, name):
+    """A part of the cost that no derivative sees ends searches off their optimum."""
+    space = make_space(healthy.augmented, SMOOTH)
+    x, i, size = healthy.guess, space.chart.free.index(name), 0.1
+    z = np.clip(space.centre, space.low + 1e-3, None)
+    point = search.stand(likelihood, space, z, x, size)
+    sd = np.linalg.inv(search.curvature(space, point.at))[i, i] ** 0.5
+    costs = []
+    for step in (0.1 * sd, -0.1 * sd):
+        moved = z.copy()
+        moved[i] += step
+        started = point.x - point.at.kx[:, :, i] * step
+        costs.append(search.stand(likelihood, space, moved, started, size).cost)
+    slope = point.at.weight @ point.at.g + space.prior_pull(z)
+    assert (costs[1] - costs[0]) / 0.2 == pytest.approx(sd * slope[i], abs=0.1)
+
+
 def test_a_step_of_newton_gains_what_it_promises(likelihood, small):
     guess = likelihood.predictor.guess
     point = search.stand(likelihood, small, small.centre + 0.3 * small.spread, guess, 1.0)
