@@ -14,11 +14,11 @@ from steerd.sim_hw.plant.car import COAST, Demand, Drive, SimCar
 from steerd.sim_hw.plant.faults import HEALTHY_VESC, VescFaultState
 from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.sim_hw.vesc.vesc_motor import MEANS, MS, Mode, Motor, Power, VescConfig, duty_current
-from steerd.sim_hw.vesc.vesc_wire import FALSE_HEADER, ByteLog, Chunk, ReplyWire
+from steerd.sim_hw.vesc.vesc_wire import FALSE_HEADER, Chunk, Logged, ReplyWire
 from steerd.vesc_link import commands as c
 from steerd.vesc_link import ids, telemetry
 from steerd.vesc_link.frames import FrameParser
-from steerd.vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp, Print
+from steerd.vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp
 from steerd.vesc_link.packets import FEEDS_TIMEOUT, Reply, decode_command, encode_reply
 from steerd.vesc_link.scaling import Scaling, erpm_to_speed, servo_pos_to_steer
 from steerd.vesc_link.telemetry import UPTIME_MASK, Uptime
@@ -110,7 +110,6 @@ class ImuChip:
 
 _UNDER_VOLTAGE = ids.FAULT_NAMES.index("UNDER_VOLTAGE")
 _OVER_TEMP = ids.FAULT_NAMES.index("OVER_TEMP_FET")
-_TERMINAL_NS = 5 * MS
 _PARSER_512 = ids.Firmware(3, 48)
 _decode = lru_cache(maxsize=512)(decode_command)
 
@@ -132,19 +131,19 @@ class SimVesc:
         scaling: Scaling,
         car: SimCar,
         noise: NoiseSource,
-        log: ByteLog | None = None,
+        log: list[Logged] | None = None,
     ) -> None:
         self.config = config
         self.car = car
-        self.log = ByteLog() if log is None else log  # every byte with its time
+        self._log = log  # takes every byte with its time
         self.fault_state: VescFaultState = HEALTHY_VESC
         # Host bugs and losses by name: ``short`` (a command without its arguments), ``unknown``
-        # ids, ``discarded`` blocking commands, ``lost`` bytes while off
+        # ids, ``lost`` bytes while off
         self.counts: Counter[str] = Counter()
         self._scaling = scaling
         self._sign = -1 if config.invert else 1
         self._noise = noise
-        self._wire = ReplyWire(config, noise)
+        self._wire = ReplyWire(config, noise, log)
         self._held: deque[Chunk] = deque()
         self._off_until_ns = -1
         self.connected = True  # whether the host sees the USB device
@@ -163,10 +162,7 @@ class SimVesc:
         self._servo_target = self._servo_out = 0.5
         self._servo_steer = servo_pos_to_steer(self._scaling, self._servo_out)
         self._servo_next_ns = t_ns + config.servo_phase_ns
-        self._busy_until_ns = self._alive_next_ns = t_ns
-        self._later: deque[tuple[int, Reply]] = deque()
-        if config.boot_garbage:
-            self._wire.send_raw(t_ns, self._noise.random_bytes(config.boot_garbage))
+        self._alive_next_ns = t_ns
 
     # --- faults
 
@@ -195,7 +191,6 @@ class SimVesc:
         self._off_until_ns = t_ns + self.config.reboot_ns
         self.connected = False
         self.motor.release()
-        self._later.clear()
 
     @property
     def uuid(self) -> bytes:
@@ -231,9 +226,18 @@ class SimVesc:
         return self._servo(t_ns), demand
 
     def _servo(self, t_ns: int) -> float:
-        """The road-wheel angle [rad] that the servo holds now; faults of servos replace this."""
-        if t_ns >= self._servo_next_ns:
-            self._move_servo(t_ns)
+        """The road-wheel angle [rad] that the servo holds now; faults of servos replace this.
+
+        A new one takes effect with the pulse that is due; without output it never does.
+        """
+        config = self.config
+        if t_ns < self._servo_next_ns or not config.servo_out or self.fault_state.servo_dead:
+            return self._servo_steer
+        self._servo_out = self._servo_target
+        self._servo_steer = servo_pos_to_steer(self._scaling, self._servo_out)
+        if config.servo_frame_ns:
+            behind = (t_ns - self._servo_next_ns) // config.servo_frame_ns
+            self._servo_next_ns += config.servo_frame_ns * (behind + 1)
         return self._servo_steer
 
     def _act(self, mode: Mode, value: float, erpm: float) -> tuple[Demand, float]:
@@ -257,16 +261,6 @@ class SimVesc:
         wheel = self.car.wheel_speed
         return self._sign * (scaling.erpm_gain * wheel + scaling.erpm_offset * (wheel != 0.0))
 
-    def _move_servo(self, t_ns: int) -> None:
-        """A new angle takes effect with the pulse that is due; without output it never does."""
-        config = self.config
-        if config.servo_out and not self.fault_state.servo_dead:
-            self._servo_out = self._servo_target
-            self._servo_steer = servo_pos_to_steer(self._scaling, self._servo_out)
-            if config.servo_frame_ns:
-                behind = (t_ns - self._servo_next_ns) // config.servo_frame_ns
-                self._servo_next_ns += config.servo_frame_ns * (behind + 1)
-
     # --- the wire
 
     @property
@@ -276,8 +270,6 @@ class SimVesc:
         Where it is off, or behind with its orders, the next physics step may change that.
         """
         due = self._wire.next_ns
-        if self._later and (due is None or self._later[0][0] < due):
-            due = self._later[0][0]
         if self._held or self._off_until_ns >= 0:
             step_ns = self.car.t_ns + self.car.setup.step_ns
             due = step_ns if due is None or step_ns < due else due
@@ -288,7 +280,8 @@ class SimVesc:
         if not self.connected:
             self.counts["lost"] += len(data)
             return
-        self.log.add(t_ns, "vesc", data)
+        if self._log is not None:
+            self._log.append(Logged(t_ns, "vesc", data))
         if t_ns < self._wire.blocked_until_ns:
             self._held.append(Chunk(t_ns, data))
             return
@@ -309,12 +302,10 @@ class SimVesc:
 
     def read(self, t_ns: int) -> bytes:
         """What is due by ``t_ns``, read by the host; one that never reads blocks the VESC."""
-        while self._later and self._later[0][0] <= t_ns:
-            self._reply(*self._later.popleft())
         due = self._wire.next_ns
         if not self.connected or due is None or due > t_ns:
             return b""
-        return self._wire.read(t_ns, self.log)
+        return self._wire.read(t_ns)
 
     # --- commands
 
@@ -354,10 +345,6 @@ class SimVesc:
             case c.SetMcConfTemp():
                 motor.set_limits(command)
                 return Ack(ids.CommandId.SET_MCCONF_TEMP) if command.ack else None
-            case c.TerminalCommand():
-                faults = f"Fault: FAULT_CODE_{ids.fault_name(motor.fault)}"
-                text = faults if command.text == "faults" else f"Invalid command: {command.text}"
-                self._block(t_ns, _TERMINAL_NS, Print(text))
             case c.Reboot():
                 self.reboot(t_ns)
         return None
@@ -378,14 +365,6 @@ class SimVesc:
             self._stuck_erpm = int(erpm) if self._stuck_erpm is None else self._stuck_erpm
             return self._stuck_erpm
         return erpm
-
-    def _block(self, t_ns: int, duration_ns: int, reply: Reply) -> None:
-        """Run a blocking command; a second one meanwhile is discarded without a word."""
-        if t_ns < self._busy_until_ns:
-            self.counts["discarded"] += 1
-            return
-        self._busy_until_ns = t_ns + duration_ns
-        self._later.append((self._busy_until_ns, reply))
 
 
 def _as_older(payload: bytes, reply: Reply, firmware: ids.Firmware) -> bytes:

@@ -69,12 +69,6 @@ class VescConfig:
     unread_limit: int = 1024 + 4096
     reboot_ns: int = 1_500 * MS  # time without USB after a REBOOT
     uptime_ns: int = 60_000 * MS  # how long it had been running when the simulation starts
-    boot_garbage: int = 0  # bytes of noise that it sends when it comes up
-
-    @property
-    def servo_wait(self) -> float:
-        """Mean wait of an angle for the next servo pulse [s]."""
-        return self.servo_frame_ns / 2e9
 
 
 TICK_NS = 10 * MS  # period of the firmware's timeout thread

@@ -23,28 +23,11 @@ class Chunk:
 
 
 class Logged(NamedTuple):
-    """One entry of a byte log: ``to`` is ``vesc`` or ``host``."""
+    """Bytes that went over the link, with their time: ``to`` is ``vesc`` or ``host``."""
 
     t_ns: int
     to: str
     data: bytes
-
-
-class ByteLog:
-    """Every byte on a link with its time, for judges of what went over the wire.
-
-    Args:
-        enabled: False keeps nothing (long soaks).
-    """
-
-    def __init__(self, enabled: bool = True) -> None:
-        self.enabled = enabled
-        self.entries: list[Logged] = []
-
-    def add(self, t_ns: int, to: str, data: bytes) -> None:
-        """Note bytes that reached ``to``."""
-        if self.enabled:
-            self.entries.append(Logged(t_ns, to, data))
 
 
 FALSE_HEADER = b"\x03\x02\x00"  # the head of a frame of 512 bytes
@@ -55,13 +38,13 @@ _USB_WAIT_NS = 100 * MS  # how long the firmware's USB thread waits for a host t
 class ReplyWire:
     """Replies in flight to the host."""
 
-    def __init__(self, config: VescConfig, noise: NoiseSource) -> None:
+    def __init__(self, config: VescConfig, noise: NoiseSource, log: list[Logged] | None) -> None:
         self.fault_state: VescFaultState = HEALTHY_VESC  # what is wrong with the link
         self.next_ns: int | None = None  # when the next bytes are due; None without any
         self.blocked_until_ns = 0  # the command thread waits for the host to read
         self.cut = 0  # replies that were cut because the host did not read
         self._config = config
-        self._noise = noise
+        self._noise, self._log = noise, log
         self._chunks: deque[Chunk] = deque()
         self._last_ns = 0
         self._unread = 0
@@ -74,14 +57,14 @@ class ReplyWire:
         self._unread = 0
         self._broken = False
 
-    def read(self, t_ns: int, log: ByteLog) -> bytes:
+    def read(self, t_ns: int) -> bytes:
         """What the host reads at ``t_ns``: all that is due."""
         chunks, data = self._chunks, b""
         while chunks and chunks[0].t_ns <= t_ns:
             chunk = chunks.popleft()
             data += chunk.data
-            if log.enabled:
-                log.add(chunk.t_ns, "host", chunk.data)
+            if self._log is not None:
+                self._log.append(Logged(chunk.t_ns, "host", chunk.data))
         self.next_ns = chunks[0].t_ns if chunks else None
         count = len(data)
         self._unread = self._unread - count if count < self._unread else 0

@@ -99,8 +99,8 @@ def drive_fast(tmp_path: Path) -> Drive:
 
         def note(run: VirtualRun) -> None:
             if run.core.loop.supervisor.state is SupervisorState.RUNNING:
-                truth = run.world.truth()
-                driven.track.append((truth.t_ns, truth.state.x, truth.state.y))
+                car = run.world.car
+                driven.track.append((car.t_ns, car.state.x, car.state.y))
 
         world = World(make_world_config(driven.plan))
         run = record_virtual(driven.plan, driven.session, lambda run: drive(run, note), world=world)

@@ -405,9 +405,9 @@ def test_v18_to_v21_wrong_telemetry(faulty):
 
 def test_v22_servo_stays(faulty):
     host = faulty("V22")
-    before = host.world.truth().state.steer
+    before = host.world.car.state.steer
     host.hold(300, c.SetServoPos(0.2))
-    assert host.world.truth().state.steer == pytest.approx(before, abs=1e-6)
+    assert host.world.car.state.steer == pytest.approx(before, abs=1e-6)
 
 
 def test_v23_second_client_keeps_the_timeout_from_striking(make_host):
