@@ -7,9 +7,11 @@ Reading is :mod:`steerd.steer_bus.session_read`.
 
 import contextlib
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from mimetypes import guess_type
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, BinaryIO
 
 from mcap.records import Attachment  # noqa: TID251
@@ -31,15 +33,6 @@ SCHEMA_VERSION, _SESSION = "1", "steerd.session"
 _MAX_TIME_NS = (1 << 63) - 1
 
 
-@dataclass(frozen=True, slots=True)
-class AttachedFile:
-    """A file to keep inside the session, such as the exact configuration."""
-
-    name: str
-    media_type: str
-    data: bytes
-
-
 class SessionWriter:
     """Writes one session; owned by one thread, except :meth:`sync`.
 
@@ -55,7 +48,7 @@ class SessionWriter:
         path: Path,
         topics: Mapping[str, type[Any]],
         metadata: Mapping[str, Mapping[str, str]],
-        attachments: Sequence[AttachedFile] = (),
+        attachments: Mapping[str, bytes] = MappingProxyType({}),
         start_ns: int = 0,
         flush_ns: int = FLUSH_NS,
     ) -> None:
@@ -65,7 +58,7 @@ class SessionWriter:
             path: the final name, ending in ``.mcap``.
             topics: session topic to message class.
             metadata: records such as ``steerd.session`` and ``steerd.vehicle``.
-            attachments: files to keep inside.
+            attachments: files to keep inside, such as the exact configuration, by name.
             start_ns: UNIX time of the attachments [ns].
             flush_ns: how often :meth:`tick` flushes [ns].
 
@@ -85,9 +78,9 @@ class SessionWriter:
                 for name, values in metadata.items():
                     version = {"schema_version": SCHEMA_VERSION} if name == _SESSION else {}
                     self._writer.add_metadata(name, {**version, **values})
-                for a in attachments:
-                    at = start_ns, start_ns
-                    self._writer.add_attachment(Attachment(*at, a.name, a.media_type, a.data))
+                for name, data in attachments.items():
+                    kind = guess_type(name)[0] or "application/toml"
+                    self._writer.add_attachment(Attachment(start_ns, start_ns, name, kind, data))
                 self._channels = {topic: self._add_topic(topic, of) for topic, of in topics.items()}
                 self._file.flush()
                 _sync_folder(path)
@@ -241,7 +234,7 @@ def recover(path_in: Path | str, path_out: Path | str) -> RecoverReport:
     partial = path_out.with_name(path_out.name + ".recovering")
     file = _create(path_out, partial)
     try:
-        writer = ContainerWriter(file, session.contents.profile)
+        writer = ContainerWriter(file, session.info().profile)
         gap_ns = _copy(session, writer)
         lost = sum(warning.lost for warning in session.warnings)
         writer.add_metadata("steerd.recovered", {"source": path_in.name, "lost_bytes": str(lost)})
@@ -261,7 +254,7 @@ def recover(path_in: Path | str, path_out: Path | str) -> RecoverReport:
 
 def _copy(session: Session, writer: ContainerWriter) -> int:
     """Copy definitions, texts and messages; give the longest gap between messages [ns]."""
-    contents = session.contents
+    contents = session.info()
     for name, values in contents.metadata.items():
         writer.add_metadata(name, values)
     for a in session.attachments():

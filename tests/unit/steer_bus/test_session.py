@@ -34,7 +34,7 @@ def clock(i, frame=WORLD):
 def test_info(drive):
     info = open_session(drive.path).info()
     assert info.count == len(drive.order)
-    assert info.warnings == ()
+    assert info.warnings == []
     assert info.finished
     assert info.clean
     assert info.metadata["steerd.session"] == {"schema_version": "1", "car": "car1"}

@@ -147,7 +147,7 @@ def test_recovery_saves_what_reading_finds(whole, tmp_path):
     assert report.lost_bytes > 0
     assert report.longest_gap_s == pytest.approx(0.005)
     info = session.info()
-    assert info.warnings == ()
+    assert info.warnings == []
     assert info.finished
     assert not info.clean
     assert info.metadata["steerd.recovered"]["source"] == "bad.mcap"
