@@ -79,7 +79,7 @@ def session(tmp_path):
     """Ten reports: nothing at first, then a bias; from the seventh on a change at 5.5 s."""
     topic = make_session_topic("car1", MODEL)
     writer = SessionWriter(
-        tmp_path / "a.mcap", {topic: Model}, {"steerd.session": {"car": "car1"}}, (), START
+        tmp_path / "a.mcap", {topic: Model}, {"steerd.session": {"car": "car1"}}, {}, START
     )
     for second in range(10):
         late = second >= 7
