@@ -6,7 +6,7 @@ modelled is the list of `docs/reference/vesc-serial.md#v8`; each item has a test
 
 import math
 from collections import Counter, deque
-from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any
 
@@ -27,8 +27,6 @@ _TRAIN = ("motor_poles", "gear_ratio", "wheel_diameter")
 """What the reply to GET_MCCONF_TEMP says beside the limits in force."""
 _IMU_PERIOD_NS = 5 * MS
 """The firmware samples its IMU at 200 Hz; faster polling reads the same sample again."""
-_MEAN_BITS = {"motor_current": 2, "input_current": 3, "d_current": 4, "q_current": 5}
-_MEAN_BITS |= {"v_d": 19, "v_q": 20}
 _SIGNATURE = 0x2A1B5C03
 _VERSION_TAIL = bytes(9) + bytes.fromhex("deadbeef")
 _VERSION_TAILS = (((3, 48), 1), ((5, 0), 2), ((5, 2), 4), ((5, 3), 7), ((6, 0), 9), ((6, 5), 13))
@@ -45,7 +43,7 @@ def make_values(
     What no client of ours asks for (charge, energy, position, temperature of each switch) is 0.
     """
     temp = power.temp_c
-    asked = [name for name in MEANS if mask is None or mask >> _MEAN_BITS[name] & 1]
+    asked = [name for name, bit in MEANS.items() if mask is None or mask >> bit & 1]
     means: dict[str, Any] = power.read_means(asked)
     return telemetry.Values(
         **means,
@@ -111,6 +109,7 @@ class ImuChip:
 _UNDER_VOLTAGE = ids.FAULT_NAMES.index("UNDER_VOLTAGE")
 _OVER_TEMP = ids.FAULT_NAMES.index("OVER_TEMP_FET")
 _PARSER_512 = ids.Firmware(3, 48)
+_OLDER = ids.FW_3_40
 _decode = lru_cache(maxsize=512)(decode_command)
 
 
@@ -283,14 +282,14 @@ class SimVesc:
         if self._log is not None:
             self._log.append(Logged(t_ns, "vesc", data))
         if t_ns < self._wire.blocked_until_ns:
-            self._held.append(Chunk(t_ns, data))
+            self._held.append((t_ns, data))
             return
         self._catch_up(t_ns)
         self._receive(t_ns, data)
 
     def _catch_up(self, t_ns: int) -> None:
         while self._held and t_ns >= self._wire.blocked_until_ns:
-            self._receive(t_ns, self._held.popleft().data)
+            self._receive(t_ns, self._held.popleft()[1])
         period = self.fault_state.alive_ns
         if period and t_ns >= self._alive_next_ns:
             self._alive_next_ns = t_ns + period
@@ -350,9 +349,15 @@ class SimVesc:
         return None
 
     def _reply(self, t_ns: int, reply: Reply) -> None:
-        payload, wrong = encode_reply(reply, self.config.firmware), self.fault_state.wrong
-        if wrong:
-            payload = _WRONG[wrong](payload, reply, self.config.firmware)
+        firmware, wrong = self.config.firmware, self.fault_state.wrong
+        payload = encode_reply(reply, firmware)
+        if wrong == "type":
+            payload = bytes((payload[0] ^ 0x40,)) + payload[1:]
+        elif wrong == "length":
+            payload = payload[: max(1, len(payload) * 2 // 3)]
+        elif wrong:  # an old firmware's layout, where that firmware has such a reply at all
+            with suppress(ValueError):
+                payload = encode_reply(reply, _OLDER if firmware > _OLDER else ids.FW_3_00)
         self._wire.send(t_ns, payload)
 
     def reported_erpm(self) -> float:
@@ -365,19 +370,3 @@ class SimVesc:
             self._stuck_erpm = int(erpm) if self._stuck_erpm is None else self._stuck_erpm
             return self._stuck_erpm
         return erpm
-
-
-def _as_older(payload: bytes, reply: Reply, firmware: ids.Firmware) -> bytes:
-    """The reply in an old firmware's layout, where that firmware has such a reply at all."""
-    try:
-        return encode_reply(reply, ids.FW_3_40 if firmware > ids.FW_3_40 else ids.FW_3_00)
-    except ValueError:
-        return payload
-
-
-_WRONG: dict[str, Callable[[bytes, Reply, ids.Firmware], bytes]] = {
-    "type": lambda payload, reply, firmware: bytes((payload[0] ^ 0x40,)) + payload[1:],
-    "length": lambda payload, reply, firmware: payload[: max(1, len(payload) * 2 // 3)],
-    "firmware": lambda payload, reply, firmware: _as_older(payload, reply, firmware),
-}
-"""Ways in which a reply can be another device's (fault V12)."""

@@ -246,7 +246,15 @@ _HEATING = 2e-4
 _COOLING = 120.0  # thermal time constant [s]
 _FIELD_VOLTAGE = 3**-0.5  # phase voltage per bus voltage at full duty (space-vector modulation)
 _FLAT = 0.1  # voltage below which no battery goes here, so that nothing divides by zero [V]
-MEANS = ("motor_current", "input_current", "d_current", "q_current", "v_d", "v_q")
+MEANS = {
+    "motor_current": 2,
+    "input_current": 3,
+    "d_current": 4,
+    "q_current": 5,
+    "v_d": 19,
+    "v_q": 20,
+}
+"""What is a mean since it was last read, and its bit in the mask of GET_VALUES_SELECTIVE."""
 
 
 class Power:

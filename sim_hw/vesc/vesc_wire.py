@@ -10,16 +10,9 @@ from typing import NamedTuple
 from steerd.sim_hw.plant.faults import HEALTHY_VESC, VescFaultState
 from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.sim_hw.vesc.vesc_motor import MS, VescConfig
-from steerd.steer_bus.quick_values import quick_value
 from steerd.vesc_link.frames import encode_frame
 
-
-@quick_value
-class Chunk:
-    """Bytes and the time at which they reach the other end [ns]."""
-
-    t_ns: int
-    data: bytes
+Chunk = tuple[int, bytes]  # bytes behind the time at which they reach the other end [ns]
 
 
 class Logged(NamedTuple):
@@ -60,12 +53,12 @@ class ReplyWire:
     def read(self, t_ns: int) -> bytes:
         """What the host reads at ``t_ns``: all that is due."""
         chunks, data = self._chunks, b""
-        while chunks and chunks[0].t_ns <= t_ns:
-            chunk = chunks.popleft()
-            data += chunk.data
+        while chunks and chunks[0][0] <= t_ns:
+            due_ns, part = chunks.popleft()
+            data += part
             if self._log is not None:
-                self._log.append(Logged(chunk.t_ns, "host", chunk.data))
-        self.next_ns = chunks[0].t_ns if chunks else None
+                self._log.append(Logged(due_ns, "host", part))
+        self.next_ns = chunks[0][0] if chunks else None
         count = len(data)
         self._unread = self._unread - count if count < self._unread else 0
         return data
@@ -119,7 +112,7 @@ class ReplyWire:
         """Bytes due at ``t_ns``, or when those before them are out: no byte overtakes another."""
         if t_ns > self._last_ns:
             self._last_ns = t_ns
-        self._chunks.append(Chunk(self._last_ns, data))
+        self._chunks.append((self._last_ns, data))
         if self.next_ns is None:
             self.next_ns = self._last_ns
         return self._last_ns
