@@ -84,9 +84,8 @@ def test_port_is_fresh_after_a_program_left_its_lock_and_bytes(sim: SpawnedSim, 
 
 
 def test_process_ends_when_its_parent_lets_go_and_cleans_up() -> None:
-    sim = spawn_sim(WorldConfig())
-    assert Path(sim.port).exists()
-    sim.stop()
+    with spawn_sim(WorldConfig()) as sim:
+        assert Path(sim.port).exists()
     assert sim.process.exitcode == 0
     assert not Path(sim.port).parent.exists()
 
