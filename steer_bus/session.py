@@ -38,7 +38,7 @@ class SessionWriter:
 
     Metadata and attachments are on disk before the first message, so they survive any crash. After
     the first error of the disk nothing more is written: what comes behind a record that was cut
-    could not be found again.
+    could not be found again. Every method raises SessionError where the disk takes no more.
     ``log_ns`` is UNIX time when a sample was taken and never goes back within a file; a stamp that
     would (the host's clock was set) is raised to the last one.
     """
@@ -107,7 +107,6 @@ class SessionWriter:
 
         Raises:
             KeyError: on a topic that was not declared.
-            SessionError: if the disk does not take it.
         """
         channel = self._channels[topic]
         if not self._last_log_ns <= log_ns <= _MAX_TIME_NS:
@@ -125,11 +124,7 @@ class SessionWriter:
             raise self._fail(error) from error
 
     def flush(self) -> None:
-        """Close the chunk and hand everything to the kernel (survives SIGKILL, not power loss).
-
-        Raises:
-            SessionError: if the disk does not take it.
-        """
+        """Close the chunk and hand everything to the kernel (survives SIGKILL, not power loss)."""
         with self._disk():
             self._writer.flush()
 
@@ -138,9 +133,6 @@ class SessionWriter:
 
         Args:
             t_ns: monotonic time now [ns].
-
-        Raises:
-            SessionError: if the disk does not take it.
         """
         if t_ns - self._flushed_ns >= self._flush_ns:
             self.flush()
@@ -151,11 +143,7 @@ class SessionWriter:
         return True
 
     def sync(self) -> None:
-        """Wait until the disk has what was flushed; a second thread may, until ``finish``.
-
-        Raises:
-            SessionError: if the disk reports an error.
-        """
+        """Wait until the disk has what was flushed; a second thread may, until ``finish``."""
         if self._broken is not None:
             raise self._broken
         try:
@@ -170,10 +158,7 @@ class SessionWriter:
             end: why the session ended (``reason``, ``dropped``, ...).
 
         Returns:
-            The finished file.
-
-        Raises:
-            SessionError: if the disk does not take it; what was flushed stays in ``.partial``.
+            The finished file; on an error what was flushed stays in ``.partial``.
         """
         with self._disk():
             self._writer.flush()
@@ -187,11 +172,7 @@ class SessionWriter:
 
     @contextlib.contextmanager
     def _disk(self) -> Iterator[None]:
-        """Turn the first error of the disk into the error of every later call.
-
-        Raises:
-            SessionError: the disk did not take something, now or before.
-        """
+        """Turn the first error of the disk into the error of every later call."""
         if self._broken is not None:
             raise self._broken
         try:
