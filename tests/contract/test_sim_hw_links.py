@@ -115,6 +115,7 @@ def test_natnet_frames_arrive_over_multicast_on_the_loopback() -> None:
 def test_foreign_frames_come_from_another_address() -> None:
     with spawn_sim(WorldConfig(), (Fault("M20"),)) as sim:
         url = parse_mocap_url(sim.mocap_url)
+        assert url.unicast
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
             udp.sendto(natnet.encode(natnet.Bare.CONNECT), (url.host, url.port))
             senders = set()

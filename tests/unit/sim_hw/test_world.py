@@ -19,6 +19,7 @@ from steerd.mocap_link.vrpn_client import VrpnSource
 from steerd.sim_hw.mocap.cameras import MULTICAST, TO_COMMAND, TO_DATA, MocapConfig
 from steerd.sim_hw.mocap.network import COMMAND, STREAM
 from steerd.sim_hw.plant.faults import Fault
+from steerd.sim_hw.vesc.vesc_motor import VescConfig
 from steerd.sim_hw.world import World, WorldConfig
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.frames import encode_frame
@@ -208,6 +209,11 @@ def test_effects_change_the_car_and_pose_latency_is_not_stamped() -> None:
     assert plain[0] == latency[0]
     assert plain[1].x - latency[1].x == pytest.approx(0.05 * 2.0, abs=0.01)
     assert end("drive_delay=0.1")[0].x < plain[0].x - 0.1
+
+
+def test_the_servo_signals_own_wait_is_half_its_frame() -> None:
+    found = [WorldConfig(vesc=VescConfig(servo_out=out)).servo_wait for out in (True, False)]
+    assert found == [0.01, 0.0]
 
 
 def test_bad_mocap_settings_are_refused() -> None:

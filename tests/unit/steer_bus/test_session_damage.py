@@ -264,6 +264,7 @@ def test_other_writers_files_are_read(tmp_path, compression, chunked):
     session, found = read_all(write(tmp_path / "a.mcap", buffer.getvalue()))
     assert session.warnings == ()
     assert [log_ns for _, log_ns, _ in found] == list(range(100, 0, -1))
+    assert (session.info().start_ns, session.info().end_ns) == (1, 100)
     assert recover(session.info().path, tmp_path / "b.mcap").messages == 100
     with pytest.raises(SessionError) as caught:
         session.columns(ClockSample, "/strange")
