@@ -15,14 +15,15 @@ MULTICAST, TO_COMMAND, TO_DATA = "multicast", "command", "data"
 """Where NatNet frames go: the group, or a unicast client's command or data socket."""
 
 
+Planar = tuple[float, float, float]  # x, y, yaw of a true or seen pose in the world [m, m, rad]
+
+
 class Bystander(NamedTuple):
-    """Another tracked thing that stands in the room; world frame."""
+    """Another tracked thing that stands in the room."""
 
     name: str
     id: int
-    x: float
-    y: float
-    yaw: float
+    pose: Planar
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +71,6 @@ class MocapConfig:
 
 
 _NS = 1_000_000_000
-Planar = tuple[float, float, float]  # x, y, yaw of a true or seen pose in the world [m, m, rad]
 _IMPOSTOR = (1.5, -1.0, 0.3)  # where the other thing stands when the room has none [m, m, rad]
 
 
@@ -126,12 +126,12 @@ class Cameras:
         config, faults = self._config, self.fault_state
         seen = car.observe_pose(t_ns)
         true = seen.x, seen.y, seen.yaw
-        others = [(b.name, b.id, (b.x, b.y, b.yaw)) for b in config.bystanders]
+        others = [*config.bystanders]
         own = self._displace(true, t_ns)
         if faults.swap or faults.impostor:
-            own = others[0][2] if others else _IMPOSTOR
+            own = others[0].pose if others else _IMPOSTOR
         if faults.swap and others:
-            others[0] = (*others[0][:2], true)
+            others[0] = others[0]._replace(pose=true)
         bodies = [] if faults.absent else [self._own(own)]
         return (*bodies, *(self._body(*other) for other in others))
 

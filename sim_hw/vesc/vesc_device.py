@@ -80,12 +80,10 @@ class ImuChip:
 
     def make_reply(self, mask: int, t_ns: int) -> telemetry.Imu:
         """GET_IMU_DATA reply: the latest 200 Hz sample; without a chip zeros and identity."""
-        if not self._config.imu:
-            return telemetry.Imu(mask, q_w=1.0, controller_id=self._config.controller_id)
         slot = t_ns // _IMU_PERIOD_NS
         if slot != self._sample_ns:
             self._sample_ns = slot
-            self._sample = self._measure()
+            self._sample = self._measure() if self._config.imu else {"q_w": 1.0}
         return telemetry.Imu(mask, **self._sample, controller_id=self._config.controller_id)
 
     def _measure(self) -> dict[str, float]:

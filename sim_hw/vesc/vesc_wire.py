@@ -72,7 +72,9 @@ class ReplyWire:
             return
         frame = encode_frame(payload)
         if noise.chance(faults.corrupt):
-            frame = flip_bit(frame, noise)
+            bit, damaged = int(noise.uniform() * 8 * len(frame)), bytearray(frame)
+            damaged[bit // 8] ^= 1 << bit % 8
+            frame = bytes(damaged)
         if faults.truncate:
             frame, self._broken = frame[: len(frame) // 2], True
         due = t_ns + self._config.reply_delay_ns + faults.delay_ns
@@ -116,11 +118,3 @@ class ReplyWire:
         if self.next_ns is None:
             self.next_ns = self._last_ns
         return self._last_ns
-
-
-def flip_bit(data: bytes, noise: NoiseSource) -> bytes:
-    """The data with one random bit wrong."""
-    bit = int(noise.uniform() * 8 * len(data))
-    damaged = bytearray(data)
-    damaged[bit // 8] ^= 1 << bit % 8
-    return bytes(damaged)

@@ -39,7 +39,7 @@ MISTAKES = (
 )
 """Cars that a learner takes this one for: near enough to pass the core's check."""
 STRAIGHT, CURVE = ("line", 2.0), ("circle:radius=1.12", 2.0)
-BYSTANDER = Bystander("cone", 2, 1.0, 1.5, 0.3)
+BYSTANDER = Bystander("cone", 2, (1.0, 1.5, 0.3))
 
 
 class Notes:

@@ -27,7 +27,8 @@ ON, OFF = 1000 * MS, 2000 * MS
 MakeHost = Callable[..., Any]
 VERSION = MocapConfig().version
 DRIVING = WorldConfig(
-    start=ORIGIN._replace(speed=1.0), mocap=MocapConfig(bystanders=(Bystander("box", 2, 3, 1, 0),))
+    start=ORIGIN._replace(speed=1.0),
+    mocap=MocapConfig(bystanders=(Bystander("box", 2, (3, 1, 0)),)),
 )
 
 
