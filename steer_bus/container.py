@@ -90,16 +90,12 @@ class ChannelCount:
     last_ns: int = 0
 
 
-_NONE = ChannelCount()
-
-
 @dataclass(frozen=True, slots=True)
 class TopicInfo:
     """One channel of a session; times are UNIX ns, ``rate_hz`` the mean over the topic's span."""
 
     name: str
     type_name: str
-    encoding: str
     count: int
     first_ns: int
     last_ns: int
@@ -139,12 +135,9 @@ class SessionInfo:
         """Its channels."""
         found = []
         for key, channel in sorted(self.channels.items()):
-            count = self.counts.get(key, _NONE)
-            times = (count.first_ns, count.last_ns) if count.count else (0, 0)
-            name = self.schema(channel).name
-            found.append(
-                TopicInfo(channel.topic, name, channel.message_encoding, count.count, *times)
-            )
+            count = self.counts.get(key, ChannelCount(0, 0))
+            times = count.count, count.first_ns, count.last_ns
+            found.append(TopicInfo(channel.topic, self.schema(channel).name, *times))
         return tuple(found)
 
     @property

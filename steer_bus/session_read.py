@@ -146,17 +146,16 @@ class Session:
         Raises:
             SessionError: if there is none of this name, or the file has changed.
         """
-        item = next((a for a in self.attachments(name)), None)
+        item = next((a for a in self.attachments() if a.name == name), None)
         if item is None:
             text = f"{self._path.name} has no attachment {name!r}"
             raise SessionError("missing_attachment", text, exit_code=WRONG_CONTENT)
         return item.data
 
-    def attachments(self, *names: str) -> Iterator[Attachment]:
-        """Read the attachments of these names (all if none is given); raises as messages()."""
-        for name, span in self._info.attached:
-            if not names or name in names:
-                yield container.parse(Attachment, self._read(span))
+    def attachments(self) -> Iterator[Attachment]:
+        """Read the attached files; raises as messages()."""
+        for _, span in self._info.attached:
+            yield container.parse(Attachment, self._read(span))
 
     def holes(self) -> tuple[tuple[int, int], ...]:
         """Stretches in which the recorder did not get everything [UNIX ns], in order.
