@@ -11,15 +11,9 @@ from typing import Annotated, Any
 
 from steerd.steer_bus import fields as ros
 from steerd.steer_bus.fields import message
-from steerd.steer_bus.standard import Header, make_header, make_time, stamp_ns
-
-__all__ = [
-    "BODY", "OWN_MESSAGES", "WORLD", "Actuation", "ActuationMode", "ClockSample", "Design",
-    "DriveCommand", "Header", "Heartbeat", "MocapPose", "Model", "OperatorRequest",
-    "ParameterRequest", "Parameters", "RequestKind", "StateMessage", "Throttle", "Tick",
-    "Transition", "VescIdentity", "VescImu", "VescTelemetry", "WheelSpeed", "make_header",
-    "make_time", "stamp_ns",
-]  # fmt: skip
+from steerd.steer_bus.standard import Header as Header
+from steerd.steer_bus.standard import make_header as make_header
+from steerd.steer_bus.standard import stamp_ns as stamp_ns
 
 WORLD = "map"
 BODY = "base_link"
