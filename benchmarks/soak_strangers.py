@@ -30,7 +30,7 @@ from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.messages import BODY, OperatorRequest, RequestKind, make_header
 from steerd.steer_bus.topics import TOPICS, make_key
-from steerd.steer_bus.zenoh_bus import ZenohBus, make_spoke_profile
+from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 
 CAR, RATE, PAUSE_S = "car1", 1000.0, 0.002
 HARMLESS = (RequestKind.ARM, RequestKind.START, RequestKind.CLEAR, RequestKind.KEEPALIVE)
@@ -116,7 +116,7 @@ def fuzz(endpoint: str, page: str, view: str, seconds: float, seed: int) -> None
     keys = [make_key(CAR, topic, who) for topic in TOPICS for who in ("", "desk")]
     shown, viewer = open_page(page), Talker(view, None, ["foxglove.sdk.v1"])
     began, sent = time.monotonic(), 0
-    with ZenohBus(make_spoke_profile(endpoint, None)) as bus:
+    with ZenohBus(Profile(False, endpoint)) as bus:
         while (t := time.monotonic() - began) < seconds:
             if select.select([sys.stdin], [], [], PAUSE_S)[0]:
                 break
@@ -140,7 +140,7 @@ def stop_often(endpoint: str, page: str, seconds: float, every: float) -> None:
         itertools.product((RequestKind.STOP, RequestKind.ESTOP), ("bus", "page"))
     )
     began, stopped_ns, asked_ns = clock.now_ns(), clock.now_ns(), 0
-    with ZenohBus(make_spoke_profile(endpoint, None)) as bus:
+    with ZenohBus(Profile(False, endpoint)) as bus:
         view = CarView(bus, CAR, clock)
         operator = BusOperator(bus, CAR, clock, "soak", view.pulse)
         while (now := clock.now_ns()) - began < seconds * 1e9:

@@ -1,7 +1,7 @@
 """The world in virtual time: one car, its VESC and its mocap system, joined by bytes alone.
 
 A caller moves time on (`World.advance`), writes and reads the serial link, and writes and reads
-mocap datagrams; that is all that a driver of real hardware can do. `World.truth` is for judges.
+mocap datagrams; that is all that a driver of real hardware can do. `World.car` is for judges.
 Same configuration, faults and calls give the same bytes.
 """
 
@@ -9,20 +9,19 @@ import errno
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from functools import partial
 
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.car_model.state import ORIGIN, State
 from steerd.sim_hw.mocap.cameras import Cameras, MocapConfig
 from steerd.sim_hw.mocap.network import COMMAND, DATA, Datagram, Network, Peer
 from steerd.sim_hw.mocap.servers import NatNetServer, VrpnDevice
 from steerd.sim_hw.plant.car import CarSetup, Demand, Drive, SimCar
-from steerd.sim_hw.plant.faults import Fault, in_world_time, make_condition
+from steerd.sim_hw.plant.faults import Fault, make_condition
 from steerd.sim_hw.plant.noise import make_noise_source
 from steerd.sim_hw.vesc.vesc_device import SimVesc
 from steerd.sim_hw.vesc.vesc_motor import VescConfig
-from steerd.sim_hw.vesc.vesc_wire import ByteLog
+from steerd.sim_hw.vesc.vesc_wire import Logged
 from steerd.vesc_link.scaling import F1TENTH, Scaling
 
 TX_BUFFER = 4096  # bytes that the host's kernel takes for a device that does not read
@@ -31,7 +30,7 @@ _PUSH, _PUSH_NS = 0.4, 2_800_000_000
 
 
 @dataclass(frozen=True)
-class WorldConfig:
+class WorldConfig(CarSetup):
     """Everything that a simulated run depends on, besides what is done to it."""
 
     seed: int = 0  # root of all randomness
@@ -40,20 +39,12 @@ class WorldConfig:
     scaling: Scaling = F1TENTH  # how the car's servo and motor are really geared
     vesc: VescConfig = field(default_factory=VescConfig)  # the devices
     mocap: MocapConfig = field(default_factory=MocapConfig)
-    start: State[float] = ORIGIN  # true state at the beginning
-    step_ns: int = 2_000_000  # physics step
-    coast_decel: float = 0.6  # drag of the released drive train [m/s^2]
-    process_noise: tuple[float, float, float] = (0.0, 0.0, 0.0)  # see `CarSetup.noise`
     keep_bytes: bool = True  # whether every serial byte is logged
 
-
-class Truth(NamedTuple):
-    """The true state, which no instrument measures."""
-
-    t_ns: int
-    state: State[float]
-    accel_x: float
-    accel_y: float
+    @property
+    def servo_wait(self) -> float:
+        """Mean wait of an angle for the next servo pulse [s]."""
+        return self.vesc.servo_frame_ns / 2e9 if self.vesc.servo_out else 0.0
 
 
 class World:
@@ -71,41 +62,34 @@ class World:
         self.config = config
         self.t_ns = t_start_ns  # how far time has come
         self._t_start_ns = t_start_ns
-        wait = config.vesc.servo_wait if config.vesc.servo_out else 0.0
-        noise = config.process_noise
-        setup = CarSetup(config.step_ns, config.coast_decel, wait, noise, config.start)
+        source = partial(make_noise_source, config.seed)
         # The parts, for judges and tests
-        self.car = SimCar(config.model, setup, make_noise_source(config.seed, "car"), t_start_ns)
+        self.car = SimCar(config.model, config, source("car"), t_start_ns)
         # Every serial byte with its time, if the configuration keeps them
-        self.log = ByteLog(config.keep_bytes)
-        self.vesc = SimVesc(
-            config.vesc, config.scaling, self.car, make_noise_source(config.seed, "vesc"), self.log
-        )
-        self.network = Network(make_noise_source(config.seed, "network"))
-        own = make_noise_source(config.seed, "server")
+        self.log: list[Logged] = []
+        log = self.log if config.keep_bytes else None
+        self.vesc = SimVesc(config.vesc, config.scaling, self.car, source("vesc"), log)
+        self.network = Network(source("network"))
         kind = VrpnDevice if config.mocap.kind == "vrpn" else NatNetServer
-        self.mocap: VrpnDevice | NatNetServer = kind(config.mocap, self.network, own, t_start_ns)
-        self._cameras = Cameras(config.mocap, make_noise_source(config.seed, "cameras"), t_start_ns)
+        self.mocap = kind(config.mocap, self.network, source("server"), t_start_ns)
+        self._cameras = Cameras(config.mocap, source("cameras"), t_start_ns)
         self._h = config.step_ns / 1e9
         self._step_ns = config.step_ns
-        self._faults = tuple(in_world_time(fault, t_start_ns) for fault in faults)
+        self._faults = tuple(faults)
         self._push, self._pushed_until_ns = Demand(Drive.SPEED, -_PUSH), t_start_ns
-        self._rx = bytearray()
         self._stuck = 0
         self._apply_faults(t_start_ns)
 
     def add_fault(self, fault: Fault) -> None:
         """Plan another fault (its window counts from the world's start)."""
-        self._faults = (*self._faults, in_world_time(fault, self._t_start_ns))
+        self._faults = (*self._faults, fault)
         self._apply_faults(self.car.t_ns)
 
     def _apply_faults(self, t_ns: int) -> None:
-        condition = make_condition(self._faults, t_ns)
+        condition = make_condition(self._faults, t_ns, self._t_start_ns)
         self._edge_ns = condition.until_ns
         if not condition.vesc.stalled:
             self._stuck = 0
-        if not condition.vesc.plugged:
-            self._rx.clear()
         self._port = f"vesc{condition.vesc.port_suffix}"
         self.vesc.set_fault_state(t_ns, condition.vesc)
         if condition.mocap.restart and not self._cameras.fault_state.restart:
@@ -152,11 +136,6 @@ class World:
         if due is not None and due < wake:
             wake = due
         return wake if wake < self._edge_ns else self._edge_ns
-
-    def truth(self) -> Truth:
-        """The true state at the latest physics step."""
-        car = self.car
-        return Truth(car.t_ns, car.state, car.accel_x, car.accel_y)
 
     # --- serial
 

@@ -27,21 +27,18 @@ class Sample:
     sender: bytes = b""  # the publisher's id of 16 bytes; empty if the sender gives none
 
 
-class Subscription(Protocol):
-    """The newest samples of a key."""
-
-    def poll(self) -> list[Sample]:
-        """Take what has arrived since the last poll, oldest first; never waits."""
-
-    def close(self) -> None:
-        """Stop receiving."""
-
-
 class Token(Protocol):
     """Something declared that lasts until it is closed."""
 
     def close(self) -> None:
         """Withdraw it."""
+
+
+class Subscription(Token, Protocol):
+    """The newest samples of a key."""
+
+    def poll(self) -> list[Sample]:
+        """Take what has arrived since the last poll, oldest first; never waits."""
 
 
 Answer = Callable[[str], bytes | None]

@@ -64,7 +64,7 @@ def decode(cls: type[M], data: bytes) -> M:
         raise CodecError(f"{name}: not little-endian CDR (header {data[:4].hex() or 'missing'})")
     values: list[Any] = []
     try:
-        end = _read(_steps(cls), data, len(_HEADER), values)
+        end = read_steps(_steps(cls), data, len(_HEADER), values)
     except (struct.error, UnicodeError, IndexError) as error:
         raise CodecError(f"{name}: {error}") from error
     if len(data) - end > _MAX_TRAILING:
@@ -205,7 +205,13 @@ def _phases(run: list[_Token]) -> tuple[struct.Struct, ...]:
     return tuple(_layout(run, phase, "") for phase in range(8))
 
 
-def _read(steps: tuple[_Step, ...], data: bytes, pos: int, values: list[Any]) -> int:
+def read_steps(steps: tuple[_Step, ...], data: bytes, pos: int, values: list[Any]) -> int:
+    """Append what stands behind a place of the data, and give the place behind it.
+
+    Raises:
+        CodecError: on lengths outside the data and a string without its NUL.
+        struct.error, UnicodeError: on truncation and invalid UTF-8.
+    """
     for step in steps:
         if isinstance(step, tuple):
             layout = step[(pos - 4) % 8]
@@ -219,7 +225,10 @@ def _read(steps: tuple[_Step, ...], data: bytes, pos: int, values: list[Any]) ->
             raise CodecError(f"length {count} at byte {pos - 4} exceeds the data")
         if isinstance(step, Sized):
             raw = data[pos : pos + count]
-            values.append(read_text(raw) if step.is_text else bytes(raw))
+            # A few DDS vendors write an empty string with length 0.
+            if step.is_text and raw[-1:] not in (b"", b"\x00"):
+                raise CodecError("string without its NUL")
+            values.append(raw[:-1].decode() if step.is_text else bytes(raw))
             pos += count
         else:
             items, pos = _read_items(step, data, pos, count)
@@ -232,22 +241,9 @@ def _read_items(cls: type[Any], data: bytes, pos: int, count: int) -> tuple[tupl
     items = []
     for _ in range(count):
         values: list[Any] = []
-        pos = _read(steps, data, pos, values)
+        pos = read_steps(steps, data, pos, values)
         items.append(build(iter(values)))
     return tuple(items), pos
-
-
-def read_text(raw: bytes) -> str:
-    """Decode a string's bytes, its NUL included.
-
-    Raises:
-        CodecError: if the NUL is missing.
-        UnicodeDecodeError: if it is not UTF-8.
-    """
-    # A few DDS vendors write an empty string with length 0.
-    if raw[-1:] not in (b"", b"\x00"):
-        raise CodecError("string without its NUL")
-    return raw[:-1].decode()
 
 
 @cached

@@ -16,6 +16,7 @@ import re
 import struct
 import zlib
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import lz4.frame  # type: ignore[import-untyped]
@@ -89,34 +90,101 @@ class ChannelCount:
     last_ns: int = 0
 
 
-@dataclass(slots=True)
-class Contents:
-    """What one pass found in a file; attachments are (name, where the record's body lies)."""
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """One channel of a session; times are UNIX ns, ``rate_hz`` the mean over the topic's span."""
 
+    name: str
+    type_name: str
+    count: int
+    first_ns: int
+    last_ns: int
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate [Hz]; 0 for fewer than two messages."""
+        span_ns = self.last_ns - self.first_ns
+        return (self.count - 1) * 1e9 / span_ns if self.count > 1 and span_ns > 0 else 0.0
+
+
+_NO_SCHEMA = rec.Schema(id=0, data=b"", encoding="", name="")
+
+
+@dataclass
+class SessionInfo:
+    """What a session holds, as one pass over its file found it."""
+
+    path: Path
+    size: int  # of the file [bytes]
     spans: list[Span] = field(default_factory=list)
     schemas: dict[int, rec.Schema] = field(default_factory=dict)
     channels: dict[int, rec.Channel] = field(default_factory=dict)
     counts: dict[int, ChannelCount] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    attachments: list[tuple[str, Span]] = field(default_factory=list)
+    attached: list[tuple[str, Span]] = field(default_factory=list)  # where each record's body lies
     warnings: list[SessionWarning] = field(default_factory=list)
     profile: str = ""
-    finished: bool = False
+    finished: bool = False  # the container's end is whole
+
+    def schema(self, channel: rec.Channel) -> rec.Schema:
+        """A channel's schema; one without a name where there is none."""
+        return self.schemas.get(channel.schema_id, _NO_SCHEMA)
+
+    @property
+    def topics(self) -> tuple[TopicInfo, ...]:
+        """Its channels."""
+        found = []
+        for key, channel in sorted(self.channels.items()):
+            count = self.counts.get(key, ChannelCount(0, 0))
+            times = count.count, count.first_ns, count.last_ns
+            found.append(TopicInfo(channel.topic, self.schema(channel).name, *times))
+        return tuple(found)
+
+    @property
+    def attachments(self) -> tuple[str, ...]:
+        """Names of the attached files."""
+        return tuple(name for name, _ in self.attached)
+
+    @property
+    def clean(self) -> bool:
+        """Whether the recorder also said why it ended (``steerd.end``); if not, it crashed."""
+        return self.finished and "steerd.end" in self.metadata
+
+    @property
+    def count(self) -> int:
+        """Number of messages."""
+        return sum(each.count for each in self.counts.values())
+
+    @property
+    def start_ns(self) -> int:
+        """Time of the first message [UNIX ns]; 0 without one."""
+        return min((each.first_ns for each in self.counts.values()), default=0)
+
+    @property
+    def end_ns(self) -> int:
+        """Time of the last message [UNIX ns]; 0 without one."""
+        return max((each.last_ns for each in self.counts.values()), default=0)
+
+    @property
+    def duration_s(self) -> float:
+        """First to last message [s]."""
+        return (self.end_ns - self.start_ns) * 1e-9
 
 
-def read_contents(file: int, size: int) -> Contents:
+def read_contents(path: Path, file: int, size: int) -> SessionInfo:
     """Read and check a whole container of ``size`` bytes; never raises on damage.
 
     The caller has checked the magic. Bytes that a writer appends meanwhile are not looked at.
 
     Args:
+        path: its name.
         file: its descriptor; the position in it is neither used nor moved.
         size: how much of it to read [bytes].
 
     Raises:
         OSError: if the file cannot be read.
     """
-    contents = Contents()
+    contents = SessionInfo(path, size)
     crc, pos, intact = zlib.crc32(MAGIC), len(MAGIC), True
     while True:
         try:
@@ -278,7 +346,7 @@ def _read_record(file: int, pos: int, size: int) -> tuple[int, bytes]:
     return opcode, body
 
 
-def _take(contents: Contents, opcode: int, body: bytes, pos: int) -> None:
+def _take(contents: SessionInfo, opcode: int, body: bytes, pos: int) -> None:
     match opcode:
         case Opcode.CHUNK:
             _take_chunk(contents, body, pos)
@@ -294,7 +362,7 @@ def _take(contents: Contents, opcode: int, body: bytes, pos: int) -> None:
             name = parse(rec.Attachment, body).name
             if body[-4:] not in (bytes(4), struct.pack("<I", zlib.crc32(body[:-4]))):
                 raise DamageError(f"attachment {name!r} fails its CRC")
-            contents.attachments.append((name, Span(pos + RECORD.size, len(body))))
+            contents.attached.append((name, Span(pos + RECORD.size, len(body))))
         case Opcode.METADATA:
             metadata = parse(rec.Metadata, body)
             contents.metadata[metadata.name] = metadata.metadata
@@ -315,7 +383,7 @@ def _add_plain_span(spans: list[Span], new: Span) -> None:
         spans.append(new)
 
 
-def _take_chunk(contents: Contents, body: bytes, pos: int) -> None:
+def _take_chunk(contents: SessionInfo, body: bytes, pos: int) -> None:
     try:
         _take_records(contents, open_chunk(body))
     except DamageError as damage:
@@ -328,7 +396,7 @@ def _take_chunk(contents: Contents, body: bytes, pos: int) -> None:
     contents.spans.append(Span(pos, RECORD.size + len(body), chunk=True))
 
 
-def _take_records(contents: Contents, data: bytes) -> None:
+def _take_records(contents: SessionInfo, data: bytes) -> None:
     messages, others = scan_messages(data)
     for opcode, body in others:
         _define(contents, opcode, body)
@@ -341,7 +409,7 @@ def _take_records(contents: Contents, data: bytes) -> None:
             count.last_ns = max(count.last_ns, log_ns)
 
 
-def _define(contents: Contents, opcode: int, body: bytes) -> None:
+def _define(contents: SessionInfo, opcode: int, body: bytes) -> None:
     if opcode == Opcode.SCHEMA:
         schema = parse(rec.Schema, body)
         _set_once(contents, contents.schemas, schema.id, schema)
@@ -352,7 +420,7 @@ def _define(contents: Contents, opcode: int, body: bytes) -> None:
         _set_once(contents, contents.channels, channel.id, channel)
 
 
-def _set_once(contents: Contents, known: dict[int, T], key: int, value: T) -> None:
+def _set_once(contents: SessionInfo, known: dict[int, T], key: int, value: T) -> None:
     if known.setdefault(key, value) != value:
         text = f"{type(value).__name__.lower()} {key} is defined twice, differently: first kept"
         contents.warnings.append(SessionWarning("conflict", text, 0))
@@ -361,7 +429,7 @@ def _set_once(contents: Contents, known: dict[int, T], key: int, value: T) -> No
 # -- damage --------------------------------------------------------------------------------------
 
 
-def _note_loss(contents: Contents, why: str, pos: int, found: int | None, size: int) -> None:
+def _note_loss(contents: SessionInfo, why: str, pos: int, found: int | None, size: int) -> None:
     if found is None:
         text = f"not finished, {why} at byte {pos}; {size - pos} bytes lost"
         contents.warnings.append(SessionWarning("unfinished", text, pos, size - pos))
@@ -409,7 +477,7 @@ def _frames_chunk(start: bytes, length: int) -> bool:
 # -- the end of the file -------------------------------------------------------------------------
 
 
-def _take_summary(contents: Contents, file: int, pos: int, size: int) -> None:
+def _take_summary(contents: SessionInfo, file: int, pos: int, size: int) -> None:
     """Accept the file as finished if its end is whole; learn schemas that a lost chunk held."""
     tail = os.pread(file, min(size - pos, MAX_RECORD), pos)
     footer = len(tail) - len(MAGIC) - _FOOTER_SIZE
@@ -432,7 +500,7 @@ def _take_summary(contents: Contents, file: int, pos: int, size: int) -> None:
         contents.warnings.append(SessionWarning("damaged", f"summary: {damage}", pos))
 
 
-def _note_orphans(contents: Contents) -> None:
+def _note_orphans(contents: SessionInfo) -> None:
     for channel in sorted(contents.counts.keys() - contents.channels.keys()):
         count = contents.counts.pop(channel).count
         text = f"{count} messages of channel {channel}, which is defined nowhere"

@@ -9,7 +9,7 @@ An operator's requests go under keys that end with the own name, so that the car
 # Why: docs/decisions/safety.md#d25
 
 import stat
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -100,16 +100,11 @@ def make_access_settings(lab: Lab, pose_key: str | None = None) -> dict[str, Any
     rules = [
         _rule("listen", "ingress", ["declare_subscriber"], [f"{ROOT}/{lab.car}/**"]),
         _rule("query", "ingress", _QUERYING, queried),
-        _rule(
-            "publish",
-            "egress",
-            ["put", "reply", "liveliness_token", "declare_queryable"],
-            published,
-        ),
+        _rule("publish", "egress", _PUBLISHING, published),
         _rule("expect", "egress", ["declare_subscriber"], heard),
     ]
     reading = ["listen", "query", "publish"]
-    roles = [("viewers", lab.viewers, reading)] if lab.viewers else []
+    roles: list[_Role] = [("viewers", lab.viewers, reading)] if lab.viewers else []
     for name in lab.operators:
         own = [*poses, *(make_key(lab.car, topic, name) for topic in named)]
         rules.append(_rule(f"command as {name}", "ingress", ["put"], own))
@@ -131,13 +126,11 @@ def make_plain_access() -> dict[str, Any]:
     return _access("allow", rules, [("everybody", None, ["requests", "forged"])])
 
 
-def _access(
-    default: str,
-    rules: list[dict[str, Any]],
-    roles: Iterable[tuple[str, tuple[str, ...] | None, list[str]]],
-) -> dict[str, Any]:
-    """Access control by role: its id, its common names (None for everybody), its rules."""
-    roles = list(roles)
+_Role = tuple[str, tuple[str, ...] | None, list[str]]
+"""Its id, its certificates' common names (None for everybody), the ids of its rules."""
+
+
+def _access(default: str, rules: list[dict[str, Any]], roles: Sequence[_Role]) -> dict[str, Any]:
     return {
         "access_control": {
             "enabled": True,
@@ -153,6 +146,7 @@ def _access(
 
 
 _QUERYING = ["query", "liveliness_query", "declare_liveliness_subscriber"]
+_PUBLISHING = ["put", "reply", "liveliness_token", "declare_queryable"]
 
 
 def _rule(

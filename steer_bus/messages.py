@@ -9,46 +9,30 @@ CoG, x forward, y left); yaw and steer are positive to the left.
 from enum import IntEnum
 from typing import Annotated, Any
 
-from steerd.steer_bus.fields import (
-    Bytes,
-    Float64,
-    Int32,
-    Int64,
-    String,
-    UInt8,
-    UInt16,
-    UInt32,
-    UInt64,
-    message,
-)
-from steerd.steer_bus.standard import Header, make_header, make_time, stamp_ns
-
-__all__ = [
-    "BODY", "OWN_MESSAGES", "WORLD", "Actuation", "ActuationMode", "ClockSample", "Design",
-    "DriveCommand", "Header", "Heartbeat", "MocapPose", "Model", "OperatorRequest",
-    "ParameterRequest", "Parameters", "RequestKind", "StateMessage", "Throttle", "Tick",
-    "Transition", "VescIdentity", "VescImu", "VescTelemetry", "WheelSpeed", "make_header",
-    "make_time", "stamp_ns",
-]  # fmt: skip
+from steerd.steer_bus import fields as ros
+from steerd.steer_bus.fields import message
+from steerd.steer_bus.standard import Header as Header
+from steerd.steer_bus.standard import make_header as make_header
+from steerd.steer_bus.standard import stamp_ns as stamp_ns
 
 WORLD = "map"
 BODY = "base_link"
 
-Metre = Annotated[Float64, "m"]
-MetrePerSecond = Annotated[Float64, "m/s"]
-MetrePerSecond2 = Annotated[Float64, "m/s^2"]
-Radian = Annotated[Float64, "rad"]
-RadianPerSecond = Annotated[Float64, "rad/s"]
-PerMetre = Annotated[Float64, "1/m"]
-PerRadian = Annotated[Float64, "1/rad"]
-Second = Annotated[Float64, "s"]
-KilogramMetre2 = Annotated[Float64, "kg m^2"]
-Ampere = Annotated[Float64, "A"]
-Volt = Annotated[Float64, "V"]
-Celsius = Annotated[Float64, "degC"]
-Unitless = Annotated[Float64, "1"]
-Nanosecond = Annotated[Int64, "ns"]
-Millisecond = Annotated[Int64, "ms"]
+Metre = Annotated[ros.Float64, "m"]
+MetrePerSecond = Annotated[ros.Float64, "m/s"]
+MetrePerSecond2 = Annotated[ros.Float64, "m/s^2"]
+Radian = Annotated[ros.Float64, "rad"]
+RadianPerSecond = Annotated[ros.Float64, "rad/s"]
+PerMetre = Annotated[ros.Float64, "1/m"]
+PerRadian = Annotated[ros.Float64, "1/rad"]
+Second = Annotated[ros.Float64, "s"]
+KilogramMetre2 = Annotated[ros.Float64, "kg m^2"]
+Ampere = Annotated[ros.Float64, "A"]
+Volt = Annotated[ros.Float64, "V"]
+Celsius = Annotated[ros.Float64, "degC"]
+Unitless = Annotated[ros.Float64, "1"]
+Nanosecond = Annotated[ros.Int64, "ns"]
+Millisecond = Annotated[ros.Int64, "ms"]
 
 
 class ActuationMode(IntEnum):
@@ -84,8 +68,8 @@ class Tick:
     due_ns: Nanosecond
     woke_ns: Nanosecond
     work_ns: Nanosecond
-    seq: UInt32
-    flags: UInt32
+    seq: ros.UInt32
+    flags: ros.UInt32
 
 
 @message("steerd_msgs/msg/MocapPose")
@@ -101,10 +85,10 @@ class MocapPose:
     header: Header
     t_valid_ns: Nanosecond
     t_arrival_ns: Nanosecond
-    source_ticks: UInt64
-    frame: Int64
-    clock_kind: UInt8
-    tracking_valid: UInt8
+    source_ticks: ros.UInt64
+    frame: ros.Int64
+    clock_kind: ros.UInt8
+    tracking_valid: ros.UInt8
     x_raw: Metre
     y_raw: Metre
     z_raw: Metre
@@ -118,7 +102,7 @@ class MocapPose:
     yaw: Radian
     height: Metre
     tilt: Radian
-    reject: String
+    reject: ros.String
 
 
 @message("steerd_msgs/msg/VescTelemetry")
@@ -133,11 +117,11 @@ class VescTelemetry:
     t_sent_ns: Nanosecond
     t_received_ns: Nanosecond
     uptime_ms: Millisecond
-    erpm: Int32
-    tachometer: Int32
-    tachometer_abs: Int32
-    fault_code: Int32
-    status: Int32
+    erpm: ros.Int32
+    tachometer: ros.Int32
+    tachometer_abs: ros.Int32
+    fault_code: ros.Int32
+    status: ros.Int32
     v_in: Volt
     current_motor: Ampere
     current_in: Ampere
@@ -160,12 +144,12 @@ class VescIdentity:
 
     header: Header
     t_received_ns: Nanosecond
-    timeout_ms: Int32
-    expected: UInt8
-    fw_major: UInt8
-    fw_minor: UInt8
+    timeout_ms: ros.Int32
+    expected: ros.UInt8
+    fw_major: ros.UInt8
+    fw_minor: ros.UInt8
     timeout_brake_current: Ampere
-    uuid: String
+    uuid: ros.String
 
 
 @message("steerd_msgs/msg/VescImu")
@@ -196,12 +180,12 @@ class Actuation:
     """
 
     header: Header
-    seq: UInt32
-    mode: UInt8
+    seq: ros.UInt32
+    mode: ros.UInt8
     steer: Radian
     speed: MetrePerSecond
     brake_current_a: Ampere
-    wire: Bytes
+    wire: ros.Bytes
 
 
 @message("steerd_msgs/msg/State")
@@ -216,9 +200,9 @@ class StateMessage:
 
     header: Header
     mono_ns: Nanosecond
-    seq: UInt32
-    flags: UInt32
-    mode: UInt8
+    seq: ros.UInt32
+    flags: ros.UInt32
+    mode: ros.UInt8
     x: Metre
     y: Metre
     yaw: Radian
@@ -251,11 +235,11 @@ class DriveCommand:
     """
 
     header: Header
-    boot_id: UInt64
-    lease_id: UInt64
+    boot_id: ros.UInt64
+    lease_id: ros.UInt64
     t_source_ns: Nanosecond
-    seq: UInt32
-    valid_ms: UInt16
+    seq: ros.UInt32
+    valid_ms: ros.UInt16
     steer: Radian
     speed: MetrePerSecond
 
@@ -265,11 +249,11 @@ class OperatorRequest:
     """A person's request (``kind`` is a :class:`RequestKind`) under a lease."""
 
     header: Header
-    boot_id: UInt64
-    lease_id: UInt64
-    seq: UInt32
-    kind: UInt8
-    operator: String
+    boot_id: ros.UInt64
+    lease_id: ros.UInt64
+    seq: ros.UInt32
+    kind: ros.UInt8
+    operator: ros.String
 
 
 @message("steerd_msgs/msg/Heartbeat")
@@ -281,8 +265,8 @@ class Heartbeat:
     """
 
     header: Header
-    boot_id: UInt64
-    lease_id: UInt64
+    boot_id: ros.UInt64
+    lease_id: ros.UInt64
     mono_ns: Nanosecond
 
 
@@ -295,13 +279,13 @@ class ParameterRequest:
     """
 
     header: Header
-    boot_id: UInt64
-    lease_id: UInt64
-    seq: UInt32
+    boot_id: ros.UInt64
+    lease_id: ros.UInt64
+    seq: ros.UInt32
     speed: MetrePerSecond
     offset: Metre
     gain: Unitless
-    operator: String
+    operator: ros.String
 
 
 @message("steerd_msgs/msg/Parameters")
@@ -313,9 +297,9 @@ class Parameters:
     """
 
     header: Header
-    lease_id: UInt64
-    seq: UInt32
-    accepted: UInt8
+    lease_id: ros.UInt64
+    seq: ros.UInt32
+    accepted: ros.UInt8
     speed: MetrePerSecond
     speed_min: MetrePerSecond
     speed_max: MetrePerSecond
@@ -325,7 +309,7 @@ class Parameters:
     gain: Unitless
     gain_min: Unitless
     gain_max: Unitless
-    text: String
+    text: ros.String
 
 
 @message("steerd_msgs/msg/Transition")
@@ -333,10 +317,10 @@ class Transition:
     """A change of the supervisor's state: a stable ``code`` and a sentence for people."""
 
     header: Header
-    from_state: UInt8
-    to_state: UInt8
-    code: String
-    text: String
+    from_state: ros.UInt8
+    to_state: ros.UInt8
+    code: ros.String
+    text: ros.String
 
 
 @message("steerd_msgs/msg/ClockSample")
@@ -385,8 +369,8 @@ class Model:
     mono_ns: Nanosecond
     since_ns: Nanosecond
     noticed_ns: Nanosecond
-    windows: UInt32
-    dropped: UInt32
+    windows: ros.UInt32
+    dropped: ros.UInt32
     confidence: Unitless
     lf: Metre
     lf_sd: Metre
@@ -422,11 +406,11 @@ class Model:
     decel_max_sd: MetrePerSecond2
     pose_delay: Second
     pose_delay_sd: Second
-    verdict: String
-    effect: String
-    alternatives: String
-    identifiable: String
-    details: String
+    verdict: ros.String
+    effect: ros.String
+    alternatives: ros.String
+    identifiable: ros.String
+    details: ros.String
 
 
 @message("steerd_msgs/msg/Design")
@@ -442,8 +426,8 @@ class Design:
 
     header: Header
     mono_ns: Nanosecond
-    number: UInt32
-    columns: UInt32
+    number: ros.UInt32
+    columns: ros.UInt32
     steer_gain: Unitless
     steer_bias: Radian
     steer_delay: Second
@@ -456,8 +440,8 @@ class Design:
     body_left: Metre
     speed_min: MetrePerSecond
     spacing: MetrePerSecond
-    text: String
-    gains: Bytes
+    text: ros.String
+    gains: ros.Bytes
 
 
 OWN_MESSAGES: tuple[type[Any], ...] = tuple(

@@ -7,9 +7,11 @@ Reading is :mod:`steerd.steer_bus.session_read`.
 
 import contextlib
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from mimetypes import guess_type
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, BinaryIO
 
 from mcap.records import Attachment  # noqa: TID251
@@ -31,21 +33,12 @@ SCHEMA_VERSION, _SESSION = "1", "steerd.session"
 _MAX_TIME_NS = (1 << 63) - 1
 
 
-@dataclass(frozen=True, slots=True)
-class AttachedFile:
-    """A file to keep inside the session, such as the exact configuration."""
-
-    name: str
-    media_type: str
-    data: bytes
-
-
 class SessionWriter:
     """Writes one session; owned by one thread, except :meth:`sync`.
 
     Metadata and attachments are on disk before the first message, so they survive any crash. After
     the first error of the disk nothing more is written: what comes behind a record that was cut
-    could not be found again.
+    could not be found again. Every method raises SessionError where the disk takes no more.
     ``log_ns`` is UNIX time when a sample was taken and never goes back within a file; a stamp that
     would (the host's clock was set) is raised to the last one.
     """
@@ -55,7 +48,7 @@ class SessionWriter:
         path: Path,
         topics: Mapping[str, type[Any]],
         metadata: Mapping[str, Mapping[str, str]],
-        attachments: Sequence[AttachedFile] = (),
+        attachments: Mapping[str, bytes] = MappingProxyType({}),
         start_ns: int = 0,
         flush_ns: int = FLUSH_NS,
     ) -> None:
@@ -65,7 +58,7 @@ class SessionWriter:
             path: the final name, ending in ``.mcap``.
             topics: session topic to message class.
             metadata: records such as ``steerd.session`` and ``steerd.vehicle``.
-            attachments: files to keep inside.
+            attachments: files to keep inside, such as the exact configuration, by name.
             start_ns: UNIX time of the attachments [ns].
             flush_ns: how often :meth:`tick` flushes [ns].
 
@@ -85,9 +78,9 @@ class SessionWriter:
                 for name, values in metadata.items():
                     version = {"schema_version": SCHEMA_VERSION} if name == _SESSION else {}
                     self._writer.add_metadata(name, {**version, **values})
-                for a in attachments:
-                    at = start_ns, start_ns
-                    self._writer.add_attachment(Attachment(*at, a.name, a.media_type, a.data))
+                for name, data in attachments.items():
+                    kind = guess_type(name)[0] or "application/toml"
+                    self._writer.add_attachment(Attachment(start_ns, start_ns, name, kind, data))
                 self._channels = {topic: self._add_topic(topic, of) for topic, of in topics.items()}
                 self._file.flush()
                 _sync_folder(path)
@@ -114,7 +107,6 @@ class SessionWriter:
 
         Raises:
             KeyError: on a topic that was not declared.
-            SessionError: if the disk does not take it.
         """
         channel = self._channels[topic]
         if not self._last_log_ns <= log_ns <= _MAX_TIME_NS:
@@ -132,11 +124,7 @@ class SessionWriter:
             raise self._fail(error) from error
 
     def flush(self) -> None:
-        """Close the chunk and hand everything to the kernel (survives SIGKILL, not power loss).
-
-        Raises:
-            SessionError: if the disk does not take it.
-        """
+        """Close the chunk and hand everything to the kernel (survives SIGKILL, not power loss)."""
         with self._disk():
             self._writer.flush()
 
@@ -145,9 +133,6 @@ class SessionWriter:
 
         Args:
             t_ns: monotonic time now [ns].
-
-        Raises:
-            SessionError: if the disk does not take it.
         """
         if t_ns - self._flushed_ns >= self._flush_ns:
             self.flush()
@@ -158,11 +143,7 @@ class SessionWriter:
         return True
 
     def sync(self) -> None:
-        """Wait until the disk has what was flushed; a second thread may, until ``finish``.
-
-        Raises:
-            SessionError: if the disk reports an error.
-        """
+        """Wait until the disk has what was flushed; a second thread may, until ``finish``."""
         if self._broken is not None:
             raise self._broken
         try:
@@ -177,10 +158,7 @@ class SessionWriter:
             end: why the session ended (``reason``, ``dropped``, ...).
 
         Returns:
-            The finished file.
-
-        Raises:
-            SessionError: if the disk does not take it; what was flushed stays in ``.partial``.
+            The finished file; on an error what was flushed stays in ``.partial``.
         """
         with self._disk():
             self._writer.flush()
@@ -194,11 +172,7 @@ class SessionWriter:
 
     @contextlib.contextmanager
     def _disk(self) -> Iterator[None]:
-        """Turn the first error of the disk into the error of every later call.
-
-        Raises:
-            SessionError: the disk did not take something, now or before.
-        """
+        """Turn the first error of the disk into the error of every later call."""
         if self._broken is not None:
             raise self._broken
         try:
@@ -241,7 +215,7 @@ def recover(path_in: Path | str, path_out: Path | str) -> RecoverReport:
     partial = path_out.with_name(path_out.name + ".recovering")
     file = _create(path_out, partial)
     try:
-        writer = ContainerWriter(file, session.contents.profile)
+        writer = ContainerWriter(file, session.info().profile)
         gap_ns = _copy(session, writer)
         lost = sum(warning.lost for warning in session.warnings)
         writer.add_metadata("steerd.recovered", {"source": path_in.name, "lost_bytes": str(lost)})
@@ -261,7 +235,7 @@ def recover(path_in: Path | str, path_out: Path | str) -> RecoverReport:
 
 def _copy(session: Session, writer: ContainerWriter) -> int:
     """Copy definitions, texts and messages; give the longest gap between messages [ns]."""
-    contents = session.contents
+    contents = session.info()
     for name, values in contents.metadata.items():
         writer.add_metadata(name, values)
     for a in session.attachments():

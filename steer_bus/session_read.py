@@ -19,10 +19,11 @@ from io import FileIO
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Attachment, Channel, Schema  # noqa: TID251
+from mcap.records import Attachment, Channel  # noqa: TID251
 
 from steerd.steer_bus import container
 from steerd.steer_bus.codec import CodecError, decode
+from steerd.steer_bus.container import SessionInfo, SessionWarning
 from steerd.steer_bus.fields import schema_text, type_name
 from steerd.steer_bus.messages import OWN_MESSAGES
 from steerd.steer_bus.standard import STANDARD_MESSAGES
@@ -43,50 +44,6 @@ class SessionError(Exception):
         self.code = code  # a stable word for programs
         self.hint = hint  # what the user can do; may be empty
         self.exit_code = exit_code  # 3 if it cannot be read, 4 if it holds the wrong content
-
-
-@dataclass(frozen=True, slots=True)
-class TopicInfo:
-    """One channel of a session; times are UNIX ns, ``rate_hz`` the mean over the topic's span."""
-
-    name: str
-    type_name: str
-    encoding: str
-    count: int
-    first_ns: int
-    last_ns: int
-
-    @property
-    def rate_hz(self) -> float:
-        """Mean rate [Hz]; 0 for fewer than two messages."""
-        span_ns = self.last_ns - self.first_ns
-        return (self.count - 1) * 1e9 / span_ns if self.count > 1 and span_ns > 0 else 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class SessionInfo:
-    """What a session holds."""
-
-    path: Path
-    size: int
-    start_ns: int
-    end_ns: int
-    topics: tuple[TopicInfo, ...]
-    metadata: Mapping[str, Mapping[str, str]]
-    attachments: tuple[str, ...]
-    warnings: tuple[container.SessionWarning, ...]
-    finished: bool  # the container's end is whole
-    clean: bool  # the recorder also said why it ended (``steerd.end``); its absence means a crash
-
-    @property
-    def count(self) -> int:
-        """Number of messages."""
-        return sum(topic.count for topic in self.topics)
-
-    @property
-    def duration_s(self) -> float:
-        """First to last message [s]."""
-        return (self.end_ns - self.start_ns) * 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,9 +73,8 @@ class Record:
 class Session:
     """A recorded drive. Made by :func:`open_session`; its file stays open as long as it is used."""
 
-    def __init__(self, path: Path, file: FileIO, size: int, contents: container.Contents) -> None:
-        self._path, self._file, self.contents = path, file.fileno(), contents
-        self._info = _make_info(path, size, contents)
+    def __init__(self, file: FileIO, info: SessionInfo) -> None:
+        self._path, self._file, self._info = info.path, file.fileno(), info
         weakref.finalize(self, file.close)
 
     def info(self) -> SessionInfo:
@@ -126,9 +82,9 @@ class Session:
         return self._info
 
     @property
-    def warnings(self) -> tuple[container.SessionWarning, ...]:
+    def warnings(self) -> tuple[SessionWarning, ...]:
         """What was wrong with the file; empty for a whole one."""
-        return self._info.warnings
+        return tuple(self._info.warnings)
 
     def messages(self, *topics: str) -> Iterator[Record]:
         """Yield messages of these topics (all if none is named) in recorded order.
@@ -137,8 +93,8 @@ class Session:
             SessionError: if the file has changed since it was opened.
         """
         wanted = {
-            key: (channel.topic, _schema(self.contents, channel).name)
-            for key, channel in self.contents.channels.items()
+            key: (channel.topic, self._info.schema(channel).name)
+            for key, channel in self._info.channels.items()
             if not topics or channel.topic in topics
         }
         for data in self._spans():
@@ -190,17 +146,16 @@ class Session:
         Raises:
             SessionError: if there is none of this name, or the file has changed.
         """
-        item = next((a for a in self.attachments(name)), None)
+        item = next((a for a in self.attachments() if a.name == name), None)
         if item is None:
             text = f"{self._path.name} has no attachment {name!r}"
             raise SessionError("missing_attachment", text, exit_code=WRONG_CONTENT)
         return item.data
 
-    def attachments(self, *names: str) -> Iterator[Attachment]:
-        """Read the attachments of these names (all if none is given); raises as messages()."""
-        for name, span in self.contents.attachments:
-            if not names or name in names:
-                yield container.parse(Attachment, self._read(span))
+    def attachments(self) -> Iterator[Attachment]:
+        """Read the attached files; raises as messages()."""
+        for _, span in self._info.attached:
+            yield container.parse(Attachment, self._read(span))
 
     def holes(self) -> tuple[tuple[int, int], ...]:
         """Stretches in which the recorder did not get everything [UNIX ns], in order.
@@ -208,7 +163,7 @@ class Session:
         Raises:
             SessionError: what the session says of them makes no sense.
         """
-        text = self.contents.metadata.get("steerd.end", {}).get("holes", "[]")
+        text = self._info.metadata.get("steerd.end", {}).get("holes", "[]")
         try:
             found = tuple((int(first), int(last)) for first, last in json.loads(text))
         except (ValueError, TypeError, RecursionError):
@@ -222,7 +177,7 @@ class Session:
         Raises:
             SessionError: what it says is no finite number.
         """
-        text = self.contents.metadata.get(record, {}).get(key)
+        text = self._info.metadata.get(record, {}).get(key)
         try:
             value = default if text is None else float(text)
         except ValueError:
@@ -243,13 +198,13 @@ class Session:
                 self._channels(topic.name, MESSAGE_TYPES[topic.type_name])
 
     def _channels(self, topic: str, cls: type[Any]) -> list[int]:
-        found = [k for k, c in self.contents.channels.items() if c.topic == topic]
+        found = [k for k, c in self._info.channels.items() if c.topic == topic]
         if not found:
             have = ", ".join(sorted(t.name for t in self._info.topics)) or "nothing"
             text = f"{self._path.name} has no topic {topic}; it has {have}"
             raise SessionError("missing_topic", text, exit_code=WRONG_CONTENT)
         for key in found:
-            problem = _mismatch(self.contents, self.contents.channels[key], cls)
+            problem = _mismatch(self._info, self._info.channels[key], cls)
             if problem:
                 text = f"{self._path.name}: {topic} {problem}"
                 hint = "it was recorded by another version"
@@ -257,7 +212,7 @@ class Session:
         return found
 
     def _spans(self) -> Iterator[bytes]:
-        return map(self._read, self.contents.spans)
+        return map(self._read, self._info.spans)
 
     def _read(self, span: container.Span) -> bytes:
         try:
@@ -283,7 +238,7 @@ def open_session(path: Path | str) -> Session:
             file = stack.enter_context(path.open("rb", buffering=0))
             size = file.seek(0, 2)
             _check_magic(path, os.pread(file.fileno(), len(container.MAGIC), 0))
-            session = Session(path, file, size, container.read_contents(file.fileno(), size))
+            session = Session(file, container.read_contents(path, file.fileno(), size))
             stack.pop_all()  # it is now closed with the session
             return session
     except FileNotFoundError as error:
@@ -304,37 +259,8 @@ def _check_magic(path: Path, start: bytes) -> None:
         raise SessionError("not_mcap", f"{path} is not an MCAP file", hint)
 
 
-def _make_info(path: Path, size: int, contents: container.Contents) -> SessionInfo:
-    topics = []
-    for key, channel in sorted(contents.channels.items()):
-        count = contents.counts.get(key)
-        name = _schema(contents, channel).name
-        times = (count.count, count.first_ns, count.last_ns) if count else (0, 0, 0)
-        topics.append(TopicInfo(channel.topic, name, channel.message_encoding, *times))
-    used = [topic for topic in topics if topic.count]
-    return SessionInfo(
-        path=path,
-        size=size,
-        start_ns=min((t.first_ns for t in used), default=0),
-        end_ns=max((t.last_ns for t in used), default=0),
-        topics=tuple(topics),
-        metadata=contents.metadata,
-        attachments=tuple(name for name, _ in contents.attachments),
-        warnings=tuple(contents.warnings),
-        finished=contents.finished,
-        clean=contents.finished and "steerd.end" in contents.metadata,
-    )
-
-
-_NO_SCHEMA = Schema(id=0, data=b"", encoding="", name="")
-
-
-def _schema(contents: container.Contents, channel: Channel) -> Schema:
-    return contents.schemas.get(channel.schema_id, _NO_SCHEMA)
-
-
-def _mismatch(contents: container.Contents, channel: Channel, cls: type[Any]) -> str:
-    schema = _schema(contents, channel)
+def _mismatch(info: SessionInfo, channel: Channel, cls: type[Any]) -> str:
+    schema = info.schema(channel)
     encodings = channel.message_encoding, schema.encoding
     if encodings != ("cdr", "ros2msg"):
         return f"is encoded as {encodings[0]!r} with {encodings[1]!r}, not cdr with ros2msg"

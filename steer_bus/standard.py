@@ -6,17 +6,8 @@ Units are those of the ROS definitions; ``VescState.speed`` is in electrical rpm
 
 from typing import Any
 
-from steerd.steer_bus.fields import (
-    Byte,
-    Float32,
-    Float64,
-    Float64x36,
-    Int32,
-    String,
-    UInt8,
-    UInt32,
-    message,
-)
+from steerd.steer_bus import fields as ros
+from steerd.steer_bus.fields import message
 
 NS = 1_000_000_000
 
@@ -25,8 +16,8 @@ NS = 1_000_000_000
 class Time:
     """A time since the UNIX epoch: whole seconds and nanoseconds below one second."""
 
-    sec: Int32
-    nanosec: UInt32
+    sec: ros.Int32
+    nanosec: ros.UInt32
 
 
 @message("std_msgs/msg/Header")
@@ -34,35 +25,35 @@ class Header:
     """Stamp and coordinate frame of what follows."""
 
     stamp: Time
-    frame_id: String
+    frame_id: ros.String
 
 
 @message("geometry_msgs/msg/Point")
 class Point:
     """A position [m]."""
 
-    x: Float64
-    y: Float64
-    z: Float64
+    x: ros.Float64
+    y: ros.Float64
+    z: ros.Float64
 
 
 @message("geometry_msgs/msg/Vector3")
 class Vector3:
     """A free vector in the unit of its context."""
 
-    x: Float64
-    y: Float64
-    z: Float64
+    x: ros.Float64
+    y: ros.Float64
+    z: ros.Float64
 
 
 @message("geometry_msgs/msg/Quaternion")
 class Quaternion:
     """A rotation, scalar last."""
 
-    x: Float64
-    y: Float64
-    z: Float64
-    w: Float64
+    x: ros.Float64
+    y: ros.Float64
+    z: ros.Float64
+    w: ros.Float64
 
 
 @message("geometry_msgs/msg/Pose")
@@ -86,7 +77,7 @@ class PoseWithCovariance:
     """A pose with its 6×6 row-major covariance over (x, y, z, roll, pitch, yaw)."""
 
     pose: Pose
-    covariance: Float64x36
+    covariance: ros.Float64x36
 
 
 @message("geometry_msgs/msg/Twist")
@@ -102,7 +93,7 @@ class TwistWithCovariance:
     """A twist with its 6×6 row-major covariance."""
 
     twist: Twist
-    covariance: Float64x36
+    covariance: ros.Float64x36
 
 
 @message("nav_msgs/msg/Odometry")
@@ -110,7 +101,7 @@ class Odometry:
     """Pose in ``header.frame_id``, twist in ``child_frame_id``."""
 
     header: Header
-    child_frame_id: String
+    child_frame_id: ros.String
     pose: PoseWithCovariance
     twist: TwistWithCovariance
 
@@ -119,11 +110,11 @@ class Odometry:
 class AckermannDrive:
     """Steering [rad], its rate [rad/s], speed [m/s], acceleration [m/s²] and jerk [m/s³]."""
 
-    steering_angle: Float32
-    steering_angle_velocity: Float32
-    speed: Float32
-    acceleration: Float32
-    jerk: Float32
+    steering_angle: ros.Float32
+    steering_angle_velocity: ros.Float32
+    speed: ros.Float32
+    acceleration: ros.Float32
+    jerk: ros.Float32
 
 
 @message("ackermann_msgs/msg/AckermannDriveStamped")
@@ -138,29 +129,29 @@ class AckermannDriveStamped:
 class VescState:
     """The VESC's telemetry as f1tenth's driver publishes it (ROS 2 layout)."""
 
-    temp_fet: Float64
-    temp_motor: Float64
-    current_motor: Float64
-    current_input: Float64
-    avg_id: Float64
-    avg_iq: Float64
-    duty_cycle: Float64
-    speed: Float64
-    voltage_input: Float64
-    charge_drawn: Float64
-    charge_regen: Float64
-    energy_drawn: Float64
-    energy_regen: Float64
-    displacement: Int32
-    distance_traveled: Int32
-    fault_code: Int32
-    pid_pos_now: Float64
-    controller_id: Int32
-    ntc_temp_mos1: Float64
-    ntc_temp_mos2: Float64
-    ntc_temp_mos3: Float64
-    avg_vd: Float64
-    avg_vq: Float64
+    temp_fet: ros.Float64
+    temp_motor: ros.Float64
+    current_motor: ros.Float64
+    current_input: ros.Float64
+    avg_id: ros.Float64
+    avg_iq: ros.Float64
+    duty_cycle: ros.Float64
+    speed: ros.Float64
+    voltage_input: ros.Float64
+    charge_drawn: ros.Float64
+    charge_regen: ros.Float64
+    energy_drawn: ros.Float64
+    energy_regen: ros.Float64
+    displacement: ros.Int32
+    distance_traveled: ros.Int32
+    fault_code: ros.Int32
+    pid_pos_now: ros.Float64
+    controller_id: ros.Int32
+    ntc_temp_mos1: ros.Float64
+    ntc_temp_mos2: ros.Float64
+    ntc_temp_mos3: ros.Float64
+    avg_vd: ros.Float64
+    avg_vq: ros.Float64
 
 
 @message("vesc_msgs/msg/VescStateStamped")
@@ -175,18 +166,18 @@ class VescStateStamped:
 class KeyValue:
     """One named reading."""
 
-    key: String
-    value: String
+    key: ros.String
+    value: ros.String
 
 
 @message("diagnostic_msgs/msg/DiagnosticStatus")
 class DiagnosticStatus:
     """Health of one part; level 0 ok, 1 warn, 2 error, 3 stale."""
 
-    level: Byte
-    name: String
-    message: String
-    hardware_id: String
+    level: ros.Byte
+    name: ros.String
+    message: ros.String
+    hardware_id: ros.String
     values: tuple[KeyValue, ...]
 
 
@@ -203,12 +194,12 @@ class Log:
     """A log line; level 10 debug, 20 info, 30 warn, 40 error, 50 fatal."""
 
     stamp: Time
-    level: UInt8
-    name: String
-    msg: String
-    file: String
-    function: String
-    line: UInt32
+    level: ros.UInt8
+    name: ros.String
+    msg: ros.String
+    file: ros.String
+    function: ros.String
+    line: ros.UInt32
 
 
 STANDARD_MESSAGES: tuple[type[Any], ...] = tuple(

@@ -5,14 +5,15 @@ length; then a topic is one ``np.frombuffer`` over the joined records. Texts and
 message may vary. Records that do not share one are halved until they do.
 """
 
+import struct
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.steer_bus.codec import MAX_BYTES, CodecError, decode, read_text
+from steerd.steer_bus.codec import MAX_BYTES, CodecError, decode, read_steps
 from steerd.steer_bus.container import MESSAGE_FIELDS
-from steerd.steer_bus.fields import Leaf, Scalar, flat_leaves, type_name
+from steerd.steer_bus.fields import Leaf, Scalar, Sized, flat_leaves, type_name
 
 Columns = dict[str, NDArray[Any]]
 """``log_ns``, ``publish_ns``, ``sequence`` and each field by its (dotted) name, all of length n;
@@ -131,23 +132,17 @@ def _layout(leaves: tuple[Leaf, ...], first: bytes) -> tuple[np.dtype[Any], dict
 
 def _tail_columns(leaves: tuple[Leaf, ...], records: list[bytes], start: int) -> Columns | None:
     columns: Columns = {leaf.path: np.empty(len(records), object) for leaf in leaves}
-    for row, record in enumerate(records):
-        pos = start
-        for leaf in leaves:
-            pos += (_CDR - pos) % 4
-            length = int.from_bytes(record[pos : pos + 4], "little")
-            pos, raw = pos + 4 + length, record[pos + 4 : pos + 4 + length]
-            if pos > len(record):
-                return None
-            if isinstance(leaf.kind, Scalar) or not leaf.kind.is_text:
-                columns[leaf.path][row] = raw
-                continue
-            try:
-                columns[leaf.path][row] = read_text(raw)
-            except (CodecError, UnicodeError):
-                return None
-        if leaves and len(record) - pos > _MAX_TRAILING:
+    texts = tuple(leaf.kind for leaf in leaves if isinstance(leaf.kind, Sized))
+    for row, record in enumerate(records if texts else ()):
+        values: list[Any] = []
+        try:
+            end = read_steps(texts, record, start, values)
+        except (CodecError, struct.error, UnicodeError):
             return None
+        if len(record) - end > _MAX_TRAILING:
+            return None
+        for column, value in zip(columns.values(), values, strict=True):
+            column[row] = value
     return columns
 
 

@@ -113,11 +113,7 @@ def make_key(car: str, topic: Topic | str, who: str = "") -> str:
 
 
 def make_session_topic(car: str, topic: Topic) -> str:
-    """Make the topic's name in a session file.
-
-    Raises:
-        ValueError: on a bad car name.
-    """
+    """Make the topic's name in a session file; raises as :func:`make_key`."""
     return f"/{make_key(car, topic)}"
 
 
@@ -136,10 +132,6 @@ def find_topic(key: str) -> Topic | None:
 
 
 def schema_replies(car: str) -> dict[str, bytes]:
-    """Give every schema a car serves, by key, so that any recorder can be generic.
-
-    Raises:
-        ValueError: on a bad car name.
-    """
+    """Give every schema a car serves, by key, so that any recorder can be generic."""
     classes = {topic.message for topic in TOPICS if topic.on_bus}
     return {make_key(car, f"schema/{type_name(cls)}"): schema_text(cls).encode() for cls in classes}

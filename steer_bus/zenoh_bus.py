@@ -43,29 +43,16 @@ class Profile:
     hub: bool  # listen on ``endpoint`` and forward between spokes; otherwise dial it
     # A zenoh locator such as ``tcp/127.0.0.1:7447``
     endpoint: str = f"tcp/127.0.0.1:{DEFAULT_PORT}"
-    lease_ms: int = 1000  # after how long a silent peer counts as dead. Not the command watchdog
+    lab: Lab | None = None  # whose certificates it shows and asks for (mutual TLS); None: plain
     insecure_lan: bool = False  # allow a plain-text hub on an address that others can reach
-    # Further zenoh settings (TLS, access control) by their ``/`` path
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    who: str = ""  # the name in this participant's certificate; empty without one
+    pose_key: str | None = None  # beside the car's own, where a hub's operators may publish poses
+    lease_ms: int = 1000  # after how long a silent peer counts as dead. Not the command watchdog
+    settings: Mapping[str, Any] = field(default_factory=dict)  # further ones, by their ``/`` path
 
-
-def make_hub_profile(
-    endpoint: str, lab: Lab | None, *, insecure_lan: bool = False, pose_key: str | None = None
-) -> Profile:
-    """Make the profile of a car's hub: plain on loopback, or the lab's with mutual TLS."""
-    if lab is None:
-        return Profile(True, endpoint, insecure_lan=insecure_lan, settings=make_plain_access())
-    access = make_access_settings(lab, pose_key)
-    settings = {**make_tls_settings(lab, hub=True), **access}
-    return Profile(True, endpoint, settings=settings)
-
-
-def make_spoke_profile(endpoint: str, lab: Lab | None) -> Profile:
-    """Make the profile of who dials a hub."""
-    if lab is None:
-        return Profile(False, endpoint)
-    return Profile(False, endpoint, settings=make_tls_settings(lab, hub=False), who=lab.name)
+    @property
+    def who(self) -> str:
+        """The name in this participant's certificate; empty for a hub and without one."""
+        return self.lab.name if self.lab and not self.hub else ""
 
 
 def make_settings(profile: Profile) -> dict[str, Any]:
@@ -74,9 +61,13 @@ def make_settings(profile: Profile) -> dict[str, Any]:
     Raises:
         BusError: if a hub would listen where others can reach it and not ask who they are.
     """
-    if profile.hub and not profile.insecure_lan:
+    lab = profile.lab
+    if profile.hub and (lab or not profile.insecure_lan):
         _check_private(profile)
+    access = make_access_settings(lab, profile.pose_key) if lab else make_plain_access()
     return {
+        **(make_tls_settings(lab, hub=profile.hub) if lab else {}),
+        **(access if profile.hub else {}),
         "mode": "router" if profile.hub else "client",
         "listen/endpoints": [profile.endpoint] if profile.hub else [],
         "connect/endpoints": [] if profile.hub else [profile.endpoint],
@@ -284,8 +275,7 @@ def _explain(profile: Profile, text: str) -> str:
 
 def _check_private(profile: Profile) -> None:
     protocol, _, address = profile.endpoint.partition("/")
-    mutual = profile.settings.get("transport/link/tls/enable_mtls") is True
-    if protocol == "unixsock-stream" or (protocol in ("tls", "quic") and mutual):
+    if protocol == "unixsock-stream" or (protocol in ("tls", "quic") and profile.lab):
         return
     host = address.rpartition(":")[0].strip("[]")
     try:

@@ -137,7 +137,7 @@ def write_run(path: Path, run: Run, flavour: str, offset_ns: int = 0) -> None:
         path,
         {names[topic.name]: topic.message for topic in topics},
         {"steerd.session": {"car": CAR, "mode": "import", "epoch_ns": str(epoch_ns)}},
-        (),
+        {},
         epoch_ns,
     )
     for at in range(len(run.t_ns)):

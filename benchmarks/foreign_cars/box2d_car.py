@@ -13,23 +13,11 @@ from types import SimpleNamespace
 import Box2D
 import numpy as np
 from gymnasium.envs.box2d import car_dynamics
-from numpy.typing import NDArray
 
-from benchmarks.blind_gap.effects import Place, Values
+from benchmarks.blind_gap.effects import Values
 from benchmarks.blind_gap.plant import STEP
-from benchmarks.foreign_cars.drives import Commands
-from benchmarks.foreign_cars.effects import WIRED, WIRED_OUTSIDE
-from benchmarks.foreign_cars.log import Log
-from benchmarks.foreign_cars.wiring import (
-    Orders,
-    Wiring,
-    draw_wiring,
-    make_orders,
-    make_push,
-    observe,
-)
-
-Array = NDArray[np.float64]
+from benchmarks.foreign_cars.plants import WiredPlant
+from benchmarks.foreign_cars.wiring import Array, Orders, Wiring, draw_wiring
 
 GRAVITY = 9.81
 _FRONT, _REAR, _SIDE = (
@@ -52,47 +40,6 @@ class Box2dCar:
     slope_y: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Box2dPlant:
-    """Plant e: Gymnasium's car."""
-
-    car: Box2dCar
-    wiring: Wiring
-
-    @property
-    def effects(self) -> frozenset[str]:
-        """Effects that it can have."""
-        return frozenset(WIRED) | frozenset(_EFFECTS)
-
-    @property
-    def outside(self) -> frozenset[str]:
-        """Defects outside the library that it can have."""
-        return frozenset(WIRED_OUTSIDE)
-
-    @property
-    def truth(self) -> Values:
-        """Lengths [m]."""
-        centre = Model(self.car).centre
-        return {"lf": (_FRONT - centre) * self.car.unit, "lr": (centre - _REAR) * self.car.unit}
-
-    def with_effect(self, name: str, values: Values) -> "Box2dPlant":
-        """The car with an effect of the contract."""
-        if name in WIRED:
-            return replace(self, wiring=WIRED[name](self.wiring, values))
-        return replace(self, car=_EFFECTS[name](self.car, values))
-
-    def with_outside(self, name: str, strength: float, place: Place) -> "Box2dPlant":
-        """The car with a defect that no effect describes."""
-        return replace(self, wiring=self.wiring._replace(**{WIRED_OUTSIDE[name]: strength}))
-
-    def drive(self, commands: Commands, rng: np.random.Generator) -> Log:
-        """Drive it and record."""
-        orders = make_orders(self.wiring, commands, rng)
-        push = make_push(commands, rng)
-        path, rolling = simulate(self.car, self.wiring, orders, push.process, commands.start)
-        return observe(self.wiring, commands, path, rolling, push.pose, rng)
-
-
 _EFFECTS: Mapping[str, Callable[[Box2dCar, Values], Box2dCar]] = {
     "tyre_friction": lambda car, v: replace(car, friction=v["ratio"] * car.friction),
     "yaw_inertia": lambda car, v: replace(car, inertia=v["ratio"] * car.inertia),
@@ -101,10 +48,16 @@ _EFFECTS: Mapping[str, Callable[[Box2dCar, Values], Box2dCar]] = {
 }
 
 
-def make_box2d(rng: np.random.Generator) -> Box2dPlant:
-    """A healthy car."""
+def _measure(car: Box2dCar) -> Values:
+    centre = Model(car).centre
+    return {"lf": (_FRONT - centre) * car.unit, "lr": (centre - _REAR) * car.unit}
+
+
+def make_box2d(rng: np.random.Generator) -> WiredPlant[Box2dCar]:
+    """A healthy car of plant e: Gymnasium's car."""
     unit, friction = rng.uniform(0.095, 0.11), rng.uniform(0.3, 0.42)
-    return Box2dPlant(Box2dCar(float(unit), float(friction)), draw_wiring(rng))
+    car = Box2dCar(float(unit), float(friction))
+    return WiredPlant(car, draw_wiring(rng), _EFFECTS, _measure, simulate)
 
 
 class Model:

@@ -13,24 +13,12 @@ from typing import Any
 import numpy as np
 import pybullet
 import pybullet_data
-from numpy.typing import NDArray
 from pybullet_utils.bullet_client import BulletClient
 
-from benchmarks.blind_gap.effects import Place, Values
+from benchmarks.blind_gap.effects import Values
 from benchmarks.blind_gap.plant import STEP
-from benchmarks.foreign_cars.drives import Commands
-from benchmarks.foreign_cars.effects import WIRED, WIRED_OUTSIDE
-from benchmarks.foreign_cars.log import Log
-from benchmarks.foreign_cars.wiring import (
-    Orders,
-    Wiring,
-    draw_wiring,
-    make_orders,
-    make_push,
-    observe,
-)
-
-Array = NDArray[np.float64]
+from benchmarks.foreign_cars.plants import WiredPlant
+from benchmarks.foreign_cars.wiring import Array, Orders, Wiring, draw_wiring
 
 GRAVITY = 9.81
 RADIUS, TRACK, WHEELBASE = 0.05, 0.2, 0.325
@@ -55,50 +43,6 @@ class BulletCar:
     slope_y: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class BulletPlant:
-    """Plant d: PyBullet's racecar."""
-
-    car: BulletCar
-    wiring: Wiring
-
-    @property
-    def effects(self) -> frozenset[str]:
-        """Effects that it can have."""
-        return frozenset(WIRED) | frozenset(_EFFECTS)
-
-    @property
-    def outside(self) -> frozenset[str]:
-        """Defects outside the library that it can have."""
-        return frozenset(WIRED_OUTSIDE)
-
-    @property
-    def truth(self) -> Values:
-        """Lengths [m]."""
-        model = Model(self.car)
-        try:
-            return {"lf": WHEELBASE - model.ahead, "lr": model.ahead}
-        finally:
-            model.client.disconnect()
-
-    def with_effect(self, name: str, values: Values) -> "BulletPlant":
-        """The car with an effect of the contract."""
-        if name in WIRED:
-            return replace(self, wiring=WIRED[name](self.wiring, values))
-        return replace(self, car=_EFFECTS[name](self.car, values))
-
-    def with_outside(self, name: str, strength: float, place: Place) -> "BulletPlant":
-        """The car with a defect that no effect describes."""
-        return replace(self, wiring=self.wiring._replace(**{WIRED_OUTSIDE[name]: strength}))
-
-    def drive(self, commands: Commands, rng: np.random.Generator) -> Log:
-        """Drive it and record."""
-        orders = make_orders(self.wiring, commands, rng)
-        push = make_push(commands, rng)
-        path, rolling = simulate(self.car, self.wiring, orders, push.process, commands.start)
-        return observe(self.wiring, commands, path, rolling, push.pose, rng)
-
-
 _EFFECTS: Mapping[str, Callable[[BulletCar, Values], BulletCar]] = {
     "tyre_friction": lambda car, v: replace(car, mu=v["ratio"] * car.mu),
     "mass": lambda car, v: replace(car, payload=car.payload + v["payload"]),
@@ -108,9 +52,18 @@ _EFFECTS: Mapping[str, Callable[[BulletCar, Values], BulletCar]] = {
 }
 
 
-def make_bullet(rng: np.random.Generator) -> BulletPlant:
-    """A healthy car."""
-    return BulletPlant(BulletCar(mu=float(rng.uniform(0.7, 1.0))), draw_wiring(rng))
+def _measure(car: BulletCar) -> Values:
+    model = Model(car)
+    try:
+        return {"lf": WHEELBASE - model.ahead, "lr": model.ahead}
+    finally:
+        model.client.disconnect()
+
+
+def make_bullet(rng: np.random.Generator) -> WiredPlant[BulletCar]:
+    """A healthy car of plant d: PyBullet's racecar."""
+    car = BulletCar(mu=float(rng.uniform(0.7, 1.0)))
+    return WiredPlant(car, draw_wiring(rng), _EFFECTS, _measure, simulate)
 
 
 class Model:

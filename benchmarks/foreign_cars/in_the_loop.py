@@ -13,7 +13,6 @@ import json
 import math
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -167,8 +166,7 @@ def record(plant: MujocoPlant, file: Path, path: str, speed: float, seed: int, o
     plan = make_plan(options)
     config = make_world_config(plan)
     world = World(config)
-    setup = replace(world.car.setup, start=config.start)
-    car: Any = LoopCar(plant, setup, seed)
+    car: Any = LoopCar(plant, config, seed)
     world.car = world.vesc.car = world.vesc.imu._car = car  # noqa: SLF001
     return not record_virtual(plan, out, partial(drive), world=world).core.loop.faulted
 

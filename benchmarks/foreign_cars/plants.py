@@ -1,17 +1,21 @@
 """The plants, behind one interface: `drive(plant, commands, seed) -> Log`."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from benchmarks.blind_gap.effects import Place, Values
 from benchmarks.foreign_cars.drives import Commands
+from benchmarks.foreign_cars.effects import WIRED, WIRED_OUTSIDE
 from benchmarks.foreign_cars.log import Log
 from benchmarks.foreign_cars.own import make_own
+from benchmarks.foreign_cars.wiring import Array, Orders, Wiring, make_orders, make_push, observe
 
 Random = np.random.Generator
+C = TypeVar("C")
 
 
 class Plant(Protocol):
@@ -37,6 +41,50 @@ class Plant(Protocol):
 
     def drive(self, commands: Commands, rng: Random) -> Log:
         """Drive it and record."""
+
+
+@dataclass(frozen=True, slots=True)
+class WiredPlant(Generic[C]):
+    """A car behind the wiring of these plants; what is wrong is wrong with the one or the other."""
+
+    car: C
+    wiring: Wiring
+    own: Mapping[str, Callable[[C, Values], C]]  # effects of the car itself
+    measure: Callable[[C], Values]  # its lengths [m]
+    # Gives rows x, y, yaw of the centre of gravity and the driven wheels' surface speed [m/s]
+    simulate: Callable[[C, Wiring, Orders, Array, Array], tuple[Array, Array]]
+
+    @property
+    def effects(self) -> frozenset[str]:
+        """See `Plant.effects`."""
+        return frozenset(WIRED) | frozenset(self.own)
+
+    @property
+    def outside(self) -> frozenset[str]:
+        """See `Plant.outside`."""
+        return frozenset(WIRED_OUTSIDE)
+
+    @property
+    def truth(self) -> Values:
+        """Lengths [m]."""
+        return self.measure(self.car)
+
+    def with_effect(self, name: str, values: Values) -> "WiredPlant[C]":
+        """See `Plant.with_effect`."""
+        if name in WIRED:
+            return replace(self, wiring=WIRED[name](self.wiring, values))
+        return replace(self, car=self.own[name](self.car, values))
+
+    def with_outside(self, name: str, strength: float, place: Place) -> "WiredPlant[C]":
+        """See `Plant.with_outside`."""
+        return replace(self, wiring=self.wiring._replace(**{WIRED_OUTSIDE[name]: strength}))
+
+    def drive(self, commands: Commands, rng: Random) -> Log:
+        """See `Plant.drive`."""
+        orders = make_orders(self.wiring, commands, rng)
+        push = make_push(commands, rng)
+        path, rolling = self.simulate(self.car, self.wiring, orders, push.process, commands.start)
+        return observe(self.wiring, commands, path, rolling, push.pose, rng)
 
 
 class MissingPlantError(RuntimeError):

@@ -44,7 +44,7 @@ SLIPS, SLIP_S, SLIP_STEPS = ("mocap_yaw", "marker_offset"), 4.0, 40
 AT, LENGTH, JUDGED = 35.0, 75.0, 20.0
 """When the change comes, how long a drive is, and its last stretch, which is judged [s]."""
 PUSHES = (0.1, 0.3, 0.03)
-"""Disturbances of speed, yaw rate and slip, see `CarSetup.noise`."""
+"""Disturbances of speed, yaw rate and slip, see `CarSetup.process_noise`."""
 KINDS = ("file", "true", "adapt")
 
 
@@ -149,7 +149,7 @@ def _make_tick(
             change_car(world, text, share)
         if design is not None and t >= at and run.core.loop.adapting.held is not None:
             run.core.loop.on_design(make_design(run.t_ns, EPOCH_NS, 1, design), run.t_ns)
-        state = world.truth().state
+        state = world.car.state
         if memory["hint"] < 0:
             memory["hint"] = locate(plan.path, state.x, state.y, state.yaw).hint
         place = project(plan.path, state.x, state.y, int(memory["hint"]))

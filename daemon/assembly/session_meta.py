@@ -16,7 +16,8 @@ from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.assembly.sim_car import make_true_model, make_truth
 from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.posterior_file import ATTACHED
-from steerd.steer_bus.session_read import WRONG_CONTENT, Session, SessionError, SessionInfo
+from steerd.steer_bus.container import SessionInfo
+from steerd.steer_bus.session_read import WRONG_CONTENT, Session, SessionError
 from steerd.version import VERSION
 
 VIRTUAL_EPOCH_NS = 1_700_000_000_000_000_000

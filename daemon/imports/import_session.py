@@ -26,7 +26,7 @@ from steerd.mocap_link.frame import (
 )
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import encode
-from steerd.steer_bus.session import AttachedFile, SessionWriter
+from steerd.steer_bus.session import SessionWriter
 from steerd.steer_bus.session_read import SessionError
 from steerd.steer_bus.topics import ACTUATION, MOCAP, Topic, make_session_topic
 from steerd.version import VERSION
@@ -112,7 +112,7 @@ def write_import(
             out,
             {names[topic.name]: topic.message for topic in topics},
             {"steerd.session": _describe(source, the_map), **_scaling(the_map)},
-            [AttachedFile("map.toml", "application/toml", the_map.text.encode())],
+            {"map.toml": the_map.text.encode()},
             the_map.epoch_ns,
         )
     except SessionError as error:

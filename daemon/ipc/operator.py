@@ -16,7 +16,7 @@ from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import DEFAULT_PORT, Lab, load_lab
 from steerd.steer_bus.standard import DiagnosticArray
 from steerd.steer_bus.topics import LAST_MODEL, make_key
-from steerd.steer_bus.zenoh_bus import ZenohBus, make_spoke_profile
+from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 
 DEFAULT_ENDPOINT = f"tcp/127.0.0.1:{DEFAULT_PORT}"
 
@@ -72,7 +72,7 @@ def connect(given_endpoint: str | None, folder: Path | None, first: str = "steer
     lab = read_lab(folder) if folder else None
     endpoint = given_endpoint or (lab.endpoint if lab else DEFAULT_ENDPOINT)
     try:
-        return ZenohBus(make_spoke_profile(endpoint, lab))
+        return ZenohBus(Profile(False, endpoint, lab))
     except BusError as error:
         hint = f"start `{first}` first, or name its endpoint with --connect"
         if lab is not None:

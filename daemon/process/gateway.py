@@ -31,7 +31,7 @@ from steerd.steer_bus.lab import load_lab
 from steerd.steer_bus.messages import BODY, Actuation, DriveCommand
 from steerd.steer_bus.ros_keys import make_gid, make_node_token, make_publisher_token, make_ros_key
 from steerd.steer_bus.standard import AckermannDrive, AckermannDriveStamped
-from steerd.steer_bus.zenoh_bus import ZenohBus, make_hub_profile
+from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 
 DRIVE_NAME = "drive"
 """What went to the motor controller, as `ackermann_msgs/AckermannDriveStamped`."""
@@ -226,8 +226,8 @@ def serve(job: Job) -> int:
     core.setblocking(False)
     try:
         lab = load_lab(Path(options.lab)) if options.lab else None
-        profile = make_hub_profile(
-            options.listen, lab, insecure_lan=options.insecure_lan, pose_key=pose_key
+        profile = Profile(
+            True, options.listen, lab, insecure_lan=options.insecure_lan, pose_key=pose_key
         )
         with ZenohBus(profile) as bus:
             domain = options.ros_domain

@@ -16,7 +16,7 @@ from steerd.daemon.process.page_link import CarView, make_page_operator, pass_on
 from steerd.daemon.process.secret_server import ConnectionClosed, SecretServer, ServerConnection
 from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.clock import MonotonicClock
-from steerd.steer_bus.zenoh_bus import ZenohBus, make_spoke_profile
+from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 from steerd.sysid.report.page import render_page
 
 HOST = "127.0.0.1"
@@ -104,7 +104,7 @@ async def run_page(
 async def _serve(given: Job) -> None:
     ended, job = asyncio.Event(), given.about
     asyncio.get_running_loop().add_reader(given.fds["lifeline"], ended.set)
-    with ZenohBus(make_spoke_profile(job["endpoint"], None)) as bus:
+    with ZenohBus(Profile(False, job["endpoint"])) as bus:
         view = CarView(bus, job["car"], MonotonicClock())
         await run_page(
             view, make_page(job), job["port"], lambda url: given.say_ready(url=url), ended

@@ -9,7 +9,6 @@ import shutil
 import sys
 import threading
 from collections.abc import Mapping
-from mimetypes import guess_type
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from steerd.daemon.ipc.pipe_records import Gaps, PipeReader, PipeRecord
 from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.views import Views
 from steerd.steer_bus.clock import MonotonicClock
-from steerd.steer_bus.session import FLUSH_NS, AttachedFile, SessionWriter
+from steerd.steer_bus.session import FLUSH_NS, SessionWriter
 from steerd.steer_bus.session_read import SessionError
 from steerd.steer_bus.topics import TOPICS, make_session_topic
 
@@ -45,10 +44,7 @@ class Recording:
 
     def __init__(self, path: Path, car: str, meta: Mapping[str, Any]) -> None:
         self._topics = {topic.name: make_session_topic(car, topic) for topic in TOPICS}
-        attachments = [
-            AttachedFile(name, guess_type(name)[0] or "application/toml", text.encode())
-            for name, text in meta["attachments"].items()
-        ]
+        attachments = {name: text.encode() for name, text in meta["attachments"].items()}
         classes = {self._topics[topic.name]: topic.message for topic in TOPICS}
         self.writer = SessionWriter(
             path,

@@ -16,9 +16,10 @@ from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions import motion
 from steerd.daemon.sessions.motion import Array, Signal, SignalRange, Track
 from steerd.steer_bus import session_read, topics
+from steerd.steer_bus.container import SessionInfo, TopicInfo
 from steerd.steer_bus.fields import flat_leaves
 from steerd.steer_bus.messages import ActuationMode
-from steerd.steer_bus.session_read import Session, SessionError, SessionInfo, TopicInfo
+from steerd.steer_bus.session_read import Session, SessionError
 from steerd.steer_bus.topic_columns import Columns
 from steerd.vesc_link.scaling import F1TENTH
 

@@ -15,14 +15,15 @@ MULTICAST, TO_COMMAND, TO_DATA = "multicast", "command", "data"
 """Where NatNet frames go: the group, or a unicast client's command or data socket."""
 
 
+Planar = tuple[float, float, float]  # x, y, yaw of a true or seen pose in the world [m, m, rad]
+
+
 class Bystander(NamedTuple):
-    """Another tracked thing that stands in the room; world frame."""
+    """Another tracked thing that stands in the room."""
 
     name: str
     id: int
-    x: float
-    y: float
-    yaw: float
+    pose: Planar
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,15 +72,6 @@ class MocapConfig:
 
 _NS = 1_000_000_000
 _IMPOSTOR = (1.5, -1.0, 0.3)  # where the other thing stands when the room has none [m, m, rad]
-
-
-@quick_value
-class Planar:
-    """A true or seen pose in the world."""
-
-    x: float
-    y: float
-    yaw: float
 
 
 @quick_value
@@ -133,13 +125,13 @@ class Cameras:
     def _bodies(self, car: SimCar, t_ns: int) -> tuple[BodyPose, ...]:
         config, faults = self._config, self.fault_state
         seen = car.observe_pose(t_ns)
-        true = Planar(seen.x, seen.y, seen.yaw)
-        others = [(b.name, b.id, Planar(b.x, b.y, b.yaw)) for b in config.bystanders]
+        true = seen.x, seen.y, seen.yaw
+        others = [*config.bystanders]
         own = self._displace(true, t_ns)
         if faults.swap or faults.impostor:
-            own = others[0][2] if others else Planar(*_IMPOSTOR)
+            own = others[0].pose if others else _IMPOSTOR
         if faults.swap and others:
-            others[0] = (*others[0][:2], true)
+            others[0] = others[0]._replace(pose=true)
         bodies = [] if faults.absent else [self._own(own)]
         return (*bodies, *(self._body(*other) for other in others))
 
@@ -150,7 +142,7 @@ class Cameras:
             return pose
         shift = faults.jump + faults.drift * (t_ns - faults.since_ns) / _NS
         flipped = faults.flip == "always" or (faults.flip == "alternate" and self._number % 2)
-        return Planar(pose.x + shift, pose.y, pose.yaw + (math.pi if flipped else 0.0))
+        return pose[0] + shift, pose[1], pose[2] + (math.pi if flipped else 0.0)
 
     def _own(self, pose: Planar) -> BodyPose:
         """The car's body, with faults of the pose itself."""
@@ -172,7 +164,7 @@ class Cameras:
         config, noise = self._config, self._noise
         sd = config.position_noise
         x, y, yaw, height = noise.normals(4)
-        place = pose.x + sd * x, pose.y + sd * y, pose.yaw + config.yaw_noise * yaw
+        place = pose[0] + sd * x, pose[1] + sd * y, pose[2] + config.yaw_noise * yaw
         position, quaternion = make_body_pose(config.frame, *place, config.height + sd * height)
         if config.tilt_noise:
             tilt = 0.5 * config.tilt_noise

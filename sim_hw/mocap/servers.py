@@ -166,30 +166,24 @@ class VrpnServer:
     Feed what arrives into `receive`, send what it and the other methods return.
 
     Args:
-        bodies: names of the bodies; more may come with `add_body`.
+        bodies: names of the bodies.
     """
 
     def __init__(self, bodies: tuple[str, ...]) -> None:
-        self._bodies: list[str] = []
+        self.bodies = bodies
         self._buffer = bytearray()
         self._greeted = False
         self._peer_types: dict[int, str] = {}
         self._sequence = 0
-        self._hello = vrpn.encode_cookie() + b"".join(
-            vrpn.encode(vrpn.make_description(vrpn.TYPE_DESCRIPTION, i, name))
-            for i, name in enumerate(_TYPES)
-        )
-        self._hello += b"".join(self.add_body(body) for body in bodies)
 
     def hello(self) -> bytes:
         """Return what to send as soon as a client connects."""
-        return self._hello
-
-    def add_body(self, name: str) -> bytes:
-        """Enable another body, at any time; returns its description."""
-        self._bodies.append(name)
-        sender = len(self._bodies) - 1
-        return vrpn.encode(vrpn.make_description(vrpn.SENDER_DESCRIPTION, sender, name))
+        named = ((vrpn.TYPE_DESCRIPTION, _TYPES), (vrpn.SENDER_DESCRIPTION, self.bodies))
+        return vrpn.encode_cookie() + b"".join(
+            vrpn.encode(vrpn.make_description(kind, number, name))
+            for kind, names in named
+            for number, name in enumerate(names)
+        )
 
     def pose(
         self,
@@ -201,7 +195,7 @@ class VrpnServer:
         """Encode one pose [m]; `stamp_us` is on the server's clock."""
         w, x, y, z = quaternion_wxyz
         payload = vrpn.write_pose(0, (position, (x, y, z, w)))
-        return self._message(_POSE_ID, self._bodies.index(body), stamp_us, payload)
+        return self._message(_POSE_ID, self.bodies.index(body), stamp_us, payload)
 
     def receive(self, data: bytes, stamp_us: int) -> bytes:
         """Take in bytes from the client; returns the answers.

@@ -118,20 +118,15 @@ class CarSetup:
 
     step_ns: int = 2_000_000  # physics step
     coast_decel: float = 0.6  # drag of the released drive train [m/s^2]
-    # Part of the car's ``steer_delay`` that the simulated servo signal brings along by itself
-    # (half its frame), hence not added again [s]
-    servo_wait: float = 0.0
     # Random acceleration of speed [m/s^2], yaw rate [rad/s^2] and slip [rad/s], each as standard
     # deviation over one second (it grows with the root of time)
-    noise: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    process_noise: tuple[float, float, float] = (0.0, 0.0, 0.0)
     start: State[float] = ORIGIN  # state at the beginning
 
-
-class Held(NamedTuple):
-    """A value and the time from which it is in force [ns]."""
-
-    t_ns: int
-    value: float
+    @property
+    def servo_wait(self) -> float:
+        """Part of the car's ``steer_delay`` that the simulated servo signal brings along [s]."""
+        return 0.0
 
 
 class DelayLine:
@@ -146,13 +141,13 @@ class DelayLine:
         self._delay_ns = max(0, delay_ns)
         self._now = initial
         self._newest = initial
-        self._coming: deque[Held] = deque()
+        self._coming: deque[tuple[int, float]] = deque()  # from when [ns] each value is in force
 
     def push(self, t_ns: int, value: float) -> None:
         """Hold ``value`` from ``t_ns`` on; times never go back."""
         if value != self._newest:
             self._newest = value
-            self._coming.append(Held(t_ns + self._delay_ns, value))
+            self._coming.append((t_ns + self._delay_ns, value))
 
     def mean(self, t0_ns: int, t1_ns: int) -> float:
         """Mean of the late signal over [t0, t1); later calls start at ``t1`` or after.
@@ -160,15 +155,15 @@ class DelayLine:
         As `steerd.car_model.rollout.channel_delayed`, for changes at any time.
         """
         coming = self._coming
-        while coming and coming[0].t_ns <= t0_ns:
-            self._now = coming.popleft().value
-        if not coming or coming[0].t_ns >= t1_ns:
+        while coming and coming[0][0] <= t0_ns:
+            self._now = coming.popleft()[1]
+        if not coming or coming[0][0] >= t1_ns:
             return self._now
         area, since = 0.0, t0_ns
-        while coming and coming[0].t_ns < t1_ns:
-            change = coming.popleft()
-            area += self._now * (change.t_ns - since)
-            self._now, since = change.value, change.t_ns
+        while coming and coming[0][0] < t1_ns:
+            t_ns, value = coming.popleft()
+            area += self._now * (t_ns - since)
+            self._now, since = value, t_ns
         return (area + self._now * (t1_ns - since)) / (t1_ns - t0_ns)
 
 
@@ -182,11 +177,10 @@ class SimCar:
         self.setup = setup
         self.t_ns = self._t_start_ns = t_start_ns  # time of `state`
         self.speed = setup.start.speed  # true speed [m/s]
-        self.accel_x = self.accel_y = (
-            0.0  # acceleration over the last step, along and across [m/s^2]
-        )
+        # Acceleration over the last step, along and across [m/s^2]
+        self.accel_x = self.accel_y = 0.0
         self._noise = noise
-        self._noisy = any(setup.noise)
+        self._noisy = any(setup.process_noise)
         self._step_ns = setup.step_ns
         self._watched = "observe" in hooked(model.effects)
         h = setup.step_ns / NS
@@ -277,7 +271,7 @@ class SimCar:
 
     def _add_process_noise(self, numbers: Numbers) -> Numbers:
         noise, scale, after = self._noise, math.sqrt(self._h), list(numbers)
-        for place, sd in zip((_V, _YAW_RATE, _SLIP), self.setup.noise, strict=True):
+        for place, sd in zip((_V, _YAW_RATE, _SLIP), self.setup.process_noise, strict=True):
             after[place] += sd * scale * noise.normal()
         return tuple(after)
 

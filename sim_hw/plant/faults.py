@@ -10,7 +10,7 @@ number come from `docs/reference/mocap-protocols.md#m6.1` and `docs/reference/ve
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,10 +234,6 @@ class Fault:
         """Its entry in the catalogue."""
         return find_fault(self.name)
 
-    def active(self, t_ns: int) -> bool:
-        """Whether it is on."""
-        return self.t_from_ns <= t_ns < self.t_to_ns
-
 
 class Condition(NamedTuple):
     """The fault state at one moment and when they next change."""
@@ -247,30 +243,21 @@ class Condition(NamedTuple):
     until_ns: int
 
 
-def make_condition(faults: Sequence[Fault], t_ns: int) -> Condition:
-    """The fault state at ``t_ns`` with these faults."""
-    vesc, mocap = HEALTHY_VESC, HEALTHY_MOCAP
+def make_condition(faults: Sequence[Fault], t_ns: int, t_start_ns: int = 0) -> Condition:
+    """The fault state at ``t_ns`` with these faults, in a world that began at ``t_start_ns``."""
+    vesc, mocap, edges = HEALTHY_VESC, HEALTHY_MOCAP, [FOREVER]
     for fault in faults:
-        if not fault.active(t_ns):
+        changed: dict[str, Any] = {**fault.kind.settings, **fault.params}
+        begin, end = fault.t_from_ns + t_start_ns, fault.t_to_ns + t_start_ns
+        plugged_ns = begin + changed.get("outage_ns", 0)
+        edges += [edge for edge in (begin, plugged_ns, end) if edge > t_ns]
+        if not begin <= t_ns < end:
             continue
-        changed = {**fault.kind.settings, **fault.params}
         if fault.kind.target == "vesc":
-            vesc = replace(vesc, **changed)  # type: ignore[arg-type]
-            if t_ns < fault.t_from_ns + vesc.outage_ns:
+            vesc = replace(vesc, **changed)
+            if t_ns < plugged_ns:
                 vesc = replace(vesc, plugged=False)
         else:
-            since = min(fault.t_from_ns, mocap.since_ns or fault.t_from_ns)
-            mocap = replace(mocap, since_ns=since, **changed)  # type: ignore[arg-type]
-    edges = [edge for fault in faults for edge in _edges(fault) if edge > t_ns]
-    return Condition(vesc, mocap, min(edges, default=FOREVER))
-
-
-def _edges(fault: Fault) -> tuple[int, ...]:
-    outage = fault.params.get("outage_ns", fault.kind.settings.get("outage_ns")) or 0
-    return fault.t_from_ns, fault.t_from_ns + int(outage), fault.t_to_ns
-
-
-def in_world_time(fault: Fault, t_start_ns: int) -> Fault:
-    """The fault on the clock of a world that starts at ``t_start_ns``."""
-    end = min(FOREVER, fault.t_to_ns + t_start_ns)
-    return Fault(fault.name, fault.t_from_ns + t_start_ns, end, **fault.params)
+            since = min(begin, mocap.since_ns or begin)
+            mocap = replace(mocap, since_ns=since, **changed)
+    return Condition(vesc, mocap, min(edges))

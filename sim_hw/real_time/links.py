@@ -219,30 +219,16 @@ def raise_priority() -> None:
 
 
 class SpawnedSim(NamedTuple):
-    """Simulated hardware in another process. Use as a context manager, or call `stop`."""
+    """Simulated hardware in another process."""
 
     port: str  # path of the serial device
     mocap_url: str  # address of the mocap server
-    process: BaseProcess  # its process
-    lifeline: Connection  # pipe whose closing ends it, so that it never outlives us
-
-    def stop(self) -> None:
-        """End it and wait until it is gone."""
-        self.lifeline.close()
-        self.process.join(_STOP_SECONDS)
-        if self.process.is_alive():
-            self.process.kill()
-            self.process.join()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
+    process: BaseProcess
 
 
-def spawn_sim(config: WorldConfig, faults: Sequence[Fault] = ()) -> SpawnedSim:
-    """Start simulated hardware in a process of its own.
+@contextlib.contextmanager
+def spawn_sim(config: WorldConfig, faults: Sequence[Fault] = ()) -> Iterator[SpawnedSim]:
+    """Simulated hardware in a process of its own, which is gone at the end.
 
     Effects in ``config`` must be importable (hooks defined at module level).
 
@@ -250,22 +236,27 @@ def spawn_sim(config: WorldConfig, faults: Sequence[Fault] = ()) -> SpawnedSim:
         RuntimeError: it did not come up; its own message is on standard error.
     """
     context = mp.get_context("spawn")
-    ours, theirs = context.Pipe()
+    ours, theirs = context.Pipe()  # whose closing ends it, so that it never outlives us
     process = context.Process(
         target=_child, args=(config, faults, theirs), name="steerd-sim", daemon=True
     )
     process.start()
     theirs.close()
     try:
-        if not ours.poll(_READY_SECONDS):
-            raise EOFError
-        port, url = ours.recv()
-    except (EOFError, OSError):
-        process.kill()
-        process.join()
+        try:
+            if not ours.poll(_READY_SECONDS):
+                raise EOFError
+            port, url = ours.recv()
+        except (EOFError, OSError):
+            process.kill()
+            raise RuntimeError("the simulated hardware did not start") from None
+        yield SpawnedSim(port, url, process)
+    finally:
         ours.close()
-        raise RuntimeError("the simulated hardware did not start") from None
-    return SpawnedSim(port, url, process, ours)
+        process.join(_STOP_SECONDS)
+        if process.is_alive():
+            process.kill()
+            process.join()
 
 
 def _child(config: WorldConfig, faults: Sequence[Fault], pipe: Connection) -> None:

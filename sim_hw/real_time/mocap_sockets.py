@@ -4,7 +4,7 @@ import contextlib
 import socket
 
 from steerd.mocap_link.natnet import MULTICAST_GROUP
-from steerd.sim_hw.mocap.cameras import MULTICAST
+from steerd.sim_hw.mocap.cameras import MULTICAST, MocapConfig
 from steerd.sim_hw.mocap.network import CLOSE, COMMAND, DATA, FOREIGN, STREAM, Datagram
 from steerd.sim_hw.mocap.servers import NatNetServer
 from steerd.sim_hw.world import World
@@ -16,19 +16,10 @@ _READ = 65_536
 
 def make_mocap_sockets(world: World) -> "MocapSockets":
     """Open the sockets of the world's mocap system, on free ports."""
-    config = world.config.mocap
-    if isinstance(world.mocap, NatNetServer):
-        sockets = NatNetSockets()
-        world.mocap.data_port = sockets.data_port
-        forced = "" if config.transport == MULTICAST else "&unicast=1"
-        end = f"up={config.frame.up}{forced}"
-        if config.transport == MULTICAST:
-            end += f"&interface={_HOST}"
-        sockets.url = f"natnet://{_HOST}:{sockets.port}/{config.body}?{end}"
-        return sockets
-    vrpn = VrpnSockets()
-    vrpn.url = f"vrpn://{_HOST}:{vrpn.port}/{config.body}?up={config.frame.up}"
-    return vrpn
+    server, config = world.mocap, world.config.mocap
+    if isinstance(server, NatNetServer):
+        return NatNetSockets(server, config)
+    return VrpnSockets(config)
 
 
 def _udp(host: str, port: int) -> socket.socket:
@@ -38,18 +29,23 @@ def _udp(host: str, port: int) -> socket.socket:
     return udp
 
 
+def _url(scheme: str, near: socket.socket, config: MocapConfig) -> str:
+    port = int(near.getsockname()[1])
+    return f"{scheme}://{_HOST}:{port}/{config.body}?up={config.frame.up}"
+
+
 class NatNetSockets:
     """Command socket of a NatNet server, which also sends the frames, and a stranger's socket."""
 
-    def __init__(self) -> None:
-        self.url = ""
+    def __init__(self, server: NatNetServer, config: MocapConfig) -> None:
         self._command = _udp(_HOST, 0)
         self._command.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(_HOST))
         self._command.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
         self._stranger: socket.socket | None = None
-        self.port = int(self._command.getsockname()[1])
         with _udp(_HOST, 0) as free:
-            self.data_port = int(free.getsockname()[1])
+            self.data_port = server.data_port = int(free.getsockname()[1])
+        how = f"interface={_HOST}" if config.transport == MULTICAST else "unicast=1"
+        self.url = _url("natnet", self._command, config) + f"&{how}"
 
     def read_fds(self) -> tuple[int, ...]:
         """What to poll."""
@@ -84,11 +80,10 @@ class NatNetSockets:
 class VrpnSockets:
     """Listening socket of a VRPN server and its connections."""
 
-    def __init__(self) -> None:
-        self.url = ""
+    def __init__(self, config: MocapConfig) -> None:
         self._listener = socket.create_server((_HOST, 0))
         self._listener.setblocking(False)
-        self.port = int(self._listener.getsockname()[1])
+        self.url = _url("vrpn", self._listener, config)
         self._clients: dict[tuple[str, int], socket.socket] = {}
 
     def read_fds(self) -> tuple[int, ...]:

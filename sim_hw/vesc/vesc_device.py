@@ -6,7 +6,7 @@ modelled is the list of `docs/reference/vesc-serial.md#v8`; each item has a test
 
 import math
 from collections import Counter, deque
-from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any
 
@@ -14,11 +14,11 @@ from steerd.sim_hw.plant.car import COAST, Demand, Drive, SimCar
 from steerd.sim_hw.plant.faults import HEALTHY_VESC, VescFaultState
 from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.sim_hw.vesc.vesc_motor import MEANS, MS, Mode, Motor, Power, VescConfig, duty_current
-from steerd.sim_hw.vesc.vesc_wire import FALSE_HEADER, ByteLog, Chunk, ReplyWire
+from steerd.sim_hw.vesc.vesc_wire import FALSE_HEADER, Chunk, Logged, ReplyWire
 from steerd.vesc_link import commands as c
 from steerd.vesc_link import ids, telemetry
 from steerd.vesc_link.frames import FrameParser
-from steerd.vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp, Print
+from steerd.vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp
 from steerd.vesc_link.packets import FEEDS_TIMEOUT, Reply, decode_command, encode_reply
 from steerd.vesc_link.scaling import Scaling, erpm_to_speed, servo_pos_to_steer
 from steerd.vesc_link.telemetry import UPTIME_MASK, Uptime
@@ -27,8 +27,6 @@ _TRAIN = ("motor_poles", "gear_ratio", "wheel_diameter")
 """What the reply to GET_MCCONF_TEMP says beside the limits in force."""
 _IMU_PERIOD_NS = 5 * MS
 """The firmware samples its IMU at 200 Hz; faster polling reads the same sample again."""
-_MEAN_BITS = {"motor_current": 2, "input_current": 3, "d_current": 4, "q_current": 5}
-_MEAN_BITS |= {"v_d": 19, "v_q": 20}
 _SIGNATURE = 0x2A1B5C03
 _VERSION_TAIL = bytes(9) + bytes.fromhex("deadbeef")
 _VERSION_TAILS = (((3, 48), 1), ((5, 0), 2), ((5, 2), 4), ((5, 3), 7), ((6, 0), 9), ((6, 5), 13))
@@ -45,7 +43,7 @@ def make_values(
     What no client of ours asks for (charge, energy, position, temperature of each switch) is 0.
     """
     temp = power.temp_c
-    asked = [name for name in MEANS if mask is None or mask >> _MEAN_BITS[name] & 1]
+    asked = [name for name, bit in MEANS.items() if mask is None or mask >> bit & 1]
     means: dict[str, Any] = power.read_means(asked)
     return telemetry.Values(
         **means,
@@ -82,12 +80,10 @@ class ImuChip:
 
     def make_reply(self, mask: int, t_ns: int) -> telemetry.Imu:
         """GET_IMU_DATA reply: the latest 200 Hz sample; without a chip zeros and identity."""
-        if not self._config.imu:
-            return telemetry.Imu(mask, q_w=1.0, controller_id=self._config.controller_id)
         slot = t_ns // _IMU_PERIOD_NS
         if slot != self._sample_ns:
             self._sample_ns = slot
-            self._sample = self._measure()
+            self._sample = self._measure() if self._config.imu else {"q_w": 1.0}
         return telemetry.Imu(mask, **self._sample, controller_id=self._config.controller_id)
 
     def _measure(self) -> dict[str, float]:
@@ -110,8 +106,8 @@ class ImuChip:
 
 _UNDER_VOLTAGE = ids.FAULT_NAMES.index("UNDER_VOLTAGE")
 _OVER_TEMP = ids.FAULT_NAMES.index("OVER_TEMP_FET")
-_TERMINAL_NS = 5 * MS
 _PARSER_512 = ids.Firmware(3, 48)
+_OLDER = ids.FW_3_40
 _decode = lru_cache(maxsize=512)(decode_command)
 
 
@@ -132,19 +128,19 @@ class SimVesc:
         scaling: Scaling,
         car: SimCar,
         noise: NoiseSource,
-        log: ByteLog | None = None,
+        log: list[Logged] | None = None,
     ) -> None:
         self.config = config
         self.car = car
-        self.log = ByteLog() if log is None else log  # every byte with its time
+        self._log = log  # takes every byte with its time
         self.fault_state: VescFaultState = HEALTHY_VESC
         # Host bugs and losses by name: ``short`` (a command without its arguments), ``unknown``
-        # ids, ``discarded`` blocking commands, ``lost`` bytes while off
+        # ids, ``lost`` bytes while off
         self.counts: Counter[str] = Counter()
         self._scaling = scaling
         self._sign = -1 if config.invert else 1
         self._noise = noise
-        self._wire = ReplyWire(config, noise)
+        self._wire = ReplyWire(config, noise, log)
         self._held: deque[Chunk] = deque()
         self._off_until_ns = -1
         self.connected = True  # whether the host sees the USB device
@@ -163,10 +159,7 @@ class SimVesc:
         self._servo_target = self._servo_out = 0.5
         self._servo_steer = servo_pos_to_steer(self._scaling, self._servo_out)
         self._servo_next_ns = t_ns + config.servo_phase_ns
-        self._busy_until_ns = self._alive_next_ns = t_ns
-        self._later: deque[tuple[int, Reply]] = deque()
-        if config.boot_garbage:
-            self._wire.send_raw(t_ns, self._noise.random_bytes(config.boot_garbage))
+        self._alive_next_ns = t_ns
 
     # --- faults
 
@@ -195,7 +188,6 @@ class SimVesc:
         self._off_until_ns = t_ns + self.config.reboot_ns
         self.connected = False
         self.motor.release()
-        self._later.clear()
 
     @property
     def uuid(self) -> bytes:
@@ -231,9 +223,18 @@ class SimVesc:
         return self._servo(t_ns), demand
 
     def _servo(self, t_ns: int) -> float:
-        """The road-wheel angle [rad] that the servo holds now; faults of servos replace this."""
-        if t_ns >= self._servo_next_ns:
-            self._move_servo(t_ns)
+        """The road-wheel angle [rad] that the servo holds now; faults of servos replace this.
+
+        A new one takes effect with the pulse that is due; without output it never does.
+        """
+        config = self.config
+        if t_ns < self._servo_next_ns or not config.servo_out or self.fault_state.servo_dead:
+            return self._servo_steer
+        self._servo_out = self._servo_target
+        self._servo_steer = servo_pos_to_steer(self._scaling, self._servo_out)
+        if config.servo_frame_ns:
+            behind = (t_ns - self._servo_next_ns) // config.servo_frame_ns
+            self._servo_next_ns += config.servo_frame_ns * (behind + 1)
         return self._servo_steer
 
     def _act(self, mode: Mode, value: float, erpm: float) -> tuple[Demand, float]:
@@ -257,16 +258,6 @@ class SimVesc:
         wheel = self.car.wheel_speed
         return self._sign * (scaling.erpm_gain * wheel + scaling.erpm_offset * (wheel != 0.0))
 
-    def _move_servo(self, t_ns: int) -> None:
-        """A new angle takes effect with the pulse that is due; without output it never does."""
-        config = self.config
-        if config.servo_out and not self.fault_state.servo_dead:
-            self._servo_out = self._servo_target
-            self._servo_steer = servo_pos_to_steer(self._scaling, self._servo_out)
-            if config.servo_frame_ns:
-                behind = (t_ns - self._servo_next_ns) // config.servo_frame_ns
-                self._servo_next_ns += config.servo_frame_ns * (behind + 1)
-
     # --- the wire
 
     @property
@@ -276,8 +267,6 @@ class SimVesc:
         Where it is off, or behind with its orders, the next physics step may change that.
         """
         due = self._wire.next_ns
-        if self._later and (due is None or self._later[0][0] < due):
-            due = self._later[0][0]
         if self._held or self._off_until_ns >= 0:
             step_ns = self.car.t_ns + self.car.setup.step_ns
             due = step_ns if due is None or step_ns < due else due
@@ -288,16 +277,17 @@ class SimVesc:
         if not self.connected:
             self.counts["lost"] += len(data)
             return
-        self.log.add(t_ns, "vesc", data)
+        if self._log is not None:
+            self._log.append(Logged(t_ns, "vesc", data))
         if t_ns < self._wire.blocked_until_ns:
-            self._held.append(Chunk(t_ns, data))
+            self._held.append((t_ns, data))
             return
         self._catch_up(t_ns)
         self._receive(t_ns, data)
 
     def _catch_up(self, t_ns: int) -> None:
         while self._held and t_ns >= self._wire.blocked_until_ns:
-            self._receive(t_ns, self._held.popleft().data)
+            self._receive(t_ns, self._held.popleft()[1])
         period = self.fault_state.alive_ns
         if period and t_ns >= self._alive_next_ns:
             self._alive_next_ns = t_ns + period
@@ -309,12 +299,10 @@ class SimVesc:
 
     def read(self, t_ns: int) -> bytes:
         """What is due by ``t_ns``, read by the host; one that never reads blocks the VESC."""
-        while self._later and self._later[0][0] <= t_ns:
-            self._reply(*self._later.popleft())
         due = self._wire.next_ns
         if not self.connected or due is None or due > t_ns:
             return b""
-        return self._wire.read(t_ns, self.log)
+        return self._wire.read(t_ns)
 
     # --- commands
 
@@ -354,18 +342,20 @@ class SimVesc:
             case c.SetMcConfTemp():
                 motor.set_limits(command)
                 return Ack(ids.CommandId.SET_MCCONF_TEMP) if command.ack else None
-            case c.TerminalCommand():
-                faults = f"Fault: FAULT_CODE_{ids.fault_name(motor.fault)}"
-                text = faults if command.text == "faults" else f"Invalid command: {command.text}"
-                self._block(t_ns, _TERMINAL_NS, Print(text))
             case c.Reboot():
                 self.reboot(t_ns)
         return None
 
     def _reply(self, t_ns: int, reply: Reply) -> None:
-        payload, wrong = encode_reply(reply, self.config.firmware), self.fault_state.wrong
-        if wrong:
-            payload = _WRONG[wrong](payload, reply, self.config.firmware)
+        firmware, wrong = self.config.firmware, self.fault_state.wrong
+        payload = encode_reply(reply, firmware)
+        if wrong == "type":
+            payload = bytes((payload[0] ^ 0x40,)) + payload[1:]
+        elif wrong == "length":
+            payload = payload[: max(1, len(payload) * 2 // 3)]
+        elif wrong:  # an old firmware's layout, where that firmware has such a reply at all
+            with suppress(ValueError):
+                payload = encode_reply(reply, _OLDER if firmware > _OLDER else ids.FW_3_00)
         self._wire.send(t_ns, payload)
 
     def reported_erpm(self) -> float:
@@ -378,27 +368,3 @@ class SimVesc:
             self._stuck_erpm = int(erpm) if self._stuck_erpm is None else self._stuck_erpm
             return self._stuck_erpm
         return erpm
-
-    def _block(self, t_ns: int, duration_ns: int, reply: Reply) -> None:
-        """Run a blocking command; a second one meanwhile is discarded without a word."""
-        if t_ns < self._busy_until_ns:
-            self.counts["discarded"] += 1
-            return
-        self._busy_until_ns = t_ns + duration_ns
-        self._later.append((self._busy_until_ns, reply))
-
-
-def _as_older(payload: bytes, reply: Reply, firmware: ids.Firmware) -> bytes:
-    """The reply in an old firmware's layout, where that firmware has such a reply at all."""
-    try:
-        return encode_reply(reply, ids.FW_3_40 if firmware > ids.FW_3_40 else ids.FW_3_00)
-    except ValueError:
-        return payload
-
-
-_WRONG: dict[str, Callable[[bytes, Reply, ids.Firmware], bytes]] = {
-    "type": lambda payload, reply, firmware: bytes((payload[0] ^ 0x40,)) + payload[1:],
-    "length": lambda payload, reply, firmware: payload[: max(1, len(payload) * 2 // 3)],
-    "firmware": lambda payload, reply, firmware: _as_older(payload, reply, firmware),
-}
-"""Ways in which a reply can be another device's (fault V12)."""

@@ -69,12 +69,6 @@ class VescConfig:
     unread_limit: int = 1024 + 4096
     reboot_ns: int = 1_500 * MS  # time without USB after a REBOOT
     uptime_ns: int = 60_000 * MS  # how long it had been running when the simulation starts
-    boot_garbage: int = 0  # bytes of noise that it sends when it comes up
-
-    @property
-    def servo_wait(self) -> float:
-        """Mean wait of an angle for the next servo pulse [s]."""
-        return self.servo_frame_ns / 2e9
 
 
 TICK_NS = 10 * MS  # period of the firmware's timeout thread
@@ -252,7 +246,15 @@ _HEATING = 2e-4
 _COOLING = 120.0  # thermal time constant [s]
 _FIELD_VOLTAGE = 3**-0.5  # phase voltage per bus voltage at full duty (space-vector modulation)
 _FLAT = 0.1  # voltage below which no battery goes here, so that nothing divides by zero [V]
-MEANS = ("motor_current", "input_current", "d_current", "q_current", "v_d", "v_q")
+MEANS = {
+    "motor_current": 2,
+    "input_current": 3,
+    "d_current": 4,
+    "q_current": 5,
+    "v_d": 19,
+    "v_q": 20,
+}
+"""What is a mean since it was last read, and its bit in the mask of GET_VALUES_SELECTIVE."""
 
 
 class Power:

@@ -10,41 +10,17 @@ from typing import NamedTuple
 from steerd.sim_hw.plant.faults import HEALTHY_VESC, VescFaultState
 from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.sim_hw.vesc.vesc_motor import MS, VescConfig
-from steerd.steer_bus.quick_values import quick_value
 from steerd.vesc_link.frames import encode_frame
 
-
-@quick_value
-class Chunk:
-    """Bytes and the time at which they reach the other end [ns]."""
-
-    t_ns: int
-    data: bytes
+Chunk = tuple[int, bytes]  # bytes behind the time at which they reach the other end [ns]
 
 
 class Logged(NamedTuple):
-    """One entry of a byte log: ``to`` is ``vesc`` or ``host``."""
+    """Bytes that went over the link, with their time: ``to`` is ``vesc`` or ``host``."""
 
     t_ns: int
     to: str
     data: bytes
-
-
-class ByteLog:
-    """Every byte on a link with its time, for judges of what went over the wire.
-
-    Args:
-        enabled: False keeps nothing (long soaks).
-    """
-
-    def __init__(self, enabled: bool = True) -> None:
-        self.enabled = enabled
-        self.entries: list[Logged] = []
-
-    def add(self, t_ns: int, to: str, data: bytes) -> None:
-        """Note bytes that reached ``to``."""
-        if self.enabled:
-            self.entries.append(Logged(t_ns, to, data))
 
 
 FALSE_HEADER = b"\x03\x02\x00"  # the head of a frame of 512 bytes
@@ -55,13 +31,13 @@ _USB_WAIT_NS = 100 * MS  # how long the firmware's USB thread waits for a host t
 class ReplyWire:
     """Replies in flight to the host."""
 
-    def __init__(self, config: VescConfig, noise: NoiseSource) -> None:
+    def __init__(self, config: VescConfig, noise: NoiseSource, log: list[Logged] | None) -> None:
         self.fault_state: VescFaultState = HEALTHY_VESC  # what is wrong with the link
         self.next_ns: int | None = None  # when the next bytes are due; None without any
         self.blocked_until_ns = 0  # the command thread waits for the host to read
         self.cut = 0  # replies that were cut because the host did not read
         self._config = config
-        self._noise = noise
+        self._noise, self._log = noise, log
         self._chunks: deque[Chunk] = deque()
         self._last_ns = 0
         self._unread = 0
@@ -74,15 +50,15 @@ class ReplyWire:
         self._unread = 0
         self._broken = False
 
-    def read(self, t_ns: int, log: ByteLog) -> bytes:
+    def read(self, t_ns: int) -> bytes:
         """What the host reads at ``t_ns``: all that is due."""
         chunks, data = self._chunks, b""
-        while chunks and chunks[0].t_ns <= t_ns:
-            chunk = chunks.popleft()
-            data += chunk.data
-            if log.enabled:
-                log.add(chunk.t_ns, "host", chunk.data)
-        self.next_ns = chunks[0].t_ns if chunks else None
+        while chunks and chunks[0][0] <= t_ns:
+            due_ns, part = chunks.popleft()
+            data += part
+            if self._log is not None:
+                self._log.append(Logged(due_ns, "host", part))
+        self.next_ns = chunks[0][0] if chunks else None
         count = len(data)
         self._unread = self._unread - count if count < self._unread else 0
         return data
@@ -96,7 +72,9 @@ class ReplyWire:
             return
         frame = encode_frame(payload)
         if noise.chance(faults.corrupt):
-            frame = flip_bit(frame, noise)
+            bit, damaged = int(noise.uniform() * 8 * len(frame)), bytearray(frame)
+            damaged[bit // 8] ^= 1 << bit % 8
+            frame = bytes(damaged)
         if faults.truncate:
             frame, self._broken = frame[: len(frame) // 2], True
         due = t_ns + self._config.reply_delay_ns + faults.delay_ns
@@ -136,15 +114,7 @@ class ReplyWire:
         """Bytes due at ``t_ns``, or when those before them are out: no byte overtakes another."""
         if t_ns > self._last_ns:
             self._last_ns = t_ns
-        self._chunks.append(Chunk(self._last_ns, data))
+        self._chunks.append((self._last_ns, data))
         if self.next_ns is None:
             self.next_ns = self._last_ns
         return self._last_ns
-
-
-def flip_bit(data: bytes, noise: NoiseSource) -> bytes:
-    """The data with one random bit wrong."""
-    bit = int(noise.uniform() * 8 * len(data))
-    damaged = bytearray(data)
-    damaged[bit // 8] ^= 1 << bit % 8
-    return bytes(damaged)

@@ -306,7 +306,7 @@ def read_run(session: Session, tables: Mapping[str, Columns] | None = None, h: f
     if tables is None or not tables.keys() >= wanted.keys():
         tables = session.tables(wanted)
     columns = {name: tables[key] for name, key in by_name.items() if key in tables}
-    scaling = session.contents.metadata.get("steerd.scaling", {})
+    scaling = session.info().metadata.get("steerd.scaling", {})
     ours = "servo_gain" in scaling  # an import may state the ERPM of a VESC that steerd never drove
     gain = session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
     return make_run(

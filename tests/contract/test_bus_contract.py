@@ -11,16 +11,12 @@ import pytest
 
 from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.codec import MAX_BYTES
-from steerd.steer_bus.zenoh_bus import (
-    Profile,
-    ZenohBus,
-    make_hub_profile,
-    make_settings,
-    make_spoke_profile,
-)
+from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_settings
 from tests.local_bus import LocalBus, LocalHub, is_heard
 
 STATE = "steerd/car1/state"
+OPEN = {"access_control/enabled": False}
+"""A hub at which whoever dials in may say and hear all, as the contract asks of both sides."""
 DEADLINE_S = 30.0
 
 
@@ -51,7 +47,7 @@ def local_pair():
 def zenoh_hub_and_spoke():
     endpoint = free_endpoint()
     with (
-        ZenohBus(Profile(hub=True, endpoint=endpoint)) as hub,
+        ZenohBus(Profile(True, endpoint, settings=OPEN)) as hub,
         ZenohBus(Profile(hub=False, endpoint=endpoint)) as spoke,
     ):
         yield hub, spoke
@@ -61,7 +57,7 @@ def zenoh_hub_and_spoke():
 def zenoh_spokes():
     endpoint = free_endpoint()
     with (
-        ZenohBus(Profile(hub=True, endpoint=endpoint)),
+        ZenohBus(Profile(True, endpoint, settings=OPEN)),
         ZenohBus(Profile(hub=False, endpoint=endpoint)) as a,
         ZenohBus(Profile(hub=False, endpoint=endpoint)) as b,
     ):
@@ -237,9 +233,9 @@ def test_at_a_plain_hub_nobody_hears_requests_or_speaks_as_the_car():
     endpoint = free_endpoint()
     requests = "steerd/car1/cmd/operator"
     with (
-        ZenohBus(make_hub_profile(endpoint, None)) as hub,
-        ZenohBus(make_spoke_profile(endpoint, None)) as operator,
-        ZenohBus(make_spoke_profile(endpoint, None)) as stranger,
+        ZenohBus(Profile(True, endpoint)) as hub,
+        ZenohBus(Profile(False, endpoint)) as operator,
+        ZenohBus(Profile(False, endpoint)) as stranger,
     ):
         spied, heard = stranger.subscribe("**", 64), hub.subscribe(f"{requests}/**", 64)
         forged = operator.subscribe("steerd/car1/*", 64)

@@ -8,7 +8,7 @@ import pytest
 from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.lab import load_lab, make_tls_settings
-from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile, make_spoke_profile
+from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 from tests.contract.test_bus_contract import free_endpoint, until
 from tests.local_bus import is_heard
 
@@ -34,7 +34,7 @@ def labs(tmp_path_factory):
 @pytest.fixture(scope="module")
 def hub(labs):
     lab = load_lab(labs / "ours" / "car1")
-    with ZenohBus(make_hub_profile(lab.endpoint, lab, pose_key=POSE)) as bus:
+    with ZenohBus(Profile(True, lab.endpoint, lab, pose_key=POSE)) as bus:
         tokens = [bus.declare_alive(ALIVE), bus.serve("steerd/car1/schema/**", lambda _: b"text")]
         yield bus
         for token in tokens:
@@ -43,7 +43,7 @@ def hub(labs):
 
 def join(folder):
     lab = load_lab(folder)
-    return ZenohBus(make_spoke_profile(lab.endpoint, lab))
+    return ZenohBus(Profile(False, lab.endpoint, lab))
 
 
 def orders(hub, sender, key):
@@ -162,15 +162,15 @@ def test_a_hub_of_another_lab_is_not_believed(labs):
     theirs = load_lab(labs / "theirs" / "car1")
     endpoint = free_endpoint().replace("tcp", "tls")
     ours = load_lab(labs / "ours" / "desk")
-    with ZenohBus(make_hub_profile(endpoint, theirs)), pytest.raises(BusError):
-        ZenohBus(make_spoke_profile(endpoint, ours))
+    with ZenohBus(Profile(True, endpoint, theirs)), pytest.raises(BusError):
+        ZenohBus(Profile(False, endpoint, ours))
 
 
 def test_a_hub_is_believed_only_at_the_address_of_its_certificate(hub, labs):
     ours = load_lab(labs / "ours" / "desk")
     elsewhere = ours.endpoint.replace("127.0.0.1", "localhost")
     with pytest.raises(BusError):
-        ZenohBus(make_spoke_profile(elsewhere, ours))
+        ZenohBus(Profile(False, elsewhere, ours))
 
 
 def test_who_is_taken_out_of_the_list_is_out(labs, tmp_path):
@@ -180,9 +180,9 @@ def test_who_is_taken_out_of_the_list_is_out(labs, tmp_path):
     endpoint = free_endpoint().replace("tcp", "tls")
     lab = load_lab(car)
     with (
-        ZenohBus(make_hub_profile(endpoint, lab)) as hub,
-        ZenohBus(make_spoke_profile(endpoint, load_lab(labs / "ours" / "desk"))) as desk,
-        ZenohBus(make_spoke_profile(endpoint, load_lab(labs / "ours" / "tablet"))) as tablet,
+        ZenohBus(Profile(True, endpoint, lab)) as hub,
+        ZenohBus(Profile(False, endpoint, load_lab(labs / "ours" / "desk"))) as desk,
+        ZenohBus(Profile(False, endpoint, load_lab(labs / "ours" / "tablet"))) as tablet,
     ):
         assert orders(hub, tablet, f"{ORDER}/tablet") == 20
         assert orders_given_anyway(hub, desk, f"{ORDER}/desk") == 0

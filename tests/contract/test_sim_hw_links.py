@@ -84,9 +84,8 @@ def test_port_is_fresh_after_a_program_left_its_lock_and_bytes(sim: SpawnedSim, 
 
 
 def test_process_ends_when_its_parent_lets_go_and_cleans_up() -> None:
-    sim = spawn_sim(WorldConfig())
-    assert Path(sim.port).exists()
-    sim.stop()
+    with spawn_sim(WorldConfig()) as sim:
+        assert Path(sim.port).exists()
     assert sim.process.exitcode == 0
     assert not Path(sim.port).parent.exists()
 
@@ -116,6 +115,7 @@ def test_natnet_frames_arrive_over_multicast_on_the_loopback() -> None:
 def test_foreign_frames_come_from_another_address() -> None:
     with spawn_sim(WorldConfig(), (Fault("M20"),)) as sim:
         url = parse_mocap_url(sim.mocap_url)
+        assert url.unicast
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
             udp.sendto(natnet.encode(natnet.Bare.CONNECT), (url.host, url.port))
             senders = set()

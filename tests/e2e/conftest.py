@@ -25,7 +25,7 @@ from steerd.daemon.offline.virtual import VirtualRun, drive
 from steerd.sim_hw.world import World
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import MocapPose, Transition
-from steerd.steer_bus.session import AttachedFile, SessionWriter
+from steerd.steer_bus.session import SessionWriter
 from steerd.steer_bus.session_read import MESSAGE_TYPES, open_session
 from tests.contract.command_page import make_parser
 from tests.safety.live import free_port
@@ -99,8 +99,8 @@ def drive_fast(tmp_path: Path) -> Drive:
 
         def note(run: VirtualRun) -> None:
             if run.core.loop.supervisor.state is SupervisorState.RUNNING:
-                truth = run.world.truth()
-                driven.track.append((truth.t_ns, truth.state.x, truth.state.y))
+                car = run.world.car
+                driven.track.append((car.t_ns, car.state.x, car.state.y))
 
         world = World(make_world_config(driven.plan))
         run = record_virtual(driven.plan, driven.session, lambda run: drive(run, note), world=world)
@@ -285,7 +285,7 @@ def tamper_pose(tmp_path: Path) -> Callable[[Path], Path]:
     def go(source: Path) -> Path:
         session = open_session(source)
         info, records = session.info(), list(session.messages())
-        kept = [AttachedFile(n, "text/plain", session.attachment(n)) for n in info.attachments]
+        kept = {name: session.attachment(name) for name in info.attachments}
         classes = {t.name: MESSAGE_TYPES[t.type_name] for t in info.topics}
         meta = {k: v for k, v in info.metadata.items() if k != "steerd.end"}
         poses = [i for i, record in enumerate(records) if record.topic.endswith("/mocap")]

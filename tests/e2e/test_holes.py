@@ -62,7 +62,7 @@ def through_a_pipe(whole, out, still):
             with contextlib.suppress(BlockingIOError):
                 while data := os.read(read_fd, 1 << 20):
                     came += data
-    meta = {"metadata": session.contents.metadata, "start_ns": 0}
+    meta = {"metadata": session.info().metadata, "start_ns": 0}
     meta["attachments"] = {a.name: a.data.decode() for a in session.attachments()}
     recording = Recording(out, "car1", meta)
     ours, theirs = os.pipe()
@@ -133,7 +133,7 @@ def test_a_hole_of_a_tick_is_a_pause_too(drive, tmp_path):
     out = tmp_path / "short.mcap"
     recording = Recording(
         out, "car1",
-        {"metadata": whole.contents.metadata, "attachments": {}, "start_ns": 0},
+        {"metadata": whole.info().metadata, "attachments": {}, "start_ns": 0},
     )  # fmt: skip
     for batch in ticks(whole):
         if not middle <= batch[0].log_time_ns < middle + NS // 50:

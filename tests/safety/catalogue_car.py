@@ -51,7 +51,7 @@ def hit_a_wall(rig: Rig) -> None:
 def fence_off(rig: Rig) -> None:
     """A fence all around the car; it is the car file's, not the world's."""
     loop = rig.run.core.loop
-    state = rig.run.world.truth().state
+    state = rig.run.world.car.state
     turns = [k * tau / 32 for k in range(32)]
     corners = tuple((state.x + FENCE_M * cos(a), state.y + FENCE_M * sin(a)) for a in turns)
     settings = loop.setup.settings
@@ -123,7 +123,7 @@ def _push(rig: Rig, instead: Demand) -> None:
 
 def stick(rig: Rig) -> None:
     """The road wheels stay where they are."""
-    jam(rig.run.world.truth().state.steer)(rig)
+    jam(rig.run.world.car.state.steer)(rig)
 
 
 def reverse(rig: Rig) -> None:
@@ -137,7 +137,7 @@ def slow_down(rig: Rig) -> None:
     """The servo slews at a tenth of its rate."""
     vesc = rig.run.world.vesc
     plain = vesc._servo
-    at = {"t_ns": rig.t_ns, "angle": rig.run.world.truth().state.steer}
+    at = {"t_ns": rig.t_ns, "angle": rig.run.world.car.state.steer}
 
     def servo(t_ns: int) -> float:
         most = SLOW_SERVO * (t_ns - at["t_ns"]) * 1e-9

@@ -55,7 +55,7 @@ def serve_hardware(config: Any, pipe: Connection) -> None:
                 hardware.world.add_fault(Fault(value, max(0, now_ns - start_ns)))
                 pipe.send(now_ns)
             elif kind == "log":
-                pipe.send(hardware.world.log.entries)
+                pipe.send(hardware.world.log)
 
 
 @dataclass

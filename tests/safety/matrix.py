@@ -168,7 +168,7 @@ def find_brake(frames: Sequence[MotorFrame], t_ns: int) -> MotorFrame | None:
 
 def judge(rig: Rig, fault_case: FaultCase, phase: str, t_fault: int, seen: int) -> Outcome:
     """Verdicts (a) to (h) of `docs/reference/safety-requirements.md#s6.1`."""
-    frames = read_motor_frames(rig.run.world.log.entries)
+    frames = read_motor_frames(rig.run.world.log)
     followed = rig.notes.transitions[seen:]
     must = must_now(fault_case, phase)
     find = find_stop if must in (Must.STOP_SOFT, Must.LIVE_ON, Must.STAY_SAFE) else find_brake

@@ -39,7 +39,7 @@ MISTAKES = (
 )
 """Cars that a learner takes this one for: near enough to pass the core's check."""
 STRAIGHT, CURVE = ("line", 2.0), ("circle:radius=1.12", 2.0)
-BYSTANDER = Bystander("cone", 2, 1.0, 1.5, 0.3)
+BYSTANDER = Bystander("cone", 2, (1.0, 1.5, 0.3))
 
 
 class Notes:
@@ -129,8 +129,8 @@ class Rig:
             self.propose()
         late_ns, self.late_ns = self.late_ns, 0
         self.run.step(late_ns)
-        truth = self.run.world.truth()
-        self.track.append(Motion(truth.t_ns, truth.state.x, truth.state.y, truth.state.speed))
+        state = self.run.world.car.state
+        self.track.append(Motion(self.run.world.car.t_ns, state.x, state.y, state.speed))
 
     def until(self, holds: Callable[["Rig"], bool], limit_s: float = 5.0) -> None:
         """Step until a condition holds."""
@@ -193,7 +193,7 @@ def _mistaken(path: str, speed: float) -> tuple[Design | None, ...]:
 
 def twin(rig: Rig) -> Rig:
     """The same moment again, independent of the first."""
-    del rig.run.world.log.entries[:-8]
+    del rig.run.world.log[:-8]
     memo = {
         id(rig.plan): rig.plan,
         id(rig.run.wire): rig.run.wire.copy(),

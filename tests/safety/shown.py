@@ -95,12 +95,12 @@ def make_family(nominal: Car[float], drawn: int) -> Iterator[Car[float]]:
 
 def feed(world: World, rig: Rig, since: int) -> Iterator[tuple[int, float, float]]:
     """A healthy car under the rig's bytes; (time, speed, curvature) after each write."""
-    for entry in rig.run.world.log.entries[since:]:
+    for entry in rig.run.world.log[since:]:
         if entry.to == "vesc":
             world.advance(entry.t_ns)
             world.serial_read(entry.t_ns)
             world.serial_write(entry.t_ns, entry.data)
-            state = world.truth().state
+            state = world.car.state
             yield entry.t_ns, state.speed, state.yaw_rate / max(state.speed, 0.1)
 
 
@@ -145,7 +145,7 @@ def judge_drive(path: str, speed: float, after_s: float, drawn: int = DRAWN) -> 
 def judge_fault(name: str, base: Rig, family: Sequence[World], path: str, speed: float) -> Found:
     """One fault: when it shows and when it is found."""
     rig = twin(base)
-    log = rig.run.world.log.entries
+    log = rig.run.world.log
     seen, since, t_fault = len(rig.notes.transitions), len(log), rig.t_ns
     rig.track.clear()
     if path == "steps":
@@ -153,7 +153,7 @@ def judge_fault(name: str, base: Rig, family: Sequence[World], path: str, speed:
     FAULTS[name](rig)
     truth = {}
     while rig.t_ns < t_fault + round(LONGEST_S * 1e9) and len(rig.notes.transitions) == seen:
-        state = rig.run.world.truth().state
+        state = rig.run.world.car.state
         truth[rig.t_ns] = (state.speed, state.yaw_rate)
         rig.step()
     followed = rig.notes.transitions[seen:]

@@ -21,7 +21,7 @@ from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.lab import load_lab
 from steerd.steer_bus.topics import make_key
-from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_hub_profile, make_spoke_profile
+from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 
 CAR, PORT, ORDERS = "10.9.0.1", 7447, 50
 ORDER = encode(
@@ -46,7 +46,7 @@ def serve(what, labs):
     ip(f"link add name car type veth peer name out netns {stranger.pid}")
     ip(f"addr add {CAR}/24 dev car")
     ip("link set car up")
-    profile = make_hub_profile(endpoint, lab, insecure_lan=what == "plain")
+    profile = Profile(True, endpoint, lab, insecure_lan=what == "plain")
     theirs, core = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     theirs.setblocking(False)
     core.setblocking(False)
@@ -130,7 +130,7 @@ def by_scouting():
 
 def by_folder(folder):
     lab = load_lab(folder)
-    return by_profile(make_spoke_profile(lab.endpoint, lab))
+    return by_profile(Profile(False, lab.endpoint, lab))
 
 
 def by_profile(profile):

@@ -87,5 +87,5 @@ def test_a_cell_is_repeatable_to_the_byte() -> None:
         rig.break_it("M14")
         for _ in range(60):
             rig.step()
-        logs.append(list(rig.run.world.log.entries))
+        logs.append(list(rig.run.world.log))
     assert logs[0] == logs[1]

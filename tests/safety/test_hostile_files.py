@@ -29,7 +29,7 @@ SIM = ("run", "--sim", "--fast", "--duration", "0.5")
 def alter(out, metadata=None, attachments=None, options=None):
     """The golden session with other metadata and attachments; an attachment of None is left out."""
     session = open_session(GOLDEN)
-    about = {name: dict(values) for name, values in session.contents.metadata.items()}
+    about = {name: dict(values) for name, values in session.info().metadata.items()}
     for name, values in (metadata or {}).items():
         about.setdefault(name, {}).update(values)
     if options is not None:
@@ -45,7 +45,7 @@ def alter(out, metadata=None, attachments=None, options=None):
     for name, data in files.items():
         if data is not None:
             writer.add_attachment(0, 0, name, "text/plain", data)
-    contents = session.contents
+    contents = session.info()
     schemas = {
         key: writer.register_schema(s.name, s.encoding, s.data)
         for key, s in contents.schemas.items()

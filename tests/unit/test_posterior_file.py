@@ -16,7 +16,7 @@ from steerd.daemon.common.written import car_outputs, write_outputs
 from steerd.daemon.process.learner_memory import make_learner_job
 from steerd.daemon.settings.run_options import RunOptions, decode_options
 from steerd.posterior_file import ATTACHED, encode_posterior, posterior_path
-from steerd.steer_bus.session import AttachedFile, SessionWriter
+from steerd.steer_bus.session import SessionWriter
 from steerd.steer_bus.session_read import open_session
 
 NOISE, KNOWLEDGE = {"position": 1e-3}, {"names": ["lf", "scrub.drag"], "sd": [0.1, 0.2]}
@@ -132,7 +132,7 @@ def test_a_session_and_its_learner_get_both_files(saved, tmp_path):
     assert texts[ATTACHED] == posterior_path(saved).read_text()
     again = make_plan(decode_options(make_learner_job(plan, 0)["options"]), design=False)
     assert again.settings.file.posterior == texts[ATTACHED]
-    files = [AttachedFile(name, "text/plain", text.encode()) for name, text in texts.items()]
+    files = {name: text.encode() for name, text in texts.items()}
     SessionWriter(tmp_path / "a.mcap", {}, {}, files).finish({})
     inside = read_session_car(open_session(tmp_path / "a.mcap"))
     assert (inside.car, tables_of(inside), inside.remark) == (IDENTIFIED.car, TABLES, "")

@@ -18,7 +18,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import clean
 from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.sessions.info import load_session
-from steerd.steer_bus.session_read import SessionInfo
+from steerd.steer_bus.container import SessionInfo
 
 _EARLIEST_NS = 946_684_800_000_000_000
 """The year 2000 [UNIX ns]: a log whose clock began at zero has no date of its own."""

@@ -109,7 +109,7 @@ class Seen:
             return
         if self.began_ns is None:
             self.began_ns = run.t_ns
-        state, report = run.world.truth().state, result.report
+        state, report = run.world.car.state, result.report
         self.seconds += run.period_ns / NS
         self.metres += abs(state.speed) * run.period_ns / NS
         if report is None or run.t_ns - self.began_ns < SETTLE * NS:

@@ -191,7 +191,8 @@ def test_vrpn_body_that_is_enabled_later() -> None:
     source.on_connect()
     source.on_bytes(server.hello(), T0)
     assert "it offers: b2" in source.status().detail
-    source.on_bytes(server.add_body("car"), T0)
+    server.bodies += ("car",)
+    source.on_bytes(vrpn.encode(vrpn.make_description(vrpn.SENDER_DESCRIPTION, 1, "car")), T0)
     assert len(drive_vrpn(source, server, T0, 3)) == 3
 
 

@@ -54,7 +54,7 @@ class Host:
 
     @property
     def speed(self) -> float:
-        return self.world.truth().state.speed
+        return self.world.car.state.speed
 
 
 @pytest.fixture

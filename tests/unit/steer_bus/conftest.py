@@ -9,7 +9,7 @@ import pytest
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.fields import type_name
 from steerd.steer_bus.messages import OWN_MESSAGES, WORLD, make_header
-from steerd.steer_bus.session import AttachedFile, SessionWriter
+from steerd.steer_bus.session import SessionWriter
 from tests.blank import drawn
 
 START_NS = 1_700_000_000_000_000_000
@@ -34,7 +34,7 @@ def write_drive(path, ticks=200, seed=0):
         path,
         {topic: cls for cls, topic in TOPIC_OF.items()},
         {"steerd.session": {"car": "car1"}, "steerd.vehicle": {"mass_kg": "3.1"}},
-        [AttachedFile("car.toml", "application/toml", b"mass_kg = 3.1\n")],
+        {"car.toml": b"mass_kg = 3.1\n"},
         START_NS,
     )
     messages = {topic: [] for topic in TOPIC_OF.values()}

@@ -7,7 +7,7 @@ import pytest
 
 from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.lab import Lab, load_lab, make_access_settings
-from steerd.steer_bus.zenoh_bus import Profile, make_hub_profile, make_settings, make_spoke_profile
+from steerd.steer_bus.zenoh_bus import Profile, make_settings
 
 ENDPOINT = "tls/10.0.0.5:7447"
 GOOD = f'car = "car1"\nendpoint = "{ENDPOINT}"\noperators = ["desk"]\nviewers = ["screen"]\n'
@@ -88,12 +88,13 @@ def test_a_role_that_nobody_has_is_left_out():
 
 
 def test_profiles():
-    assert make_settings(make_hub_profile(ENDPOINT, LAB))["transport/link/protocols"] == ["tls"]
-    assert make_settings(make_spoke_profile(ENDPOINT, LAB))["listen/endpoints"] == []
-    assert make_spoke_profile(ENDPOINT, None).settings == {}
-    assert make_spoke_profile(ENDPOINT, replace(LAB, name="desk")).who == "desk"
-    assert make_hub_profile("tcp/10.0.0.5:1", None, insecure_lan=True).insecure_lan is True
-    with pytest.raises(BusError, match="--lab"):
-        make_settings(make_hub_profile("tcp/10.0.0.5:1", LAB))
+    assert make_settings(Profile(True, ENDPOINT, LAB))["transport/link/protocols"] == ["tls"]
+    assert make_settings(Profile(False, ENDPOINT, LAB))["listen/endpoints"] == []
+    spoke, desk = make_settings(Profile(False, ENDPOINT)), replace(LAB, name="desk")
+    assert not [key for key in spoke if "tls" in key or "access" in key]
+    assert [Profile(hub, ENDPOINT, desk).who for hub in (False, True)] == ["desk", ""]
+    for insecure_lan in (False, True):
+        with pytest.raises(BusError, match="--lab"):
+            make_settings(Profile(True, "tcp/10.0.0.5:1", LAB, insecure_lan))
     with pytest.raises(BusError, match="--lab"):
         make_settings(Profile(True, ENDPOINT, settings={"transport/link/tls/enable_mtls": False}))

@@ -147,7 +147,7 @@ def test_recovery_saves_what_reading_finds(whole, tmp_path):
     assert report.lost_bytes > 0
     assert report.longest_gap_s == pytest.approx(0.005)
     info = session.info()
-    assert info.warnings == ()
+    assert info.warnings == []
     assert info.finished
     assert not info.clean
     assert info.metadata["steerd.recovered"]["source"] == "bad.mcap"
@@ -264,6 +264,7 @@ def test_other_writers_files_are_read(tmp_path, compression, chunked):
     session, found = read_all(write(tmp_path / "a.mcap", buffer.getvalue()))
     assert session.warnings == ()
     assert [log_ns for _, log_ns, _ in found] == list(range(100, 0, -1))
+    assert (session.info().start_ns, session.info().end_ns) == (1, 100)
     assert recover(session.info().path, tmp_path / "b.mcap").messages == 100
     with pytest.raises(SessionError) as caught:
         session.columns(ClockSample, "/strange")

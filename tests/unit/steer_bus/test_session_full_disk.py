@@ -16,7 +16,7 @@ from steerd.steer_bus import atomic_file, session
 from steerd.steer_bus.atomic_file import write_atomically
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import WORLD, ClockSample, make_header
-from steerd.steer_bus.session import AttachedFile, SessionWriter, recover
+from steerd.steer_bus.session import SessionWriter, recover
 from steerd.steer_bus.session_read import SessionError, open_session
 
 MESSAGES = 12
@@ -40,7 +40,7 @@ class FillingDisk(io.FileIO):
 
 def write_clock(path):
     """A short session; gives how many messages were flushed before the disk was full."""
-    attached = [AttachedFile("car.toml", "application/toml", b"mass = 3.1\n")]
+    attached = {"car.toml": b"mass = 3.1\n"}
     writer = SessionWriter(path, {"/clock": ClockSample}, {"steerd.session": {}}, attached)
     flushed = 0
     for i in range(1, MESSAGES + 1):

@@ -9,7 +9,7 @@ import pytest
 
 from steerd.car_model.car_file import Learned, default_car_path, load_car, parse_car
 from steerd.daemon.analysis.car_output import find_wiring, learn_known, make_car
-from steerd.steer_bus.session import AttachedFile, SessionWriter
+from steerd.steer_bus.session import SessionWriter
 from steerd.steer_bus.session_read import open_session
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.data.segments import SPEED_MIN, moving_segments
@@ -80,9 +80,7 @@ def drive(tmp_path):
 
     def write(name, car_text=None, scaling=None):
         path = tmp_path / f"{name}.mcap"
-        files = (
-            [AttachedFile("car.toml", "application/toml", car_text.encode())] if car_text else []
-        )
+        files = {"car.toml": car_text.encode()} if car_text else {}
         metadata = {"steerd.session": {}, **({"steerd.scaling": scaling} if scaling else {})}
         SessionWriter(path, {}, metadata, files).finish({"reason": "end"})
         return open_session(path)

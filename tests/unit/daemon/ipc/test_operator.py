@@ -70,10 +70,9 @@ def test_where_none_answers_the_hint_says_what_to_start(monkeypatch, endpoint):
     asked = []
 
     def refuse(profile):
-        asked.append(profile)
+        asked.append(profile.endpoint)
         raise BusError("nobody there")
 
-    monkeypatch.setattr(operator, "make_spoke_profile", lambda to, _lab: to)
     monkeypatch.setattr(operator, "ZenohBus", refuse)
     with pytest.raises(SteerdError, match=r"no steerd answers: nobody there.*steerd run") as caught:
         connect(endpoint, None)

@@ -28,7 +28,7 @@ def test_whatever_raises_the_same_tick_brakes(part):
     setattr(attrgetter(*inside)(loop) if inside else loop, name, broken)
     rig.step()
     assert rig.state is SupervisorState.FAULT_STOP
-    after = [f for f in read_motor_frames(rig.run.world.log.entries) if f.t_ns >= broken_ns]
+    after = [f for f in read_motor_frames(rig.run.world.log) if f.t_ns >= broken_ns]
     assert [frame.effort for frame in after] == [Effort.BRAKE]
     assert "no such gain" in rig.run.core.loop.supervisor.reason
     assert isinstance(rig.run.core.error, BrokenError)

@@ -123,7 +123,7 @@ def _drive(spec, seconds):
         run.step()
         if run.core.loop.supervisor.state is SupervisorState.RUNNING:
             orders.append(run.core.last.order.command)
-            states.append(run.world.truth().state)
+            states.append(run.world.car.state)
     return run, orders, states
 
 

@@ -11,7 +11,7 @@ from steerd.daemon.sessions.info import load_recording
 from steerd.daemon.sessions.plot_data import GAP, LANE_HALF_WIDTH, PANELS, make_curve, make_drawing
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import BODY, Model, make_header
-from steerd.steer_bus.session import AttachedFile, SessionWriter
+from steerd.steer_bus.session import SessionWriter
 from steerd.steer_bus.topics import MOCAP, MODEL, WHEEL, make_session_topic
 
 NAN = float("nan")
@@ -28,10 +28,10 @@ def test_a_curve_without_a_number_is_none():
     assert list(make_curve("e1", "estimate", np.arange(3.0), np.full(3, NAN))) == []
 
 
-def write(path, *files):
+def write(path, files=None):
     maker = MessageMaker(0)
     names = {make_session_topic("car1", topic): topic.message for topic in (MOCAP, WHEEL)}
-    writer = SessionWriter(path, names, {"steerd.session": {"car": "car1"}}, list(files))
+    writer = SessionWriter(path, names, {"steerd.session": {"car": "car1"}}, files or {})
     for i in range(100):
         t = i * 10_000_000
         writer.write("/steerd/car1/mocap", encode(maker.planar_pose(t, 0.02 * i, 0.0, 0.0)), t)
@@ -55,7 +55,7 @@ def test_a_log_without_an_estimate_shows_the_speed_of_its_poses_beside_the_wheel
     [("[safety]\nlateral = 0.2\n", 0.2), ("[safety]\n", LANE_HALF_WIDTH), ("x", LANE_HALF_WIDTH)],
 )
 def test_the_lane_is_as_wide_as_the_watchdog_of_the_recorded_car_file_allows(tmp_path, text, width):
-    car = AttachedFile("car.toml", "application/toml", text.encode())
+    car = {"car.toml": text.encode()}
     assert make_drawing(write(tmp_path / "a.mcap", car)).half_width == width
 
 
@@ -79,7 +79,7 @@ def session(tmp_path):
     """Ten reports: nothing at first, then a bias; from the seventh on a change at 5.5 s."""
     topic = make_session_topic("car1", MODEL)
     writer = SessionWriter(
-        tmp_path / "a.mcap", {topic: Model}, {"steerd.session": {"car": "car1"}}, (), START
+        tmp_path / "a.mcap", {topic: Model}, {"steerd.session": {"car": "car1"}}, {}, START
     )
     for second in range(10):
         late = second >= 7

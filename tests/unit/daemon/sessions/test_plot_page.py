@@ -18,7 +18,7 @@ from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
-from steerd.steer_bus.session import AttachedFile, SessionWriter
+from steerd.steer_bus.session import SessionWriter
 from tests.unit.daemon.sessions.page_script import unpack
 
 EPOCH = 1_726_480_861_000_000_000
@@ -32,14 +32,14 @@ def state(t_ns, i, mode, e1, rng):
     )
 
 
-def write_noise(path, seconds, rate, *, options=None, files=(), reason="end", car_name="noisy"):
+def write_noise(path, seconds, rate, *, options=None, files=None, reason="end", car_name="noisy"):
     """White noise on every curve: nothing packs worse."""
     rng = np.random.default_rng(3)
     table = (topics.STATE, topics.MOCAP, topics.ACTUATION, topics.TICK, topics.TRANSITION)
     names = {topics.make_session_topic(car_name, t): t.message for t in table}
     about = {"car": car_name, "mode": "hw", "epoch_ns": str(EPOCH)}
     about |= {"options": encode_options(options)} if options else {}
-    writer = SessionWriter(path, names, {"steerd.session": about}, list(files))
+    writer = SessionWriter(path, names, {"steerd.session": about}, files or {})
     maker = MessageMaker(EPOCH)
 
     def put(topic, message, t_ns):
@@ -119,9 +119,9 @@ def test_the_lane_comes_from_the_session(tmp_path):
     rows = "\n".join(f"{2 * np.cos(a):.6f},{2 * np.sin(a):.6f}" for a in np.arange(0, 6.2, 0.1))
     spec = "csv:/somewhere/else.csv,place=as-is"
     options = RunOptions("", path=spec)
-    kept = AttachedFile("path.csv", "text/plain", f"# x_m,y_m\n{rows}\n".encode())
+    kept = {"path.csv": f"# x_m,y_m\n{rows}\n".encode()}
     lane = load_lane(load_session(write_noise(tmp_path / "a.mcap", 2, 20, options=options,
-                                              files=[kept])))  # fmt: skip
+                                              files=kept)))  # fmt: skip
     assert np.hypot(lane.x, lane.y) == pytest.approx(2.0, abs=0.01)
     absent = load_session(write_noise(tmp_path / "b.mcap", 2, 20, options=options))
     assert load_lane(absent) is None

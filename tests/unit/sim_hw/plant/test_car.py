@@ -74,7 +74,7 @@ def test_history_interpolates_and_pose_delay_looks_back():
 
 def test_process_noise_is_seeded_and_leaves_a_resting_car_alone():
     def end(seed: int, speed: float) -> object:
-        setup = CarSetup(noise=(0.1, 0.5, 0.1), start=ORIGIN._replace(speed=speed))
+        setup = CarSetup(process_noise=(0.1, 0.5, 0.1), start=ORIGIN._replace(speed=speed))
         car = SimCar(Model(DEFAULT_CAR), setup, make_noise_source(seed, "car"))
         for _ in range(100):
             car.step(0.0, COAST if not speed else Demand(Drive.SPEED, speed))
