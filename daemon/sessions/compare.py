@@ -20,8 +20,7 @@ from steerd.sysid.report.drawing import FAINT, LINES, Diagrams
 from steerd.sysid.report.page import render_report
 from steerd.sysid.report.report import Report, Section, Table
 
-BINS = 400
-"""Places along the lane."""
+BINS = 400  # places along the lane
 NAME_MAX = 40
 _POINTS_MAX, _DOTS_MAX = 1200, 400
 _PANELS = (

@@ -13,12 +13,10 @@ from steerd.daemon.sessions.plot_data import Curve, make_drawing
 from steerd.sysid.report.drawing import INK, LINES, Diagrams
 from steerd.sysid.report.report import Section, Table
 
-STEP = 0.01
-"""Of the common axis [s]."""
+STEP = 0.01  # of the common axis [s]
 REFINED = 0.5
 """Within this of the strongest correlation the best likeness is taken for the shift [s]."""
-POINTS_MAX = 1200
-"""Of a drawn curve."""
+POINTS_MAX = 1200  # of a drawn curve
 LEAST_SHARE = 0.01
 """Least height of a difference's axis to either side, as a share of the first drive's largest."""
 _MOTION = ("speed", "steering angle (left +)", "yaw rate")

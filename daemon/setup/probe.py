@@ -11,22 +11,14 @@ from steerd.steer_bus.messages import BODY, VescIdentity, make_header
 
 VESC_USB = "0483:5740"
 TOOL_SERVO = "VESC Tool: App Settings > General > Enable Servo Output"
-SERVO_SINCE = (5, 3)
-"""First firmware whose ordinary build has a servo output."""
-LOW_CELL = 3.3
-"""Below this a lithium cell sags under load [V]."""
-JITTER_MAX_MS = 5.0
-"""Largest variation of the age of poses [ms]."""
-ROUND_TRIP_MAX_MS = 10.0
-"""Largest time from request to answer of a VESC: one tick of the loop [ms]."""
-ANSWERED_MIN = 0.95
-"""Smallest share of requests that a VESC answers [-]."""
-REJECTED_MAX = 0.02
-"""Share of rejected poses that is still good [-]."""
-RATE_MIN = 0.8
-"""Smallest share of a server's frames that arrive [-]."""
-TILT_MAX = 0.1
-"""Largest tilt of the body of a standing car [rad]."""
+SERVO_SINCE = (5, 3)  # first firmware whose ordinary build has a servo output
+LOW_CELL = 3.3  # below this a lithium cell sags under load [V]
+JITTER_MAX_MS = 5.0  # largest variation of the age of poses [ms]
+ROUND_TRIP_MAX_MS = 10.0  # largest time from request to answer of a VESC: one tick of the loop [ms]
+ANSWERED_MIN = 0.95  # smallest share of requests that a VESC answers [-]
+REJECTED_MAX = 0.02  # share of rejected poses that is still good [-]
+RATE_MIN = 0.8  # smallest share of a server's frames that arrive [-]
+TILT_MAX = 0.1  # largest tilt of the body of a standing car [rad]
 PORTS = {
     ("tcp", 7447): "zenoh: a running steerd, or a zenoh router",
     ("udp", 1510): "NatNet commands: Motive or another server on this machine",

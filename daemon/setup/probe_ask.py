@@ -4,6 +4,7 @@ import contextlib
 import os
 import select
 import socket
+import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -11,7 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.settings.config import BrakeSettings
+from steerd.daemon.setup.mocap_check import Movement
 from steerd.daemon.setup.probe import (
     VESC_USB,
     Advice,
@@ -29,22 +32,19 @@ from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.mocap_link.natnet_wire import NatNetError
 from steerd.mocap_link.sockets import MocapReceiver, make_receiver
 from steerd.mocap_link.source import Pose
-from steerd.steer_bus.clock import Clock
+from steerd.steer_bus.clock import Clock, MonotonicClock
 from steerd.vesc_link.ids import fault_name
 from steerd.vesc_link.scaling import F1TENTH
 from steerd.vesc_link.telemetry import FAST_MASK, IMU_ACCEL_GYRO_MASK, Imu, Values
 from steerd.vesc_link.transport import Port, PortError, open_port
 from steerd.vesc_link.vesc import Answer, Drive, VescLink
 
-CONNECT_NS = 1_500_000_000
-"""A VESC that has not identified itself after this is none [ns]."""
-POLLS = 50
-"""Requests for telemetry whose answers are counted."""
-POLL_NS = 10_000_000
-"""Time between two of them [ns]."""
-DISCOVERY_NS = 1_000_000_000
-"""NatNet servers answer a discovery within this time [ns]."""
+CONNECT_NS = 1_500_000_000  # a VESC that has not identified itself after this is none [ns]
+POLLS = 50  # requests for telemetry whose answers are counted
+POLL_NS = 10_000_000  # time between two of them [ns]
+DISCOVERY_NS = 1_000_000_000  # NatNet servers answer a discovery within this time [ns]
 BROADCAST = ("255.255.255.255", "127.0.0.1")
+ANSWER_S = 4.0  # a source without a pose after this has none: a client says so after 3 s [s]
 
 
 # -- serial --------------------------------------------------------------------------------------
@@ -184,6 +184,34 @@ def listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[Po
         yield from receiver.on_timer(clock.now_ns()) or []
         for fd in select.select(receiver.fds(), [], [], 0.01)[0]:
             yield from receiver.read_ready(fd)
+
+
+def watch_movement(address: str, config: IngestConfig, seconds: float) -> tuple[Movement, int]:
+    """The accepted poses of a car that is pushed for so long, and how many were rejected.
+
+    Raises:
+        SteerdError: the address is none, or no pose came from it.
+    """
+    clock, samples = MonotonicClock(), []
+    try:
+        receiver = make_receiver(parse_mocap_url(address), config)
+    except ValueError as error:
+        raise SteerdError(f"--mocap {address}: {error}", "", ExitCode.USAGE) from None
+    except OSError as error:
+        raise SteerdError(str(error), "steerd probe", ExitCode.UNREADABLE) from None
+    with contextlib.closing(receiver):
+        # Nobody pushes a car for a source that does not answer.
+        if next(listen(receiver, clock, ANSWER_S), None):
+            text = f"push the car straight forward by about 1 m within {seconds:g} s …"
+            print(text, file=sys.stderr, flush=True)
+            samples = list(listen(receiver, clock, seconds))
+    good = [s for s in samples if s.rejected is None]
+    if not good:
+        what = f"no pose came from {address}: {receiver.status().detail}"
+        raise SteerdError(what, f"steerd probe --mocap '{address}'", ExitCode.UNREADABLE)
+    t0 = good[0].t_valid_ns
+    rows = [((s.t_valid_ns - t0) * 1e-9, s.x, s.y, s.yaw, s.height, s.tilt) for s in good]
+    return Movement(*np.array(rows).T), len(samples) - len(good)
 
 
 def _seen(

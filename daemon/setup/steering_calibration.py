@@ -1,6 +1,7 @@
 """Gain, centre, delay and limits of the steering, from its commands and the turning. Pure."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import degrees
 
 import numpy as np
 
@@ -8,6 +9,7 @@ from steerd.car_model.params import GRAVITY, Car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.sessions.motion import Array
 from steerd.daemon.setup import least_squares as ls
+from steerd.vesc_link.scaling import Scaling
 
 STEADY_BEFORE, STEADY_AFTER, STEADY_STEP = 0.25, 0.15, 0.02
 """Stretch about a sample over which its command must be steady [s]: the servo's lag before it, half
@@ -15,45 +17,29 @@ the window of the differentiation after it; and the spacing of the instants look
 STEADY = 0.02
 """Largest distance of a steady command from a straight line over that stretch [rad]: then one delay
 describes the wheels, also on a ramp."""
-SAMPLES_MIN = 200
-"""Fewer samples, two seconds of them, identify nothing."""
-STEER_SD_MIN = 0.02
-"""Commands that vary less do not excite the steering [rad]."""
-GAIN_MIN = 0.1
-"""A smaller gain is a wrong sign or a servo that does not follow [-]."""
-SD_GAIN_MAX = 0.05
-"""Largest standard error of a gain that may be driven with [-]."""
-CLIP = 0.035
-"""Wheels that stay this far behind the largest commands have reached a stop [rad]."""
+SAMPLES_MIN = 200  # fewer samples, two seconds of them, identify nothing
+STEER_SD_MIN = 0.02  # commands that vary less do not excite the steering [rad]
+GAIN_MIN = 0.1  # a smaller gain is a wrong sign or a servo that does not follow [-]
+SD_GAIN_MAX = 0.05  # largest standard error of a gain that may be driven with [-]
+CLIP = 0.035  # wheels that stay this far behind the largest commands have reached a stop [rad]
 _EIGHT = "drive a figure of eight"
 
 
 @dataclass(frozen=True)
 class SteeringCalibration:
-    """How the wheels follow the commands of a drive.
+    """How the wheels follow the commands of a drive."""
 
-    Attributes:
-        gain: wheel angle per commanded angle.
-        bias: wheel angle at command zero [rad].
-        delay: from command to wheel, lag included [s].
-        left, right: largest angles that the wheels reached [rad]; right is negative.
-        clipped_left, clipped_right: whether commands beyond them had no effect.
-        residual: [rad, rms].
-        sd_gain, sd_bias: standard errors.
-        warnings: what the drive identifies badly, one sentence each.
-    """
-
-    gain: float
-    bias: float
-    delay: float
-    left: float
+    gain: float  # wheel angle per commanded angle
+    bias: float  # wheel angle at command zero [rad]
+    delay: float  # from command to wheel, lag included [s]
+    left: float  # largest angles that the wheels reached [rad]; right is negative
     right: float
-    clipped_left: bool
+    clipped_left: bool  # whether commands beyond them had no effect
     clipped_right: bool
-    residual: float
-    sd_gain: float
+    residual: float  # [rad, rms]
+    sd_gain: float  # standard errors
     sd_bias: float
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # what the drive identifies badly, one sentence each
 
 
 def calibrate_steering(
@@ -148,3 +134,34 @@ def _find_end(angle: Array, predicted: Array, side: float) -> tuple[float, bool]
     behind = float(np.median(aim[outer] - reached[outer]))
     top = float(np.median(reached[outer])) if behind > CLIP else float(np.quantile(reached, 0.99))
     return top, behind > CLIP
+
+
+def servo_scaling(found: SteeringCalibration, old: Scaling) -> Scaling:
+    """Servo gain, centre and limits with which a commanded angle is the wheels' angle.
+
+    A limit moves inwards only, to where the wheels stopped following.
+    """
+    gain = old.servo_gain / found.gain
+    offset = old.servo_offset - gain * found.bias
+    low, high = old.servo_min, old.servo_max
+    for angle, clipped in ((found.left, found.clipped_left), (found.right, found.clipped_right)):
+        position = gain * angle + offset
+        if clipped and position < offset:
+            low = max(low, position)
+        elif clipped:
+            high = min(high, position)
+    return replace(old, servo_gain=gain, servo_offset=offset, servo_min=low, servo_max=high)
+
+
+def describe_steering(found: SteeringCalibration, scaling: Scaling) -> list[str]:
+    """What was found, and the servo's new scaling, in lines."""
+    stops = {True: "a stop", False: "no stop reached"}
+    return [
+        f"wheel angle = {found.gain:.3f} ± {found.sd_gain:.3f} × command "
+        f"{degrees(found.bias):+z.2f}° ± {degrees(found.sd_bias):.2f}°",
+        f"delay {1e3 * found.delay:.0f} ms, lag included",
+        f"reached {degrees(found.left):.1f}° left ({stops[found.clipped_left]}), "
+        f"{degrees(-found.right):.1f}° right ({stops[found.clipped_right]})",
+        f"servo: gain {scaling.servo_gain:.4f} per rad, centre {scaling.servo_offset:.4f}, "
+        f"from {scaling.servo_min:.3f} to {scaling.servo_max:.3f}",
+    ]

@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(where, "--jobs", "N", "candidates side by side", type=int, default=1)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     from steerd.daemon.analysis.diagnosis import DRIVEN, DiagnoseOptions, run_diagnosis
     from steerd.daemon.analysis.options import read_arguments
     from steerd.daemon.assembly.car_check import report_refusal
@@ -88,4 +88,3 @@ def run(args: argparse.Namespace) -> int:
         write(args.prediction, found.findings.shrinkage.text)  # where it could not be, at first
     if car is not None:
         report_refusal(car)
-    return ExitCode.OK

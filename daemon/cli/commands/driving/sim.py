@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--link-dir", None, "where the serial port's name is made", type=Path)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     from steerd.daemon.assembly.build import make_plan, make_world_config
     from steerd.daemon.common.screen import wrap_command
     from steerd.daemon.settings.run_options import RunOptions
@@ -48,4 +48,3 @@ def run(args: argparse.Namespace) -> int:
         shown = wrap_command(command, "   try: ", " " * 10)
         print("", *(shown if sys.stdout.isatty() else [f"   try: {command}"]), sep="\n", flush=True)
         sim.run(stop, (0,) if sys.stdin.isatty() else ())
-    return ExitCode.OK

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--shift", "SECONDS", text, type=float)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     from steerd.daemon.common.written import check_outputs, write_outputs
 
     paths = pick_sessions(args.sessions)
@@ -46,7 +46,6 @@ def run(args: argparse.Namespace) -> int:
         content = _draw(paths[0], output.suffix.lower())
     write_outputs({output: content})
     print(f"{output}: {len(content) / 1e6:.1f} MB{'' if other else '; open it in a browser'}")
-    return ExitCode.OK
 
 
 def _draw(path: Path, suffix: str) -> bytes:

@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "-o --output", "OUT.mcap", "default: NAME.recovered.mcap", type=Path)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     from steerd.daemon.imports.import_session import check_output
     from steerd.daemon.sessions.info import load_session
     from steerd.daemon.sessions.text import print_warnings
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     session = load_session(source)
     if session.info().finished and not session.warnings:
         print(f"{source} is complete: nothing to recover")
-        return ExitCode.OK
+        return
     if not session.info().count:
         raise SteerdError(f"{source} holds no message that can be read", "", ExitCode.INVALID)
     check_output(out)
@@ -40,7 +40,6 @@ def run(args: argparse.Namespace) -> int:
     print(f"lost     {report.lost_bytes} unreadable bytes, and data not yet on the disk")
     print(f"longest  {report.longest_gap_s:.3g} s without any message")
     print(f"\nwritten: {report.path}\n   next: steerd info {report.path}")
-    return ExitCode.OK
 
 
 def find_source(named: Path) -> Path:

@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--years", None, "how long they hold (default 5)", type=float, default=5.0)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     if not 0.0 < args.years <= 50.0 or not 0 < args.port < 65536:
         raise SteerdError("--years: up to 50; --port: 1 to 65535", "", ExitCode.USAGE)
     if args.host is not None and not args.host.strip():
@@ -56,7 +56,6 @@ def run(args: argparse.Namespace) -> int:
     _issue_all(args, lab.car if began else None, added)
     _write_rosters(args.folder, lab, added, car_new=began)
     print(explain(args.folder, lab, began=began, added=added))
-    return ExitCode.OK
 
 
 def _begin_lab(args: argparse.Namespace) -> Lab:

@@ -5,10 +5,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from steerd.daemon.cli.commands.setup.calibrate import servo_scaling, servo_values
 from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.ipc.requests import format_setting, parse_setting, unpack_request
-from steerd.daemon.setup.steering_calibration import SteeringCalibration
+from steerd.daemon.setup.steering_calibration import SteeringCalibration, servo_scaling
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.daemon.terminal.key_desk import KEYS, nudge
 from steerd.daemon.terminal.servo_keys import Servo, press
@@ -159,4 +158,3 @@ def test_limits_move_inwards_to_the_stops_only():
                                  left=0.2, right=-0.18), F1TENTH)  # fmt: skip
     assert new.servo_min == pytest.approx(0.5304 - 1.2135 * 0.2)
     assert new.servo_max == pytest.approx(0.5304 + 1.2135 * 0.18)
-    assert servo_values(new)["car", "steer_gain"] == 1.0
