@@ -14,18 +14,9 @@ import numpy as np
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.settings.config import BrakeSettings
+from steerd.daemon.setup import probe
 from steerd.daemon.setup.mocap_check import Movement
-from steerd.daemon.setup.probe import (
-    VESC_USB,
-    Advice,
-    MocapSeen,
-    SerialFound,
-    SocketFound,
-    VescFound,
-    judge_mocap,
-    judge_vesc,
-    read_sockets,
-)
+from steerd.daemon.setup.probe import Advice, MocapSeen, SerialFound, SocketFound, VescFound
 from steerd.mocap_link import natnet
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.mocap_url import parse_mocap_url
@@ -72,8 +63,8 @@ def ask_ports(named: str | None, clock: Clock, brakes: BrakeSettings) -> Iterato
     ports = find_ports()
     for url in ports if named is None else [named]:
         usb = ports.get(url, "")
-        if named is None and usb not in (VESC_USB, ""):  # a lidar's, for instance
-            what = f"left alone: USB id {usb}, a VESC has {VESC_USB}"
+        if named is None and usb not in (probe.VESC_USB, ""):  # a lidar's, for instance
+            what = f"left alone: USB id {usb}, a VESC has {probe.VESC_USB}"
             yield SerialFound(url, usb, None, (Advice(what, f"steerd probe --port {url}"),))
             continue
         try:
@@ -86,7 +77,9 @@ def ask_ports(named: str | None, clock: Clock, brakes: BrakeSettings) -> Iterato
             "opened, but no VESC answered",
             "is it a VESC? is it powered by its battery? USB power alone starts some boards only",
         )
-        yield SerialFound(url, usb, vesc, tuple(judge_vesc(vesc, brakes)) if vesc else (silent,))
+        yield SerialFound(
+            url, usb, vesc, tuple(probe.judge_vesc(vesc, brakes)) if vesc else (silent,)
+        )
 
 
 def _exchange(port: Port, link: VescLink, clock: Clock, wire: bytes, ns: int) -> list[Answer]:
@@ -174,7 +167,7 @@ def ask_mocap(
                 seen = _seen(receiver, address, samples, seconds)
         except OSError as error:
             seen = MocapSeen(address, detail=str(error))
-        yield replace(seen, advice=tuple(judge_mocap(seen, named=named is not None)))
+        yield replace(seen, advice=tuple(probe.judge_mocap(seen, named=named is not None)))
 
 
 def listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[Pose]:
@@ -252,7 +245,7 @@ def find_sockets(proc: Path = Path("/proc/net")) -> tuple[SocketFound, ...]:
     found: list[SocketFound] = []
     for name in ("tcp", "udp", "tcp6", "udp6"):
         with contextlib.suppress(OSError):
-            found += read_sockets((proc / name).read_text(), name.removesuffix("6"))
+            found += probe.read_sockets((proc / name).read_text(), name.removesuffix("6"))
     return tuple(dict.fromkeys(found))
 
 

@@ -17,15 +17,8 @@ from steerd.daemon.common.screen import raw, show
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.bus_operator import REPEAT_NS, BusOperator, Pulse
+from steerd.daemon.terminal import key_desk
 from steerd.daemon.terminal.dashboard import Dashboard
-from steerd.daemon.terminal.key_desk import (
-    KEY_HELP,
-    KEYS,
-    NUDGE_HELP,
-    KeyDesk,
-    keys_one_by_one,
-    wait_for_key,
-)
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus, Sample, Subscription
@@ -159,9 +152,9 @@ def watch_car(bus: Bus, name: str | None, seconds: float | None, *, operate: boo
         _print_lines(watch, received, clock, end)
         return
     desk, repeat = make_desk(watch.board, bus, car, clock, operate=operate)
-    with keys_one_by_one() as keys, Live(console=console, auto_refresh=False) as live:
-        help_text = f"{KEY_HELP}\n{NUDGE_HELP}" if operate else NUDGE_HELP
-        watch.board.keys = "" if keys is None else help_text
+    with key_desk.keys_one_by_one() as keys, Live(console=console, auto_refresh=False) as live:
+        helps = [*([key_desk.KEY_HELP] if operate else []), key_desk.NUDGE_HELP]
+        watch.board.keys = "" if keys is None else "\n".join(helps)
         shown_ns = 0
         while clock.now_ns() < end:
             for sample in received.poll():
@@ -171,25 +164,25 @@ def watch_car(bus: Bus, name: str | None, seconds: float | None, *, operate: boo
                 live.update(watch.render(now), refresh=True)
             desk.keep_alive()
             repeat()
-            for key in wait_for_key(keys, REPEAT_NS, clock):
+            for key in key_desk.wait_for_key(keys, REPEAT_NS, clock):
                 desk.on_key(key)
 
 
 def make_desk(
     board: Dashboard, bus: Bus, car: str, clock: Clock, *, operate: bool
-) -> tuple[KeyDesk, Callable[[], bool]]:
+) -> tuple[key_desk.KeyDesk, Callable[[], bool]]:
     """The keys of a car on the bus; without `operate` they change live parameters alone.
 
     Returns:
         The keys, and what goes on with a stop that was called for there.
     """
     operator = BusOperator(bus, car, clock, getpass.getuser(), Pulse(bus, car))
-    desk = KeyDesk(
+    desk = key_desk.KeyDesk(
         board,
         clock,
         lambda kind: operator.ask(board.boot_id, kind),
         lambda wanted: operator.tune(board.boot_id, wanted),
-        KEYS if operate else {},
+        key_desk.KEYS if operate else {},
     )
     return desk, lambda: operator.repeat(board.state.mode if board.state else None)
 

@@ -77,11 +77,11 @@ def make_report(
         lead="",
         sections=sections,
         foot="Written by steerd batch. Dates are UTC; units are SI where none is named.",
-        cards=list(make_cards(rows, series, changes)),
+        cards=list(_cards(rows, series, changes)),
     )
 
 
-def make_cards(rows: Rows, series: Sequence[Series], changes: Sequence[Change]) -> Iterator[Card]:
+def _cards(rows: Rows, series: Sequence[Series], changes: Sequence[Change]) -> Iterator[Card]:
     """The figures that are read first; of each car that changed the clearest change."""
     cars = len({row["car"] for row in rows if row.get("car")})
     failed = sum(row["outcome"] != "done" for row in rows)

@@ -25,7 +25,7 @@ from steerd.daemon.many.units import Done, Where
 from steerd.sysid.report.report import format_table
 
 if TYPE_CHECKING:
-    from steerd.sysid.report.report import Card, Report
+    from steerd.sysid.report.report import Report
 
 DONE = "done"
 _HEAD = (
@@ -84,13 +84,6 @@ class Batch(Found):
         from steerd.daemon.many.batch.page import make_report
 
         return make_report(self.kind, self.rows, self.series, self.changes)
-
-    @property
-    def cards(self) -> "list[Card]":
-        """The key figures of the page."""
-        from steerd.daemon.many.batch.page import make_cards
-
-        return list(make_cards(self.rows, self.series, self.changes))
 
     def __str__(self) -> str:
         return describe_batch(self.rows, self.worked, len(self.series), self.changes)

@@ -72,11 +72,11 @@ def make_report(plan: SweepPlan, rows: Rows, summary: Summary) -> Report:
         sections=sections,
         foot="Written by steerd sweep. Simulated drives in virtual time; both ends of VESC and "
         "mocap are encoded and parsed as on a car.",
-        cards=list(make_cards(summary)),
+        cards=list(_cards(summary)),
     )
 
 
-def make_cards(summary: Summary) -> Iterator[Card]:
+def _cards(summary: Summary) -> Iterator[Card]:
     """The figures that are read first."""
     driven = next(share for share in summary.outcomes if share.name == DRIVEN)
     stops = sum(share.count for share in summary.watchdogs)

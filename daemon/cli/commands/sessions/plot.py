@@ -38,10 +38,10 @@ def run(args: argparse.Namespace) -> None:
         what = f"{output.name}: several drives are compared on a page"
         raise SteerdError(what, "-o FILE.html", ExitCode.USAGE)
     if len(paths) > 1:
-        from steerd.daemon.sessions.compare import render_recordings
+        from steerd.daemon.sessions.compare import render_comparison
         from steerd.daemon.sessions.info import load_recording
 
-        content = render_recordings(list(map(load_recording, paths)), args.shift).encode()
+        content = render_comparison(list(map(load_recording, paths)), args.shift).encode()
     else:
         content = _draw(paths[0], output.suffix.lower())
     write_outputs({output: content})

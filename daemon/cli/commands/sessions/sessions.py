@@ -75,10 +75,9 @@ def _list(args: argparse.Namespace, folders: tuple[Path, ...]) -> None:
         print(json.dumps(catalogue.make_json(entries), indent=1, allow_nan=False))
         return
     if page:
-        from steerd.daemon.sessions.catalogue_page import make_report
         from steerd.sysid.report.page import render_report
 
-        write_outputs({page: render_report(make_report(entries, page.parent))})
+        write_outputs({page: render_report(catalogue.make_report(entries, page.parent))})
         print(f"{page}: {len(entries)} drives; open it in a browser")
         return
     if not entries:
