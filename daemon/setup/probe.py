@@ -6,6 +6,7 @@ from math import degrees, inf
 
 from steerd.daemon.loop.checks import check_vesc
 from steerd.daemon.settings.config import BrakeSettings
+from steerd.daemon.setup.mocap_check import REJECTED_MAX
 from steerd.mocap_link.gates import REASONS
 from steerd.steer_bus.messages import BODY, VescIdentity, make_header
 
@@ -16,7 +17,6 @@ LOW_CELL = 3.3  # below this a lithium cell sags under load [V]
 JITTER_MAX_MS = 5.0  # largest variation of the age of poses [ms]
 ROUND_TRIP_MAX_MS = 10.0  # largest time from request to answer of a VESC: one tick of the loop [ms]
 ANSWERED_MIN = 0.95  # smallest share of requests that a VESC answers [-]
-REJECTED_MAX = 0.02  # share of rejected poses that is still good [-]
 RATE_MIN = 0.8  # smallest share of a server's frames that arrive [-]
 TILT_MAX = 0.1  # largest tilt of the body of a standing car [rad]
 PORTS = {

@@ -155,7 +155,9 @@ def describe_batch(rows: Rows, worked: int, series: int, changes: Sequence[Chang
         f"{worked} worked on now",
         "", " " * 11,
     )  # fmt: skip
-    lines += wrap(_verdicts(rows), "verdicts   ", " " * 11)
+    verdicts = Counter(clean(str(r["verdict"]), 40) for r in rows if r.get("verdict"))
+    told = ", ".join(f"{count} {text}" for text, count in verdicts.most_common(6))
+    lines += wrap(told, "verdicts   ", " " * 11)
     if failed:
         lines.append(f"failed     {len(failed)}")
     for row in failed[:_FAILURES]:
@@ -168,11 +170,6 @@ def _failure(session: str, why: str) -> str:
     name = session.rpartition("/")[2]
     text = clean(why.replace(session, name))
     return text if name in text else f"{clean(name, 40)}: {text}"
-
-
-def _verdicts(rows: Rows) -> str:
-    counts = Counter(clean(str(r["verdict"]), 40) for r in rows if r.get("verdict"))
-    return ", ".join(f"{count} {text}" for text, count in counts.most_common(6))
 
 
 def _changes(changes: Sequence[Change], series: int) -> Iterator[str]:

@@ -18,7 +18,7 @@ from pathlib import Path
 from string import Template
 from xml.sax.saxutils import quoteattr
 
-from steerd.daemon.cli.arguments import option
+from steerd.daemon.cli.arguments import list_actions, option
 from steerd.daemon.cli.commands.driving import run as run_command
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
@@ -75,7 +75,7 @@ def _run_arguments(args: argparse.Namespace) -> list[str]:
     parser = argparse.ArgumentParser()
     run_command.add_arguments(parser)
     arguments: list[str] = []
-    for action in parser._actions:  # noqa: SLF001 (argparse has no public list)
+    for action in list_actions(parser):
         value = getattr(args, action.dest, action.default)
         if value == action.default or not action.option_strings:
             continue
