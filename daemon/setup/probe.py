@@ -1,6 +1,6 @@
 """The findings of `steerd probe`: what is there, what is wrong, what to do. Pure."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import degrees, inf
 
@@ -159,9 +159,13 @@ def judge_mocap(seen: MocapSeen, named: bool) -> Iterator[Advice]:
     if not named:
         return
     if not seen.samples:
-        yield Advice(
-            f"the server answers, but no pose came: {seen.detail}", _why_no_pose(seen.bodies)
+        fix = (
+            "define a rigid body in the mocap software and stream it; with multicast, name this "
+            "machine's address on the mocap network: ?interface=ADDRESS"
         )
+        if seen.bodies:
+            fix = f"the server offers {', '.join(seen.bodies)}: name one of them in --mocap"
+        yield Advice(f"the server answers, but no pose came: {seen.detail}", fix)
         return
     yield from _judge_poses(seen)
     if seen.expected_rate_hz and seen.rate_hz < RATE_MIN * seen.expected_rate_hz:
@@ -174,15 +178,6 @@ def judge_mocap(seen: MocapSeen, named: bool) -> Iterator[Advice]:
             f"the age of poses varies by {seen.jitter_ms:.0f} ms",
             "use a cable instead of Wi-Fi; close what loads this machine",
         )
-
-
-def _why_no_pose(bodies: Sequence[str]) -> str:
-    if bodies:
-        return f"the server offers {', '.join(bodies)}: name one of them in --mocap"
-    return (
-        "define a rigid body in the mocap software and stream it; with multicast, name this "
-        "machine's address on the mocap network: ?interface=ADDRESS"
-    )
 
 
 _FIXES = {

@@ -36,7 +36,6 @@ class SteeringCalibration:
     right: float
     clipped_left: bool  # whether commands beyond them had no effect
     clipped_right: bool
-    residual: float  # [rad, rms]
     sd_gain: float  # standard errors
     sd_bias: float
     warnings: tuple[str, ...]  # what the drive identifies badly, one sentence each
@@ -82,7 +81,7 @@ def calibrate_steering(
         return (*ls.solve_least_squares(rows, angle[used]), commanded)
 
     delay = ls.find_delay(lambda tau: float(np.mean(fit(tau)[1] ** 2)))
-    (gain, bias), left, commanded = fit(delay)
+    (gain, bias), _, commanded = fit(delay)
     sd_gain, sd_bias = ls.jackknife_sd(steady, lambda keep: fit(delay, keep)[0])
     _check_gain(float(gain), sd_gain)
     ends = [_find_end(angle, gain * commanded + bias, side) for side in (1.0, -1.0)]
@@ -94,7 +93,6 @@ def calibrate_steering(
         right=-ends[1][0],
         clipped_left=ends[0][1],
         clipped_right=ends[1][1],
-        residual=float(np.sqrt(np.mean(left**2))),
         sd_gain=sd_gain,
         sd_bias=sd_bias,
         warnings=tuple(ls.find_slip_warnings(v * w)),

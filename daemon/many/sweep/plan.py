@@ -19,10 +19,10 @@ from steerd.car_model.car_file import CarFile
 from steerd.car_model.effects import find_effect
 from steerd.car_model.params import PARAMETERS
 from steerd.daemon.analysis.options import read_car
-from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean
+from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean, refusing
 from steerd.sim_hw.mocap.cameras import MocapConfig
 from steerd.sim_hw.vesc.vesc_motor import VescConfig
-from steerd.toml_text import TomlError, load_toml
+from steerd.toml_text import load_toml
 
 
 class Quantity(NamedTuple):
@@ -283,10 +283,8 @@ def list_cases(plan: SweepPlan) -> Iterator[DriveCase]:
     for combination in itertools.product(*lists.values()):
         fixed = dict(zip(lists, combination, strict=True))
         for seed in plan.seeds:
-            try:
+            with refusing():
                 values = fixed | {name: each.draw(name, seed) for name, each in drawn.items()}
-            except ValueError as error:
-                raise SteerdError(str(error), "", ExitCode.USAGE) from None
             yield DriveCase(next(number), seed, {name: values[name] for name in plan.vary})
 
 
@@ -296,12 +294,8 @@ def load_sweep(path: Path) -> SweepPlan:
     Raises:
         SteerdError: it or its car file cannot be read, or says something impossible.
     """
-    try:
+    with refusing(f"{path}: ", code=ExitCode.INVALID):
         given = load_toml(path)
-    except OSError as error:
-        raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
-    except TomlError as error:
-        raise SteerdError(f"{path}: {error}", "", ExitCode.INVALID) from None
     car = given.pop("car", None)
     return make_sweep_plan(read_car(None if car is None else path.parent / str(car)), given)
 
@@ -321,14 +315,12 @@ def make_sweep_plan(car: CarFile, given: Mapping[str, Any]) -> SweepPlan:
     if odd is not None:
         hint = did_you_mean(odd, known) or f"there are {', '.join(known)}"
         raise SteerdError(f"a sweep has no {odd!r}", hint)
-    try:
+    with refusing(code=ExitCode.INVALID):
         vary = {
             name: _parse_choice(find_quantity(name, car), choice)
             for name, choice in dict(given.get("vary", {})).items()
         }
         said = {key: parse(given[key]) for key, parse in _PARSERS.items() if key in given}
-    except ValueError as error:
-        raise SteerdError(str(error), "", ExitCode.INVALID) from None
     plan = SweepPlan(car, vary=vary, **said)
     if plan.count > DRIVES_MAX:
         raise SteerdError(f"{plan.count} drives: {DRIVES_MAX} at most", "shorten the lists")

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from steerd.daemon.cli.arguments import missing_car, option
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import refusing
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,10 +36,8 @@ def run(args: argparse.Namespace) -> None:
         sim_car=args.car or "",
     )  # fmt: skip
     world = make_world_config(make_plan(options, design=False), args.mocap)
-    try:
+    with refusing("--fault: "):
         faults = links.fault_windows(args.fault)
-    except ValueError as error:
-        raise SteerdError(f"--fault: {error}", "", ExitCode.USAGE) from None
     links.raise_priority()
     with links.stop_on_signals() as stop, links.SimHardware(world, faults, args.link_dir) as sim:
         print(f"VESC:  {sim.port}")

@@ -24,8 +24,10 @@ def run(args: argparse.Namespace) -> None:
     from steerd.daemon.sessions.text import print_warnings
     from steerd.steer_bus.session import recover
 
-    source = find_source(args.session)
-    out: Path = args.output or default_output(source)
+    partial = args.session.with_name(args.session.name + ".partial")
+    source: Path = partial if partial.exists() and not args.session.exists() else args.session
+    name = source.name.removesuffix(".partial").removesuffix(".mcap")
+    out: Path = args.output or source.with_name(f"{name}.recovered.mcap")
     session = load_session(source)
     if session.info().finished and not session.warnings:
         print(f"{source} is complete: nothing to recover")
@@ -40,15 +42,3 @@ def run(args: argparse.Namespace) -> None:
     print(f"lost     {report.lost_bytes} unreadable bytes, and data not yet on the disk")
     print(f"longest  {report.longest_gap_s:.3g} s without any message")
     print(f"\nwritten: {report.path}\n   next: steerd info {report.path}")
-
-
-def find_source(named: Path) -> Path:
-    """The file itself, or the `.partial` beside the name that it should have got."""
-    partial = named.with_name(named.name + ".partial")
-    return partial if partial.exists() and not named.exists() else named
-
-
-def default_output(source: Path) -> Path:
-    """`NAME.recovered.mcap` beside the source."""
-    name = source.name.removesuffix(".partial").removesuffix(".mcap")
-    return source.with_name(f"{name}.recovered.mcap")

@@ -39,7 +39,13 @@ def run(args: argparse.Namespace) -> None:
         scaling = read_vesc_yaml(_read(args.from_vesc_yaml), base.scaling)
         print(edit_car(base.file, make_car_values(scaling)).text, end="")
     elif args.to_vesc_yaml:
-        _to_yaml(load_settings(path), args.to_vesc_yaml)
+        from steerd.daemon.common.written import write_outputs
+        from steerd.daemon.settings.vesc_yaml import make_vesc_yaml
+
+        settings, out = load_settings(path), args.to_vesc_yaml
+        text = make_vesc_yaml(settings.scaling, _read(out) if out.exists() else "")
+        write_outputs({out: text})
+        print(f"{out}: gains of {settings.file.name}")
     elif args.check:
         _check(args.check)
     else:
@@ -76,15 +82,6 @@ def describe(settings: "Settings") -> list[str]:
         f"  stop        {settings.brakes.brake_current_a:g} A brake current",
         f"  effects     {effects}",
     ]
-
-
-def _to_yaml(settings: "Settings", path: Path) -> None:
-    from steerd.daemon.common.written import write_outputs
-    from steerd.daemon.settings.vesc_yaml import make_vesc_yaml
-
-    text = make_vesc_yaml(settings.scaling, _read(path) if path.exists() else "")
-    write_outputs({path: text})
-    print(f"{path}: gains of {settings.file.name}")
 
 
 def _read(path: Path) -> str:

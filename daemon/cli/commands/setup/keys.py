@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 
 from steerd.daemon.cli.arguments import option
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.steer_bus.lab import DEFAULT_PORT, Lab
 from steerd.steer_bus.topics import check_car_name
 
@@ -48,10 +48,8 @@ def run(args: argparse.Namespace) -> None:
 
 def _begin_lab(args: argparse.Namespace) -> Lab:
     """A lab without people."""
-    try:
+    with refusing(hint="--car car1"):
         car = check_car_name(args.car)
-    except ValueError as error:
-        raise SteerdError(str(error), "--car car1", ExitCode.USAGE) from None
     host = f"[{args.host}]" if ":" in args.host and "[" not in args.host else args.host
     return Lab(args.folder, car, f"tls/{host}:{args.port}")
 

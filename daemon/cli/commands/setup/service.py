@@ -20,7 +20,7 @@ from xml.sax.saxutils import quoteattr
 
 from steerd.daemon.cli.arguments import list_actions, option
 from steerd.daemon.cli.commands.driving import run as run_command
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -103,10 +103,8 @@ def _install(path: Path, text: str, user: bool, *, force: bool) -> None:
 
     if path.exists() and path.read_text() != text and not force:
         raise SteerdError(f"{path} exists already", "--force replaces it", ExitCode.USAGE)
-    try:
+    with refusing(f"{path.parent}: "):
         path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise SteerdError(f"{path.parent}: {error.strerror}", "", ExitCode.UNREADABLE) from None
     write_whole(path, text)
     ctl = "systemctl --user" if user else "systemctl"
     print(f"{path}: written")
@@ -119,10 +117,8 @@ def _install(path: Path, text: str, user: bool, *, force: bool) -> None:
 
 def _uninstall(path: Path, user: bool) -> None:
     ctl = "systemctl --user" if user else "systemctl"
-    try:
+    with refusing(f"{path}: "):
         path.unlink()
-    except OSError as error:
-        raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
     print(f"{path}: removed\n   next: {ctl} disable --now steerd; {ctl} daemon-reload")
 
 

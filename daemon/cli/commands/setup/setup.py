@@ -119,16 +119,12 @@ def _guide_here(steps: Sequence[Step], at: int, port: int | None) -> int:
     return guide(steps, at, page.ask, partial(run_step, execute=page.run), page.stand)
 
 
-def _unseen(at: int, state: str) -> None:
-    """Nobody looks on."""
-
-
 def guide(
     steps: Sequence[Step],
     at: int,
     ask: Callable[[str], str],
     do: Callable[[Step], int],
-    stand: Callable[[int, str], None] = _unseen,
+    stand: Callable[[int, str], None] = lambda at, state: None,
 ) -> int:
     """Go through steps as answers say; where it ended, the number of steps if all are done.
 

@@ -137,8 +137,8 @@ def test_stops_that_cannot_be_are_refused_and_other_keys_do_nothing():
 def steering(**change):
     values = {
         "gain": 0.9, "bias": 0.02, "delay": 0.05, "left": 0.25, "right": -0.2,
-        "clipped_left": False, "clipped_right": False, "residual": 0.001, "sd_gain": 0.0,
-        "sd_bias": 0.0, "warnings": (),
+        "clipped_left": False, "clipped_right": False, "sd_gain": 0.0, "sd_bias": 0.0,
+        "warnings": (),
     }  # fmt: skip
     return SteeringCalibration(**{**values, **change})
 
