@@ -11,15 +11,9 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.common.row_file import Row
 from steerd.daemon.common.screen import clean, shown, wrap
+from steerd.daemon.many.batch import changes as steps
 from steerd.daemon.many.batch import unit
-from steerd.daemon.many.batch.changes import (
-    Change,
-    Series,
-    find_changes,
-    list_series,
-    nothing_changed,
-    tabulate_changes,
-)
+from steerd.daemon.many.batch.changes import Change, Series
 from steerd.daemon.many.job import FAILED, Column, Found, Job, Rows, do_in_notebook
 from steerd.daemon.many.units import Done, Where
 from steerd.sysid.report.report import format_table
@@ -72,12 +66,12 @@ class Batch(Found):
     @cached_property
     def series(self) -> tuple[Series, ...]:
         """Every quantity of every car with enough drives, over time."""
-        return tuple(list_series(self.rows, self.quantities))
+        return tuple(steps.list_series(self.rows, self.quantities))
 
     @cached_property
     def changes(self) -> tuple[Change, ...]:
         """What changed, the clearest first."""
-        return tuple(find_changes(self.series))
+        return tuple(steps.find_changes(self.series))
 
     def make_report(self) -> "Report":
         """What the page shows: quantities over weeks with their bands, and the days of changes."""
@@ -174,9 +168,9 @@ def _failure(session: str, why: str) -> str:
 
 def _changes(changes: Sequence[Change], series: int) -> Iterator[str]:
     if not changes:
-        yield nothing_changed(series)
+        yield steps.nothing_changed(series)
         return
-    table = tabulate_changes(changes[:_CHANGES])
+    table = steps.tabulate_changes(changes[:_CHANGES])
     yield from format_table(table.pick("car", "quantity", "since", "before", "after", "sigma"))
     if len(changes) > _CHANGES:
         yield f"and {len(changes) - _CHANGES} more: see the table or --page"

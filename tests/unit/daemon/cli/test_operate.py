@@ -24,23 +24,17 @@ OBEYED = {
 
 
 class Bench:
-    """A car on a bus, and the clock of whoever operates it.
-
-    Attributes:
-        state: the car's.
-        deaf: so many requests it does not hear.
-        speaks: whether it says how it is.
-        garbles: bytes that come instead of what it says, by topic.
-        asked: requests so far, with their times [s] and keys.
-    """
+    """A car on a bus, and the clock of whoever operates it."""
 
     def __init__(self, state="READY", **status):
         self._hub = LocalHub()
         self._bus = LocalBus(self._hub)
         self._heard = self._bus.subscribe("steerd/car1/cmd/**", 4096)
-        self.state, self.deaf, self.speaks, self.garbles = SupervisorState[state], 0, True, {}
+        self.state, self.speaks = SupervisorState[state], True  # of the car, which says how it is
+        self.deaf = 0  # so many requests it does not hear
+        self.garbles = {}  # bytes that come instead of what it says, by topic
         self._status = {"boot_id": "7", "waiting": "arm", "holder": "0", "leased": "1", **status}
-        self.asked, self.t_ns = [], 0
+        self.t_ns, self.asked = 0, []  # requests so far, with their times [s] and keys
 
     def connect(self, *_given):
         return self

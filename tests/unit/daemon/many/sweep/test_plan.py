@@ -27,6 +27,11 @@ def test_a_seed_draws_the_same_in_every_combination(make_plan):
     assert [c.values["car.mu"] for c in alone[:5]] == [c.values["car.mu"] for c in slow]
 
 
+def test_a_share_is_one_of_the_car_files_value(make_plan, car):
+    drawn = make_plan({"car.mass": {"share": 0.1}}).vary["car.mass"]
+    assert (drawn.one, drawn.other) == (car.car.mass, pytest.approx(0.1 * car.car.mass))
+
+
 def test_the_digest_knows_what_the_drives_depend_on(make_plan):
     given = {"car.mu": {"low": 0.5, "high": 1.0}}
     first = make_plan(given, seeds=5).digest()
