@@ -44,9 +44,8 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         SteerdError: a combination makes no sense.
     """
     if args.controller != "lane":
-        raise SteerdError(
-            "a plan is driven by the daemon itself", "drop --controller", ExitCode.USAGE
-        )
+        what = "a plan is driven by the daemon itself"
+        raise SteerdError(what, "drop --controller", ExitCode.USAGE)
     parts = [args.plan, "closed" if args.closed else f"speed={args.speed:g}"]
     if args.box:
         parts.append(f"box={args.box}")

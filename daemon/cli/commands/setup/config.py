@@ -89,6 +89,5 @@ def _read(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         why = getattr(error, "strerror", None) or "not a text file"
-        raise SteerdError(
-            f"{path}: {why}", "name F1TENTH's vesc.yaml", ExitCode.UNREADABLE
-        ) from None
+        hint = "name F1TENTH's vesc.yaml"
+        raise SteerdError(f"{path}: {why}", hint, ExitCode.UNREADABLE) from None
