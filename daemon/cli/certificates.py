@@ -54,32 +54,21 @@ def load_members(folder: Path) -> Lab:
         raise SteerdError(str(error), hint, ExitCode.UNREADABLE) from None
 
 
-def add_members(
-    folder: Path,
-    old: Lab,
-    operators: Iterable[str],
-    viewers: Iterable[str],
-    years: float,
-    host: str | None,
-) -> Lab:
-    """Make folders for new people and write the members into every folder; the lab with them.
+def add_members(folder: Path, old: Lab, lab: Lab, years: float, host: str | None) -> None:
+    """Make folders for new people, and write the members into every folder.
 
     Args:
         folder: the lab's.
         old: the lab before.
-        operators: names of who may drive.
-        viewers: names of who may only watch.
+        lab: the lab with the new people, who stand last.
         years: validity of the certificates.
         host: the car's address, of a lab that begins: its authority and its car are made too.
 
     Raises:
         SteerdError: a name cannot be used, or a folder or file is there already.
     """
-    added = (*operators, *viewers)
+    added = (*lab.operators[len(old.operators) :], *lab.viewers[len(old.viewers) :])
     _check_names(old, added)  # of all, before anything is written
-    lab = Lab(
-        old.folder, old.car, old.endpoint, (*old.operators, *operators), (*old.viewers, *viewers)
-    )
     if host is None:
         issuer = _load_authority(folder / AUTHORITY, years)
     else:
@@ -94,7 +83,6 @@ def add_members(
         if (folder / name).is_dir():
             data = f"{text}name = {json.dumps(name)}\n".encode()
             _write(folder / name / "lab.toml", data, new=host is not None or name in added)
-    return lab
 
 
 def _check_names(lab: Lab, added: Iterable[str]) -> None:

@@ -288,14 +288,9 @@ def _topic(topic: TopicInfo, read: Recording) -> TopicReport:
     return TopicReport(*known, 1.0 / usual, gaps, *longest)
 
 
-def _find_unidentifiable(
-    track: Track | None,
-    speed: SignalRange | None,
-    steer: SignalRange | None,
-    lateral: SignalRange | None,
-) -> tuple[str, ...]:
-    """What cannot be identified from this drive."""
-    remarks = []
+def _find_unidentifiable(track: Track | None, *ranges: SignalRange | None) -> tuple[str, ...]:
+    """What cannot be identified from a drive of this speed, steering and lateral acceleration."""
+    remarks, (speed, steer, lateral) = [], ranges
     if track is not None and track.length < DISTANCE_MIN:
         return ("the car barely moved: nothing can be identified",)
     if steer is not None and steer.sd < STEER_SD_MIN:

@@ -8,6 +8,7 @@ desk` on the desk. Later, `steerd keys lab --operator new` adds somebody.
 """
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from steerd.daemon.cli.arguments import option
@@ -42,7 +43,9 @@ def run(args: argparse.Namespace) -> None:
         hint = "steerd keys DIR --host ADDRESS, or --operator NAME to add to a lab"
         raise SteerdError("nothing to make: no --host and no new name", hint, ExitCode.USAGE)
     old = _begin_lab(args) if began else load_members(args.folder)
-    lab = add_members(args.folder, old, operators, viewers, args.years, args.host)
+    drivers, watchers = (*old.operators, *operators), (*old.viewers, *viewers)
+    lab = replace(old, operators=drivers, viewers=watchers)
+    add_members(args.folder, old, lab, args.years, args.host)
     print(explain(args.folder, lab, began=began, added=(*operators, *viewers)))
 
 
