@@ -7,7 +7,7 @@ import numpy as np
 
 from steerd.car_model.params import GRAVITY, Car
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.sessions.motion import Array
+from steerd.daemon.sessions.motion import Array, Signal, Track
 from steerd.daemon.setup import least_squares as ls
 from steerd.vesc_link.scaling import Scaling
 
@@ -41,39 +41,34 @@ class SteeringCalibration:
     warnings: tuple[str, ...]  # what the drive identifies badly, one sentence each
 
 
-def calibrate_steering(
-    t: Array, speed: Array, yaw_rate: Array, t_command: Array, command: Array, car: Car[float]
-) -> SteeringCalibration:
+def calibrate_steering(track: Track, steer: Signal, car: Car[float]) -> SteeringCalibration:
     """Estimate gain and centre of the steering from commands and the turning that followed.
 
     The wheel angle that a steady turn needs is atan(L curvature) plus the difference of the axles'
     slip, curvature v^2 (alpha_f - alpha_r per acceleration), after the car file's tyres.
 
     Args:
-        t: times of the motion [s].
-        speed: of the car [m/s].
-        yaw_rate: of the car [rad/s].
-        t_command: times of the commands [s].
-        command: steering angles commanded [rad].
+        track: of the car.
+        steer: steering angles commanded [rad].
         car: geometry and tyres.
 
     Raises:
         SteerdError: the car barely moves, or its steering is barely used.
     """
-    good = np.isfinite(speed) & np.isfinite(yaw_rate) & (speed > ls.MOVING)
+    good = np.isfinite(track.speed) & np.isfinite(track.yaw_rate) & (track.speed > ls.MOVING)
     if good.sum() < SAMPLES_MIN:
         raise SteerdError("the car barely moves forward: its steering is not identifiable")
-    t, v, w = t[good], speed[good], yaw_rate[good]
+    t, v, w = track.t[good], track.speed[good], track.yaw_rate[good]
     length = car.lf + car.lr
     slip = (1.0 / car.c_sf - 1.0 / car.c_sr) / (car.mu * GRAVITY)
     angle = np.arctan(length * w / v) + slip * v * w
-    now = np.interp(t, t_command, command)
+    now = np.interp(t, steer.t, steer.value)
     low, high = now.min(), now.max()
-    steady = _find_steady(t, t_command, command)
+    steady = _find_steady(t, steer)
     _check_steering(now, steady)
 
     def fit(delay: float, keep: ls.Mask = steady) -> tuple[Array, Array, Array]:
-        commanded = np.interp(t - delay, t_command, command)
+        commanded = np.interp(t - delay, steer.t, steer.value)
         # The outer quarters may lie beyond a stop, unless nothing else was driven.
         inner = keep & (np.abs(commanded - (low + high) / 2) <= (high - low) / 4)
         used = inner if np.std(commanded[inner]) > 0.1 * (high - low) else keep
@@ -116,10 +111,10 @@ def _check_gain(gain: float, sd: float) -> None:
         raise SteerdError(what, f"{_EIGHT}, slowly", ExitCode.STOPPED)
 
 
-def _find_steady(t: Array, t_command: Array, command: Array) -> ls.Mask:
+def _find_steady(t: Array, steer: Signal) -> ls.Mask:
     """Where the command is steady enough for the wheels to have followed it."""
     offsets = np.arange(-STEADY_BEFORE, STEADY_AFTER, STEADY_STEP)
-    around = np.stack([np.interp(t + dt, t_command, command) for dt in offsets])
+    around = np.stack([np.interp(t + dt, steer.t, steer.value) for dt in offsets])
     share = ((offsets - offsets[0]) / np.ptp(offsets))[:, None]
     line = (1.0 - share) * around[0] + share * around[-1]
     return np.asarray(np.abs(around - line).max(axis=0) < STEADY, dtype=np.bool_)

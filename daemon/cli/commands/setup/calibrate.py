@@ -64,7 +64,7 @@ def _from_session(path: Path) -> "tuple[CarFile, Scaling]":
         missing = "steering commands" if track else "motion"
         raise SteerdError(f"the session holds no {missing}", "record with `steerd run`")
     file = r.settings.file
-    found = calibrate_steering(track.t, track.speed, track.yaw_rate, steer.t, steer.value, file.car)
+    found = calibrate_steering(track, steer, file.car)
     scaling = servo_scaling(found, r.settings.scaling)
     print_found(describe_steering(found, scaling), found.warnings)
     return file, scaling
