@@ -150,8 +150,8 @@ def describe_batch(rows: Rows, worked: int, series: int, changes: Sequence[Chang
         "", " " * 11,
     )  # fmt: skip
     verdicts = Counter(clean(str(r["verdict"]), 40) for r in rows if r.get("verdict"))
-    told = ", ".join(f"{count} {text}" for text, count in verdicts.most_common(6))
-    lines += wrap(told, "verdicts   ", " " * 11)
+    reported = ", ".join(f"{count} {text}" for text, count in verdicts.most_common(6))
+    lines += wrap(reported, "verdicts   ", " " * 11)
     if failed:
         lines.append(f"failed     {len(failed)}")
     for row in failed[:_FAILURES]:
