@@ -105,6 +105,13 @@ def test_without_a_deadman_it_is(bench):
     assert car.kinds()[0] is RequestKind.ARM
 
 
+def test_a_request_without_effect_was_refused(bench, capsys):
+    car = bench(leased="0")
+    car.deaf = 10_000
+    assert run_cli(["arm", "--no-hold"]) == 5
+    assert "arm: the car stays READY" in capsys.readouterr().err
+
+
 def test_a_car_that_is_not_armed_is_not_started(bench, capsys):
     car = bench()
     assert run_cli(["start"]) == 5
