@@ -117,17 +117,12 @@ def check_inputs(parser: argparse.ArgumentParser, args: argparse.Namespace) -> N
     Raises:
         SteerdError: the first of them.
     """
-    checks = [(find_check(action), action.dest) for action in list_actions(parser)]
+    found = ((getattr(a, "find_missing", None), a.dest) for a in list_actions(parser))
+    checks = [(check, dest) for check, dest in found if check is not None]
     for check, dest in sorted(checks, key=lambda each: each[0] is not missing_car):
-        for text in _texts(getattr(args, dest, None)) if check else ():
-            error = check(text) if check else None
+        for error in map(check, _texts(getattr(args, dest, None))):
             if error is not None:
                 raise error
-
-
-def find_check(action: argparse.Action) -> Check | None:
-    """What looks for the files of an argument; None where it names none that are read."""
-    return getattr(action, "find_missing", None)
 
 
 def list_actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:

@@ -5,9 +5,10 @@ authority's private key stays in `authority/`, on a machine that neither car nor
 """
 
 import ipaddress
+import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -20,63 +21,98 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.steer_bus.atomic_file import write_atomically
+from steerd.steer_bus.bus import BusError
+from steerd.steer_bus.clock import MonotonicClock
+from steerd.steer_bus.lab import Lab, read_members
 
 AUTHORITY = "authority"
 _PRIVATE = 0o600  # only the owner reads and writes
 _NAME = re.compile(r"[a-zA-Z0-9_.-]{1,60}")
-_SKEW = timedelta(days=1)
-"""Certificates are valid from this long ago, for machines whose clock is behind."""
+_SKEW = timedelta(days=1)  # certificates are valid from this long ago: clocks may be behind
+_PEM = serialization.Encoding.PEM
 
 
 @dataclass(frozen=True)
 class Issuer:
-    """A certificate authority: its certificate and private key."""
+    """A certificate authority: its certificate and private key, and how long it certifies."""
 
     certificate: x509.Certificate
     key: ec.EllipticCurvePrivateKey
+    years: float
 
 
-def check_name(name: str) -> str:
-    """Return a common name that is also valid as a folder's name.
-
-    Raises:
-        SteerdError: it is not valid, or is the authority's.
-    """
-    if not _NAME.fullmatch(name) or name.startswith(".") or name == AUTHORITY:
-        hint = f"1 to 60 of letters, digits and _ . -, not starting with a dot, not {AUTHORITY}"
-        raise SteerdError(f"{name!r} is not a valid name for a certificate", hint, ExitCode.USAGE)
-    return name
-
-
-def make_authority(folder: Path, car: str, now: datetime, years: float) -> Issuer:
-    """Make the lab's authority in `folder/authority`.
+def load_members(folder: Path) -> Lab:
+    """The lab of a folder, as its authority knows it.
 
     Raises:
-        SteerdError: there is already one.
+        SteerdError: there is none.
     """
+    try:
+        return read_members(folder / AUTHORITY)
+    except BusError as error:
+        hint = "steerd keys DIR --host ADDRESS makes a lab"
+        raise SteerdError(str(error), hint, ExitCode.UNREADABLE) from None
+
+
+def add_members(folder: Path, old: Lab, lab: Lab, years: float, host: str | None) -> None:
+    """Make folders for new people, and write the members into every folder.
+
+    Args:
+        folder: the lab's.
+        old: the lab before.
+        lab: the lab with the new people, who stand last.
+        years: validity of the certificates.
+        host: the car's address, of a lab that begins: its authority and its car are made too.
+
+    Raises:
+        SteerdError: a name cannot be used, or a folder or file is there already.
+    """
+    added = (*lab.operators[len(old.operators) :], *lab.viewers[len(old.viewers) :])
+    _check_names(old, added)  # of all, before anything is written
+    if host is None:
+        issuer = _load_authority(folder / AUTHORITY, years)
+    else:
+        issuer = _make_authority(folder / AUTHORITY, lab.car, years)
+        _issue(folder, issuer, lab.car, host)
+    for name in added:
+        _issue(folder, issuer, name, None)
+    text = "# Made by steerd keys. The car admits only the names in its copy of this list.\n"
+    for key in ("car", "endpoint", "operators", "viewers"):
+        text += f"{key} = {json.dumps(getattr(lab, key))}\n"
+    for name in (*added, AUTHORITY, lab.car):
+        if (folder / name).is_dir():
+            data = f"{text}name = {json.dumps(name)}\n".encode()
+            _write(folder / name / "lab.toml", data, new=host is not None or name in added)
+
+
+def _check_names(lab: Lab, added: Iterable[str]) -> None:
+    """Refuse names that are taken, or are not valid as common name and as folder's name."""
+    known = {lab.car, *lab.operators, *lab.viewers}
+    for name in added:
+        if not _NAME.fullmatch(name) or name.startswith(".") or name == AUTHORITY:
+            what = f"{name!r} is not a valid name for a certificate"
+            hint = f"1 to 60 of letters, digits and _ . -, not starting with a dot, not {AUTHORITY}"
+            raise SteerdError(what, hint, ExitCode.USAGE)
+        if name in known:
+            hint = "choose another name; a certificate is never replaced"
+            raise SteerdError(f"{name!r} exists already", hint, ExitCode.USAGE)
+        known.add(name)
+
+
+def _make_authority(place: Path, car: str, years: float) -> Issuer:
     key = ec.generate_private_key(ec.SECP256R1())
-    name = _common_name(f"steerd lab of {car}")
-    sign = x509.KeyUsage(False, False, False, False, False, True, True, False, False)
-    builder = (
-        _builder(name, name, key, now, years)
-        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-        .add_extension(sign, critical=True)
-        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
-    )
-    issuer = Issuer(builder.sign(key, hashes.SHA256()), key)
-    place = _new_folder(folder / AUTHORITY)
-    write_private(place / "ca.pem", _pem(issuer.certificate))
-    write_private(place / "ca.key", _key_pem(key))
-    return issuer
+    identifier = x509.SubjectKeyIdentifier.from_public_key(key.public_key())
+    extensions = {
+        x509.BasicConstraints(ca=True, path_length=0): True,
+        x509.KeyUsage(False, False, False, False, False, True, True, False, False): True,
+        identifier: False,
+    }
+    certificate = _certify(f"steerd lab of {car}", key, years, extensions)
+    _write_folder(place, {"ca.pem": certificate.public_bytes(_PEM), "ca.key": _encode(key)})
+    return Issuer(certificate, key, years)
 
 
-def load_authority(folder: Path) -> Issuer:
-    """Read the authority that `make_authority` wrote.
-
-    Raises:
-        SteerdError: it is not there or not readable.
-    """
-    place = folder / AUTHORITY
+def _load_authority(place: Path, years: float) -> Issuer:
     try:
         certificate = x509.load_pem_x509_certificate((place / "ca.pem").read_bytes())
         key = serialization.load_pem_private_key((place / "ca.key").read_bytes(), password=None)
@@ -85,52 +121,75 @@ def load_authority(folder: Path) -> Issuer:
         raise SteerdError(f"{place}: {error}", hint, ExitCode.UNREADABLE) from None
     if not isinstance(key, ec.EllipticCurvePrivateKey):
         raise SteerdError(f"{place / 'ca.key'} was not made by steerd keys", "", ExitCode.INVALID)
-    return Issuer(certificate, key)
+    return Issuer(certificate, key, years)
 
 
-def issue(
-    folder: Path, issuer: Issuer, name: str, host: str | None, now: datetime, years: float
-) -> Path:
-    """Make the folder of one participant: `ca.pem`, `cert.pem`, `key.pem`.
-
-    Args:
-        folder: the lab's folder.
-        issuer: the authority.
-        name: the common name.
-        host: the address at which others connect, or None for a client.
-        now: the time of day.
-        years: validity, at most the authority's.
-
-    Raises:
-        SteerdError: its folder exists already.
-    """
+def _issue(folder: Path, issuer: Issuer, name: str, host: str | None) -> None:
+    """Make the folder of one participant; `host` is where others connect, None for a client."""
     key = ec.generate_private_key(ec.SECP256R1())
-    sign = x509.KeyUsage(True, False, False, False, False, False, False, False, False)
     purpose = ExtendedKeyUsageOID.SERVER_AUTH if host else ExtendedKeyUsageOID.CLIENT_AUTH
     authority = x509.AuthorityKeyIdentifier.from_issuer_public_key(issuer.key.public_key())
-    builder = (
-        _builder(_common_name(name), issuer.certificate.subject, key, now, years)
-        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(sign, critical=True)
-        .add_extension(x509.ExtendedKeyUsage([purpose]), critical=False)
-        .add_extension(authority, critical=False)
-    )
+    extensions: dict[x509.ExtensionType, bool] = {
+        x509.BasicConstraints(ca=False, path_length=None): True,
+        x509.KeyUsage(True, False, False, False, False, False, False, False, False): True,
+        x509.ExtendedKeyUsage([purpose]): False,
+        authority: False,
+    }
     if host:
-        named = x509.SubjectAlternativeName([_general_name(host)])
-        builder = builder.add_extension(named, critical=False)
-    place = _new_folder(folder / name)
-    write_private(place / "ca.pem", _pem(issuer.certificate))
-    write_private(place / "cert.pem", _pem(builder.sign(issuer.key, hashes.SHA256())))
-    write_private(place / "key.pem", _key_pem(key))
-    return place
+        extensions[x509.SubjectAlternativeName([_general_name(host)])] = False
+    certificate = _certify(name, key, issuer.years, extensions, issuer)
+    _write_folder(folder / name, {
+        "ca.pem": issuer.certificate.public_bytes(_PEM),
+        "cert.pem": certificate.public_bytes(_PEM),
+        "key.pem": _encode(key),
+    })  # fmt: skip
 
 
-def write_private(path: Path, data: bytes, *, new: bool = True) -> None:
-    """Write a file that only its owner may read; if `new`, it must not exist.
+def _certify(
+    name: str,
+    key: ec.EllipticCurvePrivateKey,
+    years: float,
+    extensions: Mapping[x509.ExtensionType, bool],
+    issuer: Issuer | None = None,
+) -> x509.Certificate:
+    """A certificate by the issuer or by itself; of each extension, whether it is critical."""
+    now = datetime.fromtimestamp(MonotonicClock().realtime_ns() * 1e-9, UTC)
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+    builder = (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer.certificate.subject if issuer else subject)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - _SKEW)
+        .not_valid_after(now + timedelta(days=365.25 * years))
+    )
+    for extension, critical in extensions.items():
+        builder = builder.add_extension(extension, critical)
+    return builder.sign(issuer.key if issuer else key, hashes.SHA256())
 
-    Raises:
-        SteerdError: it exists, or cannot be written.
-    """
+
+def _general_name(host: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host.strip("[]")))
+    except ValueError:
+        return x509.DNSName(host)
+
+
+def _encode(key: ec.EllipticCurvePrivateKey) -> bytes:
+    plain = serialization.NoEncryption()
+    return key.private_bytes(_PEM, serialization.PrivateFormat.PKCS8, plain)
+
+
+def _write_folder(path: Path, files: Mapping[str, bytes]) -> None:
+    with _making(path):
+        path.mkdir(mode=0o700, parents=True)
+    for name, data in files.items():
+        _write(path / name, data, new=True)
+
+
+def _write(path: Path, data: bytes, *, new: bool) -> None:
+    """Write a file that only its owner may read; if `new`, it must not exist."""
     with _making(path):
         if not new:
             write_atomically(path, data, _PRIVATE)
@@ -145,12 +204,6 @@ def write_private(path: Path, data: bytes, *, new: bool = True) -> None:
             raise
 
 
-def _new_folder(path: Path) -> Path:
-    with _making(path):
-        path.mkdir(mode=0o700, parents=True)
-    return path
-
-
 @contextmanager
 def _making(path: Path) -> Iterator[None]:
     try:
@@ -161,42 +214,3 @@ def _making(path: Path) -> Iterator[None]:
         raise SteerdError(what, hint, ExitCode.UNREADABLE) from None
     except OSError as error:
         raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
-
-
-def _builder(
-    subject: x509.Name,
-    issuer: x509.Name,
-    key: ec.EllipticCurvePrivateKey,
-    now: datetime,
-    years: float,
-) -> x509.CertificateBuilder:
-    return (
-        x509.CertificateBuilder()
-        .subject_name(subject)
-        .issuer_name(issuer)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(now.astimezone(UTC) - _SKEW)
-        .not_valid_after(now.astimezone(UTC) + timedelta(days=365.25 * years))
-    )
-
-
-def _common_name(name: str) -> x509.Name:
-    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
-
-
-def _general_name(host: str) -> x509.GeneralName:
-    try:
-        return x509.IPAddress(ipaddress.ip_address(host.strip("[]")))
-    except ValueError:
-        return x509.DNSName(host)
-
-
-def _pem(certificate: x509.Certificate) -> bytes:
-    return certificate.public_bytes(serialization.Encoding.PEM)
-
-
-def _key_pem(key: ec.EllipticCurvePrivateKey) -> bytes:
-    return key.private_bytes(
-        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
-    )

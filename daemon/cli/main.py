@@ -145,8 +145,8 @@ def dispatch(argv: Sequence[str]) -> int:
     if unknown:
         raise _refuse(name, parser, unknown)
     check_inputs(parser, args)
-    code: int = module.run(args)
-    return code
+    code: int | None = module.run(args)
+    return code or ExitCode.OK
 
 
 def _explain(parser: argparse.ArgumentParser, first: Sequence[str]) -> None:

@@ -1,6 +1,7 @@
 """Failures: one sentence for what happened, one for what to try, and an exit code."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from enum import IntEnum
 
 
@@ -29,6 +30,23 @@ class SteerdError(Exception):
 
     def __str__(self) -> str:
         return f"{self.what} — try: {self.hint}" if self.hint else self.what
+
+
+@contextmanager
+def refusing(about: str = "", hint: str = "", code: ExitCode = ExitCode.USAGE) -> Iterator[None]:
+    """What another room says of a value in the block is an error of the command line.
+
+    Args:
+        about: begins the sentence.
+        hint: what to try.
+        code: of a ValueError; what the system refuses is unreadable.
+    """
+    try:
+        yield
+    except ValueError as error:
+        raise SteerdError(f"{about}{error}", hint, code) from None
+    except OSError as error:
+        raise SteerdError(f"{about}{error.strerror}", hint, ExitCode.UNREADABLE) from None
 
 
 def find_near(word: str, known: Iterable[str]) -> str:

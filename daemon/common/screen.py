@@ -158,8 +158,7 @@ def prepare_streams() -> None:
         setattr(sys, name, PlainStream(stream))
 
 
-MARGIN = 12
-"""Columns of a label."""
+MARGIN = 12  # columns of a label
 _ROWS = 3
 
 

@@ -45,14 +45,18 @@ def write_output(path: Path, text: str | bytes) -> Path | None:
     Raises:
         SteerdError: it cannot be written; the old content is then where it was.
     """
-    kept = _keep(path, text)
+    data = text.encode() if isinstance(text, str) else text
+    kept = _keep(path, data)
     try:
-        write_whole(path, text)
+        write_whole(path, data)
     except SteerdError:
         if kept is not None:
             kept.unlink()
         raise
-    _remember(_encode(text))
+    digests = [*dict.fromkeys([*_written(), _digest(data)])][-_REMEMBERED:]
+    with contextlib.suppress(OSError):  # where that is not possible, the next command keeps it
+        _state_file().parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(_state_file(), "\n".join(digests) + "\n")
     return kept
 
 
@@ -130,7 +134,7 @@ def car_outputs(path: Path, car: "CarFile") -> dict[Path | None, str | bytes | N
     return {path: car.text, posterior_path(path): car.posterior or None}
 
 
-def _keep(path: Path, text: str | bytes) -> Path | None:
+def _keep(path: Path, data: bytes) -> Path | None:
     """Give a car file, or a foreign or edited one, a second, dated name beside the first.
 
     Raises:
@@ -142,7 +146,7 @@ def _keep(path: Path, text: str | bytes) -> Path | None:
         return None
     except OSError as error:
         raise SteerdError(f"{path}: {error.strerror}", "choose another name") from None
-    if old == _encode(text) or (path.suffix != ".toml" and _digest(old) in _written()):
+    if old == data or (path.suffix != ".toml" and _digest(old) in _written()):
         return None
     kept = dated_name(path)
     try:
@@ -176,10 +180,6 @@ def dated_name(path: Path) -> Path:
         count += 1
 
 
-def _encode(text: str | bytes) -> bytes:
-    return text.encode() if isinstance(text, str) else text
-
-
 def _digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
@@ -193,14 +193,6 @@ def _written() -> list[str]:
         return _state_file().read_text(encoding="ascii").split()
     except (OSError, UnicodeDecodeError):
         return []
-
-
-def _remember(data: bytes) -> None:
-    """Add a digest; where that is not possible, the next command keeps the file."""
-    digests = [*dict.fromkeys([*_written(), _digest(data)])][-_REMEMBERED:]
-    with contextlib.suppress(OSError):
-        _state_file().parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(_state_file(), "\n".join(digests) + "\n")
 
 
 def check_outputs(outputs: Mapping[str, Path | None]) -> None:

@@ -26,7 +26,7 @@ from steerd.daemon.many.units import Done, Where, Work, run_units
 if TYPE_CHECKING:
     import pandas
 
-    from steerd.sysid.report.report import Report
+    from steerd.sysid.report.report import Card, Report
 
 FAILED = "failed"  # outcome of a row whose unit failed; the next start tries it again
 Rows = Sequence[Mapping[str, Any]]
@@ -73,9 +73,27 @@ class Found(ABC):
         values = {c.name: [row.get(c.name) for row in self.rows] for c in self.columns}
         return make_frame(values, {c.name: c.unit for c in self.columns})
 
+    @property
+    def cards(self) -> "list[Card]":
+        """The key figures of the page."""
+        return list(self.make_report().cards)
+
     def encode_table(self) -> bytes:
-        """The rows as a Parquet file; the same rows give the same bytes."""
-        return encode_table(self.columns, self.rows, self.origin)
+        """The rows as a Parquet file, NaN as missing; the same rows give the same bytes."""
+        import pyarrow as pa  # noqa: TID251
+        from pyarrow import parquet  # noqa: TID251
+
+        fields, values = [], []
+        for column in self.columns:
+            kind = _TYPES[column.kind]
+            note = {"unit": column.unit, "meaning": column.meaning}
+            fields.append(pa.field(column.name, kind, metadata=note))
+            given = (row.get(column.name) for row in self.rows)
+            values.append(pa.array([None if value != value else value for value in given], kind))
+        schema = pa.schema(fields, metadata=dict(self.origin))
+        out = io.BytesIO()
+        parquet.write_table(pa.table(values, schema=schema), out, compression="zstd")
+        return out.getvalue()
 
     def save_table(self, path: Path | str) -> Path:
         """Write that file, whole or not at all; its path.
@@ -223,27 +241,3 @@ def _make_error(path: Path | None, error: sqlite3.Error) -> SteerdError:
         case _:
             what, hint = f"{path}: {error}", "free some space, or choose another folder"
     return SteerdError(what, hint, ExitCode.UNREADABLE)
-
-
-def encode_table(columns: Sequence[Column], rows: Rows, about: Mapping[str, str]) -> bytes:
-    """A Parquet file; the same rows give the same bytes.
-
-    Args:
-        columns: in the table's order, units and meanings go into the file.
-        rows: values by column's name; what is absent, None or NaN is missing.
-        about: texts that say where the table comes from.
-    """
-    import pyarrow as pa  # noqa: TID251
-    from pyarrow import parquet  # noqa: TID251
-
-    fields, values = [], []
-    for column in columns:
-        kind = _TYPES[column.kind]
-        note = {"unit": column.unit, "meaning": column.meaning}
-        fields.append(pa.field(column.name, kind, metadata=note))
-        given = (row.get(column.name) for row in rows)
-        values.append(pa.array([None if value != value else value for value in given], kind))
-    schema = pa.schema(fields, metadata=dict(about))
-    out = io.BytesIO()
-    parquet.write_table(pa.table(values, schema=schema), out, compression="zstd")
-    return out.getvalue()

@@ -1,4 +1,4 @@
-"""Drives of one lane side by side: what each did at the same place, as one HTML page."""
+"""Drives side by side as one HTML page: at the same place of their lane, and over the same time."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -10,20 +10,54 @@ from matplotlib.axes import Axes
 from steerd.car_model.path.path import Path as Lane
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import clean
-from steerd.daemon.sessions import compare_time
 from steerd.daemon.sessions.info import Recording
 from steerd.daemon.sessions.motion import Array, Track, find_settled, rms
-from steerd.daemon.sessions.plot_data import load_lane
+from steerd.daemon.sessions.plot_data import Curve, load_lane, make_drawing
 from steerd.sim_gap.lane_comparison import profile
 from steerd.steer_bus import topics
-from steerd.sysid.report.drawing import FAINT, LINES, Diagrams
+from steerd.sysid.report.drawing import FAINT, INK, LINES, Diagrams
 from steerd.sysid.report.page import render_report
 from steerd.sysid.report.report import Report, Section, Table
 
-BINS = 400
-"""Places along the lane."""
 NAME_MAX = 40
-_POINTS_MAX, _DOTS_MAX = 1200, 400
+POINTS_MAX, _DOTS_MAX = 1200, 400  # of a drawn curve, and of the single samples of every lap
+
+
+def render_comparison(reads: Sequence[Recording], shift: float | None = None) -> str:
+    """The page of several drives: along their lane, and of two also over time.
+
+    Args:
+        reads: the drives.
+        shift: by which the second of two comes later [s]; None finds it.
+
+    Raises:
+        SteerdError: more or less than two follow no lane, or not the same, or nothing is common.
+    """
+    names = [clean(read.info.path.name, NAME_MAX) for read in reads]
+    two = len(reads) == 2
+    over_time = [compare_over_time(overlay(reads[0], reads[1], shift), names)] if two else []
+    try:
+        drives = [make_lane_session(read) for read in reads]
+    except SteerdError as error:  # over time alone
+        if not over_time:
+            raise
+        why = f"Not compared along a lane: {error.what}."
+        title, foot = "Two drives, compared", "Written by steerd plot."
+        return render_report(Report(title, ", ".join(names), "", why, over_time, foot))
+    check_same_lane(drives)
+    return render_report(Report(
+        title="Drives of one lane, compared",
+        subject=", ".join(names),
+        about=f"path {clean(drives[0].lane.name, NAME_MAX)}",
+        lead="From 3 s after each start.",
+        sections=[*compare_on_lane(drives), *over_time],
+        foot="Written by steerd plot. Frames are ISO 8855, angles positive to the left.",
+    ))  # fmt: skip
+
+
+# -- along the lane --------------------------------------------------------------------------------
+
+BINS = 400  # places along the lane
 _PANELS = (
     ("e1", "lateral error e1 [mm]", 1e3),
     ("e2", "heading error e2 [°]", degrees(1.0)),
@@ -35,25 +69,14 @@ _PANELS = (
 
 @dataclass(frozen=True, eq=False)
 class LaneSession:
-    """One drive on its lane, settled.
+    """One drive on its lane, settled."""
 
-    Attributes:
-        name: the file's.
-        spec: the path, as `--path` took it.
-        lane: the path.
-        track: of the car; None without poses.
-        place: along the lane [m], in [0, its length).
-        values: fields of `_PANELS` at these places, SI.
-        laps: how often the lane's length was driven.
-    """
-
-    name: str
-    spec: str
-    lane: Lane
-    track: Track | None
-    place: Array
-    values: dict[str, Array]
-    laps: float
+    name: str  # the file's
+    lane: Lane  # the path
+    track: Track | None  # of the car; None without poses
+    place: Array  # along the lane [m], in [0, its length)
+    values: dict[str, Array]  # fields of `_PANELS` at these places, SI
+    laps: float  # how often the lane's length was driven
 
 
 def make_lane_session(read: Recording) -> LaneSession:
@@ -77,7 +100,6 @@ def make_lane_session(read: Recording) -> LaneSession:
     along = state["path_s"][kept].astype(float)
     return LaneSession(
         clean(path.name, NAME_MAX),
-        lane.name,
         lane,
         read.track,
         along % lane.length,
@@ -100,70 +122,31 @@ def check_same_lane(drives: Sequence[LaneSession]) -> None:
         same = len(first.lane.x) == len(other.lane.x)
         same = same and np.allclose(first.lane.x, other.lane.x, atol=0.01)
         if not (same and np.allclose(first.lane.y, other.lane.y, atol=0.01)):
-            what = f"{first.name} drives {first.spec}, {other.name} {other.spec}"
+            what = f"{first.name} drives {first.lane.name}, {other.name} {other.lane.name}"
             hint = "compare drives of one --path: places along different lanes do not match"
             raise SteerdError(what, hint, ExitCode.INVALID)
 
 
-def render_recordings(reads: Sequence[Recording], shift: float | None = None) -> str:
-    """The page of several drives: along their lane, and of two also over time.
-
-    Args:
-        reads: the drives.
-        shift: by which the second of two comes later [s]; None finds it.
-
-    Raises:
-        SteerdError: more or less than two follow no lane, or not the same, or nothing is common.
-    """
-    if len(reads) != 2:
-        drives = [make_lane_session(read) for read in reads]
-        check_same_lane(drives)
-        return render_comparison(drives)
-    names = [clean(read.info.path.name, NAME_MAX) for read in reads]
-    both = compare_time.make_section(compare_time.overlay(reads[0], reads[1], shift), names)
-    try:
-        drives = [make_lane_session(read) for read in reads]
-    except SteerdError as error:  # over time alone
-        why = f"Not compared along a lane: {error.what}."
-        title, foot = "Two drives, compared", "Written by steerd plot."
-        return render_report(Report(title, ", ".join(names), "", why, [both], foot))
-    check_same_lane(drives)
-    return render_comparison(drives, both)
-
-
-def render_comparison(drives: Sequence[LaneSession], over_time: Section | None = None) -> str:
-    """The page of several drives of one lane, with what is known of two of them over time."""
+def compare_on_lane(drives: Sequence[LaneSession]) -> list[Section]:
+    """Figures of each, curves over the place along the lane, tracks."""
     names = [drive.name for drive in drives]
     heads = ["", *names, "difference"] if len(drives) == 2 else ["", *names]
-    report = Report(
-        title="Drives of one lane, compared",
-        subject=", ".join(names),
-        about=f"path {clean(drives[0].spec, NAME_MAX)}",
-        lead="From 3 s after each start.",
-        sections=[
-            Section(table=Table(heads, list(_rows(drives)))),
-            Section(
-                "At the same place along the lane",
-                "Dots are single samples of every lap, the line is their mean at that place.",
-                figures=[
-                    Diagrams(
-                        lambda *axes: _plot_curves(axes, drives),
-                        2.0,
-                        count=len(_PANELS),
-                        columns=2,
-                        colours=dict(zip(names, LINES, strict=False)),
-                    )
-                ],
-            ),
-            Section("Tracks", figures=[Diagrams(_plot_tracks, 4.2, (drives,))]),
-            *([over_time] if over_time else []),
-        ],
-        foot="Written by steerd plot. Frames are ISO 8855, angles positive to the left.",
+    colours = dict(zip(names, LINES, strict=False))
+    curves = Diagrams(
+        lambda *axes: _plot_curves(axes, drives), 2.0, count=len(_PANELS), colours=colours
     )
-    return render_report(report)
+    return [
+        Section(table=Table(heads, list(_lane_rows(drives)))),
+        Section(
+            "At the same place along the lane",
+            "Dots are single samples of every lap, the line is their mean at that place.",
+            figures=[curves],
+        ),
+        Section("Tracks", figures=[Diagrams(_plot_tracks, 4.2, (drives,))]),
+    ]
 
 
-def _rows(drives: Sequence[LaneSession]) -> Iterator[list[str]]:
+def _lane_rows(drives: Sequence[LaneSession]) -> Iterator[list[str]]:
     """Rows of the table: label, a figure a drive, and of two the second's minus the first's."""
 
     def row(label: str, form: str, figure: Callable[[LaneSession], float]) -> list[str]:
@@ -186,23 +169,179 @@ def _plot_tracks(axis: Axes, drives: Sequence[LaneSession]) -> None:
     axis.plot(x, y, color=FAINT, lw=1.0, ls="--")
     for drive, colour in zip(drives, LINES, strict=False):
         if drive.track is not None:
-            step = max(1, len(drive.track.x) // _POINTS_MAX)
+            step = max(1, len(drive.track.x) // POINTS_MAX)
             axis.plot(drive.track.x[::step], drive.track.y[::step], color=colour, lw=1.1)
     axis.set_aspect("equal", adjustable="datalim")
     axis.set(xlabel="x [m]", ylabel="y [m]")
 
 
 def _plot_curves(axes: Sequence[Axes], drives: Sequence[LaneSession]) -> None:
-    """Errors, speed and steering over the place along the lane."""
+    """Errors, speed and steering over the place along the lane: every lap, faint, and the mean."""
     for axis, (name, title, scale) in zip(axes, _PANELS, strict=True):
         for drive, colour in zip(drives, LINES, strict=False):
-            _draw_drive(axis, drive, scale * drive.values[name], colour)
+            values, step = scale * drive.values[name], max(1, len(drive.place) // _DOTS_MAX)
+            axis.plot(drive.place[::step], values[::step], ".", ms=1.0, color=colour, alpha=0.35)
+            at = (np.arange(BINS) + 0.5) / BINS * drive.lane.length
+            mean = profile(drive.place, drive.lane.length, values, BINS)
+            axis.plot(at, mean, color=colour, lw=1.4)
         axis.set(title=title, xlabel="place along the lane [m]", xlim=(0.0, drives[0].lane.length))
 
 
-def _draw_drive(axis: Axes, drive: LaneSession, values: Array, colour: str) -> None:
-    """Every lap, faint, and the mean of them."""
-    step = max(1, len(values) // _DOTS_MAX)
-    axis.plot(drive.place[::step], values[::step], ".", ms=1.0, color=colour, alpha=0.35)
-    at = (np.arange(BINS) + 0.5) / BINS * drive.lane.length
-    axis.plot(at, profile(drive.place, drive.lane.length, values, BINS), color=colour, lw=1.4)
+# -- over time -------------------------------------------------------------------------------------
+
+STEP = 0.01  # of the common axis [s]
+REFINED = 0.5
+"""Within this of the strongest correlation the best likeness is taken for the shift [s]."""
+LEAST_SHARE = 0.01
+"""Least height of a difference's axis to either side, as a share of the first drive's largest."""
+_MOTION = ("speed", "steering angle (left +)", "yaw rate")
+"""Panels that show when a drive did what; errors are each drive's own."""
+_SHOWN = ("lateral error e1", "heading error e2", *_MOTION)
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A quantity of two drives on one axis of time; NaN where a drive has none of it."""
+
+    title: str
+    unit: str
+    first: Array  # (n,) values of the first drive; second: of the second
+    second: Array
+
+    @property
+    def difference(self) -> Array:
+        """Second minus first."""
+        return self.second - self.first
+
+
+@dataclass(frozen=True, eq=False)
+class Overlay:
+    """Two drives over the time that they share."""
+
+    t: Array  # since the first one's start (n,) [s]
+    shift: float  # by which the second one comes later [s]
+    found: bool  # whether that was found, not given
+    pairs: tuple[Pair, ...]  # the quantities that both have
+
+
+def find_shift(first: Sequence[Array], second: Sequence[Array]) -> float:
+    """By how much a second drive must come later to resemble the first [s].
+
+    The strongest cross-correlation of all quantities together finds the place (it favours long
+    overlaps, so that of equal laps the nearest is taken); its coefficient over the overlap, which
+    favours none, the shift.
+
+    Args:
+        first: quantities of the first drive, `STEP` apart, each (n,).
+        second: the same quantities of the second, each (m,).
+    """
+    size = len(first[0]) + len(second[0])
+    total, power = np.zeros(size), np.zeros(size)
+    for one, other in zip(first, second, strict=True):
+        mean, scale = np.nanmean(one), max(float(np.nanstd(one)), 1e-9)
+        a, b = (np.nan_to_num((values - mean) / scale) for values in (one, other))
+        here, there = (np.isfinite(values).astype(float) for values in (one, other))
+        total += _correlate(a, b, size)
+        power += np.sqrt(
+            np.maximum(_correlate(a**2, there, size) * _correlate(here, b**2, size), 0.0)
+        )
+    lags = np.fft.fftfreq(size, 1.0 / size)
+    near = np.abs(lags - lags[np.argmax(total)]) <= REFINED / STEP
+    likeness = np.where(near, total / np.maximum(power, 1e-9), -np.inf)
+    return float(lags[np.argmax(likeness)]) * STEP
+
+
+def _correlate(a: Array, b: Array, size: int) -> Array:
+    """Sum of `a[i + lag] b[i]` by lag, negative lags at the end."""
+    spectrum = np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size))
+    return np.asarray(np.fft.irfft(spectrum, size))
+
+
+def overlay(first: Recording, second: Recording, shift: float | None = None) -> Overlay:
+    """Put two drives on one axis of time, at this shift [s], or at the one that is found.
+
+    Raises:
+        SteerdError: they have nothing in common, or no time at that shift.
+    """
+    panels = [{panel.title: panel for panel in make_drawing(r).panels} for r in (first, second)]
+    curves = {
+        title: _pick(panels[0][title].curves, panels[1][title].curves)
+        for title in _SHOWN
+        if all(title in found for found in panels)
+    }
+    motion = [curves[title] for title in _MOTION if title in curves]
+    if not motion:
+        what = "the two drives have neither speed nor steering nor yaw rate in common"
+        raise SteerdError(what, "name drives that were recorded alike", ExitCode.INVALID)
+    lengths = [read.info.duration_s for read in (first, second)]
+    at = shift
+    if at is None:
+        axes = [np.arange(0.0, length + STEP, STEP) for length in lengths]
+        sampled = ([_sample(pair[i], axis) for pair in motion] for i, axis in enumerate(axes))
+        at = find_shift(*sampled)
+    t = np.arange(max(0.0, at), min(lengths[0], lengths[1] + at), STEP)
+    if len(t) < 2:
+        what = f"shifted by {at:g} s the drives have no time in common"
+        hint = f"they last {lengths[0]:.1f} s and {lengths[1]:.1f} s"
+        raise SteerdError(what, hint, ExitCode.USAGE)
+    pairs = (
+        Pair(title, panels[0][title].unit, _sample(one, t), _sample(other, t - at))
+        for title, (one, other) in curves.items()
+    )
+    return Overlay(t, at, shift is None, tuple(pairs))
+
+
+def _pick(first: Sequence[Curve], second: Sequence[Curve]) -> tuple[Curve, Curve]:
+    """The last curve that two panels both have, by name; else the last of each: the estimate."""
+    names = {curve.name: curve for curve in second}
+    both = [curve for curve in first if curve.name in names]
+    return (both[-1], names[both[-1].name]) if both else (first[-1], second[-1])
+
+
+def _sample(curve: Curve, at: Array) -> Array:
+    return np.interp(at, curve.t, curve.value, np.nan, np.nan)
+
+
+def compare_over_time(found: Overlay, names: Sequence[str]) -> Section:
+    """Table and curves of the two, and of their difference."""
+    where = "found by cross-correlation" if found.found else "as given"
+    when, common = "later" if found.shift >= 0.0 else "earlier", found.t[-1] - found.t[0]
+    heads = ["", f"{names[0]}: RMS", f"{names[1]}: RMS", "difference: mean",
+             "difference: RMS", "difference: largest"]  # fmt: skip
+    return Section(
+        "Over the same time",
+        f"{names[1]} is shown {abs(found.shift):.2f} s {when}, {where}; {common:.1f} s are "
+        f"common to both. The difference is {names[1]} minus {names[0]}.",
+        table=Table(heads, [row for pair in found.pairs for row in _pair_rows(pair)]),
+        figures=[
+            Diagrams(
+                lambda *axes: _plot_pairs(axes, found),
+                1.8,
+                count=2 * len(found.pairs),
+                colours=dict(zip(names, LINES, strict=False)),
+            )
+        ],
+    )
+
+
+def _pair_rows(pair: Pair) -> Iterator[list[str]]:
+    one, other, off = (v[np.isfinite(pair.difference)] for v in (pair.first, pair.second,
+                                                                 pair.difference))  # fmt: skip
+    if off.size:
+        figures = (rms(one), rms(other), float(off.mean()), rms(off), float(np.abs(off).max()))
+        yield [f"{pair.title} [{pair.unit}]", *(f"{value:z.3f}" for value in figures)]
+
+
+def _plot_pairs(axes: Sequence[Axes], found: Overlay) -> None:
+    """Both curves, then their difference; two diagrams for each quantity."""
+    step = max(1, len(found.t) // POINTS_MAX)
+    t = found.t[::step]
+    for both, off, pair in zip(axes[::2], axes[1::2], found.pairs, strict=True):
+        for values, colour in zip((pair.first, pair.second), LINES, strict=False):
+            both.plot(t, values[::step], color=colour, lw=1.1)
+        off.plot(t, pair.difference[::step], color=INK, lw=0.9)
+        both.set(title=f"{pair.title} [{pair.unit}]", xlabel="time [s]")
+        off.set(title=f"difference of the {pair.title} [{pair.unit}]", xlabel="time [s]")
+        least = LEAST_SHARE * np.nanmax(np.abs(pair.first))
+        low, high = off.get_ylim()
+        off.set_ylim(min(low, -least), max(high, least))  # what differs by rounding looks so

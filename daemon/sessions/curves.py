@@ -75,13 +75,9 @@ def decimate(grid: Grid, t: Array, value: Array) -> tuple[Array, NDArray[np.uint
     out[place], kinds[place] = value[early], VALUE
     two = late > early
     out[place[two] + 1], kinds[place[two] + 1] = value[late[two]], VALUE
-    return out, _extend_breaks(kinds)
-
-
-def _extend_breaks(kinds: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A break lasts until the next value."""
-    last = np.maximum.accumulate(np.where(kinds == HELD, 0, np.arange(len(kinds))))
-    return np.where((kinds == HELD) & (kinds[last] == BREAK), BREAK, kinds)
+    # A break lasts until the next value.
+    at = np.maximum.accumulate(np.where(kinds == HELD, 0, np.arange(len(kinds))))
+    return out, np.where((kinds == HELD) & (kinds[at] == BREAK), BREAK, kinds)
 
 
 def make_csv(drawing: Drawing) -> str:

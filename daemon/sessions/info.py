@@ -203,45 +203,39 @@ def make_session_report(read: Recording) -> SessionReport:
         SteerdError: the file has changed since it was opened.
     """
     with reading(read.info.path):
-        return _make_report(read)
-
-
-def _make_report(read: Recording) -> SessionReport:
-    info, track = read.info, read.track
-    steer, wheel = read.signal(topics.ACTUATION, "steer"), read.signal(topics.WHEEL, "speed")
-    gyro = read.signal(topics.IMU, "gyro_z")
-    about, end = (info.metadata.get(f"steerd.{name}", {}) for name in ("session", "end"))
-    cars = sorted({key[0] for topic in info.topics if (key := topics.split_key(topic.name))})
-    values = (steer.value if steer else np.empty(0), *_motion(read, wheel, gyro))
-    steer_range, speed_range, lateral_range = map(motion.make_range, values)
-    dropped = describe_holes(end.get("dropped", ""), read.session.holes(), info.start_ns)
-    return SessionReport(
-        info=info,
-        car=about.get("car", ", ".join(cars)),
-        mode=about.get("mode", ""),
-        topics=tuple(_topic(topic, read) for topic in info.topics if topic.count),
-        empty_topics=tuple(topic.name for topic in info.topics if not topic.count),
-        states=_states(read),
-        end=end.get("reason", ""),
-        length_m=track.length if track else None,
-        speed=speed_range,
-        steer=steer_range,
-        lateral_accel=lateral_range,
-        excitation=_find_unidentifiable(track, speed_range, steer_range, lateral_range),
-        warnings=(
-            *(warning.message for warning in info.warnings),
-            *filter(None, [dropped]),
-            *read.problems,
-            *motion.find_implausible(track, steer, wheel, gyro),
-            *(_check_erpm(read) if about.get("mode") == "import" else ()),
-        ),
-    )
-
-
-def _check_erpm(read: Recording) -> list[str]:
-    """Doubts about the ERPM of another system's log; steerd's own have their car file's figures."""
-    gain = read.session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
-    return motion.check_erpm(read.track, read.signal(topics.VESC, "erpm"), gain)
+        info, track = read.info, read.track
+        steer, wheel = read.signal(topics.ACTUATION, "steer"), read.signal(topics.WHEEL, "speed")
+        gyro = read.signal(topics.IMU, "gyro_z")
+        about, end = (info.metadata.get(f"steerd.{name}", {}) for name in ("session", "end"))
+        cars = sorted({key[0] for topic in info.topics if (key := topics.split_key(topic.name))})
+        values = (steer.value if steer else np.empty(0), *_motion(read, wheel, gyro))
+        steer_range, speed_range, lateral_range = map(motion.make_range, values)
+        doubts: list[str] = []
+        if about.get("mode") == "import":  # steerd's own sessions have their car file's figures
+            gain = read.session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
+            doubts = motion.check_erpm(track, read.signal(topics.VESC, "erpm"), gain)
+        dropped = describe_holes(end.get("dropped", ""), read.session.holes(), info.start_ns)
+        return SessionReport(
+            info=info,
+            car=about.get("car", ", ".join(cars)),
+            mode=about.get("mode", ""),
+            topics=tuple(_topic(topic, read) for topic in info.topics if topic.count),
+            empty_topics=tuple(topic.name for topic in info.topics if not topic.count),
+            states=_states(read),
+            end=end.get("reason", ""),
+            length_m=track.length if track else None,
+            speed=speed_range,
+            steer=steer_range,
+            lateral_accel=lateral_range,
+            excitation=_find_unidentifiable(track, speed_range, steer_range, lateral_range),
+            warnings=(
+                *(warning.message for warning in info.warnings),
+                *filter(None, [dropped]),
+                *read.problems,
+                *motion.find_implausible(track, steer, wheel, gyro),
+                *doubts,
+            ),
+        )
 
 
 def _motion(read: Recording, wheel: Signal | None, gyro: Signal | None) -> tuple[Array, Array]:
@@ -295,14 +289,9 @@ def _topic(topic: TopicInfo, read: Recording) -> TopicReport:
     return TopicReport(*known, 1.0 / usual, gaps, *longest)
 
 
-def _find_unidentifiable(
-    track: Track | None,
-    speed: SignalRange | None,
-    steer: SignalRange | None,
-    lateral: SignalRange | None,
-) -> tuple[str, ...]:
-    """What cannot be identified from this drive."""
-    remarks = []
+def _find_unidentifiable(track: Track | None, *ranges: SignalRange | None) -> tuple[str, ...]:
+    """What cannot be identified from a drive of this speed, steering and lateral acceleration."""
+    remarks, (speed, steer, lateral) = [], ranges
     if track is not None and track.length < DISTANCE_MIN:
         return ("the car barely moved: nothing can be identified",)
     if steer is not None and steer.sd < STEER_SD_MIN:

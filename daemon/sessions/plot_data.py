@@ -88,20 +88,16 @@ def make_drawing(read: Recording) -> Drawing:
         SteerdError: it says what makes no sense.
     """
     with reading(read.info.path):
-        return _make_drawing(read)
-
-
-def _make_drawing(read: Recording) -> Drawing:
-    track = read.track
-    found = [panel for make in _PANELS for panel in make(read)]
-    panels = tuple(panel for panel in found if panel.curves)
-    e1 = np.empty(0)
-    if track is not None:
-        e1 = np.full(len(track.t), np.nan)
-        for curve in found[0].curves[:1]:
-            e1 = np.interp(track.t, curve.t, curve.value / 1e3, np.nan, np.nan)
-    lane, width = load_lane(read.session), _half_width(read.session)
-    return Drawing(panels, track, e1, lane, width, _figures(read))
+        track = read.track
+        found = [panel for make in _PANELS for panel in make(read)]
+        panels = tuple(panel for panel in found if panel.curves)
+        e1 = np.empty(0)
+        if track is not None:
+            e1 = np.full(len(track.t), np.nan)
+            for curve in found[0].curves[:1]:
+                e1 = np.interp(track.t, curve.t, curve.value / 1e3, np.nan, np.nan)
+        lane, width = load_lane(read.session), _half_width(read.session)
+        return Drawing(panels, track, e1, lane, width, _figures(read))
 
 
 def load_lane(session: Session) -> Lane | None:

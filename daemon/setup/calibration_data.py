@@ -13,6 +13,7 @@ from steerd.daemon.sessions.info import Recording, load_recording
 from steerd.daemon.sessions.motion import Array
 from steerd.daemon.settings.config import Settings, load_settings, make_settings
 from steerd.daemon.settings.run_options import decode_options
+from steerd.daemon.setup.mocap_check import Movement
 from steerd.daemon.setup.mount_calibration import Drive
 from steerd.mocap_link.frame import FrameConfig, make_planar_pose
 from steerd.mocap_link.mocap_url import parse_mocap_url
@@ -111,6 +112,19 @@ def wheel_speed(r: Recorded) -> tuple[Array, Array]:
     else:
         raise SteerdError("the session holds no wheel speed")
     return (at - r.start_ns) * 1e-9, value
+
+
+def load_movement(path: Path) -> tuple[Movement, int]:
+    """A session's accepted poses for `check_movement`, and how many were rejected.
+
+    Raises:
+        SteerdError: it cannot be read, or lacks poses.
+    """
+    r = load_recorded(path)
+    every = r.read.table(topics.MOCAP)
+    columns = (r.poses[name] for name in ("x", "y", "yaw", "height", "tilt"))
+    refused = 0 if every is None else int((every["reject"] != "").sum())
+    return Movement((r.poses["t_valid_ns"] - r.start_ns) * 1e-9, *columns), refused
 
 
 def make_drive(r: Recorded) -> Drive:

@@ -13,16 +13,13 @@ from xml.sax.saxutils import quoteattr
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.params import GRAVITY, Car, wheelbase
 
-_GYM_WIDTH, _GYM_LENGTH = 0.31 / 0.3302, 0.58 / 0.3302
-"""Outline of f1tenth_gym's car per wheelbase."""
-_RADIUS, _TRACK = 0.15, 0.76
-"""A wheel's radius and the track of an F1TENTH car per wheelbase."""
+_GYM_WIDTH, _GYM_LENGTH = 0.31 / 0.3302, 0.58 / 0.3302  # outline of f1tenth_gym's car per wheelbase
+_RADIUS, _TRACK = 0.15, 0.76  # a wheel's radius and the track of an F1TENTH car per wheelbase
 _WHEEL_MASS, _WHEEL_YAW = 0.02, 0.25
 """Most of the car's mass that one wheel may have, and of its yaw inertia that all four may."""
 _ROLL, _PITCH = 0.35, 0.8
 """Inertia of the body about its long and its cross axis per yaw inertia: of a flat box."""
-_STEP = 0.002
-"""MuJoCo's step [s]."""
+_STEP = 0.002  # MuJoCo's step [s]
 _IMPEDANCE = 0.99
 """Of the contacts, MuJoCo's `solimp`, at every depth: near 1, where creep is easily said."""
 _KNUCKLE, _KNUCKLE_INERTIA = 20.0, 1e-3

@@ -10,14 +10,10 @@ from steerd.daemon.sessions.motion import Array
 
 Mask = NDArray[np.bool_]
 
-MOVING = 0.2
-"""Slower motion is mostly noise [m/s]."""
-BLOCKS = 10
-"""Contiguous blocks left out in turn (delete-a-group jackknife)."""
-DELAY_LOW, DELAY_HIGH, DELAY_STEP = -0.05, 0.25, 0.01
-"""Range and grid of the delay search [s]."""
-LATERAL_ACCEL_MAX = 2.0
-"""Above this the tyres' slip is no longer small [m/s^2]."""
+MOVING = 0.2  # slower motion is mostly noise [m/s]
+BLOCKS = 10  # contiguous blocks left out in turn (delete-a-group jackknife)
+DELAY_LOW, DELAY_HIGH, DELAY_STEP = -0.05, 0.25, 0.01  # range and grid of the delay search [s]
+LATERAL_ACCEL_MAX = 2.0  # above this the tyres' slip is no longer small [m/s^2]
 
 
 def solve_least_squares(rows: Array, values: Array) -> tuple[Array, Array]:

@@ -10,26 +10,17 @@ import numpy as np
 
 from steerd.daemon.sessions.motion import GAP_MAX, Array
 
-STEP = 0.05
-"""Directions are taken over this distance [m]."""
+STEP = 0.05  # directions are taken over this distance [m]
 EXTENT_MIN, EXTENT_MAX = 0.5, 2000.0
 """A smaller movement decides nothing; a larger one is in millimetres [m]."""
-LAPS_MAX = 50.0
-"""Distance per extent plus one metre; noise of poses in millimetres gives more [-]."""
-REJECTED_MAX = 0.02
-"""Share of rejected poses that is still good [-]."""
-HEIGHT_MAX = 0.01
-"""The height may vary by this, and by 1 % of the extent [m]."""
-TILT_MAX = 0.08
-"""Largest tilt of the body on a level floor [rad]: 5 degrees."""
-TRAVEL_MAX = 0.09
-"""Between travel and heading on a straight [rad]: 5 degrees."""
-MOUNT_MAX = 0.5
-"""A smaller angle is calibrated, a larger one is another axis [rad]."""
-TURNED_MIN = 0.5
-"""A smaller change of heading says nothing about its sign [rad]."""
-STRAIGHT = 0.05
-"""A step is straight if it turns by less [rad]."""
+LAPS_MAX = 50.0  # distance per extent plus one metre; noise of poses in millimetres gives more [-]
+REJECTED_MAX = 0.02  # share of rejected poses that is still good [-]
+HEIGHT_MAX = 0.01  # the height may vary by this, and by 1 % of the extent [m]
+TILT_MAX = 0.08  # largest tilt of the body on a level floor [rad]: 5 degrees
+TRAVEL_MAX = 0.09  # between travel and heading on a straight [rad]: 5 degrees
+MOUNT_MAX = 0.5  # a smaller angle is calibrated, a larger one is another axis [rad]
+TURNED_MIN = 0.5  # a smaller change of heading says nothing about its sign [rad]
+STRAIGHT = 0.05  # a step is straight if it turns by less [rad]
 
 
 @dataclass(frozen=True)

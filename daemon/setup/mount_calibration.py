@@ -13,7 +13,7 @@ and wheels agree best while the speed changes. Pure.
 """
 
 from dataclasses import dataclass
-from math import atan2, cos, sin
+from math import atan2, cos, degrees, hypot, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -23,15 +23,12 @@ from steerd.car_model.params import GRAVITY, Car, wheelbase
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.sessions.motion import Array
 from steerd.daemon.setup import least_squares as ls
+from steerd.mocap_link.frame import FrameConfig
 
-RATE = 100.0
-"""Sampling rate of the velocities [Hz]."""
-WINDOW = 0.25
-"""Window of the Savitzky-Golay filter that differentiates [s]."""
-ORDER = 3
-"""Its polynomial order."""
-GAP = 0.1
-"""No velocity is taken across a longer gap between poses [s]."""
+RATE = 100.0  # sampling rate of the velocities [Hz]
+WINDOW = 0.25  # window of the Savitzky-Golay filter that differentiates [s]
+ORDER = 3  # its polynomial order
+GAP = 0.1  # no velocity is taken across a longer gap between poses [s]
 SLIP_PRIOR_SHARE = 0.5
 """Standard deviation of the prior of the slip, as a share of the car file's value [-]."""
 LATERAL_NOISE = 0.03
@@ -43,42 +40,29 @@ GAIN_MIN, GAIN_MAX = 0.2, 5.0
 """Gains of the wheels beyond these are a wrong unit or another car [-]."""
 GAIN_MODEL = 0.002
 """Standard error of the wheels' gain by the equations alone, as a share [-]: simulated drives."""
-ITERATIONS = 4
-"""Iterations of the heading, whose equation is linearised [-]."""
+ITERATIONS = 4  # iterations of the heading, whose equation is linearised [-]
 
 
 @dataclass(frozen=True)
 class Drive:
-    """Body poses in the room (no offsets applied) and wheel speed; times in seconds.
+    """Body poses in the room (no offsets applied) and wheel speed."""
 
-    Attributes:
-        t, x, y, yaw: of the body's origin and forward axis [s, m, m, rad].
-        t_wheel, wheel: reported speed [s, m/s].
-    """
-
-    t: Array
+    t: Array  # of the body's origin and forward axis [s, m, m, rad]
     x: Array
     y: Array
     yaw: Array
-    t_wheel: Array
+    t_wheel: Array  # reported speed [s, m/s]
     wheel: Array
 
 
 class Mount(NamedTuple):
-    """Place of the mocap body on the car, gain of the wheels and delay of the poses.
+    """Place of the mocap body on the car, gain of the wheels and delay of the poses."""
 
-    Attributes:
-        yaw: heading of the body's forward axis in the car [rad].
-        rear_x, rear_y: the body's origin ahead of the rear axle and to the left [m].
-        speed_gain: true speed per reported one.
-        delay: of the poses beyond their time stamps [s].
-    """
-
-    yaw: float
-    rear_x: float
-    rear_y: float
-    speed_gain: float
-    delay: float
+    yaw: float  # heading of the body's forward axis in the car [rad]
+    rear_x: float  # the body's origin ahead of the rear axle [m]
+    rear_y: float  # the same to the left [m]
+    speed_gain: float  # true speed per reported one
+    delay: float  # of the poses beyond their time stamps [s]
 
 
 @dataclass(frozen=True)
@@ -232,3 +216,35 @@ def _find_warnings(m: _Motion, drive: Drive) -> list[str]:
     if float(np.std(wheel)) < SPEED_SPREAD_MIN:
         warnings.append("its speed is almost constant, so the delay is uncertain: vary the speed")
     return [*warnings, *ls.find_slip_warnings((m.yaw_rate * np.hypot(m.vx, m.vy))[m.good])]
+
+
+def mount_values(found: MountCalibration, erpm_gain: float) -> dict[tuple[str, str], float]:
+    """New values of the car file; a delay within two standard errors of zero becomes zero."""
+    m, sd = found.mount, found.sd
+    delay = m.delay if m.delay > 2.0 * sd.delay else 0.0
+    return {
+        ("mocap", "mount_yaw_deg"): round(degrees(m.yaw), 3),
+        ("mocap", "marker_rear_x"): round(m.rear_x, 4),
+        ("mocap", "marker_rear_y"): round(m.rear_y, 4),
+        ("vesc", "erpm_gain"): round(erpm_gain / m.speed_gain, 1),
+        ("car", "speed_gain"): 1.0,
+        ("car", "pose_delay"): round(delay, 4),
+    }
+
+
+def describe_mount(found: MountCalibration, frame: FrameConfig, gain: float) -> list[str]:
+    """What was found beside what the car file said, its ERPM per m/s with it, in lines."""
+    m, sd = found.mount, found.sd
+    moved = hypot(m.rear_x - frame.marker_rear_x, m.rear_y - frame.marker_rear_y)
+    return [
+        f"from {found.seconds:.0f} s of motion; lateral residual {1e3 * found.residual:.0f} mm/s",
+        f"  heading of the body   {degrees(m.yaw):+z.3f}° ± {degrees(sd.yaw):.3f}°"
+        f"   (was {degrees(frame.mount_yaw):+z.2f}°)",
+        f"  ahead of rear axle    {1e3 * m.rear_x:+.1f} ± {1e3 * sd.rear_x:.1f} mm"
+        f"   (was {1e3 * frame.marker_rear_x:+.1f})",
+        f"  left of centre line   {1e3 * m.rear_y:+z.1f} ± {1e3 * sd.rear_y:.1f} mm"
+        f"   (was {1e3 * frame.marker_rear_y:+.1f}; moved by {1e3 * moved:.0f} in all)",
+        f"  ERPM per m/s          {gain / m.speed_gain:.0f} ± {gain * sd.speed_gain:.0f}"
+        f"   (was {gain:.0f})",
+        f"  delay of the poses    {1e3 * m.delay:+.1f} ± {1e3 * sd.delay:.1f} ms",
+    ]

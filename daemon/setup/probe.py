@@ -1,32 +1,24 @@
 """The findings of `steerd probe`: what is there, what is wrong, what to do. Pure."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import degrees, inf
 
 from steerd.daemon.loop.checks import check_vesc
 from steerd.daemon.settings.config import BrakeSettings
+from steerd.daemon.setup.mocap_check import REJECTED_MAX
 from steerd.mocap_link.gates import REASONS
 from steerd.steer_bus.messages import BODY, VescIdentity, make_header
 
 VESC_USB = "0483:5740"
 TOOL_SERVO = "VESC Tool: App Settings > General > Enable Servo Output"
-SERVO_SINCE = (5, 3)
-"""First firmware whose ordinary build has a servo output."""
-LOW_CELL = 3.3
-"""Below this a lithium cell sags under load [V]."""
-JITTER_MAX_MS = 5.0
-"""Largest variation of the age of poses [ms]."""
-ROUND_TRIP_MAX_MS = 10.0
-"""Largest time from request to answer of a VESC: one tick of the loop [ms]."""
-ANSWERED_MIN = 0.95
-"""Smallest share of requests that a VESC answers [-]."""
-REJECTED_MAX = 0.02
-"""Share of rejected poses that is still good [-]."""
-RATE_MIN = 0.8
-"""Smallest share of a server's frames that arrive [-]."""
-TILT_MAX = 0.1
-"""Largest tilt of the body of a standing car [rad]."""
+SERVO_SINCE = (5, 3)  # first firmware whose ordinary build has a servo output
+LOW_CELL = 3.3  # below this a lithium cell sags under load [V]
+JITTER_MAX_MS = 5.0  # largest variation of the age of poses [ms]
+ROUND_TRIP_MAX_MS = 10.0  # largest time from request to answer of a VESC: one tick of the loop [ms]
+ANSWERED_MIN = 0.95  # smallest share of requests that a VESC answers [-]
+RATE_MIN = 0.8  # smallest share of a server's frames that arrive [-]
+TILT_MAX = 0.1  # largest tilt of the body of a standing car [rad]
 PORTS = {
     ("tcp", 7447): "zenoh: a running steerd, or a zenoh router",
     ("udp", 1510): "NatNet commands: Motive or another server on this machine",
@@ -123,11 +115,9 @@ def judge_vesc(vesc: VescFound, brakes: BrakeSettings) -> Iterator[Advice]:
         what, _, fix = text.partition(": ")
         yield Advice(what, fix)
     if vesc.firmware < SERVO_SINCE:
-        yield Advice(
-            f"firmware {vesc.firmware[0]}.{vesc.firmware[1]:02d} has a servo output only in its "
-            "'servoout' build",
-            "update to 5.03 or newer in VESC Tool, then enable the servo output",
-        )
+        version = f"{vesc.firmware[0]}.{vesc.firmware[1]:02d}"
+        what = f"firmware {version} has a servo output only in its 'servoout' build"
+        yield Advice(what, "update to 5.03 or newer in VESC Tool, then enable the servo output")
     else:
         yield Advice(
             "the VESC does not report whether its servo output is on: it accepts servo commands "
@@ -138,16 +128,13 @@ def judge_vesc(vesc: VescFound, brakes: BrakeSettings) -> Iterator[Advice]:
     if vesc.fault:
         yield Advice(f"the VESC reports {vesc.fault}", "VESC Tool: Terminal > `faults` shows more")
     if vesc.voltage is not None and vesc.voltage < LOW_CELL * brakes.cells:
-        yield Advice(
-            f"the battery is at {vesc.voltage:.1f} V, {brakes.cells} cells",
-            "charge it (or set [vesc] cells in the car file)",
-        )
+        what = f"the battery is at {vesc.voltage:.1f} V, {brakes.cells} cells"
+        yield Advice(what, "charge it (or set [vesc] cells in the car file)")
     slow = vesc.round_trip_ms is not None and vesc.round_trip_ms > ROUND_TRIP_MAX_MS
     if slow or vesc.answered < ANSWERED_MIN:
-        yield Advice(
-            f"answers take {vesc.round_trip_ms or inf:.1f} ms, {vesc.answered:.0%} of them arrive",
-            "use a USB port of the computer itself, and a shorter cable",
-        )
+        took = f"answers take {vesc.round_trip_ms or inf:.1f} ms"
+        what = f"{took}, {vesc.answered:.0%} of them arrive"
+        yield Advice(what, "use a USB port of the computer itself, and a shorter cable")
 
 
 def judge_mocap(seen: MocapSeen, named: bool) -> Iterator[Advice]:
@@ -167,30 +154,22 @@ def judge_mocap(seen: MocapSeen, named: bool) -> Iterator[Advice]:
     if not named:
         return
     if not seen.samples:
-        yield Advice(
-            f"the server answers, but no pose came: {seen.detail}", _why_no_pose(seen.bodies)
+        fix = (
+            "define a rigid body in the mocap software and stream it; with multicast, name this "
+            "machine's address on the mocap network: ?interface=ADDRESS"
         )
+        if seen.bodies:
+            fix = f"the server offers {', '.join(seen.bodies)}: name one of them in --mocap"
+        yield Advice(f"the server answers, but no pose came: {seen.detail}", fix)
         return
     yield from _judge_poses(seen)
     if seen.expected_rate_hz and seen.rate_hz < RATE_MIN * seen.expected_rate_hz:
-        yield Advice(
-            f"{seen.rate_hz:.0f} of {seen.expected_rate_hz:.0f} frames per second arrive",
-            "use a cable instead of Wi-Fi, or stream less (fewer bodies, no markers)",
-        )
+        what = f"{seen.rate_hz:.0f} of {seen.expected_rate_hz:.0f} frames per second arrive"
+        fix = "use a cable instead of Wi-Fi, or stream less (fewer bodies, no markers)"
+        yield Advice(what, fix)
     if seen.jitter_ms is not None and seen.jitter_ms > JITTER_MAX_MS:
-        yield Advice(
-            f"the age of poses varies by {seen.jitter_ms:.0f} ms",
-            "use a cable instead of Wi-Fi; close what loads this machine",
-        )
-
-
-def _why_no_pose(bodies: Sequence[str]) -> str:
-    if bodies:
-        return f"the server offers {', '.join(bodies)}: name one of them in --mocap"
-    return (
-        "define a rigid body in the mocap software and stream it; with multicast, name this "
-        "machine's address on the mocap network: ?interface=ADDRESS"
-    )
+        what = f"the age of poses varies by {seen.jitter_ms:.0f} ms"
+        yield Advice(what, "use a cable instead of Wi-Fi; close what loads this machine")
 
 
 _FIXES = {
@@ -208,15 +187,11 @@ def _judge_poses(seen: MocapSeen) -> Iterator[Advice]:
         if count > REJECTED_MAX * seen.samples:
             fix = _FIXES.get(check, REASONS.get(check, ""))
             yield Advice(f"{count} of {seen.samples} poses are rejected: {check}", fix)
-    if (
-        seen.tilt is not None
-        and seen.tilt > TILT_MAX
-        and all(check != "tilt" for check, _ in seen.refused)
-    ):
-        yield Advice(
-            f"the body leans by {degrees(seen.tilt):.0f}° while the car stands",
-            "reset the body's orientation in the mocap software with the car on the floor",
-        )
+    reported = any(check == "tilt" for check, _ in seen.refused)
+    if seen.tilt is not None and seen.tilt > TILT_MAX and not reported:
+        what = f"the body leans by {degrees(seen.tilt):.0f}° while the car stands"
+        fix = "reset the body's orientation in the mocap software with the car on the floor"
+        yield Advice(what, fix)
 
 
 def read_sockets(text: str, kind: str) -> Iterator[SocketFound]:

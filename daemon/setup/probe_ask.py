@@ -4,6 +4,7 @@ import contextlib
 import os
 import select
 import socket
+import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -11,40 +12,30 @@ from pathlib import Path
 
 import numpy as np
 
+from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.settings.config import BrakeSettings
-from steerd.daemon.setup.probe import (
-    VESC_USB,
-    Advice,
-    MocapSeen,
-    SerialFound,
-    SocketFound,
-    VescFound,
-    judge_mocap,
-    judge_vesc,
-    read_sockets,
-)
+from steerd.daemon.setup import probe
+from steerd.daemon.setup.mocap_check import Movement
+from steerd.daemon.setup.probe import Advice, MocapSeen, SerialFound, SocketFound, VescFound
 from steerd.mocap_link import natnet
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.mocap_link.natnet_wire import NatNetError
 from steerd.mocap_link.sockets import MocapReceiver, make_receiver
 from steerd.mocap_link.source import Pose
-from steerd.steer_bus.clock import Clock
+from steerd.steer_bus.clock import Clock, MonotonicClock
 from steerd.vesc_link.ids import fault_name
 from steerd.vesc_link.scaling import F1TENTH
 from steerd.vesc_link.telemetry import FAST_MASK, IMU_ACCEL_GYRO_MASK, Imu, Values
 from steerd.vesc_link.transport import Port, PortError, open_port
 from steerd.vesc_link.vesc import Answer, Drive, VescLink
 
-CONNECT_NS = 1_500_000_000
-"""A VESC that has not identified itself after this is none [ns]."""
-POLLS = 50
-"""Requests for telemetry whose answers are counted."""
-POLL_NS = 10_000_000
-"""Time between two of them [ns]."""
-DISCOVERY_NS = 1_000_000_000
-"""NatNet servers answer a discovery within this time [ns]."""
+CONNECT_NS = 1_500_000_000  # a VESC that has not identified itself after this is none [ns]
+POLLS = 50  # requests for telemetry whose answers are counted
+POLL_NS = 10_000_000  # time between two of them [ns]
+DISCOVERY_NS = 1_000_000_000  # NatNet servers answer a discovery within this time [ns]
 BROADCAST = ("255.255.255.255", "127.0.0.1")
+ANSWER_S = 4.0  # a source without a pose after this has none: a client says so after 3 s [s]
 
 
 # -- serial --------------------------------------------------------------------------------------
@@ -72,8 +63,8 @@ def ask_ports(named: str | None, clock: Clock, brakes: BrakeSettings) -> Iterato
     ports = find_ports()
     for url in ports if named is None else [named]:
         usb = ports.get(url, "")
-        if named is None and usb not in (VESC_USB, ""):  # a lidar's, for instance
-            what = f"left alone: USB id {usb}, a VESC has {VESC_USB}"
+        if named is None and usb not in (probe.VESC_USB, ""):  # a lidar's, for instance
+            what = f"left alone: USB id {usb}, a VESC has {probe.VESC_USB}"
             yield SerialFound(url, usb, None, (Advice(what, f"steerd probe --port {url}"),))
             continue
         try:
@@ -86,7 +77,9 @@ def ask_ports(named: str | None, clock: Clock, brakes: BrakeSettings) -> Iterato
             "opened, but no VESC answered",
             "is it a VESC? is it powered by its battery? USB power alone starts some boards only",
         )
-        yield SerialFound(url, usb, vesc, tuple(judge_vesc(vesc, brakes)) if vesc else (silent,))
+        yield SerialFound(
+            url, usb, vesc, tuple(probe.judge_vesc(vesc, brakes)) if vesc else (silent,)
+        )
 
 
 def _exchange(port: Port, link: VescLink, clock: Clock, wire: bytes, ns: int) -> list[Answer]:
@@ -174,7 +167,7 @@ def ask_mocap(
                 seen = _seen(receiver, address, samples, seconds)
         except OSError as error:
             seen = MocapSeen(address, detail=str(error))
-        yield replace(seen, advice=tuple(judge_mocap(seen, named=named is not None)))
+        yield replace(seen, advice=tuple(probe.judge_mocap(seen, named=named is not None)))
 
 
 def listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[Pose]:
@@ -184,6 +177,34 @@ def listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[Po
         receiver.on_timer(clock.now_ns())
         for fd in select.select(receiver.fds(), [], [], 0.01)[0]:
             yield from receiver.read_ready(fd)
+
+
+def watch_movement(address: str, config: IngestConfig, seconds: float) -> tuple[Movement, int]:
+    """The accepted poses of a car that is pushed for so long, and how many were rejected.
+
+    Raises:
+        SteerdError: the address is none, or no pose came from it.
+    """
+    clock, samples = MonotonicClock(), []
+    try:
+        receiver = make_receiver(parse_mocap_url(address), config)
+    except ValueError as error:
+        raise SteerdError(f"--mocap {address}: {error}", "", ExitCode.USAGE) from None
+    except OSError as error:
+        raise SteerdError(str(error), "steerd probe", ExitCode.UNREADABLE) from None
+    with contextlib.closing(receiver):
+        # Nobody pushes a car for a source that does not answer.
+        if next(listen(receiver, clock, ANSWER_S), None):
+            text = f"push the car straight forward by about 1 m within {seconds:g} s …"
+            print(text, file=sys.stderr, flush=True)
+            samples = list(listen(receiver, clock, seconds))
+    good = [s for s in samples if s.rejected is None]
+    if not good:
+        what = f"no pose came from {address}: {receiver.status().detail}"
+        raise SteerdError(what, f"steerd probe --mocap '{address}'", ExitCode.UNREADABLE)
+    t0 = good[0].t_valid_ns
+    rows = [((s.t_valid_ns - t0) * 1e-9, s.x, s.y, s.yaw, s.height, s.tilt) for s in good]
+    return Movement(*np.array(rows).T), len(samples) - len(good)
 
 
 def _seen(
@@ -224,7 +245,7 @@ def find_sockets(proc: Path = Path("/proc/net")) -> tuple[SocketFound, ...]:
     found: list[SocketFound] = []
     for name in ("tcp", "udp", "tcp6", "udp6"):
         with contextlib.suppress(OSError):
-            found += read_sockets((proc / name).read_text(), name.removesuffix("6"))
+            found += probe.read_sockets((proc / name).read_text(), name.removesuffix("6"))
     return tuple(dict.fromkeys(found))
 
 

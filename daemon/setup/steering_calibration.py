@@ -1,13 +1,15 @@
 """Gain, centre, delay and limits of the steering, from its commands and the turning. Pure."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import degrees
 
 import numpy as np
 
 from steerd.car_model.params import GRAVITY, Car
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.sessions.motion import Array
+from steerd.daemon.sessions.motion import Array, Signal, Track
 from steerd.daemon.setup import least_squares as ls
+from steerd.vesc_link.scaling import Scaling
 
 STEADY_BEFORE, STEADY_AFTER, STEADY_STEP = 0.25, 0.15, 0.02
 """Stretch about a sample over which its command must be steady [s]: the servo's lag before it, half
@@ -15,80 +17,58 @@ the window of the differentiation after it; and the spacing of the instants look
 STEADY = 0.02
 """Largest distance of a steady command from a straight line over that stretch [rad]: then one delay
 describes the wheels, also on a ramp."""
-SAMPLES_MIN = 200
-"""Fewer samples, two seconds of them, identify nothing."""
-STEER_SD_MIN = 0.02
-"""Commands that vary less do not excite the steering [rad]."""
-GAIN_MIN = 0.1
-"""A smaller gain is a wrong sign or a servo that does not follow [-]."""
-SD_GAIN_MAX = 0.05
-"""Largest standard error of a gain that may be driven with [-]."""
-CLIP = 0.035
-"""Wheels that stay this far behind the largest commands have reached a stop [rad]."""
+SAMPLES_MIN = 200  # fewer samples, two seconds of them, identify nothing
+STEER_SD_MIN = 0.02  # commands that vary less do not excite the steering [rad]
+GAIN_MIN = 0.1  # a smaller gain is a wrong sign or a servo that does not follow [-]
+SD_GAIN_MAX = 0.05  # largest standard error of a gain that may be driven with [-]
+CLIP = 0.035  # wheels that stay this far behind the largest commands have reached a stop [rad]
 _EIGHT = "drive a figure of eight"
 
 
 @dataclass(frozen=True)
 class SteeringCalibration:
-    """How the wheels follow the commands of a drive.
+    """How the wheels follow the commands of a drive."""
 
-    Attributes:
-        gain: wheel angle per commanded angle.
-        bias: wheel angle at command zero [rad].
-        delay: from command to wheel, lag included [s].
-        left, right: largest angles that the wheels reached [rad]; right is negative.
-        clipped_left, clipped_right: whether commands beyond them had no effect.
-        residual: [rad, rms].
-        sd_gain, sd_bias: standard errors.
-        warnings: what the drive identifies badly, one sentence each.
-    """
-
-    gain: float
-    bias: float
-    delay: float
-    left: float
+    gain: float  # wheel angle per commanded angle
+    bias: float  # wheel angle at command zero [rad]
+    delay: float  # from command to wheel, lag included [s]
+    left: float  # largest angles that the wheels reached [rad]; right is negative
     right: float
-    clipped_left: bool
+    clipped_left: bool  # whether commands beyond them had no effect
     clipped_right: bool
-    residual: float
-    sd_gain: float
+    sd_gain: float  # standard errors
     sd_bias: float
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # what the drive identifies badly, one sentence each
 
 
-def calibrate_steering(
-    t: Array, speed: Array, yaw_rate: Array, t_command: Array, command: Array, car: Car[float]
-) -> SteeringCalibration:
+def calibrate_steering(track: Track, steer: Signal, car: Car[float]) -> SteeringCalibration:
     """Estimate gain and centre of the steering from commands and the turning that followed.
 
     The wheel angle that a steady turn needs is atan(L curvature) plus the difference of the axles'
     slip, curvature v^2 (alpha_f - alpha_r per acceleration), after the car file's tyres.
 
     Args:
-        t: times of the motion [s].
-        speed: of the car [m/s].
-        yaw_rate: of the car [rad/s].
-        t_command: times of the commands [s].
-        command: steering angles commanded [rad].
+        track: of the car.
+        steer: steering angles commanded [rad].
         car: geometry and tyres.
 
     Raises:
         SteerdError: the car barely moves, or its steering is barely used.
     """
-    good = np.isfinite(speed) & np.isfinite(yaw_rate) & (speed > ls.MOVING)
+    good = np.isfinite(track.speed) & np.isfinite(track.yaw_rate) & (track.speed > ls.MOVING)
     if good.sum() < SAMPLES_MIN:
         raise SteerdError("the car barely moves forward: its steering is not identifiable")
-    t, v, w = t[good], speed[good], yaw_rate[good]
+    t, v, w = track.t[good], track.speed[good], track.yaw_rate[good]
     length = car.lf + car.lr
     slip = (1.0 / car.c_sf - 1.0 / car.c_sr) / (car.mu * GRAVITY)
     angle = np.arctan(length * w / v) + slip * v * w
-    now = np.interp(t, t_command, command)
+    now = np.interp(t, steer.t, steer.value)
     low, high = now.min(), now.max()
-    steady = _find_steady(t, t_command, command)
+    steady = _find_steady(t, steer)
     _check_steering(now, steady)
 
     def fit(delay: float, keep: ls.Mask = steady) -> tuple[Array, Array, Array]:
-        commanded = np.interp(t - delay, t_command, command)
+        commanded = np.interp(t - delay, steer.t, steer.value)
         # The outer quarters may lie beyond a stop, unless nothing else was driven.
         inner = keep & (np.abs(commanded - (low + high) / 2) <= (high - low) / 4)
         used = inner if np.std(commanded[inner]) > 0.1 * (high - low) else keep
@@ -96,7 +76,7 @@ def calibrate_steering(
         return (*ls.solve_least_squares(rows, angle[used]), commanded)
 
     delay = ls.find_delay(lambda tau: float(np.mean(fit(tau)[1] ** 2)))
-    (gain, bias), left, commanded = fit(delay)
+    (gain, bias), _, commanded = fit(delay)
     sd_gain, sd_bias = ls.jackknife_sd(steady, lambda keep: fit(delay, keep)[0])
     _check_gain(float(gain), sd_gain)
     ends = [_find_end(angle, gain * commanded + bias, side) for side in (1.0, -1.0)]
@@ -108,7 +88,6 @@ def calibrate_steering(
         right=-ends[1][0],
         clipped_left=ends[0][1],
         clipped_right=ends[1][1],
-        residual=float(np.sqrt(np.mean(left**2))),
         sd_gain=sd_gain,
         sd_bias=sd_bias,
         warnings=tuple(ls.find_slip_warnings(v * w)),
@@ -132,10 +111,10 @@ def _check_gain(gain: float, sd: float) -> None:
         raise SteerdError(what, f"{_EIGHT}, slowly", ExitCode.STOPPED)
 
 
-def _find_steady(t: Array, t_command: Array, command: Array) -> ls.Mask:
+def _find_steady(t: Array, steer: Signal) -> ls.Mask:
     """Where the command is steady enough for the wheels to have followed it."""
     offsets = np.arange(-STEADY_BEFORE, STEADY_AFTER, STEADY_STEP)
-    around = np.stack([np.interp(t + dt, t_command, command) for dt in offsets])
+    around = np.stack([np.interp(t + dt, steer.t, steer.value) for dt in offsets])
     share = ((offsets - offsets[0]) / np.ptp(offsets))[:, None]
     line = (1.0 - share) * around[0] + share * around[-1]
     return np.asarray(np.abs(around - line).max(axis=0) < STEADY, dtype=np.bool_)
@@ -148,3 +127,34 @@ def _find_end(angle: Array, predicted: Array, side: float) -> tuple[float, bool]
     behind = float(np.median(aim[outer] - reached[outer]))
     top = float(np.median(reached[outer])) if behind > CLIP else float(np.quantile(reached, 0.99))
     return top, behind > CLIP
+
+
+def servo_scaling(found: SteeringCalibration, old: Scaling) -> Scaling:
+    """Servo gain, centre and limits with which a commanded angle is the wheels' angle.
+
+    A limit moves inwards only, to where the wheels stopped following.
+    """
+    gain = old.servo_gain / found.gain
+    offset = old.servo_offset - gain * found.bias
+    low, high = old.servo_min, old.servo_max
+    for angle, clipped in ((found.left, found.clipped_left), (found.right, found.clipped_right)):
+        position = gain * angle + offset
+        if clipped and position < offset:
+            low = max(low, position)
+        elif clipped:
+            high = min(high, position)
+    return replace(old, servo_gain=gain, servo_offset=offset, servo_min=low, servo_max=high)
+
+
+def describe_steering(found: SteeringCalibration, scaling: Scaling) -> list[str]:
+    """What was found, and the servo's new scaling, in lines."""
+    stops = {True: "a stop", False: "no stop reached"}
+    return [
+        f"wheel angle = {found.gain:.3f} ± {found.sd_gain:.3f} × command "
+        f"{degrees(found.bias):+z.2f}° ± {degrees(found.sd_bias):.2f}°",
+        f"delay {1e3 * found.delay:.0f} ms, lag included",
+        f"reached {degrees(found.left):.1f}° left ({stops[found.clipped_left]}), "
+        f"{degrees(-found.right):.1f}° right ({stops[found.clipped_right]})",
+        f"servo: gain {scaling.servo_gain:.4f} per rad, centre {scaling.servo_offset:.4f}, "
+        f"from {scaling.servo_min:.3f} to {scaling.servo_max:.3f}",
+    ]

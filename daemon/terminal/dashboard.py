@@ -20,11 +20,11 @@ from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
 from steerd.daemon.ipc.requests import read_diagnostics
 from steerd.daemon.learning.text import QUIET, design_text, gap_text
 from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.sessions.motion import SETTLE
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 
-SETTLE_NS = 3_000_000_000
-"""The first seconds of a drive are the approach to the lane and are left out of its errors [ns]."""
+SETTLE_NS = round(SETTLE * 1e9)
 _COLOURS = {"RUNNING": "green", "ARMED": "yellow", "FAULT_STOP": "red", "FAULT_LATCHED": "red",
             "ESTOP": "red", "STOPPING": "yellow"}  # fmt: skip
 _ARMED = (SupervisorState.ARMED, SupervisorState.RUNNING)

@@ -1,31 +1,35 @@
 """Any car on the bus in a terminal: the dashboard, and the message rate of each topic."""
 
 import getpass
+import sys
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import inf
 
 from rich.columns import Columns
-from rich.console import Group, RenderableType
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
 from rich.text import Text
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.screen import show
+from steerd.daemon.common.screen import raw, show
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.process.bus_operator import BusOperator, Pulse
+from steerd.daemon.process.bus_operator import REPEAT_NS, BusOperator, Pulse
+from steerd.daemon.terminal import key_desk
 from steerd.daemon.terminal.dashboard import Dashboard
-from steerd.daemon.terminal.key_desk import KEYS, KeyDesk
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
-from steerd.steer_bus.bus import Bus, Sample
-from steerd.steer_bus.clock import Clock
+from steerd.steer_bus.bus import Bus, Sample, Subscription
+from steerd.steer_bus.clock import Clock, MonotonicClock
 from steerd.steer_bus.codec import CodecError, decode
-from steerd.steer_bus.topics import ROOT, find_topic, split_key
+from steerd.steer_bus.topics import ROOT, find_topic, make_key, split_key
 from steerd.vesc_link.ids import fault_name
 
 SECOND = 1_000_000_000
 SILENT_NS = 1_500_000_000  # a car that sends nothing for this long is reported as silent [ns]
+REFRESH_NS = 100_000_000  # time between two refreshes [ns]
 DEPTH = 1024  # messages kept between two refreshes
 _SHOWN = ("state", "tick", "mocap", "vesc", "imu", "actuation", "diagnostics")
 """Topics whose rates are shown."""
@@ -133,20 +137,65 @@ class Watch:
         return Group(*parts)
 
 
+def watch_car(bus: Bus, name: str | None, seconds: float | None, *, operate: bool) -> None:
+    """Show the named car, or the only one, for so long [s]: on a terminal with keys, else in lines.
+
+    Raises:
+        SteerdError: see `find_car`.
+    """
+    car, clock = find_car(bus, name), MonotonicClock()
+    watch = Watch(Dashboard(f"steerd watch · {car}"))
+    received = bus.subscribe(make_key(car, "*"), DEPTH)
+    end = inf if seconds is None else clock.now_ns() + round(seconds * SECOND)
+    console = Console(file=raw(sys.stdout))
+    if not console.is_terminal:
+        _print_lines(watch, received, clock, end)
+        return
+    desk, repeat = make_desk(watch.board, bus, car, clock, operate=operate)
+    with key_desk.keys_one_by_one() as keys, Live(console=console, auto_refresh=False) as live:
+        helps = [*([key_desk.KEY_HELP] if operate else []), key_desk.NUDGE_HELP]
+        watch.board.keys = "" if keys is None else "\n".join(helps)
+        shown_ns = 0
+        while clock.now_ns() < end:
+            for sample in received.poll():
+                watch.take(sample, clock.now_ns())
+            if (now := clock.now_ns()) - shown_ns >= REFRESH_NS:
+                shown_ns = now
+                live.update(watch.render(now), refresh=True)
+            desk.keep_alive()
+            repeat()
+            for key in key_desk.wait_for_key(keys, REPEAT_NS, clock):
+                desk.on_key(key)
+
+
 def make_desk(
     board: Dashboard, bus: Bus, car: str, clock: Clock, *, operate: bool
-) -> tuple[KeyDesk, Callable[[], bool]]:
+) -> tuple[key_desk.KeyDesk, Callable[[], bool]]:
     """The keys of a car on the bus; without `operate` they change live parameters alone.
 
     Returns:
         The keys, and what goes on with a stop that was called for there.
     """
     operator = BusOperator(bus, car, clock, getpass.getuser(), Pulse(bus, car))
-    desk = KeyDesk(
+    desk = key_desk.KeyDesk(
         board,
         clock,
         lambda kind: operator.ask(board.boot_id, kind),
         lambda wanted: operator.tune(board.boot_id, wanted),
-        KEYS if operate else {},
+        key_desk.KEYS if operate else {},
     )
     return desk, lambda: operator.repeat(board.state.mode if board.state else None)
+
+
+def _print_lines(watch: Watch, received: Subscription, clock: Clock, end: float) -> None:
+    """For pipes: transitions at once, one line per second."""
+    due = clock.now_ns() + SECOND
+    while clock.now_ns() < end:
+        for sample in received.poll():
+            line = watch.take(sample, clock.now_ns())
+            if line is not None:
+                print(line, flush=True)
+        if clock.now_ns() >= due:
+            due += SECOND
+            print(watch.line(clock.now_ns()), flush=True)
+        clock.sleep_until_ns(clock.now_ns() + REFRESH_NS)

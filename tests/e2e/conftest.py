@@ -35,23 +35,15 @@ SETTLE_NS = 3_000_000_000
 
 @dataclass
 class Driven:
-    """One drive in virtual time.
+    """One drive in virtual time."""
 
-    Attributes:
-        plan: what was asked for.
-        session: the recording.
-        wire: SHA-256 of every byte on the serial wire, with its time.
-        track: time since the start [ns] and true position [m] at each tick of the drive.
-        faulted: whether a fault stopped it.
-        reason: why the last state was entered.
-    """
-
-    plan: RunPlan
-    session: Path
-    wire: str = ""
+    plan: RunPlan  # what was asked for
+    session: Path  # the recording
+    wire: str = ""  # SHA-256 of every byte on the serial wire, with its time
+    # Time since the start [ns] and true position [m] at each tick of the drive
     track: list[tuple[int, float, float]] = field(default_factory=list)
-    faulted: bool = False
-    reason: str = ""
+    faulted: bool = False  # whether a fault stopped it
+    reason: str = ""  # why the last state was entered
 
     def offsets(self, curve: np.ndarray | None = None) -> np.ndarray:
         """True distance from the path, or from a closed curve of points, after 3 s [m]."""
@@ -131,11 +123,7 @@ STEERD = ("-m", "steerd")
 
 
 class Program:
-    """`steerd …` as a process; its output is read while it is waited for.
-
-    Attributes:
-        text: what it has written so far, both streams.
-    """
+    """`steerd …` as a process; its output is read while it is waited for."""
 
     def __init__(
         self,
@@ -159,7 +147,7 @@ class Program:
         self.fd = self.process.stdout.fileno()
         self._end = os.pidfd_open(self.process.pid)
         self.argv = argv
-        self.text = ""
+        self.text = ""  # what it has written so far, both streams
         self._decoder = codecs.getincrementaldecoder("utf-8")()
 
     def pump(self, seconds: float) -> bool:
@@ -219,15 +207,11 @@ class Program:
 
 
 class Launcher:
-    """Starts `steerd …`, and ends whatever still runs.
-
-    Attributes:
-        endpoint: a zenoh endpoint that is free.
-    """
+    """Starts `steerd …`, and ends whatever still runs."""
 
     def __init__(self) -> None:
         self._started: list[Program] = []
-        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"  # one that is free
 
     def __call__(self, *argv: object, **options: object) -> Program:
         self._started.append(Program(*map(str, argv), **options))

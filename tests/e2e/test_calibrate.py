@@ -49,7 +49,9 @@ def test_servo(drive_fast, tmp_path, capsys):
     found = re.search(r"wheel angle = ([\d.]+) .* command ([+-][\d.]+)°", capsys.readouterr().out)
     assert float(found[1]) == pytest.approx(0.9, rel=0.02)
     assert float(found[2]) == pytest.approx(1.146, abs=0.1)
-    vesc = tomllib.loads(out.read_text())["vesc"]
+    car = tomllib.loads(out.read_text())
+    vesc = car["vesc"]
+    assert car["car"]["steer_gain"] == 1.0, "the servo's gain has taken it in"
     assert vesc["servo_gain"] == pytest.approx(-1.2135 / 0.9, rel=0.02)
     assert vesc["servo_offset"] == pytest.approx(0.5304 + 1.2135 / 0.9 * 0.02, abs=3e-3)
     assert run_cli(["calibrate", "servo"]) == 2

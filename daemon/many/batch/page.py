@@ -8,14 +8,8 @@ from typing import Any
 from matplotlib.axes import Axes
 
 from steerd.daemon.common.screen import clean
-from steerd.daemon.many.batch.changes import (
-    Change,
-    Series,
-    make_band,
-    nothing_changed,
-    split_series,
-    tabulate_changes,
-)
+from steerd.daemon.many.batch import changes as steps
+from steerd.daemon.many.batch.changes import Change, Series
 from steerd.daemon.many.job import Rows
 from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, Diagrams
 from steerd.sysid.report.report import Card, Report, Section, Table
@@ -49,7 +43,7 @@ def make_report(
             "What changed, and since when",
             "A step in the estimates of one car that chance explains in less than one batch of a "
             "thousand. Between: days between which the first one lies (95 %).",
-            table=tabulate_changes(changes),
+            table=steps.tabulate_changes(changes),
         ))  # fmt: skip
     if ordered:
         drawn = ordered[:_FIGURES]
@@ -77,11 +71,11 @@ def make_report(
         lead="",
         sections=sections,
         foot="Written by steerd batch. Dates are UTC; units are SI where none is named.",
-        cards=list(make_cards(rows, series, changes)),
+        cards=list(_cards(rows, series, changes)),
     )
 
 
-def make_cards(rows: Rows, series: Sequence[Series], changes: Sequence[Change]) -> Iterator[Card]:
+def _cards(rows: Rows, series: Sequence[Series], changes: Sequence[Change]) -> Iterator[Card]:
     """The figures that are read first; of each car that changed the clearest change."""
     cars = len({row["car"] for row in rows if row.get("car")})
     failed = sum(row["outcome"] != "done" for row in rows)
@@ -90,7 +84,7 @@ def make_cards(rows: Rows, series: Sequence[Series], changes: Sequence[Change]) 
         text = f"{c.before:.4g} → {c.after:.4g}"
         yield Card(f"{clean(c.car, 24)} since {c.day}", clean(c.quantity, 24), text)
     if not changes:
-        yield Card("changes", "none", nothing_changed(len(series)))
+        yield Card("changes", "none", steps.nothing_changed(len(series)))
 
 
 def _count_cars(rows: Rows) -> Table:
@@ -142,8 +136,8 @@ def _plot_series(axis: Axes, s: Series, change: Change | None) -> None:
     dates, parts = s.start / _DAY, [s]
     if change is not None:
         axis.axvline(change.begin / _DAY, color=AFTER, lw=1.0, ls="--")
-        parts = split_series(s, change.begin)
-    for band in map(make_band, parts):
+        parts = steps.split_series(s, change.begin)
+    for band in map(steps.make_band, parts):
         weeks = band.start / _DAY
         axis.fill_between(weeks, band.mean - band.half, band.mean + band.half, color=BAND, lw=0)
         axis.plot(weeks, band.mean, color=AFTER, lw=1.3, marker="o", ms=2.5)

@@ -11,21 +11,15 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.common.row_file import Row
 from steerd.daemon.common.screen import clean, shown, wrap
+from steerd.daemon.many.batch import changes as steps
 from steerd.daemon.many.batch import unit
-from steerd.daemon.many.batch.changes import (
-    Change,
-    Series,
-    find_changes,
-    list_series,
-    nothing_changed,
-    tabulate_changes,
-)
+from steerd.daemon.many.batch.changes import Change, Series
 from steerd.daemon.many.job import FAILED, Column, Found, Job, Rows, do_in_notebook
 from steerd.daemon.many.units import Done, Where
 from steerd.sysid.report.report import format_table
 
 if TYPE_CHECKING:
-    from steerd.sysid.report.report import Card, Report
+    from steerd.sysid.report.report import Report
 
 DONE = "done"
 _HEAD = (
@@ -72,25 +66,18 @@ class Batch(Found):
     @cached_property
     def series(self) -> tuple[Series, ...]:
         """Every quantity of every car with enough drives, over time."""
-        return tuple(list_series(self.rows, self.quantities))
+        return tuple(steps.list_series(self.rows, self.quantities))
 
     @cached_property
     def changes(self) -> tuple[Change, ...]:
         """What changed, the clearest first."""
-        return tuple(find_changes(self.series))
+        return tuple(steps.find_changes(self.series))
 
     def make_report(self) -> "Report":
         """What the page shows: quantities over weeks with their bands, and the days of changes."""
         from steerd.daemon.many.batch.page import make_report
 
         return make_report(self.kind, self.rows, self.series, self.changes)
-
-    @property
-    def cards(self) -> "list[Card]":
-        """The key figures of the page."""
-        from steerd.daemon.many.batch.page import make_cards
-
-        return list(make_cards(self.rows, self.series, self.changes))
 
     def __str__(self) -> str:
         return describe_batch(self.rows, self.worked, len(self.series), self.changes)
@@ -162,7 +149,9 @@ def describe_batch(rows: Rows, worked: int, series: int, changes: Sequence[Chang
         f"{worked} worked on now",
         "", " " * 11,
     )  # fmt: skip
-    lines += wrap(_verdicts(rows), "verdicts   ", " " * 11)
+    verdicts = Counter(clean(str(r["verdict"]), 40) for r in rows if r.get("verdict"))
+    reported = ", ".join(f"{count} {text}" for text, count in verdicts.most_common(6))
+    lines += wrap(reported, "verdicts   ", " " * 11)
     if failed:
         lines.append(f"failed     {len(failed)}")
     for row in failed[:_FAILURES]:
@@ -177,16 +166,11 @@ def _failure(session: str, why: str) -> str:
     return text if name in text else f"{clean(name, 40)}: {text}"
 
 
-def _verdicts(rows: Rows) -> str:
-    counts = Counter(clean(str(r["verdict"]), 40) for r in rows if r.get("verdict"))
-    return ", ".join(f"{count} {text}" for text, count in counts.most_common(6))
-
-
 def _changes(changes: Sequence[Change], series: int) -> Iterator[str]:
     if not changes:
-        yield nothing_changed(series)
+        yield steps.nothing_changed(series)
         return
-    table = tabulate_changes(changes[:_CHANGES])
+    table = steps.tabulate_changes(changes[:_CHANGES])
     yield from format_table(table.pick("car", "quantity", "since", "before", "after", "sigma"))
     if len(changes) > _CHANGES:
         yield f"and {len(changes) - _CHANGES} more: see the table or --page"

@@ -7,18 +7,9 @@ from matplotlib.axes import Axes
 
 from steerd.daemon.common.screen import clean
 from steerd.daemon.many.job import Rows
+from steerd.daemon.many.sweep import summary as figures
 from steerd.daemon.many.sweep.plan import DRIVEN, Choice, Distribution, SweepPlan
-from steerd.daemon.many.sweep.summary import (
-    STOPS,
-    UNITS,
-    Sensitivity,
-    Summary,
-    column,
-    list_strongest,
-    name_measure,
-    tabulate_ends,
-    tabulate_spreads,
-)
+from steerd.daemon.many.sweep.summary import Sensitivity, Summary
 from steerd.sysid.report.drawing import AFTER, BEFORE, Diagrams
 from steerd.sysid.report.report import SCALES, Card, Cell, Report, Section, Table
 
@@ -41,7 +32,7 @@ def make_report(plan: SweepPlan, rows: Rows, summary: Summary) -> Report:
         for q in plan.quantities
     ]
     sections = [
-        Section("How they ended", table=tabulate_ends(summary)),
+        Section("How they ended", table=figures.tabulate_ends(summary)),
         Section(
             "What was varied",
             table=Table(("quantity", "values", "unit", "meaning"), varied, words=(1, 3)),
@@ -51,7 +42,7 @@ def make_report(plan: SweepPlan, rows: Rows, summary: Summary) -> Report:
             "Errors count after the first 3 s. The last column is the drive to look at: `steerd "
             "sweep FILE.toml` `--again N` `--record drive.mcap` drives it once more and records "
             "it.",
-            table=tabulate_spreads(summary),
+            table=figures.tabulate_spreads(summary),
             figures=_draw_histograms(rows, summary),
         ),
     ]
@@ -72,11 +63,11 @@ def make_report(plan: SweepPlan, rows: Rows, summary: Summary) -> Report:
         sections=sections,
         foot="Written by steerd sweep. Simulated drives in virtual time; both ends of VESC and "
         "mocap are encoded and parsed as on a car.",
-        cards=list(make_cards(summary)),
+        cards=list(_cards(summary)),
     )
 
 
-def make_cards(summary: Summary) -> Iterator[Card]:
+def _cards(summary: Summary) -> Iterator[Card]:
     """The figures that are read first."""
     driven = next(share for share in summary.outcomes if share.name == DRIVEN)
     stops = sum(share.count for share in summary.watchdogs)
@@ -86,7 +77,7 @@ def make_cards(summary: Summary) -> Iterator[Card]:
         if s.name.startswith("true_e1_"):
             text = f"in 95 % of the drives; the worst is drive {s.worst_drive}"
             yield Card(f"{s.name.removeprefix('true_')} below", f"{1e3 * s.high:.3g} mm", text)
-    for move in list_strongest(summary)[:1]:
+    for move in figures.list_strongest(summary)[:1]:
         yield Card(
             "moves most", move.quantity, f"{move.measure}, rank correlation {move.value:+.2f}"
         )
@@ -125,7 +116,7 @@ def _describe(choice: Choice) -> str:
 
 
 def _scaled(rows: Rows, name: str) -> np.ndarray:
-    return column(rows, name) * SCALES.get(UNITS.get(name, ""), (1.0, ""))[0]
+    return figures.column(rows, name) * SCALES.get(figures.UNITS.get(name, ""), (1.0, ""))[0]
 
 
 def _draw_histograms(rows: Rows, summary: Summary) -> list[Diagrams]:
@@ -137,7 +128,7 @@ def _draw_histograms(rows: Rows, summary: Summary) -> list[Diagrams]:
             values = _scaled(rows, name)
             axis.hist(values[np.isfinite(values)], bins=_BINS, color=BEFORE)
             axis.locator_params(axis="x", nbins=_TICKS)
-            axis.set(title=name_measure(name), ylabel="drives")
+            axis.set(title=figures.name_measure(name), ylabel="drives")
             axis.locator_params(axis="y", integer=True)
 
     return [Diagrams(plot, 1.9, count=len(names), columns=3)] if names else []
@@ -146,14 +137,14 @@ def _draw_histograms(rows: Rows, summary: Summary) -> list[Diagrams]:
 def _draw_scatters(plan: SweepPlan, rows: Rows, summary: Summary) -> list[Diagrams]:
     """The strongest dependences, a point for each drive."""
     units = {q.name: q.unit for q in plan.quantities}
-    strong = [s for s in list_strongest(summary) if s.measure != STOPS][:_SCATTERS]
+    strong = [s for s in figures.list_strongest(summary) if s.measure != figures.STOPS][:_SCATTERS]
 
     def plot(*axes: Axes) -> None:
         for axis, s in zip(axes, strong, strict=True):
             _draw_scatter(axis, rows[:_POINTS], s)
             unit = units[s.quantity]
             axis.set_xlabel(f"{s.quantity} [{unit}]" if unit not in ("", "1") else s.quantity)
-            axis.set_ylabel(name_measure(s.measure))
+            axis.set_ylabel(figures.name_measure(s.measure))
 
     return [Diagrams(plot, 2.4, count=len(strong), columns=3)] if strong else []
 

@@ -1,17 +1,6 @@
 """A sweep: what is varied, over which seeds, and the drives that follow from it.
 
-A sweep file is TOML:
-
-    seeds = 1000                  # or a list of them
-    duration = 20.0               # of each drive [s]
-    car = "car.toml"              # what the controller is designed from
-
-    [vary]                        # of the simulated car and its drive
-    path = ["figure8", "circle:radius=2"]
-    speed = { low = 1.0, high = 2.0 }
-    "car.mass" = { share = 0.05 }
-    "effect.steer_delay" = { low = 0.0, high = 0.04 }
-    "mocap.position_noise" = [0.0002, 0.001]
+A sweep file is TOML; `steerd sweep --example` prints one.
 """
 
 import hashlib
@@ -30,10 +19,10 @@ from steerd.car_model.car_file import CarFile
 from steerd.car_model.effects import find_effect
 from steerd.car_model.params import PARAMETERS
 from steerd.daemon.analysis.options import read_car
-from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean
+from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean, refusing
 from steerd.sim_hw.mocap.cameras import MocapConfig
 from steerd.sim_hw.vesc.vesc_motor import VescConfig
-from steerd.toml_text import TomlError, load_toml
+from steerd.toml_text import load_toml
 
 
 class Quantity(NamedTuple):
@@ -80,18 +69,17 @@ def find_quantity(name: str, car: CarFile) -> Quantity:
     Raises:
         ValueError: there is none; the message offers the nearest.
     """
-    for quantity in (*_DRIVE, *_INSTRUMENTS):
-        if quantity.name == name:
-            return quantity
+    known = {q.name: q for q in (*_DRIVE, *_INSTRUMENTS)}
+    for p in PARAMETERS:
+        usual = float(getattr(car.car, p.name))
+        known[f"car.{p.name}"] = Quantity(f"car.{p.name}", p.low, p.high, p.unit, p.meaning, usual)
+    if name in known:
+        return known[name]
     kind, _, rest = name.partition(".")
-    if kind == "car":
-        for p in PARAMETERS:
-            if p.name == rest:
-                usual = float(getattr(car.car, rest))
-                return Quantity(name, p.low, p.high, p.unit, p.meaning, usual)
     if kind == "effect" and rest:
         return _find_effect(name, rest)
-    raise ValueError(f"nothing is called {name!r}; {_hint(name)}")
+    more = "a sweep varies path, speed, car.NAME, effect.NAME, mocap.… and vesc.…"
+    raise ValueError(f"nothing is called {name!r}; {did_you_mean(name, known) or more}")
 
 
 def _find_effect(name: str, rest: str) -> Quantity:
@@ -104,12 +92,6 @@ def _find_effect(name: str, rest: str) -> Quantity:
     if chosen is None:
         raise ValueError(f"{effect.name} has no {wanted!r}, but {', '.join(parameters)}")
     return Quantity(name, chosen.low, chosen.high, chosen.unit, chosen.meaning, chosen.null)
-
-
-def _hint(name: str) -> str:
-    known = [q.name for q in (*_DRIVE, *_INSTRUMENTS)] + [f"car.{p.name}" for p in PARAMETERS]
-    more = "a sweep varies path, speed, car.NAME, effect.NAME, mocap.… and vesc.…"
-    return did_you_mean(name, known) or more
 
 
 _STREAM = 23  # keeps these numbers apart from those of the simulated instruments' noise
@@ -301,19 +283,9 @@ def list_cases(plan: SweepPlan) -> Iterator[DriveCase]:
     for combination in itertools.product(*lists.values()):
         fixed = dict(zip(lists, combination, strict=True))
         for seed in plan.seeds:
-            values = {name: _draw(drawn, name, seed, fixed) for name in plan.vary}
-            yield DriveCase(next(number), seed, values)
-
-
-def _draw(
-    drawn: Mapping[str, Distribution], name: str, seed: int, fixed: Mapping[str, Value]
-) -> Value:
-    if name in fixed:
-        return fixed[name]
-    try:
-        return drawn[name].draw(name, seed)
-    except ValueError as error:
-        raise SteerdError(str(error), "", ExitCode.USAGE) from None
+            with refusing():
+                values = fixed | {name: each.draw(name, seed) for name, each in drawn.items()}
+            yield DriveCase(next(number), seed, {name: values[name] for name in plan.vary})
 
 
 def load_sweep(path: Path) -> SweepPlan:
@@ -322,12 +294,8 @@ def load_sweep(path: Path) -> SweepPlan:
     Raises:
         SteerdError: it or its car file cannot be read, or says something impossible.
     """
-    try:
+    with refusing(f"{path}: ", code=ExitCode.INVALID):
         given = load_toml(path)
-    except OSError as error:
-        raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
-    except TomlError as error:
-        raise SteerdError(f"{path}: {error}", "", ExitCode.INVALID) from None
     car = given.pop("car", None)
     return make_sweep_plan(read_car(None if car is None else path.parent / str(car)), given)
 
@@ -347,14 +315,12 @@ def make_sweep_plan(car: CarFile, given: Mapping[str, Any]) -> SweepPlan:
     if odd is not None:
         hint = did_you_mean(odd, known) or f"there are {', '.join(known)}"
         raise SteerdError(f"a sweep has no {odd!r}", hint)
-    try:
+    with refusing(code=ExitCode.INVALID):
         vary = {
             name: _parse_choice(find_quantity(name, car), choice)
             for name, choice in dict(given.get("vary", {})).items()
         }
         said = {key: parse(given[key]) for key, parse in _PARSERS.items() if key in given}
-    except ValueError as error:
-        raise SteerdError(str(error), "", ExitCode.INVALID) from None
     plan = SweepPlan(car, vary=vary, **said)
     if plan.count > DRIVES_MAX:
         raise SteerdError(f"{plan.count} drives: {DRIVES_MAX} at most", "shorten the lists")

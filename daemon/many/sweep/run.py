@@ -19,7 +19,7 @@ from steerd.daemon.many.sweep.summary import Summary, describe_sweep, list_colum
 from steerd.daemon.many.units import Done, Where
 
 if TYPE_CHECKING:
-    from steerd.sysid.report.report import Card, Report
+    from steerd.sysid.report.report import Report
 
 
 @shown
@@ -52,13 +52,6 @@ class Sweep(Found):
         from steerd.daemon.many.sweep.page import make_report
 
         return make_report(self.plan, self.rows, self.summary)
-
-    @property
-    def cards(self) -> "list[Card]":
-        """The key figures of the page."""
-        from steerd.daemon.many.sweep.page import make_cards
-
-        return list(make_cards(self.summary))
 
     def __str__(self) -> str:
         mean = sum(row.get("seconds") or 0.0 for row in self.rows) / len(self.rows)

@@ -29,7 +29,6 @@ class Spread:
 
     name: str  # name and unit of the measure
     unit: str
-    count: int  # drives that have it
     low: float  # 5 % of them lie below
     middle: float  # 50 %
     high: float  # 95 %
@@ -127,7 +126,7 @@ def _spread(name: str, unit: str, rows: Rows) -> Spread | None:
     low, middle, high = (float(q) for q in np.quantile(values[known], QUANTILES))
     small = name.endswith("margin") or name == "damping"
     at = int(known[np.argmin(values[known]) if small else np.argmax(values[known])])
-    return Spread(name, unit, known.size, low, middle, high, float(values[at]), rows[at]["drive"])
+    return Spread(name, unit, low, middle, high, float(values[at]), rows[at]["drive"])
 
 
 def _sensitivities(plan: SweepPlan, rows: Rows) -> list[Sensitivity]:
@@ -143,7 +142,9 @@ def _sensitivities(plan: SweepPlan, rows: Rows) -> list[Sensitivity]:
                 continue
             if given is not None and np.ptp(given[known]) > 0.0:
                 value = float(stats.spearmanr(given[known], seen[known]).statistic)
-                means, groups = _outer_means(given[known], seen[known]), 2
+                low, high = np.quantile(given[known], (0.2, 0.8))  # the outer fifths, with ties
+                outer = (seen[known & (given <= low)], seen[known & (given >= high)])
+                means, groups = (float(outer[0].mean()), float(outer[1].mean())), 2
             elif texts is not None and len(set(texts[known])) > 1:
                 value, groups = _correlation_ratio(texts[known], seen[known])
                 each = [float(seen[known & (texts == text)].mean()) for text in set(texts[known])]
@@ -153,12 +154,6 @@ def _sensitivities(plan: SweepPlan, rows: Rows) -> list[Sensitivity]:
             least = _Z * sqrt((groups - 1) / (known.sum() - 1))
             found.append(Sensitivity(quantity.name, name, value, min(least, 1.0), *means))
     return found
-
-
-def _outer_means(given: Array, seen: Array) -> tuple[float, float]:
-    """Means of a measure over the lowest and the highest fifth of a quantity, ties included."""
-    low, high = np.quantile(given, (0.2, 0.8))
-    return float(seen[given <= low].mean()), float(seen[given >= high].mean())
 
 
 def _correlation_ratio(texts: NDArray[Any], seen: Array) -> tuple[float, int]:

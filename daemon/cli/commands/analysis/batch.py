@@ -14,7 +14,6 @@ import argparse
 from pathlib import Path
 
 from steerd.daemon.cli.arguments import missing_file, option
-from steerd.daemon.common.errors import ExitCode
 
 _KINDS = ("summarise", "identify", "diagnose")
 
@@ -32,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(where, "--dask", "ADDRESS", "a Dask scheduler instead")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     from steerd.daemon.common.written import check_outputs
 
     check_outputs({"-o": args.output, "--page": args.page})
@@ -43,4 +42,3 @@ def run(args: argparse.Namespace) -> int:
 
     job = make_job(find_batch(args.sessions), Question(args.kind, read_cars(args.cars)))
     do_in_terminal(job, Where(args.jobs, args.dask), args.output, args.page)
-    return ExitCode.OK

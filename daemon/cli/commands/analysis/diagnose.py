@@ -18,25 +18,19 @@ from pathlib import Path
 from typing import Any
 
 from steerd.daemon.cli import arguments
-from steerd.daemon.cli.arguments import (
-    add_sessions,
-    missing_car,
-    missing_session,
-    option,
-    split_paths,
-)
+from steerd.daemon.cli.arguments import option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_sessions(parser)
+    arguments.add_sessions(parser)
     what = parser.add_argument_group("what is compared")
     text = "the car as identified (default: the car file inside the session)"
-    option(what, "--base", "CAR.toml", text, missing_car, type=Path)
+    option(what, "--base", "CAR.toml", text, arguments.missing_car, type=Path)
     option(what, "--car", None, argparse.SUPPRESS, dest="base", type=Path)
     text = "drives of the same car without the gap: they determine how large noise is"
-    more: dict[str, Any] = {"type": split_paths, "action": "extend", "default": []}
-    option(what, "--healthy", "FILE,…", text, missing_session, **more)
+    more: dict[str, Any] = {"type": arguments.split_paths, "action": "extend", "default": []}
+    option(what, "--healthy", "FILE,…", text, arguments.missing_session, **more)
     option(what, "--only", "EFFECT", "look at this one (repeat)", action="append")
     option(what, "--without", "EFFECT", "leave it out (repeat)", action="append")
     option(what, "--no-pairs", "", "one cause at most; faster", dest="pairs", action="store_false")
@@ -44,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(what, "--speed", None, text, choices=("command", "wheel"), default="command")
     more = {"type": arguments.split_held_out, "action": "extend"}
     text = "measure the shrinkage on every K-th drive (default 4; 0: none), or on these files"
-    option(what, "--held-out", "K|FILE,…", text, missing_session, **more)
+    option(what, "--held-out", "K|FILE,…", text, arguments.missing_session, **more)
     option(what, "--runs-held-out", None, argparse.SUPPRESS, dest="held_out", **more)  # until 0.1
     out = parser.add_argument_group("output")
     more = {"nargs": "?", "const": Path("-"), "type": Path}
@@ -58,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(where, "--jobs", "N", "candidates side by side", type=int, default=1)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     from steerd.daemon.analysis.diagnosis import DRIVEN, DiagnoseOptions, run_diagnosis
     from steerd.daemon.analysis.options import read_arguments
     from steerd.daemon.assembly.car_check import report_refusal
@@ -88,4 +82,3 @@ def run(args: argparse.Namespace) -> int:
         write(args.prediction, found.findings.shrinkage.text)  # where it could not be, at first
     if car is not None:
         report_refusal(car)
-    return ExitCode.OK

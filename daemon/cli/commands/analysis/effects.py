@@ -25,9 +25,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(own, "--remove", "NAME.py", "take them away again", type=Path)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     if args.add or args.remove:
-        return _change(args)
+        _change(args)
+        return
     from steerd.car_model.effects import EFFECTS, find_effect
     from steerd.daemon.analysis import effects_text
 
@@ -45,14 +46,12 @@ def run(args: argparse.Namespace) -> int:
         print(effects_text.make_page(), end="")
     else:
         print(effects_text.format_effect(effect) if effect else effects_text.format_table())
-    return ExitCode.OK
 
 
-def _change(args: argparse.Namespace) -> int:
+def _change(args: argparse.Namespace) -> None:
     from steerd.daemon.common.progress import show_progress
     from steerd.daemon.setup.own_effect import add_effect, remove_effect
 
     with show_progress("compiling the equations", 1.0):
         names = add_effect(args.add) if args.add else remove_effect(args.remove)
     print(f"added: {', '.join(names)}; try: steerd effects {names[0]}" if names else "removed")
-    return ExitCode.OK

@@ -16,18 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from steerd.daemon.cli import arguments
-from steerd.daemon.cli.arguments import (
-    add_sessions,
-    missing_car,
-    missing_session,
-    option,
-    split_list,
-)
+from steerd.daemon.cli.arguments import missing_car, option, split_list
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_sessions(parser)
+    arguments.add_sessions(parser)
     what = parser.add_argument_group("what is learnt")
     option(what, "--car", "FILE.toml", "start values (F1TENTH's)", missing_car, type=Path)
     option(what, "--base", None, argparse.SUPPRESS, dest="car", type=Path)
@@ -46,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(what, "--seed", None, "of random starts", type=int, default=0)
     text = "validate on every K-th block of 5 s (default 4), or on these sessions"
     more: dict[str, Any] = {"type": arguments.split_held_out, "action": "extend"}
-    option(what, "--held-out", "K|FILE,…", text, missing_session, **more)
+    option(what, "--held-out", "K|FILE,…", text, arguments.missing_session, **more)
     out = parser.add_argument_group("output")
     option(out, "-o --output", "CAR.toml", "car file to write", type=Path)
     option(out, "--json", "FILE", "the result for programs; -: to the terminal", type=Path)

@@ -12,7 +12,6 @@ import sys
 from pathlib import Path
 
 from steerd.daemon.cli.arguments import add_session, missing_car, option, pick_session
-from steerd.daemon.common.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--json", "", "the same for programs")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     from steerd.daemon.analysis.learning import learn_session
     from steerd.daemon.common.progress import show_progress
     from steerd.daemon.common.screen import print_labelled, wrap
@@ -39,10 +38,9 @@ def run(args: argparse.Namespace) -> int:
         reports = {"count": found.reports, "sha256": found.digest}
         values = {"schema": "steerd.learn/1", **encode_model(found.report), "reports": reports}
         print(json.dumps(values, indent=1, allow_nan=False))
-        return ExitCode.OK
+        return
     about = f"{path.name}: {found.report.windows} half seconds of driving, about {found.base}"
     print(*wrap(about, "", "  "), *format_model(found.report), sep="\n")
     if found.recorded:
         print(f"reports in the session: {found.same} of {found.recorded} the same to the byte")
     print(f"{found.reports} reports, sha256 {found.digest[:16]}")
-    return ExitCode.OK

@@ -52,10 +52,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(again, "--record", "FILE.mcap", "session file of that drive", type=Path)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     if args.example:
         print(EXAMPLE, end="")
-        return ExitCode.OK
+        return
     _check(args)
     from steerd.daemon.many.job import do_in_terminal
     from steerd.daemon.many.sweep.plan import load_sweep
@@ -64,9 +64,9 @@ def run(args: argparse.Namespace) -> int:
 
     plan = load_sweep(args.file)
     if args.again is not None:
-        return _drive_again(plan, args)
-    do_in_terminal(make_job(plan), Where(args.jobs), args.output, args.page)
-    return ExitCode.OK
+        _drive_again(plan, args)
+    else:
+        do_in_terminal(make_job(plan), Where(args.jobs), args.output, args.page)
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -81,7 +81,7 @@ def _check(args: argparse.Namespace) -> None:
         raise SteerdError("--again and --record go together", "name both", ExitCode.USAGE)
 
 
-def _drive_again(plan: "SweepPlan", args: argparse.Namespace) -> int:
+def _drive_again(plan: "SweepPlan", args: argparse.Namespace) -> None:
     """Drive one case of the sweep and record it."""
     from steerd.daemon.common.screen import NBSP, wrap
     from steerd.daemon.many.sweep.drive import prepare
@@ -103,4 +103,3 @@ def _drive_again(plan: "SweepPlan", args: argparse.Namespace) -> int:
         print(f"stopped: {run.core.loop.fault}")
     check_driven(run)
     print(f"written: {args.record}\n   next: steerd plot {args.record}")
-    return ExitCode.OK

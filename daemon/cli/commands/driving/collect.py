@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 from steerd.daemon.cli.arguments import option
 from steerd.daemon.cli.commands.driving import run as driving
-from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.loop.plans import NAMES, PlanError, make_closed_path, parse_box
+from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
+from steerd.daemon.loop.plans import NAMES, make_closed_path, parse_box
 from steerd.daemon.settings.run_options import RunOptions
 
 if TYPE_CHECKING:
@@ -44,7 +44,8 @@ def make_options(args: argparse.Namespace) -> RunOptions:
         SteerdError: a combination makes no sense.
     """
     if args.controller != "lane":
-        raise SteerdError("a plan is driven by the daemon itself", "drop --controller", _USAGE)
+        what = "a plan is driven by the daemon itself"
+        raise SteerdError(what, "drop --controller", ExitCode.USAGE)
     parts = [args.plan, "closed" if args.closed else f"speed={args.speed:g}"]
     if args.box:
         parts.append(f"box={args.box}")
@@ -52,17 +53,12 @@ def make_options(args: argparse.Namespace) -> RunOptions:
     return replace(driving.make_options(args), drill=";".join(parts))
 
 
-_USAGE = ExitCode.USAGE
-
-
 def _path(args: argparse.Namespace) -> str:
     """The lane keeper's path: a figure eight that fits the box; open loop it is not followed."""
     if not args.closed:
         return "line"
-    try:
+    with refusing():
         return make_closed_path(parse_box(args.box) if args.box else None)
-    except PlanError as error:
-        raise SteerdError(str(error), "", _USAGE) from None
 
 
 def plan_drive(options: RunOptions, *, design: bool = True) -> "RunPlan":

@@ -5,12 +5,12 @@ limits and stops the car when they are too old.
 """
 
 import argparse
+import contextlib
 import secrets
 import sys
 
 from steerd.daemon.cli.arguments import add_bus_arguments
 from steerd.daemon.cli.commands.driving.run import add_drive_arguments
-from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.ipc.signals import raise_on_stop_signals
 
 
@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_drive_arguments(parser)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     from steerd.daemon.assembly.build import make_plan
     from steerd.daemon.ipc.operator import connect, read_status
     from steerd.daemon.process.external_controller import ExternalController, answer, keep_lane
@@ -38,8 +38,5 @@ def run(args: argparse.Namespace) -> int:
         keeper = ExternalController(keep_lane(plan.controller), boot_id, secrets.randbits(62) + 1)
         print(f"steering {args.name} along {plan.path.name}; Ctrl-C ends", file=sys.stderr)
         end = None if args.duration is None else clock.now_ns() + round(args.duration * 1e9)
-        try:
+        with contextlib.suppress(KeyboardInterrupt):
             answer(bus, args.name, keeper, clock, end)
-        except KeyboardInterrupt:
-            return ExitCode.OK
-    return ExitCode.OK

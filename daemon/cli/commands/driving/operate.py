@@ -18,6 +18,7 @@ import contextlib
 import getpass
 import sys
 from collections.abc import Callable
+from math import inf
 
 from steerd.daemon.cli.arguments import add_car_arguments, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -59,16 +60,12 @@ class _Link:
     """One operator on the bus and what they see of the car."""
 
     def __init__(self, view: CarView, operator: bus_operator.BusOperator) -> None:
-        self.view, self._operator, self._clock = view, operator, view.clock
+        self.view, self.operator = view, operator
         self._changes = view.bus.subscribe(make_key(view.car, topics.TRANSITION), 32)
         self._alive_ns = 0
 
-    @property
-    def state(self) -> SupervisorState | None:
-        return self.view.mode
-
     def send(self, kind: RequestKind) -> None:
-        self._operator.ask(self.view.boot_id, kind)
+        self.operator.ask(self.view.boot_id, kind)
 
     def receive(self) -> None:
         """Take in what has come; what cannot be read, of another version, is left out."""
@@ -81,16 +78,16 @@ class _Link:
 
     def wait(self, done: Callable[[], bool], limit_ns: int | None, *, hold: bool = True) -> bool:
         """Keep the lease alive, repeat a stop and receive until `done` or the time is over."""
-        end = None if limit_ns is None else self._clock.now_ns() + limit_ns
+        clock = self.view.clock
+        end = inf if limit_ns is None else clock.now_ns() + limit_ns
         while not done():
-            now = self._clock.now_ns()
-            if end is not None and now > end:
+            if (now := clock.now_ns()) > end:
                 return False
             if hold and now - self._alive_ns >= KEEPALIVE_NS:
                 self._alive_ns = now
                 self.send(RequestKind.KEEPALIVE)
-            self._operator.repeat(self.state)
-            self._clock.sleep_until_ns(now + bus_operator.REPEAT_NS // 2)
+            self.operator.repeat(self.view.mode)
+            clock.sleep_until_ns(now + bus_operator.REPEAT_NS // 2)
             self.receive()
         return True
 
@@ -105,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
             pulse = bus_operator.Pulse(bus, args.name)
             operator = bus_operator.BusOperator(bus, args.name, clock, getpass.getuser(), pulse)
             operator.ask(0, kind)  # before anything is known of the car, and whatever it says
-            return _stop(_Link(CarView(bus, args.name, clock), operator), operator, name)
+            return _stop(_Link(CarView(bus, args.name, clock), operator), name)
         view = CarView(bus, args.name, clock)
         _expect_car(view)
         leased = view.values.get("leased") == "1"
@@ -126,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
         operator = bus_operator.BusOperator(
             bus, args.name, clock, getpass.getuser(), view.pulse, kept if shared else 0
         )
-        return _request(_Link(view, operator), operator, name, hold=not args.no_hold)
+        return _request(_Link(view, operator), name, hold=not args.no_hold)
 
 
 def _expect_car(view: CarView) -> None:
@@ -144,13 +141,13 @@ def _expect_car(view: CarView) -> None:
         view.poll()
 
 
-def _stop(link: _Link, operator: bus_operator.BusOperator, name: str) -> int:
+def _stop(link: _Link, name: str) -> int:
     """Call for a stop until the car shows it; the request is out before anything was received."""
-    link.wait(lambda: not operator.repeat(link.state), None, hold=False)
-    if link.state in bus_operator.STOPS[_KINDS[name]]:
+    link.wait(lambda: not link.operator.repeat(link.view.mode), None, hold=False)
+    if link.view.mode in bus_operator.STOPS[_KINDS[name]]:
         print(link.view.mode_name)
         return ExitCode.OK
-    if link.state is None:
+    if link.view.mode is None:
         sent = f"{name} was sent for {bus_operator.CALL_NS * 1e-9:.0f} s"
         what = f"{sent}, and no car {link.view.car!r} shows it"
         hint = "look at the car; is it called so? name it with --name"
@@ -165,13 +162,13 @@ def _make_refusal(view: CarView, name: str) -> SteerdError:
     return SteerdError(what, "steerd clear" if view.mode in _LATCHED else hint, ExitCode.STOPPED)
 
 
-def _request(link: _Link, operator: bus_operator.BusOperator, name: str, *, hold: bool) -> int:
+def _request(link: _Link, name: str, *, hold: bool) -> int:
     kind = _KINDS[name]
     link.send(kind)
-    if not link.wait(lambda: link.state in _WANTED[kind], ANSWER_NS):
+    if not link.wait(lambda: link.view.mode in _WANTED[kind], ANSWER_NS):
         raise _make_refusal(link.view, name)
     if name == "arm":
-        bus_operator.keep_lease(link.view.car, operator.secret)
+        bus_operator.keep_lease(link.view.car, link.operator.secret)
     if name in _HOLDING and hold:
         return _hold(link, name)
     print(link.view.mode_name)
@@ -185,10 +182,10 @@ def _hold(link: _Link, name: str) -> int:
     doing = "armed: `steerd start` from another terminal" if name == "arm" else "driving"
     print(f"{doing}; Ctrl-C {'disarms' if name == 'arm' else 'stops'}", file=sys.stderr)
     try:
-        link.wait(lambda: link.state not in kept, None)
+        link.wait(lambda: link.view.mode not in kept, None)
     except KeyboardInterrupt:
         link.send(RequestKind.DISARM if name == "arm" else RequestKind.STOP)
-        link.wait(lambda: link.state is not stay, ANSWER_NS)
-        link.wait(lambda: link.state is not SupervisorState.STOPPING, REST_NS)
+        link.wait(lambda: link.view.mode is not stay, ANSWER_NS)
+        link.wait(lambda: link.view.mode is not SupervisorState.STOPPING, REST_NS)
     print(link.view.mode_name)
-    return ExitCode.STOPPED if link.state in _LATCHED else ExitCode.OK
+    return ExitCode.STOPPED if link.view.mode in _LATCHED else ExitCode.OK

@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--port", "N", "of the page (default: a free one)", type=int, default=0)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     from steerd.daemon.ipc.operator import connect, read_lab
 
     if args.lab is not None:
@@ -43,8 +43,7 @@ def run(args: argparse.Namespace) -> int:
         try:
             asyncio.run(run_page(view, page, args.port, on_open, asyncio.Event()))
         except KeyboardInterrupt:
-            return ExitCode.OK
+            pass
         except OSError as error:
             what = f"--port {args.port}: {error.strerror or error}"
             raise SteerdError(what, "name another port", ExitCode.UNREACHABLE) from None
-    return ExitCode.OK

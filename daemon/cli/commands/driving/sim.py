@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from steerd.daemon.cli.arguments import missing_car, option
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import refusing
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--link-dir", None, "where the serial port's name is made", type=Path)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     from steerd.daemon.assembly.build import make_plan, make_world_config
     from steerd.daemon.common.screen import wrap_command
     from steerd.daemon.settings.run_options import RunOptions
@@ -36,10 +36,8 @@ def run(args: argparse.Namespace) -> int:
         sim_car=args.car or "",
     )  # fmt: skip
     world = make_world_config(make_plan(options, design=False), args.mocap)
-    try:
+    with refusing("--fault: "):
         faults = links.fault_windows(args.fault)
-    except ValueError as error:
-        raise SteerdError(f"--fault: {error}", "", ExitCode.USAGE) from None
     links.raise_priority()
     with links.stop_on_signals() as stop, links.SimHardware(world, faults, args.link_dir) as sim:
         print(f"VESC:  {sim.port}")
@@ -48,4 +46,3 @@ def run(args: argparse.Namespace) -> int:
         shown = wrap_command(command, "   try: ", " " * 10)
         print("", *(shown if sys.stdout.isatty() else [f"   try: {command}"]), sep="\n", flush=True)
         sim.run(stop, (0,) if sys.stdin.isatty() else ())
-    return ExitCode.OK

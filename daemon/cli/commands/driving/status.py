@@ -5,7 +5,6 @@ import json
 from collections.abc import Mapping
 
 from steerd.daemon.cli.arguments import add_car_arguments, option
-from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.common.screen import wrap
 from steerd.daemon.ipc.operator import connect, read_model, read_status
 from steerd.daemon.learning.text import design_text, encode_model, format_model
@@ -19,17 +18,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--json", "", "for programs")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     with connect(args.connect, args.lab) as bus:
         status = read_status(bus, args.name, MonotonicClock())
         model = read_model(bus, args.name)
     if args.json:
         print(json.dumps({**status, **(encode_model(model) if model else {})}, indent=2))
-        return ExitCode.OK
+        return
     print("\n".join(format_status(args.name, status)))
     if model is not None:
         print("\n".join(format_model(model)))
-    return ExitCode.OK
 
 
 def format_status(name: str, status: Mapping[str, str]) -> list[str]:

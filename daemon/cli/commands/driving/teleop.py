@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--quiet", "S", text, type=float, default=2.0)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     from steerd.controller.limits import CEILINGS
 
     highest = (CEILINGS["speed_max"].high, CEILINGS["steer_left_max"].high, QUIET_MOST_S)
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
         try:
             serve_pad(teleop, pad, clock, lambda line: print(line, file=sys.stderr, flush=True))
         except KeyboardInterrupt:
-            return ExitCode.OK
+            pass
         except PadGoneError:
             what = f"{pad.name} is gone; the car stops"
             raise SteerdError(what, "plug it in again", ExitCode.UNREADABLE) from None
@@ -83,4 +83,3 @@ def run(args: argparse.Namespace) -> int:
             if teleop.pad.held:
                 teleop.release()
             pad.close()
-    return ExitCode.OK

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(bag, "--rigid", "ID", "which PhaseSpace body is the car", type=int)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     kind, source = read_words(args.words)
     out = args.output or default_output(source)
     the_map = _agree(args, kind, source, out) if args.ask else args.map
@@ -48,7 +48,6 @@ def run(args: argparse.Namespace) -> int:
         hint = f"`steerd import --ask {source}` proposes one; {EXAMPLE_MAP} is one"
         raise SteerdError("a csv file needs a map of its columns, --map", hint, ExitCode.USAGE)
     _print_result(_import(args, kind, source, the_map, out), args, the_map)
-    return ExitCode.OK
 
 
 def read_words(words: list[str]) -> tuple[str, Path]:

@@ -7,7 +7,6 @@ steerd info SESSION.mcap --json
 import argparse
 
 from steerd.daemon.cli.arguments import add_session, option, pick_session
-from steerd.daemon.common.errors import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--json", "", "the same for programs")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.text import format_report, make_json, print_warnings
 
@@ -24,7 +23,6 @@ def run(args: argparse.Namespace) -> int:
         import json
 
         print(json.dumps(make_json(report), indent=1, allow_nan=False))
-        return ExitCode.OK
+        return
     print(format_report(report))
     print_warnings(report.warnings)
-    return ExitCode.OK

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--shift", "SECONDS", text, type=float)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     from steerd.daemon.common.written import check_outputs, write_outputs
 
     paths = pick_sessions(args.sessions)
@@ -38,15 +38,14 @@ def run(args: argparse.Namespace) -> int:
         what = f"{output.name}: several drives are compared on a page"
         raise SteerdError(what, "-o FILE.html", ExitCode.USAGE)
     if len(paths) > 1:
-        from steerd.daemon.sessions.compare import render_recordings
+        from steerd.daemon.sessions.compare import render_comparison
         from steerd.daemon.sessions.info import load_recording
 
-        content = render_recordings(list(map(load_recording, paths)), args.shift).encode()
+        content = render_comparison(list(map(load_recording, paths)), args.shift).encode()
     else:
         content = _draw(paths[0], output.suffix.lower())
     write_outputs({output: content})
     print(f"{output}: {len(content) / 1e6:.1f} MB{'' if other else '; open it in a browser'}")
-    return ExitCode.OK
 
 
 def _draw(path: Path, suffix: str) -> bytes:

@@ -18,18 +18,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "-o --output", "OUT.mcap", "default: NAME.recovered.mcap", type=Path)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     from steerd.daemon.imports.import_session import check_output
     from steerd.daemon.sessions.info import load_session
     from steerd.daemon.sessions.text import print_warnings
     from steerd.steer_bus.session import recover
 
-    source = find_source(args.session)
-    out: Path = args.output or default_output(source)
+    partial = args.session.with_name(args.session.name + ".partial")
+    source: Path = partial if partial.exists() and not args.session.exists() else args.session
+    name = source.name.removesuffix(".partial").removesuffix(".mcap")
+    out: Path = args.output or source.with_name(f"{name}.recovered.mcap")
     session = load_session(source)
     if session.info().finished and not session.warnings:
         print(f"{source} is complete: nothing to recover")
-        return ExitCode.OK
+        return
     if not session.info().count:
         raise SteerdError(f"{source} holds no message that can be read", "", ExitCode.INVALID)
     check_output(out)
@@ -40,16 +42,3 @@ def run(args: argparse.Namespace) -> int:
     print(f"lost     {report.lost_bytes} unreadable bytes, and data not yet on the disk")
     print(f"longest  {report.longest_gap_s:.3g} s without any message")
     print(f"\nwritten: {report.path}\n   next: steerd info {report.path}")
-    return ExitCode.OK
-
-
-def find_source(named: Path) -> Path:
-    """The file itself, or the `.partial` beside the name that it should have got."""
-    partial = named.with_name(named.name + ".partial")
-    return partial if partial.exists() and not named.exists() else named
-
-
-def default_output(source: Path) -> Path:
-    """`NAME.recovered.mcap` beside the source."""
-    name = source.name.removesuffix(".partial").removesuffix(".mcap")
-    return source.with_name(f"{name}.recovered.mcap")

@@ -39,18 +39,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(note, "text", "TEXT", "", nargs="+")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     from steerd.daemon.sessions.catalogue import default_folders, find_session
 
     if args.folder is not None and not args.folder.is_dir():
         raise SteerdError(f"there is no folder {args.folder}", "", ExitCode.UNREADABLE)
     folders = (args.folder,) if args.folder else default_folders()
     if args.kind is None:
-        return _list(args, folders)
-    return _write(args, find_session(args.session, folders))
+        _list(args, folders)
+    else:
+        _write(args, find_session(args.session, folders))
 
 
-def _list(args: argparse.Namespace, folders: tuple[Path, ...]) -> int:
+def _list(args: argparse.Namespace, folders: tuple[Path, ...]) -> None:
     from steerd.daemon.common.progress import show_progress
     from steerd.daemon.common.written import check_outputs, write_outputs
     from steerd.daemon.sessions import catalogue
@@ -72,24 +73,22 @@ def _list(args: argparse.Namespace, folders: tuple[Path, ...]) -> int:
         import json
 
         print(json.dumps(catalogue.make_json(entries), indent=1, allow_nan=False))
-        return ExitCode.OK
+        return
     if page:
-        from steerd.daemon.sessions.catalogue_page import make_report
         from steerd.sysid.report.page import render_report
 
-        write_outputs({page: render_report(make_report(entries, page.parent))})
+        write_outputs({page: render_report(catalogue.make_report(entries, page.parent))})
         print(f"{page}: {len(entries)} drives; open it in a browser")
-        return ExitCode.OK
+        return
     if not entries:
         print(f"no drive in {' or '.join(str(folder) for folder in folders)}", file=sys.stderr)
-        return ExitCode.OK
+        return
     print("\n".join(catalogue.format_entries(entries, [places[e.path] for e in entries])))
     if len(paths) > len(shown):
         print(f"and {len(paths) - len(shown)} older ones: --all")
-    return ExitCode.OK
 
 
-def _write(args: argparse.Namespace, session: Path) -> int:
+def _write(args: argparse.Namespace, session: Path) -> None:
     from steerd.daemon.sessions.catalogue import notes_file, read_notes, write_notes
 
     tags, note = read_notes(session)
@@ -102,4 +101,3 @@ def _write(args: argparse.Namespace, session: Path) -> int:
             note = " ".join(args.text)
     write_notes(session, tags, note)
     print(f"written: {notes_file(session)}")
-    return ExitCode.OK

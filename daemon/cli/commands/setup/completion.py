@@ -15,7 +15,6 @@ from pathlib import Path
 import shtab
 
 from steerd.daemon.cli.arguments import list_actions, option
-from steerd.daemon.common.errors import ExitCode
 from steerd.version import VERSION
 
 SHELLS = ("bash", "zsh", "tcsh", "fish")
@@ -28,10 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "shell", None, "a shell, or man for the manual", choices=(*SHELLS, "man"))
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     parser = make_full_parser()
     print(make_manual(parser) if args.shell == "man" else shtab.complete(parser, args.shell))
-    return ExitCode.OK
 
 
 def make_manual(parser: argparse.ArgumentParser) -> str:

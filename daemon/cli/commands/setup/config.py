@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--to-vesc-yaml", "FILE", "write the gains there, or make the file", type=Path)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     from steerd.car_model.car_file import default_car_path
     from steerd.daemon.settings.car_edit import edit_car
     from steerd.daemon.settings.config import load_settings
@@ -38,16 +38,21 @@ def run(args: argparse.Namespace) -> int:
         base = load_settings(path)
         scaling = read_vesc_yaml(_read(args.from_vesc_yaml), base.scaling)
         print(edit_car(base.file, make_car_values(scaling)).text, end="")
-        return ExitCode.OK
-    if args.to_vesc_yaml:
-        return _to_yaml(load_settings(path), args.to_vesc_yaml)
-    if args.check:
-        return _check(args.check)
-    print(load_settings(path).file.text, end="")
-    return ExitCode.OK
+    elif args.to_vesc_yaml:
+        from steerd.daemon.common.written import write_outputs
+        from steerd.daemon.settings.vesc_yaml import make_vesc_yaml
+
+        settings, out = load_settings(path), args.to_vesc_yaml
+        text = make_vesc_yaml(settings.scaling, _read(out) if out.exists() else "")
+        write_outputs({out: text})
+        print(f"{out}: gains of {settings.file.name}")
+    elif args.check:
+        _check(args.check)
+    else:
+        print(load_settings(path).file.text, end="")
 
 
-def _check(path: Path) -> int:
+def _check(path: Path) -> None:
     from steerd.daemon.assembly.car_check import plan_car
     from steerd.daemon.common.screen import NBSP, wrap
     from steerd.daemon.common.translate import load_car_file
@@ -57,7 +62,6 @@ def _check(path: Path) -> int:
     label = "  controller  "
     about = re.sub(r"(?<=\d) (?=[mH])", NBSP, plan.controller.report.describe())  # with its unit
     print("\n".join(wrap(about, label, " " * len(label))))
-    return ExitCode.OK
 
 
 def describe(settings: "Settings") -> list[str]:
@@ -80,21 +84,10 @@ def describe(settings: "Settings") -> list[str]:
     ]
 
 
-def _to_yaml(settings: "Settings", path: Path) -> int:
-    from steerd.daemon.common.written import write_outputs
-    from steerd.daemon.settings.vesc_yaml import make_vesc_yaml
-
-    text = make_vesc_yaml(settings.scaling, _read(path) if path.exists() else "")
-    write_outputs({path: text})
-    print(f"{path}: gains of {settings.file.name}")
-    return ExitCode.OK
-
-
 def _read(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         why = getattr(error, "strerror", None) or "not a text file"
-        raise SteerdError(
-            f"{path}: {why}", "name F1TENTH's vesc.yaml", ExitCode.UNREADABLE
-        ) from None
+        hint = "name F1TENTH's vesc.yaml"
+        raise SteerdError(f"{path}: {why}", hint, ExitCode.UNREADABLE) from None

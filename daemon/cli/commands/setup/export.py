@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "-o --output", "FILE", text, type=Path, required=True)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     from dataclasses import replace
 
     from steerd.daemon.common.screen import clean, wrap
@@ -42,4 +42,3 @@ def run(args: argparse.Namespace) -> int:
     print(f"{args.output}: written. What is lost:")
     for sentence in made.lost:
         print("\n".join(wrap(sentence, "  - ", "    ")))
-    return ExitCode.OK

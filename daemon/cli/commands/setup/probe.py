@@ -13,7 +13,7 @@ from dataclasses import asdict
 from math import degrees
 
 from steerd.daemon.cli.arguments import missing_car, option
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.common.screen import clean, join_words, wrap
 from steerd.daemon.setup.probe import VESC_USB, Advice, Found, MocapSeen, VescFound
 
@@ -41,10 +41,8 @@ def run(args: argparse.Namespace) -> int:
         raise SteerdError(f"--seconds {args.seconds:g}: 0.5 to 600", "", ExitCode.USAGE)
     settings, clock = load_settings(args.car or default_car_path()), MonotonicClock()
     serial = tuple(ask_ports(args.port, clock, settings.brakes))
-    try:
+    with refusing(f"--mocap {args.mocap}: "):
         mocap = tuple(ask_mocap(args.mocap, settings.ingest, clock, args.seconds))
-    except ValueError as error:
-        raise SteerdError(f"--mocap {args.mocap}: {error}", "", ExitCode.USAGE) from None
     found = Found(serial, mocap, find_sockets(), in_group())
     if args.json:
         document = {"schema": "steerd.probe/1", **asdict(found)}

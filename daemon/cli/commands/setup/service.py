@@ -18,9 +18,9 @@ from pathlib import Path
 from string import Template
 from xml.sax.saxutils import quoteattr
 
-from steerd.daemon.cli.arguments import option
+from steerd.daemon.cli.arguments import list_actions, option
 from steerd.daemon.cli.commands.driving import run as run_command
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,10 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     run_command.add_arguments(parser)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     user = not args.system
     if args.action == "uninstall":
-        return _uninstall(_unit_path(user), user)
+        _uninstall(_unit_path(user), user)
+        return
     if args.action == "udev":
         text = _fill("99-vesc.rules")
     elif args.action == "launch":
@@ -46,9 +47,9 @@ def run(args: argparse.Namespace) -> int:
         account = "" if user else os.environ.get("SUDO_USER") or getpass.getuser()
         text = make_unit(_make_command(args), args.name, account=account)
     if args.action == "install":
-        return _install(_unit_path(user), text, user, force=args.force)
-    print(text, end="")
-    return ExitCode.OK
+        _install(_unit_path(user), text, user, force=args.force)
+    else:
+        print(text, end="")
 
 
 def _make_command(args: argparse.Namespace) -> list[str]:
@@ -74,7 +75,7 @@ def _run_arguments(args: argparse.Namespace) -> list[str]:
     parser = argparse.ArgumentParser()
     run_command.add_arguments(parser)
     arguments: list[str] = []
-    for action in parser._actions:  # noqa: SLF001 (argparse has no public list)
+    for action in list_actions(parser):
         value = getattr(args, action.dest, action.default)
         if value == action.default or not action.option_strings:
             continue
@@ -97,15 +98,13 @@ def _absolute(text: str, dest: str) -> str:
     return text
 
 
-def _install(path: Path, text: str, user: bool, *, force: bool) -> int:
+def _install(path: Path, text: str, user: bool, *, force: bool) -> None:
     from steerd.daemon.common.written import write_whole
 
     if path.exists() and path.read_text() != text and not force:
         raise SteerdError(f"{path} exists already", "--force replaces it", ExitCode.USAGE)
-    try:
+    with refusing(f"{path.parent}: "):
         path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise SteerdError(f"{path.parent}: {error.strerror}", "", ExitCode.UNREADABLE) from None
     write_whole(path, text)
     ctl = "systemctl --user" if user else "systemctl"
     print(f"{path}: written")
@@ -114,17 +113,13 @@ def _install(path: Path, text: str, user: bool, *, force: bool) -> int:
     print("   once: steerd service udev | sudo tee /etc/udev/rules.d/99-vesc.rules")
     if user:
         print("   once: loginctl enable-linger, so that it starts without a login")
-    return ExitCode.OK
 
 
-def _uninstall(path: Path, user: bool) -> int:
+def _uninstall(path: Path, user: bool) -> None:
     ctl = "systemctl --user" if user else "systemctl"
-    try:
+    with refusing(f"{path}: "):
         path.unlink()
-    except OSError as error:
-        raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
     print(f"{path}: removed\n   next: {ctl} disable --now steerd; {ctl} daemon-reload")
-    return ExitCode.OK
 
 
 def make_unit(command: Sequence[str], car: str, *, account: str = "") -> str:

@@ -86,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--page", "PORT", text, nargs="?", type=int, const=0)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int | None:
     steps = list_steps(args.port, args.mocap, args.folder)
     if not 1 <= args.first <= len(steps):
         raise SteerdError(f"--from {args.first}: there are {len(steps)} steps", "", ExitCode.USAGE)
@@ -99,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
         return ExitCode.INTERRUPTED
     car = str(args.folder / "identified.toml")
     print(f"   next: steerd {shlex.join(['run', *hardware, '--car', car])}")
-    return ExitCode.OK
+    return None
 
 
 def _guide_here(steps: Sequence[Step], at: int, port: int | None) -> int:
@@ -119,16 +119,12 @@ def _guide_here(steps: Sequence[Step], at: int, port: int | None) -> int:
     return guide(steps, at, page.ask, partial(run_step, execute=page.run), page.stand)
 
 
-def _unseen(at: int, state: str) -> None:
-    """Nobody looks on."""
-
-
 def guide(
     steps: Sequence[Step],
     at: int,
     ask: Callable[[str], str],
     do: Callable[[Step], int],
-    stand: Callable[[int, str], None] = _unseen,
+    stand: Callable[[int, str], None] = lambda at, state: None,
 ) -> int:
     """Go through steps as answers say; where it ended, the number of steps if all are done.
 

@@ -88,42 +88,25 @@ def test_steering_of_the_wrong_sign_is_a_warning_before_the_fit(rows, importer, 
     assert "left positive" in error
 
 
-def _millimetres(rows):
-    rows[:, 1:3] *= 1000.0
+def put(columns, value):
+    """Rows with this in some of their columns."""
 
+    def spoil(rows):
+        spoilt = rows.copy()
+        spoilt[:, columns] = value(rows) if callable(value) else value
+        return spoilt
 
-def _clock_step(rows):
-    rows[1200:, 0] += 3.0
-
-
-def _degrees(rows):
-    rows[:, 4] = np.degrees(rows[:, 4])
-
-
-def _standing(rows):
-    rows[:, 1:4] = rows[0, 1:4]
-
-
-def _constant(rows):
-    rows[:, 4] = 0.1
-
-
-def _crawling(rows):
-    rows[:, 5] = 0.1
-
-
-def _short(rows):
-    rows.resize((60, rows.shape[1]), refcheck=False)
+    return spoil
 
 
 BROKEN = {
-    "millimetres": (_millimetres, "millimetres"),
-    "clock": (_clock_step, "clock"),
-    "degrees": (_degrees, "is it in degrees?"),
-    "standing": (_standing, "never moved"),
-    "constant": (_constant, "steering is one constant"),
-    "crawling": (_crawling, "m/s"),
-    "short": (_short, "of driving"),
+    "millimetres": (put([1, 2], lambda rows: 1e3 * rows[:, 1:3]), "millimetres"),
+    "clock": (put(0, lambda r: r[:, 0] + 3.0 * (np.arange(len(r)) >= 1200)), "clock"),
+    "degrees": (put(4, lambda rows: np.degrees(rows[:, 4])), "is it in degrees?"),
+    "standing": (put([1, 2, 3], lambda rows: rows[0, 1:4]), "never moved"),
+    "constant": (put(4, 0.1), "steering is one constant"),
+    "crawling": (put(5, 0.1), "m/s"),
+    "short": (lambda rows: rows[:60], "of driving"),
 }
 NOT_OF = {"identify": {"crawling"}, "diagnose": {"degrees", "constant"}}
 """What the other command alone refuses."""
@@ -136,9 +119,7 @@ def test_bad_content_is_one_line_with_a_code_and_leaves_nothing(
     command, kind, rows, importer, tmp_path, capsys
 ):
     spoil, words = BROKEN[kind]
-    spoilt = rows.copy()
-    spoil(spoilt)
-    session = importer(spoilt)
+    session = importer(spoil(rows))
     before = set(tmp_path.iterdir())
     capsys.readouterr()
     assert main([command, str(session), *_outputs(tmp_path)]) == 4

@@ -30,6 +30,19 @@ def test_a_bug_has_its_own_code_and_says_that_it_is_one(monkeypatch, capsys):
     assert error.splitlines()[-1].startswith("steerd: this is a bug in steerd")
 
 
+@pytest.mark.parametrize(("given", "code"), [(None, 0), (ExitCode.STOPPED, 5)])
+def test_a_command_that_ends_well_needs_no_code_and_another_ones_is_the_programs(
+    given, code, monkeypatch
+):
+    monkeypatch.setattr(EFFECTS, lambda args: given)
+    assert run_cli(["effects"]) == code
+
+
+def test_a_car_file_that_is_not_there_is_said_before_the_sessions(capsys):
+    assert run_cli(["identify", "none.mcap", "--car", "none.toml"]) == ExitCode.UNREADABLE
+    assert "none.toml does not exist" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES, errno.ENOTDIR])
 def test_a_place_that_refuses_is_no_bug(number, monkeypatch, capsys):
     def refused(args):

@@ -24,23 +24,17 @@ OBEYED = {
 
 
 class Bench:
-    """A car on a bus, and the clock of whoever operates it.
-
-    Attributes:
-        state: the car's.
-        deaf: so many requests it does not hear.
-        speaks: whether it says how it is.
-        garbles: bytes that come instead of what it says, by topic.
-        asked: requests so far, with their times [s] and keys.
-    """
+    """A car on a bus, and the clock of whoever operates it."""
 
     def __init__(self, state="READY", **status):
         self._hub = LocalHub()
         self._bus = LocalBus(self._hub)
         self._heard = self._bus.subscribe("steerd/car1/cmd/**", 4096)
-        self.state, self.deaf, self.speaks, self.garbles = SupervisorState[state], 0, True, {}
+        self.state, self.speaks = SupervisorState[state], True  # of the car, which says how it is
+        self.deaf = 0  # so many requests it does not hear
+        self.garbles = {}  # bytes that come instead of what it says, by topic
         self._status = {"boot_id": "7", "waiting": "arm", "holder": "0", "leased": "1", **status}
-        self.asked, self.t_ns = [], 0
+        self.t_ns, self.asked = 0, []  # requests so far, with their times [s] and keys
 
     def connect(self, *_given):
         return self
@@ -109,6 +103,13 @@ def test_without_a_deadman_it_is(bench):
     car = bench(leased="0")
     assert run_cli(["arm", "--no-hold"]) == 0
     assert car.kinds()[0] is RequestKind.ARM
+
+
+def test_a_request_without_effect_was_refused(bench, capsys):
+    car = bench(leased="0")
+    car.deaf = 10_000
+    assert run_cli(["arm", "--no-hold"]) == 5
+    assert "arm: the car stays READY" in capsys.readouterr().err
 
 
 def test_a_car_that_is_not_armed_is_not_started(bench, capsys):

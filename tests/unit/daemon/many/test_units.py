@@ -5,12 +5,13 @@ import os
 import signal
 from collections import namedtuple
 from pathlib import Path
+from types import SimpleNamespace
 
 import polars
 import pytest
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.many.job import Column, Job, do_job, encode_table, finished_path, open_finished
+from steerd.daemon.many.job import Column, Found, Job, do_job, finished_path, open_finished
 from steerd.daemon.many.units import TRIES, Where, describe_failure, run_units
 
 
@@ -206,9 +207,13 @@ MIXED_ROWS = (
 )
 
 
+def encode(rows):
+    return Found.encode_table(SimpleNamespace(columns=COLUMNS, rows=rows, origin={"made": "here"}))
+
+
 def test_values_come_back_and_what_is_missing_is_missing(tmp_path):
     path = tmp_path / "t.parquet"
-    path.write_bytes(encode_table(COLUMNS, MIXED_ROWS, {"made": "here"}))
+    path.write_bytes(encode(MIXED_ROWS))
     first, second, third = polars.read_parquet(path).to_dicts()
     assert first == MIXED_ROWS[0]
     assert second == {"speed": None, "count": None, "name": None}
@@ -218,5 +223,5 @@ def test_values_come_back_and_what_is_missing_is_missing(tmp_path):
 
 def test_an_empty_table_has_its_columns(tmp_path):
     path = tmp_path / "t.parquet"
-    path.write_bytes(encode_table(COLUMNS, (), {}))
+    path.write_bytes(encode(()))
     assert polars.read_parquet(path).columns == [column.name for column in COLUMNS]

@@ -1,12 +1,26 @@
-"""Drives of one lane side by side."""
+"""Drives side by side: at the same place of one lane, and over the same time."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from steerd.car_model.path.path_spec import parse_path
-from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.sessions.compare import LaneSession, check_same_lane, render_comparison
+from steerd.daemon.cli.main import run_cli
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.sessions.compare import (
+    STEP,
+    LaneSession,
+    check_same_lane,
+    compare_on_lane,
+    find_shift,
+    overlay,
+)
+from steerd.daemon.sessions.info import load_recording
 from steerd.sysid.report.drawing import LINES
+from steerd.sysid.report.page import render_report
+from steerd.sysid.report.report import Report
+from tests.unit.daemon.sessions.test_plot_page import write_noise
 
 CIRCLE = parse_path("circle:radius=2")
 
@@ -15,7 +29,7 @@ def drive(name="a.mcap", offset=0.0, lane=CIRCLE):
     along = np.linspace(0.0, 2.0 * lane.length, 5000)
     wave = 0.02 * np.sin(2.0 * np.pi * along / lane.length)
     values = {"e1": wave + offset, "e2": 0.1 * wave, "speed": 1.0 + wave, "steer_ref": wave}
-    return LaneSession(name, lane.name, lane, None, along % lane.length, values, 2.0)
+    return LaneSession(name, lane, None, along % lane.length, values, 2.0)
 
 
 def test_places_of_different_lanes_are_not_compared():
@@ -28,8 +42,63 @@ def test_places_of_different_lanes_are_not_compared():
 
 
 def test_the_page_names_the_drives_and_their_errors():
-    page = render_comparison([drive("before.mcap", 0.03), drive("<b>.mcap", 0.001)])
+    sections = compare_on_lane([drive("before.mcap", 0.03), drive("<b>.mcap", 0.001)])
+    page = render_report(Report("", "", "", "", sections, ""))
     assert "before.mcap" in page
     assert "<b>" not in page
     assert "+30.0" in page
     assert page.count("<svg") == 5
+
+
+DRIVE = Path(__file__).resolve().parents[3] / "golden" / "slalom.mcap"
+
+
+def laps(rng, start, seconds, noise=0.02):
+    """Yaw rate and speed of laps of 8 s that begin `start` seconds before the recording."""
+    t = np.arange(0.0, seconds, STEP) + start
+    phase = 2.0 * np.pi * t / 8.0
+    ramp = np.clip(t / 2.0, 0.0, 1.0)
+    clean = (ramp * (np.sin(phase) + 0.4 * np.sin(3.0 * phase)), ramp * (1.5 + 0.1 * np.cos(phase)))
+    return [values + noise * rng.normal(size=t.size) for values in clean]
+
+
+@pytest.mark.parametrize("shift", [-1.3, 0.0, 0.05, 2.71])
+def test_the_shift_is_found_to_a_step_for_laps_of_unequal_length(shift):
+    rng = np.random.default_rng(5)
+    first, second = laps(rng, -3.0, 40.0), laps(rng, -3.0 + shift, 31.0)
+    assert find_shift(first, second) == pytest.approx(shift, abs=1.01 * STEP)
+
+
+def test_a_hole_in_a_drive_does_not_pull_the_shift():
+    rng = np.random.default_rng(6)
+    first, second = laps(rng, -3.0, 40.0), laps(rng, -2.0, 40.0)
+    first[0][900:1400] = np.nan
+    assert find_shift(first, second) == pytest.approx(1.0, abs=1.01 * STEP)
+
+
+def test_a_drive_is_itself_at_no_shift_and_another_at_a_given_one():
+    read = load_recording(DRIVE)
+    same = overlay(read, read)
+    assert same.found
+    assert same.shift == 0.0
+    assert all(np.nanmax(np.abs(pair.difference)) == 0.0 for pair in same.pairs)
+    moved = overlay(read, read, 0.5)
+    speed = next(pair for pair in moved.pairs if pair.title == "speed")
+    known = same.pairs[[pair.title for pair in same.pairs].index("speed")].first
+    np.testing.assert_allclose(speed.second, known[: len(speed.second)], atol=1e-9)
+    assert moved.t[0] == 0.5
+    with pytest.raises(SteerdError, match="no time in common"):
+        overlay(read, read, 1e3)
+
+
+def test_drives_without_a_lane_are_compared_over_time_alone(tmp_path, capsys):
+    paths = [str(write_noise(tmp_path / f"{name}.mcap", 2, 50)) for name in "ab"]
+    page = tmp_path / "ab.html"
+    assert run_cli(["plot", *paths, "-o", str(page)]) == 0
+    text = page.read_text(encoding="utf-8")
+    assert "Not compared along a lane: a.mcap" in text
+    assert "Over the same time" in text
+    assert "The difference is b.mcap minus a.mcap." in text
+    assert run_cli(["plot", *paths, paths[0], "-o", str(page)]) == ExitCode.INVALID
+    assert run_cli(["plot", *paths, paths[0], "--shift", "1"]) == ExitCode.USAGE
+    assert "--shift is for two drives" in capsys.readouterr().err

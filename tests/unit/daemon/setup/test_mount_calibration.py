@@ -12,6 +12,7 @@ from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.virtual import drive
+from steerd.daemon.sessions.motion import Signal, Track
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.daemon.setup.calibration_data import body_track, load_recorded, wheel_speed
 from steerd.daemon.setup.least_squares import BLOCKS, find_delay, jackknife_sd
@@ -98,6 +99,11 @@ def test_a_drive_that_identifies_little_is_named_or_refused():
 # Gain, centre, delay and stops of the steering are recovered from drives with known ones.
 
 
+def driven(t, speed, yaw_rate):
+    """A track of which nothing is looked at but speed and turning."""
+    return Track(t, t, t, t, speed, yaw_rate, 0.2)
+
+
 def steered(gain, bias, delay, *, stop=1.0, seed=0, amplitude=0.25):
     t = np.arange(0.0, 40.0, 0.01)
     command = amplitude * np.sin(2 * np.pi * t / 6.0) + 0.02
@@ -106,7 +112,7 @@ def steered(gain, bias, delay, *, stop=1.0, seed=0, amplitude=0.25):
     slip = (1 / CAR.c_sf - 1 / CAR.c_sr) / (CAR.mu * 9.81)
     w = np.tan(wheel) / (CAR.lf + CAR.lr) * speed / (1 + slip * speed**2 / (CAR.lf + CAR.lr))
     rng = np.random.default_rng(seed)
-    return t, speed, w + 0.02 * rng.normal(size=t.size), t, command
+    return driven(t, speed, w + 0.02 * rng.normal(size=t.size)), Signal(t, command)
 
 
 @pytest.mark.parametrize(("gain", "bias", "delay"), [(1.0, 0.0, 0.05), (0.85, 0.03, 0.1)])
@@ -139,7 +145,7 @@ def stepped(hold, *, seed=0, speed=1.0):
     v = np.full_like(t, speed)
     slip = (1 / CAR.c_sf - 1 / CAR.c_sr) / (CAR.mu * 9.81)
     w = np.tan(wheel) / (CAR.lf + CAR.lr) * v / (1 + slip * v**2 / (CAR.lf + CAR.lr))
-    return t, v, w + 0.02 * rng.normal(size=t.size), t, command
+    return driven(t, v, w + 0.02 * rng.normal(size=t.size)), Signal(t, command)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -153,10 +159,10 @@ def test_steps_of_steering_do_not_dilute_the_gain(seed):
 def test_steering_that_is_never_followed_or_badly_identified_is_refused():
     with pytest.raises(SteerdError, match="swings too fast"):
         calibrate_steering(*stepped(0.1), CAR)
-    t, v, w, tc, command = steered(1.0, 0.0, 0.05, amplitude=0.04)
-    noisy = w + np.repeat(np.random.default_rng(1).normal(scale=0.06, size=40), 100)
+    track, command = steered(1.0, 0.0, 0.05, amplitude=0.04)
+    noise = np.repeat(np.random.default_rng(1).normal(scale=0.06, size=40), 100)
     with pytest.raises(SteerdError, match="the steering gain is identified to") as caught:
-        calibrate_steering(t, v, noisy, tc, command, CAR)
+        calibrate_steering(replace(track, yaw_rate=track.yaw_rate + noise), command, CAR)
     assert caught.value.code == ExitCode.STOPPED
 
 
@@ -172,9 +178,9 @@ def test_drives_that_identify_no_steering():
     assert "servo_gain" in caught.value.hint
     with pytest.raises(SteerdError, match="barely used"):
         calibrate_steering(*steered(1.0, 0.0, 0.05, amplitude=0.001), CAR)
-    t, speed, w, tc, command = steered(1.0, 0.0, 0.05)
+    track, command = steered(1.0, 0.0, 0.05)
     with pytest.raises(SteerdError, match="barely moves"):
-        calibrate_steering(t, 0.0 * speed, w, tc, command, CAR)
+        calibrate_steering(replace(track, speed=0.0 * track.speed), command, CAR)
 
 
 # Sessions as input of calibrations: the body's poses, wheel speed and commands on one clock.

@@ -1,14 +1,18 @@
-"""The dashboard of a run: figures of the drive, and what fits a terminal of 80 columns."""
+"""The dashboard of a run: figures of the drive, what fits 80 columns, and the last lines."""
 
 from dataclasses import fields, replace
 from math import nan, pi
+from pathlib import Path
 
 import pytest
 from rich.console import Console
 
+from steerd.car_model.car_file import default_car_path
+from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.terminal.dashboard import SETTLE_NS, Dashboard, Tally
+from steerd.daemon.settings.run_options import RunOptions
+from steerd.daemon.terminal.dashboard import SETTLE_NS, Dashboard, Tally, closing_lines
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
@@ -68,3 +72,35 @@ def test_an_estimate_that_is_not_there_shows_no_number():
         console.print(board.render())
     assert "nan" not in caught.get()
     assert "x       – m" in caught.get()
+
+
+# The last lines of a run.
+
+TALLY = Tally(count=4, square=4e-4, worst=0.02, distance=12.0, driven_ns=6_000_000_000)
+
+
+def lines(drill, session=Path("drive.mcap")):
+    plan = make_plan(RunOptions(str(default_car_path()), drill=drill), design=False)
+    return list(closing_lines(plan, TALLY, session))
+
+
+def test_a_lane_was_kept():
+    summary, where, then = lines("")
+    assert summary.startswith("drove 12.0 m in 6.0 s; lateral error RMS 10.0 mm")
+    assert where == "session: drive.mcap"
+    assert "steerd plot drive.mcap" in then
+
+
+@pytest.mark.parametrize(("drill", "lane"), [("mixed;speed=2", False), ("chirp;closed", True)])
+def test_a_plan_was_driven(drill, lane):
+    summary, _, then = lines(drill)
+    assert ("lateral error" in summary) is lane
+    assert "steerd identify drive.mcap -o car.toml" in then
+
+
+def test_a_plan_on_an_own_car_is_identified_from_its_own_file(tmp_path):
+    own = tmp_path / "mine.toml"
+    own.write_text(default_car_path().read_text())
+    plan = make_plan(RunOptions(str(own), drill="mixed;speed=2"), design=False)
+    *_, then = closing_lines(plan, TALLY, Path("drive.mcap"))
+    assert f"steerd identify drive.mcap --car {own} -o car.toml" in then

@@ -5,10 +5,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from steerd.daemon.cli.commands.setup.calibrate import servo_scaling, servo_values
 from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.ipc.requests import format_setting, parse_setting, unpack_request
-from steerd.daemon.setup.steering_calibration import SteeringCalibration
+from steerd.daemon.setup.steering_calibration import SteeringCalibration, servo_scaling
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.daemon.terminal.key_desk import KEYS, nudge
 from steerd.daemon.terminal.servo_keys import Servo, press
@@ -138,8 +137,8 @@ def test_stops_that_cannot_be_are_refused_and_other_keys_do_nothing():
 def steering(**change):
     values = {
         "gain": 0.9, "bias": 0.02, "delay": 0.05, "left": 0.25, "right": -0.2,
-        "clipped_left": False, "clipped_right": False, "residual": 0.001, "sd_gain": 0.0,
-        "sd_bias": 0.0, "warnings": (),
+        "clipped_left": False, "clipped_right": False, "sd_gain": 0.0, "sd_bias": 0.0,
+        "warnings": (),
     }  # fmt: skip
     return SteeringCalibration(**{**values, **change})
 
@@ -159,4 +158,3 @@ def test_limits_move_inwards_to_the_stops_only():
                                  left=0.2, right=-0.18), F1TENTH)  # fmt: skip
     assert new.servo_min == pytest.approx(0.5304 - 1.2135 * 0.2)
     assert new.servo_max == pytest.approx(0.5304 + 1.2135 * 0.18)
-    assert servo_values(new)["car", "steer_gain"] == 1.0

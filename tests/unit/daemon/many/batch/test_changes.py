@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from steerd.daemon.many.batch import changes
-from steerd.daemon.many.batch.run import Batch, nothing_changed
+from steerd.daemon.many.batch.run import Batch
 from steerd.daemon.many.job import RowTable
 
 DAY, BEGIN = 86_400.0, 1_772_366_400.0
@@ -156,4 +156,4 @@ def test_bands_are_weekly_means():
 
 @pytest.mark.parametrize(("count", "told"), [(0, "no car has the 6 drives"), (3, "in 3 series")])
 def test_why_no_change_is_named(count, told):
-    assert told in nothing_changed(count)
+    assert told in changes.nothing_changed(count)

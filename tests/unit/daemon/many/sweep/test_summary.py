@@ -39,6 +39,8 @@ def test_what_moves_what_is_found_and_the_rest_is_not_shown(summary):
     moved = find(found, "effect.steer_delay", "e1_rms")
     assert moved.value == pytest.approx(1.0)
     assert moved.shown
+    assert moved.start == pytest.approx(1.02e-3, abs=0.02e-3), "over the lowest fifth of delays"
+    assert moved.end == pytest.approx(2.15e-3, abs=0.2e-3)
     assert find(found, "path", STOPS).shown
     assert find(found, "effect.steer_delay", STOPS).value > 0.3
     assert abs(find(found, "car.mass", "steer_margin").value) < 0.2
