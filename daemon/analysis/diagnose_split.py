@@ -2,18 +2,15 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import pairwise
-from math import floor
+from functools import partial
 from typing import NamedTuple
-
-import numpy as np
 
 from steerd.daemon.analysis.drives import Warn, load_drives
 from steerd.daemon.analysis.options import EVERY, HeldOut, Speed
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import Run
-from steerd.sysid.data.segments import describe_unused, make_segment, moving_segments
+from steerd.sysid.data.segments import describe_unused, make_blocks, moving_segments, split_every
 
 BLOCK = 6.5
 """Least length of a block: it holds two separate predictions 3 s ahead [s]."""
@@ -58,9 +55,10 @@ def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, warn: W
     notes = describe_unused(drives)
     if few:
         count = "one session" if len(sessions) == 1 else f"{len(sessions)} sessions"
-        cut = f"{count}, cut into blocks of {BLOCK:g} s or more: they stand in for further drives"
-        notes = (cut, *notes)
-    blocks = make_blocks(parts)
+        note = f"{count}, cut into blocks of {BLOCK:g} s or more: they stand in for further drives"
+        notes = (note, *notes)
+    cut = partial(make_blocks, length=BLOCK, count=int, over=_OVER)
+    blocks = cut(parts)
     if held_out.files:
         past = drives[0].history
 
@@ -76,7 +74,7 @@ def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, warn: W
     fitted = tuple(run for run in parts if run.name not in out)
     if every != 0 and whole and fitted:
         named = f"every {_ordinal(number)} session: {', '.join(sorted(out))}"
-        return Split(make_blocks(fitted) if few else fitted, lambda: whole, named, notes)
+        return Split(cut(fitted) if few else fitted, lambda: whole, named, notes)
     if every is None:
         every = min(EVERY, len(blocks)) if len(blocks) >= FEWEST else 0
     if every == 0:
@@ -85,25 +83,10 @@ def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, warn: W
     if len(blocks) < every:
         what = f"only {len(blocks)} blocks: too few to hold every {_ordinal(every)} out"
         raise SteerdError(what, "--held-out 0, or name a session", ExitCode.INVALID)
-    kept = blocks[every - 1 :: every]
-    fitted = tuple(b for i, b in enumerate(blocks) if i % every != every - 1)
+    fitted, kept = split_every(blocks, every)
     return Split(fitted, lambda: kept, f"every {_ordinal(every)} block of the drive", notes)
 
 
 def _ordinal(number: int) -> str:
     ends = {1: "st", 2: "nd", 3: "rd"}
     return f"{number}{'th' if number % 100 in (11, 12, 13) else ends.get(number % 10, 'th')}"
-
-
-def make_blocks(parts: Sequence[Run]) -> tuple[Run, ...]:
-    """Parts cut into blocks of `BLOCK` seconds or more; no measurement is in two of them."""
-    found: list[Run] = []
-    for part in parts:
-        start, end = float(part.pose.t[0]), min(float(part.pose.t[-1]), part.duration)
-        edges = np.linspace(start, end, max(1, int((end - start) / BLOCK)) + 1)
-        for low, high in pairwise(edges.tolist()):
-            # Its windows of about a second must not be shorter than that.
-            whole = floor(high - low)
-            last = min(high - 1e-6, low + whole + _OVER) if whole else high
-            found.append(make_segment(part, low, last))
-    return tuple(found)

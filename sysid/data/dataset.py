@@ -7,7 +7,7 @@ a typed error that says what is wrong and what to do.
 # Why: docs/decisions/identification.md#d45
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from math import ceil
 from typing import Any, NamedTuple
 
@@ -18,10 +18,8 @@ from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.session_read import Session
 from steerd.steer_bus.topic_columns import Columns
 from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, VESC, WHEEL, split_key
-from steerd.sysid.data.data_checks import DataError, check_run, check_times, noise_of
+from steerd.sysid.data.data_checks import Array, DataError, check_run, check_times, noise_of
 from steerd.vesc_link.scaling import F1TENTH
-
-Array = NDArray[np.float64]
 
 GRID = 0.005
 """Step of the command grid [s], one tick of the control loop; `stability` refines it where needed.
@@ -72,8 +70,7 @@ class Signal(NamedTuple):
     values: Array
 
 
-def _none() -> Signal:
-    return Signal(np.empty(0), np.empty(0))
+NOTHING = Signal(np.empty(0), np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,15 +85,15 @@ class Run:
     # prescribed instead (see `augmented_car.prescribe_speed`)
     speed_source: str = "command"
     # Speed as reported with the nominal gain [m/s]; may be empty
-    wheel: Signal = field(default_factory=_none)
-    yaw_rate: Signal = field(default_factory=_none)  # gyro [rad/s]; may be empty
+    wheel: Signal = NOTHING
+    yaw_rate: Signal = NOTHING  # gyro [rad/s]; may be empty
     # The commanded angles at their own times; may be empty
-    steer: Signal = field(default_factory=_none)
+    steer: Signal = NOTHING
     # Period of the pulses that carry them to the servo [s]; 0 where none are known to do so
     # (see `command_timing`)
     servo_frame: float = 0.0
     # The commanded speeds at their own times; may be empty
-    speed_command: Signal = field(default_factory=_none)
+    speed_command: Signal = NOTHING
     # How fast the motor controller's setpoint may follow them [m/s^2]; 0 where it is not known
     # to be limited (see `command_timing`)
     speed_ramp: float = 0.0
@@ -202,7 +199,7 @@ def pose_speed(pose: Signal) -> Signal:
 
 def _clean(signal: Signal | None) -> Signal:
     if signal is None or not len(signal.t):
-        return _none()
+        return NOTHING
     kept = np.isfinite(signal.values)
     return Signal(np.asarray(signal.t, float)[kept], np.asarray(signal.values, float)[kept])
 
@@ -216,8 +213,6 @@ def make_run(
     wheel: Signal | None = None,
     yaw_rate: Signal | None = None,
     h: float = GRID,
-    servo_frame: float = 0.0,
-    speed_ramp: float = 0.0,
 ) -> Run:
     """Put a drive's signals on one clock and grid, and check them.
 
@@ -230,8 +225,6 @@ def make_run(
         wheel: reported speed [m/s].
         yaw_rate: gyro [rad/s].
         h: step of the command grid [s].
-        servo_frame: period of the servo's pulses [s]; 0 where it has none.
-        speed_ramp: limit of the motor controller's setpoint [m/s^2]; 0 where it has none.
 
     Raises:
         DataError: no fit should see these data.
@@ -246,26 +239,22 @@ def make_run(
     if not np.isfinite(pose.values).all():
         raise DataError(f"{name}: a pose is not a number", "leave out lost samples, keep the gaps")
     zero, end = steer.t[0], min(steer.t[-1] + h, pose.t[-1])
-    pose = Signal(
-        pose.t - zero, np.column_stack([pose.values[:, :2], np.unwrap(pose.values[:, 2])])
-    )
-    pose = Signal(*(part[(pose.t >= 0.0)] for part in pose))
+    poses = np.column_stack([pose.values[:, :2], np.unwrap(pose.values[:, 2])])
+    late = pose.t - zero >= 0.0
+    pose = Signal((pose.t - zero)[late], poses[late])
     steps = int(max(end - zero, 0.0) / h + 1e-9)
     edges: Array = np.arange(steps + 1).astype(float) * h
-    moved = [Signal(s.t - zero, s.values) for s in (steer, commanded, rolled, gyro)]
-    steer, commanded, rolled, gyro = moved
-    source, measured = "command", commanded
-    if not len(commanded.t):
-        source, measured = _measured_speed(rolled, pose)
-    check_run(name, edges[-1], pose.t, pose.values, commanded.values)
-    if source == "command":
-        along = hold_means(measured, edges)
+    steer, commanded, rolled, gyro = (Signal(s.t - zero, s.values) for s in named.values())
+    check_run(name, edges[-1], pose.t, pose.values)
+    source = "command"
+    if len(commanded.t):
+        along = hold_means(commanded, edges)
     else:  # a measured speed is that of the step's end
+        source, measured = _measured_speed(rolled, pose)
         along = np.interp(edges[1:], *measured)
-    commands = np.column_stack([hold_means(steer, edges), along])
     return Run(
-        name, h, commands, pose, source, rolled, gyro, steer, servo_frame, commanded,
-        speed_ramp,
+        name, h, np.column_stack([hold_means(steer, edges), along]), pose, source, rolled, gyro,
+        steer, speed_command=commanded,
     )  # fmt: skip
 
 
@@ -306,23 +295,28 @@ def read_run(session: Session, tables: Mapping[str, Columns] | None = None, h: f
     if tables is None or not tables.keys() >= wanted.keys():
         tables = session.tables(wanted)
     columns = {name: tables[key] for name, key in by_name.items() if key in tables}
-    scaling = session.contents.metadata.get("steerd.scaling", {})
-    ours = "servo_gain" in scaling  # an import may state the ERPM of a VESC that steerd never drove
-    gain = session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
-    return make_run(
-        name,
-        **_signals(session, columns, gain),
-        h=h,
-        servo_frame=SERVO_FRAME if ours else 0.0,
-        speed_ramp=RAMP_ERPM / abs(gain) if ours else 0.0,
-    )
+    run = make_run(name, **_signals(session, columns), h=h)
+    # An import may state the ERPM of a VESC that steerd never drove.
+    if "servo_gain" not in session.contents.metadata.get("steerd.scaling", {}):
+        return run
+    return replace(run, servo_frame=SERVO_FRAME, speed_ramp=RAMP_ERPM / abs(read_erpm(session)[0]))
 
 
 _SOURCES = (MOCAP, ACTUATION, VESC, IMU, WHEEL)
 
 
-def _signals(session: Session, columns: dict[str, Columns], gain: float) -> dict[str, Signal]:
-    """Every signal on the core's monotonic clock [s]; `gain`: ERPM per m/s."""
+def read_erpm(session: Session) -> tuple[float, float]:
+    """Gain [ERPM per m/s] and offset [ERPM] of a session's motor; F1TENTH's where it says none.
+
+    Raises:
+        steerd.steer_bus.session.SessionError: what it says is no number.
+    """
+    gain = session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
+    return gain, session.number("steerd.scaling", "erpm_offset", F1TENTH.erpm_offset)
+
+
+def _signals(session: Session, columns: dict[str, Columns]) -> dict[str, Signal]:
+    """Every signal on the core's monotonic clock [s]."""
     mocap, actuation = columns[MOCAP.name], columns[ACTUATION.name]
     accepted = np.array([reject == "" for reject in mocap["reject"]], bool)
     epoch = int(mocap["stamp_ns"][0]) - int(mocap["t_valid_ns"][0]) if len(accepted) else 0
@@ -342,9 +336,8 @@ def _signals(session: Session, columns: dict[str, Columns], gain: float) -> dict
         "speed": Signal(t_steer, actuation["speed"][driven].astype(float)),
     }
     if VESC.name in columns:
-        table = columns[VESC.name]
+        table, (gain, offset) = columns[VESC.name], read_erpm(session)
         middle = (table["t_sent_ns"] + table["t_received_ns"]) // 2
-        offset = session.number("steerd.scaling", "erpm_offset", F1TENTH.erpm_offset)
         speed = (table["erpm"].astype(float) - offset) / gain
         found["wheel"] = Signal(seconds(middle, epoch), speed)
     elif WHEEL.name in columns:

@@ -14,9 +14,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import LogJitter, Run, Signal, hold_means, pose_speed
-
-Array = NDArray[np.float64]
 
 PERIOD_LOW, PERIOD_HIGH = 0.04, 0.5
 """Jitter of faster logs is negligible; slower logs are not steering commands [s]."""

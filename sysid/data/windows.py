@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.native.windows import Stations, Windows
-from steerd.sysid.data.data_checks import noise_of
+from steerd.sysid.data.data_checks import Array, noise_of
 from steerd.sysid.data.dataset import HISTORY, Run, Signal, pose_speed
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 GROUPS: tuple[str, ...] = ("position", "yaw", "wheel_speed", "yaw_rate")

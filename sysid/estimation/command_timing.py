@@ -23,14 +23,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run, Signal, hold_means
 from steerd.sysid.data.segments import moving_segments
 from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.plain_car import Asked, PlainCar, open_plain
 from steerd.sysid.inference.search import minimise, newton, open_point
 from steerd.sysid.inference.space import Space, make_space
-
-Array = NDArray[np.float64]
 
 SECONDS = 20.0
 """This much of a drive is enough to judge its commands' course [s]."""

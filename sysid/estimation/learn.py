@@ -6,7 +6,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
@@ -56,8 +55,6 @@ from steerd.sysid.inference.plain_car import (
 )
 from steerd.sysid.paper.search_history import SearchHistory
 from steerd.sysid.parallel import map_jobs
-
-Array = NDArray[np.float64]
 
 TIMES: dict[str, float] = {
     "drive_delay": 1e-3, "steer_delay": 1e-3, "pose_delay": 1e-4, "steer_lag": 1e-4,

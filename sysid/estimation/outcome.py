@@ -18,6 +18,7 @@ from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.native.windows import parameter_vector
 from steerd.car_model.params import PARAMETERS, Car, Parameter
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import LogJitter, Run
 from steerd.sysid.data.excitation import Excitation
 from steerd.sysid.data.windows import estimate_noise
@@ -40,8 +41,6 @@ from steerd.sysid.inference.plain_car import Asked, PlainCar, covariance_of, mis
 from steerd.sysid.inference.predictor import HORIZON, Predictor
 from steerd.sysid.inference.search import with_size
 from steerd.sysid.paper.search_history import NAMES, SearchHistory
-
-Array = NDArray[np.float64]
 
 SCHEMA = "steerd.identify/1"
 REPORTED: tuple[str, ...] = (

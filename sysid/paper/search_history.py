@@ -2,10 +2,7 @@
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from steerd.sysid.data.data_checks import Array
 
 NAMES: tuple[str, ...] = ("lf", "lr", "c_sf", "c_sr")
 """Parameters that the paper identifies."""
@@ -18,8 +15,7 @@ class BaselineMissingError(ImportError):
 class SearchHistory(NamedTuple):
     """History of one start."""
 
-    start: Array  # (4,) in the order of `NAMES`
     losses: Array  # loss of each iteration's batch
-    path: Array  # (iterations + 1, 4) parameters
+    path: Array  # (iterations + 1, 4) parameters in the order of `NAMES`, from the start on
     final: Array  # (4,) the last ones (Adam), or the best (CMA-ES)
     diverged: bool = False  # a loss was not finite, which ended it

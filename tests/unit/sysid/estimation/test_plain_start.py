@@ -155,7 +155,8 @@ def _run(steer=0.3, speed=True, servo_frame=0.0):
     angles = steer * np.sin(t)
     poses = np.column_stack([t, np.sin(t), 0.2 * np.sin(t)])
     asked = Signal(t, np.ones(len(t))) if speed else None
-    return make_run("r", Signal(t, angles), asked, Signal(t, poses), servo_frame=servo_frame)
+    run = make_run("r", Signal(t, angles), asked, Signal(t, poses))
+    return replace(run, servo_frame=servo_frame)
 
 
 def test_inertia_follows_mass_and_length_squared():
