@@ -18,7 +18,7 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.session_read import Record, Session
 from steerd.steer_bus.topics import Topic, find_topic
-from steerd.vesc_link.scaling import F1TENTH
+from steerd.sysid.data.dataset import read_erpm
 
 
 @dataclass(frozen=True)
@@ -74,17 +74,15 @@ def learn_session(
 
 def wiring_of_session(session: Session) -> Wiring:
     """How a session's numbers are read: its own scaling, and its clocks."""
-    metadata = session.info().metadata
-    gain = session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
-    offset = session.number("steerd.scaling", "erpm_offset", F1TENTH.erpm_offset)
-    epoch = metadata.get("steerd.session", {}).get("epoch_ns")
+    erpm = read_erpm(session)
+    epoch = session.info().metadata.get("steerd.session", {}).get("epoch_ns")
     if epoch is not None:
-        return Wiring(int(epoch), gain, offset)
+        return Wiring(int(epoch), *erpm)
     for record in session.messages():
         if find_topic(record.topic) is topics.MOCAP:
             pose = record.decode()
-            return Wiring(m.stamp_ns(pose.header) - pose.t_valid_ns, gain, offset)
-    return Wiring(0, gain, offset)
+            return Wiring(m.stamp_ns(pose.header) - pose.t_valid_ns, *erpm)
+    return Wiring(0, *erpm)
 
 
 def _messages(
