@@ -63,6 +63,25 @@ class LogJitter(NamedTuple):
         return f"{self.run}: steering stored 0 to {late:.0f} ms late {apart}"
 
 
+class Pulse(NamedTuple):
+    """How a drive's servo was pulsed."""
+
+    run: str  # the drive's name
+    phase: float  # of the pulses after the drive's first command [s]
+    sure: float  # by how much the log-likelihood falls at the best phase that does not look alike
+    # By how much it may be off: phases between the same two commands look alike, but for a dead
+    # time (standard deviation) [s]
+    blur: float = 0.0
+
+
+class Ramp(NamedTuple):
+    """Whether a drive's motor controller had its ramp."""
+
+    run: str  # the drive's name
+    rate: float  # limit of its setpoint [m/s^2]; 0 where the drive knows none
+    sure: float  # by how much the other answer's log-likelihood is smaller
+
+
 class Signal(NamedTuple):
     """A measurement or command: `values[i]` at `t[i]` [s]."""
 
@@ -104,6 +123,8 @@ class Run:
     history: float = HISTORY
     # Sampling jitter of the steering log, corrected in `commands` and `steer`
     log_jitter: LogJitter | None = None
+    pulse: Pulse | None = None  # of the servo, where `commands` are those that it took over
+    ramp: Ramp | None = None  # of the motor controller, where it was asked whether it has one
 
     def __repr__(self) -> str:
         return f"<Run {self.name!r}, {len(self.commands)} commands of {self.h:g} s>"
