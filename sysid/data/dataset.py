@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.session_read import Session
 from steerd.steer_bus.topic_columns import Columns
-from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, VESC, WHEEL, split_key
+from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, VESC, WHEEL, Topic, find_topic
 from steerd.sysid.data.data_checks import Array, DataError, check_run, check_times, noise_of
 from steerd.vesc_link.scaling import F1TENTH
 
@@ -287,13 +287,15 @@ def _measured_speed(rolled: Signal, pose: Signal) -> tuple[str, Signal]:
     return ("pose", pose_speed(pose)) if sharp or not len(rolled.t) else ("wheel", rolled)
 
 
-def read_run(session: Session, tables: Mapping[str, Columns] | None = None, h: float = GRID) -> Run:
+_SOURCES = (MOCAP, ACTUATION, VESC, IMU, WHEEL)
+
+
+def read_run(session: Session, tables: Mapping[str, Columns] | None = None) -> Run:
     """The drive of an open session.
 
     Args:
         session: steerd's own or an imported one.
         tables: columns by topic, where they were read already.
-        h: step of the command grid [s].
 
     Poses that the mocap checks rejected are left out, and commands while the car was not driven
     (mode other than SPEED).
@@ -303,27 +305,24 @@ def read_run(session: Session, tables: Mapping[str, Columns] | None = None, h: f
         steerd.steer_bus.session.SessionError: the file cannot be read.
     """
     name = session.info().path.name
-    needed = MOCAP.name, ACTUATION.name
-    short = {t: (split_key(t.name) or ("", ""))[1] for t in session.info().topics}
-    by_name = {n: t.name for t, n in short.items() if t.count or n in needed}
-    wanted = {by_name[t.name]: t.message for t in _SOURCES if t.name in by_name}
-    for topic in needed:
-        if topic not in by_name:
-            what = f"{name}: no topic {topic!r}"
-            raise DataError(
-                what, "record with `steerd run`, or import the log with `steerd import`"
-            )
-    if tables is None or not tables.keys() >= wanted.keys():
-        tables = session.tables(wanted)
-    columns = {name: tables[key] for name, key in by_name.items() if key in tables}
-    run = make_run(name, **_signals(session, columns), h=h)
+    there = {find_topic(topic.name): topic for topic in session.info().topics}
+    for needed in (MOCAP, ACTUATION):
+        if needed not in there:
+            hint = "record with `steerd run`, or import the log with `steerd import`"
+            raise DataError(f"{name}: no topic {needed.name!r}", hint)
+    wanted = {
+        topic: there[topic].name
+        for topic in _SOURCES
+        if topic in there and (there[topic].count or topic in (MOCAP, ACTUATION))
+    }
+    if tables is None or not tables.keys() >= {*wanted.values()}:
+        tables = session.tables({key: topic.message for topic, key in wanted.items()})
+    columns = {topic: tables[key] for topic, key in wanted.items()}
+    run = make_run(name, **_signals(session, columns), h=GRID)
     # An import may state the ERPM of a VESC that steerd never drove.
     if "servo_gain" not in session.contents.metadata.get("steerd.scaling", {}):
         return run
     return replace(run, servo_frame=SERVO_FRAME, speed_ramp=RAMP_ERPM / abs(read_erpm(session)[0]))
-
-
-_SOURCES = (MOCAP, ACTUATION, VESC, IMU, WHEEL)
 
 
 def read_erpm(session: Session) -> tuple[float, float]:
@@ -336,36 +335,35 @@ def read_erpm(session: Session) -> tuple[float, float]:
     return gain, session.number("steerd.scaling", "erpm_offset", F1TENTH.erpm_offset)
 
 
-def _signals(session: Session, columns: dict[str, Columns]) -> dict[str, Signal]:
+def _signals(session: Session, columns: dict[Topic, Columns]) -> dict[str, Signal]:
     """Every signal on the core's monotonic clock [s]."""
-    mocap, actuation = columns[MOCAP.name], columns[ACTUATION.name]
-    accepted = np.array([reject == "" for reject in mocap["reject"]], bool)
-    epoch = int(mocap["stamp_ns"][0]) - int(mocap["t_valid_ns"][0]) if len(accepted) else 0
+    mocap, actuation = columns[MOCAP], columns[ACTUATION]
+    accepted = mocap["reject"] == ""
+    first = int(mocap["t_valid_ns"][0]) if len(accepted) else 0
+    epoch = int(mocap["stamp_ns"][0]) - first if len(accepted) else 0
+
+    def seconds(stamps: NDArray[Any], offset: int = 0) -> Array:
+        moved = stamps.astype(np.int64) + (offset - epoch - first)
+        return np.asarray(moved.astype(np.float64) * 1e-9)
+
+    def answered(table: Columns) -> Array:
+        """Midway between asking and hearing."""
+        return seconds((table["t_sent_ns"] + table["t_received_ns"]) // 2, epoch)
+
     driven = actuation["mode"] == ActuationMode.SPEED
-    zero = epoch + (int(mocap["t_valid_ns"][0]) if len(accepted) else 0)
-
-    def seconds(stamps: NDArray[Any], offset: int) -> Array:
-        moved: Array = (stamps.astype(np.int64) + (offset - zero)).astype(np.float64) * 1e-9
-        return moved
-
-    t_steer = seconds(actuation["stamp_ns"][driven], 0)
+    t_steer = seconds(actuation["stamp_ns"][driven])
     pose: Array = np.column_stack([mocap[c][accepted] for c in ("x", "y", "yaw")]).astype(float)
-    holes = seconds(np.array(session.holes(), np.int64).reshape(-1, 2), 0)
+    holes = seconds(np.array(session.holes(), np.int64).reshape(-1, 2))
     found = {
         "pose": leave_out(Signal(seconds(mocap["t_valid_ns"][accepted], epoch), pose), holes),
         "steer": Signal(t_steer, actuation["steer"][driven].astype(float)),
         "speed": Signal(t_steer, actuation["speed"][driven].astype(float)),
     }
-    if VESC.name in columns:
-        table, (gain, offset) = columns[VESC.name], read_erpm(session)
-        middle = (table["t_sent_ns"] + table["t_received_ns"]) // 2
-        speed = (table["erpm"].astype(float) - offset) / gain
-        found["wheel"] = Signal(seconds(middle, epoch), speed)
-    elif WHEEL.name in columns:
-        table = columns[WHEEL.name]
-        found["wheel"] = Signal(seconds(table["t_ns"], epoch), table["speed"].astype(float))
-    if IMU.name in columns:
-        table = columns[IMU.name]
-        middle = (table["t_sent_ns"] + table["t_received_ns"]) // 2
-        found["yaw_rate"] = Signal(seconds(middle, epoch), table["gyro_z"].astype(float))
+    if vesc := columns.get(VESC):
+        gain, offset = read_erpm(session)
+        found["wheel"] = Signal(answered(vesc), (vesc["erpm"].astype(float) - offset) / gain)
+    elif wheel := columns.get(WHEEL):
+        found["wheel"] = Signal(seconds(wheel["t_ns"], epoch), wheel["speed"].astype(float))
+    if imu := columns.get(IMU):
+        found["yaw_rate"] = Signal(answered(imu), imu["gyro_z"].astype(float))
     return found
