@@ -7,7 +7,6 @@ from typing import Any
 
 from steerd.car_model.car_file import CarFile, CarFileError
 from steerd.daemon.analysis.car_output import diagnosed_values, make_car, with_known
-from steerd.daemon.analysis.diagnose_split import split_drives
 from steerd.daemon.analysis.drives import (
     Drives,
     Warn,
@@ -15,6 +14,7 @@ from steerd.daemon.analysis.drives import (
     is_same,
     load_drives,
     refuse_copies,
+    split_drives,
     without_reserved,
 )
 from steerd.daemon.analysis.finding import Finding
