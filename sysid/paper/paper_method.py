@@ -18,11 +18,16 @@ import numpy as np
 import torch
 
 from steerd.car_model.native.windows import Kernels, make_kernels
-from steerd.car_model.params import PAPER_CAR, Car
+from steerd.car_model.params import Car
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import guess_state
-from steerd.sysid.paper.search_history import NAMES, BaselineMissingError, SearchHistory
+from steerd.sysid.paper.search_history import (
+    NAMES,
+    PAPER_CAR_DIRECT,
+    BaselineMissingError,
+    SearchHistory,
+)
 from steerd.sysid.paper.torch_functions import (
     Marching,
     chamfer,
@@ -33,10 +38,6 @@ from steerd.sysid.paper.torch_functions import (
 
 PAPER_STEP = 0.002
 """Euler step of the paper's simulator [s]."""
-PAPER_CAR_DIRECT: Car[float] = PAPER_CAR._replace(
-    steer_delay=0.0, steer_lag=0.0, steer_rate=1e3, speed_lag=0.0, accel_max=1e3, decel_max=1e3
-)
-"""The paper's car (7 states, steering clipped at +-0.34 rad) with actuators that follow at once."""
 LOW = np.array([0.1, 0.1, 2.0, 2.0])
 HIGH = np.array([0.35, 0.35, 10.0, 10.0])
 """Starts are uniform in between (the paper's 2.857 to 10, divided by 28.57, for the lengths)."""

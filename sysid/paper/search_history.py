@@ -1,11 +1,18 @@
-"""History of a search by the paper's methods; needs no torch."""
+"""What of the paper's methods needs no torch: its car, its parameters, a search's history."""
 
 from typing import NamedTuple
 
+from steerd.car_model.params import PAPER_CAR, Car
 from steerd.sysid.data.data_checks import Array
 
 NAMES: tuple[str, ...] = ("lf", "lr", "c_sf", "c_sr")
 """Parameters that the paper identifies."""
+
+
+PAPER_CAR_DIRECT: Car[float] = PAPER_CAR._replace(
+    steer_delay=0.0, steer_lag=0.0, steer_rate=1e3, speed_lag=0.0, accel_max=1e3, decel_max=1e3
+)
+"""The paper's car (7 states, steering clipped at +-0.34 rad) with actuators that follow at once."""
 
 
 class BaselineMissingError(ImportError):

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from steerd.car_model.model import Model
-from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR
+from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run, Signal, make_run
+from steerd.sysid.paper.search_history import PAPER_CAR_DIRECT
 from tests.marched import march_states
 
 STEP = 0.005
@@ -86,8 +87,7 @@ def drive(
 
 def circle_runs(count: int = 6, seconds: float = 4.0) -> list[Run]:
     """The paper's circles: left and right at the stop, 1 m/s, turning from the start."""
-    follows = {"steer_delay": 0.0, "steer_lag": 0.0, "steer_rate": 1e3, "speed_lag": 0.0}
-    car, runs = Model(PAPER_CAR._replace(**follows, accel_max=1e3, decel_max=1e3)), []
+    car, runs = Model(PAPER_CAR_DIRECT), []
     for i in range(count):
         steer = 0.34 if i % 2 else -0.34
         commands = np.tile([steer, 1.0], (round(seconds / STEP), 1))

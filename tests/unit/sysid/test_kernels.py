@@ -27,7 +27,8 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.rollout import euler, start
 from steerd.car_model.rollout import simulate as simulate_floats
 from steerd.car_model.state import Command, State
-from steerd.sysid.paper.paper_method import PAPER_CAR_DIRECT, PAPER_STEP
+from steerd.sysid.paper.paper_method import PAPER_STEP
+from steerd.sysid.paper.search_history import PAPER_CAR_DIRECT
 from steerd.sysid.paper.torch_functions import Marching, simulate
 
 H = 0.005
