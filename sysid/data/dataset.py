@@ -346,7 +346,7 @@ def _signals(session: Session, columns: dict[Topic, Columns]) -> dict[str, Signa
         moved = stamps.astype(np.int64) + (offset - epoch - first)
         return np.asarray(moved.astype(np.float64) * 1e-9)
 
-    def answered(table: Columns) -> Array:
+    def midway(table: Columns) -> Array:
         """Midway between asking and hearing."""
         return seconds((table["t_sent_ns"] + table["t_received_ns"]) // 2, epoch)
 
@@ -361,9 +361,9 @@ def _signals(session: Session, columns: dict[Topic, Columns]) -> dict[str, Signa
     }
     if vesc := columns.get(VESC):
         gain, offset = read_erpm(session)
-        found["wheel"] = Signal(answered(vesc), (vesc["erpm"].astype(float) - offset) / gain)
+        found["wheel"] = Signal(midway(vesc), (vesc["erpm"].astype(float) - offset) / gain)
     elif wheel := columns.get(WHEEL):
         found["wheel"] = Signal(seconds(wheel["t_ns"], epoch), wheel["speed"].astype(float))
     if imu := columns.get(IMU):
-        found["yaw_rate"] = Signal(answered(imu), imu["gyro_z"].astype(float))
+        found["yaw_rate"] = Signal(midway(imu), imu["gyro_z"].astype(float))
     return found

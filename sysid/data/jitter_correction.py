@@ -10,6 +10,7 @@ logged.
 """
 
 from dataclasses import replace
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,13 +115,9 @@ def _losses(run: Run, delays: Array) -> tuple[Array, Array]:
 def _response(run: Run, t: Array, delay: float) -> Array:
     """The logged steering `delay` earlier, through the servo's first-order lag."""
     edges: Array = np.append(t, t[-1] + run.h) + delay
-    held = hold_means(run.steer, edges)
     kept = float(np.exp(-run.h / _SERVO_LAG))
-    out, now = np.empty_like(held), float(held[0])
-    for i, value in enumerate(held.tolist()):
-        now = kept * now + (1.0 - kept) * value
-        out[i] = now
-    return out
+    held = hold_means(run.steer, edges).tolist()
+    return np.array([*accumulate(held, lambda angle, aim: aim + kept * (angle - aim))])
 
 
 def _curvature(run: Run) -> tuple[Array, Array, NDArray[np.bool_]]:
