@@ -261,8 +261,8 @@ def make_run(
         raise DataError(f"{name}: a pose is not a number", "leave out lost samples, keep the gaps")
     zero, end = steer.t[0], min(steer.t[-1] + h, pose.t[-1])
     poses = np.column_stack([pose.values[:, :2], np.unwrap(pose.values[:, 2])])
-    late = pose.t - zero >= 0.0
-    pose = Signal((pose.t - zero)[late], poses[late])
+    kept = pose.t - zero >= 0.0
+    pose = Signal((pose.t - zero)[kept], poses[kept])
     steps = int(max(end - zero, 0.0) / h + 1e-9)
     edges: Array = np.arange(steps + 1).astype(float) * h
     steer, commanded, rolled, gyro = (Signal(s.t - zero, s.values) for s in named.values())
@@ -305,7 +305,8 @@ def read_run(session: Session, tables: Mapping[str, Columns] | None = None) -> R
         steerd.steer_bus.session.SessionError: the file cannot be read.
     """
     name = session.info().path.name
-    there = {find_topic(topic.name): topic for topic in session.info().topics}
+    listed = sorted(session.info().topics, key=lambda topic: bool(topic.count))
+    there = {find_topic(topic.name): topic for topic in listed}  # of two, one with messages
     for needed in (MOCAP, ACTUATION):
         if needed not in there:
             hint = "record with `steerd run`, or import the log with `steerd import`"
