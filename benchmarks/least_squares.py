@@ -3,9 +3,15 @@
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from steerd.sysid.paper.baselines import SCALE
 
-from steerd.sysid.paper.paper_method import PaperProblem, Watch, never_stop, one_thread, predict
+from steerd.sysid.paper.paper_method import (
+    SCALE,
+    PaperProblem,
+    Watch,
+    never_stop,
+    one_thread,
+    predict,
+)
 from steerd.sysid.paper.search_history import SearchHistory
 
 Array = NDArray[np.float64]
@@ -42,6 +48,4 @@ def fit_least_squares(
     bounds = (np.array([0.02, 0.02, 0.5, 0.5]) * SCALE, np.array([1.0, 1.0, 40.0, 40.0]) * SCALE)
     result = least_squares(residuals, start * SCALE, bounds=bounds, method="trf")
     final: Array = result.x / SCALE
-    return SearchHistory(
-        np.array(start, float), np.array(losses), np.array(path), np.asarray(final, float)
-    )
+    return SearchHistory(np.array(losses), np.array(path), np.asarray(final, float))

@@ -5,15 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from steerd.car_model.native.windows import (
-    HeldCommands,
-    make_kernels,
-    make_window_blocks,
-    march,
-    view_by_window,
-)
+from steerd.car_model.model import Model
 from steerd.car_model.params import Car
 from steerd.daemon.cli.main import run_cli
+from tests.marched import march_states
 
 STEP = 0.01  # time between two rows [s]
 NAMES = ("t", "x", "y", "yaw", "steer", "speed")
@@ -34,12 +29,9 @@ def make_rows(
     car: Car[float], steer: np.ndarray, speed: np.ndarray, first: tuple[float, ...] = FIRST
 ) -> np.ndarray:
     """Rows of `NAMES` of a car under these commands, without noise."""
-    count = len(steer)
     commands = np.column_stack([steer, speed])
-    blocks = make_window_blocks(np.array([[0, count, 0]]), np.zeros(1))
-    held = HeldCommands(commands, STEP)
-    path = march(make_kernels(), np.array(car), np.array([first]), held, blocks, count)
-    return np.column_stack([STEP * np.arange(count), view_by_window(path, 1)[0, :-1, :3], commands])
+    states = march_states(Model(car), commands, first, STEP)
+    return np.column_stack([STEP * np.arange(len(steer)), states[:-1, :3], commands])
 
 
 def make_noisy_rows(car: Car[float], seconds: float, flips: float) -> np.ndarray:

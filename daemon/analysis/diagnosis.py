@@ -2,13 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from steerd.car_model.car_file import CarFile, CarFileError
-from steerd.daemon.analysis.car_output import diagnosed_values, make_car, save_car, with_known
-from steerd.daemon.analysis.diagnose_split import split_drives
+from steerd.daemon.analysis.car_output import diagnosed_values, make_car, with_known
 from steerd.daemon.analysis.drives import (
     Drives,
     Warn,
@@ -16,8 +14,10 @@ from steerd.daemon.analysis.drives import (
     is_same,
     load_drives,
     refuse_copies,
+    split_drives,
     without_reserved,
 )
+from steerd.daemon.analysis.finding import Finding
 from steerd.daemon.analysis.hints import complete, name_all, refusing, simulate_with
 from steerd.daemon.analysis.identification import find_effects
 from steerd.daemon.analysis.options import (
@@ -35,7 +35,7 @@ from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.assembly.sim_car import compare_truths, read_origin
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import notebook_progress
-from steerd.daemon.common.screen import format_screen, shown
+from steerd.daemon.common.screen import shown
 from steerd.posterior_file import TABLES
 from steerd.sim_gap import diagnosis as engine
 from steerd.sim_gap.diagnosis import GapOptions
@@ -44,13 +44,8 @@ from steerd.sim_gap.verdict.evidence import Cause
 from steerd.steer_bus.session_read import Session
 from steerd.sysid.data.segments import moving_segments
 from steerd.sysid.estimation.preparation import add_command_history
-from steerd.sysid.report.report import Card, Report
+from steerd.sysid.report.report import Report
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-LINES = 30
-"""A screen has no more of them."""
 LOADED, DIAGNOSED, DRIVEN = 0.05, 0.85, 0.95
 """Shares of the work done after loading, after the diagnosis, after the closed loop."""
 
@@ -80,7 +75,7 @@ class DiagnoseOptions(GapOptions):
 
 @shown
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
+class Diagnosis(Finding):
     """What `diagnose` found.
 
     `print(diagnosis)` is the screen of `steerd diagnose`.
@@ -92,6 +87,7 @@ class Diagnosis:
         warnings: what is wrong or doubtful in the sessions.
     """
 
+    SCREEN, CAR = 30, "diagnosed.toml"
     base: CarFile
     drives: Drives
     findings: engine.Diagnosis
@@ -111,20 +107,6 @@ class Diagnosis:
     def notes(self) -> tuple[str, ...]:
         """What a reader should know about data and method."""
         return self.findings.all_notes
-
-    @property
-    def cards(self) -> Sequence[Card]:
-        """The figures that the report shows first."""
-        return self.make_report().cards
-
-    @cached_property
-    def car(self) -> CarFile:
-        """The base with the found effects: simulate with it, or design from it."""
-        return self.make_car(Path("diagnosed.toml"))
-
-    def save_car(self, path: Path | str) -> Path:
-        """Write the car file and what is known of the car, see `save_car`."""
-        return save_car(Path(path), self.make_car(Path(path)), self.car)
 
     def make_car(self, path: Path) -> CarFile:
         """The base with the found effects, and with what still holds of what was known of it."""
@@ -166,26 +148,6 @@ class Diagnosis:
 
     def _complete(self, text: str) -> str:
         return complete(text, self.drives.sessions)
-
-    def __str__(self) -> str:
-        return self.describe()
-
-    def describe(self, written: Path | None = None, report: Path | None = None) -> str:
-        """The screen; `written` and `report` are the files that were."""
-        return format_screen(self.make_report(written, report).screen, LINES)
-
-    def render_report(self) -> str:
-        """The report."""
-        from steerd.sysid.report.page import render_report
-
-        return render_report(self.make_report())
-
-    def plot(self) -> "Figure":
-        """Prediction errors before and after, candidate effects, the gap over time."""
-        from steerd.sysid.report.drawing import plot_report
-
-        report = self.make_report()
-        return plot_report(report.verdict, list(report.figures))
 
 
 @by_keywords(DiagnoseOptions)

@@ -81,23 +81,20 @@ def _example(effect: Effect) -> str:
     return f"{effect.name}={','.join(f'{value:g}' for value in moved)}"
 
 
-_FIELDS = ("name", "null", "low", "high", "unit", "scale", "meaning", "scan")
-
-
 def make_json(effects: Iterable[Effect]) -> dict[str, Any]:
     """The effects as JSON values."""
     return {
         "schema": "steerd.effects/1",
         "effects": [
             {
-                "name": effect.name,
-                "stage": str(effect.stage),
-                "family": effect.family,
-                "summary": effect.summary,
-                "equation": effect.equation,
+                **{
+                    key: getattr(effect, key)
+                    for key in ("name", "stage", "family", "summary", "equation")
+                },
                 "aliases": list(effect.aliases),
                 "parameters": [
-                    {name: getattr(p, name) for name in _FIELDS} for p in effect.parameters
+                    {key: each for key, each in p._asdict().items() if key != "role"}
+                    for p in effect.parameters
                 ],
             }
             for effect in effects

@@ -4,10 +4,9 @@ import shlex
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from math import isnan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from steerd.car_model.car_file import CarFile, CarFileError, Learned, update_car
 from steerd.car_model.effects import find_effect
@@ -17,10 +16,10 @@ from steerd.daemon.analysis.car_output import (
     identified_values,
     learn_known,
     make_car,
-    save_car,
     with_known,
 )
 from steerd.daemon.analysis.drives import Drives, Warn, gather, load_drives, without_reserved
+from steerd.daemon.analysis.finding import Finding
 from steerd.daemon.analysis.hints import complete, name_all, refusing, simulate_with
 from steerd.daemon.analysis.options import (
     EVERY,
@@ -36,7 +35,7 @@ from steerd.daemon.analysis.options import (
 from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import notebook_progress
-from steerd.daemon.common.screen import format_screen, shown
+from steerd.daemon.common.screen import shown
 from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.outcome import Outcome, Row, encode_outcome
 from steerd.sysid.estimation.preparation import (
@@ -48,10 +47,7 @@ from steerd.sysid.estimation.preparation import (
     scale_inertia,
 )
 from steerd.sysid.inference.plain_car import POOR, default_free
-from steerd.sysid.report.report import Card, Line, Report, finite
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from steerd.sysid.report.report import Line, Report, finite
 
 _USAGE = ExitCode.USAGE
 FIT = 2.0
@@ -78,7 +74,7 @@ class IdentifyOptions(FitOptions):
 
 @shown
 @dataclass(frozen=True, eq=False)
-class Identification:
+class Identification(Finding):
     """What `identify` found.
 
     `print(identification)` is the screen of `steerd identify`.
@@ -91,6 +87,7 @@ class Identification:
         warnings: what is wrong or doubtful in the sessions.
     """
 
+    CAR = "identified.toml"
     options: IdentifyOptions
     base: CarFile
     drives: Drives
@@ -107,23 +104,6 @@ class Identification:
         """Whether the longest prediction of held-out drives became no worse (2 % are noise)."""
         known = [h for h in self.outcome.held_out if not isnan(h.after.position)]
         return bool(known) and known[-1].after.position <= 1.02 * known[-1].before.position
-
-    @property
-    def cards(self) -> Sequence[Card]:
-        """The figures that the report shows first."""
-        return self.make_report().cards
-
-    @cached_property
-    def car(self) -> CarFile:
-        """The identified car, with the noise of its drives: a base for `diagnose`.
-
-        Learning the noise takes some seconds, the first time.
-        """
-        return self.learn_known(self.make_car(Path("identified.toml")))
-
-    def save_car(self, path: Path | str) -> Path:
-        """Write the car file and what is known of the car, see `save_car`."""
-        return save_car(Path(path), self.make_car(Path(path)), self.car)
 
     def make_car(self, path: Path) -> CarFile:
         """The identified car, comments and other sections as in the start's file.
@@ -143,31 +123,11 @@ class Identification:
         """JSON values in the schema `steerd.identify/1`."""
         return dict(finite(encode_outcome(self.outcome)))
 
-    def make_report(self, written: Path | None = None) -> Report:
+    def make_report(self, written: Path | None = None, report: Path | None = None) -> Report:
         """What screen, page and figure show; `written` is the car file that was written."""
         from steerd.daemon.analysis.identify_report import make_report
 
         return make_report(self.outcome, [*self._next(written)])
-
-    def __str__(self) -> str:
-        return self.describe()
-
-    def describe(self, written: Path | None = None, report: Path | None = None) -> str:
-        """The screen; `written` is the car file that was written."""
-        return format_screen(self.make_report(written).screen)
-
-    def render_report(self) -> str:
-        """The report."""
-        from steerd.sysid.report.page import render_report
-
-        return render_report(self.make_report())
-
-    def plot(self) -> "Figure":
-        """Held-out drives and their predictions, prediction errors, parameters with errors."""
-        from steerd.sysid.report.drawing import plot_report
-
-        report = self.make_report()
-        return plot_report(report.verdict, list(report.figures))
 
     def _next(self, written: Path | None) -> Iterator[Line]:
         """What to do next."""

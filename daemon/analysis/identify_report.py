@@ -129,7 +129,11 @@ def _validation(outcome: Outcome) -> Iterator[Line]:
     if len(outcome.regimes) > 1:
         medians = ", ".join(
             f"{1e3 * r.median:.{int(r.median < 0.01)}f} mm "
-            + (f"to {r.high:g}" if isfinite(r.high) else f"above {r.low:g}")
+            + (
+                f"to {r.lateral_accel_high:g}"
+                if isfinite(r.lateral_accel_high)
+                else f"above {r.lateral_accel_low:g}"
+            )
             for r in outcome.regimes
         )
         yield Line("", f"median after 1 s by lateral acceleration [m/s²]: {medians}")

@@ -10,7 +10,7 @@ from steerd.daemon.analysis.diagnosis import find_base
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import watched
 from steerd.daemon.common.translate import reading
-from steerd.daemon.learning.feed import NEEDED, Wiring, learn_all, make_feed, read_memory
+from steerd.daemon.learning.feed import NEEDED, Wiring, make_feed, read_memory
 from steerd.daemon.learning.kept import METADATA
 from steerd.daemon.sessions.info import load_session
 from steerd.steer_bus import messages as m
@@ -18,7 +18,7 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.session_read import Record, Session
 from steerd.steer_bus.topics import Topic, find_topic
-from steerd.vesc_link.scaling import F1TENTH
+from steerd.sysid.data.dataset import read_erpm
 
 
 @dataclass(frozen=True)
@@ -58,33 +58,34 @@ def learn_session(
         memory = session.info().metadata.get(METADATA, {}).get("memory", "") if car is None else ""
         feed = make_feed(base, wiring_of_session(session), read_memory(memory))
     recorded: list[bytes] = []
-    made, report = [], None
+    made: list[bytes] = []
+    newest = None
     count = max(session.info().count, 1)
     records = watched(session.messages(), lambda done: share(done / count))
-    for report in learn_all(feed, _messages(records, recorded, path)):
-        see(report)
-        made.append(encode(report))
-    if report is None:
+    for topic, message in _messages(records, recorded, path):
+        if (report := feed.take(topic, message)) is not None:
+            see(report)
+            made.append(encode(report))
+            newest = report
+    if newest is None:
         what = f"{path.name}: no second of driving with poses and commands"
         raise SteerdError(what, "record mocap and actuation of a drive", ExitCode.INVALID)
     digest = hashlib.sha256(b"".join(made)).hexdigest()
     same = sum(one == other for one, other in zip(made, recorded, strict=False))
-    return Learnt(source, base.remark, report, len(made), digest, len(recorded), same)
+    return Learnt(source, base.remark, newest, len(made), digest, len(recorded), same)
 
 
 def wiring_of_session(session: Session) -> Wiring:
     """How a session's numbers are read: its own scaling, and its clocks."""
-    metadata = session.info().metadata
-    gain = session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
-    offset = session.number("steerd.scaling", "erpm_offset", F1TENTH.erpm_offset)
-    epoch = metadata.get("steerd.session", {}).get("epoch_ns")
+    erpm = read_erpm(session)
+    epoch = session.info().metadata.get("steerd.session", {}).get("epoch_ns")
     if epoch is not None:
-        return Wiring(int(epoch), gain, offset)
+        return Wiring(int(epoch), *erpm)
     for record in session.messages():
         if find_topic(record.topic) is topics.MOCAP:
             pose = record.decode()
-            return Wiring(m.stamp_ns(pose.header) - pose.t_valid_ns, gain, offset)
-    return Wiring(0, gain, offset)
+            return Wiring(m.stamp_ns(pose.header) - pose.t_valid_ns, *erpm)
+    return Wiring(0, *erpm)
 
 
 def _messages(

@@ -2,7 +2,6 @@
 
 import argparse
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,8 +12,7 @@ from steerd.daemon.common.written import Write
 from steerd.posterior_file import posterior_path
 
 if TYPE_CHECKING:
-    from steerd.daemon.analysis.diagnosis import Diagnosis
-    from steerd.daemon.analysis.identification import Identification
+    from steerd.daemon.analysis.finding import Finding
 
 _DRAW, _NOISE = 1.0, 8.0  # about what the report's figures and the noise cost, in sessions read
 
@@ -30,19 +28,13 @@ def _is_screen(args: argparse.Namespace) -> bool:
     return str(args.json) == "-"
 
 
-def present(
-    found: "Identification | Diagnosis",
-    args: argparse.Namespace,
-    write: Write,
-    learn_known: Callable[[CarFile], CarFile] = lambda car: car,
-) -> CarFile | None:
+def present(found: "Finding", args: argparse.Namespace, write: Write) -> CarFile | None:
     """Print the screen, and write car, JSON and page.
 
     Args:
         found: what was found.
         args: of the command.
         write: writes one file, see `writing`.
-        learn_known: adds what is learnt for the file beside the car's.
 
     Returns:
         The car; None where none was asked for.
@@ -69,7 +61,7 @@ def present(
         write(args.report, found.render_report() if args.report else None)
         if car is not None and there:
             advance(drawn, "learning the noise for diagnose")
-            write(posterior_path(args.output), learn_known(car).posterior or None)
+            write(posterior_path(args.output), found.learn_known(car).posterior or None)
     if refused is not None:
         what = f"{args.output} is not written: {refused.what.removeprefix(f'{args.output}: ')}"
         raise SteerdError(what, "no car is like that; see the notes above", ExitCode.STOPPED)

@@ -11,11 +11,11 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from math import nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import Advance
-from steerd.daemon.imports.import_map import ROLES, ImportMap, load_map, with_erpm_gain
+from steerd.daemon.imports.import_map import ImportMap, load_map, with_erpm_gain
 from steerd.daemon.imports.import_session import (
     ImportReport,
     MessageMaker,
@@ -35,24 +35,37 @@ RIGIDS = "phasespace_msgs/msg/Rigids"
 RIGIDS_TEXT = Path(__file__).with_name("Rigids.msg").read_text(encoding="utf-8")
 """The ROS 2 form; ROS 1's has no heading_y, and its bags carry their definitions."""
 _ODOMETRY = type_name(Odometry)
-TYPES: Mapping[str, tuple[str, ...]] = {
-    "pose": (type_name(PoseStamped), _ODOMETRY, RIGIDS),
-    "command": (type_name(AckermannDriveStamped),),
-    "vesc": (type_name(VescStateStamped),),
-    "wheel": (_ODOMETRY,),
-}
-_OUT: Mapping[str, Topic] = {"pose": MOCAP, "command": ACTUATION, "vesc": VESC, "wheel": WHEEL}
-PREFERRED: Mapping[str, tuple[str, ...]] = {
-    "pose": (
-        r"vrpn|mocap|motion_?capture|vicon|optitrack|natnet|qualisys|phasespace|ground_?truth",
-        r"(^|/)pf/|particle|amcl|slam",
-        r"odom",
+
+
+class Role(NamedTuple):
+    """What a topic of a bag can be."""
+
+    topic: Topic  # of the session
+    types: tuple[str, ...]  # of the bag's messages
+    # Names of F1TENTH's topics, best first: what a mocap node sends before what the car thinks, and
+    # what goes to the VESC before what somebody asked for; without any it must be chosen
+    preferred: tuple[str, ...] = ()
+    lacking: str = ""  # what cannot be computed without it
+
+
+BAG_ROLES: Mapping[str, Role] = {
+    "pose": Role(
+        MOCAP, (type_name(PoseStamped), _ODOMETRY, RIGIDS),
+        (r"vrpn|mocap|motion_?capture|vicon|optitrack|natnet|qualisys|phasespace|ground_?truth",
+         r"(^|/)pf/|particle|amcl|slam", r"odom"),
+        "identify and diagnose need the car's track",
     ),
-    "command": (r"ackermann_cmd$|ackermann_cmd_mux/output$", r"(^|/)drive$", r"teleop|joy"),
-    "vesc": (r"sensors/core$",),
-}
-"""Names of F1TENTH's topics, best first: what a mocap node sends before what the car thinks, and
-what goes to the VESC before what somebody asked for."""
+    "command": Role(
+        ACTUATION, (type_name(AckermannDriveStamped),),
+        (r"ackermann_cmd$|ackermann_cmd_mux/output$", r"(^|/)drive$", r"teleop|joy"),
+        "identify and diagnose need the commands to the car",
+    ),
+    "vesc": Role(
+        VESC, (type_name(VescStateStamped),), (r"sensors/core$",),
+        "the wheels' speed is not known; wheel=TOPIC takes it from an Odometry",
+    ),
+    "wheel": Role(WHEEL, (_ODOMETRY,)),
+}  # fmt: skip
 _OTHER_CLOCK_NS = 10_000_000_000
 """Header stamps this far from the bag's time are of another clock [ns]."""
 _ADVANCE_MESSAGES = 1000  # messages between two reports of progress
@@ -63,7 +76,7 @@ _SHOWN = 8  # topics that an error lists
 class BagChoice:
     """Choices of the command line, which override the map."""
 
-    topics: tuple[str, ...] = ()  # `TOPIC`, or `ROLE=TOPIC` with a role of `ROLES`
+    topics: tuple[str, ...] = ()  # `TOPIC`, or `ROLE=TOPIC` with one of `BAG_ROLES`
     rigid: int | None = None  # which rigid body of a PhaseSpace message is the car
     erpm_gain: float | None = None  # electrical rpm per m/s, negative for a motor that is wired so
 
@@ -96,7 +109,7 @@ def import_bag(
         roles = _choose_topics(source, types, the_map.topics, choice.topics)
         maker = MessageMaker(the_map.epoch_ns, the_map.frame)
         bag = _Bag(source, reader, roles, the_map, Counter(), maker)
-        topics = [_OUT[role] for role in roles]
+        topics = [BAG_ROLES[role].topic for role in roles]
         made = write_import(out, source, the_map, topics, _samples(bag, advance), bag.notes)
     return replace(made, remarks=tuple(_remarks(roles, types)))
 
@@ -113,18 +126,10 @@ def _remarks(roles: Mapping[str, str], types: Mapping[str, str]) -> Iterator[str
         if others and role != "wheel":
             more = f" and {len(others) - _SHOWN} more" if len(others) > _SHOWN else ""
             yield f"{role} is {topic}, not {', '.join(others[:_SHOWN])}{more} (--topic chooses)"
-    for role, what in _NEEDED.items():
-        if role not in roles and not (role == "vesc" and "wheel" in roles):
-            wanted = " or ".join(kind.rpartition("/")[2] for kind in TYPES[role])
-            yield f"no {role}: {what} (a topic of {wanted})"
-
-
-_NEEDED = {
-    "pose": "identify and diagnose need the car's track",
-    "command": "identify and diagnose need the commands to the car",
-    "vesc": "the wheels' speed is not known; wheel=TOPIC takes it from an Odometry",
-}
-"""What cannot be computed without a role."""
+    for role, about in BAG_ROLES.items():
+        if about.lacking and role not in roles and not (role == "vesc" and "wheel" in roles):
+            wanted = " or ".join(kind.rpartition("/")[2] for kind in about.types)
+            yield f"no {role}: {about.lacking} (a topic of {wanted})"
 
 
 def propose_bag(source: Path) -> dict[str, dict[str, Any]]:
@@ -184,15 +189,15 @@ def _choose_topics(
     chosen = dict(mapped)
     for text in named:
         role, equals, topic = text.rpartition("=")
-        fits = (r for r in ROLES if types.get(topic) in TYPES[r])
-        chosen[role if equals else next(fits, ROLES[0])] = topic
+        fits = (r for r, about in BAG_ROLES.items() if types.get(topic) in about.types)
+        chosen[role if equals else next(fits, "pose")] = topic
     for role, topic in chosen.items():
-        if role not in ROLES:
-            what = f"--topic {role}={topic}: {role!r} is none of {', '.join(ROLES)}"
+        if role not in BAG_ROLES:
+            what = f"--topic {role}={topic}: {role!r} is none of {', '.join(BAG_ROLES)}"
             raise SteerdError(what, "", ExitCode.USAGE)
         if topic not in types:
             raise SteerdError(f"{source.name} has no messages on {topic}", _list_topics(types))
-        if types[topic] not in TYPES[role]:
+        if types[topic] not in BAG_ROLES[role].types:
             what = f"{source.name}: {topic} is a {types[topic]}, which steerd cannot use"
             raise SteerdError(what)
     best = {role: found for role, found in find_best(types).items() if role not in chosen}
@@ -209,15 +214,15 @@ def _choose_topics(
 
 def _find_topics(types: Mapping[str, str], role: str) -> list[str]:
     """Topics of the types that a role may have."""
-    return [topic for topic, kind in sorted(types.items()) if kind in TYPES[role]]
+    return [topic for topic, kind in sorted(types.items()) if kind in BAG_ROLES[role].types]
 
 
 def find_best(types: Mapping[str, str]) -> dict[str, list[str]]:
     """The topics whose names fit each role best: one where F1TENTH's own names decide."""
     best = {}
-    for role, patterns in PREFERRED.items():
-        ranks = {topic: _rank(topic, patterns) for topic in _find_topics(types, role)}
-        if ranks:
+    for role, about in BAG_ROLES.items():
+        ranks = {topic: _rank(topic, about.preferred) for topic in _find_topics(types, role)}
+        if about.preferred and ranks:
             best[role] = [topic for topic in ranks if ranks[topic] == min(ranks.values())]
     return best
 
@@ -231,7 +236,9 @@ def _expect_any(source: Path, types: Mapping[str, str], roles: dict[str, str]) -
     """The roles; a bag without a drive is refused, with what a drive is made of."""
     if roles:
         return roles
-    kinds = dict.fromkeys(kind.rpartition("/")[2] for role in ROLES for kind in TYPES[role])
+    kinds = dict.fromkeys(
+        kind.rpartition("/")[2] for role in BAG_ROLES.values() for kind in role.types
+    )
     hint = f"steerd reads {', '.join(kinds)}; {_list_topics(types)}"
     raise SteerdError(f"{source.name} has no topic of a type that steerd reads", hint)
 
@@ -274,7 +281,7 @@ def _samples(bag: _Bag, advance: Advance) -> Iterator[Sample]:
         for role in (role for role, wanted in bag.roles.items() if wanted == topic):
             made = _make_message(bag, role, message, t_ns, log_ns)
             if made is not None:
-                yield Sample(_OUT[role], t_ns, log_ns, made)
+                yield Sample(BAG_ROLES[role].topic, t_ns, log_ns, made)
 
 
 def _records(bag: _Bag) -> Iterator[tuple[str, int, Any]]:
@@ -334,11 +341,9 @@ def _rigid_pose(rigids: Any, rigid: int | None, notes: Counter[str]) -> Any:
 def _telemetry(state: Any, t_ns: int, maker: MessageMaker) -> Any:
     """VescState in its ROS 2 or its ROS 1 layout; `speed` is electrical rpm in both."""
     names = (
-        ("voltage_input",), ("current_motor",), ("current_input",), ("duty_cycle",),
-        ("temp_fet", "temperature_pcb"), ("temp_motor",), ("avg_id",), ("avg_iq",), ("avg_vd",),
-        ("avg_vq",),
+        "voltage_input", "current_motor", "current_input", "duty_cycle", "temp_fet", "temp_motor",
+        "avg_id", "avg_iq", "avg_vd", "avg_vq",
     )  # fmt: skip
-    values = tuple(
-        next((float(getattr(state, n)) for n in group if hasattr(state, n)), nan) for group in names
-    )
+    ros1 = {"temp_fet": getattr(state, "temperature_pcb", nan)}
+    values = tuple(float(getattr(state, name, ros1.get(name, nan))) for name in names)
     return maker.telemetry(t_ns, float(state.speed), values)

@@ -1,7 +1,6 @@
 """The learner fed by the messages of a drive, as recorder and session hold them."""
 
 import json
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -129,11 +128,3 @@ def make_feed(car: CarFile, wiring: Wiring, memory: Memory | None = None) -> Fee
     """
     ramp = RAMP_ERPM / abs(wiring.erpm_gain)
     return Feed(make_learner(car, ramp, memory), wiring, State())
-
-
-def learn_all(feed: Feed, messages: Iterable[tuple[Topic, Any]]) -> Iterator[m.Model]:
-    """The reports of a whole drive."""
-    for topic, message in messages:
-        report = feed.take(topic, message)
-        if report is not None:
-            yield report

@@ -68,7 +68,7 @@ def digest_numbers(car: CarFile, erpm_gain: float, erpm_offset: float) -> str:
         "learnt": {name: car.sections.get(name, {}) for name in ("knowledge", "noise")},
         "scaling": [erpm_gain, erpm_offset],
     }
-    return hashlib.sha256(json.dumps(numbers, sort_keys=True, default=str).encode()).hexdigest()
+    return _digest(json.dumps(numbers, sort_keys=True, default=str).encode())
 
 
 def format_kept(about: About, report: m.Model) -> str:
@@ -89,11 +89,11 @@ def format_kept(about: About, report: m.Model) -> str:
             pair = f"[{float(value.value)!r}, {float(value.sd)!r}]"
             lines.append(f"{json.dumps(value.name)} = {pair}  # {value.unit}")
     body = _ABOUT + "\n".join(lines) + "\n"
-    return f"{_HEAD}{_digest(body)}\n{body}"
+    return f"{_HEAD}{_digest(body.encode())}\n{body}"
 
 
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
 
 
 def parse_kept(data: bytes) -> Kept:
@@ -102,16 +102,14 @@ def parse_kept(data: bytes) -> Kept:
     Raises:
         KeptError: it is torn, edited, or none.
     """
+    head, _, body = data.partition(b"\n")
+    if len(data) > SIZE_MAX or head.decode(errors="replace") != _HEAD + _digest(body):
+        raise KeptError("is torn or was edited; this drive writes it anew")
     try:
-        head, _, body = data.decode().partition("\n")
-        if len(data) > SIZE_MAX or head != _HEAD + _digest(body):
-            raise KeptError("is torn or was edited; this drive writes it anew")
-        page: dict[str, Any] = parse_toml(body)
+        page: dict[str, Any] = parse_toml(body.decode())
         about = About(*(str(page[name]) for name in About._fields))
         values = {name: (float(v), float(sd)) for name, (v, sd) in page["values"].items()}
         return Kept(about, int(page["written_ns"]), values)
-    except KeptError:
-        raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise KeptError("is not what steerd writes; move it elsewhere") from error
 

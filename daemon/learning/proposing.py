@@ -4,7 +4,6 @@ It hears from the core what was taken, and steps on from there.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 
 from steerd.controller.acceptance import Acceptance, file_numbers
 from steerd.controller.build import DesignTable
@@ -22,87 +21,68 @@ PAUSE_NS = 15_000_000_000
 """After a refusal nothing is proposed for so long."""
 
 
-@dataclass(frozen=True, eq=False)
-class Proposer:
-    """What is proposed next."""
-
-    held: Acceptance  # what the core holds designs against
-    design_table: DesignTable  # computes gains, see `steerd.controller.gains`
-    at: Learnt  # the numbers in force, as the core said
-    design: Design | None = None  # the last proposal; None before the first
-    refused_ns: int = -PAUSE_NS  # when the core refused one last
-
-
-def make_proposer(held: Acceptance | None, design_table: DesignTable) -> Proposer:
-    """At the start: the file's design is in force.
-
-    Raises:
-        ValueError: nothing is followed in this run.
-    """
-    if held is None:
-        raise ValueError("a run without --adapt follows nothing")
-    return Proposer(held, design_table, file_numbers(held))
-
-
-def hear(proposer: Proposer, taken: m.Design) -> Proposer:
-    """What the core took."""
-    design = read_design(taken)
-    if design is not None:
-        return replace(proposer, at=design.car)
-    refused = taken.mono_ns if taken.text.startswith(REFUSED) else proposer.refused_ns
-    at = file_numbers(proposer.held)
-    return replace(proposer, at=at, design=None, refused_ns=refused)
-
-
-def propose(
-    proposer: Proposer, learner: Learner, state: State, mono_ns: int, epoch_ns: int
-) -> tuple[Proposer, m.Design]:
-    """The proposal at a report.
+class Proposals:
+    """Proposes from the file's design on.
 
     Args:
-        proposer: so far.
-        learner: the car's.
-        state: what was learnt.
-        mono_ns: of the newest pose.
-        epoch_ns: UNIX time minus monotonic time.
+        held: what the core holds designs against.
+        design_table: computes gains, see `steerd.controller.gains`.
+        send: takes each proposal as bytes, and when it was made [ns].
     """
-    aim = find_aim(learner, state)
-    if isinstance(aim, Learnt) and mono_ns - proposer.refused_ns < PAUSE_NS:
-        aim = "a design was refused"
-    if isinstance(aim, str):
-        return replace(proposer, design=None), make_no_design(mono_ns, epoch_ns, aim)
-    held = proposer.held
-    car = approach_learnt(proposer.at, aim, held.bounds, held.steps)
-    near = proposer.design is not None and all(
-        abs(a - b) <= STILL * most
-        for a, b, most in zip(car, proposer.design.car, held.steps, strict=True)
-    )
-    if not near:
-        file = held.file
-        try:
-            table = proposer.design_table(
-                learnt_car(file, car), file.config, learnt_timing(file, car), file.profile.fastest
-            )
-            proposer = replace(proposer, design=Design(car, table))
-        except DesignRefused as error:
-            return replace(proposer, design=None), make_no_design(mono_ns, epoch_ns, str(error))
-    if proposer.design is None or proposer.design.car == file_numbers(held):
-        return proposer, make_no_design(mono_ns, epoch_ns, "the car is as in the car file")
-    return proposer, make_design(mono_ns, epoch_ns, 1, proposer.design)
 
-
-@dataclass
-class Proposals:
-    """A learner's proposals on their way."""
-
-    proposer: Proposer  # what is proposed next
-    send: Callable[[bytes, int], None]  # takes each as bytes, and when it was made [ns]
+    def __init__(
+        self, held: Acceptance, design_table: DesignTable, send: Callable[[bytes, int], None]
+    ) -> None:
+        self._held, self._design_table, self._send = held, design_table, send
+        self._at = file_numbers(held)  # the numbers in force, as the core said
+        self._design: Design | None = None  # the last proposal
+        self._refused_ns = -PAUSE_NS  # when the core refused one last
 
     def hear(self, taken: m.Design) -> None:
         """The core took a design, or the file's."""
-        self.proposer = hear(self.proposer, taken)
+        design = read_design(taken)
+        if design is not None:
+            self._at = design.car
+            return
+        self._at, self._design = file_numbers(self._held), None
+        if taken.text.startswith(REFUSED):
+            self._refused_ns = taken.mono_ns
 
-    def propose(self, learner: Learner, state: State, t_ns: int, epoch_ns: int) -> None:
-        """Propose at a report."""
-        self.proposer, proposal = propose(self.proposer, learner, state, t_ns, epoch_ns)
-        self.send(encode(proposal), t_ns)
+    def propose(self, learner: Learner, state: State, mono_ns: int, epoch_ns: int) -> None:
+        """Propose at a report.
+
+        Args:
+            learner: the car's.
+            state: what was learnt.
+            mono_ns: of the newest pose.
+            epoch_ns: UNIX time minus monotonic time.
+        """
+        design = self._next_design(find_aim(learner, state), mono_ns)
+        self._design = None if isinstance(design, str) else design
+        if not isinstance(design, str) and design.car == file_numbers(self._held):
+            design = "the car is as in the car file"
+        proposal = (
+            make_no_design(mono_ns, epoch_ns, design)
+            if isinstance(design, str)
+            else make_design(mono_ns, epoch_ns, 1, design)
+        )
+        self._send(encode(proposal), mono_ns)
+
+    def _next_design(self, aim: Learnt | str, mono_ns: int) -> Design | str:
+        """One step towards an aim; why there is none."""
+        if isinstance(aim, str):
+            return aim
+        if mono_ns - self._refused_ns < PAUSE_NS:
+            return "a design was refused"
+        file, steps = self._held.file, self._held.steps
+        car = approach_learnt(self._at, aim, self._held.bounds, steps)
+        if self._design is not None and all(
+            abs(a - b) <= STILL * most
+            for a, b, most in zip(car, self._design.car, steps, strict=True)
+        ):
+            return self._design
+        own, timing = learnt_car(file, car), learnt_timing(file, car)
+        try:
+            return Design(car, self._design_table(own, file.config, timing, file.profile.fastest))
+        except DesignRefused as error:
+            return str(error)

@@ -9,7 +9,6 @@ from steerd.sim_gap.online.tracking import Remembered
 from steerd.sim_gap.online.values import Value, amounts_of, unit_of, values_of
 from steerd.steer_bus import messages as m
 
-NONE_NS = -1
 _SD = "_sd"
 _LEARNT = tuple(
     field.name.removesuffix(_SD) for field in fields(m.Model) if field.name.endswith(_SD)
@@ -36,16 +35,15 @@ def make_model(
     changes = [_reported_change(change) for change in (*state.past, *current)]
     newest = changes[-1] if changes else None
     verdict = newest.verdict if newest else "none"
-    numbers = {
-        key: number
-        for name in _LEARNT
-        for key, number in zip((name, name + _SD), _number(by_name.get(name)), strict=True)
-    }
+    numbers: dict[str, float] = {}
+    for name in _LEARNT:
+        value = by_name.get(name)
+        numbers |= {name: value.value if value else nan, name + _SD: value.sd if value else nan}
     return m.Model(
         header=m.make_header(mono_ns + epoch_ns, m.BODY),
         mono_ns=mono_ns,
-        since_ns=newest.since_ns if newest else NONE_NS,
-        noticed_ns=newest.noticed_ns if newest else NONE_NS,
+        since_ns=newest.since_ns if newest else -1,
+        noticed_ns=newest.noticed_ns if newest else -1,
         windows=state.seen,
         dropped=dropped,
         confidence=newest.confidence if newest else nan,
@@ -54,12 +52,8 @@ def make_model(
         effect=newest.effect if newest else "",
         alternatives=",".join(newest.alternatives) if newest else "",
         identifiable=",".join(value.name for value in values if value.identifiable),
-        details=pack([ReportedValue(*value) for value in values], changes),
+        details=pack(values, changes),
     )
-
-
-def _number(value: Value | None) -> tuple[float, float]:
-    return (nan, nan) if value is None else (value.value, value.sd)
 
 
 def _reported_change(change: Change) -> ReportedChange:

@@ -1,6 +1,7 @@
 """What a report of the learner says, for those who only read it; no numerics are loaded here."""
 
 import json
+from collections.abc import Sequence
 from math import nan
 from typing import Any, NamedTuple
 
@@ -33,8 +34,8 @@ class ReportedChange(NamedTuple):
     parameters: tuple[ReportedValue, ...]
 
 
-def pack(values: list[ReportedValue], changes: list[ReportedChange]) -> str:
-    """JSON of values and changes; what is no number is null."""
+def pack(values: Sequence[tuple[Any, ...]], changes: Sequence[ReportedChange]) -> str:
+    """JSON of values, in the order of `ReportedValue`, and changes; what is no number is null."""
     data = {"values": values, "changes": changes}
     return json.dumps(finite(data), separators=(",", ":"), allow_nan=False)
 

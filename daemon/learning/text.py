@@ -94,7 +94,7 @@ def encode_model(model: m.Model) -> dict[str, Any]:
             "verdict": change.verdict,
             "since_s": (epoch_ns + change.since_ns) * 1e-9,
             "noticed_s": (epoch_ns + change.noticed_ns) * 1e-9,
-            "causes": _causes(change),
+            "causes": [_cause(change)] if change.effect else [],
         }
         for change in reported_changes(model)
     ]
@@ -107,24 +107,20 @@ def encode_model(model: m.Model) -> dict[str, Any]:
             "changes": changes,
         },
         "model": {
-            p.name: {
-                "value": p.value, "sd": p.sd, "unit": p.unit, "identifiable": bool(p.identifiable)
-            }
+            p.name: _number(p) | {"identifiable": bool(p.identifiable)}
             for p in reported_values(model)
         },
-    }  # fmt: skip
+    }
 
 
-def _causes(change: ReportedChange) -> list[dict[str, Any]]:
-    if not change.effect:
-        return []
-    return [
-        {
-            "effect": change.effect,
-            "parameters": {
-                p.name: {"value": p.value, "sd": p.sd, "unit": p.unit} for p in change.parameters
-            },
-            "confidence": change.confidence,
-            "alternatives": list(change.alternatives),
-        }
-    ]
+def _cause(change: ReportedChange) -> dict[str, Any]:
+    return {
+        "effect": change.effect,
+        "parameters": {p.name: _number(p) for p in change.parameters},
+        "confidence": change.confidence,
+        "alternatives": list(change.alternatives),
+    }
+
+
+def _number(p: ReportedValue) -> dict[str, Any]:
+    return {"value": p.value, "sd": p.sd, "unit": p.unit}

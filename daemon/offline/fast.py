@@ -95,12 +95,12 @@ def _learn_beside(
         return lambda record: iter((record,))
     from steerd.controller.build import compute_table
     from steerd.daemon.learning.feed import make_feed, make_record, wiring_of
-    from steerd.daemon.learning.proposing import Proposals, make_proposer
+    from steerd.daemon.learning.proposing import Proposals
 
     feed = make_feed(plan.settings.file, wiring_of(EPOCH_NS, plan.settings.scaling))
     numbers = count()
     if plan.learnt is not None:
-        feed.proposals = Proposals(make_proposer(plan.learnt, compute_table), propose)
+        feed.proposals = Proposals(plan.learnt, compute_table, propose)
 
     def take(record: PipeRecord) -> Iterator[PipeRecord]:
         yield record

@@ -19,7 +19,7 @@ from steerd.daemon.ipc.pipe_records import Gaps, PipeReader, PipeRecord, PipeWri
 from steerd.daemon.ipc.requests import make_sender
 from steerd.daemon.learning.feed import Feed, make_feed, make_record, read_memory, wiring_of
 from steerd.daemon.learning.kept import About, Keeper
-from steerd.daemon.learning.proposing import Proposals, make_proposer
+from steerd.daemon.learning.proposing import Proposals
 from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.settings.run_options import decode_options
 from steerd.steer_bus import messages as m
@@ -107,8 +107,7 @@ def serve(given: Job) -> int:
         raise SteerdError(str(error)) from None
     if plan.learnt is not None:
         send = make_sender(fds["designs"])
-        proposer = make_proposer(plan.learnt, compute_table)
-        feed.proposals = Proposals(proposer, lambda data, _t_ns: send(data))
+        feed.proposals = Proposals(plan.learnt, compute_table, lambda data, _t_ns: send(data))
     outputs = [PipeWriter(fd) for name, fd in fds.items() if name.startswith("to_")]
     loop, records = LearnerLoop(feed, outputs, make_keeper(job)), PipeReader(fds["pipe"])
     while records.wait():

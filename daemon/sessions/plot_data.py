@@ -19,8 +19,8 @@ from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.session_read import Session, SessionError
 from steerd.steer_bus.topic_columns import Columns
 from steerd.steer_bus.topics import Topic
+from steerd.sysid.data.dataset import read_erpm
 from steerd.toml_text import decode_toml, parse_toml
-from steerd.vesc_link.scaling import F1TENTH
 
 NIS_95 = 7.815  # 95 % of a chi-squared distribution with 3 degrees of freedom lie below
 LANE_HALF_WIDTH = 0.30
@@ -175,8 +175,7 @@ def _speed(s: Recording) -> Iterator[Panel]:
     curves = [*_command(s, "speed")]
     table = s.table(topics.VESC)
     if table is not None:
-        gain = s.session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
-        offset = s.session.number("steerd.scaling", "erpm_offset", F1TENTH.erpm_offset)
+        gain, offset = read_erpm(s.session)
         speed = (table["erpm"].astype(float) - offset) / gain
         curves += make_curve("wheels", "measured", s.times(table), speed)
     curves += make_field_curve(s, topics.WHEEL, "speed", "wheels", "measured")

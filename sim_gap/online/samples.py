@@ -117,15 +117,14 @@ def make_window(recent: Recent, start: float, ramp: float) -> Run | None:
     seen, asked = np.array(poses), np.array(orders)
     rolled = np.array(wheel).reshape(-1, 2)
     try:
-        return make_run(
+        run = make_run(
             f"{start:.2f} s",
             Signal(asked[:, 0], asked[:, 1]),
             Signal(asked[:, 0], asked[:, 2]),
             Signal(seen[:, 0], seen[:, 1:]),
             wheel=Signal(rolled[:, 0], rolled[:, 1]),
-            servo_frame=SERVO_FRAME,
-            speed_ramp=ramp,
         )
+        return replace(run, servo_frame=SERVO_FRAME, speed_ramp=ramp)
     except DataError:
         return None
 

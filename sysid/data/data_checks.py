@@ -56,7 +56,7 @@ def check_times(name: str, what: str, t: Array) -> None:
         raise DataError(f"{name}: time of {what} goes back by {size:.3g} s", hint)
 
 
-def check_run(name: str, duration: float, t: Array, pose: Array, speed: Array) -> None:
+def check_run(name: str, duration: float, t: Array, pose: Array) -> None:
     """Refuse a drive that is too short, in millimetres, frozen, standing or on a stepping clock.
 
     Args:
@@ -64,7 +64,6 @@ def check_run(name: str, duration: float, t: Array, pose: Array, speed: Array) -
         duration: of the commands [s].
         t: pose times [s].
         pose: (M, 3).
-        speed: commanded speeds [m/s], may be empty.
 
     Raises:
         DataError: it is.

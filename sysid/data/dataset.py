@@ -7,7 +7,7 @@ a typed error that says what is wrong and what to do.
 # Why: docs/decisions/identification.md#d45
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from math import ceil
 from typing import Any, NamedTuple
 
@@ -17,11 +17,9 @@ from numpy.typing import NDArray
 from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.session_read import Session
 from steerd.steer_bus.topic_columns import Columns
-from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, VESC, WHEEL, split_key
-from steerd.sysid.data.data_checks import DataError, check_run, check_times, noise_of
+from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, VESC, WHEEL, Topic, find_topic
+from steerd.sysid.data.data_checks import Array, DataError, check_run, check_times, noise_of
 from steerd.vesc_link.scaling import F1TENTH
-
-Array = NDArray[np.float64]
 
 GRID = 0.005
 """Step of the command grid [s], one tick of the control loop; `stability` refines it where needed.
@@ -65,6 +63,25 @@ class LogJitter(NamedTuple):
         return f"{self.run}: steering stored 0 to {late:.0f} ms late {apart}"
 
 
+class Pulse(NamedTuple):
+    """How a drive's servo was pulsed."""
+
+    run: str  # the drive's name
+    phase: float  # of the pulses after the drive's first command [s]
+    sure: float  # by how much the log-likelihood falls at the best phase that does not look alike
+    # By how much it may be off: phases between the same two commands look alike, but for a dead
+    # time (standard deviation) [s]
+    blur: float = 0.0
+
+
+class Ramp(NamedTuple):
+    """Whether a drive's motor controller had its ramp."""
+
+    run: str  # the drive's name
+    rate: float  # limit of its setpoint [m/s^2]; 0 where the drive knows none
+    sure: float  # by how much the other answer's log-likelihood is smaller
+
+
 class Signal(NamedTuple):
     """A measurement or command: `values[i]` at `t[i]` [s]."""
 
@@ -72,8 +89,7 @@ class Signal(NamedTuple):
     values: Array
 
 
-def _none() -> Signal:
-    return Signal(np.empty(0), np.empty(0))
+NOTHING = Signal(np.empty(0), np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,15 +104,15 @@ class Run:
     # prescribed instead (see `augmented_car.prescribe_speed`)
     speed_source: str = "command"
     # Speed as reported with the nominal gain [m/s]; may be empty
-    wheel: Signal = field(default_factory=_none)
-    yaw_rate: Signal = field(default_factory=_none)  # gyro [rad/s]; may be empty
+    wheel: Signal = NOTHING
+    yaw_rate: Signal = NOTHING  # gyro [rad/s]; may be empty
     # The commanded angles at their own times; may be empty
-    steer: Signal = field(default_factory=_none)
+    steer: Signal = NOTHING
     # Period of the pulses that carry them to the servo [s]; 0 where none are known to do so
     # (see `command_timing`)
     servo_frame: float = 0.0
     # The commanded speeds at their own times; may be empty
-    speed_command: Signal = field(default_factory=_none)
+    speed_command: Signal = NOTHING
     # How fast the motor controller's setpoint may follow them [m/s^2]; 0 where it is not known
     # to be limited (see `command_timing`)
     speed_ramp: float = 0.0
@@ -107,6 +123,8 @@ class Run:
     history: float = HISTORY
     # Sampling jitter of the steering log, corrected in `commands` and `steer`
     log_jitter: LogJitter | None = None
+    pulse: Pulse | None = None  # of the servo, where `commands` are those that it took over
+    ramp: Ramp | None = None  # of the motor controller, where it was asked whether it has one
 
     def __repr__(self) -> str:
         return f"<Run {self.name!r}, {len(self.commands)} commands of {self.h:g} s>"
@@ -202,7 +220,7 @@ def pose_speed(pose: Signal) -> Signal:
 
 def _clean(signal: Signal | None) -> Signal:
     if signal is None or not len(signal.t):
-        return _none()
+        return NOTHING
     kept = np.isfinite(signal.values)
     return Signal(np.asarray(signal.t, float)[kept], np.asarray(signal.values, float)[kept])
 
@@ -216,8 +234,6 @@ def make_run(
     wheel: Signal | None = None,
     yaw_rate: Signal | None = None,
     h: float = GRID,
-    servo_frame: float = 0.0,
-    speed_ramp: float = 0.0,
 ) -> Run:
     """Put a drive's signals on one clock and grid, and check them.
 
@@ -230,8 +246,6 @@ def make_run(
         wheel: reported speed [m/s].
         yaw_rate: gyro [rad/s].
         h: step of the command grid [s].
-        servo_frame: period of the servo's pulses [s]; 0 where it has none.
-        speed_ramp: limit of the motor controller's setpoint [m/s^2]; 0 where it has none.
 
     Raises:
         DataError: no fit should see these data.
@@ -246,26 +260,22 @@ def make_run(
     if not np.isfinite(pose.values).all():
         raise DataError(f"{name}: a pose is not a number", "leave out lost samples, keep the gaps")
     zero, end = steer.t[0], min(steer.t[-1] + h, pose.t[-1])
-    pose = Signal(
-        pose.t - zero, np.column_stack([pose.values[:, :2], np.unwrap(pose.values[:, 2])])
-    )
-    pose = Signal(*(part[(pose.t >= 0.0)] for part in pose))
+    poses = np.column_stack([pose.values[:, :2], np.unwrap(pose.values[:, 2])])
+    kept = pose.t - zero >= 0.0
+    pose = Signal((pose.t - zero)[kept], poses[kept])
     steps = int(max(end - zero, 0.0) / h + 1e-9)
     edges: Array = np.arange(steps + 1).astype(float) * h
-    moved = [Signal(s.t - zero, s.values) for s in (steer, commanded, rolled, gyro)]
-    steer, commanded, rolled, gyro = moved
-    source, measured = "command", commanded
-    if not len(commanded.t):
-        source, measured = _measured_speed(rolled, pose)
-    check_run(name, edges[-1], pose.t, pose.values, commanded.values)
-    if source == "command":
-        along = hold_means(measured, edges)
+    steer, commanded, rolled, gyro = (Signal(s.t - zero, s.values) for s in named.values())
+    check_run(name, edges[-1], pose.t, pose.values)
+    source = "command"
+    if len(commanded.t):
+        along = hold_means(commanded, edges)
     else:  # a measured speed is that of the step's end
+        source, measured = _measured_speed(rolled, pose)
         along = np.interp(edges[1:], *measured)
-    commands = np.column_stack([hold_means(steer, edges), along])
     return Run(
-        name, h, commands, pose, source, rolled, gyro, steer, servo_frame, commanded,
-        speed_ramp,
+        name, h, np.column_stack([hold_means(steer, edges), along]), pose, source, rolled, gyro,
+        steer, speed_command=commanded,
     )  # fmt: skip
 
 
@@ -277,13 +287,15 @@ def _measured_speed(rolled: Signal, pose: Signal) -> tuple[str, Signal]:
     return ("pose", pose_speed(pose)) if sharp or not len(rolled.t) else ("wheel", rolled)
 
 
-def read_run(session: Session, tables: Mapping[str, Columns] | None = None, h: float = GRID) -> Run:
+_SOURCES = (MOCAP, ACTUATION, VESC, IMU, WHEEL)
+
+
+def read_run(session: Session, tables: Mapping[str, Columns] | None = None) -> Run:
     """The drive of an open session.
 
     Args:
         session: steerd's own or an imported one.
         tables: columns by topic, where they were read already.
-        h: step of the command grid [s].
 
     Poses that the mocap checks rejected are left out, and commands while the car was not driven
     (mode other than SPEED).
@@ -293,65 +305,66 @@ def read_run(session: Session, tables: Mapping[str, Columns] | None = None, h: f
         steerd.steer_bus.session.SessionError: the file cannot be read.
     """
     name = session.info().path.name
-    needed = MOCAP.name, ACTUATION.name
-    short = {t: (split_key(t.name) or ("", ""))[1] for t in session.info().topics}
-    by_name = {n: t.name for t, n in short.items() if t.count or n in needed}
-    wanted = {by_name[t.name]: t.message for t in _SOURCES if t.name in by_name}
-    for topic in needed:
-        if topic not in by_name:
-            what = f"{name}: no topic {topic!r}"
-            raise DataError(
-                what, "record with `steerd run`, or import the log with `steerd import`"
-            )
-    if tables is None or not tables.keys() >= wanted.keys():
-        tables = session.tables(wanted)
-    columns = {name: tables[key] for name, key in by_name.items() if key in tables}
-    scaling = session.info().metadata.get("steerd.scaling", {})
-    ours = "servo_gain" in scaling  # an import may state the ERPM of a VESC that steerd never drove
+    listed = sorted(session.info().topics, key=lambda topic: bool(topic.count))
+    there = {find_topic(topic.name): topic for topic in listed}  # of two, one with messages
+    for needed in (MOCAP, ACTUATION):
+        if needed not in there:
+            hint = "record with `steerd run`, or import the log with `steerd import`"
+            raise DataError(f"{name}: no topic {needed.name!r}", hint)
+    wanted = {
+        topic: there[topic].name
+        for topic in _SOURCES
+        if topic in there and (there[topic].count or topic in (MOCAP, ACTUATION))
+    }
+    if tables is None or not tables.keys() >= {*wanted.values()}:
+        tables = session.tables({key: topic.message for topic, key in wanted.items()})
+    columns = {topic: tables[key] for topic, key in wanted.items()}
+    run = make_run(name, **_signals(session, columns), h=GRID)
+    # An import may state the ERPM of a VESC that steerd never drove.
+    if "servo_gain" not in session.info().metadata.get("steerd.scaling", {}):
+        return run
+    return replace(run, servo_frame=SERVO_FRAME, speed_ramp=RAMP_ERPM / abs(read_erpm(session)[0]))
+
+
+def read_erpm(session: Session) -> tuple[float, float]:
+    """Gain [ERPM per m/s] and offset [ERPM] of a session's motor; F1TENTH's where it says none.
+
+    Raises:
+        steerd.steer_bus.session.SessionError: what it says is no number.
+    """
     gain = session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
-    return make_run(
-        name,
-        **_signals(session, columns, gain),
-        h=h,
-        servo_frame=SERVO_FRAME if ours else 0.0,
-        speed_ramp=RAMP_ERPM / abs(gain) if ours else 0.0,
-    )
+    return gain, session.number("steerd.scaling", "erpm_offset", F1TENTH.erpm_offset)
 
 
-_SOURCES = (MOCAP, ACTUATION, VESC, IMU, WHEEL)
+def _signals(session: Session, columns: dict[Topic, Columns]) -> dict[str, Signal]:
+    """Every signal on the core's monotonic clock [s]."""
+    mocap, actuation = columns[MOCAP], columns[ACTUATION]
+    accepted = mocap["reject"] == ""
+    first = int(mocap["t_valid_ns"][0]) if len(accepted) else 0
+    epoch = int(mocap["stamp_ns"][0]) - first if len(accepted) else 0
 
+    def seconds(stamps: NDArray[Any], offset: int = 0) -> Array:
+        moved = stamps.astype(np.int64) + (offset - epoch - first)
+        return np.asarray(moved.astype(np.float64) * 1e-9)
 
-def _signals(session: Session, columns: dict[str, Columns], gain: float) -> dict[str, Signal]:
-    """Every signal on the core's monotonic clock [s]; `gain`: ERPM per m/s."""
-    mocap, actuation = columns[MOCAP.name], columns[ACTUATION.name]
-    accepted = np.array([reject == "" for reject in mocap["reject"]], bool)
-    epoch = int(mocap["stamp_ns"][0]) - int(mocap["t_valid_ns"][0]) if len(accepted) else 0
+    def midway(table: Columns) -> Array:
+        """Midway between asking and hearing."""
+        return seconds((table["t_sent_ns"] + table["t_received_ns"]) // 2, epoch)
+
     driven = actuation["mode"] == ActuationMode.SPEED
-    zero = epoch + (int(mocap["t_valid_ns"][0]) if len(accepted) else 0)
-
-    def seconds(stamps: NDArray[Any], offset: int) -> Array:
-        moved: Array = (stamps.astype(np.int64) + (offset - zero)).astype(np.float64) * 1e-9
-        return moved
-
-    t_steer = seconds(actuation["stamp_ns"][driven], 0)
+    t_steer = seconds(actuation["stamp_ns"][driven])
     pose: Array = np.column_stack([mocap[c][accepted] for c in ("x", "y", "yaw")]).astype(float)
-    holes = seconds(np.array(session.holes(), np.int64).reshape(-1, 2), 0)
+    holes = seconds(np.array(session.holes(), np.int64).reshape(-1, 2))
     found = {
         "pose": leave_out(Signal(seconds(mocap["t_valid_ns"][accepted], epoch), pose), holes),
         "steer": Signal(t_steer, actuation["steer"][driven].astype(float)),
         "speed": Signal(t_steer, actuation["speed"][driven].astype(float)),
     }
-    if VESC.name in columns:
-        table = columns[VESC.name]
-        middle = (table["t_sent_ns"] + table["t_received_ns"]) // 2
-        offset = session.number("steerd.scaling", "erpm_offset", F1TENTH.erpm_offset)
-        speed = (table["erpm"].astype(float) - offset) / gain
-        found["wheel"] = Signal(seconds(middle, epoch), speed)
-    elif WHEEL.name in columns:
-        table = columns[WHEEL.name]
-        found["wheel"] = Signal(seconds(table["t_ns"], epoch), table["speed"].astype(float))
-    if IMU.name in columns:
-        table = columns[IMU.name]
-        middle = (table["t_sent_ns"] + table["t_received_ns"]) // 2
-        found["yaw_rate"] = Signal(seconds(middle, epoch), table["gyro_z"].astype(float))
+    if vesc := columns.get(VESC):
+        gain, offset = read_erpm(session)
+        found["wheel"] = Signal(midway(vesc), (vesc["erpm"].astype(float) - offset) / gain)
+    elif wheel := columns.get(WHEEL):
+        found["wheel"] = Signal(seconds(wheel["t_ns"], epoch), wheel["speed"].astype(float))
+    if imu := columns.get(IMU):
+        found["yaw_rate"] = Signal(midway(imu), imu["gyro_z"].astype(float))
     return found

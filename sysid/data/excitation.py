@@ -4,11 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.sysid.data.dataset import Run, pose_rates, pose_speed
-
-Array = NDArray[np.float64]
 
 TURNING = 0.03
 """Steering beyond this is a turn [rad]."""

@@ -10,13 +10,13 @@ logged.
 """
 
 from dataclasses import replace
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import LogJitter, Run, Signal, hold_means, pose_speed
-
-Array = NDArray[np.float64]
 
 PERIOD_LOW, PERIOD_HIGH = 0.04, 0.5
 """Jitter of faster logs is negligible; slower logs are not steering commands [s]."""
@@ -115,13 +115,9 @@ def _losses(run: Run, delays: Array) -> tuple[Array, Array]:
 def _response(run: Run, t: Array, delay: float) -> Array:
     """The logged steering `delay` earlier, through the servo's first-order lag."""
     edges: Array = np.append(t, t[-1] + run.h) + delay
-    held = hold_means(run.steer, edges)
     kept = float(np.exp(-run.h / _SERVO_LAG))
-    out, now = np.empty_like(held), float(held[0])
-    for i, value in enumerate(held.tolist()):
-        now = kept * now + (1.0 - kept) * value
-        out[i] = now
-    return out
+    held = hold_means(run.steer, edges).tolist()
+    return np.array([*accumulate(held, lambda angle, aim: aim + kept * (angle - aim))])
 
 
 def _curvature(run: Run) -> tuple[Array, Array, NDArray[np.bool_]]:

@@ -7,18 +7,17 @@ within a segment count from its first command. The commands of the half second b
 the car stood or went backwards.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from math import floor
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.chassis import SPEED_KINEMATIC
 from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import HISTORY, Run, Signal, least_pause, pose_speed
-
-Array = NDArray[np.float64]
 
 SPEED_MIN = 0.4
 """Speed of a segment, at least [m/s] ..."""
@@ -36,6 +35,7 @@ BLOCK = 5.4
 PIECE = 30.0
 """Length of the pieces that stand for a long drive [s]."""
 _ROUNDED = 1.0 + 1e-9
+T = TypeVar("T")
 
 
 def make_segment(run: Run, low: float, high: float) -> Run:
@@ -186,17 +186,36 @@ def moving_segments(runs: Sequence[Run]) -> tuple[Run, ...]:
     return tuple(segments)
 
 
-def make_blocks(parts: Sequence[Run]) -> tuple[Run, ...]:
-    """Segments split into blocks of about `BLOCK` seconds; no measurement is in two of them.
+def make_blocks(
+    parts: Sequence[Run],
+    length: float = BLOCK,
+    count: Callable[[float], int] = round,
+    over: float = np.inf,
+) -> tuple[Run, ...]:
+    """Segments split into blocks of about one length; no measurement is in two of them.
 
     No model of a real car predicts a minute: over long windows its errors accumulate.
+
+    Args:
+        parts: the segments.
+        length: of a block [s].
+        count: from how many blocks it would be to how many it is; `int` makes them no shorter.
+        over: how much longer than whole seconds a block may be; what goes beyond is left out [s].
     """
     found: list[Run] = []
     for part in parts:
         start, end = float(part.pose.t[0]), min(float(part.pose.t[-1]), part.duration)
-        edges = np.linspace(start, end, max(1, round((end - start) / BLOCK)) + 1)
-        found += [make_segment(part, low, high - 1e-6) for low, high in pairwise(edges)]
+        edges = np.linspace(start, end, max(1, count((end - start) / length)) + 1)
+        for low, high in pairwise(edges.tolist()):
+            last = min(high - 1e-6, low + max(1, floor(high - low)) + over)
+            found.append(make_segment(part, low, last))
     return tuple(found)
+
+
+def split_every(parts: Sequence[T], every: int) -> tuple[tuple[T, ...], tuple[T, ...]]:
+    """All but every k-th part, and those."""
+    held_out = tuple(parts[every - 1 :: every])
+    return tuple(part for i, part in enumerate(parts) if i % every != every - 1), held_out
 
 
 def hold_out(parts: Sequence[Run], every: int) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
@@ -208,11 +227,10 @@ def hold_out(parts: Sequence[Run], every: int) -> tuple[tuple[Run, ...], tuple[R
     Raises:
         DataError: the drives are too short to hold anything out.
     """
-    every_block = make_blocks(parts)
-    held_out = every_block[every - 1 :: every]
-    fitted = tuple(b for i, b in enumerate(every_block) if i % every != every - 1)
+    blocks = make_blocks(parts)
+    fitted, held_out = split_every(blocks, every)
     if not held_out or not fitted:
-        count = len(every_block)
+        count = len(blocks)
         only = f"only {count} block{'s' * (count != 1)} of {BLOCK:g} s"
         what = f"{only}: too short to hold every {every}th out"
         raise DataError(what, "record more drives, or name one with --held-out FILE")

@@ -1,19 +1,17 @@
 """Windows of drives: what is simulated from where, and which measurements it is compared with."""
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.native.windows import Stations, Windows
-from steerd.sysid.data.data_checks import noise_of
+from steerd.sysid.data.data_checks import Array, noise_of
 from steerd.sysid.data.dataset import HISTORY, Run, Signal, pose_speed
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 GROUPS: tuple[str, ...] = ("position", "yaw", "wheel_speed", "yaw_rate")
@@ -116,15 +114,6 @@ def make_stations(layout: Layout, pose_delay: float, step: float) -> Stations:
     return Stations(np.ascontiguousarray(places), (true - k)[order], spans, len(layout.values))
 
 
-class _Window(NamedTuple):
-    """One window while the layout is made."""
-
-    run: int
-    span: tuple[int, int, int, int, int]
-    t: float
-    kinds: tuple[tuple[int, Array, Array], ...]
-
-
 def guess_state(pose: Signal, t: float) -> Array:
     """State at time `t` from a quadratic through the poses about it; steer 0."""
     near = np.flatnonzero(np.abs(pose.t - t) <= _GUESS_SPAN)
@@ -149,11 +138,6 @@ def _edges(run: Run, horizon: float, pose_delay: float) -> Indices:
     return np.unique(np.linspace(low, high, count + 1).round().astype(np.int64))
 
 
-def _between(signal: Signal, low: float, high: float) -> tuple[Array, Array]:
-    a, b = np.searchsorted(signal.t, [low, high])
-    return signal.t[a:b] - low, signal.values[a:b]
-
-
 def _remembered(steering: Array, a: int, least: int, most: int) -> int:
     """Steps before a window at `a` of which a linkage may remember something.
 
@@ -170,26 +154,33 @@ def _remembered(steering: Array, a: int, least: int, most: int) -> int:
     return min(steps, most)
 
 
-def _make_windows(
-    run: Run, number: int, low: int, horizon: float, pose_delay: float
-) -> list[_Window]:
+def _cut(run: Run, horizon: float, pose_delay: float) -> tuple[NDArray[Any], ...]:
+    """A run's windows (W, 5), as `Layout.spans` of it alone, and what is read in them.
+
+    Of each reading its window, time and kind; then the measurements of all.
+    """
     edges = _edges(run, horizon, pose_delay)
     least, most = round(HISTORY / run.h), round(run.history / run.h)
-    rows = len(run.commands)
-    windows = []
-    for a, b in itertools.pairwise(edges):
-        start, end = a * run.h, b * run.h + (1e-9 if b == edges[-1] else 0.0)
-        t, pose = _between(run.pose, start + pose_delay, end + pose_delay)
-        if len(t) < POSES_MIN:
-            continue
-        kinds = [(0, t + pose_delay, pose)]
-        if run.speed_source == "command":
-            kinds.append((1, *_between(run.wheel, start, end)))
-        kinds.append((2, *_between(run.yaw_rate, start, end)))
-        settle = max(least, min(_remembered(run.commands[:, 0], int(a), least, most), int(a)))
-        span = (low, low + rows, low + int(a), int(b - a), settle)
-        windows.append(_Window(number, span, start, tuple(kinds)))
-    return windows
+    settle = [
+        max(least, min(_remembered(run.commands[:, 0], a, least, most), a))
+        for a in edges[:-1].tolist()
+    ]
+    whole = np.tile([0, len(run.commands)], (len(settle), 1))
+    spans = np.column_stack([whole, edges[:-1], np.diff(edges), np.array(settle, np.int64)])
+    limits = edges * run.h
+    limits[-1] += 1e-9
+    signals = {0: run.pose, 1: run.wheel, 2: run.yaw_rate}
+    if run.speed_source != "command":
+        del signals[1]
+    readings = []
+    for kind, (t, values) in signals.items():
+        late = 0.0 if kind else pose_delay
+        window = np.searchsorted(limits + late, t, side="right") - 1
+        inside = (window >= 0) & (window < len(spans))
+        window = window[inside]
+        since = t[inside] - (limits + late)[window] + late
+        readings.append((window, since, np.full(len(window), kind), values[inside].ravel()))
+    return spans, *(np.concatenate(each) for each in zip(*readings, strict=True))
 
 
 def make_layout(
@@ -208,45 +199,36 @@ def make_layout(
     """
     if len({run.h for run in runs}) != 1:
         raise ValueError("runs must share one grid step")
-    lows = np.concatenate([[0], np.cumsum([len(run.commands) for run in runs])])
-    windows = [
-        part
-        for number, run in enumerate(runs)
-        for part in _make_windows(run, number, int(lows[number]), horizon, pose_delay)
-    ]
-    if not windows:
-        raise ValueError(f"no window of {horizon:g} s sees {POSES_MIN} poses")
-    length = runs[0].h * float(np.mean([part.span[3] for part in windows]))
-    keep = len(windows)
-    if np.isfinite(most):
-        keep = min(keep, max(_WINDOWS_MIN, round(most / length)))
-    chosen = np.linspace(0, len(windows) - 1, keep).round().astype(int)
-    return _assemble(runs, [windows[i] for i in chosen], pose_delay)
-
-
-def _assemble(runs: Sequence[Run], windows: Sequence[_Window], pose_delay: float) -> Layout:
-    window, t, kinds, values, bounds = [], [], [], [], [0]
-    for w, part in enumerate(windows):
-        for kind, times, measured in part.kinds:
-            window.append(np.full(len(times), w))
-            t.append(times)
-            kinds.append(np.full(len(times), kind))
-            values.append(measured.ravel())
-        bounds.append(sum(map(len, values[-len(part.kinds) :])))
-    every = np.concatenate(kinds)
-    row = np.cumsum(_width(every)) - _width(every)
-    return Layout(
-        h=runs[0].h,
+    h, cuts = runs[0].h, [_cut(run, horizon, pose_delay) for run in runs]
+    counts, readings = [len(cut[0]) for cut in cuts], [len(cut[1]) for cut in cuts]
+    spans, window, at, kind, values = (np.concatenate(each) for each in zip(*cuts, strict=True))
+    number = np.repeat(np.arange(len(runs)), counts)
+    low = np.cumsum([0, *(len(run.commands) for run in runs)])[number]
+    window = window + np.repeat(np.cumsum([0, *counts[:-1]]), readings)
+    layout = Layout(
+        h=h,
         commands=np.concatenate([run.commands for run in runs]),
-        spans=np.array([part.span for part in windows], np.int64),
-        t=np.array([runs[part.run].start + part.t for part in windows]),
-        run=np.array([part.run for part in windows]),
-        seen=Seen(np.concatenate(window), np.concatenate(t), every, row),
-        values=np.concatenate(values),
-        bounds=np.cumsum(bounds),
-        guess=np.array([guess_state(runs[c.run].pose, c.t + pose_delay) for c in windows]),
+        spans=spans + np.outer(low, [1, 1, 1, 0, 0]),
+        t=np.array([run.start for run in runs])[number] + spans[:, 2] * h,
+        run=number,
+        seen=Seen(window, at, kind, np.cumsum(_width(kind)) - _width(kind)),
+        values=values,
+        bounds=np.empty(0, np.int64),
+        guess=np.empty((len(spans), 7)),
         speeds=speed_range(runs),
     )
+    layout = take_readings(layout, np.lexsort((kind, window)))
+    chosen = np.flatnonzero(np.bincount(window[kind == 0], minlength=len(spans)) >= POSES_MIN)
+    if not len(chosen):
+        raise ValueError(f"no window of {horizon:g} s sees {POSES_MIN} poses")
+    if np.isfinite(most):
+        length = h * float(np.mean(spans[chosen, 3]))
+        count = min(len(chosen), max(_WINDOWS_MIN, round(most / length)))
+        chosen = chosen[np.linspace(0, len(chosen) - 1, count).round().astype(int)]
+    begin = spans[chosen, 2] * h + pose_delay
+    poses = [runs[i].pose for i in number[chosen]]
+    guess = np.array([guess_state(*each) for each in zip(poses, begin.tolist(), strict=True)])
+    return replace(take_windows(layout, np.isin(np.arange(len(spans)), chosen)), guess=guess)
 
 
 def _width(kind: Indices) -> Indices:
@@ -270,8 +252,8 @@ def thinned(layout: Layout) -> Layout:
     return take_readings(layout, kept)
 
 
-def take_readings(layout: Layout, kept: NDArray[np.bool_]) -> Layout:
-    """The layout with some of its readings (mask over `seen`)."""
+def take_readings(layout: Layout, kept: NDArray[np.bool_] | Indices) -> Layout:
+    """The layout with some of its readings (mask or places in `seen`, sorted by window)."""
     window, kind = layout.seen.window[kept], layout.seen.kind[kept]
     width = _width(kind)
     first = np.cumsum(width) - width

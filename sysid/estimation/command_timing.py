@@ -18,19 +18,17 @@ dead time with the mean wait for a pulse (half a frame) included.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sysid.data.dataset import Run, Signal, hold_means
+from steerd.sysid.data.data_checks import Array
+from steerd.sysid.data.dataset import Pulse, Ramp, Run, Signal, hold_means
 from steerd.sysid.data.segments import moving_segments
 from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.plain_car import Asked, PlainCar, open_plain
 from steerd.sysid.inference.search import minimise, newton, open_point
 from steerd.sysid.inference.space import Space, make_space
-
-Array = NDArray[np.float64]
 
 SECONDS = 20.0
 """This much of a drive is enough to judge its commands' course [s]."""
@@ -44,35 +42,8 @@ SURE = 3.0
 """A log-likelihood smaller by less than this does not distinguish two phases."""
 
 
-class Pulse(NamedTuple):
-    """How a drive's servo was pulsed."""
-
-    run: str  # the drive's name
-    phase: float  # of the pulses after the drive's first command [s]
-    sure: float  # by how much the log-likelihood falls at the best phase that does not look alike
-    # By how much it may be off: phases between the same two commands look alike, but for a dead
-    # time (standard deviation) [s]
-    blur: float = 0.0
-
-
-class Ramp(NamedTuple):
-    """Whether a drive's motor controller had its ramp."""
-
-    run: str  # the drive's name
-    rate: float  # limit of its setpoint [m/s^2]; 0 where the drive knows none
-    sure: float  # by how much the other answer's log-likelihood is smaller
-
-
-class Timed(NamedTuple):
-    """A drive with its commands as servo and motor controller took them over."""
-
-    run: Run  # the drive
-    pulse: Pulse | None  # of its servo, where that has pulses
-    ramp: Ramp | None  # of its motor controller, where it may have one
-
-
-def time_commands(run: Run, rough: PlainCar, asked: Asked) -> Timed:
-    """A drive's commands on their likeliest course.
+def time_commands(run: Run, rough: PlainCar, asked: Asked) -> Run:
+    """A drive with its commands as servo and motor controller likeliest took them over.
 
     Args:
         run: a whole drive, not a part of it.
@@ -82,17 +53,15 @@ def time_commands(run: Run, rough: PlainCar, asked: Asked) -> Timed:
     Raises:
         DataError: the drive does not move.
     """
-    ramp, limited = None, ramped(run)
+    limited = ramped(run)
     if limited is not run:
-        losses = _losses(run, (run, limited), rough, asked)
-        better = bool(losses[1] < losses[0])
-        rate = run.speed_ramp if better else 0.0
-        ramp = Ramp(run.name, rate, float(abs(losses[0] - losses[1])))
-        limited = limited if better else run
+        free, held = _losses(run, (run, limited), rough, asked).tolist()
+        ramp = Ramp(run.name, run.speed_ramp if held < free else 0.0, abs(free - held))
+        run = replace(limited if held < free else run, ramp=ramp)
     if not run.servo_frame:
-        return Timed(limited, None, ramp)
-    pulse = _find_phase(limited, rough, asked)
-    return Timed(latch(limited, pulse.phase), pulse, ramp)
+        return run
+    pulse = _find_phase(run, rough, asked)
+    return replace(latch(run, pulse.phase), pulse=pulse)
 
 
 def latch(run: Run, phase: float) -> Run:

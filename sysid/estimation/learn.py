@@ -6,7 +6,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
@@ -14,7 +13,7 @@ from steerd.sysid.data.data_checks import check_excited
 from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.excitation import measure_excitation, speed_tracking_share
 from steerd.sysid.data.segments import describe_unused, hold_out, make_blocks, moving_segments
-from steerd.sysid.estimation.command_timing import Pulse, Ramp, Timed, time_commands
+from steerd.sysid.estimation.command_timing import time_commands
 from steerd.sysid.estimation.outcome import (
     Fit,
     HeldOut,
@@ -56,8 +55,6 @@ from steerd.sysid.inference.plain_car import (
 )
 from steerd.sysid.paper.search_history import SearchHistory
 from steerd.sysid.parallel import map_jobs
-
-Array = NDArray[np.float64]
 
 TIMES: dict[str, float] = {
     "drive_delay": 1e-3, "steer_delay": 1e-3, "pose_delay": 1e-4, "steer_lag": 1e-4,
@@ -131,6 +128,7 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         car = task.model.car._replace(**{name: e.value for name, e in known.items()})
         after = task.model._replace(car=car)
     seconds = clock() - began
+    driven = (*task.runs, *task.held_out)
     traces = [trace_windows(each, drives.held_out, max(HORIZONS)) for each in (after, task.model)]
     errors = [errors_at(each, HORIZONS) for each in traces]
     return Outcome(
@@ -148,9 +146,9 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         seconds=seconds,
         notes=(*describe_unused(task.runs), *_notes(drives, fit)),
         truth=task.truth,
-        pulses=drives.pulses,
-        ramps=drives.ramps,
-        log_jitters=tuple(run.log_jitter for run in (*task.runs, *task.held_out) if run.log_jitter),
+        pulses=tuple(run.pulse for run in driven if run.pulse),
+        ramps=tuple(run.ramp for run in driven if run.ramp),
+        log_jitters=tuple(run.log_jitter for run in driven if run.log_jitter),
         regimes=by_lateral_acceleration(traces[0], REGIME),
     )
 
@@ -162,14 +160,11 @@ class _Drives(NamedTuple):
     fitted: tuple[Run, ...]  # what is fitted
     held_out: tuple[Run, ...]  # what validates, and `held_out_of` in words
     held_out_of: str
-    pulses: tuple[Pulse, ...] = ()  # of the servos
-    ramps: tuple[Ramp, ...] = ()  # of the motor controllers
 
 
 def _prepare(task: Task) -> tuple[Task, _Drives, tuple[PlainCar, ...]]:
     """The task with drives as the car felt them, and rough cars of it, the best first."""
     roughs: tuple[PlainCar, ...] = ()
-    timed: list[Timed] = []
     if task.asked.method == "ours":
         task = _with_history(task)
         moving = moving_segments(task.runs)
@@ -177,10 +172,11 @@ def _prepare(task: Task) -> tuple[Task, _Drives, tuple[PlainCar, ...]]:
         roughs = _search_rough(task, moving)
         if roughs and any(run.servo_frame or run.speed_ramp for run in task.runs):
             asked = task.question._replace(free=free_of(task.runs, task.question.free))
-            both = (*task.runs, *task.held_out)
-            timed = [time_commands(run, roughs[0], asked) for run in both]
-            runs, count = tuple(each.run for each in timed), len(task.runs)
-            task = replace(task, runs=runs[:count], held_out=runs[count:])
+            runs, held_out = (
+                tuple(time_commands(run, roughs[0], asked) for run in drives)
+                for drives in (task.runs, task.held_out)
+            )
+            task = replace(task, runs=runs, held_out=held_out)
     moving = moving_segments(task.runs)
     if task.held_out:
         words = ", ".join(run.name for run in task.held_out)
@@ -188,9 +184,7 @@ def _prepare(task: Task) -> tuple[Task, _Drives, tuple[PlainCar, ...]]:
     else:
         words = f"every {task.every}th block of 5 s, not fitted"
         split = (*hold_out(moving, task.every), words)
-    pulses = tuple(each.pulse for each in timed if each.pulse)
-    ramps = tuple(each.ramp for each in timed if each.ramp)
-    return task, _Drives(moving, *split, pulses, ramps), roughs
+    return task, _Drives(moving, *split), roughs
 
 
 def _search_rough(task: Task, moving: Sequence[Run]) -> tuple[PlainCar, ...]:
@@ -233,7 +227,7 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit:
         starts += sliding_starts(starts, drives.fitted, task.stated)
         start = starts[0] if len(starts) == 1 else choose_start(starts, drives.fitted, task.stated)
         taught = fit_car_with_limits(start, drives.fitted, task.stated)
-        return fit_of_taught(taught, start, drives.fitted, _doubts(drives.pulses))
+        return fit_of_taught(taught, start, drives.fitted, _doubts(drives))
     except (FloatingPointError, ValueError):
         if plain is None:
             raise
@@ -250,7 +244,7 @@ def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit |
         return None
     best, *others = arrived
     near = [e for e in others if e.point.cost - best.point.cost < COMPARABLE]
-    doubts = _doubts(drives.pulses)
+    doubts = _doubts(drives)
     found, *alike = (fit_of_plain(end, runs, asked, doubts) for end in (best, *near))
     estimates = mark_ambiguous(found.estimates, [other.estimates for other in alike])
     return replace(found, estimates=estimates)
@@ -268,9 +262,10 @@ def _with_history(task: Task) -> Task:
     return replace(task, runs=runs, held_out=held_out, model=model, free=tuple(free))
 
 
-def _doubts(pulses: Sequence[Pulse]) -> tuple[tuple[str, float], ...]:
+def _doubts(drives: _Drives) -> tuple[tuple[str, float], ...]:
     """What no log says about times."""
-    wait = max((pulse.blur for pulse in pulses), default=0.0)
+    runs = (*drives.fitted, *drives.held_out)
+    wait = max((run.pulse.blur for run in runs if run.pulse), default=0.0)
     return tuple({**TIMES, "steer_delay": float(np.hypot(TIMES["steer_delay"], wait))}.items())
 
 

@@ -18,10 +18,10 @@ from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.native.windows import parameter_vector
 from steerd.car_model.params import PARAMETERS, Car, Parameter
-from steerd.sysid.data.dataset import LogJitter, Run
+from steerd.sysid.data.data_checks import Array
+from steerd.sysid.data.dataset import LogJitter, Pulse, Ramp, Run
 from steerd.sysid.data.excitation import Excitation
 from steerd.sysid.data.windows import estimate_noise
-from steerd.sysid.estimation.command_timing import Pulse, Ramp
 from steerd.sysid.estimation.validation import Prediction, Regime, Trace
 from steerd.sysid.inference.car_fit import FittedCar, Step
 from steerd.sysid.inference.car_posterior import describe_lost, file_of_fitted, knowledge_of
@@ -40,8 +40,6 @@ from steerd.sysid.inference.plain_car import Asked, PlainCar, covariance_of, mis
 from steerd.sysid.inference.predictor import HORIZON, Predictor
 from steerd.sysid.inference.search import with_size
 from steerd.sysid.paper.search_history import NAMES, SearchHistory
-
-Array = NDArray[np.float64]
 
 SCHEMA = "steerd.identify/1"
 REPORTED: tuple[str, ...] = (
@@ -242,34 +240,32 @@ class Outcome:
         return {n: r.manoeuvre for n, r in self.free_rows.items() if not r.identifiable}
 
 
-_PARAMETER = ("value", "sd", "unit", "identifiable")
-_HORIZON = ("horizon", "position", "heading", "position_before", "heading_before")
-_REGIME = ("lateral_accel_low", "lateral_accel_high", "predictions", "median", "rms")
-"""Keys of the JSON's objects."""
-
-
 def encode_outcome(outcome: Outcome) -> dict[str, Any]:
     """The outcome as JSON values: schema `steerd.identify/1`; a number that is not known is NaN."""
     effects = [name for name in outcome.rows if "." in name]
     rows = {name: outcome.rows[name] for name in (*REPORTED, *effects)}
-    horizons = ((h.after.horizon, h.after.position, h.after.heading, h.before.position,
-                 h.before.heading) for h in outcome.held_out)  # fmt: skip
-    regimes = ((r.low, r.high, r.windows, r.median, r.rms) for r in outcome.regimes)
     return {
         "schema": SCHEMA,
         "parameters": {
-            n: {key: getattr(row, key) for key in _PARAMETER} for n, row in rows.items()
+            name: {key: getattr(row, key) for key in ("value", "sd", "unit", "identifiable")}
+            for name, row in rows.items()
         },
         "combinations": [c.__dict__ for c in outcome.combinations],
         "held_out": {
-            "horizons": [dict(zip(_HORIZON, each, strict=True)) for each in horizons],
-            "regimes": [dict(zip(_REGIME, each, strict=True)) for each in regimes],
+            "horizons": [
+                {
+                    "horizon": after.horizon, "position": after.position, "heading": after.heading,
+                    "position_before": before.position, "heading_before": before.heading,
+                }
+                for after, before in outcome.held_out
+            ],
+            "regimes": [regime._asdict() for regime in outcome.regimes],
         },
         "excitation": outcome.excitation._asdict(),
         "converged": None if outcome.fit is None else outcome.fit.converged,
         "misfit": None if outcome.fit is None else outcome.fit.misfit,
         "notes": list(outcome.notes),
-    }
+    }  # fmt: skip
 
 
 def make_rows(

@@ -17,18 +17,16 @@ from itertools import accumulate
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.params import GRAVITY, Car, wheelbase
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import HISTORY as PAST
 from steerd.sysid.data.dataset import Run, pose_rates
 from steerd.sysid.data.excitation import SPEED_SPAN, measure_excitation
 from steerd.sysid.inference.car_fit import Stated
 from steerd.sysid.inference.identifiability import ANOTHER_END, Estimate
-
-Array = NDArray[np.float64]
 
 _RESTS = 1e-3
 """Steering that changes by less from one step of the grid to the next rests [rad]."""

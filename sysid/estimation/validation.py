@@ -10,7 +10,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.model import Model
 from steerd.car_model.native.windows import (
@@ -20,12 +19,11 @@ from steerd.car_model.native.windows import (
     make_kernels,
     parameter_vector,
 )
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.windows import Layout, estimate_noise, make_layout, make_stations
 from steerd.sysid.inference.augmented_car import prescribe_speed
 from steerd.sysid.inference.predictor import STATE_SPREAD, stable_substeps
-
-Array = NDArray[np.float64]
 
 HORIZONS: tuple[float, ...] = (0.5, 1.0, 2.0)
 """[s]."""
@@ -155,9 +153,10 @@ def errors_at(traces: Sequence[Trace], horizons: Sequence[float]) -> tuple[Predi
 class Regime(NamedTuple):
     """Prediction error where the car was driven within some range of lateral acceleration."""
 
-    low: float  # of the greatest lateral acceleration on the way [m/s^2]; high: as well
-    high: float
-    windows: int  # how many predictions
+    # Of the greatest lateral acceleration on the way [m/s^2]
+    lateral_accel_low: float
+    lateral_accel_high: float
+    predictions: int  # how many
     median: float  # of the position error at the horizon [m]; rms: as well
     rms: float
 

@@ -16,29 +16,28 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from steerd.car_model.native.windows import Kernels, make_kernels
-from steerd.car_model.params import PAPER_CAR, Car
+from steerd.car_model.params import Car
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import guess_state
-from steerd.sysid.paper.search_history import NAMES, BaselineMissingError, SearchHistory
+from steerd.sysid.paper.search_history import (
+    NAMES,
+    PAPER_CAR_DIRECT,
+    BaselineMissingError,
+    SearchHistory,
+)
 from steerd.sysid.paper.torch_functions import (
-    PAPER_GAMMA,
+    Marching,
     chamfer,
     simulate,
     soft_dtw,
     squared_distances,
 )
 
-Array = NDArray[np.float64]
-
 PAPER_STEP = 0.002
 """Euler step of the paper's simulator [s]."""
-PAPER_CAR_DIRECT: Car[float] = PAPER_CAR._replace(
-    steer_delay=0.0, steer_lag=0.0, steer_rate=1e3, speed_lag=0.0, accel_max=1e3, decel_max=1e3
-)
-"""The paper's car (7 states, steering clipped at +-0.34 rad) with actuators that follow at once."""
 LOW = np.array([0.1, 0.1, 2.0, 2.0])
 HIGH = np.array([0.35, 0.35, 10.0, 10.0])
 """Starts are uniform in between (the paper's 2.857 to 10, divided by 28.57, for the lengths)."""
@@ -155,10 +154,8 @@ def predict(
         [np.pad(r.commands, ((0, longest - len(r.commands)), (0, 0)), "edge") for r in runs]
     )
     first = torch.from_numpy(np.stack([run.first for run in runs]))
-    path = simulate(
-        problem.kernels, parameters, first, torch.from_numpy(commands), PAPER_STEP,
-        integrator="euler",
-    )  # fmt: skip
+    how = Marching(PAPER_STEP, "euler")
+    path = simulate(problem.kernels, parameters, first, torch.from_numpy(commands), how)
     return [path[i, : len(run.commands), :2] for i, run in enumerate(runs)]
 
 
@@ -168,7 +165,7 @@ def loss_of(problem: PaperProblem, four: torch.Tensor, runs: Sequence[PaperRun])
     for path, run in zip(predict(problem, four, runs), runs, strict=True):
         driven = torch.from_numpy(run.path)
         cost = squared_distances(path[None, ::STRIDE], driven[None, ::STRIDE])
-        total = total + soft_dtw(cost, PAPER_GAMMA)[0] + CHAMFER_WEIGHT * chamfer(path, driven)
+        total = total + soft_dtw(cost)[0] + CHAMFER_WEIGHT * chamfer(path, driven)
     return total / len(runs)
 
 
@@ -193,9 +190,7 @@ def search_adam(
         path.append(np.array([v.item() for v in values]))
         if watch(iteration, path[-1], losses[-1]):
             break
-    return SearchHistory(
-        np.array(start, float), np.array(losses), np.array(path), path[-1], diverged
-    )
+    return SearchHistory(np.array(losses), np.array(path), path[-1], diverged)
 
 
 @one_thread()
@@ -236,10 +231,7 @@ def search_cma(
         return loss
 
     study.optimize(try_once, n_trials=trials)
-    final = path[1 + int(np.argmin(losses))]
-    return SearchHistory(
-        np.array(start, float), np.array(losses), np.array(path), np.asarray(final, float)
-    )
+    return SearchHistory(np.array(losses), np.array(path), path[1 + int(np.argmin(losses))])
 
 
 def search_from(

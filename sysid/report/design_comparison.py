@@ -10,7 +10,6 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.model import Model, Moment
 from steerd.car_model.ops import FLOAT
@@ -22,8 +21,7 @@ from steerd.controller.build import make_controller
 from steerd.controller.config import ControllerConfig
 from steerd.controller.design import DesignRefused
 from steerd.controller.lane_controller import LaneController, control, start_controller
-
-Array = NDArray[np.float64]
+from steerd.sysid.data.data_checks import Array
 
 STEP = 0.01
 """Control period [s]."""

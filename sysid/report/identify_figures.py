@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
 from steerd.sysid.data.windows import GROUPS
 from steerd.sysid.estimation.outcome import Fit, HeldOut, Outcome, Residuals, Row
@@ -23,8 +22,6 @@ from steerd.sysid.report.drawing import (
     scale_bars,
 )
 from steerd.sysid.report.report import DEGREES
-
-Array = NDArray[np.float64]
 
 UNITS = {"position": (1e3, "mm"), "yaw": (DEGREES, "°"), "wheel_speed": (1e3, "mm/s"),
          "yaw_rate": (DEGREES, "°/s")}  # fmt: skip

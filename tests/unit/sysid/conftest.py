@@ -5,21 +5,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from steerd.car_model.model import Model
-from steerd.car_model.native.windows import (
-    HeldCommands,
-    make_kernels,
-    make_window_blocks,
-    march,
-    parameter_vector,
-    view_by_window,
-)
-from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car
+from steerd.car_model.params import DEFAULT_CAR
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run, Signal, make_run
+from steerd.sysid.paper.search_history import PAPER_CAR_DIRECT
+from tests.marched import march_states
 
-Array = NDArray[np.float64]
 STEP = 0.005
 TRUTH = DEFAULT_CAR._replace(
     lf=0.16, lr=0.172, inertia_z=0.05, steer_gain=0.96, steer_bias=0.01, steer_delay=0.013,
@@ -64,18 +57,11 @@ def simulate_run(
     model: Model[float], commands: Array, first: Array, seed: int, noise: Noise = ORDINARY
 ) -> Run:
     """A drive of a known car, poses and wheel speed at 200 Hz."""
-    kernels = make_kernels(model.effects)
-    count = len(commands)
-    blocks = make_window_blocks(np.array([[0, count, 0]]), np.zeros(1))
-    state = np.zeros((1, 7 + kernels.memory))
-    state[0, :7] = first
-    held = HeldCommands(np.ascontiguousarray(commands), STEP)
-    path = view_by_window(march(kernels, parameter_vector(model), state, held, blocks, count), 1)[0]
+    count, path = len(commands), march_states(model, commands, first, STEP)
     rng = np.random.default_rng([7, seed])
     t = np.arange(count + 1) * STEP
-    pose = path[:, :3] + rng.normal(size=(count + 1, 3)) * [noise.position] * np.array(
-        [1.0, 1.0, noise.yaw / noise.position]
-    )
+    sd = np.array([noise.position, noise.position, noise.yaw])
+    pose = path[:, :3] + rng.normal(size=(count + 1, 3)) * sd
     wheel = path[:, 3] / model.car.speed_gain + rng.normal(size=count + 1) * noise.wheel
     at = t[:-1]
     return make_run(
@@ -99,31 +85,15 @@ def drive(
     return simulate_run(model, commands, first, seed, noise)
 
 
-def _settled(car: Car[float], commands: Array, first: Array) -> Array:
-    held, blocks = (
-        HeldCommands(commands, STEP),
-        make_window_blocks(np.array([[0, len(commands), 0]]), np.zeros(1)),
-    )
-    path = march(make_kernels(), np.array(car), first[None], held, blocks, len(commands))
-    last: Array = view_by_window(path, 1)[0, -1].copy()
-    return last
-
-
 def circle_runs(count: int = 6, seconds: float = 4.0) -> list[Run]:
     """The paper's circles: left and right at the stop, 1 m/s, turning from the start."""
-    car = PAPER_CAR._replace(
-        steer_delay=0.0, steer_lag=0.0, steer_rate=1e3, speed_lag=0.0, accel_max=1e3, decel_max=1e3
-    )
-    runs = []
+    car, runs = Model(PAPER_CAR_DIRECT), []
     for i in range(count):
         steer = 0.34 if i % 2 else -0.34
-        commands = np.column_stack(
-            [np.full(round(seconds / STEP), steer), np.ones(round(seconds / STEP))]
-        )
-        first = _settled(
-            car, commands[:300], np.array([0.3 * i, 0.2, 0.7 * i, 1.0, 0.0, 0.0, steer])
-        )
-        runs.append(simulate_run(Model(car), commands, first, i))
+        commands = np.tile([steer, 1.0], (round(seconds / STEP), 1))
+        begin = np.array([0.3 * i, 0.2, 0.7 * i, 1.0, 0.0, 0.0, steer])
+        settled = march_states(car, commands[:300], begin, STEP)[-1]
+        runs.append(simulate_run(car, commands, settled, i))
     return runs
 
 

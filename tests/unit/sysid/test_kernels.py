@@ -27,8 +27,9 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.rollout import euler, start
 from steerd.car_model.rollout import simulate as simulate_floats
 from steerd.car_model.state import Command, State
-from steerd.sysid.paper.paper_method import PAPER_CAR_DIRECT, PAPER_STEP
-from steerd.sysid.paper.torch_functions import simulate
+from steerd.sysid.paper.paper_method import PAPER_STEP
+from steerd.sysid.paper.search_history import PAPER_CAR_DIRECT
+from steerd.sysid.paper.torch_functions import Marching, simulate
 
 H = 0.005
 
@@ -69,7 +70,7 @@ def test_kernel_equals_reference_in_value_and_gradient(any_model, integrator):
     p, first, commands = _inputs(any_model)
     kernels = make_kernels(any_model.effects)
     options = {"integrator": integrator, "history": 4, "t": 1.0}
-    fast = simulate(kernels, p, first, commands, H, **options)
+    fast = simulate(kernels, p, first, commands, Marching(H, **options))
     slow = simulate_reference(p, first, commands, H, effects=any_model.effects, **options)
     assert fast.shape == slow.shape == (5, 41, 7 + kernels.memory)
     assert_same(fast, slow, p, first, commands)
@@ -81,7 +82,7 @@ def test_on_the_move_and_through_walking_pace(any_model, slowest):
     p, first, commands = _inputs(any_model, steps=30)
     first.data[:, 3] = torch.linspace(slowest, 1.5, 5, dtype=torch.float64)
     commands.data[..., 1] = torch.clamp(commands.data[..., 1], min=slowest)
-    fast = simulate(make_kernels(any_model.effects), p, first, commands, H, history=4)
+    fast = simulate(make_kernels(any_model.effects), p, first, commands, Marching(H, history=4))
     slow = simulate_reference(p, first, commands, H, effects=any_model.effects, history=4)
     assert bool((slow[..., 3] > SPECIALISED_SPEED).all()) == (slowest > SPECIALISED_SPEED)
     assert_same(fast, slow, p, first, commands)
@@ -89,7 +90,7 @@ def test_on_the_move_and_through_walking_pace(any_model, slowest):
 
 def test_more_windows_than_a_block_and_substeps():
     p, first, commands = _inputs(Model(DEFAULT_CAR), count=35, steps=12)
-    fast = simulate(make_kernels(), p, first, commands, H, substeps=3, history=4)
+    fast = simulate(make_kernels(), p, first, commands, Marching(H, substeps=3, history=4))
     repeated = commands.repeat_interleave(3, dim=1)
     slow = simulate_reference(p, first, repeated, H / 3, history=12)[:, ::3]
     assert_same(fast, slow, p, first, commands)
@@ -103,7 +104,7 @@ def test_reference_and_kernel_pass_gradcheck(any_model):
         return simulate_reference(a, b, c, H, effects=any_model.effects, history=1)
 
     def compiled(a, b, c):
-        return simulate(kernels, a, b, c, H, history=1)
+        return simulate(kernels, a, b, c, Marching(H, history=1))
 
     for function in (reference, compiled):
         assert torch.autograd.gradcheck(function, (p, first, commands), eps=1e-7, atol=2e-5)
@@ -120,7 +121,7 @@ def test_paper_setting_is_the_float_simulation_with_euler():
     first[0, 3] = 1.0
     orders = torch.tensor([commands], dtype=torch.float64)
     p = torch.tensor([*PAPER_CAR_DIRECT], dtype=torch.float64)
-    got = simulate(make_kernels(), p, first, orders, PAPER_STEP, integrator="euler")
+    got = simulate(make_kernels(), p, first, orders, Marching(PAPER_STEP, "euler"))
     assert np.abs(got[0, -1].numpy() - np.array(moments[-1].state)).max() < 1e-12
     assert got[0, -1, 6] == PAPER_CAR_DIRECT.steer_max
 
@@ -128,7 +129,7 @@ def test_paper_setting_is_the_float_simulation_with_euler():
 def test_single_precision_is_refused():
     p, first, commands = _inputs(Model(DEFAULT_CAR), count=1, steps=2)
     with pytest.raises(TypeError, match="float64"):
-        simulate(make_kernels(), p.float(), first, commands, H)
+        simulate(make_kernels(), p.float(), first, commands, Marching(H))
 
 
 def _stations(kernels: Kernels, p, held: HeldCommands, windows: int) -> Stations:

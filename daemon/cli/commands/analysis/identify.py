@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
         with show_progress("identifying", len(paths) + FIT) as advance:
             options = read_arguments(IdentifyOptions, args)
             found = run_identification(paths, options, print_warnings, advance)
-        car = present(found, args, write, found.learn_known)
+        car = present(found, args, write)
     if car is not None:
         report_refusal(car)
     return ExitCode.OK if found.improved else ExitCode.STOPPED

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from steerd.daemon.analysis import drives as module
-from steerd.daemon.analysis.diagnose_split import split_drives
-from steerd.daemon.analysis.drives import is_same, load_drives
+from steerd.daemon.analysis.drives import is_same, load_drives, split_drives
 from steerd.daemon.analysis.options import HeldOut
 from steerd.sysid.data.dataset import Signal, make_run
 

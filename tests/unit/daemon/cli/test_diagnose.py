@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.daemon.analysis.diagnosis import LINES, DiagnoseOptions, make_case
+from steerd.daemon.analysis.diagnosis import DiagnoseOptions, Diagnosis, make_case
 from steerd.daemon.analysis.options import read_arguments
 from steerd.daemon.cli.main import run_cli as main
 from steerd.daemon.common.errors import SteerdError
@@ -48,7 +48,7 @@ def diagnosed(rows, tmp_path_factory):
 def test_the_screen_names_the_cause_on_one_screen(diagnosed):
     _, screen, _ = diagnosed
     lines = screen.splitlines()
-    assert len(lines) <= LINES
+    assert len(lines) <= Diagnosis.SCREEN
     assert max(map(len, lines[:-1])) <= WIDTH
     assert "steer_delay: delay = " in screen
     assert "the default car is assumed" in screen

@@ -9,7 +9,7 @@ import pytest
 
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.imports.bag import TYPES, find_best
+from steerd.daemon.imports.bag import BAG_ROLES, find_best
 from steerd.daemon.imports.import_map import parse_map
 from steerd.daemon.imports.propose import change, format_map, guess_scale, propose_csv
 from steerd.steer_bus.messages import Actuation, MocapPose, VescTelemetry
@@ -193,7 +193,7 @@ def test_what_a_bag_lacks_is_said(tmp_path, capsys):
     ],
 )
 def test_names_decide_where_they_can(role, topics, best):
-    assert find_best(dict.fromkeys(topics, TYPES[role][0]))[role] == best
+    assert find_best(dict.fromkeys(topics, BAG_ROLES[role].types[0]))[role] == best
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 
 from steerd.daemon.learning import proposing
 from steerd.daemon.learning.feed import Wiring, make_sample
-from steerd.daemon.learning.proposing import PAUSE_NS, Proposals, hear, make_proposer, propose
+from steerd.daemon.learning.proposing import PAUSE_NS, Proposals
 from steerd.daemon.loop.design_desk import REFUSED, make_design, make_no_design, read_design
 from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled
 from steerd.steer_bus import messages as m
@@ -36,14 +36,28 @@ class Counted:
         return self.held.file.table
 
 
+class Proposer(Proposals):
+    """Proposals that are decoded as they go out."""
+
+    def __init__(self):
+        self.held, self.sent = standard(), []
+        self.table = Counted(self.held)
+        super().__init__(self.held, self.table, lambda *sent: self.sent.append(sent))
+
+    def say(self, t_ns):
+        self.propose(None, None, t_ns, 0)
+        data, sent_ns = self.sent[-1]
+        assert sent_ns == t_ns
+        return decode(m.Design, data)
+
+
 @pytest.fixture
 def at():
-    held = standard()
-    return make_proposer(held, Counted(held))
+    return Proposer()
 
 
 def test_in_doubt_the_reason_is_proposed(at, aims):
-    _, said = propose(at, None, None, 5 * S, 0)
+    said = at.say(5 * S)
     assert (said.number, said.text, said.mono_ns) == (0, "the car is being learnt", 5 * S)
 
 
@@ -51,48 +65,32 @@ def test_the_learnt_car_is_reached_by_steps_that_the_core_took(at, aims):
     aims["aim"] = numbers(at.held, steer_gain=0.88)
     seen = []
     for k in range(8):
-        at, said = propose(at, None, None, k * S, 0)
+        said = at.say(k * S)
         seen.append(said.steer_gain)
-        at = hear(at, make_design(k * S, 0, k + 1, read_design(said)))
+        at.hear(make_design(k * S, 0, k + 1, read_design(said)))
     assert seen == pytest.approx([0.97, 0.94, 0.91, 0.88, 0.88, 0.88, 0.88, 0.88])
-    assert at.design_table.made == 4, "what stays is not designed again"
+    assert at.table.made == 4, "what stays is not designed again"
 
 
 def test_without_an_answer_it_stays_at_the_first_step(at, aims):
     aims["aim"] = numbers(at.held, steer_gain=0.88)
     for k in range(4):
-        at, said = propose(at, None, None, k * S, 0)
-        assert said.steer_gain == pytest.approx(0.97)
+        assert at.say(k * S).steer_gain == pytest.approx(0.97)
 
 
 def test_after_a_refusal_it_pauses_and_begins_at_the_files(at, aims):
     aims["aim"] = numbers(at.held, steer_gain=0.88)
-    at, said = propose(at, None, None, S, 0)
-    at = hear(at, make_design(S, 0, 1, read_design(said)))
-    at = hear(at, make_no_design(2 * S, 0, REFUSED + "a gain is absurd"))
-    at, said = propose(at, None, None, 3 * S, 0)
+    at.hear(make_design(S, 0, 1, read_design(at.say(S))))
+    at.hear(make_no_design(2 * S, 0, REFUSED + "a gain is absurd"))
+    said = at.say(3 * S)
     assert (said.number, said.text) == (0, "a design was refused")
-    at, said = propose(at, None, None, 2 * S + PAUSE_NS, 0)
-    assert said.steer_gain == pytest.approx(0.97)
+    assert at.say(2 * S + PAUSE_NS).steer_gain == pytest.approx(0.97)
 
 
 def test_a_car_that_is_as_in_the_file_needs_no_design(at, aims):
     aims["aim"] = numbers(at.held)
-    _, said = propose(at, None, None, S, 0)
+    said = at.say(S)
     assert (said.number, said.text) == (0, "the car is as in the car file")
-
-
-def test_proposals_go_out_as_bytes(at, aims):
-    sent = []
-    out = Proposals(at, lambda data, t_ns: sent.append((decode(m.Design, data), t_ns)))
-    out.propose(None, None, 3 * S, 7)
-    [(said, t_ns)] = sent
-    assert (said.text, t_ns) == ("the car is being learnt", 3 * S)
-
-
-def test_without_the_option_there_is_no_proposer():
-    with pytest.raises(ValueError, match="adapt"):
-        make_proposer(None, None)
 
 
 # Messages of a drive as samples of the learner.

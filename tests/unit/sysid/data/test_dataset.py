@@ -117,9 +117,25 @@ def test_windows_share_out_every_pose_and_leave_gaps_out():
     assert len(layout.spans) == 12
     assert layout.bounds[-1] == len(layout.values)
     assert np.abs(layout.guess[:, 3] - 1.0).max() < 0.05
+    late = make_layout([run], 0.5, pose_delay=0.02)
+    assert late.seen.t[late.seen.kind == 0].min() == pytest.approx(0.02)
     assert len(make_layout([run], np.inf).spans) == 1
     with pytest.raises(ValueError, match="grid"):
         make_layout([run, make_run("other", Signal(t, steer), None, Signal(t, pose), h=0.02)], 0.5)
+
+
+def test_rows_of_a_window_are_its_own_and_know_their_time():
+    t, steer, speed, pose = _good(8.0)
+    told = {"wheel": Signal(t, t), "yaw_rate": Signal(t[::3], t[::3])}  # readings of a clock
+    run = make_run("r", Signal(t, steer), Signal(t, speed), Signal(t, pose), **told)
+    layout = make_layout([run, run], 0.5)
+    assert layout.count == 32
+    for w in range(layout.count):
+        mine = layout.rows(w)
+        values, at = layout.values[mine], layout.t[w] + layout.row_t[mine]
+        channels = layout.channel[mine]
+        assert set(channels) == {0, 1, 2, 3, 4}
+        assert values[channels > 2] == pytest.approx(at[channels > 2])
 
 
 def test_a_session_without_poses_says_what_to_do(tmp_path):

@@ -15,12 +15,13 @@ from steerd.sysid.inference.plain_car import TYRES
 FRAME = 0.02
 
 
-def _commanded(steer):
-    """A drive whose steering is commanded at 100 Hz, nothing else in it."""
-    t = 0.01 * np.arange(len(steer))
-    commands = np.column_stack([np.repeat(steer, 2), np.ones(2 * len(steer))])
-    bare = Signal(np.empty(0), np.empty((0, 3)))
-    return Run("r", 0.005, commands, bare, steer=Signal(t, steer), servo_frame=FRAME)
+def _commanded(steer, speed=None, **more):
+    """A drive that is commanded at 100 Hz, nothing else in it."""
+    t, speed = 0.01 * np.arange(len(steer)), np.ones(len(steer)) if speed is None else speed
+    commands = np.repeat(np.column_stack([steer, speed]), 2, axis=0)
+    bare, asked = Signal(np.empty(0), np.empty((0, 3))), Signal(t, speed)
+    more = {"servo_frame": FRAME, **more}
+    return Run("r", 0.005, commands, bare, steer=Signal(t, steer), speed_command=asked, **more)
 
 
 @pytest.mark.parametrize(("phase", "seen"), [(0.005, 0), (0.015, 1)])
@@ -73,10 +74,7 @@ RATE = RAMP_ERPM / 4614.0
 
 
 def _asked(speed, rate):
-    t = 0.01 * np.arange(len(speed))
-    commands = np.column_stack([np.zeros(2 * len(speed)), np.repeat(speed, 2)])
-    bare = Signal(np.empty(0), np.empty((0, 3)))
-    return Run("r", 0.005, commands, bare, speed_command=Signal(t, speed), speed_ramp=rate)
+    return _commanded(np.zeros(len(speed)), speed, speed_ramp=rate)
 
 
 def test_a_step_becomes_a_straight_slope():

@@ -30,12 +30,10 @@ from steerd.sysid.inference.plain_car import (
     search_rough,
 )
 from steerd.sysid.inference.predictor import stable_substeps
+from steerd.sysid.paper.search_history import PAPER_CAR_DIRECT as STILL
 
 SLID = (0.18917528114233922, 0.29462271010112046, 5.025340279936621, 2.177483451231206)
 """Lengths and stiffnesses of a start in the long valley of long, sliding cars that steer more."""
-STILL = PAPER_CAR._replace(
-    steer_delay=0.0, steer_lag=0.0, steer_rate=1e3, speed_lag=0.0, accel_max=1e3, decel_max=1e3
-)
 
 
 def fit(runs, model, free=DEFAULT_FREE, *, wheelbase=None, start=None, doubts=()):
