@@ -5,7 +5,6 @@ whatever the bytes.
 """
 
 import struct
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import assert_never
@@ -17,6 +16,7 @@ from steerd.mocap_link.natnet_wire import (
     I32,
     SECTION,
     U64,
+    Layout,
     NatNetError,
     Version,
     need,
@@ -25,6 +25,7 @@ from steerd.mocap_link.natnet_wire import (
     read_i32,
     read_name,
     read_size,
+    skip,
     write_cstr,
     write_name,
 )
@@ -221,6 +222,7 @@ def read_model_def(data: bytes, at: int, version: Version) -> ModelDef:
     """
     n, at = read_count(data, at)
     bodies: list[RigidBodyDesc] = []
+    others = _describe_others(version)
     for _ in range(n):
         kind, at = read_i32(data, at)
         end = None
@@ -230,10 +232,9 @@ def read_model_def(data: bytes, at: int, version: Version) -> ModelDef:
             body, at = _read_rigid_body(data, at, version)
             bodies.append(body)
         elif end is None:
-            skip = _SKIP_DESCRIPTION.get(kind)
-            if skip is None:
+            if kind not in others:
                 break
-            at = skip(data, at, version)
+            at = skip(data, at, others[kind])
         if end is not None:
             if at > end:
                 raise NatNetError(f"description runs {at - end} bytes over its size")
@@ -244,47 +245,25 @@ def read_model_def(data: bytes, at: int, version: Version) -> ModelDef:
 _MARKER_SET, _RIGID_BODY, _SKELETON, _CAMERA = 0, 1, 2, 5
 
 
+def _behind_body_id(version: Version) -> Layout:
+    """Parent's id, offset and since 4.2 a rotation; markers with place, label, since 4.0 a name."""
+    own = 4 + 12 + (16 if version >= (4, 2) else 0)
+    if version < (3, 0):
+        return own
+    return own, [16, None] if version >= (4, 0) else [16]
+
+
+def _describe_others(version: Version) -> dict[int, Layout]:
+    """Layouts of descriptions that are passed over; a camera's place and rotation close its."""
+    body: Layout = (None, 4, _behind_body_id(version))
+    skeleton: Layout = (None, 4, [body])
+    return {_MARKER_SET: (None, [None]), _SKELETON: skeleton, _CAMERA: (None, 12 + 16)}
+
+
 def _read_rigid_body(data: bytes, at: int, version: Version) -> tuple[RigidBodyDesc, int]:
     name, at = read_cstr(data, at)
     body_id, at = read_i32(data, at)
-    # parent id, offset, and since 4.2 a rotation; markers with place, label and since 4.0 name
-    at = need(data, at, 4 + 12 + (16 if version >= (4, 2) else 0))
-    if version >= (3, 0):
-        k, at = read_count(data, at)
-        at = _skip_names(data, need(data, at, 16 * k), k if version >= (4, 0) else 0)
-    return RigidBodyDesc(name, body_id), at
-
-
-def _skip_names(data: bytes, at: int, n: int) -> int:
-    for _ in range(n):
-        _, at = read_cstr(data, at)
-    return at
-
-
-def _skip_marker_set(data: bytes, at: int, version: Version) -> int:
-    _, at = read_cstr(data, at)
-    n, at = read_count(data, at)
-    return _skip_names(data, at, n)
-
-
-def _skip_skeleton(data: bytes, at: int, version: Version) -> int:
-    _, at = read_cstr(data, at)
-    n, at = read_count(data, at + 4)  # behind the skeleton's id
-    for _ in range(n):
-        _, at = _read_rigid_body(data, at, version)
-    return at
-
-
-def _skip_camera(data: bytes, at: int, version: Version) -> int:
-    _, at = read_cstr(data, at)
-    return need(data, at, 12 + 16)  # place and rotation
-
-
-_SKIP_DESCRIPTION: dict[int, Callable[[bytes, int, Version], int]] = {
-    _MARKER_SET: _skip_marker_set,
-    _SKELETON: _skip_skeleton,
-    _CAMERA: _skip_camera,
-}
+    return RigidBodyDesc(name, body_id), skip(data, at, _behind_body_id(version))
 
 
 def encode(message: Message, version: Version = NEWEST_VERSION) -> bytes:

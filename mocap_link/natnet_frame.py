@@ -5,19 +5,19 @@ of stamps. Markers, skeletons, assets, force plates and devices are passed over:
 size that each section carries, before by walking its items. Written frames have none of them.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from struct import Struct
 
 from steerd.mocap_link.natnet_wire import (
     SECTION,
+    Layout,
     NatNetError,
     Version,
     need,
     read_count,
-    read_cstr,
     read_i32,
     read_size,
+    skip,
 )
 from steerd.steer_bus.quick_values import quick_init
 
@@ -78,8 +78,14 @@ class Frame:
     params: int = 0
 
 
-_Skip = Callable[[bytes, int, int], int]
-"""Gives the offset behind so many items of a section."""
+_PLATES: Layout = [(4, [[4]])]
+"""Boards (an id each) with channels of samples: force plates, and devices."""
+_BEFORE: Layout = ([(None, [12])], [12])
+"""Before the bodies, where sections do not say their size: marker sets, other markers."""
+_BEHIND2: Layout = ([(4, [(_BODY2_HEAD.size, [20], _BODY2_TAIL.size)])], [22], _PLATES, 4)
+_BEHIND: Layout = ([(4, [_BODY.size])], [26], _PLATES, _PLATES)
+"""Behind them: skeletons (an id, bodies), labelled markers, plates; then devices, before 3.0 the
+software latency. 3.0 moved a body's markers (place, id, size) to its description."""
 
 
 def read_frame(data: bytes, at: int, version: Version) -> Frame:
@@ -132,20 +138,9 @@ def _jump_sections(data: bytes, at: int, count: int) -> int:
 
 
 def _walk_sections(data: bytes, at: int, modern: bool) -> tuple[tuple[RigidBody, ...], int]:
-    def skip(at: int, skip_items: _Skip) -> int:
-        n, at = read_count(data, at)
-        return skip_items(data, at, n)
-
-    at = skip(at, _skip_marker_sets)
-    at = skip(at, _skip_each(12))  # other markers
-    n, at = read_count(data, at)
+    n, at = read_count(data, skip(data, at, _BEFORE))
     bodies, at = (_read_bodies if modern else _read_bodies2)(data, at, n)
-    at = skip(at, _skip_skeletons if modern else _skip_skeletons2)
-    at = skip(at, _skip_each(26 if modern else 22))  # labelled markers
-    at = skip(at, _skip_analog)  # force plates
-    if modern:
-        return bodies, skip(at, _skip_analog)  # devices
-    return bodies, need(data, at, 4)  # software latency
+    return bodies, skip(data, at, _BEHIND if modern else _BEHIND2)
 
 
 def _read_bodies(data: bytes, at: int, n: int) -> tuple[tuple[RigidBody, ...], int]:
@@ -160,49 +155,11 @@ def _read_bodies2(data: bytes, at: int, n: int) -> tuple[tuple[RigidBody, ...], 
     bodies = []
     for _ in range(n):
         i, x, y, z, qx, qy, qz, qw = _BODY2_HEAD.unpack_from(data, at)
-        k, at = read_count(data, at + _BODY2_HEAD.size)
-        # k positions (12 B), k ids (4 B), k sizes (4 B): 3.0 moved them to the description
-        at = need(data, at, 20 * k)
+        at = skip(data, at + _BODY2_HEAD.size, [20])
         err, params = _BODY2_TAIL.unpack_from(data, at)
         at += _BODY2_TAIL.size
         bodies.append(RigidBody(i, (x, y, z), (qx, qy, qz, qw), err, params))
     return tuple(bodies), at
-
-
-def _skip_each(size: int) -> _Skip:
-    return lambda data, at, n: need(data, at, size * n)
-
-
-def _skip_marker_sets(data: bytes, at: int, n: int) -> int:
-    for _ in range(n):
-        _, at = read_cstr(data, at)
-        k, at = read_count(data, at)
-        at = need(data, at, 12 * k)
-    return at
-
-
-def _skip_skeletons(data: bytes, at: int, n: int) -> int:
-    for _ in range(n):
-        k, at = read_count(data, at + 4)  # behind the skeleton's id
-        at = need(data, at, _BODY.size * k)
-    return at
-
-
-def _skip_skeletons2(data: bytes, at: int, n: int) -> int:
-    for _ in range(n):
-        k, at = read_count(data, at + 4)
-        _, at = _read_bodies2(data, at, k)
-    return at
-
-
-def _skip_analog(data: bytes, at: int, n: int) -> int:
-    """Boards with channels of samples."""
-    for _ in range(n):
-        k, at = read_count(data, at + 4)  # behind the board's id
-        for _ in range(k):
-            m, at = read_count(data, at)
-            at = need(data, at, 4 * m)
-    return at
 
 
 def _read_suffix(data: bytes, at: int) -> int:

@@ -82,6 +82,33 @@ def need(data: bytes, at: int, size: int) -> int:
     return end
 
 
+Layout = int | None | tuple["Layout", ...] | list["Layout"]
+"""What is passed over: so many bytes; None: a string; a tuple: one after the other; a list: a count
+and each of its parts so often."""
+
+
+def skip(data: bytes, at: int, layout: Layout) -> int:
+    """Return the offset behind what a layout describes.
+
+    Raises:
+        NatNetError: the datagram ends before that, or a count is none.
+    """
+    if layout is None:
+        return read_cstr(data, at)[1]
+    if isinstance(layout, int):
+        return need(data, at, layout)
+    n = 1
+    if isinstance(layout, list):
+        n, at = read_count(data, at)
+    for part in layout:
+        if isinstance(part, int):
+            at = need(data, at, n * part)
+        else:
+            for _ in range(n):
+                at = skip(data, at, part)
+    return at
+
+
 def write_cstr(text: str) -> bytes:
     """Encode a NUL-terminated string; embedded NULs would end it early and are dropped."""
     return text.replace("\0", "").encode() + b"\0"

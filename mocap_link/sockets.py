@@ -341,7 +341,7 @@ class VrpnReceiver:
     def _after_session(self) -> None:
         if self.source.up and self.source.dead is not None:
             self._close(self.source.dead)
-        elif self.source.client.counts["frames"]:
+        elif self.source.fed:
             self._retry_ns = self.retry_first_ns
 
     def _flush(self) -> None:
