@@ -19,7 +19,7 @@ from steerd.daemon.loop.checks import check_vesc
 from steerd.daemon.loop.design_desk import DesignDesk
 from steerd.daemon.loop.findings import CAUSES, Flag, make_finding, summarise
 from steerd.daemon.loop.live import make_parameters
-from steerd.daemon.loop.loop import Loop
+from steerd.daemon.loop.loop import REQUESTS, Loop
 from steerd.daemon.loop.orders import TickResult, make_order
 from steerd.daemon.loop.supervisor import WAITING, Conditions, step_supervisor
 from steerd.daemon.loop.transitions import DRIVING, Fact, SupervisorState, is_engaged
@@ -46,6 +46,8 @@ _INFO, _ERROR = 20, 40
 """Levels of `rcl_interfaces/Log`."""
 _HANDSHAKE = (m.ActuationMode.SILENT, m.ActuationMode.BRAKE)
 """Orders beside which a tick's write has room for the questions at the start."""
+_REQUESTS = {t.name: t for t in (topics.OPERATOR, topics.DRIVE, topics.SET_PARAMETERS)}
+"""What others ask of the car, by its topic's name."""
 
 
 class Core:
@@ -215,26 +217,18 @@ class Core:
 
     def on_request(self, name: str, data: bytes, t_ns: int) -> bool:
         """A message for the car from outside; False if it is not one."""
+        topic = _REQUESTS.get(name)
+        if topic is None:
+            return False
         try:
-            if name == topics.OPERATOR.name:
-                request = decode(m.OperatorRequest, data)
-                self.loop.on_operator(request, t_ns)
-                self.outbox.post(topics.OPERATOR, request, t_ns)
-                return True
-            if name == topics.DRIVE.name:
-                command = decode(m.DriveCommand, data)
-                self.loop.on_drive(command, t_ns)
-                self.outbox.post(topics.DRIVE, command, t_ns)
-                return True
-            if name == topics.SET_PARAMETERS.name:
-                wanted = decode(m.ParameterRequest, data)
-                self.loop.on_parameters(wanted, t_ns)
-                self.outbox.post(topics.SET_PARAMETERS, wanted, t_ns)
-                self._post_parameters(t_ns)
-                return True
+            request = decode(topic.message, data)
         except CodecError:
             return False
-        return False
+        REQUESTS[topic.message](self.loop, request, t_ns)
+        self.outbox.post(topic, request, t_ns)
+        if topic is topics.SET_PARAMETERS:
+            self._post_parameters(t_ns)
+        return True
 
     def on_proposal(self, data: bytes, t_ns: int) -> None:
         """The learner proposes a design; it is looked at after the next ticks."""
