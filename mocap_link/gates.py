@@ -102,18 +102,15 @@ def step_gates(
     stationary: bool = False,
     metres_per_unit: float = 1.0,
 ) -> tuple[GateState, str | None]:
-    """Judge one pose.
+    """Judge one pose, timed and placed; the memory after, and None or the reason for rejection.
 
     Args:
         config: thresholds.
         state: memory before.
-        pose: the pose, timed and placed; one without a place is rejected.
+        pose: one without a place is rejected.
         wheel_speed: speed [m/s] of the wheels, None if unknown (a frozen pose then passes).
         stationary: the car is stopped and disarmed, so a new place may be taken in.
         metres_per_unit: the vendor's length unit.
-
-    Returns:
-        The memory after, and None or the reason for rejection.
     """
     order = find_disorder(state, pose)
     if order is not None:

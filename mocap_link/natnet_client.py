@@ -43,7 +43,6 @@ class NatNetSource:
         server_ip: the only address that is listened to.
         config: how its poses are timed, placed and judged.
         unicast: force unicast (True) or multicast (False); None follows the server.
-        extra_latency_ns: None takes the protocol's default.
 
     Attributes:
         ingest: the pipeline of its poses.

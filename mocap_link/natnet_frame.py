@@ -89,15 +89,10 @@ software latency. 3.0 moved a body's markers (place, id, size) to its descriptio
 
 
 def read_frame(data: bytes, at: int, version: Version) -> Frame:
-    """Decode the payload of FRAMEOFDATA.
-
-    Args:
-        data: the datagram, ending where the payload ends.
-        at: offset of the payload.
-        version: NatNet (major, minor) of the stream, from SERVERINFO.
+    """Decode the payload of FRAMEOFDATA at an offset of the datagram, which ends where it ends.
 
     Raises:
-        NatNetError: the bytes break the layout of `version`.
+        NatNetError: the bytes break the layout of the stream's `version` (of SERVERINFO).
         struct.error: the datagram ends early (`natnet.decode` turns it into `NatNetError`).
     """
     number, at = read_i32(data, at)

@@ -42,10 +42,7 @@ def make_receiver(
 ) -> "MocapReceiver":
     """Make the receiver that an address asks for; blocks while the host name is resolved.
 
-    Args:
-        url: the address; its `up` goes before the configuration's.
-        config: the pipeline.
-        clock: the host's clocks, injected for tests.
+    The address's `up` goes before the configuration's.
 
     Raises:
         ValueError: a zenoh address (feed `zenoh_pose.make_bus_source` from the bus), or an up axis

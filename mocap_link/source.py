@@ -89,18 +89,12 @@ def step_monitor(
     clock_ready: bool,
     good: bool | None = None,
 ) -> MonitorState:
-    """Advance the machine by one frame or one tick of time.
+    """Advance the machine by one frame (`t_ns`: its arrival) or by time (`t_ns`: now).
 
     A single good frame ends STALE (its poses are fused anyway); LOST asks for `recover_frames`
-    good frames in a row and a ready clock, as the first OK does.
-
-    Args:
-        config: thresholds.
-        s: state before.
-        t_ns: arrival of the frame, or now.
-        connected: whether the session with the server stands.
-        clock_ready: whether source times can be mapped.
-        good: a frame came and passed the gates (True) or failed them (False); None for no frame.
+    good frames in a row and a ready clock, as the first OK does. `connected`: the session with the
+    server stands; `clock_ready`: source times can be mapped; `good`: the frame passed the gates or
+    failed them, None for no frame.
     """
     last_ns, run = s.last_good_ns, s.good_run
     if good:

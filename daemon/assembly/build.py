@@ -147,10 +147,7 @@ def make_plan(
 ) -> RunPlan:
     """Read the car file (unless its settings are given), the path, and design the controller.
 
-    Args:
-        options: of the run.
-        settings: of the car file, if it was read.
-        design: False where another process will design the controller.
+    `design`: False where another process will do that.
 
     Raises:
         SteerdError: any of them is refused, with the reason.
@@ -245,12 +242,7 @@ def make_core(
 ) -> Core:
     """The control core of a plan.
 
-    Args:
-        plan: of the run.
-        boot_id: random number of this run.
-        epoch_ns: UNIX time minus monotonic time.
-        sinks: receivers of the messages.
-        leased: whether an operator's lease is needed.
+    `epoch_ns` is UNIX time minus monotonic time; `leased`: an operator's lease is needed.
     """
     from steerd.daemon.loop.core import Core
     from steerd.daemon.loop.loop import Loop

@@ -84,11 +84,7 @@ def take_design(now: Adapting, number: int, design: Design | None, why: str, t_n
 def step_adapting(now: Adapting, t_ns: int, *, driving: bool, tuned: bool) -> Adapting:
     """The design of this tick.
 
-    Args:
-        now: that of the last one.
-        t_ns: now.
-        driving: whether a drive goes on, without a fault.
-        tuned: whether the share of the feedback is not as designed.
+    `driving`: a drive goes on, without a fault; `tuned`: the feedback's share is not as designed.
     """
     given_up = driving and (now.given_up or (now.far and now.follows))
     doubts = (
@@ -157,15 +153,8 @@ def steer(
 ) -> tuple[Command[float], ControlReport, ControllerState, Adapting]:
     """One tick of the design in force; where it is another than before, no wheel moves for that.
 
-    Args:
-        before: the last tick's.
-        memory: the controller's, see `control`; the rest too.
-        estimate: of the car's state.
-        t_ns: now.
-        issued: the last order.
-        driving: whether a drive goes on, without a fault.
-        stop: whether to come to rest.
-        live: live parameters.
+    `before` and the controller's `memory` are the last tick's, `issued` is the last order.
+    `driving`: a drive goes on, without a fault; `stop`: the car is to come to rest.
     """
     if before.held is None:
         command, report, memory = control(

@@ -47,13 +47,7 @@ def make_live(bounds: LiveBounds | None) -> Live:
 
 
 def take_request(live: Live, request: ParameterRequest, admitted: bool) -> Live:
-    """Accept all values of a request or none.
-
-    Args:
-        live: so far.
-        request: as it came.
-        admitted: whether the sender holds the lease.
-    """
+    """Accept all values of a request or none; `admitted`: its sender holds the lease."""
     aim = LiveValues(*(
         old if isnan(new) else new
         for new, old in zip(_wanted(request), live.aim, strict=True)

@@ -68,14 +68,7 @@ def make_order(
 ) -> Order:
     """Make the order for an action; a wish that is missing or not finite brakes.
 
-    Args:
-        settings: limits, brake currents, and the VESC's scaling: orders are rounded to what it
-            can express.
-        state: of the output limiter.
-        action: the supervisor's.
-        wish: the controller's, None if it has none.
-        speed: the car's, best known [m/s].
-        t_ns: now.
+    Orders are rounded to what the VESC's scaling can express; `speed` is the best known [m/s].
     """
     limits, brakes, scaling = settings.limits, settings.brakes, settings.scaling
     measured = speed if isfinite(speed) else limits.speed_max

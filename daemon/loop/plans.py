@@ -285,14 +285,7 @@ def _is_inside(box: Box, extent: Box) -> bool:
 def make_open_drill(
     name: str, car: Car[float], limits: Limits, box: Box | None, speed: float
 ) -> Drill:
-    """The plan with the widest orbits that fit the box.
-
-    Args:
-        name: one of `NAMES`.
-        car: as believed.
-        limits: of the car.
-        box: where to stay; None has orbits for the full speed.
-        speed: highest [m/s].
+    """The plan with the widest orbits that fit the box; without one, for the full `speed` [m/s].
 
     Raises:
         PlanError: unknown name, or no orbit fits.

@@ -114,10 +114,7 @@ def replay(
 ) -> tuple[Replay, Iterator[Difference]]:
     """A replay of a session and the differences that it finds as it goes.
 
-    Args:
-        session: the recording.
-        name: what messages call it.
-        advance: is called with the number of messages that were taken, now and then.
+    Messages call it `name`; `advance` is called with how many were taken, now and then.
 
     Raises:
         SteerdError: the session cannot be replayed.

@@ -52,8 +52,7 @@ class VirtualRun:
     def step(self, late_ns: int = 0) -> None:
         """One period: a tick, then whatever arrives until the next.
 
-        Args:
-            late_ns: how long the process sleeps past the deadline; bytes wait for it meanwhile.
+        The process may sleep past the deadline by `late_ns`; bytes wait for it meanwhile.
         """
         due = self.t_ns
         if late_ns:

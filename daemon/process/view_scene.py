@@ -39,13 +39,7 @@ class LaneLines(NamedTuple):
 
 
 def make_lane(points: Sequence[Sequence[float]], half_width: float, *, closed: bool) -> LaneLines:
-    """A lane of a path's samples.
-
-    Args:
-        points: x, y [m] and heading [rad] of each sample.
-        half_width: at which a car has left the lane [m].
-        closed: whether the last sample leads to the first.
-    """
+    """A lane of samples, x, y [m] and heading [rad]; half of it is `half_width` wide [m]."""
 
     def beside(offset: float) -> list[tuple[float, float]]:
         return [(x - offset * sin(yaw), y + offset * cos(yaw)) for x, y, yaw in points]

@@ -80,11 +80,7 @@ JUMP_SDS = 7.0
 
 
 def load_settings(path: Path | str, speed: float | None = None) -> Settings:
-    """Read a car file and check every section.
-
-    Args:
-        path: the TOML file.
-        speed: cruise speed that replaces the file's [m/s].
+    """Read a car file and check every section; `speed` [m/s] replaces the file's cruise speed.
 
     Raises:
         SteerdError: the file cannot be read, or a value is invalid; names it and the remedy.
