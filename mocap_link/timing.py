@@ -18,12 +18,14 @@ class SourceTiming:
     the map is suspect: the pose falls back to the next map, and 10 suspect poses in a row reset
     the map. The one-way map times a pose that is up to 150 ms late all the same: the network held
     it back, for a source time that goes back resets that map at once. Between mid-exposure and
-    sending lie 50 ms at the most. When `echo_resets` rises, the session should measure echoes anew.
+    sending lie 50 ms at the most. When `echo.resets` rises, the session should measure echoes anew.
 
     Args:
         frequency_hz: ticks per second of the source's clock.
         extra_latency_ns: what the maps cannot see, subtracted from every time of validity.
-        two_way: the source answers echoes.
+
+    Attributes:
+        echo: the two-way map, to be fed with exchanges; without any it is never in force.
     """
 
     early_ns = 1_000_000
@@ -31,10 +33,10 @@ class SourceTiming:
     lost_ns = 150_000_000
     suspects_to_reset = 10
 
-    def __init__(self, frequency_hz: int, extra_latency_ns: int = 0, two_way: bool = False) -> None:
+    def __init__(self, frequency_hz: int, extra_latency_ns: int = 0) -> None:
         self.frequency_hz = frequency_hz
         self.extra_latency_ns = extra_latency_ns
-        self.echo = EchoClock(frequency_hz) if two_way else None
+        self.echo = EchoClock(frequency_hz)
         self.hull = HullClock(frequency_hz)
         self._suspects: dict[EchoClock | HullClock, int] = {}
         self._first_arrival_ns: int | None = None
@@ -46,31 +48,20 @@ class SourceTiming:
 
         That is a ready map, or 2 s after which the source's stamps turned out to be useless.
         """
-        return self._settled or self.hull.ready or (self.echo is not None and self.echo.ready)
-
-    @property
-    def echo_resets(self) -> int:
-        """How often the two-way map was lost."""
-        return 0 if self.echo is None else self.echo.resets
+        return self._settled or self.hull.ready or self.echo.ready
 
     @property
     def sigma_ns(self) -> int | None:
         """Error bound of the best ready map [ns]; None while on arrival times."""
-        if self.echo is not None and self.echo.ready:
+        if self.echo.ready:
             return self.echo.sigma_ns
         return self.hull.sigma_ns if self.hull.ready else None
 
     def reset(self) -> None:
         """Forget both maps: reconnect, restart, or a stepped clock."""
-        if self.echo is not None:
-            self.echo.reset()
+        self.echo.reset()
         self.hull.reset()
         self._suspects.clear()
-
-    def add_echo(self, t_sent_ns: int, t_received_ns: int, server_ticks: int) -> None:
-        """Take in one two-way exchange."""
-        if self.echo is not None:
-            self.echo.add(t_sent_ns, t_received_ns, server_ticks)
 
     def time_pose(self, raw: Pose, *, learn: bool = True) -> tuple[int, ClockKind]:
         """Return the pose's time of validity [ns, CLOCK_MONOTONIC] and how it was found.
@@ -96,7 +87,7 @@ class SourceTiming:
         if learn:
             self.hull.add(ticks, t_arrival_ns)
         one_way = self._try(self.hull, ticks, t_arrival_ns, learn)
-        two_way = None if self.echo is None else self._try(self.echo, ticks, t_arrival_ns, learn)
+        two_way = self._try(self.echo, ticks, t_arrival_ns, learn)
         if two_way is not None:
             return two_way, ClockKind.ECHO
         if one_way is not None:
