@@ -101,7 +101,8 @@ class PoseIngest:
         )
         self.counts[reason or "accepted"] += 1
         self._relocated = reason == "relocated"
-        self._count_rate(pose.t_arrival_ns)
+        self._arrivals.append(pose.t_arrival_ns)
+        self._drop_old(pose.t_arrival_ns)
         self._step(pose.t_arrival_ns, True, reason is None)
         return pose if reason is None else changed(pose, rejected=reason)
 
@@ -148,10 +149,6 @@ class PoseIngest:
             self.restart()
             return True
         return disorder is None
-
-    def _count_rate(self, t_ns: int) -> None:
-        self._arrivals.append(t_ns)
-        self._drop_old(t_ns)
 
     def _drop_old(self, t_ns: int) -> None:
         while self._arrivals and t_ns - self._arrivals[0] >= _RATE_WINDOW_NS:

@@ -183,15 +183,13 @@ def write_frame(frame: Frame, version: Version) -> bytes:
     if version < (3, 0):
         bodies = b"".join(map(_write_body2, f.rigid_bodies))
         return _HEAD.pack(f.number, n) + bodies + _TAIL2.pack(0, 0, f.timestamp, f.params, 0)
-    bodies = b"".join(map(_write_body, f.rigid_bodies))
+    bodies = b"".join(
+        _BODY.pack(b.id, *b.position, *b.quaternion, b.mean_error, b.params) for b in f.rigid_bodies
+    )
     if version < (4, 1):
         return _HEAD.pack(f.number, n) + bodies + _TAIL.pack(0, 0, f.timestamp, *ticks, f.params, 0)
     head = _HEAD_SIZED.pack(f.number, n, len(bodies))
     return head + bodies + _TAIL_SIZED.pack(0, 0, f.timestamp, *ticks, 0, 0, f.params, 0)
-
-
-def _write_body(b: RigidBody) -> bytes:
-    return _BODY.pack(b.id, *b.position, *b.quaternion, b.mean_error, b.params)
 
 
 def _write_body2(b: RigidBody) -> bytes:

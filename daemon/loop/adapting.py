@@ -178,8 +178,9 @@ def steer(
     )  # fmt: skip
     if old is not None:
         offset = old.steer + offset - command.steer
-    if now.follows:
-        report = _as_posed(now, report, estimate, hint, live)
+    if now.follows:  # watchdogs judge the lane errors of the estimate as it is
+        at = project(now.controller.keeper.path, estimate.x, estimate.y, hint)
+        report = report._replace(**lane_errors(estimate, shift_lane(at, live.offset))._asdict())
     command = command._replace(steer=command.steer + offset)
     far = abs(report.e1) > now.far_e1
     return command, report, memory, replace(now, offset=offset, far=far, t_ns=t_ns)
@@ -195,11 +196,3 @@ def hand_over(memory: ControllerState, pasts: int) -> ControllerState:
 def _step_servo(now: Adapting, t_ns: int) -> Adapting:
     delay_s = now.controller.report.timing.delay_s
     return replace(now, servo=step_servo(now.servo, now.controller.car, delay_s, t_ns))
-
-
-def _as_posed(
-    now: Adapting, report: ControlReport, estimate: State[float], hint: int, live: LiveValues
-) -> ControlReport:
-    """The report with the lane errors of the estimate as it is: what watchdogs judge."""
-    at = project(now.controller.keeper.path, estimate.x, estimate.y, hint)
-    return report._replace(**lane_errors(estimate, shift_lane(at, live.offset))._asdict())

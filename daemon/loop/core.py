@@ -269,15 +269,12 @@ class Core:
             topics.STATE, outgoing.make_state(result, self._seq, now_ns, epoch), now_ns
         )
         self._post_changes(result, now_ns)
-        self._take_design(now_ns)
-        self.outbox.flush(now_ns)
-
-    def _take_design(self, now_ns: int) -> None:
-        """Look at the learner's proposal a little more; a design that passed is the next tick's."""
-        taken = self.designs.step(self.loop.adapting, now_ns, self.outbox.epoch_ns)
+        # The learner's proposal is looked at a little more; one that passed is the next tick's.
+        taken = self.designs.step(self.loop.adapting, now_ns, epoch)
         if taken is not None:
             self.loop.on_design(taken, now_ns)
             self.outbox.post(topics.DESIGN, taken, now_ns)
+        self.outbox.flush(now_ns)
 
     def _decide(self, due_ns: int, now_ns: int, flags: int) -> TickResult:
         """The loop's decision; if it raises, the car brakes in this very tick and latches."""

@@ -87,7 +87,11 @@ def make_order(
     # While no speed is commanded, the next order starts from the measured one.
     seen = Command(limited.order.steer, max(measured, 0.0))
     rolling = make_limiter_state(limits, seen, t_ns)
-    return Order(_make_brake_drive(action.motor, brakes, steer), rolling, None, limited.verdict)
+    if action.motor in _CURRENTS:
+        drive = Drive(ActuationMode.BRAKE, steer, current=_CURRENTS[action.motor](brakes))
+    else:
+        drive = Drive(_UNBRAKED.get(action.motor, ActuationMode.SILENT), steer)
+    return Order(drive, rolling, None, limited.verdict)
 
 
 def _make_target(
@@ -99,9 +103,3 @@ def _make_target(
     elif action.steering is SteeringOutput.LIVE and wish is not None:
         steer = wish.steer
     return Command(steer, wish.speed if wish is not None and action.motor in _DRIVEN else speed)
-
-
-def _make_brake_drive(motor: MotorOutput, brakes: BrakeSettings, steer: float | None) -> Drive:
-    if motor in _CURRENTS:
-        return Drive(ActuationMode.BRAKE, steer, current=_CURRENTS[motor](brakes))
-    return Drive(_UNBRAKED.get(motor, ActuationMode.SILENT), steer)

@@ -92,31 +92,23 @@ def make_mocap(plan: RunPlan) -> MocapReceiver | BusPoseSource:
         raise SteerdError(str(error), hint, ExitCode.UNREADABLE) from None
 
 
-def open_first_port(url: str) -> Port:
-    """Open the port before anything else starts, so that a wrong one is reported at once.
+def make_opener(url: str) -> Callable[[], Port]:
+    """What opens the port; it is opened before anything else, to report a wrong one at once.
 
     Raises:
         SteerdError: it cannot be opened, with advice.
     """
     try:
-        return open_port(url)
+        waiting = [open_port(url)]
     except PortError as error:
         raise SteerdError(str(error), error.hint, ExitCode.UNREADABLE) from None
-
-
-def _make_opener(url: str, first: Port) -> Callable[[], Port]:
-    waiting = [first]
-
-    def open_it() -> Port:
-        return waiting.pop() if waiting else open_port(url)
-
-    return open_it
+    return lambda: waiting.pop() if waiting else open_port(url)
 
 
 def _run(given: Job) -> Core:
     fds, job = given
     plan = make_plan(decode_options(job["options"]))
-    port = open_first_port(plan.options.port or "")
+    open_again = make_opener(plan.options.port or "")
     mocap = make_mocap(plan)
     names = ("recorder", "gateway", "status", "view", "learner")
     pipes = {name: PipeWriter(fds[name]) for name in names if name in fds}
@@ -144,7 +136,7 @@ def _run(given: Job) -> Core:
     runner = Runner(
         core,
         clock,
-        _make_opener(plan.options.port or "", port),
+        open_again,
         mocap,
         links,
         ProcessGuard(

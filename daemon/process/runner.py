@@ -283,8 +283,7 @@ class Runner:
 
     def _step_mocap(self, now_ns: int) -> None:
         self._core.feed_back(self._mocap.ingest)
-        samples = self._mocap.on_timer(self._clock.now_ns())
-        self._on_poses(samples or [])
+        self._mocap.on_timer(self._clock.now_ns())
         self._core.on_source(self._mocap.status())
 
     def _post_clock(self, now_ns: int) -> None:
