@@ -49,11 +49,9 @@ class Viewer:
         gaps: messages that the pipe had no room for.
     """
 
-    def __init__(
-        self, car: str, body: scene.Body, lane: scene.LaneLines, server: ViewServer
-    ) -> None:
+    def __init__(self, car: str, body: scene.Body, lane: SceneUpdate, server: ViewServer) -> None:
         self._car, self._server = car, server
-        self._body, self._lane = body, scene.make_lane_scene(lane)
+        self._body, self._lane = body, lane
         self._views = Views()
         self._scene_due_ns = self._lane_due_ns = 0
         self.gaps = Gaps()
@@ -108,7 +106,8 @@ async def run_viewer(given: Job) -> int:
         OSError: the address is taken or no address of this machine.
     """
     job, records = given.about, PipeReader(given.fds["pipe"])
-    car, lane = job["car"], scene.make_lane(job["lane"], job["half_width"], closed=job["closed"])
+    car = job["car"]
+    lane = scene.make_lane_scene(job["lane"], job["half_width"], closed=job["closed"])
     asks = make_sender(given.fds["requests"]) if "requests" in given.fds else None
     known = ViewParameters(scene.make_parameters(job["parameters"]), asks)
     shown = ViewServer(f"steerd {car}", make_channels(car), known)
