@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from math import nan
 from typing import Any
 
+from steerd.mocap_link.clock_sync import SourceTiming
 from steerd.mocap_link.frame import FrameConfig, make_planar_pose
 from steerd.mocap_link.gates import GateConfig, GateState, find_disorder, step_gates
 from steerd.mocap_link.source import (
@@ -17,7 +18,6 @@ from steerd.mocap_link.source import (
     SourceStatus,
     step_monitor,
 )
-from steerd.mocap_link.timing import SourceTiming
 from steerd.steer_bus.quick_values import changed
 
 _NOWHERE = (nan, nan, nan, nan, nan)
@@ -56,7 +56,6 @@ class PoseIngest:
         self._arrivals: deque[int] = deque()
         self._clock: ClockKind | None = None
         self._disorder_run = 0
-        self._relocated = False
         self._expected_hz: float | None = None
         self._metres_per_unit = 1e-3 if config.frame.units == "mm" else 1.0
 
@@ -100,7 +99,6 @@ class PoseIngest:
             metres_per_unit=self._metres_per_unit,
         )
         self.counts[reason or "accepted"] += 1
-        self._relocated = reason == "relocated"
         self._arrivals.append(pose.t_arrival_ns)
         self._drop_old(pose.t_arrival_ns)
         self._step(pose.t_arrival_ns, True, reason is None)
@@ -125,7 +123,6 @@ class PoseIngest:
             rate_hz=len(self._arrivals) * 1e9 / _RATE_WINDOW_NS,
             expected_rate_hz=self._expected_hz,
             last_good_ns=self._monitor.last_good_ns,
-            relocated=self._relocated,
             counts={**self.counts, **more_counts},
             **session,
         )

@@ -9,6 +9,7 @@ from collections import Counter
 from typing import Literal
 
 from steerd.mocap_link import natnet
+from steerd.mocap_link.clock_sync import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
 from steerd.mocap_link.ingest import IngestConfig, PoseIngest
 from steerd.mocap_link.natnet_frame import (
     BITSTREAM_CHANGED,
@@ -19,7 +20,6 @@ from steerd.mocap_link.natnet_frame import (
 )
 from steerd.mocap_link.natnet_wire import NatNetError
 from steerd.mocap_link.source import Pose, SourceStatus
-from steerd.mocap_link.timing import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
 
 MS = 1_000_000
 SECOND = 1000 * MS

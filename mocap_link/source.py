@@ -143,7 +143,5 @@ class SourceStatus:
     expected_rate_hz: float | None = None  # the server's own figure, None if not received
     last_good_ns: int | None = None  # arrival of the last accepted pose
     refused: bool = False  # the source cannot be used as configured (`detail` says why)
-    # The body is permanently somewhere else; needs a stopped car to be taken in
-    relocated: bool = False
     # Events by name: accepted, each rejection reason, malformed, foreign, ...
     counts: Mapping[str, int] = field(default_factory=dict)

@@ -7,9 +7,9 @@ and brings nothing. No subscription is needed, a server sends poses at once.
 from collections import Counter
 
 from steerd.mocap_link import vrpn
+from steerd.mocap_link.clock_sync import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
 from steerd.mocap_link.ingest import IngestConfig, PoseIngest
 from steerd.mocap_link.source import Pose, SourceStatus
-from steerd.mocap_link.timing import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
 
 SECOND = 1_000_000_000
 TICKS_HZ = 1_000_000

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from steerd.mocap_link import natnet
-from steerd.mocap_link.clock_sync import SKEW_MAX, EchoClock, HullClock
+from steerd.mocap_link.clock_sync import SKEW_MAX, EchoClock, HullClock, SourceTiming
 from steerd.mocap_link.natnet_frame import Frame
 from steerd.mocap_link.source import ClockKind, Pose
-from steerd.mocap_link.timing import SourceTiming
 
 MS = 1_000_000
 SECOND = 1000 * MS
