@@ -8,7 +8,7 @@ order of their cost to a wrong pose; the innovation gate is the estimator's. Thr
 # Why: docs/decisions/filter-and-controller.md#d18
 
 from dataclasses import dataclass
-from math import hypot, isfinite, isnan, pi, radians
+from math import hypot, isfinite, isnan, nan, pi, radians
 
 from steerd.mocap_link.frame import wrap_angle
 from steerd.mocap_link.source import Pose
@@ -98,7 +98,7 @@ def step_gates(
     state: GateState,
     pose: Pose,
     *,
-    wheel_speed: float | None = None,
+    wheel_speed: float = nan,
     stationary: bool = False,
     metres_per_unit: float = 1.0,
 ) -> tuple[GateState, str | None]:
@@ -108,7 +108,7 @@ def step_gates(
         config: thresholds.
         state: memory before.
         pose: one without a place is rejected.
-        wheel_speed: speed [m/s] of the wheels, None if unknown (a frozen pose then passes).
+        wheel_speed: speed [m/s] of the wheels, NaN if unknown (a frozen pose then passes).
         stationary: the car is stopped and disarmed, so a new place may be taken in.
         metres_per_unit: the vendor's length unit.
     """
@@ -128,8 +128,7 @@ def step_gates(
         return state, reason
     if pose.tilt > config.tilt_max:
         return state, "tilt"
-    moving = wheel_speed is not None and abs(wheel_speed) > config.frozen_speed
-    if moving and repeats >= config.frozen_count:
+    if abs(wheel_speed) > config.frozen_speed and repeats >= config.frozen_count:
         return state, "frozen"
     return _check_place(config, state, pose, stationary)
 

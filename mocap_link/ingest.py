@@ -39,7 +39,7 @@ class PoseIngest:
 
     Attributes:
         timing: the source's clock maps; replace it when the server's clock becomes known.
-        wheel_speed: latest wheel speed [m/s] or None, for the frozen-pose gate.
+        wheel_speed: latest wheel speed [m/s], NaN while unknown, for the frozen-pose gate.
         stationary: the car is stopped and disarmed, so a new place may be taken in.
         counts: accepted poses and each rejection reason.
     """
@@ -47,7 +47,7 @@ class PoseIngest:
     def __init__(self, config: IngestConfig, timing: SourceTiming) -> None:
         self.config = config
         self.timing = timing
-        self.wheel_speed: float | None = None
+        self.wheel_speed = nan
         self.stationary = False
         self.counts: Counter[str] = Counter()
         self._gates = GateState()

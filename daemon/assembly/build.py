@@ -53,8 +53,7 @@ class RunPlan:
     settings: Settings
     path: Path
     drill: Drill | None = None
-    drawn: Settings | None = None
-    """Of the simulated car, where a sweep drew one."""
+    drawn: Settings | None = None  # of the simulated car, where a sweep drew one
 
     @cached_property
     def controller(self) -> LaneController:

@@ -106,7 +106,7 @@ class Core:
     def feed_back(self, ingest: PoseIngest) -> None:
         """Show the mocap pipeline what it needs of the car."""
         seen = self.loop.perception
-        ingest.wheel_speed = seen.wheel_speed if seen.telemetry else None
+        ingest.wheel_speed = seen.wheel_speed
         ingest.stationary = seen.may_rebase
 
     def on_source(self, source: SourceStatus) -> None:
