@@ -46,6 +46,10 @@ is_logged: Callable[[PipeRecord], bool] = attrgetter("topic.logged")
 """Whether the recorder takes a record."""
 is_on_bus: Callable[[PipeRecord], bool] = attrgetter("topic.on_bus")
 """Whether gateway and viewer take it."""
+_TAKES = {
+    "recorder": is_logged, "gateway": is_on_bus, "learner": is_learnt_from, "view": is_on_bus,
+}  # fmt: skip
+"""What each reader takes; a drive goes on without learner or viewer: the runner watches neither."""
 
 
 def pipes_sink(*takers: Taker) -> Sink:
@@ -110,14 +114,9 @@ def _run(given: Job) -> Core:
     plan = make_plan(decode_options(job["options"]))
     open_again = make_opener(plan.options.port or "")
     mocap = make_mocap(plan)
-    names = ("recorder", "gateway", "status", "view", "learner")
-    pipes = {name: PipeWriter(fds[name]) for name in names if name in fds}
-    takers: list[Taker] = [(pipes["recorder"], is_logged), (pipes["gateway"], is_on_bus)]
-    if "learner" in pipes:  # no link of the runner either: a drive goes on without it
-        takers.append((pipes["learner"], is_learnt_from))
-    if "view" in pipes:  # not a link of the runner: a lost viewer does not stop the car
-        takers.append((pipes["view"], is_on_bus))
-    sinks = [pipes_sink(*takers), status_sink(pipes["status"])]
+    pipes = {name: PipeWriter(fds[name]) for name in _TAKES if name in fds}
+    takers = [(pipe, _TAKES[name]) for name, pipe in pipes.items()]
+    sinks = [pipes_sink(*takers), status_sink(PipeWriter(fds["status"]))]
     clock = MonotonicClock()
     core = make_core(
         plan, int(job["boot_id"]), int(job["epoch_ns"]), sinks, leased=bool(job["leased"])
