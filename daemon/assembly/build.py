@@ -121,9 +121,7 @@ _KEPT = 8
 """Paths and designs that a process keeps: many drives in a row use few, in turn."""
 
 
-@lru_cache(_KEPT)
-def _parse_shape(spec: str) -> Path:
-    return parse_path(spec)
+_parse_shape = lru_cache(_KEPT)(parse_path)
 
 
 def _parse_path(spec: str) -> Path:
@@ -175,7 +173,10 @@ def make_plan(
             drill = parse_drill(options.drill, settings.file.car, settings.limits)
         except PlanError as error:
             raise SteerdError(str(error), "", ExitCode.USAGE) from None
-        plan = RunPlan(options, add_drill_fence(settings, drill), path, drill)
+        if drill.box is not None:  # the drill's box is the fence
+            limited = replace(settings.thresholds, fence=drill.box.fence)
+            settings = replace(settings, thresholds=limited)
+        plan = RunPlan(options, settings, path, drill)
     load_library()  # a missing one is said here, before any process is started
     if design:
         _ = plan.controller
@@ -194,13 +195,6 @@ def _near_path(spec: str) -> str:
         rest = ",".join((find_near(k, _SHAPE_OPTIONS) or k) + eq + value for k, eq, value in words)
     meant = (find_near(shape, _SHAPES) or shape) + colon + rest
     return f"did you mean --path {meant}?" if meant != spec else ""
-
-
-def add_drill_fence(settings: Settings, drill: Drill) -> Settings:
-    """The settings with the drill's box as the fence."""
-    if drill.box is None:
-        return settings
-    return replace(settings, thresholds=replace(settings.thresholds, fence=drill.box.fence))
 
 
 def make_design_car(settings: Settings) -> Car[float]:

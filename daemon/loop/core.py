@@ -237,12 +237,19 @@ class Core:
     # --- the tick
 
     def tick(self, due_ns: int, now_ns: int, work_ns: int = 0) -> bytes:
-        """Decide; return the bytes of this tick's write. `post_tick` must follow it."""
+        """Decide; return the bytes of this tick's write. `post_tick` must follow it.
+
+        If the loop raises, the car brakes in this very tick and latches.
+        """
         flags = int(self.flags)
         self.flags &= ~(Flag.REBOOTED | Flag.SUSPENDED | CAUSES)
         self.on_serial(now_ns, b"")
         self._seq += 1
-        self.last = self._decide(due_ns, now_ns, flags)
+        try:
+            self.last = self.loop.tick(due_ns, now_ns, flags)
+        except Exception as error:
+            self.latch_exception(error)
+            self.last = make_failed_tick(self.loop, error, now_ns, bool(flags & Flag.LINKED))
         wire = self._make_wire(self.last.order.drive, now_ns)
         header = m.make_header(now_ns + self.outbox.epoch_ns, m.BODY)
         self._tick = m.Tick(header, due_ns, now_ns, work_ns, self._seq & 0xFFFFFFFF, flags)
@@ -253,36 +260,25 @@ class Core:
 
         Never raises; a message that cannot be encoded stops the car (W29).
         """
+        result, tick = self.last, self._tick
+        if result is None or tick is None:
+            return
+        now_ns, epoch, post = tick.woke_ns, self.outbox.epoch_ns, self.outbox.post
         try:
-            if self.last is not None and self._tick is not None:
-                self._post_tick(self.last, self._tick, written)
+            post(topics.TICK, tick, now_ns)
+            drive = result.order.drive
+            actuation = outgoing.make_actuation(tick.header, drive, written, self._seq)
+            post(topics.ACTUATION, actuation, now_ns)
+            post(topics.STATE, outgoing.make_state(result, self._seq, now_ns, epoch), now_ns)
+            self._post_changes(result, now_ns)
+            # The learner's proposal is looked at a little more; one that passed is the next tick's.
+            taken = self.designs.step(self.loop.adapting, now_ns, epoch)
+            if taken is not None:
+                self.loop.on_design(taken, now_ns)
+                post(topics.DESIGN, taken, now_ns)
+            self.outbox.flush(now_ns)
         except Exception as error:
             self.latch_exception(error)
-
-    def _post_tick(self, result: TickResult, tick: m.Tick, written: bytes) -> None:
-        now_ns, epoch = tick.woke_ns, self.outbox.epoch_ns
-        self.outbox.post(topics.TICK, tick, now_ns)
-        drive = result.order.drive
-        actuation = outgoing.make_actuation(tick.header, drive, written, self._seq)
-        self.outbox.post(topics.ACTUATION, actuation, now_ns)
-        self.outbox.post(
-            topics.STATE, outgoing.make_state(result, self._seq, now_ns, epoch), now_ns
-        )
-        self._post_changes(result, now_ns)
-        # The learner's proposal is looked at a little more; one that passed is the next tick's.
-        taken = self.designs.step(self.loop.adapting, now_ns, epoch)
-        if taken is not None:
-            self.loop.on_design(taken, now_ns)
-            self.outbox.post(topics.DESIGN, taken, now_ns)
-        self.outbox.flush(now_ns)
-
-    def _decide(self, due_ns: int, now_ns: int, flags: int) -> TickResult:
-        """The loop's decision; if it raises, the car brakes in this very tick and latches."""
-        try:
-            return self.loop.tick(due_ns, now_ns, flags)
-        except Exception as error:
-            self.latch_exception(error)
-            return make_failed_tick(self.loop, error, now_ns, bool(flags & Flag.LINKED))
 
     def _make_wire(self, drive: Drive, now_ns: int) -> bytes:
         """This tick's bytes: drive order and polls, and the handshake until it is done."""
