@@ -8,17 +8,7 @@ size that each section carries, before by walking its items. Written frames have
 from dataclasses import dataclass
 from struct import Struct
 
-from steerd.mocap_link.natnet_wire import (
-    SECTION,
-    Layout,
-    NatNetError,
-    Version,
-    need,
-    read_count,
-    read_i32,
-    read_size,
-    skip,
-)
+from steerd.mocap_link.natnet_wire import SECTION, Layout, NatNetError, Reader, Version
 from steerd.steer_bus.quick_values import quick_init
 
 TRACKING_VALID = 1
@@ -88,85 +78,74 @@ _BEHIND: Layout = ([(4, [_BODY.size])], [26], _PLATES, _PLATES)
 software latency. 3.0 moved a body's markers (place, id, size) to its description."""
 
 
-def read_frame(data: bytes, at: int, version: Version) -> Frame:
-    """Decode the payload of FRAMEOFDATA at an offset of the datagram, which ends where it ends.
+def read_frame(r: Reader, version: Version) -> Frame:
+    """Decode the payload of FRAMEOFDATA of a stream of `version`, which SERVERINFO says.
 
     Raises:
-        NatNetError: the bytes break the layout of the stream's `version` (of SERVERINFO).
-        struct.error: the datagram ends early (`natnet.decode` turns it into `NatNetError`).
+        NatNetError, struct.error: as the reader does.
     """
-    number, at = read_i32(data, at)
-    if version >= (4, 1):
-        bodies, at = _read_sized_sections(data, at)
-    else:
-        bodies, at = _walk_sections(data, at, version >= (3, 0))
+    number = r.i32()
+    modern = version >= (3, 0)
+    bodies = _read_sized_sections(r) if version >= (4, 1) else _walk_sections(r, modern)
     mid = received = transmit = 0
-    if version >= (3, 0):
-        _, _, timestamp, mid, received, transmit = _STAMPS.unpack_from(data, at)
-        at += _STAMPS.size
+    if modern:
+        _, _, timestamp, mid, received, transmit = r.unpack(_STAMPS)
     else:
-        _, _, timestamp = _TIMECODE.unpack_from(data, at)
-        at += _TIMECODE.size
-    params = _read_suffix(data, at)
-    return Frame(number, bodies, timestamp, mid, received, transmit, params)
+        _, _, timestamp = r.unpack(_TIMECODE)
+    return Frame(number, bodies, timestamp, mid, received, transmit, _read_suffix(r))
 
 
-def _read_sized_sections(data: bytes, at: int) -> tuple[tuple[RigidBody, ...], int]:
-    at = _jump_sections(data, at, 2)  # marker sets, other markers
-    n, at = read_count(data, at)
-    at, end = read_size(data, at)
-    bodies, at = _read_bodies(data, at, n)
-    if at != end:
+def _read_sized_sections(r: Reader) -> tuple[RigidBody, ...]:
+    _jump_sections(r, 2)  # marker sets, other markers
+    n, end = r.count(), r.sized()
+    bodies = _read_bodies(r, n)
+    if r.at != end:
         raise NatNetError(f"{n} rigid bodies in a section of another size")
-    return bodies, _jump_sections(data, at, 5)  # skeletons, assets, markers, plates, devices
+    _jump_sections(r, 5)  # skeletons, assets, markers, plates, devices
+    return bodies
 
 
-def _jump_sections(data: bytes, at: int, count: int) -> int:
-    """The offset behind sections that say their size."""
-    empty = at + count * SECTION.size
-    if not any(data[at:empty]) and empty <= len(data):
-        return empty
+def _jump_sections(r: Reader, count: int) -> None:
+    """Pass over sections that say their size."""
+    empty = r.at + count * SECTION.size
+    if not any(r.data[r.at : empty]) and empty <= r.end:
+        r.at = empty
+        return
     for _ in range(count):
-        _, at = read_count(data, at)
-        _, at = read_size(data, at)
-    return at
+        r.count()
+        r.at = r.sized()
 
 
-def _walk_sections(data: bytes, at: int, modern: bool) -> tuple[tuple[RigidBody, ...], int]:
-    n, at = read_count(data, skip(data, at, _BEFORE))
-    bodies, at = (_read_bodies if modern else _read_bodies2)(data, at, n)
-    return bodies, skip(data, at, _BEHIND if modern else _BEHIND2)
+def _walk_sections(r: Reader, modern: bool) -> tuple[RigidBody, ...]:
+    r.skip(_BEFORE)
+    bodies = (_read_bodies if modern else _read_bodies2)(r, r.count())
+    r.skip(_BEHIND if modern else _BEHIND2)
+    return bodies
 
 
-def _read_bodies(data: bytes, at: int, n: int) -> tuple[tuple[RigidBody, ...], int]:
-    end = need(data, at, _BODY.size * n)
+def _read_bodies(r: Reader, n: int) -> tuple[RigidBody, ...]:
     return tuple(
         RigidBody(i, (x, y, z), (qx, qy, qz, qw), err, params)
-        for i, x, y, z, qx, qy, qz, qw, err, params in _BODY.iter_unpack(data[at:end])
-    ), end
+        for i, x, y, z, qx, qy, qz, qw, err, params in _BODY.iter_unpack(r.take(_BODY.size * n))
+    )
 
 
-def _read_bodies2(data: bytes, at: int, n: int) -> tuple[tuple[RigidBody, ...], int]:
+def _read_bodies2(r: Reader, n: int) -> tuple[RigidBody, ...]:
     bodies = []
     for _ in range(n):
-        i, x, y, z, qx, qy, qz, qw = _BODY2_HEAD.unpack_from(data, at)
-        at = skip(data, at + _BODY2_HEAD.size, [20])
-        err, params = _BODY2_TAIL.unpack_from(data, at)
-        at += _BODY2_TAIL.size
-        bodies.append(RigidBody(i, (x, y, z), (qx, qy, qz, qw), err, params))
-    return tuple(bodies), at
+        i, x, y, z, qx, qy, qz, qw = r.unpack(_BODY2_HEAD)
+        r.skip([20])
+        bodies.append(RigidBody(i, (x, y, z), (qx, qy, qz, qw), *r.unpack(_BODY2_TAIL)))
+    return tuple(bodies)
 
 
-def _read_suffix(data: bytes, at: int) -> int:
+def _read_suffix(r: Reader) -> int:
     # The rest's length, not the version, shows whether the PTP stamp is there: decoders that
     # trust the version read the "models changed" bit from the stamp.
-    left = len(data) - at
-    if left == _SUFFIX_PTP.size:
-        _, _, params, end = _SUFFIX_PTP.unpack_from(data, at)
-    elif left == _SUFFIX.size:
-        params, end = _SUFFIX.unpack_from(data, at)
-    else:
+    left = r.end - r.at
+    if left not in (_SUFFIX.size, _SUFFIX_PTP.size):
         raise NatNetError(f"{left} bytes behind the stamps, expected 6 or 14")
+    *_, params, end = r.unpack(_SUFFIX if left == _SUFFIX.size else _SUFFIX_PTP)
     if end:
         raise NatNetError(f"end of data is {end}, expected 0")
     return int(params)
