@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from steerd.car_model.car_file import Learned, default_car_path, load_car, update_car
-from steerd.car_model.effect import Effect
 from steerd.car_model.effects import parse_effects
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
@@ -71,26 +70,18 @@ def _hide(seed: int) -> dict[str, float]:
     return {name: float(f"{value:.4g}") for name, value in values.items()}
 
 
-def parse_added(texts: tuple[str, ...]) -> list[tuple[Effect, tuple[float, ...]]]:
-    """The effects of `--effect`.
-
-    Raises:
-        SteerdError: an effect is unknown or its value is invalid.
-    """
-    try:
-        return parse_effects(",".join(texts)) if texts else []
-    except ValueError as error:
-        hint = "`steerd effects` lists them"
-        raise SteerdError(f"--effect: {error}", hint, ExitCode.USAGE) from None
-
-
 def make_true_model(settings: Settings, effects: tuple[str, ...]) -> Model[float]:
     """The simulated car: that of the settings, with the effects of `--effect` added.
 
     Raises:
         SteerdError: an effect is unknown or its value is invalid.
     """
-    file, added = settings.file, parse_added(effects)
+    file = settings.file
+    try:
+        added = parse_effects(",".join(effects)) if effects else []
+    except ValueError as error:
+        hint = "`steerd effects` lists them"
+        raise SteerdError(f"--effect: {error}", hint, ExitCode.USAGE) from None
     return Model(
         file.car,
         (*file.effects, *(effect for effect, _ in added)),
