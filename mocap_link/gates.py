@@ -41,9 +41,7 @@ class GateConfig:
     mean_error_max: float = 5e-3  # largest marker residual [m] (a real room shows 0.5 mm)
     position_max: float = 100.0  # largest distance from the mocap origin [m]
     tilt_max: float = radians(10.0)  # largest tilt [rad]
-    # Calibrated height of the body [m]; None takes the first accepted pose's
-    height: float | None = None
-    height_band: float = 0.03  # allowed deviation from it [m]
+    height_band: float = 0.03  # allowed deviation from the first accepted pose's height [m]
     speed_max: float = 6.0  # fastest the car can drive, with margin [m/s]
     jump_slack: float = 0.02  # position allowance at zero time [m]
     yaw_rate_max: float = 8.0  # fastest the car can turn [rad/s]
@@ -143,8 +141,6 @@ def find_disorder(state: GateState, pose: Pose) -> str | None:
 def _check_place(
     config: GateConfig, state: GateState, pose: Pose, stationary: bool
 ) -> tuple[GateState, str | None]:
-    if config.height is not None and abs(pose.height - config.height) > config.height_band:
-        return state, "height"
     reason = _compare(config, state, pose)
     if reason is None:
         height = pose.height if state.height is None else state.height

@@ -10,8 +10,8 @@ from steerd.mocap_link.clock_sync import SourceTiming
 from steerd.mocap_link.frame import FrameConfig, make_planar_pose
 from steerd.mocap_link.gates import GateConfig, GateState, find_disorder, step_gates
 from steerd.mocap_link.source import (
+    PERIOD_NS,
     ClockKind,
-    MonitorConfig,
     MonitorState,
     Pose,
     SourceState,
@@ -31,7 +31,6 @@ class IngestConfig:
 
     frame: FrameConfig = field(default_factory=FrameConfig)
     gates: GateConfig = field(default_factory=GateConfig)
-    monitor: MonitorConfig = field(default_factory=MonitorConfig)
 
 
 class PoseIngest:
@@ -52,7 +51,7 @@ class PoseIngest:
         self.counts: Counter[str] = Counter()
         self._gates = GateState()
         self._monitor = MonitorState()
-        self._monitor_config = config.monitor
+        self._period_ns = PERIOD_NS
         self._arrivals: deque[int] = deque()
         self._clock: ClockKind | None = None
         self._disorder_run = 0
@@ -68,8 +67,7 @@ class PoseIngest:
         """Take the server's own frame rate as the period of the stale rule."""
         if 1.0 <= rate_hz <= 2000.0:
             self._expected_hz = rate_hz
-            period_ns = round(1e9 / rate_hz)
-            self._monitor_config = replace(self._monitor_config, period_ns=period_ns)
+            self._period_ns = round(1e9 / rate_hz)
 
     def restart(self) -> None:
         """The server started anew: its frame numbers and its clock begin again.
@@ -129,12 +127,12 @@ class PoseIngest:
 
     def _step(self, t_ns: int, connected: bool, good: bool | None) -> None:
         self._monitor = step_monitor(
-            self._monitor_config,
             self._monitor,
             t_ns,
             connected=connected,
             clock_ready=self.timing.ready,
             good=good,
+            period_ns=self._period_ns,
         )
 
     def _watch_order(self, pose: Pose) -> bool:

@@ -116,15 +116,6 @@ def test_places_that_disagree_are_never_taken_in():
     assert None not in reasons
 
 
-def test_calibrated_height_is_never_relearned():
-    config = GateConfig(height=0.1)
-    high = 0.14
-    _, reasons = run(
-        lambda i: make_pose(drive(i).x, height=high), 60, config=config, stationary=True
-    )
-    assert reasons == ["height"] * 60
-
-
 def test_heights_that_disagree_are_never_taken_in():
     state, _ = run(drive, 20)
     _, reasons = run(
