@@ -20,9 +20,8 @@ WINDOW_NS = 60 * NS
 class _ClockMap:
     """`host = source_ns + offset + skew * (source_ns - x_ref)`, all relative to one origin.
 
-    Attributes:
-        skew: rate of the host's clock against the source's, minus 1.
-        resets: how often all was forgotten.
+    `skew` is the rate of the host's clock against the source's, minus 1; `resets` counts how often
+    all was forgotten.
     """
 
     def __init__(self, frequency_hz: int) -> None:
@@ -133,7 +132,7 @@ class HullClock(_ClockMap):
     def __init__(self, frequency_hz: int) -> None:
         super().__init__(frequency_hz)
         self._buckets: deque[tuple[int, int]] = deque()  # source ns, host - source [ns]
-        self._bucket_end = self._next_fit = self._warm_at = 0
+        self._bucket_end = self._next_fit = 0
         self._last_ticks: int | None = None
         self._fitted = False
 
@@ -172,7 +171,7 @@ class HullClock(_ClockMap):
             self._set_origin(source_ticks, t_arrival_ns)
             x = 0
             self._bucket_end = t_arrival_ns
-            self._warm_at = self._next_fit = t_arrival_ns + self.warm_ns
+            self._next_fit = t_arrival_ns + self.warm_ns
         self._last_ticks = source_ticks
         y = t_arrival_ns - self._host0 - x
         if t_arrival_ns >= self._bucket_end:

@@ -40,10 +40,7 @@ _STREAM = 17
 
 
 def load_sim_car(spec: str) -> Settings:
-    """The true car of a simulation.
-
-    Args:
-        spec: a car file, or `hidden:SEED`.
+    """The true car of a simulation, by a car file or `hidden:SEED`.
 
     Raises:
         SteerdError: the file cannot be used, or the seed is none.
@@ -122,15 +119,9 @@ def read_true_car(metadata: Mapping[str, Any]) -> Car[float] | None:
 def read_origin(metadata: Mapping[str, Any], *, own_car: bool = True) -> str:
     """The options of `steerd run` and `collect` that drive the car of a session again.
 
-    Of simulated hardware they name its car and its effects, of a car its port and its mocap.
-
-    Args:
-        metadata: of the session.
-        own_car: whether they name the session's car file; what is designed from another one says
-            itself what its car is beyond the equations.
-
-    Returns:
-        Words for a command line; none for the log of another system.
+    Of simulated hardware they name its car and its effects, of a car its port and its mocap; with
+    `own_car` also the session's car file: what is designed from another one says itself what its
+    car is beyond the equations. There are none for the log of another system.
     """
     try:
         options = decode_options(metadata.get("steerd.session", {}).get("options", ""))
@@ -152,11 +143,7 @@ def read_origin(metadata: Mapping[str, Any], *, own_car: bool = True) -> str:
 
 
 def compare_truths(named: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """What one car cannot have been: sessions whose simulated cars differ, as sentences.
-
-    Args:
-        named: metadata by the session's name.
-    """
+    """What one car cannot have been: named sessions whose simulated cars differ, in sentences."""
     truths = {name: truth for name, data in named.items() if (truth := read_truth(data))}
     remarks = []
     first = next(iter(truths), "")

@@ -54,12 +54,7 @@ def make_replay_plan(session: Session, name: str) -> tuple[RunPlan, int, int, bo
 
 
 class Replay:
-    """A recorded run going through the loop again.
-
-    Attributes:
-        loop: the loop.
-        ticks: how many were compared.
-    """
+    """A recorded run going through the loop again; `ticks` counts those that were compared."""
 
     def __init__(self, plan: RunPlan, boot_id: int, epoch_ns: int, leased: bool) -> None:
         self.loop = Loop(make_loop_setup(plan, boot_id, leased))

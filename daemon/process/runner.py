@@ -72,12 +72,7 @@ class CoreLinks:
 
 
 class Runner:
-    """The control core in real time.
-
-    Attributes:
-        signals: number of stop signals.
-        error: why the port could not be opened, or None.
-    """
+    """The control core in real time; `error` says why the port could not be opened."""
 
     def __init__(
         self,

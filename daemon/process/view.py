@@ -43,11 +43,7 @@ _NICE = 10
 
 
 class Viewer:
-    """One car's messages, and what is drawn of them.
-
-    Attributes:
-        gaps: messages that the pipe had no room for.
-    """
+    """One car's messages, and what is drawn of them; `gaps` are messages that the pipe dropped."""
 
     def __init__(self, car: str, body: scene.Body, lane: SceneUpdate, server: ViewServer) -> None:
         self._car, self._server = car, server
