@@ -8,6 +8,7 @@ live parameters. The viewer's end is reported and changes nothing else.
 # Why: docs/decisions/messages-and-sessions.md#d26
 
 import asyncio
+import base64
 import sys
 
 from foxglove.messages import FrameTransforms, SceneUpdate  # noqa: TID251
@@ -79,20 +80,16 @@ class Viewer:
 def make_channels(car: str) -> list[Channel]:
     """A car's topics as they stand in a session, CDR with their `ros2msg` text, and the scene."""
     shown = [
-        Channel(
-            make_session_topic(car, topic),
-            "cdr",
-            type_name(topic.message),
-            "ros2msg",
-            schema_text(topic.message),
-        )
-        for topic in TOPICS
-        if topic.on_bus
+        (make_session_topic(car, t), "cdr", type_name(t.message), "ros2msg", schema_text(t.message))
+        for t in TOPICS
+        if t.on_bus
     ]
     for name, drawn in ((SCENE, SceneUpdate), (TRANSFORMS, FrameTransforms)):
         schema = drawn.get_schema()
-        shown.append(Channel(name, "protobuf", schema.name, schema.encoding, schema.data))
-    return shown
+        text = base64.b64encode(schema.data).decode()
+        shown.append((name, "protobuf", schema.name, schema.encoding, text))
+    names = ("topic", "encoding", "schemaName", "schemaEncoding", "schema")
+    return [dict(zip(names, values, strict=True)) for values in shown]
 
 
 async def run_viewer(given: Job) -> int:

@@ -97,12 +97,12 @@ def test_a_viewer_counts_what_the_pipe_dropped():
 
 
 def test_every_topic_has_a_channel_with_its_schema():
-    channels = {channel.topic: channel for channel in make_channels("blue")}
+    channels = {channel["topic"]: channel for channel in make_channels("blue")}
     for topic in topics.TOPICS:
         channel = channels[f"/steerd/blue/{topic.name}"] if topic.on_bus else None
         if channel is not None:
-            assert (channel.encoding, channel.schema_encoding) == ("cdr", "ros2msg")
-            assert "std_msgs/Header" in channel.schema or topic is topics.LOG
+            assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
+            assert "std_msgs/Header" in channel["schema"] or topic is topics.LOG
     assert len(channels) == sum(topic.on_bus for topic in topics.TOPICS) + 2
 
 
