@@ -97,12 +97,7 @@ def wrap_angle(angle: float) -> float:
 
 
 def make_planar_pose(config: FrameConfig, position: Vec3, quaternion: Quat) -> PlanarPose:
-    """Place the car from a body pose.
-
-    Args:
-        config: room, body and offsets.
-        position: body origin in vendor axes and units.
-        quaternion: (w, x, y, z) in vendor axes, of any length but zero.
+    """Place the car from a body pose in vendor axes and units, its quaternion (w, x, y, z).
 
     Raises:
         ValueError: a quaternion of zero or non-finite length, or a position that is not finite.

@@ -8,7 +8,7 @@ order of their cost to a wrong pose; the innovation gate is the estimator's. Thr
 # Why: docs/decisions/filter-and-controller.md#d18
 
 from dataclasses import dataclass
-from math import hypot, isfinite, isnan, pi, radians
+from math import hypot, isfinite, isnan, nan, pi, radians
 
 from steerd.mocap_link.frame import wrap_angle
 from steerd.mocap_link.source import Pose
@@ -41,9 +41,7 @@ class GateConfig:
     mean_error_max: float = 5e-3  # largest marker residual [m] (a real room shows 0.5 mm)
     position_max: float = 100.0  # largest distance from the mocap origin [m]
     tilt_max: float = radians(10.0)  # largest tilt [rad]
-    # Calibrated height of the body [m]; None takes the first accepted pose's
-    height: float | None = None
-    height_band: float = 0.03  # allowed deviation from it [m]
+    height_band: float = 0.03  # allowed deviation from the first accepted pose's height [m]
     speed_max: float = 6.0  # fastest the car can drive, with margin [m/s]
     jump_slack: float = 0.02  # position allowance at zero time [m]
     yaw_rate_max: float = 8.0  # fastest the car can turn [rad/s]
@@ -98,22 +96,19 @@ def step_gates(
     state: GateState,
     pose: Pose,
     *,
-    wheel_speed: float | None = None,
+    wheel_speed: float = nan,
     stationary: bool = False,
     metres_per_unit: float = 1.0,
 ) -> tuple[GateState, str | None]:
-    """Judge one pose.
+    """Judge one pose, timed and placed; the memory after, and None or the reason for rejection.
 
     Args:
         config: thresholds.
         state: memory before.
-        pose: the pose, timed and placed; one without a place is rejected.
-        wheel_speed: speed [m/s] of the wheels, None if unknown (a frozen pose then passes).
+        pose: one without a place is rejected.
+        wheel_speed: speed [m/s] of the wheels, NaN if unknown (a frozen pose then passes).
         stationary: the car is stopped and disarmed, so a new place may be taken in.
         metres_per_unit: the vendor's length unit.
-
-    Returns:
-        The memory after, and None or the reason for rejection.
     """
     order = find_disorder(state, pose)
     if order is not None:
@@ -131,8 +126,7 @@ def step_gates(
         return state, reason
     if pose.tilt > config.tilt_max:
         return state, "tilt"
-    moving = wheel_speed is not None and abs(wheel_speed) > config.frozen_speed
-    if moving and repeats >= config.frozen_count:
+    if abs(wheel_speed) > config.frozen_speed and repeats >= config.frozen_count:
         return state, "frozen"
     return _check_place(config, state, pose, stationary)
 
@@ -147,8 +141,6 @@ def find_disorder(state: GateState, pose: Pose) -> str | None:
 def _check_place(
     config: GateConfig, state: GateState, pose: Pose, stationary: bool
 ) -> tuple[GateState, str | None]:
-    if config.height is not None and abs(pose.height - config.height) > config.height_band:
-        return state, "height"
     reason = _compare(config, state, pose)
     if reason is None:
         height = pose.height if state.height is None else state.height

@@ -6,18 +6,18 @@ from dataclasses import dataclass, field, replace
 from math import nan
 from typing import Any
 
+from steerd.mocap_link.clock_sync import SourceTiming
 from steerd.mocap_link.frame import FrameConfig, make_planar_pose
 from steerd.mocap_link.gates import GateConfig, GateState, find_disorder, step_gates
 from steerd.mocap_link.source import (
+    PERIOD_NS,
     ClockKind,
-    MonitorConfig,
     MonitorState,
     Pose,
     SourceState,
     SourceStatus,
     step_monitor,
 )
-from steerd.mocap_link.timing import SourceTiming
 from steerd.steer_bus.quick_values import changed
 
 _NOWHERE = (nan, nan, nan, nan, nan)
@@ -31,7 +31,6 @@ class IngestConfig:
 
     frame: FrameConfig = field(default_factory=FrameConfig)
     gates: GateConfig = field(default_factory=GateConfig)
-    monitor: MonitorConfig = field(default_factory=MonitorConfig)
 
 
 class PoseIngest:
@@ -39,7 +38,7 @@ class PoseIngest:
 
     Attributes:
         timing: the source's clock maps; replace it when the server's clock becomes known.
-        wheel_speed: latest wheel speed [m/s] or None, for the frozen-pose gate.
+        wheel_speed: latest wheel speed [m/s], NaN while unknown, for the frozen-pose gate.
         stationary: the car is stopped and disarmed, so a new place may be taken in.
         counts: accepted poses and each rejection reason.
     """
@@ -47,16 +46,15 @@ class PoseIngest:
     def __init__(self, config: IngestConfig, timing: SourceTiming) -> None:
         self.config = config
         self.timing = timing
-        self.wheel_speed: float | None = None
+        self.wheel_speed = nan
         self.stationary = False
         self.counts: Counter[str] = Counter()
         self._gates = GateState()
         self._monitor = MonitorState()
-        self._monitor_config = config.monitor
+        self._period_ns = PERIOD_NS
         self._arrivals: deque[int] = deque()
         self._clock: ClockKind | None = None
         self._disorder_run = 0
-        self._relocated = False
         self._expected_hz: float | None = None
         self._metres_per_unit = 1e-3 if config.frame.units == "mm" else 1.0
 
@@ -69,8 +67,7 @@ class PoseIngest:
         """Take the server's own frame rate as the period of the stale rule."""
         if 1.0 <= rate_hz <= 2000.0:
             self._expected_hz = rate_hz
-            period_ns = round(1e9 / rate_hz)
-            self._monitor_config = replace(self._monitor_config, period_ns=period_ns)
+            self._period_ns = round(1e9 / rate_hz)
 
     def restart(self) -> None:
         """The server started anew: its frame numbers and its clock begin again.
@@ -100,8 +97,8 @@ class PoseIngest:
             metres_per_unit=self._metres_per_unit,
         )
         self.counts[reason or "accepted"] += 1
-        self._relocated = reason == "relocated"
-        self._count_rate(pose.t_arrival_ns)
+        self._arrivals.append(pose.t_arrival_ns)
+        self._drop_old(pose.t_arrival_ns)
         self._step(pose.t_arrival_ns, True, reason is None)
         return pose if reason is None else changed(pose, rejected=reason)
 
@@ -124,19 +121,18 @@ class PoseIngest:
             rate_hz=len(self._arrivals) * 1e9 / _RATE_WINDOW_NS,
             expected_rate_hz=self._expected_hz,
             last_good_ns=self._monitor.last_good_ns,
-            relocated=self._relocated,
             counts={**self.counts, **more_counts},
             **session,
         )
 
     def _step(self, t_ns: int, connected: bool, good: bool | None) -> None:
         self._monitor = step_monitor(
-            self._monitor_config,
             self._monitor,
             t_ns,
             connected=connected,
             clock_ready=self.timing.ready,
             good=good,
+            period_ns=self._period_ns,
         )
 
     def _watch_order(self, pose: Pose) -> bool:
@@ -148,10 +144,6 @@ class PoseIngest:
             self.restart()
             return True
         return disorder is None
-
-    def _count_rate(self, t_ns: int) -> None:
-        self._arrivals.append(t_ns)
-        self._drop_old(t_ns)
 
     def _drop_old(self, t_ns: int) -> None:
         while self._arrivals and t_ns - self._arrivals[0] >= _RATE_WINDOW_NS:

@@ -5,7 +5,6 @@ whatever the bytes.
 """
 
 import struct
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import assert_never
@@ -17,14 +16,11 @@ from steerd.mocap_link.natnet_wire import (
     I32,
     SECTION,
     U64,
+    Layout,
     NatNetError,
+    Reader,
     Version,
-    need,
-    read_count,
-    read_cstr,
-    read_i32,
     read_name,
-    read_size,
     write_cstr,
     write_name,
 )
@@ -37,6 +33,8 @@ NEWEST_VERSION: Version = (4, 2)
 FRAME_ID = 7
 
 _NAME = 256
+_STREAM = struct.Struct("<QHB")
+"""Of a server: clock frequency, data port, whether it multicasts."""
 Version4 = tuple[int, int, int, int]
 
 
@@ -163,128 +161,87 @@ def decode(data: bytes, version: Version) -> Message:
     try:
         message_id, size = HEADER.unpack_from(data)
         if len(data) != size + 4:
-            need(data, 4, size)
-            data = data[: size + 4]
+            data = data[:4] + Reader(data).take(size)
         if message_id == FRAME_ID:
-            return read_frame(data, 4, version)
-        return _decode_other(message_id, data, version)
+            return read_frame(Reader(data), version)
+        return _decode_other(message_id, Reader(data), version)
     except struct.error as error:
         raise NatNetError(str(error)) from error
 
 
-def _decode_other(message_id: int, data: bytes, version: Version) -> Message:
+def _decode_other(message_id: int, r: Reader, version: Version) -> Message:
     match message_id:
         case 1:
-            return _read_server_info(data)
+            return _read_server_info(r)
         case 2:
-            return Request(read_name(data, 4, len(data)))
+            return Request(read_name(r.data[4:]))
         case 3:
-            return Response(data[4:])
+            return Response(r.data[4:])
         case 5:
-            return read_model_def(data, 4, version)
+            return _read_model_def(r, version)
         case 8:
-            return MessageString(read_name(data, 4, len(data)))
+            return MessageString(read_name(r.data[4:]))
         case 12:
-            return EchoRequest(U64.unpack_from(data, 4)[0])
+            return EchoRequest(*r.unpack(U64))
         case 13:
-            return EchoResponse(U64.unpack_from(data, 4)[0], U64.unpack_from(data, 12)[0])
+            return EchoResponse(*r.unpack(U64), *r.unpack(U64))
     return _BARE.get(message_id, Unrecognized(message_id))
 
 
-def _read_version(data: bytes, at: int) -> Version4:
-    a, b, c, d = data[at : need(data, at, 4)]
-    return a, b, c, d
-
-
-def _read_server_info(data: bytes) -> ServerInfo:
-    at = 4 + _NAME
-    name = read_name(data, 4, _NAME)
-    app, natnet = _read_version(data, at), _read_version(data, at + 4)
-    if natnet[0] < 3:
-        return ServerInfo(name, app, natnet)
-    clock_hz, port, multicast = struct.unpack_from("<QHB", data, at + 8)
+def _read_server_info(r: Reader) -> ServerInfo:
+    name = read_name(r.take(_NAME))
+    a, b, c, d, *natnet = r.take(8)
+    version = (natnet[0], natnet[1], natnet[2], natnet[3])
+    if version[0] < 3:
+        return ServerInfo(name, (a, b, c, d), version)
+    clock_hz, port, multicast = r.unpack(_STREAM)
     if not clock_hz:
         raise NatNetError("server clock of 0 Hz")
-    group = ".".join(str(b) for b in _read_version(data, at + 19))
-    return ServerInfo(name, app, natnet, clock_hz, port, bool(multicast), group)
+    group = ".".join(map(str, r.take(4)))
+    return ServerInfo(name, (a, b, c, d), version, clock_hz, port, bool(multicast), group)
 
 
-def read_model_def(data: bytes, at: int, version: Version) -> ModelDef:
+def _read_model_def(r: Reader, version: Version) -> ModelDef:
     """Decode the payload of MODELDEF; layout: `docs/reference/mocap-protocols.md#m3.3`.
 
     From 4.1 on each item carries its size and is jumped by it; before, an unknown kind ends the
     list, and what was read until then is kept.
-
-    Raises:
-        NatNetError: the bytes break the layout of `version`.
-        struct.error: the datagram ends early (`decode` turns it into `NatNetError`).
     """
-    n, at = read_count(data, at)
     bodies: list[RigidBodyDesc] = []
-    for _ in range(n):
-        kind, at = read_i32(data, at)
-        end = None
-        if version >= (4, 1):
-            at, end = read_size(data, at)
+    others = _describe_others(version)
+    for _ in range(r.count()):
+        kind = r.i32()
+        end = r.sized() if version >= (4, 1) else None
         if kind == _RIGID_BODY:
-            body, at = _read_rigid_body(data, at, version)
-            bodies.append(body)
+            bodies.append(RigidBodyDesc(r.string(), r.i32()))
+            r.skip(_behind_body_id(version))
         elif end is None:
-            skip = _SKIP_DESCRIPTION.get(kind)
-            if skip is None:
+            if kind not in others:
                 break
-            at = skip(data, at, version)
+            r.skip(others[kind])
         if end is not None:
-            if at > end:
-                raise NatNetError(f"description runs {at - end} bytes over its size")
-            at = end
+            if r.at > end:
+                raise NatNetError(f"description runs {r.at - end} bytes over its size")
+            r.at = end
     return ModelDef(tuple(bodies))
 
 
 _MARKER_SET, _RIGID_BODY, _SKELETON, _CAMERA = 0, 1, 2, 5
 
 
-def _read_rigid_body(data: bytes, at: int, version: Version) -> tuple[RigidBodyDesc, int]:
-    name, at = read_cstr(data, at)
-    body_id, at = read_i32(data, at)
-    # parent id, offset, and since 4.2 a rotation; markers with place, label and since 4.0 name
-    at = need(data, at, 4 + 12 + (16 if version >= (4, 2) else 0))
-    if version >= (3, 0):
-        k, at = read_count(data, at)
-        at = _skip_names(data, need(data, at, 16 * k), k if version >= (4, 0) else 0)
-    return RigidBodyDesc(name, body_id), at
+def _behind_body_id(version: Version) -> Layout:
+    """Parent's id, offset and since 4.2 a rotation; markers with place, label, since 4.0 a name."""
+    own = 4 + 12 + (16 if version >= (4, 2) else 0)
+    if version < (3, 0):
+        return own
+    return own, [16, None] if version >= (4, 0) else [16]
 
 
-def _skip_names(data: bytes, at: int, n: int) -> int:
-    for _ in range(n):
-        _, at = read_cstr(data, at)
-    return at
-
-
-def _skip_marker_set(data: bytes, at: int, version: Version) -> int:
-    _, at = read_cstr(data, at)
-    n, at = read_count(data, at)
-    return _skip_names(data, at, n)
-
-
-def _skip_skeleton(data: bytes, at: int, version: Version) -> int:
-    _, at = read_cstr(data, at)
-    n, at = read_count(data, at + 4)  # behind the skeleton's id
-    for _ in range(n):
-        _, at = _read_rigid_body(data, at, version)
-    return at
-
-
-def _skip_camera(data: bytes, at: int, version: Version) -> int:
-    _, at = read_cstr(data, at)
-    return need(data, at, 12 + 16)  # place and rotation
-
-
-_SKIP_DESCRIPTION: dict[int, Callable[[bytes, int, Version], int]] = {
-    _MARKER_SET: _skip_marker_set,
-    _SKELETON: _skip_skeleton,
-    _CAMERA: _skip_camera,
-}
+def _describe_others(version: Version) -> dict[int, Layout]:
+    """Layouts of descriptions that are passed over; a camera's place and rotation close its."""
+    body: Layout = (None, 4, _behind_body_id(version))
+    skeleton: Layout = (None, 4, [body])
+    return {_MARKER_SET: (None, [None]), _SKELETON: skeleton, _CAMERA: (None, 12 + 16)}
 
 
 def encode(message: Message, version: Version = NEWEST_VERSION) -> bytes:
@@ -360,4 +317,4 @@ def _write_server_info(m: ServerInfo) -> bytes:
     if m.natnet_version[0] < 3:
         return head
     group = bytes(int(part) for part in m.group.split("."))
-    return head + struct.pack("<QHB", m.clock_hz, m.data_port, m.multicast) + group
+    return head + _STREAM.pack(m.clock_hz, m.data_port, m.multicast) + group

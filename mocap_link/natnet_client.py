@@ -9,6 +9,7 @@ from collections import Counter
 from typing import Literal
 
 from steerd.mocap_link import natnet
+from steerd.mocap_link.clock_sync import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
 from steerd.mocap_link.ingest import IngestConfig, PoseIngest
 from steerd.mocap_link.natnet_frame import (
     BITSTREAM_CHANGED,
@@ -19,7 +20,6 @@ from steerd.mocap_link.natnet_frame import (
 )
 from steerd.mocap_link.natnet_wire import NatNetError
 from steerd.mocap_link.source import Pose, SourceStatus
-from steerd.mocap_link.timing import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
 
 MS = 1_000_000
 SECOND = 1000 * MS
@@ -43,7 +43,6 @@ class NatNetSource:
         server_ip: the only address that is listened to.
         config: how its poses are timed, placed and judged.
         unicast: force unicast (True) or multicast (False); None follows the server.
-        extra_latency_ns: None takes the protocol's default.
 
     Attributes:
         ingest: the pipeline of its poses.
@@ -68,7 +67,7 @@ class NatNetSource:
     ) -> None:
         self.body = body
         self.server_ip = server_ip
-        self.ingest = PoseIngest(config, SourceTiming(1, two_way=False))
+        self.ingest = PoseIngest(config, SourceTiming(1))
         self._echo_resets = 0
         self._foreign_ip = ""
         self.info: natnet.ServerInfo | None = None
@@ -150,7 +149,7 @@ class NatNetSource:
                 self._on_server_info(message, t_ns)
             case natnet.EchoResponse(client_stamp=t_sent_ns) if t_sent_ns in self._echoes:
                 del self._echoes[t_sent_ns]
-                self.ingest.timing.add_echo(t_sent_ns, t_ns, message.server_ticks)
+                self.ingest.timing.echo.add(t_sent_ns, t_ns, message.server_ticks)
             case natnet.ModelDef():
                 self._on_model(message)
             case natnet.Response() if message.number is not None and self._rate_wanted:
@@ -192,7 +191,7 @@ class NatNetSource:
         self._note = f"connected to {info.name}"
         extra = DEFAULT_EXTRA_LATENCY_NS["natnet" if info.clock_hz else "natnet2"]
         hz = info.clock_hz or _LEGACY_TICKS_HZ
-        self.ingest.timing = SourceTiming(hz, extra, two_way=bool(info.clock_hz))
+        self.ingest.timing = SourceTiming(hz, extra)
         self._echo_resets = 0
         self._request_sync()
 
@@ -260,7 +259,7 @@ class NatNetSource:
 
         `t_ns` also stamps the echo, so pass the time of sending.
         """
-        resets = self.ingest.timing.echo_resets
+        resets = self.ingest.timing.echo.resets
         if resets != self._echo_resets:
             self._echo_resets = resets
             self._request_sync()

@@ -5,20 +5,10 @@ of stamps. Markers, skeletons, assets, force plates and devices are passed over:
 size that each section carries, before by walking its items. Written frames have none of them.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from struct import Struct
 
-from steerd.mocap_link.natnet_wire import (
-    SECTION,
-    NatNetError,
-    Version,
-    need,
-    read_count,
-    read_cstr,
-    read_i32,
-    read_size,
-)
+from steerd.mocap_link.natnet_wire import SECTION, Layout, NatNetError, Reader, Version
 from steerd.steer_bus.quick_values import quick_init
 
 TRACKING_VALID = 1
@@ -78,143 +68,84 @@ class Frame:
     params: int = 0
 
 
-_Skip = Callable[[bytes, int, int], int]
-"""Gives the offset behind so many items of a section."""
+_PLATES: Layout = [(4, [[4]])]
+"""Boards (an id each) with channels of samples: force plates, and devices."""
+_BEFORE: Layout = ([(None, [12])], [12])
+"""Before the bodies, where sections do not say their size: marker sets, other markers."""
+_BEHIND2: Layout = ([(4, [(_BODY2_HEAD.size, [20], _BODY2_TAIL.size)])], [22], _PLATES, 4)
+_BEHIND: Layout = ([(4, [_BODY.size])], [26], _PLATES, _PLATES)
+"""Behind them: skeletons (an id, bodies), labelled markers, plates; then devices, before 3.0 the
+software latency. 3.0 moved a body's markers (place, id, size) to its description."""
 
 
-def read_frame(data: bytes, at: int, version: Version) -> Frame:
-    """Decode the payload of FRAMEOFDATA.
-
-    Args:
-        data: the datagram, ending where the payload ends.
-        at: offset of the payload.
-        version: NatNet (major, minor) of the stream, from SERVERINFO.
+def read_frame(r: Reader, version: Version) -> Frame:
+    """Decode the payload of FRAMEOFDATA of a stream of `version`, which SERVERINFO says.
 
     Raises:
-        NatNetError: the bytes break the layout of `version`.
-        struct.error: the datagram ends early (`natnet.decode` turns it into `NatNetError`).
+        NatNetError, struct.error: as the reader does.
     """
-    number, at = read_i32(data, at)
-    if version >= (4, 1):
-        bodies, at = _read_sized_sections(data, at)
-    else:
-        bodies, at = _walk_sections(data, at, version >= (3, 0))
+    number = r.i32()
+    modern = version >= (3, 0)
+    bodies = _read_sized_sections(r) if version >= (4, 1) else _walk_sections(r, modern)
     mid = received = transmit = 0
-    if version >= (3, 0):
-        _, _, timestamp, mid, received, transmit = _STAMPS.unpack_from(data, at)
-        at += _STAMPS.size
-    else:
-        _, _, timestamp = _TIMECODE.unpack_from(data, at)
-        at += _TIMECODE.size
-    params = _read_suffix(data, at)
-    return Frame(number, bodies, timestamp, mid, received, transmit, params)
-
-
-def _read_sized_sections(data: bytes, at: int) -> tuple[tuple[RigidBody, ...], int]:
-    at = _jump_sections(data, at, 2)  # marker sets, other markers
-    n, at = read_count(data, at)
-    at, end = read_size(data, at)
-    bodies, at = _read_bodies(data, at, n)
-    if at != end:
-        raise NatNetError(f"{n} rigid bodies in a section of another size")
-    return bodies, _jump_sections(data, at, 5)  # skeletons, assets, markers, plates, devices
-
-
-def _jump_sections(data: bytes, at: int, count: int) -> int:
-    """The offset behind sections that say their size."""
-    empty = at + count * SECTION.size
-    if not any(data[at:empty]) and empty <= len(data):
-        return empty
-    for _ in range(count):
-        _, at = read_count(data, at)
-        _, at = read_size(data, at)
-    return at
-
-
-def _walk_sections(data: bytes, at: int, modern: bool) -> tuple[tuple[RigidBody, ...], int]:
-    def skip(at: int, skip_items: _Skip) -> int:
-        n, at = read_count(data, at)
-        return skip_items(data, at, n)
-
-    at = skip(at, _skip_marker_sets)
-    at = skip(at, _skip_each(12))  # other markers
-    n, at = read_count(data, at)
-    bodies, at = (_read_bodies if modern else _read_bodies2)(data, at, n)
-    at = skip(at, _skip_skeletons if modern else _skip_skeletons2)
-    at = skip(at, _skip_each(26 if modern else 22))  # labelled markers
-    at = skip(at, _skip_analog)  # force plates
     if modern:
-        return bodies, skip(at, _skip_analog)  # devices
-    return bodies, need(data, at, 4)  # software latency
+        _, _, timestamp, mid, received, transmit = r.unpack(_STAMPS)
+    else:
+        _, _, timestamp = r.unpack(_TIMECODE)
+    return Frame(number, bodies, timestamp, mid, received, transmit, _read_suffix(r))
 
 
-def _read_bodies(data: bytes, at: int, n: int) -> tuple[tuple[RigidBody, ...], int]:
-    end = need(data, at, _BODY.size * n)
+def _read_sized_sections(r: Reader) -> tuple[RigidBody, ...]:
+    _jump_sections(r, 2)  # marker sets, other markers
+    n, end = r.count(), r.sized()
+    bodies = _read_bodies(r, n)
+    if r.at != end:
+        raise NatNetError(f"{n} rigid bodies in a section of another size")
+    _jump_sections(r, 5)  # skeletons, assets, markers, plates, devices
+    return bodies
+
+
+def _jump_sections(r: Reader, count: int) -> None:
+    """Pass over sections that say their size."""
+    empty = r.at + count * SECTION.size
+    if not any(r.data[r.at : empty]) and empty <= r.end:
+        r.at = empty
+        return
+    for _ in range(count):
+        r.count()
+        r.at = r.sized()
+
+
+def _walk_sections(r: Reader, modern: bool) -> tuple[RigidBody, ...]:
+    r.skip(_BEFORE)
+    bodies = (_read_bodies if modern else _read_bodies2)(r, r.count())
+    r.skip(_BEHIND if modern else _BEHIND2)
+    return bodies
+
+
+def _read_bodies(r: Reader, n: int) -> tuple[RigidBody, ...]:
     return tuple(
         RigidBody(i, (x, y, z), (qx, qy, qz, qw), err, params)
-        for i, x, y, z, qx, qy, qz, qw, err, params in _BODY.iter_unpack(data[at:end])
-    ), end
+        for i, x, y, z, qx, qy, qz, qw, err, params in _BODY.iter_unpack(r.take(_BODY.size * n))
+    )
 
 
-def _read_bodies2(data: bytes, at: int, n: int) -> tuple[tuple[RigidBody, ...], int]:
+def _read_bodies2(r: Reader, n: int) -> tuple[RigidBody, ...]:
     bodies = []
     for _ in range(n):
-        i, x, y, z, qx, qy, qz, qw = _BODY2_HEAD.unpack_from(data, at)
-        k, at = read_count(data, at + _BODY2_HEAD.size)
-        # k positions (12 B), k ids (4 B), k sizes (4 B): 3.0 moved them to the description
-        at = need(data, at, 20 * k)
-        err, params = _BODY2_TAIL.unpack_from(data, at)
-        at += _BODY2_TAIL.size
-        bodies.append(RigidBody(i, (x, y, z), (qx, qy, qz, qw), err, params))
-    return tuple(bodies), at
+        i, x, y, z, qx, qy, qz, qw = r.unpack(_BODY2_HEAD)
+        r.skip([20])
+        bodies.append(RigidBody(i, (x, y, z), (qx, qy, qz, qw), *r.unpack(_BODY2_TAIL)))
+    return tuple(bodies)
 
 
-def _skip_each(size: int) -> _Skip:
-    return lambda data, at, n: need(data, at, size * n)
-
-
-def _skip_marker_sets(data: bytes, at: int, n: int) -> int:
-    for _ in range(n):
-        _, at = read_cstr(data, at)
-        k, at = read_count(data, at)
-        at = need(data, at, 12 * k)
-    return at
-
-
-def _skip_skeletons(data: bytes, at: int, n: int) -> int:
-    for _ in range(n):
-        k, at = read_count(data, at + 4)  # behind the skeleton's id
-        at = need(data, at, _BODY.size * k)
-    return at
-
-
-def _skip_skeletons2(data: bytes, at: int, n: int) -> int:
-    for _ in range(n):
-        k, at = read_count(data, at + 4)
-        _, at = _read_bodies2(data, at, k)
-    return at
-
-
-def _skip_analog(data: bytes, at: int, n: int) -> int:
-    """Boards with channels of samples."""
-    for _ in range(n):
-        k, at = read_count(data, at + 4)  # behind the board's id
-        for _ in range(k):
-            m, at = read_count(data, at)
-            at = need(data, at, 4 * m)
-    return at
-
-
-def _read_suffix(data: bytes, at: int) -> int:
+def _read_suffix(r: Reader) -> int:
     # The rest's length, not the version, shows whether the PTP stamp is there: decoders that
     # trust the version read the "models changed" bit from the stamp.
-    left = len(data) - at
-    if left == _SUFFIX_PTP.size:
-        _, _, params, end = _SUFFIX_PTP.unpack_from(data, at)
-    elif left == _SUFFIX.size:
-        params, end = _SUFFIX.unpack_from(data, at)
-    else:
+    left = r.end - r.at
+    if left not in (_SUFFIX.size, _SUFFIX_PTP.size):
         raise NatNetError(f"{left} bytes behind the stamps, expected 6 or 14")
+    *_, params, end = r.unpack(_SUFFIX if left == _SUFFIX.size else _SUFFIX_PTP)
     if end:
         raise NatNetError(f"end of data is {end}, expected 0")
     return int(params)
@@ -231,15 +162,13 @@ def write_frame(frame: Frame, version: Version) -> bytes:
     if version < (3, 0):
         bodies = b"".join(map(_write_body2, f.rigid_bodies))
         return _HEAD.pack(f.number, n) + bodies + _TAIL2.pack(0, 0, f.timestamp, f.params, 0)
-    bodies = b"".join(map(_write_body, f.rigid_bodies))
+    bodies = b"".join(
+        _BODY.pack(b.id, *b.position, *b.quaternion, b.mean_error, b.params) for b in f.rigid_bodies
+    )
     if version < (4, 1):
         return _HEAD.pack(f.number, n) + bodies + _TAIL.pack(0, 0, f.timestamp, *ticks, f.params, 0)
     head = _HEAD_SIZED.pack(f.number, n, len(bodies))
     return head + bodies + _TAIL_SIZED.pack(0, 0, f.timestamp, *ticks, 0, 0, f.params, 0)
-
-
-def _write_body(b: RigidBody) -> bytes:
-    return _BODY.pack(b.id, *b.position, *b.quaternion, b.mean_error, b.params)
 
 
 def _write_body2(b: RigidBody) -> bytes:

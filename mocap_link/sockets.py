@@ -8,9 +8,7 @@ blocks afterwards.
 import os
 import socket
 import struct
-import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.mocap_url import MocapUrl
@@ -18,6 +16,7 @@ from steerd.mocap_link.natnet import FRAME_ID, ServerInfo, peek_id
 from steerd.mocap_link.natnet_client import NatNetSource, Socket
 from steerd.mocap_link.source import Pose, SourceStatus
 from steerd.mocap_link.vrpn_client import VrpnSource
+from steerd.steer_bus.clock import Clock, MonotonicClock
 
 SECOND = 1_000_000_000
 STAMP_AGE_MAX_NS = SECOND // 5
@@ -29,23 +28,12 @@ _DRAIN_MAX = 256
 _RCVBUF = 1 << 20
 
 
-@dataclass(frozen=True, slots=True)
-class HostClock:
-    """The host's two clocks: all times are on the first, the kernel stamps on the second."""
-
-    monotonic_ns: Callable[[], int] = time.monotonic_ns
-    realtime_ns: Callable[[], int] = time.time_ns
-
-
 def make_receiver(
-    url: MocapUrl, config: IngestConfig, *, clock: HostClock | None = None
+    url: MocapUrl, config: IngestConfig, *, clock: Clock | None = None
 ) -> "MocapReceiver":
     """Make the receiver that an address asks for; blocks while the host name is resolved.
 
-    Args:
-        url: the address; its `up` goes before the configuration's.
-        config: the pipeline.
-        clock: the host's clocks, injected for tests.
+    The address's `up` goes before the configuration's.
 
     Raises:
         ValueError: a zenoh address (feed `zenoh_pose.make_bus_source` from the bus), or an up axis
@@ -53,7 +41,7 @@ def make_receiver(
         OSError: the host name does not resolve, or no socket can be made.
     """
     config = replace(config, frame=url.apply(config.frame))
-    clock = clock or HostClock()
+    clock = clock or MonotonicClock()
     if url.scheme == "natnet":
         ip = resolve(url.host)
         source = NatNetSource(url.body, ip, config, unicast=url.unicast)
@@ -105,14 +93,14 @@ def map_stamp(
 
 
 def _receive(
-    sock: socket.socket, size: int, clock: HostClock
+    sock: socket.socket, size: int, clock: Clock
 ) -> tuple[bytes, int, tuple[str, int]] | None:
     """Read once: data, arrival time and sender; None when there is nothing."""
     try:
         data, ancillary, _, sender = sock.recvmsg(size, 128)
     except (BlockingIOError, InterruptedError):
         return None
-    monotonic_ns = clock.monotonic_ns()
+    monotonic_ns = clock.now_ns()
     stamp = map_stamp(ancillary, monotonic_ns, clock.realtime_ns())
     return data, monotonic_ns if stamp is None else stamp, sender or ("", 0)
 
@@ -134,7 +122,7 @@ class NatNetReceiver:
     data_retry_ns = SECOND
 
     def __init__(
-        self, source: NatNetSource, port: int, clock: HostClock, *, interface: str | None = None
+        self, source: NatNetSource, port: int, clock: Clock, *, interface: str | None = None
     ) -> None:
         self.source, self.ingest = source, source.ingest
         self._server = (source.server_ip, port)
@@ -259,7 +247,7 @@ class VrpnReceiver:
     retry_first_ns = SECOND // 2
     retry_last_ns = 5 * SECOND
 
-    def __init__(self, source: VrpnSource, server: tuple[str, int], clock: HostClock) -> None:
+    def __init__(self, source: VrpnSource, server: tuple[str, int], clock: Clock) -> None:
         self.source, self.ingest = source, source.ingest
         self._server = server
         self._clock = clock
@@ -341,7 +329,7 @@ class VrpnReceiver:
     def _after_session(self) -> None:
         if self.source.up and self.source.dead is not None:
             self._close(self.source.dead)
-        elif self.source.client.counts["frames"]:
+        elif self.source.fed:
             self._retry_ns = self.retry_first_ns
 
     def _flush(self) -> None:

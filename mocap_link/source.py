@@ -60,14 +60,14 @@ class SourceState(StrEnum):
     LOST = "lost"
 
 
-@dataclass(frozen=True, slots=True)
-class MonitorConfig:
-    """Thresholds of the source state machine."""
-
-    period_ns: int = 10_000_000  # expected time between frames
-    stale_frames: int = 3  # missed frames after which the source is STALE
-    lost_ns: int = 150_000_000  # silence after which it is LOST; 2 m/s x 0.15 s = 30 cm blind
-    recover_frames: int = 10  # good frames in a row before OK, at start and after LOST
+PERIOD_NS = 10_000_000
+"""Time between two frames, until a server names its own rate."""
+STALE_FRAMES = 3
+"""Missed frames after which a source is STALE."""
+LOST_NS = 150_000_000
+"""Silence after which it is LOST; 2 m/s x 0.15 s = 30 cm blind."""
+RECOVER_FRAMES = 10
+"""Good frames in a row before OK, at the start and after LOST."""
 
 
 @quick_init
@@ -81,55 +81,48 @@ class MonitorState:
 
 
 def step_monitor(
-    config: MonitorConfig,
     s: MonitorState,
     t_ns: int,
     *,
     connected: bool,
     clock_ready: bool,
     good: bool | None = None,
+    period_ns: int = PERIOD_NS,
 ) -> MonitorState:
-    """Advance the machine by one frame or one tick of time.
+    """Advance the machine by one frame (`t_ns`: its arrival) or by time (`t_ns`: now).
 
-    A single good frame ends STALE (its poses are fused anyway); LOST asks for `recover_frames`
-    good frames in a row and a ready clock, as the first OK does.
-
-    Args:
-        config: thresholds.
-        s: state before.
-        t_ns: arrival of the frame, or now.
-        connected: whether the session with the server stands.
-        clock_ready: whether source times can be mapped.
-        good: a frame came and passed the gates (True) or failed them (False); None for no frame.
+    A single good frame ends STALE (its poses are fused anyway); LOST asks for `RECOVER_FRAMES`
+    good frames in a row and a ready clock, as the first OK does. `connected`: the session with the
+    server stands; `clock_ready`: source times can be mapped; `good`: the frame passed the gates or
+    failed them, None for no frame.
     """
     last_ns, run = s.last_good_ns, s.good_run
     if good:
-        gap = last_ns is not None and t_ns - last_ns > config.lost_ns
+        gap = last_ns is not None and t_ns - last_ns > LOST_NS
         last_ns, run = t_ns, 1 if gap else run + 1
     elif good is not None:
         run = 0
     age = None if last_ns is None else t_ns - last_ns
-    ready = clock_ready and run >= config.recover_frames
-    state = _next_state(config, s.state, age, connected, ready)
+    fresh = age is not None and age <= STALE_FRAMES * period_ns
+    ready = fresh and clock_ready and run >= RECOVER_FRAMES
+    lost = age is None or age > LOST_NS
+    state = _next_state(s.state, connected=connected, ready=ready, fresh=fresh, lost=lost)
     if good is None and state is s.state:
         return s
     return MonitorState(state, last_ns, run)
 
 
 def _next_state(
-    config: MonitorConfig, state: SourceState, age: int | None, connected: bool, ready: bool
+    state: SourceState, *, connected: bool, ready: bool, fresh: bool, lost: bool
 ) -> SourceState:
-    fresh = age is not None and age <= config.stale_frames * config.period_ns
     match state:
         case SourceState.CONNECTING:
             return SourceState.SYNCING if connected else state
-        case SourceState.SYNCING:
-            if ready and fresh:
-                return SourceState.OK
+        case SourceState.SYNCING if not ready:
             return state if connected else SourceState.CONNECTING
-        case SourceState.LOST:
-            return SourceState.OK if ready and fresh else state
-    if age is None or age > config.lost_ns:
+        case SourceState.SYNCING | SourceState.LOST:
+            return SourceState.OK if ready else state
+    if lost:
         return SourceState.LOST
     return SourceState.OK if fresh else SourceState.STALE
 
@@ -149,7 +142,5 @@ class SourceStatus:
     expected_rate_hz: float | None = None  # the server's own figure, None if not received
     last_good_ns: int | None = None  # arrival of the last accepted pose
     refused: bool = False  # the source cannot be used as configured (`detail` says why)
-    # The body is permanently somewhere else; needs a stopped car to be taken in
-    relocated: bool = False
     # Events by name: accepted, each rejection reason, malformed, foreign, ...
     counts: Mapping[str, int] = field(default_factory=dict)

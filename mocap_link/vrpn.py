@@ -9,7 +9,6 @@ WITHOUT the padding (the protocol's own text says otherwise; its code does not).
 from dataclasses import dataclass
 from struct import Struct
 
-PORT = 3883
 COOKIE_SIZE = 24
 MAX_MESSAGE = 65_536
 

@@ -7,9 +7,9 @@ and brings nothing. No subscription is needed, a server sends poses at once.
 from collections import Counter
 
 from steerd.mocap_link import vrpn
+from steerd.mocap_link.clock_sync import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
 from steerd.mocap_link.ingest import IngestConfig, PoseIngest
 from steerd.mocap_link.source import Pose, SourceStatus
-from steerd.mocap_link.timing import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
 
 SECOND = 1_000_000_000
 TICKS_HZ = 1_000_000
@@ -18,51 +18,62 @@ TICKS_HZ = 1_000_000
 _PING_ID, _PONG_ID = 0, 1
 
 
-class VrpnClient:
-    """One connection's client for one body; make a new one for each connection.
-
-    Args:
-        body: name of the tracker.
+class VrpnSource:
+    """A VRPN server's one body, from a byte stream to poses; survives reconnects.
 
     Attributes:
-        greeted: the server's cookie came and is good.
-        dead: why the connection must be closed, or None.
-        detail: the latest event to report.
+        ingest: the pipeline of its poses.
+        up: whether a connection stands.
+        greeted: the server's cookie came on this connection and is good.
+        fed: a pose of the body has come on it.
+        dead: why it must be closed, or None.
         counts: messages by fate.
     """
 
     ping_period_ns = SECOND
     half_open_ns = 3 * SECOND
 
-    def __init__(self, body: str) -> None:
+    def __init__(self, body: str, config: IngestConfig) -> None:
         self.body = body
-        self.greeted = False
-        self.dead: str | None = None
-        self.detail = "waiting for the server's greeting"
+        self.ingest = PoseIngest(config, SourceTiming(TICKS_HZ, DEFAULT_EXTRA_LATENCY_NS["vrpn"]))
         self.counts: Counter[str] = Counter()
+        self.up = False
+        self._begin()
+        self._detail = "connecting"
+
+    def _begin(self) -> None:
+        """What a new connection forgets of the one before."""
+        self.greeted = self.fed = False
+        self.dead: str | None = None
+        self._detail = "waiting for the server's greeting"
         self._buffer = bytearray()
         self._senders: dict[int, str] = {}
         self._types: dict[int, str] = {}
         self._heard_ns: int | None = None
-        self._ping_due = 0
-        self._sequence = 0
-        self._hello = vrpn.encode_cookie() + b"".join(
-            vrpn.encode(vrpn.make_description(kind, i, name))
-            for kind, i, name in (
-                (vrpn.SENDER_DESCRIPTION, 0, body),
-                (vrpn.TYPE_DESCRIPTION, _PING_ID, vrpn.PING_TYPE),
-                (vrpn.TYPE_DESCRIPTION, _PONG_ID, vrpn.PONG_TYPE),
-            )
-        )
+        self._ping_due = self._sequence = 0
 
     @property
     def bodies(self) -> tuple[str, ...]:
         """Names that the server gave its senders."""
         return tuple(name for name in self._senders.values() if name != vrpn.CONTROL_SENDER)
 
-    def hello(self) -> bytes:
-        """Return what to send as soon as the connection stands."""
-        return self._hello
+    def on_connect(self) -> bytes:
+        """A TCP connection stands: begin a session; returns what to send."""
+        self._begin()
+        self.ingest.restart()
+        self.up = True
+        said = (
+            (vrpn.SENDER_DESCRIPTION, 0, self.body),
+            (vrpn.TYPE_DESCRIPTION, _PING_ID, vrpn.PING_TYPE),
+            (vrpn.TYPE_DESCRIPTION, _PONG_ID, vrpn.PONG_TYPE),
+        )
+        described = (vrpn.encode(vrpn.make_description(*each)) for each in said)
+        return vrpn.encode_cookie() + b"".join(described)
+
+    def on_disconnect(self, why: str) -> None:
+        """The TCP connection ended."""
+        self.up = False
+        self._detail = why
 
     def on_bytes(self, data: bytes, t_arrival_ns: int) -> list[Pose]:
         """Take in bytes from the server; never raises.
@@ -87,7 +98,7 @@ class VrpnClient:
             return []
         del self._buffer[:used]
         poses = (self._on_message(message, t_arrival_ns) for message in messages)
-        return [pose for pose in poses if pose is not None]
+        return [self.ingest.push(pose) for pose in poses if pose is not None]
 
     def _greet(self) -> bool:
         if len(self._buffer) < vrpn.COOKIE_SIZE:
@@ -95,7 +106,7 @@ class VrpnClient:
         version = vrpn.check_cookie(bytes(self._buffer[: vrpn.COOKIE_SIZE]))
         del self._buffer[: vrpn.COOKIE_SIZE]
         self.greeted = True
-        self.detail = f"connected to VRPN {version}; waiting for {self.body!r}"
+        self._detail = f"connected to VRPN {version}; waiting for {self.body!r}"
         return True
 
     def _on_message(self, message: vrpn.Message, t_ns: int) -> Pose | None:
@@ -110,12 +121,13 @@ class VrpnClient:
             sensor, (position, (x, y, z, w)) = vrpn.read_pose(message.payload)
         except vrpn.VrpnError as error:
             self.counts["malformed"] += 1
-            self.detail = str(error)
+            self._detail = str(error)
             return None
         if sensor != 0:
             self.counts["other_sensor"] += 1
             return None
         self.counts["frames"] += 1
+        self.fed = True
         # a stamp before its own epoch is none, and no message could hold it
         stamp = message.stamp_us if message.stamp_us >= 0 else None
         return Pose(self.body, None, stamp, None, t_ns, position, (w, x, y, z))
@@ -129,9 +141,9 @@ class VrpnClient:
             self._name(self._senders, message)
             offered = ", ".join(self.bodies) or "none"
             if self.body in self._senders.values():
-                self.detail = f"following {self.body!r}"
+                self._detail = f"following {self.body!r}"
             else:
-                self.detail = f"no body {self.body!r} on the server yet; it offers: {offered}"
+                self._detail = f"no body {self.body!r} on the server yet; it offers: {offered}"
 
     def _name(self, names: dict[int, str], message: vrpn.Message) -> None:
         if len(names) < 10_000:
@@ -139,14 +151,17 @@ class VrpnClient:
 
     def _die(self, why: str) -> None:
         self.counts["broken"] += 1
-        self.dead = self.detail = why
+        self.dead = self._detail = why
 
     def on_timer(self, t_ns: int) -> bytes:
-        """Return bytes to send now: a ping a second once the server greeted.
+        """Let time pass; returns bytes to send: a ping a second once the server greeted.
 
         A server that is silent for 3 s in spite of pings is gone although TCP says nothing (a
         PC that lost power); `dead` is then set.
         """
+        self.ingest.on_timer(t_ns, connected=self.up and self.greeted)
+        if not self.up:
+            return b""
         if self._heard_ns is None:
             self._heard_ns = t_ns
         if self.dead is None and t_ns - self._heard_ns > self.half_open_ns:
@@ -158,50 +173,12 @@ class VrpnClient:
         sec, ns = divmod(t_ns, SECOND)
         return vrpn.encode(vrpn.Message(_PING_ID, 0, sec, ns // 1000, b"", self._sequence))
 
-
-class VrpnSource:
-    """A VRPN server's one body, from a byte stream to samples; survives reconnects."""
-
-    def __init__(self, body: str, config: IngestConfig) -> None:
-        self.client = VrpnClient(body)
-        self.ingest = PoseIngest(config, SourceTiming(TICKS_HZ, DEFAULT_EXTRA_LATENCY_NS["vrpn"]))
-        self.up = False
-        self._old_counts: Counter[str] = Counter()
-        self._why = "connecting"
-
-    @property
-    def dead(self) -> str | None:
-        """Why the connection must be closed, or None."""
-        return self.client.dead
-
-    def on_connect(self) -> bytes:
-        """A TCP connection stands: begin a session; returns what to send."""
-        self._old_counts += self.client.counts
-        self.client = VrpnClient(self.client.body)
-        self.ingest.restart()
-        self.up = True
-        return self.client.hello()
-
-    def on_disconnect(self, why: str) -> None:
-        """The TCP connection ended."""
-        self.up = False
-        self._why = why
-
-    def on_bytes(self, data: bytes, t_arrival_ns: int) -> list[Pose]:
-        """Take in a piece of the stream."""
-        return [self.ingest.push(raw) for raw in self.client.on_bytes(data, t_arrival_ns)]
-
-    def on_timer(self, t_ns: int) -> bytes:
-        """Let time pass; returns bytes to send."""
-        self.ingest.on_timer(t_ns, connected=self.up and self.client.greeted)
-        return self.client.on_timer(t_ns) if self.up else b""
-
     def status(self) -> SourceStatus:
         """Describe the source now."""
         return self.ingest.status(
-            connected=self.up and self.client.greeted,
-            detail=self.client.detail if self.up else self._why,
-            server="VRPN" if self.client.greeted else "",
-            bodies=self.client.bodies,
-            more_counts=self._old_counts + self.client.counts,
+            connected=self.up and self.greeted,
+            detail=self._detail,
+            server="VRPN" if self.greeted else "",
+            bodies=self.bodies,
+            more_counts=self.counts,
         )

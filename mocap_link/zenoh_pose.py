@@ -16,10 +16,10 @@ from typing import Annotated, Any
 
 import msgspec
 
+from steerd.mocap_link.clock_sync import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
 from steerd.mocap_link.ingest import IngestConfig, PoseIngest
 from steerd.mocap_link.mocap_url import MocapUrl
 from steerd.mocap_link.source import Pose, SourceStatus
-from steerd.mocap_link.timing import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
 from steerd.steer_bus import standard
 from steerd.steer_bus.codec import CodecError, decode
 from steerd.steer_bus.fields import message

@@ -53,8 +53,7 @@ class RunPlan:
     settings: Settings
     path: Path
     drill: Drill | None = None
-    drawn: Settings | None = None
-    """Of the simulated car, where a sweep drew one."""
+    drawn: Settings | None = None  # of the simulated car, where a sweep drew one
 
     @cached_property
     def controller(self) -> LaneController:
@@ -122,9 +121,7 @@ _KEPT = 8
 """Paths and designs that a process keeps: many drives in a row use few, in turn."""
 
 
-@lru_cache(_KEPT)
-def _parse_shape(spec: str) -> Path:
-    return parse_path(spec)
+_parse_shape = lru_cache(_KEPT)(parse_path)
 
 
 def _parse_path(spec: str) -> Path:
@@ -147,10 +144,7 @@ def make_plan(
 ) -> RunPlan:
     """Read the car file (unless its settings are given), the path, and design the controller.
 
-    Args:
-        options: of the run.
-        settings: of the car file, if it was read.
-        design: False where another process will design the controller.
+    `design`: False where another process will do that.
 
     Raises:
         SteerdError: any of them is refused, with the reason.
@@ -179,7 +173,10 @@ def make_plan(
             drill = parse_drill(options.drill, settings.file.car, settings.limits)
         except PlanError as error:
             raise SteerdError(str(error), "", ExitCode.USAGE) from None
-        plan = RunPlan(options, add_drill_fence(settings, drill), path, drill)
+        if drill.box is not None:  # the drill's box is the fence
+            limited = replace(settings.thresholds, fence=drill.box.fence)
+            settings = replace(settings, thresholds=limited)
+        plan = RunPlan(options, settings, path, drill)
     load_library()  # a missing one is said here, before any process is started
     if design:
         _ = plan.controller
@@ -198,13 +195,6 @@ def _near_path(spec: str) -> str:
         rest = ",".join((find_near(k, _SHAPE_OPTIONS) or k) + eq + value for k, eq, value in words)
     meant = (find_near(shape, _SHAPES) or shape) + colon + rest
     return f"did you mean --path {meant}?" if meant != spec else ""
-
-
-def add_drill_fence(settings: Settings, drill: Drill) -> Settings:
-    """The settings with the drill's box as the fence."""
-    if drill.box is None:
-        return settings
-    return replace(settings, thresholds=replace(settings.thresholds, fence=drill.box.fence))
 
 
 def make_design_car(settings: Settings) -> Car[float]:
@@ -245,12 +235,7 @@ def make_core(
 ) -> Core:
     """The control core of a plan.
 
-    Args:
-        plan: of the run.
-        boot_id: random number of this run.
-        epoch_ns: UNIX time minus monotonic time.
-        sinks: receivers of the messages.
-        leased: whether an operator's lease is needed.
+    `epoch_ns` is UNIX time minus monotonic time; `leased`: an operator's lease is needed.
     """
     from steerd.daemon.loop.core import Core
     from steerd.daemon.loop.loop import Loop

@@ -67,15 +67,7 @@ def _git() -> dict[str, str]:
 def make_metadata(
     plan: RunPlan, boot_id: int, epoch_ns: int, *, leased: bool, reproducible: bool = False
 ) -> dict[str, dict[str, str]]:
-    """Metadata records of a session.
-
-    Args:
-        plan: of the run.
-        boot_id: of the run.
-        epoch_ns: UNIX time minus monotonic time.
-        leased: whether an operator's lease is needed.
-        reproducible: without what differs between machines.
-    """
+    """Metadata of a session; where `reproducible`, without what differs between machines."""
     options, car = plan.options, plan.settings.file.car
     session = {
         "steerd_version": VERSION,

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from steerd.car_model.car_file import Learned, default_car_path, load_car, update_car
-from steerd.car_model.effect import Effect
 from steerd.car_model.effects import parse_effects
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
@@ -41,10 +40,7 @@ _STREAM = 17
 
 
 def load_sim_car(spec: str) -> Settings:
-    """The true car of a simulation.
-
-    Args:
-        spec: a car file, or `hidden:SEED`.
+    """The true car of a simulation, by a car file or `hidden:SEED`.
 
     Raises:
         SteerdError: the file cannot be used, or the seed is none.
@@ -71,26 +67,18 @@ def _hide(seed: int) -> dict[str, float]:
     return {name: float(f"{value:.4g}") for name, value in values.items()}
 
 
-def parse_added(texts: tuple[str, ...]) -> list[tuple[Effect, tuple[float, ...]]]:
-    """The effects of `--effect`.
-
-    Raises:
-        SteerdError: an effect is unknown or its value is invalid.
-    """
-    try:
-        return parse_effects(",".join(texts)) if texts else []
-    except ValueError as error:
-        hint = "`steerd effects` lists them"
-        raise SteerdError(f"--effect: {error}", hint, ExitCode.USAGE) from None
-
-
 def make_true_model(settings: Settings, effects: tuple[str, ...]) -> Model[float]:
     """The simulated car: that of the settings, with the effects of `--effect` added.
 
     Raises:
         SteerdError: an effect is unknown or its value is invalid.
     """
-    file, added = settings.file, parse_added(effects)
+    file = settings.file
+    try:
+        added = parse_effects(",".join(effects)) if effects else []
+    except ValueError as error:
+        hint = "`steerd effects` lists them"
+        raise SteerdError(f"--effect: {error}", hint, ExitCode.USAGE) from None
     return Model(
         file.car,
         (*file.effects, *(effect for effect, _ in added)),
@@ -131,15 +119,9 @@ def read_true_car(metadata: Mapping[str, Any]) -> Car[float] | None:
 def read_origin(metadata: Mapping[str, Any], *, own_car: bool = True) -> str:
     """The options of `steerd run` and `collect` that drive the car of a session again.
 
-    Of simulated hardware they name its car and its effects, of a car its port and its mocap.
-
-    Args:
-        metadata: of the session.
-        own_car: whether they name the session's car file; what is designed from another one says
-            itself what its car is beyond the equations.
-
-    Returns:
-        Words for a command line; none for the log of another system.
+    Of simulated hardware they name its car and its effects, of a car its port and its mocap; with
+    `own_car` also the session's car file: what is designed from another one says itself what its
+    car is beyond the equations. There are none for the log of another system.
     """
     try:
         options = decode_options(metadata.get("steerd.session", {}).get("options", ""))
@@ -161,11 +143,7 @@ def read_origin(metadata: Mapping[str, Any], *, own_car: bool = True) -> str:
 
 
 def compare_truths(named: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """What one car cannot have been: sessions whose simulated cars differ, as sentences.
-
-    Args:
-        named: metadata by the session's name.
-    """
+    """What one car cannot have been: named sessions whose simulated cars differ, in sentences."""
     truths = {name: truth for name, data in named.items() if (truth := read_truth(data))}
     remarks = []
     first = next(iter(truths), "")

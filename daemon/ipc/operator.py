@@ -42,12 +42,9 @@ class Operator:
     def make_parameters(
         self, wanted: Mapping[str, float], realtime_ns: int, name: str = ""
     ) -> bytes:
-        """The next request as one for other live parameters, encoded.
+        """The next request as one for other live parameters, encoded; what is not named stays.
 
-        Args:
-            wanted: `speed` [m/s], `offset` [m], `gain`; what is not named stays.
-            realtime_ns: now.
-            name: who asks under this lease, where it is not its holder.
+        `wanted` has `speed` [m/s], `offset` [m], `gain`; `name` is who asks, where not the holder.
         """
         speed, offset, gain = (wanted.get(each, nan) for each in LIVE)
         start, who = self._begin(realtime_ns), name or self.name
@@ -59,12 +56,9 @@ class Operator:
 
 
 def connect(given_endpoint: str | None, folder: Path | None, first: str = "steerd run") -> ZenohBus:
-    """Join the bus of a running daemon.
+    """Join the bus of a running daemon, which the command `first` starts.
 
-    Args:
-        given_endpoint: of the daemon; None for the lab's, or the one on this machine.
-        folder: this machine's folder of `steerd keys`; None for plain loopback.
-        first: the command that is to be started before.
+    Its endpoint is that of `folder` (of `steerd keys`) where none is given, else this machine's.
 
     Raises:
         SteerdError: none answers, or it refuses our certificate.

@@ -32,16 +32,12 @@ class PipeRecord:
     """One encoded outgoing message of the core."""
 
     topic: Topic
-    sequence: int
-    """Counter per topic."""
-    log_time_ns: int
-    """UNIX time at which the core sent it."""
-    publish_time_ns: int
-    """UNIX time of the sample itself."""
-    data: bytes
-    """CDR."""
+    sequence: int  # counter per topic
+    log_time_ns: int  # UNIX time at which the core sent it
+    publish_time_ns: int  # UNIX time of the sample itself
+    data: bytes  # CDR
+    # What was encoded, for readers in the core's own process; None behind a pipe
     message: Any = None
-    """What was encoded, for readers in the core's own process; None behind a pipe."""
 
 
 def read_message(record: PipeRecord) -> Any:

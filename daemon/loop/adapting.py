@@ -84,11 +84,7 @@ def take_design(now: Adapting, number: int, design: Design | None, why: str, t_n
 def step_adapting(now: Adapting, t_ns: int, *, driving: bool, tuned: bool) -> Adapting:
     """The design of this tick.
 
-    Args:
-        now: that of the last one.
-        t_ns: now.
-        driving: whether a drive goes on, without a fault.
-        tuned: whether the share of the feedback is not as designed.
+    `driving`: a drive goes on, without a fault; `tuned`: the feedback's share is not as designed.
     """
     given_up = driving and (now.given_up or (now.far and now.follows))
     doubts = (
@@ -157,15 +153,8 @@ def steer(
 ) -> tuple[Command[float], ControlReport, ControllerState, Adapting]:
     """One tick of the design in force; where it is another than before, no wheel moves for that.
 
-    Args:
-        before: the last tick's.
-        memory: the controller's, see `control`; the rest too.
-        estimate: of the car's state.
-        t_ns: now.
-        issued: the last order.
-        driving: whether a drive goes on, without a fault.
-        stop: whether to come to rest.
-        live: live parameters.
+    `before` and the controller's `memory` are the last tick's, `issued` is the last order.
+    `driving`: a drive goes on, without a fault; `stop`: the car is to come to rest.
     """
     if before.held is None:
         command, report, memory = control(
@@ -189,8 +178,9 @@ def steer(
     )  # fmt: skip
     if old is not None:
         offset = old.steer + offset - command.steer
-    if now.follows:
-        report = _as_posed(now, report, estimate, hint, live)
+    if now.follows:  # watchdogs judge the lane errors of the estimate as it is
+        at = project(now.controller.keeper.path, estimate.x, estimate.y, hint)
+        report = report._replace(**lane_errors(estimate, shift_lane(at, live.offset))._asdict())
     command = command._replace(steer=command.steer + offset)
     far = abs(report.e1) > now.far_e1
     return command, report, memory, replace(now, offset=offset, far=far, t_ns=t_ns)
@@ -206,11 +196,3 @@ def hand_over(memory: ControllerState, pasts: int) -> ControllerState:
 def _step_servo(now: Adapting, t_ns: int) -> Adapting:
     delay_s = now.controller.report.timing.delay_s
     return replace(now, servo=step_servo(now.servo, now.controller.car, delay_s, t_ns))
-
-
-def _as_posed(
-    now: Adapting, report: ControlReport, estimate: State[float], hint: int, live: LiveValues
-) -> ControlReport:
-    """The report with the lane errors of the estimate as it is: what watchdogs judge."""
-    at = project(now.controller.keeper.path, estimate.x, estimate.y, hint)
-    return report._replace(**lane_errors(estimate, shift_lane(at, live.offset))._asdict())

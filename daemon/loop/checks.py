@@ -52,14 +52,7 @@ def find_failures(
 ) -> Iterator[str]:
     """Pre-arm checks that fail, the cause before its consequences.
 
-    Args:
-        setup: of the loop.
-        vesc: what it reported about itself.
-        remote: the external controller.
-        now: this tick's measurements.
-        findings: of the watchdogs.
-        flags: of the runner.
-        estimated: there is a sound estimate.
+    `findings` are the watchdogs', `flags` the runner's; `estimated`: there is a sound estimate.
     """
     yield from check_vesc(vesc, setup.settings.brakes)
     if flags & Flag.UNBOUNDED:

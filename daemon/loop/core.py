@@ -19,7 +19,7 @@ from steerd.daemon.loop.checks import check_vesc
 from steerd.daemon.loop.design_desk import DesignDesk
 from steerd.daemon.loop.findings import CAUSES, Flag, make_finding, summarise
 from steerd.daemon.loop.live import make_parameters
-from steerd.daemon.loop.loop import Loop
+from steerd.daemon.loop.loop import REQUESTS, Loop
 from steerd.daemon.loop.orders import TickResult, make_order
 from steerd.daemon.loop.supervisor import WAITING, Conditions, step_supervisor
 from steerd.daemon.loop.transitions import DRIVING, Fact, SupervisorState, is_engaged
@@ -46,6 +46,8 @@ _INFO, _ERROR = 20, 40
 """Levels of `rcl_interfaces/Log`."""
 _HANDSHAKE = (m.ActuationMode.SILENT, m.ActuationMode.BRAKE)
 """Orders beside which a tick's write has room for the questions at the start."""
+_REQUESTS = {t.name: t for t in (topics.OPERATOR, topics.DRIVE, topics.SET_PARAMETERS)}
+"""What others ask of the car, by its topic's name."""
 
 
 class Core:
@@ -104,7 +106,7 @@ class Core:
     def feed_back(self, ingest: PoseIngest) -> None:
         """Show the mocap pipeline what it needs of the car."""
         seen = self.loop.perception
-        ingest.wheel_speed = seen.wheel_speed if seen.telemetry else None
+        ingest.wheel_speed = seen.wheel_speed
         ingest.stationary = seen.may_rebase
 
     def on_source(self, source: SourceStatus) -> None:
@@ -215,26 +217,18 @@ class Core:
 
     def on_request(self, name: str, data: bytes, t_ns: int) -> bool:
         """A message for the car from outside; False if it is not one."""
+        topic = _REQUESTS.get(name)
+        if topic is None:
+            return False
         try:
-            if name == topics.OPERATOR.name:
-                request = decode(m.OperatorRequest, data)
-                self.loop.on_operator(request, t_ns)
-                self.outbox.post(topics.OPERATOR, request, t_ns)
-                return True
-            if name == topics.DRIVE.name:
-                command = decode(m.DriveCommand, data)
-                self.loop.on_drive(command, t_ns)
-                self.outbox.post(topics.DRIVE, command, t_ns)
-                return True
-            if name == topics.SET_PARAMETERS.name:
-                wanted = decode(m.ParameterRequest, data)
-                self.loop.on_parameters(wanted, t_ns)
-                self.outbox.post(topics.SET_PARAMETERS, wanted, t_ns)
-                self._post_parameters(t_ns)
-                return True
+            request = decode(topic.message, data)
         except CodecError:
             return False
-        return False
+        REQUESTS[topic.message](self.loop, request, t_ns)
+        self.outbox.post(topic, request, t_ns)
+        if topic is topics.SET_PARAMETERS:
+            self._post_parameters(t_ns)
+        return True
 
     def on_proposal(self, data: bytes, t_ns: int) -> None:
         """The learner proposes a design; it is looked at after the next ticks."""
@@ -243,12 +237,19 @@ class Core:
     # --- the tick
 
     def tick(self, due_ns: int, now_ns: int, work_ns: int = 0) -> bytes:
-        """Decide; return the bytes of this tick's write. `post_tick` must follow it."""
+        """Decide; return the bytes of this tick's write. `post_tick` must follow it.
+
+        If the loop raises, the car brakes in this very tick and latches.
+        """
         flags = int(self.flags)
         self.flags &= ~(Flag.REBOOTED | Flag.SUSPENDED | CAUSES)
         self.on_serial(now_ns, b"")
         self._seq += 1
-        self.last = self._decide(due_ns, now_ns, flags)
+        try:
+            self.last = self.loop.tick(due_ns, now_ns, flags)
+        except Exception as error:
+            self.latch_exception(error)
+            self.last = make_failed_tick(self.loop, error, now_ns, bool(flags & Flag.LINKED))
         wire = self._make_wire(self.last.order.drive, now_ns)
         header = m.make_header(now_ns + self.outbox.epoch_ns, m.BODY)
         self._tick = m.Tick(header, due_ns, now_ns, work_ns, self._seq & 0xFFFFFFFF, flags)
@@ -259,39 +260,25 @@ class Core:
 
         Never raises; a message that cannot be encoded stops the car (W29).
         """
+        result, tick = self.last, self._tick
+        if result is None or tick is None:
+            return
+        now_ns, epoch, post = tick.woke_ns, self.outbox.epoch_ns, self.outbox.post
         try:
-            if self.last is not None and self._tick is not None:
-                self._post_tick(self.last, self._tick, written)
+            post(topics.TICK, tick, now_ns)
+            drive = result.order.drive
+            actuation = outgoing.make_actuation(tick.header, drive, written, self._seq)
+            post(topics.ACTUATION, actuation, now_ns)
+            post(topics.STATE, outgoing.make_state(result, self._seq, now_ns, epoch), now_ns)
+            self._post_changes(result, now_ns)
+            # The learner's proposal is looked at a little more; one that passed is the next tick's.
+            taken = self.designs.step(self.loop.adapting, now_ns, epoch)
+            if taken is not None:
+                self.loop.on_design(taken, now_ns)
+                post(topics.DESIGN, taken, now_ns)
+            self.outbox.flush(now_ns)
         except Exception as error:
             self.latch_exception(error)
-
-    def _post_tick(self, result: TickResult, tick: m.Tick, written: bytes) -> None:
-        now_ns, epoch = tick.woke_ns, self.outbox.epoch_ns
-        self.outbox.post(topics.TICK, tick, now_ns)
-        drive = result.order.drive
-        actuation = outgoing.make_actuation(tick.header, drive, written, self._seq)
-        self.outbox.post(topics.ACTUATION, actuation, now_ns)
-        self.outbox.post(
-            topics.STATE, outgoing.make_state(result, self._seq, now_ns, epoch), now_ns
-        )
-        self._post_changes(result, now_ns)
-        self._take_design(now_ns)
-        self.outbox.flush(now_ns)
-
-    def _take_design(self, now_ns: int) -> None:
-        """Look at the learner's proposal a little more; a design that passed is the next tick's."""
-        taken = self.designs.step(self.loop.adapting, now_ns, self.outbox.epoch_ns)
-        if taken is not None:
-            self.loop.on_design(taken, now_ns)
-            self.outbox.post(topics.DESIGN, taken, now_ns)
-
-    def _decide(self, due_ns: int, now_ns: int, flags: int) -> TickResult:
-        """The loop's decision; if it raises, the car brakes in this very tick and latches."""
-        try:
-            return self.loop.tick(due_ns, now_ns, flags)
-        except Exception as error:
-            self.latch_exception(error)
-            return make_failed_tick(self.loop, error, now_ns, bool(flags & Flag.LINKED))
 
     def _make_wire(self, drive: Drive, now_ns: int) -> bytes:
         """This tick's bytes: drive order and polls, and the handshake until it is done."""

@@ -172,11 +172,8 @@ class Flag:
 def merge_requests(pending: int, flags: int, state: SupervisorState, *, starts: bool) -> int:
     """Requests of this tick: the operators', of stop signals, and of a run that starts by itself.
 
-    Args:
-        pending: bits of `Request` that have arrived.
-        flags: of the runner.
-        state: the supervisor's.
-        starts: the run arms and starts once without an operator, and has not yet.
+    `pending` has arrived; `starts`: the run arms and starts once without an operator, and has not
+    yet.
     """
     requests = pending
     if flags & Flag.QUIT:

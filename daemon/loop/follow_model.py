@@ -65,14 +65,7 @@ class FollowModel(NamedTuple):
 def make_follow_model(
     car: Car[float], known: Mapping[str, float], config: FilterConfig, th: Thresholds
 ) -> FollowModel:
-    """The ranges for a car.
-
-    Args:
-        car: of the car file.
-        known: standard errors of what was identified, by parameter.
-        config: noise of the instruments.
-        th: the share that an identified car may be off, and the rest of what is allowed.
-    """
+    """The ranges for a car; `known`: standard errors of what was identified, by parameter."""
     share = th.follow_share
     soft = 1.0 / (GRAVITY * car.mu * (1.0 - share) ** 2)
     stiff = 1.0 / (GRAVITY * car.mu * (1.0 + share) ** 2)

@@ -134,11 +134,8 @@ def compare(
 ) -> Followed:
     """Hold the latest measurements against the bands of their own time.
 
-    Args:
-        state: bands up to now.
-        model: ranges.
-        wheel: time of validity [ns] and speed [m/s] of the last telemetry.
-        turns: what mocap saw; the one that is furthest off counts.
+    `wheel` is the time of validity [ns] and speed [m/s] of the last telemetry; of what mocap saw,
+    the turn that is furthest off counts.
     """
     trail = state.trail
     if not trail:
@@ -180,13 +177,9 @@ def _compare_turn(
 
 
 def measure_turns(track: Sequence[MocapPose], span: float) -> tuple[Turn, ...]:
-    """The ways from the newest pose back over `span` and over `LONG_TURN` times as long.
+    """The ways from the newest pose back over `span` [s] and over `LONG_TURN` times as long.
 
     A large miss shows in the short one at once, a small one in the long one above the noise.
-
-    Args:
-        track: poses in their order.
-        span: [s].
     """
     newest = len(track) - 1
     if newest < 1:

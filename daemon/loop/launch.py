@@ -78,16 +78,11 @@ def _find_fault(s: LaunchState) -> str:
 
 
 def step_launch(s: LaunchState, i: LaunchInput, wheelbase: float) -> tuple[LaunchState, str]:
-    """One tick of the launch window.
-
-    Args:
-        s: sums so far.
-        i: this tick.
-        wheelbase: [m].
+    """One tick of the launch window; wheelbase [m].
 
     Returns:
-        The new state (``done`` sets ``Is.LAUNCHED``), and what is wrong or "", to be
-        reported as the finding ``launch``.
+        The new sums (``done``: the checks have passed), and what is wrong or "", for the finding
+        ``launch``.
     """
     if s.done:
         return s, ""

@@ -44,11 +44,6 @@ class Lease:
     former: Numbers = ()  # last sequence numbers of former holders: no request is accepted twice
 
 
-def _is_new(former: Numbers, who: int, seq: int) -> bool:
-    """Whether a former holder has not sent this number or a later one before."""
-    return all(seq > last for other, last in former if other == who)
-
-
 def _remember(former: Numbers, who: int, seq: int) -> Numbers:
     """Add the holder who loses the lease; 0 stands for nobody."""
     rest = tuple(pair for pair in former if pair[0] != who)
@@ -76,16 +71,14 @@ def admit(
     lease: Lease, request: OperatorRequest | ParameterRequest | DriveCommand, t_ns: int, idle: bool
 ) -> tuple[Lease, bool]:
     """Whether the sender of a request holds the lease, or takes one that is free now."""
-    own = request.lease_id == lease.holder != 0 and request.seq > lease.seq
-    takes = (
-        idle
-        and request.lease_id not in (0, lease.holder)
-        and _is_new(lease.former, request.lease_id, request.seq)
-    )
+    who, seq = request.lease_id, request.seq
+    own = who == lease.holder != 0 and seq > lease.seq
+    # A former holder's number must be later than all that it has sent.
+    takes = idle and who not in (0, lease.holder) and seq > dict(lease.former).get(who, seq - 1)
     if request.boot_id != lease.boot_id or not (own or takes):
         return replace(lease, refused=lease.refused + 1), False
     former = _remember(lease.former, lease.holder, lease.seq) if takes else lease.former
-    return Lease(lease.boot_id, request.lease_id, request.seq, t_ns, lease.refused, former), True
+    return Lease(lease.boot_id, who, seq, t_ns, lease.refused, former), True
 
 
 def lease_age(lease: Lease, t_ns: int) -> float:

@@ -47,16 +47,10 @@ def make_live(bounds: LiveBounds | None) -> Live:
 
 
 def take_request(live: Live, request: ParameterRequest, admitted: bool) -> Live:
-    """Accept all values of a request or none.
-
-    Args:
-        live: so far.
-        request: as it came.
-        admitted: whether the sender holds the lease.
-    """
+    """Accept all values of a request or none; `admitted`: its sender holds the lease."""
+    wanted = request.speed, request.offset, request.gain
     aim = LiveValues(*(
-        old if isnan(new) else new
-        for new, old in zip(_wanted(request), live.aim, strict=True)
+        old if isnan(new) else new for new, old in zip(wanted, live.aim, strict=True)
     ))  # fmt: skip
     problem = next(_find_problems(live.bounds, aim, admitted), "")
     answered = replace(
@@ -67,10 +61,6 @@ def take_request(live: Live, request: ParameterRequest, admitted: bool) -> Live:
         text=problem or f"set by {request.operator or 'an operator'}",
     )
     return answered if problem else replace(answered, aim=aim)
-
-
-def _wanted(request: ParameterRequest) -> LiveValues:
-    return LiveValues(request.speed, request.offset, request.gain)
 
 
 def _find_problems(bounds: LiveBounds | None, aim: LiveValues, admitted: bool) -> Iterator[str]:

@@ -5,6 +5,9 @@ give the same orders. Decisions are made by the pure functions that it calls; th
 states from tick to tick.
 """
 
+from collections.abc import Callable, Mapping
+from typing import Any
+
 from steerd.car_model.model import believed_car
 from steerd.car_model.state import Command
 from steerd.controller.lane_controller import ControllerState, ControlReport, start_controller
@@ -36,7 +39,7 @@ from steerd.daemon.loop.transitions import (
     is_engaged,
 )
 from steerd.daemon.loop.watchdogs import WatchdogInput
-from steerd.daemon.loop.watching import Watching
+from steerd.daemon.loop.watching import TickInput, Watching
 from steerd.estimator.state_filter import StateEstimate
 from steerd.steer_bus import messages as m
 
@@ -132,11 +135,11 @@ class Loop:
         speed = best_speed(estimate, self.perception.recent_wheel_speed(now_ns))
         wish, report = self._make_wish(estimate, now_ns)
         silent = leases.lease_age(self.lease, now_ns) if self.setup.leased else 0.0
-        lane, last = judge_both_lanes(report, self.live.now), self._limiter.order
-        now, findings = self._watching.look(
-            self.supervisor.state, estimate, lane, self.remote, last, speed, silent, due_ns, now_ns,
-            flags,
-        )  # fmt: skip
+        old, lane = self.supervisor.state, judge_both_lanes(report, self.live.now)
+        now, findings = self._watching.look(TickInput(
+            due_ns, now_ns, flags, old, self._limiter.order, estimate, lane, self.remote, speed,
+            silent,
+        ))  # fmt: skip
         settings = self.setup.settings
         failures = find_failures(
             self.setup, self.vesc, self.remote, now, findings, flags, estimated=report is not None
@@ -147,7 +150,6 @@ class Loop:
         vesc = self.vesc
         timeout_ns = 0 if vesc is None or vesc.timeout_ms < 0 else vesc.timeout_ms * 1_000_000
         conditions = Conditions(facts, speed, timeout_ns, text)
-        old = self.supervisor.state
         starts = self.setup.auto_arm and not self.ran
         requests = merge_requests(self._requests_pending, flags, old, starts=starts)
         self.supervisor, action = step_supervisor(self.supervisor, conditions, requests, now_ns)
@@ -269,3 +271,10 @@ class Loop:
         """Whether this process may end: parked, or stopped by an emergency stop and standing."""
         s = self.supervisor
         return self.parked or (s.state is SupervisorState.ESTOP and stands(s, s.t_ns))
+
+
+REQUESTS: Mapping[type, Callable[[Loop, Any, int], None]] = {
+    m.OperatorRequest: Loop.on_operator, m.DriveCommand: Loop.on_drive,
+    m.ParameterRequest: Loop.on_parameters, m.Design: Loop.on_design,
+}  # fmt: skip
+"""What takes a message that was sent to the loop, with the time at which it arrived."""

@@ -68,14 +68,7 @@ def make_order(
 ) -> Order:
     """Make the order for an action; a wish that is missing or not finite brakes.
 
-    Args:
-        settings: limits, brake currents, and the VESC's scaling: orders are rounded to what it
-            can express.
-        state: of the output limiter.
-        action: the supervisor's.
-        wish: the controller's, None if it has none.
-        speed: the car's, best known [m/s].
-        t_ns: now.
+    Orders are rounded to what the VESC's scaling can express; `speed` is the best known [m/s].
     """
     limits, brakes, scaling = settings.limits, settings.brakes, settings.scaling
     measured = speed if isfinite(speed) else limits.speed_max
@@ -94,7 +87,11 @@ def make_order(
     # While no speed is commanded, the next order starts from the measured one.
     seen = Command(limited.order.steer, max(measured, 0.0))
     rolling = make_limiter_state(limits, seen, t_ns)
-    return Order(_make_brake_drive(action.motor, brakes, steer), rolling, None, limited.verdict)
+    if action.motor in _CURRENTS:
+        drive = Drive(ActuationMode.BRAKE, steer, current=_CURRENTS[action.motor](brakes))
+    else:
+        drive = Drive(_UNBRAKED.get(action.motor, ActuationMode.SILENT), steer)
+    return Order(drive, rolling, None, limited.verdict)
 
 
 def _make_target(
@@ -106,9 +103,3 @@ def _make_target(
     elif action.steering is SteeringOutput.LIVE and wish is not None:
         steer = wish.steer
     return Command(steer, wish.speed if wish is not None and action.motor in _DRIVEN else speed)
-
-
-def _make_brake_drive(motor: MotorOutput, brakes: BrakeSettings, steer: float | None) -> Drive:
-    if motor in _CURRENTS:
-        return Drive(ActuationMode.BRAKE, steer, current=_CURRENTS[motor](brakes))
-    return Drive(_UNBRAKED.get(motor, ActuationMode.SILENT), steer)

@@ -32,8 +32,7 @@ class Perception:
 
     Attributes:
         watch: memory of the frame watchdogs.
-        telemetry: the last reply with telemetry, or None.
-        values: the same; all unknown before the first.
+        values: the last reply with telemetry; `NO_TELEMETRY`, all unknown, before the first.
         wheel_speed: by the wheels, from that reply [m/s]; NaN while unknown.
         wheel: the same with its time of validity [ns]; None while unknown.
         mocap_speed: by mocap alone over the last 100 to 200 ms [m/s]; NaN while unknown.
@@ -62,7 +61,6 @@ class Perception:
         self._seen = 0
         self.watch = PoseWatch()
         self.track: deque[m.MocapPose] = deque()
-        self.telemetry: m.VescTelemetry | None = None
         self.values = NO_TELEMETRY
         self.wheel_speed = self.mocap_speed = nan
         self.wheel: tuple[int, float] | None = None
@@ -93,7 +91,7 @@ class Perception:
 
     def on_telemetry(self, telemetry: m.VescTelemetry) -> None:
         """Take motor telemetry; its wheel speed is valid in the middle of the exchange."""
-        self.telemetry = self.values = telemetry
+        self.values = telemetry
         speed = self.wheel_speed = erpm_to_speed(self._scaling, telemetry.erpm)
         self.wheel = (telemetry.t_sent_ns + telemetry.t_received_ns) // 2, speed
         self._measurements.append(make_wheel_speed(*self.wheel))
@@ -159,9 +157,9 @@ class Perception:
 
     def telemetry_age(self, now_ns: int) -> float:
         """Seconds since a reply; infinite before the first."""
-        if self.telemetry is None:
+        if self.values is NO_TELEMETRY:
             return inf
-        return (now_ns - self.telemetry.t_received_ns) * 1e-9
+        return (now_ns - self.values.t_received_ns) * 1e-9
 
 
 def best_speed(estimate: sf.StateEstimate | None, wheel_speed: float) -> float:

@@ -137,7 +137,7 @@ def parse_box(text: str) -> Box:
     raise PlanError(f"box {text!r}: give its side, or x_min,y_min,x_max,y_max in metres")
 
 
-def _make_circles(car: Car[float], limits: Limits, scale: float, speed: float) -> Iterator[Segment]:
+def _make_circles(car: Car[float], limits: Limits) -> Iterator[Segment]:
     """The paper's sixteen circles."""
     left = min(limits.steer_left_max, car.steer_max)
     right = min(limits.steer_right_max, -car.steer_min)
@@ -210,7 +210,7 @@ def _make_segments(
     name: str, car: Car[float], limits: Limits, radius: float, speed: float
 ) -> tuple[Segment, ...]:
     if name == "circles":
-        return tuple(_make_circles(car, limits, radius, speed))
+        return tuple(_make_circles(car, limits))
     orbit = _make_orbit(car, limits, radius, speed, _swing_share(name))
     sides = (tuple(_make_waves(orbit, side, _PATTERNS[name])) for side in (1.0, -1.0))
     return tuple(segment for side in sides for segment in _scale_to_whole_turns(car, side))
@@ -285,14 +285,7 @@ def _is_inside(box: Box, extent: Box) -> bool:
 def make_open_drill(
     name: str, car: Car[float], limits: Limits, box: Box | None, speed: float
 ) -> Drill:
-    """The plan with the widest orbits that fit the box.
-
-    Args:
-        name: one of `NAMES`.
-        car: as believed.
-        limits: of the car.
-        box: where to stay; None has orbits for the full speed.
-        speed: highest [m/s].
+    """The plan with the widest orbits that fit the box; without one, for the full `speed` [m/s].
 
     Raises:
         PlanError: unknown name, or no orbit fits.

@@ -245,16 +245,10 @@ WAITING = {
 def step_supervisor(
     old: SupervisorMemory, conditions: Conditions, requests: int, t_ns: int
 ) -> tuple[SupervisorMemory, Action]:
-    """One tick of the supervisor.
+    """One tick of the supervisor: its new memory, and what this tick must put on the wire.
 
-    Args:
-        old: memory of the last tick.
-        conditions: of this tick; after a gap of more than 100 ms timers start again.
-        requests: bits of ``Request``, several at once allowed; the stopping one wins.
-        t_ns: now, monotonic.
-
-    Returns:
-        The new memory, and what this tick must put on the wire.
+    After a gap of more than 100 ms between two ticks timers start again. Of several ``requests``
+    (bits of ``Request``) the stopping one wins.
     """
     still, checks, proof = _renew_timers(old, conditions, t_ns)
     s = changed(old, t_ns=t_ns, still_ns=still, checks_ns=checks, proof_ns=proof)

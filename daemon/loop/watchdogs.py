@@ -312,7 +312,7 @@ class WatchdogState:
 
 
 def is_slowing(w: WatchdogState) -> bool:
-    """Whether the stop works as far as is known (``Is.SLOWING``); if not, SET_DUTY 0 is next."""
+    """Whether the stop works as far as is known (``Fact.SLOWING``); if not, SET_DUTY 0 is next."""
     return w.weak == 0
 
 

@@ -88,20 +88,12 @@ def _check_pose(th: Thresholds, w: PoseWatch, pose: MocapPose, wheel_speed: floa
 def step_pose(
     th: Thresholds, w: PoseWatch, pose: MocapPose, wheel_speed: float, may_rebase: bool
 ) -> tuple[PoseWatch, PoseVerdict]:
-    """Check one frame.
+    """Check one frame, placed; the new memory and the verdict.
 
-    Args:
-        th: thresholds.
-        w: memory.
-        pose: the pose, placed.
-        wheel_speed: speed by the VESC [m/s]; a standing car may well repeat its pose bit by bit.
-        may_rebase: the car is disarmed or latched, and stands: frames that are sane but contradict
-            the last good one (carried by hand, server restarted), or the filter (it was blind while
-            the car drove), become the new truth when enough of them arrive in a row. Never while
-            the motor may turn.
-
-    Returns:
-        The new memory and the verdict.
+    A car that stands by `wheel_speed` [m/s] may well repeat its pose bit by bit. `may_rebase`: the
+    car is disarmed or latched, and stands. Frames that are sane but contradict the last good one
+    (carried by hand, server restarted), or the filter (it was blind while the car drove), then
+    become the new truth when enough of them arrive in a row. Never while the motor may turn.
     """
     verdict = _check_pose(th, w, pose, wheel_speed)
     astray = may_rebase and w.rejected >= th.nis_frames

@@ -25,15 +25,27 @@ from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.loop.watchdogs import WatchdogInput, WatchdogState, is_slowing, step_watchdogs
 from steerd.daemon.settings.thresholds import LAUNCH_SPEED
 from steerd.estimator.state_filter import StateEstimate
+from steerd.steer_bus.quick_values import quick_value
+
+
+@quick_value
+class TickInput:
+    """What is judged in a tick, but for the measurements."""
+
+    due_ns: int  # when it was due
+    t_ns: int  # now
+    flags: int  # of the runner
+    state: SupervisorState  # the supervisor's, of the last tick
+    order: Command[float]  # the last one
+    estimate: StateEstimate | None  # of the car's state
+    lane: ControlReport | None  # errors of its place in the lane; None where they are not known
+    remote: Remote  # the external controller
+    speed: float  # best known [m/s]
+    silent: float  # time since the operator's last request [s]
 
 
 class Watching:
     """Watchdogs and their memories.
-
-    Args:
-        setup: what does not change during a run.
-        car: as the car file believes it.
-        perception: measurements, as the loop keeps them.
 
     Attributes:
         launched: whether the launch checks of this drive have passed.
@@ -65,45 +77,22 @@ class Watching:
             self._following, self._ranges, t_ns, order.command, speed
         )
 
-    def look(
-        self,
-        state: SupervisorState,
-        estimate: StateEstimate | None,
-        lane: ControlReport | None,
-        remote: Remote,
-        order: Command[float],
-        speed: float,
-        silent: float,
-        due_ns: int,
-        now_ns: int,
-        flags: int,
-    ) -> tuple[WatchdogInput, tuple[fs.Finding, ...]]:
-        """The measurements of a tick, NaN where nothing is known, and all findings.
-
-        Args:
-            state: the supervisor's, of the last tick.
-            estimate: of the car's state.
-            lane: errors of its place in the lane; None where they are not known.
-            remote: the external controller.
-            order: the last one.
-            speed: best known [m/s].
-            silent: time since the operator's last request [s].
-            due_ns: when the tick was due.
-            now_ns: now.
-            flags: of the runner.
-        """
-        reported = [*fs.make_reported_findings(flags), *self._find_late(due_ns, now_ns, flags)]
+    def look(self, tick: TickInput) -> tuple[WatchdogInput, tuple[fs.Finding, ...]]:
+        """The measurements of a tick, NaN where nothing is known, and all findings."""
+        now_ns, state, estimate, lane = tick.t_ns, tick.state, tick.estimate, tick.lane
+        reported = [*fs.make_reported_findings(tick.flags), *self._find_late(tick)]
         running = state is SupervisorState.RUNNING
         if running and estimate is not None and not self.launched:
-            reported += self._check_launch(estimate.state, order, now_ns)
+            reported += self._check_launch(estimate.state, tick.order, now_ns)
         if self._not_finite:
             what = "the controller gave a number that is not finite"
             reported.append(fs.make_finding("limiter", what))
         if running and self._setup.remote:
-            reported += _find_silence(remote, now_ns)
+            reported += _find_silence(tick.remote, now_ns)
         seen, limits, brakes = self._seen, self._settings.limits, self._settings.brakes
         s, health = estimated_state(estimate), estimate.health if estimate else None
         v, (e1, e2) = seen.values, (lane.e1, lane.e2) if lane else (nan, nan)
+        steer = tick.order.steer
         if self._setup.ignores_lane:
             e1 = e2 = 0.0
         now = WatchdogInput(
@@ -112,8 +101,8 @@ class Watching:
             pose=seen.watch,
             mocap_age=seen.mocap_age(now_ns),
             telemetry_age=seen.telemetry_age(now_ns),
-            lease_age=silent,
-            speed=speed,
+            lease_age=tick.silent,
+            speed=tick.speed,
             speed_erpm=seen.wheel_speed,
             speed_mocap=seen.mocap_speed,
             speed_limit=limits.speed_max if self.launched else min(LAUNCH_SPEED, limits.speed_max),
@@ -125,8 +114,8 @@ class Watching:
             covariance_ok=health.sound if health else True,  # its sigmas are not known: W6 trips
             lateral_error=e1,
             heading_error=e2,
-            steer_share=abs(order.steer)
-            / (limits.steer_left_max if order.steer > 0.0 else limits.steer_right_max),
+            steer_share=abs(steer)
+            / (limits.steer_left_max if steer > 0.0 else limits.steer_right_max),
             status=v.status if v.status > 0 else 0,  # -1: not sent
             fault_code=v.fault_code if v.fault_code > 0 else 0,
             tachometer=v.tachometer_abs,
@@ -139,14 +128,15 @@ class Watching:
         )
         self._watchdogs, found = step_watchdogs(self._settings.thresholds, self._watchdogs, now)
         self.slowing = is_slowing(self._watchdogs)
-        return now, tuple(map(fs.advise_simulation, found)) if self._setup.simulated else found
+        advised = found and self._setup.simulated
+        return now, tuple(map(fs.advise_simulation, found)) if advised else found
 
-    def _find_late(self, due_ns: int, now_ns: int, flags: int) -> list[fs.Finding]:
+    def _find_late(self, tick: TickInput) -> list[fs.Finding]:
         """W15."""
         self._lateness, late = step_lateness(
-            self._lateness, due_ns, now_ns, self._setup.period_ns, self._late_rules
+            self._lateness, tick.due_ns, tick.t_ns, self._setup.period_ns, self._late_rules
         )
-        return [] if late is None else [fs.blame_late(late, flags)]
+        return [] if late is None else [fs.blame_late(late, tick.flags)]
 
     def _check_launch(self, s: State[float], order: Command[float], t_ns: int) -> list[fs.Finding]:
         aim = references(FLOAT, self._car, order)  # gain and bias of the linkage

@@ -44,12 +44,8 @@ def record_virtual(
 ) -> VirtualRun:
     """Drive in virtual time into a session file; an interrupted drive is kept as far as it came.
 
-    Args:
-        plan: what to drive.
-        path: the session file.
-        go: drives the run to its end.
-        see: is handed what was recorded, and when [ns].
-        world: the simulated hardware; None for that of the plan.
+    `go` drives the run to its end; `see` is handed what was recorded, and when [ns]; `world` is the
+    simulated hardware where it is not the plan's.
 
     Raises:
         SteerdError: the disk does not take the file; what was written of it stays.
@@ -84,9 +80,7 @@ def _learn_beside(
 ) -> Callable[[PipeRecord], Iterator[PipeRecord]]:
     """What gives each record of a drive back, with `--learn` also the report that it completes.
 
-    Args:
-        plan: of the drive.
-        propose: takes the proposals of `--adapt`, and when they were made [ns].
+    `propose` takes the proposals of `--adapt`, and when they were made [ns].
 
     Raises:
         ValueError: the car file holds what identify does not write.

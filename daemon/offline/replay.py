@@ -15,7 +15,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import watched
 from steerd.daemon.common.translate import reading
 from steerd.daemon.loop.findings import Flag
-from steerd.daemon.loop.loop import Loop
+from steerd.daemon.loop.loop import REQUESTS, Loop
 from steerd.daemon.loop.outgoing import make_actuation, read_actuation
 from steerd.daemon.settings.config import make_settings
 from steerd.daemon.settings.run_options import decode_options
@@ -54,25 +54,16 @@ def make_replay_plan(session: Session, name: str) -> tuple[RunPlan, int, int, bo
 
 
 class Replay:
-    """A recorded run going through the loop again.
-
-    Attributes:
-        loop: the loop.
-        ticks: how many were compared.
-    """
+    """A recorded run going through the loop again; `ticks` counts those that were compared."""
 
     def __init__(self, plan: RunPlan, boot_id: int, epoch_ns: int, leased: bool) -> None:
         self.loop = Loop(make_loop_setup(plan, boot_id, leased))
         self.ticks = 0
         self._epoch_ns = epoch_ns
-        loop, seen = self.loop, self.loop.perception
+        seen = self.loop.perception
         self._seen: dict[type, Callable[[Any], None]] = {
             m.MocapPose: seen.on_pose, m.VescTelemetry: seen.on_telemetry, m.VescImu: seen.on_imu,
-            m.VescIdentity: loop.on_vesc,
-        }  # fmt: skip
-        self._asked: dict[type, Callable[[Any, int], None]] = {
-            m.OperatorRequest: loop.on_operator, m.DriveCommand: loop.on_drive,
-            m.ParameterRequest: loop.on_parameters, m.Design: loop.on_design,
+            m.VescIdentity: self.loop.on_vesc,
         }  # fmt: skip
         self._expected: tuple[int, int, tuple[float, ...]] | None = None
 
@@ -83,8 +74,8 @@ class Replay:
         message, t_ns = record.decode(), record.log_ns - self._epoch_ns
         if type(message) in self._seen:
             self._seen[type(message)](message)
-        elif type(message) in self._asked:
-            self._asked[type(message)](message, t_ns)
+        elif type(message) in REQUESTS:
+            REQUESTS[type(message)](self.loop, message, t_ns)
         elif isinstance(message, m.Tick):
             self._tick(message)
         elif isinstance(message, m.Actuation):
@@ -118,10 +109,7 @@ def replay(
 ) -> tuple[Replay, Iterator[Difference]]:
     """A replay of a session and the differences that it finds as it goes.
 
-    Args:
-        session: the recording.
-        name: what messages call it.
-        advance: is called with the number of messages that were taken, now and then.
+    Messages call it `name`; `advance` is called with how many were taken, now and then.
 
     Raises:
         SteerdError: the session cannot be replayed.

@@ -52,8 +52,7 @@ class VirtualRun:
     def step(self, late_ns: int = 0) -> None:
         """One period: a tick, then whatever arrives until the next.
 
-        Args:
-            late_ns: how long the process sleeps past the deadline; bytes wait for it meanwhile.
+        The process may sleep past the deadline by `late_ns`; bytes wait for it meanwhile.
         """
         due = self.t_ns
         if late_ns:
@@ -141,28 +140,17 @@ def drive(run: VirtualRun, on_tick: Callable[[VirtualRun], None] | None = None) 
     Raises:
         Exception: the run's own, once it has failed.
     """
-    before = gc.get_threshold()
+    before, loop, over = gc.get_threshold(), run.core.loop, False
+    latched = (SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
     gc.set_threshold(_GC_THRESHOLD)
     try:
-        _drive(run, on_tick)
+        while not over:
+            run.step()
+            if run.failed is not None:
+                raise run.failed
+            if on_tick is not None:
+                on_tick(run)
+            over = loop.parked and (loop.ran or run.t_ns > _GRACE_NS)
+            over = over or (loop.faulted and loop.supervisor.state in latched)
     finally:
         gc.set_threshold(*before)
-
-
-def _drive(run: VirtualRun, on_tick: Callable[[VirtualRun], None] | None) -> None:
-    while True:
-        run.step()
-        if run.failed is not None:
-            raise run.failed
-        if on_tick is not None:
-            on_tick(run)
-        loop = run.core.loop
-        if loop.ran and loop.parked:
-            return
-        if loop.faulted and loop.supervisor.state in (
-            SupervisorState.FAULT_LATCHED,
-            SupervisorState.ESTOP,
-        ):
-            return
-        if run.t_ns > _GRACE_NS and not loop.ran and loop.parked:
-            return

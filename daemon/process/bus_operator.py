@@ -59,13 +59,7 @@ class Pulse:
 class BusOperator:
     """Requests of one person at one place; a lease begins with the first of each run.
 
-    Args:
-        bus: to the car.
-        car: its name.
-        clock: of this machine.
-        name: of the operator, for the recording.
-        pulse: the car's, at this place.
-        lease_id: of a lease that is shared; 0 draws one.
+    `pulse` is the car's, at this place; `lease_id` that of a lease that is shared, 0 draws one.
     """
 
     def __init__(
@@ -109,8 +103,7 @@ class BusOperator:
     def repeat(self, state: int | None) -> bool:
         """Go on with the call for a stop, if there is one: whether it goes on.
 
-        Args:
-            state: the car's, as last seen.
+        `state` is the car's, as last seen.
         """
         kind, now = self._stop, self._clock.now_ns()
         if kind is None:

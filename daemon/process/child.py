@@ -146,12 +146,10 @@ def receive_job() -> Job | None:
 def run_process(
     serve: Callable[[Job], int], nice: int = 0, begin: Callable[[], None] = ignore_terminal_signals
 ) -> NoReturn:
-    """The whole of a process.
+    """The whole of a process: what it begins with, its job (`serve`), its exit code.
 
-    Args:
-        serve: does the job and gives an exit code, or raises SteerdError.
-        nice: so much lower is its priority than the control processes'.
-        begin: what comes before its job; most end when the core's pipe closes, not by signals.
+    Its priority is lower than the control processes' by `nice`. Most end when the core's pipe
+    closes, not by signals.
     """
     begin()
     os.nice(nice)

@@ -46,6 +46,10 @@ is_logged: Callable[[PipeRecord], bool] = attrgetter("topic.logged")
 """Whether the recorder takes a record."""
 is_on_bus: Callable[[PipeRecord], bool] = attrgetter("topic.on_bus")
 """Whether gateway and viewer take it."""
+_TAKES = {
+    "recorder": is_logged, "gateway": is_on_bus, "learner": is_learnt_from, "view": is_on_bus,
+}  # fmt: skip
+"""What each reader takes; a drive goes on without learner or viewer: the runner watches neither."""
 
 
 def pipes_sink(*takers: Taker) -> Sink:
@@ -92,40 +96,27 @@ def make_mocap(plan: RunPlan) -> MocapReceiver | BusPoseSource:
         raise SteerdError(str(error), hint, ExitCode.UNREADABLE) from None
 
 
-def open_first_port(url: str) -> Port:
-    """Open the port before anything else starts, so that a wrong one is reported at once.
+def make_opener(url: str) -> Callable[[], Port]:
+    """What opens the port; it is opened before anything else, to report a wrong one at once.
 
     Raises:
         SteerdError: it cannot be opened, with advice.
     """
     try:
-        return open_port(url)
+        waiting = [open_port(url)]
     except PortError as error:
         raise SteerdError(str(error), error.hint, ExitCode.UNREADABLE) from None
-
-
-def _make_opener(url: str, first: Port) -> Callable[[], Port]:
-    waiting = [first]
-
-    def open_it() -> Port:
-        return waiting.pop() if waiting else open_port(url)
-
-    return open_it
+    return lambda: waiting.pop() if waiting else open_port(url)
 
 
 def _run(given: Job) -> Core:
     fds, job = given
     plan = make_plan(decode_options(job["options"]))
-    port = open_first_port(plan.options.port or "")
+    open_again = make_opener(plan.options.port or "")
     mocap = make_mocap(plan)
-    names = ("recorder", "gateway", "status", "view", "learner")
-    pipes = {name: PipeWriter(fds[name]) for name in names if name in fds}
-    takers: list[Taker] = [(pipes["recorder"], is_logged), (pipes["gateway"], is_on_bus)]
-    if "learner" in pipes:  # no link of the runner either: a drive goes on without it
-        takers.append((pipes["learner"], is_learnt_from))
-    if "view" in pipes:  # not a link of the runner: a lost viewer does not stop the car
-        takers.append((pipes["view"], is_on_bus))
-    sinks = [pipes_sink(*takers), status_sink(pipes["status"])]
+    pipes = {name: PipeWriter(fds[name]) for name in _TAKES if name in fds}
+    takers = [(pipe, _TAKES[name]) for name, pipe in pipes.items()]
+    sinks = [pipes_sink(*takers), status_sink(PipeWriter(fds["status"]))]
     clock = MonotonicClock()
     core = make_core(
         plan, int(job["boot_id"]), int(job["epoch_ns"]), sinks, leased=bool(job["leased"])
@@ -144,7 +135,7 @@ def _run(given: Job) -> Core:
     runner = Runner(
         core,
         clock,
-        _make_opener(plan.options.port or "", port),
+        open_again,
         mocap,
         links,
         ProcessGuard(

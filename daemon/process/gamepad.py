@@ -112,11 +112,7 @@ Pad = StreamPad | DevicePad
 
 
 def open_pad(path: Path | None, deadman: int) -> Pad:
-    """The named gamepad or pipe, or the only gamepad.
-
-    Args:
-        path: a device node or a pipe; None to look for one.
-        deadman: the button that a gamepad must have.
+    """The named gamepad or pipe, or the only gamepad that has the deadman's button.
 
     Raises:
         SteerdError: there is none, there are several, or it cannot be read.

@@ -130,12 +130,7 @@ STALL_SHARE = 0.5
 
 
 def parse_steal(text: str, ticks_per_second: int) -> int:
-    """Time stolen from all processors since boot [ns]; 0 where the kernel does not say.
-
-    Args:
-        text: of `/proc/stat`.
-        ticks_per_second: of the kernel's accounting, mostly 100.
-    """
+    """Time stolen from all processors since boot [ns]; 0 where `/proc/stat` does not say."""
     columns = text.partition("\n")[0].split()
     if len(columns) <= _STEAL or columns[0] != "cpu" or not columns[_STEAL].isdigit():
         return 0

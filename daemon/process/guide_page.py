@@ -55,14 +55,9 @@ def plain_text(output: str) -> str:
 
 
 class GuidePage:
-    """A page of steps; a thread of its own serves it.
+    """A page of steps at `url`; a thread of its own serves it.
 
-    Args:
-        steps: of each what the page shows: `title`, `before` and `command`.
-        terminal: where lines are typed too.
-
-    Attributes:
-        url: its address.
+    It shows `title`, `before` and `command` of each step. Lines are typed in the terminal too.
     """
 
     def __init__(self, steps: Sequence[dict[str, str]], terminal: TextIO = sys.stdin) -> None:

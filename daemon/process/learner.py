@@ -27,14 +27,7 @@ from steerd.steer_bus.codec import CodecError, decode
 
 
 class LearnerLoop:
-    """Records in, reports out.
-
-    Attributes:
-        feed: the learner.
-        outputs: where reports go.
-        keeper: writes what is learnt beside the car file, or None.
-        reports: how many there were.
-    """
+    """Records in, reports out; the keeper writes what is learnt beside the car file."""
 
     def __init__(
         self, feed: Feed, outputs: Sequence[PipeWriter], keeper: Keeper | None = None

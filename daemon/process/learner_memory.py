@@ -38,13 +38,7 @@ def learnt_page(plan: RunPlan) -> Path:
 
 
 def recall_learnt(plan: RunPlan, session: Path, now_ns: int) -> LearnerMemory:
-    """What the run's learner begins with; a page that cannot be used is named on standard error.
-
-    Args:
-        plan: of the run.
-        session: its file.
-        now_ns: UNIX time.
-    """
+    """What the run's learner begins with at a UNIX time; a page of no use is named on stderr."""
     if not plan.options.learn or plan.options.simulated:
         return LearnerMemory()
     page, scaling = learnt_page(plan), plan.settings.scaling

@@ -38,14 +38,7 @@ class Pace(NamedTuple):
 
 
 def step_pace(pace: Pace, due_ns: int, arrival_ns: int, period_ns: int) -> Pace:
-    """Take the newest arrival after the tick that was due at `due_ns`.
-
-    Args:
-        pace: the state before.
-        due_ns: the tick's deadline.
-        arrival_ns: when the newest pose arrived, on the same clock; -1: none yet.
-        period_ns: between two ticks.
-    """
+    """Take the newest arrival (-1: none yet) after the tick that was due at `due_ns`."""
     if arrival_ns == pace.arrival_ns:
         return pace._replace(shift_ns=0)
     half = period_ns // 2

@@ -37,11 +37,7 @@ def make_page(job: Mapping[str, Any]) -> str:
 
 
 class PageTalk:
-    """Those who look at one car's page.
-
-    Attributes:
-        operators: of the pages that are open.
-    """
+    """Those who look at one car's page: an operator for each page that is open."""
 
     def __init__(self, view: CarView) -> None:
         self._view = view

@@ -35,11 +35,8 @@ _NEARLY_FULL = "disk nearly full"
 class Recording:
     """One session being written.
 
-    Attributes:
-        writer: of the file.
-        written: records so far.
-        gaps: what the pipe did not take.
-        start_ns: when the first record was sent [UNIX ns].
+    It counts the records `written`, and knows what the pipe dropped (`gaps`) and when the first
+    record was sent (`start_ns`, UNIX).
     """
 
     def __init__(self, path: Path, car: str, meta: Mapping[str, Any]) -> None:

@@ -72,12 +72,7 @@ class CoreLinks:
 
 
 class Runner:
-    """The control core in real time.
-
-    Attributes:
-        signals: number of stop signals.
-        error: why the port could not be opened, or None.
-    """
+    """The control core in real time; `error` says why the port could not be opened."""
 
     def __init__(
         self,
@@ -283,8 +278,7 @@ class Runner:
 
     def _step_mocap(self, now_ns: int) -> None:
         self._core.feed_back(self._mocap.ingest)
-        samples = self._mocap.on_timer(self._clock.now_ns())
-        self._on_poses(samples or [])
+        self._mocap.on_timer(self._clock.now_ns())
         self._core.on_source(self._mocap.status())
 
     def _post_clock(self, now_ns: int) -> None:
@@ -298,12 +292,10 @@ class Runner:
         th = settings.thresholds
         if settings.record.required and _is_lost(links.recorder, th.recorder_full, now_ns):
             core.flags |= Flag.RECORDER_LOST
-        if _is_lost(links.gateway, th.gateway_full, now_ns) or self._is_cut_off(now_ns):
-            core.flags |= Flag.GATEWAY_LOST
-        elif not is_engaged(core.loop.supervisor.state):
-            core.flags &= ~Flag.GATEWAY_LOST
-        if self._port is not None:
-            self._watch_guardian(now_ns)
+        lost = _is_lost(links.gateway, th.gateway_full, now_ns) or self._is_cut_off(now_ns)
+        self._hold(Flag.GATEWAY_LOST, lost)
+        if self._port is not None:  # one that is slow to start is a failed pre-arm check, no fault
+            self._hold(Flag.GUARDIAN_LOST, self._guard.is_silent(now_ns))
         if self._guard.has_tripped():
             core.flags |= Flag.GUARDIAN_TRIPPED
 
@@ -314,12 +306,12 @@ class Runner:
         held = setup.leased and lease_age(loop.lease, now_ns) <= th.lease
         return self._path.is_silent(held, th.gateway_full, now_ns) and not setup.simulated
 
-    def _watch_guardian(self, now_ns: int) -> None:
-        """A guardian that is slow to start is a failed pre-arm check, no fault."""
-        if self._guard.is_silent(now_ns):
-            self._core.flags |= Flag.GUARDIAN_LOST
+    def _hold(self, flag: int, lost: bool) -> None:
+        """Raise a flag; it goes only when nothing is lost and no motor bytes may flow."""
+        if lost:
+            self._core.flags |= flag
         elif not is_engaged(self._core.loop.supervisor.state):
-            self._core.flags &= ~Flag.GUARDIAN_LOST
+            self._core.flags &= ~flag
 
     # --- the serial port
 

@@ -25,16 +25,10 @@ _POLICY = (
 
 
 class SecretServer:
-    """One address, and those who know it.
+    """One address with a secret `word`, and those who know it.
 
-    Args:
-        host: to listen on.
-        talk: serves one WebSocket.
-        page: what a browser is shown; None where there is only the WebSocket.
-
-    Attributes:
-        word: the secret part of the address.
-        port: 0 before it listens.
+    A browser is shown the page; without one there is only the WebSocket. The port is 0 before it
+    listens.
     """
 
     def __init__(

@@ -29,12 +29,7 @@ VALID_MS = 200
 
 
 class Teleop:
-    """One gamepad's operator and controller on the bus.
-
-    Attributes:
-        pad: the gamepad's state.
-        view: the car, from the bus.
-    """
+    """One gamepad's operator and controller on the bus."""
 
     def __init__(
         self, view: CarView, pads: gamepad.PadMap, axes: Mapping[int, gamepad.AxisRange]

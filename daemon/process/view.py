@@ -8,6 +8,7 @@ live parameters. The viewer's end is reported and changes nothing else.
 # Why: docs/decisions/messages-and-sessions.md#d26
 
 import asyncio
+import base64
 import sys
 
 from foxglove.messages import FrameTransforms, SceneUpdate  # noqa: TID251
@@ -43,17 +44,11 @@ _NICE = 10
 
 
 class Viewer:
-    """One car's messages, and what is drawn of them.
+    """One car's messages, and what is drawn of them; `gaps` are messages that the pipe dropped."""
 
-    Attributes:
-        gaps: messages that the pipe had no room for.
-    """
-
-    def __init__(
-        self, car: str, body: scene.Body, lane: scene.LaneLines, server: ViewServer
-    ) -> None:
+    def __init__(self, car: str, body: scene.Body, lane: SceneUpdate, server: ViewServer) -> None:
         self._car, self._server = car, server
-        self._body, self._lane = body, scene.make_lane_scene(lane)
+        self._body, self._lane = body, lane
         self._views = Views()
         self._scene_due_ns = self._lane_due_ns = 0
         self.gaps = Gaps()
@@ -85,20 +80,16 @@ class Viewer:
 def make_channels(car: str) -> list[Channel]:
     """A car's topics as they stand in a session, CDR with their `ros2msg` text, and the scene."""
     shown = [
-        Channel(
-            make_session_topic(car, topic),
-            "cdr",
-            type_name(topic.message),
-            "ros2msg",
-            schema_text(topic.message),
-        )
-        for topic in TOPICS
-        if topic.on_bus
+        (make_session_topic(car, t), "cdr", type_name(t.message), "ros2msg", schema_text(t.message))
+        for t in TOPICS
+        if t.on_bus
     ]
     for name, drawn in ((SCENE, SceneUpdate), (TRANSFORMS, FrameTransforms)):
         schema = drawn.get_schema()
-        shown.append(Channel(name, "protobuf", schema.name, schema.encoding, schema.data))
-    return shown
+        text = base64.b64encode(schema.data).decode()
+        shown.append((name, "protobuf", schema.name, schema.encoding, text))
+    names = ("topic", "encoding", "schemaName", "schemaEncoding", "schema")
+    return [dict(zip(names, values, strict=True)) for values in shown]
 
 
 async def run_viewer(given: Job) -> int:
@@ -108,7 +99,8 @@ async def run_viewer(given: Job) -> int:
         OSError: the address is taken or no address of this machine.
     """
     job, records = given.about, PipeReader(given.fds["pipe"])
-    car, lane = job["car"], scene.make_lane(job["lane"], job["half_width"], closed=job["closed"])
+    car = job["car"]
+    lane = scene.make_lane_scene(job["lane"], job["half_width"], closed=job["closed"])
     asks = make_sender(given.fds["requests"]) if "requests" in given.fds else None
     known = ViewParameters(scene.make_parameters(job["parameters"]), asks)
     shown = ViewServer(f"steerd {car}", make_channels(car), known)

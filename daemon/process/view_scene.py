@@ -29,30 +29,6 @@ class Body(NamedTuple):
     width: float = 0.27
 
 
-class LaneLines(NamedTuple):
-    """What is drawn of the lane [m]: points of the path, borders on both sides of it."""
-
-    points: Sequence[tuple[float, float]]
-    left: Sequence[tuple[float, float]]
-    right: Sequence[tuple[float, float]]
-    closed: bool
-
-
-def make_lane(points: Sequence[Sequence[float]], half_width: float, *, closed: bool) -> LaneLines:
-    """A lane of a path's samples.
-
-    Args:
-        points: x, y [m] and heading [rad] of each sample.
-        half_width: at which a car has left the lane [m].
-        closed: whether the last sample leads to the first.
-    """
-
-    def beside(offset: float) -> list[tuple[float, float]]:
-        return [(x - offset * sin(yaw), y + offset * cos(yaw)) for x, y, yaw in points]
-
-    return LaneLines(beside(0.0), beside(half_width), beside(-half_width), closed)
-
-
 def make_transform(state: StateMessage) -> fox.FrameTransforms:
     """The body frame in the world."""
     frame = fox.FrameTransform(
@@ -99,18 +75,23 @@ def _wheels(body: Body, steer: float) -> list[fox.CubePrimitive]:
     ]
 
 
-def make_lane_scene(lane: LaneLines) -> fox.SceneUpdate:
-    """The path and the lane's borders on the floor."""
-    entity = fox.SceneEntity(
-        frame_id=WORLD,
-        id="lane",
-        lines=[
-            _line(lane.points, lane.closed, _LANE, 0.03),
-            _line(lane.left, lane.closed, _BORDER, 0.015),
-            _line(lane.right, lane.closed, _BORDER, 0.015),
-        ],
-    )
-    return fox.SceneUpdate(entities=[entity])
+def make_lane_scene(
+    points: Sequence[Sequence[float]], half_width: float, *, closed: bool
+) -> fox.SceneUpdate:
+    """The path on the floor, and the borders of the lane, `half_width` [m] beside it.
+
+    `points` are samples of the path, x, y [m] and heading [rad]; a `closed` one leads to the first.
+    """
+    kind = fox.LinePrimitiveLineType.LineLoop if closed else fox.LinePrimitiveLineType.LineStrip
+
+    def line(offset: float, color: fox.Color, thickness: float) -> fox.LinePrimitive:
+        places = ((x - offset * sin(yaw), y + offset * cos(yaw)) for x, y, yaw in points)
+        floor = [fox.Point3(x=x, y=y, z=0.0) for x, y in places]
+        return fox.LinePrimitive(type=kind, points=floor, color=color, thickness=thickness)
+
+    borders = [line(offset, _BORDER, 0.015) for offset in (half_width, -half_width)]
+    lines = [line(0.0, _LANE, 0.03), *borders]
+    return fox.SceneUpdate(entities=[fox.SceneEntity(frame_id=WORLD, id="lane", lines=lines)])
 
 
 def make_parameters(values: Mapping[str, Any]) -> dict[str, float | str]:
@@ -143,14 +124,6 @@ def make_learnt_parameters(model: Model) -> dict[str, float | str]:
         shown |= {name: number for name, number in numbers.items() if isfinite(number)}
         shown[f"model.{v.name}_identifiable"] = "yes" if v.identifiable else "no"
     return shown
-
-
-def _line(
-    points: Sequence[tuple[float, float]], closed: bool, color: fox.Color, thickness: float
-) -> fox.LinePrimitive:
-    kind = fox.LinePrimitiveLineType.LineLoop if closed else fox.LinePrimitiveLineType.LineStrip
-    floor = [fox.Point3(x=x, y=y, z=0.0) for x, y in points]
-    return fox.LinePrimitive(type=kind, points=floor, color=color, thickness=thickness)
 
 
 def _pose(x: float, y: float, yaw: float, z: float = _HEIGHT) -> fox.Pose:

@@ -6,7 +6,6 @@ https://github.com/foxglove/ws-protocol.
 """
 
 import asyncio
-import base64
 import contextlib
 import json
 import struct
@@ -14,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from math import isfinite
-from typing import Any, NamedTuple
+from typing import Any
 
 from steerd.daemon.ipc.requests import LIVE, format_setting
 from steerd.daemon.process.secret_server import ConnectionClosed, ServerConnection
@@ -32,14 +31,8 @@ _ODD = (ValueError, KeyError, TypeError, AttributeError, RecursionError)
 Value = float | str
 
 
-class Channel(NamedTuple):
-    """A topic as it is advertised; `schema` is text, or bytes where its encoding is binary."""
-
-    topic: str
-    encoding: str
-    schema_name: str
-    schema_encoding: str
-    schema: str | bytes
+Channel = Mapping[str, str]
+"""A topic as it is advertised, but for its number; a schema that is binary stands as base64."""
 
 
 class ViewParameters:
@@ -97,7 +90,7 @@ class ViewServer:
     def __init__(self, name: str, channels: Iterable[Channel], parameters: ViewParameters) -> None:
         self._name, self._parameters = name, parameters
         self._channels = list(channels)
-        self._ids = {channel.topic: number for number, channel in enumerate(self._channels, 1)}
+        self._ids = {channel["topic"]: number for number, channel in enumerate(self._channels, 1)}
         self._clients: set[_Client] = set()
 
     def log(self, topic: str, data: bytes, log_ns: int) -> None:
@@ -119,8 +112,11 @@ class ViewServer:
     async def talk(self, connection: ServerConnection) -> None:
         """Serve one client until it leaves."""
         client = _Client()
-        client.give(_encode("serverInfo", **self._info()))
-        client.give(_encode("advertise", channels=self._advertised()))
+        can = ["parameters", "parametersSubscribe"]
+        about = {"name": self._name, "capabilities": can, "supportedEncodings": [], "metadata": {}}
+        client.give(_encode("serverInfo", **about))
+        offered = [{"id": self._ids[channel["topic"]], **channel} for channel in self._channels]
+        client.give(_encode("advertise", channels=offered))
         self._clients.add(client)
         sending = asyncio.create_task(_send(connection, client))
         try:
@@ -132,25 +128,6 @@ class ViewServer:
         finally:
             self._clients.discard(client)
             sending.cancel()
-
-    def _info(self) -> dict[str, Any]:
-        can = ["parameters", "parametersSubscribe"]
-        return {"name": self._name, "capabilities": can, "supportedEncodings": [], "metadata": {}}
-
-    def _advertised(self) -> list[dict[str, Any]]:
-        return [
-            {
-                "id": self._ids[c.topic],
-                "topic": c.topic,
-                "encoding": c.encoding,
-                "schemaName": c.schema_name,
-                "schemaEncoding": c.schema_encoding,
-                "schema": c.schema
-                if isinstance(c.schema, str)
-                else base64.b64encode(c.schema).decode(),
-            }
-            for c in self._channels
-        ]
 
     def _obey(self, client: _Client, said: Any) -> None:
         match said["op"]:

@@ -80,11 +80,7 @@ JUMP_SDS = 7.0
 
 
 def load_settings(path: Path | str, speed: float | None = None) -> Settings:
-    """Read a car file and check every section.
-
-    Args:
-        path: the TOML file.
-        speed: cruise speed that replaces the file's [m/s].
+    """Read a car file and check every section; `speed` [m/s] replaces the file's cruise speed.
 
     Raises:
         SteerdError: the file cannot be read, or a value is invalid; names it and the remedy.
@@ -118,7 +114,7 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
         limits=read("limits", lambda table: _limits(car_file, scaling, table)),
         controller=_at_speed(car_file, speed),
         filter=noise,
-        thresholds=_make(car_file, "safety", _thresholds, safety),
+        thresholds=_make(car_file, "safety", lambda table: _convert(table, Thresholds), safety),
         deadman=deadman,
         record=read("record", _record),
     )
@@ -301,13 +297,6 @@ def _limits(car_file: CarFile, scaling: Scaling, table: Mapping[str, Any]) -> Li
         steer_left_max=min(limits.steer_left_max, defaults["steer_left_max"]),
         steer_right_max=min(limits.steer_right_max, defaults["steer_right_max"]),
     )
-
-
-def _thresholds(table: Mapping[str, Any]) -> Thresholds:
-    values = dict(table)
-    if "fence" in values:
-        values["fence"] = tuple((float(x), float(y)) for x, y in values["fence"])
-    return _convert(values, Thresholds)
 
 
 HEADING_MOST = 0.1

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from itertools import pairwise
+from types import SimpleNamespace
 
 import pytest
 
@@ -20,7 +21,6 @@ from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.mocap_link.natnet_frame import Frame, RigidBody
 from steerd.mocap_link.sockets import (
-    HostClock,
     MocapReceiver,
     NatNetReceiver,
     VrpnReceiver,
@@ -322,7 +322,10 @@ def test_the_kernel_stamps_udp_and_tcp(
 ) -> None:
     """A receiver that reads late must still know when the datagram came."""
     offset = [0]
-    clock = HostClock(lambda: time.monotonic_ns() + offset[0], lambda: time.time_ns() + offset[0])
+    clock = SimpleNamespace(
+        now_ns=lambda: time.monotonic_ns() + offset[0],
+        realtime_ns=lambda: time.time_ns() + offset[0],
+    )
     urls = (
         f"natnet://{LOOPBACK}:{udp_server.port}/car",
         f"vrpn://{LOOPBACK}:{tcp_server.port}/car",

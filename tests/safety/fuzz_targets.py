@@ -25,7 +25,7 @@ from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.natnet_client import NatNetSource
 from steerd.mocap_link.natnet_frame import Frame, RigidBody
 from steerd.mocap_link.natnet_wire import NatNetError
-from steerd.mocap_link.vrpn_client import VrpnClient
+from steerd.mocap_link.vrpn_client import VrpnSource
 from steerd.mocap_link.zenoh_pose import BusPoseSource, PoseError, decode_pose, decode_ros_pose
 from steerd.sim_hw.mocap.servers import VrpnServer
 from steerd.steer_bus import messages as m
@@ -235,7 +235,7 @@ def make_hello(version: tuple[int, int]) -> bytes:
 
 def check_vrpn(script: bytes) -> None:
     """Any stream in any chunks: never raises, gives the same poses as in one piece."""
-    client, parts, got = VrpnClient("car"), [], []
+    client, parts, got = VrpnSource("car", IngestConfig()), [], []
     for op, body in cut(script[:MOST]):
         kind = int.from_bytes(body[:1], "big", signed=True)
         message = vrpn.Message(kind, *body[1:2].ljust(1, b"\0"), payload=body[2:])
@@ -243,7 +243,7 @@ def check_vrpn(script: bytes) -> None:
         parts.append(flip(piece, body) if op & 16 and piece else piece)
         got += client.on_bytes(parts[-1], len(parts))
         assert len(client._buffer) <= vrpn.MAX_MESSAGE + 8 or client.dead
-    whole = VrpnClient("car")
+    whole = VrpnSource("car", IngestConfig())
     once = whole.on_bytes(b"".join(parts), 1)
     assert (whole.dead is None) == (client.dead is None)
     if client.dead is None:

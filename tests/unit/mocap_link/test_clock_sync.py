@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from steerd.mocap_link import natnet
-from steerd.mocap_link.clock_sync import SKEW_MAX, EchoClock, HullClock
+from steerd.mocap_link.clock_sync import SKEW_MAX, EchoClock, HullClock, SourceTiming
 from steerd.mocap_link.natnet_frame import Frame
 from steerd.mocap_link.source import ClockKind, Pose
-from steerd.mocap_link.timing import SourceTiming
 
 MS = 1_000_000
 SECOND = 1000 * MS
@@ -38,7 +37,7 @@ def make_raw(truth: Truth, t_ns: int, pipeline_ns: int, network_ns: int) -> Pose
 
 def echo(timing: SourceTiming, truth: Truth, t_ns: int, rng: np.random.Generator) -> None:
     there, back = (int(400_000 + rng.exponential(60_000)) for _ in range(2))
-    timing.add_echo(t_ns, t_ns + there + back, truth.ticks(t_ns + there))
+    timing.echo.add(t_ns, t_ns + there + back, truth.ticks(t_ns + there))
 
 
 def run(
@@ -55,7 +54,7 @@ def run(
     if burst:
         for i in range(20):
             echo(timing, truth, start + i * 5 * MS, rng)
-    resets = timing.echo_resets
+    resets = timing.echo.resets
     for i in range(round(seconds * 100)):
         t = start + 100 * MS + i * 10 * MS
         raw = make_raw(truth, t, 5_400_000, int(420_000 + rng.exponential(300_000)))
@@ -63,8 +62,8 @@ def run(
         out.append((t, estimate - t, kind))
         if i % 50 == 0:
             echo(timing, truth, t + 8 * MS, rng)
-        if timing.echo_resets != resets:  # as the session does
-            resets = timing.echo_resets
+        if timing.echo.resets != resets:  # as the session does
+            resets = timing.echo.resets
             for k in range(20):
                 echo(timing, truth, t + 9 * MS + k * MS // 100, rng)
     return out
@@ -74,7 +73,7 @@ def run(
     ("hz", "skew"), [(3_312_787, -40e-6), (10_000_000, 0.0), (1_000_000, 40e-6)]
 )
 def test_echo_is_within_a_tenth_of_a_millisecond(hz, skew):
-    timing = SourceTiming(hz, two_way=True)
+    timing = SourceTiming(hz)
     out = run(timing, Truth(hz, skew), np.random.default_rng(1), T0, 90.0)
     assert {kind for *_, kind in out} == {ClockKind.ECHO}
     assert max(abs(error) for _, error, _ in out) < 0.3 * MS
@@ -86,7 +85,7 @@ def test_echo_is_within_a_tenth_of_a_millisecond(hz, skew):
 @pytest.mark.parametrize("step_s", [-1.0, -0.06, 0.06, 1.0, 3e6])
 def test_echo_recovers_from_a_stepped_epoch(step_s):
     rng, truth = np.random.default_rng(2), Truth(10_000_000, 30e-6)
-    timing = SourceTiming(truth.hz, two_way=True)
+    timing = SourceTiming(truth.hz)
     run(timing, truth, rng, T0, 5.0)
     truth.epoch += round(step_s * truth.hz)
     out = run(timing, truth, rng, T0 + 6 * SECOND, 4.0, burst=False)
@@ -181,9 +180,9 @@ def test_without_stamps_arrival_it_is_and_ready_after_two_seconds():
 
 
 def test_no_sample_is_valid_after_it_arrived():
-    timing, truth = SourceTiming(10_000_000, two_way=True), Truth(10_000_000, 0.0)
+    timing, truth = SourceTiming(10_000_000), Truth(10_000_000, 0.0)
     for i in range(20):
-        timing.add_echo(T0 + i, T0 + i, truth.ticks(T0) + 5000)  # 0.5 ms off
+        timing.echo.add(T0 + i, T0 + i, truth.ticks(T0) + 5000)  # 0.5 ms off
     raw = make_raw(truth, T0 + SECOND, 0, 0)
     estimate, _ = timing.time_pose(raw)
     assert estimate <= raw.t_arrival_ns
@@ -191,7 +190,7 @@ def test_no_sample_is_valid_after_it_arrived():
 
 def test_real_capture_is_about_six_milliseconds_old_on_arrival(capture):
     """Mid-exposure to arrival: 6.24 ms median on that wired system (5.9 with our RTT/2 bound)."""
-    timing = SourceTiming(3_312_787, two_way=True)
+    timing = SourceTiming(3_312_787)
     sent: dict[int, int] = {}
     ages, raws = [], []
     for d in capture:
@@ -199,7 +198,7 @@ def test_real_capture_is_about_six_milliseconds_old_on_arrival(capture):
             case natnet.EchoRequest(client_stamp=stamp):
                 sent[stamp] = d.t_ns
             case natnet.EchoResponse() as m if m.client_stamp in sent:
-                timing.add_echo(sent[m.client_stamp], d.t_ns, m.server_ticks)
+                timing.echo.add(sent[m.client_stamp], d.t_ns, m.server_ticks)
             case Frame() as f:
                 raws.append(pose(f.mid_exposure_ticks, f.transmit_ticks, d.t_ns))
     assert timing.echo.ready
@@ -229,6 +228,6 @@ def test_unready_maps_say_so():
     assert not HullClock(1000).ready
     assert HullClock(1000).sigma_ns == SECOND
     timing = SourceTiming(1000)
-    timing.add_echo(0, 1, 2)  # a one-way source has no use for it
+    timing.echo.add(0, 1, 2)  # one exchange is too few
     assert timing.sigma_ns is None
-    assert timing.echo_resets == 0
+    assert timing.echo.resets == 0

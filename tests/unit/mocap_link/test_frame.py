@@ -8,7 +8,7 @@ import pytest
 
 from steerd.mocap_link import frame
 from steerd.mocap_link.mocap_url import MocapUrl, parse_mocap_url
-from steerd.mocap_link.source import MonitorConfig, MonitorState, SourceState, step_monitor
+from steerd.mocap_link.source import MonitorState, SourceState, step_monitor
 
 RELABEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
@@ -126,7 +126,6 @@ def test_wrap_angle_is_half_open():
 # Addresses and the source state machine.
 
 MS = 1_000_000
-CONFIG = MonitorConfig()
 
 GOOD = {
     "natnet://10.0.0.5/car": MocapUrl("natnet", "10.0.0.5", 1510, "car"),
@@ -169,7 +168,7 @@ def test_bad_addresses_say_what_is_wrong(text):
 
 
 def feed(s: MonitorState, t_ms: float, good: bool | None = None) -> MonitorState:
-    return step_monitor(CONFIG, s, round(t_ms * MS), connected=True, clock_ready=True, good=good)
+    return step_monitor(s, round(t_ms * MS), connected=True, clock_ready=True, good=good)
 
 
 def bring_up() -> MonitorState:
@@ -180,15 +179,15 @@ def bring_up() -> MonitorState:
 
 
 def test_start_up():
-    s = step_monitor(CONFIG, MonitorState(), 0, connected=False, clock_ready=False)
+    s = step_monitor(MonitorState(), 0, connected=False, clock_ready=False)
     assert s.state is SourceState.CONNECTING
-    s = step_monitor(CONFIG, s, 0, connected=True, clock_ready=False)
+    s = step_monitor(s, 0, connected=True, clock_ready=False)
     assert s.state is SourceState.SYNCING
     for i in range(30):
-        s = step_monitor(CONFIG, s, i * 10 * MS, connected=True, clock_ready=False, good=True)
+        s = step_monitor(s, i * 10 * MS, connected=True, clock_ready=False, good=True)
     assert s.state is SourceState.SYNCING  # plenty of frames, no clock
     assert feed(s, 300, True).state is SourceState.OK
-    s = step_monitor(CONFIG, replace(s, good_run=0), 0, connected=False, clock_ready=False)
+    s = step_monitor(replace(s, good_run=0), 0, connected=False, clock_ready=False)
     assert s.state is SourceState.CONNECTING
 
 
@@ -230,9 +229,9 @@ def test_lost_ends_after_ten_good_frames():
 
 def test_lost_stays_lost_when_disconnected_or_without_clock():
     s = feed(bring_up(), 500)
-    s = step_monitor(CONFIG, s, 600 * MS, connected=False, clock_ready=True)
+    s = step_monitor(s, 600 * MS, connected=False, clock_ready=True)
     assert s.state is SourceState.LOST
     for i in range(20):
         t = (600 + 10 * i) * MS
-        s = step_monitor(CONFIG, s, t, connected=True, clock_ready=False, good=True)
+        s = step_monitor(s, t, connected=True, clock_ready=False, good=True)
     assert s.state is SourceState.LOST

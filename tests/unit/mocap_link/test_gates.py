@@ -34,7 +34,7 @@ def run(
     first: int = 0,
     config: GateConfig = CONFIG,
     stationary: bool = False,
-    wheel_speed: float | None = 1.0,
+    wheel_speed: float = 1.0,
 ) -> tuple[GateState, list[str | None]]:
     """Feed frames `first` .. `first + n - 1` at 100 Hz."""
     state, reasons = state or GateState(), []
@@ -116,15 +116,6 @@ def test_places_that_disagree_are_never_taken_in():
     assert None not in reasons
 
 
-def test_calibrated_height_is_never_relearned():
-    config = GateConfig(height=0.1)
-    high = 0.14
-    _, reasons = run(
-        lambda i: make_pose(drive(i).x, height=high), 60, config=config, stationary=True
-    )
-    assert reasons == ["height"] * 60
-
-
 def test_heights_that_disagree_are_never_taken_in():
     state, _ = run(drive, 20)
     _, reasons = run(
@@ -134,7 +125,7 @@ def test_heights_that_disagree_are_never_taken_in():
     assert reasons == ["height"] * 60
 
 
-@pytest.mark.parametrize(("wheel_speed", "rejected"), [(1.0, 6), (-1.0, 6), (0.1, 0), (None, 0)])
+@pytest.mark.parametrize(("wheel_speed", "rejected"), [(1.0, 6), (-1.0, 6), (0.1, 0), (nan, 0)])
 def test_frozen_needs_turning_wheels(wheel_speed, rejected):
     still = drive(0)
     _, reasons = run(lambda i: still, 10, wheel_speed=wheel_speed)

@@ -95,7 +95,7 @@ def test_an_echo_counts_once_and_only_if_requested(make_server):
     (echo,) = [m for m in sent if isinstance(m, natnet.EchoRequest)]
     reply = natnet.encode(natnet.EchoResponse(echo.client_stamp, 77))
     measured: list[tuple[int, ...]] = []
-    client.ingest.timing.add_echo = lambda *times: measured.append(times)
+    client.ingest.timing.echo.add = lambda *times: measured.append(times)
     client.on_datagram(reply, 60 * MS, IP)
     client.on_datagram(reply, 61 * MS, IP)
     client.on_datagram(natnet.encode(natnet.EchoResponse(123, 77)), 62 * MS, IP)

@@ -278,7 +278,7 @@ def test_server_restart_with_a_new_epoch(make_room, multicast):
     room.samples.clear()
     room.run(6.0)  # the backoff is 5 s at most
     assert room.state is SourceState.LOST, "3 m further on: only a stopped car is taken in"
-    assert room.source.status().relocated
+    assert room.count("relocated")
     room.source.ingest.stationary = True
     room.run(2.0)
     assert room.state is SourceState.OK

@@ -6,7 +6,7 @@ from steerd.mocap_link import vrpn
 from steerd.mocap_link.frame import FrameConfig, make_body_pose
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.source import ClockKind, Pose, SourceState
-from steerd.mocap_link.vrpn_client import VrpnClient, VrpnSource
+from steerd.mocap_link.vrpn_client import VrpnSource
 from steerd.mocap_link.zenoh_pose import BusPoseSource, encode_pose
 from steerd.sim_hw.mocap.servers import VrpnServer
 from tests.unit.mocap_link.test_sessions import MS, SECOND, SPEED, T0, assert_no_jump, truth
@@ -68,9 +68,9 @@ def test_short_descriptions_are_refused(payload: bytes) -> None:
         vrpn.read_description(payload)
 
 
-def make_pair() -> tuple[VrpnClient, VrpnServer]:
-    client, server = VrpnClient("car"), VrpnServer(("car", "b2"))
-    assert server.receive(client.hello(), 0) == b""
+def make_pair() -> tuple[VrpnSource, VrpnServer]:
+    client, server = VrpnSource("car", CONFIG), VrpnServer(("car", "b2"))
+    assert server.receive(client.on_connect(), 0) == b""
     assert client.on_bytes(server.hello(), 0) == []
     return client, server
 

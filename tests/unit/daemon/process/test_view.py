@@ -22,7 +22,6 @@ from steerd.daemon.process.view_job import make_view_job, parse_view
 from steerd.daemon.process.view_scene import (
     Body,
     make_car_scene,
-    make_lane,
     make_lane_scene,
     make_learnt_parameters,
     make_parameters,
@@ -89,7 +88,7 @@ def test_a_viewer_counts_what_the_pipe_dropped():
     kept = [record for record in sent if record.sequence not in (1, 2)]
     PipeWriter(write_fd).write([pack_record(record) for record in kept], 0)
     os.close(write_fd)
-    lane = make_lane([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], 0.3, closed=False)
+    lane = make_lane_scene([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], 0.3, closed=False)
     server = ViewServer("x", make_channels("car1"), ViewParameters({}))
     viewer = Viewer("car1", BODY, lane, server)
     for record in PipeReader(read_fd).take():
@@ -98,12 +97,12 @@ def test_a_viewer_counts_what_the_pipe_dropped():
 
 
 def test_every_topic_has_a_channel_with_its_schema():
-    channels = {channel.topic: channel for channel in make_channels("blue")}
+    channels = {channel["topic"]: channel for channel in make_channels("blue")}
     for topic in topics.TOPICS:
         channel = channels[f"/steerd/blue/{topic.name}"] if topic.on_bus else None
         if channel is not None:
-            assert (channel.encoding, channel.schema_encoding) == ("cdr", "ros2msg")
-            assert "std_msgs/Header" in channel.schema or topic is topics.LOG
+            assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
+            assert "std_msgs/Header" in channel["schema"] or topic is topics.LOG
     assert len(channels) == sum(topic.on_bus for topic in topics.TOPICS) + 2
 
 
@@ -237,13 +236,12 @@ def test_the_car_has_its_axles_and_steers_in_front_only():
 
 def test_a_lane_runs_beside_its_path():
     points = [(2.0, 0.0, pi / 2), (0.0, 2.0, pi), (-2.0, 0.0, -pi / 2)]
-    lane = make_lane(points, 0.3, closed=True)
-    (scene,) = decode_foxglove(make_lane_scene(lane)).entities
+    (scene,) = decode_foxglove(make_lane_scene(points, 0.3, closed=True)).entities
     assert scene.frame_id == m.WORLD
     path, left, right = scene.lines
     assert [hypot(p.x, p.y) for p in path.points] == pytest.approx([2.0] * 3)
     assert [hypot(p.x, p.y) for p in left.points] == pytest.approx([1.7] * 3)
     assert [hypot(p.x, p.y) for p in right.points] == pytest.approx([2.3] * 3)
     assert {line.type for line in scene.lines} == {1}  # LINE_LOOP
-    straight = decode_foxglove(make_lane_scene(make_lane(points[:2], 0.3, closed=False)))
+    straight = decode_foxglove(make_lane_scene(points[:2], 0.3, closed=False))
     assert {line.type for line in straight.entities[0].lines} == {0}  # LINE_STRIP
