@@ -51,7 +51,7 @@ TESTS = (
     "tests/unit/steer_bus/test_codec_fresh.py", "tests/unit/daemon/loop/test_findings.py",
 )  # fmt: skip
 MORE_TESTS = (
-    "tests/unit/daemon/loop/test_failed_loop.py",
+    "tests/unit/daemon/loop/test_core.py",
     "tests/unit/daemon/process/test_runner.py",
     "tests/unit/steer_bus/test_lab.py",
     "tests/property/test_limits.py", "tests/property/test_codec_roundtrip.py",

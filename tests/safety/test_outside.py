@@ -11,7 +11,7 @@ from steerd.daemon.loop.transitions import SupervisorState
 from steerd.sim_hw.plant.faults import Fault
 from steerd.steer_bus.messages import RequestKind
 from tests.safety.catalogue import BY_CODE
-from tests.safety.live_faults import FAULTS
+from tests.safety.live_faults import CELLS, FAULTS
 from tests.safety.outside import DRIVES, ELSEWHERE, list_outside
 from tests.safety.rig import at_phase, twin
 from tests.safety.trace import TRACES
@@ -23,6 +23,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "reference" / "safety-matrix.md"
 def test_each_watchdog_has_one() -> None:
     traced = {id for id, trace in TRACES.items() if not BY_CODE[trace.cell[0]].inside}
     assert traced | set(DRIVES) | set(ELSEWHERE) == set(TRACES)
+    assert len(CELLS) >= 40
     tests = {name for name, _ in inspect.getmembers(test_runner, inspect.isfunction)}
     for id, (_, shown) in ELSEWHERE.items():
         assert shown in FAULTS or (shown in tests and id.lower() in shown)
