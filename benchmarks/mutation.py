@@ -41,9 +41,7 @@ TABLES = (
 TESTS = (
     "tests/unit/controller/test_limits.py", "tests/unit/daemon/loop/test_supervisor.py",
     "tests/unit/daemon/loop/test_watchdogs.py", "tests/unit/daemon/loop/test_watchdogs_pose.py",
-    "tests/unit/daemon/loop/test_watchdogs_fence.py",
-    "tests/unit/daemon/loop/test_watchdogs_stops.py",
-    "tests/unit/daemon/loop/test_watchdogs_vesc.py",
+    "tests/unit/daemon/loop/test_watchdogs_car.py",
     "tests/unit/daemon/settings/test_config.py", "tests/unit/daemon/loop/test_launch.py",
     "tests/unit/daemon/process/test_guardian.py", "tests/unit/daemon/loop/test_supervisor_stops.py",
     "tests/unit/daemon/loop/test_lateness.py", "tests/unit/daemon/loop/test_lease.py",
@@ -54,7 +52,7 @@ MORE_TESTS = (
     "tests/unit/daemon/loop/test_core.py",
     "tests/unit/daemon/process/test_runner.py",
     "tests/unit/steer_bus/test_lab.py",
-    "tests/property/test_limits.py", "tests/property/test_codec_roundtrip.py",
+    "tests/property/test_controller.py", "tests/property/test_codec_roundtrip.py",
 )  # fmt: skip
 NAME_WIDTH = 40
 FOLDERS = ("steerd", "tests", "config")

@@ -21,11 +21,11 @@ WANTED = ("/steerd/car1/state", "/steerd/car1/odom", "/scene", "/tf")
 LATE_MODES = (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
 
 
-async def look(url, seconds):
+async def look(url, seconds, **headers):
     """What a client sees: server info, channels, messages by topic, parameters."""
     received, heard = {}, {topic: [] for topic in WANTED}
     protocol = [websockets.Subprotocol("foxglove.sdk.v1")]
-    async with websockets.connect(url, subprotocols=protocol, max_size=None) as client:
+    async with websockets.connect(url, subprotocols=protocol, max_size=None, **headers) as client:
         async with asyncio.timeout(seconds):
             while not all(heard.values()) or "parameterValues" not in received:
                 frame = await client.recv()
@@ -67,6 +67,9 @@ def test_a_client_sees_the_drive_and_the_viewers_death_changes_nothing(steerd, t
     for guess in (url[: url.index("/", 5 + 8)], url[:-4], url + "live"):
         with pytest.raises(websockets.InvalidStatus, match="404"):
             asyncio.run(look(guess, 5.0))
+    for origin in ("http://evil.example", "null", None):
+        with pytest.raises(websockets.InvalidStatus, match="404"):
+            asyncio.run(look(f"ws://127.0.0.1:{port}", 5.0, origin=origin))
     received, heard = asyncio.run(look(url, 20.0))
     channels = {c["topic"]: c for c in received["advertise"]["channels"]}
     state = decode_ros(channels[WANTED[0]], heard[WANTED[0]][-1][1])

@@ -142,7 +142,7 @@ FAULTS = {
     "SIGSTOP page": LiveFault(send("page", STOP), 1.0, named="W25", start=held_by_page),
     "page silent": LiveFault(fall_silent, 0.65, "P5", named="W25", start=held_by_page),
     "page closed": LiveFault(leave, 0.65, "P5", named="W25", start=held_by_page),
-    "gamepad released": LiveFault(ask_to_stop, 0.65, "P5", start=held_by_gamepad, code=OK),
+    "gamepad released": LiveFault(ask_to_stop, 0.65, "P5", start=held_by_gamepad),
     "gamepad unplugged": LiveFault(leave, 0.65, "P5", start=held_by_gamepad, code=OK),
     "gamepad silent": LiveFault(fall_silent, 1.15, "P5", start=held_by_gamepad, code=OK),
     "SIGKILL gamepad": LiveFault(
@@ -195,7 +195,7 @@ def run_live(name: str, phase: str) -> LiveOutcome:
     stop_ms = (stop.t_ns - fault_ns) / MS if stop and phase in MOVING and fault.bound_s else -1.0
     reason = followed[0][2] if followed else ""
     wrong = tuple(judge(fault, phase, fault_ns, frames, followed))
-    if code is not fault.code:
+    if code != fault.code:
         wrong += (f"ended with code {code} in place of {fault.code}",)
     return LiveOutcome(name, phase, round(stop_ms, 1), reason, wrong)
 

@@ -161,7 +161,6 @@ def test_a_shell_that_allows_few_files():
     assert "ulimit -n" in said
 
 
-@pytest.mark.realtime
 def test_a_closed_standard_input(tmp_path):
     words = ("run", "--sim", "--auto-arm", "--duration", "0.5", "--record", tmp_path / "d.mcap")
     code, _, said = command(*words, before=close_stdin)

@@ -194,14 +194,14 @@ def test_real_capture_is_about_six_milliseconds_old_on_arrival(capture):
     timing = SourceTiming(3_312_787, two_way=True)
     sent: dict[int, int] = {}
     ages, raws = [], []
-    for d in capture:
-        match natnet.decode(d.data, (3, 0)):
+    for t_ns, data in capture:
+        match natnet.decode(data, (3, 0)):
             case natnet.EchoRequest(client_stamp=stamp):
-                sent[stamp] = d.t_ns
+                sent[stamp] = t_ns
             case natnet.EchoResponse() as m if m.client_stamp in sent:
-                timing.add_echo(sent[m.client_stamp], d.t_ns, m.server_ticks)
+                timing.add_echo(sent[m.client_stamp], t_ns, m.server_ticks)
             case Frame() as f:
-                raws.append(pose(f.mid_exposure_ticks, f.transmit_ticks, d.t_ns))
+                raws.append(pose(f.mid_exposure_ticks, f.transmit_ticks, t_ns))
     assert timing.echo.ready
     stamps = []
     for raw in raws:

@@ -66,14 +66,15 @@ def test_server_info_has_garbage_behind_its_name(capture_dir):
 
 
 def test_the_captured_session_decodes_completely(capture):
-    frames = [d for d in capture if natnet.peek_id(d.data) == natnet.FRAME_ID]
-    decoded = [natnet.decode(d.data, (3, 0)) for d in frames]
+    every = [data for _, data in capture]
+    frames = [data for data in every if natnet.peek_id(data) == natnet.FRAME_ID]
+    decoded = [natnet.decode(data, (3, 0)) for data in frames]
     assert len(decoded) == 518
     numbers = [f.number for f in decoded if isinstance(f, Frame)]
     assert numbers == list(range(numbers[0], numbers[0] + 518))
     # the strict suffix check accepts 6 bytes: params, and the 4 of end-of-data
-    assert all(f.data[-4:] == bytes(4) and natnet.has_exact_length(f.data) for f in frames)
-    others = [natnet.decode(d.data, (3, 0)) for d in capture if d not in frames]
+    assert all(f[-4:] == bytes(4) and natnet.has_exact_length(f) for f in frames)
+    others = [natnet.decode(data, (3, 0)) for data in every if data not in frames]
     kinds = {type(m) for m in others}
     assert {natnet.ServerInfo, natnet.ModelDef, natnet.EchoRequest, natnet.EchoResponse} <= kinds
 

@@ -34,7 +34,6 @@ def test_how_late_a_heartbeat_may_be(realtime, simulated, stale_ms):
     assert ProcessGuard(realtime, simulated=simulated)._stale_ns == stale_ms * 1_000_000
 
 
-@pytest.mark.realtime
 def test_a_guardian_shows_itself_brakes_a_silent_core_and_is_missed_when_killed():
     read, write = os.pipe()
     guard = ProcessGuard(realtime=False, simulated=True)
@@ -65,7 +64,6 @@ def test_a_guardian_shows_itself_brakes_a_silent_core_and_is_missed_when_killed(
     os.close(write)
 
 
-@pytest.mark.realtime
 def test_a_plug_that_flaps_leaves_nothing_behind():
     read, write = os.pipe()
     guard = ProcessGuard(realtime=False, simulated=True)
