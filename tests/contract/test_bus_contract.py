@@ -2,7 +2,6 @@
 
 import contextlib
 import select
-import socket
 import subprocess
 import sys
 import time
@@ -19,6 +18,7 @@ from steerd.steer_bus.zenoh_bus import (
     make_spoke_profile,
 )
 from tests.local_bus import LocalBus, LocalHub, is_heard
+from tests.safety.live import free_port
 
 STATE = "steerd/car1/state"
 DEADLINE_S = 30.0
@@ -33,9 +33,7 @@ def until(condition):
 
 
 def free_endpoint():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_port()}"
 
 
 @contextlib.contextmanager

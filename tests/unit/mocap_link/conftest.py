@@ -36,6 +36,8 @@ class FakeServer:
     epoch_ticks: int = 987_654_321_012
     skew: float = 0.0
     multicast: bool = True
+    data_port: int = 1511
+    group: str = "239.255.42.99"
     bodies: tuple[natnet.RigidBodyDesc, ...] = (
         natnet.RigidBodyDesc("car", 1),
         natnet.RigidBodyDesc("b2", 2),
@@ -48,9 +50,8 @@ class FakeServer:
 
     def info(self) -> natnet.ServerInfo:
         major, minor = self.version
-        return natnet.ServerInfo(
-            "Fake", (1, 0, 0, 0), (major, minor, 0, 0), self.clock_hz, 1511, self.multicast
-        )
+        clock_and_data = self.clock_hz, self.data_port, self.multicast, self.group
+        return natnet.ServerInfo("Fake", (1, 0, 0, 0), (major, minor, 0, 0), *clock_and_data)
 
     def answer(self, datagram: bytes, t_ns: int) -> list[bytes]:
         message = natnet.decode(datagram, self.version)

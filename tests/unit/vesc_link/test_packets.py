@@ -55,10 +55,6 @@ def present(values: object) -> dict[str, object]:
     return {k: v for k, v in dataclasses.asdict(values).items() if v is not None}
 
 
-def test_examples_hold_every_command_once():
-    assert {type(example) for example in EXAMPLES} == set(get_args(Command))
-
-
 @pytest.mark.parametrize("firmware", OLD_AND_NEW, ids=str)
 @pytest.mark.parametrize("command", EXAMPLES, ids=lambda command: type(command).__name__)
 def test_command_round_trip_on_every_firmware(command, firmware):
@@ -106,11 +102,18 @@ def test_text_refuses_what_the_wire_cannot_hold():
 
 
 def test_what_feeds_the_motor_timeout_and_what_is_answered():
+    assert {type(example) for example in EXAMPLES} == set(get_args(Command))
     fed = {command_number(example) for example in EXAMPLES if isinstance(example, FEEDS_TIMEOUT)}
     assert fed == {5, 6, 7, 8, 30}
     answered = {command_number(example) for example in EXAMPLES if expects_reply(example)}
     assert answered == {0, 4, 17, 50, 51, 65, 91}
     assert expects_reply(dataclasses.replace(LIMITS_SET, ack=True))
+    fast = encode_reply(dataclasses.replace(ALL_VALUES, mask=t.FAST_MASK))
+    assert len(encode_frame(fast)) == 56, "one USB packet"
+    assert [fault_name(n) for n in (10, 33, 34)] == [
+        "BOOTING_FROM_WATCHDOG_RESET", "ABS_OVERSPEED", "FAULT_34",
+    ]  # fmt: skip
+    assert LIMITS.erpm_gain == pytest.approx(60 * 2 * 11.75 / (math.pi * 0.125))
 
 
 def test_old_firmware_shifts_ids_from_the_handbrake_on():
@@ -171,11 +174,6 @@ def test_full_telemetry_of_every_firmware(version, size):
     assert values.extra_bytes == 0
 
 
-def test_fast_reply_fits_one_usb_packet():
-    fast = encode_reply(dataclasses.replace(ALL_VALUES, mask=t.FAST_MASK))
-    assert len(encode_frame(fast)) == 56
-
-
 def test_telemetry_cut_at_any_byte_has_no_invented_field():
     payload = encode_reply(ALL_VALUES)
     for length in range(1, len(payload) + 20):
@@ -188,12 +186,6 @@ def test_telemetry_cut_at_any_byte_has_no_invented_field():
         assert {k: v for k, v in present(ALL_VALUES).items() if k in known} == known
         assert isinstance(extra, int)
         assert 0 <= extra < max(6, length - 73)
-
-
-def test_flags_and_fault_names():
-    assert fault_name(10) == "BOOTING_FROM_WATCHDOG_RESET"
-    assert fault_name(33) == "ABS_OVERSPEED"
-    assert fault_name(34) == "FAULT_34"
 
 
 IMU = t.Imu(
@@ -257,10 +249,6 @@ def test_version_reply_of_every_firmware(firmware, size):
     assert got == (reply if size > 3 else i.FwVersion(*firmware))
     with pytest.raises(ValueError, match="12 bytes"):
         encode_reply(dataclasses.replace(reply, uuid=b"short"), FW_7_01)
-
-
-def test_limits_imply_the_erpm_gain():
-    assert LIMITS.erpm_gain == pytest.approx(60 * 2 * 11.75 / (math.pi * 0.125))
 
 
 @pytest.mark.parametrize("reply", [LIMITS, IMU, APPCONF], ids=lambda r: str(type(r)))
