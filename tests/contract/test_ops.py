@@ -1,6 +1,4 @@
-"""One set of equations over every number type: floats, arrays and records agree."""
-
-from typing import Any
+"""One set of equations over every number type: floats and arrays agree."""
 
 import numpy as np
 import pytest
@@ -8,53 +6,34 @@ import pytest
 from steerd.car_model.chassis import derivative
 from steerd.car_model.numpy_ops import NUMPY
 from steerd.car_model.ops import FLOAT
-from steerd.car_model.params import DEFAULT_CAR, Car
+from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import State
-from steerd.car_model.tape import TAPE, Node, Tape
 
-ONE = ("sin", "cos", "tan", "atan", "tanh", "exp", "absolute")
 VALUES = (-1.3, -0.25, 0.0, 0.25, 1.3)
+CHOICES = {
+    "square root": lambda ops, a, b: ops.sqrt(1.25 + a),
+    "minimum": lambda ops, a, b: ops.minimum(a, b),
+    "maximum": lambda ops, a, b: ops.maximum(a, b),
+    "clip": lambda ops, a, b: ops.clip(a, -0.5 + 0.0 * b, 0.5),
+    "where positive": lambda ops, a, b: ops.where_positive(a, 1.0 + b, 2.0),
+    **{name: (lambda ops, a, b, name=name: getattr(ops, name)(a))
+       for name in ("sin", "cos", "tan", "atan", "tanh", "exp", "absolute")},
+}  # fmt: skip
+"""The operations of one or two numbers; the tape's: tests/property/test_car_model.py."""
 
 
-KINDS = {"numpy": (NUMPY, np.float64), "tape": (TAPE, Tape().constant)}
-"""Each implementation with the way into its number type."""
+@pytest.mark.parametrize("function", CHOICES.values(), ids=CHOICES)
+def test_an_array_gives_what_each_of_its_numbers_gives(function):
+    a, b = map(np.ravel, np.meshgrid(VALUES[1:], VALUES))
+    alone = [function(FLOAT, float(x), float(y)) for x, y in zip(a, b, strict=True)]
+    assert function(NUMPY, a, b) == pytest.approx(alone, rel=1e-14, abs=1e-15)
 
 
-def value(number: Any) -> float:
-    """The number alone; operations on constants are recorded as their results."""
-    return number.entry.value if isinstance(number, Node) else float(number)
-
-
-@pytest.fixture(params=KINDS.values(), ids=KINDS)
-def kind(request: pytest.FixtureRequest) -> tuple[Any, Any]:
-    pair: tuple[Any, Any] = request.param
-    return pair
-
-
-@pytest.mark.parametrize("name", ONE)
-def test_functions_of_one_number(kind, name):
-    ops, number = kind
-    for a in VALUES:
-        found = value(getattr(ops, name)(number(a)))
-        assert found == pytest.approx(getattr(FLOAT, name)(a), rel=1e-14, abs=1e-15)
-
-
-def test_square_root(kind):
-    ops, number = kind
-    assert value(ops.sqrt(number(2.25))) == pytest.approx(1.5, rel=1e-15)
-
-
-def test_choices(kind):
-    ops, number = kind
-    for a in VALUES:
-        for b in VALUES:
-            assert value(ops.minimum(number(a), b)) == min(a, b) == FLOAT.minimum(a, b)
-            assert value(ops.maximum(number(a), b)) == max(a, b) == FLOAT.maximum(a, b)
-        assert value(ops.clip(number(a), number(-0.5), 0.5)) == min(max(a, -0.5), 0.5)
-        assert FLOAT.clip(a, -0.5, 0.5) == min(max(a, -0.5), 0.5)
-        chosen = ops.where_positive(number(a), number(1.0), number(2.0))
-        assert value(chosen) == (1.0 if a > 0.0 else 2.0) == FLOAT.where_positive(a, 1.0, 2.0)
+def test_choices_of_floats():
+    assert (FLOAT.minimum(1.0, 2.0), FLOAT.maximum(1.0, 2.0)) == (1.0, 2.0)
+    assert [FLOAT.clip(a, -0.5, 0.5) for a in VALUES] == [-0.5, -0.25, 0.0, 0.25, 0.5]
+    assert [FLOAT.where_positive(a, 1.0, 2.0) for a in VALUES] == [2.0, 2.0, 2.0, 1.0, 1.0]
 
 
 def points(count: int) -> list[tuple[State[float], float, float]]:
@@ -69,15 +48,6 @@ def points(count: int) -> list[tuple[State[float], float, float]]:
         )
         for _ in range(count)
     ]
-
-
-def test_rates_agree(kind):
-    ops, number = kind
-    for state, wheel, accel in points(20):
-        car, at = Car(*map(number, DEFAULT_CAR)), State(*map(number, state))
-        found = derivative(SINGLE_TRACK, ops, car, at, number(wheel), number(accel))
-        expected = derivative(SINGLE_TRACK, FLOAT, DEFAULT_CAR, state, wheel, accel)
-        assert [value(v) for v in found] == pytest.approx(list(expected), rel=1e-12, abs=1e-12)
 
 
 def test_lanes_of_an_array_are_cars_of_their_own():

@@ -9,13 +9,7 @@ from steerd.car_model.path.path_spec import parse_path
 from steerd.car_model.state import ORIGIN, State
 from steerd.controller.build import make_controller
 from steerd.controller.config import ControllerConfig
-from steerd.controller.lane_controller import (
-    ControllerState,
-    LaneController,
-    control,
-    start_controller,
-    to_command,
-)
+from steerd.controller.lane_controller import LaneController, control, start_controller, to_command
 
 RATE_HZ = 100.0
 SLOW_SERVO = DEFAULT_CAR._replace(steer_lag=0.08, steer_delay=DEFAULT_CAR.steer_delay + 0.03)
@@ -34,37 +28,29 @@ def test_a_cars_gain_and_bias_are_undone():
     assert to_command(crooked, 0.05, 0.9) == pytest.approx((0.0, 1.0))
 
 
-def first_ticks(controller: LaneController) -> tuple[ControllerState, State[float]]:
-    estimate = ORIGIN._replace(y=0.05, speed=1.0)
-    return start_controller(controller, estimate, 0), estimate
+SEEN = ORIGIN._replace(y=0.05, speed=1.0)
 
 
-def test_a_command_that_left_unchanged_changes_nothing():
+def test_a_command_is_remembered_as_it_left():
     controller = made("figure8", 1.5, SLOW_SERVO)
-    state, estimate = first_ticks(controller)
+    state = start_controller(controller, SEEN, 0)
     assert len(state.past) == 4
-    command, _, after = control(controller, state, estimate, 10_000_000)
-    alone = control(controller, after, estimate, 20_000_000)
-    informed = control(controller, after, estimate, 20_000_000, issued=command)
-    assert informed[0] == pytest.approx(alone[0])
+    command, _, after = control(controller, state, SEEN, 10_000_000)
+    alone = control(controller, after, SEEN, 20_000_000)
+    informed = control(controller, after, SEEN, 20_000_000, issued=command)
+    assert informed[0] == pytest.approx(alone[0]), "one that left unchanged changes nothing"
     assert informed[2].past == pytest.approx(alone[2].past)
-
-
-def test_a_command_that_was_held_back_is_remembered_as_it_left():
-    controller = made("figure8", 1.5, SLOW_SERVO)
-    state, estimate = first_ticks(controller)
-    command, _, after = control(controller, state, estimate, 10_000_000)
     held = command._replace(steer=0.5 * command.steer)
-    _, _, informed = control(controller, after, estimate, 20_000_000, issued=held)
+    _, _, informed = control(controller, after, SEEN, 20_000_000, issued=held)
     assert informed.past[1] == pytest.approx(held.steer - after.feedforward)
 
 
 def test_no_delay_means_no_past():
     controller = made("circle", 1.0, DEFAULT_CAR._replace(steer_delay=0.0))
-    state, estimate = first_ticks(controller)
-    command, _, after = control(controller, state, estimate, 10_000_000)
+    state = start_controller(controller, SEEN, 0)
+    command, _, after = control(controller, state, SEEN, 10_000_000)
     assert after.past == ()
-    assert control(controller, after, estimate, 20_000_000, issued=command)[2].past == ()
+    assert control(controller, after, SEEN, 20_000_000, issued=command)[2].past == ()
 
 
 def test_a_clock_that_stands_or_leaps_is_no_leap_in_speed():
@@ -79,9 +65,10 @@ def test_a_clock_that_stands_or_leaps_is_no_leap_in_speed():
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_an_estimate_that_is_not_finite_is_refused(field, value):
     controller = made("circle", 1.0)
-    state, estimate = first_ticks(controller)
     with pytest.raises(ValueError, match="not finite"):
-        control(controller, state, estimate._replace(**{field: value}), 10_000_000)
+        control(
+            controller, start_controller(controller, SEEN, 0), SEEN._replace(**{field: value}), 1
+        )
 
 
 def test_a_start_on_the_crossing_takes_the_branch_the_car_heads_along():

@@ -29,20 +29,11 @@ def row(past: tuple[float, ...] = (), **gains: float) -> tuple[float, ...]:
     return (*(gains.get(name, 0.0) for name in names), *past, *NO_TURNING)
 
 
-def test_signs_left_of_the_line_and_turned_left():
-    estimate = State(1.0, 0.1, 0.2, 1.5, 0.3, 0.05, 0.0)
+@pytest.mark.parametrize("turns", [-2, 0, 3])
+def test_signs_left_of_the_line_and_turned_left(turns):
+    estimate = State(1.0, 0.1, 0.2 + turns * math.tau, 1.5, 0.3, 0.05, 0.0)
     errors = lane_errors(estimate, project(LINE, 1.0, 0.1, 50))
-    assert errors.e1 == pytest.approx(0.1)
-    assert errors.e2 == pytest.approx(0.2)
-    assert errors.e1_rate == pytest.approx(1.5 * math.sin(0.25))
-    assert errors.e2_rate == pytest.approx(0.3)
-
-
-def test_heading_error_wraps():
-    at = project(LINE, 1.0, 0.0, 50)
-    for turns in (-2, 0, 3):
-        estimate = ORIGIN._replace(x=1.0, yaw=0.1 + turns * math.tau)
-        assert lane_errors(estimate, at).e2 == pytest.approx(0.1)
+    assert errors == pytest.approx(LaneErrors(0.1, 1.5 * math.sin(0.25), 0.2, 0.3))
 
 
 def test_at_the_centre_of_the_turn_the_rates_stay_finite():
@@ -156,10 +147,7 @@ def test_the_reference_climbs_at_the_start_ramp_and_stops_at_the_stop_ramp():
     for _ in range(60):
         speed = step_speed(speed, 1.0, 0.01, config, stop=True)
     assert speed == 0.0
-
-
-def test_the_reference_follows_the_profile_down():
-    assert step_speed(2.0, 1.2, 0.01, ControllerConfig(), stop=False) == 1.2
+    assert step_speed(2.0, 1.2, 0.01, config, stop=False) == 1.2, "it follows the profile down"
 
 
 # Where the wheels are, by the orders that left.
@@ -175,14 +163,14 @@ def wheel_after(ms, delay_s=0.03, order=0.2):
     return servo.wheel
 
 
-def test_the_wheel_stays_for_the_dead_time_and_follows_with_the_lag():
-    assert wheel_after(29) == pytest.approx(0.01)
-    assert wheel_after(29 + 50) == pytest.approx(0.01 + 0.18 * (1.0 - exp(-1.0)), rel=1e-2)
-    assert wheel_after(500) == pytest.approx(0.9 * 0.2 + 0.01, rel=1e-3)
-
-
-def test_it_stops_at_the_end_stop():
-    assert wheel_after(800, order=1.0) == pytest.approx(CAR.steer_max, rel=1e-3)
+@pytest.mark.parametrize(
+    ("ms", "order", "wheel", "rel"),
+    [(29, 0.2, 0.01, 1e-6), (79, 0.2, 0.01 + 0.18 * (1.0 - exp(-1.0)), 1e-2),
+     (500, 0.2, 0.9 * 0.2 + 0.01, 1e-3), (800, 1.0, CAR.steer_max, 1e-3)],
+    ids=["dead time", "lag", "settled", "end stop"],
+)  # fmt: skip
+def test_where_the_wheel_is(ms, order, wheel, rel):
+    assert wheel_after(ms, order=order) == pytest.approx(wheel, rel=rel)
 
 
 def test_orders_are_kept_as_long_as_a_dead_time_can_be_and_no_longer():

@@ -134,17 +134,11 @@ def test_every_message_survives(message):
     assert natnet.decode(natnet.encode(message), (4, 2)) == message
 
 
-def test_response_number():
-    assert natnet.Response(b"\0\0\xf0\x42").number == 120.0
-    assert natnet.Response(b"text\0").number is None
-
-
-def test_a_short_connect_is_a_connect():
+def test_short_and_long_forms_that_servers_send():
     assert natnet.decode(b"\0\0\x05\0Ping\0", (3, 0)) is natnet.Bare.CONNECT
     assert natnet.decode(bytes(4), (3, 0)) is natnet.Bare.CONNECT
-
-
-def test_bytes_behind_the_stated_length_are_ignored():
+    assert natnet.Response(b"\0\0\xf0\x42").number == 120.0
+    assert natnet.Response(b"text\0").number is None
     data = bytes.fromhex(VECTORS[3, 0])
     assert natnet.decode(data + b"junk", (3, 0)) == natnet.decode(data, (3, 0))
     assert not natnet.has_exact_length(data + b"junk")
@@ -161,13 +155,10 @@ def test_absurd_counts_and_sizes_are_refused(version, at, number, said):
         natnet.decode(bytes(data), version)
 
 
-def test_a_stopped_server_clock_is_refused():
+def test_a_stopped_server_clock_and_values_that_do_not_fit_are_refused():
     data = natnet.encode(natnet.ServerInfo("S", (1, 0, 0, 0), (3, 0, 0, 0), 0))
     with pytest.raises(NatNetError, match="0 Hz"):
         natnet.decode(data, (3, 0))
-
-
-def test_values_that_do_not_fit_are_refused():
     for message in (natnet.EchoRequest(-1), natnet.Response(bytes(70_000))):
         with pytest.raises(NatNetError):
             natnet.encode(message)
