@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from steerd.car_model.chassis import Chassis, derivative
+from steerd.car_model.chassis import Chassis
 from steerd.car_model.model import Model
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR
@@ -11,11 +11,11 @@ from steerd.car_model.rollout import simulate as simulate_car
 from steerd.car_model.rollout import start
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
-from steerd.car_model.tape import TAPE, Tape, jacobian, program
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.history import NO_HISTORY, add_command
 from steerd.estimator.initial import make_belief
 from steerd.estimator.reference import Reference
+from tests.textbook import rates_and_slopes
 
 CAR = DEFAULT_CAR
 QUIET = [0.0] * 7
@@ -35,25 +35,12 @@ def make_reference(chassis: Chassis, car=CAR) -> Reference:
 every_chassis = pytest.mark.parametrize("chassis", CHASSIS, ids=lambda chassis: chassis.label)
 
 
-def rates_and_jacobian(chassis: Chassis, car, state, wheel: float, accel: float):
-    """The six rates and their (6, 8) derivatives by chassis, wheel and acceleration."""
-    tape = Tape()
-    inputs = [tape.symbol(f"s{i}") for i in range(9)]
-    rates = derivative(
-        chassis, TAPE, car._make(map(tape.constant, car)), State(*inputs[:7]), *inputs[7:]
-    )
-    slopes = jacobian(rates, (*inputs[:6], *inputs[7:]))
-    outputs = [tape.node(number) for row in (rates, *slopes) for number in row]
-    numbers = np.array(program(inputs, outputs)(*state, wheel, accel))
-    return numbers[:6], numbers[6:].reshape(6, 8)
-
-
 @every_chassis
 @pytest.mark.parametrize("state", STATES)
 def test_step_is_the_implicit_midpoint_of_the_whole_jacobian(chassis, state):
     driven = ActuatorMotion(0.13, 0.11, 0.7, 0.9, 0.95, -8.0)
     h = 0.008
-    rates, J = rates_and_jacobian(chassis, CAR, state, driven.wheel, driven.accel)
+    rates, J = rates_and_slopes(chassis, CAR, state, driven.wheel, driven.accel)
     W = np.linalg.inv(np.eye(6) - 0.5 * h * J[:, :6])
     F = np.zeros((7, 7))
     F[:6, :6] = W @ (np.eye(6) + 0.5 * h * J[:, :6])

@@ -19,6 +19,7 @@ from steerd.car_model.state import Command, State
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.sensors import Kind
 from steerd.estimator.state_filter import make_state_filter, predict_to, step
+from tests.textbook import noise_densities
 
 CAR = DEFAULT_CAR
 CONFIG = FilterConfig(gate_probability=1.0 - 1e-9)
@@ -44,16 +45,7 @@ def textbook_predict(
         for unit in np.eye(7) * 1e-6
     ]
     F = np.array(columns).T
-    densities = [
-        CONFIG.position_density,
-        CONFIG.position_density,
-        CONFIG.yaw_density,
-        CONFIG.longitudinal_accel_density,
-        CONFIG.yaw_accel_density,
-        CONFIG.lateral_accel_density / max(abs(x[3]), 0.5),
-        CONFIG.steer_rate_density,
-    ]
-    Q = 0.001 * np.diag(np.square(densities))
+    Q = 0.001 * np.diag(np.square(noise_densities(CONFIG, x[3])))
     return textbook_motion(x, command), F @ P @ F.T + 0.5 * (F @ Q @ F.T + Q)
 
 

@@ -180,7 +180,7 @@ def moved(place: Callable[[RigidBody], tuple[float, float, float]]) -> Mutate:
 FAULTS: dict[str, tuple[str, Mutate]] = {
     "invalid with a stale pose": ("invalid", own(params=0)),
     "invalid with a zero pose": ("invalid", own(params=0, position=(0.0,) * 3)),
-    "zero pose that is called valid": ("zero_pose", own(position=(0.0,) * 3, quaternion=(0.0,) * 4)),
+    "zero pose called valid": ("zero_pose", own(position=(0.0,) * 3, quaternion=(0.0,) * 4)),
     "zero quaternion": ("quaternion", own(quaternion=(0.0,) * 4)),
     "NaN position": ("not_finite", own(position=(NAN,) * 3)),
     "NaN quaternion": ("not_finite", own(quaternion=(NAN,) * 4)),

@@ -1,7 +1,5 @@
 """Row numbers by name point at what they say."""
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,40 +10,22 @@ from steerd.car_model.native.specialised import Range, specialise
 from steerd.car_model.native.threads import WORTHWHILE, share_out
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.tape import TAPE, Tape, program
+from tests.property.test_car_model import evaluated, formulas, points
 
 # Equations under bounds of their inputs: the same numbers, fewer operations.
 
-OPS = ("add", "sub", "mul", "min", "max", "select", "neg")
 
-
-@given(st.integers(0, 10**6), st.floats(-2.0, 2.0), st.floats(0.0, 3.0))
-@settings(derandomize=True, deadline=None, max_examples=150)
-def test_any_expression_keeps_its_value_within_the_bounds(seed, low, width):
-    """Random expressions of three inputs, one of them bounded."""
-    rng, tape = np.random.default_rng(seed), Tape()
+@given(formulas, st.floats(-2.0, 2.0), st.floats(0.0, 3.0), points)
+@settings(derandomize=True, deadline=None, max_examples=300)
+def test_any_expression_keeps_its_value_within_the_bounds(formula, low, width, point):
+    """Random formulas of three inputs, one of them bounded."""
+    tape = Tape()
     inputs = [tape.symbol(name) for name in "abc"]
-    nodes = [*inputs, tape.constant(0.5), tape.constant(-1.0)]
-    choices = {"min": TAPE.minimum, "max": TAPE.maximum, "select": TAPE.where_positive}
-    for _ in range(12):
-        op = OPS[rng.integers(len(OPS))]
-        a, b, c = (nodes[i] for i in rng.integers(len(nodes), size=3))
-        plain = {"add": lambda x, y: x + y, "sub": lambda x, y: x - y, "mul": lambda x, y: x * y}
-        if op == "neg":
-            nodes.append(-a)
-        elif op == "select":
-            nodes.append(choices[op](a, b, c))
-        else:
-            nodes.append((plain.get(op) or choices[op])(a, b))
-    outputs = nodes[-4:]
-    short = specialise(outputs, {inputs[0].place: Range(low, low + width)})
-    before, after = (program(inputs, list(each)) for each in (outputs, short))
-    for a in np.linspace(low, low + width, 5):
-        numbers = [float(a), *rng.normal(size=2).tolist()]
-        got, wanted = after(*numbers), before(*numbers)
-        assert all(
-            math.isclose(x, y, rel_tol=1e-12, abs_tol=1e-12)
-            for x, y in zip(got, wanted, strict=True)
-        )
+    output = tape.node(evaluated(TAPE, formula, inputs))
+    short = specialise([output], {inputs[0].place: Range(low, low + width)})
+    before, after = program(inputs, [output]), program(inputs, list(short))
+    for a in np.linspace(low, low + width, 5).tolist():
+        assert after(a, *point[1:]) == pytest.approx(before(a, *point[1:]), rel=1e-12, abs=1e-12)
 
 
 # Pieces of compiled work on several threads.

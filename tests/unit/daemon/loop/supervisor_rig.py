@@ -27,6 +27,9 @@ class Car:
     def ticks(self, count, dt=10 * MS):
         return [self.tick(dt=dt) for _ in range(count)][-1]
 
+    def outputs(self):
+        return self.action.motor, self.action.steering
+
     def until(self, state, limit=1000):
         for count in range(limit):
             if self.tick() == state:
