@@ -43,8 +43,7 @@ TESTS = (
     "tests/unit/daemon/loop/test_watchdogs.py", "tests/unit/daemon/loop/test_watchdogs_pose.py",
     "tests/unit/daemon/loop/test_watchdogs_car.py",
     "tests/unit/daemon/settings/test_config.py", "tests/unit/daemon/loop/test_launch.py",
-    "tests/unit/daemon/process/test_guardian.py", "tests/unit/daemon/loop/test_supervisor_stops.py",
-    "tests/unit/daemon/loop/test_lateness.py", "tests/unit/daemon/loop/test_lease.py",
+    "tests/unit/daemon/process/test_guardian.py", "tests/unit/daemon/loop/test_lease.py",
     "tests/unit/steer_bus/test_codec.py", "tests/unit/daemon/loop/test_following.py",
     "tests/unit/steer_bus/test_codec_fresh.py", "tests/unit/daemon/loop/test_findings.py",
 )  # fmt: skip

@@ -95,7 +95,7 @@ TRACES = {
         "steerd.daemon.loop.lateness:step_lateness",
         _names("late late_run late_share"),
         ("H12b", "P5"),
-        also="`test_lateness.py`; live: SIGSTOP core",
+        also="`test_launch.py`; live: SIGSTOP core",
     ),
     "W16": Trace(
         "steerd.daemon.process.guard:ProcessGuard.is_silent",
