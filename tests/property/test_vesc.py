@@ -8,14 +8,11 @@ import math
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from steerd.steer_bus.messages import ActuationMode
 from steerd.vesc_link import commands as c
 from steerd.vesc_link import telemetry as t
 from steerd.vesc_link.frames import FrameParser, encode_frame
 from steerd.vesc_link.ids import PROFILES, Firmware
 from steerd.vesc_link.packets import decode_command, decode_reply, encode_command, encode_reply
-from steerd.vesc_link.scaling import F1TENTH
-from steerd.vesc_link.vesc import WRITE_LIMIT, Drive, VescLink
 
 CHECKED = settings(derandomize=True, deadline=None, database=None, max_examples=200)
 PAYLOADS = st.binary(min_size=1, max_size=60) | st.binary(min_size=250, max_size=512)
@@ -119,27 +116,6 @@ def test_reads_of_whole_frames_are_what_the_general_way_makes_of_them(
             assert getattr(one, count) == getattr(general, count)
 
 
-@given(SOUP, CUTS, st.booleans(), st.lists(st.integers(0, 40_000_000), min_size=21, max_size=21))
-@CHECKED
-def test_soup_never_raises_nor_yields_a_bad_packet_nor_grows(data, cuts, strict, waits):
-    parser = FrameParser(strict=strict)
-    t_ns = frame_bytes = 0
-    for chunk, wait in zip(chunks(data, cuts), waits, strict=False):
-        t_ns += wait
-        for payload in parser.feed(chunk, t_ns):
-            assert any(frame in data for frame in frames_of(payload))
-            frame_bytes += len(next(frame for frame in frames_of(payload) if frame in data))
-        assert parser.buffered <= 518
-    assert 0 <= parser.dropped_bytes <= len(data)
-    assert parser.dropped_bytes + frame_bytes <= len(data)
-
-
-def frames_of(payload: bytes) -> list[bytes]:
-    """Both legal frames of a payload: 255 bytes may stand behind either header."""
-    short = encode_frame(payload)
-    return [short, b"\x03\x00\xff" + short[2:]] if len(payload) == 255 else [short]
-
-
 @given(SOUP, PAYLOADS)
 @CHECKED
 def test_good_frame_behind_any_garbage_is_found_at_once_by_the_host(garbage, payload):
@@ -174,18 +150,6 @@ def test_any_truncation_delivers_nothing_and_any_flip_is_noticed(payload, data):
 
 FIRMWARE = st.sampled_from((Firmware(2, 18), *PROFILES))
 SINGLE = st.floats(width=32, allow_nan=False, allow_infinity=False)
-
-
-@given(st.binary(max_size=200), FIRMWARE)
-@CHECKED
-def test_any_payload_decodes_or_is_refused_without_raising(data, fw):
-    for number in (*range(10), 11, 12, 17, 20, 21, 29, 30, 47, 48, 50, 51, 65, 91):
-        payload = bytes((number,)) + data
-        command = decode_command(payload, fw)
-        reply = decode_reply(payload, fw)
-        for value in (command, reply):
-            numbers = dataclasses.asdict(value).values() if value is not None else ()
-            assert all(math.isfinite(n) for n in numbers if isinstance(n, float))
 
 
 @given(
@@ -248,23 +212,3 @@ def test_imu_in_si_units_survives_the_wire(mask, numbers):
             assert math.isclose(value, small[name], rel_tol=2e-7, abs_tol=1e-36)
         else:
             assert value is None
-
-
-DRIVES = st.builds(
-    Drive, st.sampled_from(ActuationMode), st.none() | st.floats(), st.floats(), st.floats()
-)
-
-
-@given(st.lists(st.tuples(DRIVES, st.binary(max_size=80)), max_size=15))
-@CHECKED
-def test_client_outlives_any_bytes_and_writes_one_packet_of_known_commands(ticks):
-    link = VescLink(F1TENTH, imu_mask=t.IMU_ACCEL_GYRO_MASK)
-    link.make_connect(0)
-    link.on_bytes(1, encode_frame(b"\x00\x07\x01"))
-    for n, (drive, data) in enumerate(ticks):
-        try:
-            written = link.make_tick(drive, n * 5_000_000)
-        except ValueError:
-            written = link.make_tick(Drive(ActuationMode.BRAKE, current=5.0), n * 5_000_000)
-        assert len(written) <= WRITE_LIMIT
-        link.on_bytes(n * 5_000_000 + 1, data + encode_frame(data[:50] or b"\x04"))

@@ -1,6 +1,5 @@
 """Files and surroundings that somebody else made: one line each, at once, and never a traceback."""
 
-import json
 import os
 import re
 import resource
@@ -266,14 +265,3 @@ def test_no_code_lies_in_a_cache(cache):
     assert left, "gains are remembered"
     assert {f.suffix for f in left} == {".json"}
     assert not [f for f in left if f.stat().st_mode & 0o111]
-
-
-@pytest.mark.parametrize("factor", [0.3, 3.0])
-def test_gains_that_somebody_changed_are_not_driven(cache, factor):
-    whole = drive(cache)[0]
-    for file in cache.rglob("designs/*.json"):
-        text = file.read_text()
-        table, end = json.JSONDecoder().raw_decode(text)
-        table[2] = [[factor * gain for gain in row[:4]] + row[4:] for row in table[2]]
-        file.write_text(json.dumps(table) + text[end:])
-    assert drive(cache)[0] == whole

@@ -103,7 +103,7 @@ def test_gate_is_scipys_quantile(degrees, probability):
     assert chi_square_gate(degrees, probability) == pytest.approx(expected, rel=1e-9)
 
 
-# test_initial.py
+# The first belief, from poses alone.
 
 CONFIG = FilterConfig()
 
@@ -162,7 +162,7 @@ def test_a_carried_car_starts_without_slip():
     assert belief.mean[5] == 0.0
 
 
-# test_config.py
+# Settings.
 
 
 def test_defaults_pass_their_own_validation():
