@@ -192,45 +192,40 @@ def test_speed_rises_between_the_fastest_and_the_slowest_car():
     assert slow * 0.9 <= band.low <= slow
 
 
-def test_slew_limits_bound_both_ends():
-    state = go({0: Command(0.0, 3.0)}, 300)
-    band = state.trail[-1].speed
-    assert band.high == pytest.approx(4.8 * 0.23)
-    assert band.low == pytest.approx(3.2 * (0.3 - 0.132), abs=0.04)
-
-
-def test_both_ends_come_to_rest_on_the_order():
-    state = go({0: Command(0.1, 1.0)}, 4000)
+@pytest.mark.parametrize(
+    ("bias", "wish", "band"),
+    [(0.0, 0.1, (0.08, 0.12)), (0.0, 0.5, (0.32, 0.48)), (0.0, -0.5, (-0.36, -0.24)),
+     (0.05, -0.1, (-0.07, -0.03))],
+    ids=["gain", "left end stop", "right end stop", "bias"],
+)  # fmt: skip
+def test_both_ends_come_to_rest_on_the_order(bias, wish, band):
+    model = make_follow_model(CAR._replace(steer_bias=bias), KNOWN, FilterConfig(), TH)
+    state = go({0: Command(wish, 1.0)}, 4000, model)
     assert state.trail[-1].speed == near(1.0, 1.0)
-    assert state.steer == near(0.08, 0.12)
+    assert state.steer == near(*band)
     assert len(state.orders) == 1
 
 
-def test_a_fall_of_speed_has_its_own_limits():
-    base = {0: Command(0.0, 3.0), 4000: Command(0.0, 1.0)}
-    band = go(base, 4400).trail[-1].speed
-    assert band.low == pytest.approx(3.0 - 3.6 * (0.4 - 0.08), abs=0.05)
-    assert band.high == pytest.approx(3.0 - 2.4 * (0.4 - 0.132 - 0.01), abs=0.05)
-
-
-def test_a_slow_order_may_release_the_motor():
-    """Below 0.3 m/s a VESC lets go: the car may stand at once or coast for ever."""
-    state = go({0: Command(0.0, 2.0), 4000: Command(0.0, 0.29)}, 8000)
-    assert state.trail[-1].speed == Band(pytest.approx(0.0, abs=1e-6), pytest.approx(2.0))
-    state = go({0: Command(0.0, 2.0), 4000: Command(0.0, 0.3)}, 9000)
-    assert state.trail[-1].speed == near(0.3, 0.3)
-
-
-def test_the_wheel_angle_stays_within_the_end_stops():
-    state = go({0: Command(0.5, 1.0)}, 3000)
-    assert state.steer == near(0.32, 0.48)
-    state = go({0: Command(-0.5, 1.0)}, 3000)
-    assert state.steer == near(-0.36, -0.24)
-
-
-def test_bias_and_gain_of_the_linkage():
-    biased = make_follow_model(CAR._replace(steer_bias=0.05), KNOWN, FilterConfig(), TH)
-    assert go({0: Command(-0.1, 1.0)}, 3000, biased).steer == near(-0.07, -0.03)
+@pytest.mark.parametrize(
+    ("first", "then", "until_ms", "step_ms", "low", "high"),
+    [
+        (3.0, None, 300, 10, 3.2 * (0.3 - 0.132), 4.8 * 0.23),
+        (3.0, 1.0, 4400, 10, 3.0 - 3.6 * (0.4 - 0.08), 3.0 - 2.4 * (0.4 - 0.132 - 0.01)),
+        (1.0, 0.7, 4200, 2, 1.0 - 0.3 * (1.0 - exp(-0.12 / 0.16)),
+         1.0 - 0.3 * (1.0 - exp(-0.068 / 0.24))),
+        (2.0, 0.29, 8000, 10, 0.0, 2.0),
+        (2.0, 0.3, 9000, 10, 0.3, 0.3),
+    ],
+    ids=["slew limits", "a fall has its own", "0.3 m/s over 0.16 s is below them: the lag",
+         "below 0.3 m/s a VESC lets go: it may stand at once or coast for ever", "0.3 m/s"],
+)  # fmt: skip
+def test_speeds_after_a_change(first, then, until_ms, step_ms, low, high):
+    orders = {0: Command(0.0, first)} | ({4000: Command(0.0, then)} if then else {})
+    band = go(orders, until_ms, step_ms=step_ms).trail[-1].speed
+    near_low = {10: 0.05, 2: 0.004}[step_ms]
+    assert band.low == pytest.approx(low, abs=1e-6 if then in (0.29, 0.3) else near_low)
+    exact = then is None or then in (0.29, 0.3)
+    assert band.high == pytest.approx(high, abs=1e-6 if exact else near_low)
 
 
 @pytest.mark.parametrize("speed", [0.3, 1.0, 2.5])
@@ -332,13 +327,6 @@ def test_a_late_tick_forgets_every_order_but_the_last():
     assert state.orders == ((100 * MS, Command(0.0, 1.1)),)
     exact = go({0: Command(0.0, 1.0), 18: Command(0.0, 1.1)}, 150, step_ms=2)
     assert [sent for sent, _ in exact.orders] == [18 * MS]
-
-
-def test_a_small_fall_of_speed_takes_the_lag():
-    """0.3 m/s over 0.16 s stays below the limit of the rate."""
-    band = go({0: Command(0.0, 1.0), 4000: Command(0.0, 0.7)}, 4200, step_ms=2).trail[-1].speed
-    assert band.low == pytest.approx(1.0 - 0.3 * (1.0 - exp(-0.12 / 0.16)), abs=0.004)
-    assert band.high == pytest.approx(1.0 - 0.3 * (1.0 - exp(-0.068 / 0.24)), abs=0.004)
 
 
 # --- comparison

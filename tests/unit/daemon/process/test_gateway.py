@@ -26,6 +26,17 @@ def hub():
 
 
 @pytest.fixture
+def gateway(hub):
+    return Gateway(LocalBus(hub), "car1", None)
+
+
+@pytest.fixture
+def other(hub):
+    """Somebody else on the bus."""
+    return LocalBus(hub)
+
+
+@pytest.fixture
 def ends():
     """The gateway's and the core's end of the socket for requests."""
     pair = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -46,17 +57,14 @@ def packets(core):
             return found
 
 
-def test_it_is_alive_and_gives_the_schemas(hub):
-    gateway = Gateway(LocalBus(hub), "car1", None)
-    other = LocalBus(hub)
+def test_it_is_alive_and_gives_the_schemas(gateway, other):
     assert other.alive("**") == {"steerd/car1/alive"}
     (text,) = other.query(make_key("car1", "schema/steerd_msgs/msg/Tick")).values()
     assert b"due_ns" in text
     assert gateway is not None
 
 
-def test_whole_records_are_published_and_the_rest_waits(hub):
-    gateway = Gateway(LocalBus(hub), "car1", None)
+def test_whole_records_are_published_and_the_rest_waits(gateway, hub):
     heard = LocalBus(hub).subscribe(make_key("car1", topics.TICK), 8)
     record = pack_record(PipeRecord(topics.TICK, 0, 0, 0, TICK))
     read_fd, write_fd = os.pipe()
@@ -71,8 +79,7 @@ def test_whole_records_are_published_and_the_rest_waits(hub):
     os.close(write_fd)
 
 
-def test_what_comes_from_the_bus_is_not_sent_back_to_it(hub):
-    gateway = Gateway(LocalBus(hub), "car1", None)
+def test_what_comes_from_the_bus_is_not_sent_back_to_it(gateway, hub):
     heard = LocalBus(hub).subscribe(make_key("car1", topics.OPERATOR), 8)
     request = m.OperatorRequest(m.make_header(1, m.BODY), 1, 2, 3, int(m.RequestKind.ARM), "me")
     gateway.publish([PipeRecord(topics.OPERATOR, 0, 0, 0, encode(request))])
@@ -97,10 +104,9 @@ def kinds(core):
     return [m.RequestKind(request.kind) for request in got]
 
 
-def test_requests_and_poses_go_to_the_core_stops_first(hub, ends):
+def test_requests_and_poses_go_to_the_core_stops_first(other, hub, ends):
     ours, core = ends
     gateway = Gateway(LocalBus(hub), "car1", POSE_KEY)
-    other = LocalBus(hub)
     drive = encode(m.DriveCommand(m.make_header(1, m.BODY), 5, 0, 1, 2, 100, 0.1, 1.0))
     other.publish(make_key("car1", topics.OPERATOR), ask(ARM, lease_id=0))
     other.publish(make_key("car1", topics.DRIVE), drive)
@@ -117,9 +123,8 @@ def test_requests_and_poses_go_to_the_core_stops_first(hub, ends):
 
 
 @pytest.mark.parametrize("topic", [topics.STOP, topics.OPERATOR])
-def test_what_does_not_decode_displaces_no_request(hub, ends, topic):
+def test_what_does_not_decode_displaces_no_request(gateway, other, ends, topic):
     ours, core = ends
-    gateway, other = Gateway(LocalBus(hub), "car1", None), LocalBus(hub)
     other.publish(make_key("car1", topic), ask(STOP))
     for size in (0, 1, 40, 200, REQUEST_MAX + 1) * 200:
         other.publish(make_key("car1", topic), bytes([size % 251]) * size)
@@ -127,9 +132,8 @@ def test_what_does_not_decode_displaces_no_request(hub, ends, topic):
     assert kinds(core) == [STOP]
 
 
-def test_no_other_request_displaces_a_stop(hub, ends):
+def test_no_other_request_displaces_a_stop(gateway, other, ends):
     ours, core = ends
-    gateway, other = Gateway(LocalBus(hub), "car1", None), LocalBus(hub)
     other.publish(make_key("car1", topics.STOP), ask(ESTOP))
     for seq in range(1000):
         other.publish(make_key("car1", topics.OPERATOR), ask(ALIVE, seq))
@@ -139,10 +143,9 @@ def test_no_other_request_displaces_a_stop(hub, ends):
     assert kinds(core) == []
 
 
-def test_a_lease_is_known_by_a_badge_that_opens_nothing(hub, ends):
+def test_a_lease_is_known_by_a_badge_that_opens_nothing(gateway, other, ends):
     """Whoever sends under the name that the car publishes is another."""
     ours, core = ends
-    gateway, other = Gateway(LocalBus(hub), "car1", None), LocalBus(hub)
     known = []
     for lease_id in (7, 7, 8, 0):
         other.publish(make_key("car1", topics.OPERATOR), ask(ALIVE, lease_id=lease_id))
@@ -157,9 +160,8 @@ def test_a_lease_is_known_by_a_badge_that_opens_nothing(hub, ends):
     assert decode(m.OperatorRequest, data).lease_id not in known
 
 
-def test_in_a_lab_the_certificate_names_the_operator_and_the_lease(hub, ends):
+def test_in_a_lab_the_certificate_names_the_operator_and_the_lease(gateway, hub, ends):
     ours, core = ends
-    gateway = Gateway(LocalBus(hub), "car1", None)
     desk, tablet = (LocalBus(hub, who=name) for name in ("desk", "tablet"))
     for bus in (desk, tablet):
         bus.publish(make_key("car1", topics.OPERATOR, bus.who), ask(ALIVE, operator="desk"))
@@ -169,10 +171,9 @@ def test_in_a_lab_the_certificate_names_the_operator_and_the_lease(hub, ends):
     assert got[0].lease_id != got[1].lease_id, "one secret, two people"
 
 
-def test_a_core_that_does_not_read_costs_requests_and_never_blocks(hub, ends):
+def test_a_core_that_does_not_read_costs_requests_and_never_blocks(gateway, other, ends):
     ours, core = ends
     ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1)
-    gateway, other = Gateway(LocalBus(hub), "car1", None), LocalBus(hub)
     sent = 64
     for seq in range(sent):
         request = ask(ALIVE, seq, operator="x" * (REQUEST_MAX - 100))

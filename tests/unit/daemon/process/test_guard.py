@@ -92,16 +92,19 @@ select.poll().poll(60_000)
 ROOT = Path(__file__).parents[4]
 
 
-def start_holder(page_fd, megabytes=1):
+@pytest.fixture
+def held(request):
+    """A process that holds a lifeline, its page, and this end of the line."""
+    page_fd = make_page_fd()
     holder = subprocess.Popen(
-        [sys.executable, "-c", HOLDER, str(page_fd), str(megabytes << 20)],
-        pass_fds=(page_fd,),
-        stdout=subprocess.PIPE,
-        cwd=ROOT,
-    )
+        [sys.executable, "-c", HOLDER, str(page_fd), str(getattr(request, "param", 1) << 20)],
+        pass_fds=(page_fd,), stdout=subprocess.PIPE, cwd=ROOT,
+    )  # fmt: skip
     assert holder.stdout.readline() == b"held\n"
     holder.stdout.close()
-    return holder
+    yield holder, page_fd, Lifeline(page_fd, os.pidfd_open(holder.pid))
+    holder.kill()
+    holder.wait()
 
 
 def test_a_holder_that_unmapped_its_page_before_it_left_is_heard_of():
@@ -123,58 +126,37 @@ def test_a_holder_that_unmapped_its_page_before_it_left_is_heard_of():
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGABRT, signal.SIGTERM])
-def test_every_kind_of_death_is_heard_of(how):
-    page_fd = make_page_fd()
-    holder = start_holder(page_fd)
-    line = Lifeline(page_fd, os.pidfd_open(holder.pid))
+def test_every_kind_of_death_is_heard_of_and_a_stopped_holder_is_not_dead(held, how):
+    holder, _, line = held
+    holder.send_signal(signal.SIGSTOP)
+    assert not line.poll(30)
+    holder.send_signal(signal.SIGCONT)
     holder.send_signal(how)
     assert line.poll(5_000)
     assert holder.wait() == -how
 
 
-def test_a_stopped_holder_is_not_dead():
-    page_fd = make_page_fd()
-    holder = start_holder(page_fd)
-    line = Lifeline(page_fd, os.pidfd_open(holder.pid))
-    holder.send_signal(signal.SIGSTOP)
-    assert not line.poll(30)
-    holder.kill()
-    assert line.poll(5_000)
-    holder.wait()
-
-
-def test_the_lifeline_does_not_wait_for_the_memory_to_be_taken_apart():
-    page_fd = make_page_fd()
-    holder = start_holder(page_fd, megabytes=512)
-    pidfd = os.pidfd_open(holder.pid)
-    line = Lifeline(page_fd, pidfd)
+@pytest.mark.parametrize("held", [512], indirect=True)
+def test_the_lifeline_does_not_wait_for_the_memory_to_be_taken_apart(held):
+    holder, _, line = held
     gone = select.poll()
-    gone.register(pidfd, select.POLLIN)
+    gone.register(os.pidfd_open(holder.pid), select.POLLIN)
     holder.kill()
     assert line.poll(5_000)
     heard_ns = time.monotonic_ns()
     assert gone.poll(5_000)
     assert time.monotonic_ns() >= heard_ns
-    holder.wait()
 
 
-def test_without_a_mutex_the_pidfd_has_to_do(monkeypatch):
-    monkeypatch.setattr(heartbeat, "_library", lambda: None)
-    page_fd = make_page_fd()
-    holder = start_holder(page_fd)
-    line = Lifeline(page_fd, os.pidfd_open(holder.pid))
-    Lifeline(page_fd).hold()
-    assert not line.poll(5)
-    holder.kill()
-    assert line.poll(5_000)
-    holder.wait()
-
-
-def test_a_mutex_that_nobody_holds_leaves_it_to_the_pidfd():
-    page_fd = make_page_fd()
-    holder = subprocess.Popen([sys.executable, "-c", "import select; select.poll().poll(60_000)"])
+@pytest.mark.parametrize("mutex", ["there is none", "nobody holds it"])
+def test_without_a_mutex_the_pidfd_has_to_do(held, monkeypatch, mutex):
+    holder, page_fd, _ = held
+    if mutex == "there is none":
+        monkeypatch.setattr(heartbeat, "_library", lambda: None)
+        Lifeline(page_fd).hold()
+    else:
+        page_fd = make_page_fd()
     line = Lifeline(page_fd, os.pidfd_open(holder.pid))
     assert not line.poll(5)
     holder.kill()
     assert line.poll(5_000)
-    holder.wait()
