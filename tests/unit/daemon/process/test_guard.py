@@ -12,7 +12,7 @@ import pytest
 
 from steerd.daemon.process import heartbeat
 from steerd.daemon.process.guard import START_NS, ProcessGuard, make_page_fd
-from steerd.daemon.process.heartbeat import Lifeline
+from steerd.daemon.process.heartbeat import HeartbeatPage, Lifeline
 
 BRAKE = b"\x02\x01\x00\x00\x00\x03"
 
@@ -31,7 +31,12 @@ def test_before_a_port_is_open_nothing_may_move_and_nothing_is_missed():
     [(True, False, 30), (False, False, 60), (True, True, 300)],
 )
 def test_how_late_a_heartbeat_may_be(realtime, simulated, stale_ms):
-    assert ProcessGuard(realtime, simulated=simulated)._stale_ns == stale_ms * 1_000_000
+    guard = ProcessGuard(realtime, simulated=simulated)
+    guard.page = HeartbeatPage(make_page_fd())
+    now, stale_ns = time.monotonic_ns(), stale_ms * 1_000_000
+    guard.page.write_heartbeat(now, engaged=True)
+    assert guard.may_write(now, now + stale_ns - 1)
+    assert not guard.may_write(now, now + stale_ns)
 
 
 def test_a_guardian_shows_itself_brakes_a_silent_core_and_is_missed_when_killed():
@@ -81,7 +86,7 @@ def test_a_plug_that_flaps_leaves_nothing_behind():
 
 HOLDER = """
 import sys, select
-from steerd.daemon.process.heartbeat import Lifeline
+from steerd.daemon.process.heartbeat import HeartbeatPage, Lifeline
 line = Lifeline(int(sys.argv[1]))
 line.hold()
 memory = bytearray(int(sys.argv[2]))
@@ -111,7 +116,7 @@ def test_a_holder_that_unmapped_its_page_before_it_left_is_heard_of():
     """The kernel cannot hand on a mutex that is not in memory any more: Python's own tidy end."""
     page_fd = make_page_fd()
     leaver = (
-        "import os, sys; from steerd.daemon.process.heartbeat import Lifeline; "
+        "import os, sys; from steerd.daemon.process.heartbeat import HeartbeatPage, Lifeline; "
         "line = Lifeline(int(sys.argv[1]))"
     )
     code = f"{leaver}; line.hold(); del line; os._exit(0)"
