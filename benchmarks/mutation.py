@@ -41,20 +41,17 @@ TABLES = (
 TESTS = (
     "tests/unit/controller/test_limits.py", "tests/unit/daemon/loop/test_supervisor.py",
     "tests/unit/daemon/loop/test_watchdogs.py", "tests/unit/daemon/loop/test_watchdogs_pose.py",
-    "tests/unit/daemon/loop/test_watchdogs_fence.py",
-    "tests/unit/daemon/loop/test_watchdogs_stops.py",
-    "tests/unit/daemon/loop/test_watchdogs_vesc.py",
+    "tests/unit/daemon/loop/test_watchdogs_car.py",
     "tests/unit/daemon/settings/test_config.py", "tests/unit/daemon/loop/test_launch.py",
-    "tests/unit/daemon/process/test_guardian.py", "tests/unit/daemon/loop/test_supervisor_stops.py",
-    "tests/unit/daemon/loop/test_lateness.py", "tests/unit/daemon/loop/test_lease.py",
+    "tests/unit/daemon/process/test_guardian.py", "tests/unit/daemon/loop/test_lease.py",
     "tests/unit/steer_bus/test_codec.py", "tests/unit/daemon/loop/test_following.py",
     "tests/unit/steer_bus/test_codec_fresh.py", "tests/unit/daemon/loop/test_findings.py",
 )  # fmt: skip
 MORE_TESTS = (
-    "tests/unit/daemon/loop/test_failed_loop.py",
+    "tests/unit/daemon/loop/test_core.py",
     "tests/unit/daemon/process/test_runner.py",
     "tests/unit/steer_bus/test_lab.py",
-    "tests/property/test_limits.py", "tests/property/test_codec_roundtrip.py",
+    "tests/property/test_controller.py", "tests/property/test_codec_roundtrip.py",
 )  # fmt: skip
 NAME_WIDTH = 40
 FOLDERS = ("steerd", "tests", "config")

@@ -2,7 +2,6 @@
 
 import contextlib
 import select
-import socket
 import subprocess
 import sys
 import time
@@ -13,6 +12,7 @@ from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.codec import MAX_BYTES
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_settings
 from tests.local_bus import LocalBus, LocalHub, is_heard
+from tests.safety.live import free_port
 
 STATE = "steerd/car1/state"
 OPEN = {"access_control/enabled": False}
@@ -29,9 +29,7 @@ def until(condition):
 
 
 def free_endpoint():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_port()}"
 
 
 @contextlib.contextmanager

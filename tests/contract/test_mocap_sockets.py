@@ -19,7 +19,7 @@ from steerd.mocap_link import natnet
 from steerd.mocap_link.frame import FrameConfig
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.mocap_url import parse_mocap_url
-from steerd.mocap_link.natnet_frame import Frame, RigidBody
+from steerd.mocap_link.natnet_frame import RigidBody
 from steerd.mocap_link.sockets import (
     MocapReceiver,
     NatNetReceiver,
@@ -29,6 +29,8 @@ from steerd.mocap_link.sockets import (
 )
 from steerd.mocap_link.source import ClockKind, Pose, SourceState
 from steerd.sim_hw.mocap.servers import VrpnServer
+from tests.safety.live import free_port as free_tcp_port
+from tests.unit.mocap_link.conftest import FakeServer
 
 MS = 1_000_000
 SECOND = 1000 * MS
@@ -54,9 +56,9 @@ def drive(
             samples += receiver.read_ready(fd)
 
 
-def free_port(kind: int = socket.SOCK_DGRAM) -> int:
-    """A port of loopback that nobody uses."""
-    with socket.socket(socket.AF_INET, kind) as probe:
+def free_port() -> int:
+    """A UDP port of loopback that nobody uses."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind((LOOPBACK, 0))
         return int(probe.getsockname()[1])
 
@@ -64,20 +66,21 @@ def free_port(kind: int = socket.SOCK_DGRAM) -> int:
 class UdpServer:
     """A NatNet server on loopback: answers commands, sends a frame whenever it is pumped."""
 
-    def __init__(self, mode: str, port: int = 0) -> None:
+    def __init__(self, mode: str) -> None:
         self.mode = mode
-        self.command = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.command.bind((LOOPBACK, port))
+        self.command, self.data = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in "cd")
+        for each in (self.command, self.data):
+            each.bind((LOOPBACK, 0))
         self.command.setblocking(False)
         self.port = self.command.getsockname()[1]
-        self.data = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.data.bind((LOOPBACK, 0))
         loopback = socket.inet_aton(LOOPBACK)
         self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
         self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
-        self.data_port = free_port()
+        self.motive = FakeServer(
+            clock_hz=SECOND, epoch_ticks=10**15, multicast=mode == "multicast",
+            data_port=free_port(), group=GROUP, bodies=(natnet.RigidBodyDesc("car", 4),),
+        )  # fmt: skip
         self.client: tuple[str, int] | None = None
-        self.number = 0
 
     def pump(self) -> None:
         while True:
@@ -85,44 +88,22 @@ class UdpServer:
                 datagram, sender = self.command.recvfrom(65_535)
             except BlockingIOError:
                 break
-            self.answer(datagram, sender)
+            for reply in self.motive.answer(datagram, time.monotonic_ns()):
+                self.command.sendto(reply, sender)
+            if self.motive.received[-1] is natnet.Bare.CONNECT:
+                self.client = sender
         if self.client is not None:
             self.send_frame()
 
-    def answer(self, datagram: bytes, sender: tuple[str, int]) -> None:
-        reply: natnet.Message
-        match natnet.decode(datagram, (4, 1)):
-            case natnet.Bare.CONNECT:
-                self.client = sender
-                multicast = self.mode == "multicast"
-                reply = natnet.ServerInfo(
-                    "Loop", (3, 1, 0, 0), (4, 1, 0, 0), SECOND, self.data_port, multicast, GROUP
-                )
-            case natnet.Bare.REQUEST_MODEL:
-                reply = natnet.ModelDef((natnet.RigidBodyDesc("car", 4),))
-            case natnet.EchoRequest(client_stamp=stamp):
-                reply = natnet.EchoResponse(stamp, self.ticks())
-            case natnet.Request():
-                reply = natnet.Response(struct.pack("<f", 100.0))
-            case _:
-                return
-        self.command.sendto(natnet.encode(reply, (4, 1)), sender)
-
-    def ticks(self) -> int:
-        return time.monotonic_ns() + 10**15
-
     def send_frame(self) -> None:
-        self.number += 1
-        ticks = self.ticks()
-        body = RigidBody(4, (0.5 + 1e-5 * self.number, 0.25, 0.1), (0.0, 0.0, 0.0, 1.0), 4e-4)
-        frame = Frame(self.number, (body,), mid_exposure_ticks=ticks - 2 * MS, transmit_ticks=ticks)
-        data = natnet.encode(frame, (4, 1))
-        if self.mode == "multicast":
-            self.data.sendto(data, (GROUP, self.data_port))
-        elif self.mode == "unicast-data":
-            self.data.sendto(data, (LOOPBACK, self.data_port))
-        elif self.client is not None:
+        now, number = time.monotonic_ns(), self.motive.number + 1
+        body = RigidBody(4, (0.5 + 1e-5 * number, 0.25, 0.1), (0.0, 0.0, 0.0, 1.0), 4e-4)
+        data = self.motive.frame(now - 2 * MS, (body,), t_sent_ns=now)
+        if self.mode == "unicast-command" and self.client is not None:
             self.command.sendto(data, self.client)
+        else:
+            where = GROUP if self.mode == "multicast" else LOOPBACK
+            self.data.sendto(data, (where, self.motive.data_port))
 
     def close(self) -> None:
         self.command.close()
@@ -168,7 +149,7 @@ def test_natnet_poses_arrive_with_their_exposure_time(
     assert last.t_valid_ns <= last.t_arrival_ns <= time.monotonic_ns()
     assert last.x == pytest.approx(last.position[0])
     status = receiver.status()
-    assert (status.server, status.bodies) == ("Loop NatNet 4.1", ("car",))
+    assert (status.server, status.bodies) == ("Fake NatNet 4.1", ("car",))
     assert len(receiver.fds()) == 2
 
 
@@ -181,7 +162,7 @@ def test_natnet_backlog_keeps_the_newest_five(udp_server: UdpServer, connect: Co
     select.select(receiver.fds(), [], [], 1.0)
     late = receiver.read_ready(receiver.fds()[0])
     assert 1 <= len(late) <= 5
-    assert late[-1].frame == udp_server.number
+    assert late[-1].frame == udp_server.motive.number
     assert receiver.status().counts["backlog_dropped"] >= 30
 
 
@@ -201,11 +182,11 @@ def test_natnet_data_port_that_is_taken_is_tried_again(
     udp_server: UdpServer, connect: Connect
 ) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind((LOOPBACK, udp_server.data_port))
+        taken.bind((LOOPBACK, udp_server.motive.data_port))
         receiver, samples = connect(f"natnet://localhost:{udp_server.port}/car"), list[Pose]()
         # unicast frames may come to the command socket, so this is no reason to stop
         drive(receiver, udp_server.pump, lambda: len(samples) > 5, samples)
-        assert f"data port {udp_server.data_port}" in receiver.status().detail
+        assert f"data port {udp_server.motive.data_port}" in receiver.status().detail
         assert len(receiver.fds()) == 1
     receiver.on_timer(time.monotonic_ns() + 2 * SECOND)
     assert len(receiver.fds()) == 2
@@ -218,7 +199,7 @@ def test_natnet_server_comes_back_on_another_data_port(
 ) -> None:
     receiver, samples = connect(f"natnet://localhost:{udp_server.port}/car"), list[Pose]()
     drive(receiver, udp_server.pump, lambda: len(samples) > 5, samples)
-    udp_server.data_port = free_port()
+    udp_server.motive.data_port = free_port()
     samples.clear()
     drive(receiver, udp_server.pump, lambda: len(samples) > 5, samples)
     assert len(receiver.fds()) == 2
@@ -301,7 +282,7 @@ def test_vrpn_client_leaves_a_server_of_another_kind(connect: Connect) -> None:
 
 
 def test_vrpn_without_a_server_backs_off(connect: Connect) -> None:
-    port = free_port(socket.SOCK_STREAM)
+    port = free_tcp_port()
     receiver = connect(f"vrpn://{LOOPBACK}:{port}/car")
     assert isinstance(receiver, VrpnReceiver)
     attempts = []

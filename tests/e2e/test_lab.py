@@ -16,33 +16,26 @@ def run_command(steerd, *argv):
     return program.wait(), program.text
 
 
-@pytest.mark.realtime
-def test_operators_command_and_viewers_watch(undisturbed):
-    def scenario(steerd, folder):
-        lab = folder / "lab"
-        people = ["--operator", "desk", "--viewer", "screen"]
-        where = ["--host", "127.0.0.1", "--port", str(free_port())]
-        assert run_cli(["keys", str(lab), *where, *people]) == 0
-        port, url = steerd.sim(folder)
-        record = folder / "drive.mcap"
-        argv = ("--port", port, "--mocap", url, "--record", record, "--path", "circle:radius=2")
-        run = steerd("run", "--lab", lab / "car1", *argv)
-        run.expect("READY")
-        code, said = run_command(steerd, "status", "--lab", lab / "screen")
-        assert (code, said.startswith("car1: ")) == (0, True), said
-        code, said = run_command(steerd, "estop", "--lab", lab / "screen")
-        assert (code, "the car stays" in said) == (5, True), said
-        code, said = run_command(steerd, "watch", "--lab", lab / "screen", "--seconds", "1.5")
-        assert (code, "state " in said) == (0, True), said
-        code, said = run_command(steerd, "status", "--connect", "tls/127.0.0.1:" + where[3])
-        assert (code, "no steerd answers" in said) == (6, True), said
-        assert "ESTOP" not in run.text, run.text
-        assert run_command(steerd, "estop", "--lab", lab / "desk")[0] == 0
-        run.send(signal.SIGINT)
-        run.wait()
-        assert "ESTOP" in run.text, run.text
-
-    undisturbed(scenario)
+def test_operators_command_and_viewers_watch(steerd, tmp_path):
+    lab = tmp_path / "lab"
+    people = ["--operator", "desk", "--viewer", "screen"]
+    where = ["--host", "127.0.0.1", "--port", str(free_port())]
+    assert run_cli(["keys", str(lab), *where, *people]) == 0
+    run = steerd("run", "--sim", "--lab", lab / "car1", "--record", tmp_path / "drive.mcap")
+    run.expect("READY")
+    code, said = run_command(steerd, "status", "--lab", lab / "screen")
+    assert (code, said.startswith("car1: ")) == (0, True), said
+    code, said = run_command(steerd, "estop", "--lab", lab / "screen")
+    assert (code, "the car stays" in said) == (5, True), said
+    code, said = run_command(steerd, "watch", "--lab", lab / "screen", "--seconds", "1.5")
+    assert (code, "state " in said) == (0, True), said
+    code, said = run_command(steerd, "status", "--connect", "tls/127.0.0.1:" + where[3])
+    assert (code, "no steerd answers" in said) == (6, True), said
+    assert "ESTOP" not in run.text, run.text
+    assert run_command(steerd, "estop", "--lab", lab / "desk")[0] == 0
+    run.send(signal.SIGINT)
+    run.wait()
+    assert "ESTOP" in run.text, run.text
 
 
 @pytest.mark.parametrize("endpoint", ["tcp/0.0.0.0:7999", "tcp/[::]:7999", "tls/127.0.0.2:7999"])

@@ -1,10 +1,8 @@
-"""The live page: what it shows in a real browser, whom it answers, how its hold on a car ends."""
+"""The live page: what it shows in a real browser, and whom it answers."""
 
 import asyncio
 import json
 import math
-import os
-import signal
 import threading
 import urllib.error
 import urllib.request
@@ -30,7 +28,6 @@ from steerd.steer_bus.messages import BODY, OperatorRequest, RequestKind, make_h
 from steerd.steer_bus.topics import make_key
 from tests.blank import status_message
 from tests.browser import CHROMIUM, NO_BROWSER, browsing
-from tests.e2e.test_live import Watcher, start_run
 from tests.local_bus import LocalBus, LocalHub
 
 HEADER = make_header(0, BODY)
@@ -317,50 +314,3 @@ def test_a_car_that_needs_no_holder_does_not_lack_one(car):
         browser.wait(f"{asked}.includes('needs no holder')")
         assert browser.faults_of_layout() == []
     assert RequestKind.STOP in car.kinds()
-
-
-@pytest.mark.realtime
-@pytest.mark.timeout(240)
-@pytest.mark.parametrize("end", ["silent", "closed", "killed"])
-def test_a_page_that_goes_stops_the_car_within_the_lease(undisturbed, end):
-    def scenario(steerd, folder):
-        port, url = steerd.sim(folder)
-        run, _ = start_run(steerd, folder, "--port", port, "--mocap", url, "--page")
-        address = run.expect(r"page: (\S+)")[1]
-        run.expect("READY")
-        watcher = Watcher(steerd.endpoint)
-        with live(address) as socket:
-            holding = threading.Event()
-
-            def keep():
-                while not holding.wait(0.05):
-                    socket.send("alive")
-
-            keeper = threading.Thread(target=keep)
-            keeper.start()
-            try:
-                socket.send("arm")
-                until(socket, lambda seen: seen["state"] == "ARMED" and seen["mine"])
-                socket.send("start")
-                driven = watcher.driving(run, 2.0)
-                assert driven.mode == SupervisorState.RUNNING, run.text
-            finally:
-                holding.set()
-                keeper.join()
-            if end == "closed":
-                socket.close()
-            if end == "killed":
-                page = run.child("steerd.daemon.process.page")
-                os.kill(page, signal.SIGKILL)
-            assert watcher.stopped(run) in (SupervisorState.FAULT_STOP, SupervisorState.STOPPING)
-        stop = next(
-            s
-            for s in watcher.seen
-            if s.mono_ns > driven.mono_ns and s.mode != SupervisorState.RUNNING
-        )
-        assert (stop.mono_ns - driven.mono_ns) * 1e-9 < 0.3 + 0.35, "the lease and a slow machine"
-        watcher.close()
-        run.send(signal.SIGINT)
-        run.wait()
-
-    undisturbed(scenario)

@@ -59,7 +59,6 @@ def test_what_is_wrong_is_found(capsys):
     assert "the server offers cart" in found["mocap"][0]["advice"][0]["fix"]
 
 
-@pytest.mark.realtime
 def test_a_dead_port_and_a_silent_server(capsys, tmp_path):
     with spawn_sim(WorldConfig(), (Fault("no_replies"),)) as sim:
         code, found = probe(capsys, "--port", sim.port)

@@ -5,7 +5,7 @@ import socket
 
 import pytest
 
-pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
+pytestmark = pytest.mark.timeout(240)
 
 
 def test_the_control_loop_feeds_the_watchdog(steerd, tmp_path, monkeypatch):

@@ -50,16 +50,12 @@ def stop_at(t_s: float) -> Callable[[VirtualRun], None]:
     return act
 
 
-def do_nothing(run: VirtualRun) -> None:
-    """No one does anything."""
-
-
 class Scene(NamedTuple):
     """A drive, what goes wrong in it, who interferes, and the states that it must visit."""
 
     options: RunOptions
     faults: tuple[Fault, ...] = ()
-    act: Callable[[], Callable[[VirtualRun], None]] = lambda: do_nothing
+    act: Callable[[], Callable[[VirtualRun], None]] = lambda: lambda _run: None
     visits: tuple[SupervisorState, ...] = (
         SupervisorState.RUNNING,
         SupervisorState.STOPPING,
@@ -134,19 +130,14 @@ def replayed(path: Path) -> tuple[int, list[str]]:
     return going.ticks, lines
 
 
-def find_changes(path: Path) -> list[str]:
-    """What an update changes against the session of before, if that can still be read."""
-    try:
-        return replayed(path)[1] if path.exists() else ["no such session yet"]
-    except SteerdError as error:
-        return [str(error)]
-
-
 @pytest.mark.parametrize("name", SCENES)
 def test_every_order_is_the_golden_one(name, request):
     path = FOLDER / f"{name}.mcap"
     if request.config.getoption("--update-golden"):
-        before = find_changes(path)
+        try:
+            before = replayed(path)[1] if path.exists() else ["no such session yet"]
+        except SteerdError as error:
+            before = [str(error)]
         print(f"{name}: {len(before)} orders change", *before[:20], sep="\n")
         record(SCENES[name], path)
     ticks, differences = replayed(path)

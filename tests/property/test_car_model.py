@@ -1,20 +1,27 @@
-"""Symmetries and exactness of the equations, over random cars and states."""
+"""Symmetries of the equations, the tape of random formulas, projection on paths."""
 
 import math
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from steerd.car_model.chassis import SPEED_DYNAMIC, SPEED_KINEMATIC, Chassis, derivative
 from steerd.car_model.linear import rates_and_jacobian
 from steerd.car_model.model import Model
-from steerd.car_model.ops import FLOAT
+from steerd.car_model.ops import FLOAT, Ops
 from steerd.car_model.params import DEFAULT_CAR, GRAVITY, PARAMETERS, Car
+from steerd.car_model.path.path import Path, locate, project
+from steerd.car_model.path.path_spec import parse_path
 from steerd.car_model.planar import CHASSIS
 from steerd.car_model.rollout import simulate, start
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
+from steerd.car_model.tape import TAPE, Tape, gradient, program
 
 repeatable = settings(derandomize=True, deadline=None, max_examples=60)
 
@@ -156,3 +163,147 @@ def test_a_run_may_be_cut_anywhere(first, drive, cut):
     car = DEFAULT_CAR._replace(steer_delay=0.0)
     whole = run(car, first, drive)
     assert run(car, whole[cut], drive[cut:]) == whole[cut:]
+
+
+# Random formulas: the recorded program gives the floats, its derivatives the differences.
+
+often = settings(derandomize=True, deadline=None, max_examples=150)
+
+UNARY = ("sin", "cos", "atan", "tanh", "absolute", "neg", "exp", "sqrt", "tan")
+BINARY = ("add", "sub", "mul", "truediv", "minimum", "maximum")
+
+
+class Formula(NamedTuple):
+    """An operation on formulas; a leaf is an input's number or a constant."""
+
+    op: str
+    parts: tuple[Any, ...]
+
+
+def evaluated(ops: Ops[Any], formula: Any, inputs: Sequence[Any]) -> Any:
+    """The formula over one number type, kept where every function is smooth and tame."""
+    if isinstance(formula, int):
+        return inputs[formula]
+    if isinstance(formula, float):
+        return inputs[0] * 0.0 + formula
+    args = [evaluated(ops, part, inputs) for part in formula.parts]
+    match formula.op:
+        case "neg":
+            return -args[0]
+        case "add" | "sub" | "mul":
+            return getattr(operator, formula.op)(*args)
+        case "truediv":
+            return args[0] / (1.0 + args[1] * args[1])
+        case "sqrt":
+            return ops.sqrt(1.0 + args[0] * args[0])
+        case "exp" | "tan":
+            return getattr(ops, formula.op)(ops.atan(args[0]) * 0.5)
+        case "clip":
+            return ops.clip(args[0], -0.5, 0.75)
+    return getattr(ops, formula.op)(*args)
+
+
+def grown(parts: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
+    def made(op: str, count: int) -> st.SearchStrategy[Formula]:
+        return st.tuples(*(parts,) * count).map(lambda chosen: Formula(op, chosen))
+
+    return st.one_of(
+        st.sampled_from((*UNARY, "clip")).flatmap(lambda op: made(op, 1)),
+        st.sampled_from(BINARY).flatmap(lambda op: made(op, 2)),
+        made("where_positive", 3),
+    )
+
+
+constants = st.sampled_from([0.0, -0.0, 1.0, -1.0, 0.3, -2.5])
+formulas = st.recursive(st.integers(0, 2) | constants, grown, max_leaves=12)
+plain = st.floats(-3.0, 3.0, allow_subnormal=False)
+WIDTH = 1e-5
+points = st.tuples(plain, plain, plain)
+
+
+def recorded(formula: Any, *, slopes: bool = False) -> Callable[..., tuple[float, ...]]:
+    tape = Tape()
+    inputs = [tape.symbol(name) for name in "abc"]
+    output = tape.node(evaluated(TAPE, formula, inputs))
+    return program(inputs, gradient([(output, 1.0)], inputs) if slopes else [output])
+
+
+@often
+@given(formulas, points)
+def test_a_record_gives_the_same_values(formula, point):
+    expected = evaluated(FLOAT, formula, point)
+    near = [evaluated(FLOAT, formula, [v + d for v in point]) for d in (1e-9, -1e-9)]
+    size = max(map(abs, (expected, *near)))
+    assume(size < 1e6)
+    assume(all(abs(n - expected) < 1e-6 * (1.0 + size) for n in near))  # a jump of where_positive
+    (found,) = recorded(formula)(*point)
+    assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+@often
+@given(formulas, points)
+def test_gradients_are_those_of_central_differences(formula, point):
+    slopes = recorded(formula, slopes=True)
+    found = slopes(*point)
+    for i in range(3):
+        ends = [[v + s * (k == i) for k, v in enumerate(point)] for s in (WIDTH, -WIDTH)]
+        wide, narrow = (difference(formula, point, i, width) for width in (WIDTH, WIDTH / 2.0))
+        size = 1.0 + max(abs(v) for v in (*found, wide))
+        assume(size < 1e4)
+        # No seam near: there differences and slopes barely change from place to place.
+        assume(abs(wide - narrow) < 1e-3 * size)
+        assume(all(abs(slopes(*end)[i] - found[i]) < 1e-3 * size for end in ends))
+        assert found[i] == pytest.approx(wide, abs=2e-3 * size)
+
+
+def difference(formula: Any, point: Sequence[float], i: int, width: float) -> float:
+    """Central difference along input `i`."""
+    ends = [[v + s * (k == i) for k, v in enumerate(point)] for s in (width, -width)]
+    high, low = (float(evaluated(FLOAT, formula, end)) for end in ends)
+    return (high - low) / (2.0 * width)
+
+
+# Projection against a brute-force search on a fine resampling.
+
+PATHS = {spec: parse_path(spec) for spec in ("circle:radius=1.3", "figure8", "line:length=5")}
+
+
+def point_beside(path: Path, s: float, offset: float) -> tuple[float, float]:
+    i = min(int(s / path.step), len(path.x) - 1)
+    yaw = path.yaw[i]
+    return path.x[i] - offset * math.sin(yaw), path.y[i] + offset * math.cos(yaw)
+
+
+def brute_distance(path: Path, x: float, y: float) -> float:
+    """Distance to the polygon through the samples (within k step^2 / 8 of the curve)."""
+    points = np.column_stack([path.x, path.y])
+    ends = np.roll(points, -1, axis=0) if path.closed else points[1:]
+    points = points[: len(ends)]
+    along = ends - points
+    share = np.einsum("ij,ij->i", np.array([x, y]) - points, along) / np.sum(along**2, axis=1)
+    nearest = points + np.clip(share, 0.0, 1.0)[:, None] * along
+    return float(np.linalg.norm(np.array([x, y]) - nearest, axis=1).min())
+
+
+@pytest.mark.parametrize("spec", PATHS)
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(share=st.floats(0.0, 0.999), offset=st.floats(-0.5, 0.5))
+def test_offset_equals_brute_force(spec, share, offset):
+    path = PATHS[spec]
+    x, y = point_beside(path, share * path.length, offset)
+    seen = locate(path, x, y)
+    assert seen.distance == pytest.approx(brute_distance(path, x, y), abs=6e-5)
+    assert abs(seen.e1) == pytest.approx(seen.distance, abs=1e-12)
+
+
+@pytest.mark.parametrize("spec", PATHS)
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(share=st.floats(0.05, 0.95), offset=st.floats(-0.5, 0.5), behind=st.integers(-12, 12))
+def test_the_hint_does_not_matter(spec, share, offset, behind):
+    path = PATHS[spec]
+    x, y = point_beside(path, share * path.length, offset)
+    index = int(share * path.length / path.step)
+    near = project(path, x, y, index)
+    far = project(path, x, y, (index + behind) % len(path.x))
+    assert far.e1 == pytest.approx(near.e1, abs=1e-6)
+    assert (far.s - near.s + 1.0) % path.length == pytest.approx(1.0, abs=1e-4)

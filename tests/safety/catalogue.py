@@ -4,7 +4,7 @@ Bounds are detection bounds derived from the watchdogs' thresholds, not from wha
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import Enum
 from math import inf, nan
 from typing import Any
@@ -106,11 +106,20 @@ def raise_flag(flag: Flag) -> Act:
 HARD, SOFT, LIVE, SAFE = Must.STOP_HARD, Must.STOP_SOFT, Must.LIVE_ON, Must.STAY_SAFE
 
 
+def _of_hardware(
+    code: str, name: str, must: Must, bound_s: float = 0.0, *, fault: str = "", **more: Any
+) -> FaultCase:
+    """A case of the simulated hardware; what is no field of a case is a parameter of its fault."""
+    of_case = {each.name for each in fields(FaultCase)}
+    params = {key: value for key, value in more.items() if key not in of_case}
+    rest = {key: value for key, value in more.items() if key in of_case}
+    return FaultCase(code, name, hardware(fault or code, **params), must, bound_s, **rest)
+
+
 def _mocap() -> tuple[FaultCase, ...]:
     def row(code: str, name: str, must: Must, frames: float = 0.0, **more: Any) -> FaultCase:
-        act = hardware(more.pop("fault", code), **more.pop("params", {}))
         bound = more.pop("bound_s", (frames + 1) * FRAME + TRANSIT if frames else 0.0)
-        return FaultCase(code, name, act, must, bound, **more)
+        return _of_hardware(code, name, must, bound, **more)
 
     stale = {"bound_s": STALE}
     return (
@@ -133,20 +142,12 @@ def _mocap() -> tuple[FaultCase, ...]:
         row("M17", "5 % random loss", LIVE),
         row("M18", "50 ms gaps", LIVE),
         row("M19", "truncated datagrams between", LIVE),
-        row(
-            "M19b", "oversized datagrams between", LIVE, fault="M19", params={"noise": "oversized"}
-        ),
-        row("M19c", "random datagrams between", LIVE, fault="M19", params={"noise": "garbage"}),
+        row("M19b", "oversized datagrams between", LIVE, fault="M19", noise="oversized"),
+        row("M19c", "random datagrams between", LIVE, fault="M19", noise="garbage"),
         row("M20", "foreign sender", LIVE),
         row("M21", "server clock steps by +1 s", SAFE, asks_stop=True),
-        row(
-            "M21b",
-            "server clock steps by -1 s",
-            SAFE,
-            asks_stop=True,
-            fault="M21",
-            params={"clock_step_ns": -1000 * MS},
-        ),
+        row("M21b", "server clock steps by -1 s", SAFE, asks_stop=True, fault="M21",
+            clock_step_ns=-1000 * MS),
         row("M22", "rate halves", LIVE),
         row("M23", "body not tracked, old pose", HARD, **stale, fault="invalid", cold="red"),
         row("M24", "body missing in frames", HARD, **stale, fault="body_removed", cold="red"),
@@ -154,14 +155,11 @@ def _mocap() -> tuple[FaultCase, ...]:
         row("M26", "model list changes", LIVE, fault="model_change"),
         row("M27", "server restarts", SAFE, asks_stop=True, fault="server_restart"),
         row("M28", "q and -q in turns", LIVE, fault="quaternion_sign"),
-    )
+    )  # fmt: skip
 
 
 def _vesc() -> tuple[FaultCase, ...]:
-    def row(code: str, name: str, must: Must, bound_s: float = 0.0, **more: Any) -> FaultCase:
-        act = hardware(more.pop("fault", code), **more.pop("params", {}))
-        return FaultCase(code, name, act, must, bound_s, **more)
-
+    row = _of_hardware
     poll = 0.030
     gone = {"wire": False, "blind_s": 0.160}
     return (
@@ -174,58 +172,33 @@ def _vesc() -> tuple[FaultCase, ...]:
         row("V7", "one byte per 5 ms", HARD, MUTE, cold="red"),
         row("V8", "noise before each reply", LIVE),
         row("V9", "CRC errors in 10 %", LIVE),
-        row(
-            "V9b",
-            "CRC errors in 100 %",
-            HARD,
-            MUTE,
-            fault="V9",
-            params={"corrupt": 1.0},
-            cold="red",
-        ),
+        row("V9b", "CRC errors in 100 %", HARD, MUTE, fault="V9", corrupt=1.0, cold="red"),
         row("V10", "half a reply, then silence", HARD, MUTE, cold="red"),
         row("V11", "head of a long frame", LIVE),
         row("V12", "replies of another type", HARD, MUTE, cold="red"),
-        row(
-            "V12b", "replies of another length", HARD, MUTE, fault="V12", params={"wrong": "length"}
-        ),
-        row(
-            "V12c",
-            "replies of another firmware",
-            SAFE,
-            fault="V12",
-            params={"wrong": "firmware"},
-            asks_stop=True,
-        ),
+        row("V12b", "replies of another length", HARD, MUTE, fault="V12", wrong="length"),
+        row("V12c", "replies of another firmware", SAFE, fault="V12", wrong="firmware",
+            asks_stop=True),
         row("V13", "fault code that stays", HARD, poll, decel=COAST, cold="red"),
         row("V14", "fault that clears itself", HARD, poll, decel=COAST),
         row("V15", "reboot", HARD, wire=False, blind_s=1.66, decel=3.5),
         row("V16", "under-voltage cut-off", HARD, poll + 0.010, decel=COAST, cold="red"),
-        row("V16b", "battery low", SOFT, 0.5 + poll, fault="V16", params={"sag": 2.4}, cold="red"),
+        row("V16b", "battery low", SOFT, 0.5 + poll, fault="V16", sag=2.4, cold="red"),
         row("V17", "over-temperature cut-off", SOFT, poll, decel=COAST, cold="red"),
-        row(
-            "V17b", "transistors hot", SOFT, poll, fault="V17", params={"heat_c": 62.0}, cold="red"
-        ),
+        row("V17b", "transistors hot", SOFT, poll, fault="V17", heat_c=62.0, cold="red"),
         row("V18", "status says timeout", HARD, poll, at={"P7": SAFE}),
         row("V19", "kill switch", Must.ESTOP, poll, decel=COAST, cold="red"),
         row("V20", "erpm stuck", SAFE, asks_stop=True, cold="launch"),
         row("V21", "erpm with the wrong sign", HARD, 0.2 + poll, cold="launch"),
         row("V22", "servo dead", SAFE, asks_stop=True),
-        row(
-            "V23", "a phone app feeds the timeout", SAFE, asks_stop=True, cold="red", unseen="P1 P3"
-        ),
-        row(
-            "V24",
-            "timeout and brake current 0",
-            SAFE,
-            asks_stop=True,
-            cold="red",
-            unseen="P1 P2 P3",
-        ),
+        row("V23", "a phone app feeds the timeout", SAFE, asks_stop=True, cold="red",
+            unseen="P1 P3"),
+        row("V24", "timeout and brake current 0", SAFE, asks_stop=True, cold="red",
+            unseen="P1 P2 P3"),
         row("V25", "5 % of replies lost", LIVE, fault="reply_loss"),
         row("V26", "replies up to 8 ms late", LIVE, fault="reply_jitter"),
         row("V27", "unknown frames between", LIVE, fault="unsolicited"),
-    )
+    )  # fmt: skip
 
 
 class BoomError(RuntimeError):
@@ -280,21 +253,17 @@ def _inside(*args: Any, **more: Any) -> FaultCase:
 
 def _host() -> tuple[FaultCase, ...]:
     return (
-        _inside(
-            "H1", "SIGINT, SIGTERM or SIGHUP", raise_flag(Flag.QUIT), SOFT, cold="red", unseen="P1"
-        ),
-        _inside(
-            "H2", "second signal", raise_flag(Flag.QUIT | Flag.ABORT), HARD, cold="red", unseen="P1"
-        ),
+        _inside("H1", "SIGINT, SIGTERM or SIGHUP", raise_flag(Flag.QUIT), SOFT, cold="red",
+            unseen="P1"),
+        _inside("H2", "second signal", raise_flag(Flag.QUIT | Flag.ABORT), HARD, cold="red",
+            unseen="P1"),
         _inside("H6", "guardian killed", raise_flag(Flag.GUARDIAN_LOST), SOFT, cold="red"),
         _inside("H6b", "guardian has tripped", raise_flag(Flag.GUARDIAN_TRIPPED), HARD, cold="red"),
-        _inside(
-            "H7", "recorder killed or disk full", raise_flag(Flag.RECORDER_LOST), SOFT, cold="red"
-        ),
+        _inside("H7", "recorder killed or disk full", raise_flag(Flag.RECORDER_LOST), SOFT,
+            cold="red"),
         _inside("H8", "gateway killed", raise_flag(Flag.GATEWAY_LOST), SOFT, cold="red"),
-        FaultCase(
-            "H11", "every tick 12 ms late", nothing, HARD, 0.060, each=_late(12.0), cold="red"
-        ),
+        FaultCase("H11", "every tick 12 ms late", nothing, HARD, 0.060, each=_late(12.0),
+            cold="red"),
         FaultCase("H12", "200 ms asleep", _late(200.0), HARD, 0.200),
         FaultCase("H12b", "30 ms asleep", _late(30.0), HARD, 0.030),
         FaultCase("H12c", "one tick 20 ms late", _late(20.0), LIVE),
@@ -305,7 +274,7 @@ def _host() -> tuple[FaultCase, ...]:
         _inside("H13e", "exception at a pose", _break_watch, HARD, 2 * FRAME, cold="red"),
         _inside("H14", "NaN from the controller", _give_nan, HARD, cold="launch"),
         _inside("H17", "suspended", raise_flag(Flag.SUSPENDED), HARD),
-    )
+    )  # fmt: skip
 
 
 def _foreign_drive(rig: Rig) -> None:
@@ -373,7 +342,7 @@ def _network() -> tuple[FaultCase, ...]:
         FaultCase("Z6c", "second operator's e-stop", _ask(RequestKind.ESTOP, 99), Must.ESTOP),
         FaultCase("Z7", "unknown request", _unknown, SOFT),
         FaultCase("Z8", "operator gone", _gone, SOFT, 0.3),
-    )
+    )  # fmt: skip
 
 
 def _car() -> tuple[FaultCase, ...]:
@@ -388,9 +357,8 @@ def _car() -> tuple[FaultCase, ...]:
         _inside("C6", "filter diverges", car.diverge, HARD, cold="red"),
         FaultCase("C7", "VESC restarts behind its port", car.restart_quietly, HARD, 1.0 + 0.02),
         _inside("C8", "controller at full lock", car.stuck(-0.31), HARD, 0.7, at=lost, lane_m=1.2),
-        _inside(
-            "C9", "controller steers a little", car.stuck(0.06), HARD, 1.3, at=lost, lane_m=0.8
-        ),
+        _inside("C9", "controller steers a little", car.stuck(0.06), HARD, 1.3, at=lost,
+            lane_m=0.8),
         FaultCase("C10", "wheels accelerate by 2 m/s2", car.run_away, HARD, 0.3, cold="launch"),
         FaultCase("C11", "motor dead", car.die, HARD, 0.45, decel=COAST, cold="launch"),
         # What a servo does wrong does not show before it is told to turn: on the straight and in
@@ -398,7 +366,7 @@ def _car() -> tuple[FaultCase, ...]:
         FaultCase("C12", "steering stays where it is", car.stick, SAFE, asks_stop=True),
         FaultCase("C13", "servo turns the other way", car.reverse, HARD, 1.5, at=lost, lane_m=0.6),
         FaultCase("C14", "servo ten times slower", car.slow_down, SAFE, asks_stop=True),
-    )
+    )  # fmt: skip
 
 
 FAULT_CASES = (*_mocap(), *_vesc(), *_host(), *_network(), *_car())

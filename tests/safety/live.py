@@ -58,6 +58,11 @@ def serve_hardware(config: Any, pipe: Connection) -> None:
                 pipe.send(hardware.world.log)
 
 
+def nobody_leaves() -> None:
+    """Nobody but this parent holds the car."""
+    raise AssertionError("there is neither page nor gamepad")
+
+
 @dataclass
 class Live:
     """The processes of one run and the hardware that they drive.
@@ -68,7 +73,8 @@ class Live:
         device: that process.
         others: processes beside the run's own, by name.
         listen: the run's endpoint on the bus.
-        hand: takes the operator's requests in place of this parent, which the page does.
+        hand: takes the operator's requests in place of this parent, as page and gamepad do.
+        leave: closes the page, or unplugs the gamepad.
         state: the supervisor's, as last reported.
         transitions: (from, to, reason) so far.
         speed: as last reported [m/s].
@@ -82,6 +88,7 @@ class Live:
     others: dict[str, int] = field(default_factory=dict)
     listen: str = ""
     hand: Callable[[RequestKind], object] | None = None
+    leave: Callable[[], object] = nobody_leaves
     state: SupervisorState = SupervisorState.INIT
     transitions: list[tuple[SupervisorState, SupervisorState, str]] = field(default_factory=list)
     speed: float = 0.0
@@ -168,6 +175,7 @@ class Live:
         self.ask(RequestKind.START)
         self.until(lambda: self.state is SupervisorState.RUNNING)
         self.until(lambda: self.speed > 0.8 or self.state is not SupervisorState.RUNNING)
+        assert self.state is SupervisorState.RUNNING, f"stopped too soon: {self.transitions}"
         if phase == "P7":
             self.ask(RequestKind.STOP)
             self.until(lambda: self.state is not SupervisorState.RUNNING)

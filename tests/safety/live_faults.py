@@ -6,23 +6,20 @@ Only the outside world is changed: signals, faults of the simulated hardware, si
 import contextlib
 import os
 import signal
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from websockets.exceptions import ConnectionClosed  # noqa: TID251
-
+from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.settings.run_options import ControllerKind
 from steerd.steer_bus.messages import RequestKind
-from tests.e2e.test_live_page import live as open_page
+from steerd.steer_bus.session_read import open_session
 from tests.safety.judge import Effort, count_drive_frames, find_stop
 from tests.safety.live import BOOT_ID, CLOCK, Live, start_live
+from tests.safety.live_hands import driven_by_another, held_by_gamepad, held_by_page
 from tests.safety.live_terminal import at_terminal
 
 MS = 1_000_000
@@ -45,6 +42,7 @@ class LiveFault:
         named: how the reason begins in P5; a machine that stalls stops the car for another one.
         start: what it is tried on.
         watch_s: how long it is watched, beyond the usual.
+        code: of the run that it ended in P5; None where nothing is said of it.
     """
 
     act: Callable[[Live], int]
@@ -55,6 +53,7 @@ class LiveFault:
     named: str = ""
     start: Start = start_live
     watch_s: float = 0.0
+    code: ExitCode | None = None
 
 
 @dataclass(frozen=True)
@@ -96,6 +95,18 @@ def fall_silent(live: Live) -> int:
     return CLOCK.now_ns()
 
 
+def ask_to_stop(live: Live) -> int:
+    """Whoever drives asks for a stop, or lets go of the deadman."""
+    return live.ask(RequestKind.STOP)
+
+
+def leave(live: Live) -> int:
+    """Whoever drives closes the page, or unplugs the gamepad."""
+    now_ns = CLOCK.now_ns()
+    live.leave()
+    return now_ns
+
+
 def hardware(fault: str) -> Callable[[Live], int]:
     """A fault of the simulated hardware."""
     return lambda live: live.break_it(fault)
@@ -106,44 +117,8 @@ def options(**more: Any) -> Start:
     return lambda folder: start_live(folder, **more)
 
 
-_WORDS = {RequestKind.KEEPALIVE: "alive", RequestKind.ARM: "arm", RequestKind.START: "start",
-          RequestKind.STOP: "stop"}  # fmt: skip
-
-
-@contextlib.contextmanager
-def held_by_page(folder: Path) -> Iterator[Live]:
-    """A run whose operator sits at the page."""
-    with (
-        start_live(folder, page=0) as live,
-        open_page(live.processes.reports["page"]["url"]) as socket,
-    ):
-
-        def say(kind: RequestKind) -> None:
-            with contextlib.suppress(ConnectionClosed):
-                socket.send(_WORDS[kind])
-
-        live.hand = say
-        yield live
-        send("page", signal.SIGCONT)(live)
-
-
-@contextlib.contextmanager
-def driven_by_another(folder: Path) -> Iterator[Live]:
-    """A run that `steerd control` drives."""
-    with start_live(folder, controller=ControllerKind.ZENOH) as live:
-        listen = live.listen
-        command = [sys.executable, "-m", "steerd", "control", "--connect", listen]
-        control = subprocess.Popen([*command, "--path", "line", "--speed", "1"])
-        live.others["controller"] = control.pid
-        try:
-            yield live
-        finally:
-            live.others.clear()
-            control.kill()
-            control.wait()
-
-
 STOP, KILL = signal.SIGSTOP, signal.SIGKILL
+OK, STOPPED = ExitCode.OK, ExitCode.STOPPED
 FAULTS = {
     "SIGINT": LiveFault(send("core", signal.SIGINT), 0.3),
     "SIGTERM": LiveFault(send("core", signal.SIGTERM), 0.3),
@@ -151,18 +126,31 @@ FAULTS = {
     "SIGTERM twice": LiveFault(send("core", signal.SIGTERM, 2), 0.3, "P5 P7"),
     "SIGABRT core": LiveFault(send("core", signal.SIGABRT), 0.3, "P3 P5", reported=""),
     "SIGSEGV core": LiveFault(send("core", signal.SIGSEGV), 0.3, "P5 P7", reported=""),
-    "SIGKILL core": LiveFault(send("core", KILL), 0.3, reported=""),
+    "SIGKILL core": LiveFault(send("core", KILL), 0.3, reported="", code=STOPPED),
     "SIGSTOP core": LiveFault(freeze_core, 0.5, reported=""),
-    "SIGKILL guardian": LiveFault(send("guardian", KILL), 0.6, named="W16"),
+    "SIGKILL guardian": LiveFault(send("guardian", KILL), 0.6, named="W16", code=STOPPED),
     "SIGSTOP guardian": LiveFault(send("guardian", STOP), 0.6, named="W16"),
-    "SIGKILL recorder": LiveFault(send("recorder", KILL), 0.6, named="W26"),
+    "SIGKILL recorder": LiveFault(send("recorder", KILL), 0.6, named="W26", code=STOPPED),
     "SIGSTOP recorder": LiveFault(send("recorder", STOP), 18.0, named="W26", watch_s=18.0),
     "SIGKILL gateway": LiveFault(send("gateway", KILL), 0.6, named="W27"),
-    "SIGSTOP gateway": LiveFault(send("gateway", STOP), 1.6, named="W27", watch_s=1.0),
+    "SIGSTOP gateway": LiveFault(
+        send("gateway", STOP), 1.6, named="W27", watch_s=1.0, code=STOPPED
+    ),
     "SIGKILL learner": LiveFault(send("learner", KILL), None, start=options(learn=True)),
     "SIGSTOP learner": LiveFault(send("learner", STOP), None, start=options(learn=True)),
     "SIGKILL page": LiveFault(send("page", KILL), 1.0, named="W25", start=held_by_page),
     "SIGSTOP page": LiveFault(send("page", STOP), 1.0, named="W25", start=held_by_page),
+    "page silent": LiveFault(fall_silent, 0.65, "P5", named="W25", start=held_by_page),
+    "page closed": LiveFault(leave, 0.65, "P5", named="W25", start=held_by_page),
+    "gamepad released": LiveFault(ask_to_stop, 0.65, "P5", start=held_by_gamepad),
+    "gamepad unplugged": LiveFault(leave, 0.65, "P5", start=held_by_gamepad, code=OK),
+    "gamepad silent": LiveFault(fall_silent, 1.15, "P5", start=held_by_gamepad, code=OK),
+    "SIGKILL gamepad": LiveFault(
+        send("gamepad", KILL), 0.65, "P5", named="W25", start=held_by_gamepad, code=STOPPED
+    ),
+    "SIGSTOP gamepad": LiveFault(
+        send("gamepad", STOP), 0.65, "P5", named="W25", start=held_by_gamepad, code=STOPPED
+    ),
     "SIGKILL controller": LiveFault(
         send("controller", KILL), 0.8, named="W25", reported="P5", start=driven_by_another
     ),
@@ -192,17 +180,23 @@ CELLS = [(name, phase) for name, fault in FAULTS.items() for phase in fault.phas
 def run_live(name: str, phase: str) -> LiveOutcome:
     """One cell, with hardware and processes of its own."""
     fault = FAULTS[name]
-    with tempfile.TemporaryDirectory() as folder, fault.start(Path(folder)) as live:
-        live.reach(phase)
-        known = len(live.transitions)
-        fault_ns = fault.act(live)
-        live.live((2.5 if phase in MOVING else 1.0) + fault.watch_s)
-        frames = [frame for frame in live.frames() if frame.t_ns >= fault_ns - 50 * MS]
-        followed = live.transitions[known:]
+    with tempfile.TemporaryDirectory() as folder:
+        with fault.start(Path(folder)) as live:
+            live.reach(phase)
+            known = len(live.transitions)
+            fault_ns = fault.act(live)
+            live.live((2.5 if phase in MOVING else 1.0) + fault.watch_s)
+            frames = [frame for frame in live.frames() if frame.t_ns >= fault_ns - 50 * MS]
+            followed = live.transitions[known:]
+            code = live.end() if fault.code is not None and phase == "P5" else fault.code
+        (session,) = Path(folder).glob("drive.mcap*")
+        open_session(session)  # whatever happened, what was recorded can be read
     stop = find_stop(frames, fault_ns)
     stop_ms = (stop.t_ns - fault_ns) / MS if stop and phase in MOVING and fault.bound_s else -1.0
     reason = followed[0][2] if followed else ""
     wrong = tuple(judge(fault, phase, fault_ns, frames, followed))
+    if code != fault.code:
+        wrong += (f"ended with code {code} in place of {fault.code}",)
     return LiveOutcome(name, phase, round(stop_ms, 1), reason, wrong)
 
 

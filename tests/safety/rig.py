@@ -43,13 +43,15 @@ BYSTANDER = Bystander("cone", 2, (1.0, 1.5, 0.3))
 
 
 class Notes:
-    """The transitions that a session would hold."""
+    """The transitions that a session would hold, and the last message of each topic by its name."""
 
     def __init__(self) -> None:
         self.transitions: list[tuple[int, Transition]] = []
+        self.last: dict[str, bytes] = {}
 
     def __call__(self, records: list[PipeRecord], t_ns: int) -> None:
         for record in records:
+            self.last[record.topic.name] = record.data
             if record.topic is topics.TRANSITION:
                 self.transitions.append((t_ns, decode(Transition, record.data)))
 
@@ -142,8 +144,12 @@ class Rig:
     def reach(self, state: SupervisorState, then_s: float = 0.0) -> None:
         """Step until a state is there, and a little longer."""
         self.until(lambda rig: rig.state is state)
-        end = self.t_ns + round(then_s * NS)
-        self.until(lambda rig: rig.t_ns >= end)
+        self.go_on(then_s)
+
+    def go_on(self, seconds: float) -> None:
+        """Step for a while."""
+        end = self.t_ns + round(seconds * NS)
+        self.until(lambda rig: rig.t_ns >= end, seconds + 1.0)
 
     def break_it(self, fault: str, **params: bool | float | str) -> None:
         """A fault of the simulated hardware begins now."""

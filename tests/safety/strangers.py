@@ -100,8 +100,6 @@ def be_stranger(what, labs):
     }
     if what == "lab":
         read["viewer"] = by_folder(labs / "ours" / "screen")
-        if labs.name == "with operator":
-            read["operator"] = by_folder(labs / "ours" / "desk")
     print(json.dumps(read), flush=True)
 
 

@@ -1,15 +1,11 @@
-"""Every fault in every phase, in virtual time, judged on the simulated VESC's bytes.
-
-A seeded third runs by default (every fault and every phase is in it), all of them with
-``STEERD_FAULTS=all`` (`make safety`); any other value is the seed. The same cells again with a
-learner that takes the car for another and a lane keeper that follows it: one a fault, or all.
-"""
+"""Every fault in every phase, in virtual time, judged on the simulated VESC's bytes."""
 
 import os
 
 import numpy as np
 import pytest
 
+from benchmarks.no_false_stop import drive_once
 from steerd.daemon.loop.transitions import SupervisorState
 from tests.safety.catalogue import BY_CODE, FAULT_CASES
 from tests.safety.matrix import list_cells, run_cell
@@ -89,3 +85,11 @@ def test_a_cell_is_repeatable_to_the_byte() -> None:
             rig.step()
         logs.append(list(rig.run.world.log))
     assert logs[0] == logs[1]
+
+
+# A short drive of `benchmarks/no_false_stop.py`: lost and late poses stop no car.
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_nominal_driving_with_loss_and_gaps_is_not_stopped(seed: int) -> None:
+    assert drive_once(seed, 15.0).stopped == ""

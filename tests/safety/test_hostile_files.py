@@ -1,6 +1,7 @@
 """Files and surroundings that somebody else made: one line each, at once, and never a traceback."""
 
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -161,7 +162,6 @@ def test_a_shell_that_allows_few_files():
     assert "ulimit -n" in said
 
 
-@pytest.mark.realtime
 def test_a_closed_standard_input(tmp_path):
     words = ("run", "--sim", "--auto-arm", "--duration", "0.5", "--record", tmp_path / "d.mcap")
     code, _, said = command(*words, before=close_stdin)
@@ -236,3 +236,32 @@ def test_a_header_that_is_given_twice(twice, caplog):
         assert answer.split()[1] == "403", answer
         assert urllib.request.urlopen(url, timeout=5.0).status == 200
     assert not caplog.records
+
+
+# What lies in a cache is not run and not driven with unless it is what steerd left there.
+
+
+@pytest.fixture
+def cache(tmp_path):
+    return tmp_path / "cache"
+
+
+def drive(cache, *more):
+    """A second of simulated drive with that cache: digest of the bytes on the wire, and errors."""
+    argv = [sys.executable, "-m", "steerd", "run", "--sim", "--fast", "--duration", "1", *more]
+    argv += ["--record", str(cache.with_name(f"{len(list(cache.parent.glob('*.mcap')))}.mcap"))]
+    done = subprocess.run(
+        argv, capture_output=True, text=True, check=False, timeout=120,
+        env={**os.environ, "XDG_CACHE_HOME": str(cache)},
+    )  # fmt: skip
+    assert done.returncode == 0, (done.returncode, done.stderr)
+    return re.search(r"sha256 (\w+)", done.stdout)[1], done.stderr.splitlines()
+
+
+def test_no_code_lies_in_a_cache(cache):
+    """A drive leaves nothing there that a later one would execute."""
+    drive(cache)
+    left = [f for f in cache.rglob("*") if f.is_file()]
+    assert left, "gains are remembered"
+    assert {f.suffix for f in left} == {".json"}
+    assert not [f for f in left if f.stat().st_mode & 0o111]

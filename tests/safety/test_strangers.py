@@ -11,7 +11,7 @@ import pytest
 from steerd.daemon.cli.main import run_cli
 
 pytest.importorskip("cryptography")
-pytestmark = [pytest.mark.realtime, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.timeout(120)
 SCRIPT = Path(__file__).parent / "strangers.py"
 HOST = "10.9.0.1"
 
@@ -59,16 +59,6 @@ def test_lab(labs):
     assert got["delivered"] == 0
     assert set(got["read"].values()) == {0}
     assert got["listening"] == [f"tcp/{HOST}:7447"]
-
-
-def test_lab_lets_an_operator_through(labs):
-    inside = labs / "with operator"
-    inside.mkdir()
-    for whose in ("ours", "theirs"):
-        (inside / whose).symlink_to(labs / whose)
-    got = try_it("lab", inside)
-    assert got["read"].pop("operator") > 0
-    assert got["delivered"] > 50, "an operator's orders arrive"
 
 
 def test_without_any_of_it_the_stranger_drives(labs):

@@ -29,154 +29,68 @@ class Trace(NamedTuple):
 
     code: str
     thresholds: tuple[str, ...]
-    cell: tuple[str, str]
-    behind: tuple[str, ...] = ()
-    also: str = ""
+    cell: tuple[str, ...]
+    behind: tuple[str, ...]
+    also: str
 
 
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(text.split())
+def trace(code: str, thresholds: str, cell: str, behind: str = "", also: str = "") -> Trace:
+    """A row: words with blanks between them, a name alone is one of `loop.watchdogs`."""
+    where = f"steerd.daemon.{code}" if ":" in code else f"steerd.daemon.loop.watchdogs:{code}"
+    return Trace(where, *(tuple(each.split()) for each in (thresholds, cell, behind)), also)
 
 
-_HERE = "steerd.daemon.loop.watchdogs:"
-_RUNNER = "`test_runner.py`"
 TRACES = {
-    "W1": Trace(
-        _HERE + "_check_mocap_age",
-        _names("mocap_warn mocap_blind mocap_shortest mocap_longest"),
-        ("M1", "P5"),
-        also="live: mocap silent",
-    ),
-    "W2": Trace(
-        _HERE + "_check_poses",
-        _names("freeze_warn freeze_frames freeze_speed"),
-        ("M2", "P5"),
-        also="live: mocap frozen",
-    ),
-    "W3": Trace(
-        "steerd.daemon.loop.watchdogs_pose:is_sane",
-        _names("invalid_frames quaternion_tolerance"),
-        ("M8", "P5"),
-        also="live: mocap NaN",
-    ),
-    "W4": Trace(
-        "steerd.daemon.loop.watchdogs_pose:_is_jump",
-        _names("jump_speed jump_margin yaw_step jump_frames jump_window"),
-        ("M4", "P5"),
-        also="live: mocap jumps",
-    ),
-    "W5": Trace(
-        _HERE + "_check_poses",
-        _names("nis_frames nis_share nis_window mocap_rate"),
-        ("C13", "P6"),
-    ),
-    "W6": Trace(_HERE + "_check_estimate", _names("sigma_position sigma_yaw"), ("C6", "P5")),
-    "W7": Trace(
-        _HERE + "_check_vesc",
-        _names("telemetry_warn telemetry"),
-        ("V4", "P5"),
-        also="live: VESC mute",
-    ),
-    "W8": Trace(
-        "steerd.daemon.process.runner:Runner._is_clogged",
-        _names("out_queue out_ticks"),
-        ("V1", "P5"),
-        also=_RUNNER + "; live: unplugged",
-    ),
-    "W9": Trace(_HERE + "_step_vesc", (), ("V18", "P5")),
-    "W10": Trace(_HERE + "_check_vesc", (), ("V19", "P5"), also="live: kill switch"),
-    "W11": Trace(_HERE + "_check_vesc", (), ("V13", "P5"), also="live: VESC fault"),
-    "W12": Trace(_HERE + "_step_vesc", (), ("C7", "P5"), also="live: VESC reboots"),
-    "W13": Trace(_HERE + "_check_vesc", _names("cell_warn cell cell_hold"), ("V16b", "P5")),
-    "W14": Trace(
-        _HERE + "_check_temperature", _names("fet_warn fet motor_warn motor"), ("V17b", "P5")
-    ),
-    "W15": Trace(
-        "steerd.daemon.loop.lateness:step_lateness",
-        _names("late late_run late_share"),
-        ("H12b", "P5"),
-        also="`test_lateness.py`; live: SIGSTOP core",
-    ),
-    "W16": Trace(
-        "steerd.daemon.process.guard:ProcessGuard.is_silent",
-        _names("guardian"),
-        ("H6", "P5"),
-        also=_RUNNER + "; live: SIGKILL, SIGSTOP guardian",
-    ),
-    "W17": Trace(
-        _HERE + "_check_path",
-        _names("lateral_warn lateral lateral_hold lateral_max"),
-        ("C9", "P5"),
-    ),
-    "W18": Trace(_HERE + "_check_path", _names("heading_warn heading"), ("C8", "P6")),
-    "W19": Trace(
-        _HERE + "_check_fence",
-        _names("fence_warn fence_delay fence_margin brake_decel"),
-        ("C5", "P5"),
-    ),
-    "W20": Trace(
-        _HERE + "_is_fast",
-        _names("overspeed_ratio overspeed_margin overspeed_hold"),
-        ("C3", "P4"),  # the launch window's limit is close; elsewhere W30 is sooner
-    ),
-    "W21": Trace(
-        _HERE + "_is_mismatched",
-        _names("mismatch_speed mismatch_share mismatch_hold"),
-        ("V21", "P5"),
-        behind=("W30",),
-    ),
-    "W22": Trace(
-        _HERE + "_is_blocked",
-        _names("blocked_current blocked_speed blocked_hold"),
-        ("C4", "P5"),
-        behind=("W5", "W30"),
-    ),
-    "W23": Trace(
-        _HERE + "_step_saturation",
-        _names("saturated saturated_warn saturated_hold"),
-        ("C8", "P4"),
-    ),
-    "W24": Trace(
-        _HERE + "_step_stop",
-        _names("stop_share stop_lag stop_window stop_speed brake_decel"),
-        ("V5", "P5"),
-        behind=("W30",),
-    ),
-    "W25": Trace(
-        _HERE + "_check_lease", _names("lease_warn lease"), ("Z8", "P5"), also="live: operator gone"
-    ),
-    "W26": Trace(
-        "steerd.daemon.process.runner:_is_lost",
-        _names("recorder_full"),
-        ("H7", "P5"),
-        also=_RUNNER + "; live: SIGKILL, SIGSTOP recorder",
-    ),
-    "W27": Trace(
-        "steerd.daemon.process.runner:_is_lost",
-        _names("gateway_full"),
-        ("H8", "P5"),
-        also=_RUNNER + "; live: SIGKILL, SIGSTOP gateway",
-    ),
-    "W28": Trace(
-        "steerd.daemon.process.runner:Runner._set_flags",
-        _names("suspend_step"), ("H17", "P5"), also=_RUNNER
-    ),
-    "W29": Trace(
-        "steerd.daemon.loop.core:make_failed_tick", (),
-        ("H13", "P5"), also="H13b to H13e; " + _RUNNER
-    ),
-    "W30": Trace(
-        "steerd.daemon.loop.following:compare",
-        _names("follow_share follow_noise follow_hold follow_distance"),
-        ("C10", "P5"),
-    ),
-    "W31": Trace(
-        "steerd.daemon.loop.following:measure_turns",
-        _names("follow_share follow_noise follow_steer follow_hold follow_distance"),
-        ("C13", "P5"),
-        behind=("W5",),  # the filter refuses the poses of a car that turns the other way
-        also="`shown.py`",
-    ),
+    "W1": trace("_check_mocap_age", "mocap_warn mocap_blind mocap_shortest mocap_longest",
+          "M1 P5", also="live: mocap silent"),
+    "W2": trace("_check_poses", "freeze_warn freeze_frames freeze_speed",
+          "M2 P5", also="live: mocap frozen"),
+    "W3": trace("loop.watchdogs_pose:is_sane", "invalid_frames quaternion_tolerance",
+          "M8 P5", also="live: mocap NaN"),
+    "W4": trace("loop.watchdogs_pose:_is_jump",
+          "jump_speed jump_margin yaw_step jump_frames jump_window", "M4 P5",
+          also="live: mocap jumps"),
+    "W5": trace("_check_poses", "nis_frames nis_share nis_window mocap_rate", "C13 P6"),
+    "W6": trace("_check_estimate", "sigma_position sigma_yaw", "C6 P5"),
+    "W7": trace("_check_vesc", "telemetry_warn telemetry", "V4 P5", also="live: VESC mute"),
+    "W8": trace("process.runner:Runner._is_clogged", "out_queue out_ticks",
+          "V1 P5", also="`test_runner.py`; live: unplugged"),
+    "W9": trace("_step_vesc", "", "V18 P5"),
+    "W10": trace("_check_vesc", "", "V19 P5", also="live: kill switch"),
+    "W11": trace("_check_vesc", "", "V13 P5", also="live: VESC fault"),
+    "W12": trace("_step_vesc", "", "C7 P5", also="live: VESC reboots"),
+    "W13": trace("_check_vesc", "cell_warn cell cell_hold", "V16b P5"),
+    "W14": trace("_check_temperature", "fet_warn fet motor_warn motor", "V17b P5"),
+    "W15": trace("loop.lateness:step_lateness", "late late_run late_share",
+          "H12b P5", also="`test_launch.py`; live: SIGSTOP core"),
+    "W16": trace("process.guard:ProcessGuard.is_silent", "guardian",
+          "H6 P5", also="`test_runner.py`; live: SIGKILL, SIGSTOP guardian"),
+    "W17": trace("_check_path", "lateral_warn lateral lateral_hold lateral_max", "C9 P5"),
+    "W18": trace("_check_path", "heading_warn heading", "C8 P6"),
+    "W19": trace("_check_fence", "fence_warn fence_delay fence_margin brake_decel", "C5 P5"),
+    "W20": trace("_is_fast", "overspeed_ratio overspeed_margin overspeed_hold",
+          "C3 P4"),  # the launch window's limit is close; elsewhere W30 is sooner
+    "W21": trace("_is_mismatched", "mismatch_speed mismatch_share mismatch_hold",
+          "V21 P5", behind="W30"),
+    "W22": trace("_is_blocked", "blocked_current blocked_speed blocked_hold",
+          "C4 P5", behind="W5 W30"),
+    "W23": trace("_step_saturation", "saturated saturated_warn saturated_hold", "C8 P4"),
+    "W24": trace("_step_stop", "stop_share stop_lag stop_window stop_speed brake_decel",
+          "V5 P5", behind="W30"),
+    "W25": trace("_check_lease", "lease_warn lease", "Z8 P5", also="live: operator gone"),
+    "W26": trace("process.runner:_is_lost", "recorder_full",
+          "H7 P5", also="`test_runner.py`; live: SIGKILL, SIGSTOP recorder"),
+    "W27": trace("process.runner:_is_lost", "gateway_full",
+          "H8 P5", also="`test_runner.py`; live: SIGKILL, SIGSTOP gateway"),
+    "W28": trace("process.runner:Runner._set_flags", "suspend_step",
+          "H17 P5", also="`test_runner.py`"),
+    "W29": trace("loop.core:make_failed_tick", "", "H13 P5", also="H13b to H13e; `test_runner.py`"),
+    "W30": trace("loop.following:compare", "follow_share follow_noise follow_hold follow_distance",
+          "C10 P5"),
+    # The filter refuses the poses of a car that turns the other way.
+    "W31": trace("loop.following:measure_turns",
+          "follow_share follow_noise follow_steer follow_hold follow_distance", "C13 P5",
+          behind="W5", also="`shown.py`"),
 }  # fmt: skip
 
 
@@ -209,11 +123,11 @@ def silenced(*ids: str) -> Iterator[None]:
 
 def run_trace(id: str) -> tuple[Outcome, Outcome]:
     """A watchdog's cell as it is, and without the watchdog."""
-    trace = TRACES[id]
-    code, phase = trace.cell
-    with silenced(*trace.behind):
+    code, phase = TRACES[id].cell
+    behind = TRACES[id].behind
+    with silenced(*behind):
         shown = run_cell(BY_CODE[code], phase)
-    with silenced(id, *trace.behind):
+    with silenced(id, *behind):
         return shown, run_cell(BY_CODE[code], phase)
 
 
@@ -225,13 +139,13 @@ def trips(id: str, outcome: Outcome) -> bool:
 def write_trace(outside: Mapping[str, str]) -> list[str]:
     """The table for docs/reference/safety-matrix.md; drives every watchdog's cell twice."""
     lines = ["| watchdog | shown by | without it |", "|---|---|---|"]
-    for id, trace in TRACES.items():
+    for id, row in TRACES.items():
         shown, without = run_trace(id)
-        behind = f" (without {', '.join(trace.behind)})" if trace.behind else ""
+        behind = f" (without {', '.join(row.behind)})" if row.behind else ""
         ms = f"{shown.stop_s * 1e3:.0f} ms" if shown.stop_s < 10.0 else "by the VESC's timeout"
         cell = "; ".join(
             each
-            for each in (f"{' '.join(trace.cell)}{behind}, {ms}", outside.get(id), trace.also)
+            for each in (f"{' '.join(row.cell)}{behind}, {ms}", outside.get(id), row.also)
             if each
         )
         lines.append(f"| {id} {WATCHDOGS[id].name} | {cell} | {_loss(without)} |")

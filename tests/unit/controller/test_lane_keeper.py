@@ -1,4 +1,4 @@
-"""Lane errors and the steering law, a tick at a time."""
+"""Lane errors, the steering law and the whole controller, a tick at a time."""
 
 import math
 from dataclasses import replace
@@ -7,12 +7,14 @@ from math import exp
 import numpy as np
 import pytest
 
-from steerd.car_model.params import DEFAULT_CAR
+from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.car_model.path.path import Path, Projection, interpolate, project
 from steerd.car_model.path.path_spec import parse_path
 from steerd.car_model.state import ORIGIN, Command, State
+from steerd.controller.build import make_controller
 from steerd.controller.config import ControllerConfig
 from steerd.controller.gain_table import N_LANE, Turning
+from steerd.controller.lane_controller import LaneController, control, start_controller, to_command
 from steerd.controller.lane_keeper import LaneErrors, LaneKeeper, lane_errors, step
 from steerd.controller.servo import KEPT_NS, Servo, order_servo, step_servo
 from steerd.controller.speed import SpeedProfile, make_speed_profile, profile_speed, step_speed
@@ -29,20 +31,11 @@ def row(past: tuple[float, ...] = (), **gains: float) -> tuple[float, ...]:
     return (*(gains.get(name, 0.0) for name in names), *past, *NO_TURNING)
 
 
-def test_signs_left_of_the_line_and_turned_left():
-    estimate = State(1.0, 0.1, 0.2, 1.5, 0.3, 0.05, 0.0)
+@pytest.mark.parametrize("turns", [-2, 0, 3])
+def test_signs_left_of_the_line_and_turned_left(turns):
+    estimate = State(1.0, 0.1, 0.2 + turns * math.tau, 1.5, 0.3, 0.05, 0.0)
     errors = lane_errors(estimate, project(LINE, 1.0, 0.1, 50))
-    assert errors.e1 == pytest.approx(0.1)
-    assert errors.e2 == pytest.approx(0.2)
-    assert errors.e1_rate == pytest.approx(1.5 * math.sin(0.25))
-    assert errors.e2_rate == pytest.approx(0.3)
-
-
-def test_heading_error_wraps():
-    at = project(LINE, 1.0, 0.0, 50)
-    for turns in (-2, 0, 3):
-        estimate = ORIGIN._replace(x=1.0, yaw=0.1 + turns * math.tau)
-        assert lane_errors(estimate, at).e2 == pytest.approx(0.1)
+    assert errors == pytest.approx(LaneErrors(0.1, 1.5 * math.sin(0.25), 0.2, 0.3))
 
 
 def test_at_the_centre_of_the_turn_the_rates_stay_finite():
@@ -156,10 +149,7 @@ def test_the_reference_climbs_at_the_start_ramp_and_stops_at_the_stop_ramp():
     for _ in range(60):
         speed = step_speed(speed, 1.0, 0.01, config, stop=True)
     assert speed == 0.0
-
-
-def test_the_reference_follows_the_profile_down():
-    assert step_speed(2.0, 1.2, 0.01, ControllerConfig(), stop=False) == 1.2
+    assert step_speed(2.0, 1.2, 0.01, config, stop=False) == 1.2, "it follows the profile down"
 
 
 # Where the wheels are, by the orders that left.
@@ -175,14 +165,14 @@ def wheel_after(ms, delay_s=0.03, order=0.2):
     return servo.wheel
 
 
-def test_the_wheel_stays_for_the_dead_time_and_follows_with_the_lag():
-    assert wheel_after(29) == pytest.approx(0.01)
-    assert wheel_after(29 + 50) == pytest.approx(0.01 + 0.18 * (1.0 - exp(-1.0)), rel=1e-2)
-    assert wheel_after(500) == pytest.approx(0.9 * 0.2 + 0.01, rel=1e-3)
-
-
-def test_it_stops_at_the_end_stop():
-    assert wheel_after(800, order=1.0) == pytest.approx(CAR.steer_max, rel=1e-3)
+@pytest.mark.parametrize(
+    ("ms", "order", "wheel", "rel"),
+    [(29, 0.2, 0.01, 1e-6), (79, 0.2, 0.01 + 0.18 * (1.0 - exp(-1.0)), 1e-2),
+     (500, 0.2, 0.9 * 0.2 + 0.01, 1e-3), (800, 1.0, CAR.steer_max, 1e-3)],
+    ids=["dead time", "lag", "settled", "end stop"],
+)  # fmt: skip
+def test_where_the_wheel_is(ms, order, wheel, rel):
+    assert wheel_after(ms, order=order) == pytest.approx(wheel, rel=rel)
 
 
 def test_orders_are_kept_as_long_as_a_dead_time_can_be_and_no_longer():
@@ -192,3 +182,74 @@ def test_orders_are_kept_as_long_as_a_dead_time_can_be_and_no_longer():
     times = [t for t, _ in servo.orders]
     assert times[0] < 2990 * MS - KEPT_NS <= times[1]
     assert order_servo(servo, 3_000 * MS, None) == servo, "a brake moves no wheel"
+
+
+# The whole controller, a tick at a time; whole drives are those of `tests/e2e`.
+
+RATE_HZ = 100.0
+SLOW_SERVO = DEFAULT_CAR._replace(steer_lag=0.08, steer_delay=DEFAULT_CAR.steer_delay + 0.03)
+"""30 ms more dead time and 80 ms servo lag."""
+
+
+def made(
+    spec: str, speed: float, car: Car[float] = DEFAULT_CAR, **config: object
+) -> LaneController:
+    settings = ControllerConfig(speed=speed, **config)  # type: ignore[arg-type]
+    return make_controller(car, parse_path(spec), settings, RATE_HZ)
+
+
+def test_a_cars_gain_and_bias_are_undone():
+    crooked = DEFAULT_CAR._replace(steer_gain=0.8, steer_bias=0.05, speed_gain=0.9)
+    assert to_command(crooked, 0.05, 0.9) == pytest.approx((0.0, 1.0))
+
+
+SEEN = ORIGIN._replace(y=0.05, speed=1.0)
+
+
+def test_a_command_is_remembered_as_it_left():
+    controller = made("figure8", 1.5, SLOW_SERVO)
+    state = start_controller(controller, SEEN, 0)
+    assert len(state.past) == 4
+    command, _, after = control(controller, state, SEEN, 10_000_000)
+    alone = control(controller, after, SEEN, 20_000_000)
+    informed = control(controller, after, SEEN, 20_000_000, issued=command)
+    assert informed[0] == pytest.approx(alone[0]), "one that left unchanged changes nothing"
+    assert informed[2].past == pytest.approx(alone[2].past)
+    held = command._replace(steer=0.5 * command.steer)
+    _, _, informed = control(controller, after, SEEN, 20_000_000, issued=held)
+    assert informed.past[1] == pytest.approx(held.steer - after.feedforward)
+
+
+def test_no_delay_means_no_past():
+    controller = made("circle", 1.0, DEFAULT_CAR._replace(steer_delay=0.0))
+    state = start_controller(controller, SEEN, 0)
+    command, _, after = control(controller, state, SEEN, 10_000_000)
+    assert after.past == ()
+    assert control(controller, after, SEEN, 20_000_000, issued=command)[2].past == ()
+
+
+def test_a_clock_that_stands_or_leaps_is_no_leap_in_speed():
+    controller = made("circle", 1.0)
+    state, estimate = start_controller(controller, ORIGIN, 0), ORIGIN
+    assert control(controller, state, estimate, 0)[2].speed == 0.0
+    assert control(controller, state, estimate, -5)[2].speed == 0.0
+    assert control(controller, state, estimate, 10**12)[2].speed == pytest.approx(0.15)
+
+
+@pytest.mark.parametrize("field", State._fields)
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_an_estimate_that_is_not_finite_is_refused(field, value):
+    controller = made("circle", 1.0)
+    with pytest.raises(ValueError, match="not finite"):
+        control(
+            controller, start_controller(controller, SEEN, 0), SEEN._replace(**{field: value}), 1
+        )
+
+
+def test_a_start_on_the_crossing_takes_the_branch_the_car_heads_along():
+    controller = made("figure8", 1.0)
+    path = controller.keeper.path
+    other = ORIGIN._replace(yaw=path.yaw[len(path.x) // 2])
+    report = control(controller, start_controller(controller, other, 0), other, 0)[1]
+    assert report.s == pytest.approx(path.length / 2.0, abs=path.step)
+    assert abs(report.e2) < 0.01

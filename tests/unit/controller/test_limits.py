@@ -1,7 +1,7 @@
 """The output limiter at its bounds: dense around each limit, NaN never clipped, fixed ceilings."""
 
 from dataclasses import asdict
-from math import atan, inf, isfinite, nan, nextafter, tan
+from math import atan, inf, nan, nextafter, tan
 
 import pytest
 
@@ -178,11 +178,6 @@ def test_every_field_has_a_ceiling_and_the_message_says_which():
     first, second = str(caught.value).splitlines()
     assert first.startswith("steer_rate_max = 3.3 rad/s is outside 0.1..3.2 rad/s")
     assert second.startswith("lateral_accel_max = 3.5 m/s2")
-
-
-def test_output_is_finite_for_huge_wishes():
-    out = pass_gate(1e308, -1e308, v=1e200)
-    assert all(isfinite(value) for value in out.order)
 
 
 def test_ceilings_are_these_and_changing_one_is_a_decision():

@@ -22,6 +22,7 @@ from steerd.car_model.state import ORIGIN, Command, State
 from steerd.estimator import state_filter
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.sensors import Measurement, make_gyro, make_pose, make_wheel_speed
+from tests.textbook import noise_densities
 
 H_NS = 2_500_000
 TICK_NS = 5_000_000
@@ -52,17 +53,7 @@ def add_process_noise(
     """White noise of `h` seconds. Half before and half after each step keeps second order."""
     state = moment.state
     root = math.sqrt(h)
-    densities = np.array(
-        [
-            config.position_density,
-            config.position_density,
-            config.yaw_density,
-            config.longitudinal_accel_density,
-            config.yaw_accel_density,
-            config.lateral_accel_density / max(abs(state.speed), 0.5),
-            config.steer_rate_density,
-        ]
-    )
+    densities = noise_densities(config, state.speed)
     return Moment(State(*(np.array(state) + root * densities * noise).tolist()), moment.memory)
 
 

@@ -12,7 +12,6 @@ from steerd.estimator.initial import make_belief
 from steerd.estimator.sensors import Kind, Measurement, make_gyro, make_pose, make_wheel_speed
 from steerd.estimator.state_filter import (
     FilterState,
-    StateFilter,
     make_state_filter,
     predict_to,
     restart_filter,
@@ -22,13 +21,6 @@ from steerd.estimator.state_filter import (
 MS = 1_000_000
 T0 = 10**12
 FILTER = make_state_filter(DEFAULT_CAR)
-
-
-def on_measurement(
-    flt: StateFilter, state: FilterState, now_ns: int, measurement: Measurement
-) -> FilterState:
-    """One measurement, at the time of its arrival."""
-    return step(flt, state, now_ns, (measurement,))
 
 
 def standing(milliseconds: int = 300) -> tuple[int, FilterState]:
@@ -77,9 +69,9 @@ def test_nothing_is_known_before_the_first_poses():
     state = step(FILTER, FilterState(), T0, [make_wheel_speed(T0, 1.0), make_gyro(T0, 0.0)])
     assert predict_to(FILTER, state, T0) is None
     for k in range(9):
-        state = on_measurement(FILTER, state, T0 + k * MS, make_pose(T0 + k * MS, 0.0, 0.0, 0.0))
+        state = step(FILTER, state, T0 + k * MS, (make_pose(T0 + k * MS, 0.0, 0.0, 0.0),))
     assert predict_to(FILTER, state, T0 + 9 * MS) is None
-    state = on_measurement(FILTER, state, T0 + 9 * MS, make_pose(T0 + 9 * MS, 0.0, 0.0, 0.0))
+    state = step(FILTER, state, T0 + 9 * MS, (make_pose(T0 + 9 * MS, 0.0, 0.0, 0.0),))
     assert predict_to(FILTER, state, T0 + 8 * MS) is None
     estimate = predict_to(FILTER, state, T0 + 9 * MS)
     assert estimate.health.sound
@@ -112,7 +104,7 @@ def test_a_body_swap_is_counted_and_never_moves_the_estimate():
     before = predict_to(FILTER, state, t)
     for k in range(20):
         now = t + k * 10 * MS
-        state = on_measurement(FILTER, state, now, make_pose(now, 3.0, 2.0, 0.5))
+        state = step(FILTER, state, now, (make_pose(now, 3.0, 2.0, 0.5),))
     after = predict_to(FILTER, state, now)
     assert after.health.pose.refused == 20
     assert after.health.pose.nis > 1e3
@@ -122,7 +114,7 @@ def test_a_body_swap_is_counted_and_never_moves_the_estimate():
     assert predict_to(FILTER, again, now) is None
     for k in range(20, 30):
         now = t + k * 10 * MS
-        again = on_measurement(FILTER, again, now, make_pose(now, 3.0, 2.0, 0.5))
+        again = step(FILTER, again, now, (make_pose(now, 3.0, 2.0, 0.5),))
     fresh = predict_to(FILTER, again, now)
     assert fresh.state.x == pytest.approx(3.0, abs=1e-6)
 
@@ -215,7 +207,7 @@ def test_stamp_latency_and_speed_gain_of_the_car_are_honoured(simulate, run_filt
 def test_nonsense_is_refused(bad):
     t, state = standing()
     for m in (make_pose(t, bad, 2.0, 0.5), make_wheel_speed(t, bad), make_gyro(t, bad)):
-        state = on_measurement(FILTER, state, t, m)
+        state = step(FILTER, state, t, (m,))
     estimate = predict_to(FILTER, state, t)
     health = estimate.health
     assert (health.pose.refused, health.wheel_speed.refused, health.gyro.refused) == (1, 1, 1)
@@ -227,7 +219,7 @@ def test_measurements_out_of_time_are_counted_and_not_fused():
     t, state = standing()
     before = predict_to(FILTER, state, t)
     for wrong in (t - 700 * MS, t + 3 * MS, t + 10**10):
-        state = on_measurement(FILTER, state, t, make_pose(wrong, 1.0, 2.0, 0.5))
+        state = step(FILTER, state, t, (make_pose(wrong, 1.0, 2.0, 0.5),))
     after = predict_to(FILTER, state, t)
     assert after.state == before.state
     assert after.health.untimely == before.health.untimely + 3
@@ -236,8 +228,8 @@ def test_measurements_out_of_time_are_counted_and_not_fused():
 def test_a_measurement_that_comes_twice_counts_once():
     t, state = standing()
     pose = make_pose(t - 8 * MS, 1.0005, 2.0, 0.5)
-    once = on_measurement(FILTER, state, t, pose)
-    twice = on_measurement(FILTER, once, t, pose)
+    once = step(FILTER, state, t, (pose,))
+    twice = step(FILTER, once, t, (pose,))
     one, two = predict_to(FILTER, once, t), predict_to(FILTER, twice, t)
     assert one.state == two.state
     assert one.health == two.health

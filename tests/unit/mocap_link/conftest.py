@@ -1,49 +1,16 @@
-"""The real capture, read with nothing but struct, and a NatNet server in a few lines."""
+"""The real capture, and a NatNet server in a few lines."""
 
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 
+from benchmarks.motive_replay import read_pcapng
 from steerd.mocap_link import natnet
 from steerd.mocap_link.natnet_frame import Frame, RigidBody
 
 SECOND = 1_000_000_000
-
-
-@dataclass(frozen=True)
-class Datagram:
-    t_ns: int
-    source: tuple[str, int]
-    destination: tuple[str, int]
-    data: bytes
-
-
-def read_pcapng(blob: bytes) -> Iterator[Datagram]:
-    """Yield the IPv4 UDP datagrams of enhanced packet blocks (us or ns stamps, Ethernet)."""
-    at = 0
-    while at + 12 <= len(blob):
-        kind, size = struct.unpack_from("<II", blob, at)
-        if kind == 6:
-            _, high, low, captured, _ = struct.unpack_from("<5I", blob, at + 8)
-            packet = blob[at + 28 : at + 28 + captured]
-            datagram = parse_ethernet((high << 32 | low) * 1000, packet)
-            if datagram is not None:
-                yield datagram
-        at += size
-
-
-def parse_ethernet(t_ns: int, packet: bytes) -> Datagram | None:
-    if packet[12:14] != b"\x08\x00" or packet[23] != 17:
-        return None
-    header = 14 + 4 * (packet[14] & 15)
-    from_port, to_port, length = struct.unpack_from(">3H", packet, header)
-    ips = [".".join(map(str, packet[i : i + 4])) for i in (26, 30)]
-    return Datagram(
-        t_ns, (ips[0], from_port), (ips[1], to_port), packet[header + 8 : header + length]
-    )
 
 
 @pytest.fixture(scope="session")
@@ -55,7 +22,8 @@ def capture_dir() -> Path:
 
 
 @pytest.fixture(scope="session")
-def capture(capture_dir: Path) -> list[Datagram]:
+def capture(capture_dir: Path) -> list[tuple[int, bytes]]:
+    """Time [ns] and bytes of every datagram, to Motive and from it."""
     return list(read_pcapng((capture_dir / "traffic.pcapng").read_bytes()))
 
 
@@ -68,6 +36,8 @@ class FakeServer:
     epoch_ticks: int = 987_654_321_012
     skew: float = 0.0
     multicast: bool = True
+    data_port: int = 1511
+    group: str = "239.255.42.99"
     bodies: tuple[natnet.RigidBodyDesc, ...] = (
         natnet.RigidBodyDesc("car", 1),
         natnet.RigidBodyDesc("b2", 2),
@@ -80,9 +50,8 @@ class FakeServer:
 
     def info(self) -> natnet.ServerInfo:
         major, minor = self.version
-        return natnet.ServerInfo(
-            "Fake", (1, 0, 0, 0), (major, minor, 0, 0), self.clock_hz, 1511, self.multicast
-        )
+        clock_and_data = self.clock_hz, self.data_port, self.multicast, self.group
+        return natnet.ServerInfo("Fake", (1, 0, 0, 0), (major, minor, 0, 0), *clock_and_data)
 
     def answer(self, datagram: bytes, t_ns: int) -> list[bytes]:
         message = natnet.decode(datagram, self.version)

@@ -1,14 +1,16 @@
-"""Axes, units, offsets: against rotation matrices and against their own inverse."""
+"""Poses: axes, units and offsets; addresses; the source's states; the gates one by one."""
 
+from collections.abc import Callable
 from dataclasses import replace
-from math import cos, pi, radians, sin
+from math import cos, nan, pi, radians, sin
 
 import numpy as np
 import pytest
 
 from steerd.mocap_link import frame
+from steerd.mocap_link.gates import GateConfig, GateState, step_gates
 from steerd.mocap_link.mocap_url import MocapUrl, parse_mocap_url
-from steerd.mocap_link.source import MonitorState, SourceState, step_monitor
+from steerd.mocap_link.source import MonitorState, Pose, SourceState, step_monitor
 
 RELABEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
@@ -45,22 +47,20 @@ def test_y_up_is_a_relabelling_on_1000_random_rotations():
         assert pose.height == pytest.approx(p[1])
 
 
-def test_the_forward_axis_decides_by_90_degrees():
-    q = (cos(0.35), 0.0, sin(0.35), 0.0)  # 0.70 rad about the vendor's y
-    along_x = frame.make_planar_pose(
-        frame.FrameConfig(up="y", body_forward="+x"), (1.0, 0.0, 0.0), q
-    )
-    along_z = frame.make_planar_pose(
-        frame.FrameConfig(up="y", body_forward="+z"), (1.0, 0.0, 0.0), q
-    )
-    assert along_x.yaw == pytest.approx(0.70)
-    assert along_z.yaw == pytest.approx(0.70 - pi / 2)
-
-
-def test_the_sign_of_the_quaternion_does_not_matter():
-    a = frame.make_planar_pose(frame.FrameConfig(), (1.0, 2.0, 3.0), (0.8, 0.0, 0.0, 0.6))
-    b = frame.make_planar_pose(frame.FrameConfig(), (1.0, 2.0, 3.0), (-0.8, 0.0, 0.0, -0.6))
-    assert a == pytest.approx(b)
+@pytest.mark.parametrize(
+    ("config", "q", "yaw"),
+    [
+        ({"up": "y", "body_forward": "+x"}, (cos(0.35), 0.0, sin(0.35), 0.0), 0.70),
+        ({"up": "y", "body_forward": "+z"}, (cos(0.35), 0.0, sin(0.35), 0.0), 0.70 - pi / 2),
+        ({"mount_yaw": radians(3.0)}, (cos(0.5), 0.0, 0.0, sin(0.5)), 1.0 - radians(3.0)),
+        ({}, (cos(0.5), 0.0, 0.0, sin(0.5)), 1.0),
+        ({}, (-cos(0.5), 0.0, 0.0, -sin(0.5)), 1.0),
+    ],
+    ids=["forward along x", "forward along z", "mounted askew", "q", "-q is the same"],
+)
+def test_yaw_by_axis_mount_and_sign(config, q, yaw):
+    pose = frame.make_planar_pose(frame.FrameConfig(**config), (1.0, 2.0, 3.0), q)
+    assert pose.yaw == pytest.approx(yaw)
 
 
 def test_offsets_by_hand():
@@ -69,12 +69,6 @@ def test_offsets_by_hand():
     q = (cos(pi / 4), 0.0, 0.0, sin(pi / 4))
     pose = frame.make_planar_pose(config, (1.0, 2.0, 0.1), q)
     assert (pose.x, pose.y) == pytest.approx((1.0 - 0.015, 2.0 - 0.04))
-
-
-def test_mount_yaw_is_what_the_body_reads_too_much():
-    q = (cos(0.5), 0.0, 0.0, sin(0.5))
-    pose = frame.make_planar_pose(frame.FrameConfig(mount_yaw=radians(3.0)), (0.0, 0.0, 0.0), q)
-    assert pose.yaw == pytest.approx(1.0 - radians(3.0))
 
 
 @pytest.mark.parametrize("up", ["y", "z"])
@@ -191,16 +185,20 @@ def test_start_up():
     assert s.state is SourceState.CONNECTING
 
 
-def test_ok_needs_ten_good_frames_in_a_row():
+@pytest.mark.parametrize(
+    ("frames", "state"),
+    [
+        ("G" * 9, "syncing"), ("G" * 10, "ok"), ("G" * 9 + "B" + "G" * 9, "syncing"),
+        ("G" * 9 + "B" + "G" * 10, "ok"), ("G" * 10 + "B" * 20, "lost"),
+        ("G" * 10 + "." * 41 + "G" * 9, "lost"), ("G" * 10 + "." * 41 + "G" * 10, "ok"),
+    ],
+)  # fmt: skip
+def test_ten_good_frames_in_a_row_are_life_and_bad_ones_are_none(frames, state):
+    """Good, bad and missing frames every 10 ms."""
     s = MonitorState()
-    for i in range(9):
-        s = feed(s, 10 * i, True)
-    assert s.state is SourceState.SYNCING
-    s = feed(s, 90, False)
-    for i in range(10, 19):
-        s = feed(s, 10 * i, True)
-    assert s.state is SourceState.SYNCING
-    assert feed(s, 190, True).state is SourceState.OK
+    for i, each in enumerate(frames):
+        s = feed(s, 10 * i, {"G": True, "B": False, ".": None}[each])
+    assert s.state == state
 
 
 def test_timing_of_stale_and_lost_is_exact():
@@ -211,22 +209,6 @@ def test_timing_of_stale_and_lost_is_exact():
     assert feed(feed(s, 130), 131, True).state is SourceState.OK
 
 
-def test_bad_frames_are_not_life():
-    s = bring_up()
-    for i in range(10, 30):
-        s = feed(s, 10 * i, False)
-    assert s.state is SourceState.LOST
-
-
-def test_lost_ends_after_ten_good_frames():
-    s = feed(bring_up(), 500)
-    assert s.state is SourceState.LOST
-    for i in range(9):
-        s = feed(s, 500 + 10 * i, True)
-        assert s.state is SourceState.LOST
-    assert feed(s, 600, True).state is SourceState.OK
-
-
 def test_lost_stays_lost_when_disconnected_or_without_clock():
     s = feed(bring_up(), 500)
     s = step_monitor(s, 600 * MS, connected=False, clock_ready=True)
@@ -235,3 +217,144 @@ def test_lost_stays_lost_when_disconnected_or_without_clock():
         t = (600 + 10 * i) * MS
         s = step_monitor(s, t, connected=True, clock_ready=False, good=True)
     assert s.state is SourceState.LOST
+
+
+# The gates one by one, on poses made by hand.
+GATES = GateConfig()
+
+
+def make_pose(x: float, yaw: float = 0.0, height: float = 0.1) -> Pose:
+    """A level pose with y 0; `at` gives it number and time."""
+    q = (1.0, 0.0, 0.0, 0.0)
+    return Pose(
+        "car", None, None, None, 0, (x, 0.0, height), q,
+        x=x, y=0.0, yaw=yaw, height=height, tilt=0.0,
+    )  # fmt: skip
+
+
+def at(pose: Pose, frame: int | None, t_ns: int) -> Pose:
+    return replace(pose, frame=frame, t_valid_ns=t_ns)
+
+
+def run(
+    place: Callable[[int], Pose],
+    n: int,
+    state: GateState | None = None,
+    *,
+    first: int = 0,
+    config: GateConfig = GATES,
+    stationary: bool = False,
+    wheel_speed: float = 1.0,
+) -> tuple[GateState, list[str | None]]:
+    """Feed frames `first` .. `first + n - 1` at 100 Hz."""
+    state, reasons = state or GateState(), []
+    for i in range(first, first + n):
+        state, reason = step_gates(
+            config, state, at(place(i), i, i * 10 * MS), wheel_speed=wheel_speed,
+            stationary=stationary,
+        )  # fmt: skip
+        reasons.append(reason)
+    return state, reasons
+
+
+def drive(i: int) -> Pose:
+    """1 m/s along x."""
+    return make_pose(0.5 + 0.01 * i)
+
+
+def shifted(dx: float, dyaw: float = 0.0) -> Callable[[int], Pose]:
+    return lambda i: make_pose(drive(i).x + dx, dyaw)
+
+
+@pytest.mark.parametrize("speed", [0.2, 1.0, 3.0, 5.0])
+@pytest.mark.parametrize("beyond", [0.001, 0.01, 0.05, 0.5, -0.15, -0.5])
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_few_false_poses_leave_the_true_ones_in(speed, beyond, count):
+    """Wherever they lie: just beyond what the car can have driven, or far from it."""
+    reach = (GATES.speed_max - speed) * 0.01 + GATES.jump_slack
+
+    def place(i: int) -> Pose:
+        false = 20 <= i < 20 + count
+        aside = (reach + beyond if beyond > 0.0 else beyond) if false else 0.0
+        return make_pose(0.5 + 0.01 * speed * i + aside)
+
+    _, reasons = run(place, 60)
+    assert reasons[20] == "jump"
+    assert reasons[20 + count :] == [None] * (40 - count)
+
+
+@pytest.mark.parametrize(
+    ("aside", "reason"),
+    [*(((dx, 0.0), "jump") for dx in (0.1, 0.3, 0.5, 1.5, 20.0)),
+     *(((0.0, dyaw), "yaw_jump") for dyaw in (radians(30), pi / 2, pi))],
+)  # fmt: skip
+def test_a_swapped_or_flipped_body_stays_out_however_long(aside, reason):
+    state, _ = run(drive, 20)
+    state, reasons = run(shifted(*aside), 300, state, first=20)
+    assert reasons[0] == reason
+    assert set(reasons[14:]) <= {"relocated", reason}
+    assert (state.last.x, state.last.yaw) == pytest.approx((drive(19).x, 0.0))
+
+
+@pytest.mark.parametrize("bad", [1, 2, 5, 14])
+def test_the_true_pose_returns_at_once_after_a_jump(bad):
+    state, _ = run(drive, 20)
+    state, _ = run(shifted(0.5), bad, state, first=20)
+    _, reasons = run(drive, 10, state, first=20 + bad)
+    assert reasons == [None] * 10
+
+
+def test_a_gap_widens_the_gate_by_what_the_car_can_drive():
+    state, _ = run(drive, 20)
+    allowed = GATES.speed_max * 0.06 + GATES.jump_slack
+    for dx, reason in ((allowed - 0.001, None), (allowed + 0.001, "jump")):
+        pose = at(make_pose(drive(19).x + dx), 25, 250 * MS)
+        assert step_gates(GATES, state, pose)[1] == reason
+
+
+def test_a_stopped_car_is_taken_in_elsewhere_after_fifteen_poses():
+    state, _ = run(drive, 20)
+    _, reasons = run(shifted(2.0), 20, state, first=20, stationary=True)
+    assert reasons == ["jump"] * 14 + [None] * 6
+
+
+def test_places_that_disagree_are_never_taken_in():
+    state, _ = run(drive, 20)
+    _, reasons = run(
+        lambda i: shifted(2.0 + i % 3)(i), 60, state, first=20, stationary=True, wheel_speed=0.0
+    )
+    assert None not in reasons
+
+
+def test_heights_that_disagree_are_never_taken_in():
+    state, _ = run(drive, 20)
+    _, reasons = run(
+        lambda i: make_pose(drive(i).x, height=0.2 + 0.05 * (i % 2)), 60, state, first=20,
+        stationary=True,
+    )  # fmt: skip
+    assert reasons == ["height"] * 60
+
+
+@pytest.mark.parametrize(("wheel_speed", "rejected"), [(1.0, 6), (-1.0, 6), (0.1, 0), (nan, 0)])
+def test_frozen_needs_turning_wheels(wheel_speed, rejected):
+    still = drive(0)
+    _, reasons = run(lambda i: still, 10, wheel_speed=wheel_speed)
+    assert reasons.count("frozen") == rejected
+    assert reasons[:4] == [None] * 4
+
+
+def test_frame_order():
+    state, _ = run(drive, 5)
+    for number, reason in ((4, "duplicate"), (2, "out_of_order"), (None, None), (7, None)):
+        assert step_gates(GATES, state, at(drive(5), number, 50 * MS))[1] == reason
+
+
+def test_a_pose_without_a_place_is_rejected():
+    nowhere = replace(drive(1), x=nan, y=nan, yaw=nan, height=nan, tilt=nan)
+    assert step_gates(GATES, GateState(), nowhere)[1] == "not_finite"
+
+
+def test_mean_error_is_in_the_servers_unit():
+    pose = replace(drive(0), position=(500.0, 1.0, 100.0), mean_error=0.5)
+    assert step_gates(GATES, GateState(), pose, metres_per_unit=1e-3)[1] is None
+    assert step_gates(GATES, GateState(), pose)[1] == "mean_error"

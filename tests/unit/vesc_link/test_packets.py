@@ -1,16 +1,20 @@
+"""Packets of every firmware, and the scaling between them and SI units."""
+
 import dataclasses
 import math
 import struct
 from typing import get_args
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from steerd.sim_hw.vesc.vesc_device import make_fw_version
 from steerd.sim_hw.vesc.vesc_motor import VescConfig
 from steerd.vesc_link import commands as c
 from steerd.vesc_link import identity as i
 from steerd.vesc_link import telemetry as t
-from steerd.vesc_link.commands import Command
+from steerd.vesc_link.commands import Command, SetErpm, SetServoPos
 from steerd.vesc_link.frames import encode_frame
 from steerd.vesc_link.ids import FW_3_00, FW_7_01, PROFILES, CommandId, Firmware, fault_name, knows
 from steerd.vesc_link.packets import (
@@ -22,6 +26,16 @@ from steerd.vesc_link.packets import (
     encode_command,
     encode_reply,
     expects_reply,
+)
+from steerd.vesc_link.scaling import (
+    F1TENTH,
+    Scaling,
+    as_sent,
+    erpm_to_speed,
+    servo_pos_to_steer,
+    speed_to_erpm,
+    steer_limits,
+    steer_to_servo_pos,
 )
 from steerd.vesc_link.wire import Field, host_number, pack_device
 
@@ -53,10 +67,6 @@ def present(values: object) -> dict[str, object]:
     assert dataclasses.is_dataclass(values)
     assert not isinstance(values, type)
     return {k: v for k, v in dataclasses.asdict(values).items() if v is not None}
-
-
-def test_examples_hold_every_command_once():
-    assert {type(example) for example in EXAMPLES} == set(get_args(Command))
 
 
 @pytest.mark.parametrize("firmware", OLD_AND_NEW, ids=str)
@@ -106,11 +116,18 @@ def test_text_refuses_what_the_wire_cannot_hold():
 
 
 def test_what_feeds_the_motor_timeout_and_what_is_answered():
+    assert {type(example) for example in EXAMPLES} == set(get_args(Command))
     fed = {command_number(example) for example in EXAMPLES if isinstance(example, FEEDS_TIMEOUT)}
     assert fed == {5, 6, 7, 8, 30}
     answered = {command_number(example) for example in EXAMPLES if expects_reply(example)}
     assert answered == {0, 4, 17, 50, 51, 65, 91}
     assert expects_reply(dataclasses.replace(LIMITS_SET, ack=True))
+    fast = encode_reply(dataclasses.replace(ALL_VALUES, mask=t.FAST_MASK))
+    assert len(encode_frame(fast)) == 56, "one USB packet"
+    assert [fault_name(n) for n in (10, 33, 34)] == [
+        "BOOTING_FROM_WATCHDOG_RESET", "ABS_OVERSPEED", "FAULT_34",
+    ]  # fmt: skip
+    assert LIMITS.erpm_gain == pytest.approx(60 * 2 * 11.75 / (math.pi * 0.125))
 
 
 def test_old_firmware_shifts_ids_from_the_handbrake_on():
@@ -171,11 +188,6 @@ def test_full_telemetry_of_every_firmware(version, size):
     assert values.extra_bytes == 0
 
 
-def test_fast_reply_fits_one_usb_packet():
-    fast = encode_reply(dataclasses.replace(ALL_VALUES, mask=t.FAST_MASK))
-    assert len(encode_frame(fast)) == 56
-
-
 def test_telemetry_cut_at_any_byte_has_no_invented_field():
     payload = encode_reply(ALL_VALUES)
     for length in range(1, len(payload) + 20):
@@ -188,12 +200,6 @@ def test_telemetry_cut_at_any_byte_has_no_invented_field():
         assert {k: v for k, v in present(ALL_VALUES).items() if k in known} == known
         assert isinstance(extra, int)
         assert 0 <= extra < max(6, length - 73)
-
-
-def test_flags_and_fault_names():
-    assert fault_name(10) == "BOOTING_FROM_WATCHDOG_RESET"
-    assert fault_name(33) == "ABS_OVERSPEED"
-    assert fault_name(34) == "FAULT_34"
 
 
 IMU = t.Imu(
@@ -259,12 +265,78 @@ def test_version_reply_of_every_firmware(firmware, size):
         encode_reply(dataclasses.replace(reply, uuid=b"short"), FW_7_01)
 
 
-def test_limits_imply_the_erpm_gain():
-    assert LIMITS.erpm_gain == pytest.approx(60 * 2 * 11.75 / (math.pi * 0.125))
-
-
 @pytest.mark.parametrize("reply", [LIMITS, IMU, APPCONF], ids=lambda r: str(type(r)))
 def test_reply_with_a_number_that_is_none_is_refused(reply):
     payload = encode_reply(reply)
     at = {t.Imu: 3, i.AppConf: 10}.get(type(reply), 1)
     assert decode_reply(payload[:at] + struct.pack(">f", math.nan) + payload[at + 4 :]) is None
+
+
+# Scaling between packets and SI units.
+
+
+def test_f1tenth_numbers_of_the_spec_page():
+    assert speed_to_erpm(F1TENTH, 1.0) == 4614.0
+    assert erpm_to_speed(F1TENTH, 23250.0) == pytest.approx(5.04, abs=0.002)
+    assert steer_to_servo_pos(F1TENTH, 0.0) == 0.5304
+    right, left = steer_limits(F1TENTH)
+    assert math.degrees(left) == pytest.approx(17.96, abs=0.01)
+    assert math.degrees(right) == pytest.approx(-15.09, abs=0.01)
+
+
+@pytest.mark.parametrize(("steer", "speed"), [(-0.26, -5.0), (-0.1, -0.3), (0.0, 0.0), (0.31, 5.0)])
+def test_angles_and_speeds_with_an_offset_come_back(steer, speed):
+    scaling = Scaling(erpm_offset=35.0)
+    assert servo_pos_to_steer(scaling, steer_to_servo_pos(scaling, steer)) == pytest.approx(steer)
+    assert erpm_to_speed(scaling, speed_to_erpm(scaling, speed)) == pytest.approx(speed)
+
+
+@pytest.mark.parametrize(
+    ("convert", "least", "most"),
+    [(steer_to_servo_pos, 0.85, 0.15), (speed_to_erpm, -23250.0, 23250.0)],
+)
+def test_numbers_are_clamped_both_ways_and_what_is_none_never(convert, least, most):
+    assert (convert(F1TENTH, -1e6), convert(F1TENTH, 1e6)) == (least, most)
+    for value in (math.nan, math.inf, -math.inf):
+        with pytest.raises(ValueError, match="no command"):
+            convert(F1TENTH, value)
+
+
+def test_positive_servo_gain_keeps_limits_in_order():
+    right, left = steer_limits(Scaling(servo_gain=1.2135))
+    assert right < 0 < left
+    assert math.degrees(left) == pytest.approx(15.09, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"erpm_gain": 0.0},
+        {"servo_gain": 0.0},
+        {"erpm_gain": math.nan},
+        {"servo_min": 0.9},
+        {"servo_min": -0.1},
+        {"servo_max": 1.1},
+        {"erpm_max": 0.0},
+        {"erpm_max": math.inf},
+    ],
+)
+def test_unusable_calibration_is_refused(wrong):
+    with pytest.raises(ValueError, match=r"must|finite"):
+        Scaling(**wrong)
+
+
+# What filter and recording believe was sent is what a VESC makes of the bytes.
+
+
+@given(st.floats(-0.4, 0.4), st.floats(-6.0, 6.0))
+@settings(derandomize=True, deadline=None)
+def test_as_sent_is_what_the_device_decodes_and_sent_again_the_same(steer, speed):
+    servo = decode_command(encode_command(SetServoPos(steer_to_servo_pos(F1TENTH, steer))))
+    erpm = decode_command(encode_command(SetErpm(speed_to_erpm(F1TENTH, speed))))
+    assert isinstance(servo, SetServoPos)
+    assert isinstance(erpm, SetErpm)
+    once = as_sent(F1TENTH, steer, speed)
+    assert abs(once[0] - servo_pos_to_steer(F1TENTH, servo.servo_pos)) < 1e-6
+    assert abs(once[1] - erpm_to_speed(F1TENTH, erpm.erpm)) < 1e-9
+    assert as_sent(F1TENTH, *once) == pytest.approx(once, abs=1e-12)

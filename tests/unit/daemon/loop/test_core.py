@@ -1,22 +1,30 @@
-"""One run, one VESC, its session limits, and what is known of the car when it falls silent."""
+"""Core and loop of one run: its VESC and session limits, several starts, and exceptions."""
 
+from operator import attrgetter
 from types import SimpleNamespace
 
 import pytest
 
 from steerd.daemon.assembly.build import make_core, make_plan
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.loop.core import LIMITS_TRIES, Core
-from steerd.daemon.loop.findings import Flag
+from steerd.daemon.ipc.requests import read_diagnostics
+from steerd.daemon.loop.core import LIMITS_TRIES, Core, describe_error
+from steerd.daemon.loop.findings import WATCHDOGS, Flag
 from steerd.daemon.loop.outgoing import make_mocap
 from steerd.daemon.loop.perception import NO_TELEMETRY
-from steerd.daemon.loop.transitions import Request, SupervisorState
-from steerd.daemon.offline.virtual import VirtualRun, make_virtual_run
+from steerd.daemon.loop.supervisor import LAUNCH_SPEED
+from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.mocap_link.source import Pose
 from steerd.sim_hw.plant.faults import Fault
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import decode
+from steerd.steer_bus.messages import RequestKind
 from steerd.steer_bus.quick_values import changed
+from steerd.steer_bus.standard import DiagnosticArray
 from steerd.vesc_link.commands import GetMcConfTemp, SetMcConfTemp
+from tests.safety.judge import Effort, read_motor_frames
+from tests.safety.rig import Rig, at_phase, twin
 
 MS, NS = 1_000_000, 1_000_000_000
 
@@ -26,43 +34,27 @@ def plan():
     return make_plan(RunOptions(car_file="", path="line", speed=1.0, simulated=True))
 
 
-def until(run: VirtualRun, holds, limit_s: float) -> None:
-    end = run.t_ns + round(limit_s * NS)
-    while run.t_ns < end and not holds():
-        run.step()
+def ready() -> Rig:
+    """A car that may be armed."""
+    rig = twin(at_phase("P1"))
+    rig.reach(SupervisorState.READY)
+    return rig
 
 
-def state_of(run: VirtualRun) -> SupervisorState:
-    return run.core.loop.supervisor.state
-
-
-def driving(plan) -> VirtualRun:
-    """A run whose car moves."""
-    run = make_virtual_run(plan)
-    until(run, lambda: state_of(run) is SupervisorState.READY, 20.0)
-    run.core.loop._requests_pending |= Request.ARM
-    until(run, lambda: state_of(run) is SupervisorState.ARMED, 5.0)
-    run.core.loop._requests_pending |= Request.START
-    until(run, lambda: run.core.loop.perception.wheel_speed > 0.4, 5.0)
-    assert state_of(run) is SupervisorState.RUNNING
-    return run
-
-
-def limit_of(run: VirtualRun) -> float:
+def limit_of(rig: Rig) -> float:
     """What the simulated VESC itself holds [ERPM]."""
-    return run.world.vesc.motor.limits["erpm_max"]
+    return rig.run.world.vesc.motor.limits["erpm_max"]
 
 
-def test_a_vesc_that_starts_anew_gets_the_session_limits_again(plan):
-    run = make_virtual_run(plan)
-    until(run, lambda: state_of(run) is SupervisorState.READY, 20.0)
-    wanted = run.core.link.limits.erpm_max
-    assert limit_of(run) == pytest.approx(wanted)
-    run.world.add_fault(Fault("V15", run.t_ns, run.t_ns + 2 * NS))
-    until(run, lambda: limit_of(run) > 2 * wanted, 3.0)
-    until(run, lambda: False, 6.0)
-    assert limit_of(run) == pytest.approx(wanted)
-    assert not run.core.flags & Flag.UNBOUNDED
+def test_a_vesc_that_starts_anew_gets_the_session_limits_again():
+    rig = ready()
+    wanted = rig.run.core.link.limits.erpm_max
+    assert limit_of(rig) == pytest.approx(wanted)
+    rig.run.world.add_fault(Fault("V15", rig.t_ns, rig.t_ns + 2 * NS))
+    rig.until(lambda r: limit_of(r) > 2 * wanted, 3.0)
+    rig.go_on(6.0)
+    assert limit_of(rig) == pytest.approx(wanted)
+    assert not rig.run.core.flags & Flag.UNBOUNDED
 
 
 def limits(erpm_max: float) -> SimpleNamespace:
@@ -101,41 +93,36 @@ def test_one_run_drives_one_vesc(plan):
     assert core._expected
 
 
-def test_another_vesc_at_the_same_plug_is_not_armed(plan):
-    run = make_virtual_run(plan)
-    until(run, lambda: state_of(run) is SupervisorState.READY, 20.0)
-    run.world.add_fault(Fault("V3", run.t_ns, run.t_ns + 60 * NS))
-    until(run, lambda: False, 8.0)
-    assert state_of(run) in (SupervisorState.INIT, SupervisorState.DISARMED)
-    last = run.core.last
-    assert "not the one this run began with" in run.core._describe_waiting(last.waiting)
+def test_another_vesc_at_the_same_plug_is_not_armed():
+    rig = ready()
+    rig.run.world.add_fault(Fault("V3", rig.t_ns, rig.t_ns + 60 * NS))
+    rig.go_on(8.0)
+    assert rig.state in (SupervisorState.INIT, SupervisorState.DISARMED)
+    told = decode(DiagnosticArray, rig.notes.last[topics.DIAGNOSTICS.name])
+    assert "not the one this run began with" in read_diagnostics(told)["waiting"]
 
 
 @pytest.mark.parametrize("fault", ["V1", "V4"])
-def test_a_blind_stop_ends_though_the_wheels_were_last_seen_turning(plan, fault):
-    run = driving(plan)
-    run.world.add_fault(Fault(fault, run.t_ns, 1 << 62))
-
-    def fail(*_):
-        raise RuntimeError("controller")
-
-    run.core.loop._make_wish = fail
-    until(run, lambda: state_of(run) is SupervisorState.FAULT_LATCHED, 6.0)
-    assert state_of(run) is SupervisorState.FAULT_LATCHED
-    assert run.core.loop.at_rest
+def test_a_blind_stop_ends_though_the_wheels_were_last_seen_turning(fault):
+    """A late tick brakes at once; nothing is heard of the wheels after it."""
+    rig = twin(at_phase("P5"))
+    rig.break_it(fault)
+    rig.late_ns = 200 * MS
+    rig.reach(SupervisorState.FAULT_LATCHED)
+    assert rig.run.core.loop.at_rest
 
 
-def test_an_emergency_stop_is_left_by_reset_after_the_plug_was_out(plan):
-    run = driving(plan)
-    run.core.loop._requests_pending |= Request.ESTOP
-    until(run, lambda: False, 0.3)
-    run.world.add_fault(Fault("V1", run.t_ns, run.t_ns + 2 * NS))
-    until(run, lambda: False, 5.0)
-    assert state_of(run) is SupervisorState.ESTOP
+def test_an_emergency_stop_is_left_by_reset_after_the_plug_was_out():
+    rig = twin(at_phase("P5"))
+    rig.ask(RequestKind.ESTOP)
+    rig.go_on(0.3)
+    rig.run.world.add_fault(Fault("V1", rig.t_ns, rig.t_ns + 2 * NS))
+    rig.go_on(5.0)
+    assert rig.state is SupervisorState.ESTOP
     for _ in range(4):
-        run.core.loop._requests_pending |= Request.RESET
-        until(run, lambda: False, 0.5)
-    assert state_of(run) in (SupervisorState.DISARMED, SupervisorState.READY)
+        rig.ask(RequestKind.CLEAR)
+        rig.go_on(0.5)
+    assert rig.state in (SupervisorState.DISARMED, SupervisorState.READY)
 
 
 def pose(k, t_ns):
@@ -167,3 +154,73 @@ def test_a_car_is_not_driven_more_slowly_than_its_guardian_waits():
     with pytest.raises(SteerdError, match="50 to 1000 Hz"):
         make_plan(options)
     assert make_plan(RunOptions(car_file="", path="line", speed=1.0, simulated=True, rate_hz=40.0))
+
+
+# A run with several starts: each drive passes its own launch checks.
+
+
+def test_a_second_start_is_as_slow_as_the_first():
+    rig = twin(at_phase("P3"))
+    core = rig.run.core
+    for _ in range(2):
+        rig.ask(RequestKind.START)
+        rig.reach(SupervisorState.RUNNING)
+        assert core.last.supervisor.cap == LAUNCH_SPEED
+        assert not core.last.facts & Fact.LAUNCHED
+        rig.until(lambda _: core.last.facts & Fact.LAUNCHED)
+        rig.ask(RequestKind.STOP)
+        rig.reach(SupervisorState.ARMED)
+        rig.step()
+        assert not core.last.facts & Fact.LAUNCHED
+
+
+def test_nobody_is_advised_about_an_estimate_that_is_not_there_yet():
+    last = at_phase("P0").run.core.last
+    (about,) = [finding for finding in last.findings if finding.id == "W6"]
+    assert about.text.endswith(": no estimate yet")
+    assert about.severity is WATCHDOGS["W6"].severity, "it trips all the same"
+
+
+# An exception in the loop: the brake, the reason, and no recovery without a restart.
+
+
+class BrokenError(RuntimeError):
+    pass
+
+
+def broken(*_):
+    raise BrokenError("no such gain")
+
+
+@pytest.mark.parametrize("part", ["_make_wish", "_watching.look", "_make_facts"])
+def test_whatever_raises_the_same_tick_brakes(part):
+    rig = twin(at_phase("P4"))
+    broken_ns = rig.t_ns
+    loop, (*inside, name) = rig.run.core.loop, part.split(".")
+    setattr(attrgetter(*inside)(loop) if inside else loop, name, broken)
+    rig.step()
+    assert rig.state is SupervisorState.FAULT_STOP
+    after = [f for f in read_motor_frames(rig.run.world.log) if f.t_ns >= broken_ns]
+    assert [frame.effort for frame in after] == [Effort.BRAKE]
+    assert "no such gain" in rig.run.core.loop.supervisor.reason
+    assert isinstance(rig.run.core.error, BrokenError)
+
+
+def test_one_exception_keeps_the_car_latched_for_good():
+    rig = twin(at_phase("P4"))
+    loop = rig.run.core.loop
+    loop._make_wish = broken
+    rig.step()
+    del loop._make_wish
+    rig.reach(SupervisorState.FAULT_LATCHED, 1.0)
+    rig.ask(RequestKind.CLEAR)
+    rig.go_on(0.5)
+    assert rig.state is SupervisorState.FAULT_LATCHED
+    assert rig.run.core.flags & Flag.EXCEPTION
+
+
+def test_an_error_is_described_with_its_place():
+    with pytest.raises(BrokenError) as caught:
+        broken()
+    assert describe_error(caught.value).startswith("BrokenError at broken:")
+    assert describe_error(ValueError("x")) == "ValueError: x"

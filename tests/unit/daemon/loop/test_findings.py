@@ -35,65 +35,44 @@ def said(seconds=0.0, th=TH, **changes):
 
 
 @pytest.mark.parametrize(
-    ("changes", "id", "expected"),
-    [
-        ({"mocap_age": 4.0}, "W1", "no good frame for 4000 ms (limit 150 ms)"),
-        ({"mocap_age": 2.0, "speed": 4.0}, "W1", "no good frame for 2000 ms (limit 75 ms)"),
-        ({"pose": PoseWatch(frozen=4)}, "W2", "4 identical frames at 1.50 m/s"),
-        ({"pose": PoseWatch(invalid=3)}, "W3", "3 bad frames in a row"),
-        ({"pose": PoseWatch(jumps=2, jump_times=(1, 2))}, "W4", "2 jumps in a row, 2 lately"),
-        (
-            {"pose": PoseWatch(rejected=2, rejections=0b11011)},
-            "W5",
-            "2 frames in a row rejected, 8% lately",
-        ),
-        ({"sigma_position": 0.2}, "W6", "sigma 0.200 m, 0.6°"),
-        ({"covariance_ok": False}, "W6", "covariance not positive definite"),
-        ({"telemetry_age": 3.0}, "W7", "no reply for 3000 ms"),
-        ({"status": 2}, "W10", "status bit 1 is set"),
-        ({"fault_code": 4}, "W11", "fault code 4"),
-        ({"fault_code": 10}, "W12", "fault code 10"),
-        ({"cell_voltage": 3.4}, "W13", "3.40 V per cell"),
-        ({"fet_temperature": 78.0}, "W14", "transistors at 78 C"),
-        ({"fet_temperature": 90.0}, "W14", "transistors at 90 C"),
-        ({"motor_temperature": 84.0}, "W14", "motor at 84 C"),
-        ({"lateral_error": -0.25}, "W17", "0.25 m"),
-        ({"heading_error": 0.6}, "W18", "34°"),
-        ({"lease_age": 2.0}, "W25", "not renewed for 2000 ms"),
-    ],
-)
-def test_text_of_a_trip_at_once(changes, id, expected):
-    (found,) = said(**changes)
-    assert found[0] == id
-    assert f": {expected}; " in found[1]
-
-
-@pytest.mark.parametrize(
     ("seconds", "changes", "id", "expected"),
     [
+        (0.0, {"mocap_age": 4.0}, "W1", "no good frame for 4000 ms (limit 150 ms)"),
+        (0.0, {"mocap_age": 2.0, "speed": 4.0}, "W1", "no good frame for 2000 ms (limit 75 ms)"),
+        (0.0, {"pose": PoseWatch(frozen=4)}, "W2", "4 identical frames at 1.50 m/s"),
+        (0.0, {"pose": PoseWatch(invalid=3)}, "W3", "3 bad frames in a row"),
+        (0.0, {"pose": PoseWatch(jumps=2, jump_times=(1, 2))}, "W4", "2 jumps in a row, 2 lately"),
+        (0.0, {"pose": PoseWatch(rejected=2, rejections=0b11011)}, "W5",
+         "2 frames in a row rejected, 8% lately"),
+        (0.0, {"sigma_position": 0.2}, "W6", "sigma 0.200 m, 0.6°"),
+        (0.0, {"covariance_ok": False}, "W6", "covariance not positive definite"),
+        (0.0, {"telemetry_age": 3.0}, "W7", "no reply for 3000 ms"),
         (0.2, {"status": 1, "state": SupervisorState.ARMED}, "W9", "status bit 0 stays set"),
+        (0.0, {"status": 2}, "W10", "status bit 1 is set"),
+        (0.0, {"fault_code": 4}, "W11", "fault code 4"),
+        (0.0, {"fault_code": 10}, "W12", "fault code 10"),
+        (0.0, {"cell_voltage": 3.4}, "W13", "3.40 V per cell"),
         (0.5, {"cell_voltage": 3.2}, "W13", "3.20 V per cell"),
+        (0.0, {"fet_temperature": 78.0}, "W14", "transistors at 78 C"),
+        (0.0, {"fet_temperature": 90.0}, "W14", "transistors at 90 C"),
+        (0.0, {"motor_temperature": 84.0}, "W14", "motor at 84 C"),
+        (0.0, {"lateral_error": -0.25}, "W17", "0.25 m"),
         (0.1, {"lateral_error": 0.35}, "W17", "0.35 m"),
+        (0.0, {"heading_error": 0.6}, "W18", "34°"),
+        (0.0, {"th": Thresholds(fence=SQUARE), "x": 4.9, "y": -1.25}, "W19",
+         "the car at (4.90, -1.25) m needs 0.57 m to stop"),
         (0.1, {"speed_erpm": 2.5, "speed_mocap": 2.4}, "W20", "wheels 2.50, mocap 2.40 m/s"),
         (0.2, {"speed_mocap": 0.5}, "W21", "wheels 1.50, mocap 0.50 m/s"),
-        (
-            1.0,
-            {"current_share": 0.75, "speed_erpm": 0.01, "speed_mocap": 0.0},
-            "W22",
-            "75% of the current limit at 0.01 m/s",
-        ),
+        (1.0, {"current_share": 0.75, "speed_erpm": 0.01, "speed_mocap": 0.0}, "W22",
+         "75% of the current limit at 0.01 m/s"),
+        (0.0, {"lease_age": 2.0}, "W25", "not renewed for 2000 ms"),
     ],
-)
-def test_text_of_a_trip_after_a_while(seconds, changes, id, expected):
-    found = [text for name, text in said(seconds, **changes) if name == id]
-    assert any(f": {expected}; " in text for text in found), found
-
-
-def test_text_of_the_fence():
-    fenced = Thresholds(fence=SQUARE)
-    ((name, text),) = said(th=fenced, x=4.9, y=-1.25)
-    assert name == "W19"
-    assert ": the car at (4.90, -1.25) m needs 0.57 m to stop; " in text
+)  # fmt: skip
+def test_text_of_a_trip_at_once_or_after_a_while(seconds, changes, id, expected):
+    found = said(seconds, **changes)
+    if not seconds:
+        assert [name for name, _ in found] == [id]
+    assert any(f": {expected}; " in text for name, text in found if name == id), found
 
 
 @pytest.mark.parametrize(("x", "warned"), [(3.91, False), (3.94, True), (-3.94, False)])

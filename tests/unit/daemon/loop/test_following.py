@@ -45,8 +45,13 @@ KNOWN = dict.fromkeys(Car._fields, 0.0)
 
 
 def make_model():
-    """Made anew in each test: a mutant of a function that ran on import would go unseen."""
     return make_follow_model(CAR, KNOWN, FilterConfig(), TH)
+
+
+@pytest.fixture
+def model():
+    """Made anew in each test: a mutant of a function that ran on import would go unseen."""
+    return make_model()
 
 
 def near(low, high):
@@ -93,8 +98,7 @@ def test_ranges_of_an_identified_car():
     assert m.turn_margin == pytest.approx(4.0 * sqrt(2.0) * 0.002)
 
 
-def test_yaw_settles_with_the_slower_of_its_two_motions():
-    model = make_model()
+def test_yaw_settles_with_the_slower_of_its_two_motions(model):
     weight = 0.8 * CAR.mass * 9.81
     front, rear = 5.0 * weight * 0.25 / 0.4, 4.0 * weight * 0.15 / 0.4
     turning = CAR.inertia_z / (front * 0.15**2 + rear * 0.25**2)
@@ -105,8 +109,7 @@ def test_yaw_settles_with_the_slower_of_its_two_motions():
     assert slippery.settling == pytest.approx(1.4 * CAR.mass / (front + rear))
 
 
-def test_what_was_never_identified_may_be_off_by_a_factor():
-    model = make_model()
+def test_what_was_never_identified_may_be_off_by_a_factor(model):
     m = make_follow_model(CAR, {}, FilterConfig(), TH)
     assert m.drive.lag == near(0.2 / UNKNOWN, 0.2 * UNKNOWN)
     assert m.drive.slew == near(4.0 / UNKNOWN, 4.0 * UNKNOWN)
@@ -139,8 +142,7 @@ def test_a_car_file_cannot_switch_it_off_by_noise():
     assert (m.speed_margin, m.turn_margin) == (SPEED_MARGIN_MAX, TURN_MARGIN_MAX)
 
 
-def test_nothing_is_compared_without_orders():
-    model = make_model()
+def test_nothing_is_compared_without_orders(model):
     assert advance(FollowState(), model, 5 * MS, 1.0) == FollowState()
     assert compare(FollowState(), model, (0, 9.0), (Turn(0, 1, 3.0, 1.0),)) == Followed()
     state = go({0: Command(0.1, 1.0)}, 300)
@@ -148,8 +150,9 @@ def test_nothing_is_compared_without_orders():
 
 
 @pytest.mark.parametrize(("rolling", "band"), [(0.5, (0.0, 0.5)), (-0.5, (-0.5, 0.0))])
-def test_the_first_order_starts_at_the_measured_speed_with_the_steering_anywhere(rolling, band):
-    model = make_model()
+def test_the_first_order_starts_at_the_measured_speed_with_the_steering_anywhere(
+    model, rolling, band
+):
     order = Command(0.1, 1.0)
     state = send_order(FollowState(), model, 7, order, rolling)
     assert state.orders == ((7, order),)
@@ -165,15 +168,13 @@ def test_an_order_that_repeats_is_kept_once():
     assert state.orders == ((0, order), (20 * MS, Command(0.1, 1.1)))
 
 
-def test_time_that_does_not_pass_changes_nothing():
-    model = make_model()
+def test_time_that_does_not_pass_changes_nothing(model):
     state = go({0: Command(0.1, 1.0)}, 50)
     assert advance(state, model, 50 * MS, 1.0) == state
     assert advance(state, model, 49 * MS, 1.0) == state
 
 
-def test_before_an_order_can_have_arrived_nothing_moves():
-    model = make_model()
+def test_before_an_order_can_have_arrived_nothing_moves(model):
     order = Command(0.1, 1.0)
     state = advance(send_order(FollowState(), model, 0, order, 0.0), model, 40 * MS, 1.0)
     assert state.trail[-1].speed == Band(0.0, 0.0)
@@ -191,51 +192,45 @@ def test_speed_rises_between_the_fastest_and_the_slowest_car():
     assert slow * 0.9 <= band.low <= slow
 
 
-def test_slew_limits_bound_both_ends():
-    state = go({0: Command(0.0, 3.0)}, 300)
-    band = state.trail[-1].speed
-    assert band.high == pytest.approx(4.8 * 0.23)
-    assert band.low == pytest.approx(3.2 * (0.3 - 0.132), abs=0.04)
-
-
-def test_both_ends_come_to_rest_on_the_order():
-    state = go({0: Command(0.1, 1.0)}, 4000)
+@pytest.mark.parametrize(
+    ("bias", "wish", "band"),
+    [(0.0, 0.1, (0.08, 0.12)), (0.0, 0.5, (0.32, 0.48)), (0.0, -0.5, (-0.36, -0.24)),
+     (0.05, -0.1, (-0.07, -0.03))],
+    ids=["gain", "left end stop", "right end stop", "bias"],
+)  # fmt: skip
+def test_both_ends_come_to_rest_on_the_order(bias, wish, band):
+    model = make_follow_model(CAR._replace(steer_bias=bias), KNOWN, FilterConfig(), TH)
+    state = go({0: Command(wish, 1.0)}, 4000, model)
     assert state.trail[-1].speed == near(1.0, 1.0)
-    assert state.steer == near(0.08, 0.12)
+    assert state.steer == near(*band)
     assert len(state.orders) == 1
 
 
-def test_a_fall_of_speed_has_its_own_limits():
-    base = {0: Command(0.0, 3.0), 4000: Command(0.0, 1.0)}
-    band = go(base, 4400).trail[-1].speed
-    assert band.low == pytest.approx(3.0 - 3.6 * (0.4 - 0.08), abs=0.05)
-    assert band.high == pytest.approx(3.0 - 2.4 * (0.4 - 0.132 - 0.01), abs=0.05)
-
-
-def test_a_slow_order_may_release_the_motor():
-    """Below 0.3 m/s a VESC lets go: the car may stand at once or coast for ever."""
-    state = go({0: Command(0.0, 2.0), 4000: Command(0.0, 0.29)}, 8000)
-    assert state.trail[-1].speed == Band(pytest.approx(0.0, abs=1e-6), pytest.approx(2.0))
-    state = go({0: Command(0.0, 2.0), 4000: Command(0.0, 0.3)}, 9000)
-    assert state.trail[-1].speed == near(0.3, 0.3)
-
-
-def test_the_wheel_angle_stays_within_the_end_stops():
-    state = go({0: Command(0.5, 1.0)}, 3000)
-    assert state.steer == near(0.32, 0.48)
-    state = go({0: Command(-0.5, 1.0)}, 3000)
-    assert state.steer == near(-0.36, -0.24)
-
-
-def test_bias_and_gain_of_the_linkage():
-    biased = make_follow_model(CAR._replace(steer_bias=0.05), KNOWN, FilterConfig(), TH)
-    assert go({0: Command(-0.1, 1.0)}, 3000, biased).steer == near(-0.07, -0.03)
+@pytest.mark.parametrize(
+    ("first", "then", "until_ms", "step_ms", "low", "high"),
+    [
+        (3.0, None, 300, 10, 3.2 * (0.3 - 0.132), 4.8 * 0.23),
+        (3.0, 1.0, 4400, 10, 3.0 - 3.6 * (0.4 - 0.08), 3.0 - 2.4 * (0.4 - 0.132 - 0.01)),
+        (1.0, 0.7, 4200, 2, 1.0 - 0.3 * (1.0 - exp(-0.12 / 0.16)),
+         1.0 - 0.3 * (1.0 - exp(-0.068 / 0.24))),
+        (2.0, 0.29, 8000, 10, 0.0, 2.0),
+        (2.0, 0.3, 9000, 10, 0.3, 0.3),
+    ],
+    ids=["slew limits", "a fall has its own", "0.3 m/s over 0.16 s is below them: the lag",
+         "below 0.3 m/s a VESC lets go: it may stand at once or coast for ever", "0.3 m/s"],
+)  # fmt: skip
+def test_speeds_after_a_change(first, then, until_ms, step_ms, low, high):
+    orders = {0: Command(0.0, first)} | ({4000: Command(0.0, then)} if then else {})
+    band = go(orders, until_ms, step_ms=step_ms).trail[-1].speed
+    near_low = {10: 0.05, 2: 0.004}[step_ms]
+    assert band.low == pytest.approx(low, abs=1e-6 if then in (0.29, 0.3) else near_low)
+    exact = then is None or then in (0.29, 0.3)
+    assert band.high == pytest.approx(high, abs=1e-6 if exact else near_low)
 
 
 @pytest.mark.parametrize("speed", [0.3, 1.0, 2.5])
-def test_curvature_of_the_steady_turn(speed):
+def test_curvature_of_the_steady_turn(model, speed):
     """A turn to the left: the tightest car's upper end, the widest car's lower end."""
-    model = make_model()
     state = go({0: Command(0.2, 1.0)}, 4000, speed=speed)
     short = max(model.base.low + model.understeer.low * speed**2, 0.5 * model.base.low)
     wide = model.base.high + model.understeer.high * speed**2
@@ -244,8 +239,7 @@ def test_curvature_of_the_steady_turn(speed):
     assert right.curvature == near(tan(-0.24 - 0.02) / short, tan(-0.16 + 0.02) / wide)
 
 
-def test_an_oversteering_car_is_bounded_at_half_its_wheelbase():
-    model = make_model()
+def test_an_oversteering_car_is_bounded_at_half_its_wheelbase(model):
     state = go({0: Command(0.2, 1.0)}, 6000, speed=9.0)
     assert state.curvature.high == pytest.approx(tan(0.26) / (0.5 * model.base.low), rel=1e-5)
 
@@ -265,9 +259,8 @@ def steady_ends(model, steer, speed):
 @pytest.mark.parametrize(
     ("speed", "lag"), [(0.04, 0.02), (-0.04, 0.02), (0.5, None), (2.0, None), (-2.0, None)]
 )
-def test_curvature_grows_at_once_and_falls_with_the_yaw_lag(speed, lag):
+def test_curvature_grows_at_once_and_falls_with_the_yaw_lag(model, speed, lag):
     """A crawling car turns as its kinematics settle."""
-    model = make_model()
     turned = go(STRAIGHTENED, 3090, speed=speed)
     after = advance(turned, model, 3150 * MS, speed)
     aim = steady_ends(model, after.steer, speed)
@@ -287,8 +280,7 @@ def test_curvature_grows_at_once_and_falls_with_the_yaw_lag(speed, lag):
     assert onto.curvature.high == pytest.approx(aim.high)
 
 
-def test_the_sum_of_curvature_is_no_smaller_than_either_end_of_a_step():
-    model = make_model()
+def test_the_sum_of_curvature_is_no_smaller_than_either_end_of_a_step(model):
     state = go({0: Command(0.2, 1.0)}, 2000)
     band, last = state.curvature, state.trail[-1]
     after = advance(state, model, 2010 * MS, 1.0).trail[-1]
@@ -337,21 +329,13 @@ def test_a_late_tick_forgets_every_order_but_the_last():
     assert [sent for sent, _ in exact.orders] == [18 * MS]
 
 
-def test_a_small_fall_of_speed_takes_the_lag():
-    """0.3 m/s over 0.16 s stays below the limit of the rate."""
-    band = go({0: Command(0.0, 1.0), 4000: Command(0.0, 0.7)}, 4200, step_ms=2).trail[-1].speed
-    assert band.low == pytest.approx(1.0 - 0.3 * (1.0 - exp(-0.12 / 0.16)), abs=0.004)
-    assert band.high == pytest.approx(1.0 - 0.3 * (1.0 - exp(-0.068 / 0.24)), abs=0.004)
-
-
 # --- comparison
 
 NOW = 4000 * MS
 
 
 @pytest.mark.parametrize(("speed", "excess"), [(1.0, -0.12), (1.2, 0.08), (0.7, 0.18), (inf, inf)])
-def test_wheels_against_the_band_of_their_time(speed, excess):
-    model = make_model()
+def test_wheels_against_the_band_of_their_time(model, speed, excess):
     steady = go({0: Command(0.0, 1.0)}, 4000)
     seen = compare(steady, model, (NOW, speed), ())
     assert seen.speed_excess == pytest.approx(excess)
@@ -360,8 +344,7 @@ def test_wheels_against_the_band_of_their_time(speed, excess):
     assert (seen.turn_rate, seen.turn_excess) == (0.0, 0.0)
 
 
-def test_a_measurement_between_two_ticks_may_lie_in_either_band():
-    model = make_model()
+def test_a_measurement_between_two_ticks_may_lie_in_either_band(model):
     steady = go({0: Command(0.0, 1.0)}, 4000)
     marks = (Mark(0, Band(0.0, 1.0), Band(0, 0)), Mark(10, Band(-1.0, 0.5), Band(0, 0)))
     state = changed(steady, trail=marks)
@@ -371,8 +354,7 @@ def test_a_measurement_between_two_ticks_may_lie_in_either_band():
     assert compare(state, model, (0, 0.0), ()).speed_band == Band(-1.0, 1.0)
 
 
-def test_what_was_measured_before_the_band_began_is_not_judged():
-    model = make_model()
+def test_what_was_measured_before_the_band_began_is_not_judged(model):
     steady = go({0: Command(0.0, 1.0)}, 4000)
     oldest = steady.trail[0].t_ns
     assert compare(steady, model, (oldest - 1, 9.0), ()) == Followed()
@@ -382,9 +364,8 @@ def test_what_was_measured_before_the_band_began_is_not_judged():
     assert compare(steady, model, None, (Turn(oldest, NOW + 1, 1.0, 0.1),)) == Followed()
 
 
-def test_turns_against_the_band_over_the_way():
+def test_turns_against_the_band_over_the_way(model):
     """1 rad/m at most over 0.2 m in 0.1 s: 2 rad/s, and no less than 1 rad/s."""
-    model = make_model()
     steady = go({0: Command(0.0, 1.0)}, 4000)
     marks = (
         Mark(0, Band(0, 0), Band(1.0, 2.0)),
@@ -410,14 +391,13 @@ def test_turns_against_the_band_over_the_way():
     assert last.turn_band == near(0.0, 0.0)
 
 
-def test_a_turn_between_ticks_and_the_one_that_is_furthest_off():
+def test_a_turn_between_ticks_and_the_one_that_is_furthest_off(model):
     marks = (
         Mark(0, Band(0, 0), Band(1.0, 2.0)),
         Mark(50 * MS, Band(0, 0), Band(1.02, 2.06)),
         Mark(100 * MS, Band(0, 0), Band(1.06, 2.1)),
     )
     state = FollowState(trail=marks)
-    model = make_model()
     inside, slow = Turn(25 * MS, 100 * MS, 0.1, 0.15), Turn(0, 50 * MS, -0.3, 0.1)
     part = compare(state, model, None, (inside,))
     assert part.turn_band == near(0.05 / 0.075 * 2.0, 0.07 / 0.075 * 2.0)
@@ -455,9 +435,8 @@ def test_one_pose_is_no_turn():
 
 
 @pytest.mark.parametrize("late_s", [TRAIL_S - 0.01, TRAIL_S, TRAIL_S + 1e-9, 0.6, 10.0])
-def test_a_tick_later_than_the_trail_is_long_goes_on(late_s):
+def test_a_tick_later_than_the_trail_is_long_goes_on(model, late_s):
     """A machine that stood still: that stops the car as what it is, and as no exception."""
-    model = make_model()
     before = go({0: Command(0.1, 1.0)}, 1000)
     now = before.trail[-1].t_ns + round(late_s * 1e9)
     after = advance(before, model, now, 1.0)

@@ -10,7 +10,6 @@ from steerd.daemon.loop.watchdogs_pose import (
     PoseVerdict,
     PoseWatch,
     is_flapping,
-    is_sane,
     rejected_share,
     step_innovation,
     step_pose,
@@ -51,10 +50,15 @@ def judge(next_frame, watch=BASE, wheel=0.0, may_rebase=False):
     return step_pose(TH, watch, next_frame, wheel, may_rebase)
 
 
-def test_first_sane_frame_is_a_start():
-    watch, verdict = judge(frame(), PoseWatch())
-    assert (watch.base, verdict) == (frame(), REBASED)
-    assert judge(frame(valid=False), PoseWatch())[1] == INVALID
+@pytest.mark.parametrize(
+    "changes",
+    [{}, *({"quaternion": q} for q in [(1.015625, 0, 0, 0), (0, 0.984375, 0, 0), (0.5,) * 4]),
+     *({"position": place} for place in [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])],
+)  # fmt: skip
+def test_first_sane_frame_is_a_start(changes):
+    watch, verdict = judge(frame(**changes), PoseWatch())
+    assert (watch.base, verdict) == (frame(**changes), REBASED)
+    assert judge(frame(valid=False, **changes), PoseWatch())[1] == INVALID
 
 
 @pytest.mark.parametrize(
@@ -86,16 +90,6 @@ def test_bad_frames_are_counted_and_dropped(bad):
     assert (verdict, watch.invalid) == (ACCEPTED, 0)
 
 
-@pytest.mark.parametrize("q", [(1.015625, 0, 0, 0), (0, 0.984375, 0, 0), (0.5, 0.5, 0.5, 0.5)])
-def test_quaternions_at_the_edge_are_sane(q):
-    assert is_sane(TH, frame(quaternion=q))
-
-
-@pytest.mark.parametrize("place", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
-def test_only_the_exact_origin_is_no_place(place):
-    assert is_sane(TH, frame(position=place))
-
-
 def test_sources_without_frame_numbers_rise_by_time():
     watch = PoseWatch(frame(number=-1))
     assert judge(frame(1.01, -1, x=1.01), watch)[1] == ACCEPTED
@@ -114,12 +108,6 @@ def test_the_poses_of_one_segment_share_its_stamp_and_the_time_before_it():
     watch, verdict = judge(frame(1.11, -1, x=1.3), watch)
     assert verdict == ACCEPTED, "the next segment counts from the newest pose"
     assert judge(frame(1.11, -1, x=1.35), watch)[1] == JUMP, "and with its own time alone"
-
-
-def test_a_rebased_pose_has_no_time_before_it():
-    watch = PoseWatch(frame(1.0, -1))
-    assert judge(frame(1.0, -1, x=1.0625), watch)[1] == ACCEPTED
-    assert judge(frame(1.0, -1, x=1.0626), watch)[1] == JUMP
 
 
 @pytest.mark.parametrize(
@@ -148,23 +136,30 @@ def test_freeze_needs_identical_bits_and_turning_wheels():
     assert judge(frame(1.03, 4, x=1.01), watch, wheel=1.0)[0].frozen == 0
 
 
-def test_jump_by_distance_at_its_edge():
-    reach = 2.0 * 0.25 + 0.0625
-    assert judge(frame(1.25, 2, x=1.0 + reach))[1] == ACCEPTED
-    assert judge(frame(1.25, 2, y=2.0 - reach))[1] == ACCEPTED
-    for far in (frame(1.25, 2, x=nextafter(1.0 + reach, 9)), frame(1.25, 2, y=2.0 + reach + 1e-9)):
-        watch, verdict = judge(far)
-        assert (verdict, watch.jumps, watch.base) == (JUMP, 1, frame())
-        assert watch.jump_times == (far.t_arrival_ns,)
+REACH = 2.0 * 0.25 + 0.0625  # in a quarter of a second [m]
 
 
-def test_jump_by_yaw_at_its_edge_and_through_the_wrap():
-    assert judge(frame(1.01, 2, yaw=0.5))[1] == ACCEPTED
-    assert judge(frame(1.01, 2, yaw=-0.5))[1] == ACCEPTED
-    assert judge(frame(1.01, 2, yaw=nextafter(0.5, 1)))[1] == JUMP
-    assert judge(frame(1.01, 2, yaw=nextafter(-0.5, -1)))[1] == JUMP
-    near_pi = PoseWatch(frame(yaw=pi - 0.1))
-    assert judge(frame(1.01, 2, yaw=-pi + 0.1), near_pi)[1] == ACCEPTED
+@pytest.mark.parametrize(
+    ("base", "next_frame", "verdict"),
+    [
+        (frame(), frame(1.25, 2, x=1.0 + REACH), ACCEPTED),
+        (frame(), frame(1.25, 2, y=2.0 - REACH), ACCEPTED),
+        (frame(), frame(1.25, 2, x=nextafter(1.0 + REACH, 9)), JUMP),
+        (frame(), frame(1.25, 2, y=2.0 + REACH + 1e-9), JUMP),
+        (frame(), frame(1.01, 2, yaw=0.5), ACCEPTED),
+        (frame(), frame(1.01, 2, yaw=-0.5), ACCEPTED),
+        (frame(), frame(1.01, 2, yaw=nextafter(0.5, 1)), JUMP),
+        (frame(), frame(1.01, 2, yaw=nextafter(-0.5, -1)), JUMP),
+        (frame(yaw=pi - 0.1), frame(1.01, 2, yaw=-pi + 0.1), ACCEPTED),
+        (frame(number=-1), frame(1.0, -1, x=1.0625), ACCEPTED),  # a first pose: no time before it
+        (frame(number=-1), frame(1.0, -1, x=1.0626), JUMP),
+    ],
+)
+def test_jumps_by_distance_and_yaw_at_their_edges(base, next_frame, verdict):
+    watch, found = judge(next_frame, PoseWatch(base))
+    assert found == verdict
+    jumped = (1, base, (next_frame.t_arrival_ns,)) if verdict == JUMP else (0, next_frame, ())
+    assert (watch.jumps, watch.base, watch.jump_times) == jumped
 
 
 def test_an_accepted_frame_ends_the_row_but_not_the_memory_of_jumps():

@@ -1,13 +1,15 @@
-"""The gateway between a core's pipe and a bus inside the process."""
+"""The gateway between a core's pipe and a bus, and the heartbeats that go through both and back."""
 
 import os
 import socket
+from dataclasses import replace
 
 import pytest
 
 from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord, pack_record
 from steerd.daemon.ipc.requests import REQUEST_MAX, make_badge, unpack_request
 from steerd.daemon.process.gateway import Gateway, run_gateway
+from steerd.daemon.process.remote_path import BEAT_NS, RemotePath
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode, encode
@@ -21,6 +23,17 @@ TICK = encode(m.Tick(m.make_header(1, m.BODY), 1, 2, 3, 4, 0))
 @pytest.fixture
 def hub():
     return LocalHub()
+
+
+@pytest.fixture
+def gateway(hub):
+    return Gateway(LocalBus(hub), "car1", None)
+
+
+@pytest.fixture
+def other(hub):
+    """Somebody else on the bus."""
+    return LocalBus(hub)
 
 
 @pytest.fixture
@@ -44,17 +57,14 @@ def packets(core):
             return found
 
 
-def test_it_is_alive_and_gives_the_schemas(hub):
-    gateway = Gateway(LocalBus(hub), "car1", None)
-    other = LocalBus(hub)
+def test_it_is_alive_and_gives_the_schemas(gateway, other):
     assert other.alive("**") == {"steerd/car1/alive"}
     (text,) = other.query(make_key("car1", "schema/steerd_msgs/msg/Tick")).values()
     assert b"due_ns" in text
     assert gateway is not None
 
 
-def test_whole_records_are_published_and_the_rest_waits(hub):
-    gateway = Gateway(LocalBus(hub), "car1", None)
+def test_whole_records_are_published_and_the_rest_waits(gateway, hub):
     heard = LocalBus(hub).subscribe(make_key("car1", topics.TICK), 8)
     record = pack_record(PipeRecord(topics.TICK, 0, 0, 0, TICK))
     read_fd, write_fd = os.pipe()
@@ -69,8 +79,7 @@ def test_whole_records_are_published_and_the_rest_waits(hub):
     os.close(write_fd)
 
 
-def test_what_comes_from_the_bus_is_not_sent_back_to_it(hub):
-    gateway = Gateway(LocalBus(hub), "car1", None)
+def test_what_comes_from_the_bus_is_not_sent_back_to_it(gateway, hub):
     heard = LocalBus(hub).subscribe(make_key("car1", topics.OPERATOR), 8)
     request = m.OperatorRequest(m.make_header(1, m.BODY), 1, 2, 3, int(m.RequestKind.ARM), "me")
     gateway.publish([PipeRecord(topics.OPERATOR, 0, 0, 0, encode(request))])
@@ -95,10 +104,9 @@ def kinds(core):
     return [m.RequestKind(request.kind) for request in got]
 
 
-def test_requests_and_poses_go_to_the_core_stops_first(hub, ends):
+def test_requests_and_poses_go_to_the_core_stops_first(other, hub, ends):
     ours, core = ends
     gateway = Gateway(LocalBus(hub), "car1", POSE_KEY)
-    other = LocalBus(hub)
     drive = encode(m.DriveCommand(m.make_header(1, m.BODY), 5, 0, 1, 2, 100, 0.1, 1.0))
     other.publish(make_key("car1", topics.OPERATOR), ask(ARM, lease_id=0))
     other.publish(make_key("car1", topics.DRIVE), drive)
@@ -115,9 +123,8 @@ def test_requests_and_poses_go_to_the_core_stops_first(hub, ends):
 
 
 @pytest.mark.parametrize("topic", [topics.STOP, topics.OPERATOR])
-def test_what_does_not_decode_displaces_no_request(hub, ends, topic):
+def test_what_does_not_decode_displaces_no_request(gateway, other, ends, topic):
     ours, core = ends
-    gateway, other = Gateway(LocalBus(hub), "car1", None), LocalBus(hub)
     other.publish(make_key("car1", topic), ask(STOP))
     for size in (0, 1, 40, 200, REQUEST_MAX + 1) * 200:
         other.publish(make_key("car1", topic), bytes([size % 251]) * size)
@@ -125,9 +132,8 @@ def test_what_does_not_decode_displaces_no_request(hub, ends, topic):
     assert kinds(core) == [STOP]
 
 
-def test_no_other_request_displaces_a_stop(hub, ends):
+def test_no_other_request_displaces_a_stop(gateway, other, ends):
     ours, core = ends
-    gateway, other = Gateway(LocalBus(hub), "car1", None), LocalBus(hub)
     other.publish(make_key("car1", topics.STOP), ask(ESTOP))
     for seq in range(1000):
         other.publish(make_key("car1", topics.OPERATOR), ask(ALIVE, seq))
@@ -137,10 +143,9 @@ def test_no_other_request_displaces_a_stop(hub, ends):
     assert kinds(core) == []
 
 
-def test_a_lease_is_known_by_a_badge_that_opens_nothing(hub, ends):
+def test_a_lease_is_known_by_a_badge_that_opens_nothing(gateway, other, ends):
     """Whoever sends under the name that the car publishes is another."""
     ours, core = ends
-    gateway, other = Gateway(LocalBus(hub), "car1", None), LocalBus(hub)
     known = []
     for lease_id in (7, 7, 8, 0):
         other.publish(make_key("car1", topics.OPERATOR), ask(ALIVE, lease_id=lease_id))
@@ -155,9 +160,8 @@ def test_a_lease_is_known_by_a_badge_that_opens_nothing(hub, ends):
     assert decode(m.OperatorRequest, data).lease_id not in known
 
 
-def test_in_a_lab_the_certificate_names_the_operator_and_the_lease(hub, ends):
+def test_in_a_lab_the_certificate_names_the_operator_and_the_lease(gateway, hub, ends):
     ours, core = ends
-    gateway = Gateway(LocalBus(hub), "car1", None)
     desk, tablet = (LocalBus(hub, who=name) for name in ("desk", "tablet"))
     for bus in (desk, tablet):
         bus.publish(make_key("car1", topics.OPERATOR, bus.who), ask(ALIVE, operator="desk"))
@@ -167,10 +171,9 @@ def test_in_a_lab_the_certificate_names_the_operator_and_the_lease(hub, ends):
     assert got[0].lease_id != got[1].lease_id, "one secret, two people"
 
 
-def test_a_core_that_does_not_read_costs_requests_and_never_blocks(hub, ends):
+def test_a_core_that_does_not_read_costs_requests_and_never_blocks(gateway, other, ends):
     ours, core = ends
     ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1)
-    gateway, other = Gateway(LocalBus(hub), "car1", None), LocalBus(hub)
     sent = 64
     for seq in range(sent):
         request = ask(ALIVE, seq, operator="x" * (REQUEST_MAX - 100))
@@ -188,3 +191,76 @@ def test_it_ends_when_the_pipe_closes_after_all_is_published(hub, ends):
         Gateway(LocalBus(hub), "car1", None), PipeReader(read_fd), ends[0], PipeReader(None)
     )
     assert len(heard.poll()) == 1
+
+
+# Heartbeats to the bus and back: who must answer, how soon, and what does not count.
+
+BOOT_ID, HOLDER, MS = 815, 42, 1_000_000
+LIMIT_S = 1.0
+
+
+def make_path(holder: int = 0) -> RemotePath:
+    """A path whose first heartbeat has come back from the gateway at time 0."""
+    path = RemotePath(BOOT_ID, holder)
+    beat = path.make_beat(0, 0)
+    path.take(encode(replace(beat, mono_ns=1)), 1)
+    return path
+
+
+def beat_at(path: RemotePath, t_ns: int, lease_id: int = 0):
+    return replace(path.make_beat(t_ns, 0), lease_id=lease_id)
+
+
+def test_heartbeats_leave_twenty_times_a_second():
+    path = RemotePath(BOOT_ID)
+    sent = [t for t in range(0, 1000 * MS, 10 * MS) if path.make_beat(t, 0) is not None]
+    assert sent == list(range(0, 1000 * MS, BEAT_NS))
+
+
+def test_a_gateway_that_has_never_answered_is_still_starting():
+    assert not RemotePath(BOOT_ID).is_silent(False, LIMIT_S, 60_000 * MS)
+
+
+@pytest.mark.parametrize(("t_ms", "silent"), [(1000, False), (1001, True)])
+def test_a_gateway_that_has_answered_and_falls_silent_is_found(t_ms, silent):
+    assert make_path().is_silent(False, LIMIT_S, t_ms * MS + 1) is silent
+
+
+def test_the_newest_heartbeat_counts_from_when_it_left():
+    path = make_path()
+    for t_ms in range(50, 2000, 50):
+        beat = beat_at(path, t_ms * MS)
+        path.take(encode(beat), (t_ms + 30) * MS)
+        path.take(encode(replace(beat, mono_ns=5)), (t_ms + 31) * MS)
+        assert not path.is_silent(False, LIMIT_S, (t_ms + 40) * MS)
+    assert not path.is_silent(False, LIMIT_S, 2950 * MS)
+    assert path.is_silent(False, LIMIT_S, 2951 * MS)
+
+
+def test_whoever_takes_the_lease_over_the_bus_has_to_answer_and_has_time_for_it():
+    path = make_path(HOLDER)
+    assert not path.is_silent(True, LIMIT_S, 5000 * MS)
+    for t_ms in range(5050, 6050, 50):
+        path.take(encode(beat_at(path, t_ms * MS)), t_ms * MS)  # the gateway's answers
+        assert not path.is_silent(True, LIMIT_S, t_ms * MS)
+    assert path.is_silent(True, LIMIT_S, 6001 * MS)
+    path.take(encode(beat_at(path, 6050 * MS, HOLDER)), 6080 * MS)
+    assert not path.is_silent(True, LIMIT_S, 7050 * MS)
+    assert path.is_silent(True, LIMIT_S, 7051 * MS)
+    assert not path.is_silent(False, LIMIT_S, 7052 * MS), "a lease that has run out is W25's"
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"boot_id": 1}, {"lease_id": 7}, {"mono_ns": 500 * MS + 1}, {"mono_ns": -5}]
+)
+def test_another_runs_heartbeat_or_one_from_the_future_is_none(wrong):
+    path = make_path()
+    path.take(encode(replace(beat_at(path, 500 * MS), **wrong)), 500 * MS)
+    assert path.is_silent(False, LIMIT_S, 1002 * MS)
+
+
+@pytest.mark.parametrize("data", [b"", b"\0" * 7, b"\xff" * 300])
+def test_garbage_is_none(data):
+    path = make_path()
+    path.take(data, 500 * MS)
+    assert path.is_silent(False, LIMIT_S, 1002 * MS)

@@ -12,7 +12,7 @@ import pytest
 
 from steerd.daemon.process import heartbeat
 from steerd.daemon.process.guard import START_NS, ProcessGuard, make_page_fd
-from steerd.daemon.process.heartbeat import Lifeline
+from steerd.daemon.process.heartbeat import HeartbeatPage, Lifeline
 
 BRAKE = b"\x02\x01\x00\x00\x00\x03"
 
@@ -31,10 +31,14 @@ def test_before_a_port_is_open_nothing_may_move_and_nothing_is_missed():
     [(True, False, 30), (False, False, 60), (True, True, 300)],
 )
 def test_how_late_a_heartbeat_may_be(realtime, simulated, stale_ms):
-    assert ProcessGuard(realtime, simulated=simulated)._stale_ns == stale_ms * 1_000_000
+    guard = ProcessGuard(realtime, simulated=simulated)
+    guard.page = HeartbeatPage(make_page_fd())
+    now, stale_ns = time.monotonic_ns(), stale_ms * 1_000_000
+    guard.page.write_heartbeat(now, engaged=True)
+    assert guard.may_write(now, now + stale_ns - 1)
+    assert not guard.may_write(now, now + stale_ns)
 
 
-@pytest.mark.realtime
 def test_a_guardian_shows_itself_brakes_a_silent_core_and_is_missed_when_killed():
     read, write = os.pipe()
     guard = ProcessGuard(realtime=False, simulated=True)
@@ -65,7 +69,6 @@ def test_a_guardian_shows_itself_brakes_a_silent_core_and_is_missed_when_killed(
     os.close(write)
 
 
-@pytest.mark.realtime
 def test_a_plug_that_flaps_leaves_nothing_behind():
     read, write = os.pipe()
     guard = ProcessGuard(realtime=False, simulated=True)
@@ -83,7 +86,7 @@ def test_a_plug_that_flaps_leaves_nothing_behind():
 
 HOLDER = """
 import sys, select
-from steerd.daemon.process.heartbeat import Lifeline
+from steerd.daemon.process.heartbeat import HeartbeatPage, Lifeline
 line = Lifeline(int(sys.argv[1]))
 line.hold()
 memory = bytearray(int(sys.argv[2]))
@@ -94,23 +97,26 @@ select.poll().poll(60_000)
 ROOT = Path(__file__).parents[4]
 
 
-def start_holder(page_fd, megabytes=1):
+@pytest.fixture
+def held(request):
+    """A process that holds a lifeline, its page, and this end of the line."""
+    page_fd = make_page_fd()
     holder = subprocess.Popen(
-        [sys.executable, "-c", HOLDER, str(page_fd), str(megabytes << 20)],
-        pass_fds=(page_fd,),
-        stdout=subprocess.PIPE,
-        cwd=ROOT,
-    )
+        [sys.executable, "-c", HOLDER, str(page_fd), str(getattr(request, "param", 1) << 20)],
+        pass_fds=(page_fd,), stdout=subprocess.PIPE, cwd=ROOT,
+    )  # fmt: skip
     assert holder.stdout.readline() == b"held\n"
     holder.stdout.close()
-    return holder
+    yield holder, page_fd, Lifeline(page_fd, os.pidfd_open(holder.pid))
+    holder.kill()
+    holder.wait()
 
 
 def test_a_holder_that_unmapped_its_page_before_it_left_is_heard_of():
     """The kernel cannot hand on a mutex that is not in memory any more: Python's own tidy end."""
     page_fd = make_page_fd()
     leaver = (
-        "import os, sys; from steerd.daemon.process.heartbeat import Lifeline; "
+        "import os, sys; from steerd.daemon.process.heartbeat import HeartbeatPage, Lifeline; "
         "line = Lifeline(int(sys.argv[1]))"
     )
     code = f"{leaver}; line.hold(); del line; os._exit(0)"
@@ -125,58 +131,37 @@ def test_a_holder_that_unmapped_its_page_before_it_left_is_heard_of():
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGABRT, signal.SIGTERM])
-def test_every_kind_of_death_is_heard_of(how):
-    page_fd = make_page_fd()
-    holder = start_holder(page_fd)
-    line = Lifeline(page_fd, os.pidfd_open(holder.pid))
+def test_every_kind_of_death_is_heard_of_and_a_stopped_holder_is_not_dead(held, how):
+    holder, _, line = held
+    holder.send_signal(signal.SIGSTOP)
+    assert not line.poll(30)
+    holder.send_signal(signal.SIGCONT)
     holder.send_signal(how)
     assert line.poll(5_000)
     assert holder.wait() == -how
 
 
-def test_a_stopped_holder_is_not_dead():
-    page_fd = make_page_fd()
-    holder = start_holder(page_fd)
-    line = Lifeline(page_fd, os.pidfd_open(holder.pid))
-    holder.send_signal(signal.SIGSTOP)
-    assert not line.poll(30)
-    holder.kill()
-    assert line.poll(5_000)
-    holder.wait()
-
-
-def test_the_lifeline_does_not_wait_for_the_memory_to_be_taken_apart():
-    page_fd = make_page_fd()
-    holder = start_holder(page_fd, megabytes=512)
-    pidfd = os.pidfd_open(holder.pid)
-    line = Lifeline(page_fd, pidfd)
+@pytest.mark.parametrize("held", [512], indirect=True)
+def test_the_lifeline_does_not_wait_for_the_memory_to_be_taken_apart(held):
+    holder, _, line = held
     gone = select.poll()
-    gone.register(pidfd, select.POLLIN)
+    gone.register(os.pidfd_open(holder.pid), select.POLLIN)
     holder.kill()
     assert line.poll(5_000)
     heard_ns = time.monotonic_ns()
     assert gone.poll(5_000)
     assert time.monotonic_ns() >= heard_ns
-    holder.wait()
 
 
-def test_without_a_mutex_the_pidfd_has_to_do(monkeypatch):
-    monkeypatch.setattr(heartbeat, "_library", lambda: None)
-    page_fd = make_page_fd()
-    holder = start_holder(page_fd)
-    line = Lifeline(page_fd, os.pidfd_open(holder.pid))
-    Lifeline(page_fd).hold()
-    assert not line.poll(5)
-    holder.kill()
-    assert line.poll(5_000)
-    holder.wait()
-
-
-def test_a_mutex_that_nobody_holds_leaves_it_to_the_pidfd():
-    page_fd = make_page_fd()
-    holder = subprocess.Popen([sys.executable, "-c", "import select; select.poll().poll(60_000)"])
+@pytest.mark.parametrize("mutex", ["there is none", "nobody holds it"])
+def test_without_a_mutex_the_pidfd_has_to_do(held, monkeypatch, mutex):
+    holder, page_fd, _ = held
+    if mutex == "there is none":
+        monkeypatch.setattr(heartbeat, "_library", lambda: None)
+        Lifeline(page_fd).hold()
+    else:
+        page_fd = make_page_fd()
     line = Lifeline(page_fd, os.pidfd_open(holder.pid))
     assert not line.poll(5)
     holder.kill()
     assert line.poll(5_000)
-    holder.wait()

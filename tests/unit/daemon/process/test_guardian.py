@@ -366,7 +366,6 @@ def test_stopped_core_is_braked_and_sends_nothing_stale_when_it_goes_on(rig):
     assert rig.core.poll() is None
 
 
-@pytest.mark.realtime
 def test_a_core_frozen_between_its_last_look_and_the_write_sends_a_brake_frame(rig, tmp_path):
     (tmp_path / "freeze").touch()
     data, _ = rig.read_until(lambda data: data.count(BRAKE) >= 3)
@@ -379,7 +378,6 @@ def test_a_core_frozen_between_its_last_look_and_the_write_sends_a_brake_frame(r
     assert_only_brakes_after_the_first(data + more)
 
 
-@pytest.mark.realtime
 @pytest.mark.parametrize("rig", [{"engaged": False, "frame": b"\x02POLL\x03"}], indirect=True)
 def test_disarmed_core_may_die_without_a_byte(rig):
     rig.core.kill()
@@ -390,7 +388,6 @@ def test_disarmed_core_may_die_without_a_byte(rig):
     assert not select.select([rig.device], [], [], 0.0)[0]
 
 
-@pytest.mark.realtime
 def test_ctrl_c_to_the_whole_group_does_not_end_the_guardian(rig):
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
         rig.guardian.send_signal(number)

@@ -1,13 +1,21 @@
-"""Real-time settings: what is refused is reported with its remedy, and nothing else is."""
+"""Real time: settings that a machine refuses, and who made a tick late."""
 
 import gc
 import os
+import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from steerd.daemon.process import realtime
+from steerd.daemon.cli.main import dispatch
+from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.loop.findings import CAUSES, Flag, blame_late, make_finding
+from steerd.daemon.process import realtime, rtcheck
+from steerd.daemon.process.guard import LEAST_NS, find_cause, parse_steal, read_steal_ns
+from steerd.daemon.process.guardian import PERIOD_NS
+from steerd.daemon.process.rtcheck import keep_busy, measure_wakes, summarise_wakes
 
 
 class Libc:
@@ -97,3 +105,147 @@ def test_real_time_for_a_while_leaves_nothing_behind():
         assert not gc.isenabled()
         assert (os.sched_getscheduler(0) & os.SCHED_FIFO != 0) == report.fifo
     assert standing() == before
+
+
+# Who made a tick late is told from the guardian's pause: machine, host, or this program alone.
+
+MS = 1_000_000
+START = 10**12
+
+
+def cause_of(late_ms, pause_ms, stolen_ms=0):
+    """The flag of a tick late from 0 to `late_ms`, with the guardian's pause from and to."""
+    pause = pause_ms and tuple(START + round(t * MS) for t in pause_ms)
+    return find_cause((START, START + late_ms * MS), stolen_ms * MS, pause)
+
+
+@pytest.mark.parametrize("slept_ms", [0, 3, 9.9])
+@pytest.mark.parametrize("due_ms", [0, 5, 9.9])
+@pytest.mark.parametrize("stall_ms", [31, 40, 60, 200])
+def test_a_stall_of_everything_is_the_machines(stall_ms, due_ms, slept_ms):
+    """The stall begins `due_ms` before the core's tick, `slept_ms` after the guardian's beat."""
+    late = round(stall_ms - due_ms)
+    begin = -due_ms - slept_ms
+    assert cause_of(late, (begin, stall_ms - due_ms + 1)) == Flag.ALL_LATE
+
+
+@pytest.mark.parametrize("pause", [(-900, -850), (-40, 0), (60, 90)])
+def test_a_pause_at_another_time_leaves_this_program_alone(pause):
+    assert cause_of(41, pause) == Flag.ALONE_LATE
+
+
+def test_a_guardian_that_never_paused_leaves_this_program_alone():
+    assert find_cause((START, START + 41 * MS), 0, (0, 0)) == Flag.ALONE_LATE
+
+
+def test_what_nobody_saw_or_saw_by_half_is_not_told():
+    assert cause_of(41, None) == 0
+    assert cause_of(100, (-10, 30)) == 0, "the guardian ran for most of it"
+    assert cause_of(100, (90, 120)) == 0
+    assert cause_of(0, (-5, 5)) == 0
+
+
+def test_of_a_short_delay_the_guardian_is_no_witness():
+    just = LEAST_NS // MS
+    assert cause_of(just - 1, (0, 0)) == 0
+    assert cause_of(just - 1, (-9, just)) == 0
+    assert find_cause((START, START + LEAST_NS), 0, (0, 0)) == Flag.ALONE_LATE
+    own_sleep = (START, START + PERIOD_NS + 9 * MS)
+    assert find_cause((START, START + LEAST_NS), 0, own_sleep) == 0, "mostly its own sleep"
+
+
+def test_stolen_time_says_more_than_the_guardian():
+    assert cause_of(40, (-5, 45), stolen_ms=40) == Flag.STALLED
+    assert cause_of(40, (0, 0), stolen_ms=20) == Flag.STALLED
+    assert cause_of(40, (-5, 45), stolen_ms=19) == Flag.ALL_LATE
+
+
+def test_each_cause_has_its_own_sentence_and_stops_as_before():
+    late = make_finding("W15", "a tick 41 ms late")
+    said = [blame_late(late, flag) for flag in (Flag.STALLED, Flag.ALL_LATE, Flag.ALONE_LATE, 0)]
+    assert len({finding.text for finding in said}) == 4
+    assert all(finding.text.startswith("W15 loop late: a tick 41 ms late; ") for finding in said)
+    assert all(finding.severity is late.severity for finding in said)
+    assert said[3] == late
+    assert "close other programs" in said[2].text
+    assert "close other programs" not in said[0].text + said[1].text
+    assert blame_late(late, ~CAUSES) == late
+
+
+# Late ticks of a machine whose host took the processor are told from those of this program.
+
+STAT = "cpu  10 0 5 900 1 0 0 42 0 0\ncpu0 10 0 5 900 1 0 0 42 0 0\n"
+
+
+def test_stolen_time_of_all_processors():
+    assert parse_steal(STAT, 100) == 420 * MS
+    for other in ("cpu 1 2 3 4\n", "", "intr 1 2 3 4 5 6 7 8 9\n", "cpu 1 2 3 4 5 6 7 x 9\n"):
+        assert parse_steal(other, 100) == 0, other
+
+
+def test_this_machine_says_what_was_stolen():
+    first = read_steal_ns()
+    assert 0 <= first <= read_steal_ns()
+
+
+def test_a_machine_is_kept_busy_and_let_go(monkeypatch):
+    started = []
+
+    class Kept(subprocess.Popen):
+        def __init__(self, *args, **options):
+            super().__init__(*args, **options)
+            started.append(self)
+
+    monkeypatch.setattr(rtcheck.subprocess, "Popen", Kept)
+    with keep_busy(2):
+        assert [process.poll() for process in started] == [None, None]
+    assert [process.poll() for process in started] == [-9, -9]
+
+
+# Lateness of wakes: counted against deadlines that are skipped, never caught up.
+
+
+class LateClock:
+    """A clock whose sleeps end late by the listed times."""
+
+    def __init__(self, late):
+        self.t_ns, self.late, self.deadlines = 0, list(late), []
+
+    def now_ns(self):
+        return self.t_ns
+
+    def realtime_ns(self):
+        return self.t_ns
+
+    def sleep_until_ns(self, deadline_ns):
+        self.deadlines.append(deadline_ns)
+        self.t_ns = deadline_ns + self.late.pop(0)
+
+
+def test_a_missed_deadline_is_skipped():
+    clock = LateClock([0, 25 * MS, 1 * MS])
+    late = measure_wakes(clock, 10 * MS, 3)
+    assert late.tolist() == [0, 25 * MS, 1 * MS]
+    assert clock.deadlines == [10 * MS, 20 * MS, 50 * MS]
+
+
+@pytest.mark.parametrize(
+    ("late_ms", "good", "missed", "fatal"),
+    [
+        ([0.1] * 1000, True, 0, 0),
+        ([0.1] * 998 + [9.0, 9.0], False, 0, 0),
+        ([0.1] * 9999 + [10.0], True, 0, 0),
+        ([0.1] * 9999 + [10.1], False, 1, 0),
+        ([0.1] * 9999 + [25.1], False, 1, 1),
+    ],
+)
+def test_what_is_good_enough(late_ms, good, missed, fatal):
+    wakes = summarise_wakes((np.array(late_ms) * MS).astype(np.int64), 10 * MS)
+    assert (wakes.good, wakes.missed, wakes.fatal) == (good, missed, fatal)
+    assert wakes.ticks == len(late_ms)
+    assert wakes.worst_ns == round(max(late_ms) * MS)
+
+
+def test_a_measurement_of_nothing_is_refused():
+    with pytest.raises(SteerdError, match="out of range"):
+        dispatch(["rtcheck", "--seconds", "0"])

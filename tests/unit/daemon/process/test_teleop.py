@@ -114,19 +114,17 @@ def test_axes_drive_a_running_car_only():
     assert {(c.steer, c.speed) for c in desk.driven()} == {(0.3, 2.0)}
 
 
-def release_by_hand(desk):
-    desk.press(DEADMAN, 0)
-
-
-def release_by_silence(desk):
+def fall_silent(desk):
     assert "no event of the gamepad for 2 s" in desk.wait(2.1)[0]
 
 
-def release_by_lost_events(desk):
-    desk.teleop.take([PadEvent(0, 3, 0)])
+RELEASES = {
+    "by hand": lambda desk: desk.press(DEADMAN, 0), "by silence": fall_silent,
+    "by lost events": lambda desk: desk.teleop.take([PadEvent(0, 3, 0)]),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("let_go", [release_by_hand, release_by_silence, release_by_lost_events])
+@pytest.mark.parametrize("let_go", RELEASES.values(), ids=RELEASES)
 def test_a_release_is_a_stop_and_then_silence(desk, let_go):
     desk.show(SupervisorState.RUNNING)
     desk.press(DEADMAN)

@@ -1,14 +1,20 @@
-"""Properties of the VESC framing: any bytes, any chunks, any damage."""
+"""VESC frames and packets: any bytes, any chunks, any damage, any numbers."""
 
 import binascii
+import dataclasses
 import itertools
+import math
 
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from steerd.vesc_link import commands as c
+from steerd.vesc_link import telemetry as t
 from steerd.vesc_link.frames import FrameParser, encode_frame
+from steerd.vesc_link.ids import PROFILES, Firmware
+from steerd.vesc_link.packets import decode_command, decode_reply, encode_command, encode_reply
 
-CHECKED = settings(derandomize=True, deadline=None, database=None, max_examples=150)
+CHECKED = settings(derandomize=True, deadline=None, database=None, max_examples=200)
 PAYLOADS = st.binary(min_size=1, max_size=60) | st.binary(min_size=250, max_size=512)
 SOUP = st.lists(
     st.sampled_from([b"\x02", b"\x03", b"\x02\x01", b"\x03\x01\xff", b"\x03\x02\x00", b"\0"])
@@ -110,27 +116,6 @@ def test_reads_of_whole_frames_are_what_the_general_way_makes_of_them(
             assert getattr(one, count) == getattr(general, count)
 
 
-@given(SOUP, CUTS, st.booleans(), st.lists(st.integers(0, 40_000_000), min_size=21, max_size=21))
-@CHECKED
-def test_soup_never_raises_nor_yields_a_bad_packet_nor_grows(data, cuts, strict, waits):
-    parser = FrameParser(strict=strict)
-    t_ns = frame_bytes = 0
-    for chunk, wait in zip(chunks(data, cuts), waits, strict=False):
-        t_ns += wait
-        for payload in parser.feed(chunk, t_ns):
-            assert any(frame in data for frame in frames_of(payload))
-            frame_bytes += len(next(frame for frame in frames_of(payload) if frame in data))
-        assert parser.buffered <= 518
-    assert 0 <= parser.dropped_bytes <= len(data)
-    assert parser.dropped_bytes + frame_bytes <= len(data)
-
-
-def frames_of(payload: bytes) -> list[bytes]:
-    """Both legal frames of a payload: 255 bytes may stand behind either header."""
-    short = encode_frame(payload)
-    return [short, b"\x03\x00\xff" + short[2:]] if len(payload) == 255 else [short]
-
-
 @given(SOUP, PAYLOADS)
 @CHECKED
 def test_good_frame_behind_any_garbage_is_found_at_once_by_the_host(garbage, payload):
@@ -159,3 +144,71 @@ def test_any_truncation_delivers_nothing_and_any_flip_is_noticed(payload, data):
     broken = bytearray(frame)
     broken[bit // 8] ^= 1 << bit % 8
     assert payload not in FrameParser(strict=True).feed(bytes(broken), 0)
+
+
+# Properties of VESC packets and the client: any numbers, any payload, any bytes.
+
+FIRMWARE = st.sampled_from((Firmware(2, 18), *PROFILES))
+SINGLE = st.floats(width=32, allow_nan=False, allow_infinity=False)
+
+
+@given(
+    st.sampled_from(
+        [(c.SetDuty, 1e5), (c.SetCurrent, 1e3), (c.SetCurrentBrake, 1e3), (c.SetErpm, 1e0)]
+    ),
+    st.integers(-(2**31), 2**31 - 1),
+)  # fmt: skip
+@CHECKED
+def test_every_wire_value_of_a_setpoint_survives_decode_and_encode(kind, count):
+    command = kind[0](count / kind[1])
+    payload = encode_command(command)
+    assert int.from_bytes(payload[1:], "big", signed=True) == count
+    assert decode_command(payload) == command
+
+
+@given(st.floats(-1e6, 1e6))
+@CHECKED
+def test_setpoint_is_off_by_half_a_count_at_most(current):
+    sent = decode_command(encode_command(c.SetCurrentBrake(current)))
+    assert isinstance(sent, c.SetCurrentBrake)
+    assert abs(sent.current - current) <= 0.5e-3 * (1 + 1e-9)
+
+
+@given(st.floats(-3000, 3000), st.floats(-1e5, 1e5), st.integers(-(2**31), 2**31 - 1), FIRMWARE)
+@CHECKED
+def test_telemetry_is_off_by_one_count_or_single_precision(current, erpm, tachometer, firmware):
+    sent = t.Values(motor_current=current, erpm=erpm, tachometer=tachometer)
+    got = decode_reply(encode_reply(sent, firmware), firmware)
+    assert isinstance(got, t.Values)
+    assert got.tachometer == tachometer
+    assert abs(got.motor_current - current) <= 0.01 + abs(current) * 2**-22
+    assert abs(got.motor_current) <= abs(current) * (1 + 2**-22)
+    assert abs(got.erpm - erpm) <= 1
+
+
+@given(st.integers(0, 0xFFFFFFFF), st.sampled_from([fw for fw in PROFILES if fw >= (3, 48)]))
+@CHECKED
+def test_any_mask_is_answered_in_bit_order(mask, firmware):
+    payload = encode_reply(t.Values(mask=mask, fault=5, controller_id=9, status=3), firmware)
+    got = decode_reply(payload, firmware)
+    assert isinstance(got, t.Values)
+    assert len(payload) == t.values_size(mask, firmware)
+    assert got.fault == (5 if mask >> 15 & 1 else None)
+    assert got.controller_id == (9 if mask >> 17 & 1 else None)
+    assert got.status == (3 if mask >> 21 & 1 and firmware >= (5, 3) else None)
+    assert encode_reply(got, firmware) == payload
+
+
+@given(st.integers(0, 0xFFFF), st.lists(SINGLE, min_size=16, max_size=16))
+@CHECKED
+def test_imu_in_si_units_survives_the_wire(mask, numbers):
+    names = [field.name for field in dataclasses.fields(t.Imu)][1:17]
+    small = {name: math.remainder(n, 1e6) for name, n in zip(names, numbers, strict=True)}
+    got = decode_reply(encode_reply(t.Imu(mask, **small)))  # type: ignore[arg-type]
+    assert isinstance(got, t.Imu)
+    for bit, name in enumerate(names):
+        value = getattr(got, name)
+        if mask >> bit & 1:
+            assert math.isclose(value, small[name], rel_tol=2e-7, abs_tol=1e-36)
+        else:
+            assert value is None

@@ -1,0 +1,114 @@
+"""What a drive teaches: offline, while it lasts, and from an earlier drive's numbers."""
+
+import json
+import re
+
+import pytest
+
+from steerd.car_model.car_file import default_car_path
+from steerd.daemon.analysis.learning import learn_session
+from steerd.daemon.assembly.session_meta import make_metadata
+from steerd.daemon.cli.main import dispatch, run_cli
+from steerd.daemon.learning.kept import METADATA
+from steerd.daemon.learning.reported import reported_values
+from steerd.steer_bus.session_read import open_session
+
+pytestmark = pytest.mark.slow
+
+
+def test_the_lane_error_of_an_unknown_car_falls_to_millimetres(tmp_path, capsys):
+    def go(line):
+        assert run_cli(line.format(folder=tmp_path).split()) == 0
+        return capsys.readouterr().out
+
+    def drive(*more):
+        line = "run --sim --fast --sim-car hidden:4 --speed 2 --duration 12 --record"
+        said = go(" ".join([line, f"{{folder}}/drive{len(more)}.mcap", *more]))
+        return float(re.search(r"lateral error RMS ([\d.]+) mm", said)[1])
+
+    before = drive()
+    go("collect --sim --fast --sim-car hidden:4 --plan mixed --record {folder}/mixed.mcap")
+    found = go("identify {folder}/mixed.mcap --wheelbase 0.3302 -o {folder}/car.toml")
+    assert re.search(r"next steerd run --sim --fast .*--sim-car hidden:4", " ".join(found.split()))
+    after = drive("--car", "{folder}/car.toml")
+    assert before > 20.0 > 3.0 > after
+
+
+# `steerd learn` and `run --learn`: what a drive teaches while it lasts.
+
+
+@pytest.fixture(scope="module")
+def learnt(tmp_path_factory):
+    """A figure-eight of 34 s in virtual time; the simulated servo horn is bumped from the start."""
+    path = tmp_path_factory.mktemp("learn") / "eight.mcap"
+    line = f"run --sim --fast --learn --adapt --duration 38 --speed 1.7 --seed 3 --record {path}"
+    assert dispatch([*line.split(), "--effect", "steer_bias=0.02"]) == 0
+    return path
+
+
+def test_a_drive_teaches_the_car(learnt, capsys):
+    assert dispatch(["learn", str(learnt)]) == 0
+    out = capsys.readouterr().out
+    assert "no change of the car" in out
+    bias = re.search(r"steer_bias +([-+.\d]+) ± ([.\d]+) rad", out)
+    assert float(bias[1]) == pytest.approx(0.02, abs=max(4.0 * float(bias[2]), 0.001))
+    assert max(map(len, out.splitlines())) <= 80
+    reported = re.search(r"in the session: (\d+) of (\d+) the same to the byte", out)
+    assert reported[1] == reported[2]
+    assert int(reported[2]) >= 30
+
+
+def test_the_lane_keeper_follows_what_was_learnt_and_a_replay_gives_it_again(learnt, capsys):
+    said = [r.decode() for r in open_session(learnt).messages("/steerd/car1/design")]
+    assert said[0].text == "the car is being learnt"
+    taken = [d for d in said if d.number]
+    assert taken[-1].steer_bias == pytest.approx(0.02, abs=0.004)
+    assert taken[-1].steer_gain == 1.0, "what is not sure stays the file's"
+    assert dispatch(["replay", str(learnt)]) == 0
+    assert "all equal the recorded ones" in capsys.readouterr().out
+
+
+def test_a_drive_teaches_the_same_again_to_the_byte(learnt, capsys):
+    found = []
+    for _ in range(2):
+        assert dispatch(["learn", str(learnt), "--json"]) == 0
+        found.append(capsys.readouterr().out)
+    assert found[0] == found[1]
+    values = json.loads(found[0])
+    assert values["schema"] == "steerd.learn/1"
+    assert values["gap"] == {"verdict": "none", "since_s": None, "causes": [], "changes": []}
+    assert values["reports"]["count"] >= 30
+    assert values["model"]["steer_bias"]["identifiable"]
+
+
+# A drive whose learner began with an earlier drive's numbers: its recording gives the same.
+MEMORY = json.dumps({"days": 1.0, "values": {"speed_gain": [1.0007, 0.0004]}})
+
+
+@pytest.fixture(scope="module")
+def remembered(tmp_path_factory):
+    """A drive of which the session says that its learner had a memory."""
+
+    def with_memory(*args, **keywords):
+        return make_metadata(*args, **keywords) | {METADATA: {"memory": MEMORY}}
+
+    path = tmp_path_factory.mktemp("memory") / "eight.mcap"
+    line = f"run --sim --fast --duration 30 --speed 1.7 --seed 3 --record {path}"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("steerd.daemon.offline.fast.make_metadata", with_memory)
+        assert dispatch(line.split()) == 0
+    return path
+
+
+def test_a_recording_gives_the_same_reports_from_the_same_memory(remembered):
+    seen = []
+    found = learn_session(remembered, see=seen.append)
+    first = {value.name: value for value in reported_values(seen[0])}
+    assert seen[0].verdict == "learning"
+    assert first["speed_gain"].value == 1.0007, "the first report begins with the memory"
+    assert seen[-1].verdict == "none"
+    cold = []
+    learn_session(remembered, default_car_path(), see=cold.append)
+    assert reported_values(cold[0]) == []
+    assert seen[-1].speed_gain_sd < cold[-1].speed_gain_sd
+    assert found.reports == len(cold)

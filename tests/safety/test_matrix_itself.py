@@ -1,0 +1,228 @@
+"""The matrix can say no, every watchdog trips in a cell of it, and its pages show that."""
+
+import inspect
+import json
+import re
+import struct
+from dataclasses import asdict, replace
+from math import inf
+from pathlib import Path
+
+import pytest
+
+from steerd.daemon.assembly.build import NS
+from steerd.daemon.loop.findings import WATCHDOGS
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.settings.thresholds import BOUNDS
+from steerd.sim_hw.plant.faults import Fault
+from steerd.sim_hw.vesc.vesc_wire import Logged
+from steerd.steer_bus.messages import RequestKind
+from steerd.vesc_link.frames import encode_frame
+from tests.safety import report
+from tests.safety.catalogue import BY_CODE, nothing
+from tests.safety.judge import (
+    Effort,
+    Motion,
+    MotorFrame,
+    count_drive_frames,
+    distance_driven,
+    find_stop,
+    read_motor_frames,
+    stopping_distance,
+)
+from tests.safety.live_faults import CELLS, FAULTS
+from tests.safety.matrix import Outcome, run_cell
+from tests.safety.outside import DRIVES, ELSEWHERE, list_outside
+from tests.safety.rig import at_phase, twin
+from tests.safety.trace import TRACES, find_code, run_trace, trips
+from tests.unit.daemon.process import test_runner
+
+
+def drive(t_ns: int, value: float = 5.0) -> MotorFrame:
+    return MotorFrame(t_ns, Effort.DRIVE, value)
+
+
+def brake(t_ns: int) -> MotorFrame:
+    return MotorFrame(t_ns, Effort.BRAKE, 20.0)
+
+
+def test_every_motor_command_is_read_for_what_it_does() -> None:
+    sent = (  # id and count, from the protocol's table
+        (8, 4000, Effort.DRIVE, 4000.0),
+        (8, -4000, Effort.DRIVE, 4000.0),
+        (6, 3000, Effort.DRIVE, 3.0),
+        (6, 0, Effort.RELEASE, 0.0),
+        (7, 20_000, Effort.BRAKE, 20.0),
+        (7, 0, Effort.RELEASE, 0.0),
+        (5, 50_000, Effort.DRIVE, 0.5),
+        (5, 0, Effort.BRAKE, 0.0),
+        (9, 90_000_000, Effort.DRIVE, 90.0),
+        (84, 50_000, Effort.DRIVE, 0.5),
+        (10, 5000, Effort.BRAKE, 5.0),
+    )
+    data = b"".join(encode_frame(struct.pack(">Bi", number, count)) for number, count, _, _ in sent)
+    data += encode_frame(b"\x0c\x01\xf4") + encode_frame(b"\x04")
+    log = [Logged(7, "vesc", data[:9]), Logged(8, "host", b"\x02\x01"), Logged(9, "vesc", data[9:])]
+    frames = read_motor_frames(log)
+    assert [(f.effort, f.value) for f in frames] == [
+        (effort, value) for _, _, effort, value in sent
+    ]
+
+
+def test_a_stop_that_is_taken_back_is_none() -> None:
+    assert find_stop([drive(1), brake(2), brake(3)], 0) == brake(2)
+    assert find_stop([drive(1), drive(2), drive(3, 4.0), drive(4, 3.0), brake(5)], 0) == drive(
+        3, 4.0
+    )
+    assert find_stop([drive(1), brake(2), drive(3), brake(4)], 0) == brake(4)
+    assert find_stop([drive(1), drive(2, 4.0), drive(3, 4.5), brake(4)], 0) == brake(4)
+    assert find_stop([drive(1), drive(2)], 0) is None
+    assert find_stop([drive(1), brake(2), brake(3)], 3) == brake(3)
+
+
+def test_drive_frames_after_a_moment_are_counted() -> None:
+    assert count_drive_frames([drive(1), brake(2), drive(3), drive(4)], 2) == 2
+    assert count_drive_frames([drive(2), brake(3)], 2) == 0
+
+
+def test_the_distance_is_measured_and_computed() -> None:
+    track = [Motion(k, 0.3 * k, 0.4 * k, 1.0) for k in range(5)]
+    assert distance_driven(track, 1) == pytest.approx(1.5)
+    assert stopping_distance(2.0, 0.1, 4.0) == pytest.approx(0.7)
+
+
+@pytest.mark.parametrize(
+    ("code", "phase"),
+    [("M1", "P5"), ("V4", "P6"), ("H1", "P5"), ("V19", "P4"), ("M24", "P1"), ("V13", "P2"),
+     ("V1", "P3"), ("V24", "P0"), ("M10", "P0"), ("V5", "P5")],
+)  # fmt: skip
+def test_without_the_fault_the_cell_fails(code: str, phase: str) -> None:
+    """Each kind of verdict is one that sound hardware and a silent daemon cannot earn."""
+    sound = replace(BY_CODE[code], begin=nothing, each=nothing)
+    assert run_cell(sound, phase).wrong
+
+
+def test_a_daemon_that_goes_on_driving_is_found_out() -> None:
+    harmless = replace(BY_CODE["Z2"], must=BY_CODE["M1"].must, bound_s=0.1)
+    assert any(word.startswith("(a)") for word in run_cell(harmless, "P5").wrong)
+
+
+def test_a_false_stop_is_found_out() -> None:
+    fatal = replace(BY_CODE["M1"], must=BY_CODE["M17"].must, bound_s=0.0)
+    assert any(word.startswith("(f)") for word in run_cell(fatal, "P5").wrong)
+
+
+# Every watchdog of the safety page exists, trips in its cell, and its absence shows there.
+
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "safety-matrix.md"
+REQUIREMENTS = Path(__file__).parents[2] / "docs" / "reference" / "safety-requirements.md"
+
+
+def test_every_watchdog_is_traced_and_every_threshold_belongs_to_one() -> None:
+    assert list(TRACES) == [f"W{k}" for k in range(1, len(TRACES) + 1)]
+    assert set(TRACES) == {id for id in WATCHDOGS if id.startswith("W")}
+    used = {name for trace in TRACES.values() for name in trace.thresholds}
+    assert used == set(BOUNDS)
+    for trace in TRACES.values():
+        assert callable(find_code(trace.code))
+        assert trace.cell[0] in BY_CODE
+
+
+def test_every_required_watchdog_is_traced_under_its_name() -> None:
+    text = REQUIREMENTS.read_text(encoding="utf-8")
+    rows = re.findall(r'^\| <a id="(w\d+)"></a>(W\d+) ([^|]+?) \|', text, re.M)
+    assert [id for _, id, _ in rows] == list(TRACES)
+    assert [(anchor, name) for anchor, _, name in rows] == [
+        (id.lower(), WATCHDOGS[id].name) for id in TRACES
+    ]
+
+
+def test_the_page_shows_every_trace() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    table = text[text.index("<!-- trace: begin -->") : text.index("<!-- trace: end -->")]
+    assert re.findall(r"^\| (W\d+) ", table, re.M) == list(TRACES)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("id", TRACES)
+def test_it_trips_in_its_cell_and_its_absence_shows(id: str) -> None:
+    shown, without = run_trace(id)
+    assert trips(id, shown), shown
+    assert not shown.wrong or TRACES[id].behind, shown
+    assert not trips(id, without)
+    assert without.wrong or without.reasons != shown.reasons
+
+
+# Every watchdog trips in a cell in which nothing but the outside world is changed.
+
+
+def test_each_watchdog_has_one() -> None:
+    traced = {id for id, trace in TRACES.items() if not BY_CODE[trace.cell[0]].inside}
+    assert traced | set(DRIVES) | set(ELSEWHERE) == set(TRACES)
+    assert len(CELLS) >= 40
+    tests = {name for name, _ in inspect.getmembers(test_runner, inspect.isfunction)}
+    for id, (_, shown) in ELSEWHERE.items():
+        assert shown in FAULTS or (shown in tests and id.lower() in shown)
+    for drive in DRIVES.values():
+        assert not BY_CODE[getattr(drive, "code", "C2")].inside
+
+
+def test_the_page_lists_them() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| (W\d+) .*?\| (.*?) \|", text, re.M))
+    assert all(changed in rows[id] for id, changed in list_outside().items())
+
+
+@pytest.mark.parametrize("id", DRIVES)
+def test_it_trips(id: str) -> None:
+    assert DRIVES[id].drive().startswith(f"{id} ")
+
+
+@pytest.mark.parametrize("phase", ["P5", "P6"])
+def test_a_car_that_nobody_saw_stop_is_cleared(phase: str) -> None:
+    """Without mocap and wheels the filter goes astray; it begins again where the car stands."""
+    rig = twin(at_phase(phase, False))
+    for code in ("M1", "V4"):
+        rig.run.world.add_fault(Fault(code, rig.t_ns, rig.t_ns + NS // 2))
+    rig.reach(SupervisorState.FAULT_LATCHED, then_s=1.0)
+    rig.ask(RequestKind.CLEAR)
+    rig.reach(SupervisorState.READY)
+
+
+# The matrix in slices: a cell that was kept is read and not driven again.
+
+SLICE = [("M1", "P5"), ("M1", "P6"), ("C9", "P5")]
+
+
+def make_outcome(cell: tuple[str, str]) -> Outcome:
+    return Outcome(*cell, inf, 0.25, 0.5, 0.01, ("FAULT_STOP",), "W1", ("W1", "W5"), ())
+
+
+def test_the_matrix_goes_on_where_it_was_left(monkeypatch, tmp_path) -> None:
+    driven = []
+
+    def drive(cell: tuple[str, str]) -> Outcome:
+        driven.append(cell)
+        return make_outcome(cell)
+
+    monkeypatch.setattr(report, "list_cells", lambda: SLICE)
+    monkeypatch.setattr(report, "run_named", drive)
+    keep = tmp_path / "cells.jsonl"
+    known = {**asdict(make_outcome(SLICE[1])), "wall": 3.1}
+    keep.write_text(json.dumps(known) + "\n")
+    assert report.drive_matrix(keep, 1) == [make_outcome(cell) for cell in SLICE]
+    assert driven == [SLICE[0], SLICE[2]]
+    assert report.drive_matrix(keep, 1) == [make_outcome(cell) for cell in SLICE]
+    assert len(driven) == 2, "all of them are kept now"
+    report.drive_matrix(None, 1)
+    assert len(driven) == 5, "without a file every cell is driven"
+
+
+def test_the_table_shows_the_slowest_stop_the_longest_way_and_what_failed() -> None:
+    stopped = replace(make_outcome(("M1", "P5")), stop_s=0.16, distance_m=0.8)
+    late = replace(stopped, phase="P6", stop_s=0.4, distance_m=0.5, wrong=("late",))
+    quiet = make_outcome(("M17", "P5"))
+    table = "\n".join(report.write_matrix([stopped, late, quiet]))
+    assert "| M1 silence **P6: late** | FAULT_STOP 150 | 400 | 0.80 |" in table
+    assert "M17 5 % random loss," in table.splitlines()[-1]
+    assert "3 cells, 2 good" in table
