@@ -225,6 +225,18 @@ def _clean(signal: Signal | None) -> Signal:
     return Signal(np.asarray(signal.t, float)[kept], np.asarray(signal.values, float)[kept])
 
 
+def _forward_only(pose: Signal) -> Signal:
+    """Poses without those that go back by less than a sample's time.
+
+    A clock of another computer is estimated, and the estimate moves when a stalled machine takes up
+    what had waited. Where time goes back further, the clock was set.
+    """
+    back = np.maximum.accumulate(pose.t) - pose.t if len(pose.t) else pose.t
+    step = float(np.median(np.diff(pose.t))) if len(pose.t) > 1 else 0.0
+    kept = ~((back > 0.0) & (back < step))
+    return Signal(pose.t[kept], pose.values[kept])
+
+
 def make_run(
     name: str,
     steer: Signal,
@@ -251,6 +263,7 @@ def make_run(
         DataError: no fit should see these data.
     """
     steer, commanded, rolled, gyro = map(_clean, (steer, speed, wheel, yaw_rate))
+    pose = _forward_only(pose)
     named = {"steer": steer, "speed": commanded, "wheel": rolled, "yaw rate": gyro}
     for what, signal in {**named, "pose": pose}.items():
         check_times(name, what, signal.t)

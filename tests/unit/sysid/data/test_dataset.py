@@ -33,6 +33,15 @@ def test_a_good_drive_passes():
     assert run.commands[-1, 0] == pytest.approx(0.1)
 
 
+def test_a_pose_that_a_moved_clock_puts_before_the_last_is_left_out():
+    t, steer, speed, pose = _good()
+    stalled = t.copy()
+    stalled[200] = t[199] - 65e-6
+    run = _make(t, steer, speed, pose, stalled)
+    assert len(run.pose.t) == len(t) - 1
+    assert (np.diff(run.pose.t) > 0.0).all()
+
+
 def _backwards(t, steer, speed, pose):
     late = t.copy()
     late[200:] -= 0.7
