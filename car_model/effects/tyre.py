@@ -69,10 +69,9 @@ _GRIP_LEAST = 0.01  # some lateral grip stays when the tyres are spinning
 def _friction_ellipse_forces(ops: Ops[T], p: Values[T], at: Contact[T]) -> Axles[T]:
     """What each axle's part of the longitudinal force leaves."""
     used = at.accel / (at.car.mu * GRAVITY)
-    front, rear = 2.0 * (1.0 - p[1]) * used, 2.0 * p[1] * used
     return Axles(
-        at.forces.front * ops.sqrt(ops.maximum(1.0 - p[0] * front * front, _GRIP_LEAST)),
-        at.forces.rear * ops.sqrt(ops.maximum(1.0 - p[0] * rear * rear, _GRIP_LEAST)),
+        at.forces.front * ops.sqrt(ops.maximum(1.0 - p[0] * used * used, _GRIP_LEAST)),
+        at.forces.rear * ops.sqrt(ops.maximum(1.0 - p[1] * used * used, _GRIP_LEAST)),
     )
 
 
@@ -81,11 +80,10 @@ FRICTION_ELLIPSE = Effect(
     stage=Stage.FORCES,
     family="tyre",
     summary="accelerating and braking take lateral grip away",
-    equation="F -> F sqrt(1 - share (2 part accel / (mu g))^2), part: rear, or 1 - rear in front",
+    equation="F -> F sqrt(1 - share (accel / (mu g))^2), share: front or rear",
     parameters=(
-        EffectParameter("share", 0.0, 0.0, 9.0, "1", 0.5, "1: the textbook ellipse at mu"),
-        EffectParameter("rear", 0.5, 0.0, 1.0, "1", 0.15, "rear axle's part of drive and braking",
-                        role=Role.FORM),
+        EffectParameter("front", 0.0, 0.0, 16.0, "1", 0.5, "1: the textbook ellipse at mu"),
+        EffectParameter("rear", 0.0, 0.0, 16.0, "1", 0.5, "4: drive and brakes at the rear alone"),
     ),
     least_size=0.16,
     needs_commands=Channel.SPEED,
@@ -96,7 +94,7 @@ FRICTION_ELLIPSE = Effect(
 )  # fmt: skip
 """Lateral grip that acceleration and braking use up.
 
-Rear-wheel drive takes it from the rear axle alone. Needs hard driving to show: at 3 m/s^2 on a
+An axle that bears all of the force uses twice what it does where both bear half: 4 for 1. Needs hard driving to show: at 3 m/s^2 on a
 floor of mu 1.05 a full ellipse costs 4 % of the force where both axles drive alike.
 """
 

@@ -39,6 +39,8 @@ _START = np.array([1e-3, 2e-3, 0.02, 0.05, 0.3, 0.3, 2.0, WHEEL_SLIP])
 """First guesses; what an instrument that no drive had is taken to be."""
 LOUDER = 1.3
 """Instruments that are noisier than known by this factor are believed to be."""
+_WILDEST = 100.0
+"""Derivative by a window's start beyond which it tells no noise; ordinary windows have 2 to 14."""
 _ROUNDS = 40
 _ENOUGH = 1e-7
 """Share of the log-likelihood below which a step is the last: some hundredths of a nat."""
@@ -136,7 +138,7 @@ def learn_noise(
     """Sizes under which the errors of a fitted hypothesis are most likely.
 
     Windows that the hypothesis explains badly pull less (Student's t), so that a gap in a few
-    places does not pass for noise everywhere.
+    places does not pass for noise everywhere; where the car spins beyond all bounds, none does.
 
     Args:
         predictor: the windows.
@@ -145,8 +147,9 @@ def learn_noise(
         linear: errors and derivatives there.
         guess: where the search begins.
     """
-    chosen = np.linspace(0, predictor.layout.count - 1, WINDOWS_MOST).round().astype(int)
-    chosen = np.unique(chosen)
+    tame = np.flatnonzero(np.abs(linear.by_x).max(axis=(1, 2)) < _WILDEST)
+    tame = tame if len(tame) else np.arange(predictor.layout.count)
+    chosen = tame[np.unique(np.linspace(0, len(tame) - 1, WINDOWS_MOST).round().astype(int))]
     seen = responses(predictor, parameters, x, (0, 1, 2))
     pushed = [v[chosen] for v in shapes(predictor, seen, (0, 1, 2))]
     pushed.append(slip_shape(predictor, linear.error)[chosen])

@@ -140,13 +140,13 @@ def test_friction_is_stiffness_when_gentle_and_a_plateau_at_the_limit():
     assert plateau == pytest.approx(limit * p * p / math.sqrt(1.0 - p * p), rel=1e-3)
 
 
-@pytest.mark.parametrize("rear", [0.5, 1.0], ids=["all four", "rear alone"])
-def test_the_ellipse_takes_from_each_axle_what_its_drive_uses(rear):
+@pytest.mark.parametrize("shares", [(1.0, 1.0), (0.0, 4.0)], ids=["all four", "rear alone"])
+def test_the_ellipse_takes_from_each_axle_what_its_drive_uses(shares):
     slips, accel = Axles(0.05, 0.04), 3.0
     whole = lateral_forces(CAR, slips, loads_at(CAR, accel))
-    used = [2.0 * share * accel / (CAR.mu * GRAVITY) for share in (1.0 - rear, rear)]
-    found = tyres("friction_ellipse", (1.0, rear), slips, accel)
-    left = [force * math.sqrt(1.0 - u * u) for force, u in zip(whole, used, strict=True)]
+    used = accel / (CAR.mu * GRAVITY)
+    found = tyres("friction_ellipse", shares, slips, accel)
+    left = [f * math.sqrt(1.0 - s * used**2) for f, s in zip(whole, shares, strict=True)]
     assert found == pytest.approx(left)
 
 

@@ -6,7 +6,7 @@ import pytest
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.disturbance_response import responses
 from steerd.sysid.inference.likelihood import SIZES, loss_of, take_some
-from steerd.sysid.inference.noise import covariance, shapes, slip_shape
+from steerd.sysid.inference.noise import covariance, learn_noise, shapes, slip_shape
 from steerd.sysid.inference.search import stand, with_size
 from tests.unit.sysid.inference.conftest import NOISE
 
@@ -37,6 +37,17 @@ def x(healthy):
     rng = np.random.default_rng(3)
     guess = healthy.guess
     return guess + 0.3 * healthy.start_spread * rng.standard_normal(guess.shape)
+
+
+def test_a_window_that_spins_beyond_all_bounds_tells_no_noise(healthy, linear):
+    by_x = linear.by_x.copy()
+    by_x[1] *= 1e6
+    parameters, x = healthy.augmented.base, healthy.guess
+    sizes, others = (
+        learn_noise(healthy, parameters, x, linear._replace(by_x=by)).sizes
+        for by in (by_x, linear.by_x)
+    )
+    assert sizes[:-1] == pytest.approx(others[:-1], rel=0.3)  # wheels slip too little
 
 
 def test_one_rotation_diagonalises_both_covariances(likelihood, dense):
