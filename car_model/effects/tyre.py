@@ -94,7 +94,7 @@ FRICTION_ELLIPSE = Effect(
 )  # fmt: skip
 """Lateral grip that acceleration and braking use up.
 
-An axle that bears all of the force uses twice what it does where both bear half: 4 for 1. Needs
+An axle with all of the force uses twice what it does with half of it: 4 for 1. Needs
 hard driving to show: at 3 m/s^2 on a floor of mu 1.05 a full ellipse costs 4 % of the force where
 both axles drive alike.
 """

@@ -40,7 +40,7 @@ _START = np.array([1e-3, 2e-3, 0.02, 0.05, 0.3, 0.3, 2.0, WHEEL_SLIP])
 LOUDER = 1.3
 """Instruments that are noisier than known by this factor are believed to be."""
 _WILDEST = 100.0
-"""Derivative by a window's start beyond which it tells no noise; ordinary windows have 2 to 14."""
+"""Derivative by a window's start beyond which it shows no noise; ordinary windows have 2 to 14."""
 _ROUNDS = 40
 _ENOUGH = 1e-7
 """Share of the log-likelihood below which a step is the last: some hundredths of a nat."""

@@ -18,6 +18,7 @@ from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
+from steerd.steer_bus.container import ChannelCount
 from steerd.steer_bus.session import SessionWriter
 from tests.unit.daemon.sessions.page_script import unpack
 
@@ -92,7 +93,9 @@ def test_the_curves_are_the_recorded_numbers(tmp_path):
 def test_ten_minutes_of_the_worst_noise_stay_small(tmp_path):
     session = load_recording(write_noise(tmp_path / "a.mcap", 1, 20))
     report, rng = make_session_report(session), np.random.default_rng(4)
-    info = replace(report.info, end_ns=report.info.start_ns + 600_000_000_000)
+    start_ns = report.info.start_ns
+    lasting = ChannelCount(1, start_ns, start_ns + 600_000_000_000)
+    info = replace(report.info, counts={**report.info.counts, 99: lasting})
     t = np.arange(60_000) * 0.01
     noise = (Curve(name, "other", t, rng.normal(size=t.size)) for name in "abcdefghijklmnopqrst")
     panels = tuple(Panel(c.name, "m", (c,)) for c in noise)
