@@ -102,7 +102,7 @@ class Likelihood:
     # (W, D, 7) derivatives by the starts about the trajectories that the responses are about,
     # rotated: what is not known of a start is taken from them alone
     by_start: Array
-    _volumes: dict[float, Array] = field(default_factory=dict, repr=False)
+    _volumes: dict[float, Array] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def start_precision(self) -> Array:

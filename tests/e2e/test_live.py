@@ -56,6 +56,14 @@ class Watcher:
         self.until(lambda s: s.mode not in STOPS and abs(s.speed) < 0.05, run)
         return SupervisorState(stop.mode)
 
+    def stopped_by_silence(self, run, peer, end):
+        """Kill or freeze what the car drives by; wait for the stop, and until it stands."""
+        silent_ns = time.monotonic_ns()
+        peer.send(end)
+        stop = self.until(lambda s: s.mode in STOPS, run)
+        assert 0.05 < (stop.mono_ns - silent_ns) * 1e-9 < 0.5
+        self.until(lambda s: s.mode not in STOPS and abs(s.speed) < 0.05, run)
+
     def close(self):
         self.bus.close()
 
@@ -212,11 +220,7 @@ def test_an_external_controller_drives_and_its_silence_stops_the_car(
         keeper = start(steerd)
         watcher.driving(run, 2.5)
         assert watcher.seen[-1].mode == SupervisorState.RUNNING, run.text
-        silent_ns = time.monotonic_ns()
-        keeper.send(end)
-        stop = watcher.until(lambda s: s.mode in STOPS, run)
-        assert 0.05 < (stop.mono_ns - silent_ns) * 1e-9 < 0.5
-        watcher.until(lambda s: s.mode not in STOPS and abs(s.speed) < 0.05, run)
+        watcher.stopped_by_silence(run, keeper, end)
     keeper.send(signal.SIGKILL)
     run.send(signal.SIGINT)
     run.wait()
