@@ -103,16 +103,16 @@ def _parameters(outcome: Outcome) -> Iterator[Line]:
     """A line for each parameter that the drives identify; one sentence for all the others."""
     rows = {name: row for name, row in outcome.free_rows.items() if row.identifiable}
     width = max([13, *(len(name) + 1 for name in rows)])
-    for name, row in rows.items():
+    values = [with_error(row.value, row.sd) for row in rows.values()]
+    wide = max([22, *map(len, values)])
+    for (name, row), value in zip(rows.items(), values, strict=True):
         moved = abs(row.value - row.start) > 2.0 * (row.sd or 0.0)
         unit, word = "" if row.unit == "1" else row.unit, "changed" if moved else "unchanged"
-        value = with_error(row.value, row.sd)
-        yield Line("", f"{name:<{width}}{value:>22} {unit:<7} {word}", whole=True)
-    if not outcome.unidentified:
-        return
+        yield Line("", f"{name:<{width}}{value:>{wide}} {unit:<7} {word}", whole=True)
     helps = Counter(filter(None, outcome.unidentified.values())).most_common(1)
     most = f"; what would help most is {helps[0][0]}" if helps else ""
-    yield Line("open", f"these drives do not identify {', '.join(outcome.unidentified)}{most}.")
+    if outcome.unidentified:
+        yield Line("open", f"these drives do not identify {', '.join(outcome.unidentified)}{most}.")
     for c in (each for each in outcome.combinations if each.known):
         yield Line("", f"identifiable combination: {c.text} = {c.value:.6f} ± {c.sd:.6f} m")
 
