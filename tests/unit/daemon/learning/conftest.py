@@ -6,7 +6,7 @@ from math import nan
 
 import pytest
 
-from steerd.daemon.learning.report import make_model
+from steerd.daemon.learning.feed import make_model
 from steerd.daemon.learning.reported import ReportedChange, ReportedValue, pack
 from steerd.sim_gap.online.learner import State
 from steerd.steer_bus import messages as m
