@@ -19,6 +19,7 @@ from steerd.steer_bus.codec import encode
 from steerd.steer_bus.session_read import Record, Session
 from steerd.steer_bus.topics import Topic, find_topic
 from steerd.sysid.data.dataset import read_erpm
+from steerd.vesc_link.scaling import Scaling
 
 
 @dataclass(frozen=True)
@@ -77,15 +78,15 @@ def learn_session(
 
 def wiring_of_session(session: Session) -> Wiring:
     """How a session's numbers are read: its own scaling, and its clocks."""
-    erpm = read_erpm(session)
+    scaling = Scaling(*read_erpm(session))
     epoch = session.info().metadata.get("steerd.session", {}).get("epoch_ns")
     if epoch is not None:
-        return Wiring(int(epoch), *erpm)
+        return Wiring(int(epoch), scaling)
     for record in session.messages():
         if find_topic(record.topic) is topics.MOCAP:
             pose = record.decode()
-            return Wiring(m.stamp_ns(pose.header) - pose.t_valid_ns, *erpm)
-    return Wiring(0, *erpm)
+            return Wiring(m.stamp_ns(pose.header) - pose.t_valid_ns, scaling)
+    return Wiring(0, scaling)
 
 
 def _messages(

@@ -17,7 +17,7 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.topics import Topic
 from steerd.sysid.data.dataset import RAMP_ERPM
-from steerd.vesc_link.scaling import F1TENTH, Scaling
+from steerd.vesc_link.scaling import F1TENTH, Scaling, erpm_to_speed
 
 if TYPE_CHECKING:
     from steerd.daemon.learning.proposing import Proposals
@@ -31,13 +31,7 @@ class Wiring:
     """How a session's numbers are to be read."""
 
     epoch_ns: int  # UNIX time minus monotonic time [ns]
-    erpm_gain: float = F1TENTH.erpm_gain  # of the session's scaling; `erpm_offset` too
-    erpm_offset: float = F1TENTH.erpm_offset
-
-
-def wiring_of(epoch_ns: int, scaling: Scaling) -> Wiring:
-    """The wiring of a run that is being driven."""
-    return Wiring(epoch_ns, scaling.erpm_gain, scaling.erpm_offset)
+    scaling: Scaling = F1TENTH  # of speed and ERPM
 
 
 def make_sample(wiring: Wiring, topic: Topic, message: Any) -> Sample | None:
@@ -59,7 +53,7 @@ def make_sample(wiring: Wiring, topic: Topic, message: Any) -> Sample | None:
         return Ordered(t, message.steer, message.speed)
     if topic is topics.VESC:
         middle = (message.t_sent_ns + message.t_received_ns) // 2
-        return Rolled(middle * 1e-9, (message.erpm - wiring.erpm_offset) / wiring.erpm_gain)
+        return Rolled(middle * 1e-9, erpm_to_speed(wiring.scaling, message.erpm))
     if topic is topics.WHEEL:
         return Rolled(message.t_ns * 1e-9, message.speed)
     return None
@@ -184,5 +178,5 @@ def make_feed(car: CarFile, wiring: Wiring, memory: Memory | None = None) -> Fee
     Raises:
         ValueError: what identify wrote into the car file is not what it writes.
     """
-    ramp = RAMP_ERPM / abs(wiring.erpm_gain)
+    ramp = RAMP_ERPM / abs(wiring.scaling.erpm_gain)
     return Feed(make_learner(car, ramp, memory), wiring, State())

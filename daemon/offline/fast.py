@@ -88,10 +88,10 @@ def _learn_beside(
     if not plan.options.learn:  # a drive without it loads no compiler
         return lambda record: iter((record,))
     from steerd.controller.build import compute_table
-    from steerd.daemon.learning.feed import make_feed, make_record, wiring_of
+    from steerd.daemon.learning.feed import Wiring, make_feed, make_record
     from steerd.daemon.learning.proposing import Proposals
 
-    feed = make_feed(plan.settings.file, wiring_of(EPOCH_NS, plan.settings.scaling))
+    feed = make_feed(plan.settings.file, Wiring(EPOCH_NS, plan.settings.scaling))
     numbers = count()
     if plan.learnt is not None:
         feed.proposals = Proposals(plan.learnt, compute_table, propose)

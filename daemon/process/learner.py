@@ -17,7 +17,7 @@ from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.written import write_output, write_whole
 from steerd.daemon.ipc.pipe_records import Gaps, PipeReader, PipeRecord, PipeWriter, pack_record
 from steerd.daemon.ipc.requests import make_sender
-from steerd.daemon.learning.feed import Feed, make_feed, make_record, read_memory, wiring_of
+from steerd.daemon.learning.feed import Feed, Wiring, make_feed, make_record, read_memory
 from steerd.daemon.learning.kept import About, Keeper
 from steerd.daemon.learning.proposing import Proposals
 from steerd.daemon.process.child import Job, run_process
@@ -94,7 +94,7 @@ def serve(given: Job) -> int:
     if plan.settings.file.remark:
         print(f"steerd learner: {plan.settings.file.remark}", file=sys.stderr)
     try:
-        wiring = wiring_of(int(job["epoch_ns"]), plan.settings.scaling)
+        wiring = Wiring(int(job["epoch_ns"]), plan.settings.scaling)
         feed = make_feed(plan.settings.file, wiring, read_memory(job["memory"]))
     except ValueError as error:
         raise SteerdError(str(error)) from None

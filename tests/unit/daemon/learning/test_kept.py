@@ -10,7 +10,7 @@ import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car, parse_car
 from steerd.daemon.assembly.build import make_plan
-from steerd.daemon.learning.feed import make_feed, read_memory, wiring_of
+from steerd.daemon.learning.feed import Wiring, make_feed, read_memory
 from steerd.daemon.learning.kept import (
     DAY_NS,
     EVERY_NS,
@@ -193,7 +193,7 @@ def test_what_one_run_keeps_the_next_begins_with(plan, quiet_report, capsys):
     assert second.metadata[METADATA]["file"] == "car.learnt.toml"
     assert capsys.readouterr().err == ""
     job = json.loads(json.dumps(make_learner_job(plan, 0, second)))
-    wiring = wiring_of(0, plan.settings.scaling)
+    wiring = Wiring(0, plan.settings.scaling)
     feed = make_feed(plan.settings.file, wiring, read_memory(job["memory"]))
     assert [each.name for each in feed.learner.remembered] == ["steer_gain"]
     assert plan.settings.file.path.read_text() == default_car_path().read_text()

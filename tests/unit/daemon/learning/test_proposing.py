@@ -12,6 +12,7 @@ from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode
+from steerd.vesc_link.scaling import Scaling
 from tests.designs import numbers, standard
 
 S = 1_000_000_000
@@ -96,7 +97,7 @@ def test_a_car_that_is_as_in_the_file_needs_no_design(at, aims):
 # Messages of a drive as samples of the learner.
 
 EPOCH = 1_700_000_000_000_000_000
-WIRING = Wiring(EPOCH, 4000.0, 100.0)
+WIRING = Wiring(EPOCH, Scaling(4000.0, 100.0))
 
 
 def pose(reject=""):

@@ -1,13 +1,15 @@
-"""Sessions whose content is bad, class by class, through `steerd info` and `steerd identify`.
+"""Bad sessions, class by class, through `steerd info`, `steerd recover` and `steerd identify`.
 
-Numbers are those of `docs/reference/safety-requirements.md#s9`, 25 to 64; the containers, 1 to 24,
-are in `test_info_damage.py`. Each is answered in bounded time and memory, with a known code, and
-without a traceback; what a person has to know is said.
+Numbers are those of `docs/reference/safety-requirements.md#s9`: containers 1 to 24 (record by
+record in `tests/unit/steer_bus/test_session_damage.py`), content 25 to 64. Each is answered in
+bounded time and memory, with a known code, and without a traceback; what a person has to know is
+said.
 """
 
 import contextlib
 import io
 import json
+import os
 import resource
 import struct
 from dataclasses import replace
@@ -30,6 +32,7 @@ from steerd.steer_bus.messages import (
     Transition,
     VescTelemetry,
 )
+from steerd.steer_bus.session import SessionWriter
 from steerd.steer_bus.session_read import open_session
 from steerd.steer_bus.topics import find_topic
 
@@ -268,6 +271,108 @@ def test_20_a_file_that_grows_while_it_is_read(drive, tmp_path):
         file.write(whole[len(whole) // 2 :])
     assert sum(1 for _ in session.messages()) > 0
     assert check_info(path)[0] == 0
+
+
+# Containers, 1 to 24.
+
+MAGIC = b"\x89MCAP0\r\n"
+CAR = {"steerd.session": {"car": "blue"}}
+
+
+@pytest.fixture(scope="module")
+def whole(drive, tmp_path_factory):
+    """The drive as the recorder writes it."""
+    path, topics = tmp_path_factory.mktemp("whole") / "a.mcap", {r[0]: type(r[2]) for r in drive}
+    writer = SessionWriter(path, topics, CAR)
+    for topic, log_ns, message in drive:
+        writer.write(topic, encode(message), log_ns)
+        writer.tick(log_ns)
+    return writer.finish({"reason": "end"}).read_bytes()
+
+
+@pytest.fixture
+def put(tmp_path):
+    def write_bytes(content, name="a.mcap"):
+        (tmp_path / name).write_bytes(content)
+        return tmp_path / name
+
+    return write_bytes
+
+
+@pytest.mark.parametrize(
+    ("content", "code", "words"),
+    [
+        (b"", 3, "is empty"),  # 1
+        (MAGIC, 4, "holds no session"),  # 2
+        (b"\x89MCAP1\r\n" + bytes(50), 3, "not an MCAP file"),  # 3
+        (b"t,x\n0,1\n", 3, "not an MCAP file"),  # 4
+        (b"SQLite format 3\x00" + bytes(50), 3, "not an MCAP file"),
+        (MAGIC + struct.pack("<BQ", 6, 1 << 63), 4, "holds no session"),  # 12
+    ],
+    ids=["empty", "magic", "other_magic", "text", "sqlite", "endless"],
+)
+@pytest.mark.parametrize("command", ["info", "recover"])
+def test_what_is_no_session(put, command, content, code, words):
+    path = put(content)
+    found, out, err = steerd(command, path)
+    assert (found, out) == (code, "")
+    assert words in err
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("command", ["info", "recover"])
+def test_what_is_no_file(tmp_path, command):
+    os.mkfifo(tmp_path / "fifo")
+    for name in ("", "fifo", "none"):  # 22, 23
+        code, out, err = steerd(command, tmp_path / name)
+        assert (code, out) == (3, "")
+        assert err.startswith("steerd: ")
+
+
+def test_truncation_at_each_percent(whole, put):  # 5, 6
+    saved = []
+    for percent in range(1, 100):
+        path = put(whole[: len(whole) * percent // 100])
+        assert steerd("info", path, *["--json"] * (percent % 9 > 0))[0] in (0, 4)
+        code, out, err = steerd("recover", path)
+        assert (code == 0) == ("saved" in out)
+        assert code in (0, 4)
+        if code == 0:
+            assert "warning: " in err
+            recovered = path.with_name("a.recovered.mcap")
+            saved.append(open_session(recovered).info().count)
+            assert not open_session(recovered).warnings
+            recovered.unlink()
+    assert saved == sorted(saved)
+    assert saved[-1] == open_session(put(whole)).info().count
+
+
+def test_thousands_of_channels_and_messages_that_are_not_their_schema(tmp_path):  # 19
+    names = [f"/steerd/blue/{name}" for name in ("mocap", *map(str, range(4000)))]
+    writer = SessionWriter(tmp_path / "a.mcap", dict.fromkeys(names, MocapPose), CAR)
+    for name in names:
+        writer.write(name, b"\x00\x01\x00\x00junk", 1)
+    code, out, err = steerd("info", writer.finish({}))
+    assert code == 0
+    assert len(out.splitlines()) < 40
+    assert "not what its schema says" in err
+
+
+def test_recovery_names_its_file(whole, put, tmp_path):
+    code, out, _ = steerd("recover", put(whole))
+    assert code == 0
+    assert "nothing to recover" in out
+    path = put(whole[:-100], "a.mcap.partial")
+    assert steerd("recover", path)[0] == 0
+    assert (tmp_path / "a.recovered.mcap").exists()
+    code, _, err = steerd("recover", path)
+    assert code == 2
+    assert "never overwritten" in err
+    assert steerd("recover", path, "-o", tmp_path / "b.mcap")[0] == 0
+    assert steerd("recover", path, "-o", tmp_path / "b.txt")[0] == 2
+    assert steerd("recover", path, "-o", tmp_path / "no" / "b.mcap")[0] == 3
+    _, out, _ = steerd("info", tmp_path / "b.mcap")
+    assert "recovered from a.mcap.partial" in out
 
 
 def chunk_offsets(whole):
