@@ -1,15 +1,25 @@
-"""The page of `steerd plot`: one file with its data, its script and its style; no network."""
+"""The page of `steerd plot`: one file with its data, its script and its style; no network.
+
+All curves of a page share one grid of `slots` instants. A curve with more samples than the grid
+keeps the smallest and the largest of every two slots, in the order in which they came, so that no
+peak is lost however long the drive. `make_csv` gives the curves as a table instead.
+"""
 
 # Why: docs/decisions/rooms-and-code.md#d29
 
-from dataclasses import asdict
+import base64
+import csv
+import io
+import zlib
+from dataclasses import asdict, dataclass
+from math import degrees
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from steerd.daemon.common.screen import clean
-from steerd.daemon.sessions.curves import BREAK, VALUE, Grid, decimate, make_grid, pack
 from steerd.daemon.sessions.info import SessionReport
 from steerd.daemon.sessions.motion import GAP_MAX, Array, Track
 from steerd.daemon.sessions.plot_data import Drawing
@@ -22,6 +32,7 @@ BUCKETS = (20_000, 12_000, 6_000, 2_000)
 TRACK_SLOTS = 12_000  # largest number of points of the track
 LANE_POINTS = 1500  # largest number of points of the lane
 WARNINGS_SHOWN = 8
+CSV_STEP = 0.01  # between rows of a table [s]: the period of a 100 Hz loop
 _TEMPLATE = Path(__file__).parent / "page" / "plot.html"
 
 
@@ -114,3 +125,108 @@ def _lane(drawing: Drawing) -> dict[str, Any] | None:
         "closed": lane.closed,
         "half": drawing.half_width,
     }
+
+
+def make_csv(drawing: Drawing) -> str:
+    """Track and curves as a table, every `CSV_STEP`, empty where a curve has no value."""
+    columns = [
+        (f"{panel.title}: {curve.name} [{panel.unit or 1}]", curve.t, curve.value)
+        for panel in drawing.panels
+        for curve in panel.curves
+    ]
+    if drawing.track is not None:
+        places = (("x [m]", "x", 1.0), ("y [m]", "y", 1.0), ("yaw [°]", "yaw", degrees(1.0)))
+        columns[:0] = [(head, drawing.track.t, scale * getattr(drawing.track, name))
+                       for head, name, scale in places]  # fmt: skip
+    steps = 1 + int(max((t[-1] for _, t, _ in columns), default=0.0) / CSV_STEP)
+    at = CSV_STEP * np.arange(steps)
+    values = [np.interp(at, t, value, np.nan, np.nan) for _, t, value in columns]
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["t [s]", *(head for head, _, _ in columns)])
+    for row in zip(at, *values, strict=True):
+        table.writerow([f"{value:.7g}" if np.isfinite(value) else "" for value in row])
+    return text.getvalue()
+
+
+# -- curves of many samples as little text -------------------------------------------------------
+
+HELD, VALUE, BREAK = 0, 1, 2
+"""What a slot holds: nothing new (the line passes through), a value, or a break in the line."""
+LEVELS = 65535  # largest level of a packed value: 16 bits
+FINEST_S = 0.005  # shortest pair of slots [s]; half the period of a 100 Hz loop
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Instants `start + i * step` for `i < slots`; `slots` is even [s]."""
+
+    start: float
+    step: float
+    slots: int
+
+    def __post_init__(self) -> None:
+        if self.slots < 2 or self.slots % 2 or not self.step > 0.0:
+            raise ValueError(f"a grid of {self.slots} slots, {self.step} s apart")
+
+
+def make_grid(start: float, end: float, buckets: int, finest: float = FINEST_S) -> Grid:
+    """A grid over [start, end] of at most `buckets` pairs of slots, each pair >= `finest` [s]."""
+    span = max(end - start, finest)
+    count = max(1, min(buckets, round(span / finest)))
+    return Grid(start, span / (2 * count), 2 * count)
+
+
+def decimate(grid: Grid, t: Array, value: Array) -> tuple[Array, NDArray[np.uint8]]:
+    """Values and kinds (`HELD`, `VALUE`, `BREAK`) of a curve on a grid.
+
+    Args:
+        grid: instants of the result.
+        t: times [s], not decreasing, shape (n,).
+        value: shape (n,); NaN where the line breaks.
+
+    Returns:
+        Arrays of `grid.slots`: values (0 where none) and kinds (uint8).
+    """
+    out, kinds = np.zeros(grid.slots), np.zeros(grid.slots, np.uint8)
+    bucket = np.floor((t - grid.start) / (2.0 * grid.step)).astype(np.int64)
+    bucket = np.minimum(bucket, grid.slots // 2 - 1)
+    known = np.isfinite(value) & (bucket >= 0)
+    gone = np.unique(bucket[~np.isfinite(value) & (bucket >= 0)])
+    kinds[2 * gone] = BREAK
+    value, bucket = value[known], bucket[known]
+    if not len(value):
+        return out, kinds
+    order = np.lexsort((value, bucket))
+    first = np.flatnonzero(np.diff(bucket[order], prepend=-1))
+    last = np.append(first[1:], len(order)) - 1
+    low, high = order[first], order[last]
+    # A stable order of the extremes: the one that came first takes the first slot.
+    early, late = np.minimum(low, high), np.maximum(low, high)
+    place = 2 * bucket[early]
+    out[place], kinds[place] = value[early], VALUE
+    two = late > early
+    out[place[two] + 1], kinds[place[two] + 1] = value[late[two]], VALUE
+    # A break lasts until the next value.
+    at = np.maximum.accumulate(np.where(kinds == HELD, 0, np.arange(len(kinds))))
+    return out, np.where((kinds == HELD) & (kinds[at] == BREAK), BREAK, kinds)
+
+
+def pack(out: Array, kinds: NDArray[np.uint8]) -> dict[str, float | str]:
+    """A decimated curve for the page: 16 bit levels between `low` and `high`, differences, deflate.
+
+    The bytes are the kinds, then the low and the high bytes of the levels' differences modulo
+    65536 (a slot without a value repeats the level before it).
+    """
+    known = kinds == VALUE
+    low = float(out[known].min()) if known.any() else 0.0
+    high = float(out[known].max()) if known.any() else 1.0
+    scale = LEVELS / (high - low) if high > low else 0.0
+    level = np.rint((out - low) * scale).astype(np.int64)
+    held = np.maximum.accumulate(np.where(known, np.arange(len(out)), -1))
+    level = np.where(held >= 0, level[held], 0)
+    steps = np.diff(level, prepend=0) % (LEVELS + 1)
+    planes = kinds.tobytes() + (steps & 255).astype(np.uint8).tobytes()
+    planes += (steps >> 8).astype(np.uint8).tobytes()
+    text = base64.b64encode(zlib.compress(planes, 9)).decode()
+    return {"low": low, "high": high if high > low else low, "data": text}

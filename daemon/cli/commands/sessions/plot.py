@@ -49,10 +49,9 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _draw(path: Path, suffix: str) -> bytes:
-    from steerd.daemon.sessions.curves import make_csv
     from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.plot_data import make_drawing
-    from steerd.daemon.sessions.plot_page import make_page
+    from steerd.daemon.sessions.plot_page import make_csv, make_page
     from steerd.daemon.sessions.text import print_warnings
 
     read = load_recording(path)

@@ -1,11 +1,18 @@
-"""`steerd plot`: what is drawn is what was recorded, in a page that needs nothing else."""
+"""`steerd plot`: what is drawn is what was recorded, in a page that needs nothing else.
 
+No peak is lost, no break is bridged, what was packed comes out again.
+"""
+
+import base64
 import json
 import re
+import zlib
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.imports.import_session import MessageMaker
@@ -13,16 +20,35 @@ from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.info import load_recording, load_session, make_session_report
 from steerd.daemon.sessions.motion import make_track
 from steerd.daemon.sessions.plot_data import Curve, Drawing, Panel, load_lane, make_drawing
-from steerd.daemon.sessions.plot_page import SIZE_MAX, make_page
+from steerd.daemon.sessions.plot_page import (
+    BREAK,
+    HELD,
+    LEVELS,
+    SIZE_MAX,
+    VALUE,
+    Grid,
+    decimate,
+    make_grid,
+    make_page,
+    pack,
+)
 from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.container import ChannelCount
 from steerd.steer_bus.session import SessionWriter
-from tests.unit.daemon.sessions.page_script import unpack
 
 EPOCH = 1_726_480_861_000_000_000
+
+
+def unpack(packed, slots):
+    """What `pack` packed, as the page's script reads it: values (NaN where none) and kinds."""
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(packed["data"])), np.uint8)
+    kinds, fine, coarse = planes.reshape(3, slots)
+    level = np.cumsum(fine.astype(np.int64) + 256 * coarse.astype(np.int64)) % (LEVELS + 1)
+    low, high = packed["low"], packed["high"]
+    return np.where(kinds == VALUE, low + level / LEVELS * (high - low), np.nan), kinds
 
 
 def state(t_ns, i, mode, e1, rng):
@@ -147,3 +173,59 @@ def test_the_table_holds_the_curves_and_figures_are_the_same_each_time(tmp_path,
         assert (tmp_path / name).read_bytes() == first
     assert run_cli(["plot", str(path), str(path), "-o", str(tmp_path / "b.svg")]) == 2
     assert "compared on a page" in capsys.readouterr().err
+
+
+# Curves: no peak is lost, no break is bridged, what was packed comes out again.
+
+NUMBERS = st.floats(-1e6, 1e6)
+
+
+@settings(derandomize=True, deadline=None, max_examples=150)
+@given(st.lists(NUMBERS, min_size=1, max_size=300, unique=True), st.integers(1, 40))
+def test_every_pair_of_slots_keeps_its_extremes_in_their_order(values, buckets):
+    t = np.linspace(0.0, 10.0, len(values))
+    value = np.array(values)
+    grid = make_grid(0.0, 10.0, buckets)
+    out, kinds = decimate(grid, t, value)
+    where = np.minimum((t / (2 * grid.step)).astype(int), grid.slots // 2 - 1)
+    for bucket in range(grid.slots // 2):
+        inside = value[where == bucket]
+        pair = slice(2 * bucket, 2 * bucket + 2)
+        shown = out[pair][kinds[pair] == VALUE]
+        assert shown.size == min(len(inside), 2) or np.ptp(inside) == 0.0
+        if len(inside):
+            assert {shown.min(), shown.max()} == {inside.min(), inside.max()}
+            rising = np.argmax(inside) > np.argmin(inside)
+            assert shown.size == 1 or np.ptp(inside) == 0 or (shown[1] > shown[0]) == rising
+
+
+@settings(derandomize=True, deadline=None, max_examples=150)
+@given(
+    st.lists(st.tuples(NUMBERS, st.sampled_from([HELD, VALUE, BREAK])), min_size=2, max_size=200)
+)
+def test_packing_keeps_values_to_one_level(items):
+    items = items[: len(items) // 2 * 2]
+    out = np.array([v for v, _ in items])
+    kinds = np.array([k for _, k in items], np.uint8)
+    values, again = unpack(pack(out, kinds), len(items))
+    assert again.tolist() == kinds.tolist()
+    known = kinds == VALUE
+    assert np.isnan(values[~known]).all()
+    step = np.ptp(out[known]) / 65535 if known.any() else 0.0
+    assert np.abs(values[known] - out[known]).max(initial=0.0) <= 0.51 * step + 1e-9
+
+
+def test_a_break_lasts_until_the_next_value():
+    grid = make_grid(0.0, 1.0, 100, 0.01)
+    t = np.arange(10) * 0.1 + 0.001
+    value = np.array([1.0, 2.0, np.nan, np.nan, 3.0, 4.0, 4.0, 4.0, 4.0, np.nan])
+    _, kinds = decimate(grid, t, value)
+    assert set(kinds[40:80]) == {BREAK}
+    assert set(kinds[20:40]) == {VALUE, HELD}
+    assert set(kinds[180:]) == {BREAK}
+
+
+@pytest.mark.parametrize(("step", "slots"), [(0.0, 4), (1.0, 3), (1.0, 0), (float("nan"), 4)])
+def test_a_grid_that_cannot_be(step, slots):
+    with pytest.raises(ValueError, match="grid"):
+        Grid(0.0, step, slots)
