@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 from itertools import islice
 from typing import Any, TypeVar
 
-from steerd.steer_bus.fields import Kind, Nested, Scalar, Sized, cached, flat_leaves, message_fields
+from steerd.steer_bus.fields import Kind, Nested, Scalar, Sized, cached, leaves_of, message_fields
 
 MAX_BYTES = 63 << 10
 """Largest encoded message; the bus drops 64 KiB and more, its own framing included."""
@@ -78,11 +78,11 @@ def decode(cls: type[M], data: bytes) -> M:
 
 @cached
 def _encoder(cls: type[Any]) -> Callable[[Any], bytes]:
-    leaves = flat_leaves(cls)
-    if leaves is None:
-        return _encode_nested
+    leaves = leaves_of(cls)
     kinds = [leaf.kind for leaf in leaves]
-    getter = operator.attrgetter(*(leaf.path for leaf in leaves))
+    if any(isinstance(kind, Nested) for kind in kinds):
+        return _encode_nested
+    getter = operator.attrgetter(*(leaf.name for leaf in leaves))
     read = getter if len(leaves) > 1 else lambda msg: (getter(msg),)
     sized = [i for i, kind in enumerate(kinds) if isinstance(kind, Sized)]
     arrays = [(i, k.count) for i, k in enumerate(kinds) if isinstance(k, Scalar) and k.count][::-1]
@@ -146,30 +146,25 @@ def _layout(tokens: list[_Token], offset: int = 0, head: str = f"{len(_HEADER)}s
 
 
 def _encode_nested(msg: Any) -> bytes:
-    tokens: list[_Token] = []
-    args: list[Any] = []
-    _collect(msg, tokens, args)
-    return _layout(tokens).pack(_HEADER, *args)
+    data = bytearray()
+    _append(data, msg)
+    return _HEADER + data
 
 
-def _collect(msg: Any, tokens: list[_Token], args: list[Any]) -> None:
-    for field in message_fields(type(msg)):
-        value = getattr(msg, field.name)
-        match field.kind:
-            case Nested(many=False):
-                _collect(value, tokens, args)
-            case Nested():
-                tokens.append((_LENGTH.size, _LENGTH.size, "I"))
-                args.append(len(value))
-                for item in value:
-                    _collect(item, tokens, args)
-            case Sized():
-                blob = _prefixed(value)
-                tokens += _tokens(field.kind, iter([len(blob)]))
-                args.append(blob)
-            case Scalar(count=count):
-                tokens += _tokens(field.kind, iter(()))
-                args += _checked(value, count) if count else (value,)
+def _append(data: bytearray, msg: Any) -> None:
+    """Append a message to data that are counted from behind the header."""
+    for leaf in leaves_of(type(msg)):
+        value, kind = operator.attrgetter(leaf.name)(msg), leaf.kind
+        if isinstance(kind, Scalar):
+            values = _checked(value, kind.count) if kind.count else (value,)
+            data += bytes(-len(data) % kind.size)
+            data += struct.pack(f"<{len(values)}{kind.code}", *values)
+        elif isinstance(kind, Sized):
+            data += bytes(-len(data) % _LENGTH.size) + _prefixed(value)
+        else:
+            data += bytes(-len(data) % _LENGTH.size) + _LENGTH.pack(len(value))
+            for item in value:
+                _append(data, item)
 
 
 # -- decoding ------------------------------------------------------------------------------------
@@ -182,7 +177,7 @@ def _steps(cls: type[Any]) -> tuple[_Step, ...]:
     """Give what to read in order: runs of primitives (one layout per phase), texts, sequences."""
     steps: list[_Step] = []
     run: list[_Token] = []
-    for kind in _kinds(cls):
+    for kind in (leaf.kind for leaf in leaves_of(cls)):
         if isinstance(kind, Scalar):
             run += _tokens(kind, iter(()))
             continue
@@ -191,14 +186,6 @@ def _steps(cls: type[Any]) -> tuple[_Step, ...]:
             run = []
         steps.append(kind.cls if isinstance(kind, Nested) else kind)
     return (*steps, _phases(run)) if run else tuple(steps)
-
-
-def _kinds(cls: type[Any]) -> Iterator[Kind]:
-    for field in message_fields(cls):
-        if isinstance(field.kind, Nested) and not field.kind.many:
-            yield from _kinds(field.kind.cls)
-        else:
-            yield field.kind
 
 
 def _phases(run: list[_Token]) -> tuple[struct.Struct, ...]:

@@ -17,7 +17,7 @@ import hashlib
 import json
 import typing
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any, TypeVar, cast, dataclass_transform
 
 from steerd.steer_bus.quick_values import quick_init
@@ -86,14 +86,6 @@ class Field:
     unit: str
 
 
-@dataclass(frozen=True, slots=True)
-class Leaf:
-    """A field of a flattened message, named by its dotted path from the root."""
-
-    path: str
-    kind: Scalar | Sized
-
-
 C = TypeVar("C")
 R = TypeVar("R")
 
@@ -143,18 +135,22 @@ def message_fields(cls: type[Any]) -> tuple[Field, ...]:
 
 
 @cached
-def flat_leaves(cls: type[Any]) -> tuple[Leaf, ...] | None:
-    """Give a message's leaves in wire order, or None if it holds a sequence of messages."""
-    leaves: list[Leaf] = []
+def leaves_of(cls: type[Any]) -> tuple[Field, ...]:
+    """Give a message's fields in wire order, those of a message inside it by their dotted path."""
+    found: list[Field] = []
     for field in message_fields(cls):
-        if not isinstance(field.kind, Nested):
-            leaves.append(Leaf(field.name, field.kind))
-            continue
-        inner = None if field.kind.many else flat_leaves(field.kind.cls)
-        if inner is None:
-            return None
-        leaves += (Leaf(f"{field.name}.{leaf.path}", leaf.kind) for leaf in inner)
-    return tuple(leaves)
+        if isinstance(field.kind, Nested) and not field.kind.many:
+            inner = leaves_of(field.kind.cls)
+            found += (replace(leaf, name=f"{field.name}.{leaf.name}") for leaf in inner)
+        else:
+            found.append(field)
+    return tuple(found)
+
+
+def flat_leaves(cls: type[Any]) -> tuple[Field, ...] | None:
+    """Give a message's leaves, or None if it holds a sequence of messages."""
+    found = leaves_of(cls)
+    return None if any(isinstance(leaf.kind, Nested) for leaf in found) else found
 
 
 def _field(owner: str, name: str, hint: Any) -> Field:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from steerd.steer_bus.bus import BusError
-from steerd.steer_bus.topics import ALIVE, EXTERNAL_POSE, ROOT, TOPICS, Direction, make_key
+from steerd.steer_bus.topics import ALIVE, EXTERNAL_POSE, ROOT, TOPICS, make_key
 from steerd.toml_text import load_toml
 
 DEFAULT_PORT = 7447
@@ -92,7 +92,7 @@ def make_access_settings(lab: Lab, pose_key: str | None = None) -> dict[str, Any
         lab: who may do what.
         pose_key: a key beside the car's own under which operators may publish poses.
     """
-    named = [t for t in TOPICS if t.direction is Direction.IN and t is not EXTERNAL_POSE]
+    named = [t for t in TOPICS if t.direction == "in" and t is not EXTERNAL_POSE]
     poses = [make_key(lab.car, EXTERNAL_POSE), *([pose_key] if pose_key else [])]
     queried = [f"{ROOT}/*/alive", make_key(lab.car, ALIVE), make_key(lab.car, "schema/**")]
     published = [make_key(lab.car, "*"), make_key(lab.car, "schema/**")]
@@ -118,7 +118,7 @@ def make_plain_access() -> dict[str, Any]:
     All is allowed but two things: to hear requests, whose lease ids are secrets, and to speak under
     the keys of a car, whose gateway is the hub itself.
     """
-    spoken = [f"{ROOT}/*/{t.name}" for t in TOPICS if t.direction is Direction.OUT]
+    spoken = [f"{ROOT}/*/{t.name}" for t in TOPICS if t.direction == "out"]
     rules = [
         _rule("requests", "egress", ["put"], [f"{ROOT}/*/cmd/**"], "deny"),
         _rule("forged", "ingress", ["put"], spoken, "deny"),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from steerd.steer_bus.codec import MAX_BYTES, CodecError, decode, read_steps
 from steerd.steer_bus.container import MESSAGE_FIELDS
-from steerd.steer_bus.fields import Leaf, Scalar, Sized, flat_leaves, type_name
+from steerd.steer_bus.fields import Field, Scalar, Sized, flat_leaves, type_name
 
 Columns = dict[str, NDArray[Any]]
 """``log_ns``, ``publish_ns``, ``sequence`` and each field by its (dotted) name, all of length n;
@@ -80,7 +80,7 @@ class ColumnBuilder:
         return self._read(records[:middle]) + self._read(records[middle:])
 
 
-def _read_columns(leaves: tuple[Leaf, ...], records: list[bytes]) -> Columns | None:
+def _read_columns(leaves: tuple[Field, ...], records: list[bytes]) -> Columns | None:
     """Read records of one layout at once; None if they do not share it."""
     numbers = (i for i, leaf in enumerate(leaves) if isinstance(leaf.kind, Scalar))
     fixed = 1 + max(numbers, default=-1)
@@ -104,7 +104,7 @@ def _read_columns(leaves: tuple[Leaf, ...], records: list[bytes]) -> Columns | N
     return None if tails is None else columns | tails
 
 
-def _layout(leaves: tuple[Leaf, ...], first: bytes) -> tuple[np.dtype[Any], dict[str, int]] | None:
+def _layout(leaves: tuple[Field, ...], first: bytes) -> tuple[np.dtype[Any], dict[str, int]] | None:
     """Give the layout of records like ``first`` and the length each text in it must have."""
     names = ["sequence", "log_ns", "publish_ns", _CDR_HEADER]
     formats: list[Any] = ["<u4", "<i8", "<i8", "<u2"]
@@ -112,13 +112,13 @@ def _layout(leaves: tuple[Leaf, ...], first: bytes) -> tuple[np.dtype[Any], dict
     for leaf in leaves:
         if isinstance(kind := leaf.kind, Scalar):
             pos += -pos % kind.size
-            names.append(leaf.path)
+            names.append(leaf.name)
             offsets.append(_CDR + pos)
             formats.append((f"<{kind.code}", (kind.count,)) if kind.count else f"<{kind.code}")
             pos += kind.size * (kind.count or 1)
         else:
             pos += -pos % 4
-            names.append(f"{leaf.path}#")
+            names.append(f"{leaf.name}#")
             offsets.append(_CDR + pos)
             formats.append("<u4")
             at = _CDR + pos
@@ -130,8 +130,8 @@ def _layout(leaves: tuple[Leaf, ...], first: bytes) -> tuple[np.dtype[Any], dict
     return np.dtype(layout), texts  # type: ignore[call-overload]
 
 
-def _tail_columns(leaves: tuple[Leaf, ...], records: list[bytes], start: int) -> Columns | None:
-    columns: Columns = {leaf.path: np.empty(len(records), object) for leaf in leaves}
+def _tail_columns(leaves: tuple[Field, ...], records: list[bytes], start: int) -> Columns | None:
+    columns: Columns = {leaf.name: np.empty(len(records), object) for leaf in leaves}
     texts = tuple(leaf.kind for leaf in leaves if isinstance(leaf.kind, Sized))
     for row, record in enumerate(records if texts else ()):
         values: list[Any] = []

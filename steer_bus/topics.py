@@ -7,8 +7,7 @@ holds the liveliness token ``alive``.
 
 import re
 from dataclasses import dataclass
-from enum import Enum
-from typing import Any
+from typing import Any, Literal
 
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import standard
@@ -18,19 +17,10 @@ ROOT = "steerd"
 _CAR_NAME = re.compile(r"[a-z0-9_]{1,64}")
 
 
-class Direction(Enum):
-    """Who publishes a topic: the car (``OUT``) or somebody who commands it (``IN``)."""
-
-    IN = "in"
-    OUT = "out"
-
-
-class Priority(Enum):
-    """How urgent a topic is on the network; names are zenoh's."""
-
-    REAL_TIME = "REAL_TIME"
-    DATA = "DATA"
-    DATA_LOW = "DATA_LOW"
+Direction = Literal["in", "out"]
+"""Who publishes a topic: the car (``out``) or somebody who commands it (``in``)."""
+Priority = Literal["REAL_TIME", "DATA", "DATA_LOW"]
+"""How urgent a topic is on the network; names are zenoh's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +29,8 @@ class Topic:
 
     name: str  # the key below ``steerd/<car>/``
     message: type[Any]  # the message class
-    direction: Direction = Direction.OUT  # who publishes it
-    priority: Priority = Priority.DATA  # network priority
+    direction: Direction = "out"  # who publishes it
+    priority: Priority = "DATA"  # network priority
     logged: bool = True  # whether the recorder writes it
     on_bus: bool = True  # whether the gateway carries it (raw inputs stay in the session file)
     rate_hz: float = 0.0  # nominal rate; 0 for events
@@ -52,32 +42,26 @@ VESC = Topic("vesc", m.VescTelemetry, rate_hz=200.0)
 IDENTITY = Topic("vesc_identity", m.VescIdentity)
 IMU = Topic("imu", m.VescImu, rate_hz=200.0)
 ACTUATION = Topic("actuation", m.Actuation, rate_hz=200.0)
-STATE = Topic("state", m.StateMessage, priority=Priority.REAL_TIME, rate_hz=200.0)
+STATE = Topic("state", m.StateMessage, priority="REAL_TIME", rate_hz=200.0)
 TRANSITION = Topic("transition", m.Transition)
 CLOCK = Topic("clock", m.ClockSample, rate_hz=1.0)
-DRIVE = Topic("cmd/drive", m.DriveCommand, Direction.IN, Priority.REAL_TIME, rate_hz=100.0)
-OPERATOR = Topic("cmd/operator", m.OperatorRequest, Direction.IN, Priority.REAL_TIME)
+DRIVE = Topic("cmd/drive", m.DriveCommand, "in", "REAL_TIME", rate_hz=100.0)
+OPERATOR = Topic("cmd/operator", m.OperatorRequest, "in", "REAL_TIME")
 ODOM = Topic("odom", standard.Odometry, logged=False, rate_hz=50.0)
 POSE = Topic("pose", standard.PoseStamped, logged=False, rate_hz=50.0)
-EXTERNAL_POSE = Topic(
-    "in/pose", standard.PoseStamped, Direction.IN, Priority.REAL_TIME, rate_hz=200.0
-)
+EXTERNAL_POSE = Topic("in/pose", standard.PoseStamped, "in", "REAL_TIME", rate_hz=200.0)
 VESC_STATE = Topic("vesc_state", standard.VescStateStamped, logged=False, rate_hz=50.0)
-DIAGNOSTICS = Topic(
-    "diagnostics", standard.DiagnosticArray, priority=Priority.DATA_LOW, rate_hz=1.0
-)
-LOG = Topic("rosout", standard.Log, priority=Priority.DATA_LOW)
+DIAGNOSTICS = Topic("diagnostics", standard.DiagnosticArray, priority="DATA_LOW", rate_hz=1.0)
+LOG = Topic("rosout", standard.Log, priority="DATA_LOW")
 WHEEL = Topic("wheel", m.WheelSpeed, on_bus=False, rate_hz=100.0)
 THROTTLE = Topic("throttle", m.Throttle, on_bus=False, rate_hz=100.0)
-SET_PARAMETERS = Topic("cmd/parameters", m.ParameterRequest, Direction.IN, Priority.REAL_TIME)
-PARAMETERS = Topic("parameters", m.Parameters, priority=Priority.DATA_LOW, rate_hz=2.0)
-MODEL = Topic("model", m.Model, priority=Priority.DATA_LOW, rate_hz=1.0)
-DESIGN = Topic("design", m.Design, priority=Priority.DATA_LOW, rate_hz=1.0)
-STOP = Topic("cmd/stop", m.OperatorRequest, Direction.IN, Priority.REAL_TIME, logged=False)
-HEARTBEAT = Topic("heartbeat", m.Heartbeat, Direction.OUT, Priority.REAL_TIME, False, rate_hz=20.0)
-HEARTBEAT_BACK = Topic(
-    "cmd/heartbeat", m.Heartbeat, Direction.IN, Priority.REAL_TIME, False, rate_hz=20.0
-)
+SET_PARAMETERS = Topic("cmd/parameters", m.ParameterRequest, "in", "REAL_TIME")
+PARAMETERS = Topic("parameters", m.Parameters, priority="DATA_LOW", rate_hz=2.0)
+MODEL = Topic("model", m.Model, priority="DATA_LOW", rate_hz=1.0)
+DESIGN = Topic("design", m.Design, priority="DATA_LOW", rate_hz=1.0)
+STOP = Topic("cmd/stop", m.OperatorRequest, "in", "REAL_TIME", logged=False)
+HEARTBEAT = Topic("heartbeat", m.Heartbeat, "out", "REAL_TIME", False, rate_hz=20.0)
+HEARTBEAT_BACK = Topic("cmd/heartbeat", m.Heartbeat, "in", "REAL_TIME", False, rate_hz=20.0)
 
 ALIVE = "alive"  # name of a car's liveliness token
 LAST_MODEL = "param/model"  # key under which a car answers with its newest `model` message

@@ -29,7 +29,7 @@ from steerd.steer_bus.lab import (
     make_plain_access,
     make_tls_settings,
 )
-from steerd.steer_bus.topics import Priority, find_topic
+from steerd.steer_bus.topics import find_topic
 
 _ATTACHMENT = struct.Struct("<qqB16s")  # rmw_zenoh's: sequence, UNIX ns, 16, publisher id
 _GID_SIZE = 16
@@ -196,7 +196,7 @@ class ZenohBus:
         encoding = zenoh.Encoding.APPLICATION_CDR
         if topic is not None:
             encoding = encoding.with_schema(type_name(topic.message))
-        priority = getattr(zenoh.Priority, (topic.priority if topic else Priority.DATA).value)
+        priority = getattr(zenoh.Priority, topic.priority if topic else "DATA")
         handle = self._ask(
             lambda: self._session.declare_publisher(
                 key,

@@ -1,6 +1,5 @@
 """`steerd.load`: a recorded drive as tables and a figure."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +21,7 @@ from steerd.daemon.sessions.info import (
     seconds_since,
 )
 from steerd.steer_bus import session_read
-from steerd.steer_bus.fields import Nested, flat_leaves, message_fields
+from steerd.steer_bus.fields import flat_leaves, leaves_of
 from steerd.steer_bus.session_read import MESSAGE_TYPES
 from steerd.steer_bus.topic_columns import Columns
 from steerd.steer_bus.topics import split_key
@@ -143,7 +142,10 @@ class Session:
             SteerdError: pandas is not installed, or as `table`.
         """
         cls = self._find(topic)[1]
-        return make_frame(_flatten(self._columns(topic)), dict(_units(cls)) | _TIMES)
+        return make_frame(
+            _flatten(self._columns(topic)),
+            {leaf.name: leaf.unit for leaf in leaves_of(cls)} | _TIMES,
+        )
 
     def __getitem__(self, topic: str) -> "pandas.DataFrame":
         return self.to_pandas(topic)
@@ -210,15 +212,6 @@ class Metadata(dict[str, dict[str, str]]):
 
 _TIMES = {"t": "s", "log_ns": "ns", "publish_ns": "ns"}
 """Units of what every table has."""
-
-
-def _units(cls: type[Any], prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Unit by column of a message's table."""
-    for each in message_fields(cls):
-        if isinstance(each.kind, Nested):
-            yield from _units(each.kind.cls, f"{prefix}{each.name}.")
-        else:
-            yield f"{prefix}{each.name}", each.unit
 
 
 def load(path: Path | str) -> Session:

@@ -53,7 +53,7 @@ class RosBridge:
         sent: dict[str, type[Any]] = {
             topic.name: topic.message
             for topic in topics.TOPICS
-            if topic.on_bus and topic.direction is topics.Direction.OUT
+            if topic.on_bus and topic.direction == "out"
         }
         sent[DRIVE_NAME] = AckermannDriveStamped
         self._tokens: list[Token] = [bus.declare_alive(make_node_token(domain, bus.zid, node))]
@@ -86,7 +86,7 @@ class RosDrive:
 
     def __init__(self, bus: Bus, domain: int, boot_id: int) -> None:
         key = make_ros_key(domain, DRIVE_NAME, AckermannDriveStamped).rpartition("/")[0]
-        topic = topics.Topic(DRIVE_NAME, AckermannDriveStamped, topics.Direction.IN)
+        topic = topics.Topic(DRIVE_NAME, AckermannDriveStamped, "in")
         # ROS 2 Humble writes no hash of the type
         self._heard = bus.subscribe(f"{key}/*", _DEPTH, make_keep(topic))
         self._boot_id, self._seq = boot_id, 0
@@ -175,7 +175,7 @@ class Gateway:
             for each in (record, *self._views.convert(record)):
                 if each.topic is topics.MODEL:
                     self._model = each.data
-                if each.topic.direction is topics.Direction.OUT:
+                if each.topic.direction == "out":
                     with contextlib.suppress(BusError):
                         self._bus.publish(topics.make_key(self._car, each.topic), each.data)
                     if self._ros is not None:

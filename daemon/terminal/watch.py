@@ -70,7 +70,7 @@ class Watch:
     def take(self, sample: Sample, t_ns: int) -> str | None:
         """Take in a message; returns a line to print where nothing is rendered, or None."""
         topic = find_topic(sample.key)
-        if topic is None or topic.direction is topics.Direction.IN:
+        if topic is None or topic.direction == "in":
             return None
         self.heard_ns = t_ns
         self._times.setdefault(topic.name, deque(maxlen=_TIMES_KEPT)).append(t_ns)

@@ -63,7 +63,7 @@ def test_columns_hold_every_value(drive, topic_of, cls):
     messages = drive.messages[topic_of[cls]]
     assert len(columns["log_ns"]) == len(messages)
     for leaf in flat_leaves(cls)[3:]:
-        assert columns[leaf.path].tolist() == [getattr(m, leaf.path) for m in messages]
+        assert columns[leaf.name].tolist() == [getattr(m, leaf.name) for m in messages]
     stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages]
     assert columns["stamp_ns"].tolist() == stamps
 
