@@ -13,6 +13,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
 
@@ -49,10 +50,13 @@ class RowTable(tuple[Row, ...]):
         return f"<{len(self)} rows of {', '.join(self[0]) if self else 'nothing'}>"
 
 
+@dataclass(frozen=True, eq=False)
 class Found(ABC):
     """What was found on many drives; `print` shows the screen."""
 
-    rows: tuple[Row, ...]  # one drive each, values by column
+    rows: tuple[Row, ...] = field(repr=False)  # one drive each, values by column
+    worked: int  # drives that this start worked on; the others had been finished before
+    wall: float  # how long that took [s]
 
     @property
     @abstractmethod

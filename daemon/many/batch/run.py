@@ -2,8 +2,8 @@
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -14,7 +14,7 @@ from steerd.daemon.common.screen import clean, shown, wrap
 from steerd.daemon.many.batch import changes as steps
 from steerd.daemon.many.batch import unit
 from steerd.daemon.many.batch.changes import Change, Series
-from steerd.daemon.many.job import FAILED, Column, Found, Job, Rows, do_in_notebook
+from steerd.daemon.many.job import FAILED, Column, Found, Job, do_in_notebook
 from steerd.daemon.many.units import Done, Where
 from steerd.sysid.report.report import format_table
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from steerd.sysid.report.report import Report
 
 DONE = "done"
+_FAILURES, _CHANGES = 5, 12  # lines of each that are shown
 _HEAD = (
     Column("session", "text", "", "file"),
     Column("car", "text", "", "name"),
@@ -41,9 +42,6 @@ class Batch(Found):
     """What a batch found; `print(batch)` is the screen of `steerd batch`."""
 
     kind: unit.Kind  # what was asked
-    rows: tuple[Row, ...] = field(repr=False)  # one drive each, values by column
-    worked: int = 0  # drives that this start worked on; the others had been finished before
-    wall: float = 0.0  # how long that took [s]
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -80,7 +78,25 @@ class Batch(Found):
         return make_report(self.kind, self.rows, self.series, self.changes)
 
     def __str__(self) -> str:
-        return describe_batch(self.rows, self.worked, len(self.series), self.changes)
+        rows = self.rows
+        failed = [row for row in rows if row["outcome"] != DONE]
+        cars = Counter(str(row["car"]) for row in rows if row.get("car") is not None)
+        days = sorted({row["day"] for row in rows if row.get("day")})
+        between = f", {' to '.join(sorted({days[0], days[-1]}))}" if days else ""
+        lines = wrap(
+            f"sessions   {len(rows)} of {len(cars)} car{'' if len(cars) == 1 else 's'}{between}; "
+            f"{self.worked} worked on now",
+            "", " " * 11,
+        )  # fmt: skip
+        verdicts = Counter(clean(str(r["verdict"]), 40) for r in rows if r.get("verdict"))
+        reported = ", ".join(f"{count} {text}" for text, count in verdicts.most_common(6))
+        lines += wrap(reported, "verdicts   ", " " * 11)
+        if failed:
+            lines.append(f"failed     {len(failed)}")
+        for row in failed[:_FAILURES]:
+            text = _failure(str(row["session"]), str(row["failure"]))
+            lines += wrap(text, " " * 11, " " * 13)
+        return "\n".join([*lines, "", *_changes(self.changes, len(self.series))])
 
 
 @speaking_of_arguments
@@ -120,7 +136,7 @@ def batch(
 
 def make_job(paths: Sequence[Path], question: unit.Question) -> Job[Batch]:
     """What is asked of sessions as work for `do_job`."""
-    tasks = unit.make_tasks(paths, question)
+    tasks = unit.make_tasks(paths)
 
     def make_row(done: Done) -> Row:
         row = {"session": str(tasks[done.unit].path), "tries": done.tries}
@@ -128,35 +144,9 @@ def make_job(paths: Sequence[Path], question: unit.Question) -> Job[Batch]:
         start = (done.row or {}).get("start")
         return row | (done.row or {}) | ({} if start is None else {"day": unit.day_of(start)})
 
-    def make(rows: tuple[Row, ...], worked: int, wall: float) -> Batch:
-        return Batch(question.kind, rows, worked, wall)
-
-    kind, basis = question.kind, question.digest()
-    return Job(kind, unit.run_unit, tasks, basis, make_row, make, unit.read_content, grows=True)
-
-
-_FAILURES, _CHANGES = 5, 12  # lines of each that are shown
-
-
-def describe_batch(rows: Rows, worked: int, series: int, changes: Sequence[Change]) -> str:
-    """The screen: how many (of them `worked` now), what failed, what changed in the series."""
-    failed = [row for row in rows if row["outcome"] != "done"]
-    cars = Counter(str(row["car"]) for row in rows if row.get("car") is not None)
-    days = sorted({row["day"] for row in rows if row.get("day")})
-    between = f", {' to '.join(sorted({days[0], days[-1]}))}" if days else ""
-    lines = wrap(
-        f"sessions   {len(rows)} of {len(cars)} car{'' if len(cars) == 1 else 's'}{between}; "
-        f"{worked} worked on now",
-        "", " " * 11,
-    )  # fmt: skip
-    verdicts = Counter(clean(str(r["verdict"]), 40) for r in rows if r.get("verdict"))
-    reported = ", ".join(f"{count} {text}" for text, count in verdicts.most_common(6))
-    lines += wrap(reported, "verdicts   ", " " * 11)
-    if failed:
-        lines.append(f"failed     {len(failed)}")
-    for row in failed[:_FAILURES]:
-        lines += wrap(_failure(str(row["session"]), str(row["failure"])), " " * 11, " " * 13)
-    return "\n".join([*lines, "", *_changes(changes, series)])
+    work, make = partial(unit.run_unit, question), partial(Batch, kind=question.kind)
+    basis, ship = question.digest(), unit.read_content
+    return Job(question.kind, work, tasks, basis, make_row, make, ship, grows=True)
 
 
 def _failure(session: str, why: str) -> str:

@@ -49,7 +49,6 @@ class UnitTask:
 
     path: Path  # the file
     changed_ns: int  # when it was last written [UNIX ns]
-    question: Question  # what is asked
     # Of the file, for workers that do not see it; None for those that do
     content: bytes | None = None
 
@@ -105,42 +104,42 @@ def read_cars(named: Path | None) -> dict[str, CarFile]:
     return {file.stem: load_car_file(file) for file in files}
 
 
-def make_tasks(paths: Sequence[Path], question: Question) -> dict[str, UnitTask]:
+def make_tasks(paths: Sequence[Path]) -> dict[str, UnitTask]:
     """Tasks by name: a file that was written since is another unit."""
     tasks = {}
     for path in paths:
         about = path.stat()
         unit = f"{path} {about.st_size} {about.st_mtime_ns}"
-        tasks[unit] = UnitTask(path, about.st_mtime_ns, question)
+        tasks[unit] = UnitTask(path, about.st_mtime_ns)
     return tasks
 
 
 # -- in a worker ---------------------------------------------------------------------------------
 
 
-def run_unit(task: UnitTask) -> dict[str, Any]:
+def run_unit(question: Question, task: UnitTask) -> dict[str, Any]:
     """The row of one session.
 
     Raises:
         SteerdError: the session cannot be used for what is asked.
     """
     if task.content is None:
-        return _answer(task.path, task)
+        return _answer(task.path, question, task.changed_ns)
     with tempfile.TemporaryDirectory(prefix="steerd-") as folder:
         path = Path(folder) / task.path.name
         path.write_bytes(task.content)
         try:
-            return _answer(path, task)
+            return _answer(path, question, task.changed_ns)
         except SteerdError as error:  # its reader knows the copy alone
             what = error.what.replace(str(path), str(task.path))
             raise SteerdError(what, error.hint, error.code) from None
 
 
-def _answer(path: Path, task: UnitTask) -> dict[str, Any]:
+def _answer(path: Path, question: Question, changed_ns: int) -> dict[str, Any]:
     info = load_session(path).info()
     car = clean(info.metadata.get("steerd.session", {}).get("car", ""), _CAR_MAX)
-    row = {"car": car, "start": find_start(info, task.changed_ns) * 1e-9}
-    return row | _ANSWERS[task.question.kind](path, car, task.question)
+    row = {"car": car, "start": find_start(info, changed_ns) * 1e-9}
+    return row | _ANSWERS[question.kind](path, car, question)
 
 
 def find_start(info: SessionInfo, changed_ns: int) -> int:

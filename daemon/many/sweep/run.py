@@ -1,7 +1,7 @@
 """`steerd.sweep`: many drives of the closed loop in virtual time, as a table and a page."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
@@ -28,9 +28,6 @@ class Sweep(Found):
     """What a sweep found; `print(sweep)` is the screen of `steerd sweep`."""
 
     plan: SweepPlan  # what was driven
-    rows: tuple[Row, ...] = field(repr=False)  # one drive each, values by column
-    worked: int = 0  # drives that this start worked on; the others had been finished before
-    wall: float = 0.0  # how long that took [s]
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -115,10 +112,8 @@ def make_job(plan: SweepPlan) -> Job[Sweep]:
         case = cases[done.unit]
         return {"drive": case.number, "seed": case.seed, **case.values, **(done.row or failed)}
 
-    def make(rows: tuple[Row, ...], worked: int, wall: float) -> Sweep:
-        return Sweep(plan, rows, worked, wall)
-
-    return Job("driving", partial(run_case, plan), cases, plan.digest(), make_row, make)
+    work, make = partial(run_case, plan), partial(Sweep, plan=plan)
+    return Job("driving", work, cases, plan.digest(), make_row, make)
 
 
 def find_case(plan: SweepPlan, number: int) -> DriveCase:

@@ -33,7 +33,7 @@ def test_a_step_is_found_on_its_day():
 def test_a_change_within_a_day_has_a_page_and_a_line():
     row = {"session": "s", "car": "a", "outcome": "done"}
     rows = [row | {"start": BEGIN + i, "x": float(i > 5)} for i in range(12)]
-    found = Batch("identify", RowTable(rows))
+    found = Batch(RowTable(rows), 12, 0.0, "identify")
     assert [card.figure for card in found.cards] == ["12", "x"]
     assert "x" in found.render_report()
     assert repr(found.rows) == "<12 rows of session, car, outcome, start, x>"

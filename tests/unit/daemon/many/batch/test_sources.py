@@ -61,12 +61,12 @@ def test_a_folder_without_a_car_file_is_refused(tmp_path):
 
 
 def test_a_file_that_was_written_since_is_another_unit(folder):
-    question, path = unit.Question("summarise", {}), folder / "three.mcap"
-    (before,) = unit.make_tasks([path], question)
+    path = folder / "three.mcap"
+    (before,) = unit.make_tasks([path])
     os.utime(path, ns=(0, 5))
-    (after,) = unit.make_tasks([path], question)
+    (after,) = unit.make_tasks([path])
     assert before != after
-    assert unit.make_tasks([path], question)[after].changed_ns == 5
+    assert unit.make_tasks([path])[after].changed_ns == 5
 
 
 def test_rows_depend_on_the_question_and_the_cars():
@@ -82,7 +82,6 @@ def test_rows_depend_on_the_question_and_the_cars():
 
 
 def test_what_is_shipped_is_read_when_it_leaves(folder):
-    question = unit.Question("summarise", {})
     path, gone = folder / "three.mcap", Path("gone.mcap")
-    assert unit.read_content(unit.UnitTask(path, 1, question)).content == path.read_bytes()
-    assert unit.read_content(unit.UnitTask(gone, 1, question)).content is None
+    assert unit.read_content(unit.UnitTask(path, 1)).content == path.read_bytes()
+    assert unit.read_content(unit.UnitTask(gone, 1)).content is None
