@@ -1,7 +1,9 @@
 """The contents of the plot page: panels of curves, track and lane of a session."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
+from itertools import chain
 from math import degrees
 
 import numpy as np
@@ -89,7 +91,7 @@ def make_drawing(read: Recording) -> Drawing:
     """
     with reading(read.info.path):
         track = read.track
-        found = [panel for make in _PANELS for panel in make(read)]
+        found = [*_list_panels(read)]
         panels = tuple(panel for panel in found if panel.curves)
         e1 = np.empty(0)
         if track is not None:
@@ -146,11 +148,29 @@ def _figures(s: Recording) -> tuple[tuple[str, str], ...]:
 # -- the panels ----------------------------------------------------------------------------------
 
 
-def _errors(s: Recording) -> Iterator[Panel]:
-    e1 = make_field_curve(s, topics.STATE, "e1", "e1", "estimate", 1e3)
-    yield Panel("lateral error e1", "mm", tuple(e1))
-    e2 = make_field_curve(s, topics.STATE, "e2", "e2", "estimate", degrees(1.0))
-    yield Panel("heading error e2", "°", tuple(e2))
+def _list_panels(s: Recording) -> Iterator[Panel]:
+    """Every panel, those without data too; the lateral error comes first."""
+    scale, line = degrees(1.0), partial(make_field_curve, s)
+    state = partial(line, topics.STATE)
+    yield _panel("lateral error e1", "mm", state("e1", "e1", "estimate", 1e3))
+    yield _panel("heading error e2", "°", state("e2", "e2", "estimate", scale))
+    yield _panel("speed", "m/s", _command(s, "speed"), _wheels(s), _estimate(s, "speed"))
+    estimate = state("steer", "estimate", "estimate", scale)
+    yield _panel("steering angle (left +)", "°", _command(s, "steer", scale), estimate)
+    gyro = line(topics.IMU, "gyro_z", "gyro", "measured", scale)
+    yield _panel("yaw rate", "°/s", gyro, _estimate(s, "yaw_rate", scale))
+    yield _panel("pose innovation (NIS)", "", _innovation(s))
+    yield _panel("mocap minus estimate", "mm", _pose_residual(s))
+    yield _panel("control tick", "ms", _timing(s))
+    yield _panel("latency", "ms", _latency(s))
+    brake = line(topics.ACTUATION, "brake_current_a", "brake commanded", "command")
+    motor = line(topics.VESC, "current_motor", "motor", "measured")
+    yield _panel("current", "A", brake, motor)
+    yield from _learnt(s)
+
+
+def _panel(title: str, unit: str, *curves: Iterable[Curve]) -> Panel:
+    return Panel(title, unit, tuple(chain(*curves)))
 
 
 def _command(s: Recording, field: str, scale: float = 1.0) -> Iterator[Curve]:
@@ -171,34 +191,22 @@ def _estimate(s: Recording, field: str, scale: float = 1.0) -> Iterator[Curve]:
     yield from curves
 
 
-def _speed(s: Recording) -> Iterator[Panel]:
-    curves = [*_command(s, "speed")]
+def _wheels(s: Recording) -> Iterator[Curve]:
     table = s.table(topics.VESC)
     if table is not None:
         gain, offset = read_erpm(s.session)
         speed = (table["erpm"].astype(float) - offset) / gain
-        curves += make_curve("wheels", "measured", s.times(table), speed)
-    curves += make_field_curve(s, topics.WHEEL, "speed", "wheels", "measured")
-    yield Panel("speed", "m/s", (*curves, *_estimate(s, "speed")))
+        yield from make_curve("wheels", "measured", s.times(table), speed)
+    yield from make_field_curve(s, topics.WHEEL, "speed", "wheels", "measured")
 
 
-def _turning(s: Recording) -> Iterator[Panel]:
-    scale = degrees(1.0)
-    estimate = make_field_curve(s, topics.STATE, "steer", "estimate", "estimate", scale)
-    yield Panel("steering angle (left +)", "°", (*_command(s, "steer", scale), *estimate))
-    gyro = make_field_curve(s, topics.IMU, "gyro_z", "gyro", "measured", scale)
-    yield Panel("yaw rate", "°/s", (*gyro, *_estimate(s, "yaw_rate", scale)))
+def _innovation(s: Recording) -> Iterator[Curve]:
+    for curve in make_field_curve(s, topics.STATE, "nis_pose", "NIS", "estimate"):
+        yield curve
+        yield Curve("95 % (3 d.o.f.)", "bound", curve.t[[0, -1]], np.full(2, NIS_95))
 
 
-def _innovation(s: Recording) -> Iterator[Panel]:
-    curves = tuple(make_field_curve(s, topics.STATE, "nis_pose", "NIS", "estimate"))
-    if curves:
-        t = curves[0].t[[0, -1]]
-        curves += (Curve("95 % (3 d.o.f.)", "bound", t, np.full(2, NIS_95)),)
-    yield Panel("pose innovation (NIS)", "", curves)
-
-
-def _pose_residual(s: Recording) -> Iterator[Panel]:
+def _pose_residual(s: Recording) -> Iterator[Curve]:
     """Mocap minus estimate at the same instant, along and across the car."""
     state, track = s.table(topics.STATE), s.track
     if state is None or track is None or not np.isfinite(state["x"]).any():
@@ -208,20 +216,15 @@ def _pose_residual(s: Recording) -> Iterator[Panel]:
     dx = track.x - np.interp(track.t, at, x, np.nan, np.nan)
     dy = track.y - np.interp(track.t, at, y, np.nan, np.nan)
     c, n = np.cos(track.yaw), np.sin(track.yaw)
-    along, across = 1e3 * (dx * c + dy * n), 1e3 * (dy * c - dx * n)
-    curves = (
-        *make_curve("along", "measured", track.t, along),
-        *make_curve("across", "estimate", track.t, across),
-    )
-    yield Panel("mocap minus estimate", "mm", curves)
+    yield from make_curve("along", "measured", track.t, 1e3 * (dx * c + dy * n))
+    yield from make_curve("across", "estimate", track.t, 1e3 * (dy * c - dx * n))
 
 
-def _timing(s: Recording) -> Iterator[Panel]:
+def _timing(s: Recording) -> Iterator[Curve]:
     table = s.table(topics.TICK)
     if table is not None:
-        t, work = s.times(table), table["work_ns"].astype(float) * 1e-6
-        late = make_curve("late", "command", t, _late_ms(table))
-        yield Panel("control tick", "ms", (*late, *make_curve("work", "estimate", t, work)))
+        yield from make_curve("late", "command", s.times(table), _late_ms(table))
+        yield from make_field_curve(s, topics.TICK, "work_ns", "work", "estimate", 1e-6)
 
 
 def _late_ms(ticks: Mapping[str, Array]) -> Array:
@@ -230,7 +233,8 @@ def _late_ms(ticks: Mapping[str, Array]) -> Array:
     return np.maximum(past, 0).astype(np.float64) * 1e-6
 
 
-def _latency(s: Recording) -> Iterator[Panel]:
+def _latency(s: Recording) -> Iterator[Curve]:
+    """Delays of poses and replies; none where both are nil, as in virtual time."""
     curves: list[Curve] = []
     for topic, since, until, name, role in (
         (topics.MOCAP, "t_valid_ns", "t_arrival_ns", "pose, from exposure", "estimate"),
@@ -240,14 +244,7 @@ def _latency(s: Recording) -> Iterator[Panel]:
         if table is not None:
             delay = (table[until] - table[since]).astype(float) * 1e-6
             curves += make_curve(name, role, s.times(table), delay)
-    yield Panel("latency", "ms", tuple(curves) if any(np.any(c.value) for c in curves) else ())
-
-
-def _current(s: Recording) -> Iterator[Panel]:
-    name = "brake commanded"
-    brake = make_field_curve(s, topics.ACTUATION, "brake_current_a", name, "command")
-    motor = make_field_curve(s, topics.VESC, "current_motor", "motor", "measured")
-    yield Panel("current", "A", (*brake, *motor))
+    yield from curves if any(np.any(c.value) for c in curves) else ()
 
 
 # -- what the learner reported -------------------------------------------------------------------
@@ -303,8 +300,3 @@ def _moments(table: Columns, t: Array, curves: list[Curve]) -> list[Curve]:
         ends = np.array([at, at + 1e-3])
         lines.append(Curve(f"change: {name}", "command", ends, np.array([low, high])))
     return lines
-
-
-_PANELS = (
-    _errors, _speed, _turning, _innovation, _pose_residual, _timing, _latency, _current, _learnt,
-)  # fmt: skip
