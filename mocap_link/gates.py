@@ -12,7 +12,7 @@ from math import hypot, isfinite, isnan, nan, pi, radians
 
 from steerd.mocap_link.frame import wrap_angle
 from steerd.mocap_link.source import Pose
-from steerd.steer_bus.quick_values import changed, quick_init
+from steerd.steer_bus.quick_values import changed, quick_value
 
 REASONS: dict[str, str] = {
     "not_live": "the server replays a recording (edit mode)",
@@ -52,8 +52,7 @@ class GateConfig:
     reacquire_count: int = 15  # mutually consistent poses that make a new place credible
 
 
-@quick_init
-@dataclass(frozen=True, slots=True)
+@quick_value
 class GateState:
     """What the gates remember."""
 

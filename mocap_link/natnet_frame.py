@@ -5,11 +5,10 @@ of stamps. Markers, skeletons, assets, force plates and devices are passed over:
 size that each section carries, before by walking its items. Written frames have none of them.
 """
 
-from dataclasses import dataclass
 from struct import Struct
 
 from steerd.mocap_link.natnet_wire import SECTION, Layout, NatNetError, Reader, Version
-from steerd.steer_bus.quick_values import quick_init
+from steerd.steer_bus.quick_values import quick_value
 
 TRACKING_VALID = 1
 RECORDING, MODEL_CHANGED, EDIT_MODE, BITSTREAM_CHANGED = 1, 2, 4, 8
@@ -34,8 +33,7 @@ _TAIL_SIZED = Struct("<40xIId3QIIhi")
 """And behind them: empty sections (before 3.0 a latency of 0 as the last), stamps and suffix."""
 
 
-@quick_init
-@dataclass(frozen=True, slots=True)
+@quick_value
 class RigidBody:
     """One body of a frame; `position` in the server's units, `quaternion` as (x, y, z, w)."""
 
@@ -51,8 +49,7 @@ class RigidBody:
         return bool(self.params & TRACKING_VALID)
 
 
-@quick_init
-@dataclass(frozen=True, slots=True)
+@quick_value
 class Frame:
     """One frame of motion capture data; tick fields count the server's clock.
 

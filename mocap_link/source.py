@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from math import nan
 
-from steerd.steer_bus.quick_values import quick_init, quick_value
+from steerd.steer_bus.quick_values import quick_value
 
 
 class ClockKind(StrEnum):
@@ -70,8 +70,7 @@ RECOVER_FRAMES = 10
 """Good frames in a row before OK, at the start and after LOST."""
 
 
-@quick_init
-@dataclass(frozen=True, slots=True)
+@quick_value
 class MonitorState:
     """Where the machine is, the last good frame's arrival, and good frames in a row."""
 

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any, TypeVar, cast, dataclass_transform
 
-from steerd.steer_bus.quick_values import quick_init
+from steerd.steer_bus.quick_values import quick_value
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,9 +100,8 @@ def message(ros_type: str) -> Callable[[type[C]], type[C]]:
     """Make a class a frozen, slotted message of the ROS type ``pkg/msg/Name``; no defaults."""
 
     def decorate(cls: type[C]) -> type[C]:
-        made = dataclass(frozen=True, slots=True)(cls)
-        made.__ros_type__ = ros_type  # type: ignore[attr-defined]
-        return quick_init(made)
+        cls.__ros_type__ = ros_type  # type: ignore[attr-defined]
+        return quick_value(cls)
 
     return decorate
 

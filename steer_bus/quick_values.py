@@ -20,40 +20,32 @@ _MADE_ANEW = ("__init__", "__slots__", "__getstate__", "__setstate__", "__annota
               "__weakref__", "__dict__")  # fmt: skip
 
 
-@dataclass_transform(frozen_default=True)
-def quick_value(cls: C) -> C:
-    """Class decorator: a frozen dataclass with slots that is made quickly.
-
-    Raises:
-        TypeError: as `quick_init` does.
-    """
-    return cast("C", quick_init(dataclass(frozen=True, slots=True)(cls)))
-
-
 def changed(value: V, **fields: Any) -> V:
     """A quick value with other values in some fields: `dataclasses.replace` in less time."""
     return replace(value, **fields)  # type: ignore[type-var]
 
 
-def quick_init(cls: C) -> C:
-    """A frozen dataclass with slots, made in less time from the same arguments.
+@dataclass_transform(frozen_default=True)
+def quick_value(cls: C) -> C:
+    """Class decorator: a frozen dataclass with slots, made in less time from the same arguments.
 
     It is a dataclass for whoever asks `dataclasses`, with the same methods, hash and text.
 
     Raises:
-        TypeError: it has no slots, a base, a ``__post_init__``, or a field that a plain argument
-            cannot stand for (a factory's, keyword-only, not of ``__init__``).
+        TypeError: it has a base, a ``__post_init__``, or a field that a plain argument cannot stand
+            for (a factory's, keyword-only, not of ``__init__``).
     """
-    own = fields(cls)
-    if hasattr(cls, "__post_init__") or "__slots__" not in vars(cls) or cls.__bases__ != (object,):
-        raise TypeError(f"{cls.__name__} needs slots, and neither base nor __post_init__")
+    plain: Any = dataclass(frozen=True, slots=True)(cls)
+    own = fields(plain)
+    if hasattr(cls, "__post_init__") or cls.__bases__ != (object,):
+        raise TypeError(f"{cls.__name__} has a base or a __post_init__")
     if any(f.default_factory is not MISSING or f.kw_only or not f.init for f in own):
         raise TypeError(f"{cls.__name__} has a field that is no plain argument")
     names = {f.name for f in own}
-    kept = {k: v for k, v in vars(cls).items() if k not in names and k not in _MADE_ANEW}
+    kept = {k: v for k, v in vars(plain).items() if k not in names and k not in _MADE_ANEW}
     typed = [(f.name, f.type) if f.default is MISSING else (f.name, f.type, f.default) for f in own]
     kept["__qualname__"] = cls.__qualname__
-    made: Any = defstruct(cls.__name__, typed, namespace=kept, frozen=True, eq="__eq__" in kept)
+    made: Any = defstruct(cls.__name__, typed, namespace=kept, frozen=True)
     made.__setattr__ = made.__delattr__ = _refuse  # the library's own error is a wider one
     return cast("C", made)
 

@@ -6,7 +6,7 @@ terminal. Source: `docs/reference/vesc-serial.md#v2`.
 
 from dataclasses import dataclass
 
-from steerd.steer_bus.quick_values import quick_init
+from steerd.steer_bus.quick_values import quick_value
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,16 +40,14 @@ class SetCurrentBrake:
     current: float
 
 
-@quick_init
-@dataclass(frozen=True, slots=True)
+@quick_value
 class SetErpm:
     """Speed in electrical revolutions per minute, signed."""
 
     erpm: float
 
 
-@quick_init
-@dataclass(frozen=True, slots=True)
+@quick_value
 class SetServoPos:
     """Servo position, 0 to 1 for 1000 to 2000 µs; does not feed the motor timeout."""
 

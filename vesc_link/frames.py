@@ -13,9 +13,8 @@ import heapq
 import re
 from bisect import bisect_right
 from collections import deque
-from dataclasses import dataclass
 
-from steerd.steer_bus.quick_values import quick_init
+from steerd.steer_bus.quick_values import quick_value
 
 MAX_PAYLOAD = 512
 """Largest payload since firmware 3.48 [bytes]."""
@@ -46,8 +45,7 @@ def encode_frame(payload: bytes) -> bytes:
     return bytes(head) + payload + bytes((crc >> 8, crc & 0xFF, _STOP))
 
 
-@quick_init
-@dataclass(frozen=True, slots=True)
+@quick_value
 class Frame:
     """A checked payload and when its first byte was read [ns, monotonic]."""
 

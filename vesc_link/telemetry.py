@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from operator import truediv
 
-from steerd.steer_bus.quick_values import quick_init
+from steerd.steer_bus.quick_values import quick_value
 from steerd.vesc_link.ids import FW_3_00, FW_5_03, FW_6_05, CommandId, Firmware
 from steerd.vesc_link.wire import Field, pack_device, reader, unpack_fields
 
@@ -23,8 +23,7 @@ UPTIME_MASK = 0x00200000
 IMU_ACCEL_GYRO_MASK = 0x01F8
 
 
-@quick_init
-@dataclass(frozen=True, slots=True)
+@quick_value
 class Values:
     """GET_VALUES or GET_VALUES_SELECTIVE reply [A, V, °C, Ah, Wh].
 
@@ -117,8 +116,7 @@ class Uptime:
     mask: int = UPTIME_MASK
 
 
-@quick_init
-@dataclass(frozen=True, slots=True)
+@quick_value
 class Imu:
     """GET_IMU_DATA reply in SI units: rad, m/s², rad/s; the magnetometer as the board scales it.
 

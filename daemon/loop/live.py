@@ -7,13 +7,13 @@ They change the lane keeper's wish and nothing after it: limits, gate and watchd
 # Why: docs/decisions/safety.md#d74
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import isnan
 
 from steerd.controller.lane_controller import ControlReport
 from steerd.controller.live import AS_DESIGNED, LiveBounds, LiveValues, approach
 from steerd.steer_bus.messages import BODY, ParameterRequest, Parameters, make_header
-from steerd.steer_bus.quick_values import quick_init
+from steerd.steer_bus.quick_values import quick_value
 
 STEP_MAX_S = 0.1
 """Longest time that one tick's approach is granted for [s]: a pause is no leap."""
@@ -25,8 +25,7 @@ _WHY = {
 }
 
 
-@quick_init
-@dataclass(frozen=True, slots=True)
+@quick_value
 class Live:
     """Live parameters of a run."""
 

@@ -1,7 +1,6 @@
 """From the supervisor's action and the controller's wish to the wire, through the limiter."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from math import isfinite
 from operator import attrgetter
 
@@ -14,7 +13,7 @@ from steerd.daemon.loop.transitions import MotorOutput, SteeringOutput, Supervis
 from steerd.daemon.settings.config import BrakeSettings, Settings
 from steerd.estimator.state_filter import StateEstimate
 from steerd.steer_bus.messages import ActuationMode
-from steerd.steer_bus.quick_values import quick_init, quick_value
+from steerd.steer_bus.quick_values import quick_value
 from steerd.vesc_link.scaling import as_sent
 from steerd.vesc_link.vesc import Drive
 
@@ -32,8 +31,7 @@ _UNBRAKED = {
 """Ways to stop without a brake current; all that is not listed is silent."""
 
 
-@quick_init
-@dataclass(frozen=True, slots=True)
+@quick_value
 class Order:
     """What leaves in this tick."""
 

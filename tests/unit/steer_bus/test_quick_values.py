@@ -7,7 +7,7 @@ from dataclasses import FrozenInstanceError, dataclass, field, fields, replace
 
 import pytest
 
-from steerd.steer_bus.quick_values import changed, quick_init, quick_value
+from steerd.steer_bus.quick_values import changed, quick_value
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,8 +17,7 @@ class Plain:
     text: str | None = None
 
 
-@quick_init
-@dataclass(frozen=True, slots=True)
+@quick_value
 class Quick:
     x: float
     y: int = 3
@@ -45,25 +44,25 @@ def test_the_same_arguments_are_refused():
         Quick(1.0, z=2)
 
 
-def test_what_it_cannot_stand_for_is_refused():
-    @dataclass(frozen=True)
-    class Open:
-        x: float
+class Checked:
+    x: float
 
-    @dataclass(frozen=True, slots=True)
-    class Checked:
-        x: float
+    def __post_init__(self):
+        raise AssertionError
 
-        def __post_init__(self):
-            raise AssertionError
 
-    @dataclass(frozen=True, slots=True)
-    class Made:
-        x: list[float] = field(default_factory=list)
+class Made:
+    x: list[float] = field(default_factory=list)
 
-    for cls in (Open, Checked, Made):
-        with pytest.raises(TypeError):
-            quick_init(cls)
+
+class More(Plain):
+    z: float = 0.0
+
+
+@pytest.mark.parametrize("cls", [Checked, Made, More])
+def test_what_it_cannot_stand_for_is_refused(cls):
+    with pytest.raises(TypeError):
+        quick_value(cls)
 
 
 @quick_value
