@@ -106,28 +106,26 @@ def _read_columns(leaves: tuple[Field, ...], records: list[bytes]) -> Columns | 
 
 def _layout(leaves: tuple[Field, ...], first: bytes) -> tuple[np.dtype[Any], dict[str, int]] | None:
     """Give the layout of records like ``first`` and the length each text in it must have."""
-    names = ["sequence", "log_ns", "publish_ns", _CDR_HEADER]
-    formats: list[Any] = ["<u4", "<i8", "<i8", "<u2"]
-    offsets, texts, pos = [0, 4, 12, _PREFIX], {}, 0
+    columns: list[tuple[str, Any, int]] = [
+        ("sequence", "<u4", 0), ("log_ns", "<i8", 4), ("publish_ns", "<i8", 12),
+        (_CDR_HEADER, "<u2", _PREFIX),
+    ]  # fmt: skip
+    at, texts = _CDR, {}
     for leaf in leaves:
         if isinstance(kind := leaf.kind, Scalar):
-            pos += -pos % kind.size
-            names.append(leaf.name)
-            offsets.append(_CDR + pos)
-            formats.append((f"<{kind.code}", (kind.count,)) if kind.count else f"<{kind.code}")
-            pos += kind.size * (kind.count or 1)
+            at += (_CDR - at) % kind.size
+            form = f"<{kind.code}"
+            columns.append((leaf.name, (form, (kind.count,)) if kind.count else form, at))
+            at += kind.size * (kind.count or 1)
         else:
-            pos += -pos % 4
-            names.append(f"{leaf.name}#")
-            offsets.append(_CDR + pos)
-            formats.append("<u4")
-            at = _CDR + pos
-            texts[names[-1]] = length = int.from_bytes(first[at : at + 4], "little")
-            pos += 4 + length
-        if _CDR + pos > len(first):
+            at += (_CDR - at) % 4
+            columns.append((f"{leaf.name}#", "<u4", at))
+            texts[f"{leaf.name}#"] = length = int.from_bytes(first[at : at + 4], "little")
+            at += 4 + length
+        if at > len(first):
             return None
-    layout = {"names": names, "formats": formats, "offsets": offsets, "itemsize": _CDR + pos}
-    return np.dtype(layout), texts  # type: ignore[call-overload]
+    layout = dict(zip(("names", "formats", "offsets"), zip(*columns, strict=True), strict=True))
+    return np.dtype(layout | {"itemsize": at}), texts  # type: ignore[call-overload]
 
 
 def _tail_columns(leaves: tuple[Field, ...], records: list[bytes], start: int) -> Columns | None:

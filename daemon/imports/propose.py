@@ -16,7 +16,7 @@ import tomlkit
 from numpy.typing import NDArray
 
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.imports.csv_table import CsvTable, open_table
+from steerd.daemon.imports.csv_log import CsvTable, open_table
 from steerd.daemon.imports.import_map import ROLES, STREAM_COLUMNS
 
 Proposal = dict[str, dict[str, Any]]  # sections of a map

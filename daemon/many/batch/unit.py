@@ -18,7 +18,6 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import clean
 from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.sessions.info import load_session
-from steerd.steer_bus.container import SessionInfo
 
 _EARLIEST_NS = 946_684_800_000_000_000
 """The year 2000 [UNIX ns]: a log whose clock began at zero has no date of its own."""
@@ -137,18 +136,11 @@ def run_unit(question: Question, task: UnitTask) -> dict[str, Any]:
 
 def _answer(path: Path, question: Question, changed_ns: int) -> dict[str, Any]:
     info = load_session(path).info()
+    # Drives in virtual time all begin on one date, and logs whose clock began at zero have none.
+    dated = info.start_ns >= _EARLIEST_NS and not is_virtual(info)
     car = clean(info.metadata.get("steerd.session", {}).get("car", ""), _CAR_MAX)
-    row = {"car": car, "start": find_start(info, changed_ns) * 1e-9}
+    row = {"car": car, "start": (info.start_ns if dated else changed_ns) * 1e-9}
     return row | _ANSWERS[question.kind](path, car, question)
-
-
-def find_start(info: SessionInfo, changed_ns: int) -> int:
-    """When a drive was driven [UNIX ns]: its own date, else that of the file's last change.
-
-    Drives in virtual time all begin on one date, and logs whose clock began at zero have none.
-    """
-    virtual = is_virtual(info)
-    return changed_ns if virtual or info.start_ns < _EARLIEST_NS else info.start_ns
 
 
 def day_of(start: float) -> str:

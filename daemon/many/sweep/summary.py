@@ -4,7 +4,6 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import sqrt
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,20 +145,15 @@ def _sensitivities(plan: SweepPlan, rows: Rows) -> list[Sensitivity]:
                 outer = (seen[known & (given <= low)], seen[known & (given >= high)])
                 means, groups = (float(outer[0].mean()), float(outer[1].mean())), 2
             elif texts is not None and len(set(texts[known])) > 1:
-                value, groups = _correlation_ratio(texts[known], seen[known])
-                each = [float(seen[known & (texts == text)].mean()) for text in set(texts[known])]
-                means = min(each), max(each)
+                each = [seen[known & (texts == text)] for text in sorted(set(texts[known]))]
+                value = sqrt(stats.kruskal(*each).statistic / (known.sum() - 1))
+                sizes = [float(group.mean()) for group in each]
+                means, groups = (min(sizes), max(sizes)), len(each)
             else:
                 continue
             least = _Z * sqrt((groups - 1) / (known.sum() - 1))
             found.append(Sensitivity(quantity.name, name, value, min(least, 1.0), *means))
     return found
-
-
-def _correlation_ratio(texts: NDArray[Any], seen: Array) -> tuple[float, int]:
-    """Share of the ranks' standard deviation that lies between groups, and how many there are."""
-    groups = [seen[texts == name] for name in sorted(set(texts))]
-    return sqrt(stats.kruskal(*groups).statistic / (len(seen) - 1)), len(groups)
 
 
 MEASURES = (

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.imports.csv_log import import_csv
-from steerd.daemon.imports.csv_table import LINE_MAX
+from steerd.daemon.imports.csv_log import LINE_MAX, import_csv
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.session_read import open_session
 
