@@ -13,8 +13,8 @@ from steerd.daemon.settings.config import FRAME_ANGLES
 from steerd.mocap_link.frame import FrameConfig
 from steerd.mocap_link.gates import REASONS
 from steerd.mocap_link.source import ClockKind
-from steerd.steer_bus.fields import Nested, Scalar, message_fields
-from steerd.steer_bus.topics import TOPICS, find_topic
+from steerd.steer_bus.fields import Scalar, leaves_of
+from steerd.steer_bus.topics import TOPICS, find_topic, make_session_topic
 
 ROOT = Path(__file__).resolve().parents[4]
 
@@ -64,51 +64,33 @@ def test_the_examples_are_maps():
 
 # The layouts in `examples/` name topics and fields that exist, and all of their own panels.
 
-EXAMPLES = Path(__file__).resolve().parents[4] / "examples"
-LAYOUT = json.loads((EXAMPLES / "foxglove-layout.json").read_text())
+LAYOUT = json.loads((ROOT / "examples" / "foxglove-layout.json").read_text())
+PANELS = LAYOUT["configById"].values()
 
 
-def field_kind(path, separator):
-    """The wire kind of `/steerd/car1/state<separator>e1`; None where there is no such field."""
-    car = re.match(r"/steerd/car1/", path)
-    topic, *names = path[car.end() :].split(separator) if car else [""]
-    found = find_topic(f"/steerd/car1/{topic}")
-    if found is None:
-        return None
-    cls, kind = found.message, None
-    for name in names:
-        kind = {f.name: f.kind for f in message_fields(cls)}.get(name)
-        cls = kind.cls if isinstance(kind, Nested) else None
-    return kind
+def numbers(separator):
+    """Every number that is published, such as `/steerd/car1/state<separator>e1`."""
+    return {
+        separator.join((make_session_topic("car1", topic), *leaf.name.split(".")))
+        for topic in TOPICS
+        for leaf in leaves_of(topic.message)
+        if isinstance(leaf.kind, Scalar)
+    }
 
 
-def plotted():
-    return [path for panel in LAYOUT["configById"].values() for path in panel.get("paths", [])]
-
-
-def curves():
-    return list(ET.parse(EXAMPLES / "plotjuggler-layout.xml").iter("curve"))
-
-
-@pytest.mark.parametrize("path", plotted(), ids=lambda path: path["value"])
-def test_foxglove_plots_numbers_that_exist(path):
-    assert isinstance(field_kind(path["value"], "."), Scalar)
+def test_layouts_plot_numbers_that_exist():
+    plotted = {path["value"] for panel in PANELS for path in panel.get("paths", [])}
+    curves = ET.parse(ROOT / "examples" / "plotjuggler-layout.xml").iter("curve")
+    assert len(plotted) > 3
+    assert plotted <= numbers(".")
+    assert {curve.get("name") for curve in curves} <= numbers("/")
 
 
 def test_foxglove_panels_look_at_topics_that_exist():
-    named = [
-        panel[key]
-        for panel in LAYOUT["configById"].values()
-        for key in ("topicToRender", "topicPath")
-        if key in panel
-    ]
+    keys = ("topicToRender", "topicPath")
+    named = [panel[key] for panel in PANELS for key in keys if key in panel]
     assert len(named) == 3
     drawn = set(LAYOUT["configById"]["3D!lane"]["topics"])
     assert SCENE in drawn
     for topic in (*named, *(drawn - {SCENE})):
         assert find_topic(topic) is not None, topic
-
-
-@pytest.mark.parametrize("curve", curves(), ids=lambda curve: curve.get("name"))
-def test_plotjuggler_plots_numbers_that_exist(curve):
-    assert isinstance(field_kind(curve.get("name"), "/"), Scalar)
