@@ -51,9 +51,10 @@ def test_tracks_of_bad_poses():
     assert shuffled.t.tolist() == [0.0, 1.0, 2.0, 3.0]
 
 
-def test_a_range_of_nothing():
+def test_of_nothing_there_is_no_range_and_no_error():
     assert make_range(np.array([np.nan])) is None
     assert make_range(np.empty(0)) is None
+    assert np.isnan(rms(np.empty(0)))
 
 
 def warnings_for(*, pose=1.0, yaw=1.0, front=0.0, steer=1.0, wheel=1.0, gyro=1.0):
@@ -133,7 +134,3 @@ def test_errors_are_sizes_and_unknown_ones_are_left_out(state):
     errors = settled_errors(state, seconds_since(START_NS, state["stamp_ns"]))
     assert errors == pytest.approx([0.04, 0.11])
     assert rms(errors) == pytest.approx(np.sqrt((0.04**2 + 0.11**2) / 2))
-
-
-def test_nothing_has_no_error():
-    assert np.isnan(rms(np.empty(0)))
