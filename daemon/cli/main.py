@@ -10,13 +10,14 @@ import argparse
 import contextlib
 import errno
 import importlib
+import inspect
 import os
 import re
 import sys
 import traceback
 import warnings
-from collections.abc import Sequence
-from typing import TextIO
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TextIO
 
 from steerd.daemon.cli.arguments import check_inputs
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -28,19 +29,19 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "drive": {
-        "run": ("driving", "drive: the control loop on a car or on simulated hardware"),
-        "start": ("driving", "drive an armed car; it stops when this terminal is closed"),
-        "stop": ("driving", "stop a driving car"),
-        "estop": ("driving", "emergency stop"),
-        "arm": ("driving", "arm a running daemon"),
-        "disarm": ("driving", "disarm a running daemon"),
-        "clear": ("driving", "acknowledge a latched fault"),
-        "status": ("driving", "state of a running daemon and what it is waiting for"),
-        "watch": ("driving", "a running car in the terminal: state, errors, rates, faults"),
-        "page": ("driving", "a running car as a live page in a browser, with a stop button"),
-        "teleop": ("driving", "drive by gamepad, with a deadman's button"),
-        "control": ("driving", "the lane keeper as a process of its own, over zenoh"),
-        "collect": ("driving", "drive an excitation plan and record it"),
+        "run": ("run", "drive: the control loop on a car or on simulated hardware"),
+        "start": ("operate", "drive an armed car; it stops when this terminal is closed"),
+        "stop": ("operate", "stop a driving car"),
+        "estop": ("operate", "emergency stop"),
+        "arm": ("operate", "arm a running daemon"),
+        "disarm": ("operate", "disarm a running daemon"),
+        "clear": ("operate", "acknowledge a latched fault"),
+        "status": ("operate", "state of a running daemon and what it is waiting for"),
+        "watch": ("remote", "a running car in the terminal: state, errors, rates, faults"),
+        "page": ("remote", "a running car as a live page in a browser, with a stop button"),
+        "teleop": ("remote", "drive by gamepad, with a deadman's button"),
+        "control": ("remote", "the lane keeper as a process of its own, over zenoh"),
+        "collect": ("collect", "drive an excitation plan and record it"),
     },
     "sessions": {
         "sessions": ("sessions", "the recorded drives: date, car, errors, notes"),
@@ -48,44 +49,56 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "plot": ("sessions", "a drive as one HTML page: track, errors, commands, timing"),
         "replay": ("sessions", "feed a recorded session through the loop and compare its commands"),
         "recover": ("sessions", "rebuild the session of a recorder that was killed"),
-        "import": ("sessions", "turn a lab's own log (csv, ROS bag) into a session"),
+        "import": ("import_", "turn a lab's own log (csv, ROS bag) into a session"),
     },
     "learn": {
-        "identify": ("analysis", "learn the car from its sessions"),
+        "identify": ("learning", "learn the car from its sessions"),
         "diagnose": (
-            "analysis",
+            "learning",
             "where simulation and car differ, why, and how far adding it helps",
         ),
-        "learn": ("analysis", "the parameters that a drive identifies, and when the car changed"),
-        "effects": ("analysis", "the unmodelled effects that can be simulated and diagnosed"),
-        "sweep": ("analysis", "many drives in virtual time, each another draw of the car"),
-        "batch": ("analysis", "hundreds of sessions: each a row; what changed, and since when"),
+        "learn": ("learning", "the parameters that a drive identifies, and when the car changed"),
+        "effects": ("car_files", "the unmodelled effects that can be simulated and diagnosed"),
+        "sweep": ("many", "many drives in virtual time, each another draw of the car"),
+        "batch": ("many", "hundreds of sessions: each a row; what changed, and since when"),
     },
     "set up": {
         "setup": ("setup", "from a car that nobody measured to its car file, step by step"),
-        "probe": ("setup", "find VESCs and mocap servers, and what is wrong with them"),
-        "config": ("setup", "print a commented car file, check one, convert F1TENTH's gains"),
-        "export": ("setup", "a car file for f1tenth_gym or MuJoCo"),
-        "mocap": ("setup", "check mocap; calibrate the place of its body on the car"),
-        "calibrate": ("setup", "centre, gain and limits of the steering"),
-        "sim": ("driving", "simulated hardware alone: a VESC on a pty, a mocap server"),
-        "rtcheck": ("setup", "measure whether this machine can run a control loop on time"),
-        "completion": ("setup", "completion scripts for bash, zsh, tcsh and fish"),
+        "probe": ("probe", "find VESCs and mocap servers, and what is wrong with them"),
+        "config": ("car_files", "print a commented car file, check one, convert F1TENTH's gains"),
+        "export": ("car_files", "a car file for f1tenth_gym or MuJoCo"),
+        "mocap": ("calibrate", "check mocap; calibrate the place of its body on the car"),
+        "calibrate": ("calibrate", "centre, gain and limits of the steering"),
+        "sim": ("remote", "simulated hardware alone: a VESC on a pty, a mocap server"),
+        "rtcheck": ("probe", "measure whether this machine can run a control loop on time"),
+        "completion": ("completion", "completion scripts for bash, zsh, tcsh and fish"),
     },
     "lab": {
-        "keys": ("setup", "certificates of a lab: for the car, its operators, its viewers"),
-        "service": ("setup", "a systemd unit that starts disarmed, and the udev file"),
+        "keys": ("keys", "certificates of a lab: for the car, its operators, its viewers"),
+        "service": ("service", "a systemd unit that starts disarmed, and the udev file"),
     },
 }
-"""Commands by what they are for: folder below `commands` and one line of help, by name."""
-_MODULES = dict.fromkeys(("start", "stop", "estop", "arm", "disarm", "clear"), "operate")
-_MODULES["import"] = "import_"  # modules that are not called as their command
-COMMANDS = {
-    name: (f"{folder}.{_MODULES.get(name, name)}", text)
-    for group in GROUPS.values()
-    for name, (folder, text) in group.items()
-}
+"""Commands by what they are for: module below `commands` and one line of help, by name."""
+COMMANDS = {name: row for group in GROUPS.values() for name, row in group.items()}
 """Module below `commands` and one line of help, by name."""
+_FUNCTIONS = dict.fromkeys(("start", "stop", "estop", "arm", "disarm", "clear"), "operate")
+_FUNCTIONS["import"] = "import_log"  # functions that are not called as their command
+
+
+class Command(NamedTuple):
+    """A command, as its module declares it by two functions."""
+
+    run: Callable[[argparse.Namespace], int | None]  # its docstring is the help text
+    add_arguments: Callable[[argparse.ArgumentParser], None]
+    first: Sequence[str]  # options that `--help` shows; all where none is named
+
+
+def find_command(name: str) -> Command:
+    """A command by its name; no other module is loaded."""
+    module = importlib.import_module(f"steerd.daemon.cli.commands.{COMMANDS[name][0]}")
+    function = _FUNCTIONS.get(name, name)
+    run, add_arguments = getattr(module, function), getattr(module, f"{function}_arguments")
+    return Command(run, add_arguments, getattr(module, "FIRST_OPTIONS", ()))
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -124,18 +137,17 @@ def parse_command(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
 def dispatch(argv: Sequence[str]) -> int:
     """Run one command line and give its exit code; errors pass through."""
     name, rest = parse_command(argv)
-    module_name, text = COMMANDS[name]
-    module = importlib.import_module(f"steerd.daemon.cli.commands.{module_name}")
+    command = find_command(name)
     parser = argparse.ArgumentParser(
         prog=f"steerd {name}",
-        description=module.__doc__ or text,
+        description=inspect.cleandoc(command.run.__doc__ or ""),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         exit_on_error=False,
     )
-    module.add_arguments(parser)
+    command.add_arguments(parser)
     parser.set_defaults(command=name)
     if {"-h", "--help", "--help-all"} & set(rest):
-        first = () if "--help-all" in rest else getattr(module, "FIRST_OPTIONS", ())
+        first = () if "--help-all" in rest else command.first
         _explain(parser, first)
         rest = ["--help" if word == "--help-all" else word for word in rest]
     try:
@@ -145,7 +157,7 @@ def dispatch(argv: Sequence[str]) -> int:
     if unknown:
         raise _refuse(name, parser, unknown)
     check_inputs(parser, args)
-    code: int | None = module.run(args)
+    code: int | None = command.run(args)
     return code or ExitCode.OK
 
 

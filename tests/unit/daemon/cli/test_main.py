@@ -16,7 +16,7 @@ from steerd.daemon.cli import main
 from steerd.daemon.cli.main import COMMANDS, run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
-EFFECTS = "steerd.daemon.cli.commands.analysis.effects.run"
+EFFECTS = "steerd.daemon.cli.commands.car_files.effects"
 
 
 def test_a_bug_has_its_own_code_and_says_that_it_is_one(monkeypatch, capsys):

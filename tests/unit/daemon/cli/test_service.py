@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from steerd.daemon.cli.commands.setup.service import make_unit
+from steerd.daemon.cli.commands.service import make_unit
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
 

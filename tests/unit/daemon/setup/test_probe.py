@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from steerd.daemon.cli.commands.setup.probe import format_found
+from steerd.daemon.cli.commands.probe import format_found
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.settings.config import BrakeSettings
