@@ -101,37 +101,31 @@ def find_command(name: str) -> Command:
     return Command(run, add_arguments, getattr(module, "FIRST_OPTIONS", ()))
 
 
-def make_parser() -> argparse.ArgumentParser:
-    """The top level: a list of commands, no command's own options."""
-    parser = argparse.ArgumentParser(
-        prog="steerd",
-        description="Control, identification and sim-to-real diagnosis for Ackermann cars.",
-        epilog="\n\n".join(
-            "\n".join([title, *(f"  {name:<12}{text}" for name, (_, text) in group.items())])
-            for title, group in GROUPS.items()
-        )
-        + "\n\n`steerd COMMAND --help` explains one of them.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        usage="steerd COMMAND ...",
-    )
-    parser.add_argument(
-        "command", choices=list(COMMANDS), metavar="COMMAND", help=argparse.SUPPRESS
-    )
-    return parser
+ABOUT = "Control, identification and sim-to-real diagnosis for Ackermann cars."
+
+
+def list_commands() -> str:
+    """The text of `steerd --help`."""
+    head = f"usage: steerd COMMAND ...\n\n{ABOUT}\n\noptions:\n"
+    parts = [f"{head}  -h, --help  show this help message and exit"]
+    for title, group in GROUPS.items():
+        rows = (f"  {name:<12}{text}" for name, (_, text) in group.items())
+        parts.append("\n".join((title, *rows)))
+    return "\n\n".join((*parts, "`steerd COMMAND --help` explains one of them."))
 
 
 def parse_command(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
     """Split the command's name from its arguments; exits with the help text where there is none."""
-    if argv and argv[0] == "--version":
-        print(f"steerd {VERSION}")
+    word = argv[0] if argv else "--help"
+    if word in COMMANDS:
+        return word, argv[1:]
+    if word in ("-h", "--help", "--version"):
+        print(f"steerd {VERSION}" if word == "--version" else list_commands())
         raise SystemExit(0)
-    if argv and not argv[0].startswith("-") and argv[0] not in COMMANDS:
-        from steerd.daemon.common.errors import did_you_mean
+    from steerd.daemon.common.errors import did_you_mean
 
-        hint = did_you_mean(argv[0], COMMANDS) or "`steerd --help` lists the commands"
-        raise SteerdError(f"there is no command {argv[0]!r}", hint, ExitCode.USAGE)
-    args = make_parser().parse_args(argv[:1] or ["--help"])
-    return str(args.command), argv[1:]
+    hint = did_you_mean(word, COMMANDS) or "`steerd --help` lists the commands"
+    raise SteerdError(f"there is no command {word!r}", hint, ExitCode.USAGE)
 
 
 def dispatch(argv: Sequence[str]) -> int:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from steerd.daemon.cli.arguments import missing_car, missing_session, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.written import check_outputs
+from steerd.daemon.common.written import car_outputs, check_outputs, write_outputs
 
 if TYPE_CHECKING:
     from steerd.car_model.car_file import CarFile
@@ -165,9 +165,11 @@ def finish(args: Namespace, own: "CarFile", values: "Values", then: str) -> None
         then: the command for the file that was made.
     """
     from steerd.daemon.common.translate import load_car_file
-    from steerd.daemon.settings.car_edit import write_edited
+    from steerd.daemon.settings.car_edit import edit_car
 
-    if write_edited(args.output, load_car_file(args.car) if args.car else own, values):
+    car = edit_car(load_car_file(args.car) if args.car else own, values)
+    if args.output:
+        write_outputs(car_outputs(args.output, car))
         print(f"{args.output}: written\n   next: {then.format(args.output)}")
     else:
         print("   next: the same with -o car.toml writes it")

@@ -7,6 +7,7 @@ from pathlib import Path
 import shtab
 
 from steerd.daemon.cli.arguments import list_actions, option
+from steerd.daemon.cli.main import ABOUT, COMMANDS, find_command
 from steerd.version import VERSION
 
 SHELLS = ("bash", "zsh", "tcsh", "fish")
@@ -36,7 +37,7 @@ def make_manual(parser: ArgumentParser) -> str:
     """The manual page in roff; the same text for the same commands and version."""
     from argparse_manpage.manpage import Manpage
 
-    parser.description = "Control, identification and sim-to-real diagnosis for Ackermann cars."
+    parser.description = ABOUT
     page = str(Manpage(parser, _data={"version": VERSION, "project_name": "steerd"}))
     # The day on which it was printed is nobody's business.
     return _HEAD.sub(f'.TH STEERD "1" "" "steerd {VERSION}" "steerd"', page, count=1)
@@ -44,8 +45,6 @@ def make_manual(parser: ArgumentParser) -> str:
 
 def make_full_parser() -> ArgumentParser:
     """One parser that knows every command's options; running a command needs only its own."""
-    from steerd.daemon.cli.main import COMMANDS, find_command
-
     parser = ArgumentParser(prog="steerd")
     parser.add_argument("--version", action="store_true", help="print the version")
     children = parser.add_subparsers(dest="command", metavar="COMMAND")
