@@ -14,8 +14,8 @@ from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.virtual import drive
 from steerd.daemon.sessions.motion import Signal, Track
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.daemon.setup.calibration_data import body_track, load_recorded, wheel_speed
-from steerd.daemon.setup.least_squares import BLOCKS, find_delay, jackknife_sd
+from steerd.daemon.setup.calibration_data import load_recorded, wheel_speed
+from steerd.daemon.setup.least_squares import BLOCKS, jackknife_sd
 from steerd.daemon.setup.mount_calibration import Drive, Mount, calibrate_mount, slip_per_accel
 from steerd.daemon.setup.steering_calibration import calibrate_steering
 
@@ -199,17 +199,6 @@ def recorded(tmp_path_factory):
     return load_recorded(path)
 
 
-def test_the_body_is_the_car_moved_by_a_constant_offset_of_the_mount(recorded):
-    t, x, y, yaw = body_track(recorded)
-    car = recorded.poses
-    turn = np.unwrap(yaw - car["yaw"])
-    assert t[0] == 0.0
-    assert np.ptp(turn) < 1e-9
-    ahead = (x - car["x"]) * np.cos(car["yaw"]) + (y - car["y"]) * np.sin(car["yaw"])
-    left = (y - car["y"]) * np.cos(car["yaw"]) - (x - car["x"]) * np.sin(car["yaw"])
-    assert max(np.ptp(ahead), np.ptp(left)) < 1e-9
-
-
 def test_poses_that_were_rejected_calibrate_nothing(recorded, monkeypatch):
     (name, table), *_ = ((n, t) for n, t in recorded.read.tables.items() if "reject" in t)
     jumped = np.where(np.arange(len(table["reject"])) % 10 == 3, "jump", table["reject"])
@@ -225,7 +214,7 @@ def test_what_a_session_lacks_is_named(recorded):
         wheel_speed(empty)
 
 
-# Least squares, jackknife and delay search against cases with known answers.
+# The jackknife against a case with a known answer.
 
 
 def test_the_jackknife_of_a_mean_is_its_standard_error():
@@ -233,10 +222,3 @@ def test_the_jackknife_of_a_mean_is_its_standard_error():
     (sd,) = jackknife_sd(np.ones(200, dtype=bool), lambda keep: [values[keep].mean()])
     blocks = values.reshape(BLOCKS, -1).mean(axis=1)
     assert sd == pytest.approx(blocks.std(ddof=1) / np.sqrt(BLOCKS), rel=1e-9)
-
-
-def test_a_delay_between_grid_points_is_found_among_several_minima():
-    def cost(tau):
-        return (tau - 0.1234) ** 2 + 1e-3 * np.sin(60.0 * (tau - 0.1234)) ** 2
-
-    assert find_delay(cost) == pytest.approx(0.1234, abs=1e-4)
