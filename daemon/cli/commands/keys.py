@@ -60,19 +60,15 @@ def _begin_lab(args: Namespace) -> Lab:
 
 def explain(folder: Path, lab: Lab, *, began: bool, added: tuple[str, ...]) -> str:
     """Which folder to copy to which machine."""
-    car = folder / lab.car
-    width = max(len(str(folder / name)) for name in (lab.car, "authority", *added))
-    what = f"to the car: steerd run --lab {lab.car} …"
-    if not began:
-        what = "to the car again: lab.toml in it has the new names"
-    lines = [f"{car!s:<{width}}  {what}"]
+    car = f"to the car: steerd run --lab {lab.car} …"
+    rows = {lab.car: car if began else "to the car again: lab.toml in it has the new names"}
     for name in added:
-        if name in lab.operators:
-            what = f"to who may drive: steerd arm --lab {name}, steerd start --lab {name}"
-        else:
-            what = f"to who may watch: steerd watch --lab {name}"
-        lines.append(f"{folder / name!s:<{width}}  {what}")
-    lines.append(f"{folder / 'authority'!s:<{width}}  keep it safe: its owner can make operators")
+        drives = f"to who may drive: steerd arm --lab {name}, steerd start --lab {name}"
+        watches = f"to who may watch: steerd watch --lab {name}"
+        rows[name] = drives if name in lab.operators else watches
+    rows["authority"] = "keep it safe: its owner can make operators"
+    width = max(len(str(folder / name)) for name in rows)
+    lines = [f"{folder / name!s:<{width}}  {what}" for name, what in rows.items()]
     lines += [
         "",
         f"The car listens on {lab.endpoint}.",
