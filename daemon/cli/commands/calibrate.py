@@ -4,16 +4,16 @@ import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from steerd.car_model.car_file import CarFile
 from steerd.daemon.cli.arguments import missing_car, missing_session, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.common.written import car_outputs, check_outputs, write_outputs
-
-if TYPE_CHECKING:
-    from steerd.car_model.car_file import CarFile
-    from steerd.daemon.settings.car_edit import Values
-    from steerd.vesc_link.scaling import Scaling
+from steerd.daemon.settings.car_edit import Values, edit_car
+from steerd.daemon.settings.config import load_settings
+from steerd.steer_bus.clock import MonotonicClock
+from steerd.vesc_link.scaling import Scaling
 
 
 def calibrate_arguments(parser: ArgumentParser) -> None:
@@ -49,7 +49,7 @@ def calibrate(args: Namespace) -> int | None:
     return None
 
 
-def _from_session(path: Path) -> "tuple[CarFile, Scaling]":
+def _from_session(path: Path) -> tuple[CarFile, Scaling]:
     from steerd.daemon.setup.calibration_data import load_recorded
     from steerd.daemon.setup.steering_calibration import (
         calibrate_steering,
@@ -70,13 +70,10 @@ def _from_session(path: Path) -> "tuple[CarFile, Scaling]":
     return file, scaling
 
 
-def _by_keys(args: Namespace) -> "tuple[CarFile, Scaling | None]":
-    from steerd.car_model.car_file import default_car_path
-    from steerd.daemon.settings.config import load_settings
+def _by_keys(args: Namespace) -> tuple[CarFile, Scaling | None]:
     from steerd.daemon.terminal.servo_keys import steer_by_keys
-    from steerd.steer_bus.clock import MonotonicClock
 
-    settings = load_settings(args.car or default_car_path())
+    settings = load_settings(args.car)
     print("only the servo moves; lift the front wheels", file=sys.stderr)
     return settings.file, steer_by_keys(args.port, settings.scaling, MonotonicClock())
 
@@ -111,8 +108,6 @@ def mocap(args: Namespace) -> int | None:
 
 
 def _check(args: Namespace) -> int:
-    from steerd.car_model.car_file import default_car_path
-    from steerd.daemon.settings.config import load_settings
     from steerd.daemon.setup.calibration_data import load_movement
     from steerd.daemon.setup.mocap_check import check_movement
     from steerd.daemon.setup.probe_ask import watch_movement
@@ -123,7 +118,7 @@ def _check(args: Namespace) -> int:
     if args.session:
         checks = check_movement(*load_movement(args.session))
     else:
-        ingest = load_settings(args.car or default_car_path()).ingest
+        ingest = load_settings(args.car).ingest
         checks = check_movement(*watch_movement(args.mocap, ingest, args.seconds))
     for check in checks:
         print(f"{'pass' if check.ok else 'FAIL'}  {check.name:<8} {check.figure}")
@@ -155,7 +150,7 @@ def print_found(lines: Sequence[str], warnings: Sequence[str]) -> None:
     print_warnings(warnings)
 
 
-def finish(args: Namespace, own: "CarFile", values: "Values", then: str) -> None:
+def finish(args: Namespace, own: CarFile, values: Values, then: str) -> None:
     """Write what a calibration found into a car file, and say what is next.
 
     Args:
@@ -164,9 +159,6 @@ def finish(args: Namespace, own: "CarFile", values: "Values", then: str) -> None
         values: of the calibration.
         then: the command for the file that was made.
     """
-    from steerd.daemon.common.translate import load_car_file
-    from steerd.daemon.settings.car_edit import edit_car
-
     car = edit_car(load_car_file(args.car) if args.car else own, values)
     if args.output:
         write_outputs(car_outputs(args.output, car))

@@ -6,16 +6,17 @@ from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from steerd.daemon.cli.arguments import missing_car, missing_file, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.screen import NBSP, clean, wrap
+from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.common.written import check_outputs, write_outputs
-
-if TYPE_CHECKING:
-    from steerd.daemon.settings.config import Settings
+from steerd.daemon.settings.car_edit import edit_car
+from steerd.daemon.settings.config import Settings, load_settings
+from steerd.daemon.settings.vesc_yaml import make_car_values, make_vesc_yaml, read_vesc_yaml
+from steerd.vesc_link.scaling import steer_limits
 
 
 def config_arguments(parser: ArgumentParser) -> None:
@@ -33,33 +34,23 @@ def config(args: Namespace) -> None:
     steerd config --from-vesc-yaml vesc.yaml > car.toml
     steerd config --check car.toml --to-vesc-yaml vesc.yaml
     """
-    from steerd.car_model.car_file import default_car_path
-    from steerd.daemon.settings.car_edit import edit_car
-    from steerd.daemon.settings.config import load_settings
-
-    path = args.check or default_car_path()
     if args.from_vesc_yaml:
-        from steerd.daemon.settings.vesc_yaml import make_car_values, read_vesc_yaml
-
-        base = load_settings(path)
+        base = load_settings(args.check)
         scaling = read_vesc_yaml(_read(args.from_vesc_yaml), base.scaling)
         print(edit_car(base.file, make_car_values(scaling)).text, end="")
     elif args.to_vesc_yaml:
-        from steerd.daemon.settings.vesc_yaml import make_vesc_yaml
-
-        settings, out = load_settings(path), args.to_vesc_yaml
+        settings, out = load_settings(args.check), args.to_vesc_yaml
         text = make_vesc_yaml(settings.scaling, _read(out) if out.exists() else "")
         write_outputs({out: text})
         print(f"{out}: gains of {settings.file.name}")
     elif args.check:
         _check(args.check)
     else:
-        print(load_settings(path).file.text, end="")
+        print(load_settings(args.check).file.text, end="")
 
 
 def _check(path: Path) -> None:
     from steerd.daemon.assembly.car_check import plan_car
-    from steerd.daemon.common.translate import load_car_file
 
     settings, plan = plan_car(load_car_file(path))
     print("\n".join(describe(settings)))
@@ -68,10 +59,8 @@ def _check(path: Path) -> None:
     print("\n".join(wrap(about, label, " " * len(label))))
 
 
-def describe(settings: "Settings") -> list[str]:
+def describe(settings: Settings) -> list[str]:
     """Summary of a car file, to compare with the car."""
-    from steerd.vesc_link.scaling import steer_limits
-
     car, scaling, limits = settings.file.car, settings.scaling, settings.limits
     right, left = steer_limits(scaling)
     effects = ", ".join(effect.name for effect in settings.file.effects) or "none"
@@ -111,7 +100,6 @@ def export(args: Namespace) -> None:
 
     Both hold less than the car file: what is lost is printed, and is in the file.
     """
-    from steerd.daemon.settings.config import load_settings
     from steerd.daemon.setup.car_export import make_gym_yaml, make_mjcf
 
     kind = args.output.suffix.lower()

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from steerd.car_model.car_file import CarFile
+from steerd.daemon.analysis.options import read_arguments
 from steerd.daemon.cli import arguments
 from steerd.daemon.cli.arguments import missing_car, option, split_list
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -66,7 +67,6 @@ def identify(args: Namespace) -> int:
     the result predicts no better than the start values.
     """
     from steerd.daemon.analysis.identification import FIT, IdentifyOptions, run_identification
-    from steerd.daemon.analysis.options import read_arguments
     from steerd.daemon.assembly.car_check import report_refusal
     from steerd.daemon.sessions.text import print_warnings
 
@@ -141,7 +141,6 @@ def diagnose(args: Namespace) -> None:
     base car's simulation diverges.
     """
     from steerd.daemon.analysis.diagnosis import DRIVEN, DiagnoseOptions, run_diagnosis
-    from steerd.daemon.analysis.options import read_arguments
     from steerd.daemon.assembly.car_check import report_refusal
     from steerd.daemon.sessions.text import print_warnings
 

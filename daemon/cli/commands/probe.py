@@ -11,6 +11,7 @@ from math import degrees
 from steerd.daemon.cli.arguments import missing_car, option
 from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.common.screen import clean, join_words, wrap
+from steerd.daemon.settings.config import load_settings
 from steerd.daemon.setup.probe import VESC_USB, Advice, Found, MocapSeen, VescFound
 from steerd.steer_bus.clock import MonotonicClock
 
@@ -36,13 +37,11 @@ def probe(args: Namespace) -> int:
     steerd probe
     steerd probe --port /dev/ttyACM0 --mocap natnet://192.168.1.10/car
     """
-    from steerd.car_model.car_file import default_car_path
-    from steerd.daemon.settings.config import load_settings
     from steerd.daemon.setup.probe_ask import ask_mocap, ask_ports, find_sockets, in_group
 
     if not 0.5 <= args.seconds <= 600.0:
         raise SteerdError(f"--seconds {args.seconds:g}: 0.5 to 600", "", ExitCode.USAGE)
-    settings, clock = load_settings(args.car or default_car_path()), MonotonicClock()
+    settings, clock = load_settings(args.car), MonotonicClock()
     serial = tuple(ask_ports(args.port, clock, settings.brakes))
     with refusing(f"--mocap {args.mocap}: "):
         mocap = tuple(ask_mocap(args.mocap, settings.ingest, clock, args.seconds))

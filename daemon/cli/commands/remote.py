@@ -7,11 +7,14 @@ import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+from steerd.controller.limits import CEILINGS
 from steerd.daemon.cli.arguments import add_bus_arguments, add_car_arguments, missing_car, option
 from steerd.daemon.cli.commands.run import add_drive_arguments
 from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
+from steerd.daemon.common.screen import wrap_command
 from steerd.daemon.ipc.signals import raise_on_stop_signals
-from steerd.daemon.process.gamepad import AXES, BUTTONS, PadMap
+from steerd.daemon.process.gamepad import AXES, BUTTONS, PadGoneError, PadMap, open_pad
+from steerd.daemon.process.view_job import make_lane_job
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus.clock import MonotonicClock
 
@@ -67,7 +70,6 @@ def page(args: Namespace) -> None:
         read_lab(args.lab)  # a folder that is none is refused before anything heavy is loaded
     from steerd.daemon.process.page import make_page, run_page
     from steerd.daemon.process.page_link import CarView
-    from steerd.daemon.process.view_job import make_lane_job
 
     content = make_page({"car": args.name, **make_lane_job(args.path)})
 
@@ -147,15 +149,12 @@ def teleop(args: Namespace) -> None:
     steerd teleop --speed 1.5
     steerd teleop --device /dev/input/event5 --speed-axis y
     """
-    from steerd.controller.limits import CEILINGS
-
     highest = (CEILINGS["speed_max"].high, CEILINGS["steer_left_max"].high, QUIET_MOST_S)
     for name, most in zip(("speed", "steer", "quiet"), highest, strict=True):
         if not 0.0 < getattr(args, name) <= most:
             what = f"--{name} {getattr(args, name):g}: more than 0, at most {most:g}"
             raise SteerdError(what, "", ExitCode.USAGE)
     from steerd.daemon.ipc.operator import connect, read_status
-    from steerd.daemon.process.gamepad import PadGoneError, open_pad
     from steerd.daemon.process.page_link import CarView
     from steerd.daemon.process.teleop import Teleop, serve_pad
 
@@ -210,7 +209,6 @@ def sim(args: Namespace) -> None:
     time back. Ctrl-C ends it.
     """
     from steerd.daemon.assembly.build import make_plan, make_world_config
-    from steerd.daemon.common.screen import wrap_command
     from steerd.sim_hw.real_time import links
 
     options = RunOptions(
