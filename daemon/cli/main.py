@@ -20,8 +20,8 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple, TextIO
 
 from steerd.daemon.cli.arguments import check_inputs
-from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.screen import prepare_streams
+from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean
+from steerd.daemon.common.screen import prepare_streams, print_labelled
 from steerd.version import VERSION
 
 # OpenBLAS's threads slow small matrices down: a controller design took 3 s instead of 0.05 s.
@@ -122,8 +122,6 @@ def parse_command(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
     if word in ("-h", "--help", "--version"):
         print(f"steerd {VERSION}" if word == "--version" else list_commands())
         raise SystemExit(0)
-    from steerd.daemon.common.errors import did_you_mean
-
     hint = did_you_mean(word, COMMANDS) or "`steerd --help` lists the commands"
     raise SteerdError(f"there is no command {word!r}", hint, ExitCode.USAGE)
 
@@ -180,8 +178,6 @@ def _unusable(name: str, error: argparse.ArgumentError) -> SteerdError:
 
 def _refuse(name: str, parser: argparse.ArgumentParser, unknown: list[str]) -> SteerdError:
     """The error of words that a command does not take, with the nearest option."""
-    from steerd.daemon.common.errors import did_you_mean
-
     options = [text for action in parser._actions for text in action.option_strings]  # noqa: SLF001
     word = next((each for each in unknown if each.startswith("-")), unknown[0])
     what = f"`steerd {name}` takes no {word.partition('=')[0]}"
@@ -261,8 +257,6 @@ def show_warning(
     line: str | None = None,
 ) -> None:
     """Show steerd's own warnings as its errors are shown; others with their place in the code."""
-    from steerd.daemon.common.screen import print_labelled
-
     stream = file or sys.stderr
     if category.__module__.startswith("steerd."):
         print_labelled("steerd: ", str(message), stream)
@@ -272,8 +266,6 @@ def show_warning(
 
 def _report(error: SteerdError) -> ExitCode:
     """Say what happened and what to try; the exit code."""
-    from steerd.daemon.common.screen import print_labelled
-
     print_labelled("steerd: ", error.what, sys.stderr)
     if error.hint:
         print_labelled("   try: ", error.hint, sys.stderr)

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 from steerd.daemon.cli.arguments import missing_file, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.packaged import EXAMPLE_MAP
+from steerd.daemon.common.progress import show_progress
+from steerd.daemon.common.screen import print_labelled
 
 if TYPE_CHECKING:
     from steerd.daemon.imports.import_session import ImportReport
@@ -77,8 +79,6 @@ def default_output(source: Path) -> Path:
 def _import(
     args: Namespace, kind: str, source: Path, the_map: Path | None, out: Path
 ) -> "ImportReport":
-    from steerd.daemon.common.progress import show_progress
-
     if kind == "csv":
         from steerd.daemon.imports.csv_log import import_csv
 
@@ -119,7 +119,6 @@ def _propose(kind: str, source: Path) -> dict[str, dict[str, object]]:
 
 
 def _print_result(made: "ImportReport", args: Namespace, the_map: Path | None) -> None:
-    from steerd.daemon.common.screen import print_labelled
     from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.text import format_report, print_warnings
 

@@ -99,20 +99,19 @@ def test_a_drive_that_identifies_little_is_named_or_refused():
 # Gain, centre, delay and stops of the steering are recovered from drives with known ones.
 
 
-def driven(t, speed, yaw_rate):
-    """A track of which nothing is looked at but speed and turning."""
-    return Track(t, t, t, t, speed, yaw_rate, 0.2)
+def followed(t, command, wheel, speed, seed):
+    """A track of which nothing is looked at but speed and turning, and what was commanded."""
+    slip = (1 / CAR.c_sf - 1 / CAR.c_sr) / (CAR.mu * 9.81)
+    rate = np.tan(wheel) * speed / (wheelbase(CAR) + slip * speed**2)
+    rate += 0.02 * np.random.default_rng(seed).normal(size=t.size)
+    return Track(t, t, t, t, np.full_like(t, speed), rate, 0.2), Signal(t, command)
 
 
-def steered(gain, bias, delay, *, stop=1.0, seed=0, amplitude=0.25):
+def steered(gain, bias, delay, *, stop=1.0, amplitude=0.25):
     t = np.arange(0.0, 40.0, 0.01)
     command = amplitude * np.sin(2 * np.pi * t / 6.0) + 0.02
     wheel = np.clip(gain * np.interp(t - delay, t, command) + bias, -stop, stop)
-    speed = np.full_like(t, 1.0)
-    slip = (1 / CAR.c_sf - 1 / CAR.c_sr) / (CAR.mu * 9.81)
-    w = np.tan(wheel) / (CAR.lf + CAR.lr) * speed / (1 + slip * speed**2 / (CAR.lf + CAR.lr))
-    rng = np.random.default_rng(seed)
-    return driven(t, speed, w + 0.02 * rng.normal(size=t.size)), Signal(t, command)
+    return followed(t, command, wheel, 1.0, 0)
 
 
 @pytest.mark.parametrize(("gain", "bias", "delay"), [(1.0, 0.0, 0.05), (0.85, 0.03, 0.1)])
@@ -136,16 +135,12 @@ def test_steering_that_meets_its_stops():
 def stepped(hold, *, seed=0, speed=1.0):
     """A drive in bends that change at once, more of them to the left; truth: 1, 0, 60 ms."""
     t = np.arange(0.0, 60.0, 0.01)
-    rng = np.random.default_rng(seed)
-    levels = rng.choice([0.14, 0.12, 0.09, 0.05, -0.09], size=int(60 / hold) + 1)
+    levels = np.random.default_rng(seed).choice([0.14, 0.12, 0.09, 0.05, -0.09], int(60 / hold) + 1)
     command = levels[(t / hold).astype(int)]
     wheel = np.interp(t - 0.06, t, command)
     for _ in range(2):  # the servo's lag, and what differentiating smooths
         wheel = np.convolve(np.pad(wheel, 10, mode="edge"), np.ones(21) / 21, "valid")
-    v = np.full_like(t, speed)
-    slip = (1 / CAR.c_sf - 1 / CAR.c_sr) / (CAR.mu * 9.81)
-    w = np.tan(wheel) / (CAR.lf + CAR.lr) * v / (1 + slip * v**2 / (CAR.lf + CAR.lr))
-    return driven(t, v, w + 0.02 * rng.normal(size=t.size)), Signal(t, command)
+    return followed(t, command, wheel, speed, seed + 10)
 
 
 @pytest.mark.parametrize("seed", range(4))
