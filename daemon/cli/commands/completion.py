@@ -1,4 +1,4 @@
-"""`steerd completion`: what shells and `man` are told of the commands."""
+"""`steerd completion`: the scripts of shells, and the manual page."""
 
 import re
 from argparse import Action, ArgumentParser, Namespace

@@ -16,7 +16,6 @@ from steerd.daemon.common.screen import wrap
 from steerd.daemon.ipc.operator import KEEPALIVE_NS, connect, read_model, read_status
 from steerd.daemon.ipc.requests import make_badge
 from steerd.daemon.ipc.signals import raise_on_stop_signals
-from steerd.daemon.learning.text import design_text, encode_model, format_model
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process import bus_operator
 from steerd.daemon.process.page_link import CarView
@@ -199,6 +198,8 @@ def status_arguments(parser: ArgumentParser) -> None:
 
 def status(args: Namespace) -> None:
     """State of a running daemon, and what it is waiting for."""
+    from steerd.daemon.learning.text import encode_model, format_model  # no stop waits for it
+
     with connect(args.connect, args.lab) as bus:
         said = read_status(bus, args.name, MonotonicClock())
         model = read_model(bus, args.name)
@@ -217,6 +218,8 @@ def format_status(name: str, status: Mapping[str, str]) -> list[str]:
         name: of the car.
         status: diagnostics by name, as the daemon publishes them.
     """
+    from steerd.daemon.learning.text import design_text
+
     firmware, uuid = status.get("firmware", "?"), status.get("uuid", "?")
     items = [
         ("waiting for", status["waiting"]),
