@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.screen import below_home
 from steerd.daemon.settings.run_options import RunOptions
 
 Check = Callable[[str], SteerdError | None]
@@ -79,7 +80,6 @@ def pick_session(text: str) -> Path:
     Raises:
         SteerdError: there is none.
     """
-    from steerd.daemon.common.screen import below_home
     from steerd.daemon.sessions.catalogue import find_session
 
     path = find_session(text)

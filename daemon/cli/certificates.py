@@ -6,10 +6,8 @@ authority's private key stays in `authority/`, on a machine that neither car nor
 
 import ipaddress
 import json
-import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -19,7 +17,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.steer_bus.atomic_file import write_atomically
 from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.clock import MonotonicClock
@@ -82,7 +80,7 @@ def add_members(folder: Path, old: Lab, lab: Lab, years: float, host: str | None
     for name in (*added, AUTHORITY, lab.car):
         if (folder / name).is_dir():
             data = f"{text}name = {json.dumps(name)}\n".encode()
-            _write(folder / name / "lab.toml", data, new=host is not None or name in added)
+            _write(folder / name / "lab.toml", data)
 
 
 def _check_names(lab: Lab, added: Iterable[str]) -> None:
@@ -182,35 +180,18 @@ def _encode(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 
 def _write_folder(path: Path, files: Mapping[str, bytes]) -> None:
-    with _making(path):
-        path.mkdir(mode=0o700, parents=True)
-    for name, data in files.items():
-        _write(path / name, data, new=True)
-
-
-def _write(path: Path, data: bytes, *, new: bool) -> None:
-    """Write a file that only its owner may read; if `new`, it must not exist."""
-    with _making(path):
-        if not new:
-            write_atomically(path, data, _PRIVATE)
-            return
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
-        file = os.fdopen(os.open(path, flags, _PRIVATE), "wb")
-        try:
-            with file:
-                file.write(data)
-        except OSError:
-            path.unlink()  # half a key helps nobody
-            raise
-
-
-@contextmanager
-def _making(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except FileExistsError:
+    """Make a folder, which must not exist, with files that only its owner may read."""
+    if path.exists():
         what = f"{path} already exists and is not changed"
         hint = "choose another folder or name, or delete it if nobody uses it any more"
-        raise SteerdError(what, hint, ExitCode.UNREADABLE) from None
-    except OSError as error:
-        raise SteerdError(f"{path}: {error.strerror}", "", ExitCode.UNREADABLE) from None
+        raise SteerdError(what, hint, ExitCode.UNREADABLE)
+    with refusing(f"{path}: "):
+        path.mkdir(mode=0o700, parents=True)
+    for name, data in files.items():
+        _write(path / name, data)
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Write a file that only its owner may read."""
+    with refusing(f"{path}: "):
+        write_atomically(path, data, _PRIVATE)

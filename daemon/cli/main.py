@@ -10,17 +10,18 @@ import argparse
 import contextlib
 import errno
 import importlib
+import inspect
 import os
 import re
 import sys
 import traceback
 import warnings
-from collections.abc import Sequence
-from typing import TextIO
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TextIO
 
 from steerd.daemon.cli.arguments import check_inputs
-from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.screen import prepare_streams
+from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean
+from steerd.daemon.common.screen import prepare_streams, print_labelled
 from steerd.version import VERSION
 
 # OpenBLAS's threads slow small matrices down: a controller design took 3 s instead of 0.05 s.
@@ -28,19 +29,19 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "drive": {
-        "run": ("driving", "drive: the control loop on a car or on simulated hardware"),
-        "start": ("driving", "drive an armed car; it stops when this terminal is closed"),
-        "stop": ("driving", "stop a driving car"),
-        "estop": ("driving", "emergency stop"),
-        "arm": ("driving", "arm a running daemon"),
-        "disarm": ("driving", "disarm a running daemon"),
-        "clear": ("driving", "acknowledge a latched fault"),
-        "status": ("driving", "state of a running daemon and what it is waiting for"),
-        "watch": ("driving", "a running car in the terminal: state, errors, rates, faults"),
-        "page": ("driving", "a running car as a live page in a browser, with a stop button"),
-        "teleop": ("driving", "drive by gamepad, with a deadman's button"),
-        "control": ("driving", "the lane keeper as a process of its own, over zenoh"),
-        "collect": ("driving", "drive an excitation plan and record it"),
+        "run": ("run", "drive: the control loop on a car or on simulated hardware"),
+        "start": ("operate", "drive an armed car; it stops when this terminal is closed"),
+        "stop": ("operate", "stop a driving car"),
+        "estop": ("operate", "emergency stop"),
+        "arm": ("operate", "arm a running daemon"),
+        "disarm": ("operate", "disarm a running daemon"),
+        "clear": ("operate", "acknowledge a latched fault"),
+        "status": ("operate", "state of a running daemon and what it is waiting for"),
+        "watch": ("remote", "a running car in the terminal: state, errors, rates, faults"),
+        "page": ("remote", "a running car as a live page in a browser, with a stop button"),
+        "teleop": ("remote", "drive by gamepad, with a deadman's button"),
+        "control": ("remote", "the lane keeper as a process of its own, over zenoh"),
+        "collect": ("collect", "drive an excitation plan and record it"),
     },
     "sessions": {
         "sessions": ("sessions", "the recorded drives: date, car, errors, notes"),
@@ -48,94 +49,97 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "plot": ("sessions", "a drive as one HTML page: track, errors, commands, timing"),
         "replay": ("sessions", "feed a recorded session through the loop and compare its commands"),
         "recover": ("sessions", "rebuild the session of a recorder that was killed"),
-        "import": ("sessions", "turn a lab's own log (csv, ROS bag) into a session"),
+        "import": ("import_", "turn a lab's own log (csv, ROS bag) into a session"),
     },
     "learn": {
-        "identify": ("analysis", "learn the car from its sessions"),
+        "identify": ("learning", "learn the car from its sessions"),
         "diagnose": (
-            "analysis",
+            "learning",
             "where simulation and car differ, why, and how far adding it helps",
         ),
-        "learn": ("analysis", "the parameters that a drive identifies, and when the car changed"),
-        "effects": ("analysis", "the unmodelled effects that can be simulated and diagnosed"),
-        "sweep": ("analysis", "many drives in virtual time, each another draw of the car"),
-        "batch": ("analysis", "hundreds of sessions: each a row; what changed, and since when"),
+        "learn": ("learning", "the parameters that a drive identifies, and when the car changed"),
+        "effects": ("car_files", "the unmodelled effects that can be simulated and diagnosed"),
+        "sweep": ("many", "many drives in virtual time, each another draw of the car"),
+        "batch": ("many", "hundreds of sessions: each a row; what changed, and since when"),
     },
     "set up": {
         "setup": ("setup", "from a car that nobody measured to its car file, step by step"),
-        "probe": ("setup", "find VESCs and mocap servers, and what is wrong with them"),
-        "config": ("setup", "print a commented car file, check one, convert F1TENTH's gains"),
-        "export": ("setup", "a car file for f1tenth_gym or MuJoCo"),
-        "mocap": ("setup", "check mocap; calibrate the place of its body on the car"),
-        "calibrate": ("setup", "centre, gain and limits of the steering"),
-        "sim": ("driving", "simulated hardware alone: a VESC on a pty, a mocap server"),
-        "rtcheck": ("setup", "measure whether this machine can run a control loop on time"),
-        "completion": ("setup", "completion scripts for bash, zsh, tcsh and fish"),
+        "probe": ("probe", "find VESCs and mocap servers, and what is wrong with them"),
+        "config": ("car_files", "print a commented car file, check one, convert F1TENTH's gains"),
+        "export": ("car_files", "a car file for f1tenth_gym or MuJoCo"),
+        "mocap": ("calibrate", "check mocap; calibrate the place of its body on the car"),
+        "calibrate": ("calibrate", "centre, gain and limits of the steering"),
+        "sim": ("remote", "simulated hardware alone: a VESC on a pty, a mocap server"),
+        "rtcheck": ("probe", "measure whether this machine can run a control loop on time"),
+        "completion": ("completion", "completion scripts for bash, zsh, tcsh and fish"),
     },
     "lab": {
-        "keys": ("setup", "certificates of a lab: for the car, its operators, its viewers"),
-        "service": ("setup", "a systemd unit that starts disarmed, and the udev file"),
+        "keys": ("keys", "certificates of a lab: for the car, its operators, its viewers"),
+        "service": ("service", "a systemd unit that starts disarmed, and the udev file"),
     },
 }
-"""Commands by what they are for: folder below `commands` and one line of help, by name."""
-_MODULES = dict.fromkeys(("start", "stop", "estop", "arm", "disarm", "clear"), "operate")
-_MODULES["import"] = "import_"  # modules that are not called as their command
-COMMANDS = {
-    name: (f"{folder}.{_MODULES.get(name, name)}", text)
-    for group in GROUPS.values()
-    for name, (folder, text) in group.items()
-}
+"""Commands by what they are for: module below `commands` and one line of help, by name."""
+COMMANDS = {name: row for group in GROUPS.values() for name, row in group.items()}
 """Module below `commands` and one line of help, by name."""
+_FUNCTIONS = dict.fromkeys(("start", "stop", "estop", "arm", "disarm", "clear"), "operate")
+_FUNCTIONS["import"] = "import_log"  # functions that are not called as their command
 
 
-def make_parser() -> argparse.ArgumentParser:
-    """The top level: a list of commands, no command's own options."""
-    parser = argparse.ArgumentParser(
-        prog="steerd",
-        description="Control, identification and sim-to-real diagnosis for Ackermann cars.",
-        epilog="\n\n".join(
-            "\n".join([title, *(f"  {name:<12}{text}" for name, (_, text) in group.items())])
-            for title, group in GROUPS.items()
-        )
-        + "\n\n`steerd COMMAND --help` explains one of them.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        usage="steerd COMMAND ...",
-    )
-    parser.add_argument(
-        "command", choices=list(COMMANDS), metavar="COMMAND", help=argparse.SUPPRESS
-    )
-    return parser
+class Command(NamedTuple):
+    """A command, as its module declares it by two functions."""
+
+    run: Callable[[argparse.Namespace], int | None]  # its docstring is the help text
+    add_arguments: Callable[[argparse.ArgumentParser], None]
+    first: Sequence[str]  # options that `--help` shows; all where none is named
+
+
+def find_command(name: str) -> Command:
+    """A command by its name; no other module is loaded."""
+    module = importlib.import_module(f"steerd.daemon.cli.commands.{COMMANDS[name][0]}")
+    function = _FUNCTIONS.get(name, name)
+    run, add_arguments = getattr(module, function), getattr(module, f"{function}_arguments")
+    return Command(run, add_arguments, getattr(module, "FIRST_OPTIONS", ()))
+
+
+ABOUT = "Control, identification and sim-to-real diagnosis for Ackermann cars."
+
+
+def list_commands() -> str:
+    """The text of `steerd --help`."""
+    head = f"usage: steerd COMMAND ...\n\n{ABOUT}\n\noptions:\n"
+    parts = [f"{head}  -h, --help  show this help message and exit"]
+    for title, group in GROUPS.items():
+        rows = (f"  {name:<12}{text}" for name, (_, text) in group.items())
+        parts.append("\n".join((title, *rows)))
+    return "\n\n".join((*parts, "`steerd COMMAND --help` explains one of them."))
 
 
 def parse_command(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
     """Split the command's name from its arguments; exits with the help text where there is none."""
-    if argv and argv[0] == "--version":
-        print(f"steerd {VERSION}")
+    word = argv[0] if argv else "--help"
+    if word in COMMANDS:
+        return word, argv[1:]
+    if word in ("-h", "--help", "--version"):
+        print(f"steerd {VERSION}" if word == "--version" else list_commands())
         raise SystemExit(0)
-    if argv and not argv[0].startswith("-") and argv[0] not in COMMANDS:
-        from steerd.daemon.common.errors import did_you_mean
-
-        hint = did_you_mean(argv[0], COMMANDS) or "`steerd --help` lists the commands"
-        raise SteerdError(f"there is no command {argv[0]!r}", hint, ExitCode.USAGE)
-    args = make_parser().parse_args(argv[:1] or ["--help"])
-    return str(args.command), argv[1:]
+    hint = did_you_mean(word, COMMANDS) or "`steerd --help` lists the commands"
+    raise SteerdError(f"there is no command {word!r}", hint, ExitCode.USAGE)
 
 
 def dispatch(argv: Sequence[str]) -> int:
     """Run one command line and give its exit code; errors pass through."""
     name, rest = parse_command(argv)
-    module_name, text = COMMANDS[name]
-    module = importlib.import_module(f"steerd.daemon.cli.commands.{module_name}")
+    command = find_command(name)
     parser = argparse.ArgumentParser(
         prog=f"steerd {name}",
-        description=module.__doc__ or text,
+        description=inspect.cleandoc(command.run.__doc__ or ""),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         exit_on_error=False,
     )
-    module.add_arguments(parser)
+    command.add_arguments(parser)
     parser.set_defaults(command=name)
     if {"-h", "--help", "--help-all"} & set(rest):
-        first = () if "--help-all" in rest else getattr(module, "FIRST_OPTIONS", ())
+        first = () if "--help-all" in rest else command.first
         _explain(parser, first)
         rest = ["--help" if word == "--help-all" else word for word in rest]
     try:
@@ -145,7 +149,7 @@ def dispatch(argv: Sequence[str]) -> int:
     if unknown:
         raise _refuse(name, parser, unknown)
     check_inputs(parser, args)
-    code: int | None = module.run(args)
+    code: int | None = command.run(args)
     return code or ExitCode.OK
 
 
@@ -174,8 +178,6 @@ def _unusable(name: str, error: argparse.ArgumentError) -> SteerdError:
 
 def _refuse(name: str, parser: argparse.ArgumentParser, unknown: list[str]) -> SteerdError:
     """The error of words that a command does not take, with the nearest option."""
-    from steerd.daemon.common.errors import did_you_mean
-
     options = [text for action in parser._actions for text in action.option_strings]  # noqa: SLF001
     word = next((each for each in unknown if each.startswith("-")), unknown[0])
     what = f"`steerd {name}` takes no {word.partition('=')[0]}"
@@ -255,8 +257,6 @@ def show_warning(
     line: str | None = None,
 ) -> None:
     """Show steerd's own warnings as its errors are shown; others with their place in the code."""
-    from steerd.daemon.common.screen import print_labelled
-
     stream = file or sys.stderr
     if category.__module__.startswith("steerd."):
         print_labelled("steerd: ", str(message), stream)
@@ -266,8 +266,6 @@ def show_warning(
 
 def _report(error: SteerdError) -> ExitCode:
     """Say what happened and what to try; the exit code."""
-    from steerd.daemon.common.screen import print_labelled
-
     print_labelled("steerd: ", error.what, sys.stderr)
     if error.hint:
         print_labelled("   try: ", error.hint, sys.stderr)

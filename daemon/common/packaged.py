@@ -4,5 +4,5 @@ from importlib.resources import files
 from pathlib import Path
 
 EXAMPLES = Path(str(files("steerd") / "data" / "examples"))
-"""Maps for `steerd import`, layouts for viewers, a pose publisher: `examples/` of the sources."""
+"""Maps for `steerd import`, a sweep, layouts for viewers, a pose publisher: the `examples/`."""
 EXAMPLE_MAP = EXAMPLES / "import-dart.toml"

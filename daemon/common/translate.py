@@ -22,16 +22,16 @@ def make_car_file_error(error: "CarFileError") -> SteerdError:
     return SteerdError(f"{place}: {error.what}", error.hint, code)
 
 
-def load_car_file(path: "Path | str") -> "CarFile":
-    """A car file that somebody named, with what identify knows of the car.
+def load_car_file(path: "Path | str | None") -> "CarFile":
+    """A car file that somebody named, F1TENTH's for None, with what identify knows of the car.
 
     Raises:
         SteerdError: it cannot be read, or says something impossible.
     """
-    from steerd.car_model.car_file import CarFileError, load_car
+    from steerd.car_model.car_file import CarFileError, default_car_path, load_car
 
     try:
-        return load_car(path)
+        return load_car(path or default_car_path())
     except CarFileError as error:
         raise make_car_file_error(error) from None
 

@@ -10,7 +10,6 @@ import tomlkit
 
 from steerd.car_model.car_file import CarFile, CarFileError, parse_car
 from steerd.daemon.common.translate import make_car_file_error
-from steerd.daemon.common.written import car_outputs, write_outputs
 from steerd.daemon.settings.config import make_settings
 
 Values = Mapping[tuple[str, str], float | str]  # new values by (section, key)
@@ -30,18 +29,6 @@ def edit_car(base: CarFile, values: Values) -> CarFile:
     except CarFileError as error:
         raise make_car_file_error(error) from None
     return car
-
-
-def write_edited(output: Path | None, base: CarFile, values: Values) -> bool:
-    """Check the car file with new values, and write it where a name is given; whether it was.
-
-    Raises:
-        SteerdError: it would not be valid, or cannot be written.
-    """
-    car = edit_car(base, values)
-    if output is not None:
-        write_outputs(car_outputs(output, car))
-    return output is not None
 
 
 def edit_document(document: Any, values: Values) -> None:

@@ -79,8 +79,10 @@ JUMP_SDS = 7.0
 """Standard deviations of a pose by which two may differ: five of their difference."""
 
 
-def load_settings(path: Path | str, speed: float | None = None) -> Settings:
-    """Read a car file and check every section; `speed` [m/s] replaces the file's cruise speed.
+def load_settings(path: Path | str | None, speed: float | None = None) -> Settings:
+    """Read a car file, F1TENTH's for None, and check every section.
+
+    `speed` [m/s] replaces the file's cruise speed.
 
     Raises:
         SteerdError: the file cannot be read, or a value is invalid; names it and the remedy.

@@ -10,7 +10,7 @@ from dataclasses import replace
 from math import isfinite, nan
 from pathlib import Path
 
-from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.vesc_link.scaling import Scaling
 
 NAMES = {
@@ -51,10 +51,8 @@ def read_vesc_yaml(text: str, base: Scaling) -> Scaling:
         hint = f"it should hold some of {', '.join(NAMES)}"
         raise SteerdError("no gain of F1TENTH's vesc.yaml in this file", hint)
     values = {NAMES[name]: abs(v) if name == "speed_max" else v for name, v in found.items()}
-    try:
+    with refusing("vesc.yaml: ", code=ExitCode.INVALID):
         return replace(base, **values)
-    except ValueError as error:
-        raise SteerdError(f"vesc.yaml: {error}") from None
 
 
 def make_vesc_yaml(scaling: Scaling, text: str = "") -> str:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from steerd.car_model.car_file import CarFileError, default_car_path
+from steerd.car_model.car_file import CarFileError
 from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.translate import make_car_file_error
@@ -61,7 +61,7 @@ def _read_settings(session: Session) -> Settings:
     try:
         return make_settings(read_session_car(session))
     except SessionError:
-        return load_settings(default_car_path())
+        return load_settings(None)
     except CarFileError as error:
         raise make_car_file_error(error) from None
 

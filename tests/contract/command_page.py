@@ -1,13 +1,12 @@
 """The page of commands from the parsers themselves: `python -m tests.contract.command_page`."""
 
 import argparse
-import importlib
 import re
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from steerd.daemon.cli.main import COMMANDS
+from steerd.daemon.cli.main import COMMANDS, find_command
 from steerd.daemon.common.packaged import EXAMPLES
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "commands.md"
@@ -24,9 +23,8 @@ drives need, and `--help-all` the rest. Exit codes are in
 
 def make_parser(name: str) -> argparse.ArgumentParser:
     """The parser of one command."""
-    module = importlib.import_module(f"steerd.daemon.cli.commands.{COMMANDS[name][0]}")
     parser = argparse.ArgumentParser(prog=f"steerd {name}", add_help=False)
-    module.add_arguments(parser)
+    find_command(name).add_arguments(parser)
     return parser
 
 

@@ -36,7 +36,7 @@ def test_steerd_links_to_every_room_and_to_nothing_else():
 @pytest.mark.parametrize(
     ("module", "heavy"),
     [
-        ("cli.commands.driving.run", {"torch"}),
+        ("cli.commands.run", {"torch"}),
         ("loop.core", {"torch", "zenoh", "mcap"}),
         ("offline.virtual", {"torch"}),
     ],

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from steerd.daemon.cli.commands.setup.completion import make_full_parser, make_manual
+from steerd.daemon.cli.commands.completion import make_full_parser, make_manual
 from steerd.daemon.cli.main import COMMANDS, run_cli
 from tests.contract.command_page import PAGE, make_page
 from tests.contract.size import GOALS, recorded, sizes

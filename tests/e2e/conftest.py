@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from steerd.daemon.assembly.build import RunPlan, make_plan, make_world_config
-from steerd.daemon.cli.commands.driving import run as run_command
+from steerd.daemon.cli.commands import run as run_command
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.virtual import VirtualRun, drive

@@ -6,7 +6,6 @@ the others are planned: parsed, their addresses read, path and controller made.
 """
 
 import argparse
-import importlib
 import re
 import shlex
 import signal
@@ -16,7 +15,8 @@ from pathlib import Path
 import pytest
 
 from steerd.daemon.assembly.build import make_plan
-from steerd.daemon.cli.main import COMMANDS, run_cli
+from steerd.daemon.cli.commands.run import make_options
+from steerd.daemon.cli.main import COMMANDS, find_command, run_cli
 from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.settings.vesc_yaml import make_vesc_yaml
 from steerd.mocap_link.mocap_url import parse_mocap_url
@@ -62,10 +62,9 @@ def arguments_of(command):
 
 
 def parse(arguments):
-    module = importlib.import_module(f"steerd.daemon.cli.commands.{COMMANDS[arguments[0]][0]}")
     parser = argparse.ArgumentParser()
-    module.add_arguments(parser)
-    return module, parser.parse_args(arguments[1:])
+    find_command(arguments[0]).add_arguments(parser)
+    return parser.parse_args(arguments[1:])
 
 
 def is_prose(command):
@@ -178,11 +177,11 @@ DRIVEN = chosen([c for c in HARDWARE_LINES if c not in ELSEWHERE])
 def test_what_is_driven_with_the_same_options_elsewhere_is_planned(command, workplace):
     arguments = arguments_of(command)
     workplace(arguments)
-    module, args = parse(arguments)
+    args = parse(arguments)
     if getattr(args, "mocap", None) and "://" in args.mocap:
         parse_mocap_url(args.mocap)
     if arguments[0] == "run":
-        assert make_plan(module.make_options(args)).controller is not None
+        assert make_plan(make_options(args)).controller is not None
 
 
 @pytest.fixture(scope="module")

@@ -12,13 +12,13 @@ from typing import NamedTuple
 import pytest
 
 from steerd.daemon.assembly.build import NS, RunPlan, make_plan, make_world_config
-from steerd.daemon.cli.commands.driving.run import RunOptions
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop.loop import Flag
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.fast import make_recording
 from steerd.daemon.offline.replay import TOLERANCE, describe_difference, replay
 from steerd.daemon.offline.virtual import VirtualRun, make_virtual_run
+from steerd.daemon.settings.run_options import RunOptions
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.world import World
 from steerd.steer_bus import messages as m

@@ -183,7 +183,7 @@ def test_a_locale_that_knows_no_superscript():
 
 
 def test_a_diagnostics_message_that_would_steer_the_terminal(monkeypatch, capsys):
-    from steerd.daemon.cli.commands.driving import status
+    from steerd.daemon.cli.commands import operate
     from steerd.steer_bus import topics
     from steerd.steer_bus.codec import encode
     from steerd.steer_bus.messages import BODY, make_header
@@ -208,7 +208,7 @@ def test_a_diagnostics_message_that_would_steer_the_terminal(monkeypatch, capsys
                 self.publish(key, data)
             return found
 
-    monkeypatch.setattr(status, "connect", lambda *_: nullcontext(Foreign(LocalHub())))
+    monkeypatch.setattr(operate, "connect", lambda *_: nullcontext(Foreign(LocalHub())))
     assert run_cli(["status"]) == 0
     shown = capsys.readouterr().out
     assert "READY" in shown

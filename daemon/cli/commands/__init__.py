@@ -1,1 +1,1 @@
-"""A module for each subcommand: its docstring is the help, with `add_arguments` and `run`."""
+"""Commands by subject: each a function, whose docstring is the help, and its `NAME_arguments`."""

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import pytest
 
@@ -16,18 +17,7 @@ from steerd.daemon.cli import main
 from steerd.daemon.cli.main import COMMANDS, run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
-EFFECTS = "steerd.daemon.cli.commands.analysis.effects.run"
-
-
-def test_a_bug_has_its_own_code_and_says_that_it_is_one(monkeypatch, capsys):
-    def broken(args):
-        raise ZeroDivisionError("in a command")
-
-    monkeypatch.setattr(EFFECTS, broken)
-    assert run_cli(["effects"]) == ExitCode.INTERNAL
-    error = capsys.readouterr().err
-    assert "ZeroDivisionError: in a command" in error
-    assert error.splitlines()[-1].startswith("steerd: this is a bug in steerd")
+EFFECTS = "steerd.daemon.cli.commands.car_files.effects"
 
 
 @pytest.mark.parametrize(("given", "code"), [(None, 0), (ExitCode.STOPPED, 5)])
@@ -43,22 +33,30 @@ def test_a_car_file_that_is_not_there_is_said_before_the_sessions(capsys):
     assert "none.toml does not exist" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES, errno.ENOTDIR])
-def test_a_place_that_refuses_is_no_bug(number, monkeypatch, capsys):
-    def refused(args):
-        raise OSError(number, os.strerror(number), "/srv/cache")
-
-    monkeypatch.setattr(EFFECTS, refused)
-    assert run_cli(["effects"]) == ExitCode.UNREADABLE
-    what, hint = capsys.readouterr().err.splitlines()
-    assert what == f"steerd: /srv/cache: {os.strerror(number)}"
-    assert "its owner, its rights and its mount" in hint
+PLACE = "   try: look at its owner, its rights and its mount"
+FAILURES = [
+    (ZeroDivisionError("in a command"), 70, "ZeroDivisionError: in a command",
+     "steerd: this is a bug in steerd; please report the lines above"),
+    *((OSError(number, os.strerror(number), "/srv/cache"), 3,
+       f"steerd: /srv/cache: {os.strerror(number)}", PLACE)
+      for number in (errno.EROFS, errno.EACCES, errno.ENOTDIR)),
+]  # fmt: skip
 
 
-def test_equations_that_were_not_compiled_are_a_line_with_the_command(
-    tmp_path, monkeypatch, capsys
+@pytest.mark.parametrize(("raised", "code", "what", "last"), FAILURES, ids=lambda v: str(v)[:30])
+def test_what_goes_wrong_in_a_command_is_told_and_only_a_bug_is_called_one(
+    raised, code, what, last, monkeypatch, capsys
 ):
-    monkeypatch.setattr(EFFECTS, lambda args: load_library(tmp_path / "none.so"))
+    def broken(args):
+        raise raised
+
+    monkeypatch.setattr(EFFECTS, broken)
+    assert run_cli(["effects"]) == code
+    assert capsys.readouterr().err.splitlines()[-2:] == [what, last]
+
+
+def test_equations_that_were_not_compiled_are_a_line_with_the_command(monkeypatch, capsys):
+    monkeypatch.setattr(EFFECTS, lambda args: load_library(Path("/none.so")))
     assert run_cli(["effects"]) == ExitCode.UNREADABLE
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("steerd: the compiled equations")

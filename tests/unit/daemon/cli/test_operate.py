@@ -2,7 +2,7 @@
 
 import pytest
 
-from steerd.daemon.cli.commands.driving import operate
+from steerd.daemon.cli.commands import operate
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.ipc.requests import make_badge
 from steerd.daemon.loop.transitions import SupervisorState

@@ -8,7 +8,8 @@ import sys
 
 import pytest
 
-from steerd.daemon.cli.commands.setup.service import make_unit
+from steerd.car_model.car_file import default_car_path
+from steerd.daemon.cli.commands.service import make_unit
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
 
@@ -30,7 +31,7 @@ def home(tmp_path, monkeypatch):
 
 def test_install_print_uninstall(home, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "car.toml").write_text(_default_car())
+    (tmp_path / "car.toml").write_text(default_car_path().read_text())
     options = [*OPTIONS, "--car", "car.toml"]
     assert run_cli(["service", "install", "--user", *options]) == 0
     said = capsys.readouterr().out
@@ -53,12 +54,6 @@ def test_install_print_uninstall(home, capsys, tmp_path, monkeypatch):
     assert run_cli(["service", "uninstall", "--user"]) == 0
     assert not home.exists()
     assert run_cli(["service", "uninstall"]) == 3
-
-
-def _default_car():
-    from steerd.car_model.car_file import default_car_path
-
-    return default_car_path().read_text()
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from steerd.daemon.cli.commands.setup.setup import Step, guide, list_steps, run_step
+from steerd.daemon.cli.commands.setup import Step, guide, list_steps, run_step
 from steerd.daemon.cli.main import run_cli
 from tests.contract.command_page import make_parser
 

@@ -8,14 +8,6 @@ from steerd.daemon.common.translate import make_car_file_error, make_session_err
 from steerd.steer_bus.session_read import SessionError
 
 
-def test_a_car_file_with_wrong_content_is_invalid():
-    made = make_car_file_error(
-        CarFileError(Path("a.toml"), "[car] mass", "is negative", "weigh it")
-    )
-    assert (made.what, made.hint) == ("a.toml: [car] mass: is negative", "weigh it")
-    assert made.code == ExitCode.INVALID
-
-
 def test_a_car_file_that_the_system_does_not_open_is_unreadable():
     error = CarFileError(Path("a.toml"), "", "cannot be read", "")
     error.__cause__ = OSError(13, "Permission denied")

@@ -13,7 +13,7 @@ from steerd.car_model.params import DEFAULT_CAR, wheelbase
 from steerd.car_model.state import Command
 from steerd.controller.limits import Limits
 from steerd.daemon.assembly.build import make_plan
-from steerd.daemon.cli.commands.setup.completion import make_full_parser
+from steerd.daemon.cli.commands.completion import make_full_parser
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop import plans
 from steerd.daemon.loop.transitions import SupervisorState

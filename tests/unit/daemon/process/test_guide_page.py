@@ -13,7 +13,7 @@ from websockets.exceptions import InvalidStatus  # noqa: TID251
 from websockets.sync.client import ClientConnection, connect  # noqa: TID251
 from websockets.typing import Origin  # noqa: TID251
 
-from steerd.daemon.cli.commands.setup.setup import Step, guide
+from steerd.daemon.cli.commands.setup import Step, guide
 from steerd.daemon.process.guide_page import GuidePage, plain_text
 
 STEPS = [Step(name, f"before {name}", (name,)) for name in "abc"]

@@ -11,12 +11,6 @@ from steerd.controller.limits import LimitError
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.settings.config import make_settings
-from steerd.daemon.settings.run_options import (
-    ControllerKind,
-    RunOptions,
-    decode_options,
-    encode_options,
-)
 from steerd.daemon.settings.thresholds import BOUNDS, Thresholds
 from steerd.mocap_link.gates import GateConfig
 
@@ -60,11 +54,6 @@ def test_wrong_files_are_named(tmp_path, capsys, old, new, code, said):
     assert said in capsys.readouterr().err
 
 
-def test_an_absent_file(tmp_path, capsys):
-    assert run_cli(["config", "--check", str(tmp_path / "none.toml")]) == 3
-    assert "steerd config" in capsys.readouterr().err
-
-
 def settings_with(tmp_path, section, **values):
     """Settings of the default car file with other values in a section."""
     document = tomlkit.parse(DEFAULT)
@@ -103,23 +92,6 @@ def test_gates_let_the_noise_of_a_localiser_pass(tmp_path):
     noisy = settings_with(tmp_path, "estimator", pose_position_sd=0.02, pose_yaw_sd=0.02)
     gates = noisy.ingest.gates
     assert (gates.jump_slack, gates.yaw_slack) == pytest.approx((0.14, 0.14))
-
-
-# Options of a run as JSON: they return as they were, unknown types are refused.
-
-
-def test_options_return_from_json_as_they_were():
-    options = RunOptions(
-        "car.toml", port="/dev/ttyACM0", controller=ControllerKind.ZENOH, effects=("a", "b=2"),
-        duration_s=2.5, ros_domain=7,
-    )  # fmt: skip
-    assert decode_options(encode_options(options)) == options
-
-
-@pytest.mark.parametrize("text", ['{"car_file": 1}', "{}", '{"car_file": "", "controller": "x"}'])
-def test_text_that_is_no_options_is_refused(text):
-    with pytest.raises(msgspec.ValidationError):
-        decode_options(text)
 
 
 # Thresholds: defaults of `docs/reference/safety-requirements.md#s4`, bounds no car file lifts.

@@ -14,8 +14,8 @@ from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.virtual import drive
 from steerd.daemon.sessions.motion import Signal, Track
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.daemon.setup.calibration_data import body_track, load_recorded, wheel_speed
-from steerd.daemon.setup.least_squares import BLOCKS, find_delay, jackknife_sd
+from steerd.daemon.setup.calibration_data import load_recorded, wheel_speed
+from steerd.daemon.setup.least_squares import BLOCKS, jackknife_sd
 from steerd.daemon.setup.mount_calibration import Drive, Mount, calibrate_mount, slip_per_accel
 from steerd.daemon.setup.steering_calibration import calibrate_steering
 
@@ -99,20 +99,19 @@ def test_a_drive_that_identifies_little_is_named_or_refused():
 # Gain, centre, delay and stops of the steering are recovered from drives with known ones.
 
 
-def driven(t, speed, yaw_rate):
-    """A track of which nothing is looked at but speed and turning."""
-    return Track(t, t, t, t, speed, yaw_rate, 0.2)
+def followed(t, command, wheel, speed, seed):
+    """A track of which nothing is looked at but speed and turning, and what was commanded."""
+    slip = (1 / CAR.c_sf - 1 / CAR.c_sr) / (CAR.mu * 9.81)
+    rate = np.tan(wheel) * speed / (wheelbase(CAR) + slip * speed**2)
+    rate += 0.02 * np.random.default_rng(seed).normal(size=t.size)
+    return Track(t, t, t, t, np.full_like(t, speed), rate, 0.2), Signal(t, command)
 
 
-def steered(gain, bias, delay, *, stop=1.0, seed=0, amplitude=0.25):
+def steered(gain, bias, delay, *, stop=1.0, amplitude=0.25):
     t = np.arange(0.0, 40.0, 0.01)
     command = amplitude * np.sin(2 * np.pi * t / 6.0) + 0.02
     wheel = np.clip(gain * np.interp(t - delay, t, command) + bias, -stop, stop)
-    speed = np.full_like(t, 1.0)
-    slip = (1 / CAR.c_sf - 1 / CAR.c_sr) / (CAR.mu * 9.81)
-    w = np.tan(wheel) / (CAR.lf + CAR.lr) * speed / (1 + slip * speed**2 / (CAR.lf + CAR.lr))
-    rng = np.random.default_rng(seed)
-    return driven(t, speed, w + 0.02 * rng.normal(size=t.size)), Signal(t, command)
+    return followed(t, command, wheel, 1.0, 0)
 
 
 @pytest.mark.parametrize(("gain", "bias", "delay"), [(1.0, 0.0, 0.05), (0.85, 0.03, 0.1)])
@@ -136,16 +135,12 @@ def test_steering_that_meets_its_stops():
 def stepped(hold, *, seed=0, speed=1.0):
     """A drive in bends that change at once, more of them to the left; truth: 1, 0, 60 ms."""
     t = np.arange(0.0, 60.0, 0.01)
-    rng = np.random.default_rng(seed)
-    levels = rng.choice([0.14, 0.12, 0.09, 0.05, -0.09], size=int(60 / hold) + 1)
+    levels = np.random.default_rng(seed).choice([0.14, 0.12, 0.09, 0.05, -0.09], int(60 / hold) + 1)
     command = levels[(t / hold).astype(int)]
     wheel = np.interp(t - 0.06, t, command)
     for _ in range(2):  # the servo's lag, and what differentiating smooths
         wheel = np.convolve(np.pad(wheel, 10, mode="edge"), np.ones(21) / 21, "valid")
-    v = np.full_like(t, speed)
-    slip = (1 / CAR.c_sf - 1 / CAR.c_sr) / (CAR.mu * 9.81)
-    w = np.tan(wheel) / (CAR.lf + CAR.lr) * v / (1 + slip * v**2 / (CAR.lf + CAR.lr))
-    return driven(t, v, w + 0.02 * rng.normal(size=t.size)), Signal(t, command)
+    return followed(t, command, wheel, speed, seed + 10)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -199,17 +194,6 @@ def recorded(tmp_path_factory):
     return load_recorded(path)
 
 
-def test_the_body_is_the_car_moved_by_a_constant_offset_of_the_mount(recorded):
-    t, x, y, yaw = body_track(recorded)
-    car = recorded.poses
-    turn = np.unwrap(yaw - car["yaw"])
-    assert t[0] == 0.0
-    assert np.ptp(turn) < 1e-9
-    ahead = (x - car["x"]) * np.cos(car["yaw"]) + (y - car["y"]) * np.sin(car["yaw"])
-    left = (y - car["y"]) * np.cos(car["yaw"]) - (x - car["x"]) * np.sin(car["yaw"])
-    assert max(np.ptp(ahead), np.ptp(left)) < 1e-9
-
-
 def test_poses_that_were_rejected_calibrate_nothing(recorded, monkeypatch):
     (name, table), *_ = ((n, t) for n, t in recorded.read.tables.items() if "reject" in t)
     jumped = np.where(np.arange(len(table["reject"])) % 10 == 3, "jump", table["reject"])
@@ -225,7 +209,7 @@ def test_what_a_session_lacks_is_named(recorded):
         wheel_speed(empty)
 
 
-# Least squares, jackknife and delay search against cases with known answers.
+# The jackknife against a case with a known answer.
 
 
 def test_the_jackknife_of_a_mean_is_its_standard_error():
@@ -233,10 +217,3 @@ def test_the_jackknife_of_a_mean_is_its_standard_error():
     (sd,) = jackknife_sd(np.ones(200, dtype=bool), lambda keep: [values[keep].mean()])
     blocks = values.reshape(BLOCKS, -1).mean(axis=1)
     assert sd == pytest.approx(blocks.std(ddof=1) / np.sqrt(BLOCKS), rel=1e-9)
-
-
-def test_a_delay_between_grid_points_is_found_among_several_minima():
-    def cost(tau):
-        return (tau - 0.1234) ** 2 + 1e-3 * np.sin(60.0 * (tau - 0.1234)) ** 2
-
-    assert find_delay(cost) == pytest.approx(0.1234, abs=1e-4)

@@ -1,12 +1,13 @@
-"""Keys that change live parameters, in the terminal of a run and in `steerd watch`."""
+"""Keys in the terminal of a run and in `steerd watch`: live parameters, the lease, a servo."""
 
 from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
-from steerd.daemon.ipc.operator import Operator
+from steerd.daemon.ipc.operator import KEEPALIVE_NS, Operator
 from steerd.daemon.ipc.requests import format_setting, parse_setting, unpack_request
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.setup.steering_calibration import SteeringCalibration, servo_scaling
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.daemon.terminal.key_desk import KEYS, nudge
@@ -24,6 +25,34 @@ from tests.local_bus import LocalBus, LocalHub
 LIVE = m.Parameters(
     m.make_header(0, m.BODY), 0, 0, 0, 1.0, 0.3, 1.45, 0.0, -0.15, 0.15, 1.0, 0.5, 1.2, ""
 )
+
+
+class Desk:
+    """A terminal at which keys are pressed, of a car whose state is set."""
+
+    def __init__(self):
+        self.sent = []
+        self.now_ns = 77 * 10**9
+        self.board = SimpleNamespace(state=None, parameters=LIVE)
+        clock = SimpleNamespace(now_ns=lambda: self.now_ns, realtime_ns=lambda: self.now_ns)
+        processes = SimpleNamespace(requests=SimpleNamespace(send=self.sent.append), fds={})
+        self.terminal = Terminal(processes, self.board, Operator(1, 77, "desk"), clock)
+
+    def press(self, key):
+        self.terminal._on_key(key)
+        return self
+
+    def show(self, state):
+        self.board.state = SimpleNamespace(mode=int(state))
+        return self
+
+    def wait(self, seconds):
+        """Let time pass; the kinds of all requests since the last time."""
+        for _ in range(round(seconds * 1e9) // KEEPALIVE_NS):
+            self.now_ns += KEEPALIVE_NS
+            self.terminal._desk.keep_alive()
+        packets, self.sent[:] = self.sent[:], []
+        return [decode(m.OperatorRequest, unpack_request(packet)[1]).kind for packet in packets]
 
 
 @pytest.mark.parametrize(
@@ -57,15 +86,11 @@ def test_a_setting_comes_back_to_the_bit():
 
 
 def test_a_viewers_setting_goes_out_under_the_terminals_lease():
-    sent, board = [], SimpleNamespace(state=None, parameters=LIVE)
-    clock = SimpleNamespace(now_ns=lambda: 1, realtime_ns=lambda: 2)
-    processes = SimpleNamespace(requests=SimpleNamespace(send=sent.append), fds={})
-    terminal = Terminal(processes, board, Operator(1, 77, "desk"), clock)
+    desk = Desk()
     packets = iter([b"set gain 1.1", b"set mass 9", b""])
     viewer = SimpleNamespace(recv=lambda _most: next(packets))
-    assert [terminal._pass_setting(viewer) for _ in range(3)] == [True, True, False]
-    terminal._on_key("+")
-    out = [unpack_request(packet) for packet in sent]
+    assert [desk.terminal._pass_setting(viewer) for _ in range(3)] == [True, True, False]
+    out = [unpack_request(packet) for packet in desk.press("+").sent]
     assert {name for name, _ in out} == {topics.SET_PARAMETERS.name}
     gain, speed = (decode(m.ParameterRequest, data) for _, data in out)
     assert (gain.gain, speed.speed) == (1.1, 1.1)
@@ -99,6 +124,59 @@ def test_the_keys_of_a_watch(operate):
     kinds = [decode(m.OperatorRequest, s.data).kind for s in (*asked.poll(), *stops.poll())]
     assert kinds == ([KEYS["a"], KEYS[" "]] if operate else [])
     assert desk.holding is operate
+
+
+# The lease: held while the car needs somebody, and no longer.
+
+KEEPALIVE = int(m.RequestKind.KEEPALIVE)
+HELD = [
+    SupervisorState.SELF_TEST,
+    SupervisorState.ARMED,
+    SupervisorState.RUNNING,
+    SupervisorState.STOPPING,
+]
+LET_GO = [state for state in SupervisorState if state not in HELD]
+
+
+def test_nobody_holds_a_car_that_nobody_armed_or_started():
+    assert Desk().show(SupervisorState.READY).wait(3.0) == []
+
+
+@pytest.mark.parametrize("key", "as")
+@pytest.mark.parametrize("state", HELD)
+def test_who_arms_or_starts_the_car_holds_it_for_as_long_as_it_needs_somebody(key, state):
+    desk = Desk().press(key).show(state)
+    assert desk.wait(10.0) == [KEYS[key]] + [KEEPALIVE] * 200
+
+
+@pytest.mark.parametrize("state", [None, *LET_GO])
+def test_a_parked_or_faulted_car_is_let_go(state):
+    desk = Desk().press("a").show(SupervisorState.RUNNING)
+    desk.wait(10.0)
+    desk.board.state = None if state is None else SimpleNamespace(mode=int(state))
+    assert desk.wait(1.0) == []
+    assert desk.show(SupervisorState.ARMED).wait(1.0) == [], "armed again by somebody else"
+
+
+def test_an_arm_request_without_an_answer_is_held_until_the_answer_is_due():
+    desk = Desk().show(SupervisorState.READY).press("a")
+    assert desk.wait(1.5) == [KEYS["a"]] + [KEEPALIVE] * 30
+    assert desk.wait(1.0) == []
+    assert len(desk.press("a").wait(1.0)) == 21, "requested again, held again"
+
+
+def test_disarm_lets_go_at_once():
+    desk = Desk().press("a").show(SupervisorState.ARMED)
+    desk.wait(1.0)
+    assert desk.press("d").wait(1.0) == [KEYS["d"]]
+
+
+@pytest.mark.parametrize("key", " ce")
+def test_other_keys_take_no_hold_and_lose_none(key):
+    desk = Desk().show(SupervisorState.RUNNING)
+    assert desk.press(key).wait(1.0) == [KEYS[key]], "somebody else's car"
+    desk.press("s").wait(1.0)
+    assert desk.press(key).wait(1.0) == [KEYS[key]] + [KEEPALIVE] * 20
 
 
 # Keys move the servo and set its centre and stops; the session's servo becomes a new scaling.

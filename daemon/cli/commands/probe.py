@@ -1,13 +1,9 @@
-"""Find VESCs, mocap servers and sockets; say what is wrong and what to do.
+"""Commands that look at the hardware and at this machine before a drive."""
 
-Nothing moves. A running `steerd run` holds its port: stop it first.
-
-steerd probe
-steerd probe --port /dev/ttyACM0 --mocap natnet://192.168.1.10/car
-"""
-
-import argparse
 import json
+import os
+import sys
+from argparse import ArgumentParser, Namespace
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from math import degrees
@@ -15,14 +11,17 @@ from math import degrees
 from steerd.daemon.cli.arguments import missing_car, option
 from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.common.screen import clean, join_words, wrap
+from steerd.daemon.settings.config import load_settings
 from steerd.daemon.setup.probe import VESC_USB, Advice, Found, MocapSeen, VescFound
+from steerd.steer_bus.clock import MonotonicClock
 
 NAME_MAX = 40  # characters of a body's name that are shown
 ADVICE_MAX = 500  # characters of a finding that are shown
+STOLEN_SHARE = 0.001  # a host that takes more of the time than this is the first suspect
 Rows = Iterable[tuple[str, str]]  # labels and what is said under them
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def probe_arguments(parser: ArgumentParser) -> None:
     option(parser, "--port", "DEV", "query this port only, whatever its USB id")
     option(parser, "--mocap", "URL", "listen to this source, as `steerd run`")
     option(parser, "--car", "FILE.toml", "car file: units, axes, cells, timeout", missing_car)
@@ -30,16 +29,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--json", "", "the same for programs")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Print the findings; exit code 3 if what was named cannot be used, or nothing was found."""
-    from steerd.car_model.car_file import default_car_path
-    from steerd.daemon.settings.config import load_settings
+def probe(args: Namespace) -> int:
+    """Find VESCs, mocap servers and sockets; say what is wrong and what to do.
+
+    Nothing moves. A running `steerd run` holds its port: stop it first.
+
+    steerd probe
+    steerd probe --port /dev/ttyACM0 --mocap natnet://192.168.1.10/car
+    """
     from steerd.daemon.setup.probe_ask import ask_mocap, ask_ports, find_sockets, in_group
-    from steerd.steer_bus.clock import MonotonicClock
 
     if not 0.5 <= args.seconds <= 600.0:
         raise SteerdError(f"--seconds {args.seconds:g}: 0.5 to 600", "", ExitCode.USAGE)
-    settings, clock = load_settings(args.car or default_car_path()), MonotonicClock()
+    settings, clock = load_settings(args.car), MonotonicClock()
     serial = tuple(ask_ports(args.port, clock, settings.brakes))
     with refusing(f"--mocap {args.mocap}: "):
         mocap = tuple(ask_mocap(args.mocap, settings.ingest, clock, args.seconds))
@@ -125,3 +127,50 @@ def _item(head: str, rows: Rows, advice: Sequence[Advice]) -> Iterator[str]:
             head = "      try: " if i == 0 else "        "
             # An indented line is to be copied and stays as it is.
             yield from [head + line] if line.startswith(" ") else wrap(line, head, " " * 11)
+
+
+def rtcheck_arguments(parser: ArgumentParser) -> None:
+    option(parser, "--seconds", None, "how long to measure", type=float, default=10.0)
+    option(parser, "--under-load", "", "keep every processor busy meanwhile")
+    option(parser, "--rate", "HZ", "of the loop", type=float, default=100.0)
+
+
+def rtcheck(args: Namespace) -> int:
+    """Measure whether this machine can run a control loop on time.
+
+    Run it beside everything that will run during a drive. The exit code is 5 where
+    late ticks would stop a car, or nearly so.
+    """
+    from steerd.daemon.process.guard import read_steal_ns
+    from steerd.daemon.process.realtime import realtime_section
+    from steerd.daemon.process.rtcheck import keep_busy, measure_wakes, summarise_wakes
+
+    if not (0.1 <= args.seconds <= 3600.0 and 20.0 <= args.rate <= 1000.0):
+        hint = "--seconds 0.1 to 3600, --rate 20 to 1000"
+        raise SteerdError("--seconds or --rate is out of range", hint, ExitCode.USAGE)
+    print(f"measuring for {args.seconds:g} s …", file=sys.stderr, flush=True)
+    period_ns = round(1e9 / args.rate)
+    ticks = max(1, round(args.seconds * args.rate))
+    with realtime_section() as report:
+        stolen_ns = -read_steal_ns()
+        with keep_busy(os.cpu_count() or 1 if args.under_load else 0):
+            late_ns = measure_wakes(MonotonicClock(), period_ns, ticks)
+        stolen_ns += read_steal_ns()
+    wakes = summarise_wakes(late_ns, period_ns)
+    print(f"fixed priority: {'yes' if report.fifo else 'no'}")
+    print(f"locked memory:  {'yes' if report.locked else 'no'}")
+    print(f"{wakes.ticks} wakes at {args.rate:g} Hz, late by")
+    for name in ("p50", "p99", "p999", "worst"):
+        print(f"  {name:<6}{getattr(wakes, name + '_ns') * 1e-6:8.3f} ms")
+    print(f"missed: {wakes.missed}; later than 25 ms, which stops a car: {wakes.fatal}")
+    print(f"taken by the host of this machine: {stolen_ns * 1e-6:.0f} ms")
+    for line in report.refused:
+        print(f"note: {line}")
+    if wakes.good:
+        print("this machine is fast enough")
+        return ExitCode.OK
+    if stolen_ns >= STOLEN_SHARE * args.seconds * 1e9:
+        print("this virtual machine is stalled by its host: drive from a real one")
+        return ExitCode.STOPPED
+    print("this machine is too slow: close other programs, allow a fixed priority")
+    return ExitCode.STOPPED

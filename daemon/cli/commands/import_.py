@@ -1,15 +1,9 @@
-"""Turn another system's log into a session: a csv file or a ROS 1 or ROS 2 bag.
+"""`steerd import`: sessions from the logs of other systems."""
 
-steerd import RUN.bag                    # F1TENTH's topics are known by name
-steerd import --ask RUN.csv              # proposes a map and what it means
-steerd import csv RUN.csv --map MAP.toml -o RUN.mcap
-steerd import bag RUN.bag --topic /vrpn/car/pose -o RUN.mcap
-"""
-
-import argparse
 import re
 import shlex
 import sys
+from argparse import ArgumentParser, Namespace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +11,8 @@ from typing import TYPE_CHECKING
 from steerd.daemon.cli.arguments import missing_file, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.packaged import EXAMPLE_MAP
+from steerd.daemon.common.progress import show_progress
+from steerd.daemon.common.screen import print_labelled
 
 if TYPE_CHECKING:
     from steerd.daemon.imports.import_session import ImportReport
@@ -25,7 +21,7 @@ _KINDS = ("csv", "bag")
 _BAG_SUFFIXES = (".bag", ".db3", ".mcap", ".zstd")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def import_log_arguments(parser: ArgumentParser) -> None:
     text = "the log: a table with a row per time, a ROS 1 .bag, a ROS 2 folder, or its file"
     option(parser, "words", "[csv|bag] FILE", text, nargs="+")
     option(parser, "-o --output", "SESSION.mcap", "default: beside the log", type=Path)
@@ -40,7 +36,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(bag, "--rigid", "ID", "which PhaseSpace body is the car", type=int)
 
 
-def run(args: argparse.Namespace) -> None:
+def import_log(args: Namespace) -> None:
+    """Turn another system's log into a session: a csv file or a ROS 1 or ROS 2 bag.
+
+    steerd import RUN.bag                    # F1TENTH's topics are known by name
+    steerd import --ask RUN.csv              # proposes a map and what it means
+    steerd import csv RUN.csv --map MAP.toml -o RUN.mcap
+    steerd import bag RUN.bag --topic /vrpn/car/pose -o RUN.mcap
+    """
     kind, source = read_words(args.words)
     out = args.output or default_output(source)
     the_map = _agree(args, kind, source, out) if args.ask else args.map
@@ -74,10 +77,8 @@ def default_output(source: Path) -> Path:
 
 
 def _import(
-    args: argparse.Namespace, kind: str, source: Path, the_map: Path | None, out: Path
+    args: Namespace, kind: str, source: Path, the_map: Path | None, out: Path
 ) -> "ImportReport":
-    from steerd.daemon.common.progress import show_progress
-
     if kind == "csv":
         from steerd.daemon.imports.csv_log import import_csv
 
@@ -91,7 +92,7 @@ def _import(
         return import_bag(source, the_map, out, choice, advance)
 
 
-def _agree(args: argparse.Namespace, kind: str, source: Path, out: Path) -> Path:
+def _agree(args: Namespace, kind: str, source: Path, out: Path) -> Path:
     """The map that somebody agreed to, written beside the session."""
     from steerd.daemon.cli.import_ask import ask
     from steerd.daemon.common.written import write_outputs
@@ -117,8 +118,7 @@ def _propose(kind: str, source: Path) -> dict[str, dict[str, object]]:
     return propose_bag(source)
 
 
-def _print_result(made: "ImportReport", args: argparse.Namespace, the_map: Path | None) -> None:
-    from steerd.daemon.common.screen import print_labelled
+def _print_result(made: "ImportReport", args: Namespace, the_map: Path | None) -> None:
     from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.text import format_report, print_warnings
 
@@ -135,7 +135,7 @@ def _print_result(made: "ImportReport", args: argparse.Namespace, the_map: Path 
     print(f"   next: steerd {'identify' if made.is_drive else 'plot'} {session}")
 
 
-def _again(args: argparse.Namespace, the_map: Path | None, erpm_gain: str, out: Path) -> str:
+def _again(args: Namespace, the_map: Path | None, erpm_gain: str, out: Path) -> str:
     """The same import with the ERPM per m/s that the drive shows."""
     options = ["--map", str(the_map)] if the_map else []
     options += [word for topic in args.topic for word in ("--topic", topic)]

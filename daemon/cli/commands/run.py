@@ -1,14 +1,10 @@
-"""Drive a car (--port, --mocap) or simulated hardware (--sim).
+"""`steerd run`: a drive on a car or on simulated hardware, in real or in virtual time."""
 
-On a car it starts disarmed. Arm and start it with the keys shown, or from
-another terminal with `steerd arm` and `steerd start`.
-"""
-
-import argparse
 import secrets
 import signal
 import sys
 import threading
+from argparse import ArgumentParser, Namespace, _ArgumentGroup
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
 from importlib import import_module
@@ -33,7 +29,7 @@ FIRST_OPTIONS = (
 """What `--help` shows; `--help-all` shows the rest too."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def run_arguments(parser: ArgumentParser) -> None:
     where = parser.add_argument_group("hardware")
     option(where, "--port", "DEV", "serial port of the VESC, e.g. /dev/ttyACM0")
     text = "natnet://HOST[:PORT]/BODY[?up=y|z], vrpn://HOST[:PORT]/BODY, ros2:///TOPIC or zenoh:KEY"
@@ -56,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_network_arguments(run)
 
 
-def _add_network_arguments(run: argparse._ArgumentGroup) -> None:
+def _add_network_arguments(run: _ArgumentGroup) -> None:
     """The bus, and who else may see the car."""
     option(run, "--listen", "ENDPOINT", f"of zenoh (default {RunOptions.listen})")
     option(run, "--lab", "DIR", "the car's folder of `steerd keys`: mutual TLS", type=Path)
@@ -74,7 +70,7 @@ def _add_network_arguments(run: argparse._ArgumentGroup) -> None:
     option(run, "--page", "PORT", text, nargs="?", type=int, const=0)
 
 
-def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
+def add_drive_arguments(parser: ArgumentParser) -> None:
     """What to drive; shared with `steerd control`."""
     drive = parser.add_argument_group("drive")
     option(drive, "--car", "FILE.toml", "car file (default: F1TENTH's figures)", missing_car)
@@ -86,7 +82,7 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     option(drive, "--rate", "HZ", "of the loop", type=float, default=RunOptions.rate_hz)
 
 
-def make_options(args: argparse.Namespace) -> RunOptions:
+def make_options(args: Namespace) -> RunOptions:
     """Typed options from the command line.
 
     Raises:
@@ -108,7 +104,7 @@ def make_options(args: argparse.Namespace) -> RunOptions:
     return RunOptions(**given)
 
 
-def _list_conflicts(args: argparse.Namespace) -> Iterator[tuple[bool, str, str]]:
+def _list_conflicts(args: Namespace) -> Iterator[tuple[bool, str, str]]:
     """What makes no sense: whether it was given, what it is, and what to try."""
     from steerd.steer_bus.ros_keys import DOMAIN_MAX
 
@@ -149,7 +145,7 @@ def _list_conflicts(args: argparse.Namespace) -> Iterator[tuple[bool, str, str]]
     yield args.adapt and not lane, what, "drop --adapt or --controller"
 
 
-def _choose_endpoint(args: argparse.Namespace) -> str:
+def _choose_endpoint(args: Namespace) -> str:
     if args.lab is None:
         return args.listen or RunOptions.listen
     from steerd.daemon.ipc.operator import read_lab
@@ -164,7 +160,12 @@ def _choose_endpoint(args: argparse.Namespace) -> str:
     return endpoint
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: Namespace) -> int:
+    """Drive a car (--port, --mocap) or simulated hardware (--sim).
+
+    On a car it starts disarmed. Arm and start it with the keys shown, or from
+    another terminal with `steerd arm` and `steerd start`.
+    """
     options = make_options(args)
 
     def make() -> "RunPlan":

@@ -1,13 +1,6 @@
-"""Certificates of a lab: for the car, its operators and its viewers.
+"""`steerd keys`: the people of a lab, and which folder goes to which machine."""
 
-steerd keys lab --host 192.168.1.20 --operator desk --viewer screen
-
-makes a folder for each of them under ./lab. Copy a folder to its machine and
-name it there: `steerd run --lab lab/car1 …` on the car, `steerd start --lab
-desk` on the desk. Later, `steerd keys lab --operator new` adds somebody.
-"""
-
-import argparse
+from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +10,7 @@ from steerd.steer_bus.lab import DEFAULT_PORT, Lab
 from steerd.steer_bus.topics import check_car_name
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def keys_arguments(parser: ArgumentParser) -> None:
     option(parser, "folder", "DIR", "the lab's folder", type=Path)
     option(parser, "--host", None, "the car's address or name in the lab's network")
     option(parser, "--port", None, "its TCP port", type=int, default=DEFAULT_PORT)
@@ -27,7 +20,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--years", None, "how long they hold (default 5)", type=float, default=5.0)
 
 
-def run(args: argparse.Namespace) -> None:
+def keys(args: Namespace) -> None:
+    """Certificates of a lab: for the car, its operators and its viewers.
+
+    steerd keys lab --host 192.168.1.20 --operator desk --viewer screen
+
+    makes a folder for each of them under ./lab. Copy a folder to its machine and
+    name it there: `steerd run --lab lab/car1 …` on the car, `steerd start --lab
+    desk` on the desk. Later, `steerd keys lab --operator new` adds somebody.
+    """
     if not 0.0 < args.years <= 50.0 or not 0 < args.port < 65536:
         raise SteerdError("--years: up to 50; --port: 1 to 65535", "", ExitCode.USAGE)
     if args.host is not None and not args.host.strip():
@@ -49,7 +50,7 @@ def run(args: argparse.Namespace) -> None:
     print(explain(args.folder, lab, began=began, added=(*operators, *viewers)))
 
 
-def _begin_lab(args: argparse.Namespace) -> Lab:
+def _begin_lab(args: Namespace) -> Lab:
     """A lab without people."""
     with refusing(hint="--car car1"):
         car = check_car_name(args.car)
@@ -59,19 +60,15 @@ def _begin_lab(args: argparse.Namespace) -> Lab:
 
 def explain(folder: Path, lab: Lab, *, began: bool, added: tuple[str, ...]) -> str:
     """Which folder to copy to which machine."""
-    car = folder / lab.car
-    width = max(len(str(folder / name)) for name in (lab.car, "authority", *added))
-    what = f"to the car: steerd run --lab {lab.car} …"
-    if not began:
-        what = "to the car again: lab.toml in it has the new names"
-    lines = [f"{car!s:<{width}}  {what}"]
+    car = f"to the car: steerd run --lab {lab.car} …"
+    rows = {lab.car: car if began else "to the car again: lab.toml in it has the new names"}
     for name in added:
-        if name in lab.operators:
-            what = f"to who may drive: steerd arm --lab {name}, steerd start --lab {name}"
-        else:
-            what = f"to who may watch: steerd watch --lab {name}"
-        lines.append(f"{folder / name!s:<{width}}  {what}")
-    lines.append(f"{folder / 'authority'!s:<{width}}  keep it safe: its owner can make operators")
+        drives = f"to who may drive: steerd arm --lab {name}, steerd start --lab {name}"
+        watches = f"to who may watch: steerd watch --lab {name}"
+        rows[name] = drives if name in lab.operators else watches
+    rows["authority"] = "keep it safe: its owner can make operators"
+    width = max(len(str(folder / name)) for name in rows)
+    lines = [f"{folder / name!s:<{width}}  {what}" for name, what in rows.items()]
     lines += [
         "",
         f"The car listens on {lab.endpoint}.",

@@ -1,38 +1,39 @@
-"""Run steerd as a service that starts disarmed: systemd's unit, ROS 2, udev.
+"""`steerd service`: what starts a drive without a person: systemd, ROS 2, udev."""
 
-steerd service install --user --port /dev/vesc --mocap natnet://HOST/car
-steerd service print --port /dev/vesc --mocap natnet://HOST/car
-steerd service launch --port /dev/vesc --mocap natnet://HOST/car
-steerd service udev | sudo tee /etc/udev/rules.d/99-vesc.rules
-
-All options of `steerd run` are accepted and checked before anything is written.
-"""
-
-import argparse
 import getpass
 import os
 import shlex
 import sys
+from argparse import ArgumentParser, Namespace
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from string import Template
 from xml.sax.saxutils import quoteattr
 
 from steerd.daemon.cli.arguments import list_actions, option
-from steerd.daemon.cli.commands.driving import run as run_command
+from steerd.daemon.cli.commands.run import make_options, run_arguments
 from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def service_arguments(parser: ArgumentParser) -> None:
     option(parser, "action", None, "", choices=("install", "uninstall", "print", "launch", "udev"))
     whose = parser.add_mutually_exclusive_group()
     option(whose, "--user", "", "your own service manager (default)")
     option(whose, "--system", "", "the machine's; needs root")
     option(parser, "--force", "", "replace a unit that is there")
-    run_command.add_arguments(parser)
+    run_arguments(parser)
 
 
-def run(args: argparse.Namespace) -> None:
+def service(args: Namespace) -> None:
+    """Run steerd as a service that starts disarmed: systemd's unit, ROS 2, udev.
+
+    steerd service install --user --port /dev/vesc --mocap natnet://HOST/car
+    steerd service print --port /dev/vesc --mocap natnet://HOST/car
+    steerd service launch --port /dev/vesc --mocap natnet://HOST/car
+    steerd service udev | sudo tee /etc/udev/rules.d/99-vesc.rules
+
+    All options of `steerd run` are accepted and checked before anything is written.
+    """
     user = not args.system
     if args.action == "uninstall":
         _uninstall(_unit_path(user), user)
@@ -52,7 +53,7 @@ def run(args: argparse.Namespace) -> None:
         print(text, end="")
 
 
-def _make_command(args: argparse.Namespace) -> list[str]:
+def _make_command(args: Namespace) -> list[str]:
     """The command line of the run, checked.
 
     Raises:
@@ -63,17 +64,17 @@ def _make_command(args: argparse.Namespace) -> list[str]:
     if args.fast or args.auto_arm:
         what = "a service starts disarmed and runs in real time"
         raise SteerdError(what, "leave out --fast and --auto-arm", ExitCode.USAGE)
-    make_plan(run_command.make_options(args))
+    make_plan(make_options(args))
     return [sys.executable, "-m", "steerd", "run", *_run_arguments(args)]
 
 
-def _run_arguments(args: argparse.Namespace) -> list[str]:
+def _run_arguments(args: Namespace) -> list[str]:
     """The options of `steerd run` that differ from their defaults, as arguments.
 
     A service has another working directory, so files are named in full.
     """
-    parser = argparse.ArgumentParser()
-    run_command.add_arguments(parser)
+    parser = ArgumentParser()
+    run_arguments(parser)
     arguments: list[str] = []
     for action in list_actions(parser):
         value = getattr(args, action.dest, action.default)

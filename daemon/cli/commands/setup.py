@@ -1,16 +1,9 @@
-"""From a car that nobody has measured to its identified car file, step by step.
+"""`steerd setup`: the steps from a car that nobody has measured to its car file."""
 
-steerd setup --port /dev/ttyACM0 --mocap natnet://HOST/car
-
-Each step is a command of steerd: its line is shown, runs on Enter, and prints
-what it measured with its error. A step can be repeated, skipped, or run by
-hand. Nothing moves before you arm and start it with the keys that `run` shows.
-"""
-
-import argparse
 import shlex
 import subprocess
 import sys
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -77,7 +70,7 @@ def list_steps(port: str, mocap: str, folder: Path) -> tuple[Step, ...]:
     return tuple(steps)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def setup_arguments(parser: ArgumentParser) -> None:
     option(parser, "--port", "DEV", "serial port of the VESC", required=True)
     option(parser, "--mocap", "URL", "the pose source, as `steerd run`", required=True)
     option(parser, "--folder", "DIR", "of car file and drives", type=Path, default=Path("setup"))
@@ -86,7 +79,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--page", "PORT", text, nargs="?", type=int, const=0)
 
 
-def run(args: argparse.Namespace) -> int | None:
+def setup(args: Namespace) -> int | None:
+    """From a car that nobody has measured to its identified car file, step by step.
+
+    steerd setup --port /dev/ttyACM0 --mocap natnet://HOST/car
+
+    Each step is a command of steerd: its line is shown, runs on Enter, and prints
+    what it measured with its error. A step can be repeated, skipped, or run by
+    hand. Nothing moves before you arm and start it with the keys that `run` shows.
+    """
     steps = list_steps(args.port, args.mocap, args.folder)
     if not 1 <= args.first <= len(steps):
         raise SteerdError(f"--from {args.first}: there are {len(steps)} steps", "", ExitCode.USAGE)

@@ -1,20 +1,13 @@
-"""Print a completion script for your shell, or the manual page.
+"""`steerd completion`: the scripts of shells, and the manual page."""
 
-steerd completion bash > ~/.local/share/bash-completion/completions/steerd
-steerd completion zsh > ~/.zfunc/_steerd        (a folder of $fpath)
-steerd completion tcsh >> ~/.tcshrc
-steerd completion fish > ~/.config/fish/completions/steerd.fish
-steerd completion man > ~/.local/share/man/man1/steerd.1
-"""
-
-import argparse
-import importlib
 import re
+from argparse import Action, ArgumentParser, Namespace
 from pathlib import Path
 
 import shtab
 
 from steerd.daemon.cli.arguments import list_actions, option
+from steerd.daemon.cli.main import ABOUT, COMMANDS, find_command
 from steerd.version import VERSION
 
 SHELLS = ("bash", "zsh", "tcsh", "fish")
@@ -23,41 +16,47 @@ _FILE_MARKS = ("FILE", "PATH", "SESSION", ".toml", ".mcap", ".html", "DEV")
 _HEAD = re.compile(r"^\.TH .*$", re.MULTILINE)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def completion_arguments(parser: ArgumentParser) -> None:
     option(parser, "shell", None, "a shell, or man for the manual", choices=(*SHELLS, "man"))
 
 
-def run(args: argparse.Namespace) -> None:
+def completion(args: Namespace) -> None:
+    """Print a completion script for your shell, or the manual page.
+
+    steerd completion bash > ~/.local/share/bash-completion/completions/steerd
+    steerd completion zsh > ~/.zfunc/_steerd        (a folder of $fpath)
+    steerd completion tcsh >> ~/.tcshrc
+    steerd completion fish > ~/.config/fish/completions/steerd.fish
+    steerd completion man > ~/.local/share/man/man1/steerd.1
+    """
     parser = make_full_parser()
     print(make_manual(parser) if args.shell == "man" else shtab.complete(parser, args.shell))
 
 
-def make_manual(parser: argparse.ArgumentParser) -> str:
+def make_manual(parser: ArgumentParser) -> str:
     """The manual page in roff; the same text for the same commands and version."""
     from argparse_manpage.manpage import Manpage
 
-    parser.description = "Control, identification and sim-to-real diagnosis for Ackermann cars."
+    parser.description = ABOUT
     page = str(Manpage(parser, _data={"version": VERSION, "project_name": "steerd"}))
     # The day on which it was printed is nobody's business.
     return _HEAD.sub(f'.TH STEERD "1" "" "steerd {VERSION}" "steerd"', page, count=1)
 
 
-def make_full_parser() -> argparse.ArgumentParser:
+def make_full_parser() -> ArgumentParser:
     """One parser that knows every command's options; running a command needs only its own."""
-    from steerd.daemon.cli.main import COMMANDS
-
-    parser = argparse.ArgumentParser(prog="steerd")
+    parser = ArgumentParser(prog="steerd")
     parser.add_argument("--version", action="store_true", help="print the version")
     children = parser.add_subparsers(dest="command", metavar="COMMAND")
-    for name, (module, text) in COMMANDS.items():
+    for name, (_, text) in COMMANDS.items():
         child = children.add_parser(name, help=text)
-        importlib.import_module(f"steerd.daemon.cli.commands.{module}").add_arguments(child)
+        find_command(name).add_arguments(child)
         for action in list_actions(child):
             _mark_file(action)
     return parser
 
 
-def _mark_file(action: argparse.Action) -> None:
+def _mark_file(action: Action) -> None:
     """Say whether values are file names, by the attribute that shtab looks for."""
     metavar = str(action.metavar or "")
     if action.nargs == 0 or action.choices is not None:

@@ -1,20 +1,11 @@
-"""Drive an excitation plan and record it: a session that identifies the car.
+"""`steerd collect`: a drive whose session identifies the car."""
 
-steerd collect --sim --fast --plan mixed --record mixed.mcap
-steerd collect --plan circles --box 6 --port /dev/vesc --mocap natnet://HOST/car
-
-Plans: circles (the paper's: 8 left, 8 right, steering at its limit, 1 m/s),
-slalom, chirp, steps, ramp (speed grows to the limit), speeds (steps of speed),
-mixed (several of them at several speeds: start with it).
-Supervisor, watchdogs and limits are those of `steerd run`; a box is a fence.
-"""
-
-import argparse
+from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from steerd.daemon.cli.arguments import option
-from steerd.daemon.cli.commands.driving import run as driving
+from steerd.daemon.cli.commands import run as driving
 from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.loop.plans import NAMES, make_closed_path, parse_box
 from steerd.daemon.settings.run_options import RunOptions
@@ -26,18 +17,18 @@ SPEED = 2.5  # highest speed of a plan unless said otherwise [m/s]
 FIRST_OPTIONS = ("--plan", "--closed", "--box", *driving.FIRST_OPTIONS)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def collect_arguments(parser: ArgumentParser) -> None:
     what = parser.add_argument_group("plan")
     option(what, "--plan", None, "what to drive", choices=NAMES, default="mixed")
     text = "add the plan to the lane keeper's commands, along --path (default: open loop)"
     option(what, "--closed", "", text)
     text = "where the car must stay [m]; start in the middle, heading along x"
     option(what, "--box", "SIDE|X0,Y0,X1,Y1", text)
-    driving.add_arguments(parser)
+    driving.run_arguments(parser)
     parser.set_defaults(speed=SPEED, path=None)
 
 
-def make_options(args: argparse.Namespace) -> RunOptions:
+def make_options(args: Namespace) -> RunOptions:
     """Typed options from the command line.
 
     Raises:
@@ -53,7 +44,7 @@ def make_options(args: argparse.Namespace) -> RunOptions:
     return replace(driving.make_options(args), drill=";".join(parts))
 
 
-def _path(args: argparse.Namespace) -> str:
+def _path(args: Namespace) -> str:
     """The lane keeper's path: a figure eight that fits the box; open loop it is not followed."""
     if not args.closed:
         return "line"
@@ -75,6 +66,16 @@ def plan_drive(options: RunOptions, *, design: bool = True) -> "RunPlan":
     return replace(plan, options=replace(options, duration_s=plan.drill.seconds))
 
 
-def run(args: argparse.Namespace) -> int:
+def collect(args: Namespace) -> int:
+    """Drive an excitation plan and record it: a session that identifies the car.
+
+    steerd collect --sim --fast --plan mixed --record mixed.mcap
+    steerd collect --plan circles --box 6 --port /dev/vesc --mocap natnet://HOST/car
+
+    Plans: circles (the paper's: 8 left, 8 right, steering at its limit, 1 m/s),
+    slalom, chirp, steps, ramp (speed grows to the limit), speeds (steps of speed),
+    mixed (several of them at several speeds: start with it).
+    Supervisor, watchdogs and limits are those of `steerd run`; a box is a fence.
+    """
     options = make_options(args)
     return driving.drive(lambda: plan_drive(options, design=args.fast), fast=args.fast)

@@ -1,1 +1,0 @@
-"""Commands that learn the car and find what its model lacks."""

@@ -1,0 +1,167 @@
+"""Commands that check mocap, and calibrate the place of its body and the steering."""
+
+import sys
+from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
+from pathlib import Path
+
+from steerd.car_model.car_file import CarFile
+from steerd.daemon.cli.arguments import missing_car, missing_session, option
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.translate import load_car_file
+from steerd.daemon.common.written import car_outputs, check_outputs, write_outputs
+from steerd.daemon.settings.car_edit import Values, edit_car
+from steerd.daemon.settings.config import load_settings
+from steerd.steer_bus.clock import MonotonicClock
+from steerd.vesc_link.scaling import Scaling
+
+
+def calibrate_arguments(parser: ArgumentParser) -> None:
+    kinds = parser.add_subparsers(dest="kind", required=True, metavar="servo")
+    servo = kinds.add_parser("servo", help="centre, gain and limits of the steering")
+    option(servo, "session", "SESSION", "", missing_session, nargs="?", type=Path)
+    option(servo, "--port", "DEV", "move the servo of this VESC by the keys")
+    option(servo, "--car", "FILE.toml", "car file to start from", missing_car, type=Path)
+    option(servo, "-o --output", "CAR.toml", "car file to make", type=Path)
+
+
+def calibrate(args: Namespace) -> int | None:
+    """Calibrate the steering's centre, gain and limits, from a session or by keys.
+
+    steerd calibrate servo DRIVE.mcap -o car.toml
+    steerd calibrate servo --port /dev/ttyACM0 --car car.toml -o car.toml
+
+    With --port only the servo moves, never the motor; lift the front wheels. Arrow
+    keys steer; set the centre, the left and the right stop where the servo is.
+    """
+    if bool(args.session) == bool(args.port):
+        hint = "steerd calibrate servo DRIVE.mcap, or steerd calibrate servo --port DEV"
+        raise SteerdError("name a session or a port", hint, ExitCode.USAGE)
+    check_outputs({"-o": args.output})
+    file, scaling = _by_keys(args) if args.port else _from_session(args.session)
+    if scaling is None:
+        print("nothing was changed")
+        return ExitCode.INTERRUPTED
+    names = ("servo_gain", "servo_offset", "servo_min", "servo_max")
+    values = {("vesc", name): round(float(getattr(scaling, name)), 4) for name in names}
+    own = {("car", "steer_gain"): 1.0, ("car", "steer_bias"): 0.0}  # the servo's now
+    finish(args, file, values | own, "steerd config --check {}")
+    return None
+
+
+def _from_session(path: Path) -> tuple[CarFile, Scaling]:
+    from steerd.daemon.setup.calibration_data import load_recorded
+    from steerd.daemon.setup.steering_calibration import (
+        calibrate_steering,
+        describe_steering,
+        servo_scaling,
+    )
+    from steerd.steer_bus import topics
+
+    r = load_recorded(path)
+    track, steer = r.read.track, r.read.signal(topics.ACTUATION, "steer")
+    if track is None or steer is None:
+        missing = "steering commands" if track else "motion"
+        raise SteerdError(f"the session holds no {missing}", "record with `steerd run`")
+    file = r.settings.file
+    found = calibrate_steering(track, steer, file.car)
+    scaling = servo_scaling(found, r.settings.scaling)
+    print_found(describe_steering(found, scaling), found.warnings)
+    return file, scaling
+
+
+def _by_keys(args: Namespace) -> tuple[CarFile, Scaling | None]:
+    from steerd.daemon.terminal.servo_keys import steer_by_keys
+
+    settings = load_settings(args.car)
+    print("only the servo moves; lift the front wheels", file=sys.stderr)
+    return settings.file, steer_by_keys(args.port, settings.scaling, MonotonicClock())
+
+
+def mocap_arguments(parser: ArgumentParser) -> None:
+    kinds = parser.add_subparsers(dest="kind", required=True, metavar="check|calibrate")
+    check = kinds.add_parser("check", help="units, axes and heading, from a short push or a drive")
+    option(check, "session", "SESSION", "", missing_session, nargs="?", type=Path)
+    option(check, "--mocap", "URL", "watch this source instead of a session")
+    option(check, "--car", "FILE.toml", "with --mocap: car file", missing_car)
+    option(check, "--seconds", "S", "with --mocap", type=float, default=10.0)
+    calibrate = kinds.add_parser("calibrate", help="heading, place, wheel gain and delay")
+    option(calibrate, "session", "SESSION", "", missing_session, type=Path)
+    option(calibrate, "-o --output", "CAR.toml", "car file to make", type=Path)
+    text = "car file to start from (the session's own)"
+    option(calibrate, "--car", "FILE.toml", text, missing_car, type=Path)
+
+
+def mocap(args: Namespace) -> int | None:
+    """Check motion capture; calibrate the place of its body on the car.
+
+    steerd mocap check --mocap natnet://HOST/car     push the car 1 m forward
+    steerd mocap check DRIVE.mcap
+    steerd mocap calibrate DRIVE.mcap -o car.toml    from one slow drive
+
+    For calibration, drive figures of eight for a minute at two speeds < 1.5 m/s.
+    """
+    if args.kind == "check":
+        return _check(args)
+    _calibrate(args)
+    return None
+
+
+def _check(args: Namespace) -> int:
+    from steerd.daemon.setup.calibration_data import load_movement
+    from steerd.daemon.setup.mocap_check import check_movement
+    from steerd.daemon.setup.probe_ask import watch_movement
+
+    if bool(args.session) == bool(args.mocap):
+        hint = "steerd mocap check DRIVE.mcap, or steerd mocap check --mocap natnet://HOST/BODY"
+        raise SteerdError("name a session or a source", hint, ExitCode.USAGE)
+    if args.session:
+        checks = check_movement(*load_movement(args.session))
+    else:
+        ingest = load_settings(args.car).ingest
+        checks = check_movement(*watch_movement(args.mocap, ingest, args.seconds))
+    for check in checks:
+        print(f"{'pass' if check.ok else 'FAIL'}  {check.name:<8} {check.figure}")
+        if not check.ok:
+            print(f"      try: {check.fix}")
+    return ExitCode.OK if all(check.ok for check in checks) else ExitCode.STOPPED
+
+
+def _calibrate(args: Namespace) -> None:
+    from steerd.car_model.planar import DRIVES
+    from steerd.daemon.setup import mount_calibration as mount
+    from steerd.daemon.setup.calibration_data import load_recorded, make_drive
+
+    check_outputs({"-o": args.output})
+    r = load_recorded(args.session)
+    file, gain = r.settings.file, r.settings.scaling.erpm_gain
+    front = DRIVES.get(file.chassis.drive, 0.0)
+    found = mount.calibrate_mount(make_drive(r), file.car, front)
+    print_found(mount.describe_mount(found, r.settings.ingest.frame, gain), found.warnings)
+    then = "steerd run --sim --car {}\n         (on the car: --port and --mocap for --sim)"
+    finish(args, file, mount.mount_values(found, gain), then)
+
+
+def print_found(lines: Sequence[str], warnings: Sequence[str]) -> None:
+    """Show what a calibration found."""
+    from steerd.daemon.sessions.text import print_warnings
+
+    print("\n".join(lines))
+    print_warnings(warnings)
+
+
+def finish(args: Namespace, own: CarFile, values: Values, then: str) -> None:
+    """Write what a calibration found into a car file, and say what is next.
+
+    Args:
+        args: `car` names the file to start from, `output` the one to make.
+        own: the car file to start from where none is named.
+        values: of the calibration.
+        then: the command for the file that was made.
+    """
+    car = edit_car(load_car_file(args.car) if args.car else own, values)
+    if args.output:
+        write_outputs(car_outputs(args.output, car))
+        print(f"{args.output}: written\n   next: {then.format(args.output)}")
+    else:
+        print("   next: the same with -o car.toml writes it")

@@ -1,1 +1,0 @@
-"""Commands that drive a car or talk to one that drives."""

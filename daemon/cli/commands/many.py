@@ -1,0 +1,121 @@
+"""Commands over many drives: simulated ones, each another draw, and the sessions of a lab."""
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from steerd.daemon.cli.arguments import missing_file, option
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.packaged import EXAMPLES
+from steerd.daemon.common.screen import NBSP, wrap
+from steerd.daemon.common.written import check_outputs
+
+if TYPE_CHECKING:
+    from steerd.daemon.many.sweep.plan import SweepPlan
+
+_KINDS = ("summarise", "identify", "diagnose")
+
+
+def sweep_arguments(parser: ArgumentParser) -> None:
+    option(parser, "file", "SWEEP.toml", "what to drive", missing_file, type=Path, nargs="?")
+    option(parser, "--example", "", "print a sweep file and end")
+    out = parser.add_argument_group("output")
+    option(out, "-o --output", "FILE.parquet", "a row for each drive", type=Path)
+    option(out, "--page", "FILE.html", "one page with figures", type=Path)
+    where = parser.add_argument_group("work")
+    option(where, "--jobs", "N", "processes (default: one per core)", type=int, default=0)
+    again = parser.add_argument_group("one drive of it")
+    option(again, "--again", "N", "drive number N alone", type=int)
+    option(again, "--record", "FILE.mcap", "session file of that drive", type=Path)
+
+
+def sweep(args: Namespace) -> None:
+    """Drive the closed loop many times in virtual time, each time another draw.
+
+    steerd sweep sweep.toml -o sweep.parquet --page sweep.html
+    steerd sweep sweep.toml --again 17 --record worst.mcap
+
+    The sweep file names seeds and what is varied: car parameters, effects, noise,
+    paths, speeds; lists are crossed, distributions are drawn for every seed. An
+    interrupted sweep goes on where it was when the same command is given again;
+    the same file gives the same bytes. `steerd sweep --example` prints a sweep
+    file. Exit code 3: a file cannot be read; 4: the sweep file says something
+    impossible.
+    """
+    if args.example:
+        print((EXAMPLES / "sweep.toml").read_text(encoding="utf-8"), end="")
+        return
+    if args.file is None:
+        hint = "steerd sweep --example > sweep.toml"
+        raise SteerdError("a sweep file is needed", hint, ExitCode.USAGE)
+    check_outputs({"-o": args.output, "--page": args.page})
+    if (args.again is None) != (args.record is None):
+        raise SteerdError("--again and --record go together", "name both", ExitCode.USAGE)
+    from steerd.daemon.many.job import do_in_terminal
+    from steerd.daemon.many.sweep.plan import load_sweep
+    from steerd.daemon.many.sweep.run import make_job
+    from steerd.daemon.many.units import Where
+
+    plan = load_sweep(args.file)
+    if args.again is not None:
+        _drive_again(plan, args)
+    else:
+        do_in_terminal(make_job(plan), Where(args.jobs), args.output, args.page)
+
+
+def _drive_again(plan: "SweepPlan", args: Namespace) -> None:
+    """Drive one case of the sweep and record it."""
+    from steerd.daemon.many.sweep.drive import prepare
+    from steerd.daemon.many.sweep.run import find_case
+    from steerd.daemon.offline.fast import check_driven, record_virtual
+    from steerd.daemon.offline.virtual import drive
+    from steerd.sim_hw.world import World
+
+    case = find_case(plan, args.again)
+    run_plan, config = prepare(plan, case)
+    drawn = ", ".join(
+        f"{name}{NBSP}{value if isinstance(value, str) else format(value, '.4g')}"
+        for name, value in case.values.items()
+    )
+    head = f"drive {case.number}: "
+    print("\n".join(wrap(f"seed {case.seed}{', ' if drawn else ''}{drawn}", head, " " * 4)))
+    run = record_virtual(run_plan, args.record, drive, world=World(config))
+    if run.core.loop.faulted:
+        print(f"stopped: {run.core.loop.fault}")
+    check_driven(run)
+    print(f"written: {args.record}\n   next: steerd plot {args.record}")
+
+
+def batch_arguments(parser: ArgumentParser) -> None:
+    option(parser, "kind", None, "what is asked of each session", choices=_KINDS)
+    option(parser, "sessions", "DIR|PATTERN", "folders, patterns in quotes, or files", nargs="+")
+    text = "car files: NAME.toml for the car NAME, or one for all"
+    option(parser, "--cars", "DIR|CAR.toml", text, missing_file, type=Path)
+    out = parser.add_argument_group("output")
+    option(out, "-o --output", "FILE.parquet", "a row for each session", type=Path)
+    option(out, "--page", "FILE.html", "one page with figures", type=Path)
+    where = parser.add_argument_group("where")
+    option(where, "--jobs", "N", "processes (default: one per core)", type=int, default=0)
+    option(where, "--dask", "ADDRESS", "a Dask scheduler instead")
+
+
+def batch(args: Namespace) -> None:
+    """Summarise, identify or diagnose many sessions at once, each by itself.
+
+    steerd batch summarise drives/ -o drives.parquet --page drives.html
+    steerd batch identify 'lab/*/2026-1*.mcap' --cars cars/ -o cars.parquet
+    steerd batch diagnose drives/ --cars cars/ -o gap.parquet --dask tcp://host:8786
+
+    Cars are distinguished by the names in their sessions; --cars names a folder
+    with NAME.toml for each. The page shows each quantity over weeks, and since
+    which day a car is another. A session that fails is a row. The same command
+    works on new sessions only, also after Ctrl-C. Exit code 3: nothing is there.
+    """
+    check_outputs({"-o": args.output, "--page": args.page})
+    from steerd.daemon.many.batch.run import make_job
+    from steerd.daemon.many.batch.unit import Question, find_batch, read_cars
+    from steerd.daemon.many.job import do_in_terminal
+    from steerd.daemon.many.units import Where
+
+    job = make_job(find_batch(args.sessions), Question(args.kind, read_cars(args.cars)))
+    do_in_terminal(job, Where(args.jobs, args.dask), args.output, args.page)

@@ -1,1 +1,0 @@
-"""Commands that read or write recorded drives."""

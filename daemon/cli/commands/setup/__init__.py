@@ -1,1 +1,0 @@
-"""Commands for the car, the room and the machine before a drive."""
