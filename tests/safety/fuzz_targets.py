@@ -43,6 +43,7 @@ from steerd.vesc_link.ids import PROFILES, Firmware
 from steerd.vesc_link.packets import decode_command, decode_reply, encode_command, encode_reply
 from steerd.vesc_link.scaling import F1TENTH
 from steerd.vesc_link.vesc import WRITE_LIMIT, Answer, Drive, VescLink
+from tests.ros_messages import POSE, pack_pose
 
 MS = 1_000_000
 VERSIONS = ((2, 9), (3, 0), (3, 1), (4, 0), (4, 1), (4, 2))
@@ -290,11 +291,12 @@ def vrpn_seeds() -> list[bytes]:
 
 
 def pose_seeds() -> list[bytes]:
-    """Poses as JSON."""
+    """Poses as JSON, and one of a ROS node."""
     good = b'{"v":1,"body":"car","t_src_ns":5,"seq":7,"p":[1,2,3],"q":[1,0,0,0],"valid":true}'
     odd = [good.replace(b"5", n) for n in (b"-5", b"9223372036854775807", b"1" + b"0" * 400)]
+    ros = pack_pose(POSE, 5, (1.0, 2.0, 0.1), (1.0, 0.0, 0.0, 0.0), "map")
     return [good, good.replace(b"5", b"null"), good.replace(b"7", b"9223372036854775808"), *odd,
-            b"[" * 200]  # fmt: skip
+            b"[" * 200, ros]  # fmt: skip
 
 
 # --- messages, requests, sessions

@@ -21,6 +21,7 @@ from steerd.daemon.assembly.sim_car import (
     read_true_car,
 )
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.loop.plans import parse_box
 from steerd.daemon.settings.run_options import RunOptions, decode_options
 
 CAR_FILE = Path(__file__).resolve().parents[4] / "config" / "f1tenth.toml"
@@ -118,6 +119,7 @@ OPTIONS = RunOptions(car_file="", path="line", speed=1.0)
     [
         ({"port": "/dev/ttyACM0", "rate_hz": 49.0}, "50 to 1000 Hz", ExitCode.USAGE),
         ({"rate_hz": 1001.0}, "20 to 1000 Hz", ExitCode.USAGE),
+        ({"rate_hz": 19.0}, "20 to 1000 Hz", ExitCode.USAGE),
         ({"drill": "mixed;open;box=0.5"}, "needs a box of", ExitCode.USAGE),
     ],
 )
@@ -130,8 +132,7 @@ def test_options_that_cannot_be_driven_are_refused(changes, said, code):
 
 def test_a_drills_box_becomes_the_fence():
     plan = make_plan(replace(OPTIONS, drill="mixed;open;speed=1;box=9"), design=False)
-    assert plan.settings.thresholds.fence == plan.drill.box.fence
-    assert len(plan.settings.thresholds.fence) == 4
+    assert plan.settings.thresholds.fence == parse_box("9").fence
 
 
 def test_the_design_counts_on_the_limited_steering_only():

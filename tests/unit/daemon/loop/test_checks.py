@@ -15,7 +15,7 @@ from steerd.daemon.settings.run_options import RunOptions
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.steer_bus.messages import BODY, DriveCommand, VescIdentity, make_header
 from steerd.steer_bus.quick_values import changed
-from tests.unit.daemon.loop.calm import CALM
+from tests.unit.daemon.loop.watching import CALM
 
 BRAKES = BrakeSettings()
 GOOD = VescIdentity(make_header(0, BODY), 0, 150, 1, 6, 2, 5.0, "ab" * 12)

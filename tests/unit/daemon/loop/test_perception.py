@@ -6,7 +6,6 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.single_track import SINGLE_TRACK
-from steerd.daemon.loop.outgoing import make_mocap
 from steerd.daemon.loop.perception import (
     BLIND_S,
     NO_TELEMETRY,
@@ -16,9 +15,9 @@ from steerd.daemon.loop.perception import (
 )
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.estimator.config import FilterConfig
-from steerd.mocap_link.source import Pose
 from steerd.steer_bus.quick_values import changed
 from steerd.vesc_link.scaling import F1TENTH
+from tests.unit.daemon.loop.watching import seen as seen_pose
 
 MS, NS = 1_000_000, 1_000_000_000
 
@@ -27,13 +26,8 @@ def make_perception(config=FilterConfig()):  # noqa: B008
     return Perception(DEFAULT_CAR, SINGLE_TRACK, config, Thresholds(), F1TENTH)
 
 
-def pose(t_ns, x, rejected=None, valid=True):
-    place, level = (x, 0.0, 0.1), (1.0, 0.0, 0.0, 0.0)
-    sent = Pose(
-        "", None, 0, None, t_ns, place, level, None, valid, True, t_ns, x=x, y=0.0, yaw=0.0,
-        height=0.1, tilt=0.0, rejected=rejected,
-    )  # fmt: skip
-    return make_mocap(sent, 0)
+def pose(t_ns, x, **more):
+    return seen_pose(t_ns, (x, 0.0, 0.1), **more)
 
 
 def telemetry(t_ns, erpm):
@@ -80,7 +74,7 @@ def test_mocap_speed_is_taken_over_longer_where_poses_are_noisier(sd, span):
     assert seen.mocap_speed == pytest.approx(0.04 / span)
 
 
-@pytest.mark.parametrize("bad", [{"rejected": "jump"}, {"valid": False}])
+@pytest.mark.parametrize("bad", [{"rejected": "jump"}, {"tracking_valid": False}])
 def test_a_rejected_pose_does_not_renew_the_age(bad):
     seen = make_perception()
     end = drive(seen)

@@ -14,8 +14,19 @@ from steerd.daemon.loop.watchdogs import (
     step_watchdogs,
 )
 from steerd.steer_bus.quick_values import changed
-from tests.unit.daemon.loop.calm import CALM
-from tests.unit.daemon.loop.watching import HARD, KILL, TH, WARN, S, brief, down, hold, look, up
+from tests.unit.daemon.loop.watching import (
+    CALM,
+    HARD,
+    KILL,
+    TH,
+    WARN,
+    S,
+    brief,
+    down,
+    hold,
+    look,
+    up,
+)
 
 SQUARE = ((-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0))
 ELL = ((0.0, 0.0), (4.0, 0.0), (4.0, 2.0), (2.0, 2.0), (2.0, 4.0), (0.0, 4.0))
