@@ -95,7 +95,7 @@ class Loop:
         """An operator's request arrived."""
         before = self.lease.holder
         self.lease, request = leases.accept_request(self.lease, message, t_ns, self._is_idle(t_ns))
-        self._requests_pending |= int(request)
+        self._requests_pending |= request
         self._pass_on(before)
 
     def on_parameters(self, message: m.ParameterRequest, t_ns: int) -> None:

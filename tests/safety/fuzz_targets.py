@@ -19,7 +19,7 @@ import zstandard
 from steerd.daemon.ipc.requests import pack_request, unpack_request
 from steerd.daemon.loop.lease import Lease, Remote, accept_request, take_command
 from steerd.daemon.loop.outgoing import make_mocap
-from steerd.daemon.loop.transitions import Request
+from steerd.daemon.loop.transitions import Fact
 from steerd.mocap_link import natnet, vrpn
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.natnet_client import NatNetSource
@@ -330,7 +330,7 @@ def check_requests(script: bytes) -> None:
                 rises = message.lease_id != before.holder or message.seq > before.seq
                 free = idle or message.lease_id == before.holder
                 if not (ours and rises and free):
-                    assert request in (Request.NONE, Request.STOP, Request.ESTOP, Request.UNKNOWN)
+                    assert request in (0, Fact.STOP, Fact.CALL_ESTOP, Fact.UNKNOWN)
                     assert lease.renewed_ns == before.renewed_ns
                 if lease.renewed_ns == t_ns:
                     assert message.seq > taken.get(message.lease_id, -1)
