@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from steerd.daemon.assembly.build import RunId
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord
 from steerd.daemon.ipc.requests import REQUEST_MAX, make_badge, pack_request
@@ -233,7 +234,7 @@ def serve(job: Job) -> int:
             domain = options.ros_domain
             ros = None if domain is None else RosBridge(bus, options.car, domain)
             driven = options.controller is ControllerKind.ROS2
-            drive = RosDrive(bus, domain or 0, job.about["boot_id"]) if driven else None
+            drive = RosDrive(bus, domain or 0, RunId(*job.about["run"]).boot_id) if driven else None
             gateway = Gateway(bus, options.car, pose_key, ros, drive)
             job.say_ready()
             reports = PipeReader(job.fds.get("reports"))

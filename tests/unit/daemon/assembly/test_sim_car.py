@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.daemon.assembly.build import make_design_car, make_plan, make_world_config
+from steerd.daemon.assembly.build import RunId, make_design_car, make_plan, make_world_config
 from steerd.daemon.assembly.session_meta import (
     default_session_path,
     make_attachments,
@@ -33,7 +33,7 @@ def make(sim_car="", effects=(), **more):
 
 
 def meta(plan):
-    return make_metadata(plan, 1, 1, leased=False, reproducible=True)
+    return make_metadata(plan)
 
 
 def test_a_seed_hides_one_car_and_another_seed_another():
@@ -167,11 +167,10 @@ def test_without_a_service_it_is_in_the_users_folder(monkeypatch, tmp_path):
 
 
 def test_reproducible_metadata_say_nothing_of_the_machine(plan):
-    plain = make_metadata(plan, 3, 4, leased=True)
-    same = make_metadata(plan, 3, 4, leased=True, reproducible=True)
+    plain, same = make_metadata(replace(plan, real=RunId(3, 4, leased=True))), make_metadata(plan)
     lost = set(plain["steerd.session"]) - set(same["steerd.session"])
     assert {"host", "kernel"} <= lost <= {"host", "kernel", "git"}
-    session = same["steerd.session"]
+    session = plain["steerd.session"]
     assert (session["boot_id"], session["epoch_ns"], session["leased"]) == ("3", "4", "1")
     assert session["mode"] == "sim"
     assert decode_options(session["options"]) == plan.options

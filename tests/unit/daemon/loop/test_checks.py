@@ -5,7 +5,7 @@ from math import nan
 
 import pytest
 
-from steerd.daemon.assembly.build import make_loop_setup, make_plan
+from steerd.daemon.assembly.build import RunId, make_loop_setup, make_plan
 from steerd.daemon.loop.checks import check_lane, check_vesc, find_failures
 from steerd.daemon.loop.findings import Flag, Severity, make_finding
 from steerd.daemon.loop.lease import Lease, Remote
@@ -46,7 +46,8 @@ def test_a_vesc_that_must_not_be_armed(changes, uuid, said):
 
 @pytest.fixture(scope="module")
 def setup():
-    return make_loop_setup(make_plan(RunOptions(car_file="", path="line")), BOOT, leased=True)
+    real = RunId(BOOT, 0, leased=True)
+    return make_loop_setup(make_plan(RunOptions(car_file="", path="line"), real=real))
 
 
 def fails(setup, findings=(), flags=Flag.LINKED, last=None, **now):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from steerd.daemon.assembly.build import make_core, make_plan
+from steerd.daemon.assembly.build import RunId, make_core, make_plan
 from steerd.daemon.ipc.requests import read_diagnostics
 from steerd.daemon.loop.core import LIMITS_TRIES, Core, describe_error
 from steerd.daemon.loop.findings import WATCHDOGS, Flag
@@ -29,7 +29,8 @@ MS, NS = 1_000_000, 1_000_000_000
 
 @pytest.fixture(scope="module")
 def plan():
-    return make_plan(RunOptions(car_file="", path="line", speed=1.0, simulated=True))
+    options = RunOptions(car_file="", path="line", speed=1.0, simulated=True)
+    return make_plan(options, real=RunId(1, 0, leased=True))
 
 
 def ready() -> Rig:
@@ -61,7 +62,7 @@ def limits(erpm_max: float) -> SimpleNamespace:
 
 
 def fresh_core(plan) -> tuple[Core, list]:
-    core, requests = make_core(plan, 1, 0, (), leased=True), []
+    core, requests = make_core(plan, ()), []
     core.link.request = requests.append
     return core, requests
 
@@ -124,7 +125,7 @@ def test_an_emergency_stop_is_left_by_reset_after_the_plug_was_out():
 
 
 def test_a_reply_read_before_an_older_pose_is_fused_all_the_same(plan):
-    core = make_core(plan, 1, 0, (), leased=True)
+    core = make_core(plan, ())
     known = core.loop.perception
     for k in range(100):
         known.on_pose(seen(k * 10 * MS, (0.01 * k, 0.0, 0.1), number=k))
