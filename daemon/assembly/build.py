@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
-from steerd.car_model.car_file import default_car_path
+from steerd.car_model.car_file import CarFile, default_car_path
 from steerd.car_model.model import believed_car
 from steerd.car_model.native.library import load_library
 from steerd.car_model.params import Car
@@ -15,9 +16,10 @@ from steerd.car_model.path.path import Path
 from steerd.car_model.path.path_spec import parse_path
 from steerd.daemon.assembly.sim_car import load_sim_car, make_true_model
 from steerd.daemon.common.errors import ExitCode, SteerdError, find_near
-from steerd.daemon.ipc.outbox import Outbox, Sink
+from steerd.daemon.common.screen import print_labelled
+from steerd.daemon.ipc.pipe_records import Outbox, Sink
 from steerd.daemon.loop.plans import Drill, PlanError, parse_drill
-from steerd.daemon.settings.config import Settings, load_settings
+from steerd.daemon.settings.config import Settings, load_settings, make_settings
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions
 from steerd.steer_bus.topics import check_car_name
 
@@ -227,6 +229,30 @@ def make_design_car(settings: Settings) -> Car[float]:
         steer_min=max(car.steer_min, -limits.steer_right_max),
         steer_max=min(car.steer_max, limits.steer_left_max),
     )
+
+
+_DRIVABLE = "circle:radius=3"
+"""A path that every car of this class can drive."""
+
+
+def plan_car(car: CarFile) -> tuple[Settings, RunPlan]:
+    """Settings and plan at the file's own speed; the design is part of the check.
+
+    Raises:
+        SteerdError: it holds no car that can be driven, or one without a stable controller.
+    """
+    settings = make_settings(car)
+    options = RunOptions(str(car.path), path=_DRIVABLE, speed=settings.controller.speed)
+    return settings, make_plan(options, settings)
+
+
+def report_refusal(car: CarFile) -> None:
+    """Print a note where `steerd run` refuses the file, so that nobody learns it at the car."""
+    try:
+        plan_car(car)
+    except SteerdError as error:
+        text = f"`steerd run` refuses this file: {error.what}\n{error.hint}".rstrip()
+        print_labelled("note: ", text, sys.stderr)
 
 
 def make_loop_setup(plan: RunPlan) -> LoopSetup:

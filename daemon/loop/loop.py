@@ -68,7 +68,7 @@ class Loop:
         s = setup.settings
         self.setup = setup
         car = believed_car(s.file.model)
-        self.perception = Perception(car, s.file.chassis, s.filter, s.thresholds, s.scaling)
+        self.perception = Perception(car, s)
         self.supervisor = make_supervisor_memory(0)
         self.lease = leases.Lease(setup.boot_id)
         self.remote = leases.Remote(leases.Lease(setup.boot_id))

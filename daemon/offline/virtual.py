@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from steerd.daemon.assembly.build import RunPlan, make_core, make_world_config
-from steerd.daemon.ipc.outbox import Sink
+from steerd.daemon.ipc.pipe_records import Sink
 from steerd.daemon.loop.core import Core
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.transitions import SupervisorState

@@ -12,8 +12,7 @@ from operator import attrgetter
 
 from steerd.daemon.assembly.build import RunId, RunPlan, make_core, make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.ipc.outbox import Sink
-from steerd.daemon.ipc.pipe_records import PipeRecord, PipeWriter, is_learnt_from, pack_record
+from steerd.daemon.ipc.pipe_records import PipeRecord, PipeWriter, Sink, is_learnt_from, pack_record
 from steerd.daemon.ipc.signals import (
     block_stop_signals,
     make_notify,

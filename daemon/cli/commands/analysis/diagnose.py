@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     from steerd.daemon.analysis.diagnosis import DRIVEN, DiagnoseOptions, run_diagnosis
     from steerd.daemon.analysis.options import read_arguments
-    from steerd.daemon.assembly.car_check import report_refusal
+    from steerd.daemon.assembly.build import report_refusal
     from steerd.daemon.cli.results import list_outputs, present
     from steerd.daemon.common.progress import show_progress
     from steerd.daemon.common.written import writing

@@ -69,7 +69,7 @@ def parse_fix(text: str) -> dict[str, float | None]:
 def run(args: argparse.Namespace) -> int:
     from steerd.daemon.analysis.identification import FIT, IdentifyOptions, run_identification
     from steerd.daemon.analysis.options import read_arguments
-    from steerd.daemon.assembly.car_check import report_refusal
+    from steerd.daemon.assembly.build import report_refusal
     from steerd.daemon.cli.results import list_outputs, present
     from steerd.daemon.common.progress import show_progress
     from steerd.daemon.common.written import writing

@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _check(path: Path) -> None:
-    from steerd.daemon.assembly.car_check import plan_car
+    from steerd.daemon.assembly.build import plan_car
     from steerd.daemon.common.screen import NBSP, wrap
     from steerd.daemon.common.translate import load_car_file
 

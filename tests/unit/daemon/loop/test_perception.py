@@ -1,11 +1,12 @@
 """Perception: accepted poses are fused, ages and speeds are unknown until measured."""
 
+from dataclasses import replace
 from math import inf, isnan, nan
 
 import pytest
 
+from steerd.car_model.car_file import default_car_path, load_car
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.daemon.loop.perception import (
     BLIND_S,
     NO_TELEMETRY,
@@ -13,7 +14,7 @@ from steerd.daemon.loop.perception import (
     best_speed,
     estimated_state,
 )
-from steerd.daemon.settings.thresholds import Thresholds
+from steerd.daemon.settings.config import make_settings
 from steerd.estimator.config import FilterConfig
 from steerd.steer_bus.quick_values import changed
 from steerd.vesc_link.scaling import F1TENTH
@@ -22,8 +23,9 @@ from tests.unit.daemon.loop.watching import seen as seen_pose
 MS, NS = 1_000_000, 1_000_000_000
 
 
-def make_perception(config=FilterConfig()):  # noqa: B008
-    return Perception(DEFAULT_CAR, SINGLE_TRACK, config, Thresholds(), F1TENTH)
+def make_perception(**noise):
+    settings = make_settings(load_car(default_car_path()))
+    return Perception(DEFAULT_CAR, replace(settings, filter=FilterConfig(**noise)))
 
 
 def pose(t_ns, x, **more):
@@ -67,7 +69,7 @@ def test_a_straight_drive_is_estimated():
 
 @pytest.mark.parametrize(("sd", "span"), [(0.001, 0.1), (0.008, 0.16), (0.05, 0.2)])
 def test_mocap_speed_is_taken_over_longer_where_poses_are_noisier(sd, span):
-    seen = make_perception(FilterConfig(pose_position_sd=sd))
+    seen = make_perception(pose_position_sd=sd)
     for k in range(60):
         seen.on_pose(pose(k * 10 * MS, 0.01 * max(0, k - 55)))
         seen.estimate(k * 10 * MS)
