@@ -50,7 +50,7 @@ VIRTUAL_EPOCH_NS = 1_700_000_000_000_000_000
 
 
 class RunId(NamedTuple):
-    """What tells a run from another of the same plan."""
+    """What two runs of the same plan differ in."""
 
     boot_id: int  # which operators must name
     epoch_ns: int  # UNIX time minus monotonic time [ns]
