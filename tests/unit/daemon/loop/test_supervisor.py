@@ -55,6 +55,11 @@ class Car:
     def ticks(self, count, dt=10 * MS):
         return [self.tick(dt=dt) for _ in range(count)][-1]
 
+    def motors(self, count=5):
+        for _ in range(count):
+            self.tick()
+            yield self.action.motor
+
     def outputs(self):
         return self.action.motor, self.action.steering
 
@@ -94,25 +99,28 @@ def test_it_begins_with_nothing_shown_nothing_held_and_no_speed():
     assert (NEVER, OPEN_FRAMES) == (-1, 3)
 
 
+BRAKED_THEN_SILENT = [MotorOutput.SOFT_BRAKE] * 3 + [MotorOutput.SILENT] * 2
+
+
 def test_opening_the_port_brakes_three_times_then_is_silent():
     car = Car()
     car.facts = 0
-    assert [car.tick() for _ in range(3)] == [INIT] * 3
-    assert car.action.motor == MotorOutput.SILENT
+    assert list(car.motors(3)) == [MotorOutput.SILENT] * 3
+    assert car.memory.state == INIT
     car.facts = Fact.LINKED
-    motors = []
-    for _ in range(5):
-        car.tick()
-        motors.append(car.action.motor)
-    assert motors == [MotorOutput.SOFT_BRAKE] * 3 + [MotorOutput.SILENT] * 2
+    assert list(car.motors()) == BRAKED_THEN_SILENT
     car.facts = 0
     car.tick()
     car.facts = GOOD
-    motors = []
-    while car.tick() == INIT:
-        motors.append(car.action.motor)
-    assert motors == [MotorOutput.SOFT_BRAKE] * 3
-    assert car.memory.state == DISARMED
+    assert list(car.motors(3)) == BRAKED_THEN_SILENT[:3]
+    assert car.memory.state == INIT
+    assert car.tick() == DISARMED
+
+
+def test_an_unidentified_vesc_gets_its_brake_frames_again():
+    car = Car().ready()
+    car.facts &= ~Fact.IDENTIFIED
+    assert list(car.motors()) == BRAKED_THEN_SILENT
 
 
 def test_disarmed_centres_for_half_a_second_and_needs_passing_checks_for_one():
@@ -205,9 +213,8 @@ def test_another_programs_alive_every_200_ms_is_found():
     car.tick(Fact.ARM)
     seen = set()
     for k in range(60):  # 150 ms fed, 50 ms timed out, and so on
-        car.facts = (
-            (car.facts | Fact.FW_TIMEOUT) if k % 20 >= 15 else (car.facts & ~Fact.FW_TIMEOUT)
-        )
+        car.facts &= ~Fact.FW_TIMEOUT
+        car.facts |= Fact.FW_TIMEOUT if k % 20 >= 15 else 0
         seen.add(car.tick())
     assert ARMED not in seen
     assert car.memory.state == DISARMED
@@ -221,24 +228,19 @@ def test_arm_needs_a_lease_and_no_stop_request():
     assert car.tick(Fact.ARM) == READY
 
 
-@pytest.mark.parametrize("asked", [Fact.STOP, Fact.DISARM, Fact.ABORT, Fact.UNKNOWN])
-def test_self_test_can_be_called_off(asked):
-    car = Car().ready()
-    car.tick(Fact.ARM)
-    assert car.tick(asked) == DISARMED
-    assert car.memory.reason == "arming called off"
-
-
 @pytest.mark.parametrize(
-    ("gone", "reason"),
-    [(Fact.LEASED, "lease or deadman lost"), (Fact.CHECKS_PASS, "a pre-arm check failed")],
+    ("lost", "asked", "reason"),
+    [
+        (0, asked, "arming called off")
+        for asked in (Fact.STOP, Fact.DISARM, Fact.ABORT, Fact.UNKNOWN)
+    ]
+    + [(Fact.LEASED, 0, "lease or deadman lost"), (Fact.CHECKS_PASS, 0, "a pre-arm check failed")],
 )
-def test_self_test_ends_with_its_conditions(gone, reason):
+def test_self_test_can_be_called_off_and_ends_with_its_conditions(lost, asked, reason):
     car = Car().ready()
     car.tick(Fact.ARM)
-    car.facts &= ~gone
-    assert car.tick() == DISARMED
-    assert car.memory.reason == reason
+    car.facts &= ~lost
+    assert (car.tick(asked), car.memory.reason) == (DISARMED, reason)
 
 
 @pytest.mark.parametrize("trip", [Fact.SOFT, Fact.HARD])
@@ -283,11 +285,7 @@ def test_armed_leaves_on_disarm_on_unknown_requests_on_soft_trips_and_lost_lease
 def test_launch_window_caps_the_speed_until_the_checks_have_passed():
     car = Car().armed()
     car.tick(Fact.START)
-    assert (car.action.motor, car.action.steering, car.action.cap) == (
-        MotorOutput.DRIVE,
-        SteeringOutput.LIVE,
-        0.5,
-    )
+    assert (*car.outputs(), car.action.cap) == (MotorOutput.DRIVE, SteeringOutput.LIVE, 0.5)
     car.tick()
     assert car.action.cap == 0.5, "as long as they have not passed"
     car.facts |= Fact.LAUNCHED
@@ -527,16 +525,6 @@ def test_estop_goes_on_braking_while_the_car_moves():
     car.tick(Fact.CALL_ESTOP)
     car.ticks(500)
     assert car.action.motor == MotorOutput.ESTOP_BRAKE
-
-
-def test_an_unidentified_vesc_gets_its_brake_frames_again():
-    car = Car().ready()
-    car.facts &= ~Fact.IDENTIFIED
-    motors = []
-    for _ in range(5):
-        car.tick()
-        motors.append(car.action.motor)
-    assert motors == [MotorOutput.SOFT_BRAKE] * 3 + [MotorOutput.SILENT] * 2
 
 
 @pytest.mark.parametrize("speed", [0.05, -0.05])
