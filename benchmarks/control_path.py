@@ -31,7 +31,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from steerd.daemon.assembly.build import make_plan, make_world_config
+from steerd.daemon.assembly.build import RunId, make_plan, make_world_config
 from steerd.daemon.ipc.pipe_records import unpack_records
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.children import RunProcesses, start_processes
@@ -208,11 +208,10 @@ def measure(
         tapping.start()
         port, mocap = ours.recv()
         where = sim.mocap_url.replace(f":{server[1]}/", f":{mocap}/")
-        plan = make_plan(replace(options, port=port, mocap=where))
+        real = RunId(BOOT_ID, CLOCK.realtime_ns() - CLOCK.now_ns(), leased=False)
+        plan = make_plan(replace(options, port=port, mocap=where), real=real)
         session = Path(folder) / "drive.mcap"
-        processes = start_processes(
-            plan, session, BOOT_ID, CLOCK.realtime_ns() - CLOCK.now_ns(), False
-        )
+        processes = start_processes(plan, session)
         try:
             wait_moving(processes)
             core = processes.core.process.pid

@@ -18,7 +18,7 @@ from typing import Any
 from timing import python_unit, timed
 
 from steerd.daemon.assembly.build import RunPlan, make_plan, make_world_config
-from steerd.daemon.ipc.outbox import Sink
+from steerd.daemon.ipc.pipe_records import Sink
 from steerd.daemon.offline.fast import make_recording
 from steerd.daemon.offline.virtual import VirtualRun, make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions

@@ -2,7 +2,7 @@
 
 `step_gates` is pure: a state and an observation in, a state and a verdict out. Gates run in the
 order of their cost to a wrong pose; the innovation gate is the estimator's. Thresholds follow
-`docs/reference/mocap.md`; each rejection has a reason from `REASONS`, counted by the caller.
+`docs/reference/mocap.md`; each rejection has a reason from `REASONS`.
 """
 
 # Why: docs/decisions/filter-and-controller.md#d18

@@ -1,7 +1,6 @@
 """What a source learns of its poses: time, place, verdict of the gates; and its own state."""
 
-from collections import Counter, deque
-from collections.abc import Mapping
+from collections import deque
 from dataclasses import dataclass, field, replace
 from math import nan
 from typing import Any
@@ -40,7 +39,6 @@ class PoseIngest:
         timing: the source's clock maps; replace it when the server's clock becomes known.
         wheel_speed: latest wheel speed [m/s], NaN while unknown, for the frozen-pose gate.
         stationary: the car is stopped and disarmed, so a new place may be taken in.
-        counts: accepted poses and each rejection reason.
     """
 
     def __init__(self, config: IngestConfig, timing: SourceTiming) -> None:
@@ -48,7 +46,6 @@ class PoseIngest:
         self.timing = timing
         self.wheel_speed = nan
         self.stationary = False
-        self.counts: Counter[str] = Counter()
         self._gates = GateState()
         self._monitor = MonitorState()
         self._period_ns = PERIOD_NS
@@ -77,7 +74,6 @@ class PoseIngest:
         self.timing.reset()
         self._gates = replace(self._gates, frame=None)
         self._disorder_run = 0
-        self.counts["restart"] += 1
 
     def push(self, sent: Pose) -> Pose:
         """Time, place and judge one pose."""
@@ -96,7 +92,6 @@ class PoseIngest:
             stationary=self.stationary,
             metres_per_unit=self._metres_per_unit,
         )
-        self.counts[reason or "accepted"] += 1
         self._arrivals.append(pose.t_arrival_ns)
         self._drop_old(pose.t_arrival_ns)
         self._step(pose.t_arrival_ns, True, reason is None)
@@ -109,10 +104,9 @@ class PoseIngest:
 
     def note_absent(self, t_ns: int) -> None:
         """A frame came without the body in it."""
-        self.counts["absent"] += 1
         self._step(t_ns, True, False)
 
-    def status(self, more_counts: Mapping[str, int], **session: Any) -> SourceStatus:
+    def status(self, **session: Any) -> SourceStatus:
         """Describe the source now; the session adds what only it knows of a `SourceStatus`."""
         return SourceStatus(
             self.state,
@@ -120,8 +114,6 @@ class PoseIngest:
             clock_sigma_ns=self.timing.sigma_ns,
             rate_hz=len(self._arrivals) * 1e9 / _RATE_WINDOW_NS,
             expected_rate_hz=self._expected_hz,
-            last_good_ns=self._monitor.last_good_ns,
-            counts={**self.counts, **more_counts},
             **session,
         )
 

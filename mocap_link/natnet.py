@@ -145,11 +145,6 @@ def peek_id(data: bytes) -> int:
     return int.from_bytes(data[:2], "little") if len(data) >= HEADER.size else -1
 
 
-def has_exact_length(data: bytes) -> bool:
-    """Whether the header's length is the datagram's (a server that breaks it is worth a note)."""
-    return len(data) >= 4 and HEADER.unpack_from(data)[1] == len(data) - 4
-
-
 def decode(data: bytes, version: Version) -> Message:
     """Decode one datagram of a stream of `version`.
 

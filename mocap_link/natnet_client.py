@@ -5,7 +5,6 @@ then 2 Hz), keeps a unicast session alive, and starts over when frames stop. `so
 the network; the simulator's virtual time feeds it the same datagrams directly.
 """
 
-from collections import Counter
 from typing import Literal
 
 from steerd.mocap_link import natnet
@@ -48,7 +47,6 @@ class NatNetSource:
         ingest: the pipeline of its poses.
         info: the server, once it answered.
         refused: why the configured body cannot be used, or None.
-        counts: datagrams by fate: malformed, length, unrecognized, ...
     """
 
     retry_first_ns = SECOND // 2
@@ -69,12 +67,12 @@ class NatNetSource:
         self.server_ip = server_ip
         self.ingest = PoseIngest(config, SourceTiming(1))
         self._echo_resets = 0
-        self._foreign_ip = ""
+        self._foreign, self._foreign_ip = 0, ""
+        self._framed = False
         self.info: natnet.ServerInfo | None = None
         self._note = "waiting for the server to answer"
         self._silence = ""
         self.refused: str | None = None
-        self.counts: Counter[str] = Counter()
         self.bodies: tuple[str, ...] = ()
         self._by_name = not body.startswith("id:")
         self._id = None if self._by_name else int(body[3:])
@@ -116,19 +114,16 @@ class NatNetSource:
         Args:
             data: the datagram.
             t_arrival_ns: time of reception, CLOCK_MONOTONIC.
-            from_ip: who sent it; from another address than the server's it is counted and dropped.
+            from_ip: who sent it; from another address than the server's it is dropped.
             which: the socket that it came to; sessions are spoken on the command socket only.
         """
         if from_ip != self.server_ip:
-            self.counts["foreign"] += 1
+            self._foreign += 1
             self._foreign_ip = from_ip
             return []
         if self.info is None and natnet.peek_id(data) == natnet.FRAME_ID:
-            self.counts["before_connect"] += 1  # of what version, we cannot know yet
-            return []
+            return []  # of what version, we cannot know yet
         version = natnet.NEWEST_VERSION if self.info is None else self.info.version
-        if not natnet.has_exact_length(data):
-            self.counts["length"] += 1
         try:
             message = natnet.decode(data, version)
         except NatNetError as error:
@@ -139,8 +134,6 @@ class NatNetSource:
             return self._on_frame(message, t_arrival_ns)
         if which == "command":
             self._on_command(message, t_arrival_ns)
-        else:
-            self.counts["unexpected"] += 1
         return []
 
     def _on_command(self, message: natnet.Message, t_ns: int) -> None:
@@ -159,11 +152,8 @@ class NatNetSource:
                 self._reconnect("the server ended the session")
             case natnet.MessageString():
                 self._note = f"server: {message.text[:200]}"
-            case _:
-                self.counts["unexpected"] += 1
 
     def _on_malformed(self, why: str, t_ns: int) -> None:
-        self.counts["malformed"] += 1
         self._malformed_run += 1
         if self._malformed_run == self.malformed_to_reconnect:
             # the stream may have changed its version: ask the server who it is
@@ -225,8 +215,7 @@ class NatNetSource:
 
     def _on_frame(self, frame: Frame, t_ns: int) -> list[Pose]:
         self._frame_seen_ns, bodies = t_ns, frame.rigid_bodies
-        self._silence = ""
-        self.counts["frames"] += 1
+        self._silence, self._framed = "", True
         if frame.params & MODEL_CHANGED or any(b.id not in self._known_ids for b in bodies):
             self._model_wanted = True
         if frame.params & BITSTREAM_CHANGED:
@@ -299,7 +288,7 @@ class NatNetSource:
             self._echo_due = t_ns + (self.burst_period_ns if burst else self.echo_period_ns)
 
     def _explain_silence(self) -> str:
-        if self.counts["frames"]:
+        if self._framed:
             return "frames stopped; connecting anew"
         if self.unicast:
             return "the server answers but sends no frame: a firewall between, or streaming is off"
@@ -310,16 +299,11 @@ class NatNetSource:
 
     def status(self) -> SourceStatus:
         """Describe the source now."""
-        info, foreign = self.info, self.counts["foreign"]
+        info = self.info
         server = "" if info is None else f"{info.name} NatNet {info.version[0]}.{info.version[1]}"
         detail = self.detail
-        if foreign and not self.counts["frames"]:
-            detail += f" ({foreign} datagrams came from {self._foreign_ip} instead)"
+        if self._foreign and not self._framed:
+            detail += f" ({self._foreign} datagrams came from {self._foreign_ip} instead)"
         return self.ingest.status(
-            connected=self.connected,
-            detail=detail,
-            server=server,
-            bodies=self.bodies,
-            refused=self.refused is not None,
-            more_counts={**self.counts, "foreign": foreign},
+            detail=detail, server=server, bodies=self.bodies, refused=self.refused is not None
         )

@@ -5,6 +5,7 @@ A busy interpreter stamps a datagram milliseconds late; the kernel stamps it at 
 blocks afterwards.
 """
 
+import contextlib
 import os
 import socket
 import struct
@@ -116,7 +117,7 @@ def _make_socket(kind: socket.SocketKind) -> socket.socket:
 class NatNetReceiver:
     """NatNet over UDP: a command socket, and a data socket once the server named its port.
 
-    Frames are taken from either. If more than 5 are queued, the oldest are dropped and counted.
+    Frames are taken from either. If more than 5 are queued, the oldest are dropped.
     """
 
     data_retry_ns = SECOND
@@ -134,7 +135,6 @@ class NatNetReceiver:
         self._data_for: tuple[int, str, bool] | None = None
         self._data_due = 0
         self._data_error = ""
-        self._backlog_dropped = self._send_errors = 0
         self._fds: list[int] = []
         self._note_fds()
 
@@ -159,8 +159,7 @@ class NatNetReceiver:
         for _ in range(_DRAIN_MAX):
             try:
                 got = _receive(sock, 65_535, self._clock)
-            except OSError:
-                self._send_errors += 1  # a queued ICMP error: the port was closed when we sent
+            except OSError:  # a queued ICMP error: the port was closed when we sent
                 continue
             if got is None:
                 break
@@ -178,16 +177,13 @@ class NatNetReceiver:
             i for i, (data, _, ip) in enumerate(queue) if ip == server and peek_id(data) == FRAME_ID
         ]
         old = set(frames[:-BACKLOG_MAX])
-        self._backlog_dropped += len(old)
         return [item for i, item in enumerate(queue) if i not in old]
 
     def on_timer(self, t_ns: int) -> None:
         """Send what the session wants; open the data socket when the server named its port."""
         for datagram in self.source.on_timer(t_ns):
-            try:
+            with contextlib.suppress(OSError):  # the session sends again, with backoff
                 self._command.sendto(datagram, self._server)
-            except OSError:
-                self._send_errors += 1  # the session sends again, with backoff
         info = self.source.info
         if info is not None:
             self._follow(info, t_ns)
@@ -228,8 +224,7 @@ class NatNetReceiver:
         """Describe the source now."""
         status = self.source.status()
         detail = f"{status.detail}; {self._data_error}" if self._data_error else status.detail
-        more = {"backlog_dropped": self._backlog_dropped, "socket_error": self._send_errors}
-        return replace(status, detail=detail, counts={**status.counts, **more})
+        return replace(status, detail=detail)
 
     def close(self) -> None:
         """Close the sockets."""
@@ -248,14 +243,13 @@ class VrpnReceiver:
     retry_last_ns = 5 * SECOND
 
     def __init__(self, source: VrpnSource, server: tuple[str, int], clock: Clock) -> None:
-        self.source, self.ingest = source, source.ingest
+        self.source, self.ingest, self.status = source, source.ingest, source.status
         self._server = server
         self._clock = clock
         self._sock: socket.socket | None = None
         self._out = bytearray()
         self._due = self._deadline = 0
         self._retry_ns = self.retry_first_ns
-        self._connects = 0
 
     def fds(self) -> list[int]:
         """Return the descriptor to poll for reading, if there is a connection."""
@@ -278,7 +272,7 @@ class VrpnReceiver:
                 self._close("the server closed the connection")
                 break
             if not self.source.up:
-                self._begin()
+                self._out[:] = self.source.on_connect()
             samples += self.source.on_bytes(got[0], got[1])
             self._after_session()
         return samples
@@ -307,7 +301,7 @@ class VrpnReceiver:
         except OSError as error:
             self._close(f"no connection to {self._server[0]}: {error.strerror}")
             return
-        self._begin()
+        self._out[:] = self.source.on_connect()
 
     def _finish_connect(self, sock: socket.socket, t_ns: int) -> None:
         code = sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
@@ -320,10 +314,6 @@ class VrpnReceiver:
             if t_ns > self._deadline:
                 self._close(f"{self._server[0]} does not answer on port {self._server[1]}")
             return
-        self._begin()
-
-    def _begin(self) -> None:
-        self._connects += 1
         self._out[:] = self.source.on_connect()
 
     def _after_session(self) -> None:
@@ -350,11 +340,6 @@ class VrpnReceiver:
         self._sock = None
         self._out.clear()
         self.source.on_disconnect(why)
-
-    def status(self) -> SourceStatus:
-        """Describe the source now."""
-        status = self.source.status()
-        return replace(status, counts={**status.counts, "connects": self._connects})
 
     def close(self) -> None:
         """Close the connection."""

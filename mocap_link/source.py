@@ -4,8 +4,7 @@ The state machine (`step_monitor`) goes CONNECTING -> SYNCING -> OK -> STALE -> 
 good frames, never the socket: a silent server keeps its TCP connection for minutes.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from math import nan
 
@@ -131,7 +130,6 @@ class SourceStatus:
     """A source's health for the supervisor, the log and the terminal."""
 
     state: SourceState  # the state machine's state
-    connected: bool  # whether the session with the server stands
     detail: str = ""  # the latest event to report
     server: str = ""  # the server's name and version, as far as known
     bodies: tuple[str, ...] = ()  # names of the bodies that the server offers, as far as known
@@ -139,7 +137,4 @@ class SourceStatus:
     clock_sigma_ns: int | None = None  # one-sigma bound of the clock map, None where there is none
     rate_hz: float = 0.0  # measured frame rate over the last second
     expected_rate_hz: float | None = None  # the server's own figure, None if not received
-    last_good_ns: int | None = None  # arrival of the last accepted pose
     refused: bool = False  # the source cannot be used as configured (`detail` says why)
-    # Events by name: accepted, each rejection reason, malformed, foreign, ...
-    counts: Mapping[str, int] = field(default_factory=dict)

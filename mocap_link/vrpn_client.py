@@ -4,8 +4,6 @@ Plain TCP only: the reverse connection of library clients breaks behind firewall
 and brings nothing. No subscription is needed, a server sends poses at once.
 """
 
-from collections import Counter
-
 from steerd.mocap_link import vrpn
 from steerd.mocap_link.clock_sync import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
 from steerd.mocap_link.ingest import IngestConfig, PoseIngest
@@ -27,7 +25,6 @@ class VrpnSource:
         greeted: the server's cookie came on this connection and is good.
         fed: a pose of the body has come on it.
         dead: why it must be closed, or None.
-        counts: messages by fate.
     """
 
     ping_period_ns = SECOND
@@ -36,7 +33,6 @@ class VrpnSource:
     def __init__(self, body: str, config: IngestConfig) -> None:
         self.body = body
         self.ingest = PoseIngest(config, SourceTiming(TICKS_HZ, DEFAULT_EXTRA_LATENCY_NS["vrpn"]))
-        self.counts: Counter[str] = Counter()
         self.up = False
         self._begin()
         self._detail = "connecting"
@@ -120,13 +116,10 @@ class VrpnSource:
                 return None
             sensor, (position, (x, y, z, w)) = vrpn.read_pose(message.payload)
         except vrpn.VrpnError as error:
-            self.counts["malformed"] += 1
             self._detail = str(error)
             return None
         if sensor != 0:
-            self.counts["other_sensor"] += 1
             return None
-        self.counts["frames"] += 1
         self.fed = True
         # a stamp before its own epoch is none, and no message could hold it
         stamp = message.stamp_us if message.stamp_us >= 0 else None
@@ -150,7 +143,6 @@ class VrpnSource:
             names[message.sender] = vrpn.read_description(message.payload)
 
     def _die(self, why: str) -> None:
-        self.counts["broken"] += 1
         self.dead = self._detail = why
 
     def on_timer(self, t_ns: int) -> bytes:
@@ -176,9 +168,5 @@ class VrpnSource:
     def status(self) -> SourceStatus:
         """Describe the source now."""
         return self.ingest.status(
-            connected=self.up and self.greeted,
-            detail=self._detail,
-            server="VRPN" if self.greeted else "",
-            bodies=self.bodies,
-            more_counts=self.counts,
+            detail=self._detail, server="VRPN" if self.greeted else "", bodies=self.bodies
         )

@@ -129,18 +129,16 @@ class BusPoseSource:
     ) -> None:
         self._decode = decode_bytes
         self.ingest = PoseIngest(config, SourceTiming(TICKS_HZ, DEFAULT_EXTRA_LATENCY_NS["zenoh"]))
-        self.malformed = 0
         self._detail = "waiting for a first pose"
         self._body = ""
 
     def on_message(self, payload: bytes, t_arrival_ns: int) -> Pose | None:
-        """Take in one payload; one that is not a pose is counted and gives None."""
+        """Take in one payload; one that is not a pose gives None."""
         try:
             raw = self._decode(payload, t_arrival_ns)
             if self._body not in ("", raw.body):
                 raise PoseError(f"a pose of {raw.body!r}, those before were of {self._body!r}")
         except PoseError as error:
-            self.malformed += 1
             self._detail = str(error)
             return None
         self._body = raw.body
@@ -153,9 +151,4 @@ class BusPoseSource:
 
     def status(self) -> SourceStatus:
         """Describe the source now."""
-        return self.ingest.status(
-            connected=bool(self._body),
-            detail=self._detail,
-            bodies=(self._body,) if self._body else (),
-            more_counts={"malformed": self.malformed},
-        )
+        return self.ingest.status(detail=self._detail, bodies=(self._body,) if self._body else ())

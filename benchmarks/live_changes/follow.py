@@ -23,10 +23,10 @@ from steerd.car_model.model import Model, believed_car
 from steerd.car_model.path.path import locate, project
 from steerd.controller.build import compute_table
 from steerd.controller.learnt import Design, Learnt, learnt_car, learnt_of, learnt_timing
-from steerd.daemon.assembly.build import RunPlan, make_plan, make_world_config
+from steerd.daemon.assembly.build import VIRTUAL_EPOCH_NS, RunPlan, make_plan, make_world_config
 from steerd.daemon.loop.design_desk import make_design
 from steerd.daemon.offline.fast import record_virtual
-from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun, drive
+from steerd.daemon.offline.virtual import VirtualRun, drive
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.sim_hw.plant.car import SimCar
 from steerd.sim_hw.world import World
@@ -148,7 +148,7 @@ def _make_tick(
             memory["share"] = share
             change_car(world, text, share)
         if design is not None and t >= at and run.core.loop.adapting.held is not None:
-            run.core.loop.on_design(make_design(run.t_ns, EPOCH_NS, 1, design), run.t_ns)
+            run.core.loop.on_design(make_design(run.t_ns, VIRTUAL_EPOCH_NS, 1, design), run.t_ns)
         state = world.car.state
         if memory["hint"] < 0:
             memory["hint"] = locate(plan.path, state.x, state.y, state.yaw).hint

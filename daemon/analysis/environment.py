@@ -102,8 +102,7 @@ class Environment(_Base):  # type: ignore[misc]
         """
         if seed is not None:
             self._plan = replace(self._plan, options=replace(self._plan.options, seed=seed))
-        boot_id = self._plan.options.seed + 1
-        self._steered = Steered(lambda t, state, lane: self._action, boot_id)
+        self._steered = Steered(lambda t, state, lane: self._action, self._plan.run.boot_id)
         world = World(make_world_config(self._plan))
         self._run = make_virtual_run(self._plan, (self._steered.see,), world)
         self._action = (0.0, 0.0)

@@ -9,12 +9,12 @@ from tempfile import mkdtemp
 
 from steerd.daemon.analysis.options import CarSource, read_car
 from steerd.daemon.analysis.recorded import Session
-from steerd.daemon.assembly.build import RunPlan, make_plan
+from steerd.daemon.assembly.build import VIRTUAL_EPOCH_NS, RunPlan, make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
 from steerd.daemon.offline.fast import check_driven, record_virtual
-from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun, drive
+from steerd.daemon.offline.virtual import VirtualRun, drive
 from steerd.daemon.process.external_controller import Controller, ExternalController, while_driving
 from steerd.daemon.sessions.info import load_session
 from steerd.daemon.settings.config import make_settings
@@ -110,7 +110,7 @@ def _record(plan: RunPlan, file: Path, controller: Controller | None) -> Session
     if controller is None:
         run = record_virtual(plan, file, drive)
     else:
-        steered = Steered(controller, plan.options.seed + 1)
+        steered = Steered(controller, plan.run.boot_id)
         run = record_virtual(plan, file, lambda run: drive(run, steered.command), steered.see)
     check_driven(run)
     if run.core.loop.faulted:
@@ -141,7 +141,7 @@ class Steered:
         if self.newest is None or self.newest is self._answered:
             return
         self._answered = self.newest
-        command = self._made.compute_command(self.newest, EPOCH_NS + run.t_ns)
+        command = self._made.compute_command(self.newest, VIRTUAL_EPOCH_NS + run.t_ns)
         if command is not None:
             run.core.on_request(topics.DRIVE.name, encode(command), run.t_ns)
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from steerd.car_model.car_file import default_car_path
+from steerd.car_model.car_file import CarFile, default_car_path
 from steerd.car_model.model import believed_car
 from steerd.car_model.native.library import load_library
 from steerd.car_model.params import Car
@@ -15,9 +16,10 @@ from steerd.car_model.path.path import Path
 from steerd.car_model.path.path_spec import parse_path
 from steerd.daemon.assembly.sim_car import load_sim_car, make_true_model
 from steerd.daemon.common.errors import ExitCode, SteerdError, find_near
-from steerd.daemon.ipc.outbox import Outbox, Sink
+from steerd.daemon.common.screen import print_labelled
+from steerd.daemon.ipc.pipe_records import Outbox, Sink
 from steerd.daemon.loop.plans import Drill, PlanError, parse_drill
-from steerd.daemon.settings.config import Settings, load_settings
+from steerd.daemon.settings.config import Settings, load_settings, make_settings
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions
 from steerd.steer_bus.topics import check_car_name
 
@@ -43,6 +45,16 @@ simulated one for 300 ms."""
 
 OFFSET_SHARE = 0.5
 """The lane may be shifted by this share of the lateral error that stops the car (W17)."""
+VIRTUAL_EPOCH_NS = 1_700_000_000_000_000_000
+"""UNIX time at which every drive in virtual time begins: the same drive has the same bytes."""
+
+
+class RunId(NamedTuple):
+    """What two runs of the same plan differ in."""
+
+    boot_id: int  # which operators must name
+    epoch_ns: int  # UNIX time minus monotonic time [ns]
+    leased: bool  # whether an operator's lease is needed
 
 
 @dataclass(frozen=True)
@@ -54,6 +66,12 @@ class RunPlan:
     path: Path
     drill: Drill | None = None
     drawn: Settings | None = None  # of the simulated car, where a sweep drew one
+    real: RunId | None = None  # of a drive in real time; None in virtual time
+
+    @property
+    def run(self) -> RunId:
+        """Which run of the plan this is."""
+        return self.real or RunId(self.options.seed + 1, VIRTUAL_EPOCH_NS, leased=False)
 
     @cached_property
     def controller(self) -> LaneController:
@@ -140,11 +158,15 @@ def _design(
 
 
 def make_plan(
-    options: RunOptions, settings: Settings | None = None, *, design: bool = True
+    options: RunOptions,
+    settings: Settings | None = None,
+    *,
+    design: bool = True,
+    real: RunId | None = None,
 ) -> RunPlan:
     """Read the car file (unless its settings are given), the path, and design the controller.
 
-    `design`: False where another process will do that.
+    `design`: False where another process will do that; `real`: of a drive in real time.
 
     Raises:
         SteerdError: any of them is refused, with the reason.
@@ -167,7 +189,7 @@ def make_plan(
     except ValueError as error:
         hint = _near_path(options.path)
         raise SteerdError(f"--path {options.path}: {error}", hint, ExitCode.USAGE) from None
-    plan = RunPlan(options, settings, path)
+    plan = RunPlan(options, settings, path, real=real)
     if options.drill:
         try:
             drill = parse_drill(options.drill, settings.file.car, settings.limits)
@@ -176,7 +198,7 @@ def make_plan(
         if drill.box is not None:  # the drill's box is the fence
             limited = replace(settings.thresholds, fence=drill.box.fence)
             settings = replace(settings, thresholds=limited)
-        plan = RunPlan(options, settings, path, drill)
+        plan = replace(plan, settings=settings, drill=drill)
     load_library()  # a missing one is said here, before any process is started
     if design:
         _ = plan.controller
@@ -209,7 +231,31 @@ def make_design_car(settings: Settings) -> Car[float]:
     )
 
 
-def make_loop_setup(plan: RunPlan, boot_id: int, leased: bool) -> LoopSetup:
+_DRIVABLE = "circle:radius=3"
+"""A path that every car of this class can drive."""
+
+
+def plan_car(car: CarFile) -> tuple[Settings, RunPlan]:
+    """Settings and plan at the file's own speed; the design is part of the check.
+
+    Raises:
+        SteerdError: it holds no car that can be driven, or one without a stable controller.
+    """
+    settings = make_settings(car)
+    options = RunOptions(str(car.path), path=_DRIVABLE, speed=settings.controller.speed)
+    return settings, make_plan(options, settings)
+
+
+def report_refusal(car: CarFile) -> None:
+    """Print a note where `steerd run` refuses the file, so that nobody learns it at the car."""
+    try:
+        plan_car(car)
+    except SteerdError as error:
+        text = f"`steerd run` refuses this file: {error.what}\n{error.hint}".rstrip()
+        print_labelled("note: ", text, sys.stderr)
+
+
+def make_loop_setup(plan: RunPlan) -> LoopSetup:
     """The constants of a plan's loop, for a drive and for its replay."""
     from steerd.daemon.loop.loop_setup import LoopSetup
 
@@ -218,10 +264,10 @@ def make_loop_setup(plan: RunPlan, boot_id: int, leased: bool) -> LoopSetup:
         settings=plan.settings,
         controller=plan.controller,
         period_ns=plan.period_ns,
-        boot_id=boot_id,
+        boot_id=plan.run.boot_id,
         remote=plan.options.controller is not ControllerKind.LANE,
         auto_arm=plan.options.auto_arm,
-        leased=leased,
+        leased=plan.run.leased,
         duration_ns=None if duration is None else round(duration * NS),
         simulated=plan.options.simulated,
         drill=plan.drill,
@@ -230,25 +276,19 @@ def make_loop_setup(plan: RunPlan, boot_id: int, leased: bool) -> LoopSetup:
     )
 
 
-def make_core(
-    plan: RunPlan, boot_id: int, epoch_ns: int, sinks: Sequence[Sink], leased: bool
-) -> Core:
-    """The control core of a plan.
-
-    `epoch_ns` is UNIX time minus monotonic time; `leased`: an operator's lease is needed.
-    """
+def make_core(plan: RunPlan, sinks: Sequence[Sink]) -> Core:
+    """The control core of a plan."""
     from steerd.daemon.loop.core import Core
     from steerd.daemon.loop.loop import Loop
     from steerd.vesc_link.telemetry import IMU_ACCEL_GYRO_MASK
     from steerd.vesc_link.vesc import VescLink
 
     settings = plan.settings
-    setup = make_loop_setup(plan, boot_id, leased)
     uuid = settings.brakes.uuid
     link = VescLink(
         settings.scaling, bytes.fromhex(uuid) if uuid else None, imu_mask=IMU_ACCEL_GYRO_MASK
     )
-    return Core(Loop(setup), link, Outbox(epoch_ns, tuple(sinks)))
+    return Core(Loop(make_loop_setup(plan)), link, Outbox(plan.run.epoch_ns, tuple(sinks)))
 
 
 def make_world_config(

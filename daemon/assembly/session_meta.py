@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 import platformdirs
 
 from steerd.car_model.car_file import CarFile, parse_car
-from steerd.daemon.assembly.build import RunPlan
+from steerd.daemon.assembly.build import VIRTUAL_EPOCH_NS, RunPlan
 from steerd.daemon.assembly.sim_car import make_true_model, make_truth
 from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.posterior_file import ATTACHED
@@ -20,8 +20,6 @@ from steerd.steer_bus.container import SessionInfo
 from steerd.steer_bus.session_read import WRONG_CONTENT, Session, SessionError
 from steerd.version import VERSION
 
-VIRTUAL_EPOCH_NS = 1_700_000_000_000_000_000
-"""UNIX time at which every drive in virtual time begins: the same drive has the same bytes."""
 _DAY_NS = 86_400_000_000_000
 
 
@@ -64,21 +62,19 @@ def _git() -> dict[str, str]:
     return {"git": done.stdout.strip()} if done.returncode == 0 else {}
 
 
-def make_metadata(
-    plan: RunPlan, boot_id: int, epoch_ns: int, *, leased: bool, reproducible: bool = False
-) -> dict[str, dict[str, str]]:
-    """Metadata of a session; where `reproducible`, without what differs between machines."""
-    options, car = plan.options, plan.settings.file.car
+def make_metadata(plan: RunPlan) -> dict[str, dict[str, str]]:
+    """Metadata of a session; of a drive in virtual time without what differs between machines."""
+    options, run, car = plan.options, plan.run, plan.settings.file.car
     session = {
         "steerd_version": VERSION,
         "car": options.car,
         "mode": "sim" if options.simulated else "hw",
         "options": encode_options(options),
-        "boot_id": str(boot_id),
-        "leased": str(int(leased)),
-        "epoch_ns": str(epoch_ns),
+        "boot_id": str(run.boot_id),
+        "leased": str(int(run.leased)),
+        "epoch_ns": str(run.epoch_ns),
     }
-    if not reproducible:
+    if plan.real is not None:
         session |= {"host": platform.node(), "kernel": platform.release(), **_git()}
     vehicle = {name: repr(value) for name, value in car._asdict().items()}
     scaling = {

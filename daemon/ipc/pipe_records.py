@@ -1,7 +1,8 @@
 """Messages from the control core to recorder, gateway and viewer: records on a pipe.
 
-The core never waits: the pipe is non-blocking, a record is written whole or dropped and counted.
-The learner's reports come the same way.
+Messages are values: counted per topic, encoded once and given to every sink at `Outbox.flush`,
+after the tick's bytes were written. The core never waits: the pipe is non-blocking, a record is
+written whole or dropped and counted. The learner's reports come the same way.
 """
 
 import contextlib
@@ -9,12 +10,12 @@ import fcntl
 import os
 import select
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 from steerd.steer_bus import topics
-from steerd.steer_bus.codec import decode
+from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.quick_values import quick_value
 from steerd.steer_bus.topics import TOPICS, Topic
 
@@ -44,6 +45,62 @@ def read_message(record: PipeRecord) -> Any:
     """The message of a record, decoded where it crossed a pipe."""
     known = record.message
     return decode(record.topic.message, record.data) if known is None else known
+
+
+Sink = Callable[[list[PipeRecord], int], None]
+"""Takes the records of one tick and the monotonic time [ns]; must not block."""
+_Queued = tuple[Topic, int, int, int, Any]
+"""A `PipeRecord` to be: its topic, number, two times and message."""
+
+
+@dataclass(slots=True)
+class Outbox:
+    """Messages of the current tick."""
+
+    epoch_ns: int  # UNIX time minus monotonic time, fixed for the session [ns]
+    sinks: tuple[Sink, ...]  # receivers of the records at `flush`
+    _pending: list[_Queued] = field(default_factory=list)
+    _counts: dict[str, int] = field(default_factory=dict)
+    _last_ns: int = 0
+
+    def post(self, topic: Topic, message: Any, t_ns: int, valid_ns: int | None = None) -> None:
+        """Queue a message of time `t_ns` whose content is valid at `valid_ns` (monotonic)."""
+        if not self.sinks:
+            return
+        name = topic.name
+        count = self._counts.get(name, 0)
+        self._counts[name] = count + 1
+        # A session file is in the order of the loop: log times never go back (mcap doctor warns).
+        if t_ns > self._last_ns:
+            self._last_ns = t_ns
+        publish_ns = (t_ns if valid_ns is None else valid_ns) + self.epoch_ns
+        self._pending.append((topic, count, self._last_ns + self.epoch_ns, publish_ns, message))
+
+    def flush(self, t_ns: int) -> None:
+        """Encode everything queued and give it to the sinks.
+
+        Raises:
+            CodecError: a message cannot be encoded; it alone is lost.
+        """
+        if not self._pending:
+            return
+        queued, self._pending = self._pending, []
+        records, wrong = _encode_all(queued)
+        for sink in self.sinks:
+            sink(records, t_ns)
+        if wrong is not None:
+            raise wrong
+
+
+def _encode_all(queued: list[_Queued]) -> tuple[list[PipeRecord], CodecError | None]:
+    """Encode each record; also return the first error."""
+    records, wrong = [], None
+    for topic, count, log_ns, publish_ns, message in queued:
+        try:
+            records.append(PipeRecord(topic, count, log_ns, publish_ns, encode(message), message))
+        except CodecError as error:
+            wrong = wrong or error
+    return records, wrong
 
 
 def pack_record(record: PipeRecord) -> bytes:

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from steerd.car_model.state import Command
 from steerd.controller.limits import make_limiter_state
-from steerd.daemon.ipc.outbox import Outbox
+from steerd.daemon.ipc.pipe_records import Outbox
 from steerd.daemon.loop import outgoing
 from steerd.daemon.loop.checks import check_vesc
 from steerd.daemon.loop.design_desk import DesignDesk

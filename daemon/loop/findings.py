@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from enum import IntEnum
 from typing import NamedTuple
 
-from steerd.daemon.loop.transitions import Fact, Request, SupervisorState
+from steerd.daemon.loop.transitions import Fact, SupervisorState
 
 
 class Severity(IntEnum):
@@ -177,14 +177,14 @@ def merge_requests(pending: int, flags: int, state: SupervisorState, *, starts: 
     """
     requests = pending
     if flags & Flag.QUIT:
-        requests |= int(Request.DISARM)
+        requests |= Fact.DISARM
     if flags & Flag.ABORT:
-        requests |= int(Request.ABORT)
+        requests |= Fact.ABORT
     if starts and not flags & (Flag.QUIT | Flag.ABORT):
         if state is SupervisorState.READY:
-            requests |= int(Request.ARM)
+            requests |= Fact.ARM
         elif state is SupervisorState.ARMED:
-            requests |= int(Request.START)
+            requests |= Fact.START
     return requests
 
 

@@ -5,7 +5,7 @@
 from dataclasses import dataclass, replace
 from math import inf
 
-from steerd.daemon.loop.transitions import Request
+from steerd.daemon.loop.transitions import Fact
 from steerd.steer_bus.messages import DriveCommand, OperatorRequest, ParameterRequest, RequestKind
 
 VALID_MS, VALID_MAX_MS = 100, 300
@@ -20,14 +20,14 @@ FORMER_MAX = 256
 Numbers = tuple[tuple[int, int], ...]
 """Pairs of lease id and last accepted sequence number, the latest holder last."""
 
-_REQUESTS = {
-    RequestKind.ARM: Request.ARM,
-    RequestKind.START: Request.START,
-    RequestKind.STOP: Request.STOP,
-    RequestKind.DISARM: Request.DISARM,
-    RequestKind.CLEAR: Request.CLEAR | Request.RESET,
-    RequestKind.ESTOP: Request.ESTOP,
-    RequestKind.KEEPALIVE: Request.KEEPALIVE,
+_ASKS = {
+    RequestKind.ARM: Fact.ARM,
+    RequestKind.START: Fact.START,
+    RequestKind.STOP: Fact.STOP,
+    RequestKind.DISARM: Fact.DISARM,
+    RequestKind.CLEAR: Fact.CLEAR | Fact.RESET,
+    RequestKind.ESTOP: Fact.CALL_ESTOP,
+    RequestKind.KEEPALIVE: 0,  # renews the lease (W25), changes no state
 }
 _FROM_ANYBODY = (RequestKind.STOP, RequestKind.ESTOP)
 
@@ -52,8 +52,8 @@ def _remember(former: Numbers, who: int, seq: int) -> Numbers:
 
 def accept_request(
     lease: Lease, request: OperatorRequest, t_ns: int, idle: bool
-) -> tuple[Lease, Request]:
-    """Accept a request or refuse it.
+) -> tuple[Lease, int]:
+    """Accept a request or refuse it; the facts that it asks for.
 
     A stop is accepted from anybody. All else needs this run's boot id, the lease (free for others
     while it is `idle`: its holder is silent) and a rising sequence number, also from a former
@@ -62,9 +62,9 @@ def accept_request(
     try:
         kind = RequestKind(request.kind)
     except ValueError:
-        return replace(lease, refused=lease.refused + 1), Request.UNKNOWN
+        return replace(lease, refused=lease.refused + 1), Fact.UNKNOWN
     lease, admitted = admit(lease, request, t_ns, idle)
-    return lease, _REQUESTS[kind] if admitted or kind in _FROM_ANYBODY else Request.NONE
+    return lease, _ASKS[kind] if admitted or kind in _FROM_ANYBODY else 0
 
 
 def admit(

@@ -68,7 +68,7 @@ class Loop:
         s = setup.settings
         self.setup = setup
         car = believed_car(s.file.model)
-        self.perception = Perception(car, s.file.chassis, s.filter, s.thresholds, s.scaling)
+        self.perception = Perception(car, s)
         self.supervisor = make_supervisor_memory(0)
         self.lease = leases.Lease(setup.boot_id)
         self.remote = leases.Remote(leases.Lease(setup.boot_id))
@@ -95,7 +95,7 @@ class Loop:
         """An operator's request arrived."""
         before = self.lease.holder
         self.lease, request = leases.accept_request(self.lease, message, t_ns, self._is_idle(t_ns))
-        self._requests_pending |= int(request)
+        self._requests_pending |= request
         self._pass_on(before)
 
     def on_parameters(self, message: m.ParameterRequest, t_ns: int) -> None:

@@ -3,17 +3,15 @@
 from collections import deque
 from math import hypot, inf, isfinite, nan
 
-from steerd.car_model.chassis import Chassis
 from steerd.car_model.params import Car
 from steerd.car_model.state import Command, State
 from steerd.daemon.loop.following import LONG_TURN_S
 from steerd.daemon.loop.watchdogs_pose import PoseVerdict, PoseWatch, step_innovation, step_pose
-from steerd.daemon.settings.thresholds import Thresholds
+from steerd.daemon.settings.config import Settings
 from steerd.estimator import state_filter as sf
-from steerd.estimator.config import FilterConfig
 from steerd.estimator.sensors import Measurement, make_gyro, make_pose, make_wheel_speed
 from steerd.steer_bus import messages as m
-from steerd.vesc_link.scaling import Scaling, erpm_to_speed
+from steerd.vesc_link.scaling import erpm_to_speed
 from steerd.vesc_link.telemetry import has_chip
 
 _TRACK_NS = round(1e9 * LONG_TURN_S)
@@ -41,19 +39,11 @@ class Perception:
         may_rebase: set by the loop: the car is disarmed and stands.
     """
 
-    def __init__(
-        self,
-        car: Car[float],
-        chassis: Chassis,
-        config: FilterConfig,
-        thresholds: Thresholds,
-        scaling: Scaling,
-    ) -> None:
-        self._filter = sf.make_state_filter(car, config, chassis=chassis)
+    def __init__(self, car: Car[float], settings: Settings) -> None:
+        self._filter = sf.make_state_filter(car, settings.filter, chassis=settings.file.chassis)
         self._state = sf.FilterState()
-        self._thresholds = thresholds
-        self._scaling = scaling
-        span_s = max(_SPEED_SPAN_S, _SPAN_OF_SD * config.pose_position_sd)
+        self._thresholds, self._scaling = settings.thresholds, settings.scaling
+        span_s = max(_SPEED_SPAN_S, _SPAN_OF_SD * settings.filter.pose_position_sd)
         self._speed_span_ns = round(1e9 * min(span_s, LONG_TURN_S))
         self._measurements: list[Measurement] = []
         self._commands: list[tuple[int, Command[float] | None]] = []

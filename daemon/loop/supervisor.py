@@ -1,25 +1,23 @@
 """The supervisor: who may move the car, and how it stops; one pure function over a table.
 
-``step_supervisor`` turns measured conditions (``Conditions``) and requests (``Request``) into guard
-bits, takes the first row of ``transitions.TABLE`` that matches, and gives the kinds of motor and
-servo bytes. The
-invariants I1-I8 of `docs/reference/safety-requirements.md#invariants` are enumerated over it in the
-tests. No clock, no I/O, no randomness.
+``step_supervisor`` turns measured conditions (``Conditions``) and requests (facts of ``ASKED``)
+into guard bits, takes the first row of ``transitions.TABLE`` that matches, and gives the kinds of
+motor and servo bytes. The invariants I1-I8 of
+`docs/reference/safety-requirements.md#invariants` are enumerated over it in the tests. No clock,
+no I/O, no randomness.
 """
 
 # Why: docs/decisions/safety.md#d12
 
-from functools import lru_cache
 from math import inf, isfinite
 
 from steerd.daemon.loop.transitions import (
+    ASKED,
     BRAKED,
     GIVEN,
-    REQUESTED,
     STOP_REASON,
     Fact,
     MotorOutput,
-    Request,
     SteeringOutput,
     SupervisorState,
     TransitionRow,
@@ -83,7 +81,6 @@ class Action:
     cap: float  # highest speed that may be ordered [m/s]; ``inf`` where only the car's limits apply
 
 
-_KNOWN = sum(map(int, (*REQUESTED, Request.KEEPALIVE)))
 _SPOILS_REARM = Fact.SOFT | Fact.DISARM | Fact.UNKNOWN
 
 
@@ -125,21 +122,14 @@ def stands(s: SupervisorMemory, t_ns: int) -> bool:
     return _held(s.still_ns, t_ns, STILL_NS)
 
 
-@lru_cache(maxsize=256)
-def _requested(requests: int) -> int:
-    """Facts of requests; a bit that names none counts as an unknown request."""
-    facts = Fact.UNKNOWN if requests & ~_KNOWN else 0
-    for request, fact in REQUESTED.items():
-        facts |= fact if requests & request else 0
-    return facts
-
-
 def derive_facts(s: SupervisorMemory, c: Conditions, requests: int, t_ns: int) -> int:
-    """Return all guard bits (`Fact`); the timers in ``s`` must be those of this tick."""
-    requests = int(requests)
-    bits = c.facts & GIVEN
-    if requests:
-        bits |= _requested(requests)
+    """Return all guard bits (`Fact`); the timers in ``s`` must be those of this tick.
+
+    A bit of ``requests`` that is none counts as an unknown request.
+    """
+    bits = c.facts & GIVEN | requests & ASKED
+    if requests & ~ASKED:
+        bits |= Fact.UNKNOWN
     if _held(s.checks_ns, t_ns, CHECKS_HOLD_NS):
         bits |= Fact.CHECKS_HELD
     if stands(s, t_ns):
@@ -248,7 +238,7 @@ def step_supervisor(
     """One tick of the supervisor: its new memory, and what this tick must put on the wire.
 
     After a gap of more than 100 ms between two ticks timers start again. Of several ``requests``
-    (bits of ``Request``) the stopping one wins.
+    (facts of ``ASKED``) the stopping one wins.
     """
     still, checks, proof = _renew_timers(old, conditions, t_ns)
     s = changed(old, t_ns=t_ns, still_ns=still, checks_ns=checks, proof_ns=proof)

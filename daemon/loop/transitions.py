@@ -1,4 +1,4 @@
-"""The state machine as one table: states, requests, facts, and the rows that join them.
+"""The state machine as one table: states, facts, and the rows that join them.
 
 This is `docs/reference/safety-requirements.md#s3`. ``choose_row`` is all the logic there is;
 ``supervisor`` derives the facts and says what the wire must carry in each state.
@@ -6,7 +6,7 @@ This is `docs/reference/safety-requirements.md#s3`. ``choose_row`` is all the lo
 
 # Why: docs/decisions/safety.md#d13
 
-from enum import IntEnum, IntFlag
+from enum import IntEnum
 from typing import NamedTuple
 
 
@@ -23,22 +23,6 @@ class SupervisorState(IntEnum):
     FAULT_STOP = 7
     FAULT_LATCHED = 8
     ESTOP = 9
-
-
-class Request(IntFlag):
-    """Requests of operators and signals in one tick; any other bit counts as UNKNOWN."""
-
-    NONE = 0
-    ARM = 1
-    START = 2
-    STOP = 4
-    DISARM = 8
-    CLEAR = 16
-    ESTOP = 32
-    RESET = 64  # leaves ESTOP
-    ABORT = 128  # a second signal: stop hard
-    UNKNOWN = 256
-    KEEPALIVE = 512  # renews the lease (W25), changes no state
 
 
 class MotorOutput(IntEnum):
@@ -67,6 +51,8 @@ class SteeringOutput(IntEnum):
 class Fact:
     """Facts that guards test: the loop gives those of `GIVEN`, ``derive_facts`` the others.
 
+    Those of `ASKED` are requests of operators and of signals in this tick.
+
     Plain integers: an IntFlag "or" takes a microsecond, and these are tested in every tick.
     """
 
@@ -88,15 +74,15 @@ class Fact:
     PROVEN = 1 << 15  # FW_TIMEOUT through 210 ms of silence
     ELAPSED = 1 << 16  # the state has lasted as long as it may
     REARM = 1 << 17  # this stop was an operator's and nothing else came up
-    ARM = 1 << 18  # from here on requests, see `REQUESTED`
+    ARM = 1 << 18  # from here on requests
     START = 1 << 19
     STOP = 1 << 20
     DISARM = 1 << 21
     CLEAR = 1 << 22
     CALL_ESTOP = 1 << 23
-    RESET = 1 << 24
-    ABORT = 1 << 25
-    UNKNOWN = 1 << 26
+    RESET = 1 << 24  # leaves ESTOP
+    ABORT = 1 << 25  # a second signal: stop hard
+    UNKNOWN = 1 << 26  # any other bit of a request
 
 
 class TransitionRow(NamedTuple):
@@ -129,12 +115,11 @@ UNPROVEN = (
     " Close VESC Tool and its apps, and set App Settings > General > Timeout to 100-200 ms"
 )
 
-REQUESTED = {
-    Request.ARM: Fact.ARM, Request.START: Fact.START, Request.STOP: Fact.STOP,
-    Request.DISARM: Fact.DISARM, Request.CLEAR: Fact.CLEAR, Request.ESTOP: Fact.CALL_ESTOP,
-    Request.RESET: Fact.RESET, Request.ABORT: Fact.ABORT, Request.UNKNOWN: Fact.UNKNOWN,
-}  # fmt: skip
-"""The fact that a request is for the table."""
+ASKED = (
+    Fact.ARM | Fact.START | Fact.STOP | Fact.DISARM | Fact.CLEAR | Fact.CALL_ESTOP | Fact.RESET
+    | Fact.ABORT | Fact.UNKNOWN
+)  # fmt: skip
+"""Facts that are requests."""
 GIVEN = (
     Fact.LINKED | Fact.IDENTIFIED | Fact.CHECKS_PASS | Fact.FW_TIMEOUT | Fact.LEASED | Fact.SOFT
     | Fact.HARD | Fact.KILLED | Fact.ENDED | Fact.LAUNCHED | Fact.ESTIMATED | Fact.SLOWING

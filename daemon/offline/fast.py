@@ -6,13 +6,13 @@ from itertools import count
 from pathlib import Path
 
 from steerd.daemon.assembly.build import RunPlan, make_world_config
-from steerd.daemon.assembly.session_meta import make_metadata, session_path
+from steerd.daemon.assembly.session_meta import session_path
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.translate import make_session_error, reading
 from steerd.daemon.ipc.pipe_records import PipeRecord, is_learnt_from, read_message
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun, drive, make_virtual_run
+from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
 from steerd.daemon.process.children import make_recorder_job
 from steerd.daemon.process.recorder import Recording
 from steerd.daemon.terminal.dashboard import Dashboard, closing_lines
@@ -27,10 +27,8 @@ def make_recording(plan: RunPlan, path: Path) -> Recording:
     Raises:
         SteerdError: it cannot be created.
     """
-    meta = make_metadata(plan, plan.options.seed + 1, EPOCH_NS, leased=False, reproducible=True)
-    job = make_recorder_job(plan, path, meta, EPOCH_NS)
     try:
-        return Recording(path, plan.options.car, job)
+        return Recording(make_recorder_job(plan, path))
     except SessionError as error:
         raise make_session_error(error, "choose another file with --record") from None
 
@@ -91,7 +89,7 @@ def _learn_beside(
     from steerd.daemon.learning.feed import Wiring, make_feed, make_record
     from steerd.daemon.learning.proposing import Proposals
 
-    feed = make_feed(plan.settings.file, Wiring(EPOCH_NS, plan.settings.scaling))
+    feed = make_feed(plan.settings.file, Wiring(plan.run.epoch_ns, plan.settings.scaling))
     numbers = count()
     if plan.learnt is not None:
         feed.proposals = Proposals(plan.learnt, compute_table, propose)

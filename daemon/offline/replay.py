@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from math import isnan
 from typing import Any
 
-from steerd.daemon.assembly.build import RunPlan, make_loop_setup, make_plan
+from steerd.daemon.assembly.build import RunId, RunPlan, make_loop_setup, make_plan
 from steerd.daemon.assembly.session_meta import read_session_car, recorded_path
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import watched
@@ -37,8 +37,8 @@ class Difference:
     replayed: tuple[float, ...]
 
 
-def make_replay_plan(session: Session, name: str) -> tuple[RunPlan, int, int, bool]:
-    """The plan of a recorded run, with its boot id, epoch and whether it was leased.
+def make_replay_plan(session: Session, name: str) -> RunPlan:
+    """The plan of a recorded run.
 
     Raises:
         SteerdError: the session was not recorded by `steerd run`.
@@ -46,20 +46,19 @@ def make_replay_plan(session: Session, name: str) -> tuple[RunPlan, int, int, bo
     meta: dict[str, Any] = dict(session.info().metadata.get("steerd.session", {}))
     with reading(name, "only sessions of `steerd run` hold what a replay needs"):
         options = decode_options(meta["options"])
-        boot_id, epoch_ns = int(meta["boot_id"]), int(meta["epoch_ns"])
+        run = RunId(int(meta["boot_id"]), int(meta["epoch_ns"]), meta.get("leased") == "1")
         settings = make_settings(read_session_car(session), options.speed)
         with recorded_path(session, options.path) as spec:
-            plan = make_plan(replace(options, path=spec), settings)
-    return plan, boot_id, epoch_ns, meta.get("leased") == "1"
+            return make_plan(replace(options, path=spec), settings, real=run)
 
 
 class Replay:
     """A recorded run going through the loop again; `ticks` counts those that were compared."""
 
-    def __init__(self, plan: RunPlan, boot_id: int, epoch_ns: int, leased: bool) -> None:
-        self.loop = Loop(make_loop_setup(plan, boot_id, leased))
+    def __init__(self, plan: RunPlan) -> None:
+        self.loop = Loop(make_loop_setup(plan))
         self.ticks = 0
-        self._epoch_ns = epoch_ns
+        self._epoch_ns = plan.run.epoch_ns
         seen = self.loop.perception
         self._seen: dict[type, Callable[[Any], None]] = {
             m.MocapPose: seen.on_pose, m.VescTelemetry: seen.on_telemetry, m.VescImu: seen.on_imu,
@@ -116,8 +115,7 @@ def replay(
     """
     with reading(name):
         session.check_layouts()
-    plan, boot_id, epoch_ns, leased = make_replay_plan(session, name)
-    run = Replay(plan, boot_id, epoch_ns, leased)
+    run = Replay(make_replay_plan(session, name))
     taken = map(run.take, watched(session.messages(), advance))
     return run, (d for d in taken if d is not None)
 

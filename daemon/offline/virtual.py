@@ -9,8 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from steerd.daemon.assembly.build import RunPlan, make_core, make_world_config
-from steerd.daemon.assembly.session_meta import VIRTUAL_EPOCH_NS
-from steerd.daemon.ipc.outbox import Sink
+from steerd.daemon.ipc.pipe_records import Sink
 from steerd.daemon.loop.core import Core
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.transitions import SupervisorState
@@ -18,8 +17,6 @@ from steerd.mocap_link.natnet_client import NatNetSource, Socket
 from steerd.sim_hw.mocap.network import COMMAND, DATA
 from steerd.sim_hw.world import World, WorldConfig
 
-EPOCH_NS = VIRTUAL_EPOCH_NS
-"""UNIX time of virtual time zero: sessions of the same seed are the same file."""
 _SERVER = "127.0.0.1"
 _TIMER_NS = 20_000_000
 """Time between two calls of the mocap source's timer."""
@@ -128,7 +125,7 @@ def make_virtual_run(
 ) -> VirtualRun:
     """A drive in virtual time; `world` replaces the one that the plan describes."""
     config: WorldConfig = make_world_config(plan)
-    core = make_core(plan, plan.options.seed + 1, EPOCH_NS, sinks, leased=False)
+    core = make_core(plan, sinks)
     core.flags |= Flag.LINKED
     source = NatNetSource(config.mocap.body, _SERVER, plan.settings.ingest)
     return VirtualRun(core, world or World(config), source, plan.period_ns)

@@ -9,8 +9,10 @@ import subprocess
 import sys
 import time
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from steerd.daemon.assembly.build import RunPlan
@@ -121,14 +123,7 @@ def _end(child: Child, seconds: float) -> int:
     return child.process.wait()
 
 
-def start_processes(
-    plan: RunPlan,
-    session: Path,
-    boot_id: int,
-    epoch_ns: int,
-    leased: bool,
-    core: Prepared | None = None,
-) -> RunProcesses:
+def start_processes(plan: RunPlan, session: Path, core: Prepared | None = None) -> RunProcesses:
     """Start recorder, gateway, core and, where they are asked for, viewer, page and learner.
 
     `core` is the control core's process where it was prepared already.
@@ -136,17 +131,16 @@ def start_processes(
     Raises:
         SteerdError: one of them failed to start, with its own text.
     """
-    ends, memory = Ends(plan.options), recall_learnt(plan, session, epoch_ns + time.monotonic_ns())
+    ends, now_ns = Ends(plan.options), plan.run.epoch_ns + time.monotonic_ns()
+    memory = recall_learnt(plan, session, now_ns)
     started: dict[str, Child] = {}
     reports: dict[str, dict[str, Any]] = {}
     try:
         # All at once: each takes a second for its imports. What the core writes before the others
         # are ready waits in its pipes.
-        meta = make_metadata(plan, boot_id, epoch_ns, leased=leased) | dict(memory.metadata)
-        job = make_recorder_job(plan, session, meta, epoch_ns)
+        job = make_recorder_job(plan, session, memory.metadata)
         started["recorder"] = spawn(f"{_MODULE}recorder", ends.of["recorder"], job)
-        job = {"options": encode_options(plan.options), "boot_id": boot_id, "epoch_ns": epoch_ns}
-        job["leased"] = leased
+        job = {"options": encode_options(plan.options), "run": plan.run}
         started["core"] = hand_over(core or prepare(CORE), ends.of["core"], job)
         started["gateway"] = spawn(f"{_MODULE}gateway", ends.of["gateway"], job)
         if plan.options.view:
@@ -164,16 +158,18 @@ def start_processes(
             session.unlink(missing_ok=True)
         raise
     if plan.options.learn:  # nobody waits for it
-        job = make_learner_job(plan, epoch_ns, memory)
+        job = make_learner_job(plan, memory)
         started["learner"] = spawn(f"{_MODULE}learner", ends.of["learner"], job)
     ends.close(keep="terminal")
     return RunProcesses(started, ends.of["terminal"], session, reports)
 
 
 def make_recorder_job(
-    plan: RunPlan, session: Path, meta: dict[str, dict[str, str]], epoch_ns: int
+    plan: RunPlan, session: Path, more: Mapping[str, dict[str, str]] = MappingProxyType({})
 ) -> dict[str, Any]:
     """What a recording begins with, see `recorder`; its folder is made.
+
+    `more` is metadata beside the run's.
 
     Raises:
         SteerdError: there can be no such folder.
@@ -188,9 +184,9 @@ def make_recorder_job(
     return {
         "path": str(session),
         "car": plan.options.car,
-        "metadata": meta,
+        "metadata": make_metadata(plan) | dict(more),
         "attachments": make_attachments(plan),
-        "start_ns": epoch_ns,
+        "start_ns": plan.run.epoch_ns,
         "disk_free_min": plan.settings.record.disk_free_min_mb * 1_000_000,
         "flush_ns": plan.settings.record.flush_ms * 1_000_000,
     }

@@ -10,10 +10,9 @@ from collections.abc import Callable
 from itertools import compress
 from operator import attrgetter
 
-from steerd.daemon.assembly.build import RunPlan, make_core, make_plan
+from steerd.daemon.assembly.build import RunId, RunPlan, make_core, make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.ipc.outbox import Sink
-from steerd.daemon.ipc.pipe_records import PipeRecord, PipeWriter, is_learnt_from, pack_record
+from steerd.daemon.ipc.pipe_records import PipeRecord, PipeWriter, Sink, is_learnt_from, pack_record
 from steerd.daemon.ipc.signals import (
     block_stop_signals,
     make_notify,
@@ -111,16 +110,14 @@ def make_opener(url: str) -> Callable[[], Port]:
 
 def _run(given: Job) -> Core:
     fds, job = given
-    plan = make_plan(decode_options(job["options"]))
+    plan = make_plan(decode_options(job["options"]), real=RunId(*job["run"]))
     open_again = make_opener(plan.options.port or "")
     mocap = make_mocap(plan)
     pipes = {name: PipeWriter(fds[name]) for name in _TAKES if name in fds}
     takers = [(pipe, _TAKES[name]) for name, pipe in pipes.items()]
     sinks = [pipes_sink(*takers), status_sink(PipeWriter(fds["status"]))]
     clock = MonotonicClock()
-    core = make_core(
-        plan, int(job["boot_id"]), int(job["epoch_ns"]), sinks, leased=bool(job["leased"])
-    )
+    core = make_core(plan, sinks)
     latch_stray_exceptions(core)
     requests = tuple(socket.socket(fileno=fds[name]) for name in ("parent", "gateway_requests"))
     designs = socket.socket(fileno=fds["designs"]) if "designs" in fds else None

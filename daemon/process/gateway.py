@@ -222,7 +222,7 @@ def serve(job: Job) -> int:
         SteerdError: the bus cannot be opened as asked for.
     """
     options, core = decode_options(job.about["options"]), socket.socket(fileno=job.fds["requests"])
-    pose_key = find_pose_key(options)
+    pose_key, (boot_id, *_) = find_pose_key(options), job.about["run"]
     core.setblocking(False)
     try:
         lab = load_lab(Path(options.lab)) if options.lab else None
@@ -233,7 +233,7 @@ def serve(job: Job) -> int:
             domain = options.ros_domain
             ros = None if domain is None else RosBridge(bus, options.car, domain)
             driven = options.controller is ControllerKind.ROS2
-            drive = RosDrive(bus, domain or 0, job.about["boot_id"]) if driven else None
+            drive = RosDrive(bus, domain or 0, boot_id) if driven else None
             gateway = Gateway(bus, options.car, pose_key, ros, drive)
             job.say_ready()
             reports = PipeReader(job.fds.get("reports"))

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from steerd.controller.build import compute_table
-from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.assembly.build import RunId, make_plan
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.written import write_output, write_whole
 from steerd.daemon.ipc.pipe_records import Gaps, PipeReader, PipeRecord, PipeWriter, pack_record
@@ -90,11 +90,11 @@ def serve(given: Job) -> int:
     given.say_ready()  # nobody waits for it
     job, fds = given.about, given.fds
     options = decode_options(job["options"])
-    plan = make_plan(options, design=options.adapt)
+    plan = make_plan(options, design=options.adapt, real=RunId(*job["run"]))
     if plan.settings.file.remark:
         print(f"steerd learner: {plan.settings.file.remark}", file=sys.stderr)
     try:
-        wiring = Wiring(int(job["epoch_ns"]), plan.settings.scaling)
+        wiring = Wiring(plan.run.epoch_ns, plan.settings.scaling)
         feed = make_feed(plan.settings.file, wiring, read_memory(job["memory"]))
     except ValueError as error:
         raise SteerdError(str(error)) from None

@@ -62,9 +62,7 @@ def recall_learnt(plan: RunPlan, session: Path, now_ns: int) -> LearnerMemory:
 _NO_MEMORY = LearnerMemory()
 
 
-def make_learner_job(
-    plan: RunPlan, epoch_ns: int, memory: LearnerMemory = _NO_MEMORY
-) -> dict[str, Any]:
+def make_learner_job(plan: RunPlan, memory: LearnerMemory = _NO_MEMORY) -> dict[str, Any]:
     """What the learner makes its plan of, and its memory."""
     about = memory._asdict() | {"metadata": {}}
-    return about | {"options": encode_options(plan.options), "epoch_ns": epoch_ns}
+    return about | {"options": encode_options(plan.options), "run": plan.run}

@@ -39,17 +39,17 @@ class Recording:
     record was sent (`start_ns`, UNIX).
     """
 
-    def __init__(self, path: Path, car: str, meta: Mapping[str, Any]) -> None:
-        self._topics = {topic.name: make_session_topic(car, topic) for topic in TOPICS}
-        attachments = {name: text.encode() for name, text in meta["attachments"].items()}
+    def __init__(self, job: Mapping[str, Any]) -> None:
+        self._topics = {topic.name: make_session_topic(job["car"], topic) for topic in TOPICS}
+        attachments = {name: text.encode() for name, text in job["attachments"].items()}
         classes = {self._topics[topic.name]: topic.message for topic in TOPICS}
         self.writer = SessionWriter(
-            path,
+            Path(job["path"]),
             classes,
-            meta["metadata"],
+            job["metadata"],
             attachments,
-            int(meta["start_ns"]),
-            int(meta.get("flush_ns", FLUSH_NS)),
+            int(job["start_ns"]),
+            int(job.get("flush_ns", FLUSH_NS)),
         )
         self.written = 0
         self.gaps = Gaps()
@@ -160,7 +160,7 @@ def serve(job: Job) -> int:
     meta, disk_free_min = job.about, int(job.about["disk_free_min"])
     try:
         check_space(Path(meta["path"]), disk_free_min)
-        recording = Recording(Path(meta["path"]), meta["car"], meta)
+        recording = Recording(meta)
         job.say_ready()
         core, learner = PipeReader(job.fds["pipe"]), PipeReader(job.fds.get("reports"))
         reason = record_pipe(recording, core, disk_free_min, learner)

@@ -28,8 +28,7 @@ class VescFaultState:
     garbage: int = 0  # noise bytes before each reply
     corrupt: float = 0.0  # probability that a reply frame has a flipped bit
     drop: float = 0.0  # probability that a reply is lost
-    delay_ns: int = 0  # added to each reply; the second times a number in [0, 1)
-    jitter_ns: int = 0
+    jitter_ns: int = 0  # added to each reply, times a number in [0, 1)
     truncate: bool = False  # the next reply is cut in half, then nothing more
     # Sends a long frame's header (03 02 00) once: it belongs to no frame
     false_header: bool = False
@@ -105,13 +104,10 @@ class FaultKind(NamedTuple):
     summary: str
     settings: Mapping[str, Param]
     """Fields of the fault state and their values by default; each can be given as a parameter."""
-    must_trip: bool = True  # false for what a supervisor must tolerate
 
 
-def _kind(
-    target: str, code: str, name: str, summary: str, must_trip: bool = True, **settings: Param
-) -> FaultKind:
-    return FaultKind(code, name, target, summary, settings, must_trip)
+def _kind(target: str, code: str, name: str, summary: str, **settings: Param) -> FaultKind:
+    return FaultKind(code, name, target, summary, settings)
 
 
 _mocap, _vesc = partial(_kind, "mocap"), partial(_kind, "vesc")
@@ -133,20 +129,20 @@ FAULTS: tuple[FaultKind, ...] = (
     _mocap("M13", "latency_step", "80 ms more latency", latency_ns=80 * _MS),
     _mocap("M14", "jitter_burst", "up to 40 ms random latency", jitter_ns=40 * _MS),
     _mocap("M15", "out_of_order", "each second frame after its successor", reorder=True),
-    _mocap("M16", "duplicated", "every frame twice", must_trip=False, duplicate=True),
-    _mocap("M17", "loss", "5 % of the frames are lost", must_trip=False, loss=0.05),
-    _mocap("M18", "gap", "no frames for 50 ms of every second", must_trip=False,
+    _mocap("M16", "duplicated", "every frame twice", duplicate=True),
+    _mocap("M17", "loss", "5 % of the frames are lost", loss=0.05),
+    _mocap("M18", "gap", "no frames for 50 ms of every second",
            gap_ns=50 * _MS, gap_every_ns=1000 * _MS),
-    _mocap("M19", "garbage", "malformed datagrams between", must_trip=False, noise="truncated"),
-    _mocap("M20", "foreign_sender", "someone else sends frames", must_trip=False, foreign=1.0),
+    _mocap("M19", "garbage", "malformed datagrams between", noise="truncated"),
+    _mocap("M20", "foreign_sender", "someone else sends frames", foreign=1.0),
     _mocap("M21", "clock_step", "the server's clock steps", clock_step_ns=1000 * _MS),
-    _mocap("M22", "rate_halves", "every second frame only", must_trip=False, every=2),
+    _mocap("M22", "rate_halves", "every second frame only", every=2),
     _mocap("", "invalid", "the body is not tracked, its last pose goes on", invalid=True),
     _mocap("", "body_removed", "the body is not in the frames", absent=True),
     _mocap("", "edit_mode", "the server replays a recording", edit_mode=True),
-    _mocap("", "model_change", "the model list changes", must_trip=False, model_changed=True),
+    _mocap("", "model_change", "the model list changes", model_changed=True),
     _mocap("", "server_restart", "clock and frame numbers begin again", restart=True),
-    _mocap("", "quaternion_sign", "q and -q in turns", must_trip=False, negative=True),
+    _mocap("", "quaternion_sign", "q and -q in turns", negative=True),
     _mocap("", "mean_error_ramp", "a large marker residual", mean_error=0.02),
     _mocap("", "half_open", "the TCP peer is gone without a word", half_open=True),
     _vesc("V1", "unplug", "the USB cable is out", plugged=False),
@@ -176,9 +172,9 @@ FAULTS: tuple[FaultKind, ...] = (
     _vesc("V23", "second_client_alive", "a phone app feeds the timeout", alive_ns=200 * _MS),
     _vesc("V24", "no_timeout", "timeout and brake current 0", timeout_ms=0,
           timeout_brake_current=0.0),
-    _vesc("", "reply_loss", "5 % of the replies are lost", must_trip=False, drop=0.05),
-    _vesc("", "reply_jitter", "up to 8 ms late", must_trip=False, jitter_ns=8 * _MS),
-    _vesc("", "unsolicited", "unknown frames between", must_trip=False, unsolicited=True),
+    _vesc("", "reply_loss", "5 % of the replies are lost", drop=0.05),
+    _vesc("", "reply_jitter", "up to 8 ms late", jitter_ns=8 * _MS),
+    _vesc("", "unsolicited", "unknown frames between", unsolicited=True),
 )  # fmt: skip
 _BY_NAME = {key: kind for kind in FAULTS for key in (kind.code, kind.name) if key}
 

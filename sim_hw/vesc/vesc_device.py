@@ -5,7 +5,7 @@ modelled is the list of `docs/reference/vesc-serial.md#v8`; each item has a test
 """
 
 import math
-from collections import Counter, deque
+from collections import deque
 from contextlib import suppress
 from functools import lru_cache
 from typing import Any
@@ -134,9 +134,6 @@ class SimVesc:
         self.car = car
         self._log = log  # takes every byte with its time
         self.fault_state: VescFaultState = HEALTHY_VESC
-        # Host bugs and losses by name: ``short`` (a command without its arguments), ``unknown``
-        # ids, ``lost`` bytes while off
-        self.counts: Counter[str] = Counter()
         self._scaling = scaling
         self._sign = -1 if config.invert else 1
         self._noise = noise
@@ -275,7 +272,6 @@ class SimVesc:
     def on_bytes(self, t_ns: int, data: bytes) -> None:
         """Take bytes from the host."""
         if not self.connected:
-            self.counts["lost"] += len(data)
             return
         if self._log is not None:
             self._log.append(Logged(t_ns, "vesc", data))
@@ -307,12 +303,11 @@ class SimVesc:
     # --- commands
 
     def _obey(self, t_ns: int, payload: bytes) -> None:
-        firmware = self.config.firmware
-        command = _decode(payload, firmware)
+        """Carry out a command; what is none, or lacks its arguments, changes nothing."""
+        command = _decode(payload, self.config.firmware)
         if command is None:
-            known = ids.command_id(payload[0], firmware) is not None
-            self.counts["short" if known and len(payload) < 5 else "unknown"] += 1
-        elif type(command) in FEEDS_TIMEOUT:
+            return
+        if type(command) in FEEDS_TIMEOUT:
             self.motor.command(t_ns, command, self._true_erpm())
         elif (reply := self._answer(t_ns, command)) is not None:
             self._reply(t_ns, reply)

@@ -268,7 +268,6 @@ class Power:
         self.revolutions = self.travel = 0.0  # electrical revolutions, signed and unsigned
         self.warmth = 0.0  # above ambient by the motor's own current [K]
         self.heat(0.0)
-        self.input_current = 0.0
         self._motor_sum = self._input_sum = self._q_sum = self._vq_sum = 0.0
         self._count = 0
         self._read: dict[str, tuple[float, int]] = dict.fromkeys(MEANS, (0.0, 0))
@@ -287,7 +286,7 @@ class Power:
         duty = (emf + current * config.motor_resistance) / self.voltage
         limit = config.duty_limit
         self.duty = duty = -limit if duty < -limit else limit if duty > limit else duty
-        source = self.input_current = duty * current
+        source = duty * current
         loss = sag + config.battery_resistance * source
         voltage = config.battery_voltage - loss
         self.voltage = voltage if voltage > _FLAT else _FLAT

@@ -35,7 +35,6 @@ class ReplyWire:
         self.fault_state: VescFaultState = HEALTHY_VESC  # what is wrong with the link
         self.next_ns: int | None = None  # when the next bytes are due; None without any
         self.blocked_until_ns = 0  # the command thread waits for the host to read
-        self.cut = 0  # replies that were cut because the host did not read
         self._config = config
         self._noise, self._log = noise, log
         self._chunks: deque[Chunk] = deque()
@@ -77,7 +76,7 @@ class ReplyWire:
             frame = bytes(damaged)
         if faults.truncate:
             frame, self._broken = frame[: len(frame) // 2], True
-        due = t_ns + self._config.reply_delay_ns + faults.delay_ns
+        due = t_ns + self._config.reply_delay_ns
         if faults.jitter_ns:
             due += int(faults.jitter_ns * noise.uniform())
         if faults.unsolicited:
@@ -93,7 +92,6 @@ class ReplyWire:
     def _put(self, t_ns: int, due: int, data: bytes) -> None:
         size, room = len(data), self._config.unread_limit - self._unread
         if size > room:
-            self.cut += 1
             self.blocked_until_ns = t_ns + _USB_WAIT_NS
             size = max(0, room)
             data = data[:size]

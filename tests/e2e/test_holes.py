@@ -62,9 +62,9 @@ def through_a_pipe(whole, out, still):
             with contextlib.suppress(BlockingIOError):
                 while data := os.read(read_fd, 1 << 20):
                     came += data
-    meta = {"metadata": session.info().metadata, "start_ns": 0}
+    meta = {"path": out, "car": "car1", "metadata": session.info().metadata, "start_ns": 0}
     meta["attachments"] = {a.name: a.data.decode() for a in session.attachments()}
-    recording = Recording(out, "car1", meta)
+    recording = Recording(meta)
     ours, theirs = os.pipe()
 
     def send():
@@ -131,10 +131,8 @@ def test_a_hole_of_a_tick_is_a_pause_too(drive, tmp_path):
     whole = open_session(drive)
     middle = whole.info().start_ns + 10 * NS
     out = tmp_path / "short.mcap"
-    recording = Recording(
-        out, "car1",
-        {"metadata": whole.info().metadata, "attachments": {}, "start_ns": 0},
-    )  # fmt: skip
+    given = {"metadata": whole.info().metadata, "attachments": {}, "start_ns": 0}
+    recording = Recording({"path": out, "car": "car1", **given})
     for batch in ticks(whole):
         if not middle <= batch[0].log_time_ns < middle + NS // 50:
             for record in batch:

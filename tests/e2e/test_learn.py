@@ -89,13 +89,13 @@ MEMORY = json.dumps({"days": 1.0, "values": {"speed_gain": [1.0007, 0.0004]}})
 def remembered(tmp_path_factory):
     """A drive of which the session says that its learner had a memory."""
 
-    def with_memory(*args, **keywords):
-        return make_metadata(*args, **keywords) | {METADATA: {"memory": MEMORY}}
+    def with_memory(plan):
+        return make_metadata(plan) | {METADATA: {"memory": MEMORY}}
 
     path = tmp_path_factory.mktemp("memory") / "eight.mcap"
     line = f"run --sim --fast --duration 30 --speed 1.7 --seed 3 --record {path}"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("steerd.daemon.offline.fast.make_metadata", with_memory)
+        patch.setattr("steerd.daemon.process.children.make_metadata", with_memory)
         assert dispatch(line.split()) == 0
     return path
 

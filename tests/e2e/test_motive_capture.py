@@ -1,5 +1,6 @@
 """The real Motive capture played to the client in virtual time, and filtered as it arrives."""
 
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -61,11 +62,8 @@ def test_the_capture_gives_a_filtered_track():
     assert status.bodies == ("RaceQuad",)
     assert status.expected_rate_hz == pytest.approx(120.0)
     assert len(samples) == FRAMES
-    judged = {k: n for k, n in status.counts.items() if k in {s.rejected for s in samples}}
     accepted = [s for s in samples if s.rejected is None]
-    assert status.counts["accepted"] == len(accepted)
-    assert sum(judged.values()) == len(samples) - len(accepted)
-    assert len(accepted) >= 0.97 * FRAMES, judged
+    assert len(accepted) >= 0.97 * FRAMES, Counter(s.rejected for s in samples)
     assert SourceState.OK in states
     span_s = (samples[-1].t_valid_ns - samples[0].t_valid_ns) * 1e-9
     frames = samples[-1].frame - samples[0].frame

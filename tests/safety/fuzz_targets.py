@@ -19,7 +19,7 @@ import zstandard
 from steerd.daemon.ipc.requests import pack_request, unpack_request
 from steerd.daemon.loop.lease import Lease, Remote, accept_request, take_command
 from steerd.daemon.loop.outgoing import make_mocap
-from steerd.daemon.loop.transitions import Request
+from steerd.daemon.loop.transitions import Fact
 from steerd.mocap_link import natnet, vrpn
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.natnet_client import NatNetSource
@@ -43,6 +43,7 @@ from steerd.vesc_link.ids import PROFILES, Firmware
 from steerd.vesc_link.packets import decode_command, decode_reply, encode_command, encode_reply
 from steerd.vesc_link.scaling import F1TENTH
 from steerd.vesc_link.vesc import WRITE_LIMIT, Answer, Drive, VescLink
+from tests.ros_messages import POSE, pack_pose
 
 MS = 1_000_000
 VERSIONS = ((2, 9), (3, 0), (3, 1), (4, 0), (4, 1), (4, 2))
@@ -290,11 +291,12 @@ def vrpn_seeds() -> list[bytes]:
 
 
 def pose_seeds() -> list[bytes]:
-    """Poses as JSON."""
+    """Poses as JSON, and one of a ROS node."""
     good = b'{"v":1,"body":"car","t_src_ns":5,"seq":7,"p":[1,2,3],"q":[1,0,0,0],"valid":true}'
     odd = [good.replace(b"5", n) for n in (b"-5", b"9223372036854775807", b"1" + b"0" * 400)]
+    ros = pack_pose(POSE, 5, (1.0, 2.0, 0.1), (1.0, 0.0, 0.0, 0.0), "map")
     return [good, good.replace(b"5", b"null"), good.replace(b"7", b"9223372036854775808"), *odd,
-            b"[" * 200]  # fmt: skip
+            b"[" * 200, ros]  # fmt: skip
 
 
 # --- messages, requests, sessions
@@ -328,7 +330,7 @@ def check_requests(script: bytes) -> None:
                 rises = message.lease_id != before.holder or message.seq > before.seq
                 free = idle or message.lease_id == before.holder
                 if not (ours and rises and free):
-                    assert request in (Request.NONE, Request.STOP, Request.ESTOP, Request.UNKNOWN)
+                    assert request in (0, Fact.STOP, Fact.CALL_ESTOP, Fact.UNKNOWN)
                     assert lease.renewed_ns == before.renewed_ns
                 if lease.renewed_ns == t_ns:
                     assert message.seq > taken.get(message.lease_id, -1)

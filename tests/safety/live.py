@@ -16,7 +16,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from steerd.daemon.assembly.build import NS, make_plan, make_world_config
+from steerd.daemon.assembly.build import NS, RunId, make_plan, make_world_config
 from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.ipc.pipe_records import unpack_records
 from steerd.daemon.ipc.requests import pack_request
@@ -246,8 +246,8 @@ def start_live(folder: Path, **more: Any) -> Iterator[Live]:
             listen=f"tcp/127.0.0.1:{free_port()}", **more,
         )  # fmt: skip
         epoch_ns = CLOCK.realtime_ns() - CLOCK.now_ns()
-        plan = make_plan(options)
-        processes = start_processes(plan, folder / "drive.mcap", BOOT_ID, epoch_ns, leased=True)
+        plan = make_plan(options, real=RunId(BOOT_ID, epoch_ns, leased=True))
+        processes = start_processes(plan, folder / "drive.mcap")
         live = Live(processes, ours, device, listen=options.listen)
         try:
             yield live

@@ -11,12 +11,20 @@ from math import inf
 
 from steerd.controller.acceptance import make_acceptance
 from steerd.controller.learnt import Design
-from steerd.daemon.assembly.build import NS, RunPlan, make_core, make_plan, make_world_config
+from steerd.daemon.assembly.build import (
+    NS,
+    VIRTUAL_EPOCH_NS,
+    RunId,
+    RunPlan,
+    make_core,
+    make_plan,
+    make_world_config,
+)
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.design_desk import make_design, make_no_design
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.offline.virtual import EPOCH_NS, VirtualRun
+from steerd.daemon.offline.virtual import VirtualRun
 from steerd.daemon.settings.config import Settings
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.mocap_link.natnet_client import NatNetSource
@@ -102,7 +110,7 @@ class Rig:
     def ask(self, kind: RequestKind, lease_id: int = LEASE_ID, boot_id: int = BOOT_ID) -> None:
         """An operator's request."""
         self.seq += 1
-        header = make_header(self.t_ns + EPOCH_NS, BODY)
+        header = make_header(self.t_ns + VIRTUAL_EPOCH_NS, BODY)
         data = encode(OperatorRequest(header, boot_id, lease_id, self.seq, kind, "judge"))
         self.said.append(data)
         self.deliver(data)
@@ -117,9 +125,9 @@ class Rig:
         self.proposed += 1
         self.propose_ns = self.t_ns + PROPOSE_NS
         if design is None:
-            message = make_no_design(self.t_ns, EPOCH_NS, "a change is being looked into")
+            message = make_no_design(self.t_ns, VIRTUAL_EPOCH_NS, "a change is being looked into")
         else:
-            message = make_design(self.t_ns, EPOCH_NS, 1, design)
+            message = make_design(self.t_ns, VIRTUAL_EPOCH_NS, 1, design)
         self.run.core.on_proposal(encode(message), self.t_ns)
 
     def step(self) -> None:
@@ -172,12 +180,12 @@ def make_rig(
     """
     plan = _plan(path, speed, adapting)
     if settings is not None:
-        plan = make_plan(plan.options, settings)
+        plan = make_plan(plan.options, settings, real=plan.real)
     config = make_world_config(plan, keep_bytes=True)
     model = config.model._replace(car=config.model.car._replace(**(car or {})))
     config = replace(config, model=model, mocap=replace(config.mocap, bystanders=(BYSTANDER,)))
     notes = Notes()
-    core = make_core(plan, BOOT_ID, EPOCH_NS, (notes,), leased=True)
+    core = make_core(plan, (notes,))
     core.flags |= Flag.LINKED
     source = NatNetSource(config.mocap.body, "127.0.0.1", plan.settings.ingest)
     run = VirtualRun(core, World(config), source, plan.period_ns)
@@ -187,7 +195,7 @@ def make_rig(
 @lru_cache
 def _plan(path: str, speed: float, adapting: bool) -> RunPlan:
     options = RunOptions(car_file="", path=path, speed=speed, learn=adapting, adapt=adapting)
-    return make_plan(options)
+    return make_plan(options, real=RunId(BOOT_ID, VIRTUAL_EPOCH_NS, leased=True))
 
 
 @lru_cache

@@ -130,7 +130,7 @@ def test_a_session_and_its_learner_get_both_files(saved, tmp_path):
     plan = make_plan(RunOptions(str(saved), path="line", simulated=True), design=False)
     texts = make_attachments(plan)
     assert texts[ATTACHED] == posterior_path(saved).read_text()
-    again = make_plan(decode_options(make_learner_job(plan, 0)["options"]), design=False)
+    again = make_plan(decode_options(make_learner_job(plan)["options"]), design=False)
     assert again.settings.file.posterior == texts[ATTACHED]
     files = {name: text.encode() for name, text in texts.items()}
     SessionWriter(tmp_path / "a.mcap", {}, {}, files).finish({})

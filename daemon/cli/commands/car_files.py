@@ -50,7 +50,7 @@ def config(args: Namespace) -> None:
 
 
 def _check(path: Path) -> None:
-    from steerd.daemon.assembly.car_check import plan_car
+    from steerd.daemon.assembly.build import plan_car
 
     settings, plan = plan_car(load_car_file(path))
     print("\n".join(describe(settings)))

@@ -67,7 +67,7 @@ def identify(args: Namespace) -> int:
     the result predicts no better than the start values.
     """
     from steerd.daemon.analysis.identification import FIT, IdentifyOptions, run_identification
-    from steerd.daemon.assembly.car_check import report_refusal
+    from steerd.daemon.assembly.build import report_refusal
     from steerd.daemon.sessions.text import print_warnings
 
     with writing(list_outputs(args), announced=True) as write:
@@ -141,7 +141,7 @@ def diagnose(args: Namespace) -> None:
     base car's simulation diverges.
     """
     from steerd.daemon.analysis.diagnosis import DRIVEN, DiagnoseOptions, run_diagnosis
-    from steerd.daemon.assembly.car_check import report_refusal
+    from steerd.daemon.assembly.build import report_refusal
     from steerd.daemon.sessions.text import print_warnings
 
     if args.json is not None and args.json.suffix == ".mcap":

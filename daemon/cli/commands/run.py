@@ -231,6 +231,7 @@ def _fall_back(plan: "RunPlan") -> int:
 
 def _run_live(plan: "RunPlan", core: Prepared) -> tuple[int, str]:
     """Drive in real time; the exit code, and why the car was stopped."""
+    from steerd.daemon.assembly.build import RunId
     from steerd.daemon.assembly.session_meta import session_path
     from steerd.daemon.ipc.operator import Operator
     from steerd.daemon.process.children import start_processes
@@ -242,7 +243,8 @@ def _run_live(plan: "RunPlan", core: Prepared) -> tuple[int, str]:
     epoch_ns = clock.realtime_ns() - clock.now_ns()
     session = session_path(plan.options, clock.realtime_ns(), boot_id)
     leased = plan.settings.deadman and not plan.options.simulated
-    processes = start_processes(plan, session, boot_id, epoch_ns, leased, core)
+    plan = replace(plan, real=RunId(boot_id, epoch_ns, leased))
+    processes = start_processes(plan, session, core)
     for line in processes.reports["core"].get("realtime", ()):
         print(f"note: {line}", file=sys.stderr)
     if "viewer" in processes.reports:

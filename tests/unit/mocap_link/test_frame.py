@@ -129,6 +129,7 @@ GOOD = {
     "natnet://h/My%20Car?unicast=0": MocapUrl("natnet", "h", 1510, "My Car", unicast=False),
     "vrpn://tracker.lab/car?up=z": MocapUrl("vrpn", "tracker.lab", 3883, "car", up="z"),
     "zenoh:lab/pose/car": MocapUrl("zenoh", key="lab/pose/car"),
+    "ros2:///pf/pose/odom": MocapUrl("ros2", key="pf/pose/odom", up="z"),
 }
 BAD = {
     "": "expected natnet",
@@ -147,6 +148,10 @@ BAD = {
     "natnet://h/car?speed=3": "known: interface, unicast, up",
     "zenoh:": "zenoh key",
     "zenoh:/a": "zenoh key",
+    **dict.fromkeys(
+        ("ros2:/pf", "ros2://host/pf", "ros2:///", "ros2:///a//b", "ros2:///a/*", "ros2:///a/"),
+        "ros2:///pf/pose/odom",
+    ),
 }
 
 

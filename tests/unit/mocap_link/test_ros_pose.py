@@ -59,16 +59,6 @@ def test_bytes_of_any_other_length_are_one_line_and_no_pose(kind, source):
     assert source.on_message(whole, 0).rejected is None
 
 
-@pytest.mark.parametrize("at", range(0, 60, 3))
-@pytest.mark.parametrize("to", [0x00, 0x7F, 0xFF])
-def test_a_damaged_byte_crashes_nothing(at, to, source):
-    data = bytearray(pose_of(POSE))
-    data[at] = to
-    source.on_message(bytes(data), 0)
-    source.on_timer(1)
-    assert source.status().detail
-
-
 @pytest.mark.parametrize(
     ("wrong", "reason"),
     [
@@ -94,15 +84,3 @@ def test_a_topic_that_changes_its_frame_gives_no_poses(source):
     assert source.on_message(pose_of(), 7) is not None
     assert source.on_message(pose_of(frame="odom"), 8) is None
     assert source.status().detail == "a pose of 'odom', those before were of 'map'"
-
-
-def test_the_address_names_a_topic():
-    assert (URL.scheme, URL.key, URL.up) == ("ros2", "pf/pose/odom", "z")
-
-
-@pytest.mark.parametrize(
-    "text", ["ros2:/pf", "ros2://host/pf", "ros2:///", "ros2:///a//b", "ros2:///a/*", "ros2:///a/"]
-)
-def test_an_address_without_a_topic_is_refused(text):
-    with pytest.raises(ValueError, match="ros2:///pf/pose/odom"):
-        parse_mocap_url(text)

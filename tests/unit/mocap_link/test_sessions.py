@@ -1,6 +1,6 @@
 """Every fault of a mocap room, over the real datagrams, in virtual time.
 
-Each fault must end in its counter and its state, and no accepted pose may be further from the
+Each fault must end in its reason and its state, and no accepted pose may be further from the
 truth than the gates allow.
 """
 
@@ -104,7 +104,8 @@ class Room:
         return self.source.ingest.state
 
     def count(self, name: str) -> int:
-        return self.source.status().counts.get(name, 0)
+        """How many poses were rejected for this reason."""
+        return sum(sample.rejected == name for sample in self.samples)
 
 
 @pytest.fixture
@@ -199,15 +200,14 @@ FAULTS: dict[str, tuple[str, Mutate]] = {
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_fault_ends_in_its_counter_and_in_lost(room, name):
+def test_fault_ends_in_its_reason_and_in_lost(room, name):
     reason, room.mutate = FAULTS[name]
-    last = room.source.status().last_good_ns
     room.run(0.1)
-    assert room.count(reason) >= 9
+    assert room.samples == [] if reason == "absent" else room.count(reason) >= 9
     assert room.state is SourceState.STALE
     room.run(0.1)
     assert room.state is SourceState.LOST
-    assert all(s.rejected is not None for s in room.samples if s.t_arrival_ns > last)
+    assert all(s.rejected is not None for s in room.samples)
     assert_no_jump(room.samples)
     room.mutate = lambda i, b: b
     room.run(0.2)
@@ -234,13 +234,12 @@ def test_five_percent_loss_and_a_50_ms_gap_are_no_fault(room):
 
 
 def test_silence_is_lost_after_150_ms_and_comes_back(room):
-    room.silent = True
+    room.silent, began = True, room.now
     room.run(0.04)
     assert room.state is SourceState.STALE
-    last = room.source.status().last_good_ns
     while room.state is not SourceState.LOST:
         room.run(0.005)
-    assert room.now - last <= 165 * MS
+    assert room.now - began <= 160 * MS
     room.silent = False
     room.run(0.12)
     assert room.state is SourceState.OK
@@ -250,14 +249,12 @@ def test_silence_is_lost_after_150_ms_and_comes_back(room):
 def test_strangers_are_not_heard(room):
     room.from_ip = "10.0.0.66"
     assert room.run(0.1) == []
-    assert room.count("foreign") >= 10
 
 
-def test_garbage_is_counted(room):
+def test_garbage_is_passed_over(room):
     for i in range(1, 60):
         data = room.server.frame(room.now, (make_body(room.now),))[:i]
         assert room.source.on_datagram(data, room.now, "10.0.0.1", "data") == []
-    assert room.count("malformed") == 59
     room.run(1.5)
     assert room.state is SourceState.OK
 
@@ -269,7 +266,7 @@ def test_server_restart_with_a_new_epoch(make_room, multicast):
     room.silent = room.deaf = True
     room.run(3.0)
     assert room.state is SourceState.LOST
-    assert not room.source.status().connected
+    assert not room.source.connected
     room.server.number, room.server.epoch_ticks = 0, 42
     room.silent = room.deaf = False
     room.samples.clear()
@@ -288,7 +285,6 @@ def test_restart_without_a_gap(room):
     room.server.number, room.server.epoch_ticks = 0, 42
     room.run(2.0)
     assert room.state is SourceState.OK
-    assert room.count("restart") == 1
     assert room.samples[-1].clock is ClockKind.ECHO
     assert_no_jump(room.samples)
 

@@ -85,13 +85,11 @@ def test_session_greets_maps_ids_and_answers_pings() -> None:
     assert (pong.stamp_us, pong.payload) == (9, b"")
 
 
-def test_other_sensors_and_bad_payloads_are_counted() -> None:
+def test_other_sensors_and_bad_payloads_give_no_pose_and_end_no_session() -> None:
     client, _ = make_pair()
     other = vrpn.write_pose(3, ((1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0)))
     for payload in (other, other[:40]):
         assert client.on_bytes(vrpn.encode(vrpn.Message(0, 0, payload=payload)), 1) == []
-    assert client.counts["other_sensor"] == 1
-    assert client.counts["malformed"] == 1
     assert client.dead is None
 
 
@@ -210,7 +208,6 @@ def test_bus_poses() -> None:
     assert source.status().state is SourceState.OK
     for bad in (b"", b"{}", b"\xff", b'{"v":2,"body":"c","seq":1,"p":[0,0,0],"q":[1,0,0,0]}'):
         assert source.on_message(bad, T0) is None
-    assert source.status().counts["malformed"] == 4
     assert source.on_message(b"[" * 5000, T0) is None
     assert source.on_message(b"[" * 4000, T0) is None
 
@@ -231,7 +228,6 @@ def test_a_bus_pose_with_a_number_that_no_message_holds_is_malformed(name, numbe
         return f'{{{told},"v":1,"body":"car","p":[1,2,3],"q":[1,0,0,0]}}'.encode()
 
     assert source.on_message(pose(number), T0) is None
-    assert source.status().counts["malformed"] == 1
     assert name in source.status().detail
     assert source.on_message(pose(MOST), T0) is not None
 

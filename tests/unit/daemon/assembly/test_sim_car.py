@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.daemon.assembly.build import make_design_car, make_plan, make_world_config
+from steerd.daemon.assembly.build import RunId, make_design_car, make_plan, make_world_config
 from steerd.daemon.assembly.session_meta import (
     default_session_path,
     make_attachments,
@@ -21,6 +21,7 @@ from steerd.daemon.assembly.sim_car import (
     read_true_car,
 )
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.loop.plans import parse_box
 from steerd.daemon.settings.run_options import RunOptions, decode_options
 
 CAR_FILE = Path(__file__).resolve().parents[4] / "config" / "f1tenth.toml"
@@ -32,7 +33,7 @@ def make(sim_car="", effects=(), **more):
 
 
 def meta(plan):
-    return make_metadata(plan, 1, 1, leased=False, reproducible=True)
+    return make_metadata(plan)
 
 
 def test_a_seed_hides_one_car_and_another_seed_another():
@@ -118,6 +119,7 @@ OPTIONS = RunOptions(car_file="", path="line", speed=1.0)
     [
         ({"port": "/dev/ttyACM0", "rate_hz": 49.0}, "50 to 1000 Hz", ExitCode.USAGE),
         ({"rate_hz": 1001.0}, "20 to 1000 Hz", ExitCode.USAGE),
+        ({"rate_hz": 19.0}, "20 to 1000 Hz", ExitCode.USAGE),
         ({"drill": "mixed;open;box=0.5"}, "needs a box of", ExitCode.USAGE),
     ],
 )
@@ -130,8 +132,7 @@ def test_options_that_cannot_be_driven_are_refused(changes, said, code):
 
 def test_a_drills_box_becomes_the_fence():
     plan = make_plan(replace(OPTIONS, drill="mixed;open;speed=1;box=9"), design=False)
-    assert plan.settings.thresholds.fence == plan.drill.box.fence
-    assert len(plan.settings.thresholds.fence) == 4
+    assert plan.settings.thresholds.fence == parse_box("9").fence
 
 
 def test_the_design_counts_on_the_limited_steering_only():
@@ -166,11 +167,10 @@ def test_without_a_service_it_is_in_the_users_folder(monkeypatch, tmp_path):
 
 
 def test_reproducible_metadata_say_nothing_of_the_machine(plan):
-    plain = make_metadata(plan, 3, 4, leased=True)
-    same = make_metadata(plan, 3, 4, leased=True, reproducible=True)
+    plain, same = make_metadata(replace(plan, real=RunId(3, 4, leased=True))), make_metadata(plan)
     lost = set(plain["steerd.session"]) - set(same["steerd.session"])
     assert {"host", "kernel"} <= lost <= {"host", "kernel", "git"}
-    session = same["steerd.session"]
+    session = plain["steerd.session"]
     assert (session["boot_id"], session["epoch_ns"], session["leased"]) == ("3", "4", "1")
     assert session["mode"] == "sim"
     assert decode_options(session["options"]) == plan.options

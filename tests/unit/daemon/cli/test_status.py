@@ -6,8 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.daemon.assembly.build import make_plan
-from steerd.daemon.assembly.car_check import report_refusal
+from steerd.daemon.assembly.build import make_plan, report_refusal
 from steerd.daemon.cli.commands import run as command
 from steerd.daemon.cli.commands.operate import format_status
 from steerd.daemon.cli.main import run_cli

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from steerd.daemon.ipc import pipe_records
-from steerd.daemon.ipc.outbox import Outbox
+from steerd.daemon.ipc.pipe_records import Outbox
 from steerd.daemon.ipc.requests import pack_request, unpack_request
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics

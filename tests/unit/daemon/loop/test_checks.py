@@ -5,7 +5,7 @@ from math import nan
 
 import pytest
 
-from steerd.daemon.assembly.build import make_loop_setup, make_plan
+from steerd.daemon.assembly.build import RunId, make_loop_setup, make_plan
 from steerd.daemon.loop.checks import check_lane, check_vesc, find_failures
 from steerd.daemon.loop.findings import Flag, Severity, make_finding
 from steerd.daemon.loop.lease import Lease, Remote
@@ -15,7 +15,7 @@ from steerd.daemon.settings.run_options import RunOptions
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.steer_bus.messages import BODY, DriveCommand, VescIdentity, make_header
 from steerd.steer_bus.quick_values import changed
-from tests.unit.daemon.loop.calm import CALM
+from tests.unit.daemon.loop.watching import CALM
 
 BRAKES = BrakeSettings()
 GOOD = VescIdentity(make_header(0, BODY), 0, 150, 1, 6, 2, 5.0, "ab" * 12)
@@ -46,7 +46,8 @@ def test_a_vesc_that_must_not_be_armed(changes, uuid, said):
 
 @pytest.fixture(scope="module")
 def setup():
-    return make_loop_setup(make_plan(RunOptions(car_file="", path="line")), BOOT, leased=True)
+    real = RunId(BOOT, 0, leased=True)
+    return make_loop_setup(make_plan(RunOptions(car_file="", path="line"), real=real))
 
 
 def fails(setup, findings=(), flags=Flag.LINKED, last=None, **now):

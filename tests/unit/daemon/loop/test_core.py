@@ -5,17 +5,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from steerd.daemon.assembly.build import make_core, make_plan
-from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.assembly.build import RunId, make_core, make_plan
 from steerd.daemon.ipc.requests import read_diagnostics
 from steerd.daemon.loop.core import LIMITS_TRIES, Core, describe_error
 from steerd.daemon.loop.findings import WATCHDOGS, Flag
-from steerd.daemon.loop.outgoing import make_mocap
 from steerd.daemon.loop.perception import NO_TELEMETRY
 from steerd.daemon.loop.supervisor import LAUNCH_SPEED
 from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.mocap_link.source import Pose
 from steerd.sim_hw.plant.faults import Fault
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode
@@ -25,13 +22,15 @@ from steerd.steer_bus.standard import DiagnosticArray
 from steerd.vesc_link.commands import GetMcConfTemp, SetMcConfTemp
 from tests.safety.judge import Effort, read_motor_frames
 from tests.safety.rig import Rig, at_phase, twin
+from tests.unit.daemon.loop.watching import seen
 
 MS, NS = 1_000_000, 1_000_000_000
 
 
 @pytest.fixture(scope="module")
 def plan():
-    return make_plan(RunOptions(car_file="", path="line", speed=1.0, simulated=True))
+    options = RunOptions(car_file="", path="line", speed=1.0, simulated=True)
+    return make_plan(options, real=RunId(1, 0, leased=True))
 
 
 def ready() -> Rig:
@@ -63,7 +62,7 @@ def limits(erpm_max: float) -> SimpleNamespace:
 
 
 def fresh_core(plan) -> tuple[Core, list]:
-    core, requests = make_core(plan, 1, 0, (), leased=True), []
+    core, requests = make_core(plan, ()), []
     core.link.request = requests.append
     return core, requests
 
@@ -125,35 +124,19 @@ def test_an_emergency_stop_is_left_by_reset_after_the_plug_was_out():
     assert rig.state in (SupervisorState.DISARMED, SupervisorState.READY)
 
 
-def pose(k, t_ns):
-    x, place, level = 0.01 * k, (0.01 * k, 0, 0.1), (1.0, 0, 0, 0)
-    sent = Pose(
-        "car", k, None, None, t_ns, place, level, t_valid_ns=t_ns, x=x, y=0.0, yaw=0.0,
-        height=0.1, tilt=0.0,
-    )  # fmt: skip
-    return make_mocap(sent, 0)
-
-
 def test_a_reply_read_before_an_older_pose_is_fused_all_the_same(plan):
-    core = make_core(plan, 1, 0, (), leased=True)
-    seen = core.loop.perception
+    core = make_core(plan, ())
+    known = core.loop.perception
     for k in range(100):
-        core.loop.perception.on_pose(pose(k, k * 10 * MS))
-        seen.estimate(k * 10 * MS + 1)
+        known.on_pose(seen(k * 10 * MS, (0.01 * k, 0.0, 0.1), number=k))
+        known.estimate(k * 10 * MS + 1)
     now = 1010 * MS
     told = changed(NO_TELEMETRY, t_sent_ns=now - MS, t_received_ns=now, erpm=4614)
-    core.loop.perception.on_telemetry(told)
-    core.loop.perception.on_pose(pose(100, now - 4 * MS))
-    health = seen.estimate(now).health
+    known.on_telemetry(told)
+    known.on_pose(seen(now - 4 * MS, (1.0, 0.0, 0.1), number=100))
+    health = known.estimate(now).health
     assert health.untimely == 0
     assert health.wheel_speed.seen == 1
-
-
-def test_a_car_is_not_driven_more_slowly_than_its_guardian_waits():
-    options = RunOptions(car_file="", path="line", speed=1.0, port="/dev/x", rate_hz=40.0)
-    with pytest.raises(SteerdError, match="50 to 1000 Hz"):
-        make_plan(options)
-    assert make_plan(RunOptions(car_file="", path="line", speed=1.0, simulated=True, rate_hz=40.0))
 
 
 # A run with several starts: each drive passes its own launch checks.

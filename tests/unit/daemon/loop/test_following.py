@@ -29,11 +29,10 @@ from steerd.daemon.loop.following import (
     measure_turns,
     send_order,
 )
-from steerd.daemon.loop.outgoing import make_mocap
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.estimator.config import FilterConfig
-from steerd.mocap_link.source import Pose
 from steerd.steer_bus.quick_values import changed
+from tests.unit.daemon.loop.watching import seen
 
 MS = 1_000_000
 TH = Thresholds(follow_hold=0.0625, follow_distance=0.125, follow_noise=4.0, follow_steer=0.02)
@@ -406,14 +405,11 @@ def test_a_turn_between_ticks_and_the_one_that_is_furthest_off(model):
     assert worst.turn_excess == pytest.approx(0.02 / 0.05 * 2.0 + 6.0 - model.turn_margin / 0.05)
 
 
-def pose(t_ns, x, y, yaw):
-    place, turn = (x, y, 0.1), (1.0, 0.0, 0.0, 0.0)
-    sent = Pose("car", None, None, None, t_ns, place, turn, t_valid_ns=t_ns, x=x, y=y, yaw=yaw)
-    return make_mocap(sent, 0)
+ORIGIN = (0.0, 0.0, 0.1)
 
 
 def test_turns_are_measured_over_a_short_and_a_long_stretch():
-    track = tuple(pose(10 * k * MS, 0.03 * k, 0.04 * k, 0.01 * k) for k in range(31))
+    track = tuple(seen(10 * k * MS, (0.03 * k, 0.04 * k, 0.1), 0.01 * k) for k in range(31))
     short, long = measure_turns(track, 0.05)
     assert short == Turn(250 * MS, 300 * MS, pytest.approx(0.05), pytest.approx(0.25))
     assert long == Turn(150 * MS, 300 * MS, pytest.approx(0.15), pytest.approx(0.75))
@@ -424,14 +420,14 @@ def test_turns_are_measured_over_a_short_and_a_long_stretch():
 
 
 def test_a_turn_through_the_back_is_a_small_one():
-    track = (pose(0, 0.0, 0.0, pi - 0.01), pose(10 * MS, 0.0, 0.0, -pi + 0.01))
+    track = (seen(0, ORIGIN, pi - 0.01), seen(10 * MS, ORIGIN, -pi + 0.01))
     assert [turn.angle for turn in measure_turns(track, 0.01)] == [pytest.approx(0.02)] * 2
 
 
 def test_one_pose_is_no_turn():
     assert measure_turns((), 0.1) == ()
-    assert measure_turns((pose(0, 0.0, 0.0, 0.0),), 0.1) == ()
-    assert measure_turns((pose(0, 0.0, 0.0, 0.0), pose(0, 1.0, 0.0, 0.0)), 0.0) == ()
+    assert measure_turns((seen(0, ORIGIN),), 0.1) == ()
+    assert measure_turns((seen(0, ORIGIN), seen(0, (1.0, 0.0, 0.1))), 0.0) == ()
 
 
 @pytest.mark.parametrize("late_s", [TRAIL_S - 0.01, TRAIL_S, TRAIL_S + 1e-9, 0.6, 10.0])

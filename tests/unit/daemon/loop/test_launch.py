@@ -73,11 +73,6 @@ def test_inverted_steering_is_found(steer):
     assert not done
 
 
-def test_hardly_steered_launches_say_nothing_about_the_sign():
-    assert launch(steer=0.05, turn=-1.0)[0] == ""  # expected turn below 0.1 rad
-    assert launch(steer=0.2, turn=-0.05)[0] == ""  # measured turn below 0.03 rad
-
-
 def test_a_reversing_car_is_judged_in_its_own_direction():
     wrong, _, done = launch(speed=-0.5)
     assert (wrong, done) == ("", True)
@@ -90,13 +85,13 @@ def test_time_does_not_run_backwards():
     assert (back.travelled, wrong) == (0.0, "")
 
 
-def shown(mocap, wheels, turned=0.0, expected=0.0, sideways=0.0):
+def shown(mocap, wheels, turned=0.0, expected=0.0):
     """What one more, motionless tick says to a launch that has shown this, far from the origin."""
     here = LaunchInput(0, 5.0 + mocap, -3.0, 0.0, 0.0, 0.0)
     state = make_launch_state(here)._replace(
         x0=5.0, travelled=wheels, turned=turned, expected_turn=expected, forward=mocap
     )
-    return step_launch(state._replace(sideways=sideways), here, WHEELBASE)
+    return step_launch(state, here, WHEELBASE)
 
 
 def test_every_bound_of_the_launch_exactly():
@@ -109,8 +104,6 @@ def test_every_bound_of_the_launch_exactly():
     assert shown(0.5, 0.5, turned=-0.0299, expected=0.10)[1] == ""
     assert shown(0.5, 0.5, turned=-0.03, expected=0.0999)[1] == ""
     assert shown(0.5, 0.5, turned=0.03, expected=0.10)[1] == ""
-    assert "heading" in shown(0.5, 0.5, sideways=0.5 * tan(pi / 6) + 1e-9)[1]
-    assert shown(0.5, 0.5, sideways=0.5 * tan(pi / 6) - 1e-9)[1] == ""
 
 
 def end_of(x=0.25, y=0.0, wheels=0.25, yaw=0.0, steer=0.0, wheelbase=1.0):
@@ -143,19 +136,6 @@ def test_thirty_degrees_off_the_heading(side):
     )
     assert "body forward axis" not in inside
     assert f"travels {side * 30:.0f}° off its mocap heading: body forward axis" in beyond
-
-
-@pytest.mark.parametrize(
-    ("expected", "turned", "found"),
-    [
-        (0.11, -0.04, True), (-0.11, 0.04, True), (0.11, 0.04, False), (0.09, -0.04, False),
-        (0.11, -0.02, False), (0.11, 0.0, False), (0.5, -0.03, True),
-    ],
-)  # fmt: skip
-def test_turning_is_judged_when_there_is_enough_of_it(expected, turned, found):
-    """Half a metre at an angle whose tangent is twice the turn, wheelbase 1 m."""
-    wrong = end_of(x=0.5, wheels=0.5, yaw=turned, steer=atan(2.0 * expected))[1]
-    assert ("against its steering" in wrong) is found
 
 
 def test_a_launch_that_went_wrong_is_not_done_and_a_done_one_is_left_alone():

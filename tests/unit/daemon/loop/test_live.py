@@ -7,7 +7,7 @@ import pytest
 
 from steerd.controller.lane_controller import ControlReport
 from steerd.controller.live import AS_DESIGNED, LiveBounds, LiveValues
-from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.assembly.build import RunId, make_loop_setup, make_plan
 from steerd.daemon.loop.live import (
     Live,
     judge_both_lanes,
@@ -125,10 +125,8 @@ def test_the_message_holds_values_bounds_and_the_answer():
 
 
 def make_loop(leased=True, **options):
-    from steerd.daemon.assembly.build import make_loop_setup
-
-    plan = make_plan(RunOptions("", path="line", port="somewhere", simulated=True, **options))
-    return Loop(make_loop_setup(plan, 1, leased))
+    given = RunOptions("", path="line", port="somewhere", simulated=True, **options)
+    return Loop(make_loop_setup(make_plan(given, real=RunId(1, 0, leased))))
 
 
 def hold(loop, who, seq, t_ns):

@@ -1,12 +1,12 @@
 """Perception: accepted poses are fused, ages and speeds are unknown until measured."""
 
+from dataclasses import replace
 from math import inf, isnan, nan
 
 import pytest
 
+from steerd.car_model.car_file import default_car_path, load_car
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.car_model.single_track import SINGLE_TRACK
-from steerd.daemon.loop.outgoing import make_mocap
 from steerd.daemon.loop.perception import (
     BLIND_S,
     NO_TELEMETRY,
@@ -14,26 +14,22 @@ from steerd.daemon.loop.perception import (
     best_speed,
     estimated_state,
 )
-from steerd.daemon.settings.thresholds import Thresholds
+from steerd.daemon.settings.config import make_settings
 from steerd.estimator.config import FilterConfig
-from steerd.mocap_link.source import Pose
 from steerd.steer_bus.quick_values import changed
 from steerd.vesc_link.scaling import F1TENTH
+from tests.unit.daemon.loop.watching import seen as seen_pose
 
 MS, NS = 1_000_000, 1_000_000_000
 
 
-def make_perception(config=FilterConfig()):  # noqa: B008
-    return Perception(DEFAULT_CAR, SINGLE_TRACK, config, Thresholds(), F1TENTH)
+def make_perception(**noise):
+    settings = make_settings(load_car(default_car_path()))
+    return Perception(DEFAULT_CAR, replace(settings, filter=FilterConfig(**noise)))
 
 
-def pose(t_ns, x, rejected=None, valid=True):
-    place, level = (x, 0.0, 0.1), (1.0, 0.0, 0.0, 0.0)
-    sent = Pose(
-        "", None, 0, None, t_ns, place, level, None, valid, True, t_ns, x=x, y=0.0, yaw=0.0,
-        height=0.1, tilt=0.0, rejected=rejected,
-    )  # fmt: skip
-    return make_mocap(sent, 0)
+def pose(t_ns, x, **more):
+    return seen_pose(t_ns, (x, 0.0, 0.1), **more)
 
 
 def telemetry(t_ns, erpm):
@@ -73,14 +69,14 @@ def test_a_straight_drive_is_estimated():
 
 @pytest.mark.parametrize(("sd", "span"), [(0.001, 0.1), (0.008, 0.16), (0.05, 0.2)])
 def test_mocap_speed_is_taken_over_longer_where_poses_are_noisier(sd, span):
-    seen = make_perception(FilterConfig(pose_position_sd=sd))
+    seen = make_perception(pose_position_sd=sd)
     for k in range(60):
         seen.on_pose(pose(k * 10 * MS, 0.01 * max(0, k - 55)))
         seen.estimate(k * 10 * MS)
     assert seen.mocap_speed == pytest.approx(0.04 / span)
 
 
-@pytest.mark.parametrize("bad", [{"rejected": "jump"}, {"valid": False}])
+@pytest.mark.parametrize("bad", [{"rejected": "jump"}, {"tracking_valid": False}])
 def test_a_rejected_pose_does_not_renew_the_age(bad):
     seen = make_perception()
     end = drive(seen)

@@ -1,8 +1,7 @@
 """Excitation plans: what they ask for, that they fit their box, and that the loop drives them."""
 
 import shlex
-from dataclasses import replace
-from math import isclose, tan
+from math import tan
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from steerd.car_model.state import Command
 from steerd.controller.limits import Limits
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.cli.commands.completion import make_full_parser
-from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop import plans
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import make_virtual_run
@@ -134,15 +132,3 @@ def test_the_loop_drives_an_open_plan_within_its_limits():
     # The order is what the VESC can express: the nearest servo step to the limit.
     assert min(turning) == max(turning) == pytest.approx(0.31, abs=5e-4)
     assert states[-1].yaw > 2.0
-
-
-def test_the_box_is_the_fence():
-    plan = make_plan(RunOptions("", path="line", drill="circles;box=9;speed=1"))
-    assert plan.settings.thresholds.fence == plans.parse_box("9").fence
-    assert isclose(plan.drill.seconds, 16 * 9.5)
-
-
-def test_a_refused_plan_is_a_usage_error():
-    with pytest.raises(SteerdError) as refused:
-        make_plan(replace(RunOptions(""), drill="circles;box=2"))
-    assert refused.value.code == 2

@@ -13,11 +13,11 @@ from steerd.daemon.loop.supervisor import (
     step_supervisor,
 )
 from steerd.daemon.loop.transitions import (
+    ASKED,
     ROWS,
     TABLE,
     Fact,
     MotorOutput,
-    Request,
     SupervisorState,
     choose_row,
     is_engaged,
@@ -27,8 +27,6 @@ from steerd.steer_bus.quick_values import changed
 S, M = SupervisorState, MotorOutput
 DRIVEN = (S.ARMED, S.RUNNING, S.STOPPING)
 T_NS, AGO_NS = 100 * 10**9, 50 * 10**9
-REQUEST_BITS = {getattr(Fact, r.name if r != Request.ESTOP else "CALL_ESTOP"): r for r in Request
-                if r not in (Request.NONE, Request.KEEPALIVE)}  # fmt: skip
 GIVEN = int(Fact.CHECKS_HELD) - 1
 MOTION = (M.DRIVE, M.RAMP_STOP)
 
@@ -68,8 +66,7 @@ def realise(state, bits):
         0,
     )
     speed = 0.0 if still else (2.0 if measured else nan)
-    requests = sum(int(r) for fact, r in REQUEST_BITS.items() if bits & fact)
-    return old, Conditions(facts, speed, 150_000_000, "W0 words"), requests
+    return old, Conditions(facts, speed, 150_000_000, "W0 words"), bits & ASKED
 
 
 def cases(state):
@@ -176,7 +173,7 @@ def test_i8_an_unknown_event_is_a_stop(outcomes):
         if bits & Fact.UNKNOWN:
             assert new.state not in (S.SELF_TEST, S.ARMED, S.RUNNING)
             assert action.motor != M.DRIVE
-            alien = (requests & ~int(Request.UNKNOWN)) | 1 << 40
+            alien = (requests & ~Fact.UNKNOWN) | 1 << 40
             assert step_supervisor(old, conditions, alien, T_NS) == (new, action)
 
 
@@ -190,13 +187,11 @@ def test_every_row_of_the_table_can_fire():
     assert fired == set(TABLE)
 
 
-def test_requests_and_facts_line_up():
-    shift = int(Fact.ARM) // int(Request.ARM)
-    assert all(int(fact) == int(asked) * shift for fact, asked in REQUEST_BITS.items())
-    assert len(REQUEST_BITS) == 9
+def test_every_fact_is_one_bit_and_the_last_nine_are_requests():
     values = sorted(bit for name, bit in vars(Fact).items() if name.isupper())
     assert all(b == 2 * a for a, b in pairwise(values))
     assert len(values) == 27
+    assert sum(values[-9:]) == ASKED
 
 
 def test_guardian_is_engaged_exactly_where_motor_bytes_flow():
@@ -208,6 +203,5 @@ def test_derived_facts_cannot_be_given_and_every_unknown_bit_is_unknown():
     old = realise(S.ARMED, 0)[0]
     everything = Conditions((1 << 40) - 1, nan, 0)
     assert derive_facts(old, everything, 0, T_NS) == GIVEN
-    for bit in (*range(10, 14), 31, 63):
+    for bit in (*range(18), 27, 31, 63):
         assert derive_facts(old, changed(everything, facts=0), 1 << bit, T_NS) == Fact.UNKNOWN
-    assert derive_facts(old, changed(everything, facts=0), Request.KEEPALIVE, T_NS) == 0

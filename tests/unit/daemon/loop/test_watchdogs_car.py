@@ -1,7 +1,7 @@
 """The fence (W19), whether a stop slows the car (W24), and what the VESC says (W9 to W12)."""
 
 from dataclasses import replace
-from math import cos, nan, pi
+from math import nan, pi
 
 import pytest
 
@@ -14,8 +14,19 @@ from steerd.daemon.loop.watchdogs import (
     step_watchdogs,
 )
 from steerd.steer_bus.quick_values import changed
-from tests.unit.daemon.loop.calm import CALM
-from tests.unit.daemon.loop.watching import HARD, KILL, TH, WARN, S, brief, down, hold, look, up
+from tests.unit.daemon.loop.watching import (
+    CALM,
+    HARD,
+    KILL,
+    TH,
+    WARN,
+    S,
+    brief,
+    down,
+    hold,
+    look,
+    up,
+)
 
 SQUARE = ((-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0))
 ELL = ((0.0, 0.0), (4.0, 0.0), (4.0, 2.0), (2.0, 2.0), (2.0, 4.0), (0.0, 4.0))
@@ -52,7 +63,6 @@ def test_fence_counts_the_stopping_distance():
     (unknown,) = look(th, x=nan)
     assert unknown.text == "W19 fence: where the car is is not known"
     assert brief(look(th, x=1.0, speed=0.0, state=SupervisorState.DISARMED)) == []
-    assert cos(0.0) == 1.0
     parked = look(th, x=2.0 - 0.125, speed=0.0, state=SupervisorState.DISARMED)
     assert brief(parked) == [("W19", HARD)]
 

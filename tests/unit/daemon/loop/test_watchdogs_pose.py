@@ -5,7 +5,6 @@ from math import cos, inf, nan, nextafter, pi, sin
 import numpy as np
 import pytest
 
-from steerd.daemon.loop.outgoing import make_mocap
 from steerd.daemon.loop.watchdogs_pose import (
     PoseVerdict,
     PoseWatch,
@@ -15,8 +14,8 @@ from steerd.daemon.loop.watchdogs_pose import (
     step_pose,
 )
 from steerd.daemon.settings.thresholds import Thresholds
-from steerd.mocap_link.source import Pose
 from steerd.steer_bus.quick_values import changed
+from tests.unit.daemon.loop.watching import seen
 
 TH = Thresholds(
     jump_speed=2.0, jump_margin=0.0625, yaw_step=0.5, quaternion_tolerance=0.015625,
@@ -26,21 +25,9 @@ ACCEPTED, INVALID, FROZEN, JUMP, REBASED = PoseVerdict
 S = 10**9
 
 
-def make_pose(t_ns, number, place, quaternion, yaw, valid=True, live=True):
-    x, y, height = place
-    sent = Pose(
-        "car", number, None, None, t_ns, place, quaternion, None, valid, live, t_ns,
-        x=x, y=y, yaw=yaw, height=height,
-    )  # fmt: skip
-    return make_mocap(sent, 0)
-
-
 def frame(t_s=1.0, number=1, x=1.0, y=2.0, yaw=0.0, **changes):
-    position = changes.pop("position", (x, y, 0.125))
-    quaternion = changes.pop("quaternion", (1.0, 0.0, 0.0, 0.0))
-    return make_pose(
-        changes.pop("t_ns", round(t_s * S)), number, position, quaternion, yaw, **changes
-    )
+    place, t_ns = changes.pop("place", (x, y, 0.125)), changes.pop("t_ns", round(t_s * S))
+    return seen(t_ns, place, yaw, number=number, **changes)
 
 
 BASE = PoseWatch(frame())
@@ -52,29 +39,29 @@ def judge(next_frame, watch=BASE, wheel=0.0, may_rebase=False):
 
 @pytest.mark.parametrize(
     "changes",
-    [{}, *({"quaternion": q} for q in [(1.015625, 0, 0, 0), (0, 0.984375, 0, 0), (0.5,) * 4]),
-     *({"position": place} for place in [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])],
+    [{}, *({"turn": q} for q in [(1.015625, 0, 0, 0), (0, 0.984375, 0, 0), (0.5,) * 4]),
+     *({"place": place} for place in [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])],
 )  # fmt: skip
 def test_first_sane_frame_is_a_start(changes):
     watch, verdict = judge(frame(**changes), PoseWatch())
     assert (watch.base, verdict) == (frame(**changes), REBASED)
-    assert judge(frame(valid=False, **changes), PoseWatch())[1] == INVALID
+    assert judge(frame(tracking_valid=False, **changes), PoseWatch())[1] == INVALID
 
 
 @pytest.mark.parametrize(
     "bad",
     [
-        {"valid": False},
+        {"tracking_valid": False},
         {"live": False},
-        {"position": (0.0, 0.0, 0.0)},
-        {"position": (nan, 1.0, 1.0)},
-        {"position": (1.0, inf, 1.0)},
-        {"position": (inf, -inf, 1.0)},
+        {"place": (0.0, 0.0, 0.0)},
+        {"place": (nan, 1.0, 1.0)},
+        {"place": (1.0, inf, 1.0)},
+        {"place": (inf, -inf, 1.0)},
         {"yaw": nan},
-        {"quaternion": (0.0, 0.0, 0.0, 0.0)},
-        {"quaternion": (nan, 0.0, 0.0, 1.0)},
-        {"quaternion": (nextafter(1.015625, inf), 0.0, 0.0, 0.0)},
-        {"quaternion": (0.0, 0.0, nextafter(0.984375, 0.0), 0.0)},
+        {"turn": (0.0, 0.0, 0.0, 0.0)},
+        {"turn": (nan, 0.0, 0.0, 1.0)},
+        {"turn": (nextafter(1.015625, inf), 0.0, 0.0, 0.0)},
+        {"turn": (0.0, 0.0, nextafter(0.984375, 0.0), 0.0)},
         {"number": 1},
         {"number": 0},
         {"t_ns": S},
@@ -129,7 +116,7 @@ def test_freeze_needs_identical_bits_and_turning_wheels():
         watch, verdict = judge(same, wheel=wheel)
         assert (verdict, watch.frozen, watch.base) == (FROZEN, 1, frame())
     assert judge(frame(1.01, 2, x=nextafter(1.0, 2)), wheel=1.0)[1] == ACCEPTED
-    turned = frame(1.01, 2, quaternion=(nextafter(1.0, 2), 0.0, 0.0, 0.0))
+    turned = frame(1.01, 2, turn=(nextafter(1.0, 2), 0.0, 0.0, 0.0))
     assert judge(turned, wheel=1.0)[1] == ACCEPTED
     watch, _ = judge(frame(1.02, 3), judge(same, wheel=1.0)[0], wheel=1.0)
     assert watch.frozen == 2
@@ -206,7 +193,7 @@ def test_restarted_server_becomes_the_new_truth_but_garbage_never_does():
         assert verdict == INVALID
     assert judge(frame(1.05, 5), watch, may_rebase=False)[1] == INVALID
     assert judge(frame(1.05, 5), watch, may_rebase=True)[1] == REBASED
-    assert judge(frame(1.05, 5, yaw=0.0, valid=False), watch, may_rebase=True)[1] == INVALID
+    assert judge(frame(1.05, 5, tracking_valid=False), watch, may_rebase=True)[1] == INVALID
 
 
 def test_innovations_in_a_row_and_their_share():
@@ -244,9 +231,9 @@ def test_minutes_of_driving_with_losses_gaps_and_noise_rejects_nothing():
         angle = 3.0 * (t_ns / 1e9)  # 3 m/s on a circle of 1 m
         place = (cos(angle) + noise[k, 0], sin(angle) + noise[k, 1], 0.1)
         yaw = angle + pi / 2 + noise[k, 2]
+        turn = (cos(yaw / 2), 0.0, 0.0, sin(yaw / 2))
         watch, verdict = step_pose(
-            th, watch, make_pose(t_ns, k, place, (cos(yaw / 2), 0.0, 0.0, sin(yaw / 2)), yaw),
-            3.0, False,
-        )  # fmt: skip
+            th, watch, seen(t_ns, place, yaw, turn=turn, number=k), 3.0, False
+        )
         assert verdict in (ACCEPTED, REBASED)
     assert (watch.frozen, watch.invalid, watch.jumps) == (0, 0, 0)

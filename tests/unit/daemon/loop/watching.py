@@ -1,12 +1,24 @@
-"""Thresholds that floats represent exactly, and looks at the watchdogs with them."""
+"""Calm driving, thresholds that floats represent exactly, and looks at the watchdogs with them."""
 
 from math import inf, nextafter
 
 from steerd.daemon.loop.findings import Severity
-from steerd.daemon.loop.watchdogs import WatchdogState, step_watchdogs
+from steerd.daemon.loop.outgoing import make_mocap
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.loop.watchdogs import WatchdogInput, WatchdogState, step_watchdogs
+from steerd.daemon.loop.watchdogs_pose import PoseWatch
 from steerd.daemon.settings.thresholds import Thresholds
+from steerd.mocap_link.source import Pose
 from steerd.steer_bus.quick_values import changed
-from tests.unit.daemon.loop.calm import CALM
+
+CALM = WatchdogInput(
+    t_ns=10**9, state=SupervisorState.RUNNING, pose=PoseWatch(), mocap_age=0.0, telemetry_age=0.0,
+    lease_age=0.0, speed=1.5, speed_erpm=1.5, speed_mocap=1.5, speed_limit=2.0, x=0.0, y=0.0,
+    course=0.0, sigma_position=0.01, sigma_yaw=0.01, covariance_ok=True, lateral_error=0.0,
+    heading_error=0.0, steer_share=0.0, status=0, fault_code=0, tachometer=-1, cell_voltage=3.9,
+    fet_temperature=40.0, motor_temperature=40.0, current_share=0.1,
+)  # fmt: skip
+"""Measurements of calm driving, in which no watchdog has a finding."""
 
 # Binary fractions, so that "exactly at the threshold" is exact.
 TH = Thresholds(
@@ -47,3 +59,13 @@ def hold(seconds, th=TH, **changes):
     memory, first = step_watchdogs(th, WatchdogState(), changed(CALM, **changes))
     end = CALM.t_ns + round(seconds * S)
     return brief(first), brief(look(th, memory, **{**changes, "t_ns": end}))
+
+
+def seen(t_ns, place, yaw=0.0, *, turn=(1.0, 0.0, 0.0, 0.0), number=None, rejected=None, **more):
+    """A pose of mocap as the loop gets it, valid as it arrives; `place` is x, y and height."""
+    x, y, height = place
+    sent = Pose(
+        "car", number, None, None, t_ns, place, turn, t_valid_ns=t_ns, x=x, y=y, yaw=yaw,
+        height=height, tilt=0.0, rejected=rejected, **more,
+    )  # fmt: skip
+    return make_mocap(sent, 0)

@@ -6,13 +6,13 @@ from itertools import pairwise
 import pytest
 from mcap.writer import Writer  # noqa: TID251
 
-from steerd.daemon.assembly.build import make_plan, make_world_config
+from steerd.daemon.assembly.build import VIRTUAL_EPOCH_NS, make_plan, make_world_config
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.fast import check_driven, record_virtual
 from steerd.daemon.offline.replay import check_same, describe_difference, make_replay_plan, replay
-from steerd.daemon.offline.virtual import EPOCH_NS, drive, make_virtual_run
+from steerd.daemon.offline.virtual import drive, make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.world import World
@@ -48,7 +48,7 @@ def test_every_record_is_seen_and_in_the_file(plan, tmp_path):
     record_virtual(plan, path, go(50), lambda records, _t_ns: seen.extend(records))
     session = open_session(path)
     assert session.info().clean
-    assert session.info().start_ns >= EPOCH_NS
+    assert session.info().start_ns >= VIRTUAL_EPOCH_NS
     ticks = [record for record in seen if record.topic is topics.TICK]
     assert len(ticks) == 50
     written = session.messages(topics.make_session_topic("car1", topics.TICK))
@@ -168,9 +168,9 @@ def test_a_changed_order_is_found_and_described(session):
 
 
 def test_the_plan_of_a_session_is_that_of_its_drive(session):
-    plan, boot_id, _, leased = make_replay_plan(session, "drive.mcap")
-    assert (plan.options, leased) == (replace(DRIVEN, car_file=plan.options.car_file), False)
-    assert boot_id == DRIVEN.seed + 1
+    plan = make_replay_plan(session, "drive.mcap")
+    assert plan.options == replace(DRIVEN, car_file=plan.options.car_file)
+    assert plan.run == make_plan(DRIVEN).run
 
 
 def test_nothing_compared_is_an_error():

@@ -9,11 +9,11 @@ from steerd.car_model.car_file import default_car_path, load_car
 from steerd.car_model.path.path import locate
 from steerd.controller.learnt import approach_learnt
 from steerd.daemon.analysis.gap_closed_loop import NotALaneDriveError, compare_lane
-from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.assembly.build import VIRTUAL_EPOCH_NS, make_plan
 from steerd.daemon.loop.design_desk import make_design, make_no_design
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.fast import make_recording, record_virtual
-from steerd.daemon.offline.virtual import EPOCH_NS, drive, make_virtual_run
+from steerd.daemon.offline.virtual import drive, make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
@@ -137,13 +137,13 @@ def adapted(tmp_path_factory):
         if t_ns < FROM_S * 1e9 or t_ns % 1_000_000_000:
             return
         if t_ns > DOUBT_S * 1e9:
-            core.on_proposal(encode(make_no_design(t_ns, EPOCH_NS, "doubt")), t_ns)
+            core.on_proposal(encode(make_no_design(t_ns, VIRTUAL_EPOCH_NS, "doubt")), t_ns)
             return
         at = core.loop.adapting.car
         car = approach_learnt(at, numbers(held, **AIM), held.bounds, held.steps)
         if car not in known:
             known[car] = design_for(held, **car._asdict())
-        core.on_proposal(encode(make_design(t_ns, EPOCH_NS, 1, known[car])), t_ns)
+        core.on_proposal(encode(make_design(t_ns, VIRTUAL_EPOCH_NS, 1, known[car])), t_ns)
 
     drive(run, propose)
     assert run.core.error is None

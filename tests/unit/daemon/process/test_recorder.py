@@ -27,7 +27,10 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode, encode
 from steerd.steer_bus.session_read import SessionError, open_session
 
-META = {"metadata": {"steerd.session": {"car": "car1"}}, "attachments": {"car.toml": "x = 1"}}
+META = {
+    "car": "car1", "metadata": {"steerd.session": {"car": "car1"}},
+    "attachments": {"car.toml": "x = 1"}, "start_ns": 0,
+}  # fmt: skip
 
 
 def make_packed(count):
@@ -38,7 +41,7 @@ def make_packed(count):
 
 def record(tmp_path, chunks, disk_free_min=0):
     """Record chunks from a pipe that is then closed; the reason and the session."""
-    recording = Recording(tmp_path / "drive.mcap", "car1", {**META, "start_ns": 0})
+    recording = Recording({**META, "path": tmp_path / "drive.mcap"})
     read_fd, write_fd = os.pipe()
     for chunk in chunks:
         os.write(write_fd, chunk)
@@ -87,7 +90,7 @@ class Broken:
 
 @pytest.mark.parametrize("where", ["thread", "destructor"])
 def test_w29_an_exception_without_a_caller_stops_the_car_for_good(monkeypatch, where):
-    core = make_core(make_plan(RunOptions(car_file="", path="line")), 1, 0, (), leased=True)
+    core = make_core(make_plan(RunOptions(car_file="", path="line")), ())
     monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
     monkeypatch.setattr(threading, "excepthook", threading.excepthook)
     latch_stray_exceptions(core)

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from steerd.daemon.assembly.build import make_core, make_plan
+from steerd.daemon.assembly.build import RunId, make_core, make_plan
 from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.ipc.pipe_records import PipeWriter, make_pipe, read_message
 from steerd.daemon.ipc.requests import pack_request
@@ -31,6 +31,7 @@ from steerd.vesc_link.transport import LinkDown
 
 SECOND, MS = 1_000_000_000, 1_000_000
 STOP, MOCAP = 3, 4
+REAL = RunId(1, 0, leased=True)
 
 
 class FakePort:
@@ -78,12 +79,12 @@ class FakeGuard:
 
 @pytest.fixture(scope="module")
 def plan():
-    return make_plan(RunOptions(car_file="", path="line", speed=1.0))
+    return make_plan(RunOptions(car_file="", path="line", speed=1.0), real=REAL)
 
 
 def make_runner(plan, sinks=(), **record):
     settings = replace(plan.settings, record=replace(plan.settings.record, **record))
-    core = make_core(replace(plan, settings=settings), 1, 0, sinks, leased=True)
+    core = make_core(replace(plan, settings=settings), sinks)
     pipes = [PipeWriter(-1), PipeWriter(-1)]
     clock = SimpleNamespace(now_ns=lambda: 0, realtime_ns=lambda: 0)
     guard, port = FakeGuard(), FakePort()
@@ -220,7 +221,7 @@ def test_w28_a_machine_that_slept(plan, monkeypatch, slept_ns, flag):
 
 def test_w29_the_kernel_gives_no_descriptor_for_a_guardian(plan):
     """The limit of open files is lowered from outside before the port is opened."""
-    core = make_core(plan, 1, 0, (), leased=True)
+    core = make_core(plan, ())
     clock = SimpleNamespace(now_ns=lambda: 0, realtime_ns=lambda: 0)
     links = CoreLinks(None, None, (), -1)
     it = Runner(core, clock, FakePort, World(10 * MS), links, ProcessGuard(realtime=False))
@@ -456,9 +457,9 @@ def ticks_of(monkeypatch, every_ns: int, count: int = 400, **wrong: int):
         notes.extend(decode(Tick, r.data) for r in records if r.topic is topics.TICK)
         world.t_ns += 4 * MS // 10
 
-    plan = make_plan(RunOptions(car_file="", path="line", speed=1.0, rate_hz=100.0))
+    plan = make_plan(RunOptions(car_file="", path="line", speed=1.0, rate_hz=100.0), real=REAL)
     world = World(every_ns, **wrong)
-    core = make_core(plan, 1, 0, (sink,), leased=True)
+    core = make_core(plan, (sink,))
     arrivals: list[int] = []
     core.on_poses = lambda samples: arrivals.extend(s.t_arrival_ns for s in samples)
     monkeypatch.setattr(runner_module.select, "select", world.select)

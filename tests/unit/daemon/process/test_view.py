@@ -14,8 +14,7 @@ from steerd.car_model.car_file import default_car_path
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.ipc.outbox import Outbox
-from steerd.daemon.ipc.pipe_records import PipeReader, PipeWriter, make_pipe, pack_record
+from steerd.daemon.ipc.pipe_records import Outbox, PipeReader, PipeWriter, make_pipe, pack_record
 from steerd.daemon.ipc.requests import parse_setting
 from steerd.daemon.process.view import Viewer, make_channels
 from steerd.daemon.process.view_job import make_view_job, parse_view

@@ -181,7 +181,7 @@ class Deaf:
         return []
 
     def status(self):
-        return SourceStatus(SourceState.CONNECTING, False, "no answer for 3 s")
+        return SourceStatus(SourceState.CONNECTING, "no answer for 3 s")
 
     def close(self):
         pass
