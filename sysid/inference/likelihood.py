@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.disturbance_response import responses
 from steerd.sysid.inference.noise import Noise, covariance, shapes, slip_shape
-from steerd.sysid.inference.predictor import FREE_STATES, Predictor
+from steerd.sysid.inference.predictor import FREE_STATES, Linear, Predictor
 
 Array = NDArray[np.float64]
 
@@ -127,6 +127,11 @@ class Likelihood:
     def precision(self) -> Array:
         """(W, D) precision of each reading given all others, no discrepancy allowed."""
         return np.asarray((self.rotation**2).sum(axis=1))
+
+    def rotate(self, linear: Linear) -> Rotated:
+        """Derivatives about a point, rotated."""
+        held = np.zeros(len(linear.by_z), bool)
+        return Rotated(self.rotation @ linear.by_z, self.rotation @ linear.by_x, held)
 
     def rotate_error(self, error: Array) -> Array:
         """(W, D) errors, rotated."""

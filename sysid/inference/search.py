@@ -26,7 +26,7 @@ FALL = 2.2
 ENOUGH = 0.3
 """A step that promises and gains less than this many nats at the last size ends the search."""
 STEPS = 24
-DRAWS = 4
+DRAWS = 2
 """Starts along the valley of an optimum that counts."""
 _BLUNT = 30.0
 """Factor by which windows count for less while such starts are drawn."""
@@ -130,7 +130,7 @@ def stand(likelihood: Likelihood, space: Space, z: Array, x: Array, size: float)
     """
     x, owed = settle_starts(likelihood, space.chart.parameters(z), x, size)
     linear = derive(likelihood, space, z, x)
-    rotated = Rotated(likelihood.rotation @ linear.by_z, likelihood.rotation @ linear.by_x, owed)
+    rotated = likelihood.rotate(linear)._replace(held=owed)
     weighed = likelihood.weigh(rotated, size)
     at = likelihood.reduce(weighed, linear.error, x)
     return Point(space, z, x, size, linear, rotated, weighed, at, _cost(space, at, z))
