@@ -43,6 +43,8 @@ correlation time [s]: what a wrong model misses lasts as long as a manoeuvre's p
 SPUN, SPUN_SHARE = 12.0, 0.2
 """Squared error per degree of freedom from which a window counts as spun, and what more counts for:
 its derivatives point nowhere, but where all are far off they still say how far."""
+LOUDEST = 0.02
+"""Share of the windows that a cause must do without, those that speak loudest for it."""
 REPEATS = 0.5
 """Share of the ordinary pushes that repeats from window to window (`c` of the design effect)."""
 SHOWN_MOST = 3.0

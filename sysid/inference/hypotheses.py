@@ -117,14 +117,36 @@ class _Search:
         needed = self.surprise + (np.log(c.FURTHER_ODDS) if further else 0.0)
         least = _ROOM * needed * self.library.design_effect(0.3 * start.size)
         chosen = [look for look in looks if look.gain > least][:most]
+        self._fit(start, chosen)
+        self.exchange()
+        self._look_again(start, needed, most)
+        self.explore()
+
+    def _fit(self, start: Point, chosen: Sequence["Candidate"]) -> None:
+        """A hypothesis with one effect more, from the values of each look."""
         incumbent = min((point.cost for point in self.pool.values()), default=np.inf)
         for look in chosen:
             begun = _with_effect(self.library, start, look)
             point = None if begun is None else _try(self.likelihood, begun, incumbent)
             self.keep(point)
             incumbent = min(incumbent, np.inf if point is None else point.cost)
+
+    def _look_again(self, start: Point, needed: float, most: int) -> None:
+        """The same from the hypothesis' optimum, for what promises more there than was found.
+
+        A small effect does not show under the discrepancy that the base at its prior needs.
+        """
+        before = self.pool.get(frozenset(start.space.effects))
+        if before is None:
+            return
+        least = _ROOM * needed * self.library.design_effect(before.size)
+        names, chosen = start.space.effects, []
+        for look in screen_effects(self.library, before, far=False):
+            known = self.pool.get(frozenset([*names, look.effect]))
+            if look.gain > least and (known is None or look.cost < known.cost - _WORSE):
+                chosen.append(look)
+        self._fit(before, chosen[:most])
         self.exchange()
-        self.explore()
 
     def explore(self) -> None:
         """A cause that is named, and what competes with it, from more starts."""
@@ -278,8 +300,10 @@ class Candidate:
     gain: float = -np.inf
 
 
-def screen_effects(library: Library, start: Point) -> list[Candidate]:
+def screen_effects(library: Library, start: Point, far: bool = True) -> list[Candidate]:
     """Every effect that the start lacks, the most promising first.
+
+    Newton's step from the start is tried; `far` also tries values that no slope leads to.
 
     No window's start is held here: one that the base alone bends too far may be where an effect
     shows, and could then not follow it.
@@ -287,13 +311,13 @@ def screen_effects(library: Library, start: Point) -> list[Candidate]:
     held = np.zeros_like(start.rotated.held)
     start = replace(start, rotated=start.rotated._replace(held=held))
     views = [library.likelihood.weigh(start.rotated, share * start.size) for share in _LOOKS]
-    every = np.arange(len(start.z))
-    level = _expected(library, start, views, start.space, every, start.linear.error)
+    level = _expected(library, start, views, start.space, start.linear.error)
     found = []
     for effect in (e for e in library.effects if e.name not in start.space.effects):
         known = library.controls.get(effect.name)
         healthy = [] if known is None else [tuple(known.values.tolist())]
-        tried = [*_ladder(library, start, effect), *_linear(library, start, effect)]
+        tried = _linear(library, start, effect)
+        tried += _ladder(library, start, effect) if far or not tried else []
         looks = list(_looks(library, start, views, effect, tried))
         others = _looks(library, start, views, effect, healthy)
         reference = min([level, *(look.cost for look in others)])
@@ -323,34 +347,33 @@ def _looks(
     own = slice(len(space.centre) - len(effect.parameters), None)
     names = space.chart.free[: own.start]
     keep = np.array([start.space.chart.free.index(name) for name in names])
+    if len(keep) < len(start.z):
+        views = [view.take(keep) for view in views]
     for values in tried:
         z = carry(space, start)
         z[own] = values
         z = np.clip(z, space.low, space.high)
         error, finite = library.likelihood.predictor.errors(space.chart.parameters(z), start.x)
         if finite:
-            cost = _expected(library, start, views, space, keep, error)
+            here = replace(start, z=z[: own.start])
+            cost = _expected(library, here, views, space, error)
             yield Candidate(effect.name, tuple(z[own].tolist()), cost)
 
 
 def _expected(
-    library: Library,
-    start: Point,
-    views: Sequence[Weighed],
-    space: Space,
-    keep: NDArray[np.int64],
-    error: Array,
+    library: Library, start: Point, views: Sequence[Weighed], space: Space, error: Array
 ) -> float:
     """Cost at the best of a few sizes after one step of the base, with the start's derivatives."""
-    precision = library.worth * np.linalg.inv(space.covariance[: len(keep), : len(keep)])
-    best = np.inf
+    n, likelihood = len(start.z), library.likelihood
+    precision = library.worth * np.linalg.inv(space.covariance[:n, :n])
+    away, row, best = start.z - space.centre[:n], likelihood.rotate_error(error), np.inf
     for view in views:
-        at = library.likelihood.reduce(view, error, start.x)
-        g, h = at.g[:, keep], at.h[:, keep[:, None], keep]
-        dz = np.linalg.solve(np.tensordot(at.weight, h, 1) + precision, at.weight @ g)
-        square = at.square - 2.0 * g @ dz + ((h @ dz) * dz).sum(axis=1)
-        loss = loss_of(square, at.dof) + at.volume
-        best = min(best, float(loss.sum()) + 0.5 * float(dz @ precision @ dz))
+        at = likelihood.reduce_row(view, row, start.x)
+        pulled = at.weight @ at.g - precision @ away
+        dz = np.linalg.solve(np.tensordot(at.weight, at.h, 1) + precision, pulled)
+        square = at.square - 2.0 * at.g @ dz + ((at.h @ dz) * dz).sum(axis=1)
+        loss, far = loss_of(square, at.dof) + at.volume, away + dz
+        best = min(best, float(loss.sum()) + 0.5 * float(far @ precision @ far))
     return best
 
 

@@ -37,7 +37,7 @@ class Rotated(NamedTuple):
 
     by_z: Array  # (W, D, n) by the coordinates
     by_x: Array  # (W, D, 7) by the window's start
-    # (W,) windows whose start is held: so bent that no step of it keeps its promise
+    # (W,) windows whose start takes no step of its own: so bent that none keeps its promise
     held: NDArray[np.bool_]
 
 
@@ -49,17 +49,26 @@ class Weighed(NamedTuple):
     # (W, 7, D) derivatives by the starts, weighed; `heavy` (W, n, D) by the coordinates
     turned: Array
     heavy: Array
-    inverse: Array  # (W, 7, 7) inverse curvature of the starts, priors included; zero where held
+    inverse: Array  # (W, 7, 7) inverse curvature of the starts, priors included
+    free: Array  # (W,) 0 where a start takes no step of its own, else 1
     cross: Array  # (W, 7, n) between starts and coordinates; `kx` the starts' step per coordinate's
     kx: Array
     h: Array  # (W, n, n) curvature with the starts eliminated
     volume: Array  # (W,) see `Reduced`
 
+    def take(self, chosen: NDArray[np.int64]) -> "Weighed":
+        """Some of the coordinates alone."""
+        return self._replace(
+            heavy=self.heavy[:, chosen], cross=self.cross[:, :, chosen],
+            kx=self.kx[:, :, chosen], h=self.h[:, chosen[:, None], chosen],
+        )  # fmt: skip
+
 
 class Reduced(NamedTuple):
     """Windows' losses as functions of the coordinates alone, about one point at one size."""
 
-    square: Array  # (W,) whitened squared error, the start's prior included, at its best start
+    here: Array  # (W,) whitened squared error, the start's prior included
+    square: Array  # (W,) the same one step of the start on, by the derivatives
     dof: Array  # (W,) measurements of each window less what a start takes
     volume: Array  # (W,) half the log determinants of the covariance and of the start's curvature
     g: Array  # (W, n) minus the slope of half the square
@@ -81,7 +90,7 @@ class Reduced(NamedTuple):
     @property
     def loss(self) -> Array:
         """(W,) negative log likelihood, the start marginalised (Laplace) [nats]."""
-        return loss_of(self.square, self.dof) + self.volume
+        return loss_of(self.here, self.dof) + self.volume
 
 
 def loss_of(square: Array, dof: Array) -> Array:
@@ -142,36 +151,38 @@ class Likelihood:
     def weigh(self, at: Rotated, size: float) -> "Weighed":
         """Derivatives under a discrepancy of this size, ready for any errors near their point."""
         weight = self.weights(size)
-        turned = np.ascontiguousarray((at.by_x * weight[:, :, None]).transpose(0, 2, 1))
-        d = self._starts(turned @ at.by_x)
+        turned, d = self.start_curvature(at.by_x, size)
         cross = turned @ at.by_z
-        free = (~at.held)[:, None, None]
-        inverse: Array = np.asarray(np.linalg.inv(d) * free, np.float64)
-        kx = inverse @ cross
+        inverse: Array = np.asarray(np.linalg.inv(d), np.float64)
+        kx, free = inverse @ cross, 1.0 - at.held
         heavy = (at.by_z * weight[:, :, None]).transpose(0, 2, 1)
         h = heavy @ at.by_z - cross.transpose(0, 2, 1) @ kx
-        return Weighed(size, weight, turned, heavy, inverse, cross, kx, h, self.volume(size))
+        return Weighed(size, weight, turned, heavy, inverse, free, cross, kx, h, self.volume(size))
 
     def reduce(self, by: "Weighed", error: Array, x: Array) -> Reduced:
         """Losses for errors (W, D) at starts `x`; derivatives may be of a near point."""
-        row = self.rotate_error(error)
-        away = self.predictor.guess - x
-        pull = (by.turned @ row[:, :, None])[:, :, 0] + away * self.start_precision
+        return self.reduce_row(by, self.rotate_error(error), x)
+
+    def reduce_row(self, by: "Weighed", row: Array, x: Array) -> Reduced:
+        """The same for rotated errors."""
+        away, pull = self.predictor.guess - x, self.start_pull(by.turned, row, x)
         dx = (by.inverse @ pull[:, :, None])[:, :, 0]
-        square = (by.weight * row**2).sum(axis=1) + (self.start_precision * away**2).sum(axis=1)
-        square = np.maximum(square - (pull * dx).sum(axis=1), 0.0)
+        here = (by.weight * row**2).sum(axis=1) + (self.start_precision * away**2).sum(axis=1)
+        square = np.maximum(here - by.free * (pull * dx).sum(axis=1), 0.0)
         g = (by.heavy @ row[:, :, None])[:, :, 0] - (dx[:, None, :] @ by.cross)[:, 0]
-        return Reduced(square, self.dof, by.volume, g, by.h, dx, by.kx)
+        return Reduced(here, square, self.dof, by.volume, g, by.h, by.free[:, None] * dx, by.kx)
 
-    def losses(self, at: Rotated, error: Array, x: Array, size: float) -> Array:
-        """(W,) losses at a point, without derivatives by the coordinates."""
-        alone = at._replace(by_z=at.by_z[:, :, :0])
-        return self.reduce(self.weigh(alone, size), error, x).loss
-
-    def _starts(self, d: Array) -> Array:
-        """Curvature of the starts from that of the errors (W, 7, 7)."""
+    def start_curvature(self, by_x: Array, size: float) -> tuple[Array, Array]:
+        """Rotated derivatives by the starts, weighed (W, 7, D); the curvature (W, 7, 7)."""
+        turned = np.ascontiguousarray((by_x * self.weights(size)[:, :, None]).transpose(0, 2, 1))
+        d = turned @ by_x
         d[:, range(d.shape[1]), range(d.shape[1])] += self.start_precision
-        return d
+        return turned, d
+
+    def start_pull(self, turned: Array, row: Array, x: Array) -> Array:
+        """(W, 7) minus the slope of half the square along the starts, priors included."""
+        pull: Array = (turned @ row[:, :, None])[:, :, 0]
+        return pull + (self.predictor.guess - x) * self.start_precision
 
     def volume(self, size: float) -> Array:
         """(W,) half the log determinants of the covariance and of the starts' curvature.
@@ -180,18 +191,19 @@ class Likelihood:
         directions that no derivative sees (docs/decisions/diagnosis.md#d119).
         """
         if size not in self._volumes:
-            weight, by = self.weights(size), self.by_start
-            d = self._starts((by * weight[:, :, None]).transpose(0, 2, 1) @ by)
-            logs = np.linalg.slogdet(d)[1] - np.log(weight).sum(axis=1)
+            d = self.start_curvature(self.by_start, size)[1]
+            logs = np.linalg.slogdet(d)[1] - np.log(self.weights(size)).sum(axis=1)
             self._volumes[size] = np.asarray(0.5 * logs)
         return self._volumes[size]
 
     def best_size(self, at: Rotated, error: Array, x: Array, least: float = 0.0) -> float:
         """The size of `SIZES` under which these errors are most likely, `least` at least."""
         sizes = SIZES[min(least, SIZES[-1]) - 1e-12 <= SIZES]
-        best, lowest = float(sizes[-1]), np.inf
+        best, lowest, row = float(sizes[-1]), np.inf, self.rotate_error(error)
+        alone = at._replace(by_z=at.by_z[:, :, :0])
         for size in sizes:
-            cost = float(self.losses(at, error, x, float(size)).sum())
+            found = self.reduce_row(self.weigh(alone, float(size)), row, x)
+            cost = float((loss_of(found.square, found.dof) + found.volume).sum())
             if cost < lowest:
                 best, lowest = float(size), cost
             elif cost > lowest + 50.0:
@@ -243,5 +255,5 @@ def make_likelihood(predictor: Predictor, parameters: Array, x: Array, noise: No
     rotation = (axes.transpose(0, 2, 1) @ lower) * there[:, None, :]
     own = ((lower @ instruments) * lower).sum(axis=2)
     pushed = ((1.0 - own) * there).sum(axis=1) / there.sum(axis=1)
-    by_start = rotation @ predictor.by_starts(parameters, x)
+    by_start = rotation @ predictor.by_starts(parameters, x)[1]
     return Likelihood(predictor, rotation, np.maximum(spectrum, 0.0), pushed, by_start)

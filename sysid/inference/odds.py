@@ -69,16 +69,17 @@ def rank(
 
 
 def _posterior(point: Point, temper: float, lowest: Point) -> Posterior:
-    """An optimum's posterior.
+    """An optimum's posterior, without the windows that speak loudest beside that of lowest cost.
 
-    The windows that speak loudest for and against it, beside the hypothesis of lowest cost, are
-    left out: a car that nearly spins multiplies any small change, and one such second shall not
-    name a cause.
+    A car that nearly spins multiplies any small change: a few such seconds shall not show a cause,
+    nor one decide between causes.
     """
     posterior = posterior_of(point, temper)
-    behind = point.at.loss - lowest.at.loss
-    loudest = float(max(behind.max(), 0.0) + min(behind.min(), 0.0)) / temper
-    return replace(posterior, evidence=posterior.evidence + loudest)
+    behind = np.sort(point.at.loss - lowest.at.loss)
+    nested = set(point.space.effects) < set(lowest.space.effects)
+    few = max(1, round(c.LOUDEST * len(behind)))
+    loudest = behind[-few:] if nested else behind[[0, -1]]
+    return replace(posterior, evidence=posterior.evidence + float(loudest.sum()) / temper)
 
 
 Names = frozenset[str]

@@ -155,9 +155,10 @@ class Predictor:
         """Errors and derivatives at coordinates `z` and starts `x`."""
         return self._linear(space.chart.parameters(z), space.chart.slopes(z), x)
 
-    def by_starts(self, parameters: Array, x: Array) -> Array:
-        """(W, D, 7) derivatives of the errors by the starts alone."""
-        return self._linear(parameters, np.zeros((len(parameters), 0)), x).by_x
+    def by_starts(self, parameters: Array, x: Array) -> tuple[Array, Array]:
+        """Errors (W, D) and derivatives (W, D, 7) by the starts alone."""
+        found = self._linear(parameters, np.zeros((len(parameters), 0)), x)
+        return found.error, found.by_x
 
     def _linear(self, parameters: Array, slopes: Array, x: Array) -> Linear:
         n = slopes.shape[1]

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated, Weighed, take_some
+from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated, Weighed
 from steerd.sysid.inference.predictor import Linear, Predictor
 from steerd.sysid.inference.space import Space
+from steerd.sysid.inference.starts import OWED, settle_starts
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,7 @@ FALL = 2.2
 ENOUGH = 0.3
 """A step that promises and gains less than this many nats at the last size ends the search."""
 STEPS = 24
-DRAWS = 4
+DRAWS = 2
 """Starts along the valley of an optimum that counts."""
 _BLUNT = 30.0
 """Factor by which windows count for less while such starts are drawn."""
@@ -33,12 +34,6 @@ _EXPLORED = 0.15
 """Least discrepancy's size under which such a search begins."""
 _LIMITS = {"accel_max": 0.3, "decel_max": 0.3, "steer_rate": 0.05}
 """Steps over which limits are differenced: [m/s^2], and relative for the slew rate."""
-_LOST = 4.0
-"""A window that leaves more than this of its whitened error may sit in a wrong start ..."""
-_SOFT = 3.0
-"""... and is taken up anew from the poses, at first under a discrepancy of this size."""
-_ENOUGH_LOST = 1.0
-"""Nats that a window must gain by it."""
 _TRUST = 0.4
 """Derivatives are taken anew where a step gains this much more or less than it promised ..."""
 _FAR = 30.0
@@ -46,12 +41,8 @@ _FAR = 30.0
 _DAMPING_MAX = 1e4
 _BEHIND = 80.0
 """A search that is so many nats behind another hypothesis is given up."""
-_RESCUES = 2
-"""Times that windows are taken up anew and the search goes on."""
-_ROUNDS = 4
-"""Steps of every window's start about one point ..."""
-_OWED = 0.1
-"""... and what such a step may then still promise to take off a window's square."""
+_ROUNDS = 2
+"""Steps of every window's start after one of the coordinates."""
 _SHORTER = 0.25
 """A start's step that led up is tried again so much shorter."""
 _UNTIL = 4
@@ -137,12 +128,12 @@ def stand(likelihood: Likelihood, space: Space, z: Array, x: Array, size: float)
     Raises:
         FloatingPointError: the simulation diverges there.
     """
+    x, owed = settle_starts(likelihood, space.chart.parameters(z), x, size)
     linear = derive(likelihood, space, z, x)
-    rotated = likelihood.rotate(linear)
+    rotated = likelihood.rotate(linear)._replace(held=owed)
     weighed = likelihood.weigh(rotated, size)
     at = likelihood.reduce(weighed, linear.error, x)
-    point = Point(space, z, x, size, linear, rotated, weighed, at, _cost(space, at, z))
-    return _settled(likelihood, point)
+    return Point(space, z, x, size, linear, rotated, weighed, at, _cost(space, at, z))
 
 
 def open_point(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Point:
@@ -158,33 +149,21 @@ def open_point(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Poin
     return fresh(likelihood, point)
 
 
-def _settled(likelihood: Likelihood, point: Point) -> Point:
-    """The windows' starts stepped, each for itself, until a further step promises nothing.
-
-    Losses count what a start's next step promises as taken. Where a window is so bent that no step
-    keeps that promise its start is held: else the search would compare every step with a cost that
-    nothing reaches, and stop where it stands (docs/decisions/diagnosis.md#d91).
-    """
-    space, z, size, at = point.space, point.z, point.size, point.at
-    x, error, weighed = point.x.copy(), point.linear.error.copy(), point.weighed
-    parameters = point.parameters
-    square, share = likelihood.squares(error, x, size), np.ones(len(point.x))
+def _followed(likelihood: Likelihood, point: Point) -> Point:
+    """The windows' starts stepped with the point's derivatives, each where that is better."""
+    x, error, at = point.x.copy(), point.linear.error.copy(), point.at
+    share = np.ones(len(x))
     for _ in range(_ROUNDS):
-        if not (square - at.square > _OWED).any():
+        if not (at.here - at.square > OWED).any():
             break
         tried = x + share[:, None] * at.dx
-        off, _ = likelihood.predictor.errors(parameters, tried)
-        left = likelihood.squares(off, tried, size)
-        better = left < square
-        x[better], error[better], square[better] = tried[better], off[better], left[better]
+        off, _ = likelihood.predictor.errors(point.parameters, tried)
+        better = likelihood.squares(off, tried, point.size) < at.here
+        x[better], error[better] = tried[better], off[better]
         share = np.where(better, 1.0, _SHORTER * share)
-        at = likelihood.reduce(weighed, error, x)
-    rotated = point.rotated._replace(held=square - at.square > _OWED)
-    if rotated.held.any():
-        weighed = likelihood.weigh(rotated, size)
-        at = likelihood.reduce(weighed, error, x)
-    linear, cost = point.linear._replace(error=error), _cost(space, at, z)
-    return replace(point, x=x, linear=linear, rotated=rotated, weighed=weighed, at=at, cost=cost)
+        at = likelihood.reduce(point.weighed, error, x)
+    linear = point.linear._replace(error=error)
+    return replace(point, x=x, linear=linear, at=at, cost=_cost(point.space, at, point.z))
 
 
 def _cost(space: Space, at: Reduced, z: Array) -> float:
@@ -196,38 +175,16 @@ def curvature(space: Space, at: Reduced, share: float = 1.0) -> Array:
     return np.asarray(share * np.tensordot(at.weight, at.h, 1) + space.precision)
 
 
-def rescue(likelihood: Likelihood, point: Point) -> Point:
-    """Windows with large errors taken up anew from the poses' own starts, where that is better.
-
-    The likelihood forgives a spun window, so nothing pulls its start back by itself.
-    """
-    lost = point.at.square > _LOST * point.at.dof
-    if not lost.any():
-        return point
-    part = take_some(likelihood, lost)
-    x = part.predictor.guess.copy()
-    try:
-        soft = stand(part, point.space, point.z, x, _SOFT + point.size)
-        found = fresh(part, replace(fresh(part, soft), size=point.size))
-    except FloatingPointError:
-        return point
-    better = found.at.loss < point.at.loss[lost] - _ENOUGH_LOST
-    if not better.any():
-        return point
-    x = point.x.copy()
-    x[np.flatnonzero(lost)[better]] = found.x[better]
-    again = stand(likelihood, point.space, point.z, x, point.size)
-    return again if again.cost < point.cost else point
-
-
 def with_size(likelihood: Likelihood, point: Point, size: float) -> Point:
     """The same point under another size."""
     if size == point.size:
         return point
     weighed = likelihood.weigh(point.rotated, size)
     at = likelihood.reduce(weighed, point.linear.error, point.x)
-    cost = _cost(point.space, at, point.z)
-    return replace(point, size=size, weighed=weighed, at=at, cost=cost)
+    changed = replace(
+        point, size=size, weighed=weighed, at=at, cost=_cost(point.space, at, point.z)
+    )
+    return _followed(likelihood, changed)
 
 
 def fresh(likelihood: Likelihood, point: Point) -> Point:
@@ -253,10 +210,11 @@ def _moved(likelihood: Likelihood, point: Point, dz: Array) -> Point | None:
     if not finite:
         return None
     at = likelihood.reduce(point.weighed, error, x)
-    return replace(
+    moved = replace(
         point, z=z, x=x, at=at, cost=_cost(point.space, at, z),
         linear=point.linear._replace(error=error),
     )  # fmt: skip
+    return _followed(likelihood, moved)
 
 
 def newton(space: Space, at: Reduced, z: Array, damping: float = 0.0) -> tuple[Array, float]:
@@ -284,11 +242,6 @@ def minimise(
         fall: factor by which the size may fall a step.
     """
     now, ended = _walk(likelihood, start, incumbent, steps, fall)
-    for _ in range(_RESCUES if ended else 0):
-        again = rescue(likelihood, now)
-        if again is now:
-            break
-        now, ended = _walk(likelihood, again, incumbent, steps, fall)
     return replace(now, whole=ended)
 
 

@@ -132,7 +132,8 @@ def _line(values: np.ndarray, z: float, spread: float = 1e6) -> SimpleNamespace:
     """Windows that each read one coordinate directly, fitted at `z`; losses are nearly squares."""
     count = len(values)
     at = Reduced(
-        square=(values - z) ** 2, dof=np.full(count, DOF), volume=np.zeros(count),
+        here=(values - z) ** 2, square=(values - z) ** 2,
+        dof=np.full(count, DOF), volume=np.zeros(count),
         g=(values - z)[:, None], h=np.ones((count, 1, 1)),
         dx=np.zeros((count, 7)), kx=np.zeros((count, 7, 1)),
     )  # fmt: skip

@@ -180,6 +180,17 @@ def test_one_window_changes_no_odds(late):
     assert odds[0] == pytest.approx(odds[1], abs=1e-6)
 
 
+def test_a_window_against_a_cause_counts(late):
+    """A cause that makes one window much worse is not the cause."""
+    library, found = late
+    best, null = found.best.point, found.null.point
+    quietest = (null.at.loss - best.at.loss).argmin()
+    more = null.at.volume - 100.0 * (np.arange(len(null.at.loss)) == quietest)
+    better = replace(null, at=null.at._replace(volume=more))
+    odds = [rank(library, [best, point])[0][-1].log_odds for point in (null, better)]
+    assert odds[1] > odds[0] + 10.0
+
+
 def test_knowledge_of_the_base_counts_whole_where_windows_count_in_part(late):
     """A hypothesis' optimum is that of its tempered likelihood times its prior."""
     library, found = late
