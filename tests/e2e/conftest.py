@@ -19,6 +19,7 @@ import pytest
 
 from steerd.daemon.assembly.build import RunPlan, make_plan, make_world_config
 from steerd.daemon.cli.commands.driving import run as run_command
+from steerd.daemon.cli.main import run_cli
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.virtual import VirtualRun, drive
@@ -254,6 +255,15 @@ def changes(session: Path) -> list[Transition]:
         return []
     records = open_session(path).messages("/steerd/car1/transition")
     return [record.decode() for record in records]
+
+
+def replays(session: Path, capsys: pytest.CaptureFixture[str]) -> bool:
+    """`steerd replay` gives every order of a session again."""
+    capsys.readouterr()
+    code = run_cli(["replay", str(session)])
+    said = capsys.readouterr().out
+    assert re.fullmatch(r"\d{3,} commands replayed: all equal the recorded ones\n", said), said
+    return code == 0
 
 
 Scenario = Callable[[Launcher, Path], object]

@@ -17,9 +17,9 @@ from steerd.car_model.car_file import default_car_path
 from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.session_read import open_session
-from tests.e2e.conftest import changes
+from tests.e2e.conftest import changes, replays
 from tests.e2e.ros_peer import LATENCY, NOISE, RADIUS, YAW_NOISE, connect
-from tests.e2e.test_live import ROS_PEER, STOPS, Watcher, start_run
+from tests.e2e.test_live import ROS_PEER, STOPS, Watcher, arm_and_start, start_run
 from tests.ros_messages import ODOMETRY, STORE, make_key
 
 pytestmark = pytest.mark.timeout(240)
@@ -126,8 +126,7 @@ def test_a_localisers_poses_drive_the_car_and_their_end_stops_it(end, undisturbe
         track = folder / "track"
         peer = steerd("localise", url, steerd.endpoint, track, module=ROS_PEER)
         run.expect("READY")
-        steerd("arm", "--connect", steerd.endpoint).expect("armed:")
-        steerd("start", "--connect", steerd.endpoint).expect("driving")
+        arm_and_start(steerd)
         with closing(Watcher(steerd.endpoint)) as watcher:
             driven = watcher.driving(run, 5.0)
             assert driven.mode not in STOPS, run.text
@@ -143,7 +142,6 @@ def test_a_localisers_poses_drive_the_car_and_their_end_stops_it(end, undisturbe
         off = np.hypot(poses["x"], poses["y"] - RADIUS) - RADIUS
         assert np.std(off) == pytest.approx(NOISE, rel=0.3), "as a LiDAR sees it"
         assert np.mean(poses["reject"] == "") > 0.95
-        capsys.readouterr()
-        assert run_cli(["replay", str(record)]) == 0
+        assert replays(record, capsys)
 
     undisturbed(scenario)

@@ -10,20 +10,11 @@ import pytest
 
 from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.session_read import open_session
-from tests.e2e.conftest import rms
+from tests.e2e.conftest import replays, rms
 
 SLOW_STEERING = "--effect steer_delay=0.03 --effect steer_lag=0.03"
 """30 ms beside the servo's own 10 ms; 50 ms + 30 ms of lag."""
 CAR_FILE = Path(__file__).resolve().parents[2] / "config" / "f1tenth.toml"
-
-
-def replays(session, capsys):
-    """`steerd replay` finds every order again."""
-    capsys.readouterr()
-    code = run_cli(["replay", str(session)])
-    said = capsys.readouterr().out
-    assert re.fullmatch(r"\d{3,} commands replayed: all equal the recorded ones\n", said), said
-    return code == 0
 
 
 @pytest.mark.parametrize(
