@@ -12,7 +12,7 @@ from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.codec import MAX_BYTES
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_settings
 from tests.local_bus import LocalBus, LocalHub, is_heard
-from tests.safety.live import free_port
+from tests.safety.live import free_endpoint
 
 STATE = "steerd/car1/state"
 OPEN = {"access_control/enabled": False}
@@ -26,10 +26,6 @@ def until(condition):
     while not (found := condition()) and time.monotonic() < end:
         select.select([], [], [], 0.002)
     return found
-
-
-def free_endpoint():
-    return f"tcp/127.0.0.1:{free_port()}"
 
 
 @contextlib.contextmanager

@@ -27,7 +27,7 @@ from steerd.sim_hw.world import World
 from steerd.steer_bus.messages import Transition
 from steerd.steer_bus.session_read import open_session
 from tests.contract.command_page import make_parser
-from tests.safety.live import free_port
+from tests.safety.live import free_endpoint
 
 SETTLE_NS = 3_000_000_000
 
@@ -210,7 +210,7 @@ class Launcher:
 
     def __init__(self) -> None:
         self._started: list[Program] = []
-        self.endpoint = f"tcp/127.0.0.1:{free_port()}"  # one that is free
+        self.endpoint = free_endpoint()
 
     def __call__(self, *argv: object, **options: object) -> Program:
         self._started.append(Program(*map(str, argv), **options))

@@ -16,8 +16,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.session_read import open_session
-from tests.e2e.conftest import changes, free_port, replays
+from tests.e2e.conftest import changes, replays
 from tests.e2e.test_live import Watcher, start_run
+from tests.safety.live import free_port
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 WANTED = ("/steerd/car1/state", "/steerd/car1/odom", "/scene", "/tf")
