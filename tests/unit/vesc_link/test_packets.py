@@ -215,6 +215,10 @@ def test_imu_data_name_their_controller_since_6_05(firmware, size):
     assert (len(payload), got.controller_id) == (size, 9 if size == 68 else None)
 
 
+def test_the_longest_uptime_comes_back():
+    assert decode_reply(encode_reply(t.Uptime(0xFFFFFFFF))) == t.Uptime(0xFFFFFFFF)
+
+
 def test_board_without_imu_answers_zeros_and_is_recognised():
     nothing = decode_reply(encode_reply(t.Imu(t.IMU_ACCEL_GYRO_MASK)))
     assert isinstance(nothing, t.Imu)
