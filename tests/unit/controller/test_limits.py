@@ -68,6 +68,7 @@ def test_an_order_is_held_at_each_bound_and_passes_before_it(axis, bound, side, 
         assert getattr(out.order, axis) == (bound if over else wish)
         assert out.clips == (clip if over else 0)
         assert out.verdict == (Verdict.CLIPPED if over else Verdict.PASSED)
+        assert (out.state.order, out.state.t_ns) == (out.order, STEP_NS)
 
 
 def test_cap_below_the_last_order_is_reached_at_the_deceleration_limit():
