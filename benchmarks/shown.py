@@ -1,4 +1,4 @@
-"""How soon a car that does not do as ordered is found: `python -m tests.safety.shown`.
+"""How soon a car that does not do as ordered is found: `python -m benchmarks.shown`.
 
 A fault of motor or servo can hide: a servo that is stuck straight ahead is right on a straight. It
 shows when the true motion leaves what cars off their file by 20 % make of the same orders, by more
@@ -52,7 +52,7 @@ DRIVES = (
 `steps` is a straight on which something else than the lane keeper steers by `STEP`, left and right.
 """
 STEP, STEP_S = 0.15, 0.5  # angle [rad] and duration [s] of a step
-PAGE = Path(__file__).parents[2] / "docs" / "results" / "safety.md"
+PAGE = Path(__file__).parents[1] / "docs" / "results" / "safety.md"
 _GROUPS = (
     ("steer_gain",), ("lf", "lr"), ("steer_lag", "steer_delay", "speed_lag"),
     ("steer_rate", "accel_max", "decel_max"), ("c_sf", "mu"), ("c_sr",), ("inertia_z", "mass"),
