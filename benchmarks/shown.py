@@ -26,9 +26,7 @@ from steerd.car_model.state import Command
 from steerd.daemon.assembly.build import make_world_config
 from steerd.daemon.loop.follow_model import make_follow_model
 from steerd.daemon.loop.following import follow_span
-from steerd.daemon.loop.transitions import SupervisorState
 from steerd.sim_hw.world import World
-from steerd.steer_bus.messages import RequestKind
 from tests.safety import catalogue_car as car
 from tests.safety.report import replace_section
 from tests.safety.rig import MS, Rig, make_rig, twin
@@ -106,11 +104,7 @@ def feed(world: World, rig: Rig, since: int) -> Iterator[tuple[int, float, float
 def start(path: str, speed: float, after_s: float) -> Rig:
     """A drive up to the moment of the fault."""
     rig = make_rig("line" if path == "steps" else path, speed, load_identified(speed))
-    rig.reach(SupervisorState.READY)
-    rig.ask(RequestKind.ARM)
-    rig.reach(SupervisorState.ARMED, 0.2)
-    rig.ask(RequestKind.START)
-    rig.reach(SupervisorState.RUNNING, after_s)
+    rig.drive_off(after_s)
     return rig
 
 
