@@ -5,6 +5,7 @@ import select
 import subprocess
 import sys
 import time
+from functools import partial
 
 import pytest
 
@@ -12,7 +13,7 @@ from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.codec import MAX_BYTES
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_settings
 from tests.local_bus import LocalBus, LocalHub, is_heard
-from tests.safety.live import free_port
+from tests.safety.live import free_endpoint
 
 STATE = "steerd/car1/state"
 OPEN = {"access_control/enabled": False}
@@ -28,10 +29,6 @@ def until(condition):
     return found
 
 
-def free_endpoint():
-    return f"tcp/127.0.0.1:{free_port()}"
-
-
 @contextlib.contextmanager
 def local_pair():
     hub = LocalHub()
@@ -42,27 +39,19 @@ def local_pair():
 
 
 @contextlib.contextmanager
-def zenoh_hub_and_spoke():
+def zenoh_pair(first, second):
+    """Two of a hub (0) and its two spokes."""
     endpoint = free_endpoint()
-    with (
-        ZenohBus(Profile(True, endpoint, settings=OPEN)) as hub,
-        ZenohBus(Profile(hub=False, endpoint=endpoint)) as spoke,
-    ):
-        yield hub, spoke
+    profiles = (Profile(True, endpoint, settings=OPEN), *[Profile(False, endpoint)] * 2)
+    with contextlib.ExitStack() as stack:
+        buses = [stack.enter_context(ZenohBus(profile)) for profile in profiles]
+        yield buses[first], buses[second]
 
 
-@contextlib.contextmanager
-def zenoh_spokes():
-    endpoint = free_endpoint()
-    with (
-        ZenohBus(Profile(True, endpoint, settings=OPEN)),
-        ZenohBus(Profile(hub=False, endpoint=endpoint)) as a,
-        ZenohBus(Profile(hub=False, endpoint=endpoint)) as b,
-    ):
-        yield a, b
-
-
-@pytest.fixture(params=[local_pair, zenoh_hub_and_spoke, zenoh_spokes])
+@pytest.fixture(
+    params=[local_pair, partial(zenoh_pair, 0, 1), partial(zenoh_pair, 1, 2)],
+    ids=["local", "hub and spoke", "spokes"],
+)
 def pair(request):
     with request.param() as made:
         yield made
@@ -147,20 +136,13 @@ def test_a_message_at_the_limit_passes_and_a_longer_one_is_refused(pair):
         sender.publish(STATE, bytes(MAX_BYTES + 1))
 
 
-def test_liveliness_follows_the_token(pair):
+@pytest.mark.parametrize("ended", ["token", "bus"])
+def test_liveliness_follows_the_token_and_ends_with_the_bus(pair, ended):
     car, viewer = pair
     token = car.declare_alive("steerd/car1/alive")
     assert until(lambda: viewer.alive("steerd/*/alive")) == {"steerd/car1/alive"}
     assert viewer.alive("steerd/car2/alive") == frozenset()
-    token.close()
-    assert until(lambda: not viewer.alive("steerd/*/alive"))
-
-
-def test_liveliness_ends_with_the_bus(pair):
-    car, viewer = pair
-    car.declare_alive("steerd/car1/alive")
-    assert until(lambda: viewer.alive("steerd/*/alive"))
-    car.close()
+    (token if ended == "token" else car).close()
     assert until(lambda: not viewer.alive("steerd/*/alive"))
 
 

@@ -8,7 +8,6 @@ import select
 import socket
 import struct
 import time
-from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from itertools import pairwise
 from types import SimpleNamespace
@@ -20,14 +19,8 @@ from steerd.mocap_link.frame import FrameConfig
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.mocap_link.natnet_frame import RigidBody
-from steerd.mocap_link.sockets import (
-    MocapReceiver,
-    NatNetReceiver,
-    VrpnReceiver,
-    make_receiver,
-    map_stamp,
-)
-from steerd.mocap_link.source import ClockKind, Pose, SourceState
+from steerd.mocap_link.sockets import NatNetReceiver, VrpnReceiver, make_receiver, map_stamp
+from steerd.mocap_link.source import ClockKind, SourceState
 from steerd.sim_hw.mocap.servers import VrpnServer
 from tests.safety.live import free_port as free_tcp_port
 from tests.unit.mocap_link.conftest import FakeServer
@@ -38,13 +31,8 @@ LOOPBACK = "127.0.0.1"
 GROUP = "239.255.42.98"
 CONFIG = IngestConfig(frame=FrameConfig())
 
-Pump = Callable[[], None]
-Connect = Callable[..., MocapReceiver]
 
-
-def drive(
-    receiver: MocapReceiver, pump: Pump, done: Callable[[], bool], samples: list[Pose]
-) -> None:
+def drive(receiver, pump, done, samples):
     """Alternate server and receiver until `done`, at most 30 s."""
     end = time.monotonic_ns() + 30 * SECOND
     while not done():
@@ -56,11 +44,18 @@ def drive(
             samples += receiver.read_ready(fd)
 
 
-def free_port() -> int:
+def follow(connect, server, count=5, **more):
+    """A receiver of this server that has had more than `count` poses, and they."""
+    receiver, samples = connect(server.url, **more), []
+    drive(receiver, server.pump, lambda: len(samples) > count, samples)
+    return receiver, samples
+
+
+def free_port():
     """A UDP port of loopback that nobody uses."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind((LOOPBACK, 0))
-        return int(probe.getsockname()[1])
+        return probe.getsockname()[1]
 
 
 class UdpServer:
@@ -72,7 +67,7 @@ class UdpServer:
         for each in (self.command, self.data):
             each.bind((LOOPBACK, 0))
         self.command.setblocking(False)
-        self.port = self.command.getsockname()[1]
+        self.url = f"natnet://localhost:{self.command.getsockname()[1]}/car"
         loopback = socket.inet_aton(LOOPBACK)
         self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
         self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
@@ -111,14 +106,14 @@ class UdpServer:
 
 
 @pytest.fixture(params=["multicast", "unicast-data", "unicast-command"])
-def udp_server(request: pytest.FixtureRequest) -> Iterator[UdpServer]:
+def udp_server(request):
     server = UdpServer(request.param)
     yield server
     server.close()
 
 
 @pytest.fixture
-def connect() -> Iterator[Connect]:
+def connect():
     """Make the receiver of an address; it is closed at the end."""
     with ExitStack() as made:
         yield lambda url, **more: made.enter_context(
@@ -126,26 +121,18 @@ def connect() -> Iterator[Connect]:
         )
 
 
-def test_natnet_poses_arrive_with_their_exposure_time(
-    udp_server: UdpServer, connect: Connect
-) -> None:
-    receiver, samples = connect(f"natnet://localhost:{udp_server.port}/car"), list[Pose]()
+def test_natnet_poses_arrive_with_their_exposure_time(udp_server, connect):
+    receiver, samples = follow(connect, udp_server, 60)
     assert isinstance(receiver, NatNetReceiver)
     assert receiver.interface == LOOPBACK
-    drive(
-        receiver, udp_server.pump,
-        lambda: receiver.status().state is SourceState.OK and len(samples) > 60, samples,
-    )  # fmt: skip
+    drive(receiver, udp_server.pump, lambda: receiver.status().state is SourceState.OK, samples)
     assert all(s.rejected is None for s in samples)
     assert samples[-1].clock is ClockKind.ECHO
     last = samples[-1]
-    ticks = last.source_ticks
-    assert ticks is not None
     # the server's clock is this host's plus 10^15: the map must find that within the echo's
     # half round trip, itself bounded by this thread's turn-taking
     sigma = receiver.status().clock_sigma_ns
-    assert sigma is not None
-    assert abs(last.t_valid_ns - (ticks - 10**15)) < sigma + 2 * MS
+    assert abs(last.t_valid_ns - (last.source_ticks - 10**15)) < sigma + 2 * MS
     assert last.t_valid_ns <= last.t_arrival_ns <= time.monotonic_ns()
     assert last.x == pytest.approx(last.position[0])
     status = receiver.status()
@@ -154,9 +141,8 @@ def test_natnet_poses_arrive_with_their_exposure_time(
 
 
 @pytest.mark.parametrize("udp_server", ["unicast-command"], indirect=True)
-def test_natnet_backlog_keeps_the_newest_five(udp_server: UdpServer, connect: Connect) -> None:
-    receiver, samples = connect(f"natnet://localhost:{udp_server.port}/car"), list[Pose]()
-    drive(receiver, udp_server.pump, lambda: len(samples) > 5, samples)
+def test_natnet_backlog_keeps_the_newest_five(udp_server, connect):
+    receiver, _ = follow(connect, udp_server)
     for _ in range(40):
         udp_server.send_frame()
     select.select(receiver.fds(), [], [], 1.0)
@@ -165,7 +151,7 @@ def test_natnet_backlog_keeps_the_newest_five(udp_server: UdpServer, connect: Co
     assert late[-1].frame == udp_server.motive.number
 
 
-def test_natnet_without_a_server_neither_blocks_nor_raises(connect: Connect) -> None:
+def test_natnet_without_a_server_neither_blocks_nor_raises(connect):
     port = free_port()
     receiver = connect(f"natnet://{LOOPBACK}:{port}/car")
     for i in range(3):
@@ -177,14 +163,11 @@ def test_natnet_without_a_server_neither_blocks_nor_raises(connect: Connect) -> 
 
 
 @pytest.mark.parametrize("udp_server", ["unicast-command"], indirect=True)
-def test_natnet_data_port_that_is_taken_is_tried_again(
-    udp_server: UdpServer, connect: Connect
-) -> None:
+def test_natnet_data_port_that_is_taken_is_tried_again(udp_server, connect):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind((LOOPBACK, udp_server.motive.data_port))
-        receiver, samples = connect(f"natnet://localhost:{udp_server.port}/car"), list[Pose]()
         # unicast frames may come to the command socket, so this is no reason to stop
-        drive(receiver, udp_server.pump, lambda: len(samples) > 5, samples)
+        receiver, _ = follow(connect, udp_server)
         assert f"data port {udp_server.motive.data_port}" in receiver.status().detail
         assert len(receiver.fds()) == 1
     receiver.on_timer(time.monotonic_ns() + 2 * SECOND)
@@ -193,11 +176,8 @@ def test_natnet_data_port_that_is_taken_is_tried_again(
 
 
 @pytest.mark.parametrize("udp_server", ["unicast-data"], indirect=True)
-def test_natnet_server_comes_back_on_another_data_port(
-    udp_server: UdpServer, connect: Connect
-) -> None:
-    receiver, samples = connect(f"natnet://localhost:{udp_server.port}/car"), list[Pose]()
-    drive(receiver, udp_server.pump, lambda: len(samples) > 5, samples)
+def test_natnet_server_comes_back_on_another_data_port(udp_server, connect):
+    receiver, samples = follow(connect, udp_server)
     udp_server.motive.data_port = free_port()
     samples.clear()
     drive(receiver, udp_server.pump, lambda: len(samples) > 5, samples)
@@ -210,7 +190,7 @@ class TcpServer:
     def __init__(self) -> None:
         self.listener = socket.create_server((LOOPBACK, 0))
         self.listener.setblocking(False)
-        self.port = self.listener.getsockname()[1]
+        self.url = f"vrpn://localhost:{self.listener.getsockname()[1]}/car"
         self.peer: socket.socket | None = None
         self.session = VrpnServer(("car",))
         self.count = self.accepted = 0
@@ -246,16 +226,14 @@ class TcpServer:
 
 
 @pytest.fixture
-def tcp_server() -> Iterator[TcpServer]:
+def tcp_server():
     server = TcpServer()
     yield server
     server.close()
 
 
-def test_vrpn_poses_and_reconnect(tcp_server: TcpServer, connect: Connect) -> None:
-    receiver = connect(f"vrpn://localhost:{tcp_server.port}/car")
-    samples: list[Pose] = []
-    drive(receiver, tcp_server.pump, lambda: len(samples) > 50, samples)
+def test_vrpn_poses_and_reconnect(tcp_server, connect):
+    receiver, samples = follow(connect, tcp_server, 50)
     assert all(s.rejected is None for s in samples)
     assert [round((s.x - 0.5) * 1e5) for s in samples] == list(range(1, len(samples) + 1))
     assert receiver.source.up
@@ -266,7 +244,7 @@ def test_vrpn_poses_and_reconnect(tcp_server: TcpServer, connect: Connect) -> No
     assert tcp_server.accepted == 2
 
 
-def test_vrpn_client_leaves_a_server_of_another_kind(connect: Connect) -> None:
+def test_vrpn_client_leaves_a_server_of_another_kind(connect):
     with socket.create_server((LOOPBACK, 0)) as listener:
         port = listener.getsockname()[1]
         receiver = connect(f"vrpn://{LOOPBACK}:{port}/car")
@@ -278,7 +256,7 @@ def test_vrpn_client_leaves_a_server_of_another_kind(connect: Connect) -> None:
             assert "not a VRPN 7 server" in receiver.status().detail
 
 
-def test_vrpn_without_a_server_backs_off(connect: Connect) -> None:
+def test_vrpn_without_a_server_backs_off(connect):
     port = free_tcp_port()
     receiver = connect(f"vrpn://{LOOPBACK}:{port}/car")
     assert isinstance(receiver, VrpnReceiver)
@@ -295,25 +273,17 @@ def test_vrpn_without_a_server_backs_off(connect: Connect) -> None:
 
 
 @pytest.mark.parametrize("udp_server", ["unicast-command"], indirect=True)
-def test_the_kernel_stamps_udp_and_tcp(
-    udp_server: UdpServer, tcp_server: TcpServer, connect: Connect
-) -> None:
+def test_the_kernel_stamps_udp_and_tcp(udp_server, tcp_server, connect):
     """A receiver that reads late must still know when the datagram came."""
     offset = [0]
     clock = SimpleNamespace(
         now_ns=lambda: time.monotonic_ns() + offset[0],
         realtime_ns=lambda: time.time_ns() + offset[0],
     )
-    urls = (
-        f"natnet://{LOOPBACK}:{udp_server.port}/car",
-        f"vrpn://{LOOPBACK}:{tcp_server.port}/car",
-    )
-    for url, pump in zip(urls, (udp_server.pump, tcp_server.pump), strict=True):
+    for server in (udp_server, tcp_server):
         offset[0] = 0
-        receiver = connect(url, clock=clock)
-        samples: list[Pose] = []
-        drive(receiver, pump, lambda got=samples: len(got) > 5, samples)  # type: ignore[misc]
-        pump()
+        receiver, _ = follow(connect, server, clock=clock)
+        server.pump()
         sent_by = time.monotonic_ns()
         ready, _, _ = select.select(receiver.fds(), [], [], 1.0)
         offset[0] = 100 * MS  # as if the interpreter had been busy for 100 ms
@@ -322,11 +292,11 @@ def test_the_kernel_stamps_udp_and_tcp(
         assert all(s.t_arrival_ns < sent_by + 5 * MS for s in late)
 
 
-def make_ancillary(stamp_ns: int) -> list[tuple[int, int, bytes]]:
+def make_ancillary(stamp_ns):
     return [(socket.SOL_SOCKET, 35, struct.pack("qq", *divmod(stamp_ns, SECOND)))]
 
 
-def test_map_stamp() -> None:
+def test_map_stamp():
     real = 1_700_000_000 * SECOND
     assert map_stamp(make_ancillary(real - 3 * MS), 50 * SECOND, real) == 50 * SECOND - 3 * MS
     assert map_stamp(make_ancillary(real + 1), 50 * SECOND, real) is None  # clock stepped back
@@ -334,11 +304,11 @@ def test_map_stamp() -> None:
     assert map_stamp([], 50 * SECOND, real) is None
 
 
-def fail_to_resolve(*_: object) -> None:
+def fail_to_resolve(*_):
     raise socket.gaierror(-2, "Name or service not known")
 
 
-def test_addresses_that_make_no_receiver(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_addresses_that_make_no_receiver(monkeypatch):
     with pytest.raises(ValueError, match="over the bus"):
         make_receiver(parse_mocap_url("zenoh:lab/pose"), CONFIG)
     monkeypatch.setattr(socket, "getaddrinfo", fail_to_resolve)

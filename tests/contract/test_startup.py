@@ -81,19 +81,6 @@ def test_help_loads_nothing_heavy(name, tmp_path):
     assert loaded <= {"zenoh"}  # arm, stop and the like: nothing of them works without it
 
 
-@pytest.mark.parametrize(
-    ("line", "hint"),
-    [
-        ("info cut.mcap", "steerd recover cut.mcap"),
-        ("identify a.mcap --car hidden.toml", "`steerd config` prints a complete car file"),
-    ],
-)
-def test_what_is_missing_comes_with_what_to_try(line, hint, tmp_path):
-    (tmp_path / "cut.mcap.partial").write_bytes(b"")
-    (tmp_path / "a.mcap").write_bytes(b"")
-    assert hint in load(line, tmp_path)[1]
-
-
 def test_words_that_are_no_files_pass(tmp_path):
     """`@last` without a session is the list's to report, `hidden:x` the simulator's."""
     assert "no sessions in" in load("info @last", tmp_path)[1]

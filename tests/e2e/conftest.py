@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,16 +19,15 @@ import pytest
 
 from steerd.daemon.assembly.build import RunPlan, make_plan, make_world_config
 from steerd.daemon.cli.commands import run as run_command
+from steerd.daemon.cli.main import run_cli
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.virtual import VirtualRun, drive
 from steerd.sim_hw.world import World
-from steerd.steer_bus.codec import encode
-from steerd.steer_bus.messages import MocapPose, Transition
-from steerd.steer_bus.session import SessionWriter
-from steerd.steer_bus.session_read import MESSAGE_TYPES, open_session
+from steerd.steer_bus.messages import Transition
+from steerd.steer_bus.session_read import open_session
 from tests.contract.command_page import make_parser
-from tests.safety.live import free_port
+from tests.safety.live import free_endpoint
 
 SETTLE_NS = 3_000_000_000
 
@@ -211,7 +210,7 @@ class Launcher:
 
     def __init__(self) -> None:
         self._started: list[Program] = []
-        self.endpoint = f"tcp/127.0.0.1:{free_port()}"  # one that is free
+        self.endpoint = free_endpoint()
 
     def __call__(self, *argv: object, **options: object) -> Program:
         self._started.append(Program(*map(str, argv), **options))
@@ -256,36 +255,16 @@ def changes(session: Path) -> list[Transition]:
     return [record.decode() for record in records]
 
 
+def replays(session: Path, capsys: pytest.CaptureFixture[str]) -> bool:
+    """`steerd replay` gives every order of a session again."""
+    capsys.readouterr()
+    code = run_cli(["replay", str(session)])
+    said = capsys.readouterr().out
+    assert re.fullmatch(r"\d{3,} commands replayed: all equal the recorded ones\n", said), said
+    return code == 0
+
+
 Scenario = Callable[[Launcher, Path], object]
-
-
-@pytest.fixture
-def tamper_pose(tmp_path: Path) -> Callable[[Path], Path]:
-    """Copy a session with one pose of the drive moved by 2 mm and turned by 4 mrad.
-
-    More, and the filter's gate would refuse it; less, and no servo step might come of it.
-    """
-
-    def go(source: Path) -> Path:
-        session = open_session(source)
-        info, records = session.info(), list(session.messages())
-        kept = {name: session.attachment(name) for name in info.attachments}
-        classes = {t.name: MESSAGE_TYPES[t.type_name] for t in info.topics}
-        meta = {k: v for k, v in info.metadata.items() if k != "steerd.end"}
-        poses = [i for i, record in enumerate(records) if record.topic.endswith("/mocap")]
-        middle = poses[len(poses) // 2]
-        target = tmp_path / f"tampered_{source.name}"
-        writer = SessionWriter(target, classes, meta, kept, info.start_ns)
-        for i, record in enumerate(records):
-            data = record.data
-            if i == middle:
-                pose: MocapPose = record.decode()
-                data = encode(replace(pose, y=pose.y + 0.002, yaw=pose.yaw + 0.004))
-            writer.write(record.topic, data, record.log_ns, record.publish_ns)
-        writer.finish({"reason": "copied"})
-        return target
-
-    return go
 
 
 @pytest.fixture

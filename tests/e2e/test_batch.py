@@ -94,15 +94,18 @@ def test_a_session_is_diagnosed_with_its_cars_own_file(fleet, tmp_path):
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (["summarise", "{tmp}"], 3, "no session"),
-        (["identify", "{drives}", "--cars", "{tmp}/none"], 3, "does not exist"),
-        (["summarise", "{drives}", "-o", "{drives}/circle.mcap"], 2, "never overwritten"),
+        (["batch", "summarise", "{empty}"], 3, "no session"),
+        (["batch", "identify", "{drives}", "--cars", "{empty}/none"], 3, "does not exist"),
+        (["batch", "summarise", "{drives}", "-o", "{drives}/circle.mcap"], 2, "never overwritten"),
+        (["sweep"], 2, "a sweep file is needed"),
+        (["sweep", "{file}", "--again", "3"], 2, "--again and --record go together"),
+        (["sweep", "{file}", "--again", "9", "--record", "x.mcap"], 2, "they are 0 to 3"),
+        (["sweep", "{file}", "-o", "{empty}/none/x.parquet"], 3, "there is no folder"),
     ],
 )
-def test_a_mistake_is_one_line(words, code, said, drives, tmp_path_factory, capsys):
-    empty = tmp_path_factory.mktemp("empty")
-    argv = [word.format(tmp=empty, drives=drives) for word in words]
-    assert run_cli(["batch", *argv]) == code
+def test_a_mistake_is_one_line(words, code, said, drives, file, tmp_path_factory, capsys):
+    places = {"empty": tmp_path_factory.mktemp("empty"), "drives": drives, "file": file}
+    assert run_cli([word.format(**places) for word in words]) == code
     assert said in capsys.readouterr().err
 
 
@@ -165,21 +168,6 @@ def test_a_drive_of_it_is_driven_again_and_recorded(file, tmp_path, whole, capsy
     assert float(truth["steerd.truth"]["mass"]) == row["car.mass"], "the car that drove"
     drive = steerd.load(session)
     assert drive.duration > 3.6
-
-
-@pytest.mark.parametrize(
-    ("words", "code", "said"),
-    [
-        ([], 2, "a sweep file is needed"),
-        (["{file}", "--again", "3"], 2, "--again and --record go together"),
-        (["{file}", "--again", "9", "--record", "x.mcap"], 2, "they are 0 to 3"),
-        (["{file}", "-o", "{tmp}/none/x.parquet"], 3, "there is no folder"),
-    ],
-)
-def test_a_mistake_of_a_sweep_is_one_line(words, code, said, file, tmp_path, capsys):
-    argv = [word.format(file=file, tmp=tmp_path) for word in words]
-    assert run_cli(["sweep", *argv]) == code
-    assert said in capsys.readouterr().err
 
 
 def test_the_example_is_a_sweep_file(tmp_path, capsys):

@@ -1,4 +1,4 @@
-"""`steerd collect` in real time: on a port as on a car, and with its own simulated hardware."""
+"""`steerd collect` in real time, on a port as on a car."""
 
 import numpy as np
 import pytest
@@ -11,26 +11,14 @@ pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 PLAN = ("--plan", "steps", "--box", "14", "--duration", "4")
 
 
-def collect(steerd, record, *more):
-    return steerd("collect", "--listen", steerd.endpoint, "--record", record, *PLAN, *more)
-
-
-def check_drive(record):
-    """The session holds an exciting drive that identification can read."""
-    asked = open_session(record).columns(m.Actuation)
-    driven = asked["mode"] == m.ActuationMode.SPEED
-    assert np.ptp(asked["steer"][driven]) > 0.05
-    run = read_run(open_session(record))
-    assert run.duration > 2.5
-    assert run.servo_frame == 0.02
-    assert np.ptp(run.pose.values[:, 0]) > 1.0
-
-
 def test_a_car_on_a_port_drives_the_plan(undisturbed):
+    """The session holds an exciting drive that identification can read."""
+
     def scenario(steerd, folder):
         port, url = steerd.sim(folder)
         record = folder / "drive.mcap"
-        run = collect(steerd, record, "--port", port, "--mocap", url)
+        run = steerd("collect", "--listen", steerd.endpoint, "--record", record, *PLAN,
+                     "--port", port, "--mocap", url)  # fmt: skip
         run.expect("READY")
         steerd("arm", "--connect", steerd.endpoint).expect("armed:")
         go = steerd("start", "--connect", steerd.endpoint)
@@ -38,6 +26,12 @@ def test_a_car_on_a_port_drives_the_plan(undisturbed):
         assert run.wait() == 0, run.text
         assert go.wait() == 0, go.text
         assert "end of the run" in run.text
-        check_drive(record)
+        asked = open_session(record).columns(m.Actuation)
+        driven = asked["mode"] == m.ActuationMode.SPEED
+        assert np.ptp(asked["steer"][driven]) > 0.05
+        run = read_run(open_session(record))
+        assert run.duration > 2.5
+        assert run.servo_frame == 0.02
+        assert np.ptp(run.pose.values[:, 0]) > 1.0
 
     undisturbed(scenario)

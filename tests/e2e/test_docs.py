@@ -21,7 +21,8 @@ from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.settings.vesc_yaml import make_vesc_yaml
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.vesc_link.scaling import F1TENTH
-from tests.e2e.conftest import Launcher, free_port
+from tests.e2e.conftest import Launcher
+from tests.safety.live import free_port
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]

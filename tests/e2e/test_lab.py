@@ -5,7 +5,7 @@ import signal
 import pytest
 
 from steerd.daemon.cli.main import run_cli
-from tests.e2e.conftest import free_port
+from tests.safety.live import free_port
 
 pytest.importorskip("cryptography")
 pytestmark = pytest.mark.timeout(240)

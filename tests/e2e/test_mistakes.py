@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from steerd.daemon.cli.main import run_cli
-from tests.e2e.conftest import free_port
+from tests.safety.live import free_endpoint
 
 LIBC = ctypes.CDLL(None)
 CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH = 1, 2
@@ -38,10 +38,16 @@ TABLE = [
     (("run",), 2, ["--port", "--sim"]),
     (("run", "--sim", "--port", "/dev/ttyACM0"), 2, ["--sim has its own"]),
     ((*LIVE, "--port", "/dev/ttyACM0", "--auto-arm"), 2, ["--sim only"]),
+    (("run", "--sim", "--ros-domain", "233"), 2, ["0 to 232"]),
+    *(
+        (("run", "--port", "/dev/ttyACM0", "--mocap", "zenoh:pose", of_ros, "--lab", "{tmp}"), 2,
+         ["not those of ROS"])
+        for of_ros in ("--ros-domain=0", "--mocap=ros2:///pf", "--controller=ros2")
+    ),
     (("replay", "{tmp}/notes.csv"), 3, ["notes.csv is not an MCAP file"]),
     (("info", "{tmp}"), 3, ["is a directory"]),
     (("sim", "--fault", "volcano"), 2, ["volcano"]),
-]
+]  # fmt: skip
 
 
 @pytest.fixture
@@ -85,10 +91,6 @@ def run_live(place, *argv, **options):
     return done.returncode, done.stderr
 
 
-def free_endpoint() -> str:
-    return f"tcp/127.0.0.1:{free_port()}"
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("port", "mocap", "code", "parts"),
@@ -96,6 +98,7 @@ def free_endpoint() -> str:
         ("{tmp}/ttyACM9", "natnet://127.0.0.1/car", 3, ["ttyACM9"]),
         ("{tmp}/notes.csv", "natnet://127.0.0.1/car", 3, ["notes.csv"]),
         ("{tty}", "motive://127.0.0.1/car", 2, ["motive://", "natnet://HOST"]),
+        ("{tty}", "ros2://pf", 2, ["a topic is like ros2:///pf/pose/odom"]),
         ("{tty}", "natnet://127.0.0.1", 2, ["natnet://127.0.0.1"]),
         ("{tty}", "vrpn://no.such.host.invalid/car", 3, ["no.such.host.invalid"]),
     ],

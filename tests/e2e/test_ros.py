@@ -1,6 +1,5 @@
 """ROS 2 nodes on rmw_zenoh, with nothing of ours: they see the car, and say where it is."""
 
-import os
 import re
 import signal
 import struct
@@ -14,12 +13,11 @@ import xxhash  # noqa: TID251
 import zenoh  # noqa: TID251
 
 from steerd.car_model.car_file import default_car_path
-from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.session_read import open_session
-from tests.e2e.conftest import changes
+from tests.e2e.conftest import changes, replays
 from tests.e2e.ros_peer import LATENCY, NOISE, RADIUS, YAW_NOISE, connect
-from tests.e2e.test_live import ROS_PEER, STOPS, Watcher, start_run
+from tests.e2e.test_live import ROS_PEER, STOPS, Watcher, arm_and_start, start_run
 from tests.ros_messages import ODOMETRY, STORE, make_key
 
 pytestmark = pytest.mark.timeout(240)
@@ -80,25 +78,6 @@ def test_a_ros_subscription_finds_and_decodes_the_car(steerd, tmp_path):
     assert run.wait() == 0, run.text
 
 
-def test_a_domain_that_is_none_is_told(capsys):
-    assert run_cli(["run", "--sim", "--ros-domain", "233"]) == 2
-    assert "0 to 232" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("asked", ["--ros-domain=0", "--mocap=ros2:///pf", "--controller=ros2"])
-def test_a_lab_with_keys_has_no_part_in_ros(asked, tmp_path, capsys):
-    real = ["--port", "/dev/ttyACM0", "--mocap", "zenoh:pose"]
-    assert run_cli(["run", *real, asked, "--lab", str(tmp_path)]) == 2
-    assert "not those of ROS" in capsys.readouterr().err
-
-
-def test_an_address_without_a_topic_is_one_line(steerd):
-    port = os.ttyname(os.openpty()[1])
-    run = steerd("run", "--port", port, "--mocap", "ros2://pf", "--listen", steerd.endpoint)
-    assert run.wait() == 2
-    assert re.fullmatch(r"steerd: .+: a topic is like ros2:///pf/pose/odom\n", run.text)
-
-
 def make_lidar_car(path: Path) -> Path:
     """The car file as docs/how-to/use-with-ros.md changes it for a localiser."""
     text = default_car_path().read_text()
@@ -126,8 +105,7 @@ def test_a_localisers_poses_drive_the_car_and_their_end_stops_it(end, undisturbe
         track = folder / "track"
         peer = steerd("localise", url, steerd.endpoint, track, module=ROS_PEER)
         run.expect("READY")
-        steerd("arm", "--connect", steerd.endpoint).expect("armed:")
-        steerd("start", "--connect", steerd.endpoint).expect("driving")
+        arm_and_start(steerd)
         with closing(Watcher(steerd.endpoint)) as watcher:
             driven = watcher.driving(run, 5.0)
             assert driven.mode not in STOPS, run.text
@@ -143,7 +121,6 @@ def test_a_localisers_poses_drive_the_car_and_their_end_stops_it(end, undisturbe
         off = np.hypot(poses["x"], poses["y"] - RADIUS) - RADIUS
         assert np.std(off) == pytest.approx(NOISE, rel=0.3), "as a LiDAR sees it"
         assert np.mean(poses["reject"] == "") > 0.95
-        capsys.readouterr()
-        assert run_cli(["replay", str(record)]) == 0
+        assert replays(record, capsys)
 
     undisturbed(scenario)

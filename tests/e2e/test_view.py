@@ -7,28 +7,33 @@ import json
 import os
 import signal
 import struct
+from functools import partial
 
 import pytest
 import websockets  # noqa: TID251
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from steerd.daemon.cli.main import run_cli
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.session_read import open_session
-from tests.e2e.conftest import changes, free_port
+from tests.e2e.conftest import changes, replays
 from tests.e2e.test_live import Watcher, start_run
+from tests.safety.live import free_port
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 WANTED = ("/steerd/car1/state", "/steerd/car1/odom", "/scene", "/tf")
 LATE_MODES = (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
 
 
+join = partial(
+    websockets.connect, subprotocols=[websockets.Subprotocol("foxglove.sdk.v1")], max_size=None
+)
+
+
 async def look(url, seconds, **headers):
     """What a client sees: server info, channels, messages by topic, parameters."""
     received, heard = {}, {topic: [] for topic in WANTED}
-    protocol = [websockets.Subprotocol("foxglove.sdk.v1")]
-    async with websockets.connect(url, subprotocols=protocol, max_size=None, **headers) as client:
+    async with join(url, **headers) as client:
         async with asyncio.timeout(seconds):
             while not all(heard.values()) or "parameterValues" not in received:
                 frame = await client.recv()
@@ -94,29 +99,12 @@ def test_a_client_sees_the_drive_and_the_viewers_death_changes_nothing(steerd, t
     assert SupervisorState.RUNNING in recorded
 
 
-# Live parameters over the wire: from the page, from `watch` and from Foxglove, then replayed.
-
-
-def answers(session):
-    """Every answer to a request, in order: accepted, speed, offset, gain."""
-    said = [r.decode() for r in open_session(session).messages("/steerd/car1/parameters")]
-    by_request = {(p.lease_id, p.seq): p for p in said if p.lease_id}
-    return [(bool(p.accepted), p.speed, p.offset, p.gain) for p in by_request.values()]
-
-
-def end_and_replay(run, record, capsys):
-    """End the run; its replay must give every order again."""
-    run.send(signal.SIGINT)
-    assert run.wait() == 0, run.text
-    capsys.readouterr()
-    assert run_cli(["replay", str(record)]) == 0
-    assert "all equal the recorded ones" in capsys.readouterr().out
+# Live parameters set from Foxglove, then replayed.
 
 
 async def set_in_foxglove(url, name, value):
     """What a viewer does to set a parameter; the value that the car confirms."""
-    protocol = [websockets.Subprotocol("foxglove.sdk.v1")]
-    async with websockets.connect(url, subprotocols=protocol, max_size=None) as client:
+    async with join(url) as client:
         await client.send(json.dumps({"op": "subscribeParameterUpdates", "parameterNames": [name]}))
         wanted = {"op": "setParameters", "parameters": [{"name": name, "value": value}]}
         await client.send(json.dumps(wanted))
@@ -139,7 +127,10 @@ def test_from_foxglove_where_the_run_allows_it(steerd, tmp_path, capsys):
         url = run.expect(r"view: (\S+)")[1]
         assert asyncio.run(set_in_foxglove(url, "live.speed", 0.5))
         assert watcher.driving(run, 2.0).speed == pytest.approx(0.5, abs=0.05)
-    end_and_replay(run, record, capsys)
-    assert answers(record) == [(True, 0.5, 0.0, 1.0)]
-    said = open_session(record).messages("/steerd/car1/parameters")
-    assert "set by viewer" in {r.decode().text for r in said}
+    run.send(signal.SIGINT)
+    assert run.wait() == 0, run.text
+    assert replays(record, capsys)
+    said = [r.decode() for r in open_session(record).messages("/steerd/car1/parameters")]
+    answers = {(p.lease_id, p.seq): p for p in said if p.lease_id}.values()
+    assert [(p.accepted, p.speed, p.offset, p.gain) for p in answers] == [(True, 0.5, 0.0, 1.0)]
+    assert "set by viewer" in {p.text for p in said}

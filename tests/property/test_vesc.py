@@ -74,14 +74,6 @@ def test_strict_parser_is_the_firmware_byte_for_byte(data):
     assert got == firmware_reference(data)
 
 
-@given(SOUP, CUTS)
-@CHECKED
-def test_strict_parser_does_not_care_about_chunks(data, cuts):
-    whole = FrameParser(strict=True).feed(data, 0)
-    parser = FrameParser(strict=True)
-    assert [p for chunk in chunks(data, cuts) for p in parser.feed(chunk, 0)] == whole
-
-
 @given(st.lists(PAYLOADS, max_size=6), CUTS)
 @CHECKED
 def test_host_parser_gives_the_same_packets_for_any_chunks(payloads, cuts):
@@ -124,14 +116,6 @@ def test_good_frame_behind_any_garbage_is_found_at_once_by_the_host(garbage, pay
     parser.feed(garbage, 0)
     frame = encode_frame(payload)
     assert payload in parser.feed(frame, 1) or payload in parser.feed(frame, 2)
-
-
-@given(SOUP, PAYLOADS)
-@CHECKED
-def test_firmware_finds_a_good_frame_behind_any_garbage_and_the_zero_flush(garbage, payload):
-    parser = FrameParser(strict=True)
-    parser.feed(garbage + bytes(520), 0)
-    assert parser.feed(encode_frame(payload), 1) == [payload]
 
 
 @given(PAYLOADS, st.data())

@@ -230,14 +230,7 @@ def _break_estimator(rig: Rig) -> None:
 
 
 def _give_nan(rig: Rig) -> None:
-    loop = rig.run.core.loop
-    plain_command = loop._make_wish
-
-    def wish(*args: Any) -> Any:
-        _, report = plain_command(*args)
-        return Command(nan, nan), report
-
-    loop._make_wish = wish  # type: ignore[method-assign]
+    car.wish_for(rig, lambda _: Command(nan, nan))
 
 
 def _late(ms: float) -> Act:
@@ -362,7 +355,7 @@ def _car() -> tuple[FaultCase, ...]:
         FaultCase("C10", "wheels accelerate by 2 m/s2", car.run_away, HARD, 0.3, cold="launch"),
         FaultCase("C11", "motor dead", car.die, HARD, 0.45, decel=COAST, cold="launch"),
         # What a servo does wrong does not show before it is told to turn: on the straight and in
-        # the steady bend of these phases perhaps never. `python -m tests.safety.shown` turns.
+        # the steady bend of these phases perhaps never. `python -m benchmarks.shown` turns.
         FaultCase("C12", "steering stays where it is", car.stick, SAFE, asks_stop=True),
         FaultCase("C13", "servo turns the other way", car.reverse, HARD, 1.5, at=lost, lane_m=0.6),
         FaultCase("C14", "servo ten times slower", car.slow_down, SAFE, asks_stop=True),

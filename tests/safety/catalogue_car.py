@@ -1,6 +1,8 @@
 """Faults of car, lane and filter: what the watchdogs of the driving itself (W6, W17 to W23) see."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from math import cos, sin, tau
 from typing import Any
 
@@ -24,28 +26,24 @@ def jam(angle: float) -> Any:
     return act
 
 
+def _motor(rig: Rig, act: Callable[..., tuple[Demand, float]]) -> None:
+    """The motor does `act(plain, mode, value, erpm)`; `plain` is what it would do."""
+    vesc = rig.run.world.vesc
+    vesc._act = partial(act, vesc._act)  # type: ignore[method-assign]
+
+
 def surge(rig: Rig) -> None:
     """The motor turns twice as fast as commanded; its brake still works."""
-    motor = rig.run.world.vesc.motor
-    plain_command = motor.step
-
-    def step(t_ns: int, h: float) -> tuple[Mode, float]:
-        mode, value = plain_command(t_ns, h)
-        return mode, value * SURGE if mode is Mode.SPEED else value
-
-    motor.step = step  # type: ignore[method-assign]
+    _motor(rig, lambda plain, mode, value, erpm: plain(
+        mode, value * SURGE if mode is Mode.SPEED else value, erpm
+    ))  # fmt: skip
 
 
 def hit_a_wall(rig: Rig) -> None:
     """The wheels stand still against something while the motor pushes."""
-    vesc = rig.run.world.vesc
-    plain_command = vesc._act
-
-    def act(mode: Mode, value: float, erpm: float) -> tuple[Demand, float]:
-        _, current = plain_command(mode, value, erpm)
-        return WALL, WALL_CURRENT_A if mode is Mode.SPEED else current
-
-    vesc._act = act  # type: ignore[method-assign]
+    _motor(rig, lambda plain, mode, *more: (
+        WALL, WALL_CURRENT_A if mode is Mode.SPEED else plain(mode, *more)[1]
+    ))  # fmt: skip
 
 
 def fence_off(rig: Rig) -> None:
@@ -73,20 +71,21 @@ def diverge(rig: Rig) -> None:
     perception.estimate = estimate  # type: ignore[method-assign]
 
 
+def wish_for(rig: Rig, change: Callable[[Command[float] | None], Any]) -> None:
+    """The controller wants what `change` makes of its wish, for ever; the car obeys."""
+    loop = rig.run.core.loop
+    plain = loop._make_wish
+
+    def wish(*args: Any) -> Any:
+        wanted, report = plain(*args)
+        return change(wanted), report
+
+    loop._make_wish = wish  # type: ignore[method-assign]
+
+
 def stuck(steer: float) -> Any:
-    """The controller wants one angle [rad] for ever; the car obeys."""
-
-    def act(rig: Rig) -> None:
-        loop = rig.run.core.loop
-        plain_command = loop._make_wish
-
-        def wish(*args: Any) -> Any:
-            wanted, report = plain_command(*args)
-            return wanted and Command(steer, wanted.speed), report
-
-        loop._make_wish = wish  # type: ignore[method-assign]
-
-    return act
+    """The controller wants one angle [rad]."""
+    return lambda rig: wish_for(rig, lambda wanted: wanted and Command(steer, wanted.speed))
 
 
 def restart_quietly(rig: Rig) -> None:
@@ -101,24 +100,15 @@ SLOW_SERVO = 0.32  # a tenth of a servo's slew rate [rad/s]
 
 def run_away(rig: Rig) -> None:
     """The wheels accelerate whatever speed is ordered; the brake still works."""
-    _push(rig, Demand(Drive.FORCE, RUNAWAY + rig.run.world.car.setup.coast_decel))
+    push = Demand(Drive.FORCE, RUNAWAY + rig.run.world.car.setup.coast_decel)
+    _motor(rig, lambda plain, mode, *more: (
+        push if mode is Mode.SPEED else plain(mode, *more)[0], plain(mode, *more)[1]
+    ))  # fmt: skip
 
 
 def die(rig: Rig) -> None:
     """The motor neither drives nor brakes: the car rolls."""
-    rig.run.world.vesc._act = lambda *_: (COAST, 0.0)  # type: ignore[method-assign]
-
-
-def _push(rig: Rig, instead: Demand) -> None:
-    """What the motor does instead of following a speed."""
-    vesc = rig.run.world.vesc
-    plain = vesc._act
-
-    def act(mode: Mode, value: float, erpm: float) -> tuple[Demand, float]:
-        done, current = plain(mode, value, erpm)
-        return (instead, current) if mode is Mode.SPEED else (done, current)
-
-    vesc._act = act  # type: ignore[method-assign]
+    _motor(rig, lambda *_: (COAST, 0.0))
 
 
 def stick(rig: Rig) -> None:

@@ -74,18 +74,19 @@ def read_motor_frames(log: Iterable[Logged]) -> tuple[MotorFrame, ...]:
     return tuple(frames)
 
 
-def find_stop(frames: Sequence[MotorFrame], t_ns: int) -> MotorFrame | None:
+def find_stop(frames: Sequence[MotorFrame], t_ns: int, *, ramps: bool = True) -> MotorFrame | None:
     """The first stop frame from ``t_ns`` on, if nothing after it ever asks for more.
 
-    A stop frame brakes, releases, or asks for less speed than the frame before it.
+    A stop frame brakes or releases; with `ramps` it may also ask for less speed than the one before
+    it.
     """
     first: MotorFrame | None = None
-    for before, frame in reversed(list(pairwise(frames))):
+    for before, frame in reversed(list(zip((None, *frames), frames, strict=False))):
         if frame.t_ns < t_ns:
             break
         if frame.effort is not Effort.DRIVE:
             first = frame
-        elif before.effort is not Effort.DRIVE or frame.value > before.value:
+        elif not (ramps and before and before.effort is Effort.DRIVE) or frame.value > before.value:
             break
         elif frame.value < before.value:
             first = frame

@@ -211,6 +211,11 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+def free_endpoint() -> str:
+    """An address on which a bus may listen."""
+    return f"tcp/127.0.0.1:{free_port()}"
+
+
 @contextlib.contextmanager
 def start_hardware() -> Iterator[tuple[Connection, BaseProcess, str, str]]:
     """Simulated hardware in a process: commands to it, it, its serial port and mocap address."""
@@ -243,7 +248,7 @@ def start_live(folder: Path, **more: Any) -> Iterator[Live]:
     with start_hardware() as (ours, device, port, url):
         options = RunOptions(
             car_file="", path="line", speed=1.0, port=port, mocap=url,
-            listen=f"tcp/127.0.0.1:{free_port()}", **more,
+            listen=free_endpoint(), **more,
         )  # fmt: skip
         epoch_ns = CLOCK.realtime_ns() - CLOCK.now_ns()
         plan = make_plan(options, real=RunId(BOOT_ID, epoch_ns, leased=True))

@@ -15,7 +15,7 @@ from steerd.steer_bus.messages import RequestKind, StateMessage, Transition
 from steerd.steer_bus.topics import make_key
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 from tests.e2e.conftest import Program, children
-from tests.safety.live import CLOCK, Live, free_port, start_hardware
+from tests.safety.live import CLOCK, Live, free_endpoint, start_hardware
 
 END_S = 15.0  # after so long without its parent every child has ended
 _KEYS = {RequestKind.ARM: "a", RequestKind.START: "s", RequestKind.STOP: " "}
@@ -71,7 +71,7 @@ class AtTerminal(Live):
 def at_terminal(folder: Path) -> Iterator[AtTerminal]:
     """A run at its terminal, which is killed in the end: its children must end by themselves."""
     ours, theirs = pty.openpty()
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     with start_hardware() as (hardware, device, port, url):
         live = AtTerminal(None, hardware, device)  # type: ignore[arg-type]
         live.keys, where = ours, ("--port", port, "--mocap", url, "--listen", endpoint)

@@ -1,7 +1,7 @@
 """One cell of the fault matrix: a fault, a phase, what the bytes and the floor say about it."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, inf
 
 from steerd.daemon.assembly.build import NS
@@ -49,7 +49,7 @@ class Outcome:
         distance_m: driven from the fault to rest, and `allowed_m` of it.
         off_m: largest true distance from the path.
         states: states that followed, in order.
-        reason: why the first of them; `reasons` of all.
+        reasons: why each of them.
         wrong: verdicts that failed, as text; empty for a good cell.
     """
 
@@ -59,34 +59,28 @@ class Outcome:
     distance_m: float
     allowed_m: float
     off_m: float
-    states: tuple[str, ...]
-    reason: str
+    states: tuple[SupervisorState, ...]
     reasons: tuple[str, ...]
-    wrong: tuple[str, ...]
+    wrong: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Facts:
-    """All that the judges of a cell look at; see `Outcome`."""
+    """All that the judges of a cell look at: the drive, its bytes since the fault, its outcome."""
 
     rig: Rig
     fault_case: FaultCase
     must: Must
     frames: Sequence[MotorFrame]
-    states: tuple[SupervisorState, ...]
-    reasons: tuple[str, ...]
-    reported_s: float
-    stop_s: float
+    seen: Outcome
     bound_s: float
-    distance_m: float
-    allowed_m: float
-    off_m: float
+    reported_s: float
 
-    def rearmed(self, phase: str) -> bool:
+    def rearmed(self) -> bool:
         """Whether the only step up is the end of a stop that the operator requested for."""
         wanted = self.fault_case.asks_stop or self.fault_case.rearms
-        requested = phase == "P7" or wanted or self.must is Must.LIVE_ON
-        return requested and set(self.states) & UPWARD == {SupervisorState.ARMED}
+        requested = self.seen.phase == "P7" or wanted or self.must is Must.LIVE_ON
+        return requested and set(self.seen.states) & UPWARD == {SupervisorState.ARMED}
 
 
 def run_cell(fault_case: FaultCase, phase: str, *, adapting: bool = False) -> Outcome:
@@ -156,173 +150,127 @@ def off_path(rig: Rig) -> float:
     return max((abs(hypot(m.x, m.y - radius) - radius) for m in rig.track), default=0.0)
 
 
-def find_brake(frames: Sequence[MotorFrame], t_ns: int) -> MotorFrame | None:
-    """The first frame from ``t_ns`` on that does not drive and is followed by none that does."""
-    first: MotorFrame | None = None
-    for frame in reversed(frames):
-        if frame.effort is Effort.DRIVE or frame.t_ns < t_ns:
-            break
-        first = frame
-    return first
-
-
 def judge(rig: Rig, fault_case: FaultCase, phase: str, t_fault: int, seen: int) -> Outcome:
     """Verdicts (a) to (h) of `docs/reference/safety-requirements.md#s6.1`."""
     frames = read_motor_frames(rig.run.world.log)
     followed = rig.notes.transitions[seen:]
     must = must_now(fault_case, phase)
-    find = find_stop if must in (Must.STOP_SOFT, Must.LIVE_ON, Must.STAY_SAFE) else find_brake
-    stop = find(frames, t_fault)
+    ramps = must in (Must.STOP_SOFT, Must.LIVE_ON, Must.STAY_SAFE)
+    stop = find_stop(frames, t_fault, ramps=ramps)
     bound = fault_case.bound_s + TICK
     fastest = max((abs(motion.speed) for motion in rig.track), default=0.0)
-    decel = SOFT_DECEL if find is find_stop else HARD_DECEL
-    pause = (STOP_ASKED_NS / NS if fault_case.asks_stop else 0.0) + (
-        SPEED_LAG_S if find is find_stop else 0.0
-    )
-    allowed = SLACK_M + stopping_distance(
-        fastest, bound + fault_case.blind_s + pause, min(decel, fault_case.decel)
-    )
-    facts = Facts(
-        rig=rig,
-        fault_case=fault_case,
-        must=must,
-        frames=[frame for frame in frames if frame.t_ns >= t_fault],
-        states=tuple(SupervisorState(message.to_state) for _, message in followed),
-        reasons=tuple(message.text for _, message in followed),
-        reported_s=(followed[0][0] - t_fault) / NS if followed else inf,
-        stop_s=(stop.t_ns - t_fault) / NS if stop else inf,
-        bound_s=bound,
-        distance_m=distance_driven(rig.track, t_fault),
-        allowed_m=allowed,
-        off_m=off_path(rig),
-    )
-    judges = {"P0": judge_cold, "P1": judge_standing, "P2": judge_standing, "P3": judge_standing}
-    wrong = tuple(judges.get(phase, judge_moving)(facts, phase))
-    return Outcome(
+    pause = (STOP_ASKED_NS / NS if fault_case.asks_stop else 0.0) + (SPEED_LAG_S if ramps else 0.0)
+    decel = min(SOFT_DECEL if ramps else HARD_DECEL, fault_case.decel)
+    outcome = Outcome(
         fault_case.code,
         phase,
-        facts.stop_s,
-        facts.distance_m,
-        allowed,
-        facts.off_m,
-        tuple(state.name for state in facts.states),
-        facts.reasons[0] if facts.reasons else "",
-        facts.reasons,
-        wrong,
+        stop_s=(stop.t_ns - t_fault) / NS if stop else inf,
+        distance_m=distance_driven(rig.track, t_fault),
+        allowed_m=SLACK_M + stopping_distance(fastest, bound + fault_case.blind_s + pause, decel),
+        off_m=off_path(rig),
+        states=tuple(SupervisorState(message.to_state) for _, message in followed),
+        reasons=tuple(message.text for _, message in followed),
     )
+    since = [frame for frame in frames if frame.t_ns >= t_fault]
+    reported_s = (followed[0][0] - t_fault) / NS if followed else inf
+    facts = Facts(rig, fault_case, must, since, outcome, bound, reported_s)
+    judges = {"P0": judge_cold, "P1": judge_standing, "P2": judge_standing, "P3": judge_standing}
+    return replace(outcome, wrong=tuple(judges.get(phase, judge_moving)(facts)))
 
 
-def judge_moving(f: Facts, phase: str) -> Iterator[str]:
+def judge_moving(f: Facts) -> Iterator[str]:
     """A car that moves, or has just been requested to stop."""
-    if any(state in UPWARD for state in f.states) and not f.rearmed(phase):
-        yield f"(c) went up by itself: {f.states}"
-    if not all(f.reasons):
+    if any(state in UPWARD for state in f.seen.states) and not f.rearmed():
+        yield f"(c) went up by itself: {f.seen.states}"
+    if not all(f.seen.reasons):
         yield "(e) a transition without a reason"
-    if not f.fault_case.obeys and phase != "P8":
+    if not f.fault_case.obeys and f.seen.phase != "P8":
         yield from judge_deaf(f)
         return
     if not f.rig.resting:
         yield f"(d) never came to rest: {f.rig.track[-1].speed:.2f} m/s"
-    if f.off_m > f.fault_case.lane_m:
-        yield f"(g) left the lane by {f.off_m:.2f} m"
+    if f.seen.off_m > f.fault_case.lane_m:
+        yield f"(g) left the lane by {f.seen.off_m:.2f} m"
     far = max(hypot(m.x - f.rig.track[0].x, m.y - f.rig.track[0].y) for m in f.rig.track)
     if far > f.fault_case.within_m:
         yield f"(h) got {far:.2f} m away"
-    if phase == "P8":
-        if any(frame.effort is Effort.DRIVE for frame in f.frames):
-            yield "(b) a drive frame in FAULT_STOP"
-        if f.distance_m > f.allowed_m:
-            yield f"(d) {f.distance_m:.2f} m to rest, allowed {f.allowed_m:.2f} m"
+    if f.seen.phase == "P8" and any(frame.effort is Effort.DRIVE for frame in f.frames):
+        yield "(b) a drive frame in FAULT_STOP"
+    if f.seen.phase != "P8" and f.must is Must.LIVE_ON:
+        yield from judge_undisturbed(f)
         return
-    if f.must is Must.LIVE_ON:
-        yield from judge_undisturbed(f, phase)
-        return
-    if f.distance_m > f.allowed_m:
-        yield f"(d) {f.distance_m:.2f} m to rest, allowed {f.allowed_m:.2f} m"
-    if f.must is not Must.STAY_SAFE:
-        yield from judge_stop(f, phase)
+    if f.seen.distance_m > f.seen.allowed_m:
+        yield f"(d) {f.seen.distance_m:.2f} m to rest, allowed {f.seen.allowed_m:.2f} m"
+    if f.seen.phase != "P8" and f.must is not Must.STAY_SAFE:
+        yield from judge_stop(f)
 
 
-def judge_stop(f: Facts, phase: str) -> Iterator[str]:
+def judge_stop(f: Facts) -> Iterator[str]:
     """A fault that must stop the car."""
+    ramps_already = f.seen.phase == "P7" and f.must is Must.STOP_SOFT
     if f.fault_case.wire:
-        ramps_already = phase == "P7" and f.must is Must.STOP_SOFT
-        if not ramps_already and f.stop_s > f.bound_s:
-            yield f"(a) first stop byte after {f.stop_s:.3f} s, bound {f.bound_s:.3f}"
+        if not ramps_already and f.seen.stop_s > f.bound_s:
+            yield f"(a) first stop byte after {f.seen.stop_s:.3f} s, bound {f.bound_s:.3f}"
     elif count_drive_frames(f.frames, f.rig.track[0].t_ns + 200 * MS):
         yield "(b) a drive frame after the link came back"
     wanted = SupervisorState[f.must.value]
-    if phase == "P7" and f.must is Must.STOP_SOFT:
-        if SupervisorState.ARMED in f.states and not f.fault_case.rearms:
+    if ramps_already:
+        if SupervisorState.ARMED in f.seen.states and not f.fault_case.rearms:
             yield "(c) armed again although something is wrong"
-    elif wanted not in f.states:
-        yield f"(a) {wanted.name} was never entered: {f.states}"
+    elif wanted not in f.seen.states:
+        yield f"(a) {wanted.name} was never entered: {f.seen.states}"
     elif f.reported_s > f.bound_s:
         yield f"(e) reported after {f.reported_s * 1e3:.0f} ms"
 
 
-def judge_undisturbed(f: Facts, phase: str) -> Iterator[str]:
+def judge_undisturbed(f: Facts) -> Iterator[str]:
     """A fault that a car must live with."""
-    bad = [
-        s
-        for s in f.states
-        if s in (SupervisorState.FAULT_STOP, SupervisorState.ESTOP, SupervisorState.INIT)
-    ]
-    if bad:
-        yield f"(f) false stop: {f.states} {f.reasons[-1]}"
-    elif phase != "P7" and f.reported_s < WATCH_S:
-        yield f"(f) false stop after {f.reported_s:.2f} s: {f.reasons[0]}"
+    if {SupervisorState.FAULT_STOP, SupervisorState.ESTOP, SupervisorState.INIT} & {*f.seen.states}:
+        yield f"(f) false stop: {f.seen.states} {f.seen.reasons[-1]}"
+    elif f.seen.phase != "P7" and f.reported_s < WATCH_S:
+        yield f"(f) false stop after {f.reported_s:.2f} s: {f.seen.reasons[0]}"
 
 
 def judge_deaf(f: Facts) -> Iterator[str]:
     """A VESC that ignores commands: the daemon must notice, go on braking and say so."""
-    if SupervisorState.FAULT_STOP not in f.states:
-        yield f"(a) no watchdog noticed that the stop has no effect: {f.states}"
+    if SupervisorState.FAULT_STOP not in f.seen.states:
+        yield f"(a) no watchdog noticed that the stop has no effect: {f.seen.states}"
     elif f.frames[-1].effort is not Effort.BRAKE:
         yield "(b) gave up braking"
 
 
-def judge_standing(f: Facts, phase: str) -> Iterator[str]:
+def judge_standing(f: Facts) -> Iterator[str]:
     """A car that stands and must not begin to move."""
     if any(frame.effort is Effort.DRIVE for frame in f.frames):
         yield "(b) a drive frame while not running"
-    if f.distance_m > 0.02:
-        yield f"(d) moved {f.distance_m:.2f} m"
-    now = f.rig.state
-    if SupervisorState.RUNNING in f.states or (phase != "P2" and set(f.states) & UPWARD):
-        yield f"(c) went up by itself: {f.states}"
-    if f.fault_case.cold == "red" and phase not in f.fault_case.unseen:
-        wrong = {
-            "P1": (SupervisorState.READY,),
-            "P2": (SupervisorState.ARMED,),
-            "P3": (SupervisorState.ARMED,),
-        }[phase]
-        if now in wrong:
-            yield f"(a) {now.name} in spite of it"
-    if f.must is Must.LIVE_ON:
-        good = {
-            "P1": SupervisorState.READY,
-            "P2": SupervisorState.ARMED,
-            "P3": SupervisorState.ARMED,
-        }[phase]
-        if now is not good:
-            yield f"(f) {now.name} instead of {good.name}: {f.reasons[-1:]}"
+    if f.seen.distance_m > 0.02:
+        yield f"(d) moved {f.seen.distance_m:.2f} m"
+    phase, states = f.seen.phase, f.seen.states
+    if SupervisorState.RUNNING in states or (phase != "P2" and set(states) & UPWARD):
+        yield f"(c) went up by itself: {states}"
+    healthy = SupervisorState.READY if phase == "P1" else SupervisorState.ARMED
+    now, red = f.rig.state, f.fault_case.cold == "red" and phase not in f.fault_case.unseen
+    if red and now is healthy:
+        yield f"(a) {now.name} in spite of it"
+    if f.must is Must.LIVE_ON and now is not healthy:
+        yield f"(f) {now.name} instead of {healthy.name}: {f.seen.reasons[-1:]}"
 
 
-def judge_cold(f: Facts, _phase: str) -> Iterator[str]:
+def judge_cold(f: Facts) -> Iterator[str]:
     """An operator who arms and starts with the fault there from the beginning."""
-    driven = SupervisorState.RUNNING in f.states
+    states = f.seen.states
+    driven = SupervisorState.RUNNING in states
     match f.fault_case.cold:
         case "red":
-            if SupervisorState.ARMED in f.states:
-                yield f"(a) armed in spite of it: {f.states}"
+            if SupervisorState.ARMED in states:
+                yield f"(a) armed in spite of it: {states}"
         case "launch":
-            if f.distance_m > LAUNCH_M:
-                yield f"(d) {f.distance_m:.2f} m before the launch checks stopped it"
-            if driven and SupervisorState.FAULT_STOP not in f.states:
-                yield f"(a) the launch checks let it pass: {f.states}"
+            if f.seen.distance_m > LAUNCH_M:
+                yield f"(d) {f.seen.distance_m:.2f} m before the launch checks stopped it"
+            if driven and SupervisorState.FAULT_STOP not in states:
+                yield f"(a) the launch checks let it pass: {states}"
         case _ if f.must is Must.LIVE_ON:
-            if not driven or SupervisorState.FAULT_STOP in f.states:
-                yield f"(f) cannot drive: {f.states} {f.reasons[-1:]}"
-    if f.fault_case.obeys and f.off_m > f.fault_case.lane_m:
-        yield f"(g) left the lane by {f.off_m:.2f} m"
+            if not driven or SupervisorState.FAULT_STOP in states:
+                yield f"(f) cannot drive: {states} {f.seen.reasons[-1:]}"
+    if f.fault_case.obeys and f.seen.off_m > f.fault_case.lane_m:
+        yield f"(g) left the lane by {f.seen.off_m:.2f} m"

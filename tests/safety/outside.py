@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.steer_bus.messages import RequestKind
 from tests.safety.catalogue import BY_CODE
 from tests.safety.matrix import run_cell
 from tests.safety.rig import make_rig
@@ -46,11 +45,7 @@ class OtherWorld:
         settings = replace(settings, thresholds=replace(settings.thresholds, **self.safety))
         with silenced(*self.behind):
             rig = make_rig(self.path, self.speed, settings, car=self.car)
-            rig.reach(SupervisorState.READY)
-            rig.ask(RequestKind.ARM)
-            rig.reach(SupervisorState.ARMED)
-            rig.ask(RequestKind.START)
-            rig.reach(SupervisorState.RUNNING)
+            rig.drive_off()
             rig.until(lambda r: r.state is not SupervisorState.RUNNING, DRIVE_S)
         return rig.notes.transitions[-1][1].text
 

@@ -159,6 +159,14 @@ class Rig:
         end = self.t_ns + round(seconds * NS)
         self.until(lambda rig: rig.t_ns >= end, seconds + 1.0)
 
+    def drive_off(self, then_s: float = 0.0) -> None:
+        """Arm and start as soon as the car lets itself, and drive a little."""
+        self.reach(SupervisorState.READY)
+        self.ask(RequestKind.ARM)
+        self.reach(SupervisorState.ARMED, 0.2)
+        self.ask(RequestKind.START)
+        self.reach(SupervisorState.RUNNING, then_s)
+
     def break_it(self, fault: str, **params: bool | float | str) -> None:
         """A fault of the simulated hardware begins now."""
         self.run.world.add_fault(Fault(fault, self.t_ns, **params))

@@ -1,20 +1,28 @@
 """Files and surroundings that somebody else made: one line each, at once, and never a traceback."""
 
 import os
-import re
 import resource
+import socket
 import subprocess
 import sys
 import time
 import urllib.request
 from contextlib import nullcontext
 from pathlib import Path
+from urllib.parse import urlparse
 
 import pytest
-from mcap.writer import Writer  # noqa: TID251
 
+from steerd.daemon.cli.commands import operate
 from steerd.daemon.cli.main import run_cli
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import encode
 from steerd.steer_bus.session_read import open_session
+from steerd.steer_bus.topics import make_key
+from tests.blank import status_message
+from tests.e2e.test_live_page import FakeCar, served
+from tests.local_bus import LocalBus, LocalHub
+from tests.replays import copy_session
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "circle.mcap"
 SOON = 20.0
@@ -27,38 +35,9 @@ CAR = (Path(__file__).parents[2] / "config" / "f1tenth.toml").read_text()
 SIM = ("run", "--sim", "--fast", "--duration", "0.5")
 
 
-def alter(out, metadata=None, attachments=None, options=None):
-    """The golden session with other metadata and attachments; an attachment of None is left out."""
-    session = open_session(GOLDEN)
-    about = {name: dict(values) for name, values in session.info().metadata.items()}
-    for name, values in (metadata or {}).items():
-        about.setdefault(name, {}).update(values)
-    if options is not None:
-        old = about["steerd.session"]["options"]
-        about["steerd.session"]["options"] = old.replace(*options)
-        assert about["steerd.session"]["options"] != old
-    files = {a.name: a.data for a in session.attachments()}
-    files |= attachments or {}
-    writer = Writer(str(out))
-    writer.start("ros2", "test")
-    for name, values in about.items():
-        writer.add_metadata(name, values)
-    for name, data in files.items():
-        if data is not None:
-            writer.add_attachment(0, 0, name, "text/plain", data)
-    contents = session.info()
-    schemas = {
-        key: writer.register_schema(s.name, s.encoding, s.data)
-        for key, s in contents.schemas.items()
-    }
-    channels = {
-        key: writer.register_channel(c.topic, c.message_encoding, schemas[c.schema_id])
-        for key, c in contents.channels.items()
-    }
-    for r in session.messages():
-        writer.add_message(channels[r.channel], r.log_ns, r.data, r.publish_ns, r.sequence)
-    writer.finish()
-    return out
+def alter(out, **changed):
+    """The golden session with other metadata and attachments."""
+    return copy_session(GOLDEN, out, **changed)
 
 
 def command(*words, before=None, env=None, stdin=subprocess.DEVNULL, cwd=None):
@@ -117,7 +96,7 @@ def test_a_car_file_inside_a_session(tmp_path, text):
 
 def test_a_session_whose_scaling_is_text(tmp_path, capsys):
     scaling = {"steerd.scaling": {"erpm_gain": "fast"}, "steerd.session": {"mode": "import"}}
-    path = alter(tmp_path / "x.mcap", scaling)
+    path = alter(tmp_path / "x.mcap", metadata=scaling)
     refuses(capsys, "info", path)
     refuses(capsys, "plot", path)
     refuses(capsys, "identify", path)
@@ -126,7 +105,10 @@ def test_a_session_whose_scaling_is_text(tmp_path, capsys):
 
 
 def test_a_session_without_the_path_file_that_it_names(tmp_path, capsys):
-    path = alter(tmp_path / "x.mcap", options=("circle:radius=2", "csv:lane.csv"))
+    options = open_session(GOLDEN).info().metadata["steerd.session"]["options"]
+    assert "circle:radius=2" in options
+    options = options.replace("circle:radius=2", "csv:lane.csv")
+    path = alter(tmp_path / "x.mcap", metadata={"steerd.session": {"options": options}})
     refuses(capsys, "replay", path)
 
 
@@ -183,21 +165,8 @@ def test_a_locale_that_knows_no_superscript():
 
 
 def test_a_diagnostics_message_that_would_steer_the_terminal(monkeypatch, capsys):
-    from steerd.daemon.cli.commands import operate
-    from steerd.steer_bus import topics
-    from steerd.steer_bus.codec import encode
-    from steerd.steer_bus.messages import BODY, make_header
-    from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
-    from steerd.steer_bus.topics import make_key
-    from tests.local_bus import LocalBus, LocalHub
-
     said = {"state": "READY\x1b[2J", "reason": "\x1b]0;owned\x07", "waiting": "\x9b31m"}
-    pairs = tuple(KeyValue(*pair) for pair in said.items())
-    data = encode(
-        DiagnosticArray(
-            make_header(0, BODY), (DiagnosticStatus(0, "steerd: supervisor", "", "", pairs),)
-        )
-    )
+    data = encode(status_message(**said))
 
     class Foreign(LocalBus):
         """A bus on which somebody answers every subscription."""
@@ -217,11 +186,6 @@ def test_a_diagnostics_message_that_would_steer_the_terminal(monkeypatch, capsys
 
 @pytest.mark.parametrize("twice", ["Host", "Origin"])
 def test_a_header_that_is_given_twice(twice, caplog):
-    import socket
-    from urllib.parse import urlparse
-
-    from tests.e2e.test_live_page import FakeCar, served
-
     with served(FakeCar()) as url:
         place = urlparse(url)
         address = f"{place.hostname}:{place.port}"
@@ -241,27 +205,11 @@ def test_a_header_that_is_given_twice(twice, caplog):
 # What lies in a cache is not run and not driven with unless it is what steerd left there.
 
 
-@pytest.fixture
-def cache(tmp_path):
-    return tmp_path / "cache"
-
-
-def drive(cache, *more):
-    """A second of simulated drive with that cache: digest of the bytes on the wire, and errors."""
-    argv = [sys.executable, "-m", "steerd", "run", "--sim", "--fast", "--duration", "1", *more]
-    argv += ["--record", str(cache.with_name(f"{len(list(cache.parent.glob('*.mcap')))}.mcap"))]
-    done = subprocess.run(
-        argv, capture_output=True, text=True, check=False, timeout=120,
-        env={**os.environ, "XDG_CACHE_HOME": str(cache)},
-    )  # fmt: skip
-    assert done.returncode == 0, (done.returncode, done.stderr)
-    return re.search(r"sha256 (\w+)", done.stdout)[1], done.stderr.splitlines()
-
-
-def test_no_code_lies_in_a_cache(cache):
+def test_no_code_lies_in_a_cache(tmp_path):
     """A drive leaves nothing there that a later one would execute."""
-    drive(cache)
-    left = [f for f in cache.rglob("*") if f.is_file()]
+    record = ("--record", tmp_path / "drive.mcap")
+    assert command(*SIM, *record, env={"XDG_CACHE_HOME": str(tmp_path / "cache")})[0] == 0
+    left = [f for f in (tmp_path / "cache").rglob("*") if f.is_file()]
     assert left, "gains are remembered"
     assert {f.suffix for f in left} == {".json"}
     assert not [f for f in left if f.stat().st_mode & 0o111]

@@ -78,6 +78,8 @@ def test_a_stop_that_is_taken_back_is_none() -> None:
     assert find_stop([drive(1), drive(2, 4.0), drive(3, 4.5), brake(4)], 0) == brake(4)
     assert find_stop([drive(1), drive(2)], 0) is None
     assert find_stop([drive(1), brake(2), brake(3)], 3) == brake(3)
+    assert find_stop([drive(1), drive(2, 4.0), brake(3)], 0, ramps=False) == brake(3)
+    assert find_stop([drive(1), brake(2), drive(3, 4.0)], 0, ramps=False) is None
 
 
 def test_drive_frames_after_a_moment_are_counted() -> None:
@@ -195,7 +197,7 @@ SLICE = [("M1", "P5"), ("M1", "P6"), ("C9", "P5")]
 
 
 def make_outcome(cell: tuple[str, str]) -> Outcome:
-    return Outcome(*cell, inf, 0.25, 0.5, 0.01, ("FAULT_STOP",), "W1", ("W1", "W5"), ())
+    return Outcome(*cell, inf, 0.25, 0.5, 0.01, (SupervisorState.FAULT_STOP,), ("W1", "W5"))
 
 
 def test_the_matrix_goes_on_where_it_was_left(monkeypatch, tmp_path) -> None:

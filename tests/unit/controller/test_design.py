@@ -272,12 +272,6 @@ def test_damping_is_that_of_the_mode():
     assert seen.damping == pytest.approx(0.1 / np.hypot(0.1, 0.3))
 
 
-def test_the_papers_poles_pass_where_they_are_stable():
-    made = make_controller(BARE, CIRCLE, PAPER, 100.0)
-    assert max(at.radius for at in made.report.stabilities) < 1.0
-    assert "pole_placement, 100 Hz" in made.report.describe()
-
-
 def by_poles(*poles, **more):
     return ControllerConfig(design="pole_placement", poles=poles, **more)
 
@@ -308,7 +302,8 @@ def test_a_refusal_says_why_and_what_would_pass(car, path, config, timing, said)
 
 
 def test_what_a_refusal_says_passes_does_pass():
-    make_controller(BARE, CIRCLE, PAPER, 100.0)
+    made = make_controller(BARE, CIRCLE, PAPER, 100.0)
+    assert "pole_placement, 100 Hz" in made.report.describe()
     make_controller(BARE, CIRCLE, ControllerConfig(design="pole_placement", speed=0.68), 50.0)
     gentle = by_poles(-2 - 2j, -2 + 2j, -52.5, -113.1, grid_speed_min=1.0)
     assert make_controller(DEFAULT_CAR, CIRCLE, gentle, 100.0).report.delay_margin_s > 0.0

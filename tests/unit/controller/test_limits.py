@@ -68,6 +68,7 @@ def test_an_order_is_held_at_each_bound_and_passes_before_it(axis, bound, side, 
         assert getattr(out.order, axis) == (bound if over else wish)
         assert out.clips == (clip if over else 0)
         assert out.verdict == (Verdict.CLIPPED if over else Verdict.PASSED)
+        assert (out.state.order, out.state.t_ns) == (out.order, STEP_NS)
 
 
 def test_cap_below_the_last_order_is_reached_at_the_deceleration_limit():
@@ -192,10 +193,3 @@ def test_ceilings_are_these_and_changing_one_is_a_decision():
         "lateral_accel_max": (0.1, 3.0),
         "step_max": (0.001, 0.025),
     }
-
-
-@pytest.mark.parametrize("steer", [0.0, 0.01, 0.5, -0.5])
-def test_what_left_the_gate_is_what_it_remembers(steer):
-    out = pass_gate(steer, 5.0, last=(0.1, 1.0))
-    assert out.state.order == out.order
-    assert out.state.t_ns == STEP_NS

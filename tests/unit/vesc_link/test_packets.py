@@ -16,10 +16,9 @@ from steerd.vesc_link import identity as i
 from steerd.vesc_link import telemetry as t
 from steerd.vesc_link.commands import Command, SetErpm, SetServoPos
 from steerd.vesc_link.frames import encode_frame
-from steerd.vesc_link.ids import FW_3_00, FW_7_01, PROFILES, CommandId, Firmware, fault_name, knows
+from steerd.vesc_link.ids import FW_3_00, FW_7_01, PROFILES, Firmware, fault_name, knows
 from steerd.vesc_link.packets import (
     FEEDS_TIMEOUT,
-    Reply,
     command_number,
     decode_command,
     decode_reply,
@@ -209,19 +208,15 @@ IMU = t.Imu(
 
 
 @pytest.mark.parametrize(("firmware", "size"), [((6, 0), 67), ((6, 5), 68), ((7, 1), 68)])
-def test_imu_round_trip_in_si_units(firmware, size):
+def test_imu_data_name_their_controller_since_6_05(firmware, size):
     payload = encode_reply(IMU, Firmware(*firmware))
-    assert len(payload) == size
     got = decode_reply(payload)
     assert isinstance(got, t.Imu)
-    assert got.controller_id == (9 if size == 68 else None)
-    wire_accel_z, wire_gyro_z = (
-        struct.unpack_from(">f", payload, 3 + 4 * bit)[0] for bit in (5, 8)
-    )
-    assert wire_accel_z == pytest.approx(9.75 / 9.80665)
-    assert wire_gyro_z == pytest.approx(math.degrees(2.0))
-    for name, value in present(got).items():
-        assert value == pytest.approx(getattr(IMU, name), rel=1e-6), name
+    assert (len(payload), got.controller_id) == (size, 9 if size == 68 else None)
+
+
+def test_the_longest_uptime_comes_back():
+    assert decode_reply(encode_reply(t.Uptime(0xFFFFFFFF))) == t.Uptime(0xFFFFFFFF)
 
 
 def test_board_without_imu_answers_zeros_and_is_recognised():
@@ -233,19 +228,6 @@ def test_board_without_imu_answers_zeros_and_is_recognised():
 
 LIMITS = i.McConfTemp(1, 1, -23250, 23250, 0.25, 0.75, -1500, 1500, -20, 40, 4, 11.75, 0.125)
 APPCONF = i.AppConf(0xDEADBEEF, 12, 1000, 8.5, bytes(range(200)))
-OTHERS: tuple[Reply, ...] = (
-    t.Uptime(4294967295),
-    LIMITS,
-    i.Print("fault: NONE ✓"),
-    i.Ack(CommandId.SET_MCCONF_TEMP),
-    APPCONF,
-    i.FwVersion(7, 1, "60_MK6", bytes(range(12)), b"\1mine\0"),
-)
-
-
-@pytest.mark.parametrize("reply", OTHERS, ids=lambda reply: type(reply).__name__)
-def test_reply_round_trip(reply):
-    assert decode_reply(encode_reply(reply)) == reply
 
 
 @pytest.mark.parametrize(

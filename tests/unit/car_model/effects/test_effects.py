@@ -286,25 +286,21 @@ def test_limits_only_ever_lower():
 # Effects by name: what a command line may say and what a wrong one reports.
 
 
-def test_values_in_order_and_by_name():
-    assert parse_effects("steer_delay=0.03") == [(EFFECTS["steer_delay"], (0.03,))]
-    assert parse_effects("grip_patch=1,-2, 0.5,0.3")[0][1] == (1.0, -2.0, 0.5, 0.3)
-    assert parse_effects("grip_patch:drop=0.3,x=2")[0][1] == (2.0, 0.0, 0.5, 0.3)
-    assert parse_effects("floor_slope=0.01")[0][1] == (0.01, 0.0, 0.0)
-
-
-def test_several_effects():
-    found = parse_effects("floor_slope=0.01,0.02,backlash:play=0.02,mu=0.6")
-    assert [(e.name, v) for e, v in found] == [
-        ("floor_slope", (0.01, 0.02, 0.0)),
-        ("steer_backlash", (0.02,)),
-        ("tyre_friction", (0.6,)),
-    ]
-
-
-def test_a_name_that_is_a_parameter_too_starts_a_new_effect_after_plain_values():
-    found = parse_effects("steer_gain=0.9,mass=0.5")
-    assert [e.name for e, _ in found] == ["steer_gain", "mass"]
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("steer_delay=0.03", [("steer_delay", (0.03,))]),
+        ("grip_patch=1,-2, 0.5,0.3", [("grip_patch", (1.0, -2.0, 0.5, 0.3))]),
+        ("grip_patch:drop=0.3,x=2", [("grip_patch", (2.0, 0.0, 0.5, 0.3))]),
+        ("floor_slope=0.01,0.02,backlash:play=0.02,mu=0.6",
+         [("floor_slope", (0.01, 0.02, 0.0)), ("steer_backlash", (0.02,)),
+          ("tyre_friction", (0.6,))]),
+        # A name that is a parameter too starts a new effect after plain values.
+        ("steer_gain=0.9,mass=0.5", [("steer_gain", (0.9,)), ("mass", (0.5,))]),
+    ],
+)  # fmt: skip
+def test_effects_are_read_in_order_and_by_name(text, found):
+    assert [(effect.name, values) for effect, values in parse_effects(text)] == found
 
 
 def test_aliases_lead_to_effects_and_hide_none():

@@ -221,8 +221,6 @@ def test_a_missing_compiler_names_the_one_to_install(tmp_path):
         compile_model(nobody, source, "x", "own", "")
 
 
-# Row numbers by name point at what they say.
-
 # Equations under bounds of their inputs: the same numbers, fewer operations.
 
 

@@ -25,14 +25,9 @@ def chords(path: Path) -> np.ndarray:
 
 
 @pytest.mark.parametrize("spec", SPECS)
-def test_starts_at_the_origin_along_x(spec: str) -> None:
+def test_samples_begin_at_the_origin_and_lie_a_step_apart_along_their_heading(spec: str) -> None:
     path = parse_path(spec)
     assert (path.x[0], path.y[0], path.yaw[0]) == (0.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize("spec", SPECS)
-def test_samples_lie_a_step_apart_along_their_heading(spec: str) -> None:
-    path = parse_path(spec)
     k = np.abs(path.curvature)
     bend = np.maximum(k, np.roll(k, -1))[: len(chords(path))]
     arc = chords(path) * (1.0 + (bend * path.step) ** 2 / 24.0)

@@ -1,4 +1,4 @@
-"""How soon a car that does not do as ordered is found: `python -m tests.safety.shown`.
+"""How soon a car that does not do as ordered is found: `python -m benchmarks.shown`.
 
 A fault of motor or servo can hide: a servo that is stuck straight ahead is right on a straight. It
 shows when the true motion leaves what cars off their file by 20 % make of the same orders, by more
@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import hypot, inf
 from pathlib import Path
-from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -27,9 +26,7 @@ from steerd.car_model.state import Command
 from steerd.daemon.assembly.build import make_world_config
 from steerd.daemon.loop.follow_model import make_follow_model
 from steerd.daemon.loop.following import follow_span
-from steerd.daemon.loop.transitions import SupervisorState
 from steerd.sim_hw.world import World
-from steerd.steer_bus.messages import RequestKind
 from tests.safety import catalogue_car as car
 from tests.safety.report import replace_section
 from tests.safety.rig import MS, Rig, make_rig, twin
@@ -53,7 +50,7 @@ DRIVES = (
 `steps` is a straight on which something else than the lane keeper steers by `STEP`, left and right.
 """
 STEP, STEP_S = 0.15, 0.5  # angle [rad] and duration [s] of a step
-PAGE = Path(__file__).parents[2] / "docs" / "results" / "safety.md"
+PAGE = Path(__file__).parents[1] / "docs" / "results" / "safety.md"
 _GROUPS = (
     ("steer_gain",), ("lf", "lr"), ("steer_lag", "steer_delay", "speed_lag"),
     ("steer_rate", "accel_max", "decel_max"), ("c_sf", "mu"), ("c_sr",), ("inertia_z", "mass"),
@@ -107,25 +104,19 @@ def feed(world: World, rig: Rig, since: int) -> Iterator[tuple[int, float, float
 def start(path: str, speed: float, after_s: float) -> Rig:
     """A drive up to the moment of the fault."""
     rig = make_rig("line" if path == "steps" else path, speed, load_identified(speed))
-    rig.reach(SupervisorState.READY)
-    rig.ask(RequestKind.ARM)
-    rig.reach(SupervisorState.ARMED, 0.2)
-    rig.ask(RequestKind.START)
-    rig.reach(SupervisorState.RUNNING, after_s)
+    rig.drive_off(after_s)
     return rig
 
 
 def swerve(rig: Rig) -> None:
     """From now on the wish is a step to the left, one to the right, and so on."""
-    loop, t0 = rig.run.core.loop, rig.t_ns
-    plain = loop._make_wish
+    t0 = rig.t_ns
 
-    def wish(*args: Any) -> Any:
-        wanted, report = plain(*args)
+    def step(wanted: Command[float] | None) -> Command[float] | None:
         side = 1.0 if (rig.t_ns - t0) / 1e9 % (2.0 * STEP_S) < STEP_S else -1.0
-        return wanted and Command(side * STEP, wanted.speed), report
+        return wanted and Command(side * STEP, wanted.speed)
 
-    loop._make_wish = wish  # type: ignore[method-assign]
+    car.wish_for(rig, step)
 
 
 def judge_drive(path: str, speed: float, after_s: float, drawn: int = DRAWN) -> list[Found]:

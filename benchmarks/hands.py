@@ -1,6 +1,6 @@
 """Whoever drives goes: from that moment to the first slower order on the serial wire.
 
-    python -m tests.safety.hands --trials 5 --log hands.jsonl
+    python -m benchmarks.hands --trials 5 --log hands.jsonl
 
 The cells of `live_faults.py` in which a page or a gamepad drives at 1 m/s, and then is killed,
 frozen, closed or silent: real processes, in real time. Each trial is one line of the log; the same
