@@ -169,17 +169,14 @@ def run_diagnosis(
     progress: Callable[[float, str], None] = lambda done, step: None,
     written: Callable[[str], None] = lambda prediction: None,
 ) -> Diagnosis:
-    """Read the drives, diagnose, drive the lane again.
+    """Read the drives, diagnose, drive the lane again; raises as `diagnose`.
 
     Args:
         paths: the sessions.
         options: what to diagnose.
-        warn: is handed what is doubtful in the sessions as it is found.
+        warn: see `Warn`.
         progress: is called with the share of the work done and the next step.
         written: is handed the prediction (JSON) before the held-out drives are looked at.
-
-    Raises:
-        SteerdError: as `diagnose`.
     """
     warnings, take = gather(warn)
     progress(0.0, "reading the drives")
@@ -202,13 +199,7 @@ def run_diagnosis(
 def make_case(
     paths: Sequence[Path], options: DiagnoseOptions, warn: Warn, advance: Callable[[float], None]
 ) -> tuple[Drives, engine.Case, CarFile]:
-    """The drives, what is diagnosed of them and the car; what can be refused is refused here.
-
-    Args:
-        paths: the sessions.
-        options: what to diagnose.
-        warn: is handed what is doubtful in the sessions.
-        advance: is called with the share of the files read.
+    """The drives, what is diagnosed of them and the car, see `load_drives`.
 
     Raises:
         SteerdError: a session, the car file or an option cannot be used.

@@ -36,16 +36,9 @@ from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import notebook_progress
 from steerd.daemon.common.screen import shown
+from steerd.sysid.estimation import preparation as prep
 from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.outcome import Outcome, Row, encode_outcome
-from steerd.sysid.estimation.preparation import (
-    FitOptions,
-    fit_wheelbase,
-    free_names,
-    held_names,
-    level_loads,
-    scale_inertia,
-)
 from steerd.sysid.inference.plain_car import POOR, default_free
 from steerd.sysid.report.report import Line, Report, finite
 
@@ -58,7 +51,7 @@ _WHEELBASE = 0.05, 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdentifyOptions(FitOptions):
+class IdentifyOptions(prep.FitOptions):
     """How to identify a car.
 
     Attributes:
@@ -177,16 +170,9 @@ def run_identification(
     warn: Warn = lambda texts: None,
     progress: Callable[[float, str], None] = lambda done, step: None,
 ) -> Identification:
-    """Read the drives and fit.
+    """Read the drives and fit; raises as `identify`.
 
-    Args:
-        paths: the sessions.
-        options: what to identify.
-        warn: is handed what is doubtful in the sessions as it is found.
-        progress: is called with the work done, in sessions read, and the next step.
-
-    Raises:
-        SteerdError: as `identify`.
+    `progress` is called with the work done, in sessions read, and the next step.
     """
     warnings, take = gather(warn)
     progress(0.0, "reading the drives")
@@ -239,15 +225,15 @@ def _make_task(
     if options.effects != "auto":
         options = replace(options, effects=find_effects(options.effects))
     try:
-        model = fit_wheelbase(model, length, [*options.fix])
+        model = prep.fit_wheelbase(model, length, [*options.fix])
     except ValueError as error:
         raise SteerdError(str(error), "fix one of lf and lr, or neither", _USAGE) from None
     if "inertia_z" not in stated:
-        model = scale_inertia(model, base.model)
+        model = prep.scale_inertia(model, base.model)
     drives = load_drives(without_reserved(paths, held_out.files, "fit"), options.speed, warn)
     other = load_drives(held_out.files, options.speed, warn)
     if "cog_height" not in stated:
-        model = level_loads(model, drives.runs)
+        model = prep.level_loads(model, drives.runs)
     different = compare_truths(drives.metadata | other.metadata)
     warn(different)
     first = drives.sessions[0].info().metadata
@@ -257,8 +243,8 @@ def _make_task(
         options,
         held_out=other.runs,
         every=held_out.every or EVERY,
-        free=free_names(options, default_free(model.chassis)),
-        held=held_names(options),
+        free=prep.free_names(options, default_free(model.chassis)),
+        held=prep.held_names(options),
         truth=None if different else read_true_car(first),
     )
 

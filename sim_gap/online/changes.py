@@ -12,10 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sim_gap.online.looking import Loss, Reference
-from steerd.sim_gap.online.tracking import Track
-
-Array = NDArray[np.float64]
+from steerd.sim_gap.online.tracking import Loss, Reference, Track
+from steerd.sysid.data.data_checks import Array
 
 SPANS: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 12, 16)
 """Numbers of windows that a change may be old."""
@@ -108,17 +106,11 @@ def _gain(reference: Reference, pull: Array, information: Array, mine: NDArray[n
 def reweighted(
     reference: Reference, tracks: Sequence[Track], looks: Sequence[Loss], table: Array, level: Array
 ) -> Array:
-    """The ratios, those that are nearly a change as the change itself would have them.
+    """The table of `ratios`, those that are nearly a change as the change itself would have them.
 
     The sums weigh a window by how badly the reference explains it, so one that shows a change
-    plainly counts for as little as one that nothing explains. No ratio becomes smaller.
-
-    Args:
-        reference: the car.
-        tracks: what was known of the base before each of the windows.
-        looks: the last windows, oldest first.
-        table: (effects, spans) see `ratios`.
-        level: (effects, spans) by what they are divided, see `QuietRatios`.
+    plainly counts for as little as one that nothing explains. No ratio becomes smaller. What is
+    nearly a change is judged by the ratios' `QuietRatios.level`.
     """
     # Why: docs/decisions/diagnosis.md#d98
     judged = np.nan_to_num(table / level, nan=-np.inf).max(axis=1)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from steerd.car_model.effects import EFFECTS
 from steerd.sim_gap.diagnosis import Diagnosis
-from steerd.sim_gap.lane_comparison import LaneComparison, as_long, figures_of
+from steerd.sim_gap.lane_comparison import LaneComparison, figures_of
 from steerd.sim_gap.verdict.evidence import Cause, Estimated
 from steerd.sim_gap.verdict.where import EQUATIONS
 from steerd.sysid.report.report import (
@@ -51,10 +51,7 @@ def make_report(
 ) -> Report:
     """What a diagnosis found.
 
-    Args:
-        found: what it found.
-        complete: makes commands in a text run as they are printed.
-        following: the command to type next.
+    `complete` makes commands in a text run as they are printed; `following` is the next to type.
     """
     case, to_drive = found.case, complete(manoeuvre_words(found))
     sessions = ", ".join(case.sessions)
@@ -377,10 +374,7 @@ def lane_words(lane: LaneComparison) -> str:
 
 def lane_rows(lane: LaneComparison) -> list[list[str]]:
     """A table: figures of the recorded and the simulated drives."""
-    drives = [lane.recorded, lane.without, lane.with_effect]
-    if lane.without is not None:
-        drives[0] = as_long(lane.recorded, lane.without)
-    found = [None if d is None else figures_of(d) for d in drives]
+    found = [None if d is None else figures_of(d) for d in lane.drives.values()]
     rows = [
         ("e1 RMS [mm]", 1e3, "e1_rms"), ("e1 mean [mm]", 1e3, "e1_mean"),
         ("e1 strongest at [Hz]", 1.0, "e1_peak_hz"), ("e2 RMS [°]", DEGREES, "e2_rms"),
@@ -389,7 +383,7 @@ def lane_rows(lane: LaneComparison) -> list[list[str]]:
                                                    "steer_peak_hz"),
     ]  # fmt: skip
     return [
-        [label, *("–" if f is None else f"{scale * getattr(f, name):.3g}" for f in found)]
+        [label, *("–" if f is None else f"{scale * f[name]:.3g}" for f in found)]
         for label, scale, name in rows
     ]
 

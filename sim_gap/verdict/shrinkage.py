@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.likelihood import make_likelihood
@@ -29,8 +30,6 @@ from steerd.sysid.inference.residuals import (
 )
 from steerd.sysid.inference.search import Point, newton
 from steerd.sysid.inference.space import make_space
-
-Array = NDArray[np.float64]
 
 _EXCESS_LEAST = 0.01
 """Below this there is no excess to take a share of."""

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.inference.disturbance_response import INPUTS, responses
 from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.noise import Noise, covariance, shapes, slip_shape
 from steerd.sysid.inference.predictor import Predictor
 from steerd.sysid.inference.residuals import interval_of, robust_mean
 from steerd.sysid.inference.search import Point
-
-Array = NDArray[np.float64]
 
 EQUATIONS = {
     "accel": "longitudinal equation", "lateral": "side-slip equation", "yaw": "yaw equation",

@@ -42,11 +42,7 @@ class DataError(ValueError):
 
 
 def check_times(name: str, what: str, t: Array) -> None:
-    """Refuse times that are not finite or go back.
-
-    Raises:
-        DataError: they do.
-    """
+    """Refuse times that are not finite or go back."""
     if not np.isfinite(t).all():
         raise DataError(f"{name}: a time of {what} is not a number", "check the log's time column")
     back = np.flatnonzero(np.diff(t) < 0.0)
@@ -59,14 +55,7 @@ def check_times(name: str, what: str, t: Array) -> None:
 def check_run(name: str, duration: float, t: Array, pose: Array) -> None:
     """Refuse a drive that is too short, in millimetres, frozen, standing or on a stepping clock.
 
-    Args:
-        name: for messages.
-        duration: of the commands [s].
-        t: pose times [s].
-        pose: (M, 3).
-
-    Raises:
-        DataError: it is.
+    Its commands last for `duration` [s]; its poses (M, 3) are those at times `t` [s].
     """
     if duration < DURATION_MIN or len(t) < POSES_MIN:
         what = f"{name}: {max(duration, 0.0):.2f} s of driving with {len(t)} poses"
@@ -109,14 +98,7 @@ def _check_clock(name: str, t: Array, pose: Array) -> None:
 
 
 def check_excited(steers: list[Array]) -> None:
-    """Refuse drives whose steering is one constant throughout.
-
-    Args:
-        steers: commanded angles of each drive [rad].
-
-    Raises:
-        DataError: it is.
-    """
+    """Refuse drives whose commanded angles [rad] are one constant throughout."""
     if np.ptp(np.concatenate(steers)) < STEER_SPREAD_MIN:
         hint = "drive `steerd collect --plan mixed`"
         raise DataError("steering is one constant throughout", hint)

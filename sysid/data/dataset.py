@@ -149,9 +149,6 @@ def check_sources(runs: Sequence[Run]) -> None:
     """Refuse drives of which some have speed commands and others a measured speed in their place.
 
     One car cannot follow the first with its speed loop and the second at once.
-
-    Raises:
-        DataError: there are both.
     """
     asked = [run.name for run in runs if run.speed_source == "command"]
     measured = [run.name for run in runs if run.speed_source != "command"]
@@ -304,11 +301,7 @@ _SOURCES = (MOCAP, ACTUATION, VESC, IMU, WHEEL)
 
 
 def read_run(session: Session, tables: Mapping[str, Columns] | None = None) -> Run:
-    """The drive of an open session.
-
-    Args:
-        session: steerd's own or an imported one.
-        tables: columns by topic, where they were read already.
+    """The drive of an open session; `tables` are its columns by topic, where they are read already.
 
     Poses that the mocap checks rejected are left out, and commands while the car was not driven
     (mode other than SPEED).

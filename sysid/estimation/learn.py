@@ -13,6 +13,7 @@ from steerd.sysid.data.data_checks import check_excited
 from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.excitation import measure_excitation, speed_tracking_share
 from steerd.sysid.data.segments import describe_unused, hold_out, make_blocks, moving_segments
+from steerd.sysid.estimation import preparation as prep
 from steerd.sysid.estimation.command_timing import time_commands
 from steerd.sysid.estimation.outcome import (
     Fit,
@@ -22,20 +23,6 @@ from steerd.sysid.estimation.outcome import (
     fit_of_taught,
     make_rows,
     searched_estimates,
-)
-from steerd.sysid.estimation.preparation import (
-    COMPARABLE,
-    FitOptions,
-    add_command_history,
-    candidate_starts,
-    exceeds_slew_rate,
-    has_one_speed,
-    mark_ambiguous,
-    possible_starts,
-    restore_end_stops,
-    scatter,
-    sliding_starts,
-    widen_end_stops,
 )
 from steerd.sysid.estimation.validation import (
     HORIZONS,
@@ -74,7 +61,7 @@ class Task:
 
     runs: tuple[Run, ...]  # drives to fit
     model: Model[float]  # the car as believed so far
-    asked: FitOptions = field(default_factory=FitOptions)
+    asked: prep.FitOptions = field(default_factory=prep.FitOptions)
     held_out: tuple[Run, ...] = ()  # drives to validate with; empty holds out blocks of `runs`
     every: int = 4  # every k-th block of 5 s is held out
     free: tuple[str, ...] = ()  # names of the free parameters; empty for `default_free`
@@ -121,7 +108,7 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         after, known = fit.model, fit.estimates
         # End stops stay where they were as far as the drives allow.
         if after.car.steer_max != given.car.steer_max:
-            after = after._replace(car=restore_end_stops(after.car, given.car, task.runs))
+            after = after._replace(car=prep.restore_end_stops(after.car, given.car, task.runs))
     else:
         searches = _search(task)
         known = searched_estimates(searches)
@@ -194,8 +181,8 @@ def _search_rough(task: Task, moving: Sequence[Run]) -> tuple[PlainCar, ...]:
     alike: there is a valley with more than one bottom, and errors at one know nothing of the other.
     """
     free, starts = task.question.free, _starts(task)
-    if task.starts == 1 and has_one_speed(moving):
-        starts = [each for model in starts for each in candidate_starts(model, free)]
+    if task.starts == 1 and prep.has_one_speed(moving):
+        starts = [each for model in starts for each in prep.candidate_starts(model, free)]
     asked = task.question._replace(free=free_of(moving, free))
     work = partial(search_rough, runs=moving, asked=asked)
     found = map_jobs(work, starts, task.asked.jobs, task.asked.dask)
@@ -205,10 +192,10 @@ def _search_rough(task: Task, moving: Sequence[Run]) -> tuple[PlainCar, ...]:
 def _starts(task: Task) -> list[Model[float]]:
     """Where searches begin: about the car as given, or of the drives' own size."""
     if task.starts > 1:
-        return scatter(task.model, task.question.free, task.starts, task.asked.seed)
+        return prep.scatter(task.model, task.question.free, task.starts, task.asked.seed)
     return [
-        widen_end_stops(model, task.runs, task.question.free)
-        for model in possible_starts(task.model, task.runs, task.stated)
+        prep.widen_end_stops(model, task.runs, task.question.free)
+        for model in prep.possible_starts(task.model, task.runs, task.stated)
     ]
 
 
@@ -224,7 +211,7 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit:
         return plain
     try:
         starts = _starts(task)
-        starts += sliding_starts(starts, drives.fitted, task.stated)
+        starts += prep.sliding_starts(starts, drives.fitted, task.stated)
         start = starts[0] if len(starts) == 1 else choose_start(starts, drives.fitted, task.stated)
         taught = fit_car_with_limits(start, drives.fitted, task.stated)
         return fit_of_taught(taught, start, drives.fitted, _doubts(drives))
@@ -238,26 +225,26 @@ def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit |
     """The plain car over whole blocks; what ends that are as good place elsewhere is open."""
     runs, asked = drives.fitted, task.question
     able = asked._replace(free=free_of(runs, asked.free))
-    several = has_one_speed(runs)
+    several = prep.has_one_speed(runs)
     ends = [search_blocks(runs, able, rough) for rough in (roughs if several else roughs[:1])]
     if not (arrived := sorted((e for e in ends if e), key=lambda end: end.point.cost)):
         return None
     best, *others = arrived
-    near = [e for e in others if e.point.cost - best.point.cost < COMPARABLE]
+    near = [e for e in others if e.point.cost - best.point.cost < prep.COMPARABLE]
     doubts = _doubts(drives)
     found, *alike = (fit_of_plain(end, runs, asked, doubts) for end in (best, *near))
-    estimates = mark_ambiguous(found.estimates, [other.estimates for other in alike])
+    estimates = prep.mark_ambiguous(found.estimates, [other.estimates for other in alike])
     return replace(found, estimates=estimates)
 
 
 def _with_history(task: Task) -> Task:
     """The task with a past as long, and end stops as wide, as the drives need."""
     runs, held_out = (
-        tuple(add_command_history(drives, task.model, asked=True))
+        tuple(prep.add_command_history(drives, task.model, asked=True))
         for drives in (task.runs, task.held_out)
     )
-    model = widen_end_stops(task.model, runs, task.question.free)
-    felt = "steer_rate" not in task.held and exceeds_slew_rate(model, runs)
+    model = prep.widen_end_stops(task.model, runs, task.question.free)
+    felt = "steer_rate" not in task.held and prep.exceeds_slew_rate(model, runs)
     free = dict.fromkeys((*task.question.free, *(["steer_rate"] if felt else [])))
     return replace(task, runs=runs, held_out=held_out, model=model, free=tuple(free))
 

@@ -83,13 +83,9 @@ class Fit:
 def fit_of_plain(
     found: PlainCar, runs: Sequence[Run], asked: Asked, doubts: Sequence[tuple[str, float]]
 ) -> Fit:
-    """What a plain car's optimum says.
+    """What a plain car's optimum on its drives says; `doubts` as for `plain_car.covariance_of`.
 
-    Args:
-        found: the optimum.
-        runs: its drives.
-        asked: what was asked of them; names that they cannot show are reported as open.
-        doubts: see `plain_car.covariance_of`.
+    Names that are asked of the drives and that they cannot show are reported as open.
     """
     chart, z = found.chart, found.point.z
     covariance = covariance_of(found, doubts)
@@ -124,14 +120,7 @@ def fit_of_plain(
 def fit_of_taught(
     taught: FittedCar, base: Model[float], runs: Sequence[Run], doubts: Sequence[tuple[str, float]]
 ) -> Fit:
-    """What a car says that windows of one second taught, disturbances known.
-
-    Args:
-        taught: the car.
-        base: what it was taught from.
-        runs: its drives.
-        doubts: see `plain_car.covariance_of`.
-    """
+    """What a car says that windows of one second taught, from a base on, disturbances known."""
     file = CarFile(
         Path("taught.toml"), "taught", base.car, base.effects, base.values, chassis=base.chassis
     )

@@ -68,9 +68,9 @@ def test_without_an_effect_nothing_is_judged():
 
 def test_figures_tell_rms_mean_and_the_strongest_frequency():
     told = figures_of(lane(wobble=0.5))
-    assert told.e1_rms == pytest.approx(0.004 / np.sqrt(2.0), rel=0.02)
-    assert abs(told.e1_mean) < 1e-4
-    assert told.steer_peak_hz == pytest.approx(3.0, abs=0.06)
+    assert told["e1_rms"] == pytest.approx(0.004 / np.sqrt(2.0), rel=0.02)
+    assert abs(told["e1_mean"]) < 1e-4
+    assert told["steer_peak_hz"] == pytest.approx(3.0, abs=0.06)
 
 
 def test_figures_of_a_long_drive_can_be_cut_to_those_of_a_short_one():

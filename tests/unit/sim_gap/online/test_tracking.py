@@ -8,9 +8,8 @@ import pytest
 from steerd.car_model.effects import find_effect
 from steerd.sim_gap.online.changes import SPANS, ratios, reweighted, unknown, with_ratios
 from steerd.sim_gap.online.learner import Change
-from steerd.sim_gap.online.looking import may_change
 from steerd.sim_gap.online.naming import EARLY, Finding, believed, find_cause
-from steerd.sim_gap.online.tracking import Track, follow, informed_directions
+from steerd.sim_gap.online.tracking import Track, follow, informed_directions, may_change
 from steerd.sim_gap.online.values import amounts_of
 from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.inference.augmented_car import BasePrior
