@@ -195,7 +195,7 @@ def test_what_one_run_keeps_the_next_begins_with(plan, quiet_report, capsys):
     job = json.loads(json.dumps(make_learner_job(plan, 0, second)))
     wiring = wiring_of(0, plan.settings.scaling)
     feed = make_feed(plan.settings.file, wiring, read_memory(job["memory"]))
-    assert [each.name for each in feed.learner.remembered] == ["steer_gain"]
+    assert [*feed.learner.remembered] == ["steer_gain"]
     assert plan.settings.file.path.read_text() == default_car_path().read_text()
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from steerd.sim_gap.diagnosis import grown_leads
 from steerd.sim_gap.report.gap_report import headline, manoeuvre_words, share_words
-from steerd.sim_gap.verdict.shrinkage import _shares, explained_share, floor_of, noise_margin
+from steerd.sim_gap.verdict.shrinkage import _shares, explained_share, noise_level
 from steerd.sim_gap.verdict.where import (
     FEW,
     MOST,
@@ -62,17 +62,16 @@ def test_share_of_the_excess(before, after, share):
     assert explained_share(before, after, 1.0) == pytest.approx(share)
 
 
-def test_noise_leaves_on_few_drives_what_the_best_fit_shows_within_two_errors():
-    margin = noise_margin(np.array([-0.1, 0.1] * 50), 1.0, 4)
-    assert floor_of(1.05, margin, 1.0) == 1.05
-    assert floor_of(1.5, margin, 1.0) == pytest.approx(1.2)
-    assert floor_of(0.5, margin, 1.0) == pytest.approx(0.8)
+@pytest.mark.parametrize(("best", "level"), [(1.05, 1.05), (1.5, 1.2), (0.5, 0.8)])
+def test_noise_leaves_on_few_drives_what_the_best_fit_shows_within_two_errors(best, level):
+    found = noise_level(best, np.array([-0.1, 0.1] * 50), 1.0, 4)
+    assert found == pytest.approx((level, 0.2))
 
 
-def test_windows_left_unexplained_are_no_noise():
-    wild = np.array([-3.0, 3.0] * 50)
-    assert noise_margin(wild, 1.0, 16) == pytest.approx(0.5 * c.NOISE_SPREAD)
-    assert noise_margin(wild, 0.8, 64) == pytest.approx(0.2 * c.NOISE_SPREAD)
+@pytest.mark.parametrize(("floor", "blocks", "share"), [(1.0, 16, 0.5), (0.8, 64, 0.2)])
+def test_windows_left_unexplained_are_no_noise(floor, blocks, share):
+    margin = noise_level(1.0, np.array([-3.0, 3.0] * 50), floor, blocks)[1]
+    assert margin == pytest.approx(share * c.NOISE_SPREAD)
 
 
 def test_no_whole_share_while_a_third_of_the_windows_stays_off():

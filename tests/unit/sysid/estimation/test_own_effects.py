@@ -68,16 +68,14 @@ def test_a_car_that_misses_much_is_said_to(make_drive, truth):
     assert any("`steerd diagnose` looks for it" in note for note in outcome.notes)
 
 
-def test_only_play_needs_a_long_past(bent):
-    played = Model(DEFAULT_CAR, (PLAY,), ((0.02,),))
-    assert prep.add_command_history([bent], played)[0].history > bent.history
-    assert prep.add_command_history([bent], Model(DEFAULT_CAR))[0].history == bent.history
-
-
-def test_whether_there_is_play_is_asked_of_drives_that_rest(bent):
+def test_only_play_needs_a_long_past_and_is_asked_of_drives_that_rest(bent):
     turning = replace(bent, commands=bent.commands + np.arange(len(bent.commands))[:, None] * 0.01)
-    assert prep.holds_still(bent)
-    assert not prep.holds_still(turning)
-    for run in (bent, turning):
-        found = prep.add_command_history([run], Model(DEFAULT_CAR), asked=True)[0]
-        assert (found.history > run.history) == prep.holds_still(run)
+    for run, effects, asked, longer in (
+        (bent, (PLAY,), False, True),
+        (bent, (), False, False),
+        (bent, (), True, True),
+        (turning, (), True, False),
+    ):
+        model = Model(DEFAULT_CAR, effects, ((0.02,),) * len(effects))
+        (found,) = prep.add_command_history([run], model, asked)
+        assert (found.history > run.history) == longer
