@@ -13,7 +13,6 @@ from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.excitation import measure_excitation
 from steerd.sysid.data.segments import (
     hold_out,
-    make_blocks,
     make_segment,
     moving_segments,
     smooth_speed,

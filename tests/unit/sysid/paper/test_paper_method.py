@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 
 from steerd.sysid.paper import paper_method as paper
 
