@@ -136,11 +136,7 @@ def is_same(one: Path, other: Path) -> bool:
 
 
 def refuse_copies(paths: Sequence[Path]) -> None:
-    """A drive that counts twice passes for more data than there are.
-
-    Raises:
-        SteerdError: one drive is named twice.
-    """
+    """A drive that counts twice passes for more data than there are: it is refused."""
     for one, other in combinations(paths, 2):
         if is_same(one, other):
             copy = f"{other} is a copy of {one}" if one != other else f"{one} is named twice"

@@ -250,11 +250,7 @@ def _make_task(
 
 
 def find_effects(names: Iterable[str]) -> tuple[str, ...]:
-    """Effects by their own names.
-
-    Raises:
-        SteerdError: there is none of a name.
-    """
+    """Effects by their own names; a name of none is refused."""
     try:
         return tuple(find_effect(name).name for name in names)
     except ValueError as error:

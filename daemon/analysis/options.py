@@ -85,11 +85,7 @@ class HeldOut(NamedTuple):
 
 
 def read_held_out(given: HeldOutSource) -> HeldOut:
-    """What is held out.
-
-    Raises:
-        SteerdError: the number makes no sense, or stands beside files.
-    """
+    """What is held out; a number that makes no sense, or stands beside files, is refused."""
     listed = _listed(() if given is None else given)
     numbers = [each for each in listed if isinstance(each, int)]
     files = list_sessions([each for each in listed if not isinstance(each, int)])
@@ -114,11 +110,7 @@ def list_sessions(given: SessionSources) -> tuple[Path, ...]:
 
 
 def read_car(given: CarSource) -> CarFile:
-    """A car; the F1TENTH car for None.
-
-    Raises:
-        SteerdError: the car file cannot be read, or says something impossible.
-    """
+    """A car; the F1TENTH car for None. Raises as `load_car_file`."""
     if isinstance(given, CarFile):
         return given
     if given is None or isinstance(given, str | Path):

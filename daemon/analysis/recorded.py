@@ -149,24 +149,14 @@ class Session:
         return self.to_pandas(topic)
 
     def to_polars(self, topic: str) -> "polars.DataFrame":
-        """A topic as a data frame; arrays of a message become columns `name.0`, `name.1`, ….
-
-        Raises:
-            SteerdError: polars is not installed, or as `table`.
-        """
-        columns = {
-            n: c.tolist() if c.dtype == object else c
-            for n, c in _flatten(self._columns(topic)).items()
-        }
+        """The same of polars, without units."""
+        flat = _flatten(self._columns(topic)).items()
+        columns = {name: c.tolist() if c.dtype == object else c for name, c in flat}
         frame: polars.DataFrame = load_package("polars").DataFrame(columns)
         return frame
 
     def plot(self) -> "Figure":
-        """Track over lane, errors, commands against measurements, over time.
-
-        Raises:
-            SteerdError: the session has changed on disk.
-        """
+        """Track over lane, errors, commands against measurements, over time."""
         from steerd.daemon.analysis.figures import plot_session
         from steerd.daemon.sessions.plot_data import make_drawing
 
@@ -178,11 +168,7 @@ class Session:
         return format_report(self.report)
 
     def _find(self, topic: str) -> tuple[str, type[Any]]:
-        """Whole topic and message class of a name.
-
-        Raises:
-            SteerdError: the session has no such topic.
-        """
+        """Whole topic and message class of a name; raises as `table`."""
         by_topic = {whole: (whole, cls) for whole, cls in self._names.values()}
         found = self._names.get(topic) or by_topic.get(topic)
         if found is None:
@@ -223,9 +209,6 @@ def _units(cls: type[Any], prefix: str = "") -> Iterator[tuple[str, str]]:
 
 def load(path: Path | str) -> Session:
     """Open a session file; unfinished and damaged ones open too, with `warnings`.
-
-    Args:
-        path: an MCAP session of steerd.
 
     Raises:
         SteerdError: it cannot be read, or is no session.

@@ -67,8 +67,8 @@ def noise_level(best: float, draws: Array, floor: float, blocks: int) -> tuple[f
 
     On average it is `floor`; on few blocks it is more or less than that, by the same amount with
     and without an effect. What the effect leaves at its `best`, fitted to these drives, shows by
-    how much, as long as noise alone may be so far off; what is left beyond counts as excess. Windows
-    that it leaves unexplained spread its bootstrap `draws`: noise's own spread is the most.
+    how much, as long as noise alone may be so far off; what is left beyond counts as excess.
+    Windows left unexplained spread its bootstrap `draws`: noise's own spread is the most.
     """
     own = c.NOISE_SPREAD * floor / np.sqrt(blocks)
     margin = _SIGMAS * min(float(draws.std()), float(own))

@@ -239,10 +239,7 @@ def find_moments(ratios: Array) -> NDArray[np.int64]:
 
     A place passed once, a bump, a second in which the car spun: held-out drives cannot confirm what
     shows in one of them alone, so no effect is named for it; when and where it was is what a reader
-    can look at, and drive again.
-
-    Args:
-        ratios: (W,) squared error of each window by what noise leaves.
+    can look at, and drive again. The ratios (W,) are squared errors by what noise leaves.
     """
     excess = np.clip(ratios - 1.0, 0.0, _HUGE)
     order = np.argsort(-excess, kind="stable")
@@ -254,11 +251,8 @@ def find_moments(ratios: Array) -> NDArray[np.int64]:
 def moments_words(ratios: Array, run: Sequence[str], t: Array, place: Array) -> str:
     """When and where most of the error is, in words; empty where it is spread out.
 
-    Args:
-        ratios: (W,) squared error of each window by what noise leaves.
-        run: (W,) name of each window's drive.
-        t: (W,) when each begins in its drive [s].
-        place: (W, 2) where it does [m].
+    Of each window the ratio as for `find_moments`, its drive's name, when it begins in that [s],
+    and its place (x, y) [m].
     """
     worst = find_moments(ratios)
     if not len(worst):

@@ -335,8 +335,7 @@ def read_run(session: Session, tables: Mapping[str, Columns] | None = None) -> R
 def read_erpm(session: Session) -> tuple[float, float]:
     """Gain [ERPM per m/s] and offset [ERPM] of a session's motor; F1TENTH's where it says none.
 
-    Raises:
-        steerd.steer_bus.session.SessionError: what it says is no number.
+    What is no number is a `SessionError`.
     """
     gain = session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
     return gain, session.number("steerd.scaling", "erpm_offset", F1TENTH.erpm_offset)

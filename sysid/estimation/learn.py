@@ -13,23 +13,9 @@ from steerd.sysid.data.data_checks import check_excited
 from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.excitation import measure_excitation, speed_tracking_share
 from steerd.sysid.data.segments import describe_unused, hold_out, make_blocks, moving_segments
+from steerd.sysid.estimation import outcome, validation
 from steerd.sysid.estimation import preparation as prep
 from steerd.sysid.estimation.command_timing import time_commands
-from steerd.sysid.estimation.outcome import (
-    Fit,
-    HeldOut,
-    Outcome,
-    fit_of_plain,
-    fit_of_taught,
-    make_rows,
-    searched_estimates,
-)
-from steerd.sysid.estimation.validation import (
-    HORIZONS,
-    by_lateral_acceleration,
-    errors_at,
-    trace_windows,
-)
 from steerd.sysid.inference.car_fit import Stated, choose_start, fit_car_with_limits
 from steerd.sysid.inference.plain_car import (
     POOR,
@@ -85,7 +71,7 @@ class Task:
         return self.asked.starts or (1 if self.asked.method == "ours" else 5)
 
 
-def learn(task: Task, clock: Callable[[], float]) -> Outcome:
+def learn(task: Task, clock: Callable[[], float]) -> outcome.Outcome:
     """Identify a car.
 
     Args:
@@ -101,7 +87,7 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
     check_sources((*task.runs, *task.held_out))
     began, given = clock(), task.model
     task, drives, roughs = _prepare(task)
-    fit: Fit | None = None
+    fit: outcome.Fit | None = None
     searches: tuple[SearchHistory, ...] = ()
     if task.asked.method == "ours":
         fit = _estimate(task, drives, roughs)
@@ -111,21 +97,22 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
             after = after._replace(car=prep.restore_end_stops(after.car, given.car, task.runs))
     else:
         searches = _search(task)
-        known = searched_estimates(searches)
+        known = outcome.searched_estimates(searches)
         car = task.model.car._replace(**{name: e.value for name, e in known.items()})
         after = task.model._replace(car=car)
     seconds = clock() - began
     driven = (*task.runs, *task.held_out)
-    traces = [trace_windows(each, drives.held_out, max(HORIZONS)) for each in (after, task.model)]
-    errors = [errors_at(each, HORIZONS) for each in traces]
-    return Outcome(
+    horizons, cars = validation.HORIZONS, (after, task.model)
+    traces = [validation.trace_windows(car, drives.held_out, max(horizons)) for car in cars]
+    errors = [validation.errors_at(each, horizons) for each in traces]
+    return outcome.Outcome(
         method=task.asked.method,
         sessions=tuple(dict.fromkeys(run.name for run in task.runs)),
         held_out_of=drives.held_out_of,
         before=task.model.car,
         after=after.car,
-        rows=make_rows(given, after, known),
-        held_out=tuple(HeldOut(a, b) for a, b in zip(*errors, strict=True)),
+        rows=outcome.make_rows(given, after, known),
+        held_out=tuple(outcome.HeldOut(a, b) for a, b in zip(*errors, strict=True)),
         excitation=measure_excitation(drives.moving),
         traces=(traces[0], traces[1]),
         fit=fit,
@@ -136,7 +123,7 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         pulses=tuple(run.pulse for run in driven if run.pulse),
         ramps=tuple(run.ramp for run in driven if run.ramp),
         log_jitters=tuple(run.log_jitter for run in driven if run.log_jitter),
-        regimes=by_lateral_acceleration(traces[0], REGIME),
+        regimes=validation.by_lateral_acceleration(traces[0], REGIME),
     )
 
 
@@ -199,13 +186,8 @@ def _starts(task: Task) -> list[Model[float]]:
     ]
 
 
-def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit:
-    """The plain car where it leaves no more than noise, else what windows of one second fit_car.
-
-    Raises:
-        FloatingPointError: no start gives a finite simulation.
-        ValueError: no window sees enough poses.
-    """
+def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outcome.Fit:
+    """The plain car where it leaves no more than noise, else what windows of one second teach."""
     plain = _fit_plain(task, drives, roughs) if roughs and roughs[0].explains else None
     if plain is not None and max(plain.misfit.values()) <= POOR:
         return plain
@@ -214,14 +196,14 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit:
         starts += prep.sliding_starts(starts, drives.fitted, task.stated)
         start = starts[0] if len(starts) == 1 else choose_start(starts, drives.fitted, task.stated)
         taught = fit_car_with_limits(start, drives.fitted, task.stated)
-        return fit_of_taught(taught, start, drives.fitted, _doubts(drives))
+        return outcome.fit_of_taught(taught, start, drives.fitted, _doubts(drives))
     except (FloatingPointError, ValueError):
         if plain is None:
             raise
         return plain
 
 
-def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit | None:
+def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outcome.Fit | None:
     """The plain car over whole blocks; what ends that are as good place elsewhere is open."""
     runs, asked = drives.fitted, task.question
     able = asked._replace(free=free_of(runs, asked.free))
@@ -232,7 +214,7 @@ def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit |
     best, *others = arrived
     near = [e for e in others if e.point.cost - best.point.cost < prep.COMPARABLE]
     doubts = _doubts(drives)
-    found, *alike = (fit_of_plain(end, runs, asked, doubts) for end in (best, *near))
+    found, *alike = (outcome.fit_of_plain(end, runs, asked, doubts) for end in (best, *near))
     estimates = prep.mark_ambiguous(found.estimates, [other.estimates for other in alike])
     return replace(found, estimates=estimates)
 
@@ -272,7 +254,7 @@ def _search(task: Task) -> tuple[SearchHistory, ...]:
     return tuple(searches)
 
 
-def _notes(drives: _Drives, fit: Fit | None) -> tuple[str, ...]:
+def _notes(drives: _Drives, fit: outcome.Fit | None) -> tuple[str, ...]:
     notes, share = [], speed_tracking_share(drives.moving)
     if share < OBEYED:
         notes.append(
