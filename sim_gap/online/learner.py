@@ -11,7 +11,7 @@ import numpy as np
 
 from steerd.car_model.car_file import CarFile
 from steerd.sim_gap.online import samples
-from steerd.sim_gap.online.changes import SPANS, faded, ratios, reweighted, with_ratios
+from steerd.sim_gap.online.changes import SPANS, ratios, reweighted
 from steerd.sim_gap.online.naming import LOOKS, Finding, Known, find_cause, learn
 from steerd.sim_gap.online.tracking import Loss, Memory, Remembered, Track, follow, look, remember
 from steerd.sim_gap.verdict.evidence import Cause
@@ -184,7 +184,7 @@ def _watch(learner: Learner, state: State, known: Known, seen: Loss) -> State:
         track = follow(track, seen.weight * seen.g[:n], seen.weight * seen.h[:n, :n])
     shown, usual = (*shown, table), known.usual
     if len(shown) > DELAY:
-        usual = with_ratios(faded(usual, FADING), shown[0])
+        usual = usual.after(shown[0], FADING)
         shown = shown[1:]
     known = replace(
         known, track=track, usual=usual, looks=looks, tracks=tracks, shown=shown,

@@ -14,7 +14,6 @@ from steerd.sysid.report.report import (
     SCALES,
     Card,
     Fold,
-    Late,
     Line,
     Report,
     Section,
@@ -56,21 +55,12 @@ def make_report(
     case, to_drive = found.case, complete(manoeuvre_words(found))
     sessions = ", ".join(case.sessions)
     facts, (verdict, grade) = f"{case.seconds:.0f} s to explain", VERDICTS[found.verdict]
-    how = Section(
-        "How this was done",
-        METHOD,
-        notes=found.all_notes,
-        fold=Fold(
-            "the prediction, as it was written before the reserved drives were opened",
-            f"{found.shrinkage.text} SHA-256 {found.shrinkage.digest}",
-        ),
-    )
     return Report(
         title="What the simulation is missing of this car",
         subject=sessions,
         about=f"{facts} · base: {case.base_source}",
         lead=headline(found),
-        sections=Late(lambda: (*_sections(found, to_drive), how)),
+        sections=_sections(found, to_drive),
         foot="Written by steerd diagnose. Frames are ISO 8855, angles positive to the left; "
         "sd is one standard error; intervals are 90 %.",
         verdict=verdict,
@@ -84,7 +74,7 @@ def make_report(
             *(Line("note", note) for note in (*case.notes, *found.notes)),
             Line("next", following, whole=True),
         ],
-        figures=Late(lambda: _figures(found)),
+        figures=_figures(found),
     )
 
 
@@ -152,10 +142,10 @@ def _surest(cause: Cause) -> tuple[str, Estimated]:
     return max(cause.parameters.items(), key=sigmas)
 
 
-def _figures(found: Diagnosis) -> "list[Diagrams]":
+def _figures(found: Diagnosis) -> "Iterator[Diagrams]":
     from steerd.sim_gap.report.gap_figures import draw_main
 
-    return draw_main(found)
+    yield from draw_main(found)
 
 
 def _sections(found: Diagnosis, to_drive: str) -> Iterator[Section]:
@@ -181,12 +171,11 @@ def _sections(found: Diagnosis, to_drive: str) -> Iterator[Section]:
             figures=[timeline],
         )
         if where.regimes:
+            height = 0.7 + 0.28 * len(where.regimes)
             yield Section(
                 text="By regime: right of the dotted line the error is larger than elsewhere "
                 "(coloured where its interval says so).",
-                figures=[
-                    Diagrams(figures.plot_regimes, 0.7 + 0.28 * len(where.regimes), [where.regimes])
-                ],
+                figures=[Diagrams(figures.plot_regimes, height, [where.regimes])],
             )
     if found.candidates:
         yield Section("Which effect", _which(found), figures=[candidates])
@@ -210,6 +199,9 @@ def _sections(found: Diagnosis, to_drive: str) -> Iterator[Section]:
     )
     text = _sentence(f"to drive: {to_drive}")
     yield Section("What next", text + typed if found.causes else f"{text} ")
+    prediction = f"{found.shrinkage.text} SHA-256 {found.shrinkage.digest}"
+    before = "the prediction, as it was written before the reserved drives were opened"
+    yield Section("How this was done", METHOD, found.all_notes, fold=Fold(before, prediction))
 
 
 def _cause_sections(found: Diagnosis, shrinks: "Diagrams") -> Iterator[Section]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from steerd.car_model.effects import find_effect
-from steerd.sim_gap.online.changes import SPANS, ratios, reweighted, unknown, with_ratios
+from steerd.sim_gap.online.changes import SPANS, QuietRatios, ratios, reweighted
 from steerd.sim_gap.online.learner import Change
 from steerd.sim_gap.online.naming import EARLY, Finding, believed, find_cause
 from steerd.sim_gap.online.tracking import Track, follow, informed_directions, may_change
@@ -119,10 +119,9 @@ def test_windows_that_nothing_explains_are_no_change(reference, track, windows):
 
 def test_what_a_car_shows_as_usual_is_no_change():
     shape = (2, len(SPANS))
-    loud = quiet = unknown(2)
+    loud = quiet = QuietRatios(*np.zeros((3, *shape)))
     for _ in range(200):
-        loud = with_ratios(loud, np.full(shape, 9.0))
-        quiet = with_ratios(quiet, np.full(shape, 0.3))
+        loud, quiet = loud.after(np.full(shape, 9.0)), quiet.after(np.full(shape, 0.3))
     assert (loud.level() > 8.0).all()
     assert (quiet.level() < 2.0).all()
 
