@@ -19,7 +19,6 @@ from steerd.daemon.analysis.drives import (
 )
 from steerd.daemon.analysis.finding import Finding
 from steerd.daemon.analysis.hints import complete, name_all, refusing, simulate_with
-from steerd.daemon.analysis.identification import find_effects
 from steerd.daemon.analysis.options import (
     CarSource,
     HeldOut,
@@ -29,6 +28,7 @@ from steerd.daemon.analysis.options import (
     by_keywords,
     list_sessions,
     read_car,
+    read_effects,
     read_held_out,
 )
 from steerd.daemon.assembly.session_meta import read_session_car
@@ -204,7 +204,7 @@ def make_case(
     Raises:
         SteerdError: a session, the car file or an option cannot be used.
     """
-    only, without = find_effects(options.only), find_effects(options.without)
+    only, without = read_effects(options.only), read_effects(options.without)
     held_out, quiet = read_held_out(options.held_out), list_sessions(options.healthy)
     if only and not set(only) - set(without):
         raise SteerdError("only and without leave no effect", "", ExitCode.USAGE)

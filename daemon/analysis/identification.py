@@ -2,14 +2,13 @@
 
 import shlex
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isnan
 from pathlib import Path
 from typing import Any
 
 from steerd.car_model.car_file import CarFile, CarFileError, Learned, update_car
-from steerd.car_model.effects import find_effect
 from steerd.car_model.params import Car
 from steerd.daemon.analysis.car_output import (
     find_wiring,
@@ -30,6 +29,7 @@ from steerd.daemon.analysis.options import (
     by_keywords,
     list_sessions,
     read_car,
+    read_effects,
     read_held_out,
 )
 from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
@@ -223,7 +223,7 @@ def _make_task(
     if length is not None and not _WHEELBASE[0] <= length <= _WHEELBASE[1]:
         raise SteerdError(f"wheelbase {length:g}: in metres", "", _USAGE)
     if options.effects != "auto":
-        options = replace(options, effects=find_effects(options.effects))
+        options = replace(options, effects=read_effects(options.effects))
     try:
         model = prep.fit_wheelbase(model, length, [*options.fix])
     except ValueError as error:
@@ -247,15 +247,6 @@ def _make_task(
         held=prep.held_names(options),
         truth=None if different else read_true_car(first),
     )
-
-
-def find_effects(names: Iterable[str]) -> tuple[str, ...]:
-    """Effects by their own names; a name of none is refused."""
-    try:
-        return tuple(find_effect(name).name for name in names)
-    except ValueError as error:
-        what, _, hint = str(error).partition("; ")
-        raise SteerdError(what, hint or "`steerd effects` lists them", _USAGE) from None
 
 
 def _given_values(fix: Mapping[str, float | None]) -> dict[str, Learned]:

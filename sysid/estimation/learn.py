@@ -82,7 +82,7 @@ def learn(task: Task, clock: Callable[[], float]) -> outcome.Outcome:
         DataError: the drives are not fit for it.
         ValueError: an option makes no sense.
         FloatingPointError: no start gives a finite simulation.
-        BaselineMissingError: CMA-ES without Optuna.
+        ImportError: CMA-ES without Optuna.
     """
     check_sources((*task.runs, *task.held_out))
     began, given = clock(), task.model
