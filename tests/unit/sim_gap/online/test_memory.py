@@ -28,16 +28,9 @@ def test_what_was_learnt_widens_each_day_until_the_car_file_says_as_much(learner
         assert value == 0.004
         assert sd**2 == pytest.approx(4e-4**2 + 0.01 * days * before**2)
     assert remember(augmented, Memory(LEARNT, 26.0)) == {}
-
-
-def test_a_clock_that_ran_back_widens_nothing(learner):
-    today, past = (remember(learner.augmented, Memory(LEARNT, days)) for days in (0.0, -0.01))
-    assert today == past
-
-
-def test_lengths_and_unknown_names_are_not_remembered(learner):
-    memory = Memory({"lf": (0.17, 1e-4), "lr": (0.16, 1e-4), "no.such": (1.0, 0.1)}, 0.0)
-    assert remember(learner.augmented, memory) == {}
+    assert remember(augmented, Memory(LEARNT, -0.01)) == remember(augmented, Memory(LEARNT, 0.0))
+    lengths = {"lf": (0.17, 1e-4), "lr": (0.16, 1e-4)}  # and what no car has
+    assert remember(augmented, Memory({**lengths, "no.such": (1.0, 0.1)}, 0.0)) == {}
 
 
 def test_memory_and_drive_are_joined(reference, track):
