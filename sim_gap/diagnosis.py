@@ -170,7 +170,11 @@ def diagnose(
 
 
 def _chosen(augmented: AugmentedCar, case: Case) -> tuple[Effect, ...]:
-    """Effects that may be a cause; an option that names none is a `ValueError`."""
+    """Effects that may be a cause.
+
+    Raises:
+        ValueError: an option names none.
+    """
     asked, names = case.asked, [e.name for e in augmented.effects]
     unknown = [n for n in (*asked.only, *asked.without) if n not in names]
     if unknown:

@@ -169,14 +169,17 @@ def run_diagnosis(
     progress: Callable[[float, str], None] = lambda done, step: None,
     written: Callable[[str], None] = lambda prediction: None,
 ) -> Diagnosis:
-    """Read the drives, diagnose, drive the lane again; raises as `diagnose`.
+    """Read the drives, diagnose, drive the lane again.
 
     Args:
         paths: the sessions.
         options: what to diagnose.
-        warn: see `Warn`.
+        warn: is handed what is doubtful in the sessions as it is found.
         progress: is called with the share of the work done and the next step.
         written: is handed the prediction (JSON) before the held-out drives are looked at.
+
+    Raises:
+        SteerdError: as `diagnose`.
     """
     warnings, take = gather(warn)
     progress(0.0, "reading the drives")

@@ -97,9 +97,16 @@ def load_drives(
     warn: Warn,
     advance: Callable[[float], None] = lambda _: None,
 ) -> Drives:
-    """Sessions as drives, one after the other, see `load_drive`.
+    """Sessions as drives, one after the other.
 
-    `warn` also hears what is left out; `advance` is called with the share of the files read.
+    Args:
+        paths: the sessions.
+        speed: as for `load_drive`.
+        warn: as for `load_drive`; is also handed what is left out.
+        advance: is called with the share of the files read.
+
+    Raises:
+        SteerdError: one cannot be read, or is not fit for a fit.
     """
     most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     if len(paths) > FILES:
@@ -136,7 +143,11 @@ def is_same(one: Path, other: Path) -> bool:
 
 
 def refuse_copies(paths: Sequence[Path]) -> None:
-    """A drive that counts twice passes for more data than there are: it is refused."""
+    """A drive that counts twice passes for more data than there are.
+
+    Raises:
+        SteerdError: one drive is named twice.
+    """
     for one, other in combinations(paths, 2):
         if is_same(one, other):
             copy = f"{other} is a copy of {one}" if one != other else f"{one} is named twice"

@@ -127,7 +127,11 @@ def _recorded(session: Session) -> Rows:
 
 
 def _lane_drive(rows: Rows, plan: RunPlan) -> LaneDrive:
-    """The settled part of rows t, s, e1, e2, steer; too short a one is a `NotALaneDriveError`."""
+    """The settled part of rows t, s, e1, e2, steer.
+
+    Raises:
+        NotALaneDriveError: it is too short.
+    """
     rows = rows[np.isfinite(rows).all(axis=1)]
     rows = rows[rows[:, 0] >= rows[0, 0] + SETTLE] if len(rows) else rows
     if len(rows) < 2 or np.ptp(rows[:, 0]) < SHORTEST:

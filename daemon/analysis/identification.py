@@ -170,9 +170,16 @@ def run_identification(
     warn: Warn = lambda texts: None,
     progress: Callable[[float, str], None] = lambda done, step: None,
 ) -> Identification:
-    """Read the drives and fit; raises as `identify`.
+    """Read the drives and fit.
 
-    `progress` is called with the work done, in sessions read, and the next step.
+    Args:
+        paths: the sessions.
+        options: what to identify.
+        warn: is handed what is doubtful in the sessions as it is found.
+        progress: is called with the work done, in sessions read, and the next step.
+
+    Raises:
+        SteerdError: as `identify`.
     """
     warnings, take = gather(warn)
     progress(0.0, "reading the drives")

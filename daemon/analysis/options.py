@@ -86,7 +86,11 @@ class HeldOut(NamedTuple):
 
 
 def read_held_out(given: HeldOutSource) -> HeldOut:
-    """What is held out; a number that makes no sense, or stands beside files, is refused."""
+    """What is held out.
+
+    Raises:
+        SteerdError: the number makes no sense, or stands beside files.
+    """
     listed = _listed(() if given is None else given)
     numbers = [each for each in listed if isinstance(each, int)]
     files = list_sessions([each for each in listed if not isinstance(each, int)])
@@ -120,7 +124,11 @@ def read_effects(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def read_car(given: CarSource) -> CarFile:
-    """A car; the F1TENTH car for None. Raises as `load_car_file`."""
+    """A car; the F1TENTH car for None.
+
+    Raises:
+        SteerdError: the car file cannot be read, or says something impossible.
+    """
     if isinstance(given, CarFile):
         return given
     if given is None or isinstance(given, str | Path):

@@ -149,14 +149,22 @@ class Session:
         return self.to_pandas(topic)
 
     def to_polars(self, topic: str) -> "polars.DataFrame":
-        """The same of polars, without units."""
+        """A topic as a data frame; arrays of a message become columns `name.0`, `name.1`, ….
+
+        Raises:
+            SteerdError: polars is not installed, or as `table`.
+        """
         flat = _flatten(self._columns(topic)).items()
         columns = {name: c.tolist() if c.dtype == object else c for name, c in flat}
         frame: polars.DataFrame = load_package("polars").DataFrame(columns)
         return frame
 
     def plot(self) -> "Figure":
-        """Track over lane, errors, commands against measurements, over time."""
+        """Track over lane, errors, commands against measurements, over time.
+
+        Raises:
+            SteerdError: the session has changed on disk.
+        """
         from steerd.daemon.analysis.figures import plot_session
         from steerd.daemon.sessions.plot_data import make_drawing
 
@@ -168,7 +176,11 @@ class Session:
         return format_report(self.report)
 
     def _find(self, topic: str) -> tuple[str, type[Any]]:
-        """Whole topic and message class of a name; raises as `table`."""
+        """Whole topic and message class of a name.
+
+        Raises:
+            SteerdError: the session has no such topic.
+        """
         by_topic = {whole: (whole, cls) for whole, cls in self._names.values()}
         found = self._names.get(topic) or by_topic.get(topic)
         if found is None:

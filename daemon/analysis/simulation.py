@@ -86,7 +86,11 @@ def plan_drive(
     *,
     external: bool,
 ) -> RunPlan:
-    """A drive as `simulate` describes and refuses it; `external`: no lane keeper drives."""
+    """A drive as `simulate` describes it; `external`: a function drives, not the lane keeper.
+
+    Raises:
+        SteerdError: an argument cannot be used.
+    """
     if not 0.0 < duration <= DURATION_MAX:
         what = f"duration {duration:g}: more than 0 s, {DURATION_MAX:g} s at most"
         raise SteerdError(what, "", ExitCode.USAGE)

@@ -82,7 +82,12 @@ def believed(reference: Reference, track: Track) -> AugmentedCar:
 
 
 def _diagnose(base: AugmentedCar, reference: Reference, runs: Sequence[Run]) -> Verdict:
-    """The verdict on windows; raises as `open_predictor` and `explain`."""
+    """The verdict on windows.
+
+    Raises:
+        ValueError: no window sees enough poses.
+        FloatingPointError: the base's simulation leaves the map.
+    """
     predictor = open_predictor(base, runs, WINDOW, late=reference.late)
     guess = predictor.guess.copy()
     likelihood = make_likelihood(predictor, base.base, guess, reference.noise)

@@ -42,7 +42,11 @@ class DataError(ValueError):
 
 
 def check_times(name: str, what: str, t: Array) -> None:
-    """Refuse times that are not finite or go back."""
+    """Refuse times that are not finite or go back.
+
+    Raises:
+        DataError: they do.
+    """
     if not np.isfinite(t).all():
         raise DataError(f"{name}: a time of {what} is not a number", "check the log's time column")
     back = np.flatnonzero(np.diff(t) < 0.0)
@@ -55,7 +59,14 @@ def check_times(name: str, what: str, t: Array) -> None:
 def check_run(name: str, duration: float, t: Array, pose: Array) -> None:
     """Refuse a drive that is too short, in millimetres, frozen, standing or on a stepping clock.
 
-    Its commands last for `duration` [s]; its poses (M, 3) are those at times `t` [s].
+    Args:
+        name: for messages.
+        duration: of the commands [s].
+        t: pose times [s].
+        pose: (M, 3).
+
+    Raises:
+        DataError: it is.
     """
     if duration < DURATION_MIN or len(t) < POSES_MIN:
         what = f"{name}: {max(duration, 0.0):.2f} s of driving with {len(t)} poses"
@@ -98,7 +109,14 @@ def _check_clock(name: str, t: Array, pose: Array) -> None:
 
 
 def check_excited(steers: list[Array]) -> None:
-    """Refuse drives whose commanded angles [rad] are one constant throughout."""
+    """Refuse drives whose steering is one constant throughout.
+
+    Args:
+        steers: commanded angles of each drive [rad].
+
+    Raises:
+        DataError: it is.
+    """
     if np.ptp(np.concatenate(steers)) < STEER_SPREAD_MIN:
         hint = "drive `steerd collect --plan mixed`"
         raise DataError("steering is one constant throughout", hint)

@@ -149,6 +149,9 @@ def check_sources(runs: Sequence[Run]) -> None:
     """Refuse drives of which some have speed commands and others a measured speed in their place.
 
     One car cannot follow the first with its speed loop and the second at once.
+
+    Raises:
+        DataError: there are both.
     """
     asked = [run.name for run in runs if run.speed_source == "command"]
     measured = [run.name for run in runs if run.speed_source != "command"]
@@ -335,7 +338,8 @@ def read_run(session: Session, tables: Mapping[str, Columns] | None = None) -> R
 def read_erpm(session: Session) -> tuple[float, float]:
     """Gain [ERPM per m/s] and offset [ERPM] of a session's motor; F1TENTH's where it says none.
 
-    What is no number is a `SessionError`.
+    Raises:
+        steerd.steer_bus.session.SessionError: what it says is no number.
     """
     gain = session.number("steerd.scaling", "erpm_gain", F1TENTH.erpm_gain)
     return gain, session.number("steerd.scaling", "erpm_offset", F1TENTH.erpm_offset)

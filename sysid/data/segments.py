@@ -98,7 +98,11 @@ def thinned(runs: Sequence[Run], most: float) -> list[Run]:
 
 
 def with_wheel_speed(run: Run) -> Run:
-    """The drive with its wheel speed in the command's place; none at all is a `DataError`."""
+    """The drive with its measured wheel speed in place of the command, which it did not follow.
+
+    Raises:
+        DataError: no wheel speed was recorded.
+    """
     if len(run.wheel.t) < 2:
         raise DataError(f"{run.name}: no wheel speed was recorded", "drop --speed wheel")
     ends = run.h * np.arange(1, len(run.commands) + 1)
@@ -161,7 +165,11 @@ def describe_unused(runs: Sequence[Run]) -> tuple[str, ...]:
 
 
 def moving_segments(runs: Sequence[Run]) -> tuple[Run, ...]:
-    """The segments of drives in which the car moves; none at all is a `DataError`."""
+    """The segments of drives in which the car moves.
+
+    Raises:
+        DataError: there is none.
+    """
     segments = [
         make_segment(run, low + min(HISTORY, high - low - DURATION_MIN), high)
         for run in map(smooth_speed, runs)
@@ -208,9 +216,13 @@ def split_every(parts: Sequence[T], every: int) -> tuple[tuple[T, ...], tuple[T,
 
 
 def hold_out(parts: Sequence[Run], every: int) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
-    """Blocks of segments to fit, and every k-th one to validate with; no measurement is in both.
+    """Split segments into blocks and hold every k-th one out.
 
-    Drives that are too short for it are a `DataError`.
+    Returns:
+        Blocks to fit and blocks to validate with; no measurement is in both.
+
+    Raises:
+        DataError: the drives are too short to hold anything out.
     """
     blocks = make_blocks(parts)
     fitted, held_out = split_every(blocks, every)

@@ -46,9 +46,12 @@ def time_commands(run: Run, rough: PlainCar, asked: Asked) -> Run:
     """A drive with its commands as servo and motor controller likeliest took them over.
 
     Args:
-        run: a whole drive, not a part of it; one that does not move is a `DataError`.
+        run: a whole drive, not a part of it.
         rough: a car near the truth.
         asked: what is free beside the course.
+
+    Raises:
+        DataError: the drive does not move.
     """
     limited = ramped(run)
     if limited is not run:
@@ -138,10 +141,19 @@ def _middle(cost: Array) -> tuple[float, NDArray[np.bool_]]:
 
 
 def _losses(run: Run, courses: Sequence[Run], rough: PlainCar, asked: Asked) -> Array:
-    """(courses,) negative log-likelihood of a drive [nats], but for a constant.
+    """Negative log-likelihood of a drive under commands of its own [nats], but for a constant.
 
-    The courses are the drive with its commands as they may have been taken over. Infinite where the
-    simulation diverges; the rest is as for `time_commands`.
+    Args:
+        run: a whole drive, not a part of it.
+        courses: the drive with its commands as they may have been taken over.
+        rough: a car near the truth.
+        asked: what is free.
+
+    Returns:
+        (courses,); infinite where the simulation diverges.
+
+    Raises:
+        DataError: the drive does not move.
     """
     parts = moving_segments([run])
     likelihood, _ = open_plain(parts, asked, rough, WINDOW, SECONDS)

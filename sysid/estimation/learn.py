@@ -187,7 +187,12 @@ def _starts(task: Task) -> list[Model[float]]:
 
 
 def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outcome.Fit:
-    """The plain car where it leaves no more than noise, else what windows of one second teach."""
+    """The plain car where it leaves no more than noise, else what windows of one second fit_car.
+
+    Raises:
+        FloatingPointError: no start gives a finite simulation.
+        ValueError: no window sees enough poses.
+    """
     plain = _fit_plain(task, drives, roughs) if roughs and roughs[0].explains else None
     if plain is not None and max(plain.misfit.values()) <= POOR:
         return plain

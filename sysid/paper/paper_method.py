@@ -73,7 +73,11 @@ def never_stop(iteration: int, parameters: Array, loss: float) -> bool:
 
 
 def paper_runs(runs: Sequence[Run]) -> tuple[PaperRun, ...]:
-    """The paper's runs of drives: `SECONDS` long, with a speed command; else a `ValueError`."""
+    """Split drives into the paper's runs: `SECONDS` long, with a speed command.
+
+    Raises:
+        ValueError: nothing long enough is left.
+    """
     found: list[PaperRun] = []
     for run in runs:
         moving = np.concatenate([[False], run.commands[:, 1] > MOVING, [False]])
@@ -188,7 +192,11 @@ def search_adam(
 def search_cma(
     problem: PaperProblem, start: Array, trials: int = 500, seed: int = 0, watch: Watch = never_stop
 ) -> SearchHistory:
-    """CMA-ES on the paper's loss, a batch a trial; without Optuna an `ImportError`."""
+    """CMA-ES on the paper's loss, one batch a trial.
+
+    Raises:
+        BaselineMissingError: Optuna is not installed.
+    """
     try:
         import cmaes as _cmaes  # type: ignore[import-untyped]  # noqa: F401
         import optuna
