@@ -43,8 +43,6 @@ from steerd.sysid.inference.residuals import Gap, blocks_of, folds_of, gap_of, s
 from steerd.sysid.inference.search import Point
 from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, kw_only=True)
 class GapOptions:
@@ -156,10 +154,7 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose the gap between a base car and drives.
 
-    Args:
-        case: the drives and the car.
-        progress: see `Progress`.
-        written: is called with the prediction (JSON) before the reserved drives are opened.
+    `written` is called with the prediction (JSON) before the reserved drives are opened.
 
     Raises:
         DataError: the drives are not fit for it.

@@ -5,13 +5,12 @@ the lane. Laps are averaged, so noise falls out and what the car's dynamics make
 The spectrum of the steering command shows what the loop does in time.
 """
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from steerd.sysid.data.data_checks import Array
 
 BINS = 100
 """Places along the lane at which profiles are compared."""
@@ -37,22 +36,7 @@ class LaneDrive:
     length: float  # of the lane [m]
 
 
-@dataclass(frozen=True)
-class LaneFigures:
-    """A drive in figures: RMS, mean and spectral peak of e1 [m] and e2 [rad]; steering's too."""
-
-    e1_rms: float
-    e1_mean: float
-    e1_peak_hz: float
-    e2_rms: float
-    e2_mean: float
-    e2_peak_hz: float
-    steer_rms: float
-    steer_peak_hz: float
-
-
-@dataclass(frozen=True)
-class Likeness:
+class Likeness(NamedTuple):
     """How far a simulated drive is from the recorded one."""
 
     e1: float  # RMS difference of the profiles [m]; e2: [rad]
@@ -71,6 +55,12 @@ class LaneComparison:
     session: str  # which drive
     again: str = ""  # options of `steerd run` that drive this lane
     remarks: tuple[str, ...] = ()  # what a reader should know, in words
+
+    @property
+    def drives(self) -> dict[str, LaneDrive | None]:
+        """All three; of the recorded one as much as was simulated, so that bends are the same."""
+        cut = self.recorded if self.without is None else as_long(self.recorded, self.without)
+        return {"recorded": cut, "without": self.without, "with_effect": self.with_effect}
 
     @property
     def distances(self) -> tuple[Likeness | None, Likeness | None]:
@@ -115,17 +105,16 @@ def _peak(t: Array, values: Array) -> float:
     return float(f[1:][np.argmax(power[1:])])
 
 
-def figures_of(drive: LaneDrive) -> LaneFigures:
-    """The drive in figures."""
-
-    def rms(values: Array) -> float:
-        return float(np.sqrt(np.mean(values**2)))
-
-    return LaneFigures(
-        rms(drive.e1), float(drive.e1.mean()), _peak(drive.t, drive.e1),
-        rms(drive.e2), float(drive.e2.mean()), _peak(drive.t, drive.e2),
-        rms(drive.steer), _peak(drive.t, drive.steer),
-    )  # fmt: skip
+def figures_of(drive: LaneDrive) -> dict[str, float]:
+    """RMS, mean and spectral peak [Hz] of e1 [m] and e2 [rad]; of the steering [rad] no mean."""
+    found = {}
+    for name in ("e1", "e2", "steer"):
+        values = getattr(drive, name)
+        found[f"{name}_rms"] = float(np.sqrt(np.mean(values**2)))
+        if name != "steer":
+            found[f"{name}_mean"] = float(values.mean())
+        found[f"{name}_peak_hz"] = _peak(drive.t, values)
+    return found
 
 
 def profile(along: Array, length: float, values: Array, bins: int = BINS) -> Array:
@@ -166,16 +155,11 @@ def likeness(recorded: LaneDrive, other: LaneDrive) -> Likeness:
 
 def encode_lane(lane: LaneComparison) -> dict[str, Any]:
     """The comparison as JSON values."""
-    cut = lane.recorded if lane.without is None else as_long(lane.recorded, lane.without)
-    drives = {"recorded": cut, "without": lane.without, "with_effect": lane.with_effect}
-    before, after = lane.distances
+    named = zip(("without", "with_effect"), lane.distances, strict=True)
     return {
         "session": lane.session,
-        "drives": {n: None if d is None else asdict(figures_of(d)) for n, d in drives.items()},
-        "distance": {
-            "without": None if before is None else asdict(before),
-            "with_effect": None if after is None else asdict(after),
-        },
+        "drives": {n: None if d is None else figures_of(d) for n, d in lane.drives.items()},
+        "distance": {name: None if each is None else each._asdict() for name, each in named},
         "nearer": lane.is_closer,
         "remarks": list(lane.remarks),
     }

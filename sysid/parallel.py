@@ -9,10 +9,6 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-class DaskMissingError(ImportError):
-    """The optional extra `dask` is not installed."""
-
-
 def map_jobs(
     work: Callable[[T], R], items: Iterable[T], jobs: int = 1, dask: str | None = None
 ) -> list[R]:
@@ -25,7 +21,7 @@ def map_jobs(
         dask: address of a Dask scheduler, which then does all of it.
 
     Raises:
-        DaskMissingError: a scheduler is named but Dask is not installed.
+        ImportError: a scheduler is named but Dask is not installed.
         OSError: the scheduler does not answer.
     """
     todo = list(items)
@@ -55,8 +51,7 @@ def _map_dask(work: Callable[[T], R], todo: list[T], address: str) -> list[R]:
     try:
         from distributed import Client
     except ImportError as error:
-        text = "--dask needs Dask: pip install distributed"
-        raise DaskMissingError(text) from error
+        raise ImportError("--dask needs Dask: pip install distributed") from error
     with Client(address, timeout="10s", set_as_default=False) as client:  # type: ignore[no-untyped-call]
         results: list[R] = client.gather(client.map(work, todo, pure=False))
         return results

@@ -158,13 +158,7 @@ def _flatten(sections: Mapping[str, Mapping[str, Any]]) -> Values:
 def identified_values(
     outcome: "Outcome", base: CarFile, given: Mapping[str, Learned]
 ) -> dict[str, Learned]:
-    """Updates for the car file: fitted parameters with error and provenance, and what was stated.
-
-    Args:
-        outcome: of the identification.
-        base: the car before it.
-        given: values that the user stated.
-    """
+    """Updates for the base's file: fitted parameters with error and origin, and what is given."""
     # What a stated wheelbase or mass moved, and nothing fitted, is as it was while fitting.
     carried = {
         name: Learned(getattr(outcome.after, name), None, "follows from what was stated")
@@ -202,14 +196,7 @@ def learn_known(car: CarFile, runs: "tuple[Run, ...]") -> Mapping[str, Mapping[s
     """What drives identify beyond a car's values: the size of noise, the joint covariance.
 
     Other drives of the car are judged by it, cut like these to where the car moves: a standing car
-    is quieter.
-
-    Args:
-        car: the identified car.
-        runs: its drives.
-
-    Returns:
-        Tables for `with_known`; none where the drives do not identify it.
+    is quieter. Tables for `with_known`; none where the drives do not identify it.
     """
     from steerd.sysid.data.segments import moving_segments
     from steerd.sysid.estimation.preparation import add_command_history

@@ -19,7 +19,6 @@ from steerd.daemon.analysis.drives import (
 )
 from steerd.daemon.analysis.finding import Finding
 from steerd.daemon.analysis.hints import complete, name_all, refusing, simulate_with
-from steerd.daemon.analysis.identification import find_effects
 from steerd.daemon.analysis.options import (
     CarSource,
     HeldOut,
@@ -29,6 +28,7 @@ from steerd.daemon.analysis.options import (
     by_keywords,
     list_sessions,
     read_car,
+    read_effects,
     read_held_out,
 )
 from steerd.daemon.assembly.session_meta import read_session_car
@@ -202,18 +202,12 @@ def run_diagnosis(
 def make_case(
     paths: Sequence[Path], options: DiagnoseOptions, warn: Warn, advance: Callable[[float], None]
 ) -> tuple[Drives, engine.Case, CarFile]:
-    """The drives, what is diagnosed of them and the car; what can be refused is refused here.
-
-    Args:
-        paths: the sessions.
-        options: what to diagnose.
-        warn: is handed what is doubtful in the sessions.
-        advance: is called with the share of the files read.
+    """The drives, what is diagnosed of them and the car, see `load_drives`.
 
     Raises:
         SteerdError: a session, the car file or an option cannot be used.
     """
-    only, without = find_effects(options.only), find_effects(options.without)
+    only, without = read_effects(options.only), read_effects(options.without)
     held_out, quiet = read_held_out(options.held_out), list_sessions(options.healthy)
     if only and not set(only) - set(without):
         raise SteerdError("only and without leave no effect", "", ExitCode.USAGE)

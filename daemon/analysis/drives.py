@@ -19,19 +19,10 @@ from steerd.daemon.common.translate import reading
 from steerd.daemon.sessions.info import load_session, make_session_report, read_recording
 from steerd.daemon.sessions.motion import make_range
 from steerd.steer_bus.session_read import Session
+from steerd.sysid.data import segments
 from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import Run, read_run
 from steerd.sysid.data.jitter_correction import correct_log_jitter
-from steerd.sysid.data.segments import (
-    PIECE,
-    describe_unused,
-    make_blocks,
-    moving_segments,
-    split_every,
-    spread_evenly,
-    thinned,
-    with_wheel_speed,
-)
 from steerd.sysid.estimation.preparation import HISTORY
 
 Warn = Callable[[Sequence[str]], None]
@@ -77,12 +68,7 @@ class Drives:
 
 
 def load_drive(path: Path, speed: Speed, warn: Warn) -> tuple[Session, Run]:
-    """A session and its drive.
-
-    Args:
-        path: the session.
-        speed: `wheel` takes the measured speed in place of the command.
-        warn: is handed what is wrong with the file or implausible in its numbers.
+    """A session and its drive; `warn` hears what is wrong with the file or its numbers.
 
     Raises:
         SteerdError: it cannot be read, or is not fit for a fit.
@@ -102,7 +88,7 @@ def load_drive(path: Path, speed: Speed, warn: Warn) -> tuple[Session, Run]:
             raise SteerdError(what, "import it with scale = 0.0174532925 in the map")
         report = make_session_report(read)
         warn([f"{path.name}: {each}" for each in report.warnings if each not in damage])
-        return session, with_wheel_speed(run) if speed == "wheel" else run
+        return session, segments.with_wheel_speed(run) if speed == "wheel" else run
 
 
 def load_drives(
@@ -130,17 +116,17 @@ def load_drives(
     whole, cut = 0.0, False
     for number, path in enumerate(paths):
         session, run = load_drive(path, speed, warn)
-        parts = spread_evenly(run, max(MOST / len(paths), PIECE), HISTORY)
+        parts = segments.spread_evenly(run, max(MOST / len(paths), segments.PIECE), HISTORY)
         cut |= parts[0] is not run
         sessions.append(session)
         found += parts
         whole += run.driven
         advance((number + 1) / len(paths))
-    kept = thinned(found, MOST)
+    kept = segments.thinned(found, MOST)
     if cut or len(kept) < len(found):
         used = sum(run.driven for run in kept) / 60.0
-        what = f"of {whole / 3600.0:.1f} h {used:.0f} min are used, in pieces of {PIECE:g} s"
-        warn([f"{what}, evenly from all sessions"])
+        what = f"of {whole / 3600.0:.1f} h {used:.0f} min are used"
+        warn([f"{what}, in pieces of {segments.PIECE:g} s, evenly from all sessions"])
     return Drives(tuple(sessions), tuple(kept))
 
 
@@ -173,13 +159,8 @@ def without_reserved(
 ) -> tuple[Path, ...]:
     """The sessions that are not held out: of `*.mcap` those that no other option names.
 
-    Args:
-        given: all sessions.
-        reserved: those to hold out.
-        purpose: what would be done with the others.
-
     Raises:
-        SteerdError: one drive is named twice, or none is left.
+        SteerdError: one drive is named twice, or none is left for the `purpose`.
     """
     refuse_copies(reserved)
     refuse_copies(given)
@@ -214,17 +195,13 @@ class Split(NamedTuple):
 def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, warn: Warn) -> Split:
     """Divide drives into those that are explained and those that measure the shrinkage.
 
-    Args:
-        drives: as loaded.
-        held_out: what is held out.
-        speed: of sessions that are opened later.
-        warn: is handed what is doubtful in those.
+    Sessions that are held out are opened later, with `speed` and `warn` as for `load_drives`.
 
     Raises:
         DataError: there is too little driving.
         SteerdError: there is too little to hold so much out.
     """
-    parts, every = moving_segments(drives), held_out.every
+    parts, every = segments.moving_segments(drives), held_out.every
     seconds = sum(run.driven for run in parts)
     if seconds < LEAST:
         what = f"only {seconds:.1f} s of driving at more than walking pace"
@@ -232,19 +209,19 @@ def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, warn: W
     # Of long sessions there are several drives. Few drives are cut, so that parts of them can be
     # left out of fits.
     sessions, few = list(dict.fromkeys(run.name for run in drives)), len(drives) < EVERY
-    notes = describe_unused(drives)
+    notes = segments.describe_unused(drives)
     if few:
         count = "one session" if len(sessions) == 1 else f"{len(sessions)} sessions"
         note = f"{count}, cut into blocks of {BLOCK:g} s or more: they stand in for further drives"
         notes = (note, *notes)
-    cut = partial(make_blocks, length=BLOCK, count=int, over=_OVER)
+    cut = partial(segments.make_blocks, length=BLOCK, count=int, over=_OVER)
     blocks = cut(parts)
     if held_out.files:
         past = drives[0].history
 
         def later() -> Sequence[Run]:
             opened = load_drives(held_out.files, speed, warn)
-            return moving_segments([replace(drive, history=past) for drive in opened.runs])
+            return segments.moving_segments([replace(drive, history=past) for drive in opened.runs])
 
         names = ", ".join(path.name for path in held_out.files)
         return Split(blocks if few else parts, later, names, notes)
@@ -263,7 +240,7 @@ def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, warn: W
     if len(blocks) < every:
         what = f"only {len(blocks)} blocks: too few to hold every {_ordinal(every)} out"
         raise SteerdError(what, "--held-out 0, or name a session", ExitCode.INVALID)
-    fitted, kept = split_every(blocks, every)
+    fitted, kept = segments.split_every(blocks, every)
     return Split(fitted, lambda: kept, f"every {_ordinal(every)} block of the drive", notes)
 
 

@@ -20,12 +20,7 @@ POINTS_MAX = 4000
 
 
 def plot_session(drawing: Drawing, title: str) -> Figure:
-    """Track over lane on the left, panels over time on the right.
-
-    Args:
-        drawing: of the session.
-        title: of the figure.
-    """
+    """Track over lane on the left, panels over time on the right."""
     panels = [panel for panel in drawing.panels if panel.title in PANELS] or [Panel("", "", ())]
     with rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, max(3.5, 1.25 * len(panels))), layout="constrained")

@@ -48,12 +48,7 @@ class NotALaneDriveError(SteerdError):
 
 
 def compare_lane(session: Session, base: CarFile, found: Values) -> LaneComparison:
-    """Drive a session's lane again without and with effects.
-
-    Args:
-        session: the recorded drive.
-        base: the car as believed so far.
-        found: parameters of the found effects by name; empty drives without them only.
+    """Drive a session's lane again, on the base car and with the effects that were found on it.
 
     Raises:
         NotALaneDriveError: there is no lane drive to compare with.

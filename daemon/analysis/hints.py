@@ -47,10 +47,7 @@ def name_all(paths: Sequence[Path]) -> str:
 def simulate_with(car: Path, sessions: Sequence[Session], more: str = "") -> str:
     """The command that drives with a car file what was driven before, in simulation.
 
-    Args:
-        car: the file.
-        sessions: of the car; where they are simulated their car is what drives.
-        more: further options.
+    Where the sessions are simulated, their car is what drives; `more` are further options.
     """
     origin = read_origin(sessions[0].info().metadata, own_car=False)
     origin = origin if origin.startswith("--sim") else "--sim --fast"

@@ -2,14 +2,13 @@
 
 import shlex
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isnan
 from pathlib import Path
 from typing import Any
 
 from steerd.car_model.car_file import CarFile, CarFileError, Learned, update_car
-from steerd.car_model.effects import find_effect
 from steerd.car_model.params import Car
 from steerd.daemon.analysis.car_output import (
     find_wiring,
@@ -30,22 +29,16 @@ from steerd.daemon.analysis.options import (
     by_keywords,
     list_sessions,
     read_car,
+    read_effects,
     read_held_out,
 )
 from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import notebook_progress
 from steerd.daemon.common.screen import shown
+from steerd.sysid.estimation import preparation as prep
 from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.outcome import Outcome, Row, encode_outcome
-from steerd.sysid.estimation.preparation import (
-    FitOptions,
-    fit_wheelbase,
-    free_names,
-    held_names,
-    level_loads,
-    scale_inertia,
-)
 from steerd.sysid.inference.plain_car import POOR, default_free
 from steerd.sysid.report.report import Line, Report, finite
 
@@ -58,7 +51,7 @@ _WHEELBASE = 0.05, 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdentifyOptions(FitOptions):
+class IdentifyOptions(prep.FitOptions):
     """How to identify a car.
 
     Attributes:
@@ -237,17 +230,17 @@ def _make_task(
     if length is not None and not _WHEELBASE[0] <= length <= _WHEELBASE[1]:
         raise SteerdError(f"wheelbase {length:g}: in metres", "", _USAGE)
     if options.effects != "auto":
-        options = replace(options, effects=find_effects(options.effects))
+        options = replace(options, effects=read_effects(options.effects))
     try:
-        model = fit_wheelbase(model, length, [*options.fix])
+        model = prep.fit_wheelbase(model, length, [*options.fix])
     except ValueError as error:
         raise SteerdError(str(error), "fix one of lf and lr, or neither", _USAGE) from None
     if "inertia_z" not in stated:
-        model = scale_inertia(model, base.model)
+        model = prep.scale_inertia(model, base.model)
     drives = load_drives(without_reserved(paths, held_out.files, "fit"), options.speed, warn)
     other = load_drives(held_out.files, options.speed, warn)
     if "cog_height" not in stated:
-        model = level_loads(model, drives.runs)
+        model = prep.level_loads(model, drives.runs)
     different = compare_truths(drives.metadata | other.metadata)
     warn(different)
     first = drives.sessions[0].info().metadata
@@ -257,23 +250,10 @@ def _make_task(
         options,
         held_out=other.runs,
         every=held_out.every or EVERY,
-        free=free_names(options, default_free(model.chassis)),
-        held=held_names(options),
+        free=prep.free_names(options, default_free(model.chassis)),
+        held=prep.held_names(options),
         truth=None if different else read_true_car(first),
     )
-
-
-def find_effects(names: Iterable[str]) -> tuple[str, ...]:
-    """Effects by their own names.
-
-    Raises:
-        SteerdError: there is none of a name.
-    """
-    try:
-        return tuple(find_effect(name).name for name in names)
-    except ValueError as error:
-        what, _, hint = str(error).partition("; ")
-        raise SteerdError(what, hint or "`steerd effects` lists them", _USAGE) from None
 
 
 def _given_values(fix: Mapping[str, float | None]) -> dict[str, Learned]:

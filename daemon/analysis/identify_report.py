@@ -11,7 +11,6 @@ from steerd.sysid.report.report import (
     Card,
     Cell,
     Fold,
-    Late,
     Line,
     Report,
     Section,
@@ -38,7 +37,7 @@ def make_report(outcome: Outcome, following: Sequence[Line] = ()) -> Report:
         subject=", ".join(outcome.sessions),
         about=f"{driven}, {pace} · method {outcome.method}, {outcome.seconds:.1f} s",
         lead="What the drives say of the car, judged by drives that were not fitted.",
-        sections=Late(lambda: _sections(outcome)),
+        sections=_sections(outcome),
         foot="Written by steerd identify. Frames are ISO 8855, angles positive to the left; "
         "sd is one standard error.",
         cards=list(_cards(outcome)),
@@ -53,7 +52,7 @@ def make_report(outcome: Outcome, following: Sequence[Line] = ()) -> Report:
             *(Line("note", note) for note in outcome.notes),
             *following,
         ],
-        figures=Late(lambda: _figures(outcome)),
+        figures=_figures(outcome),
     )
 
 
@@ -142,10 +141,10 @@ def _validation(outcome: Outcome) -> Iterator[Line]:
 # -- the page --------------------------------------------------------------------------------------
 
 
-def _figures(outcome: Outcome) -> "list[Diagrams]":
+def _figures(outcome: Outcome) -> "Iterator[Diagrams]":
     from steerd.sysid.report.identify_figures import draw_main
 
-    return draw_main(outcome)
+    yield from draw_main(outcome)
 
 
 def _sections(outcome: Outcome) -> Iterator[Section]:

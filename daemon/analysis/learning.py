@@ -41,13 +41,9 @@ def learn_session(
     see: Callable[[m.Model], None] = lambda report: None,
     share: Callable[[float], None] = lambda done: None,
 ) -> Learnt:
-    """Feed a recorded drive to the learner.
+    """Feed a recorded drive to the learner, about a car file or that inside the session.
 
-    Args:
-        path: the session.
-        car: a car file; None for that inside the session.
-        see: is handed every report as it comes.
-        share: is called with the share of the session that was read, now and then.
+    `see` is handed every report as it comes, `share` the share of the session that was read.
 
     Raises:
         SteerdError: session or car file cannot be used, or too little was driven for a report.

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Concatenate, Literal, NamedTuple, ParamSpec, Protocol, TypeVar
 
 from steerd.car_model.car_file import CarFile, default_car_path
+from steerd.car_model.effects import find_effect
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.common.translate import load_car_file
@@ -111,6 +112,15 @@ def _listed(given: Any) -> Sequence[Any]:
 def list_sessions(given: SessionSources) -> tuple[Path, ...]:
     """Session files, of one source or several."""
     return tuple(Path(e) if isinstance(e, str | Path) else e.path for e in _listed(given))
+
+
+def read_effects(names: Sequence[str]) -> tuple[str, ...]:
+    """Effects by their own names; a name of none is refused."""
+    try:
+        return tuple(find_effect(name).name for name in names)
+    except ValueError as error:
+        what, _, hint = str(error).partition("; ")
+        raise SteerdError(what, hint, ExitCode.USAGE) from None
 
 
 def read_car(given: CarSource) -> CarFile:

@@ -156,10 +156,8 @@ class Session:
         Raises:
             SteerdError: polars is not installed, or as `table`.
         """
-        columns = {
-            n: c.tolist() if c.dtype == object else c
-            for n, c in _flatten(self._columns(topic)).items()
-        }
+        flat = _flatten(self._columns(topic)).items()
+        columns = {name: c.tolist() if c.dtype == object else c for name, c in flat}
         frame: polars.DataFrame = load_package("polars").DataFrame(columns)
         return frame
 
@@ -216,9 +214,6 @@ _TIMES = {"t": "s", "log_ns": "ns", "publish_ns": "ns"}
 
 def load(path: Path | str) -> Session:
     """Open a session file; unfinished and damaged ones open too, with `warnings`.
-
-    Args:
-        path: an MCAP session of steerd.
 
     Raises:
         SteerdError: it cannot be read, or is no session.

@@ -96,7 +96,7 @@ _LEARNT = tuple(
 
 
 def make_model(
-    state: State, mono_ns: int, epoch_ns: int, dropped: int, remembered: tuple[Remembered, ...] = ()
+    state: State, mono_ns: int, epoch_ns: int, dropped: int, remembered: Remembered
 ) -> m.Model:
     """The report of a state.
 
@@ -107,7 +107,7 @@ def make_model(
         dropped: records that were lost so far.
         remembered: what an earlier drive taught: reported until this one knows the car.
     """
-    early = (Value(*each, unit_of(each.name), True) for each in remembered)
+    early = (Value(name, *each, unit_of(name), True) for name, each in remembered.items())
     values = values_of(state.known) if state.known else tuple(early)
     by_name = {value.name: value for value in values}
     current = () if state.change is None else (state.change,)

@@ -7,15 +7,13 @@ the same car showed in as many windows while nothing was the matter (`QuietRatio
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sim_gap.online.looking import Loss, Reference
-from steerd.sim_gap.online.tracking import Track
-
-Array = NDArray[np.float64]
+from steerd.sim_gap.online.tracking import Loss, Reference, Track
+from steerd.sysid.data.data_checks import Array
 
 SPANS: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 12, 16)
 """Numbers of windows that a change may be old."""
@@ -48,18 +46,15 @@ class QuietRatios:
         level = (USUAL_PRIOR * USUAL_LEVEL + own * mean) / (USUAL_PRIOR + own)
         return np.asarray(np.maximum(np.maximum(level, 2.0 * self.peak / PEAK), 1.0))
 
+    def after(self, gains: Array, fading: float = 0.0) -> "QuietRatios":
+        """With the ratios (effects, spans) of one more window; NaN where there was no such span.
 
-def unknown(effects: int) -> QuietRatios:
-    """Nothing seen yet."""
-    shape = (effects, len(SPANS))
-    return QuietRatios(np.zeros(shape), np.zeros(shape), np.zeros(shape))
-
-
-def with_ratios(usual: QuietRatios, gains: Array) -> QuietRatios:
-    """With the ratios (effects, spans) of one more window; NaN where there was no such span."""
-    there = np.isfinite(gains)
-    filled = np.where(there, gains, 0.0)
-    return QuietRatios(usual.total + filled, usual.count + there, np.maximum(usual.peak, filled))
+        Its peaks are a little lower before, and its sums a little lighter, by this share.
+        """
+        there, keep = np.isfinite(gains), 1.0 - fading
+        new = np.where(there, gains, 0.0)
+        total, count = keep * self.total + new, keep * self.count + there
+        return QuietRatios(total, count, np.maximum(keep * self.peak, new))
 
 
 def ratios(reference: Reference, tracks: Sequence[Track], looks: Sequence[Loss]) -> Array:
@@ -108,17 +103,11 @@ def _gain(reference: Reference, pull: Array, information: Array, mine: NDArray[n
 def reweighted(
     reference: Reference, tracks: Sequence[Track], looks: Sequence[Loss], table: Array, level: Array
 ) -> Array:
-    """The ratios, those that are nearly a change as the change itself would have them.
+    """The table of `ratios`, those that are nearly a change as the change itself would have them.
 
     The sums weigh a window by how badly the reference explains it, so one that shows a change
-    plainly counts for as little as one that nothing explains. No ratio becomes smaller.
-
-    Args:
-        reference: the car.
-        tracks: what was known of the base before each of the windows.
-        looks: the last windows, oldest first.
-        table: (effects, spans) see `ratios`.
-        level: (effects, spans) by what they are divided, see `QuietRatios`.
+    plainly counts for as little as one that nothing explains. No ratio becomes smaller. What is
+    nearly a change is judged by the ratios' `QuietRatios.level`.
     """
     # Why: docs/decisions/diagnosis.md#d98
     judged = np.nan_to_num(table / level, nan=-np.inf).max(axis=1)
@@ -169,16 +158,8 @@ def _cost(reference: Reference, before: Track, looks: Sequence[Loss], own: Seque
 
 def quiet_ratios_of(reference: Reference, track: Track, looks: Sequence[Loss]) -> QuietRatios:
     """What the windows that made the reference show."""
-    usual = unknown(len(reference.space.effects))
+    usual = QuietRatios(*np.zeros((3, len(reference.space.effects), len(SPANS))))
     for end in range(1, len(looks) + 1):
         part = looks[max(0, end - SPANS[-1]) : end]
-        usual = with_ratios(usual, ratios(reference, [track] * len(part), part))
+        usual = usual.after(ratios(reference, [track] * len(part), part))
     return usual
-
-
-def faded(usual: QuietRatios, share: float) -> QuietRatios:
-    """With its peaks a little lower and its sums a little lighter."""
-    keep = 1.0 - share
-    return replace(
-        usual, total=keep * usual.total, count=keep * usual.count, peak=keep * usual.peak
-    )

@@ -8,31 +8,18 @@ change (`changes`); after one it says what changed (`naming`), and learns the ca
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
-from steerd.sim_gap.online.changes import SPANS, faded, ratios, reweighted, with_ratios
-from steerd.sim_gap.online.looking import Loss, look
+from steerd.sim_gap.online import samples
+from steerd.sim_gap.online.changes import SPANS, ratios, reweighted
 from steerd.sim_gap.online.naming import LOOKS, Finding, Known, find_cause, learn
-from steerd.sim_gap.online.samples import (
-    LATE,
-    WINDOW,
-    PoseSeen,
-    Recent,
-    Sample,
-    first_start,
-    make_window,
-    take,
-)
-from steerd.sim_gap.online.tracking import Memory, Remembered, Track, follow, remember
+from steerd.sim_gap.online.tracking import Loss, Memory, Remembered, Track, follow, look, remember
 from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference.augmented_car import AugmentedCar, make_augmented_car
 from steerd.sysid.inference.chart import RELATIVE
 from steerd.sysid.inference.noise import Noise, noise_of_section
 from steerd.sysid.inference.space import FLOORS, LIMITS
-
-Array = NDArray[np.float64]
 
 REFERENCE = 50
 """Windows that the car is learnt from: 25 s, two laps of an ordinary figure-eight."""
@@ -63,7 +50,8 @@ class Learner:
     augmented: AugmentedCar  # the car file's base, with every effect of the library
     noise: Noise | None = None  # as the car file knows it
     ramp: float = 0.0  # limit of the motor controller's setpoint [m/s^2], 0 for none
-    remembered: tuple[Remembered, ...] = ()  # what an earlier drive of this car taught
+    # What an earlier drive of this car taught
+    remembered: Remembered = field(default_factory=dict)
 
 
 def make_learner(car: CarFile, ramp: float = 0.0, memory: Memory | None = None) -> Learner:
@@ -80,7 +68,7 @@ def make_learner(car: CarFile, ramp: float = 0.0, memory: Memory | None = None) 
     augmented = make_augmented_car(car, ())
     if augmented.knowledge is None and not augmented.sd:
         augmented = replace(augmented, sd=_published(augmented))
-    remembered = remember(augmented, memory) if memory is not None else ()
+    remembered = remember(augmented, memory) if memory is not None else {}
     return Learner(augmented, noise_of_section(car.sections.get("noise", {})), ramp, remembered)
 
 
@@ -116,7 +104,7 @@ class Change:
 class State:
     """Everything that the learner remembers."""
 
-    recent: Recent = field(default_factory=Recent)  # samples of the last seconds
+    recent: samples.Recent = field(default_factory=samples.Recent)  # samples of the last seconds
     start: float = -np.inf  # when the next window begins [s]
     # Drives that the car is learnt from, with their times
     windows: tuple[tuple[float, Run], ...] = ()
@@ -128,10 +116,10 @@ class State:
     due: float = -np.inf
 
 
-def fold(learner: Learner, state: State, sample: Sample) -> tuple[State, bool]:
+def fold(learner: Learner, state: State, sample: samples.Sample) -> tuple[State, bool]:
     """Take in one sample; whether a report of the state is due."""
-    state = replace(state, recent=take(state.recent, sample))
-    if not isinstance(sample, PoseSeen):
+    state = replace(state, recent=samples.take(state.recent, sample))
+    if not isinstance(sample, samples.PoseSeen):
         return state, False
     state = _close_window(learner, state)
     if sample.t < state.due:
@@ -144,12 +132,12 @@ def fold(learner: Learner, state: State, sample: Sample) -> tuple[State, bool]:
 
 def _close_window(learner: Learner, state: State) -> State:
     """Take in the window that the newest pose completes, if there is one."""
-    earliest = first_start(state.recent)
+    earliest = samples.first_start(state.recent)
     start = max(state.start, earliest)
-    if not np.isfinite(start) or state.recent.newest < start + WINDOW + LATE:
+    if not np.isfinite(start) or state.recent.newest < start + samples.WINDOW + samples.LATE:
         return replace(state, start=state.start if state.start > earliest else -np.inf)
-    run = make_window(state.recent, start, learner.ramp)
-    state = replace(state, start=start + WINDOW)
+    run = samples.make_window(state.recent, start, learner.ramp)
+    state = replace(state, start=start + samples.WINDOW)
     return state if run is None else take_window(learner, state, start, run)
 
 
@@ -196,7 +184,7 @@ def _watch(learner: Learner, state: State, known: Known, seen: Loss) -> State:
         track = follow(track, seen.weight * seen.g[:n], seen.weight * seen.h[:n, :n])
     shown, usual = (*shown, table), known.usual
     if len(shown) > DELAY:
-        usual = with_ratios(faded(usual, FADING), shown[0])
+        usual = usual.after(shown[0], FADING)
         shown = shown[1:]
     known = replace(
         known, track=track, usual=usual, looks=looks, tracks=tracks, shown=shown,
@@ -208,7 +196,7 @@ def _watch(learner: Learner, state: State, known: Known, seen: Loss) -> State:
 def _call(learner: Learner, state: State, known: Known, span: int) -> State:
     """Call a change that began `span` windows ago."""
     looks, before = known.looks[-span:], known.tracks[-span]
-    noticed = looks[-1].t + WINDOW + LATE
+    noticed = looks[-1].t + samples.WINDOW + samples.LATE
     change = Change(looks[0].t, noticed, before, state.windows[-span:])
     # What was followed since the change is taken back.
     known = replace(known, track=before, shown=())

@@ -7,15 +7,23 @@ likelihood, hypotheses and verdict are those of `steerd.sysid.inference`.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.sim_gap.online.changes import SPANS, QuietRatios, quiet_ratios_of
-from steerd.sim_gap.online.looking import Loss, Reference, looks_of, may_change
 from steerd.sim_gap.online.samples import WINDOW
-from steerd.sim_gap.online.tracking import Remembered, Track, with_memory
+from steerd.sim_gap.online.tracking import (
+    Loss,
+    Reference,
+    Remembered,
+    Track,
+    looks_of,
+    may_change,
+    with_memory,
+)
 from steerd.sim_gap.verdict.evidence import Cause, Verdict, judge_case
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference.augmented_car import AugmentedCar, BasePrior
@@ -46,12 +54,9 @@ class Finding:
 
 
 def find_cause(reference: Reference, before: Track, windows: Sequence[Run]) -> Finding:
-    """What the windows since a change say of it.
+    """What the windows since a change say of it, by what was known of the base before.
 
-    Args:
-        reference: the car.
-        before: what was known of the base before the change.
-        windows: since then; the first may hold the change itself and is left out.
+    The first may hold the change itself and is left out.
     """
     try:
         verdict = _diagnose(believed(reference, before), reference, windows[1:][-LATEST:])
@@ -93,9 +98,6 @@ def _diagnose(base: AugmentedCar, reference: Reference, runs: Sequence[Run]) -> 
     return judge_case(library, explain(library, 1), known=True)
 
 
-Array = NDArray[np.float64]
-
-
 @dataclass(frozen=True, eq=False)
 class Known:
     """The car as learnt, and what was seen since."""
@@ -114,15 +116,12 @@ def learn(
     augmented: AugmentedCar,
     windows: Sequence[tuple[float, Run]],
     noise: Noise | None,
-    remembered: Sequence[Remembered] = (),
+    remembered: Remembered = MappingProxyType({}),
 ) -> Known | None:
-    """The car as it is in windows; None where its base's simulation leaves the map.
+    """The car as it is in windows (when each began [s], and its drive), from a car file's base.
 
-    Args:
-        augmented: the car file's base.
-        windows: drives and when each began [s].
-        noise: as the car file knows it.
-        remembered: what an earlier drive taught; left out where these windows contradict it.
+    What an earlier drive taught is left out where these windows contradict it. None where the
+    base's simulation leaves the map.
     """
     times, runs = [t for t, _ in windows], [run for _, run in windows]
     nuisance = nuisance_names(augmented, runs)

@@ -103,10 +103,7 @@ def first_start(recent: Recent) -> float:
 def make_window(recent: Recent, start: float, ramp: float) -> Run | None:
     """The window that begins at `start` [s], None where the car did not drive through it.
 
-    Args:
-        recent: the samples.
-        start: first time [s].
-        ramp: limit of the motor controller's setpoint [m/s^2], 0 for none.
+    `ramp` is the limit of the motor controller's setpoint [m/s^2], 0 for none.
     """
     end = start + WINDOW
     poses = [p for p in recent.poses if start <= p.t < end]

@@ -1,28 +1,35 @@
-"""The base's coordinates followed window by window; only what data replace is forgotten.
+"""Windows about a car as it was learnt, and its base's coordinates followed window by window.
 
-An information filter about a fixed reference. Before a window's information is added, what is known
-in just the directions that the window informs is faded (Cao and Schwartz, 2000): on a straight or
-at a standstill no direction is informed, and nothing fades.
+About the reference each window is a quadratic form in the base's own coordinates and those of all
+effects (`predictor`), so a window is evaluated once and never again. An information filter joins
+them: before a window's information is added, what is known in just the directions that the window
+informs is faded (Cao and Schwartz, 2000). On a straight or at a standstill no direction is
+informed, and nothing fades.
 
 What an earlier drive of the same car taught is remembered: each number is a normal distribution,
 inflated by the days since. It counts beside the first windows of a drive, not before them: a fit
 that begins at a wrong car may stay there, and what these windows contradict is given up.
 """
 
-# Why: docs/decisions/diagnosis.md#d87
+# Why: docs/decisions/diagnosis.md#d78, docs/decisions/diagnosis.md#d87
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from steerd.sim_gap.online.looking import Reference
+from steerd.car_model.effect import BaseSelection
+from steerd.sim_gap.online.samples import WINDOW
+from steerd.sysid.data.data_checks import Array
+from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference.augmented_car import AugmentedCar
-from steerd.sysid.inference.space import Space, make_space
-
-Array = NDArray[np.float64]
+from steerd.sysid.inference.likelihood import Reduced, make_likelihood
+from steerd.sysid.inference.noise import Noise
+from steerd.sysid.inference.predictor import open_predictor
+from steerd.sysid.inference.residuals import settled
+from steerd.sysid.inference.search import stand
+from steerd.sysid.inference.space import Space, informative_effects, make_space
 
 MEMORY = 240.0
 """Windows after which information has faded to 1/e, where others bring the same: two minutes."""
@@ -31,6 +38,81 @@ INFORMED = 0.05
 DISCREPANCY = 16.0
 """Variances are this much larger than a likelihood says: what a model misses is alike from lap to
 lap, and does not average out as noise does."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """The car about which windows are seen."""
+
+    augmented: AugmentedCar  # base and library, the base's values those learnt
+    space: Space  # the base's coordinates first, then those of every effect that may have changed
+    noise: Noise  # what is random
+
+    @property
+    def late(self) -> float:
+        """How late poses are [s]."""
+        return float(self.augmented.base[self.augmented.kernels.names.index("pose_delay")])
+
+    def places(self, effect: str) -> list[int]:
+        """Coordinates of an effect."""
+        free = self.space.chart.free
+        return [i for i, name in enumerate(free) if name.startswith(f"{effect}.")]
+
+
+@dataclass(frozen=True, eq=False)
+class Loss:
+    """A window seen."""
+
+    t: float  # when it began [s]
+    square: float  # whitened squared error about the reference, at its best start
+    dof: int  # its degrees of freedom
+    g: Array  # (n,) pull on the coordinates (direction of steepest improvement)
+    h: Array  # (n, n) information about them
+
+    @property
+    def ratio(self) -> float:
+        """Whitened squared error per degree of freedom; 1 is noise."""
+        return self.square / self.dof
+
+    @property
+    def weight(self) -> float:
+        """What it counts: less where nothing explains it (Student's t)."""
+        return 2.0 / (1.0 + self.ratio)
+
+
+def may_change(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[str, ...]:
+    """Effects that can come about while a car drives and show at once.
+
+    Those that could be part of a car: what is a matter of a place or of the time of day is none
+    that a window can show.
+    """
+    effects = {e.name: e for e in augmented.effects}
+    return tuple(
+        name
+        for name in informative_effects(augmented, runs)
+        if effects[name].selectable_in_base is not BaseSelection.NEVER
+    )
+
+
+def look(reference: Reference, run: Run, t: float) -> Loss | None:
+    """See a window that began at `t` [s]; None where the reference's simulation leaves the map."""
+    try:
+        predictor = open_predictor(reference.augmented, [run], WINDOW)
+        fixed = make_space(reference.augmented, ())
+        guess = predictor.guess.copy()
+        likelihood = make_likelihood(predictor, reference.augmented.base, guess, reference.noise)
+        found = settled(likelihood, fixed, fixed.centre)
+        point = stand(likelihood, reference.space, reference.space.centre, found.x, 0.0)
+    except (ValueError, FloatingPointError, np.linalg.LinAlgError):
+        return None
+    return looks_of(point.at, [t])[0]
+
+
+def looks_of(at: Reduced, times: Sequence[float]) -> list[Loss]:
+    """Windows that began at these times [s], from their losses."""
+    return [
+        Loss(t, float(at.square[w]), int(at.dof[w]), at.g[w], at.h[w]) for w, t in enumerate(times)
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,39 +179,29 @@ CONTRADICTED = 3.0
 """Standard deviations, joined, between memory and first windows from which on it is given up."""
 
 
+Remembered = Mapping[str, tuple[float, float]]
+"""(value, standard deviation) by name; SI units."""
+
+
 class Memory(NamedTuple):
     """What was kept of an earlier drive."""
 
-    # (value, standard deviation) by name, as learnt; SI units
-    values: Mapping[str, tuple[float, float]]
+    values: Remembered  # as learnt
     days: float  # how long ago that was
 
 
-class Remembered(NamedTuple):
-    """One number as it is believed today: a value and its standard deviation, SI units."""
-
-    name: str
-    value: float
-    sd: float
-
-
-def remember(augmented: AugmentedCar, memory: Memory) -> tuple[Remembered, ...]:
-    """What of a memory still says more than the car file.
-
-    Args:
-        augmented: the car file's base.
-        memory: of an earlier drive of that car.
-    """
+def remember(augmented: AugmentedCar, memory: Memory) -> Remembered:
+    """What of the memory of an earlier drive still says more than the car file's base."""
     names = [n for n in memory.values if n in augmented.kernels.names and n not in MEASURED]
     space = make_space(augmented, names)
-    found = []
+    found = {}
     for i, name in enumerate(space.chart.free[: space.nuisance]):
         value, sd = memory.values[name]
         before = _slope(space, i) * float(space.spread[i])
         today = float(np.hypot(sd, before * np.sqrt(PER_DAY * max(memory.days, 0.0))))
         if today**2 < FORGOTTEN * before**2:
-            found.append(Remembered(name, value, today))
-    return tuple(found)
+            found[name] = value, today
+    return found
 
 
 def _slope(space: Space, place: int) -> float:
@@ -138,24 +210,18 @@ def _slope(space: Space, place: int) -> float:
     return abs(float(space.chart.slopes(space.centre)[row, place]))
 
 
-def with_memory(reference: Reference, track: Track, remembered: Sequence[Remembered]) -> Track:
-    """What is known of the base with what an earlier drive taught.
+def with_memory(reference: Reference, track: Track, remembered: Remembered) -> Track:
+    """What first windows say of the base, joined with what an earlier drive taught.
 
-    Args:
-        reference: the car as the first windows show it.
-        track: what they say about it.
-        remembered: of the earlier drive.
-
-    Returns:
-        The track as it was where one of the numbers contradicts these windows: it was another car.
+    The track as it was where one of the numbers contradicts these windows: it was another car.
     """
-    space, by_name = reference.space, {each.name: each for each in remembered}
-    names, at = reference.augmented.kernels.names, reference.augmented.base.copy()
-    own = [i for i, name in enumerate(space.chart.free[: space.nuisance]) if name in by_name]
+    space, at = reference.space, reference.augmented.base.copy()
+    names, free = reference.augmented.kernels.names, space.chart.free[: space.nuisance]
+    own = [i for i, name in enumerate(free) if name in remembered]
     for i in own:
-        at[names.index(space.chart.free[i])] = by_name[space.chart.free[i]].value
+        at[names.index(free[i])] = remembered[free[i]][0]
     away = (space.chart.coordinates(at) - space.centre)[own]
-    sd = np.array([by_name[space.chart.free[i]].sd / _slope(space, i) for i in own])
+    sd = np.array([remembered[free[i]][1] / _slope(space, i) for i in own])
     seen = np.diag(track.covariance)[own]
     if (np.abs(away - track.mean[own]) > CONTRADICTED * np.sqrt(sd**2 + seen)).any():
         return track

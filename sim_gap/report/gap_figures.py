@@ -5,7 +5,6 @@ from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
 from steerd.sim_gap.diagnosis import Diagnosis
 from steerd.sim_gap.lane_comparison import (
@@ -31,8 +30,6 @@ from steerd.sysid.report.drawing import (
     scale_bars,
 )
 from steerd.sysid.report.report import DEGREES
-
-Array = NDArray[np.float64]
 
 SHOWN_MOST, RUNS_MOST = 12, 4
 """Candidates and drives that are drawn; the rest is in the JSON."""

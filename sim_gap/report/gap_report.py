@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from steerd.car_model.effects import EFFECTS
 from steerd.sim_gap.diagnosis import Diagnosis
-from steerd.sim_gap.lane_comparison import LaneComparison, as_long, figures_of
+from steerd.sim_gap.lane_comparison import LaneComparison, figures_of
 from steerd.sim_gap.verdict.evidence import Cause, Estimated
 from steerd.sim_gap.verdict.where import EQUATIONS
 from steerd.sysid.report.report import (
@@ -14,7 +14,6 @@ from steerd.sysid.report.report import (
     SCALES,
     Card,
     Fold,
-    Late,
     Line,
     Report,
     Section,
@@ -51,29 +50,17 @@ def make_report(
 ) -> Report:
     """What a diagnosis found.
 
-    Args:
-        found: what it found.
-        complete: makes commands in a text run as they are printed.
-        following: the command to type next.
+    `complete` makes commands in a text run as they are printed; `following` is the next to type.
     """
     case, to_drive = found.case, complete(manoeuvre_words(found))
     sessions = ", ".join(case.sessions)
     facts, (verdict, grade) = f"{case.seconds:.0f} s to explain", VERDICTS[found.verdict]
-    how = Section(
-        "How this was done",
-        METHOD,
-        notes=found.all_notes,
-        fold=Fold(
-            "the prediction, as it was written before the reserved drives were opened",
-            f"{found.shrinkage.text} SHA-256 {found.shrinkage.digest}",
-        ),
-    )
     return Report(
         title="What the simulation is missing of this car",
         subject=sessions,
         about=f"{facts} · base: {case.base_source}",
         lead=headline(found),
-        sections=Late(lambda: (*_sections(found, to_drive), how)),
+        sections=_sections(found, to_drive),
         foot="Written by steerd diagnose. Frames are ISO 8855, angles positive to the left; "
         "sd is one standard error; intervals are 90 %.",
         verdict=verdict,
@@ -87,7 +74,7 @@ def make_report(
             *(Line("note", note) for note in (*case.notes, *found.notes)),
             Line("next", following, whole=True),
         ],
-        figures=Late(lambda: _figures(found)),
+        figures=_figures(found),
     )
 
 
@@ -155,10 +142,10 @@ def _surest(cause: Cause) -> tuple[str, Estimated]:
     return max(cause.parameters.items(), key=sigmas)
 
 
-def _figures(found: Diagnosis) -> "list[Diagrams]":
+def _figures(found: Diagnosis) -> "Iterator[Diagrams]":
     from steerd.sim_gap.report.gap_figures import draw_main
 
-    return draw_main(found)
+    yield from draw_main(found)
 
 
 def _sections(found: Diagnosis, to_drive: str) -> Iterator[Section]:
@@ -184,12 +171,11 @@ def _sections(found: Diagnosis, to_drive: str) -> Iterator[Section]:
             figures=[timeline],
         )
         if where.regimes:
+            height = 0.7 + 0.28 * len(where.regimes)
             yield Section(
                 text="By regime: right of the dotted line the error is larger than elsewhere "
                 "(coloured where its interval says so).",
-                figures=[
-                    Diagrams(figures.plot_regimes, 0.7 + 0.28 * len(where.regimes), [where.regimes])
-                ],
+                figures=[Diagrams(figures.plot_regimes, height, [where.regimes])],
             )
     if found.candidates:
         yield Section("Which effect", _which(found), figures=[candidates])
@@ -213,6 +199,9 @@ def _sections(found: Diagnosis, to_drive: str) -> Iterator[Section]:
     )
     text = _sentence(f"to drive: {to_drive}")
     yield Section("What next", text + typed if found.causes else f"{text} ")
+    prediction = f"{found.shrinkage.text} SHA-256 {found.shrinkage.digest}"
+    before = "the prediction, as it was written before the reserved drives were opened"
+    yield Section("How this was done", METHOD, found.all_notes, fold=Fold(before, prediction))
 
 
 def _cause_sections(found: Diagnosis, shrinks: "Diagrams") -> Iterator[Section]:
@@ -377,10 +366,7 @@ def lane_words(lane: LaneComparison) -> str:
 
 def lane_rows(lane: LaneComparison) -> list[list[str]]:
     """A table: figures of the recorded and the simulated drives."""
-    drives = [lane.recorded, lane.without, lane.with_effect]
-    if lane.without is not None:
-        drives[0] = as_long(lane.recorded, lane.without)
-    found = [None if d is None else figures_of(d) for d in drives]
+    found = [None if d is None else figures_of(d) for d in lane.drives.values()]
     rows = [
         ("e1 RMS [mm]", 1e3, "e1_rms"), ("e1 mean [mm]", 1e3, "e1_mean"),
         ("e1 strongest at [Hz]", 1.0, "e1_peak_hz"), ("e2 RMS [°]", DEGREES, "e2_rms"),
@@ -389,7 +375,7 @@ def lane_rows(lane: LaneComparison) -> list[list[str]]:
                                                    "steer_peak_hz"),
     ]  # fmt: skip
     return [
-        [label, *("–" if f is None else f"{scale * getattr(f, name):.3g}" for f in found)]
+        [label, *("–" if f is None else f"{scale * f[name]:.3g}" for f in found)]
         for label, scale, name in rows
     ]
 

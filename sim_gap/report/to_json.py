@@ -28,9 +28,7 @@ def _gap(gap: Gap) -> dict[str, Any]:
 def to_json(found: Diagnosis, complete: Callable[[str], str] = str) -> dict[str, Any]:
     """The diagnosis as plain values, exactly in the shape of `steerd.gap/1`.
 
-    Args:
-        found: the diagnosis; what it rests on is under `residual`.
-        complete: makes a command run as it is printed.
+    What it rests on is under `residual`; `complete` makes a command run as it is printed.
     """
     s, shape, case, following = found.shrinkage, found.shape, found.case, found.next_manoeuvre
     horizons = {

@@ -49,13 +49,7 @@ class Verdict:
 
 
 def judge_case(library: Library, found: Findings, known: bool) -> Verdict:
-    """The verdict.
-
-    Args:
-        library: what was tried.
-        found: the hypotheses.
-        known: whether noise is known from other drives: else a gap passes for noise.
-    """
+    """The verdict; where noise is not `known` from other drives, a gap passes for it."""
     best, after = found.best, found.best.point.size
     lost = _is_lost(best.point)
     left = 1.0 if lost else _left(found)

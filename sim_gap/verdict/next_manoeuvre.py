@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.rollout import simulate, start
 from steerd.car_model.state import Command, State
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import GRID, Run, Signal
 from steerd.sysid.inference.disturbance_response import active_model
 from steerd.sysid.inference.library import Library, carry
@@ -18,8 +18,6 @@ from steerd.sysid.inference.noise import Noise
 from steerd.sysid.inference.predictor import Predictor, open_predictor
 from steerd.sysid.inference.residuals import settled
 from steerd.sysid.inference.search import Point, curvature, stand
-
-Array = NDArray[np.float64]
 
 SECONDS = 8.0
 _SUBSTEPS = 4

@@ -4,14 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerd.sim_gap.verdict.where import conditions
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.predictor import Predictor
 from steerd.sysid.inference.search import Point
-
-Array = NDArray[np.float64]
 
 _CORRELATED = 0.3
 _WHITE = 2.0

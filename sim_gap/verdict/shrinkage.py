@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.likelihood import make_likelihood
@@ -29,8 +30,6 @@ from steerd.sysid.inference.residuals import (
 )
 from steerd.sysid.inference.search import Point, newton
 from steerd.sysid.inference.space import make_space
-
-Array = NDArray[np.float64]
 
 _EXCESS_LEAST = 0.01
 """Below this there is no excess to take a share of."""
@@ -63,32 +62,17 @@ def explained_share(before: float, after: float, floor: float) -> float:
     return float(np.clip((before - after) / excess, 0.0, 1.0))
 
 
-def noise_margin(draws: Array, floor: float, blocks: int) -> float:
-    """How far noise alone may be from what it leaves on average, on drives of so many blocks.
+def noise_level(best: float, draws: Array, floor: float, blocks: int) -> tuple[float, float]:
+    """What noise leaves on just these drives, and how far noise alone may be from its average.
 
-    Args:
-        draws: bootstrap of what the effect leaves at its best: windows that it leaves unexplained
-            spread it, so noise's own spread is the most.
-        floor: what noise leaves on average.
-        blocks: how many blocks the drives have.
+    On average it is `floor`; on few blocks it is more or less than that, by the same amount with
+    and without an effect. What the effect leaves at its `best`, fitted to these drives, shows by
+    how much, as long as noise alone may be so far off; what is left beyond counts as excess.
+    Windows left unexplained spread its bootstrap `draws`: noise's own spread is the most.
     """
     own = c.NOISE_SPREAD * floor / np.sqrt(blocks)
-    return _SIGMAS * min(float(draws.std()), float(own))
-
-
-def floor_of(best: float, margin: float, floor: float) -> float:
-    """What noise leaves on just these drives.
-
-    On average it is `floor`; on few windows it is more or less than that, by the same amount with
-    and without an effect. What the effect leaves at its best shows by how much, as long as noise
-    alone may be so far off; what is left beyond counts as excess.
-
-    Args:
-        best: whitened error that the effect leaves when it is fitted to these drives.
-        margin: see `noise_margin`.
-        floor: what noise leaves on average.
-    """
-    return float(np.clip(best, floor - margin, floor + margin))
+    margin = _SIGMAS * min(float(draws.std()), float(own))
+    return float(np.clip(best, floor - margin, floor + margin)), margin
 
 
 class _Shares(NamedTuple):
@@ -105,8 +89,7 @@ def _shares(
 ) -> _Shares:
     """The share that is gone, of windows' whitened errors before, after and at best."""
     drawn = [interval_of(values, blocks) for values in (before, after, best)]
-    margin = noise_margin(drawn[2], floor, len(np.unique(blocks)))
-    level = floor_of(robust_mean(best), margin, floor)
+    level, margin = noise_level(robust_mean(best), drawn[2], floor, len(np.unique(blocks)))
     share = explained_share(robust_mean(before), robust_mean(after), level)
     # Windows drawn anew carry their own noise: the floor moves with what the best leaves of them,
     # as far as that is noise.

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.inference.disturbance_response import INPUTS, responses
 from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.noise import Noise, covariance, shapes, slip_shape
 from steerd.sysid.inference.predictor import Predictor
 from steerd.sysid.inference.residuals import interval_of, robust_mean
 from steerd.sysid.inference.search import Point
-
-Array = NDArray[np.float64]
 
 EQUATIONS = {
     "accel": "longitudinal equation", "lateral": "side-slip equation", "yaw": "yaw equation",
@@ -240,10 +239,7 @@ def find_moments(ratios: Array) -> NDArray[np.int64]:
 
     A place passed once, a bump, a second in which the car spun: held-out drives cannot confirm what
     shows in one of them alone, so no effect is named for it; when and where it was is what a reader
-    can look at, and drive again.
-
-    Args:
-        ratios: (W,) squared error of each window by what noise leaves.
+    can look at, and drive again. The ratios (W,) are squared errors by what noise leaves.
     """
     excess = np.clip(ratios - 1.0, 0.0, _HUGE)
     order = np.argsort(-excess, kind="stable")
@@ -255,11 +251,8 @@ def find_moments(ratios: Array) -> NDArray[np.int64]:
 def moments_words(ratios: Array, run: Sequence[str], t: Array, place: Array) -> str:
     """When and where most of the error is, in words; empty where it is spread out.
 
-    Args:
-        ratios: (W,) squared error of each window by what noise leaves.
-        run: (W,) name of each window's drive.
-        t: (W,) when each begins in its drive [s].
-        place: (W, 2) where it does [m].
+    Of each window the ratio as for `find_moments`, its drive's name, when it begins in that [s],
+    and its place (x, y) [m].
     """
     worst = find_moments(ratios)
     if not len(worst):

@@ -304,11 +304,7 @@ _SOURCES = (MOCAP, ACTUATION, VESC, IMU, WHEEL)
 
 
 def read_run(session: Session, tables: Mapping[str, Columns] | None = None) -> Run:
-    """The drive of an open session.
-
-    Args:
-        session: steerd's own or an imported one.
-        tables: columns by topic, where they were read already.
+    """The drive of an open session; `tables` are its columns by topic, where they are read already.
 
     Poses that the mocap checks rejected are left out, and commands while the car was not driven
     (mode other than SPEED).

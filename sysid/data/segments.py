@@ -66,10 +66,7 @@ def make_segment(run: Run, low: float, high: float) -> Run:
 def spread_evenly(run: Run, most: float, lead: float) -> list[Run]:
     """Pieces of a drive, evenly from where the car moves; the drive itself where that is short.
 
-    Args:
-        run: the drive.
-        most: how much driving to keep [s].
-        lead: how much of the commands before a piece belongs to it [s].
+    They last for `most` [s] in all; `lead` [s] of the commands before each belong to it.
     """
     spans = _spans(run)
     driven = sum(high - low for low, high in spans)

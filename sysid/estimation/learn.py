@@ -13,36 +13,9 @@ from steerd.sysid.data.data_checks import check_excited
 from steerd.sysid.data.dataset import Run, check_sources
 from steerd.sysid.data.excitation import measure_excitation, speed_tracking_share
 from steerd.sysid.data.segments import describe_unused, hold_out, make_blocks, moving_segments
+from steerd.sysid.estimation import outcome, validation
+from steerd.sysid.estimation import preparation as prep
 from steerd.sysid.estimation.command_timing import time_commands
-from steerd.sysid.estimation.outcome import (
-    Fit,
-    HeldOut,
-    Outcome,
-    fit_of_plain,
-    fit_of_taught,
-    make_rows,
-    searched_estimates,
-)
-from steerd.sysid.estimation.preparation import (
-    COMPARABLE,
-    FitOptions,
-    add_command_history,
-    candidate_starts,
-    exceeds_slew_rate,
-    has_one_speed,
-    mark_ambiguous,
-    possible_starts,
-    restore_end_stops,
-    scatter,
-    sliding_starts,
-    widen_end_stops,
-)
-from steerd.sysid.estimation.validation import (
-    HORIZONS,
-    by_lateral_acceleration,
-    errors_at,
-    trace_windows,
-)
 from steerd.sysid.inference.car_fit import Stated, choose_start, fit_car_with_limits
 from steerd.sysid.inference.plain_car import (
     POOR,
@@ -74,7 +47,7 @@ class Task:
 
     runs: tuple[Run, ...]  # drives to fit
     model: Model[float]  # the car as believed so far
-    asked: FitOptions = field(default_factory=FitOptions)
+    asked: prep.FitOptions = field(default_factory=prep.FitOptions)
     held_out: tuple[Run, ...] = ()  # drives to validate with; empty holds out blocks of `runs`
     every: int = 4  # every k-th block of 5 s is held out
     free: tuple[str, ...] = ()  # names of the free parameters; empty for `default_free`
@@ -98,7 +71,7 @@ class Task:
         return self.asked.starts or (1 if self.asked.method == "ours" else 5)
 
 
-def learn(task: Task, clock: Callable[[], float]) -> Outcome:
+def learn(task: Task, clock: Callable[[], float]) -> outcome.Outcome:
     """Identify a car.
 
     Args:
@@ -109,36 +82,37 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         DataError: the drives are not fit for it.
         ValueError: an option makes no sense.
         FloatingPointError: no start gives a finite simulation.
-        BaselineMissingError: CMA-ES without Optuna.
+        ImportError: CMA-ES without Optuna.
     """
     check_sources((*task.runs, *task.held_out))
     began, given = clock(), task.model
     task, drives, roughs = _prepare(task)
-    fit: Fit | None = None
+    fit: outcome.Fit | None = None
     searches: tuple[SearchHistory, ...] = ()
     if task.asked.method == "ours":
         fit = _estimate(task, drives, roughs)
         after, known = fit.model, fit.estimates
         # End stops stay where they were as far as the drives allow.
         if after.car.steer_max != given.car.steer_max:
-            after = after._replace(car=restore_end_stops(after.car, given.car, task.runs))
+            after = after._replace(car=prep.restore_end_stops(after.car, given.car, task.runs))
     else:
         searches = _search(task)
-        known = searched_estimates(searches)
+        known = outcome.searched_estimates(searches)
         car = task.model.car._replace(**{name: e.value for name, e in known.items()})
         after = task.model._replace(car=car)
     seconds = clock() - began
     driven = (*task.runs, *task.held_out)
-    traces = [trace_windows(each, drives.held_out, max(HORIZONS)) for each in (after, task.model)]
-    errors = [errors_at(each, HORIZONS) for each in traces]
-    return Outcome(
+    horizons, cars = validation.HORIZONS, (after, task.model)
+    traces = [validation.trace_windows(car, drives.held_out, max(horizons)) for car in cars]
+    errors = [validation.errors_at(each, horizons) for each in traces]
+    return outcome.Outcome(
         method=task.asked.method,
         sessions=tuple(dict.fromkeys(run.name for run in task.runs)),
         held_out_of=drives.held_out_of,
         before=task.model.car,
         after=after.car,
-        rows=make_rows(given, after, known),
-        held_out=tuple(HeldOut(a, b) for a, b in zip(*errors, strict=True)),
+        rows=outcome.make_rows(given, after, known),
+        held_out=tuple(outcome.HeldOut(a, b) for a, b in zip(*errors, strict=True)),
         excitation=measure_excitation(drives.moving),
         traces=(traces[0], traces[1]),
         fit=fit,
@@ -149,7 +123,7 @@ def learn(task: Task, clock: Callable[[], float]) -> Outcome:
         pulses=tuple(run.pulse for run in driven if run.pulse),
         ramps=tuple(run.ramp for run in driven if run.ramp),
         log_jitters=tuple(run.log_jitter for run in driven if run.log_jitter),
-        regimes=by_lateral_acceleration(traces[0], REGIME),
+        regimes=validation.by_lateral_acceleration(traces[0], REGIME),
     )
 
 
@@ -194,8 +168,8 @@ def _search_rough(task: Task, moving: Sequence[Run]) -> tuple[PlainCar, ...]:
     alike: there is a valley with more than one bottom, and errors at one know nothing of the other.
     """
     free, starts = task.question.free, _starts(task)
-    if task.starts == 1 and has_one_speed(moving):
-        starts = [each for model in starts for each in candidate_starts(model, free)]
+    if task.starts == 1 and prep.has_one_speed(moving):
+        starts = [each for model in starts for each in prep.candidate_starts(model, free)]
     asked = task.question._replace(free=free_of(moving, free))
     work = partial(search_rough, runs=moving, asked=asked)
     found = map_jobs(work, starts, task.asked.jobs, task.asked.dask)
@@ -205,14 +179,14 @@ def _search_rough(task: Task, moving: Sequence[Run]) -> tuple[PlainCar, ...]:
 def _starts(task: Task) -> list[Model[float]]:
     """Where searches begin: about the car as given, or of the drives' own size."""
     if task.starts > 1:
-        return scatter(task.model, task.question.free, task.starts, task.asked.seed)
+        return prep.scatter(task.model, task.question.free, task.starts, task.asked.seed)
     return [
-        widen_end_stops(model, task.runs, task.question.free)
-        for model in possible_starts(task.model, task.runs, task.stated)
+        prep.widen_end_stops(model, task.runs, task.question.free)
+        for model in prep.possible_starts(task.model, task.runs, task.stated)
     ]
 
 
-def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit:
+def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outcome.Fit:
     """The plain car where it leaves no more than noise, else what windows of one second fit_car.
 
     Raises:
@@ -224,40 +198,40 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit:
         return plain
     try:
         starts = _starts(task)
-        starts += sliding_starts(starts, drives.fitted, task.stated)
+        starts += prep.sliding_starts(starts, drives.fitted, task.stated)
         start = starts[0] if len(starts) == 1 else choose_start(starts, drives.fitted, task.stated)
         taught = fit_car_with_limits(start, drives.fitted, task.stated)
-        return fit_of_taught(taught, start, drives.fitted, _doubts(drives))
+        return outcome.fit_of_taught(taught, start, drives.fitted, _doubts(drives))
     except (FloatingPointError, ValueError):
         if plain is None:
             raise
         return plain
 
 
-def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> Fit | None:
+def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outcome.Fit | None:
     """The plain car over whole blocks; what ends that are as good place elsewhere is open."""
     runs, asked = drives.fitted, task.question
     able = asked._replace(free=free_of(runs, asked.free))
-    several = has_one_speed(runs)
+    several = prep.has_one_speed(runs)
     ends = [search_blocks(runs, able, rough) for rough in (roughs if several else roughs[:1])]
     if not (arrived := sorted((e for e in ends if e), key=lambda end: end.point.cost)):
         return None
     best, *others = arrived
-    near = [e for e in others if e.point.cost - best.point.cost < COMPARABLE]
+    near = [e for e in others if e.point.cost - best.point.cost < prep.COMPARABLE]
     doubts = _doubts(drives)
-    found, *alike = (fit_of_plain(end, runs, asked, doubts) for end in (best, *near))
-    estimates = mark_ambiguous(found.estimates, [other.estimates for other in alike])
+    found, *alike = (outcome.fit_of_plain(end, runs, asked, doubts) for end in (best, *near))
+    estimates = prep.mark_ambiguous(found.estimates, [other.estimates for other in alike])
     return replace(found, estimates=estimates)
 
 
 def _with_history(task: Task) -> Task:
     """The task with a past as long, and end stops as wide, as the drives need."""
     runs, held_out = (
-        tuple(add_command_history(drives, task.model, asked=True))
+        tuple(prep.add_command_history(drives, task.model, asked=True))
         for drives in (task.runs, task.held_out)
     )
-    model = widen_end_stops(task.model, runs, task.question.free)
-    felt = "steer_rate" not in task.held and exceeds_slew_rate(model, runs)
+    model = prep.widen_end_stops(task.model, runs, task.question.free)
+    felt = "steer_rate" not in task.held and prep.exceeds_slew_rate(model, runs)
     free = dict.fromkeys((*task.question.free, *(["steer_rate"] if felt else [])))
     return replace(task, runs=runs, held_out=held_out, model=model, free=tuple(free))
 
@@ -285,7 +259,7 @@ def _search(task: Task) -> tuple[SearchHistory, ...]:
     return tuple(searches)
 
 
-def _notes(drives: _Drives, fit: Fit | None) -> tuple[str, ...]:
+def _notes(drives: _Drives, fit: outcome.Fit | None) -> tuple[str, ...]:
     notes, share = [], speed_tracking_share(drives.moving)
     if share < OBEYED:
         notes.append(

@@ -83,33 +83,25 @@ class Fit:
 def fit_of_plain(
     found: PlainCar, runs: Sequence[Run], asked: Asked, doubts: Sequence[tuple[str, float]]
 ) -> Fit:
-    """What a plain car's optimum says.
+    """What a plain car's optimum on its drives says; `doubts` as for `plain_car.covariance_of`.
 
-    Args:
-        found: the optimum.
-        runs: its drives.
-        asked: what was asked of them; names that they cannot show are reported as open.
-        doubts: see `plain_car.covariance_of`.
+    Names that are asked of the drives and that they cannot show are reported as open.
     """
     chart, z = found.chart, found.point.z
     covariance = covariance_of(found, doubts)
     pace = float(np.median(np.abs(np.concatenate([run.commands[:, 1] for run in runs]))))
     pace *= float(found.point.parameters[chart.names.index("speed_gain")])
     known = estimates(chart, z, covariance)
+    at = {name: e.value for name, e in known.items()}
     values = tuple(
-        tuple(
-            known[f"{e.name}.{p.name}"].value if f"{e.name}.{p.name}" in known else value
-            for p, value in zip(e.parameters, own, strict=True)
-        )
+        tuple(at.get(f"{e.name}.{p.name}", v) for p, v in zip(e.parameters, own, strict=True))
         for e, own in zip(asked.model.effects, asked.model.values, strict=True)
     )
+    car = asked.model.car._replace(**{name: at[name] for name in at if "." not in name})
     error = found.point.linear.error
     horizon = float(found.predictor.layout.spans[:, 3].mean() * runs[0].h)
     return Fit(
-        model=asked.model._replace(
-            car=asked.model.car._replace(**{n: e.value for n, e in known.items() if "." not in n}),
-            values=values,
-        ),
+        model=asked.model._replace(car=car, values=values),
         estimates=known | silent_estimates(chart, silent_names(runs, asked.free)),
         labels=chart.labels,
         correlation=_correlation(covariance),
@@ -124,14 +116,7 @@ def fit_of_plain(
 def fit_of_taught(
     taught: FittedCar, base: Model[float], runs: Sequence[Run], doubts: Sequence[tuple[str, float]]
 ) -> Fit:
-    """What a car says that windows of one second taught, disturbances known.
-
-    Args:
-        taught: the car.
-        base: what it was taught from.
-        runs: its drives.
-        doubts: see `plain_car.covariance_of`.
-    """
+    """What a car says that windows of one second taught, from a base on, disturbances known."""
     file = CarFile(
         Path("taught.toml"), "taught", base.car, base.effects, base.values, chassis=base.chassis
     )
@@ -279,15 +264,12 @@ def make_rows(
         p.name: _row(getattr(after.car, p.name), getattr(start.car, p.name), p, known.get(p.name))
         for p in PARAMETERS
     }
-    before = {
-        f"{e.name}.{p.name}": value
-        for e, values in zip(start.effects, start.values, strict=True)
-        for p, value in zip(e.parameters, values, strict=True)
-    }
+    before = {e.name: values for e, values in zip(start.effects, start.values, strict=True)}
     for effect in after.effects:
-        for p in EFFECTS[effect.name].parameters:
+        own = EFFECTS[effect.name]
+        for p, value in zip(own.parameters, before.get(own.name, own.nulls), strict=True):
             if found := known.get(name := f"{effect.name}.{p.name}"):
-                rows[name] = _row(found.value, before.get(name, p.null), p, found)
+                rows[name] = _row(found.value, value, p, found)
     return rows
 
 

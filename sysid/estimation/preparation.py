@@ -65,10 +65,8 @@ class FitOptions:
 def add_command_history(runs: Sequence[Run], model: Model[float], asked: bool = False) -> list[Run]:
     """The drives, with more of the commands before a window where a linkage may remember them.
 
-    Args:
-        runs: the drives.
-        model: the car; a linkage with play remembers on which side of it the last turn left it.
-        asked: whether it is asked if the car has play: then drives that hold their steering still.
+    One with play remembers on which side of it the last turn left it. Where it is `asked` whether
+    the car has play, that concerns drives that hold their steering still.
     """
     plays = any(effect.remembers_commands for effect in model.effects)
     return [
@@ -238,11 +236,6 @@ def possible_starts(
     """The car as given, and before it one of the size, or the gain, that the curvature asks for.
 
     Hard drives barely show it, so both are starts; the drives choose.
-
-    Args:
-        model: the car as given, of any size.
-        runs: drives.
-        stated: what keeps the model's value.
     """
     length, gain = wheelbase(model.car), model.car.steer_gain
     known = stated.wheelbase or bool({"lf", "lr"} & set(stated.held))

@@ -63,12 +63,9 @@ class Trace(NamedTuple):
 
 
 def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> list[Trace]:
-    """Predict every window of the drives.
+    """Predict every window of the drives, each over a horizon [s].
 
-    Args:
-        model: the car.
-        runs: drives; one whose speed was not commanded is predicted with its measured speed.
-        horizon: how far [s].
+    One whose speed was not commanded is predicted with its measured speed.
 
     Raises:
         DataError: only some have speed commands.

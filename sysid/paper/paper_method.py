@@ -22,12 +22,7 @@ from steerd.car_model.params import Car
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import guess_state
-from steerd.sysid.paper.search_history import (
-    NAMES,
-    PAPER_CAR_DIRECT,
-    BaselineMissingError,
-    SearchHistory,
-)
+from steerd.sysid.paper.search_history import NAMES, PAPER_CAR_DIRECT, SearchHistory
 from steerd.sysid.paper.torch_functions import (
     Marching,
     chamfer,
@@ -206,7 +201,7 @@ def search_cma(
         import cmaes as _cmaes  # type: ignore[import-untyped]  # noqa: F401
         import optuna
     except ImportError as error:
-        raise BaselineMissingError("CMA-ES needs Optuna: pip install optuna cmaes") from error
+        raise ImportError("CMA-ES needs Optuna: pip install optuna cmaes") from error
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     first = dict(zip(NAMES, (start * SCALE).tolist(), strict=True))
     with warnings.catch_warnings():

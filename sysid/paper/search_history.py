@@ -15,10 +15,6 @@ PAPER_CAR_DIRECT: Car[float] = PAPER_CAR._replace(
 """The paper's car (7 states, steering clipped at +-0.34 rad) with actuators that follow at once."""
 
 
-class BaselineMissingError(ImportError):
-    """The optional extra `baselines` is not installed."""
-
-
 class SearchHistory(NamedTuple):
     """History of one start."""
 

@@ -52,10 +52,10 @@ class Profile(NamedTuple):
         return float(np.sqrt(np.mean(self.rows[:, 1] ** 2))) if len(self.rows) else float("nan")
 
 
-def drive_lane(controller: LaneController, plant: Car[float], offset: float = OFFSET) -> Array:
+def drive_lane(controller: LaneController, plant: Car[float]) -> Array:
     """Time, e1 and e2 (N, 3) of a drive; ends early where the car leaves its lane."""
     model: Model[float] = Model(plant)
-    moment = Moment(ORIGIN._replace(y=offset, speed=1.0))
+    moment = Moment(ORIGIN._replace(y=OFFSET, speed=1.0))
     now = start_controller(controller, moment.state, 0)
     steer, speed, rows = [0.0], [1.0], []
     for k in range(round(SECONDS / STEP)):

@@ -1,14 +1,13 @@
 """What a command found, as one value; pages and screens are made of it."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, is_dataclass
 from math import degrees, floor, isfinite, log10
-from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 if TYPE_CHECKING:
     from steerd.sysid.report.drawing import Diagrams
 
-T = TypeVar("T")
 Tone = Literal["", "quiet", "strong"]
 DEGREES = degrees(1.0)
 SCALES = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (DEGREES, "°"), "1": (1.0, "")}
@@ -84,18 +83,8 @@ SPACE = Line("", "")
 
 
 @dataclass(frozen=True)
-class Late(Generic[T]):
-    """What is made where it is read: a screen needs no diagrams."""
-
-    make: Callable[[], Iterable[T]]
-
-    def __iter__(self) -> Iterator[T]:
-        return iter(self.make())
-
-
-@dataclass(frozen=True)
 class Report:
-    """A report, results first."""
+    """A report, results first; sections and figures may be made while they are read, once."""
 
     title: str  # what it answers
     subject: str  # names of what it is about: sessions, a car

@@ -1,6 +1,5 @@
 """Commands on a car file, and on the effects that it may name."""
 
-import json
 import re
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
@@ -142,21 +141,19 @@ def effects(args: Namespace) -> None:
     if args.add or args.remove:
         _change(args)
         return
-    from steerd.car_model.effects import EFFECTS, find_effect
+    from steerd.car_model.effects import EFFECTS
     from steerd.daemon.analysis import effects_text
+    from steerd.daemon.analysis.options import read_effects
 
-    try:
-        effect = find_effect(args.name) if args.name else None
-    except ValueError as error:
-        what, _, hint = str(error).partition("; ")
-        raise SteerdError(what, hint, ExitCode.USAGE) from error
+    named = [EFFECTS[name] for name in read_effects([args.name] if args.name else [])]
     if args.json:
-        chosen = [effect] if effect else EFFECTS.values()
-        print(json.dumps(effects_text.make_json(chosen), indent=1))
+        import json
+
+        print(json.dumps(effects_text.make_json(named or EFFECTS.values()), indent=1))
     elif args.page:
         print(effects_text.make_page(), end="")
     else:
-        print(effects_text.format_effect(effect) if effect else effects_text.format_table())
+        print(effects_text.format_effect(named[0]) if named else effects_text.format_table())
 
 
 def _change(args: Namespace) -> None:

@@ -127,12 +127,11 @@ def test_a_wiring_that_no_file_may_hold_loses_no_result(drive):
 NOISE = Noise((1e-3, 2e-3, 0.02, 0.03), (0.4, 0.3, 2.0))
 
 
-def _half_standing() -> Run:
-    """20 s, of which the car stands for the first ten."""
+def _straight(speed) -> Run:
+    """20 s along x at speeds (2000,) [m/s]."""
     t = np.arange(2000) * 0.01
-    speed = np.where(t < 10.0, 0.0, 1.5)
     pose = np.column_stack([np.cumsum(speed) * 0.01, np.zeros((2000, 2))])
-    return make_run("half", Signal(t, np.zeros(2000)), Signal(t, speed), Signal(t, pose))
+    return make_run("straight", Signal(t, np.zeros(2000)), Signal(t, speed), Signal(t, pose))
 
 
 def test_noise_is_learnt_where_the_car_moves(monkeypatch):
@@ -141,7 +140,7 @@ def test_noise_is_learnt_where_the_car_moves(monkeypatch):
         "steerd.sysid.inference.car_posterior.learn_sections",
         lambda car, runs: (seen.extend(runs), {"noise": noise_section(NOISE)})[1],
     )
-    run = _half_standing()
+    run = _straight(np.repeat([0.0, 1.5], 1000))
     known = learn_known(load_car(default_car_path()), (run,))
     assert known == {"noise": noise_section(NOISE)}
     assert [r.duration for r in seen] == [r.duration for r in moving_segments([run])]
@@ -150,8 +149,5 @@ def test_noise_is_learnt_where_the_car_moves(monkeypatch):
 
 
 def test_a_creeping_car_teaches_nothing():
-    t, pace = np.arange(1000) * 0.01, 0.5 * SPEED_MIN
-    pose = Signal(t, np.column_stack([pace * t, np.zeros((1000, 2))]))
-    run = make_run("creep", Signal(t, np.zeros(1000)), Signal(t, np.full(1000, pace)), pose)
-    car = load_car(default_car_path())
-    assert learn_known(car, (run,)) == {}
+    creeping = _straight(np.full(2000, 0.5 * SPEED_MIN))
+    assert learn_known(load_car(default_car_path()), (creeping,)) == {}

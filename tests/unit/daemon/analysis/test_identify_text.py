@@ -105,16 +105,18 @@ def test_drives_that_are_too_gentle_are_not_blamed_on_the_axles():
     assert any(line.startswith("method      ours (windows of 5 s)") for line in lines)
 
 
-def test_nobody_is_sent_driving_with_values_that_nothing_identifies(tmp_path):
-    made = outcome((0.1, 0.4))
-    lost = replace(made, rows={"lf": Row(0.2, 0.16, 0.5, "m", True, False)})
-    said = describe(lost, tmp_path / "car.toml")
-    assert "nothing is identifiable from these data; do not drive" in said
-    assert "steerd run" not in said
+NOTE = "the car went about as fast as asked in 2%: `--speed wheel` takes the measured speed"
 
 
-def test_nobody_is_sent_driving_with_a_speed_that_was_not_driven(tmp_path):
-    note = "the car went about as fast as asked in 2%: `--speed wheel` takes the measured speed"
-    said = describe(replace(outcome((0.1, 0.4)), notes=(note,)), tmp_path / "car.toml")
-    assert "next        the same command with --speed wheel" in said
+@pytest.mark.parametrize(
+    ("what", "why"),
+    [
+        ({"rows": {"lf": Row(0.2, 0.16, 0.5, "m", True, False)}},
+         "nothing is identifiable from these data; do not drive"),
+        ({"notes": (NOTE,)}, "next        the same command with --speed wheel"),
+    ],
+)  # fmt: skip
+def test_nobody_is_sent_driving_with_what_is_not_known_or_was_not_driven(what, why, tmp_path):
+    said = describe(replace(outcome((0.1, 0.4)), **what), tmp_path / "car.toml")
+    assert why in said
     assert "steerd run" not in said

@@ -189,7 +189,7 @@ def test_what_one_run_keeps_the_next_begins_with(plan, quiet_report, capsys):
     job = json.loads(json.dumps(make_learner_job(plan, second)))
     wiring = Wiring(0, plan.settings.scaling)
     feed = make_feed(plan.settings.file, wiring, read_memory(job["memory"]))
-    assert [each.name for each in feed.learner.remembered] == ["steer_gain"]
+    assert [*feed.learner.remembered] == ["steer_gain"]
     assert plan.settings.file.path.read_text() == default_car_path().read_text()
 
 

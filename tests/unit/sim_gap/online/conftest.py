@@ -9,9 +9,8 @@ from benchmarks.blind_gap.car import make_car
 from benchmarks.live_changes.plant import Change, changed, drive
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.sim_gap.online.learner import Learner, State, fold, make_learner
-from steerd.sim_gap.online.looking import Loss, Reference
 from steerd.sim_gap.online.samples import Sample
-from steerd.sim_gap.online.tracking import Track
+from steerd.sim_gap.online.tracking import Loss, Reference, Track
 from steerd.sysid.inference.noise import Noise
 from steerd.sysid.inference.space import make_space
 

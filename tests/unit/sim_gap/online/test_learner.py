@@ -64,8 +64,11 @@ def test_the_same_samples_give_the_same_state_to_the_bit(learner, drives, learn,
 
 @pytest.mark.parametrize(
     ("name", "value", "seconds"),
-    [("mocap_yaw", 0.03, 9.8), ("speed_scale", 0.95, 5.0), ("steer_lag", 0.08, 7.0)],
-)
+    [
+        ("mocap_yaw", 0.03, 9.8), ("speed_scale", 0.95, 5.0), ("steer_lag", 0.08, 7.0),
+        ("steer_backlash", 0.03, 7.0),  # it has no gradient where there is none
+    ],
+)  # fmt: skip
 def test_a_change_is_noticed_and_named(learner, drives, learn, name, value, seconds):
     change = learn(learner, drives(AT + seconds, name, AT)).change
     assert (change.finding.verdict, change.finding.cause.effect) == ("named", name)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from steerd.sim_gap.online.tracking import Memory, Remembered, remember, with_memory
+from steerd.sim_gap.online.tracking import Memory, remember, with_memory
 from steerd.sim_gap.online.values import values_of
 from steerd.sysid.inference.space import make_space
 
@@ -24,27 +24,20 @@ def test_what_was_learnt_widens_each_day_until_the_car_file_says_as_much(learner
     augmented = learner.augmented
     before = spread_of(augmented, "steer_bias")
     for days in (0.0, 1.0, 4.0, 20.0):
-        bias = remember(augmented, Memory({"steer_bias": (0.004, 4e-4)}, days))[0]
-        assert bias.value == 0.004
-        assert bias.sd**2 == pytest.approx(4e-4**2 + 0.01 * days * before**2)
-    assert remember(augmented, Memory(LEARNT, 26.0)) == ()
-
-
-def test_a_clock_that_ran_back_widens_nothing(learner):
-    today, past = (remember(learner.augmented, Memory(LEARNT, days)) for days in (0.0, -0.01))
-    assert today == past
-
-
-def test_lengths_and_unknown_names_are_not_remembered(learner):
-    memory = Memory({"lf": (0.17, 1e-4), "lr": (0.16, 1e-4), "no.such": (1.0, 0.1)}, 0.0)
-    assert remember(learner.augmented, memory) == ()
+        ((value, sd),) = remember(augmented, Memory({"steer_bias": (0.004, 4e-4)}, days)).values()
+        assert value == 0.004
+        assert sd**2 == pytest.approx(4e-4**2 + 0.01 * days * before**2)
+    assert remember(augmented, Memory(LEARNT, 26.0)) == {}
+    assert remember(augmented, Memory(LEARNT, -0.01)) == remember(augmented, Memory(LEARNT, 0.0))
+    lengths = {"lf": (0.17, 1e-4), "lr": (0.16, 1e-4)}  # and what no car has
+    assert remember(augmented, Memory({**lengths, "no.such": (1.0, 0.1)}, 0.0)) == {}
 
 
 def test_memory_and_drive_are_joined(reference, track):
     place, name = reference.space.chart.free.index("steer_lag"), "steer_lag"
     at = float(reference.space.centre[place])
     sd = float(np.sqrt(track.covariance[place, place]))
-    joined = with_memory(reference, track, [Remembered(name, at + sd, sd)])
+    joined = with_memory(reference, track, {name: (at + sd, sd)})
     assert 0.4 * sd < joined.mean[place] < sd
     assert np.sqrt(joined.covariance[place, place]) < 0.8 * sd
     others = [i for i in range(reference.space.nuisance) if i != place]
@@ -52,7 +45,7 @@ def test_memory_and_drive_are_joined(reference, track):
 
 
 def test_nothing_remembered_changes_no_bit(reference, track):
-    for nothing in ((), (Remembered("speed_gain", 1.0, 1e-3),)):
+    for nothing in ({}, {"speed_gain": (1.0, 1e-3)}):
         joined = with_memory(reference, track, nothing)
         np.testing.assert_array_equal(joined.information, track.information)
         np.testing.assert_array_equal(joined.pull, track.pull)
@@ -64,7 +57,7 @@ def test_a_drive_that_shows_another_car_is_believed(reference, track):
     sd = float(np.sqrt(track.covariance[place, place]))
     at = float(reference.space.centre[place])
     for size, kept in ((4.0, True), (4.5, False)):
-        joined = with_memory(reference, track, [Remembered("steer_lag", at + size * sd, sd)])
+        joined = with_memory(reference, track, {"steer_lag": (at + size * sd, sd)})
         assert (joined is not track) == kept
 
 

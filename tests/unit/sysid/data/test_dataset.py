@@ -25,14 +25,6 @@ def _make(t, steer, speed, pose, pose_t=None):
     return make_run("drive", Signal(t, steer), Signal(t, speed), Signal(pose_t, pose))
 
 
-def test_a_good_drive_passes():
-    run = _make(*_good())
-    assert run.speed_source == "command"
-    assert run.duration == pytest.approx(4.0, abs=0.02)
-    assert run.commands[0, 0] == 0.0
-    assert run.commands[-1, 0] == pytest.approx(0.1)
-
-
 def test_a_pose_that_a_moved_clock_puts_before_the_last_is_left_out():
     t, steer, speed, pose = _good()
     stalled = t.copy()

@@ -29,36 +29,29 @@ def _learnt(run, truth):
     return learn(Task((run,), truth, ASKED, free=FREE, held=prep.held_names(ASKED)), lambda: 0.0)
 
 
-def _effects(outcome):
-    return {name.partition(".")[0] for name in outcome.rows if "." in name}
-
-
 def test_a_bend_of_the_linkage_is_learnt_and_predicted_with(bent, truth):
     outcome = _learnt(bent, truth)
-    row = outcome.rows["steer_asymmetry.asymmetry"]
+    (name,) = (name for name in outcome.rows if "." in name)
+    assert name == "steer_asymmetry.asymmetry"
+    row = outcome.rows[name]
     assert row.start == 0.0
     assert row.value == pytest.approx(0.08, abs=min(0.01, 5 * row.sd))
-    assert _effects(outcome) == {"steer_asymmetry"}
     assert outcome.held_out[-1].factor > 3.0
     page = encode_outcome(outcome)
-    assert page["parameters"]["steer_asymmetry.asymmetry"]["identifiable"]
+    assert page["parameters"][name]["identifiable"]
     assert sum(r["predictions"] for r in page["held_out"]["regimes"]) > 0
 
 
-def test_play_that_no_car_has_by_itself_is_selected(make_drive, truth):
-    outcome = _learnt(
-        make_drive(truth._replace(effects=(PLAY,), values=((0.04,),)), 30.0, 5), truth
-    )
-    assert [step.effect for step in outcome.fit.selected] == ["steer_backlash"]
-    assert outcome.fit.selected[0].gain > 3.0
-    row = outcome.rows["steer_backlash.play"]
-    assert row.value == pytest.approx(0.04, abs=min(0.008, 5 * row.sd))
-
-
-def test_a_car_without_effects_gets_none(make_drive, truth):
-    outcome = _learnt(make_drive(truth, 30.0, 6), truth)
-    assert outcome.fit.selected == ()
-    assert _effects(outcome) == set()
+@pytest.mark.parametrize("play", [0.04, 0.0])
+def test_play_that_no_car_has_by_itself_is_selected_where_there_is_some(make_drive, truth, play):
+    effects, values = ((PLAY,), ((play,),)) if play else ((), ())
+    outcome = _learnt(make_drive(truth._replace(effects=effects, values=values), 30.0, 5), truth)
+    assert [step.effect for step in outcome.fit.selected] == [effect.name for effect in effects]
+    assert all(step.gain > 3.0 for step in outcome.fit.selected)
+    rows = [row for name, row in outcome.rows.items() if "." in name]
+    assert [row.value for row in rows] == [
+        pytest.approx(play, abs=min(0.008, 5 * row.sd)) for row in rows[: len(effects)]
+    ]
 
 
 def test_a_car_that_misses_much_is_said_to(make_drive, truth):
@@ -68,16 +61,14 @@ def test_a_car_that_misses_much_is_said_to(make_drive, truth):
     assert any("`steerd diagnose` looks for it" in note for note in outcome.notes)
 
 
-def test_only_play_needs_a_long_past(bent):
-    played = Model(DEFAULT_CAR, (PLAY,), ((0.02,),))
-    assert prep.add_command_history([bent], played)[0].history > bent.history
-    assert prep.add_command_history([bent], Model(DEFAULT_CAR))[0].history == bent.history
-
-
-def test_whether_there_is_play_is_asked_of_drives_that_rest(bent):
+def test_only_play_needs_a_long_past_and_is_asked_of_drives_that_rest(bent):
     turning = replace(bent, commands=bent.commands + np.arange(len(bent.commands))[:, None] * 0.01)
-    assert prep.holds_still(bent)
-    assert not prep.holds_still(turning)
-    for run in (bent, turning):
-        found = prep.add_command_history([run], Model(DEFAULT_CAR), asked=True)[0]
-        assert (found.history > run.history) == prep.holds_still(run)
+    for run, effects, asked, longer in (
+        (bent, (PLAY,), False, True),
+        (bent, (), False, False),
+        (bent, (), True, True),
+        (turning, (), True, False),
+    ):
+        model = Model(DEFAULT_CAR, effects, ((0.02,),) * len(effects))
+        (found,) = prep.add_command_history([run], model, asked)
+        assert (found.history > run.history) == longer
