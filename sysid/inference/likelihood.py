@@ -154,7 +154,7 @@ class Likelihood:
         turned, d = self.start_curvature(at.by_x, size)
         cross = turned @ at.by_z
         inverse: Array = np.asarray(np.linalg.inv(d), np.float64)
-        kx, free = inverse @ cross, 1.0 - at.held
+        kx, free = inverse @ cross, 1.0 - at.held.astype(np.float64)
         heavy = (at.by_z * weight[:, :, None]).transpose(0, 2, 1)
         h = heavy @ at.by_z - cross.transpose(0, 2, 1) @ kx
         return Weighed(size, weight, turned, heavy, inverse, free, cross, kx, h, self.volume(size))
