@@ -62,7 +62,6 @@ class DiagnoseOptions(GapOptions):
             none), or whole sessions.
         closed_loop: whether a lane drive is driven again in simulation, with and without.
         speed: `wheel` takes the measured wheel speed for the command, where a car did not obey it.
-        jobs: threads for the candidates.
     """
 
     base: CarSource = None
@@ -70,7 +69,6 @@ class DiagnoseOptions(GapOptions):
     held_out: HeldOutSource = None
     closed_loop: bool = True
     speed: Speed = "command"
-    jobs: int = 1
 
 
 @shown
@@ -212,7 +210,7 @@ def make_case(
     if only and not set(only) - set(without):
         raise SteerdError("only and without leave no effect", "", ExitCode.USAGE)
     sessions = without_reserved(paths, held_out.files, "diagnose")
-    _check(options, held_out, sessions, quiet)
+    _check(held_out, sessions, quiet)
     drives = load_drives(sessions, options.speed, warn, advance)
     warn(compare_truths(drives.metadata))
     base, source, notes = find_base(options.base, drives.sessions)
@@ -240,11 +238,7 @@ def make_case(
     )
 
 
-def _check(
-    options: DiagnoseOptions, held_out: HeldOut, sessions: Sequence[Path], quiet: Sequence[Path]
-) -> None:
-    if options.jobs < 1:
-        raise SteerdError(f"jobs {options.jobs}: 1 or more", "", ExitCode.USAGE)
+def _check(held_out: HeldOut, sessions: Sequence[Path], quiet: Sequence[Path]) -> None:
     for path in held_out.files:  # opened later, but its absence is reported at once
         if not path.is_file():
             raise SteerdError(f"{path} does not exist", "", ExitCode.UNREADABLE)

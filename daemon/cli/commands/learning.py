@@ -123,8 +123,6 @@ def diagnose_arguments(parser: ArgumentParser) -> None:
     option(out, "--prediction", "FILE", "the prediction, before it is measured", type=Path)
     text = "do not drive the session's lane again"
     option(out, "--no-closed-loop", "", text, dest="closed_loop", action="store_false")
-    where = parser.add_argument_group("where")
-    option(where, "--jobs", "N", "candidates side by side", type=int, default=1)
 
 
 def diagnose(args: Namespace) -> None:

@@ -124,7 +124,6 @@ OPTIONS = [
     (["--only", "steer_lag", "--without", "servo_lag"], 2, "leave no effect"),
     (["--held-out", "1"], 2, "held out 1"),
     (["--held-out", "4,last.mcap"], 2, "not both"),
-    (["--jobs", "0"], 2, "jobs 0"),
     (["--report", "nowhere/gap.html"], 3, "nowhere"),
     (["--json", "drive.mcap"], 2, "that is a session"),
     (["--runs-held-out", "{run}"], 2, "every session is held out"),
