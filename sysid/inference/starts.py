@@ -1,6 +1,6 @@
 """The windows' starts at their best, the car held (Levenberg and Marquardt, window by window).
 
-Yaw rate and slip at a start fade within some hundredths of a second, and poses hardly show them:
+Yaw rate and slip at a start fade within some hundredths of a second, and poses barely show them:
 where tyres saturate a full Newton step leads away.
 """
 

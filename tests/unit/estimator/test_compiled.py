@@ -103,7 +103,7 @@ def scenes(draw: st.DrawFn) -> tuple[Node, History, list[Any]]:
     return (Node(first, belief, math.nan, True, NO_TALLY), History(times, orders), measured)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     scene=scenes(), car=st.sampled_from([DEFAULT_CAR, ODD_CAR]), chassis=st.sampled_from(CHASSIS)
 )
