@@ -39,8 +39,9 @@ _START = np.array([1e-3, 2e-3, 0.02, 0.05, 0.3, 0.3, 2.0, WHEEL_SLIP])
 """First guesses; what an instrument that no drive had is taken to be."""
 LOUDER = 1.3
 """Instruments that are noisier than known by this factor are believed to be."""
-_WILDEST = 100.0
-"""Derivative by a window's start beyond which it shows no noise; ordinary windows have 2 to 14."""
+_WILDEST, _PUSHED = 100.0, 50.0
+"""Derivative by a window's start, and response to a unit push, beyond which it shows no noise;
+ordinary windows have 2 to 14, and .1 to 1.4."""
 _ROUNDS = 40
 _ENOUGH = 1e-7
 """Share of the log-likelihood below which a step is the last: some hundredths of a nat."""
@@ -147,10 +148,11 @@ def learn_noise(
         linear: errors and derivatives there.
         guess: where the search begins.
     """
-    tame = np.flatnonzero(np.abs(linear.by_x).max(axis=(1, 2)) < _WILDEST)
+    seen = responses(predictor, parameters, x, (0, 1, 2))
+    calm = np.abs(linear.by_x).max(axis=(1, 2)) < _WILDEST
+    tame = np.flatnonzero(calm & (np.abs(seen).max(axis=(0, 2, 3)) < _PUSHED))
     tame = tame if len(tame) else np.arange(predictor.layout.count)
     chosen = tame[np.unique(np.linspace(0, len(tame) - 1, WINDOWS_MOST).round().astype(int))]
-    seen = responses(predictor, parameters, x, (0, 1, 2))
     pushed = [v[chosen] for v in shapes(predictor, seen, (0, 1, 2))]
     pushed.append(slip_shape(predictor, linear.error)[chosen])
     error, known = (part[chosen] for part in predictor.about_guess(x, linear))

@@ -255,8 +255,7 @@ def explore(likelihood: Likelihood, point: Point, draws: int = DRAWS) -> Point:
     space, best = point.space, point
     lower = np.linalg.cholesky(np.linalg.inv(curvature(space, point.at, 1.0 / _BLUNT)))
     for _ in range(draws):
-        z = point.z + lower @ rng.standard_normal(len(point.z))
-        z = np.clip(z, space.low, space.high)
+        z = np.clip(point.z + lower @ rng.standard_normal(len(point.z)), space.low, space.high)
         try:
             begun = stand(likelihood, space, z, best.x, max(2.0 * point.size, _EXPLORED))
             found = minimise(likelihood, begun, best.cost)

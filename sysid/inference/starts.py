@@ -18,9 +18,8 @@ OWED = 0.05
 _ROUNDS = 12
 _FEWER = 0.7
 """Windows that still move are taken out where they are a smaller share."""
-_DAMPING, _EASIER, _HARDER = 1e-3, 0.1, 10.0
-_STUCK = 10.0
-"""Damping of a start that no step makes better."""
+_DAMPING, _EASIER, _HARDER, _STUCK = 1e-3, 0.1, 10.0, 10.0
+"""Damping at first, factors after a better and a worse step, and where no step is better."""
 
 
 def settle_starts(
