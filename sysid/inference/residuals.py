@@ -10,7 +10,7 @@ from steerd.sysid.data.windows import SPACING
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.predictor import Predictor
-from steerd.sysid.inference.search import Point, fresh, newton, settle, stand, with_size
+from steerd.sysid.inference.search import Point, newton, stand
 from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ def settled(likelihood: Likelihood, space: Space, z: Array, x: Array | None = No
     """
     x = likelihood.predictor.guess.copy() if x is None else x
     soft = stand(likelihood, space, z, x, _SOFT)
-    return settle(likelihood, fresh(likelihood, with_size(likelihood, soft, 0.0)))
+    return stand(likelihood, space, z, soft.x, 0.0)
 
 
 def robust_mean(ratios: Array) -> float:

@@ -145,7 +145,7 @@ def open_point(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Poin
     point = stand(likelihood, space, np.clip(z, space.low, space.high), x, 1.0)
     for _ in range(3):
         size = likelihood.best_size(point.rotated, point.linear.error, point.x)
-        point = settle(likelihood, with_size(likelihood, point, size), 2)
+        point = with_size(likelihood, point, size)
     return fresh(likelihood, point)
 
 
@@ -190,16 +190,6 @@ def with_size(likelihood: Likelihood, point: Point, size: float) -> Point:
 def fresh(likelihood: Likelihood, point: Point) -> Point:
     """The same point with derivatives taken there."""
     return stand(likelihood, point.space, point.z, point.x, point.size)
-
-
-def settle(likelihood: Likelihood, point: Point, rounds: int = 3) -> Point:
-    """The starts at their best, the coordinates held."""
-    for _ in range(rounds):
-        moved = _moved(likelihood, point, np.zeros(len(point.z)))
-        if moved is None or moved.cost > point.cost - 0.05:
-            break
-        point = moved
-    return point
 
 
 def _moved(likelihood: Likelihood, point: Point, dz: Array) -> Point | None:

@@ -36,7 +36,7 @@ def found(late):
 @pytest.fixture(scope="module")
 def settled_base(likelihood, small):
     point = search.stand(likelihood, small, small.centre, likelihood.predictor.guess, 0.0)
-    return search.settle(likelihood, search.fresh(likelihood, point))
+    return search.fresh(likelihood, point)
 
 
 def test_the_effect_is_found_with_its_size(found):
