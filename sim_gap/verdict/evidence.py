@@ -40,7 +40,8 @@ class Verdict:
     """What the hypotheses say together."""
 
     name: str  # `none`, `explained`, `partial` or `unexplained`
-    causes: tuple[Cause, ...]  # named effects, the first found first
+    # Named effects, first the one without which the odds fall most
+    causes: tuple[Cause, ...]
     # Posterior probability that no effect of the library is a cause of the gap
     something_else: float
     left: float  # share of the gap's size that stays
@@ -65,7 +66,10 @@ def judge_case(library: Library, found: Findings, known: bool) -> Verdict:
         name = "unexplained"
     else:
         name = "partial" if stays or strain > c.STRAINED or extreme else "explained"
-    causes = tuple(_cause(library, found, effect, kept) for effect in best.effects)
+    odds = {frozenset(h.effects): h.log_odds for h in found.hypotheses}
+    without = {n: odds.get(frozenset(best.effects) - {n}, -np.inf) for n in best.effects}
+    names = sorted(without, key=lambda name: without[name])
+    causes = tuple(_cause(library, found, effect, kept) for effect in names)
     other = 1.0 - kept * (1.0 - found.null.probability)
     named = causes if name != "unexplained" else ()
     return Verdict(name, named, other, left, strain, extreme)

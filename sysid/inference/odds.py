@@ -96,9 +96,8 @@ def _controlled(
 ) -> dict[Names, float]:
     """Evidences that count no gain which healthy drives show as well.
 
-    A single cause gains what it does beyond its values in healthy drives, where these are known: an
-    effect whose derivative vanishes at its null has none. That one, and every further cause beside
-    the likeliest with one fewer, gains what it does with the design effect of drives without
+    A single cause gains what it does beyond its values in healthy drives. A further cause gains
+    what it does beside the likeliest with one fewer, with the design effect of drives without
     controls: what a wrong name leaves is not what healthy drives show.
 
     Args:
@@ -116,7 +115,7 @@ def _controlled(
             continue
         best = max(fewer, key=lambda rest: level[rest])
         name = min(names)
-        if not best and name in library.controls:
+        if not best:
             gain = found[names].evidence - found[best].evidence
             gain -= _healthy_gain(library, found[best].point, name, temper, shown)
         else:
@@ -126,7 +125,14 @@ def _controlled(
 
 
 def _healthy_gain(library: Library, point: Point, name: str, temper: float, shown: Shown) -> float:
-    """What an effect gains beside a hypothesis by being as healthy drives show it [nats]."""
+    """What an effect gains beside a hypothesis by being as healthy drives show it [nats].
+
+    One whose derivative vanishes at its null has no values in healthy drives: that counts as the
+    most that any other may gain so.
+    """
+    windows = c.SHOWN_MOST * len(point.at.dof)
+    if name not in library.controls:
+        return windows * max(control.gain for control in library.controls.values())
     if (point, name) not in shown:
         shown[point, name] = slice_along(library, point, library.effect(name))
     along = shown[point, name]
@@ -135,7 +141,7 @@ def _healthy_gain(library: Library, point: Point, name: str, temper: float, show
     control = library.controls[name]
     away = control.values - library.likelihood.predictor.augmented.values(name)
     gain = log_mean(along.curved / temper, along.slope / temper, away, control.covariance)
-    return min(max(gain, 0.0), c.SHOWN_MOST * control.gain * len(point.at.dof))
+    return min(max(gain, 0.0), windows * control.gain)
 
 
 def _judge(library: Library, posterior: Posterior, evidence: float) -> Hypothesis:
