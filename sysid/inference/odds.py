@@ -96,9 +96,11 @@ def _controlled(
 ) -> dict[Names, float]:
     """Evidences that count no gain which healthy drives show as well.
 
-    A single cause gains what it does beyond its values in healthy drives. A further cause gains
-    what it does beside the likeliest with one fewer, with the design effect of drives without
-    controls: what a wrong name leaves is not what healthy drives show.
+    A single cause gains what it does beyond its values in healthy drives. Without such values (its
+    derivative vanishes at its null) it gives up as much as any other may gain so, or counts with
+    the design effect of drives without controls, whichever leaves more. With that one counts every
+    further cause, beside the likeliest with one fewer: what a wrong name leaves is not what healthy
+    drives show.
 
     Args:
         library: with controls.
@@ -115,11 +117,11 @@ def _controlled(
             continue
         best = max(fewer, key=lambda rest: level[rest])
         name = min(names)
+        gain = alone[names].evidence - alone[best].evidence
         if not best:
-            gain = found[names].evidence - found[best].evidence
-            gain -= _healthy_gain(library, found[best].point, name, temper, shown)
-        else:
-            gain = alone[names].evidence - alone[best].evidence
+            whole = found[names].evidence - found[best].evidence
+            whole -= _healthy_gain(library, found[best].point, name, temper, shown)
+            gain = whole if name in library.controls else max(gain, whole)
         level[names] = min(found[names].evidence, level[best] + gain)
     return level
 
@@ -127,8 +129,7 @@ def _controlled(
 def _healthy_gain(library: Library, point: Point, name: str, temper: float, shown: Shown) -> float:
     """What an effect gains beside a hypothesis by being as healthy drives show it [nats].
 
-    One whose derivative vanishes at its null has no values in healthy drives: that counts as the
-    most that any other may gain so.
+    One without values there: the most that any other may gain so.
     """
     windows = c.SHOWN_MOST * len(point.at.dof)
     if name not in library.controls:
