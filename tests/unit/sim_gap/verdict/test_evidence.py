@@ -87,6 +87,17 @@ def test_a_cause_is_as_sure_as_every_hypothesis_that_has_it_but_for_what_stays(s
     assert told.left == pytest.approx(share)
 
 
+@pytest.mark.parametrize("later", ["steer_delay", "mass"])
+def test_the_cause_without_which_the_odds_fall_most_is_named_first(later):
+    both = replace(_hypothesis("steer_delay", "mass", probability=0.8), log_odds=50.0)
+    alone = [
+        replace(_hypothesis(n, probability=0.0), log_odds=10.0 if n == later else 40.0)
+        for n in both.effects
+    ]
+    first, second = judge_case(LIBRARY, _found(both, *alone), True).causes
+    assert (second.effect, {first.effect, second.effect}) == (later, {"steer_delay", "mass"})
+
+
 def test_a_gap_too_far_off_to_count_is_measured_by_what_brings_it_down_to_noise():
     """A delay of 0.1 s leaves the windows so far off that the likeliest size stays small."""
     found = _found(_hypothesis("steer_delay", size=0.75 * LARGE), covering=(20.0, 0.8))

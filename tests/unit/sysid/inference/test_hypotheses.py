@@ -274,6 +274,19 @@ def test_a_clear_cause_loses_no_more_than_is_usual(late):
     assert free - small == pytest.approx(c.SHOWN_MOST * 0.1 * len(points[0].at.dof))
 
 
+def test_a_clear_cause_without_a_control_gives_up_the_most_that_another_may(late):
+    """A clip, which has none, is compared with a gain, which has one."""
+    library, found = late
+    points = [found.null.point, found.best.point]
+    other = Control("speed_scale", np.zeros(1), np.eye(1) * 1e-6, 0.1)
+    nothing = _late_by(0.0, 1e-6, gain=0.1)
+    with_own, without = (
+        _gain(_with_controls(library, other, *own), points) for own in ([nothing], [])
+    )
+    most = c.SHOWN_MOST * 0.1 * len(points[0].at.dof)
+    assert with_own - without == pytest.approx(most, abs=1e-3)
+
+
 def test_two_causes_are_worth_the_same_whatever_little_one_of_them_is_alone(both):
     library, found = both
     controls = (Control(n, np.zeros(1), np.eye(1) * 1e-6, 0.1) for n in found.best.effects)
