@@ -53,7 +53,10 @@ STEER_SPREAD = 0.003
 FREE_STATES = 6
 """States of a start that the window itself determines: what they take is no degree of freedom."""
 WILD = 1e3
-"""Errors beyond this are a simulation that left the map [m, rad, m/s, rad/s]."""
+"""Errors beyond this are a simulation that left the map [m, rad, m/s, rad/s].
+
+Derivatives beyond it count as none: squared and weighed by millimetres they leave no digits.
+"""
 WILD_SHARE = 0.5
 """Share of such windows above which the whole simulation counts as diverged."""
 WILD_ERROR = 1.0
@@ -167,9 +170,8 @@ class Predictor:
         dfirst = np.zeros((STATES, n + STATES))
         dfirst[:, n:] = np.eye(STATES)
         error, jy = self._simulate(parameters, seeds, x, dfirst)
-        wild = ~((np.abs(error).max(axis=1) < WILD) & (np.abs(jy).max(axis=(1, 2)) < WILD**2))
-        jy[wild] = 0.0
-        error, finite = self._without(wild, error)
+        error, finite = self._without_wild(error)
+        jy[~(np.abs(jy).max(axis=(1, 2)) < WILD)] = 0.0
         return Linear(error, jy[:, :, :n], jy[:, :, n:], finite)
 
     def errors(self, parameters: Array, x: Array) -> tuple[Array, bool]:
@@ -179,7 +181,7 @@ class Predictor:
         """
         none = np.zeros((len(parameters), 0))
         error, _ = self._simulate(parameters, none, x, np.zeros((STATES, 0)))
-        return self._without(~(np.abs(error).max(axis=1) < WILD), error)
+        return self._without_wild(error)
 
     def _simulate(
         self, parameters: Array, seeds: Array, x: Array, dfirst: Array
@@ -196,8 +198,9 @@ class Predictor:
             error[turn] = (error[turn] + np.pi) % (2.0 * np.pi) - np.pi
         return self.pad(error), self.pad(jy) if jy.size else jy
 
-    def _without(self, wild: NDArray[np.bool_], error: Array) -> tuple[Array, bool]:
+    def _without_wild(self, error: Array) -> tuple[Array, bool]:
         """Errors, of a fixed size in windows that left the map, and whether these are few."""
+        wild = ~(np.abs(error).max(axis=1) < WILD)
         error[wild] = WILD_ERROR * self.padded.there[wild]
         return error, bool(wild.mean() <= WILD_SHARE)
 

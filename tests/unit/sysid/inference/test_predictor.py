@@ -19,6 +19,7 @@ from steerd.sysid.inference.noise import (
     noisier_of,
     slip_shape,
 )
+from steerd.sysid.inference.predictor import WILD
 from steerd.sysid.inference.residuals import blocks_of, folds_of, robust_mean, settled
 from steerd.sysid.inference.search import minimise, stand
 from steerd.sysid.inference.space import informative_effects, make_space, nuisance_names
@@ -49,6 +50,22 @@ def test_a_slope_is_the_difference_quotient(healthy, fitted):
     quotient = (at.error - healthy.linear(space, moved, x).error) / 1e-5
     scale = np.abs(at.by_z[:, :, i]).max()
     assert np.abs(quotient - at.by_z[:, :, i]).max() < 1e-3 * scale
+
+
+def test_a_window_that_multiplies_changes_a_thousandfold_keeps_its_error_and_pulls_at_nothing(
+    healthy,
+):
+    """Squares of such derivatives leave no digits: a curvature would come out negative."""
+    space, p = make_space(healthy.augmented, ("c_sr",)), healthy.augmented.base.copy()
+    p[healthy.augmented.kernels.names.index("c_sr")] = 0.1
+    at = healthy.linear(space, space.chart.coordinates(p), healthy.guess)
+    error, finite = healthy.errors(p, healthy.guess)
+    steep = (at.by_z == 0.0).all(axis=(1, 2))
+    assert (finite, at.finite) == (True, True)
+    assert 0 < steep.sum() < len(steep)
+    assert at.error == pytest.approx(error, rel=1e-6, abs=1e-9)
+    assert (at.by_x[steep] == 0.0).all()
+    assert max(np.abs(at.by_z).max(), np.abs(at.by_x).max()) < WILD
 
 
 @pytest.mark.parametrize(
