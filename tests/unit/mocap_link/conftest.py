@@ -1,30 +1,14 @@
-"""The real capture, and a NatNet server in a few lines."""
+"""A NatNet server in a few lines."""
 
 import struct
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import pytest
 
-from benchmarks.motive_replay import read_pcapng
 from steerd.mocap_link import natnet
 from steerd.mocap_link.natnet_frame import Frame, RigidBody
 
 SECOND = 1_000_000_000
-
-
-@pytest.fixture(scope="session")
-def capture_dir() -> Path:
-    path = Path(__file__).resolve().parents[4] / "shared" / "spec" / "natnet-capture"
-    if not path.is_dir():
-        pytest.skip("the Motive capture (../shared/spec/natnet-capture) is not here")
-    return path
-
-
-@pytest.fixture(scope="session")
-def capture(capture_dir: Path) -> list[tuple[int, bytes]]:
-    """Time [ns] and bytes of every datagram, to Motive and from it."""
-    return list(read_pcapng((capture_dir / "traffic.pcapng").read_bytes()))
 
 
 @dataclass

@@ -68,15 +68,16 @@ def test_short_descriptions_are_refused(payload: bytes) -> None:
         vrpn.read_description(payload)
 
 
-def make_pair() -> tuple[VrpnSource, VrpnServer]:
-    client, server = VrpnSource("car", CONFIG), VrpnServer(("car", "b2"))
+def make_pair(*bodies: str, t_ns: int = T0) -> tuple[VrpnSource, VrpnServer]:
+    """Source and server that have greeted each other."""
+    client, server = VrpnSource("car", CONFIG), VrpnServer(bodies or ("car", "b2"))
     assert server.receive(client.on_connect(), 0) == b""
-    assert client.on_bytes(server.hello(), 0) == []
+    assert client.on_bytes(server.hello(), t_ns) == []
     return client, server
 
 
 def test_session_greets_maps_ids_and_answers_pings() -> None:
-    client, server = make_pair()
+    client, server = make_pair(t_ns=0)
     assert client.on_bytes(server.pose("b2", 5, (1.0, 1.0, 1.0), (1.0, 0.0, 0.0, 0.0)), 7) == []
     q = (0.9, 0.1, 0.2, 0.3)  # its order changes at the wire
     (raw,) = client.on_bytes(server.pose("car", 2_500_000, (1.0, 2.0, 3.0), q), 7)
@@ -150,10 +151,8 @@ def test_vrpn_drive_freeze_and_reconnect() -> None:
 
 @pytest.mark.parametrize("held", [2, 6, 12])
 def test_poses_that_tcp_held_back_are_each_where_the_car_was(held: int) -> None:
-    source, server = VrpnSource("car", CONFIG), VrpnServer(("car",))
+    source, server = make_pair("car")
     source.ingest.timing.extra_latency_ns = 0
-    source.on_connect()
-    source.on_bytes(server.hello(), T0)
     drive_vrpn(source, server, T0, 300)
     start = T0 + 3 * SECOND
     segment = b""
@@ -170,9 +169,7 @@ def test_poses_that_tcp_held_back_are_each_where_the_car_was(held: int) -> None:
 
 
 def test_vrpn_half_open_and_ping() -> None:
-    source, server = VrpnSource("car", CONFIG), VrpnServer(("car",))
-    server.receive(source.on_connect(), 0)
-    source.on_bytes(server.hello(), T0)
+    source, _ = make_pair("car")
     pings = 0
     for i in range(290):
         out = source.on_timer(T0 + i * 10 * MS)
@@ -185,9 +182,7 @@ def test_vrpn_half_open_and_ping() -> None:
 
 
 def test_vrpn_body_that_is_enabled_later() -> None:
-    source, server = VrpnSource("car", CONFIG), VrpnServer(("b2",))
-    source.on_connect()
-    source.on_bytes(server.hello(), T0)
+    source, server = make_pair("b2")
     assert "it offers: b2" in source.status().detail
     server.bodies += ("car",)
     source.on_bytes(vrpn.encode(vrpn.make_description(vrpn.SENDER_DESCRIPTION, 1, "car")), T0)
@@ -206,10 +201,9 @@ def test_bus_poses() -> None:
     assert good is not None
     assert (good.rejected, good.clock) == (None, ClockKind.HULL)
     assert source.status().state is SourceState.OK
-    for bad in (b"", b"{}", b"\xff", b'{"v":2,"body":"c","seq":1,"p":[0,0,0],"q":[1,0,0,0]}'):
+    for bad in (b"", b"{}", b"\xff", b'{"v":2,"body":"c","seq":1,"p":[0,0,0],"q":[1,0,0,0]}',
+                b"[" * 4000):  # fmt: skip
         assert source.on_message(bad, T0) is None
-    assert source.on_message(b"[" * 5000, T0) is None
-    assert source.on_message(b"[" * 4000, T0) is None
 
 
 MOST = str((1 << 63) - 1)
@@ -233,9 +227,7 @@ def test_a_bus_pose_with_a_number_that_no_message_holds_is_malformed(name, numbe
 
 
 def test_a_vrpn_stamp_before_its_epoch_is_no_stamp() -> None:
-    source, server = VrpnSource("car", CONFIG), VrpnServer(("car",))
-    source.on_connect()
-    source.on_bytes(server.hello(), T0)
+    source, server = make_pair("car")
     good = server.pose("car", 5, (1.0, 2.0, 0.1), (1.0, 0.0, 0.0, 0.0))
     (sample,) = source.on_bytes(good, T0)
     assert sample.source_ticks == 5
