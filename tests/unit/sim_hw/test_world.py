@@ -54,12 +54,6 @@ NOISY = WorldConfig(seed=5, process_noise=(0.05, 0.2, 0.05))
 FAULTS = [Fault("M17", loss=0.1), Fault("V9", corrupt=0.1), Fault("M14", 500 * MS, 900 * MS)]
 
 
-def test_same_seed_same_bytes_other_seed_other_bytes() -> None:
-    first = drive_bytes(NOISY, FAULTS)
-    assert [drive_bytes(NOISY, FAULTS) for _ in range(2)] == [first, first]
-    assert drive_bytes(replace(NOISY, seed=6), FAULTS) != first
-
-
 def test_a_hand_pushes_the_car_a_metre_and_back() -> None:
     world = World(WorldConfig())
     for far in (1.1, 0.0):
