@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import cos, nan, pi, radians, sin
+from math import cos, inf, nan, pi, radians, sin
 
 import numpy as np
 import pytest
@@ -296,8 +296,9 @@ def test_a_swapped_or_flipped_body_stays_out_however_long(aside, reason):
     ("place", "reasons"),
     [(shifted(2.0), ["jump"] * 14 + [None] * 6),
      (lambda i: shifted(2.0 + i % 3)(i), ["jump"] * 20),
-     (lambda i: make_pose(drive(i).x, height=0.2 + 0.05 * (i % 2)), ["height"] * 20)],
-    ids=["elsewhere", "places that disagree", "heights that disagree"],
+     (lambda i: make_pose(drive(i).x, height=0.2 + 0.05 * (i % 2)), ["height"] * 20),
+     (lambda i: make_pose(drive(i).x, height=0.2), ["height"] * 14 + [None] * 6)],
+    ids=["elsewhere", "places that disagree", "heights that disagree", "another height"],
 )  # fmt: skip
 def test_a_stopped_car_is_taken_in_where_fifteen_poses_agree(place, reasons):
     state, _ = run(drive, 20)
@@ -326,9 +327,24 @@ def test_frame_order():
         assert step_gates(GATES, state, at(drive(5), number, 50 * MS))[1] == reason
 
 
-def test_a_pose_without_a_place_is_rejected():
-    nowhere = replace(drive(1), x=nan, y=nan, yaw=nan, height=nan, tilt=nan)
-    assert step_gates(GATES, GateState(), nowhere)[1] == "not_finite"
+NOT_FINITE = {"x": nan, "y": nan, "yaw": nan, "height": nan, "tilt": nan}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [({"live": False}, "not_live"), (NOT_FINITE, "not_finite"),
+     ({"position": (nan,) * 3}, "not_finite"), ({"position": (inf,) * 3}, "not_finite"),
+     ({"quaternion": (nan,) * 4}, "not_finite"),
+     ({"tracking_valid": False}, "invalid"), ({"position": (0.0,) * 3}, "zero_pose"),
+     ({"quaternion": (0.0,) * 4}, "quaternion"), ({"mean_error": 0.006}, "mean_error"),
+     ({"mean_error": nan}, "mean_error"), ({"position": (101.0, 0.0, 0.0)}, "units"),
+     ({"tilt": 0.2}, "tilt"), ({"height": 0.14}, "height")],
+)  # fmt: skip
+def test_a_pose_that_is_none_is_rejected_with_its_reason(wrong, reason):
+    state, _ = run(drive, 1)
+    pose = at(drive(1), 1, 10 * MS)
+    assert step_gates(GATES, state, pose)[1] is None
+    assert step_gates(GATES, state, replace(pose, **wrong))[1] == reason
 
 
 def test_mean_error_is_in_the_servers_unit():

@@ -1,5 +1,7 @@
 """VRPN bytes against vectors written out by hand from the protocol's description."""
 
+from math import cos, hypot, sin
+
 import pytest
 
 from steerd.mocap_link import vrpn
@@ -9,7 +11,23 @@ from steerd.mocap_link.source import ClockKind, Pose, SourceState
 from steerd.mocap_link.vrpn_client import VrpnSource
 from steerd.mocap_link.zenoh_pose import BusPoseSource, encode_pose
 from steerd.sim_hw.mocap.servers import VrpnServer
-from tests.unit.mocap_link.test_sessions import MS, SECOND, SPEED, T0, assert_no_jump, truth
+
+MS = 1_000_000
+SECOND = 1000 * MS
+T0 = 77 * SECOND
+SPEED, RADIUS = 1.0, 2.0
+
+
+def truth(t_ns: int) -> tuple[float, float, float]:
+    """The car on a circle: x, y, yaw at a time."""
+    a = SPEED * (t_ns - T0) * 1e-9 / RADIUS
+    return RADIUS * sin(a), RADIUS * (1 - cos(a)), a
+
+
+def assert_no_jump(samples: list[Pose]) -> None:
+    for s in samples:
+        x, y, _ = truth(s.t_valid_ns)
+        assert s.rejected is not None or hypot(s.x - x, s.y - y) < 0.03
 
 
 def test_cookie() -> None:
