@@ -162,20 +162,6 @@ def gradient(effect: Effect, at: tuple[float, ...], seed: int) -> list[float]:
     return [float(g) for g in torch.autograd.grad(total, values)]
 
 
-def differences(effect: Effect, at: tuple[float, ...], seed: int) -> list[float]:
-    """The same by central differences with floats."""
-
-    def moved(index: int, by: float) -> float:
-        values = tuple(v + by * (i == index) for i, v in enumerate(at))
-        total: float = score(
-            drive(FLOAT, Model(DEFAULT_CAR, (effect,), (values,)), seed, float, SHORT)
-        )
-        return total
-
-    widths = [1e-6 * p.scale for p in effect.parameters]
-    return [(moved(i, w) - moved(i, -w)) / (2.0 * w) for i, w in enumerate(widths)]
-
-
 @pytest.mark.parametrize("effect", EVERY)
 def test_gradients_at_and_beside_the_null_are_finite(effect: Effect) -> None:
     for share in (-1e-4, 0.0, 1e-4):
@@ -186,17 +172,6 @@ def test_gradients_at_and_beside_the_null_are_finite(effect: Effect) -> None:
             named = zip(effect.parameters, found, strict=True)
             acting = [g for p, g in named if p.role is Role.SIZE]
             assert all(acting), "it needs a scan: no gradient at the null says where to go"
-
-
-@pytest.mark.parametrize("effect", EVERY)
-def test_gradients_are_those_of_the_floats(effect: Effect) -> None:
-    # Off the grid: at a whole number of steps a delay's gradient has two sides.
-    at = tuple(
-        p.null + 0.87 * (v - p.null)
-        for p, v in zip(effect.parameters, ordinary(effect), strict=True)
-    )
-    expected = differences(effect, at, 5)
-    assert gradient(effect, at, 5) == pytest.approx(expected, rel=2e-4, abs=2e-4)
 
 
 # One set of equations over every number type: floats and arrays agree.

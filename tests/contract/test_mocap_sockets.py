@@ -127,17 +127,6 @@ def test_natnet_backlog_keeps_the_newest_five(udp_server, connect):
     assert late[-1].frame > samples[-1].frame + 30
 
 
-def test_natnet_without_a_server_neither_blocks_nor_raises(connect):
-    port = free_port()
-    receiver = connect(f"natnet://{LOOPBACK}:{port}/car")
-    for i in range(3):
-        receiver.on_timer(i * 10 * SECOND)
-        for fd in select.select(receiver.fds(), [], [], 0.05)[0]:
-            receiver.read_ready(fd)
-    assert receiver.status().state is SourceState.CONNECTING
-    assert receiver.read_ready(-1) == []
-
-
 @pytest.mark.parametrize("udp_server", [TO_COMMAND], indirect=True)
 def test_natnet_data_port_that_is_taken_is_tried_again(udp_server, connect):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:

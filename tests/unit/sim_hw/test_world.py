@@ -1,7 +1,6 @@
 """The world as a whole: repeatable to the byte, drivable, and understood by the real clients."""
 
 import hashlib
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -11,13 +10,11 @@ from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.state import ORIGIN
 from steerd.mocap_link import natnet
-from steerd.mocap_link.frame import FrameConfig
 from steerd.mocap_link.ingest import IngestConfig
-from steerd.mocap_link.natnet_client import NatNetSource
-from steerd.mocap_link.source import Pose, SourceState
+from steerd.mocap_link.source import Pose
 from steerd.mocap_link.vrpn_client import VrpnSource
-from steerd.sim_hw.mocap.cameras import MULTICAST, TO_COMMAND, TO_DATA, MocapConfig
-from steerd.sim_hw.mocap.network import COMMAND, STREAM
+from steerd.sim_hw.mocap.cameras import MULTICAST, MocapConfig
+from steerd.sim_hw.mocap.network import STREAM
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.vesc.vesc_motor import VescConfig
 from steerd.sim_hw.world import World, WorldConfig
@@ -100,45 +97,6 @@ def test_a_caller_woken_on_time_reads_everything_the_moment_it_arrives(faults: l
     assert poses > 100
     assert wakes < 1200
     assert (unplugged > 0) == any(fault.name == "V2" for fault in faults)
-
-
-def track(world: World, seconds: float, source: NatNetSource) -> list[Pose]:
-    samples: list[Pose] = []
-    for t in range(0, round(seconds * 1e9), 2 * MS):
-        for data in source.on_timer(t):
-            world.mocap_write(t, data)
-        for m in world.mocap_read(t):
-            which = "command" if m.channel == COMMAND else "data"
-            samples += source.on_datagram(m.data, m.t_ns, "127.0.0.1", which)
-    return samples
-
-
-@pytest.mark.parametrize(
-    ("version", "transport"),
-    [((3, 0), MULTICAST), ((3, 1), TO_COMMAND), ((4, 0), TO_DATA), ((4, 1), MULTICAST),
-     ((4, 2), TO_COMMAND)],
-    ids=str,
-)  # fmt: skip
-def test_natnet_client_gets_true_poses_at_their_true_time(
-    version: tuple[int, int], transport: str
-) -> None:
-    frame = FrameConfig(up="y", body_forward="+z", world_yaw=0.4, world_xy=(1.0, -2.0),
-                        marker_rear_x=0.2, marker_rear_y=-0.01, cog_ahead_of_rear=0.17)  # fmt: skip
-    mocap = MocapConfig(
-        version=version, transport=transport, frame=frame, clock_hz=3_312_787, skew_ppm=-40.0
-    )
-    world = World(WorldConfig(mocap=mocap, start=ORIGIN._replace(speed=2.0, yaw=1.0)))
-    source = NatNetSource("car", "127.0.0.1", IngestConfig(frame=frame))
-    world.vesc.motor.config = replace(world.vesc.motor.config, timeout_ms=0)  # coast on
-    samples = track(world, 2.5, source)
-    late = [s for s in samples if s.rejected is None][-30:]
-    assert len(late) == 30
-    assert source.status().state is SourceState.OK
-    for s in late:
-        true = world.car.state_at(s.t_valid_ns)
-        assert (s.x, s.y) == pytest.approx((true.x, true.y), abs=0.0015)
-        assert s.yaw == pytest.approx(true.yaw, abs=0.006)
-        assert 4 * MS < s.t_arrival_ns - s.t_valid_ns < 8 * MS
 
 
 def test_unicast_client_is_dropped_when_it_falls_silent() -> None:
