@@ -115,12 +115,6 @@ def yaw(frame: Frame) -> float:
 CLEAN = frames()
 
 
-def test_m3_resend_is_one_frame_again_and_again():
-    held = during(frames(Fault("M3", ON, OFF)))
-    assert len(held) > 90
-    assert len(set(held)) == 1
-
-
 def test_m5_drift_grows():
     held = zip(during(frames(Fault("M5", ON, OFF))), during(CLEAN), strict=True)
     off = [place(f)[0] - place(clean)[0] for f, clean in held]
@@ -241,23 +235,6 @@ def test_v2_other_name_and_v3_other_uuid_after_an_outage(faulty):
     assert host.ask(c.GetFwVersion()).uuid != own
 
 
-def test_v6_stalled_reader_fills_the_hosts_buffer(faulty):
-    host = faulty("V6")
-    assert host.world.serial_write(host.t_ns, bytes(4000)) == 4000
-    assert host.world.serial_write(host.t_ns, bytes(200)) == 96
-    with pytest.raises(BlockingIOError):
-        host.world.serial_write(host.t_ns, b"x")
-
-
-def test_v7_trickle_takes_5_ms_per_byte(faulty):
-    host = faulty("V7")
-    host.send(c.GetValuesSelective(0x180))  # 17 bytes
-    host.run(79)
-    assert host.heard() == []
-    host.run(12)
-    assert isinstance(host.heard()[0], Values)
-
-
 def test_v8_garbage_and_v9_crc_errors_and_v12_wrong_replies(faulty):
     host = faulty("V8")
     host.send(c.GetValues())
@@ -276,16 +253,6 @@ def test_v8_garbage_and_v9_crc_errors_and_v12_wrong_replies(faulty):
     old = faulty("V12", wrong="firmware").ask(c.GetValues())
     assert old.status is None
     assert old.controller_id == 107
-
-
-def test_v10_partial_frame_then_silence(faulty):
-    host = faulty("V10")
-    host.send(c.GetValues())
-    host.run(5)
-    assert len(host.world.serial_read(host.t_ns)) == 39
-    host.send(c.GetValues())
-    host.run(5)
-    assert host.world.serial_read(host.t_ns) == b""
 
 
 def test_v11_false_long_header_comes_once(faulty):

@@ -13,7 +13,7 @@ from steerd.sim_hw.vesc.vesc_motor import duty_current
 from steerd.sim_hw.world import WorldConfig
 from steerd.vesc_link import commands as c
 from steerd.vesc_link import ids
-from steerd.vesc_link.identity import Ack, FwVersion, McConfTemp
+from steerd.vesc_link.identity import Ack, McConfTemp
 from steerd.vesc_link.scaling import F1TENTH, servo_pos_to_steer
 from steerd.vesc_link.telemetry import UPTIME_MASK, Imu, Values, has_chip
 
@@ -32,28 +32,6 @@ def host(make_host: MakeHost) -> Any:
 def rolling(make_host: MakeHost) -> Any:
     """A host of a car at 2 m/s."""
     return make_host(config=ROLLING)
-
-
-def test_head_of_line_blocking_delivers_everything_late_at_once(make_host):
-    host = make_host(timeout_ms=0)
-    host.world.serial_write(0, b"\x03\x02\x00")
-    for erpm in range(1000, 1051):
-        host.send(c.SetErpm(erpm))
-        host.run(10)
-    assert host.world.vesc.motor.value == 0.0
-    host.send(c.SetErpm(1051))  # 3 + 52 frames of 10 bytes: the false frame's 518 are there
-    assert host.world.vesc.motor.value in (1050.0, 1051.0)
-
-
-@pytest.mark.parametrize(
-    ("firmware", "freed"),
-    [(ids.FW_3_40, True), (ids.FW_3_60, True), (ids.FW_5_02, True), (ids.FW_5_03, False)],
-)
-def test_only_old_firmware_resets_its_parser_after_silence(make_host, firmware, freed):
-    host = make_host(firmware=firmware)
-    host.world.serial_write(0, b"\x02\xff\x00")
-    host.run(1500)
-    assert isinstance(host.ask(c.GetFwVersion()), FwVersion) == freed
 
 
 def test_reply_comes_as_one_byte_then_the_rest(make_host):
@@ -76,31 +54,6 @@ def test_averages_restart_on_every_read_and_two_pollers_steal(host):
     assert second.motor_current == 0.0
     only_voltage = host.ask(c.GetValuesSelective(1 << 8))  # leaves the means of others alone
     assert only_voltage.motor_current is None
-
-
-def test_timeout_strikes_on_the_10_ms_thread_although_polled(make_host):
-    """The pre-arm proof: silence but for polls must raise status bit 0 in timeout + 20 ms."""
-    host = make_host(timeout_ms=200)
-    host.send(c.SetCurrentBrake(1.0))
-    struck = None
-    for ms in range(5, 400, 5):
-        host.run(5)
-        reply = host.ask(c.GetValues(), 0.4)
-        host.t_ns = ms * MS
-        if reply.status & 1:
-            struck = ms
-            break
-    assert 200 <= struck <= 220
-
-
-def test_timeout_releases_then_brakes_to_rest(make_host):
-    host = make_host(timeout_ms=150, timeout_brake_current=20.0)
-    host.hold(1500, c.SetErpm(2 * ERPM_1))
-    x, v = host.world.car.state.x, host.speed
-    host.run(3000)
-    decel = 20.0 * host.world.config.vesc.accel_per_amp + 0.6
-    assert host.speed == 0.0
-    assert host.world.car.state.x - x <= v * 0.17 + v * v / 2 / decel + 0.05
 
 
 def test_timeout_with_brake_current_zero_coasts(make_host):
@@ -133,13 +86,6 @@ def test_servo_commands_and_polls_do_not_feed_the_timeout_but_alive_does(host):
     host.hold(500, c.Alive())
     assert not host.world.vesc.motor.timed_out
     assert host.speed == pytest.approx(1.0, abs=0.05)  # ALIVE keeps the last command running
-
-
-def test_servo_holds_its_last_angle_for_ever(host):
-    host.send(c.SetServoPos(0.3))
-    host.run(20_000)
-    steer = servo_pos_to_steer(F1TENTH, 0.3)
-    assert host.world.car.state.steer == pytest.approx(steer, abs=1e-6)
 
 
 def test_servo_does_nothing_when_its_output_is_disabled(make_host):
@@ -195,14 +141,6 @@ def test_invert_flag_turns_commands_telemetry_and_tachometer(make_host):
     values = host.values()
     assert values.erpm == pytest.approx(ERPM_1, abs=60)
     assert values.tachometer > 0
-
-
-def test_brake_current_slows_by_its_constant_and_never_reverses(rolling):
-    rolling.hold(100, c.SetCurrentBrake(10.0))
-    decel = 10.0 * rolling.world.config.vesc.accel_per_amp + 0.6
-    assert rolling.speed == pytest.approx(2.0 - 0.1 * decel, abs=0.02)
-    rolling.hold(2000, c.SetCurrentBrake(10.0))
-    assert rolling.speed == 0.0
 
 
 def test_current_pushes_both_ways_and_a_tiny_one_releases(host):
@@ -261,15 +199,6 @@ def test_uptime_counts_and_goes_back_with_a_reboot(make_host):
     host.run(1600)
     assert host.world.serial_name == "vesc"
     assert host.ask(c.GetValuesSetupSelective(UPTIME_MASK)).uptime_ms <= 101
-
-
-def test_reboot_forgets_ram_limits_and_centres_the_servo(host):
-    host.send(limits(erpm_max=5000.0), c.SetServoPos(0.2))
-    host.run(50)
-    host.send(c.Reboot())
-    host.run(1600)
-    assert host.ask(c.GetMcConfTemp()).erpm_max == 50_000.0
-    assert host.world.vesc._servo_out == 0.5
 
 
 def limits(**changes: float) -> c.SetMcConfTemp:
