@@ -19,7 +19,7 @@ from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.natnet_client import NatNetSource
 from steerd.mocap_link.source import ClockKind, Pose, SourceState
 from steerd.sim_hw.mocap.cameras import MULTICAST, Bystander, MocapConfig
-from steerd.sim_hw.mocap.network import COMMAND, FOREIGN
+from steerd.sim_hw.mocap.network import FOREIGN
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.world import World, WorldConfig
 from steerd.vesc_link.commands import SetErpm, SetServoPos
@@ -42,13 +42,15 @@ QUIET = MocapConfig(
 class Room:
     """A server, a car in a bend, a network and a source in one virtual time."""
 
-    def __init__(self, *faults: Fault, follow: str = "car", **mocap: Any) -> None:
+    def __init__(
+        self, *faults: Fault, follow: str = "car", source: Any = None, **mocap: Any
+    ) -> None:
         config = WorldConfig(mocap=replace(QUIET, **mocap), keep_bytes=False, start=START)
         self.world = World(config, faults)
         self.world.vesc.motor.config = replace(self.world.vesc.motor.config, timeout_ms=0)
         for order in (SetErpm(4614.0 * SPEED), SetServoPos(0.35)):
             self.world.serial_write(0, encode_frame(encode_command(order)))
-        self.source = NatNetSource(follow, SERVER, IngestConfig(frame=FRAME))
+        self.source = source or NatNetSource(follow, SERVER, IngestConfig(frame=FRAME))
         self.source.ingest.wheel_speed = SPEED
         self.now, self.deaf, self.sent = 0, False, list[natnet.Message]()
         self.samples: list[Pose] = []
@@ -58,28 +60,27 @@ class Room:
         """Advance in steps of 5 ms; return the new samples."""
         first = len(self.samples)
         for _ in range(round(seconds * 200)):
-            for datagram in self.source.on_timer(self.now):
-                self.sent.append(natnet.decode(datagram, (4, 1)))
-                self.world.mocap_write(self.now, datagram)
-            self.now += 5 * MS
-            for m in self.world.mocap_read(self.now):
-                which: Any = "command" if m.channel == COMMAND and not self.is_frame(m) else "data"
-                sender = STRANGER if m.channel == FOREIGN else SERVER
-                if which == "command" or not self.deaf:
-                    for sample in self.source.on_datagram(m.data, m.t_ns, sender, which):
-                        self.take(sample)
+            self.step()
         return self.samples[first:]
 
-    def take(self, sample: Pose) -> None:
-        """Keep a sample, and how far it lies from where the car was at its time [m, rad]."""
-        true = self.world.car.state_at(sample.t_valid_ns)
-        turned = abs(remainder(sample.yaw - true.yaw, tau))
-        self.off[id(sample)] = hypot(sample.x - true.x, sample.y - true.y), turned
-        self.samples.append(sample)
+    def step(self) -> None:
+        for datagram in self.source.on_timer(self.now):
+            self.sent.append(natnet.decode(datagram, (4, 1)))
+            self.world.mocap_write(self.now, datagram)
+        self.now += 5 * MS
+        for m in self.world.mocap_read(self.now):
+            which: Any = "data" if natnet.peek_id(m.data) == natnet.FRAME_ID else "command"
+            sender = STRANGER if m.channel == FOREIGN else SERVER
+            if which == "command" or not self.deaf:
+                self.take(self.source.on_datagram(m.data, m.t_ns, sender, which))
 
-    @staticmethod
-    def is_frame(message: Any) -> bool:
-        return natnet.peek_id(message.data) == natnet.FRAME_ID
+    def take(self, samples: list[Pose]) -> None:
+        """Keep samples, and how far each lies from where the car was at its time [m, rad]."""
+        for sample in samples:
+            true = self.world.car.state_at(sample.t_valid_ns)
+            turned = abs(remainder(sample.yaw - true.yaw, tau))
+            self.off[id(sample)] = hypot(sample.x - true.x, sample.y - true.y), turned
+        self.samples += samples
 
     @property
     def state(self) -> SourceState:

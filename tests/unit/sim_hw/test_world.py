@@ -8,11 +8,7 @@ import pytest
 from steerd.car_model.effects import parse_effects
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.car_model.state import ORIGIN
 from steerd.mocap_link import natnet
-from steerd.mocap_link.ingest import IngestConfig
-from steerd.mocap_link.source import Pose
-from steerd.mocap_link.vrpn_client import VrpnSource
 from steerd.sim_hw.mocap.cameras import MULTICAST, MocapConfig
 from steerd.sim_hw.mocap.network import STREAM
 from steerd.sim_hw.plant.faults import Fault
@@ -119,25 +115,6 @@ def test_natnet_answers_questions_and_survives_nonsense() -> None:
     assert isinstance(rate, natnet.Response)
     assert rate.number == 120.0
     assert isinstance(answers[4], natnet.Unrecognized)
-
-
-def test_vrpn_client_gets_the_pose_and_pongs() -> None:
-    world = World(WorldConfig(mocap=MocapConfig(kind="vrpn"), start=ORIGIN._replace(x=1.0)))
-    source = VrpnSource("car", IngestConfig())
-    world.mocap_connect(0)
-    world.mocap_write(0, source.on_connect(), STREAM)
-    samples: list[Pose] = []
-    for t in range(0, 3000 * MS, 2 * MS):
-        data = source.on_timer(t)
-        if data:
-            world.mocap_write(t, data, STREAM)
-        for m in world.mocap_read(t):
-            samples += source.on_bytes(m.data, m.t_ns)
-    assert len(samples) > 280
-    assert samples[-1].x == pytest.approx(1.0, abs=0.001)
-    assert source.dead is None
-    world.mocap_disconnect(3000 * MS)
-    assert world.mocap_read(3500 * MS) == []
 
 
 def test_vrpn_hangs_up_on_a_peer_that_speaks_something_else() -> None:
