@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from steerd.car_model.car_file import default_car_path
 from steerd.daemon.cli.main import run_cli
 from tests.safety.live import free_endpoint
 
@@ -21,6 +22,7 @@ TABLE = [
     ((*SIM, "--path", "circle:radius=0.3"), 4, ["0.3"]),
     ((*SIM, "--car", "{tmp}/broken.toml"), 4, ["broken.toml"]),
     ((*SIM, "--car", "{tmp}/odd.toml"), 4, ["odd.toml", "mass"]),
+    ((*SIM, "--car", "{tmp}/pole.toml"), 4, ["spectral radius", "'pole_placement' refused"]),
     ((*SIM, "--effect", "gravity=3"), 2, ["gravity", "steerd effects"]),
     ((*SIM, "--effect", "steer_lag=much"), 2, ["steer_lag", "much"]),
     ((*SIM, "--record", "{tmp}/notes.csv"), 3, ["notes.csv"]),
@@ -52,6 +54,9 @@ def place(tmp_path: Path) -> Path:
     (tmp_path / "notes.csv").write_text("neither a path nor a session\n")
     (tmp_path / "broken.toml").write_text("[car\nmass = 3\n")
     (tmp_path / "odd.toml").write_text("[car]\nmass = 'heavy'\n")
+    text = default_car_path().read_text().replace('design = "lqr" ', 'design = "pole_placement" ')
+    unstable = text.replace("[-150.0, 15.0], [-150.0, -15.0]", "[-8.0, 3.0], [-8.0, -3.0]")
+    (tmp_path / "pole.toml").write_text(unstable)
     return tmp_path
 
 

@@ -200,9 +200,12 @@ def test_server_restart_with_a_new_epoch(transport):
     room.assert_no_jump(room.samples)
 
 
-@pytest.mark.parametrize("fault", ["server_restart", "M21"])
+STEPS = [Fault("M21", SECOND, clock_step_ns=ms * MS) for ms in (-1000, -60, 60, 1000, 3 * 10**9)]
+
+
+@pytest.mark.parametrize("fault", [Fault("server_restart", SECOND), *STEPS], ids=str)
 def test_a_server_clock_that_steps_is_learnt_anew(fault):
-    room = begin(Fault(fault, SECOND))
+    room = begin(fault)
     room.run(0.2)
     assert {s.clock for s in room.samples[-5:]} <= {ClockKind.ARRIVAL, ClockKind.ECHO}
     room.run(2.0)
