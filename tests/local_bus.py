@@ -1,7 +1,6 @@
 """A bus inside one process, for tests: the double of `ZenohBus` that the bus contract holds too."""
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -30,11 +29,23 @@ def _chunks_match(pattern: list[str], key: list[str]) -> bool:
     return bool(key) and pattern[0] in ("*", key[0]) and _chunks_match(pattern[1:], key[1:])
 
 
-@dataclass(slots=True, eq=False)
-class _Ring:
-    pattern: str
-    samples: deque[Sample]
-    keep: Keep | None
+class _Held:
+    """Closing removes what was declared from the hub, once."""
+
+    def __init__(self, place: list[Any], what: Any) -> None:
+        self._place, self._what = place, what
+        place.append(what)
+
+    def close(self) -> None:
+        if self._place:
+            self._place.remove(self._what)
+        self._place = []
+
+
+class _Ring(_Held):
+    def __init__(self, hub: "LocalHub", pattern: str, depth: int, keep: Keep | None) -> None:
+        super().__init__(hub.rings, self)
+        self.pattern, self.keep, self.samples = pattern, keep, deque[Sample](maxlen=depth)
 
     def poll(self) -> list[Sample]:
         taken = []
@@ -50,29 +61,6 @@ class LocalHub:
     rings: list[_Ring] = field(default_factory=list)
     tokens: list[str] = field(default_factory=list)
     answers: list[tuple[str, Answer]] = field(default_factory=list)
-
-
-class _Held:
-    """Closing removes what was declared from the hub, once."""
-
-    def __init__(self, remove: Callable[[], None]) -> None:
-        self._remove: Callable[[], None] | None = remove
-
-    def close(self) -> None:
-        remove, self._remove = self._remove, None
-        if remove is not None:
-            remove()
-
-
-class _LocalSubscription:
-    def __init__(self, ring: _Ring, held: _Held) -> None:
-        self._ring, self._held = ring, held
-
-    def poll(self) -> list[Sample]:
-        return self._ring.poll()
-
-    def close(self) -> None:
-        self._held.close()
 
 
 class LocalBus:
@@ -94,23 +82,18 @@ class LocalBus:
 
     def subscribe(self, key: str, depth: int = 1, keep: Keep | None = None) -> Subscription:
         self._check_open()
-        ring = _Ring(key, deque(maxlen=depth), keep)
-        self._hub.rings.append(ring)
-        return _LocalSubscription(ring, self._hold(lambda: self._hub.rings.remove(ring)))
+        ring = _Ring(self._hub, key, depth, keep)
+        self._held.append(ring)
+        return ring
 
     def declare_alive(self, key: str) -> Token:
-        self._check_open()
-        self._hub.tokens.append(check_key(key))
-        return self._hold(lambda: self._hub.tokens.remove(key))
+        return self._hold(self._hub.tokens, check_key(key))
 
     def alive(self, key: str) -> frozenset[str]:
         return frozenset(token for token in self._hub.tokens if key_matches(key, token))
 
     def serve(self, key: str, answer: Answer) -> Token:
-        self._check_open()
-        entry = (key, answer)
-        self._hub.answers.append(entry)
-        return self._hold(lambda: self._hub.answers.remove(entry))
+        return self._hold(self._hub.answers, (key, answer))
 
     def query(self, key: str, timeout_s: float = 1.0) -> dict[str, bytes]:
         self._check_open()
@@ -125,10 +108,10 @@ class LocalBus:
         for held in self._held:
             held.close()
 
-    def _hold(self, remove: Callable[[], None]) -> _Held:
-        held = _Held(remove)
-        self._held.append(held)
-        return held
+    def _hold(self, place: list[Any], what: Any) -> Token:
+        self._check_open()
+        self._held.append(_Held(place, what))
+        return self._held[-1]
 
     def _check_open(self) -> None:
         if self._closed:

@@ -1,34 +1,33 @@
 """Real sockets on loopback: one receiver shape, NatNet multicast and unicast, VRPN over TCP.
 
-Server and receiver take turns in one thread and wait on descriptors, so nothing sleeps and
-nothing races. The server is built from the package's own encoders.
+The simulated server and the receiver take turns in one thread and wait on descriptors, so nothing
+sleeps and nothing races.
 """
 
 import select
 import socket
 import struct
 import time
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
 from itertools import pairwise
 from types import SimpleNamespace
 
 import pytest
 
-from steerd.mocap_link import natnet
 from steerd.mocap_link.frame import FrameConfig
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.mocap_url import parse_mocap_url
-from steerd.mocap_link.natnet_frame import RigidBody
 from steerd.mocap_link.sockets import NatNetReceiver, VrpnReceiver, make_receiver, map_stamp
 from steerd.mocap_link.source import ClockKind, SourceState
-from steerd.sim_hw.mocap.servers import VrpnServer
+from steerd.sim_hw.mocap.cameras import MULTICAST, TO_COMMAND, TO_DATA, MocapConfig
+from steerd.sim_hw.plant.faults import Fault
+from steerd.sim_hw.real_time.mocap_sockets import make_mocap_sockets
+from steerd.sim_hw.world import World, WorldConfig
 from tests.safety.live import free_port as free_tcp_port
-from tests.unit.mocap_link.conftest import FakeServer
 
 MS = 1_000_000
 SECOND = 1000 * MS
 LOOPBACK = "127.0.0.1"
-GROUP = "239.255.42.98"
 CONFIG = IngestConfig(frame=FrameConfig())
 
 
@@ -58,58 +57,36 @@ def free_port():
         return probe.getsockname()[1]
 
 
-class UdpServer:
-    """A NatNet server on loopback: answers commands, sends a frame whenever it is pumped."""
+class Server:
+    """The simulated mocap server on loopback; its clock is this host's plus 10^15 ns."""
 
-    def __init__(self, mode: str) -> None:
-        self.mode = mode
-        self.command, self.data = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in "cd")
-        for each in (self.command, self.data):
-            each.bind((LOOPBACK, 0))
-        self.command.setblocking(False)
-        self.url = f"natnet://localhost:{self.command.getsockname()[1]}/car"
-        loopback = socket.inet_aton(LOOPBACK)
-        self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
-        self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
-        self.motive = FakeServer(
-            clock_hz=SECOND, epoch_ticks=10**15, multicast=mode == "multicast",
-            data_port=free_port(), group=GROUP, bodies=(natnet.RigidBodyDesc("car", 4),),
-        )  # fmt: skip
-        self.client: tuple[str, int] | None = None
+    def __init__(self, **mocap) -> None:
+        self.begun_ns = time.monotonic_ns()
+        clock = {"clock_hz": SECOND, "epoch_ticks": 10**15 + self.begun_ns, "skew_ppm": 0.0}
+        self.world = World(WorldConfig(mocap=MocapConfig(**clock, **mocap), keep_bytes=False))
+        self.sockets = make_mocap_sockets(self.world)
+        self.url = self.sockets.url
 
     def pump(self) -> None:
-        while True:
-            try:
-                datagram, sender = self.command.recvfrom(65_535)
-            except BlockingIOError:
-                break
-            for reply in self.motive.answer(datagram, time.monotonic_ns()):
-                self.command.sendto(reply, sender)
-            if self.motive.received[-1] is natnet.Bare.CONNECT:
-                self.client = sender
-        if self.client is not None:
-            self.send_frame()
-
-    def send_frame(self) -> None:
-        now, number = time.monotonic_ns(), self.motive.number + 1
-        body = RigidBody(4, (0.5 + 1e-5 * number, 0.25, 0.1), (0.0, 0.0, 0.0, 1.0), 4e-4)
-        data = self.motive.frame(now - 2 * MS, (body,), t_sent_ns=now)
-        if self.mode == "unicast-command" and self.client is not None:
-            self.command.sendto(data, self.client)
-        else:
-            where = GROUP if self.mode == "multicast" else LOOPBACK
-            self.data.sendto(data, (where, self.motive.data_port))
-
-    def close(self) -> None:
-        self.command.close()
-        self.data.close()
+        self.sockets.pump(self.world, time.monotonic_ns() - self.begun_ns)
 
 
-@pytest.fixture(params=["multicast", "unicast-data", "unicast-command"])
+@contextmanager
+def serving(**mocap):
+    with closing((server := Server(**mocap)).sockets):
+        yield server
+
+
+@pytest.fixture(params=[MULTICAST, TO_DATA, TO_COMMAND])
 def udp_server(request):
-    server = UdpServer(request.param)
-    yield server
-    server.close()
+    with serving(transport=request.param) as server:
+        yield server
+
+
+@pytest.fixture
+def tcp_server():
+    with serving(kind="vrpn") as server:
+        yield server
 
 
 @pytest.fixture
@@ -127,121 +104,61 @@ def test_natnet_poses_arrive_with_their_exposure_time(udp_server, connect):
     assert receiver.interface == LOOPBACK
     drive(receiver, udp_server.pump, lambda: receiver.status().state is SourceState.OK, samples)
     assert all(s.rejected is None for s in samples)
-    assert samples[-1].clock is ClockKind.ECHO
+    drive(receiver, udp_server.pump, lambda: samples[-1].clock is ClockKind.ECHO, samples)
     last = samples[-1]
     # the server's clock is this host's plus 10^15: the map must find that within the echo's
     # half round trip, itself bounded by this thread's turn-taking
     sigma = receiver.status().clock_sigma_ns
     assert abs(last.t_valid_ns - (last.source_ticks - 10**15)) < sigma + 2 * MS
     assert last.t_valid_ns <= last.t_arrival_ns <= time.monotonic_ns()
-    assert last.x == pytest.approx(last.position[0])
     status = receiver.status()
-    assert (status.server, status.bodies) == ("Fake NatNet 4.1", ("car",))
+    assert (status.server, status.bodies) == ("steerd simulated Motive NatNet 4.1", ("car",))
     assert len(receiver.fds()) == 2
 
 
-@pytest.mark.parametrize("udp_server", ["unicast-command"], indirect=True)
+@pytest.mark.parametrize("udp_server", [TO_COMMAND], indirect=True)
 def test_natnet_backlog_keeps_the_newest_five(udp_server, connect):
-    receiver, _ = follow(connect, udp_server)
-    for _ in range(40):
-        udp_server.send_frame()
+    receiver, samples = follow(connect, udp_server)
+    udp_server.begun_ns -= 400 * MS
+    udp_server.pump()
     select.select(receiver.fds(), [], [], 1.0)
     late = receiver.read_ready(receiver.fds()[0])
     assert 1 <= len(late) <= 5
-    assert late[-1].frame == udp_server.motive.number
+    assert late[-1].frame > samples[-1].frame + 30
 
 
-def test_natnet_without_a_server_neither_blocks_nor_raises(connect):
-    port = free_port()
-    receiver = connect(f"natnet://{LOOPBACK}:{port}/car")
-    for i in range(3):
-        receiver.on_timer(i * 10 * SECOND)
-        for fd in select.select(receiver.fds(), [], [], 0.05)[0]:
-            receiver.read_ready(fd)
-    assert receiver.status().state is SourceState.CONNECTING
-    assert receiver.read_ready(-1) == []
-
-
-@pytest.mark.parametrize("udp_server", ["unicast-command"], indirect=True)
+@pytest.mark.parametrize("udp_server", [TO_COMMAND], indirect=True)
 def test_natnet_data_port_that_is_taken_is_tried_again(udp_server, connect):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind((LOOPBACK, udp_server.motive.data_port))
+        taken.bind((LOOPBACK, udp_server.sockets.data_port))
         # unicast frames may come to the command socket, so this is no reason to stop
         receiver, _ = follow(connect, udp_server)
-        assert f"data port {udp_server.motive.data_port}" in receiver.status().detail
+        assert f"data port {udp_server.sockets.data_port}" in receiver.status().detail
         assert len(receiver.fds()) == 1
     receiver.on_timer(time.monotonic_ns() + 2 * SECOND)
     assert len(receiver.fds()) == 2
     assert "data port" not in receiver.status().detail
 
 
-@pytest.mark.parametrize("udp_server", ["unicast-data"], indirect=True)
+@pytest.mark.parametrize("udp_server", [TO_DATA], indirect=True)
 def test_natnet_server_comes_back_on_another_data_port(udp_server, connect):
     receiver, samples = follow(connect, udp_server)
-    udp_server.motive.data_port = free_port()
+    udp_server.sockets.data_port = udp_server.world.mocap.data_port = free_port()
     samples.clear()
     drive(receiver, udp_server.pump, lambda: len(samples) > 5, samples)
     assert len(receiver.fds()) == 2
 
 
-class TcpServer:
-    """A VRPN server on loopback with one client at a time."""
-
-    def __init__(self) -> None:
-        self.listener = socket.create_server((LOOPBACK, 0))
-        self.listener.setblocking(False)
-        self.url = f"vrpn://localhost:{self.listener.getsockname()[1]}/car"
-        self.peer: socket.socket | None = None
-        self.session = VrpnServer(("car",))
-        self.count = self.accepted = 0
-
-    def pump(self) -> None:
-        if self.peer is None:
-            try:
-                self.peer, _ = self.listener.accept()
-            except BlockingIOError:
-                return
-            self.accepted += 1
-            self.peer.setblocking(False)
-            self.session = VrpnServer(("car",))
-            self.peer.sendall(self.session.hello())
-        try:
-            data = self.peer.recv(4096)
-            self.peer.sendall(self.session.receive(data, 0))
-        except BlockingIOError:
-            pass
-        self.count += 1
-        stamp = time.monotonic_ns() // 1000
-        position = (0.5 + 1e-5 * self.count, 0.25, 0.1)
-        self.peer.sendall(self.session.pose("car", stamp, position, (1.0, 0.0, 0.0, 0.0)))
-
-    def hang_up(self) -> None:
-        if self.peer is not None:
-            self.peer.close()
-            self.peer = None
-
-    def close(self) -> None:
-        self.hang_up()
-        self.listener.close()
-
-
-@pytest.fixture
-def tcp_server():
-    server = TcpServer()
-    yield server
-    server.close()
-
-
 def test_vrpn_poses_and_reconnect(tcp_server, connect):
     receiver, samples = follow(connect, tcp_server, 50)
     assert all(s.rejected is None for s in samples)
-    assert [round((s.x - 0.5) * 1e5) for s in samples] == list(range(1, len(samples) + 1))
+    assert {b.source_ticks - a.source_ticks for a, b in pairwise(samples)} == {10_000}
     assert receiver.source.up
-    tcp_server.hang_up()
-    drive(receiver, lambda: None, lambda: not receiver.source.up, samples)
+    restart_ns = time.monotonic_ns() - tcp_server.begun_ns
+    tcp_server.world.add_fault(Fault("server_restart", restart_ns, restart_ns + MS))
+    drive(receiver, tcp_server.pump, lambda: not receiver.source.up, samples)
     samples.clear()
     drive(receiver, tcp_server.pump, lambda: len(samples) > 5, samples)
-    assert tcp_server.accepted == 2
 
 
 def test_vrpn_client_leaves_a_server_of_another_kind(connect):
@@ -272,7 +189,7 @@ def test_vrpn_without_a_server_backs_off(connect):
     assert "refused" in receiver.status().detail
 
 
-@pytest.mark.parametrize("udp_server", ["unicast-command"], indirect=True)
+@pytest.mark.parametrize("udp_server", [TO_COMMAND], indirect=True)
 def test_the_kernel_stamps_udp_and_tcp(udp_server, tcp_server, connect):
     """A receiver that reads late must still know when the datagram came."""
     offset = [0]
@@ -283,6 +200,7 @@ def test_the_kernel_stamps_udp_and_tcp(udp_server, tcp_server, connect):
     for server in (udp_server, tcp_server):
         offset[0] = 0
         receiver, _ = follow(connect, server, clock=clock)
+        server.begun_ns -= 20 * MS
         server.pump()
         sent_by = time.monotonic_ns()
         ready, _, _ = select.select(receiver.fds(), [], [], 1.0)

@@ -15,10 +15,8 @@ import pytest
 
 from steerd.mocap_link import natnet
 from steerd.mocap_link.mocap_url import parse_mocap_url
-from steerd.mocap_link.natnet_frame import Frame
-from steerd.sim_hw.mocap.cameras import MULTICAST, MocapConfig
 from steerd.sim_hw.plant.faults import Fault
-from steerd.sim_hw.real_time.links import SimHardware, SpawnedSim, fault_windows, spawn_sim
+from steerd.sim_hw.real_time.links import SpawnedSim, fault_windows, spawn_sim
 from steerd.sim_hw.vesc.vesc_motor import VescConfig
 from steerd.sim_hw.world import WorldConfig
 from steerd.vesc_link import commands as c
@@ -90,28 +88,6 @@ def test_process_ends_when_its_parent_lets_go_and_cleans_up() -> None:
     assert not Path(sim.port).parent.exists()
 
 
-def test_natnet_frames_arrive_over_multicast_on_the_loopback() -> None:
-    with spawn_sim(WorldConfig(mocap=MocapConfig(transport=MULTICAST))) as sim:
-        url = parse_mocap_url(sim.mocap_url)
-        assert url.interface == "127.0.0.1"
-        with (
-            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as command,
-            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as data,
-        ):
-            command.sendto(natnet.encode(natnet.Bare.CONNECT), (url.host, url.port))
-            assert wait_for(command.fileno())
-            info = natnet.decode(command.recv(2000), (4, 1))
-            assert isinstance(info, natnet.ServerInfo)
-            assert info.multicast
-            data.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            data.bind((info.group, info.data_port))
-            group = socket.inet_aton(info.group) + socket.inet_aton("127.0.0.1")
-            data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
-            for _ in range(5):
-                assert wait_for(data.fileno())
-                assert isinstance(natnet.decode(data.recv(65_536), info.version), Frame)
-
-
 def test_foreign_frames_come_from_another_address() -> None:
     with spawn_sim(WorldConfig(), (Fault("M20"),)) as sim:
         url = parse_mocap_url(sim.mocap_url)
@@ -136,31 +112,6 @@ def test_reboot_hangs_up_and_the_port_comes_back(idle: int) -> None:
         until(lambda: Path(sim.port).exists(), idle)
         with closing(open_port(sim.port)) as again:
             assert ask_version(again.fd).firmware == VescConfig().firmware
-
-
-def fill(fd: int) -> None:
-    for _ in range(1000):
-        os.write(fd, bytes(1024))
-
-
-def test_stalled_reader_fills_the_kernel_buffer() -> None:
-    with spawn_sim(WorldConfig(), (Fault("V6"),)) as sim:
-        fd = os.open(sim.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        try:
-            with pytest.raises(BlockingIOError):
-                fill(fd)
-        finally:
-            os.close(fd)
-
-
-def test_hardware_in_this_process_stops_at_its_pipe_and_its_signal(tmp_path: Path) -> None:
-    read, write = os.pipe()
-    os.close(write)
-    with SimHardware(WorldConfig(), link_dir=tmp_path) as hardware:
-        assert hardware.port == str(tmp_path / "vesc")
-        hardware.run(read)
-    os.close(read)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_simulated_hardware_alone_leaves_in_order_at_sigterm(tmp_path: Path, idle: int) -> None:

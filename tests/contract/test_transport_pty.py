@@ -222,13 +222,6 @@ def test_locks_lie_in_a_folder_of_the_users_own(device, tmp_path, monkeypatch):
     port.close()
 
 
-def test_missing_lock_directory_leaves_the_device_locks(device, tmp_path):
-    port = open_port(device.path, lock_dir=tmp_path / "absent")
-    with pytest.raises(Busy):
-        open_port(device.path, lock_dir=tmp_path / "absent")
-    port.close()
-
-
 def test_close_frees_everything_and_can_be_repeated(reopen):
     for _ in range(3):
         port = reopen()

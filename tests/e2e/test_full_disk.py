@@ -1,7 +1,6 @@
 """A full disk: one line, an exit code, and what was written can be recovered."""
 
 import os
-import resource
 from pathlib import Path
 
 import pytest
@@ -12,18 +11,6 @@ from tests.csv_logs import write_log
 
 SIM = ("--sim", "--fast", "--duration", "4", "--record")
 HINT = "free some space"
-
-
-@pytest.fixture
-def full():
-    """Let no file grow beyond so many bytes, as `ulimit -f` does; it needs no rights."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-
-    def limit(size: int | None = None) -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft if size is None else size, hard))
-
-    yield limit
-    limit()
 
 
 def said_of(argv, capsys) -> tuple[int, str]:
@@ -44,11 +31,11 @@ def is_clear(said: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("command", [("run",), ("collect", "--plan", "circles")])
 @pytest.mark.parametrize("size", [0, 2_000, 40_000, 150_000])
-def test_a_drive_ends_with_one_line(command, size, tmp_path, full, capsys):
+def test_a_drive_ends_with_one_line(command, size, tmp_path, room_for, capsys):
     path = tmp_path / "drive.mcap"
-    full(size)
+    room_for(size)
     code, said = said_of([*command, *SIM, path], capsys)
-    full()
+    room_for()
     assert code == 3
     is_clear(said)
     assert not path.exists()
@@ -62,23 +49,23 @@ def test_a_drive_ends_with_one_line(command, size, tmp_path, full, capsys):
 
 
 @pytest.mark.slow
-def test_a_recovery_and_a_page_without_room(tmp_path, full, capsys):
+def test_a_recovery_and_a_page_without_room(tmp_path, room_for, capsys):
     path = tmp_path / "drive.mcap"
-    full(100_000)
+    room_for(100_000)
     said_of(["run", *SIM, path], capsys)
-    full(20_000)
+    room_for(20_000)
     code, said = said_of(["recover", path], capsys)
     assert code == 3
     assert said.splitlines()[-2].endswith("cannot be written: File too large")
     assert HINT in said.splitlines()[-1]
-    full()
+    room_for()
     assert said_of(["recover", path], capsys)[0] == 0
     recovered = tmp_path / "drive.recovered.mcap"
     code, said = said_of(["info", path], capsys)
     assert (code, f"steerd recover {path}" in said) == (3, True)
-    full(1_000)
+    room_for(1_000)
     code, said = said_of(["plot", recovered, "-o", tmp_path / "drive.html"], capsys)
-    full()
+    room_for()
     assert code == 3
     assert "drive.html: File too large" in said.splitlines()[-2]
     assert sorted(p.name for p in tmp_path.iterdir()) == [
@@ -87,12 +74,12 @@ def test_a_recovery_and_a_page_without_room(tmp_path, full, capsys):
 
 
 @pytest.mark.parametrize("size", [0, 2_000, 20_000])
-def test_an_import_leaves_nothing_and_promises_nothing(size, tmp_path, full, capsys):
+def test_an_import_leaves_nothing_and_promises_nothing(size, tmp_path, room_for, capsys):
     rows = [(k / 100, k / 99, 1.0, 0.1, 0.0, 1.0) for k in range(3000)]
     (log, the_map), out = write_log(tmp_path, rows, "log"), tmp_path / "log.mcap"
-    full(size)
+    room_for(size)
     code, said = said_of(["import", "csv", log, "--map", the_map, "-o", out], capsys)
-    full()
+    room_for()
     assert code == 3
     is_clear(said)
     assert "recover" not in said, "nothing is left that could be recovered"

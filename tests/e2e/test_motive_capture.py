@@ -57,7 +57,11 @@ def test_the_capture_gives_a_filtered_track():
     path = ROOT.parent / "shared" / "spec" / "natnet-capture" / "traffic.pcapng"
     if not path.exists():
         pytest.skip("the Motive capture (../shared/spec/natnet-capture) is not here")
-    samples, status, states = play(load_capture(path))
+    capture = load_capture(path)
+    assert capture.info == natnet.ServerInfo(  # there is garbage behind its name
+        "Motive", (2, 1, 0, 0), (3, 0, 0, 0), 3_312_787, 1511, True, "239.255.42.99"
+    )
+    samples, status, states = play(capture)
     assert status.server == "Motive NatNet 3.0"
     assert status.bodies == ("RaceQuad",)
     assert status.expected_rate_hz == pytest.approx(120.0)
@@ -70,6 +74,11 @@ def test_the_capture_gives_a_filtered_track():
     assert frames / span_s == pytest.approx(120.0, rel=0.002)
     latency = np.array([s.t_arrival_ns - s.t_valid_ns for s in accepted])
     assert 5e6 < np.median(latency) < 7e6  # 5.1 to 5.9 ms by Motive's own stamps
+    steady, late = (
+        np.std(np.diff([getattr(s, stamp) for s in accepted[120:]])) * 1e-6
+        for stamp in ("t_valid_ns", "t_arrival_ns")
+    )
+    assert steady < 0.02 < 0.2 < late, "exposure is regular although arrival is not [ms]"
     check_track(accepted)
 
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from steerd.car_model.effects import EFFECTS, parse_effects
-from steerd.daemon.analysis.drives import load_drive
 from steerd.daemon.cli.main import run_cli
 from steerd.steer_bus.messages import Actuation, MocapPose, Throttle, WheelSpeed
 from steerd.steer_bus.session_read import open_session
@@ -133,26 +132,3 @@ def test_all_effects_in_a_table(capsys, monkeypatch):
 def test_the_page_of_effects_is_the_library(capsys):
     assert run_cli(["effects", "--page"]) == 0
     assert capsys.readouterr().out == (ROOT / "docs" / "reference" / "effects.md").read_text()
-
-
-# What the recorded drives show whoever looks: clocks that drift apart, speeds that poses give.
-FREE = ("10_01_01", "10_02_28", "10_12_05", "10_27_02")
-
-
-def imported(tmp_path, name):
-    source, out = data_file("dart", f"rubber_free__09_16_2024_{name}.csv"), tmp_path / "a.mcap"
-    assert import_csv(source, "import-dart.toml", out) == 0
-    return load_drive(out, "command", lambda texts: None)[1]
-
-
-def test_four_drives_of_a_morning_were_logged_late_by_the_same_two_timers(tmp_path_factory):
-    jitters = [imported(tmp_path_factory.mktemp(name), name).log_jitter for name in FREE]
-    assert all(jitter is not None for jitter in jitters)
-    drifts = [jitter.drift * jitter.period for jitter in jitters]
-    assert all(-2.2e-3 < drift < -1.2e-3 for drift in drifts)
-
-
-def test_a_spinning_encoder_is_not_the_speed_where_poses_are_sharp(tmp_path):
-    run = imported(tmp_path, FREE[0])
-    assert run.speed_source == "pose"
-    assert len(run.wheel.t) > 1000

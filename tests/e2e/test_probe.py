@@ -7,7 +7,6 @@ import pytest
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.setup.probe_ask import discover
 from steerd.mocap_link.mocap_url import parse_mocap_url
-from steerd.sim_hw.mocap.cameras import MocapConfig
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.real_time.links import spawn_sim
 from steerd.sim_hw.vesc.vesc_motor import VescConfig
@@ -42,21 +41,6 @@ def test_sound_hardware_is_described(capsys):
     assert source["rate_hz"] == pytest.approx(100.0, rel=0.1)
     assert list(servers) == ["127.0.0.1"]
     assert "Motive" in servers["127.0.0.1"].name
-
-
-@pytest.mark.realtime
-def test_what_is_wrong_is_found(capsys):
-    world = WorldConfig(
-        vesc=VescConfig(timeout_ms=0, timeout_brake_current=0.0), mocap=MocapConfig(body="cart")
-    )
-    with spawn_sim(world) as sim:
-        url = sim.mocap_url.replace("/cart", "/car")
-        code, found = probe(capsys, "--port", sim.port, "--mocap", url, "--seconds", "1.5")
-    assert code == 3
-    said = " | ".join(f"{a['what']} {a['fix']}" for a in found["serial"][0]["advice"])
-    assert "never times out" in said
-    assert "Timeout Brake Current above 0 A" in said
-    assert "the server offers cart" in found["mocap"][0]["advice"][0]["fix"]
 
 
 def test_a_dead_port_and_a_silent_server(capsys, tmp_path):

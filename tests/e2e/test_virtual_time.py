@@ -48,12 +48,6 @@ def test_delay_and_slow_servo_leave_the_loop_stable(drive_fast, capsys, path):
     assert replays(driven.session, capsys)
 
 
-def test_an_open_line_is_stopped_at_its_end(drive_fast):
-    driven = drive_fast("--path line:length=6 --speed 1.5 --duration 9")
-    assert not driven.faulted, driven.reason
-    assert driven.track[-1][1:] == pytest.approx((6.0, 0.0), abs=0.1)
-
-
 def test_the_papers_design_drives(drive_fast, tmp_path, capsys):
     car = tmp_path / "pole.toml"
     text = CAR_FILE.read_text()
@@ -86,22 +80,6 @@ def test_same_seed_same_bytes_other_seed_other_bytes(drive_fast, tmp_path, capsy
     other = drive_fast(line.replace("--seed 7", "--seed 8"))
     assert other.wire != first.wire
     assert content(other.session) != content(first.session)
-
-
-# --- paths from files
-
-
-def test_an_unstable_design_is_refused_with_its_reason(tmp_path, capsys):
-    car = tmp_path / "pole.toml"
-    text = CAR_FILE.read_text().replace('design = "lqr" ', 'design = "pole_placement" ')
-    car.write_text(text.replace("[-150.0, 15.0], [-150.0, -15.0]", "[-8.0, 3.0], [-8.0, -3.0]"))
-    record = tmp_path / "never.mcap"
-    argv = ["run", "--sim", "--fast", "--duration", "1", "--car", str(car), "--record", str(record)]
-    assert run_cli(argv) == 4
-    said = capsys.readouterr().err
-    assert "spectral radius" in said
-    assert "'pole_placement' refused" in said
-    assert list(tmp_path.iterdir()) == [car]
 
 
 def test_a_pose_that_was_moved_in_the_recording_is_found(drive_fast, tmp_path, capsys):

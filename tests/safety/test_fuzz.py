@@ -1,10 +1,9 @@
 """A share of the fuzzing in every run: seeded damage to good inputs; `fuzz.py` is the long form."""
 
-import numpy as np
 import pytest
 
-from tests.safety.fuzz import NAMES, damage, find_failure
-from tests.safety.fuzz_targets import BOOT, TARGETS, cut, glue, make_file, request_seeds
+from tests.safety.fuzz import NAMES, find_failure
+from tests.safety.fuzz_targets import BOOT, TARGETS, make_file, request_seeds
 
 RUNS = {"session": 300}
 
@@ -31,20 +30,6 @@ def test_a_target_that_breaks_is_found_out() -> None:
     found = find_failure(check, seeds, 1000, seed=0)
     assert found is not None
     assert isinstance(found[1], IndexError)
-
-
-def test_damage_is_seeded_and_changes_lengths_and_bytes() -> None:
-    good = bytes(range(100))
-    one = [damage(np.random.default_rng(k), good, good) for k in range(50)]
-    assert one == [damage(np.random.default_rng(k), good, good) for k in range(50)]
-    assert len({len(data) for data in one}) > 10
-    assert sum(data != good for data in one) > 45
-
-
-def test_a_script_is_its_pieces() -> None:
-    pieces = [(1, b"ab"), (4, b""), (9, bytes(300))]
-    assert list(cut(glue(7, *pieces))) == pieces
-    assert list(cut(glue(7, *pieces)[:-1]))[-1] == (9, bytes(299))
 
 
 def test_pieces_make_a_session_with_right_checksums() -> None:

@@ -1,11 +1,9 @@
 """The matrix can say no, every watchdog trips in a cell of it, and its pages show that."""
 
 import inspect
-import json
 import re
 import struct
-from dataclasses import asdict, replace
-from math import inf
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -18,7 +16,6 @@ from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.vesc.vesc_wire import Logged
 from steerd.steer_bus.messages import RequestKind
 from steerd.vesc_link.frames import encode_frame
-from tests.safety import report
 from tests.safety.catalogue import BY_CODE, nothing
 from tests.safety.judge import (
     Effort,
@@ -31,7 +28,7 @@ from tests.safety.judge import (
     stopping_distance,
 )
 from tests.safety.live_faults import CELLS, FAULTS
-from tests.safety.matrix import Outcome, run_cell
+from tests.safety.matrix import run_cell
 from tests.safety.outside import DRIVES, ELSEWHERE, list_outside
 from tests.safety.rig import at_phase, twin
 from tests.safety.trace import TRACES, find_code, run_trace, trips
@@ -189,42 +186,3 @@ def test_a_car_that_nobody_saw_stop_is_cleared(phase: str) -> None:
     rig.reach(SupervisorState.FAULT_LATCHED, then_s=1.0)
     rig.ask(RequestKind.CLEAR)
     rig.reach(SupervisorState.READY)
-
-
-# The matrix in slices: a cell that was kept is read and not driven again.
-
-SLICE = [("M1", "P5"), ("M1", "P6"), ("C9", "P5")]
-
-
-def make_outcome(cell: tuple[str, str]) -> Outcome:
-    return Outcome(*cell, inf, 0.25, 0.5, 0.01, (SupervisorState.FAULT_STOP,), ("W1", "W5"))
-
-
-def test_the_matrix_goes_on_where_it_was_left(monkeypatch, tmp_path) -> None:
-    driven = []
-
-    def drive(cell: tuple[str, str]) -> Outcome:
-        driven.append(cell)
-        return make_outcome(cell)
-
-    monkeypatch.setattr(report, "list_cells", lambda: SLICE)
-    monkeypatch.setattr(report, "run_named", drive)
-    keep = tmp_path / "cells.jsonl"
-    known = {**asdict(make_outcome(SLICE[1])), "wall": 3.1}
-    keep.write_text(json.dumps(known) + "\n")
-    assert report.drive_matrix(keep, 1) == [make_outcome(cell) for cell in SLICE]
-    assert driven == [SLICE[0], SLICE[2]]
-    assert report.drive_matrix(keep, 1) == [make_outcome(cell) for cell in SLICE]
-    assert len(driven) == 2, "all of them are kept now"
-    report.drive_matrix(None, 1)
-    assert len(driven) == 5, "without a file every cell is driven"
-
-
-def test_the_table_shows_the_slowest_stop_the_longest_way_and_what_failed() -> None:
-    stopped = replace(make_outcome(("M1", "P5")), stop_s=0.16, distance_m=0.8)
-    late = replace(stopped, phase="P6", stop_s=0.4, distance_m=0.5, wrong=("late",))
-    quiet = make_outcome(("M17", "P5"))
-    table = "\n".join(report.write_matrix([stopped, late, quiet]))
-    assert "| M1 silence **P6: late** | FAULT_STOP 150 | 400 | 0.80 |" in table
-    assert "M17 5 % random loss," in table.splitlines()[-1]
-    assert "3 cells, 2 good" in table

@@ -244,12 +244,3 @@ def test_an_estimate_that_is_not_finite_is_refused(field, value):
         control(
             controller, start_controller(controller, SEEN, 0), SEEN._replace(**{field: value}), 1
         )
-
-
-def test_a_start_on_the_crossing_takes_the_branch_the_car_heads_along():
-    controller = made("figure8", 1.0)
-    path = controller.keeper.path
-    other = ORIGIN._replace(yaw=path.yaw[len(path.x) // 2])
-    report = control(controller, start_controller(controller, other, 0), other, 0)[1]
-    assert report.s == pytest.approx(path.length / 2.0, abs=path.step)
-    assert abs(report.e2) < 0.01

@@ -1,13 +1,11 @@
-"""Clock maps against synthetic servers with known truth, and against the real capture."""
+"""Clock maps against synthetic servers with known truth; the real capture is played in `e2e`."""
 
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from steerd.mocap_link import natnet
 from steerd.mocap_link.clock_sync import SKEW_MAX, EchoClock, HullClock, SourceTiming
-from steerd.mocap_link.natnet_frame import Frame
 from steerd.mocap_link.source import ClockKind, Pose
 
 MS = 1_000_000
@@ -41,25 +39,19 @@ def echo(timing: SourceTiming, truth: Truth, t_ns: int, rng: np.random.Generator
 
 
 def run(
-    timing: SourceTiming, truth: Truth, rng: np.random.Generator, start: int, seconds: float, *,
-    burst: bool = True,
-) -> list[tuple[int, int, ClockKind]]:  # fmt: skip
-    """Drive `seconds` of 100 Hz frames and 2 Hz echoes: (time, error, kind) of each frame."""
+    timing: SourceTiming, truth: Truth, rng: np.random.Generator, seconds: float
+) -> list[tuple[int, ClockKind]]:
+    """Drive `seconds` of 100 Hz frames and 2 Hz echoes: (error, kind) of each frame."""
     out = []
-    for i in range(20 * burst):
-        echo(timing, truth, start + i * 5 * MS, rng)
-    resets = timing.echo.resets
+    for i in range(20):
+        echo(timing, truth, T0 + i * 5 * MS, rng)
     for i in range(round(seconds * 100)):
-        t = start + 100 * MS + i * 10 * MS
+        t = T0 + 100 * MS + i * 10 * MS
         raw = make_raw(truth, t, 5_400_000, int(420_000 + rng.exponential(300_000)))
         estimate, kind = timing.time_pose(raw)
-        out.append((t, estimate - t, kind))
+        out.append((estimate - t, kind))
         if i % 50 == 0:
             echo(timing, truth, t + 8 * MS, rng)
-        if timing.echo.resets != resets:  # as the session does
-            resets = timing.echo.resets
-            for k in range(20):
-                echo(timing, truth, t + 9 * MS + k * MS // 100, rng)
     return out
 
 
@@ -68,25 +60,12 @@ def run(
 )
 def test_echo_is_within_a_tenth_of_a_millisecond(hz, skew):
     timing = SourceTiming(hz)
-    out = run(timing, Truth(hz, skew), np.random.default_rng(1), T0, 90.0)
-    assert {kind for *_, kind in out} == {ClockKind.ECHO}
-    assert max(abs(error) for _, error, _ in out) < 0.3 * MS
+    out = run(timing, Truth(hz, skew), np.random.default_rng(1), 90.0)
+    assert {kind for _, kind in out} == {ClockKind.ECHO}
+    assert max(abs(error) for error, _ in out) < 0.3 * MS
     # the fit's window is 60 s: the slope is known to about a ppm by then
     assert timing.echo.skew == pytest.approx(-skew, abs=3e-6)
     assert 0.3 * MS < timing.echo.sigma_ns < 0.6 * MS
-
-
-@pytest.mark.parametrize("step_s", [-1.0, -0.06, 0.06, 1.0, 3e6])
-def test_echo_recovers_from_a_stepped_epoch(step_s):
-    rng, truth = np.random.default_rng(2), Truth(10_000_000, 30e-6)
-    timing = SourceTiming(truth.hz)
-    run(timing, truth, rng, T0, 5.0)
-    truth.epoch += round(step_s * truth.hz)
-    out = run(timing, truth, rng, T0 + 6 * SECOND, 4.0, burst=False)
-    late = [error for t, error, _ in out if t > T0 + 8 * SECOND]
-    assert max(map(abs, late)) < 1 * MS
-    # until the map has learned, arrival times bound the error by the network's delay
-    assert max(abs(error) for _, error, _ in out) < (70 if abs(step_s) < 0.1 else 10) * MS
 
 
 def test_slow_echoes_do_not_enter_the_fit():
@@ -179,33 +158,6 @@ def test_no_sample_is_valid_after_it_arrived():
     raw = make_raw(truth, T0 + SECOND, 0, 0)
     estimate, _ = timing.time_pose(raw)
     assert estimate <= raw.t_arrival_ns
-
-
-def test_real_capture_is_about_six_milliseconds_old_on_arrival(capture):
-    """Mid-exposure to arrival: 6.24 ms median on that wired system (5.9 with our RTT/2 bound)."""
-    timing = SourceTiming(3_312_787)
-    sent: dict[int, int] = {}
-    ages, raws = [], []
-    for t_ns, data in capture:
-        match natnet.decode(data, (3, 0)):
-            case natnet.EchoRequest(client_stamp=stamp):
-                sent[stamp] = t_ns
-            case natnet.EchoResponse() as m if m.client_stamp in sent:
-                timing.echo.add(sent[m.client_stamp], t_ns, m.server_ticks)
-            case Frame() as f:
-                raws.append(pose(f.mid_exposure_ticks, f.transmit_ticks, t_ns))
-    assert timing.echo.ready
-    stamps = []
-    for raw in raws:
-        t, kind = timing.time_pose(raw)
-        assert kind is ClockKind.ECHO
-        ages.append((raw.t_arrival_ns - t) / MS)
-        stamps.append(t)
-    assert 5.7 < float(np.median(ages)) < 6.8
-    # exposure is regular to microseconds although arrival is not
-    spacing = np.diff(stamps) / MS
-    assert float(np.std(spacing)) < 0.02
-    assert float(np.std(np.diff([r.t_arrival_ns for r in raws]) / MS)) > 0.2
 
 
 def test_hull_slope_survives_two_points_at_one_time():

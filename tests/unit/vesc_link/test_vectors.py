@@ -58,41 +58,13 @@ COMMANDS: dict[str, c.Command] = {
         0.5, 0.5, -9228, 9228, 0.004999999888241291, 0.949999988079071, -500, 500, -20, 40
     ),
 }
-NAMES = {
-    "current_motor": "motor_current",
-    "current_in": "input_current",
-    "id": "d_current",
-    "iq": "q_current",
-    "v_in": "input_voltage",
-    "tacho": "tachometer",
-    "tacho_abs": "tachometer_abs",
-    "pid_pos": "pid_pos_deg",
-    "vd": "v_d",
-    "vq": "v_q",
-    "temp_fet": "temp_fet_c",
-    "temp_motor": "temp_motor_c",
-    "temp_pcb": "temp_pcb_c",
-    "cur_min_scale": "current_min_scale",
-    "cur_max_scale": "current_max_scale",
-    "min_erpm": "erpm_min",
-    "max_erpm": "erpm_max",
-    "min_duty": "duty_min",
-    "max_duty": "duty_max",
-    "in_cur_min": "input_current_min",
-    "in_cur_max": "input_current_max",
-    "wheel_diameter_m": "wheel_diameter",
-    "hw": "hw_name",
-    **{f"temp_mos{n}": f"temp_mos{n}_c" for n in range(1, 7)},
-}
 UNITS = {"acc_": ("accel_", t.STANDARD_GRAVITY), "gyro_": ("gyro_", 3.141592653589793 / 180)}
 
 
 def expected_fields(decoded: dict[str, Any]) -> dict[str, Any]:
     fields: dict[str, Any] = {}
     for name, value in decoded.items():
-        if name == "temp_mos123":
-            fields |= {f"temp_mos{n}_c": v for n, v in enumerate(value, 1)}
-        elif name == "mask":
+        if name == "mask":
             fields["mask"] = int(value, 16)
         elif name == "uuid":
             fields["uuid"] = bytes.fromhex(value)
@@ -100,7 +72,7 @@ def expected_fields(decoded: dict[str, Any]) -> dict[str, Any]:
             prefix, unit = UNITS[name[:-1]]
             fields[prefix + name[-1]] = value * unit
         elif name not in ("cmd", "text_len"):
-            fields[NAMES.get(name, name)] = value
+            fields[name] = value
     return fields
 
 

@@ -1,4 +1,8 @@
-"""Every fault of the catalogue does what it says, seen on the bytes that a host gets."""
+"""Faults of the catalogue do what they say, seen on the bytes that a host gets.
+
+Those that stop a car are shown by their cells of the matrix (`tests/safety/trace.py`), those that
+spoil a pose by the reason of its rejection (`tests/unit/mocap_link/test_sessions.py`).
+"""
 
 import math
 from collections.abc import Callable, Iterator
@@ -10,13 +14,12 @@ import pytest
 
 from steerd.car_model.state import ORIGIN
 from steerd.mocap_link import natnet
-from steerd.mocap_link.natnet_frame import EDIT_MODE, MODEL_CHANGED, Frame
+from steerd.mocap_link.natnet_frame import MODEL_CHANGED, Frame
 from steerd.mocap_link.natnet_wire import NatNetError
 from steerd.sim_hw.mocap.cameras import Bystander, MocapConfig
 from steerd.sim_hw.mocap.network import CLOSE, FOREIGN, Datagram
 from steerd.sim_hw.plant import faults
 from steerd.sim_hw.plant.faults import FAULTS, Fault, find_fault, make_condition
-from steerd.sim_hw.vesc.vesc_motor import STATUS_KILL
 from steerd.sim_hw.world import World, WorldConfig
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.identity import AppConf
@@ -100,10 +103,6 @@ def during(run: list[tuple[int, Frame]]) -> list[Frame]:
     return [f for t, f in run if ON + 20 * MS <= t < OFF]
 
 
-def outside(run: list[tuple[int, Frame]]) -> list[Frame]:
-    return [f for t, f in run if t < ON or t > OFF + 200 * MS]
-
-
 def place(frame: Frame, body: int = 0) -> tuple[float, ...]:
     return frame.rigid_bodies[body].position
 
@@ -116,64 +115,17 @@ def yaw(frame: Frame) -> float:
 CLEAN = frames()
 
 
-def test_m1_silence():
-    run = frames(Fault("M1", ON, OFF))
-    assert during(run) == []
-    assert outside(run) == outside(CLEAN)
+def test_m5_drift_grows():
+    held = zip(during(frames(Fault("M5", ON, OFF))), during(CLEAN), strict=True)
+    off = [place(f)[0] - place(clean)[0] for f, clean in held]
+    assert (off[0], off[-1]) == pytest.approx((0.002, 0.1), abs=0.003)
 
 
-def test_m2_freeze_keeps_the_pose_bit_for_bit_with_new_stamps():
-    held = during(frames(Fault("M2", ON, OFF)))
-    assert len({f.rigid_bodies[0] for f in held}) == 1
-    ticks = [f.mid_exposure_ticks for f in held]
-    assert all(b > a for a, b in pairwise(ticks))
-
-
-def test_m3_resend_is_one_frame_again_and_again():
-    held = during(frames(Fault("M3", ON, OFF)))
-    assert len(held) > 90
-    assert len(set(held)) == 1
-
-
-def test_m4_jump_and_m5_drift_move_the_pose():
-    clean = during(CLEAN)
-    for name, at_start, at_end in (("M4", 0.5, 0.5), ("M5", 0.002, 0.1)):
-        held = during(frames(Fault(name, ON, OFF)))
-        off = [
-            a.rigid_bodies[0].position[0] - b.rigid_bodies[0].position[0]
-            for a, b in zip(held, clean, strict=True)
-        ]
-        assert off[0] == pytest.approx(at_start, abs=0.003)
-        assert off[-1] == pytest.approx(at_end, abs=0.003)
-
-
-THERE = pytest.approx((3.0, 1.0), abs=0.002)  # where the box stands
-SHOWN: dict[str, Callable[[Frame, Frame], bool]] = {
-    "M6": lambda f, _: abs(yaw(f)) > 3.0,
-    "M8": lambda f, _: all(map(math.isnan, (*place(f), *f.rigid_bodies[0].quaternion))),
-    "M9": lambda f, _: not any((*place(f), *f.rigid_bodies[0].quaternion)),
-    "M10": lambda f, clean: place(f) == pytest.approx([1e3 * v for v in place(clean)], rel=1e-6),
-    "M11": lambda f, _: place(f)[:2] == THERE,
-    "M12": lambda f, clean: (
-        place(f)[:2] == THERE and place(f, 1) == pytest.approx(place(clean), abs=0.003)
-    ),
-    "invalid": lambda f, _: not f.rigid_bodies[0].tracking_valid,
-    "body_removed": lambda f, _: len(f.rigid_bodies) == 1,
-    "M21": lambda f, clean: (
-        f.mid_exposure_ticks - clean.mid_exposure_ticks == pytest.approx(10_000_000, abs=200)
-        and f.transmit_ticks > f.mid_exposure_ticks
-    ),
-    "mean_error_ramp": lambda f, _: f.rigid_bodies[0].mean_error > 0.005,
-    "edit_mode": lambda f, _: bool(f.params & EDIT_MODE),
-    "model_change": lambda f, _: bool(f.params & MODEL_CHANGED),
-}
-"""What a fault does to each frame, beside the same frame without it."""
-
-
-@pytest.mark.parametrize("name", SHOWN)
-def test_every_frame_shows_its_fault(name):
-    for held, clean in zip(during(frames(Fault(name, ON, OFF))), during(CLEAN), strict=True):
-        assert SHOWN[name](held, clean)
+def test_m21_the_clock_steps_and_the_model_changes():
+    for f, clean in zip(during(frames(Fault("M21", ON, OFF))), during(CLEAN), strict=True):
+        assert f.mid_exposure_ticks - clean.mid_exposure_ticks == pytest.approx(10**7, abs=200)
+        assert f.transmit_ticks > f.mid_exposure_ticks
+    assert all(f.params & MODEL_CHANGED for f in during(frames(Fault("model_change", ON, OFF))))
 
 
 def test_signs_that_alternate_do_so_from_frame_to_frame():
@@ -271,18 +223,6 @@ def faulty(make_host: MakeHost) -> Callable[..., Any]:
     return make
 
 
-def test_v1_unplug_is_eio_and_the_firmware_timeout_stops_the_car(faulty):
-    host = faulty("V1")
-    for use in (lambda: host.send(c.GetValues()), lambda: host.world.serial_read(host.t_ns)):
-        with pytest.raises(OSError, match="Input/output"):
-            use()
-    host.run(900)
-    assert host.world.serial_name is None
-    assert host.speed == 0.0
-    host.run(200)
-    assert isinstance(host.values(), Values)
-
-
 def test_v2_other_name_and_v3_other_uuid_after_an_outage(faulty):
     host = faulty("V2")
     assert host.world.serial_name is None
@@ -293,39 +233,6 @@ def test_v2_other_name_and_v3_other_uuid_after_an_outage(faulty):
     host.run(310)
     assert host.world.serial_name == "vesc"
     assert host.ask(c.GetFwVersion()).uuid != own
-
-
-def test_v4_mute_obeys_but_says_nothing(faulty):
-    host = faulty("V4")
-    host.send(c.GetValues())
-    host.hold(300, c.SetErpm(2 * 4614))
-    assert host.heard() == []
-    assert host.speed > 1.5
-
-
-def test_v5_deaf_answers_and_drives_on_whatever_it_is_commanded(faulty):
-    host = faulty("V5")
-    host.hold(400, c.SetCurrentBrake(20.0))
-    host.run(400)
-    assert host.speed == pytest.approx(1.0, abs=0.02)
-    assert host.values().fault == 0
-
-
-def test_v6_stalled_reader_fills_the_hosts_buffer(faulty):
-    host = faulty("V6")
-    assert host.world.serial_write(host.t_ns, bytes(4000)) == 4000
-    assert host.world.serial_write(host.t_ns, bytes(200)) == 96
-    with pytest.raises(BlockingIOError):
-        host.world.serial_write(host.t_ns, b"x")
-
-
-def test_v7_trickle_takes_5_ms_per_byte(faulty):
-    host = faulty("V7")
-    host.send(c.GetValuesSelective(0x180))  # 17 bytes
-    host.run(79)
-    assert host.heard() == []
-    host.run(12)
-    assert isinstance(host.heard()[0], Values)
 
 
 def test_v8_garbage_and_v9_crc_errors_and_v12_wrong_replies(faulty):
@@ -348,58 +255,19 @@ def test_v8_garbage_and_v9_crc_errors_and_v12_wrong_replies(faulty):
     assert old.controller_id == 107
 
 
-def test_v10_partial_frame_then_silence(faulty):
-    host = faulty("V10")
-    host.send(c.GetValues())
-    host.run(5)
-    assert len(host.world.serial_read(host.t_ns)) == 39
-    host.send(c.GetValues())
-    host.run(5)
-    assert host.world.serial_read(host.t_ns) == b""
-
-
 def test_v11_false_long_header_comes_once(faulty):
     host = faulty("V11")
     host.run(100)
     assert host.world.serial_read(host.t_ns) == b"\x03\x02\x00"
 
 
-def test_v13_to_v17_fault_codes(faulty):
-    for name, code in (("V13", 3), ("V16", 2), ("V17", 5)):
-        host = faulty(name)
-        host.hold(900, c.SetErpm(4614))
-        values = host.values()
-        assert values.fault == code, name
-        assert host.speed < 0.6, name
-    assert values.temp_fet_c > 100.0  # V17
-    host = faulty("V14")
-    assert host.values().fault == 4
-    host.hold(520, c.SetErpm(4614))
-    assert host.values().fault == 0
-
-
-def test_v15_reboot_drops_usb_and_coasts(faulty):
-    host = faulty("V15")
-    assert host.world.serial_name is None
-    host.run(1000)
-    assert host.speed == pytest.approx(0.4, abs=0.05)
-    host.run(600)
-    assert host.ask(c.GetValuesSetupSelective(0x200000)).uptime_ms < 200
-
-
-def test_v18_to_v21_wrong_telemetry(faulty):
-    assert faulty("V18").values().status & 1
-    assert faulty("V19").values().status & STATUS_KILL
+def test_v20_speed_sticks_and_v22_servo_stays(faulty):
     host = faulty("V20")
     readings = set()
     for _ in range(10):
         host.hold(50, c.SetErpm(3 * 4614))
         readings.add(host.values().erpm)
     assert len(readings) == 1
-    assert faulty("V21").values().erpm == pytest.approx(-4614, abs=60)
-
-
-def test_v22_servo_stays(faulty):
     host = faulty("V22")
     before = host.world.car.state.steer
     host.hold(300, c.SetServoPos(0.2))
