@@ -16,7 +16,7 @@ import pytest
 from steerd.mocap_link import natnet
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.mocap_link.natnet_frame import Frame
-from steerd.sim_hw.mocap.cameras import MULTICAST, MocapConfig
+from steerd.sim_hw.mocap.cameras import MocapConfig
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.real_time.links import SimHardware, SpawnedSim, fault_windows, spawn_sim
 from steerd.sim_hw.vesc.vesc_motor import VescConfig
@@ -91,7 +91,7 @@ def test_process_ends_when_its_parent_lets_go_and_cleans_up() -> None:
 
 
 def test_natnet_frames_arrive_over_multicast_on_the_loopback() -> None:
-    with spawn_sim(WorldConfig(mocap=MocapConfig(transport=MULTICAST))) as sim:
+    with spawn_sim(WorldConfig(mocap=MocapConfig(multicast=True))) as sim:
         url = parse_mocap_url(sim.mocap_url)
         assert url.interface == "127.0.0.1"
         with (

@@ -101,7 +101,7 @@ class Room:
 
     @property
     def state(self) -> SourceState:
-        return self.source.ingest.state
+        return self.source.status().state
 
     def count(self, name: str) -> int:
         """How many poses were rejected for this reason."""

@@ -125,12 +125,12 @@ def test_vrpn_drive_freeze_and_reconnect() -> None:
     source, server = VrpnSource("car", CONFIG), VrpnServer(("VRPN Control", "car"))
     source.ingest.wheel_speed = SPEED
     source.on_timer(T0)
-    assert source.ingest.state is SourceState.CONNECTING
+    assert source.status().state is SourceState.CONNECTING
     server.receive(source.on_connect(), 0)
     source.on_bytes(server.hello(), T0)
     samples = drive_vrpn(source, server, T0, 400)
     assert source.status().bodies == ("car",)
-    assert source.ingest.state is SourceState.OK
+    assert source.status().state is SourceState.OK
     assert {s.clock for s in samples[210:]} == {ClockKind.HULL}
     assert_no_jump(samples)
     frozen = drive_vrpn(source, server, T0 + 4 * SECOND, 20, still=True)
@@ -138,13 +138,13 @@ def test_vrpn_drive_freeze_and_reconnect() -> None:
     source.on_disconnect("gone")
     source.on_timer(T0 + 6 * SECOND)
     assert source.status().detail == "gone"
-    assert source.ingest.state is SourceState.LOST
+    assert source.status().state is SourceState.LOST
     server = VrpnServer(("car",))
     server.receive(source.on_connect(), 0)
     source.on_bytes(server.hello(), T0 + 7 * SECOND)
     source.ingest.stationary = True
     again = drive_vrpn(source, server, T0 + 7 * SECOND, 250)
-    assert source.ingest.state is SourceState.OK
+    assert source.status().state is SourceState.OK
     assert_no_jump(again)
 
 
