@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from steerd.car_model.car_file import CarFile, default_car_path
 from steerd.car_model.model import believed_car
@@ -20,7 +20,12 @@ from steerd.daemon.common.screen import print_labelled
 from steerd.daemon.ipc.pipe_records import Outbox, Sink
 from steerd.daemon.loop.plans import Drill, PlanError, parse_drill
 from steerd.daemon.settings.config import Settings, load_settings, make_settings
-from steerd.daemon.settings.run_options import ControllerKind, RunOptions
+from steerd.daemon.settings.run_options import (
+    ControllerKind,
+    RunOptions,
+    decode_options,
+    encode_options,
+)
 from steerd.steer_bus.topics import check_car_name
 
 # The loop takes half a second to import. `steerd run` leaves it to the core's process, which needs
@@ -203,6 +208,16 @@ def make_plan(
     if design:
         _ = plan.controller
     return plan
+
+
+def make_job(plan: RunPlan) -> dict[str, Any]:
+    """What a process of the run makes its own plan of (`read_job`), as JSON values."""
+    return {"options": encode_options(plan.options), "run": plan.run}
+
+
+def read_job(job: Mapping[str, Any], *, design: bool = False) -> RunPlan:
+    """The plan of a job, in the process that was given it; raises as `make_plan`."""
+    return make_plan(decode_options(job["options"]), design=design, real=RunId(*job["run"]))
 
 
 _SHAPES = ("line", "circle", "figure8", "csv")

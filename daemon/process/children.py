@@ -15,14 +15,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from steerd.daemon.assembly.build import RunPlan
+from steerd.daemon.assembly.build import RunPlan, make_job
 from steerd.daemon.assembly.session_meta import make_attachments, make_metadata
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import make_pipe
 from steerd.daemon.process.child import CORE, Child, Prepared, hand_over, prepare, spawn
-from steerd.daemon.process.learner_memory import make_learner_job, recall_learnt
-from steerd.daemon.process.view_job import make_page_job, make_view_job
-from steerd.daemon.settings.run_options import RunOptions, encode_options
+from steerd.daemon.process.learner_memory import recall_learnt
+from steerd.daemon.settings.run_options import RunOptions
 
 END_S, VIEWER_END_S = 10.0, 2.0
 """Longest time until a process has ended, before it is killed [s]."""
@@ -140,15 +139,15 @@ def start_processes(plan: RunPlan, session: Path, core: Prepared | None = None) 
         # are ready waits in its pipes.
         job = make_recorder_job(plan, session, memory.metadata)
         started["recorder"] = spawn(f"{_MODULE}recorder", ends.of["recorder"], job)
-        job = {"options": encode_options(plan.options), "run": plan.run}
+        job = make_job(plan)
         started["core"] = hand_over(core or prepare(CORE), ends.of["core"], job)
         started["gateway"] = spawn(f"{_MODULE}gateway", ends.of["gateway"], job)
         if plan.options.view:
-            started["viewer"] = spawn(f"{_MODULE}view", ends.of["view"], make_view_job(plan))
+            started["viewer"] = spawn(f"{_MODULE}view", ends.of["view"], job)
         for name, child in started.items():
             reports[name] = child.wait_ready(name)
         if plan.options.page is not None:  # the bus is up
-            started["page"] = spawn(f"{_MODULE}page", ends.of["page"], make_page_job(plan))
+            started["page"] = spawn(f"{_MODULE}page", ends.of["page"], job)
             reports["page"] = started["page"].wait_ready("page")
     except SteerdError:
         ends.close()
@@ -158,7 +157,7 @@ def start_processes(plan: RunPlan, session: Path, core: Prepared | None = None) 
             session.unlink(missing_ok=True)
         raise
     if plan.options.learn:  # nobody waits for it
-        job = make_learner_job(plan, memory)
+        job |= memory._asdict()
         started["learner"] = spawn(f"{_MODULE}learner", ends.of["learner"], job)
     ends.close(keep="terminal")
     return RunProcesses(started, ends.of["terminal"], session, reports)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from steerd.controller.build import compute_table
-from steerd.daemon.assembly.build import RunId, make_plan
+from steerd.daemon.assembly.build import read_job
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.written import write_output, write_whole
 from steerd.daemon.ipc.pipe_records import Gaps, PipeReader, PipeRecord, PipeWriter, pack_record
@@ -21,7 +21,6 @@ from steerd.daemon.learning.feed import Feed, Wiring, make_feed, make_record, re
 from steerd.daemon.learning.kept import About, Keeper
 from steerd.daemon.learning.proposing import Proposals
 from steerd.daemon.process.child import Job, run_process
-from steerd.daemon.settings.run_options import decode_options
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import CodecError, decode
 
@@ -89,8 +88,7 @@ def serve(given: Job) -> int:
     """
     given.say_ready()  # nobody waits for it
     job, fds = given.about, given.fds
-    options = decode_options(job["options"])
-    plan = make_plan(options, design=options.adapt, real=RunId(*job["run"]))
+    plan = read_job(job)
     if plan.settings.file.remark:
         print(f"steerd learner: {plan.settings.file.remark}", file=sys.stderr)
     try:

@@ -75,7 +75,7 @@ def page(args: Namespace) -> None:
     from steerd.daemon.process.page import make_page, run_page
     from steerd.daemon.process.page_link import CarView
 
-    content = make_page({"car": args.name, **make_lane_job(args.path)})
+    content = make_page(args.name, make_lane_job(args.path))
 
     def on_open(url: str) -> None:
         print(f"page: {url}", flush=True)
