@@ -10,7 +10,7 @@ from collections.abc import Callable
 from itertools import compress
 from operator import attrgetter
 
-from steerd.daemon.assembly.build import RunPlan, make_core, read_job
+from steerd.daemon.assembly.build import RunPlan, read_job
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import PipeRecord, PipeWriter, Sink, is_learnt_from, pack_record
 from steerd.daemon.ipc.signals import (
@@ -19,7 +19,7 @@ from steerd.daemon.ipc.signals import (
     make_stop_signal_pipe,
     wake_at_parents_end,
 )
-from steerd.daemon.loop.core import Core
+from steerd.daemon.loop.core import Core, make_core
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.guard import ProcessGuard

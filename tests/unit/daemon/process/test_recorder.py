@@ -11,11 +11,12 @@ from types import SimpleNamespace
 import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.daemon.assembly.build import make_core, make_plan
+from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc import pipe_records as pipes
 from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord, pack_record
 from steerd.daemon.learning.feed import Wiring, make_feed, make_record
+from steerd.daemon.loop.core import make_core
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.process import recorder
 from steerd.daemon.process.core_process import latch_stray_exceptions, make_mocap, status_sink
