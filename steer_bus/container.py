@@ -15,7 +15,7 @@ import os
 import re
 import struct
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -71,23 +71,14 @@ class Span:
 
 
 @dataclass(slots=True)
-class ChannelCount:
-    """How many messages a channel has, and its first and last log time [ns]."""
+class TopicInfo:
+    """A channel's messages: how many, first and last log time [UNIX ns]; its name and type."""
 
     count: int = 0
     first_ns: int = 1 << 64
     last_ns: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class TopicInfo:
-    """One channel of a session; times are UNIX ns, ``rate_hz`` the mean over the topic's span."""
-
-    name: str
-    type_name: str
-    count: int
-    first_ns: int
-    last_ns: int
+    name: str = ""
+    type_name: str = ""
 
     @property
     def rate_hz(self) -> float:
@@ -108,7 +99,7 @@ class SessionInfo:
     spans: list[Span] = field(default_factory=list)
     schemas: dict[int, rec.Schema] = field(default_factory=dict)
     channels: dict[int, rec.Channel] = field(default_factory=dict)
-    counts: dict[int, ChannelCount] = field(default_factory=dict)
+    counts: dict[int, TopicInfo] = field(default_factory=dict)  # of channels with messages
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attached: list[tuple[str, Span]] = field(default_factory=list)  # where each record's body lies
     # What is wrong with it but does not prevent reading the rest, a line each
@@ -123,13 +114,15 @@ class SessionInfo:
 
     @property
     def topics(self) -> tuple[TopicInfo, ...]:
-        """Its channels."""
-        found = []
-        for key, channel in sorted(self.channels.items()):
-            count = self.counts.get(key, ChannelCount(0, 0))
-            times = count.count, count.first_ns, count.last_ns
-            found.append(TopicInfo(channel.topic, self.schema(channel).name, *times))
-        return tuple(found)
+        """Its channels, by name and type."""
+        return tuple(
+            replace(
+                self.counts.get(key, TopicInfo(0, 0)),
+                name=channel.topic,
+                type_name=self.schema(channel).name,
+            )
+            for key, channel in sorted(self.channels.items())
+        )
 
     @property
     def attachments(self) -> tuple[str, ...]:
@@ -391,7 +384,7 @@ def _take_records(contents: SessionInfo, data: bytes) -> None:
     for opcode, body in others:
         _define(contents, opcode, body)
     for channel, places in messages.items():
-        count = contents.counts.setdefault(channel, ChannelCount())
+        count = contents.counts.setdefault(channel, TopicInfo())
         count.count += len(places)
         for start, _ in (places[0], places[-1]):
             log_ns = MESSAGE_FIELDS.unpack_from(data, start)[1]
