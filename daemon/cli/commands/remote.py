@@ -12,11 +12,7 @@ from steerd.daemon.cli.arguments import add_bus_arguments, add_car_arguments, mi
 from steerd.daemon.cli.commands.run import add_drive_arguments
 from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.common.screen import wrap_command
-from steerd.daemon.ipc.signals import (
-    block_stop_signals,
-    make_stop_signal_pipe,
-    raise_on_stop_signals,
-)
+from steerd.daemon.ipc.signals import make_stop_signal_pipe, raise_on_stop_signals
 from steerd.daemon.process.gamepad import AXES, BUTTONS, PadGoneError, PadMap, open_pad
 from steerd.daemon.process.view_job import make_lane_job
 from steerd.daemon.settings.run_options import RunOptions
@@ -223,7 +219,6 @@ def sim(args: Namespace) -> None:
     with refusing("--fault: "):
         faults = links.fault_windows(args.fault)
     links.raise_priority()
-    block_stop_signals()
     stop = make_stop_signal_pipe()
     with links.SimHardware(world, faults, args.link_dir) as hw:
         print(f"VESC:  {hw.port}")
