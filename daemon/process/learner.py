@@ -92,9 +92,9 @@ def serve(given: Job) -> int:
     plan = read_job(job)
     if plan.settings.file.remark:
         print(f"steerd learner: {plan.settings.file.remark}", file=sys.stderr)
-    send = make_sender(fds["designs"]) if "designs" in fds else None
+    send = make_sender(fds["designs"]) if "designs" in fds else lambda data: None
     try:
-        loop = LearnerLoop(plan, lambda data, _t_ns: send and send(data), job["memory"])
+        loop = LearnerLoop(plan, lambda data, _t_ns: send(data), job["memory"])
     except ValueError as error:
         raise SteerdError(str(error)) from None
     outputs = [PipeWriter(fd) for name, fd in fds.items() if name.startswith("to_")]
