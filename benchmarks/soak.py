@@ -236,7 +236,7 @@ def read_ticks(session: Path) -> dict[str, Any]:
     ]
     quarter = max(1, len(late) // 4)
     return {
-        "whole": path == session and not read.warnings,
+        "whole": path == session and not read.info().warnings,
         "ticks": len(late),
         "late_5ms": [
             int(sum(ms > 5.0 for ms in late[k * quarter : (k + 1) * quarter])) for k in range(4)

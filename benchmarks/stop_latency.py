@@ -52,11 +52,10 @@ GAP = struct.Struct("=qq")
 def be_core(serial_fd: int) -> None:
     """Drive at 100 Hz under a guardian, as `steerd.daemon.process.runner` does."""
     import steerd.daemon.process.core_process  # noqa: F401  (as much memory as the real one)
-    from steerd.daemon.ipc.signals import block_stop_signals, make_stop_signal_pipe
+    from steerd.daemon.ipc.signals import make_stop_signal_pipe
     from steerd.daemon.process.guard import ProcessGuard
     from steerd.daemon.process.realtime import settle_memory
 
-    block_stop_signals()
     make_stop_signal_pipe()  # its thread has no fixed priority and often dies last
     report = enter_realtime()
     settle_memory()

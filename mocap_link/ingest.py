@@ -13,13 +13,11 @@ from steerd.mocap_link.source import (
     ClockKind,
     MonitorState,
     Pose,
-    SourceState,
     SourceStatus,
     step_monitor,
 )
 from steerd.steer_bus.quick_values import changed
 
-_NOWHERE = (nan, nan, nan, nan, nan)
 _RATE_WINDOW_NS = 1_000_000_000
 _RESTART_RUN = 10
 
@@ -55,11 +53,6 @@ class PoseIngest:
         self._expected_hz: float | None = None
         self._metres_per_unit = 1e-3 if config.frame.units == "mm" else 1.0
 
-    @property
-    def state(self) -> SourceState:
-        """State of the source."""
-        return self._monitor.state
-
     def expect_rate(self, rate_hz: float) -> None:
         """Take the server's own frame rate as the period of the stale rule."""
         if 1.0 <= rate_hz <= 2000.0:
@@ -79,7 +72,12 @@ class PoseIngest:
         """Time, place and judge one pose."""
         learn = self._watch_order(sent)
         t_valid_ns, self._clock = self.timing.time_pose(sent, learn=learn)
-        x, y, yaw, height, tilt = _try_place(self.config.frame, sent)
+        try:
+            x, y, yaw, height, tilt = make_planar_pose(
+                self.config.frame, sent.position, sent.quaternion
+            )
+        except (ValueError, OverflowError):
+            x = y = yaw = height = tilt = nan
         pose = changed(
             sent, t_valid_ns=t_valid_ns, clock=self._clock, x=x, y=y, yaw=yaw, height=height,
             tilt=tilt,
@@ -109,7 +107,7 @@ class PoseIngest:
     def status(self, **session: Any) -> SourceStatus:
         """Describe the source now; the session adds what only it knows of a `SourceStatus`."""
         return SourceStatus(
-            self.state,
+            self._monitor.state,
             clock=self._clock,
             clock_sigma_ns=self.timing.sigma_ns,
             rate_hz=len(self._arrivals) * 1e9 / _RATE_WINDOW_NS,
@@ -140,10 +138,3 @@ class PoseIngest:
     def _drop_old(self, t_ns: int) -> None:
         while self._arrivals and t_ns - self._arrivals[0] >= _RATE_WINDOW_NS:
             self._arrivals.popleft()
-
-
-def _try_place(config: FrameConfig, pose: Pose) -> tuple[float, float, float, float, float]:
-    try:
-        return make_planar_pose(config, pose.position, pose.quaternion)
-    except (ValueError, OverflowError):
-        return _NOWHERE

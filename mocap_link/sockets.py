@@ -135,24 +135,16 @@ class NatNetReceiver:
         self._data_for: tuple[int, str, bool] | None = None
         self._data_due = 0
         self._data_error = ""
-        self._fds: list[int] = []
-        self._note_fds()
 
     def fds(self) -> list[int]:
-        """Return the descriptors to poll for reading."""
-        return self._fds
-
-    def _note_fds(self) -> None:
-        """The descriptors of the sockets that are open now: the command socket's first."""
-        self._fds = [s.fileno() for s in (self._command, self._data) if s is not None]
+        """Return the descriptors to poll for reading: the command socket's first."""
+        return [s.fileno() for s in (self._command, self._data) if s is not None]
 
     def read_ready(self, fd: int) -> list[Pose]:
         """Drain one socket, in order."""
-        if fd not in self._fds:
-            return []
-        if self._data is not None and fd == self._fds[-1]:
+        if self._data is not None and fd == self._data.fileno():
             return self._read(self._data, "data")
-        return self._read(self._command, "command")
+        return self._read(self._command, "command") if fd == self._command.fileno() else []
 
     def _read(self, sock: socket.socket, which: Socket) -> list[Pose]:
         queue: list[tuple[bytes, int, str]] = []
@@ -203,7 +195,6 @@ class NatNetReceiver:
             self._data_error = f"data port {want[0]} on {self.interface}: {error.strerror}"
         else:
             self._data_for, self._data_error = want, ""
-        self._note_fds()
 
     def _open_data(self, port: int, group: str, unicast: bool) -> socket.socket:
         sock = _make_socket(socket.SOCK_DGRAM)
@@ -232,7 +223,6 @@ class NatNetReceiver:
         if self._data is not None:
             self._data.close()
             self._data = None
-        self._fds = []
 
 
 class VrpnReceiver:

@@ -15,7 +15,7 @@ from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sim_hw.mocap.cameras import Cameras, MocapConfig
 from steerd.sim_hw.mocap.network import COMMAND, DATA, Datagram, Network, Peer
-from steerd.sim_hw.mocap.servers import NatNetServer, VrpnDevice
+from steerd.sim_hw.mocap.servers import MocapServer, NatNetServer, VrpnDevice
 from steerd.sim_hw.plant.car import CarSetup, Demand, Drive, SimCar
 from steerd.sim_hw.plant.faults import Fault, make_condition
 from steerd.sim_hw.plant.noise import make_noise_source
@@ -70,8 +70,9 @@ class World:
         log = self.log if config.keep_bytes else None
         self.vesc = SimVesc(config.vesc, config.scaling, self.car, source("vesc"), log)
         self.network = Network(source("network"))
-        kind = VrpnDevice if config.mocap.kind == "vrpn" else NatNetServer
-        self.mocap = kind(config.mocap, self.network, source("server"), t_start_ns)
+        given = config.mocap, self.network, source("server"), t_start_ns
+        vrpn = config.mocap.kind == "vrpn"
+        self.mocap: MocapServer = VrpnDevice(*given) if vrpn else NatNetServer(*given)
         self._cameras = Cameras(config.mocap, source("cameras"), t_start_ns)
         self._h = config.step_ns / 1e9
         self._step_ns = config.step_ns
@@ -92,9 +93,8 @@ class World:
             self._stuck = 0
         self._port = f"vesc{condition.vesc.port_suffix}"
         self.vesc.set_fault_state(t_ns, condition.vesc)
-        if condition.mocap.restart and not self._cameras.fault_state.restart:
-            self._cameras.restart()
-        self._cameras.fault_state = self.network.fault_state = condition.mocap
+        self._cameras.set_fault_state(condition.mocap)
+        self.network.fault_state = condition.mocap
         self.mocap.set_fault_state(t_ns, condition.mocap)
 
     # --- time
@@ -179,18 +179,6 @@ class World:
         return self.vesc.read(t_ns)
 
     # --- mocap
-
-    def mocap_connect(self, t_ns: int, peer: Peer = 0) -> None:
-        """A VRPN client connects (NatNet has no connections)."""
-        self.advance(t_ns)
-        if isinstance(self.mocap, VrpnDevice):
-            self.mocap.on_connect(t_ns, peer)
-
-    def mocap_disconnect(self, t_ns: int, peer: Peer = 0) -> None:
-        """A VRPN client hangs up."""
-        self.advance(t_ns)
-        if isinstance(self.mocap, VrpnDevice):
-            self.mocap.on_disconnect(peer)
 
     def mocap_write(self, t_ns: int, data: bytes, channel: str = COMMAND, peer: Peer = 0) -> None:
         """Send to the server: to NatNet's command socket, or on a VRPN connection.

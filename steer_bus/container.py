@@ -15,7 +15,7 @@ import os
 import re
 import struct
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -62,17 +62,6 @@ class DamageError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class SessionWarning:
-    """Something wrong with a file that does not prevent reading the rest."""
-
-    # ``unfinished``, ``damaged``, ``unknown_record``, ``unknown_channel`` or ``conflict``
-    code: str
-    message: str  # one line for people
-    offset: int  # where in the file [bytes]
-    lost: int = 0  # how much could not be read [bytes]
-
-
-@dataclass(frozen=True, slots=True)
 class Span:
     """A run of the file: a chunk (``chunk``), or records that stand by themselves."""
 
@@ -82,23 +71,14 @@ class Span:
 
 
 @dataclass(slots=True)
-class ChannelCount:
-    """How many messages a channel has, and its first and last log time [ns]."""
+class TopicInfo:
+    """A channel's messages: how many, first and last log time [UNIX ns]; its name and type."""
 
     count: int = 0
     first_ns: int = 1 << 64
     last_ns: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class TopicInfo:
-    """One channel of a session; times are UNIX ns, ``rate_hz`` the mean over the topic's span."""
-
-    name: str
-    type_name: str
-    count: int
-    first_ns: int
-    last_ns: int
+    name: str = ""
+    type_name: str = ""
 
     @property
     def rate_hz(self) -> float:
@@ -119,10 +99,12 @@ class SessionInfo:
     spans: list[Span] = field(default_factory=list)
     schemas: dict[int, rec.Schema] = field(default_factory=dict)
     channels: dict[int, rec.Channel] = field(default_factory=dict)
-    counts: dict[int, ChannelCount] = field(default_factory=dict)
+    counts: dict[int, TopicInfo] = field(default_factory=dict)  # of channels with messages
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attached: list[tuple[str, Span]] = field(default_factory=list)  # where each record's body lies
-    warnings: list[SessionWarning] = field(default_factory=list)
+    # What is wrong with it but does not prevent reading the rest, a line each
+    warnings: list[str] = field(default_factory=list)
+    lost: int = 0  # how much could not be read [bytes]
     profile: str = ""
     finished: bool = False  # the container's end is whole
 
@@ -132,13 +114,15 @@ class SessionInfo:
 
     @property
     def topics(self) -> tuple[TopicInfo, ...]:
-        """Its channels."""
-        found = []
-        for key, channel in sorted(self.channels.items()):
-            count = self.counts.get(key, ChannelCount(0, 0))
-            times = count.count, count.first_ns, count.last_ns
-            found.append(TopicInfo(channel.topic, self.schema(channel).name, *times))
-        return tuple(found)
+        """Its channels, by name and type."""
+        return tuple(
+            replace(
+                self.counts.get(key, TopicInfo(0, 0)),
+                name=channel.topic,
+                type_name=self.schema(channel).name,
+            )
+            for key, channel in sorted(self.channels.items())
+        )
 
     @property
     def attachments(self) -> tuple[str, ...]:
@@ -205,7 +189,7 @@ def read_contents(path: Path, file: int, size: int) -> SessionInfo:
             crc = zlib.crc32(body, zlib.crc32(RECORD.pack(opcode, len(body)), crc))
         pos += RECORD.size + len(body)
     if intact and parse(rec.DataEnd, body).data_section_crc not in (0, crc):
-        contents.warnings.append(SessionWarning("damaged", "data section fails its CRC", 0))
+        contents.warnings.append("data section fails its CRC")
     _take_summary(contents, file, pos + RECORD.size + len(body), size)
     _note_orphans(contents)
     return contents
@@ -371,8 +355,8 @@ def _take(contents: SessionInfo, opcode: int, body: bytes, pos: int) -> None:
         case _ if opcode <= Opcode.DATA_END:
             raise DamageError("a summary record inside the data")
         case _:
-            text = f"record of unknown kind {opcode:#x} skipped"
-            contents.warnings.append(SessionWarning("unknown_record", text, pos, len(body)))
+            contents.warnings.append(f"record of unknown kind {opcode:#x} skipped")
+            contents.lost += len(body)
 
 
 def _add_plain_span(spans: list[Span], new: Span) -> None:
@@ -389,9 +373,8 @@ def _take_chunk(contents: SessionInfo, body: bytes, pos: int) -> None:
     except DamageError as damage:
         if not _frames_chunk(body, len(body)):
             raise  # its length is not to be believed either
-        contents.warnings.append(
-            SessionWarning("damaged", f"chunk at byte {pos} skipped: {damage}", pos, len(body))
-        )
+        contents.warnings.append(f"chunk at byte {pos} skipped: {damage}")
+        contents.lost += len(body)
         return
     contents.spans.append(Span(pos, RECORD.size + len(body), chunk=True))
 
@@ -401,7 +384,7 @@ def _take_records(contents: SessionInfo, data: bytes) -> None:
     for opcode, body in others:
         _define(contents, opcode, body)
     for channel, places in messages.items():
-        count = contents.counts.setdefault(channel, ChannelCount())
+        count = contents.counts.setdefault(channel, TopicInfo())
         count.count += len(places)
         for start, _ in (places[0], places[-1]):
             log_ns = MESSAGE_FIELDS.unpack_from(data, start)[1]
@@ -423,19 +406,19 @@ def _define(contents: SessionInfo, opcode: int, body: bytes) -> None:
 def _set_once(contents: SessionInfo, known: dict[int, T], key: int, value: T) -> None:
     if known.setdefault(key, value) != value:
         text = f"{type(value).__name__.lower()} {key} is defined twice, differently: first kept"
-        contents.warnings.append(SessionWarning("conflict", text, 0))
+        contents.warnings.append(text)
 
 
 # -- damage --------------------------------------------------------------------------------------
 
 
 def _note_loss(contents: SessionInfo, why: str, pos: int, found: int | None, size: int) -> None:
-    if found is None:
-        text = f"not finished, {why} at byte {pos}; {size - pos} bytes lost"
-        contents.warnings.append(SessionWarning("unfinished", text, pos, size - pos))
-    else:
-        text = f"damaged at byte {pos} ({why}), reading on at {found}"
-        contents.warnings.append(SessionWarning("damaged", text, pos, found - pos))
+    contents.lost += (size if found is None else found) - pos
+    contents.warnings.append(
+        f"not finished, {why} at byte {pos}; {size - pos} bytes lost"
+        if found is None
+        else f"damaged at byte {pos} ({why}), reading on at {found}"
+    )
 
 
 def _resync(file: int, pos: int, size: int) -> int | None:
@@ -490,18 +473,16 @@ def _take_summary(contents: SessionInfo, file: int, pos: int, size: int) -> None
         and int.from_bytes(tail[crc : crc + 4], "little") in (0, zlib.crc32(tail[:crc]))
     )
     if not contents.finished:
-        text = "not finished: the summary at its end is missing or damaged"
-        contents.warnings.append(SessionWarning("unfinished", text, pos))
+        contents.warnings.append("not finished: the summary at its end is missing or damaged")
         return
     try:
         for opcode, body in scan_messages(tail[:start])[1]:
             _define(contents, opcode, body)
     except DamageError as damage:
-        contents.warnings.append(SessionWarning("damaged", f"summary: {damage}", pos))
+        contents.warnings.append(f"summary: {damage}")
 
 
 def _note_orphans(contents: SessionInfo) -> None:
     for channel in sorted(contents.counts.keys() - contents.channels.keys()):
         count = contents.counts.pop(channel).count
-        text = f"{count} messages of channel {channel}, which is defined nowhere"
-        contents.warnings.append(SessionWarning("unknown_channel", text, 0))
+        contents.warnings.append(f"{count} messages of channel {channel}, which is defined nowhere")

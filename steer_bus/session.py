@@ -8,7 +8,6 @@ Reading is :mod:`steerd.steer_bus.session_read`.
 import contextlib
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from mimetypes import guess_type
 from pathlib import Path
 from types import MappingProxyType
@@ -17,7 +16,6 @@ from typing import Any, BinaryIO
 from mcap.records import Attachment  # noqa: TID251
 
 from steerd.steer_bus.atomic_file import is_full
-from steerd.steer_bus.container import SessionWarning
 from steerd.steer_bus.container_write import ContainerWriter
 from steerd.steer_bus.fields import schema_text, type_name
 from steerd.steer_bus.session_read import Session, SessionError, open_session
@@ -190,36 +188,26 @@ class SessionWriter:
         return self._writer.add_channel(topic, "cdr", schema)
 
 
-@dataclass(frozen=True, slots=True)
-class RecoverReport:
-    """What a recovery saved, and what it could not."""
-
-    path: Path  # the new, finished file
-    messages: int  # how many were saved
-    lost_bytes: int  # how much of the old file made no sense
-    longest_gap_s: float  # the longest time without any message: where something is missing
-    warnings: tuple[SessionWarning, ...]  # what was wrong with the old file
-
-
-def recover(path_in: Path | str, path_out: Path | str) -> RecoverReport:
-    """Copy everything readable of an unfinished or damaged file into a new, finished one.
+def recover(session: Session, path: Path) -> float:
+    """Copy everything readable of an unfinished or damaged session into a new, finished file.
 
     ``steerd.end`` is copied only if it is there, so the result still says that the drive crashed;
-    ``steerd.recovered`` says where it comes from. The result is read back before it is reported.
+    ``steerd.recovered`` says where it comes from. The result is read back before the end.
+
+    Returns:
+        The longest time without any message [s]: where something is missing.
 
     Raises:
-        SessionError: if the input cannot be opened, the output exists, or the disk fails.
+        SessionError: if the file exists, or the disk fails.
     """
-    path_in, path_out = Path(path_in), Path(path_out)
-    session = open_session(path_in)
-    partial = path_out.with_name(path_out.name + ".recovering")
-    file = _create(path_out, partial)
+    info, partial = session.info(), path.with_name(path.name + ".recovering")
+    file = _create(path, partial)
     try:
-        writer = ContainerWriter(file, session.info().profile)
+        writer = ContainerWriter(file, info.profile)
         gap_ns = _copy(session, writer)
-        lost = sum(warning.lost for warning in session.warnings)
-        writer.add_metadata("steerd.recovered", {"source": path_in.name, "lost_bytes": str(lost)})
-        _finish(writer, file, partial, path_out)
+        source = {"source": info.path.name, "lost_bytes": str(info.lost)}
+        writer.add_metadata("steerd.recovered", source)
+        _finish(writer, file, partial, path)
     except (OSError, SessionError) as error:
         _close_quietly(file)
         partial.unlink(missing_ok=True)
@@ -227,10 +215,10 @@ def recover(path_in: Path | str, path_out: Path | str) -> RecoverReport:
             hint = "free some space, or choose another folder"
             raise _disk_error(partial, error, hint) from error
         raise
-    written = open_session(path_out).info()
-    if written.count != session.info().count or written.warnings:
-        raise SessionError("recover_failed", f"{path_out} does not read back as written")
-    return RecoverReport(path_out, written.count, lost, gap_ns * 1e-9, session.warnings)
+    written = open_session(path).info()
+    if written.count != info.count or written.warnings:
+        raise SessionError("recover_failed", f"{path} does not read back as written")
+    return gap_ns * 1e-9
 
 
 def _copy(session: Session, writer: ContainerWriter) -> int:

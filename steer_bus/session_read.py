@@ -23,7 +23,7 @@ from mcap.records import Attachment, Channel  # noqa: TID251
 
 from steerd.steer_bus import container
 from steerd.steer_bus.codec import CodecError, decode
-from steerd.steer_bus.container import SessionInfo, SessionWarning
+from steerd.steer_bus.container import SessionInfo
 from steerd.steer_bus.fields import schema_text, type_name
 from steerd.steer_bus.messages import OWN_MESSAGES
 from steerd.steer_bus.standard import STANDARD_MESSAGES
@@ -80,11 +80,6 @@ class Session:
     def info(self) -> SessionInfo:
         """Give topics, counts, times, metadata and warnings."""
         return self._info
-
-    @property
-    def warnings(self) -> tuple[SessionWarning, ...]:
-        """What was wrong with the file; empty for a whole one."""
-        return tuple(self._info.warnings)
 
     def messages(self, *topics: str) -> Iterator[Record]:
         """Yield messages of these topics (all if none is named) in recorded order.

@@ -74,7 +74,7 @@ def load_drive(path: Path, speed: Speed, warn: Warn) -> tuple[Session, Run]:
         SteerdError: it cannot be read, or is not fit for a fit.
     """
     session = load_session(path)
-    damage = [warning.message for warning in session.warnings]
+    damage = session.info().warnings
     warn([f"{path.name}: {each}" for each in damage])
     with refusing([session]):
         with reading(path):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from steerd.car_model.car_file import CarFile, default_car_path
 from steerd.car_model.model import believed_car
@@ -14,13 +14,17 @@ from steerd.car_model.native.library import load_library
 from steerd.car_model.params import Car
 from steerd.car_model.path.path import Path
 from steerd.car_model.path.path_spec import parse_path
+from steerd.daemon.assembly.plans import Drill, PlanError, parse_drill
 from steerd.daemon.assembly.sim_car import load_sim_car, make_true_model
 from steerd.daemon.common.errors import ExitCode, SteerdError, find_near
 from steerd.daemon.common.screen import print_labelled
-from steerd.daemon.ipc.pipe_records import Outbox, Sink
-from steerd.daemon.loop.plans import Drill, PlanError, parse_drill
 from steerd.daemon.settings.config import Settings, load_settings, make_settings
-from steerd.daemon.settings.run_options import ControllerKind, RunOptions
+from steerd.daemon.settings.run_options import (
+    ControllerKind,
+    RunOptions,
+    decode_options,
+    encode_options,
+)
 from steerd.steer_bus.topics import check_car_name
 
 # The loop takes half a second to import. `steerd run` leaves it to the core's process, which needs
@@ -30,8 +34,6 @@ if TYPE_CHECKING:
     from steerd.controller.config import ControllerConfig
     from steerd.controller.lane_controller import LaneController
     from steerd.controller.live import LiveBounds
-    from steerd.daemon.loop.core import Core
-    from steerd.daemon.loop.loop_setup import LoopSetup
     from steerd.sim_hw.world import WorldConfig
 
 NS = 1_000_000_000
@@ -68,7 +70,7 @@ class RunPlan:
     drawn: Settings | None = None  # of the simulated car, where a sweep drew one
     real: RunId | None = None  # of a drive in real time; None in virtual time
 
-    @property
+    @cached_property
     def run(self) -> RunId:
         """Which run of the plan this is."""
         return self.real or RunId(self.options.seed + 1, VIRTUAL_EPOCH_NS, leased=False)
@@ -129,10 +131,25 @@ class RunPlan:
             return self.drawn
         return load_sim_car(self.options.sim_car) if self.options.sim_car else self.settings
 
-    @property
+    @cached_property
     def period_ns(self) -> int:
         """Period of the control loop [ns]."""
         return round(NS / self.options.rate_hz)
+
+    @cached_property
+    def duration_ns(self) -> int | None:
+        """Length of the drive [ns]; None without end."""
+        return None if self.options.duration_s is None else round(self.options.duration_s * NS)
+
+    @cached_property
+    def remote(self) -> bool:
+        """Whether commands come from an external controller."""
+        return self.options.controller is not ControllerKind.LANE
+
+    @cached_property
+    def ignores_lane(self) -> bool:
+        """Whether lane errors do not count: something else than the lane keeper drives."""
+        return self.remote or (self.drill is not None and not self.drill.closed)
 
 
 _KEPT = 8
@@ -205,6 +222,16 @@ def make_plan(
     return plan
 
 
+def make_job(plan: RunPlan) -> dict[str, Any]:
+    """What a process of the run makes its own plan of (`read_job`), as JSON values."""
+    return {"options": encode_options(plan.options), "run": plan.run}
+
+
+def read_job(job: Mapping[str, Any], *, design: bool = False) -> RunPlan:
+    """The plan of a job, in the process that was given it; raises as `make_plan`."""
+    return make_plan(decode_options(job["options"]), design=design, real=RunId(*job["run"]))
+
+
 _SHAPES = ("line", "circle", "figure8", "csv")
 _SHAPE_OPTIONS = ("length", "radius", "dir", "size", "place", "smooth")
 
@@ -253,42 +280,6 @@ def report_refusal(car: CarFile) -> None:
     except SteerdError as error:
         text = f"`steerd run` refuses this file: {error.what}\n{error.hint}".rstrip()
         print_labelled("note: ", text, sys.stderr)
-
-
-def make_loop_setup(plan: RunPlan) -> LoopSetup:
-    """The constants of a plan's loop, for a drive and for its replay."""
-    from steerd.daemon.loop.loop_setup import LoopSetup
-
-    duration = plan.options.duration_s
-    return LoopSetup(
-        settings=plan.settings,
-        controller=plan.controller,
-        period_ns=plan.period_ns,
-        boot_id=plan.run.boot_id,
-        remote=plan.options.controller is not ControllerKind.LANE,
-        auto_arm=plan.options.auto_arm,
-        leased=plan.run.leased,
-        duration_ns=None if duration is None else round(duration * NS),
-        simulated=plan.options.simulated,
-        drill=plan.drill,
-        live=plan.live,
-        learnt=plan.learnt,
-    )
-
-
-def make_core(plan: RunPlan, sinks: Sequence[Sink]) -> Core:
-    """The control core of a plan."""
-    from steerd.daemon.loop.core import Core
-    from steerd.daemon.loop.loop import Loop
-    from steerd.vesc_link.telemetry import IMU_ACCEL_GYRO_MASK
-    from steerd.vesc_link.vesc import VescLink
-
-    settings = plan.settings
-    uuid = settings.brakes.uuid
-    link = VescLink(
-        settings.scaling, bytes.fromhex(uuid) if uuid else None, imu_mask=IMU_ACCEL_GYRO_MASK
-    )
-    return Core(Loop(make_loop_setup(plan)), link, Outbox(plan.run.epoch_ns, tuple(sinks)))
 
 
 def make_world_config(

@@ -44,9 +44,9 @@ def recall_table(
         DesignRefused: a speed has no design.
     """
     path = designs_folder() / f"{digest_design(car, config, timing, speed_max)}.json"
-    known = _read(path)
-    if known is not None:
-        return known
+    if (known := read_sealed(path)) is not None:
+        speed_min, spacing, rows = json.loads(known)
+        return GainTable(speed_min, spacing, tuple(map(tuple, rows)))
     table = compute_table(car, config, timing, speed_max)
     with contextlib.suppress(OSError):  # a read-only or full disk: computed again next time
         make_own_folder(path.parent)
@@ -66,12 +66,3 @@ def digest_design(
         if spec is not None and spec.origin is not None:
             found.update(Path(spec.origin).read_bytes())
     return found.hexdigest()[:32]
-
-
-def _read(path: Path) -> GainTable | None:
-    """A remembered table; None where there is none that can be believed."""
-    data = read_sealed(path)
-    if data is None:
-        return None
-    speed_min, spacing, rows = json.loads(data)
-    return GainTable(speed_min, spacing, tuple(map(tuple, rows)))

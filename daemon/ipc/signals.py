@@ -29,10 +29,8 @@ def wake_at_parents_end() -> None:
 
 
 def make_stop_signal_pipe() -> int:
-    """Start the waiting thread; the descriptor gives a byte, the number, for each signal.
-
-    The stop signals must be blocked (`block_stop_signals`).
-    """
+    """Block the stop signals; the descriptor gives a byte, the number, for each that comes."""
+    block_stop_signals()
     read_fd, write_fd = os.pipe()
     os.set_blocking(read_fd, False)
 

@@ -3,10 +3,10 @@
 from collections.abc import Iterable, Iterator
 from math import degrees
 
+from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.common.screen import show
 from steerd.daemon.loop.findings import Finding, Flag, Severity
 from steerd.daemon.loop.lease import Remote, valid_command
-from steerd.daemon.loop.loop_setup import LoopSetup
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.loop.watchdogs import WatchdogInput
 from steerd.daemon.settings.config import BrakeSettings
@@ -41,7 +41,7 @@ def check_vesc(vesc: VescIdentity | None, brakes: BrakeSettings) -> Iterator[str
 
 
 def find_failures(
-    setup: LoopSetup,
+    plan: RunPlan,
     vesc: VescIdentity | None,
     remote: Remote,
     now: WatchdogInput,
@@ -54,7 +54,7 @@ def find_failures(
 
     `findings` are the watchdogs', `flags` the runner's; `estimated`: there is a sound estimate.
     """
-    yield from check_vesc(vesc, setup.settings.brakes)
+    yield from check_vesc(vesc, plan.settings.brakes)
     if flags & Flag.UNBOUNDED:
         yield "the VESC does not take this session's speed limit: power it off and on"
     if not estimated:
@@ -62,8 +62,8 @@ def find_failures(
     for finding in findings:
         if finding.severity > Severity.WARN:  # it would trip an armed car
             yield finding.text
-    if estimated and not setup.remote:
-        yield from check_lane(now.lateral_error, now.heading_error, setup.settings.thresholds)
+    if estimated and not plan.remote:
+        yield from check_lane(now.lateral_error, now.heading_error, plan.settings.thresholds)
     elif estimated and valid_command(remote, now.t_ns) is None:
         yield "no commands from a controller: start `steerd control`, `steerd teleop` or /drive"
     if now.state is not SupervisorState.RUNNING and not abs(now.speed) < STANDING_SPEED:

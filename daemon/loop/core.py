@@ -9,11 +9,13 @@ angle, so it holds the last one.
 # Why: docs/decisions/safety.md#d42
 
 import traceback
+from collections.abc import Sequence
 from dataclasses import replace
 
 from steerd.car_model.state import Command
 from steerd.controller.limits import make_limiter_state
-from steerd.daemon.ipc.pipe_records import Outbox
+from steerd.daemon.assembly.build import RunPlan
+from steerd.daemon.ipc.pipe_records import Outbox, Sink
 from steerd.daemon.loop import outgoing
 from steerd.daemon.loop.checks import check_vesc
 from steerd.daemon.loop.design_desk import DesignDesk
@@ -33,7 +35,7 @@ from steerd.vesc_link import identity
 from steerd.vesc_link.commands import GetMcConfTemp, SetCurrent, SetCurrentBrake
 from steerd.vesc_link.frames import encode_frame
 from steerd.vesc_link.packets import encode_command
-from steerd.vesc_link.telemetry import Imu, Uptime, Values
+from steerd.vesc_link.telemetry import IMU_ACCEL_GYRO_MASK, Imu, Uptime, Values
 from steerd.vesc_link.vesc import Answer, Drive, VescLink
 
 DIAGNOSTICS_PERIOD_NS = 500_000_000
@@ -174,8 +176,8 @@ class Core:
         if not self._expected:
             return
         self._limits_before = self._limits_before or limits
-        scaling = self.loop.setup.settings.scaling
-        erpm_max = abs(scaling.erpm_gain) * self.loop.setup.settings.limits.speed_max * ERPM_MARGIN
+        scaling = self.loop.plan.settings.scaling
+        erpm_max = abs(scaling.erpm_gain) * self.loop.plan.settings.limits.speed_max * ERPM_MARGIN
         bounds = identity.make_session_limits(limits, min(erpm_max, scaling.erpm_max))
         if identity.limits_hold(bounds, limits):
             self.flags &= ~Flag.UNBOUNDED
@@ -188,7 +190,7 @@ class Core:
 
     def brake_frame(self) -> bytes:
         """The frame that the guardian writes to stop the car."""
-        current = self.loop.setup.settings.brakes.brake_current_a
+        current = self.loop.plan.settings.brakes.brake_current_a
         return encode_frame(encode_command(SetCurrentBrake(current)))
 
     def latch_exception(self, error: BaseException) -> None:
@@ -287,7 +289,7 @@ class Core:
         try:
             wire = self.link.make_tick(drive, now_ns)
         except ValueError:
-            brake = self.loop.setup.settings.brakes.brake_current_a
+            brake = self.loop.plan.settings.brakes.brake_current_a
             wire = self.link.make_tick(Drive(m.ActuationMode.BRAKE, current=brake), now_ns)
         if not self.link.ready and drive.mode in _HANDSHAKE:
             wire += self.link.make_connect(now_ns)
@@ -329,7 +331,7 @@ class Core:
         if self.loop.vesc is None:
             return "the VESC to answer: is it powered, and is this its port?"
         if not self.loop.vesc.expected:
-            return next(check_vesc(self.loop.vesc, self.loop.setup.settings.brakes))
+            return next(check_vesc(self.loop.vesc, self.loop.plan.settings.brakes))
         if self.loop.perception.accepted_ns is None:
             detail = f" ({self.source.detail})" if self.source and self.source.detail else ""
             return f"a first pose of the car from mocap{detail}"
@@ -337,9 +339,9 @@ class Core:
 
     def _make_extra_values(self) -> dict[str, str]:
         vesc, source = self.loop.vesc, self.source
-        values = {"boot_id": str(self.loop.setup.boot_id), "holder": str(self.loop.lease.holder)}
-        values["leased"] = str(int(self.loop.setup.leased))
-        values["controller"] = "remote" if self.loop.setup.remote else "lane"
+        values = {"boot_id": str(self.loop.plan.run.boot_id), "holder": str(self.loop.lease.holder)}
+        values["leased"] = str(int(self.loop.plan.run.leased))
+        values["controller"] = "remote" if self.loop.plan.remote else "lane"
         adapting = self.loop.adapting
         if adapting.held is not None:
             values["design"] = f"learnt {adapting.number}" if adapting.follows else "car file"
@@ -367,7 +369,7 @@ def make_failed_tick(loop: Loop, error: BaseException, now_ns: int, linked: bool
     finding = make_finding("W29", describe_error(error))
     bits, text = summarise((finding,))
     facts = bits | Fact.IDENTIFIED | Fact.SLOWING | (Fact.LINKED if linked else 0)
-    settings, speed = loop.setup.settings, loop.perception.recent_wheel_speed(now_ns)
+    settings, speed = loop.plan.settings, loop.perception.recent_wheel_speed(now_ns)
     old = loop.supervisor.state
     conditions = Conditions(facts, speed, 0, text)
     loop.supervisor, action = step_supervisor(loop.supervisor, conditions, 0, now_ns)
@@ -379,3 +381,10 @@ def make_failed_tick(loop: Loop, error: BaseException, now_ns: int, linked: bool
     order = replace(order, drive=replace(order.drive, steer=None))
     waiting = WAITING[loop.supervisor.state]
     return TickResult(order, old, loop.supervisor, None, None, (finding,), waiting, facts)
+
+
+def make_core(plan: RunPlan, sinks: Sequence[Sink]) -> Core:
+    """The control core of a plan."""
+    scaling, uuid = plan.settings.scaling, plan.settings.brakes.uuid
+    link = VescLink(scaling, bytes.fromhex(uuid) if uuid else None, imu_mask=IMU_ACCEL_GYRO_MASK)
+    return Core(Loop(plan), link, Outbox(plan.run.epoch_ns, tuple(sinks)))

@@ -8,9 +8,8 @@ over the first half metre, because single samples at walking pace are mostly noi
 from math import atan2, cos, degrees, hypot, pi, remainder, sin, tan, tau
 from typing import NamedTuple
 
-from steerd.daemon.settings.thresholds import LAUNCH_RATIO
+from steerd.daemon.settings.thresholds import LAUNCH_DISTANCE, LAUNCH_RATIO
 
-LAUNCH_DISTANCE = 0.5  # [m] by the wheels
 JUDGE_DISTANCE = 0.25  # [m] by wheels or mocap; shorter, mocap's delay alone spoils the ratio
 TURN_EXPECTED, TURN_MEASURED = 0.10, 0.03  # [rad] turned before the sign of steering is judged
 HEADING_MAX = pi / 6  # [rad] between yaw and travel

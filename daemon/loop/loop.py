@@ -13,16 +13,16 @@ from steerd.car_model.state import Command
 from steerd.controller.lane_controller import ControllerState, ControlReport, start_controller
 from steerd.controller.limits import make_limiter_state
 from steerd.controller.live import AS_DESIGNED
+from steerd.daemon.assembly.build import RunPlan
+from steerd.daemon.assembly.plans import Drill
 from steerd.daemon.loop import adapting
 from steerd.daemon.loop import lease as leases
 from steerd.daemon.loop.checks import STANDING_SPEED, find_failures
 from steerd.daemon.loop.design_desk import read_design
 from steerd.daemon.loop.findings import Flag, merge_requests, summarise
 from steerd.daemon.loop.live import judge_both_lanes, make_live, relax, step_live, take_request
-from steerd.daemon.loop.loop_setup import LoopSetup
 from steerd.daemon.loop.orders import Order, TickResult, make_order
 from steerd.daemon.loop.perception import Perception, best_speed
-from steerd.daemon.loop.plans import Drill
 from steerd.daemon.loop.supervisor import (
     WAITING,
     Conditions,
@@ -53,7 +53,7 @@ class Loop:
     """The control loop's state.
 
     Attributes:
-        setup: what does not change.
+        plan: what does not change.
         perception: measurements, which are handed to it, and the state estimate.
         supervisor: memory of the state machine.
         lease, remote: the operator and the external controller.
@@ -64,23 +64,23 @@ class Loop:
         ran: a drive has ended in this run.
     """
 
-    def __init__(self, setup: LoopSetup) -> None:
-        s = setup.settings
-        self.setup = setup
+    def __init__(self, plan: RunPlan) -> None:
+        s = plan.settings
+        self.plan = plan
         car = believed_car(s.file.model)
         self.perception = Perception(car, s)
         self.supervisor = make_supervisor_memory(0)
-        self.lease = leases.Lease(setup.boot_id)
-        self.remote = leases.Remote(leases.Lease(setup.boot_id))
-        self.live = make_live(setup.live)
-        self.adapting = adapting.make_adapting(setup.controller, setup.learnt, s.thresholds.lateral)
+        self.lease = leases.Lease(plan.run.boot_id)
+        self.remote = leases.Remote(leases.Lease(plan.run.boot_id))
+        self.live = make_live(plan.live)
+        self.adapting = adapting.make_adapting(plan.controller, plan.learnt, s.thresholds.lateral)
         self.vesc: m.VescIdentity | None = None
         self.fault = ""
         self.ran = False
         self._limiter = make_limiter_state(s.limits, Command(0.0, 0.0), 0)
         self._issued: Command[float] | None = None
         self._control: ControllerState | None = None
-        self._watching = Watching(setup, car, self.perception)
+        self._watching = Watching(plan, car, self.perception)
         self._requests_pending = 0
         self._started_ns = 0
         self._ticks = 0
@@ -108,12 +108,12 @@ class Loop:
     def _is_idle(self, t_ns: int) -> bool:
         """Whether the operator has been silent for so long that another may take over."""
         parked = self.supervisor.state in PARKED
-        patience_s = self.setup.settings.thresholds.lease if parked else _LEASE_KEPT_S
+        patience_s = self.plan.settings.thresholds.lease if parked else _LEASE_KEPT_S
         return leases.lease_age(self.lease, t_ns) > patience_s
 
     def _pass_on(self, before: int) -> None:
         """An operator does not inherit what another tuned; without a deadman there is no holder."""
-        if self.setup.leased and before not in (0, self.lease.holder):
+        if self.plan.run.leased and before not in (0, self.lease.holder):
             self.live = relax(self.live, "another operator: path and gains as designed")
 
     def on_drive(self, command: m.DriveCommand, t_ns: int) -> None:
@@ -134,15 +134,15 @@ class Loop:
         estimate = self.perception.estimate(now_ns)
         speed = best_speed(estimate, self.perception.recent_wheel_speed(now_ns))
         wish, report = self._make_wish(estimate, now_ns)
-        silent = leases.lease_age(self.lease, now_ns) if self.setup.leased else 0.0
+        silent = leases.lease_age(self.lease, now_ns) if self.plan.run.leased else 0.0
         old, lane = self.supervisor.state, judge_both_lanes(report, self.live.now)
         now, findings = self._watching.look(TickInput(
             due_ns, now_ns, flags, old, self._limiter.order, estimate, lane, self.remote, speed,
             silent,
         ))  # fmt: skip
-        settings = self.setup.settings
+        settings = self.plan.settings
         failures = find_failures(
-            self.setup, self.vesc, self.remote, now, findings, flags, estimated=report is not None
+            self.plan, self.vesc, self.remote, now, findings, flags, estimated=report is not None
         )
         failed = next(failures, "")
         bits, text = summarise(findings)
@@ -150,7 +150,7 @@ class Loop:
         vesc = self.vesc
         timeout_ns = 0 if vesc is None or vesc.timeout_ms < 0 else vesc.timeout_ms * 1_000_000
         conditions = Conditions(facts, speed, timeout_ns, text)
-        starts = self.setup.auto_arm and not self.ran
+        starts = self.plan.options.auto_arm and not self.ran
         requests = merge_requests(self._requests_pending, flags, old, starts=starts)
         self.supervisor, action = step_supervisor(self.supervisor, conditions, requests, now_ns)
         self._requests_pending = 0
@@ -184,12 +184,12 @@ class Loop:
             issued=self._issued,
             driving=state in DRIVING,
             stop=state is not SupervisorState.RUNNING,
-            live=self.live.now if self.setup.live else AS_DESIGNED,
+            live=self.live.now if self.plan.live else AS_DESIGNED,
         )
-        if self.setup.remote:
+        if self.plan.remote:
             return self._make_remote_wish(now_ns), report
-        if self.setup.drill is not None:
-            return self._apply_drill(self.setup.drill, wish, now_ns), report
+        if self.plan.drill is not None:
+            return self._apply_drill(self.plan.drill, wish, now_ns), report
         return wish, report
 
     def _apply_drill(self, drill: Drill, lane: Command[float], now_ns: int) -> Command[float]:
@@ -209,10 +209,10 @@ class Loop:
     def _make_facts(
         self, now: WatchdogInput, estimate: StateEstimate | None, failed: str, flags: int
     ) -> int:
-        setup, th, vesc = self.setup, self.setup.settings.thresholds, self.vesc
+        plan, th, vesc = self.plan, self.plan.settings.thresholds, self.vesc
         known = vesc is not None and vesc.expected == 1 and vesc.timeout_ms >= 0
         seen = self.perception.accepted_ns is not None and not flags & Flag.MOCAP_REFUSED
-        over = setup.duration_ns is not None and now.t_ns - self._started_ns >= setup.duration_ns
+        over = plan.duration_ns is not None and now.t_ns - self._started_ns >= plan.duration_ns
         shown = now.telemetry_age <= th.telemetry and now.status & 1 == 1
         return (
             Fact.SLOWING * self._watching.slowing

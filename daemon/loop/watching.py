@@ -12,13 +12,13 @@ from steerd.car_model.params import Car
 from steerd.car_model.state import Command, State
 from steerd.controller.lane_controller import ControlReport
 from steerd.controller.limits import Verdict
+from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.loop import findings as fs
 from steerd.daemon.loop import following
 from steerd.daemon.loop.follow_model import make_follow_model
 from steerd.daemon.loop.lateness import IN_SIMULATION, Lateness, make_lateness_rules, step_lateness
 from steerd.daemon.loop.launch import LaunchInput, LaunchState, make_launch_state, step_launch
 from steerd.daemon.loop.lease import Remote, lease_age, valid_command
-from steerd.daemon.loop.loop_setup import LoopSetup
 from steerd.daemon.loop.orders import Order
 from steerd.daemon.loop.perception import Perception, estimated_state
 from steerd.daemon.loop.transitions import SupervisorState
@@ -52,9 +52,9 @@ class Watching:
         slowing: whether a stop works, by the check of W24.
     """
 
-    def __init__(self, setup: LoopSetup, car: Car[float], perception: Perception) -> None:
-        s = setup.settings
-        self._setup, self._settings, self._car, self._seen = setup, s, car, perception
+    def __init__(self, plan: RunPlan, car: Car[float], perception: Perception) -> None:
+        s = plan.settings
+        self._plan, self._settings, self._car, self._seen = plan, s, car, perception
         self._launch: LaunchState | None = None
         self.launched, self.slowing = False, True
         self._watchdogs = WatchdogState()
@@ -62,7 +62,8 @@ class Watching:
         self._following = following.FollowState()
         self._lateness = Lateness()
         self._not_finite = False
-        self._late_rules = IN_SIMULATION if setup.simulated else make_lateness_rules(s.thresholds)
+        simulated = plan.options.simulated
+        self._late_rules = IN_SIMULATION if simulated else make_lateness_rules(s.thresholds)
 
     def restart_launch(self) -> None:
         """A drive begins or has ended: the next one is launched anew."""
@@ -87,13 +88,13 @@ class Watching:
         if self._not_finite:
             what = "the controller gave a number that is not finite"
             reported.append(fs.make_finding("limiter", what))
-        if running and self._setup.remote:
+        if running and self._plan.remote:
             reported += _find_silence(tick.remote, now_ns)
         seen, limits, brakes = self._seen, self._settings.limits, self._settings.brakes
         s, health = estimated_state(estimate), estimate.health if estimate else None
         v, (e1, e2) = seen.values, (lane.e1, lane.e2) if lane else (nan, nan)
         steer = tick.order.steer
-        if self._setup.ignores_lane:
+        if self._plan.ignores_lane:
             e1 = e2 = 0.0
         now = WatchdogInput(
             t_ns=now_ns,
@@ -128,13 +129,13 @@ class Watching:
         )
         self._watchdogs, found = step_watchdogs(self._settings.thresholds, self._watchdogs, now)
         self.slowing = is_slowing(self._watchdogs)
-        advised = found and self._setup.simulated
+        advised = found and self._plan.options.simulated
         return now, tuple(map(fs.advise_simulation, found)) if advised else found
 
     def _find_late(self, tick: TickInput) -> list[fs.Finding]:
         """W15."""
         self._lateness, late = step_lateness(
-            self._lateness, tick.due_ns, tick.t_ns, self._setup.period_ns, self._late_rules
+            self._lateness, tick.due_ns, tick.t_ns, self._plan.period_ns, self._late_rules
         )
         return [] if late is None else [fs.blame_late(late, tick.flags)]
 

@@ -10,7 +10,7 @@ from steerd.daemon.assembly.session_meta import session_path
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.translate import make_session_error, reading
-from steerd.daemon.ipc.pipe_records import PipeRecord, is_learnt_from, read_message
+from steerd.daemon.ipc.pipe_records import PipeRecord, is_learnt_from
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
 from steerd.daemon.process.children import make_recorder_job
@@ -85,20 +85,15 @@ def _learn_beside(
     """
     if not plan.options.learn:  # a drive without it loads no compiler
         return lambda record: iter((record,))
-    from steerd.controller.build import compute_table
-    from steerd.daemon.learning.feed import Wiring, make_feed, make_record
-    from steerd.daemon.learning.proposing import Proposals
+    from steerd.daemon.process.learner import LearnerLoop
 
-    feed = make_feed(plan.settings.file, Wiring(plan.run.epoch_ns, plan.settings.scaling))
-    numbers = count()
-    if plan.learnt is not None:
-        feed.proposals = Proposals(plan.learnt, compute_table, propose)
+    learner = LearnerLoop(plan, propose)
 
     def take(record: PipeRecord) -> Iterator[PipeRecord]:
         yield record
-        report = feed.take(record.topic, read_message(record)) if is_learnt_from(record) else None
+        report = learner.take(record) if is_learnt_from(record) else None
         if report is not None:
-            yield make_record(report, next(numbers), record.log_time_ns)
+            yield report
 
     return take
 

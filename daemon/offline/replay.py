@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from math import isnan
 from typing import Any
 
-from steerd.daemon.assembly.build import RunId, RunPlan, make_loop_setup, make_plan
+from steerd.daemon.assembly.build import RunId, RunPlan, make_plan
 from steerd.daemon.assembly.session_meta import read_session_car, recorded_path
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import watched
@@ -56,7 +56,7 @@ class Replay:
     """A recorded run going through the loop again; `ticks` counts those that were compared."""
 
     def __init__(self, plan: RunPlan) -> None:
-        self.loop = Loop(make_loop_setup(plan))
+        self.loop = Loop(plan)
         self.ticks = 0
         self._epoch_ns = plan.run.epoch_ns
         seen = self.loop.perception

@@ -8,9 +8,9 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from steerd.daemon.assembly.build import RunPlan, make_core, make_world_config
+from steerd.daemon.assembly.build import RunPlan, make_world_config
 from steerd.daemon.ipc.pipe_records import Sink
-from steerd.daemon.loop.core import Core
+from steerd.daemon.loop.core import Core, make_core
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.mocap_link.natnet_client import NatNetSource, Socket

@@ -13,8 +13,7 @@ import select
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
@@ -29,12 +28,40 @@ _MOST_FDS = 32
 _READ_BYTES = 65536
 
 
-@dataclass
 class Child:
-    """A process and the descriptor on which it reports that it is ready."""
+    """A process of a run: it waits for its job on standard input, and reports once it is ready.
 
-    process: "subprocess.Popen[bytes]"
-    ready_fd: int
+    It runs `module` in a process group of its own, since Ctrl-C is for the terminal. `ready_fd` is
+    where it reports; -1 before it has its job.
+    """
+
+    def __init__(self, module: str) -> None:
+        self.ready_fd = -1
+        self.end, theirs = socket.socketpair()  # the job is handed over on it
+        with theirs:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", module],
+                stdin=theirs.fileno(),
+                process_group=0,
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+            )
+
+    def hand_over(self, fds: Mapping[str, int], about: Mapping[str, Any]) -> "Child":
+        """Give it its job; that it has ended is noticed by its ready descriptor."""
+        self.ready_fd, child_fd = os.pipe()
+        every = {**fds, "ready": child_fd}
+        with self.end, contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            socket.send_fds(self.end, [json.dumps([*every]).encode() + b"\n"], [*every.values()])
+            self.end.sendall(json.dumps(about).encode())
+        os.close(child_fd)
+        return self
+
+    def close(self) -> None:
+        """Kill it if nobody gave it a job: it has not done anything."""
+        if self.ready_fd < 0:
+            self.end.close()
+            self.process.kill()
+            self.process.wait()
 
     def wait_ready(self, name: str) -> dict[str, Any]:
         """What it reports once it is ready.
@@ -59,14 +86,6 @@ class Child:
         return report
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """A process that waits for its job on standard input."""
-
-    process: "subprocess.Popen[bytes]"  # it
-    end: socket.socket  # our end of the socket on which the job is handed over
-
-
 class Job(NamedTuple):
     """What a process is given."""
 
@@ -87,48 +106,6 @@ class Job(NamedTuple):
         else:
             print(f"steerd {Path(sys.argv[0]).stem}: {error.what}", file=sys.stderr)
         return int(error.code)
-
-
-def prepare(module: str) -> Prepared:
-    """Start `python -m module` in a process group of its own: Ctrl-C is for the terminal."""
-    ours, theirs = socket.socketpair()
-    with theirs:
-        process = subprocess.Popen(
-            [sys.executable, "-m", module],
-            stdin=theirs.fileno(),
-            process_group=0,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-        )
-    return Prepared(process, ours)
-
-
-@contextlib.contextmanager
-def prepared(module: str) -> Iterator[Prepared]:
-    """A prepared process, killed at the end if nobody gave it a job: it has not done anything."""
-    waiting = prepare(module)
-    try:
-        yield waiting
-    finally:
-        if waiting.end.fileno() >= 0:
-            waiting.end.close()
-            waiting.process.kill()
-            waiting.process.wait()
-
-
-def hand_over(waiting: Prepared, fds: Mapping[str, int], about: Mapping[str, Any]) -> Child:
-    """Give a prepared process its job; one that has ended is noticed by its ready descriptor."""
-    ready_fd, child_fd = os.pipe()
-    every = {**fds, "ready": child_fd}
-    with waiting.end, contextlib.suppress(BrokenPipeError, ConnectionResetError):
-        socket.send_fds(waiting.end, [json.dumps([*every]).encode() + b"\n"], [*every.values()])
-        waiting.end.sendall(json.dumps(about).encode())
-    os.close(child_fd)
-    return Child(waiting.process, ready_fd)
-
-
-def spawn(module: str, fds: Mapping[str, int], about: Mapping[str, Any]) -> Child:
-    """Start `python -m module` with its job."""
-    return hand_over(prepare(module), fds, about)
 
 
 def receive_job() -> Job | None:

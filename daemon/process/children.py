@@ -15,14 +15,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from steerd.daemon.assembly.build import RunPlan
+from steerd.daemon.assembly.build import RunPlan, make_job
 from steerd.daemon.assembly.session_meta import make_attachments, make_metadata
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import make_pipe
-from steerd.daemon.process.child import CORE, Child, Prepared, hand_over, prepare, spawn
-from steerd.daemon.process.learner_memory import make_learner_job, recall_learnt
-from steerd.daemon.process.view_job import make_page_job, make_view_job
-from steerd.daemon.settings.run_options import RunOptions, encode_options
+from steerd.daemon.process.child import CORE, Child
+from steerd.daemon.process.learner_memory import recall_learnt
+from steerd.daemon.settings.run_options import RunOptions
 
 END_S, VIEWER_END_S = 10.0, 2.0
 """Longest time until a process has ended, before it is killed [s]."""
@@ -79,7 +78,6 @@ class RunProcesses:
     # sockets to the core and from the viewer, `reports` gives the learner's; the page ends when
     # `lifeline` closes
     fds: dict[str, int]
-    session: Path  # file of the recording
     reports: dict[str, dict[str, Any]]  # what each reported when it was ready
 
     def __post_init__(self) -> None:
@@ -123,7 +121,7 @@ def _end(child: Child, seconds: float) -> int:
     return child.process.wait()
 
 
-def start_processes(plan: RunPlan, session: Path, core: Prepared | None = None) -> RunProcesses:
+def start_processes(plan: RunPlan, session: Path, core: Child | None = None) -> RunProcesses:
     """Start recorder, gateway, core and, where they are asked for, viewer, page and learner.
 
     `core` is the control core's process where it was prepared already.
@@ -139,16 +137,16 @@ def start_processes(plan: RunPlan, session: Path, core: Prepared | None = None) 
         # All at once: each takes a second for its imports. What the core writes before the others
         # are ready waits in its pipes.
         job = make_recorder_job(plan, session, memory.metadata)
-        started["recorder"] = spawn(f"{_MODULE}recorder", ends.of["recorder"], job)
-        job = {"options": encode_options(plan.options), "run": plan.run}
-        started["core"] = hand_over(core or prepare(CORE), ends.of["core"], job)
-        started["gateway"] = spawn(f"{_MODULE}gateway", ends.of["gateway"], job)
+        started["recorder"] = Child(f"{_MODULE}recorder").hand_over(ends.of["recorder"], job)
+        job = make_job(plan)
+        started["core"] = (core or Child(CORE)).hand_over(ends.of["core"], job)
+        started["gateway"] = Child(f"{_MODULE}gateway").hand_over(ends.of["gateway"], job)
         if plan.options.view:
-            started["viewer"] = spawn(f"{_MODULE}view", ends.of["view"], make_view_job(plan))
+            started["viewer"] = Child(f"{_MODULE}view").hand_over(ends.of["view"], job)
         for name, child in started.items():
             reports[name] = child.wait_ready(name)
         if plan.options.page is not None:  # the bus is up
-            started["page"] = spawn(f"{_MODULE}page", ends.of["page"], make_page_job(plan))
+            started["page"] = Child(f"{_MODULE}page").hand_over(ends.of["page"], job)
             reports["page"] = started["page"].wait_ready("page")
     except SteerdError:
         ends.close()
@@ -158,10 +156,10 @@ def start_processes(plan: RunPlan, session: Path, core: Prepared | None = None) 
             session.unlink(missing_ok=True)
         raise
     if plan.options.learn:  # nobody waits for it
-        job = make_learner_job(plan, memory)
-        started["learner"] = spawn(f"{_MODULE}learner", ends.of["learner"], job)
+        job |= memory._asdict()
+        started["learner"] = Child(f"{_MODULE}learner").hand_over(ends.of["learner"], job)
     ends.close(keep="terminal")
-    return RunProcesses(started, ends.of["terminal"], session, reports)
+    return RunProcesses(started, ends.of["terminal"], reports)
 
 
 def make_recorder_job(

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from itertools import compress
 from operator import attrgetter
 
-from steerd.daemon.assembly.build import RunId, RunPlan, make_core, make_plan
+from steerd.daemon.assembly.build import RunPlan, read_job
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import PipeRecord, PipeWriter, Sink, is_learnt_from, pack_record
 from steerd.daemon.ipc.signals import (
@@ -19,13 +19,12 @@ from steerd.daemon.ipc.signals import (
     make_stop_signal_pipe,
     wake_at_parents_end,
 )
-from steerd.daemon.loop.core import Core
+from steerd.daemon.loop.core import Core, make_core
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.guard import ProcessGuard
 from steerd.daemon.process.realtime import enter_realtime, settle_memory
 from steerd.daemon.process.runner import CoreLinks, Runner
-from steerd.daemon.settings.run_options import decode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.mocap_link.sockets import MocapReceiver, make_receiver
 from steerd.mocap_link.zenoh_pose import BusPoseSource, make_bus_source
@@ -110,7 +109,7 @@ def make_opener(url: str) -> Callable[[], Port]:
 
 def _run(given: Job) -> Core:
     fds, job = given
-    plan = make_plan(decode_options(job["options"]), real=RunId(*job["run"]))
+    plan = read_job(job, design=True)
     open_again = make_opener(plan.options.port or "")
     mocap = make_mocap(plan)
     pipes = {name: PipeWriter(fds[name]) for name in _TAKES if name in fds}

@@ -25,7 +25,7 @@ from steerd.daemon.process.views import Views
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions, decode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.steer_bus import topics
-from steerd.steer_bus.bus import Bus, BusError, Keep, Subscription, Token
+from steerd.steer_bus.bus import Bus, BusError, Keep, Subscription
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import load_lab
 from steerd.steer_bus.messages import BODY, Actuation, DriveCommand
@@ -56,14 +56,14 @@ class RosBridge:
             if topic.on_bus and topic.direction == "out"
         }
         sent[DRIVE_NAME] = AckermannDriveStamped
-        self._tokens: list[Token] = [bus.declare_alive(make_node_token(domain, bus.zid, node))]
+        bus.declare_alive(make_node_token(domain, bus.zid, node))
         self._keys: dict[str, str] = {}
         for entity, (name, cls) in enumerate(sent.items(), _FIRST_ENTITY):
             topic = topics.make_key(car, name)
             key = self._keys[name] = make_ros_key(domain, topic, cls)
             token = make_publisher_token(domain, bus.zid, entity, node, topic, cls)
             bus.name_publisher(key, make_gid(token))
-            self._tokens.append(bus.declare_alive(token))
+            bus.declare_alive(token)
 
     def publish(self, record: PipeRecord) -> None:
         """Publish one record under its ROS key; an actuation also as a drive command."""
@@ -161,13 +161,11 @@ class Gateway:
         self._plain = [(topics.HEARTBEAT, bus.subscribe(topics.make_key(car, topics.HEARTBEAT)))]
         if pose_key is not None:
             self._plain.append((topics.EXTERNAL_POSE, bus.subscribe(pose_key, _DEPTH)))
-        self._tokens = [bus.declare_alive(topics.make_key(car, topics.ALIVE))]
+        bus.declare_alive(topics.make_key(car, topics.ALIVE))
         schemas = topics.schema_replies(car)
-        self._tokens.append(bus.serve(topics.make_key(car, "schema/**"), schemas.get))
+        bus.serve(topics.make_key(car, "schema/**"), schemas.get)
         self._model: bytes | None = None
-        self._tokens.append(
-            bus.serve(topics.make_key(car, topics.LAST_MODEL), lambda _: self._model)
-        )
+        bus.serve(topics.make_key(car, topics.LAST_MODEL), lambda _: self._model)
 
     def publish(self, records: Iterable[PipeRecord]) -> None:
         """Publish records, each with its standard ROS message."""

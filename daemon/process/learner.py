@@ -7,57 +7,57 @@ without it goes on.
 # Why: docs/decisions/processes-and-time.md#d79
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 from steerd.controller.build import compute_table
-from steerd.daemon.assembly.build import RunId, make_plan
+from steerd.daemon.assembly.build import RunPlan, read_job
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.written import write_output, write_whole
-from steerd.daemon.ipc.pipe_records import Gaps, PipeReader, PipeRecord, PipeWriter, pack_record
+from steerd.daemon.ipc.pipe_records import (
+    Gaps,
+    PipeReader,
+    PipeRecord,
+    PipeWriter,
+    pack_record,
+    read_message,
+)
 from steerd.daemon.ipc.requests import make_sender
-from steerd.daemon.learning.feed import Feed, Wiring, make_feed, make_record, read_memory
+from steerd.daemon.learning.feed import Wiring, make_feed, make_record, read_memory
 from steerd.daemon.learning.kept import About, Keeper
 from steerd.daemon.learning.proposing import Proposals
 from steerd.daemon.process.child import Job, run_process
-from steerd.daemon.settings.run_options import decode_options
-from steerd.steer_bus import messages as m
-from steerd.steer_bus.codec import CodecError, decode
+from steerd.steer_bus.codec import CodecError
 
 
 class LearnerLoop:
-    """Records in, reports out; the keeper writes what is learnt beside the car file."""
+    """A run's records in, a report a second out; designs of `--adapt` go to `propose`, with when.
+
+    Raises:
+        ValueError: the car file holds what identify does not write.
+    """
 
     def __init__(
-        self, feed: Feed, outputs: Sequence[PipeWriter], keeper: Keeper | None = None
+        self, plan: RunPlan, propose: Callable[[bytes, int], object], memory: str = ""
     ) -> None:
-        self.feed = feed
-        self.outputs = outputs
-        self.keeper = keeper
-        self.reports = 0
-        self._gaps = Gaps()
+        wiring = Wiring(plan.run.epoch_ns, plan.settings.scaling)
+        self.feed = make_feed(plan.settings.file, wiring, read_memory(memory))
+        if plan.learnt is not None:
+            self.feed.proposals = Proposals(plan.learnt, compute_table, propose)
+        self._gaps, self._numbers = Gaps(), count()
 
-    def take(self, records: Iterable[PipeRecord]) -> None:
-        """Take in records; one that does not decode is as good as dropped."""
-        for record in records:
-            self._gaps.take(record)
-            self.feed.dropped = self._gaps.missed
-            try:
-                message = decode(record.topic.message, record.data)
-            except CodecError:
-                continue
-            report = self.feed.take(record.topic, message)
-            if report is not None:
-                self._send(report, record.log_time_ns)
-                if self.keeper is not None:
-                    self.keeper.take(report)
-
-    def _send(self, report: m.Model, log_time_ns: int) -> None:
-        packed = pack_record(make_record(report, self.reports, log_time_ns))
-        self.reports += 1
-        for output in self.outputs:
-            output.write([packed], report.mono_ns)
+    def take(self, record: PipeRecord) -> PipeRecord | None:
+        """The report that a record completes; one that does not decode is as good as dropped."""
+        self._gaps.take(record)
+        self.feed.dropped = self._gaps.missed
+        try:
+            message = read_message(record)
+        except CodecError:
+            return None
+        report = self.feed.take(record.topic, message)
+        return make_record(report, next(self._numbers), record.log_time_ns) if report else None
 
 
 def make_keeper(job: Mapping[str, Any]) -> Keeper | None:
@@ -89,24 +89,24 @@ def serve(given: Job) -> int:
     """
     given.say_ready()  # nobody waits for it
     job, fds = given.about, given.fds
-    options = decode_options(job["options"])
-    plan = make_plan(options, design=options.adapt, real=RunId(*job["run"]))
+    plan = read_job(job)
     if plan.settings.file.remark:
         print(f"steerd learner: {plan.settings.file.remark}", file=sys.stderr)
+    send = make_sender(fds["designs"]) if "designs" in fds else lambda data: None
     try:
-        wiring = Wiring(plan.run.epoch_ns, plan.settings.scaling)
-        feed = make_feed(plan.settings.file, wiring, read_memory(job["memory"]))
+        loop = LearnerLoop(plan, lambda data, _t_ns: send(data), job["memory"])
     except ValueError as error:
         raise SteerdError(str(error)) from None
-    if plan.learnt is not None:
-        send = make_sender(fds["designs"])
-        feed.proposals = Proposals(plan.learnt, compute_table, lambda data, _t_ns: send(data))
     outputs = [PipeWriter(fd) for name, fd in fds.items() if name.startswith("to_")]
-    loop, records = LearnerLoop(feed, outputs, make_keeper(job)), PipeReader(fds["pipe"])
+    keeper, records = make_keeper(job), PipeReader(fds["pipe"])
     while records.wait():
-        loop.take(records.take())
-    if loop.keeper is not None:
-        loop.keeper.end()
+        for report in filter(None, map(loop.take, records.take())):
+            for output in outputs:
+                output.write([pack_record(report)], report.message.mono_ns)
+            if keeper is not None:
+                keeper.take(report.message)
+    if keeper is not None:
+        keeper.end()
     return 0
 
 

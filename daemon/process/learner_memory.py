@@ -1,20 +1,17 @@
-"""The learner's job: the car, and what an earlier run's learner kept, found and checked before."""
+"""What an earlier run's learner kept of the car: found and checked before the learner begins."""
 
 # Why: docs/decisions/diagnosis.md#d87
 
 import hashlib
 import sys
-from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from steerd.car_model.car_file import default_car_path
 from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.assembly.session_meta import data_folder
 from steerd.daemon.common.screen import print_labelled
 from steerd.daemon.learning import kept
-from steerd.daemon.settings.run_options import encode_options
 from steerd.version import VERSION
 
 
@@ -26,7 +23,7 @@ class LearnerMemory(NamedTuple):
     memory: str = ""  # JSON of what it begins with, empty for the car file alone
     # Whether a page is there that cannot be used; it is not overwritten but moved aside
     refused: bool = False
-    metadata: Mapping[str, dict[str, str]] = MappingProxyType({})  # what the session says of it
+    metadata: dict[str, dict[str, str]] = {}  # what the session says of it  # noqa: RUF012
 
 
 def learnt_page(plan: RunPlan) -> Path:
@@ -57,12 +54,3 @@ def recall_learnt(plan: RunPlan, session: Path, now_ns: int) -> LearnerMemory:
         return LearnerMemory(str(page), about, refused=True)
     metadata = {"file": page.name, "sha256": hashlib.sha256(data).hexdigest(), "memory": memory}
     return LearnerMemory(str(page), about, memory, metadata={kept.METADATA: metadata})
-
-
-_NO_MEMORY = LearnerMemory()
-
-
-def make_learner_job(plan: RunPlan, memory: LearnerMemory = _NO_MEMORY) -> dict[str, Any]:
-    """What the learner makes its plan of, and its memory."""
-    about = memory._asdict() | {"metadata": {}}
-    return about | {"options": encode_options(plan.options), "run": plan.run}

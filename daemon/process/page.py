@@ -9,11 +9,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from steerd.daemon.assembly.build import RunPlan, read_job
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.process.bus_operator import BusOperator
 from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.page_link import CarView, make_page_operator, pass_on
 from steerd.daemon.process.secret_server import ConnectionClosed, SecretServer, ServerConnection
+from steerd.daemon.process.view_job import draw_plan
 from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
@@ -30,10 +32,9 @@ _NICE = 5
 _TEMPLATE = Path(__file__).parent / "live_page" / "live.html"
 
 
-def make_page(job: Mapping[str, Any]) -> str:
-    """The page: its style, its script and what it draws the car on."""
-    shown = {name: job[name] for name in ("car", "lane", "closed", "half_width", "body")}
-    return render_page(_TEMPLATE, job=shown)
+def make_page(car: str, drawn: Mapping[str, Any]) -> str:
+    """The page: its style, its script and what it draws the car on (`view_job.draw_lane`)."""
+    return render_page(_TEMPLATE, job={"car": car, **drawn})
 
 
 class PageTalk:
@@ -97,14 +98,13 @@ async def run_page(
         await server.wait_closed()
 
 
-async def _serve(given: Job) -> None:
-    ended, job = asyncio.Event(), given.about
+async def _serve(given: Job, plan: RunPlan) -> None:
+    ended, options = asyncio.Event(), plan.options
     asyncio.get_running_loop().add_reader(given.fds["lifeline"], ended.set)
-    with ZenohBus(Profile(False, job["endpoint"])) as bus:
-        view = CarView(bus, job["car"], MonotonicClock())
-        await run_page(
-            view, make_page(job), job["port"], lambda url: given.say_ready(url=url), ended
-        )
+    page = make_page(options.car, draw_plan(plan))
+    with ZenohBus(Profile(False, options.listen)) as bus:
+        view = CarView(bus, options.car, MonotonicClock())
+        await run_page(view, page, options.page or 0, lambda url: given.say_ready(url=url), ended)
 
 
 def serve(given: Job) -> int:
@@ -113,10 +113,11 @@ def serve(given: Job) -> int:
     Raises:
         SteerdError: its port is taken, or it cannot reach the car.
     """
+    plan = read_job(given.about)
     try:
-        asyncio.run(_serve(given))
+        asyncio.run(_serve(given, plan))
     except (BusError, OSError) as error:
-        what = f"--page {given.about['port']}: {error}"
+        what = f"--page {plan.options.page}: {error}"
         raise SteerdError(what, "--page with another port", ExitCode.UNREACHABLE) from None
     return 0
 

@@ -95,12 +95,12 @@ class Runner:
         self._designs = links.designs
         self._guard = guard
         self._port: Port | None = None
-        self._period_ns = core.loop.setup.period_ns
+        self._period_ns = core.loop.plan.period_ns
         self._reopen_ns = self._mocap_ns = self._clock_ns = 0
         self._clogged = 0
         self._pose_ns = -1
         self._slept_ns, self._stolen_ns = sleep_lag_ns(), read_steal_ns()
-        self._path = RemotePath(core.loop.setup.boot_id)
+        self._path = RemotePath(core.loop.plan.run.boot_id)
         self._leave_ns: int | None = None
         self.signals = 0
         self.error: PortError | None = None
@@ -137,9 +137,10 @@ class Runner:
         guardian then brakes a car that moves.
         """
         loop = self._core.loop
-        planned = loop.setup.duration_ns is not None and loop.ran
+        planned = loop.plan.duration_ns is not None and loop.ran
         # Nobody stands by to restart a drive by itself, and a process that is lost stays lost.
-        lost = loop.setup.auto_arm and self._core.flags & (Flag.RECORDER_LOST | Flag.GATEWAY_LOST)
+        alone = loop.plan.options.auto_arm
+        lost = alone and self._core.flags & (Flag.RECORDER_LOST | Flag.GATEWAY_LOST)
         over = self.signals > 0 or planned or bool(lost)
         late = self._leave_ns is not None and self._clock.now_ns() >= self._leave_ns
         return late or self.signals >= LEAVE_SIGNALS or (over and loop.at_rest)
@@ -251,7 +252,7 @@ class Runner:
             pause = find_pause(self._guard.page, now)
             self._core.flags |= find_cause((now - late_ns, now), stolen_ns, pause)
         lag = sleep_lag_ns()
-        if lag - self._slept_ns > self._core.loop.setup.settings.thresholds.suspend_step * 1e9:
+        if lag - self._slept_ns > self._core.loop.plan.settings.thresholds.suspend_step * 1e9:
             self._core.flags |= Flag.SUSPENDED
         self._slept_ns = lag
         if self.signals:
@@ -288,7 +289,7 @@ class Runner:
         self._core.outbox.post(topics.CLOCK, ClockSample(header, realtime, now_ns, 0), now_ns)
 
     def _watch_processes(self, now_ns: int) -> None:
-        links, core, settings = self._links, self._core, self._core.loop.setup.settings
+        links, core, settings = self._links, self._core, self._core.loop.plan.settings
         th = settings.thresholds
         if settings.record.required and _is_lost(links.recorder, th.recorder_full, now_ns):
             core.flags |= Flag.RECORDER_LOST
@@ -302,9 +303,9 @@ class Runner:
     def _is_cut_off(self, now_ns: int) -> bool:
         """Whether a stop from the bus would not arrive (W27); simulated cars stand in no lane."""
         loop = self._core.loop
-        th, setup = loop.setup.settings.thresholds, loop.setup
-        held = setup.leased and lease_age(loop.lease, now_ns) <= th.lease
-        return self._path.is_silent(held, th.gateway_full, now_ns) and not setup.simulated
+        th, plan = loop.plan.settings.thresholds, loop.plan
+        held = plan.run.leased and lease_age(loop.lease, now_ns) <= th.lease
+        return self._path.is_silent(held, th.gateway_full, now_ns) and not plan.options.simulated
 
     def _hold(self, flag: int, lost: bool) -> None:
         """Raise a flag; it goes only when nothing is lost and no motor bytes may flow."""
@@ -369,7 +370,7 @@ class Runner:
         Raises:
             LinkDown: the device is gone.
         """
-        th = self._core.loop.setup.settings.thresholds
+        th = self._core.loop.plan.settings.thresholds
         waits = engaged and port.out_queue() > th.out_queue
         self._clogged = self._clogged + 1 if waits else 0
         return self._clogged >= th.out_ticks

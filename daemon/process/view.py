@@ -13,12 +13,14 @@ import sys
 
 from foxglove.messages import FrameTransforms, SceneUpdate  # noqa: TID251
 
+from steerd.daemon.assembly.build import RunPlan, read_job
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import Gaps, PipeReader, PipeRecord
 from steerd.daemon.ipc.requests import make_sender
 from steerd.daemon.process import view_scene as scene
 from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.secret_server import SecretServer
+from steerd.daemon.process.view_job import draw_plan, parse_view
 from steerd.daemon.process.view_server import (
     PROTOCOLS,
     WORDS_MAX,
@@ -32,6 +34,7 @@ from steerd.steer_bus.codec import decode
 from steerd.steer_bus.fields import schema_text, type_name
 from steerd.steer_bus.messages import Model, Parameters, StateMessage
 from steerd.steer_bus.topics import TOPICS, make_session_topic
+from steerd.toml_text import parse_toml
 
 TRANSFORMS = "/tf"
 SCENE = "/scene"
@@ -92,21 +95,28 @@ def make_channels(car: str) -> list[Channel]:
     return [dict(zip(names, values, strict=True)) for values in shown]
 
 
-async def run_viewer(given: Job) -> int:
+def list_values(plan: RunPlan) -> dict[str, float | str]:
+    """What a client may read of a run and its car, by flat names."""
+    options, file = plan.options, plan.settings.file
+    run = {"path": options.path, "speed": options.speed, "rate_hz": options.rate_hz}
+    values = {"run": run, "car": file.car._asdict(), "file": parse_toml(file.text)}
+    return scene.make_parameters(values)
+
+
+async def run_viewer(given: Job, plan: RunPlan) -> int:
     """Show what comes until the pipe closes; how many messages it had no room for.
 
     Raises:
         OSError: the address is taken or no address of this machine.
     """
-    job, records = given.about, PipeReader(given.fds["pipe"])
-    car = job["car"]
-    lane = scene.make_lane_scene(job["lane"], job["half_width"], closed=job["closed"])
+    records, car, drawn = PipeReader(given.fds["pipe"]), plan.options.car, draw_plan(plan)
+    lane = scene.make_lane_scene(drawn["lane"], drawn["half_width"], closed=drawn["closed"])
     asks = make_sender(given.fds["requests"]) if "requests" in given.fds else None
-    known = ViewParameters(scene.make_parameters(job["parameters"]), asks)
-    shown = ViewServer(f"steerd {car}", make_channels(car), known)
-    viewer = Viewer(car, scene.Body(**job["body"]), lane, shown)
-    secret = SecretServer(job["host"], shown.talk)
-    server = await secret.open(job["port"], WORDS_MAX, PROTOCOLS)
+    shown = ViewServer(f"steerd {car}", make_channels(car), ViewParameters(list_values(plan), asks))
+    viewer = Viewer(car, scene.Body(**drawn["body"]), lane, shown)
+    host, port = parse_view(plan.options.view, plan.options.insecure_lan)
+    secret = SecretServer(host, shown.talk)
+    server = await secret.open(port, WORDS_MAX, PROTOCOLS)
     given.say_ready(url=secret.url)
     ended = asyncio.Event()
 
@@ -130,11 +140,12 @@ def serve(given: Job) -> int:
     Raises:
         SteerdError: its address cannot be used.
     """
+    plan = read_job(given.about)
     try:
-        missed = asyncio.run(run_viewer(given))
+        missed = asyncio.run(run_viewer(given, plan))
     except OSError as error:
-        where = f"{given.about['host']}:{given.about['port']}"
-        raise SteerdError(f"--view {where}: {error}", "", ExitCode.UNREADABLE) from None
+        what = f"--view {plan.options.view}: {error}"
+        raise SteerdError(what, "", ExitCode.UNREADABLE) from None
     if missed:
         print(f"note: {missed} messages did not reach the viewer", file=sys.stderr)
     return 0

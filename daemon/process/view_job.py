@@ -1,4 +1,4 @@
-"""Jobs of the processes that show a car, live page and viewer: where, its lane, its body."""
+"""What live page and viewer show of a car before it drives: its lane, its body; and where."""
 
 import ipaddress
 from importlib.util import find_spec
@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.settings.thresholds import Thresholds
-from steerd.toml_text import parse_toml
 
 if TYPE_CHECKING:
     from steerd.car_model.path.path import Path
@@ -17,11 +16,9 @@ LANE_STEP = 0.05
 """Distance between drawn points of a lane [m]."""
 
 
-def make_page_job(plan: "RunPlan") -> dict[str, Any]:
-    """The job as JSON values."""
-    options, settings = plan.options, plan.settings
-    where = {"endpoint": options.listen, "car": options.car, "port": options.page}
-    return where | draw_lane(plan.path, settings.thresholds.lateral, settings.file.car)
+def draw_plan(plan: "RunPlan") -> dict[str, Any]:
+    """What is drawn of a run."""
+    return draw_lane(plan.path, plan.settings.thresholds.lateral, plan.settings.file.car)
 
 
 def make_lane_job(spec: str | None) -> dict[str, Any]:
@@ -91,25 +88,3 @@ def check_view(text: str, insecure_lan: bool, *, sets: bool = False) -> None:
     if find_spec("foxglove") is None:
         hint = "pip install 'foxglove-sdk>=0.30' (or `pip install -e '.[view]'` in the checkout)"
         raise SteerdError("--view needs the package foxglove-sdk", hint, ExitCode.UNREADABLE)
-
-
-def make_view_job(plan: "RunPlan") -> dict[str, Any]:
-    """The viewer's job as JSON values.
-
-    Raises:
-        SteerdError: the address is invalid.
-    """
-    host, port = parse_view(plan.options.view, plan.options.insecure_lan)
-    settings = plan.settings
-    run = {"path": plan.options.path, "speed": plan.options.speed, "rate_hz": plan.options.rate_hz}
-    return {
-        "host": host,
-        "port": port,
-        "car": plan.options.car,
-        **draw_lane(plan.path, settings.thresholds.lateral, settings.file.car),
-        "parameters": {
-            "run": run,
-            "car": settings.file.car._asdict(),
-            "file": parse_toml(settings.file.text),
-        },
-    }

@@ -49,6 +49,13 @@ def make_pose_stamped(pose: m.MocapPose) -> ros.PoseStamped:
     return ros.PoseStamped(pose.header, _pose(pose.x, pose.y, pose.yaw))
 
 
+_UNASKED = dict.fromkeys((
+    "charge_drawn", "charge_regen", "energy_drawn", "energy_regen", "pid_pos_now",
+    "controller_id", "ntc_temp_mos1", "ntc_temp_mos2", "ntc_temp_mos3",
+), 0)  # fmt: skip
+"""What the daemon does not ask a VESC for."""
+
+
 def make_vesc_state(vesc: m.VescTelemetry) -> ros.VescStateStamped:
     """Telemetry as `vesc_msgs/VescStateStamped` (`speed` is ERPM there)."""
     state = ros.VescState(
@@ -61,20 +68,12 @@ def make_vesc_state(vesc: m.VescTelemetry) -> ros.VescStateStamped:
         duty_cycle=vesc.duty,
         speed=float(vesc.erpm),
         voltage_input=vesc.v_in,
-        charge_drawn=0.0,
-        charge_regen=0.0,
-        energy_drawn=0.0,
-        energy_regen=0.0,
         displacement=vesc.tachometer,
         distance_traveled=vesc.tachometer_abs,
         fault_code=max(vesc.fault_code, 0),
-        pid_pos_now=0.0,
-        controller_id=0,
-        ntc_temp_mos1=0.0,
-        ntc_temp_mos2=0.0,
-        ntc_temp_mos3=0.0,
         avg_vd=vesc.vd,
         avg_vq=vesc.vq,
+        **_UNASKED,
     )
     return ros.VescStateStamped(vesc.header, state)
 

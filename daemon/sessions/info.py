@@ -92,7 +92,7 @@ def load_session(path: Path) -> Session:
     with reading(path):
         session = session_read.open_session(path)
     if not session.info().count and not session.info().metadata:
-        why = session.warnings[0].message if session.warnings else "no messages"
+        why = next(iter(session.info().warnings), "no messages")
         raise SteerdError(f"{path} holds no session ({why})", "", ExitCode.INVALID)
     return session
 
@@ -229,7 +229,7 @@ def make_session_report(read: Recording) -> SessionReport:
             lateral_accel=lateral_range,
             excitation=_find_unidentifiable(track, speed_range, steer_range, lateral_range),
             warnings=(
-                *(warning.message for warning in info.warnings),
+                *info.warnings,
                 *filter(None, [dropped]),
                 *read.problems,
                 *motion.find_implausible(track, steer, wheel, gyro),

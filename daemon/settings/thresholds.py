@@ -139,5 +139,6 @@ BOUNDS: Mapping[str, Bound] = {
 }
 """Ranges and units as the annotations of `Thresholds` state them."""
 LAUNCH_SPEED = 0.5  # until the launch checks have passed [m/s]
+LAUNCH_DISTANCE = 0.5  # by the wheels, until they do [m]
 SOFT_DECEL = 1.5  # slope of the speed cap while stopping [m/s^2]
 LAUNCH_RATIO = 0.7, 1.4  # mocap's distance over the wheels' that the launch check lets pass

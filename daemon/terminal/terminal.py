@@ -16,7 +16,7 @@ from steerd.daemon.common.screen import raw
 from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.ipc.pipe_records import PipeReader
 from steerd.daemon.ipc.requests import SETTING_MAX, pack_request, parse_setting
-from steerd.daemon.ipc.signals import block_stop_signals, make_stop_signal_pipe
+from steerd.daemon.ipc.signals import make_stop_signal_pipe
 from steerd.daemon.process.children import RunProcesses
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.daemon.terminal.key_desk import KEY_HELP, NUDGE_HELP, KeyDesk, keys_one_by_one
@@ -46,7 +46,6 @@ class Terminal:
     def run(self) -> None:
         """Show records and pass on keys and signals until the core has ended."""
         console = Console(file=raw(sys.stderr))
-        block_stop_signals()
         signals = make_stop_signal_pipe()
         with keys_one_by_one() as keys:
             self._board.keys = f"{KEY_HELP}  [q]uit\n{NUDGE_HELP}" if keys is not None else ""

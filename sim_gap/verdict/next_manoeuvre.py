@@ -74,8 +74,8 @@ MENU: Mapping[str, _Drive] = {
         lambda t: (0.14 + 0.1 * np.sin(2.0 * np.pi * (0.3 + 0.2 * t) * t), 2.0 + 0.0 * t),
     ),
 }
-"""Within the limits that a car file has at first: 3 m/s^2 sideways. `daemon/loop/plans.py` drives
-the plans; a test holds both together."""
+"""Within the limits that a car file has at first: 3 m/s^2 sideways. The plans are driven by
+`daemon/assembly/plans.py`; a test holds both together."""
 
 
 def _drive(predictor: Predictor, fitted: Point, name: str) -> Run:

@@ -5,15 +5,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from steerd.mocap_link.frame import FrameConfig, Quat, Vec3, make_body_pose
+from steerd.mocap_link.frame import FrameConfig, Quat, make_body_pose
+from steerd.mocap_link.source import Pose
 from steerd.sim_hw.plant.car import SimCar
 from steerd.sim_hw.plant.faults import HEALTHY_MOCAP, MocapFaultState
 from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.steer_bus.quick_values import changed, quick_value
-
-MULTICAST, TO_COMMAND, TO_DATA = "multicast", "command", "data"
-"""Where NatNet frames go: the group, or a unicast client's command or data socket."""
-
 
 Planar = tuple[float, float, float]  # x, y, yaw of a true or seen pose in the world [m, m, rad]
 
@@ -50,24 +47,11 @@ class MocapConfig:
     jitter_ns: int = 120_000  # standard deviation of the transmit time
     network_ns: int = 100_000  # from transmit to arrival
     version: tuple[int, int] = (4, 1)  # NatNet bitstream
-    transport: str = TO_COMMAND  # `MULTICAST`, `TO_COMMAND` or `TO_DATA`
+    multicast: bool = False  # NatNet frames go to the group, not to each client
     clock_hz: int = 10_000_000  # ticks per second of the server's clock (not 1e7 by law)
     epoch_ticks: int = 81_234_567_890  # its reading at the simulation's start
     skew_ppm: float = 15.0  # how fast it runs
     keepalive_ns: int = 10_000_000_000  # silence after which a unicast client is dropped
-
-    def __post_init__(self) -> None:
-        """Refuse what no server can be.
-
-        Raises:
-            ValueError: an unknown kind or transport, or a rate of zero.
-        """
-        if self.kind not in ("natnet", "vrpn"):
-            raise ValueError(f"mocap kind {self.kind!r}: expected natnet or vrpn")
-        if self.transport not in (MULTICAST, TO_COMMAND, TO_DATA):
-            raise ValueError(f"transport {self.transport!r}: expected multicast, command or data")
-        if self.rate_hz < 1 or self.clock_hz < 1:
-            raise ValueError("rate_hz and clock_hz must be at least 1")
 
 
 _NS = 1_000_000_000
@@ -75,24 +59,12 @@ _IMPOSTOR = (1.5, -1.0, 0.3)  # where the other thing stands when the room has n
 
 
 @quick_value
-class BodyPose:
-    """A tracked body in vendor axes and units; quaternion (w, x, y, z)."""
-
-    name: str
-    id: int
-    position: Vec3
-    quaternion: Quat
-    mean_error: float
-    valid: bool
-
-
-@quick_value
 class Capture:
-    """One exposure."""
+    """One exposure; bodies as a client will read them, but for their times."""
 
     number: int
     t_ns: int
-    bodies: tuple[BodyPose, ...]
+    bodies: tuple[Pose, ...]
 
 
 class Cameras:
@@ -106,11 +78,12 @@ class Cameras:
         self._t_start_ns = t_start_ns
         self._exposures = 0
         self._number = 0
-        self._last: BodyPose | None = None
+        self._last: Pose | None = None
 
-    def restart(self) -> None:
-        """The server's frame numbers begin again."""
-        self._number = 0
+    def set_fault_state(self, faults: MocapFaultState) -> None:
+        """Be in this condition; with a server that restarts, frame numbers begin again."""
+        self._number = 0 if faults.restart and not self.fault_state.restart else self._number
+        self.fault_state = faults
 
     def captures(self, car: SimCar) -> Iterator[Capture]:
         """Exposures up to the car's time that are to be sent."""
@@ -122,7 +95,7 @@ class Cameras:
                 self._number += 1
                 yield Capture(self._number, t_ns, self._bodies(car, t_ns))
 
-    def _bodies(self, car: SimCar, t_ns: int) -> tuple[BodyPose, ...]:
+    def _bodies(self, car: SimCar, t_ns: int) -> tuple[Pose, ...]:
         config, faults = self._config, self.fault_state
         seen = car.observe_pose(t_ns)
         true = seen.x, seen.y, seen.yaw
@@ -133,7 +106,7 @@ class Cameras:
         if faults.swap and others:
             others[0] = others[0]._replace(pose=true)
         bodies = [] if faults.absent else [self._own(own)]
-        return (*bodies, *(self._body(*other) for other in others))
+        return (*bodies, *(self._body(other.name, other.pose) for other in others))
 
     def _displace(self, pose: Planar, t_ns: int) -> Planar:
         """Faults of the tracked place and heading."""
@@ -144,23 +117,23 @@ class Cameras:
         flipped = faults.flip == "always" or (faults.flip == "alternate" and self._number % 2)
         return pose[0] + shift, pose[1], pose[2] + (math.pi if flipped else 0.0)
 
-    def _own(self, pose: Planar) -> BodyPose:
+    def _own(self, pose: Planar) -> Pose:
         """The car's body, with faults of the pose itself."""
         faults, last = self.fault_state, self._last
         if last is not None and (faults.frozen or faults.invalid):
-            return changed(last, valid=not faults.invalid)
-        body = self._body(self._config.body, self._config.body_id, pose)
+            return changed(last, tracking_valid=not faults.invalid)
+        body = self._body(self._config.body, pose)
         self._last = body
         if faults.invalid:
-            body = changed(body, valid=False)
+            body = changed(body, tracking_valid=False)
         if faults.mean_error:
-            body = changed(body, mean_error=body.mean_error + faults.mean_error)
+            body = changed(body, mean_error=self._config.mean_error + faults.mean_error)
         if faults.negative and self._number % 2:
             w, x, y, z = body.quaternion
             body = changed(body, quaternion=(-w, -x, -y, -z))
         return _garble(body, faults.garble) if faults.garble else body
 
-    def _body(self, name: str, body_id: int, pose: Planar) -> BodyPose:
+    def _body(self, name: str, pose: Planar) -> Pose:
         config, noise = self._config, self._noise
         sd = config.position_noise
         x, y, yaw, height = noise.normals(4)
@@ -173,7 +146,7 @@ class Cameras:
         scale = self.fault_state.scale
         if scale != 1.0:
             position = (scale * position[0], scale * position[1], scale * position[2])
-        return BodyPose(name, body_id, position, quaternion, config.mean_error, True)
+        return Pose(name, None, None, None, 0, position, quaternion, config.mean_error)
 
 
 def _tilt(q: Quat, a: float, b: float, up: str) -> Quat:
@@ -189,9 +162,7 @@ def _tilt(q: Quat, a: float, b: float, up: str) -> Quat:
     )
 
 
-def _garble(body: BodyPose, how: str) -> BodyPose:
+def _garble(body: Pose, how: str) -> Pose:
     """A pose that is none."""
-    if how == "nan":
-        nan = math.nan
-        return changed(body, position=(nan, nan, nan), quaternion=(nan, nan, nan, nan))
-    return changed(body, position=(0.0, 0.0, 0.0), quaternion=(0.0, 0.0, 0.0, 0.0))
+    number = math.nan if how == "nan" else 0.0
+    return changed(body, position=(number,) * 3, quaternion=(number,) * 4)

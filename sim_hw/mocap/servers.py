@@ -4,10 +4,12 @@ The wires are `mocap_link`'s.
 """
 
 from steerd.mocap_link import natnet, natnet_frame, vrpn
+from steerd.mocap_link.frame import Quat, Vec3
 from steerd.mocap_link.natnet_wire import F32, NatNetError
+from steerd.mocap_link.source import Pose
 from steerd.mocap_link.vrpn import VrpnError
 from steerd.sim_hw.mocap import network as net
-from steerd.sim_hw.mocap.cameras import MULTICAST, TO_DATA, BodyPose, Capture, MocapConfig
+from steerd.sim_hw.mocap.cameras import Capture, MocapConfig
 from steerd.sim_hw.plant.faults import HEALTHY_MOCAP, MocapFaultState
 from steerd.sim_hw.plant.noise import NoiseSource
 from steerd.steer_bus.quick_values import changed
@@ -18,39 +20,50 @@ _ANSWER_NS = 150_000
 _ANOTHER = natnet.RigidBodyDesc("newcomer", 9)  # enters the model list when it changes
 
 
-class NatNetServer:
+class _Server:
+    """What both servers have: a condition, and a clock of ``hz`` ticks that runs a little fast."""
+
+    def __init__(
+        self, config: MocapConfig, network: net.Network, noise: NoiseSource, t_ns: int, hz: int
+    ) -> None:
+        self.config, self._network, self._noise = config, network, noise
+        self.fault_state: MocapFaultState = HEALTHY_MOCAP  # what is wrong with it
+        self._hz, self._epoch_ns, self._epoch_ticks = hz, t_ns, config.epoch_ticks
+
+    def set_fault_state(self, t_ns: int, faults: MocapFaultState) -> None:
+        """From ``t_ns`` on, be in this condition."""
+        before, self.fault_state = self.fault_state, faults
+        if faults.restart and not before.restart:
+            self._epoch_ns, self._epoch_ticks = t_ns, self._hz  # up for one second
+
+    def ticks(self, t_ns: int) -> int:
+        """The server's clock."""
+        elapsed = t_ns - self._epoch_ns + self.fault_state.clock_step_ns
+        skew = int(elapsed * self.config.skew_ppm * 1e-6 * self._hz / _NS)
+        return self._epoch_ticks + elapsed * self._hz // _NS + skew
+
+
+class NatNetServer(_Server):
     """One server. `on_message` takes datagrams of the command socket, `publish` sends frames."""
 
     def __init__(
         self, config: MocapConfig, network: net.Network, noise: NoiseSource, t_ns: int
     ) -> None:
-        self.config = config
-        self.fault_state: MocapFaultState = HEALTHY_MOCAP  # what is wrong with it
+        super().__init__(config, network, noise, t_ns, config.clock_hz)
         # Sent to clients in SERVERINFO; `links` sets the one it really uses
         self.data_port = natnet.DATA_PORT
-        self._network = network
-        self._noise = noise
-        self._epoch_ns = t_ns
-        self._epoch_ticks = config.epoch_ticks
+        self._ids = {config.body: config.body_id} | {b.name: b.id for b in config.bystanders}
         self._clients: dict[net.Peer, int] = {}
         self._model_flag = False
         self._grown = False
 
     def set_fault_state(self, t_ns: int, faults: MocapFaultState) -> None:
         """From ``t_ns`` on, be in this condition."""
-        before, self.fault_state = self.fault_state, faults
-        if faults.restart and not before.restart:
-            self._epoch_ns, self._epoch_ticks = t_ns, self.config.clock_hz  # up for one second
+        if faults.restart and not self.fault_state.restart:
             self._clients.clear()
-        if faults.model_changed and not before.model_changed:
+        if faults.model_changed and not self.fault_state.model_changed:
             self._model_flag = self._grown = True
-
-    def ticks(self, t_ns: int) -> int:
-        """The server's clock."""
-        elapsed = t_ns - self._epoch_ns + self.fault_state.clock_step_ns
-        hz = self.config.clock_hz
-        skew = int(elapsed * self.config.skew_ppm * 1e-6 * hz / _NS)
-        return self._epoch_ticks + elapsed * hz // _NS + skew
+        super().set_fault_state(t_ns, faults)
 
     # --- session
 
@@ -86,16 +99,12 @@ class NatNetServer:
 
     def _info(self) -> natnet.ServerInfo:
         config = self.config
-        version, group = (*config.version, 0, 0), config.transport == MULTICAST
-        return natnet.ServerInfo(
-            "steerd simulated Motive", _APP_VERSION, version, config.clock_hz, self.data_port, group
-        )
+        about = (*config.version, 0, 0), config.clock_hz, self.data_port, config.multicast
+        return natnet.ServerInfo("steerd simulated Motive", _APP_VERSION, *about)
 
     def _model(self) -> natnet.ModelDef:
-        config = self.config
-        bodies = [natnet.RigidBodyDesc(b.name, b.id) for b in config.bystanders]
-        own = natnet.RigidBodyDesc(config.body, config.body_id)
-        return natnet.ModelDef((own, *bodies, *((_ANOTHER,) if self._grown else ())))
+        bodies = (natnet.RigidBodyDesc(*each) for each in self._ids.items())
+        return natnet.ModelDef((*bodies, *((_ANOTHER,) if self._grown else ())))
 
     # --- frames
 
@@ -117,13 +126,11 @@ class NatNetServer:
                 self._network.send(net.Datagram(arrival, net.FOREIGN, data, peer))
 
     def _destinations(self, t_ns: int) -> list[tuple[str, net.Peer | None]]:
-        config = self.config
-        if config.transport == MULTICAST:
+        if self.config.multicast:
             return [(net.DATA, None)]
-        oldest = t_ns - config.keepalive_ns
+        oldest = t_ns - self.config.keepalive_ns
         self._clients = {peer: t for peer, t in self._clients.items() if t >= oldest}
-        channel = net.DATA if config.transport == TO_DATA else net.COMMAND
-        return [(channel, peer) for peer in self._clients]
+        return [(net.COMMAND, peer) for peer in self._clients]
 
     def _frame(self, capture: Capture, received_ns: int, sent_ns: int) -> natnet_frame.Frame:
         faults = self.fault_state
@@ -131,7 +138,7 @@ class NatNetServer:
         params |= natnet_frame.EDIT_MODE if faults.edit_mode else 0
         return natnet_frame.Frame(
             capture.number,
-            tuple(map(_rigid_body, capture.bodies)),
+            tuple(map(self._rigid_body, capture.bodies)),
             timestamp=capture.number / self.config.rate_hz,
             mid_exposure_ticks=self.ticks(capture.t_ns),
             data_received_ticks=self.ticks(received_ns),
@@ -148,11 +155,10 @@ class NatNetServer:
         )
         return changed(capture, bodies=bodies)
 
-
-def _rigid_body(body: BodyPose) -> natnet_frame.RigidBody:
-    w, x, y, z = body.quaternion
-    params = natnet_frame.TRACKING_VALID if body.valid else 0
-    return natnet_frame.RigidBody(body.id, body.position, (x, y, z, w), body.mean_error, params)
+    def _rigid_body(self, body: Pose) -> natnet_frame.RigidBody:
+        w, x, y, z = body.quaternion
+        state = body.mean_error or 0.0, int(body.tracking_valid) * natnet_frame.TRACKING_VALID
+        return natnet_frame.RigidBody(self._ids[body.body], body.position, (x, y, z, w), *state)
 
 
 _VRPN_ANSWER_NS = 100_000
@@ -185,15 +191,9 @@ class VrpnServer:
             for number, name in enumerate(names)
         )
 
-    def pose(
-        self,
-        body: str,
-        stamp_us: int,
-        position: tuple[float, float, float],
-        quaternion_wxyz: tuple[float, float, float, float],
-    ) -> bytes:
-        """Encode one pose [m]; `stamp_us` is on the server's clock."""
-        w, x, y, z = quaternion_wxyz
+    def pose(self, body: str, stamp_us: int, position: Vec3, quaternion: Quat) -> bytes:
+        """Encode one pose [m, (w, x, y, z)]; `stamp_us` is on the server's clock."""
+        w, x, y, z = quaternion
         payload = vrpn.write_pose(0, (position, (x, y, z, w)))
         return self._message(_POSE_ID, self.bodies.index(body), stamp_us, payload)
 
@@ -227,8 +227,8 @@ class VrpnServer:
         return vrpn.encode(vrpn.Message(kind, sender, sec, usec, payload, self._sequence))
 
 
-class VrpnDevice:
-    """A VRPN server for any number of clients.
+class VrpnDevice(_Server):
+    """A VRPN server for any number of clients; its clock counts microseconds.
 
     VRPN has no tracking-valid flag: a body that is not tracked is not sent.
     """
@@ -236,31 +236,20 @@ class VrpnDevice:
     def __init__(
         self, config: MocapConfig, network: net.Network, noise: NoiseSource, t_ns: int
     ) -> None:
-        self.config = config
-        self.fault_state: MocapFaultState = HEALTHY_MOCAP  # what is wrong with it
-        self._network = network
-        self._noise = noise
-        self._epoch_ns = t_ns
-        self._epoch_us = config.epoch_ticks
+        super().__init__(config, network, noise, t_ns, 1_000_000)
         self._names = (config.body, *(b.name for b in config.bystanders))
         self._sessions: dict[net.Peer, VrpnServer] = {}
         self._deserted: set[net.Peer] = set()
 
     def set_fault_state(self, t_ns: int, faults: MocapFaultState) -> None:
         """From ``t_ns`` on, be in this condition."""
-        before, self.fault_state = self.fault_state, faults
-        if faults.restart and not before.restart:
-            self._epoch_ns, self._epoch_us = t_ns, 1_000_000
+        if faults.restart and not self.fault_state.restart:
             for peer in tuple(self._sessions):
                 self.on_disconnect(peer)
                 self._network.send(net.Datagram(t_ns, net.CLOSE, b"", peer))
-        if faults.half_open and not before.half_open:
+        if faults.half_open and not self.fault_state.half_open:
             self._deserted.update(self._sessions)
-
-    def stamp_us(self, t_ns: int) -> int:
-        """The server's clock [us]."""
-        elapsed = t_ns - self._epoch_ns + self.fault_state.clock_step_ns
-        return self._epoch_us + int(elapsed * (1.0 + self.config.skew_ppm * 1e-6)) // 1000
+        super().set_fault_state(t_ns, faults)
 
     def on_connect(self, t_ns: int, peer: net.Peer) -> None:
         """A client has connected."""
@@ -279,7 +268,7 @@ class VrpnDevice:
         if session is None or peer in self._deserted:
             return
         try:
-            answer = session.receive(data, self.stamp_us(t_ns))
+            answer = session.receive(data, self.ticks(t_ns))
         except VrpnError:
             self.on_disconnect(peer)
             self._network.send(net.Datagram(t_ns, net.CLOSE, b"", peer))
@@ -292,14 +281,17 @@ class VrpnDevice:
         config = self.config
         late = config.camera_ns + config.software_ns + config.network_ns
         late += max(0, round(config.jitter_ns * self._noise.normal()))
-        stamp = self.stamp_us(capture.t_ns)
+        stamp = self.ticks(capture.t_ns)
         for peer, session in self._sessions.items():
             if peer in self._deserted:
                 continue
             data = b"".join(
-                session.pose(body.name, stamp, body.position, body.quaternion)
+                session.pose(body.body, stamp, body.position, body.quaternion)
                 for body in capture.bodies
-                if body.valid
+                if body.tracking_valid
             )
             if data:
                 self._network.send_frame(net.Datagram(capture.t_ns + late, net.STREAM, data, peer))
+
+
+MocapServer = NatNetServer | VrpnDevice

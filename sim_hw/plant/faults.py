@@ -8,7 +8,7 @@ number come from `docs/reference/mocap-protocols.md#m6.1` and `docs/reference/ve
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -192,7 +192,6 @@ def find_fault(name: str) -> FaultKind:
     return kind
 
 
-@dataclass(frozen=True, init=False)
 class Fault:
     """A fault from ``t_from_ns`` to just before ``t_to_ns``, after the world's start.
 
@@ -206,29 +205,17 @@ class Fault:
         ValueError: no such fault or setting, or an empty window.
     """
 
-    name: str
-    t_from_ns: int
-    t_to_ns: int
-    params: Mapping[str, Param] = field(default_factory=dict)
-
     def __init__(
         self, name: str, t_from_ns: int = 0, t_to_ns: int = FOREVER, **params: Param
     ) -> None:
-        kind = find_fault(name)
-        target = HEALTHY_MOCAP if kind.target == "mocap" else HEALTHY_VESC
+        self.kind, self.t_from_ns, self.t_to_ns = find_fault(name), t_from_ns, t_to_ns
+        target = HEALTHY_MOCAP if self.kind.target == "mocap" else HEALTHY_VESC
         for setting in params:
             if not hasattr(target, setting):
                 raise ValueError(f"fault {name}: no setting {setting!r}")
         if t_from_ns >= t_to_ns:
             raise ValueError(f"fault {name}: it ends before it begins")
-        values = (name, t_from_ns, t_to_ns, dict(params))
-        for each, value in zip(fields(self), values, strict=True):
-            object.__setattr__(self, each.name, value)
-
-    @property
-    def kind(self) -> FaultKind:
-        """Its entry in the catalogue."""
-        return find_fault(self.name)
+        self.settings: dict[str, Any] = {**self.kind.settings, **params}  # what it changes
 
 
 class Condition(NamedTuple):
@@ -243,17 +230,16 @@ def make_condition(faults: Sequence[Fault], t_ns: int, t_start_ns: int = 0) -> C
     """The fault state at ``t_ns`` with these faults, in a world that began at ``t_start_ns``."""
     vesc, mocap, edges = HEALTHY_VESC, HEALTHY_MOCAP, [FOREVER]
     for fault in faults:
-        changed: dict[str, Any] = {**fault.kind.settings, **fault.params}
         begin, end = fault.t_from_ns + t_start_ns, fault.t_to_ns + t_start_ns
-        plugged_ns = begin + changed.get("outage_ns", 0)
+        plugged_ns = begin + fault.settings.get("outage_ns", 0)
         edges += [edge for edge in (begin, plugged_ns, end) if edge > t_ns]
         if not begin <= t_ns < end:
             continue
         if fault.kind.target == "vesc":
-            vesc = replace(vesc, **changed)
+            vesc = replace(vesc, **fault.settings)
             if t_ns < plugged_ns:
                 vesc = replace(vesc, plugged=False)
         else:
             since = min(begin, mocap.since_ns or begin)
-            mocap = replace(mocap, since_ns=since, **changed)
+            mocap = replace(mocap, since_ns=since, **fault.settings)
     return Condition(vesc, mocap, min(edges))

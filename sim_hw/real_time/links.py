@@ -18,8 +18,9 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import NamedTuple, Self
 
+from steerd.sim_hw.mocap.servers import NatNetServer
 from steerd.sim_hw.plant.faults import Fault
-from steerd.sim_hw.real_time.mocap_sockets import MocapSockets, make_mocap_sockets
+from steerd.sim_hw.real_time.mocap_sockets import MocapSockets, NatNetSockets, VrpnSockets
 from steerd.sim_hw.world import World, WorldConfig
 from steerd.steer_bus.clock import MonotonicClock
 
@@ -142,7 +143,10 @@ class SimHardware:
         # The simulated hardware; its clock is CLOCK_MONOTONIC
         self.world = World(config, faults, self._clock.now_ns())
         self._pty = PtyPort(self._dir)
-        self._mocap: MocapSockets = make_mocap_sockets(self.world)
+        server = self.world.mocap
+        self._mocap: MocapSockets = (
+            NatNetSockets(server) if isinstance(server, NatNetServer) else VrpnSockets(server)
+        )
         self._pty.follow(self.world, self._clock.now_ns())
         # Path of the serial device (a link to a pty; it goes away with the device)
         self.port = str(self._dir / "vesc")
@@ -187,24 +191,6 @@ class SimHardware:
         self._pty.follow(self.world, now_ns)
         self._pty.pump(self.world, now_ns)
         self._mocap.pump(self.world, now_ns)
-
-
-@contextlib.contextmanager
-def stop_on_signals() -> Iterator[int]:
-    """A descriptor that becomes readable at SIGTERM or SIGINT (main thread only)."""
-    read_fd, write_fd = os.pipe()
-    os.set_blocking(write_fd, False)
-    old_fd = signal.set_wakeup_fd(write_fd)
-    numbers = (signal.SIGTERM, signal.SIGINT)
-    old = [signal.signal(number, lambda *_: None) for number in numbers]
-    try:
-        yield read_fd
-    finally:
-        for number, handler in zip(numbers, old, strict=True):
-            signal.signal(number, handler)
-        signal.set_wakeup_fd(old_fd)
-        os.close(read_fd)
-        os.close(write_fd)
 
 
 def raise_priority() -> None:

@@ -4,22 +4,14 @@ import contextlib
 import socket
 
 from steerd.mocap_link.natnet import MULTICAST_GROUP
-from steerd.sim_hw.mocap.cameras import MULTICAST, MocapConfig
+from steerd.sim_hw.mocap.cameras import MocapConfig
 from steerd.sim_hw.mocap.network import CLOSE, COMMAND, DATA, FOREIGN, STREAM, Datagram
-from steerd.sim_hw.mocap.servers import NatNetServer
+from steerd.sim_hw.mocap.servers import NatNetServer, VrpnDevice
 from steerd.sim_hw.world import World
 
 _HOST = "127.0.0.1"
 _STRANGER = "127.0.0.9"
 _READ = 65_536
-
-
-def make_mocap_sockets(world: World) -> "MocapSockets":
-    """Open the sockets of the world's mocap system, on free ports."""
-    server, config = world.mocap, world.config.mocap
-    if isinstance(server, NatNetServer):
-        return NatNetSockets(server, config)
-    return VrpnSockets(config)
 
 
 def _udp(host: str, port: int) -> socket.socket:
@@ -37,15 +29,15 @@ def _url(scheme: str, near: socket.socket, config: MocapConfig) -> str:
 class NatNetSockets:
     """Command socket of a NatNet server, which also sends the frames, and a stranger's socket."""
 
-    def __init__(self, server: NatNetServer, config: MocapConfig) -> None:
+    def __init__(self, server: NatNetServer) -> None:
         self._command = _udp(_HOST, 0)
         self._command.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(_HOST))
         self._command.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
         self._stranger: socket.socket | None = None
         with _udp(_HOST, 0) as free:
             self.data_port = server.data_port = int(free.getsockname()[1])
-        how = f"interface={_HOST}" if config.transport == MULTICAST else "unicast=1"
-        self.url = _url("natnet", self._command, config) + f"&{how}"
+        how = f"interface={_HOST}" if server.config.multicast else "unicast=1"
+        self.url = _url("natnet", self._command, server.config) + f"&{how}"
 
     def read_fds(self) -> tuple[int, ...]:
         """What to poll."""
@@ -80,10 +72,11 @@ class NatNetSockets:
 class VrpnSockets:
     """Listening socket of a VRPN server and its connections."""
 
-    def __init__(self, config: MocapConfig) -> None:
+    def __init__(self, server: VrpnDevice) -> None:
+        self._server = server
         self._listener = socket.create_server((_HOST, 0))
         self._listener.setblocking(False)
-        self.url = _url("vrpn", self._listener, config)
+        self.url = _url("vrpn", self._listener, server.config)
         self._clients: dict[tuple[str, int], socket.socket] = {}
 
     def read_fds(self) -> tuple[int, ...]:
@@ -92,17 +85,18 @@ class VrpnSockets:
 
     def pump(self, world: World, t_ns: int) -> None:
         """Accept, move bytes both ways, hang up."""
+        world.advance(t_ns)
         with contextlib.suppress(BlockingIOError):
             while True:
                 client, address = self._listener.accept()
                 client.setblocking(False)
                 client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._clients[address] = client
-                world.mocap_connect(t_ns, address)
+                self._server.on_connect(t_ns, address)
         for peer in tuple(self._clients):
             self._receive(world, t_ns, peer)
         for message in world.mocap_read(t_ns):
-            self._send(world, t_ns, message)
+            self._send(message)
 
     def _receive(self, world: World, t_ns: int, peer: tuple[str, int]) -> None:
         try:
@@ -114,23 +108,23 @@ class VrpnSockets:
         if data:
             world.mocap_write(t_ns, data, STREAM, peer)
         else:
-            self._drop(world, t_ns, peer)
+            self._drop(peer)
 
-    def _send(self, world: World, t_ns: int, message: Datagram) -> None:
+    def _send(self, message: Datagram) -> None:
         peer = message.peer
         if not isinstance(peer, tuple) or peer not in self._clients:
             return
         if message.channel == CLOSE:
-            self._drop(world, t_ns, peer)
+            self._drop(peer)
             return
         try:
             self._clients[peer].sendall(message.data)
         except OSError:  # a client that does not read, or is gone
-            self._drop(world, t_ns, peer)
+            self._drop(peer)
 
-    def _drop(self, world: World, t_ns: int, peer: tuple[str, int]) -> None:
+    def _drop(self, peer: tuple[str, int]) -> None:
         self._clients.pop(peer).close()
-        world.mocap_disconnect(t_ns, peer)
+        self._server.on_disconnect(peer)
 
     def close(self) -> None:
         """Close all sockets."""

@@ -19,7 +19,7 @@ from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.mocap_link.sockets import NatNetReceiver, VrpnReceiver, make_receiver, map_stamp
 from steerd.mocap_link.source import ClockKind, SourceState
-from steerd.sim_hw.mocap.cameras import MULTICAST, TO_COMMAND, TO_DATA, MocapConfig
+from steerd.sim_hw.mocap.cameras import MocapConfig
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.real_time.mocap_sockets import make_mocap_sockets
 from steerd.sim_hw.world import World, WorldConfig
@@ -77,9 +77,9 @@ def serving(**mocap):
         yield server
 
 
-@pytest.fixture(params=[MULTICAST, TO_DATA, TO_COMMAND])
+@pytest.fixture(params=[True, False], ids=["multicast", "unicast"])
 def udp_server(request):
-    with serving(transport=request.param) as server:
+    with serving(multicast=request.param) as server:
         yield server
 
 

@@ -126,7 +126,7 @@ def served(car):
     async def serve():
         loops.append(asyncio.get_running_loop())
         driving = asyncio.create_task(drive())
-        page = make_page({"car": "car1", **make_lane_job("figure8")})
+        page = make_page("car1", make_lane_job("figure8"))
         await run_page(car.view, page, 0, opened, ended)
         driving.cancel()
 

@@ -52,10 +52,10 @@ def fence_off(rig: Rig) -> None:
     state = rig.run.world.car.state
     turns = [k * tau / 32 for k in range(32)]
     corners = tuple((state.x + FENCE_M * cos(a), state.y + FENCE_M * sin(a)) for a in turns)
-    settings = loop.setup.settings
+    settings = loop.plan.settings
     thresholds = replace(settings.thresholds, fence=corners)
     settings = replace(settings, thresholds=thresholds)
-    loop.setup = loop._watching._setup = replace(loop.setup, settings=settings)
+    loop.plan = loop._watching._plan = replace(loop.plan, settings=settings)
     loop._watching._settings = settings
 
 

@@ -16,11 +16,11 @@ from steerd.daemon.assembly.build import (
     VIRTUAL_EPOCH_NS,
     RunId,
     RunPlan,
-    make_core,
     make_plan,
     make_world_config,
 )
 from steerd.daemon.ipc.pipe_records import PipeRecord
+from steerd.daemon.loop.core import make_core
 from steerd.daemon.loop.design_desk import make_design, make_no_design
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.transitions import SupervisorState
@@ -219,7 +219,7 @@ def twin(rig: Rig) -> Rig:
     memo = {
         id(rig.plan): rig.plan,
         id(rig.run.wire): rig.run.wire.copy(),
-        id(rig.run.core.loop.setup): rig.run.core.loop.setup,
+        id(rig.run.core.loop.plan): rig.run.core.loop.plan,
     }
     return copy.deepcopy(rig, memo)
 

@@ -13,8 +13,7 @@ from steerd.daemon.analysis.car_output import with_known
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.assembly.session_meta import make_attachments, read_session_car
 from steerd.daemon.common.written import car_outputs, write_outputs
-from steerd.daemon.process.learner_memory import make_learner_job
-from steerd.daemon.settings.run_options import RunOptions, decode_options
+from steerd.daemon.settings.run_options import RunOptions, decode_options, encode_options
 from steerd.posterior_file import ATTACHED, encode_posterior, posterior_path
 from steerd.steer_bus.session import SessionWriter
 from steerd.steer_bus.session_read import open_session
@@ -130,7 +129,7 @@ def test_a_session_and_its_learner_get_both_files(saved, tmp_path):
     plan = make_plan(RunOptions(str(saved), path="line", simulated=True), design=False)
     texts = make_attachments(plan)
     assert texts[ATTACHED] == posterior_path(saved).read_text()
-    again = make_plan(decode_options(make_learner_job(plan)["options"]), design=False)
+    again = make_plan(decode_options(encode_options(plan.options)), design=False)
     assert again.settings.file.posterior == texts[ATTACHED]
     files = {name: text.encode() for name, text in texts.items()}
     SessionWriter(tmp_path / "a.mcap", {}, {}, files).finish({})

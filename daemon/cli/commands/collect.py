@@ -4,10 +4,10 @@ from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from steerd.daemon.assembly.plans import NAMES, make_closed_path, parse_box
 from steerd.daemon.cli.arguments import option
 from steerd.daemon.cli.commands import run as driving
 from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
-from steerd.daemon.loop.plans import NAMES, make_closed_path, parse_box
 from steerd.daemon.settings.run_options import RunOptions
 
 if TYPE_CHECKING:

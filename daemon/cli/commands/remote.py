@@ -12,7 +12,7 @@ from steerd.daemon.cli.arguments import add_bus_arguments, add_car_arguments, mi
 from steerd.daemon.cli.commands.run import add_drive_arguments
 from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.common.screen import wrap_command
-from steerd.daemon.ipc.signals import raise_on_stop_signals
+from steerd.daemon.ipc.signals import make_stop_signal_pipe, raise_on_stop_signals
 from steerd.daemon.process.gamepad import AXES, BUTTONS, PadGoneError, PadMap, open_pad
 from steerd.daemon.process.view_job import make_lane_job
 from steerd.daemon.settings.run_options import RunOptions
@@ -71,7 +71,7 @@ def page(args: Namespace) -> None:
     from steerd.daemon.process.page import make_page, run_page
     from steerd.daemon.process.page_link import CarView
 
-    content = make_page({"car": args.name, **make_lane_job(args.path)})
+    content = make_page(args.name, make_lane_job(args.path))
 
     def on_open(url: str) -> None:
         print(f"page: {url}", flush=True)
@@ -219,7 +219,8 @@ def sim(args: Namespace) -> None:
     with refusing("--fault: "):
         faults = links.fault_windows(args.fault)
     links.raise_priority()
-    with links.stop_on_signals() as stop, links.SimHardware(world, faults, args.link_dir) as hw:
+    stop = make_stop_signal_pipe()
+    with links.SimHardware(world, faults, args.link_dir) as hw:
         print(f"VESC:  {hw.port}")
         print(f"mocap: {hw.mocap_url}")
         command = f"steerd run --port {hw.port} --mocap '{hw.mocap_url}'"

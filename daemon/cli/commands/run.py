@@ -1,5 +1,6 @@
 """`steerd run`: a drive on a car or on simulated hardware, in real or in virtual time."""
 
+import contextlib
 import secrets
 import signal
 import sys
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from steerd.daemon.cli.arguments import missing_car, missing_lane, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.process.child import CORE, Prepared, prepared
+from steerd.daemon.process.child import CORE, Child
 from steerd.daemon.process.view_job import DEFAULT_PORT, check_view
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions
 
@@ -185,12 +186,12 @@ def drive(make: Callable[[], "RunPlan"], *, fast: bool) -> int:
         from steerd.daemon.offline.fast import run_fast
 
         return run_fast(make())
-    with prepared(CORE) as core:
+    with contextlib.closing(Child(CORE)) as core:
         plan = make()
         return _run_simulated(plan, core) if plan.options.simulated else _run_live(plan, core)[0]
 
 
-def _run_simulated(plan: "RunPlan", core: Prepared) -> int:
+def _run_simulated(plan: "RunPlan", core: Child) -> int:
     from steerd.daemon.assembly.build import make_world_config
     from steerd.sim_hw.real_time.links import spawn_sim
 
@@ -229,7 +230,7 @@ def _fall_back(plan: "RunPlan") -> int:
     return run_fast(replace(plan, options=replace(plan.options, record=named)))
 
 
-def _run_live(plan: "RunPlan", core: Prepared) -> tuple[int, str]:
+def _run_live(plan: "RunPlan", core: Child) -> tuple[int, str]:
     """Drive in real time; the exit code, and why the car was stopped."""
     from steerd.daemon.assembly.build import RunId
     from steerd.daemon.assembly.session_meta import session_path

@@ -197,7 +197,7 @@ def replay(args: Namespace) -> int:
 
     path = pick_session(args.session)
     session = load_session(path)
-    print_warnings([warning.message for warning in session.warnings])
+    print_warnings(session.info().warnings)
     count = first_ns = 0
     with show_progress("replaying", float(session.info().count), even=True) as advance:
         going, differences = replay(session, path.name, lambda done: advance(float(done)))
@@ -234,16 +234,17 @@ def recover(args: Namespace) -> None:
     name = source.name.removesuffix(".partial").removesuffix(".mcap")
     out: Path = args.output or source.with_name(f"{name}.recovered.mcap")
     session = load_session(source)
-    if session.info().finished and not session.warnings:
+    info = session.info()
+    if info.finished and not info.warnings:
         print(f"{source} is complete: nothing to recover")
         return
-    if not session.info().count:
+    if not info.count:
         raise SteerdError(f"{source} holds no message that can be read", "", ExitCode.INVALID)
     check_output(out)
     with reading(source):
-        report = recover(source, out)
-    print_warnings([warning.message for warning in report.warnings])
-    print(f"saved    {report.messages} messages, {session.info().duration_s:.1f} s")
-    print(f"lost     {report.lost_bytes} unreadable bytes, and data not yet on the disk")
-    print(f"longest  {report.longest_gap_s:.3g} s without any message")
-    print(f"\nwritten: {report.path}\n   next: steerd info {report.path}")
+        longest = recover(session, out)
+    print_warnings(info.warnings)
+    print(f"saved    {info.count} messages, {info.duration_s:.1f} s")
+    print(f"lost     {info.lost} unreadable bytes, and data not yet on the disk")
+    print(f"longest  {longest:.3g} s without any message")
+    print(f"\nwritten: {out}\n   next: steerd info {out}")

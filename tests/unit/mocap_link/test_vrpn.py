@@ -120,7 +120,7 @@ class VrpnRoom(Room):
         super().__init__(*faults, source=VrpnSource("car", IngestConfig(ROOM_FRAME)), kind="vrpn")
 
     def connect(self) -> None:
-        self.world.mocap_connect(self.now)
+        self.world.mocap.on_connect(self.now, 0)
         self.world.mocap_write(self.now, self.source.on_connect(), STREAM)
 
     def step(self) -> None:

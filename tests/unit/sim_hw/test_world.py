@@ -9,7 +9,7 @@ from steerd.car_model.effects import parse_effects
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.mocap_link import natnet
-from steerd.sim_hw.mocap.cameras import MULTICAST, MocapConfig
+from steerd.sim_hw.mocap.cameras import MocapConfig
 from steerd.sim_hw.mocap.network import STREAM
 from steerd.sim_hw.plant.faults import Fault
 from steerd.sim_hw.vesc.vesc_motor import VescConfig
@@ -92,7 +92,7 @@ def test_a_caller_woken_on_time_reads_everything_the_moment_it_arrives(faults: l
         unplugged += world.serial_name is None
     assert poses > 100
     assert wakes < 1200
-    assert (unplugged > 0) == any(fault.name == "V2" for fault in faults)
+    assert (unplugged > 0) == any(fault.kind.code == "V2" for fault in faults)
 
 
 def test_unicast_client_is_dropped_when_it_falls_silent() -> None:
@@ -105,7 +105,7 @@ def test_unicast_client_is_dropped_when_it_falls_silent() -> None:
 
 
 def test_natnet_answers_questions_and_survives_nonsense() -> None:
-    world = World(WorldConfig(mocap=MocapConfig(transport=MULTICAST, rate_hz=120)))
+    world = World(WorldConfig(mocap=MocapConfig(multicast=True, rate_hz=120)))
     for junk in (b"", b"\x07", b"\x00\x00\xff\xff", bytes(300)):
         world.mocap_write(0, junk)
     world.mocap_write(0, natnet.encode(natnet.Request("FrameRate")), peer=3)
@@ -119,7 +119,7 @@ def test_natnet_answers_questions_and_survives_nonsense() -> None:
 
 def test_vrpn_hangs_up_on_a_peer_that_speaks_something_else() -> None:
     world = World(WorldConfig(mocap=MocapConfig(kind="vrpn")))
-    world.mocap_connect(0)
+    world.mocap.on_connect(0, 0)
     world.mocap_write(0, b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", STREAM)
     assert world.mocap_read(MS)[-1].channel == "close"
 

@@ -139,7 +139,7 @@ def test_names_are_never_overwritten(tmp_path, drive):
     with pytest.raises(SessionError, match="exists"):
         start(path)
     with pytest.raises(SessionError, match="exists"):
-        recover(drive.path, path)
+        recover(open_session(drive.path), path)
 
 
 def test_missing_folders_and_undeclared_topics(tmp_path):

@@ -84,7 +84,8 @@ def test_whatever_byte_is_the_last_one(tmp_path, room_for, whole):
             assert found.attachment("car.toml") == b"mass = 3.1\n"
             saved.add(found.info().count)
             if room in (body, size - 1) or room % 97 == 0:
-                assert recover(partial, path).messages == found.info().count
+                recover(found, path)
+                assert open_session(path).info().count == found.info().count
     assert saved == set(range(FLUSH_EVERY, MESSAGES + 1, FLUSH_EVERY))
 
 
@@ -157,8 +158,9 @@ def test_sigkill_loses_at_most_three_tenths_of_a_second(tmp_path, progress_ns):
     last = int.from_bytes(rest[-8:], "little") if rest else last
     partial = path.with_name("a.mcap.partial")
     session = open_session(partial)
-    assert session.warnings[-1].code == "unfinished"
+    assert session.info().warnings[-1].startswith("not finished")
     assert "steerd.session" in session.info().metadata
     times = session.columns(ClockSample)["monotonic_ns"]
     assert last - times[-1] <= 300_000_000
-    assert recover(partial, path).messages == len(times)
+    recover(session, path)
+    assert open_session(path).info().count == len(times)

@@ -7,6 +7,7 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.assembly.build import RunId, make_design_car, make_plan, make_world_config
+from steerd.daemon.assembly.plans import parse_box
 from steerd.daemon.assembly.session_meta import (
     default_session_path,
     make_attachments,
@@ -21,7 +22,6 @@ from steerd.daemon.assembly.sim_car import (
     read_true_car,
 )
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.loop.plans import parse_box
 from steerd.daemon.settings.run_options import RunOptions, decode_options
 
 CAR_FILE = Path(__file__).resolve().parents[4] / "config" / "f1tenth.toml"

@@ -18,8 +18,7 @@ from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValu
 
 TAKE = """
 import os, select, signal
-from steerd.daemon.ipc.signals import block_stop_signals, make_stop_signal_pipe
-block_stop_signals()
+from steerd.daemon.ipc.signals import make_stop_signal_pipe
 fd = make_stop_signal_pipe()
 for number in {numbers}:
     os.kill(os.getpid(), number)

@@ -24,7 +24,7 @@ from steerd.daemon.learning.kept import (
     recall,
 )
 from steerd.daemon.process.learner import make_keeper
-from steerd.daemon.process.learner_memory import learnt_page, make_learner_job, recall_learnt
+from steerd.daemon.process.learner_memory import learnt_page, recall_learnt
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import messages as m
 
@@ -171,7 +171,7 @@ def recalled(plan, now_ns):
 def kept(plan, quiet_report):
     """A drive's page, written as the learner process writes it."""
     memory = recalled(plan, m.stamp_ns(quiet_report.header))
-    keeper = make_keeper(make_learner_job(plan, memory))
+    keeper = make_keeper(memory._asdict())
     keeper.take(quiet_report)
     return memory
 
@@ -186,7 +186,7 @@ def test_what_one_run_keeps_the_next_begins_with(plan, quiet_report, capsys):
     assert second.metadata[METADATA]["memory"] == second.memory
     assert second.metadata[METADATA]["file"] == "car.learnt.toml"
     assert capsys.readouterr().err == ""
-    job = json.loads(json.dumps(make_learner_job(plan, second)))
+    job = json.loads(json.dumps(second._asdict()))
     wiring = Wiring(0, plan.settings.scaling)
     feed = make_feed(plan.settings.file, wiring, read_memory(job["memory"]))
     assert [*feed.learner.remembered] == ["steer_gain"]
@@ -205,7 +205,7 @@ def test_simulated_hardware_and_a_run_without_a_learner_keep_nothing(plan, quiet
     other = make_plan(replace(plan.options, **change))
     memory = recalled(other, m.stamp_ns(quiet_report.header))
     assert (memory.page, memory.memory) == ("", "")
-    assert make_keeper(make_learner_job(other, memory)) is None
+    assert make_keeper(memory._asdict()) is None
 
 
 def test_an_edited_car_file_begins_anew_and_nothing_is_lost(plan, quiet_report, capsys):

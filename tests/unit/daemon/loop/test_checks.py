@@ -5,13 +5,13 @@ from math import nan
 
 import pytest
 
-from steerd.daemon.assembly.build import RunId, make_loop_setup, make_plan
+from steerd.daemon.assembly.build import RunId, make_plan
 from steerd.daemon.loop.checks import check_lane, check_vesc, find_failures
 from steerd.daemon.loop.findings import Flag, Severity, make_finding
 from steerd.daemon.loop.lease import Lease, Remote
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.settings.config import BrakeSettings
-from steerd.daemon.settings.run_options import RunOptions
+from steerd.daemon.settings.run_options import ControllerKind, RunOptions
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.steer_bus.messages import BODY, DriveCommand, VescIdentity, make_header
 from steerd.steer_bus.quick_values import changed
@@ -45,21 +45,21 @@ def test_a_vesc_that_must_not_be_armed(changes, uuid, said):
 
 
 @pytest.fixture(scope="module")
-def setup():
+def plan():
     real = RunId(BOOT, 0, leased=True)
-    return make_loop_setup(make_plan(RunOptions(car_file="", path="line"), real=real))
+    return make_plan(RunOptions(car_file="", path="line"), real=real)
 
 
-def fails(setup, findings=(), flags=Flag.LINKED, last=None, **now):
+def fails(plan, findings=(), flags=Flag.LINKED, last=None, **now):
     """Failures of a car that stands ready, but for what is given."""
     now = changed(CALM, state=SupervisorState.DISARMED, **{"speed": 0.0, **now})
     remote = Remote(Lease(BOOT, 5, 0, CALM.t_ns), last)
-    return list(find_failures(setup, GOOD, remote, now, findings, flags, estimated=True))
+    return list(find_failures(plan, GOOD, remote, now, findings, flags, estimated=True))
 
 
-def test_a_vesc_without_the_session_limits_fails(setup):
-    assert fails(setup) == []
-    (text,) = fails(setup, flags=Flag.LINKED | Flag.UNBOUNDED)
+def test_a_vesc_without_the_session_limits_fails(plan):
+    assert fails(plan) == []
+    (text,) = fails(plan, flags=Flag.LINKED | Flag.UNBOUNDED)
     assert "power it off and on" in text
 
 
@@ -79,19 +79,19 @@ def test_the_car_must_stand_in_its_lane(e1, e2, said):
     assert all(said in text for text in found)
 
 
-def test_with_an_external_controller_only_its_commands_count(setup):
-    remote = replace(setup, remote=True)
+def test_with_an_external_controller_only_its_commands_count(plan):
+    remote = replace(plan, options=replace(plan.options, controller=ControllerKind.ZENOH))
     command = DriveCommand(make_header(0, BODY), BOOT, 5, 0, 0, 100, 0.0, 0.0)
     assert fails(remote, last=command, lateral_error=1.0) == []
     (text,) = fails(remote, lateral_error=1.0)
     assert "steerd control" in text
 
 
-def test_a_trip_fails_and_a_warning_does_not(setup):
+def test_a_trip_fails_and_a_warning_does_not(plan):
     trip, warning = make_finding("W13", "3.2 V"), make_finding("W7", "60 ms", Severity.WARN)
-    assert fails(setup, (warning, trip)) == [trip.text]
+    assert fails(plan, (warning, trip)) == [trip.text]
 
 
 @pytest.mark.parametrize(("speed", "count"), [(0.049, 0), (-0.049, 0), (0.05, 1), (nan, 1)])
-def test_a_car_that_moves_or_may_move_fails(setup, speed, count):
-    assert len(fails(setup, speed=speed)) == count
+def test_a_car_that_moves_or_may_move_fails(plan, speed, count):
+    assert len(fails(plan, speed=speed)) == count

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from steerd.daemon.assembly.build import RunId, make_core, make_plan
+from steerd.daemon.assembly.build import RunId, make_plan
 from steerd.daemon.ipc.requests import read_diagnostics
-from steerd.daemon.loop.core import LIMITS_TRIES, Core, describe_error
+from steerd.daemon.loop.core import LIMITS_TRIES, Core, describe_error, make_core
 from steerd.daemon.loop.findings import WATCHDOGS, Flag
 from steerd.daemon.loop.perception import NO_TELEMETRY
 from steerd.daemon.loop.supervisor import LAUNCH_SPEED

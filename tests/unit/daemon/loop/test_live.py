@@ -7,7 +7,7 @@ import pytest
 
 from steerd.controller.lane_controller import ControlReport
 from steerd.controller.live import AS_DESIGNED, LiveBounds, LiveValues
-from steerd.daemon.assembly.build import RunId, make_loop_setup, make_plan
+from steerd.daemon.assembly.build import RunId, make_plan
 from steerd.daemon.loop.live import (
     Live,
     judge_both_lanes,
@@ -126,7 +126,7 @@ def test_the_message_holds_values_bounds_and_the_answer():
 
 def make_loop(leased=True, **options):
     given = RunOptions("", path="line", port="somewhere", simulated=True, **options)
-    return Loop(make_loop_setup(make_plan(given, real=RunId(1, 0, leased))))
+    return Loop(make_plan(given, real=RunId(1, 0, leased)))
 
 
 def hold(loop, who, seq, t_ns):
@@ -172,9 +172,9 @@ def test_without_a_deadman_there_is_nobody_to_inherit_from():
 
 
 def test_only_the_lane_keeper_alone_has_live_parameters():
-    assert make_loop().setup.live is not None
-    assert make_loop(controller=ControllerKind.ZENOH).setup.live is None
-    assert make_loop(drill="mixed;closed").setup.live is None
+    assert make_loop().plan.live is not None
+    assert make_loop(controller=ControllerKind.ZENOH).plan.live is None
+    assert make_loop(drill="mixed;closed").plan.live is None
 
 
 def test_a_fault_ends_what_was_tuned(tuned):

@@ -51,7 +51,7 @@ def ask_on_the_way(run):
             run.step()
         wanted = {"speed": nan, "offset": nan, "gain": nan, **values}
         request = m.ParameterRequest(
-            m.make_header(run.t_ns, m.BODY), run.core.loop.setup.boot_id, 7, seq, *wanted.values(),
+            m.make_header(run.t_ns, m.BODY), run.core.loop.lease.boot_id, 7, seq, *wanted.values(),
             "desk",
         )  # fmt: skip
         assert run.core.on_request(topics.SET_PARAMETERS.name, encode(request), run.t_ns)

@@ -4,12 +4,13 @@ import os
 import socket
 import subprocess
 import sys
-from pathlib import Path
+from contextlib import closing
+from types import SimpleNamespace
 
 import pytest
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.process.child import Child, hand_over, prepare, prepared, spawn
+from steerd.daemon.process.child import Child
 from steerd.daemon.process.children import Ends, RunProcesses
 from steerd.daemon.settings.run_options import RunOptions
 
@@ -35,8 +36,8 @@ def waiter(tmp_path, monkeypatch):
 def test_a_job_comes_with_its_descriptors_by_name_and_may_be_long(waiter):
     word = "long" * 100_000
     read_fd, write_fd = os.pipe()
-    with prepared(waiter) as waiting, os.fdopen(read_fd) as answer:
-        child = hand_over(waiting, {"other": read_fd, "answer": write_fd}, {"word": word})
+    with closing(Child(waiter)) as child, os.fdopen(read_fd) as answer:
+        child.hand_over({"other": read_fd, "answer": write_fd}, {"word": word})
         os.close(write_fd)
         assert child.wait_ready("waiter") == {"word": word, "leads": True}
         assert answer.read() == "done"
@@ -47,30 +48,30 @@ def test_a_job_comes_with_its_descriptors_by_name_and_may_be_long(waiter):
 def test_a_process_that_ends_before_it_is_ready_is_named_with_its_code(tmp_path, waiter):
     (tmp_path / "ending.py").write_text("raise SystemExit(7)")
     with pytest.raises(SteerdError, match="the recorder ended with code 7") as caught:
-        spawn("ending", {}, {}).wait_ready("recorder")
+        Child("ending").hand_over({}, {}).wait_ready("recorder")
     assert caught.value.code is ExitCode.INTERNAL
 
 
 def test_without_a_job_it_ends_by_itself_and_says_nothing(waiter):
-    waiting = prepare(waiter)
+    waiting = Child(waiter)
     waiting.end.close()
     assert waiting.process.wait() == 0
 
 
 def test_whoever_leaves_without_handing_over_leaves_no_process(waiter):
-    with pytest.raises(ValueError, match="no such path"), prepared(waiter) as waiting:
+    with pytest.raises(ValueError, match="no such path"), closing(Child(waiter)) as waiting:
         raise ValueError("no such path")
     assert waiting.process.returncode is not None
 
 
 def test_a_process_that_has_ended_takes_no_job_and_its_descriptors_are_closed(waiter):
     read_fd, write_fd = os.pipe()
-    waiting = prepare(waiter)
+    waiting = Child(waiter)
     waiting.process.kill()
     waiting.process.wait()
-    child = hand_over(waiting, {"answer": write_fd}, {"word": "late"})
+    waiting.hand_over({"answer": write_fd}, {"word": "late"})
     os.close(write_fd)
-    for fd in (read_fd, child.ready_fd):
+    for fd in (read_fd, waiting.ready_fd):
         assert os.read(fd, 1) == b"", "nobody holds the other end"
         os.close(fd)
 
@@ -81,7 +82,7 @@ def test_a_process_that_has_ended_takes_no_job_and_its_descriptors_are_closed(wa
 def ended(code):
     """A child that has ended with a code."""
     done = subprocess.Popen([sys.executable, "-c", f"raise SystemExit({code})"])
-    return Child(done, -1)
+    return SimpleNamespace(process=done)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +94,7 @@ def test_the_cores_code_counts_then_the_recorders_never_the_viewers(
     ours, theirs = socket.socketpair()
     codes = {"core": core, "recorder": recorder, "gateway": 0, "viewer": viewer}
     children = {name: ended(each) for name, each in codes.items()}
-    run = RunProcesses(children, {"requests": ours.detach()}, Path("x.mcap"), {})
+    run = RunProcesses(children, {"requests": ours.detach()}, {})
     assert run.end() == code
     assert theirs.recv(1) == b""  # the core's end of the requests sees that nobody asks any more
     theirs.close()

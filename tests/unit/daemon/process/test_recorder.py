@@ -10,12 +10,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from steerd.car_model.car_file import default_car_path, load_car
-from steerd.daemon.assembly.build import make_core, make_plan
+from steerd.daemon.assembly.build import RunId, make_plan
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc import pipe_records as pipes
 from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord, pack_record
-from steerd.daemon.learning.feed import Wiring, make_feed, make_record
+from steerd.daemon.loop.core import make_core
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.process import recorder
 from steerd.daemon.process.core_process import latch_stray_exceptions, make_mocap, status_sink
@@ -156,49 +155,34 @@ def pipe():
 
 
 @pytest.fixture
-def loop(pipe):
-    feed = make_feed(load_car(default_car_path()), Wiring(EPOCH))
-    return LearnerLoop(feed, [pipes.PipeWriter(pipe[1])])
+def loop():
+    real = RunId(1, EPOCH, leased=False)
+    plan = make_plan(RunOptions(car_file="", path="line", learn=True), design=False, real=real)
+    return LearnerLoop(plan, lambda data, t_ns: None)
 
 
 def fed(loop, numbers):
-    loop.take(map(pose_record, numbers))
+    """The reports that numbered poses complete."""
+    return [report for n in numbers if (report := loop.take(pose_record(n))) is not None]
 
 
-def test_a_report_comes_once_a_second(loop, pipe):
-    fed(loop, range(350))
-    reports = [decode(m.Model, record.data) for record in pipes.PipeReader(pipe[0]).take()]
+def test_a_report_comes_once_a_second(loop):
+    reports = [decode(m.Model, record.data) for record in fed(loop, range(350))]
     assert [report.mono_ns // 1_000_000_000 for report in reports] == [1, 2, 3]
     assert {report.verdict for report in reports} == {"learning"}
     assert {report.dropped for report in reports} == {0}
     assert m.stamp_ns(reports[0].header) == EPOCH + reports[0].mono_ns
 
 
-def test_what_was_dropped_on_the_way_is_counted(loop, pipe):
-    fed(loop, [*range(50), *range(80, 250)])
-    last = list(pipes.PipeReader(pipe[0]).take())[-1]
+def test_what_was_dropped_on_the_way_is_counted(loop):
+    last = fed(loop, [*range(50), *range(80, 250)])[-1]
     assert decode(m.Model, last.data).dropped == 30
 
 
-def test_bytes_that_are_no_message_are_passed_over(loop, pipe):
+def test_bytes_that_are_no_message_are_passed_over(loop):
     broken = replace(pose_record(60), data=b"\0\1\0\0 nonsense")
-    loop.take([pose_record(0), broken])
-    fed(loop, range(61, 250))
-    assert loop.reports == 2
-
-
-def test_a_reader_that_does_not_read_costs_reports_alone(loop, pipe):
-    pipe_writer = loop.outputs[0]
-    pipe_writer.write([bytes(1 << 21)], 0)  # full
-    fed(loop, range(350))
-    assert loop.reports == 3
-    assert pipe_writer.dropped >= 3
-
-
-def test_a_reader_that_is_gone_costs_reports_alone(loop, pipe):
-    os.close(pipe[0])
-    fed(loop, range(250))
-    assert loop.outputs[0].dead
+    assert loop.take(pose_record(0)) is loop.take(broken) is None
+    assert [report.sequence for report in fed(loop, range(61, 250))] == [0, 1]
 
 
 def test_numbers_that_are_missing_are_counted_by_topic():
@@ -208,14 +192,8 @@ def test_numbers_that_are_missing_are_counted_by_topic():
     assert gaps.missed == 2
 
 
-def report_record(loop):
-    reports = [loop.feed.take(topics.MOCAP, decode(m.MocapPose, pose_record(n).data))
-               for n in range(150)]  # fmt: skip
-    return make_record(next(r for r in reports if r is not None), 0, EPOCH)
-
-
 def test_reports_are_read_until_the_learner_ends(loop, pipe):
-    reader, packed = pipes.PipeReader(pipe[0]), pipes.pack_record(report_record(loop))
+    reader, packed = pipes.PipeReader(pipe[0]), pipes.pack_record(fed(loop, range(150))[0])
     assert list(reader.take()) == []
     os.write(pipe[1], packed[:50])
     assert list(reader.take()) == []

@@ -9,10 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from steerd.daemon.assembly.build import RunId, make_core, make_plan
+from steerd.daemon.assembly.build import RunId, make_plan
 from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.ipc.pipe_records import PipeWriter, make_pipe, read_message
 from steerd.daemon.ipc.requests import pack_request
+from steerd.daemon.loop.core import make_core
 from steerd.daemon.loop.findings import CAUSES, Flag
 from steerd.daemon.loop.supervisor import NEVER, STILL_NS
 from steerd.daemon.loop.transitions import SupervisorState
@@ -508,7 +509,9 @@ def test_no_rate_of_mocap_makes_ticks_uneven(monkeypatch, hz):
 def runner_with(monkeypatch, world: World, notes: list[str]) -> Runner:
     """A runner whose core only notes its calls."""
     core = SimpleNamespace(
-        loop=SimpleNamespace(setup=SimpleNamespace(period_ns=10 * MS, boot_id=1)),
+        loop=SimpleNamespace(
+            plan=SimpleNamespace(period_ns=10 * MS, run=SimpleNamespace(boot_id=1))
+        ),
         tick=lambda *_: notes.append("decided") or b"order",
         post_tick=lambda written: notes.append(f"posted {written.decode()}"),
         on_poses=lambda _samples: None,

@@ -11,13 +11,13 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 from steerd.car_model.car_file import default_car_path
-from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.assembly.build import make_job, make_plan, read_job
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.pipe_records import Outbox, PipeReader, PipeWriter, make_pipe, pack_record
 from steerd.daemon.ipc.requests import parse_setting
-from steerd.daemon.process.view import Viewer, make_channels
-from steerd.daemon.process.view_job import make_view_job, parse_view
+from steerd.daemon.process.view import Viewer, list_values, make_channels
+from steerd.daemon.process.view_job import draw_plan, parse_view
 from steerd.daemon.process.view_scene import (
     Body,
     make_car_scene,
@@ -145,16 +145,17 @@ def test_no_word_of_a_client_ends_its_connection(words):
     assert said[-1]["id"] == "1"
 
 
-# The viewer's job: lane, car and car file as JSON; addresses accepted and refused.
+# What the viewer draws: lane, car and car file; addresses accepted and refused.
 
 
 def test_the_job_holds_the_lane_and_the_car_file_and_is_json():
     options = RunOptions(str(default_car_path()), path="circle:radius=2", view="9000")
-    job = json.loads(json.dumps(make_view_job(make_plan(options))))
-    assert (job["host"], job["port"], job["closed"]) == ("127.0.0.1", 9000, True)
+    plan = read_job(json.loads(json.dumps(make_job(make_plan(options)))))
+    job = draw_plan(plan)
+    assert job["closed"]
     assert [hypot(x, y - 2.0) for x, y, _ in job["lane"]] == pytest.approx([2.0] * len(job["lane"]))
     assert 200 < len(job["lane"]) < 400  # 12.6 m in steps of about 5 cm
-    assert make_parameters(job["parameters"])["car.lf"] == job["body"]["lf"]
+    assert list_values(plan)["car.lf"] == job["body"]["lf"]
 
 
 @pytest.mark.parametrize(

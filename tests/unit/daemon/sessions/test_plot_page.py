@@ -36,7 +36,7 @@ from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
-from steerd.steer_bus.container import ChannelCount
+from steerd.steer_bus.container import TopicInfo
 from steerd.steer_bus.session import SessionWriter
 
 EPOCH = 1_726_480_861_000_000_000
@@ -120,7 +120,7 @@ def test_ten_minutes_of_the_worst_noise_stay_small(tmp_path):
     session = load_recording(write_noise(tmp_path / "a.mcap", 1, 20))
     report, rng = make_session_report(session), np.random.default_rng(4)
     start_ns = report.info.start_ns
-    lasting = ChannelCount(1, start_ns, start_ns + 600_000_000_000)
+    lasting = TopicInfo(1, start_ns, start_ns + 600_000_000_000)
     info = replace(report.info, counts={**report.info.counts, 99: lasting})
     t = np.arange(60_000) * 0.01
     noise = (Curve(name, "other", t, rng.normal(size=t.size)) for name in "abcdefghijklmnopqrst")

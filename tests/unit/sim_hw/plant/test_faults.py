@@ -198,10 +198,10 @@ def test_server_restart_begins_numbers_and_clock_again():
 def test_half_open_tcp_is_silent_for_those_connected_before():
     config = replace(DRIVING, mocap=MocapConfig(kind="vrpn"))
     world = World(config, [Fault("half_open", ON)])
-    world.mocap_connect(0, peer=1)
+    world.mocap.on_connect(0, 1)
     assert [m for m in world.mocap_read(900 * MS) if m.peer == 1]
     world.mocap_read(1100 * MS)
-    world.mocap_connect(1100 * MS, peer=2)
+    world.mocap.on_connect(1100 * MS, 2)
     later = world.mocap_read(1500 * MS)
     assert {m.peer for m in later} == {2}
     assert CLOSE not in {m.channel for m in later}

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from steerd.car_model.params import DEFAULT_CAR, wheelbase
 from steerd.car_model.state import Command
 from steerd.controller.limits import Limits
+from steerd.daemon.assembly import plans
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.cli.commands.completion import make_full_parser
-from steerd.daemon.loop import plans
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import make_virtual_run
 from steerd.daemon.settings.run_options import RunOptions

@@ -14,8 +14,7 @@ from steerd.car_model.params import GRAVITY, Car, wheelbase
 from steerd.car_model.path.path_spec import FIGURE_EIGHT_EXTENT
 from steerd.car_model.state import Command
 from steerd.controller.limits import Limits
-from steerd.daemon.loop.launch import LAUNCH_DISTANCE
-from steerd.daemon.settings.thresholds import LAUNCH_SPEED
+from steerd.daemon.settings.thresholds import LAUNCH_DISTANCE, LAUNCH_SPEED
 
 PAPER_SECONDS = 8.0
 PAPER_SPEED = 1.0
