@@ -7,8 +7,8 @@ import pytest
 
 from steerd.daemon.assembly.build import RunId, make_core, make_plan
 from steerd.daemon.ipc.requests import read_diagnostics
-from steerd.daemon.loop.core import LIMITS_TRIES, Core, describe_error
-from steerd.daemon.loop.findings import WATCHDOGS, Flag
+from steerd.daemon.loop.core import LIMITS_TRIES, Core
+from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.perception import NO_TELEMETRY
 from steerd.daemon.loop.supervisor import LAUNCH_SPEED
 from steerd.daemon.loop.transitions import Fact, SupervisorState
@@ -157,13 +157,6 @@ def test_a_second_start_is_as_slow_as_the_first():
         assert not core.last.facts & Fact.LAUNCHED
 
 
-def test_nobody_is_advised_about_an_estimate_that_is_not_there_yet():
-    last = at_phase("P0").run.core.last
-    (about,) = [finding for finding in last.findings if finding.id == "W6"]
-    assert about.text.endswith(": no estimate yet")
-    assert about.severity is WATCHDOGS["W6"].severity, "it trips all the same"
-
-
 # An exception in the loop: the brake, the reason, and no recovery without a restart.
 
 
@@ -200,10 +193,3 @@ def test_one_exception_keeps_the_car_latched_for_good():
     rig.go_on(0.5)
     assert rig.state is SupervisorState.FAULT_LATCHED
     assert rig.run.core.flags & Flag.EXCEPTION
-
-
-def test_an_error_is_described_with_its_place():
-    with pytest.raises(BrokenError) as caught:
-        broken()
-    assert describe_error(caught.value).startswith("BrokenError at broken:")
-    assert describe_error(ValueError("x")) == "ValueError: x"

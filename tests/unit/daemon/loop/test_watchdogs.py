@@ -94,12 +94,6 @@ def test_mocap_age_is_judged_at_the_faster_speed(speed, erpm):
     assert brief(look(mocap_age=up(0.0625), **changes)) == [("W1", HARD)]
 
 
-def test_a_50_ms_gap_and_single_losses_do_not_trip():
-    for speed in (0.0, 1.0, 3.0, 4.0):
-        found = look(Thresholds(), mocap_age=0.060, speed=speed, speed_erpm=speed)
-        assert ("W1", HARD) not in brief(found)
-
-
 @pytest.mark.parametrize(
     ("pose", "expected"),
     [
@@ -259,6 +253,7 @@ def test_saturation_that_ends_is_forgotten():
     state, _ = step_watchdogs(TH, state, changed(CALM, t_ns=2 * S, steer_share=1.0))
     found = look(memory=state, t_ns=3 * S - 1, steer_share=1.0, lateral_error=0.1)
     assert found[0].severity == WARN
+    assert ": at the limit for 1.0 s, 0.10 m off and growing; " in found[0].text
 
 
 def test_what_the_runner_reports_comes_first_and_counts():

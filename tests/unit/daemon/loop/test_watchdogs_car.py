@@ -123,7 +123,8 @@ def test_a_stop_that_works_has_no_findings(kind, least):
 def test_a_stop_that_is_too_weak_is_found_after_lag_and_window(kind, least):
     found = stop(kind, slowed(least - 0.01, 11))
     assert [slowing for _, slowing in found] == [True] * 6 + [False] * 5
-    assert "W24" in found[6][0][0]
+    assert ": still " in found[6][0][0]
+    assert " m/s, too little slower after 0.2 s; " in found[6][0][0]
     assert "CUT POWER:" not in found[9][0][0]
     assert "CUT POWER:" in found[10][0][0]
 
@@ -216,6 +217,7 @@ def test_reboot_shows_in_the_tachometer():
     assert (state.tachometer, found) == (100, ())
     after, found = step_watchdogs(TH, state, changed(CALM, tachometer=99))
     assert brief(found) == [("W12", HARD)]
+    assert ": tachometer fell from 100 to 99; " in found[0].text
     assert after.tachometer == 99
     assert brief(look(memory=state, tachometer=0)) == [("W12", HARD)]
 

@@ -12,13 +12,12 @@ import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.daemon.assembly.build import make_core, make_plan
-from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc import pipe_records as pipes
 from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord, pack_record
-from steerd.daemon.learning.feed import Wiring, make_feed, make_record
+from steerd.daemon.learning.feed import Wiring, make_feed
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.process import recorder
-from steerd.daemon.process.core_process import latch_stray_exceptions, make_mocap, status_sink
+from steerd.daemon.process.core_process import latch_stray_exceptions, status_sink
 from steerd.daemon.process.learner import LearnerLoop
 from steerd.daemon.process.recorder import Recording, check_space, record_pipe
 from steerd.daemon.settings.run_options import RunOptions
@@ -121,13 +120,6 @@ def test_the_terminal_gets_changes_at_once_and_the_rest_ten_times_a_second():
     assert written == [(0, 2), (50_000_000, 1), (100_000_000, 2)]
 
 
-@pytest.mark.parametrize("address", ["", "nonsense://x", "natnet://"])
-def test_an_invalid_mocap_address_is_refused(address):
-    plan = make_plan(RunOptions(car_file="", path="line", mocap=address))
-    with pytest.raises(SteerdError):
-        make_mocap(plan)
-
-
 # The learner's process: records in, reports out, and readers that lose it.
 
 EPOCH = 1_700_000_000_000_000_000
@@ -145,28 +137,13 @@ def pose_record(number):
 
 
 @pytest.fixture
-def pipe():
-    read_fd, write_fd = pipes.make_pipe()
-    yield read_fd, write_fd
-    for fd in (read_fd, write_fd):
-        try:
-            os.close(fd)
-        except OSError:
-            continue  # the test closed it
-
-
-@pytest.fixture
 def loop(pipe):
     feed = make_feed(load_car(default_car_path()), Wiring(EPOCH))
     return LearnerLoop(feed, [pipes.PipeWriter(pipe[1])])
 
 
-def fed(loop, numbers):
-    loop.take(map(pose_record, numbers))
-
-
 def test_a_report_comes_once_a_second(loop, pipe):
-    fed(loop, range(350))
+    loop.take(map(pose_record, range(350)))
     reports = [decode(m.Model, record.data) for record in pipes.PipeReader(pipe[0]).take()]
     assert [report.mono_ns // 1_000_000_000 for report in reports] == [1, 2, 3]
     assert {report.verdict for report in reports} == {"learning"}
@@ -175,57 +152,28 @@ def test_a_report_comes_once_a_second(loop, pipe):
 
 
 def test_what_was_dropped_on_the_way_is_counted(loop, pipe):
-    fed(loop, [*range(50), *range(80, 250)])
+    loop.take(map(pose_record, [*range(50), *range(80, 250)]))
     last = list(pipes.PipeReader(pipe[0]).take())[-1]
     assert decode(m.Model, last.data).dropped == 30
 
 
 def test_bytes_that_are_no_message_are_passed_over(loop, pipe):
     broken = replace(pose_record(60), data=b"\0\1\0\0 nonsense")
-    loop.take([pose_record(0), broken])
-    fed(loop, range(61, 250))
+    loop.take([pose_record(0), broken, *map(pose_record, range(61, 250))])
     assert loop.reports == 2
 
 
-def test_a_reader_that_does_not_read_costs_reports_alone(loop, pipe):
-    pipe_writer = loop.outputs[0]
-    pipe_writer.write([bytes(1 << 21)], 0)  # full
-    fed(loop, range(350))
+@pytest.mark.parametrize("gone", [False, True])
+def test_a_reader_that_does_not_read_or_is_gone_costs_reports_alone(loop, pipe, gone):
+    (output,) = loop.outputs
+    if gone:
+        os.close(pipe[0])
+    else:
+        output.write([bytes(1 << 21)], 0)  # full
+    loop.take(map(pose_record, range(350)))
     assert loop.reports == 3
-    assert pipe_writer.dropped >= 3
-
-
-def test_a_reader_that_is_gone_costs_reports_alone(loop, pipe):
-    os.close(pipe[0])
-    fed(loop, range(250))
-    assert loop.outputs[0].dead
-
-
-def test_numbers_that_are_missing_are_counted_by_topic():
-    gaps = pipes.Gaps()
-    for number in (5, 6, 9, 9, 10):
-        gaps.take(pose_record(number))
-    assert gaps.missed == 2
-
-
-def report_record(loop):
-    reports = [loop.feed.take(topics.MOCAP, decode(m.MocapPose, pose_record(n).data))
-               for n in range(150)]  # fmt: skip
-    return make_record(next(r for r in reports if r is not None), 0, EPOCH)
-
-
-def test_reports_are_read_until_the_learner_ends(loop, pipe):
-    reader, packed = pipes.PipeReader(pipe[0]), pipes.pack_record(report_record(loop))
-    assert list(reader.take()) == []
-    os.write(pipe[1], packed[:50])
-    assert list(reader.take()) == []
-    os.write(pipe[1], packed[50:])
-    assert len(list(reader.take())) == 1
-    os.write(pipe[1], packed)
-    os.close(pipe[1])
-    assert len(list(reader.rest(0))) == 1
-    assert reader.fd is None
-    assert list(reader.take()) == []
+    assert output.dead is gone
+    assert output.dropped >= 3
 
 
 def test_a_run_without_a_learner_has_no_reports():

@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import os
 from dataclasses import fields
 from math import atan2, hypot, nan, pi
 from types import SimpleNamespace
@@ -14,9 +13,8 @@ from steerd.car_model.car_file import default_car_path
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.ipc.pipe_records import Outbox, PipeReader, PipeWriter, make_pipe, pack_record
 from steerd.daemon.ipc.requests import parse_setting
-from steerd.daemon.process.view import Viewer, make_channels
+from steerd.daemon.process.view import make_channels
 from steerd.daemon.process.view_job import make_view_job, parse_view
 from steerd.daemon.process.view_scene import (
     Body,
@@ -75,24 +73,6 @@ def test_what_was_learnt_is_shown_with_its_standard_deviation_once_it_is_new():
     known = ViewParameters({})
     assert known.take(shown) == shown
     assert known.take(shown) == {}
-
-
-def test_a_viewer_counts_what_the_pipe_dropped():
-    read_fd, write_fd = make_pipe()
-    sent = []
-    box = Outbox(0, (lambda records, t_ns: sent.extend(records),))
-    for tick in range(5):
-        box.post(topics.STATE, blank(m.StateMessage, seq=tick), tick)
-        box.flush(tick)
-    kept = [record for record in sent if record.sequence not in (1, 2)]
-    PipeWriter(write_fd).write([pack_record(record) for record in kept], 0)
-    os.close(write_fd)
-    lane = make_lane_scene([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], 0.3, closed=False)
-    server = ViewServer("x", make_channels("car1"), ViewParameters({}))
-    viewer = Viewer("car1", BODY, lane, server)
-    for record in PipeReader(read_fd).take():
-        viewer.show(record)
-    assert viewer.gaps.missed == 2
 
 
 def test_every_topic_has_a_channel_with_its_schema():

@@ -18,7 +18,7 @@ from tests.unit.daemon.sessions.test_motion import RADIUS, SPEED, circle
 EPOCH = 1_726_480_861_000_000_000
 
 
-def write_circle(path, *, finish=True, gap=False, texts=()):
+def write_circle(path, *, finish=True, gap=False):
     topics = {
         make_session_topic("blue", t): t.message for t in (MOCAP, ACTUATION, TRANSITION, WHEEL)
     }
@@ -29,8 +29,7 @@ def write_circle(path, *, finish=True, gap=False, texts=()):
         t_ns = round(t * 1e9)
         if i % 100 == 0 and i < 700:
             states = (SupervisorState(i // 100), SupervisorState(i // 100 + 1))
-            text = texts[0] if texts else "because"
-            message = Transition(make_header(t_ns + EPOCH, BODY), *states, "code", text)
+            message = Transition(make_header(t_ns + EPOCH, BODY), *states, "code", "because")
             writer.write("/steerd/blue/transition", encode(message), t_ns + EPOCH)
         if gap and 300 <= i < 350:
             continue

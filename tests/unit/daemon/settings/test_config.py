@@ -67,7 +67,6 @@ def settings_with(tmp_path, section, **values):
         ("safety", {"jump_speed": 9}, "jump_speed = 9 m/s is outside 1..8 m/s: the car file may"),
         ("safety", {"late_run": 4}, "late_run = 4 ticks is outside 1..3 ticks"),
         ("safety", {"jump_frames": True}, "Expected `int`, got `bool`"),
-        ("safety", {"fence": [[0, 0], [1, 0]]}, "three corners"),
         ("record", {"flush_ms": 9}, "10 to 250 ms"),
         ("record", {"flush_ms": 251}, "10 to 250 ms"),
         ("record", {"requires": True}, "did you mean required?"),
