@@ -324,9 +324,9 @@ def test_what_is_no_file(tmp_path, command):
         assert err.startswith("steerd: ")
 
 
-def test_truncation_at_each_percent(whole, put):  # 5, 6
+def test_truncation_at_many_places(whole, put):  # 5, 6
     saved = []
-    for percent in range(1, 100):
+    for percent in range(1, 100, 7):
         path = put(whole[: len(whole) * percent // 100])
         assert steerd("info", path, *["--json"] * (percent % 9 > 0))[0] in (0, 4)
         code, out, err = steerd("recover", path)
