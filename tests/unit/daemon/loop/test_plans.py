@@ -94,15 +94,12 @@ def test_plans_that_make_no_sense_are_refused(spec):
         plans.parse_drill(spec, DEFAULT_CAR, LIMITS)
 
 
-def test_box_by_corners():
-    assert plans.parse_box("-1,-2,3,4").fence == ((-1, -2), (3, -2), (3, 4), (-1, 4))
-
-
 @pytest.mark.parametrize(("side", "path"), [("20", "figure8"), ("8", "circle")])
 def test_path_under_a_probe_fits(side, path):
     assert plans.make_closed_path(plans.parse_box(side)).startswith(path)
 
 
-def test_a_box_too_small_for_a_probe_is_refused():
+def test_a_box_has_corners_and_one_too_small_for_a_probe_is_refused():
+    assert plans.parse_box("-1,-2,3,4").fence == ((-1, -2), (3, -2), (3, 4), (-1, 4))
     with pytest.raises(plans.PlanError, match="needs a box"):
         plans.make_closed_path(plans.parse_box("4"))
