@@ -116,7 +116,7 @@ def test_natnet_poses_arrive_with_their_exposure_time(udp_server, connect):
     assert len(receiver.fds()) == 2
 
 
-@pytest.mark.parametrize("udp_server", [TO_COMMAND], indirect=True)
+@pytest.mark.parametrize("udp_server", [False], indirect=True)
 def test_natnet_backlog_keeps_the_newest_five(udp_server, connect):
     receiver, samples = follow(connect, udp_server)
     udp_server.begun_ns -= 400 * MS
@@ -127,7 +127,7 @@ def test_natnet_backlog_keeps_the_newest_five(udp_server, connect):
     assert late[-1].frame > samples[-1].frame + 30
 
 
-@pytest.mark.parametrize("udp_server", [TO_COMMAND], indirect=True)
+@pytest.mark.parametrize("udp_server", [False], indirect=True)
 def test_natnet_data_port_that_is_taken_is_tried_again(udp_server, connect):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind((LOOPBACK, udp_server.sockets.data_port))
@@ -140,7 +140,7 @@ def test_natnet_data_port_that_is_taken_is_tried_again(udp_server, connect):
     assert "data port" not in receiver.status().detail
 
 
-@pytest.mark.parametrize("udp_server", [TO_DATA], indirect=True)
+@pytest.mark.parametrize("udp_server", [True], indirect=True)
 def test_natnet_server_comes_back_on_another_data_port(udp_server, connect):
     receiver, samples = follow(connect, udp_server)
     udp_server.sockets.data_port = udp_server.world.mocap.data_port = free_port()
@@ -189,7 +189,7 @@ def test_vrpn_without_a_server_backs_off(connect):
     assert "refused" in receiver.status().detail
 
 
-@pytest.mark.parametrize("udp_server", [TO_COMMAND], indirect=True)
+@pytest.mark.parametrize("udp_server", [False], indirect=True)
 def test_the_kernel_stamps_udp_and_tcp(udp_server, tcp_server, connect):
     """A receiver that reads late must still know when the datagram came."""
     offset = [0]

@@ -117,11 +117,3 @@ def test_a_drive_that_a_watchdog_ends_says_so():
             path="circle:radius=2", speed=2.0, duration=20.0, effects={"steer_delay": 0.3}
         )
     assert session.duration < 10.0
-
-
-def test_the_figure_shows_track_and_panels(drive):
-    figure = drive.plot()
-    titles = [axis.get_title(loc="left") for axis in figure.axes]
-    assert titles[0] == "track"
-    assert {"lateral error e1", "speed", "yaw rate"} <= set(titles)
-    assert figure.axes[0].collections  # the track, coloured by the lateral error

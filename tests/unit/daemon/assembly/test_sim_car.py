@@ -32,10 +32,6 @@ def make(sim_car="", effects=(), **more):
     return make_plan(options, design=False)
 
 
-def meta(plan):
-    return make_metadata(plan)
-
-
 def test_a_seed_hides_one_car_and_another_seed_another():
     one, same, other = (load_sim_car(f"hidden:{seed}").file.car for seed in (3, 3, 4))
     assert one == same != other
@@ -72,39 +68,36 @@ def test_the_car_file_is_the_controllers_and_the_other_one_is_driven(tmp_path):
 
 def test_a_session_tells_its_true_car_and_how_to_drive_it_again():
     plan = make("hidden:5")
-    assert read_true_car(meta(plan)) == plan.sim.file.car != plan.settings.file.car
-    assert read_origin(meta(plan)) == "--sim --fast --sim-car hidden:5"
-    assert read_origin(meta(make())) == "--sim --fast"
+    assert read_true_car(make_metadata(plan)) == plan.sim.file.car != plan.settings.file.car
+    assert read_origin(make_metadata(plan)) == "--sim --fast --sim-car hidden:5"
+    assert read_origin(make_metadata(make())) == "--sim --fast"
     assert read_origin({"steerd.session": {"mode": "import"}}) == ""
-
-
-def test_effects_go_with_the_simulated_car_and_not_with_a_file_that_has_them():
-    found = meta(make(effects=("steer_lag=0.02",)))
+    found = make_metadata(make(effects=("steer_lag=0.02",)))
     assert read_origin(found) == "--sim --fast --effect steer_lag=0.02"
-    assert read_origin(found, own_car=False) == "--sim --fast"
+    assert read_origin(found, own_car=False) == "--sim --fast", "a file that has them"
 
 
 def test_sessions_of_different_true_cars_are_told_apart():
-    same = {"a": meta(make("hidden:5")), "b": meta(make("hidden:5"))}
+    same = {"a": make_metadata(make("hidden:5")), "b": make_metadata(make("hidden:5"))}
     assert compare_truths(same) == []
-    late = {"a": meta(make()), "b": meta(make(effects=("steer_delay=0.05",)))}
+    late = {"a": make_metadata(make()), "b": make_metadata(make(effects=("steer_delay=0.05",)))}
     (said,) = compare_truths(late)
     assert "a and b were driven on different simulated cars" in said
     assert "steer_delay.delay unset and 0.05" in said
-    (said,) = compare_truths({"a": meta(make()), "b": meta(make("hidden:5"))})
+    (said,) = compare_truths({"a": make_metadata(make()), "b": make_metadata(make("hidden:5"))})
     assert "more" in said
 
 
 def test_a_car_on_the_floor_has_no_known_truth():
     plan = make("hidden:5")
     real = replace(plan, options=replace(plan.options, simulated=False, sim_car=""))
-    assert "steerd.truth" not in meta(real)
-    assert read_true_car(meta(real)) is None
-    assert compare_truths({"a": meta(real), "b": meta(plan)}) == []
+    assert "steerd.truth" not in make_metadata(real)
+    assert read_true_car(make_metadata(real)) is None
+    assert compare_truths({"a": make_metadata(real), "b": make_metadata(plan)}) == []
 
 
 def test_an_old_session_was_driven_on_its_car_file():
-    old = meta(make())
+    old = make_metadata(make())
     del old["steerd.truth"]
     assert read_true_car(old) == make().settings.file.car
 
@@ -154,14 +147,13 @@ def plan():
     return make_plan(GIVEN, design=False)
 
 
-def test_a_session_is_named_by_date_car_and_run_in_the_services_folder(monkeypatch, tmp_path):
+def test_a_session_is_named_by_date_car_and_run_in_the_services_or_users_folder(
+    monkeypatch, tmp_path
+):
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
     path = default_session_path("car1", NOON_NS, 0x1_2345_6789)
     assert path == tmp_path / "sessions" / "2023-11-14T22-13-20Z_car1_23456789.mcap"
-
-
-def test_without_a_service_it_is_in_the_users_folder(monkeypatch, tmp_path):
-    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.delenv("STATE_DIRECTORY")
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     assert default_session_path("car1", NOON_NS, 1).parent == tmp_path / "steerd" / "sessions"
 

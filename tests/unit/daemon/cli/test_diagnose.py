@@ -4,7 +4,6 @@ import contextlib
 import hashlib
 import io
 import json
-import re
 from pathlib import Path
 
 import pytest
@@ -101,18 +100,6 @@ def test_the_prediction_is_written_and_hashed_before_it_is_measured(diagnosed):
     shrink = json.loads((folder / "gap.json").read_text())["causes"][0]["shrink"]
     assert shrink["measured"] > 0.7
     assert json.loads(prediction)["predicted"] == shrink["predicted"]
-
-
-def test_the_report_needs_nothing_else(diagnosed):
-    page = (diagnosed[0] / "gap.html").read_text()
-    assert len(page) < 2_000_000
-    assert page.count("<svg") >= 6
-    assert not re.search(r"https?://(?!www\.w3\.org)", page)
-    assert not re.search(r"(?:src|href)=\"(?!#|data:)", page)
-    assert "<script" not in page
-    for heading in ("How large the gap is", "Where it lies", "Which effect", "How sure",
-                    "How far the gap shrinks", "What next"):  # fmt: skip
-        assert f"<h2>{heading}</h2>" in page
 
 
 # --- what is refused

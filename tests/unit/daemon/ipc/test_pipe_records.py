@@ -17,21 +17,6 @@ MESSAGE = m.OperatorRequest(m.make_header(5, m.BODY), 1, 2, 3, int(m.RequestKind
 RECORD = pipe_records.PipeRecord(topics.OPERATOR, 7, 11, 13, encode(MESSAGE), MESSAGE)
 
 
-def read_all(fd: int) -> list[pipe_records.PipeRecord]:
-    """Every whole record that lies in the pipe."""
-    os.set_blocking(fd, False)
-    buffer = bytearray()
-    while True:
-        try:
-            data = os.read(fd, 1 << 16)
-        except BlockingIOError:
-            break
-        if not data:
-            break
-        buffer += data
-    return list(pipe_records.unpack_records(buffer))
-
-
 def test_a_record_returns_from_the_pipe_as_it_was():
     (found,) = pipe_records.unpack_records(bytearray(pipe_records.pack_record(RECORD)))
     assert found == replace(RECORD, message=None)
@@ -48,68 +33,58 @@ def test_records_are_found_wherever_the_bytes_are_split():
     assert buffer == b""
 
 
-def test_a_full_pipe_drops_whole_records_and_recovers():
-    read_fd, write_fd = pipe_records.make_pipe()
-    pipe, sent = pipe_records.PipeWriter(write_fd), 0
-    while not pipe.dropped:
-        pipe.write([pipe_records.pack_record(replace(RECORD, sequence=sent))], sent)
+def test_a_full_pipe_drops_whole_records_and_recovers(pipe):
+    reader, writer, sent = pipe_records.PipeReader(pipe[0]), pipe_records.PipeWriter(pipe[1]), 0
+    while not writer.dropped:
+        writer.write([pipe_records.pack_record(replace(RECORD, sequence=sent))], sent)
         sent += 1
-    assert pipe.full_since_ns is not None
-    before = read_all(read_fd)
-    pipe.write([pipe_records.pack_record(replace(RECORD, sequence=sent))], sent)
-    assert pipe.full_since_ns is None
-    numbers = [record.sequence for record in before + read_all(read_fd)]
-    assert len(numbers) == sent + 1 - pipe.dropped
+    assert writer.full_since_ns is not None
+    before = list(reader.take())
+    writer.write([pipe_records.pack_record(replace(RECORD, sequence=sent))], sent)
+    assert writer.full_since_ns is None
+    numbers = [record.sequence for record in before + list(reader.take())]
+    assert len(numbers) == sent + 1 - writer.dropped
     assert numbers == sorted(set(numbers))
     assert all(record.data == RECORD.data for record in before)
-    os.close(read_fd)
-    os.close(write_fd)
 
 
 @pytest.mark.parametrize("size", [600, 1400, 4000, 4200, 9000])
-def test_the_age_of_a_full_pipe_grows_until_its_reader_takes_something(size):
-    read_fd, write_fd = pipe_records.make_pipe()
-    pipe, batch, t_ns = pipe_records.PipeWriter(write_fd), [bytes(size)], 0
-    while pipe.full_since_ns is None:
+def test_the_age_of_a_full_pipe_grows_until_its_reader_takes_something(pipe, size):
+    writer, batch, t_ns = pipe_records.PipeWriter(pipe[1]), [bytes(size)], 0
+    while writer.full_since_ns is None:
         t_ns += 1
-        pipe.write(batch, t_ns)
+        writer.write(batch, t_ns)
     began_ns = t_ns
     for t_ns in range(began_ns, began_ns + 6000):
-        pipe.write(batch, t_ns)
-    assert pipe.full_since_ns == began_ns
-    os.read(read_fd, 1 << 16)
-    pipe.write(batch, t_ns)
-    assert pipe.full_since_ns is None
-    os.close(read_fd)
-    os.close(write_fd)
+        writer.write(batch, t_ns)
+    assert writer.full_since_ns == began_ns
+    os.read(pipe[0], 1 << 16)
+    writer.write(batch, t_ns)
+    assert writer.full_since_ns is None
 
 
-def test_a_tick_without_records_tears_none_that_was_taken_in_part():
-    read_fd, write_fd = pipe_records.make_pipe()
-    pipe, size = pipe_records.PipeWriter(write_fd), 3 * len(pipe_records.pack_record(RECORD))
-    while not pipe.dropped:
-        pipe.write([pipe_records.pack_record(RECORD)] * 300, 0)
-    assert pipe.full_since_ns == 0
-    read_all(read_fd)
-    for packed in ([], [pipe_records.pack_record(RECORD)] * 3):
-        pipe.write(packed, 1)
-    data = os.read(read_fd, 1 << 20)
-    assert len(data) > size
-    assert len(data) % (size // 3) != 0
-    assert data.endswith(pipe_records.pack_record(RECORD) * 3)
-    os.close(read_fd)
-    os.close(write_fd)
+def test_a_tick_without_records_tears_none_that_was_taken_in_part(pipe):
+    reader, writer = pipe_records.PipeReader(pipe[0]), pipe_records.PipeWriter(pipe[1])
+    packed = pipe_records.pack_record(RECORD)
+    while not writer.dropped:
+        writer.write([packed] * 300, 0)
+    assert writer.full_since_ns == 0
+    assert list(reader.take())
+    for records in ([], [packed] * 3):
+        writer.write(records, 1)
+    data = os.read(pipe[0], 1 << 20)
+    assert len(data) > 3 * len(packed)
+    assert len(data) % len(packed) != 0
+    assert data.endswith(packed * 3)
 
 
-def test_a_reader_that_is_gone_costs_one_write_and_no_exception():
-    read_fd, write_fd = pipe_records.make_pipe()
-    pipe = pipe_records.PipeWriter(write_fd)
-    os.close(read_fd)
-    pipe.write([pipe_records.pack_record(RECORD)], 1)
-    assert pipe.dead
-    pipe.write([pipe_records.pack_record(RECORD)] * 2, 2)
-    assert pipe.dropped == 3
-    os.close(write_fd)
+def test_a_reader_that_is_gone_costs_one_write_and_no_exception(pipe):
+    writer = pipe_records.PipeWriter(pipe[1])
+    os.close(pipe[0])
+    writer.write([pipe_records.pack_record(RECORD)], 1)
+    assert writer.dead
+    writer.write([pipe_records.pack_record(RECORD)] * 2, 2)
+    assert writer.dropped == 3
 
 
 # The core's way out: order, numbers, and a message that cannot be encoded.

@@ -10,11 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.ipc.requests import read_diagnostics
 from steerd.daemon.ipc.signals import make_notify
-from steerd.steer_bus.messages import BODY, make_header
-from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
 
 TAKE = """
 import os, select, signal
@@ -134,19 +130,3 @@ def test_notifications_arrive_and_never_block(tmp_path, abstract):
 def test_without_a_manager_nothing_happens():
     make_notify({})("READY=1")
     make_notify({"NOTIFY_SOCKET": "elsewhere"})("READY=1")
-
-
-# The supervisor's values in a diagnostics message; other messages are refused.
-
-
-def make_array(name):
-    values = (KeyValue("state", "READY"), KeyValue("waiting", "arm"))
-    status = DiagnosticStatus(level=0, name=name, message="", hardware_id="", values=values)
-    return DiagnosticArray(make_header(0, BODY), (status,))
-
-
-def test_the_values_of_the_supervisor_are_read_by_key_and_another_node_is_refused():
-    values = read_diagnostics(make_array("steerd: supervisor"))
-    assert values == {"state": "READY", "waiting": "arm"}
-    with pytest.raises(SteerdError):
-        read_diagnostics(make_array("lidar"))

@@ -59,14 +59,9 @@ def test_a_page_that_is_torn_or_changed_at_any_byte_is_refused(page):
 
 
 def test_a_page_of_this_form_with_other_keys_is_refused(page):
-    other = replace_body(page, "[values]", "[numbers]")
+    body = page.partition("\n")[2].replace("[values]", "[numbers]")
     with pytest.raises(KeptError, match="not what steerd writes"):
-        parse_kept(other)
-
-
-def replace_body(page, old, new):
-    body = page.partition("\n")[2].replace(old, new)
-    return f"# sha256 {sha256(body.encode()).hexdigest()}\n{body}".encode()
+        parse_kept(f"# sha256 {sha256(body.encode()).hexdigest()}\n{body}".encode())
 
 
 @pytest.mark.parametrize(
@@ -181,6 +176,7 @@ def test_what_one_run_keeps_the_next_begins_with(plan, quiet_report, capsys):
     assert (first.memory, dict(first.metadata), first.refused) == ("", {}, False)
     page = plan.settings.file.path.with_name("car.learnt.toml")
     assert first.page == str(page)
+    assert page.read_text() == format_kept(first.about, quiet_report), "with the drive's time"
     second = recalled(plan, m.stamp_ns(quiet_report.header) + 2 * DAY_NS)
     assert json.loads(second.memory) == {"days": 2.0, "values": {"steer_gain": [0.98, 0.012]}}
     assert second.metadata[METADATA]["memory"] == second.memory
@@ -225,22 +221,20 @@ def test_an_edited_car_file_begins_anew_and_nothing_is_lost(plan, quiet_report, 
     assert recalled(edited, m.stamp_ns(quiet_report.header)).memory != ""
 
 
-def test_a_torn_page_is_named_and_left_out(plan, quiet_report, capsys):
+@pytest.mark.parametrize(
+    ("torn", "said"), [(True, "car.learnt.toml is torn or was edited"), (False, "cannot be read")]
+)
+def test_a_page_that_is_torn_or_cannot_be_read_is_named_and_left_out(
+    plan, quiet_report, capsys, torn, said
+):
     kept(plan, quiet_report)
     page = learnt_page(plan)
-    page.write_bytes(page.read_bytes()[:-1])
+    data = page.read_bytes()
+    page.unlink()
+    if torn:
+        page.write_bytes(data[:-1])
+    else:
+        page.mkdir()
     memory = recalled(plan, m.stamp_ns(quiet_report.header))
     assert (memory.memory, memory.refused) == ("", True)
-    assert "car.learnt.toml is torn or was edited" in capsys.readouterr().err
-
-
-def test_a_page_that_cannot_be_read_is_named_and_left_out(plan, capsys):
-    learnt_page(plan).mkdir()
-    memory = recalled(plan, 0)
-    assert (memory.memory, memory.refused) == ("", True)
-    assert "cannot be read" in capsys.readouterr().err
-
-
-def test_a_page_keeps_the_time_of_its_drive(plan, quiet_report):
-    memory = kept(plan, quiet_report)
-    assert learnt_page(plan).read_text() == format_kept(memory.about, quiet_report)
+    assert said in capsys.readouterr().err

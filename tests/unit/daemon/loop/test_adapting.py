@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 
-from steerd.car_model.state import Command, State
+from steerd.car_model.state import State
 from steerd.controller.lane_controller import start_controller
 from steerd.controller.live import AS_DESIGNED
 from steerd.daemon.loop import adapting as a
@@ -152,9 +152,3 @@ def test_past_references_fit_the_design(held, design):
     assert a.hand_over(memory, 3).past == (0.1, 0.1, 0.1)
     assert a.hand_over(memory._replace(past=(0.1, 0.2)), 1).past == (0.1,)
     assert a.hand_over(memory._replace(past=()), 2).past == (0.0, 0.0)
-
-
-def test_a_brake_is_no_order_for_the_servo(held):
-    now = a.make_adapting(held.file, held)
-    assert a.remember_order(now, 0, None) == now
-    assert a.remember_order(now, 0, Command(0.1, 1.0)).servo.orders == ((0, 0.1),)

@@ -7,9 +7,8 @@ import pytest
 
 from steerd.daemon.assembly.build import RunId, make_plan
 from steerd.daemon.ipc.requests import read_diagnostics
-from steerd.daemon.loop.core import LIMITS_TRIES, Core, describe_error, make_core
-from steerd.daemon.loop.findings import WATCHDOGS, Flag
-from steerd.daemon.loop.perception import NO_TELEMETRY
+from steerd.daemon.loop.core import LIMITS_TRIES, Core, make_core
+from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.supervisor import LAUNCH_SPEED
 from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.settings.run_options import RunOptions
@@ -17,12 +16,10 @@ from steerd.sim_hw.plant.faults import Fault
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode
 from steerd.steer_bus.messages import RequestKind
-from steerd.steer_bus.quick_values import changed
 from steerd.steer_bus.standard import DiagnosticArray
 from steerd.vesc_link.commands import GetMcConfTemp, SetMcConfTemp
 from tests.safety.judge import Effort, read_motor_frames
 from tests.safety.rig import Rig, at_phase, twin
-from tests.unit.daemon.loop.watching import seen
 
 MS, NS = 1_000_000, 1_000_000_000
 
@@ -124,21 +121,6 @@ def test_an_emergency_stop_is_left_by_reset_after_the_plug_was_out():
     assert rig.state in (SupervisorState.DISARMED, SupervisorState.READY)
 
 
-def test_a_reply_read_before_an_older_pose_is_fused_all_the_same(plan):
-    core = make_core(plan, ())
-    known = core.loop.perception
-    for k in range(100):
-        known.on_pose(seen(k * 10 * MS, (0.01 * k, 0.0, 0.1), number=k))
-        known.estimate(k * 10 * MS + 1)
-    now = 1010 * MS
-    told = changed(NO_TELEMETRY, t_sent_ns=now - MS, t_received_ns=now, erpm=4614)
-    known.on_telemetry(told)
-    known.on_pose(seen(now - 4 * MS, (1.0, 0.0, 0.1), number=100))
-    health = known.estimate(now).health
-    assert health.untimely == 0
-    assert health.wheel_speed.seen == 1
-
-
 # A run with several starts: each drive passes its own launch checks.
 
 
@@ -155,13 +137,6 @@ def test_a_second_start_is_as_slow_as_the_first():
         rig.reach(SupervisorState.ARMED)
         rig.step()
         assert not core.last.facts & Fact.LAUNCHED
-
-
-def test_nobody_is_advised_about_an_estimate_that_is_not_there_yet():
-    last = at_phase("P0").run.core.last
-    (about,) = [finding for finding in last.findings if finding.id == "W6"]
-    assert about.text.endswith(": no estimate yet")
-    assert about.severity is WATCHDOGS["W6"].severity, "it trips all the same"
 
 
 # An exception in the loop: the brake, the reason, and no recovery without a restart.
@@ -200,10 +175,3 @@ def test_one_exception_keeps_the_car_latched_for_good():
     rig.go_on(0.5)
     assert rig.state is SupervisorState.FAULT_LATCHED
     assert rig.run.core.flags & Flag.EXCEPTION
-
-
-def test_an_error_is_described_with_its_place():
-    with pytest.raises(BrokenError) as caught:
-        broken()
-    assert describe_error(caught.value).startswith("BrokenError at broken:")
-    assert describe_error(ValueError("x")) == "ValueError: x"

@@ -13,7 +13,7 @@ from steerd.daemon.loop.design_desk import (
     read_design,
 )
 from steerd.steer_bus import messages as m
-from steerd.steer_bus.codec import decode, encode
+from steerd.steer_bus.codec import encode
 from tests.designs import design_for, scaled, standard
 
 NOW = 50_000_000_000
@@ -146,19 +146,6 @@ def test_without_the_option_nothing_is_looked_at(held, near):
 
 
 # A design as a message: the same bits back, and what is no design.
-
-
-def test_a_design_comes_back_bit_by_bit():
-    design = design_for(standard(), steer_gain=0.98, body_yaw=0.01)
-    message = decode(m.Design, encode(make_design(5, 7, 3, design)))
-    assert read_design(message) == design
-    assert (message.number, message.mono_ns, m.stamp_ns(message.header)) == (3, 5, 12)
-
-
-def test_the_files_own_design_says_why():
-    message = decode(m.Design, encode(make_no_design(5, 7, "a reason")))
-    assert read_design(message) is None
-    assert message.text == "a reason"
 
 
 @pytest.mark.parametrize(

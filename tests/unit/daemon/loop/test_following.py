@@ -118,15 +118,10 @@ def test_what_was_never_identified_may_be_off_by_a_factor(model):
     assert m.slack == UNKNOWN_BIAS
     wide = make_follow_model(CAR, {}, FilterConfig(), Thresholds(follow_steer=0.08))
     assert wide.slack == 0.08
-    prompt = make_follow_model(CAR._replace(drive_delay=0.0), {}, FilterConfig(), TH)
-    assert prompt.drive.delay == near(0.0, UNKNOWN_LATE_S)
+    for known, late in (({}, UNKNOWN_LATE_S), (KNOWN, LATE_S), ({"drive_delay": 0.0}, LATE_S)):
+        prompt = make_follow_model(CAR._replace(drive_delay=0.0), known, FilterConfig(), TH)
+        assert prompt.drive.delay == near(0.0, late), "identified as none, it is believed"
     assert m.gain == model.gain
-
-
-@pytest.mark.parametrize("known", [KNOWN, {"drive_delay": 0.0}])
-def test_a_dead_time_that_was_identified_as_none_is_believed(known):
-    prompt = make_follow_model(CAR._replace(drive_delay=0.0), known, FilterConfig(), TH)
-    assert prompt.drive.delay == near(0.0, LATE_S)
 
 
 def test_a_large_standard_error_widens_the_range():

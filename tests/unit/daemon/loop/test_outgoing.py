@@ -1,5 +1,6 @@
 """Outgoing messages: what was written, why the state changed, how bad it is."""
 
+from dataclasses import replace
 from math import inf, isnan, nan
 from unittest.mock import Mock
 
@@ -7,6 +8,7 @@ import pytest
 
 from steerd.car_model.state import Command
 from steerd.controller.limits import Limits, Verdict, make_limiter_state
+from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.requests import read_diagnostics
 from steerd.daemon.loop import findings as fs
 from steerd.daemon.loop.orders import Order, TickResult, make_order
@@ -83,6 +85,9 @@ def test_diagnostics_have_a_level_and_the_supervisors_values(state, warned, leve
     values = read_diagnostics(made)
     assert (values["state"], values["reason"], values["waiting"]) == (state.name, "why", "a start")
     assert values["warnings"] == (findings[0].text if warned else "")
+    other = replace(made.status[0], name="lidar")
+    with pytest.raises(SteerdError):
+        read_diagnostics(replace(made, status=(other,)))
 
 
 # Orders: each motor output with its current, the limiter on every angle, a missing wish brakes.

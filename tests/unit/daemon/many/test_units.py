@@ -12,7 +12,7 @@ import pytest
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.many.job import Column, Found, Job, do_job, finished_path, open_finished
-from steerd.daemon.many.units import TRIES, Where, describe_failure, run_units
+from steerd.daemon.many.units import TRIES, Where, run_units
 
 
 def work(about):
@@ -62,21 +62,12 @@ def test_a_worker_that_dies_takes_nobody_along(tmp_path):
     assert found["2 die once"].row is not None
 
 
-def test_nothing_to_do_is_nothing(tmp_path):
-    assert run(tmp_path, Where(2)) == {}
-
-
 def test_numbers_of_processes():
     assert Where(3).processes == 3
     assert Where().processes == len(os.sched_getaffinity(0))
     with pytest.raises(SteerdError, match="--jobs -1") as caught:
         Where(-1)
     assert caught.value.code is ExitCode.USAGE
-
-
-def test_a_failure_is_one_line():
-    assert describe_failure(ValueError("two\n lines")) == "ValueError: two lines"
-    assert describe_failure(KeyError()) == "KeyError"
 
 
 # --- a cluster

@@ -158,29 +158,9 @@ def lane_error(adapted, start, end):
     return float(np.sqrt((table["e1"][kept] ** 2).mean()))
 
 
-def test_what_the_core_took_is_recorded(adapted):
-    said = [r.decode() for r in adapted.messages("/steerd/car1/design")]
-    taken = [d for d in said if d.number]
-    assert taken[-1].steer_gain == pytest.approx(0.88)
-    assert taken[-1].steer_bias == pytest.approx(0.02)
-    assert len({d.number for d in taken}) >= 4, "by steps"
-    assert said[-1].number == 0
-    assert {d.text for d in said if not d.number} == {"doubt"}
-
-
 def test_the_car_comes_nearer_to_its_lane_and_is_never_stopped(adapted):
     modes = set(adapted.columns(m.StateMessage)["mode"])
     assert SupervisorState.FAULT_STOP not in modes
     before, followed = lane_error(adapted, 6.0, FROM_S), lane_error(adapted, 20.0, DOUBT_S)
     assert followed < 0.3 * before
     assert lane_error(adapted, DOUBT_S + 3.0, LONG_S) > 2.0 * followed, "and back again"
-
-
-def test_no_change_of_designs_jerks_the_wheel(adapted):
-    table = adapted.columns(m.Actuation)
-    steps = np.abs(np.diff(table["steer"][np.isfinite(table["steer"])]))
-    assert steps.max() < 0.05
-
-
-def test_a_replay_gives_every_order_again_and_without_the_designs_others(adapted):
-    assert count_differences_without(adapted, "/design", ticks=2500) > 500

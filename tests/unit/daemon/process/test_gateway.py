@@ -36,17 +36,6 @@ def other(hub):
     return LocalBus(hub)
 
 
-@pytest.fixture
-def ends():
-    """The gateway's and the core's end of the socket for requests."""
-    pair = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    for end in pair:
-        end.setblocking(False)
-    yield pair
-    for end in pair:
-        end.close()
-
-
 def packets(core):
     """What has arrived at the core."""
     found = []
@@ -57,17 +46,17 @@ def packets(core):
             return found
 
 
-def test_it_is_alive_and_gives_the_schemas(gateway, other):
+@pytest.mark.usefixtures("gateway")
+def test_it_is_alive_and_gives_the_schemas(other):
     assert other.alive("**") == {"steerd/car1/alive"}
     (text,) = other.query(make_key("car1", "schema/steerd_msgs/msg/Tick")).values()
     assert b"due_ns" in text
-    assert gateway is not None
 
 
-def test_whole_records_are_published_and_the_rest_waits(gateway, hub):
+def test_whole_records_are_published_and_the_rest_waits(gateway, hub, pipe):
     heard = LocalBus(hub).subscribe(make_key("car1", topics.TICK), 8)
     record = pack_record(PipeRecord(topics.TICK, 0, 0, 0, TICK))
-    read_fd, write_fd = os.pipe()
+    read_fd, write_fd = pipe
     reader = PipeReader(read_fd)
     os.write(write_fd, record + record[:-1])
     gateway.publish(reader.take())
@@ -75,8 +64,6 @@ def test_whole_records_are_published_and_the_rest_waits(gateway, hub):
     os.write(write_fd, record[-1:])
     gateway.publish(reader.take())
     assert [sample.data for sample in heard.poll()] == [TICK]
-    reader.close()
-    os.close(write_fd)
 
 
 def test_what_comes_from_the_bus_is_not_sent_back_to_it(gateway, hub):
@@ -182,9 +169,9 @@ def test_a_core_that_does_not_read_costs_requests_and_never_blocks(gateway, othe
     assert 0 < len(packets(core)) < sent
 
 
-def test_it_ends_when_the_pipe_closes_after_all_is_published(hub, ends):
+def test_it_ends_when_the_pipe_closes_after_all_is_published(hub, ends, pipe):
     heard = LocalBus(hub).subscribe(make_key("car1", topics.TICK), 8)
-    read_fd, write_fd = os.pipe()
+    read_fd, write_fd = pipe
     os.write(write_fd, pack_record(PipeRecord(topics.TICK, 0, 0, 0, TICK)))
     os.close(write_fd)
     run_gateway(
@@ -251,16 +238,14 @@ def test_whoever_takes_the_lease_over_the_bus_has_to_answer_and_has_time_for_it(
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"boot_id": 1}, {"lease_id": 7}, {"mono_ns": 500 * MS + 1}, {"mono_ns": -5}]
-)
-def test_another_runs_heartbeat_or_one_from_the_future_is_none(wrong):
+    "wrong",
+    [
+        {"boot_id": 1}, {"lease_id": 7}, {"mono_ns": 500 * MS + 1}, {"mono_ns": -5},
+        b"", b"\0" * 7, b"\xff" * 300,
+    ],
+)  # fmt: skip
+def test_garbage_another_runs_heartbeat_or_one_from_the_future_is_none(wrong):
     path = make_path()
-    path.take(encode(replace(beat_at(path, 500 * MS), **wrong)), 500 * MS)
-    assert path.is_silent(False, LIMIT_S, 1002 * MS)
-
-
-@pytest.mark.parametrize("data", [b"", b"\0" * 7, b"\xff" * 300])
-def test_garbage_is_none(data):
-    path = make_path()
-    path.take(data, 500 * MS)
+    beat = beat_at(path, 500 * MS)
+    path.take(wrong if isinstance(wrong, bytes) else encode(replace(beat, **wrong)), 500 * MS)
     assert path.is_silent(False, LIMIT_S, 1002 * MS)

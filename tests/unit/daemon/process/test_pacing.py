@@ -69,23 +69,23 @@ def test_a_mocap_clock_that_is_a_little_fast_is_followed():
     assert np.diff(dues[TICKS // 2 :]).mean() == pytest.approx(period / 1.002, rel=2e-4)
 
 
-@pytest.mark.parametrize("rate_hz", [120, 240, 360, 1000 / 7.3])
-def test_poses_that_keep_no_time_with_the_ticks_move_nothing(rate_hz):
-    period = 10 * MS
-    dues, _, _ = drive(period, arrivals(1e9 / rate_hz, 0.3, 0.02 * MS, 9))
+@pytest.mark.parametrize(
+    ("period_ms", "every", "jitter"),
+    [*((10, 1e9 / hz, 0.02 * MS) for hz in (120, 240, 360, 1000 / 7.3)),
+     (5, 1e9 / 120, 0.0), (5, 5 * MS, 1.5 * MS)],
+)  # fmt: skip
+def test_poses_without_a_common_rhythm_move_nothing_and_make_no_ticks(period_ms, every, jitter):
+    period = period_ms * MS
+    dues, _, paces = drive(period, arrivals(every, 0.3, jitter, 9))
     assert np.ptp(np.diff(dues[50:])) == 0
-
-
-def test_a_jittery_network_moves_nothing():
-    period = 5 * MS
-    dues, _, _ = drive(period, arrivals(period, 0.3, 1.5 * MS, 10))
-    assert np.ptp(np.diff(dues[50:])) == 0
+    assert {early_window_ns(pace, period) for pace in paces[50:]} == {0}
 
 
 def test_without_poses_ticks_come_on_time():
     dues, _, paces = drive(10 * MS, [])
     assert set(np.diff(dues)) == {10 * MS}
     assert paces[-1].arrival_ns == -1
+    assert early_window_ns(Pace(), 10 * MS) == 0
 
 
 def test_when_poses_end_the_period_is_the_nominal_one():
@@ -119,16 +119,6 @@ def test_only_the_pose_that_belongs_to_a_deadline_makes_its_tick(period_ms, rati
         assert sum(wait <= early_window_ns(pace, period) for wait in lead) <= 1
     fresh = [waits[k + 1] for k in stretch if waits[k + 1] < period / 2]
     assert all(wait <= min(room) for wait in fresh)
-
-
-@pytest.mark.parametrize(
-    ("every", "jitter"), [(1e9 / 120, 0.0), (5 * MS, 1.5 * MS)], ids=["rhythm", "network"]
-)
-def test_poses_that_are_not_followed_make_no_ticks(every, jitter):
-    period = 5 * MS
-    _, _, paces = drive(period, arrivals(every, 0.3, jitter, 13))
-    assert {early_window_ns(pace, period) for pace in paces[50:]} == {0}
-    assert early_window_ns(Pace(), period) == 0
 
 
 @given(jitter=st.floats(0.0, 1e9), period=st.integers(MS, 20 * MS))

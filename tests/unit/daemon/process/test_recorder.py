@@ -11,13 +11,12 @@ from types import SimpleNamespace
 import pytest
 
 from steerd.daemon.assembly.build import RunId, make_plan
-from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc import pipe_records as pipes
 from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord, pack_record
 from steerd.daemon.loop.core import make_core
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.process import recorder
-from steerd.daemon.process.core_process import latch_stray_exceptions, make_mocap, status_sink
+from steerd.daemon.process.core_process import latch_stray_exceptions, status_sink
 from steerd.daemon.process.learner import LearnerLoop
 from steerd.daemon.process.recorder import Recording, check_space, record_pipe
 from steerd.daemon.settings.run_options import RunOptions
@@ -120,13 +119,6 @@ def test_the_terminal_gets_changes_at_once_and_the_rest_ten_times_a_second():
     assert written == [(0, 2), (50_000_000, 1), (100_000_000, 2)]
 
 
-@pytest.mark.parametrize("address", ["", "nonsense://x", "natnet://"])
-def test_an_invalid_mocap_address_is_refused(address):
-    plan = make_plan(RunOptions(car_file="", path="line", mocap=address))
-    with pytest.raises(SteerdError):
-        make_mocap(plan)
-
-
 # The learner's process: records in, reports out, and readers that lose it.
 
 EPOCH = 1_700_000_000_000_000_000
@@ -141,17 +133,6 @@ def pose_record(number):
         header, t, t, 0, number, 0, 1, *(0.0,) * 8, 0.01 * number, sin(number), 0.1, 0.1, 0.0, ""
     )
     return pipes.PipeRecord(topics.MOCAP, number, EPOCH + t, EPOCH + t, encode(pose))
-
-
-@pytest.fixture
-def pipe():
-    read_fd, write_fd = pipes.make_pipe()
-    yield read_fd, write_fd
-    for fd in (read_fd, write_fd):
-        try:
-            os.close(fd)
-        except OSError:
-            continue  # the test closed it
 
 
 @pytest.fixture

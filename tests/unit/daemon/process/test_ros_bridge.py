@@ -14,7 +14,7 @@ from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.bus import BusError, Sample
 from steerd.steer_bus.codec import decode, encode
-from steerd.steer_bus.ros_keys import make_gid, make_ros_key
+from steerd.steer_bus.ros_keys import make_gid
 from steerd.steer_bus.standard import AckermannDriveStamped, Odometry
 from tests.blank import blank
 from tests.local_bus import LocalBus, LocalHub
@@ -49,17 +49,6 @@ def test_each_publisher_has_a_token_whose_hash_it_sends(bus):
     assert {make_gid(token) for token in publishers} == set(bus.gids.values())
     assert len(bus.gids) == len(publishers)
     assert not [key for key in bus.gids if "/cmd/" in key or "/in/" in key]
-
-
-def test_a_record_goes_out_once_and_unchanged(bus):
-    bridge = RosBridge(bus, "car1", 0)
-    heard = bus.subscribe("0/**", 8)
-    data = encode(m.ClockSample(m.make_header(1, m.BODY), 2, 3, 4))
-    bridge.publish(PipeRecord(topics.CLOCK, 0, 0, 0, data))
-    (sample,) = heard.poll()
-    assert (sample.key, sample.data) == (
-        make_ros_key(0, "steerd/car1/clock", m.ClockSample), data,
-    )  # fmt: skip
 
 
 def test_what_went_to_the_wire_goes_out_as_a_drive_command_too(bus):

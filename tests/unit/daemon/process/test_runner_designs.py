@@ -9,16 +9,6 @@ from steerd.daemon.loop.design_desk import DESIGN_BYTES
 from steerd.daemon.process.runner import CoreLinks, Runner
 
 
-@pytest.fixture
-def ends():
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    for end in (ours, theirs):
-        end.setblocking(False)
-    yield ours, theirs
-    for end in (ours, theirs):
-        end.close()
-
-
 class Reader:
     """A runner that only reads proposals, and what its core was offered."""
 

@@ -54,8 +54,10 @@ def test_a_word_that_names_no_place_is_refused(folder, word):
     assert caught.value.code == (ExitCode.UNREADABLE if few else ExitCode.USAGE)
 
 
-def test_figures_come_from_the_files(folder):
+def test_figures_come_from_the_files_and_one_that_is_no_session_is_listed_as_such(folder):
+    (folder / "broken.mcap").write_bytes(b"hello")
     found = by_name(folder)
+    assert found["broken"].verdict.startswith("unreadable")
     assert found["circle"].verdict == "ok"
     assert found["circle"].lane.startswith("circle")
     assert 0.0 < found["circle"].metres < 100.0
@@ -90,11 +92,6 @@ def test_the_index_can_be_thrown_away(folder, damage):
             catalogue.index_file().unlink()
             catalogue.index_file().mkdir()
     assert by_name(folder) == first
-
-
-def test_a_file_that_is_no_session_is_listed_as_such(folder):
-    (folder / "broken.mcap").write_bytes(b"hello")
-    assert by_name(folder)["broken"].verdict.startswith("unreadable")
 
 
 def test_tags_and_notes_go_where_the_file_goes(folder):

@@ -18,7 +18,7 @@ from tests.unit.daemon.sessions.test_motion import RADIUS, SPEED, circle
 EPOCH = 1_726_480_861_000_000_000
 
 
-def write_circle(path, *, finish=True, gap=False, texts=()):
+def write_circle(path, *, gap=False):
     topics = {
         make_session_topic("blue", t): t.message for t in (MOCAP, ACTUATION, TRANSITION, WHEEL)
     }
@@ -29,8 +29,7 @@ def write_circle(path, *, finish=True, gap=False, texts=()):
         t_ns = round(t * 1e9)
         if i % 100 == 0 and i < 700:
             states = (SupervisorState(i // 100), SupervisorState(i // 100 + 1))
-            text = texts[0] if texts else "because"
-            message = Transition(make_header(t_ns + EPOCH, BODY), *states, "code", text)
+            message = Transition(make_header(t_ns + EPOCH, BODY), *states, "code", "because")
             writer.write("/steerd/blue/transition", encode(message), t_ns + EPOCH)
         if gap and 300 <= i < 350:
             continue
@@ -38,10 +37,6 @@ def write_circle(path, *, finish=True, gap=False, texts=()):
         writer.write("/steerd/blue/mocap", encode(pose), t_ns + EPOCH)
         command = maker.command(t_ns, 0.2 * math.sin(5 * t), SPEED)
         writer.write("/steerd/blue/actuation", encode(command), t_ns + EPOCH)
-    if not finish:
-        writer.flush()
-        writer.abandon()
-        return writer.partial
     return writer.finish({"reason": "end of the run", "dropped": "3"})
 
 
@@ -87,13 +82,6 @@ def test_it_fits_a_screen(tmp_path):
     assert "3 messages dropped" in text
     assert "init → disarmed 0.0 → ready 1.0" in text
     assert "100.0 Hz  1, worst 0.51 s at 3.0 s" in text
-
-
-def test_an_unfinished_file_says_what_to_do(tmp_path):
-    report = report_of(write_circle(tmp_path / "a.mcap", finish=False))
-    assert not report.info.finished
-    assert "steerd recover" in " ".join(format_report(report).split())
-    assert report.length_m == pytest.approx(SPEED * 9.99, rel=2e-3)
 
 
 def test_json_has_no_numbers_that_json_lacks(tmp_path):

@@ -15,7 +15,6 @@ from steerd.daemon.offline.virtual import drive
 from steerd.daemon.sessions.motion import Signal, Track
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.daemon.setup.calibration_data import load_recorded, wheel_speed
-from steerd.daemon.setup.least_squares import BLOCKS, jackknife_sd
 from steerd.daemon.setup.mount_calibration import Drive, Mount, calibrate_mount, slip_per_accel
 from steerd.daemon.setup.steering_calibration import calibrate_steering
 
@@ -114,16 +113,6 @@ def steered(gain, bias, delay, *, stop=1.0, amplitude=0.25):
     return followed(t, command, wheel, 1.0, 0)
 
 
-@pytest.mark.parametrize(("gain", "bias", "delay"), [(1.0, 0.0, 0.05), (0.85, 0.03, 0.1)])
-def test_steering_gain_centre_and_delay(gain, bias, delay):
-    found = calibrate_steering(*steered(gain, bias, delay), CAR)
-    assert found.gain == pytest.approx(gain, rel=0.01)
-    assert found.bias == pytest.approx(bias, abs=0.002)
-    assert found.delay == pytest.approx(delay, abs=0.005)
-    assert not found.clipped_left
-    assert not found.clipped_right
-
-
 def test_steering_that_meets_its_stops():
     found = calibrate_steering(*steered(1.0, 0.0, 0.05, stop=0.2, amplitude=0.32), CAR)
     assert found.clipped_left
@@ -207,13 +196,3 @@ def test_what_a_session_lacks_is_named(recorded):
     empty = replace(recorded, read=replace(recorded.read, tables={}))
     with pytest.raises(SteerdError, match="no wheel speed"):
         wheel_speed(empty)
-
-
-# The jackknife against a case with a known answer.
-
-
-def test_the_jackknife_of_a_mean_is_its_standard_error():
-    values = np.random.default_rng(3).normal(size=200)
-    (sd,) = jackknife_sd(np.ones(200, dtype=bool), lambda keep: [values[keep].mean()])
-    blocks = values.reshape(BLOCKS, -1).mean(axis=1)
-    assert sd == pytest.approx(blocks.std(ddof=1) / np.sqrt(BLOCKS), rel=1e-9)

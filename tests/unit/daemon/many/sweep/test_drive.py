@@ -37,15 +37,6 @@ def test_what_is_varied_reaches_the_simulated_hardware(make_plan):
     assert run_plan.options.speed == 1.7
 
 
-def test_a_short_drive_has_its_end_and_no_errors(make_plan):
-    plan = make_plan({}, **SHORT)
-    row = run_case(plan, find_case(plan, 0))
-    assert row["outcome"] == "driven"
-    assert row["seconds"] == pytest.approx(0.6, abs=0.05)
-    assert "e1_rms" not in row, "nothing was driven beyond the approach"
-    assert 0.3 < row["damping"] <= 1.0
-
-
 def test_a_lane_that_cannot_be_designed_is_a_row(make_plan):
     plan = make_plan({"path": ["circle:radius=0.4"]}, seeds=1)
     row = run_case(plan, find_case(plan, 0))
