@@ -14,7 +14,7 @@ from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.virtual import drive
 from steerd.daemon.sessions.motion import Signal, Track
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.daemon.setup.calibration_data import load_recorded, wheel_speed
+from steerd.daemon.setup.calibration_data import load_recorded, make_drive
 from steerd.daemon.setup.least_squares import BLOCKS, jackknife_sd
 from steerd.daemon.setup.mount_calibration import Drive, Mount, calibrate_mount, slip_per_accel
 from steerd.daemon.setup.steering_calibration import calibrate_steering
@@ -206,7 +206,7 @@ def test_poses_that_were_rejected_calibrate_nothing(recorded, monkeypatch):
 def test_what_a_session_lacks_is_named(recorded):
     empty = replace(recorded, read=replace(recorded.read, tables={}))
     with pytest.raises(SteerdError, match="no wheel speed"):
-        wheel_speed(empty)
+        make_drive(empty)
 
 
 # The jackknife against a case with a known answer.
