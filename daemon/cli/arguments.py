@@ -31,13 +31,9 @@ def option(
 ) -> None:
     """Declare an argument.
 
-    Args:
-        to: the parser or group.
-        name: `--free`, `-o --output`, or that of a positional argument.
-        value: what the help calls its value; empty for a switch, None for the name itself.
-        text: one line of help.
-        check: looks for the files that the value names.
-        more: as `argparse` takes it.
+    `name` is `--free`, `-o --output`, or that of a positional argument; `value` what the help calls
+    its value, empty for a switch, None for the name itself; `text` is one line of help; `check`
+    looks for the files that the value names.
     """
     if value == "":
         more.setdefault("action", "store_true")

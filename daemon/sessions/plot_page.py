@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 
 from steerd.daemon.common.screen import clean
 from steerd.daemon.sessions.info import SessionReport
-from steerd.daemon.sessions.motion import GAP_MAX, Array, Track
+from steerd.daemon.sessions.motion import GAP_MAX, Track
 from steerd.daemon.sessions.plot_data import Drawing
 from steerd.daemon.sessions.text import when
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.report.page import render_page
 
 SIZE_MAX = 2_000_000  # a page must fit into a mail and open quickly [bytes]
@@ -37,12 +38,7 @@ _TEMPLATE = Path(__file__).parent / "page" / "plot.html"
 
 
 def make_page(report: SessionReport, drawing: Drawing) -> str:
-    """The whole page; curves are thinned until it is smaller than `SIZE_MAX`.
-
-    Args:
-        report: of the session.
-        drawing: its curves.
-    """
+    """The whole page; curves are thinned until it is smaller than `SIZE_MAX`."""
     page = ""
     for buckets in BUCKETS:
         page = render_page(_TEMPLATE, data=_data(report, drawing, buckets))

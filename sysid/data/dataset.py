@@ -40,7 +40,9 @@ the log: no window reaches across one, where everything would hang on the start.
 HALF_SPAN = 2
 """Samples to either side over which rates of a pose are differences, at least ..."""
 SPEED_BLUR = 0.15
-"""... and more where the poses' noise would blur a speed by more than this [m/s]."""
+"""... and more where the poses' noise would blur a speed by more than this [m/s] ..."""
+SPAN_MAX = 1.0
+"""... over no longer than this: no speed is the same for long [s]."""
 
 
 class LogJitter(NamedTuple):
@@ -197,20 +199,34 @@ class Rates(NamedTuple):
     yaw_rate: Array
 
 
-def pose_rates(pose: Signal) -> Rates:
-    """Rates of poses over five samples, or over as many as their noise asks for."""
+def find_span(pose: Signal, blur: float) -> float:
+    """Over how long differences of poses give a speed to this standard deviation [s, m/s].
+
+    A difference over a span w of white noise of deviation s has sqrt(2) s / w.
+    """
+    noise = max(noise_of(pose.t, pose.values[:, axis]) for axis in (0, 1))
+    return min(2.0**0.5 * noise / blur, SPAN_MAX)
+
+
+def pose_slopes(pose: Signal, span: float) -> Signal:
+    """Slopes (n, 3) of poses over five samples, or over a longer span [s]; none at the ends."""
     t, p = pose
     most = (len(t) - 1) // 2
     step = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
     if most < 1 or step <= 0.0:
-        return Rates(t, np.zeros(len(t)), np.zeros(len(t)))
-    blur = 2.0**0.5 * max(noise_of(t, p[:, 0]), noise_of(t, p[:, 1])) / SPEED_BLUR
-    half = min(max(HALF_SPAN, ceil(0.5 * blur / step)), most)
-    span = t[2 * half :] - t[: -2 * half]
-    slope = (p[2 * half :] - p[: -2 * half]) / span[:, None]
-    yaw = p[half:-half, 2]
+        return Signal(t, np.zeros_like(p))
+    half = min(max(HALF_SPAN, ceil(0.5 * span / step)), most)
+    times = t[2 * half :] - t[: -2 * half]
+    return Signal(t[half:-half], (p[2 * half :] - p[: -2 * half]) / times[:, None])
+
+
+def pose_rates(pose: Signal) -> Rates:
+    """Rates of poses, over as long as their noise asks for."""
+    t, slope = pose_slopes(pose, find_span(pose, SPEED_BLUR))
+    half = (len(pose.t) - len(t)) // 2
+    yaw = pose.values[half : half + len(t), 2]
     speed = slope[:, 0] * np.cos(yaw) + slope[:, 1] * np.sin(yaw)
-    return Rates(t[half:-half], speed, slope[:, 2])
+    return Rates(t, speed, slope[:, 2])
 
 
 def pose_speed(pose: Signal) -> Signal:

@@ -153,11 +153,7 @@ def print_found(lines: Sequence[str], warnings: Sequence[str]) -> None:
 def finish(args: Namespace, own: CarFile, values: Values, then: str) -> None:
     """Write what a calibration found into a car file, and say what is next.
 
-    Args:
-        args: `car` names the file to start from, `output` the one to make.
-        own: the car file to start from where none is named.
-        values: of the calibration.
-        then: the command for the file that was made.
+    `own` is the car file to start from where none is named, `then` the command for the one made.
     """
     car = edit_car(load_car_file(args.car) if args.car else own, values)
     if args.output:

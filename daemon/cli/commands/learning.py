@@ -177,15 +177,7 @@ def _is_screen(args: Namespace) -> bool:
 
 
 def present(found: "Finding", args: Namespace, write: Write) -> CarFile | None:
-    """Print the screen, and write car, JSON and page.
-
-    Args:
-        found: what was found.
-        args: of the command.
-        write: writes one file, see `writing`.
-
-    Returns:
-        The car; None where none was asked for.
+    """Print the screen, write car, JSON and page; the car, None where none was asked for.
 
     Raises:
         SteerdError: a value is none that a car file may hold; the rest is written all the same.
@@ -233,7 +225,7 @@ def learn(args: Namespace) -> None:
     steerd learn RUN.mcap --base car.toml --json
     """
     from steerd.daemon.analysis.learning import learn_session
-    from steerd.daemon.learning.text import encode_model, format_model
+    from steerd.daemon.learning.reported import encode_model, format_model
 
     path = arguments.pick_session(args.session)
     with show_progress("learning", 1.0) as advance:

@@ -12,12 +12,13 @@ from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.virtual import drive
-from steerd.daemon.sessions.motion import Signal, Track
+from steerd.daemon.sessions.motion import Track
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.daemon.setup.calibration_data import load_recorded, make_drive
 from steerd.daemon.setup.least_squares import BLOCKS, jackknife_sd
 from steerd.daemon.setup.mount_calibration import Drive, Mount, calibrate_mount, slip_per_accel
 from steerd.daemon.setup.steering_calibration import calibrate_steering
+from steerd.sysid.data.dataset import Signal
 
 CAR = load_car(default_car_path()).car
 TRUTH = Mount(np.radians(3.0), 0.21, -0.015, 1.07, 0.018)
