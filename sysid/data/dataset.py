@@ -8,7 +8,7 @@ a typed error that says what is wrong and what to do.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import ceil
+from math import ceil, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -205,7 +205,7 @@ def find_span(pose: Signal, blur: float) -> float:
     A difference over a span w of white noise of deviation s has sqrt(2) s / w.
     """
     noise = max(noise_of(pose.t, pose.values[:, axis]) for axis in (0, 1))
-    return min(2.0**0.5 * noise / blur, SPAN_MAX)
+    return min(sqrt(2.0) * noise / blur, SPAN_MAX)
 
 
 def pose_slopes(pose: Signal, span: float) -> Signal:
