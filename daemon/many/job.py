@@ -62,11 +62,6 @@ class Found(Reported):
     def columns(self) -> Sequence[Column]:
         """The columns of the table with units and meanings."""
 
-    @property
-    @abstractmethod
-    def origin(self) -> Mapping[str, str]:
-        """Texts that say where the table comes from."""
-
     def to_pandas(self) -> "pandas.DataFrame":
         """The rows as a data frame; `attrs["units"]` holds the units by column."""
         values = {c.name: [row.get(c.name) for row in self.rows] for c in self.columns}
@@ -84,9 +79,9 @@ class Found(Reported):
             fields.append(pa.field(column.name, kind, metadata=note))
             given = (row.get(column.name) for row in self.rows)
             values.append(pa.array([None if value != value else value for value in given], kind))
-        schema = pa.schema(fields, metadata=dict(self.origin))
         out = io.BytesIO()
-        parquet.write_table(pa.table(values, schema=schema), out, compression="zstd")
+        table = pa.table(values, schema=pa.schema(fields))
+        parquet.write_table(table, out, compression="zstd")
         return out.getvalue()
 
     def save_table(self, path: Path | str) -> Path:

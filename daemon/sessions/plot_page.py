@@ -161,15 +161,11 @@ class Grid:
     step: float
     slots: int
 
-    def __post_init__(self) -> None:
-        if self.slots < 2 or self.slots % 2 or not self.step > 0.0:
-            raise ValueError(f"a grid of {self.slots} slots, {self.step} s apart")
 
-
-def make_grid(start: float, end: float, buckets: int, finest: float = FINEST_S) -> Grid:
-    """A grid over [start, end] of at most `buckets` pairs of slots, each pair >= `finest` [s]."""
-    span = max(end - start, finest)
-    count = max(1, min(buckets, round(span / finest)))
+def make_grid(start: float, end: float, buckets: int) -> Grid:
+    """A grid over [start, end] of at most `buckets` pairs of slots, each pair >= `FINEST_S`."""
+    span = max(end - start, FINEST_S)
+    count = max(1, min(buckets, round(span / FINEST_S)))
     return Grid(start, span / (2 * count), 2 * count)
 
 
