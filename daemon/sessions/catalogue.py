@@ -289,8 +289,6 @@ def make_report(entries: Sequence[Entry], folder: Path) -> Report:
     )
     return Report(
         title="Recorded drives",
-        subject="",
-        about="",
         lead="" if entries else "There is none.",
         cards=cards,
         sections=[Section(text=text, table=table)] if entries else [],

@@ -42,7 +42,7 @@ def render_comparison(reads: Sequence[Recording], shift: float | None = None) ->
             raise
         why = f"Not compared along a lane: {error.what}."
         title, foot = "Two drives, compared", "Written by steerd plot."
-        return render_report(Report(title, ", ".join(names), "", why, over_time, foot))
+        return render_report(Report(title, over_time, foot, subject=", ".join(names), lead=why))
     check_same_lane(drives)
     return render_report(Report(
         title="Drives of one lane, compared",

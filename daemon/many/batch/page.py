@@ -69,9 +69,6 @@ def make_report(
         ))  # fmt: skip
     return Report(
         title=f"{len(rows)} sessions, batch {kind}",
-        subject="",
-        about="",
-        lead="",
         sections=sections,
         foot="Written by steerd batch. Dates are UTC; units are SI where none is named.",
         cards=list(_cards(rows, series, changes)),
