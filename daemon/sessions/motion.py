@@ -5,7 +5,7 @@ the poses. All functions are linear in the number of samples.
 """
 
 from dataclasses import dataclass
-from math import pi
+from math import pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus.topic_columns import Columns
 from steerd.sysid.data.data_checks import Array
-from steerd.sysid.data.dataset import Signal, find_span, pose_slopes
+from steerd.sysid.data.dataset import Signal, pose_slopes
 
-WINDOW = 0.2  # span of the differences; longer for coarse poses [s]
+WINDOW, WINDOW_MAX = 0.2, 1.0
+"""Span of the differences [s]: the shorter for mocap, up to the longer for coarse poses."""
 _SPEED_NOISE = 0.05  # standard deviation of the speed that the window allows [m/s]
 GAP_MAX = 0.5  # no motion is interpolated across a longer gap between poses [s]
 COORDINATE_MAX = 1e9  # larger coordinates are damage, not places [m]
@@ -82,7 +83,10 @@ def make_track(t: Array, x: Array, y: Array, yaw: Array) -> Track | None:
         return None
     t, x, y, yaw = t[order], x[order], y[order], np.unwrap(yaw[order])
     pose = Signal(t, np.column_stack([x, y, yaw]))
-    window = max(find_span(pose, _SPEED_NOISE), WINDOW)
+    # White noise of deviation s has second differences of deviation sqrt(6) s, and a difference
+    # over a window w has sqrt(2) s / w.
+    power = float(np.mean(np.diff(x, 2) ** 2 + np.diff(y, 2) ** 2)) / 2.0
+    window = min(max(sqrt(power / 3.0) / _SPEED_NOISE, WINDOW), WINDOW_MAX)
     at, slopes = pose_slopes(pose, window)
     gaps = np.cumsum(np.diff(t, prepend=t[0]) > GAP_MAX)
     whole = gaps[len(t) - len(at) :] == gaps[: len(at)]

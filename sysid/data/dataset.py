@@ -8,7 +8,7 @@ a typed error that says what is wrong and what to do.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import ceil, sqrt
+from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,9 +40,7 @@ the log: no window reaches across one, where everything would hang on the start.
 HALF_SPAN = 2
 """Samples to either side over which rates of a pose are differences, at least ..."""
 SPEED_BLUR = 0.15
-"""... and more where the poses' noise would blur a speed by more than this [m/s] ..."""
-SPAN_MAX = 1.0
-"""... over no longer than this: no speed is the same for long [s]."""
+"""... and more where the poses' noise would blur a speed by more than this [m/s]."""
 
 
 class LogJitter(NamedTuple):
@@ -199,15 +197,6 @@ class Rates(NamedTuple):
     yaw_rate: Array
 
 
-def find_span(pose: Signal, blur: float) -> float:
-    """Over how long differences of poses give a speed to this standard deviation [s, m/s].
-
-    A difference over a span w of white noise of deviation s has sqrt(2) s / w.
-    """
-    noise = max(noise_of(pose.t, pose.values[:, axis]) for axis in (0, 1))
-    return min(sqrt(2.0) * noise / blur, SPAN_MAX)
-
-
 def pose_slopes(pose: Signal, span: float) -> Signal:
     """Slopes (n, 3) of poses over five samples, or over a longer span [s]; none at the ends."""
     t, p = pose
@@ -222,7 +211,8 @@ def pose_slopes(pose: Signal, span: float) -> Signal:
 
 def pose_rates(pose: Signal) -> Rates:
     """Rates of poses, over as long as their noise asks for."""
-    t, slope = pose_slopes(pose, find_span(pose, SPEED_BLUR))
+    noise = max(noise_of(pose.t, pose.values[:, axis]) for axis in (0, 1))
+    t, slope = pose_slopes(pose, 2.0**0.5 * noise / SPEED_BLUR)
     half = (len(pose.t) - len(t)) // 2
     yaw = pose.values[half : half + len(t), 2]
     speed = slope[:, 0] * np.cos(yaw) + slope[:, 1] * np.sin(yaw)
