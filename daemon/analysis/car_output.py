@@ -23,10 +23,9 @@ from steerd.car_model.params import PARAMETERS, Parameter
 from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.translate import make_car_file_error
-from steerd.daemon.common.written import writing
 from steerd.daemon.settings.car_edit import Values, edit_document
 from steerd.daemon.settings.config import make_settings
-from steerd.posterior_file import TABLES, encode_posterior, posterior_path
+from steerd.posterior_file import TABLES, encode_posterior
 from steerd.steer_bus.session_read import Session, SessionError
 
 if TYPE_CHECKING:
@@ -40,31 +39,13 @@ _LEARNT = ("car", "effects", *TABLES)
 """Sections that are about the car, not about its wiring."""
 
 
-def save_car(path: Path, car: CarFile, known: CarFile) -> Path:
-    """Write a car file, then what is known of the car beside it, each whole or not at all.
-
-    A file that steerd did not write is kept.
-
-    Raises:
-        SteerdError: it cannot be written there.
-    """
-    with writing({"save_car": path, "beside it": posterior_path(path)}) as write:
-        write(path, car.text)
-        write(posterior_path(path), known.posterior or None)
-    return path
-
-
 def make_car(
     base: CarFile, updates: Mapping[str, Learned], path: Path, wiring: Values | None = None
 ) -> CarFile:
-    """The base with new values, and without what was known beyond the old ones.
+    """The base with new values by `parameter` or `effect.parameter`, for a file called `path`.
 
-    Args:
-        base: as it was.
-        updates: new values by `parameter` or `effect.parameter`.
-        path: what messages call the new file.
-        wiring: settings beside the car, see `find_wiring`; left out where they are of a version
-            whose settings were others: the result counts more.
+    What was known beyond the old values is left out, and `wiring` (see `find_wiring`) where it is
+    of a version whose settings were others: the result counts more.
 
     Raises:
         SteerdError: a value is none that a car file may hold.

@@ -169,12 +169,9 @@ def run_diagnosis(
 ) -> Diagnosis:
     """Read the drives, diagnose, drive the lane again.
 
-    Args:
-        paths: the sessions.
-        options: what to diagnose.
-        warn: is handed what is doubtful in the sessions as it is found.
-        progress: is called with the share of the work done and the next step.
-        written: is handed the prediction (JSON) before the held-out drives are looked at.
+    `warn` is handed what is doubtful in the sessions as it is found, `progress` the share of the
+    work done and the next step, `written` the prediction (JSON) before the held-out drives are
+    looked at.
 
     Raises:
         SteerdError: as `diagnose`.

@@ -97,13 +97,9 @@ def load_drives(
     warn: Warn,
     advance: Callable[[float], None] = lambda _: None,
 ) -> Drives:
-    """Sessions as drives, one after the other.
+    """Sessions as drives, one after the other, see `load_drive`.
 
-    Args:
-        paths: the sessions.
-        speed: as for `load_drive`.
-        warn: as for `load_drive`; is also handed what is left out.
-        advance: is called with the share of the files read.
+    `warn` also hears what is left out, `advance` the share of the files read.
 
     Raises:
         SteerdError: one cannot be read, or is not fit for a fit.

@@ -1,21 +1,42 @@
-"""What `identify` and `diagnose` have in common: one finding, and everything that shows it."""
+"""What commands find, and everything that shows it."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from steerd.car_model.car_file import CarFile
-from steerd.daemon.analysis.car_output import save_car
 from steerd.daemon.common.screen import format_screen
+from steerd.daemon.common.written import car_outputs, check_outputs, write_outputs
+from steerd.posterior_file import posterior_path
 from steerd.sysid.report.report import Card, Report
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class Finding(ABC):
+class Reported(ABC):
+    """What was found, and the page that shows it."""
+
+    @abstractmethod
+    def make_report(self) -> Report:
+        """What screen, page and figure show."""
+
+    @property
+    def cards(self) -> Sequence[Card]:
+        """The figures that the report shows first."""
+        return self.make_report().cards
+
+    def render_report(self) -> str:
+        """The report as a page, one file."""
+        from steerd.sysid.report.page import render_report
+
+        return render_report(self.make_report())
+
+
+class Finding(Reported):
     """What was found in drives: screen, page, figure, JSON values and car file."""
 
     SCREEN: ClassVar[int] = 0  # lines of the screen at most; 0 for as many as there are
@@ -23,7 +44,7 @@ class Finding(ABC):
 
     @abstractmethod
     def make_report(self, written: Path | None = None, report: Path | None = None) -> Report:
-        """What screen, page and figure show; `written` and `report` are the files that were."""
+        """The same; `written` and `report` are the files that were."""
 
     @abstractmethod
     def make_car(self, path: Path) -> CarFile:
@@ -46,13 +67,18 @@ class Finding(ABC):
         return self.learn_known(self.make_car(Path(self.CAR)))
 
     def save_car(self, path: Path | str) -> Path:
-        """Write the car file and what is known of the car, see `save_car`."""
-        return save_car(Path(path), self.make_car(Path(path)), self.car)
+        """Write the car file and what is known of the car beside it, each whole or not at all.
 
-    @property
-    def cards(self) -> Sequence[Card]:
-        """The figures that the report shows first."""
-        return self.make_report().cards
+        A file that steerd did not write is kept.
+
+        Raises:
+            SteerdError: it cannot be written there.
+        """
+        path = Path(path)
+        check_outputs({"save_car": path, "beside it": posterior_path(path)})
+        known = self.car.posterior
+        write_outputs(car_outputs(path, replace(self.make_car(path), posterior=known)))
+        return path
 
     def __str__(self) -> str:
         return self.describe()
@@ -60,12 +86,6 @@ class Finding(ABC):
     def describe(self, written: Path | None = None, report: Path | None = None) -> str:
         """The screen; `written` and `report` are the files that were."""
         return format_screen(self.make_report(written, report).screen, self.SCREEN)
-
-    def render_report(self) -> str:
-        """The report as a page."""
-        from steerd.sysid.report.page import render_report
-
-        return render_report(self.make_report())
 
     def plot(self) -> "Figure":
         """The report's main diagrams as one figure."""

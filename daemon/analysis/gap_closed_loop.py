@@ -23,6 +23,7 @@ from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import drive, make_virtual_run
+from steerd.daemon.sessions.motion import SETTLE
 from steerd.daemon.settings.config import make_settings
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions, decode_options
 from steerd.sim_gap.lane_comparison import SHORTEST, LaneComparison, LaneDrive
@@ -34,8 +35,6 @@ from steerd.steer_bus.topics import find_topic
 
 SECONDS = 20.0
 """Length of a simulated drive: several bends; longer adds nothing to a profile [s]."""
-SETTLE = 3.0
-"""The way into the lane is no lane keeping [s]."""
 _SEED = 7919
 """Added to the recorded seed: a simulated recording must not get its own noise again."""
 

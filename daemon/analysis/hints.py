@@ -22,12 +22,10 @@ _DRIVEN = re.compile(r"`(steerd (collect|run) [^`]*)`")
 
 
 def complete(text: str, sessions: Sequence[Session]) -> str:
-    """The text with commands that run as printed.
+    """The text with commands, between backticks, that run as printed for these sessions.
 
-    Args:
-        text: with commands between backticks; nothing else is changed.
-        sessions: what the text is about; the first says which car drives. The log of another system
-            does not: it is sent to the description of the plans.
+    The first says which car drives. The log of another system does not: it is sent to the
+    description of the plans.
     """
     names = name_all([session.info().path for session in sessions])
     text = text.replace("`steerd identify`", f"`steerd identify {names} -o car.toml`")
@@ -58,9 +56,7 @@ def simulate_with(car: Path, sessions: Sequence[Session], more: str = "") -> str
 def refusing(sessions: Sequence[Session], stopped: str = "") -> Iterator[None]:
     """The one guard around what works on drives: what they are not fit for is one line.
 
-    Args:
-        sessions: the drives.
-        stopped: what to try where the simulation of the car diverges.
+    `stopped` is what to try where the simulation of the car diverges.
 
     Raises:
         SteerdError: with a hint that runs as printed.

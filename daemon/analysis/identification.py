@@ -172,11 +172,8 @@ def run_identification(
 ) -> Identification:
     """Read the drives and fit.
 
-    Args:
-        paths: the sessions.
-        options: what to identify.
-        warn: is handed what is doubtful in the sessions as it is found.
-        progress: is called with the work done, in sessions read, and the next step.
+    `warn` is handed what is doubtful in the sessions as it is found, `progress` the work done, in
+    sessions read, and the next step.
 
     Raises:
         SteerdError: as `identify`.

@@ -84,7 +84,8 @@ def plan_drive(
     seed: int,
     effects: EffectValues | None,
     *,
-    external: bool,
+    external: bool = False,
+    rate: float = RunOptions.rate_hz,
 ) -> RunPlan:
     """A drive as `simulate` describes it; `external`: a function drives, not the lane keeper.
 
@@ -100,7 +101,8 @@ def plan_drive(
         raise SteerdError(f"seed {seed}: 0 or more", "", ExitCode.USAGE)
     options = RunOptions(
         car_file="", path=path, speed=speed, duration_s=duration, seed=seed, simulated=True,
-        auto_arm=True, effects=tuple(_format_effect(*each) for each in (effects or {}).items()),
+        rate_hz=rate, auto_arm=True,
+        effects=tuple(_format_effect(*each) for each in (effects or {}).items()),
         controller=ControllerKind.ZENOH if external else ControllerKind.LANE,
     )  # fmt: skip
     return make_plan(options, make_settings(read_car(car), speed))
@@ -119,16 +121,12 @@ def _record(plan: RunPlan, file: Path, controller: Controller | None) -> Session
 
 
 class Steered:
-    """A controller beside the loop in virtual time, which the bus would lie between.
-
-    Attributes:
-        newest: the last estimate; None before the first.
-    """
+    """A controller beside the loop in virtual time, which the bus would lie between."""
 
     def __init__(self, controller: Controller, boot_id: int) -> None:
         self._made = ExternalController(while_driving(controller), boot_id, lease_id=1)
         self._answered: StateMessage | None = None
-        self.newest: StateMessage | None = None
+        self.newest: StateMessage | None = None  # the last estimate; None before the first
 
     def see(self, records: list[PipeRecord], t_ns: int) -> None:
         """What the core sent."""

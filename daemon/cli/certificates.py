@@ -53,14 +53,9 @@ def load_members(folder: Path) -> Lab:
 
 
 def add_members(folder: Path, old: Lab, lab: Lab, years: float, host: str | None) -> None:
-    """Make folders for new people, and write the members into every folder.
+    """Make folders for new people, who stand last in `lab`, and write the members into each folder.
 
-    Args:
-        folder: the lab's.
-        old: the lab before.
-        lab: the lab with the new people, who stand last.
-        years: validity of the certificates.
-        host: the car's address, of a lab that begins: its authority and its car are made too.
+    Of a lab that begins, `host` is the car's address: its authority and its car are made too.
 
     Raises:
         SteerdError: a name cannot be used, or a folder or file is there already.

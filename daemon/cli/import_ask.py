@@ -2,8 +2,7 @@
 
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,25 +21,8 @@ Trial = Callable[[Path, Path], object]  # imports by a map file into a session f
 _LEFT, _MM = "must be left positive", "millimetres"
 
 
-@dataclass(frozen=True)
-class Meaning:
-    """What a map makes of a log."""
-
-    lines: tuple[str, ...]  # in words
-    warnings: tuple[str, ...]  # what looks wrong
-    erpm_gain: float | None  # ERPM per m/s that the poses show, None where they cannot say
-
-
 def ask(proposal: Proposal, source: Path, trial: Trial) -> str:
-    """Talk until somebody agrees.
-
-    Args:
-        proposal: first guess.
-        source: the log.
-        trial: imports the log by a map.
-
-    Returns:
-        The text of the map.
+    """Talk about a proposal for a log until somebody agrees; the text of the map.
 
     Raises:
         SteerdError: nobody agreed.
@@ -69,28 +51,31 @@ def ask(proposal: Proposal, source: Path, trial: Trial) -> str:
 
 def _show(proposal: Proposal, source: Path, trial: Trial, *, fix: bool) -> str:
     """Print the map and its meaning; the map's text, or nothing where it does not work."""
-    meaning, problem = Meaning((), (), None), ""
+    found, problem = None, ""
     try:
-        meaning = _try(proposal, source, trial)
-        if fix and _fix(proposal, meaning):
-            meaning = _try(proposal, source, trial)
+        found = _try(proposal, source, trial)
+        if fix and _fix(proposal, *found[1:]):
+            found = _try(proposal, source, trial)
     except SteerdError as error:
         no_file = error.hint and str(EXAMPLE_MAP) not in error.hint
-        problem = f"{error.what}; {error.hint}" if no_file else error.what
+        found, problem = None, f"{error.what}; {error.hint}" if no_file else error.what
     text = format_map(proposal, source.name)
     print("\nproposed map")
     print(*(f"  {line}" for line in text.splitlines() if line.strip()), sep="\n")
     print("\nwhat it would mean")
-    if problem:
+    if found is None:
         print(f"  nothing yet: {problem}")
         return ""
-    print(*(f"  {line}" for line in meaning.lines), sep="\n")
-    print(*(f"  doubtful: {warning}\n" for warning in meaning.warnings), sep="", end="")
+    lines, doubts, _ = found
+    print(*(f"  {line}" for line in lines), sep="\n")
+    print(*(f"  doubtful: {doubt}\n" for doubt in doubts), sep="", end="")
     return text
 
 
-def _try(proposal: Proposal, source: Path, trial: Trial) -> Meaning:
-    """What the map makes of the log.
+def _try(
+    proposal: Proposal, source: Path, trial: Trial
+) -> tuple[list[str], tuple[str, ...], float | None]:
+    """What the map makes of the log: in words, what looks wrong, ERPM per m/s by the poses.
 
     Raises:
         SteerdError: it cannot be imported like this.
@@ -112,7 +97,7 @@ def _try(proposal: Proposal, source: Path, trial: Trial) -> Meaning:
         gain = find_erpm_gain(track, read.signal(VESC, "erpm"))
     gain = None if gain is None else round_gain(gain)
     lines = _lines(report, None if track is None else track.yaw, gain)
-    return Meaning(tuple(lines), report.warnings, gain)
+    return [*lines], report.warnings, gain
 
 
 def _lines(report: "SessionReport", yaw: "np.ndarray | None", gain: float | None) -> Iterator[str]:
@@ -132,9 +117,9 @@ def _lines(report: "SessionReport", yaw: "np.ndarray | None", gain: float | None
         yield f"motor     {gain:.0f} ERPM per m/s, by the poses"
 
 
-def _fix(proposal: Proposal, meaning: Meaning) -> bool:
+def _fix(proposal: Proposal, doubts: Sequence[str], erpm_gain: float | None) -> bool:
     """Change what the drive itself says must be otherwise; whether anything was."""
-    text, fixed = " ".join(meaning.warnings), False
+    text, fixed = " ".join(doubts), False
     columns = proposal.get("columns", {})
     if _LEFT in text and "steer_cmd" in columns:
         old = columns["steer_cmd"]
@@ -142,7 +127,7 @@ def _fix(proposal: Proposal, meaning: Meaning) -> bool:
         columns["steer_cmd"], fixed = {"column": name, "scale": -scale}, True
     if "topics" in proposal and _MM in text:
         proposal.setdefault("frame", {})["units"], fixed = "mm", True
-    if meaning.erpm_gain is not None and "--erpm-gain" in text:
-        proposal.setdefault("vesc", {})["erpm_gain"] = meaning.erpm_gain
+    if erpm_gain is not None and "--erpm-gain" in text:
+        proposal.setdefault("vesc", {})["erpm_gain"] = erpm_gain
         fixed = True
     return fixed

@@ -62,17 +62,9 @@ def open_table(source: Path) -> TextIO:
 
 
 class CsvTable:
-    """An open csv file: its header was read, its rows come next.
+    """An open csv file: its `header` was read, its rows come next; `row` numbers the last line.
 
-    Args:
-        name: the file's name, for messages.
-        file: the file, at its start.
-        wanted: column names that the header should hold.
-
-    Attributes:
-        name: the file's name.
-        header: the columns' names.
-        row: number of the line that was read last.
+    Of several delimiters that one is taken which gives most of the `wanted` column names.
 
     Raises:
         SteerdError: it holds no line.

@@ -92,15 +92,9 @@ def write_import(
     samples: Iterable[Sample],
     notes: Counter[str],
 ) -> ImportReport:
-    """Write the whole session, or leave nothing behind.
+    """Write the whole session of a log's samples, or leave nothing behind.
 
-    Args:
-        out: the session.
-        source: the log.
-        the_map: what is what in it.
-        topics: of the session.
-        samples: of these topics.
-        notes: oddities of the log that do not stop an import, counted while samples come.
+    `notes` are oddities of the log that do not stop an import, counted while samples come.
 
     Raises:
         SteerdError: the source cannot be read, holds no sample, or the disk does not take it.

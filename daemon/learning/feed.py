@@ -35,13 +35,7 @@ class Wiring:
 
 
 def make_sample(wiring: Wiring, topic: Topic, message: Any) -> Sample | None:
-    """A message as a sample, with monotonic time [s]; None where it says nothing.
-
-    Args:
-        wiring: of the session.
-        topic: one of `NEEDED`.
-        message: of that topic.
-    """
+    """A message of `NEEDED` as a sample, with monotonic time [s]; None where it says nothing."""
     if topic is topics.MOCAP:
         if message.reject:
             return None
@@ -168,12 +162,7 @@ def read_memory(text: str) -> Memory | None:
 
 
 def make_feed(car: CarFile, wiring: Wiring, memory: Memory | None = None) -> Feed:
-    """A feed at its start.
-
-    Args:
-        car: the car file.
-        wiring: how the session's numbers are read.
-        memory: of an earlier drive of this car.
+    """A feed at its start; `memory` is of an earlier drive of this car.
 
     Raises:
         ValueError: what identify wrote into the car file is not what it writes.

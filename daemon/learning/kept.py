@@ -16,8 +16,7 @@ from typing import Any, NamedTuple
 
 from steerd.car_model.car_file import CarFile
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.learning.reported import reported_changes, reported_values
-from steerd.daemon.learning.text import describe_change
+from steerd.daemon.learning.reported import describe_change, reported_changes, reported_values
 from steerd.steer_bus import messages as m
 from steerd.toml_text import parse_toml
 
@@ -72,12 +71,7 @@ def digest_numbers(car: CarFile, erpm_gain: float, erpm_offset: float) -> str:
 
 
 def format_kept(about: About, report: m.Model) -> str:
-    """The page of a report: what it identifies, and every change.
-
-    Args:
-        about: of what it is.
-        report: of a learner that knows the car.
-    """
+    """The page of a report of a learner that knows the car: what it identifies, and each change."""
     quoted = {name: json.dumps(text) for name, text in about._asdict().items()}
     lines = [f"{name} = {text}" for name, text in quoted.items()]
     lines.append(f"written_ns = {m.stamp_ns(report.header)}")
@@ -115,12 +109,7 @@ def parse_kept(data: bytes) -> Kept:
 
 
 def recall(kept: Kept, about: About, now_ns: int) -> str:
-    """What a session's metadata says of the numbers that its learner begins with: JSON.
-
-    Args:
-        kept: the page.
-        about: the run.
-        now_ns: UNIX time.
+    """What the metadata of a run at a UNIX time says of the numbers its learner begins with: JSON.
 
     Raises:
         KeptError: it is another car's, or of other numbers, or from the future.

@@ -49,14 +49,7 @@ class Proposals:
             self._refused_ns = taken.mono_ns
 
     def propose(self, learner: Learner, state: State, mono_ns: int, epoch_ns: int) -> None:
-        """Propose at a report.
-
-        Args:
-            learner: the car's.
-            state: what was learnt.
-            mono_ns: of the newest pose.
-            epoch_ns: UNIX time minus monotonic time.
-        """
+        """Propose at a report of a state; times of the newest pose, UNIX minus monotonic [ns]."""
         design = self._next_design(find_aim(learner, state), mono_ns)
         self._design = None if isinstance(design, str) else design
         if not isinstance(design, str) and design.car == file_numbers(self._held):

@@ -10,13 +10,14 @@ import io
 import sqlite3
 import sys
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
 
+from steerd.daemon.analysis.finding import Reported
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import make_frame, notebook_progress
 from steerd.daemon.common.progress import show_progress
@@ -26,8 +27,6 @@ from steerd.daemon.many.units import Done, Where, Work, run_units
 
 if TYPE_CHECKING:
     import pandas
-
-    from steerd.sysid.report.report import Card, Report
 
 FAILED = "failed"  # outcome of a row whose unit failed; the next start tries it again
 Rows = Sequence[Mapping[str, Any]]
@@ -51,7 +50,7 @@ class RowTable(tuple[Row, ...]):
 
 
 @dataclass(frozen=True, eq=False)
-class Found(ABC):
+class Found(Reported):
     """What was found on many drives; `print` shows the screen."""
 
     rows: tuple[Row, ...] = field(repr=False)  # one drive each, values by column
@@ -63,24 +62,10 @@ class Found(ABC):
     def columns(self) -> Sequence[Column]:
         """The columns of the table with units and meanings."""
 
-    @property
-    @abstractmethod
-    def origin(self) -> Mapping[str, str]:
-        """Texts that say where the table comes from."""
-
-    @abstractmethod
-    def make_report(self) -> "Report":
-        """What the page shows."""
-
     def to_pandas(self) -> "pandas.DataFrame":
         """The rows as a data frame; `attrs["units"]` holds the units by column."""
         values = {c.name: [row.get(c.name) for row in self.rows] for c in self.columns}
         return make_frame(values, {c.name: c.unit for c in self.columns})
-
-    @property
-    def cards(self) -> "list[Card]":
-        """The key figures of the page."""
-        return list(self.make_report().cards)
 
     def encode_table(self) -> bytes:
         """The rows as a Parquet file, NaN as missing; the same rows give the same bytes."""
@@ -94,9 +79,9 @@ class Found(ABC):
             fields.append(pa.field(column.name, kind, metadata=note))
             given = (row.get(column.name) for row in self.rows)
             values.append(pa.array([None if value != value else value for value in given], kind))
-        schema = pa.schema(fields, metadata=dict(self.origin))
         out = io.BytesIO()
-        parquet.write_table(pa.table(values, schema=schema), out, compression="zstd")
+        table = pa.table(values, schema=pa.schema(fields))
+        parquet.write_table(table, out, compression="zstd")
         return out.getvalue()
 
     def save_table(self, path: Path | str) -> Path:
@@ -108,12 +93,6 @@ class Found(ABC):
         check_outputs({"save_table": Path(path)})
         write_outputs({Path(path): self.encode_table()})
         return Path(path)
-
-    def render_report(self) -> str:
-        """The page, one file."""
-        from steerd.sysid.report.page import render_report
-
-        return render_report(self.make_report())
 
 
 F = TypeVar("F", bound=Found)
@@ -144,11 +123,8 @@ def do_job(
 ) -> F:
     """Do what an earlier start did not finish.
 
-    Args:
-        job: the units and what is done with them.
-        where: processes or cluster.
-        output: the table that is to be written; what is finished lies beside it.
-        progress: is called with the number of units done.
+    What is finished lies beside `output`, the table that is to be written; `progress` is called
+    with the number of units done.
 
     Raises:
         SteerdError: what lies there belongs to other work, or the cluster is lost.

@@ -60,13 +60,9 @@ def run_units(
     where: Where,
     ship: Callable[[Any], Any] = lambda about: about,
 ) -> Iterator[Done]:
-    """Do every unit; results come as they end.
+    """Do the work with every argument, by the unit's name; results come as they end.
 
-    Args:
-        work: what is done with one unit's argument.
-        todo: argument by the unit's name.
-        where: processes or cluster.
-        ship: makes an argument complete before it leaves for another machine.
+    `ship` makes an argument complete before it leaves for another machine.
 
     Raises:
         SteerdError: the cluster does not answer, or is lost.

@@ -144,9 +144,7 @@ def list_entries(
 ) -> Iterator[Entry]:
     """The sessions' figures, remembered ones where the file has not changed since.
 
-    Args:
-        paths: the files.
-        advance: is called with the number of files done.
+    `advance` is called with the number of files done.
     """
     with contextlib.closing(_open_index()) as index:
         for number, path in enumerate(paths):
@@ -240,12 +238,7 @@ _NAME, _CAR, _LANE = 20, 8, 17  # columns of the names [characters]
 
 
 def format_entries(entries: Sequence[Entry], numbers: Sequence[int]) -> Iterator[str]:
-    """The table, newest first.
-
-    Args:
-        entries: the drives.
-        numbers: the place of each among all, 1 for the last: what `@-N` takes.
-    """
+    """The table, newest first; `numbers`: each one's place among all, 1 for the last (`@-N`)."""
     yield (
         f"{'':6}{'ended':<12}{'session':<{_NAME + 1}}{'car':<{_CAR + 1}}"
         f"{'driven':<{_LANE + 1}}{'m':>5}{'e1 mm':>8}"
@@ -279,12 +272,7 @@ _HEADS = (
 
 
 def make_report(entries: Sequence[Entry], folder: Path) -> Report:
-    """What the page shows.
-
-    Args:
-        entries: the drives, in the table's order.
-        folder: where the page will lie; its links start there.
-    """
+    """What the page shows of drives, in this order; its links start at the folder where it lies."""
     minutes = sum(e.seconds for e in entries) / 60.0
     cards = [
         Card("drives", str(len(entries)), f"{sum(e.verdict != 'ok' for e in entries)} not ok"),
@@ -301,8 +289,6 @@ def make_report(entries: Sequence[Entry], folder: Path) -> Report:
     )
     return Report(
         title="Recorded drives",
-        subject="",
-        about="",
         lead="" if entries else "There is none.",
         cards=cards,
         sections=[Section(text=text, table=table)] if entries else [],

@@ -11,10 +11,11 @@ from steerd.car_model.path.path import Path as Lane
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import clean
 from steerd.daemon.sessions.info import Recording
-from steerd.daemon.sessions.motion import Array, Track, find_settled, rms
+from steerd.daemon.sessions.motion import Track, find_settled, rms
 from steerd.daemon.sessions.plot_data import Curve, load_lane, make_drawing
 from steerd.sim_gap.lane_comparison import profile
 from steerd.steer_bus import topics
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.report.drawing import FAINT, INK, LINES, Diagrams
 from steerd.sysid.report.page import render_report
 from steerd.sysid.report.report import Report, Section, Table
@@ -26,9 +27,7 @@ POINTS_MAX, _DOTS_MAX = 1200, 400  # of a drawn curve, and of the single samples
 def render_comparison(reads: Sequence[Recording], shift: float | None = None) -> str:
     """The page of several drives: along their lane, and of two also over time.
 
-    Args:
-        reads: the drives.
-        shift: by which the second of two comes later [s]; None finds it.
+    The second of two comes later by `shift` [s]; None finds it.
 
     Raises:
         SteerdError: more or less than two follow no lane, or not the same, or nothing is common.
@@ -43,7 +42,7 @@ def render_comparison(reads: Sequence[Recording], shift: float | None = None) ->
             raise
         why = f"Not compared along a lane: {error.what}."
         title, foot = "Two drives, compared", "Written by steerd plot."
-        return render_report(Report(title, ", ".join(names), "", why, over_time, foot))
+        return render_report(Report(title, over_time, foot, subject=", ".join(names), lead=why))
     check_same_lane(drives)
     return render_report(Report(
         title="Drives of one lane, compared",

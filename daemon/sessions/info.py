@@ -14,13 +14,15 @@ from steerd.daemon.common.screen import describe_holes
 from steerd.daemon.common.translate import reading
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions import motion
-from steerd.daemon.sessions.motion import Array, Signal, SignalRange, Track
+from steerd.daemon.sessions.motion import SignalRange, Track
 from steerd.steer_bus import session_read, topics
 from steerd.steer_bus.container import SessionInfo, TopicInfo
 from steerd.steer_bus.fields import flat_leaves
 from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.session_read import Session, SessionError
 from steerd.steer_bus.topic_columns import Columns
+from steerd.sysid.data.data_checks import Array
+from steerd.sysid.data.dataset import Signal
 from steerd.vesc_link.scaling import F1TENTH
 
 GAP_FACTOR = 3.0  # a pause of more than this many median intervals is a gap
@@ -208,7 +210,7 @@ def make_session_report(read: Recording) -> SessionReport:
         gyro = read.signal(topics.IMU, "gyro_z")
         about, end = (info.metadata.get(f"steerd.{name}", {}) for name in ("session", "end"))
         cars = sorted({key[0] for topic in info.topics if (key := topics.split_key(topic.name))})
-        values = (steer.value if steer else np.empty(0), *_motion(read, wheel, gyro))
+        values = (steer.values if steer else np.empty(0), *_motion(read, wheel, gyro))
         steer_range, speed_range, lateral_range = map(motion.make_range, values)
         doubts: list[str] = []
         if about.get("mode") == "import":  # steerd's own sessions have their car file's figures
@@ -248,8 +250,8 @@ def _motion(read: Recording, wheel: Signal | None, gyro: Signal | None) -> tuple
     if wheel is None:
         return np.empty(0), np.empty(0)
     turning = gyro or (track and Signal(track.t, track.yaw_rate))
-    rate = np.interp(wheel.t, turning.t, turning.value) if turning else wheel.t * np.nan
-    return wheel.value, wheel.value * rate
+    rate = np.interp(wheel.t, turning.t, turning.values) if turning else wheel.t * np.nan
+    return wheel.values, wheel.values * rate
 
 
 def _states(read: Recording) -> tuple[StateChange, ...]:

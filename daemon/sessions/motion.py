@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus.topic_columns import Columns
+from steerd.sysid.data.data_checks import Array
+from steerd.sysid.data.dataset import Signal, pose_slopes
 
-Array = NDArray[np.float64]
-
-WINDOW = 0.2
-WINDOW_MAX = 1.0
+WINDOW, WINDOW_MAX = 0.2, 1.0
 """Span of the differences [s]: the shorter for mocap, up to the longer for coarse poses."""
 _SPEED_NOISE = 0.05  # standard deviation of the speed that the window allows [m/s]
 GAP_MAX = 0.5  # no motion is interpolated across a longer gap between poses [s]
@@ -42,7 +41,7 @@ class Track:
     x: Array
     y: Array
     yaw: Array  # as recorded, unwrapped [rad]
-    speed: Array  # along the body's axis; NaN for a pose between two gaps [m/s]
+    speed: Array  # along the body's axis; NaN where gaps are everywhere [m/s]
     yaw_rate: Array
     window: float  # span of the differences that gave speed and yaw rate [s]
 
@@ -60,15 +59,8 @@ class Track:
     def length(self) -> float:
         """Distance driven, without standstill [m]."""
         speed = np.abs(np.nan_to_num(self.speed))
-        return float(np.sum(np.where(speed > MOVING, speed, 0.0)[:-1] * _steps(self.t)))
-
-
-@dataclass(frozen=True, slots=True)
-class Signal:
-    """One stream: values at times, which do not decrease."""
-
-    t: Array
-    value: Array
+        steps = np.minimum(np.diff(self.t), GAP_MAX)
+        return float(np.sum(np.where(speed > MOVING, speed, 0.0)[:-1] * steps))
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +70,6 @@ class SignalRange:
     low: float
     high: float
     sd: float
-
-
-def _steps(t: Array) -> Array:
-    return np.minimum(np.diff(t), GAP_MAX)
 
 
 def make_track(t: Array, x: Array, y: Array, yaw: Array) -> Track | None:
@@ -94,34 +82,18 @@ def make_track(t: Array, x: Array, y: Array, yaw: Array) -> Track | None:
     if len(order) < 3:
         return None
     t, x, y, yaw = t[order], x[order], y[order], np.unwrap(yaw[order])
-    window = _window(x, y)
-    first, last = _unbroken(t)
-    before, after = np.maximum(t - window / 2, first), np.minimum(t + window / 2, last)
-    span = np.where(after > before, after - before, np.nan)
-    vx, vy, yaw_rate = (
-        (np.interp(after, t, a) - np.interp(before, t, a)) / span for a in (x, y, yaw)
-    )
+    pose = Signal(t, np.column_stack([x, y, yaw]))
+    # White noise of deviation s has second differences of deviation sqrt(6) s, and a difference
+    # over a window w has sqrt(2) s / w.
+    power = float(np.mean(np.diff(x, 2) ** 2 + np.diff(y, 2) ** 2)) / 2.0
+    window = min(max(sqrt(power / 3.0) / _SPEED_NOISE, WINDOW), WINDOW_MAX)
+    at, slopes = pose_slopes(pose, window)
+    gaps = np.cumsum(np.diff(t, prepend=t[0]) > GAP_MAX)
+    whole = gaps[len(t) - len(at) :] == gaps[: len(at)]
+    at, slopes = (at[whole], slopes[whole]) if whole.any() else (at, np.nan * slopes)
+    vx, vy, yaw_rate = (np.interp(t, at, slope) for slope in slopes.T)
     forward = vx * np.cos(yaw) + vy * np.sin(yaw)
     return Track(t, x, y, yaw, np.copysign(np.hypot(vx, vy), forward), yaw_rate, window)
-
-
-def _window(x: Array, y: Array) -> float:
-    """The window over which the noise of the poses gives less than 5 cm/s of speed noise.
-
-    White noise of deviation s has second differences of deviation sqrt(6) s, and a difference over
-    a window w has sqrt(2) s / w.
-    """
-    power = np.mean(np.diff(x, 2) ** 2 + np.diff(y, 2) ** 2) / 2
-    noise = float(np.sqrt(power / 6))
-    return min(max(noise * sqrt(2.0) / _SPEED_NOISE, WINDOW), WINDOW_MAX)
-
-
-def _unbroken(t: Array) -> tuple[Array, Array]:
-    """For each time, the first and last time of its gap-free stretch."""
-    starts = np.concatenate(([0], np.flatnonzero(np.diff(t) > GAP_MAX) + 1))
-    ends = np.append(starts[1:], len(t))
-    lengths = ends - starts
-    return np.repeat(t[starts], lengths), np.repeat(t[ends - 1], lengths)
 
 
 def make_range(values: Array) -> SignalRange | None:
@@ -151,10 +123,10 @@ def _while_driven(track: Track, signal: Signal, later: float = 0.0) -> tuple[Arr
     """Speed and yaw rate of the poses, so much later [s], and the signal; None of too few."""
     poses = (np.nan_to_num(track.speed), np.nan_to_num(track.yaw_rate))
     speed, rate = (np.interp(signal.t + later, track.t, each, np.nan, np.nan) for each in poses)
-    both = np.isfinite(speed) & np.isfinite(signal.value) & (np.abs(speed) > _DRIVING)
+    both = np.isfinite(speed) & np.isfinite(signal.values) & (np.abs(speed) > _DRIVING)
     if np.count_nonzero(both) < _SAMPLES_MIN:
         return None
-    return speed[both], rate[both], signal.value[both]
+    return speed[both], rate[both], signal.values[both]
 
 
 def check_erpm(track: Track | None, erpm: Signal | None, stated: float) -> list[str]:
@@ -180,7 +152,7 @@ def find_implausible(
 ) -> list[str]:
     """Find signs of a wrong unit, sign or axis; one sentence each."""
     warnings = []
-    if steer is not None and (found := make_range(steer.value)):
+    if steer is not None and (found := make_range(steer.values)):
         worst = max(-found.low, found.high)
         if worst > pi / 2:
             warnings.append(f"steering reaches {worst:.3g} rad: is it in degrees?")
@@ -233,7 +205,7 @@ def _check_front(track: Track, wheel: Signal | None) -> list[str]:
     moving = np.abs(np.nan_to_num(track.speed)) > _DRIVING
     if np.count_nonzero(moving) < _SAMPLES_MIN or np.mean(track.speed[moving] < 0.0) < _SHARE:
         return []
-    if wheel is not None and wheel.value.size and float(np.nanmedian(wheel.value)) < 0.0:
+    if wheel is not None and wheel.values.size and float(np.nanmedian(wheel.values)) < 0.0:
         return []
     return ["the car drives backwards throughout: does yaw point to its rear, 180° off?"]
 
@@ -258,8 +230,8 @@ def _check_wheel(track: Track, wheel: Signal) -> list[str]:
 
 def _check_gyro(track: Track, gyro: Signal) -> list[str]:
     rate = np.interp(gyro.t, track.t, np.nan_to_num(track.yaw_rate), np.nan, np.nan)
-    both = np.isfinite(rate) & np.isfinite(gyro.value)
-    rate, measured = rate[both], gyro.value[both]
+    both = np.isfinite(rate) & np.isfinite(gyro.values)
+    rate, measured = rate[both], gyro.values[both]
     strength = float(np.sum(rate**2))
     if strength <= _TURNING**2 * rate.size:
         return []

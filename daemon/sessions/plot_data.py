@@ -14,13 +14,14 @@ from steerd.daemon.assembly.session_meta import recorded_path
 from steerd.daemon.common.translate import reading
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.info import Recording
-from steerd.daemon.sessions.motion import Array, Track, rms, settled_errors
+from steerd.daemon.sessions.motion import Track, rms, settled_errors
 from steerd.daemon.settings.run_options import decode_options
 from steerd.steer_bus import topics
 from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.session_read import Session, SessionError
 from steerd.steer_bus.topic_columns import Columns
 from steerd.steer_bus.topics import Topic
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import read_erpm
 from steerd.toml_text import decode_toml, parse_toml
 

@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 
 from steerd.daemon.common.screen import clean
 from steerd.daemon.sessions.info import SessionReport
-from steerd.daemon.sessions.motion import GAP_MAX, Array, Track
+from steerd.daemon.sessions.motion import GAP_MAX, Track
 from steerd.daemon.sessions.plot_data import Drawing
 from steerd.daemon.sessions.text import when
+from steerd.sysid.data.data_checks import Array
 from steerd.sysid.report.page import render_page
 
 SIZE_MAX = 2_000_000  # a page must fit into a mail and open quickly [bytes]
@@ -37,12 +38,7 @@ _TEMPLATE = Path(__file__).parent / "page" / "plot.html"
 
 
 def make_page(report: SessionReport, drawing: Drawing) -> str:
-    """The whole page; curves are thinned until it is smaller than `SIZE_MAX`.
-
-    Args:
-        report: of the session.
-        drawing: its curves.
-    """
+    """The whole page; curves are thinned until it is smaller than `SIZE_MAX`."""
     page = ""
     for buckets in BUCKETS:
         page = render_page(_TEMPLATE, data=_data(report, drawing, buckets))
@@ -165,15 +161,11 @@ class Grid:
     step: float
     slots: int
 
-    def __post_init__(self) -> None:
-        if self.slots < 2 or self.slots % 2 or not self.step > 0.0:
-            raise ValueError(f"a grid of {self.slots} slots, {self.step} s apart")
 
-
-def make_grid(start: float, end: float, buckets: int, finest: float = FINEST_S) -> Grid:
-    """A grid over [start, end] of at most `buckets` pairs of slots, each pair >= `finest` [s]."""
-    span = max(end - start, finest)
-    count = max(1, min(buckets, round(span / finest)))
+def make_grid(start: float, end: float, buckets: int) -> Grid:
+    """A grid over [start, end] of at most `buckets` pairs of slots, each pair >= `FINEST_S`."""
+    span = max(end - start, FINEST_S)
+    count = max(1, min(buckets, round(span / FINEST_S)))
     return Grid(start, span / (2 * count), 2 * count)
 
 

@@ -1,5 +1,6 @@
 """Input of a calibration from a session: body poses, wheel speed, commands and car file."""
 
+import contextlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,7 +11,6 @@ from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.translate import make_car_file_error
 from steerd.daemon.sessions.info import Recording, load_recording
-from steerd.daemon.sessions.motion import Array
 from steerd.daemon.settings.config import Settings, load_settings, make_settings
 from steerd.daemon.settings.run_options import decode_options
 from steerd.daemon.setup.mocap_check import Movement
@@ -27,14 +27,8 @@ class Recorded:
     """A session as input of a calibration."""
 
     settings: Settings  # of the car file that the drive used
-    frame: FrameConfig  # room and body, without any offset of the body on the car
     poses: Columns  # columns of the accepted poses, times increasing
     read: Recording  # every topic's columns
-
-    @property
-    def start_ns(self) -> int:
-        """Time zero, on the host's monotonic clock."""
-        return int(self.poses["t_valid_ns"][0])
 
 
 def load_recorded(path: Path) -> Recorded:
@@ -53,7 +47,7 @@ def load_recorded(path: Path) -> Recorded:
     order = np.argsort(kept["t_valid_ns"], kind="stable")
     order = order[np.diff(kept["t_valid_ns"][order], prepend=0) > 0]
     kept = {name: column[order] for name, column in kept.items()}
-    return Recorded(settings, _frame_without_mount(settings, read.session), kept, read)
+    return Recorded(settings, kept, read)
 
 
 def _read_settings(session: Session) -> Settings:
@@ -66,54 +60,6 @@ def _read_settings(session: Session) -> Settings:
         raise make_car_file_error(error) from None
 
 
-def _frame_without_mount(settings: Settings, session: Session) -> FrameConfig:
-    """Room and axes of the drive, without any offset of the body on the car."""
-    frame = settings.ingest.frame
-    about = session.info().metadata.get("steerd.session", {})
-    try:
-        url = parse_mocap_url(decode_options(about.get("options", "")).mocap or "")
-        frame = url.apply(frame)
-    except ValueError:
-        pass
-    return replace(frame, mount_yaw=0.0, marker_rear_x=0.0, marker_rear_y=0.0,
-                   cog_ahead_of_rear=0.0)  # fmt: skip
-
-
-def body_track(r: Recorded) -> tuple[Array, Array, Array, Array]:
-    """Poses of the body's own origin: times from the first pose [s], x, y [m], yaw [rad].
-
-    Raises:
-        SteerdError: an imported log, whose poses are already those of the car.
-    """
-    p = r.poses
-    if not np.isfinite(p["z_raw"]).all():
-        hint = "for an imported log, set the offsets in its map's [frame]"
-        raise SteerdError("the session holds the car's poses only, not its body's", hint)
-    raw = zip(*(p[name].tolist() for name in ("x_raw", "y_raw", "z_raw")), strict=True)
-    turns = zip(*(p[name].tolist() for name in ("qw", "qx", "qy", "qz")), strict=True)
-    placed = [make_planar_pose(r.frame, at, q) for at, q in zip(raw, turns, strict=True)]
-    x, y, yaw = np.array([(pose.x, pose.y, pose.yaw) for pose in placed]).T
-    return (p["t_valid_ns"] - r.start_ns) * 1e-9, x, y, yaw
-
-
-def wheel_speed(r: Recorded) -> tuple[Array, Array]:
-    """Reported speed: times [s] and values [m/s].
-
-    Raises:
-        SteerdError: the session holds none.
-    """
-    vesc, wheel = r.read.table(topics.VESC), r.read.table(topics.WHEEL)
-    if vesc is not None:
-        scaling = r.settings.scaling
-        at = (vesc["t_sent_ns"] + vesc["t_received_ns"]) // 2
-        value = (vesc["erpm"].astype(float) - scaling.erpm_offset) / scaling.erpm_gain
-    elif wheel is not None:
-        at, value = wheel["t_ns"], wheel["speed"].astype(float)
-    else:
-        raise SteerdError("the session holds no wheel speed")
-    return (at - r.start_ns) * 1e-9, value
-
-
 def load_movement(path: Path) -> tuple[Movement, int]:
     """A session's accepted poses for `check_movement`, and how many were rejected.
 
@@ -124,13 +70,43 @@ def load_movement(path: Path) -> tuple[Movement, int]:
     every = r.read.table(topics.MOCAP)
     columns = (r.poses[name] for name in ("x", "y", "yaw", "height", "tilt"))
     refused = 0 if every is None else int((every["reject"] != "").sum())
-    return Movement((r.poses["t_valid_ns"] - r.start_ns) * 1e-9, *columns), refused
+    return Movement((r.poses["t_valid_ns"] - r.poses["t_valid_ns"][0]) * 1e-9, *columns), refused
 
 
 def make_drive(r: Recorded) -> Drive:
-    """Poses and wheel speed for `calibrate_mount`.
+    """Poses of the body's own origin and reported speed for `calibrate_mount`.
 
     Raises:
-        SteerdError: the session holds no wheel speed, or no poses of the body.
+        SteerdError: the session holds no wheel speed; or it is an imported log, whose poses are
+            already those of the car.
     """
-    return Drive(*body_track(r), *wheel_speed(r))
+    p, vesc, wheel = r.poses, r.read.table(topics.VESC), r.read.table(topics.WHEEL)
+    if not np.isfinite(p["z_raw"]).all():
+        hint = "for an imported log, set the offsets in its map's [frame]"
+        raise SteerdError("the session holds the car's poses only, not its body's", hint)
+    if vesc is not None:
+        rolled_ns = (vesc["t_sent_ns"] + vesc["t_received_ns"]) // 2
+        scaling = r.settings.scaling
+        speed = (vesc["erpm"].astype(float) - scaling.erpm_offset) / scaling.erpm_gain
+    elif wheel is not None:
+        rolled_ns, speed = wheel["t_ns"], wheel["speed"].astype(float)
+    else:
+        raise SteerdError("the session holds no wheel speed")
+    frame, start_ns = _frame_without_mount(r), p["t_valid_ns"][0]
+    raw = zip(*(p[name].tolist() for name in ("x_raw", "y_raw", "z_raw")), strict=True)
+    turns = zip(*(p[name].tolist() for name in ("qw", "qx", "qy", "qz")), strict=True)
+    placed = np.array([make_planar_pose(frame, at, q) for at, q in zip(raw, turns, strict=True)])
+    x, y, yaw = placed.T[:3]
+    t, t_wheel = ((ns - start_ns) * 1e-9 for ns in (p["t_valid_ns"], rolled_ns))
+    return Drive(t, x, y, yaw, t_wheel, speed)
+
+
+def _frame_without_mount(r: Recorded) -> FrameConfig:
+    """Room and axes of the drive, without any offset of the body on the car."""
+    frame = r.settings.ingest.frame
+    about = r.read.info.metadata.get("steerd.session", {})
+    with contextlib.suppress(ValueError):
+        url = parse_mocap_url(decode_options(about.get("options", "")).mocap or "")
+        frame = url.apply(frame)
+    return replace(frame, mount_yaw=0.0, marker_rear_x=0.0, marker_rear_y=0.0,
+                   cog_ahead_of_rear=0.0)  # fmt: skip

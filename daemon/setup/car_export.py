@@ -50,12 +50,7 @@ _DELAYS = {"steer_delay": 0.0, "drive_delay": 0.0, "pose_delay": 0.0}
 
 
 def make_gym_yaml(file: CarFile, speed_max: float) -> Export:
-    """The parameters of f1tenth_gym's single-track car, as its `params` take them.
-
-    Args:
-        file: the car.
-        speed_max: what it may drive at most [m/s].
-    """
+    """The `params` of f1tenth_gym's single-track car, which drives at most `speed_max` [m/s]."""
     car = file.car
     neutral = {**_DELAYS, "steer_gain": 1.0, "steer_bias": 0.0, "steer_lag": 0.0}
     neutral |= {"speed_gain": 1.0, "speed_lag": 0.0, "decel_max": car.accel_max}

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from steerd.daemon.sessions.motion import Array
+from steerd.sysid.data.data_checks import Array
 
 Mask = NDArray[np.bool_]
 

@@ -8,7 +8,8 @@ from math import degrees, pi
 
 import numpy as np
 
-from steerd.daemon.sessions.motion import GAP_MAX, Array
+from steerd.daemon.sessions.motion import GAP_MAX
+from steerd.sysid.data.data_checks import Array
 
 STEP = 0.05  # directions are taken over this distance [m]
 EXTENT_MIN, EXTENT_MAX = 0.5, 2000.0
@@ -46,12 +47,7 @@ class Check:
 
 
 def check_movement(m: Movement, refused: int) -> list[Check]:
-    """All checks, in the order in which failures should be fixed.
-
-    Args:
-        m: accepted poses.
-        refused: number of rejected poses.
-    """
+    """All checks, in the order in which failures should be fixed; so many poses were `refused`."""
     steps = np.hypot(np.diff(m.x), np.diff(m.y))
     length = float(np.sum(steps)) if len(steps) else 0.0
     checks = [_check_stream(m, refused), _check_distance(m, length)]

@@ -21,9 +21,9 @@ from scipy.signal import savgol_filter
 
 from steerd.car_model.params import GRAVITY, Car, wheelbase
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.sessions.motion import Array
 from steerd.daemon.setup import least_squares as ls
 from steerd.mocap_link.frame import FrameConfig
+from steerd.sysid.data.data_checks import Array
 
 RATE = 100.0  # sampling rate of the velocities [Hz]
 WINDOW = 0.25  # window of the Savitzky-Golay filter that differentiates [s]
@@ -94,12 +94,9 @@ def slip_per_accel(car: Car[float]) -> float:
 
 
 def calibrate_mount(drive: Drive, car: Car[float], front: float = 0.0) -> MountCalibration:
-    """Estimate the mount from a drive.
+    """Estimate the mount from a drive, with the car file's tyres and wheelbase.
 
-    Args:
-        drive: poses and wheel speed.
-        car: of the car file: its tyres and its wheelbase.
-        front: the front axle's share of the drive, see `steerd.car_model.planar.DRIVES`.
+    `front` is the front axle's share of the drive, see `steerd.car_model.planar.DRIVES`.
 
     Raises:
         SteerdError: the car barely moves, never turns, or poses and wheels do not belong

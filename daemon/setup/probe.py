@@ -138,12 +138,7 @@ def judge_vesc(vesc: VescFound, brakes: BrakeSettings) -> Iterator[Advice]:
 
 
 def judge_mocap(seen: MocapSeen, named: bool) -> Iterator[Advice]:
-    """Findings about a mocap source.
-
-    Args:
-        seen: what came.
-        named: whether a body was named, or only a server was found.
-    """
+    """Findings about a mocap source; `named`: whether a body was, or only a server was found."""
     if not seen.server:
         yield Advice(
             f"no answer: {seen.detail}",
@@ -195,11 +190,9 @@ def _judge_poses(seen: MocapSeen) -> Iterator[Advice]:
 
 
 def read_sockets(text: str, kind: str) -> Iterator[SocketFound]:
-    """Sockets in use on ports that zenoh, NatNet or VRPN use, from `/proc/net/tcp` or `udp`.
+    """Sockets in use on ports that zenoh, NatNet or VRPN use.
 
-    Args:
-        text: the file's content.
-        kind: `tcp` (listening sockets only) or `udp`.
+    The text is that of `/proc/net/tcp` (listening sockets only) or `/proc/net/udp`.
     """
     for line in text.splitlines()[1:]:
         fields = line.split()

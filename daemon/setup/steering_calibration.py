@@ -7,8 +7,10 @@ import numpy as np
 
 from steerd.car_model.params import GRAVITY, Car
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.sessions.motion import Array, Signal, Track
+from steerd.daemon.sessions.motion import Track
 from steerd.daemon.setup import least_squares as ls
+from steerd.sysid.data.data_checks import Array
+from steerd.sysid.data.dataset import Signal
 from steerd.vesc_link.scaling import Scaling
 
 STEADY_BEFORE, STEADY_AFTER, STEADY_STEP = 0.25, 0.15, 0.02
@@ -62,13 +64,13 @@ def calibrate_steering(track: Track, steer: Signal, car: Car[float]) -> Steering
     length = car.lf + car.lr
     slip = (1.0 / car.c_sf - 1.0 / car.c_sr) / (car.mu * GRAVITY)
     angle = np.arctan(length * w / v) + slip * v * w
-    now = np.interp(t, steer.t, steer.value)
+    now = np.interp(t, steer.t, steer.values)
     low, high = now.min(), now.max()
     steady = _find_steady(t, steer)
     _check_steering(now, steady)
 
     def fit(delay: float, keep: ls.Mask = steady) -> tuple[Array, Array, Array]:
-        commanded = np.interp(t - delay, steer.t, steer.value)
+        commanded = np.interp(t - delay, steer.t, steer.values)
         # The outer quarters may lie beyond a stop, unless nothing else was driven.
         inner = keep & (np.abs(commanded - (low + high) / 2) <= (high - low) / 4)
         used = inner if np.std(commanded[inner]) > 0.1 * (high - low) else keep
@@ -114,7 +116,7 @@ def _check_gain(gain: float, sd: float) -> None:
 def _find_steady(t: Array, steer: Signal) -> ls.Mask:
     """Where the command is steady enough for the wheels to have followed it."""
     offsets = np.arange(-STEADY_BEFORE, STEADY_AFTER, STEADY_STEP)
-    around = np.stack([np.interp(t + dt, steer.t, steer.value) for dt in offsets])
+    around = np.stack([np.interp(t + dt, steer.t, steer.values) for dt in offsets])
     share = ((offsets - offsets[0]) / np.ptp(offsets))[:, None]
     line = (1.0 - share) * around[0] + share * around[-1]
     return np.asarray(np.abs(around - line).max(axis=0) < STEADY, dtype=np.bool_)

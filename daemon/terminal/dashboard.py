@@ -18,7 +18,7 @@ from steerd.daemon.assembly.session_meta import default_session_path
 from steerd.daemon.common.screen import NBSP, below_home, remove_controls, show
 from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
 from steerd.daemon.ipc.requests import read_diagnostics
-from steerd.daemon.learning.text import QUIET, design_text, gap_text
+from steerd.daemon.learning.reported import QUIET, design_text, gap_text
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.motion import SETTLE
 from steerd.steer_bus import messages as m

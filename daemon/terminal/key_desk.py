@@ -68,12 +68,7 @@ def nudge(parameters: Parameters, wanted: Mapping[str, float], key: str) -> dict
 class KeyDesk:
     """One operator at the keys: whoever arms or starts a car there holds it.
 
-    Args:
-        board: what is known of the car.
-        clock: for the keepalives.
-        ask: sends a request.
-        tune: sends a request for other live parameters.
-        kinds: which keys are requests.
+    `ask` sends a request, `tune` one for other live parameters; `kinds` are keys that are requests.
     """
 
     def __init__(

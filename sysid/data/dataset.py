@@ -197,20 +197,26 @@ class Rates(NamedTuple):
     yaw_rate: Array
 
 
-def pose_rates(pose: Signal) -> Rates:
-    """Rates of poses over five samples, or over as many as their noise asks for."""
+def pose_slopes(pose: Signal, span: float) -> Signal:
+    """Slopes (n, 3) of poses over five samples, or over a longer span [s]; none at the ends."""
     t, p = pose
     most = (len(t) - 1) // 2
     step = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
     if most < 1 or step <= 0.0:
-        return Rates(t, np.zeros(len(t)), np.zeros(len(t)))
-    blur = 2.0**0.5 * max(noise_of(t, p[:, 0]), noise_of(t, p[:, 1])) / SPEED_BLUR
-    half = min(max(HALF_SPAN, ceil(0.5 * blur / step)), most)
-    span = t[2 * half :] - t[: -2 * half]
-    slope = (p[2 * half :] - p[: -2 * half]) / span[:, None]
-    yaw = p[half:-half, 2]
+        return Signal(t, np.zeros_like(p))
+    half = min(max(HALF_SPAN, ceil(0.5 * span / step)), most)
+    times = t[2 * half :] - t[: -2 * half]
+    return Signal(t[half:-half], (p[2 * half :] - p[: -2 * half]) / times[:, None])
+
+
+def pose_rates(pose: Signal) -> Rates:
+    """Rates of poses, over as long as their noise asks for."""
+    noise = max(noise_of(pose.t, pose.values[:, axis]) for axis in (0, 1))
+    t, slope = pose_slopes(pose, 2.0**0.5 * noise / SPEED_BLUR)
+    half = (len(pose.t) - len(t)) // 2
+    yaw = pose.values[half : half + len(t), 2]
     speed = slope[:, 0] * np.cos(yaw) + slope[:, 1] * np.sin(yaw)
-    return Rates(t[half:-half], speed, slope[:, 2])
+    return Rates(t, speed, slope[:, 2])
 
 
 def pose_speed(pose: Signal) -> Signal:

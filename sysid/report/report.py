@@ -87,11 +87,11 @@ class Report:
     """A report, results first; sections and figures may be made while they are read, once."""
 
     title: str  # what it answers
-    subject: str  # names of what it is about: sessions, a car
-    about: str  # facts about that
-    lead: str  # the result in a sentence or two
     sections: Iterable[Section]  # in reading order
     foot: str  # who wrote it, conventions
+    subject: str = ""  # names of what it is about: sessions, a car
+    about: str = ""  # facts about that
+    lead: str = ""  # the result in a sentence or two
     verdict: str = ""  # the result in a word; empty where there is none
     grade: str = ""  # how good that is: `good`, `fair` or `bad`
     cards: Sequence[Card] = ()  # figures that are read first

@@ -198,7 +198,7 @@ def status_arguments(parser: ArgumentParser) -> None:
 
 def status(args: Namespace) -> None:
     """State of a running daemon, and what it is waiting for."""
-    from steerd.daemon.learning.text import encode_model, format_model  # no stop waits for it
+    from steerd.daemon.learning.reported import encode_model, format_model  # no stop waits for it
 
     with connect(args.connect, args.lab) as bus:
         said = read_status(bus, args.name, MonotonicClock())
@@ -212,13 +212,8 @@ def status(args: Namespace) -> None:
 
 
 def format_status(name: str, status: Mapping[str, str]) -> list[str]:
-    """The status as lines of at most 80 columns.
-
-    Args:
-        name: of the car.
-        status: diagnostics by name, as the daemon publishes them.
-    """
-    from steerd.daemon.learning.text import design_text
+    """A car's diagnostics, as the daemon publishes them, as lines of at most 80 columns."""
+    from steerd.daemon.learning.reported import design_text
 
     firmware, uuid = status.get("firmware", "?"), status.get("uuid", "?")
     items = [

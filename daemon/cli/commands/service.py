@@ -124,13 +124,10 @@ def _uninstall(path: Path, user: bool) -> None:
 
 
 def make_unit(command: Sequence[str], car: str, *, account: str = "") -> str:
-    """The unit file's text.
+    """The text of the unit file that runs a command.
 
-    Args:
-        command: what is run, program first.
-        car: its name, for the description.
-        account: who it runs as under the system's service manager; empty for one's own, which
-            cannot change accounts or mounts.
+    `account` is who it runs as under the system's service manager; empty for one's own, which
+    cannot change accounts or mounts.
 
     Raises:
         SteerdError: an argument cannot be written in a unit file.

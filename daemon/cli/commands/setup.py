@@ -129,14 +129,9 @@ def guide(
 ) -> int:
     """Go through steps as answers say; where it ended, the number of steps if all are done.
 
-    A step that failed is offered again.
-
-    Args:
-        steps: see `list_steps`.
-        at: the first.
-        ask: shows a question; the answer.
-        do: runs a step; its exit code.
-        stand: hears of the present step, and whether it is `asked`, `runs`, `done` or `failed`.
+    A step that failed is offered again. `ask` shows a question and gives the answer, `do` runs a
+    step and gives its exit code, `stand` hears of the present step, and whether it is `asked`,
+    `runs`, `done` or `failed`.
     """
     while at < len(steps):
         step = steps[at]

@@ -47,14 +47,17 @@ def make_report(
         ))  # fmt: skip
     if ordered:
         drawn = ordered[:_FIGURES]
+
+        def plot(*axes: Axes) -> None:
+            for axis, s in zip(axes, drawn, strict=True):
+                _plot_series(axis, s, first.get((s.car, s.quantity)))
+
         sections.append(Section(
             "Over time",
             "Dots are single drives, the line is the mean of each week with its 95 % band; a "
             f"dashed line marks a change. {len(drawn)} of {len(ordered)} series are drawn, those "
             "that changed first.",
-            figures=[Diagrams(
-                lambda *axes: _plot(axes, drawn, first), 2.0, count=len(drawn), columns=3
-            )],
+            figures=[Diagrams(plot, 2.0, count=len(drawn), columns=3)],
         ))  # fmt: skip
     failed = [row for row in rows if row["outcome"] != "done"]
     if failed:
@@ -66,9 +69,6 @@ def make_report(
         ))  # fmt: skip
     return Report(
         title=f"{len(rows)} sessions, batch {kind}",
-        subject="",
-        about="",
-        lead="",
         sections=sections,
         foot="Written by steerd batch. Dates are UTC; units are SI where none is named.",
         cards=list(_cards(rows, series, changes)),
@@ -121,14 +121,6 @@ def _list_sessions(rows: Rows) -> Table:
         table.append((name, *(clean(str(row.get(text) or "–"), 24) for text in texts), *scaled))
     heads = ("session", *texts, *(head for _, head, _ in figures))
     return Table(heads, table, words=[0, *(i for i, t in enumerate(texts, 1) if t != "day")])
-
-
-def _plot(
-    axes: Sequence[Axes], series: Sequence[Series], changes: dict[tuple[str, str], Change]
-) -> None:
-    """A small figure for each series."""
-    for axis, s in zip(axes, series, strict=True):
-        _plot_series(axis, s, changes.get((s.car, s.quantity)))
 
 
 def _plot_series(axis: Axes, s: Series, change: Change | None) -> None:

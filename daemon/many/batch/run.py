@@ -51,11 +51,6 @@ class Batch(Found):
         return (*_HEAD, *rest)
 
     @property
-    def origin(self) -> dict[str, str]:
-        """What was asked."""
-        return {"steerd.batch": self.kind}
-
-    @property
     def quantities(self) -> tuple[str, ...]:
         """Columns that hold estimates."""
         names = (column.name for column in self.columns if column.kind == "number")

@@ -1,7 +1,8 @@
 """One drive of a sweep, in a worker: the whole closed loop in virtual time, to a row of numbers."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from math import nan
 from typing import Any
 
 import numpy as np
@@ -12,15 +13,15 @@ from steerd.car_model.params import PARAMETERS
 from steerd.car_model.path.path import locate, project
 from steerd.controller.design import assess, delay_margin
 from steerd.controller.loop_model import Timing
-from steerd.daemon.assembly.build import NS, RunPlan, make_plan, make_world_config
+from steerd.daemon.analysis.simulation import plan_drive
+from steerd.daemon.assembly.build import NS, RunPlan, make_world_config
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.many.sweep.plan import DRIVEN, REFUSED, STOPPED, DriveCase, SweepPlan
 from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
 from steerd.daemon.sessions.motion import SETTLE, rms
-from steerd.daemon.settings.config import make_settings
-from steerd.daemon.settings.run_options import RunOptions
 from steerd.sim_hw.world import World, WorldConfig
+from steerd.sysid.data.data_checks import Array
 
 
 def run_case(plan: SweepPlan, case: DriveCase) -> dict[str, Any]:
@@ -43,30 +44,28 @@ def prepare(plan: SweepPlan, case: DriveCase) -> tuple[RunPlan, WorldConfig]:
         SteerdError: a path or a value cannot be used.
     """
     values = case.values
-    speed = float(values.get("speed", plan.speed))
-    options = RunOptions(
-        car_file="", path=str(values.get("path", plan.path)), speed=speed, rate_hz=plan.rate,
-        duration_s=plan.duration, seed=case.seed, simulated=True, auto_arm=True,
-        effects=_format_effects(values),
-    )  # fmt: skip
-    settings = make_settings(plan.car, speed)
+    speed, path = float(values.get("speed", plan.speed)), str(values.get("path", plan.path))
+    run_plan = plan_drive(
+        plan.car, path, speed, plan.duration, case.seed, _list_effects(values), rate=plan.rate
+    )
     names = [p.name for p in PARAMETERS if f"car.{p.name}" in values]
     drawn = {name: float(values[f"car.{name}"]) for name in names}
+    settings = run_plan.settings
     car = replace(settings.file, car=settings.file.car._replace(**drawn))
-    run_plan = replace(make_plan(options, settings), drawn=replace(settings, file=car))
+    run_plan = replace(run_plan, drawn=replace(settings, file=car))
     return run_plan, _vary_instruments(make_world_config(run_plan), values)
 
 
-def _format_effects(values: Mapping[str, float | str]) -> tuple[str, ...]:
-    """Effects as `--effect` takes them, the parameters of one together."""
-    found: dict[str, list[str]] = {}
+def _list_effects(values: Mapping[str, float | str]) -> dict[str, dict[str, float]]:
+    """Parameters by effect of what is varied."""
+    found: dict[str, dict[str, float]] = {}
     for name, value in values.items():
         kind, _, rest = name.partition(".")
         if kind == "effect":
             effect, _, parameter = rest.partition(".")
             parameter = parameter or find_effect(effect).parameters[0].name
-            found.setdefault(effect, []).append(f"{parameter}={value!r}")
-    return tuple(f"{effect}:{','.join(texts)}" for effect, texts in found.items())
+            found.setdefault(effect, {})[parameter] = float(value)
+    return found
 
 
 def _vary_instruments(config: WorldConfig, values: Mapping[str, float | str]) -> WorldConfig:
@@ -88,59 +87,52 @@ def _vary_instruments(config: WorldConfig, values: Mapping[str, float | str]) ->
     return replace(config, mocap=replace(config.mocap, **mocap), vesc=replace(config.vesc, **vesc))
 
 
-@dataclass
 class Seen:
-    """What a drive shows tick by tick, once it has settled on its lane."""
+    """What a drive shows tick by tick while the car drives."""
 
-    plan: RunPlan  # of the drive
-    e1: list[float] = field(default_factory=list)  # lateral error as estimated
-    e2: list[float] = field(default_factory=list)  # heading error as estimated
-    true_e1: list[float] = field(default_factory=list)  # lateral error of the simulated car
-    steer: list[float] = field(default_factory=list)  # share of the wheel angle used
-    began_ns: int | None = None  # when the car began to drive; None before
-    seconds: float = 0.0  # driven, the approach with it
-    metres: float = 0.0  # the same
-    _hint: int = 0
+    def __init__(self, plan: RunPlan) -> None:
+        self.plan = plan
+        # [s, m, m, rad, m/s] of the simulated car; errors [m, rad] and wheel [rad] as estimated
+        self.rows: list[tuple[float, ...]] = []
 
     def take(self, run: VirtualRun) -> None:
         """A tick has passed."""
         result = run.core.last
-        if result is None or result.supervisor.state is not SupervisorState.RUNNING:
-            return
-        if self.began_ns is None:
-            self.began_ns = run.t_ns
-        state, report = run.world.car.state, result.report
-        self.seconds += run.period_ns / NS
-        self.metres += abs(state.speed) * run.period_ns / NS
-        if report is None or run.t_ns - self.began_ns < SETTLE * NS:
-            return
-        if not self.true_e1:
-            self._hint = locate(self.plan.path, state.x, state.y, state.yaw).hint
-        place = project(self.plan.path, state.x, state.y, self._hint)
-        self._hint = place.hint
-        limits = self.plan.settings.limits
-        most = limits.steer_left_max if report.wheel > 0.0 else limits.steer_right_max
-        self.e1.append(abs(report.e1))
-        self.e2.append(abs(report.e2))
-        self.true_e1.append(abs(place.e1))
-        self.steer.append(abs(report.wheel) / most)
+        if result is not None and result.supervisor.state is SupervisorState.RUNNING:
+            state, report = run.world.car.state, result.report
+            found = (report.e1, report.e2, report.wheel) if report else (nan, nan, nan)
+            self.rows.append((run.t_ns / NS, state.x, state.y, state.yaw, state.speed, *found))
 
     def judge(self) -> dict[str, Any]:
-        """The measures of `summary.MEASURES` that a drive itself gives."""
-        row: dict[str, Any] = {"seconds": self.seconds, "metres": self.metres}
-        if not self.e1:
+        """The measures of `summary.MEASURES` that a drive itself gives; errors once it settled."""
+        rows, step = np.array(self.rows).reshape(-1, 8), self.plan.period_ns / NS
+        row: dict[str, Any] = {
+            "seconds": step * len(rows), "metres": step * float(np.abs(rows[:, 4]).sum()),
+        }  # fmt: skip
+        rows = rows[(rows[:, 0] >= rows[:1, 0] + SETTLE) & np.isfinite(rows[:, 5])]
+        if not len(rows):
             return row
-        e1, true_e1 = np.array(self.e1), np.array(self.true_e1)
+        e1, e2, wheel = rows[:, 5:].T
+        true_e1, limits = np.array([*self._true_errors(rows)]), self.plan.settings.limits
+        most = np.where(wheel > 0.0, limits.steer_left_max, limits.steer_right_max)
         return row | {
             "e1_rms": rms(e1),
-            "e1_p95": float(np.quantile(e1, 0.95)),
-            "e1_max": float(e1.max()),
+            "e1_p95": float(np.quantile(np.abs(e1), 0.95)),
+            "e1_max": float(np.abs(e1).max()),
             "true_e1_rms": rms(true_e1),
-            "true_e1_max": float(true_e1.max()),
-            "e2_rms": rms(np.array(self.e2)),
-            "lane_margin": self.plan.settings.thresholds.lateral - float(e1.max()),
-            "steer_margin": 1.0 - max(self.steer),
+            "true_e1_max": float(np.abs(true_e1).max()),
+            "e2_rms": rms(e2),
+            "lane_margin": self.plan.settings.thresholds.lateral - float(np.abs(e1).max()),
+            "steer_margin": 1.0 - float((np.abs(wheel) / most).max()),
         }
+
+    def _true_errors(self, rows: Array) -> Iterator[float]:
+        """Lateral error of the simulated car in each row."""
+        hint = locate(self.plan.path, *rows[0, 1:4].tolist()).hint
+        for x, y in rows[:, 1:3].tolist():
+            place = project(self.plan.path, x, y, hint)
+            hint = place.hint
+            yield place.e1
 
 
 def _judge_end(run: VirtualRun) -> dict[str, Any]:

@@ -59,7 +59,6 @@ def make_report(plan: SweepPlan, rows: Rows, summary: Summary) -> Report:
         title=f"{len(rows)} drives, each another draw",
         subject=clean(plan.car.name),
         about="; ".join([seeds, *fixed]),
-        lead="",
         sections=sections,
         foot="Written by steerd sweep. Simulated drives in virtual time; both ends of VESC and "
         "mocap are encoded and parsed as on a car.",

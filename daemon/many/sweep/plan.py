@@ -145,12 +145,10 @@ class Distribution:
 
 
 def parse_distribution(quantity: Quantity, given: Mapping[str, Any]) -> Distribution:
-    """A distribution as a TOML table or a dictionary says it.
+    """The distribution of a quantity, as a TOML table or a dictionary says it.
 
-    Args:
-        quantity: what is drawn.
-        given: `low` and `high`, also with `log`; `mean` and `sd`; `median` and `factor`; `share` of
-            the usual value as a standard deviation.
+    That is `low` and `high`, also with `log`; `mean` and `sd`; `median` and `factor`; or `share` of
+    the usual value as a standard deviation.
 
     Raises:
         ValueError: it is none of these, or lies outside the bounds.
@@ -301,11 +299,7 @@ def load_sweep(path: Path) -> SweepPlan:
 
 
 def make_sweep_plan(car: CarFile, given: Mapping[str, Any]) -> SweepPlan:
-    """Check what a sweep file or a caller says.
-
-    Args:
-        car: the car file.
-        given: `seeds`, `duration`, `rate`, `path`, `speed`, `vary`.
+    """Check what a sweep file or a caller says: seeds, duration, rate, path, speed and vary.
 
     Raises:
         SteerdError: something is unknown, missing or impossible.

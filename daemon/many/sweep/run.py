@@ -34,11 +34,6 @@ class Sweep(Found):
         """The columns of the table with units and meanings."""
         return list_columns(self.plan.quantities)
 
-    @property
-    def origin(self) -> dict[str, str]:
-        """What was driven, as a digest."""
-        return {"steerd.sweep": self.plan.digest()}
-
     @cached_property
     def summary(self) -> Summary:
         """Distributions, stops, sensitivities."""

@@ -10,8 +10,13 @@ from rich.console import Console
 from steerd.daemon.ipc.operator import read_model
 from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord, make_pipe, pack_record
 from steerd.daemon.learning.feed import make_record
-from steerd.daemon.learning.reported import ReportedValue
-from steerd.daemon.learning.text import encode_model, format_model, gap_text, with_sd
+from steerd.daemon.learning.reported import (
+    ReportedValue,
+    encode_model,
+    format_model,
+    gap_text,
+    with_sd,
+)
 from steerd.daemon.process.gateway import Gateway, run_gateway
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.steer_bus import messages as m

@@ -199,7 +199,7 @@ MIXED_ROWS = (
 
 
 def encode(rows):
-    return Found.encode_table(SimpleNamespace(columns=COLUMNS, rows=rows, origin={"made": "here"}))
+    return Found.encode_table(SimpleNamespace(columns=COLUMNS, rows=rows))
 
 
 def test_values_come_back_and_what_is_missing_is_missing(tmp_path):

@@ -43,7 +43,7 @@ def test_places_of_different_lanes_are_not_compared():
 
 def test_the_page_names_the_drives_and_their_errors():
     sections = compare_on_lane([drive("before.mcap", 0.03), drive("<b>.mcap", 0.001)])
-    page = render_report(Report("", "", "", "", sections, ""))
+    page = render_report(Report("", sections, ""))
     assert "before.mcap" in page
     assert "<b>" not in page
     assert "+30.0" in page

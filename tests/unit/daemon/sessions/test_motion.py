@@ -7,7 +7,6 @@ from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.info import seconds_since
 from steerd.daemon.sessions.motion import (
     SETTLE,
-    Signal,
     find_implausible,
     find_settled,
     make_range,
@@ -15,6 +14,7 @@ from steerd.daemon.sessions.motion import (
     rms,
     settled_errors,
 )
+from steerd.sysid.data.dataset import Signal
 
 RADIUS, SPEED = 2.0, 1.5
 

@@ -26,7 +26,6 @@ from steerd.daemon.sessions.plot_page import (
     LEVELS,
     SIZE_MAX,
     VALUE,
-    Grid,
     decimate,
     make_grid,
     make_page,
@@ -216,16 +215,10 @@ def test_packing_keeps_values_to_one_level(items):
 
 
 def test_a_break_lasts_until_the_next_value():
-    grid = make_grid(0.0, 1.0, 100, 0.01)
+    grid = make_grid(0.0, 1.0, 100)
     t = np.arange(10) * 0.1 + 0.001
     value = np.array([1.0, 2.0, np.nan, np.nan, 3.0, 4.0, 4.0, 4.0, 4.0, np.nan])
     _, kinds = decimate(grid, t, value)
     assert set(kinds[40:80]) == {BREAK}
     assert set(kinds[20:40]) == {VALUE, HELD}
     assert set(kinds[180:]) == {BREAK}
-
-
-@pytest.mark.parametrize(("step", "slots"), [(0.0, 4), (1.0, 3), (1.0, 0), (float("nan"), 4)])
-def test_a_grid_that_cannot_be(step, slots):
-    with pytest.raises(ValueError, match="grid"):
-        Grid(0.0, step, slots)

@@ -12,11 +12,13 @@ from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.virtual import drive
-from steerd.daemon.sessions.motion import Signal, Track
+from steerd.daemon.sessions.motion import Track
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.daemon.setup.calibration_data import load_recorded, wheel_speed
+from steerd.daemon.setup.calibration_data import load_recorded, make_drive
+from steerd.daemon.setup.least_squares import BLOCKS, jackknife_sd
 from steerd.daemon.setup.mount_calibration import Drive, Mount, calibrate_mount, slip_per_accel
 from steerd.daemon.setup.steering_calibration import calibrate_steering
+from steerd.sysid.data.dataset import Signal
 
 CAR = load_car(default_car_path()).car
 TRUTH = Mount(np.radians(3.0), 0.21, -0.015, 1.07, 0.018)
@@ -195,4 +197,14 @@ def test_poses_that_were_rejected_calibrate_nothing(recorded, monkeypatch):
 def test_what_a_session_lacks_is_named(recorded):
     empty = replace(recorded, read=replace(recorded.read, tables={}))
     with pytest.raises(SteerdError, match="no wheel speed"):
-        wheel_speed(empty)
+        make_drive(empty)
+
+
+# The jackknife against a case with a known answer.
+
+
+def test_the_jackknife_of_a_mean_is_its_standard_error():
+    values = np.random.default_rng(3).normal(size=200)
+    (sd,) = jackknife_sd(np.ones(200, dtype=bool), lambda keep: [values[keep].mean()])
+    blocks = values.reshape(BLOCKS, -1).mean(axis=1)
+    assert sd == pytest.approx(blocks.std(ddof=1) / np.sqrt(BLOCKS), rel=1e-9)

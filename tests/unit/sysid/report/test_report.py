@@ -22,7 +22,8 @@ TABLE = Table(
     [("mass", "3.74", "as `steerd plot` shows"), (Cell("lag", "quiet"), "0.1", Cell("", "strong"))],
     words=(2,),
 )
-REPORT = Report("A <b> title", "x.mcap", "", "It is.", [Section("Part", "Text.", table=TABLE)], "")
+SECTIONS = [Section("Part", "Text.", table=TABLE)]
+REPORT = Report("A <b> title", SECTIONS, "", subject="x.mcap", lead="It is.")
 
 
 def test_a_page_shows_its_parts_and_escapes_them():
