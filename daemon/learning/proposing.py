@@ -31,7 +31,7 @@ class Proposals:
     """
 
     def __init__(
-        self, held: Acceptance, design_table: DesignTable, send: Callable[[bytes, int], None]
+        self, held: Acceptance, design_table: DesignTable, send: Callable[[bytes, int], object]
     ) -> None:
         self._held, self._design_table, self._send = held, design_table, send
         self._at = file_numbers(held)  # the numbers in force, as the core said

@@ -584,3 +584,11 @@ def test_a_late_tick_says_whether_host_or_guardian_stood_still_too(
     texts = [finding.text for finding in r.core.last.findings if finding.id == "W15"]
     assert any(said in text for text in texts)
     assert sum("stood still" in text or "alone" in text for text in texts) == (stood is not None)
+
+
+def test_a_tick_in_time_blames_no_host(plan, monkeypatch):
+    monkeypatch.setattr(runner_module, "read_steal_ns", lambda: 5 * SECOND)
+    r = make_runner(plan)
+    monkeypatch.setattr(runner_module, "read_steal_ns", lambda: 5 * SECOND + 40 * MS)
+    r.it._set_flags(9 * MS)
+    assert not r.core.flags & Flag.STALLED
