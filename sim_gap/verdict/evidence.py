@@ -56,7 +56,9 @@ def judge_case(library: Library, found: Findings, known: bool) -> Verdict:
     left = 1.0 if lost else _left(found)
     stays = (after > c.GAP_SIZE or lost) and known
     strain = base_strain(best)
-    extreme = tuple(n for n in best.effects if _is_at_bound(library, best, n))
+    places, values = library.likelihood.predictor.augmented.places, best.point.parameters
+    bounded = {n: library.effect(n).is_at_bound(values[places(n)].tolist()) for n in best.effects}
+    extreme = tuple(n for n in best.effects if bounded[n])
     if not best.effects:
         name = "unexplained" if stays else "none"
         return Verdict(name, (), best.probability, left, strain, ())
@@ -68,11 +70,10 @@ def judge_case(library: Library, found: Findings, known: bool) -> Verdict:
         name = "partial" if stays or strain > c.STRAINED or extreme else "explained"
     odds = {frozenset(h.effects): h.log_odds for h in found.hypotheses}
     without = {n: odds.get(frozenset(best.effects) - {n}, -np.inf) for n in best.effects}
-    names = sorted(without, key=lambda name: without[name])
-    causes = tuple(_cause(library, found, effect, kept) for effect in names)
+    named = sorted(without, key=without.__getitem__)
+    causes = tuple(_cause(library, found, effect, kept) for effect in named)
     other = 1.0 - kept * (1.0 - found.null.probability)
-    named = causes if name != "unexplained" else ()
-    return Verdict(name, named, other, left, strain, extreme)
+    return Verdict(name, causes if name != "unexplained" else (), other, left, strain, extreme)
 
 
 def _left(found: Findings) -> float:
@@ -99,11 +100,6 @@ def base_strain(best: Hypothesis) -> float:
     n = best.point.space.nuisance
     square = 2.0 * best.point.space.base_cost(best.point.z)
     return (square - n) / float(np.sqrt(2.0 * n)) if n else 0.0
-
-
-def _is_at_bound(library: Library, best: Hypothesis, name: str) -> bool:
-    values = best.point.parameters[library.likelihood.predictor.augmented.places(name)]
-    return library.effect(name).is_at_bound(values.tolist())
 
 
 def _cause(library: Library, found: Findings, name: str, kept: float) -> Cause:

@@ -10,7 +10,6 @@ optimum. No hypothesis may be worse than one nested in it: bases are exchanged u
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,11 +85,6 @@ class _Search:
     def likelihood(self) -> Likelihood:
         return self.library.likelihood
 
-    @cached_property
-    def surprise(self) -> float:
-        """What a first name must gain before its odds are even, not tempered [nats]."""
-        return float(np.log(max(len(self.library.effects), 1)))
-
     def hypotheses(self) -> list[Hypothesis]:
         """All of them with their odds, the likeliest first."""
         return rank(self.library, list(self.pool.values()), self.shown)[0]
@@ -114,7 +108,8 @@ class _Search:
         self.keep(_try(self.likelihood, start))
         looks = screen_effects(self.library, start)
         self.untested |= {look.effect for look in looks if not np.isfinite(look.cost)}
-        needed = self.surprise + (np.log(c.FURTHER_ODDS) if further else 0.0)
+        needed = np.log(max(len(self.library.effects), 1) * (c.FURTHER_ODDS if further else 1.0))
+        # `needed`: what a name must gain before its odds are even, not tempered [nats]
         least = _ROOM * needed * self.library.design_effect(0.3 * start.size)
         chosen = [look for look in looks if look.gain > least][:most]
         self._fit(start, chosen)

@@ -216,50 +216,16 @@ def newton(space: Space, at: Reduced, z: Array, damping: float = 0.0) -> tuple[A
 
 
 def minimise(
-    likelihood: Likelihood,
-    start: Point,
-    incumbent: float = np.inf,
-    steps: int = STEPS,
-    fall: float = FALL,
+    likelihood: Likelihood, start: Point, incumbent: float = np.inf, steps: int = STEPS
 ) -> Point:
-    """Go from a start to the optimum, the size falling from the start's.
+    """Go from a start to the nearest optimum, the size falling from the start's.
 
     Args:
         likelihood: the windows.
         start: where to begin.
         incumbent: cost of a better hypothesis; a search that stays clearly above it is given up.
         steps: how many at most.
-        fall: factor by which the size may fall a step.
     """
-    now, ended = _walk(likelihood, start, incumbent, steps, fall)
-    return replace(now, whole=ended)
-
-
-def explore(likelihood: Likelihood, point: Point, draws: int = DRAWS) -> Point:
-    """The best optimum from starts drawn along the valley that a point lies in.
-
-    Kinks leave small minima in it. The draws follow the posterior under a likelihood so blunt that
-    it spans them; they are the same each time.
-    """
-    rng = np.random.default_rng(0)
-    space, best = point.space, point
-    lower = np.linalg.cholesky(np.linalg.inv(curvature(space, point.at, 1.0 / _BLUNT)))
-    for _ in range(draws):
-        z = np.clip(point.z + lower @ rng.standard_normal(len(point.z)), space.low, space.high)
-        try:
-            begun = stand(likelihood, space, z, best.x, max(2.0 * point.size, _EXPLORED))
-            found = minimise(likelihood, begun, best.cost)
-        except (FloatingPointError, np.linalg.LinAlgError):
-            continue
-        if found.cost < best.cost:
-            best = found
-    return best
-
-
-def _walk(
-    likelihood: Likelihood, start: Point, incumbent: float, steps: int, fall: float
-) -> tuple[Point, bool]:
-    """Steps to the nearest optimum, and whether it was reached."""
     now, stale, damping = start, 0.0, 1e-4
     for number in range(steps):
         dz, promised = newton(now.space, now.at, now.z, damping)
@@ -273,17 +239,38 @@ def _walk(
         elif damping < _DAMPING_MAX and newton(now.space, now.at, now.z)[1] >= ENOUGH:
             damping *= 20.0
             continue
-        size = likelihood.best_size(now.rotated, now.linear.error, now.x, now.size / fall)
+        size = likelihood.best_size(now.rotated, now.linear.error, now.x, now.size / FALL)
         there = abs(size - now.size) <= 0.01 * now.size
         if there and max(promised, gained) < ENOUGH:
-            return _ended(likelihood, now, stale), True
+            return _ended(likelihood, now, stale)
         lower = with_size(likelihood, now, size)
         if number >= _UNTIL and there and lower.cost > incumbent + _BEHIND:
-            return lower, False
+            return replace(lower, whole=False)
         now = lower
         if abs(gained - promised) > _TRUST * max(promised, ENOUGH) or stale > _FAR:
             now, stale = fresh(likelihood, now), 0.0
-    return _ended(likelihood, now, stale), False
+    return replace(_ended(likelihood, now, stale), whole=False)
+
+
+def explore(likelihood: Likelihood, point: Point) -> Point:
+    """The best optimum from starts drawn along the valley that a point lies in.
+
+    Kinks leave small minima in it. The draws follow the posterior under a likelihood so blunt that
+    it spans them; they are the same each time.
+    """
+    rng = np.random.default_rng(0)
+    space, best = point.space, point
+    lower = np.linalg.cholesky(np.linalg.inv(curvature(space, point.at, 1.0 / _BLUNT)))
+    for _ in range(DRAWS):
+        z = np.clip(point.z + lower @ rng.standard_normal(len(point.z)), space.low, space.high)
+        try:
+            begun = stand(likelihood, space, z, best.x, max(2.0 * point.size, _EXPLORED))
+            found = minimise(likelihood, begun, best.cost)
+        except (FloatingPointError, np.linalg.LinAlgError):
+            continue
+        if found.cost < best.cost:
+            best = found
+    return best
 
 
 def _ended(likelihood: Likelihood, point: Point, stale: float) -> Point:
