@@ -1,13 +1,13 @@
 """Arguments of commands: how one is declared, and what several commands take.
 
-Files that a command reads are looked for before the command loads anything heavy: by the `type` of
-the argument that names them. What is wrong inside a file is for the command to say, once it has
-loaded what reads it.
+Files that a command reads are looked for before the command loads anything heavy: an argument that
+names such files has a `check`, and `main` runs it as soon as the command line is parsed. What is
+wrong inside a file is for the command to say, once it has loaded what reads it.
 """
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +15,25 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import below_home
 from steerd.daemon.settings.run_options import RunOptions
 
+Check = Callable[[str], SteerdError | None]
+"""The error of a file that is not there, None of one that is and of what names no file."""
 _CAR_HINT = "check the path; `steerd config` prints a complete car file"
 _SESSION = "a session file (.mcap), @last or @-2 (default: @last)"
 
 
 def option(
-    to: argparse._ActionsContainer, name: str, value: str | None, text: str, **more: Any
+    to: argparse._ActionsContainer,
+    name: str,
+    value: str | None,
+    text: str,
+    check: Check | None = None,
+    **more: Any,
 ) -> None:
     """Declare an argument.
 
     `name` is `--free`, `-o --output`, or that of a positional argument; `value` what the help calls
-    its value, empty for a switch, None for the name itself; `text` is one line of help.
+    its value, empty for a switch, None for the name itself; `text` is one line of help; `check`
+    looks for the files that the value names.
     """
     if value == "":
         more.setdefault("action", "store_true")
@@ -33,7 +41,8 @@ def option(
         more["metavar"] = value
     if more.get("action") == "append":
         more["default"] = []
-    to.add_argument(*name.split(), help=text, **more)
+    action = to.add_argument(*name.split(), help=text, **more)
+    action.find_missing = check  # type: ignore[attr-defined]
 
 
 # -- what several commands take --------------------------------------------------------------------
@@ -53,12 +62,12 @@ def add_car_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_session(parser: argparse.ArgumentParser) -> None:
     """One session, or the last one."""
-    option(parser, "session", "SESSION", _SESSION, type=expect_session, nargs="?", default="@last")
+    option(parser, "session", "SESSION", _SESSION, missing_session, nargs="?", default="@last")
 
 
 def add_sessions(parser: argparse.ArgumentParser) -> None:
     """Any number of sessions; none means the last one."""
-    option(parser, "sessions", "SESSION.mcap", _SESSION, type=expect_session, nargs="*")
+    option(parser, "sessions", "SESSION.mcap", _SESSION, missing_session, nargs="*")
 
 
 def pick_session(text: str) -> Path:
@@ -85,16 +94,31 @@ def split_list(text: str) -> list[str]:
     return [part for part in text.split(",") if part]
 
 
-def split_sessions(text: str) -> list[Path]:
-    """Session files, each expected to be there."""
-    return [Path(expect_session(part)) for part in split_list(text)]
+def split_paths(text: str) -> list[Path]:
+    """Files."""
+    return [Path(part) for part in split_list(text)]
 
 
 def split_held_out(text: str) -> list[int | Path]:
-    """What `--held-out` names: numbers, or files; both is for the command to refuse."""
-    if any(part.lstrip("-").isdigit() for part in split_list(text)):
-        return [int(p) if p.lstrip("-").isdigit() else Path(p) for p in split_list(text)]
-    return [*split_sessions(text)]
+    """What `--held-out` names: numbers, and files."""
+    return [int(p) if p.lstrip("-").isdigit() else Path(p) for p in split_list(text)]
+
+
+# -- files that are not there ----------------------------------------------------------------------
+
+
+def check_inputs(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
+    """Refuse files that are not there, a car file first: one holds for all sessions.
+
+    Raises:
+        SteerdError: the first of them.
+    """
+    found = ((getattr(a, "find_missing", None), a.dest) for a in list_actions(parser))
+    checks = [(check, dest) for check, dest in found if check is not None]
+    for check, dest in sorted(checks, key=lambda each: each[0] is not missing_car):
+        for error in map(check, _texts(getattr(args, dest, None))):
+            if error is not None:
+                raise error
 
 
 def list_actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
@@ -107,49 +131,55 @@ def list_actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
             yield action
 
 
-# -- files that must be there: types of arguments, which raise a SteerdError -----------------------
-
-
-def is_missing(text: str) -> bool:
-    """Whether there is no such file; of one that cannot be looked at its reader says why."""
+def missing_file(text: str, hint: str = "") -> SteerdError | None:
+    """The error of a file that is not there."""
     try:
         Path(text).stat()
-        return False
-    except OSError as error:
-        return isinstance(error, FileNotFoundError | NotADirectoryError)
+    except (FileNotFoundError, NotADirectoryError):
+        return SteerdError(f"{text} does not exist", hint, ExitCode.UNREADABLE)
+    except OSError:
+        return None  # its reader says why it cannot be read
+    return None
 
 
-def expect_file(text: str, hint: str = "") -> Path:
-    """A file."""
-    if is_missing(text):
-        raise SteerdError(f"{text} does not exist", hint, ExitCode.UNREADABLE)
-    return Path(text)
+def missing_session(text: str) -> SteerdError | None:
+    """The same of a session, or a drive such as `@last`; a killed recorder left its beginning."""
+    if text.startswith("@"):
+        return None
+    cut = missing_file(f"{text}.partial") is None
+    return missing_file(text, f"steerd recover {text}" if cut else "")
 
 
-def expect_session(text: str) -> str:
-    """A session, or a drive such as `@last`; a killed recorder left its beginning."""
-    if not text.startswith("@"):
-        expect_file(text, "" if is_missing(f"{text}.partial") else f"steerd recover {text}")
-    return text
+def missing_partial(text: str) -> SteerdError | None:
+    """The same of a session whose recorder may have been killed."""
+    return missing_file(f"{text}.partial") and missing_file(text)
 
 
-def expect_partial(text: str) -> Path:
-    """A session whose recorder may have been killed."""
-    return expect_file(text) if is_missing(f"{text}.partial") else Path(text)
+def missing_car(text: str) -> SteerdError | None:
+    """The same of a car file, or `hidden:SEED`."""
+    return None if text.startswith("hidden:") else missing_file(text, _CAR_HINT)
 
 
-def expect_car(text: str) -> str:
-    """A car file, or `hidden:SEED`."""
-    if not text.startswith("hidden:"):
-        expect_file(text, _CAR_HINT)
-    return text
-
-
-def expect_lane(text: str) -> str:
-    """A path as `--path` takes it, of which `csv:FILE` names a file."""
+def missing_lane(text: str) -> SteerdError | None:
+    """The same of a path as `--path` takes it, of which `csv:FILE` names a file."""
     kind, _, rest = text.strip().partition(":")
     file = rest.split(",")[0]
-    if kind == "csv" and is_missing(file):
-        what = f"--path {text}: path file {file}: No such file or directory"
-        raise SteerdError(what, "", ExitCode.USAGE)
-    return text
+    if kind != "csv" or missing_file(file) is None:
+        return None
+    what = f"--path {text}: path file {file}: No such file or directory"
+    return SteerdError(what, "", ExitCode.USAGE)
+
+
+def _texts(value: Any) -> Iterable[str]:
+    """The file names of an argument's values; `-` is none, nor is anything beside a number.
+
+    A number is every K-th part, which no file may stand beside: that is for the command to refuse.
+    """
+    values = value if isinstance(value, list) else [value]
+    parts = [
+        part
+        for each in values
+        for part in ([str(each)] if isinstance(each, Path) else str(each or "").split(","))
+    ]
+    numbered = any(part.removeprefix("-").isdigit() for part in parts)
+    return () if numbered else (part for part in parts if part and part != "-")

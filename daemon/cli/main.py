@@ -19,6 +19,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TextIO
 
+from steerd.daemon.cli.arguments import check_inputs
 from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean
 from steerd.daemon.common.screen import prepare_streams, print_labelled
 from steerd.version import VERSION
@@ -147,6 +148,7 @@ def dispatch(argv: Sequence[str]) -> int:
         raise _unusable(name, error) from None
     if unknown:
         raise _refuse(name, parser, unknown)
+    check_inputs(parser, args)
     code: int | None = command.run(args)
     return code or ExitCode.OK
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from steerd.car_model.car_file import CarFile
-from steerd.daemon.cli.arguments import expect_car, expect_session, option, pick_session
+from steerd.daemon.cli.arguments import missing_car, missing_session, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.common.written import car_outputs, check_outputs, write_outputs
@@ -19,9 +19,9 @@ from steerd.vesc_link.scaling import Scaling
 def calibrate_arguments(parser: ArgumentParser) -> None:
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="servo")
     servo = kinds.add_parser("servo", help="centre, gain and limits of the steering")
-    option(servo, "session", "SESSION", "", type=expect_session, nargs="?")
+    option(servo, "session", "SESSION", "", missing_session, nargs="?", type=Path)
     option(servo, "--port", "DEV", "move the servo of this VESC by the keys")
-    option(servo, "--car", "FILE.toml", "car file to start from", type=expect_car)
+    option(servo, "--car", "FILE.toml", "car file to start from", missing_car, type=Path)
     option(servo, "-o --output", "CAR.toml", "car file to make", type=Path)
 
 
@@ -38,7 +38,7 @@ def calibrate(args: Namespace) -> int | None:
         hint = "steerd calibrate servo DRIVE.mcap, or steerd calibrate servo --port DEV"
         raise SteerdError("name a session or a port", hint, ExitCode.USAGE)
     check_outputs({"-o": args.output})
-    file, scaling = _by_keys(args) if args.port else _from_session(pick_session(args.session))
+    file, scaling = _by_keys(args) if args.port else _from_session(args.session)
     if scaling is None:
         print("nothing was changed")
         return ExitCode.INTERRUPTED
@@ -81,15 +81,15 @@ def _by_keys(args: Namespace) -> tuple[CarFile, Scaling | None]:
 def mocap_arguments(parser: ArgumentParser) -> None:
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="check|calibrate")
     check = kinds.add_parser("check", help="units, axes and heading, from a short push or a drive")
-    option(check, "session", "SESSION", "", type=expect_session, nargs="?")
+    option(check, "session", "SESSION", "", missing_session, nargs="?", type=Path)
     option(check, "--mocap", "URL", "watch this source instead of a session")
-    option(check, "--car", "FILE.toml", "with --mocap: car file", type=expect_car)
+    option(check, "--car", "FILE.toml", "with --mocap: car file", missing_car)
     option(check, "--seconds", "S", "with --mocap", type=float, default=10.0)
     calibrate = kinds.add_parser("calibrate", help="heading, place, wheel gain and delay")
-    option(calibrate, "session", "SESSION", "", type=expect_session)
+    option(calibrate, "session", "SESSION", "", missing_session, type=Path)
     option(calibrate, "-o --output", "CAR.toml", "car file to make", type=Path)
     text = "car file to start from (the session's own)"
-    option(calibrate, "--car", "FILE.toml", text, type=expect_car)
+    option(calibrate, "--car", "FILE.toml", text, missing_car, type=Path)
 
 
 def mocap(args: Namespace) -> int | None:
@@ -116,7 +116,7 @@ def _check(args: Namespace) -> int:
         hint = "steerd mocap check DRIVE.mcap, or steerd mocap check --mocap natnet://HOST/BODY"
         raise SteerdError("name a session or a source", hint, ExitCode.USAGE)
     if args.session:
-        checks = check_movement(*load_movement(pick_session(args.session)))
+        checks = check_movement(*load_movement(args.session))
     else:
         ingest = load_settings(args.car).ingest
         checks = check_movement(*watch_movement(args.mocap, ingest, args.seconds))
@@ -133,7 +133,7 @@ def _calibrate(args: Namespace) -> None:
     from steerd.daemon.setup.calibration_data import load_recorded, make_drive
 
     check_outputs({"-o": args.output})
-    r = load_recorded(pick_session(args.session))
+    r = load_recorded(args.session)
     file, gain = r.settings.file, r.settings.scaling.erpm_gain
     front = DRIVES.get(file.chassis.drive, 0.0)
     found = mount.calibrate_mount(make_drive(r), file.car, front)

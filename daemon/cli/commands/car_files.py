@@ -6,7 +6,7 @@ from dataclasses import replace
 from math import degrees
 from pathlib import Path
 
-from steerd.daemon.cli.arguments import expect_car, expect_file, option
+from steerd.daemon.cli.arguments import missing_car, missing_file, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.screen import NBSP, clean, wrap
@@ -19,9 +19,9 @@ from steerd.vesc_link.scaling import steer_limits
 
 
 def config_arguments(parser: ArgumentParser) -> None:
-    option(parser, "--check", "FILE.toml", "check this car file", type=expect_car)
+    option(parser, "--check", "FILE.toml", "check this car file", missing_car, type=Path)
     text = "print a car file with its gains"
-    option(parser, "--from-vesc-yaml", "FILE", text, type=expect_file)
+    option(parser, "--from-vesc-yaml", "FILE", text, missing_file, type=Path)
     option(parser, "--to-vesc-yaml", "FILE", "write the gains there, or make the file", type=Path)
 
 
@@ -86,7 +86,7 @@ def _read(path: Path) -> str:
 
 
 def export_arguments(parser: ArgumentParser) -> None:
-    option(parser, "car", "CAR.toml", "a car file", type=expect_car)
+    option(parser, "car", "CAR.toml", "a car file", missing_car, type=Path)
     text = "FILE.yaml for f1tenth_gym, FILE.xml for MuJoCo"
     option(parser, "-o --output", "FILE", text, type=Path, required=True)
 
@@ -123,7 +123,7 @@ def effects_arguments(parser: ArgumentParser) -> None:
     option(parser, "--json", "", "the same for programs")
     option(parser, "--page", "", "the same as a Markdown page")
     own = parser.add_argument_group("effects of your own").add_mutually_exclusive_group()
-    option(own, "--add", "FILE.py", "add those of a file", type=expect_file)
+    option(own, "--add", "FILE.py", "add those of a file", missing_file, type=Path)
     option(own, "--remove", "NAME.py", "take them away again", type=Path)
 
 

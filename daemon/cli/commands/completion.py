@@ -6,7 +6,7 @@ from pathlib import Path
 
 import shtab
 
-from steerd.daemon.cli.arguments import expect_file, list_actions, option
+from steerd.daemon.cli.arguments import list_actions, option
 from steerd.daemon.cli.main import ABOUT, COMMANDS, find_command
 from steerd.version import VERSION
 
@@ -63,5 +63,5 @@ def _mark_file(action: Action) -> None:
         return
     if "DIR" in metavar:
         action.complete = shtab.DIRECTORY  # type: ignore[attr-defined]
-    elif action.type in (Path, expect_file) or any(mark in metavar for mark in _FILE_MARKS):
+    elif action.type is Path or any(mark in metavar for mark in _FILE_MARKS):
         action.complete = shtab.FILE  # type: ignore[attr-defined]

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from steerd.daemon.cli.arguments import expect_file, option
+from steerd.daemon.cli.arguments import missing_file, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.common.progress import show_progress
@@ -27,7 +27,7 @@ def import_log_arguments(parser: ArgumentParser) -> None:
     option(parser, "-o --output", "SESSION.mcap", "default: beside the log", type=Path)
     option(parser, "--ask", "", "propose a map, show what it means, then write")
     text = f"which column or topic is what (TOML; {EXAMPLE_MAP} is one)"
-    option(parser, "--map", None, text, type=expect_file)
+    option(parser, "--map", None, text, missing_file, type=Path)
     text = "of 1 m/s; negative for a motor that is wired so (default: F1TENTH's 4614)"
     option(parser, "--erpm-gain", "ERPM", text, type=float)
     bag = parser.add_argument_group("bags")

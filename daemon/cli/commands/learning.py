@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from steerd.car_model.car_file import CarFile
 from steerd.daemon.analysis.options import read_arguments
 from steerd.daemon.cli import arguments
-from steerd.daemon.cli.arguments import expect_car, option, split_list
+from steerd.daemon.cli.arguments import missing_car, option, split_list
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.screen import print_labelled, wrap
@@ -28,8 +28,8 @@ _DRAW, _NOISE = 1.0, 8.0  # about what the report's figures and the noise cost, 
 def identify_arguments(parser: ArgumentParser) -> None:
     arguments.add_sessions(parser)
     what = parser.add_argument_group("what is learnt")
-    option(what, "--car", "FILE.toml", "start values (F1TENTH's)", type=expect_car)
-    option(what, "--base", None, SUPPRESS, dest="car", type=expect_car)
+    option(what, "--car", "FILE.toml", "start values (F1TENTH's)", missing_car, type=Path)
+    option(what, "--base", None, SUPPRESS, dest="car", type=Path)
     option(what, "--free", "A,B,…", "free parameters (default: all)", type=split_list, default=())
     option(what, "--fix", "A,B=VALUE,…", "keep these as they are", type=parse_fix, default={})
     option(what, "--wheelbase", "M", "distance of the axles, measured", type=float)
@@ -45,7 +45,7 @@ def identify_arguments(parser: ArgumentParser) -> None:
     option(what, "--seed", None, "of random starts", type=int, default=0)
     text = "validate on every K-th block of 5 s (default 4), or on these sessions"
     more: dict[str, Any] = {"type": arguments.split_held_out, "action": "extend"}
-    option(what, "--held-out", "K|FILE,…", text, **more)
+    option(what, "--held-out", "K|FILE,…", text, arguments.missing_session, **more)
     out = parser.add_argument_group("output")
     option(out, "-o --output", "CAR.toml", "car file to write", type=Path)
     option(out, "--json", "FILE", "the result for programs; -: to the terminal", type=Path)
@@ -101,11 +101,11 @@ def diagnose_arguments(parser: ArgumentParser) -> None:
     arguments.add_sessions(parser)
     what = parser.add_argument_group("what is compared")
     text = "the car as identified (default: the car file inside the session)"
-    option(what, "--base", "CAR.toml", text, type=expect_car)
-    option(what, "--car", None, SUPPRESS, dest="base", type=expect_car)
+    option(what, "--base", "CAR.toml", text, arguments.missing_car, type=Path)
+    option(what, "--car", None, SUPPRESS, dest="base", type=Path)
     text = "drives of the same car without the gap: they determine how large noise is"
-    more: dict[str, Any] = {"type": arguments.split_sessions, "action": "extend", "default": []}
-    option(what, "--healthy", "FILE,…", text, **more)
+    more: dict[str, Any] = {"type": arguments.split_paths, "action": "extend", "default": []}
+    option(what, "--healthy", "FILE,…", text, arguments.missing_session, **more)
     option(what, "--only", "EFFECT", "look at this one (repeat)", action="append")
     option(what, "--without", "EFFECT", "leave it out (repeat)", action="append")
     option(what, "--no-pairs", "", "one cause at most; faster", dest="pairs", action="store_false")
@@ -113,7 +113,7 @@ def diagnose_arguments(parser: ArgumentParser) -> None:
     option(what, "--speed", None, text, choices=("command", "wheel"), default="command")
     more = {"type": arguments.split_held_out, "action": "extend"}
     text = "measure the shrinkage on every K-th drive (default 4; 0: none), or on these files"
-    option(what, "--held-out", "K|FILE,…", text, **more)
+    option(what, "--held-out", "K|FILE,…", text, arguments.missing_session, **more)
     option(what, "--runs-held-out", None, SUPPRESS, dest="held_out", **more)  # until 0.1
     out = parser.add_argument_group("output")
     more = {"nargs": "?", "const": Path("-"), "type": Path}
@@ -211,7 +211,7 @@ def present(found: "Finding", args: Namespace, write: Write) -> CarFile | None:
 def learn_arguments(parser: ArgumentParser) -> None:
     arguments.add_session(parser)
     base = "the car as believed (default: the session's)"
-    option(parser, "--base", "FILE.toml", base, type=expect_car)
+    option(parser, "--base", "FILE.toml", base, missing_car, type=Path)
     option(parser, "--json", "", "the same for programs")
 
 

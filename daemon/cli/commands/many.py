@@ -4,7 +4,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from steerd.daemon.cli.arguments import expect_file, option
+from steerd.daemon.cli.arguments import missing_file, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.packaged import EXAMPLES
 from steerd.daemon.common.screen import NBSP, wrap
@@ -17,7 +17,7 @@ _KINDS = ("summarise", "identify", "diagnose")
 
 
 def sweep_arguments(parser: ArgumentParser) -> None:
-    option(parser, "file", "SWEEP.toml", "what to drive", type=expect_file, nargs="?")
+    option(parser, "file", "SWEEP.toml", "what to drive", missing_file, type=Path, nargs="?")
     option(parser, "--example", "", "print a sweep file and end")
     out = parser.add_argument_group("output")
     option(out, "-o --output", "FILE.parquet", "a row for each drive", type=Path)
@@ -90,7 +90,7 @@ def batch_arguments(parser: ArgumentParser) -> None:
     option(parser, "kind", None, "what is asked of each session", choices=_KINDS)
     option(parser, "sessions", "DIR|PATTERN", "folders, patterns in quotes, or files", nargs="+")
     text = "car files: NAME.toml for the car NAME, or one for all"
-    option(parser, "--cars", "DIR|CAR.toml", text, type=expect_file)
+    option(parser, "--cars", "DIR|CAR.toml", text, missing_file, type=Path)
     out = parser.add_argument_group("output")
     option(out, "-o --output", "FILE.parquet", "a row for each session", type=Path)
     option(out, "--page", "FILE.html", "one page with figures", type=Path)

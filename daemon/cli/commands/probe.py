@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from math import degrees
 
-from steerd.daemon.cli.arguments import expect_car, option
+from steerd.daemon.cli.arguments import missing_car, option
 from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.common.screen import clean, join_words, wrap
 from steerd.daemon.settings.config import load_settings
@@ -24,7 +24,7 @@ Rows = Iterable[tuple[str, str]]  # labels and what is said under them
 def probe_arguments(parser: ArgumentParser) -> None:
     option(parser, "--port", "DEV", "query this port only, whatever its USB id")
     option(parser, "--mocap", "URL", "listen to this source, as `steerd run`")
-    option(parser, "--car", "FILE.toml", "car file: units, axes, cells, timeout", type=expect_car)
+    option(parser, "--car", "FILE.toml", "car file: units, axes, cells, timeout", missing_car)
     option(parser, "--seconds", "S", "to listen to a mocap source", type=float, default=3.0)
     option(parser, "--json", "", "the same for programs")
 

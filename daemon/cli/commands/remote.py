@@ -8,7 +8,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from steerd.controller.limits import CEILINGS
-from steerd.daemon.cli.arguments import add_bus_arguments, add_car_arguments, expect_car, option
+from steerd.daemon.cli.arguments import add_bus_arguments, add_car_arguments, missing_car, option
 from steerd.daemon.cli.commands.run import add_drive_arguments
 from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.common.screen import wrap_command
@@ -191,7 +191,7 @@ def teleop(args: Namespace) -> None:
 
 def sim_arguments(parser: ArgumentParser) -> None:
     text = "the simulated car (default: F1TENTH's figures; hidden: one that the seed hides)"
-    option(parser, "--car", "FILE.toml|hidden:SEED", text, type=expect_car)
+    option(parser, "--car", "FILE.toml|hidden:SEED", text, missing_car)
     text = "protocol of its server"
     option(parser, "--mocap", None, text, choices=("natnet", "vrpn"), default="natnet")
     option(parser, "--effect", "NAME=VALUE,…", "of the simulated car", action="append")

@@ -13,7 +13,7 @@ from pathlib import Path
 from sys import float_info
 from typing import TYPE_CHECKING
 
-from steerd.daemon.cli.arguments import expect_car, expect_lane, option
+from steerd.daemon.cli.arguments import missing_car, missing_lane, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.process.child import CORE, Child
 from steerd.daemon.process.view_job import DEFAULT_PORT, check_view
@@ -38,7 +38,7 @@ def run_arguments(parser: ArgumentParser) -> None:
     option(where, "--sim", "", "simulated hardware on a pty and sockets")
     option(where, "--fast", "", "with --sim: virtual time, repeatable")
     text = "the simulated car, where it is not --car's: a file, or one that the seed hides"
-    option(where, "--sim-car", "FILE.toml|hidden:SEED", text, type=expect_car)
+    option(where, "--sim-car", "FILE.toml|hidden:SEED", text, missing_car)
     add_drive_arguments(parser)
     run = parser.add_argument_group("run")
     option(run, "--record", "PATH", "session file (default: dated, in the data folder)")
@@ -74,10 +74,10 @@ def _add_network_arguments(run: _ArgumentGroup) -> None:
 def add_drive_arguments(parser: ArgumentParser) -> None:
     """What to drive; shared with `steerd control`."""
     drive = parser.add_argument_group("drive")
-    option(drive, "--car", "FILE.toml", "car file (default: F1TENTH's figures)", type=expect_car)
+    option(drive, "--car", "FILE.toml", "car file (default: F1TENTH's figures)", missing_car)
     option(drive, "--name", None, "the car's name on the bus and in files", default=RunOptions.car)
     text = "line, circle:radius=2, figure8[:radius=…], csv:FILE (TUM or F1TENTH centreline)"
-    option(drive, "--path", None, text, type=expect_lane, default=RunOptions.path)
+    option(drive, "--path", None, text, missing_lane, default=RunOptions.path)
     option(drive, "--speed", "M/S", "on straights", type=float, default=RunOptions.speed)
     option(drive, "--duration", "S", "end after this drive time", type=float)
     option(drive, "--rate", "HZ", "of the loop", type=float, default=RunOptions.rate_hz)

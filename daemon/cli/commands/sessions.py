@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from steerd.daemon.cli import arguments
-from steerd.daemon.cli.arguments import expect_partial, expect_session, option, pick_session
+from steerd.daemon.cli.arguments import missing_partial, missing_session, option, pick_session
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.translate import reading
@@ -27,10 +27,10 @@ def sessions_arguments(parser: ArgumentParser) -> None:
     kinds = parser.add_subparsers(dest="kind", metavar="tag|untag|note")
     for kind, text in (("tag", "add tags to a drive"), ("untag", "take tags away")):
         child = kinds.add_parser(kind, help=text)
-        option(child, "session", "SESSION", "a file, @last or @-N", type=expect_session)
+        option(child, "session", "SESSION", "a file, @last or @-N", missing_session)
         option(child, "tags", "TAG", "", nargs="+")
     note = kinds.add_parser("note", help="write a sentence about a drive; an empty one removes it")
-    option(note, "session", "SESSION", "a file, @last or @-N", type=expect_session)
+    option(note, "session", "SESSION", "a file, @last or @-N", missing_session)
     option(note, "text", "TEXT", "", nargs="+")
 
 
@@ -213,7 +213,7 @@ def replay(args: Namespace) -> int:
 
 
 def recover_arguments(parser: ArgumentParser) -> None:
-    option(parser, "session", "SESSION", "an unfinished session file", type=expect_partial)
+    option(parser, "session", "SESSION", "an unfinished session file", missing_partial, type=Path)
     option(parser, "-o --output", "OUT.mcap", "default: NAME.recovered.mcap", type=Path)
 
 

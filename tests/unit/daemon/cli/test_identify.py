@@ -144,7 +144,7 @@ def test_bad_content_is_one_line_with_a_code_and_leaves_nothing(
         ["--held-out", "0"],
         ["--held-out", "1"],
         ["--held-out", "-3"],
-        ["--held-out", "4,last.mcap"],
+        ["--held-out", "4", "--held-out", "last.mcap"],
         ["--starts", "0"],
         ["--jobs", "0"],
         ["--iterations", "0"],

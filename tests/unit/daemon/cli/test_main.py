@@ -28,6 +28,11 @@ def test_a_command_that_ends_well_needs_no_code_and_another_ones_is_the_programs
     assert run_cli(["effects"]) == code
 
 
+def test_a_car_file_that_is_not_there_is_said_before_the_sessions(capsys):
+    assert run_cli(["identify", "none.mcap", "--car", "none.toml"]) == ExitCode.UNREADABLE
+    assert "none.toml does not exist" in capsys.readouterr().err
+
+
 PLACE = "   try: look at its owner, its rights and its mount"
 FAILURES = [
     (ZeroDivisionError("in a command"), 70, "ZeroDivisionError: in a command",
