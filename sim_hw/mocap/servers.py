@@ -52,7 +52,8 @@ class NatNetServer(_Server):
         super().__init__(config, network, noise, t_ns, config.clock_hz)
         # Sent to clients in SERVERINFO; `links` sets the one it really uses
         self.data_port = natnet.DATA_PORT
-        self._ids = {config.body: config.body_id} | {b.name: b.id for b in config.bystanders}
+        others = (natnet.RigidBodyDesc(b.name, b.id) for b in config.bystanders)
+        self._bodies = natnet.RigidBodyDesc(config.body, config.body_id), *others
         self._clients: dict[net.Peer, int] = {}
         self._model_flag = False
         self._grown = False
@@ -103,8 +104,7 @@ class NatNetServer(_Server):
         return natnet.ServerInfo("steerd simulated Motive", _APP_VERSION, *about)
 
     def _model(self) -> natnet.ModelDef:
-        bodies = (natnet.RigidBodyDesc(*each) for each in self._ids.items())
-        return natnet.ModelDef((*bodies, *((_ANOTHER,) if self._grown else ())))
+        return natnet.ModelDef((*self._bodies, *((_ANOTHER,) if self._grown else ())))
 
     # --- frames
 
@@ -138,7 +138,7 @@ class NatNetServer(_Server):
         params |= natnet_frame.EDIT_MODE if faults.edit_mode else 0
         return natnet_frame.Frame(
             capture.number,
-            tuple(map(self._rigid_body, capture.bodies)),
+            tuple(map(_rigid_body, self._bodies[-len(capture.bodies) :], capture.bodies)),
             timestamp=capture.number / self.config.rate_hz,
             mid_exposure_ticks=self.ticks(capture.t_ns),
             data_received_ticks=self.ticks(received_ns),
@@ -155,10 +155,11 @@ class NatNetServer(_Server):
         )
         return changed(capture, bodies=bodies)
 
-    def _rigid_body(self, body: Pose) -> natnet_frame.RigidBody:
-        w, x, y, z = body.quaternion
-        state = body.mean_error or 0.0, int(body.tracking_valid) * natnet_frame.TRACKING_VALID
-        return natnet_frame.RigidBody(self._ids[body.body], body.position, (x, y, z, w), *state)
+
+def _rigid_body(known: natnet.RigidBodyDesc, body: Pose) -> natnet_frame.RigidBody:
+    w, x, y, z = body.quaternion
+    state = body.mean_error or 0.0, int(body.tracking_valid) * natnet_frame.TRACKING_VALID
+    return natnet_frame.RigidBody(known.id, body.position, (x, y, z, w), *state)
 
 
 _VRPN_ANSWER_NS = 100_000

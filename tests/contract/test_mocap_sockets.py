@@ -21,7 +21,7 @@ from steerd.mocap_link.sockets import NatNetReceiver, VrpnReceiver, make_receive
 from steerd.mocap_link.source import ClockKind, SourceState
 from steerd.sim_hw.mocap.cameras import MocapConfig
 from steerd.sim_hw.plant.faults import Fault
-from steerd.sim_hw.real_time.mocap_sockets import make_mocap_sockets
+from steerd.sim_hw.real_time.mocap_sockets import NatNetSockets, VrpnSockets
 from steerd.sim_hw.world import World, WorldConfig
 from tests.safety.live import free_port as free_tcp_port
 
@@ -64,7 +64,8 @@ class Server:
         self.begun_ns = time.monotonic_ns()
         clock = {"clock_hz": SECOND, "epoch_ticks": 10**15 + self.begun_ns, "skew_ppm": 0.0}
         self.world = World(WorldConfig(mocap=MocapConfig(**clock, **mocap), keep_bytes=False))
-        self.sockets = make_mocap_sockets(self.world)
+        made = VrpnSockets if mocap.get("kind") == "vrpn" else NatNetSockets
+        self.sockets = made(self.world.mocap)
         self.url = self.sockets.url
 
     def pump(self) -> None:

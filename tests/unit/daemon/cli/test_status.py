@@ -60,7 +60,7 @@ def drive(monkeypatch):
 
     def go(reason, code=ExitCode.STOPPED, **options):
         again = []
-        monkeypatch.setattr(command, "prepared", lambda module: contextlib.nullcontext())
+        monkeypatch.setattr(command, "Child", lambda module: SimpleNamespace(close=lambda: None))
         sim = contextlib.nullcontext(SimpleNamespace(port="/dev/x", mocap_url="natnet://x/car"))
         monkeypatch.setattr("steerd.sim_hw.real_time.links.spawn_sim", lambda _: sim)
         monkeypatch.setattr(command, "_run_live", lambda plan, core: (code, reason))

@@ -15,7 +15,9 @@ class Reader:
     def __init__(self, end):
         self.offered = []
         core = SimpleNamespace(
-            loop=SimpleNamespace(setup=SimpleNamespace(period_ns=10_000_000, boot_id=1)),
+            loop=SimpleNamespace(
+                plan=SimpleNamespace(period_ns=10_000_000, run=SimpleNamespace(boot_id=1))
+            ),
             on_proposal=lambda data, t_ns: self.offered.append((data, t_ns)),
         )
         links = CoreLinks(None, None, (), -1, end)
