@@ -14,9 +14,9 @@ from steerd.car_model.native.library import load_library
 from steerd.car_model.params import Car
 from steerd.car_model.path.path import Path
 from steerd.car_model.path.path_spec import parse_path
-from steerd.daemon.assembly.plans import Drill, PlanError, parse_drill
+from steerd.daemon.assembly.plans import Drill, parse_drill
 from steerd.daemon.assembly.sim_car import load_sim_car, make_true_model
-from steerd.daemon.common.errors import ExitCode, SteerdError, find_near
+from steerd.daemon.common.errors import ExitCode, SteerdError, find_near, refusing
 from steerd.daemon.common.screen import print_labelled
 from steerd.daemon.settings.config import Settings, load_settings, make_settings
 from steerd.daemon.settings.run_options import (
@@ -84,13 +84,9 @@ class RunPlan:
         """
         from steerd.controller.design import DesignRefused
 
+        car, config = make_design_car(self.settings), self.settings.controller
         try:
-            return _design(
-                make_design_car(self.settings),
-                self.path,
-                self.settings.controller,
-                self.options.rate_hz,
-            )
+            return _design(car, self.path, config, self.options.rate_hz)
         except DesignRefused as error:
             raise SteerdError(str(error), "", ExitCode.INVALID) from None
         except ValueError as error:
@@ -183,6 +179,7 @@ def make_plan(
 ) -> RunPlan:
     """Read the car file (unless its settings are given), the path, and design the controller.
 
+    A drive of an excitation plan is as long as that, unless the options say how long.
     `design`: False where another process will do that; `real`: of a drive in real time.
 
     Raises:
@@ -193,29 +190,25 @@ def make_plan(
     if not slowest <= options.rate_hz <= FASTEST_HZ:
         what = f"--rate {options.rate_hz:g}: {slowest:g} to {FASTEST_HZ:g} Hz"
         raise SteerdError(what, "", ExitCode.USAGE)
-    try:
+    with refusing("--name: "):
         check_car_name(options.car)
-    except ValueError as error:
-        raise SteerdError(f"--name: {error}", "", ExitCode.USAGE) from None
     if settings is None:
         settings = load_settings(options.car_file or default_car_path(), options.speed)
     try:
         path = _parse_path(options.path)
-    except OSError as error:
-        raise SteerdError(f"--path {options.path}: {error}", "", ExitCode.UNREADABLE) from None
     except ValueError as error:
-        hint = _near_path(options.path)
-        raise SteerdError(f"--path {options.path}: {error}", hint, ExitCode.USAGE) from None
-    plan = RunPlan(options, settings, path, real=real)
+        what = f"--path {options.path}: {error}"
+        raise SteerdError(what, _near_path(options.path), ExitCode.USAGE) from None
+    drill = None
     if options.drill:
-        try:
+        with refusing():
             drill = parse_drill(options.drill, settings.file.car, settings.limits)
-        except PlanError as error:
-            raise SteerdError(str(error), "", ExitCode.USAGE) from None
         if drill.box is not None:  # the drill's box is the fence
             limited = replace(settings.thresholds, fence=drill.box.fence)
             settings = replace(settings, thresholds=limited)
-        plan = replace(plan, settings=settings, drill=drill)
+        if options.duration_s is None:
+            options = replace(options, duration_s=drill.seconds)
+    plan = RunPlan(options, settings, path, drill, real=real)
     load_library()  # a missing one is said here, before any process is started
     if design:
         _ = plan.controller

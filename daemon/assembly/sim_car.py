@@ -17,7 +17,7 @@ from steerd.car_model.car_file import Learned, default_car_path, load_car, updat
 from steerd.car_model.effects import parse_effects
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.common.screen import clean
 from steerd.daemon.settings.config import Settings, load_settings, make_settings
 from steerd.daemon.settings.run_options import decode_options
@@ -74,11 +74,8 @@ def make_true_model(settings: Settings, effects: tuple[str, ...]) -> Model[float
         SteerdError: an effect is unknown or its value is invalid.
     """
     file = settings.file
-    try:
+    with refusing("--effect: ", "`steerd effects` lists them"):
         added = parse_effects(",".join(effects)) if effects else []
-    except ValueError as error:
-        hint = "`steerd effects` lists them"
-        raise SteerdError(f"--effect: {error}", hint, ExitCode.USAGE) from None
     return Model(
         file.car,
         (*file.effects, *(effect for effect, _ in added)),

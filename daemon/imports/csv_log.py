@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, TextIO
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.common.progress import Advance
 from steerd.daemon.imports.import_map import NS, ColumnSpec, ImportMap, load_map, with_erpm_gain
@@ -49,16 +49,13 @@ def open_table(source: Path) -> TextIO:
     Raises:
         SteerdError: it is no regular file, is empty, or cannot be opened.
     """
-    try:
+    with refusing(f"{source} cannot be read: "):
         if not source.is_file():
             what = "is not a file" if source.exists() else "does not exist"
             raise SteerdError(f"{source} {what}", "name a csv file", ExitCode.UNREADABLE)
         if not source.stat().st_size:
             raise SteerdError(f"{source} is empty", "", ExitCode.UNREADABLE)
         return source.open(encoding="utf-8-sig", newline="")
-    except OSError as error:
-        what = f"{source} cannot be read: {error.strerror}"
-        raise SteerdError(what, "", ExitCode.UNREADABLE) from error
 
 
 class CsvTable:

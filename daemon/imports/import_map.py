@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean
+from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean, refusing
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.settings.config import read_frame
 from steerd.mocap_link.frame import FrameConfig
@@ -139,10 +139,8 @@ def with_erpm_gain(spec: VescSpec | None, erpm_gain: float | None) -> VescSpec |
     """
     if erpm_gain is None:
         return spec
-    try:
+    with refusing(f"--erpm-gain {erpm_gain:g}: "):
         return msgspec.structs.replace(spec or VescSpec(), erpm_gain=erpm_gain)
-    except ValueError as error:
-        raise SteerdError(f"--erpm-gain {erpm_gain:g}: {error}", "", ExitCode.USAGE) from None
 
 
 def _readable(text: str) -> str:

@@ -16,7 +16,7 @@ from steerd.car_model.params import GRAVITY, wheelbase
 from steerd.car_model.state import ORIGIN, State
 from steerd.controller.config import ControllerConfig, load_controller_config
 from steerd.controller.limits import Limits
-from steerd.daemon.common.errors import SteerdError, did_you_mean, find_near
+from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean, find_near, refusing
 from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.settings.thresholds import LAUNCH_RATIO, LAUNCH_SPEED, SOFT_DECEL, Thresholds
 from steerd.estimator.config import FilterConfig, load_filter_config
@@ -49,6 +49,16 @@ class BrakeSettings:
     cells: int = 3  # number of battery cells in series
     uuid: str = ""  # 24 hex digits of the VESC that must answer; empty takes any
 
+    def __post_init__(self) -> None:
+        """Refuse what stops no car, and what is no UUID."""
+        for name in _BRAKE_CURRENTS:
+            if not 0.0 < getattr(self, name) <= BRAKE_CURRENT_MAX_A:
+                raise ValueError(
+                    f"{name} = {getattr(self, name)}: a stop needs a current above 0 A"
+                )
+        if self.uuid and len(bytes.fromhex(self.uuid)) != UUID_BYTES:
+            raise ValueError(f"uuid = {self.uuid!r}: 24 hex digits, as `steerd status` shows them")
+
 
 @dataclass(frozen=True)
 class RecordSettings:
@@ -57,6 +67,14 @@ class RecordSettings:
     required: bool = True  # whether a lost recorder stops the car, and prevents arming (W26)
     flush_ms: int = 250  # time between writes to the disk [ms], which a killed recorder loses
     disk_free_min_mb: int = 500  # less free space [MB] ends the recording; the file stays complete
+
+    def __post_init__(self) -> None:
+        """Refuse what loses or costs too much."""
+        if not FLUSH_MS_MIN <= self.flush_ms <= FLUSH_MS_MAX:
+            raise ValueError(f"flush_ms = {self.flush_ms}: {FLUSH_MS_MIN} to {FLUSH_MS_MAX} ms")
+        if self.disk_free_min_mb < DISK_FREE_MIN_MB:
+            text = f"disk_free_min_mb = {self.disk_free_min_mb}: at least {DISK_FREE_MIN_MB} MB"
+            raise ValueError(text)
 
 
 @dataclass(frozen=True)
@@ -111,14 +129,14 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
     settings = Settings(
         file=car_file,
         scaling=scaling,
-        brakes=read("vesc", lambda table: _check_brakes(_convert(_split(table)[0], BrakeSettings))),
+        brakes=read("vesc", lambda table: _convert(_split(table)[0], BrakeSettings)),
         ingest=IngestConfig(replace(frame, cog_ahead_of_rear=car_file.car.lr), gates),
         limits=read("limits", lambda table: _limits(car_file, scaling, table)),
         controller=_at_speed(car_file, speed),
         filter=noise,
         thresholds=_make(car_file, "safety", lambda table: _convert(table, Thresholds), safety),
         deadman=deadman,
-        record=read("record", _record),
+        record=read("record", lambda table: _convert(table, RecordSettings)),
     )
     _check_stop(car_file, settings.thresholds)
     _check_gain(settings)
@@ -228,10 +246,8 @@ def _at_speed(car_file: CarFile, speed: float | None) -> ControllerConfig:
     config = _make(car_file, "controller", load_controller_config, table)
     if speed is None:
         return config
-    try:
+    with refusing("--speed: ", code=ExitCode.INVALID):
         return load_controller_config({**table, "speed": speed})
-    except ValueError as error:
-        raise SteerdError(f"--speed: {error}") from None
 
 
 def _names(cls: type[Any]) -> tuple[str, ...]:
@@ -246,25 +262,6 @@ def _convert(table: Mapping[str, Any], cls: type[S]) -> S:
             hint = did_you_mean(name, known) or f"known are {', '.join(known)}"
             raise ValueError(f"{name} is not a setting; {hint}")
     return msgspec.convert(dict(table), cls)
-
-
-def _check_brakes(brakes: BrakeSettings) -> BrakeSettings:
-    for name in _BRAKE_CURRENTS:
-        if not 0.0 < getattr(brakes, name) <= BRAKE_CURRENT_MAX_A:
-            raise ValueError(f"{name} = {getattr(brakes, name)}: a stop needs a current above 0 A")
-    if brakes.uuid and len(bytes.fromhex(brakes.uuid)) != UUID_BYTES:
-        raise ValueError(f"uuid = {brakes.uuid!r}: 24 hex digits, as `steerd status` shows them")
-    return brakes
-
-
-def _record(table: Mapping[str, Any]) -> RecordSettings:
-    record = _convert(table, RecordSettings)
-    if not FLUSH_MS_MIN <= record.flush_ms <= FLUSH_MS_MAX:
-        raise ValueError(f"flush_ms = {record.flush_ms}: {FLUSH_MS_MIN} to {FLUSH_MS_MAX} ms")
-    if record.disk_free_min_mb < DISK_FREE_MIN_MB:
-        text = f"disk_free_min_mb = {record.disk_free_min_mb}: at least {DISK_FREE_MIN_MB} MB"
-        raise ValueError(text)
-    return record
 
 
 FRAME_ANGLES = ("world_yaw", "mount_yaw")

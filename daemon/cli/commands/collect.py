@@ -2,16 +2,12 @@
 
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from steerd.daemon.assembly.plans import NAMES, make_closed_path, parse_box
 from steerd.daemon.cli.arguments import option
 from steerd.daemon.cli.commands import run as driving
 from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.settings.run_options import RunOptions
-
-if TYPE_CHECKING:
-    from steerd.daemon.assembly.build import RunPlan
 
 SPEED = 2.5  # highest speed of a plan unless said otherwise [m/s]
 FIRST_OPTIONS = ("--plan", "--closed", "--box", *driving.FIRST_OPTIONS)
@@ -52,20 +48,6 @@ def _path(args: Namespace) -> str:
         return make_closed_path(parse_box(args.box) if args.box else None)
 
 
-def plan_drive(options: RunOptions, *, design: bool = True) -> "RunPlan":
-    """The run of these options, as long as its plan unless they say how long.
-
-    Raises:
-        SteerdError: plan, path or car file are refused.
-    """
-    from steerd.daemon.assembly.build import make_plan
-
-    plan = make_plan(options, design=design)
-    if plan.drill is None or options.duration_s is not None:
-        return plan
-    return replace(plan, options=replace(options, duration_s=plan.drill.seconds))
-
-
 def collect(args: Namespace) -> int:
     """Drive an excitation plan and record it: a session that identifies the car.
 
@@ -77,5 +59,4 @@ def collect(args: Namespace) -> int:
     mixed (several of them at several speeds: start with it).
     Supervisor, watchdogs and limits are those of `steerd run`; a box is a fence.
     """
-    options = make_options(args)
-    return driving.drive(lambda: plan_drive(options, design=args.fast), fast=args.fast)
+    return driving.drive(make_options(args), fast=args.fast)

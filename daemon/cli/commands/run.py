@@ -6,7 +6,7 @@ import signal
 import sys
 import threading
 from argparse import ArgumentParser, Namespace, _ArgumentGroup
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import fields, replace
 from importlib import import_module
 from pathlib import Path
@@ -167,27 +167,23 @@ def run(args: Namespace) -> int:
     On a car it starts disarmed. Arm and start it with the keys shown, or from
     another terminal with `steerd arm` and `steerd start`.
     """
-    options = make_options(args)
-
-    def make() -> "RunPlan":
-        from steerd.daemon.assembly.build import make_plan
-
-        return make_plan(options, design=args.fast)
-
-    return drive(make, fast=args.fast)
+    return drive(make_options(args), fast=args.fast)
 
 
-def drive(make: Callable[[], "RunPlan"], *, fast: bool) -> int:
-    """Drive a plan: in virtual time, on simulated hardware or on a car.
+def drive(options: RunOptions, *, fast: bool) -> int:
+    """Drive in virtual time, on simulated hardware or on a car.
 
     The control core's process loads for a second; meanwhile this one makes the plan.
     """
     if fast:
+        from steerd.daemon.assembly.build import make_plan
         from steerd.daemon.offline.fast import run_fast
 
-        return run_fast(make())
+        return run_fast(make_plan(options))
     with contextlib.closing(Child(CORE)) as core:
-        plan = make()
+        from steerd.daemon.assembly.build import make_plan
+
+        plan = make_plan(options, design=False)
         return _run_simulated(plan, core) if plan.options.simulated else _run_live(plan, core)[0]
 
 

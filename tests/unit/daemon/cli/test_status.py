@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.daemon.assembly.build import make_plan, report_refusal
+from steerd.daemon.assembly.build import report_refusal
 from steerd.daemon.cli.commands import run as command
 from steerd.daemon.cli.commands.operate import format_status
 from steerd.daemon.cli.main import run_cli
@@ -68,8 +68,7 @@ def drive(monkeypatch):
             "steerd.daemon.offline.fast.run_fast", lambda plan: again.append(plan) or ExitCode.OK
         )
         given = {"car_file": "", "simulated": True, "auto_arm": True, "duration_s": 2.0}
-        plan = make_plan(RunOptions(**{**given, **options}), design=False)
-        return command.drive(lambda: plan, fast=False), again
+        return command.drive(RunOptions(**{**given, **options}), fast=False), again
 
     return go
 
