@@ -91,24 +91,6 @@ def test_a_session_is_diagnosed_with_its_cars_own_file(fleet, tmp_path):
     assert row["gap"] > row["gap_after"] * 0.99
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "said"),
-    [
-        (["batch", "summarise", "{empty}"], 3, "no session"),
-        (["batch", "identify", "{drives}", "--cars", "{empty}/none"], 3, "does not exist"),
-        (["batch", "summarise", "{drives}", "-o", "{drives}/circle.mcap"], 2, "never overwritten"),
-        (["sweep"], 2, "a sweep file is needed"),
-        (["sweep", "{file}", "--again", "3"], 2, "--again and --record go together"),
-        (["sweep", "{file}", "--again", "9", "--record", "x.mcap"], 2, "they are 0 to 3"),
-        (["sweep", "{file}", "-o", "{empty}/none/x.parquet"], 3, "there is no folder"),
-    ],
-)
-def test_a_mistake_is_one_line(words, code, said, drives, file, tmp_path_factory, capsys):
-    places = {"empty": tmp_path_factory.mktemp("empty"), "drives": drives, "file": file}
-    assert run_cli([word.format(**places) for word in words]) == code
-    assert said in capsys.readouterr().err
-
-
 # `steerd sweep` and `steerd.sweep`: a table, a page, going on after Ctrl-C, the same bytes.
 
 VARY = {"effect.steer_delay": {"low": 0.0, "high": 0.05}, "car.mass": [3.0, 4.5]}

@@ -37,8 +37,6 @@ def test_mocap_calibrate_finds_what_was_injected(drive, tmp_path, capsys):
     assert capsys.readouterr().out.count("pass") == 6
     assert run_cli(["mocap", "calibrate", str(drive)]) == 0
     assert "-o car.toml" in capsys.readouterr().out
-    assert run_cli(["mocap", "check"]) == 2
-    assert run_cli(["mocap", "calibrate", str(tmp_path / "none.mcap")]) == 3
 
 
 def test_servo(drive_fast, tmp_path, capsys):
@@ -54,4 +52,3 @@ def test_servo(drive_fast, tmp_path, capsys):
     assert car["car"]["steer_gain"] == 1.0, "the servo's gain has taken it in"
     assert vesc["servo_gain"] == pytest.approx(-1.2135 / 0.9, rel=0.02)
     assert vesc["servo_offset"] == pytest.approx(0.5304 + 1.2135 / 0.9 * 0.02, abs=3e-3)
-    assert run_cli(["calibrate", "servo"]) == 2

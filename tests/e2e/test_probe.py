@@ -53,8 +53,3 @@ def test_a_dead_port_and_a_silent_server(capsys, tmp_path):
     assert code == 3
     assert "99-vesc.rules" in found["serial"][0]["advice"][0]["fix"]
     assert "firewall" in found["mocap"][0]["advice"][0]["fix"]
-
-
-@pytest.mark.parametrize("wrong", [["--mocap", "optitrack:car"], ["--seconds", "0"]])
-def test_what_cannot_be_asked(capsys, wrong):
-    assert run_cli(["probe", "--port", "/dev/null", *wrong]) == 2

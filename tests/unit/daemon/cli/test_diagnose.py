@@ -102,36 +102,6 @@ def test_the_prediction_is_written_and_hashed_before_it_is_measured(diagnosed):
     assert json.loads(prediction)["predicted"] == shrink["predicted"]
 
 
-# --- what is refused
-
-
-OPTIONS = [
-    (["--only", "wings"], 2, "wings"),
-    (["--without", "steer_dely"], 2, "steer_dely"),
-    (["--only", "steer_lag", "--without", "servo_lag"], 2, "leave no effect"),
-    (["--held-out", "1"], 2, "held out 1"),
-    (["--held-out", "4,last.mcap"], 2, "not both"),
-    (["--report", "nowhere/gap.html"], 3, "nowhere"),
-    (["--json", "drive.mcap"], 2, "that is a session"),
-    (["--runs-held-out", "{run}"], 2, "every session is held out"),
-    (["--healthy", "{run}"], 2, "its gap would pass for noise"),
-    (["{run}"], 2, "named twice"),
-    (["--report", "."], 3, "that is a folder"),
-]
-
-
-@pytest.mark.parametrize(("options", "code", "words"), OPTIONS, ids=lambda v: str(v)[:40])
-def test_options_that_make_no_sense(options, code, words, diagnosed, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    session = str(diagnosed[0] / "run.mcap")
-    given = [option.format(run=session) for option in options]
-    assert main(["diagnose", session, *given]) == code
-    error = capsys.readouterr().err
-    assert error.startswith("steerd: ")
-    assert words in error
-    assert list(tmp_path.iterdir()) == []
-
-
 # --- what is looked at and what is held out
 
 

@@ -129,45 +129,6 @@ def test_bad_content_is_one_line_with_a_code_and_leaves_nothing(
     assert set(tmp_path.iterdir()) == before
 
 
-@pytest.mark.parametrize(
-    "args",
-    [
-        ["--free", "lenght"],
-        ["--free", "mass.scale"],
-        ["--fix", "mass=heavy"],
-        ["--fix", "lenght=3"],
-        ["--fix", "mass=-3"],
-        ["--fix", "mass=nan"],
-        ["--fix", "lf=0.1,lr=0.15", "--wheelbase", "0.33"],
-        ["--fix", "lf=0.4", "--wheelbase", "0.33"],
-        ["--wheelbase", "324"],
-        ["--held-out", "0"],
-        ["--held-out", "1"],
-        ["--held-out", "-3"],
-        ["--held-out", "4", "--held-out", "last.mcap"],
-        ["--starts", "0"],
-        ["--jobs", "0"],
-        ["--iterations", "0"],
-        ["--seed", "-1"],
-    ],
-)
-def test_options_that_make_no_sense(args, session, capsys):
-    assert main(["identify", str(session), *args]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("steerd: ")
-    assert "Traceback" not in error
-
-
-def test_a_drive_does_not_judge_its_own_fit(session, tmp_path, capsys):
-    copy = tmp_path / "copy.mcap"
-    copy.write_bytes(session.read_bytes())
-    for other in (session, copy):
-        assert main(["identify", str(session), "--held-out", str(other), *FREE]) == 2
-        assert "every session is held out" in capsys.readouterr().err
-        assert main(["identify", str(session), str(other), *FREE]) == 2
-        assert "name each drive once" in capsys.readouterr().err
-
-
 def test_of_a_folder_the_held_out_session_is_not_fitted(rows, importer, capsys):
     one, two = importer(rows[:1500], "one"), importer(rows[1500:], "two")
     capsys.readouterr()

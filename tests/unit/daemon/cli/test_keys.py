@@ -133,22 +133,6 @@ def test_what_is_there_stays_as_it_is(lab, arguments, capsys):
     assert capsys.readouterr().err.startswith("steerd: ")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("--host", " "), "--host is empty"),
-        (("--host", "10.0.0.2", "--car", "Car 1"), "Car 1"),
-        (("--host", "10.0.0.2", "--car", "../car"), "../car"),
-        (("--host", "10.0.0.2", "--car", ""), "car"),
-        (("--operator", "new"), "lab.toml: No such file or directory"),
-    ],
-)
-def test_no_lab_is_made_without_an_address_or_a_car_s_name(tmp_path, arguments, said, capsys):
-    assert keys(tmp_path / "lab", *arguments) in (ExitCode.USAGE, ExitCode.UNREADABLE)
-    assert said in capsys.readouterr().err
-    assert not (tmp_path / "lab").exists()
-
-
 @pytest.mark.parametrize("damage", [b"", b"-----BEGIN PRIVATE KEY-----\nAAAA\n", None])
 def test_a_damaged_authority_is_named_and_a_folder_with_the_name_is_not_overwritten(
     lab, damage, capsys
@@ -182,12 +166,6 @@ RUN = ("run", "--sim", "--lab")
 def test_run_refuses_what_does_not_fit(lab, arguments, said, capsys):
     assert run_cli([*RUN, str(lab / "car1"), *arguments]) == ExitCode.USAGE
     assert said in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("command", ["run --sim", "watch", "status", "arm"])
-def test_a_folder_that_is_none_is_named(tmp_path, command, capsys):
-    assert run_cli([*command.split(), "--lab", str(tmp_path)]) == ExitCode.INVALID
-    assert "steerd keys" in capsys.readouterr().err
 
 
 def test_dialling_where_nobody_is_names_the_lab(lab, tmp_path, capsys):

@@ -28,11 +28,6 @@ def test_a_command_that_ends_well_needs_no_code_and_another_ones_is_the_programs
     assert run_cli(["effects"]) == code
 
 
-def test_a_car_file_that_is_not_there_is_said_before_the_sessions(capsys):
-    assert run_cli(["identify", "none.mcap", "--car", "none.toml"]) == ExitCode.UNREADABLE
-    assert "none.toml does not exist" in capsys.readouterr().err
-
-
 PLACE = "   try: look at its owner, its rights and its mount"
 FAILURES = [
     (ZeroDivisionError("in a command"), 70, "ZeroDivisionError: in a command",
@@ -126,24 +121,6 @@ def test_an_error_is_wrapped_on_a_terminal_and_is_one_line_in_a_pipe(monkeypatch
     assert lines[1].startswith("        ")
 
 
-@pytest.mark.parametrize(
-    ("line", "meant"),
-    [
-        ("idenify a.mcap", "did you mean identify?"),
-        ("run --sim --sped 2", "did you mean --speed?"),
-        ("run --sim --fast --path figur8", "did you mean --path figure8?"),
-        ("run --sim --fast --path circle:raduis=2", "did you mean --path circle:radius=2?"),
-        ("frobnicate", "`steerd --help` lists the commands"),
-        ("info a.mcap b.mcap c.mcap --xyzzy", "`steerd info --help` shows its options"),
-    ],
-)
-def test_what_was_perhaps_meant_is_offered(line, meant, capsys):
-    assert run_cli(line.split()) == ExitCode.USAGE
-    said = capsys.readouterr()
-    assert meant in said.err
-    assert said.out == ""
-
-
 def test_help_shows_the_first_options_with_defaults_and_help_all_the_rest(capsys):
     texts = []
     for option in ("--help", "--help-all"):
@@ -156,23 +133,6 @@ def test_help_shows_the_first_options_with_defaults_and_help_all_the_rest(capsys
     assert "--ros-domain" not in short
     assert "`steerd run --help-all` shows " in short
     assert "--ros-domain" in whole
-
-
-@pytest.mark.parametrize(
-    ("words", "what", "hint"),
-    [
-        (["--speed", "1,5"], "--speed: not a number: '1,5'", "1.5"),
-        (["--speed", "30", "--sim", "--fast"], "--speed: speed = 30.0: above 20.0 m/s", ""),
-    ],
-)
-def test_an_options_value_that_cannot_be_used_is_one_line_with_what_to_try(
-    words, what, hint, capsys
-):
-    assert run_cli(["run", *words]) in (ExitCode.USAGE, ExitCode.INVALID)
-    said = capsys.readouterr().err
-    assert what in said
-    assert hint in said
-    assert "usage:" not in said
 
 
 # The completion scripts; bash's is run as bash runs it.

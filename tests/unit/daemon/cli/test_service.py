@@ -56,21 +56,6 @@ def test_install_print_uninstall(home, capsys, tmp_path, monkeypatch):
     assert run_cli(["service", "uninstall"]) == 3
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        ["--port", "/dev/vesc"],
-        ["--sim", "--auto-arm"],
-        ["--sim", "--fast"],
-        [*OPTIONS, "--path", "loop"],
-        [*OPTIONS, "--rate", "5"],
-    ],
-)
-def test_what_could_not_run_is_not_installed(home, wrong):
-    assert run_cli(["service", "install", *wrong]) == 2
-    assert not home.exists()
-
-
 def test_arguments_with_meaning_to_systemd_survive():
     words = ["steerd", "a b", "50%", "$HOME", "C:\\new\\table", 'say "it\'s"']
     unit = make_unit(words, "car1", account="driver")

@@ -6,10 +6,8 @@ import time
 
 import pytest
 
-from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.written import check_outputs, write_output, write_outputs
-from steerd.steer_bus.container import MAGIC
 
 
 @pytest.fixture(autouse=True)
@@ -123,40 +121,6 @@ def test_a_terminal_is_told_what_was_written(terminal, tmp_path, monkeypatch, ca
     assert (str(page) in capsys.readouterr().err) is terminal
     write_outputs({page: "c"})
     assert capsys.readouterr().err == ""
-
-
-# Where commands may write: never over a session, nothing before the work that cannot be kept.
-
-
-@pytest.fixture
-def session(tmp_path):
-    path = tmp_path / "drive.mcap"
-    path.write_bytes(MAGIC + bytes(100))
-    return path
-
-
-COMMANDS = [
-    ("identify", "{drive}", "-o", "{kept}"),
-    ("identify", "{drive}", "--json", "{kept}"),
-    ("plot", "{drive}", "-o", "{kept}"),
-    ("identify", "{drive}", "--report", "{kept}"),
-    ("diagnose", "{drive}", "-o", "{kept}"),
-    ("diagnose", "{drive}", "--report", "{kept}"),
-    ("diagnose", "{drive}", "--prediction", "{kept}"),
-    ("mocap", "calibrate", "{drive}", "-o", "{kept}"),
-    ("calibrate", "servo", "{drive}", "-o", "{kept}"),
-]
-
-
-@pytest.mark.parametrize("argv", COMMANDS, ids=" ".join)
-@pytest.mark.parametrize("name", ["drive.mcap", "drive.backup"])
-def test_a_session_is_never_written_over(argv, name, session, tmp_path, capsys):
-    kept = tmp_path / name
-    kept.write_bytes(session.read_bytes())
-    arguments = [word.format(drive=session, kept=kept) for word in argv]
-    assert run_cli(arguments) == 2
-    assert "a session is never overwritten" in capsys.readouterr().err
-    assert kept.read_bytes() == MAGIC + bytes(100)
 
 
 def test_a_folder_without_permission(tmp_path, monkeypatch):

@@ -51,23 +51,9 @@ def imported(tmp_path, capsys):
     return out
 
 
-@pytest.mark.parametrize(
-    ("command", "said"), [("mocap calibrate", "the car's poses only"), ("replay", "lacks options")]
-)
-def test_an_imported_log_has_no_body_and_nothing_to_replay(imported, capsys, command, said):
-    assert run_cli([*command.split(), str(imported)]) == 4
-    assert said in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("argv", [("plot",), ("identify",), ("diagnose",)], ids=" ".join)
 def test_a_session_that_breaks_off_is_warned_of(argv, imported, tmp_path, capsys):
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(imported.read_bytes()[:-200])
     run_cli([*argv, str(broken)])
     assert "warning: " in capsys.readouterr().err.replace("broken.mcap: ", "")
-
-
-@pytest.mark.parametrize("argv", [("replay",), ("identify",), ("diagnose",)], ids=" ".join)
-def test_a_folder_is_reported_once(argv, tmp_path, capsys):
-    assert run_cli([*argv, str(tmp_path)]) == 3
-    assert capsys.readouterr().err.count("name a session .mcap file") == 1

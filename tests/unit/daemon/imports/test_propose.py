@@ -196,25 +196,6 @@ def test_names_decide_where_they_can(role, topics, best):
     assert find_best(dict.fromkeys(topics, BAG_ROLES[role].types[0]))[role] == best
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "said"),
-    [
-        ("drive.bag", ExitCode.UNREADABLE, "does not exist"),
-        ("csv", ExitCode.USAGE, "takes one log"),
-        ("{csv}", ExitCode.USAGE, "needs a map"),
-        ("{csv} {csv}", ExitCode.USAGE, "takes one log, not 2"),
-        ("{csv} --erpm-gain 0 --map {map}", ExitCode.USAGE, "4614"),
-    ],
-)
-def test_a_line_that_cannot_work_says_what_is_missing(tmp_path, capsys, words, code, said):
-    source = write_csv(tmp_path / "run.csv")
-    the_map = tmp_path / "map.toml"
-    the_map.write_text(format_map(propose_csv(source), "run.csv"))
-    line = words.format(csv=source, map=the_map)
-    assert run_cli(["import", *line.split()]) == code
-    assert said in capsys.readouterr().err
-
-
 def test_a_map_of_no_vesc_is_refused():
     with pytest.raises(ValueError, match="ERPM of 1 m/s"):
         parse_map("[vesc]\nerpm_gain = 0")

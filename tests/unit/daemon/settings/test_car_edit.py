@@ -86,4 +86,3 @@ def test_yaml_by_command_line(tmp_path, capsys):
                make_car_values(read_vesc_yaml(YAML, F1TENTH)).items())  # fmt: skip
     assert run_cli(["config", "--check", str(car), "--to-vesc-yaml", str(back)]) == 0
     assert read_vesc_yaml(back.read_text(), F1TENTH) == read_vesc_yaml(YAML, F1TENTH)
-    assert run_cli(["config", "--from-vesc-yaml", str(tmp_path / "no.yaml")]) == 3

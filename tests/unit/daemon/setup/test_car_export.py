@@ -101,5 +101,3 @@ def test_the_command_says_what_is_lost(tmp_path, capsys):
         said = capsys.readouterr().out
         assert "What is lost:" in said
         assert max(map(len, said.splitlines()[1:])) <= 80
-    assert run_cli(["export", str(default_car_path()), "-o", str(tmp_path / "car.urdf")]) == 2
-    assert "no format of that name" in capsys.readouterr().err
