@@ -190,3 +190,13 @@ def test_a_value_where_no_car_is_spoils_the_car_file_alone(monkeypatch, tmp_path
     assert f"{car} is not written: car.lf: expected a number >= 0.02" in said.err
     assert page.read_text() == "<html>"
     assert not car.exists()
+
+
+def test_processes_give_the_same_answer(session, tmp_path):
+    search = ["--method", "paper", "--starts", "2", "--iterations", "2", "--held-out", "3"]
+    found = []
+    for jobs in ("1", "2"):
+        out = tmp_path / f"{jobs}.json"
+        code = main(["identify", str(session), *search, "--jobs", jobs, "--json", str(out)])
+        found.append((code, json.loads(out.read_text())))
+    assert found[0] == found[1]
