@@ -15,14 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import Advance
-from steerd.daemon.imports.import_map import ImportMap, load_map, with_erpm_gain
-from steerd.daemon.imports.import_session import (
-    ImportReport,
-    MessageMaker,
-    Sample,
-    check_output,
-    write_import,
-)
+from steerd.daemon.imports.import_map import ImportMap, load_map
+from steerd.daemon.imports.import_session import ImportReport, MessageMaker, Sample, write_import
 from steerd.steer_bus.atomic_file import is_full
 from steerd.steer_bus.fields import schema_text, type_name
 from steerd.steer_bus.standard import AckermannDriveStamped, Odometry, PoseStamped, VescStateStamped
@@ -72,17 +66,14 @@ _ADVANCE_MESSAGES = 1000  # messages between two reports of progress
 _SHOWN = 8  # topics that an error lists
 
 
-@dataclass(frozen=True)
-class BagChoice:
-    """Choices of the command line, which override the map."""
-
-    topics: tuple[str, ...] = ()  # `TOPIC`, or `ROLE=TOPIC` with one of `BAG_ROLES`
-    rigid: int | None = None  # which rigid body of a PhaseSpace message is the car
-    erpm_gain: float | None = None  # electrical rpm per m/s, negative for a motor that is wired so
-
-
 def import_bag(
-    source: Path, map_path: Path | None, out: Path, choice: BagChoice, advance: Advance
+    source: Path,
+    map_path: Path | None,
+    out: Path,
+    advance: Advance,
+    named: Sequence[str] = (),
+    rigid: int | None = None,
+    erpm_gain: float | None = None,
 ) -> ImportReport:
     """Turn a bag into a session.
 
@@ -90,23 +81,23 @@ def import_bag(
         source: a ROS 1 `.bag`, a ROS 2 bag folder, or one `.mcap` or `.db3` file of one.
         map_path: a map with `[topics]`, `[frame]` or `[session]`; may be left out.
         out: the session to write; nothing is left of it after an error.
-        choice: topics and body; they override the map's.
         advance: called with the share of the bag's time read so far, 0 to 1.
+        named: `TOPIC`, or `ROLE=TOPIC` with one of `BAG_ROLES`; they override the map's.
+        rigid: which rigid body of a PhaseSpace message is the car; None for the map's.
+        erpm_gain: electrical rpm per m/s, negative for a motor wired so; None for the map's.
 
     Raises:
         SteerdError: rosbags is missing, or something is wrong with bag, map or output.
     """
-    check_output(out)
-    the_map = load_map(map_path) if map_path else ImportMap()
+    the_map = load_map(map_path, erpm_gain)
     with closing(_open(source)) as reader:
         the_map = replace(
             the_map,
             epoch_ns=max(reader.start_time, 0) if reader.message_count else 0,
-            rigid=the_map.rigid if choice.rigid is None else choice.rigid,
-            vesc=with_erpm_gain(the_map.vesc, choice.erpm_gain),
+            rigid=the_map.rigid if rigid is None else rigid,
         )
         types = _types_of(reader)
-        roles = _choose_topics(source, types, the_map.topics, choice.topics)
+        roles = _choose_topics(source, types, the_map.topics, named)
         maker = MessageMaker(the_map.epoch_ns, the_map.frame)
         bag = _Bag(source, reader, roles, the_map, Counter(), maker)
         topics = [BAG_ROLES[role].topic for role in roles]

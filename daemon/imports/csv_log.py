@@ -17,14 +17,8 @@ from typing import Any, NamedTuple, NoReturn, TextIO
 from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.common.progress import Advance
-from steerd.daemon.imports.import_map import NS, ColumnSpec, ImportMap, load_map, with_erpm_gain
-from steerd.daemon.imports.import_session import (
-    ImportReport,
-    MessageMaker,
-    Sample,
-    check_output,
-    write_import,
-)
+from steerd.daemon.imports.import_map import NS, ColumnSpec, ImportMap, load_map
+from steerd.daemon.imports.import_session import ImportReport, MessageMaker, Sample, write_import
 from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, THROTTLE, VESC, WHEEL, Topic
 
 LINE_MAX = 1 << 20  # no row is longer than this [characters]
@@ -226,12 +220,10 @@ def import_csv(
         SteerdError: something is wrong with the map, the file or the output; the message says
             where.
     """
-    check_output(out)
-    the_map = load_map(map_path)
+    the_map = load_map(map_path, erpm_gain)
     if not the_map.columns:
         hint = f"copy {EXAMPLE_MAP} and name your columns"
         raise SteerdError(f"map {map_path} has no [columns]", hint)
-    the_map = replace(the_map, vesc=with_erpm_gain(the_map.vesc, erpm_gain))
     notes: Counter[str] = Counter()
     topics = list(dict.fromkeys(_TOPICS[q] for q in the_map.columns if q in _TOPICS))
     with open_table(source) as file:

@@ -9,7 +9,7 @@ import datetime
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -90,12 +90,21 @@ class ImportMap:
     text: str = ""  # the map's own text; it is kept inside the session
 
 
-def load_map(path: Path) -> ImportMap:
-    """Read a map.
+def load_map(path: Path | None, erpm_gain: float | None = None) -> ImportMap:
+    """Read a map, an empty one for None; `erpm_gain` of the command line replaces its own.
 
     Raises:
         SteerdError: it cannot be read, is no TOML, or says something impossible.
     """
+    the_map = _read_map(path) if path else ImportMap()
+    if erpm_gain is None:
+        return the_map
+    with refusing(f"--erpm-gain {erpm_gain:g}: "):
+        vesc = msgspec.structs.replace(the_map.vesc or VescSpec(), erpm_gain=erpm_gain)
+    return replace(the_map, vesc=vesc)
+
+
+def _read_map(path: Path) -> ImportMap:
     try:
         return parse_map(read_toml(path))
     except OSError as error:
@@ -129,18 +138,6 @@ def parse_map(text: str) -> ImportMap:
         comment=tables.session.comment,
         text=text,
     )
-
-
-def with_erpm_gain(spec: VescSpec | None, erpm_gain: float | None) -> VescSpec | None:
-    """A map's VESC with the gain of the command line.
-
-    Raises:
-        SteerdError: it is no gain.
-    """
-    if erpm_gain is None:
-        return spec
-    with refusing(f"--erpm-gain {erpm_gain:g}: "):
-        return msgspec.structs.replace(spec or VescSpec(), erpm_gain=erpm_gain)
 
 
 def _readable(text: str) -> str:

@@ -97,8 +97,10 @@ def write_import(
     `notes` are oddities of the log that do not stop an import, counted while samples come.
 
     Raises:
-        SteerdError: the source cannot be read, holds no sample, or the disk does not take it.
+        SteerdError: the source cannot be read or holds no sample, the output's name cannot be used
+            (see `check_output`), or the disk does not take it.
     """
+    check_output(out)
     counts = {topic.name: 0 for topic in topics}
     names = {topic.name: make_session_topic(the_map.car, topic) for topic in topics}
     try:

@@ -85,11 +85,10 @@ def _import(
         size = source.stat().st_size if source.is_file() else 1
         with show_progress(f"reading {source.name}", size, even=True) as advance:
             return import_csv(source, the_map or Path(), out, advance, args.erpm_gain)
-    from steerd.daemon.imports.bag import BagChoice, import_bag
+    from steerd.daemon.imports.bag import import_bag
 
-    choice = BagChoice(tuple(args.topic), args.rigid, args.erpm_gain)
     with show_progress(f"reading {source.name}", 1.0, even=True) as advance:
-        return import_bag(source, the_map, out, choice, advance)
+        return import_bag(source, the_map, out, advance, args.topic, args.rigid, args.erpm_gain)
 
 
 def _agree(args: Namespace, kind: str, source: Path, out: Path) -> Path:

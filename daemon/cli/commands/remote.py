@@ -38,13 +38,11 @@ def watch(args: Namespace) -> None:
     Keys change live parameters: the highest speed, a lane beside the path, a share
     of the feedback. The car refuses those of anybody but the operator who holds it.
     """
-    from steerd.daemon.ipc.operator import connect, read_lab
-
-    if args.lab is not None:
-        read_lab(args.lab)  # a folder that is none is refused before anything heavy is loaded
-    from steerd.daemon.terminal.watch import watch_car
+    from steerd.daemon.ipc.operator import connect
 
     with connect(args.connect, args.lab) as bus, contextlib.suppress(KeyboardInterrupt):
+        from steerd.daemon.terminal.watch import watch_car  # the heavy one, of a car that is there
+
         watch_car(bus, args.name, args.seconds, operate=args.operate)
 
 
@@ -64,20 +62,17 @@ def page(args: Namespace) -> None:
     Whoever arms the car there holds it: close or leave the page and it stops.
     `steerd run --page` starts the same for its own car.
     """
-    from steerd.daemon.ipc.operator import connect, read_lab
-
-    if args.lab is not None:
-        read_lab(args.lab)  # a folder that is none is refused before anything heavy is loaded
-    from steerd.daemon.process.page import make_page, run_page
-    from steerd.daemon.process.page_link import CarView
-
-    content = make_page(args.name, make_lane_job(args.path))
+    from steerd.daemon.ipc.operator import connect
 
     def on_open(url: str) -> None:
         print(f"page: {url}", flush=True)
         print("open it in a browser on this machine; Ctrl-C ends it", file=sys.stderr)
 
     with connect(args.connect, args.lab) as bus:
+        from steerd.daemon.process.page import make_page, run_page  # the heavy ones
+        from steerd.daemon.process.page_link import CarView
+
+        content = make_page(args.name, make_lane_job(args.path))
         view = CarView(bus, args.name, MonotonicClock())
         try:
             asyncio.run(run_page(view, content, args.port, on_open, asyncio.Event()))

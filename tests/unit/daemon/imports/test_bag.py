@@ -12,7 +12,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.imports.bag import RIGIDS, RIGIDS_TEXT, BagChoice, import_bag
+from steerd.daemon.imports.bag import RIGIDS, RIGIDS_TEXT, import_bag
 from steerd.steer_bus.messages import Actuation, MocapPose, VescTelemetry, WheelSpeed
 from steerd.steer_bus.session_read import open_session
 
@@ -143,7 +143,7 @@ def convert(folder, bag, *, topics=(), rigid=None, the_map=None):
         map_path = folder / "map.toml"
         map_path.write_text(the_map)
     out = folder / "out.mcap"
-    report = import_bag(bag, map_path, out, BagChoice(tuple(topics), rigid), lambda done: None)
+    report = import_bag(bag, map_path, out, lambda done: None, topics, rigid)
     return report, open_session(out)
 
 
