@@ -76,6 +76,7 @@ TABLE = [
     ("mocap calibrate {tmp}/none.mcap", 3, "none.mcap does not exist"),
     ("mocap calibrate {run}", 4, "the car's poses only"),
     ("calibrate servo", 2, "name a session or a port"),
+    ("config --check {tmp}", 3, "cannot be read"),
     ("config --from-vesc-yaml {tmp}/no.yaml", 3, "no.yaml does not exist"),
     ("export {tmp}/pole.toml -o {tmp}/car.urdf", 2, "no format of that name"),
     ("keys {tmp}/lab --host ' '", 2, "--host is empty"),
@@ -87,7 +88,7 @@ TABLE = [
     ("replay {tmp}/notes.csv", 3, "notes.csv is not an MCAP file"),
     ("replay {run}", 4, "lacks options"),
     *(
-        (f"{command} {{tmp}}", 3, "is a directory", "name a session .mcap file")
+        (f"{command} {{tmp}}", 3, "is a directory\n   try: name a session .mcap file")
         for command in ("info", "replay", "identify", "diagnose")
     ),
     ("import {tmp}/drive.bag", 3, "does not exist"),

@@ -79,9 +79,9 @@ def test_an_estimate_that_is_not_there_shows_no_number():
 TALLY = Tally(count=4, square=4e-4, worst=0.02, distance=12.0, driven_ns=6_000_000_000)
 
 
-def lines(drill, session=Path("drive.mcap")):
-    plan = make_plan(RunOptions(str(default_car_path()), drill=drill), design=False)
-    return list(closing_lines(plan, TALLY, session))
+def lines(drill, car=None):
+    plan = make_plan(RunOptions(str(car or default_car_path()), drill=drill), design=False)
+    return list(closing_lines(plan, TALLY, Path("drive.mcap")))
 
 
 def test_a_lane_was_kept():
@@ -101,6 +101,4 @@ def test_a_plan_was_driven(drill, lane):
 def test_a_plan_on_an_own_car_is_identified_from_its_own_file(tmp_path):
     own = tmp_path / "mine.toml"
     own.write_text(default_car_path().read_text())
-    plan = make_plan(RunOptions(str(own), drill="mixed;speed=2"), design=False)
-    *_, then = closing_lines(plan, TALLY, Path("drive.mcap"))
-    assert f"steerd identify drive.mcap --car {own} -o car.toml" in then
+    assert f"steerd identify drive.mcap --car {own} -o car.toml" in lines("mixed;speed=2", own)[-1]
