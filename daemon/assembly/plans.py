@@ -48,10 +48,6 @@ _CHIRP_LOW_HZ = 0.3
 """First frequency of a chirp [Hz]; patterns up to 1 Hz keep one frequency."""
 
 
-class PlanError(ValueError):
-    """An unknown plan, or one that does not fit its box."""
-
-
 class Segment(NamedTuple):
     """One stretch of a plan."""
 
@@ -122,7 +118,7 @@ def parse_box(text: str) -> Box:
     """A box from `SIDE` (a square about the origin) or `X_MIN,Y_MIN,X_MAX,Y_MAX`.
 
     Raises:
-        PlanError: it is neither.
+        ValueError: it is neither.
     """
     try:
         numbers = [float(part) for part in text.split(",")]
@@ -133,7 +129,7 @@ def parse_box(text: str) -> Box:
         return Box(-half, -half, half, half)
     if len(numbers) == 4 and numbers[0] < numbers[2] and numbers[1] < numbers[3]:
         return Box(*numbers)
-    raise PlanError(f"box {text!r}: give its side, or x_min,y_min,x_max,y_max in metres")
+    raise ValueError(f"box {text!r}: give its side, or x_min,y_min,x_max,y_max in metres")
 
 
 def _make_circles(car: Car[float], limits: Limits) -> Iterator[Segment]:
@@ -287,9 +283,8 @@ def make_open_drill(
     """The plan with the widest orbits that fit the box; without one, for the full `speed` [m/s].
 
     Raises:
-        PlanError: unknown name, or no orbit fits.
+        ValueError: no orbit fits.
     """
-    _check_name(name)
     room = 1.0 + (SWING if name == "circles" else _swing_share(name))
     radius = _RADIUS_MARGIN * speed**2 * room / limits.lateral_accel_max
     smallest = wheelbase(car) / tan(min(limits.steer_left_max, limits.steer_right_max))
@@ -306,31 +301,14 @@ def make_open_drill(
         radius *= _SHRINK
     side = 2.0 * (max(-extent.x_min, extent.x_max, -extent.y_min, extent.y_max))
     text = f"plan {name} needs a box of {side:.1f} m, the car starting in its middle"
-    raise PlanError(text if name == "circles" else f"{text}; or drive it with --closed")
-
-
-def make_closed_drill(name: str, box: Box | None) -> Drill:
-    """The plan as a probe: its steering is added to the lane keeper's, speeds are shares of its.
-
-    Raises:
-        PlanError: unknown name, or circles, which are open loop by nature.
-    """
-    _check_name(name)
-    if name == "circles":
-        raise PlanError("circles are driven open loop: steering at its limit leaves no room")
-    return Drill(name, tuple(_make_waves(_PROBING, 1.0, _PATTERNS[name] * 2)), True, box)
-
-
-def _check_name(name: str) -> None:
-    if name not in NAMES:
-        raise PlanError(f"plan {name!r}: one of {', '.join(NAMES)}")
+    raise ValueError(text if name == "circles" else f"{text}; or drive it with --closed")
 
 
 def make_closed_path(box: Box | None) -> str:
     """The lane keeper's path under a probe: a figure eight if the box has room, else a circle.
 
     Raises:
-        PlanError: the box is too small for either.
+        ValueError: the box is too small for either.
     """
     if box is None:
         return f"figure8:radius={PROBE_RADIUS}"
@@ -340,19 +318,25 @@ def make_closed_path(box: Box | None) -> str:
     if half / 2.0 >= CIRCLE_RADIUS:
         return f"circle:radius={half / 2.0:g}"
     side = 2.0 * (2.0 * CIRCLE_RADIUS + _MARGIN)
-    raise PlanError(f"a probe on top of the lane keeper needs a box of {side:.1f} m")
+    raise ValueError(f"a probe on top of the lane keeper needs a box of {side:.1f} m")
 
 
 def parse_drill(spec: str, car: Car[float], limits: Limits) -> Drill:
     """A drill from text such as `mixed;open;speed=2.5;box=8`.
 
+    Closed loop it is a probe: its steering is added to the lane keeper's, speeds are shares of its.
+
     Raises:
-        PlanError: it makes no sense.
+        ValueError: it makes no sense.
     """
     name, *rest = spec.split(";")
+    if name not in NAMES:
+        raise ValueError(f"plan {name!r}: one of {', '.join(NAMES)}")
     values = dict(part.partition("=")[::2] for part in rest)
     box = parse_box(values["box"]) if "box" in values else None
     if "closed" in values:
-        return make_closed_drill(name, box)
+        if name == "circles":
+            raise ValueError("circles are driven open loop: steering at its limit leaves no room")
+        return Drill(name, tuple(_make_waves(_PROBING, 1.0, _PATTERNS[name] * 2)), True, box)
     speed = float(values.get("speed", inf))
     return make_open_drill(name, car, limits, box, min(speed, limits.speed_max))
