@@ -47,6 +47,7 @@ TABLE = [
     (f"{SIM} --speed nan", 2, "--speed nan: more than 0 m/s"),
     (f"{SIM} --speed 30", 4, "--speed: speed = 30.0: above 20.0 m/s"),
     (f"{SIM} --rate 5", 2, "--rate 5", "20 to 1000 Hz"),
+    (f"{SIM} --rate 1001", 2, "--rate 1001", "20 to 1000 Hz"),
     (f"{SIM} --name 'Car One'", 2, "Car One"),
     ("run --sim --fast", 2, "--duration"),
     ("run --fast", 2, "--sim"),
@@ -62,6 +63,7 @@ TABLE = [
         (f"{command} --lab {{tmp}}", 4, "steerd keys")
         for command in ("run --sim", "watch", "status", "arm")
     ),
+    ("collect --sim --fast --box 0.5", 2, "needs a box of"),
     # what could not run is not installed
     ("service install --port /dev/vesc", 2, "a car needs --port and --mocap"),
     ("service install --sim --auto-arm", 2, "a service starts disarmed"),
@@ -92,6 +94,7 @@ TABLE = [
         for command in ("info", "replay", "identify", "diagnose")
     ),
     ("import {tmp}/drive.bag", 3, "does not exist"),
+    ("import {tmp}/run.db3.zstd", 3, "a ROS 2 bag folder"),
     ("import csv", 2, "takes one log"),
     ("import {tmp}/run.csv", 2, "needs a map"),
     ("import {tmp}/run.csv {tmp}/run.csv", 2, "takes one log, not 2"),
@@ -181,6 +184,7 @@ def full_place(place, log):
         shutil.copy(log / name, place)
     shutil.copy(log / "run.mcap", place / "drive.backup")
     (place / "sweep.toml").write_text('seeds = 2\nduration = 3.6\n[vary]\n"car.mass" = [3.0, 4.5]')
+    (place / "run.db3.zstd").write_bytes(b"(\xb5/\xfd")
     (place / "empty").mkdir()
     return place
 

@@ -107,22 +107,6 @@ def test_an_old_session_was_driven_on_its_car_file():
 OPTIONS = RunOptions(car_file="", path="line", speed=1.0)
 
 
-@pytest.mark.parametrize(
-    ("changes", "said", "code"),
-    [
-        ({"port": "/dev/ttyACM0", "rate_hz": 49.0}, "50 to 1000 Hz", ExitCode.USAGE),
-        ({"rate_hz": 1001.0}, "20 to 1000 Hz", ExitCode.USAGE),
-        ({"rate_hz": 19.0}, "20 to 1000 Hz", ExitCode.USAGE),
-        ({"drill": "mixed;open;box=0.5"}, "needs a box of", ExitCode.USAGE),
-    ],
-)
-def test_options_that_cannot_be_driven_are_refused(changes, said, code):
-    with pytest.raises(SteerdError) as error:
-        make_plan(replace(OPTIONS, **changes), design=False)
-    assert said in error.value.what
-    assert error.value.code == code
-
-
 def test_a_drills_box_becomes_the_fence():
     plan = make_plan(replace(OPTIONS, drill="mixed;open;speed=1;box=9"), design=False)
     assert plan.settings.thresholds.fence == parse_box("9").fence

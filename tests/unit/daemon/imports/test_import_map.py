@@ -53,6 +53,7 @@ def test_an_epoch_without_zone_is_utc_and_may_be_seconds():
         (POSE + '[frame]\nunits = "ft"', "expected m or mm"),
         (POSE + '[frame]\nup = "x"', "up axis"),
         ('[topics]\nposes = "/a"', "'poses' is none of"),
+        ("[vesc]\nerpm_gain = 0", "ERPM of 1 m/s"),
         ("a = " + "[" * 5000 + "]" * 5000, ""),
     ],
 )

@@ -1,7 +1,7 @@
-"""The session that an import writes: its name, its poses, and what commands say of it."""
+"""The session that an import writes: its name, its poses, and what breaks off."""
 
 import hashlib
-from math import radians
+from math import nan, radians
 
 import pytest
 
@@ -9,6 +9,7 @@ from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.imports import import_session
 from steerd.mocap_link.frame import FrameConfig
+from tests.csv_logs import import_log
 
 
 def test_the_output_s_name_is_checked(tmp_path):
@@ -34,26 +35,11 @@ def test_a_frame_moves_the_pose_from_the_body_to_the_centre_of_gravity():
     assert (pose.x, pose.y) == pytest.approx((0.15, 0.0))
 
 
-# What commands of driven sessions say of an imported one, and of one that breaks off.
-
-MAP = '[columns]\nt = "t"\nx = "x"\ny = "y"\nyaw = "yaw"\nsteer_cmd = "steer"\n'
-
-
-@pytest.fixture
-def imported(tmp_path, capsys):
-    rows = [f"{0.02 * i:.2f},{0.01 * i:.3f},0,0,{0.1 * (i % 9)}" for i in range(200)]
-    (tmp_path / "log.csv").write_text("t,x,y,yaw,steer\n" + "\n".join(rows) + "\n")
-    (tmp_path / "map.toml").write_text(MAP)
-    out = tmp_path / "log.mcap"
-    arguments = [str(tmp_path / "log.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(out)]
-    assert run_cli(["import", "csv", *arguments]) == 0
+@pytest.mark.parametrize("command", ["plot", "identify", "diagnose"])
+def test_a_session_that_breaks_off_is_warned_of(command, tmp_path, capsys):
+    rows = [(0.02 * i, 0.01 * i, 0.0, 0.0, 0.1 * (i % 9), nan) for i in range(200)]
+    session = import_log(tmp_path, rows)
+    session.write_bytes(session.read_bytes()[:-200])
     capsys.readouterr()
-    return out
-
-
-@pytest.mark.parametrize("argv", [("plot",), ("identify",), ("diagnose",)], ids=" ".join)
-def test_a_session_that_breaks_off_is_warned_of(argv, imported, tmp_path, capsys):
-    broken = tmp_path / "broken.mcap"
-    broken.write_bytes(imported.read_bytes()[:-200])
-    run_cli([*argv, str(broken)])
-    assert "warning: " in capsys.readouterr().err.replace("broken.mcap: ", "")
+    run_cli([command, str(session)])
+    assert "warning: " in capsys.readouterr().err.replace(f"{session.name}: ", "")
