@@ -1,6 +1,6 @@
 """A car file as settings: each section is checked by the room that uses it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from math import pi, radians
@@ -116,7 +116,7 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
     """
     _check_sections(car_file)
     read = partial(_read, car_file)
-    scaling = read("vesc", lambda table: _convert(_split(table)[1], Scaling))
+    scaling = read("vesc", lambda table: _convert(table, Scaling, _names(BrakeSettings)))
     frame, noise = read("mocap", read_frame), read("estimator", load_filter_config)
     usual = GateConfig()
     gates = replace(
@@ -124,18 +124,16 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
         jump_slack=max(usual.jump_slack, JUMP_SDS * noise.pose_position_sd),
         yaw_slack=max(usual.yaw_slack, JUMP_SDS * noise.pose_yaw_sd),
     )
-    safety = read("safety", dict)
-    deadman = bool(safety.pop("deadman", True))
     settings = Settings(
         file=car_file,
         scaling=scaling,
-        brakes=read("vesc", lambda table: _convert(_split(table)[0], BrakeSettings)),
+        brakes=read("vesc", lambda table: _convert(table, BrakeSettings, _names(Scaling))),
         ingest=IngestConfig(replace(frame, cog_ahead_of_rear=car_file.car.lr), gates),
         limits=read("limits", lambda table: _limits(car_file, scaling, table)),
         controller=_at_speed(car_file, speed),
         filter=noise,
-        thresholds=_make(car_file, "safety", lambda table: _convert(table, Thresholds), safety),
-        deadman=deadman,
+        thresholds=read("safety", lambda table: _convert(table, Thresholds, ("deadman",))),
+        deadman=bool(read("safety", dict).get("deadman", True)),
         record=read("record", lambda table: _convert(table, RecordSettings)),
     )
     _check_stop(car_file, settings.thresholds)
@@ -221,47 +219,37 @@ def _read(car_file: CarFile, name: str, make: Callable[[Mapping[str, Any]], S]) 
     table = car_file.sections.get(name, {})
     if not isinstance(table, Mapping):
         raise SteerdError(f"{car_file.path}: [{name}] must be a table")
-    return _make(car_file, name, make, table)
-
-
-def _make(
-    car_file: CarFile, name: str, make: Callable[[Mapping[str, Any]], S], table: Mapping[str, Any]
-) -> S:
     try:
         return make(table)
     except (ValueError, TypeError) as error:
         raise SteerdError(f"{car_file.path} [{name}]: {error}") from None
 
 
-def _split(table: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What `[vesc]` says of the brakes, and the rest of it."""
-    own = _names(BrakeSettings)
-    brakes = {name: value for name, value in table.items() if name in own}
-    return brakes, {name: value for name, value in table.items() if name not in own}
-
-
 def _at_speed(car_file: CarFile, speed: float | None) -> ControllerConfig:
     """The file's controller, at the cruise speed that was asked for beside it."""
-    table = {k: v for k, v in _read(car_file, "controller", dict).items() if k != "rate_hz"}
-    config = _make(car_file, "controller", load_controller_config, table)
+
+    def load(table: Mapping[str, Any]) -> ControllerConfig:
+        return load_controller_config({k: v for k, v in table.items() if k != "rate_hz"})
+
+    config = _read(car_file, "controller", load)
     if speed is None:
         return config
     with refusing("--speed: ", code=ExitCode.INVALID):
-        return load_controller_config({**table, "speed": speed})
+        return load({**car_file.sections.get("controller", {}), "speed": speed})
 
 
 def _names(cls: type[Any]) -> tuple[str, ...]:
     return tuple(f.name for f in fields(cls))
 
 
-def _convert(table: Mapping[str, Any], cls: type[S]) -> S:
-    """A table as a dataclass; numbers must be numbers, names must be known."""
-    known = _names(cls)
-    for name in table:
+def _convert(table: Mapping[str, Any], cls: type[S], others: Collection[str] = ()) -> S:
+    """A table as a dataclass; numbers must be numbers, names must be known, here or to `others`."""
+    known, own = _names(cls), {name: table[name] for name in table if name not in others}
+    for name in own:
         if name not in known:
             hint = did_you_mean(name, known) or f"known are {', '.join(known)}"
             raise ValueError(f"{name} is not a setting; {hint}")
-    return msgspec.convert(dict(table), cls)
+    return msgspec.convert(own, cls)
 
 
 FRAME_ANGLES = ("world_yaw", "mount_yaw")

@@ -15,6 +15,7 @@ from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import decode
 from steerd.steer_bus.session_read import open_session
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
+from steerd.sysid.data.dataset import read_run
 from tests.e2e.conftest import changes, replays
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
@@ -182,6 +183,27 @@ def test_poses_from_the_bus(undisturbed, capsys) -> None:
         run.send(signal.SIGINT)
         assert run.wait() == 0, run.text
         assert kept_its_lane(record, 0.05, capsys)
+
+    undisturbed(scenario)
+
+
+def test_a_plan_is_driven_and_its_session_identifies(undisturbed) -> None:
+    def scenario(steerd, folder):
+        port, url = steerd.sim(folder)
+        record = folder / "drive.mcap"
+        run = steerd("collect", "--listen", steerd.endpoint, "--record", record, "--port", port,
+                     "--mocap", url, "--plan", "steps", "--box", 14, "--duration", 4)  # fmt: skip
+        run.expect("READY")
+        _, go = arm_and_start(steerd)
+        assert run.wait() == 0, run.text
+        assert go.wait() == 0, go.text
+        assert "end of the run" in run.text
+        asked = open_session(record).columns(m.Actuation)
+        assert np.ptp(asked["steer"][asked["mode"] == m.ActuationMode.SPEED]) > 0.05
+        read = read_run(open_session(record))
+        assert read.duration > 2.5
+        assert read.servo_frame == 0.02
+        assert np.ptp(read.pose.values[:, 0]) > 1.0
 
     undisturbed(scenario)
 
