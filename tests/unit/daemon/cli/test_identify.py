@@ -70,6 +70,17 @@ def test_a_drive_becomes_a_car_file_json_and_report(session, tmp_path, capsys):
     assert "<svg" in (tmp_path / "r.html").read_text()
 
 
+@pytest.mark.filterwarnings("ignore")
+def test_processes_give_the_same_answer(session, tmp_path):
+    out, search = tmp_path / "o.json", "--method paper --starts 2 --iterations 2 --held-out 3"
+
+    def answer(more=""):
+        code = main(f"identify {session} {search} --json {out} {more}".split())
+        return code, json.loads(out.read_text())
+
+    assert answer("--jobs 2") == answer()
+
+
 @pytest.mark.parametrize("fixed", ["lf=0.15", "lf=0.15,lr=0.18"])
 def test_the_car_that_is_written_has_the_axles_that_were_fitted(fixed, session, tmp_path, capsys):
     args = ["--fix", fixed, "--wheelbase", "0.33", "--free", "lf,lr,steer_gain,steer_lag"]
@@ -190,13 +201,3 @@ def test_a_value_where_no_car_is_spoils_the_car_file_alone(monkeypatch, tmp_path
     assert f"{car} is not written: car.lf: expected a number >= 0.02" in said.err
     assert page.read_text() == "<html>"
     assert not car.exists()
-
-
-def test_processes_give_the_same_answer(session, tmp_path):
-    search = ["--method", "paper", "--starts", "2", "--iterations", "2", "--held-out", "3"]
-    found = []
-    for jobs in ("1", "2"):
-        out = tmp_path / f"{jobs}.json"
-        code = main(["identify", str(session), *search, "--jobs", jobs, "--json", str(out)])
-        found.append((code, json.loads(out.read_text())))
-    assert found[0] == found[1]
