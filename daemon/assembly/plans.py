@@ -270,13 +270,6 @@ def _scale_to_whole_turns(car: Car[float], segments: tuple[Segment, ...]) -> tup
     return tuple(s._replace(seconds=s.seconds * factor) for s in segments)
 
 
-def _is_inside(box: Box, extent: Box) -> bool:
-    """Whether a car that starts in the middle of the box, along x, stays inside."""
-    half_x, half_y = 0.5 * (box.x_max - box.x_min), 0.5 * (box.y_max - box.y_min)
-    far_x, far_y = max(-extent.x_min, extent.x_max), max(-extent.y_min, extent.y_max)
-    return far_x <= half_x and far_y <= half_y
-
-
 def make_open_drill(
     name: str, car: Car[float], limits: Limits, box: Box | None, speed: float
 ) -> Drill:
@@ -288,18 +281,18 @@ def make_open_drill(
     room = 1.0 + (SWING if name == "circles" else _swing_share(name))
     radius = _RADIUS_MARGIN * speed**2 * room / limits.lateral_accel_max
     smallest = wheelbase(car) / tan(min(limits.steer_left_max, limits.steer_right_max))
-    extent = Box(0.0, 0.0, 0.0, 0.0)
     while True:
         segments = _make_segments(name, car, limits, max(radius, smallest), speed)
         if box is None:
             return Drill(name, segments, False, None)
-        extent = forecast_extent(car, segments)
-        if _is_inside(box, extent):
+        reach = forecast_extent(car, segments)  # from the middle of the box, along x
+        far_x, far_y = max(-reach.x_min, reach.x_max), max(-reach.y_min, reach.y_max)
+        if 2.0 * far_x <= box.x_max - box.x_min and 2.0 * far_y <= box.y_max - box.y_min:
             return Drill(name, segments, False, box)
         if radius < smallest or name == "circles":
             break
         radius *= _SHRINK
-    side = 2.0 * (max(-extent.x_min, extent.x_max, -extent.y_min, extent.y_max))
+    side = 2.0 * max(far_x, far_y)
     text = f"plan {name} needs a box of {side:.1f} m, the car starting in its middle"
     raise ValueError(text if name == "circles" else f"{text}; or drive it with --closed")
 

@@ -228,7 +228,10 @@ def import_csv(
     topics = list(dict.fromkeys(_TOPICS[q] for q in the_map.columns if q in _TOPICS))
     with open_table(source) as file:
         table = CsvTable(source.name, file, {spec.column for spec in the_map.columns.values()})
-        the_map, timed = _raise_epoch(the_map, _add_times(table, the_map, notes, advance))
+        timed = _add_times(table, the_map, notes, advance)
+        if first := next(timed, None):  # a session's stamps are not negative: no time before 1970
+            the_map = replace(the_map, epoch_ns=max(the_map.epoch_ns, -first[0]))
+            timed = itertools.chain([first], timed)
         samples = _samples(table, timed, the_map, notes)
         return write_import(out, source, the_map, topics, samples, notes)
 
@@ -246,7 +249,8 @@ def _add_times(
         if abs(t + the_map.epoch_ns / NS) > _INT32_MAX:
             hint = "scale = 0.001 in the map for milliseconds, 1e-9 for nanoseconds"
             table.fail(f"{t:g} s is no time", hint, column)
-        t_ns = _nanoseconds(t)
+        whole = math.floor(t)  # separately, so that UNIX seconds lose no digit
+        t_ns = whole * NS + round((t - whole) * NS)
         if last_ns is not None and t_ns < last_ns:
             what = f"time goes back by {(last_ns - t_ns) / NS:g} s after row {last_row}"
             table.fail(what, "sort the rows, or import each run by itself", column)
@@ -254,20 +258,6 @@ def _add_times(
             notes["rows repeat the time of the row before"] += 1
         last_ns, last_row = t_ns, table.row
         yield t_ns, values
-
-
-def _nanoseconds(t: float) -> int:
-    whole = math.floor(t)  # separately, so that UNIX seconds lose no digit
-    return whole * NS + round((t - whole) * NS)
-
-
-def _raise_epoch(the_map: ImportMap, timed: Iterator[_Timed]) -> tuple[ImportMap, Iterator[_Timed]]:
-    """Raise the epoch if the log begins before 1970: a session's stamps are not negative."""
-    first = next(timed, None)
-    if first is None:
-        return the_map, timed
-    epoch_ns = max(the_map.epoch_ns, -first[0])
-    return replace(the_map, epoch_ns=epoch_ns), itertools.chain([first], timed)
 
 
 def _samples(

@@ -84,14 +84,9 @@ def guess_scale(quantity: str, values: NDArray[np.float64]) -> float:
         return next((scale for low, scale in _TICKS if step > low), 1.0)
     _, most, scale = _QUANTITIES[quantity]
     worst = float(np.quantile(np.abs(values), 0.99))
-    turns = quantity == "yaw" and worst > 1.1 * pi and _is_wrapped(values, 180.0)
-    return scale if worst > most or turns else 1.0
-
-
-def _is_wrapped(values: NDArray[np.float64], half: float) -> bool:
-    """Whether an angle jumps by a whole turn of that size."""
     jumps = np.abs(np.diff(values))
-    return bool(np.any((jumps > 1.9 * half) & (jumps < 2.0 * half)))
+    turns = np.any((jumps > 0.95 * 360.0) & (jumps < 360.0))  # a heading in degrees is wrapped
+    return scale if worst > most or (quantity == "yaw" and worst > 1.1 * pi and turns) else 1.0
 
 
 def change(proposal: Proposal, line: str) -> str:

@@ -139,7 +139,11 @@ def effects(args: Namespace) -> None:
     minute and a C compiler (`pip install ziglang`).
     """
     if args.add or args.remove:
-        _change(args)
+        from steerd.daemon.setup.own_effect import add_effect, remove_effect
+
+        with show_progress("compiling the equations", 1.0):
+            names = add_effect(args.add) if args.add else remove_effect(args.remove)
+        print(f"added: {', '.join(names)}; try: steerd effects {names[0]}" if names else "removed")
         return
     from steerd.car_model.effects import EFFECTS
     from steerd.daemon.analysis import effects_text
@@ -154,11 +158,3 @@ def effects(args: Namespace) -> None:
         print(effects_text.make_page(), end="")
     else:
         print(effects_text.format_effect(named[0]) if named else effects_text.format_table())
-
-
-def _change(args: Namespace) -> None:
-    from steerd.daemon.setup.own_effect import add_effect, remove_effect
-
-    with show_progress("compiling the equations", 1.0):
-        names = add_effect(args.add) if args.add else remove_effect(args.remove)
-    print(f"added: {', '.join(names)}; try: steerd effects {names[0]}" if names else "removed")

@@ -104,7 +104,8 @@ def diagnose_arguments(parser: ArgumentParser) -> None:
     option(what, "--base", "CAR.toml", text, arguments.missing_car, type=Path)
     option(what, "--car", None, SUPPRESS, dest="base", type=Path)
     text = "drives of the same car without the gap: they determine how large noise is"
-    more: dict[str, Any] = {"type": arguments.split_paths, "action": "extend", "default": []}
+    more: dict[str, Any] = {"type": lambda t: [*map(Path, split_list(t))], "action": "extend"}
+    more["default"] = []
     option(what, "--healthy", "FILE,…", text, arguments.missing_session, **more)
     option(what, "--only", "EFFECT", "look at this one (repeat)", action="append")
     option(what, "--without", "EFFECT", "leave it out (repeat)", action="append")
