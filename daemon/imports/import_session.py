@@ -107,7 +107,7 @@ def write_import(
         writer = SessionWriter(
             out,
             {names[topic.name]: topic.message for topic in topics},
-            {"steerd.session": _describe(source, the_map), **_scaling(the_map)},
+            _make_metadata(source, the_map),
             {"map.toml": the_map.text.encode()},
             the_map.epoch_ns,
         )
@@ -133,8 +133,9 @@ def write_import(
     return ImportReport(out, counts, tuple(f"{count} {what}" for what, count in notes.items()))
 
 
-def _describe(source: Path, the_map: ImportMap) -> dict[str, str]:
-    return {
+def _make_metadata(source: Path, the_map: ImportMap) -> dict[str, dict[str, str]]:
+    """Where the session is from, and what the log's electrical rpm mean where somebody said so."""
+    about = {
         "mode": "import",
         "car": the_map.car,
         "source": source.name,
@@ -143,14 +144,9 @@ def _describe(source: Path, the_map: ImportMap) -> dict[str, str]:
         "comment": the_map.comment,
         "steerd_version": VERSION,
     }
-
-
-def _scaling(the_map: ImportMap) -> dict[str, dict[str, str]]:
-    """What the log's electrical rpm mean, where somebody said so."""
-    if the_map.vesc is None:
-        return {}
-    gain, offset = the_map.vesc.erpm_gain, the_map.vesc.erpm_offset
-    return {"steerd.scaling": {"erpm_gain": repr(gain), "erpm_offset": repr(offset)}}
+    spec = the_map.vesc
+    scaling = {n: repr(getattr(spec, n)) for n in ("erpm_gain", "erpm_offset")} if spec else {}
+    return {"steerd.session": about} | ({"steerd.scaling": scaling} if scaling else {})
 
 
 @dataclass

@@ -112,9 +112,13 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
     """The settings of a car file that was read.
 
     Raises:
-        SteerdError: a section holds an unknown key or an invalid value, or two contradict.
+        SteerdError: a section or a key is mistyped, a value is invalid, or two contradict.
     """
-    _check_sections(car_file)
+    for name in car_file.sections:  # one that is named nearly as another: its limits would not hold
+        near = find_near(name, _SECTIONS)
+        if name not in _SECTIONS and near:
+            what = f"{car_file.path}: [{name}] is not a section that steerd reads"
+            raise SteerdError(what, f"did you mean [{near}]?")
     read = partial(_read, car_file)
     scaling = read("vesc", lambda table: _convert(table, Scaling, _names(BrakeSettings)))
     frame, noise = read("mocap", read_frame), read("estimator", load_filter_config)
@@ -152,20 +156,7 @@ _SECTIONS = (
     "car", "effects", "vesc", "mocap", "limits", "controller", "estimator", "record", "safety",
     "noise", "knowledge",
 )  # fmt: skip
-"""Sections that some room reads."""
-
-
-def _check_sections(car_file: CarFile) -> None:
-    """Refuse a section whose name is nearly that of another: its limits would not hold.
-
-    Raises:
-        SteerdError: a name is mistyped; other sections are a reader's own and stay.
-    """
-    for name in car_file.sections:
-        near = find_near(name, _SECTIONS)
-        if name not in _SECTIONS and near:
-            what = f"{car_file.path}: [{name}] is not a section that steerd reads"
-            raise SteerdError(what, f"did you mean [{near}]?")
+"""Sections that some room reads; others are a reader's own and stay."""
 
 
 def _check_stop(car_file: CarFile, thresholds: Thresholds) -> None:
