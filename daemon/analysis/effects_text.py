@@ -3,11 +3,13 @@
 import shutil
 import sys
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 from steerd.car_model.effect import Effect, EffectParameter, Stage
 from steerd.car_model.effects import EFFECTS
 from steerd.daemon.common.screen import wrap, wrap_command
+from steerd.sysid.report.page import render_page
 
 _STAGES = {
     Stage.COMMAND: "from the command to the actuators' aim",
@@ -83,58 +85,21 @@ def _example(effect: Effect) -> str:
 
 def make_json(effects: Iterable[Effect]) -> dict[str, Any]:
     """The effects as JSON values."""
-    return {
-        "schema": "steerd.effects/1",
-        "effects": [
-            {
-                **{
-                    key: getattr(effect, key)
-                    for key in ("name", "stage", "family", "summary", "equation")
-                },
-                "aliases": list(effect.aliases),
-                "parameters": [
-                    {key: each for key, each in p._asdict().items() if key != "role"}
-                    for p in effect.parameters
-                ],
-            }
-            for effect in effects
-        ],
-    }
+    keys = ("name", "stage", "family", "summary", "equation")
+    described = [
+        {
+            **{key: getattr(effect, key) for key in keys},
+            "aliases": list(effect.aliases),
+            "parameters": [
+                {key: each for key, each in p._asdict().items() if key != "role"}
+                for p in effect.parameters
+            ],
+        }
+        for effect in effects
+    ]
+    return {"schema": "steerd.effects/1", "effects": described}
 
 
 def make_page() -> str:
     """The page `docs/reference/effects.md`."""
-    lines = [_HEAD]
-    for stage, effects in by_stage().items():
-        lines += [f"## `{stage}`: {_STAGES[stage]}", ""]
-        lines += ["| effect | what it is | equation | parameter | null, range | usual |"]
-        lines += ["|---|---|---|---|---|---|"]
-        for effect in effects:
-            equation = effect.equation.replace("|", "\\|")
-            head = f"`{effect.name}` | {effect.summary} | {equation}"
-            for index, p in enumerate(effect.parameters):
-                cells = f"`{p.name}` | {p.null:g}, {p.low:g}..{p.high:g} | {p.scale:g} {p.unit}"
-                lines.append(f"| {'| |' if index else head} | {cells} |")
-        lines.append("")
-    return "\n".join(lines)
-
-
-_HEAD = """# Unmodelled effects
-
-What a car does beyond the base equations of `car_model/single_track.py`. The same value is switched
-on in a simulation, fitted in the diagnosis, kept in a car file's `[effects]` and named in a report:
-
-```
-steerd effects                                # this list
-steerd effects steer_backlash                 # one of them, with its other names
-steerd run --sim --fast --duration 20 --effect steer_delay=0.03
-```
-
-Several parameters go in order (`floor_slope=0.005,0.002`) or by name (`grip_patch:x=2,drop=0.3`);
-what is not given stays at its null, where an effect changes nothing, bit for bit. "Usual" is
-ordinary on a car of this class. Each effect is a page in its family's file in
-`car_model/effects/`; `steerd effects --page` writes this one.
-
-Roll, pitch and the split between left and right wheels appear only through their effect on the
-axles. [Some effects](diagnosis.md#g2) are not distinguishable on a drive.
-"""
+    return render_page(Path(__file__).with_name("effects.md"), stages=by_stage(), words=_STAGES)

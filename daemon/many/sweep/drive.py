@@ -17,7 +17,14 @@ from steerd.daemon.analysis.simulation import plan_drive
 from steerd.daemon.assembly.build import NS, RunPlan, make_world_config
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.many.sweep.plan import DRIVEN, REFUSED, STOPPED, DriveCase, SweepPlan
+from steerd.daemon.many.sweep.plan import (
+    DRIVEN,
+    INSTRUMENTS,
+    REFUSED,
+    STOPPED,
+    DriveCase,
+    SweepPlan,
+)
 from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
 from steerd.daemon.sessions.motion import SETTLE, rms
 from steerd.sim_hw.world import World, WorldConfig
@@ -70,21 +77,13 @@ def _list_effects(values: Mapping[str, float | str]) -> dict[str, dict[str, floa
 
 def _vary_instruments(config: WorldConfig, values: Mapping[str, float | str]) -> WorldConfig:
     """The simulated hardware with the drawn noise and delays."""
-    given = {name: float(v) for name, v in values.items() if not isinstance(v, str)}
-
-    def pick(device: str, *names: str) -> dict[str, Any]:
-        return {name: given[f"{device}.{name}"] for name in names if f"{device}.{name}" in given}
-
-    mocap = pick("mocap", "position_noise", "yaw_noise")
-    vesc = pick("vesc", "erpm_noise", "gyro_noise")
-    if "mocap.latency" in given:
-        later = round(given["mocap.latency"] * NS) - config.mocap.software_ns
-        mocap |= {"camera_ns": max(later, 0)}
-    if "mocap.jitter" in given:
-        mocap |= {"jitter_ns": round(given["mocap.jitter"] * NS)}
-    if "vesc.reply_delay" in given:
-        vesc |= {"reply_delay_ns": round(given["vesc.reply_delay"] * NS)}
-    return replace(config, mocap=replace(config.mocap, **mocap), vesc=replace(config.vesc, **vesc))
+    for quantity in (each for each in INSTRUMENTS if each.name in values):
+        name, (first, *others) = quantity.name.partition(".")[0], quantity.fields
+        device, value = getattr(config, name), float(values[quantity.name])
+        if first.endswith("_ns"):
+            value = max(round(value * NS) - sum(getattr(device, each) for each in others), 0)
+        config = replace(config, **{name: replace(device, **{first: value})})
+    return config
 
 
 class Seen:

@@ -101,17 +101,10 @@ def _rank_cell(s: Sensitivity | None) -> Cell:
 
 def _describe(choice: Choice) -> str:
     """A list or a distribution in a few words."""
-    if not isinstance(choice, Distribution):
-        shown = ", ".join(clean(str(value), 24) for value in choice[:_VALUES])
-        return shown + (", …" if len(choice) > _VALUES else "")
-    one, other = f"{choice.one:.4g}", f"{choice.other:.4g}"
-    match choice.shape:
-        case "normal":
-            return f"{one} ± {other}"
-        case "log_normal":
-            return f"{one}, factor {other}"
-        case shape:
-            return f"{one} to {other}" + (" (logarithmic)" if shape == "log_uniform" else "")
+    if isinstance(choice, Distribution):
+        return str(choice)
+    shown = ", ".join(clean(str(value), 24) for value in choice[:_VALUES])
+    return shown + (", …" if len(choice) > _VALUES else "")
 
 
 def _scaled(rows: Rows, name: str) -> np.ndarray:

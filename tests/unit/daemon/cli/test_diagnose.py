@@ -10,7 +10,7 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.analysis.diagnosis import DiagnoseOptions, Diagnosis, make_case
-from steerd.daemon.analysis.options import read_arguments
+from steerd.daemon.analysis.options import Watch, read_arguments
 from steerd.daemon.cli.main import run_cli as main
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.screen import WIDTH
@@ -138,7 +138,7 @@ def test_options_that_make_no_sense(options, code, words, diagnosed, tmp_path, m
 def case_of(*words):
     args = make_parser("diagnose").parse_args([str(word) for word in words])
     options = read_arguments(DiagnoseOptions, args)
-    return make_case([Path(p) for p in args.sessions], options, lambda _: None, lambda _: None)[1]
+    return make_case([Path(p) for p in args.sessions], options, Watch())[1]
 
 
 @pytest.fixture(scope="module")
