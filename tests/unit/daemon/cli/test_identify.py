@@ -70,6 +70,17 @@ def test_a_drive_becomes_a_car_file_json_and_report(session, tmp_path, capsys):
     assert "<svg" in (tmp_path / "r.html").read_text()
 
 
+@pytest.mark.filterwarnings("ignore")
+def test_processes_give_the_same_answer(session, tmp_path):
+    out, search = tmp_path / "o.json", "--method paper --starts 2 --iterations 2 --held-out 3"
+
+    def answer(more=""):
+        code = main(f"identify {session} {search} --json {out} {more}".split())
+        return code, json.loads(out.read_text())
+
+    assert answer("--jobs 2") == answer()
+
+
 @pytest.mark.parametrize("fixed", ["lf=0.15", "lf=0.15,lr=0.18"])
 def test_the_car_that_is_written_has_the_axles_that_were_fitted(fixed, session, tmp_path, capsys):
     args = ["--fix", fixed, "--wheelbase", "0.33", "--free", "lf,lr,steer_gain,steer_lag"]
