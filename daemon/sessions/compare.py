@@ -199,28 +199,15 @@ _SHOWN = ("lateral error e1", "heading error e2", *_MOTION)
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
-    """A quantity of two drives on one axis of time; NaN where a drive has none of it."""
-
-    title: str
-    unit: str
-    first: Array  # (n,) values of the first drive; second: of the second
-    second: Array
-
-    @property
-    def difference(self) -> Array:
-        """Second minus first."""
-        return self.second - self.first
-
-
-@dataclass(frozen=True, eq=False)
 class Overlay:
     """Two drives over the time that they share."""
 
     t: Array  # since the first one's start (n,) [s]
     shift: float  # by which the second one comes later [s]
     found: bool  # whether that was found, not given
-    pairs: tuple[Pair, ...]  # the quantities that both have
+    # Quantities that both have, by title and unit: of the first drive, of the second and the second
+    # minus the first (n,); NaN where a drive has none
+    pairs: dict[str, tuple[Array, Array, Array]]
 
 
 def find_shift(first: Sequence[Array], second: Sequence[Array]) -> float:
@@ -283,11 +270,11 @@ def overlay(first: Recording, second: Recording, shift: float | None = None) -> 
         what = f"shifted by {at:g} s the drives have no time in common"
         hint = f"they last {lengths[0]:.1f} s and {lengths[1]:.1f} s"
         raise SteerdError(what, hint, ExitCode.USAGE)
-    pairs = (
-        Pair(title, panels[0][title].unit, _sample(one, t), _sample(other, t - at))
-        for title, (one, other) in curves.items()
-    )
-    return Overlay(t, at, shift is None, tuple(pairs))
+    pairs = {}
+    for title, curve in curves.items():
+        one, other = _sample(curve[0], t), _sample(curve[1], t - at)
+        pairs[f"{title} [{panels[0][title].unit}]"] = one, other, other - one
+    return Overlay(t, at, shift is None, pairs)
 
 
 def _pick(first: Sequence[Curve], second: Sequence[Curve]) -> tuple[Curve, Curve]:
@@ -311,7 +298,7 @@ def compare_over_time(found: Overlay, names: Sequence[str]) -> Section:
         "Over the same time",
         f"{names[1]} is shown {abs(found.shift):.2f} s {when}, {where}; {common:.1f} s are "
         f"common to both. The difference is {names[1]} minus {names[0]}.",
-        table=Table(heads, [row for pair in found.pairs for row in _pair_rows(pair)]),
+        table=Table(heads, list(_pair_rows(found))),
         figures=[
             Diagrams(
                 lambda *axes: _plot_pairs(axes, found),
@@ -323,24 +310,25 @@ def compare_over_time(found: Overlay, names: Sequence[str]) -> Section:
     )
 
 
-def _pair_rows(pair: Pair) -> Iterator[list[str]]:
-    one, other, off = (v[np.isfinite(pair.difference)] for v in (pair.first, pair.second,
-                                                                 pair.difference))  # fmt: skip
-    if off.size:
-        figures = (rms(one), rms(other), float(off.mean()), rms(off), float(np.abs(off).max()))
-        yield [f"{pair.title} [{pair.unit}]", *(f"{value:z.3f}" for value in figures)]
+def _pair_rows(found: Overlay) -> Iterator[list[str]]:
+    for title, values in found.pairs.items():
+        one, other, off = (each[np.isfinite(values[2])] for each in values)
+        if off.size:
+            figures = (rms(one), rms(other), float(off.mean()), rms(off), float(np.abs(off).max()))
+            yield [title, *(f"{value:z.3f}" for value in figures)]
 
 
 def _plot_pairs(axes: Sequence[Axes], found: Overlay) -> None:
     """Both curves, then their difference; two diagrams for each quantity."""
     step = max(1, len(found.t) // POINTS_MAX)
     t = found.t[::step]
-    for both, off, pair in zip(axes[::2], axes[1::2], found.pairs, strict=True):
-        for values, colour in zip((pair.first, pair.second), LINES, strict=False):
+    for both, off, title in zip(axes[::2], axes[1::2], found.pairs, strict=True):
+        *drives, difference = found.pairs[title]
+        for values, colour in zip(drives, LINES, strict=False):
             both.plot(t, values[::step], color=colour, lw=1.1)
-        off.plot(t, pair.difference[::step], color=INK, lw=0.9)
-        both.set(title=f"{pair.title} [{pair.unit}]", xlabel="time [s]")
-        off.set(title=f"difference of the {pair.title} [{pair.unit}]", xlabel="time [s]")
-        least = LEAST_SHARE * np.nanmax(np.abs(pair.first))
+        off.plot(t, difference[::step], color=INK, lw=0.9)
+        both.set(title=title, xlabel="time [s]")
+        off.set(title=f"difference of the {title}", xlabel="time [s]")
+        least = LEAST_SHARE * np.nanmax(np.abs(drives[0]))
         low, high = off.get_ylim()
         off.set_ylim(min(low, -least), max(high, least))  # what differs by rounding looks so
