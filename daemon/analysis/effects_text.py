@@ -102,4 +102,6 @@ def make_json(effects: Iterable[Effect]) -> dict[str, Any]:
 
 def make_page() -> str:
     """The page `docs/reference/effects.md`."""
-    return render_page(Path(__file__).with_name("effects.md"), stages=by_stage(), words=_STAGES)
+    return render_page(
+        Path(__file__).with_name("effects.md.jinja"), stages=by_stage(), words=_STAGES
+    )
