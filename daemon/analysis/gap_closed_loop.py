@@ -127,7 +127,8 @@ def _lane_drive(rows: Rows, plan: RunPlan) -> LaneDrive | None:
     rows = rows[rows[:, 0] >= rows[0, 0] + SETTLE] if len(rows) else rows
     if len(rows) < 2 or np.ptp(rows[:, 0]) < SHORTEST:
         return None
-    return LaneDrive(*rows.T, float(plan.path.length))
+    t, s, e1, e2, steer = rows.T
+    return LaneDrive(t, s, e1, e2, steer, float(plan.path.length))
 
 
 def _simulated(
