@@ -19,7 +19,6 @@ from steerd.daemon.analysis.finding import Finding
 from steerd.daemon.analysis.hints import complete, name_all, refusing, simulate_with
 from steerd.daemon.analysis.options import (
     CarSource,
-    HeldOut,
     HeldOutSource,
     SessionSources,
     Speed,
@@ -186,7 +185,14 @@ def make_case(
     if only and not set(only) - set(without):
         raise SteerdError("only and without leave no effect", "", ExitCode.USAGE)
     sessions = without_reserved(paths, held_out.files, "diagnose")
-    _check(held_out, sessions, quiet)
+    for path in held_out.files:  # opened later, but its absence is reported at once
+        if not path.is_file():
+            raise SteerdError(f"{path} does not exist", "", ExitCode.UNREADABLE)
+    refuse_copies(quiet)
+    for path in quiet:
+        if any(is_same(path, each) for each in (*sessions, *held_out.files)):
+            what = f"healthy {path} is one of the drives to explain: its gap would pass for noise"
+            raise SteerdError(what, "name a drive without the gap", ExitCode.USAGE)
     drives = load_drives(
         sessions, options.speed, watch, lambda share: watch.progress(LOADED * share)
     )
@@ -214,17 +220,6 @@ def make_case(
         ),
         base,
     )
-
-
-def _check(held_out: HeldOut, sessions: Sequence[Path], quiet: Sequence[Path]) -> None:
-    for path in held_out.files:  # opened later, but its absence is reported at once
-        if not path.is_file():
-            raise SteerdError(f"{path} does not exist", "", ExitCode.UNREADABLE)
-    refuse_copies(quiet)
-    for path in quiet:
-        if any(is_same(path, each) for each in (*sessions, *held_out.files)):
-            what = f"healthy {path} is one of the drives to explain: its gap would pass for noise"
-            raise SteerdError(what, "name a drive without the gap", ExitCode.USAGE)
 
 
 def find_base(

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import Effect, Stage
 from steerd.car_model.effects import EFFECTS
 from steerd.daemon.common.screen import wrap, wrap_command
 from steerd.sysid.report.page import render_page
@@ -36,22 +36,16 @@ def format_table(width: int | None = None) -> str:
     for stage, effects in by_stage().items():
         lines.append(f"{stage}: {_STAGES[stage]}")
         for effect in effects:
-            parameters = _brief(effect.parameters)
+            parameters = ", ".join(p.name for p in effect.parameters)
+            if len(effect.parameters) == 1:  # the others' ranges are elsewhere
+                (p,) = effect.parameters
+                unit = "" if p.unit == "1" else p.unit
+                parameters = f"{p.name} {p.null:g} ({p.low:g} to {p.high:g}) {unit}".rstrip()
             line = f"  {effect.name:<{_NAME - 2}}{parameters:<{_PARAMETERS}}"
             lines.append((line + effect.equation if equations else line).rstrip())
     lines += ["`steerd effects NAME` shows one and its equation;"]
     lines += ["`--effect NAME=VALUE` switches one on in a simulation."]
     return "\n".join(lines)
-
-
-def _brief(parameters: Iterable[EffectParameter]) -> str:
-    """Parameters as `null (low..high) unit`; several by their names, whose ranges are elsewhere."""
-    parameters = list(parameters)
-    if len(parameters) > 1:
-        return ", ".join(p.name for p in parameters)
-    (p,) = parameters
-    unit = "" if p.unit == "1" else p.unit
-    return f"{p.name} {p.null:g} ({p.low:g} to {p.high:g}) {unit}".rstrip()
 
 
 def format_effect(effect: Effect) -> str:
@@ -70,17 +64,12 @@ def format_effect(effect: Effect) -> str:
         numbers = f"{p.null:>6g}{p.low:>7g}{p.high:>7g}{p.scale:>7g}"
         head = f"  {p.name:<12}{numbers}  {p.unit:<7}  "
         lines += wrap(p.meaning, head, " " * len(head))
-    example = f"steerd run --sim --fast --duration 20 --effect {_example(effect)}"
+    moved = [min(max(p.null + p.scale, p.low), p.high) for p in effect.parameters]
+    for i, p in enumerate(effect.parameters):
+        moved[i] = moved[i] if moved[i] != p.null else p.null - p.scale
+    values = ",".join(f"{value:g}" for value in moved)
+    example = f"steerd run --sim --fast --duration 20 --effect {effect.name}={values}"
     return "\n".join([*lines, "", *wrap_command(example, "  try: ", "       ")])
-
-
-def _example(effect: Effect) -> str:
-    values = [min(max(p.null + p.scale, p.low), p.high) for p in effect.parameters]
-    moved = [
-        v if v != p.null else p.null - p.scale
-        for v, p in zip(values, effect.parameters, strict=True)
-    ]
-    return f"{effect.name}={','.join(f'{value:g}' for value in moved)}"
 
 
 def make_json(effects: Iterable[Effect]) -> dict[str, Any]:

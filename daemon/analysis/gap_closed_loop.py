@@ -5,8 +5,8 @@ exchanged. The noise of the simulated hardware is another than that of a simulat
 """
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -50,7 +50,18 @@ def compare_lane(session: Session, base: CarFile, found: Values) -> LaneComparis
             is refused now.
     """
     options, name = _options_of(session), session.info().path.name
-    with _planned(session, options) as plan:
+    try:
+        settings = make_settings(read_session_car(session), options.speed)
+    except (SessionError, CarFileError) as error:
+        raise SteerdError(f"its car file cannot be used ({error})") from None
+    with ExitStack() as stack:
+        try:  # the file that its path names comes from the session itself
+            path = stack.enter_context(recorded_path(session, options.path))
+        except SessionError:
+            raise SteerdError("its path file is not in the session") from None
+        plan = make_plan(
+            replace(options, path=path), replace(settings, brakes=replace(settings.brakes, uuid=""))
+        )
         for topic in session.info().topics:
             if find_topic(topic.name) is topics.PARAMETERS:
                 said = [record.decode() for record in session.messages(topic.name)]
@@ -71,22 +82,6 @@ def compare_lane(session: Session, base: CarFile, found: Values) -> LaneComparis
     known = options.path == RunOptions.path or (file and not Path(file).is_file())
     again = f"{'' if known else f'--path {shlex.quote(options.path)} '}--speed {options.speed:g}"
     return LaneComparison(recorded, without, other, name, again, tuple(remarks))
-
-
-@contextmanager
-def _planned(session: Session, options: RunOptions) -> Iterator[RunPlan]:
-    """The session's plan; the file that its path names comes from the session itself."""
-    try:
-        settings = make_settings(read_session_car(session), options.speed)
-        settings = replace(settings, brakes=replace(settings.brakes, uuid=""))
-    except (SessionError, CarFileError) as error:
-        raise SteerdError(f"its car file cannot be used ({error})") from None
-    with ExitStack() as stack:
-        try:
-            spec = stack.enter_context(recorded_path(session, options.path))
-        except SessionError:
-            raise SteerdError("its path file is not in the session") from None
-        yield make_plan(replace(options, path=spec), settings)
 
 
 def _options_of(session: Session) -> RunOptions:

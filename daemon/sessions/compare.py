@@ -294,11 +294,17 @@ def compare_over_time(found: Overlay, names: Sequence[str]) -> Section:
     when, common = "later" if found.shift >= 0.0 else "earlier", found.t[-1] - found.t[0]
     heads = ["", f"{names[0]}: RMS", f"{names[1]}: RMS", "difference: mean",
              "difference: RMS", "difference: largest"]  # fmt: skip
+    rows = []
+    for title, values in found.pairs.items():
+        one, other, off = (each[np.isfinite(values[2])] for each in values)
+        if off.size:
+            figures = (rms(one), rms(other), float(off.mean()), rms(off), float(np.abs(off).max()))
+            rows.append([title, *(f"{value:z.3f}" for value in figures)])
     return Section(
         "Over the same time",
         f"{names[1]} is shown {abs(found.shift):.2f} s {when}, {where}; {common:.1f} s are "
         f"common to both. The difference is {names[1]} minus {names[0]}.",
-        table=Table(heads, list(_pair_rows(found))),
+        table=Table(heads, rows),
         figures=[
             Diagrams(
                 lambda *axes: _plot_pairs(axes, found),
@@ -308,14 +314,6 @@ def compare_over_time(found: Overlay, names: Sequence[str]) -> Section:
             )
         ],
     )
-
-
-def _pair_rows(found: Overlay) -> Iterator[list[str]]:
-    for title, values in found.pairs.items():
-        one, other, off = (each[np.isfinite(values[2])] for each in values)
-        if off.size:
-            figures = (rms(one), rms(other), float(off.mean()), rms(off), float(np.abs(off).max()))
-            yield [title, *(f"{value:z.3f}" for value in figures)]
 
 
 def _plot_pairs(axes: Sequence[Axes], found: Overlay) -> None:

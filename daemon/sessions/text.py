@@ -137,7 +137,13 @@ def _topics(report: SessionReport) -> list[str]:
         )
         for t in shown
     ]  # fmt: skip
-    lines = [f"  {line}" for line in format_table(_fit_width(rows))]
+    # At most `WIDTH` columns wide: names and types are cut before figures are.
+    heads = ("topic", "type", "messages", "rate", "gaps")
+    name, kind, *figures = (max(map(len, column)) for column in zip(heads, *rows, strict=True))
+    room = max(WIDTH - 2 * len(heads) - sum(figures), _NAME_MIN + _TYPE_MIN)
+    name = min(name, _NAME_MAX, room - _TYPE_MIN)
+    cells = [(cut(row[0], name), cut(row[1], min(kind, room - name)), *row[2:]) for row in rows]
+    lines = [f"  {line}" for line in format_table(Table(heads, cells, words=(1, 4)))]
     more = len(report.topics) - len(shown)
     if more:
         lines.append(f"  … and {more} topics more (--json lists them)")
@@ -145,16 +151,6 @@ def _topics(report: SessionReport) -> list[str]:
         names = ", ".join(_short(name) for name in report.empty_topics[:EMPTY_SHOWN])
         lines += wrap(names, "  no messages: ", "    ")
     return lines
-
-
-def _fit_width(rows: Sequence[tuple[str, ...]]) -> Table:
-    """The table at most `WIDTH` columns wide; names and types are cut before figures are."""
-    heads = ("topic", "type", "messages", "rate", "gaps")
-    name, kind, *figures = (max(map(len, column)) for column in zip(heads, *rows, strict=True))
-    room = max(WIDTH - 2 * len(heads) - sum(figures), _NAME_MIN + _TYPE_MIN)
-    name = min(name, _NAME_MAX, room - _TYPE_MIN)
-    kind = min(kind, room - name)
-    return Table(heads, [(cut(r[0], name), cut(r[1], kind), *r[2:]) for r in rows], words=(1, 4))
 
 
 def _short(name: str) -> str:

@@ -89,7 +89,10 @@ class Batch(Found):
         if failed:
             lines.append(f"failed     {len(failed)}")
         for row in failed[:_FAILURES]:
-            text = _failure(str(row["session"]), str(row["failure"]))
+            session = str(row["session"])
+            name = session.rpartition("/")[2]
+            text = clean(str(row["failure"]).replace(session, name))
+            text = text if name in text else f"{clean(name, 40)}: {text}"
             lines += wrap(text, " " * 11, " " * 13)
         return "\n".join([*lines, "", *_changes(self.changes, len(self.series))])
 
@@ -142,13 +145,6 @@ def make_job(paths: Sequence[Path], question: unit.Question) -> Job[Batch]:
     work, make = partial(unit.run_unit, question), partial(Batch, kind=question.kind)
     basis, ship = question.digest(), unit.read_content
     return Job(question.kind, work, tasks, basis, make_row, make, ship, grows=True)
-
-
-def _failure(session: str, why: str) -> str:
-    """Why a session failed, with its name and without its folder."""
-    name = session.rpartition("/")[2]
-    text = clean(why.replace(session, name))
-    return text if name in text else f"{clean(name, 40)}: {text}"
 
 
 def _changes(changes: Sequence[Change], series: int) -> Iterator[str]:

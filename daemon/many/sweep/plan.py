@@ -81,13 +81,9 @@ def find_quantity(name: str, car: CarFile) -> Quantity:
     if name in known:
         return known[name]
     kind, _, rest = name.partition(".")
-    if kind == "effect" and rest:
-        return _find_effect(name, rest)
-    more = "a sweep varies path, speed, car.NAME, effect.NAME, mocap.… and vesc.…"
-    raise ValueError(f"nothing is called {name!r}; {did_you_mean(name, known) or more}")
-
-
-def _find_effect(name: str, rest: str) -> Quantity:
+    if kind != "effect" or not rest:
+        more = "a sweep varies path, speed, car.NAME, effect.NAME, mocap.… and vesc.…"
+        raise ValueError(f"nothing is called {name!r}; {did_you_mean(name, known) or more}")
     effect_name, _, wanted = rest.partition(".")
     effect = find_effect(effect_name)
     parameters = {p.name: p for p in effect.parameters}

@@ -1,6 +1,6 @@
 """`steerd.sweep`: many drives of the closed loop in virtual time, as a table and a page."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import islice
@@ -32,7 +32,6 @@ from steerd.daemon.many.units import Done, Where
 from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
 from steerd.daemon.sessions.motion import SETTLE, rms
 from steerd.sim_hw.world import World, WorldConfig
-from steerd.sysid.data.data_checks import Array
 
 if TYPE_CHECKING:
     from steerd.sysid.report.report import Report
@@ -152,7 +151,21 @@ def run_case(plan: SweepPlan, case: DriveCase) -> dict[str, Any]:
     run = make_virtual_run(run_plan, (), World(config))
     seen = Seen(run_plan)
     drive(run, seen.take)
-    return _judge_end(run) | seen.judge() | _judge_loop(run_plan, config)
+    row: dict[str, Any] = {"outcome": plans.DRIVEN, "watchdog": "", "reason": ""}
+    loop = run.core.loop
+    if loop.faulted or not loop.ran:
+        waiting = run.core.last.waiting if run.core.last else ""
+        reason = loop.fault or f"never driven: waiting for {waiting}"
+        row = {"outcome": plans.STOPPED, "watchdog": "", "reason": reason}
+        row["watchdog"] = reason.split()[0] if loop.faulted else ""
+    # How stable the designed gains hold the car that was drawn.
+    believed, table = believed_car(config.model), run_plan.controller.table
+    late = believed.steer_delay + believed.pose_delay
+    timing = Timing(run_plan.options.rate_hz, late, believed.steer_lag)
+    return row | seen.judge() | {
+        "damping": min(at.damping for at in assess(believed, table, timing)),
+        "delay_margin": delay_margin(believed, table, timing),
+    }  # fmt: skip
 
 
 def prepare(plan: SweepPlan, case: DriveCase) -> tuple[RunPlan, WorldConfig]:
@@ -163,27 +176,20 @@ def prepare(plan: SweepPlan, case: DriveCase) -> tuple[RunPlan, WorldConfig]:
     """
     values = case.values
     speed, path = float(values.get("speed", plan.speed)), str(values.get("path", plan.path))
-    run_plan = plan_drive(
-        plan.car, path, speed, plan.duration, case.seed, _list_effects(values), rate=plan.rate
-    )
+    effects: dict[str, dict[str, float]] = {}
+    for name, value in values.items():
+        kind, _, rest = name.partition(".")
+        if kind == "effect":
+            effect, _, parameter = rest.partition(".")
+            parameter = parameter or find_effect(effect).parameters[0].name
+            effects.setdefault(effect, {})[parameter] = float(value)
+    run_plan = plan_drive(plan.car, path, speed, plan.duration, case.seed, effects, rate=plan.rate)
     names = [p.name for p in PARAMETERS if f"car.{p.name}" in values]
     drawn = {name: float(values[f"car.{name}"]) for name in names}
     settings = run_plan.settings
     car = replace(settings.file, car=settings.file.car._replace(**drawn))
     run_plan = replace(run_plan, drawn=replace(settings, file=car))
     return run_plan, _vary_instruments(make_world_config(run_plan), values)
-
-
-def _list_effects(values: Mapping[str, float | str]) -> dict[str, dict[str, float]]:
-    """Parameters by effect of what is varied."""
-    found: dict[str, dict[str, float]] = {}
-    for name, value in values.items():
-        kind, _, rest = name.partition(".")
-        if kind == "effect":
-            effect, _, parameter = rest.partition(".")
-            parameter = parameter or find_effect(effect).parameters[0].name
-            found.setdefault(effect, {})[parameter] = float(value)
-    return found
 
 
 def _vary_instruments(config: WorldConfig, values: Mapping[str, float | str]) -> WorldConfig:
@@ -223,7 +229,13 @@ class Seen:
         if not len(rows):
             return row
         e1, e2, wheel = rows[:, 5:].T
-        true_e1, limits = np.array([*self._true_errors(rows)]), self.plan.settings.limits
+        # Lateral error of the simulated car itself.
+        hint, true = locate(self.plan.path, *rows[0, 1:4].tolist()).hint, []
+        for x, y in rows[:, 1:3].tolist():
+            place = project(self.plan.path, x, y, hint)
+            hint = place.hint
+            true.append(place.e1)
+        true_e1, limits = np.array(true), self.plan.settings.limits
         most = np.where(wheel > 0.0, limits.steer_left_max, limits.steer_right_max)
         return row | {
             "e1_rms": rms(e1),
@@ -235,35 +247,3 @@ class Seen:
             "lane_margin": self.plan.settings.thresholds.lateral - float(np.abs(e1).max()),
             "steer_margin": 1.0 - float((np.abs(wheel) / most).max()),
         }
-
-    def _true_errors(self, rows: Array) -> Iterator[float]:
-        """Lateral error of the simulated car in each row."""
-        hint = locate(self.plan.path, *rows[0, 1:4].tolist()).hint
-        for x, y in rows[:, 1:3].tolist():
-            place = project(self.plan.path, x, y, hint)
-            hint = place.hint
-            yield place.e1
-
-
-def _judge_end(run: VirtualRun) -> dict[str, Any]:
-    """Whether it was driven to its end, and what stopped it."""
-    loop = run.core.loop
-    if not loop.faulted and loop.ran:
-        return {"outcome": plans.DRIVEN, "watchdog": "", "reason": ""}
-    waiting = run.core.last.waiting if run.core.last else ""
-    reason = loop.fault or f"never driven: waiting for {waiting}"
-    return {
-        "outcome": plans.STOPPED,
-        "watchdog": reason.split()[0] if loop.faulted else "",
-        "reason": reason,
-    }
-
-
-def _judge_loop(plan: RunPlan, config: WorldConfig) -> dict[str, Any]:
-    """How stable the designed gains hold the car that was drawn."""
-    car, table = believed_car(config.model), plan.controller.table
-    timing = Timing(plan.options.rate_hz, car.steer_delay + car.pose_delay, car.steer_lag)
-    return {
-        "damping": min(at.damping for at in assess(car, table, timing)),
-        "delay_margin": delay_margin(car, table, timing),
-    }

@@ -206,9 +206,11 @@ def describe_sweep(plan: SweepPlan, rows: Rows, summary: Summary, speed: float |
     parts = [tabulate_ends(summary), tabulate_spreads(summary)]
     strong = list_strongest(summary)[:_SHOWN]
     if strong:
-        found = [
-            (s.quantity, name_measure(s.measure), *_ends(s), f"{s.value:+.2f}") for s in strong
-        ]
+        found = []
+        for s in strong:
+            factor, _ = SCALES.get(UNITS.get(s.measure, ""), (1.0, ""))
+            moved = (f"{factor * mean:.3g}" for mean in (s.start, s.end))
+            found.append((s.quantity, name_measure(s.measure), *moved, f"{s.value:+.2f}"))
         heads = ("what moves", "what", "from", "to", "rank correlation")
         parts.append(Table(heads, found, words=(1,)))
     return "\n".join([*lines, *(line for part in parts for line in ("", *format_table(part)))])
@@ -237,12 +239,6 @@ def tabulate_spreads(summary: Summary) -> Table:
 def list_strongest(summary: Summary) -> list[Sensitivity]:
     """Dependences that the drives show, by how far the measure moves."""
     return sorted((s for s in summary.sensitivities if s.shown), key=lambda s: -s.size)
-
-
-def _ends(s: Sensitivity) -> tuple[str, str]:
-    """What the measure is for low and for high values of the quantity."""
-    factor, _ = SCALES.get(UNITS.get(s.measure, ""), (1.0, ""))
-    return f"{factor * s.start:.3g}", f"{factor * s.end:.3g}"
 
 
 def name_measure(name: str) -> str:
