@@ -148,21 +148,29 @@ def run_case(plan: SweepPlan, case: DriveCase) -> dict[str, Any]:
         _ = run_plan.controller
     except SteerdError as error:
         return {"outcome": plans.REFUSED, "watchdog": "", "reason": error.what}
+    ticks: list[tuple[float, ...]] = []
+
+    def take(run: VirtualRun) -> None:
+        result = run.core.last
+        if result is not None and result.supervisor.state is SupervisorState.RUNNING:
+            state, report = run.world.car.state, result.report
+            found = (report.e1, report.e2, report.wheel) if report else (nan, nan, nan)
+            ticks.append((run.t_ns / NS, state.x, state.y, state.yaw, state.speed, *found))
+
     run = make_virtual_run(run_plan, (), World(config))
-    seen = Seen(run_plan)
-    drive(run, seen.take)
+    drive(run, take)
     row: dict[str, Any] = {"outcome": plans.DRIVEN, "watchdog": "", "reason": ""}
     loop = run.core.loop
     if loop.faulted or not loop.ran:
         waiting = run.core.last.waiting if run.core.last else ""
         reason = loop.fault or f"never driven: waiting for {waiting}"
-        row = {"outcome": plans.STOPPED, "watchdog": "", "reason": reason}
-        row["watchdog"] = reason.split()[0] if loop.faulted else ""
+        watchdog = reason.split()[0] if loop.faulted else ""
+        row = {"outcome": plans.STOPPED, "watchdog": watchdog, "reason": reason}
     # How stable the designed gains hold the car that was drawn.
     believed, table = believed_car(config.model), run_plan.controller.table
     late = believed.steer_delay + believed.pose_delay
     timing = Timing(run_plan.options.rate_hz, late, believed.steer_lag)
-    return row | seen.judge() | {
+    return row | judge_drive(run_plan, ticks) | {
         "damping": min(at.damping for at in assess(believed, table, timing)),
         "delay_margin": delay_margin(believed, table, timing),
     }  # fmt: skip
@@ -203,47 +211,35 @@ def _vary_instruments(config: WorldConfig, values: Mapping[str, float | str]) ->
     return config
 
 
-class Seen:
-    """What a drive shows tick by tick while the car drives."""
+def judge_drive(plan: RunPlan, ticks: Sequence[tuple[float, ...]]) -> dict[str, Any]:
+    """The measures of `summary.MEASURES` that a drive itself gives; errors once it settled.
 
-    def __init__(self, plan: RunPlan) -> None:
-        self.plan = plan
-        # [s, m, m, rad, m/s] of the simulated car; errors [m, rad] and wheel [rad] as estimated
-        self.rows: list[tuple[float, ...]] = []
-
-    def take(self, run: VirtualRun) -> None:
-        """A tick has passed."""
-        result = run.core.last
-        if result is not None and result.supervisor.state is SupervisorState.RUNNING:
-            state, report = run.world.car.state, result.report
-            found = (report.e1, report.e2, report.wheel) if report else (nan, nan, nan)
-            self.rows.append((run.t_ns / NS, state.x, state.y, state.yaw, state.speed, *found))
-
-    def judge(self) -> dict[str, Any]:
-        """The measures of `summary.MEASURES` that a drive itself gives; errors once it settled."""
-        rows, step = np.array(self.rows).reshape(-1, 8), self.plan.period_ns / NS
-        row: dict[str, Any] = {
-            "seconds": step * len(rows), "metres": step * float(np.abs(rows[:, 4]).sum()),
-        }  # fmt: skip
-        rows = rows[(rows[:, 0] >= rows[:1, 0] + SETTLE) & np.isfinite(rows[:, 5])]
-        if not len(rows):
-            return row
-        e1, e2, wheel = rows[:, 5:].T
-        # Lateral error of the simulated car itself.
-        hint, true = locate(self.plan.path, *rows[0, 1:4].tolist()).hint, []
-        for x, y in rows[:, 1:3].tolist():
-            place = project(self.plan.path, x, y, hint)
-            hint = place.hint
-            true.append(place.e1)
-        true_e1, limits = np.array(true), self.plan.settings.limits
-        most = np.where(wheel > 0.0, limits.steer_left_max, limits.steer_right_max)
-        return row | {
-            "e1_rms": rms(e1),
-            "e1_p95": float(np.quantile(np.abs(e1), 0.95)),
-            "e1_max": float(np.abs(e1).max()),
-            "true_e1_rms": rms(true_e1),
-            "true_e1_max": float(np.abs(true_e1).max()),
-            "e2_rms": rms(e2),
-            "lane_margin": self.plan.settings.thresholds.lateral - float(np.abs(e1).max()),
-            "steer_margin": 1.0 - float((np.abs(wheel) / most).max()),
-        }
+    Of each tick time [s], place [m, m, rad] and speed [m/s] of the simulated car, and as estimated
+    the errors [m, rad] and the wheel's angle [rad].
+    """
+    rows, step = np.array(ticks).reshape(-1, 8), plan.period_ns / NS
+    row: dict[str, Any] = {
+        "seconds": step * len(rows), "metres": step * float(np.abs(rows[:, 4]).sum()),
+    }  # fmt: skip
+    rows = rows[(rows[:, 0] >= rows[:1, 0] + SETTLE) & np.isfinite(rows[:, 5])]
+    if not len(rows):
+        return row
+    e1, e2, wheel = rows[:, 5:].T
+    # Lateral error of the simulated car itself.
+    hint, true = locate(plan.path, *rows[0, 1:4].tolist()).hint, []
+    for x, y in rows[:, 1:3].tolist():
+        place = project(plan.path, x, y, hint)
+        hint = place.hint
+        true.append(place.e1)
+    true_e1, limits = np.array(true), plan.settings.limits
+    most = np.where(wheel > 0.0, limits.steer_left_max, limits.steer_right_max)
+    return row | {
+        "e1_rms": rms(e1),
+        "e1_p95": float(np.quantile(np.abs(e1), 0.95)),
+        "e1_max": float(np.abs(e1).max()),
+        "true_e1_rms": rms(true_e1),
+        "true_e1_max": float(np.abs(true_e1).max()),
+        "e2_rms": rms(e2),
+        "lane_margin": plan.settings.thresholds.lateral - float(np.abs(e1).max()),
+        "steer_margin": 1.0 - float((np.abs(wheel) / most).max()),
+    }
