@@ -131,9 +131,20 @@ def compare_on_lane(drives: Sequence[LaneSession]) -> list[Section]:
     names = [drive.name for drive in drives]
     heads = ["", *names, "difference"] if len(drives) == 2 else ["", *names]
     colours = dict(zip(names, LINES, strict=False))
-    curves = Diagrams(
-        lambda *axes: _plot_curves(axes, drives), 2.0, count=len(_PANELS), colours=colours
-    )
+
+    def plot(*axes: Axes) -> None:
+        for axis, (name, title, scale) in zip(axes, _PANELS, strict=True):
+            for drive, colour in zip(drives, LINES, strict=False):
+                values, step = scale * drive.values[name], max(1, len(drive.place) // _DOTS_MAX)
+                dots = drive.place[::step], values[::step]
+                axis.plot(*dots, ".", ms=1.0, color=colour, alpha=0.35)
+                at = (np.arange(BINS) + 0.5) / BINS * drive.lane.length
+                mean = profile(drive.place, drive.lane.length, values, BINS)
+                axis.plot(at, mean, color=colour, lw=1.4)
+            along = (0.0, drives[0].lane.length)
+            axis.set(title=title, xlabel="place along the lane [m]", xlim=along)
+
+    curves = Diagrams(plot, 2.0, count=len(_PANELS), colours=colours)
     return [
         Section(table=Table(heads, list(_lane_rows(drives)))),
         Section(
@@ -172,18 +183,6 @@ def _plot_tracks(axis: Axes, drives: Sequence[LaneSession]) -> None:
             axis.plot(drive.track.x[::step], drive.track.y[::step], color=colour, lw=1.1)
     axis.set_aspect("equal", adjustable="datalim")
     axis.set(xlabel="x [m]", ylabel="y [m]")
-
-
-def _plot_curves(axes: Sequence[Axes], drives: Sequence[LaneSession]) -> None:
-    """Errors, speed and steering over the place along the lane: every lap, faint, and the mean."""
-    for axis, (name, title, scale) in zip(axes, _PANELS, strict=True):
-        for drive, colour in zip(drives, LINES, strict=False):
-            values, step = scale * drive.values[name], max(1, len(drive.place) // _DOTS_MAX)
-            axis.plot(drive.place[::step], values[::step], ".", ms=1.0, color=colour, alpha=0.35)
-            at = (np.arange(BINS) + 0.5) / BINS * drive.lane.length
-            mean = profile(drive.place, drive.lane.length, values, BINS)
-            axis.plot(at, mean, color=colour, lw=1.4)
-        axis.set(title=title, xlabel="place along the lane [m]", xlim=(0.0, drives[0].lane.length))
 
 
 # -- over time -------------------------------------------------------------------------------------
@@ -300,33 +299,24 @@ def compare_over_time(found: Overlay, names: Sequence[str]) -> Section:
         if off.size:
             figures = (rms(one), rms(other), float(off.mean()), rms(off), float(np.abs(off).max()))
             rows.append([title, *(f"{value:z.3f}" for value in figures)])
+    colours, step = dict(zip(names, LINES, strict=False)), max(1, len(found.t) // POINTS_MAX)
+
+    def plot(*axes: Axes) -> None:
+        for both, off, title in zip(axes[::2], axes[1::2], found.pairs, strict=True):
+            t, (*drives, difference) = found.t[::step], found.pairs[title]
+            for values, colour in zip(drives, LINES, strict=False):
+                both.plot(t, values[::step], color=colour, lw=1.1)
+            off.plot(t, difference[::step], color=INK, lw=0.9)
+            both.set(title=title, xlabel="time [s]")
+            off.set(title=f"difference of the {title}", xlabel="time [s]")
+            least = LEAST_SHARE * np.nanmax(np.abs(drives[0]))
+            low, high = off.get_ylim()
+            off.set_ylim(min(low, -least), max(high, least))  # what differs by rounding looks so
+
     return Section(
         "Over the same time",
         f"{names[1]} is shown {abs(found.shift):.2f} s {when}, {where}; {common:.1f} s are "
         f"common to both. The difference is {names[1]} minus {names[0]}.",
         table=Table(heads, rows),
-        figures=[
-            Diagrams(
-                lambda *axes: _plot_pairs(axes, found),
-                1.8,
-                count=2 * len(found.pairs),
-                colours=dict(zip(names, LINES, strict=False)),
-            )
-        ],
+        figures=[Diagrams(plot, 1.8, count=2 * len(found.pairs), colours=colours)],
     )
-
-
-def _plot_pairs(axes: Sequence[Axes], found: Overlay) -> None:
-    """Both curves, then their difference; two diagrams for each quantity."""
-    step = max(1, len(found.t) // POINTS_MAX)
-    t = found.t[::step]
-    for both, off, title in zip(axes[::2], axes[1::2], found.pairs, strict=True):
-        *drives, difference = found.pairs[title]
-        for values, colour in zip(drives, LINES, strict=False):
-            both.plot(t, values[::step], color=colour, lw=1.1)
-        off.plot(t, difference[::step], color=INK, lw=0.9)
-        both.set(title=title, xlabel="time [s]")
-        off.set(title=f"difference of the {title}", xlabel="time [s]")
-        least = LEAST_SHARE * np.nanmax(np.abs(drives[0]))
-        low, high = off.get_ylim()
-        off.set_ylim(min(low, -least), max(high, least))  # what differs by rounding looks so

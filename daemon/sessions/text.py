@@ -41,7 +41,11 @@ def format_report(report: SessionReport) -> str:
     lines += _item("size", f"{size}, {_count(info.count)} messages")
     lines += _item("end", _end(report))
     if report.states:
-        lines += _item("states", _states(report))
+        first, *later = report.states[:STATES_SHOWN]
+        changes = (f" {join_words(f'→ {each.state.lower()} {each.t_s:.1f}')}" for each in later)
+        more = len(report.states) - STATES_SHOWN
+        rest = f" → … {more} more" if more > 0 else ""
+        lines += _item("states", f"{first.state.lower()}{''.join(changes)}{rest}{NBSP}s")
     lines += _item("drive", _drive(report))
     for remark in report.excitation:
         lines += _item("", remark)
@@ -95,14 +99,6 @@ def _end(report: SessionReport) -> str:
     name = clean(str(report.info.path))
     command = join_words(f"steerd recover {name}")
     return f"the recorder was killed or is still writing; to repair it: {command}"
-
-
-def _states(report: SessionReport) -> str:
-    shown = report.states[:STATES_SHOWN]
-    later = (f" {join_words(f'→ {change.state.lower()} {change.t_s:.1f}')}" for change in shown[1:])
-    text = shown[0].state.lower() + "".join(later)
-    more = len(report.states) - len(shown)
-    return text + (f" → … {more} more" if more else "") + f"{NBSP}s"
 
 
 def _drive(report: SessionReport) -> str:
