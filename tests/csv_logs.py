@@ -25,22 +25,14 @@ car = "lab"
 FIRST = (0.0, 0.0, 0.3, 1.2, 0.0, 0.0, 0.0)  # the car's state at the first row
 
 
-def make_rows(
-    car: Car[float], steer: np.ndarray, speed: np.ndarray, first: tuple[float, ...] = FIRST
-) -> np.ndarray:
-    """Rows of `NAMES` of a car under these commands, without noise."""
-    commands = np.column_stack([steer, speed])
-    states = march_states(Model(car), commands, first, STEP)
-    return np.column_stack([STEP * np.arange(len(steer)), states[:-1, :3], commands])
-
-
 def make_noisy_rows(car: Car[float], seconds: float, flips: float) -> np.ndarray:
-    """A drive that excites the car, steps of steering at `flips` [rad/s], with mocap noise."""
+    """Rows of `NAMES`: steps of steering at `flips` [rad/s] that excite a car, with mocap noise."""
     t = np.arange(round(seconds / STEP)) * STEP
     steer = 0.12 * np.sign(np.sin(flips * t)) + 0.08 * np.sin(2 * np.pi * (0.4 + 0.05 * t) * t)
-    rows = make_rows(car, steer, 1.2 + 0.6 * np.sign(np.sin(0.37 * t)))
-    rows[:, 1:4] += np.random.default_rng(4).normal(size=(len(t), 3)) * [1e-3, 1e-3, 2e-3]
-    return rows
+    commands = np.column_stack([steer, 1.2 + 0.6 * np.sign(np.sin(0.37 * t))])
+    poses = march_states(Model(car), commands, FIRST, STEP)[:-1, :3]
+    poses += np.random.default_rng(4).normal(size=(len(t), 3)) * [1e-3, 1e-3, 2e-3]
+    return np.column_stack([t, poses, commands])
 
 
 def write_log(folder: Path, rows: np.ndarray, name: str = "run") -> tuple[Path, Path]:

@@ -1,6 +1,6 @@
 """`steerd.diagnose`: where simulation and car differ, why, and how far adding the cause helps."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,8 +9,6 @@ from steerd.car_model.car_file import CarFile, CarFileError
 from steerd.daemon.analysis.car_output import diagnosed_values, make_car, with_known
 from steerd.daemon.analysis.drives import (
     Drives,
-    Warn,
-    gather,
     is_same,
     load_drives,
     refuse_copies,
@@ -21,10 +19,10 @@ from steerd.daemon.analysis.finding import Finding
 from steerd.daemon.analysis.hints import complete, name_all, refusing, simulate_with
 from steerd.daemon.analysis.options import (
     CarSource,
-    HeldOut,
     HeldOutSource,
     SessionSources,
     Speed,
+    Watch,
     by_keywords,
     list_sessions,
     read_car,
@@ -34,7 +32,6 @@ from steerd.daemon.analysis.options import (
 from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.assembly.sim_car import compare_truths, read_origin
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.notebook import notebook_progress
 from steerd.daemon.common.screen import shown
 from steerd.posterior_file import TABLES
 from steerd.sim_gap import diagnosis as engine
@@ -148,56 +145,37 @@ class Diagnosis(Finding):
         return complete(text, self.drives.sessions)
 
 
-@by_keywords(DiagnoseOptions)
-def diagnose(sessions: SessionSources, options: DiagnoseOptions) -> Diagnosis:
+def run_diagnose(paths: Sequence[Path], options: DiagnoseOptions, watch: Watch) -> Diagnosis:
     """Find where the simulation of a car differs from its drives, and which effect causes it.
 
     The drives are files, or what `load` and `simulate` give. Returns verdict, causes with standard
     errors, predicted and measured shrinkage. Raises a `SteerdError` where a session, the car or an
     argument cannot be used; its `hint` says what to try.
     """
-    with notebook_progress("diagnosing", 1.0) as progress:
-        return run_diagnosis(list_sessions(sessions), options, progress=progress)
-
-
-def run_diagnosis(
-    paths: Sequence[Path],
-    options: DiagnoseOptions,
-    warn: Warn = lambda texts: None,
-    progress: Callable[[float, str], None] = lambda done, step: None,
-    written: Callable[[str], None] = lambda prediction: None,
-) -> Diagnosis:
-    """Read the drives, diagnose, drive the lane again.
-
-    `warn` is handed what is doubtful in the sessions as it is found, `progress` the share of the
-    work done and the next step, `written` the prediction (JSON) before the held-out drives are
-    looked at.
-
-    Raises:
-        SteerdError: as `diagnose`.
-    """
-    warnings, take = gather(warn)
-    progress(0.0, "reading the drives")
-    drives, case, base = make_case(paths, options, take, lambda share: progress(LOADED * share, ""))
+    watch.progress(0.0, "reading the drives")
+    drives, case, base = make_case(paths, options, watch)
     span = DIAGNOSED - LOADED
     identify = f"steerd identify {name_all(drives.paths)} -o car.toml, then --base car.toml"
     with refusing(drives.sessions, identify):
         findings = engine.diagnose(
-            case, lambda stage, share: progress(LOADED + span * share, stage), written
+            case, lambda stage, share: watch.progress(LOADED + span * share, stage), watch.written
         )
     if options.closed_loop:
         from steerd.daemon.analysis.gap_closed_loop import try_lane
 
-        progress(DIAGNOSED, "driving the lane again")
+        watch.progress(DIAGNOSED, "driving the lane again")
         lane, why = try_lane(drives.sessions, base, findings.values)
         findings = replace(findings, lane=lane, lane_note=why)
-    return Diagnosis(base, drives, findings, tuple(warnings))
+    return Diagnosis(base, drives, findings, tuple(watch.warnings))
+
+
+diagnose = by_keywords("diagnosing", DiagnoseOptions, run_diagnose)
 
 
 def make_case(
-    paths: Sequence[Path], options: DiagnoseOptions, warn: Warn, advance: Callable[[float], None]
+    paths: Sequence[Path], options: DiagnoseOptions, watch: Watch
 ) -> tuple[Drives, engine.Case, CarFile]:
-    """The drives, what is diagnosed of them and the car, see `load_drives`.
+    """The drives, what is diagnosed of them and the car.
 
     Raises:
         SteerdError: a session, the car file or an option cannot be used.
@@ -207,15 +185,24 @@ def make_case(
     if only and not set(only) - set(without):
         raise SteerdError("only and without leave no effect", "", ExitCode.USAGE)
     sessions = without_reserved(paths, held_out.files, "diagnose")
-    _check(held_out, sessions, quiet)
-    drives = load_drives(sessions, options.speed, warn, advance)
-    warn(compare_truths(drives.metadata))
+    for path in held_out.files:  # opened later, but its absence is reported at once
+        if not path.is_file():
+            raise SteerdError(f"{path} does not exist", "", ExitCode.UNREADABLE)
+    refuse_copies(quiet)
+    for path in quiet:
+        if any(is_same(path, each) for each in (*sessions, *held_out.files)):
+            what = f"healthy {path} is one of the drives to explain: its gap would pass for noise"
+            raise SteerdError(what, "name a drive without the gap", ExitCode.USAGE)
+    drives = load_drives(
+        sessions, options.speed, watch, lambda share: watch.progress(LOADED * share)
+    )
+    watch.warn(compare_truths(drives.metadata))
     base, source, notes = find_base(options.base, drives.sessions)
     jitters = dict.fromkeys(d.log_jitter.describe() for d in drives.runs if d.log_jitter)
-    without_gap = load_drives(quiet, options.speed, warn)
+    without_gap = load_drives(quiet, options.speed, watch)
     with refusing((*drives.sessions, *without_gap.sessions)):
         runs = add_command_history(drives.runs, base.model, asked=True)
-        split = split_drives(runs, held_out, options.speed, warn)
+        split = split_drives(runs, held_out, options.speed, watch)
         past = add_command_history(without_gap.runs, base.model, asked=True)
         healthy = moving_segments(past) if quiet else ()
     return (
@@ -233,17 +220,6 @@ def make_case(
         ),
         base,
     )
-
-
-def _check(held_out: HeldOut, sessions: Sequence[Path], quiet: Sequence[Path]) -> None:
-    for path in held_out.files:  # opened later, but its absence is reported at once
-        if not path.is_file():
-            raise SteerdError(f"{path} does not exist", "", ExitCode.UNREADABLE)
-    refuse_copies(quiet)
-    for path in quiet:
-        if any(is_same(path, each) for each in (*sessions, *held_out.files)):
-            what = f"healthy {path} is one of the drives to explain: its gap would pass for noise"
-            raise SteerdError(what, "name a drive without the gap", ExitCode.USAGE)
 
 
 def find_base(

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from steerd.daemon.analysis.hints import refusing
-from steerd.daemon.analysis.options import EVERY, HeldOut, Speed
+from steerd.daemon.analysis.options import EVERY, HeldOut, Speed, Watch
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.translate import reading
 from steerd.daemon.sessions.info import load_session, make_session_report, read_recording
@@ -25,25 +25,12 @@ from steerd.sysid.data.dataset import Run, read_run
 from steerd.sysid.data.jitter_correction import correct_log_jitter
 from steerd.sysid.estimation.preparation import HISTORY
 
-Warn = Callable[[Sequence[str]], None]
-"""Is handed what is wrong or doubtful in a session, as sentences; the work goes on."""
 MOST = 1200.0
 """Driving that is looked at, at most [s]: ten times what identifies a car to a percent or two, and
 what a diagnosis judges in minutes; time and memory of either would grow with the rest."""
 
 FILES = 500
 """Sessions that stay open within a shell's usual limit of 1024 files."""
-
-
-def gather(warn: Warn) -> tuple[list[str], Warn]:
-    """What was handed on so far, and what hands on to `warn`."""
-    given: list[str] = []
-
-    def take(texts: Sequence[str]) -> None:
-        given.extend(texts)
-        warn(texts)
-
-    return given, take
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,15 +54,15 @@ class Drives:
         return {s.info().path.name: s.info().metadata for s in self.sessions}
 
 
-def load_drive(path: Path, speed: Speed, warn: Warn) -> tuple[Session, Run]:
-    """A session and its drive; `warn` hears what is wrong with the file or its numbers.
+def load_drive(path: Path, speed: Speed, watch: Watch) -> tuple[Session, Run]:
+    """A session and its drive.
 
     Raises:
         SteerdError: it cannot be read, or is not fit for a fit.
     """
     session = load_session(path)
     damage = session.info().warnings
-    warn([f"{path.name}: {each}" for each in damage])
+    watch.warn([f"{path.name}: {each}" for each in damage])
     with refusing([session]):
         with reading(path):
             read = read_recording(session)
@@ -87,19 +74,19 @@ def load_drive(path: Path, speed: Speed, warn: Warn) -> tuple[Session, Run]:
             what = f"{run.name}: steering reaches {worst:.3g} rad: is it in degrees?"
             raise SteerdError(what, "import it with scale = 0.0174532925 in the map")
         report = make_session_report(read)
-        warn([f"{path.name}: {each}" for each in report.warnings if each not in damage])
+        watch.warn([f"{path.name}: {each}" for each in report.warnings if each not in damage])
         return session, segments.with_wheel_speed(run) if speed == "wheel" else run
 
 
 def load_drives(
     paths: Sequence[Path],
     speed: Speed,
-    warn: Warn,
+    watch: Watch,
     advance: Callable[[float], None] = lambda _: None,
 ) -> Drives:
     """Sessions as drives, one after the other, see `load_drive`.
 
-    `warn` also hears what is left out, `advance` the share of the files read.
+    `advance` hears the share of the files read.
 
     Raises:
         SteerdError: one cannot be read, or is not fit for a fit.
@@ -111,7 +98,7 @@ def load_drives(
     found: list[Run] = []
     whole, cut = 0.0, False
     for number, path in enumerate(paths):
-        session, run = load_drive(path, speed, warn)
+        session, run = load_drive(path, speed, watch)
         parts = segments.spread_evenly(run, max(MOST / len(paths), segments.PIECE), HISTORY)
         cut |= parts[0] is not run
         sessions.append(session)
@@ -122,7 +109,7 @@ def load_drives(
     if cut or len(kept) < len(found):
         used = sum(run.driven for run in kept) / 60.0
         what = f"of {whole / 3600.0:.1f} h {used:.0f} min are used"
-        warn([f"{what}, in pieces of {segments.PIECE:g} s, evenly from all sessions"])
+        watch.warn([f"{what}, in pieces of {segments.PIECE:g} s, evenly from all sessions"])
     return Drives(tuple(sessions), tuple(kept))
 
 
@@ -188,10 +175,10 @@ class Split(NamedTuple):
     notes: tuple[str, ...] = ()  # what a reader should know
 
 
-def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, warn: Warn) -> Split:
+def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, watch: Watch) -> Split:
     """Divide drives into those that are explained and those that measure the shrinkage.
 
-    Sessions that are held out are opened later, with `speed` and `warn` as for `load_drives`.
+    Sessions that are held out are opened later.
 
     Raises:
         DataError: there is too little driving.
@@ -216,7 +203,7 @@ def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, warn: W
         past = drives[0].history
 
         def later() -> Sequence[Run]:
-            opened = load_drives(held_out.files, speed, warn)
+            opened = load_drives(held_out.files, speed, watch)
             return segments.moving_segments([replace(drive, history=past) for drive in opened.runs])
 
         names = ", ".join(path.name for path in held_out.files)

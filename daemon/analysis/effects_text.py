@@ -3,11 +3,13 @@
 import shutil
 import sys
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
-from steerd.car_model.effect import Effect, EffectParameter, Stage
+from steerd.car_model.effect import Effect, Stage
 from steerd.car_model.effects import EFFECTS
 from steerd.daemon.common.screen import wrap, wrap_command
+from steerd.sysid.report.page import render_page
 
 _STAGES = {
     Stage.COMMAND: "from the command to the actuators' aim",
@@ -34,22 +36,16 @@ def format_table(width: int | None = None) -> str:
     for stage, effects in by_stage().items():
         lines.append(f"{stage}: {_STAGES[stage]}")
         for effect in effects:
-            parameters = _brief(effect.parameters)
+            parameters = ", ".join(p.name for p in effect.parameters)
+            if len(effect.parameters) == 1:  # the others' ranges are elsewhere
+                (p,) = effect.parameters
+                unit = "" if p.unit == "1" else p.unit
+                parameters = f"{p.name} {p.null:g} ({p.low:g} to {p.high:g}) {unit}".rstrip()
             line = f"  {effect.name:<{_NAME - 2}}{parameters:<{_PARAMETERS}}"
             lines.append((line + effect.equation if equations else line).rstrip())
     lines += ["`steerd effects NAME` shows one and its equation;"]
     lines += ["`--effect NAME=VALUE` switches one on in a simulation."]
     return "\n".join(lines)
-
-
-def _brief(parameters: Iterable[EffectParameter]) -> str:
-    """Parameters as `null (low..high) unit`; several by their names, whose ranges are elsewhere."""
-    parameters = list(parameters)
-    if len(parameters) > 1:
-        return ", ".join(p.name for p in parameters)
-    (p,) = parameters
-    unit = "" if p.unit == "1" else p.unit
-    return f"{p.name} {p.null:g} ({p.low:g} to {p.high:g}) {unit}".rstrip()
 
 
 def format_effect(effect: Effect) -> str:
@@ -68,73 +64,33 @@ def format_effect(effect: Effect) -> str:
         numbers = f"{p.null:>6g}{p.low:>7g}{p.high:>7g}{p.scale:>7g}"
         head = f"  {p.name:<12}{numbers}  {p.unit:<7}  "
         lines += wrap(p.meaning, head, " " * len(head))
-    example = f"steerd run --sim --fast --duration 20 --effect {_example(effect)}"
+    moved = [min(max(p.null + p.scale, p.low), p.high) for p in effect.parameters]
+    for i, p in enumerate(effect.parameters):
+        moved[i] = moved[i] if moved[i] != p.null else p.null - p.scale
+    values = ",".join(f"{value:g}" for value in moved)
+    example = f"steerd run --sim --fast --duration 20 --effect {effect.name}={values}"
     return "\n".join([*lines, "", *wrap_command(example, "  try: ", "       ")])
-
-
-def _example(effect: Effect) -> str:
-    values = [min(max(p.null + p.scale, p.low), p.high) for p in effect.parameters]
-    moved = [
-        v if v != p.null else p.null - p.scale
-        for v, p in zip(values, effect.parameters, strict=True)
-    ]
-    return f"{effect.name}={','.join(f'{value:g}' for value in moved)}"
 
 
 def make_json(effects: Iterable[Effect]) -> dict[str, Any]:
     """The effects as JSON values."""
-    return {
-        "schema": "steerd.effects/1",
-        "effects": [
-            {
-                **{
-                    key: getattr(effect, key)
-                    for key in ("name", "stage", "family", "summary", "equation")
-                },
-                "aliases": list(effect.aliases),
-                "parameters": [
-                    {key: each for key, each in p._asdict().items() if key != "role"}
-                    for p in effect.parameters
-                ],
-            }
-            for effect in effects
-        ],
-    }
+    keys = ("name", "stage", "family", "summary", "equation")
+    described = [
+        {
+            **{key: getattr(effect, key) for key in keys},
+            "aliases": list(effect.aliases),
+            "parameters": [
+                {key: each for key, each in p._asdict().items() if key != "role"}
+                for p in effect.parameters
+            ],
+        }
+        for effect in effects
+    ]
+    return {"schema": "steerd.effects/1", "effects": described}
 
 
 def make_page() -> str:
     """The page `docs/reference/effects.md`."""
-    lines = [_HEAD]
-    for stage, effects in by_stage().items():
-        lines += [f"## `{stage}`: {_STAGES[stage]}", ""]
-        lines += ["| effect | what it is | equation | parameter | null, range | usual |"]
-        lines += ["|---|---|---|---|---|---|"]
-        for effect in effects:
-            equation = effect.equation.replace("|", "\\|")
-            head = f"`{effect.name}` | {effect.summary} | {equation}"
-            for index, p in enumerate(effect.parameters):
-                cells = f"`{p.name}` | {p.null:g}, {p.low:g}..{p.high:g} | {p.scale:g} {p.unit}"
-                lines.append(f"| {'| |' if index else head} | {cells} |")
-        lines.append("")
-    return "\n".join(lines)
-
-
-_HEAD = """# Unmodelled effects
-
-What a car does beyond the base equations of `car_model/single_track.py`. The same value is switched
-on in a simulation, fitted in the diagnosis, kept in a car file's `[effects]` and named in a report:
-
-```
-steerd effects                                # this list
-steerd effects steer_backlash                 # one of them, with its other names
-steerd run --sim --fast --duration 20 --effect steer_delay=0.03
-```
-
-Several parameters go in order (`floor_slope=0.005,0.002`) or by name (`grip_patch:x=2,drop=0.3`);
-what is not given stays at its null, where an effect changes nothing, bit for bit. "Usual" is
-ordinary on a car of this class. Each effect is a page in its family's file in
-`car_model/effects/`; `steerd effects --page` writes this one.
-
-Roll, pitch and the split between left and right wheels appear only through their effect on the
-axles. [Some effects](diagnosis.md#g2) are not distinguishable on a drive.
-"""
+    return render_page(
+        Path(__file__).with_name("effects.md.jinja"), stages=by_stage(), words=_STAGES
+    )

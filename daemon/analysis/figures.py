@@ -29,7 +29,16 @@ def plot_session(drawing: Drawing, title: str) -> Figure:
         first: Axes | None = None
         for row, panel in enumerate(panels):
             axis = figure.add_subplot(grid[row, 1], sharex=first)
-            _plot_panel(axis, panel)
+            for curve in panel.curves:
+                step = max(1, len(curve.t) // POINTS_MAX)
+                axis.plot(
+                    curve.t[::step], curve.value[::step], color=COLOURS.get(curve.role, INK),
+                    lw=0.9, label=curve.name,
+                )  # fmt: skip
+            axis.set(title=panel.title, ylabel=f"[{panel.unit}]" if panel.unit else "")
+            if len(panel.curves) > 1:
+                place, count = (1.0, 0.97), len(panel.curves)
+                axis.legend(loc="lower right", bbox_to_anchor=place, fontsize=7, ncols=count)
             axis.tick_params(labelbottom=row == len(panels) - 1)
             first = first or axis
         if first is not None:
@@ -64,17 +73,3 @@ def _plot_track(figure: Figure, axis: Axes, drawing: Drawing) -> None:
     axis.set(xlabel="x [m]", ylabel="y [m]", title="track")
     if drawing.lane is not None:
         axis.legend(loc="upper right", fontsize=8)
-
-
-def _plot_panel(axis: Axes, panel: Panel) -> None:
-    for curve in panel.curves:
-        step = max(1, len(curve.t) // POINTS_MAX)
-        axis.plot(
-            curve.t[::step], curve.value[::step], color=COLOURS.get(curve.role, INK), lw=0.9,
-            label=curve.name,
-        )  # fmt: skip
-    axis.set(title=panel.title, ylabel=f"[{panel.unit}]" if panel.unit else "")
-    if len(panel.curves) > 1:
-        axis.legend(
-            loc="lower right", bbox_to_anchor=(1.0, 0.97), fontsize=7, ncols=len(panel.curves)
-        )

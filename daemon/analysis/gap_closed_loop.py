@@ -5,8 +5,8 @@ exchanged. The noise of the simulated hardware is another than that of a simulat
 """
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,27 +42,36 @@ Rows = NDArray[np.float64]
 Values = Mapping[str, tuple[float, ...]]
 
 
-class NotALaneDriveError(SteerdError):
-    """The session was not driven by the lane keeper; says why not."""
-
-
 def compare_lane(session: Session, base: CarFile, found: Values) -> LaneComparison:
     """Drive a session's lane again, on the base car and with the effects that were found on it.
 
     Raises:
-        NotALaneDriveError: there is no lane drive to compare with.
-        SteerdError: the session's own car file or path is refused now.
+        SteerdError: there is no lane drive to compare with, or the session's own car file or path
+            is refused now.
     """
     options, name = _options_of(session), session.info().path.name
-    with _planned(session, options) as plan:
+    try:
+        settings = make_settings(read_session_car(session), options.speed)
+    except (SessionError, CarFileError) as error:
+        raise SteerdError(f"its car file cannot be used ({error})") from None
+    with ExitStack() as stack:
+        try:  # the file that its path names comes from the session itself
+            path = stack.enter_context(recorded_path(session, options.path))
+        except SessionError:
+            raise SteerdError("its path file is not in the session") from None
+        plan = make_plan(
+            replace(options, path=path), replace(settings, brakes=replace(settings.brakes, uuid=""))
+        )
         for topic in session.info().topics:
             if find_topic(topic.name) is topics.PARAMETERS:
                 said = [record.decode() for record in session.messages(topic.name)]
                 if len({(p.speed, p.offset, p.gain) for p in said}) > 1:
                     # Simulated, it would be another drive.
-                    raise NotALaneDriveError("its live parameters were changed while it drove")
+                    raise SteerdError("its live parameters were changed while it drove")
         rows = _recorded(session)
         recorded = _lane_drive(rows[:, :5], plan)
+        if recorded is None:
+            raise SteerdError(f"it keeps the lane for less than {SETTLE + SHORTEST:g} s")
         x, y, yaw = (float(v) for v in rows[0, 5:])
         start = ORIGIN._replace(x=x, y=y, yaw=yaw)
         remarks: list[str] = []
@@ -75,33 +84,17 @@ def compare_lane(session: Session, base: CarFile, found: Values) -> LaneComparis
     return LaneComparison(recorded, without, other, name, again, tuple(remarks))
 
 
-@contextmanager
-def _planned(session: Session, options: RunOptions) -> Iterator[RunPlan]:
-    """The session's plan; the file that its path names comes from the session itself."""
-    try:
-        settings = make_settings(read_session_car(session), options.speed)
-        settings = replace(settings, brakes=replace(settings.brakes, uuid=""))
-    except (SessionError, CarFileError) as error:
-        raise NotALaneDriveError(f"its car file cannot be used ({error})") from None
-    with ExitStack() as stack:
-        try:
-            spec = stack.enter_context(recorded_path(session, options.path))
-        except SessionError:
-            raise NotALaneDriveError("its path file is not in the session") from None
-        yield make_plan(replace(options, path=spec), settings)
-
-
 def _options_of(session: Session) -> RunOptions:
     """How the session was driven, as a simulation of the same length at most."""
     text = session.info().metadata.get("steerd.session", {}).get("options", "")
     try:
         options = decode_options(text)
     except ValueError:
-        raise NotALaneDriveError("it was not recorded by `steerd run`") from None
+        raise SteerdError("it was not recorded by `steerd run`") from None
     if options.drill:
-        raise NotALaneDriveError("it was driven by an excitation plan, not by the lane keeper")
+        raise SteerdError("it was driven by an excitation plan, not by the lane keeper")
     if options.controller is not ControllerKind.LANE:
-        raise NotALaneDriveError("another program steered")
+        raise SteerdError("another program steered")
     return replace(
         options, car_file="", port=None, mocap=None, simulated=True, auto_arm=True, effects=(),
         sim_car="",        duration_s=SECONDS, seed=options.seed + _SEED, record=None,
@@ -110,31 +103,25 @@ def _options_of(session: Session) -> RunOptions:
 
 def _recorded(session: Session) -> Rows:
     """Rows t, s, e1, e2, steer, x, y, yaw while the car was driven."""
-    named = [t.name for t in session.info().topics if find_topic(t.name) is topics.STATE]
-    wanted = dict.fromkeys(named, topics.STATE.message)
-    tables = session.tables(wanted) if wanted else {}
-    if not tables:
-        raise NotALaneDriveError("it holds no lane errors")
-    table = next(iter(tables.values()))
+    try:
+        table = session.columns(topics.STATE.message)
+    except SessionError:
+        raise SteerdError("it holds no lane errors") from None
     t = (table["stamp_ns"] - table["stamp_ns"][:1]).astype(float) * 1e-9
     names = ("path_s", "e1", "e2", "steer_ref", "x", "y", "yaw")
     rows: Rows = np.column_stack([t, *(table[name].astype(float) for name in names)])
     rows = rows[(table["mode"] == SupervisorState.RUNNING) & np.isfinite(rows).all(axis=1)]
     if not len(rows):
-        raise NotALaneDriveError("it was never driven")
+        raise SteerdError("it was never driven")
     return rows
 
 
-def _lane_drive(rows: Rows, plan: RunPlan) -> LaneDrive:
-    """The settled part of rows t, s, e1, e2, steer.
-
-    Raises:
-        NotALaneDriveError: it is too short.
-    """
+def _lane_drive(rows: Rows, plan: RunPlan) -> LaneDrive | None:
+    """The settled part of rows t, s, e1, e2, steer; None where it is too short."""
     rows = rows[np.isfinite(rows).all(axis=1)]
     rows = rows[rows[:, 0] >= rows[0, 0] + SETTLE] if len(rows) else rows
     if len(rows) < 2 or np.ptp(rows[:, 0]) < SHORTEST:
-        raise NotALaneDriveError(f"it keeps the lane for less than {SETTLE + SHORTEST:g} s")
+        return None
     t, s, e1, e2, steer = rows.T
     return LaneDrive(t, s, e1, e2, steer, float(plan.path.length))
 
@@ -161,11 +148,10 @@ def _simulated(
     drive(run)
     if run.core.loop.faulted:
         remarks.append(f"{label} the simulation is stopped: {run.core.loop.fault}")
-    try:
-        return _lane_drive(np.array(rows).reshape(-1, 5), plan)
-    except NotALaneDriveError:
+    driven = _lane_drive(np.array(rows).reshape(-1, 5), plan)
+    if driven is None:
         remarks.append(f"{label} the simulated car does not stay in its lane")
-        return None
+    return driven
 
 
 def try_lane(

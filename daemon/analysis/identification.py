@@ -2,7 +2,7 @@
 
 import shlex
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isnan
 from pathlib import Path
@@ -17,24 +17,22 @@ from steerd.daemon.analysis.car_output import (
     make_car,
     with_known,
 )
-from steerd.daemon.analysis.drives import Drives, Warn, gather, load_drives, without_reserved
+from steerd.daemon.analysis.drives import Drives, load_drives, without_reserved
 from steerd.daemon.analysis.finding import Finding
 from steerd.daemon.analysis.hints import complete, name_all, refusing, simulate_with
 from steerd.daemon.analysis.options import (
     EVERY,
     CarSource,
     HeldOutSource,
-    SessionSources,
     Speed,
+    Watch,
     by_keywords,
-    list_sessions,
     read_car,
     read_effects,
     read_held_out,
 )
 from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.notebook import notebook_progress
 from steerd.daemon.common.screen import shown
 from steerd.sysid.estimation import preparation as prep
 from steerd.sysid.estimation.learn import Task, learn
@@ -152,37 +150,16 @@ class Identification(Finding):
             yield Line("next", "repeat with -o car.toml, which writes a car file to drive with")
 
 
-@by_keywords(IdentifyOptions)
-def identify(sessions: SessionSources, options: IdentifyOptions) -> Identification:
+def run_identify(paths: Sequence[Path], options: IdentifyOptions, watch: Watch) -> Identification:
     """Identify a car from recorded drives: files, or what `load` and `simulate` give.
 
     Returns estimates, standard errors, validation. Raises a `SteerdError` where a session, the car
     or an argument cannot be used; its `hint` says what to try.
     """
-    paths = list_sessions(sessions)
-    with notebook_progress("identifying", len(paths) + FIT) as progress:
-        return run_identification(paths, options, progress=progress)
-
-
-def run_identification(
-    paths: Sequence[Path],
-    options: IdentifyOptions,
-    warn: Warn = lambda texts: None,
-    progress: Callable[[float, str], None] = lambda done, step: None,
-) -> Identification:
-    """Read the drives and fit.
-
-    `warn` is handed what is doubtful in the sessions as it is found, `progress` the work done, in
-    sessions read, and the next step.
-
-    Raises:
-        SteerdError: as `identify`.
-    """
-    warnings, take = gather(warn)
-    progress(0.0, "reading the drives")
+    watch.progress(0.0, "reading the drives")
     base = read_car(options.car)
-    drives, task = _make_task(paths, options, base, take)
-    progress(float(len(paths)), "fitting the car")
+    drives, task = _make_task(paths, options, base, watch)
+    watch.progress(len(paths) / (len(paths) + FIT), "fitting the car")
     closer = "give start values closer to the car: --car FILE.toml, --wheelbase"
     with refusing(drives.sessions, closer):
         found = learn(task, time.perf_counter)
@@ -195,11 +172,14 @@ def run_identification(
         },
         notes=tuple(complete(note, drives.sessions) for note in found.notes),
     )
-    return Identification(options, base, drives, outcome, tuple(warnings))
+    return Identification(options, base, drives, outcome, tuple(watch.warnings))
+
+
+identify = by_keywords("identifying", IdentifyOptions, run_identify)
 
 
 def _make_task(
-    paths: Sequence[Path], options: IdentifyOptions, base: CarFile, warn: Warn
+    paths: Sequence[Path], options: IdentifyOptions, base: CarFile, watch: Watch
 ) -> tuple[Drives, Task]:
     """Read the drives and settle what is free; everything that can be refused is refused here.
 
@@ -234,12 +214,12 @@ def _make_task(
         raise SteerdError(str(error), "fix one of lf and lr, or neither", _USAGE) from None
     if "inertia_z" not in stated:
         model = prep.scale_inertia(model, base.model)
-    drives = load_drives(without_reserved(paths, held_out.files, "fit"), options.speed, warn)
-    other = load_drives(held_out.files, options.speed, warn)
+    drives = load_drives(without_reserved(paths, held_out.files, "fit"), options.speed, watch)
+    other = load_drives(held_out.files, options.speed, watch)
     if "cog_height" not in stated:
         model = prep.level_loads(model, drives.runs)
     different = compare_truths(drives.metadata | other.metadata)
-    warn(different)
+    watch.warn(different)
     first = drives.sessions[0].info().metadata
     return drives, Task(
         drives.runs,

@@ -184,11 +184,13 @@ def _sections(outcome: Outcome) -> Iterator[Section]:
     )
     yield _designs(outcome)
     if outcome.fit is not None:
+        left = outcome.fit.residuals
+        kinds = sorted(set(left.group.tolist()))
         yield Section(
             "Residuals",
             "Flat and as narrow as the line: the model explains the drive. Waves or a wide "
             "spread: something is missing, and steerd diagnose looks for it.",
-            figures=figures.draw_residuals(outcome.fit.residuals),
+            figures=[Diagrams(figures.plot_residuals, 1.7, (left, kind), 2) for kind in kinds],
         )
         yield Section(
             "Correlation of the estimates",

@@ -7,7 +7,7 @@ command line.
 import argparse
 import inspect
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, field, fields
 from functools import wraps
 from pathlib import Path
 from typing import Any, Concatenate, Literal, NamedTuple, ParamSpec, Protocol, TypeVar
@@ -15,7 +15,8 @@ from typing import Any, Concatenate, Literal, NamedTuple, ParamSpec, Protocol, T
 from steerd.car_model.car_file import CarFile, default_car_path
 from steerd.car_model.effects import find_effect
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.common.notebook import speaking_of_arguments
+from steerd.daemon.common.notebook import notebook_progress, speaking_of_arguments
+from steerd.daemon.common.progress import Step
 from steerd.daemon.common.translate import load_car_file
 
 EVERY = 4
@@ -52,25 +53,42 @@ O = TypeVar("O")  # noqa: E741
 R = TypeVar("R")
 
 
+@dataclass
+class Watch:
+    """Who looks on while drives are worked on."""
+
+    hear: Callable[[Sequence[str]], None] = lambda texts: None  # is handed warnings as they come
+    progress: Step = lambda done, step="", /: None  # the share of the work done, the next step
+    # The prediction (JSON), before the held-out drives are looked at
+    written: Callable[[str], None] = lambda prediction: None
+    warnings: list[str] = field(default_factory=list)  # so far
+
+    def warn(self, texts: Sequence[str]) -> None:
+        """Say what is wrong or doubtful in a session, as sentences; the work goes on."""
+        self.warnings += texts
+        self.hear(texts)
+
+
 def by_keywords(
-    options: Callable[P, O],
-) -> Callable[[Callable[[SessionSources, O], R]], Callable[Concatenate[SessionSources, P], R]]:
-    """A function of sessions and options as one of sessions and the options' own keywords."""
+    label: str, options: Callable[P, O], work: Callable[[Sequence[Path], O, Watch], R]
+) -> Callable[Concatenate[SessionSources, P], R]:
+    """Work on sessions as a notebook's function: of any sources and the options' own keywords."""
 
-    def decorate(work: Callable[[SessionSources, O], R]) -> Callable[..., R]:
-        @wraps(work)
-        def call(sessions: SessionSources, /, *args: P.args, **given: P.kwargs) -> R:
-            return speaking_of_arguments(work)(sessions, options(*args, **given))
+    @speaking_of_arguments
+    @wraps(work)
+    def call(sessions: SessionSources, /, *args: P.args, **given: P.kwargs) -> R:
+        with notebook_progress(label, 1.0) as progress:
+            return work(list_sessions(sessions), options(*args, **given), Watch(progress=progress))
 
-        first = next(iter(inspect.signature(work).parameters.values()))
-        keywords = inspect.signature(options).parameters.values()
-        shown = inspect.Signature([first, *keywords])
-        call.__dict__["__signature__"] = shown
-        asked = inspect.getmro(options)[:-1]  # type: ignore[arg-type]
-        call.__doc__ = "\n".join(str(each.__doc__) for each in (work, *asked))
-        return call
-
-    return decorate
+    first = inspect.Parameter(
+        "sessions", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=SessionSources
+    )
+    keywords = inspect.signature(options).parameters.values()
+    call.__dict__["__signature__"] = inspect.Signature([first, *keywords])
+    asked = inspect.getmro(options)[:-1]  # type: ignore[arg-type]
+    call.__doc__ = "\n".join(str(each.__doc__) for each in (work, *asked))
+    call.__name__ = call.__qualname__ = work.__name__.removeprefix("run_")
+    return call
 
 
 def read_arguments(options: Callable[..., O], args: argparse.Namespace) -> O:

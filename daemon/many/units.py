@@ -175,22 +175,14 @@ def _run_on_cluster(
             if future.status in _AGAIN:
                 ended.add(future)
                 continue
-            yield _take(future, names.pop(future.key), address)
+            unit = names.pop(future.key)
+            if future.status == "finished":
+                yield future.result()
+            elif future.status == "error":  # its workers died each time
+                yield Done(unit, None, describe_failure(future.exception()), TRIES)
+            else:
+                what, hint = "the scheduler is gone", "the same command goes on where it was"
+                raise SteerdError(f"--dask {address}: {what}", hint, ExitCode.UNREACHABLE)
             future.release()
             if (later := hand_out()) is not None:
                 ended.add(later)
-
-
-def _take(future: Any, unit: str, address: str) -> Done:
-    """A future's result; a unit whose workers died each time is one that failed.
-
-    Raises:
-        SteerdError: the cluster has lost it.
-    """
-    if future.status == "finished":
-        done: Done = future.result()
-        return done
-    if future.status == "error":
-        return Done(unit, None, describe_failure(future.exception()), TRIES)
-    what = f"--dask {address}: the scheduler is gone"
-    raise SteerdError(what, "the same command goes on where it was", ExitCode.UNREACHABLE)

@@ -131,9 +131,20 @@ def compare_on_lane(drives: Sequence[LaneSession]) -> list[Section]:
     names = [drive.name for drive in drives]
     heads = ["", *names, "difference"] if len(drives) == 2 else ["", *names]
     colours = dict(zip(names, LINES, strict=False))
-    curves = Diagrams(
-        lambda *axes: _plot_curves(axes, drives), 2.0, count=len(_PANELS), colours=colours
-    )
+
+    def plot(*axes: Axes) -> None:
+        for axis, (name, title, scale) in zip(axes, _PANELS, strict=True):
+            for drive, colour in zip(drives, LINES, strict=False):
+                values, step = scale * drive.values[name], max(1, len(drive.place) // _DOTS_MAX)
+                dots = drive.place[::step], values[::step]
+                axis.plot(*dots, ".", ms=1.0, color=colour, alpha=0.35)
+                at = (np.arange(BINS) + 0.5) / BINS * drive.lane.length
+                mean = profile(drive.place, drive.lane.length, values, BINS)
+                axis.plot(at, mean, color=colour, lw=1.4)
+            along = (0.0, drives[0].lane.length)
+            axis.set(title=title, xlabel="place along the lane [m]", xlim=along)
+
+    curves = Diagrams(plot, 2.0, count=len(_PANELS), colours=colours)
     return [
         Section(table=Table(heads, list(_lane_rows(drives)))),
         Section(
@@ -174,18 +185,6 @@ def _plot_tracks(axis: Axes, drives: Sequence[LaneSession]) -> None:
     axis.set(xlabel="x [m]", ylabel="y [m]")
 
 
-def _plot_curves(axes: Sequence[Axes], drives: Sequence[LaneSession]) -> None:
-    """Errors, speed and steering over the place along the lane: every lap, faint, and the mean."""
-    for axis, (name, title, scale) in zip(axes, _PANELS, strict=True):
-        for drive, colour in zip(drives, LINES, strict=False):
-            values, step = scale * drive.values[name], max(1, len(drive.place) // _DOTS_MAX)
-            axis.plot(drive.place[::step], values[::step], ".", ms=1.0, color=colour, alpha=0.35)
-            at = (np.arange(BINS) + 0.5) / BINS * drive.lane.length
-            mean = profile(drive.place, drive.lane.length, values, BINS)
-            axis.plot(at, mean, color=colour, lw=1.4)
-        axis.set(title=title, xlabel="place along the lane [m]", xlim=(0.0, drives[0].lane.length))
-
-
 # -- over time -------------------------------------------------------------------------------------
 
 STEP = 0.01  # of the common axis [s]
@@ -199,28 +198,15 @@ _SHOWN = ("lateral error e1", "heading error e2", *_MOTION)
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
-    """A quantity of two drives on one axis of time; NaN where a drive has none of it."""
-
-    title: str
-    unit: str
-    first: Array  # (n,) values of the first drive; second: of the second
-    second: Array
-
-    @property
-    def difference(self) -> Array:
-        """Second minus first."""
-        return self.second - self.first
-
-
-@dataclass(frozen=True, eq=False)
 class Overlay:
     """Two drives over the time that they share."""
 
     t: Array  # since the first one's start (n,) [s]
     shift: float  # by which the second one comes later [s]
     found: bool  # whether that was found, not given
-    pairs: tuple[Pair, ...]  # the quantities that both have
+    # Quantities that both have, by title and unit: of the first drive, of the second and the second
+    # minus the first (n,); NaN where a drive has none
+    pairs: dict[str, tuple[Array, Array, Array]]
 
 
 def find_shift(first: Sequence[Array], second: Sequence[Array]) -> float:
@@ -283,11 +269,11 @@ def overlay(first: Recording, second: Recording, shift: float | None = None) -> 
         what = f"shifted by {at:g} s the drives have no time in common"
         hint = f"they last {lengths[0]:.1f} s and {lengths[1]:.1f} s"
         raise SteerdError(what, hint, ExitCode.USAGE)
-    pairs = (
-        Pair(title, panels[0][title].unit, _sample(one, t), _sample(other, t - at))
-        for title, (one, other) in curves.items()
-    )
-    return Overlay(t, at, shift is None, tuple(pairs))
+    pairs = {}
+    for title, curve in curves.items():
+        one, other = _sample(curve[0], t), _sample(curve[1], t - at)
+        pairs[f"{title} [{panels[0][title].unit}]"] = one, other, other - one
+    return Overlay(t, at, shift is None, pairs)
 
 
 def _pick(first: Sequence[Curve], second: Sequence[Curve]) -> tuple[Curve, Curve]:
@@ -307,40 +293,30 @@ def compare_over_time(found: Overlay, names: Sequence[str]) -> Section:
     when, common = "later" if found.shift >= 0.0 else "earlier", found.t[-1] - found.t[0]
     heads = ["", f"{names[0]}: RMS", f"{names[1]}: RMS", "difference: mean",
              "difference: RMS", "difference: largest"]  # fmt: skip
+    rows = []
+    for title, values in found.pairs.items():
+        one, other, off = (each[np.isfinite(values[2])] for each in values)
+        if off.size:
+            figures = (rms(one), rms(other), float(off.mean()), rms(off), float(np.abs(off).max()))
+            rows.append([title, *(f"{value:z.3f}" for value in figures)])
+    colours, step = dict(zip(names, LINES, strict=False)), max(1, len(found.t) // POINTS_MAX)
+
+    def plot(*axes: Axes) -> None:
+        for both, off, title in zip(axes[::2], axes[1::2], found.pairs, strict=True):
+            t, (*drives, difference) = found.t[::step], found.pairs[title]
+            for values, colour in zip(drives, LINES, strict=False):
+                both.plot(t, values[::step], color=colour, lw=1.1)
+            off.plot(t, difference[::step], color=INK, lw=0.9)
+            both.set(title=title, xlabel="time [s]")
+            off.set(title=f"difference of the {title}", xlabel="time [s]")
+            least = LEAST_SHARE * np.nanmax(np.abs(drives[0]))
+            low, high = off.get_ylim()
+            off.set_ylim(min(low, -least), max(high, least))  # what differs by rounding looks so
+
     return Section(
         "Over the same time",
         f"{names[1]} is shown {abs(found.shift):.2f} s {when}, {where}; {common:.1f} s are "
         f"common to both. The difference is {names[1]} minus {names[0]}.",
-        table=Table(heads, [row for pair in found.pairs for row in _pair_rows(pair)]),
-        figures=[
-            Diagrams(
-                lambda *axes: _plot_pairs(axes, found),
-                1.8,
-                count=2 * len(found.pairs),
-                colours=dict(zip(names, LINES, strict=False)),
-            )
-        ],
+        table=Table(heads, rows),
+        figures=[Diagrams(plot, 1.8, count=2 * len(found.pairs), colours=colours)],
     )
-
-
-def _pair_rows(pair: Pair) -> Iterator[list[str]]:
-    one, other, off = (v[np.isfinite(pair.difference)] for v in (pair.first, pair.second,
-                                                                 pair.difference))  # fmt: skip
-    if off.size:
-        figures = (rms(one), rms(other), float(off.mean()), rms(off), float(np.abs(off).max()))
-        yield [f"{pair.title} [{pair.unit}]", *(f"{value:z.3f}" for value in figures)]
-
-
-def _plot_pairs(axes: Sequence[Axes], found: Overlay) -> None:
-    """Both curves, then their difference; two diagrams for each quantity."""
-    step = max(1, len(found.t) // POINTS_MAX)
-    t = found.t[::step]
-    for both, off, pair in zip(axes[::2], axes[1::2], found.pairs, strict=True):
-        for values, colour in zip((pair.first, pair.second), LINES, strict=False):
-            both.plot(t, values[::step], color=colour, lw=1.1)
-        off.plot(t, pair.difference[::step], color=INK, lw=0.9)
-        both.set(title=f"{pair.title} [{pair.unit}]", xlabel="time [s]")
-        off.set(title=f"difference of the {pair.title} [{pair.unit}]", xlabel="time [s]")
-        least = LEAST_SHARE * np.nanmax(np.abs(pair.first))
-        low, high = off.get_ylim()
-        off.set_ylim(min(low, -least), max(high, least))  # what differs by rounding looks so

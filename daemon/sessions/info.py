@@ -1,6 +1,6 @@
 """The contents of a session as one value, for `steerd info` and after an import."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import isfinite
@@ -175,24 +175,17 @@ def read_recording(session: Session) -> Recording:
     with reading(session.info().path):
         try:
             return Recording(session, session.tables(wanted), ())
-        except SessionError:
-            return Recording(session, *_read_apart(session, wanted))
-
-
-def _read_apart(
-    session: Session, wanted: Mapping[str, type[Any]]
-) -> tuple[dict[str, Columns], list[str]]:
-    """The topics that can be read, one by one, and why the others cannot."""
-    tables: dict[str, Columns] = {}
-    problems = []
-    for name, message in wanted.items():
-        try:
-            tables |= session.tables({name: message})
-        except SessionError as error:
-            if error.code == "changed":
-                raise
-            problems.append(str(error))
-    return tables, problems
+        except SessionError:  # one by one: those that can be read, and why the others cannot
+            tables: dict[str, Columns] = {}
+            problems = []
+            for name, message in wanted.items():
+                try:
+                    tables |= session.tables({name: message})
+                except SessionError as error:
+                    if error.code == "changed":
+                        raise
+                    problems.append(str(error))
+            return Recording(session, tables, problems)
 
 
 # -- the report ----------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ Speed and yaw rate are differences of poses over a window whose length follows f
 the poses. All functions are linear in the number of samples.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import pi, sqrt
 
@@ -158,22 +159,12 @@ def find_implausible(
             warnings.append(f"steering reaches {worst:.3g} rad: is it in degrees?")
     if track is None:
         return warnings
-    warnings += _check_position(track)
+    extent, fastest = max(np.ptp(track.x), np.ptp(track.y)), make_range(np.abs(track.speed))
+    if extent > _EXTENT_MAX and fastest and fastest.high > _SPEED_MAX:
+        far = f"x, y span {extent:.4g} m at {fastest.high:.3g} m/s"
+        warnings.append(f"{far}: are they in millimetres?")
     heading = _check_heading(track) or _check_front(track, wheel)
-    warnings += heading
-    if heading:
-        return warnings
-    for check, signal in ((_check_wheel, wheel), (_check_gyro, gyro), (_check_steer, steer)):
-        warnings += [] if signal is None else check(track, signal)
-    return warnings
-
-
-def _check_position(track: Track) -> list[str]:
-    extent = float(max(np.ptp(track.x), np.ptp(track.y)))
-    found = make_range(np.abs(track.speed))
-    if extent > _EXTENT_MAX and found and found.high > _SPEED_MAX:
-        return [f"x, y span {extent:.4g} m at {found.high:.3g} m/s: are they in millimetres?"]
-    return []
+    return [*warnings, *(heading or _check_signals(track, steer, wheel, gyro))]
 
 
 def _check_heading(track: Track) -> list[str]:
@@ -214,45 +205,34 @@ def _wrap(angle: Array) -> Array:
     return np.asarray((angle + pi) % (2 * pi) - pi)
 
 
-def _check_wheel(track: Track, wheel: Signal) -> list[str]:
-    found = _while_driven(track, wheel)
-    if found is None:
-        return []
-    speed, _, value = found
-    ratio = float(np.sum(np.abs(value)) / np.sum(np.abs(speed)))
-    if _RATIO_LOW <= ratio <= _RATIO_HIGH:
-        return []
-    kinds = {"millimetres": 1e3, "km/h": 3.6, "degrees": 57.3, "millimetres (x, y)": 1e-3}
-    near = [n for n, factor in kinds.items() if _RATIO_LOW <= ratio / factor <= _RATIO_HIGH]
-    guess = f": {near[0]}?" if near else ": another unit, gear ratio or wheel?"
-    return [f"the wheel drives {ratio:.3g} times the path{guess}"]
-
-
-def _check_gyro(track: Track, gyro: Signal) -> list[str]:
-    rate = np.interp(gyro.t, track.t, np.nan_to_num(track.yaw_rate), np.nan, np.nan)
-    both = np.isfinite(rate) & np.isfinite(gyro.values)
-    rate, measured = rate[both], gyro.values[both]
-    strength = float(np.sum(rate**2))
-    if strength <= _TURNING**2 * rate.size:
-        return []
-    slope = float(np.sum(rate * measured)) / strength
-    if slope > 20.0:
-        return [f"yaw_rate is {slope:.3g} times the turning of the poses: is it in degrees/s?"]
-    if slope < -0.3:
-        return ["yaw_rate has the opposite sign of the poses' turning"]
-    return []
-
-
-def _check_steer(track: Track, steer: Signal) -> list[str]:
-    found = _while_driven(track, steer, _STEER_LATENCY)
-    if found is None:
-        return []
-    speed, rate, value = found
-    curvature = rate / speed
-    strength = float(np.sqrt(np.sum(curvature**2) * np.sum(value**2)))
-    if strength > 0.0 and float(np.sum(curvature * value)) / strength < -0.5:
-        return ["the car turns right where steer_cmd is positive: steer_cmd must be left positive"]
-    return []
+def _check_signals(
+    track: Track, steer: Signal | None, wheel: Signal | None, gyro: Signal | None
+) -> Iterator[str]:
+    """Wheels, gyro and steering against the motion that the poses show."""
+    if wheel is not None and (found := _while_driven(track, wheel)):
+        speed, _, value = found
+        ratio = float(np.sum(np.abs(value)) / np.sum(np.abs(speed)))
+        if not _RATIO_LOW <= ratio <= _RATIO_HIGH:
+            kinds = {"millimetres": 1e3, "km/h": 3.6, "degrees": 57.3, "millimetres (x, y)": 1e-3}
+            near = [n for n, factor in kinds.items() if _RATIO_LOW <= ratio / factor <= _RATIO_HIGH]
+            guess = f": {near[0]}?" if near else ": another unit, gear ratio or wheel?"
+            yield f"the wheel drives {ratio:.3g} times the path{guess}"
+    if gyro is not None:
+        rate = np.interp(gyro.t, track.t, np.nan_to_num(track.yaw_rate), np.nan, np.nan)
+        both = np.isfinite(rate) & np.isfinite(gyro.values)
+        strength = float(np.sum(rate[both] ** 2))
+        turns = strength > _TURNING**2 * np.count_nonzero(both)
+        slope = float(np.sum(rate[both] * gyro.values[both])) / strength if turns else 1.0
+        if slope > 20.0:
+            yield f"yaw_rate is {slope:.3g} times the turning of the poses: is it in degrees/s?"
+        elif slope < -0.3:
+            yield "yaw_rate has the opposite sign of the poses' turning"
+    if steer is not None and (found := _while_driven(track, steer, _STEER_LATENCY)):
+        speed, turning, value = found
+        curvature = turning / speed
+        strength = float(np.sqrt(np.sum(curvature**2) * np.sum(value**2)))
+        if strength > 0.0 and float(np.sum(curvature * value)) / strength < -0.5:
+            yield "the car turns right where steer_cmd is positive: steer_cmd must be left positive"
 
 
 # -- the lateral error, one definition for every page ----------------------------------------------

@@ -268,24 +268,17 @@ def _learnt(s: Recording) -> Iterator[Panel]:
         return
     t = s.times(table)
     for title, unit, fields, scale in PANELS:
-        pairs = zip(fields, _ROLES, strict=False)
-        curves = [c for field, role in pairs for c in _banded(table, t, field, role, scale)]
+        curves: list[Curve] = []
+        for field, role in zip(fields, _ROLES, strict=False):
+            known = np.isfinite(table[field])
+            if known.any():
+                at, value = t[known], scale * table[field][known].astype(float)
+                width = scale * BAND * table[f"{field}_sd"][known].astype(float)
+                ends = (value + width, value - width)
+                bounds = [Curve(f"{field}, 95 %", "bound", at, end) for end in ends]
+                curves += [Curve(field, role, at, value), *bounds]
         if curves:
             yield Panel(title, unit, (*curves, *_moments(table, t, curves)))
-
-
-def _banded(table: Columns, t: Array, field: str, role: str, scale: float) -> list[Curve]:
-    """A parameter and its band, where it was learnt."""
-    value, sd = table[field].astype(float), table[f"{field}_sd"].astype(float)
-    known = np.isfinite(value)
-    if not known.any():
-        return []
-    t, value, width = t[known], scale * value[known], scale * BAND * sd[known]
-    return [
-        Curve(field, role, t, value),
-        Curve(f"{field}, 95 %", "bound", t, value + width),
-        Curve(f"{field}, 95 %", "bound", t, value - width),
-    ]
 
 
 def _moments(table: Columns, t: Array, curves: list[Curve]) -> list[Curve]:

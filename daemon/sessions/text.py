@@ -41,7 +41,11 @@ def format_report(report: SessionReport) -> str:
     lines += _item("size", f"{size}, {_count(info.count)} messages")
     lines += _item("end", _end(report))
     if report.states:
-        lines += _item("states", _states(report))
+        first, *later = report.states[:STATES_SHOWN]
+        changes = (f" {join_words(f'→ {each.state.lower()} {each.t_s:.1f}')}" for each in later)
+        more = len(report.states) - STATES_SHOWN
+        rest = f" → … {more} more" if more > 0 else ""
+        lines += _item("states", f"{first.state.lower()}{''.join(changes)}{rest}{NBSP}s")
     lines += _item("drive", _drive(report))
     for remark in report.excitation:
         lines += _item("", remark)
@@ -97,14 +101,6 @@ def _end(report: SessionReport) -> str:
     return f"the recorder was killed or is still writing; to repair it: {command}"
 
 
-def _states(report: SessionReport) -> str:
-    shown = report.states[:STATES_SHOWN]
-    later = (f" {join_words(f'→ {change.state.lower()} {change.t_s:.1f}')}" for change in shown[1:])
-    text = shown[0].state.lower() + "".join(later)
-    more = len(report.states) - len(shown)
-    return text + (f" → … {more} more" if more else "") + f"{NBSP}s"
-
-
 def _drive(report: SessionReport) -> str:
     parts = []
     if report.length_m is not None:
@@ -137,7 +133,13 @@ def _topics(report: SessionReport) -> list[str]:
         )
         for t in shown
     ]  # fmt: skip
-    lines = [f"  {line}" for line in format_table(_fit_width(rows))]
+    # At most `WIDTH` columns wide: names and types are cut before figures are.
+    heads = ("topic", "type", "messages", "rate", "gaps")
+    name, kind, *figures = (max(map(len, column)) for column in zip(heads, *rows, strict=True))
+    room = max(WIDTH - 2 * len(heads) - sum(figures), _NAME_MIN + _TYPE_MIN)
+    name = min(name, _NAME_MAX, room - _TYPE_MIN)
+    cells = [(cut(row[0], name), cut(row[1], min(kind, room - name)), *row[2:]) for row in rows]
+    lines = [f"  {line}" for line in format_table(Table(heads, cells, words=(1, 4)))]
     more = len(report.topics) - len(shown)
     if more:
         lines.append(f"  … and {more} topics more (--json lists them)")
@@ -145,16 +147,6 @@ def _topics(report: SessionReport) -> list[str]:
         names = ", ".join(_short(name) for name in report.empty_topics[:EMPTY_SHOWN])
         lines += wrap(names, "  no messages: ", "    ")
     return lines
-
-
-def _fit_width(rows: Sequence[tuple[str, ...]]) -> Table:
-    """The table at most `WIDTH` columns wide; names and types are cut before figures are."""
-    heads = ("topic", "type", "messages", "rate", "gaps")
-    name, kind, *figures = (max(map(len, column)) for column in zip(heads, *rows, strict=True))
-    room = max(WIDTH - 2 * len(heads) - sum(figures), _NAME_MIN + _TYPE_MIN)
-    name = min(name, _NAME_MAX, room - _TYPE_MIN)
-    kind = min(kind, room - name)
-    return Table(heads, [(cut(r[0], name), cut(r[1], kind), *r[2:]) for r in rows], words=(1, 4))
 
 
 def _short(name: str) -> str:

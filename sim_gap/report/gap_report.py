@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from steerd.car_model.effects import EFFECTS
 from steerd.sim_gap.diagnosis import Diagnosis
 from steerd.sim_gap.lane_comparison import LaneComparison, figures_of
-from steerd.sim_gap.verdict.evidence import Cause, Estimated
+from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sim_gap.verdict.where import EQUATIONS
 from steerd.sysid.report.report import (
     DEGREES,
@@ -108,7 +108,12 @@ def _cards(found: Diagnosis) -> Iterator[Card]:
     lead = f"position error after {before[0]:g} s"
     if found.causes:
         first, other = found.causes[0], found.something_else
-        parameter, (value, sd, unit) = _surest(first)
+        nulls = {p.name: p.null for p in EFFECTS[first.effect].parameters}
+        # The parameter that is furthest from doing nothing, in its standard errors.
+        parameter, (value, sd, unit) = max(
+            first.parameters.items(),
+            key=lambda each: abs(each[1].value - nulls[each[0]]) / max(each[1].sd, 1e-12),
+        )
         sure = f"{' and '.join(f'{cause.confidence:.0%}' for cause in found.causes)} sure"
         sure += f"; something else {other:.0%}" if other >= OTHER_SHOWN else ""
         more = f" and {found.causes[1].effect}" if len(found.causes) > 1 else ""
@@ -129,17 +134,6 @@ def _cards(found: Diagnosis) -> Iterator[Card]:
     if found.candidates:
         effect, probability, _ = max(found.candidates, key=lambda row: row[1])
         yield Card("best candidate", effect, f"{probability:.0%}: not enough")
-
-
-def _surest(cause: Cause) -> tuple[str, Estimated]:
-    """The parameter that is furthest from doing nothing, in its standard errors."""
-    nulls = {p.name: p.null for p in EFFECTS[cause.effect].parameters}
-
-    def sigmas(item: tuple[str, Estimated]) -> float:
-        name, (value, sd, _) = item
-        return abs(value - nulls[name]) / max(sd, 1e-12)
-
-    return max(cause.parameters.items(), key=sigmas)
 
 
 def _figures(found: Diagnosis) -> "Iterator[Diagrams]":

@@ -71,13 +71,7 @@ def plot_held_out(left: Axes, right: Axes, held_out: Sequence[HeldOut]) -> None:
     left.set_ylabel("root mean square")
 
 
-def draw_residuals(left: Residuals) -> list[Diagrams]:
-    """Residuals of each kind."""
-    present = np.unique(left.group).tolist()
-    return [Diagrams(_plot_residuals, 1.7, (left, group), 2) for group in present]
-
-
-def _plot_residuals(over: Any, spread: Any, left: Residuals, group: int) -> None:
+def plot_residuals(over: Any, spread: Any, left: Residuals, group: int) -> None:
     """Residuals of a kind over time, and their spread against the signal's own noise."""
     mine = left.group == group
     scale, unit = UNITS[GROUPS[group]]

@@ -13,7 +13,7 @@ from steerd.car_model.car_file import default_car_path, load_car
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.analysis.diagnosis import DiagnoseOptions, Diagnosis, make_case
 from steerd.daemon.analysis.gap_closed_loop import try_lane
-from steerd.daemon.analysis.options import read_arguments
+from steerd.daemon.analysis.options import Watch, read_arguments
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.screen import WIDTH
@@ -183,7 +183,7 @@ def test_too_short_a_lane_drive_is_said(tmp_path):
 def case_of(*words):
     args = make_parser("diagnose").parse_args([str(word) for word in words])
     options = read_arguments(DiagnoseOptions, args)
-    return make_case([Path(p) for p in args.sessions], options, lambda _: None, lambda _: None)[1]
+    return make_case([Path(p) for p in args.sessions], options, Watch())[1]
 
 
 @pytest.fixture(scope="module")

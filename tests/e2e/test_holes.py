@@ -8,6 +8,7 @@ import threading
 import pytest
 
 from steerd.daemon.analysis.drives import load_drive
+from steerd.daemon.analysis.options import Watch
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.ipc.pipe_records import (
     PipeReader,
@@ -117,12 +118,12 @@ def test_info_plot_and_catalogue_show_it(holed, capsys):
 
 def test_a_drive_is_cut_there(holed):
     path, said, _ = holed
-    warned = []
-    _, run = load_drive(path, "command", warned.extend)
+    watch = Watch()
+    _, run = load_drive(path, "command", watch)
     ((first, last),) = pauses(run)
     ((hole_ns, end_ns),) = open_session(path).holes()
     assert last - first >= (end_ns - hole_ns) / NS
-    assert f"{path.name}: {said}" in warned
+    assert f"{path.name}: {said}" in watch.warnings
 
 
 def test_a_hole_of_a_tick_is_a_pause_too(drive, tmp_path):

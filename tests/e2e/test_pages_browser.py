@@ -54,12 +54,7 @@ def pages(tmp_path_factory):
         f"diagnose {session} --report {folder}/gap.html",
     ):
         assert run_cli(line.split()) == 0, line
-    draw_many(folder, session)
-    return folder
-
-
-def draw_many(folder, session):
-    """The pages of many drives: a short sweep, and a drive copied to eight days."""
+    # The pages of many drives: a short sweep, and a drive copied to eight days.
     (folder / "sweep.toml").write_text(SWEEP)
     days = folder / "days"
     days.mkdir()
@@ -73,6 +68,7 @@ def draw_many(folder, session):
         ["batch", "summarise", str(days), "--page", str(folder / "batch.html")],
     ):
         assert run_cli([*argv, "--jobs", "1"]) == 0, argv
+    return folder
 
 
 @pytest.mark.parametrize("name", PAGES)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from steerd.car_model.car_file import CarFile
-from steerd.daemon.analysis.options import read_arguments
+from steerd.daemon.analysis.options import Watch, read_arguments
 from steerd.daemon.cli import arguments
 from steerd.daemon.cli.arguments import missing_car, option, split_list
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -66,15 +66,15 @@ def identify(args: Namespace) -> int:
     code 3: a file cannot be read; 4: its content is not fit for identification; 5:
     the result predicts no better than the start values.
     """
-    from steerd.daemon.analysis.identification import FIT, IdentifyOptions, run_identification
+    from steerd.daemon.analysis.identification import IdentifyOptions, run_identify
     from steerd.daemon.assembly.build import report_refusal
     from steerd.daemon.sessions.text import print_warnings
 
     with writing(list_outputs(args), announced=True) as write:
         paths = arguments.pick_sessions(args.sessions)
-        with show_progress("identifying", len(paths) + FIT) as advance:
+        with show_progress("identifying", 1.0) as advance:
             options = read_arguments(IdentifyOptions, args)
-            found = run_identification(paths, options, print_warnings, advance)
+            found = run_identify(paths, options, Watch(print_warnings, advance))
         car = present(found, args, write)
     if car is not None:
         report_refusal(car)
@@ -139,7 +139,7 @@ def diagnose(args: Namespace) -> None:
     3: a file cannot be read; 4: a gap is not identifiable from its content; 5: the
     base car's simulation diverges.
     """
-    from steerd.daemon.analysis.diagnosis import DRIVEN, DiagnoseOptions, run_diagnosis
+    from steerd.daemon.analysis.diagnosis import DRIVEN, DiagnoseOptions, run_diagnose
     from steerd.daemon.assembly.build import report_refusal
     from steerd.daemon.sessions.text import print_warnings
 
@@ -158,7 +158,7 @@ def diagnose(args: Namespace) -> None:
         options = read_arguments(DiagnoseOptions, args)
         paths = arguments.pick_sessions(args.sessions)
         with show_progress("diagnosing", 1.0) as advance:
-            found = run_diagnosis(paths, options, print_warnings, advance, foretell)
+            found = run_diagnose(paths, options, Watch(print_warnings, advance, foretell))
             advance(DRIVEN, "")
         car = present(found, args, write)
         write(args.prediction, found.findings.shrinkage.text)  # where it could not be, at first

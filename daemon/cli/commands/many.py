@@ -65,8 +65,7 @@ def sweep(args: Namespace) -> None:
 
 def _drive_again(plan: "SweepPlan", args: Namespace) -> None:
     """Drive one case of the sweep and record it."""
-    from steerd.daemon.many.sweep.drive import prepare
-    from steerd.daemon.many.sweep.run import find_case
+    from steerd.daemon.many.sweep.run import find_case, prepare
     from steerd.daemon.offline.fast import check_driven, record_virtual
     from steerd.daemon.offline.virtual import drive
     from steerd.sim_hw.world import World

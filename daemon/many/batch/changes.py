@@ -77,8 +77,7 @@ class Change:
         return abs(self.after - self.before) / self.sd
 
 
-@dataclass(frozen=True)
-class Band:
+class Band(NamedTuple):
     """Weekly means of a series with 95 % bands."""
 
     start: Array  # middle of each week's drives [UNIX s]
@@ -204,8 +203,7 @@ def make_band(s: Series) -> Band:
         total = weight[mine].sum()
         mean = (weight[mine] * s.value[mine]).sum() / total
         rows.append((s.start[mine].mean(), mean, _WIDE / sqrt(total)))
-    start, mean, half = np.array(rows).T
-    return Band(start, mean, half)
+    return Band(*np.array(rows).T)
 
 
 def nothing_changed(series: int) -> str:

@@ -1,7 +1,7 @@
 """`steerd.batch`: hundreds of sessions, each a row; what changed on which car, and when."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -89,9 +89,21 @@ class Batch(Found):
         if failed:
             lines.append(f"failed     {len(failed)}")
         for row in failed[:_FAILURES]:
-            text = _failure(str(row["session"]), str(row["failure"]))
+            session = str(row["session"])
+            name = session.rpartition("/")[2]
+            text = clean(str(row["failure"]).replace(session, name))
+            text = text if name in text else f"{clean(name, 40)}: {text}"
             lines += wrap(text, " " * 11, " " * 13)
-        return "\n".join([*lines, "", *_changes(self.changes, len(self.series))])
+        lines.append("")
+        if not self.changes:
+            lines.append(steps.nothing_changed(len(self.series)))
+        else:
+            table = steps.tabulate_changes(self.changes[:_CHANGES])
+            heads = ("car", "quantity", "since", "before", "after", "sigma")
+            lines += format_table(table.pick(*heads))
+        if len(self.changes) > _CHANGES:
+            lines.append(f"and {len(self.changes) - _CHANGES} more: see the table or --page")
+        return "\n".join(lines)
 
 
 @speaking_of_arguments
@@ -142,20 +154,3 @@ def make_job(paths: Sequence[Path], question: unit.Question) -> Job[Batch]:
     work, make = partial(unit.run_unit, question), partial(Batch, kind=question.kind)
     basis, ship = question.digest(), unit.read_content
     return Job(question.kind, work, tasks, basis, make_row, make, ship, grows=True)
-
-
-def _failure(session: str, why: str) -> str:
-    """Why a session failed, with its name and without its folder."""
-    name = session.rpartition("/")[2]
-    text = clean(why.replace(session, name))
-    return text if name in text else f"{clean(name, 40)}: {text}"
-
-
-def _changes(changes: Sequence[Change], series: int) -> Iterator[str]:
-    if not changes:
-        yield steps.nothing_changed(series)
-        return
-    table = steps.tabulate_changes(changes[:_CHANGES])
-    yield from format_table(table.pick("car", "quantity", "since", "before", "after", "sigma"))
-    if len(changes) > _CHANGES:
-        yield f"and {len(changes) - _CHANGES} more: see the table or --page"

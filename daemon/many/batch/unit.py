@@ -23,7 +23,6 @@ _EARLIEST_NS = 946_684_800_000_000_000
 """The year 2000 [UNIX ns]: a log whose clock began at zero has no date of its own."""
 _CAR_MAX = 24  # characters of a car's name that are kept
 Kind = Literal["summarise", "identify", "diagnose"]
-_PATTERN = frozenset("*?[")
 
 
 @dataclass(frozen=True)
@@ -68,22 +67,19 @@ def find_batch(words: Sequence[str]) -> list[Path]:
     """
     found: dict[Path, None] = {}
     for word in words:
-        paths = _expand(word)
+        path = Path(word)
+        if path.is_dir():
+            paths = sorted(path.rglob("*.mcap"))
+        elif path.exists():
+            paths = [path]
+        else:
+            names = map(Path, sorted(glob.glob(word, recursive=True)))  # noqa: PTH207
+            paths = [name for name in names if name.is_file() and name.suffix == ".mcap"]
         if not paths:
-            what = f"{word}: no session" if Path(word).exists() else f"{word} does not exist"
+            what = f"{word}: no session" if path.exists() else f"{word} does not exist"
             raise SteerdError(what, "name folders, patterns or files", ExitCode.UNREADABLE)
         found |= dict.fromkeys(paths)
     return sorted(found)
-
-
-def _expand(word: str) -> list[Path]:
-    path = Path(word)
-    if path.is_dir():
-        return sorted(path.rglob("*.mcap"))
-    if path.exists() or not _PATTERN & set(word):
-        return [path] if path.exists() else []
-    names = (Path(name) for name in sorted(glob.glob(word, recursive=True)))  # noqa: PTH207
-    return [name for name in names if name.is_file() and name.suffix == ".mcap"]
 
 
 def read_cars(named: Path | None) -> dict[str, CarFile]:

@@ -9,7 +9,7 @@ from steerd.daemon.common.screen import clean
 from steerd.daemon.many.job import Rows
 from steerd.daemon.many.sweep import summary as figures
 from steerd.daemon.many.sweep.plan import DRIVEN, Choice, Distribution, SweepPlan
-from steerd.daemon.many.sweep.summary import Sensitivity, Summary
+from steerd.daemon.many.sweep.summary import Summary
 from steerd.sysid.report.drawing import AFTER, BEFORE, Diagrams
 from steerd.sysid.report.report import SCALES, Card, Cell, Report, Section, Table
 
@@ -88,30 +88,20 @@ def _moves(summary: Summary) -> Table:
     found = {(s.quantity, s.measure): s for s in summary.sensitivities}
     rows: list[list[str | Cell]] = []
     for name in dict.fromkeys(s.measure for s in summary.sensitivities):
-        cells = [found.get((head, name)) for head in heads]
-        rows.append([name, *map(_rank_cell, cells)])
+        rows.append([name])
+        for s in (found.get((head, name)) for head in heads):
+            strong = s is not None and s.shown and s.size > _MOVED
+            text = f"{s.value:+.2f}" if s is not None else "–"
+            rows[-1].append(Cell(text, "strong" if strong else "quiet"))
     return Table(["measure", *heads], rows)
-
-
-def _rank_cell(s: Sensitivity | None) -> Cell:
-    if s is None:
-        return Cell("–", "quiet")
-    return Cell(f"{s.value:+.2f}", "strong" if s.shown and s.size > _MOVED else "quiet")
 
 
 def _describe(choice: Choice) -> str:
     """A list or a distribution in a few words."""
-    if not isinstance(choice, Distribution):
-        shown = ", ".join(clean(str(value), 24) for value in choice[:_VALUES])
-        return shown + (", …" if len(choice) > _VALUES else "")
-    one, other = f"{choice.one:.4g}", f"{choice.other:.4g}"
-    match choice.shape:
-        case "normal":
-            return f"{one} ± {other}"
-        case "log_normal":
-            return f"{one}, factor {other}"
-        case shape:
-            return f"{one} to {other}" + (" (logarithmic)" if shape == "log_uniform" else "")
+    if isinstance(choice, Distribution):
+        return str(choice)
+    shown = ", ".join(clean(str(value), 24) for value in choice[:_VALUES])
+    return shown + (", …" if len(choice) > _VALUES else "")
 
 
 def _scaled(rows: Rows, name: str) -> np.ndarray:
@@ -140,18 +130,15 @@ def _draw_scatters(plan: SweepPlan, rows: Rows, summary: Summary) -> list[Diagra
 
     def plot(*axes: Axes) -> None:
         for axis, s in zip(axes, strong, strict=True):
-            _draw_scatter(axis, rows[:_POINTS], s)
+            given = [row[s.quantity] for row in rows[:_POINTS]]
+            if any(isinstance(value, str) for value in given):
+                names = sorted({str(value) for value in given})
+                axis.set_xticks(range(len(names)), [clean(name, 14) for name in names])
+                given = [names.index(str(value)) for value in given]
+            seen = _scaled(rows[:_POINTS], s.measure)
+            axis.plot(given, seen, ".", ms=2.5, color=AFTER, alpha=0.6)
             unit = units[s.quantity]
             axis.set_xlabel(f"{s.quantity} [{unit}]" if unit not in ("", "1") else s.quantity)
             axis.set_ylabel(figures.name_measure(s.measure))
 
     return [Diagrams(plot, 2.4, count=len(strong), columns=3)] if strong else []
-
-
-def _draw_scatter(axis: Axes, rows: Rows, s: Sensitivity) -> None:
-    given = [row[s.quantity] for row in rows]
-    if any(isinstance(value, str) for value in given):
-        names = sorted({str(value) for value in given})
-        axis.set_xticks(range(len(names)), [clean(name, 14) for name in names])
-        given = [names.index(str(value)) for value in given]
-    axis.plot(given, _scaled(rows, s.measure), ".", ms=2.5, color=AFTER, alpha=0.6)

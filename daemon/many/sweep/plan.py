@@ -6,7 +6,7 @@ A sweep file is TOML; `steerd sweep --example` prints one.
 import hashlib
 import itertools
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from math import exp, isfinite, log
 from pathlib import Path
@@ -35,6 +35,8 @@ class Quantity(NamedTuple):
     meaning: str  # one line
     # The car file's or the simulator's own value; None where there is none
     usual: float | None = None
+    # Of an instrument, in its device's configuration: they sum up, and the first one is varied
+    fields: tuple[str, ...] = ()
 
     @property
     def is_text(self) -> bool:
@@ -42,21 +44,24 @@ class Quantity(NamedTuple):
         return not self.unit
 
 
-_MOCAP, _VESC = MocapConfig(), VescConfig()
-_INSTRUMENTS = (
-    Quantity("mocap.position_noise", 0.0, 0.05, "m", "mocap: noise of a position",
-             _MOCAP.position_noise),
-    Quantity("mocap.yaw_noise", 0.0, 0.2, "rad", "mocap: noise of a heading", _MOCAP.yaw_noise),
-    Quantity("mocap.latency", 0.0, 0.05, "s", "mocap: exposure to transmission",
-             (_MOCAP.camera_ns + _MOCAP.software_ns) * 1e-9),
-    Quantity("mocap.jitter", 0.0, 0.005, "s", "mocap: spread of the transmission",
-             _MOCAP.jitter_ns * 1e-9),
-    Quantity("vesc.erpm_noise", 0.0, 500.0, "ERPM", "VESC: noise of the reported ERPM",
-             _VESC.erpm_noise),
-    Quantity("vesc.gyro_noise", 0.0, 0.5, "rad/s", "VESC: noise of the gyro", _VESC.gyro_noise),
-    Quantity("vesc.reply_delay", 0.0, 0.005, "s", "VESC: request to reply",
-             _VESC.reply_delay_ns * 1e-9),
-)  # fmt: skip
+def _instrument(name: str, high: float, unit: str, meaning: str, *fields: str) -> Quantity:
+    config = {"mocap": MocapConfig, "vesc": VescConfig}[name.partition(".")[0]]()
+    usual = sum(getattr(config, each) for each in fields)
+    usual *= 1e-9 if fields[0].endswith("_ns") else 1.0
+    return Quantity(name, 0.0, high, unit, meaning, usual, fields)
+
+
+INSTRUMENTS = (
+    _instrument("mocap.position_noise", 0.05, "m", "mocap: noise of a position", "position_noise"),
+    _instrument("mocap.yaw_noise", 0.2, "rad", "mocap: noise of a heading", "yaw_noise"),
+    _instrument(
+        "mocap.latency", 0.05, "s", "mocap: exposure to transmission", "camera_ns", "software_ns"
+    ),
+    _instrument("mocap.jitter", 0.005, "s", "mocap: spread of the transmission", "jitter_ns"),
+    _instrument("vesc.erpm_noise", 500.0, "ERPM", "VESC: noise of the reported ERPM", "erpm_noise"),
+    _instrument("vesc.gyro_noise", 0.5, "rad/s", "VESC: noise of the gyro", "gyro_noise"),
+    _instrument("vesc.reply_delay", 0.005, "s", "VESC: request to reply", "reply_delay_ns"),
+)
 _DRIVE = (
     Quantity("path", 0.0, 0.0, "", "path, as --path takes it"),
     Quantity("speed", 0.05, 20.0, "m/s", "speed on straights", 1.0),
@@ -69,20 +74,16 @@ def find_quantity(name: str, car: CarFile) -> Quantity:
     Raises:
         ValueError: there is none; the message offers the nearest.
     """
-    known = {q.name: q for q in (*_DRIVE, *_INSTRUMENTS)}
+    known = {q.name: q for q in (*_DRIVE, *INSTRUMENTS)}
     for p in PARAMETERS:
         usual = float(getattr(car.car, p.name))
         known[f"car.{p.name}"] = Quantity(f"car.{p.name}", p.low, p.high, p.unit, p.meaning, usual)
     if name in known:
         return known[name]
     kind, _, rest = name.partition(".")
-    if kind == "effect" and rest:
-        return _find_effect(name, rest)
-    more = "a sweep varies path, speed, car.NAME, effect.NAME, mocap.… and vesc.…"
-    raise ValueError(f"nothing is called {name!r}; {did_you_mean(name, known) or more}")
-
-
-def _find_effect(name: str, rest: str) -> Quantity:
+    if kind != "effect" or not rest:
+        more = "a sweep varies path, speed, car.NAME, effect.NAME, mocap.… and vesc.…"
+        raise ValueError(f"nothing is called {name!r}; {did_you_mean(name, known) or more}")
     effect_name, _, wanted = rest.partition(".")
     effect = find_effect(effect_name)
     parameters = {p.name: p for p in effect.parameters}
@@ -98,14 +99,33 @@ _STREAM = 23  # keeps these numbers apart from those of the simulated instrument
 _REDRAWS = 1000
 """Draws outside the bounds that are thrown away, before a distribution counts as impossible."""
 Shape = Literal["uniform", "log_uniform", "normal", "log_normal"]
-_FORMS = (
+
+
+class Form(NamedTuple):
+    """A kind of distribution of two numbers."""
+
+    keys: tuple[str, ...]  # as a sweep file calls them, the two numbers first
+    draw: Callable[[np.random.Generator, float, float], float]
+    words: str  # with places for the two
+
+
+FORMS: Mapping[Shape, Form] = {
+    "uniform": Form(("low", "high"), lambda rng, a, b: rng.uniform(a, b), "{} to {}"),
+    "log_uniform": Form(
+        ("low", "high", "log"),
+        lambda rng, a, b: exp(rng.uniform(log(a), log(b))),
+        "{} to {} (logarithmic)",
+    ),
+    "normal": Form(("mean", "sd"), lambda rng, a, b: rng.normal(a, b), "{} ± {}"),
+    "log_normal": Form(
+        ("median", "factor"), lambda rng, a, b: a * exp(log(b) * rng.standard_normal()),
+        "{}, factor {}",
+    ),
+}  # fmt: skip
+_GIVEN = (
     "a list, { low, high }, { low, high, log = true }, { mean, sd }, { median, factor } "
     "or { share }"
 )
-_KEYS: Mapping[Shape, tuple[str, str]] = {
-    "uniform": ("low", "high"), "normal": ("mean", "sd"), "log_normal": ("median", "factor"),
-}  # fmt: skip
-"""The two numbers of a distribution, as a sweep file calls them."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +138,9 @@ class Distribution:
     low: float  # no draw lies outside `low` and `high`
     high: float
 
+    def __str__(self) -> str:
+        return FORMS[self.shape].words.format(f"{self.one:.4g}", f"{self.other:.4g}")
+
     def draw(self, name: str, seed: int) -> float:
         """The value of a seed.
 
@@ -126,22 +149,10 @@ class Distribution:
         """
         rng = np.random.default_rng([_STREAM, crc32(name.encode()), seed])
         for _ in range(_REDRAWS):
-            value = self._sample(rng)
+            value = float(FORMS[self.shape].draw(rng, self.one, self.other))
             if self.low <= value <= self.high:
                 return value
         raise ValueError(f"{name}: nothing between {self.low:g} and {self.high:g} is ever drawn")
-
-    def _sample(self, rng: np.random.Generator) -> float:
-        one, other = self.one, self.other
-        match self.shape:
-            case "uniform":
-                return float(rng.uniform(one, other))
-            case "log_uniform":
-                return exp(rng.uniform(log(one), log(other)))
-            case "normal":
-                return float(rng.normal(one, other))
-            case _:
-                return one * exp(log(other) * rng.standard_normal())
 
 
 def parse_distribution(quantity: Quantity, given: Mapping[str, Any]) -> Distribution:
@@ -153,43 +164,30 @@ def parse_distribution(quantity: Quantity, given: Mapping[str, Any]) -> Distribu
     Raises:
         ValueError: it is none of these, or lies outside the bounds.
     """
-    name, rest, shape = quantity.name, dict(given), _find_shape(quantity.name, given)
-    log = rest.pop("log", False) is True
-    if "share" in rest:
-        if not quantity.usual:
-            what = f"{name}: no value of which a share could be taken: give mean and sd"
-            raise ValueError(what)
-        share = _number(name, "share", rest["share"])
-        rest = {"mean": quantity.usual, "sd": abs(quantity.usual) * share}
-    one, other = (_number(name, key, rest[key]) for key in _KEYS[shape])
-    uniform = shape == "uniform"
-    if (log or shape == "log_normal") and not (one > 0.0 and other > 0.0):
-        raise ValueError(f"{name}: a logarithm needs positive numbers")
-    if uniform and not one < other:
-        raise ValueError(f"{name}: low {one:g} is not below high {other:g}")
-    if not uniform and not other > 0.0:
-        raise ValueError(f"{name}: a spread of {other:g}: more than 0")
-    for value in (one, other) if uniform else (one,):
-        check_bounds(name, value, quantity.low, quantity.high)
-    shape = "log_uniform" if log else shape
-    return Distribution(shape, one, other, quantity.low, quantity.high)
-
-
-def _find_shape(name: str, given: Mapping[str, Any]) -> Shape:
-    """The distribution that has these numbers; a share is a normal one's.
-
-    Raises:
-        ValueError: none has.
-    """
-    found = {frozenset(keys): shape for shape, keys in _KEYS.items()}
-    found |= {frozenset(("low", "high", "log")): "uniform", frozenset(("share",)): "normal"}
-    shape = found.get(frozenset(given))
+    name, rest, usual = quantity.name, dict(given), quantity.usual
+    if [*rest] == ["share"]:
+        if not usual:
+            raise ValueError(f"{name}: no value of which a share could be taken: give mean and sd")
+        rest = {"mean": usual, "sd": abs(usual) * _number(name, "share", rest["share"])}
+    shape = next((shape for shape, form in FORMS.items() if {*rest} == {*form.keys}), None)
     if shape is None:
-        known = set().union(*found)
+        known = {"share"}.union(*(form.keys for form in FORMS.values()))
         odd = next((key for key in sorted(given) if key not in known), "")
         hint = did_you_mean(odd, known) if odd else ""
-        raise ValueError(f"{name}: {hint or f'give {_FORMS}'}")
-    return shape
+        raise ValueError(f"{name}: {hint or f'give {_GIVEN}'}")
+    if shape == "log_uniform" and rest["log"] is not True:
+        shape = "uniform"
+    one, other = (_number(name, key, rest[key]) for key in FORMS[shape].keys[:2])
+    ends = (one, other) if "low" in rest else (one,)
+    if shape.startswith("log") and not (one > 0.0 and other > 0.0):
+        raise ValueError(f"{name}: a logarithm needs positive numbers")
+    if len(ends) == 2 and not one < other:
+        raise ValueError(f"{name}: low {one:g} is not below high {other:g}")
+    if len(ends) == 1 and not other > 0.0:
+        raise ValueError(f"{name}: a spread of {other:g}: more than 0")
+    for value in ends:
+        check_bounds(name, value, quantity.low, quantity.high)
+    return Distribution(shape, one, other, quantity.low, quantity.high)
 
 
 def _number(name: str, key: str, value: Any) -> float:
@@ -208,11 +206,6 @@ def check_bounds(name: str, value: Any, low: float, high: float) -> float:
     if not low <= number <= high:
         raise ValueError(f"{name} = {number:g}: {low:g} to {high:g}")
     return number
-
-
-def is_list(given: Any) -> bool:
-    """Whether a quantity is given as a list of values."""
-    return isinstance(given, Sequence) and not isinstance(given, str)
 
 
 DURATION_MAX = 3600.0  # longest drive of a sweep [s]
@@ -331,7 +324,8 @@ def _parse_seeds(given: Any) -> tuple[int, ...]:
     """A number of seeds from 0, or a list."""
     if isinstance(given, int) and not isinstance(given, bool) and given > 0:
         return tuple(range(given))
-    whole = is_list(given) and all(type(seed) is int and seed >= 0 for seed in given)
+    listed = isinstance(given, list | tuple | range)
+    whole = listed and all(type(seed) is int and seed >= 0 for seed in given)
     if not (whole and given and len(set(given)) == len(given)):
         raise ValueError("seeds: how many, or a list of different whole numbers from 0")
     return tuple(given)
@@ -343,7 +337,7 @@ def _parse_choice(quantity: Quantity, given: Any) -> Choice:
         if quantity.is_text:
             raise ValueError(f"{quantity.name} is a text: give a list")
         return parse_distribution(quantity, given)
-    values: Sequence[Any] = given if is_list(given) else [given]
+    values = given if isinstance(given, list | tuple) else [given]
     if not values:
         raise ValueError(f"{quantity.name}: the list is empty")
     if quantity.is_text:

@@ -1,22 +1,37 @@
 """`steerd.sweep`: many drives of the closed loop in virtual time, as a table and a page."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import islice
+from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from steerd.car_model.effects import find_effect
+from steerd.car_model.model import believed_car
+from steerd.car_model.params import PARAMETERS
+from steerd.car_model.path.path import locate, project
+from steerd.controller.design import assess, delay_margin
+from steerd.controller.loop_model import Timing
 from steerd.daemon.analysis.options import CarSource, read_car
+from steerd.daemon.analysis.simulation import plan_drive
+from steerd.daemon.assembly.build import NS, RunPlan, make_world_config
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.common.row_file import Row
 from steerd.daemon.common.screen import shown
+from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.many.job import FAILED, Column, Found, Job, do_in_notebook
-from steerd.daemon.many.sweep.drive import run_case
-from steerd.daemon.many.sweep.plan import DriveCase, SweepPlan, list_cases, make_sweep_plan
+from steerd.daemon.many.sweep import plan as plans
+from steerd.daemon.many.sweep.plan import DriveCase, SweepPlan
 from steerd.daemon.many.sweep.summary import Summary, describe_sweep, list_columns, summarise_sweep
 from steerd.daemon.many.units import Done, Where
+from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
+from steerd.daemon.sessions.motion import SETTLE, rms
+from steerd.sim_hw.world import World, WorldConfig
 
 if TYPE_CHECKING:
     from steerd.sysid.report.report import Report
@@ -90,7 +105,7 @@ def sweep(
         "seeds": seeds if isinstance(seeds, int) else list(seeds), "path": path, "speed": speed,
         "duration": duration, "rate": rate, "vary": vary,
     }  # fmt: skip
-    job = make_job(make_sweep_plan(read_car(car), given))
+    job = make_job(plans.make_sweep_plan(read_car(car), given))
     return do_in_notebook(job, Where(jobs), output)
 
 
@@ -100,7 +115,7 @@ def make_job(plan: SweepPlan) -> Job[Sweep]:
     Raises:
         SteerdError: a distribution never yields what its quantity may be.
     """
-    cases = {str(case.number): case for case in list_cases(plan)}
+    cases = {str(case.number): case for case in plans.list_cases(plan)}
 
     def make_row(done: Done) -> Row:
         failed = {"outcome": FAILED, "reason": done.failure}
@@ -120,4 +135,111 @@ def find_case(plan: SweepPlan, number: int) -> DriveCase:
     if not 0 <= number < plan.count:
         what = f"there is no drive {number}: they are 0 to {plan.count - 1}"
         raise SteerdError(what, "", ExitCode.USAGE)
-    return next(islice(list_cases(plan), number, None))
+    return next(islice(plans.list_cases(plan), number, None))
+
+
+# -- one drive, in a worker: the whole closed loop in virtual time, to a row of numbers ------------
+
+
+def run_case(plan: SweepPlan, case: DriveCase) -> dict[str, Any]:
+    """Drive one case; its end and its measures, by column."""
+    try:
+        run_plan, config = prepare(plan, case)
+        _ = run_plan.controller
+    except SteerdError as error:
+        return {"outcome": plans.REFUSED, "watchdog": "", "reason": error.what}
+    ticks: list[tuple[float, ...]] = []
+
+    def take(run: VirtualRun) -> None:
+        result = run.core.last
+        if result is not None and result.supervisor.state is SupervisorState.RUNNING:
+            state, report = run.world.car.state, result.report
+            found = (report.e1, report.e2, report.wheel) if report else (nan, nan, nan)
+            ticks.append((run.t_ns / NS, state.x, state.y, state.yaw, state.speed, *found))
+
+    run = make_virtual_run(run_plan, (), World(config))
+    drive(run, take)
+    row: dict[str, Any] = {"outcome": plans.DRIVEN, "watchdog": "", "reason": ""}
+    loop = run.core.loop
+    if loop.faulted or not loop.ran:
+        waiting = run.core.last.waiting if run.core.last else ""
+        reason = loop.fault or f"never driven: waiting for {waiting}"
+        watchdog = reason.split()[0] if loop.faulted else ""
+        row = {"outcome": plans.STOPPED, "watchdog": watchdog, "reason": reason}
+    # How stable the designed gains hold the car that was drawn.
+    believed, table = believed_car(config.model), run_plan.controller.table
+    late = believed.steer_delay + believed.pose_delay
+    timing = Timing(run_plan.options.rate_hz, late, believed.steer_lag)
+    return row | judge_drive(run_plan, ticks) | {
+        "damping": min(at.damping for at in assess(believed, table, timing)),
+        "delay_margin": delay_margin(believed, table, timing),
+    }  # fmt: skip
+
+
+def prepare(plan: SweepPlan, case: DriveCase) -> tuple[RunPlan, WorldConfig]:
+    """The drive's plan, and its simulated hardware.
+
+    Raises:
+        SteerdError: a path or a value cannot be used.
+    """
+    values = case.values
+    speed, path = float(values.get("speed", plan.speed)), str(values.get("path", plan.path))
+    effects: dict[str, dict[str, float]] = {}
+    for name, value in values.items():
+        kind, _, rest = name.partition(".")
+        if kind == "effect":
+            effect, _, parameter = rest.partition(".")
+            parameter = parameter or find_effect(effect).parameters[0].name
+            effects.setdefault(effect, {})[parameter] = float(value)
+    run_plan = plan_drive(plan.car, path, speed, plan.duration, case.seed, effects, rate=plan.rate)
+    names = [p.name for p in PARAMETERS if f"car.{p.name}" in values]
+    drawn = {name: float(values[f"car.{name}"]) for name in names}
+    settings = run_plan.settings
+    car = replace(settings.file, car=settings.file.car._replace(**drawn))
+    run_plan = replace(run_plan, drawn=replace(settings, file=car))
+    return run_plan, _vary_instruments(make_world_config(run_plan), values)
+
+
+def _vary_instruments(config: WorldConfig, values: Mapping[str, float | str]) -> WorldConfig:
+    """The simulated hardware with the drawn noise and delays."""
+    for quantity in (each for each in plans.INSTRUMENTS if each.name in values):
+        name, (first, *others) = quantity.name.partition(".")[0], quantity.fields
+        device, value = getattr(config, name), float(values[quantity.name])
+        if first.endswith("_ns"):
+            value = max(round(value * NS) - sum(getattr(device, each) for each in others), 0)
+        config = replace(config, **{name: replace(device, **{first: value})})
+    return config
+
+
+def judge_drive(plan: RunPlan, ticks: Sequence[tuple[float, ...]]) -> dict[str, Any]:
+    """The measures of `summary.MEASURES` that a drive itself gives; errors once it settled.
+
+    Of each tick time [s], place [m, m, rad] and speed [m/s] of the simulated car, and as estimated
+    the errors [m, rad] and the wheel's angle [rad].
+    """
+    rows, step = np.array(ticks).reshape(-1, 8), plan.period_ns / NS
+    row: dict[str, Any] = {
+        "seconds": step * len(rows), "metres": step * float(np.abs(rows[:, 4]).sum()),
+    }  # fmt: skip
+    rows = rows[(rows[:, 0] >= rows[:1, 0] + SETTLE) & np.isfinite(rows[:, 5])]
+    if not len(rows):
+        return row
+    e1, e2, wheel = rows[:, 5:].T
+    # Lateral error of the simulated car itself.
+    hint, true = locate(plan.path, *rows[0, 1:4].tolist()).hint, []
+    for x, y in rows[:, 1:3].tolist():
+        place = project(plan.path, x, y, hint)
+        hint = place.hint
+        true.append(place.e1)
+    true_e1, limits = np.array(true), plan.settings.limits
+    most = np.where(wheel > 0.0, limits.steer_left_max, limits.steer_right_max)
+    return row | {
+        "e1_rms": rms(e1),
+        "e1_p95": float(np.quantile(np.abs(e1), 0.95)),
+        "e1_max": float(np.abs(e1).max()),
+        "true_e1_rms": rms(true_e1),
+        "true_e1_max": float(np.abs(true_e1).max()),
+        "e2_rms": rms(e2),
+        "lane_margin": plan.settings.thresholds.lateral - float(np.abs(e1).max()),
+        "steer_margin": 1.0 - float((np.abs(wheel) / most).max()),
+    }

@@ -93,11 +93,20 @@ def summarise_sweep(plan: SweepPlan, rows: Rows) -> Summary:
     total = len(rows)
     outcomes = Counter(str(row["outcome"]) for row in rows)
     watchdogs = Counter(str(row["watchdog"]) for row in rows if row.get("watchdog"))
-    spreads = [_spread(column.name, column.unit, rows) for column in MEASURES]
+    spreads = []
+    for name, unit in UNITS.items():
+        values = column(rows, name)
+        known = np.flatnonzero(np.isfinite(values))
+        if known.size:
+            low, middle, high = (float(q) for q in np.quantile(values[known], QUANTILES))
+            small = name.endswith("margin") or name == "damping"
+            at = int(known[np.argmin(values[known]) if small else np.argmax(values[known])])
+            worst, drive = float(values[at]), rows[at]["drive"]
+            spreads.append(Spread(name, unit, low, middle, high, worst, drive))
     return Summary(
         tuple(make_share(name, outcomes[name], total) for name in OUTCOMES),
         tuple(make_share(name, count, total) for name, count in watchdogs.most_common()),
-        tuple(spread for spread in spreads if spread is not None),
+        tuple(spreads),
         tuple(_sensitivities(plan, rows)),
     )
 
@@ -115,17 +124,6 @@ def column(rows: Rows, name: str) -> Array:
         return np.array([ends.get(str(row["outcome"]), np.nan) for row in rows])
     values = (row.get(name) for row in rows)
     return np.array([np.nan if value is None else float(value) for value in values])
-
-
-def _spread(name: str, unit: str, rows: Rows) -> Spread | None:
-    values = column(rows, name)
-    known = np.flatnonzero(np.isfinite(values))
-    if not known.size:
-        return None
-    low, middle, high = (float(q) for q in np.quantile(values[known], QUANTILES))
-    small = name.endswith("margin") or name == "damping"
-    at = int(known[np.argmin(values[known]) if small else np.argmax(values[known])])
-    return Spread(name, unit, low, middle, high, float(values[at]), rows[at]["drive"])
 
 
 def _sensitivities(plan: SweepPlan, rows: Rows) -> list[Sensitivity]:
@@ -206,9 +204,11 @@ def describe_sweep(plan: SweepPlan, rows: Rows, summary: Summary, speed: float |
     parts = [tabulate_ends(summary), tabulate_spreads(summary)]
     strong = list_strongest(summary)[:_SHOWN]
     if strong:
-        found = [
-            (s.quantity, name_measure(s.measure), *_ends(s), f"{s.value:+.2f}") for s in strong
-        ]
+        found = []
+        for s in strong:
+            factor, _ = SCALES.get(UNITS.get(s.measure, ""), (1.0, ""))
+            moved = (f"{factor * mean:.3g}" for mean in (s.start, s.end))
+            found.append((s.quantity, name_measure(s.measure), *moved, f"{s.value:+.2f}"))
         heads = ("what moves", "what", "from", "to", "rank correlation")
         parts.append(Table(heads, found, words=(1,)))
     return "\n".join([*lines, *(line for part in parts for line in ("", *format_table(part)))])
@@ -237,12 +237,6 @@ def tabulate_spreads(summary: Summary) -> Table:
 def list_strongest(summary: Summary) -> list[Sensitivity]:
     """Dependences that the drives show, by how far the measure moves."""
     return sorted((s for s in summary.sensitivities if s.shown), key=lambda s: -s.size)
-
-
-def _ends(s: Sensitivity) -> tuple[str, str]:
-    """What the measure is for low and for high values of the quantity."""
-    factor, _ = SCALES.get(UNITS.get(s.measure, ""), (1.0, ""))
-    return f"{factor * s.start:.3g}", f"{factor * s.end:.3g}"
 
 
 def name_measure(name: str) -> str:

@@ -7,7 +7,7 @@ import pytest
 
 from steerd.daemon.analysis import drives as module
 from steerd.daemon.analysis.drives import is_same, load_drives, split_drives
-from steerd.daemon.analysis.options import HeldOut
+from steerd.daemon.analysis.options import HeldOut, Watch
 from steerd.sysid.data.dataset import Signal, make_run
 
 
@@ -41,7 +41,7 @@ def test_what_is_the_same_drive(one, other, same, drives):
 def minutes(monkeypatch):
     """Sessions that are as many minutes long as their names say."""
 
-    def load(path, speed, warn):
+    def load(path, speed, watch):
         t = np.arange(0.0, 60.0 * float(path.stem), 0.02)
         turned = t / 5.0
         pose = np.column_stack([5.0 * np.sin(turned), -5.0 * np.cos(turned), turned])
@@ -53,7 +53,7 @@ def minutes(monkeypatch):
     def opened(*names):
         said, read = [], []
         paths = [Path(f"{name}.mcap") for name in names]
-        found = load_drives(paths, "command", said.extend, read.append)
+        found = load_drives(paths, "command", Watch(said.extend), read.append)
         assert read == [(n + 1) / len(paths) for n in range(len(paths))]
         return found.runs, said
 
@@ -86,7 +86,7 @@ def test_many_sessions_share_what_is_looked_at(minutes):
 
 def test_sessions_are_held_out_whole_though_they_are_in_pieces(minutes):
     found, _ = minutes(20, 21, 22, 23, 24)
-    fitted, later, named, _ = split_drives(found, HeldOut(), "command", lambda _: None)
+    fitted, later, named, _ = split_drives(found, HeldOut(), "command", Watch())
     assert named == "every 4th session: 23.mcap"
     assert {run.name for run in later()} == {"23.mcap"}
     assert {run.name for run in fitted} == {f"{n}.mcap" for n in (20, 21, 22, 24)}

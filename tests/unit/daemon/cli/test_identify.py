@@ -192,7 +192,7 @@ def test_a_value_where_no_car_is_spoils_the_car_file_alone(monkeypatch, tmp_path
     )  # fmt: skip
     session = tmp_path / "a.mcap"
     SessionWriter(session, {}, {}).finish({})
-    monkeypatch.setattr("steerd.daemon.analysis.identification.run_identification",
+    monkeypatch.setattr("steerd.daemon.analysis.identification.run_identify",
                         lambda *_: found)  # fmt: skip
     car, page = tmp_path / "car.toml", tmp_path / "page.html"
     code = main(["identify", str(session), "-o", str(car), "--report", str(page)])

@@ -112,14 +112,10 @@ def actuation(mode):
     return m.Actuation(m.make_header(EPOCH + 3_000_000_000, m.BODY), 7, mode, 0.1, 1.5, nan, b"")
 
 
-def telemetry(erpm):
-    header = m.make_header(EPOCH, m.BODY)
-    return m.VescTelemetry(
-        header, 1_000_000_000, 1_002_000_000, 5, erpm, 0, 0, 0, 0, *(0.0,) * 10
-    )  # fmt: skip
-
-
 OTHER_ORDERS = [mode for mode in m.ActuationMode if mode != m.ActuationMode.SPEED]
+TOLD = m.VescTelemetry(
+    m.make_header(EPOCH, m.BODY), S, S + 2_000_000, 5, 6100, 0, 0, 0, 0, *(0.0,) * 10
+)
 WHEEL = m.WheelSpeed(m.make_header(EPOCH, m.BODY), 4_000_000_000, 1.25)
 
 
@@ -130,7 +126,7 @@ WHEEL = m.WheelSpeed(m.make_header(EPOCH, m.BODY), 4_000_000_000, 1.25)
         (topics.MOCAP, pose("jump"), None),
         (topics.ACTUATION, actuation(m.ActuationMode.SPEED), Ordered(3.0, 0.1, 1.5)),
         *((topics.ACTUATION, actuation(mode), Paused(3.0)) for mode in OTHER_ORDERS),
-        (topics.VESC, telemetry(6100), Rolled(pytest.approx(1.001), 1.5)),
+        (topics.VESC, TOLD, Rolled(pytest.approx(1.001), 1.5)),
         (topics.WHEEL, WHEEL, Rolled(4.0, 1.25)),
     ],
 )

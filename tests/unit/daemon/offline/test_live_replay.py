@@ -8,8 +8,9 @@ import pytest
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.car_model.path.path import locate
 from steerd.controller.learnt import approach_learnt
-from steerd.daemon.analysis.gap_closed_loop import NotALaneDriveError, compare_lane
+from steerd.daemon.analysis.gap_closed_loop import compare_lane
 from steerd.daemon.assembly.build import VIRTUAL_EPOCH_NS, make_plan
+from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop.design_desk import make_design, make_no_design
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.fast import make_recording, record_virtual
@@ -99,7 +100,7 @@ def true_offsets(session, plan, start, end):
 
 
 def test_such_a_drive_is_no_measure_of_a_simulated_one(session):
-    with pytest.raises(NotALaneDriveError, match="live parameters were changed"):
+    with pytest.raises(SteerdError, match="live parameters were changed"):
         compare_lane(session, load_car(default_car_path()), {})
 
 

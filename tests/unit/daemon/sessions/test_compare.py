@@ -81,11 +81,10 @@ def test_a_drive_is_itself_at_no_shift_and_another_at_a_given_one():
     same = overlay(read, read)
     assert same.found
     assert same.shift == 0.0
-    assert all(np.nanmax(np.abs(pair.difference)) == 0.0 for pair in same.pairs)
+    assert all(np.nanmax(np.abs(difference)) == 0.0 for *_, difference in same.pairs.values())
     moved = overlay(read, read, 0.5)
-    speed = next(pair for pair in moved.pairs if pair.title == "speed")
-    known = same.pairs[[pair.title for pair in same.pairs].index("speed")].first
-    np.testing.assert_allclose(speed.second, known[: len(speed.second)], atol=1e-9)
+    known, later = same.pairs["speed [m/s]"][0], moved.pairs["speed [m/s]"][1]
+    np.testing.assert_allclose(later, known[: len(later)], atol=1e-9)
     assert moved.t[0] == 0.5
     with pytest.raises(SteerdError, match="no time in common"):
         overlay(read, read, 1e3)

@@ -2,8 +2,7 @@
 
 import pytest
 
-from steerd.daemon.many.sweep.drive import prepare, run_case
-from steerd.daemon.many.sweep.run import find_case
+from steerd.daemon.many.sweep.run import find_case, prepare, run_case
 
 SHORT = {"seeds": 1, "duration": 0.6, "path": "line"}
 
