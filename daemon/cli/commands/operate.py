@@ -18,7 +18,7 @@ from steerd.daemon.ipc.requests import make_badge
 from steerd.daemon.ipc.signals import raise_on_stop_signals
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process import bus_operator
-from steerd.daemon.process.page_link import CarView
+from steerd.daemon.process.bus_operator import CarView
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.codec import decode

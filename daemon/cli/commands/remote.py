@@ -7,13 +7,14 @@ import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+from steerd.daemon.process.gamepad import AXES, BUTTONS, PadGoneError, PadMap, open_pad
+
 from steerd.controller.limits import CEILINGS
 from steerd.daemon.cli.arguments import add_bus_arguments, add_car_arguments, missing_car, option
 from steerd.daemon.cli.commands.run import add_drive_arguments
 from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.common.screen import wrap_command
 from steerd.daemon.ipc.signals import make_stop_signal_pipe, raise_on_stop_signals
-from steerd.daemon.process.gamepad import AXES, BUTTONS, PadGoneError, PadMap, open_pad
 from steerd.daemon.process.view_job import make_lane_job
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus.clock import MonotonicClock
@@ -68,8 +69,8 @@ def page(args: Namespace) -> None:
 
     if args.lab is not None:
         read_lab(args.lab)  # a folder that is none is refused before anything heavy is loaded
+    from steerd.daemon.process.bus_operator import CarView
     from steerd.daemon.process.page import make_page, run_page
-    from steerd.daemon.process.page_link import CarView
 
     content = make_page(args.name, make_lane_job(args.path))
 
@@ -155,7 +156,7 @@ def teleop(args: Namespace) -> None:
             what = f"--{name} {getattr(args, name):g}: more than 0, at most {most:g}"
             raise SteerdError(what, "", ExitCode.USAGE)
     from steerd.daemon.ipc.operator import connect, read_status
-    from steerd.daemon.process.page_link import CarView
+    from steerd.daemon.process.bus_operator import CarView
     from steerd.daemon.process.teleop import Teleop, serve_pad
 
     raise_on_stop_signals()

@@ -3,14 +3,16 @@
 import pytest
 
 from steerd.controller.learnt import Learnt
-from steerd.daemon.loop.adapting import make_adapting, step_adapting, take_design
-from steerd.daemon.loop.design_desk import (
+from steerd.daemon.loop.adapting import (
     OLD_NS,
     REFUSED,
     DesignDesk,
+    make_adapting,
     make_design,
     make_no_design,
     read_design,
+    step_adapting,
+    take_design,
 )
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import encode

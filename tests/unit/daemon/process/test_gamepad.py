@@ -5,9 +5,6 @@ import struct
 from pathlib import Path
 
 import pytest
-
-from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.process import gamepad
 from steerd.daemon.process.gamepad import (
     ABS,
     AXES,
@@ -29,6 +26,9 @@ from steerd.daemon.process.gamepad import (
     read_axis,
     take_event,
 )
+
+from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.process import gamepad
 
 RECORDED = struct.pack("qqHHi", 1700000000, 5, KEY, 310, 1) + struct.pack(
     "qqHHi", 1700000000, 9, ABS, 0, -32768

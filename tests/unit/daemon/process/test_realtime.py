@@ -12,10 +12,10 @@ import pytest
 from steerd.daemon.cli.main import dispatch
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop.findings import CAUSES, Flag, blame_late, make_finding
-from steerd.daemon.process import realtime, rtcheck
+from steerd.daemon.process import realtime
 from steerd.daemon.process.guard import LEAST_NS, find_cause, parse_steal
 from steerd.daemon.process.guardian import PERIOD_NS
-from steerd.daemon.process.rtcheck import keep_busy, measure_wakes, summarise_wakes
+from steerd.daemon.process.realtime import keep_busy, measure_wakes, summarise_wakes
 
 
 class Libc:
@@ -190,7 +190,7 @@ def test_a_machine_is_kept_busy_and_let_go(monkeypatch):
             super().__init__(*args, **options)
             started.append(self)
 
-    monkeypatch.setattr(rtcheck.subprocess, "Popen", Kept)
+    monkeypatch.setattr(realtime.subprocess, "Popen", Kept)
     with keep_busy(2):
         assert [process.poll() for process in started] == [None, None]
     assert [process.poll() for process in started] == [-9, -9]

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from steerd.daemon.loop.design_desk import DESIGN_BYTES
+from steerd.daemon.loop.adapting import DESIGN_BYTES
 from steerd.daemon.process.runner import CoreLinks, Runner
 
 

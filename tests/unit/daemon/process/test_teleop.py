@@ -3,10 +3,10 @@
 from types import SimpleNamespace
 
 import pytest
+from steerd.daemon.process.gamepad import ABS, AXES, BUTTONS, KEY, XBOX_AXES, PadEvent, PadMap
 
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.process.gamepad import ABS, AXES, BUTTONS, KEY, XBOX_AXES, PadEvent, PadMap
-from steerd.daemon.process.page_link import CarView
+from steerd.daemon.process.bus_operator import CarView
 from steerd.daemon.process.teleop import PERIOD_NS, VALID_MS, Teleop
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode
