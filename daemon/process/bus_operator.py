@@ -11,7 +11,7 @@ from typing import Any
 
 import platformdirs
 
-from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.ipc.requests import make_badge, read_diagnostics
 from steerd.daemon.loop.transitions import SupervisorState
@@ -41,6 +41,8 @@ SURE_NS = 100_000_000
 """A stop is repeated for so long whatever is seen: what is seen may be older than the call."""
 CALL_NS = 5_000_000_000
 """A call for a stop ends after this time, seen or not."""
+STATUS_NS = 2_000_000_000
+"""A car on the bus says how it is within this."""
 EVENTS = 8
 """State changes that are kept for a page that opens later."""
 _SHOWN = (topics.STATE, topics.VESC, topics.TRANSITION, topics.DIAGNOSTICS, topics.PARAMETERS)
@@ -92,6 +94,21 @@ class CarView:
                     self._take(decode(message, sample.data))
                 except (ValueError, SteerdError):
                     continue
+
+    def wait_heard(self, *, state: bool = False) -> "CarView":
+        """Wait until the car has said how it is: its diagnostics, with `state` that too.
+
+        Raises:
+            SteerdError: it did not, in time.
+        """
+        end_ns = self.clock.now_ns() + STATUS_NS
+        while not self.values or (state and self.state is None):
+            if self.clock.now_ns() > end_ns:
+                hint = f"is the car called {self.car!r}? name it with --name"
+                raise SteerdError(f"no car {self.car!r} on the bus", hint, ExitCode.UNREACHABLE)
+            self.clock.sleep_until_ns(self.clock.now_ns() + REPEAT_NS // 2)
+            self.poll()
+        return self
 
     @property
     def boot_id(self) -> int:

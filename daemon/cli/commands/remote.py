@@ -7,14 +7,13 @@ import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from steerd.daemon.process.gamepad import AXES, BUTTONS, PadGoneError, PadMap, open_pad
-
 from steerd.controller.limits import CEILINGS
 from steerd.daemon.cli.arguments import add_bus_arguments, add_car_arguments, missing_car, option
 from steerd.daemon.cli.commands.run import add_drive_arguments
 from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.common.screen import wrap_command
 from steerd.daemon.ipc.signals import make_stop_signal_pipe, raise_on_stop_signals
+from steerd.daemon.process.gamepad import AXES, BUTTONS, PadGoneError, PadMap, open_pad
 from steerd.daemon.process.view_job import make_lane_job
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus.clock import MonotonicClock
@@ -101,7 +100,8 @@ def control(args: Namespace) -> None:
     limits and stops the car when they are too old.
     """
     from steerd.daemon.assembly.build import make_plan
-    from steerd.daemon.ipc.operator import connect, read_status
+    from steerd.daemon.ipc.operator import connect
+    from steerd.daemon.process.bus_operator import CarView
     from steerd.daemon.process.external_controller import ExternalController, answer, keep_lane
 
     raise_on_stop_signals()
@@ -111,8 +111,7 @@ def control(args: Namespace) -> None:
     plan = make_plan(options)
     clock = MonotonicClock()
     with connect(args.connect, args.lab, "steerd run --controller zenoh") as bus:
-        status = read_status(bus, args.name, clock)
-        boot_id = int(status["boot_id"])
+        boot_id = CarView(bus, args.name, clock).wait_heard().boot_id
         keeper = ExternalController(keep_lane(plan.controller), boot_id, secrets.randbits(62) + 1)
         print(f"steering {args.name} along {plan.path.name}; Ctrl-C ends", file=sys.stderr)
         end = None if args.duration is None else clock.now_ns() + round(args.duration * 1e9)
@@ -155,7 +154,7 @@ def teleop(args: Namespace) -> None:
         if not 0.0 < getattr(args, name) <= most:
             what = f"--{name} {getattr(args, name):g}: more than 0, at most {most:g}"
             raise SteerdError(what, "", ExitCode.USAGE)
-    from steerd.daemon.ipc.operator import connect, read_status
+    from steerd.daemon.ipc.operator import connect
     from steerd.daemon.process.bus_operator import CarView
     from steerd.daemon.process.teleop import Teleop, serve_pad
 
@@ -171,11 +170,11 @@ def teleop(args: Namespace) -> None:
     pad = open_pad(args.device, pads.deadman)
     clock = MonotonicClock()
     with connect(args.connect, args.lab, "steerd run --controller zenoh") as bus:
-        status = read_status(bus, args.name, clock)
-        if status.get("controller") != "remote":
+        view = CarView(bus, args.name, clock).wait_heard()
+        if view.values.get("controller") != "remote":
             what = f"{args.name} follows its lane, not a gamepad"
             raise SteerdError(what, "start it with --controller zenoh", ExitCode.STOPPED)
-        teleop = Teleop(CarView(bus, args.name, clock), pads, pad.axes)
+        teleop = Teleop(view, pads, pad.axes)
         print(f"{pad.name}: hold {args.deadman}, then start; Ctrl-C ends", file=sys.stderr)
         try:
             serve_pad(teleop, pad, clock, lambda line: print(line, file=sys.stderr, flush=True))
