@@ -24,8 +24,7 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.process.bus_operator import BusOperator
-from steerd.daemon.process.page_link import CarView
+from steerd.daemon.process.bus_operator import BusOperator, CarView
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.messages import BODY, OperatorRequest, RequestKind, make_header

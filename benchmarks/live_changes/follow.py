@@ -24,7 +24,7 @@ from steerd.car_model.path.path import locate, project
 from steerd.controller.build import compute_table
 from steerd.controller.learnt import Design, Learnt, learnt_car, learnt_of, learnt_timing
 from steerd.daemon.assembly.build import VIRTUAL_EPOCH_NS, RunPlan, make_plan, make_world_config
-from steerd.daemon.loop.design_desk import make_design
+from steerd.daemon.loop.adapting import make_design
 from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.virtual import VirtualRun, drive
 from steerd.daemon.settings.run_options import RunOptions

@@ -7,14 +7,11 @@ from math import nan
 from pathlib import Path
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
-from steerd.daemon.ipc.requests import LIVE, read_diagnostics
+from steerd.daemon.ipc.requests import LIVE
 from steerd.steer_bus import messages as m
-from steerd.steer_bus import topics
 from steerd.steer_bus.bus import Bus, BusError
-from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import DEFAULT_PORT, Lab, load_lab
-from steerd.steer_bus.standard import DiagnosticArray
 from steerd.steer_bus.topics import LAST_MODEL, make_key
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 
@@ -84,23 +81,6 @@ def read_lab(folder: Path) -> Lab:
         return load_lab(folder)
     except BusError as error:
         raise SteerdError(str(error), "", ExitCode.INVALID) from None
-
-
-def read_status(bus: Bus, car: str, clock: Clock, timeout_s: float = 2.0) -> dict[str, str]:
-    """The supervisor's values from the first diagnostics message that arrives.
-
-    Raises:
-        SteerdError: nothing arrived in time.
-    """
-    subscription = bus.subscribe(make_key(car, topics.DIAGNOSTICS))
-    end = clock.now_ns() + round(timeout_s * 1e9)
-    while clock.now_ns() < end:
-        for sample in subscription.poll():
-            with contextlib.suppress(CodecError, SteerdError):
-                return read_diagnostics(decode(DiagnosticArray, sample.data))
-        clock.sleep_until_ns(clock.now_ns() + 10_000_000)
-    hint = f"is the car called {car!r}? name it with --name"
-    raise SteerdError(f"no car {car!r} on the bus", hint, ExitCode.UNREACHABLE)
 
 
 def read_model(bus: Bus, car: str) -> m.Model | None:

@@ -9,7 +9,7 @@ from steerd.controller.acceptance import Acceptance, file_numbers
 from steerd.controller.build import DesignTable
 from steerd.controller.design import DesignRefused
 from steerd.controller.learnt import Design, Learnt, approach_learnt, learnt_car, learnt_timing
-from steerd.daemon.loop.design_desk import REFUSED, make_design, make_no_design, read_design
+from steerd.daemon.loop.adapting import REFUSED, make_design, make_no_design, read_design
 from steerd.sim_gap.online.learner import Learner, State
 from steerd.sim_gap.online.values import find_aim
 from steerd.steer_bus import messages as m

@@ -17,8 +17,8 @@ from steerd.controller.limits import make_limiter_state
 from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.ipc.pipe_records import Outbox, Sink
 from steerd.daemon.loop import outgoing
+from steerd.daemon.loop.adapting import DesignDesk
 from steerd.daemon.loop.checks import check_vesc
-from steerd.daemon.loop.design_desk import DesignDesk
 from steerd.daemon.loop.findings import CAUSES, Flag, make_finding, summarise
 from steerd.daemon.loop.live import make_parameters
 from steerd.daemon.loop.loop import REQUESTS, Loop

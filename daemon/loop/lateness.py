@@ -33,12 +33,11 @@ IN_SIMULATION = LatenessRules(250_000_000, 25, 0.5)
 
 @quick_value
 class Lateness:
-    """Missed ticks (later than one period): in a row, in the current second, in total."""
+    """Missed ticks (later than one period): in a row, in the current second."""
 
     run: int = 0
     missed: int = 0
     window_ns: int = 0
-    total: int = 0
 
 
 def step_lateness(
@@ -49,12 +48,8 @@ def step_lateness(
     missed = late > period_ns
     if due_ns - state.window_ns > WINDOW_NS:
         state = changed(state, missed=0, window_ns=due_ns)
-    state = Lateness(
-        run=state.run + 1 if missed else 0,
-        missed=state.missed + missed,
-        window_ns=state.window_ns,
-        total=state.total + missed,
-    )
+    run = state.run + 1 if missed else 0
+    state = changed(state, run=run, missed=state.missed + missed)
     if late > rules.late_ns:
         return state, make_finding("W15", f"a tick {late / 1e6:.0f} ms late")
     if state.run >= rules.run:

@@ -2,7 +2,7 @@
 
 # Why: docs/decisions/safety.md#d14
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import inf
 
 from steerd.daemon.loop.transitions import Fact
@@ -40,7 +40,6 @@ class Lease:
     holder: int = 0  # lease id of the operator, 0 for nobody
     seq: int = -1  # of the last accepted request
     renewed_ns: int = 0  # time of the holder's last request
-    refused: int = 0  # number of refused requests
     former: Numbers = ()  # last sequence numbers of former holders: no request is accepted twice
 
 
@@ -62,7 +61,7 @@ def accept_request(
     try:
         kind = RequestKind(request.kind)
     except ValueError:
-        return replace(lease, refused=lease.refused + 1), Fact.UNKNOWN
+        return lease, Fact.UNKNOWN
     lease, admitted = admit(lease, request, t_ns, idle)
     return lease, _ASKS[kind] if admitted or kind in _FROM_ANYBODY else 0
 
@@ -76,9 +75,9 @@ def admit(
     # A former holder's number must be later than all that it has sent.
     takes = idle and who not in (0, lease.holder) and seq > dict(lease.former).get(who, seq - 1)
     if request.boot_id != lease.boot_id or not (own or takes):
-        return replace(lease, refused=lease.refused + 1), False
+        return lease, False
     former = _remember(lease.former, lease.holder, lease.seq) if takes else lease.former
-    return Lease(lease.boot_id, who, seq, t_ns, lease.refused, former), True
+    return Lease(lease.boot_id, who, seq, t_ns, former), True
 
 
 def lease_age(lease: Lease, t_ns: int) -> float:
@@ -97,7 +96,7 @@ class Remote:
 def take_command(remote: Remote, command: DriveCommand, t_ns: int) -> Remote:
     """Accept a command of this run's controller if it is newer than its last one."""
     if not 0 < command.valid_ms <= VALID_MAX_MS:
-        return replace(remote, lease=replace(remote.lease, refused=remote.lease.refused + 1))
+        return remote
     idle = lease_age(remote.lease, t_ns) > HANDOVER_S
     lease, admitted = admit(remote.lease, command, t_ns, idle)
     return Remote(lease, command if admitted else remote.command)

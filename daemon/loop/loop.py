@@ -17,8 +17,8 @@ from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.assembly.plans import Drill
 from steerd.daemon.loop import adapting
 from steerd.daemon.loop import lease as leases
+from steerd.daemon.loop.adapting import read_design
 from steerd.daemon.loop.checks import STANDING_SPEED, find_failures
-from steerd.daemon.loop.design_desk import read_design
 from steerd.daemon.loop.findings import Flag, merge_requests, summarise
 from steerd.daemon.loop.live import judge_both_lanes, make_live, relax, step_live, take_request
 from steerd.daemon.loop.orders import Order, TickResult, make_order

@@ -1,24 +1,28 @@
-"""An operator on the bus: a lease of their own with each run of the car, and stops that arrive."""
+"""An operator on the bus: what a car shows, a lease with each run of it, and stops that arrive."""
 
 # Why: docs/decisions/safety.md#d112
 
 import contextlib
 import secrets
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import platformdirs
 
+from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.operator import Operator
-from steerd.daemon.ipc.requests import make_badge
+from steerd.daemon.ipc.requests import make_badge, read_diagnostics
 from steerd.daemon.loop.transitions import SupervisorState
+from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.atomic_file import write_atomically
 from steerd.steer_bus.bus import Bus
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import CodecError, decode, encode
-from steerd.steer_bus.messages import Heartbeat, RequestKind
+from steerd.steer_bus.messages import RequestKind
+from steerd.steer_bus.standard import DiagnosticArray
 from steerd.steer_bus.topics import Topic, check_car_name, make_key
 
 STOPS = {
@@ -37,6 +41,11 @@ SURE_NS = 100_000_000
 """A stop is repeated for so long whatever is seen: what is seen may be older than the call."""
 CALL_NS = 5_000_000_000
 """A call for a stop ends after this time, seen or not."""
+STATUS_NS = 2_000_000_000
+"""A car on the bus says how it is within this."""
+EVENTS = 8
+"""State changes that are kept for a page that opens later."""
+_SHOWN = (topics.STATE, topics.VESC, topics.TRANSITION, topics.DIAGNOSTICS, topics.PARAMETERS)
 
 
 class Pulse:
@@ -45,15 +54,94 @@ class Pulse:
     def __init__(self, bus: Bus, car: str) -> None:
         self._bus, self._key = bus, make_key(car, topics.HEARTBEAT_BACK, bus.who)
         self._beats = bus.subscribe(make_key(car, topics.HEARTBEAT))
-        self._newest: Heartbeat | None = None
+        self._newest: m.Heartbeat | None = None
 
     def send_back(self, lease_id: int) -> None:
         """Send the newest back; nothing from a car that has none."""
         for sample in self._beats.poll():
             with contextlib.suppress(CodecError):
-                self._newest = decode(Heartbeat, sample.data)
+                self._newest = decode(m.Heartbeat, sample.data)
         if self._newest is not None:
             self._bus.publish(self._key, encode(replace(self._newest, lease_id=lease_id)))
+
+
+@dataclass
+class CarView:
+    """The newest of a car, from the bus."""
+
+    bus: Bus
+    car: str
+    clock: Clock
+    values: dict[str, str] = field(default_factory=dict)  # of the supervisor's diagnostics
+    state: m.StateMessage | None = None  # the newest message, as the next two
+    vesc: m.VescTelemetry | None = None
+    parameters: m.Parameters | None = None
+    heard_ns: int | None = None  # when the last message came; None before the first
+    events: list[str] = field(default_factory=list)  # the last state changes, as sentences
+
+    def __post_init__(self) -> None:
+        self.pulse = Pulse(self.bus, self.car)
+        self._wanted = [
+            (self.bus.subscribe(make_key(self.car, topic)), topic.message) for topic in _SHOWN
+        ]
+
+    def poll(self) -> None:
+        """Take in what has come; what cannot be read, of another version, is left out."""
+        for subscription, message in self._wanted:
+            for sample in subscription.poll():
+                self.heard_ns = self.clock.now_ns()
+                try:
+                    self._take(decode(message, sample.data))
+                except (ValueError, SteerdError):
+                    continue
+
+    def wait_heard(self, *, state: bool = False) -> "CarView":
+        """Wait until the car has said how it is: its diagnostics, with `state` that too.
+
+        Raises:
+            SteerdError: it did not, in time.
+        """
+        end_ns = self.clock.now_ns() + STATUS_NS
+        while not self.values or (state and self.state is None):
+            if self.clock.now_ns() > end_ns:
+                hint = f"is the car called {self.car!r}? name it with --name"
+                raise SteerdError(f"no car {self.car!r} on the bus", hint, ExitCode.UNREACHABLE)
+            self.clock.sleep_until_ns(self.clock.now_ns() + REPEAT_NS // 2)
+            self.poll()
+        return self
+
+    @property
+    def boot_id(self) -> int:
+        """Of the car's run; 0 before it is known."""
+        return int(self.values.get("boot_id", "0") or 0)
+
+    @property
+    def mode(self) -> SupervisorState | None:
+        """The supervisor's state; None before it is known."""
+        return None if self.state is None else SupervisorState(self.state.mode)
+
+    @property
+    def mode_name(self) -> str:
+        """The state's name; `?` before it is known."""
+        return "?" if self.mode is None else self.mode.name
+
+    def _take(self, message: Any) -> None:
+        """Take in a message; one of another version raises ValueError or SteerdError."""
+        match message:
+            case m.StateMessage(mode=mode):
+                SupervisorState(mode)
+                self.state = message
+            case m.VescTelemetry():
+                self.vesc = message
+            case m.Parameters():
+                self.parameters = message
+            case m.Transition(to_state=state, text=text):
+                name = SupervisorState(state).name.lower().replace("_", " ")
+                self.events = [*self.events, f"{name}: {text}"][-EVENTS:]
+            case DiagnosticArray():
+                values = read_diagnostics(message)
+                int(values.get("boot_id", "0") or 0)
+                self.values = values
 
 
 class BusOperator:

@@ -128,19 +128,9 @@ def _run(given: Job) -> Core:
     report = enter_realtime()
     design = plan.controller.report.describe()
     given.say_ready(realtime=report.refused, design=design)
-    runner = Runner(
-        core,
-        clock,
-        open_again,
-        mocap,
-        links,
-        ProcessGuard(
-            report.fifo,
-            simulated=plan.options.simulated,
-            silent_s=plan.settings.thresholds.guardian,
-        ),
-        make_notify(os.environ),
-    )
+    silent_s = plan.settings.thresholds.guardian
+    guard = ProcessGuard(report.fifo, simulated=plan.options.simulated, silent_s=silent_s)
+    runner = Runner(core, clock, open_again, mocap, links, guard, make_notify(os.environ))
     settle_memory()
     runner.run()
     return core
@@ -171,11 +161,6 @@ def serve(given: Job) -> int:
     core = _run(given)
     if core.error is not None:
         traceback.print_exception(core.error)
-    return _exit_code(core)
-
-
-def _exit_code(core: Core) -> ExitCode:
-    if core.error is not None:
         return ExitCode.INTERNAL
     lost = core.flags & (Flag.RECORDER_LOST | Flag.GATEWAY_LOST)
     return ExitCode.STOPPED if core.loop.faulted or lost else ExitCode.OK

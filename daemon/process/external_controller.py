@@ -158,11 +158,11 @@ def serve(
         SteerdError: no run answers, or the controller returns no command.
     """
     from steerd.daemon.ipc.operator import connect as connect_bus  # zenoh, where nothing is served
-    from steerd.daemon.ipc.operator import read_status
+    from steerd.daemon.process.bus_operator import CarView
 
     clock, folder = MonotonicClock(), None if lab is None else Path(lab)
     with connect_bus(connect, folder, "steerd run --controller zenoh") as bus:
-        boot_id = int(read_status(bus, car, clock)["boot_id"])
+        boot_id = CarView(bus, car, clock).wait_heard().boot_id
         made = ExternalController(while_driving(controller), boot_id, secrets.randbits(62) + 1)
         end_ns = None if duration is None else clock.now_ns() + round(duration * 1e9)
         answer(bus, car, made, clock, end_ns)

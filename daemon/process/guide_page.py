@@ -5,7 +5,6 @@ machine's loopback only.
 """
 
 import asyncio
-import contextlib
 import fcntl
 import json
 import os
@@ -20,8 +19,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
-from steerd.daemon.process.page import HOST
-from steerd.daemon.process.secret_server import ConnectionClosed, SecretServer, ServerConnection
+from steerd.daemon.process.secret_server import HOST, SecretServer, ServerConnection, converse
 from steerd.sysid.report.page import render_page
 
 ANSWERS = {"do": "", "skip": "s", "back": "b", "quit": "q"}
@@ -141,18 +139,12 @@ class GuidePage:
             await asyncio.Event().wait()
 
     async def _talk(self, connection: ServerConnection) -> None:
-        show = asyncio.create_task(self._show(connection))
-        with contextlib.suppress(ConnectionClosed):
-            async for word in connection:
-                if isinstance(word, str):
-                    self.press(word)
-        show.cancel()
+        await converse(connection, self._show(connection), self.press)
 
     async def _show(self, connection: ServerConnection) -> None:
         seen = -1
-        with contextlib.suppress(ConnectionClosed):
-            while True:
-                if seen != self._changes:
-                    seen = self._changes
-                    await connection.send(json.dumps(self.shown()))
-                await asyncio.sleep(_LOOK_S)
+        while True:
+            if seen != self._changes:
+                seen = self._changes
+                await connection.send(json.dumps(self.shown()))
+            await asyncio.sleep(_LOOK_S)

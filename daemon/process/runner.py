@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from steerd.daemon.ipc.pipe_records import PipeWriter
 from steerd.daemon.ipc.requests import REQUEST_MAX, unpack_request
 from steerd.daemon.ipc.signals import ALIVE, READY, STOPPING, Notify, notify_nobody
+from steerd.daemon.loop.adapting import DESIGN_BYTES
 from steerd.daemon.loop.core import Core
-from steerd.daemon.loop.design_desk import DESIGN_BYTES
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.lease import lease_age
 from steerd.daemon.loop.transitions import is_engaged

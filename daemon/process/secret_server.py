@@ -6,8 +6,10 @@ asked besides where it comes from; a viewer's page is another's and brings the w
 
 # Why: docs/decisions/safety.md#d69
 
+import asyncio
+import contextlib
 import secrets
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from http import HTTPStatus
 from typing import Any
 
@@ -16,8 +18,10 @@ from websockets.datastructures import Headers  # noqa: TID251
 from websockets.exceptions import ConnectionClosed  # noqa: TID251
 from websockets.http11 import Request, Response  # noqa: TID251
 
-__all__ = ["ConnectionClosed", "SecretServer", "ServerConnection"]
+__all__ = ["SecretServer", "ServerConnection", "converse"]
 
+HOST = "127.0.0.1"
+"""Pages are for this machine alone."""
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
     "connect-src 'self' ws://{host}; frame-ancestors 'none'"
@@ -97,3 +101,22 @@ class SecretServer:
         if request.headers.get_all("Origin") != [f"http://{self._where}"]:
             return connection.respond(HTTPStatus.FORBIDDEN, "another page\n")
         return None
+
+
+async def converse(
+    connection: ServerConnection, show: Coroutine[Any, Any, None], take: Callable[[str], object]
+) -> None:
+    """Go on with `show`, which sends, and hand each text that comes to `take`, until it closes."""
+
+    async def send() -> None:
+        with contextlib.suppress(ConnectionClosed):
+            await show
+
+    sending = asyncio.create_task(send())
+    try:
+        with contextlib.suppress(ConnectionClosed):
+            async for word in connection:
+                if isinstance(word, str):
+                    take(word)
+    finally:
+        sending.cancel()

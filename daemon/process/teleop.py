@@ -14,8 +14,7 @@ from dataclasses import replace
 from steerd.daemon.ipc.operator import KEEPALIVE_NS
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process import gamepad
-from steerd.daemon.process.bus_operator import BusOperator
-from steerd.daemon.process.page_link import CarView
+from steerd.daemon.process.bus_operator import BusOperator, CarView
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import encode

@@ -10,14 +10,18 @@ live parameters. The viewer's end is reported and changes nothing else.
 import asyncio
 import base64
 import sys
+from collections.abc import Mapping, Sequence
+from math import cos, isfinite, sin
+from typing import Any, NamedTuple
 
+from foxglove import messages as fox  # noqa: TID251
 from foxglove.messages import FrameTransforms, SceneUpdate  # noqa: TID251
 
 from steerd.daemon.assembly.build import RunPlan, read_job
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import Gaps, PipeReader, PipeRecord
-from steerd.daemon.ipc.requests import make_sender
-from steerd.daemon.process import view_scene as scene
+from steerd.daemon.ipc.requests import LIVE, make_sender
+from steerd.daemon.learning.reported import reported_values
 from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.secret_server import SecretServer
 from steerd.daemon.process.view_job import draw_plan, parse_view
@@ -32,9 +36,138 @@ from steerd.daemon.process.views import Views
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode
 from steerd.steer_bus.fields import schema_text, type_name
-from steerd.steer_bus.messages import Model, Parameters, StateMessage
+from steerd.steer_bus.messages import BODY, WORLD, Model, Parameters, StateMessage
+from steerd.steer_bus.standard import stamp_ns
 from steerd.steer_bus.topics import TOPICS, make_session_topic
 from steerd.toml_text import parse_toml
+
+_LANE = fox.Color(r=0.25, g=0.55, b=0.95, a=0.9)
+_BORDER = fox.Color(r=0.6, g=0.6, b=0.6, a=0.6)
+_CHASSIS = fox.Color(r=0.95, g=0.55, b=0.15, a=0.9)
+_WHEEL = fox.Color(r=0.1, g=0.1, b=0.1, a=1.0)
+_SPEED = fox.Color(r=0.2, g=0.75, b=0.3, a=0.9)
+_WHEEL_SIZE = fox.Vector3(x=0.1, y=0.04, z=0.1)
+_HEIGHT = 0.05
+"""Of the wheels' axes over the floor [m]."""
+
+
+class Body(NamedTuple):
+    """What is drawn of the car [m]: axles before and behind the CoG, and an F1TENTH's width."""
+
+    lf: float
+    lr: float
+    width: float = 0.27
+
+
+def make_transform(state: StateMessage) -> fox.FrameTransforms:
+    """The body frame in the world."""
+    frame = fox.FrameTransform(
+        timestamp=_time(state),
+        parent_frame_id=WORLD,
+        child_frame_id=BODY,
+        translation=fox.Vector3(x=state.x, y=state.y, z=0.0),
+        rotation=_turn(state.yaw),
+    )
+    return fox.FrameTransforms(transforms=[frame])
+
+
+def make_car_scene(state: StateMessage, body: Body) -> fox.SceneUpdate:
+    """Chassis, steered wheels and velocity, in the body frame."""
+    x = 0.5 * (body.lf - body.lr)
+    size = fox.Vector3(x=1.45 * (body.lf + body.lr), y=0.7 * body.width, z=0.06)
+    chassis = fox.CubePrimitive(pose=_pose(x, 0.0, 0.0), size=size, color=_CHASSIS)
+    speed = fox.ArrowPrimitive(
+        pose=_pose(0.0, 0.0, state.slip_angle, 2.0 * _HEIGHT),
+        shaft_length=max(0.3 * state.speed, 0.0),
+        shaft_diameter=0.02,
+        head_length=0.06,
+        head_diameter=0.05,
+        color=_SPEED,
+    )
+    entity = fox.SceneEntity(
+        timestamp=_time(state),
+        frame_id=BODY,
+        id="car",
+        frame_locked=True,
+        cubes=[chassis, *_wheels(body, state.steer)],
+        arrows=[speed],
+    )
+    return fox.SceneUpdate(entities=[entity])
+
+
+def _wheels(body: Body, steer: float) -> list[fox.CubePrimitive]:
+    half = 0.5 * body.width
+    places = [(body.lf, half, steer), (body.lf, -half, steer), (-body.lr, half, 0.0)]
+    places.append((-body.lr, -half, 0.0))
+    return [
+        fox.CubePrimitive(pose=_pose(x, y, yaw), size=_WHEEL_SIZE, color=_WHEEL)
+        for x, y, yaw in places
+    ]
+
+
+def make_lane_scene(
+    points: Sequence[Sequence[float]], half_width: float, *, closed: bool
+) -> fox.SceneUpdate:
+    """The path on the floor, and the borders of the lane, `half_width` [m] beside it.
+
+    `points` are samples of the path, x, y [m] and heading [rad]; a `closed` one leads to the first.
+    """
+    kind = fox.LinePrimitiveLineType.LineLoop if closed else fox.LinePrimitiveLineType.LineStrip
+
+    def line(offset: float, color: fox.Color, thickness: float) -> fox.LinePrimitive:
+        places = ((x - offset * sin(yaw), y + offset * cos(yaw)) for x, y, yaw in points)
+        floor = [fox.Point3(x=x, y=y, z=0.0) for x, y in places]
+        return fox.LinePrimitive(type=kind, points=floor, color=color, thickness=thickness)
+
+    borders = [line(offset, _BORDER, 0.015) for offset in (half_width, -half_width)]
+    lines = [line(0.0, _LANE, 0.03), *borders]
+    return fox.SceneUpdate(entities=[fox.SceneEntity(frame_id=WORLD, id="lane", lines=lines)])
+
+
+def make_parameters(values: Mapping[str, Any]) -> dict[str, float | str]:
+    """Nested tables of a car file as flat names: ``{"car": {"lf": 1.0}}`` as ``car.lf``."""
+    flat: dict[str, float | str] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            inner = make_parameters(value)
+            flat |= {f"{name}.{key}": entry for key, entry in inner.items()}
+        elif isinstance(value, (bool, int, float)):
+            flat[name] = float(value)
+        else:
+            flat[name] = str(value)
+    return flat
+
+
+def make_live_parameters(p: Parameters) -> dict[str, float | str]:
+    """Live parameters, their bounds and the answer to the last request as flat names."""
+    shown: dict[str, float | str] = {
+        f"live.{name}{end}": getattr(p, name + end) for name in LIVE for end in ("", "_min", "_max")
+    }
+    return shown | {"live.answer": p.text}
+
+
+def make_learnt_parameters(model: Model) -> dict[str, float | str]:
+    """The car as learnt: values, `_sd` and `_identifiable` (yes or no), and what changed."""
+    shown: dict[str, float | str] = {"model.verdict": model.verdict, "model.effect": model.effect}
+    for v in reported_values(model):
+        numbers = {f"model.{v.name}": v.value, f"model.{v.name}_sd": v.sd}
+        shown |= {name: number for name, number in numbers.items() if isfinite(number)}
+        shown[f"model.{v.name}_identifiable"] = "yes" if v.identifiable else "no"
+    return shown
+
+
+def _pose(x: float, y: float, yaw: float, z: float = _HEIGHT) -> fox.Pose:
+    return fox.Pose(position=fox.Vector3(x=x, y=y, z=z), orientation=_turn(yaw))
+
+
+def _turn(yaw: float) -> fox.Quaternion:
+    return fox.Quaternion(x=0.0, y=0.0, z=sin(0.5 * yaw), w=cos(0.5 * yaw))
+
+
+def _time(state: StateMessage) -> fox.Timestamp:
+    sec, nsec = divmod(stamp_ns(state.header), 1_000_000_000)
+    return fox.Timestamp(sec=sec, nsec=nsec)
+
 
 TRANSFORMS = "/tf"
 SCENE = "/scene"
@@ -49,7 +182,7 @@ _NICE = 10
 class Viewer:
     """One car's messages, and what is drawn of them; `gaps` are messages that the pipe dropped."""
 
-    def __init__(self, car: str, body: scene.Body, lane: SceneUpdate, server: ViewServer) -> None:
+    def __init__(self, car: str, body: Body, lane: SceneUpdate, server: ViewServer) -> None:
         self._car, self._server = car, server
         self._body, self._lane = body, lane
         self._views = Views()
@@ -65,16 +198,16 @@ class Viewer:
                 topic = make_session_topic(self._car, each.topic)
                 self._server.log(topic, each.data, each.log_time_ns)
         if name == topics.PARAMETERS.name:
-            self._server.show(scene.make_live_parameters(decode(Parameters, record.data)))
+            self._server.show(make_live_parameters(decode(Parameters, record.data)))
         if name == topics.MODEL.name:
-            self._server.show(scene.make_learnt_parameters(decode(Model, record.data)))
+            self._server.show(make_learnt_parameters(decode(Model, record.data)))
         if name == topics.STATE.name and record.log_time_ns >= self._scene_due_ns:
             self._scene_due_ns = record.log_time_ns + SCENE_NS
             self._draw(decode(StateMessage, record.data), record.log_time_ns)
 
     def _draw(self, state: StateMessage, log_ns: int) -> None:
-        self._server.log(TRANSFORMS, scene.make_transform(state).encode(), log_ns)
-        self._server.log(SCENE, scene.make_car_scene(state, self._body).encode(), log_ns)
+        self._server.log(TRANSFORMS, make_transform(state).encode(), log_ns)
+        self._server.log(SCENE, make_car_scene(state, self._body).encode(), log_ns)
         if log_ns >= self._lane_due_ns:
             self._lane_due_ns = log_ns + LANE_NS
             self._server.log(SCENE, self._lane.encode(), log_ns)
@@ -100,7 +233,7 @@ def list_values(plan: RunPlan) -> dict[str, float | str]:
     options, file = plan.options, plan.settings.file
     run = {"path": options.path, "speed": options.speed, "rate_hz": options.rate_hz}
     values = {"run": run, "car": file.car._asdict(), "file": parse_toml(file.text)}
-    return scene.make_parameters(values)
+    return make_parameters(values)
 
 
 async def run_viewer(given: Job, plan: RunPlan) -> int:
@@ -110,10 +243,10 @@ async def run_viewer(given: Job, plan: RunPlan) -> int:
         OSError: the address is taken or no address of this machine.
     """
     records, car, drawn = PipeReader(given.fds["pipe"]), plan.options.car, draw_plan(plan)
-    lane = scene.make_lane_scene(drawn["lane"], drawn["half_width"], closed=drawn["closed"])
+    lane = make_lane_scene(drawn["lane"], drawn["half_width"], closed=drawn["closed"])
     asks = make_sender(given.fds["requests"]) if "requests" in given.fds else None
     shown = ViewServer(f"steerd {car}", make_channels(car), ViewParameters(list_values(plan), asks))
-    viewer = Viewer(car, scene.Body(**drawn["body"]), lane, shown)
+    viewer = Viewer(car, Body(**drawn["body"]), lane, shown)
     host, port = parse_view(plan.options.view, plan.options.insecure_lan)
     secret = SecretServer(host, shown.talk)
     server = await secret.open(port, WORDS_MAX, PROTOCOLS)

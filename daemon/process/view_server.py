@@ -12,11 +12,12 @@ import struct
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from math import isfinite
 from typing import Any
 
 from steerd.daemon.ipc.requests import LIVE, format_setting
-from steerd.daemon.process.secret_server import ConnectionClosed, ServerConnection
+from steerd.daemon.process.secret_server import ServerConnection, converse
 
 PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 WORDS_MAX = 1 << 16
@@ -118,16 +119,14 @@ class ViewServer:
         offered = [{"id": self._ids[channel["topic"]], **channel} for channel in self._channels]
         client.give(_encode("advertise", channels=offered))
         self._clients.add(client)
-        sending = asyncio.create_task(_send(connection, client))
         try:
-            async for words in connection:
-                with contextlib.suppress(*_ODD):
-                    self._obey(client, json.loads(words))
-        except ConnectionClosed:
-            pass
+            await converse(connection, _send(connection, client), partial(self._take, client))
         finally:
             self._clients.discard(client)
-            sending.cancel()
+
+    def _take(self, client: _Client, words: str) -> None:
+        with contextlib.suppress(*_ODD):
+            self._obey(client, json.loads(words))
 
     def _obey(self, client: _Client, said: Any) -> None:
         match said["op"]:
@@ -152,12 +151,11 @@ class ViewServer:
 
 
 async def _send(connection: ServerConnection, client: _Client) -> None:
-    with contextlib.suppress(ConnectionClosed):
-        while True:
-            await client.ready.wait()
-            client.ready.clear()
-            while client.waiting:
-                await connection.send(client.waiting.popleft())
+    while True:
+        await client.ready.wait()
+        client.ready.clear()
+        while client.waiting:
+            await connection.send(client.waiting.popleft())
 
 
 def _encode(op: str, **said: Any) -> str:

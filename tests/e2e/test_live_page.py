@@ -17,8 +17,8 @@ from steerd.controller.live import LiveBounds, LiveValues
 from steerd.daemon.ipc.requests import make_badge
 from steerd.daemon.loop.live import make_live, make_parameters, take_request
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.process.page import make_page, run_page
-from steerd.daemon.process.page_link import CarView, make_page_operator, pass_on
+from steerd.daemon.process.bus_operator import BusOperator, CarView
+from steerd.daemon.process.page import NAME, make_page, pass_on, run_page, show_car
 from steerd.daemon.process.view_job import make_lane_job
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
@@ -227,7 +227,7 @@ def test_live_parameters_are_set_by_who_holds_the_car(car):
 def test_nothing_is_sent_that_the_browser_did_not_send():
     """A silent browser is a silent operator: no timer of ours keeps a lease alive."""
     car = FakeCar()
-    operator = make_page_operator(car.view)
+    operator = BusOperator(car.view.bus, "car1", car.view.clock, NAME, car.view.pulse)
     assert not pass_on(car.view, operator, "alive"), "not before the car was heard"
     car.publish()
     car.view.poll()
@@ -235,7 +235,7 @@ def test_nothing_is_sent_that_the_browser_did_not_send():
     for _ in range(50):
         car.publish()
         car.view.poll()
-        car.view.snapshot()
+        show_car(car.view)
     assert car.kinds() == [RequestKind.KEEPALIVE]
 
 

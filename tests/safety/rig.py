@@ -20,8 +20,8 @@ from steerd.daemon.assembly.build import (
     make_world_config,
 )
 from steerd.daemon.ipc.pipe_records import PipeRecord
+from steerd.daemon.loop.adapting import make_design, make_no_design
 from steerd.daemon.loop.core import make_core
-from steerd.daemon.loop.design_desk import make_design, make_no_design
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import VirtualRun

@@ -13,19 +13,18 @@ from math import inf
 from steerd.daemon.cli.arguments import add_car_arguments, option
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import wrap
-from steerd.daemon.ipc.operator import KEEPALIVE_NS, connect, read_model, read_status
+from steerd.daemon.ipc.operator import KEEPALIVE_NS, connect, read_model
 from steerd.daemon.ipc.requests import make_badge
 from steerd.daemon.ipc.signals import raise_on_stop_signals
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process import bus_operator
-from steerd.daemon.process.page_link import CarView
+from steerd.daemon.process.bus_operator import CarView
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.codec import decode
 from steerd.steer_bus.messages import RequestKind, Transition
 from steerd.steer_bus.topics import make_key
 
-STATUS_NS = 2_000_000_000  # a car on the bus says how it is within this [ns]
 ANSWER_NS = 1_500_000_000  # a request that has no effect after this was refused [ns]
 REST_NS = 5_000_000_000  # a car comes to rest within this [ns]
 LABEL = 13  # columns of the labels of a status
@@ -67,8 +66,7 @@ def operate(args: Namespace) -> int:
             operator = bus_operator.BusOperator(bus, args.name, clock, getpass.getuser(), pulse)
             operator.ask(0, kind)  # before anything is known of the car, and whatever it says
             return _stop(_Link(CarView(bus, args.name, clock), operator), kind)
-        view = CarView(bus, args.name, clock)
-        _expect_car(view)
+        view = CarView(bus, args.name, clock).wait_heard(state=True)
         leased = view.values.get("leased") == "1"
         if kind in _HOLDING and args.no_hold and leased:
             raise SteerdError(
@@ -125,21 +123,6 @@ class _Link:
             clock.sleep_until_ns(now + bus_operator.REPEAT_NS // 2)
             self.receive()
         return True
-
-
-def _expect_car(view: CarView) -> None:
-    """Wait until a car has said how it is.
-
-    Raises:
-        SteerdError: none did, in time.
-    """
-    end = view.clock.now_ns() + STATUS_NS
-    while not (view.boot_id and view.state):
-        if view.clock.now_ns() > end:
-            hint = f"is the car called {view.car!r}? name it with --name"
-            raise SteerdError(f"no car {view.car!r} on the bus", hint, ExitCode.UNREACHABLE)
-        view.clock.sleep_until_ns(view.clock.now_ns() + bus_operator.REPEAT_NS // 2)
-        view.poll()
 
 
 def _stop(link: _Link, kind: RequestKind) -> int:
@@ -201,7 +184,7 @@ def status(args: Namespace) -> None:
     from steerd.daemon.learning.reported import encode_model, format_model  # no stop waits for it
 
     with connect(args.connect, args.lab) as bus:
-        said = read_status(bus, args.name, MonotonicClock())
+        said = CarView(bus, args.name, MonotonicClock()).wait_heard().values
         model = read_model(bus, args.name)
     if args.json:
         print(json.dumps({**said, **(encode_model(model) if model else {})}, indent=2))

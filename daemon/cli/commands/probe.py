@@ -142,8 +142,12 @@ def rtcheck(args: Namespace) -> int:
     late ticks would stop a car, or nearly so.
     """
     from steerd.daemon.process.guard import read_steal_ns
-    from steerd.daemon.process.realtime import realtime_section
-    from steerd.daemon.process.rtcheck import keep_busy, measure_wakes, summarise_wakes
+    from steerd.daemon.process.realtime import (
+        keep_busy,
+        measure_wakes,
+        realtime_section,
+        summarise_wakes,
+    )
 
     if not (0.1 <= args.seconds <= 3600.0 and 20.0 <= args.rate <= 1000.0):
         hint = "--seconds 0.1 to 3600, --rate 20 to 1000"

@@ -69,8 +69,8 @@ def page(args: Namespace) -> None:
         print("open it in a browser on this machine; Ctrl-C ends it", file=sys.stderr)
 
     with connect(args.connect, args.lab) as bus:
-        from steerd.daemon.process.page import make_page, run_page  # the heavy ones
-        from steerd.daemon.process.page_link import CarView
+        from steerd.daemon.process.bus_operator import CarView  # the heavy ones
+        from steerd.daemon.process.page import make_page, run_page
 
         content = make_page(args.name, make_lane_job(args.path))
         view = CarView(bus, args.name, MonotonicClock())
@@ -95,7 +95,8 @@ def control(args: Namespace) -> None:
     limits and stops the car when they are too old.
     """
     from steerd.daemon.assembly.build import make_plan
-    from steerd.daemon.ipc.operator import connect, read_status
+    from steerd.daemon.ipc.operator import connect
+    from steerd.daemon.process.bus_operator import CarView
     from steerd.daemon.process.external_controller import ExternalController, answer, keep_lane
 
     raise_on_stop_signals()
@@ -105,8 +106,7 @@ def control(args: Namespace) -> None:
     plan = make_plan(options)
     clock = MonotonicClock()
     with connect(args.connect, args.lab, "steerd run --controller zenoh") as bus:
-        status = read_status(bus, args.name, clock)
-        boot_id = int(status["boot_id"])
+        boot_id = CarView(bus, args.name, clock).wait_heard().boot_id
         keeper = ExternalController(keep_lane(plan.controller), boot_id, secrets.randbits(62) + 1)
         print(f"steering {args.name} along {plan.path.name}; Ctrl-C ends", file=sys.stderr)
         end = None if args.duration is None else clock.now_ns() + round(args.duration * 1e9)
@@ -149,8 +149,8 @@ def teleop(args: Namespace) -> None:
         if not 0.0 < getattr(args, name) <= most:
             what = f"--{name} {getattr(args, name):g}: more than 0, at most {most:g}"
             raise SteerdError(what, "", ExitCode.USAGE)
-    from steerd.daemon.ipc.operator import connect, read_status
-    from steerd.daemon.process.page_link import CarView
+    from steerd.daemon.ipc.operator import connect
+    from steerd.daemon.process.bus_operator import CarView
     from steerd.daemon.process.teleop import Teleop, serve_pad
 
     raise_on_stop_signals()
@@ -165,11 +165,11 @@ def teleop(args: Namespace) -> None:
     pad = open_pad(args.device, pads.deadman)
     clock = MonotonicClock()
     with connect(args.connect, args.lab, "steerd run --controller zenoh") as bus:
-        status = read_status(bus, args.name, clock)
-        if status.get("controller") != "remote":
+        view = CarView(bus, args.name, clock).wait_heard()
+        if view.values.get("controller") != "remote":
             what = f"{args.name} follows its lane, not a gamepad"
             raise SteerdError(what, "start it with --controller zenoh", ExitCode.STOPPED)
-        teleop = Teleop(CarView(bus, args.name, clock), pads, pad.axes)
+        teleop = Teleop(view, pads, pad.axes)
         print(f"{pad.name}: hold {args.deadman}, then start; Ctrl-C ends", file=sys.stderr)
         try:
             serve_pad(teleop, pad, clock, lambda line: print(line, file=sys.stderr, flush=True))

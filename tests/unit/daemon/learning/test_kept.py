@@ -23,8 +23,8 @@ from steerd.daemon.learning.kept import (
     parse_kept,
     recall,
 )
+from steerd.daemon.process.children import learnt_page, recall_learnt
 from steerd.daemon.process.learner import make_keeper
-from steerd.daemon.process.learner_memory import learnt_page, recall_learnt
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import messages as m
 

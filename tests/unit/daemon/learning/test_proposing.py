@@ -7,7 +7,7 @@ import pytest
 from steerd.daemon.learning import proposing
 from steerd.daemon.learning.feed import Wiring, make_sample
 from steerd.daemon.learning.proposing import PAUSE_NS, Proposals
-from steerd.daemon.loop.design_desk import REFUSED, make_design, make_no_design, read_design
+from steerd.daemon.loop.adapting import REFUSED, make_design, make_no_design, read_design
 from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics

@@ -1,4 +1,7 @@
-"""Which design steers: how one comes into force, and all that brings the file's back."""
+"""Which design steers: how one comes into force, and all that brings the file's back.
+
+Proposals at the desk: taken piece by piece, refused with a reason, left alone when hostile.
+"""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -7,9 +10,12 @@ import pytest
 
 from steerd.car_model.state import State
 from steerd.controller.lane_controller import start_controller
+from steerd.controller.learnt import Learnt
 from steerd.controller.live import AS_DESIGNED
 from steerd.daemon.loop import adapting as a
-from tests.designs import design_for, standard
+from steerd.steer_bus import messages as m
+from steerd.steer_bus.codec import encode
+from tests.designs import design_for, scaled, standard
 
 MS = 1_000_000
 AT = State(0.02, 0.01, 0.03, 1.4, 0.2, 0.0, 0.05)
@@ -152,3 +158,146 @@ def test_past_references_fit_the_design(held, design):
     assert a.hand_over(memory, 3).past == (0.1, 0.1, 0.1)
     assert a.hand_over(memory._replace(past=(0.1, 0.2)), 1).past == (0.1,)
     assert a.hand_over(memory._replace(past=()), 2).past == (0.0, 0.0)
+
+
+# Proposals at the desk, which checks them piece by piece.
+
+NOW = 50_000_000_000
+TICK = 10_000_000
+
+
+@pytest.fixture(scope="module")
+def near(held):
+    return design_for(held, steer_gain=0.98)
+
+
+class Bench:
+    """A desk, and the loop's part of it."""
+
+    def __init__(self, held):
+        self.desk, self.now, self.t = a.DesignDesk(), a.make_adapting(held.file, held), NOW
+
+    def offer(self, design, number=1):
+        self.desk.offer(self.now, encode(a.make_design(self.t, 0, number, design)), self.t)
+
+    def step(self, driving=True):
+        """A tick: the loop's part, then the desk's."""
+        self.t += TICK
+        self.now = a.step_adapting(self.now, self.t, driving=driving, tuned=False)
+        taken = self.desk.step(self.now, self.t, 0)
+        if taken is not None:
+            self.now = a.take_design(
+                self.now, taken.number, a.read_design(taken), taken.text, self.t
+            )
+        return taken
+
+    def until_taken(self, most=200):
+        for ticks in range(1, most):
+            taken = self.step()
+            if taken is not None:
+                return ticks, taken
+        raise AssertionError("nothing was taken")
+
+
+@pytest.fixture
+def followed(held, near):
+    """A bench whose loop follows the near design."""
+    bench = Bench(held)
+    bench.offer(near)
+    bench.until_taken()
+    bench.step()
+    return bench
+
+
+def test_a_good_design_is_taken_after_some_ticks(held, near):
+    bench = Bench(held)
+    bench.offer(near)
+    ticks, taken = bench.until_taken()
+    assert ticks > 20, "no tick has the time for the whole check"
+    assert (taken.number, a.read_design(taken)) == (1, near)
+    bench.step()
+    assert bench.now.follows
+
+
+def test_the_same_again_is_no_second_check(followed, near):
+    followed.offer(near)
+    ticks, taken = followed.until_taken()
+    assert (ticks, taken.number) == (1, 1)
+
+
+def test_a_bad_one_is_refused_with_the_reason_and_the_files_comes_back(followed, held):
+    followed.offer(scaled(design_for(held, steer_gain=0.97), -1.0))
+    _, taken = followed.until_taken()
+    assert taken.number == 0
+    assert taken.text.startswith(a.REFUSED)
+    followed.step()
+    assert (followed.now.follows, followed.desk.refused) == (False, 1)
+
+
+def test_what_comes_during_a_check_is_left_alone(held, near):
+    bench = Bench(held)
+    bench.offer(near)
+    bench.step()
+    for _ in range(50):
+        bench.offer(scaled(near, -1.0))
+    assert a.read_design(bench.until_taken()[1]) == near
+    assert bench.desk.refused == 0
+
+
+@pytest.mark.parametrize("off", [-a.OLD_NS - 1, a.OLD_NS + 1])
+def test_what_is_out_of_time_is_left_alone(held, near, off):
+    bench = Bench(held)
+    bench.desk.offer(bench.now, encode(a.make_design(NOW + off, 0, 1, near)), NOW)
+    assert all(bench.step() is None for _ in range(100))
+
+
+@pytest.mark.parametrize("data", [b"", b"\0" * 40, b"\xff" * 5000, b"\0" * 200_000])
+def test_bytes_that_are_no_design_are_left_alone(held, data):
+    bench = Bench(held)
+    bench.desk.offer(bench.now, data, NOW)
+    assert bench.step() is None
+    assert bench.desk.refused == 0
+
+
+def test_no_proposal_brings_the_files_design_back(followed):
+    said = encode(a.make_no_design(followed.t, 0, "a change is being looked into"))
+    followed.desk.offer(followed.now, said, followed.t)
+    taken = followed.step()
+    assert (taken.number, taken.text) == (0, "a change is being looked into")
+    followed.step()
+    assert not followed.now.follows
+
+
+def test_the_loops_own_way_back_is_said_once(followed):
+    taken = followed.step(driving=False)
+    assert (taken.number, taken.text) == (0, "no drive")
+    assert followed.step(driving=False) is None
+
+
+def test_a_check_against_what_is_no_longer_in_force_counts_for_nothing(followed, held):
+    followed.offer(design_for(held, steer_gain=0.955))
+    followed.step()
+    followed.step(driving=False)
+    assert all(followed.step() is None for _ in range(100))
+    assert not followed.now.follows
+
+
+def test_without_the_option_nothing_is_looked_at(held, near):
+    desk, off = a.DesignDesk(), a.make_adapting(held.file)
+    desk.offer(off, encode(a.make_design(NOW, 0, 1, near)), NOW)
+    assert all(desk.step(off, NOW, 0) is None for _ in range(100))
+
+
+# A design as a message: the same bits back, and what is no design.
+
+
+@pytest.mark.parametrize(
+    ("columns", "gains"),
+    [(0, b""), (10, b""), (10, b"\0" * 79), (8, b"\0" * 64), (121, b"\0" * 968),
+     (10, b"\0" * 80 * 401)],
+)  # fmt: skip
+def test_what_is_no_table_is_refused(columns, gains):
+    car = Learnt(*(0.0,) * len(Learnt._fields))
+    message = m.Design(m.make_header(0, m.BODY), 0, 1, columns, *car, 0.1, 0.25, "", gains)
+    with pytest.raises(ValueError, match="no rows"):
+        a.read_design(message)

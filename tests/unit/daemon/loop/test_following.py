@@ -168,13 +168,6 @@ def test_time_that_does_not_pass_changes_nothing(model):
     assert advance(state, model, 49 * MS, 1.0) == state
 
 
-def test_before_an_order_can_have_arrived_nothing_moves(model):
-    order = Command(0.1, 1.0)
-    state = advance(send_order(FollowState(), model, 0, order, 0.0), model, 40 * MS, 1.0)
-    assert state.trail[-1].speed == Band(0.0, 0.0)
-    assert state.steer == Band(model.right.low, model.left.high)
-
-
 def test_speed_rises_between_the_fastest_and_the_slowest_car():
     """One order, long in force: lags alone, since 0.5 m/s over 0.2 s is below the slew limit."""
     state = go({0: Command(0.0, 0.5)}, 400)
@@ -220,17 +213,6 @@ def test_speeds_after_a_change(first, then, until_ms, step_ms, low, high):
     assert band.low == pytest.approx(low, abs=1e-6 if then in (0.29, 0.3) else near_low)
     exact = then is None or then in (0.29, 0.3)
     assert band.high == pytest.approx(high, abs=1e-6 if exact else near_low)
-
-
-@pytest.mark.parametrize("speed", [0.3, 1.0, 2.5])
-def test_curvature_of_the_steady_turn(model, speed):
-    """A turn to the left: the tightest car's upper end, the widest car's lower end."""
-    state = go({0: Command(0.2, 1.0)}, 4000, speed=speed)
-    short = max(model.base.low + model.understeer.low * speed**2, 0.5 * model.base.low)
-    wide = model.base.high + model.understeer.high * speed**2
-    assert state.curvature == near(tan(0.16 - 0.02) / wide, tan(0.24 + 0.02) / short)
-    right = go({0: Command(-0.2, 1.0)}, 4000, speed=speed)
-    assert right.curvature == near(tan(-0.24 - 0.02) / short, tan(-0.16 + 0.02) / wide)
 
 
 def test_an_oversteering_car_is_bounded_at_half_its_wheelbase(model):

@@ -54,11 +54,11 @@ def brief(findings):
     return [(f.id, f.severity) for f in findings]
 
 
-def hold(seconds, th=TH, **changes):
-    """Findings of the first and of the last of two ticks so many seconds apart."""
-    memory, first = step_watchdogs(th, WatchdogState(), changed(CALM, **changes))
+def after(seconds, th=TH, **changes):
+    """Findings of a tick; the second of two so many seconds apart, if any."""
+    memory, found = step_watchdogs(th, WatchdogState(), changed(CALM, **changes))
     end = CALM.t_ns + round(seconds * S)
-    return brief(first), brief(look(th, memory, **{**changes, "t_ns": end}))
+    return look(th, memory, **{**changes, "t_ns": end}) if seconds else found
 
 
 def seen(t_ns, place, yaw=0.0, *, turn=(1.0, 0.0, 0.0, 0.0), number=None, rejected=None, **more):

@@ -11,7 +11,7 @@ from steerd.controller.learnt import approach_learnt
 from steerd.daemon.analysis.gap_closed_loop import compare_lane
 from steerd.daemon.assembly.build import VIRTUAL_EPOCH_NS, make_plan
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.loop.design_desk import make_design, make_no_design
+from steerd.daemon.loop.adapting import make_design, make_no_design
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.fast import make_recording, record_virtual
 from steerd.daemon.offline.virtual import drive, make_virtual_run

@@ -11,11 +11,11 @@ import pytest
 
 from steerd.daemon.cli.main import dispatch
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.loop.findings import CAUSES, Flag, blame_late, make_finding
-from steerd.daemon.process import realtime, rtcheck
+from steerd.daemon.loop.findings import Flag
+from steerd.daemon.process import realtime
 from steerd.daemon.process.guard import LEAST_NS, find_cause, parse_steal
 from steerd.daemon.process.guardian import PERIOD_NS
-from steerd.daemon.process.rtcheck import keep_busy, measure_wakes, summarise_wakes
+from steerd.daemon.process.realtime import keep_busy, measure_wakes, summarise_wakes
 
 
 class Libc:
@@ -159,18 +159,6 @@ def test_a_guardian_that_never_paused_leaves_this_program_alone(late_ns):
     assert find_cause((START, START + late_ns), 0, (0, 0)) == Flag.ALONE_LATE
 
 
-def test_each_cause_has_its_own_sentence_and_stops_as_before():
-    late = make_finding("W15", "a tick 41 ms late")
-    said = [blame_late(late, flag) for flag in (Flag.STALLED, Flag.ALL_LATE, Flag.ALONE_LATE, 0)]
-    assert len({finding.text for finding in said}) == 4
-    assert all(finding.text.startswith("W15 loop late: a tick 41 ms late; ") for finding in said)
-    assert all(finding.severity is late.severity for finding in said)
-    assert said[3] == late
-    assert "close other programs" in said[2].text
-    assert "close other programs" not in said[0].text + said[1].text
-    assert blame_late(late, ~CAUSES) == late
-
-
 # Late ticks of a machine whose host took the processor are told from those of this program.
 
 STAT = "cpu  10 0 5 900 1 0 0 42 0 0\ncpu0 10 0 5 900 1 0 0 42 0 0\n"
@@ -190,7 +178,7 @@ def test_a_machine_is_kept_busy_and_let_go(monkeypatch):
             super().__init__(*args, **options)
             started.append(self)
 
-    monkeypatch.setattr(rtcheck.subprocess, "Popen", Kept)
+    monkeypatch.setattr(realtime.subprocess, "Popen", Kept)
     with keep_busy(2):
         assert [process.poll() for process in started] == [None, None]
     assert [process.poll() for process in started] == [-9, -9]

@@ -1,4 +1,7 @@
-"""The runner: what it watches itself (W8, W16, W26 to W29), its deadlines, its order of work."""
+"""The runner: what it watches itself (W8, W16, W26 to W29), its deadlines, its order of work.
+
+Proposals of the learner too: a few a tick, and a learner that ends is no fault.
+"""
 
 import os
 import resource
@@ -13,8 +16,9 @@ from steerd.daemon.assembly.build import RunId, make_plan
 from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.ipc.pipe_records import PipeWriter, make_pipe, read_message
 from steerd.daemon.ipc.requests import pack_request
+from steerd.daemon.loop.adapting import DESIGN_BYTES
 from steerd.daemon.loop.core import make_core
-from steerd.daemon.loop.findings import CAUSES, Flag
+from steerd.daemon.loop.findings import CAUSES, Flag, Severity
 from steerd.daemon.loop.supervisor import NEVER, STILL_NS
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process import guard as guard_module
@@ -236,7 +240,7 @@ REMOTE, LOCAL = 0, 1
 
 
 @pytest.fixture
-def ends():
+def both_ends():
     """The core's ends of the sockets of its parent and the gateway, and the other ends of both."""
     pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in range(2)]
     for end in (each for pair in pairs for each in pair):
@@ -246,14 +250,14 @@ def ends():
         end.close()
 
 
-def hold(plan, ends, read_fds, who, answers, seconds=3.0):
+def hold(plan, both_ends, read_fds, who, answers, seconds=3.0):
     """An operator keeps the lease; when W27 was found [ms], or None.
 
     Args:
         who: whether over the bus or at the terminal.
         answers: who sends heartbeats back: the gateway (lease 0) and operators, by lease.
     """
-    cores, others = ends
+    cores, others = both_ends
     sent = []
     r = piped(plan, read_fds, sinks=(lambda records, _t_ns: sent.extend(records),))
     it = Runner(
@@ -290,8 +294,10 @@ def hold(plan, ends, read_fds, who, answers, seconds=3.0):
         (LOCAL, (), False),
     ],
 )
-def test_w27_the_holder_on_the_bus_hears_no_heartbeat(plan, ends, read_fds, who, answers, found):
-    lost_ms = hold(plan, ends, read_fds, who, answers)
+def test_w27_the_holder_on_the_bus_hears_no_heartbeat(
+    plan, both_ends, read_fds, who, answers, found
+):
+    lost_ms = hold(plan, both_ends, read_fds, who, answers)
     assert (lost_ms is not None) is found
     assert lost_ms is None or 1000 < lost_ms <= 1150
 
@@ -501,20 +507,22 @@ def test_no_rate_of_mocap_makes_ticks_uneven(monkeypatch, hz):
     assert 0.8 < spans.min() <= spans.max() < 1.2
 
 
+def bare_runner(links: CoreLinks, world: World | None = None, **core) -> Runner:
+    """A runner whose core has nothing but what is given."""
+    plan = SimpleNamespace(period_ns=10 * MS, run=SimpleNamespace(boot_id=1))
+    made = SimpleNamespace(loop=SimpleNamespace(plan=plan), **core)
+    return Runner(made, world, lambda: None, world, links, SimpleNamespace())
+
+
 def runner_with(monkeypatch, world: World, notes: list[str]) -> Runner:
     """A runner whose core only notes its calls."""
-    core = SimpleNamespace(
-        loop=SimpleNamespace(
-            plan=SimpleNamespace(period_ns=10 * MS, run=SimpleNamespace(boot_id=1))
-        ),
+    it = bare_runner(
+        CoreLinks(None, None, (), STOP), world,
         tick=lambda *_: notes.append("decided") or b"order",
         post_tick=lambda written: notes.append(f"posted {written.decode()}"),
         on_poses=lambda _samples: None,
-    )
+    )  # fmt: skip
     monkeypatch.setattr(runner_module.select, "select", world.select)
-    it = Runner(
-        core, world, lambda: None, world, CoreLinks(None, None, (), STOP), SimpleNamespace()
-    )
     it._write = lambda wire, _t_ns: notes.append(wire.decode()) or wire
     it._set_flags, it._leave = lambda late_ns: None, lambda: None
     it._housekeeping = lambda _t_ns: notes.append("tidied")
@@ -581,7 +589,9 @@ def test_a_late_tick_says_whether_host_or_guardian_stood_still_too(
     assert r.core.flags & CAUSES == flag
     r.core.tick(0, 41 * MS)
     assert not r.core.flags & CAUSES, "it is one tick's"
-    texts = [finding.text for finding in r.core.last.findings if finding.id == "W15"]
+    late = [finding for finding in r.core.last.findings if finding.id == "W15"]
+    assert {finding.severity for finding in late} == {Severity.HARD}
+    texts = [finding.text for finding in late]
     assert any(said in text for text in texts)
     assert sum("stood still" in text or "alone" in text for text in texts) == (stood is not None)
 
@@ -592,3 +602,65 @@ def test_a_tick_in_time_blames_no_host(plan, monkeypatch):
     monkeypatch.setattr(runner_module, "read_steal_ns", lambda: 5 * SECOND + 40 * MS)
     r.it._set_flags(9 * MS)
     assert not r.core.flags & Flag.STALLED
+
+
+# Proposals of the learner.
+
+
+def read_from(end):
+    """A runner that only reads proposals, and what its core was offered."""
+    offered = []
+    links = CoreLinks(None, None, (), -1, end)
+    it = bare_runner(links, on_proposal=lambda data, t_ns: offered.append((data, t_ns)))
+    return SimpleNamespace(it=it, offered=offered, read=it._read_designs)
+
+
+def flood(end, most=100_000):
+    """Send until nothing fits any more; how many went out."""
+    for sent in range(most):
+        try:
+            end.send(b"%06d" % sent)
+        except BlockingIOError:
+            return sent
+    raise AssertionError("a socket that takes everything")
+
+
+def test_the_newest_of_a_few_goes_to_the_core(ends):
+    reader = read_from(ends[1])
+    reader.read(5)
+    assert reader.offered == []
+    for data in (b"one", b"two", b"three"):
+        ends[0].send(data)
+    reader.read(6)
+    assert reader.offered == [(b"three", 6)]
+
+
+def test_a_flood_costs_a_tick_a_few_packets_only(ends):
+    reader = read_from(ends[1])
+    sent = flood(ends[0])
+    assert sent > 50
+    for tick in range(10):
+        reader.read(tick)
+    assert len(reader.offered) == 10
+    assert int(reader.offered[-1][0]) < 50, "the rest waits where it is"
+    assert flood(ends[0]) < sent, "and the sender finds no room"
+
+
+def test_a_packet_that_is_too_long_is_cut_and_left_to_the_desk(ends):
+    reader = read_from(ends[1])
+    ends[0].setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4 * DESIGN_BYTES)
+    ends[0].send(b"x" * (DESIGN_BYTES + 500))
+    reader.read(1)
+    assert len(reader.offered[0][0]) == DESIGN_BYTES + 1
+
+
+@pytest.mark.parametrize("unread", [b"", b"last words"])
+def test_a_learner_that_ends_is_no_fault(ends, unread):
+    reader = read_from(ends[1])
+    if unread:
+        ends[1].send(b"never read by the learner")
+        ends[0].send(unread)
+    ends[0].close()
+    for tick in range(3):
+        reader.read(tick)
+    assert reader.it._designs is None

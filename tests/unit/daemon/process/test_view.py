@@ -14,16 +14,17 @@ from steerd.daemon.assembly.build import make_job, make_plan, read_job
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.requests import parse_setting
-from steerd.daemon.process.view import list_values, make_channels
-from steerd.daemon.process.view_job import draw_plan, parse_view
-from steerd.daemon.process.view_scene import (
+from steerd.daemon.process.view import (
     Body,
+    list_values,
     make_car_scene,
+    make_channels,
     make_lane_scene,
     make_learnt_parameters,
     make_parameters,
     make_transform,
 )
+from steerd.daemon.process.view_job import draw_plan, parse_view
 from steerd.daemon.process.view_server import ViewParameters, ViewServer
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import messages as m
