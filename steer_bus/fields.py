@@ -18,7 +18,7 @@ import json
 import typing
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from typing import Annotated, Any, TypeVar, cast, dataclass_transform
+from typing import Annotated, Any, TypeVar, dataclass_transform
 
 from steerd.steer_bus.quick_values import quick_value
 
@@ -87,12 +87,6 @@ class Field:
 
 
 C = TypeVar("C")
-R = TypeVar("R")
-
-
-def cached(derive: Callable[[type[Any]], R]) -> Callable[[type[Any]], R]:
-    """Remember what a function derives from a message class."""
-    return cast("Callable[[type[Any]], R]", functools.cache(derive))
 
 
 @dataclass_transform(frozen_default=True)
@@ -118,7 +112,7 @@ def type_name(cls: type[Any]) -> str:
     return name
 
 
-@cached
+@functools.cache
 def message_fields(cls: type[Any]) -> tuple[Field, ...]:
     """Give the fields of a message class in wire order.
 
@@ -133,7 +127,7 @@ def message_fields(cls: type[Any]) -> tuple[Field, ...]:
     return found
 
 
-@cached
+@functools.cache
 def leaves_of(cls: type[Any]) -> tuple[Field, ...]:
     """Give a message's fields in wire order, those of a message inside it by their dotted path."""
     found: list[Field] = []
@@ -172,7 +166,7 @@ def _field(owner: str, name: str, hint: Any) -> Field:
 _SEPARATOR = "=" * 80
 
 
-@cached
+@functools.cache
 def schema_text(cls: type[Any]) -> str:
     """Give the ``ros2msg`` text of a message, its dependencies appended as ROS does.
 
@@ -185,7 +179,7 @@ def schema_text(cls: type[Any]) -> str:
     )
 
 
-@cached
+@functools.cache
 def type_hash(cls: type[Any]) -> str:
     """Give the RIHS01 hash (``RIHS01_`` + 64 hex digits) by which rmw_zenoh keys a topic.
 

@@ -20,7 +20,7 @@ from typing import Any
 import zenoh  # noqa: TID251
 
 from steerd.steer_bus.bus import Answer, BusError, Keep, Sample, check_key, check_size
-from steerd.steer_bus.clock import Clock, MonotonicClock
+from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.fields import type_name
 from steerd.steer_bus.lab import (
     DEFAULT_PORT,
@@ -88,13 +88,12 @@ def make_settings(profile: Profile) -> dict[str, Any]:
 class ZenohBus:
     """A participant of a zenoh bus; see :class:`steerd.steer_bus.bus.Bus`. Use it with ``with``."""
 
-    def __init__(self, profile: Profile, clock: Clock | None = None) -> None:
+    def __init__(self, profile: Profile) -> None:
         """Join.
 
         Raises:
             BusError: if the hub's port is taken, no hub answers, or a setting is unknown.
         """
-        self._clock = clock or MonotonicClock()
         self.who = profile.who
         self._session = _open(profile)
         self._zid = str(self._session.info.zid()).encode()
@@ -123,7 +122,8 @@ class ZenohBus:
         if publisher is None:
             publisher = self._publishers[key] = self._declare(key)
         publisher.seq += 1
-        stamp = _ATTACHMENT.pack(publisher.seq, self._clock.realtime_ns(), _GID_SIZE, publisher.gid)
+        now_ns = MonotonicClock.realtime_ns()
+        stamp = _ATTACHMENT.pack(publisher.seq, now_ns, _GID_SIZE, publisher.gid)
         try:
             publisher.handle.put(check_size(data), attachment=stamp)
         except zenoh.ZError as error:
