@@ -77,8 +77,8 @@ class Alive:
 
 
 @dataclass(frozen=True, slots=True)
-class SetMcConfTemp:
-    """Limits in RAM [ERPM, duty, W, A] (firmware 3.48)."""
+class Limits:
+    """Limits [ERPM, duty, W, A] in the order of the wire; scales are shares of its own currents."""
 
     current_min_scale: float
     current_max_scale: float
@@ -90,6 +90,12 @@ class SetMcConfTemp:
     watt_max: float
     input_current_min: float
     input_current_max: float
+
+
+@dataclass(frozen=True, slots=True)
+class SetMcConfTemp(Limits):
+    """Limits in RAM (firmware 3.48)."""
+
     store: bool = False
     forward_can: bool = False
     ack: bool = True

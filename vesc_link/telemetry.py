@@ -6,7 +6,7 @@ firmware does not know. Source: `docs/reference/vesc-serial.md#v2.1`, `#v2.2`, `
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from operator import truediv
 
@@ -91,18 +91,7 @@ _VALUES_BITS: tuple[tuple[Field, ...], ...] = (
 _OLD_VALUES: tuple[Field, ...] = (
     *(Field(f"temp_mos{n}_c", "h", 1e1) for n in range(1, 7)),
     Field("temp_pcb_c", "h", 1e1),
-    Field("motor_current", "i", 1e2),
-    Field("input_current", "i", 1e2),
-    Field("duty", "h", 1e3),
-    Field("erpm", "i", 1e0),
-    Field("input_voltage", "h", 1e1),
-    Field("ah", "i", 1e4),
-    Field("ah_charged", "i", 1e4),
-    Field("wh", "i", 1e4),
-    Field("wh_charged", "i", 1e4),
-    Field("tachometer", "i"),
-    Field("tachometer_abs", "i"),
-    Field("fault", "B"),
+    *(bit[0] for bit in (*_VALUES_BITS[2:4], *_VALUES_BITS[6:16])),
 )
 _OLD_VALUES_SIZE = 56
 """Reply length that distinguishes the table of firmware 3.00 and older from all later ones."""
@@ -159,12 +148,8 @@ _IMU_UNIT = {
     **dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), math.pi / 180),
 }
 _IMU_BITS: tuple[tuple[Field, ...], ...] = tuple(
-    (Field(name, "f"),)
-    for name in (
-        "roll", "pitch", "yaw", "accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z",
-        "mag_x", "mag_y", "mag_z", "q_w", "q_x", "q_y", "q_z",
-    )
-)  # fmt: skip
+    (Field(each.name, "f"),) for each in fields(Imu)[1:17]
+)
 _IMU_ID = Field("controller_id", "B", None, FW_6_05)
 
 

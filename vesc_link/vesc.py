@@ -40,6 +40,7 @@ from steerd.vesc_link.telemetry import FAST_MASK, UPTIME_MASK, Imu, Uptime, Valu
 WRITE_LIMIT = 64
 """One write per tick fits one USB packet [bytes]."""
 EXPIRY_NS = 80_000_000
+"""How long a request may stay open."""
 POLL_EXPIRY_NS = 15_000_000
 """A poll is repeated soon: five tries fit into the 100 ms of silence that stop a car."""
 UPTIME_PERIOD_NS = 1_000_000_000
@@ -132,7 +133,6 @@ class VescLink:
         expected_uuid: the 12 bytes that must answer; None takes any VESC.
         telemetry_mask: fields polled each tick (firmware before 3.48 is polled for all).
         imu_mask: IMU fields polled each tick; None polls no IMU.
-        expiry_ns: how long a request may stay open; polls at most `POLL_EXPIRY_NS`.
 
     Attributes:
         version, firmware, appconf, limits: what the VESC said; None until it did.
@@ -145,14 +145,11 @@ class VescLink:
         expected_uuid: bytes | None = None,
         telemetry_mask: int = FAST_MASK,
         imu_mask: int | None = None,
-        expiry_ns: int = EXPIRY_NS,
     ) -> None:
         self._scaling = scaling
         self._expected_uuid = expected_uuid
         self._telemetry_poll = c.GetValuesSelective(telemetry_mask)
         self._imu_poll = None if imu_mask is None else c.GetImuData(imu_mask)
-        self._expiry_ns = expiry_ns
-        self._patience_ns = min(POLL_EXPIRY_NS, expiry_ns)
         self.counters = Counters()
         self.reset()
 
@@ -293,7 +290,7 @@ class VescLink:
     def _note_sent(self, request: _Request, t_ns: int) -> None:
         if request.answered:
             earliest = self._just_expired.pop(request.number, t_ns)
-            still_possible = t_ns - earliest <= 2 * self._expiry_ns
+            still_possible = t_ns - earliest <= 2 * EXPIRY_NS
             self._open[request.number] = _Open(request, t_ns, earliest if still_possible else t_ns)
         if request.number is CommandId.GET_VALUES_SETUP_SELECTIVE:
             self._uptime_due_ns = t_ns + UPTIME_PERIOD_NS
@@ -301,14 +298,14 @@ class VescLink:
     def _expire(self, t_ns: int) -> None:
         if not self._open:
             return
-        overdue_ns = t_ns - self._patience_ns
+        overdue_ns = t_ns - POLL_EXPIRY_NS
         for waits in self._open.values():
             if waits.t_sent_ns < overdue_ns:
                 break
         else:
             return
         for number, waits in list(self._open.items()):
-            patience = self._patience_ns if waits.request.polled else self._expiry_ns
+            patience = POLL_EXPIRY_NS if waits.request.polled else EXPIRY_NS
             if t_ns - waits.t_sent_ns > patience:
                 del self._open[number]
                 self.counters.expired += 1

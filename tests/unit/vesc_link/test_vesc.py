@@ -329,7 +329,7 @@ def test_uptime_is_requested_once_a_second_and_alive_never_sent(link, vesc):
 
 def test_requests_go_out_when_there_is_room(link, vesc):
     assert link.limits is not None
-    limits = make_session_limits(link.limits, erpm_max=9228.0, current_scale=0.5)
+    limits = make_session_limits(link.limits, erpm_max=9228.0)
     link.request(limits)
     link.request(c.GetMcConfTemp())
     data = link.make_tick(DRIVE, 0)
@@ -343,7 +343,6 @@ def test_requests_go_out_when_there_is_room(link, vesc):
     sent = next(s for s in vesc.seen if isinstance(s, c.SetMcConfTemp))
     assert (sent.store, sent.ack, sent.erpm_min, sent.erpm_max) == (False, True, -9228, 9228)
     vesc.limits = dataclasses.replace(vesc.limits, erpm_min=-9228, erpm_max=9228)
-    vesc.limits = dataclasses.replace(vesc.limits, current_max_scale=0.5)
     events = link.on_bytes(11 * MS, vesc.answer(link.make_tick(DRIVE, 10 * MS)))
     assert i.McConfTemp in kinds(events)
     assert limits_hold(limits, link.limits)
@@ -357,13 +356,12 @@ def test_what_drives_is_not_sent_on_request(link, command):
 
 
 def test_session_limits_only_ever_tighten():
-    wide = make_session_limits(LIMITS, erpm_max=1e6, current_scale=1.0, duty_max=1.0)
-    assert wide == make_restored_limits(LIMITS)
-    tight = make_session_limits(LIMITS, erpm_max=5000, current_scale=0.2, duty_max=0.5)
+    assert make_session_limits(LIMITS, erpm_max=1e6) == make_restored_limits(LIMITS)
+    in_force = dataclasses.replace(LIMITS, current_max_scale=0.2, duty_max=0.99)
+    tight = make_session_limits(in_force, erpm_max=5000)
     assert (tight.erpm_min, tight.erpm_max) == (-5000, 5000)
     assert (tight.current_min_scale, tight.current_max_scale) == (1, 0.2)
-    assert tight.duty_max == 0.5
-    assert tight.watt_max == 1500
+    assert (tight.duty_max, tight.watt_max) == (0.95, 1500)
     for wrong in (0.0, -1.0, nan, inf):
         with pytest.raises(ValueError, match="positive and finite"):
             make_session_limits(LIMITS, erpm_max=wrong)
