@@ -245,9 +245,9 @@ def scan_messages(data: bytes) -> tuple[dict[int, list[tuple[int, int]]], list[t
 class _Body(io.BytesIO):
     """A record's body as the library reads it; a field never leaves it."""
 
-    def read(self, size: int | None = -1) -> bytes:
-        data = super().read(size)
-        if size is not None and len(data) < size:
+    def read(self, size: int) -> bytes:  # type: ignore[override]
+        data = super().read(min(size, MAX_RECORD))
+        if len(data) < size:
             raise DamageError("a record's fields do not fit it")
         return data
 

@@ -1,7 +1,7 @@
 """Commands from host to VESC, one frozen dataclass each; `packets` encodes and decodes.
 
-They are what the client sends, and what the simulated VESC takes besides: ALIVE, REBOOT and the
-terminal. Source: `docs/reference/vesc-serial.md#v2`.
+They are what the client sends, and what the simulated VESC takes besides: ALIVE and REBOOT.
+Source: `docs/reference/vesc-serial.md#v2`.
 """
 
 from dataclasses import dataclass
@@ -57,13 +57,6 @@ class SetServoPos:
 @dataclass(frozen=True, slots=True)
 class GetAppConf:
     """Ask for the app configuration; its first fields are the same in every firmware."""
-
-
-@dataclass(frozen=True, slots=True)
-class TerminalCommand:
-    """Run a terminal command; the answer is text in asynchronous PRINT frames."""
-
-    text: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +123,6 @@ class GetMcConfTemp:
 
 Command = (
     GetFwVersion | GetValues | SetDuty | SetCurrent | SetCurrentBrake | SetErpm | SetServoPos
-    | GetAppConf | TerminalCommand | Reboot | Alive | SetMcConfTemp | GetValuesSelective
+    | GetAppConf | Reboot | Alive | SetMcConfTemp | GetValuesSelective
     | GetValuesSetupSelective | GetImuData | GetMcConfTemp
 )  # fmt: skip

@@ -92,7 +92,7 @@ def decode_appconf(payload: bytes) -> AppConf | None:
     """Decode the head of an app configuration; None if it is cut or its brake current no number."""
     if len(payload) < _APPCONF_HEAD:
         return None
-    values, _ = unpack_fields(_APPCONF_FIELDS, payload, 1)
+    values = unpack_fields(_APPCONF_FIELDS, payload, 1)
     if not math.isfinite(values["timeout_brake_current"]):
         return None
     return AppConf(**values, tail=payload[_APPCONF_HEAD:])
@@ -125,7 +125,7 @@ _MCCONF_FIELDS = (*LIMIT_FIELDS, *_DRIVE_TRAIN)
 
 def decode_mcconf_temp(payload: bytes) -> McConfTemp | None:
     """Decode the limits in force; None if they are cut or one is no number."""
-    values, _ = unpack_fields(_MCCONF_FIELDS, payload, 1)
+    values = unpack_fields(_MCCONF_FIELDS, payload, 1)
     whole = len(values) == len(_MCCONF_FIELDS) and all_finite(values)
     return McConfTemp(**values) if whole else None
 
@@ -134,13 +134,6 @@ def encode_mcconf_temp(reply: McConfTemp) -> bytes:
     """GET_MCCONF_TEMP reply."""
     body = pack_device(_MCCONF_FIELDS, reader(_MCCONF_FIELDS)(reply))
     return bytes((CommandId.GET_MCCONF_TEMP,)) + body
-
-
-@dataclass(frozen=True, slots=True)
-class Print:
-    """Text that the VESC prints, in answer to a terminal command or by itself."""
-
-    text: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,6 @@ class Values:
 
     Currents and ``v_d``, ``v_q`` are means since the last read by anyone. The tachometer counts six
     steps per electrical revolution. ``mask`` is the echoed mask, None for a full reply.
-    ``extra_bytes`` counts trailing bytes that are no field we know.
     """
 
     temp_fet_c: float | None = None
@@ -61,7 +60,6 @@ class Values:
     temp_mos6_c: float | None = None
     temp_pcb_c: float | None = None
     mask: int | None = None
-    extra_bytes: int = 0
 
 
 _VALUES_BITS: tuple[tuple[Field, ...], ...] = (
@@ -131,7 +129,6 @@ class Imu:
     q_y: float | None = None
     q_z: float | None = None
     controller_id: int | None = None
-    extra_bytes: int = 0
 
 
 def has_chip(accel_x: float, accel_y: float, accel_z: float) -> bool:
@@ -170,8 +167,7 @@ def decode_values(payload: bytes) -> Values:
     """Decode a full telemetry reply; its length identifies the firmware's table."""
     old = len(payload) == _OLD_VALUES_SIZE
     fields = _OLD_VALUES if old else _selected(_VALUES_BITS, None, None)
-    values, extra = unpack_fields(fields, payload, 1)
-    return Values(**values, extra_bytes=extra)
+    return Values(**unpack_fields(fields, payload, 1))
 
 
 def decode_values_selective(payload: bytes) -> Values | None:
@@ -179,8 +175,7 @@ def decode_values_selective(payload: bytes) -> Values | None:
     if len(payload) < 5:
         return None
     mask = int.from_bytes(payload[1:5], "big")
-    values, extra = unpack_fields(_selected(_VALUES_BITS, mask, None), payload, 5)
-    return Values(**values, mask=mask, extra_bytes=extra)
+    return Values(**unpack_fields(_selected(_VALUES_BITS, mask, None), payload, 5), mask=mask)
 
 
 def decode_uptime(payload: bytes) -> Uptime | None:
@@ -201,14 +196,13 @@ def decode_imu(payload: bytes) -> Imu | None:
     if len(payload) < 3:
         return None
     mask = int.from_bytes(payload[1:3], "big")
-    fields = _imu_fields(mask)
-    values, extra = unpack_fields(fields, payload, 3)
+    values = unpack_fields(_imu_fields(mask), payload, 3)
     if not math.isfinite(sum(values.values())):  # no sum of single-precision numbers overflows
         return None
     for name, unit in _IMU_UNIT.items():
         if name in values:
             values[name] *= unit
-    return Imu(mask, **values, extra_bytes=extra)
+    return Imu(mask, **values)
 
 
 @lru_cache(maxsize=64)

@@ -7,7 +7,6 @@ keep the last motor command running although this program hangs.
 """
 
 from collections import deque
-from dataclasses import dataclass
 from math import inf, nan
 
 from steerd.steer_bus.messages import ActuationMode
@@ -15,7 +14,7 @@ from steerd.steer_bus.quick_values import quick_value
 from steerd.vesc_link import commands as c
 from steerd.vesc_link.commands import Command
 from steerd.vesc_link.frames import MAX_PAYLOAD, RUNNING_CEILING, Frame, FrameParser, encode_frame
-from steerd.vesc_link.identity import AppConf, FwVersion, McConfTemp, Print
+from steerd.vesc_link.identity import AppConf, FwVersion, McConfTemp
 from steerd.vesc_link.ids import (
     FAULT_WATCHDOG_BOOT,
     FW_3_00,
@@ -91,16 +90,6 @@ class Rebooted:
 Event = Answer | Rebooted
 
 
-@dataclass(slots=True)
-class Counters:
-    """What went wrong on the link so far; the parser counts checksum errors and lost bytes."""
-
-    expired: int = 0  # requests without an answer in time
-    unknown_ids: int = 0  # frames of a kind that is not known
-    unsolicited: int = 0  # replies that nobody asked for; not the text that a VESC prints
-    odd_lengths: int = 0  # replies too short for this firmware
-
-
 _MASKED = (Values, Uptime, Imu)
 
 
@@ -136,7 +125,7 @@ class VescLink:
 
     Attributes:
         version, firmware, appconf, limits: what the VESC said; None until it did.
-        counters, parser: link quality.
+        parser: its frames.
     """
 
     def __init__(
@@ -150,11 +139,10 @@ class VescLink:
         self._expected_uuid = expected_uuid
         self._telemetry_poll = c.GetValuesSelective(telemetry_mask)
         self._imu_poll = None if imu_mask is None else c.GetImuData(imu_mask)
-        self.counters = Counters()
         self.reset()
 
     def reset(self) -> None:
-        """Forget the device, as after a reopen; the counters stay."""
+        """Forget the device, as after a reopen."""
         self.parser = FrameParser()
         self.version: FwVersion | None = None
         self.firmware: Firmware | None = None
@@ -308,7 +296,6 @@ class VescLink:
             patience = POLL_EXPIRY_NS if waits.request.polled else EXPIRY_NS
             if t_ns - waits.t_sent_ns > patience:
                 del self._open[number]
-                self.counters.expired += 1
                 # The answer may still come, and then looks like that to the next request.
                 self._just_expired[number] = waits.t_earliest_ns
 
@@ -327,20 +314,15 @@ class VescLink:
         return events
 
     def _on_frame(self, frame: Frame) -> list[Event]:
-        counters, number = self.counters, command_id(frame.payload[0], self.firmware or FW_7_01)
-        if number is None:
-            counters.unknown_ids += 1
+        number = command_id(frame.payload[0], self.firmware or FW_7_01)
+        waits = None if number is None else self._open.get(number)
+        if number is None or waits is None:
             return []
         reply = decode_numbered(number, frame.payload)
-        if type(reply) is Print:
-            return []
         if reply is None or self._is_odd(reply, len(frame.payload)):
-            counters.odd_lengths += 1
             return []
-        waits = self._open.get(number)
         # A reply that names a mask answers the request for it; others answer by their id alone.
-        if waits is None or (isinstance(reply, _MASKED) and reply.mask != waits.request.mask):
-            counters.unsolicited += 1
+        if isinstance(reply, _MASKED) and reply.mask != waits.request.mask:
             return []
         del self._open[number]
         answer = Answer(reply, waits.t_earliest_ns, frame.t_first_ns)

@@ -275,9 +275,9 @@ def test_errors_of_open_become_types_with_a_hint(tmp_path, monkeypatch, number, 
 
 def test_spy_url_logs_what_passes(device, tmp_path):
     log = tmp_path / "trace.txt"
-    port = open_port(f"spy://{device.path}?file={log}", flush=False, lock_dir=tmp_path)
+    port = open_port(f"spy://{device.path}?file={log}", lock_dir=tmp_path)
     port.write(FRAME)
-    assert device.read(len(FRAME)) == FRAME
+    assert device.read(len(FLUSH) + len(FRAME)) == FLUSH + FRAME
     os.write(device.fd, b"\x02")
     assert read_exactly(port, 1) == b"\x02"
     port.close()

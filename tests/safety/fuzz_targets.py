@@ -52,8 +52,8 @@ CLASSES = tuple(MESSAGE_TYPES[name] for name in sorted(MESSAGE_TYPES))
 BOOT = 0x0123_4567_89AB_CDEF
 HELD = MAX_PAYLOAD + 6
 SERVER = "10.0.0.1"
-LOSSY = (c.TerminalCommand, c.SetMcConfTemp)
-"""Commands with text, or with flags that are any byte: they need not come back."""
+LOSSY = c.SetMcConfTemp
+"""A command with flags that are any byte: it need not come back."""
 MOST = 4096  # more bytes than this from one input only take time
 
 Piece = tuple[int, bytes]
@@ -119,7 +119,6 @@ def check_frames(script: bytes) -> None:
         assert all(short(payload) in sent or long(payload) in sent for payload in found)
         strict += firmware.feed(data, t_ns)
         assert max(host.buffered, firmware.buffered) <= HELD
-        assert 0 <= host.dropped_bytes <= len(sent)
     assert strict == FrameParser(strict=True).feed(sent, 0)
     for parser in (host, firmware):
         parser.feed(bytes(HELD + 2), t_ns)
