@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 from itertools import islice
 from typing import Any, TypeVar
 
-from steerd.steer_bus.fields import Kind, Nested, Scalar, Sized, leaves_of, message_fields
+from steerd.steer_bus.fields import Kind, Nested, Scalar, Sized, cached, leaves_of, message_fields
 
 MAX_BYTES = 63 << 10
 """Largest encoded message; the bus drops 64 KiB and more, its own framing included."""
@@ -76,7 +76,7 @@ def decode(cls: type[M], data: bytes) -> M:
 # -- encoding ------------------------------------------------------------------------------------
 
 
-@functools.cache
+@cached
 def _encoder(cls: type[Any]) -> Callable[[Any], bytes]:
     leaves = leaves_of(cls)
     kinds = [leaf.kind for leaf in leaves]
@@ -172,7 +172,7 @@ def _append(data: bytearray, msg: Any) -> None:
 _Step = tuple[struct.Struct, ...] | Sized | type[Any]
 
 
-@functools.cache
+@cached
 def _steps(cls: type[Any]) -> tuple[_Step, ...]:
     """Give what to read in order: runs of primitives (one layout per phase), texts, sequences."""
     steps: list[_Step] = []
@@ -233,7 +233,7 @@ def _read_items(cls: type[Any], data: bytes, pos: int, count: int) -> tuple[tupl
     return tuple(items), pos
 
 
-@functools.cache
+@cached
 def _builder(cls: type[Any]) -> Callable[[Iterator[Any]], Any]:
     parts = [_part(field.kind) for field in message_fields(cls)]
     return lambda values: cls(*[part(values) for part in parts])

@@ -18,7 +18,7 @@ import json
 import typing
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from typing import Annotated, Any, TypeVar, dataclass_transform
+from typing import Annotated, Any, TypeVar, cast, dataclass_transform
 
 from steerd.steer_bus.quick_values import quick_value
 
@@ -87,6 +87,12 @@ class Field:
 
 
 C = TypeVar("C")
+R = TypeVar("R")
+
+
+def cached(derive: Callable[[type[Any]], R]) -> Callable[[type[Any]], R]:
+    """Remember what a function derives from a message class."""
+    return cast("Callable[[type[Any]], R]", functools.cache(derive))
 
 
 @dataclass_transform(frozen_default=True)
@@ -112,7 +118,7 @@ def type_name(cls: type[Any]) -> str:
     return name
 
 
-@functools.cache
+@cached
 def message_fields(cls: type[Any]) -> tuple[Field, ...]:
     """Give the fields of a message class in wire order.
 
@@ -127,7 +133,7 @@ def message_fields(cls: type[Any]) -> tuple[Field, ...]:
     return found
 
 
-@functools.cache
+@cached
 def leaves_of(cls: type[Any]) -> tuple[Field, ...]:
     """Give a message's fields in wire order, those of a message inside it by their dotted path."""
     found: list[Field] = []
@@ -166,7 +172,7 @@ def _field(owner: str, name: str, hint: Any) -> Field:
 _SEPARATOR = "=" * 80
 
 
-@functools.cache
+@cached
 def schema_text(cls: type[Any]) -> str:
     """Give the ``ros2msg`` text of a message, its dependencies appended as ROS does.
 
@@ -179,7 +185,7 @@ def schema_text(cls: type[Any]) -> str:
     )
 
 
-@functools.cache
+@cached
 def type_hash(cls: type[Any]) -> str:
     """Give the RIHS01 hash (``RIHS01_`` + 64 hex digits) by which rmw_zenoh keys a topic.
 
