@@ -10,7 +10,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.requests import LIVE, read_diagnostics
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
-from steerd.steer_bus.bus import Bus, BusError
+from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import DEFAULT_PORT, Lab, load_lab
@@ -86,7 +86,7 @@ def read_lab(folder: Path) -> Lab:
         raise SteerdError(str(error), "", ExitCode.INVALID) from None
 
 
-def read_status(bus: Bus, car: str, clock: Clock, timeout_s: float = 2.0) -> dict[str, str]:
+def read_status(bus: ZenohBus, car: str, clock: Clock, timeout_s: float = 2.0) -> dict[str, str]:
     """The supervisor's values from the first diagnostics message that arrives.
 
     Raises:
@@ -103,7 +103,7 @@ def read_status(bus: Bus, car: str, clock: Clock, timeout_s: float = 2.0) -> dic
     raise SteerdError(f"no car {car!r} on the bus", hint, ExitCode.UNREACHABLE)
 
 
-def read_model(bus: Bus, car: str) -> m.Model | None:
+def read_model(bus: ZenohBus, car: str) -> m.Model | None:
     """The newest report of a car's learner; None without one, or one of another version."""
     for data in bus.query(make_key(car, LAST_MODEL), MODEL_WAIT_S).values():
         with contextlib.suppress(CodecError):

@@ -15,11 +15,11 @@ from steerd.daemon.ipc.requests import make_badge
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import topics
 from steerd.steer_bus.atomic_file import write_atomically
-from steerd.steer_bus.bus import Bus
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.messages import Heartbeat, RequestKind
 from steerd.steer_bus.topics import Topic, check_car_name, make_key
+from steerd.steer_bus.zenoh_bus import ZenohBus
 
 STOPS = {
     RequestKind.STOP: (
@@ -42,7 +42,7 @@ CALL_NS = 5_000_000_000
 class Pulse:
     """A car's heartbeats, which whoever keeps a lease alive sends back."""
 
-    def __init__(self, bus: Bus, car: str) -> None:
+    def __init__(self, bus: ZenohBus, car: str) -> None:
         self._bus, self._key = bus, make_key(car, topics.HEARTBEAT_BACK, bus.who)
         self._beats = bus.subscribe(make_key(car, topics.HEARTBEAT))
         self._newest: Heartbeat | None = None
@@ -63,7 +63,7 @@ class BusOperator:
     """
 
     def __init__(
-        self, bus: Bus, car: str, clock: Clock, name: str, pulse: Pulse, lease_id: int = 0
+        self, bus: ZenohBus, car: str, clock: Clock, name: str, pulse: Pulse, lease_id: int = 0
     ) -> None:
         self._bus, self._car, self._clock, self._name = bus, car, clock, name
         self._pulse, self._lease_id = pulse, lease_id

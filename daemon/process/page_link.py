@@ -13,11 +13,11 @@ from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.bus_operator import BusOperator, Pulse
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
-from steerd.steer_bus.bus import Bus
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import decode
 from steerd.steer_bus.standard import DiagnosticArray
 from steerd.steer_bus.topics import make_key
+from steerd.steer_bus.zenoh_bus import ZenohBus
 from steerd.vesc_link.ids import fault_name
 
 EVENTS = 8
@@ -38,7 +38,7 @@ _TEXTS = ("state", "reason", "waiting", "warnings", "holder", "leased", "mocap",
 class CarView:
     """The newest of a car, from the bus."""
 
-    bus: Bus
+    bus: ZenohBus
     car: str
     clock: Clock
     values: dict[str, str] = field(default_factory=dict)  # of the supervisor's diagnostics
