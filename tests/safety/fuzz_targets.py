@@ -150,7 +150,7 @@ def check_packets(script: bytes) -> None:
 
 def check_vesc(script: bytes) -> None:
     """A client with open requests: any bytes at any time, and each tick one packet."""
-    link, t_ns = VescLink(F1TENTH, imu_mask=t.IMU_ACCEL_GYRO_MASK), 0
+    link, t_ns = VescLink(F1TENTH), 0
     firmware = PROFILES[(script[0] if script else 0) % len(PROFILES)]
     link.make_connect(0)
     link.on_bytes(1, encode_frame(encode_reply(FwVersion(*firmware, "60", bytes(12)), firmware)))

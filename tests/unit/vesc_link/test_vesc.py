@@ -107,7 +107,7 @@ def vesc() -> Vesc:
 
 @pytest.fixture
 def link(vesc: Vesc) -> VescLink:
-    made = VescLink(F1TENTH, imu_mask=t.IMU_ACCEL_GYRO_MASK)
+    made = VescLink(F1TENTH)
     connect(made, vesc)
     return made
 
@@ -141,7 +141,7 @@ def test_connect_reads_who_it_is_and_how_it_is_set(vesc, uuid):
 @pytest.mark.parametrize("firmware", [Firmware(2, 18), *PROFILES], ids=str)
 def test_connect_and_drive_with_every_firmware(firmware):
     vesc = Vesc(firmware)
-    link = VescLink(F1TENTH, imu_mask=t.IMU_ACCEL_GYRO_MASK)
+    link = VescLink(F1TENTH)
     connect(link, vesc)
     assert (link.appconf is not None) == (firmware >= (3, 55))
     assert (link.limits is not None) == knows(firmware, CommandId.GET_MCCONF_TEMP)
