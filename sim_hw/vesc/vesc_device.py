@@ -330,10 +330,12 @@ class SimVesc:
                 timeout = motor.timeout_ms, motor.timeout_brake_current
                 return AppConf(_SIGNATURE, config.controller_id, *timeout, _APPCONF_TAIL)
             case c.GetMcConfTemp():
-                told: dict[str, Any] = {f.name: getattr(motor.limits, f.name) for f in LIMIT_FIELDS}
+                values: dict[str, Any] = {
+                    f.name: getattr(motor.limits, f.name) for f in LIMIT_FIELDS
+                }
                 poles, gear, diameter = config.motor_poles, config.gear_ratio, config.wheel_diameter
-                told |= {"motor_poles": poles, "gear_ratio": gear, "wheel_diameter": diameter}
-                return McConfTemp(**told)
+                values |= {"motor_poles": poles, "gear_ratio": gear, "wheel_diameter": diameter}
+                return McConfTemp(**values)
             case c.SetMcConfTemp():
                 motor.limits = command
                 return Ack(ids.CommandId.SET_MCCONF_TEMP) if command.ack else None
