@@ -1,10 +1,9 @@
 """The MCAP container as it may really be found: unfinished, damaged, foreign or hostile.
 
-The mcap library parses the records, unpacks the chunks and checks their CRCs. It trusts what a file
-says of itself, so :func:`read_contents` bounds every size before, checks what the library does not
-(attachments, the data section, the summary), skips damaged records to the next one that makes
-sense, and says what it skipped. It holds one record at a time: memory is bounded by the caps,
-whatever the file claims.
+The mcap library parses the records. It trusts what a file says of itself, so :func:`read_contents`
+bounds every size before, unpacks the chunks within theirs, checks every CRC, skips damaged records
+to the next one that makes sense, and says what it skipped. It holds one record at a time: memory is
+bounded by the caps, whatever the file claims.
 
 Source: the MCAP specification (mcap.dev/spec), opcodes and field orders.
 """
