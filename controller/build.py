@@ -49,25 +49,23 @@ def make_controller(
     path: Path,
     config: ControllerConfig,
     rate_hz: float,
-    delay_s: float | None = None,
     design: DesignTable = compute_table,
 ) -> LaneController:
-    """Designs for this car, path, rate and delay, and checks the closed loop.
+    """Designs for this car, path and rate, and checks the closed loop.
 
     Args:
-        car: as identified; its `steer_lag` is the servo's.
+        car: as identified; its `steer_lag` is the servo's, its `steer_delay` the dead time of the
+            whole loop, from the moment an estimate is about to the wheel beginning to follow.
         path: to follow.
         config: settings.
         rate_hz: ticks per second.
-        delay_s: whole dead time of the steering loop [s], from the moment an estimate is about to
-            the wheel beginning to follow; `car.steer_delay` if it was not measured.
         design: where the gains come from; whatever it gives is checked here.
 
     Raises:
         DesignRefused: a speed at which the closed loop is unstable or too little damped.
         ValueError: the path turns tighter than the car can, or rate and delay make no sense.
     """
-    delay = car.steer_delay if delay_s is None else delay_s
+    delay = car.steer_delay
     if not (0.0 < rate_hz <= 1e4 and 0.0 <= delay <= 1.0):
         raise ValueError(f"rate {rate_hz} Hz, delay {delay} s: use 0 < rate and 0 <= delay <= 1")
     timing = Timing(rate_hz, delay, car.steer_lag)

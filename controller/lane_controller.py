@@ -53,7 +53,6 @@ class ControlReport(NamedTuple):
     wheel: float  # reference of the road-wheel angle [rad]
     feedforward: float  # its part from the path's curvature [rad]
     speed: float  # speed reference [m/s]
-    speed_target: float  # the profile's speed here [m/s]
 
 
 def start_controller(
@@ -111,7 +110,7 @@ def control(
     command = to_command(controller.car, steering.wheel, speed)
     wheel, feedforward = steering.wheel, steering.feedforward
     place = (at.s, at.curvature, at.distance)
-    report = ControlReport(*errors, *place, wheel, feedforward, speed, target)
+    report = ControlReport(*errors, *place, wheel, feedforward, speed)
     past = (wheel - feedforward, *past[:-1]) if past else past
     return command, report, ControllerState(at.hint, past, feedforward, speed, t_ns)
 

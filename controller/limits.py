@@ -14,9 +14,9 @@ F1TENTH's throttle interpolator.
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from enum import IntEnum, IntFlag
+from enum import IntEnum
 from math import atan, isfinite, sqrt, tan
-from typing import NamedTuple
+from typing import Annotated, NamedTuple, get_type_hints
 
 from steerd.car_model.state import Command
 from steerd.steer_bus.quick_values import quick_value
@@ -44,18 +44,10 @@ def find_out_of_bounds(values: Mapping[str, float], bounds: Mapping[str, Bound])
     )
 
 
-# 6 m/s is where the shortest mocap timeout (50 ms) still means 0.30 m of blind driving.
-CEILINGS: Mapping[str, Bound] = {
-    "wheelbase": Bound(0.05, 1.0, "m"),
-    "steer_left_max": Bound(0.01, 0.6, "rad"),
-    "steer_right_max": Bound(0.01, 0.6, "rad"),
-    "steer_rate_max": Bound(0.1, 3.2, "rad/s"),
-    "speed_max": Bound(0.1, 6.0, "m/s"),
-    "accel_max": Bound(0.1, 2.5, "m/s2"),
-    "decel_max": Bound(1.5, 6.0, "m/s2"),
-    "lateral_accel_max": Bound(0.1, 3.0, "m/s2"),
-    "step_max": Bound(0.001, 0.025, "s"),
-}
+def find_bounds(cls: type[object]) -> Mapping[str, Bound]:
+    """Ranges and units as the annotations of a class state them."""
+    hints = get_type_hints(cls, include_extras=True).items()
+    return {name: hint.__metadata__[0] for name, hint in hints if hasattr(hint, "__metadata__")}
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,23 +58,29 @@ class Limits:
         LimitError: with one line for each value outside ``CEILINGS``.
     """
 
-    wheelbase: float  # distance between the axles [m]
-    steer_left_max: float = 0.34  # largest steering angle to the left [rad], positive
-    steer_right_max: float = 0.34  # largest steering angle to the right [rad], positive
-    steer_rate_max: float = 3.2  # servo rate [rad/s]
-    # Largest speed [m/s]; the smallest is 0, there is no reverse in automatic driving
-    speed_max: float = 3.0
-    accel_max: float = 2.5  # growth of the ordered speed [m/s2]
-    decel_max: float = 4.0  # fall of the ordered speed [m/s2]; at least the 1.5 m/s2 of a soft stop
-    lateral_accel_max: float = 3.0  # v^2 tan(steer) / wheelbase [m/s2]
-    # Longest time that a rate is granted for [s], so a pause does not allow a jump
-    step_max: float = 0.025
+    wheelbase: Annotated[float, Bound(0.05, 1.0, "m")]  # distance between the axles
+    # Largest steering angles to the left and to the right, both positive
+    steer_left_max: Annotated[float, Bound(0.01, 0.6, "rad")] = 0.34
+    steer_right_max: Annotated[float, Bound(0.01, 0.6, "rad")] = 0.34
+    steer_rate_max: Annotated[float, Bound(0.1, 3.2, "rad/s")] = 3.2  # servo rate
+    # Largest speed; the smallest is 0, there is no reverse in automatic driving. 6 m/s is where the
+    # shortest mocap timeout (50 ms) still means 0.30 m of blind driving
+    speed_max: Annotated[float, Bound(0.1, 6.0, "m/s")] = 3.0
+    # Growth of the ordered speed, and its fall, which is at least the 1.5 m/s2 of a soft stop
+    accel_max: Annotated[float, Bound(0.1, 2.5, "m/s2")] = 2.5
+    decel_max: Annotated[float, Bound(1.5, 6.0, "m/s2")] = 4.0
+    lateral_accel_max: Annotated[float, Bound(0.1, 3.0, "m/s2")] = 3.0  # v^2 tan(steer) / wheelbase
+    # Longest time that a rate is granted for, so a pause does not allow a jump
+    step_max: Annotated[float, Bound(0.001, 0.025, "s")] = 0.025
 
     def __post_init__(self) -> None:
         """Refuse what the ceilings do not allow."""
         problems = find_out_of_bounds(asdict(self), CEILINGS)
         if problems:
             raise LimitError("\n".join(problems))
+
+
+CEILINGS = find_bounds(Limits)
 
 
 @quick_value
@@ -101,21 +99,6 @@ class Verdict(IntEnum):
     NOT_FINITE = 2
 
 
-class Clip(IntFlag):
-    """Which limits clipped an order (``LimitedOrder.clips``)."""
-
-    STEER = 1
-    STEER_LATERAL = 2
-    STEER_RATE = 4
-    SPEED = 8
-    SPEED_LATERAL = 16
-    SPEED_RATE = 32
-
-
-# Plain integers: an IntFlag "or" costs a microsecond, and this runs on every tick.
-_STEER, _STEER_LATERAL, _STEER_RATE, _SPEED, _SPEED_LATERAL, _SPEED_RATE = (int(c) for c in Clip)
-
-
 @quick_value
 class LimitedOrder:
     """Result of the limiter; ``order`` is finite and within the limits whatever the verdict."""
@@ -123,7 +106,6 @@ class LimitedOrder:
     state: LimiterState
     order: Command[float]
     verdict: Verdict
-    clips: int
 
 
 def make_limiter_state(limits: Limits, order: Command[float], t_ns: int) -> LimiterState:
@@ -153,34 +135,30 @@ def speed_bound(limits: Limits, steer: float) -> float:
     return sqrt(grip / slope) if slope * square > grip else limits.speed_max
 
 
-def _limit_steer(
-    limits: Limits, request: float, last: float, speed: float, dt: float
-) -> tuple[float, int]:
-    out, clips = request, 0
+def _limit_steer(limits: Limits, request: float, last: float, speed: float, dt: float) -> float:
+    out, bound = request, steer_bound(limits, speed)
     if not -limits.steer_right_max <= out <= limits.steer_left_max:
-        out, clips = (limits.steer_left_max if out > 0.0 else -limits.steer_right_max), _STEER
-    bound = steer_bound(limits, speed)
+        out = limits.steer_left_max if out > 0.0 else -limits.steer_right_max
     if not -bound <= out <= bound:
-        out, clips = (bound if out > 0.0 else -bound), clips | _STEER_LATERAL
+        out = bound if out > 0.0 else -bound
     step = limits.steer_rate_max * dt
     if not last - step <= out <= last + step:
-        out, clips = (last + step if out > last else last - step), clips | _STEER_RATE
-    return out, clips
+        out = last + step if out > last else last - step
+    return out
 
 
 def _limit_speed(
     limits: Limits, request: float, last: float, cap: float, bound: float, dt: float
-) -> tuple[float, int]:
-    out, clips = request, 0
-    high = min(cap, limits.speed_max)
+) -> float:
+    out, high = request, min(cap, limits.speed_max)
     if not 0.0 <= out <= high:
-        out, clips = (high if out > high else 0.0), _SPEED
+        out = high if out > high else 0.0
     if out > bound:
-        out, clips = bound, clips | _SPEED_LATERAL
+        out = bound
     low, high = last - limits.decel_max * dt, last + limits.accel_max * dt
     if not low <= out <= high:
-        out, clips = (high if out > high else low), clips | _SPEED_RATE
-    return out, clips
+        out = high if out > high else low
+    return out
 
 
 def limit_order(
@@ -212,13 +190,10 @@ def limit_order(
         not (isfinite(request.steer) and isfinite(request.speed) and isfinite(speed))
         or not cap >= 0.0
     ):
-        return LimitedOrder(state, last, Verdict.NOT_FINITE, 0)
+        return LimitedOrder(state, last, Verdict.NOT_FINITE)
     dt = min(max((t_ns - state.t_ns) * 1e-9, 0.0), limits.step_max)
-    steer, steer_clips = _limit_steer(limits, request.steer, last.steer, speed, dt)
-    out, speed_clips = _limit_speed(
-        limits, request.speed, last.speed, cap, speed_bound(limits, steer), dt
-    )
-    clips = steer_clips | speed_clips
-    order = Command(steer, out)
-    verdict = Verdict.CLIPPED if clips else Verdict.PASSED
-    return LimitedOrder(LimiterState(order, max(t_ns, state.t_ns)), order, verdict, clips)
+    steer = _limit_steer(limits, request.steer, last.steer, speed, dt)
+    bound = speed_bound(limits, steer)
+    order = Command(steer, _limit_speed(limits, request.speed, last.speed, cap, bound, dt))
+    verdict = Verdict.PASSED if order == request else Verdict.CLIPPED
+    return LimitedOrder(LimiterState(order, max(t_ns, state.t_ns)), order, verdict)

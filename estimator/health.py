@@ -41,7 +41,6 @@ class FilterHealth:
     wheel_speed: Count
     gyro: Count
     pose: Count
-    untimely: int  # measurements that came too late to be fused, or from the future
 
 
 def count_measurement(tally: Tally, kind: Kind, t_ns: int, nis: float, believed: bool) -> Tally:

@@ -63,7 +63,6 @@ class FilterState:
     nodes: tuple[Node, ...] = ()  # in order of validity; empty until the first belief
     history: History = NO_HISTORY
     first_poses: tuple[Measurement, ...] = ()
-    untimely: int = 0
 
 
 @dataclass(frozen=True)
@@ -150,8 +149,8 @@ def step(
     """Take in what arrived until `now_ns`: measurements of any age, commands with their times.
 
     One call with all that a tick brought costs one pass over the recent past; several calls give
-    the same state for more work. Measurements older than the buffer or from the future are counted
-    as untimely and not fused.
+    the same state for more work. Measurements older than the buffer or from the future are not
+    fused.
 
     Raises:
         ValueError: if a command is not finite.
@@ -169,16 +168,15 @@ def step(
     nodes = state.nodes
     earliest_ns = max(oldest_ns, nodes[0].measurement.t_ns) if nodes else oldest_ns
     timely = sorted([m for m in measurements if earliest_ns <= m.t_ns <= latest_ns])
-    untimely = state.untimely + len(measurements) - len(timely)
     if not nodes:
         recent = drop_older(history, oldest_ns - dead_time_ns)
-        return _start_filter(flt, FilterState((), recent, state.first_poses, untimely), timely)
+        return _start_filter(flt, FilterState((), recent, state.first_poses), timely)
     nodes = _fuse(flt, history, nodes, timely, redo_ns)
     first, last = 0, len(nodes) - 1
     while first < last and nodes[first + 1].measurement.t_ns <= oldest_ns:
         first += 1
     recent = drop_older(history, nodes[first].measurement.t_ns - dead_time_ns)
-    return FilterState(nodes[first:], recent, (), untimely)
+    return FilterState(nodes[first:], recent)
 
 
 def restart_filter(state: FilterState) -> FilterState:
@@ -187,7 +185,7 @@ def restart_filter(state: FilterState) -> FilterState:
     For the caller to allow, with the car at rest: a swapped body looks exactly like a filter that
     went astray, and only one of the two should be followed.
     """
-    return FilterState(history=state.history, untimely=state.untimely)
+    return FilterState(history=state.history)
 
 
 def predict_to(flt: StateFilter, state: FilterState, t_ns: int) -> StateEstimate | None:
@@ -204,7 +202,7 @@ def predict_to(flt: StateFilter, state: FilterState, t_ns: int) -> StateEstimate
     now = flt.kernel.predict(state.history, node.belief, node.measurement.t_ns, t_ns)
     sds = (now.position_sd, now.sd.yaw) if now.sound else (math.nan, math.nan)
     wheel_speed, gyro, pose = node.tally
-    health = FilterHealth(now.sound, *sds, wheel_speed, gyro, pose, state.untimely)
+    health = FilterHealth(now.sound, *sds, wheel_speed, gyro, pose)
     return StateEstimate(t_ns, now.state, now.sd, now.belief, health)
 
 
@@ -266,7 +264,7 @@ def _start_filter(flt: StateFilter, state: FilterState, fresh: list[Measurement]
             root = Node(some[-1], belief, math.nan, True, tally)
             later = [m for m in fresh if m > some[-1]]
             nodes = _fuse(flt, state.history, (root,), later, t_ns)
-            return FilterState(nodes, state.history, (), state.untimely)
+            return FilterState(nodes, state.history)
     since = gathered[-1].t_ns - round(LONGEST_S * NS) if gathered else 0
     recent = tuple(m for m in gathered[1 - count :] if m.t_ns >= since)
     return changed(state, first_poses=recent)

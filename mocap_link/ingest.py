@@ -5,17 +5,10 @@ from dataclasses import dataclass, field, replace
 from math import nan
 from typing import Any
 
+from steerd.mocap_link import source
 from steerd.mocap_link.clock_sync import SourceTiming
 from steerd.mocap_link.frame import FrameConfig, make_planar_pose
 from steerd.mocap_link.gates import GateConfig, GateState, find_disorder, step_gates
-from steerd.mocap_link.source import (
-    PERIOD_NS,
-    ClockKind,
-    MonitorState,
-    Pose,
-    SourceStatus,
-    step_monitor,
-)
 from steerd.steer_bus.quick_values import changed
 
 _RATE_WINDOW_NS = 1_000_000_000
@@ -45,10 +38,10 @@ class PoseIngest:
         self.wheel_speed = nan
         self.stationary = False
         self._gates = GateState()
-        self._monitor = MonitorState()
-        self._period_ns = PERIOD_NS
+        self._monitor = source.MonitorState()
+        self._period_ns = source.PERIOD_NS
         self._arrivals: deque[int] = deque()
-        self._clock: ClockKind | None = None
+        self._clock: source.ClockKind | None = None
         self._disorder_run = 0
         self._expected_hz: float | None = None
         self._metres_per_unit = 1e-3 if config.frame.units == "mm" else 1.0
@@ -68,7 +61,7 @@ class PoseIngest:
         self._gates = replace(self._gates, frame=None)
         self._disorder_run = 0
 
-    def push(self, sent: Pose) -> Pose:
+    def push(self, sent: source.Pose) -> source.Pose:
         """Time, place and judge one pose."""
         learn = self._watch_order(sent)
         t_valid_ns, self._clock = self.timing.time_pose(sent, learn=learn)
@@ -104,9 +97,9 @@ class PoseIngest:
         """A frame came without the body in it."""
         self._step(t_ns, True, False)
 
-    def status(self, **session: Any) -> SourceStatus:
+    def status(self, **session: Any) -> source.SourceStatus:
         """Describe the source now; the session adds what only it knows of a `SourceStatus`."""
-        return SourceStatus(
+        return source.SourceStatus(
             self._monitor.state,
             clock=self._clock,
             clock_sigma_ns=self.timing.sigma_ns,
@@ -116,7 +109,7 @@ class PoseIngest:
         )
 
     def _step(self, t_ns: int, connected: bool, good: bool | None) -> None:
-        self._monitor = step_monitor(
+        self._monitor = source.step_monitor(
             self._monitor,
             t_ns,
             connected=connected,
@@ -125,7 +118,7 @@ class PoseIngest:
             period_ns=self._period_ns,
         )
 
-    def _watch_order(self, pose: Pose) -> bool:
+    def _watch_order(self, pose: source.Pose) -> bool:
         """Whether the frame is newer than those before, in time for the clock maps."""
         disorder = find_disorder(self._gates, pose)
         # one late frame is the network, ten in a row are a server that counts from 1 again

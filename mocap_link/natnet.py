@@ -9,27 +9,14 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import assert_never
 
+from steerd.mocap_link import natnet_wire as wire
 from steerd.mocap_link.natnet_frame import Frame, read_frame, write_frame
-from steerd.mocap_link.natnet_wire import (
-    F32,
-    HEADER,
-    I32,
-    SECTION,
-    U64,
-    Layout,
-    NatNetError,
-    Reader,
-    Version,
-    read_name,
-    write_cstr,
-    write_name,
-)
 
 COMMAND_PORT = 1510
 DATA_PORT = 1511
 MULTICAST_GROUP = "239.255.42.99"
-OLDEST_VERSION: Version = (2, 9)
-NEWEST_VERSION: Version = (4, 2)
+OLDEST_VERSION: wire.Version = (2, 9)
+NEWEST_VERSION: wire.Version = (4, 2)
 FRAME_ID = 7
 
 _NAME = 256
@@ -65,7 +52,7 @@ class ServerInfo:
     group: str = MULTICAST_GROUP
 
     @property
-    def version(self) -> Version:
+    def version(self) -> wire.Version:
         """(major, minor) of the stream."""
         return self.natnet_version[0], self.natnet_version[1]
 
@@ -86,7 +73,7 @@ class Response:
     @property
     def number(self) -> float | None:
         """The answer read as f32, or None if it is text."""
-        return float(F32.unpack(self.body)[0]) if len(self.body) == 4 else None
+        return float(wire.F32.unpack(self.body)[0]) if len(self.body) == 4 else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,10 +129,10 @@ _BARE = {int(message): message for message in Bare}
 
 def peek_id(data: bytes) -> int:
     """Return the message id of a datagram, -1 if it is shorter than a header."""
-    return int.from_bytes(data[:2], "little") if len(data) >= HEADER.size else -1
+    return int.from_bytes(data[:2], "little") if len(data) >= wire.HEADER.size else -1
 
 
-def decode(data: bytes, version: Version) -> Message:
+def decode(data: bytes, version: wire.Version) -> Message:
     """Decode one datagram of a stream of `version`.
 
     Bytes beyond the header's length are ignored, missing ones refused.
@@ -154,49 +141,49 @@ def decode(data: bytes, version: Version) -> Message:
         NatNetError: anything that the layout does not allow.
     """
     try:
-        message_id, size = HEADER.unpack_from(data)
+        message_id, size = wire.HEADER.unpack_from(data)
         if len(data) != size + 4:
-            data = data[:4] + Reader(data).take(size)
+            data = data[:4] + wire.Reader(data).take(size)
         if message_id == FRAME_ID:
-            return read_frame(Reader(data), version)
-        return _decode_other(message_id, Reader(data), version)
+            return read_frame(wire.Reader(data), version)
+        return _decode_other(message_id, wire.Reader(data), version)
     except struct.error as error:
-        raise NatNetError(str(error)) from error
+        raise wire.NatNetError(str(error)) from error
 
 
-def _decode_other(message_id: int, r: Reader, version: Version) -> Message:
+def _decode_other(message_id: int, r: wire.Reader, version: wire.Version) -> Message:
     match message_id:
         case 1:
             return _read_server_info(r)
         case 2:
-            return Request(read_name(r.data[4:]))
+            return Request(wire.read_name(r.data[4:]))
         case 3:
             return Response(r.data[4:])
         case 5:
             return _read_model_def(r, version)
         case 8:
-            return MessageString(read_name(r.data[4:]))
+            return MessageString(wire.read_name(r.data[4:]))
         case 12:
-            return EchoRequest(*r.unpack(U64))
+            return EchoRequest(*r.unpack(wire.U64))
         case 13:
-            return EchoResponse(*r.unpack(U64), *r.unpack(U64))
+            return EchoResponse(*r.unpack(wire.U64), *r.unpack(wire.U64))
     return _BARE.get(message_id, Unrecognized(message_id))
 
 
-def _read_server_info(r: Reader) -> ServerInfo:
-    name = read_name(r.take(_NAME))
+def _read_server_info(r: wire.Reader) -> ServerInfo:
+    name = wire.read_name(r.take(_NAME))
     a, b, c, d, *natnet = r.take(8)
     version = (natnet[0], natnet[1], natnet[2], natnet[3])
     if version[0] < 3:
         return ServerInfo(name, (a, b, c, d), version)
     clock_hz, port, multicast = r.unpack(_STREAM)
     if not clock_hz:
-        raise NatNetError("server clock of 0 Hz")
+        raise wire.NatNetError("server clock of 0 Hz")
     group = ".".join(map(str, r.take(4)))
     return ServerInfo(name, (a, b, c, d), version, clock_hz, port, bool(multicast), group)
 
 
-def _read_model_def(r: Reader, version: Version) -> ModelDef:
+def _read_model_def(r: wire.Reader, version: wire.Version) -> ModelDef:
     """Decode the payload of MODELDEF; layout: `docs/reference/mocap-protocols.md#m3.3`.
 
     From 4.1 on each item carries its size and is jumped by it; before, an unknown kind ends the
@@ -216,7 +203,7 @@ def _read_model_def(r: Reader, version: Version) -> ModelDef:
             r.skip(others[kind])
         if end is not None:
             if r.at > end:
-                raise NatNetError(f"description runs {r.at - end} bytes over its size")
+                raise wire.NatNetError(f"description runs {r.at - end} bytes over its size")
             r.at = end
     return ModelDef(tuple(bodies))
 
@@ -224,7 +211,7 @@ def _read_model_def(r: Reader, version: Version) -> ModelDef:
 _MARKER_SET, _RIGID_BODY, _SKELETON, _CAMERA = 0, 1, 2, 5
 
 
-def _behind_body_id(version: Version) -> Layout:
+def _behind_body_id(version: wire.Version) -> wire.Layout:
     """Parent's id, offset and since 4.2 a rotation; markers with place, label, since 4.0 a name."""
     own = 4 + 12 + (16 if version >= (4, 2) else 0)
     if version < (3, 0):
@@ -232,14 +219,14 @@ def _behind_body_id(version: Version) -> Layout:
     return own, [16, None] if version >= (4, 0) else [16]
 
 
-def _describe_others(version: Version) -> dict[int, Layout]:
+def _describe_others(version: wire.Version) -> dict[int, wire.Layout]:
     """Layouts of descriptions that are passed over; a camera's place and rotation close its."""
-    body: Layout = (None, 4, _behind_body_id(version))
-    skeleton: Layout = (None, 4, [body])
+    body: wire.Layout = (None, 4, _behind_body_id(version))
+    skeleton: wire.Layout = (None, 4, [body])
     return {_MARKER_SET: (None, [None]), _SKELETON: skeleton, _CAMERA: (None, 12 + 16)}
 
 
-def encode(message: Message, version: Version = NEWEST_VERSION) -> bytes:
+def encode(message: Message, version: wire.Version = NEWEST_VERSION) -> bytes:
     """Encode one message as a datagram of a stream of `version`.
 
     Raises:
@@ -247,12 +234,12 @@ def encode(message: Message, version: Version = NEWEST_VERSION) -> bytes:
     """
     try:
         message_id, payload = _payload(message, version)
-        return HEADER.pack(message_id, len(payload)) + payload
+        return wire.HEADER.pack(message_id, len(payload)) + payload
     except struct.error as error:
-        raise NatNetError(str(error)) from error
+        raise wire.NatNetError(str(error)) from error
 
 
-def _payload(message: Message, version: Version) -> tuple[int, bytes]:
+def _payload(message: Message, version: wire.Version) -> tuple[int, bytes]:
     match message:
         case Frame():
             return FRAME_ID, write_frame(message, version)
@@ -262,28 +249,28 @@ def _payload(message: Message, version: Version) -> tuple[int, bytes]:
         case ServerInfo():
             return 1, _write_server_info(message)
         case Request():
-            return 2, write_cstr(message.text)
+            return 2, wire.write_cstr(message.text)
         case Response():
             return 3, message.body
         case ModelDef():
             return 5, _write_model_def(message, version)
         case MessageString():
-            return 8, write_cstr(message.text)
+            return 8, wire.write_cstr(message.text)
         case EchoRequest():
-            return 12, U64.pack(message.client_stamp)
+            return 12, wire.U64.pack(message.client_stamp)
         case EchoResponse():
-            return 13, U64.pack(message.client_stamp) + U64.pack(message.server_ticks)
+            return 13, wire.U64.pack(message.client_stamp) + wire.U64.pack(message.server_ticks)
         case Unrecognized():
             return message.id, b""
         case _:
             assert_never(message)
 
 
-_CLIENT = write_name("steerd", _NAME) + bytes((0, 0, 0, 0, *NEWEST_VERSION, 0, 0))
+_CLIENT = wire.write_name("steerd", _NAME) + bytes((0, 0, 0, 0, *NEWEST_VERSION, 0, 0))
 """What we say of ourselves: our name, no version of it, and the NatNet version that we speak."""
 
 
-def _write_model_def(model: ModelDef, version: Version) -> bytes:
+def _write_model_def(model: ModelDef, version: wire.Version) -> bytes:
     """Each body with the marker set of its name, as Motive sends them, and all markers' set."""
     items = []
     for body in model.rigid_bodies:
@@ -291,24 +278,26 @@ def _write_model_def(model: ModelDef, version: Version) -> bytes:
         items.append((_RIGID_BODY, _write_rigid_body(body, version)))
     items.append((_MARKER_SET, _write_marker_set("all")))
     sized = version >= (4, 1)
-    heads = (SECTION.pack(kind, len(item)) if sized else I32.pack(kind) for kind, item in items)
+    heads = (
+        wire.SECTION.pack(kind, len(item)) if sized else wire.I32.pack(kind) for kind, item in items
+    )
     parts = (head + item for head, (_, item) in zip(heads, items, strict=True))
-    return I32.pack(len(items)) + b"".join(parts)
+    return wire.I32.pack(len(items)) + b"".join(parts)
 
 
 def _write_marker_set(name: str) -> bytes:
-    return write_cstr(name) + I32.pack(0)
+    return wire.write_cstr(name) + wire.I32.pack(0)
 
 
-def _write_rigid_body(body: RigidBodyDesc, version: Version) -> bytes:
+def _write_rigid_body(body: RigidBodyDesc, version: wire.Version) -> bytes:
     rotation = struct.pack("<4f", 0.0, 0.0, 0.0, 1.0) if version >= (4, 2) else b""
-    markers = I32.pack(0) if version >= (3, 0) else b""
-    head = write_cstr(body.name) + I32.pack(body.id) + I32.pack(-1)
+    markers = wire.I32.pack(0) if version >= (3, 0) else b""
+    head = wire.write_cstr(body.name) + wire.I32.pack(body.id) + wire.I32.pack(-1)
     return head + bytes(12) + rotation + markers
 
 
 def _write_server_info(m: ServerInfo) -> bytes:
-    head = write_name(m.name, _NAME) + bytes(m.app_version) + bytes(m.natnet_version)
+    head = wire.write_name(m.name, _NAME) + bytes(m.app_version) + bytes(m.natnet_version)
     if m.natnet_version[0] < 3:
         return head
     group = bytes(int(part) for part in m.group.split("."))

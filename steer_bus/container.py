@@ -1,16 +1,16 @@
 """The MCAP container as it may really be found: unfinished, damaged, foreign or hostile.
 
-The mcap library parses the records, unpacks the chunks and checks their CRCs. It trusts what a file
-says of itself, so :func:`read_contents` bounds every size before, checks what the library does not
-(attachments, the data section, the summary), skips damaged records to the next one that makes
-sense, and says what it skipped. It holds one record at a time: memory is bounded by the caps,
-whatever the file claims.
+The mcap library parses the records. It trusts what a file says of itself, so :func:`read_contents`
+bounds every size before, unpacks the chunks within theirs, checks every CRC, skips damaged records
+to the next one that makes sense, and says what it skipped. It holds one record at a time: memory is
+bounded by the caps, whatever the file claims.
 
 Source: the MCAP specification (mcap.dev/spec), opcodes and field orders.
 """
 
 # Why: docs/decisions/messages-and-sessions.md#d17
 
+import io
 import os
 import re
 import struct
@@ -23,9 +23,7 @@ import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 from mcap import records as rec  # noqa: TID251
 from mcap.data_stream import ReadDataStream  # noqa: TID251
-from mcap.exceptions import McapError  # noqa: TID251
 from mcap.opcode import Opcode  # noqa: TID251
-from mcap.stream_reader import CRCValidationError, get_chunk_data_stream  # noqa: TID251
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD = 64 << 20  # largest record body and largest decompressed chunk [bytes]
@@ -50,9 +48,6 @@ _RESTART_SIZE = 9
 _MAX_RESTARTS = 100_000
 _WINDOW = 1 << 20
 _MAX_METADATA = 1 << 20
-
-_UNPACKING = (zstandard.ZstdError, McapError, RuntimeError, EOFError, MemoryError)
-"""Errors of the library and of its decompressors."""
 
 T = TypeVar("T")
 
@@ -177,12 +172,14 @@ def read_contents(path: Path, file: int, size: int) -> SessionInfo:
                 break
             _take(contents, opcode, body, pos)
         except DamageError as damage:
-            intact = False
-            found = _resync(file, pos, size)
-            _note_loss(contents, str(damage), pos, found, size)
+            intact, found = False, _resync(file, pos, size)
+            contents.lost += (found or size) - pos
             if found is None:
+                text = f"not finished, {damage} at byte {pos}; {size - pos} bytes lost"
+                contents.warnings.append(text)
                 _note_orphans(contents)
                 return contents
+            contents.warnings.append(f"damaged at byte {pos} ({damage}), reading on at {found}")
             pos = found
             continue
         if intact:
@@ -244,18 +241,14 @@ def scan_messages(data: bytes) -> tuple[dict[int, list[tuple[int, int]]], list[t
 # -- records -------------------------------------------------------------------------------------
 
 
-@dataclass(slots=True)
-class _Body:
+class _Body(io.BytesIO):
     """A record's body as the library reads it; a field never leaves it."""
 
-    data: bytes
-    pos: int = 0
-
-    def read(self, size: int) -> bytes:
-        start, self.pos = self.pos, self.pos + size
-        if self.pos > len(self.data):
+    def read(self, size: int) -> bytes:  # type: ignore[override]
+        data = super().read(min(size, MAX_RECORD))
+        if len(data) < size:
             raise DamageError("a record's fields do not fit it")
-        return self.data[start : self.pos]
+        return data
 
 
 def parse(kind: type[T], body: bytes) -> T:
@@ -264,18 +257,20 @@ def parse(kind: type[T], body: bytes) -> T:
     Raises:
         DamageError: its fields are not its body.
     """
-    left = _Body(body)
+    fields = _Body(body)
     try:
-        record = cast("Any", kind).read(ReadDataStream(cast("Any", left)))
+        record: T = cast("Any", kind).read(ReadDataStream(fields))
     except UnicodeDecodeError as error:
         raise DamageError("a name is not UTF-8") from error
-    if left.pos != len(body):
+    if fields.tell() != len(body):
         raise DamageError("a record is longer than its fields")
-    return cast("T", record)
+    return record
 
 
 def open_chunk(body: bytes) -> bytes:
     """Decompress a chunk's records within the caps and check its CRC.
+
+    The library unpacks what a frame says of itself, whatever the chunk says.
 
     Raises:
         DamageError: on a wrong size or CRC, a compression that is unknown or fails, or a ratio
@@ -286,29 +281,24 @@ def open_chunk(body: bytes) -> bytes:
     if size > MAX_RECORD or (size > FREE_SIZE and size > MAX_RATIO * len(packed)):
         raise DamageError(f"{len(packed)} bytes claim to unpack to {size}")
     try:
-        if _unpacked_size(chunk) > size:
-            raise DamageError("the chunk's size is a lie")
-        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-    except CRCValidationError as error:
-        raise DamageError("CRC mismatch") from error
-    except _UNPACKING as error:
+        match chunk.compression:
+            case "":
+                data = packed
+            case "zstd":
+                if zstandard.frame_content_size(packed) > size:
+                    raise DamageError("the chunk's size is a lie")
+                data = zstandard.decompress(packed, size)
+            case "lz4":  # its frames need not say how much they hold
+                data = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
+            case other:
+                raise DamageError(f"unknown compression {other!r}")
+    except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
         raise DamageError(f"does not decompress ({error})") from error
-    if length != size:
+    if len(data) != size:
         raise DamageError("wrong decompressed size")
-    return stream.read(length)
-
-
-def _unpacked_size(chunk: rec.Chunk) -> int:
-    """What the library would unpack [bytes]; it believes a frame, whatever the chunk says."""
-    match chunk.compression:
-        case "":
-            return len(chunk.data)
-        case "zstd":
-            return int(zstandard.frame_content_size(chunk.data))
-        case "lz4":  # its frames need not say
-            most = chunk.uncompressed_size + 1
-            return len(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=most))
-    raise DamageError(f"unknown compression {chunk.compression!r}")
+    if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        raise DamageError("CRC mismatch")
+    return data
 
 
 def _read_record(file: int, pos: int, size: int) -> tuple[int, bytes]:
@@ -410,15 +400,6 @@ def _set_once(contents: SessionInfo, known: dict[int, T], key: int, value: T) ->
 
 
 # -- damage --------------------------------------------------------------------------------------
-
-
-def _note_loss(contents: SessionInfo, why: str, pos: int, found: int | None, size: int) -> None:
-    contents.lost += (size if found is None else found) - pos
-    contents.warnings.append(
-        f"not finished, {why} at byte {pos}; {size - pos} bytes lost"
-        if found is None
-        else f"damaged at byte {pos} ({why}), reading on at {found}"
-    )
 
 
 def _resync(file: int, pos: int, size: int) -> int | None:

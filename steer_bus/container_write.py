@@ -7,7 +7,6 @@ they will stand in the summary, 1 MiB an hour.
 
 import zlib
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import BinaryIO
 
 import zstandard
@@ -25,7 +24,6 @@ _SUMMARY = (
     Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX,
 )  # fmt: skip
 """What a summary holds, in the library's order."""
-_NONE: Mapping[str, str] = MappingProxyType({})
 
 
 def _encode(record: rec.McapRecord) -> bytes:
@@ -59,7 +57,7 @@ class ContainerWriter:
         return number
 
     def add_channel(
-        self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str] = _NONE
+        self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]
     ) -> int:
         """Define a channel of a schema, 0 for none; its number."""
         number = self._counted.channel_count = self._counted.channel_count + 1

@@ -70,6 +70,7 @@ class SessionWriter:
         self._last_log_ns = 0
         self._flush_ns = flush_ns
         self._flushed_ns = self._synced_ns = -(1 << 62)
+        self._sequences = dict.fromkeys(topics, 0)
         try:
             with self._disk():
                 self._writer = ContainerWriter(self._file, "ros2")
@@ -82,12 +83,9 @@ class SessionWriter:
                 self._channels = {topic: self._add_topic(topic, of) for topic, of in topics.items()}
                 self._file.flush()
                 _sync_folder(path)
-        except SessionError as error:
+        except SessionError:
             self.partial.unlink(missing_ok=True)  # it holds no message, nothing can be recovered
-            if isinstance(error.__cause__, OSError):
-                raise _disk_error(self.partial, error.__cause__, _ROOM) from error.__cause__
             raise
-        self._sequences = dict.fromkeys(self._channels, 0)
 
     @property
     def count(self) -> int:
@@ -147,7 +145,7 @@ class SessionWriter:
         try:
             os.fdatasync(self._file.fileno())
         except OSError as error:
-            raise _disk_error(self.partial, error) from error
+            raise self._explain(error) from error
 
     def finish(self, end: Mapping[str, str]) -> Path:
         """Write ``steerd.end`` and the summary, sync, and give the file its name.
@@ -180,12 +178,16 @@ class SessionWriter:
 
     def _fail(self, error: OSError) -> SessionError:
         self.abandon()
-        self._broken = _disk_error(self.partial, error)
+        self._broken = self._explain(error)
         return self._broken
+
+    def _explain(self, error: OSError) -> SessionError:
+        saved = "; `steerd recover` saves what was written" if self.count else ""
+        return _disk_error(self.partial, error, f"free some space{saved}")
 
     def _add_topic(self, topic: str, cls: type[Any]) -> int:
         schema = self._writer.add_schema(type_name(cls), "ros2msg", schema_text(cls).encode())
-        return self._writer.add_channel(topic, "cdr", schema)
+        return self._writer.add_channel(topic, "cdr", schema, {})
 
 
 def recover(session: Session, path: Path) -> float:
@@ -284,10 +286,6 @@ def _close_quietly(file: BinaryIO) -> None:
         file.close()
 
 
-_ROOM = "free some space"
-_SPACE = f"{_ROOM}; `steerd recover` saves what was written"
-
-
-def _disk_error(path: Path, error: OSError, hint: str = _SPACE) -> SessionError:
+def _disk_error(path: Path, error: OSError, hint: str) -> SessionError:
     what = f"{path} cannot be written: {error.strerror}"
     return SessionError("disk", what, hint if is_full(error) else "")

@@ -5,6 +5,10 @@ zenoh router so that spokes see each other. Settings come from measurements with
 and a queue of 16 lose nothing at 3000 messages/s (the default queue of 2 does, silently),
 BLOCK can hold ``put`` for 5 s, an undrained FIFO stalls the sender, and a session left open keeps
 the process from exiting (`docs/reference/sessions-and-bus.md#b2`).
+
+Receiving is polling: a subscription is a ring that keeps the newest samples, so neither side can
+ever stall the other, and nothing runs in a thread the caller did not start (the answers of
+:meth:`ZenohBus.serve` and what a subscription keeps excepted).
 """
 
 import ipaddress
@@ -20,7 +24,7 @@ from typing import Any
 import zenoh  # noqa: TID251
 
 from steerd.steer_bus.bus import Answer, BusError, Keep, Sample, check_key, check_size
-from steerd.steer_bus.clock import Clock, MonotonicClock
+from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.fields import type_name
 from steerd.steer_bus.lab import (
     DEFAULT_PORT,
@@ -86,15 +90,18 @@ def make_settings(profile: Profile) -> dict[str, Any]:
 
 
 class ZenohBus:
-    """A participant of a zenoh bus; see :class:`steerd.steer_bus.bus.Bus`. Use it with ``with``."""
+    """One participant; use it with ``with``.
 
-    def __init__(self, profile: Profile, clock: Clock | None = None) -> None:
+    Keys to listen to may hold ``*`` (one chunk) and ``**`` (any). ``who`` is the name in this
+    participant's certificate; empty without one.
+    """
+
+    def __init__(self, profile: Profile) -> None:
         """Join.
 
         Raises:
             BusError: if the hub's port is taken, no hub answers, or a setting is unknown.
         """
-        self._clock = clock or MonotonicClock()
         self.who = profile.who
         self._session = _open(profile)
         self._zid = str(self._session.info.zid()).encode()
@@ -118,26 +125,34 @@ class ZenohBus:
         self._publishers[key] = replace(self._declare(key), gid=gid)
 
     def publish(self, key: str, data: bytes) -> None:
-        """See `steerd.steer_bus.bus.Bus.publish`; priority and encoding are the topic table's."""
+        """Send to whoever listens; never waits for a slow receiver.
+
+        Priority and encoding are the topic table's.
+
+        Raises:
+            BusError: if the key holds a wildcard, the message is too long or the bus is closed.
+        """
         publisher = self._publishers.get(key)
         if publisher is None:
             publisher = self._publishers[key] = self._declare(key)
         publisher.seq += 1
-        stamp = _ATTACHMENT.pack(publisher.seq, self._clock.realtime_ns(), _GID_SIZE, publisher.gid)
+        now_ns = MonotonicClock.realtime_ns()
+        stamp = _ATTACHMENT.pack(publisher.seq, now_ns, _GID_SIZE, publisher.gid)
         try:
             publisher.handle.put(check_size(data), attachment=stamp)
         except zenoh.ZError as error:
             raise BusError(f"cannot publish {key}: {error}") from error
 
-    def subscribe(self, key: str, depth: int = 1, keep: Keep | None = None) -> "_Ring":
-        """See `steerd.steer_bus.bus.Bus.subscribe`; ``keep`` runs in a thread of its own.
+    def subscribe(self, key: str, depth: int = 1, keep: Keep | None = None) -> "Subscription":
+        """Receive a key's newest ``depth`` samples; what is not kept displaces none.
 
-        Whoever sends faster than it decides is held back on their own connection.
+        ``keep`` runs in a thread of its own: whoever sends faster than it decides is held back on
+        their own connection.
         """
         if keep is None:
             ring: Any = zenoh.handlers.RingChannel(depth)
             handle = self._ask(lambda: self._session.declare_subscriber(key, ring))
-            return _Ring(handle, handle.try_recv)
+            return Subscription(handle, handle.try_recv)
         kept: deque[zenoh.Sample] = deque(maxlen=depth)
 
         def take(sample: zenoh.Sample) -> None:
@@ -146,20 +161,20 @@ class ZenohBus:
 
         handler: Any = zenoh.handlers.Callback(take)
         handle = self._ask(lambda: self._session.declare_subscriber(key, handler))
-        return _Ring(handle, lambda: kept.popleft() if kept else None)
+        return Subscription(handle, lambda: kept.popleft() if kept else None)
 
     def declare_alive(self, key: str) -> "_Declared":
-        """See `steerd.steer_bus.bus.Bus.declare_alive`."""
+        """Show a liveliness token until it is closed or this process dies."""
         handle = self._ask(lambda: self._session.liveliness().declare_token(check_key(key)))
         return _Declared(handle, self._held)
 
     def alive(self, key: str) -> frozenset[str]:
-        """See `steerd.steer_bus.bus.Bus.alive`; waits up to a second for the peers' answers."""
+        """Give the tokens that are alive now; waits up to a second for the peers' answers."""
         replies = self._ask(lambda: self._session.liveliness().get(key, timeout=1.0))
         return frozenset(str(r.ok.key_expr) for r in replies if r.ok is not None)
 
     def serve(self, key: str, answer: Answer) -> "_Declared":
-        """See `steerd.steer_bus.bus.Bus.serve`; ``answer`` runs in zenoh's callback thread."""
+        """Answer queries to a key; ``answer`` runs in zenoh's callback thread."""
 
         def reply(query: zenoh.Query) -> None:
             with query:
@@ -172,12 +187,12 @@ class ZenohBus:
         return _Declared(handle, self._held)
 
     def query(self, key: str, timeout_s: float = 1.0) -> dict[str, bytes]:
-        """See `steerd.steer_bus.bus.Bus.query`."""
+        """Ask for values, by key; only keys that ``key`` matches are answered."""
         replies = self._ask(lambda: self._session.get(key, timeout=timeout_s))
         return {str(r.ok.key_expr): r.ok.payload.to_bytes() for r in replies if r.ok is not None}
 
     def close(self) -> None:
-        """Leave the bus.
+        """Leave the bus, in bounded time; a second close does nothing.
 
         Raises:
             BusError: if zenoh does not close within two seconds.
@@ -234,17 +249,21 @@ class _Declared:
         self._handle.undeclare()
 
 
-class _Ring:
+class Subscription:
+    """The newest samples of a key."""
+
     def __init__(self, handle: Any, take: Callable[[], zenoh.Sample | None]) -> None:
         self._handle, self._take = handle, take
 
     def poll(self) -> list[Sample]:
+        """Take what has arrived since the last poll, oldest first; never waits."""
         taken = []
         while (sample := self._take()) is not None:
             taken.append(_make_sample(sample))
         return taken
 
     def close(self) -> None:
+        """Withdraw it."""
         self._handle.undeclare()
 
 

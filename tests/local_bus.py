@@ -4,16 +4,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
-from steerd.steer_bus.bus import (
-    Answer,
-    BusError,
-    Keep,
-    Sample,
-    Subscription,
-    Token,
-    check_key,
-    check_size,
-)
+from steerd.steer_bus.bus import Answer, BusError, Keep, Sample, check_key, check_size
 
 
 def key_matches(pattern: str, key: str) -> bool:
@@ -80,19 +71,19 @@ class LocalBus:
             if key_matches(ring.pattern, key) and (not ring.keep or ring.keep(sample.data)):
                 ring.samples.append(sample)
 
-    def subscribe(self, key: str, depth: int = 1, keep: Keep | None = None) -> Subscription:
+    def subscribe(self, key: str, depth: int = 1, keep: Keep | None = None) -> _Ring:
         self._check_open()
         ring = _Ring(self._hub, key, depth, keep)
         self._held.append(ring)
         return ring
 
-    def declare_alive(self, key: str) -> Token:
+    def declare_alive(self, key: str) -> _Held:
         return self._hold(self._hub.tokens, check_key(key))
 
     def alive(self, key: str) -> frozenset[str]:
         return frozenset(token for token in self._hub.tokens if key_matches(key, token))
 
-    def serve(self, key: str, answer: Answer) -> Token:
+    def serve(self, key: str, answer: Answer) -> _Held:
         return self._hold(self._hub.answers, (key, answer))
 
     def query(self, key: str, timeout_s: float = 1.0) -> dict[str, bytes]:
@@ -108,7 +99,7 @@ class LocalBus:
         for held in self._held:
             held.close()
 
-    def _hold(self, place: list[Any], what: Any) -> Token:
+    def _hold(self, place: list[Any], what: Any) -> _Held:
         self._check_open()
         self._held.append(_Held(place, what))
         return self._held[-1]

@@ -1,7 +1,7 @@
 """Commands from host to VESC, one frozen dataclass each; `packets` encodes and decodes.
 
-They are what the client sends, and what the simulated VESC takes besides: ALIVE, REBOOT and the
-terminal. Source: `docs/reference/vesc-serial.md#v2`.
+They are what the client sends, and what the simulated VESC takes besides: ALIVE and REBOOT.
+Source: `docs/reference/vesc-serial.md#v2`.
 """
 
 from dataclasses import dataclass
@@ -60,13 +60,6 @@ class GetAppConf:
 
 
 @dataclass(frozen=True, slots=True)
-class TerminalCommand:
-    """Run a terminal command; the answer is text in asynchronous PRINT frames."""
-
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
 class Reboot:
     """Restart the VESC; the USB port disappears for at least 1.5 s."""
 
@@ -77,8 +70,8 @@ class Alive:
 
 
 @dataclass(frozen=True, slots=True)
-class SetMcConfTemp:
-    """Limits in RAM [ERPM, duty, W, A] (firmware 3.48)."""
+class Limits:
+    """Limits [ERPM, duty, W, A] in the order of the wire; scales are shares of its own currents."""
 
     current_min_scale: float
     current_max_scale: float
@@ -90,6 +83,12 @@ class SetMcConfTemp:
     watt_max: float
     input_current_min: float
     input_current_max: float
+
+
+@dataclass(frozen=True, slots=True)
+class SetMcConfTemp(Limits):
+    """Limits in RAM (firmware 3.48)."""
+
     store: bool = False
     forward_can: bool = False
     ack: bool = True
@@ -124,6 +123,6 @@ class GetMcConfTemp:
 
 Command = (
     GetFwVersion | GetValues | SetDuty | SetCurrent | SetCurrentBrake | SetErpm | SetServoPos
-    | GetAppConf | TerminalCommand | Reboot | Alive | SetMcConfTemp | GetValuesSelective
+    | GetAppConf | Reboot | Alive | SetMcConfTemp | GetValuesSelective
     | GetValuesSetupSelective | GetImuData | GetMcConfTemp
 )  # fmt: skip

@@ -67,16 +67,12 @@ class FrameParser:
     Attributes:
         ceiling: longest payload accepted from now on (512 while configuring, 128 while running);
             never above ``max_payload``.
-        frames: good frames so far.
-        crc_errors: frames that failed at the stop byte or the checksum.
     """
 
     def __init__(
         self, max_payload: int = MAX_PAYLOAD, strict: bool = False, gap_ns: int | None = None
     ) -> None:
         self.ceiling = max_payload
-        self.frames = 0
-        self.crc_errors = 0
         self._max_payload = max_payload
         self._strict = strict
         self._gap_ns = HOST_GAP_NS if gap_ns is None and not strict else gap_ns
@@ -84,16 +80,10 @@ class FrameParser:
         self._base = 0  # stream offset of the buffer's first byte
         self._next = 0  # stream offset of the first byte not yet looked at as a header
         self._taken = 0  # every byte before this stream offset is delivered or given up
-        self._frame_bytes = 0
         self._by_end: list[tuple[int, int]] = []  # heap of (end, start): candidates not complete
         self._by_start: deque[int] = deque()
         self._open: set[int] = set()
         self._reads: deque[tuple[int, int]] = deque()  # (stream offset, time) of each read
-
-    @property
-    def dropped_bytes(self) -> int:
-        """Bytes given up: not part of a good frame, and no longer of a possible one."""
-        return self._first_open() - self._frame_bytes
 
     @property
     def buffered(self) -> int:
@@ -141,7 +131,7 @@ class FrameParser:
         if held:
             t_first_ns = self._time_of(self._base)
             data = bytes(self._buffer) + data
-        at, count, total = 0, 0, len(data)
+        at, total = 0, len(data)
         longest = self.ceiling if self.ceiling < self._max_payload else self._max_payload
         found: list[Frame] = []
         while at < total:
@@ -161,14 +151,12 @@ class FrameParser:
                 return None
             found.append(Frame(bytes(payload), t_first_ns))
             t_first_ns = t_ns
-            at, count = stop + 1, count + 1
+            at = stop + 1
         if held and not found:
             return None
         self._reads = deque(((self._base + held, t_ns),))
         if found:
             self._base = self._next = self._taken = self._base + at
-            self._frame_bytes += at
-            self.frames += count
         self._buffer = bytearray(data[at:])
         return found
 
@@ -234,11 +222,7 @@ class FrameParser:
         payload = bytes(self._buffer[at + self._buffer[at] : stop - 2])
         crc = int.from_bytes(self._buffer[stop - 2 : stop], "big")
         if self._buffer[stop] != _STOP or binascii.crc_hqx(payload, 0) != crc:
-            # A header-like byte inside a frame that is still coming in is no error of the line.
-            self.crc_errors += self._first_open() >= start
             return None
-        self.frames += 1
-        self._frame_bytes += end - start
         return Frame(payload, self._time_of(start))
 
     def _time_of(self, offset: int) -> int:

@@ -7,9 +7,9 @@ A session's limits live in the VESC's RAM, whatever the host does: SET_MCCONF_TE
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
-from steerd.vesc_link.commands import SetMcConfTemp
+from steerd.vesc_link.commands import Limits, SetMcConfTemp
 from steerd.vesc_link.ids import CommandId, Firmware
 from steerd.vesc_link.wire import Field, all_finite, pack_device, reader, unpack_fields
 
@@ -92,7 +92,7 @@ def decode_appconf(payload: bytes) -> AppConf | None:
     """Decode the head of an app configuration; None if it is cut or its brake current no number."""
     if len(payload) < _APPCONF_HEAD:
         return None
-    values, _ = unpack_fields(_APPCONF_FIELDS, payload, 1)
+    values = unpack_fields(_APPCONF_FIELDS, payload, 1)
     if not math.isfinite(values["timeout_brake_current"]):
         return None
     return AppConf(**values, tail=payload[_APPCONF_HEAD:])
@@ -105,19 +105,9 @@ def encode_appconf(reply: AppConf) -> bytes:
 
 
 @dataclass(frozen=True, slots=True)
-class McConfTemp:
-    """GET_MCCONF_TEMP reply: limits in force [ERPM, duty, W, A] and the drive train."""
+class McConfTemp(Limits):
+    """GET_MCCONF_TEMP reply: limits in force and the drive train."""
 
-    current_min_scale: float
-    current_max_scale: float
-    erpm_min: float
-    erpm_max: float
-    duty_min: float
-    duty_max: float
-    watt_min: float
-    watt_max: float
-    input_current_min: float
-    input_current_max: float
     motor_poles: int
     gear_ratio: float
     wheel_diameter: float
@@ -128,23 +118,14 @@ class McConfTemp:
         return 30 * self.motor_poles * self.gear_ratio / (math.pi * self.wheel_diameter)
 
 
-LIMIT_FIELDS = tuple(
-    Field(name, "f")
-    for name in (
-        "current_min_scale", "current_max_scale", "erpm_min", "erpm_max", "duty_min", "duty_max",
-        "watt_min", "watt_max", "input_current_min", "input_current_max",
-    )
-)  # fmt: skip
-"""The ten limits, in the order of GET_MCCONF_TEMP and SET_MCCONF_TEMP."""
-
-
+LIMIT_FIELDS = tuple(Field(limit.name, "f") for limit in fields(Limits))
 _DRIVE_TRAIN = (Field("motor_poles", "B"), Field("gear_ratio", "f"), Field("wheel_diameter", "f"))
 _MCCONF_FIELDS = (*LIMIT_FIELDS, *_DRIVE_TRAIN)
 
 
 def decode_mcconf_temp(payload: bytes) -> McConfTemp | None:
     """Decode the limits in force; None if they are cut or one is no number."""
-    values, _ = unpack_fields(_MCCONF_FIELDS, payload, 1)
+    values = unpack_fields(_MCCONF_FIELDS, payload, 1)
     whole = len(values) == len(_MCCONF_FIELDS) and all_finite(values)
     return McConfTemp(**values) if whole else None
 
@@ -156,13 +137,6 @@ def encode_mcconf_temp(reply: McConfTemp) -> bytes:
 
 
 @dataclass(frozen=True, slots=True)
-class Print:
-    """Text that the VESC prints, in answer to a terminal command or by itself."""
-
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
 class Ack:
     """A bare id sent back: the command was carried out."""
 
@@ -170,35 +144,27 @@ class Ack:
 
 
 _F32_EPSILON = 1e-6
+_DUTY_MAX = 0.95  # largest duty cycle of a session
 
 
-def make_session_limits(
-    in_force: McConfTemp, erpm_max: float, current_scale: float = 1.0, duty_max: float = 0.95
-) -> SetMcConfTemp:
+def make_session_limits(in_force: McConfTemp, erpm_max: float) -> SetMcConfTemp:
     """Limits for a session: tighter than those in force or equal, never wider.
 
     Args:
         in_force: limits read before.
         erpm_max: largest ERPM in either direction.
-        current_scale: share of the configured drive current, 0 to 1; braking keeps its share.
-        duty_max: largest duty cycle.
 
     Raises:
         ValueError: a limit is not positive and finite, so the car could not move.
     """
-    if not all(math.isfinite(x) and x > 0 for x in (erpm_max, current_scale, duty_max)):
+    if not 0.0 < erpm_max < math.inf:
         raise ValueError("session limits must be positive and finite")
-    return SetMcConfTemp(
-        current_min_scale=in_force.current_min_scale,
-        current_max_scale=min(in_force.current_max_scale, current_scale),
+    return replace(
+        make_restored_limits(in_force),
+        current_max_scale=min(in_force.current_max_scale, 1.0),
         erpm_min=max(in_force.erpm_min, -erpm_max),
         erpm_max=min(in_force.erpm_max, erpm_max),
-        duty_min=in_force.duty_min,
-        duty_max=min(in_force.duty_max, duty_max),
-        watt_min=in_force.watt_min,
-        watt_max=in_force.watt_max,
-        input_current_min=in_force.input_current_min,
-        input_current_max=in_force.input_current_max,
+        duty_max=min(in_force.duty_max, _DUTY_MAX),
     )
 
 

@@ -44,8 +44,6 @@ class CommandId(IntEnum):
     SET_RPM = 8
     SET_SERVO_POS = 12
     GET_APPCONF = 17
-    TERMINAL_CMD = 20
-    PRINT = 21
     REBOOT = 29
     ALIVE = 30
     SET_MCCONF_TEMP = 48

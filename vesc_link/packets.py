@@ -18,7 +18,7 @@ from steerd.vesc_link.commands import Command
 from steerd.vesc_link.ids import FW_7_01, CommandId, Firmware, command_id, knows, wire_id
 from steerd.vesc_link.wire import Field, all_finite, pack_host, unpack_fields
 
-Reply = t.Values | t.Uptime | t.Imu | i.FwVersion | i.AppConf | i.McConfTemp | i.Print | i.Ack
+Reply = t.Values | t.Uptime | t.Imu | i.FwVersion | i.AppConf | i.McConfTemp | i.Ack
 
 _FLAGS = tuple(
     Field(name, "?") for name in ("store", "forward_can", "ack", "divide_by_controllers")
@@ -32,7 +32,6 @@ _LAYOUTS: dict[type[Command], tuple[CommandId, tuple[Field, ...]]] = {
     c.SetErpm: (CommandId.SET_RPM, (Field("erpm", "i", 1e0),)),
     c.SetServoPos: (CommandId.SET_SERVO_POS, (Field("servo_pos", "h", 1e3),)),
     c.GetAppConf: (CommandId.GET_APPCONF, ()),
-    c.TerminalCommand: (CommandId.TERMINAL_CMD, ()),
     c.Reboot: (CommandId.REBOOT, ()),
     c.Alive: (CommandId.ALIVE, ()),
     c.SetMcConfTemp: (CommandId.SET_MCCONF_TEMP, (*_FLAGS, *i.LIMIT_FIELDS)),
@@ -47,7 +46,7 @@ FEEDS_TIMEOUT: tuple[type[Command], ...] = (
     c.SetDuty, c.SetCurrent, c.SetCurrentBrake, c.SetErpm, c.Alive,
 )  # fmt: skip
 """Commands that restart the VESC's motor timeout; SET_SERVO_POS and polls do not."""
-_UNANSWERED = frozenset((*FEEDS_TIMEOUT, c.SetServoPos, c.TerminalCommand, c.Reboot))
+_UNANSWERED = frozenset((*FEEDS_TIMEOUT, c.SetServoPos, c.Reboot))
 
 
 def command_number(command: Command) -> CommandId:
@@ -70,12 +69,7 @@ def encode_command(command: Command, firmware: Firmware = FW_7_01) -> bytes:
             command.
     """
     number, fields = _LAYOUTS[type(command)]
-    payload = _wire_byte(number, firmware) + pack_host(fields, command)
-    if type(command) is c.TerminalCommand:
-        if "\0" in command.text:
-            raise ValueError("a terminal command holds no NUL")
-        return payload + command.text.encode("ascii")
-    return payload
+    return _wire_byte(number, firmware) + pack_host(fields, command)
 
 
 def decode_command(payload: bytes, firmware: Firmware = FW_7_01) -> Command | None:
@@ -89,16 +83,10 @@ def decode_command(payload: bytes, firmware: Firmware = FW_7_01) -> Command | No
     if number is None or number not in _BY_ID or not knows(firmware, number):
         return None
     kind, fields = _BY_ID[number]
-    if number is CommandId.TERMINAL_CMD:
-        return c.TerminalCommand(payload[1:].split(b"\0")[0].decode("ascii", "replace"))
-    values, _ = unpack_fields(fields, payload, 1)
+    values = unpack_fields(fields, payload, 1)
     if len(values) < len(fields) or not all_finite(values):
         return None
     return kind(**values)
-
-
-def _decode_print(payload: bytes) -> i.Print:
-    return i.Print(payload[1:].decode("utf-8", "replace"))
 
 
 def _decode_ack(payload: bytes) -> i.Ack:
@@ -114,7 +102,6 @@ _REPLIES: dict[CommandId, Callable[[bytes], Reply | None]] = {
     CommandId.GET_APPCONF: i.decode_appconf,
     CommandId.GET_MCCONF_TEMP: i.decode_mcconf_temp,
     CommandId.SET_MCCONF_TEMP: _decode_ack,
-    CommandId.PRINT: _decode_print,
 }
 
 
@@ -149,8 +136,6 @@ def encode_reply(reply: Reply, firmware: Firmware = FW_7_01) -> bytes:
             payload = i.encode_appconf(reply)
         case i.McConfTemp():
             payload = i.encode_mcconf_temp(reply)
-        case i.Print():
-            payload = bytes((CommandId.PRINT,)) + reply.text.encode()
         case i.Ack():
             payload = bytes((reply.command,))
         case _:

@@ -6,7 +6,7 @@ firmware does not know. Source: `docs/reference/vesc-serial.md#v2.1`, `#v2.2`, `
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from operator import truediv
 
@@ -29,7 +29,6 @@ class Values:
 
     Currents and ``v_d``, ``v_q`` are means since the last read by anyone. The tachometer counts six
     steps per electrical revolution. ``mask`` is the echoed mask, None for a full reply.
-    ``extra_bytes`` counts trailing bytes that are no field we know.
     """
 
     temp_fet_c: float | None = None
@@ -61,7 +60,6 @@ class Values:
     temp_mos6_c: float | None = None
     temp_pcb_c: float | None = None
     mask: int | None = None
-    extra_bytes: int = 0
 
 
 _VALUES_BITS: tuple[tuple[Field, ...], ...] = (
@@ -91,18 +89,7 @@ _VALUES_BITS: tuple[tuple[Field, ...], ...] = (
 _OLD_VALUES: tuple[Field, ...] = (
     *(Field(f"temp_mos{n}_c", "h", 1e1) for n in range(1, 7)),
     Field("temp_pcb_c", "h", 1e1),
-    Field("motor_current", "i", 1e2),
-    Field("input_current", "i", 1e2),
-    Field("duty", "h", 1e3),
-    Field("erpm", "i", 1e0),
-    Field("input_voltage", "h", 1e1),
-    Field("ah", "i", 1e4),
-    Field("ah_charged", "i", 1e4),
-    Field("wh", "i", 1e4),
-    Field("wh_charged", "i", 1e4),
-    Field("tachometer", "i"),
-    Field("tachometer_abs", "i"),
-    Field("fault", "B"),
+    *(bit[0] for bit in (*_VALUES_BITS[2:4], *_VALUES_BITS[6:16])),
 )
 _OLD_VALUES_SIZE = 56
 """Reply length that distinguishes the table of firmware 3.00 and older from all later ones."""
@@ -142,7 +129,6 @@ class Imu:
     q_y: float | None = None
     q_z: float | None = None
     controller_id: int | None = None
-    extra_bytes: int = 0
 
 
 def has_chip(accel_x: float, accel_y: float, accel_z: float) -> bool:
@@ -159,12 +145,8 @@ _IMU_UNIT = {
     **dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), math.pi / 180),
 }
 _IMU_BITS: tuple[tuple[Field, ...], ...] = tuple(
-    (Field(name, "f"),)
-    for name in (
-        "roll", "pitch", "yaw", "accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z",
-        "mag_x", "mag_y", "mag_z", "q_w", "q_x", "q_y", "q_z",
-    )
-)  # fmt: skip
+    (Field(each.name, "f"),) for each in fields(Imu)[1:17]
+)
 _IMU_ID = Field("controller_id", "B", None, FW_6_05)
 
 
@@ -185,8 +167,7 @@ def decode_values(payload: bytes) -> Values:
     """Decode a full telemetry reply; its length identifies the firmware's table."""
     old = len(payload) == _OLD_VALUES_SIZE
     fields = _OLD_VALUES if old else _selected(_VALUES_BITS, None, None)
-    values, extra = unpack_fields(fields, payload, 1)
-    return Values(**values, extra_bytes=extra)
+    return Values(**unpack_fields(fields, payload, 1))
 
 
 def decode_values_selective(payload: bytes) -> Values | None:
@@ -194,8 +175,7 @@ def decode_values_selective(payload: bytes) -> Values | None:
     if len(payload) < 5:
         return None
     mask = int.from_bytes(payload[1:5], "big")
-    values, extra = unpack_fields(_selected(_VALUES_BITS, mask, None), payload, 5)
-    return Values(**values, mask=mask, extra_bytes=extra)
+    return Values(**unpack_fields(_selected(_VALUES_BITS, mask, None), payload, 5), mask=mask)
 
 
 def decode_uptime(payload: bytes) -> Uptime | None:
@@ -216,14 +196,13 @@ def decode_imu(payload: bytes) -> Imu | None:
     if len(payload) < 3:
         return None
     mask = int.from_bytes(payload[1:3], "big")
-    fields = _imu_fields(mask)
-    values, extra = unpack_fields(fields, payload, 3)
+    values = unpack_fields(_imu_fields(mask), payload, 3)
     if not math.isfinite(sum(values.values())):  # no sum of single-precision numbers overflows
         return None
     for name, unit in _IMU_UNIT.items():
         if name in values:
             values[name] *= unit
-    return Imu(mask, **values, extra_bytes=extra)
+    return Imu(mask, **values)
 
 
 @lru_cache(maxsize=64)

@@ -163,17 +163,17 @@ class Port:
             self._lock_fd = None
 
 
-def open_port(url: str, flush: bool = True, lock_dir: Path | None = None) -> Port:
+def open_port(url: str, lock_dir: Path | None = None) -> Port:
     """Open a serial device for this process alone.
 
     Three locks, because each stops a different neighbour: ``flock`` on the device (pyserial's
     ``exclusive``), TIOCEXCL (programs that lock nothing) and a lock file (another steerd started
-    through another name of the same device).
+    through another name of the same device). 520 zeros are written first, which free the VESC's
+    parser from a frame that a dead predecessor left half sent
+    (`docs/reference/vesc-serial.md#v1.7`).
 
     Args:
         url: a device path, or ``spy:///dev/ttyACM0?file=trace.txt`` to log all traffic.
-        flush: write 520 zeros first, which frees the VESC's parser from a frame that a dead
-            predecessor left half sent (`docs/reference/vesc-serial.md#v1.7`).
         lock_dir: where lock files live; default a folder of the user's own.
 
     Raises:
@@ -188,8 +188,7 @@ def open_port(url: str, flush: bool = True, lock_dir: Path | None = None) -> Por
         device = _open_device(url)
         port = Port(url, device, lock_fd)
         _configure(port)
-        if flush:
-            port.write(FLUSH)
+        port.write(FLUSH)
     except BaseException:
         if device is not None:
             device.close()

@@ -7,49 +7,32 @@ keep the last motor command running although this program hangs.
 """
 
 from collections import deque
-from dataclasses import dataclass
 from math import inf, nan
 
 from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.quick_values import quick_value
 from steerd.vesc_link import commands as c
+from steerd.vesc_link import ids, packets
+from steerd.vesc_link import telemetry as t
 from steerd.vesc_link.commands import Command
 from steerd.vesc_link.frames import MAX_PAYLOAD, RUNNING_CEILING, Frame, FrameParser, encode_frame
-from steerd.vesc_link.identity import AppConf, FwVersion, McConfTemp, Print
-from steerd.vesc_link.ids import (
-    FAULT_WATCHDOG_BOOT,
-    FW_3_00,
-    FW_5_03,
-    FW_7_01,
-    CommandId,
-    Firmware,
-    command_id,
-    knows,
-)  # fmt: skip
-from steerd.vesc_link.packets import (
-    FEEDS_TIMEOUT,
-    Reply,
-    command_number,
-    decode_numbered,
-    encode_command,
-    expects_reply,
-)  # fmt: skip
+from steerd.vesc_link.identity import AppConf, FwVersion, McConfTemp
 from steerd.vesc_link.scaling import Scaling, speed_to_erpm, steer_to_servo_pos
-from steerd.vesc_link.telemetry import FAST_MASK, UPTIME_MASK, Imu, Uptime, Values, values_size
 
 WRITE_LIMIT = 64
 """One write per tick fits one USB packet [bytes]."""
 EXPIRY_NS = 80_000_000
+"""How long a request may stay open."""
 POLL_EXPIRY_NS = 15_000_000
 """A poll is repeated soon: five tries fit into the 100 ms of silence that stop a car."""
 UPTIME_PERIOD_NS = 1_000_000_000
 CONNECT_TRIES = 5
 """How often a configuration is requested before the link goes on without it."""
 
-FIRST_KNOWN_APPCONF = Firmware(3, 55)
+FIRST_KNOWN_APPCONF = ids.Firmware(3, 55)
 """Older app configurations may begin with other fields (`docs/reference/vesc-serial.md#v2.6`)."""
 
-_NOT_BY_REQUEST = (*FEEDS_TIMEOUT, c.SetServoPos, c.Reboot)
+_NOT_BY_REQUEST = (*packets.FEEDS_TIMEOUT, c.SetServoPos, c.Reboot)
 
 
 @quick_value
@@ -69,7 +52,7 @@ class Drive:
 class Answer:
     """A reply to a request; the measurement lies between the two times [ns, monotonic]."""
 
-    reply: Reply  # what the VESC said
+    reply: packets.Reply  # what the VESC said
     t_sent_ns: int  # when the request was written
     t_received_ns: int  # when the reply's first byte was read
 
@@ -90,17 +73,7 @@ class Rebooted:
 Event = Answer | Rebooted
 
 
-@dataclass(slots=True)
-class Counters:
-    """What went wrong on the link so far; the parser counts checksum errors and lost bytes."""
-
-    expired: int = 0  # requests without an answer in time
-    unknown_ids: int = 0  # frames of a kind that is not known
-    unsolicited: int = 0  # replies that nobody asked for; not the text that a VESC prints
-    odd_lengths: int = 0  # replies too short for this firmware
-
-
-_MASKED = (Values, Uptime, Imu)
+_MASKED = (t.Values, t.Uptime, t.Imu)
 
 
 @quick_value
@@ -108,7 +81,7 @@ class _Request:
     """A command as it goes out; an answer has its number, and its mask where it has one."""
 
     command: Command
-    number: CommandId
+    number: ids.CommandId
     frame: bytes
     mask: int | None
     polled: bool
@@ -130,44 +103,29 @@ class VescLink:
     Args:
         scaling: calibration of the car.
         expected_uuid: the 12 bytes that must answer; None takes any VESC.
-        telemetry_mask: fields polled each tick (firmware before 3.48 is polled for all).
-        imu_mask: IMU fields polled each tick; None polls no IMU.
-        expiry_ns: how long a request may stay open; polls at most `POLL_EXPIRY_NS`.
 
     Attributes:
         version, firmware, appconf, limits: what the VESC said; None until it did.
-        counters, parser: link quality.
+        parser: its frames.
     """
 
-    def __init__(
-        self,
-        scaling: Scaling,
-        expected_uuid: bytes | None = None,
-        telemetry_mask: int = FAST_MASK,
-        imu_mask: int | None = None,
-        expiry_ns: int = EXPIRY_NS,
-    ) -> None:
+    def __init__(self, scaling: Scaling, expected_uuid: bytes | None = None) -> None:
         self._scaling = scaling
         self._expected_uuid = expected_uuid
-        self._telemetry_poll = c.GetValuesSelective(telemetry_mask)
-        self._imu_poll = None if imu_mask is None else c.GetImuData(imu_mask)
-        self._expiry_ns = expiry_ns
-        self._patience_ns = min(POLL_EXPIRY_NS, expiry_ns)
-        self.counters = Counters()
         self.reset()
 
     def reset(self) -> None:
-        """Forget the device, as after a reopen; the counters stay."""
+        """Forget the device, as after a reopen."""
         self.parser = FrameParser()
         self.version: FwVersion | None = None
-        self.firmware: Firmware | None = None
+        self.firmware: ids.Firmware | None = None
         self.appconf: AppConf | None = None
         self.limits: McConfTemp | None = None
         self._polls: tuple[_Request, ...] = ()
         self._uptime_poll: _Request | None = None
-        self._open: dict[CommandId, _Open] = {}
-        self._just_expired: dict[CommandId, int] = {}
-        self._tries: dict[CommandId, int] = {}
+        self._open: dict[ids.CommandId, _Open] = {}
+        self._just_expired: dict[ids.CommandId, int] = {}
+        self._tries: dict[ids.CommandId, int] = {}
         self._queue: deque[Command] = deque()
         self._uptime_due_ns = -inf
         self._fault = 0
@@ -198,7 +156,7 @@ class VescLink:
         """
         if isinstance(command, _NOT_BY_REQUEST):
             raise ValueError(f"{type(command).__name__} is not sent on request")
-        encode_command(command, self.firmware or FW_7_01)
+        packets.encode_command(command, self.firmware or ids.FW_7_01)
         self._queue.append(command)
 
     # --- host to VESC ---------------------------------------------------------------------------
@@ -207,9 +165,9 @@ class VescLink:
         """Next request of the connect sequence; empty while one is open or when all is known."""
         self._expire(t_ns)
         step = self._connect_step()
-        if step is None or command_number(step) in self._open:
+        if step is None or packets.command_number(step) in self._open:
             return b""
-        request = _make_request(step, self.firmware or FW_7_01)
+        request = _make_request(step, self.firmware or ids.FW_7_01)
         self._tries[request.number] = self._tries.get(request.number, 0) + 1
         self._note_sent(request, t_ns)
         return request.frame
@@ -221,18 +179,18 @@ class VescLink:
         if (
             self.appconf is None
             and firmware >= FIRST_KNOWN_APPCONF
-            and self._may_try(CommandId.GET_APPCONF)
+            and self._may_try(ids.CommandId.GET_APPCONF)
         ):
             return c.GetAppConf()
         if (
             self.limits is None
-            and knows(firmware, CommandId.GET_MCCONF_TEMP)
-            and self._may_try(CommandId.GET_MCCONF_TEMP)
+            and ids.knows(firmware, ids.CommandId.GET_MCCONF_TEMP)
+            and self._may_try(ids.CommandId.GET_MCCONF_TEMP)
         ):
             return c.GetMcConfTemp()
         return None
 
-    def _may_try(self, number: CommandId) -> bool:
+    def _may_try(self, number: ids.CommandId) -> bool:
         return number in self._open or self._tries.get(number, 0) < CONNECT_TRIES
 
     def make_tick(self, drive: Drive, t_ns: int) -> bytes:
@@ -242,10 +200,10 @@ class VescLink:
             ValueError: the drive order holds NaN or infinity. Nothing was sent; brake.
         """
         self._expire(t_ns)
-        firmware = self.firmware or FW_7_01
+        firmware = self.firmware or ids.FW_7_01
         wire = b""
         for command in self._motion(drive):
-            wire += encode_frame(encode_command(command, firmware))
+            wire += encode_frame(packets.encode_command(command, firmware))
         for request in self._due(t_ns):
             longer = wire + request.frame
             if request.number in self._open or len(longer) > WRITE_LIMIT:
@@ -280,38 +238,37 @@ class VescLink:
             due = (_make_request(self._queue[0], self.firmware), *due)
         return due
 
-    def _make_polls(self, firmware: Firmware) -> None:
+    def _make_polls(self, firmware: ids.Firmware) -> None:
         """What this firmware can be asked for: chosen values, its IMU, its uptime."""
-        selective = knows(firmware, CommandId.GET_VALUES_SELECTIVE)
-        polls: list[Command] = [self._telemetry_poll if selective else c.GetValues()]
-        if self._imu_poll is not None and knows(firmware, CommandId.GET_IMU_DATA):
-            polls.append(self._imu_poll)
+        selective = ids.knows(firmware, ids.CommandId.GET_VALUES_SELECTIVE)
+        polls: list[Command] = [c.GetValuesSelective(t.FAST_MASK) if selective else c.GetValues()]
+        if ids.knows(firmware, ids.CommandId.GET_IMU_DATA):
+            polls.append(c.GetImuData(t.IMU_ACCEL_GYRO_MASK))
         self._polls = tuple(_make_request(poll, firmware, polled=True) for poll in polls)
-        uptime, timed = c.GetValuesSetupSelective(UPTIME_MASK), firmware >= FW_5_03
+        uptime, timed = c.GetValuesSetupSelective(t.UPTIME_MASK), firmware >= ids.FW_5_03
         self._uptime_poll = _make_request(uptime, firmware, polled=True) if timed else None
 
     def _note_sent(self, request: _Request, t_ns: int) -> None:
         if request.answered:
             earliest = self._just_expired.pop(request.number, t_ns)
-            still_possible = t_ns - earliest <= 2 * self._expiry_ns
+            still_possible = t_ns - earliest <= 2 * EXPIRY_NS
             self._open[request.number] = _Open(request, t_ns, earliest if still_possible else t_ns)
-        if request.number is CommandId.GET_VALUES_SETUP_SELECTIVE:
+        if request.number is ids.CommandId.GET_VALUES_SETUP_SELECTIVE:
             self._uptime_due_ns = t_ns + UPTIME_PERIOD_NS
 
     def _expire(self, t_ns: int) -> None:
         if not self._open:
             return
-        overdue_ns = t_ns - self._patience_ns
+        overdue_ns = t_ns - POLL_EXPIRY_NS
         for waits in self._open.values():
             if waits.t_sent_ns < overdue_ns:
                 break
         else:
             return
         for number, waits in list(self._open.items()):
-            patience = self._patience_ns if waits.request.polled else self._expiry_ns
+            patience = POLL_EXPIRY_NS if waits.request.polled else EXPIRY_NS
             if t_ns - waits.t_sent_ns > patience:
                 del self._open[number]
-                self.counters.expired += 1
                 # The answer may still come, and then looks like that to the next request.
                 self._just_expired[number] = waits.t_earliest_ns
 
@@ -321,7 +278,7 @@ class VescLink:
         """Take bytes read at ``t_ns`` (or none) and return what they mean, in order."""
         events: list[Event] = []
         if data or self.parser.buffered:
-            driving = self.ready and CommandId.GET_APPCONF not in self._open
+            driving = self.ready and ids.CommandId.GET_APPCONF not in self._open
             self.parser.ceiling = RUNNING_CEILING if driving else MAX_PAYLOAD
             for frame in self.parser.feed_stamped(data, t_ns):
                 events += self._on_frame(frame)
@@ -330,40 +287,35 @@ class VescLink:
         return events
 
     def _on_frame(self, frame: Frame) -> list[Event]:
-        counters, number = self.counters, command_id(frame.payload[0], self.firmware or FW_7_01)
-        if number is None:
-            counters.unknown_ids += 1
+        number = ids.command_id(frame.payload[0], self.firmware or ids.FW_7_01)
+        waits = None if number is None else self._open.get(number)
+        if number is None or waits is None:
             return []
-        reply = decode_numbered(number, frame.payload)
-        if type(reply) is Print:
-            return []
+        reply = packets.decode_numbered(number, frame.payload)
         if reply is None or self._is_odd(reply, len(frame.payload)):
-            counters.odd_lengths += 1
             return []
-        waits = self._open.get(number)
         # A reply that names a mask answers the request for it; others answer by their id alone.
-        if waits is None or (isinstance(reply, _MASKED) and reply.mask != waits.request.mask):
-            counters.unsolicited += 1
+        if isinstance(reply, _MASKED) and reply.mask != waits.request.mask:
             return []
         del self._open[number]
         answer = Answer(reply, waits.t_earliest_ns, frame.t_first_ns)
         return [answer, *self._learn(reply, frame.t_first_ns)]
 
-    def _is_odd(self, reply: Reply, size: int) -> bool:
+    def _is_odd(self, reply: packets.Reply, size: int) -> bool:
         """Whether a measurement is shorter than this firmware's; a newer one may send more."""
-        if type(reply) is Imu:
+        if type(reply) is t.Imu:
             return size < 3 + 4 * reply.mask.bit_count()
-        if type(reply) is not Values or self.firmware is None:
+        if type(reply) is not t.Values or self.firmware is None:
             return False
-        expected = values_size(reply.mask, self.firmware)
-        return size != expected if self.firmware <= FW_3_00 else size < expected
+        expected = t.values_size(reply.mask, self.firmware)
+        return size != expected if self.firmware <= ids.FW_3_00 else size < expected
 
-    def _learn(self, reply: Reply, t_ns: int) -> list[Event]:
+    def _learn(self, reply: packets.Reply, t_ns: int) -> list[Event]:
         """Keep what the VESC said of itself; restarts that telemetry or its clock show."""
         match reply:
-            case Values():
+            case t.Values():
                 return self._watch(reply, t_ns)
-            case Uptime(uptime_ms=uptime_ms):
+            case t.Uptime(uptime_ms=uptime_ms):
                 went_back, self._uptime_ms = uptime_ms < self._uptime_ms, uptime_ms
                 return [self._rebooted("its uptime went back", t_ns)] if went_back else []
             case FwVersion():
@@ -375,10 +327,10 @@ class VescLink:
                 self.limits = reply
         return []
 
-    def _watch(self, values: Values, t_ns: int) -> list[Event]:
+    def _watch(self, values: t.Values, t_ns: int) -> list[Event]:
         events: list[Event] = []
         fault = values.fault or 0
-        if fault == FAULT_WATCHDOG_BOOT and fault != self._fault:
+        if fault == ids.FAULT_WATCHDOG_BOOT and fault != self._fault:
             events.append(self._rebooted("its watchdog restarted it", t_ns))
         self._fault = fault
         if values.tachometer_abs is not None:
@@ -393,12 +345,12 @@ class VescLink:
         return Rebooted(reason, t_ns)
 
 
-def _make_request(command: Command, firmware: Firmware, *, polled: bool = False) -> _Request:
+def _make_request(command: Command, firmware: ids.Firmware, *, polled: bool = False) -> _Request:
     return _Request(
         command,
-        command_number(command),
-        encode_frame(encode_command(command, firmware)),
+        packets.command_number(command),
+        encode_frame(packets.encode_command(command, firmware)),
         getattr(command, "mask", None),
         polled,
-        expects_reply(command),
+        packets.expects_reply(command),
     )

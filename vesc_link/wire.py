@@ -187,20 +187,13 @@ def _layout(fields: tuple[Field, ...], size: int) -> _Layout:
     return _Layout(_struct(tuple(present)), names, tuple(measured), tuple(measured.values()))
 
 
-def unpack_fields(
-    fields: tuple[Field, ...], payload: bytes, offset: int
-) -> tuple[dict[str, Any], int]:
-    """Read fields in order until the payload ends.
-
-    Returns:
-        The values by name (fields beyond the end are absent) and the number of bytes left over.
-    """
-    left = len(payload) - offset
-    layout = _layout(fields, left)
+def unpack_fields(fields: tuple[Field, ...], payload: bytes, offset: int) -> dict[str, Any]:
+    """Read fields in order until the payload ends; those beyond are absent."""
+    layout = _layout(fields, len(payload) - offset)
     values = dict(zip(layout.names, layout.numbers.unpack_from(payload, offset), strict=True))
     counts = map(values.__getitem__, layout.scaled)
     values.update(zip(layout.scaled, map(truediv, counts, layout.scales), strict=True))
-    return values, left - layout.numbers.size
+    return values
 
 
 def all_finite(values: Mapping[str, Number]) -> bool:

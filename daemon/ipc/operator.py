@@ -9,7 +9,7 @@ from pathlib import Path
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.requests import LIVE
 from steerd.steer_bus import messages as m
-from steerd.steer_bus.bus import Bus, BusError
+from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import DEFAULT_PORT, Lab, load_lab
 from steerd.steer_bus.topics import LAST_MODEL, make_key
@@ -83,7 +83,7 @@ def read_lab(folder: Path) -> Lab:
         raise SteerdError(str(error), "", ExitCode.INVALID) from None
 
 
-def read_model(bus: Bus, car: str) -> m.Model | None:
+def read_model(bus: ZenohBus, car: str) -> m.Model | None:
     """The newest report of a car's learner; None without one, or one of another version."""
     for data in bus.query(make_key(car, LAST_MODEL), MODEL_WAIT_S).values():
         with contextlib.suppress(CodecError):

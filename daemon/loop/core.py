@@ -35,7 +35,7 @@ from steerd.vesc_link import identity
 from steerd.vesc_link.commands import GetMcConfTemp, SetCurrent, SetCurrentBrake
 from steerd.vesc_link.frames import encode_frame
 from steerd.vesc_link.packets import encode_command
-from steerd.vesc_link.telemetry import IMU_ACCEL_GYRO_MASK, Imu, Uptime, Values
+from steerd.vesc_link.telemetry import Imu, Uptime, Values
 from steerd.vesc_link.vesc import Answer, Drive, VescLink
 
 DIAGNOSTICS_PERIOD_NS = 500_000_000
@@ -386,5 +386,5 @@ def make_failed_tick(loop: Loop, error: BaseException, now_ns: int, linked: bool
 def make_core(plan: RunPlan, sinks: Sequence[Sink]) -> Core:
     """The control core of a plan."""
     scaling, uuid = plan.settings.scaling, plan.settings.brakes.uuid
-    link = VescLink(scaling, bytes.fromhex(uuid) if uuid else None, imu_mask=IMU_ACCEL_GYRO_MASK)
+    link = VescLink(scaling, bytes.fromhex(uuid) if uuid else None)
     return Core(Loop(plan), link, Outbox(plan.run.epoch_ns, tuple(sinks)))

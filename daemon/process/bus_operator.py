@@ -18,12 +18,12 @@ from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.atomic_file import write_atomically
-from steerd.steer_bus.bus import Bus
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.messages import RequestKind
 from steerd.steer_bus.standard import DiagnosticArray
 from steerd.steer_bus.topics import Topic, check_car_name, make_key
+from steerd.steer_bus.zenoh_bus import ZenohBus
 
 STOPS = {
     RequestKind.STOP: (
@@ -51,7 +51,7 @@ _SHOWN = (topics.STATE, topics.VESC, topics.TRANSITION, topics.DIAGNOSTICS, topi
 class Pulse:
     """A car's heartbeats, which whoever keeps a lease alive sends back."""
 
-    def __init__(self, bus: Bus, car: str) -> None:
+    def __init__(self, bus: ZenohBus, car: str) -> None:
         self._bus, self._key = bus, make_key(car, topics.HEARTBEAT_BACK, bus.who)
         self._beats = bus.subscribe(make_key(car, topics.HEARTBEAT))
         self._newest: m.Heartbeat | None = None
@@ -69,7 +69,7 @@ class Pulse:
 class CarView:
     """The newest of a car, from the bus."""
 
-    bus: Bus
+    bus: ZenohBus
     car: str
     clock: Clock
     values: dict[str, str] = field(default_factory=dict)  # of the supervisor's diagnostics
@@ -151,7 +151,7 @@ class BusOperator:
     """
 
     def __init__(
-        self, bus: Bus, car: str, clock: Clock, name: str, pulse: Pulse, lease_id: int = 0
+        self, bus: ZenohBus, car: str, clock: Clock, name: str, pulse: Pulse, lease_id: int = 0
     ) -> None:
         self._bus, self._car, self._clock, self._name = bus, car, clock, name
         self._pulse, self._lease_id = pulse, lease_id

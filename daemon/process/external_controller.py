@@ -8,7 +8,7 @@ import secrets
 from collections.abc import Callable
 from math import isfinite
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from steerd.car_model.state import State
 from steerd.controller.lane_controller import (
@@ -21,11 +21,13 @@ from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop.lease import VALID_MS
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import topics
-from steerd.steer_bus.bus import Bus
 from steerd.steer_bus.clock import Clock, MonotonicClock
 from steerd.steer_bus.codec import decode, encode
 from steerd.steer_bus.messages import BODY, DriveCommand, StateMessage, make_header
 from steerd.steer_bus.topics import make_key
+
+if TYPE_CHECKING:
+    from steerd.steer_bus.zenoh_bus import ZenohBus
 
 _POLL_NS = 1_000_000
 """Time between two looks at the bus [ns]."""
@@ -121,7 +123,9 @@ def keep_lane(controller: LaneController) -> Controller:
     return command
 
 
-def answer(bus: Bus, car: str, made: ExternalController, clock: Clock, end_ns: int | None) -> None:
+def answer(
+    bus: "ZenohBus", car: str, made: ExternalController, clock: Clock, end_ns: int | None
+) -> None:
     """Publish a command for every estimate until the time is over or a signal comes."""
     estimates = bus.subscribe(make_key(car, topics.STATE))
     key = make_key(car, topics.DRIVE, bus.who)

@@ -25,13 +25,13 @@ from steerd.daemon.process.views import Views
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions, decode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.steer_bus import topics
-from steerd.steer_bus.bus import Bus, BusError, Keep, Subscription
+from steerd.steer_bus.bus import BusError, Keep
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import load_lab
 from steerd.steer_bus.messages import BODY, Actuation, DriveCommand
 from steerd.steer_bus.ros_keys import make_gid, make_node_token, make_publisher_token, make_ros_key
 from steerd.steer_bus.standard import AckermannDrive, AckermannDriveStamped
-from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
+from steerd.steer_bus.zenoh_bus import Profile, Subscription, ZenohBus
 
 DRIVE_NAME = "drive"
 """What went to the motor controller, as `ackermann_msgs/AckermannDriveStamped`."""
@@ -84,7 +84,7 @@ class RosDrive:
     Each publisher has a lease of its own: a second one is refused while the first one drives.
     """
 
-    def __init__(self, bus: Bus, domain: int, boot_id: int) -> None:
+    def __init__(self, bus: ZenohBus, domain: int, boot_id: int) -> None:
         key = make_ros_key(domain, DRIVE_NAME, AckermannDriveStamped).rpartition("/")[0]
         topic = topics.Topic(DRIVE_NAME, AckermannDriveStamped, "in")
         # ROS 2 Humble writes no hash of the type
@@ -144,7 +144,7 @@ class Gateway:
 
     def __init__(
         self,
-        bus: Bus,
+        bus: ZenohBus,
         car: str,
         pose_key: str | None,
         ros: RosBridge | None = None,

@@ -3,12 +3,11 @@
 Default, range and unit of a threshold stand in one place: its line in `Thresholds`.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite, radians
-from typing import Annotated, get_type_hints
+from typing import Annotated
 
-from steerd.controller.limits import Bound, LimitError, find_out_of_bounds
+from steerd.controller.limits import Bound, LimitError, find_bounds, find_out_of_bounds
 
 FENCE_CORNERS_MIN = 3
 
@@ -132,12 +131,7 @@ class Thresholds:
             raise LimitError("\n".join(problems))
 
 
-BOUNDS: Mapping[str, Bound] = {
-    name: hint.__metadata__[0]
-    for name, hint in get_type_hints(Thresholds, include_extras=True).items()
-    if hasattr(hint, "__metadata__")
-}
-"""Ranges and units as the annotations of `Thresholds` state them."""
+BOUNDS = find_bounds(Thresholds)
 LAUNCH_SPEED = 0.5  # until the launch checks have passed [m/s]
 LAUNCH_DISTANCE = 0.5  # by the wheels, until they do [m]
 SOFT_DECEL = 1.5  # slope of the speed cap while stopping [m/s^2]

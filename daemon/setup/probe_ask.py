@@ -26,7 +26,7 @@ from steerd.mocap_link.source import Pose
 from steerd.steer_bus.clock import Clock, MonotonicClock
 from steerd.vesc_link.ids import fault_name
 from steerd.vesc_link.scaling import F1TENTH
-from steerd.vesc_link.telemetry import FAST_MASK, IMU_ACCEL_GYRO_MASK, Imu, Values
+from steerd.vesc_link.telemetry import Imu, Values
 from steerd.vesc_link.transport import Port, PortError, open_port
 from steerd.vesc_link.vesc import Answer, Drive, VescLink
 
@@ -95,7 +95,7 @@ def _exchange(port: Port, link: VescLink, clock: Clock, wire: bytes, ns: int) ->
 
 
 def _ask_vesc(port: Port, clock: Clock) -> VescFound | None:
-    link = VescLink(F1TENTH, telemetry_mask=FAST_MASK, imu_mask=IMU_ACCEL_GYRO_MASK)
+    link = VescLink(F1TENTH)
     end = clock.now_ns() + CONNECT_NS
     while not link.ready and clock.now_ns() < end:
         _exchange(port, link, clock, link.make_connect(clock.now_ns()), POLL_NS)

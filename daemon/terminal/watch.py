@@ -21,10 +21,11 @@ from steerd.daemon.terminal import key_desk
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
-from steerd.steer_bus.bus import Bus, Sample, Subscription
+from steerd.steer_bus.bus import Sample
 from steerd.steer_bus.clock import Clock, MonotonicClock
 from steerd.steer_bus.codec import CodecError, decode
 from steerd.steer_bus.topics import ROOT, find_topic, make_key, split_key
+from steerd.steer_bus.zenoh_bus import Subscription, ZenohBus
 from steerd.vesc_link.ids import fault_name
 
 SECOND = 1_000_000_000
@@ -36,7 +37,7 @@ _SHOWN = ("state", "tick", "mocap", "vesc", "imu", "actuation", "diagnostics")
 _TIMES_KEPT = 2048  # arrival times kept per topic; more than a second of the fastest topic
 
 
-def find_car(bus: Bus, name: str | None) -> str:
+def find_car(bus: ZenohBus, name: str | None) -> str:
     """The named car, or the only one on the bus.
 
     Raises:
@@ -137,7 +138,7 @@ class Watch:
         return Group(*parts)
 
 
-def watch_car(bus: Bus, name: str | None, seconds: float | None, *, operate: bool) -> None:
+def watch_car(bus: ZenohBus, name: str | None, seconds: float | None, *, operate: bool) -> None:
     """Show the named car, or the only one, for so long [s]: on a terminal with keys, else in lines.
 
     Raises:
@@ -169,7 +170,7 @@ def watch_car(bus: Bus, name: str | None, seconds: float | None, *, operate: boo
 
 
 def make_desk(
-    board: Dashboard, bus: Bus, car: str, clock: Clock, *, operate: bool
+    board: Dashboard, bus: ZenohBus, car: str, clock: Clock, *, operate: bool
 ) -> tuple[key_desk.KeyDesk, Callable[[], bool]]:
     """The keys of a car on the bus; without `operate` they change live parameters alone.
 

@@ -18,13 +18,11 @@ from steerd.sim_hw.vesc.vesc_wire import FALSE_HEADER, Chunk, Logged, ReplyWire
 from steerd.vesc_link import commands as c
 from steerd.vesc_link import ids, telemetry
 from steerd.vesc_link.frames import FrameParser
-from steerd.vesc_link.identity import Ack, AppConf, FwVersion, McConfTemp
+from steerd.vesc_link.identity import LIMIT_FIELDS, Ack, AppConf, FwVersion, McConfTemp
 from steerd.vesc_link.packets import FEEDS_TIMEOUT, Reply, decode_command, encode_reply
 from steerd.vesc_link.scaling import Scaling, erpm_to_speed, servo_pos_to_steer
 from steerd.vesc_link.telemetry import UPTIME_MASK, Uptime
 
-_TRAIN = ("motor_poles", "gear_ratio", "wheel_diameter")
-"""What the reply to GET_MCCONF_TEMP says beside the limits in force."""
 _IMU_PERIOD_NS = 5 * MS
 """The firmware samples its IMU at 200 Hz; faster polling reads the same sample again."""
 _SIGNATURE = 0x2A1B5C03
@@ -332,10 +330,14 @@ class SimVesc:
                 timeout = motor.timeout_ms, motor.timeout_brake_current
                 return AppConf(_SIGNATURE, config.controller_id, *timeout, _APPCONF_TAIL)
             case c.GetMcConfTemp():
-                train: dict[str, Any] = {name: getattr(config, name) for name in _TRAIN}
-                return McConfTemp(**{**motor.limits, **train})
+                values: dict[str, Any] = {
+                    f.name: getattr(motor.limits, f.name) for f in LIMIT_FIELDS
+                }
+                poles, gear, diameter = config.motor_poles, config.gear_ratio, config.wheel_diameter
+                values |= {"motor_poles": poles, "gear_ratio": gear, "wheel_diameter": diameter}
+                return McConfTemp(**values)
             case c.SetMcConfTemp():
-                motor.set_limits(command)
+                motor.limits = command
                 return Ack(ids.CommandId.SET_MCCONF_TEMP) if command.ack else None
             case c.Reboot():
                 self.reboot(t_ns)

@@ -131,10 +131,6 @@ class Motor:
         """Restart the timeout: any motor command does, even one that is then ignored."""
         self._fed_ns = t_ns
 
-    def set_limits(self, command: c.SetMcConfTemp) -> None:
-        """Take the session's limits (SET_MCCONF_TEMP)."""
-        self.limits = {name: getattr(command, name) for name in self.limits}
-
     def release(self) -> None:
         """Let the motor go."""
         self._set(Mode.RELEASED, 0.0)
@@ -155,20 +151,20 @@ class Motor:
             case c.SetErpm():
                 if self.mode is not Mode.SPEED:
                     self.ramped = erpm
-                low, high = self.limits["erpm_min"], self.limits["erpm_max"]
+                low, high = self.limits.erpm_min, self.limits.erpm_max
                 self._set(Mode.SPEED, min(max(command.erpm, low), high))
             case c.SetCurrentBrake():
-                low = self.limits["current_min_scale"] * limit
+                low = self.limits.current_min_scale * limit
                 self._set(Mode.BRAKE, min(abs(command.current), low))
             case c.SetCurrent():
                 self._set_current(command.current)
             case c.SetDuty():
-                most = self.limits["duty_max"]
+                most = self.limits.duty_max
                 self._set(Mode.DUTY, min(max(command.duty, -most), most))
 
     def _set_current(self, current: float) -> None:
         limit = self.config.current_limit
-        low, high = self.limits["current_min_scale"], self.limits["current_max_scale"]
+        low, high = self.limits.current_min_scale, self.limits.current_max_scale
         current = min(max(current, -low * limit), high * limit)
         small = abs(current) < _CURRENT_MIN
         self._set(Mode.RELEASED if small else Mode.CURRENT, 0.0 if small else current)
@@ -217,20 +213,11 @@ class Motor:
             self._ignore_until_ns = max(self._ignore_until_ns, t_ns + _KILL_NS)
 
 
-def make_limits(config: VescConfig) -> dict[str, float]:
+def make_limits(config: VescConfig) -> c.Limits:
     """Session limits at their start: the configured ones."""
-    return {
-        "current_min_scale": 1.0,
-        "current_max_scale": 1.0,
-        "erpm_min": -config.erpm_limit,
-        "erpm_max": config.erpm_limit,
-        "duty_min": 0.005,
-        "duty_max": config.duty_limit,
-        "watt_min": -config.watt_limit,
-        "watt_max": config.watt_limit,
-        "input_current_min": -config.input_current_limit,
-        "input_current_max": config.input_current_limit,
-    }
+    erpm, watt, current = config.erpm_limit, config.watt_limit, config.input_current_limit
+    shares, duty = (1.0, 1.0), (0.005, config.duty_limit)
+    return c.Limits(*shares, -erpm, erpm, *duty, -watt, watt, -current, current)
 
 
 def duty_current(config: VescConfig, duty: float, voltage: float, erpm: float) -> float:

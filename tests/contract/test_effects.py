@@ -167,7 +167,7 @@ CHOICES = {
     **{name: (lambda ops, a, b, name=name: getattr(ops, name)(a))
        for name in ("sin", "cos", "tan", "atan", "tanh", "exp", "absolute")},
 }  # fmt: skip
-"""The operations of one or two numbers; the tape's: tests/property/test_car_model.py."""
+"""The operations of one or two numbers; the tape's: tests/unit/car_model/test_tape.py."""
 
 
 @pytest.mark.parametrize("function", CHOICES.values(), ids=CHOICES)

@@ -14,15 +14,6 @@ import pytest
 
 from steerd.vesc_link import transport
 from steerd.vesc_link.frames import FLUSH, FrameParser, encode_frame
-from steerd.vesc_link.transport import (
-    Busy,
-    LinkDown,
-    NotFound,
-    PermissionDenied,
-    Port,
-    PortError,
-    open_port,
-)
 
 FRAME = encode_frame(b"\x08\x00\x00\x12\x06")
 
@@ -64,13 +55,13 @@ def device() -> Iterator[Device]:
 
 
 @pytest.fixture
-def reopen(device: Device, tmp_path: Path) -> Callable[..., Port]:
+def reopen(device: Device, tmp_path: Path) -> Callable[..., transport.Port]:
     """Open the device, its lock file in a folder of the test's own."""
-    return partial(open_port, device.path, lock_dir=tmp_path)
+    return partial(transport.open_port, device.path, lock_dir=tmp_path)
 
 
 @pytest.fixture
-def port(device: Device, reopen: Callable[..., Port]) -> Iterator[Port]:
+def port(device: Device, reopen: Callable[..., transport.Port]) -> Iterator[transport.Port]:
     opened = reopen()
     assert device.read(len(FLUSH)) == FLUSH
     device.release()
@@ -78,11 +69,11 @@ def port(device: Device, reopen: Callable[..., Port]) -> Iterator[Port]:
     opened.close()
 
 
-def wait_readable(port: Port) -> None:
+def wait_readable(port: transport.Port) -> None:
     assert select.select([port.fd], [], [], 2.0)[0], "nothing to read within two seconds"
 
 
-def read_exactly(port: Port, count: int) -> bytes:
+def read_exactly(port: transport.Port, count: int) -> bytes:
     got = b""
     while len(got) < count:
         wait_readable(port)
@@ -124,9 +115,9 @@ def test_unread_device_fills_the_buffer_and_write_says_so_at_once(port):
         for _ in range(100_000):
             port.write(FRAME)
 
-    with pytest.raises(LinkDown, match=r"full|short write"):
+    with pytest.raises(transport.LinkDown, match=r"full|short write"):
         write_on()
-    with pytest.raises(LinkDown):
+    with pytest.raises(transport.LinkDown):
         port.write(bytes(4096))
 
 
@@ -134,13 +125,13 @@ def test_out_queue_of_an_idle_port_is_empty_and_of_a_closed_one_a_fault(port):
     assert port.out_queue() == 0
     port.close()
     for use in (port.out_queue, lambda: port.write(FRAME), port.read):
-        with pytest.raises(LinkDown):
+        with pytest.raises(transport.LinkDown):
             use()
 
 
 def test_short_write_is_a_fault(port, monkeypatch):
     monkeypatch.setattr(os, "write", lambda fd, data: 2)
-    with pytest.raises(LinkDown, match="short write: 2 of 10 bytes"):
+    with pytest.raises(transport.LinkDown, match="short write: 2 of 10 bytes"):
         port.write(FRAME)
 
 
@@ -151,9 +142,9 @@ def test_errors_of_the_device_are_link_down(port, monkeypatch, number):
 
     monkeypatch.setattr(os, "write", fail)
     monkeypatch.setattr(os, "read", fail)
-    with pytest.raises(LinkDown, match="write failed"):
+    with pytest.raises(transport.LinkDown, match="write failed"):
         port.write(FRAME)
-    with pytest.raises(LinkDown, match="read failed"):
+    with pytest.raises(transport.LinkDown, match="read failed"):
         port.read()
 
 
@@ -171,35 +162,35 @@ def test_bytes_before_a_failure_are_still_delivered(port, monkeypatch):
     monkeypatch.setattr(os, "read", scripted)
     for reason in ("Input/output error", "hung up"):
         assert port.read() == FRAME
-        with pytest.raises(LinkDown, match=reason):
+        with pytest.raises(transport.LinkDown, match=reason):
             port.read()
     assert answers == []
 
 
 def test_unplug_is_seen_by_read_and_write(device, port):
     device.unplug()
-    with pytest.raises(LinkDown) as read_error:
+    with pytest.raises(transport.LinkDown) as read_error:
         port.read()
-    with pytest.raises(LinkDown):
+    with pytest.raises(transport.LinkDown):
         port.write(FRAME)
     assert "cable" in read_error.value.hint
 
 
 def test_second_open_is_refused_and_names_the_holder(device, port, tmp_path):
-    with pytest.raises(Busy) as error:
-        open_port(device.path, lock_dir=tmp_path)
+    with pytest.raises(transport.Busy) as error:
+        transport.open_port(device.path, lock_dir=tmp_path)
     assert "VESC Tool" in error.value.hint
     other = tmp_path / "other"
     other.mkdir()
-    with pytest.raises(Busy):  # the device's own lock, where no lock file shows it
-        open_port(device.path, lock_dir=other)
+    with pytest.raises(transport.Busy):  # the device's own lock, where no lock file shows it
+        transport.open_port(device.path, lock_dir=other)
 
 
 def test_another_name_of_the_same_device_is_the_same_lock(device, port, tmp_path):
     link = tmp_path / "vesc"
     link.symlink_to(device.path)
-    with pytest.raises(Busy, match="another steerd"):
-        open_port(str(link), lock_dir=tmp_path)
+    with pytest.raises(transport.Busy, match="another steerd"):
+        transport.open_port(str(link), lock_dir=tmp_path)
 
 
 def test_a_link_in_the_locks_place_is_not_followed(device, tmp_path):
@@ -207,16 +198,16 @@ def test_a_link_in_the_locks_place_is_not_followed(device, tmp_path):
     name = str(Path(device.path).resolve()).strip("/").replace("/", "_")
     target = tmp_path / "target"
     (tmp_path / f"steerd-{name}.lock").symlink_to(target)
-    port = open_port(device.path, lock_dir=tmp_path)
+    port = transport.open_port(device.path, lock_dir=tmp_path)
     assert not target.exists()
-    with pytest.raises(Busy):  # the device's own locks hold
-        open_port(device.path, lock_dir=tmp_path / "other")
+    with pytest.raises(transport.Busy):  # the device's own locks hold
+        transport.open_port(device.path, lock_dir=tmp_path / "other")
     port.close()
 
 
 def test_locks_lie_in_a_folder_of_the_users_own(device, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    port = open_port(device.path)
+    port = transport.open_port(device.path)
     (lock,) = (tmp_path / "steerd" / "locks").iterdir()
     assert [p.stat().st_mode & 0o777 for p in (lock, lock.parent)] == [0o600, 0o700]
     port.close()
@@ -233,33 +224,33 @@ def test_close_frees_everything_and_can_be_repeated(reopen):
 def test_failed_open_frees_the_lock(device, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(transport, "FLUSH", bytes(1 << 20))
-        with pytest.raises(LinkDown, match="short write") as error:
-            open_port(device.path, lock_dir=tmp_path)
+        with pytest.raises(transport.LinkDown, match="short write") as error:
+            transport.open_port(device.path, lock_dir=tmp_path)
     device.read(int(str(error.value).split("short write: ")[1].split()[0]))
-    open_port(device.path, lock_dir=tmp_path).close()
+    transport.open_port(device.path, lock_dir=tmp_path).close()
 
 
 def test_no_such_port(tmp_path):
-    with pytest.raises(NotFound) as error:
-        open_port(str(tmp_path / "ttyACM9"), lock_dir=tmp_path)
+    with pytest.raises(transport.NotFound) as error:
+        transport.open_port(str(tmp_path / "ttyACM9"), lock_dir=tmp_path)
     assert "steerd service udev" in error.value.hint
-    assert isinstance(error.value, PortError)
+    assert isinstance(error.value, transport.PortError)
     assert isinstance(error.value, OSError)
 
 
 @pytest.mark.parametrize("url", ["socket://127.0.0.1:5000", "loop://", "rfc2217://host:1"])
 def test_urls_without_a_descriptor_are_refused(url, tmp_path):
-    with pytest.raises(NotFound, match="no file descriptor"):
-        open_port(url, lock_dir=tmp_path)
+    with pytest.raises(transport.NotFound, match="no file descriptor"):
+        transport.open_port(url, lock_dir=tmp_path)
 
 
 @pytest.mark.parametrize(
     ("number", "kind", "hint"),
     [
-        (errno.EACCES, PermissionDenied, "dialout"),
-        (errno.EBUSY, Busy, "fuser"),
-        (errno.EIO, LinkDown, "cable"),
-        (errno.ENOENT, NotFound, "powered"),
+        (errno.EACCES, transport.PermissionDenied, "dialout"),
+        (errno.EBUSY, transport.Busy, "fuser"),
+        (errno.EIO, transport.LinkDown, "cable"),
+        (errno.ENOENT, transport.NotFound, "powered"),
     ],
 )
 def test_errors_of_open_become_types_with_a_hint(tmp_path, monkeypatch, number, kind, hint):
@@ -268,16 +259,16 @@ def test_errors_of_open_become_types_with_a_hint(tmp_path, monkeypatch, number, 
 
     monkeypatch.setattr(transport.serial, "serial_for_url", refuse)
     with pytest.raises(kind) as error:
-        open_port("/dev/ttyACM7", lock_dir=tmp_path)
+        transport.open_port("/dev/ttyACM7", lock_dir=tmp_path)
     assert hint in error.value.hint
     assert os.strerror(number) in str(error.value)
 
 
 def test_spy_url_logs_what_passes(device, tmp_path):
     log = tmp_path / "trace.txt"
-    port = open_port(f"spy://{device.path}?file={log}", flush=False, lock_dir=tmp_path)
+    port = transport.open_port(f"spy://{device.path}?file={log}", lock_dir=tmp_path)
     port.write(FRAME)
-    assert device.read(len(FRAME)) == FRAME
+    assert device.read(len(FLUSH) + len(FRAME)) == FLUSH + FRAME
     os.write(device.fd, b"\x02")
     assert read_exactly(port, 1) == b"\x02"
     port.close()

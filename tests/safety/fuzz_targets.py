@@ -52,8 +52,8 @@ CLASSES = tuple(MESSAGE_TYPES[name] for name in sorted(MESSAGE_TYPES))
 BOOT = 0x0123_4567_89AB_CDEF
 HELD = MAX_PAYLOAD + 6
 SERVER = "10.0.0.1"
-LOSSY = (c.TerminalCommand, c.SetMcConfTemp)
-"""Commands with text, or with flags that are any byte: they need not come back."""
+LOSSY = c.SetMcConfTemp
+"""A command with flags that are any byte: it need not come back."""
 MOST = 4096  # more bytes than this from one input only take time
 
 Piece = tuple[int, bytes]
@@ -119,7 +119,6 @@ def check_frames(script: bytes) -> None:
         assert all(short(payload) in sent or long(payload) in sent for payload in found)
         strict += firmware.feed(data, t_ns)
         assert max(host.buffered, firmware.buffered) <= HELD
-        assert 0 <= host.dropped_bytes <= len(sent)
     assert strict == FrameParser(strict=True).feed(sent, 0)
     for parser in (host, firmware):
         parser.feed(bytes(HELD + 2), t_ns)
@@ -151,7 +150,7 @@ def check_packets(script: bytes) -> None:
 
 def check_vesc(script: bytes) -> None:
     """A client with open requests: any bytes at any time, and each tick one packet."""
-    link, t_ns = VescLink(F1TENTH, imu_mask=t.IMU_ACCEL_GYRO_MASK), 0
+    link, t_ns = VescLink(F1TENTH), 0
     firmware = PROFILES[(script[0] if script else 0) % len(PROFILES)]
     link.make_connect(0)
     link.on_bytes(1, encode_frame(encode_reply(FwVersion(*firmware, "60", bytes(12)), firmware)))

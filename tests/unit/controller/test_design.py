@@ -277,27 +277,27 @@ def by_poles(*poles, **more):
 
 
 @pytest.mark.parametrize(
-    ("car", "path", "config", "timing", "said"),
+    ("car", "path", "config", "rate_hz", "said"),
     [
-        (BARE, CIRCLE, PAPER, (100.0, 0.01),
+        (BARE._replace(steer_delay=0.01), CIRCLE, PAPER, 100.0,
          ("1.00 m/s", "100 Hz", "10.0 ms dead time", "1.18", "design = 'lqr' (passes)")),
-        (BARE, CIRCLE, PAPER, (50.0,), ("100 Hz (passes)", "speed = 0.68 (passes)")),
-        (BARE, CIRCLE, by_poles(-1 + 15j, -1 - 15j, -52.6, -93.6, grid_speed_min=1.0), (100.0,),
+        (BARE, CIRCLE, PAPER, 50.0, ("100 Hz (passes)", "speed = 0.68 (passes)")),
+        (BARE, CIRCLE, by_poles(-1 + 15j, -1 - 15j, -52.6, -93.6, grid_speed_min=1.0), 100.0,
          ("has damping 0.0",)),
-        (DEFAULT_CAR, CIRCLE, by_poles(-2 + 2j, -2 - 2j, -60, -40), (100.0,),
+        (DEFAULT_CAR, CIRCLE, by_poles(-2 + 2j, -2 - 2j, -60, -40), 100.0,
          ('poles = ["-2-2j", "-2+2j", "-52',)),
-        (PAPER_CAR, CIRCLE, by_poles(-2, -2, -2, -2), (100.0,), ("pole_placement at ",)),
-        (DEFAULT_CAR, parse_path("circle:radius=-0.8"), ControllerConfig(), (100.0,),
+        (PAPER_CAR, CIRCLE, by_poles(-2, -2, -2, -2), 100.0, ("pole_placement at ",)),
+        (DEFAULT_CAR, parse_path("circle:radius=-0.8"), ControllerConfig(), 100.0,
          ("radius 0.80 m", "wheel angle of -0.4")),
-        *((DEFAULT_CAR, CIRCLE, ControllerConfig(), timing, ("rate",))
-          for timing in ((0.0, 0.0), (100.0, -0.1), (100.0, 3.0))),
+        *((DEFAULT_CAR._replace(steer_delay=delay), CIRCLE, ControllerConfig(), rate_hz, ("rate",))
+          for rate_hz, delay in ((0.0, 0.0), (100.0, -0.1), (100.0, 3.0))),
     ],
     ids=["a tick of delay", "half the rate", "ill damped", "poles between", "poles that cannot be",
          "too tight a path", "no rate", "negative delay", "seconds of delay"],
 )  # fmt: skip
-def test_a_refusal_says_why_and_what_would_pass(car, path, config, timing, said):
+def test_a_refusal_says_why_and_what_would_pass(car, path, config, rate_hz, said):
     with pytest.raises(ValueError, match=re.escape(said[0])) as refused:
-        make_controller(car, path, config, *timing)
+        make_controller(car, path, config, rate_hz)
     assert all(part in str(refused.value) for part in said), refused.value
 
 

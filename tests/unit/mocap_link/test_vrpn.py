@@ -1,6 +1,8 @@
 """VRPN bytes against vectors written out by hand from the protocol's description."""
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from steerd.mocap_link import vrpn
 from steerd.mocap_link.frame import FrameConfig
@@ -61,6 +63,19 @@ def test_length_excludes_the_padding() -> None:
     assert int.from_bytes(data[:4], "big") == 27
     messages, used = vrpn.decode_stream(data + data)
     assert (len(messages), used) == (2, 64)
+
+
+I32 = st.integers(-(2**31), 2**31 - 1)
+
+
+@settings(derandomize=True, deadline=None, database=None, max_examples=60)
+@given(st.integers(-10, 10), st.binary(max_size=64), I32, I32)
+def test_messages_survive(kind, payload, sec, usec):
+    message = vrpn.Message(kind, 3, sec, usec, payload, 9)
+    data = vrpn.encode(message)
+    assert len(data) % 8 == 0
+    assert vrpn.decode_stream(data) == ([message], len(data))
+    assert vrpn.decode_stream(data[:-1])[0] == []
 
 
 @pytest.mark.parametrize("length", [0, 23, -1, 65_537])

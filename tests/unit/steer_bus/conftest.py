@@ -28,8 +28,9 @@ TOPIC_OF = {
 }
 
 
-def write_drive(path, ticks=200, seed=0):
-    rng = np.random.default_rng(seed)
+@pytest.fixture(scope="session")
+def drive(tmp_path_factory):
+    path, rng = tmp_path_factory.mktemp("drive") / "drive.mcap", np.random.default_rng(0)
     writer = SessionWriter(
         path,
         {topic: cls for cls, topic in TOPIC_OF.items()},
@@ -39,7 +40,7 @@ def write_drive(path, ticks=200, seed=0):
     )
     messages = {topic: [] for topic in TOPIC_OF.values()}
     order = []
-    for tick in range(ticks):
+    for tick in range(200):
         stamp = START_NS + tick * PERIOD_NS
         for cls, topic in TOPIC_OF.items():
             message = dataclasses.replace(drawn(cls, rng), header=make_header(stamp, WORLD))
@@ -49,18 +50,3 @@ def write_drive(path, ticks=200, seed=0):
         writer.tick(tick * PERIOD_NS)
     writer.finish({"reason": "test"})
     return Drive(path, messages, order)
-
-
-@pytest.fixture(scope="session")
-def drive(tmp_path_factory):
-    return write_drive(tmp_path_factory.mktemp("drive") / "drive.mcap")
-
-
-@pytest.fixture(scope="session")
-def topic_of():
-    return TOPIC_OF
-
-
-@pytest.fixture(scope="session")
-def make_drive():
-    return write_drive

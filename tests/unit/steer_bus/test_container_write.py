@@ -46,7 +46,7 @@ def test_bytes_are_the_librarys():
 def test_memory_of_an_hour():
     with Path("/dev/null").open("wb") as nowhere:
         writer = ContainerWriter(nowhere, "ros2")
-        channels = [writer.add_channel(f"/t{k}", "cdr", 0) for k in range(12)]
+        channels = [writer.add_channel(f"/t{k}", "cdr", 0, {}) for k in range(12)]
         sizes = []
         tracemalloc.start()
         for k in range(CHUNKS_PER_H // 8):

@@ -1,6 +1,7 @@
 """A session comes back as it was written: columns, recorded order, texts, names."""
 
 import dataclasses
+import shutil
 from operator import attrgetter
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from mcap.reader import make_reader  # noqa: TID251
 from mcap_ros2.decoder import DecoderFactory
 
-from steerd.steer_bus.codec import CodecError, encode
+from steerd.steer_bus.codec import encode
 from steerd.steer_bus.fields import flat_leaves
 from steerd.steer_bus.messages import (
     OWN_MESSAGES,
@@ -24,6 +25,7 @@ from steerd.steer_bus.session import FLUSH_NS, SYNC_NS, SessionWriter, recover
 from steerd.steer_bus.session_read import SessionError, open_session
 from steerd.steer_bus.standard import DiagnosticArray, Odometry
 from tests.blank import drawn
+from tests.unit.steer_bus.conftest import TOPIC_OF
 
 
 def start(path, **topics):
@@ -75,9 +77,9 @@ def test_other_peoples_tools_open_it_and_decode_every_message(drive):
 
 
 @pytest.mark.parametrize("cls", OWN_MESSAGES)
-def test_columns_hold_every_value(drive, topic_of, cls):
+def test_columns_hold_every_value(drive, cls):
     columns = open_session(drive.path).columns(cls)
-    messages = drive.messages[topic_of[cls]]
+    messages = drive.messages[TOPIC_OF[cls]]
     assert len(columns["log_ns"]) == len(messages)
     for leaf in flat_leaves(cls)[3:]:
         assert columns[leaf.name].tolist() == [getattr(m, leaf.name) for m in messages]
@@ -91,17 +93,6 @@ def test_columns_of_a_topic_without_messages(tmp_path):
     columns = session.columns(StateMessage)
     assert columns["x"].shape == (0,)
     assert columns["x"].dtype == np.float64
-
-
-def test_columns_of_nested_standard_messages(tmp_path):
-    rng = np.random.default_rng(1)
-    odometry = [drawn(Odometry, rng) for _ in range(5)]
-    writer = start(tmp_path / "a.mcap", odom=Odometry)
-    for i, message in enumerate(odometry):
-        writer.write("/odom", encode(message), i)
-    columns = open_session(writer.finish({})).columns(Odometry)
-    assert columns["pose.pose.position.x"].tolist() == [o.pose.pose.position.x for o in odometry]
-    assert columns["twist.covariance"].shape == (5, 36)
 
 
 def test_log_time_never_goes_back(tmp_path):
@@ -152,12 +143,12 @@ def test_missing_folders_and_undeclared_topics(tmp_path):
     writer.abandon()
 
 
-def test_what_a_session_lacks_is_said(drive, topic_of):
+def test_what_a_session_lacks_is_said(drive):
     session = open_session(drive.path)
     cases = [
         (lambda: session.columns(StateMessage, "/nothing"), "missing_topic"),
         (lambda: session.columns(Odometry), "missing_topic"),
-        (lambda: session.columns(StateMessage, topic_of[Tick]), "other_schema"),
+        (lambda: session.columns(StateMessage, TOPIC_OF[Tick]), "other_schema"),
         (lambda: session.attachment("x"), "missing_attachment"),
     ]
     for call, code in cases:
@@ -169,55 +160,41 @@ def test_what_a_session_lacks_is_said(drive, topic_of):
         session.columns(DiagnosticArray, "/x")
 
 
-def test_messages_that_are_not_their_schema(tmp_path):
-    writer = start(tmp_path / "a.mcap", clock=ClockSample, odd=Tick)
-    writer.write("/clock", clock(1), 1)
-    writer.write("/odd", b"\0\1\0\0", 2)
-    writer.write("/odd", b"", 3)
-    session = open_session(writer.finish({}))
-    with pytest.raises(SessionError) as caught:
-        session.columns(Tick)
-    assert caught.value.code == "bad_message"
-    assert session.columns(ClockSample)["realtime_ns"].tolist() == [1]
-    with pytest.raises(CodecError):
-        list(session.messages())[1].decode()
-
-
-def test_a_file_that_shrinks_while_it_is_read(tmp_path, make_drive):
-    drive = make_drive(tmp_path / "a.mcap", ticks=5)
-    session = open_session(drive.path)
-    drive.path.write_bytes(drive.path.read_bytes()[:200])
+def test_a_file_that_shrinks_while_it_is_read(tmp_path, drive):
+    path = shutil.copy(drive.path, tmp_path / "a.mcap")
+    session = open_session(path)
+    path.write_bytes(path.read_bytes()[:200])
     with pytest.raises(SessionError) as caught:
         session.columns(StateMessage)
     assert caught.value.code == "changed"
 
 
 @pytest.mark.parametrize("cls", [Odometry, Transition, Actuation])
-def test_both_ways_to_columns_agree(tmp_path, cls):
+def test_both_ways_to_columns_give_every_value(tmp_path, cls):
     rng = np.random.default_rng(2)
     same = [drawn(cls, rng) for _ in range(6)]
     if cls is Odometry:
         same = [dataclasses.replace(m, child_frame_id="base_link") for m in same]
     same = [dataclasses.replace(m, header=make_header(i, WORLD)) for i, m in enumerate(same)]
     odd = dataclasses.replace(same[0], header=make_header(0, "another_frame"))
-    tables = []
     for name, messages in (("fast", same), ("slow", [*same, odd])):
         writer = start(tmp_path / f"{name}.mcap", topic=cls)
         for i, message in enumerate(messages):
             writer.write("/topic", encode(message), i)
-        tables.append(open_session(writer.finish({})).columns(cls))
-    fast, slow = tables
-    assert fast.keys() == slow.keys()
-    for name, column in fast.items():
-        assert column.dtype == slow[name].dtype
-        assert column.tolist() == slow[name][:6].tolist()
+        columns = open_session(writer.finish({})).columns(cls)
+        for name in {leaf.name for leaf in flat_leaves(cls)[3:]} - {"child_frame_id"}:
+            values = map(attrgetter(name), messages)
+            told = [list(v) if isinstance(v, tuple) else v for v in values]
+            assert columns[name].tolist() == told
 
 
 GOOD = encode(Transition(make_header(0, WORLD), 1, 2, "", ""))
 BAD_TAILS = (b"\2\0\0\0ab", b"\2\0\0\0\xff\0", b"\xff\0\0\0", b"", bytes(64))
 
 
-@pytest.mark.parametrize("bad", [*(GOOD[:24] + tail for tail in BAD_TAILS), b"\0\0" + GOOD[2:]])
+@pytest.mark.parametrize(
+    "bad", [*(GOOD[:24] + tail for tail in BAD_TAILS), b"\0\0" + GOOD[2:], GOOD[:4], b""]
+)
 def test_a_bad_text_at_the_end_and_big_endian_bytes_are_bad_messages(tmp_path, bad):
     writer = start(tmp_path / "a.mcap", topic=Transition)
     writer.write("/topic", GOOD, 0)

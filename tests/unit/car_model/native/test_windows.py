@@ -44,7 +44,7 @@ from steerd.estimator.history import History
 from steerd.estimator.initial import make_belief
 from steerd.estimator.sensors import make_gyro, make_pose, make_sensors, make_wheel_speed
 from steerd.sim_hw.plant.car import make_steps
-from tests.property.test_car_model import evaluated, formulas, points
+from tests.unit.car_model.test_tape import evaluated, formulas, points
 
 H, STEPS, COUNT, N = 0.01, 60, 11, 13
 EVERY = tuple(EFFECTS.values())

@@ -37,7 +37,7 @@ def ready() -> Rig:
 
 def limit_of(rig: Rig) -> float:
     """What the simulated VESC itself holds [ERPM]."""
-    return rig.run.world.vesc.motor.limits["erpm_max"]
+    return rig.run.world.vesc.motor.limits.erpm_max
 
 
 def test_a_vesc_that_starts_anew_gets_the_session_limits_again():

@@ -71,13 +71,6 @@ def test_timeout_zero_never_strikes(make_host):
     assert host.speed == pytest.approx(2.0, abs=0.01)
 
 
-def test_timeout_ends_with_the_next_command(host):
-    host.run(500)
-    assert host.values().status & 1
-    host.hold(30, c.SetErpm(ERPM_1))
-    assert not host.values().status & 1
-
-
 def test_servo_commands_and_polls_do_not_feed_the_timeout_but_alive_does(host):
     host.send(c.SetErpm(ERPM_1))
     host.hold(300, c.SetServoPos(0.5), c.GetValues())
