@@ -24,7 +24,7 @@ from steerd.sysid.data.segments import thinned
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import AugmentedCar, excess_by_regime, make_augmented_car
-from steerd.sysid.inference.hypotheses import begin, explain
+from steerd.sysid.inference.hypotheses import explain
 from steerd.sysid.inference.library import Library
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import (
@@ -37,7 +37,7 @@ from steerd.sysid.inference.noise import (
 )
 from steerd.sysid.inference.predictor import Predictor, open_predictor
 from steerd.sysid.inference.residuals import robust_mean
-from steerd.sysid.inference.search import Point, minimise, stand, with_size
+from steerd.sysid.inference.search import Point, minimise, open_point, stand, with_size
 from steerd.sysid.inference.space import (
     informative_effects,
     make_space,
@@ -209,9 +209,10 @@ def _first(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated) ->
 def _begin(
     predictor: Predictor, nuisance: tuple[str, ...], x: Array, noise: Noise
 ) -> tuple[Likelihood, Point]:
-    """Windows under a noise, and the base at its prior."""
+    """Windows under a noise, and the base where its search begins."""
     likelihood = make_likelihood(predictor, predictor.augmented.base, x, noise)
-    return likelihood, begin(Library(likelihood, nuisance, (), known=False), (), (), x)
+    space = make_space(predictor.augmented, nuisance)
+    return likelihood, open_point(likelihood, space, space.inside, x)
 
 
 def _bounded(point: Point) -> float:
