@@ -243,7 +243,8 @@ def row_layout(traced: Traced) -> dict[str, int]:
     A workspace holds its inputs in the order in which `trace` lists them, then its outputs. The
     names are printed into every compiled module, so that no loop counts states itself.
 
-    Actuators: state, memory, commands (newer, older, share of the older), time -> wheel at start and end, steer, accel, memory.
+    Actuators: state, memory, commands (newer, older, share of the older), time -> wheel at start
+    and end, steer, accel, memory.
     Rates: chassis, wheel, accel, memory, time -> rates of the chassis.
     Remember: state before, state after, memory, time -> memory.
     Observe: state -> readings.

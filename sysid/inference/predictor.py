@@ -44,8 +44,7 @@ HORIZON = 1.0
 """Length of a window [s]: delays, gains and tyres all show within it, nothing compounds yet."""
 INTEGRATOR = "midpoint"
 """Half the work of `rk4`; on a grid of 5 ms a position differs by 0.01 mm after a second."""
-import os
-STATE_SPREAD = np.array([0.1, 0.1, 0.2, 0.5, *map(float, os.environ.get("SPR", "2.0,0.2").split(",")), 0.01])
+STATE_SPREAD = np.array([0.1, 0.1, 0.2, 0.5, 2.0, 0.2, 0.01])
 """Prior standard deviation of a start about its first guess (poses show it far better)."""
 STEER_SPREAD_UNKNOWN = 0.2
 """That of its steering angle where the commands before the window are not known [rad]."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated, Weighed
-from steerd.sysid.inference.predictor import Linear, Predictor
+from steerd.sysid.inference.predictor import Linear
 from steerd.sysid.inference.space import Space
 from steerd.sysid.inference.starts import OWED, settle_starts
 
@@ -92,18 +92,11 @@ def derive(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Linear:
         end = z[i] + step if z[i] + step <= space.high[i] else z[i] - step
         if step == 0.0 or not space.low[i] <= end:
             continue
-        error = _error(predictor, space, z, x, i, end)
+        moved = z.copy()
+        moved[i] = end
+        error, _ = predictor.errors(space.chart.parameters(moved), x)
         linear.by_z[:, :, i] = (linear.error - error) / (end - z[i])
     return linear
-
-
-def _error(
-    predictor: Predictor, space: Space, z: Array, x: Array, place: int, value: float
-) -> Array:
-    """(W, D) errors with one coordinate elsewhere."""
-    moved = z.copy()
-    moved[place] = value
-    return predictor.errors(space.chart.parameters(moved), x)[0]
 
 
 def stand(likelihood: Likelihood, space: Space, z: Array, x: Array, size: float) -> Point:
