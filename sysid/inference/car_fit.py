@@ -143,10 +143,10 @@ def fit_car_with_limits(
         and not (e.same_as and set(e.same_as) <= set(taught.nuisance))
         and e.selectable_in_base is not BaseSelection.NEVER
     )
-    found = explain(Library(taught.likelihood, taught.nuisance, effects, known=False), c.BUILT_IN)
+    library = Library(taught.likelihood, taught.nuisance, effects, known=False)
+    found = explain(library, c.BUILT_IN, known=taught.point)
     if not found.best.effects:
-        better = found.best.point
-        return replace(taught, point=better) if better.cost < taught.point.cost else taught
+        return replace(taught, point=found.best.point)
     gain = found.best.posterior.evidence - found.null.posterior.evidence
     steps = tuple(Step(name, gain) for name in found.best.effects)
     return replace(_with_effects(taught, found.best.point, runs), selected=steps)
