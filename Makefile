@@ -71,7 +71,7 @@ all-tests: install
 
 bench: install     ## measure everything; writes docs/results/performance.md (20 minutes)
 	$(BIN)/python -m pip install --quiet --progress-bar off -c constraints.txt --group bench
-	$(BIN)/python benchmarks/run.py
+	$(BIN)/python -m benchmarks.run
 
 safety: install   ## all of the fault matrix and its real-time cells; writes the tables of the safety pages
 	$(BIN)/python -m tests.safety.report

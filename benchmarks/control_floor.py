@@ -1,6 +1,6 @@
 """What the machine itself takes of the control path.
 
-    python benchmarks/control_floor.py
+    python -m benchmarks.control_floor
 
 The path with nothing in it: a C program, compiled on the spot, stands where the core stands and
 answers every datagram with bytes at once; sockets, pty, priorities and the stamping process are
@@ -24,9 +24,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from control_path import load_cpus, percentiles
-from perf_virtual import plan_of
-
+from benchmarks.control_path import load_cpus, percentiles
+from benchmarks.perf_virtual import plan_of
 from steerd.daemon.assembly.build import make_world_config
 from steerd.daemon.offline.virtual import VirtualRun, make_virtual_run
 from steerd.daemon.process.realtime import enter_realtime, settle_memory

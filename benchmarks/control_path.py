@@ -1,6 +1,6 @@
 """From a mocap datagram to the VESC's bytes, both ends stamped in a process of their own.
 
-    python benchmarks/control_path.py --seconds 8
+    python -m benchmarks.control_path --seconds 8
 
 Real processes (core, recorder, gateway, guardian) drive simulated hardware. Between them sits a
 tap: it passes datagrams and serial bytes on and stamps both (CLOCK_MONOTONIC), so that neither
@@ -111,8 +111,8 @@ def read_records(processes: RunProcesses, buffer: bytearray, seconds: float) -> 
     """Read the core's records for a while; return whether the car moves."""
     end, moves = CLOCK.now_ns() + round(seconds * 1e9), False
     while (left := end - CLOCK.now_ns()) > 0:
-        if select.select([processes.status_fd], [], [], left * 1e-9)[0]:
-            data = os.read(processes.status_fd, 1 << 16)
+        if select.select([processes.fds["status"]], [], [], left * 1e-9)[0]:
+            data = os.read(processes.fds["status"], 1 << 16)
             if not data:
                 return moves
             buffer += data
@@ -220,8 +220,8 @@ def measure(
             # A real car needs no CPU: the simulated one must not starve beside the load.
             with contextlib.suppress(OSError):
                 os.sched_setscheduler(int(sim.process.pid or 0), os.SCHED_FIFO, os.sched_param(40))
-            pids = {"core": core, "recorder": processes.recorder.process.pid,
-                    "gateway": processes.gateway.process.pid, "guardian": guardian[0],
+            pids = {"core": core, "recorder": processes.children["recorder"].process.pid,
+                    "gateway": processes.children["gateway"].process.pid, "guardian": guardian[0],
                     "simulation": sim.process.pid, "tap": tapping.pid}  # fmt: skip
             with load_cpus(os.cpu_count() or 1 if busy else 0):
                 read_records(processes, bytearray(), 1.0)

@@ -1,6 +1,6 @@
 """Paper, CMA-ES, least squares and ours on the same data, in one run.
 
-python benchmarks/identify.py [--starts 5] [--figure FILE.svg]
+python -m benchmarks.identify [--starts 5] [--figure FILE.svg]
 
 Data: the paper's sixteen circles (8 left, 8 right, steering at its limit, 1 m/s, 8 s) on the
 paper's car, poses at 100 Hz with 1 mm / 2 mrad noise, at standard and low friction.
@@ -21,9 +21,9 @@ from dataclasses import dataclass, field
 from unittest.mock import patch
 
 import numpy as np
-from least_squares import fit_least_squares
 from numpy.typing import NDArray
 
+from benchmarks.least_squares import fit_least_squares
 from steerd.car_model.model import Model
 from steerd.car_model.native.windows import (
     HeldCommands,
@@ -37,14 +37,11 @@ from steerd.car_model.params import GRAVITY, Car
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.data.segments import make_blocks
 from steerd.sysid.estimation.outcome import Fit, fit_of_plain
-from steerd.sysid.inference import disturbance_response, engine
-from steerd.sysid.inference import values as simulation
+from steerd.sysid.inference import predictor
 from steerd.sysid.inference.plain_car import TYRES, Asked, search_blocks, search_rough
-from steerd.sysid.inference.predictor import Engine, Linear
+from steerd.sysid.inference.predictor import Linear, Predictor
 from steerd.sysid.inference.space import Space
 from steerd.sysid.paper.paper_method import (
-    NAMES,
-    PAPER_CAR_DIRECT,
     PAPER_STEP,
     PaperProblem,
     draw_starts,
@@ -53,6 +50,7 @@ from steerd.sysid.paper.paper_method import (
     search_adam,
     search_cma,
 )
+from steerd.sysid.paper.search_history import NAMES, PAPER_CAR_DIRECT
 
 Array = NDArray[np.float64]
 
@@ -169,16 +167,16 @@ class Judge:
 @contextmanager
 def watched(judge: Judge) -> Iterator[None]:
     """Our search shows only its end: here every point is watched at which it takes derivatives."""
-    linear = Engine.linear
+    linear = Predictor.linear
 
-    def seen(self: Engine, space: Space, z: Array, x: Array) -> Linear:
+    def seen(self: Predictor, space: Space, z: Array, x: Array) -> Linear:
         found = linear(self, space, z, x)
         four = space.chart.parameters(z)[[space.chart.names.index(name) for name in NAMES]]
         judge.watch(len(judge.log), four, 0.0)
         return found
 
     judge.start()
-    with patch.object(Engine, "linear", seen):
+    with patch.object(Predictor, "linear", seen):
         yield
 
 
@@ -186,10 +184,8 @@ def watched(judge: Judge) -> Iterator[None]:
 def as_simulated() -> Iterator[None]:
     """Our windows integrated as the data are."""
     with (
-        patch.object(engine, "INTEGRATOR", INTEGRATOR),
-        patch.object(simulation, "INTEGRATOR", INTEGRATOR),
-        patch.object(disturbance_response, "INTEGRATOR", INTEGRATOR),
-        patch.object(engine, "stable_substeps", lambda *given: round(H / PAPER_STEP)),
+        patch.object(predictor, "INTEGRATOR", INTEGRATOR),
+        patch.object(predictor, "stable_substeps", lambda *given: round(H / PAPER_STEP)),
     ):
         yield
 
@@ -304,12 +300,10 @@ def converge(runs: list[Run], truth: Car[float], starts: Array) -> None:
         off = 100.0 * np.abs(sums(four, truth.mu) / true - 1.0).max()
         untold = sum(not e.identifiable for e in found.estimates.values())
         rows.append((found.converged, untold, off, seconds))
-    done, untold, off, seconds = map(np.array, zip(*rows, strict=True))
-    print(
-        f"ours from {len(starts)} starts: converged {done.sum()}, worst sum {off.max():.4f} % off,"
-    )
-    print(f"   says that it does not know {untold.min()} to {untold.max()} of the four;")
-    print(f"   {np.median(seconds):.2f} ({seconds.min():.2f} to {seconds.max():.2f}) s")
+    done, few, worst, took = map(np.array, zip(*rows, strict=True))
+    print(f"ours, {len(starts)} starts: converged {done.sum()}, worst sum {worst.max():.4f} % off,")
+    print(f"   says that it does not know {few.min()} to {few.max()} of the four;")
+    print(f"   {np.median(took):.2f} ({took.min():.2f} to {took.max():.2f}) s")
 
 
 def main() -> None:

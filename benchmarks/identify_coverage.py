@@ -1,7 +1,7 @@
 """Does every drive and start lead to the car, and are the standard errors right?
 
-python benchmarks/identify_coverage.py --seeds 100               # eleven parameters, three starts
-python benchmarks/identify_coverage.py --saturation --seeds 10   # a tyre that the model lacks
+python -m benchmarks.identify_coverage --seeds 100               # eleven parameters, three starts
+python -m benchmarks.identify_coverage --saturation --seeds 10   # a tyre that the model lacks
 
 Each seed is a mixed drive of 60 s at 1 to 3 m/s (tests/unit/sysid/conftest.py: simulated by
 car_model, 1 mm and 2 mrad of pose noise) and three fits: from the default car, from a random car of

@@ -1,6 +1,6 @@
 """Are the standard errors of `steerd identify` right on sessions of the whole chain?
 
-python benchmarks/identify_sessions.py --folder DIR --first 9000 --seeds 60 [--plan mixed]
+python -m benchmarks.identify_sessions --folder DIR --first 9000 --seeds 60 [--plan mixed]
 
 Each seed is a hidden car (stiffnesses, lengths, inertia, gains, lags and dead times drawn), a phase
 of its servo's pulses and the noise of `steerd collect --sim --fast`: every byte of both protocols,
@@ -22,6 +22,7 @@ import numpy as np
 from steerd.car_model.car_file import Learned, default_car_path, load_car, update_car
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR, Car
+from steerd.daemon.assembly.build import make_world_config
 from steerd.daemon.cli import main as cli
 from steerd.daemon.offline import fast
 from steerd.steer_bus.session_read import open_session
@@ -69,10 +70,9 @@ def hide(seed: int) -> Hidden:
 @contextlib.contextmanager
 def pulsed(phase_ns: int) -> Iterator[None]:
     """Simulated servos have their first pulse so late."""
-    make = fast.make_world_config
 
     def world(*args: Any, **kwargs: Any) -> Any:
-        config = make(*args, **kwargs)
+        config = make_world_config(*args, **kwargs)
         return replace(config, vesc=replace(config.vesc, servo_phase_ns=phase_ns))
 
     with patch.object(fast, "make_world_config", world):

@@ -1,6 +1,6 @@
 """Play a recorded Motive session to any NatNet client: same packets, same pace, from this host.
 
-    python benchmarks/motive_replay.py traffic.pcapng
+    python -m benchmarks.motive_replay traffic.pcapng
     steerd run --port … --mocap 'natnet://127.0.0.1:PORT/RaceQuad?up=y&interface=127.0.0.1'
 
 The recording is the capture of `docs/reference/mocap-protocols.md`. CONNECT, MODELDEF and the frame

@@ -1,9 +1,9 @@
 """Mutation score of the safety code: output limits, state machine, watchdogs, guardian, codec.
 
     pip install --group bench
-    python benchmarks/mutation.py
-    python benchmarks/mutation.py "steerd.controller.limits*" --survivors
-    python benchmarks/mutation.py --coverage
+    python -m benchmarks.mutation
+    python -m benchmarks.mutation "steerd.controller.limits*" --survivors
+    python -m benchmarks.mutation --coverage
 
 mutmut changes one operator, constant, argument or call at a time in a copy of the tree, and runs
 the unit tests that reach it. A mutant that no test notices survives. Printed: killed and survived

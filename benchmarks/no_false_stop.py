@@ -1,7 +1,7 @@
 """No false stop: hours of nominal driving with 5 % mocap loss and a 50 ms gap every second.
 
-    python benchmarks/no_false_stop.py --hours 10
-    python benchmarks/no_false_stop.py --hours 10 --off 0.2
+    python -m benchmarks.no_false_stop --hours 10
+    python -m benchmarks.no_false_stop --hours 10 --off 0.2
 
 Virtual time, seeds in parallel. Each drive is a figure-eight or a circle or a line;
 each ends with its own planned stop, and anything else counts as a false stop. `--off` draws a car

@@ -153,7 +153,7 @@ def ratio(said: dict[str, Any]) -> str:
     return (
         f"A simulated second at 100 Hz, recorded, costs {spread(said)} of what it cost at "
         f"`{said['since']}`: {number(said['after_ms'])} ms of CPU for {number(said['before_ms'])} "
-        "(`python benchmarks/perf_ratio.py --since COMMIT`).\n"
+        "(`python -m benchmarks.perf_ratio --since COMMIT`).\n"
     )
 
 

@@ -16,8 +16,7 @@ from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
 
-from batch_drives import DAY, FIRST, Hidden, make_fleet
-
+from benchmarks.batch_drives import DAY, FIRST, Hidden, make_fleet
 from steerd.daemon.many.batch.run import Batch, make_job
 from steerd.daemon.many.batch.unit import Question, day_of
 from steerd.daemon.many.job import do_job

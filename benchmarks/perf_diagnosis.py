@@ -11,8 +11,8 @@ import time
 from typing import Any
 
 import numpy as np
-from identify import drive
 
+from benchmarks.identify import drive
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
 from steerd.car_model.native.windows import Kernels, make_kernels

@@ -1,6 +1,6 @@
 """Memory and time of `steerd identify` and `diagnose` by hours of driving.
 
-    python benchmarks/perf_hours.py --hours 0.0167 0.167 1 10
+    python -m benchmarks.perf_hours --hours 0.0167 0.167 1 10
 
 Sessions of ten minutes or less, loops of the compiled simulator with mocap noise, imported like a
 lab's own logs. Peak memory and processor time are the tool's own, as subprocesses.
@@ -15,9 +15,9 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from batch_drives import MAP, NOISE, STEP, make_car
 from numpy.typing import NDArray
 
+from benchmarks.batch_drives import MAP, NOISE, STEP, make_car
 from steerd.car_model.native.windows import (
     HeldCommands,
     make_kernels,

@@ -8,18 +8,18 @@ import sys
 from typing import Any
 
 import numpy as np
-from identify import FRICTIONS, TARGET_MM, Judge, circles, ours, ours_watched
-from least_squares import fit_least_squares
 
+from benchmarks.identify import FRICTIONS, TARGET_MM, Judge, circles, ours, ours_watched
+from benchmarks.least_squares import fit_least_squares
 from steerd.car_model.native.windows import make_kernels
 from steerd.sysid.paper.paper_method import (
-    PAPER_CAR_DIRECT,
     draw_starts,
     make_problem,
     paper_runs,
     search_adam,
     search_cma,
 )
+from steerd.sysid.paper.search_history import PAPER_CAR_DIRECT
 
 
 def row(judge: Judge, final: np.ndarray, seconds: float) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """What a recorded simulated second costs, as a ratio to what it cost at another commit.
 
-    python benchmarks/perf_ratio.py [--since COMMIT] [--seconds N]
+    python -m benchmarks.perf_ratio [--since COMMIT] [--seconds N]
 
 Two processes with one interpreter, one on each tree, drive a simulated second turn by turn: CPU
 time, so that a busy machine slows both alike. The other tree is a worktree of the clone's history,

@@ -1,6 +1,6 @@
 """Value and gradient through simulated drives: torch, compiled kernel, plain C; and how they grow.
 
-    python benchmarks/perf_simulation.py [--figure FILE.svg]
+    python -m benchmarks.perf_simulation [--figure FILE.svg]
 
 Sixteen runs of 4000 RK4 steps; the loss is the sum of squared positions, the gradient goes to all
 parameters of the car. CPU time on one thread, but for the last row, which is wall time with as many
@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from plain_c import make_plain_c
-from timing import Timed, timed
 
+from benchmarks.plain_c import make_plain_c
+from benchmarks.timing import Timed, timed
 from benchmarks.torch_reference import simulate_reference
 from steerd.car_model.native.threads import threads
 from steerd.car_model.native.windows import (
@@ -35,7 +35,7 @@ from steerd.car_model.native.windows import (
     view_by_window,
 )
 from steerd.car_model.params import Car
-from steerd.sysid.paper.paper_method import PAPER_CAR_DIRECT
+from steerd.sysid.paper.search_history import PAPER_CAR_DIRECT
 from steerd.sysid.paper.torch_functions import Marching, simulate
 
 Array = NDArray[np.float64]

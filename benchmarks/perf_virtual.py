@@ -15,8 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from timing import python_unit, timed
-
+from benchmarks.timing import python_unit, timed
 from steerd.daemon.assembly.build import RunPlan, make_plan, make_world_config
 from steerd.daemon.ipc.pipe_records import Sink
 from steerd.daemon.offline.fast import make_recording

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from timing import Timed, timed
+from benchmarks.timing import Timed, timed
 
 import numpy as np  # isort: skip
 
@@ -95,7 +95,7 @@ def bus() -> dict[str, Any]:
 
     state = make_state(0)
     data = encode(state)
-    names = [name for name in m.StateMessage.__slots__ if name != "header"]
+    names = [f.name for f in msgspec.structs.fields(m.StateMessage) if f.name != "header"]
     numbers = {name: getattr(state, name) for name in names}
     packed = msgspec.msgpack.encode(numbers)
     return compared(

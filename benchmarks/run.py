@@ -1,6 +1,6 @@
 """`make bench`: every measurement, one after the other, then docs/results/performance.md.
 
-    python benchmarks/run.py [--only NAME ...] [--render]
+    python -m benchmarks.run [--only NAME ...] [--render]
 
 Each piece is a process of its own that prints JSON; what it said is kept in
 docs/results/performance.json, so that a piece can be measured again alone (`--only`) and the page
@@ -18,26 +18,25 @@ import time
 from pathlib import Path
 from typing import Any
 
-from page import render
+from benchmarks.page import render
 
-HERE = Path(__file__).parent
-ROOT = HERE.parent
+ROOT = Path(__file__).parents[1]
 DATA, PAGE, FIGURE = (
     ROOT / "docs" / "results" / name
     for name in ("performance.json", "performance.md", "performance-growth.svg")
 )
 PIECES: dict[str, tuple[str, ...]] = {
-    "simulation": ("perf_simulation.py", "--figure", str(FIGURE)),
-    "identify": ("perf_identify.py",),
-    "diagnosis": ("perf_diagnosis.py",),
-    "control_path": ("control_path.py", "--seconds", "6"),
-    "control_floor": ("control_floor.py",),
-    "virtual": ("perf_virtual.py",),
-    "ratio": ("perf_ratio.py",),
-    "wire": ("perf_wire.py",),
-    "startup": ("perf_startup.py",),
-    "batch": ("perf_batch.py",),
-    "hours": ("perf_hours.py",),
+    "simulation": ("perf_simulation", "--figure", str(FIGURE)),
+    "identify": ("perf_identify",),
+    "diagnosis": ("perf_diagnosis",),
+    "control_path": ("control_path", "--seconds", "6"),
+    "control_floor": ("control_floor",),
+    "virtual": ("perf_virtual",),
+    "ratio": ("perf_ratio",),
+    "wire": ("perf_wire",),
+    "startup": ("perf_startup",),
+    "batch": ("perf_batch",),
+    "hours": ("perf_hours",),
 }
 
 
@@ -57,18 +56,18 @@ def describe_machine() -> dict[str, Any]:
 
 def measure(name: str) -> dict[str, Any]:
     """Run a piece; its last lines of JSON, or why there are none."""
-    script, *rest = PIECES[name]
+    module, *rest = PIECES[name]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     began = time.perf_counter()
     done = subprocess.run(
-        [sys.executable, str(HERE / script), *rest],
+        [sys.executable, "-m", f"benchmarks.{module}", *rest],
         stdout=subprocess.PIPE, cwd=ROOT, env=environment, text=True, check=False,
     )  # fmt: skip
     took = round(time.perf_counter() - began, 1)
     said = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
     print(f"{name}: {took} s", file=sys.stderr)
     if done.returncode or not said:
-        return {"failed": f"{script} ended with code {done.returncode}", "took_s": took}
+        return {"failed": f"benchmarks.{module} ended with code {done.returncode}", "took_s": took}
     return {"said": said if len(said) > 1 else said[0], "took_s": took}
 
 

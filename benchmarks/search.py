@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from joblib import Parallel, delayed
 
-from steerd.car_model.effect import Role
+from steerd.car_model.effect import EffectParameter, Role
 from steerd.car_model.effects import EFFECTS
 from steerd.sysid.inference.augmented_car import make_augmented_car
 from steerd.sysid.inference.hypotheses import explain
@@ -41,6 +41,11 @@ SPREADS = 2.5
 """Prior standard deviations over which random starts are drawn, each way."""
 
 
+def ordinary(p: EffectParameter) -> float:
+    """An ordinary severity: the middle of what a scan tries, or one scale off the null."""
+    return p.scan[len(p.scan) // 2] if p.scan else min(p.null + p.scale, 0.5 * (p.null + p.high))
+
+
 @dataclass(frozen=True)
 class Case:
     """An effect at a size [least sizes], and a seed of drives and base."""
@@ -54,7 +59,7 @@ class Case:
         """Of the effect: its first size by the least one, or by its own scan where any counts."""
         effect = EFFECTS[self.effect]
         place = next(i for i, p in enumerate(effect.parameters) if p.role is Role.SIZE)
-        moved, values = effect.parameters[place], [p.typical for p in effect.parameters]
+        moved, values = effect.parameters[place], [ordinary(p) for p in effect.parameters]
         if effect.least_size:
             away = self.size * effect.least_size
             away = away if moved.null + away <= moved.high else -away

@@ -124,8 +124,8 @@ def judge_drive(path: str, speed: float, after_s: float, drawn: int = DRAWN) -> 
     base = start(path, speed, after_s)
     plain = make_world_config(base.plan)
     family = [
-        World(replace(plain, car=member, keep_bytes=False))
-        for member in make_family(plain.car, drawn)
+        World(replace(plain, model=plain.model._replace(car=member), keep_bytes=False))
+        for member in make_family(plain.model.car, drawn)
     ]
     for world in family:
         for _ in feed(world, base, 0):

@@ -1,8 +1,8 @@
 """Soak: hours of real-time driving over the pty, and whether anything grows.
 
-    python benchmarks/soak.py --minutes 20
-    python benchmarks/soak.py --minutes 60 --log soak.jsonl
-    python benchmarks/soak.py --minutes 120 --fuzz
+    python -m benchmarks.soak --minutes 20
+    python -m benchmarks.soak --minutes 60 --log soak.jsonl
+    python -m benchmarks.soak --minutes 120 --fuzz
 
 Simulated hardware at 200 Hz with recorder, gateway and view, as `steerd run --sim --view`. Every
 five seconds: descriptors, threads, resident memory of each process, bytes that wait in its pipes

@@ -1,7 +1,7 @@
 """Two processes beside a soak: one that sends nonsense everywhere, one that stops the car for real.
 
-    python benchmarks/soak_strangers.py fuzz ENDPOINT PAGE VIEW SECONDS SEED
-    python benchmarks/soak_strangers.py stops ENDPOINT PAGE SECONDS EVERY
+    python -m benchmarks.soak_strangers fuzz ENDPOINT PAGE VIEW SECONDS SEED
+    python -m benchmarks.soak_strangers stops ENDPOINT PAGE SECONDS EVERY
 
 `soak.py --fuzz` starts both. The first sends 1000 messages a second under every key of the car, to
 the page and to the viewer, whose secrets it knows. What would be a stop by right is left out:
@@ -50,8 +50,8 @@ def make_nonsense(chance: np.random.Generator) -> bytes:
     data = chance.bytes(int(chance.integers(200)))
     if chance.random() < 0.3:
         kind = int(chance.choice(HARMLESS))
-        ids = (int(n) for n in chance.integers(1 << 62, size=2))
-        request = OperatorRequest(make_header(0, BODY), *ids, 1, kind, "nobody")
+        boot, lease = (int(n) for n in chance.integers(1 << 62, size=2))
+        request = OperatorRequest(make_header(0, BODY), boot, lease, 1, kind, "nobody")
         spoilt = bytearray(encode(request))
         spoilt[int(chance.integers(len(spoilt)))] = int(chance.integers(256))
         data = bytes(spoilt)

@@ -1,6 +1,6 @@
 """From the death of a control core to the first brake byte on a pty, and from its freezing.
 
-    python benchmarks/stop_latency.py --trials 200 --log stop.jsonl
+    python -m benchmarks.stop_latency --trials 200 --log stop.jsonl
 
 A real guardian over a pty. The core is a process with all of steerd's imports, locked memory and,
 where allowed, SCHED_FIFO; it writes a drive frame every 10 ms until it is killed (SIGKILL) or

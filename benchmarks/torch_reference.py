@@ -13,7 +13,7 @@ from steerd.car_model.effect import Effect
 from steerd.car_model.model import Model, Moment, delays, memory_size
 from steerd.car_model.ops import Ops
 from steerd.car_model.params import Car
-from steerd.car_model.rollout import Integrator, channel_delayed, euler, rk4, step
+from steerd.car_model.rollout import Integrator, arriving, euler, rk4, step
 from steerd.car_model.state import Command, State
 
 Tensor = torch.Tensor
@@ -105,14 +105,11 @@ def simulate_reference(
     """
     model = tensor_model(effects, parameters)
     late = delays(model)
-    steer, speed = list(commands[..., 0].unbind(1)), list(commands[..., 1].unbind(1))
+    orders = [Command(*order.unbind(-1)) for order in commands.unbind(1)]
     moment = _first_moment(first, memory_size(tuple(effects)))
     path = [torch.stack([*moment.state, *moment.memory], dim=-1)]
-    for k in range(len(steer) - history):
-        command = Command(
-            channel_delayed(steer, history + k, late.steer, h),
-            channel_delayed(speed, history + k, late.drive, h),
-        )
+    for k in range(len(orders) - history):
+        command = arriving(orders, history + k, late, h)
         moment = step(TORCH, model, moment, command, t + k * h, h, INTEGRATORS[integrator])
         path.append(torch.stack([*moment.state, *moment.memory], dim=-1))
     return torch.stack(path, dim=1)

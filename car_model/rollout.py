@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 
-from steerd.car_model.actuators import actuate
+from steerd.car_model.actuators import actuate, actuate_arriving
 from steerd.car_model.chassis import SPEED_KINEMATIC, Rates
 from steerd.car_model.model import (
     Model,
@@ -19,7 +19,7 @@ from steerd.car_model.model import (
 )
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import GRAVITY, Car
-from steerd.car_model.state import Command, State
+from steerd.car_model.state import Arriving, Command, Delays, State
 
 RatesAt = Callable[[State[T], float], Rates[T]]
 """Rates for a state at a fraction (0..1) of the step."""
@@ -57,15 +57,19 @@ def step(
     ops: Ops[T],
     model: Model[T],
     moment: Moment[T],
-    command: Command[T],
+    command: Command[T] | Arriving[T],
     t: float,
     h: float,
     integrate: Integrator[T] = rk4,
 ) -> Moment[T]:
     """One step of `h` seconds, `t` seconds into the run, under an already delayed command."""
     car = car_now(ops, model, moment.state, t)
-    ref = aim(ops, model, car, command, t)
-    out = actuate(ops, car, moment.state, ref, h)
+    if isinstance(command, Arriving):
+        newer, older = (aim(ops, model, car, each, t) for each in command[:2])
+        refs = Arriving(newer, older, command.share)
+        out = actuate_arriving(ops, car, moment.state, refs, h)
+    else:
+        out = actuate(ops, car, moment.state, aim(ops, model, car, command, t), h)
     return glide(ops, model, moment, out.steer, out.accel, t, h, integrate)
 
 
@@ -125,21 +129,19 @@ def _plain(value: T) -> float:
     return float(value.detach() if hasattr(value, "detach") else value)  # type: ignore[arg-type]
 
 
-def channel_delayed(values: Sequence[T], k: int, delay: T, h: float) -> T:
-    """Mean of a held signal over grid step `k` when it arrives `delay` seconds late.
+def arriving(commands: Sequence[Command[T]], k: int, late: Delays[T], h: float) -> Arriving[T]:
+    """The commands of grid step `k`, each channel late by its dead time.
 
-    `values[i]` is held over step `i` (zero-order hold); before the first the first holds, after the
-    last (a fit may try a negative delay) the last. The mean over a step is linear in the delay, so
-    its gradient is exact.
+    `commands[i]` is held over step `i` (zero-order hold); before the first the first holds, after
+    the last (a fit may try a negative delay) the last.
     """
-    steps = delay / h
-    whole = math.floor(_plain(steps))
-    part = steps - whole
-    last = len(values) - 1
-    newer = values[min(max(k - whole, 0), last)]
-    older = values[min(max(k - whole - 1, 0), last)]
-    mixed: T = newer + part * (older - newer)
-    return mixed
+    last, found = len(commands) - 1, []
+    for c in range(2):
+        steps = late[c] / h
+        whole = math.floor(_plain(steps))
+        newer, older = (commands[min(max(k - n, 0), last)][c] for n in (whole, whole + 1))
+        found.append((newer, older, steps - whole))
+    return Arriving(*(Command(*each) for each in zip(*found, strict=True)))
 
 
 def simulate(
@@ -152,11 +154,8 @@ def simulate(
 ) -> list[Moment[T]]:
     """The whole run on a grid of `h` seconds: `len(commands) + 1` moments, `first` included."""
     late = delays(model)
-    steer, speed = [c.steer for c in commands], [c.speed for c in commands]
     run = [first]
     for k in range(len(commands)):
-        command = Command(
-            channel_delayed(steer, k, late.steer, h), channel_delayed(speed, k, late.drive, h)
-        )
+        command = arriving(commands, k, late, h)
         run.append(step(ops, model, run[-1], command, k * h, h, integrate))
     return run

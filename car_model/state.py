@@ -28,6 +28,14 @@ class Command(NamedTuple, Generic[T]):
     speed: T  # speed asked for [m/s], as wheel speed with the nominal gain
 
 
+class Arriving(NamedTuple, Generic[T]):
+    """The commands of a step within which one arrives."""
+
+    newer: Command[T]
+    older: Command[T]  # still holds for a share of the step, from 0 to 1, by channel
+    share: Command[T]
+
+
 class Observation(NamedTuple, Generic[T]):
     """What the instruments would read without noise."""
 

@@ -76,11 +76,11 @@ INLINE int64_t newer(const integration_t *m, const stream_t *s, int64_t k, int c
 INLINE int64_t older(const integration_t *m, const stream_t *s, int64_t k, int c) {
     return 2 * (divide(k - s->whole[c] - 1, m->substeps) - s->first) + c;
 }
-INLINE void delayed(const integration_t *m, const stream_t *s, int64_t k, vec *to, vec *gap) {
+INLINE void delayed(const integration_t *m, const stream_t *s, int64_t k, vec *in) {
     for (int c = 0; c < 2; c++) {
-        vec now = s->rows[newer(m, s, k, c)], before = s->rows[older(m, s, k, c)];
-        gap[c] = before - now;
-        to[c] = now + s->part[c] * gap[c];
+        in[car_ACTUATORS_COMMAND + c] = s->rows[newer(m, s, k, c)];
+        in[car_ACTUATORS_OLDER + c] = s->rows[older(m, s, k, c)];
+        in[car_ACTUATORS_SHARE + c] = all(s->part[c]);
     }
 }
 
@@ -90,7 +90,6 @@ typedef struct {
     vec in[car_ACTUATORS_INPUTS], out[car_ACTUATORS_OUTPUTS];
     vec rates_in[car_RATES_INPUTS], slope[car_CHASSIS];
     vec remember_in[car_REMEMBER_INPUTS], remember_out[M];
-    vec gap[2];
     vec *actuators_j, *rates_j, *remember_j, *observe_j; /* derivatives, of each stage */
     const uint8_t *moved;                               /* none: no derivatives */
 } step_t;
@@ -176,7 +175,7 @@ void EXPORT(march)(const integration_t *m, const block_t *b, int64_t steps, int6
     vec now[N], t = load(b->t);
     for (int i = 0; i < N; i++) now[i] = load(path + i * slots);
     for (int64_t k = 0; k < steps; k++) {
-        delayed(m, &stream, k, s.in + car_ACTUATORS_COMMAND, s.gap);
+        delayed(m, &stream, k, s.in);
         actuate(m, &s, now, t, k);
         march_step(m, &s, now);
         remember(m, &s, now);
@@ -217,7 +216,7 @@ void EXPORT(march_back)(const integration_t *m, const block_t *b, int64_t steps,
     add_loss(loss, steps, bar);
     for (int64_t k = steps - 1; k >= 0; k--) {
         for (int i = 0; i < N; i++) now[i] = load(path + (k * N + i) * slots);
-        delayed(m, &stream, k, s.in + car_ACTUATORS_COMMAND, s.gap);
+        delayed(m, &stream, k, s.in);
         actuate(m, &s, now, t, k);
         march_step(m, &s, after);
         remember(m, &s, after);
@@ -256,11 +255,10 @@ void EXPORT(march_back)(const integration_t *m, const block_t *b, int64_t steps,
         for (int i = 0; i < N; i++) bar[i] = y[i] + start[i];
         add_loss(loss, k, bar);
         for (int c = 0; c < 2; c++) {
-            vec through = y[car_ACTUATORS_COMMAND + c];
-            by_delay[c] += through * s.gap[c];
+            by_delay[c] += y[car_ACTUATORS_SHARE + c];
             if (commands) {
-                returned[newer(m, &stream, k, c)] += (1.0 - stream.part[c]) * through;
-                returned[older(m, &stream, k, c)] += stream.part[c] * through;
+                returned[newer(m, &stream, k, c)] += y[car_ACTUATORS_COMMAND + c];
+                returned[older(m, &stream, k, c)] += y[car_ACTUATORS_OLDER + c];
             }
         }
     }
@@ -338,7 +336,8 @@ typedef struct {
 INLINE void push_actuators(const directions_t *d, const scatters_t *by, const step_t *s, int64_t i,
                            const vec *dx, vec *in, vec *out) {
     for (int row = 0; row < N; row++) in[row] = dx[row];
-    for (int c = 0; c < 2; c++) in[car_ACTUATORS_COMMAND + c] = s->gap[c] * d->delays[c * d->n + i];
+    for (int row = N; row < car_ACTUATORS_INPUTS; row++) in[row] = all(0.0);
+    for (int c = 0; c < 2; c++) in[car_ACTUATORS_SHARE + c] = all(d->delays[c * d->n + i]);
     for (int row = 0; row < car_ACTUATORS_OUTPUTS; row++) out[row] = all(0.0);
     scatter(&by->actuators, i, s->actuators_j, out);
     car_actuators_push(s->actuators_j, in, out);
@@ -394,16 +393,16 @@ static void settle(const integration_t *m, const block_t *b, const directions_t 
     for (int slot = 0; slot < SLOTS; slot++) settling[slot] = b->spans[5 * slot + 4];
     for (int64_t k = -longest; k < 0; k++) {
         bits begin = settling == -k, keep = settling >= -k;
-        vec *command = s->in + car_ACTUATORS_COMMAND;
-        delayed(m, stream, k, command, s->gap);
-        now[STEER] = pick(begin, command[0], now[STEER]);
+        delayed(m, stream, k, s->in);
+        vec newer = s->in[car_ACTUATORS_COMMAND], gap = s->in[car_ACTUATORS_OLDER] - newer;
+        now[STEER] = pick(begin, newer + stream->part[0] * gap, now[STEER]);
         actuate(m, s, now, t, k);
         now[STEER] = pick(keep, s->out[car_STEER_END], now[STEER]);
         for (int i = 0; i < MEMORY; i++)
             now[STATES + i] = pick(keep, s->out[car_MEMORY_END + i], now[STATES + i]);
         for (int64_t i = 0; i < d->n; i++, dx += N) {
             vec in[car_ACTUATORS_INPUTS], out[car_ACTUATORS_OUTPUTS];
-            dx[STEER] = pick(begin, s->gap[0] * d->delays[i], dx[STEER]);
+            dx[STEER] = pick(begin, gap * d->delays[i], dx[STEER]);
             push_actuators(d, by, s, i, dx, in, out);
             dx[STEER] = pick(keep, out[car_STEER_END], dx[STEER]);
             for (int row = 0; row < MEMORY; row++)
@@ -515,7 +514,7 @@ void EXPORT(readings)(const integration_t *m, const block_t *b, const directions
     settle(m, b, d, &by, &stream, longest, &s, now, dx);
     for (int64_t i = 0; i < d->n; i++) dx[i * N + STEER] += d->first[STEER * d->n + i];
     for (int64_t k = 0; k < steps; k++) {
-        delayed(m, &stream, k, s.in + car_ACTUATORS_COMMAND, s.gap);
+        delayed(m, &stream, k, s.in);
         actuate(m, &s, now, t, k);
         march_step(m, &s, after);
         remember(m, &s, after);
@@ -560,7 +559,12 @@ int64_t EXPORT(constant_count)(void) { return car_CONSTANTS; }
 /* Every slot is the car. in: (N + 3,) state and memory, two numbers, time into the run. */
 INLINE void take(step_t *s, const double *in) {
     s->moved = 0;
-    for (int i = 0; i < car_ACTUATORS_INPUTS; i++) s->in[i] = all(in[i]);
+    for (int i = 0; i < N; i++) s->in[i] = all(in[i]);
+    for (int c = 0; c < 2; c++) {
+        s->in[car_ACTUATORS_COMMAND + c] = s->in[car_ACTUATORS_OLDER + c] = all(in[N + c]);
+        s->in[car_ACTUATORS_SHARE + c] = all(0.0);
+    }
+    s->in[car_ACTUATORS_TIME] = all(in[N + 2]);
 }
 
 INLINE void move(const integration_t *m, step_t *s, double *out) {

@@ -243,7 +243,8 @@ def row_layout(traced: Traced) -> dict[str, int]:
     A workspace holds its inputs in the order in which `trace` lists them, then its outputs. The
     names are printed into every compiled module, so that no loop counts states itself.
 
-    Actuators: state, memory, command, time -> wheel at start and end, steer, accel, memory.
+    Actuators: state, memory, commands (newer, older, share of the older), time -> wheel at start
+    and end, steer, accel, memory.
     Rates: chassis, wheel, accel, memory, time -> rates of the chassis.
     Remember: state before, state after, memory, time -> memory.
     Observe: state -> readings.
@@ -259,7 +260,9 @@ def row_layout(traced: Traced) -> dict[str, int]:
         "YAW_RATE": State._fields.index("yaw_rate"),
         "MEMORY": memory,
         "ACTUATORS_COMMAND": states + memory,
-        "ACTUATORS_TIME": states + memory + 2,
+        "ACTUATORS_OLDER": states + memory + 2,
+        "ACTUATORS_SHARE": states + memory + 4,
+        "ACTUATORS_TIME": states + memory + 6,
         "ACTUATORS_INPUTS": len(traced.actuators.inputs),
         "ACTUATORS_OUTPUTS": len(traced.actuators.outputs),
         "WHEEL_START": 0,

@@ -4,9 +4,10 @@
 memory, observation. No equation is written twice: the traced code also moves the simulated car.
 """
 
+from itertools import chain
 from typing import Any, NamedTuple
 
-from steerd.car_model.actuators import actuate
+from steerd.car_model.actuators import actuate_arriving
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect
 from steerd.car_model.model import (
@@ -23,7 +24,7 @@ from steerd.car_model.model import (
 )
 from steerd.car_model.params import Car
 from steerd.car_model.single_track import SINGLE_TRACK
-from steerd.car_model.state import Command, State
+from steerd.car_model.state import Arriving, Command, State
 from steerd.car_model.tape import TAPE, Node, Tape
 
 CHASSIS: tuple[str, ...] = State._fields[: State._fields.index("steer")]
@@ -43,7 +44,7 @@ class Traced(NamedTuple):
     parameters: tuple[str, ...]  # names, car fields first, then `effect.parameter`
     symbols: tuple[Node, ...]  # a symbol for each parameter
     memory: int  # how many numbers the effects remember
-    # (states, memory, command, time) -> wheel at start and end, steer at end, accel, memory
+    # (states, memory, commands, time) -> wheel at start and end, steer at end, accel, memory
     actuators: Piece
     rates: Piece  # (chassis states, wheel, accel, memory, time) -> rates of the chassis states
     linkage: Piece  # (steer at start and end, memory) -> wheel at start and end, memory
@@ -77,14 +78,17 @@ class _Symbols(NamedTuple):
 
 
 def _trace_actuators(s: _Symbols) -> Piece:
-    command = Command(*_inputs(s.tape, "cmd_steer", "cmd_speed"))
+    commands = [
+        Command(*_inputs(s.tape, f"{name}_steer", f"{name}_speed"))
+        for name in ("newer", "older", "share")
+    ]
     car = car_now(TAPE, s.model, s.state, s.t)
-    ref = aim(TAPE, s.model, car, command, s.t)
-    out = actuate(TAPE, car, s.state, ref, s.h)
+    newer, older = (aim(TAPE, s.model, car, command, s.t) for command in commands[:2])
+    out = actuate_arriving(TAPE, car, s.state, Arriving(newer, older, commands[2]), s.h)
     wheel_start, linked = link(TAPE, s.model, s.memory, s.state.steer)
     wheel_end, linked = link(TAPE, s.model, linked, out.steer)
     return Piece(
-        (*s.state, *s.memory, *command, s.t),
+        (*s.state, *s.memory, *chain.from_iterable(commands), s.t),
         (wheel_start, wheel_end, out.steer, out.accel, *linked),
     )
 

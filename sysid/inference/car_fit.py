@@ -24,7 +24,7 @@ from steerd.sysid.data.segments import thinned
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import AugmentedCar, excess_by_regime, make_augmented_car
-from steerd.sysid.inference.hypotheses import begin, explain
+from steerd.sysid.inference.hypotheses import explain
 from steerd.sysid.inference.library import Library
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import (
@@ -37,7 +37,7 @@ from steerd.sysid.inference.noise import (
 )
 from steerd.sysid.inference.predictor import Predictor, open_predictor
 from steerd.sysid.inference.residuals import robust_mean
-from steerd.sysid.inference.search import Point, minimise, stand, with_size
+from steerd.sysid.inference.search import Point, minimise, open_point, stand, with_size
 from steerd.sysid.inference.space import (
     informative_effects,
     make_space,
@@ -143,10 +143,10 @@ def fit_car_with_limits(
         and not (e.same_as and set(e.same_as) <= set(taught.nuisance))
         and e.selectable_in_base is not BaseSelection.NEVER
     )
-    found = explain(Library(taught.likelihood, taught.nuisance, effects, known=False), c.BUILT_IN)
+    library = Library(taught.likelihood, taught.nuisance, effects, known=False)
+    found = explain(library, c.BUILT_IN, known=taught.point)
     if not found.best.effects:
-        better = found.best.point
-        return replace(taught, point=better) if better.cost < taught.point.cost else taught
+        return replace(taught, point=found.best.point)
     gain = found.best.posterior.evidence - found.null.posterior.evidence
     steps = tuple(Step(name, gain) for name in found.best.effects)
     return replace(_with_effects(taught, found.best.point, runs), selected=steps)
@@ -209,9 +209,10 @@ def _first(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated) ->
 def _begin(
     predictor: Predictor, nuisance: tuple[str, ...], x: Array, noise: Noise
 ) -> tuple[Likelihood, Point]:
-    """Windows under a noise, and the base at its prior."""
+    """Windows under a noise, and the base where its search begins."""
     likelihood = make_likelihood(predictor, predictor.augmented.base, x, noise)
-    return likelihood, begin(Library(likelihood, nuisance, (), known=False), (), (), x)
+    space = make_space(predictor.augmented, nuisance)
+    return likelihood, open_point(likelihood, space, space.inside, x)
 
 
 def _bounded(point: Point) -> float:

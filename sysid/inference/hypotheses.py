@@ -201,7 +201,10 @@ class _Search:
 
 
 def explain(
-    library: Library, most: int = 2, progress: Callable[[float], None] = lambda share: None
+    library: Library,
+    most: int = 2,
+    progress: Callable[[float], None] = lambda share: None,
+    known: Point | None = None,
 ) -> Findings:
     """The hypotheses of a case.
 
@@ -209,11 +212,13 @@ def explain(
         library: what may be a hypothesis.
         most: causes at most.
         progress: called with the share done.
+        known: an optimum of the base alone, if one was found before.
 
     Raises:
         FloatingPointError: the base car's simulation diverges.
     """
     search = _Search(library)
+    search.keep(known)
     start = begin(library, (), (), library.likelihood.predictor.guess.copy())
     search.grow(start, c.FITTED, further=False)
     best = search.hypotheses()[0]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated, Weighed
-from steerd.sysid.inference.predictor import Linear, Predictor
+from steerd.sysid.inference.predictor import Linear
 from steerd.sysid.inference.space import Space
 from steerd.sysid.inference.starts import OWED, settle_starts
 
@@ -75,11 +75,10 @@ class Point:
 
 
 def derive(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Linear:
-    """Errors and derivatives, those of dead times and limits as secants.
+    """Errors and derivatives, those of limits as secants.
 
-    A servo at its slew limit starts on the step in which a command arrives, whatever the fraction;
-    a limit acts only where something meets it. The likelihood has kinks in both, and a slope
-    between two of them leads nowhere.
+    A limit acts only where something meets it. The likelihood has kinks there, and a slope between
+    two of them leads nowhere.
 
     Raises:
         FloatingPointError: the simulation diverges there.
@@ -89,37 +88,15 @@ def derive(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Linear:
     if not linear.finite:
         raise FloatingPointError("the simulation diverges")
     for i, name in enumerate(space.chart.free):
-        step = _secant(name, predictor.layout.h / predictor.substeps)
-        if step == 0.0:
+        step = _LIMITS.get(name, 0.0)
+        end = z[i] + step if z[i] + step <= space.high[i] else z[i] - step
+        if step == 0.0 or not space.low[i] <= end:
             continue
-        low, high = (float(np.clip(z[i] + s, space.low[i], space.high[i])) for s in (-step, step))
-        if name in _LIMITS:  # one side is enough where nothing jumps
-            low, high = (z[i], high) if high > z[i] else (low, z[i])
-        ends = low, high
-        if high <= low:
-            continue
-        error = [
-            linear.error if end == z[i] else _error(predictor, space, z, x, i, end) for end in ends
-        ]
-        linear.by_z[:, :, i] = (error[0] - error[1]) / (ends[1] - ends[0])
+        moved = z.copy()
+        moved[i] = end
+        error, _ = predictor.errors(space.chart.parameters(moved), x)
+        linear.by_z[:, :, i] = (linear.error - error) / (end - z[i])
     return linear
-
-
-def _error(
-    predictor: Predictor, space: Space, z: Array, x: Array, place: int, value: float
-) -> Array:
-    """(W, D) errors with one coordinate elsewhere."""
-    moved = z.copy()
-    moved[place] = value
-    return predictor.errors(space.chart.parameters(moved), x)[0]
-
-
-def _secant(name: str, grid: float) -> float:
-    """Step over which a coordinate is differenced; 0 where its derivative serves."""
-    own = name.rpartition(".")[2]
-    if own == "delay" or name in ("steer_delay", "drive_delay"):
-        return grid
-    return _LIMITS.get(name, 0.0)
 
 
 def stand(likelihood: Likelihood, space: Space, z: Array, x: Array, size: float) -> Point:

@@ -77,6 +77,15 @@ class Space:
         """(n,) prior standard deviations."""
         return np.sqrt(np.diag(self.covariance))
 
+    @property
+    def inside(self) -> Array:
+        """(n,) the prior's centre, half a deviation off the bounds where it lies at one.
+
+        What an effect does may begin with its square: at the bound no slope leads away from it.
+        """
+        room = np.minimum(0.5 * self.spread, 0.5 * (self.high - self.low))
+        return np.clip(self.centre, self.low + room, self.high - room)
+
     def prior_cost(self, z: Array) -> float:
         """Negative log of the prior's density, but for a constant [nats]."""
         away = z - self.centre

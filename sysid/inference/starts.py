@@ -15,10 +15,10 @@ Array = NDArray[np.float64]
 
 OWED = 0.05
 """A start whose next step promises no more off the window's square is at its best."""
-_ROUNDS = 12
+_ROUNDS = 20
 _FEWER = 0.7
 """Windows that still move are taken out where they are a smaller share."""
-_DAMPING, _EASIER, _HARDER, _STUCK = 1e-3, 0.1, 10.0, 10.0
+_DAMPING, _EASIER, _HARDER, _STUCK = 1e-3, 0.1, 10.0, 1e5
 """Damping at first, factors after a better and a worse step, and where no step is better."""
 
 

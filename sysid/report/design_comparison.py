@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steerd.car_model.model import Model, Moment
+from steerd.car_model.model import Model, Moment, delays
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import Car
 from steerd.car_model.path.path_spec import make_figure_eight
-from steerd.car_model.rollout import channel_delayed, step
+from steerd.car_model.rollout import arriving, step
 from steerd.car_model.state import ORIGIN, Command
 from steerd.controller.build import make_controller
 from steerd.controller.config import ControllerConfig
@@ -57,18 +57,14 @@ def drive_lane(controller: LaneController, plant: Car[float]) -> Array:
     model: Model[float] = Model(plant)
     moment = Moment(ORIGIN._replace(y=OFFSET, speed=1.0))
     now = start_controller(controller, moment.state, 0)
-    steer, speed, rows = [0.0], [1.0], []
+    commands, late, rows = [Command(0.0, 1.0)], delays(model), []
     for k in range(round(SECONDS / STEP)):
         t_ns = round(k * STEP * 1e9)
         command, report, now = control(controller, now, moment.state, t_ns)
-        steer.append(command.steer)
-        speed.append(command.speed)
+        commands.append(command)
         rows.append((k * STEP, report.e1, report.e2))
-        late = Command(
-            channel_delayed(steer, k + 1, plant.steer_delay, STEP),
-            channel_delayed(speed, k + 1, plant.drive_delay, STEP),
-        )
-        moment = step(FLOAT, model, moment, late, k * STEP, STEP)
+        taken = arriving(commands, k + 1, late, STEP)
+        moment = step(FLOAT, model, moment, taken, k * STEP, STEP)
         if not abs(report.e1) < OFFSET_MAX:
             break
     return np.array(rows)

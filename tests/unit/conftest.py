@@ -11,7 +11,7 @@ from steerd.car_model.effects import parse_effects
 from steerd.car_model.model import Model, delays, observe
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.car_model.rollout import channel_delayed, start, step
+from steerd.car_model.rollout import arriving, start, step
 from steerd.car_model.state import Command, State
 from steerd.sysid.data.dataset import Run, Signal, make_run
 
@@ -42,15 +42,15 @@ def _drive(text: str, seconds: float, rng: np.random.Generator, name: str, wheel
     steer, speed = _orders(ticks, rng)
     x, y, yaw = rng.uniform(-1.0, 1.0, 3)
     moment = start(model, State(x, y, yaw, speed[0], 0.0, 0.0, 0.0), 0.0)
+    orders = [
+        Command(*order) for order in np.repeat(np.column_stack([steer, speed]), 2, axis=0).tolist()
+    ]
     push, keep, seen = np.zeros(3), np.exp(-H / 0.08), []
     for k in range(ticks):
-        command = Command(
-            channel_delayed(steer, k, late.steer, H), channel_delayed(speed, k, late.drive, H)
-        )
         seen.append(observe(FLOAT, model, moment.state)[:4])
-        for half in (0.0, 0.5):
-            t = max(k + half - LEAD, 0) * H
-            moment = step(FLOAT, model, moment, command, t, H / 2)
+        for half in (2 * k, 2 * k + 1):
+            t = max(half / 2 - LEAD, 0) * H
+            moment = step(FLOAT, model, moment, arriving(orders, half, late, H / 2), t, H / 2)
         push = keep * push + np.sqrt(1 - keep**2) * rng.standard_normal(3) * PUSHES
         s = moment.state
         moment = moment._replace(

@@ -125,6 +125,6 @@ def rich_model() -> Model[float]:
     settings = parse_effects(
         "grip_drift=0.5,mocap_latency=0.0021,steer_backlash=0.02,steer_delay=0.011,tyre_relaxation=0.07"
     )
-    car = DEFAULT_CAR._replace(steer_delay=0.013, drive_delay=0.004, pose_delay=0.0033)
+    car = DEFAULT_CAR._replace(steer_delay=0.0128, drive_delay=0.004, pose_delay=0.0033)
     effects: Any = tuple(effect for effect, _ in settings)
     return Model(car, effects, tuple(values for _, values in settings))

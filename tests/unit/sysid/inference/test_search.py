@@ -102,20 +102,30 @@ def test_a_step_of_newton_gains_what_it_promises(likelihood, small):
     assert point.cost - after.cost == pytest.approx(promised, rel=0.3, abs=0.1)
 
 
-@pytest.mark.parametrize("name", ["steer_delay", "drive_delay", "accel_max", "steer_rate"])
-def test_dead_times_and_limits_are_differenced_over_a_step(healthy, likelihood, name):
-    """A slope between two kinks leads nowhere: the derivative is the quotient over a grid step."""
+@pytest.mark.parametrize(("name", "step"), [("accel_max", 0.3), ("steer_rate", 0.05)])
+def test_limits_are_differenced(healthy, likelihood, name, step):
+    """A slope between two kinks leads nowhere."""
     space = make_space(healthy.augmented, (name,))
-    z, guess = np.clip(space.centre + 1e-3, space.low, space.high), healthy.guess
-    grid = healthy.layout.h / healthy.substeps
-    step = {"accel_max": 0.3, "steer_rate": 0.05}.get(name, grid)
-    below = z if name in ("accel_max", "steer_rate") else z - step
-    below, above = (np.clip(v, space.low, space.high) for v in (below, z + step))
-    errors = [healthy.errors(space.chart.parameters(v), guess)[0] for v in (below, above)]
-    expected = (errors[0] - errors[1]) / (above - below)
+    z, guess = np.clip(space.centre, space.low + step, space.high - step), healthy.guess
+    errors = [healthy.errors(space.chart.parameters(v), guess)[0] for v in (z, z + step)]
     assert search.derive(likelihood, space, z, guess).by_z[:, :, 0] == pytest.approx(
-        expected, abs=1e-6
+        (errors[0] - errors[1]) / step, abs=1e-6
     )
+
+
+@pytest.mark.parametrize("name", ["steer_delay", "drive_delay"])
+def test_readings_are_smooth_in_a_dead_time(healthy, name):
+    """A servo at its slew limit turns for what is left of the step in which a command arrives."""
+    space = make_space(healthy.augmented, (name,))
+    grid, guess = healthy.layout.h / healthy.substeps, healthy.guess
+    at = grid * (np.floor(space.centre / grid) + np.linspace(1.1, 2.9, 10)[:, None])
+    slopes = np.array([healthy.linear(space, z, guess).by_z[:, :, 0] for z in at])
+    errors = np.array([healthy.errors(space.chart.parameters(z), guess)[0] for z in at])
+    gone = at[-1, 0] - at[0, 0]
+    assert gone * slopes.mean(axis=0) == pytest.approx(
+        errors[0] - errors[-1], abs=0.02 * float(np.abs(errors[0] - errors[-1]).max())
+    )
+    assert np.ptp(slopes, axis=0).max() < 0.5 * np.abs(slopes).max()
 
 
 def test_a_start_that_cannot_keep_its_promise_is_held(likelihood, small, settled_base):
