@@ -6,7 +6,7 @@ from typing import Generic, NamedTuple
 
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import Car
-from steerd.car_model.state import Arriving, Command, State
+from steerd.car_model.state import Command, State
 
 LAG_FLOOR = 1e-6
 """A lag below this is none: exp(-h / LAG_FLOOR) is zero for every step size in use [s]."""
@@ -39,20 +39,4 @@ def actuate(ops: Ops[T], car: Car[T], state: State[T], ref: Command[T], h: float
     return Actuated(
         state.steer + ops.clip(steer_move, -limit, limit),
         ops.clip(accel, -car.decel_max, car.accel_max),
-    )
-
-
-def actuate_arriving(
-    ops: Ops[T], car: Car[T], state: State[T], refs: Arriving[T], h: float
-) -> Actuated[T]:
-    """The actuators over a step within which a command arrives.
-
-    What they do is weighed, not the commands: a servo at its slew limit turns for as long as is
-    left of the step. Under a weighed command it would turn for the whole step, and where a car
-    gets to would jump with its dead time.
-    """
-    newer, older = (actuate(ops, car, state, ref, h) for ref in (refs.newer, refs.older))
-    return Actuated(
-        newer.steer + refs.share.steer * (older.steer - newer.steer),
-        newer.accel + refs.share.speed * (older.accel - newer.accel),
     )

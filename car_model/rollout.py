@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 
-from steerd.car_model.actuators import actuate, actuate_arriving
+from steerd.car_model.actuators import Actuated, actuate
 from steerd.car_model.chassis import SPEED_KINEMATIC, Rates
 from steerd.car_model.model import (
     Model,
@@ -53,6 +53,25 @@ def start(model: Model[T], state: State[T], zero: T) -> Moment[T]:
     return Moment(state, (zero,) * memory_size(model.effects))
 
 
+def move_actuators(
+    ops: Ops[T], model: Model[T], state: State[T], command: Arriving[T], t: float, h: float
+) -> Actuated[T]:
+    """The actuators over a step within which a command arrives.
+
+    What they do is weighed, not the commands: a servo at its slew limit turns for as long as is
+    left of the step. Under a weighed command it would turn for the whole step, and where a car
+    gets to would jump with its dead time.
+    """
+    car = car_now(ops, model, state, t)
+    newer, older = (
+        actuate(ops, car, state, aim(ops, model, car, each, t), h) for each in command[:2]
+    )
+    return Actuated(
+        newer.steer + command.share.steer * (older.steer - newer.steer),
+        newer.accel + command.share.speed * (older.accel - newer.accel),
+    )
+
+
 def step(
     ops: Ops[T],
     model: Model[T],
@@ -63,13 +82,10 @@ def step(
     integrate: Integrator[T] = rk4,
 ) -> Moment[T]:
     """One step of `h` seconds, `t` seconds into the run, under an already delayed command."""
-    car = car_now(ops, model, moment.state, t)
-    if isinstance(command, Arriving):
-        newer, older = (aim(ops, model, car, each, t) for each in command[:2])
-        refs = Arriving(newer, older, command.share)
-        out = actuate_arriving(ops, car, moment.state, refs, h)
-    else:
-        out = actuate(ops, car, moment.state, aim(ops, model, car, command, t), h)
+    if not isinstance(command, Arriving):  # held over the whole step
+        none = Command(0.0 * command.steer, 0.0 * command.speed)
+        command = Arriving(command, command, none)
+    out = move_actuators(ops, model, moment.state, command, t, h)
     return glide(ops, model, moment, out.steer, out.accel, t, h, integrate)
 
 
@@ -117,11 +133,6 @@ def stiffness_rate(car: Car[float], speed: float) -> float:
     yaw = car.mass * (car.lf**2 * front + car.lr**2 * rear) / (car.inertia_z * base)
     slip = (front + rear) / base
     return car.mu * (yaw + slip) / v
-
-
-def substeps(car: Car[float], speed: float, h: float) -> int:
-    """How many RK4 steps keep a step of `h` seconds stable: decay per substep at most 2."""
-    return max(1, math.ceil(h * stiffness_rate(car, speed) / 2.0))
 
 
 def _plain(value: T) -> float:

@@ -59,8 +59,8 @@ class Readings(Structure):
     """Where windows are read, and where to."""
 
     _fields_ = (
-        ("stations", c_void_p), ("shares", c_void_p), ("ranges", c_void_p), ("scale", c_void_p),
-        ("y", c_void_p), ("jy", c_void_p), ("width", c_int64), ("start_pose", c_int64),
+        ("stations", c_void_p), ("shares", c_void_p), ("ranges", c_void_p),
+        ("y", c_void_p), ("jy", c_void_p),
     )  # fmt: skip
 
 

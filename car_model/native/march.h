@@ -288,9 +288,7 @@ typedef struct {
     const int64_t *stations; /* (S, 4) step, first reading, row, 1 for a pose; by window and time */
     const double *shares;    /* (S,) of a step */
     const int64_t *ranges;   /* (SLOTS, 2) of each window */
-    const double *scale;     /* (rows,) of the derivatives */
-    double *y, *jy;          /* (rows,), (rows, width): written */
-    int64_t width, start_pose;
+    double *y, *jy;          /* (rows,), (rows, n): written */
 } readings_t;
 
 /* What parameters add to the outputs of a piece, by direction. */
@@ -416,22 +414,19 @@ static void settle(const integration_t *m, const block_t *b, const directions_t 
 /* The stations that lie within step k, one of each window at a time. */
 static void read_stations(const integration_t *m, const block_t *b, const directions_t *d,
                           const scatters_t *by, const readings_t *r, int64_t k, int64_t *station,
-                          const step_t *s, const vec *now, const vec *after, const vec *start,
-                          const vec *dx, const vec *dx_after) {
+                          const step_t *s, const vec *now, const vec *after, const vec *dx,
+                          const vec *dx_after) {
     for (;;) {
         struct { int64_t row, lane; } write[3 * SLOTS];
         int count = 0;
         vec share = all(0.0), late = all(0.0), x[STATES], move[STATES], seen[car_READINGS];
-        int64_t pose[SLOTS];
         for (int slot = 0; slot < SLOTS; slot++) {
             int64_t at = station[slot], steps = b->spans[5 * slot + 3];
             const int64_t *place = r->stations + 4 * at;
-            pose[slot] = -1;
             if (k >= steps || at >= r->ranges[2 * slot + 1] || (place[0] > k && k < steps - 1)) continue;
             station[slot]++;
             share[slot] = r->shares[at] + (double)(place[0] - k);
             late[slot] = (double)place[3];
-            if (place[3]) pose[slot] = place[2];
             for (int c = 0; c < (place[3] ? 3 : 1); c++) {
                 write[count].row = place[2] + c;
                 write[count++].lane = (place[1] + c) * SLOTS + slot;
@@ -453,23 +448,8 @@ static void read_stations(const integration_t *m, const block_t *b, const direct
             for (int row = 0; row < STATES; row++)
                 in[row] = left * here[row] + share * next[row] + drift * move[row];
             car_observe_push(s->observe_j, in, out);
-            for (int e = 0; e < count; e++) {
-                int64_t row = write[e].row;
-                r->jy[row * r->width + i] = ((const double *)out)[write[e].lane] * r->scale[row];
-            }
-        }
-        if (!r->start_pose) continue;
-        for (int e = 0; e < count; e++)
-            memset(r->jy + write[e].row * r->width + r->start_pose, 0, 3 * sizeof(double));
-        for (int slot = 0; slot < SLOTS; slot++) {
-            if (pose[slot] < 0) continue;
-            double *to = r->jy + pose[slot] * r->width + r->start_pose;
-            const double *scale = r->scale + pose[slot];
-            to[0] = scale[0];
-            to[2] = (start[1][slot] - seen[1][slot]) * scale[0];
-            to[r->width + 1] = scale[1];
-            to[r->width + 2] = (seen[0][slot] - start[0][slot]) * scale[1];
-            to[2 * r->width + 2] = scale[2];
+            for (int e = 0; e < count; e++)
+                r->jy[write[e].row * d->n + i] = ((const double *)out)[write[e].lane];
         }
     }
 }
@@ -502,12 +482,12 @@ void EXPORT(readings)(const integration_t *m, const block_t *b, const directions
     stream_t stream = make_stream(m, b, -longest, steps);
     step_t s = {.moved = d->n ? d->moved : 0};
     vec *slopes = make_slopes(&s, m->stages), *rows = new_rows(2 * N * d->n);
-    vec *dx = rows, *dx_after = rows + N * d->n, t = load(b->t), now[N], after[N], start[N];
+    vec *dx = rows, *dx_after = rows + N * d->n, t = load(b->t), now[N], after[N];
     scatters_t by = {
         make_scatter(car_actuators_by, car_actuators_BY, d), make_scatter(car_rates_by, car_rates_BY, d),
         make_scatter(car_remember_by, car_remember_BY, d), make_scatter(car_observe_by, car_observe_BY, d),
     };
-    for (int i = 0; i < N; i++) start[i] = now[i] = load(first + i * SLOTS);
+    for (int i = 0; i < N; i++) now[i] = load(first + i * SLOTS);
     for (int64_t i = 0; i < d->n; i++)
         for (int row = 0; row < N; row++)
             dx[i * N + row] = all(row < STEER ? d->first[row * d->n + i] : 0.0);
@@ -519,7 +499,7 @@ void EXPORT(readings)(const integration_t *m, const block_t *b, const directions
         march_step(m, &s, after);
         remember(m, &s, after);
         for (int64_t i = 0; i < d->n; i++) push_step(m, d, &by, &s, i, dx + i * N, dx_after + i * N);
-        read_stations(m, b, d, &by, r, k, station, &s, now, after, start, dx, dx_after);
+        read_stations(m, b, d, &by, r, k, station, &s, now, after, dx, dx_after);
         vec *swap = dx;
         dx = dx_after;
         dx_after = swap;

@@ -7,12 +7,10 @@ memory, observation. No equation is written twice: the traced code also moves th
 from itertools import chain
 from typing import Any, NamedTuple
 
-from steerd.car_model.actuators import actuate_arriving
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.effect import Effect
 from steerd.car_model.model import (
     Model,
-    aim,
     bound_hooks,
     car_now,
     delays,
@@ -23,6 +21,7 @@ from steerd.car_model.model import (
     remember,
 )
 from steerd.car_model.params import Car
+from steerd.car_model.rollout import move_actuators
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Arriving, Command, State
 from steerd.car_model.tape import TAPE, Node, Tape
@@ -82,9 +81,7 @@ def _trace_actuators(s: _Symbols) -> Piece:
         Command(*_inputs(s.tape, f"{name}_steer", f"{name}_speed"))
         for name in ("newer", "older", "share")
     ]
-    car = car_now(TAPE, s.model, s.state, s.t)
-    newer, older = (aim(TAPE, s.model, car, command, s.t) for command in commands[:2])
-    out = actuate_arriving(TAPE, car, s.state, Arriving(newer, older, commands[2]), s.h)
+    out = move_actuators(TAPE, s.model, s.state, Arriving(*commands), s.t, s.h)
     wheel_start, linked = link(TAPE, s.model, s.memory, s.state.steer)
     wheel_end, linked = link(TAPE, s.model, linked, out.steer)
     return Piece(

@@ -31,10 +31,8 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 SLOTS = 8  # windows side by side: one vector of AVX-512, two of AVX2, four of NEON
-SENSITIVITIES = 72  # most directions at once
 STATES = len(State._fields)  # numbers of a state before the effects' memory
 STEER = State._fields.index("steer")
-START_POSE = 3  # derivatives by the pose of a window's start: x, y, yaw
 CACHE_LINE = 64  # [byte]
 TABLEAUS: dict[str, Array] = {
     "euler": np.array([[0.0], [1.0]]),
@@ -387,8 +385,6 @@ def compute_readings(
     held: HeldCommands,
     windows: Windows,
     stations: Stations,
-    scale: Array | None = None,
-    start_pose: bool = False,
 ) -> tuple[Array, Array]:
     """Instrument readings and their forward sensitivities.
 
@@ -401,24 +397,14 @@ def compute_readings(
         held: the commands.
         windows: the windows.
         stations: where to read.
-        scale: (rows,) by which each row of derivatives is multiplied.
-        start_pose: whether the derivatives by position and heading of the windows' starts follow as
-            three more; right for a car without effects, which is the same everywhere.
 
     Returns:
-        Readings (rows,) and (scaled) derivatives (rows, n), three more if `start_pose`.
-
-    Raises:
-        ValueError: more directions than a kernel holds.
+        Readings (rows,) and derivatives (rows, n).
     """
     count = seeds.shape[1]
-    if count > SENSITIVITIES:
-        raise ValueError(f"{count} sensitivities; a kernel holds {SENSITIVITIES}")
-    total = count + (START_POSE if start_pose else 0)
     state = np.zeros((len(first), STATES + kernels.memory))
     state[:, :STATES] = first
-    y, jy = np.empty(stations.rows), np.empty((stations.rows, total))
-    scale = np.ones(stations.rows) if scale is None else scale
+    y, jy = np.empty(stations.rows), np.empty((stations.rows, count))
     car = _held_car(kernels, parameters, held)
     wide, start = kernels.spread(seeds), np.ascontiguousarray(dfirst)
     late = _delays(kernels, parameters)[1] @ seeds / held.fine
@@ -430,7 +416,7 @@ def compute_readings(
     rows = np.ascontiguousarray(state[blocks].transpose(0, 2, 1))
     spans, t = windows.spans[blocks], windows.t[blocks]
     read = _at(stations.places), _at(stations.shares)
-    into = _at(scale), _at(y), _at(jy), total, count if start_pose else 0
+    into = _at(y), _at(jy)
     starts = _each(rows), _each(ranges), _each(spans), _each(t)
     commands = _at(held.rows)
 

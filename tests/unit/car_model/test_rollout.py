@@ -9,15 +9,7 @@ from steerd.car_model.effects import EFFECTS, parse_effects
 from steerd.car_model.model import Model, believed_car
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car, wheelbase
-from steerd.car_model.rollout import (
-    Integrator,
-    euler,
-    rk4,
-    simulate,
-    start,
-    stiffness_rate,
-    substeps,
-)
+from steerd.car_model.rollout import Integrator, euler, rk4, simulate, start, stiffness_rate
 from steerd.car_model.state import ORIGIN, Command, State
 
 
@@ -86,11 +78,9 @@ def test_the_papers_euler_agrees_to_its_own_error() -> None:
     assert 1e-4 < worst < 5e-3
 
 
-def test_substeps_keep_a_slow_car_stable() -> None:
-    h = 0.02
-    assert substeps(DEFAULT_CAR, 0.5, h) > substeps(DEFAULT_CAR, 5.0, h) == 1
-    assert h / substeps(DEFAULT_CAR, 0.5, h) * stiffness_rate(DEFAULT_CAR, 0.5) <= 2.0
-    fine = h / substeps(DEFAULT_CAR, 0.5, h)
+def test_a_slow_car_is_stable_at_the_rate_that_is_its_bound() -> None:
+    fine = 2.0 / stiffness_rate(DEFAULT_CAR, 0.5)
+    assert fine < 0.02 < 2.0 / stiffness_rate(DEFAULT_CAR, 5.0)
     last = run(DEFAULT_CAR, ORIGIN._replace(speed=0.5), Command(0.3, 0.5), 2.0, fine)[-1]
     assert abs(last.yaw_rate) < 2.0
 
