@@ -333,7 +333,7 @@ def march_back(
     share_out(simulate_back, count, len(path))
     delays = np.array([*by_delays.sum(axis=0) / held.fine, 0.0])
     first = by_first.transpose(0, 2, 1).reshape(blocks.slots, -1)
-    total = by_parameters.sum(axis=0)[kernels.places] + delay_slopes(kernels, parameters, delays)
+    total = by_parameters.sum(axis=0)[kernels.places] + delays @ _delays(kernels, parameters)[1]
     return Slopes(total, first[: blocks.windows], by_commands.sum(axis=0))
 
 
@@ -344,12 +344,6 @@ def _flat(bars: Array) -> tuple[Array, Indices]:
     if not packed.flags.c_contiguous:
         bars = packed = np.ascontiguousarray(bars)
     return packed.reshape(-1), np.array(bars.strides) // bars.itemsize
-
-
-def delay_slopes(kernels: Kernels, parameters: Array, bars: Array) -> Array:
-    """Derivatives by the parameters, given those by the dead times (steer, drive, pose)."""
-    slopes: Array = bars @ _delays(kernels, parameters)[1]
-    return slopes
 
 
 def delays_of(kernels: Kernels, parameters: Array) -> Array:
@@ -415,8 +409,7 @@ def compute_readings(
     ranges.reshape(-1, 2)[len(first) :, 1] = 0  # copies are not read
     rows = np.ascontiguousarray(state[blocks].transpose(0, 2, 1))
     spans, t = windows.spans[blocks], windows.t[blocks]
-    read = _at(stations.places), _at(stations.shares)
-    into = _at(y), _at(jy)
+    read, into = (_at(stations.places), _at(stations.shares)), (_at(y), _at(jy))
     starts = _each(rows), _each(ranges), _each(spans), _each(t)
     commands = _at(held.rows)
 
@@ -434,8 +427,7 @@ def compute_readings(
 
 def _in_blocks(order: Indices) -> Indices:
     """(blocks, SLOTS) windows in an order that puts alike ones together, filled up with copies."""
-    filled = order[np.minimum(np.arange(_whole_rows(len(order))), len(order) - 1)]
-    return filled.reshape(-1, SLOTS)
+    return np.resize(order, _whole_rows(len(order))).reshape(-1, SLOTS)
 
 
 def _whole_rows(numbers: int) -> int:

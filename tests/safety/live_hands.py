@@ -8,11 +8,11 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from steerd.daemon.process.gamepad import ABS, AXES, BUTTONS, EVENT, KEY
 from websockets.exceptions import ConnectionClosed  # noqa: TID251
 
 from steerd.daemon.common.errors import ExitCode
 from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.process.gamepad import ABS, AXES, BUTTONS, EVENT, KEY
 from steerd.daemon.settings.run_options import ControllerKind
 from steerd.steer_bus.messages import RequestKind
 from tests.e2e.conftest import Program
