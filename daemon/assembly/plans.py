@@ -285,8 +285,8 @@ def make_open_drill(
         segments = _make_segments(name, car, limits, max(radius, smallest), speed)
         if box is None:
             return Drill(name, segments, False, None)
-        reach = forecast_extent(car, segments)  # from the middle of the box, along x
-        far_x, far_y = max(-reach.x_min, reach.x_max), max(-reach.y_min, reach.y_max)
+        extent = forecast_extent(car, segments)  # from the middle of the box, along x
+        far_x, far_y = max(-extent.x_min, extent.x_max), max(-extent.y_min, extent.y_max)
         if 2.0 * far_x <= box.x_max - box.x_min and 2.0 * far_y <= box.y_max - box.y_min:
             return Drill(name, segments, False, box)
         if radius < smallest or name == "circles":
