@@ -182,12 +182,3 @@ def test_settled_steering_is_that_of_the_readings(any_model, substeps):
     alone = [settle(kernels, p, first[[w]], held, Windows(windows.spans[[w]], windows.t[[w]]))
              for w in range(count)]  # fmt: skip
     np.testing.assert_allclose(np.concatenate(alone), begun, rtol=1e-12, atol=1e-12)
-
-
-def test_too_many_sensitivities_are_refused():
-    kernels, p = make_kernels(), parameter_vector(Model(DEFAULT_CAR))
-    stations = Stations(np.zeros((0, 4), np.int64), np.zeros(0), np.zeros(2, np.int64), 0)
-    windows = Windows(np.array([[0, 1, 0, 1, 0]]), np.zeros(1))
-    seeds, dfirst, held = np.zeros((21, 73)), np.zeros((7, 73)), HeldCommands(np.zeros((1, 2)), H)
-    with pytest.raises(ValueError, match="73 sensitivities"):
-        compute_readings(kernels, p, seeds, np.zeros((1, 7)), dfirst, held, windows, stations)
