@@ -42,9 +42,8 @@ def _drive(text: str, seconds: float, rng: np.random.Generator, name: str, wheel
     steer, speed = _orders(ticks, rng)
     x, y, yaw = rng.uniform(-1.0, 1.0, 3)
     moment = start(model, State(x, y, yaw, speed[0], 0.0, 0.0, 0.0), 0.0)
-    orders = [
-        Command(*order) for order in np.repeat(np.column_stack([steer, speed]), 2, axis=0).tolist()
-    ]
+    held = np.repeat(np.column_stack([steer, speed]), 2, axis=0).tolist()
+    orders = [Command(*order) for order in held]
     push, keep, seen = np.zeros(3), np.exp(-H / 0.08), []
     for k in range(ticks):
         seen.append(observe(FLOAT, model, moment.state)[:4])
@@ -53,13 +52,12 @@ def _drive(text: str, seconds: float, rng: np.random.Generator, name: str, wheel
             moment = step(FLOAT, model, moment, arriving(orders, half, late, H / 2), t, H / 2)
         push = keep * push + np.sqrt(1 - keep**2) * rng.standard_normal(3) * PUSHES
         s = moment.state
-        moment = moment._replace(
-            state=s._replace(
-                speed=s.speed + push[0] * H,
-                slip_angle=s.slip_angle + push[1] * H / max(s.speed, 0.3),
-                yaw_rate=s.yaw_rate + push[2] * H,
-            )
+        pushed = s._replace(
+            speed=s.speed + push[0] * H,
+            slip_angle=s.slip_angle + push[1] * H / max(s.speed, 0.3),
+            yaw_rate=s.yaw_rate + push[2] * H,
         )
+        moment = moment._replace(state=pushed)
     path, t = np.array(seen), np.arange(ticks) * H
     pose = np.column_stack([np.interp(t - late.pose, t, path[:, i]) for i in range(3)])
     pose += rng.standard_normal(pose.shape) * POSE_SD

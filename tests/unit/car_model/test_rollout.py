@@ -86,12 +86,10 @@ def test_a_slow_car_is_stable_at_the_rate_that_is_its_bound() -> None:
 
 
 def test_a_delayed_command_moves_the_wheels_late() -> None:
-    late = DEFAULT_CAR._replace(steer_delay=0.1)
-    model = Model(late)
+    model = Model(DEFAULT_CAR._replace(steer_delay=0.1))
     commands = [Command(0.0, 0.0)] + [Command(0.2, 0.0)] * 60
     moments = simulate(FLOAT, model, start(model, ORIGIN, 0.0), commands, 0.005)
-    moving = [k for k, m in enumerate(moments) if m.state.steer > 0.0]
-    assert moving[0] == 1 + 20 + 1
+    assert next(k for k, m in enumerate(moments) if m.state.steer > 0.0) == 1 + 20 + 1
 
 
 # Effects that are changes of parameters reach designs; without effects nothing changes.

@@ -11,6 +11,7 @@ from steerd.sysid.inference.library import Library
 from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.predictor import open_predictor
 from steerd.sysid.inference.space import make_space
+from steerd.sysid.inference.starts import settle_starts
 from tests.unit.sysid.inference.conftest import FEW, NOISE
 
 LATE = 0.03
@@ -108,9 +109,8 @@ def test_limits_are_differenced(healthy, likelihood, name, step):
     space = make_space(healthy.augmented, (name,))
     z, guess = np.clip(space.centre, space.low + step, space.high - step), healthy.guess
     errors = [healthy.errors(space.chart.parameters(v), guess)[0] for v in (z, z + step)]
-    assert search.derive(likelihood, space, z, guess).by_z[:, :, 0] == pytest.approx(
-        (errors[0] - errors[1]) / step, abs=1e-6
-    )
+    found = search.derive(likelihood, space, z, guess).by_z[:, :, 0]
+    assert found == pytest.approx((errors[0] - errors[1]) / step, abs=1e-6)
 
 
 @pytest.mark.parametrize("name", ["steer_delay", "drive_delay"])
@@ -121,10 +121,8 @@ def test_readings_are_smooth_in_a_dead_time(healthy, name):
     at = grid * (np.floor(space.centre / grid) + np.linspace(1.1, 2.9, 10)[:, None])
     slopes = np.array([healthy.linear(space, z, guess).by_z[:, :, 0] for z in at])
     errors = np.array([healthy.errors(space.chart.parameters(z), guess)[0] for z in at])
-    gone = at[-1, 0] - at[0, 0]
-    assert gone * slopes.mean(axis=0) == pytest.approx(
-        errors[0] - errors[-1], abs=0.02 * float(np.abs(errors[0] - errors[-1]).max())
-    )
+    moved = (errors[0] - errors[-1]) / (at[-1, 0] - at[0, 0])
+    assert np.abs(slopes.mean(axis=0) - moved).max() < 0.02 * np.abs(moved).max()
     assert np.ptp(slopes, axis=0).max() < 0.5 * np.abs(slopes).max()
 
 
@@ -147,13 +145,19 @@ def test_a_start_that_cannot_keep_its_promise_is_held(likelihood, small, settled
     assert np.all(actual <= likelihood.squares(before, x, 0.0) * (1.0 + 1e-9))
 
 
-def test_starts_that_are_far_off_come_back(likelihood, small, settled_base):
+@pytest.mark.parametrize("tyres", [{}, {"c_sf": 28.0, "c_sr": 22.0, "tyre_saturation.q": 1.5}])
+def test_starts_that_are_far_off_come_back(likelihood, small, settled_base, tyres):
     """Whichever way they are off: full steps of Newton lead away where tyres saturate."""
-    rng = np.random.default_rng(8)
-    for _ in range(4):
-        off = rng.standard_normal(settled_base.x.shape) * [0.02, 0.02, 0.05, 0.1, 1.0, 0.2, 0.02]
-        again = search.stand(likelihood, small, small.centre, settled_base.x + off, 0.0)
-        assert again.cost == pytest.approx(settled_base.cost, abs=0.5)
+    costs, p, predictor = [], small.chart.parameters(small.centre).copy(), likelihood.predictor
+    for name, value in tyres.items():
+        p[predictor.augmented.kernels.names.index(name)] = value
+    for seed in range(8):
+        off = np.random.default_rng(seed).standard_normal(settled_base.x.shape)
+        off *= [0.02, 0.02, 0.05, 0.1, 2.0, 0.3, 0.0] if seed else 0.0
+        x, left = settle_starts(likelihood, p, settled_base.x + off, 0.02)
+        assert not left.any()
+        costs.append(likelihood.squares(predictor.errors(p, x)[0], x, 0.02))
+    assert (costs - costs[0]).max() < 0.3
 
 
 def test_a_search_that_ends_at_its_limit_of_steps_is_not_whole(late):
