@@ -24,11 +24,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.control_path import load_cpus, percentiles
+from benchmarks.control_path import percentiles
 from benchmarks.perf_virtual import plan_of
 from steerd.daemon.assembly.build import make_world_config
 from steerd.daemon.offline.virtual import VirtualRun, make_virtual_run
-from steerd.daemon.process.realtime import enter_realtime, settle_memory
+from steerd.daemon.process.realtime import enter_realtime, keep_busy, settle_memory
 from steerd.sim_hw.world import World
 from steerd.steer_bus.clock import MonotonicClock
 
@@ -139,7 +139,7 @@ def main() -> int:
     said: dict[str, Any] = {"rate": RATE, "bare": {}}
     if shutil.which("cc"):
         for name, busy in (("idle", 0), ("loaded", os.cpu_count() or 1)):
-            with load_cpus(busy):
+            with keep_busy(busy):
                 said["bare"][name] = bare_path()
     in_a_row = ticking(lambda _number: None)
     said["tick"] = {"in a row": in_a_row, "after a sleep": ticking(until_due(CLOCK.now_ns()))}

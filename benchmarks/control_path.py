@@ -18,7 +18,6 @@ import multiprocessing as mp
 import os
 import select
 import socket
-import subprocess
 import sys
 import tempfile
 import tty
@@ -35,6 +34,7 @@ from steerd.daemon.assembly.build import RunId, make_plan, make_world_config
 from steerd.daemon.ipc.pipe_records import unpack_records
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process.children import RunProcesses, start_processes
+from steerd.daemon.process.realtime import keep_busy
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.sim_hw.real_time.links import spawn_sim
 from steerd.steer_bus import messages as m
@@ -139,18 +139,6 @@ def set_scheduling(pids: list[int], fifo: bool) -> bool:
     return granted and fifo
 
 
-@contextlib.contextmanager
-def load_cpus(count: int) -> Any:
-    """So many processes that do nothing but count."""
-    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
-    try:
-        yield
-    finally:
-        for process in busy:
-            process.kill()
-            process.wait()
-
-
 def percentiles(values: Any) -> dict[str, float]:
     """p50, p99, p99.9 and the worst [ms]."""
     ms = np.asarray(values) / 1e6
@@ -223,7 +211,7 @@ def measure(
             pids = {"core": core, "recorder": processes.children["recorder"].process.pid,
                     "gateway": processes.children["gateway"].process.pid, "guardian": guardian[0],
                     "simulation": sim.process.pid, "tap": tapping.pid}  # fmt: skip
-            with load_cpus(os.cpu_count() or 1 if busy else 0):
+            with keep_busy(os.cpu_count() or 1 if busy else 0):
                 read_records(processes, bytearray(), 1.0)
                 before, begin = {n: cpu_s(p) for n, p in pids.items()}, CLOCK.now_ns()
                 read_records(processes, bytearray(), seconds)
