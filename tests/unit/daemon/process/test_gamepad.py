@@ -23,12 +23,11 @@ from steerd.daemon.process.gamepad import (
     SYN_DROPPED,
     XBOX_AXES,
     AxisRange,
-    DevicePad,
+    Pad,
     PadEvent,
     PadGoneError,
     PadMap,
     PadState,
-    StreamPad,
     find_pad,
     is_silent,
     open_pad,
@@ -51,7 +50,7 @@ RECORDED = struct.pack("qqHHi", 1700000000, 5, KEY, 310, 1) + struct.pack(
 @pytest.fixture
 def pipe():
     read_fd, write_fd = os.pipe()
-    pad = StreamPad("a pipe", read_fd)
+    pad = Pad("a pipe", read_fd)
     yield pad, write_fd
     pad.close()
 
@@ -101,7 +100,7 @@ def test_a_virtual_gamepad_is_read_and_its_end_is_noticed():
 
     axes = [(0, evdev.AbsInfo(0, -100, 100, 0, 3, 0)), (5, evdev.AbsInfo(0, 0, 255, 0, 0, 0))]
     made = evdev.UInput({KEY: [310, 315], ABS: axes}, name="steerd test pad")
-    pad = DevicePad(Path(made.device.path))
+    pad = open_pad(Path(made.device.path), 310)
     assert pad.axes[0] == (-100, 100, 3)
     made.write(KEY, 310, 1)
     made.syn()
