@@ -7,15 +7,13 @@ without it goes on.
 # Why: docs/decisions/processes-and-time.md#d79
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 from steerd.controller.build import compute_table
 from steerd.daemon.assembly.build import RunPlan, read_job
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.common.written import write_output, write_whole
 from steerd.daemon.ipc.pipe_records import (
     Gaps,
     PipeReader,
@@ -60,27 +58,6 @@ class LearnerLoop:
         return make_record(report, next(self._numbers), record.log_time_ns) if report else None
 
 
-def make_keeper(job: Mapping[str, Any]) -> Keeper | None:
-    """Who keeps what the job's learner learns; None for simulated hardware."""
-    if not job["page"]:
-        return None
-    page, refused = Path(job["page"]), bool(job["refused"])
-
-    def write(text: str) -> None:
-        nonlocal refused
-        page.parent.mkdir(parents=True, exist_ok=True)
-        if refused:  # whatever is there is somebody's
-            write_output(page, text)
-        else:
-            write_whole(page, text)
-        refused = False
-
-    def complain(text: str) -> None:
-        print(f"steerd learner: {text}; the drive goes on", file=sys.stderr)
-
-    return Keeper(About(*job["about"]), write, complain)
-
-
 def serve(given: Job) -> int:
     """The process; it ends with the core's pipe, and keeps what was learnt.
 
@@ -98,7 +75,9 @@ def serve(given: Job) -> int:
     except ValueError as error:
         raise SteerdError(str(error)) from None
     outputs = [PipeWriter(fd) for name, fd in fds.items() if name.startswith("to_")]
-    keeper, records = make_keeper(job), PipeReader(fds["pipe"])
+    keeper, records = None, PipeReader(fds["pipe"])
+    if job["page"]:  # of a car; simulated hardware's numbers are no car's
+        keeper = Keeper(Path(job["page"]), About(*job["about"]), job["refused"])
     while records.wait():
         for report in filter(None, map(loop.take, records.take())):
             for output in outputs:

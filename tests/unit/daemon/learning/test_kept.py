@@ -5,6 +5,7 @@ import shutil
 import tomllib
 from dataclasses import replace
 from hashlib import sha256
+from pathlib import Path
 
 import pytest
 
@@ -24,7 +25,6 @@ from steerd.daemon.learning.kept import (
     recall,
 )
 from steerd.daemon.process.children import learnt_page, recall_learnt
-from steerd.daemon.process.learner import make_keeper
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import messages as m
 
@@ -110,36 +110,39 @@ def test_numbers_have_a_digest_and_comments_have_none():
     assert digest_numbers(car, 4000.0, 0.0) != same
 
 
-def test_a_keeper_writes_at_once_each_minute_and_at_the_end(report):
-    written = []
-    keeper = Keeper(ABOUT, written.append, pytest.fail)
-    keeper.take(replace(report, verdict="learning"))
-    keeper.end()
-    assert written == [], "a car that is not known yet says nothing new"
-    for second in range(61):
-        keeper.take(replace(report, mono_ns=report.mono_ns + second * 1_000_000_000))
-    assert len(written) == 2
+def test_a_keeper_writes_at_once_each_minute_and_at_the_end(report, tmp_path):
+    keeper = Keeper(tmp_path / "page.toml", ABOUT)
+
+    def written(*seconds, **changes):
+        """Whether reports of these seconds, and then the end where there are none, write a page."""
+        for second in seconds:
+            mono_ns = report.mono_ns + second * 1_000_000_000
+            keeper.take(replace(report, mono_ns=mono_ns, **changes))
+        if not seconds:
+            keeper.end()
+        there = keeper.page.exists()
+        keeper.page.unlink(missing_ok=True)
+        return there
+
+    assert not written(0, verdict="learning")
+    assert not written(), "a car that is not known yet says nothing new"
+    assert written(0)
+    assert not written(*range(1, 60))
     assert EVERY_NS == 60_000_000_000
-    keeper.end()
-    assert len(written) == 2, "the last report is written already"
-    keeper.take(replace(report, mono_ns=report.mono_ns + 62_000_000_000))
-    keeper.end()
-    assert len(written) == 3
-    assert parse_kept(written[0].encode()).about == ABOUT
+    assert written(60)
+    assert not written(), "the last report is written already"
+    assert not written(62)
+    assert written()
 
 
-def test_a_page_that_cannot_be_written_is_said_once(report):
-    said = []
-
-    def write(text):
-        raise PermissionError(13, "Permission denied")
-
-    keeper = Keeper(ABOUT, write, said.append)
+def test_a_page_that_cannot_be_written_is_said_once(report, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    keeper = Keeper(tmp_path / "file" / "page.toml", ABOUT)
     for second in (0, 61, 122):
         keeper.take(replace(report, mono_ns=report.mono_ns + second * 1_000_000_000))
     keeper.end()
-    assert len(said) == 1
-    assert "Permission denied" in said[0]
+    (said,) = capsys.readouterr().err.splitlines()
+    assert "File exists" in said
 
 
 # What a run's learner begins with: the page beside its car file, if it is this car's.
@@ -166,8 +169,7 @@ def recalled(plan, now_ns):
 def kept(plan, quiet_report):
     """A drive's page, written as the learner process writes it."""
     memory = recalled(plan, m.stamp_ns(quiet_report.header))
-    keeper = make_keeper(memory._asdict())
-    keeper.take(quiet_report)
+    Keeper(Path(memory.page), memory.about, memory.refused).take(quiet_report)
     return memory
 
 
@@ -201,7 +203,6 @@ def test_simulated_hardware_and_a_run_without_a_learner_keep_nothing(plan, quiet
     other = make_plan(replace(plan.options, **change))
     memory = recalled(other, m.stamp_ns(quiet_report.header))
     assert (memory.page, memory.memory) == ("", "")
-    assert make_keeper(memory._asdict()) is None
 
 
 def test_an_edited_car_file_begins_anew_and_nothing_is_lost(plan, quiet_report, capsys):
