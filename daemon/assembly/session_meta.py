@@ -13,7 +13,7 @@ import platformdirs
 
 from steerd.car_model.car_file import CarFile, parse_car
 from steerd.daemon.assembly.build import VIRTUAL_EPOCH_NS, RunPlan
-from steerd.daemon.assembly.sim_car import make_true_model, make_truth
+from steerd.daemon.assembly.sim_car import TRUTH, make_true_model, make_truth
 from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.posterior_file import ATTACHED
 from steerd.steer_bus.container import SessionInfo
@@ -82,7 +82,7 @@ def make_metadata(plan: RunPlan) -> dict[str, dict[str, str]]:
     }
     found = {"steerd.session": session, "steerd.vehicle": vehicle, "steerd.scaling": scaling}
     if options.simulated:
-        found["steerd.truth"] = make_truth(make_true_model(plan.sim, options.effects))
+        found[TRUTH] = make_truth(make_true_model(plan.sim, options.effects))
     return found
 
 

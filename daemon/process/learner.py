@@ -14,14 +14,7 @@ from pathlib import Path
 from steerd.controller.build import compute_table
 from steerd.daemon.assembly.build import RunPlan, read_job
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.ipc.pipe_records import (
-    Gaps,
-    PipeReader,
-    PipeRecord,
-    PipeWriter,
-    pack_record,
-    read_message,
-)
+from steerd.daemon.ipc import pipe_records as pipes
 from steerd.daemon.ipc.requests import make_sender
 from steerd.daemon.learning.feed import Wiring, make_feed, make_record, read_memory
 from steerd.daemon.learning.kept import About, Keeper
@@ -44,14 +37,14 @@ class LearnerLoop:
         self.feed = make_feed(plan.settings.file, wiring, read_memory(memory))
         if plan.learnt is not None:
             self.feed.proposals = Proposals(plan.learnt, compute_table, propose)
-        self._gaps, self._numbers = Gaps(), count()
+        self._gaps, self._numbers = pipes.Gaps(), count()
 
-    def take(self, record: PipeRecord) -> PipeRecord | None:
+    def take(self, record: pipes.PipeRecord) -> pipes.PipeRecord | None:
         """The report that a record completes; one that does not decode is as good as dropped."""
         self._gaps.take(record)
         self.feed.dropped = self._gaps.missed
         try:
-            message = read_message(record)
+            message = pipes.read_message(record)
         except CodecError:
             return None
         report = self.feed.take(record.topic, message)
@@ -74,14 +67,14 @@ def serve(given: Job) -> int:
         loop = LearnerLoop(plan, lambda data, _t_ns: send(data), job["memory"])
     except ValueError as error:
         raise SteerdError(str(error)) from None
-    outputs = [PipeWriter(fd) for name, fd in fds.items() if name.startswith("to_")]
-    keeper, records = None, PipeReader(fds["pipe"])
+    outputs = [pipes.PipeWriter(fd) for name, fd in fds.items() if name.startswith("to_")]
+    keeper, records = None, pipes.PipeReader(fds["pipe"])
     if job["page"]:  # of a car; simulated hardware's numbers are no car's
         keeper = Keeper(Path(job["page"]), About(*job["about"]), job["refused"])
     while records.wait():
         for report in filter(None, map(loop.take, records.take())):
             for output in outputs:
-                output.write([pack_record(report)], report.message.mono_ns)
+                output.write([pipes.pack_record(report)], report.message.mono_ns)
             if keeper is not None:
                 keeper.take(report.message)
     if keeper is not None:

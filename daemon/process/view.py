@@ -242,7 +242,8 @@ async def run_viewer(given: Job, plan: RunPlan) -> int:
     Raises:
         OSError: the address is taken or no address of this machine.
     """
-    records, car, drawn = PipeReader(given.fds["pipe"]), plan.options.car, draw_plan(plan)
+    records, reports = PipeReader(given.fds["pipe"]), PipeReader(given.fds.get("reports"))
+    car, drawn = plan.options.car, draw_plan(plan)
     lane = make_lane_scene(drawn["lane"], drawn["half_width"], closed=drawn["closed"])
     asks = make_sender(given.fds["requests"]) if "requests" in given.fds else None
     shown = ViewServer(f"steerd {car}", make_channels(car), ViewParameters(list_values(plan), asks))
@@ -254,7 +255,7 @@ async def run_viewer(given: Job, plan: RunPlan) -> int:
     ended = asyncio.Event()
 
     def read() -> None:
-        for record in records.take():
+        for record in (*records.take(), *reports.take()):
             viewer.show(record)
         if records.fd is None:
             loop.remove_reader(pipe_fd)

@@ -96,12 +96,6 @@ def test_a_car_on_the_floor_has_no_known_truth():
     assert compare_truths({"a": make_metadata(real), "b": make_metadata(plan)}) == []
 
 
-def test_an_old_session_was_driven_on_its_car_file():
-    old = make_metadata(make())
-    del old["steerd.truth"]
-    assert read_true_car(old) == make().settings.file.car
-
-
 # Plans: what is refused before anything starts, and what the design may count on.
 
 OPTIONS = RunOptions(car_file="", path="line", speed=1.0)

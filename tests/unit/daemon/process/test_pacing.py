@@ -48,9 +48,7 @@ PHASES = (0.02, 0.3, 0.5, 0.7, 0.98)
         (10, 1.0 / 1.002, 0.3, 1.0, 0.5),  # a mocap clock that is a little fast
     ],
 )  # fmt: skip
-def test_a_punctual_pose_comes_shortly_before_its_deadline(
-    period_ms, ratio, phase, share, late_ms
-):
+def test_a_punctual_pose_comes_shortly_before_its_deadline(period_ms, ratio, phase, share, late_ms):
     period = period_ms * MS
     dues, waits, _ = drive(period, arrivals(period * ratio, phase, 0.02 * MS, 5, share))
     settled = np.array(waits[TICKS // 2 :])
