@@ -157,29 +157,24 @@ def plan(tmp_path):
     return make_plan(options)
 
 
-@pytest.fixture
-def quiet_report(make_report):
-    return make_report("none")
-
-
 def recalled(plan, now_ns):
     return recall_learnt(plan, plan.settings.file.path.with_name("next.mcap"), now_ns)
 
 
-def kept(plan, quiet_report):
+def kept(plan, report):
     """A drive's page, written as the learner process writes it."""
-    memory = recalled(plan, m.stamp_ns(quiet_report.header))
-    Keeper(Path(memory.page), memory.about, memory.refused).take(quiet_report)
+    memory = recalled(plan, m.stamp_ns(report.header))
+    Keeper(Path(memory.page), memory.about, memory.refused).take(report)
     return memory
 
 
-def test_what_one_run_keeps_the_next_begins_with(plan, quiet_report, capsys):
-    first = kept(plan, quiet_report)
+def test_what_one_run_keeps_the_next_begins_with(plan, report, capsys):
+    first = kept(plan, report)
     assert (first.memory, dict(first.metadata), first.refused) == ("", {}, False)
     page = plan.settings.file.path.with_name("car.learnt.toml")
     assert first.page == str(page)
-    assert page.read_text() == format_kept(first.about, quiet_report), "with the drive's time"
-    second = recalled(plan, m.stamp_ns(quiet_report.header) + 2 * DAY_NS)
+    assert page.read_text() == format_kept(first.about, report), "with the drive's time"
+    second = recalled(plan, m.stamp_ns(report.header) + 2 * DAY_NS)
     assert json.loads(second.memory) == {"days": 2.0, "values": {"steer_gain": [0.98, 0.012]}}
     assert second.metadata[METADATA]["memory"] == second.memory
     assert second.metadata[METADATA]["file"] == "car.learnt.toml"
@@ -198,20 +193,20 @@ def test_the_car_that_steerd_brings_is_kept_in_the_data_folder(plan, tmp_path, m
 
 
 @pytest.mark.parametrize("change", [{"learn": False}, {"simulated": True}])
-def test_simulated_hardware_and_a_run_without_a_learner_keep_nothing(plan, quiet_report, change):
-    kept(plan, quiet_report)
+def test_simulated_hardware_and_a_run_without_a_learner_keep_nothing(plan, report, change):
+    kept(plan, report)
     other = make_plan(replace(plan.options, **change))
-    memory = recalled(other, m.stamp_ns(quiet_report.header))
+    memory = recalled(other, m.stamp_ns(report.header))
     assert (memory.page, memory.memory) == ("", "")
 
 
-def test_an_edited_car_file_begins_anew_and_nothing_is_lost(plan, quiet_report, capsys):
-    kept(plan, quiet_report)
+def test_an_edited_car_file_begins_anew_and_nothing_is_lost(plan, report, capsys):
+    kept(plan, report)
     page, path = learnt_page(plan), plan.settings.file.path
     old, mass = page.read_text(), plan.settings.file.car.mass
     path.write_text(path.read_text().replace(f"mass = {mass}", "mass = 4.5"))
     edited = make_plan(plan.options)
-    memory = kept(edited, quiet_report)
+    memory = kept(edited, report)
     assert memory.refused
     assert memory.memory == ""
     said = capsys.readouterr().err
@@ -219,16 +214,16 @@ def test_an_edited_car_file_begins_anew_and_nothing_is_lost(plan, quiet_report, 
     assert said.count("\n") == 1
     (aside,) = set(page.parent.glob("car.learnt.*.toml")) - {page}
     assert aside.read_text() == old
-    assert recalled(edited, m.stamp_ns(quiet_report.header)).memory != ""
+    assert recalled(edited, m.stamp_ns(report.header)).memory != ""
 
 
 @pytest.mark.parametrize(
     ("torn", "said"), [(True, "car.learnt.toml is torn or was edited"), (False, "cannot be read")]
 )
 def test_a_page_that_is_torn_or_cannot_be_read_is_named_and_left_out(
-    plan, quiet_report, capsys, torn, said
+    plan, report, capsys, torn, said
 ):
-    kept(plan, quiet_report)
+    kept(plan, report)
     page = learnt_page(plan)
     data = page.read_bytes()
     page.unlink()
@@ -236,6 +231,6 @@ def test_a_page_that_is_torn_or_cannot_be_read_is_named_and_left_out(
         page.write_bytes(data[:-1])
     else:
         page.mkdir()
-    memory = recalled(plan, m.stamp_ns(quiet_report.header))
+    memory = recalled(plan, m.stamp_ns(report.header))
     assert (memory.memory, memory.refused) == ("", True)
     assert said in capsys.readouterr().err
