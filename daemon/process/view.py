@@ -25,13 +25,7 @@ from steerd.daemon.learning.reported import reported_values
 from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.secret_server import SecretServer
 from steerd.daemon.process.view_job import draw_plan, parse_view
-from steerd.daemon.process.view_server import (
-    PROTOCOLS,
-    WORDS_MAX,
-    Channel,
-    ViewParameters,
-    ViewServer,
-)
+from steerd.daemon.process.view_server import PROTOCOLS, WORDS_MAX, Channel, ViewServer
 from steerd.daemon.process.views import Views
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode
@@ -246,7 +240,7 @@ async def run_viewer(given: Job, plan: RunPlan) -> int:
     car, drawn = plan.options.car, draw_plan(plan)
     lane = make_lane_scene(drawn["lane"], drawn["half_width"], closed=drawn["closed"])
     asks = make_sender(given.fds["requests"]) if "requests" in given.fds else None
-    shown = ViewServer(f"steerd {car}", make_channels(car), ViewParameters(list_values(plan), asks))
+    shown = ViewServer(f"steerd {car}", make_channels(car), list_values(plan), asks)
     viewer = Viewer(car, Body(**drawn["body"]), lane, shown)
     host, port = parse_view(plan.options.view, plan.options.insecure_lan)
     secret = SecretServer(host, shown.talk)
