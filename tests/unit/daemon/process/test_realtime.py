@@ -154,14 +154,13 @@ def test_stolen_time_of_all_processors():
 
 
 def test_a_machine_is_kept_busy_and_let_go(monkeypatch):
-    started = []
+    started, start = [], subprocess.Popen
 
-    class Kept(subprocess.Popen):
-        def __init__(self, *args, **options):
-            super().__init__(*args, **options)
-            started.append(self)
+    def note(command):
+        started.append(start(command))
+        return started[-1]
 
-    monkeypatch.setattr(realtime.subprocess, "Popen", Kept)
+    monkeypatch.setattr(realtime.subprocess, "Popen", note)
     with keep_busy(2):
         assert [process.poll() for process in started] == [None, None]
     assert [process.poll() for process in started] == [-9, -9]
