@@ -5,6 +5,7 @@ import platform
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -34,19 +35,17 @@ def data_folder() -> Path:
     return Path(os.environ.get("STATE_DIRECTORY") or platformdirs.user_data_path("steerd"))
 
 
-def default_session_path(car: str, realtime_ns: int, boot_id: int) -> Path:
-    """A name made of date, car and run, in the user's data folder (systemd: `$STATE_DIRECTORY`)."""
-    from datetime import UTC, datetime
-
-    stamp = datetime.fromtimestamp(realtime_ns // 1_000_000_000, UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
-    return data_folder() / "sessions" / f"{stamp}_{car}_{boot_id & 0xFFFFFFFF:08x}.mcap"
+def sessions_folder() -> Path:
+    """Where the sessions of drives lie for which nobody chose a place."""
+    return data_folder() / "sessions"
 
 
 def session_path(options: RunOptions, realtime_ns: int, boot_id: int) -> Path:
-    """The file of `--record`, or the default."""
+    """The file of `--record`; else a name made of date, car and run, in `sessions_folder`."""
     if options.record:
         return Path(options.record)
-    return default_session_path(options.car, realtime_ns, boot_id)
+    stamp = datetime.fromtimestamp(realtime_ns // 1_000_000_000, UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
+    return sessions_folder() / f"{stamp}_{options.car}_{boot_id & 0xFFFFFFFF:08x}.mcap"
 
 
 def _git() -> dict[str, str]:

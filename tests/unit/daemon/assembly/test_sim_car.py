@@ -9,9 +9,10 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.assembly.build import RunId, make_design_car, make_plan, make_world_config
 from steerd.daemon.assembly.plans import parse_box
 from steerd.daemon.assembly.session_meta import (
-    default_session_path,
     make_attachments,
     make_metadata,
+    session_path,
+    sessions_folder,
 )
 from steerd.daemon.assembly.sim_car import (
     BIAS,
@@ -121,11 +122,11 @@ def test_a_session_is_named_by_date_car_and_run_in_the_services_or_users_folder(
     monkeypatch, tmp_path
 ):
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
-    path = default_session_path("car1", NOON_NS, 0x1_2345_6789)
+    path = session_path(make().options, NOON_NS, 0x1_2345_6789)
     assert path == tmp_path / "sessions" / "2023-11-14T22-13-20Z_car1_23456789.mcap"
     monkeypatch.delenv("STATE_DIRECTORY")
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
-    assert default_session_path("car1", NOON_NS, 1).parent == tmp_path / "steerd" / "sessions"
+    assert sessions_folder() == tmp_path / "steerd" / "sessions"
 
 
 def test_reproducible_metadata_say_nothing_of_the_machine():
