@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from steerd.car_model.params import GRAVITY, Car, wheelbase
 from steerd.car_model.path.path_spec import FIGURE_EIGHT_EXTENT
-from steerd.car_model.state import Command
+from steerd.car_model.state import ORIGIN, Command, State
 from steerd.controller.limits import Limits
 from steerd.daemon.settings.thresholds import LAUNCH_DISTANCE, LAUNCH_SPEED
 
@@ -211,62 +211,45 @@ def _make_segments(
     return tuple(segment for side in sides for segment in _scale_to_whole_turns(car, side))
 
 
-class _ForecastState(NamedTuple):
-    """Pose [m, rad], speed [m/s] and distance [m] of the forecast's car."""
-
-    x: float = 0.0
-    y: float = 0.0
-    yaw: float = 0.0
-    speed: float = 0.0
-    distance: float = 0.0
-
-
-def _simulate(
+def _forecast(
     car: Car[float], segments: Iterable[Segment], gain: float = 1.0
-) -> Iterator[_ForecastState]:
+) -> Iterator[State[float]]:
     """States of the car by steady turning, with understeer, launch and the speed's ramp."""
-    g = _ForecastState()
+    g, distance = ORIGIN, 0.0
     bend = (1.0 / car.c_sf - 1.0 / car.c_sr) / (car.mu * GRAVITY)
     for segment in segments:
         for k in range(round(segment.seconds / _STEP)):
             wish = segment.command(k * _STEP)
-            aim = (
-                car.speed_gain * wish.speed
-                if g.distance > LAUNCH_DISTANCE
-                else min(wish.speed, LAUNCH_SPEED)
-            )
+            launched = distance > LAUNCH_DISTANCE
+            aim = car.speed_gain * wish.speed if launched else min(wish.speed, LAUNCH_SPEED)
             change = max(-car.decel_max, min((aim - g.speed) / _STEP, _ACCEL_SHARE * car.accel_max))
             speed = g.speed + change * _STEP
             wheel = car.steer_gain * wish.steer + car.steer_bias
             turn = gain * speed * tan(wheel) / (wheelbase(car) + bend * speed * speed)
             yaw, way = g.yaw + turn * _STEP, speed * _STEP
-            x, y = g.x + way * cos(yaw), g.y + way * sin(yaw)
-            g = _ForecastState(x, y, yaw, speed, g.distance + way)
+            distance += way
+            g = g._replace(x=g.x + way * cos(yaw), y=g.y + way * sin(yaw), yaw=yaw, speed=speed)
             yield g
 
 
-def forecast_extent(car: Car[float], segments: Sequence[Segment]) -> Box:
-    """Extent of a plan that starts at the origin, for a steering gain that may differ by 3 %.
+def forecast_reach(car: Car[float], segments: Sequence[Segment]) -> tuple[float, float]:
+    """How far a plan leads from its start along x and y [m], to either side.
 
-    Includes the stopping distance.
+    For a steering gain that may differ by 3 %, and with the stopping distance.
     """
-    low, high = [0.0, 0.0], [0.0, 0.0]
+    places = [(0.0, 0.0)]
     for gain in (1.0 - _STEER_GAIN_SPREAD, 1.0, 1.0 + _STEER_GAIN_SPREAD):
-        for g in _simulate(car, segments, gain):
+        for g in _forecast(car, segments, gain):
             ahead = _MARGIN + g.speed * (_DELAY + g.speed / (2.0 * _BRAKE))
-            for x, y in ((g.x, g.y), (g.x + ahead * cos(g.yaw), g.y + ahead * sin(g.yaw))):
-                low = [min(low[0], x), min(low[1], y)]
-                high = [max(high[0], x), max(high[1], y)]
-    return Box(low[0], low[1], high[0], high[1])
+            places += ((g.x, g.y), (g.x + ahead * cos(g.yaw), g.y + ahead * sin(g.yaw)))
+    return max(abs(x) for x, _ in places), max(abs(y) for _, y in places)
 
 
 def _scale_to_whole_turns(car: Car[float], segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
     """The segments, scaled in time so that they end after whole turns."""
-    yaw = 0.0
-    for g in _simulate(car, segments):
-        yaw = g.yaw
-    turns = max(1.0, round(abs(yaw) / (2.0 * pi)))
-    factor = 2.0 * pi * turns / max(abs(yaw), 1e-6)
+    *_, last = _forecast(car, segments)
+    turns = max(1.0, round(abs(last.yaw) / (2.0 * pi)))
+    factor = 2.0 * pi * turns / max(abs(last.yaw), 1e-6)
     return tuple(s._replace(seconds=s.seconds * factor) for s in segments)
 
 
@@ -285,8 +268,7 @@ def make_open_drill(
         segments = _make_segments(name, car, limits, max(radius, smallest), speed)
         if box is None:
             return Drill(name, segments, False, None)
-        extent = forecast_extent(car, segments)  # from the middle of the box, along x
-        far_x, far_y = max(-extent.x_min, extent.x_max), max(-extent.y_min, extent.y_max)
+        far_x, far_y = forecast_reach(car, segments)  # from the middle of the box, along x
         if 2.0 * far_x <= box.x_max - box.x_min and 2.0 * far_y <= box.y_max - box.y_min:
             return Drill(name, segments, False, box)
         if radius < smallest or name == "circles":

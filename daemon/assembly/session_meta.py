@@ -5,6 +5,7 @@ import platform
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,7 +14,7 @@ import platformdirs
 
 from steerd.car_model.car_file import CarFile, parse_car
 from steerd.daemon.assembly.build import VIRTUAL_EPOCH_NS, RunPlan
-from steerd.daemon.assembly.sim_car import make_true_model, make_truth
+from steerd.daemon.assembly.sim_car import TRUTH, make_true_model, make_truth
 from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.posterior_file import ATTACHED
 from steerd.steer_bus.container import SessionInfo
@@ -34,19 +35,17 @@ def data_folder() -> Path:
     return Path(os.environ.get("STATE_DIRECTORY") or platformdirs.user_data_path("steerd"))
 
 
-def default_session_path(car: str, realtime_ns: int, boot_id: int) -> Path:
-    """A name made of date, car and run, in the user's data folder (systemd: `$STATE_DIRECTORY`)."""
-    from datetime import UTC, datetime
-
-    stamp = datetime.fromtimestamp(realtime_ns // 1_000_000_000, UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
-    return data_folder() / "sessions" / f"{stamp}_{car}_{boot_id & 0xFFFFFFFF:08x}.mcap"
+def sessions_folder() -> Path:
+    """Where the sessions of drives lie for which nobody chose a place."""
+    return data_folder() / "sessions"
 
 
 def session_path(options: RunOptions, realtime_ns: int, boot_id: int) -> Path:
-    """The file of `--record`, or the default."""
+    """The file of `--record`; else a name made of date, car and run, in `sessions_folder`."""
     if options.record:
         return Path(options.record)
-    return default_session_path(options.car, realtime_ns, boot_id)
+    stamp = datetime.fromtimestamp(realtime_ns // 1_000_000_000, UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
+    return sessions_folder() / f"{stamp}_{options.car}_{boot_id & 0xFFFFFFFF:08x}.mcap"
 
 
 def _git() -> dict[str, str]:
@@ -82,7 +81,7 @@ def make_metadata(plan: RunPlan) -> dict[str, dict[str, str]]:
     }
     found = {"steerd.session": session, "steerd.vehicle": vehicle, "steerd.scaling": scaling}
     if options.simulated:
-        found["steerd.truth"] = make_truth(make_true_model(plan.sim, options.effects))
+        found[TRUTH] = make_truth(make_true_model(plan.sim, options.effects))
     return found
 
 

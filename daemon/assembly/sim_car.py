@@ -84,6 +84,10 @@ def make_true_model(settings: Settings, effects: tuple[str, ...]) -> Model[float
     )
 
 
+TRUTH = "steerd.truth"
+"""Metadata of a session of simulated hardware: its car, by `make_truth`."""
+
+
 def make_truth(model: Model[float]) -> dict[str, str]:
     """The simulated car as a session records it: every value by its name."""
     found = {name: repr(value) for name, value in model.car._asdict().items()}
@@ -93,20 +97,9 @@ def make_truth(model: Model[float]) -> dict[str, str]:
     return found | {"chassis": model.chassis.name}
 
 
-def read_truth(metadata: Mapping[str, Any]) -> dict[str, str] | None:
-    """The simulated car of a session as `make_truth` wrote it; None for any other session.
-
-    Sessions from before it was recorded were driven on the car of their car file.
-    """
-    if metadata.get("steerd.session", {}).get("mode") != "sim":
-        return None
-    found = metadata.get("steerd.truth") or metadata.get("steerd.vehicle", {})
-    return dict(found) or None
-
-
 def read_true_car(metadata: Mapping[str, Any]) -> Car[float] | None:
     """The parameters of a session's simulated car; None where there is none."""
-    truth = read_truth(metadata) or {}
+    truth = metadata.get(TRUTH, {})
     try:
         return Car(**{name: float(truth[name]) for name in Car._fields})
     except (KeyError, ValueError):
@@ -141,7 +134,7 @@ def read_origin(metadata: Mapping[str, Any], *, own_car: bool = True) -> str:
 
 def compare_truths(named: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """What one car cannot have been: named sessions whose simulated cars differ, in sentences."""
-    truths = {name: truth for name, data in named.items() if (truth := read_truth(data))}
+    truths = {name: truth for name, data in named.items() if (truth := data.get(TRUTH))}
     remarks = []
     first = next(iter(truths), "")
     for other in list(truths)[1:]:

@@ -9,13 +9,15 @@ rest, so a torn or edited page is recognised.
 
 import hashlib
 import json
-from collections.abc import Callable
+import sys
 from dataclasses import dataclass
 from math import isfinite
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from steerd.car_model.car_file import CarFile
 from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.common.written import write_output, write_whole
 from steerd.daemon.learning.reported import describe_change, reported_changes, reported_values
 from steerd.steer_bus import messages as m
 from steerd.toml_text import parse_toml
@@ -126,12 +128,11 @@ def recall(kept: Kept, about: About, now_ns: int) -> str:
 
 @dataclass
 class Keeper:
-    """Takes reports and writes some of them."""
+    """Takes a learner's reports and writes some of them; a page that cannot be written is said."""
 
+    page: Path
     about: About  # of what the page is
-    # Replaces the page, whole or not at all; raises OSError or SteerdError
-    write: Callable[[str], None]
-    complain: Callable[[str], None]  # is given one line where the page cannot be written
+    refused: bool = False  # what is there cannot be used, and is somebody's: it is moved aside
     newest: m.Model | None = None  # the last report that knows the car and is not written yet
     due_ns: int | None = None  # when the page is written next (monotonic), None before the first
     failed: bool = False  # whether writing failed; then it is not tried again
@@ -149,9 +150,16 @@ class Keeper:
         """Write the last report, if it is not written."""
         if self.newest is None or self.failed:
             return
+        write, text = (
+            write_output if self.refused else write_whole,
+            format_kept(self.about, self.newest),
+        )
         try:
-            self.write(format_kept(self.about, self.newest))
+            self.page.parent.mkdir(parents=True, exist_ok=True)
+            write(self.page, text)
+            self.refused = False
         except (OSError, SteerdError) as error:
             self.failed = True
-            self.complain(f"what was learnt cannot be kept ({error})")
+            what = f"what was learnt cannot be kept ({error}); the drive goes on"
+            print(f"steerd learner: {what}", file=sys.stderr)
         self.newest = None

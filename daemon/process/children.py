@@ -94,7 +94,7 @@ class Ends:
         self._socket("core", "parent", "terminal", "requests")
         self._socket("core", "gateway_requests", "gateway", "requests")
         if options.learn:
-            for reader in ("recorder", "gateway", "terminal"):
+            for reader in ("recorder", "gateway", "terminal", *(["view"] if options.view else [])):
                 self._pipe("learner", f"to_{reader}", reader, "reports")
         if options.adapt:
             self._socket("core", "designs", "learner", "designs")

@@ -12,13 +12,8 @@ from operator import attrgetter
 
 from steerd.daemon.assembly.build import RunPlan, read_job
 from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.ipc import signals
 from steerd.daemon.ipc.pipe_records import PipeRecord, PipeWriter, Sink, is_learnt_from, pack_record
-from steerd.daemon.ipc.signals import (
-    block_stop_signals,
-    make_notify,
-    make_stop_signal_pipe,
-    wake_at_parents_end,
-)
 from steerd.daemon.loop.core import Core, make_core
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.process.child import Job, run_process
@@ -123,14 +118,14 @@ def _run(given: Job) -> Core:
     for sock in (*requests, *((designs,) if designs else ())):
         sock.setblocking(False)
     links = CoreLinks(
-        pipes["recorder"], pipes["gateway"], requests, make_stop_signal_pipe(), designs
+        pipes["recorder"], pipes["gateway"], requests, signals.make_stop_signal_pipe(), designs
     )
     report = enter_realtime()
     design = plan.controller.report.describe()
     given.say_ready(realtime=report.refused, design=design)
     silent_s = plan.settings.thresholds.guardian
     guard = ProcessGuard(report.fifo, simulated=plan.options.simulated, silent_s=silent_s)
-    runner = Runner(core, clock, open_again, mocap, links, guard, make_notify(os.environ))
+    runner = Runner(core, clock, open_again, mocap, links, guard, signals.make_notify(os.environ))
     settle_memory()
     runner.run()
     return core
@@ -147,8 +142,8 @@ def latch_stray_exceptions(core: Core) -> None:
 
 
 def _begin() -> None:
-    block_stop_signals()
-    wake_at_parents_end()
+    signals.block_stop_signals()
+    signals.wake_at_parents_end()
     gc.freeze()  # what imports made stays: no need to search it for garbage again
 
 

@@ -5,6 +5,7 @@ from another computer (`ssh pad cat /dev/input/event5`) or from a recording. The
 when its button is let go, when events were lost, and when the gamepad has been silent for too long.
 """
 
+import contextlib
 import os
 import stat
 import struct
@@ -53,8 +54,8 @@ XBOX_AXES: Mapping[int, AxisRange] = {
 
 
 @dataclass
-class StreamPad:
-    """Events as bytes from a pipe; `fd` is readable when some are there."""
+class Pad:
+    """The kernel's events as bytes; `fd` is readable when some are there."""
 
     name: str
     fd: int
@@ -67,7 +68,12 @@ class StreamPad:
         Raises:
             PadGoneError: no more will come.
         """
-        data = os.read(self.fd, _READ_BYTES)
+        try:
+            data = os.read(self.fd, _READ_BYTES)
+        except BlockingIOError:
+            return []
+        except OSError:  # unplugged
+            data = b""
         if not data:
             raise PadGoneError(self.name)
         data = self._rest + data
@@ -80,37 +86,6 @@ class StreamPad:
         os.close(self.fd)
 
 
-class DevicePad:
-    """A device node of the kernel."""
-
-    def __init__(self, path: Path) -> None:
-        import evdev  # noqa: TID251
-
-        self._device = evdev.InputDevice(str(path))
-        self.name, self.fd = str(self._device.name), int(self._device.fd)
-        axes: list[Any] = list(self._device.capabilities().get(ABS, []))
-        self.axes: Mapping[int, AxisRange] = {
-            code: AxisRange(info.min, info.max, info.flat) for code, info in axes
-        }
-
-    def read(self) -> list[PadEvent]:
-        """As `StreamPad.read`."""
-        try:
-            return [PadEvent(e.type, e.code, e.value) for e in self._device.read()]
-        except BlockingIOError:
-            return []
-        except OSError:
-            raise PadGoneError(self.name) from None
-
-    def close(self) -> None:
-        """Let it go."""
-        self._device.close()
-
-
-Pad = StreamPad | DevicePad
-"""A source of input events."""
-
-
 def open_pad(path: Path | None, deadman: int) -> Pad:
     """The named gamepad or pipe, or the only gamepad that has the deadman's button.
 
@@ -118,14 +93,20 @@ def open_pad(path: Path | None, deadman: int) -> Pad:
         SteerdError: there is none, there are several, or it cannot be read.
     """
     if path is not None and path.exists() and stat.S_ISFIFO(path.stat().st_mode):
-        return StreamPad(str(path), os.open(path, os.O_RDONLY))
+        return Pad(str(path), os.open(path, os.O_RDONLY))
     _require_evdev()
     return _open_device(path if path is not None else find_pad(deadman))
 
 
 def _open_device(path: Path) -> Pad:
+    """A device node of the kernel, read with the ranges of its axes."""
+    import evdev  # noqa: TID251
+
     try:
-        return DevicePad(path)
+        with contextlib.closing(evdev.InputDevice(str(path))) as device:
+            axes: list[Any] = list(device.capabilities().get(ABS, []))
+            ranges = {code: AxisRange(info.min, info.max, info.flat) for code, info in axes}
+            return Pad(str(device.name), os.dup(device.fd), ranges)
     except PermissionError:
         hint = "sudo usermod -aG input $USER, and log in anew"
         raise SteerdError(f"{path}: no permission to read it", hint, ExitCode.UNREADABLE) from None

@@ -7,23 +7,14 @@ without it goes on.
 # Why: docs/decisions/processes-and-time.md#d79
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 from steerd.controller.build import compute_table
 from steerd.daemon.assembly.build import RunPlan, read_job
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.common.written import write_output, write_whole
-from steerd.daemon.ipc.pipe_records import (
-    Gaps,
-    PipeReader,
-    PipeRecord,
-    PipeWriter,
-    pack_record,
-    read_message,
-)
+from steerd.daemon.ipc import pipe_records as pipes
 from steerd.daemon.ipc.requests import make_sender
 from steerd.daemon.learning.feed import Wiring, make_feed, make_record, read_memory
 from steerd.daemon.learning.kept import About, Keeper
@@ -46,39 +37,18 @@ class LearnerLoop:
         self.feed = make_feed(plan.settings.file, wiring, read_memory(memory))
         if plan.learnt is not None:
             self.feed.proposals = Proposals(plan.learnt, compute_table, propose)
-        self._gaps, self._numbers = Gaps(), count()
+        self._gaps, self._numbers = pipes.Gaps(), count()
 
-    def take(self, record: PipeRecord) -> PipeRecord | None:
+    def take(self, record: pipes.PipeRecord) -> pipes.PipeRecord | None:
         """The report that a record completes; one that does not decode is as good as dropped."""
         self._gaps.take(record)
         self.feed.dropped = self._gaps.missed
         try:
-            message = read_message(record)
+            message = pipes.read_message(record)
         except CodecError:
             return None
         report = self.feed.take(record.topic, message)
         return make_record(report, next(self._numbers), record.log_time_ns) if report else None
-
-
-def make_keeper(job: Mapping[str, Any]) -> Keeper | None:
-    """Who keeps what the job's learner learns; None for simulated hardware."""
-    if not job["page"]:
-        return None
-    page, refused = Path(job["page"]), bool(job["refused"])
-
-    def write(text: str) -> None:
-        nonlocal refused
-        page.parent.mkdir(parents=True, exist_ok=True)
-        if refused:  # whatever is there is somebody's
-            write_output(page, text)
-        else:
-            write_whole(page, text)
-        refused = False
-
-    def complain(text: str) -> None:
-        print(f"steerd learner: {text}; the drive goes on", file=sys.stderr)
-
-    return Keeper(About(*job["about"]), write, complain)
 
 
 def serve(given: Job) -> int:
@@ -97,12 +67,14 @@ def serve(given: Job) -> int:
         loop = LearnerLoop(plan, lambda data, _t_ns: send(data), job["memory"])
     except ValueError as error:
         raise SteerdError(str(error)) from None
-    outputs = [PipeWriter(fd) for name, fd in fds.items() if name.startswith("to_")]
-    keeper, records = make_keeper(job), PipeReader(fds["pipe"])
+    outputs = [pipes.PipeWriter(fd) for name, fd in fds.items() if name.startswith("to_")]
+    keeper, records = None, pipes.PipeReader(fds["pipe"])
+    if job["page"]:  # of a car; simulated hardware's numbers are no car's
+        keeper = Keeper(Path(job["page"]), About(*job["about"]), job["refused"])
     while records.wait():
         for report in filter(None, map(loop.take, records.take())):
             for output in outputs:
-                output.write([pack_record(report)], report.message.mono_ns)
+                output.write([pipes.pack_record(report)], report.message.mono_ns)
             if keeper is not None:
                 keeper.take(report.message)
     if keeper is not None:

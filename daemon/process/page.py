@@ -39,11 +39,6 @@ _WORD_MAX = 64
 """A page's message is a word."""
 _NICE = 5
 _TEMPLATE = Path(__file__).parent / "live_page" / "live.html"
-_KINDS = {
-    "alive": RequestKind.KEEPALIVE, "arm": RequestKind.ARM, "start": RequestKind.START,
-    "stop": RequestKind.STOP, "disarm": RequestKind.DISARM, "clear": RequestKind.CLEAR,
-    "estop": RequestKind.ESTOP,
-}  # fmt: skip
 _NUMBERS = ("x", "y", "yaw", "speed", "e1", "e2", "steer", "steer_ref", "speed_ref", "path_s")
 _TEXTS = ("state", "reason", "waiting", "warnings", "holder", "leased", "mocap", "mocap_rate_hz")
 
@@ -80,7 +75,7 @@ def _finite(value: float) -> float | None:
 
 
 def pass_on(view: CarView, operator: BusOperator, word: str) -> bool:
-    """Send a request of a page: one of its words, or `set NAME VALUE`.
+    """Send a request of a page: the name of its kind, or `set NAME VALUE`.
 
     Returns:
         Whether it was sent; not for words that are no request, and only a stop before the car was
@@ -89,7 +84,7 @@ def pass_on(view: CarView, operator: BusOperator, word: str) -> bool:
     wanted = parse_setting(word)
     if wanted is not None:
         return operator.tune(view.boot_id, wanted)
-    kind = _KINDS.get(word)
+    kind = RequestKind.__members__.get(word.upper())
     return kind is not None and operator.ask(view.boot_id, kind)
 
 

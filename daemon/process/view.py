@@ -25,13 +25,7 @@ from steerd.daemon.learning.reported import reported_values
 from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.secret_server import SecretServer
 from steerd.daemon.process.view_job import draw_plan, parse_view
-from steerd.daemon.process.view_server import (
-    PROTOCOLS,
-    WORDS_MAX,
-    Channel,
-    ViewParameters,
-    ViewServer,
-)
+from steerd.daemon.process.view_server import PROTOCOLS, WORDS_MAX, Channel, ViewServer
 from steerd.daemon.process.views import Views
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode
@@ -242,10 +236,11 @@ async def run_viewer(given: Job, plan: RunPlan) -> int:
     Raises:
         OSError: the address is taken or no address of this machine.
     """
-    records, car, drawn = PipeReader(given.fds["pipe"]), plan.options.car, draw_plan(plan)
+    records, reports = PipeReader(given.fds["pipe"]), PipeReader(given.fds.get("reports"))
+    car, drawn = plan.options.car, draw_plan(plan)
     lane = make_lane_scene(drawn["lane"], drawn["half_width"], closed=drawn["closed"])
     asks = make_sender(given.fds["requests"]) if "requests" in given.fds else None
-    shown = ViewServer(f"steerd {car}", make_channels(car), ViewParameters(list_values(plan), asks))
+    shown = ViewServer(f"steerd {car}", make_channels(car), list_values(plan), asks)
     viewer = Viewer(car, Body(**drawn["body"]), lane, shown)
     host, port = parse_view(plan.options.view, plan.options.insecure_lan)
     secret = SecretServer(host, shown.talk)
@@ -254,7 +249,7 @@ async def run_viewer(given: Job, plan: RunPlan) -> int:
     ended = asyncio.Event()
 
     def read() -> None:
-        for record in records.take():
+        for record in (*records.take(), *reports.take()):
             viewer.show(record)
         if records.fd is None:
             loop.remove_reader(pipe_fd)

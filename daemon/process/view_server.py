@@ -36,41 +36,6 @@ Channel = Mapping[str, str]
 """A topic as it is advertised, but for its number; a schema that is binary stands as base64."""
 
 
-class ViewParameters:
-    """Parameters that can be read; setting one changes nothing here.
-
-    Where the run allows it (`--view-sets`), setting a live parameter asks the run's terminal for
-    it. Its new value comes back from the car, if it is accepted.
-    """
-
-    def __init__(
-        self, values: Mapping[str, Value], ask: Callable[[bytes], object] | None = None
-    ) -> None:
-        self._values = dict(values)
-        self._ask = ask
-
-    def take(self, live: Mapping[str, Value]) -> dict[str, Value]:
-        """Take in live parameters; those that are new or have changed."""
-        changed = {n: v for n, v in live.items() if self._values.get(n) != v}
-        self._values |= changed
-        return changed
-
-    def get(self, names: Iterable[str]) -> dict[str, Value]:
-        """Those named, or all."""
-        wanted = list(names) or list(self._values)
-        return {n: self._values[n] for n in wanted if n in self._values}
-
-    def set(self, wanted: Mapping[str, object]) -> dict[str, Value]:
-        """Ask for live parameters; a car file does not change during a drive. What they are now."""
-        for full, value in wanted.items():
-            group, _, name = full.partition(".")
-            if self._ask is None or group != "live" or name not in LIVE:
-                continue
-            if isinstance(value, int | float) and not isinstance(value, bool):
-                self._ask(format_setting(name, float(value)).encode())
-        return self.get(wanted)
-
-
 @dataclass(eq=False)
 class _Client:
     """One who looks: subscription by channel, parameters that are followed, what waits."""
@@ -86,13 +51,39 @@ class _Client:
 
 
 class ViewServer:
-    """Channels, parameters and clients of one car."""
+    """Channels, parameters and clients of one car.
 
-    def __init__(self, name: str, channels: Iterable[Channel], parameters: ViewParameters) -> None:
-        self._name, self._parameters = name, parameters
+    Parameters can be read; setting one changes nothing here. Where the run allows it
+    (`--view-sets`), setting a live one hands the run's terminal a text for it (`ask`). Its new
+    value comes back from the car, if it is accepted.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        channels: Iterable[Channel],
+        values: Mapping[str, Value],
+        ask: Callable[[bytes], object] | None = None,
+    ) -> None:
+        self._name, self._values, self._ask = name, dict(values), ask
         self._channels = list(channels)
         self._ids = {channel["topic"]: number for number, channel in enumerate(self._channels, 1)}
         self._clients: set[_Client] = set()
+
+    def get(self, names: Iterable[str]) -> dict[str, Value]:
+        """Parameters by name; all where none is named."""
+        wanted = list(names) or list(self._values)
+        return {n: self._values[n] for n in wanted if n in self._values}
+
+    def set(self, wanted: Mapping[str, object]) -> dict[str, Value]:
+        """Ask for live parameters; a car file does not change during a drive. What they are now."""
+        for full, value in wanted.items():
+            group, _, name = full.partition(".")
+            if self._ask is None or group != "live" or name not in LIVE:
+                continue
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                self._ask(format_setting(name, float(value)).encode())
+        return self.get(wanted)
 
     def log(self, topic: str, data: bytes, log_ns: int) -> None:
         """Send a message to those who subscribed to its channel."""
@@ -102,13 +93,15 @@ class ViewServer:
             if number is not None:
                 client.give(_DATA.pack(_MESSAGE_DATA, number, log_ns) + data)
 
-    def show(self, values: Mapping[str, Value]) -> None:
-        """Take in parameters and send those that changed to those who follow them."""
-        changed = self._parameters.take(values)
+    def show(self, values: Mapping[str, Value]) -> dict[str, Value]:
+        """Take in parameters; those that changed, which are sent to those who follow them."""
+        changed = {n: v for n, v in values.items() if self._values.get(n) != v}
+        self._values |= changed
         for client in self._clients:
             followed = {n: v for n, v in changed.items() if n in client.followed}
             if followed:
                 client.give(_encode_values(followed))
+        return changed
 
     async def talk(self, connection: ServerConnection) -> None:
         """Serve one client until it leaves."""
@@ -138,13 +131,13 @@ class ViewServer:
                 kept = {c: n for c, n in client.subscribed.items() if n not in ended}
                 client.subscribed = kept
             case "getParameters":
-                values = self._parameters.get(map(str, said["parameterNames"]))
+                values = self.get(map(str, said["parameterNames"]))
                 client.give(_encode_values(values, said.get("id")))
             case "setParameters":
                 wanted = {str(p["name"]): p.get("value") for p in said["parameters"]}
-                client.give(_encode_values(self._parameters.set(wanted), said.get("id")))
+                client.give(_encode_values(self.set(wanted), said.get("id")))
             case "subscribeParameterUpdates":
-                names = self._parameters.get(map(str, said["parameterNames"]))
+                names = self.get(map(str, said["parameterNames"]))
                 client.followed |= {*names, *map(str, said["parameterNames"])}
             case "unsubscribeParameterUpdates":
                 client.followed -= set(map(str, said["parameterNames"]))

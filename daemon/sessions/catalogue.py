@@ -20,7 +20,7 @@ from urllib.parse import quote
 import platformdirs
 import tomlkit
 
-from steerd.daemon.assembly.session_meta import default_session_path
+from steerd.daemon.assembly.session_meta import sessions_folder
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.row_file import RowFile
 from steerd.daemon.common.screen import clean, cut, wrap
@@ -67,7 +67,7 @@ class Entry:
 
 def default_folders() -> tuple[Path, ...]:
     """Where drives are looked for: this folder, and the one that recordings go to by themselves."""
-    kept = default_session_path("car", 0, 0).parent
+    kept = sessions_folder()
     here = Path.cwd()
     return (here,) if kept.resolve() == here.resolve() else (here, kept)
 

@@ -1,6 +1,6 @@
 """A car file as settings: each section is checked by the room that uses it."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from math import pi, radians
@@ -140,15 +140,9 @@ def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
         deadman=bool(read("safety", dict).get("deadman", True)),
         record=read("record", lambda table: _convert(table, RecordSettings)),
     )
-    _check_stop(car_file, settings.thresholds)
-    _check_gain(settings)
-    check_effects(car_file, settings.thresholds)
-    if settings.controller.speed > settings.limits.speed_max:
-        raise SteerdError(
-            f"{settings.controller.speed:g} m/s is above the car file's limits.speed_max = "
-            f"{settings.limits.speed_max:g} m/s",
-            "drive slower, or raise speed_max if the car may",
-        )
+    for wrong, what, hint in _list_contradictions(settings):
+        if wrong:
+            raise SteerdError(what, hint)
     return settings
 
 
@@ -159,46 +153,39 @@ _SECTIONS = (
 """Sections that some room reads; others are a reader's own and stay."""
 
 
-def _check_stop(car_file: CarFile, thresholds: Thresholds) -> None:
-    """Refuse a car whose stops W24 would call ineffective, however well they work.
-
-    Raises:
-        SteerdError: its floor or its drive does not let it slow down as `[safety]` expects.
-    """
-    car = believed_car(car_file.model)
-    needed, given = thresholds.stop_share * thresholds.brake_decel, car.mu * GRAVITY
-    if given < needed:
-        what = (
-            f"{car_file.path}: friction {car.mu:g} stops the car with {given:.2f} m/s² at most; "
-            f"[safety] expects {needed:.2f} m/s² (stop_share x brake_decel)"
-        )
-        raise SteerdError(what, "measure brake_decel on this floor, and [car] mu")
-    if car.drive_delay > thresholds.stop_lag:
-        what = (
-            f"{car_file.path}: the drive's dead time of {car.drive_delay:g} s is longer than "
-            f"[safety] stop_lag = {thresholds.stop_lag:g} s, after which a stop must show"
-        )
-        raise SteerdError(what, "measure drive_delay; stop_lag may be 0.3 s at most")
+_Contradiction = tuple[bool, str, str]
+"""Whether it is there, what it is, and what to try."""
 
 
-def _check_gain(settings: Settings) -> None:
-    """Refuse a car that by its own file drives so far off its wheels' speed that each start fails.
-
-    Raises:
-        SteerdError: the launch check or W20 would stop it.
-    """
-    th, file = settings.thresholds, settings.file
-    slow = min(LAUNCH_SPEED, settings.limits.speed_max)
-    low, high = LAUNCH_RATIO
+def _list_contradictions(s: Settings) -> Iterator[_Contradiction]:
+    """What would end each of a car's drives, by a watchdog (W20, W24), its launch or its limits."""
+    th, path, car = s.thresholds, s.file.path, believed_car(s.file.model)
+    needed, given = th.stop_share * th.brake_decel, car.mu * GRAVITY
+    yield (
+        given < needed,
+        f"{path}: friction {car.mu:g} stops the car with {given:.2f} m/s² at most; "
+        f"[safety] expects {needed:.2f} m/s² (stop_share x brake_decel)",
+        "measure brake_decel on this floor, and [car] mu",
+    )
+    yield (
+        car.drive_delay > th.stop_lag,
+        f"{path}: the drive's dead time of {car.drive_delay:g} s is longer than "
+        f"[safety] stop_lag = {th.stop_lag:g} s, after which a stop must show",
+        "measure drive_delay; stop_lag may be 0.3 s at most",
+    )
+    slow, gain, (low, high) = min(LAUNCH_SPEED, s.limits.speed_max), car.speed_gain, LAUNCH_RATIO
     high = min(high, max(th.overspeed_ratio, 1.0 + th.overspeed_margin / slow))
-    gain = believed_car(file.model).speed_gain
-    if not low <= gain <= high:
-        scaled = settings.scaling.erpm_gain / gain
-        what = (
-            f"{file.path}: this car drives at {gain:g} times the speed of its wheels (speed_gain, "
-            f"and the effects that change it); a start lets {low:g} to {high:g} pass"
-        )
-        raise SteerdError(what, f"[vesc] erpm_gain = {scaled:.0f} and speed_gain = 1 say the same")
+    yield (
+        not low <= gain <= high,
+        f"{path}: this car drives at {gain:g} times the speed of its wheels (speed_gain, "
+        f"and the effects that change it); a start lets {low:g} to {high:g} pass",
+        f"[vesc] erpm_gain = {s.scaling.erpm_gain / gain:.0f} and speed_gain = 1 say the same",
+    )
+    if s.file.model.effects:
+        yield from _list_effects(s.file, th)
+    speed, most = s.controller.speed, s.limits.speed_max
+    what = f"{speed:g} m/s is above the car file's limits.speed_max = {most:g} m/s"
+    yield speed > most, what, "drive slower, or raise speed_max if the car may"
 
 
 def _read(car_file: CarFile, name: str, make: Callable[[Mapping[str, Any]], S]) -> S:
@@ -283,38 +270,35 @@ _HEADINGS = 24  # headings at which a car is let roll
 _FAR = 1e6  # away from places that differ from the rest of the floor [m]
 
 
-def check_effects(file: CarFile, th: Thresholds) -> None:
-    """Refuse a car that its effects keep from stopping, from starting, or from being seen right.
+def _list_effects(file: CarFile, th: Thresholds) -> Iterator[_Contradiction]:
+    """Effects that keep a car from stopping, from starting, or from being seen right.
 
     What they do is asked of the car's own equations, so that no effect is named here.
-
-    Raises:
-        SteerdError: a watchdog would end each of its drives.
     """
-    if not file.model.effects:
-        return
     rolling = [_roll(file.model, 2.0 * pi * k / _HEADINGS) for k in range(_HEADINGS)]
     most = (1.0 - th.stop_share) * SOFT_DECEL
-    if max(rolling) > most:
-        what = (
-            f"{file.path}: left to roll, this car speeds up by {max(rolling):.2f} m/s² "
-            f"([effects]); with more than {most:.2f} a stop is not distinguishable from none"
-        )
-        raise SteerdError(what, "measure that floor or that drag; no stop is sure on it")
+    yield (
+        max(rolling) > most,
+        f"{file.path}: left to roll, this car speeds up by {max(rolling):.2f} m/s² "
+        f"([effects]); with more than {most:.2f} a stop is not distinguishable from none",
+        "measure that floor or that drag; no stop is sure on it",
+    )
     lack, allowed = (
         -min(rolling) * believed_car(file.model).speed_lag,
         th.follow_share * LAUNCH_SPEED,
     )
-    if lack > allowed * (1.0 + 1e-6):
-        what = (
-            f"{file.path}: this car lags {lack:.2f} m/s behind its orders ([effects], speed_lag); "
-            f"W30 lets {allowed:.2f} pass at a start"
-        )
-        raise SteerdError(what, "identify speed_lag and drag; a tight speed loop has no such lag")
+    yield (
+        lack > allowed * (1.0 + 1e-6),
+        f"{file.path}: this car lags {lack:.2f} m/s behind its orders ([effects], speed_lag); "
+        f"W30 lets {allowed:.2f} pass at a start",
+        "identify speed_lag and drag; a tight speed loop has no such lag",
+    )
     off = observe(FLOAT, file.model, _at(0.0)).yaw
-    if abs(off) > HEADING_MOST:
-        what = f"{file.path}: mocap shows a heading {off:+.2f} rad off the car's ([effects])"
-        raise SteerdError(what, "turn the body by [mocap] mount_yaw_deg: `steerd mocap calibrate`")
+    yield (
+        abs(off) > HEADING_MOST,
+        f"{file.path}: mocap shows a heading {off:+.2f} rad off the car's ([effects])",
+        "turn the body by [mocap] mount_yaw_deg: `steerd mocap calibrate`",
+    )
 
 
 def _at(heading: float) -> State[float]:

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from steerd.car_model.car_file import default_car_path
 from steerd.daemon.assembly.build import RunPlan
-from steerd.daemon.assembly.session_meta import default_session_path
+from steerd.daemon.assembly.session_meta import sessions_folder
 from steerd.daemon.common.screen import NBSP, below_home, remove_controls, show
 from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
 from steerd.daemon.ipc.requests import read_diagnostics
@@ -198,7 +198,7 @@ def closing_lines(plan: RunPlan, tally: Tally, session: Path) -> Iterator[str]:
     followed = plan.drill is None or plan.drill.closed
     yield tally.describe(lane=followed)
     # Of a folder that nobody chose, commands find the last drive by themselves.
-    usual = session.parent == default_session_path("car", 0, 0).parent
+    usual = session.parent == sessions_folder()
     name = "@last" if usual else shlex.quote(str(session))
     yield f"session: {below_home(session) if usual else session}"
     if collected:

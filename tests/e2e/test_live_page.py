@@ -228,10 +228,10 @@ def test_nothing_is_sent_that_the_browser_did_not_send():
     """A silent browser is a silent operator: no timer of ours keeps a lease alive."""
     car = FakeCar()
     operator = BusOperator(car.view.bus, "car1", car.view.clock, NAME, car.view.pulse)
-    assert not pass_on(car.view, operator, "alive"), "not before the car was heard"
+    assert not pass_on(car.view, operator, "keepalive"), "not before the car was heard"
     car.publish()
     car.view.poll()
-    assert pass_on(car.view, operator, "alive")
+    assert pass_on(car.view, operator, "keepalive")
     for _ in range(50):
         car.publish()
         car.view.poll()

@@ -19,8 +19,6 @@ from tests.e2e.conftest import Program
 from tests.e2e.test_live_page import live as open_page
 from tests.safety.live import Live, start_live
 
-_WORDS = {RequestKind.KEEPALIVE: "alive", RequestKind.ARM: "arm", RequestKind.START: "start",
-          RequestKind.STOP: "stop"}  # fmt: skip
 QUIET_S = 0.5  # a gamepad that says nothing for so long counts as released
 
 
@@ -34,7 +32,7 @@ def held_by_page(folder: Path) -> Iterator[Live]:
 
         def say(kind: RequestKind) -> None:
             with contextlib.suppress(ConnectionClosed):
-                socket.send(_WORDS[kind])
+                socket.send(kind.name.lower())
 
         live.hand, live.leave = say, socket.close
         yield live

@@ -15,7 +15,7 @@ function connect() {
   socket.onclose = () => { release(); setTimeout(connect, 1000); };
 }
 // The lease: as long as this page is looked at it says so; a page that is closed, hidden or frozen is silent.
-function hold() { if (!holding) { holding = true; timer = setInterval(() => say("alive"), HOLD_MS); } }
+function hold() { if (!holding) { holding = true; timer = setInterval(() => say("keepalive"), HOLD_MS); } }
 function release() { holding = false; clearInterval(timer); }
 function leave() { if (holding) { say("stop"); release(); } }
 addEventListener("pagehide", leave);

@@ -70,8 +70,7 @@ def test_a_plan_fits_its_box_and_its_limits_or_is_refused(name, side, speed):
         drill = plans.make_open_drill(name, DEFAULT_CAR, LIMITS, box, speed)
     except ValueError:
         return
-    reach = plans.forecast_extent(DEFAULT_CAR, drill.segments)
-    assert max(reach.x_max, -reach.x_min, reach.y_max, -reach.y_min) <= 0.5 * side
+    assert max(plans.forecast_reach(DEFAULT_CAR, drill.segments)) <= 0.5 * side
     for k in range(int(drill.seconds / 0.1)):
         wish = drill.command_at(0.1 * k)
         assert -LIMITS.steer_right_max - 1e-9 <= wish.steer <= LIMITS.steer_left_max + 1e-9

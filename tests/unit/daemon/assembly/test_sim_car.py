@@ -9,9 +9,10 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.assembly.build import RunId, make_design_car, make_plan, make_world_config
 from steerd.daemon.assembly.plans import parse_box
 from steerd.daemon.assembly.session_meta import (
-    default_session_path,
     make_attachments,
     make_metadata,
+    session_path,
+    sessions_folder,
 )
 from steerd.daemon.assembly.sim_car import (
     BIAS,
@@ -96,24 +97,16 @@ def test_a_car_on_the_floor_has_no_known_truth():
     assert compare_truths({"a": make_metadata(real), "b": make_metadata(plan)}) == []
 
 
-def test_an_old_session_was_driven_on_its_car_file():
-    old = make_metadata(make())
-    del old["steerd.truth"]
-    assert read_true_car(old) == make().settings.file.car
-
-
 # Plans: what is refused before anything starts, and what the design may count on.
-
-OPTIONS = RunOptions(car_file="", path="line", speed=1.0)
 
 
 def test_a_drills_box_becomes_the_fence():
-    plan = make_plan(replace(OPTIONS, drill="mixed;open;speed=1;box=9"), design=False)
+    plan = make(drill="mixed;open;speed=1;box=9")
     assert plan.settings.thresholds.fence == parse_box("9").fence
 
 
 def test_the_design_counts_on_the_limited_steering_only():
-    settings = make_plan(OPTIONS, design=False).settings
+    settings = make().settings
     tight = replace(settings, limits=replace(settings.limits, steer_left_max=0.1))
     car = make_design_car(tight)
     assert car.steer_max == 0.1
@@ -122,27 +115,22 @@ def test_the_design_counts_on_the_limited_steering_only():
 
 # What a session file says of its run: name, metadata, attachments.
 
-GIVEN = RunOptions(car_file="", path="line", speed=1.0, simulated=True)
 NOON_NS = 1_700_000_000_000_000_000
-
-
-@pytest.fixture(scope="module")
-def plan():
-    return make_plan(GIVEN, design=False)
 
 
 def test_a_session_is_named_by_date_car_and_run_in_the_services_or_users_folder(
     monkeypatch, tmp_path
 ):
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
-    path = default_session_path("car1", NOON_NS, 0x1_2345_6789)
+    path = session_path(make().options, NOON_NS, 0x1_2345_6789)
     assert path == tmp_path / "sessions" / "2023-11-14T22-13-20Z_car1_23456789.mcap"
     monkeypatch.delenv("STATE_DIRECTORY")
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
-    assert default_session_path("car1", NOON_NS, 1).parent == tmp_path / "steerd" / "sessions"
+    assert sessions_folder() == tmp_path / "steerd" / "sessions"
 
 
-def test_reproducible_metadata_say_nothing_of_the_machine(plan):
+def test_reproducible_metadata_say_nothing_of_the_machine():
+    plan = make()
     plain, same = make_metadata(replace(plan, real=RunId(3, 4, leased=True))), make_metadata(plan)
     lost = set(plain["steerd.session"]) - set(same["steerd.session"])
     assert {"host", "kernel"} <= lost <= {"host", "kernel", "git"}
@@ -152,7 +140,8 @@ def test_reproducible_metadata_say_nothing_of_the_machine(plan):
     assert decode_options(session["options"]) == plan.options
 
 
-def test_car_file_and_path_file_are_attached_unchanged(plan, tmp_path):
+def test_car_file_and_path_file_are_attached_unchanged(tmp_path):
+    plan = make()
     lane = tmp_path / "lane.csv"
     lane.write_text("x,y\n0,0\n1,0\n")
     with_file = replace(plan, options=replace(plan.options, path=f"csv:{lane},closed"))

@@ -5,6 +5,7 @@ import shutil
 import tomllib
 from dataclasses import replace
 from hashlib import sha256
+from pathlib import Path
 
 import pytest
 
@@ -24,7 +25,6 @@ from steerd.daemon.learning.kept import (
     recall,
 )
 from steerd.daemon.process.children import learnt_page, recall_learnt
-from steerd.daemon.process.learner import make_keeper
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import messages as m
 
@@ -110,36 +110,39 @@ def test_numbers_have_a_digest_and_comments_have_none():
     assert digest_numbers(car, 4000.0, 0.0) != same
 
 
-def test_a_keeper_writes_at_once_each_minute_and_at_the_end(report):
-    written = []
-    keeper = Keeper(ABOUT, written.append, pytest.fail)
-    keeper.take(replace(report, verdict="learning"))
-    keeper.end()
-    assert written == [], "a car that is not known yet says nothing new"
-    for second in range(61):
-        keeper.take(replace(report, mono_ns=report.mono_ns + second * 1_000_000_000))
-    assert len(written) == 2
+def test_a_keeper_writes_at_once_each_minute_and_at_the_end(report, tmp_path):
+    keeper = Keeper(tmp_path / "page.toml", ABOUT)
+
+    def written(*seconds, **changes):
+        """Whether reports of these seconds, and then the end where there are none, write a page."""
+        for second in seconds:
+            mono_ns = report.mono_ns + second * 1_000_000_000
+            keeper.take(replace(report, mono_ns=mono_ns, **changes))
+        if not seconds:
+            keeper.end()
+        there = keeper.page.exists()
+        keeper.page.unlink(missing_ok=True)
+        return there
+
+    assert not written(0, verdict="learning")
+    assert not written(), "a car that is not known yet says nothing new"
+    assert written(0)
+    assert not written(*range(1, 60))
     assert EVERY_NS == 60_000_000_000
-    keeper.end()
-    assert len(written) == 2, "the last report is written already"
-    keeper.take(replace(report, mono_ns=report.mono_ns + 62_000_000_000))
-    keeper.end()
-    assert len(written) == 3
-    assert parse_kept(written[0].encode()).about == ABOUT
+    assert written(60)
+    assert not written(), "the last report is written already"
+    assert not written(62)
+    assert written()
 
 
-def test_a_page_that_cannot_be_written_is_said_once(report):
-    said = []
-
-    def write(text):
-        raise PermissionError(13, "Permission denied")
-
-    keeper = Keeper(ABOUT, write, said.append)
+def test_a_page_that_cannot_be_written_is_said_once(report, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    keeper = Keeper(tmp_path / "file" / "page.toml", ABOUT)
     for second in (0, 61, 122):
         keeper.take(replace(report, mono_ns=report.mono_ns + second * 1_000_000_000))
     keeper.end()
-    assert len(said) == 1
-    assert "Permission denied" in said[0]
+    (said,) = capsys.readouterr().err.splitlines()
+    assert "File exists" in said
 
 
 # What a run's learner begins with: the page beside its car file, if it is this car's.
@@ -154,30 +157,24 @@ def plan(tmp_path):
     return make_plan(options)
 
 
-@pytest.fixture
-def quiet_report(make_report):
-    return make_report("none")
-
-
 def recalled(plan, now_ns):
     return recall_learnt(plan, plan.settings.file.path.with_name("next.mcap"), now_ns)
 
 
-def kept(plan, quiet_report):
+def kept(plan, report):
     """A drive's page, written as the learner process writes it."""
-    memory = recalled(plan, m.stamp_ns(quiet_report.header))
-    keeper = make_keeper(memory._asdict())
-    keeper.take(quiet_report)
+    memory = recalled(plan, m.stamp_ns(report.header))
+    Keeper(Path(memory.page), memory.about, memory.refused).take(report)
     return memory
 
 
-def test_what_one_run_keeps_the_next_begins_with(plan, quiet_report, capsys):
-    first = kept(plan, quiet_report)
+def test_what_one_run_keeps_the_next_begins_with(plan, report, capsys):
+    first = kept(plan, report)
     assert (first.memory, dict(first.metadata), first.refused) == ("", {}, False)
     page = plan.settings.file.path.with_name("car.learnt.toml")
     assert first.page == str(page)
-    assert page.read_text() == format_kept(first.about, quiet_report), "with the drive's time"
-    second = recalled(plan, m.stamp_ns(quiet_report.header) + 2 * DAY_NS)
+    assert page.read_text() == format_kept(first.about, report), "with the drive's time"
+    second = recalled(plan, m.stamp_ns(report.header) + 2 * DAY_NS)
     assert json.loads(second.memory) == {"days": 2.0, "values": {"steer_gain": [0.98, 0.012]}}
     assert second.metadata[METADATA]["memory"] == second.memory
     assert second.metadata[METADATA]["file"] == "car.learnt.toml"
@@ -196,21 +193,20 @@ def test_the_car_that_steerd_brings_is_kept_in_the_data_folder(plan, tmp_path, m
 
 
 @pytest.mark.parametrize("change", [{"learn": False}, {"simulated": True}])
-def test_simulated_hardware_and_a_run_without_a_learner_keep_nothing(plan, quiet_report, change):
-    kept(plan, quiet_report)
+def test_simulated_hardware_and_a_run_without_a_learner_keep_nothing(plan, report, change):
+    kept(plan, report)
     other = make_plan(replace(plan.options, **change))
-    memory = recalled(other, m.stamp_ns(quiet_report.header))
+    memory = recalled(other, m.stamp_ns(report.header))
     assert (memory.page, memory.memory) == ("", "")
-    assert make_keeper(memory._asdict()) is None
 
 
-def test_an_edited_car_file_begins_anew_and_nothing_is_lost(plan, quiet_report, capsys):
-    kept(plan, quiet_report)
+def test_an_edited_car_file_begins_anew_and_nothing_is_lost(plan, report, capsys):
+    kept(plan, report)
     page, path = learnt_page(plan), plan.settings.file.path
     old, mass = page.read_text(), plan.settings.file.car.mass
     path.write_text(path.read_text().replace(f"mass = {mass}", "mass = 4.5"))
     edited = make_plan(plan.options)
-    memory = kept(edited, quiet_report)
+    memory = kept(edited, report)
     assert memory.refused
     assert memory.memory == ""
     said = capsys.readouterr().err
@@ -218,16 +214,16 @@ def test_an_edited_car_file_begins_anew_and_nothing_is_lost(plan, quiet_report, 
     assert said.count("\n") == 1
     (aside,) = set(page.parent.glob("car.learnt.*.toml")) - {page}
     assert aside.read_text() == old
-    assert recalled(edited, m.stamp_ns(quiet_report.header)).memory != ""
+    assert recalled(edited, m.stamp_ns(report.header)).memory != ""
 
 
 @pytest.mark.parametrize(
     ("torn", "said"), [(True, "car.learnt.toml is torn or was edited"), (False, "cannot be read")]
 )
 def test_a_page_that_is_torn_or_cannot_be_read_is_named_and_left_out(
-    plan, quiet_report, capsys, torn, said
+    plan, report, capsys, torn, said
 ):
-    kept(plan, quiet_report)
+    kept(plan, report)
     page = learnt_page(plan)
     data = page.read_bytes()
     page.unlink()
@@ -235,6 +231,6 @@ def test_a_page_that_is_torn_or_cannot_be_read_is_named_and_left_out(
         page.write_bytes(data[:-1])
     else:
         page.mkdir()
-    memory = recalled(plan, m.stamp_ns(quiet_report.header))
+    memory = recalled(plan, m.stamp_ns(report.header))
     assert (memory.memory, memory.refused) == ("", True)
     assert said in capsys.readouterr().err

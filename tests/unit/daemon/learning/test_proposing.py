@@ -1,7 +1,5 @@
 """The learner's proposals: by steps, from where the core is, and none in doubt."""
 
-from math import nan
-
 import pytest
 
 from steerd.daemon.learning import proposing
@@ -13,6 +11,7 @@ from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode
 from steerd.vesc_link.scaling import Scaling
+from tests.blank import blank
 from tests.designs import numbers, standard
 
 S = 1_000_000_000
@@ -100,34 +99,29 @@ EPOCH = 1_700_000_000_000_000_000
 WIRING = Wiring(EPOCH, Scaling(4000.0, 100.0))
 
 
-def pose(reject=""):
-    header = m.make_header(EPOCH + 2_000_000_000, m.WORLD)
-    raw = (0.0,) * 8
-    return m.MocapPose(
-        header, 2_000_000_000, 2_004_000_000, 0, 1, 0, 1, *raw, 1.0, 2.0, 0.3, 0.1, 0.0, reject
-    )
+def at_s(seconds, cls, **values):
+    """A message with a header of so long after the session's zero."""
+    return blank(cls, **{"header": m.make_header(EPOCH + seconds * S, m.BODY), **values})
+
+
+POSE = {"t_valid_ns": 2 * S, "x": 1.0, "y": 2.0, "yaw": 0.3}
+OTHER_ORDERS = [mode for mode in m.ActuationMode if mode != m.ActuationMode.SPEED]
+TOLD = {"t_sent_ns": S, "t_received_ns": S + 2_000_000, "erpm": 6100}
 
 
 def actuation(mode):
-    return m.Actuation(m.make_header(EPOCH + 3_000_000_000, m.BODY), 7, mode, 0.1, 1.5, nan, b"")
-
-
-OTHER_ORDERS = [mode for mode in m.ActuationMode if mode != m.ActuationMode.SPEED]
-TOLD = m.VescTelemetry(
-    m.make_header(EPOCH, m.BODY), S, S + 2_000_000, 5, 6100, 0, 0, 0, 0, *(0.0,) * 10
-)
-WHEEL = m.WheelSpeed(m.make_header(EPOCH, m.BODY), 4_000_000_000, 1.25)
+    return at_s(3, m.Actuation, mode=mode, steer=0.1, speed=1.5)
 
 
 @pytest.mark.parametrize(
     ("topic", "message", "sample"),
     [
-        (topics.MOCAP, pose(), PoseSeen(2.0, 1.0, 2.0, 0.3)),
-        (topics.MOCAP, pose("jump"), None),
+        (topics.MOCAP, at_s(2, m.MocapPose, **POSE), PoseSeen(2.0, 1.0, 2.0, 0.3)),
+        (topics.MOCAP, at_s(2, m.MocapPose, **POSE, reject="jump"), None),
         (topics.ACTUATION, actuation(m.ActuationMode.SPEED), Ordered(3.0, 0.1, 1.5)),
         *((topics.ACTUATION, actuation(mode), Paused(3.0)) for mode in OTHER_ORDERS),
-        (topics.VESC, TOLD, Rolled(pytest.approx(1.001), 1.5)),
-        (topics.WHEEL, WHEEL, Rolled(4.0, 1.25)),
+        (topics.VESC, at_s(1, m.VescTelemetry, **TOLD), Rolled(pytest.approx(1.001), 1.5)),
+        (topics.WHEEL, at_s(4, m.WheelSpeed, t_ns=4 * S, speed=1.25), Rolled(4.0, 1.25)),
     ],
 )
 def test_a_message_counts_when_it_was_valid_in_the_sessions_own_scaling(topic, message, sample):

@@ -109,6 +109,8 @@ def test_every_end_belongs_to_one_process_and_the_terminal_keeps_its_own(asked):
     assert len(set(every)) == len(every)
     always = {"core", "recorder", "gateway", "terminal"}
     assert set(ends.of) == always | ({"learner", "view"} if asked else set())
+    told = {name for name, fds in ends.of.items() if "reports" in fds}
+    assert told == ({"recorder", "gateway", "terminal", "view"} if asked else set())
     ends.close(keep="terminal")
     kept = set(ends.of["terminal"].values())
     for fd in every:

@@ -23,12 +23,11 @@ from steerd.daemon.process.gamepad import (
     SYN_DROPPED,
     XBOX_AXES,
     AxisRange,
-    DevicePad,
+    Pad,
     PadEvent,
     PadGoneError,
     PadMap,
     PadState,
-    StreamPad,
     find_pad,
     is_silent,
     open_pad,
@@ -51,7 +50,7 @@ RECORDED = struct.pack("qqHHi", 1700000000, 5, KEY, 310, 1) + struct.pack(
 @pytest.fixture
 def pipe():
     read_fd, write_fd = os.pipe()
-    pad = StreamPad("a pipe", read_fd)
+    pad = Pad("a pipe", read_fd)
     yield pad, write_fd
     pad.close()
 
@@ -61,23 +60,16 @@ def read_to_the_end(pad):
         pad.read()
 
 
-def test_bytes_of_the_kernel_are_events(pipe):
-    pad, write_fd = pipe
-    os.write(write_fd, RECORDED)
-    os.close(write_fd)
-    assert pad.read() == [PadEvent(KEY, 310, 1), PadEvent(ABS, 0, -32768)]
-    with pytest.raises(PadGoneError, match="a pipe"):
-        pad.read()
-
-
-@pytest.mark.parametrize("cut", [1, 23, 24, 25, 47])
-def test_events_cut_anywhere_come_whole(pipe, cut):
+@pytest.mark.parametrize("cut", [1, 23, 24, 25, 47, 48])
+def test_bytes_of_the_kernel_are_events_wherever_they_are_cut(pipe, cut):
     pad, write_fd = pipe
     os.write(write_fd, RECORDED[:cut])
     events = pad.read()
-    os.write(write_fd, RECORDED[cut:])
+    os.write(write_fd, RECORDED[cut:] + RECORDED)
     os.close(write_fd)
-    assert events + pad.read() == [PadEvent(KEY, 310, 1), PadEvent(ABS, 0, -32768)]
+    assert events + pad.read() == [PadEvent(KEY, 310, 1), PadEvent(ABS, 0, -32768)] * 2
+    with pytest.raises(PadGoneError, match="a pipe"):
+        pad.read()
 
 
 def test_a_device_that_is_not_there_is_named(tmp_path):
@@ -101,7 +93,7 @@ def test_a_virtual_gamepad_is_read_and_its_end_is_noticed():
 
     axes = [(0, evdev.AbsInfo(0, -100, 100, 0, 3, 0)), (5, evdev.AbsInfo(0, 0, 255, 0, 0, 0))]
     made = evdev.UInput({KEY: [310, 315], ABS: axes}, name="steerd test pad")
-    pad = DevicePad(Path(made.device.path))
+    pad = open_pad(Path(made.device.path), 310)
     assert pad.axes[0] == (-100, 100, 3)
     made.write(KEY, 310, 1)
     made.syn()

@@ -87,16 +87,16 @@ def plan():
     return make_plan(RunOptions(car_file="", path="line", speed=1.0), real=REAL)
 
 
-def make_runner(plan, sinks=(), **record):
+def make_runner(plan, sinks=(), requests=(), **record):
     settings = replace(plan.settings, record=replace(plan.settings.record, **record))
     core = make_core(replace(plan, settings=settings), sinks)
-    pipes = [PipeWriter(-1), PipeWriter(-1)]
+    pipes, guard, port = (PipeWriter(-1), PipeWriter(-1)), FakeGuard(), FakePort()
     clock = SimpleNamespace(now_ns=lambda: 0, realtime_ns=lambda: 0)
-    guard, port = FakeGuard(), FakePort()
-    made = Runner(core, clock, lambda: port, None, CoreLinks(*pipes, (), -1), guard)
+    links = CoreLinks(*pipes, tuple(requests), -1)
+    made = Runner(core, clock, lambda: port, World(10 * MS), links, guard)
     made._try_open(0)
     assert core.flags == Flag.LINKED
-    return SimpleNamespace(it=made, core=core, pipes=pipes, guard=guard, port=port)
+    return SimpleNamespace(it=made, core=core, pipes=pipes, guard=guard, port=port, clock=clock)
 
 
 def engage(r):
@@ -157,9 +157,9 @@ def read_fds():
         os.close(fd)
 
 
-def piped(plan, read_fds, sinks=(), **record):
+def piped(plan, read_fds, **given):
     """A runner with real pipes to a recorder and a gateway."""
-    r = make_runner(plan, sinks, **record)
+    r = make_runner(plan, **given)
     for pipe in r.pipes:
         read_fd, pipe.fd = make_pipe()
         read_fds.append(read_fd)
@@ -259,14 +259,11 @@ def hold(plan, both_ends, read_fds, who, answers, seconds=3.0):
     """
     cores, others = both_ends
     sent = []
-    r = piped(plan, read_fds, sinks=(lambda records, _t_ns: sent.extend(records),))
-    it = Runner(
-        r.core, r.it._clock, FakePort, World(10 * MS),
-        CoreLinks(*r.pipes, tuple(cores), -1), FakeGuard(),
-    )  # fmt: skip
+    notes = (lambda records, _t_ns: sent.extend(records),)
+    r = piped(plan, read_fds, sinks=notes, requests=cores)
     operator = Operator(1, 42, "test")
     now = [0]
-    it._clock = SimpleNamespace(now_ns=lambda: now[0], realtime_ns=lambda: now[0])
+    r.clock.now_ns = r.clock.realtime_ns = lambda: now[0]
     for now[0] in range(0, round(seconds * SECOND), 50 * MS):
         others[who].send(
             pack_request(topics.OPERATOR.name, operator.make_request(RequestKind.KEEPALIVE, 0))
@@ -276,8 +273,8 @@ def hold(plan, both_ends, read_fds, who, answers, seconds=3.0):
             beat = encode(replace(beats[-1], lease_id=lease_id))
             others[REMOTE].send(pack_request(topics.HEARTBEAT_BACK.name, beat))
         for end in cores:
-            it._read_requests(end)
-        it._housekeeping(now[0])
+            r.it._read_requests(end)
+        r.it._housekeeping(now[0])
         if r.core.flags & Flag.GATEWAY_LOST:
             return now[0] // MS
         r.core.outbox.flush(now[0])
@@ -331,7 +328,6 @@ def test_only_a_car_at_rest_is_left_in_good_order(plan, state, clean):
     """A third signal leaves at once: what still moves is the guardian's to brake."""
     r = make_runner(plan)
     r.core.loop.supervisor = changed(r.core.loop.supervisor, state=state)
-    r.it._mocap = SimpleNamespace(close=lambda: None)
     r.it._leave()
     assert r.guard.clean is clean
     assert bool(r.port.sent) is clean

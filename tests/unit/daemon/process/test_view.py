@@ -25,7 +25,7 @@ from steerd.daemon.process.view import (
     make_transform,
 )
 from steerd.daemon.process.view_job import draw_plan, parse_view
-from steerd.daemon.process.view_server import ViewParameters, ViewServer
+from steerd.daemon.process.view_server import ViewServer
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
@@ -37,23 +37,23 @@ BODY = Body(0.16, 0.17, 0.27)
 def test_parameters_are_flat_and_cannot_be_set():
     flat = make_parameters({"car": {"lf": 0.1}, "record": {"required": True}, "name": "x"})
     assert flat == {"car.lf": 0.1, "record.required": 1.0, "name": "x"}
-    known = ViewParameters(flat)
+    known = ViewServer("x", [], flat)
     assert known.set({"car.lf": 9.0, "unknown": 1.0}) == {"car.lf": 0.1}
     assert known.get([]) == flat
 
 
 def test_a_live_parameter_is_asked_for_and_keeps_its_value_until_the_car_changes_it():
     asked = []
-    known = ViewParameters({"live.speed": 1.5, "car.lf": 0.1}, asked.append)
+    known = ViewServer("x", [], {"live.speed": 1.5, "car.lf": 0.1}, asked.append)
     assert known.set({"live.speed": 1.25}) == {"live.speed": 1.5}
     known.set({"car.lf": 9.0, "live.mass": 9.0, "live.gain": True, "live.offset": -1})
     known.set({"live.gain": "2"})
     assert asked == [b"set speed 1.25", b"set offset -1.0"]
     assert [parse_setting(text.decode()) for text in asked] == [{"speed": 1.25}, {"offset": -1.0}]
-    changed = known.take({"live.speed": 1.25, "live.gain": 1.0})
+    changed = known.show({"live.speed": 1.25, "live.gain": 1.0})
     assert changed == {"live.speed": 1.25, "live.gain": 1.0}
-    assert known.take({"live.speed": 1.25}) == {}
-    unasked = ViewParameters({"live.speed": 1.5})
+    assert known.show({"live.speed": 1.25}) == {}
+    unasked = ViewServer("x", [], {"live.speed": 1.5})
     assert unasked.set({"live.speed": 1.25}) == {"live.speed": 1.5}, "without leave of the run"
 
 
@@ -68,19 +68,19 @@ def test_what_was_learnt_is_shown_with_its_standard_deviation_once_it_is_new():
     assert shown["model.steer_gain_identifiable"] == "yes"
     assert shown["model.lf_identifiable"] == "no"
     assert "model.lf_sd" not in shown
-    known = ViewParameters({})
-    assert known.take(shown) == shown
-    assert known.take(shown) == {}
+    known = ViewServer("x", [], {})
+    assert known.show(shown) == shown
+    assert known.show(shown) == {}
 
 
 def test_every_topic_has_a_channel_with_its_schema():
     channels = {channel["topic"]: channel for channel in make_channels("blue")}
-    for topic in topics.TOPICS:
-        channel = channels[f"/steerd/blue/{topic.name}"] if topic.on_bus else None
-        if channel is not None:
-            assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
-            assert "std_msgs/Header" in channel["schema"] or topic is topics.LOG
-    assert len(channels) == sum(topic.on_bus for topic in topics.TOPICS) + 2
+    shown = [topic for topic in topics.TOPICS if topic.on_bus]
+    for topic in shown:
+        channel = channels[f"/steerd/blue/{topic.name}"]
+        assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
+        assert "std_msgs/Header" in channel["schema"] or topic is topics.LOG
+    assert len(channels) == len(shown) + 2
 
 
 class Client:
@@ -115,7 +115,7 @@ class Client:
 def test_no_word_of_a_client_ends_its_connection(words):
     asked = '{"op": "getParameters", "parameterNames": ["a", "b"], "id": "1"}'
     client = Client(words, asked, *["{}"] * 9)
-    server = ViewServer("x", make_channels("car1"), ViewParameters({"a": 1.5, "b": nan}))
+    server = ViewServer("x", make_channels("car1"), {"a": 1.5, "b": nan})
     asyncio.run(server.talk(client))
     said = [json.loads(text) for text in client.sent]
     assert [each["op"] for each in said[:2]] == ["serverInfo", "advertise"]
