@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from steerd.daemon.many.sweep.plan import list_cases
-from steerd.daemon.many.sweep.summary import STOPS, make_share, summarise_sweep
+from steerd.daemon.many.sweep.run import Sweep
+from steerd.daemon.many.sweep.summary import STOPS, make_share
 
 N = 200
 
@@ -27,7 +28,7 @@ def summary(make_plan):
         row["e1_rms"] = None if stopped else 1e-3 + case.values["effect.steer_delay"] ** 2
         row["steer_margin"] = rng.random()
         rows.append(row)
-    return summarise_sweep(plan, rows), rows
+    return Sweep(tuple(rows), 0, 0.0, plan), rows
 
 
 def find(summary, quantity, measure):
