@@ -189,8 +189,7 @@ def _remembered(index: RowFile, path: Path) -> Entry:
 def summarise(path: Path) -> Entry:
     """Read a session's figures; what cannot be read is said in the verdict."""
     from steerd.daemon.sessions.info import load_recording, make_session_report
-    from steerd.daemon.sessions.motion import rms, settled_errors
-    from steerd.steer_bus import topics
+    from steerd.daemon.sessions.motion import rms
 
     changed_ns = path.stat().st_mtime_ns
     try:
@@ -201,9 +200,7 @@ def summarise(path: Path) -> Entry:
             lane, followed = _lane(report.info.metadata.get("steerd.session", {}))
     except SteerdError as error:
         return Entry(path, changed_ns, verdict=clean(f"unreadable: {error}", 60))
-    state = read.table(topics.STATE) if followed else None
-    errors = None if state is None else settled_errors(state, read.times(state))
-    driven = errors is not None and errors.size > 0
+    errors = read.lane_errors.tolist() if followed else []
     end = report.end if report.info.finished else "the recorder was killed"
     return Entry(
         path,
@@ -214,8 +211,8 @@ def summarise(path: Path) -> Entry:
         seconds=report.info.duration_s,
         metres=report.length_m,
         speed=report.speed.high if report.speed else None,
-        e1_rms=rms(errors) if driven and errors is not None else None,
-        e1_max=float(errors.max()) if driven and errors is not None else None,
+        e1_rms=rms(read.lane_errors) if errors else None,
+        e1_max=max(errors) if errors else None,
         verdict=clean(report.stops[0], 60) if report.stops else "ok" if end else "no end",
         missing_s=missing_s,
     )

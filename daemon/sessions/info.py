@@ -124,6 +124,12 @@ class Recording:
             return None
         return motion.make_track(self.times(poses), poses["x"], poses["y"], poses["yaw"])
 
+    @cached_property
+    def lane_errors(self) -> Array:
+        """Sizes of the lateral error as estimated, while driven and settled [m]."""
+        state = self.table(topics.STATE)
+        return np.empty(0) if state is None else motion.settled_errors(state, self.times(state))
+
     def table(self, topic: topics.Topic) -> Columns | None:
         """The columns of a topic, whatever the car's name; None where there is none."""
         found = (t for name, t in sorted(self.tables.items()) if topics.find_topic(name) is topic)

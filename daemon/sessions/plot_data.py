@@ -14,7 +14,7 @@ from steerd.daemon.assembly.session_meta import recorded_path
 from steerd.daemon.common.translate import reading
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.info import Recording
-from steerd.daemon.sessions.motion import Track, rms, settled_errors
+from steerd.daemon.sessions.motion import Track, rms
 from steerd.daemon.settings.run_options import decode_options
 from steerd.steer_bus import topics
 from steerd.steer_bus.messages import ActuationMode
@@ -135,8 +135,7 @@ def _figures(s: Recording) -> tuple[tuple[str, str], ...]:
     state, tick = s.table(topics.STATE), s.table(topics.TICK)
     if state is not None:
         running = state["mode"] == SupervisorState.RUNNING
-        e1 = settled_errors(state, s.times(state))
-        if e1.size:
+        if (e1 := s.lane_errors).size:
             facts.append(("lateral error RMS, after 3 s", f"{1e3 * rms(e1):.1f} mm"))
             facts.append(("largest", f"{1e3 * e1.max():.1f} mm"))
         if running.any():

@@ -216,6 +216,11 @@ class Launcher:
         self._started.append(Program(*map(str, argv), **options))
         return self._started[-1]
 
+    def run(self, *argv: object) -> tuple[int, str]:
+        """Exit code and text of a command that ends by itself."""
+        program = self(*argv)
+        return program.wait(), program.text
+
     def script(self, *argv: str) -> Program:
         """Start a Python program instead."""
         return self(*argv, module=())

@@ -11,11 +11,6 @@ pytest.importorskip("cryptography")
 pytestmark = pytest.mark.timeout(240)
 
 
-def run_command(steerd, *argv):
-    program = steerd(*argv)
-    return program.wait(), program.text
-
-
 def test_operators_command_and_viewers_watch(steerd, tmp_path):
     lab = tmp_path / "lab"
     people = ["--operator", "desk", "--viewer", "screen"]
@@ -23,16 +18,16 @@ def test_operators_command_and_viewers_watch(steerd, tmp_path):
     assert run_cli(["keys", str(lab), *where, *people]) == 0
     run = steerd("run", "--sim", "--lab", lab / "car1", "--record", tmp_path / "drive.mcap")
     run.expect("READY")
-    code, said = run_command(steerd, "status", "--lab", lab / "screen")
+    code, said = steerd.run("status", "--lab", lab / "screen")
     assert (code, said.startswith("car1: ")) == (0, True), said
-    code, said = run_command(steerd, "estop", "--lab", lab / "screen")
+    code, said = steerd.run("estop", "--lab", lab / "screen")
     assert (code, "the car stays" in said) == (5, True), said
-    code, said = run_command(steerd, "watch", "--lab", lab / "screen", "--seconds", "1.5")
+    code, said = steerd.run("watch", "--lab", lab / "screen", "--seconds", "1.5")
     assert (code, "state " in said) == (0, True), said
-    code, said = run_command(steerd, "status", "--connect", "tls/127.0.0.1:" + where[3])
+    code, said = steerd.run("status", "--connect", "tls/127.0.0.1:" + where[3])
     assert (code, "no steerd answers" in said) == (6, True), said
     assert "ESTOP" not in run.text, run.text
-    assert run_command(steerd, "estop", "--lab", lab / "desk")[0] == 0
+    assert steerd.run("estop", "--lab", lab / "desk")[0] == 0
     run.send(signal.SIGINT)
     run.wait()
     assert "ESTOP" in run.text, run.text

@@ -3,6 +3,7 @@
 import json
 import re
 
+import numpy as np
 import pytest
 
 from steerd.car_model.car_file import default_car_path
@@ -11,7 +12,10 @@ from steerd.daemon.assembly.session_meta import make_metadata
 from steerd.daemon.cli.main import dispatch, run_cli
 from steerd.daemon.learning.kept import METADATA
 from steerd.daemon.learning.reported import reported_values
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.steer_bus.messages import StateMessage
 from steerd.steer_bus.session_read import open_session
+from tests.e2e.conftest import rms
 
 pytestmark = pytest.mark.slow
 
@@ -66,6 +70,18 @@ def test_the_lane_keeper_follows_what_was_learnt_and_a_replay_gives_it_again(lea
     assert taken[-1].steer_gain == 1.0, "what is not sure stays the file's"
     assert dispatch(["replay", str(learnt)]) == 0
     assert "all equal the recorded ones" in capsys.readouterr().out
+
+
+def test_the_car_comes_nearer_to_its_lane_and_is_never_stopped(learnt):
+    session = open_session(learnt)
+    designs = session.messages("/steerd/car1/design")
+    taken_ns = next(r.log_ns for r in designs if r.decode().number)
+    table = session.columns(StateMessage)
+    assert SupervisorState.FAULT_STOP not in set(table["mode"])
+    before, after = (
+        rms(table["e1"][np.abs(table["log_ns"] - (taken_ns + at * 1e9)) < 3e9]) for at in (-3, 8)
+    )
+    assert after < 0.3 * before
 
 
 def test_a_drive_teaches_the_same_again_to_the_byte(learnt, capsys):

@@ -96,26 +96,21 @@ def arm_and_start(steerd):
     return arm, go
 
 
-def run_command(steerd, *argv):
-    """One command from another terminal: its exit code and text."""
-    program = steerd(*argv, "--connect", steerd.endpoint)
-    return program.wait(), program.text
-
-
 def test_arm_start_stop_from_other_terminals_over_natnet(undisturbed, capsys) -> None:
     def scenario(steerd, folder):
         port, url = steerd.sim(folder)
         run, record = start_run(steerd, folder, "--port", port, "--mocap", url)
         run.expect("READY")
-        code, said = run_command(steerd, "start")
+        bus = ("--connect", steerd.endpoint)
+        code, said = steerd.run("start", *bus)
         assert (code, "not ARMED" in said, "Traceback" in said) == (5, True, False), said
         with closing(Watcher(steerd.endpoint)) as watcher:
             arm, go = arm_and_start(steerd)
             watcher.driving(run, 1.0)
-            code, said = run_command(steerd, "status")
+            code, said = steerd.run("status", *bus)
             assert (code, said.startswith("car1: RUNNING")) == (0, True), said
             watcher.driving(run, 1.5)
-            assert run_command(steerd, "stop")[0] == 0
+            assert steerd.run("stop", *bus)[0] == 0
             assert watcher.stopped(run) is SupervisorState.STOPPING
         assert go.wait() == 0, go.text
         run.send(signal.SIGINT)

@@ -4,8 +4,6 @@ import os
 import shlex
 import shutil
 import socket
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -223,14 +221,6 @@ def test_a_mistake_is_reported_in_a_line(line, code, parts, full_place, log, cap
 # --- those that only the running processes can meet
 
 
-def run_live(place, *argv, **options):
-    """`steerd run` at hardware that is not there: its exit code and text."""
-    record = str(place / "drive.mcap")
-    full = [sys.executable, "-m", "steerd.daemon.cli.main", "run", "--record", record, *argv]
-    done = subprocess.run(full, capture_output=True, text=True, timeout=60, check=False, **options)
-    return done.returncode, done.stderr
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("port", "mocap", "code", "parts"),
@@ -243,11 +233,12 @@ def run_live(place, *argv, **options):
         ("{tty}", "vrpn://no.such.host.invalid/car", 3, ["no.such.host.invalid"]),
     ],
 )
-def test_wrong_hardware_is_reported_in_a_line(port, mocap, code, parts, place):
+def test_wrong_hardware_is_reported_in_a_line(port, mocap, code, parts, place, steerd):
     ours, theirs = os.openpty()
     before = sorted(place.iterdir())
     argv = ("--port", port.format(tmp=place, tty=os.ttyname(theirs)), "--mocap", mocap)
-    got, said = run_live(place, *argv, "--listen", free_endpoint())
+    record = ("--record", place / "drive.mcap", "--listen", steerd.endpoint)
+    got, said = steerd.run("run", *argv, *record)
     os.close(ours)
     os.close(theirs)
     assert got == code, said
@@ -256,12 +247,12 @@ def test_wrong_hardware_is_reported_in_a_line(port, mocap, code, parts, place):
 
 
 @pytest.mark.slow
-def test_a_busy_endpoint_is_told_in_a_line(place):
+def test_a_busy_endpoint_is_told_in_a_line(place, steerd):
     before = sorted(place.iterdir())
     with socket.create_server(("127.0.0.1", 0)) as server:
         endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
-        argv = ("--sim", "--auto-arm", "--duration", "1", "--listen", endpoint)
-        code, said = run_live(place, *argv)
+        argv = ("--sim", "--auto-arm", "--listen", endpoint, "--record", place / "drive.mcap")
+        code, said = steerd.run("run", *argv)
     assert code == 6, said
     is_clear(said, [endpoint, "already in use", "another steerd"])
     assert sorted(place.iterdir()) == before

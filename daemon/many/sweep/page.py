@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from steerd.daemon.common.screen import clean
 from steerd.daemon.many.job import Rows
 from steerd.daemon.many.sweep import summary as figures
-from steerd.daemon.many.sweep.plan import DRIVEN, Choice, Distribution, SweepPlan
+from steerd.daemon.many.sweep.plan import DRIVEN, Choice, Distribution
 from steerd.daemon.many.sweep.summary import Summary
 from steerd.sysid.report.drawing import AFTER, BEFORE, Diagrams
 from steerd.sysid.report.report import SCALES, Card, Cell, Report, Section, Table
@@ -22,8 +22,9 @@ _MOVED = 0.01
 _VALUES = 6  # values of a list that are shown
 
 
-def make_report(plan: SweepPlan, rows: Rows, summary: Summary) -> Report:
+def make_report(found: Summary) -> Report:
     """The page: distributions, stops, sensitivity of each to each."""
+    plan = found.plan
     fixed = [] if "path" in plan.vary else [plan.path]
     fixed += [] if "speed" in plan.vary else [f"{plan.speed:g} m/s"]
     seeds = f"{len(plan.seeds)} seeds, {plan.duration:g} s each, loop at {plan.rate:g} Hz"
@@ -32,7 +33,7 @@ def make_report(plan: SweepPlan, rows: Rows, summary: Summary) -> Report:
         for q in plan.quantities
     ]
     sections = [
-        Section("How they ended", table=figures.tabulate_ends(summary)),
+        Section("How they ended", table=found.tabulate_ends()),
         Section(
             "What was varied",
             table=Table(("quantity", "values", "unit", "meaning"), varied, words=(1, 3)),
@@ -42,54 +43,54 @@ def make_report(plan: SweepPlan, rows: Rows, summary: Summary) -> Report:
             "Errors count after the first 3 s. The last column is the drive to look at: `steerd "
             "sweep FILE.toml` `--again N` `--record drive.mcap` drives it once more and records "
             "it.",
-            table=figures.tabulate_spreads(summary),
-            figures=_draw_histograms(rows, summary),
+            table=found.tabulate_spreads(),
+            figures=_draw_histograms(found),
         ),
     ]
-    if summary.sensitivities:
+    if found.sensitivities:
         sections.append(Section(
             "What moves what",
             "Rank correlation of each varied quantity with each measure, from −1 to 1; a list of "
             "texts has no sign. Bold: more than chance alone shows in one case of twenty, and the "
             f"measure moves by more than {_MOVED:.0%}.",
-            table=_moves(summary),
-            figures=_draw_scatters(plan, rows, summary),
+            table=_moves(found),
+            figures=_draw_scatters(found),
         ))  # fmt: skip
     return Report(
-        title=f"{len(rows)} drives, each another draw",
+        title=f"{len(found.rows)} drives, each another draw",
         subject=clean(plan.car.name),
         about="; ".join([seeds, *fixed]),
         sections=sections,
         foot="Written by steerd sweep. Simulated drives in virtual time; both ends of VESC and "
         "mocap are encoded and parsed as on a car.",
-        cards=list(_cards(summary)),
+        cards=list(_cards(found)),
     )
 
 
-def _cards(summary: Summary) -> Iterator[Card]:
+def _cards(found: Summary) -> Iterator[Card]:
     """The figures that are read first."""
-    driven = next(share for share in summary.outcomes if share.name == DRIVEN)
-    stops = sum(share.count for share in summary.watchdogs)
+    driven = next(share for share in found.outcomes if share.name == DRIVEN)
+    stops = sum(share.count for share in found.watchdogs)
     text = f"{driven.count} of {driven.of} drives; a watchdog stopped {stops}"
     yield Card("ended as planned", f"{driven.value:.1%}", text)
-    for s in summary.spreads:
+    for s in found.spreads:
         if s.name.startswith("true_e1_"):
             text = f"in 95 % of the drives; the worst is drive {s.worst_drive}"
             yield Card(f"{s.name.removeprefix('true_')} below", f"{1e3 * s.high:.3g} mm", text)
-    for move in figures.list_strongest(summary)[:1]:
+    for move in found.list_strongest()[:1]:
         yield Card(
             "moves most", move.quantity, f"{move.measure}, rank correlation {move.value:+.2f}"
         )
 
 
-def _moves(summary: Summary) -> Table:
+def _moves(found: Summary) -> Table:
     """A row for each measure: there are more measures than quantities, and pages are narrow."""
-    heads = [*dict.fromkeys(s.quantity for s in summary.sensitivities)]
-    found = {(s.quantity, s.measure): s for s in summary.sensitivities}
+    heads = [*dict.fromkeys(s.quantity for s in found.sensitivities)]
+    cells = {(s.quantity, s.measure): s for s in found.sensitivities}
     rows: list[list[str | Cell]] = []
-    for name in dict.fromkeys(s.measure for s in summary.sensitivities):
+    for name in dict.fromkeys(s.measure for s in found.sensitivities):
         rows.append([name])
-        for s in (found.get((head, name)) for head in heads):
+        for s in (cells.get((head, name)) for head in heads):
             strong = s is not None and s.shown and s.size > _MOVED
             text = f"{s.value:+.2f}" if s is not None else "–"
             rows[-1].append(Cell(text, "strong" if strong else "quiet"))
@@ -108,13 +109,13 @@ def _scaled(rows: Rows, name: str) -> np.ndarray:
     return figures.column(rows, name) * SCALES.get(figures.UNITS.get(name, ""), (1.0, ""))[0]
 
 
-def _draw_histograms(rows: Rows, summary: Summary) -> list[Diagrams]:
+def _draw_histograms(found: Summary) -> list[Diagrams]:
     """How often each measure takes which value."""
-    names = [spread.name for spread in summary.spreads]
+    names = [spread.name for spread in found.spreads]
 
     def plot(*axes: Axes) -> None:
         for axis, name in zip(axes, names, strict=True):
-            values = _scaled(rows, name)
+            values = _scaled(found.rows, name)
             axis.hist(values[np.isfinite(values)], bins=_BINS, color=BEFORE)
             axis.locator_params(axis="x", nbins=_TICKS)
             axis.set(title=figures.name_measure(name), ylabel="drives")
@@ -123,19 +124,19 @@ def _draw_histograms(rows: Rows, summary: Summary) -> list[Diagrams]:
     return [Diagrams(plot, 1.9, count=len(names), columns=3)] if names else []
 
 
-def _draw_scatters(plan: SweepPlan, rows: Rows, summary: Summary) -> list[Diagrams]:
+def _draw_scatters(found: Summary) -> list[Diagrams]:
     """The strongest dependences, a point for each drive."""
-    units = {q.name: q.unit for q in plan.quantities}
-    strong = [s for s in figures.list_strongest(summary) if s.measure != figures.STOPS][:_SCATTERS]
+    units = {q.name: q.unit for q in found.plan.quantities}
+    strong = [s for s in found.list_strongest() if s.measure != figures.STOPS][:_SCATTERS]
 
     def plot(*axes: Axes) -> None:
         for axis, s in zip(axes, strong, strict=True):
-            given = [row[s.quantity] for row in rows[:_POINTS]]
+            given = [row[s.quantity] for row in found.rows[:_POINTS]]
             if any(isinstance(value, str) for value in given):
                 names = sorted({str(value) for value in given})
                 axis.set_xticks(range(len(names)), [clean(name, 14) for name in names])
                 given = [names.index(str(value)) for value in given]
-            seen = _scaled(rows[:_POINTS], s.measure)
+            seen = _scaled(found.rows[:_POINTS], s.measure)
             axis.plot(given, seen, ".", ms=2.5, color=AFTER, alpha=0.6)
             unit = units[s.quantity]
             axis.set_xlabel(f"{s.quantity} [{unit}]" if unit not in ("", "1") else s.quantity)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import islice
 from math import nan
 from pathlib import Path
@@ -24,10 +24,10 @@ from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.common.row_file import Row
 from steerd.daemon.common.screen import shown
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.many.job import FAILED, Column, Found, Job, do_in_notebook
+from steerd.daemon.many.job import FAILED, Job, do_in_notebook
 from steerd.daemon.many.sweep import plan as plans
 from steerd.daemon.many.sweep.plan import DriveCase, SweepPlan
-from steerd.daemon.many.sweep.summary import Summary, describe_sweep, list_columns, summarise_sweep
+from steerd.daemon.many.sweep.summary import Summary
 from steerd.daemon.many.units import Done, Where
 from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
 from steerd.daemon.sessions.motion import SETTLE, rms
@@ -39,31 +39,14 @@ if TYPE_CHECKING:
 
 @shown
 @dataclass(frozen=True, eq=False)
-class Sweep(Found):
+class Sweep(Summary):
     """What a sweep found; `print(sweep)` is the screen of `steerd sweep`."""
-
-    plan: SweepPlan  # what was driven
-
-    @property
-    def columns(self) -> Sequence[Column]:
-        """The columns of the table with units and meanings."""
-        return list_columns(self.plan.quantities)
-
-    @cached_property
-    def summary(self) -> Summary:
-        """Distributions, stops, sensitivities."""
-        return summarise_sweep(self.plan, self.rows)
 
     def make_report(self) -> "Report":
         """What the page shows: distributions, stops, sensitivity of each to each."""
         from steerd.daemon.many.sweep.page import make_report
 
-        return make_report(self.plan, self.rows, self.summary)
-
-    def __str__(self) -> str:
-        mean = sum(row.get("seconds") or 0.0 for row in self.rows) / len(self.rows)
-        speed = self.worked * mean / self.wall if self.worked and self.wall > 0.0 else None
-        return describe_sweep(self.plan, self.rows, self.summary, speed)
+        return make_report(self)
 
 
 @speaking_of_arguments

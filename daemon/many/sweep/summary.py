@@ -1,8 +1,9 @@
 """What a sweep's table says: distributions, stops, and how much each draw moves each measure."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import sqrt
 
 import numpy as np
@@ -10,8 +11,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from steerd.daemon.common.screen import clean, wrap
-from steerd.daemon.many.job import FAILED, Column, Rows
-from steerd.daemon.many.sweep.plan import DRIVEN, REFUSED, STOPPED, Quantity, SweepPlan
+from steerd.daemon.many.job import FAILED, Column, Found, Rows
+from steerd.daemon.many.sweep.plan import DRIVEN, REFUSED, STOPPED, SweepPlan
 from steerd.sysid.report.report import SCALES, Table, format_table
 
 Array = NDArray[np.float64]
@@ -76,39 +77,6 @@ class Sensitivity:
         """The move as a share of the larger of the two means."""
         largest = max(abs(self.start), abs(self.end))
         return abs(self.end - self.start) / largest if largest > 0.0 else 0.0
-
-
-@dataclass(frozen=True)
-class Summary:
-    """What a sweep's table says."""
-
-    outcomes: tuple[Share, ...]
-    watchdogs: tuple[Share, ...]
-    spreads: tuple[Spread, ...]
-    sensitivities: tuple[Sensitivity, ...]
-
-
-def summarise_sweep(plan: SweepPlan, rows: Rows) -> Summary:
-    """The figures of a sweep's page and screen."""
-    total = len(rows)
-    outcomes = Counter(str(row["outcome"]) for row in rows)
-    watchdogs = Counter(str(row["watchdog"]) for row in rows if row.get("watchdog"))
-    spreads = []
-    for name, unit in UNITS.items():
-        values = column(rows, name)
-        known = np.flatnonzero(np.isfinite(values))
-        if known.size:
-            low, middle, high = (float(q) for q in np.quantile(values[known], QUANTILES))
-            small = name.endswith("margin") or name == "damping"
-            at = int(known[np.argmin(values[known]) if small else np.argmax(values[known])])
-            worst, drive = float(values[at]), rows[at]["drive"]
-            spreads.append(Spread(name, unit, low, middle, high, worst, drive))
-    return Summary(
-        tuple(make_share(name, outcomes[name], total) for name in OUTCOMES),
-        tuple(make_share(name, count, total) for name, count in watchdogs.most_common()),
-        tuple(spreads),
-        tuple(_sensitivities(plan, rows)),
-    )
 
 
 def make_share(name: str, count: int, total: int) -> Share:
@@ -181,62 +149,8 @@ _ENDS = (
 OUTCOMES = (DRIVEN, STOPPED, REFUSED, FAILED)
 
 
-def list_columns(quantities: Iterable[Quantity]) -> Sequence[Column]:
-    """The table's columns for what is varied."""
-    varied = [
-        Column(q.name, "text" if q.is_text else "number", q.unit, q.meaning) for q in quantities
-    ]
-    return (*_HEAD, *varied, *_ENDS, *MEASURES)
-
-
 UNITS = {c.name: c.unit for c in MEASURES}  # SI unit by measure
 _SHOWN = 8  # dependences that are shown
-
-
-def describe_sweep(plan: SweepPlan, rows: Rows, summary: Summary, speed: float | None) -> str:
-    """The screen: how it ended, what moved what; `speed` is that of the simulation, if known."""
-    varied = ", ".join(plan.vary) or "nothing but the seeds"
-    seconds = sum(row.get("seconds") or 0.0 for row in rows)
-    lines = [f"drives     {len(rows)} of {plan.duration:g} s, {seconds:.0f} s driven"]
-    lines += wrap(varied, "varied     ", " " * 11)
-    if speed is not None:
-        lines.append(f"speed      {speed:.0f} x real time")
-    parts = [tabulate_ends(summary), tabulate_spreads(summary)]
-    strong = list_strongest(summary)[:_SHOWN]
-    if strong:
-        found = []
-        for s in strong:
-            factor, _ = SCALES.get(UNITS.get(s.measure, ""), (1.0, ""))
-            moved = (f"{factor * mean:.3g}" for mean in (s.start, s.end))
-            found.append((s.quantity, name_measure(s.measure), *moved, f"{s.value:+.2f}"))
-        heads = ("what moves", "what", "from", "to", "rank correlation")
-        parts.append(Table(heads, found, words=(1,)))
-    return "\n".join([*lines, *(line for part in parts for line in ("", *format_table(part)))])
-
-
-def tabulate_ends(summary: Summary) -> Table:
-    """How often drives ended in which way."""
-    named = [(s.name, s) for s in summary.outcomes if s.count or s.name == DRIVEN]
-    named += [(f"by {clean(s.name, 12)}", s) for s in summary.watchdogs]
-    rows = [
-        (name, str(s.count), f"{s.value:.1%}", f"{s.low:.1%} to {s.high:.1%}") for name, s in named
-    ]
-    return Table(("outcome", "drives", "share", "95 % interval"), rows)
-
-
-def tabulate_spreads(summary: Summary) -> Table:
-    """The distribution of each measure."""
-    rows = []
-    for s in summary.spreads:
-        factor, _ = SCALES.get(s.unit, (1.0, ""))
-        figures = (f"{value * factor:.3g}" for value in (s.low, s.middle, s.high, s.worst))
-        rows.append((name_measure(s.name), *figures, str(s.worst_drive)))
-    return Table(("measure", "5 %", "median", "95 %", "worst", "in drive"), rows)
-
-
-def list_strongest(summary: Summary) -> list[Sensitivity]:
-    """Dependences that the drives show, by how far the measure moves."""
-    return sorted((s for s in summary.sensitivities if s.shown), key=lambda s: -s.size)
 
 
 def name_measure(name: str) -> str:
@@ -244,3 +158,92 @@ def name_measure(name: str) -> str:
     unit = UNITS.get(name, "")
     unit = SCALES.get(unit, (1.0, "" if unit == "1" else unit))[1]
     return f"{name} [{unit}]" if unit else name
+
+
+@dataclass(frozen=True, eq=False)
+class Summary(Found):
+    """The drives of a sweep and their figures; `str` is the screen of `steerd sweep`."""
+
+    plan: SweepPlan  # what was driven
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """The columns of the table with units and meanings."""
+        varied = (
+            Column(q.name, "text" if q.is_text else "number", q.unit, q.meaning)
+            for q in self.plan.quantities
+        )
+        return (*_HEAD, *varied, *_ENDS, *MEASURES)
+
+    @cached_property
+    def outcomes(self) -> tuple[Share, ...]:
+        """How often drives ended in which way."""
+        counts = Counter(str(row["outcome"]) for row in self.rows)
+        return tuple(make_share(name, counts[name], len(self.rows)) for name in OUTCOMES)
+
+    @cached_property
+    def watchdogs(self) -> tuple[Share, ...]:
+        """How often each watchdog stopped a drive."""
+        counts = Counter(str(row["watchdog"]) for row in self.rows if row.get("watchdog"))
+        return tuple(make_share(name, n, len(self.rows)) for name, n in counts.most_common())
+
+    @cached_property
+    def spreads(self) -> tuple[Spread, ...]:
+        """The distribution of each measure."""
+        spreads = []
+        for name, unit in UNITS.items():
+            values = column(self.rows, name)
+            known = np.flatnonzero(np.isfinite(values))
+            if known.size:
+                low, middle, high = (float(q) for q in np.quantile(values[known], QUANTILES))
+                small = name.endswith("margin") or name == "damping"
+                at = int(known[np.argmin(values[known]) if small else np.argmax(values[known])])
+                worst, drive = float(values[at]), self.rows[at]["drive"]
+                spreads.append(Spread(name, unit, low, middle, high, worst, drive))
+        return tuple(spreads)
+
+    @cached_property
+    def sensitivities(self) -> tuple[Sensitivity, ...]:
+        """How much each varied quantity moves each measure."""
+        return tuple(_sensitivities(self.plan, self.rows))
+
+    def list_strongest(self) -> list[Sensitivity]:
+        """Dependences that the drives show, by how far the measure moves."""
+        return sorted((s for s in self.sensitivities if s.shown), key=lambda s: -s.size)
+
+    def tabulate_ends(self) -> Table:
+        """How often drives ended in which way."""
+        named = [(s.name, s) for s in self.outcomes if s.count or s.name == DRIVEN]
+        named += [(f"by {clean(s.name, 12)}", s) for s in self.watchdogs]
+        rows = [
+            (n, str(s.count), f"{s.value:.1%}", f"{s.low:.1%} to {s.high:.1%}") for n, s in named
+        ]
+        return Table(("outcome", "drives", "share", "95 % interval"), rows)
+
+    def tabulate_spreads(self) -> Table:
+        """The distribution of each measure."""
+        rows = []
+        for s in self.spreads:
+            factor, _ = SCALES.get(s.unit, (1.0, ""))
+            figures = (f"{value * factor:.3g}" for value in (s.low, s.middle, s.high, s.worst))
+            rows.append((name_measure(s.name), *figures, str(s.worst_drive)))
+        return Table(("measure", "5 %", "median", "95 %", "worst", "in drive"), rows)
+
+    def __str__(self) -> str:
+        seconds = sum(row.get("seconds") or 0.0 for row in self.rows)
+        lines = [f"drives     {len(self.rows)} of {self.plan.duration:g} s, {seconds:.0f} s driven"]
+        varied = ", ".join(self.plan.vary) or "nothing but the seeds"
+        lines += wrap(varied, "varied     ", " " * 11)
+        if self.worked and self.wall > 0.0:
+            speed = self.worked * (seconds / len(self.rows)) / self.wall
+            lines.append(f"speed      {speed:.0f} x real time")
+        parts = [self.tabulate_ends(), self.tabulate_spreads()]
+        if strong := self.list_strongest()[:_SHOWN]:
+            found = []
+            for s in strong:
+                factor, _ = SCALES.get(UNITS.get(s.measure, ""), (1.0, ""))
+                moved = (f"{factor * mean:.3g}" for mean in (s.start, s.end))
+                found.append((s.quantity, name_measure(s.measure), *moved, f"{s.value:+.2f}"))
+            heads = ("what moves", "what", "from", "to", "rank correlation")
+            parts.append(Table(heads, found, words=(1,)))
+        return "\n".join([*lines, *(line for part in parts for line in ("", *format_table(part)))])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from steerd.daemon.common import progress
 from steerd.daemon.common.progress import show_progress
-from steerd.daemon.common.screen import clean, join_words, show, wrap, wrap_command
+from steerd.daemon.common.screen import clean, join_words, wrap, wrap_command
 
 
 class Terminal(io.StringIO):
@@ -46,12 +46,6 @@ def test_control_characters_are_replaced_and_long_texts_cut():
     assert clean("a\nb\x07\x1b[2J") == "a?b??[2J"
     assert clean("x" * 300) == "x" * 200 + "…"
     assert clean("café °", 4) == "café…"
-
-
-def test_a_number_that_is_not_known_is_a_dash_of_its_width():
-    assert show(1.234, "+.2f") == "+1.23"
-    assert show(float("nan"), "+7.2f") == "      –"
-    assert show(float("inf"), ".0f") == "–"
 
 
 # The bar of a long command names its step on a terminal, and is silent elsewhere.

@@ -1,4 +1,4 @@
-"""Drives with live parameters and with proposed designs: what the car does, and a replay."""
+"""A drive with live parameters: what the car does, and a replay."""
 
 from math import nan
 
@@ -7,20 +7,16 @@ import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.car_model.path.path import locate
-from steerd.controller.learnt import approach_learnt
 from steerd.daemon.analysis.gap_closed_loop import compare_lane
-from steerd.daemon.assembly.build import VIRTUAL_EPOCH_NS, make_plan
+from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.loop.adapting import make_design, make_no_design
 from steerd.daemon.loop.transitions import SupervisorState
-from steerd.daemon.offline.fast import make_recording, record_virtual
-from steerd.daemon.offline.virtual import drive, make_virtual_run
+from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.session_read import open_session
-from tests.designs import design_for, make_adapt_plan, numbers
 from tests.replays import count_differences_without
 
 pytestmark = pytest.mark.slow
@@ -112,56 +108,3 @@ def test_the_lane_lies_beside_the_path(session):
 
 def test_a_replay_gives_every_order_again_and_without_the_requests_others(session):
     assert count_differences_without(session, "cmd/parameters", ticks=2000) > 1000
-
-
-# A drive that follows proposed designs: nearer to its lane, recorded, and the same in a replay.
-AIM = {"steer_gain": 0.88, "steer_bias": 0.02}
-FROM_S, DOUBT_S, LONG_S = 12.0, 26.0, 32.0
-
-
-@pytest.fixture(scope="module")
-def adapted(tmp_path_factory):
-    """A car with another servo; a second learner's proposals from some time on, then doubt."""
-    effects = ("steer_gain=0.88", "steer_bias=0.02")
-    plan = make_adapt_plan(path="figure8:radius=2", duration_s=LONG_S, effects=effects)
-    recording = make_recording(plan, tmp_path_factory.mktemp("adapt") / "drive.mcap")
-
-    def sink(records, _t_ns):
-        for record in records:
-            recording.add(record)
-
-    run, held = make_virtual_run(plan, (sink,)), plan.learnt
-    known = {}
-
-    def propose(run):
-        t_ns, core = run.t_ns, run.core
-        if t_ns < FROM_S * 1e9 or t_ns % 1_000_000_000:
-            return
-        if t_ns > DOUBT_S * 1e9:
-            core.on_proposal(encode(make_no_design(t_ns, VIRTUAL_EPOCH_NS, "doubt")), t_ns)
-            return
-        at = core.loop.adapting.car
-        car = approach_learnt(at, numbers(held, **AIM), held.bounds, held.steps)
-        if car not in known:
-            known[car] = design_for(held, **car._asdict())
-        core.on_proposal(encode(make_design(t_ns, VIRTUAL_EPOCH_NS, 1, known[car])), t_ns)
-
-    drive(run, propose)
-    assert run.core.error is None
-    recording.writer.finish({"reason": "test", "written": str(recording.written)})
-    return open_session(recording.writer.path)
-
-
-def lane_error(adapted, start, end):
-    table = adapted.columns(m.StateMessage)
-    t = (table["mono_ns"] - table["mono_ns"][0]) * 1e-9
-    kept = (table["mode"] == SupervisorState.RUNNING) & (t > start) & (t < end)
-    return float(np.sqrt((table["e1"][kept] ** 2).mean()))
-
-
-def test_the_car_comes_nearer_to_its_lane_and_is_never_stopped(adapted):
-    modes = set(adapted.columns(m.StateMessage)["mode"])
-    assert SupervisorState.FAULT_STOP not in modes
-    before, followed = lane_error(adapted, 6.0, FROM_S), lane_error(adapted, 20.0, DOUBT_S)
-    assert followed < 0.3 * before
-    assert lane_error(adapted, DOUBT_S + 3.0, LONG_S) > 2.0 * followed, "and back again"

@@ -1,4 +1,4 @@
-"""The dashboard of a run: figures of the drive, what fits 80 columns, and the last lines."""
+"""The dashboard: figures of the drive, a run's last lines, and what `steerd watch` makes of it."""
 
 from dataclasses import fields, replace
 from math import nan, pi
@@ -9,20 +9,31 @@ from rich.console import Console
 
 from steerd.car_model.car_file import default_car_path
 from steerd.daemon.assembly.build import make_plan
+from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.daemon.terminal.dashboard import SETTLE_NS, Dashboard, Tally, closing_lines
+from steerd.daemon.terminal.watch import SECOND, Watch, find_car
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
+from steerd.steer_bus.bus import Sample
 from steerd.steer_bus.codec import encode
 from tests.blank import blank
+from tests.local_bus import LocalBus, LocalHub
 
 TICK_NS = 10_000_000
 
 
 def state(t_ns, x=0.0, e1=0.0, mode=SupervisorState.RUNNING):
     return blank(m.StateMessage, mono_ns=t_ns, seq=1, mode=mode, x=x, yaw=pi, e1=e1)
+
+
+def printed(what):
+    console = Console(width=100)
+    with console.capture() as caught:
+        console.print(what)
+    return caught.get()
 
 
 def drive(tally, ticks, e1, start_ns=0, speed=1.5):
@@ -67,11 +78,9 @@ def test_an_estimate_that_is_not_there_shows_no_number():
         f.name: nan for f in fields(state(1)) if isinstance(getattr(state(1), f.name), float)
     }
     board.take(PipeRecord(topics.STATE, 0, 1, 1, encode(replace(state(1), **numbers))))
-    console = Console(width=100)
-    with console.capture() as caught:
-        console.print(board.render())
-    assert "nan" not in caught.get()
-    assert "x       – m" in caught.get()
+    text = printed(board.render())
+    assert "nan" not in text
+    assert "x       – m" in text
 
 
 # The last lines of a run.
@@ -102,3 +111,70 @@ def test_a_plan_on_an_own_car_is_identified_from_its_own_file(tmp_path):
     own = tmp_path / "mine.toml"
     own.write_text(default_car_path().read_text())
     assert f"steerd identify drive.mcap --car {own} -o car.toml" in lines("mixed;speed=2", own)[-1]
+
+
+# `steerd watch`: what it shows is what was received, and silence is not standing still.
+
+
+def sample(name, message):
+    return Sample(f"steerd/car1/{name}", encode(message))
+
+
+def test_state_rates_and_faults():
+    watch = Watch(Dashboard("car1"))
+    moving = sample("state", replace(state(0, e1=0.012), speed=1.5))
+    faulty = sample("vesc", blank(m.VescTelemetry, fault_code=4, v_in=11.5))
+    for i in range(200):
+        t = i * SECOND // 100
+        watch.take(moving, t)
+        if i % 2:
+            watch.take(faulty, t)
+    assert watch.rates(2 * SECOND) == pytest.approx({"state": 100, "vesc": 50}, abs=1)
+    line = watch.line(2 * SECOND)
+    assert line.startswith("RUNNING       +1.50 m/s, e1 +12.0 mm; state 100, vesc 50 Hz; fault ")
+    assert "none" not in line
+    text = printed(watch.render(2 * SECOND))
+    assert "e1  +12.0 mm" in text
+    assert "11.5 V" in text
+    assert "state 100" in text
+
+
+def test_silence_is_reported():
+    watch = Watch(Dashboard("car1"))
+    assert watch.silence(9 * SECOND) == 0.0
+    watch.take(sample("state", state(0)), SECOND)
+    assert watch.silence(2 * SECOND) == 0.0
+    assert watch.silence(5 * SECOND) == 4.0
+    assert "no message for 4.0 s" in watch.line(5 * SECOND)
+    assert "no message for 4.0 s" in printed(watch.render(5 * SECOND))
+    watch.take(sample("state", state(0)), 6 * SECOND)
+    assert watch.silence(6 * SECOND) == 0.0
+
+
+def test_what_is_no_message_of_ours_is_counted_and_requests_are_left_alone():
+    watch = Watch(Dashboard("car1"))
+    assert watch.take(Sample("steerd/car1/state", b"\0\1\0\0nonsense"), 0) is None
+    assert watch.take(Sample("steerd/car1/diagnostics", b""), 0) is None
+    assert watch.undecodable == 2
+    assert watch.take(Sample("steerd/car1/cmd/drive", b"x"), 0) is None
+    assert watch.take(Sample("other/key", b"x"), 0) is None
+    assert watch.undecodable == 2
+    states = (SupervisorState.ARMED, SupervisorState.RUNNING)
+    change = m.Transition(m.make_header(0, m.BODY), *states, "c", "start requested")
+    assert watch.take(sample("transition", change), 0) == "RUNNING       start requested"
+
+
+def test_which_car():
+    hub = LocalHub()
+    here, there = LocalBus(hub), LocalBus(hub)
+    with pytest.raises(SteerdError, match="no car is on the bus"):
+        find_car(here, None)
+    there.declare_alive("steerd/blue/alive")
+    assert find_car(here, None) == "blue"
+    assert find_car(here, "blue") == "blue"
+    with pytest.raises(SteerdError, match="no car 'red'") as caught:
+        find_car(here, "red")
+    assert "blue" in caught.value.hint
+    there.declare_alive("steerd/red/alive")
+    with pytest.raises(SteerdError, match="several"):
+        find_car(here, None)
