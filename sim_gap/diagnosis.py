@@ -294,9 +294,8 @@ def _shrinkage(
     written(text)
     if later is None or not effects:
         return predicted
-    return measure(
-        open_predictor(predictor.augmented, later()), after, search.noise, search.floor, predicted
-    )
+    reserved = open_predictor(predictor.augmented, later())
+    return measure(reserved, before, after, search.noise, search.floor, predicted)
 
 
 def _notes(search: _Search, judged: Verdict, spun: int) -> list[str]:
