@@ -5,11 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steerd.car_model.model import Model
-from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.analysis import drives as module
 from steerd.daemon.analysis.drives import is_same, load_drives, split_drives
-from steerd.daemon.analysis.options import HeldOut, Watch
+from steerd.daemon.analysis.options import HeldOut, Watch, read_car
 from steerd.sim_gap.diagnosis import Case
 from steerd.sysid.data.dataset import Signal, make_run
 
@@ -89,7 +87,7 @@ def test_many_sessions_share_what_is_looked_at(minutes):
 
 def test_sessions_are_held_out_whole_though_they_are_in_pieces(minutes):
     found, _ = minutes(20, 21, 22, 23, 24)
-    case = split_drives(Case(found, Model(DEFAULT_CAR)), HeldOut(), "command", Watch())
+    case = split_drives(Case(found, read_car(None)), HeldOut(), "command", Watch())
     assert case.held_out_of == "every 4th session: 23.mcap"
     assert {run.name for run in case.later()} == {"23.mcap"}
     assert {run.name for run in case.runs} == {f"{n}.mcap" for n in (20, 21, 22, 24)}
