@@ -41,6 +41,7 @@ from steerd.sysid.inference import predictor
 from steerd.sysid.inference.plain_car import TYRES, Asked, search_blocks, search_rough
 from steerd.sysid.inference.predictor import Linear, Predictor
 from steerd.sysid.inference.space import Space
+from steerd.sysid.paper import NAMES, PAPER_CAR_DIRECT
 from steerd.sysid.paper.paper_method import (
     PAPER_STEP,
     PaperProblem,
@@ -50,7 +51,6 @@ from steerd.sysid.paper.paper_method import (
     search_adam,
     search_cma,
 )
-from steerd.sysid.paper.search_history import NAMES, PAPER_CAR_DIRECT
 
 Array = NDArray[np.float64]
 

@@ -4,6 +4,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from steerd.sysid.paper import SearchHistory
 from steerd.sysid.paper.paper_method import (
     SCALE,
     PaperProblem,
@@ -12,7 +13,6 @@ from steerd.sysid.paper.paper_method import (
     one_thread,
     predict,
 )
-from steerd.sysid.paper.search_history import SearchHistory
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.identify import drive
+from steerd.car_model.car_file import default_car_path, load_car
 from steerd.car_model.effects import EFFECTS
-from steerd.car_model.model import Model
 from steerd.car_model.native.windows import Kernels, make_kernels
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sim_gap.diagnosis import Case, GapOptions, diagnose
@@ -42,7 +42,9 @@ def make_drive(kernels: Kernels, number: int) -> Run:
 def measure(runs: list[Run], count: int, jobs: int) -> dict[str, Any]:
     names = ["steer_delay", *(name for name in EFFECTS if name != "steer_delay")][:count]
     cpu, wall = time.process_time(), time.perf_counter()
-    diagnosis = diagnose(Case(runs, Model(DEFAULT_CAR), GapOptions(only=names, pairs=False)))
+    diagnosis = diagnose(
+        Case(runs, load_car(default_car_path()), GapOptions(only=names, pairs=False))
+    )
     return {
         "candidates": len(names),
         "jobs": jobs,

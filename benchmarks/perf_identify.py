@@ -12,6 +12,7 @@ import numpy as np
 from benchmarks.identify import FRICTIONS, TARGET_MM, Judge, circles, ours, ours_watched
 from benchmarks.least_squares import fit_least_squares
 from steerd.car_model.native.windows import make_kernels
+from steerd.sysid.paper import PAPER_CAR_DIRECT
 from steerd.sysid.paper.paper_method import (
     draw_starts,
     make_problem,
@@ -19,7 +20,6 @@ from steerd.sysid.paper.paper_method import (
     search_adam,
     search_cma,
 )
-from steerd.sysid.paper.search_history import PAPER_CAR_DIRECT
 
 
 def row(judge: Judge, final: np.ndarray, seconds: float) -> dict[str, Any]:

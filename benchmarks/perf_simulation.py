@@ -35,8 +35,8 @@ from steerd.car_model.native.windows import (
     view_by_window,
 )
 from steerd.car_model.params import Car
-from steerd.sysid.paper.search_history import PAPER_CAR_DIRECT
-from steerd.sysid.paper.torch_functions import Marching, simulate
+from steerd.sysid.paper import PAPER_CAR_DIRECT
+from steerd.sysid.paper.paper_method import Marching, simulate
 
 Array = NDArray[np.float64]
 RUNS, STEPS, H = 16, 4000, 0.01

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import Effect
-from steerd.car_model.model import Model
 from steerd.sim_gap.lane_comparison import LaneComparison
 from steerd.sim_gap.verdict.evidence import Cause, Verdict, judge_case
 from steerd.sim_gap.verdict.next_manoeuvre import Manoeuvre, next_manoeuvre
@@ -25,7 +24,6 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import AugmentedCar, make_augmented_car
-from steerd.sysid.inference.car_fit import fit_car
 from steerd.sysid.inference.car_posterior import refine
 from steerd.sysid.inference.hypotheses import Findings, explain
 from steerd.sysid.inference.library import Library
@@ -59,16 +57,13 @@ class Case:
 
     runs: Sequence[Run]  # to explain; one is split into blocks, several are left out whole
     # The car as identified; with standard errors its own uncertainty is known, without them
-    # ordinary ones are assumed (and said)
-    base: CarFile | Model[float]
+    # ordinary ones are assumed (and said); with `[noise]` it is known how large noise is
+    base: CarFile
     asked: GapOptions = field(default_factory=GapOptions)
     # Opens the drives that are held out, after the prediction is written; None if there are none
     later: Callable[[], Sequence[Run]] | None = None
-    # Drives of the base car without the gap; they show how large noise is, and refine a base
-    # that is a car file (see `car_posterior.refine`)
+    # Drives of the base car without the gap; they refine it (see `car_posterior.refine`)
     healthy: Sequence[Run] = ()
-    # How large noise is, if it is known (also read from the car file's `[noise]`)
-    noise: Noise | None = None
     horizons: bool = True  # whether the gap is looked at over other horizons too
     sessions: tuple[str, ...] = ()  # names of the files
     base_source: str = ""  # where the base comes from, as text
@@ -161,7 +156,7 @@ def diagnose(
         ValueError: runs on different grids, or an unknown effect.
         FloatingPointError: the base car's simulation diverges.
     """
-    if case.healthy and isinstance(case.base, CarFile):
+    if case.healthy:
         case = replace(case, base=refine(case.base, case.healthy))
     augmented = make_augmented_car(case.base, case.runs)
     only = _chosen(augmented, case)
@@ -188,11 +183,8 @@ def _search(
 ) -> _Search:
     """Every hypothesis; noise is learnt about the best effect if it is not known."""
     predictor, signals = open_predictor(augmented, case.runs), estimate_noise(case.runs)
-    base, nuisance, given = case.base, nuisance_names(augmented, case.runs), case.noise
-    if given is None and isinstance(base, CarFile):
-        given = noise_of_section(base.sections.get("noise", {}))
-    elif given is None and case.healthy:
-        given = fit_car(base, case.healthy).noise
+    nuisance = nuisance_names(augmented, case.runs)
+    given = noise_of_section(case.base.sections.get("noise", {}))
     x, parameters = predictor.guess.copy(), augmented.base
     noise = noisier_of(given or usual_noise(signals), signals)
     if given is None:
@@ -294,15 +286,14 @@ def _shrinkage(
     written(text)
     if later is None or not effects:
         return predicted
-    return measure(
-        open_predictor(predictor.augmented, later()), after, search.noise, search.floor, predicted
-    )
+    reserved = open_predictor(predictor.augmented, later())
+    return measure(reserved, before, after, search.noise, search.floor, predicted)
 
 
 def _notes(search: _Search, judged: Verdict, spun: int) -> list[str]:
     """What a reader should know about how it was done."""
     base, augmented, notes = search.case.base, search.predictor.augmented, []
-    if isinstance(base, CarFile) and base.remark:
+    if base.remark:
         notes.append(base.remark)
     elif not augmented.sd and augmented.knowledge is None:
         notes.append("the car file gives no standard errors: ordinary ones were assumed")

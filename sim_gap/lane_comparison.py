@@ -70,14 +70,6 @@ class LaneComparison:
         return first, second
 
     @property
-    def is_closer(self) -> bool | None:
-        """Whether the effect brings the simulation closer to the drive in most of three measures.
-
-        None without a comparison.
-        """
-        return sum(self.votes) >= 2 if self.votes else None
-
-    @property
     def votes(self) -> tuple[bool, ...]:
         """Whether each of three measures is closer with the effect; empty without a comparison."""
         before, after = self.distances
@@ -160,6 +152,6 @@ def encode_lane(lane: LaneComparison) -> dict[str, Any]:
         "session": lane.session,
         "drives": {n: None if d is None else figures_of(d) for n, d in lane.drives.items()},
         "distance": {name: None if each is None else each._asdict() for name, each in named},
-        "nearer": lane.is_closer,
+        "nearer": sum(lane.votes) >= 2 if lane.votes else None,  # in most measures
         "remarks": list(lane.remarks),
     }

@@ -201,25 +201,17 @@ def make_case(
     jitters = dict.fromkeys(d.log_jitter.describe() for d in drives.runs if d.log_jitter)
     without_gap = load_drives(quiet, options.speed, watch)
     with refusing((*drives.sessions, *without_gap.sessions)):
-        runs = add_command_history(drives.runs, base.model, asked=True)
-        split = split_drives(runs, held_out, options.speed, watch)
-        past = add_command_history(without_gap.runs, base.model, asked=True)
-        healthy = moving_segments(past) if quiet else ()
-    return (
-        drives,
-        engine.Case(
-            split.runs,
+        past = add_command_history(without_gap.runs, base.model)
+        case = engine.Case(
+            add_command_history(drives.runs, base.model),
             base,
             replace(options, only=only, without=without),
-            split.later,
-            healthy,
+            healthy=moving_segments(past) if quiet else (),
             sessions=tuple(path.name for path in drives.paths),
             base_source=source,
-            held_out_of=split.held_out_of,
-            notes=(*notes, *jitters, *split.notes),
-        ),
-        base,
-    )
+            notes=(*notes, *jitters),
+        )
+        return drives, split_drives(case, held_out, options.speed, watch), base
 
 
 def find_base(

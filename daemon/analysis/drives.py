@@ -10,7 +10,6 @@ from functools import partial
 from itertools import combinations
 from math import pi
 from pathlib import Path
-from typing import NamedTuple
 
 from steerd.daemon.analysis.hints import refusing
 from steerd.daemon.analysis.options import EVERY, HeldOut, Speed, Watch
@@ -18,6 +17,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.translate import reading
 from steerd.daemon.sessions.info import load_session, make_session_report, read_recording
 from steerd.daemon.sessions.motion import make_range
+from steerd.sim_gap.diagnosis import Case
 from steerd.steer_bus.session_read import Session
 from steerd.sysid.data import segments
 from steerd.sysid.data.data_checks import DataError
@@ -166,25 +166,17 @@ LEAST = 5.0
 """A gap is not identifiable from less driving than this [s]."""
 
 
-class Split(NamedTuple):
-    """Drives, cut to where the car moves."""
+def split_drives(case: Case, held_out: HeldOut, speed: Speed, watch: Watch) -> Case:
+    """The case with its drives cut to where the car moves, some to explain, some held out.
 
-    runs: tuple[Run, ...]  # what is looked at
-    later: Callable[[], Sequence[Run]] | None = None  # opens the drives that are held out
-    held_out_of: str = ""  # what is held out, as text
-    notes: tuple[str, ...] = ()  # what a reader should know
-
-
-def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, watch: Watch) -> Split:
-    """Divide drives into those that are explained and those that measure the shrinkage.
-
-    Sessions that are held out are opened later.
+    Those that are held out measure the shrinkage; whole sessions are opened later.
 
     Raises:
         DataError: there is too little driving.
         SteerdError: there is too little to hold so much out.
     """
-    parts, every = segments.moving_segments(drives), held_out.every
+    drives, every = case.runs, held_out.every
+    parts = segments.moving_segments(drives)
     seconds = sum(run.driven for run in parts)
     if seconds < LEAST:
         what = f"only {seconds:.1f} s of driving at more than walking pace"
@@ -197,6 +189,7 @@ def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, watch: 
         count = "one session" if len(sessions) == 1 else f"{len(sessions)} sessions"
         note = f"{count}, cut into blocks of {BLOCK:g} s or more: they stand in for further drives"
         notes = (note, *notes)
+    case = replace(case, notes=(*case.notes, *notes))
     cut = partial(segments.make_blocks, length=BLOCK, count=int, over=_OVER)
     blocks = cut(parts)
     if held_out.files:
@@ -207,24 +200,26 @@ def split_drives(drives: Sequence[Run], held_out: HeldOut, speed: Speed, watch: 
             return segments.moving_segments([replace(drive, history=past) for drive in opened.runs])
 
         names = ", ".join(path.name for path in held_out.files)
-        return Split(blocks if few else parts, later, names, notes)
+        return replace(case, runs=blocks if few else parts, later=later, held_out_of=names)
     number = every or EVERY
     out = sessions[number - 1 :: number]
     whole = tuple(run for run in parts if run.name in out)
     fitted = tuple(run for run in parts if run.name not in out)
     if every != 0 and whole and fitted:
         named = f"every {_ordinal(number)} session: {', '.join(sorted(out))}"
-        return Split(cut(fitted) if few else fitted, lambda: whole, named, notes)
+        runs = cut(fitted) if few else fitted
+        return replace(case, runs=runs, later=lambda: whole, held_out_of=named)
     if every is None:
         every = min(EVERY, len(blocks)) if len(blocks) >= FEWEST else 0
     if every == 0:
         note = "nothing is held out: the shrinkage is predicted, not measured"
-        return Split(blocks if few else parts, notes=(*notes, note))
+        return replace(case, runs=blocks if few else parts, notes=(*case.notes, note))
     if len(blocks) < every:
         what = f"only {len(blocks)} blocks: too few to hold every {_ordinal(every)} out"
         raise SteerdError(what, "--held-out 0, or name a session", ExitCode.INVALID)
     fitted, kept = segments.split_every(blocks, every)
-    return Split(fitted, lambda: kept, f"every {_ordinal(every)} block of the drive", notes)
+    named = f"every {_ordinal(every)} block of the drive"
+    return replace(case, runs=fitted, later=lambda: kept, held_out_of=named)
 
 
 def _ordinal(number: int) -> str:

@@ -1,7 +1,7 @@
 """`steerd learn`: what the learner would have said of a recorded drive, and whether it did."""
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,22 +28,18 @@ class Learnt:
 
     base: str  # where the car came from, as text
     remark: str  # why what identify knew of the car is not used; empty where it is
-    report: m.Model  # the last report
-    reports: int  # how many there were
+    reports: Sequence[m.Model]  # one or more
     digest: str  # SHA-256 of their bytes
     recorded: int  # how many the session itself holds
     same: int  # how many of those are equal to the byte
 
 
 def learn_session(
-    path: Path,
-    car: Path | None = None,
-    see: Callable[[m.Model], None] = lambda report: None,
-    share: Callable[[float], None] = lambda done: None,
+    path: Path, car: Path | None = None, share: Callable[[float], None] = lambda done: None
 ) -> Learnt:
     """Feed a recorded drive to the learner, about a car file or that inside the session.
 
-    `see` is handed every report as it comes, `share` the share of the session that was read.
+    `share` is handed the share of the session that was read.
 
     Raises:
         SteerdError: session or car file cannot be used, or too little was driven for a report.
@@ -55,21 +51,19 @@ def learn_session(
         memory = session.info().metadata.get(METADATA, {}).get("memory", "") if car is None else ""
         feed = make_feed(base, wiring_of_session(session), read_memory(memory))
     recorded: list[bytes] = []
-    made: list[bytes] = []
-    newest = None
+    reports: list[m.Model] = []
     count = max(session.info().count, 1)
     records = watched(session.messages(), lambda done: share(done / count))
     for topic, message in _messages(records, recorded, path):
         if (report := feed.take(topic, message)) is not None:
-            see(report)
-            made.append(encode(report))
-            newest = report
-    if newest is None:
+            reports.append(report)
+    if not reports:
         what = f"{path.name}: no second of driving with poses and commands"
         raise SteerdError(what, "record mocap and actuation of a drive", ExitCode.INVALID)
+    made = [encode(report) for report in reports]
     digest = hashlib.sha256(b"".join(made)).hexdigest()
     same = sum(one == other for one, other in zip(made, recorded, strict=False))
-    return Learnt(source, base.remark, newest, len(made), digest, len(recorded), same)
+    return Learnt(source, base.remark, reports, digest, len(recorded), same)
 
 
 def wiring_of_session(session: Session) -> Wiring:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sim_gap.online.tracking import Loss, Reference, Track
+from steerd.sim_gap.online.tracking import Reference, Seen
 from steerd.sysid.data.data_checks import Array
 
 SPANS: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 12, 16)
@@ -57,36 +57,30 @@ class QuietRatios:
         return QuietRatios(total, count, np.maximum(keep * self.peak, new))
 
 
-def ratios(reference: Reference, tracks: Sequence[Track], looks: Sequence[Loss]) -> Array:
+def ratios(reference: Reference, seen: Sequence[Seen]) -> Array:
     """(effects, spans) log-likelihood ratio of each effect since so many windows [nats].
 
-    The effect's prior is included; NaN for spans longer than the windows reach back.
-
-    Args:
-        reference: the car.
-        tracks: what was known of the base before each of the windows.
-        looks: the last windows, oldest first.
+    The effect's prior is included; NaN for spans longer than the windows, the last ones, reach
+    back.
     """
     effects, n = reference.space.effects, reference.space.nuisance
     own = [np.array(reference.places(effect)) - n for effect in effects]
     table = np.full((len(effects), len(SPANS)), np.nan)
     for column, windows in enumerate(SPANS):
-        if windows <= len(looks):
-            pull, information = _without_base(reference, tracks[-windows], looks[-windows:])
+        if windows <= len(seen):
+            pull, information = _without_base(reference, seen[-windows:])
             table[:, column] = [_gain(reference, pull, information, mine) for mine in own]
     return table
 
 
-def _without_base(
-    reference: Reference, before: Track, looks: Sequence[Loss]
-) -> tuple[Array, Array]:
+def _without_base(reference: Reference, seen: Sequence[Seen]) -> tuple[Array, Array]:
     """Pull (m,) and information (m, m) of all effects, the base at its best beside each."""
     n, size = reference.space.nuisance, len(reference.space.centre)
     pull, information = np.zeros(size), np.zeros((size, size))
-    pull[:n], information[:n, :n] = before.pull, before.information
-    for seen in looks:
-        pull += seen.weight * seen.g
-        information += seen.weight * seen.h
+    pull[:n], information[:n, :n] = seen[0].before.pull, seen[0].before.information
+    for _, window in seen:
+        pull += window.weight * window.g
+        information += window.weight * window.h
     cross = information[:n, n:]
     solved = np.linalg.solve(information[:n, :n], np.column_stack([cross, pull[:n]]))
     return pull[n:] - cross.T @ solved[:, -1], information[n:, n:] - cross.T @ solved[:, :-1]
@@ -100,9 +94,7 @@ def _gain(reference: Reference, pull: Array, information: Array, mine: NDArray[n
     return 0.5 * float(pull[mine] @ value)
 
 
-def reweighted(
-    reference: Reference, tracks: Sequence[Track], looks: Sequence[Loss], table: Array, level: Array
-) -> Array:
+def reweighted(reference: Reference, seen: Sequence[Seen], table: Array, level: Array) -> Array:
     """The table of `ratios`, those that are nearly a change as the change itself would have them.
 
     The sums weigh a window by how badly the reference explains it, so one that shows a change
@@ -116,33 +108,32 @@ def reweighted(
     table = table.copy()
     leaders = np.argsort(-judged, kind="stable")[:LEADERS]
     for column, windows in enumerate(SPANS):
-        if windows <= min(LONGEST, len(looks)):
-            since = tracks[-windows], looks[-windows:]
-            null = _cost(reference, *since, [])
+        if windows <= min(LONGEST, len(seen)):
+            since = seen[-windows:]
+            null = _cost(reference, since, [])
             for row in leaders:
-                gain = null - _cost(
-                    reference, *since, reference.places(reference.space.effects[row])
-                )
+                own = reference.places(reference.space.effects[row])
+                gain = null - _cost(reference, since, own)
                 table[row, column] = max(table[row, column], gain)
     return table
 
 
-def _cost(reference: Reference, before: Track, looks: Sequence[Loss], own: Sequence[int]) -> float:
+def _cost(reference: Reference, seen: Sequence[Seen], own: Sequence[int]) -> float:
     """Loss of windows and prior at the best of the base and some coordinates [nats].
 
     Student's t with weights at the fit; infinite where no car has such values. Windows that the
     reference explains badly barely pull, so a large effect that explains them all is looked for
     from equal weights too.
     """
-    space, n = reference.space, reference.space.nuisance
-    at = [*range(n), *own]
+    space, n, before = reference.space, reference.space.nuisance, seen[0].before
+    looks, at = [window for _, window in seen], [*range(n), *own]
     prior = np.diag(space.spread[at] ** -2)
     prior[:n, :n] = before.information
     pull = np.concatenate([before.pull, np.zeros(len(own))])
-    g = np.array([seen.g[at] for seen in looks])
-    h = np.array([seen.h[np.ix_(at, at)] for seen in looks])
-    square = np.array([seen.square for seen in looks])
-    dof = np.array([seen.dof for seen in looks])
+    g = np.array([look.g[at] for look in looks])
+    h = np.array([look.h[np.ix_(at, at)] for look in looks])
+    square = np.array([look.square for look in looks])
+    dof = np.array([look.dof for look in looks])
     costs = []
     for first in (square / dof, np.ones(len(looks))):
         z, left = np.zeros(len(at)), first
@@ -156,10 +147,9 @@ def _cost(reference: Reference, before: Track, looks: Sequence[Loss], own: Seque
     return min(costs, default=np.inf)
 
 
-def quiet_ratios_of(reference: Reference, track: Track, looks: Sequence[Loss]) -> QuietRatios:
+def quiet_ratios_of(reference: Reference, seen: Sequence[Seen]) -> QuietRatios:
     """What the windows that made the reference show."""
     usual = QuietRatios(*np.zeros((3, len(reference.space.effects), len(SPANS))))
-    for end in range(1, len(looks) + 1):
-        part = looks[max(0, end - SPANS[-1]) : end]
-        usual = usual.after(ratios(reference, [track] * len(part), part))
+    for end in range(1, len(seen) + 1):
+        usual = usual.after(ratios(reference, seen[max(0, end - SPANS[-1]) : end]))
     return usual

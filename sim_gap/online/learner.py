@@ -13,7 +13,16 @@ from steerd.car_model.car_file import CarFile
 from steerd.sim_gap.online import samples
 from steerd.sim_gap.online.changes import SPANS, ratios, reweighted
 from steerd.sim_gap.online.naming import LOOKS, Finding, Known, find_cause, learn
-from steerd.sim_gap.online.tracking import Loss, Memory, Remembered, Track, follow, look, remember
+from steerd.sim_gap.online.tracking import (
+    Loss,
+    Memory,
+    Remembered,
+    Seen,
+    Track,
+    follow,
+    look,
+    remember,
+)  # fmt: skip
 from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference.augmented_car import AugmentedCar, make_augmented_car
@@ -169,15 +178,14 @@ def _learn(learner: Learner, state: State) -> State:
 
 def _watch(learner: Learner, state: State, known: Known, seen: Loss) -> State:
     """A window while nothing is the matter; a change is called where it does not fit."""
-    looks = (*known.looks, seen)[-SPANS[-1] :]
-    tracks = (*known.tracks, known.track)[-SPANS[-1] :]
-    table, level = ratios(known.reference, tracks, looks), known.usual.level()
-    table = reweighted(known.reference, tracks, looks, table, level)
+    known = replace(known, seen=(*known.seen, Seen(known.track, seen))[-SPANS[-1] :])
+    table, level = ratios(known.reference, known.seen), known.usual.level()
+    table = reweighted(known.reference, known.seen, table, level)
     judged = table / level
     worst = float(np.nanmax(judged))
     if worst >= ALARM:
         span = SPANS[int(np.nanargmax(judged)) % len(SPANS)]
-        return _call(learner, state, replace(known, looks=looks, tracks=tracks), span)
+        return _call(learner, state, known, span)
     n = known.reference.space.nuisance
     track, shown = known.track, known.shown
     if worst < DOUBT:
@@ -186,18 +194,16 @@ def _watch(learner: Learner, state: State, known: Known, seen: Loss) -> State:
     if len(shown) > DELAY:
         usual = usual.after(shown[0], FADING)
         shown = shown[1:]
-    known = replace(
-        known, track=track, usual=usual, looks=looks, tracks=tracks, shown=shown,
-        peak=max(known.peak, worst),
-    )  # fmt: skip
+    peak = max(known.peak, worst)
+    known = replace(known, track=track, usual=usual, shown=shown, peak=peak)
     return replace(state, known=known)
 
 
 def _call(learner: Learner, state: State, known: Known, span: int) -> State:
     """Call a change that began `span` windows ago."""
-    looks, before = known.looks[-span:], known.tracks[-span]
-    noticed = looks[-1].t + samples.WINDOW + samples.LATE
-    change = Change(looks[0].t, noticed, before, state.windows[-span:])
+    (before, first), (_, last) = known.seen[-span], known.seen[-1]
+    noticed = last.t + samples.WINDOW + samples.LATE
+    change = Change(first.t, noticed, before, state.windows[-span:])
     # What was followed since the change is taken back.
     known = replace(known, track=before, shown=())
     if span >= LOOKS[0]:
@@ -221,7 +227,7 @@ def _after(learner: Learner, state: State, known: Known, change: Change) -> Stat
     """The change kept, taken back where there was none, or the car learnt anew after it."""
     windows = change.windows
     if change.finding.verdict == "none":
-        kept = replace(known, looks=(), tracks=())
+        kept = replace(known, seen=())
         return replace(state, known=kept, change=None, taken_back=state.taken_back + 1, windows=())
     if len(windows) < REFERENCE + 1:
         return replace(state, change=change)

@@ -14,9 +14,9 @@ import numpy as np
 from steerd.sim_gap.online.changes import SPANS, QuietRatios, quiet_ratios_of
 from steerd.sim_gap.online.samples import WINDOW
 from steerd.sim_gap.online.tracking import (
-    Loss,
     Reference,
     Remembered,
+    Seen,
     Track,
     looks_of,
     may_change,
@@ -105,9 +105,7 @@ class Known:
     reference: Reference  # the car, and its noise
     track: Track  # what is known of the base now
     usual: QuietRatios  # what ratios the car shows while nothing is the matter
-    # The last windows, oldest first; `tracks` what was known before each
-    looks: tuple[Loss, ...] = ()
-    tracks: tuple[Track, ...] = ()
+    seen: tuple[Seen, ...] = ()  # the last windows, oldest first
     shown: tuple[Array, ...] = ()  # ratios of windows that may yet turn out to be a change's
     peak: float = 0.0  # the largest ratio per what is usual so far that called no change [nats]
 
@@ -151,10 +149,8 @@ def learn(
     looks = looks_of(at, times)
     n = reference.space.nuisance
     prior = np.asarray(np.linalg.inv(reference.space.covariance[:n, :n]), np.float64)
-    informed = sum((seen.weight * seen.h[:n, :n] for seen in looks), np.zeros((n, n)))
+    informed = sum((each.weight * each.h[:n, :n] for each in looks), np.zeros((n, n)))
     # The windows made the reference: about it they pull nowhere.
     track = with_memory(reference, Track(prior + informed, np.zeros(n), prior), remembered)
-    last = tuple(looks[-SPANS[-1] :])
-    return Known(
-        reference, track, quiet_ratios_of(reference, track, looks), last, (track,) * len(last)
-    )
+    seen = tuple(Seen(track, window) for window in looks)
+    return Known(reference, track, quiet_ratios_of(reference, seen), seen[-SPANS[-1] :])

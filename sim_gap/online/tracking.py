@@ -135,6 +135,13 @@ class Track:
         return np.asarray(np.linalg.inv(0.5 * (data + data.T)))
 
 
+class Seen(NamedTuple):
+    """A window, and what was known of the base before it."""
+
+    before: Track
+    loss: Loss
+
+
 def informed_directions(h: Array, prior: Array) -> Array:
     """(n, k) directions in which a window holds information, none for a window without information.
 

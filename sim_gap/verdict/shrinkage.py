@@ -19,6 +19,7 @@ from steerd.sysid.inference.likelihood import make_likelihood
 from steerd.sysid.inference.noise import Noise
 from steerd.sysid.inference.predictor import Predictor, open_predictor
 from steerd.sysid.inference.residuals import (
+    LEADS,
     Gap,
     blocks_of,
     gap_of,
@@ -29,7 +30,6 @@ from steerd.sysid.inference.residuals import (
     spun_windows,
 )
 from steerd.sysid.inference.search import Point, newton
-from steerd.sysid.inference.space import make_space
 
 _EXCESS_LEAST = 0.01
 """Below this there is no excess to take a share of."""
@@ -122,18 +122,29 @@ def _at_best(fitted: Point) -> Array:
 
 
 def measure(
-    predictor: Predictor, chosen: Point, noise: Noise, floor: float, predicted: Shrinkage
+    predictor: Predictor,
+    before: Point,
+    after: Point,
+    noise: Noise,
+    floor: float,
+    predicted: Shrinkage,
 ) -> Shrinkage:
     """The same share on reserved drives; nothing is refitted but the windows' starts."""
-    base, guess = make_space(predictor.augmented, ()), predictor.guess.copy()
-    likelihood = make_likelihood(predictor, chosen.parameters, guess, noise)
-    before = settled(likelihood, base, base.centre)
-    after = settled(likelihood, chosen.space, chosen.z)
-    blocks, spun = blocks_of(predictor), spun_windows(after)
-    gaps = [gap_of(predictor, fit, blocks, spun) for fit in (before, after)]
+    (before, after), gaps = _look_again(predictor, before, after, noise)
+    blocks = blocks_of(predictor)
     found = _shares(before.at.ratio, after.at.ratio, _at_best(after), floor, blocks)
     share = found.share if found.identifiable else None
     return replace(predicted, measured=share, before=gaps[0], after=gaps[1])
+
+
+def _look_again(
+    predictor: Predictor, before: Point, after: Point, noise: Noise, leads: Sequence[float] = LEADS
+) -> tuple[list[Point], list[Gap]]:
+    """Both fits on other windows, their starts alone at their best, and the gaps under them."""
+    likelihood = make_likelihood(predictor, after.parameters, predictor.guess.copy(), noise)
+    fits = [settled(likelihood, fit.space, fit.z) for fit in (before, after)]
+    blocks, spun = blocks_of(predictor), spun_windows(fits[1])
+    return fits, [gap_of(predictor, fit, blocks, spun, leads) for fit in fits]
 
 
 CROSS: tuple[float, ...] = (0.25, 3.0)
@@ -167,14 +178,9 @@ def cross_check(
             continue
         try:
             other = open_predictor(predictor.augmented, runs, seconds)
-            guess = other.guess.copy()
-            likelihood = make_likelihood(other, after.parameters, guess, noise)
-            fits = [settled(likelihood, f.space, f.z) for f in (before, after)]
+            there = _look_again(other, before, after, noise, (seconds,))[1]
         except (FloatingPointError, ValueError, np.linalg.LinAlgError):
             continue
-        lead = seconds if seconds > 1.0 else 0.25
-        spun, blocks = spun_windows(fits[1]), blocks_of(other)
-        there = [gap_of(other, fit, blocks, spun, (lead,)) for fit in fits]
         found.append(Horizon(seconds, there[0].whitened, there[1].whitened))
         if seconds > 1.0:
             gaps = [

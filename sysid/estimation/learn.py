@@ -26,7 +26,7 @@ from steerd.sysid.inference.plain_car import (
     search_blocks,
     search_rough,
 )
-from steerd.sysid.paper.search_history import SearchHistory
+from steerd.sysid.paper import SearchHistory
 from steerd.sysid.parallel import map_jobs
 
 TIMES: dict[str, float] = {
@@ -226,10 +226,7 @@ def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outco
 
 def _with_history(task: Task) -> Task:
     """The task with a past as long, and end stops as wide, as the drives need."""
-    runs, held_out = (
-        tuple(prep.add_command_history(drives, task.model, asked=True))
-        for drives in (task.runs, task.held_out)
-    )
+    runs, held_out = (prep.add_command_history(e, task.model) for e in (task.runs, task.held_out))
     model = prep.widen_end_stops(task.model, runs, task.question.free)
     felt = "steer_rate" not in task.held and prep.exceeds_slew_rate(model, runs)
     free = dict.fromkeys((*task.question.free, *(["steer_rate"] if felt else [])))

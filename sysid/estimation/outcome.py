@@ -39,7 +39,7 @@ from steerd.sysid.inference.noise import signal_noise
 from steerd.sysid.inference.plain_car import Asked, PlainCar, covariance_of, misfit_of, silent_names
 from steerd.sysid.inference.predictor import HORIZON, Predictor
 from steerd.sysid.inference.search import with_size
-from steerd.sysid.paper.search_history import NAMES, SearchHistory
+from steerd.sysid.paper import NAMES, SearchHistory
 
 SCHEMA = "steerd.identify/1"
 REPORTED: tuple[str, ...] = (

@@ -62,17 +62,16 @@ class FitOptions:
     dask: str | None = None  # address of a Dask scheduler instead
 
 
-def add_command_history(runs: Sequence[Run], model: Model[float], asked: bool = False) -> list[Run]:
+def add_command_history(runs: Sequence[Run], model: Model[float]) -> tuple[Run, ...]:
     """The drives, with more of the commands before a window where a linkage may remember them.
 
-    One with play remembers on which side of it the last turn left it. Where it is `asked` whether
-    the car has play, that concerns drives that hold their steering still.
+    One with play remembers on which side of it the last turn left it. Whether a car has play is
+    asked of drives that hold their steering still.
     """
     plays = any(effect.remembers_commands for effect in model.effects)
-    return [
-        replace(run, history=HISTORY) if plays or (asked and holds_still(run)) else run
-        for run in runs
-    ]
+    return tuple(
+        replace(run, history=HISTORY) if plays or holds_still(run) else run for run in runs
+    )
 
 
 def holds_still(run: Run) -> bool:

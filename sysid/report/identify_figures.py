@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from steerd.sysid.data.windows import GROUPS
 from steerd.sysid.estimation.outcome import Fit, HeldOut, Outcome, Residuals, Row
 from steerd.sysid.estimation.validation import Trace
-from steerd.sysid.paper.search_history import SearchHistory
+from steerd.sysid.paper import SearchHistory
 from steerd.sysid.report.design_comparison import Profile
 from steerd.sysid.report.drawing import (
     AFTER,

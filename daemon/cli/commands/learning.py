@@ -231,15 +231,16 @@ def learn(args: Namespace) -> None:
     path = arguments.pick_session(args.session)
     with show_progress("learning", 1.0) as advance:
         found = learn_session(path, args.base, share=advance)
+    newest = found.reports[-1]
     if found.remark:
         print_labelled("note: ", found.remark, sys.stderr)
     if args.json:
-        reports = {"count": found.reports, "sha256": found.digest}
-        values = {"schema": "steerd.learn/1", **encode_model(found.report), "reports": reports}
+        reports = {"count": len(found.reports), "sha256": found.digest}
+        values = {"schema": "steerd.learn/1", **encode_model(newest), "reports": reports}
         print(json.dumps(values, indent=1, allow_nan=False))
         return
-    about = f"{path.name}: {found.report.windows} half seconds of driving, about {found.base}"
-    print(*wrap(about, "", "  "), *format_model(found.report), sep="\n")
+    about = f"{path.name}: {newest.windows} half seconds of driving, about {found.base}"
+    print(*wrap(about, "", "  "), *format_model(newest), sep="\n")
     if found.recorded:
         print(f"reports in the session: {found.same} of {found.recorded} the same to the byte")
-    print(f"{found.reports} reports, sha256 {found.digest[:16]}")
+    print(f"{len(found.reports)} reports, sha256 {found.digest[:16]}")

@@ -6,12 +6,18 @@ import numpy as np
 import pytest
 
 from steerd.sim_gap.diagnosis import Case, GapOptions, diagnose
-from steerd.sysid.inference.noise import Noise
+from steerd.sysid.inference.noise import Noise, noise_section
 
 pytestmark = pytest.mark.slow
 
 NOISE = Noise((7e-4, 2e-3, 0.02, 0.05), (0.4, 0.4, 2.5), 1e-4)
 """What `tests/unit/conftest.py` adds to its drives."""
+
+
+@pytest.fixture(scope="module")
+def quiet(base):
+    """The base car with its noise known."""
+    return replace(base, sections={"noise": noise_section(NOISE)})
 
 
 def test_a_healthy_car_has_no_gap(drive, base):
@@ -30,9 +36,9 @@ def test_unknown_effects_are_refused(drive, base):
 @pytest.mark.parametrize(
     "hidden", ["steer_delay=0.03", "steer_lag=0.1", "speed_scale=0.93", "marker_offset=0.04"]
 )
-def test_a_single_cause_is_named_and_no_second_beside_it(drive, base, hidden, seed):
+def test_a_single_cause_is_named_and_no_second_beside_it(drive, quiet, hidden, seed):
     """Against the whole library, pairs tried."""
-    told = diagnose(Case(drive(hidden, seed=40 + seed), base, noise=NOISE, horizons=False))
+    told = diagnose(Case(drive(hidden, seed=40 + seed), quiet, horizons=False))
     name = hidden.partition("=")[0]
     (cause,) = told.causes
     assert name in {cause.effect, *cause.ambiguous_with}
@@ -41,8 +47,8 @@ def test_a_single_cause_is_named_and_no_second_beside_it(drive, base, hidden, se
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_healthy_drives_are_none_where_noise_is_known(drive, base, seed):
-    told = diagnose(Case(drive("", seed=50 + seed), base, noise=NOISE, horizons=False))
+def test_healthy_drives_are_none_where_noise_is_known(drive, quiet, seed):
+    told = diagnose(Case(drive("", seed=50 + seed), quiet, horizons=False))
     assert (told.verdict, told.causes) == ("none", ())
 
 
@@ -56,9 +62,9 @@ def _wobbling(run, size, hz):
 
 
 @pytest.mark.parametrize("hz", [1.1, 2.3])
-def test_what_is_in_no_library_gets_no_sure_name(drive, base, hz):
+def test_what_is_in_no_library_gets_no_sure_name(drive, quiet, hz):
     runs = [_wobbling(run, 0.03, hz) for run in drive("", seed=60)]
-    told = diagnose(Case(runs, base, noise=NOISE, horizons=False))
+    told = diagnose(Case(runs, quiet, horizons=False))
     assert told.verdict in ("unexplained", "partial")
     assert told.before.whitened > 1.5
     assert not [cause for cause in told.causes if cause.confidence > 0.8], told.causes

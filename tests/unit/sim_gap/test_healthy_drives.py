@@ -65,9 +65,7 @@ def test_other_drives_of_the_same_car_have_no_gap(learnt, drive):
     assert told.verdict == "none"
 
 
-def test_where_the_body_is_and_the_centre_of_gravity_are_known_less_well_together(
-    drive, base, learnt
-):
+def test_where_the_body_is_and_the_centre_of_gravity_are_known_less_well_together(drive, base):
     found = refine(base, drive("marker_offset=0.03", runs=4, seconds=6.0, seed=3))
     for name in ("lf", "lr"):
         away = getattr(found.car, name) - getattr(DEFAULT_CAR, name)

@@ -49,14 +49,13 @@ def test_distance_grows_with_what_differs():
 def test_the_effect_counts_where_it_brings_the_loop_closer():
     good = LaneComparison(lane(late=0.3, wobble=0.01), lane(), lane(late=0.28, wobble=0.01), "a")
     bad = LaneComparison(lane(), lane(late=0.05), lane(late=0.4, wobble=0.03), "a")
-    assert good.is_closer is True
-    assert bad.is_closer is False
+    assert [encode_lane(told)["nearer"] for told in (good, bad)] == [True, False]
     assert "in no measure" in lane_words(bad)
 
 
 def test_without_an_effect_nothing_is_judged():
     told = LaneComparison(lane(), lane(late=0.1), None, "drive.mcap")
-    assert told.is_closer is None
+    assert encode_lane(told)["nearer"] is None
     assert "drive.mcap" in lane_words(told)
     assert encode_lane(told)["drives"]["with_effect"] is None
     assert all(row[3] == "–" for row in lane_rows(told))

@@ -19,7 +19,7 @@ from steerd.car_model.native.windows import (
     settle,
 )
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.sysid.paper.torch_functions import Marching, simulate
+from steerd.sysid.paper.paper_method import Marching, simulate
 
 H = 0.005
 

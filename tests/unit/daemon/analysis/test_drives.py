@@ -7,7 +7,8 @@ import pytest
 
 from steerd.daemon.analysis import drives as module
 from steerd.daemon.analysis.drives import is_same, load_drives, split_drives
-from steerd.daemon.analysis.options import HeldOut, Watch
+from steerd.daemon.analysis.options import HeldOut, Watch, read_car
+from steerd.sim_gap.diagnosis import Case
 from steerd.sysid.data.dataset import Signal, make_run
 
 
@@ -86,7 +87,7 @@ def test_many_sessions_share_what_is_looked_at(minutes):
 
 def test_sessions_are_held_out_whole_though_they_are_in_pieces(minutes):
     found, _ = minutes(20, 21, 22, 23, 24)
-    fitted, later, named, _ = split_drives(found, HeldOut(), "command", Watch())
-    assert named == "every 4th session: 23.mcap"
-    assert {run.name for run in later()} == {"23.mcap"}
-    assert {run.name for run in fitted} == {f"{n}.mcap" for n in (20, 21, 22, 24)}
+    case = split_drives(Case(found, read_car(None)), HeldOut(), "command", Watch())
+    assert case.held_out_of == "every 4th session: 23.mcap"
+    assert {run.name for run in case.later()} == {"23.mcap"}
+    assert {run.name for run in case.runs} == {f"{n}.mcap" for n in (20, 21, 22, 24)}

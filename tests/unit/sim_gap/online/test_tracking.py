@@ -9,7 +9,7 @@ from steerd.car_model.effects import find_effect
 from steerd.sim_gap.online.changes import SPANS, QuietRatios, ratios, reweighted
 from steerd.sim_gap.online.learner import Change
 from steerd.sim_gap.online.naming import EARLY, Finding, believed, find_cause
-from steerd.sim_gap.online.tracking import Track, follow, informed_directions, may_change
+from steerd.sim_gap.online.tracking import Seen, Track, follow, informed_directions, may_change
 from steerd.sim_gap.online.values import amounts_of
 from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.inference.augmented_car import BasePrior
@@ -72,14 +72,14 @@ def test_directions_do_not_depend_on_units():
 
 def tables(reference, track, looks):
     """Ratios of windows, and the same with weights at the fit."""
-    tracks = [track] * len(looks)
-    table = ratios(reference, tracks, looks)
-    return table, reweighted(reference, tracks, looks, table, np.ones_like(table))
+    seen = [Seen(track, look) for look in looks]
+    table = ratios(reference, seen)
+    return table, reweighted(reference, seen, table, np.ones_like(table))
 
 
 def test_ratios_rise_only_over_windows_since_the_change(reference, track, windows):
     looks = [*windows(8), *windows(4, seed=8, steer_bias=0.02)]
-    table = ratios(reference, [track] * 12, looks)
+    table, _ = tables(reference, track, looks)
     bias = table[reference.space.effects.index("steer_bias")]
     assert int(np.nanargmax(bias)) == SPANS.index(4)
     assert bias[SPANS.index(4)] > 50.0
@@ -87,10 +87,9 @@ def test_ratios_rise_only_over_windows_since_the_change(reference, track, window
 
 
 def test_quiet_windows_keep_their_ratios(reference, track, windows):
-    looks = windows(6)
-    table = ratios(reference, [track] * 6, looks)
-    level = np.full_like(table, np.nanmax(table))
-    assert reweighted(reference, [track] * 6, looks, table, level) is table
+    seen = [Seen(track, look) for look in windows(6)]
+    table = ratios(reference, seen)
+    assert reweighted(reference, seen, table, np.full_like(table, np.nanmax(table))) is table
 
 
 def test_a_plain_change_counts_for_more_than_its_outlying_windows(reference, track, windows):

@@ -30,7 +30,7 @@ from steerd.sysid.inference.plain_car import (
     search_rough,
 )
 from steerd.sysid.inference.predictor import stable_substeps
-from steerd.sysid.paper.search_history import PAPER_CAR_DIRECT as STILL
+from steerd.sysid.paper import PAPER_CAR_DIRECT as STILL
 
 SLID = (0.18917528114233922, 0.29462271010112046, 5.025340279936621, 2.177483451231206)
 """Lengths and stiffnesses of a start in the long valley of long, sliding cars that steer more."""
