@@ -1,7 +1,6 @@
 """Lane errors, the steering law and the whole controller, a tick at a time."""
 
 import math
-from dataclasses import replace
 from math import exp, inf
 
 import numpy as np
@@ -38,7 +37,6 @@ from steerd.controller.servo import KEPT_NS, Servo, order_servo, step_servo
 from steerd.controller.speed import SpeedProfile, make_speed_profile, profile_speed, step_speed
 
 LINE = parse_path("line:length=10")
-LEFT = parse_path("circle:radius=2")
 KEEPER = LaneKeeper(LINE, 0.06, -0.34, 0.34)
 NO_TURNING = Turning(0.33, 0.0, -0.15, 0.0)
 
@@ -47,19 +45,6 @@ def row(past: tuple[float, ...] = (), **gains: float) -> tuple[float, ...]:
     names = ("e1", "e1_rate", "e2", "e2_rate", "steer")
     assert len(names) == N_LANE
     return (*(gains.get(name, 0.0) for name in names), *past, *NO_TURNING)
-
-
-@pytest.mark.parametrize("turns", [-2, 0, 3])
-def test_signs_left_of_the_line_and_turned_left(turns):
-    estimate = State(1.0, 0.1, 0.2 + turns * math.tau, 1.5, 0.3, 0.05, 0.0)
-    errors = lane_errors(estimate, project(LINE, 1.0, 0.1, 50))
-    assert errors == pytest.approx(LaneErrors(0.1, 1.5 * math.sin(0.25), 0.2, 0.3))
-
-
-def test_at_the_centre_of_the_turn_the_rates_stay_finite():
-    estimate = State(0.0, 2.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    errors = lane_errors(estimate, project(LEFT, 0.0, 2.0, 0))
-    assert errors.e2_rate == pytest.approx(-0.5 / 0.1)
 
 
 def wheel_reference(
@@ -109,12 +94,6 @@ def profile_of(path: Path, config: ControllerConfig = CONFIG) -> SpeedProfile:
     return make_speed_profile(DEFAULT_CAR, path, config)
 
 
-def test_a_circle_is_driven_at_its_lateral_limit():
-    profile = profile_of(parse_path("circle:radius=2"))
-    np.testing.assert_allclose(profile.speed, 2.0)  # sqrt(2 m/s^2 * 2 m)
-    assert profile.fastest == pytest.approx(2.0)
-
-
 def test_no_limit_is_exceeded_anywhere_round_a_figure_eight():
     path = parse_path("figure8:radius=1")
     v = np.array(profile_of(path).speed)
@@ -134,13 +113,6 @@ def test_an_open_path_ends_standing():
     np.testing.assert_allclose(
         np.minimum(3.0, np.sqrt(2.0 * 2.0 * (10.0 - s))), profile.speed, atol=1e-6
     )
-
-
-def test_a_files_speeds_cap_it_unless_configured_not_to():
-    path = parse_path("circle:radius=20")
-    slow = replace(path, speed=(0.7,) * len(path.x))
-    assert profile_of(slow).fastest == pytest.approx(0.7)
-    assert profile_of(slow, replace(CONFIG, file_speeds=False)).fastest == 3.0
 
 
 def test_the_profile_is_read_ahead_by_the_drives_lag():
@@ -236,14 +208,6 @@ def test_a_command_is_remembered_as_it_left():
     held = command._replace(steer=0.5 * command.steer)
     _, _, informed = control(controller, after, SEEN, 20_000_000, issued=held)
     assert informed.past[1] == pytest.approx(held.steer - after.feedforward)
-
-
-def test_no_delay_means_no_past():
-    controller = made("circle", 1.0, DEFAULT_CAR._replace(steer_delay=0.0))
-    state = start_controller(controller, SEEN, 0)
-    command, _, after = control(controller, state, SEEN, 10_000_000)
-    assert after.past == ()
-    assert control(controller, after, SEEN, 20_000_000, issued=command)[2].past == ()
 
 
 def test_a_clock_that_stands_or_leaps_is_no_leap_in_speed():
@@ -363,13 +327,6 @@ def test_a_loop_with_little_margin_grants_less_and_none_grants_nothing():
     narrow = find_gain_bounds(made.car, made.table, late, 0.1)
     assert narrow[1] < wide[1]
     assert find_gain_bounds(made.car, made.table, made.report.timing, 0.999) == (1.0, 1.0)
-
-
-def test_speed_only_falls_and_no_start_is_below_its_least():
-    bounds = bounds_of(make(1.5))
-    assert (bounds.low.speed, bounds.high.speed) == (0.3, 1.5)
-    slow = bounds_of(make(0.2))
-    assert (slow.low.speed, slow.high.speed) == (0.2, 0.2)
 
 
 def test_a_lane_that_the_car_cannot_turn_is_not_granted():
