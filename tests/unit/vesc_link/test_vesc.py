@@ -335,6 +335,14 @@ def test_session_limits_only_ever_tighten():
             make_session_limits(LIMITS, erpm_max=wrong)
 
 
+def test_long_configuration_passes_the_running_ceiling_only_when_requested(link, vesc):
+    stray = encode_frame(encode_reply(vesc.appconf))
+    assert link.on_bytes(0, stray + bytes(600)) == []
+    link.request(c.GetAppConf())
+    events = link.on_bytes(MS, vesc.answer(link.make_tick(DRIVE, MS)))
+    assert i.AppConf in kinds(events)
+
+
 def test_reset_forgets_the_device_and_its_fault(link, vesc):
     vesc.values = dataclasses.replace(VALUES, fault=10)
     assert Rebooted in kinds(link.on_bytes(MS, vesc.answer(link.make_tick(DRIVE, 0))))
