@@ -111,3 +111,13 @@ def test_each_step_comes_nearer_and_ends_there():
         taken += 1
         assert taken < 10
     assert taken > 3, "slowly"
+
+
+def test_what_is_not_followed_stays_the_files():
+    held = standard()
+    made = learnt.follow_learnt(held.file, design_for(held, steer_gain=0.98, steer_delay=0.016))
+    same = set(DEFAULT_CAR._fields) - {"steer_gain", "steer_delay"}
+    assert all(getattr(made.car, name) == getattr(held.file.car, name) for name in same)
+    assert made.config == held.file.config
+    assert made.keeper.preview_s == pytest.approx(held.file.keeper.preview_s + 0.006)
+    assert made.report.timing.rate_hz == held.file.report.timing.rate_hz

@@ -17,7 +17,7 @@ from steerd.controller.config import (
     load_controller_config,
 )
 from steerd.controller.design import closed_loop, margins
-from steerd.controller.gain_table import N_LANE, GainTable, look_up
+from steerd.controller.gain_table import N_LANE, GainTable, Turning, look_up
 from steerd.controller.gains import design_table, lqr_gains, pole_placement_gains
 from steerd.controller.loop_model import Timing, pack_gains, sampled_loop, turn_response
 from tests.designs import design_for, scaled, standard
@@ -91,6 +91,19 @@ def test_the_turn_is_the_cars_steady_one(speed):
     turning = turn_response(DEFAULT_CAR, speed)
     assert turning.wheel == pytest.approx(feedforward_steer(DEFAULT_CAR, speed, 1.0))
     assert turning.heading == pytest.approx(-steady_slip(DEFAULT_CAR, speed, 1.0))
+
+
+def test_a_steadily_tightening_turn_leaves_no_offset():
+    speed, rate = 1.5, 0.4
+    errors, turning = lane_error_model(DEFAULT_CAR, speed), turn_response(DEFAULT_CAR, speed)
+    curvature, h = 0.0, 1e-4
+    x = np.array([0.0, 0.0, turning.heading_change * rate, turning.heading * rate])
+    for _ in range(20000):
+        wheel = turning.wheel * curvature + turning.wheel_change * rate
+        x = x + h * (errors.a @ x + errors.b_steer * wheel + errors.b_curvature * curvature)
+        curvature += h * rate
+    assert abs(x[0]) < 1e-3 * curvature
+    assert isinstance(turning, Turning)
 
 
 # Distance from -1 against what it promises: gains and delays that the loop survives.

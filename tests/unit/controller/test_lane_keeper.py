@@ -1,6 +1,7 @@
 """Lane errors, the steering law and the whole controller, a tick at a time."""
 
 import math
+from dataclasses import replace
 from math import exp, inf
 
 import numpy as np
@@ -115,6 +116,13 @@ def test_an_open_path_ends_standing():
     )
 
 
+def test_a_files_speeds_cap_it_unless_configured_not_to():
+    path = parse_path("circle:radius=20")
+    slow = replace(path, speed=(0.7,) * len(path.x))
+    assert profile_of(slow).fastest == pytest.approx(0.7)
+    assert profile_of(slow, replace(CONFIG, file_speeds=False)).fastest == 3.0
+
+
 def test_the_profile_is_read_ahead_by_the_drives_lag():
     path = parse_path("line:length=10")
     profile = profile_of(path)
@@ -208,6 +216,14 @@ def test_a_command_is_remembered_as_it_left():
     held = command._replace(steer=0.5 * command.steer)
     _, _, informed = control(controller, after, SEEN, 20_000_000, issued=held)
     assert informed.past[1] == pytest.approx(held.steer - after.feedforward)
+
+
+def test_no_delay_means_no_past():
+    controller = made("circle", 1.0, DEFAULT_CAR._replace(steer_delay=0.0))
+    state = start_controller(controller, SEEN, 0)
+    command, _, after = control(controller, state, SEEN, 10_000_000)
+    assert after.past == ()
+    assert control(controller, after, SEEN, 20_000_000, issued=command)[2].past == ()
 
 
 def test_a_clock_that_stands_or_leaps_is_no_leap_in_speed():
