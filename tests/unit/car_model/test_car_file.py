@@ -119,17 +119,6 @@ def test_a_wrong_file_is_refused_with_place_and_reason(text, where, what):
     assert what in found.what
 
 
-def test_every_prefix_of_a_file_gives_a_car_or_one_line():
-    said = []
-    for end in range(0, len(TEXT), 37):
-        try:
-            parse_car(TEXT[:end], HERE)
-        except CarFileError as wrong:
-            said.append(str(wrong))
-    assert len(said) > 50
-    assert not any("\n" in line for line in said)
-
-
 @pytest.mark.parametrize(
     ("content", "what"),
     [

@@ -38,7 +38,6 @@ from steerd.controller.servo import KEPT_NS, Servo, order_servo, step_servo
 from steerd.controller.speed import SpeedProfile, make_speed_profile, profile_speed, step_speed
 
 LINE = parse_path("line:length=10")
-LEFT = parse_path("circle:radius=2")
 KEEPER = LaneKeeper(LINE, 0.06, -0.34, 0.34)
 NO_TURNING = Turning(0.33, 0.0, -0.15, 0.0)
 
@@ -47,19 +46,6 @@ def row(past: tuple[float, ...] = (), **gains: float) -> tuple[float, ...]:
     names = ("e1", "e1_rate", "e2", "e2_rate", "steer")
     assert len(names) == N_LANE
     return (*(gains.get(name, 0.0) for name in names), *past, *NO_TURNING)
-
-
-@pytest.mark.parametrize("turns", [-2, 0, 3])
-def test_signs_left_of_the_line_and_turned_left(turns):
-    estimate = State(1.0, 0.1, 0.2 + turns * math.tau, 1.5, 0.3, 0.05, 0.0)
-    errors = lane_errors(estimate, project(LINE, 1.0, 0.1, 50))
-    assert errors == pytest.approx(LaneErrors(0.1, 1.5 * math.sin(0.25), 0.2, 0.3))
-
-
-def test_at_the_centre_of_the_turn_the_rates_stay_finite():
-    estimate = State(0.0, 2.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    errors = lane_errors(estimate, project(LEFT, 0.0, 2.0, 0))
-    assert errors.e2_rate == pytest.approx(-0.5 / 0.1)
 
 
 def wheel_reference(
@@ -107,12 +93,6 @@ CONFIG = ControllerConfig(speed=3.0, lateral_accel_max=2.0, accel_max=1.0, decel
 
 def profile_of(path: Path, config: ControllerConfig = CONFIG) -> SpeedProfile:
     return make_speed_profile(DEFAULT_CAR, path, config)
-
-
-def test_a_circle_is_driven_at_its_lateral_limit():
-    profile = profile_of(parse_path("circle:radius=2"))
-    np.testing.assert_allclose(profile.speed, 2.0)  # sqrt(2 m/s^2 * 2 m)
-    assert profile.fastest == pytest.approx(2.0)
 
 
 def test_no_limit_is_exceeded_anywhere_round_a_figure_eight():
@@ -363,13 +343,6 @@ def test_a_loop_with_little_margin_grants_less_and_none_grants_nothing():
     narrow = find_gain_bounds(made.car, made.table, late, 0.1)
     assert narrow[1] < wide[1]
     assert find_gain_bounds(made.car, made.table, made.report.timing, 0.999) == (1.0, 1.0)
-
-
-def test_speed_only_falls_and_no_start_is_below_its_least():
-    bounds = bounds_of(make(1.5))
-    assert (bounds.low.speed, bounds.high.speed) == (0.3, 1.5)
-    slow = bounds_of(make(0.2))
-    assert (slow.low.speed, slow.high.speed) == (0.2, 0.2)
 
 
 def test_a_lane_that_the_car_cannot_turn_is_not_granted():

@@ -203,19 +203,6 @@ def test_an_echo_counts_once_and_only_if_requested(client):
     assert measured == [(50 * MS, 60 * MS, 77)]
 
 
-def test_only_frames_count_on_the_data_socket(client):
-    forged = natnet.encode(natnet.ModelDef((natnet.RigidBodyDesc("car", 9),)), (4, 1))
-    assert client.on_datagram(forged, 10, IP, "data") == []
-    assert client.detail == "following 'car' (id 1)"
-
-
-def test_two_bodies_with_our_id_in_one_frame_are_refused(client):
-    body = RigidBody(1, (1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0))
-    data = natnet.encode(Frame(1, (body, body)), (4, 1))
-    client.on_datagram(data, 5, IP, "data")
-    assert client.refused == "2 bodies stream with id 1"
-
-
 def test_messages_from_the_server_are_passed_on(client):
     client.on_datagram(natnet.encode(natnet.MessageString("licence expired")), 5, IP)
     assert client.detail == "server: licence expired"

@@ -128,24 +128,6 @@ def test_old_firmware_shifts_ids_from_the_handbrake_on():
     assert decode_command(encode_command(c.SetErpm(1.0), FW_3_00), FW_3_00) == c.SetErpm(1.0)
 
 
-@pytest.mark.parametrize(
-    ("code", "scale", "value", "host", "device"),
-    [
-        ("i", 1e3, 0.0005, 1, 0),
-        ("i", 1e3, -0.0005, -1, 0),
-        ("i", 1e3, 12.3459, 12346, 12345),
-        ("i", 1e0, -0.5, -1, 0),
-        ("h", 1e1, 31.4, 314, 314),
-        ("i", 1e6, 359.123456, 359123456, 359123456),
-        ("i", None, 16777217, 16777217, 16777217),
-        ("i", 1e0, 16777217.0, 16777217, 16777216),  # the firmware's floats have 24 bits
-    ],
-)
-def test_host_rounds_and_device_truncates_in_single_precision(code, scale, value, host, device):
-    assert host_number(code, scale, value) == host
-    assert device_number(code, scale, value) == device
-
-
 def device_number(code: str, scale: float | None, value: float) -> float:
     """The number on the wire as the firmware sends it."""
     number: float
@@ -191,14 +173,6 @@ IMU = t.Imu(
     0xFFFF, 0.1, -0.2, 0.3, 0.5, -1.0, 9.75, 0.25, -0.5, 2.0, 1.0, 2.0, 3.0, 1.0, 0.0, 0.0,
     0.0, controller_id=9,
 )  # fmt: skip
-
-
-@pytest.mark.parametrize(("firmware", "size"), [((6, 0), 67), ((6, 5), 68), ((7, 1), 68)])
-def test_imu_data_name_their_controller_since_6_05(firmware, size):
-    payload = encode_reply(IMU, Firmware(*firmware))
-    got = decode_reply(payload)
-    assert isinstance(got, t.Imu)
-    assert (len(payload), got.controller_id) == (size, 9 if size == 68 else None)
 
 
 def test_the_longest_uptime_comes_back():
@@ -268,12 +242,6 @@ def test_numbers_are_clamped_both_ways_and_what_is_none_never(convert, least, mo
     for value in (math.nan, math.inf, -math.inf):
         with pytest.raises(ValueError, match="no command"):
             convert(F1TENTH, value)
-
-
-def test_positive_servo_gain_keeps_limits_in_order():
-    right, left = steer_limits(Scaling(servo_gain=1.2135))
-    assert right < 0 < left
-    assert math.degrees(left) == pytest.approx(15.09, abs=0.01)
 
 
 @pytest.mark.parametrize(

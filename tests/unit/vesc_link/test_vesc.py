@@ -18,7 +18,6 @@ from steerd.vesc_link.scaling import F1TENTH
 from steerd.vesc_link.vesc import (
     CONNECT_TRIES,
     EXPIRY_NS,
-    POLL_EXPIRY_NS,
     WRITE_LIMIT,
     Answer,
     Drive,
@@ -223,15 +222,6 @@ def test_reply_carries_send_and_first_byte_stamps(link, vesc):
     assert when(imu) == (10 * MS, 13 * MS)
 
 
-def test_one_request_per_id_until_answered_or_expired(link, vesc):
-    link.make_tick(SILENT, 0)
-    for t_ns in (5 * MS, POLL_EXPIRY_NS):
-        assert link.make_tick(SILENT, t_ns) == b""
-    assert link.on_bytes(POLL_EXPIRY_NS + 1, b"") == []
-    vesc.answer(link.make_tick(SILENT, POLL_EXPIRY_NS + 2))
-    assert vesc.seen == [c.GetValuesSelective(t.FAST_MASK), c.GetImuData(t.IMU_ACCEL_GYRO_MASK)]
-
-
 def test_polls_that_went_lost_are_repeated_five_times_in_100_ms(link):
     sent = [bool(link.make_tick(SILENT, t_ms * MS)) for t_ms in range(0, 100, 10)]
     assert sent == [True, False] * 5
@@ -252,19 +242,6 @@ def test_late_reply_keeps_its_true_interval(link, vesc):
     assert link.on_bytes(84 * MS, second) == []
     third = vesc.answer(link.make_tick(SILENT, 90 * MS))
     assert when(telemetry_in(link.on_bytes(91 * MS, third))) == (90 * MS, 91 * MS)
-
-
-def test_interval_is_not_widened_by_what_expired_long_ago(link, vesc):
-    link.make_tick(SILENT, 0)
-    link.on_bytes(81 * MS, b"")
-    later = vesc.answer(link.make_tick(SILENT, 5000 * MS))
-    assert when(link.on_bytes(5001 * MS, later)[0]) == (5000 * MS, 5001 * MS)
-
-
-def test_reply_with_another_mask_is_not_ours(link):
-    link.make_tick(SILENT, 0)
-    other = encode_frame(encode_reply(dataclasses.replace(VALUES, mask=0x180)))
-    assert link.on_bytes(MS, other) == []
 
 
 @pytest.mark.parametrize(("cut", "whole"), [(56, t.Values), (51, t.Values), (50, None), (42, None)])

@@ -156,29 +156,6 @@ def test_the_first_order_starts_at_the_measured_speed_with_the_steering_anywhere
     assert state.curvature == near(tan(-0.36 - 0.02) / short, tan(0.48 + 0.02) / short)
 
 
-def test_an_order_that_repeats_is_kept_once():
-    order = Command(0.1, 1.0)
-    state = go({0: order, 10: order, 20: Command(0.1, 1.1)}, 20)
-    assert state.orders == ((0, order), (20 * MS, Command(0.1, 1.1)))
-
-
-def test_time_that_does_not_pass_changes_nothing(model):
-    state = go({0: Command(0.1, 1.0)}, 50)
-    assert advance(state, model, 50 * MS, 1.0) == state
-    assert advance(state, model, 49 * MS, 1.0) == state
-
-
-def test_speed_rises_between_the_fastest_and_the_slowest_car():
-    """One order, long in force: lags alone, since 0.5 m/s over 0.2 s is below the slew limit."""
-    state = go({0: Command(0.0, 0.5)}, 400)
-    (late, t) = (0.08, 0.4)
-    band = state.trail[-1].speed
-    fast = 0.5 * (1.0 - exp(-(t - late) / 0.16))
-    assert fast * 0.98 <= band.high <= 0.5
-    slow = 0.5 * (1.0 - exp(-(t - 0.132) / 0.24))
-    assert slow * 0.9 <= band.low <= slow
-
-
 @pytest.mark.parametrize(
     ("bias", "wish", "band"),
     [(0.0, 0.1, (0.08, 0.12)), (0.0, 0.5, (0.32, 0.48)), (0.0, -0.5, (-0.36, -0.24)),
@@ -213,11 +190,6 @@ def test_speeds_after_a_change(first, then, until_ms, step_ms, low, high):
     assert band.low == pytest.approx(low, abs=1e-6 if then in (0.29, 0.3) else near_low)
     exact = then is None or then in (0.29, 0.3)
     assert band.high == pytest.approx(high, abs=1e-6 if exact else near_low)
-
-
-def test_an_oversteering_car_is_bounded_at_half_its_wheelbase(model):
-    state = go({0: Command(0.2, 1.0)}, 6000, speed=9.0)
-    assert state.curvature.high == pytest.approx(tan(0.26) / (0.5 * model.base.low), rel=1e-5)
 
 
 STRAIGHTENED = {0: Command(0.2, 2.0), 3000: Command(0.0, 2.0)}
@@ -256,22 +228,6 @@ def test_curvature_grows_at_once_and_falls_with_the_yaw_lag(model, speed, lag):
     assert onto.curvature.high == pytest.approx(aim.high)
 
 
-def test_the_sum_of_curvature_is_no_smaller_than_either_end_of_a_step(model):
-    state = go({0: Command(0.2, 1.0)}, 2000)
-    band, last = state.curvature, state.trail[-1]
-    after = advance(state, model, 2010 * MS, 1.0).trail[-1]
-    assert after.turned.low == pytest.approx(last.turned.low + 0.01 * band.low)
-    assert after.turned.high == pytest.approx(last.turned.high + 0.01 * band.high)
-
-
-def test_the_trail_is_as_long_as_late_measurements_need():
-    state = go({0: Command(0.1, 1.0)}, 2000)
-    newest = state.trail[-1].t_ns
-    assert newest == 2000 * MS
-    assert newest - state.trail[0].t_ns >= TRAIL_S * 1e9
-    assert newest - state.trail[1].t_ns <= TRAIL_S * 1e9
-
-
 def test_orders_are_forgotten_when_their_successor_has_arrived():
     many = {k: Command(0.0, 0.5 + 1e-4 * k) for k in range(0, 2001, 10)}
     state = go(many, 2000)
@@ -295,14 +251,6 @@ def test_an_order_that_arrives_at_the_tick_counts_from_the_tick_on():
 def make_band(model):
     """Steering anywhere between the end stops."""
     return Band(model.right.low, model.left.high)
-
-
-def test_a_late_tick_forgets_every_order_but_the_last():
-    ordered = {k: Command(0.0, 1.0 + 1e-3 * k) for k in range(0, 101, 10)}
-    state = advance(go(ordered, 100), make_model(), 1100 * MS, 1.0)
-    assert state.orders == ((100 * MS, Command(0.0, 1.1)),)
-    exact = go({0: Command(0.0, 1.0), 18: Command(0.0, 1.1)}, 150, step_ms=2)
-    assert [sent for sent, _ in exact.orders] == [18 * MS]
 
 
 # --- comparison
@@ -365,21 +313,6 @@ def test_turns_against_the_band_over_the_way(model):
     assert both.turn_rate == pytest.approx(4.0)
     last = compare(state, model, None, (Turn(100 * MS, 200 * MS, 0.0, 0.2),))
     assert last.turn_band == near(0.0, 0.0)
-
-
-def test_a_turn_between_ticks_and_the_one_that_is_furthest_off(model):
-    marks = (
-        Mark(0, Band(0, 0), Band(1.0, 2.0)),
-        Mark(50 * MS, Band(0, 0), Band(1.02, 2.06)),
-        Mark(100 * MS, Band(0, 0), Band(1.06, 2.1)),
-    )
-    state = FollowState(trail=marks)
-    inside, slow = Turn(25 * MS, 100 * MS, 0.1, 0.15), Turn(0, 50 * MS, -0.3, 0.1)
-    part = compare(state, model, None, (inside,))
-    assert part.turn_band == near(0.05 / 0.075 * 2.0, 0.07 / 0.075 * 2.0)
-    worst = compare(state, model, None, (inside, slow))
-    assert worst.turn_rate == pytest.approx(-6.0)
-    assert worst.turn_excess == pytest.approx(0.02 / 0.05 * 2.0 + 6.0 - model.turn_margin / 0.05)
 
 
 ORIGIN = (0.0, 0.0, 0.1)

@@ -13,7 +13,6 @@ from steerd.daemon.loop.live import (
     judge_both_lanes,
     make_live,
     make_parameters,
-    relax,
     step_live,
     take_request,
 )
@@ -91,13 +90,6 @@ def test_a_moving_car_comes_to_its_values_gradually_and_a_parked_one_has_them():
     assert step_live(live, 10**12, parked=False).now.offset == pytest.approx(0.01), "after a pause"
     assert step_live(live, 0, parked=False).now.offset == 0.0, "time does not run backwards"
     assert step_live(live, 10**9, parked=True).now == live.aim
-
-
-def test_back_to_the_path_keeps_a_lower_speed():
-    tuned = take_request(LIVE, ask(1.0, 0.125, 1.25), admitted=True)
-    back = relax(tuned, "a fault")
-    assert (back.aim, back.text) == (LiveValues(1.0, 0.0, 1.0), "a fault")
-    assert relax(LIVE, "a fault") is LIVE
 
 
 @pytest.mark.parametrize(
