@@ -17,7 +17,7 @@ from scipy.optimize import lsq_linear
 from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated, Weighed
 from steerd.sysid.inference.predictor import Linear
 from steerd.sysid.inference.space import Space
-from steerd.sysid.inference.starts import OWED, settle_starts
+from steerd.sysid.inference.starts import owes, settle_starts
 
 Array = NDArray[np.float64]
 
@@ -131,7 +131,7 @@ def _followed(likelihood: Likelihood, point: Point) -> Point:
     x, error, at = point.x.copy(), point.linear.error.copy(), point.at
     share = np.ones(len(x))
     for _ in range(_ROUNDS):
-        if not (at.here - at.square > OWED).any():
+        if not owes(at.here, at.here - at.square, at.dof).any():
             break
         tried = x + share[:, None] * at.dx
         off, _ = likelihood.predictor.errors(point.parameters, tried)
