@@ -6,8 +6,6 @@ on three simulators); no sealed set was used. Tolerances of arithmetic stay in t
 
 FITTED, FITTED_FURTHER = 6, 3
 """Hypotheses with a first effect that are brought to their optimum, and with a further one."""
-NEARLY = 4.0
-"""Hypotheses whose log odds lie this near to the best's are searched from more starts [nats]."""
 FURTHER_ODDS = 10.0
 """Odds against each further cause, beside its share of the library."""
 KNOWN_WIDER = 2.0

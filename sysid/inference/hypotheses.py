@@ -21,15 +21,7 @@ from steerd.sysid.inference.likelihood import SIZES, Likelihood, Weighed, loss_o
 from steerd.sysid.inference.odds import Hypothesis, Shown, rank
 from steerd.sysid.inference.places import suspicious_discs
 from steerd.sysid.inference.residuals import robust_mean
-from steerd.sysid.inference.search import (
-    Point,
-    explore,
-    minimise,
-    newton,
-    open_point,
-    stand,
-    with_size,
-)
+from steerd.sysid.inference.search import Point, minimise, newton, open_point, stand, with_size
 from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
@@ -78,7 +70,6 @@ class _Search:
     pool: dict[frozenset[str], Point] = field(default_factory=dict)
     untested: set[str] = field(default_factory=set)
     shown: Shown = field(default_factory=dict)
-    explored: set[tuple[str, ...]] = field(default_factory=set)
     exchanged: set[tuple[tuple[str, ...], tuple[str, ...], int]] = field(default_factory=set)
 
     @property
@@ -115,7 +106,6 @@ class _Search:
         self._fit(start, chosen)
         self.exchange()
         self._look_again(start, needed, most)
-        self.explore()
 
     def _fit(self, start: Point, chosen: Sequence["Candidate"]) -> None:
         """A hypothesis with one effect more, from the values of each look."""
@@ -141,18 +131,6 @@ class _Search:
             if look.gain > least and (known is None or look.cost < known.cost - _WORSE):
                 chosen.append(look)
         self._fit(before, chosen[:most])
-        self.exchange()
-
-    def explore(self) -> None:
-        """A cause that is named, and what competes with it, from more starts."""
-        ranked = self.hypotheses()
-        near = [h for h in ranked if ranked[0].log_odds - h.log_odds < c.NEARLY]
-        if len(near) < 2 and not ranked[0].effects:
-            return
-        for h in near:
-            if h.effects not in self.explored:
-                self.explored.add(h.effects)
-                self.keep(explore(self.likelihood, h.point))
         self.exchange()
 
     def exchange(self) -> None:

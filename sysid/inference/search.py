@@ -17,7 +17,7 @@ from scipy.optimize import lsq_linear
 from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated, Weighed
 from steerd.sysid.inference.predictor import Linear
 from steerd.sysid.inference.space import Space
-from steerd.sysid.inference.starts import OWED, settle_starts
+from steerd.sysid.inference.starts import owes, settle_starts
 
 Array = NDArray[np.float64]
 
@@ -26,12 +26,6 @@ FALL = 2.2
 ENOUGH = 0.3
 """A step that promises and gains less than this many nats at the last size ends the search."""
 STEPS = 24
-DRAWS = 2
-"""Starts along the valley of an optimum that counts."""
-_BLUNT = 30.0
-"""Factor by which windows count for less while such starts are drawn."""
-_EXPLORED = 0.15
-"""Least discrepancy's size under which such a search begins."""
 _LIMITS = {"accel_max": 0.3, "decel_max": 0.3, "steer_rate": 0.05}
 """Steps over which limits are differenced: [m/s^2], and relative for the slew rate."""
 _TRUST = 0.4
@@ -131,7 +125,7 @@ def _followed(likelihood: Likelihood, point: Point) -> Point:
     x, error, at = point.x.copy(), point.linear.error.copy(), point.at
     share = np.ones(len(x))
     for _ in range(_ROUNDS):
-        if not (at.here - at.square > OWED).any():
+        if not owes(at.here, at.here - at.square, at.dof).any():
             break
         tried = x + share[:, None] * at.dx
         off, _ = likelihood.predictor.errors(point.parameters, tried)
@@ -227,27 +221,6 @@ def minimise(
         if abs(gained - promised) > _TRUST * max(promised, ENOUGH) or stale > _FAR:
             now, stale = fresh(likelihood, now), 0.0
     return replace(_ended(likelihood, now, stale), whole=False)
-
-
-def explore(likelihood: Likelihood, point: Point) -> Point:
-    """The best optimum from starts drawn along the valley that a point lies in.
-
-    Kinks leave small minima in it. The draws follow the posterior under a likelihood so blunt that
-    it spans them; they are the same each time.
-    """
-    rng = np.random.default_rng(0)
-    space, best = point.space, point
-    lower = np.linalg.cholesky(np.linalg.inv(curvature(space, point.at, 1.0 / _BLUNT)))
-    for _ in range(DRAWS):
-        z = np.clip(point.z + lower @ rng.standard_normal(len(point.z)), space.low, space.high)
-        try:
-            begun = stand(likelihood, space, z, best.x, max(2.0 * point.size, _EXPLORED))
-            found = minimise(likelihood, begun, best.cost)
-        except (FloatingPointError, np.linalg.LinAlgError):
-            continue
-        if found.cost < best.cost:
-            best = found
-    return best
 
 
 def _ended(likelihood: Likelihood, point: Point, stale: float) -> Point:

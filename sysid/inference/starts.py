@@ -9,17 +9,17 @@ where tyres saturate a full Newton step leads away.
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.sysid.inference.likelihood import Likelihood, take_some
+from steerd.sysid.inference.likelihood import Likelihood, loss_of, take_some
 
 Array = NDArray[np.float64]
 
 OWED = 0.05
-"""A start whose next step promises no more off the window's square is at its best."""
+"""A start whose next step promises less than this is at its best [nats]."""
 _ROUNDS = 20
 _FEWER = 0.7
 """Windows that still move are taken out where they are a smaller share."""
-_DAMPING, _EASIER, _HARDER, _STUCK = 1e-3, 0.1, 10.0, 1e5
-"""Damping at first, factors after a better and a worse step, and where no step is better."""
+_DAMPING, _STUCK = 1e-3, 1e5
+"""Damping at first, and where no step is better."""
 
 
 def settle_starts(
@@ -33,28 +33,39 @@ def settle_starts(
         x: (W, 7) where the starts are.
         size: of the discrepancy.
     """
-    x, damping, left = x.copy(), np.full(len(x), _DAMPING), np.zeros(len(x), bool)
+    x, left = x.copy(), np.zeros(len(x), bool)
+    damping, harder = np.full(len(x), _DAMPING), np.full(len(x), 2.0)
     active, part = np.arange(len(x)), likelihood
     for _ in range(_ROUNDS):
         error, by_x = part.predictor.by_starts(parameters, x[active])
         turned, curved = part.start_curvature(part.rotation @ by_x, size)
         pull = part.start_pull(turned, part.rotate_error(error), x[active])
+        square = part.squares(error, x[active], size)
         promised = (pull * np.linalg.solve(curved, pull[:, :, None])[:, :, 0]).sum(axis=1)
-        owed = promised > OWED
+        owed = owes(square, promised, part.dof)
         left[active] = owed
         moving = owed & (damping[active] < _STUCK)
         if not moving.any():
             break
         if moving.mean() < _FEWER:
-            active, part = active[moving], take_some(part, moving)
+            active, part, square = active[moving], take_some(part, moving), square[moving]
             curved, pull = curved[moving], pull[moving]
-            error = error[moving, : part.predictor.padded.there.shape[1]]
-        before = part.squares(error, x[active], size)
         diagonal = damping[active, None] * np.diagonal(curved, axis1=1, axis2=2)
         damped = curved + diagonal[:, :, None] * np.eye(curved.shape[1])
-        tried = x[active] + np.linalg.solve(damped, pull[:, :, None])[:, :, 0]
-        off, _ = part.predictor.errors(parameters, tried)
-        better = part.squares(off, tried, size) < before
-        x[active[better]] = tried[better]
-        damping[active] *= np.where(better, _EASIER, _HARDER)
+        step = np.linalg.solve(damped, pull[:, :, None])[:, :, 0]
+        off, _ = part.predictor.errors(parameters, x[active] + step)
+        gained = square - part.squares(off, x[active] + step, size)
+        expected = (step * (pull + diagonal * step)).sum(axis=1)
+        better = gained > 0.0
+        x[active[better]] += step[better]
+        # Nielsen (1999): damping by how well the last step kept its promise
+        kept = np.clip(gained / np.maximum(expected, 1e-300), 0.0, 1.0)
+        softer = np.maximum(1.0 / 3.0, 1.0 - (2.0 * kept - 1.0) ** 3)
+        damping[active] *= np.where(better, softer, harder[active])
+        harder[active] = np.where(better, 2.0, 2.0 * harder[active])
     return x, left
+
+
+def owes(square: Array, promised: Array, dof: Array) -> NDArray[np.bool_]:
+    """(W,) whether windows' losses would fall by more than `OWED` with squares so much smaller."""
+    return np.asarray(loss_of(square, dof) - loss_of(square - promised, dof) > OWED)

@@ -1,5 +1,7 @@
 """The search as a search: what it promises it keeps, and no start finds a better optimum."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,10 +10,10 @@ from steerd.sysid.inference import search
 from steerd.sysid.inference.augmented_car import make_augmented_car
 from steerd.sysid.inference.hypotheses import begin
 from steerd.sysid.inference.library import Library
-from steerd.sysid.inference.likelihood import make_likelihood
+from steerd.sysid.inference.likelihood import loss_of, make_likelihood
 from steerd.sysid.inference.predictor import open_predictor
 from steerd.sysid.inference.space import make_space
-from steerd.sysid.inference.starts import settle_starts
+from steerd.sysid.inference.starts import owes, settle_starts
 from tests.unit.sysid.inference.conftest import FEW, NOISE
 
 LATE = 0.03
@@ -58,10 +60,6 @@ def test_no_random_start_ends_lower(late, found, seed):
     other = search.minimise(late, search.with_size(late, start, size))
     assert other.cost > found.cost - 0.5
     assert other.cost == pytest.approx(found.cost, abs=0.5)
-
-
-def test_more_starts_along_the_valley_end_no_lower(late, found):
-    assert search.explore(late, found).cost > found.cost - 0.5
 
 
 def test_a_cost_is_what_is_simulated_at_the_optimum(late, found):
@@ -126,26 +124,35 @@ def test_readings_are_smooth_in_a_dead_time(healthy, name):
     assert np.ptp(slopes, axis=0).max() < 0.5 * np.abs(slopes).max()
 
 
-def test_a_start_that_cannot_keep_its_promise_is_held(likelihood, small, settled_base):
+STIFF = {"c_sf": 28.0, "c_sr": 22.0, "tyre_saturation.q": 1.5}
+
+
+def test_a_start_that_cannot_keep_its_promise_is_held(likelihood, settled_base):
     """Else a search compares its steps with a cost that nothing reaches, and stops anywhere."""
-    rng = np.random.default_rng(5)
-    x = settled_base.x.copy()
+    rng, augmented = np.random.default_rng(5), likelihood.predictor.augmented
+    p, x = augmented.base.copy(), settled_base.x.copy()
+    for name, value in STIFF.items():
+        p[augmented.kernels.names.index(name)] = value
+    augmented = replace(augmented, base=p)
+    predictor = replace(likelihood.predictor, augmented=augmented).stepped_for(p)
+    likelihood, space = replace(likelihood, predictor=predictor), make_space(augmented, FEW)
     x += rng.standard_normal(x.shape) * [0.05, 0.05, 0.1, 0.3, 1.0, 0.1, 0.1]
     x[::4] += [0.3, -0.3, 1.5, 2.0, 20.0, 1.2, 0.0]
-    before, _ = likelihood.predictor.errors(small.chart.parameters(small.centre), x)
-    found = search.stand(likelihood, small, small.centre, x, 0.0)
-    error, _ = likelihood.predictor.errors(small.chart.parameters(small.centre), found.x)
+    before, _ = predictor.errors(p, x)
+    found = search.stand(likelihood, space, space.centre, x, 0.0)
+    error, _ = predictor.errors(p, found.x)
     actual, held = likelihood.squares(error, found.x, 0.0), found.rotated.held
     assert held.any(), "some windows are too bent to be settled from so far"
     assert not held.all()
-    assert np.all(actual[~held] - found.at.square[~held] < 0.11)
+    promised = actual - found.at.square
+    assert not owes(actual, promised, likelihood.dof)[~held].any()
     assert np.allclose(actual, found.at.here, rtol=1e-9)
     assert np.allclose(actual[held], found.at.square[held], rtol=1e-9)
     assert not found.at.dx[held].any()
     assert np.all(actual <= likelihood.squares(before, x, 0.0) * (1.0 + 1e-9))
 
 
-@pytest.mark.parametrize("tyres", [{}, {"c_sf": 28.0, "c_sr": 22.0, "tyre_saturation.q": 1.5}])
+@pytest.mark.parametrize("tyres", [{}, STIFF])
 def test_starts_that_are_far_off_come_back(likelihood, small, settled_base, tyres):
     """Whichever way they are off: full steps of Newton lead away where tyres saturate."""
     costs, p, predictor = [], small.chart.parameters(small.centre).copy(), likelihood.predictor
@@ -156,8 +163,9 @@ def test_starts_that_are_far_off_come_back(likelihood, small, settled_base, tyre
         off *= [0.02, 0.02, 0.05, 0.1, 2.0, 0.3, 0.0] if seed else 0.0
         x, left = settle_starts(likelihood, p, settled_base.x + off, 0.02)
         assert not left.any()
-        costs.append(likelihood.squares(predictor.errors(p, x)[0], x, 0.02))
-    assert (costs - costs[0]).max() < 0.3
+        square = likelihood.squares(predictor.errors(p, x)[0], x, 0.02)
+        costs.append(loss_of(square, likelihood.dof))
+    assert (costs - costs[0]).max() < 0.1
 
 
 def test_a_search_that_ends_at_its_limit_of_steps_is_not_whole(late):
