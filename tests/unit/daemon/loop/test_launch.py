@@ -22,19 +22,19 @@ from steerd.daemon.settings.thresholds import Thresholds
 WHEELBASE = 0.33
 
 
-def launch(steer=0.0, flip=0.0, speed=0.5, yaw0=0.3, noise=0.0):
+def launch(steer=0.0, scale=1.0, flip=0.0, turn=1.0, erpm=1.0, speed=0.5, yaw0=0.3, noise=0.0):
     """Drive a kinematic car; return (what was wrong, distance by the wheels, done)."""
     x = y = travelled = 0.0
     yaw, dt = yaw0, 0.01
-    start = LaunchInput(0, x, y, yaw + flip, 0.0, steer)
+    start = LaunchInput(0, x * scale, y * scale, yaw + flip, 0.0, steer)
     state, wrong = make_launch_state(start), ""
     for k in range(1, 400):
         x, y = x + speed * dt * cos(yaw), y + speed * dt * sin(yaw)
-        yaw += speed * dt * tan(steer) / WHEELBASE
+        yaw += turn * speed * dt * tan(steer) / WHEELBASE
         wobble = noise if k % 2 else -noise
-        i = LaunchInput(k * 10**7, x + wobble, y, yaw + flip, speed, steer)
+        i = LaunchInput(k * 10**7, x * scale + wobble, y * scale, yaw + flip, speed * erpm, steer)
         state, wrong = step_launch(state, i, WHEELBASE)
-        travelled += abs(speed) * dt
+        travelled += abs(speed) * erpm * dt
         if wrong or state.done:
             break
     return wrong, travelled, state.done
@@ -46,6 +46,31 @@ def test_a_good_launch_ends_after_half_a_metre(steer, yaw0):
     wrong, travelled, done = launch(steer=steer, yaw0=yaw0, noise=0.002)
     assert (wrong, done) == ("", True)
     assert travelled == pytest.approx(0.5, abs=0.006)
+
+
+@pytest.mark.parametrize(
+    ("scale", "erpm"),
+    [(0.001, 1.0), (1000.0, 1.0), (0.0, 1.0), (0.69, 1.0), (1.42, 1.0), (1.0, 0.0)],
+)
+def test_wrong_unit_or_gear_is_found_and_so_are_wheels_that_do_not_count(scale, erpm):
+    wrong, travelled, done = launch(scale=scale, erpm=erpm)
+    assert "units" in wrong
+    assert travelled <= 0.26
+    assert not done
+
+
+@pytest.mark.parametrize(("flip", "found"), [
+    (pi, True), (pi / 2, True), (-0.55, True), (0.55, True), (0.5, False), (-0.5, False),
+])  # fmt: skip
+def test_body_turned_round_is_found(flip, found):
+    assert ("body forward axis" in launch(flip=flip)[0]) is found
+
+
+@pytest.mark.parametrize("steer", [0.2, -0.2])
+def test_inverted_steering_is_found(steer):
+    wrong, _, done = launch(steer=steer, turn=-1.0)
+    assert "against its steering" in wrong
+    assert not done
 
 
 def test_a_reversing_car_is_judged_in_its_own_direction():
@@ -133,6 +158,10 @@ def run(late_ms, rules=ON_HARDWARE):
         state, found = step_lateness(state, k * PERIOD, k * PERIOD + round(ms * MS), PERIOD, rules)
         said.append(found and found.severity)
     return said, state
+
+
+def test_in_time_nothing_is_said():
+    assert run([0, 10])[0] == [None, None]
 
 
 def test_the_rules_are_the_thresholds():

@@ -229,6 +229,15 @@ def test_steering_saturated_and_the_error_grows():
     assert saturate(1.0, share=up(0.984375)) == [("W23", SOFT)]
 
 
+def test_saturation_that_ends_is_forgotten():
+    state, _ = step_watchdogs(TH, WatchdogState(), changed(CALM, steer_share=1.0))
+    state, _ = step_watchdogs(TH, state, changed(CALM, t_ns=S + 1))
+    state, _ = step_watchdogs(TH, state, changed(CALM, t_ns=2 * S, steer_share=1.0))
+    found = look(memory=state, t_ns=3 * S - 1, steer_share=1.0, lateral_error=0.1)
+    assert found[0].severity == WARN
+    assert ": at the limit for 1.0 s, 0.10 m off and growing; " in found[0].text
+
+
 def test_what_the_runner_reports_comes_first_and_counts():
     late = make_finding("W15", "a tick 31 ms late")
     found = look(reported=(late,), telemetry_age=1.0)
@@ -284,6 +293,16 @@ def test_fence_counts_the_stopping_distance():
     assert brief(parked) == [("W19", HARD)]
 
 
+def test_diagonal_travel():
+    th = replace(TH, fence=SQUARE)
+    for course, x, y in ((0.6, 1.0, 0.0), (0.6 + pi, -1.0, 0.0), (0.9, 0.0, 1.0)):
+        out = look(th, x=x, y=y, course=course, speed=2.0)  # needs 0.875 m: stays just inside
+        assert brief(out) == [("W19", WARN)]
+        out = look(th, x=1.5 * x, y=1.5 * y, course=course, speed=2.0)
+        assert brief(out) == [("W19", HARD)]
+    assert look(th, x=-1.0, course=0.6, speed=2.0) == ()
+
+
 # Whether a stop slows the car: judged over lag and window, by each kind of stop (W24).
 
 
@@ -327,6 +346,12 @@ def test_a_stop_that_is_too_weak_is_found_after_lag_and_window(kind, least):
     assert " m/s, too little slower after 0.2 s; " in found[6][0][0]
     assert "CUT POWER:" not in found[9][0][0]
     assert "CUT POWER:" in found[10][0][0]
+
+
+def test_a_stop_that_does_nothing_alarms_and_stays_found_even_if_it_starts_to_work():
+    speeds = [2.0] * 11 + [2.0 - 0.25 * k for k in range(6)]
+    found = stop(SupervisorState.FAULT_STOP, speeds)
+    assert not any(slowing for _, slowing in found[6:])
 
 
 def test_slow_or_unknown_speeds_are_not_judged():

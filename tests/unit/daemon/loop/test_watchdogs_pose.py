@@ -148,6 +148,12 @@ def test_jumps_by_distance_and_yaw_at_their_edges(base, next_frame, verdict):
     assert (watch.jumps, watch.base, watch.jump_times) == jumped
 
 
+def test_an_accepted_frame_ends_the_row_but_not_the_memory_of_jumps():
+    watch, _ = judge(frame(1.01, 2, x=9.0))
+    watch, verdict = judge(frame(1.02, 3), watch)
+    assert (verdict, watch.jumps, len(watch.jump_times)) == (ACCEPTED, 0, 1)
+
+
 def test_alternating_yaw_is_flapping_after_five():
     watch = BASE
     for k in range(10):
@@ -158,6 +164,14 @@ def test_alternating_yaw_is_flapping_after_five():
     first = watch.jump_times[0]
     assert is_flapping(TH, watch, first + S)
     assert not is_flapping(TH, watch, first + S + 1)
+
+
+def test_only_the_last_five_jumps_are_kept():
+    watch = BASE
+    for k in range(9):
+        watch, _ = judge(frame(1.0 + k, 2 + k, x=99.0), watch)
+    assert watch.jump_times == tuple(round((1.0 + k) * S) for k in range(4, 9))
+    assert not is_flapping(TH, watch, 9 * S)
 
 
 def test_carried_by_hand_becomes_the_new_truth_only_while_nothing_may_move():
