@@ -67,6 +67,14 @@ def test_derivatives_are_exact(seed, span_ms):
     assert (right.accel - out.accel) / eps == pytest.approx(out.accel_by_speed, abs=1e-6)
 
 
+def test_without_a_command_steering_holds_and_the_car_rolls():
+    out = drive(NO_HISTORY, 0.2, 1.0, 0, 10 * MS)
+    assert (out.steer, out.wheel, out.accel) == (0.2, 0.2, 0.0)
+    released = add_command(add_command(NO_HISTORY, 0, Command(0.3, 3.0)), 5 * MS, None)
+    out = drive(released, 0.2, 1.0, 30 * MS, 40 * MS)
+    assert (out.steer, out.accel, out.steered) == (0.2, 0.0, False)
+
+
 def test_history_keeps_order_and_the_command_in_force():
     history = NO_HISTORY
     for t in (20, 0, 10):
@@ -146,6 +154,12 @@ def test_poses_far_apart_in_time_do_not_start_a_filter():
     poses = [make_pose(i * 100 * MS, 0.0, 0.0, 0.0) for i in range(10)]
     assert initial_belief(CONFIG, poses, None) is None
     assert initial_belief(CONFIG, [poses[0]] * 10, None) is None
+
+
+def test_a_carried_car_starts_without_slip():
+    poses = [make_pose(i * 10 * MS, 0.0, 0.01 * i, 0.0) for i in range(10)]
+    belief = initial_belief(CONFIG, poses, None)
+    assert belief.mean[5] == 0.0
 
 
 # Settings.

@@ -137,6 +137,43 @@ def test_it_coasts_through_a_gap_of_150_ms(drive, follow, begin):
     assert estimate.health.pose.refused <= 2
 
 
+def test_without_any_measurement_uncertainty_grows_and_stays_cheap():
+    t, state = standing()
+    spread = []
+    for seconds in (0.0, 0.15, 1.0, 600.0):
+        estimate = predict_to(FILTER, state, t + round(seconds * 1e9))
+        assert estimate.health.sound
+        spread.append((estimate.health.position_sd, estimate.health.yaw_sd))
+    assert spread == sorted(spread)
+    assert spread[-1][0] > 0.15
+
+
+def test_standing_for_minutes_stays_bounded():
+    t, state = standing()
+    rng = np.random.default_rng(3)
+    config = FILTER.config
+    errors = []
+    for k in range(2 * 60 * 20):
+        now = t + k * 50 * MS
+        n = rng.standard_normal(3)
+        pose = make_pose(
+            now - 6 * MS,
+            1.0 + config.pose_position_sd * n[0],
+            2.0 + config.pose_position_sd * n[1],
+            0.5 + config.pose_yaw_sd * n[2],
+        )
+        state = step(FILTER, state, now, [pose, make_wheel_speed(now, 0.0)], ((now, None),))
+        if k % 100 == 99:
+            estimate = predict_to(FILTER, state, now)
+            assert estimate.health.sound
+            errors.append(error(estimate.state, State(1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 0.0)))
+            assert (np.array(estimate.sd)[:6] < [0.002, 0.002, 0.01, 0.1, 0.2, 0.15]).all()
+    assert len(state.nodes) < 40
+    assert len(state.history.times) < 40
+    assert np.abs(errors)[:, :2].max() < 0.006
+    assert np.abs(errors)[:, 3:6].max() < 0.2
+
+
 def test_slow_driving_through_zero(simulate, follow):
     """Forward, through standstill, backwards, and again: where slip angles lose their meaning."""
 
@@ -182,6 +219,15 @@ def test_nonsense_is_refused(bad):
     assert estimate.state.x == pytest.approx(1.0, abs=1e-6)
 
 
+def test_measurements_out_of_time_are_not_fused():
+    t, state = standing()
+    before = predict_to(FILTER, state, t)
+    for wrong in (t - 700 * MS, t + 3 * MS, t + 10**10):
+        state = step(FILTER, state, t, (make_pose(wrong, 1.0, 2.0, 0.5),))
+    after = predict_to(FILTER, state, t)
+    assert after.state == before.state
+
+
 def test_a_measurement_that_comes_twice_counts_once():
     t, state = standing()
     pose = make_pose(t - 8 * MS, 1.0005, 2.0, 0.5)
@@ -205,6 +251,15 @@ def test_an_unsound_belief_is_called_so():
         assert not estimate.health.sound
         assert math.isnan(estimate.health.position_sd)
         assert math.isnan(estimate.sd.speed)
+
+
+def test_waiting_for_a_first_pose_keeps_nothing_that_grows():
+    state = FilterState()
+    for k in range(2000):
+        t = T0 + k * 5 * MS
+        state = step(FILTER, state, t, [make_wheel_speed(t, 0.0)], ((t, Command(0.0, 0.0)),))
+    assert len(state.history.times) < 150
+    assert state.first_poses == ()
 
 
 # The belief depends on what was measured, not on the order in which it arrived.
@@ -268,6 +323,13 @@ def same(one: StateEstimate, other: StateEstimate) -> None:
 def test_any_order_of_arrival_gives_the_same_belief(data, measured):
     shuffled = data.draw(st.permutations(measured))
     same(fed([[m] for m in sorted(measured)]), fed([[m] for m in shuffled]))
+
+
+@settings(derandomize=True, deadline=None, max_examples=30)
+@given(data=st.data(), measured=readings())
+def test_any_division_into_batches_gives_the_same_belief(data, measured):
+    cut = data.draw(st.integers(0, len(measured)))
+    same(fed([measured]), fed([measured[cut:], measured[:cut]]))
 
 
 @settings(derandomize=True, deadline=None, max_examples=30)

@@ -158,6 +158,26 @@ def plant(
 
 
 @every_chassis
+@pytest.mark.parametrize("state", [STATES[0], STATES[3]])
+def test_error_falls_with_the_square_of_the_step(chassis, state):
+    command = Command(state.steer + 0.1, state.speed + 0.2)  # within the slew limits
+    car = CAR._replace(steer_delay=0.0)
+    history = add_command(NO_HISTORY, 0, command)
+    exact, reference = plant(chassis, state, command, 0.04), make_reference(chassis, car)
+
+    def error(count: int) -> float:
+        now, h_ns = state, 40_000_000 // count
+        for i in range(count):
+            driven = reference.drive(history, now.steer, now.speed, i * h_ns, (i + 1) * h_ns)
+            now = State(*reference.propagate(now, driven, QUIET, h_ns * 1e-9).mean.tolist())
+        return float(np.abs(np.array(now) - exact)[:6].max())
+
+    coarse, middle, fine = error(4), error(8), error(16)
+    assert 3.0 < coarse / middle < 5.5
+    assert 3.0 < middle / fine < 5.5
+
+
+@every_chassis
 @pytest.mark.parametrize("speed", [0.05, 0.25, 0.4, 0.55])
 def test_long_steps_at_low_speed_stay_bounded(chassis, speed):
     """A gap of seconds takes steps far beyond the stability limit of an explicit method."""
@@ -283,6 +303,16 @@ def test_any_belief_orders_and_measurements_give_the_same(scene, car, chassis):
     assert_close(compiled_look.health.position_sd, look.health.position_sd)
 
 
+def test_readings_that_are_no_numbers_are_not_believed():
+    flts = both(DEFAULT_CAR)
+    start = make_belief(np.zeros(7), np.eye(7))
+    node = Node(make_pose(T0, 0, 0, 0), start, math.nan, True, NO_TALLY)
+    bad = [make_wheel_speed(T0 + MS, math.nan), make_pose(T0 + 2 * MS, 1e9, 0.0, 0.0)]
+    one, other = (step(flt, FilterState((node,)), T0 + 5 * MS, bad) for flt in flts)
+    assert_same(one, other)
+    assert not other.nodes[-1].believed
+
+
 def test_a_belief_that_is_not_finite_is_not_sound_and_believes_nothing():
     kernel = both(DEFAULT_CAR)[1].kernel
     huge = make_belief(np.full(7, 1e300), 1e300 * np.eye(7))
@@ -290,3 +320,11 @@ def test_a_belief_that_is_not_finite_is_not_sound_and_believes_nothing():
     (link,) = kernel.fuse(History(), huge, T0, [make_gyro(T0 + MS, 0.0)])
     assert not link.believed
     assert not math.isfinite(link.nis)
+
+
+def test_a_long_chain_is_followed_to_its_end():
+    kernel = both(DEFAULT_CAR)[1].kernel
+    chain = [make_gyro(T0 + k * MS, 0.0) for k in range(400)]
+    found = kernel.fuse(History(), make_belief(np.zeros(7), np.eye(7)), T0, chain)
+    assert len(found) == 400
+    assert found[-1].believed
