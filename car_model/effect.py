@@ -38,16 +38,6 @@ class Channel(StrEnum):
     SPEED = "speed"
 
 
-class BaseSelection(StrEnum):
-    """Whether an effect may be a built-in part of a car's base, and which fit puts it there."""
-
-    NEVER = "never"  # a matter of a place or a day, or not identifiable from poses: always a gap
-    HEALTHY = "healthy"  # built in where drives without a gap show it clearly
-    IDENTIFY = "identify"
-    """The same, and a candidate of `steerd identify`: any car may have it, and no parameter of the
-    base equations stands for it."""
-
-
 class Role(StrEnum):
     """What a parameter says of its effect."""
 
@@ -142,12 +132,18 @@ class Effect:
     """What it looks like exactly, or nearly under a condition; None: nothing known."""
     needs_commands: Channel | None = None
     """The command without which drives cannot show it; None: the motion alone shows it."""
-    selectable_in_base: BaseSelection = BaseSelection.HEALTHY
+    in_base: bool = True
+    """Whether it may be part of a healthy car; False: a matter of a place or a day, or not
+    identifiable from poses, hence always a gap."""
+    at_once: bool = True
+    """Whether a few seconds of driving show it; False: it depends on the place, or grows slowly."""
     same_as: tuple[str, ...] = ()
     """Parameters of the base that are the same physical quantity: while the effect is free in a
     hypothesis they are not, for nothing is free twice."""
     nameable_alone: bool = True
     """False: no drive distinguishes it from `confounded_with`, so both are always named."""
+    changes: bool = True
+    """Whether it may differ from one drive to the next; False: it is a property of the car."""
     on_every_car: bool = False
     """Whether no car is without it: the base learnt from healthy drives then always has it."""
     follows_acceleration: bool = False

@@ -174,7 +174,8 @@ def _chosen(augmented: AugmentedCar, case: Case) -> tuple[Effect, ...]:
     unknown = [n for n in (*asked.only, *asked.without) if n not in names]
     if unknown:
         raise ValueError(f"no effect {unknown[0]!r}; `steerd effects` lists them")
-    only = asked.only or informative_effects(augmented, case.runs)
+    informed = informative_effects(augmented, case.runs)
+    only = asked.only or tuple(e.name for e in augmented.effects if e.changes and e.name in informed)
     return tuple(e for e in augmented.effects if e.name in only and e.name not in asked.without)
 
 

@@ -113,16 +113,6 @@ def _ratio(v: float, sign: float) -> float:
     return 1.0 + v * sign
 
 
-def _saturate(car: PlantCar, q: float) -> PlantCar:
-    return car._replace(ceiling=1.0 / sqrt(car.ceiling**-2 + q))
-
-
-def _slippery(car: PlantCar, p: float) -> PlantCar:
-    """Softer tyres that slide at p^2 / sqrt(1 - p^2) of the healthy friction limit."""
-    softer = car._replace(stiff_front=p * car.stiff_front, stiff_rear=p * car.stiff_rear)
-    return _saturate(softer, (1.0 - p * p) / p**4)
-
-
 def _roll_out(car: PlantCar, deceleration: float) -> PlantCar:
     """What slows a car left to roll by so much: its drag has to slow the wheels' inertia too."""
     whole = (car.mass + 4.0 * car.wheel_mass) / car.mass
@@ -209,10 +199,8 @@ _LIST = (
     _one("rolling_drag", "drive", "drag", "m/s^2", (0.01, 1.5), (0.2, 0.4, 0.8), _roll_out),
     _one("battery_sag", "drive", "rate", "1/min", (0.005, 0.8), (0.05, 0.1, 0.2),
          _add("sag_rate")),
-    _one("tyre_saturation", "tyre", "q", "1", (0.05, 8.0), (0.5, 1.0, 3.0), _saturate,
-         comparable=False),
-    _one("tyre_friction", "tyre", "ratio", "1", (0.01, 0.6), (0.1, 0.2, 0.4), _slippery,
-         null=1.0, value=lambda v, sign: 1.0 - v, comparable=False),
+    _one("tyre_friction", "tyre", "ratio", "1", (0.01, 0.6), (0.1, 0.2, 0.4), _times("mu"),
+         null=1.0, value=lambda v, sign: 1.0 - v),
     _one("cornering_stiffness", "tyre", "ratio", "1", (0.01, 0.5), (0.1, 0.2, 0.35), _stiffness,
          null=1.0, value=_ratio),
     _one("tyre_balance", "tyre", "ratio", "1", (0.01, 0.6), (0.1, 0.2, 0.4), _balance,

@@ -3,7 +3,6 @@
 from functools import partial
 
 from steerd.car_model.effect import (
-    BaseSelection,
     Channel,
     Confounding,
     Effect,
@@ -41,7 +40,8 @@ COG_OFFSET = Effect(
     ),
     least_size=0.012,
     confounded_with=Confounding(("marker_offset",), "marker_offset in slow drives"),
-    selectable_in_base=BaseSelection.NEVER,
+    in_base=False,
+    at_once=False,
     car=_cog_offset_car,
     observe=_cog_offset_observe,
     aliases=("cg_offset", "cog_shift"),
@@ -95,7 +95,8 @@ MASS = Effect(
         "smaller yaw_inertia with lower acceleration limits: mass cancels from planar motion",
     ),
     nameable_alone=False,
-    selectable_in_base=BaseSelection.NEVER,
+    in_base=False,
+    at_once=False,
     same_as=("inertia_z",),
     car=_mass_car,
     aliases=("payload",),

@@ -4,7 +4,6 @@ from functools import partial
 
 from steerd.car_model.chassis import SPEED_DYNAMIC, Rates, dynamic_share
 from steerd.car_model.effect import (
-    BaseSelection,
     Channel,
     Confounding,
     Contact,
@@ -60,7 +59,8 @@ BATTERY_SAG = Effect(
     ),
     least_size=0.025,
     needs_commands=Channel.SPEED,
-    selectable_in_base=BaseSelection.NEVER,
+    in_base=False,
+    at_once=False,
     reference=_battery_sag_reference,
     aliases=("battery", "voltage_sag"),
 )

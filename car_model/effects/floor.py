@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 from steerd.car_model.chassis import SPEED_KINEMATIC, Rates, dynamic_share
 from steerd.car_model.effect import (
-    BaseSelection,
     Contact,
     Effect,
     EffectParameter,
@@ -65,7 +64,8 @@ GRIP_DRIFT = Effect(
     equation="mu(t) = mu exp(rate t)",
     parameters=(EffectParameter("rate", 0.0, -1.0, 1.0, "1/min", 0.1, "growth per minute"),),
     least_size=0.27,
-    selectable_in_base=BaseSelection.NEVER,
+    in_base=False,
+    at_once=False,
     car=_grip_drift_car,
     aliases=("tyre_warmup", "warm_up"),
 )
@@ -104,7 +104,8 @@ GRIP_PATCH = Effect(
                         scan=(0.2, 0.4, 0.6)),
     ),
     least_size=0.0,
-    selectable_in_base=BaseSelection.NEVER,
+    in_base=False,
+    at_once=False,
     scan=_grip_patch_scan,
     car=_grip_patch_car,
     aliases=("slippery_patch", "patch"),

@@ -3,7 +3,6 @@
 from functools import partial
 
 from steerd.car_model.effect import (
-    BaseSelection,
     Confounding,
     Effect,
     EffectParameter,
@@ -35,7 +34,6 @@ MARKER_OFFSET = Effect(
     ),
     least_size=0.0038,
     confounded_with=Confounding(("cog_offset",), "cog_offset in slow drives"),
-    selectable_in_base=BaseSelection.IDENTIFY,
     on_every_car=True,
     observe=_marker_offset_observe,
     aliases=("mocap_offset", "lever_arm"),
@@ -86,7 +84,6 @@ MOCAP_YAW = Effect(
         EffectParameter("offset", 0.0, -0.3, 0.3, "rad", 0.02, "body's heading in the car"),
     ),
     least_size=0.0012,
-    selectable_in_base=BaseSelection.IDENTIFY,
     on_every_car=True,
     observe=_mocap_yaw_observe,
     aliases=("yaw_misalignment", "mount_yaw", "yaw_offset"),

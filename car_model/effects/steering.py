@@ -3,7 +3,6 @@
 from functools import partial
 
 from steerd.car_model.effect import (
-    BaseSelection,
     Channel,
     Effect,
     EffectParameter,
@@ -37,7 +36,6 @@ STEER_ASYMMETRY = Effect(
     ),
     least_size=0.0045,
     needs_commands=Channel.STEER,
-    selectable_in_base=BaseSelection.IDENTIFY,
     on_every_car=True,
     linkage=_steer_asymmetry_linkage,
     aliases=("left_right_asymmetry", "steering_asymmetry"),
@@ -66,7 +64,6 @@ STEER_BACKLASH = Effect(
     ),
     least_size=0.0019,
     needs_commands=Channel.STEER,
-    selectable_in_base=BaseSelection.IDENTIFY,
     memory=1,
     linkage=_steer_backlash_linkage,
     aliases=("backlash", "play", "steer_deadband"),
@@ -196,7 +193,6 @@ STEER_NONLINEARITY = Effect(
     ),
     least_size=0.2,
     needs_commands=Channel.STEER,
-    selectable_in_base=BaseSelection.IDENTIFY,
     on_every_car=True,
     linkage=_steer_nonlinearity_linkage,
     aliases=("steer_cubic", "steering_nonlinearity"),

@@ -4,7 +4,6 @@ from functools import partial
 
 from steerd.car_model.chassis import SPEED_KINEMATIC, Axles, Rates, dynamic_share
 from steerd.car_model.effect import (
-    BaseSelection,
     Channel,
     Confounding,
     Contact,
@@ -134,10 +133,8 @@ LATERAL_LOAD_TRANSFER = Effect(
     ),
     least_size=0.4,
     confounded_with=Confounding(
-        ("tyre_saturation", "tyre_friction"),
-        "tyre_saturation and tyre_friction: less grip in hard bends",
+        ("tyre_friction",), "tyre_friction: less grip in hard bends"
     ),
-    selectable_in_base=BaseSelection.IDENTIFY,
     on_every_car=True,
     forces=_lateral_load_transfer_forces,
     aliases=("lateral_transfer", "roll_transfer"),
@@ -206,12 +203,16 @@ TYRE_BALANCE = Effect(
 """Front tyres stiffer than modelled and rear tyres softer, or the other way round."""
 
 
-def _tyre_friction_forces(ops: Ops[T], p: Values[T], at: Contact[T]) -> Axles[T]:
-    """Both axles' forces with friction scaled by p, and a plateau that comes with it."""
-    q = 1.0 / (p[0] * p[0]) - 1.0
-    return Axles(
-        _saturated(ops, p[0] * at.forces.front, at.car.c_sf * at.slips.front, q),
-        _saturated(ops, p[0] * at.forces.rear, at.car.c_sr * at.slips.rear, q),
+def _tyre_friction_car(
+    ops: Ops[T], p: Values[T], car: Car[T], state: State[T], t: float
+) -> Car[T]:
+    """Another friction; the coefficients are stiffnesses per friction, so they change too."""
+    per_friction = (1.0 - p[1] * (1.0 - p[0])) / p[0]
+    return car._replace(
+        mu=car.mu * p[0],
+        c_sf=car.c_sf * per_friction,
+        c_sr=car.c_sr * per_friction,
+        c_x=car.c_x * per_friction,
     )
 
 
@@ -220,23 +221,27 @@ TYRE_FRICTION = Effect(
     stage=Stage.FORCES,
     family="tyre",
     summary="the floor grips less (or more) than modelled",
-    equation="F = p mu Fz z / sqrt(1 + (1/p^2 - 1) z^2), z = C_S slip",
+    equation="mu -> ratio mu, mu C_S -> (1 - slope (1 - ratio)) mu C_S",
     parameters=(
-        EffectParameter("ratio", 1.0, 0.2, 1.3, "1", 0.2, "p: friction per modelled friction"),
+        EffectParameter("ratio", 1.0, 0.2, 1.3, "1", 0.2, "friction per modelled friction"),
+        EffectParameter("slope", 0.0, 0.0, 1.0, "1", 0.5,
+                        "0: as stiff at small slip as before; 1: less stiff by the same ratio",
+                        role=Role.FORM),
     ),
     least_size=0.02,
     confounded_with=Confounding(
-        ("cornering_stiffness", "tyre_saturation", "lateral_load_transfer"),
-        "cornering_stiffness below about 70 % of the limit,"
-        " tyre_saturation and lateral_load_transfer above it",
+        ("cornering_stiffness", "lateral_load_transfer"),
+        "cornering_stiffness below about 70 % of the limit, lateral_load_transfer above it",
     ),
-    forces=_tyre_friction_forces,
+    in_base=False,
+    car=_tyre_friction_car,
     aliases=("friction", "mu", "grip", "low_friction"),
-)
-"""A floor with less grip: softer tyres that also level off sooner.
+)  # fmt: skip
+"""A floor with another grip: where tyres level off scales with it, their stiffness in part.
 
-In gentle driving it is a lower cornering stiffness and nothing else; only slip near the limit shows
-the plateau, `p^2 / sqrt(1 - p^2)` of the base car's `mu Fz` (0.33 at p = 0.53).
+A brush is as stiff on ice as on rubber until it slides (Pacejka, Tire and Vehicle Dynamics, section
+4.2, the similarity method: `F(slip) = ratio F0(slip / ratio)`); dust between them softens it too.
+On tyres that never level off only the slope shows.
 """
 # Why: docs/decisions/vehicle-model.md#d7
 
@@ -281,7 +286,6 @@ TYRE_RELAXATION = Effect(
         EffectParameter("length", 0.0, 0.0, 0.5, "m", 0.05, "distance to 63 % of the force"),
     ),
     least_size=0.003,
-    selectable_in_base=BaseSelection.IDENTIFY,
     on_every_car=True,
     memory=2,
     slips=_tyre_relaxation_slips,
@@ -316,11 +320,7 @@ TYRE_SATURATION = Effect(
                         role=Role.FORM),
     ),
     least_size=0.2,
-    confounded_with=Confounding(
-        ("lateral_load_transfer", "tyre_friction"),
-        "lateral_load_transfer and tyre_friction: less grip in hard bends",
-    ),
-    selectable_in_base=BaseSelection.IDENTIFY,
+    changes=False,
     on_every_car=True,
     forces=_tyre_saturation_forces,
     aliases=("saturation", "pacejka"),

@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steerd.car_model.effect import BaseSelection
 from steerd.sim_gap.online.samples import WINDOW
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
@@ -90,7 +89,7 @@ def may_change(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[str, ...]:
     return tuple(
         name
         for name in informative_effects(augmented, runs)
-        if effects[name].selectable_in_base is not BaseSelection.NEVER
+        if effects[name].changes and effects[name].at_once
     )
 
 

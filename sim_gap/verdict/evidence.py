@@ -121,7 +121,7 @@ def _cause(library: Library, found: Findings, name: str, kept: float) -> Cause:
     alike = _alike(library, effect)
     if alike:
         others = tuple(dict.fromkeys([*others, *alike]))
-        confidence = min(confidence, c.ALIKE_MOST ** len(alike))
+        confidence = min(confidence, c.ALIKE_MOST)
     return Cause(name, effect.stage.value, effect.family, parameters, confidence, others, alias)
 
 

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
-from steerd.car_model.effect import BaseSelection
 from steerd.car_model.model import Model
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.segments import thinned
@@ -141,15 +140,16 @@ def fit_car_with_limits(
         and e.name not in free
         and not stated.holds(e.name)
         and not (e.same_as and set(e.same_as) <= set(taught.nuisance))
-        and e.selectable_in_base is not BaseSelection.NEVER
+        and e.in_base
     )
     library = Library(taught.likelihood, taught.nuisance, effects, known=False)
     found = explain(library, c.BUILT_IN, known=taught.point)
-    if not found.best.effects:
-        return replace(taught, point=found.best.point)
-    gain = found.best.posterior.evidence - found.null.posterior.evidence
-    steps = tuple(Step(name, gain) for name in found.best.effects)
-    return replace(_with_effects(taught, found.best.point, runs), selected=steps)
+    best = found.hypotheses[0]
+    if not best.effects:
+        return replace(taught, point=best.point)
+    gain = best.posterior.evidence - found.null.posterior.evidence
+    steps = tuple(Step(name, gain) for name in best.effects)
+    return replace(_with_effects(taught, best.point, runs), selected=steps)
 
 
 def choose_start(

@@ -23,7 +23,7 @@ HALF = 0.5
 STRAINED = 6.0
 """Standard deviations of chi-square beyond which the base has moved further than it may."""
 ALIKE_MOST = 0.75
-"""No name is surer for each in the library that differs from it by an equation's form alone."""
+"""No name is surer where another in the library differs by an equation's form alone."""
 STANDS_IN = 0.03
 """A hypothesis this many times as likely as the best names what may be the cause instead."""
 FAR = {1.0: 0.1, 3.0: 0.3}

@@ -49,8 +49,8 @@ class Findings:
 
     @property
     def best(self) -> Hypothesis:
-        """The likeliest."""
-        return self.hypotheses[0]
+        """The likeliest; with a name where a gap is likelier than none, whatever shares it."""
+        return next(h for h in self.hypotheses if h.effects or self.null.probability >= c.HALF)
 
     @property
     def null(self) -> Hypothesis:

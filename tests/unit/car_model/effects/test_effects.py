@@ -52,12 +52,12 @@ def glided(
 
 
 def tyres(
-    name: str, values: tuple[float, ...], slips: Axles[float], accel: float = 0.0
+    name: str, values: tuple[float, ...], slips: Axles[float], accel: float = 0.0, car=CAR
 ) -> Axles[float]:
     effect = EFFECTS[name]
-    loads = loads_at(CAR, accel)
-    linear = lateral_forces(CAR, slips, loads)
-    at = Contact(CAR, ORIGIN, 0.0, accel, slips, loads, linear)
+    loads = loads_at(car, accel)
+    linear = lateral_forces(car, slips, loads)
+    at = Contact(car, ORIGIN, 0.0, accel, slips, loads, linear)
     forces: Axles[float] = effect.forces(FLOAT, values, at)
     return forces
 
@@ -132,12 +132,17 @@ def test_a_drive_split_of_minus_a_half_makes_four_driven_wheels_two(
     assert (off <= 0.25 * apart + 1e-3).all(), (got, four, two)
 
 
-def test_friction_is_stiffness_when_gentle_and_a_plateau_at_the_limit():
-    p, limit = 0.5, CAR.mu * loads_at(CAR, 0.0).front
-    gentle = tyres("tyre_friction", (p,), Axles(1e-3, 1e-3))
-    assert gentle.front == pytest.approx(p * limit * CAR.c_sf * 1e-3, rel=1e-4)
-    plateau = tyres("tyre_friction", (p,), Axles(100.0, 0.0)).front
-    assert plateau == pytest.approx(limit * p * p / math.sqrt(1.0 - p * p), rel=1e-3)
+@pytest.mark.parametrize("slip", [1e-4, 0.1, 0.4, 3.0])
+@pytest.mark.parametrize("p", [0.3, 0.8, 1.3])
+def test_friction_scales_where_tyres_level_off_and_their_slope_as_far_as_it_says(p, slip):
+    """At slope 0 by Pacejka's similarity, p F0(slip / p); at slope 1 the whole force, p F0."""
+
+    def force(at, car=CAR):
+        return tyres("tyre_saturation", (1.656, 0.496), Axles(at, 0.0), car=car).front
+
+    stiff, soft = (EFFECTS["tyre_friction"].car(FLOAT, (p, s), CAR, ORIGIN, 0.0) for s in (0, 1))
+    assert force(slip, stiff) == pytest.approx(p * force(slip / p))
+    assert force(slip, soft) == pytest.approx(p * force(slip))
 
 
 @pytest.mark.parametrize("shares", [(1.0, 1.0), (0.0, 4.0)], ids=["all four", "rear alone"])
@@ -294,7 +299,7 @@ def test_limits_only_ever_lower():
         ("grip_patch:drop=0.3,x=2", [("grip_patch", (2.0, 0.0, 0.5, 0.3))]),
         ("floor_slope=0.01,0.02,backlash:play=0.02,mu=0.6",
          [("floor_slope", (0.01, 0.02, 0.0)), ("steer_backlash", (0.02,)),
-          ("tyre_friction", (0.6,))]),
+          ("tyre_friction", (0.6, 0.0))]),
         # A name that is a parameter too starts a new effect after plain values.
         ("steer_gain=0.9,mass=0.5", [("steer_gain", (0.9,)), ("mass", (0.5,))]),
     ],
