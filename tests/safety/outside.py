@@ -89,7 +89,7 @@ DRIVES: dict[str, OtherWorld | OtherCell] = {
         "car file with a fence across the lane", "line", 2.0,
         safety={"fence": ((-1.0, -2.0), (6.0, -2.0), (6.0, 2.0), (-1.0, 2.0))},
     ),
-    "W23": OtherWorld("slippery floor (mu 0.2)", CIRCLE, 2.0, {"mu": 0.2}),
+    "W23": OtherWorld("slippery floor (mu 0.28)", CIRCLE, 2.0, {"mu": 0.28}),
 }  # fmt: skip
 ELSEWHERE = {
     "W16": Elsewhere("guardian killed, guardian frozen", "SIGSTOP guardian"),

@@ -144,7 +144,9 @@ def test_what_is_known_of_nothing_is_no_missing_file():
 
 
 def test_numbers_name_every_value_and_the_equations():
-    car = replace(BASE, effects=(EFFECTS["steer_delay"],), values=((0.02,),))
+    car = replace(
+        BASE, effects=(*BASE.effects, EFFECTS["steer_delay"]), values=(*BASE.values, (0.02,))
+    )
     assert car.numbers["steer_delay.delay"] == 0.02
     assert car.numbers["chassis"] == "planar"
     assert BASE.numbers.keys() < car.numbers.keys()

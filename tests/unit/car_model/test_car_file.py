@@ -45,7 +45,8 @@ def error(text: str) -> CarFileError:
 def test_the_shipped_file_is_the_default_car_with_every_section():
     file = load_car(default_car_path())
     assert file.car == DEFAULT_CAR
-    assert file.model == Model(DEFAULT_CAR, chassis=make_planar("all"))
+    levels = (EFFECTS["tyre_saturation"],), ((1.0, 0.0),)
+    assert file.model == Model(DEFAULT_CAR, *levels, make_planar("all"))
     assert set(file.sections) == {
         "vesc", "mocap", "limits", "controller", "estimator", "record", "safety",
     }  # fmt: skip
@@ -64,8 +65,8 @@ def test_effects_and_notes_are_read():
         "[effects.floor_slope]\ny = 0.01\n"
     )
     file = parse_car(text, HERE)
-    assert file.effects == (EFFECTS["steer_backlash"], EFFECTS["floor_slope"])
-    assert file.values == ((0.02,), (0.0, 0.01, 0.0))
+    assert file.effects[1:] == (EFFECTS["steer_backlash"], EFFECTS["floor_slope"])
+    assert file.values[1:] == ((0.02,), (0.0, 0.01, 0.0))
     assert file.sd == {"lf": 0.001, "steer_backlash.play": 0.003}
     assert file.source == {"lf": "tape", "steer_backlash.play": "diagnose"}
 
@@ -149,8 +150,8 @@ def test_saving_keeps_comments_sections_and_order(tmp_path):
     path.write_text(new.text, encoding="utf-8")
     assert new == load_car(path)
     assert new.car == DEFAULT_CAR._replace(c_sf=5.1)
-    assert new.effects == (EFFECTS["steer_delay"],)
-    assert new.values == ((0.03,),)
+    assert new.effects == (*base.effects, EFFECTS["steer_delay"])
+    assert new.values == (*base.values, (0.03,))
     assert new.sd == {"c_sf": 0.02, "steer_delay.delay": 0.001}
     assert new.source == {"c_sf": "session a", "steer_delay.delay": "diagnose"}
     assert new.sections == base.sections
@@ -163,8 +164,8 @@ def test_saving_again_replaces_notes_and_effects(tmp_path):
     path.write_text(TEXT + "[effects.backlash]\nplay = 0.01\n", encoding="utf-8")
     learned = {"lf": Learned(0.16, 0.01, "tape"), "steer_backlash.play": Learned(0.02)}
     last = update_car(path, update_car(path, load_car(path), learned), {"lf": Learned(0.161)})
-    assert (last.car.lf, last.values, last.sd, last.source) == (0.161, ((0.02,),), {}, {})
-    assert tomllib.loads(last.text)["effects"] == {"backlash": {"play": 0.02}}
+    assert (last.car.lf, last.values[1:], last.sd, last.source) == (0.161, ((0.02,),), {}, {})
+    assert tomllib.loads(last.text)["effects"]["backlash"] == {"play": 0.02}
 
 
 def test_an_update_is_checked_as_a_car_file_is(tmp_path):

@@ -85,8 +85,8 @@ def test_a_cause_is_named_and_goes_into_the_car(gap):
     assert (gap.verdict, cause.effect, unit) == ("explained", "steer_delay", "s")
     assert value == pytest.approx(DELAY, abs=0.01)
     assert math.isfinite(sd)
-    assert [effect.name for effect in gap.car.effects] == ["steer_delay"]
-    assert gap.car.values[0][0] == pytest.approx(value, abs=0.1 * sd)
+    assert [effect.name for effect in gap.car.effects] == ["tyre_saturation", "steer_delay"]
+    assert gap.car.values[1][0] == pytest.approx(value, abs=0.1 * sd)
     data = gap.to_json()
     assert data["schema"] == "steerd.gap/1"
     assert data["residual"]["sessions"] == ["late.mcap"]

@@ -52,7 +52,7 @@ def test_an_effect_gets_its_comment_under_its_alias_too():
     base = parse_car(text, Path("own.toml"))
     car = make_car(base, {"steer_delay.delay": Learned(0.05012345, 0.001, "x")}, base.path)
     assert "guessed" not in car.text
-    assert car.values == ((0.05012,),)
+    assert car.values == (*BASE.values, (0.05012,))
     assert "± 0.001" in line(car, "delay")
 
 

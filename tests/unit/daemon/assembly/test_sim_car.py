@@ -62,7 +62,7 @@ def test_the_car_file_is_the_controllers_and_the_other_one_is_driven(tmp_path):
     plan = make(str(heavy), ("steer_lag=0.02",))
     world = make_world_config(plan)
     assert world.model.car.steer_bias == 0.02
-    assert [effect.name for effect in world.model.effects] == ["steer_lag"]
+    assert [effect.name for effect in world.model.effects] == ["tyre_saturation", "steer_lag"]
     assert plan.settings.file.car.steer_bias == 0.0
     assert make_attachments(plan)["sim_car.toml"] == heavy.read_text()
 

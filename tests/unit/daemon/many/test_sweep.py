@@ -197,9 +197,12 @@ def test_what_is_varied_reaches_the_simulated_hardware():
     model = config.model
     assert model.car.mass == 4.5
     assert run_plan.settings.file.car.mass == plan.car.car.mass, "the design knows nothing of it"
-    assert [effect.name for effect in model.effects] == ["steer_delay", "grip_patch"]
-    assert model.values[0] == (0.03,)
-    patch = dict(zip((p.name for p in model.effects[1].parameters), model.values[1], strict=True))
+    assert [effect.name for effect in model.effects] == [
+        "tyre_saturation", "steer_delay", "grip_patch",
+    ]  # fmt: skip
+    _, delay, found = model.values
+    assert delay == (0.03,)
+    patch = dict(zip((p.name for p in model.effects[2].parameters), found, strict=True))
     assert (patch["x"], patch["drop"]) == (2.0, 0.4)
     assert config.mocap.position_noise == 0.002
     assert config.mocap.camera_ns + config.mocap.software_ns == 20_000_000

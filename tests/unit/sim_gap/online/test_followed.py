@@ -56,7 +56,7 @@ ALONE = {"proven": (Cause("marker_offset", "observe", "sensor", SHIFT, 0.95, (),
         ([change("steer_bias", 0.02)], {"steer_bias": 0.02}),
         ([change("steer_delay", 0.04)], {"steer_delay": 0.05}),
         ([change("tyre_friction", 0.6, 0.0)], {"c_sf": 4.718}),  # as stiff below its limit
-        ([change("tyre_friction", 0.6, 1.0)], {"c_sf": 0.6 * 4.718}),
+        ([change("tyre_friction", 0.6, 1.0)], {"c_sf": 0.6 * 4.718, "c_sr": 0.6 * 5.4562}),
         ([change("mocap_yaw", 0.03)], {"body_yaw": 0.03}),
         # What moved by chance stays as it was, and what an effect was before is no part of it.
         ([change("marker_offset", 0.03, 0.0014)], {"body_forward": 0.03, "body_left": 0.0}),
