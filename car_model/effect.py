@@ -53,6 +53,8 @@ class Confounding(NamedTuple):
     effects: tuple[str, ...]  # their names
     note: str = ""
     """Which effect it looks like under which condition; a report prints it beside the name."""
+    alike: bool = False
+    """Whether no drive distinguishes them, or only an equation's form: then all are named."""
 
 
 class EffectParameter(NamedTuple):
@@ -109,9 +111,6 @@ class Effect:
     """An unmodelled effect: all that simulation, identification and diagnosis know of it.
 
     Only the hooks that it needs are given.
-
-    Raises:
-        ValueError: the fields contradict each other.
     """
 
     name: str
@@ -140,8 +139,6 @@ class Effect:
     same_as: tuple[str, ...] = ()
     """Parameters of the base that are the same physical quantity: while the effect is free in a
     hypothesis they are not, for nothing is free twice."""
-    nameable_alone: bool = True
-    """False: no drive distinguishes it from `confounded_with`, so both are always named."""
     changes: bool = True
     """Whether it may differ from one drive to the next; False: it is a property of the car."""
     on_every_car: bool = False
@@ -164,11 +161,6 @@ class Effect:
     remember: RememberHook[Any] | None = None
     observe: ObserveHook[Any] | None = None
     aliases: tuple[str, ...] = ()  # other names that people use for it
-
-    def __post_init__(self) -> None:
-        """Refuse fields that contradict each other."""
-        if not self.nameable_alone and self.confounded_with is None:
-            raise ValueError(f"{self.name}: not nameable alone, but confounded with nothing")
 
     @property
     def nulls(self) -> tuple[float, ...]:

@@ -174,9 +174,12 @@ def _chosen(augmented: AugmentedCar, case: Case) -> tuple[Effect, ...]:
     unknown = [n for n in (*asked.only, *asked.without) if n not in names]
     if unknown:
         raise ValueError(f"no effect {unknown[0]!r}; `steerd effects` lists them")
-    informed = informative_effects(augmented, case.runs)
-    only = asked.only or tuple(e.name for e in augmented.effects if e.changes and e.name in informed)
-    return tuple(e for e in augmented.effects if e.name in only and e.name not in asked.without)
+    only = asked.only or informative_effects(augmented, case.runs)
+    return tuple(
+        e
+        for e in augmented.effects
+        if e.name in only and (e.changes or asked.only) and e.name not in asked.without
+    )
 
 
 def _search(

@@ -3,14 +3,7 @@
 from collections.abc import Sequence
 
 from steerd.car_model.chassis import SPEED_KINEMATIC, Rates, dynamic_share
-from steerd.car_model.effect import (
-    Contact,
-    Effect,
-    EffectParameter,
-    Role,
-    Stage,
-    Values,
-)
+from steerd.car_model.effect import Contact, Effect, EffectParameter, Role, Stage, Values
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import GRAVITY, Car
 from steerd.car_model.state import State

@@ -2,14 +2,7 @@
 
 from functools import partial
 
-from steerd.car_model.effect import (
-    Confounding,
-    Effect,
-    EffectParameter,
-    Stage,
-    Values,
-    delay,
-)
+from steerd.car_model.effect import Confounding, Effect, EffectParameter, Stage, Values, delay
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.state import Observation, State
 

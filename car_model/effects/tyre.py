@@ -55,7 +55,9 @@ CORNERING_STIFFNESS = Effect(
         EffectParameter("ratio", 1.0, 0.25, 3.0, "1", 0.2, "stiffness per modelled stiffness"),
     ),
     least_size=0.034,
-    confounded_with=Confounding(("tyre_friction",), "tyre_friction below about 70 % of the limit"),
+    confounded_with=Confounding(
+        ("tyre_friction",), "tyre_friction below about 70 % of the limit", alike=True
+    ),
     car=partial(scale, ("c_sf", "c_sr")),
     aliases=("stiffness", "tyre_stiffness"),
 )
@@ -133,7 +135,7 @@ LATERAL_LOAD_TRANSFER = Effect(
     ),
     least_size=0.4,
     confounded_with=Confounding(
-        ("tyre_friction",), "tyre_friction: less grip in hard bends"
+        ("tyre_friction",), "tyre_friction: less grip in hard bends", alike=True
     ),
     on_every_car=True,
     forces=_lateral_load_transfer_forces,
@@ -203,9 +205,7 @@ TYRE_BALANCE = Effect(
 """Front tyres stiffer than modelled and rear tyres softer, or the other way round."""
 
 
-def _tyre_friction_car(
-    ops: Ops[T], p: Values[T], car: Car[T], state: State[T], t: float
-) -> Car[T]:
+def _tyre_friction_car(ops: Ops[T], p: Values[T], car: Car[T], state: State[T], t: float) -> Car[T]:
     """Another friction; the coefficients are stiffnesses per friction, so they change too."""
     per_friction = (1.0 - p[1] * (1.0 - p[0])) / p[0]
     return car._replace(
@@ -232,6 +232,7 @@ TYRE_FRICTION = Effect(
     confounded_with=Confounding(
         ("cornering_stiffness", "lateral_load_transfer"),
         "cornering_stiffness below about 70 % of the limit, lateral_load_transfer above it",
+        alike=True,
     ),
     in_base=False,
     car=_tyre_friction_car,

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steerd.car_model.effect import Effect
+from steerd.car_model.effect import Confounding
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.hypotheses import Findings
 from steerd.sysid.inference.library import Library
@@ -115,25 +115,14 @@ def _cause(library: Library, found: Findings, name: str, kept: float) -> Cause:
         p.name: Estimated(float(value), float(sd), p.unit)
         for p, value, sd in zip(effect.parameters, values, np.sqrt(square), strict=True)
     }
-    alias = effect.confounded_with.note if effect.confounded_with else ""
+    confounded = effect.confounded_with or Confounding(())
     confidence = kept * found.probability(name)
     others = _stand_ins(found.hypotheses, best, name)
-    alike = _alike(library, effect)
-    if alike:
-        others = tuple(dict.fromkeys([*others, *alike]))
+    if confounded.alike:
+        others = tuple(dict.fromkeys([*others, *confounded.effects]))
         confidence = min(confidence, c.ALIKE_MOST)
-    return Cause(name, effect.stage.value, effect.family, parameters, confidence, others, alias)
-
-
-def _alike(library: Library, effect: Effect) -> tuple[str, ...]:
-    """Effects between which the form of an equation decides, not what drives show."""
-    if effect.confounded_with is None:
-        return ()
-    others = [library.effect(name) for name in effect.confounded_with.effects]
-    if not effect.nameable_alone:
-        return tuple(other.name for other in others)
-    tyres = effect.family == "tyre"
-    return tuple(o.name for o in others if tyres and o.family == effect.family)
+    where = effect.stage.value, effect.family
+    return Cause(name, *where, parameters, confidence, others, confounded.note)
 
 
 def _stand_ins(hypotheses: Sequence[Hypothesis], best: Hypothesis, name: str) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ import torch
 
 from benchmarks.torch_reference import TORCH
 from steerd.car_model.chassis import derivative
-from steerd.car_model.effect import Confounding, Effect, EffectParameter, Role, Stage
+from steerd.car_model.effect import Effect, Role
 from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model, delays, observe
 from steerd.car_model.numpy_ops import NUMPY
@@ -103,20 +103,11 @@ def test_what_the_diagnosis_knows_of_it_fits_together(effect: Effect) -> None:
     others = effect.confounded_with.effects if effect.confounded_with else ()
     assert effect.name not in others
     assert set(others) <= set(EFFECTS)
+    assert effect.changes or (effect.in_base and effect.on_every_car)
     assert effect.least_size >= 0.0
     assert any(p.role is Role.SIZE for p in effect.parameters)
     assert effect.size(effect.nulls, effect.nulls) == 0.0
     assert effect.size(ordinary(effect), effect.nulls) > 0.0
-
-
-def test_an_effect_confounded_with_nothing_is_nameable_alone() -> None:
-    complete: dict[str, Any] = {
-        "name": "x", "stage": Stage.FORCES, "family": "tyre", "summary": "", "equation": "",
-        "parameters": (EffectParameter("p", 0.0, 0.0, 1.0, "1", 0.1, ""),), "least_size": 0.1,
-    }  # fmt: skip
-    with pytest.raises(ValueError, match="confounded with nothing"):
-        Effect(**complete, nameable_alone=False)
-    Effect(**complete, confounded_with=Confounding(("mass",)), nameable_alone=False)
 
 
 @pytest.mark.parametrize("effect", EVERY)

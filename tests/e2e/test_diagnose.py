@@ -98,6 +98,7 @@ def test_json_has_exactly_the_shape_of_the_schema(late):
     assert set(cause["shrink"]) == {"predicted", "measured", "low", "high"}
     assert all(each["unit"] == "s" for each in cause["parameters"].values())
     assert all(set(each) == {"effect", "probability", "gain"} for each in told["candidates"])
+    assert not any("tyre_saturation" in each["effect"] for each in told["candidates"])
 
 
 def test_the_prediction_is_written_and_hashed_before_it_is_measured(late):

@@ -2,13 +2,11 @@
 
 import json
 import tomllib
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from steerd.car_model.car_file import Learned, default_car_path, load_car, parse_car, update_car
-from steerd.car_model.effects import EFFECTS
 from steerd.daemon.analysis.car_output import with_known
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.assembly.session_meta import make_attachments, read_session_car
@@ -144,9 +142,7 @@ def test_what_is_known_of_nothing_is_no_missing_file():
 
 
 def test_numbers_name_every_value_and_the_equations():
-    car = replace(
-        BASE, effects=(*BASE.effects, EFFECTS["steer_delay"]), values=(*BASE.values, (0.02,))
-    )
+    car = parse_car(BASE.text + "[effects.steer_delay]\ndelay = 0.02\n", BASE.path)
     assert car.numbers["steer_delay.delay"] == 0.02
     assert car.numbers["chassis"] == "planar"
     assert BASE.numbers.keys() < car.numbers.keys()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
+from steerd.car_model.effects import find_effect
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.many.sweep.plan import (
     Quantity,
@@ -197,12 +198,10 @@ def test_what_is_varied_reaches_the_simulated_hardware():
     model = config.model
     assert model.car.mass == 4.5
     assert run_plan.settings.file.car.mass == plan.car.car.mass, "the design knows nothing of it"
-    assert [effect.name for effect in model.effects] == [
-        "tyre_saturation", "steer_delay", "grip_patch",
-    ]  # fmt: skip
-    _, delay, found = model.values
-    assert delay == (0.03,)
-    patch = dict(zip((p.name for p in model.effects[2].parameters), found, strict=True))
+    found = {e.name: values for e, values in zip(model.effects, model.values, strict=True)}
+    assert found["steer_delay"] == (0.03,)
+    names = (p.name for p in find_effect("grip_patch").parameters)
+    patch = dict(zip(names, found["grip_patch"], strict=True))
     assert (patch["x"], patch["drop"]) == (2.0, 0.4)
     assert config.mocap.position_noise == 0.002
     assert config.mocap.camera_ns + config.mocap.software_ns == 20_000_000

@@ -87,6 +87,12 @@ def test_a_cause_is_as_sure_as_every_hypothesis_that_has_it_but_for_what_stays(s
     assert told.left == pytest.approx(share)
 
 
+@pytest.mark.parametrize(("each", "names"), [(0.3, 1), (0.2, 0)])
+def test_a_gap_that_is_likelier_than_none_has_a_name(each, names):
+    shared = [_hypothesis(n, probability=each) for n in ("cornering_stiffness", "marker_offset")]
+    assert len(judge_case(LIBRARY, _found(*shared), True).causes) == names
+
+
 @pytest.mark.parametrize("later", ["steer_delay", "mass"])
 def test_the_cause_without_which_the_odds_fall_most_is_named_first(later):
     both = replace(_hypothesis("steer_delay", "mass", probability=0.8), log_odds=50.0)
