@@ -7,6 +7,7 @@ from steerd.car_model.effect import (
     Confounding,
     Effect,
     EffectParameter,
+    Role,
     Stage,
     Values,
     scale,
@@ -72,11 +73,14 @@ LONGITUDINAL_LOAD_TRANSFER = Effect(
 
 
 def _mass_car(ops: Ops[T], p: Values[T], car: Car[T], state: State[T], t: float) -> Car[T]:
-    """More mass, and less acceleration from the same motor."""
+    """More mass, less acceleration from the same motor, a slower loop of the same gain."""
     heavy = car.mass + p[0]
     share = car.mass / heavy
     return car._replace(
-        mass=heavy, accel_max=car.accel_max * share, decel_max=car.decel_max * share
+        mass=heavy,
+        accel_max=car.accel_max * share,
+        decel_max=car.decel_max * share,
+        speed_lag=car.speed_lag * (1.0 + p[1] * p[0] / car.mass),
     )
 
 
@@ -85,9 +89,20 @@ MASS = Effect(
     stage=Stage.FORCES,
     family="mass",
     summary="the car carries more (or less) than modelled",
-    equation="m -> m + payload; accel limits -> m / (m + payload) of themselves",
+    equation="m -> m + payload, accel limits / (1 + payload / m), "
+    "speed_lag (1 + slower payload / m)",
     parameters=(
         EffectParameter("payload", 0.0, -0.15, 5.0, "kg", 0.5, "mass beyond the car's own"),
+        EffectParameter(
+            "slower",
+            1.0,
+            0.0,
+            1.0,
+            "1",
+            0.5,
+            "1: the speed loop's gain is a force per error; 0: an acceleration",
+            role=Role.FORM,
+        ),
     ),
     least_size=0.16,
     confounded_with=Confounding(
@@ -104,8 +119,8 @@ MASS = Effect(
 """A payload at the centre of gravity.
 
 Tyre forces grow with load as mass does, so mass cancels from the planar motion except against the
-yaw inertia, which it leaves alone, and in what the motor can do: it looks like a smaller inertia
-and lower acceleration limits.
+yaw inertia, which it leaves alone, and in what the motor can do: it looks like a smaller inertia,
+lower acceleration limits and a slower speed loop, whose gain is a motor current per error of speed.
 """
 
 

@@ -223,10 +223,11 @@ def test_a_patch_is_slippery_inside_and_not_outside():
 
 
 def test_payload_is_a_smaller_inertia_and_a_weaker_motor():
-    heavy = drive("mass", (0.5,), ORIGIN._replace(speed=2.0), Command(0.2, 3.5))
+    heavy = drive("mass", (0.5, 1.0), ORIGIN._replace(speed=2.0), Command(0.2, 3.5))
     share = CAR.mass / (CAR.mass + 0.5)
     scaled = ("accel_max", "decel_max", "inertia_z")
-    model = Model(CAR._replace(**{name: share * getattr(CAR, name) for name in scaled}))
+    lighter = {name: share * getattr(CAR, name) for name in scaled}
+    model = Model(CAR._replace(speed_lag=CAR.speed_lag / share, **lighter))
     begun = start(model, ORIGIN._replace(speed=2.0), 0.0)
     weak = simulate(FLOAT, model, begun, [Command(0.2, 3.5)] * 200, 0.005)
     assert tuple(heavy[-1].state) == pytest.approx(tuple(weak[-1].state), rel=1e-9)
@@ -295,7 +296,7 @@ def test_limits_only_ever_lower():
          [("floor_slope", (0.01, 0.02, 0.0)), ("steer_backlash", (0.02,)),
           ("tyre_friction", (0.6, 0.0))]),
         # A name that is a parameter too starts a new effect after plain values.
-        ("steer_gain=0.9,mass=0.5", [("steer_gain", (0.9,)), ("mass", (0.5,))]),
+        ("steer_gain=0.9,mass=0.5", [("steer_gain", (0.9,)), ("mass", (0.5, 1.0))]),
     ],
 )  # fmt: skip
 def test_effects_are_read_in_order_and_by_name(text, found):

@@ -14,7 +14,7 @@ from steerd.sysid.inference.hypotheses import Findings
 from steerd.sysid.inference.odds import Hypothesis
 
 SMALL, LARGE = 0.5 * c.GAP_SIZE, 4.0 * c.GAP_SIZE
-VALUES = {"steer_delay": (0.03,), "steer_lag": (0.05,), "mass": (1.5,), "yaw_inertia": (1.5,),
+VALUES = {"steer_delay": (0.03,), "steer_lag": (0.05,), "mass": (1.5, 1.0), "yaw_inertia": (1.5,),
           "lateral_load_transfer": (0.1, 1.0), "marker_offset": (0.01, 0.0),
           "cornering_stiffness": (1.3,)}  # fmt: skip
 NAMES = [f"{name}.{p.name}" for name in VALUES for p in EFFECTS[name].parameters]
