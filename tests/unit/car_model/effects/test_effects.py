@@ -225,8 +225,7 @@ def test_a_patch_is_slippery_inside_and_not_outside():
 def test_payload_is_a_smaller_inertia_and_a_weaker_motor():
     heavy = drive("mass", (0.5, 1.0), ORIGIN._replace(speed=2.0), Command(0.2, 3.5))
     share = CAR.mass / (CAR.mass + 0.5)
-    scaled = ("accel_max", "decel_max", "inertia_z")
-    lighter = {name: share * getattr(CAR, name) for name in scaled}
+    lighter = {n: share * getattr(CAR, n) for n in ("accel_max", "decel_max", "inertia_z")}
     model = Model(CAR._replace(speed_lag=CAR.speed_lag / share, **lighter))
     begun = start(model, ORIGIN._replace(speed=2.0), 0.0)
     weak = simulate(FLOAT, model, begun, [Command(0.2, 3.5)] * 200, 0.005)
