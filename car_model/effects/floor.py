@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from steerd.car_model.chassis import SPEED_KINEMATIC, Rates, dynamic_share
 from steerd.car_model.effect import Contact, Effect, EffectParameter, Role, Stage, Values
+from steerd.car_model.effects.tyre import SLOPE, with_friction
 from steerd.car_model.ops import Ops, T
 from steerd.car_model.params import GRAVITY, Car
 from steerd.car_model.state import State
@@ -46,7 +47,7 @@ Along the path it has to spin up wheels and motor as well as move the car, acros
 
 def _grip_drift_car(ops: Ops[T], p: Values[T], car: Car[T], state: State[T], t: float) -> Car[T]:
     """Friction that grows with run time."""
-    return car._replace(mu=car.mu * ops.exp(p[0] * (t / 60.0)))
+    return with_friction(car, ops.exp(p[0] * (t / 60.0)), p[1])
 
 
 GRIP_DRIFT = Effect(
@@ -54,8 +55,8 @@ GRIP_DRIFT = Effect(
     stage=Stage.FORCES,
     family="tyre",
     summary="grip changes over the run",
-    equation="mu(t) = mu exp(rate t)",
-    parameters=(EffectParameter("rate", 0.0, -1.0, 1.0, "1/min", 0.1, "growth per minute"),),
+    equation="mu(t) = mu exp(rate t), slope as of tyre_friction",
+    parameters=(EffectParameter("rate", 0.0, -1.0, 1.0, "1/min", 0.1, "growth per minute"), SLOPE),
     least_size=0.27,
     in_base=False,
     at_once=False,
@@ -71,16 +72,16 @@ _SCAN_DROPS = (0.25, 0.5)  # shares of grip lost that a scan tries
 
 def _grip_patch_car(ops: Ops[T], p: Values[T], car: Car[T], state: State[T], t: float) -> Car[T]:
     """Less friction inside the disc; (d^2 - r^2) / 2r is the distance from its edge, near it."""
-    x, y, radius, drop = p
+    x, y, radius, drop, slope = p
     dx, dy = state.x - x, state.y - y
     outside = (dx * dx + dy * dy - radius * radius) / (2.0 * _EDGE * radius)
     inside = 0.5 * (1.0 - ops.tanh(outside))
-    return car._replace(mu=car.mu * (1.0 - drop * inside))
+    return with_friction(car, 1.0 - drop * inside, slope)
 
 
 def _grip_patch_scan(discs: Sequence[tuple[float, float, float]]) -> Sequence[tuple[float, ...]]:
     """Discs of two strengths where errors are larger than elsewhere."""
-    return [(*disc, drop) for disc in discs for drop in _SCAN_DROPS]
+    return [(*disc, drop, 0.5) for disc in discs for drop in _SCAN_DROPS]
 
 
 GRIP_PATCH = Effect(
@@ -88,13 +89,14 @@ GRIP_PATCH = Effect(
     stage=Stage.FORCES,
     family="ground",
     summary="a slippery patch on the floor",
-    equation="mu(x, y) = mu (1 - drop [distance to (x, y) < radius])",
+    equation="mu(x, y) = mu (1 - drop [distance to (x, y) < radius]), slope as of tyre_friction",
     parameters=(
         EffectParameter("x", 0.0, -100.0, 100.0, "m", 2.0, "centre in the world", role=Role.PLACE),
         EffectParameter("y", 0.0, -100.0, 100.0, "m", 2.0, "centre in the world", role=Role.PLACE),
         EffectParameter("radius", 0.5, 0.1, 20.0, "m", 0.5, "of the disc", role=Role.PLACE),
         EffectParameter("drop", 0.0, 0.0, 0.95, "1", 0.3, "share of grip lost inside",
                         scan=(0.2, 0.4, 0.6)),
+        SLOPE,
     ),
     least_size=0.0,
     in_base=False,

@@ -205,15 +205,32 @@ TYRE_BALANCE = Effect(
 """Front tyres stiffer than modelled and rear tyres softer, or the other way round."""
 
 
-def _tyre_friction_car(ops: Ops[T], p: Values[T], car: Car[T], state: State[T], t: float) -> Car[T]:
+SLOPE = EffectParameter(
+    "slope", 0.0, 0.0, 1.0, "1", 0.5,
+    "0: as stiff at small slip as before; 1: less stiff by the same ratio", role=Role.FORM,
+)  # fmt: skip
+"""How far the stiffness at small slip follows friction.
+
+A brush is as stiff on ice as on rubber until it slides (Pacejka, Tire and Vehicle Dynamics, section
+4.2, the similarity method: `F(slip) = ratio F0(slip / ratio)`); dust between them softens it too.
+On tyres that never level off only the slope shows.
+"""
+
+
+def with_friction(car: Car[T], ratio: T, slope: T) -> Car[T]:
     """Another friction; the coefficients are stiffnesses per friction, so they change too."""
-    per_friction = (1.0 - p[1] * (1.0 - p[0])) / p[0]
+    per_friction = (1.0 - slope * (1.0 - ratio)) / ratio
     return car._replace(
-        mu=car.mu * p[0],
+        mu=car.mu * ratio,
         c_sf=car.c_sf * per_friction,
         c_sr=car.c_sr * per_friction,
         c_x=car.c_x * per_friction,
     )
+
+
+def _tyre_friction_car(ops: Ops[T], p: Values[T], car: Car[T], state: State[T], t: float) -> Car[T]:
+    """The same everywhere and all the time."""
+    return with_friction(car, p[0], p[1])
 
 
 TYRE_FRICTION = Effect(
@@ -224,9 +241,7 @@ TYRE_FRICTION = Effect(
     equation="mu -> ratio mu, mu C_S -> (1 - slope (1 - ratio)) mu C_S",
     parameters=(
         EffectParameter("ratio", 1.0, 0.2, 1.3, "1", 0.2, "friction per modelled friction"),
-        EffectParameter("slope", 0.0, 0.0, 1.0, "1", 0.5,
-                        "0: as stiff at small slip as before; 1: less stiff by the same ratio",
-                        role=Role.FORM),
+        SLOPE,
     ),
     least_size=0.02,
     confounded_with=Confounding(
@@ -238,12 +253,7 @@ TYRE_FRICTION = Effect(
     car=_tyre_friction_car,
     aliases=("friction", "mu", "grip", "low_friction"),
 )  # fmt: skip
-"""A floor with another grip: where tyres level off scales with it, their stiffness in part.
-
-A brush is as stiff on ice as on rubber until it slides (Pacejka, Tire and Vehicle Dynamics, section
-4.2, the similarity method: `F(slip) = ratio F0(slip / ratio)`); dust between them softens it too.
-On tyres that never level off only the slope shows.
-"""
+"""A floor with another grip: where tyres level off scales with it, their stiffness in part."""
 # Why: docs/decisions/vehicle-model.md#d7
 
 

@@ -123,7 +123,7 @@ def rich_model() -> Model[float]:
     from steerd.car_model.effects import parse_effects
 
     settings = parse_effects(
-        "grip_drift=0.5,mocap_latency=0.0021,steer_backlash=0.02,steer_delay=0.011,tyre_relaxation=0.07"
+        "grip_drift=0.5,1,mocap_latency=0.0021,steer_backlash=0.02,steer_delay=0.011,tyre_relaxation=0.07"
     )
     car = DEFAULT_CAR._replace(steer_delay=0.0128, drive_delay=0.004, pose_delay=0.0033)
     effects: Any = tuple(effect for effect, _ in settings)

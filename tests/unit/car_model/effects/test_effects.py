@@ -211,7 +211,7 @@ def test_slip_leaves_the_car_behind_its_wheels_while_they_accelerate_it():
 
 
 def test_a_patch_is_slippery_inside_and_not_outside():
-    effect, values = EFFECTS["grip_patch"], (2.0, 1.0, 0.5, 0.4)
+    effect, values = EFFECTS["grip_patch"], (2.0, 1.0, 0.5, 0.4, 0.0)
 
     def mu(x: float, y: float) -> float:
         now: float = effect.car(FLOAT, values, CAR, ORIGIN._replace(x=x, y=y), 0.0).mu
@@ -289,8 +289,8 @@ def test_limits_only_ever_lower():
     ("text", "found"),
     [
         ("steer_delay=0.03", [("steer_delay", (0.03,))]),
-        ("grip_patch=1,-2, 0.5,0.3", [("grip_patch", (1.0, -2.0, 0.5, 0.3))]),
-        ("grip_patch:drop=0.3,x=2", [("grip_patch", (2.0, 0.0, 0.5, 0.3))]),
+        ("grip_patch=1,-2, 0.5,0.3", [("grip_patch", (1.0, -2.0, 0.5, 0.3, 0.0))]),
+        ("grip_patch:drop=0.3,x=2", [("grip_patch", (2.0, 0.0, 0.5, 0.3, 0.0))]),
         ("floor_slope=0.01,0.02,backlash:play=0.02,mu=0.6",
          [("floor_slope", (0.01, 0.02, 0.0)), ("steer_backlash", (0.02,)),
           ("tyre_friction", (0.6, 0.0))]),
