@@ -221,10 +221,9 @@ _REARWARD = 0.7
 """One candidate's centre of gravity lies closer to the rear axle by this factor."""
 _LATER, _QUICKER = 0.02, 0.6
 """Another's servo waits so much longer [s], and then follows faster by this factor."""
-SLIDING = 0.75
-"""Share of the floor's grip from which tyres' forces are no longer in proportion to slip ..."""
-TYRES = (1.0, 0.5), (3.0, 0.5)
-"""... and curves of such tyres: parameters of `tyre_saturation`."""
+SLIDING, TYRES = 0.75, ((1.0, 0.5), (3.0, 0.5))
+"""Share of the floor's grip from which tyres' forces are no longer in proportion to slip, and curves
+of such tyres: parameters of `tyre_saturation`."""
 START_SPREAD = 0.3
 """Further starts lie about the first with this relative standard deviation."""
 
@@ -234,9 +233,12 @@ def possible_starts(
 ) -> tuple[Model[float], ...]:
     """The car as given, and before it one of the size, or the gain, that the curvature asks for.
 
-    Hard drives barely show it, so both are starts; the drives choose.
+    Hard drives barely show it, so both are starts. That tyres level off is one too, unless held.
     """
-    length, gain = wheelbase(model.car), model.car.steer_gain
+    own = zip(model.effects, model.values, strict=True)
+    kept = {e: v for e, v in own if e.name != "tyre_saturation" or stated.holds(e.name)}
+    model = model._replace(effects=tuple(kept), values=tuple(kept.values()))
+    car, length, gain = model.car, wheelbase(model.car), model.car.steer_gain
     known = stated.wheelbase or bool({"lf", "lr"} & set(stated.held))
     if known and stated.holds("steer_gain"):
         return (model,)
@@ -249,7 +251,6 @@ def possible_starts(
         scale = rolling_length(runs, new) / length
     if not (scale > 0.0 and new > 0.0) or abs(np.log(new / scale / gain)) < NEAR:
         return (model,)
-    car = model.car
     moved = car._replace(
         lf=car.lf * scale, lr=car.lr * scale, inertia_z=car.inertia_z * scale**2,
         cog_height=car.cog_height * scale, steer_gain=new,
@@ -270,8 +271,7 @@ def sliding_starts(
         for tyres in TYRES
         for model in models
         if lateral > SLIDING * model.car.mu * GRAVITY
-        and effect not in model.effects
-        and not stated.holds(effect.name)
+        and not (effect in model.effects or stated.holds(effect.name))
     )
 
 
