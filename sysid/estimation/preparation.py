@@ -222,8 +222,8 @@ _REARWARD = 0.7
 _LATER, _QUICKER = 0.02, 0.6
 """Another's servo waits so much longer [s], and then follows faster by this factor."""
 SLIDING, TYRES = 0.75, ((1.0, 0.5), (3.0, 0.5))
-"""Share of the floor's grip from which tyres' forces are no longer in proportion to slip, and curves
-of such tyres: parameters of `tyre_saturation`."""
+"""Share of the floor's grip from which tyres' forces are no longer in proportion to slip, and
+curves of such tyres: parameters of `tyre_saturation`."""
 START_SPREAD = 0.3
 """Further starts lie about the first with this relative standard deviation."""
 
