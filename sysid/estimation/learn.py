@@ -197,8 +197,7 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outcom
     if plain is not None and max(plain.misfit.values()) <= POOR:
         return plain
     try:
-        starts = _starts(task)
-        starts += prep.sliding_starts(starts, drives.fitted, task.stated)
+        starts = prep.sliding_starts(_starts(task), drives.fitted, task.stated)
         start = starts[0] if len(starts) == 1 else choose_start(starts, drives.fitted, task.stated)
         taught = fit_car_with_limits(start, drives.fitted, task.stated)
         return outcome.fit_of_taught(taught, start, drives.fitted, _doubts(drives))

@@ -233,11 +233,8 @@ def possible_starts(
 ) -> tuple[Model[float], ...]:
     """The car as given, and before it one of the size, or the gain, that the curvature asks for.
 
-    Hard drives barely show it, so both are starts. That tyres level off is one too, unless held.
+    Hard drives barely show it, so both are starts; the drives choose.
     """
-    own = zip(model.effects, model.values, strict=True)
-    kept = {e: v for e, v in own if e.name != "tyre_saturation" or stated.holds(e.name)}
-    model = model._replace(effects=tuple(kept), values=tuple(kept.values()))
     car, length, gain = model.car, wheelbase(model.car), model.car.steer_gain
     known = stated.wheelbase or bool({"lf", "lr"} & set(stated.held))
     if known and stated.holds("steer_gain"):
@@ -261,18 +258,21 @@ def possible_starts(
 def sliding_starts(
     models: Sequence[Model[float]], runs: Sequence[Run], stated: Stated
 ) -> tuple[Model[float], ...]:
-    """The starts on tyres that level off, where drives come near the limit of grip; else none.
+    """The starts on tyres that never level off, and near the limit of grip on some that do.
 
     On tyres whose force grows with slip for ever the search ends at a car that spins.
     """
     effect, lateral = EFFECTS["tyre_saturation"], measure_excitation(runs).lateral_accel
-    return tuple(
-        model._replace(effects=(*model.effects, effect), values=(*model.values, tyres))
-        for tyres in TYRES
-        for model in models
-        if lateral > SLIDING * model.car.mu * GRAVITY
-        and not (effect in model.effects or stated.holds(effect.name))
-    )
+    if stated.holds(effect.name):
+        return tuple(models)
+    found = []
+    for tyres in ((), *TYRES):
+        for model in models:
+            own = dict(zip(model.effects, model.values, strict=True)) | {effect: tyres}
+            kept = {e: values for e, values in own.items() if values}
+            if not tyres or lateral > SLIDING * model.car.mu * GRAVITY:
+                found.append(model._replace(effects=tuple(kept), values=tuple(kept.values())))
+    return tuple(found)
 
 
 def steering_gain(runs: Sequence[Run], length: float) -> float:
