@@ -93,16 +93,9 @@ MASS = Effect(
     "speed_lag (1 + slower payload / m)",
     parameters=(
         EffectParameter("payload", 0.0, -0.15, 5.0, "kg", 0.5, "mass beyond the car's own"),
-        EffectParameter(
-            "slower",
-            1.0,
-            0.0,
-            1.0,
-            "1",
-            0.5,
-            "1: the speed loop's gain is a force per error; 0: an acceleration",
-            role=Role.FORM,
-        ),
+        EffectParameter("slower", 1.0, 0.0, 1.0, "1", 0.5,
+                        "1: the speed loop's gain is a force per error; 0: an acceleration",
+                        role=Role.FORM),
     ),
     least_size=0.16,
     confounded_with=Confounding(
@@ -115,7 +108,7 @@ MASS = Effect(
     same_as=("inertia_z",),
     car=_mass_car,
     aliases=("payload",),
-)
+)  # fmt: skip
 """A payload at the centre of gravity.
 
 Tyre forces grow with load as mass does, so mass cancels from the planar motion except against the

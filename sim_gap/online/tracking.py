@@ -82,8 +82,7 @@ class Loss:
 def may_change(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[str, ...]:
     """Effects that can come about while a car drives and show at once.
 
-    Those that could be part of a car: what is a matter of a place or of the time of day is none
-    that a window can show.
+    What is a matter of a place or of the time of day is none that a window can show.
     """
     effects = {e.name: e for e in augmented.effects}
     return tuple(

@@ -172,7 +172,7 @@ def knowledge_of_section(table: Mapping[str, Any]) -> BasePrior | None:
     shaped = len(rows) == len(sd) == len(values) == len(names) and len(excess) == len(EDGES) + 1
     shaped &= all(_is_control(one) for one in controls)
     if not (shaped and np.isfinite(correlation).all() and (sd > 0.0).all()):
-        raise ValueError("[knowledge] is not what identify writes")
+        raise ValueError("[knowledge] is not what this version's identify writes: identify again")
     # Rounding may leave a tiny negative eigenvalue; a covariance has none.
     spectrum, axes = np.linalg.eigh(correlation)
     correlation = (axes * np.maximum(spectrum, 1e-8)) @ axes.T

@@ -15,7 +15,6 @@ from steerd.car_model.car_file import (
     update_car,
 )
 from steerd.car_model.effects import EFFECTS
-from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR, PARAMETERS
 from steerd.car_model.planar import make_planar
 from steerd.car_model.single_track import SINGLE_TRACK
@@ -45,8 +44,7 @@ def error(text: str) -> CarFileError:
 def test_the_shipped_file_is_the_default_car_with_every_section():
     file = load_car(default_car_path())
     assert file.car == DEFAULT_CAR
-    levels = (EFFECTS["tyre_saturation"],), ((1.0, 0.0),)
-    assert file.model == Model(DEFAULT_CAR, *levels, make_planar("all"))
+    assert file.model[1:] == ((EFFECTS["tyre_saturation"],), ((1.0, 0.0),), make_planar("all"))
     assert set(file.sections) == {
         "vesc", "mocap", "limits", "controller", "estimator", "record", "safety",
     }  # fmt: skip
@@ -65,8 +63,8 @@ def test_effects_and_notes_are_read():
         "[effects.floor_slope]\ny = 0.01\n"
     )
     file = parse_car(text, HERE)
-    assert file.effects[1:] == (EFFECTS["steer_backlash"], EFFECTS["floor_slope"])
-    assert file.values[1:] == ((0.02,), (0.0, 0.01, 0.0))
+    assert [e.name for e in file.effects] == ["tyre_saturation", "steer_backlash", "floor_slope"]
+    assert file.values == ((1.0, 0.0), (0.02,), (0.0, 0.01, 0.0))
     assert file.sd == {"lf": 0.001, "steer_backlash.play": 0.003}
     assert file.source == {"lf": "tape", "steer_backlash.play": "diagnose"}
 
@@ -164,8 +162,10 @@ def test_saving_again_replaces_notes_and_effects(tmp_path):
     path.write_text(TEXT + "[effects.backlash]\nplay = 0.01\n", encoding="utf-8")
     learned = {"lf": Learned(0.16, 0.01, "tape"), "steer_backlash.play": Learned(0.02)}
     last = update_car(path, update_car(path, load_car(path), learned), {"lf": Learned(0.161)})
-    assert (last.car.lf, last.values[1:], last.sd, last.source) == (0.161, ((0.02,),), {}, {})
-    assert tomllib.loads(last.text)["effects"]["backlash"] == {"play": 0.02}
+    assert (last.car.lf, last.values) == (0.161, ((1.0, 0.0), (0.02,)))
+    assert not last.sd | last.source
+    told = tomllib.loads(last.text)["effects"]
+    assert told == {"tyre_saturation": {"q": 1.0}, "backlash": {"play": 0.02}}
 
 
 def test_an_update_is_checked_as_a_car_file_is(tmp_path):

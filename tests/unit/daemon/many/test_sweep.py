@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.car_model.effects import find_effect
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.many.sweep.plan import (
     Quantity,
@@ -200,9 +199,7 @@ def test_what_is_varied_reaches_the_simulated_hardware():
     assert run_plan.settings.file.car.mass == plan.car.car.mass, "the design knows nothing of it"
     found = {e.name: values for e, values in zip(model.effects, model.values, strict=True)}
     assert found["steer_delay"] == (0.03,)
-    names = (p.name for p in find_effect("grip_patch").parameters)
-    patch = dict(zip(names, found["grip_patch"], strict=True))
-    assert (patch["x"], patch["drop"]) == (2.0, 0.4)
+    assert found["grip_patch"] == (2.0, 0.0, 0.5, 0.4, 0.0)
     assert config.mocap.position_noise == 0.002
     assert config.mocap.camera_ns + config.mocap.software_ns == 20_000_000
     assert config.mocap.jitter_ns == 1_000_000
