@@ -10,7 +10,7 @@ others at their nulls, where they change nothing, bit for bit.
 from collections.abc import Sequence
 from ctypes import byref
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -243,13 +243,24 @@ def _block(held: HeldCommands, spans: Indices, t: Array) -> library.Block:
     return library.Block(_at(held.rows), _at(spans), _at(t))
 
 
-class Windows(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Windows:
     """Windows of any lengths."""
 
     # (W, 5) rows of the commands (first, after the last, at the first step), integration steps,
     # and steps of the actuators alone before the first
     spans: Indices
     t: Array  # (W,) time into the run at the first step [s]
+
+    @cached_property
+    def blocks(self) -> Indices:
+        """(blocks, SLOTS) which windows are simulated side by side, alike ones together."""
+        return _in_blocks(np.lexsort((self.spans[:, 4], self.spans[:, 3])))
+
+    @cached_property
+    def placed(self) -> tuple[Indices, Array]:
+        """`spans` and `t` by block."""
+        return self.spans[self.blocks], self.t[self.blocks]
 
 
 def settle(
@@ -401,14 +412,13 @@ def compute_readings(
     y, jy = np.empty(stations.rows), np.empty((stations.rows, count))
     car = _held_car(kernels, parameters, held)
     wide, start = kernels.spread(seeds), np.ascontiguousarray(dfirst)
-    late = _delays(kernels, parameters)[1] @ seeds / held.fine
+    late = _delays(kernels, parameters)[1] @ seeds / held.fine if count else np.empty((3, 0))
     moved: NDArray[np.uint8] = np.any(wide, axis=1).astype(np.uint8)
     directions = library.Directions(count, _at(moved), _at(wide), _at(start), _at(late))
-    blocks = _in_blocks(np.lexsort((windows.spans[:, 4], windows.spans[:, 3])))
+    blocks, (spans, t) = windows.blocks, windows.placed
     ranges = np.column_stack([stations.spans[:-1], stations.spans[1:]])[blocks]
     ranges.reshape(-1, 2)[len(first) :, 1] = 0  # copies are not read
     rows = np.ascontiguousarray(state[blocks].transpose(0, 2, 1))
-    spans, t = windows.spans[blocks], windows.t[blocks]
     read, into = (_at(stations.places), _at(stations.shares)), (_at(y), _at(jy))
     starts = _each(rows), _each(ranges), _each(spans), _each(t)
     commands = _at(held.rows)

@@ -27,6 +27,7 @@ from steerd.car_model.native.windows import (
 )
 from steerd.car_model.numpy_ops import NUMPY
 from steerd.car_model.state import State
+from steerd.sysid.data.windows import kernel_windows
 from steerd.sysid.inference.predictor import Predictor
 
 Array = NDArray[np.float64]
@@ -99,7 +100,7 @@ def _nominal(predictor: Predictor, parameters: Array, x: Array) -> _Nominal:
     layout, kernels = predictor.layout, predictor.augmented.kernels
     first = np.zeros((len(x), STATES + kernels.memory))
     first[:, :STATES] = x
-    windows = layout.kernel_windows(predictor.substeps)
+    windows = kernel_windows(layout, predictor.substeps)
     first = settle(kernels, parameters, first, predictor.held, windows)
     at, steps = _Nominal(predictor, parameters, first, first), int(layout.spans[:, 3].max())
     path = at.march(

@@ -21,7 +21,15 @@ from steerd.sysid.inference.likelihood import SIZES, Likelihood, Weighed, loss_o
 from steerd.sysid.inference.odds import Hypothesis, Shown, rank
 from steerd.sysid.inference.places import suspicious_discs
 from steerd.sysid.inference.residuals import robust_mean
-from steerd.sysid.inference.search import Point, minimise, newton, open_point, stand, with_size
+from steerd.sysid.inference.search import (
+    BEHIND,
+    Point,
+    minimise,
+    newton,
+    open_point,
+    stand,
+    with_size,
+)
 from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
@@ -33,7 +41,9 @@ _LOOKS = (1.0, 0.3, 0.1)
 _ROOM = 0.4
 """A look that promises less than this share of what a name needs is not followed."""
 _WORSE = 0.5
-"""Nats by which a hypothesis counts as worse than another."""
+"""Nats by which a hypothesis counts as worse than another ..."""
+_HOPELESS = 1000.0
+"""... and by which nothing that another's base adds makes up for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,16 +129,19 @@ class _Search:
     def _look_again(self, start: Point, needed: float, most: int) -> None:
         """The same from the hypothesis' optimum, for what promises more there than was found.
 
-        A small effect does not show under the discrepancy that the base at its prior needs.
+        A small effect does not show under the discrepancy that the base at its prior needs, where
+        the optimum needs less.
         """
         before = self.pool.get(frozenset(start.space.effects))
-        if before is None:
+        if before is None or before.size >= start.size:
             return
         least = _ROOM * needed * self.library.design_effect(before.size)
         names, chosen = start.space.effects, []
+        lowest = min(point.cost for point in self.pool.values())
         for look in screen_effects(self.library, before, far=False):
             known = self.pool.get(frozenset([*names, look.effect]))
-            if look.gain > least and (known is None or look.cost < known.cost - _WORSE):
+            better = known is None or look.cost < known.cost - _WORSE
+            if better and look.gain > least and look.cost < lowest + BEHIND:
                 chosen.append(look)
         self._fit(before, chosen[:most])
         self.exchange()
@@ -142,7 +155,11 @@ class _Search:
         for _ in range(3):
             best = min(self.pool.values(), key=lambda point: point.cost)
             whole = frozenset(best.space.effects)
-            inner = [point for names, point in self.pool.items() if names < whole]
+            inner = [
+                point
+                for names, point in self.pool.items()
+                if names < whole and point.cost < best.cost + _HOPELESS
+            ]
             changed = [self._improve(point, best) for point in inner]
             for names, point in list(self.pool.items()):
                 nested = [p for other, p in self.pool.items() if other < names]
@@ -199,9 +216,10 @@ def explain(
     search.keep(known)
     start = begin(library, (), (), library.likelihood.predictor.guess.copy())
     search.grow(start, c.FITTED, further=False)
-    best = search.hypotheses()[0]
+    best, grown = search.hypotheses()[0], set[frozenset[str]]()
     while 0 < len(best.effects) < most:
         progress(0.5)
+        grown.add(frozenset(best.effects))
         search.grow(_again(library, best.effects, best.point), c.FITTED_FURTHER, further=True)
         likeliest = search.hypotheses()[0]
         if likeliest.effects == best.effects:
@@ -209,6 +227,9 @@ def explain(
         best = likeliest
         for name in best.effects[: len(best.effects) if len(best.effects) > 1 else 0]:
             rest = tuple(n for n in best.effects if n != name)
+            if frozenset(rest) in grown:
+                continue
+            grown.add(frozenset(rest))
             search.grow(_again(library, rest, best.point), c.FITTED_FURTHER, further=True)
         best = search.hypotheses()[0]
     found, temper = rank(library, list(search.pool.values()), search.shown)

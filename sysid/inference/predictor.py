@@ -30,6 +30,7 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import (
     SPACING,
     Layout,
+    kernel_windows,
     make_layout,
     make_stations,
     take_windows,
@@ -191,7 +192,7 @@ class Predictor:
         late = float(delays_of(kernels, parameters)[2])
         y, jy = compute_readings(
             kernels, parameters, seeds, x, dfirst, self.held,
-            layout.kernel_windows(self.substeps), make_stations(layout, late, self.held.fine),
+            kernel_windows(layout, self.substeps), make_stations(layout, late, self.held.fine),
         )  # fmt: skip
         error, turn = layout.values - y, layout.channel == 2
         with np.errstate(invalid="ignore"):  # a window that left the map

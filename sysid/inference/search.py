@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated, Weighed
+from steerd.sysid.inference.likelihood import Likelihood, Reduced, Rotated, Weighed, take_some
 from steerd.sysid.inference.predictor import Linear
 from steerd.sysid.inference.space import Space
 from steerd.sysid.inference.starts import owes, settle_starts
@@ -33,7 +33,7 @@ _TRUST = 0.4
 _FAR = 30.0
 """... or after so many nats."""
 _DAMPING_MAX = 1e4
-_BEHIND = 80.0
+BEHIND = 80.0
 """A search that is so many nats behind another hypothesis is given up."""
 _ROUNDS = 2
 """Steps of every window's start after one of the coordinates."""
@@ -73,14 +73,9 @@ def derive(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Linear:
 
     A limit acts only where something meets it. The likelihood has kinks there, and a slope between
     two of them leads nowhere.
-
-    Raises:
-        FloatingPointError: the simulation diverges there.
     """
     predictor = likelihood.predictor
     linear = predictor.linear(space, z, x)
-    if not linear.finite:
-        raise FloatingPointError("the simulation diverges")
     for i, name in enumerate(space.chart.free):
         step = _LIMITS.get(name, 0.0)
         end = z[i] + step if z[i] + step <= space.high[i] else z[i] - step
@@ -99,8 +94,18 @@ def stand(likelihood: Likelihood, space: Space, z: Array, x: Array, size: float)
     Raises:
         FloatingPointError: the simulation diverges there.
     """
-    x, owed = settle_starts(likelihood, space.chart.parameters(z), x, size)
-    linear = derive(likelihood, space, z, x)
+    parameters = space.chart.parameters(z)
+    by = likelihood.predictor.by_starts(parameters, x)
+    x, owed = settle_starts(likelihood, parameters, x, by, size)
+    return _point(likelihood, space, z, x, size, derive(likelihood, space, z, x), owed)
+
+
+def _point(
+    likelihood: Likelihood, space: Space, z: Array, x: Array, size: float, linear: Linear,
+    owed: NDArray[np.bool_],
+) -> Point:  # fmt: skip
+    if not linear.finite:
+        raise FloatingPointError("the simulation diverges")
     rotated = likelihood.rotate(linear)._replace(held=owed)
     weighed = likelihood.weigh(rotated, size)
     at = likelihood.reduce(weighed, linear.error, x)
@@ -159,8 +164,21 @@ def with_size(likelihood: Likelihood, point: Point, size: float) -> Point:
 
 
 def fresh(likelihood: Likelihood, point: Point) -> Point:
-    """The same point with derivatives taken there."""
-    return stand(likelihood, point.space, point.z, point.x, point.size)
+    """The same point with derivatives taken there, and its starts settled by them.
+
+    Most starts have been followed to their best; derivatives are taken again where one moves.
+    """
+    space, z, size = point.space, point.z, point.size
+    linear = derive(likelihood, space, z, point.x)
+    by = linear.error, linear.by_x
+    x, owed = settle_starts(likelihood, space.chart.parameters(z), point.x, by, size)
+    moved = (x != point.x).any(axis=1)
+    if moved.any():
+        again = derive(take_some(likelihood, moved), space, z, x[moved])
+        width = again.error.shape[1]
+        for old, new in zip(linear[:3], again[:3], strict=True):
+            old[moved, :width] = new
+    return _point(likelihood, space, z, x, size, linear, owed)
 
 
 def _moved(likelihood: Likelihood, point: Point, dz: Array) -> Point | None:
@@ -215,7 +233,7 @@ def minimise(
         if there and max(promised, gained) < ENOUGH:
             return _ended(likelihood, now, stale)
         lower = with_size(likelihood, now, size)
-        if number >= _UNTIL and there and lower.cost > incumbent + _BEHIND:
+        if number >= _UNTIL and there and lower.cost > incumbent + BEHIND:
             return replace(lower, whole=False)
         now = lower
         if abs(gained - promised) > _TRUST * max(promised, ENOUGH) or stale > _FAR:

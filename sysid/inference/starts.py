@@ -23,7 +23,7 @@ _DAMPING, _STUCK = 1e-3, 1e5
 
 
 def settle_starts(
-    likelihood: Likelihood, parameters: Array, x: Array, size: float
+    likelihood: Likelihood, parameters: Array, x: Array, by: tuple[Array, Array], size: float
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Starts (W, 7) at their best, and which (W,) keep no promise: they stay where they are.
 
@@ -31,13 +31,14 @@ def settle_starts(
         likelihood: the windows.
         parameters: (P,) of the car.
         x: (W, 7) where the starts are.
+        by: errors (W, D) and derivatives by the starts (W, D, 7) there.
         size: of the discrepancy.
     """
     x, left = x.copy(), np.zeros(len(x), bool)
     damping, harder = np.full(len(x), _DAMPING), np.full(len(x), 2.0)
     active, part = np.arange(len(x)), likelihood
+    error, by_x = by
     for _ in range(_ROUNDS):
-        error, by_x = part.predictor.by_starts(parameters, x[active])
         turned, curved = part.start_curvature(part.rotation @ by_x, size)
         pull = part.start_pull(turned, part.rotate_error(error), x[active])
         square = part.squares(error, x[active], size)
@@ -63,6 +64,7 @@ def settle_starts(
         softer = np.maximum(1.0 / 3.0, 1.0 - (2.0 * kept - 1.0) ** 3)
         damping[active] *= np.where(better, softer, harder[active])
         harder[active] = np.where(better, 2.0, 2.0 * harder[active])
+        error, by_x = part.predictor.by_starts(parameters, x[active])
     return x, left
 
 

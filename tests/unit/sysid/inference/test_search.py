@@ -161,11 +161,23 @@ def test_starts_that_are_far_off_come_back(likelihood, small, settled_base, tyre
     for seed in range(8):
         off = np.random.default_rng(seed).standard_normal(settled_base.x.shape)
         off *= [0.02, 0.02, 0.05, 0.1, 2.0, 0.3, 0.0] if seed else 0.0
-        x, left = settle_starts(likelihood, p, settled_base.x + off, 0.02)
+        start = settled_base.x + off
+        x, left = settle_starts(likelihood, p, start, predictor.by_starts(p, start), 0.02)
         assert not left.any()
         square = likelihood.squares(predictor.errors(p, x)[0], x, 0.02)
         costs.append(loss_of(square, likelihood.dof))
     assert (costs - costs[0]).max() < 0.1
+
+
+def test_derivatives_are_those_where_the_starts_have_gone(likelihood, settled_base):
+    """Only windows whose start moves are simulated again."""
+    x = settled_base.x.copy()
+    x[::5, 4] += 1.0
+    point = search.fresh(likelihood, replace(settled_base, x=x))
+    assert (point.x != x).any()
+    whole = search.derive(likelihood, point.space, point.z, point.x)
+    for found, expected in zip(point.linear[:3], whole[:3], strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
 
 
 def test_a_search_that_ends_at_its_limit_of_steps_is_not_whole(late):
