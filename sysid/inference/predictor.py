@@ -172,8 +172,10 @@ class Predictor:
         dfirst[:, n:] = np.eye(STATES)
         error, jy = self._simulate(parameters, seeds, x, dfirst)
         error, finite = self._without_wild(error)
-        jy[~(np.abs(jy).max(axis=(1, 2)) < WILD)] = 0.0
-        return Linear(error, jy[:, :, :n], jy[:, :, n:], finite)
+        parts = jy[:, :, :n], jy[:, :, n:]
+        for part in parts:
+            part[~(np.abs(part).max(axis=(1, 2), initial=0.0) < WILD)] = 0.0
+        return Linear(error, *parts, finite)
 
     def errors(self, parameters: Array, x: Array) -> tuple[Array, bool]:
         """Errors (W, D) of the car with parameters (P,) alone, as in `linear`; if all are finite.
