@@ -253,14 +253,11 @@ class Windows:
     t: Array  # (W,) time into the run at the first step [s]
 
     @cached_property
-    def blocks(self) -> Indices:
-        """(blocks, SLOTS) which windows are simulated side by side, alike ones together."""
-        return _in_blocks(np.lexsort((self.spans[:, 4], self.spans[:, 3])))
-
-    @cached_property
-    def placed(self) -> tuple[Indices, Array]:
-        """`spans` and `t` by block."""
-        return self.spans[self.blocks], self.t[self.blocks]
+    def blocks(self) -> tuple[Indices, Indices, Array]:
+        """(blocks, SLOTS) alike windows side by side, filled with copies; their `spans` and `t`."""
+        order = np.lexsort((self.spans[:, 4], self.spans[:, 3]))
+        each = np.resize(order, _whole_rows(len(order))).reshape(-1, SLOTS)
+        return each, self.spans[each], self.t[each]
 
 
 def settle(
@@ -277,15 +274,13 @@ def settle(
     """
     state = first.copy()
     car = _held_car(kernels, parameters, held)
-    blocks = _in_blocks(np.argsort(windows.spans[:, 4], kind="stable"))
+    blocks, spans, t = windows.blocks
 
     def block(number: int, _worker: int) -> None:
-        here = blocks[number]
-        spans, t = windows.spans[here], windows.t[here]
-        rows = np.ascontiguousarray(first[here].T)
-        place = _block(held, spans, t)
+        rows = np.ascontiguousarray(first[blocks[number]].T)
+        place = _block(held, spans[number], t[number])
         kernels.call("settled", byref(car.integration), byref(place), _at(rows))
-        state[here] = rows.T
+        state[blocks[number]] = rows.T
 
     share_out(block, len(blocks), SLOTS * int(windows.spans[:, 4].mean()))
     return state
@@ -415,7 +410,7 @@ def compute_readings(
     late = _delays(kernels, parameters)[1] @ seeds / held.fine if count else np.empty((3, 0))
     moved: NDArray[np.uint8] = np.any(wide, axis=1).astype(np.uint8)
     directions = library.Directions(count, _at(moved), _at(wide), _at(start), _at(late))
-    blocks, (spans, t) = windows.blocks, windows.placed
+    blocks, spans, t = windows.blocks
     ranges = np.column_stack([stations.spans[:-1], stations.spans[1:]])[blocks]
     ranges.reshape(-1, 2)[len(first) :, 1] = 0  # copies are not read
     rows = np.ascontiguousarray(state[blocks].transpose(0, 2, 1))
@@ -433,11 +428,6 @@ def compute_readings(
 
     share_out(block, len(blocks), SLOTS * int(windows.spans[:, 3].mean()))
     return y, jy
-
-
-def _in_blocks(order: Indices) -> Indices:
-    """(blocks, SLOTS) windows in an order that puts alike ones together, filled up with copies."""
-    return np.resize(order, _whole_rows(len(order))).reshape(-1, SLOTS)
 
 
 def _whole_rows(numbers: int) -> int:

@@ -95,11 +95,9 @@ class Layout:
         """Rows of a window."""
         return slice(int(self.bounds[window]), int(self.bounds[window + 1]))
 
-
-@lru_cache(maxsize=8)
-def kernel_windows(layout: Layout, substeps: int) -> Windows:
-    """The windows in integration steps."""
-    return Windows(layout.spans * [1, 1, 1, substeps, substeps], layout.t)
+    def kernel_windows(self, substeps: int) -> Windows:
+        """The windows in integration steps."""
+        return Windows(self.spans * np.array([1, 1, 1, substeps, substeps]), self.t)
 
 
 @lru_cache(maxsize=4)

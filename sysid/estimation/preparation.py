@@ -135,13 +135,9 @@ def scale_inertia(model: Model[float], known: Model[float]) -> Model[float]:
 
 
 def level_loads(model: Model[float], runs: Sequence[Run]) -> Model[float]:
-    """The car without load shift where a measured speed is prescribed.
-
-    The acceleration of a measured speed is mostly noise; `steerd diagnose` leaves it out as well.
-    """
-    if all(run.speed_source == "command" for run in runs):
-        return model
-    return model._replace(car=model.car._replace(cog_height=0.0))
+    """The car without load shift where a measured speed, whose slope is noise, is prescribed."""
+    commanded = all(run.speed_source == "command" for run in runs)
+    return model if commanded else model._replace(car=model.car._replace(cog_height=0.0))
 
 
 def fit_wheelbase(

@@ -21,13 +21,7 @@ from steerd.car_model.native.windows import (
 )
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run, check_sources
-from steerd.sysid.data.windows import (
-    Layout,
-    estimate_noise,
-    kernel_windows,
-    make_layout,
-    make_stations,
-)
+from steerd.sysid.data.windows import Layout, estimate_noise, make_layout, make_stations
 from steerd.sysid.inference.augmented_car import prescribe_speed
 from steerd.sysid.inference.predictor import STATE_SPREAD, stable_substeps
 
@@ -84,7 +78,7 @@ def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> l
     layout = make_layout(runs, _ROOM * (PAST + horizon), late)
     substeps = stable_substeps(model.car, *layout.speeds, layout.h)
     held = HeldCommands(layout.commands, layout.h, substeps)
-    stations, windows = make_stations(layout, late, held.fine), kernel_windows(layout, substeps)
+    stations, windows = make_stations(layout, late, held.fine), layout.kernel_windows(substeps)
     seeds, dfirst = np.zeros((len(parameters), _STATES)), np.eye(_STATES)
 
     def look(x: Array) -> tuple[Array, Array]:

@@ -196,20 +196,19 @@ def _first(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated) ->
     shares = {**ORDINARY, **({"lf": MEASURED} if stated.wheelbase else {})}
     augmented = replace(augmented, knowledge=weak_knowledge(augmented, nuisance, shares))
     predictor, usual = open_predictor(augmented, runs), usual_noise(estimate_noise(runs))
-    x = predictor.guess.copy()
-    noise = usual
-    begun = _begin(predictor, nuisance, x, noise)
+    noise, begun = usual, _begin(predictor, nuisance, usual)
     while _bounded(begun[1]) >= _FAR_OFF and noise.sizes[0] < _LOUDEST * usual.sizes[0]:
         noise = noise_of_sizes(_LOUDER * noise.sizes)
-        begun = _begin(predictor, nuisance, x, noise)
+        begun = _begin(predictor, nuisance, noise)
     taught = FittedCar(begun[0], minimise(*begun), noise, nuisance, shares)
     return taught if noise is usual else _again(taught, _learnt_noise(taught))
 
 
 def _begin(
-    predictor: Predictor, nuisance: tuple[str, ...], x: Array, noise: Noise
+    predictor: Predictor, nuisance: tuple[str, ...], noise: Noise
 ) -> tuple[Likelihood, Point]:
     """Windows under a noise, and the base where its search begins."""
+    x = predictor.guess.copy()
     likelihood = make_likelihood(predictor, predictor.augmented.base, x, noise)
     space = make_space(predictor.augmented, nuisance)
     return likelihood, open_point(likelihood, space, space.inside, x)

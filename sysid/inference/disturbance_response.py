@@ -27,7 +27,6 @@ from steerd.car_model.native.windows import (
 )
 from steerd.car_model.numpy_ops import NUMPY
 from steerd.car_model.state import State
-from steerd.sysid.data.windows import kernel_windows
 from steerd.sysid.inference.predictor import Predictor
 
 Array = NDArray[np.float64]
@@ -100,8 +99,7 @@ def _nominal(predictor: Predictor, parameters: Array, x: Array) -> _Nominal:
     layout, kernels = predictor.layout, predictor.augmented.kernels
     first = np.zeros((len(x), STATES + kernels.memory))
     first[:, :STATES] = x
-    windows = kernel_windows(layout, predictor.substeps)
-    first = settle(kernels, parameters, first, predictor.held, windows)
+    first = settle(kernels, parameters, first, predictor.held, predictor.windows)
     at, steps = _Nominal(predictor, parameters, first, first), int(layout.spans[:, 3].max())
     path = at.march(
         first, predictor.held, layout.spans[:, :3], layout.t, steps * predictor.substeps

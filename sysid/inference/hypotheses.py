@@ -10,26 +10,20 @@ optimum. No hypothesis may be worse than one nested in it: bases are exchanged u
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import softmax
 
 from steerd.car_model.effect import Effect, Role
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.library import Library, carry, linearise
-from steerd.sysid.inference.likelihood import SIZES, Likelihood, Weighed, loss_of
+from steerd.sysid.inference.likelihood import Weighed, loss_of
 from steerd.sysid.inference.odds import Hypothesis, Shown, rank
 from steerd.sysid.inference.places import suspicious_discs
-from steerd.sysid.inference.residuals import robust_mean
-from steerd.sysid.inference.search import (
-    BEHIND,
-    Point,
-    minimise,
-    newton,
-    open_point,
-    stand,
-    with_size,
-)
+from steerd.sysid.inference.residuals import covering_size
+from steerd.sysid.inference.search import BEHIND, Point, minimise, newton, open_point, stand
 from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
@@ -80,11 +74,8 @@ class _Search:
     pool: dict[frozenset[str], Point] = field(default_factory=dict)
     untested: set[str] = field(default_factory=set)
     shown: Shown = field(default_factory=dict)
+    grown: set[frozenset[str]] = field(default_factory=lambda: {frozenset()})
     exchanged: set[tuple[tuple[str, ...], tuple[str, ...], int]] = field(default_factory=set)
-
-    @property
-    def likelihood(self) -> Likelihood:
-        return self.library.likelihood
 
     def hypotheses(self) -> list[Hypothesis]:
         """All of them with their odds, the likeliest first."""
@@ -106,7 +97,7 @@ class _Search:
             most: how many with an effect more.
             further: whether that is a further cause, against which odds are longer.
         """
-        self.keep(_try(self.likelihood, start))
+        self.keep(self._optimum(lambda: start))
         looks = screen_effects(self.library, start)
         self.untested |= {look.effect for look in looks if not np.isfinite(look.cost)}
         needed = np.log(max(len(self.library.effects), 1) * (c.FURTHER_ODDS if further else 1.0))
@@ -117,20 +108,24 @@ class _Search:
         self.exchange()
         self._look_again(start, needed, most)
 
+    def grow_further(self, names: tuple[str, ...], point: Point) -> None:
+        """`grow` from effects as a point has them, once for each set of them."""
+        if frozenset(names) not in self.grown:
+            self.grown.add(frozenset(names))
+            self.grow(_again(self.library, names, point), c.FITTED_FURTHER, further=True)
+
     def _fit(self, start: Point, chosen: Sequence["Candidate"]) -> None:
         """A hypothesis with one effect more, from the values of each look."""
         incumbent = min((point.cost for point in self.pool.values()), default=np.inf)
         for look in chosen:
-            begun = _with_effect(self.library, start, look)
-            point = None if begun is None else _try(self.likelihood, begun, incumbent)
+            point = self._optimum(partial(_with_effect, self.library, start, look), incumbent)
             self.keep(point)
             incumbent = min(incumbent, np.inf if point is None else point.cost)
 
     def _look_again(self, start: Point, needed: float, most: int) -> None:
         """The same from the hypothesis' optimum, for what promises more there than was found.
 
-        A small effect does not show under the discrepancy that the base at its prior needs, where
-        the optimum needs less.
+        A small effect does not show under a larger discrepancy that the base at its prior needs.
         """
         before = self.pool.get(frozenset(start.space.effects))
         if before is None or before.size >= start.size:
@@ -155,11 +150,8 @@ class _Search:
         for _ in range(3):
             best = min(self.pool.values(), key=lambda point: point.cost)
             whole = frozenset(best.space.effects)
-            inner = [
-                point
-                for names, point in self.pool.items()
-                if names < whole and point.cost < best.cost + _HOPELESS
-            ]
+            near = best.cost + _HOPELESS
+            inner = [p for names, p in self.pool.items() if names < whole and p.cost < near]
             changed = [self._improve(point, best) for point in inner]
             for names, point in list(self.pool.items()):
                 nested = [p for other, p in self.pool.items() if other < names]
@@ -191,8 +183,14 @@ class _Search:
 
     def _from(self, space: Space, z: Array, other: Point, size: float) -> Point | None:
         """The optimum from coordinates at another hypothesis' starts."""
-        begun = _stand(self.likelihood, space, z, other.x, size)
-        return None if begun is None else _try(self.likelihood, begun)
+        return self._optimum(partial(stand, self.library.likelihood, space, z, other.x, size))
+
+    def _optimum(self, begin: Callable[[], Point], incumbent: float = np.inf) -> Point | None:
+        """The optimum from a start; None if the simulation diverges there or on the way."""
+        try:
+            return minimise(self.library.likelihood, begin(), incumbent)
+        except (FloatingPointError, np.linalg.LinAlgError):
+            return None
 
 
 def explain(
@@ -216,39 +214,23 @@ def explain(
     search.keep(known)
     start = begin(library, (), (), library.likelihood.predictor.guess.copy())
     search.grow(start, c.FITTED, further=False)
-    best, grown = search.hypotheses()[0], set[frozenset[str]]()
+    best = search.hypotheses()[0]
     while 0 < len(best.effects) < most:
         progress(0.5)
-        grown.add(frozenset(best.effects))
-        search.grow(_again(library, best.effects, best.point), c.FITTED_FURTHER, further=True)
+        search.grow_further(best.effects, best.point)
         likeliest = search.hypotheses()[0]
         if likeliest.effects == best.effects:
             break
         best = likeliest
-        for name in best.effects[: len(best.effects) if len(best.effects) > 1 else 0]:
-            rest = tuple(n for n in best.effects if n != name)
-            if frozenset(rest) in grown:
-                continue
-            grown.add(frozenset(rest))
-            search.grow(_again(library, rest, best.point), c.FITTED_FURTHER, further=True)
+        for name in best.effects:
+            search.grow_further(tuple(n for n in best.effects if n != name), best.point)
         best = search.hypotheses()[0]
     found, temper = rank(library, list(search.pool.values()), search.shown)
-    odds = np.array([h.log_odds for h in found])
-    share = np.exp(odds - odds.max())
-    share /= share.sum()
+    share = softmax([h.log_odds for h in found])
     ranked = [replace(h, probability=float(p)) for h, p in zip(found, share, strict=True)]
     untested = tuple(sorted(search.untested))
     before, after = (covering_size(library.likelihood, p) for p in (start, ranked[0].point))
     return Findings(tuple(ranked), start, temper, untested, (before, after))
-
-
-def covering_size(likelihood: Likelihood, point: Point) -> float:
-    """The least size under which a point's errors are no larger than noise."""
-    for size in SIZES.tolist():
-        at = with_size(likelihood, point, size).at
-        if robust_mean(at.ratio) <= 1.0:
-            return float(size)
-    return float(SIZES[-1])
 
 
 def begin(library: Library, names: Sequence[str], values: Sequence[float], x: Array) -> Point:
@@ -271,21 +253,6 @@ def _again(library: Library, names: Sequence[str], point: Point) -> Point:
         return begin(library, names, [known[n] for n in own], point.x)
     except FloatingPointError:
         return point
-
-
-def _stand(likelihood: Likelihood, space: Space, z: Array, x: Array, size: float) -> Point | None:
-    try:
-        return stand(likelihood, space, z, x, size)
-    except FloatingPointError:
-        return None
-
-
-def _try(likelihood: Likelihood, start: Point, incumbent: float = np.inf) -> Point | None:
-    """The optimum from a start; None if the simulation diverges on the way."""
-    try:
-        return minimise(likelihood, start, incumbent)
-    except (FloatingPointError, np.linalg.LinAlgError):
-        return None
 
 
 @dataclass(frozen=True)
@@ -325,13 +292,13 @@ def screen_effects(library: Library, start: Point, far: bool = True) -> list[Can
     return sorted(found, key=lambda look: -look.gain)
 
 
-def _with_effect(library: Library, start: Point, look: Candidate) -> Point | None:
+def _with_effect(library: Library, start: Point, look: Candidate) -> Point:
     """The start with an effect at the values of its look."""
     space = library.space([*start.space.effects, look.effect])
     z = carry(space, start)
     z[-len(look.values) :] = look.values
     z = np.clip(z, space.low, space.high)
-    return _stand(library.likelihood, space, z, start.x, start.size)
+    return stand(library.likelihood, space, z, start.x, start.size)
 
 
 def _looks(

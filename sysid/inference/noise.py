@@ -7,7 +7,7 @@ good fit on few data does not look like small noise.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -204,9 +204,9 @@ def noisier_of(noise: Noise, signals: Array) -> Noise:
         signals: (4,) `steerd.sysid.data.windows.estimate_noise` of these; what is slow does not
             show in it.
     """
-    old = np.array(noise.instruments)
-    a, b, c, d = np.where(signals > LOUDER * old, signals, old).tolist()
-    return replace(noise, instruments=(a, b, c, d))
+    sizes = noise.sizes
+    sizes[:4] = np.where(signals > LOUDER * sizes[:4], signals, sizes[:4])
+    return noise_of_sizes(sizes)
 
 
 def calibrated(noise: Noise, left: float, should: float = 1.0) -> Noise:

@@ -19,6 +19,7 @@ from steerd.car_model.chassis import KINEMATIC_RATE, dynamic_share
 from steerd.car_model.native.windows import (
     STATES,
     HeldCommands,
+    Windows,
     compute_readings,
     delays_of,
     model_of,
@@ -30,7 +31,6 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import (
     SPACING,
     Layout,
-    kernel_windows,
     make_layout,
     make_stations,
     take_windows,
@@ -103,6 +103,11 @@ class Predictor:
     def held(self) -> HeldCommands:
         """The commands as they are integrated over."""
         return HeldCommands(self.layout.commands, self.layout.h, self.substeps, INTEGRATOR)
+
+    @cached_property
+    def windows(self) -> Windows:
+        """The windows in integration steps."""
+        return self.layout.kernel_windows(self.substeps)
 
     @property
     def channel(self) -> NDArray[np.int64]:
@@ -178,10 +183,7 @@ class Predictor:
         return Linear(error, *parts, finite)
 
     def errors(self, parameters: Array, x: Array) -> tuple[Array, bool]:
-        """Errors (W, D) of the car with parameters (P,) alone, as in `linear`; if all are finite.
-
-        Sixteen windows side by side, many times faster than with derivatives.
-        """
+        """Errors (W, D) of the car with parameters (P,) alone; whether they are finite."""
         none = np.zeros((len(parameters), 0))
         error, _ = self._simulate(parameters, none, x, np.zeros((STATES, 0)))
         return self._without_wild(error)
@@ -194,7 +196,7 @@ class Predictor:
         late = float(delays_of(kernels, parameters)[2])
         y, jy = compute_readings(
             kernels, parameters, seeds, x, dfirst, self.held,
-            kernel_windows(layout, self.substeps), make_stations(layout, late, self.held.fine),
+            self.windows, make_stations(layout, late, self.held.fine),
         )  # fmt: skip
         error, turn = layout.values - y, layout.channel == 2
         with np.errstate(invalid="ignore"):  # a window that left the map

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from steerd.sysid.data.windows import SPACING
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.likelihood import Likelihood
+from steerd.sysid.inference.likelihood import SIZES, Likelihood
 from steerd.sysid.inference.predictor import Predictor
-from steerd.sysid.inference.search import Point, newton, stand
+from steerd.sysid.inference.search import Point, newton, stand, with_size
 from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
@@ -63,6 +63,14 @@ def settled(likelihood: Likelihood, space: Space, z: Array, x: Array | None = No
 def robust_mean(ratios: Array) -> float:
     """Mean of whitened squares in which no window counts without bound; 1 stays 1."""
     return float(np.expm1(np.log1p(np.minimum(ratios, 1e6)).mean()))
+
+
+def covering_size(likelihood: Likelihood, point: Point) -> float:
+    """The least size under which a point's errors are no larger than noise."""
+    sizes = SIZES.tolist()
+    ratios = (with_size(likelihood, point, size).at.ratio for size in sizes)
+    covering = (s for s, r in zip(sizes, ratios, strict=True) if robust_mean(r) <= 1.0)
+    return float(next(covering, sizes[-1]))
 
 
 def interval_of(values: Array, blocks: NDArray[np.int64], seed: int = 0) -> Array:

@@ -88,28 +88,35 @@ def derive(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Linear:
     return linear
 
 
-def stand(likelihood: Likelihood, space: Space, z: Array, x: Array, size: float) -> Point:
-    """A hypothesis at given coordinates.
+def stand(
+    likelihood: Likelihood, space: Space, z: Array, x: Array, size: float, near: bool = False
+) -> Point:
+    """A hypothesis at given coordinates, its starts at their best.
+
+    Where these are `near`, derivatives are taken at once, and again for windows whose start moves.
 
     Raises:
         FloatingPointError: the simulation diverges there.
     """
-    parameters = space.chart.parameters(z)
-    by = likelihood.predictor.by_starts(parameters, x)
-    x, owed = settle_starts(likelihood, parameters, x, by, size)
-    return _point(likelihood, space, z, x, size, derive(likelihood, space, z, x), owed)
-
-
-def _point(
-    likelihood: Likelihood, space: Space, z: Array, x: Array, size: float, linear: Linear,
-    owed: NDArray[np.bool_],
-) -> Point:  # fmt: skip
+    parameters, linear = (
+        space.chart.parameters(z),
+        derive(likelihood, space, z, x) if near else None,
+    )
+    by = (linear.error, linear.by_x) if linear else likelihood.predictor.by_starts(parameters, x)
+    settled, owed = settle_starts(likelihood, parameters, x, by, size)
+    moved = (settled != x).any(axis=1)
+    if linear is None:
+        linear = derive(likelihood, space, z, settled)
+    elif moved.any():
+        again = derive(take_some(likelihood, moved), space, z, settled[moved])
+        for old, new in zip(linear[:3], again[:3], strict=True):
+            old[moved, : new.shape[1]] = new
     if not linear.finite:
         raise FloatingPointError("the simulation diverges")
     rotated = likelihood.rotate(linear)._replace(held=owed)
     weighed = likelihood.weigh(rotated, size)
-    at = likelihood.reduce(weighed, linear.error, x)
-    return Point(space, z, x, size, linear, rotated, weighed, at, _cost(space, at, z))
+    at = likelihood.reduce(weighed, linear.error, settled)
+    return Point(space, z, settled, size, linear, rotated, weighed, at, _cost(space, at, z))
 
 
 def open_point(likelihood: Likelihood, space: Space, z: Array, x: Array) -> Point:
@@ -146,9 +153,9 @@ def _cost(space: Space, at: Reduced, z: Array) -> float:
     return float(at.loss.sum()) + space.prior_cost(z)
 
 
-def curvature(space: Space, at: Reduced, share: float = 1.0) -> Array:
-    """(n, n) Gauss-Newton curvature of the cost, the drives counting for a share of themselves."""
-    return np.asarray(share * np.tensordot(at.weight, at.h, 1) + space.precision)
+def curvature(space: Space, at: Reduced) -> Array:
+    """(n, n) Gauss-Newton curvature of the cost."""
+    return np.asarray(np.tensordot(at.weight, at.h, 1) + space.precision)
 
 
 def with_size(likelihood: Likelihood, point: Point, size: float) -> Point:
@@ -164,21 +171,8 @@ def with_size(likelihood: Likelihood, point: Point, size: float) -> Point:
 
 
 def fresh(likelihood: Likelihood, point: Point) -> Point:
-    """The same point with derivatives taken there, and its starts settled by them.
-
-    Most starts have been followed to their best; derivatives are taken again where one moves.
-    """
-    space, z, size = point.space, point.z, point.size
-    linear = derive(likelihood, space, z, point.x)
-    by = linear.error, linear.by_x
-    x, owed = settle_starts(likelihood, space.chart.parameters(z), point.x, by, size)
-    moved = (x != point.x).any(axis=1)
-    if moved.any():
-        again = derive(take_some(likelihood, moved), space, z, x[moved])
-        width = again.error.shape[1]
-        for old, new in zip(linear[:3], again[:3], strict=True):
-            old[moved, :width] = new
-    return _point(likelihood, space, z, x, size, linear, owed)
+    """The same point with derivatives taken there."""
+    return stand(likelihood, point.space, point.z, point.x, point.size, near=True)
 
 
 def _moved(likelihood: Likelihood, point: Point, dz: Array) -> Point | None:
@@ -215,7 +209,7 @@ def minimise(
         incumbent: cost of a better hypothesis; a search that stays clearly above it is given up.
         steps: how many at most.
     """
-    now, stale, damping = start, 0.0, 1e-4
+    now, stale, damping, whole = start, 0.0, 1e-4, False
     for number in range(steps):
         dz, promised = newton(now.space, now.at, now.z, damping)
         moved = _moved(likelihood, now, dz)
@@ -230,19 +224,15 @@ def minimise(
             continue
         size = likelihood.best_size(now.rotated, now.linear.error, now.x, now.size / FALL)
         there = abs(size - now.size) <= 0.01 * now.size
-        if there and max(promised, gained) < ENOUGH:
-            return _ended(likelihood, now, stale)
+        if whole := there and max(promised, gained) < ENOUGH:
+            break
         lower = with_size(likelihood, now, size)
         if number >= _UNTIL and there and lower.cost > incumbent + BEHIND:
             return replace(lower, whole=False)
         now = lower
         if abs(gained - promised) > _TRUST * max(promised, ENOUGH) or stale > _FAR:
             now, stale = fresh(likelihood, now), 0.0
-    return replace(_ended(likelihood, now, stale), whole=False)
-
-
-def _ended(likelihood: Likelihood, point: Point, stale: float) -> Point:
-    return fresh(likelihood, point) if stale > 1.0 else point
+    return replace(fresh(likelihood, now) if stale > 1.0 else now, whole=whole)
 
 
 def step_within(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Array:

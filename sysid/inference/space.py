@@ -93,14 +93,11 @@ class Space:
 
     def prior_pull(self, z: Array) -> Array:
         """(n,) slope of the log prior."""
-        pull: Array = self.precision @ (self.centre - z)
-        return pull
+        return np.asarray(self.precision @ (self.centre - z))
 
     def base_cost(self, z: Array) -> float:
         """What the base's coordinates alone cost under their own prior [nats]."""
         own = slice(0, self.nuisance)
-        if not self.nuisance:
-            return 0.0
         away = (z - self.centre)[own]
         return 0.5 * float(away @ np.linalg.solve(self.covariance[own, own], away))
 

@@ -321,27 +321,15 @@ def test_w29_what_no_reader_expects_stops_the_car_and_the_core_lives(plan):
     assert r.core.flags == Flag.LINKED | Flag.EXCEPTION
 
 
-@pytest.mark.parametrize(
-    ("state", "clean"), [(SupervisorState.RUNNING, False), (SupervisorState.DISARMED, True)]
-)
-def test_only_a_car_at_rest_is_left_in_good_order(plan, state, clean):
-    """A third signal leaves at once: what still moves is the guardian's to brake."""
-    r = make_runner(plan)
-    r.core.loop.supervisor = changed(r.core.loop.supervisor, state=state)
-    r.it._leave()
+@pytest.mark.parametrize("lost", [False, True])
+@pytest.mark.parametrize("state", ["RUNNING", "ESTOP", "READY", "DISARMED"])
+def test_the_guardian_keeps_what_still_moves(plan, state, lost):
+    """A third signal leaves at once, or a port is lost: the guardian brakes a moving car."""
+    r, clean = make_runner(plan), state in ("READY", "DISARMED")
+    r.core.loop.supervisor = changed(r.core.loop.supervisor, state=SupervisorState[state])
+    (r.it._lose_port if lost else r.it._leave)()
     assert r.guard.clean is clean
-    assert bool(r.port.sent) is clean
-    assert r.port.gone
-
-
-@pytest.mark.parametrize(
-    ("state", "freed"), [(SupervisorState.RUNNING, False), (SupervisorState.READY, True)]
-)
-def test_the_guardian_frees_a_lost_port_unless_the_car_is_armed(plan, state, freed):
-    r = make_runner(plan)
-    r.core.loop.supervisor = changed(r.core.loop.supervisor, state=state)
-    r.it._lose_port()
-    assert r.guard.clean is freed
+    assert lost or (bool(r.port.sent) is clean and r.port.gone)
 
 
 @pytest.mark.parametrize(

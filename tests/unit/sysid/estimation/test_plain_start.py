@@ -160,11 +160,8 @@ def _run(steer=0.3, speed=True, servo_frame=0.0):
 
 
 def test_inertia_follows_mass_and_length_squared():
-    half = CAR._replace(
-        car=DEFAULT_CAR._replace(
-            lf=DEFAULT_CAR.lf / 2, lr=DEFAULT_CAR.lr / 2, mass=DEFAULT_CAR.mass / 2
-        )
-    )
+    lengths = {name: getattr(DEFAULT_CAR, name) / 2 for name in ("lf", "lr", "mass")}
+    half = CAR._replace(car=DEFAULT_CAR._replace(**lengths))
     assert prep.scale_inertia(half, CAR).car.inertia_z == pytest.approx(DEFAULT_CAR.inertia_z / 8)
     assert prep.scale_inertia(CAR, CAR) == CAR
 

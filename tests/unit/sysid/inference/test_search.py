@@ -171,13 +171,12 @@ def test_starts_that_are_far_off_come_back(likelihood, small, settled_base, tyre
 
 def test_derivatives_are_those_where_the_starts_have_gone(likelihood, settled_base):
     """Only windows whose start moves are simulated again."""
-    x = settled_base.x.copy()
-    x[::5, 4] += 1.0
+    x = settled_base.x + np.where(np.arange(len(settled_base.x)) % 5, 0.0, 0.3)[:, None]
     point = search.fresh(likelihood, replace(settled_base, x=x))
-    assert (point.x != x).any()
+    assert 0.0 < (point.x != x).any(axis=1).mean() < 0.5
     whole = search.derive(likelihood, point.space, point.z, point.x)
-    for found, expected in zip(point.linear[:3], whole[:3], strict=True):
-        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+    assert np.allclose(point.linear.by_z, whole.by_z, rtol=1e-9, atol=1e-12)
+    assert np.allclose(point.linear.by_x, whole.by_x, rtol=1e-9, atol=1e-12)
 
 
 def test_a_search_that_ends_at_its_limit_of_steps_is_not_whole(late):
