@@ -177,10 +177,10 @@ class Predictor:
         dfirst[:, n:] = np.eye(STATES)
         error, jy = self._simulate(parameters, seeds, x, dfirst)
         error, finite = self._without_wild(error)
-        parts = jy[:, :, :n], jy[:, :, n:]
-        for part in parts:
-            part[~(np.abs(part).max(axis=(1, 2), initial=0.0) < WILD)] = 0.0
-        return Linear(error, *parts, finite)
+        by_z, by_x = jy[:, :, :n], jy[:, :, n:]
+        jy[~(np.abs(by_x).max(axis=(1, 2)) < WILD)] = 0.0
+        by_z[~(np.abs(by_z).max(axis=(1, 2), initial=0.0) < WILD)] = 0.0
+        return Linear(error, by_z, by_x, finite)
 
     def errors(self, parameters: Array, x: Array) -> tuple[Array, bool]:
         """Errors (W, D) of the car with parameters (P,) alone; whether they are finite."""
