@@ -125,6 +125,9 @@ def _validation(outcome: Outcome) -> Iterator[Line]:
             start = f"{b.position * 1e3:.1f} mm {degrees(b.heading):.2f}°: {h.factor:.1f} x"
             text = f"{a.position * 1e3:7.1f} mm {degrees(a.heading):6.2f}°   (start {start})"
         yield Line("", f"{a.horizon:.1f} s   {text}", whole=True)
+        if h.factor < 1.0 and a.median < b.median:
+            medians = f"{a.median * 1e3:.1f} mm (start {b.median * 1e3:.1f} mm)"
+            yield Line("", f"        median {medians}; a few are far off", whole=True)
     if len(outcome.regimes) > 1:
         medians = ", ".join(
             f"{1e3 * r.median:.{int(r.median < 0.01)}f} mm "

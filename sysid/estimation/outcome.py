@@ -239,8 +239,10 @@ def encode_outcome(outcome: Outcome) -> dict[str, Any]:
         "held_out": {
             "horizons": [
                 {
-                    "horizon": after.horizon, "position": after.position, "heading": after.heading,
-                    "position_before": before.position, "heading_before": before.heading,
+                    name + when: value
+                    for when, errors in (("", after), ("_before", before))
+                    for name, value in errors._asdict().items()
+                    if name + when != "horizon_before"
                 }
                 for after, before in outcome.held_out
             ],

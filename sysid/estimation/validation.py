@@ -48,8 +48,8 @@ class Prediction(NamedTuple):
 
     horizon: float  # [s]
     position: float  # RMS distance [m]; NaN where no window reached so far
+    median: float  # of the distances [m]: one spin does not decide it
     heading: float  # RMS angle [rad]
-    poses: int  # how many were compared
 
 
 class Trace(NamedTuple):
@@ -132,18 +132,18 @@ def _correct(layout: Layout, sigma: Array, x: Array, y: Array, jy: Array) -> tup
 
 
 def errors_at(traces: Sequence[Trace], horizons: Sequence[float]) -> tuple[Prediction, ...]:
-    """RMS errors of predictions at horizons."""
+    """Errors of predictions at horizons."""
     ahead = np.concatenate([trace.ahead for trace in traces])
     off = np.concatenate([trace.measured - trace.predicted for trace in traces])
     out = []
     for horizon in horizons:
         near = np.abs(ahead - horizon) <= _NEAR
         if not near.any():
-            out.append(Prediction(horizon, np.nan, np.nan, 0))
+            out.append(Prediction(horizon, np.nan, np.nan, np.nan))
             continue
-        position = float(np.sqrt(np.mean(np.sum(off[near, :2] ** 2, axis=1))))
-        heading = float(np.sqrt(np.mean(_angles(off[near, 2]) ** 2)))
-        out.append(Prediction(horizon, position, heading, int(near.sum())))
+        distance, angle = np.hypot(*off[near, :2].T), _angles(off[near, 2])
+        position, heading = (float(np.sqrt(np.mean(e**2))) for e in (distance, angle))
+        out.append(Prediction(horizon, position, float(np.median(distance)), heading))
     return tuple(out)
 
 

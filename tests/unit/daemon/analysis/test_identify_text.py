@@ -32,11 +32,11 @@ def identified(found, wheelbase=None, metadata=SIMULATED) -> Identification:
     return Identification(IdentifyOptions(wheelbase=wheelbase), None, drives, found)
 
 
-def outcome(*positions: tuple[float, float]) -> Outcome:
+def outcome(*positions: tuple[float, float], medians: tuple[float, float] = (1.0, 0.5)) -> Outcome:
     """With position errors after and before at 0.5 s and so on [m]."""
     held_out = tuple(
-        HeldOut(Prediction(0.5 * k, after, 0.01, 9), Prediction(0.5 * k, before, 0.01, 9))
-        for k, (after, before) in enumerate(positions, 1)
+        HeldOut(*(Prediction(0.5 * k, *errors, 0.01) for errors in zip(rms, medians, strict=True)))
+        for k, rms in enumerate(positions, 1)
     )
     rows = {"lf": Row(0.2, 0.16, 0.01, "m", True, True)}
     return Outcome(
@@ -56,6 +56,13 @@ def outcome(*positions: tuple[float, float]) -> Outcome:
 )
 def test_the_longest_known_prediction_decides(positions, better):
     assert identified(outcome(*positions)).improved is better
+
+
+def test_one_spin_does_not_make_a_car_worse_than_its_start():
+    spun = outcome((0.6, 0.5), medians=(0.005, 0.3))
+    assert identified(spun).improved
+    assert "median 5.0 mm (start 300.0 mm)" in describe(spun)
+    assert not identified(outcome((0.6, 0.5), medians=(0.31, 0.3))).improved
 
 
 def test_what_is_not_identified_is_one_sentence_with_the_drive_that_helps_most():

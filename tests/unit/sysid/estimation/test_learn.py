@@ -102,7 +102,8 @@ def test_json_is_the_schema(outcome):
     assert encoded["misfit"] == outcome.fit.misfit
     assert encoded["notes"] == list(outcome.notes)
     assert set(encoded["held_out"]["horizons"][0]) == {
-        "horizon", "position", "heading", "position_before", "heading_before",
+        "horizon", "position", "median", "heading",
+        "position_before", "median_before", "heading_before",
     }  # fmt: skip
 
 
