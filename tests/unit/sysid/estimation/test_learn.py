@@ -73,7 +73,7 @@ def test_the_true_car_predicts_to_the_noise_and_a_wrong_one_does_not(run, truth)
     for a, b in pairwise(p.position for p in wrong):
         assert a < b
     assert wrong[-1].position > 10.0 * true[-1].position
-    assert all(p.poses > 0 for p in true)
+    assert all(p.median <= p.position for p in true)
 
 
 def test_excitation_tells_rich_from_poor(run, make_circles):
