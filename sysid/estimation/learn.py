@@ -187,7 +187,7 @@ def _starts(task: Task) -> list[Model[float]]:
 
 
 def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outcome.Fit:
-    """The plain car where it leaves no more than noise, else what windows of one second fit_car.
+    """The plain car where it leaves no more than noise, else a fit to windows of one second.
 
     Raises:
         FloatingPointError: no start gives a finite simulation.
