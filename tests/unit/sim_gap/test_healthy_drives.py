@@ -1,4 +1,4 @@
-"""What drives without a gap fit_car the base car."""
+"""What drives without a gap tell about the base car."""
 
 import numpy as np
 import pytest

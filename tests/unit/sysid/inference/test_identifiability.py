@@ -163,7 +163,7 @@ def test_where_no_place_differs_there_is_no_disc(where, badness):
     assert suspicious_discs(where, badness) == []
 
 
-# What healthy drives fit_car of a base travels beside its car file.
+# What healthy drives tell about a base travels beside its car file.
 
 NAMES = ("lf", "lr", "steer_gain", "scrub.drag")
 
