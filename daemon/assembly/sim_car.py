@@ -17,7 +17,7 @@ from steerd.car_model.car_file import Learned, default_car_path, load_car, updat
 from steerd.car_model.effects import parse_effects
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
-from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
+from steerd.daemon.common.errors import UsageError, refusing
 from steerd.daemon.common.screen import clean
 from steerd.daemon.settings.config import Settings, load_settings, make_settings
 from steerd.daemon.settings.run_options import decode_options
@@ -50,7 +50,7 @@ def load_sim_car(spec: str) -> Settings:
     seed = spec.removeprefix(HIDDEN)
     if not seed.isdecimal():
         what = f"--sim-car {spec}: the seed is a whole number"
-        raise SteerdError(what, f"--sim-car {HIDDEN}7, or a car file", ExitCode.USAGE)
+        raise UsageError(what, f"--sim-car {HIDDEN}7, or a car file")
     updates = {name: Learned(value) for name, value in _hide(int(seed)).items()}
     return make_settings(update_car(Path(f"{spec}.toml"), load_car(default_car_path()), updates))
 

@@ -12,7 +12,7 @@ from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.text import Text
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.screen import raw, show
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
@@ -54,7 +54,7 @@ def find_car(bus: ZenohBus, name: str | None) -> str:
     if name is not None:
         raise SteerdError(f"no car {name!r} on the bus", f"--name {listed}", ExitCode.UNREACHABLE)
     if len(cars) > 1:
-        raise SteerdError("several cars are on the bus", f"--name, one of {listed}", ExitCode.USAGE)
+        raise UsageError("several cars are on the bus", f"--name, one of {listed}")
     return cars[0]
 
 

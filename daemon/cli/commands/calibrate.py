@@ -7,7 +7,7 @@ from pathlib import Path
 
 from steerd.car_model.car_file import CarFile
 from steerd.daemon.cli.arguments import missing_car, missing_session, option
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.common.written import car_outputs, check_outputs, write_outputs
 from steerd.daemon.settings.car_edit import Values, edit_car
@@ -36,7 +36,7 @@ def calibrate(args: Namespace) -> int | None:
     """
     if bool(args.session) == bool(args.port):
         hint = "steerd calibrate servo DRIVE.mcap, or steerd calibrate servo --port DEV"
-        raise SteerdError("name a session or a port", hint, ExitCode.USAGE)
+        raise UsageError("name a session or a port", hint)
     check_outputs({"-o": args.output})
     file, scaling = _by_keys(args) if args.port else _from_session(args.session)
     if scaling is None:
@@ -114,7 +114,7 @@ def _check(args: Namespace) -> int:
 
     if bool(args.session) == bool(args.mocap):
         hint = "steerd mocap check DRIVE.mcap, or steerd mocap check --mocap natnet://HOST/BODY"
-        raise SteerdError("name a session or a source", hint, ExitCode.USAGE)
+        raise UsageError("name a session or a source", hint)
     if args.session:
         checks = check_movement(*load_movement(args.session))
     else:

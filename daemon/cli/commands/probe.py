@@ -9,7 +9,7 @@ from dataclasses import asdict
 from math import degrees
 
 from steerd.daemon.cli.arguments import missing_car, option
-from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
+from steerd.daemon.common.errors import ExitCode, UsageError, refusing
 from steerd.daemon.common.screen import clean, join_words, wrap
 from steerd.daemon.settings.config import load_settings
 from steerd.daemon.setup.probe import VESC_USB, Advice, Found, MocapSeen, VescFound
@@ -40,7 +40,7 @@ def probe(args: Namespace) -> int:
     from steerd.daemon.setup.probe_ask import ask_mocap, ask_ports, find_sockets, in_group
 
     if not 0.5 <= args.seconds <= 600.0:
-        raise SteerdError(f"--seconds {args.seconds:g}: 0.5 to 600", "", ExitCode.USAGE)
+        raise UsageError(f"--seconds {args.seconds:g}: 0.5 to 600")
     settings, clock = load_settings(args.car), MonotonicClock()
     serial = tuple(ask_ports(args.port, clock, settings.brakes))
     with refusing(f"--mocap {args.mocap}: "):
@@ -151,7 +151,7 @@ def rtcheck(args: Namespace) -> int:
 
     if not (0.1 <= args.seconds <= 3600.0 and 20.0 <= args.rate <= 1000.0):
         hint = "--seconds 0.1 to 3600, --rate 20 to 1000"
-        raise SteerdError("--seconds or --rate is out of range", hint, ExitCode.USAGE)
+        raise UsageError("--seconds or --rate is out of range", hint)
     print(f"measuring for {args.seconds:g} s …", file=sys.stderr, flush=True)
     period_ns = round(1e9 / args.rate)
     ticks = max(1, round(args.seconds * args.rate))

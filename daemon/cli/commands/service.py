@@ -12,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 
 from steerd.daemon.cli.arguments import list_actions, option
 from steerd.daemon.cli.commands.run import make_options, run_arguments
-from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
+from steerd.daemon.common.errors import UsageError, refusing
 
 
 def service_arguments(parser: ArgumentParser) -> None:
@@ -63,7 +63,7 @@ def _make_command(args: Namespace) -> list[str]:
 
     if args.fast or args.auto_arm:
         what = "a service starts disarmed and runs in real time"
-        raise SteerdError(what, "leave out --fast and --auto-arm", ExitCode.USAGE)
+        raise UsageError(what, "leave out --fast and --auto-arm")
     make_plan(make_options(args))
     return [sys.executable, "-m", "steerd", "run", *_run_arguments(args)]
 
@@ -103,7 +103,7 @@ def _install(path: Path, text: str, user: bool, *, force: bool) -> None:
     from steerd.daemon.common.written import write_whole
 
     if path.exists() and path.read_text() != text and not force:
-        raise SteerdError(f"{path} exists already", "--force replaces it", ExitCode.USAGE)
+        raise UsageError(f"{path} exists already", "--force replaces it")
     with refusing(f"{path.parent}: "):
         path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, text)
@@ -142,7 +142,7 @@ def make_unit(command: Sequence[str], car: str, *, account: str = "") -> str:
 def _expect_writable(words: Iterable[str], file: str, characters: str, *texts: str) -> None:
     for word in words:
         if any(part in word for part in (*characters, *texts)):
-            raise SteerdError(f"{word!r} cannot be written in a {file}", "", ExitCode.USAGE)
+            raise UsageError(f"{word!r} cannot be written in a {file}")
 
 
 def _fill(name: str, **values: str) -> str:
