@@ -283,10 +283,8 @@ def _list_effects(file: CarFile, th: Thresholds) -> Iterator[_Contradiction]:
         f"([effects]); with more than {most:.2f} a stop is not distinguishable from none",
         "measure that floor or that drag; no stop is sure on it",
     )
-    lack, allowed = (
-        -min(rolling) * believed_car(file.model).speed_lag,
-        th.follow_share * LAUNCH_SPEED,
-    )
+    lack = -min(rolling) * believed_car(file.model).speed_lag
+    allowed = th.follow_share * LAUNCH_SPEED
     yield (
         lack > allowed * (1.0 + 1e-6),
         f"{file.path}: this car lags {lack:.2f} m/s behind its orders ([effects], speed_lag); "
