@@ -20,10 +20,8 @@ from steerd.car_model.params import Car
 from steerd.daemon.common.errors import UsageError, refusing
 from steerd.daemon.common.screen import clean
 from steerd.daemon.settings.config import Settings, load_settings, make_settings
-from steerd.daemon.settings.run_options import decode_options
+from steerd.daemon.settings.run_options import HIDDEN, decode_options
 
-HIDDEN = "hidden:"
-"""Begins the name of a car that a seed hides: `hidden:7`."""
 SHARES: Mapping[str, float] = {
     "c_sf": 0.15, "c_sr": 0.15, "inertia_z": 0.2, "steer_gain": 0.08,
     "steer_lag": 0.3, "speed_gain": 0.04, "speed_lag": 0.3,

@@ -13,6 +13,7 @@ from xml.sax.saxutils import quoteattr
 from steerd.daemon.cli.arguments import list_actions, option
 from steerd.daemon.cli.commands.run import make_options, run_arguments
 from steerd.daemon.common.errors import UsageError, refusing
+from steerd.daemon.settings.run_options import HIDDEN
 
 
 def service_arguments(parser: ArgumentParser) -> None:
@@ -91,7 +92,7 @@ def _run_arguments(args: Namespace) -> list[str]:
 
 
 def _absolute(text: str, dest: str) -> str:
-    if dest in ("car", "record"):
+    if dest in ("car", "lab", "record", "sim_car") and not text.startswith(HIDDEN):
         return str(Path(text).resolve())
     if dest == "path" and text.startswith("csv:"):
         file, comma, rest = text.removeprefix("csv:").partition(",")

@@ -56,6 +56,19 @@ def test_install_print_uninstall(home, capsys, tmp_path, monkeypatch):
     assert run_cli(["service", "uninstall"]) == 3
 
 
+def test_a_service_names_its_files_in_full(capsys, tmp_path, monkeypatch):
+    """It runs in another folder."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "true.toml").write_text(default_car_path().read_text())
+    assert run_cli(["keys", "lab", "--host", "localhost"]) == 0
+    capsys.readouterr()
+    assert run_cli(["service", "print", *OPTIONS, "--lab", "lab/car1"]) == 0
+    assert f"--lab {tmp_path / 'lab' / 'car1'}" in capsys.readouterr().out
+    for named, full in (("true.toml", str(tmp_path / "true.toml")), ("hidden:7", "hidden:7")):
+        assert run_cli(["service", "print", "--sim", "--sim-car", named]) == 0
+        assert f"--sim-car {full}" in capsys.readouterr().out
+
+
 def test_arguments_with_meaning_to_systemd_survive():
     words = ["steerd", "a b", "50%", "$HOME", "C:\\new\\table", 'say "it\'s"']
     unit = make_unit(words, "car1", account="driver")
