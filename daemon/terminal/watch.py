@@ -101,12 +101,10 @@ class Watch:
         state, status = self.board.state, self.board.status
         if (silent := self.silence(t_ns)) > 0.0:
             return f"no message for {silent:.1f} s: is the daemon still running?"
-        name = SupervisorState(state.mode).name if state else status.get("state", "?")
-        motion = (
-            f"{show(state.speed, '+.2f')} m/s, e1 {show(1e3 * state.e1, '+.1f')} mm"
-            if state
-            else "no state"
-        )
+        name, motion = status.get("state", "?"), "no state"
+        if state is not None:
+            name = SupervisorState(state.mode).name
+            motion = f"{show(state.speed, '+.2f')} m/s, e1 {show(1e3 * state.e1, '+.1f')} mm"
         rates = self.rates(t_ns)
         shown = ", ".join(f"{key} {rates[key]:.0f}" for key in _SHOWN if key in rates)
         return f"{name:<14}{motion}; {shown} Hz; fault {self.fault}"

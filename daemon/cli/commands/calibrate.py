@@ -60,12 +60,8 @@ def calibrate(args: Namespace) -> int | None:
 
 
 def _from_session(path: Path) -> tuple[CarFile, Scaling | None]:
+    from steerd.daemon.setup import steering_calibration as steering
     from steerd.daemon.setup.calibration_data import load_recorded
-    from steerd.daemon.setup.steering_calibration import (
-        calibrate_steering,
-        describe_steering,
-        servo_scaling,
-    )
 
     r = load_recorded(path)
     track, steer = r.read.track, r.read.signal(topics.ACTUATION, "steer")
@@ -73,9 +69,9 @@ def _from_session(path: Path) -> tuple[CarFile, Scaling | None]:
         missing = "steering commands" if track else "motion"
         raise SteerdError(f"the session holds no {missing}", "record with `steerd run`")
     file = r.settings.file
-    found = calibrate_steering(track, steer, file.car)
-    scaling = servo_scaling(found, r.settings.scaling)
-    print_found(describe_steering(found, scaling), found.warnings)
+    found = steering.calibrate_steering(track, steer, file.car)
+    scaling = steering.servo_scaling(found, r.settings.scaling)
+    print_found(steering.describe_steering(found, scaling), found.warnings)
     return file, scaling
 
 

@@ -114,11 +114,8 @@ def _list_conflicts(args: Namespace) -> Iterator[tuple[bool, str, str]]:
     yield sim and real, "--sim has its own port and mocap", "drop --sim, or --port and --mocap"
     hint = "steerd run --port /dev/ttyACM0 --mocap natnet://HOST/BODY, or steerd run --sim"
     yield not sim and not (args.port and args.mocap), "a car needs --port and --mocap", hint
-    yield (
-        not sim and (args.auto_arm or args.effect),
-        "--auto-arm and --effect are for --sim only",
-        "",
-    )
+    wrong = not sim and (args.auto_arm or args.effect)
+    yield wrong, "--auto-arm and --effect are for --sim only", ""
     yield not sim and args.sim_car, "--sim-car is the simulated car", "add --sim"
     for name, unit, most in (("duration", "s", 86400.0), ("speed", "m/s", float_info.max)):
         value = getattr(args, name)

@@ -69,11 +69,10 @@ def _list(args: Namespace, folders: tuple[Path, ...]) -> None:
     with show_progress("reading the drives", float(len(shown)), even=True) as advance:
         entries = list(catalogue.list_entries(shown, advance))
     places = {path: number for number, path in enumerate(paths, 1)}
-    entries = [
-        e
-        for e in entries
-        if (not args.tag or args.tag in e.tags) and (not args.car or args.car == e.car)
-    ]
+    if args.tag:
+        entries = [entry for entry in entries if args.tag in entry.tags]
+    if args.car:
+        entries = [entry for entry in entries if args.car == entry.car]
     if args.json:
         print(json.dumps(catalogue.make_json(entries), indent=1, allow_nan=False))
         return
