@@ -83,10 +83,8 @@ class Environment(_Base):  # type: ignore[misc]
             self.observation_space = spaces.Box(-np.inf, np.inf, (len(OBSERVED),), np.float32)
 
     def __repr__(self) -> str:
-        options = self._plan.options
-        return (
-            f"<steerd.Environment: {options.path} {options.speed:g} m/s, {self._ticks / 100:g} s>"
-        )
+        path, speed = self._plan.options.path, self._plan.options.speed
+        return f"<steerd.Environment: {path} {speed:g} m/s, {self._ticks / 100:g} s>"
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None

@@ -142,11 +142,8 @@ class Session:
         Raises:
             SteerdError: pandas is not installed, or as `table`.
         """
-        cls = self._find(topic)[1]
-        return make_frame(
-            _flatten(self._columns(topic)),
-            {leaf.name: leaf.unit for leaf in leaves_of(cls)} | _TIMES,
-        )
+        units = {leaf.name: leaf.unit for leaf in leaves_of(self._find(topic)[1])} | _TIMES
+        return make_frame(_flatten(self._columns(topic)), units)
 
     def __getitem__(self, topic: str) -> "pandas.DataFrame":
         return self.to_pandas(topic)

@@ -171,10 +171,8 @@ def _texts(value: Any) -> Iterable[str]:
     A number is every K-th part, which no file may stand beside: that is for the command to refuse.
     """
     values = value if isinstance(value, list) else [value]
-    parts = [
-        part
-        for each in values
-        for part in ([str(each)] if isinstance(each, Path) else str(each or "").split(","))
-    ]
+    parts: list[str] = []
+    for each in values:
+        parts += [str(each)] if isinstance(each, Path) else str(each or "").split(",")
     numbered = any(part.removeprefix("-").isdigit() for part in parts)
     return () if numbered else (part for part in parts if part and part != "-")

@@ -170,9 +170,8 @@ def _unusable(name: str, error: argparse.ArgumentError) -> SteerdError:
     """The error of an option's value that cannot be used."""
     comma = re.search(r"'(-?\d+),(\d+)'", error.message)
     hint = f"{comma[1]}.{comma[2]}" if comma else f"`steerd {name} --help` shows its options"
-    what = error.message.replace("invalid float value", "not a number").replace(
-        "invalid int value", "not a whole number"
-    )
+    what = error.message.replace("invalid float value", "not a number")
+    what = what.replace("invalid int value", "not a whole number")
     return SteerdError(f"{error.argument_name}: {what}", hint, ExitCode.USAGE)
 
 

@@ -95,8 +95,6 @@ def _next_key(fd: int, clock: Clock) -> str:
 
 def _show(servo: Servo) -> None:
     s = servo.scaling
-    line = (
-        f"\rposition {servo.position:.3f}   centre {s.servo_offset:.3f}   "
-        f"low {s.servo_min:.3f}   high {s.servo_max:.3f} "
-    )
+    line = f"\rposition {servo.position:.3f}   centre {s.servo_offset:.3f}   "
+    line += f"low {s.servo_min:.3f}   high {s.servo_max:.3f} "
     print(line, end="", file=raw(sys.stderr), flush=True)
