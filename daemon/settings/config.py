@@ -239,12 +239,12 @@ def read_frame(table: Mapping[str, Any]) -> FrameConfig:
 def _limits(car_file: CarFile, scaling: Scaling, table: Mapping[str, Any]) -> Limits:
     right, left = steer_limits(scaling)
     car = car_file.car
-    reach = {
+    end_stops = {
         "steer_left_max": min(left, car.steer_max),
         "steer_right_max": min(-right, -car.steer_min),
     }
-    limits = _convert({**reach, **table, "wheelbase": wheelbase(car)}, Limits)
-    return replace(limits, **{k: min(getattr(limits, k), most) for k, most in reach.items()})
+    limits = _convert({**end_stops, **table, "wheelbase": wheelbase(car)}, Limits)
+    return replace(limits, **{k: min(getattr(limits, k), most) for k, most in end_stops.items()})
 
 
 HEADING_MOST = 0.1
