@@ -20,8 +20,6 @@ from steerd.daemon.sessions.info import (
     read_recording,
     seconds_since,
 )
-from steerd.daemon.sessions.plot_data import make_drawing
-from steerd.daemon.sessions.text import format_report
 from steerd.steer_bus import session_read
 from steerd.steer_bus.fields import flat_leaves, leaves_of
 from steerd.steer_bus.session_read import MESSAGE_TYPES
@@ -77,6 +75,7 @@ class Session:
     @property
     def cards(self) -> list[Card]:
         """The key figures of the drive's page."""
+        from steerd.daemon.sessions.plot_data import make_drawing
         from steerd.daemon.sessions.plot_page import list_facts
 
         drawing = make_drawing(self._read)
@@ -166,10 +165,13 @@ class Session:
             SteerdError: the session has changed on disk.
         """
         from steerd.daemon.analysis.figures import plot_session
+        from steerd.daemon.sessions.plot_data import make_drawing
 
         return plot_session(make_drawing(self._read), self.path.name)
 
     def __str__(self) -> str:
+        from steerd.daemon.sessions.text import format_report
+
         return format_report(self.report)
 
     def _find(self, topic: str) -> tuple[str, type[Any]]:

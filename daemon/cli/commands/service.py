@@ -43,7 +43,7 @@ def service(args: Namespace) -> None:
         text = _fill("99-vesc.rules")
     elif args.action == "launch":
         command = _make_command(args)
-        _expect_writable(command, "launch file", "$(")  # which ROS would substitute
+        _expect_writable(command, "launch file", "\n\r\0", "$(")  # which ROS would substitute
         text = _fill("steerd.launch.xml", command=quoteattr(shlex.join(command)))
     else:
         account = "" if user else os.environ.get("SUDO_USER") or getpass.getuser()
@@ -133,17 +133,16 @@ def make_unit(command: Sequence[str], car: str, *, account: str = "") -> str:
     Raises:
         SteerdError: an argument cannot be written in a unit file.
     """
-    _expect_writable((*command, car, account), "unit file")
+    _expect_writable((*command, car, account), "unit file", "\n\r\0")
     protected = _fill("protected.service", account=account) if account else ""
     wanted = "multi-user.target" if account else "default.target"
     words = " ".join(map(_quote, command))
     return _fill("steerd.service", car=car, command=words, protected=protected, wanted=wanted)
 
 
-def _expect_writable(words: Iterable[str], file: str, *texts: str) -> None:
-    """Refuse words with what a file cannot hold: ends of lines, zeros and these texts."""
+def _expect_writable(words: Iterable[str], file: str, characters: str, *texts: str) -> None:
     for word in words:
-        if any(part in word for part in ("\n", "\r", "\0", *texts)):
+        if any(part in word for part in (*characters, *texts)):
             raise UsageError(f"{word!r} cannot be written in a {file}")
 
 
