@@ -118,6 +118,8 @@ def is_same(one: Path, other: Path) -> bool:
     if one.resolve() == other.resolve():
         return True
     try:
+        if one.stat().st_size != other.stat().st_size:
+            return False
         return filecmp.cmp(one, other, shallow=False)
     except OSError:
         return False  # whoever reads it says why it cannot be read

@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from math import degrees
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,9 +13,9 @@ from steerd.daemon.common.errors import SteerdError, UsageError
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.common.screen import wrap
 from steerd.daemon.imports.propose import Proposal, change, format_map, list_sections
-from steerd.daemon.sessions.info import SessionReport, load_recording, make_session_report
-from steerd.daemon.sessions.motion import find_erpm_gain, round_gain
-from steerd.steer_bus.topics import VESC
+
+if TYPE_CHECKING:
+    from steerd.daemon.sessions.info import SessionReport
 
 Trial = Callable[[Path, Path], object]  # imports by a map file into a session file
 _LEFT, _MM = "must be left positive", "millimetres"
@@ -79,6 +80,10 @@ def _try(
     Raises:
         SteerdError: it cannot be imported like this.
     """
+    from steerd.daemon.sessions.info import load_recording, make_session_report
+    from steerd.daemon.sessions.motion import find_erpm_gain, round_gain
+    from steerd.steer_bus.topics import VESC
+
     with tempfile.TemporaryDirectory(prefix="steerd-") as folder:
         the_map, out = Path(folder) / "map.toml", Path(folder) / "trial.mcap"
         the_map.write_text(format_map(proposal, source.name), encoding="utf-8")
@@ -95,7 +100,7 @@ def _try(
     return [*lines], report.warnings, gain
 
 
-def _lines(report: SessionReport, yaw: np.ndarray | None, gain: float | None) -> Iterator[str]:
+def _lines(report: "SessionReport", yaw: "np.ndarray | None", gain: float | None) -> Iterator[str]:
     yield f"{report.info.duration_s:.1f} s, {report.info.count} messages"
     if report.length_m is not None:
         yield f"driven    {report.length_m:.1f} m"

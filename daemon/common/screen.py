@@ -60,17 +60,25 @@ def wrap(text: str, first: str = "", rest: str = "", width: int = WIDTH) -> list
     return [line.replace(NBSP, " ") for line in lines]
 
 
-def wrap_command(command: str, first: str = "", rest: str = "") -> list[str]:
+def wrap_command(command: str, first: str = "", rest: str = "", width: int = WIDTH) -> list[str]:
     """A command line to copy: broken before options, with the shell's continuation.
 
     Args:
         command: as it is typed.
         first: the head of the first line.
         rest: the indent of the others.
+        width: columns.
     """
-    parts = re.sub(r" (?!-)", NBSP, command)
-    *lines, last = wrap(parts, first, rest, WIDTH - 2)
-    return [*(f"{line} \\" for line in lines), last]
+    lines: list[str] = []
+    line = ""
+    for part in re.split(r" (?=-)", command):
+        head = rest if lines else first
+        if line and len(head) + len(line) + 1 + len(part) + 2 > width:
+            lines.append(f"{head}{line} \\")
+            line = part
+        else:
+            line = f"{line} {part}" if line else part
+    return [*lines, f"{rest if lines else first}{line}"]
 
 
 def below_home(path: Path) -> str:

@@ -9,7 +9,6 @@ them was written by somebody else, or edited since. Without the state folder eve
 
 import contextlib
 import hashlib
-import itertools
 import os
 import shutil
 import sys
@@ -171,9 +170,13 @@ def _link(path: Path, other: Path) -> None:
 def dated_name(path: Path) -> Path:
     """`NAME.DATE.SUFFIX` of a file, by its last change in local time; the first that is free."""
     stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.localtime(path.stat().st_mtime))
-    endings = itertools.chain([""], map(".{}".format, itertools.count(2)))
-    names = (path.with_name(f"{path.stem}.{stamp}{each}{path.suffix}") for each in endings)
-    return next(name for name in names if not name.exists())
+    count = 1
+    while True:
+        more = "" if count == 1 else f".{count}"
+        name = path.with_name(f"{path.stem}.{stamp}{more}{path.suffix}")
+        if not name.exists():
+            return name
+        count += 1
 
 
 def _digest(data: bytes) -> str:

@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from steerd.car_model.car_file import CarFile
-from steerd.car_model.planar import DRIVES
 from steerd.daemon.cli.arguments import missing_car, missing_session, option
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.common.written import car_outputs, check_outputs, write_outputs
-from steerd.daemon.sessions.text import print_warnings
 from steerd.daemon.settings.car_edit import Values, edit_car
 from steerd.daemon.settings.config import load_settings
-from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.vesc_link.scaling import Scaling
 
@@ -41,14 +38,7 @@ def calibrate(args: Namespace) -> int | None:
         hint = "steerd calibrate servo DRIVE.mcap, or steerd calibrate servo --port DEV"
         raise UsageError("name a session or a port", hint)
     check_outputs({"-o": args.output})
-    if args.port:
-        from steerd.daemon.terminal.servo_keys import steer_by_keys
-
-        settings = load_settings(args.car)
-        print("only the servo moves; lift the front wheels", file=sys.stderr)
-        file, scaling = settings.file, steer_by_keys(args.port, settings.scaling, MonotonicClock())
-    else:
-        file, scaling = _from_session(args.session)
+    file, scaling = _by_keys(args) if args.port else _from_session(args.session)
     if scaling is None:
         print("nothing was changed")
         return ExitCode.INTERRUPTED
@@ -62,6 +52,7 @@ def calibrate(args: Namespace) -> int | None:
 def _from_session(path: Path) -> tuple[CarFile, Scaling | None]:
     from steerd.daemon.setup import steering_calibration as steering
     from steerd.daemon.setup.calibration_data import load_recorded
+    from steerd.steer_bus import topics
 
     r = load_recorded(path)
     track, steer = r.read.track, r.read.signal(topics.ACTUATION, "steer")
@@ -73,6 +64,14 @@ def _from_session(path: Path) -> tuple[CarFile, Scaling | None]:
     scaling = steering.servo_scaling(found, r.settings.scaling)
     print_found(steering.describe_steering(found, scaling), found.warnings)
     return file, scaling
+
+
+def _by_keys(args: Namespace) -> tuple[CarFile, Scaling | None]:
+    from steerd.daemon.terminal.servo_keys import steer_by_keys
+
+    settings = load_settings(args.car)
+    print("only the servo moves; lift the front wheels", file=sys.stderr)
+    return settings.file, steer_by_keys(args.port, settings.scaling, MonotonicClock())
 
 
 def mocap_arguments(parser: ArgumentParser) -> None:
@@ -125,6 +124,7 @@ def _check(args: Namespace) -> int:
 
 
 def _calibrate(args: Namespace) -> None:
+    from steerd.car_model.planar import DRIVES
     from steerd.daemon.setup import mount_calibration as mount
     from steerd.daemon.setup.calibration_data import load_recorded, make_drive
 
@@ -140,6 +140,8 @@ def _calibrate(args: Namespace) -> None:
 
 def print_found(lines: Sequence[str], warnings: Sequence[str]) -> None:
     """Show what a calibration found."""
+    from steerd.daemon.sessions.text import print_warnings
+
     print("\n".join(lines))
     print_warnings(warnings)
 

@@ -1,15 +1,11 @@
 """Commands on a car file, and on the effects that it may name."""
 
-import json
 import re
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from math import degrees
 from pathlib import Path
 
-from steerd.car_model.effects import EFFECTS
-from steerd.daemon.analysis.options import read_effects
-from steerd.daemon.assembly.build import plan_car
 from steerd.daemon.cli.arguments import missing_car, missing_file, option
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.progress import show_progress
@@ -47,14 +43,19 @@ def config(args: Namespace) -> None:
         write_outputs({out: text})
         print(f"{out}: gains of {settings.file.name}")
     elif args.check:
-        settings, plan = plan_car(load_car_file(args.check))
-        print("\n".join(describe(settings)))
-        label = "  controller  "
-        about = plan.controller.report.describe()
-        about = re.sub(r"(?<=\d) (?=[mH])", NBSP, about)  # a figure with its unit
-        print("\n".join(wrap(about, label, " " * len(label))))
+        _check(args.check)
     else:
         print(load_settings(args.check).file.text, end="")
+
+
+def _check(path: Path) -> None:
+    from steerd.daemon.assembly.build import plan_car
+
+    settings, plan = plan_car(load_car_file(path))
+    print("\n".join(describe(settings)))
+    label = "  controller  "
+    about = re.sub(r"(?<=\d) (?=[mH])", NBSP, plan.controller.report.describe())  # with its unit
+    print("\n".join(wrap(about, label, " " * len(label))))
 
 
 def describe(settings: Settings) -> list[str]:
@@ -144,10 +145,14 @@ def effects(args: Namespace) -> None:
             names = add_effect(args.add) if args.add else remove_effect(args.remove)
         print(f"added: {', '.join(names)}; try: steerd effects {names[0]}" if names else "removed")
         return
+    from steerd.car_model.effects import EFFECTS
     from steerd.daemon.analysis import effects_text
+    from steerd.daemon.analysis.options import read_effects
 
     named = [EFFECTS[name] for name in read_effects([args.name] if args.name else [])]
     if args.json:
+        import json
+
         print(json.dumps(effects_text.make_json(named or EFFECTS.values()), indent=1))
     elif args.page:
         print(effects_text.make_page(), end="")

@@ -6,21 +6,16 @@ import sys
 from argparse import ArgumentParser, Namespace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from steerd.daemon.cli.arguments import missing_file, option
-from steerd.daemon.cli.import_ask import ask
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.screen import print_labelled
-from steerd.daemon.common.translate import reading
-from steerd.daemon.common.written import write_outputs
-from steerd.daemon.imports.bag import import_bag, propose_bag
-from steerd.daemon.imports.csv_log import import_csv
-from steerd.daemon.imports.import_session import ImportReport, check_output
-from steerd.daemon.imports.propose import propose_csv
-from steerd.daemon.sessions.info import load_recording, make_session_report
-from steerd.daemon.sessions.text import format_report, print_warnings
+
+if TYPE_CHECKING:
+    from steerd.daemon.imports.import_session import ImportReport
 
 _KINDS = ("csv", "bag")
 _BAG_SUFFIXES = (".bag", ".db3", ".mcap", ".zstd")
@@ -83,30 +78,49 @@ def default_output(source: Path) -> Path:
 
 def _import(
     args: Namespace, kind: str, source: Path, the_map: Path | None, out: Path
-) -> ImportReport:
-    size = source.stat().st_size if kind == "csv" and source.is_file() else 1
-    with show_progress(f"reading {source.name}", size, even=True) as advance:
-        if kind == "csv":
+) -> "ImportReport":
+    if kind == "csv":
+        from steerd.daemon.imports.csv_log import import_csv
+
+        size = source.stat().st_size if source.is_file() else 1
+        with show_progress(f"reading {source.name}", size, even=True) as advance:
             return import_csv(source, the_map or Path(), out, advance, args.erpm_gain)
+    from steerd.daemon.imports.bag import import_bag
+
+    with show_progress(f"reading {source.name}", 1.0, even=True) as advance:
         return import_bag(source, the_map, out, advance, args.topic, args.rigid, args.erpm_gain)
 
 
 def _agree(args: Namespace, kind: str, source: Path, out: Path) -> Path:
     """The map that somebody agreed to, written beside the session."""
+    from steerd.daemon.cli.import_ask import ask
+    from steerd.daemon.common.written import write_outputs
+    from steerd.daemon.imports.import_session import check_output
+
     check_output(out)
-    if kind == "csv":
-        with reading(source):
-            proposal = propose_csv(source)
-    else:
-        proposal = propose_bag(source)
-    text = ask(proposal, source, partial(_import, args, kind, source))
+    text = ask(_propose(kind, source), source, partial(_import, args, kind, source))
     the_map = out.with_suffix(".map.toml")
     write_outputs({the_map: text})
     print(f"written: {the_map}")
     return the_map
 
 
-def _print_result(made: ImportReport, args: Namespace, the_map: Path | None) -> None:
+def _propose(kind: str, source: Path) -> dict[str, dict[str, object]]:
+    if kind == "csv":
+        from steerd.daemon.common.translate import reading
+        from steerd.daemon.imports.propose import propose_csv
+
+        with reading(source):
+            return propose_csv(source)
+    from steerd.daemon.imports.bag import propose_bag
+
+    return propose_bag(source)
+
+
+def _print_result(made: "ImportReport", args: Namespace, the_map: Path | None) -> None:
+    from steerd.daemon.sessions.info import load_recording, make_session_report
+    from steerd.daemon.sessions.text import format_report, print_warnings
+
     report = make_session_report(load_recording(made.path))
     print(format_report(report))
     for remark in made.remarks:

@@ -11,15 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 from steerd.car_model.car_file import CarFile
 from steerd.daemon.analysis.options import Watch, read_arguments
-from steerd.daemon.assembly.build import report_refusal
 from steerd.daemon.cli import arguments
 from steerd.daemon.cli.arguments import missing_car, option, split_list
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.screen import print_labelled, wrap
 from steerd.daemon.common.written import Write, writing
-from steerd.daemon.learning.reported import encode_model, format_model
-from steerd.daemon.sessions.text import print_warnings
 from steerd.posterior_file import posterior_path
 
 if TYPE_CHECKING:
@@ -70,6 +67,8 @@ def identify(args: Namespace) -> int:
     the result predicts no better than the start values.
     """
     from steerd.daemon.analysis.identification import IdentifyOptions, run_identify
+    from steerd.daemon.assembly.build import report_refusal
+    from steerd.daemon.sessions.text import print_warnings
 
     with writing(list_outputs(args), announced=True) as write:
         paths = arguments.pick_sessions(args.sessions)
@@ -141,6 +140,8 @@ def diagnose(args: Namespace) -> None:
     base car's simulation diverges.
     """
     from steerd.daemon.analysis.diagnosis import DRIVEN, DiagnoseOptions, run_diagnose
+    from steerd.daemon.assembly.build import report_refusal
+    from steerd.daemon.sessions.text import print_warnings
 
     if args.json is not None and args.json.suffix == ".mcap":
         what = f"--json {args.json}: that is a session"
@@ -225,6 +226,7 @@ def learn(args: Namespace) -> None:
     steerd learn RUN.mcap --base car.toml --json
     """
     from steerd.daemon.analysis.learning import learn_session
+    from steerd.daemon.learning.reported import encode_model, format_model
 
     path = arguments.pick_session(args.session)
     with show_progress("learning", 1.0) as advance:

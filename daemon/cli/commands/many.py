@@ -2,16 +2,16 @@
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from steerd.daemon.cli.arguments import missing_file, option
 from steerd.daemon.common.errors import UsageError
 from steerd.daemon.common.packaged import EXAMPLES
 from steerd.daemon.common.screen import NBSP, wrap
 from steerd.daemon.common.written import check_outputs
-from steerd.daemon.many.batch.unit import Question, find_batch, read_cars
-from steerd.daemon.many.job import do_in_terminal
-from steerd.daemon.many.sweep.plan import SweepPlan, load_sweep
-from steerd.daemon.many.units import Where
+
+if TYPE_CHECKING:
+    from steerd.daemon.many.sweep.plan import SweepPlan
 
 _KINDS = ("summarise", "identify", "diagnose")
 
@@ -50,7 +50,10 @@ def sweep(args: Namespace) -> None:
     check_outputs({"-o": args.output, "--page": args.page})
     if (args.again is None) != (args.record is None):
         raise UsageError("--again and --record go together", "name both")
+    from steerd.daemon.many.job import do_in_terminal
+    from steerd.daemon.many.sweep.plan import load_sweep
     from steerd.daemon.many.sweep.run import make_job
+    from steerd.daemon.many.units import Where
 
     plan = load_sweep(args.file)
     if args.again is not None:
@@ -59,7 +62,7 @@ def sweep(args: Namespace) -> None:
         do_in_terminal(make_job(plan), Where(args.jobs), args.output, args.page)
 
 
-def _drive_again(plan: SweepPlan, args: Namespace) -> None:
+def _drive_again(plan: "SweepPlan", args: Namespace) -> None:
     """Drive one case of the sweep and record it."""
     from steerd.daemon.many.sweep.run import find_case, prepare
     from steerd.daemon.offline.fast import check_driven, record_virtual
@@ -108,6 +111,9 @@ def batch(args: Namespace) -> None:
     """
     check_outputs({"-o": args.output, "--page": args.page})
     from steerd.daemon.many.batch.run import make_job
+    from steerd.daemon.many.batch.unit import Question, find_batch, read_cars
+    from steerd.daemon.many.job import do_in_terminal
+    from steerd.daemon.many.units import Where
 
     job = make_job(find_batch(args.sessions), Question(args.kind, read_cars(args.cars)))
     do_in_terminal(job, Where(args.jobs, args.dask), args.output, args.page)

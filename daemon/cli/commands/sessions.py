@@ -11,10 +11,6 @@ from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.translate import reading
 from steerd.daemon.common.written import check_outputs, write_outputs
-from steerd.daemon.imports.import_session import check_output
-from steerd.daemon.sessions import catalogue
-from steerd.daemon.sessions.info import load_recording, load_session, make_session_report
-from steerd.daemon.sessions.text import format_report, make_json, print_warnings
 
 SHOWN = 40  # drives that are listed unless all are asked for
 _FIGURES = (".png", ".svg", ".pdf")
@@ -51,16 +47,20 @@ def sessions(args: Namespace) -> None:
     identify and diagnose take them too. Tags and notes lie beside the session, in
     NAME.notes.toml.
     """
+    from steerd.daemon.sessions.catalogue import default_folders, find_session
+
     if args.folder is not None and not args.folder.is_dir():
         raise SteerdError(f"there is no folder {args.folder}", "", ExitCode.UNREADABLE)
-    folders = (args.folder,) if args.folder else catalogue.default_folders()
+    folders = (args.folder,) if args.folder else default_folders()
     if args.kind is None:
         _list(args, folders)
     else:
-        _write(args, catalogue.find_session(args.session, folders))
+        _write(args, find_session(args.session, folders))
 
 
 def _list(args: Namespace, folders: tuple[Path, ...]) -> None:
+    from steerd.daemon.sessions import catalogue
+
     page = folders[0] / "sessions.html" if args.page == Path() else args.page
     if page:
         check_outputs({"--page": page})
@@ -91,7 +91,9 @@ def _list(args: Namespace, folders: tuple[Path, ...]) -> None:
 
 
 def _write(args: Namespace, session: Path) -> None:
-    tags, note = catalogue.read_notes(session)
+    from steerd.daemon.sessions.catalogue import notes_file, read_notes, write_notes
+
+    tags, note = read_notes(session)
     match args.kind:
         case "tag":
             tags = (*tags, *args.tags)
@@ -99,8 +101,8 @@ def _write(args: Namespace, session: Path) -> None:
             tags = tuple(tag for tag in tags if tag not in args.tags)
         case _:
             note = " ".join(args.text)
-    catalogue.write_notes(session, tags, note)
-    print(f"written: {catalogue.notes_file(session)}")
+    write_notes(session, tags, note)
+    print(f"written: {notes_file(session)}")
 
 
 def info_arguments(parser: ArgumentParser) -> None:
@@ -114,6 +116,9 @@ def info(args: Namespace) -> None:
     steerd info SESSION.mcap
     steerd info SESSION.mcap --json
     """
+    from steerd.daemon.sessions.info import load_recording, make_session_report
+    from steerd.daemon.sessions.text import format_report, make_json, print_warnings
+
     report = make_session_report(load_recording(pick_session(args.session)))
     if args.json:
         print(json.dumps(make_json(report), indent=1, allow_nan=False))
@@ -150,6 +155,7 @@ def plot(args: Namespace) -> None:
         raise UsageError(f"{output.name}: several drives are compared on a page", "-o FILE.html")
     if len(paths) > 1:
         from steerd.daemon.sessions.compare import render_comparison
+        from steerd.daemon.sessions.info import load_recording
 
         content = render_comparison(list(map(load_recording, paths)), args.shift).encode()
     else:
@@ -159,8 +165,10 @@ def plot(args: Namespace) -> None:
 
 
 def _draw(path: Path, suffix: str) -> bytes:
+    from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.plot_data import make_drawing
     from steerd.daemon.sessions.plot_page import make_csv, make_page
+    from steerd.daemon.sessions.text import print_warnings
 
     read = load_recording(path)
     report = make_session_report(read)
@@ -182,6 +190,8 @@ def replay_arguments(parser: ArgumentParser) -> None:
 def replay(args: Namespace) -> int:
     """Feed a recorded session through the loop and report commands that differ."""
     from steerd.daemon.offline.replay import check_same, describe_difference, replay
+    from steerd.daemon.sessions.info import load_session
+    from steerd.daemon.sessions.text import print_warnings
 
     path = pick_session(args.session)
     session = load_session(path)
@@ -212,6 +222,9 @@ def recover(args: Namespace) -> None:
 
     Reads SESSION.mcap.partial where the session never got its name.
     """
+    from steerd.daemon.imports.import_session import check_output
+    from steerd.daemon.sessions.info import load_session
+    from steerd.daemon.sessions.text import print_warnings
     from steerd.steer_bus.session import recover
 
     partial = args.session.with_name(args.session.name + ".partial")
