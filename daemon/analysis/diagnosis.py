@@ -31,7 +31,7 @@ from steerd.daemon.analysis.options import (
 )
 from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.assembly.sim_car import compare_truths, read_origin
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.screen import shown
 from steerd.posterior_file import TABLES
 from steerd.sim_gap import diagnosis as engine
@@ -183,7 +183,7 @@ def make_case(
     only, without = read_effects(options.only), read_effects(options.without)
     held_out, quiet = read_held_out(options.held_out), list_sessions(options.healthy)
     if only and not set(only) - set(without):
-        raise SteerdError("only and without leave no effect", "", ExitCode.USAGE)
+        raise UsageError("only and without leave no effect")
     sessions = without_reserved(paths, held_out.files, "diagnose")
     for path in held_out.files:  # opened later, but its absence is reported at once
         if not path.is_file():
@@ -192,7 +192,7 @@ def make_case(
     for path in quiet:
         if any(is_same(path, each) for each in (*sessions, *held_out.files)):
             what = f"healthy {path} is one of the drives to explain: its gap would pass for noise"
-            raise SteerdError(what, "name a drive without the gap", ExitCode.USAGE)
+            raise UsageError(what, "name a drive without the gap")
     drives = load_drives(
         sessions, options.speed, watch, lambda share: watch.progress(LOADED * share)
     )
@@ -239,7 +239,7 @@ def find_base(
         base = read_session_car(first)
     except CarFileError as error:
         what = f"{first.info().path.name}: the car file inside cannot be used: {error.what}"
-        raise SteerdError(what, "name one with --base car.toml", ExitCode.INVALID) from None
+        raise SteerdError(what, "name one with --base car.toml") from None
     differ = f"the sessions' car files differ: the one inside {first.info().path.name} counts"
     notes = (differ,) if len({*inside}) > 1 else ()
     return base, "the car file inside the session", notes

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from steerd.daemon.analysis.hints import refusing
 from steerd.daemon.analysis.options import EVERY, HeldOut, Speed, Watch
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import SteerdError, UsageError
 from steerd.daemon.common.translate import reading
 from steerd.daemon.sessions.info import load_session, make_session_report, read_recording
 from steerd.daemon.sessions.motion import make_range
@@ -134,7 +134,7 @@ def refuse_copies(paths: Sequence[Path]) -> None:
     for one, other in combinations(paths, 2):
         if is_same(one, other):
             copy = f"{other} is a copy of {one}" if one != other else f"{one} is named twice"
-            raise SteerdError(copy, "name each drive once", ExitCode.USAGE)
+            raise UsageError(copy, "name each drive once")
 
 
 def without_reserved(
@@ -150,7 +150,7 @@ def without_reserved(
     kept = tuple(path for path in given if not any(is_same(path, each) for each in reserved))
     if not kept:
         what = f"every session is held out: nothing is left to {purpose}"
-        raise SteerdError(what, "name another session", ExitCode.USAGE)
+        raise UsageError(what, "name another session")
     return kept
 
 
@@ -216,7 +216,7 @@ def split_drives(case: Case, held_out: HeldOut, speed: Speed, watch: Watch) -> C
         return replace(case, runs=blocks if few else parts, notes=(*case.notes, note))
     if len(blocks) < every:
         what = f"only {len(blocks)} blocks: too few to hold every {_ordinal(every)} out"
-        raise SteerdError(what, "--held-out 0, or name a session", ExitCode.INVALID)
+        raise SteerdError(what, "--held-out 0, or name a session")
     fitted, kept = segments.split_every(blocks, every)
     named = f"every {_ordinal(every)} block of the drive"
     return replace(case, runs=fitted, later=lambda: kept, held_out_of=named)

@@ -91,6 +91,5 @@ def make_json(effects: Iterable[Effect]) -> dict[str, Any]:
 
 def make_page() -> str:
     """The page `docs/reference/effects.md`."""
-    return render_page(
-        Path(__file__).with_name("effects.md.jinja"), stages=by_stage(), words=_STAGES
-    )
+    page = Path(__file__).with_name("effects.md.jinja")
+    return render_page(page, stages=by_stage(), words=_STAGES)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from steerd.daemon.analysis.options import CarSource
 from steerd.daemon.analysis.simulation import EffectValues, Steered, plan_drive
 from steerd.daemon.assembly.build import make_world_config
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import SteerdError, UsageError
 from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import make_virtual_run
@@ -67,7 +67,7 @@ class Environment(_Base):  # type: ignore[misc]
         reward: Callable[[StateMessage, Sequence[float]], float] = stay_in_lane,
     ) -> None:
         if every < 1:
-            raise SteerdError(f"every {every}: 1 or more", "", ExitCode.USAGE)
+            raise UsageError(f"every {every}: 1 or more")
         # The drive itself is longer: its end belongs to the episode's truncation.
         self._plan = plan_drive(car, path, speed, duration + 1.0, 0, effects, external=True)
         make_world_config(self._plan)  # refuses effects that there are not
@@ -83,10 +83,8 @@ class Environment(_Base):  # type: ignore[misc]
             self.observation_space = spaces.Box(-np.inf, np.inf, (len(OBSERVED),), np.float32)
 
     def __repr__(self) -> str:
-        options = self._plan.options
-        return (
-            f"<steerd.Environment: {options.path} {options.speed:g} m/s, {self._ticks / 100:g} s>"
-        )
+        path, speed = self._plan.options.path, self._plan.options.speed
+        return f"<steerd.Environment: {path} {speed:g} m/s, {self._ticks / 100:g} s>"
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None

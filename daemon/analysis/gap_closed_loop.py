@@ -97,7 +97,7 @@ def _options_of(session: Session) -> RunOptions:
         raise SteerdError("another program steered")
     return replace(
         options, car_file="", port=None, mocap=None, simulated=True, auto_arm=True, effects=(),
-        sim_car="",        duration_s=SECONDS, seed=options.seed + _SEED, record=None,
+        sim_car="", duration_s=SECONDS, seed=options.seed + _SEED, record=None,
     )  # fmt: skip
 
 

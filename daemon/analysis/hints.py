@@ -13,7 +13,7 @@ from pathlib import Path
 from numpy.linalg import LinAlgError
 
 from steerd.daemon.assembly.sim_car import read_origin
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.steer_bus.atomic_file import takes_nothing
 from steerd.steer_bus.session_read import Session
 from steerd.sysid.data.data_checks import DataError
@@ -64,12 +64,11 @@ def refusing(sessions: Sequence[Session], stopped: str = "") -> Iterator[None]:
     try:
         yield
     except DataError as error:
-        hint = complete(error.hint, sessions)
-        raise SteerdError(error.what, hint, ExitCode.INVALID) from None
+        raise SteerdError(error.what, complete(error.hint, sessions)) from None
     except ModuleNotFoundError:
         raise
     except ImportError as error:  # says which optional extra is missing
-        raise SteerdError(str(error), "", ExitCode.USAGE) from None
+        raise UsageError(str(error)) from None
     except FloatingPointError as error:
         raise SteerdError(str(error), stopped, ExitCode.STOPPED) from None
     except LinAlgError:
@@ -78,4 +77,4 @@ def refusing(sessions: Sequence[Session], stopped: str = "") -> Iterator[None]:
     except (ValueError, OSError) as error:
         if takes_nothing(error):
             raise
-        raise SteerdError(str(error), "", ExitCode.INVALID) from None
+        raise SteerdError(str(error)) from None

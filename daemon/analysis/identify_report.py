@@ -129,16 +129,13 @@ def _validation(outcome: Outcome) -> Iterator[Line]:
             medians = f"{a.median * 1e3:.1f} mm (start {b.median * 1e3:.1f} mm)"
             yield Line("", f"        median {medians}; a few are far off", whole=True)
     if len(outcome.regimes) > 1:
-        medians = ", ".join(
-            f"{1e3 * r.median:.{int(r.median < 0.01)}f} mm "
-            + (
-                f"to {r.lateral_accel_high:g}"
-                if isfinite(r.lateral_accel_high)
-                else f"above {r.lateral_accel_low:g}"
-            )
-            for r in outcome.regimes
-        )
-        yield Line("", f"median after 1 s by lateral acceleration [m/s²]: {medians}")
+        medians = []
+        for r in outcome.regimes:
+            low, high = r.lateral_accel_low, r.lateral_accel_high
+            where = f"to {high:g}" if isfinite(high) else f"above {low:g}"
+            medians.append(f"{1e3 * r.median:.{int(r.median < 0.01)}f} mm {where}")
+        text = f"median after 1 s by lateral acceleration [m/s²]: {', '.join(medians)}"
+        yield Line("", text)
 
 
 # -- the page --------------------------------------------------------------------------------------

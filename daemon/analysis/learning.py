@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from steerd.daemon.analysis.diagnosis import find_base
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.progress import watched
 from steerd.daemon.common.translate import reading
 from steerd.daemon.learning.feed import NEEDED, Wiring, make_feed, read_memory
@@ -59,7 +59,7 @@ def learn_session(
             reports.append(report)
     if not reports:
         what = f"{path.name}: no second of driving with poses and commands"
-        raise SteerdError(what, "record mocap and actuation of a drive", ExitCode.INVALID)
+        raise SteerdError(what, "record mocap and actuation of a drive")
     made = [encode(report) for report in reports]
     digest = hashlib.sha256(b"".join(made)).hexdigest()
     same = sum(one == other for one, other in zip(made, recorded, strict=False))

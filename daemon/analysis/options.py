@@ -14,7 +14,7 @@ from typing import Any, Concatenate, Literal, NamedTuple, ParamSpec, Protocol, T
 
 from steerd.car_model.car_file import CarFile, default_car_path
 from steerd.car_model.effects import find_effect
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import UsageError
 from steerd.daemon.common.notebook import notebook_progress, speaking_of_arguments
 from steerd.daemon.common.progress import Step
 from steerd.daemon.common.translate import load_car_file
@@ -114,11 +114,10 @@ def read_held_out(given: HeldOutSource) -> HeldOut:
     files = list_sessions([each for each in listed if not isinstance(each, int)])
     every = numbers[0] if numbers else None
     if len(numbers) > 1 or (numbers and files):
-        what = f"held out {every}: every K-th part, or files, not both"
-        raise SteerdError(what, "", ExitCode.USAGE)
+        raise UsageError(f"held out {every}: every K-th part, or files, not both")
     if every is not None and (every < 0 or every == 1):
         what = f"held out {every}: every K-th part is held out, 2 or more"
-        raise SteerdError(what, "0 holds nothing out", ExitCode.USAGE)
+        raise UsageError(what, "0 holds nothing out")
     return HeldOut(every, files)
 
 
@@ -138,7 +137,7 @@ def read_effects(names: Sequence[str]) -> tuple[str, ...]:
         return tuple(find_effect(name).name for name in names)
     except ValueError as error:
         what, _, hint = str(error).partition("; ")
-        raise SteerdError(what, hint, ExitCode.USAGE) from None
+        raise UsageError(what, hint) from None
 
 
 def read_car(given: CarSource) -> CarFile:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.notebook import load_package, make_frame
 from steerd.daemon.common.screen import shown
 from steerd.daemon.common.translate import reading
@@ -141,11 +141,8 @@ class Session:
         Raises:
             SteerdError: pandas is not installed, or as `table`.
         """
-        cls = self._find(topic)[1]
-        return make_frame(
-            _flatten(self._columns(topic)),
-            {leaf.name: leaf.unit for leaf in leaves_of(cls)} | _TIMES,
-        )
+        units = {leaf.name: leaf.unit for leaf in leaves_of(self._find(topic)[1])} | _TIMES
+        return make_frame(_flatten(self._columns(topic)), units)
 
     def __getitem__(self, topic: str) -> "pandas.DataFrame":
         return self.to_pandas(topic)
@@ -187,8 +184,7 @@ class Session:
         found = self._names.get(topic) or by_topic.get(topic)
         if found is None:
             what = f"{self.path.name} has no table {topic!r}"
-            hint = f"it has {', '.join(self.topics) or 'none'}"
-            raise SteerdError(what, hint, ExitCode.INVALID)
+            raise SteerdError(what, f"it has {', '.join(self.topics) or 'none'}")
         return found
 
     def _columns(self, topic: str) -> Columns:

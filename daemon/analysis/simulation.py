@@ -10,7 +10,7 @@ from tempfile import mkdtemp
 from steerd.daemon.analysis.options import CarSource, read_car
 from steerd.daemon.analysis.recorded import Session
 from steerd.daemon.assembly.build import VIRTUAL_EPOCH_NS, RunPlan, make_plan
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import UsageError
 from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.ipc.pipe_records import PipeRecord, read_message
 from steerd.daemon.offline.fast import check_driven, record_virtual
@@ -93,12 +93,11 @@ def plan_drive(
         SteerdError: an argument cannot be used.
     """
     if not 0.0 < duration <= DURATION_MAX:
-        what = f"duration {duration:g}: more than 0 s, {DURATION_MAX:g} s at most"
-        raise SteerdError(what, "", ExitCode.USAGE)
+        raise UsageError(f"duration {duration:g}: more than 0 s, {DURATION_MAX:g} s at most")
     if not 0.0 < speed < float("inf"):
-        raise SteerdError(f"speed {speed:g}: more than 0 m/s", "", ExitCode.USAGE)
+        raise UsageError(f"speed {speed:g}: more than 0 m/s")
     if seed < 0:
-        raise SteerdError(f"seed {seed}: 0 or more", "", ExitCode.USAGE)
+        raise UsageError(f"seed {seed}: 0 or more")
     options = RunOptions(
         car_file="", path=path, speed=speed, duration_s=duration, seed=seed, simulated=True,
         rate_hz=rate, auto_arm=True,

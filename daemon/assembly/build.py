@@ -16,7 +16,7 @@ from steerd.car_model.path.path import Path
 from steerd.car_model.path.path_spec import parse_path
 from steerd.daemon.assembly.plans import Drill, parse_drill
 from steerd.daemon.assembly.sim_car import load_sim_car, make_true_model
-from steerd.daemon.common.errors import ExitCode, SteerdError, find_near, refusing
+from steerd.daemon.common.errors import SteerdError, UsageError, find_near, refusing
 from steerd.daemon.common.screen import print_labelled
 from steerd.daemon.settings.config import Settings, load_settings, make_settings
 from steerd.daemon.settings.run_options import (
@@ -88,10 +88,9 @@ class RunPlan:
         try:
             return _design(car, self.path, config, self.options.rate_hz)
         except DesignRefused as error:
-            raise SteerdError(str(error), "", ExitCode.INVALID) from None
+            raise SteerdError(str(error)) from None
         except ValueError as error:
-            what = f"--path {self.options.path}: {error}"
-            raise SteerdError(what, "", ExitCode.INVALID) from None
+            raise SteerdError(f"--path {self.options.path}: {error}") from None
 
     @cached_property
     def live(self) -> LiveBounds | None:
@@ -188,8 +187,7 @@ def make_plan(
     """
     slowest = SLOWEST_HZ if options.port and not options.simulated else SLOWEST_SIMULATED_HZ
     if not slowest <= options.rate_hz <= FASTEST_HZ:
-        what = f"--rate {options.rate_hz:g}: {slowest:g} to {FASTEST_HZ:g} Hz"
-        raise SteerdError(what, "", ExitCode.USAGE)
+        raise UsageError(f"--rate {options.rate_hz:g}: {slowest:g} to {FASTEST_HZ:g} Hz")
     with refusing("--name: "):
         check_car_name(options.car)
     if settings is None:
@@ -197,8 +195,7 @@ def make_plan(
     try:
         path = _parse_path(options.path)
     except ValueError as error:
-        what = f"--path {options.path}: {error}"
-        raise SteerdError(what, _near_path(options.path), ExitCode.USAGE) from None
+        raise UsageError(f"--path {options.path}: {error}", _near_path(options.path)) from None
     drill = None
     if options.drill:
         with refusing():

@@ -5,6 +5,7 @@ import platform
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
@@ -76,9 +77,7 @@ def make_metadata(plan: RunPlan) -> dict[str, dict[str, str]]:
     if plan.real is not None:
         session |= {"host": platform.node(), "kernel": platform.release(), **_git()}
     vehicle = {name: repr(value) for name, value in car._asdict().items()}
-    scaling = {
-        name: repr(getattr(plan.settings.scaling, name)) for name in plan.settings.scaling.__slots__
-    }
+    scaling = {name: repr(value) for name, value in asdict(plan.settings.scaling).items()}
     found = {"steerd.session": session, "steerd.vehicle": vehicle, "steerd.scaling": scaling}
     if options.simulated:
         found[TRUTH] = make_truth(make_true_model(plan.sim, options.effects))

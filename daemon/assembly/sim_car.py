@@ -17,13 +17,11 @@ from steerd.car_model.car_file import Learned, default_car_path, load_car, updat
 from steerd.car_model.effects import parse_effects
 from steerd.car_model.model import Model
 from steerd.car_model.params import Car
-from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
+from steerd.daemon.common.errors import UsageError, refusing
 from steerd.daemon.common.screen import clean
 from steerd.daemon.settings.config import Settings, load_settings, make_settings
-from steerd.daemon.settings.run_options import decode_options
+from steerd.daemon.settings.run_options import HIDDEN, decode_options
 
-HIDDEN = "hidden:"
-"""Begins the name of a car that a seed hides: `hidden:7`."""
 SHARES: Mapping[str, float] = {
     "c_sf": 0.15, "c_sr": 0.15, "inertia_z": 0.2, "steer_gain": 0.08,
     "steer_lag": 0.3, "speed_gain": 0.04, "speed_lag": 0.3,
@@ -50,7 +48,7 @@ def load_sim_car(spec: str) -> Settings:
     seed = spec.removeprefix(HIDDEN)
     if not seed.isdecimal():
         what = f"--sim-car {spec}: the seed is a whole number"
-        raise SteerdError(what, f"--sim-car {HIDDEN}7, or a car file", ExitCode.USAGE)
+        raise UsageError(what, f"--sim-car {HIDDEN}7, or a car file")
     updates = {name: Learned(value) for name, value in _hide(int(seed)).items()}
     return make_settings(update_car(Path(f"{spec}.toml"), load_car(default_car_path()), updates))
 

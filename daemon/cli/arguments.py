@@ -13,7 +13,7 @@ from typing import Any
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.screen import below_home
-from steerd.daemon.settings.run_options import RunOptions
+from steerd.daemon.settings.run_options import HIDDEN, RunOptions
 
 Check = Callable[[str], SteerdError | None]
 """The error of a file that is not there, None of one that is and of what names no file."""
@@ -152,7 +152,7 @@ def missing_partial(text: str) -> SteerdError | None:
 
 def missing_car(text: str) -> SteerdError | None:
     """The same of a car file, or `hidden:SEED`."""
-    return None if text.startswith("hidden:") else missing_file(text, _CAR_HINT)
+    return None if text.startswith(HIDDEN) else missing_file(text, _CAR_HINT)
 
 
 def missing_lane(text: str) -> SteerdError | None:
@@ -171,10 +171,8 @@ def _texts(value: Any) -> Iterable[str]:
     A number is every K-th part, which no file may stand beside: that is for the command to refuse.
     """
     values = value if isinstance(value, list) else [value]
-    parts = [
-        part
-        for each in values
-        for part in ([str(each)] if isinstance(each, Path) else str(each or "").split(","))
-    ]
+    parts: list[str] = []
+    for each in values:
+        parts += [str(each)] if isinstance(each, Path) else str(each or "").split(",")
     numbered = any(part.removeprefix("-").isdigit() for part in parts)
     return () if numbered else (part for part in parts if part and part != "-")

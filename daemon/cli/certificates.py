@@ -17,7 +17,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, refusing
 from steerd.steer_bus.atomic_file import write_atomically
 from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.clock import MonotonicClock
@@ -85,10 +85,10 @@ def _check_names(lab: Lab, added: Iterable[str]) -> None:
         if not _NAME.fullmatch(name) or name.startswith(".") or name == AUTHORITY:
             what = f"{name!r} is not a valid name for a certificate"
             hint = f"1 to 60 of letters, digits and _ . -, not starting with a dot, not {AUTHORITY}"
-            raise SteerdError(what, hint, ExitCode.USAGE)
+            raise UsageError(what, hint)
         if name in known:
             hint = "choose another name; a certificate is never replaced"
-            raise SteerdError(f"{name!r} exists already", hint, ExitCode.USAGE)
+            raise UsageError(f"{name!r} exists already", hint)
         known.add(name)
 
 
@@ -113,7 +113,7 @@ def _load_authority(place: Path, years: float) -> Issuer:
         hint = "name the folder in which steerd keys made the lab"
         raise SteerdError(f"{place}: {error}", hint, ExitCode.UNREADABLE) from None
     if not isinstance(key, ec.EllipticCurvePrivateKey):
-        raise SteerdError(f"{place / 'ca.key'} was not made by steerd keys", "", ExitCode.INVALID)
+        raise SteerdError(f"{place / 'ca.key'} was not made by steerd keys")
     return Issuer(certificate, key, years)
 
 

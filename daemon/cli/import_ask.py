@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import SteerdError, UsageError
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.common.screen import wrap
 from steerd.daemon.imports.propose import Proposal, change, format_map, list_sections
@@ -34,7 +34,7 @@ def ask(proposal: Proposal, source: Path, trial: Trial) -> str:
         line = sys.stdin.readline()
         answer = line.strip()
         if not line or answer == "q":
-            raise SteerdError("nothing was written", "", ExitCode.USAGE)
+            raise UsageError("nothing was written")
         if answer == "?":
             print(*wrap(", ".join(list_sections(proposal)), "  ", "  "), sep="\n")
         elif answer:

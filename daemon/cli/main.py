@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple, TextIO
 
 from steerd.daemon.cli.arguments import check_inputs
-from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, did_you_mean
 from steerd.daemon.common.screen import prepare_streams, print_labelled
 from steerd.version import VERSION
 
@@ -123,7 +123,7 @@ def parse_command(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
         print(f"steerd {VERSION}" if word == "--version" else list_commands())
         raise SystemExit(0)
     hint = did_you_mean(word, COMMANDS) or "`steerd --help` lists the commands"
-    raise SteerdError(f"there is no command {word!r}", hint, ExitCode.USAGE)
+    raise UsageError(f"there is no command {word!r}", hint)
 
 
 def dispatch(argv: Sequence[str]) -> int:
@@ -170,9 +170,8 @@ def _unusable(name: str, error: argparse.ArgumentError) -> SteerdError:
     """The error of an option's value that cannot be used."""
     comma = re.search(r"'(-?\d+),(\d+)'", error.message)
     hint = f"{comma[1]}.{comma[2]}" if comma else f"`steerd {name} --help` shows its options"
-    what = error.message.replace("invalid float value", "not a number").replace(
-        "invalid int value", "not a whole number"
-    )
+    what = error.message.replace("invalid float value", "not a number")
+    what = what.replace("invalid int value", "not a whole number")
     return SteerdError(f"{error.argument_name}: {what}", hint, ExitCode.USAGE)
 
 

@@ -32,6 +32,13 @@ class SteerdError(Exception):
         return f"{self.what} — try: {self.hint}" if self.hint else self.what
 
 
+class UsageError(SteerdError):
+    """A command line, or an argument, that makes no sense."""
+
+    def __init__(self, what: str, hint: str = "") -> None:
+        super().__init__(what, hint, ExitCode.USAGE)
+
+
 @contextmanager
 def refusing(about: str = "", hint: str = "", code: ExitCode = ExitCode.USAGE) -> Iterator[None]:
     """What another room says of a value in the block is an error of the command line.

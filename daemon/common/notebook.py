@@ -9,7 +9,7 @@ from html import escape
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import SteerdError, UsageError
 from steerd.daemon.common.progress import Step
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def load_package(name: str) -> Any:
         return import_module(name)
     except ImportError:
         what, hint = f"{name} is not installed", f"pip install {name}"
-        raise SteerdError(what, hint, ExitCode.USAGE) from None
+        raise UsageError(what, hint) from None
 
 
 @contextmanager

@@ -23,7 +23,7 @@ import platformdirs
 if TYPE_CHECKING:
     from steerd.car_model.car_file import CarFile
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.screen import print_labelled
 from steerd.posterior_file import posterior_path
 from steerd.steer_bus.atomic_file import is_full, write_atomically
@@ -108,8 +108,7 @@ def writing(named: Mapping[str, Path | None], *, announced: bool = False) -> Ite
         print_labelled("written: ", ", ".join(map(str, written)), sys.stderr)
     if failures:
         first, *others = failures.values()
-        what = "; ".join(each.what for each in (first, *others))
-        raise SteerdError(what, first.hint, first.code)
+        raise SteerdError("; ".join(each.what for each in (first, *others)), first.hint, first.code)
 
 
 def _are(paths: Collection[Path]) -> str:
@@ -213,13 +212,13 @@ def check_outputs(outputs: Mapping[str, Path | None]) -> None:
         other = taken.setdefault(path.resolve(), option)
         if other != option:
             what = f"{other} and {option} name the same file, {path}"
-            raise SteerdError(what, "give each its own name", ExitCode.USAGE)
+            raise UsageError(what, "give each its own name")
 
 
 def _check(option: str, path: Path) -> None:
     if _is_session(path):
         what = f"{option} {path}: that is a session, and a session is never overwritten"
-        raise SteerdError(what, "choose another name", ExitCode.USAGE)
+        raise UsageError(what, "choose another name")
     if path.is_dir():
         what = f"{option} {path}: that is a folder"
         raise SteerdError(what, "name a file in it", ExitCode.UNREADABLE)

@@ -31,9 +31,6 @@ FLUSH_MS_MIN, FLUSH_MS_MAX = 10, 250
 DISK_FREE_MIN_MB = 100  # least `[record] disk_free_min_mb` [MB]
 BRAKE_CURRENT_MAX_A = 200.0  # largest brake current that a car file may give [A]
 UUID_BYTES = 12  # length of a VESC's UUID
-_BRAKE_CURRENTS = (
-    "brake_current_a", "soft_brake_current_a", "hold_brake_current_a", "estop_brake_current_a",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -51,11 +48,10 @@ class BrakeSettings:
 
     def __post_init__(self) -> None:
         """Refuse what stops no car, and what is no UUID."""
-        for name in _BRAKE_CURRENTS:
-            if not 0.0 < getattr(self, name) <= BRAKE_CURRENT_MAX_A:
-                raise ValueError(
-                    f"{name} = {getattr(self, name)}: a stop needs a current above 0 A"
-                )
+        for name in (each for each in _names(type(self)) if each.endswith("brake_current_a")):
+            value = getattr(self, name)
+            if not 0.0 < value <= BRAKE_CURRENT_MAX_A:
+                raise ValueError(f"{name} = {value}: a stop needs a current above 0 A")
         if self.uuid and len(bytes.fromhex(self.uuid)) != UUID_BYTES:
             raise ValueError(f"uuid = {self.uuid!r}: 24 hex digits, as `steerd status` shows them")
 
@@ -161,26 +157,18 @@ def _list_contradictions(s: Settings) -> Iterator[_Contradiction]:
     """What would end each of a car's drives, by a watchdog (W20, W24), its launch or its limits."""
     th, path, car = s.thresholds, s.file.path, believed_car(s.file.model)
     needed, given = th.stop_share * th.brake_decel, car.mu * GRAVITY
-    yield (
-        given < needed,
-        f"{path}: friction {car.mu:g} stops the car with {given:.2f} m/s² at most; "
-        f"[safety] expects {needed:.2f} m/s² (stop_share x brake_decel)",
-        "measure brake_decel on this floor, and [car] mu",
-    )
-    yield (
-        car.drive_delay > th.stop_lag,
-        f"{path}: the drive's dead time of {car.drive_delay:g} s is longer than "
-        f"[safety] stop_lag = {th.stop_lag:g} s, after which a stop must show",
-        "measure drive_delay; stop_lag may be 0.3 s at most",
-    )
+    what = f"{path}: friction {car.mu:g} stops the car with {given:.2f} m/s² at most; "
+    what += f"[safety] expects {needed:.2f} m/s² (stop_share x brake_decel)"
+    yield given < needed, what, "measure brake_decel on this floor, and [car] mu"
+    what = f"{path}: the drive's dead time of {car.drive_delay:g} s is longer than "
+    what += f"[safety] stop_lag = {th.stop_lag:g} s, after which a stop must show"
+    yield car.drive_delay > th.stop_lag, what, "measure drive_delay; stop_lag may be 0.3 s at most"
     slow, gain, (low, high) = min(LAUNCH_SPEED, s.limits.speed_max), car.speed_gain, LAUNCH_RATIO
     high = min(high, max(th.overspeed_ratio, 1.0 + th.overspeed_margin / slow))
-    yield (
-        not low <= gain <= high,
-        f"{path}: this car drives at {gain:g} times the speed of its wheels (speed_gain, "
-        f"and the effects that change it); a start lets {low:g} to {high:g} pass",
-        f"[vesc] erpm_gain = {s.scaling.erpm_gain / gain:.0f} and speed_gain = 1 say the same",
-    )
+    what = f"{path}: this car drives at {gain:g} times the speed of its wheels (speed_gain, "
+    what += f"and the effects that change it); a start lets {low:g} to {high:g} pass"
+    hint = f"[vesc] erpm_gain = {s.scaling.erpm_gain / gain:.0f} and speed_gain = 1 say the same"
+    yield not low <= gain <= high, what, hint
     if s.file.model.effects:
         yield from _list_effects(s.file, th)
     speed, most = s.controller.speed, s.limits.speed_max
@@ -251,17 +239,12 @@ def read_frame(table: Mapping[str, Any]) -> FrameConfig:
 def _limits(car_file: CarFile, scaling: Scaling, table: Mapping[str, Any]) -> Limits:
     right, left = steer_limits(scaling)
     car = car_file.car
-    defaults = {
+    end_stops = {
         "steer_left_max": min(left, car.steer_max),
         "steer_right_max": min(-right, -car.steer_min),
     }
-    values = {**defaults, **table, "wheelbase": wheelbase(car)}
-    limits = _convert(values, Limits)
-    return replace(
-        limits,
-        steer_left_max=min(limits.steer_left_max, defaults["steer_left_max"]),
-        steer_right_max=min(limits.steer_right_max, defaults["steer_right_max"]),
-    )
+    limits = _convert({**end_stops, **table, "wheelbase": wheelbase(car)}, Limits)
+    return replace(limits, **{k: min(getattr(limits, k), most) for k, most in end_stops.items()})
 
 
 HEADING_MOST = 0.1
@@ -277,28 +260,19 @@ def _list_effects(file: CarFile, th: Thresholds) -> Iterator[_Contradiction]:
     """
     rolling = [_roll(file.model, 2.0 * pi * k / _HEADINGS) for k in range(_HEADINGS)]
     most = (1.0 - th.stop_share) * SOFT_DECEL
-    yield (
-        max(rolling) > most,
-        f"{file.path}: left to roll, this car speeds up by {max(rolling):.2f} m/s² "
-        f"([effects]); with more than {most:.2f} a stop is not distinguishable from none",
-        "measure that floor or that drag; no stop is sure on it",
-    )
-    lack, allowed = (
-        -min(rolling) * believed_car(file.model).speed_lag,
-        th.follow_share * LAUNCH_SPEED,
-    )
-    yield (
-        lack > allowed * (1.0 + 1e-6),
-        f"{file.path}: this car lags {lack:.2f} m/s behind its orders ([effects], speed_lag); "
-        f"W30 lets {allowed:.2f} pass at a start",
-        "identify speed_lag and drag; a tight speed loop has no such lag",
-    )
+    what = f"{file.path}: left to roll, this car speeds up by {max(rolling):.2f} m/s² "
+    what += f"([effects]); with more than {most:.2f} a stop is not distinguishable from none"
+    yield max(rolling) > most, what, "measure that floor or that drag; no stop is sure on it"
+    lack = -min(rolling) * believed_car(file.model).speed_lag
+    allowed = th.follow_share * LAUNCH_SPEED
+    what = f"{file.path}: this car lags {lack:.2f} m/s behind its orders ([effects], speed_lag); "
+    what += f"W30 lets {allowed:.2f} pass at a start"
+    hint = "identify speed_lag and drag; a tight speed loop has no such lag"
+    yield lack > allowed * (1.0 + 1e-6), what, hint
     off = observe(FLOAT, file.model, _at(0.0)).yaw
-    yield (
-        abs(off) > HEADING_MOST,
-        f"{file.path}: mocap shows a heading {off:+.2f} rad off the car's ([effects])",
-        "turn the body by [mocap] mount_yaw_deg: `steerd mocap calibrate`",
-    )
+    what = f"{file.path}: mocap shows a heading {off:+.2f} rad off the car's ([effects])"
+    hint = "turn the body by [mocap] mount_yaw_deg: `steerd mocap calibrate`"
+    yield abs(off) > HEADING_MOST, what, hint
 
 
 def _at(heading: float) -> State[float]:

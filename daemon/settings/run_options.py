@@ -5,6 +5,9 @@ from enum import StrEnum
 
 import msgspec
 
+HIDDEN = "hidden:"
+"""Begins the name of a car that a seed hides: `hidden:7`."""
+
 
 class ControllerKind(StrEnum):
     """Who steers: the built-in lane keeper, a program on the bus, or a ROS node's `/drive`."""

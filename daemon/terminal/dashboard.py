@@ -70,10 +70,8 @@ class Tally:
         driven = f"drove {self.distance:.1f} m in {self.driven_ns * 1e-9:.1f} s"
         if not self.count or not lane:
             return driven
-        return (
-            f"{driven}; lateral error RMS {1e3 * self.rms:.1f} mm, "
-            f"largest {1e3 * self.worst:.1f} mm (after 3 s)"
-        )
+        errors = f"RMS {1e3 * self.rms:.1f} mm, largest {1e3 * self.worst:.1f} mm (after 3 s)"
+        return f"{driven}; lateral error {errors}"
 
 
 @dataclass
@@ -178,10 +176,8 @@ class Dashboard:
 
 def _describe_live(p: m.Parameters) -> list[RenderableType]:
     """Live parameters, and why the last request was refused."""
-    line = (
-        f"live   speed up to {show(p.speed, '.2f')} m/s   lane {show(1e3 * p.offset, '+.0f')} mm"
-        f"   gain {show(p.gain, '.2f')}"
-    )
+    line = f"live   speed up to {show(p.speed, '.2f')} m/s   lane {show(1e3 * p.offset, '+.0f')} mm"
+    line += f"   gain {show(p.gain, '.2f')}"
     refused = bool(p.seq) and not p.accepted
     why = Text(remove_controls(f"! {p.text}"), style="yellow")
     return [Text(line), *([why] if refused else [])]

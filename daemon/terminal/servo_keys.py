@@ -6,7 +6,7 @@ import sys
 from contextlib import closing
 from dataclasses import dataclass, replace
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.screen import raw
 from steerd.daemon.terminal.key_desk import keys_one_by_one
 from steerd.steer_bus.clock import Clock
@@ -64,7 +64,7 @@ def steer_by_keys(url: str, scaling: Scaling, clock: Clock) -> Scaling | None:
         with closing(open_port(url)) as port, keys_one_by_one() as fd:
             if fd is None:
                 hint = "run it in a terminal, or name a session instead of --port"
-                raise SteerdError("keys need a terminal", hint, ExitCode.USAGE)
+                raise UsageError("keys need a terminal", hint)
             print(HELP, file=sys.stderr)
             while True:
                 port.write(encode_frame(encode_command(c.SetServoPos(servo.position))))
@@ -95,8 +95,6 @@ def _next_key(fd: int, clock: Clock) -> str:
 
 def _show(servo: Servo) -> None:
     s = servo.scaling
-    line = (
-        f"\rposition {servo.position:.3f}   centre {s.servo_offset:.3f}   "
-        f"low {s.servo_min:.3f}   high {s.servo_max:.3f} "
-    )
+    line = f"\rposition {servo.position:.3f}   centre {s.servo_offset:.3f}   "
+    line += f"low {s.servo_min:.3f}   high {s.servo_max:.3f} "
     print(line, end="", file=raw(sys.stderr), flush=True)

@@ -12,7 +12,7 @@ from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.text import Text
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.screen import raw, show
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.transitions import SupervisorState
@@ -54,7 +54,7 @@ def find_car(bus: ZenohBus, name: str | None) -> str:
     if name is not None:
         raise SteerdError(f"no car {name!r} on the bus", f"--name {listed}", ExitCode.UNREACHABLE)
     if len(cars) > 1:
-        raise SteerdError("several cars are on the bus", f"--name, one of {listed}", ExitCode.USAGE)
+        raise UsageError("several cars are on the bus", f"--name, one of {listed}")
     return cars[0]
 
 
@@ -101,12 +101,10 @@ class Watch:
         state, status = self.board.state, self.board.status
         if (silent := self.silence(t_ns)) > 0.0:
             return f"no message for {silent:.1f} s: is the daemon still running?"
-        name = SupervisorState(state.mode).name if state else status.get("state", "?")
-        motion = (
-            f"{show(state.speed, '+.2f')} m/s, e1 {show(1e3 * state.e1, '+.1f')} mm"
-            if state
-            else "no state"
-        )
+        name, motion = status.get("state", "?"), "no state"
+        if state is not None:
+            name = SupervisorState(state.mode).name
+            motion = f"{show(state.speed, '+.2f')} m/s, e1 {show(1e3 * state.e1, '+.1f')} mm"
         rates = self.rates(t_ns)
         shown = ", ".join(f"{key} {rates[key]:.0f}" for key in _SHOWN if key in rates)
         return f"{name:<14}{motion}; {shown} Hz; fault {self.fault}"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from steerd.car_model.car_file import CarFile
 from steerd.daemon.cli.arguments import missing_car, missing_session, option
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.common.written import car_outputs, check_outputs, write_outputs
 from steerd.daemon.settings.car_edit import Values, edit_car
@@ -36,7 +36,7 @@ def calibrate(args: Namespace) -> int | None:
     """
     if bool(args.session) == bool(args.port):
         hint = "steerd calibrate servo DRIVE.mcap, or steerd calibrate servo --port DEV"
-        raise SteerdError("name a session or a port", hint, ExitCode.USAGE)
+        raise UsageError("name a session or a port", hint)
     check_outputs({"-o": args.output})
     file, scaling = _by_keys(args) if args.port else _from_session(args.session)
     if scaling is None:
@@ -49,13 +49,9 @@ def calibrate(args: Namespace) -> int | None:
     return None
 
 
-def _from_session(path: Path) -> tuple[CarFile, Scaling]:
+def _from_session(path: Path) -> tuple[CarFile, Scaling | None]:
+    from steerd.daemon.setup import steering_calibration as steering
     from steerd.daemon.setup.calibration_data import load_recorded
-    from steerd.daemon.setup.steering_calibration import (
-        calibrate_steering,
-        describe_steering,
-        servo_scaling,
-    )
     from steerd.steer_bus import topics
 
     r = load_recorded(path)
@@ -64,9 +60,9 @@ def _from_session(path: Path) -> tuple[CarFile, Scaling]:
         missing = "steering commands" if track else "motion"
         raise SteerdError(f"the session holds no {missing}", "record with `steerd run`")
     file = r.settings.file
-    found = calibrate_steering(track, steer, file.car)
-    scaling = servo_scaling(found, r.settings.scaling)
-    print_found(describe_steering(found, scaling), found.warnings)
+    found = steering.calibrate_steering(track, steer, file.car)
+    scaling = steering.servo_scaling(found, r.settings.scaling)
+    print_found(steering.describe_steering(found, scaling), found.warnings)
     return file, scaling
 
 
@@ -114,7 +110,7 @@ def _check(args: Namespace) -> int:
 
     if bool(args.session) == bool(args.mocap):
         hint = "steerd mocap check DRIVE.mcap, or steerd mocap check --mocap natnet://HOST/BODY"
-        raise SteerdError("name a session or a source", hint, ExitCode.USAGE)
+        raise UsageError("name a session or a source", hint)
     if args.session:
         checks = check_movement(*load_movement(args.session))
     else:

@@ -7,7 +7,7 @@ from math import degrees
 from pathlib import Path
 
 from steerd.daemon.cli.arguments import missing_car, missing_file, option
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.screen import NBSP, clean, wrap
 from steerd.daemon.common.translate import load_car_file
@@ -104,7 +104,7 @@ def export(args: Namespace) -> None:
     kind = args.output.suffix.lower()
     if kind not in (".yaml", ".yml", ".xml"):
         what = f"-o {args.output}: no format of that name"
-        raise SteerdError(what, "name it .yaml for f1tenth_gym, .xml for MuJoCo", ExitCode.USAGE)
+        raise UsageError(what, "name it .yaml for f1tenth_gym, .xml for MuJoCo")
     check_outputs({"-o": args.output})
     settings = load_settings(args.car)
     file = replace(settings.file, name=clean(settings.file.name))

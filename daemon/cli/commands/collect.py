@@ -6,7 +6,7 @@ from dataclasses import replace
 from steerd.daemon.assembly.plans import NAMES, make_closed_path, parse_box
 from steerd.daemon.cli.arguments import option
 from steerd.daemon.cli.commands import run as driving
-from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
+from steerd.daemon.common.errors import UsageError, refusing
 from steerd.daemon.settings.run_options import RunOptions
 
 SPEED = 2.5  # highest speed of a plan unless said otherwise [m/s]
@@ -31,8 +31,7 @@ def make_options(args: Namespace) -> RunOptions:
         SteerdError: a combination makes no sense.
     """
     if args.controller != "lane":
-        what = "a plan is driven by the daemon itself"
-        raise SteerdError(what, "drop --controller", ExitCode.USAGE)
+        raise UsageError("a plan is driven by the daemon itself", "drop --controller")
     parts = [args.plan, "closed" if args.closed else f"speed={args.speed:g}"]
     if args.box:
         parts.append(f"box={args.box}")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from steerd.daemon.cli.arguments import missing_file, option
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.screen import print_labelled
@@ -49,7 +49,7 @@ def import_log(args: Namespace) -> None:
     the_map = _agree(args, kind, source, out) if args.ask else args.map
     if kind == "csv" and the_map is None:
         hint = f"`steerd import --ask {source}` proposes one; {EXAMPLE_MAP} is one"
-        raise SteerdError("a csv file needs a map of its columns, --map", hint, ExitCode.USAGE)
+        raise UsageError("a csv file needs a map of its columns, --map", hint)
     _print_result(_import(args, kind, source, the_map, out), args, the_map)
 
 
@@ -62,7 +62,7 @@ def read_words(words: list[str]) -> tuple[str, Path]:
     kind, rest = (words[0], words[1:]) if words[0] in _KINDS and len(words) > 1 else ("", words)
     if len(rest) != 1 or (rest[0] in _KINDS and not Path(rest[0]).exists()):
         what = f"`steerd import` takes one log, not {len(rest) if len(rest) > 1 else 'none'}"
-        raise SteerdError(what, "import the others one by one", ExitCode.USAGE)
+        raise UsageError(what, "import the others one by one")
     source = Path(rest[0])
     if not source.exists():
         raise SteerdError(f"{source} does not exist", "", ExitCode.UNREADABLE)

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from steerd.daemon.cli.arguments import option
-from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, refusing
 from steerd.steer_bus.lab import DEFAULT_PORT, Lab
 from steerd.steer_bus.topics import check_car_name
 
@@ -30,9 +30,9 @@ def keys(args: Namespace) -> None:
     desk` on the desk. Later, `steerd keys lab --operator new` adds somebody.
     """
     if not 0.0 < args.years <= 50.0 or not 0 < args.port < 65536:
-        raise SteerdError("--years: up to 50; --port: 1 to 65535", "", ExitCode.USAGE)
+        raise UsageError("--years: up to 50; --port: 1 to 65535")
     if args.host is not None and not args.host.strip():
-        raise SteerdError("--host is empty", "--host 192.168.1.20", ExitCode.USAGE)
+        raise UsageError("--host is empty", "--host 192.168.1.20")
     try:
         from steerd.daemon.cli.certificates import add_members, load_members
     except ImportError:
@@ -42,7 +42,7 @@ def keys(args: Namespace) -> None:
     operators, viewers = args.operator or (["operator"] if began else []), args.viewer
     if not (operators or viewers):
         hint = "steerd keys DIR --host ADDRESS, or --operator NAME to add to a lab"
-        raise SteerdError("nothing to make: no --host and no new name", hint, ExitCode.USAGE)
+        raise UsageError("nothing to make: no --host and no new name", hint)
     old = _begin_lab(args) if began else load_members(args.folder)
     drivers, watchers = (*old.operators, *operators), (*old.viewers, *viewers)
     lab = replace(old, operators=drivers, viewers=watchers)

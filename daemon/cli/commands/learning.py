@@ -13,7 +13,7 @@ from steerd.car_model.car_file import CarFile
 from steerd.daemon.analysis.options import Watch, read_arguments
 from steerd.daemon.cli import arguments
 from steerd.daemon.cli.arguments import missing_car, option, split_list
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.screen import print_labelled, wrap
 from steerd.daemon.common.written import Write, writing
@@ -93,7 +93,7 @@ def parse_fix(text: str) -> dict[str, float | None]:
         try:
             fixed[name] = float(number) if equals else None
         except ValueError:
-            raise SteerdError(f"--fix {part}: not a number", "", ExitCode.USAGE) from None
+            raise UsageError(f"--fix {part}: not a number") from None
     return fixed
 
 
@@ -145,7 +145,7 @@ def diagnose(args: Namespace) -> None:
 
     if args.json is not None and args.json.suffix == ".mcap":
         what = f"--json {args.json}: that is a session"
-        raise SteerdError(what, "put --json last, or --json gap.json", ExitCode.USAGE)
+        raise UsageError(what, "put --json last, or --json gap.json")
     named = {**list_outputs(args), "--prediction": args.prediction}
     with writing(named, announced=True) as write:
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from steerd.daemon.cli.arguments import missing_file, option
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import UsageError
 from steerd.daemon.common.packaged import EXAMPLES
 from steerd.daemon.common.screen import NBSP, wrap
 from steerd.daemon.common.written import check_outputs
@@ -46,11 +46,10 @@ def sweep(args: Namespace) -> None:
         print((EXAMPLES / "sweep.toml").read_text(encoding="utf-8"), end="")
         return
     if args.file is None:
-        hint = "steerd sweep --example > sweep.toml"
-        raise SteerdError("a sweep file is needed", hint, ExitCode.USAGE)
+        raise UsageError("a sweep file is needed", "steerd sweep --example > sweep.toml")
     check_outputs({"-o": args.output, "--page": args.page})
     if (args.again is None) != (args.record is None):
-        raise SteerdError("--again and --record go together", "name both", ExitCode.USAGE)
+        raise UsageError("--again and --record go together", "name both")
     from steerd.daemon.many.job import do_in_terminal
     from steerd.daemon.many.sweep.plan import load_sweep
     from steerd.daemon.many.sweep.run import make_job

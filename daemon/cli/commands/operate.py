@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from math import inf
 
 from steerd.daemon.cli.arguments import add_car_arguments, option
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.screen import wrap
 from steerd.daemon.ipc.operator import KEEPALIVE_NS, connect, read_model
 from steerd.daemon.ipc.requests import make_badge
@@ -69,13 +69,10 @@ def operate(args: Namespace) -> int:
         view = CarView(bus, args.name, clock).wait_heard(state=True)
         leased = view.values.get("leased") == "1"
         if kind in _HOLDING and args.no_hold and leased:
-            raise SteerdError(
-                f"{args.command} --no-hold: this car has a deadman and would stop after 0.3 s "
-                "without one",
-                "`steerd arm` in one terminal and `steerd start` in another, both left open; "
-                "a car without a deadman says `deadman = false` under [safety]",
-                ExitCode.USAGE,
-            )
+            what = f"{args.command} --no-hold: this car has a deadman and would stop after 0.3 s "
+            hint = "`steerd arm` in one terminal and `steerd start` in another, both left open; "
+            hint += "a car without a deadman says `deadman = false` under [safety]"
+            raise UsageError(f"{what}without one", hint)
         if kind is RequestKind.START and view.mode is not SupervisorState.ARMED:
             waiting = view.values.get("waiting")
             hint = "steerd clear" if view.mode in _LATCHED else "steerd arm"

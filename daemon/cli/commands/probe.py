@@ -9,8 +9,10 @@ from dataclasses import asdict
 from math import degrees
 
 from steerd.daemon.cli.arguments import missing_car, option
-from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
+from steerd.daemon.common.errors import ExitCode, UsageError, refusing
 from steerd.daemon.common.screen import clean, join_words, wrap
+from steerd.daemon.process import realtime
+from steerd.daemon.process.guard import read_steal_ns
 from steerd.daemon.settings.config import load_settings
 from steerd.daemon.setup.probe import VESC_USB, Advice, Found, MocapSeen, VescFound
 from steerd.steer_bus.clock import MonotonicClock
@@ -40,7 +42,7 @@ def probe(args: Namespace) -> int:
     from steerd.daemon.setup.probe_ask import ask_mocap, ask_ports, find_sockets, in_group
 
     if not 0.5 <= args.seconds <= 600.0:
-        raise SteerdError(f"--seconds {args.seconds:g}: 0.5 to 600", "", ExitCode.USAGE)
+        raise UsageError(f"--seconds {args.seconds:g}: 0.5 to 600")
     settings, clock = load_settings(args.car), MonotonicClock()
     serial = tuple(ask_ports(args.port, clock, settings.brakes))
     with refusing(f"--mocap {args.mocap}: "):
@@ -141,26 +143,18 @@ def rtcheck(args: Namespace) -> int:
     Run it beside everything that will run during a drive. The exit code is 5 where
     late ticks would stop a car, or nearly so.
     """
-    from steerd.daemon.process.guard import read_steal_ns
-    from steerd.daemon.process.realtime import (
-        keep_busy,
-        measure_wakes,
-        realtime_section,
-        summarise_wakes,
-    )
-
     if not (0.1 <= args.seconds <= 3600.0 and 20.0 <= args.rate <= 1000.0):
         hint = "--seconds 0.1 to 3600, --rate 20 to 1000"
-        raise SteerdError("--seconds or --rate is out of range", hint, ExitCode.USAGE)
+        raise UsageError("--seconds or --rate is out of range", hint)
     print(f"measuring for {args.seconds:g} s …", file=sys.stderr, flush=True)
     period_ns = round(1e9 / args.rate)
     ticks = max(1, round(args.seconds * args.rate))
-    with realtime_section() as report:
+    with realtime.realtime_section() as report:
         stolen_ns = -read_steal_ns()
-        with keep_busy(os.cpu_count() or 1 if args.under_load else 0):
-            late_ns = measure_wakes(MonotonicClock(), period_ns, ticks)
+        with realtime.keep_busy(os.cpu_count() or 1 if args.under_load else 0):
+            late_ns = realtime.measure_wakes(MonotonicClock(), period_ns, ticks)
         stolen_ns += read_steal_ns()
-    wakes = summarise_wakes(late_ns, period_ns)
+    wakes = realtime.summarise_wakes(late_ns, period_ns)
     print(f"fixed priority: {'yes' if report.fifo else 'no'}")
     print(f"locked memory:  {'yes' if report.locked else 'no'}")
     print(f"{wakes.ticks} wakes at {args.rate:g} Hz, late by")

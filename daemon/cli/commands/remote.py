@@ -10,7 +10,7 @@ from pathlib import Path
 from steerd.controller.limits import CEILINGS
 from steerd.daemon.cli.arguments import add_bus_arguments, add_car_arguments, missing_car, option
 from steerd.daemon.cli.commands.run import add_drive_arguments
-from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, refusing
 from steerd.daemon.common.screen import wrap_command
 from steerd.daemon.ipc.signals import make_stop_signal_pipe, raise_on_stop_signals
 from steerd.daemon.process.gamepad import AXES, BUTTONS, PadGoneError, PadMap, open_pad
@@ -147,8 +147,7 @@ def teleop(args: Namespace) -> None:
     highest = (CEILINGS["speed_max"].high, CEILINGS["steer_left_max"].high, QUIET_MOST_S)
     for name, most in zip(("speed", "steer", "quiet"), highest, strict=True):
         if not 0.0 < getattr(args, name) <= most:
-            what = f"--{name} {getattr(args, name):g}: more than 0, at most {most:g}"
-            raise SteerdError(what, "", ExitCode.USAGE)
+            raise UsageError(f"--{name} {getattr(args, name):g}: more than 0, at most {most:g}")
     from steerd.daemon.ipc.operator import connect
     from steerd.daemon.process.bus_operator import CarView
     from steerd.daemon.process.teleop import Teleop, serve_pad

@@ -14,7 +14,7 @@ from sys import float_info
 from typing import TYPE_CHECKING
 
 from steerd.daemon.cli.arguments import missing_car, missing_lane, option
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, UsageError
 from steerd.daemon.process.child import CORE, Child
 from steerd.daemon.process.view_job import DEFAULT_PORT, check_view
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions
@@ -91,7 +91,7 @@ def make_options(args: Namespace) -> RunOptions:
     """
     for wrong, what, hint in _list_conflicts(args):
         if wrong:
-            raise SteerdError(what, hint, ExitCode.USAGE)
+            raise UsageError(what, hint)
     if args.view:
         check_view(args.view, args.insecure_lan, sets=args.view_sets)
     given = {
@@ -114,11 +114,8 @@ def _list_conflicts(args: Namespace) -> Iterator[tuple[bool, str, str]]:
     yield sim and real, "--sim has its own port and mocap", "drop --sim, or --port and --mocap"
     hint = "steerd run --port /dev/ttyACM0 --mocap natnet://HOST/BODY, or steerd run --sim"
     yield not sim and not (args.port and args.mocap), "a car needs --port and --mocap", hint
-    yield (
-        not sim and (args.auto_arm or args.effect),
-        "--auto-arm and --effect are for --sim only",
-        "",
-    )
+    wrong = not sim and (args.auto_arm or args.effect)
+    yield wrong, "--auto-arm and --effect are for --sim only", ""
     yield not sim and args.sim_car, "--sim-car is the simulated car", "add --sim"
     for name, unit, most in (("duration", "s", 86400.0), ("speed", "m/s", float_info.max)):
         value = getattr(args, name)
@@ -154,10 +151,10 @@ def _choose_endpoint(args: Namespace) -> str:
     lab = read_lab(args.lab)
     if lab.car != args.name:
         what = f"the certificates in {args.lab} are for {lab.car!r}, not {args.name!r}"
-        raise SteerdError(what, f"--name {lab.car}", ExitCode.USAGE)
+        raise UsageError(what, f"--name {lab.car}")
     endpoint = str(args.listen or lab.endpoint)
     if not endpoint.startswith("tls/"):
-        raise SteerdError(f"--lab uses TLS, not {endpoint}", "drop --listen", ExitCode.USAGE)
+        raise UsageError(f"--lab uses TLS, not {endpoint}", "drop --listen")
     return endpoint
 
 

@@ -12,7 +12,8 @@ from xml.sax.saxutils import quoteattr
 
 from steerd.daemon.cli.arguments import list_actions, option
 from steerd.daemon.cli.commands.run import make_options, run_arguments
-from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
+from steerd.daemon.common.errors import UsageError, refusing
+from steerd.daemon.settings.run_options import HIDDEN
 
 
 def service_arguments(parser: ArgumentParser) -> None:
@@ -63,7 +64,7 @@ def _make_command(args: Namespace) -> list[str]:
 
     if args.fast or args.auto_arm:
         what = "a service starts disarmed and runs in real time"
-        raise SteerdError(what, "leave out --fast and --auto-arm", ExitCode.USAGE)
+        raise UsageError(what, "leave out --fast and --auto-arm")
     make_plan(make_options(args))
     return [sys.executable, "-m", "steerd", "run", *_run_arguments(args)]
 
@@ -91,7 +92,7 @@ def _run_arguments(args: Namespace) -> list[str]:
 
 
 def _absolute(text: str, dest: str) -> str:
-    if dest in ("car", "record"):
+    if dest in ("car", "lab", "record", "sim_car") and not text.startswith(HIDDEN):
         return str(Path(text).resolve())
     if dest == "path" and text.startswith("csv:"):
         file, comma, rest = text.removeprefix("csv:").partition(",")
@@ -103,7 +104,7 @@ def _install(path: Path, text: str, user: bool, *, force: bool) -> None:
     from steerd.daemon.common.written import write_whole
 
     if path.exists() and path.read_text() != text and not force:
-        raise SteerdError(f"{path} exists already", "--force replaces it", ExitCode.USAGE)
+        raise UsageError(f"{path} exists already", "--force replaces it")
     with refusing(f"{path.parent}: "):
         path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, text)
@@ -142,7 +143,7 @@ def make_unit(command: Sequence[str], car: str, *, account: str = "") -> str:
 def _expect_writable(words: Iterable[str], file: str, characters: str, *texts: str) -> None:
     for word in words:
         if any(part in word for part in (*characters, *texts)):
-            raise SteerdError(f"{word!r} cannot be written in a {file}", "", ExitCode.USAGE)
+            raise UsageError(f"{word!r} cannot be written in a {file}")
 
 
 def _fill(name: str, **values: str) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from steerd.daemon.cli import arguments
 from steerd.daemon.cli.arguments import missing_partial, missing_session, option, pick_session
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.translate import reading
 from steerd.daemon.common.written import check_outputs, write_outputs
@@ -69,11 +69,10 @@ def _list(args: Namespace, folders: tuple[Path, ...]) -> None:
     with show_progress("reading the drives", float(len(shown)), even=True) as advance:
         entries = list(catalogue.list_entries(shown, advance))
     places = {path: number for number, path in enumerate(paths, 1)}
-    entries = [
-        e
-        for e in entries
-        if (not args.tag or args.tag in e.tags) and (not args.car or args.car == e.car)
-    ]
+    if args.tag:
+        entries = [entry for entry in entries if args.tag in entry.tags]
+    if args.car:
+        entries = [entry for entry in entries if args.car == entry.car]
     if args.json:
         print(json.dumps(catalogue.make_json(entries), indent=1, allow_nan=False))
         return
@@ -147,14 +146,13 @@ def plot(args: Namespace) -> None:
     """
     paths = arguments.pick_sessions(args.sessions)
     if args.shift is not None and len(paths) != 2:
-        raise SteerdError("--shift is for two drives", "name two", ExitCode.USAGE)
+        raise UsageError("--shift is for two drives", "name two")
     name = "-".join(path.stem for path in paths)[:120]
     output = args.output or paths[0].with_name(f"{name}.html")
     check_outputs({"-o": output})
     other = output.suffix.lower() in (*_FIGURES, ".csv")
     if other and len(paths) > 1:
-        what = f"{output.name}: several drives are compared on a page"
-        raise SteerdError(what, "-o FILE.html", ExitCode.USAGE)
+        raise UsageError(f"{output.name}: several drives are compared on a page", "-o FILE.html")
     if len(paths) > 1:
         from steerd.daemon.sessions.compare import render_comparison
         from steerd.daemon.sessions.info import load_recording
@@ -239,7 +237,7 @@ def recover(args: Namespace) -> None:
         print(f"{source} is complete: nothing to recover")
         return
     if not info.count:
-        raise SteerdError(f"{source} holds no message that can be read", "", ExitCode.INVALID)
+        raise SteerdError(f"{source} holds no message that can be read")
     check_output(out)
     with reading(source):
         longest = recover(session, out)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from steerd.daemon.cli.arguments import option
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.screen import wrap_command
 from steerd.daemon.common.written import dated_name
 
@@ -90,7 +90,7 @@ def setup(args: Namespace) -> int | None:
     """
     steps = list_steps(args.port, args.mocap, args.folder)
     if not 1 <= args.first <= len(steps):
-        raise SteerdError(f"--from {args.first}: there are {len(steps)} steps", "", ExitCode.USAGE)
+        raise UsageError(f"--from {args.first}: there are {len(steps)} steps")
     args.folder.mkdir(parents=True, exist_ok=True)
     hardware = ["--port", args.port, "--mocap", args.mocap]
     left = _guide_here(steps, args.first - 1, args.page)

@@ -32,18 +32,19 @@ def home(tmp_path, monkeypatch):
 def test_install_print_uninstall(home, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "car.toml").write_text(default_car_path().read_text())
-    options = [*OPTIONS, "--car", "car.toml"]
+    assert run_cli(["keys", "lab", "--host", "localhost"]) == 0
+    options = [*OPTIONS, "--car", "car.toml", "--lab", "lab/car1"]
+    capsys.readouterr()
     assert run_cli(["service", "install", "--user", *options]) == 0
     said = capsys.readouterr().out
     assert "systemctl --user enable --now steerd" in said
     assert len(said.splitlines()) < 8
     unit = read(home.read_text())["Service"]
-    assert unit["Type"] == "notify"
-    assert unit["NotifyAccess"] == "all"
+    assert (unit["Type"], unit["NotifyAccess"], unit["KillMode"]) == ("notify", "all", "mixed")
     assert 2 <= int(unit["WatchdogSec"]) <= 10
-    assert unit["KillMode"] == "mixed"
     assert shlex.split(unit["ExecStart"]) == [
-        sys.executable, "-m", "steerd", "run", *OPTIONS, "--car", str(tmp_path / "car.toml")
+        sys.executable, "-m", "steerd", "run", *OPTIONS,
+        "--car", str(tmp_path / "car.toml"), "--lab", str(tmp_path / "lab" / "car1"),
     ]  # fmt: skip
     assert run_cli(["service", "print", *options]) == 0
     assert capsys.readouterr().out == home.read_text()
@@ -60,8 +61,7 @@ def test_arguments_with_meaning_to_systemd_survive():
     words = ["steerd", "a b", "50%", "$HOME", "C:\\new\\table", 'say "it\'s"']
     unit = make_unit(words, "car1", account="driver")
     line = read(unit)["Service"]["ExecStart"]
-    parts = [w.replace("%%", "%").replace("$$", "$") for w in shlex.split(line)]
-    assert parts == words
+    assert [w.replace("%%", "%").replace("$$", "$") for w in shlex.split(line)] == words
     assert "\\n" not in line.replace("\\\\", ""), "systemd reads an escape within quotes too"
     assert read(unit)["Install"]["WantedBy"] == "multi-user.target"
     with pytest.raises(SteerdError, match="unit file"):
