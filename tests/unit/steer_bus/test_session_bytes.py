@@ -3,27 +3,26 @@
 import io
 
 import numpy as np
-from mcap.records import Attachment  # noqa: TID251
 from mcap.writer import Writer  # noqa: TID251
 
-from steerd.steer_bus.container_write import ContainerWriter
+from steerd.steer_bus.session import McapWriter
 
 
 def test_bytes_are_the_librarys():
     rng = np.random.default_rng(1)
     theirs, ours = io.BytesIO(), io.BytesIO()
-    library, writer = Writer(theirs, enable_data_crcs=True), ContainerWriter(ours, "ros2")
+    library, writer = Writer(theirs, enable_data_crcs=True), McapWriter(ours, "ros2")
     library.start("ros2", "steerd")
     for name, values in (("one", {"a": "b", "c": ""}), ("two", {})):
         library.add_metadata(name, values)
         writer.add_metadata(name, values)
-    library.add_attachment(3, 4, "car.toml", "application/toml", b"mass")
-    writer.add_attachment(Attachment(3, 4, "car.toml", "application/toml", b"mass"))
+    for each in (library, writer):
+        each.add_attachment(3, 4, "car.toml", "application/toml", b"mass")
     for k in range(3):
         schema = library.register_schema(f"s{k}", "ros2msg", bytes(k))
-        assert writer.add_schema(f"s{k}", "ros2msg", bytes(k)) == schema
+        assert writer.register_schema(f"s{k}", "ros2msg", bytes(k)) == schema
         channel = library.register_channel(f"/t{k}", "cdr", schema, {"k": "v"})
-        assert writer.add_channel(f"/t{k}", "cdr", schema, {"k": "v"}) == channel
+        assert writer.register_channel(f"/t{k}", "cdr", schema, {"k": "v"}) == channel
     log_ns = 1000
     for k in range(20_000):  # three chunks by their size, more by their flushes
         log_ns += int(rng.integers(-50, 1000))
@@ -36,3 +35,12 @@ def test_bytes_are_the_librarys():
     library.finish()
     writer.finish()
     assert ours.getvalue() == theirs.getvalue()
+
+
+def test_no_list_of_the_librarys_grows_with_the_chunks():
+    writer = McapWriter(io.BytesIO(), "ros2")
+    channel = writer.register_channel("/t", "cdr", 0)
+    for k in range(100):
+        writer.add_message(channel, k, b"", k)
+        writer.flush()
+    assert max(len(value) for value in vars(writer).values() if isinstance(value, list)) == 0
