@@ -24,7 +24,7 @@ MAX_BYTES = 63 << 10
 """Largest encoded message; the bus drops 64 KiB and more, its own framing included."""
 
 _HEADER = b"\x00\x01\x00\x00"
-_MAX_TRAILING = 3  # DDS pads a payload to a multiple of four
+MAX_TRAILING = 3  # DDS pads a payload to a multiple of four
 _MAX_LAYOUTS = 256
 _LENGTH = struct.Struct("<I")
 
@@ -67,7 +67,7 @@ def decode(cls: type[M], data: bytes) -> M:
         end = read_steps(_steps(cls), data, len(_HEADER), values)
     except (struct.error, UnicodeError, IndexError) as error:
         raise CodecError(f"{name}: {error}") from error
-    if len(data) - end > _MAX_TRAILING:
+    if len(data) - end > MAX_TRAILING:
         raise CodecError(f"{name}: {len(data) - end} bytes left over")
     made: M = _builder(cls)(iter(values))
     return made
