@@ -7,18 +7,16 @@ Reading is :mod:`steerd.steer_bus.session_read`.
 
 import contextlib
 import os
-import zlib
 from collections.abc import Iterator, Mapping
 from mimetypes import guess_type
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, BinaryIO
 
-from mcap.data_stream import RecordBuilder  # noqa: TID251
-from mcap.records import ChunkIndex  # noqa: TID251
-from mcap.writer import Writer  # noqa: TID251
+from mcap.records import Attachment  # noqa: TID251
 
 from steerd.steer_bus.atomic_file import is_full
+from steerd.steer_bus.container_write import ContainerWriter
 from steerd.steer_bus.fields import schema_text, type_name
 from steerd.steer_bus.session_read import Session, SessionError, open_session
 
@@ -31,45 +29,6 @@ SYNC_NS = 1_000_000_000
 """How often the disk itself should have everything: the most a power cut can lose [ns]."""
 SCHEMA_VERSION, _SESSION = "1", "steerd.session"
 _MAX_TIME_NS = (1 << 63) - 1
-
-
-class McapWriter(Writer):
-    """The library's writer of one file, with little memory; started.
-
-    Args:
-        file: new and empty; whoever gives it closes it.
-        profile: whose conventions the file follows.
-    """
-
-    def __init__(self, file: BinaryIO, profile: str) -> None:
-        super().__init__(file, enable_data_crcs=True)
-        self._Writer__chunk_indices = PackedIndexes()  # the library's own name; a test holds it
-        self.start(profile, "steerd")
-
-
-class PackedIndexes(list[ChunkIndex]):
-    """Indexes of chunks as they will stand in the summary, compressed.
-
-    As the library's objects they take 12 MiB an hour at four chunks a second, here 1 MiB. Foreign
-    readers find messages by them alone, so none can be left out.
-    """
-
-    def __init__(self) -> None:
-        self._packed, self._compressor = bytearray(), zlib.compressobj()
-
-    def append(self, index: ChunkIndex) -> None:
-        """Keep one more."""
-        builder = RecordBuilder()
-        index.write(builder)
-        self._packed += self._compressor.compress(builder.end())
-
-    def __iter__(self) -> Iterator[Any]:
-        """What the library writes at the end: all of them at once."""
-        yield self
-
-    def write(self, builder: RecordBuilder) -> None:
-        """Write them to the summary."""
-        builder.write(zlib.decompress(self._packed + self._compressor.flush()))
 
 
 class SessionWriter:
@@ -114,13 +73,13 @@ class SessionWriter:
         self._sequences = dict.fromkeys(topics, 0)
         try:
             with self._disk():
-                self._writer: Writer = McapWriter(self._file, "ros2")
+                self._writer = ContainerWriter(self._file, "ros2")
                 for name, values in metadata.items():
                     version = {"schema_version": SCHEMA_VERSION} if name == _SESSION else {}
                     self._writer.add_metadata(name, {**version, **values})
                 for name, data in attachments.items():
                     kind = guess_type(name)[0] or "application/toml"
-                    self._writer.add_attachment(start_ns, start_ns, name, kind, data)
+                    self._writer.add_attachment(Attachment(start_ns, start_ns, name, kind, data))
                 self._channels = {topic: self._add_topic(topic, of) for topic, of in topics.items()}
                 self._file.flush()
                 _sync_folder(path)
@@ -223,9 +182,8 @@ class SessionWriter:
         return _disk_error(self.partial, error, f"free some space{saved}")
 
     def _add_topic(self, topic: str, cls: type[Any]) -> int:
-        text = schema_text(cls).encode()
-        schema = self._writer.register_schema(type_name(cls), "ros2msg", text)
-        return self._writer.register_channel(topic, "cdr", schema)
+        schema = self._writer.add_schema(type_name(cls), "ros2msg", schema_text(cls).encode())
+        return self._writer.add_channel(topic, "cdr", schema, {})
 
 
 def recover(session: Session, path: Path) -> float:
@@ -243,7 +201,7 @@ def recover(session: Session, path: Path) -> float:
     info, partial = session.info(), path.with_name(path.name + ".recovering")
     file = _create(path, partial)
     try:
-        writer = McapWriter(file, info.profile)
+        writer = ContainerWriter(file, info.profile)
         gap_ns = _copy(session, writer)
         source = {"source": info.path.name, "lost_bytes": str(info.lost)}
         writer.add_metadata("steerd.recovered", source)
@@ -261,19 +219,19 @@ def recover(session: Session, path: Path) -> float:
     return gap_ns * 1e-9
 
 
-def _copy(session: Session, writer: Writer) -> int:
+def _copy(session: Session, writer: ContainerWriter) -> int:
     """Copy definitions, texts and messages; give the longest gap between messages [ns]."""
     contents = session.info()
     for name, values in contents.metadata.items():
         writer.add_metadata(name, values)
     for a in session.attachments():
-        writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
+        writer.add_attachment(a)
     schemas = {
-        key: writer.register_schema(schema.name, schema.encoding, schema.data)
+        key: writer.add_schema(schema.name, schema.encoding, schema.data)
         for key, schema in contents.schemas.items()
     }
     channels = {
-        key: writer.register_channel(
+        key: writer.add_channel(
             c.topic, c.message_encoding, schemas.get(c.schema_id, 0), c.metadata
         )
         for key, c in contents.channels.items()
@@ -299,7 +257,7 @@ def _create(path: Path, partial: Path) -> BinaryIO:
         raise SessionError("disk", text) from error
 
 
-def _finish(writer: Writer, file: BinaryIO, partial: Path, path: Path) -> None:
+def _finish(writer: ContainerWriter, file: BinaryIO, partial: Path, path: Path) -> None:
     writer.finish()
     file.flush()
     os.fsync(file.fileno())
