@@ -15,7 +15,7 @@ import functools
 import operator
 import struct
 from collections.abc import Callable, Iterator
-from itertools import islice
+from itertools import groupby, islice
 from typing import Any, TypeVar
 
 from steerd.steer_bus.fields import Kind, Nested, Scalar, Sized, cached, leaves_of, message_fields
@@ -24,7 +24,7 @@ MAX_BYTES = 63 << 10
 """Largest encoded message; the bus drops 64 KiB and more, its own framing included."""
 
 _HEADER = b"\x00\x01\x00\x00"
-_MAX_TRAILING = 3  # DDS pads a payload to a multiple of four
+MAX_TRAILING = 3  # DDS pads a payload to a multiple of four
 _MAX_LAYOUTS = 256
 _LENGTH = struct.Struct("<I")
 
@@ -67,7 +67,7 @@ def decode(cls: type[M], data: bytes) -> M:
         end = read_steps(_steps(cls), data, len(_HEADER), values)
     except (struct.error, UnicodeError, IndexError) as error:
         raise CodecError(f"{name}: {error}") from error
-    if len(data) - end > _MAX_TRAILING:
+    if len(data) - end > MAX_TRAILING:
         raise CodecError(f"{name}: {len(data) - end} bytes left over")
     made: M = _builder(cls)(iter(values))
     return made
@@ -176,20 +176,14 @@ _Step = tuple[struct.Struct, ...] | Sized | type[Any]
 def _steps(cls: type[Any]) -> tuple[_Step, ...]:
     """Give what to read in order: runs of primitives (one layout per phase), texts, sequences."""
     steps: list[_Step] = []
-    run: list[_Token] = []
-    for kind in (leaf.kind for leaf in leaves_of(cls)):
-        if isinstance(kind, Scalar):
-            run += _tokens(kind, iter(()))
-            continue
-        if run:
-            steps.append(_phases(run))
-            run = []
-        steps.append(kind.cls if isinstance(kind, Nested) else kind)
-    return (*steps, _phases(run)) if run else tuple(steps)
-
-
-def _phases(run: list[_Token]) -> tuple[struct.Struct, ...]:
-    return tuple(_layout(run, phase, "") for phase in range(8))
+    kinds: Iterator[Any] = (leaf.kind for leaf in leaves_of(cls))
+    for fixed, group in groupby(kinds, lambda kind: isinstance(kind, Scalar)):
+        if fixed:
+            run = [token for kind in group for token in _tokens(kind, iter(()))]
+            steps.append(tuple(_layout(run, phase, "") for phase in range(8)))
+        else:
+            steps += (kind.cls if isinstance(kind, Nested) else kind for kind in group)
+    return tuple(steps)
 
 
 def read_steps(steps: tuple[_Step, ...], data: bytes, pos: int, values: list[Any]) -> int:

@@ -15,6 +15,7 @@ import os
 import re
 import struct
 import zlib
+from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -216,7 +217,7 @@ def scan_messages(data: bytes) -> tuple[dict[int, list[tuple[int, int]]], list[t
     Raises:
         DamageError: if lengths do not add up.
     """
-    found: dict[int, list[tuple[int, int]]] = {}
+    found: dict[int, list[tuple[int, int]]] = defaultdict(list)
     others: list[tuple[int, bytes]] = []
     unpack, pos, end = _MESSAGE_START.unpack_from, 0, len(data)
     while pos < end:
@@ -231,10 +232,8 @@ def scan_messages(data: bytes) -> tuple[dict[int, list[tuple[int, int]]], list[t
             others.append((opcode, data[start + 9 : pos]))
         elif length < _MESSAGE_MIN:
             raise DamageError("a message is cut")
-        elif channel in found:
-            found[channel].append((start + _MESSAGE_PREFIX, pos))
         else:
-            found[channel] = [(start + _MESSAGE_PREFIX, pos)]
+            found[channel].append((start + _MESSAGE_PREFIX, pos))
     return found, others
 
 

@@ -105,12 +105,8 @@ class SessionWriter:
             KeyError: on a topic that was not declared.
         """
         channel = self._channels[topic]
-        if not self._last_log_ns <= log_ns <= _MAX_TIME_NS:
-            log_ns = min(max(log_ns, self._last_log_ns), _MAX_TIME_NS)
-        self._last_log_ns = log_ns
-        published = log_ns if publish_ns is None else publish_ns
-        if not 0 <= published <= _MAX_TIME_NS:
-            published = min(max(published, 0), _MAX_TIME_NS)
+        log_ns = self._last_log_ns = min(max(log_ns, self._last_log_ns), _MAX_TIME_NS)
+        published = log_ns if publish_ns is None else min(max(publish_ns, 0), _MAX_TIME_NS)
         sequence = self._sequences[topic] = self._sequences[topic] + 1
         if self._broken is not None:
             raise self._broken

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.steer_bus.codec import MAX_BYTES, CodecError, decode, read_steps
+from steerd.steer_bus.codec import MAX_BYTES, MAX_TRAILING, CodecError, decode, read_steps
 from steerd.steer_bus.container import MESSAGE_FIELDS
 from steerd.steer_bus.fields import Field, Scalar, Sized, flat_leaves, type_name
 
@@ -23,7 +23,6 @@ object arrays, those inside it (frame names) are left out."""
 _PREFIX = MESSAGE_FIELDS.size
 _CDR = _PREFIX + 4
 _LITTLE_ENDIAN = 0x0100  # bytes 00 01 read as uint16
-_MAX_TRAILING = 3
 _CDR_HEADER = "#cdr"
 _BATCH = 8192
 
@@ -90,7 +89,7 @@ def _read_columns(leaves: tuple[Field, ...], records: list[bytes]) -> Columns | 
     dtype, texts = found
     size = dtype.itemsize
     lengths = np.fromiter(map(len, records), np.int64, len(records))
-    longest = np.inf if leaves[fixed:] else size + _MAX_TRAILING
+    longest = np.inf if leaves[fixed:] else size + MAX_TRAILING
     if records and (lengths.min() < size or lengths.max() > longest):
         return None
     whole = bool((lengths == size).all())
@@ -137,7 +136,7 @@ def _tail_columns(leaves: tuple[Field, ...], records: list[bytes], start: int) -
             end = read_steps(texts, record, start, values)
         except (CodecError, struct.error, UnicodeError):
             return None
-        if len(record) - end > _MAX_TRAILING:
+        if len(record) - end > MAX_TRAILING:
             return None
         for column, value in zip(columns.values(), values, strict=True):
             column[row] = value

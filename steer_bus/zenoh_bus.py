@@ -106,7 +106,7 @@ class ZenohBus:
         self._session = _open(profile)
         self._zid = str(self._session.info.zid()).encode()
         self._publishers: dict[str, _Publisher] = {}
-        self._held: set[_Declared] = set()  # zenoh withdraws what nobody refers to
+        self._held: list[Any] = []  # zenoh withdraws what nobody refers to
         self._closed = False
 
     def __enter__(self) -> "ZenohBus":
@@ -163,17 +163,18 @@ class ZenohBus:
         handle = self._ask(lambda: self._session.declare_subscriber(key, handler))
         return Subscription(handle, lambda: kept.popleft() if kept else None)
 
-    def declare_alive(self, key: str) -> "_Declared":
-        """Show a liveliness token until it is closed or this process dies."""
-        handle = self._ask(lambda: self._session.liveliness().declare_token(check_key(key)))
-        return _Declared(handle, self._held)
+    def declare_alive(self, key: str) -> None:
+        """Show a liveliness token until the bus is closed or this process dies."""
+        self._held.append(
+            self._ask(lambda: self._session.liveliness().declare_token(check_key(key)))
+        )
 
     def alive(self, key: str) -> frozenset[str]:
         """Give the tokens that are alive now; waits up to a second for the peers' answers."""
         replies = self._ask(lambda: self._session.liveliness().get(key, timeout=1.0))
         return frozenset(str(r.ok.key_expr) for r in replies if r.ok is not None)
 
-    def serve(self, key: str, answer: Answer) -> "_Declared":
+    def serve(self, key: str, answer: Answer) -> None:
         """Answer queries to a key; ``answer`` runs in zenoh's callback thread."""
 
         def reply(query: zenoh.Query) -> None:
@@ -183,8 +184,7 @@ class ZenohBus:
                 if value is not None:
                     query.reply(key, value)
 
-        handle = self._ask(lambda: self._session.declare_queryable(key, reply))
-        return _Declared(handle, self._held)
+        self._held.append(self._ask(lambda: self._session.declare_queryable(key, reply)))
 
     def query(self, key: str, timeout_s: float = 1.0) -> dict[str, bytes]:
         """Ask for values, by key; only keys that ``key`` matches are answered."""
@@ -237,16 +237,6 @@ class _Publisher:
     handle: Any
     gid: bytes
     seq: int = 0
-
-
-class _Declared:
-    def __init__(self, handle: Any, held: "set[_Declared]") -> None:
-        self._handle, self._held = handle, held
-        held.add(self)
-
-    def close(self) -> None:
-        self._held.discard(self)
-        self._handle.undeclare()
 
 
 class Subscription:

@@ -77,14 +77,14 @@ class LocalBus:
         self._held.append(ring)
         return ring
 
-    def declare_alive(self, key: str) -> _Held:
-        return self._hold(self._hub.tokens, check_key(key))
+    def declare_alive(self, key: str) -> None:
+        self._hold(self._hub.tokens, check_key(key))
 
     def alive(self, key: str) -> frozenset[str]:
         return frozenset(token for token in self._hub.tokens if key_matches(key, token))
 
-    def serve(self, key: str, answer: Answer) -> _Held:
-        return self._hold(self._hub.answers, (key, answer))
+    def serve(self, key: str, answer: Answer) -> None:
+        self._hold(self._hub.answers, (key, answer))
 
     def query(self, key: str, timeout_s: float = 1.0) -> dict[str, bytes]:
         self._check_open()
@@ -99,10 +99,9 @@ class LocalBus:
         for held in self._held:
             held.close()
 
-    def _hold(self, place: list[Any], what: Any) -> _Held:
+    def _hold(self, place: list[Any], what: Any) -> None:
         self._check_open()
         self._held.append(_Held(place, what))
-        return self._held[-1]
 
     def _check_open(self) -> None:
         if self._closed:

@@ -17,6 +17,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.progress import Advance
 from steerd.daemon.imports.import_map import ImportMap, load_map
 from steerd.daemon.imports.import_session import ImportReport, MessageMaker, Sample, write_import
+from steerd.steer_bus import standard
 from steerd.steer_bus.atomic_file import is_full
 from steerd.steer_bus.fields import schema_text, type_name
 from steerd.steer_bus.standard import AckermannDriveStamped, Odometry, PoseStamped, VescStateStamped
@@ -261,8 +262,7 @@ def _samples(bag: _Bag, advance: Advance) -> Iterator[Sample]:
     for count, (topic, bag_ns, message) in enumerate(_records(bag)):
         if count % _ADVANCE_MESSAGES == 0:
             advance((bag_ns - start_ns) / span_ns)
-        stamp = message.header.stamp
-        stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+        stamp_ns = standard.stamp_ns(message.header)
         if topic not in other_clock:
             other_clock[topic] = abs(stamp_ns - bag_ns) > _OTHER_CLOCK_NS
             if other_clock[topic]:

@@ -189,16 +189,16 @@ def _split(line: str, delimiter: str) -> list[str]:
 
 # -- messages from rows ------------------------------------------------------------------------
 
-_SINGLE: dict[str, tuple[Topic, Callable[[MessageMaker, int, float], Any]]] = {
-    "erpm": (VESC, MessageMaker.telemetry),
-    "wheel_speed": (WHEEL, MessageMaker.wheel),
-    "throttle": (THROTTLE, MessageMaker.throttle),
-    "yaw_rate": (IMU, MessageMaker.gyro),
-}
-"""Quantities that are a message each: its topic, and what makes it."""
-_TOPICS = {"x": MOCAP, "steer_cmd": ACTUATION, "speed_cmd": ACTUATION}
-_TOPICS |= {quantity: topic for quantity, (topic, _) in _SINGLE.items()}
-_POSE = ("x", "y", "yaw")
+_STREAMS: tuple[tuple[Topic, Callable[..., Any], tuple[str, ...]], ...] = (
+    (MOCAP, MessageMaker.planar_pose, ("x", "y", "yaw")),
+    (ACTUATION, MessageMaker.command, ("steer_cmd", "speed_cmd")),
+    (VESC, MessageMaker.telemetry, ("erpm",)),
+    (WHEEL, MessageMaker.wheel, ("wheel_speed",)),
+    (THROTTLE, MessageMaker.throttle, ("throttle",)),
+    (IMU, MessageMaker.gyro, ("yaw_rate",)),
+)
+"""Topics, what makes their messages, and of which quantities."""
+_TOPICS = {quantity: topic for topic, _, quantities in _STREAMS for quantity in quantities}
 _Timed = tuple[int, dict[str, float]]
 """The time of a row [ns], and the quantities that have a value in it."""
 _INT32_MAX = (1 << 31) - 1  # largest UNIX time [s] and largest ERPM of a message
@@ -263,18 +263,15 @@ def _add_times(
 def _samples(
     table: CsvTable, timed: Iterator[_Timed], the_map: ImportMap, notes: Counter[str]
 ) -> Iterator[Sample]:
-    maker = MessageMaker(the_map.epoch_ns, the_map.frame)
+    maker, pose = MessageMaker(the_map.epoch_ns, the_map.frame), _STREAMS[0][2]
     for t_ns, v in timed:
-        if _POSE[0] in v and _POSE[1] in v and _POSE[2] in v:
-            yield Sample(MOCAP, t_ns, t_ns, maker.planar_pose(t_ns, v["x"], v["y"], v["yaw"]))
-        elif any(key in v for key in _POSE):
+        if 0 < len(v.keys() & pose) < len(pose):
             notes["rows hold a part of a pose and were left out of it"] += 1
-        if "steer_cmd" in v or "speed_cmd" in v:
-            steer, speed = v.get("steer_cmd", math.nan), v.get("speed_cmd", math.nan)
-            yield Sample(ACTUATION, t_ns, t_ns, maker.command(t_ns, steer, speed))
+            v = {name: value for name, value in v.items() if name not in pose}
         if abs(v.get("erpm", 0.0)) > _INT32_MAX:
             column = the_map.columns["erpm"].column
             table.fail(f"{v['erpm']:g} is no motor speed", column=column)
-        for name, (topic, make) in _SINGLE.items():
-            if name in v:
-                yield Sample(topic, t_ns, t_ns, make(maker, t_ns, v[name]))
+        for topic, make, quantities in _STREAMS:
+            if any(name in v for name in quantities):
+                given = (v.get(name, math.nan) for name in quantities)
+                yield Sample(topic, t_ns, t_ns, make(maker, t_ns, *given))

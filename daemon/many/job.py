@@ -12,7 +12,7 @@ import sys
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
@@ -190,16 +190,13 @@ def open_finished(
         SteerdError: they belong to other work, are in use, or cannot be written.
     """
     try:
-        file = RowFile(path, alone=True)
-    except sqlite3.Error as error:
-        raise _make_error(path, error) from None
-    try:
-        old = file.read_all()
-        if any(of != basis for of, _ in old.values()):
-            what = f"{path} holds what another command had finished"
-            hint = f"name another -o, or delete {path and path.name}: it is then done again"
-            raise SteerdError(what, hint, ExitCode.USAGE)
-        yield {unit: row for unit, (_, row) in old.items()}, file.write
+        with closing(RowFile(path, alone=True)) as file:
+            old = file.read_all()
+            if any(of != basis for of, _ in old.values()):
+                what = f"{path} holds what another command had finished"
+                hint = f"name another -o, or delete {path and path.name}: it is then done again"
+                raise SteerdError(what, hint, ExitCode.USAGE)
+            yield {unit: row for unit, (_, row) in old.items()}, file.write
     except KeyboardInterrupt:
         if path is not None:
             text = "interrupted; the same command goes on where it was"
@@ -207,8 +204,6 @@ def open_finished(
         raise
     except sqlite3.Error as error:
         raise _make_error(path, error) from None
-    finally:
-        file.close()
 
 
 def _make_error(path: Path | None, error: sqlite3.Error) -> SteerdError:

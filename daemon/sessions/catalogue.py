@@ -130,10 +130,8 @@ def write_notes(session: Path, tags: Iterable[str], note: str) -> None:
     """
     if not session.is_file():
         raise SteerdError(f"{session} does not exist", "", ExitCode.UNREADABLE)
-    document = tomlkit.document()
-    document["tags"] = list(dict.fromkeys(tags))
-    document["note"] = note
-    write_whole(notes_file(session), tomlkit.dumps(document))
+    said = {"tags": list(dict.fromkeys(tags)), "note": note}
+    write_whole(notes_file(session), tomlkit.dumps(said))
 
 
 # -- the index -------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ from math import degrees
 
 import numpy as np
 from matplotlib.axes import Axes
+from scipy.signal import correlate, correlation_lags
 
 from steerd.car_model.path.path import Path as Lane
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -220,26 +221,18 @@ def find_shift(first: Sequence[Array], second: Sequence[Array]) -> float:
         first: quantities of the first drive, `STEP` apart, each (n,).
         second: the same quantities of the second, each (m,).
     """
-    size = len(first[0]) + len(second[0])
-    total, power = np.zeros(size), np.zeros(size)
+    lags = correlation_lags(len(first[0]), len(second[0]))
+    total, power = np.zeros(len(lags)), np.zeros(len(lags))
     for one, other in zip(first, second, strict=True):
         mean, scale = np.nanmean(one), max(float(np.nanstd(one)), 1e-9)
         a, b = (np.nan_to_num((values - mean) / scale) for values in (one, other))
         here, there = (np.isfinite(values).astype(float) for values in (one, other))
-        total += _correlate(a, b, size)
-        power += np.sqrt(
-            np.maximum(_correlate(a**2, there, size) * _correlate(here, b**2, size), 0.0)
-        )
-    lags = np.fft.fftfreq(size, 1.0 / size)
+        total += correlate(a, b, method="fft")
+        both = correlate(a**2, there, method="fft") * correlate(here, b**2, method="fft")
+        power += np.sqrt(np.maximum(both, 0.0))
     near = np.abs(lags - lags[np.argmax(total)]) <= REFINED / STEP
     likeness = np.where(near, total / np.maximum(power, 1e-9), -np.inf)
     return float(lags[np.argmax(likeness)]) * STEP
-
-
-def _correlate(a: Array, b: Array, size: int) -> Array:
-    """Sum of `a[i + lag] b[i]` by lag, negative lags at the end."""
-    spectrum = np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size))
-    return np.asarray(np.fft.irfft(spectrum, size))
 
 
 def overlay(first: Recording, second: Recording, shift: float | None = None) -> Overlay:

@@ -257,14 +257,10 @@ def _states(read: Recording) -> tuple[StateChange, ...]:
     table = read.table(topics.TRANSITION)
     if table is None:
         return ()
-    columns = (table["from_state"], table["to_state"], table["text"])
-    rows = list(zip(*(column[:STATES_MAX].tolist() for column in columns), strict=True))
-    times = seconds_since(read.info.start_ns, table["log_ns"]).tolist()
-    changes = (
-        StateChange(t, _state_name(after), text)
-        for t, (_, after, text) in zip(times, rows, strict=False)
-    )
-    return (StateChange(0.0, _state_name(rows[0][0]), ""), *changes)
+    columns = (seconds_since(read.info.start_ns, table["log_ns"]), table["to_state"], table["text"])
+    rows = zip(*(column[:STATES_MAX].tolist() for column in columns), strict=True)
+    changes = (StateChange(t, _state_name(after), text) for t, after, text in rows)
+    return (StateChange(0.0, _state_name(int(table["from_state"][0])), ""), *changes)
 
 
 def _state_name(number: int) -> str:

@@ -36,10 +36,9 @@ def labs(tmp_path_factory):
 def hub(labs):
     lab = load_lab(labs / "ours" / "car1")
     with ZenohBus(Profile(True, lab.endpoint, lab, pose_key=POSE)) as bus:
-        tokens = [bus.declare_alive(ALIVE), bus.serve("steerd/car1/schema/**", lambda _: b"text")]
+        bus.declare_alive(ALIVE)
+        bus.serve("steerd/car1/schema/**", lambda _: b"text")
         yield bus
-        for token in tokens:
-            token.close()
 
 
 def join(folder):

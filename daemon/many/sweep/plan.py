@@ -8,7 +8,7 @@ import itertools
 import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from math import exp, isfinite, log
+from math import exp, isfinite, log, prod
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 from zlib import crc32
@@ -232,10 +232,8 @@ class SweepPlan:
     @property
     def count(self) -> int:
         """Number of drives."""
-        total = len(self.seeds)
-        for choice in self.vary.values():
-            total *= len(choice) if isinstance(choice, tuple) else 1
-        return total
+        lists = (len(choice) for choice in self.vary.values() if isinstance(choice, tuple))
+        return len(self.seeds) * prod(lists)
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
