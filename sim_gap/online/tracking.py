@@ -199,20 +199,19 @@ def remember(augmented: AugmentedCar, memory: Memory) -> Remembered:
     """What of the memory of an earlier drive still says more than the car file's base."""
     names = [n for n in memory.values if n in augmented.kernels.names and n not in MEASURED]
     space = make_space(augmented, names)
-    found = {}
+    slopes, found = _slopes(space), {}
     for i, name in enumerate(space.chart.free[: space.nuisance]):
         value, sd = memory.values[name]
-        before = _slope(space, i) * float(space.spread[i])
+        before = float(slopes[i] * space.spread[i])
         today = float(np.hypot(sd, before * np.sqrt(PER_DAY * max(memory.days, 0.0))))
         if today**2 < FORGOTTEN * before**2:
             found[name] = value, today
     return found
 
 
-def _slope(space: Space, place: int) -> float:
-    """How fast a parameter follows its own coordinate."""
-    row = space.chart.names.index(space.chart.free[place])
-    return abs(float(space.chart.slopes(space.centre)[row, place]))
+def _slopes(space: Space) -> Array:
+    """(n,) how fast parameters follow their own coordinates."""
+    return np.abs(space.chart.own_slopes(space.centre))
 
 
 def with_memory(reference: Reference, track: Track, remembered: Remembered) -> Track:
@@ -226,7 +225,7 @@ def with_memory(reference: Reference, track: Track, remembered: Remembered) -> T
     for i in own:
         at[names.index(free[i])] = remembered[free[i]][0]
     away = (space.chart.coordinates(at) - space.centre)[own]
-    sd = np.array([remembered[free[i]][1] / _slope(space, i) for i in own])
+    sd = np.array([remembered[free[i]][1] for i in own]) / _slopes(space)[own]
     seen = np.diag(track.covariance)[own]
     if (np.abs(away - track.mean[own]) > CONTRADICTED * np.sqrt(sd**2 + seen)).any():
         return track

@@ -117,9 +117,8 @@ def file_of_fitted(base: CarFile, taught: FittedCar) -> CarFile:
     known = knowledge_of(taught)
     chart, covariance = taught.point.space.chart, _doubtful(taught, known.covariance)
     z, kept = _without_small(taught, covariance)
-    p, slopes = chart.parameters(z), chart.slopes(z)
     covariance = covariance if MOVED in kept else _as_mounted(taught, covariance)
-    spread = np.sqrt(np.einsum("pi,ij,pj->p", slopes, covariance, slopes))
+    p, spread = chart.parameters(z), chart.sds(z, covariance)
     free = {name: chart.names.index(name) for name in taught.nuisance}
     car = {name: float(p[i]) for name, i in free.items() if "." not in name}
     own = dict(zip((e.name for e in base.effects), base.values, strict=True))
