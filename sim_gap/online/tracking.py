@@ -23,6 +23,7 @@ from steerd.sim_gap.online.samples import WINDOW
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference.augmented_car import AugmentedCar
+from steerd.sysid.inference.chart import places_of
 from steerd.sysid.inference.likelihood import Reduced, make_likelihood
 from steerd.sysid.inference.noise import Noise
 from steerd.sysid.inference.predictor import open_predictor
@@ -54,8 +55,7 @@ class Reference:
 
     def places(self, effect: str) -> list[int]:
         """Coordinates of an effect."""
-        free = self.space.chart.free
-        return [i for i, name in enumerate(free) if name.startswith(f"{effect}.")]
+        return places_of(self.space.chart.free, effect)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +95,9 @@ def may_change(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[str, ...]:
 def look(reference: Reference, run: Run, t: float) -> Loss | None:
     """See a window that began at `t` [s]; None where the reference's simulation leaves the map."""
     try:
+        base, fixed = reference.augmented.base, make_space(reference.augmented, ())
         predictor = open_predictor(reference.augmented, [run], WINDOW)
-        fixed = make_space(reference.augmented, ())
-        guess = predictor.guess.copy()
-        likelihood = make_likelihood(predictor, reference.augmented.base, guess, reference.noise)
+        likelihood = make_likelihood(predictor, base, predictor.guess, reference.noise)
         found = settled(likelihood, fixed, fixed.centre)
         point = stand(likelihood, reference.space, reference.space.centre, found.x, 0.0)
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):

@@ -135,7 +135,12 @@ class Chart:
         """Standard errors (P,) of the parameters, zero for the fixed ones, of the coordinates'."""
         slopes = self.slopes(z)
         variance = np.einsum("pi,ij,pj->p", slopes, covariance, slopes)
-        return np.sqrt(np.maximum(variance, 0.0))
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def places_of(names: Sequence[str], effect: str) -> list[int]:
+    """Where an effect's parameters stand among the names of parameters."""
+    return [i for i, name in enumerate(names) if name.startswith(f"{effect}.")]
 
 
 def effect_scales(effects: Sequence[Effect]) -> dict[str, float]:
@@ -164,7 +169,8 @@ def make_chart(
     chosen = tuple(free)
     if wheelbase is not None and {"lf", "lr"} <= set(chosen):
         chosen = tuple(name for name in chosen if name != "lf")
-    limits = [(p.low, p.high) for p in (*PARAMETERS, *(p for e in effects for p in e.parameters))]
+    limits = [(p.low, p.high) for p in PARAMETERS]
+    limits += [(p.low, p.high) for e in effects for p in e.parameters]
     low, high = np.array(limits).T
     chart = Chart(names, prior.astype(float), chosen, wheelbase, low, high, np.empty(0))
     own = effect_scales(effects)

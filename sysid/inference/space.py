@@ -44,6 +44,8 @@ parameter's unit.
 """
 LIMITS = ("steer_rate", "accel_max", "decel_max")
 """Limits, which a data sheet gives for another car; drives that reach them identify this one's."""
+SPEED_LOOP = ("speed_lag", "drive_delay", "accel_max", "decel_max")
+"""What lies between a commanded speed and the wheels'."""
 SESSION = 0.3
 """Of the floors, what a car differs by from one day to the next beside that."""
 UNKNOWN = 3.0
@@ -100,21 +102,33 @@ class Space:
         return 0.5 * float(away @ np.linalg.solve(self.covariance[own, own], away))
 
 
+def _commanded(runs: Sequence[Run]) -> bool:
+    return all(run.speed_source == "command" for run in runs)
+
+
+def hidden_names(runs: Sequence[Run]) -> set[str]:
+    """Base parameters that such drives cannot show where their measured speed is prescribed.
+
+    Nothing of the speed loop then; nor of the wheels, where it is the body's speed.
+    """
+    if _commanded(runs):
+        return set()
+    rolled = any(run.speed_source == "wheel" for run in runs)
+    return {*SPEED_LOOP, *(() if rolled else ("speed_gain", "c_x"))}
+
+
 def nuisance_names(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[str, ...]:
     """Base parameters that are free in every hypothesis: those that identification frees."""
-    known, sources = augmented.knowledge, {run.speed_source for run in runs}
-    gone = set() if augmented.kernels.chassis.drive else {"c_x"}
+    known, gone = augmented.knowledge, hidden_names(runs)
+    gone |= set() if augmented.kernels.chassis.drive else {"c_x"}
     names = list(FLOORS)
     if known is not None:
         names = [name for name in known.names if "." in name or name in FLOORS]
     elif augmented.sd:  # an identification from before they were free
         gone |= {*LIMITS, *({"drive_delay"} - augmented.sd.keys())}
-    if sources != {"command"}:
-        gone |= {"speed_lag", "drive_delay", *LIMITS[1:]}
-        gone |= set() if "wheel" in sources else {"speed_gain", "c_x"}
-        if known is not None:
-            held = {e.name for e in augmented.effects if e.follows_acceleration}
-            gone |= {name for name in names if name.partition(".")[0] in held}
+    if known is not None and not _commanded(runs):
+        held = {e.name for e in augmented.effects if e.follows_acceleration}
+        gone |= {name for name in names if name.partition(".")[0] in held}
     return tuple(name for name in names if name not in gone)
 
 
@@ -124,7 +138,7 @@ def informative_effects(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[s
     What the motor does is then no prediction, a limit on it would only hold the car back from the
     speed that was measured, and that speed's acceleration is mostly noise.
     """
-    commanded = all(run.speed_source == "command" for run in runs)
+    commanded = _commanded(runs)
     missing = set() if commanded else {Channel.SPEED}
     chassis = augmented.kernels.chassis.name
     built_in = {e.name for e in augmented.effects if chassis in e.built_into}
