@@ -130,7 +130,7 @@ def covariance(predictor: Predictor, noise: Noise, pushed: Sequence[Array] = ())
     for size, shape in zip(sizes[_INSTRUMENTS:], pushed, strict=False):
         out += size * shape
     white = np.einsum("g,gwd->wd", sizes[:_INSTRUMENTS], instrument_rows(predictor))
-    white /= np.maximum(predictor.padded.merged, 1.0)
+    white /= predictor.padded.merged
     out[:, range(width), range(width)] += white + (1.0 - there)
     return out
 
