@@ -87,9 +87,15 @@ class Combination:
 def _estimate(
     name: str, value: float, sd: float, doubt: float, prior: float, would: str = ""
 ) -> Estimate:
-    """An estimate that counts as known where its doubt is small, by its value or by its prior's.
+    """An estimate, known where its standard error is small by its value or by the one before.
 
-    `would`, if given, is what lets a person know it where these drives do not.
+    Args:
+        name: of the parameter.
+        value: its estimate.
+        sd: its standard error; `doubt` with all doubts, by which it is judged.
+        doubt: see `sd`.
+        prior: its standard deviation before any data.
+        would: what would identify it; empty for what is usual.
     """
     relative = name in RELATIVE or name in ("lf", "lr")
     if doubt < (RELATIVE_MAX * abs(value) if relative else SPREAD_MAX * prior):
@@ -155,20 +161,15 @@ def _at_bound(chart: Chart, parameters: Array, moving: Sequence[str]) -> str:
 
 def estimates(chart: Chart, z: Array, covariance: Array) -> dict[str, Estimate]:
     """Every free parameter with its standard error and whether the data identify it."""
-    parameters, doubtful = chart.parameters(z), _careful(chart, z, covariance)
-    prior = np.diag(chart.spread**2)
-    every = zip(
-        chart.names, parameters.tolist(),
-        *(chart.sds(z, each).tolist() for each in (covariance, doubtful, prior)), strict=True,
-    )  # fmt: skip
-    rows = [row for row in every if row[-1] > 0.0]
-    found = {row[0]: _estimate(*row) for row in rows}
-    if stuck := _at_bound(chart, parameters, list(found)):
-        return {
-            name: Estimate(value, max(sd, doubt), False, stuck)
-            for name, value, sd, doubt, _ in rows
-        }
-    return found
+    parameters = chart.parameters(z)
+    covariances = covariance, _careful(chart, z, covariance), np.diag(chart.spread**2)
+    sds = np.stack([chart.sds(z, each) for each in covariances], axis=1).tolist()
+    rows = zip(chart.names, parameters.tolist(), sds, strict=True)
+    moving = {name: (value, *errors) for name, value, errors in rows if errors[-1] > 0.0}
+    if stuck := _at_bound(chart, parameters, tuple(moving)):
+        every = moving.items()
+        return {n: Estimate(value, max(sd, d), False, stuck) for n, (value, sd, d, _) in every}
+    return {name: _estimate(name, *numbers) for name, numbers in moving.items()}
 
 
 def taught_estimates(
