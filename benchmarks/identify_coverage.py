@@ -24,7 +24,8 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.segments import make_blocks
 from steerd.sysid.estimation.outcome import Fit, fit_of_plain
-from steerd.sysid.inference.plain_car import DEFAULT_FREE, TYRES, Asked, search_blocks, search_rough
+from steerd.sysid.inference.plain_car import DEFAULT_FREE, Asked, search_blocks, search_rough
+from steerd.sysid.paper import NAMES as TYRES
 
 BAD = (
     (0.324, 0.324, 7.0, 7.0), (0.1, 0.35, 2.0, 10.0), (0.35, 0.1, 10.0, 2.0), (0.1, 0.1, 2.0, 2.0),

@@ -89,8 +89,7 @@ def _diagnose(base: AugmentedCar, reference: Reference, runs: Sequence[Run]) -> 
         FloatingPointError: the base's simulation leaves the map.
     """
     predictor = open_predictor(base, runs, WINDOW, late=reference.late)
-    guess = predictor.guess.copy()
-    likelihood = make_likelihood(predictor, base.base, guess, reference.noise)
+    likelihood = make_likelihood(predictor, base.base, predictor.guess, reference.noise)
     possible = may_change(base, runs)
     effects = tuple(e for e in base.effects if e.name in possible)
     nuisance = reference.space.chart.free[: reference.space.nuisance]
@@ -127,8 +126,7 @@ def learn(
     built_in = tuple(e.name for e in augmented.effects if e.on_every_car and e.name not in known)
     try:
         predictor = open_predictor(augmented, runs, WINDOW)
-        x = predictor.guess.copy()
-        rough = noise or usual_noise(estimate_noise(runs))
+        x, rough = predictor.guess, noise or usual_noise(estimate_noise(runs))
         likelihood = make_likelihood(predictor, augmented.base, x, rough)
         library = Library(likelihood, nuisance, (), known=False)
         fitted = minimise(likelihood, begin(library, built_in, (), x))

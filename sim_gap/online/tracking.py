@@ -23,6 +23,7 @@ from steerd.sim_gap.online.samples import WINDOW
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference.augmented_car import AugmentedCar
+from steerd.sysid.inference.chart import places_of
 from steerd.sysid.inference.likelihood import Reduced, make_likelihood
 from steerd.sysid.inference.noise import Noise
 from steerd.sysid.inference.predictor import open_predictor
@@ -54,8 +55,7 @@ class Reference:
 
     def places(self, effect: str) -> list[int]:
         """Coordinates of an effect."""
-        free = self.space.chart.free
-        return [i for i, name in enumerate(free) if name.startswith(f"{effect}.")]
+        return places_of(self.space.chart.free, effect)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +95,9 @@ def may_change(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[str, ...]:
 def look(reference: Reference, run: Run, t: float) -> Loss | None:
     """See a window that began at `t` [s]; None where the reference's simulation leaves the map."""
     try:
+        base, fixed = reference.augmented.base, make_space(reference.augmented, ())
         predictor = open_predictor(reference.augmented, [run], WINDOW)
-        fixed = make_space(reference.augmented, ())
-        guess = predictor.guess.copy()
-        likelihood = make_likelihood(predictor, reference.augmented.base, guess, reference.noise)
+        likelihood = make_likelihood(predictor, base, predictor.guess, reference.noise)
         found = settled(likelihood, fixed, fixed.centre)
         point = stand(likelihood, reference.space, reference.space.centre, found.x, 0.0)
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):
@@ -199,20 +198,19 @@ def remember(augmented: AugmentedCar, memory: Memory) -> Remembered:
     """What of the memory of an earlier drive still says more than the car file's base."""
     names = [n for n in memory.values if n in augmented.kernels.names and n not in MEASURED]
     space = make_space(augmented, names)
-    found = {}
+    slopes, found = _slopes(space), {}
     for i, name in enumerate(space.chart.free[: space.nuisance]):
         value, sd = memory.values[name]
-        before = _slope(space, i) * float(space.spread[i])
+        before = float(slopes[i] * space.spread[i])
         today = float(np.hypot(sd, before * np.sqrt(PER_DAY * max(memory.days, 0.0))))
         if today**2 < FORGOTTEN * before**2:
             found[name] = value, today
     return found
 
 
-def _slope(space: Space, place: int) -> float:
-    """How fast a parameter follows its own coordinate."""
-    row = space.chart.names.index(space.chart.free[place])
-    return abs(float(space.chart.slopes(space.centre)[row, place]))
+def _slopes(space: Space) -> Array:
+    """(n,) how fast parameters follow their own coordinates."""
+    return np.abs(space.chart.own_slopes(space.centre))
 
 
 def with_memory(reference: Reference, track: Track, remembered: Remembered) -> Track:
@@ -226,7 +224,7 @@ def with_memory(reference: Reference, track: Track, remembered: Remembered) -> T
     for i in own:
         at[names.index(free[i])] = remembered[free[i]][0]
     away = (space.chart.coordinates(at) - space.centre)[own]
-    sd = np.array([remembered[free[i]][1] / _slope(space, i) for i in own])
+    sd = np.array([remembered[free[i]][1] for i in own]) / _slopes(space)[own]
     seen = np.diag(track.covariance)[own]
     if (np.abs(away - track.mean[own]) > CONTRADICTED * np.sqrt(sd**2 + seen)).any():
         return track

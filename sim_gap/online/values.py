@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from steerd.car_model.effect import Role
-from steerd.car_model.effects import find_effect
+from steerd.car_model.effects import EFFECTS, find_effect
 from steerd.car_model.model import Model, believed_car
 from steerd.car_model.params import PARAMETERS, Car
 from steerd.controller.learnt import Learnt, learnt_of
@@ -35,7 +35,8 @@ INFORMED = 0.5
 SHARP = 0.03
 """Or that is known to this share of its bounds' half width, from before."""
 Amount = tuple[float, float, str]
-_UNITS = {parameter.name: parameter.unit for parameter in PARAMETERS}
+_UNITS = {p.name: p.unit for p in PARAMETERS}
+_UNITS |= {f"{e.name}.{p.name}": p.unit for e in EFFECTS.values() for p in e.parameters}
 
 
 class Value(NamedTuple):
@@ -69,10 +70,7 @@ def values_of(known: Known) -> tuple[Value, ...]:
 
 def unit_of(name: str) -> str:
     """The unit of a parameter, or of an effect's (`effect.parameter`)."""
-    effect, _, own = name.partition(".")
-    if not own:
-        return _UNITS[name]
-    return next(p.unit for p in find_effect(effect).parameters if p.name == own)
+    return _UNITS[name]
 
 
 def amounts_of(change: Change) -> dict[str, Amount]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from steerd.car_model.effect import Confounding
 from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.chart import places_of
 from steerd.sysid.inference.hypotheses import Findings
 from steerd.sysid.inference.library import Library
 from steerd.sysid.inference.odds import Hypothesis
@@ -104,10 +105,9 @@ def base_strain(best: Hypothesis) -> float:
 
 def _cause(library: Library, found: Findings, name: str, kept: float) -> Cause:
     effect, best = library.effect(name), found.best
-    free, augmented = best.point.space.chart.free, library.likelihood.predictor.augmented
+    augmented, control = library.likelihood.predictor.augmented, library.controls.get(name)
     values = best.point.parameters[augmented.places(name)]
-    first, control = free.index(f"{name}.{effect.parameters[0].name}"), library.controls.get(name)
-    square = np.diag(best.posterior.covariance)[first : first + len(values)]
+    square = np.diag(best.posterior.covariance)[places_of(best.point.space.chart.free, name)]
     if control is not None:  # what the model's errors add in healthy drives, they add here
         away = control.values - augmented.values(name)
         square = square + np.diag(control.covariance) + away**2

@@ -11,6 +11,7 @@ from steerd.car_model.rollout import simulate, start
 from steerd.car_model.state import Command, State
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import GRID, Run, Signal
+from steerd.sysid.inference.chart import places_of
 from steerd.sysid.inference.disturbance_response import active_model
 from steerd.sysid.inference.library import Library, carry
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
@@ -108,7 +109,7 @@ def margin(
     h, n = curvature(space, at), space.nuisance
     s = h[n:, n:] - h[n:, :n] @ np.linalg.solve(h[:n, :n], h[:n, n:])
     free = space.chart.free[n:]
-    mine, theirs = ([i for i, f in enumerate(free) if f.startswith(f"{p}.")] for p in pair)
+    mine, theirs = (places_of(free, name) for name in pair)
     size = carry(space, point)[n:][mine] - np.array(augmented.values(pair[0]))
     cross = s[np.ix_(mine, theirs)]
     left = np.linalg.solve(s[np.ix_(mine, mine)], cross)
@@ -145,6 +146,5 @@ def next_manoeuvre(
 def _on(predictor: Predictor, point: Point, noise: Noise, name: str) -> tuple[Likelihood, Point]:
     """The windows and the hypothesis of a manoeuvre not driven yet."""
     other = open_predictor(predictor.augmented, [_drive(predictor, point, name)])
-    guess = other.guess.copy()
-    likelihood = make_likelihood(other, point.parameters, guess, noise)
+    likelihood = make_likelihood(other, point.parameters, other.guess, noise)
     return likelihood, settled(likelihood, point.space, point.z)

@@ -25,6 +25,7 @@ from steerd.sysid.inference.residuals import (
     gap_of,
     held_out,
     interval_of,
+    middle_of,
     robust_mean,
     settled,
     spun_windows,
@@ -94,11 +95,8 @@ def _shares(
     # Windows drawn anew carry their own noise: the floor moves with what the best leaves of them,
     # as far as that is noise.
     moved = level + np.clip(drawn[2] - robust_mean(best), -margin, margin)
-    draws = [
-        explained_share(float(b), float(a), float(f))
-        for b, a, f in zip(*drawn[:2], moved, strict=True)
-    ]
-    low, high = (float(v) for v in np.percentile(draws, [5.0, 95.0]))
+    draws = [explained_share(*each) for each in zip(*drawn[:2], moved, strict=True)]
+    low, high = middle_of(np.array(draws))
     excess = robust_mean(before) - level
     shown = excess > max(_EXCESS_LEAST, _SIGMAS * float((drawn[0] - moved).std()))
     shown = shown and high - low <= _WIDE
@@ -113,14 +111,6 @@ def predict(
     return found.share, found.low, found.high
 
 
-def _at_best(fitted: Point) -> Array:
-    """Windows' whitened errors were the hypothesis fitted to them: one Newton step on."""
-    at = fitted.at
-    dz, _ = newton(fitted.space, at, fitted.z)
-    square = at.square - 2.0 * at.g @ dz + np.einsum("i,wij,j->w", dz, at.h, dz)
-    return np.asarray(np.maximum(square, 0.0) / at.dof)
-
-
 def measure(
     predictor: Predictor,
     before: Point,
@@ -131,8 +121,9 @@ def measure(
 ) -> Shrinkage:
     """The same share on reserved drives; nothing is refitted but the windows' starts."""
     (before, after), gaps = _look_again(predictor, before, after, noise)
-    blocks = blocks_of(predictor)
-    found = _shares(before.at.ratio, after.at.ratio, _at_best(after), floor, blocks)
+    # Were the hypothesis fitted to these windows: one Newton step on
+    best = after.at.stepped(newton(after.space, after.at, after.z)[0]) / after.at.dof
+    found = _shares(before.at.ratio, after.at.ratio, best, floor, blocks_of(predictor))
     share = found.share if found.identifiable else None
     return replace(predicted, measured=share, before=gaps[0], after=gaps[1])
 
@@ -141,7 +132,7 @@ def _look_again(
     predictor: Predictor, before: Point, after: Point, noise: Noise, leads: Sequence[float] = LEADS
 ) -> tuple[list[Point], list[Gap]]:
     """Both fits on other windows, their starts alone at their best, and the gaps under them."""
-    likelihood = make_likelihood(predictor, after.parameters, predictor.guess.copy(), noise)
+    likelihood = make_likelihood(predictor, after.parameters, predictor.guess, noise)
     fits = [settled(likelihood, fit.space, fit.z) for fit in (before, after)]
     blocks, spun = blocks_of(predictor), spun_windows(fits[1])
     return fits, [gap_of(predictor, fit, blocks, spun, leads) for fit in fits]

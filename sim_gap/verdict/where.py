@@ -14,7 +14,7 @@ from steerd.sysid.inference.disturbance_response import INPUTS, responses
 from steerd.sysid.inference.likelihood import Likelihood
 from steerd.sysid.inference.noise import Noise, covariance, shapes, slip_shape
 from steerd.sysid.inference.predictor import Predictor
-from steerd.sysid.inference.residuals import interval_of, robust_mean
+from steerd.sysid.inference.residuals import interval_of, middle_of, robust_mean
 from steerd.sysid.inference.search import Point
 
 EQUATIONS = {
@@ -101,7 +101,7 @@ def equation_shares(predictor: Predictor, fitted: Point, noise: Noise) -> tuple[
     determination); inputs that explain nothing go to zero.
     """
     seen = responses(predictor, fitted.parameters, fitted.x)
-    shaped = shapes(predictor, seen, range(len(INPUTS)))
+    shaped = shapes(seen)
     error, by_starts = predictor.about_guess(fitted.x, fitted.linear)
     known = covariance(predictor, noise, [*shaped[:3], slip_shape(predictor, fitted.linear.error)])
     known += by_starts
@@ -114,12 +114,7 @@ def equation_shares(predictor: Predictor, fitted: Point, noise: Noise) -> tuple[
     sizes = np.exp(2.0 * found.x)
     cov = known + sum(s * v for s, v in zip(sizes, shaped, strict=True))
     pulled = np.linalg.solve(cov, error[:, :, None])[:, :, 0]
-    taken = np.array(
-        [
-            s * np.einsum("wi,wij,wj->", pulled, v, pulled)
-            for s, v in zip(sizes, shaped, strict=True)
-        ]
-    )
+    taken = sizes * [np.einsum("wi,wij,wj->", pulled, v, pulled) for v in shaped]
     shares = taken / max(float(taken.sum()), 1e-12)
     order = np.argsort(-shares)
     return tuple(Share(INPUTS[i], float(shares[i])) for i in order)
@@ -187,9 +182,8 @@ def regimes(predictor: Predictor, fitted: Point, blocks: NDArray[np.int64]) -> t
                 each[~inside], blocks[~inside], 1
             )
             ratio = robust_mean(each[inside]) / max(robust_mean(each[~inside]), 1e-9)
-            a, b = (float(v) for v in np.percentile(draws, [5.0, 95.0]))
-            share = float(excess[inside].sum() / max(excess.sum(), 1e-9))
-            found.append(Regime(name, float(low), float(high), float(ratio), share, a, b, unit))
+            share, ends = float(excess[inside].sum() / max(excess.sum(), 1e-9)), middle_of(draws)
+            found.append(Regime(name, float(low), float(high), float(ratio), share, *ends, unit))
     return tuple(sorted(found, key=lambda r: -r.ratio_low))
 
 

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.car_file import CarFile
-from steerd.car_model.effect import EffectParameter
-from steerd.car_model.effects import EFFECTS
 from steerd.car_model.model import Model
+from steerd.car_model.native.trace import parameter_names
 from steerd.car_model.native.windows import parameter_vector
-from steerd.car_model.params import PARAMETERS, Car, Parameter
+from steerd.car_model.params import PARAMETERS, Car
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import LogJitter, Pulse, Ramp, Run
 from steerd.sysid.data.excitation import Excitation
@@ -87,7 +86,7 @@ def fit_of_plain(
 
     Names that are asked of the drives and that they cannot show are reported as open.
     """
-    chart, z = found.chart, found.point.z
+    chart, z = found.point.space.chart, found.point.z
     covariance = covariance_of(found, doubts)
     pace = float(np.median(np.abs(np.concatenate([run.commands[:, 1] for run in runs]))))
     pace *= float(found.point.parameters[chart.names.index("speed_gain")])
@@ -262,24 +261,18 @@ def make_rows(
 
     What is not among the estimates was not free.
     """
-    rows = {
-        p.name: _row(getattr(after.car, p.name), getattr(start.car, p.name), p, known.get(p.name))
-        for p in PARAMETERS
-    }
-    before = {e.name: values for e, values in zip(start.effects, start.values, strict=True)}
-    for effect in after.effects:
-        own = EFFECTS[effect.name]
-        for p, value in zip(own.parameters, before.get(own.name, own.nulls), strict=True):
-            if found := known.get(name := f"{effect.name}.{p.name}"):
-                rows[name] = _row(found.value, value, p, found)
+    own = {f"{e.name}.{p.name}": p for e in after.effects for p in e.parameters}
+    units = {**{p.name: p.unit for p in PARAMETERS}, **{name: p.unit for name, p in own.items()}}
+    before = {name: p.null for name, p in own.items()}
+    before |= zip(parameter_names(start.effects), parameter_vector(start).tolist(), strict=True)
+    rows = {}
+    for (name, unit), value in zip(units.items(), parameter_vector(after).tolist(), strict=True):
+        if e := known.get(name):
+            sd = None if np.isnan(e.sd) else e.sd
+            rows[name] = Row(value, before[name], sd, unit, True, e.identifiable, e.manoeuvre)
+        elif "." not in name:
+            rows[name] = Row(value, before[name], None, unit, False, False)
     return rows
-
-
-def _row(value: float, start: float, of: Parameter | EffectParameter, e: Estimate | None) -> Row:
-    if e is None:
-        return Row(float(value), float(start), None, of.unit, False, False)
-    sd = None if np.isnan(e.sd) else e.sd
-    return Row(float(value), float(start), sd, of.unit, True, e.identifiable, e.manoeuvre)
 
 
 def searched_estimates(searches: Sequence[SearchHistory]) -> dict[str, Estimate]:

@@ -28,6 +28,7 @@ from steerd.car_model.params import Car
 from steerd.car_model.planar import make_planar
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.chart import places_of
 
 Array = NDArray[np.float64]
 
@@ -207,8 +208,7 @@ class AugmentedCar:
 
     def places(self, effect: str) -> list[int]:
         """Indices of an effect's parameters."""
-        names = self.kernels.names
-        return [i for i, name in enumerate(names) if name.startswith(f"{effect}.")]
+        return places_of(self.kernels.names, effect)
 
     def values(self, effect: str) -> tuple[float, ...]:
         """The base's own values of an effect's parameters: its null, or what the base has of it."""

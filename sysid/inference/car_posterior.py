@@ -4,11 +4,14 @@ Errors of one second are weighed by instruments and disturbances both, the same 
 diagnosis judges, so that a healthy car has no gap to it. The search begins under a discrepancy as
 large as the start is wrong. Base parameters and the structure that every car has (tyres that level
 off, a bent linkage) are free together under weak priors: their joint covariance is what a diagnosis
-may move.
+may move. Beside it stands what these drives show of every effect: they are the controls of every
+later diagnosis, for a gap that an effect explains in a healthy car's drives is the model's error,
+and it comes again in the next drives.
 """
 
 # Why: docs/decisions/diagnosis.md#d50
 # Why: docs/decisions/diagnosis.md#d52
+# Why: docs/decisions/diagnosis.md#d121
 # Why: docs/decisions/identification.md#d94
 # Why: docs/decisions/identification.md#d100
 
@@ -21,9 +24,10 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from steerd.car_model.car_file import CarFile
+from steerd.car_model.effect import Effect
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
-from steerd.sysid.inference.augmented_car import BasePrior, inflate_each, knowledge_section
+from steerd.sysid.inference.augmented_car import BasePrior, Control, inflate_each, knowledge_section
 from steerd.sysid.inference.car_fit import (
     NOTHING,
     FittedCar,
@@ -32,10 +36,12 @@ from steerd.sysid.inference.car_fit import (
     fit_car_with_limits,
     ratios,
 )
-from steerd.sysid.inference.controls import learn_controls
+from steerd.sysid.inference.hypotheses import begin
+from steerd.sysid.inference.library import Library, slice_along
 from steerd.sysid.inference.noise import noise_section
-from steerd.sysid.inference.posterior import posterior_of
+from steerd.sysid.inference.posterior import design_effect, posterior_of
 from steerd.sysid.inference.residuals import blocks_of, robust_mean
+from steerd.sysid.inference.search import Point, minimise
 
 Array = NDArray[np.float64]
 
@@ -56,6 +62,8 @@ SLIDING, HARD, SLOW = 0.35, 6.0, 0.5
 MOVED, FORWARD = "marker_offset", "marker_offset.forward"
 """The effect of a mocap body that is elsewhere on the car, and how far ahead that is."""
 _NAMED = 3
+_BY_CHANCE = 1.0
+"""What an effect of two parameters gains by chance [nats]."""
 
 
 def describe_lost(taught: FittedCar, runs: Sequence[Run]) -> tuple[str, ...]:
@@ -102,24 +110,23 @@ def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, An
         FloatingPointError: the base car's simulation diverges.
         ValueError: no window sees enough poses.
     """
-    taught = fit_car_with_limits(base, runs)
-    return _tables(taught, knowledge_of(taught))
+    return _tables(fit_car_with_limits(base, runs))
 
 
-def _tables(taught: FittedCar, known: BasePrior) -> dict[str, dict[str, Any]]:
+def _tables(taught: FittedCar) -> dict[str, dict[str, Any]]:
     """`[noise]` and `[knowledge]`, with what the drives show of effects beside the car."""
+    known = knowledge_of(taught)
     known = replace(known, controls=learn_controls(taught, known))
     return {"noise": noise_section(taught.noise), "knowledge": knowledge_section(known)}
 
 
 def file_of_fitted(base: CarFile, taught: FittedCar) -> CarFile:
     """The car file that says what was taught; effects that may as well be absent are left out."""
-    known = knowledge_of(taught)
-    chart, covariance = taught.point.space.chart, _doubtful(taught, known.covariance)
+    chart = taught.point.space.chart
+    covariance = _doubtful(taught, knowledge_of(taught).covariance)
     z, kept = _without_small(taught, covariance)
-    p, slopes = chart.parameters(z), chart.slopes(z)
     covariance = covariance if MOVED in kept else _as_mounted(taught, covariance)
-    spread = np.sqrt(np.einsum("pi,ij,pj->p", slopes, covariance, slopes))
+    p, spread = chart.parameters(z), chart.sds(z, covariance)
     free = {name: chart.names.index(name) for name in taught.nuisance}
     car = {name: float(p[i]) for name, i in free.items() if "." not in name}
     own = dict(zip((e.name for e in base.effects), base.values, strict=True))
@@ -134,7 +141,7 @@ def file_of_fitted(base: CarFile, taught: FittedCar) -> CarFile:
         values=tuple(own[e.name] for e in chosen),
         sd={**base.sd, **{n: v for n, v in sd.items() if "." not in n or n.split(".")[0] in own}},
     )
-    return replace(moved, sections={**moved.sections, **_tables(taught, known)})
+    return replace(moved, sections={**moved.sections, **_tables(taught)})
 
 
 def _doubtful(taught: FittedCar, covariance: Array) -> Array:
@@ -178,32 +185,26 @@ def _without_small(taught: FittedCar, covariance: Array) -> tuple[Array, list[st
     """
     space, augmented = taught.point.space, taught.augmented
     labels, z = list(space.chart.free), taught.point.z.copy()
-    nulls = {e.name: e.nulls for e in augmented.effects}
+    nulls = {f"{e.name}.{p.name}": p.null for e in augmented.effects for p in e.parameters}
     names = {name: [i for i, n in enumerate(labels) if n.startswith(f"{name}.")]
              for name in _structures(taught)}  # fmt: skip
     gone: list[int] = []
     while names:
         chances = {}
         for name, mine in names.items():
-            away = z[mine] - np.array(nulls[name])
+            away = z[mine] - [nulls[labels[i]] for i in mine]
             square = float(away @ np.linalg.solve(covariance[np.ix_(mine, mine)], away))
             chances[name] = float(chdtrc(len(mine), square))
         least = max(chances, key=lambda name: chances[name])
         if chances[least] < c.CHANCE:
             break
         gone += names.pop(least)
-        held = np.array([nulls[labels[i].partition(".")[0]][_place(labels, i)] for i in gone])
+        held = np.array([nulls[labels[i]] for i in gone])
         rest = [i for i in range(len(z)) if i not in gone]
         pull = np.linalg.solve(covariance[np.ix_(gone, gone)], held - taught.point.z[gone])
         z[rest] = taught.point.z[rest] + covariance[np.ix_(rest, gone)] @ pull
         z[gone] = held
     return np.clip(z, space.low, space.high), list(names)
-
-
-def _place(labels: Sequence[str], i: int) -> int:
-    """Which of its effect's parameters a coordinate is."""
-    effect = labels[i].partition(".")[0]
-    return sum(name.startswith(f"{effect}.") for name in labels[:i])
 
 
 def knowledge_of(taught: FittedCar) -> BasePrior:
@@ -223,3 +224,41 @@ def knowledge_of(taught: FittedCar) -> BasePrior:
     p, names = point.parameters, taught.augmented.kernels.names
     values = tuple(float(p[names.index(name)]) for name in taught.nuisance)
     return BasePrior(taught.nuisance, covariance, excess, values)
+
+
+def learn_controls(taught: FittedCar, known: BasePrior) -> tuple[Control, ...]:
+    """The healthy drives diagnosed against the car that they taught, one Newton step an effect.
+
+    Args:
+        taught: the car.
+        known: what a later diagnosis will know of it.
+
+    Raises:
+        FloatingPointError: the car's simulation diverges.
+    """
+    wider = replace(known, covariance=c.KNOWN_WIDER**2 * known.covariance)
+    augmented = replace(taught.augmented, base=taught.point.parameters, knowledge=wider)
+    predictor = replace(taught.likelihood.predictor, augmented=augmented)
+    likelihood = replace(taught.likelihood, predictor=predictor)
+    library = Library(likelihood, taught.nuisance, augmented.effects)
+    base = minimise(likelihood, begin(library, (), (), taught.point.x))
+    temper = design_effect(likelihood, base.size, controlled=True)
+    found = (_control(library, base, effect, temper) for effect in augmented.effects)
+    return tuple(control for control in found if control is not None)
+
+
+def _control(library: Library, base: Point, effect: Effect, temper: float) -> Control | None:
+    """Where an effect explains the drives best; no wider than its own prior."""
+    along = slice_along(library, base, effect)
+    if along is None:
+        return None
+    space, own = library.space([effect.name]), slice(-len(effect.parameters), None)
+    null = np.array(library.likelihood.predictor.augmented.values(effect.name))
+    prior = np.linalg.inv(space.covariance[own, own])
+    covariance = np.linalg.inv(along.curved / temper + prior)
+    step = covariance @ (along.slope / temper + prior @ (space.centre[own] - null))
+    values = np.clip(null + step, space.low[own], space.high[own])
+    away = values - null
+    gain = float(along.slope @ away - 0.5 * away @ along.curved @ away) / temper
+    per_window = (max(gain, 0.0) + _BY_CHANCE) / len(base.at.dof)
+    return Control(effect.name, values, covariance, per_window)

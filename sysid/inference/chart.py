@@ -7,6 +7,7 @@ straight, in the parameters themselves it is curved (the optimisers crawl). See
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,87 +61,91 @@ class Chart:
     @property
     def labels(self) -> tuple[str, ...]:
         """What each coordinate is called."""
-        return tuple(self._label(name) for name in self.free)
+        words = {"lf": WHEELBASE} if self.paired else {}
+        words |= {name: f"1/{name}" for name in INVERSE}
+        words |= {name: f"log {name}" for name in LOGARITHM}
+        return tuple(words.get(name, name) for name in self.free)
 
     @property
     def paired(self) -> bool:
         """Whether the first of lf and lr stands for their sum."""
         return "lf" in self.free and "lr" in self.free
 
-    def _label(self, name: str) -> str:
-        if name == "lf" and self.paired:
-            return WHEELBASE
-        if name in INVERSE:
-            return f"1/{name}"
-        return f"log {name}" if name in LOGARITHM else name
-
+    @cached_property
     def _places(self) -> list[int]:
+        """Of the free parameters among all."""
         return [self.names.index(name) for name in self.free]
+
+    @cached_property
+    def _inverse(self) -> NDArray[np.bool_]:
+        return np.array([name in INVERSE for name in self.free], bool)
+
+    @cached_property
+    def _log(self) -> NDArray[np.bool_]:
+        return np.array([name in LOGARITHM for name in self.free], bool)
+
+    @cached_property
+    def _following(self) -> tuple[int, int] | None:
+        """Which of the axles' distances is what the other leaves of their sum, and that other."""
+        front, rear = self.names.index("lf"), self.names.index("lr")
+        if not self.paired and (self.wheelbase is None or not {"lf", "lr"} & set(self.free)):
+            return None
+        return (front, rear) if "lr" in self.free else (rear, front)
 
     def coordinates(self, parameters: Array) -> Array:
         """Coordinates (n,) of parameters (P,)."""
-        z = parameters[self._places()].astype(float)
-        for i, name in enumerate(self.free):
-            if name == "lf" and self.paired:
-                z[i] += parameters[self.names.index("lr")]
-            elif name in INVERSE:
-                z[i] = 1.0 / z[i]
-            elif name in LOGARITHM:
-                z[i] = np.log(z[i])
+        z = parameters[self._places].astype(float)
+        z[self._inverse] = 1.0 / z[self._inverse]
+        z[self._log] = np.log(z[self._log])
+        if self.paired:
+            z[self.free.index("lf")] += parameters[self.names.index("lr")]
         return z
 
     def parameters(self, z: Array) -> Array:
         """Parameters (P,) of coordinates (n,)."""
-        p = self.prior.copy()
-        for value, name, place in zip(z, self.free, self._places(), strict=True):
-            log = np.exp(np.clip(value, -20.0, 20.0)) if name in LOGARITHM else value
-            p[place] = 1.0 / value if name in INVERSE else log
-        front, rear = self.names.index("lf"), self.names.index("lr")
-        if self.paired:
-            p[front] -= p[rear]
-        elif self.wheelbase is not None and {"lf", "lr"} & set(self.free):
-            known, follows = (front, rear) if "lf" in self.free else (rear, front)
-            p[follows] = self.wheelbase - p[known]
+        p, own = self.prior.copy(), z.astype(float)
+        own[self._inverse] = 1.0 / own[self._inverse]
+        own[self._log] = np.exp(np.clip(own[self._log], -20.0, 20.0))
+        p[self._places] = own
+        if following := self._following:
+            one, other = following
+            p[one] = (p[one] if self.wheelbase is None else self.wheelbase) - p[other]
         return p
+
+    def own_slopes(self, z: Array) -> Array:
+        """Derivative (n,) of each free parameter by its own coordinate."""
+        p = self.parameters(z)[self._places]
+        return np.where(self._inverse, -(p**2), np.where(self._log, p, 1.0))
 
     def slopes(self, z: Array) -> Array:
         """Derivative (P, n) of the parameters by the coordinates."""
-        p, places = self.parameters(z), self._places()
-        slopes = np.zeros((len(p), len(z)))
-        front, rear = self.names.index("lf"), self.names.index("lr")
-        for i, (name, place) in enumerate(zip(self.free, places, strict=True)):
-            log = p[place] if name in LOGARITHM else 1.0
-            slopes[place, i] = -(p[place] ** 2) if name in INVERSE else log
-            if name == "lr" and (self.paired or self.wheelbase is not None):
-                slopes[front, i] = -1.0
-            if name == "lf" and not self.paired and self.wheelbase is not None:
-                slopes[rear, i] = -1.0
+        slopes = np.zeros((len(self.prior), len(z)))
+        slopes[self._places, range(len(z))] = self.own_slopes(z)
+        if following := self._following:
+            one, other = following
+            slopes[one] -= slopes[other]
         return slopes
 
     def bounds(self) -> tuple[Array, Array]:
         """Lowest and highest coordinates (n,) each."""
-        low, high = self.low[self._places()].copy(), self.high[self._places()].copy()
-        for i, name in enumerate(self.free):
-            if name == "lf" and self.paired:
-                rear = self.names.index("lr")
-                low[i], high[i] = low[i] + self.low[rear], high[i] + self.high[rear]
-            elif name in INVERSE:
-                low[i], high[i] = 1.0 / high[i], 1.0 / low[i]
-            elif name in LOGARITHM:
-                low[i], high[i] = np.log(low[i]), np.log(high[i])
-        return low, high
+        ends = np.array([self.coordinates(self.low), self.coordinates(self.high)])
+        return ends.min(axis=0), ends.max(axis=0)
+
+    def sds(self, z: Array, covariance: Array) -> Array:
+        """Standard errors (P,) of the parameters, zero for the fixed ones, of the coordinates'."""
+        slopes = self.slopes(z)
+        variance = np.einsum("pi,ij,pj->p", slopes, covariance, slopes)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def places_of(names: Sequence[str], effect: str) -> list[int]:
+    """Where an effect's parameters stand among the names of parameters."""
+    return [i for i, name in enumerate(names) if name.startswith(f"{effect}.")]
 
 
 def effect_scales(effects: Sequence[Effect]) -> dict[str, float]:
     """Prior scale of every parameter of effects, by `effect.parameter`."""
     return {f"{e.name}.{p.name}": p.scale for e in effects for p in e.parameters}
-
-
-def _bounds(effects: Sequence[Effect]) -> tuple[Array, Array]:
-    rows = [(p.low, p.high) for p in PARAMETERS]
-    rows += [(p.low, p.high) for e in effects for p in e.parameters]
-    low, high = np.array(rows).T
-    return low, high
 
 
 def make_chart(
@@ -164,28 +169,21 @@ def make_chart(
     chosen = tuple(free)
     if wheelbase is not None and {"lf", "lr"} <= set(chosen):
         chosen = tuple(name for name in chosen if name != "lf")
-    low, high = _bounds(effects)
+    limits = [(p.low, p.high) for p in PARAMETERS]
+    limits += [(p.low, p.high) for e in effects for p in e.parameters]
+    low, high = np.array(limits).T
     chart = Chart(names, prior.astype(float), chosen, wheelbase, low, high, np.empty(0))
-    return replace(chart, spread=_spreads(chart, effects))
-
-
-def _spreads(chart: Chart, effects: Sequence[Effect]) -> Array:
     own = effect_scales(effects)
-    z = chart.coordinates(chart.prior)
+    z, length = chart.coordinates(prior), relative_length(names, prior)
     spread = []
-    for value, name in zip(z, chart.free, strict=True):
-        if name in INVERSE:
-            spread.append(SPREAD_RELATIVE * abs(value))
-        elif name.endswith("gain"):
-            spread.append(SPREAD_GAIN * (1.0 if name in LOGARITHM else abs(value)))
-        elif name in LOGARITHM:
-            spread.append(SPREAD_RELATIVE)
-        elif name == "inertia_z":
-            spread.append(SPREAD_RELATIVE * abs(value))
+    for value, name in zip(z, chosen, strict=True):
+        if name in RELATIVE or name.endswith("gain"):
+            share = SPREAD_GAIN if name.endswith("gain") else SPREAD_RELATIVE
+            spread.append(share * (1.0 if name in LOGARITHM else abs(value)))
         else:
-            size = relative_length(chart.names, chart.prior) if name in LENGTHS else 1.0
+            size = length if name in LENGTHS else 1.0
             spread.append(size * (own.get(name) or SPREAD[name]))
-    return np.array(spread)
+    return replace(chart, spread=np.array(spread))
 
 
 def relative_length(names: Sequence[str], parameters: Array) -> float:

@@ -84,23 +84,23 @@ class Combination:
     known: bool = True  # whether that is small enough to call the sum known
 
 
-def standard_errors(chart: Chart, z: Array, covariance: Array) -> Array:
-    """Standard error of every parameter (P,); zero for the fixed ones."""
-    slopes = chart.slopes(z)
-    variance = np.einsum("pi,ij,pj->p", slopes, covariance, slopes)
-    sd: Array = np.sqrt(np.maximum(variance, 0.0))
-    return sd
+def _estimate(
+    name: str, value: float, sd: float, doubt: float, prior: float, would: str = ""
+) -> Estimate:
+    """An estimate, known where its standard error is small by its value or by the one before.
 
-
-def is_identifiable(name: str, value: float, sd: float, prior_sd: float) -> bool:
-    """Whether a standard error is small against the value, or against what was known before."""
+    Args:
+        name: of the parameter.
+        value: its estimate.
+        sd: its standard error; `doubt` with all doubts, by which it is judged.
+        doubt: see `sd`.
+        prior: its standard deviation before any data.
+        would: what would identify it; empty for what is usual.
+    """
     relative = name in RELATIVE or name in ("lf", "lr")
-    return sd < (RELATIVE_MAX * abs(value) if relative else SPREAD_MAX * prior_sd)
-
-
-def manoeuvre_for(name: str) -> str:
-    """What would identify a parameter."""
-    return MANOEUVRES.get(name, _SHOWING)
+    if doubt < (RELATIVE_MAX * abs(value) if relative else SPREAD_MAX * prior):
+        return Estimate(value, sd, True)
+    return Estimate(value, max(sd, doubt), False, would or MANOEUVRES.get(name, _SHOWING))
 
 
 def _scale(chart: Chart, z: Array) -> Array:
@@ -162,19 +162,14 @@ def _at_bound(chart: Chart, parameters: Array, moving: Sequence[str]) -> str:
 def estimates(chart: Chart, z: Array, covariance: Array) -> dict[str, Estimate]:
     """Every free parameter with its standard error and whether the data identify it."""
     parameters = chart.parameters(z)
-    sds = standard_errors(chart, z, covariance)
-    careful = standard_errors(chart, z, _careful(chart, z, covariance))
-    priors = standard_errors(chart, z, np.diag(chart.spread**2))
-    moving = [i for i, name in enumerate(chart.names) if priors[i] > 0.0]
-    stuck = _at_bound(chart, parameters, [chart.names[i] for i in moving])
-    out = {}
-    for i in moving:
-        name, value, sd = chart.names[i], float(parameters[i]), float(sds[i])
-        doubt = float(careful[i])
-        known = not stuck and is_identifiable(name, value, doubt, float(priors[i]))
-        hint = "" if known else stuck or manoeuvre_for(name)
-        out[name] = Estimate(value, sd if known else max(sd, doubt), known, hint)
-    return out
+    covariances = covariance, _careful(chart, z, covariance), np.diag(chart.spread**2)
+    sds = np.stack([chart.sds(z, each) for each in covariances], axis=1).tolist()
+    rows = zip(chart.names, parameters.tolist(), sds, strict=True)
+    moving = {name: (value, *errors) for name, value, errors in rows if errors[-1] > 0.0}
+    if stuck := _at_bound(chart, parameters, tuple(moving)):
+        every = moving.items()
+        return {n: Estimate(value, max(sd, d), False, stuck) for n, (value, sd, d, _) in every}
+    return {name: _estimate(name, *numbers) for name, numbers in moving.items()}
 
 
 def taught_estimates(
@@ -182,15 +177,13 @@ def taught_estimates(
 ) -> dict[str, Estimate]:
     """The same of parameters (P,) whose standard errors, by name, are known already."""
     chart = make_chart(effects, parameters, tuple(sds))
-    z = chart.coordinates(parameters)
-    priors = standard_errors(chart, z, np.diag(chart.spread**2))
+    priors = chart.sds(chart.coordinates(parameters), np.diag(chart.spread**2))
+    rows = zip(chart.names, parameters.tolist(), priors.tolist(), strict=True)
+    known = {name: (value, prior) for name, value, prior in rows}
     out = {}
     for name, sd in sds.items():
-        i = chart.names.index(name)
-        value = float(parameters[i])
-        known = is_identifiable(name, value, sd, float(priors[i]))
-        would = WEIGH if name in BODY_OR_COG else manoeuvre_for(name)
-        out[name] = Estimate(value, sd, known, "" if known else would)
+        value, prior = known[name]
+        out[name] = _estimate(name, value, sd, sd, prior, WEIGH if name in BODY_OR_COG else "")
     return out
 
 

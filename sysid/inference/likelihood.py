@@ -76,6 +76,15 @@ class Reduced(NamedTuple):
     dx: Array  # (W, 7) step of the start; minus `kx` (W, 7, n) per step of the coordinates
     kx: Array  # see `dx`
 
+    def take(self, chosen: NDArray[np.bool_]) -> "Reduced":
+        """Some of the windows (mask (W,)) alone."""
+        return Reduced(*(part[chosen] for part in self))
+
+    def stepped(self, dz: Array) -> Array:
+        """(W,) squares were the coordinates a step on."""
+        square = self.square - 2.0 * self.g @ dz + np.einsum("i,wij,j->w", dz, self.h, dz)
+        return np.asarray(np.maximum(square, 0.0))
+
     @property
     def ratio(self) -> Array:
         """(W,) whitened squared error per degree of freedom; 1 is noise alone."""
@@ -238,17 +247,11 @@ def make_likelihood(predictor: Predictor, parameters: Array, x: Array, noise: No
     """
     seen = responses(predictor, parameters, x, (0, 1, 2))
     slip = slip_shape(predictor, predictor.errors(parameters, x)[0])
-    healthy = covariance(predictor, noise, [*shapes(predictor, seen, (0, 1, 2)), slip])
-    none = [np.zeros_like(slip)] * 4
-    instruments = covariance(predictor, noise, none)
-    healthy *= predictor.excess[:, None, None]
-    instruments *= predictor.excess[:, None, None]
-    unknown = sum(
-        size**2 * shape
-        for size, shape in zip(
-            c.DISCREPANCY, shapes(predictor, seen, (0, 1, 2), c.DISCREPANCY_MEMORY), strict=True
-        )
-    )
+    excess = predictor.excess[:, None, None]
+    healthy = excess * covariance(predictor, noise, [*shapes(seen), slip])
+    instruments = excess * covariance(predictor, noise)
+    pushes = zip(c.DISCREPANCY, shapes(seen, c.DISCREPANCY_MEMORY), strict=True)
+    unknown = sum(size**2 * shape for size, shape in pushes)
     there = predictor.padded.there
     lower = np.linalg.inv(np.linalg.cholesky(healthy))
     spectrum, axes = np.linalg.eigh(lower @ unknown @ lower.transpose(0, 2, 1))

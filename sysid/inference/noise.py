@@ -105,13 +105,11 @@ def slip_shape(predictor: Predictor, error: Array) -> Array:
     return np.asarray(slip[:, :, None] * slip[:, None, :])
 
 
-def shapes(
-    predictor: Predictor, seen: Array, inputs: Sequence[int], memory: float = MEMORY
-) -> list[Array]:
+def shapes(seen: Array, memory: float = MEMORY) -> list[Array]:
     """Covariance (W, D, D) of a unit push of each input, correlated over `memory` [s]."""
     at = np.arange(seen.shape[3]) * PIECE
     kernel = np.exp(-np.abs(at[:, None] - at[None, :]) / memory)
-    return [(seen[i] @ kernel) @ seen[i].transpose(0, 2, 1) for i in inputs]
+    return [(each @ kernel) @ each.transpose(0, 2, 1) for each in seen]
 
 
 def instrument_rows(predictor: Predictor) -> Array:
@@ -121,16 +119,20 @@ def instrument_rows(predictor: Predictor) -> Array:
     return rows
 
 
-def covariance(predictor: Predictor, noise: Noise, pushed: Sequence[Array]) -> Array:
-    """(W, D, D) covariance of the errors; 1 where there is no row."""
-    sizes = noise.sizes**2
-    out = sum(s * shape for s, shape in zip(sizes[_INSTRUMENTS:], pushed, strict=True))
-    out = np.array(out)
+def covariance(predictor: Predictor, noise: Noise, pushed: Sequence[Array] = ()) -> Array:
+    """(W, D, D) covariance of the errors; 1 where there is no row.
+
+    `pushed` are the shapes of the pushes and of the wheel's slip; without them, of the instruments.
+    """
+    sizes, there = noise.sizes**2, predictor.padded.there
+    width = there.shape[1]
+    out = np.zeros((len(there), width, width))
+    for size, shape in zip(sizes[_INSTRUMENTS:], pushed, strict=False):
+        out += size * shape
     white = np.einsum("g,gwd->wd", sizes[:_INSTRUMENTS], instrument_rows(predictor))
-    white /= np.maximum(predictor.padded.merged, 1.0)
-    width = range(out.shape[1])
-    out[:, width, width] += white + (1.0 - predictor.padded.there)
-    return np.asarray(out)
+    white /= predictor.padded.merged
+    out[:, range(width), range(width)] += white + (1.0 - there)
+    return out
 
 
 def learn_noise(
@@ -153,11 +155,9 @@ def learn_noise(
     tame = np.flatnonzero(calm & (np.abs(seen).max(axis=(0, 2, 3)) < _PUSHED))
     tame = tame if len(tame) else np.arange(predictor.layout.count)
     chosen = tame[np.unique(np.linspace(0, len(tame) - 1, WINDOWS_MOST).round().astype(int))]
-    pushed = [v[chosen] for v in shapes(predictor, seen, (0, 1, 2))]
-    pushed.append(slip_shape(predictor, linear.error)[chosen])
+    pushed = [v[chosen] for v in (*shapes(seen), slip_shape(predictor, linear.error))]
     error, known = (part[chosen] for part in predictor.about_guess(x, linear))
-    rows = instrument_rows(predictor)[:, chosen]
-    there = predictor.padded.there[chosen]
+    rows, there = instrument_rows(predictor)[:, chosen], predictor.padded.there[chosen]
     first = (guess.sizes if guess else _START).clip(_LEAST * 1.01, _MOST * 0.99)
     found = minimize(
         _likelihood, np.log(first), (error, known, rows, pushed, there), jac=True,

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect, Role
 from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.chart import places_of
 from steerd.sysid.inference.library import Library, Slice, slice_along
 from steerd.sysid.inference.posterior import (
     Posterior,
@@ -163,11 +164,9 @@ def _judge(library: Library, posterior: Posterior, evidence: float) -> Hypothesi
 def size_of(library: Library, posterior: Posterior, effect: Effect) -> tuple[float, float]:
     """How far an effect is from what the base has of it, and the standard error of that."""
     point, augmented = posterior.point, library.likelihood.predictor.augmented
-    places = [i for i, p in enumerate(effect.parameters) if p.role is Role.SIZE]
-    first = point.space.chart.free.index(f"{effect.name}.{effect.parameters[0].name}")
-    own = augmented.values(effect.name)
-    away = np.array([point.z[first + i] - own[i] for i in places])
+    sizes = [p.role is Role.SIZE for p in effect.parameters]
+    mine = np.array(places_of(point.space.chart.free, effect.name))[sizes]
+    away = point.z[mine] - np.array(augmented.values(effect.name))[sizes]
     far = float(np.linalg.norm(away))
     along = away / far if far > 0.0 else np.eye(len(away))[0]
-    mine = [first + i for i in places]
     return far, float(np.sqrt(along @ posterior.covariance[np.ix_(mine, mine)] @ along))

@@ -23,13 +23,12 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.segments import BLOCK
 from steerd.sysid.data.windows import GROUPS, estimate_noise
 from steerd.sysid.inference.augmented_car import inflate_each, make_augmented_car
-from steerd.sysid.inference.chart import Chart
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import Noise, instrument_rows, signal_noise
 from steerd.sysid.inference.posterior import posterior_of
 from steerd.sysid.inference.predictor import HORIZON, Predictor, open_predictor
 from steerd.sysid.inference.search import Point, curvature, minimise, open_point, stand, with_size
-from steerd.sysid.inference.space import make_space, weak_knowledge
+from steerd.sysid.inference.space import SPEED_LOOP, hidden_names, make_space, weak_knowledge
 
 Array = NDArray[np.float64]
 
@@ -38,16 +37,12 @@ DEFAULT_FREE: tuple[str, ...] = (
     "steer_lag", "speed_gain", "speed_lag",
 )  # fmt: skip
 """Free unless said otherwise. mu only scales the stiffnesses, mass only the inertia: fixed."""
-TYRES: tuple[str, ...] = ("lf", "lr", "c_sf", "c_sr")
-"""What the paper identifies."""
 SPEED_CHANGE = 0.1
 """A commanded speed that varies by less within every drive was never changed [m/s]."""
 ENOUGH, MOST = 60.0, 240.0
 """Driving that is enough for a rough car, and for the last stage [s]."""
 POOR = 2.0
 """Residuals so many times the noise say that the car is not explained, or another one is meant."""
-_SPEED_LOOP = ("speed_lag", "drive_delay", "accel_max", "decel_max")
-_SPEED_OF_COMMANDS = ("speed_gain", *_SPEED_LOOP)
 _OUTLIER = 3.0
 """Errors beyond so many standard deviations count as that many."""
 
@@ -73,11 +68,6 @@ class PlainCar:
     def predictor(self) -> Predictor:
         """The windows."""
         return self.likelihood.predictor
-
-    @property
-    def chart(self) -> Chart:
-        """Between coordinates and parameters."""
-        return self.point.space.chart
 
     @property
     def misfit(self) -> dict[str, float]:
@@ -114,11 +104,7 @@ def free_of(runs: Sequence[Run], asked: Sequence[str]) -> tuple[str, ...]:
     Raises:
         DataError: nothing of it.
     """
-    sources = {run.speed_source for run in runs}
-    of_wheels = {"speed_gain", "c_x"}
-    gone = {*_SPEED_OF_COMMANDS, *of_wheels} - (of_wheels if "wheel" in sources else set())
-    if sources == {"command"}:
-        gone = set(silent_names(runs, asked))
+    gone = {*hidden_names(runs), *silent_names(runs, asked)}
     free = tuple(name for name in asked if name not in gone)
     if not free:
         hint = "drive `steerd collect --plan mixed`"
@@ -134,7 +120,7 @@ def silent_names(runs: Sequence[Run], asked: Sequence[str]) -> tuple[str, ...]:
     commanded = all(run.speed_source == "command" for run in runs)
     if not commanded or max(float(np.ptp(run.commands[:, 1])) for run in runs) > SPEED_CHANGE:
         return ()
-    return tuple(name for name in asked if name in _SPEED_LOOP)
+    return tuple(name for name in asked if name in SPEED_LOOP)
 
 
 def search_rough(start: Model[float], runs: Sequence[Run], asked: Asked) -> PlainCar | None:

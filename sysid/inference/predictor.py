@@ -73,7 +73,7 @@ class Padded(NamedTuple):
     row: NDArray[np.int64]  # (W, D) place among all rows, of the first where several are averaged
     there: Array  # (W, D) 1 where there is one
     merged: Array  # (W, D) how many are averaged
-    means: csr_array | None = None  # (W * D, R) weights of the averages; None where each is one row
+    weights: csr_array  # (W * D, R) of the averages
 
 
 class Linear(NamedTuple):
@@ -93,6 +93,7 @@ class Predictor:
     layout: Layout  # the windows
     padded: Padded  # rows by window
     substeps: int  # integration steps to a command
+    means: bool = False  # see `open_predictor`
 
     @property
     def guess(self) -> Array:
@@ -150,15 +151,8 @@ class Predictor:
 
     def pad(self, rows: Array) -> Array:
         """(R, ...) rows as (W, D, ...), zero where there is none."""
-        there, means = self.padded.there, self.padded.means
-        if means is not None:
-            return np.asarray(
-                (means @ rows.reshape(len(rows), -1)).reshape(*there.shape, *rows.shape[1:])
-            )
-        shaped = there.reshape(there.shape + (1,) * (rows.ndim - 1))
-        with np.errstate(invalid="ignore"):  # a window that left the map
-            padded: Array = rows[self.padded.row] * shaped
-        return padded
+        padded = self.padded.weights @ rows.reshape(len(rows), -1)
+        return np.asarray(padded.reshape(*self.padded.there.shape, *rows.shape[1:]))
 
     def linear(self, space: Space, z: Array, x: Array) -> Linear:
         """Errors and derivatives at coordinates `z` and starts `x`."""
@@ -227,41 +221,34 @@ class Predictor:
     def take(self, chosen: NDArray[np.bool_]) -> "Predictor":
         """The predictor on some of its windows (boolean mask (W,))."""
         layout = take_windows(self.layout, chosen)
-        padded = pad_rows(layout, means=self.padded.means is not None)
-        return replace(self, layout=layout, padded=padded)
+        return replace(self, layout=layout, padded=pad_rows(layout, self.means))
 
 
-def pad_rows(layout: Layout, means: bool = False) -> Padded:
-    """Where the rows of each window lie; `means` as in `open_predictor`."""
-    if means:
-        return _pad_means(layout)
-    row, there = _places(layout.bounds)
-    return Padded(row, there, there)
+def pad_rows(layout: Layout, means: bool) -> Padded:
+    """Where the rows of each window lie.
 
-
-def _places(bounds: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
-    """(W, D) numbers from each window's bounds, and where they are within them."""
-    place = np.arange(int(np.diff(bounds).max()))[None, :]
-    there = place < np.diff(bounds)[:, None]
-    return np.where(there, bounds[:-1, None] + place, bounds[:-1, None]), there.astype(float)
-
-
-def _pad_means(layout: Layout) -> Padded:
-    """The same where rows of one window, channel and multiple of `SPACING` are averaged."""
+    With `means`, those of one window, channel and multiple of `SPACING` are averaged.
+    """
     window = np.repeat(np.arange(layout.count), np.diff(layout.bounds))
-    time = np.round(layout.row_t / SPACING).astype(np.int64)
-    kind = np.maximum(layout.channel - 2, 0)
-    slot = ((window * 3 + kind) * 100_000 + time) * 5 + layout.channel
-    _, first, member, counts = np.unique(
-        slot, return_index=True, return_inverse=True, return_counts=True
-    )
-    place, there = _places(np.searchsorted(window[first], np.arange(layout.count + 1)))
-    flat = np.flatnonzero(there.ravel() > 0.0)
+    first = member = np.arange(len(window))
+    counts = np.ones(len(window))
+    if means:
+        time = np.round(layout.row_t / SPACING).astype(np.int64)
+        kind = np.maximum(layout.channel - 2, 0)
+        slot = ((window * 3 + kind) * 100_000 + time) * 5 + layout.channel
+        _, first, member, counts = np.unique(
+            slot, return_index=True, return_inverse=True, return_counts=True
+        )
+    bounds = np.searchsorted(window[first], np.arange(layout.count + 1))
+    number = np.arange(int(np.diff(bounds).max()))[None, :]
+    there = number < np.diff(bounds)[:, None]
+    place = bounds[:-1, None] + number * there
     weights = csr_array(
-        (1.0 / counts[member], (flat[member], np.arange(len(window)))),
+        (1.0 / counts[member], (np.flatnonzero(there)[member], np.arange(len(window)))),
         shape=(there.size, len(window)),
     )
-    return Padded(first[place], there, np.where(there > 0.0, counts[place], 1), weights)
+    merged = np.where(there, counts[place], 1.0)
+    return Padded(first[place], there.astype(float), merged, weights)
 
 
 def open_predictor(
@@ -289,7 +276,8 @@ def open_predictor(
     known = float(augmented.base[augmented.kernels.names.index("pose_delay")])
     layout = make_layout(runs, horizon, known if late is None else late, most)
     layout = layout if means else thinned(layout)
-    return Predictor(augmented, layout, pad_rows(layout, means), 1).stepped_for(augmented.base)
+    padded = pad_rows(layout, means)
+    return Predictor(augmented, layout, padded, 1, means).stepped_for(augmented.base)
 
 
 def decay_rate(car: Car[float], slowest: float, fastest: float) -> float:

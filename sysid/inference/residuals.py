@@ -82,6 +82,12 @@ def interval_of(values: Array, blocks: NDArray[np.int64], seed: int = 0) -> Arra
     return np.array([robust_mean(values[np.concatenate([members[i] for i in d])]) for d in drawn])
 
 
+def middle_of(draws: Array) -> tuple[float, float]:
+    """Ends of the 90 % interval in the middle of draws."""
+    low, high = np.percentile(draws, [5.0, 95.0])
+    return float(low), float(high)
+
+
 def spun_windows(fitted: Point) -> NDArray[np.bool_]:
     """(W,) windows in which the car spins whatever explains the others; none where all are far off.
 
@@ -99,16 +105,14 @@ def gap_of(
     leads: Sequence[float] = LEADS,
 ) -> Gap:
     """The gap under a fit; windows that are `spun` count in the whitened error alone."""
-    draws = interval_of(fitted.at.ratio, blocks)
-    low, high = (float(v) for v in np.percentile(draws, [5.0, 95.0]))
+    interval = middle_of(interval_of(fitted.at.ratio, blocks))
     rows, bounds = [], []
-    error = fitted.linear.error
     for lead in leads:
-        each = _at_lead(predictor, error, lead, ~spun)
+        each = _at_lead(predictor, fitted.linear.error, lead, ~spun)
         a, b, d = (float(np.sqrt(np.mean(v**2))) if len(v) else 0.0 for v in each)
         rows.append((lead, a, b, d))
         bounds.append(tuple(_rms_interval(c) for c in each))
-    return Gap(robust_mean(fitted.at.ratio), (low, high), tuple(rows), tuple(bounds))
+    return Gap(robust_mean(fitted.at.ratio), interval, tuple(rows), tuple(bounds))
 
 
 def _rms_interval(errors: Array) -> tuple[float, float]:
@@ -116,8 +120,7 @@ def _rms_interval(errors: Array) -> tuple[float, float]:
         return 0.0, 0.0
     rng = np.random.default_rng(0)
     drawn = errors[rng.integers(len(errors), size=(_BOOTSTRAPS, len(errors)))]
-    low, high = np.percentile(np.sqrt((drawn**2).mean(axis=1)), [5.0, 95.0])
-    return float(low), float(high)
+    return middle_of(np.sqrt((drawn**2).mean(axis=1)))
 
 
 def _at_lead(
@@ -164,15 +167,9 @@ def held_out(fitted: Point, folds: NDArray[np.int64]) -> Array:
     Leaving a fold out moves the optimum by one Newton step; the losses are those of the windows'
     own quadratic forms, so nothing is simulated again.
     """
-    space, at = fitted.space, fitted.at
     left = np.empty(len(folds))
     for fold in np.unique(folds):
         out = folds == fold
-        kept = at._replace(
-            square=at.square[~out], dof=at.dof[~out], g=at.g[~out], h=at.h[~out],
-            volume=at.volume[~out],
-        )  # fmt: skip
-        dz, _ = newton(space, kept, fitted.z)
-        bent = np.einsum("i,wij,j->w", dz, at.h[out], dz)
-        left[out] = np.maximum(at.square[out] - 2.0 * at.g[out] @ dz + bent, 0.0) / at.dof[out]
-    return left
+        dz, _ = newton(fitted.space, fitted.at.take(~out), fitted.z)
+        left[out] = fitted.at.take(out).stepped(dz)
+    return left / fitted.at.dof

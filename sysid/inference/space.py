@@ -15,9 +15,7 @@ from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import AugmentedCar, BasePrior
 from steerd.sysid.inference.chart import (
-    INVERSE,
     LENGTHS,
-    LOGARITHM,
     RELATIVE,
     Chart,
     effect_scales,
@@ -46,6 +44,8 @@ parameter's unit.
 """
 LIMITS = ("steer_rate", "accel_max", "decel_max")
 """Limits, which a data sheet gives for another car; drives that reach them identify this one's."""
+SPEED_LOOP = ("speed_lag", "drive_delay", "accel_max", "decel_max")
+"""What lies between a commanded speed and the wheels'."""
 SESSION = 0.3
 """Of the floors, what a car differs by from one day to the next beside that."""
 UNKNOWN = 3.0
@@ -102,31 +102,34 @@ class Space:
         return 0.5 * float(away @ np.linalg.solve(self.covariance[own, own], away))
 
 
+def _commanded(runs: Sequence[Run]) -> bool:
+    return all(run.speed_source == "command" for run in runs)
+
+
+def hidden_names(runs: Sequence[Run]) -> set[str]:
+    """Base parameters that such drives cannot show where their measured speed is prescribed.
+
+    Nothing of the speed loop then; nor of the wheels, where it is the body's speed.
+    """
+    if _commanded(runs):
+        return set()
+    rolled = any(run.speed_source == "wheel" for run in runs)
+    return {*SPEED_LOOP, *(() if rolled else ("speed_gain", "c_x"))}
+
+
 def nuisance_names(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[str, ...]:
     """Base parameters that are free in every hypothesis: those that identification frees."""
-    slipping = bool(augmented.kernels.chassis.drive)
-    sources = {run.speed_source for run in runs}
-    names = [name for name in FLOORS if name != "c_x" or slipping]
-    if augmented.knowledge is None and augmented.sd:  # an identification from before they were free
-        names = [name for name in names if name not in LIMITS]
-    if augmented.knowledge is not None:
-        names = [name for name in augmented.knowledge.names if "." in name or name in names]
+    known, gone = augmented.knowledge, hidden_names(runs)
+    gone |= set() if augmented.kernels.chassis.drive else {"c_x"}
+    names = list(FLOORS)
+    if known is not None:
+        names = [name for name in known.names if "." in name or name in FLOORS]
+    elif augmented.sd:  # an identification from before they were free
+        gone |= {*LIMITS, *({"drive_delay"} - augmented.sd.keys())}
+    if known is not None and not _commanded(runs):
         held = {e.name for e in augmented.effects if e.follows_acceleration}
-        if sources != {"command"}:
-            names = [name for name in names if name.partition(".")[0] not in held]
-    if sources != {"command"}:
-        gone = {"speed_lag", "drive_delay", *LIMITS[1:]} | (
-            {"speed_gain", "c_x"} if "wheel" not in sources else set()
-        )
-        names = [name for name in names if name not in gone]
-    if (
-        augmented.knowledge is None
-        and augmented.sd
-        and "drive_delay" in names
-        and "drive_delay" not in augmented.sd
-    ):
-        names.remove("drive_delay")
-    return tuple(names)
+        gone |= {name for name in names if name.partition(".")[0] in held}
+    return tuple(name for name in names if name not in gone)
 
 
 def informative_effects(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[str, ...]:
@@ -135,7 +138,7 @@ def informative_effects(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[s
     What the motor does is then no prediction, a limit on it would only hold the car back from the
     speed that was measured, and that speed's acceleration is mostly noise.
     """
-    commanded = all(run.speed_source == "command" for run in runs)
+    commanded = _commanded(runs)
     missing = set() if commanded else {Channel.SPEED}
     chassis = augmented.kernels.chassis.name
     built_in = {e.name for e in augmented.effects if chassis in e.built_into}
@@ -191,32 +194,23 @@ def weak_knowledge(
 
 def _base_covariance(augmented: AugmentedCar, chart: Chart, nuisance: int) -> Array:
     """(n, n) covariance of what the base knows; zero for what it does not have."""
-    free = chart.free
+    free, known = chart.free, augmented.knowledge
+    slopes = np.abs(chart.own_slopes(chart.coordinates(augmented.base)))
+    held = [] if known is None else [i for i, name in enumerate(free) if name in known.names]
     covariance = np.zeros((len(free),) * 2)
-    known = augmented.knowledge
-    if known is None:
-        spread = [_coordinate_spread(augmented, name) for name in free[:nuisance]]
-        covariance[range(nuisance), range(nuisance)] = np.square(spread)
-        return covariance
-    held = [i for i, name in enumerate(free) if name in known.names]
-    covariance[np.ix_(held, held)] = known.part([free[i] for i in held])
+    if known is not None:
+        covariance[np.ix_(held, held)] = known.part([free[i] for i in held])
     for i, name in enumerate(free[:nuisance]):
-        if i in held:
-            covariance[i, i] += (SESSION * _floor(augmented, name)) ** 2
-        else:
-            covariance[i, i] = _coordinate_spread(augmented, name) ** 2
+        least = _least(augmented, name)
+        sd = SESSION * least if i in held else _spread(augmented, name, least)
+        covariance[i, i] += (sd / slopes[i]) ** 2
     return covariance
 
 
-def _floor(augmented: AugmentedCar, name: str) -> float:
-    """Least standard deviation of a base coordinate: what changes from day to day."""
+def _least(augmented: AugmentedCar, name: str) -> float:
+    """A base parameter's least standard deviation, in its own unit: what differs between days."""
     if name not in FLOORS:
         return 0.05 * effect_scales(augmented.effects).get(name, 0.0)
-    return _of_coordinate(augmented, name, _least(augmented, name))
-
-
-def _least(augmented: AugmentedCar, name: str) -> float:
-    """A base parameter's floor in its own unit."""
     names = augmented.kernels.names
     if name in LENGTHS:
         return FLOORS[name] * relative_length(names, augmented.base)
@@ -224,18 +218,10 @@ def _least(augmented: AugmentedCar, name: str) -> float:
     return FLOORS[name] * (value if name in RELATIVE else 1.0)
 
 
-def _of_coordinate(augmented: AugmentedCar, name: str, sd: float) -> float:
-    """Standard deviation of a base parameter's coordinate from that of the parameter."""
-    value = abs(float(augmented.base[augmented.kernels.names.index(name)]))
-    return sd / value**2 if name in INVERSE else sd / value if name in LOGARITHM else sd
-
-
-def _coordinate_spread(augmented: AugmentedCar, name: str) -> float:
-    """Prior standard deviation of a base parameter's coordinate."""
+def _spread(augmented: AugmentedCar, name: str, least: float) -> float:
+    """Prior standard deviation of a base parameter of which nothing was learnt with others."""
     if name not in FLOORS:
-        return _floor(augmented, name) / 0.05
-    floor = _least(augmented, name)
+        return least / 0.05
     if not augmented.sd:
-        return _of_coordinate(augmented, name, UNKNOWN * floor)
-    spread = max(floor, WIDER * min(augmented.sd.get(name, 0.0), 20.0 * floor))
-    return _of_coordinate(augmented, name, spread)
+        return UNKNOWN * least
+    return max(least, WIDER * min(augmented.sd.get(name, 0.0), 20.0 * least))

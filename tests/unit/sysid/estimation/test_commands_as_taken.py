@@ -10,7 +10,7 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.data.dataset import RAMP_ERPM, Run, Signal
 from steerd.sysid.estimation.command_timing import latch, ramped
 from steerd.sysid.estimation.learn import Task, learn
-from steerd.sysid.inference.plain_car import TYRES
+from steerd.sysid.paper import NAMES as TYRES
 
 FRAME = 0.02
 

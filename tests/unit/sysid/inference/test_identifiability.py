@@ -26,8 +26,8 @@ from steerd.sysid.inference.augmented_car import (
 from steerd.sysid.inference.chart import make_chart
 from steerd.sysid.inference.identifiability import estimates, taught_estimates
 from steerd.sysid.inference.places import DISCS, RADII, suspicious_discs
-from steerd.sysid.inference.plain_car import TYRES
 from steerd.sysid.inference.search import step_within
+from steerd.sysid.paper import NAMES as TYRES
 
 CAR = DEFAULT_CAR._replace(lf=0.16, steer_gain=0.95)
 SD = {"lf": 0.002, "lr": 0.1, "steer_gain": 0.01, "steer_delay": 0.001, "tyre_saturation.q": 0.1}

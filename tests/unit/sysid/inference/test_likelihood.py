@@ -19,8 +19,8 @@ def dense(healthy):
     parameters, x = healthy.augmented.base, healthy.guess
     seen = responses(healthy, parameters, x, BODY)
     slip = slip_shape(healthy, healthy.errors(parameters, x)[0])
-    own = covariance(healthy, NOISE, [*shapes(healthy, seen, BODY), slip])
-    pushes = shapes(healthy, seen, BODY, c.DISCREPANCY_MEMORY)
+    own = covariance(healthy, NOISE, [*shapes(seen), slip])
+    pushes = shapes(seen, c.DISCREPANCY_MEMORY)
     return own, sum(size**2 * p for size, p in zip(c.DISCREPANCY, pushes, strict=True))
 
 

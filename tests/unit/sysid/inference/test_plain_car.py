@@ -23,13 +23,13 @@ from steerd.sysid.inference.augmented_car import prescribe_speed
 from steerd.sysid.inference.chart import SPREAD
 from steerd.sysid.inference.plain_car import (
     DEFAULT_FREE,
-    TYRES,
     Asked,
     free_of,
     search_blocks,
     search_rough,
 )
 from steerd.sysid.inference.predictor import stable_substeps
+from steerd.sysid.paper import NAMES as TYRES
 from steerd.sysid.paper import PAPER_CAR_DIRECT as STILL
 
 SLID = (0.18917528114233922, 0.29462271010112046, 5.025340279936621, 2.177483451231206)
