@@ -23,7 +23,6 @@ from steerd.controller.learnt import (
     Learnt,
     LearntBounds,
     learnt_car,
-    learnt_of,
     learnt_timing,
     make_bounds,
     steps,
@@ -146,8 +145,3 @@ def _check_on_file(held: Acceptance, design: Design) -> Iterator[str]:
         radius = stability_at(held.file.car, design.table, speed, timing).radius
         stable = radius < 1.0
         yield "" if stable else f"at {speed:.2f} m/s it is unstable on the car of the car file"
-
-
-def file_numbers(held: Acceptance) -> Learnt:
-    """The numbers of the car file's own design."""
-    return learnt_of(held.file.car)

@@ -2,10 +2,17 @@
 
 from functools import lru_cache
 
-from steerd.controller.acceptance import Acceptance, check_design, file_numbers, make_acceptance
+from steerd.controller.acceptance import Acceptance, check_design, make_acceptance
 from steerd.controller.build import compute_table
 from steerd.controller.lane_controller import LaneController
-from steerd.controller.learnt import Design, Learnt, follow_learnt, learnt_car, learnt_timing
+from steerd.controller.learnt import (
+    Design,
+    Learnt,
+    follow_learnt,
+    learnt_car,
+    learnt_of,
+    learnt_timing,
+)
 from steerd.daemon.assembly.build import RunPlan, make_plan
 from steerd.daemon.settings.run_options import RunOptions
 
@@ -28,7 +35,7 @@ def standard() -> Acceptance:
 
 def numbers(held: Acceptance, **changed: float) -> Learnt:
     """The file's numbers with some changed."""
-    return file_numbers(held)._replace(**changed)
+    return learnt_of(held.file.car)._replace(**changed)
 
 
 def design_for(held: Acceptance, **changed: float) -> Design:
