@@ -31,10 +31,8 @@ from steerd.estimator.compiled import Link, Prediction
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.history import History, dead_times
 from steerd.estimator.initial import SECONDS, Array, Belief, make_belief
-from steerd.estimator.sensors import Kind, Measurement, Sensor
+from steerd.estimator.sensors import ABSURD, Kind, Measurement, Sensor
 
-ABSURD = 1e6
-"""No reading of any instrument, in any SI unit, is this large; `filter.h` has it too."""
 _NEVER_NS = 1 << 62
 
 

@@ -28,9 +28,16 @@ from steerd.controller.lane_controller import (
     control,
 )
 from steerd.controller.lane_keeper import lane_errors
-from steerd.controller.learnt import Design, Learnt, follow_learnt, learnt_of
+from steerd.controller.learnt import (
+    Design,
+    Learnt,
+    Servo,
+    follow_learnt,
+    learnt_of,
+    order_servo,
+    step_servo,
+)
 from steerd.controller.live import AS_DESIGNED, LiveValues, shift_lane
-from steerd.controller.servo import Servo, order_servo, step_servo
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import CodecError, decode
 

@@ -102,7 +102,12 @@ def make_opener(url: str) -> Callable[[], Port]:
     return lambda: waiting.pop() if waiting else open_port(url)
 
 
-def _run(given: Job) -> Core:
+def serve(given: Job) -> int:
+    """The process.
+
+    Raises:
+        SteerdError: the run cannot be begun.
+    """
     fds, job = given
     plan = read_job(job, design=True)
     open_again = make_opener(plan.options.port or "")
@@ -128,7 +133,11 @@ def _run(given: Job) -> Core:
     runner = Runner(core, clock, open_again, mocap, links, guard, signals.make_notify(os.environ))
     settle_memory()
     runner.run()
-    return core
+    if core.error is not None:
+        traceback.print_exception(core.error)
+        return ExitCode.INTERNAL
+    lost = core.flags & (Flag.RECORDER_LOST | Flag.GATEWAY_LOST)
+    return ExitCode.STOPPED if core.loop.faulted or lost else ExitCode.OK
 
 
 def latch_stray_exceptions(core: Core) -> None:
@@ -145,20 +154,6 @@ def _begin() -> None:
     signals.block_stop_signals()
     signals.wake_at_parents_end()
     gc.freeze()  # what imports made stays: no need to search it for garbage again
-
-
-def serve(given: Job) -> int:
-    """The process.
-
-    Raises:
-        SteerdError: the run cannot be begun.
-    """
-    core = _run(given)
-    if core.error is not None:
-        traceback.print_exception(core.error)
-        return ExitCode.INTERNAL
-    lost = core.flags & (Flag.RECORDER_LOST | Flag.GATEWAY_LOST)
-    return ExitCode.STOPPED if core.loop.faulted or lost else ExitCode.OK
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from steerd.controller.design import assess, find_faults
 from steerd.controller.gain_table import N_LANE, N_TURNING, Turning
 from steerd.controller.lane_controller import LaneController, control, start_controller, to_command
 from steerd.controller.lane_keeper import LaneErrors, LaneKeeper, lane_errors, step
+from steerd.controller.learnt import KEPT_NS, Servo, order_servo, step_servo
 from steerd.controller.live import (
     AS_DESIGNED,
     GAIN_LEAST,
@@ -34,7 +35,6 @@ from steerd.controller.live import (
     shift_curvature,
     shift_lane,
 )
-from steerd.controller.servo import KEPT_NS, Servo, order_servo, step_servo
 from steerd.controller.speed import SpeedProfile, make_speed_profile, profile_speed, step_speed
 
 LINE = parse_path("line:length=10")

@@ -20,12 +20,12 @@ from steerd.car_model.rollout import step as plant_step
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
 from steerd.estimator.config import FilterConfig
-from steerd.estimator.health import NO_TALLY
 from steerd.estimator.history import NO_HISTORY, History, add_command
 from steerd.estimator.initial import make_belief
 from steerd.estimator.reference import Reference
 from steerd.estimator.sensors import Kind, make_gyro, make_pose, make_wheel_speed
 from steerd.estimator.state_filter import (
+    NO_TALLY,
     FilterState,
     Node,
     StateFilter,
