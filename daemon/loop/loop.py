@@ -6,6 +6,7 @@ measurements that they judge, and keeps their states from tick to tick.
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from math import isfinite, nan
 from typing import Any
 
@@ -22,7 +23,7 @@ from steerd.daemon.loop import adapting, following
 from steerd.daemon.loop import findings as fs
 from steerd.daemon.loop import lease as leases
 from steerd.daemon.loop.adapting import read_design
-from steerd.daemon.loop.checks import STANDING_SPEED, find_failures
+from steerd.daemon.loop.checks import find_failures
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.follow_model import make_follow_model
 from steerd.daemon.loop.lateness import IN_SIMULATION, Lateness, make_lateness_rules, step_lateness
@@ -31,6 +32,7 @@ from steerd.daemon.loop.live import judge_both_lanes, make_live, relax, step_liv
 from steerd.daemon.loop.orders import Order, TickResult, make_order
 from steerd.daemon.loop.perception import Perception, best_speed, estimated_state
 from steerd.daemon.loop.supervisor import (
+    STILL_SPEED,
     WAITING,
     Conditions,
     make_supervisor_memory,
@@ -173,6 +175,23 @@ class Loop:
         waiting = failed if failed and disarmed else WAITING[self.supervisor.state]
         return TickResult(order, old, self.supervisor, estimate, report, findings, waiting, facts)
 
+    def fail(self, why: str, now_ns: int, linked: bool) -> TickResult:
+        """Decide a tick without the part that failed: an armed car brakes and latches (W29)."""
+        finding = fs.make_finding("W29", why)
+        bits, text = fs.summarise((finding,))
+        facts = bits | Fact.IDENTIFIED | Fact.SLOWING | (Fact.LINKED if linked else 0)
+        settings, speed = self.plan.settings, self.perception.recent_wheel_speed(now_ns)
+        old, conditions = self.supervisor.state, Conditions(facts, speed, 0, text)
+        self.supervisor, action = step_supervisor(self.supervisor, conditions, 0, now_ns)
+        new = self.supervisor.state
+        if new is SupervisorState.FAULT_STOP:
+            self.fault = self.supervisor.reason
+        self.ran = self.ran or (old in DRIVING and new not in DRIVING)
+        limiter = make_limiter_state(settings.limits, Command(0.0, 0.0), now_ns)
+        order = make_order(settings, limiter, action, None, speed, now_ns)
+        order = replace(order, drive=replace(order.drive, steer=None))
+        return TickResult(order, old, self.supervisor, None, None, (finding,), WAITING[new], facts)
+
     def _make_wish(
         self, estimate: StateEstimate | None, now_ns: int
     ) -> tuple[Command[float] | None, ControlReport | None]:
@@ -256,7 +275,7 @@ class Loop:
             self.fault = reason
         if hard:
             self.live = relax(self.live, "a fault: path and gains as designed")
-        rolling = abs(self.perception.wheel_speed) > STANDING_SPEED
+        rolling = abs(self.perception.wheel_speed) > STILL_SPEED
         self.perception.may_rebase = new in PARKED and not rolling
 
     def _remember_order(self, order: Order, now_ns: int) -> None:
