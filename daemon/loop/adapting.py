@@ -273,9 +273,8 @@ class DesignDesk:
         self.taken: Design | None = None
         self.refused = 0
         self._number = 0
-        self._checking: Iterator[str] | None = None
-        self._design: Design | None = None
-        self._against: Learnt | None = None
+        # A design, the numbers in force that it is held against, and what is left of its check
+        self._checking: tuple[Design, Learnt, Iterator[str]] | None = None
         self._answer: str | None = None
         self._renew = False
         self._followed = False
@@ -300,8 +299,7 @@ class DesignDesk:
         elif now.follows and design == self.taken:
             self._renew = True
         else:
-            self._design, self._against = design, now.car
-            self._checking = check_design(now.held, now.car, design)
+            self._checking = design, now.car, check_design(now.held, now.car, design)
 
     def _refuse(self, why: str) -> None:
         self.refused += 1
@@ -314,7 +312,7 @@ class DesignDesk:
             self._checking = self.taken = None
             return make_no_design(t_ns, epoch_ns, now.why)
         if self._checking is not None:
-            self._check(now)
+            self._check(now, *self._checking)
         if self._answer is not None:
             why, self._answer, self.taken = self._answer, None, None
             return make_no_design(t_ns, epoch_ns, why)
@@ -323,9 +321,9 @@ class DesignDesk:
             return make_design(t_ns, epoch_ns, self._number, self.taken)
         return None
 
-    def _check(self, now: Adapting) -> None:
+    def _check(self, now: Adapting, design: Design, against: Learnt, pieces: Iterator[str]) -> None:
         try:
-            problem = next(self._checking, None) if self._checking is not None else ""
+            problem = next(pieces, None)
         except (ValueError, ArithmeticError) as error:  # numbers that no loop has
             problem = f"it cannot be computed: {error}"
         if problem:
@@ -333,6 +331,6 @@ class DesignDesk:
             self._refuse(problem)
         elif problem is None:
             self._checking = None
-            if now.car == self._against:  # else another is in force than it was held against
-                self.taken, self._renew = self._design, True
+            if now.car == against:  # else another is in force than it was held against
+                self.taken, self._renew = design, True
                 self._number += 1

@@ -6,7 +6,7 @@ import socket
 import sys
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import compress
 from operator import attrgetter
 
@@ -33,20 +33,18 @@ _RARE = (topics.DIAGNOSTICS.name, topics.TRANSITION.name, topics.PARAMETERS.name
 _SHOWN = (topics.STATE.name, topics.TICK.name, *_RARE)
 
 
-Taker = tuple[PipeWriter, Callable[[PipeRecord], bool]]
-"""A pipe, and whether its reader takes a record."""
-is_logged: Callable[[PipeRecord], bool] = attrgetter("topic.logged")
-"""Whether the recorder takes a record."""
-is_on_bus: Callable[[PipeRecord], bool] = attrgetter("topic.on_bus")
-"""Whether gateway and viewer take it."""
-_TAKES = {
-    "recorder": is_logged, "gateway": is_on_bus, "learner": is_learnt_from, "view": is_on_bus,
-}  # fmt: skip
+_TAKES: dict[str, Callable[[PipeRecord], bool]] = {
+    "recorder": attrgetter("topic.logged"),
+    "gateway": attrgetter("topic.on_bus"),
+    "learner": is_learnt_from,
+    "view": attrgetter("topic.on_bus"),
+}
 """What each reader takes; a drive goes on without learner or viewer: the runner watches neither."""
 
 
-def pipes_sink(*takers: Taker) -> Sink:
+def pipes_sink(pipes: Mapping[str, PipeWriter]) -> Sink:
     """A sink that writes into each pipe the records that its reader takes, packed once for all."""
+    takers = [(pipe, _TAKES[name]) for name, pipe in pipes.items()]
 
     def sink(records: list[PipeRecord], t_ns: int) -> None:
         packed = [pack_record(record) for record in records]
@@ -113,8 +111,7 @@ def serve(given: Job) -> int:
     open_again = make_opener(plan.options.port or "")
     mocap = make_mocap(plan)
     pipes = {name: PipeWriter(fds[name]) for name in _TAKES if name in fds}
-    takers = [(pipe, _TAKES[name]) for name, pipe in pipes.items()]
-    sinks = [pipes_sink(*takers), status_sink(PipeWriter(fds["status"]))]
+    sinks = [pipes_sink(pipes), status_sink(PipeWriter(fds["status"]))]
     clock = MonotonicClock()
     core = make_core(plan, sinks)
     latch_stray_exceptions(core)
