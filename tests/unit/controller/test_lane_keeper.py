@@ -52,7 +52,7 @@ def wheel_reference(
     gains: tuple[float, ...], errors: LaneErrors, past: tuple[float, ...] = ()
 ) -> float:
     at = Projection(1.0, 50, errors.e1, 0.0, 0.0, abs(errors.e1))
-    return step(KEEPER, gains, errors, at, ORIGIN._replace(speed=1.0, steer=0.1), past).wheel
+    return step(KEEPER, gains, errors, at, ORIGIN._replace(speed=1.0, steer=0.1), past)[0]
 
 
 def test_each_gain_steers_against_its_error():
@@ -80,10 +80,8 @@ def test_the_curvature_is_read_where_the_order_will_act():
     keeper = LaneKeeper(eight, 0.2, -0.34, 0.34)
     at = project(eight, eight.x[100], eight.y[100], 100)
     estimate = ORIGIN._replace(speed=2.0, steer=DEFAULT_CAR.steer_bias)
-    order = step(keeper, row(), LaneErrors(0.0, 0.0, 0.0, 0.0), at, estimate, ())
-    assert order.feedforward == pytest.approx(
-        0.33 * interpolate(eight, eight.curvature, at.s + 0.4)
-    )
+    _, feedforward = step(keeper, row(), LaneErrors(0.0, 0.0, 0.0, 0.0), at, estimate, ())
+    assert feedforward == pytest.approx(0.33 * interpolate(eight, eight.curvature, at.s + 0.4))
 
 
 # The speed profile's limits and the reference's ramps.

@@ -169,7 +169,7 @@ def test_error_falls_with_the_square_of_the_step(chassis, state):
         now, h_ns = state, 40_000_000 // count
         for i in range(count):
             driven = reference.drive(history, now.steer, now.speed, i * h_ns, (i + 1) * h_ns)
-            now = State(*reference.propagate(now, driven, QUIET, h_ns * 1e-9).mean.tolist())
+            now = State(*reference.propagate(now, driven, QUIET, h_ns * 1e-9)[0].tolist())
         return float(np.abs(np.array(now) - exact)[:6].max())
 
     coarse, middle, fine = error(4), error(8), error(16)
