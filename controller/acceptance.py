@@ -23,7 +23,6 @@ from steerd.controller.learnt import (
     Learnt,
     LearntBounds,
     learnt_car,
-    learnt_of,
     learnt_timing,
     make_bounds,
     steps,
@@ -53,7 +52,7 @@ def make_acceptance(file: LaneController) -> Acceptance:
     """What designs beside that of the car file are compared with."""
     table, timing = file.table, file.report.timing
     own = min(
-        margins(file.car, look_up(table, v), table.pasts, v, timing).distance
+        margins(file.car, look_up(table, v), table.pasts, v, timing)[1]
         for v in assessed_speeds(table)
     )
     distance = min(DISTANCE, NEAR_FILE * own)
@@ -131,11 +130,11 @@ def _check_as_proposed(held: Acceptance, design: Design) -> Iterator[str]:
     car, timing = learnt_car(held.file, design.car), learnt_timing(held.file, design.car)
     for speed in assessed_speeds(design.table):
         row = look_up(design.table, speed)
-        at = margins(car, row, design.table.pasts, speed, timing)
-        if find_faults([at.stability], held.file.config.damping_min):
+        found, distance = margins(car, row, design.table.pasts, speed, timing)
+        if find_faults([found], held.file.config.damping_min):
             yield f"at {speed:.2f} m/s it is unstable, or too little damped"
-        elif not at.distance >= held.distance:
-            yield f"at {speed:.2f} m/s its margin is {at.distance:.2f}, under {held.distance:.2f}"
+        elif not distance >= held.distance:
+            yield f"at {speed:.2f} m/s its margin is {distance:.2f}, under {held.distance:.2f}"
         else:
             yield ""
 
@@ -146,8 +145,3 @@ def _check_on_file(held: Acceptance, design: Design) -> Iterator[str]:
         radius = stability_at(held.file.car, design.table, speed, timing).radius
         stable = radius < 1.0
         yield "" if stable else f"at {speed:.2f} m/s it is unstable on the car of the car file"
-
-
-def file_numbers(held: Acceptance) -> Learnt:
-    """The numbers of the car file's own design."""
-    return learnt_of(held.file.car)

@@ -21,7 +21,7 @@ MARGIN_STEP_S = 0.005
 MARGIN_MAX_S = 0.2
 """Delay margins beyond this are not resolved [s]."""
 TINY = 1e-300
-"""Keeps an eigenvalue of exactly one from dividing by zero."""
+"""Keeps an eigenvalue of exactly one, or a pole on the way, from dividing by zero."""
 LASTING_S, LASTING_SHARE = 0.1, 0.1
 """A mode counts for the damping if this share of it is left after that time [s]. Faster ones, such
 as the dead time's own (n eigenvalues near zero, which the least change sends round a circle of
@@ -154,19 +154,12 @@ def gravest(faults: Sequence[Stability]) -> Stability:
     return max(faults, key=lambda at: (max(at.radius, 1.0), -at.damping))
 
 
-class Margins(NamedTuple):
-    """A loop at one speed."""
-
-    stability: Stability  # of the closed loop
-    distance: float
-    """Of the open loop's response from -1; 1 is the best that a loop with integrators has."""
-
-
 def margins(
     car: Car[float], row: Sequence[float], pasts: int, speed: float, timing: Timing
-) -> Margins:
-    """Stability and distance of a row of gains on a car, see `closed_loop`.
+) -> tuple[Stability, float]:
+    """Stability of the loop of a row of gains on a car, see `closed_loop`, and distance from -1.
 
+    Of the open loop's response; 1 is the best that a loop with integrators has.
     At distance M the steering may be 1 / (1 - M) times as strong or 1 / (1 + M) times as weak, or
     late by 2 asin(M / 2), and the loop is still stable: gain and phase margin in one number (Astrom
     and Murray, Feedback Systems, section 10.3).
@@ -181,8 +174,8 @@ def margins(
     remembered = np.asarray(row[N_LANE : N_LANE + pasts])
     memory = 1.0 + (z[:, None] ** -np.arange(1.0, pasts + 1.0)) @ remembered
     poles, zeros = _far_from(z, free), _far_from(z, closed)
-    distance = float(np.min(zeros / np.maximum(poles * np.abs(memory), 1e-300)))
-    return Margins(stability(closed, speed, timing.period_s), distance)
+    distance = float(np.min(zeros / np.maximum(poles * np.abs(memory), TINY)))
+    return stability(closed, speed, timing.period_s), distance
 
 
 def _far_from(z: np.ndarray, matrix: Matrix) -> Matrix:

@@ -99,7 +99,7 @@ def control(
     at = shift_lane(project(path, estimate.x, estimate.y, state.hint), live.offset)
     errors = lane_errors(estimate, at)
     row = look_up(controller.table, estimate.speed)
-    steering = lane_keeper.step(controller.keeper, row, errors, at, estimate, past, live)
+    wheel, feedforward = lane_keeper.step(controller.keeper, row, errors, at, estimate, past, live)
     dt = min(max((t_ns - state.t_ns) * 1e-9, 0.0), STEP_MAX_S)
     ahead = preview_place(controller.profile, at.s, estimate.speed)
     ramp = state.speed - controller.config.stop_ramp * dt  # a lower speed is no emergency
@@ -107,8 +107,7 @@ def control(
     target = profile_speed(controller.profile, at.s, estimate.speed)
     target = limit_target(target, path, ahead, cap, controller.config)
     speed = step_speed(state.speed, target, dt, controller.config, stop)
-    command = to_command(controller.car, steering.wheel, speed)
-    wheel, feedforward = steering.wheel, steering.feedforward
+    command = to_command(controller.car, wheel, speed)
     place = (at.s, at.curvature, at.distance)
     report = ControlReport(*errors, *place, wheel, feedforward, speed)
     past = (wheel - feedforward, *past[:-1]) if past else past

@@ -14,7 +14,6 @@ from steerd.car_model.path.path import Path, Projection, interpolate, wrap_angle
 from steerd.car_model.state import State
 from steerd.controller.gain_table import N_LANE, N_TURNING
 from steerd.controller.live import AS_DESIGNED, LiveValues, shift_curvature
-from steerd.steer_bus.quick_values import quick_value
 
 SQUEEZE_MIN = 0.1
 """Least 1 - curvature e1: the errors' rates mean nothing at the turn's centre."""
@@ -30,14 +29,6 @@ class LaneErrors(NamedTuple):
     e1_rate: float  # [m/s]
     e2: float  # heading error, yaw minus the path's direction [rad], in (-pi, pi]
     e2_rate: float  # [rad/s]
-
-
-@quick_value
-class SteeringReference:
-    """A tick's reference for the wheel."""
-
-    wheel: float  # reference of the road-wheel angle [rad], within the car's end stops
-    feedforward: float  # its part from the path's curvature [rad]
 
 
 class LaneKeeper(NamedTuple):
@@ -74,7 +65,7 @@ def step(
     estimate: State[float],
     past: Sequence[float],
     live: LiveValues = AS_DESIGNED,
-) -> SteeringReference:
+) -> tuple[float, float]:
     """One tick of the steering law.
 
     Args:
@@ -86,6 +77,10 @@ def step(
         past: references within the dead time less their feed-forward [rad], newest first.
         live: the lane's offset, by which errors and projection are shifted already, and the share
             of the feedback.
+
+    Returns:
+        The reference of the road-wheel angle [rad], within the car's end stops, and its part from
+        the path's curvature [rad].
     """
     wheel, wheel_change, heading, heading_change = row[-N_TURNING:]
     speed = max(estimate.speed, 0.0)
@@ -106,4 +101,4 @@ def step(
     for gain, deviation in zip(row[N_LANE:-N_TURNING], past, strict=True):
         feedback += gain * deviation
     reference = max(keeper.wheel_min, min(keeper.wheel_max, feedforward - live.gain * feedback))
-    return SteeringReference(reference, feedforward)
+    return reference, feedforward

@@ -9,7 +9,6 @@ extended Kalman filter. No drive loads this.
 import math
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter  # noqa: TID251
@@ -31,19 +30,9 @@ from steerd.estimator.compiled import Link, Prediction
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.history import History, dead_times
 from steerd.estimator.initial import SECONDS, Array, Belief, make_belief
-from steerd.estimator.sensors import Kind, Measurement, Sensor
+from steerd.estimator.sensors import ABSURD, Kind, Measurement, Sensor
 
-ABSURD = 1e6
-"""No reading of any instrument, in any SI unit, is this large; `filter.h` has it too."""
 _NEVER_NS = 1 << 62
-
-
-class Propagation(NamedTuple):
-    """A step's outcome: mean (7,), its Jacobian by the mean before and the noise that entered."""
-
-    mean: Array
-    transition: Array
-    noise: Array
 
 
 class Reference:
@@ -94,10 +83,14 @@ class Reference:
 
     def propagate(
         self, state: State[float], driven: ActuatorMotion, density: Sequence[float], h: float
-    ) -> Propagation:
-        """One step of `h` seconds from a mean, under what the actuators do and noise."""
+    ) -> tuple[Array, Array, Array]:
+        """One step of `h` seconds from a mean, under what the actuators do and noise.
+
+        Gives the mean (7,), its Jacobian by the mean before, and the noise that entered.
+        """
         numbers = np.array(self._step(*state, *driven[:-1], *density, h))
-        return Propagation(numbers[:SIZE], *numbers[SIZE:].reshape(2, SIZE, SIZE))
+        transition, noise = numbers[SIZE:].reshape(2, SIZE, SIZE)
+        return numbers[:SIZE], transition, noise
 
     def predict(self, history: History, first: Belief, start_ns: int, stop_ns: int) -> Prediction:
         """The belief at `stop_ns` from the one of `start_ns`.

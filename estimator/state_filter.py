@@ -3,6 +3,9 @@
 A `FilterState` holds the measurements of the last `history_s` in order of validity, each with the
 belief after it. A new one is put in its place and the later ones are fused again. The belief at any
 instant therefore depends on which measurements arrived, never on the order in which they did.
+
+Each also carries running totals up to itself, what watchdogs W5 (innovations) and W6 (covariance)
+need to know: they follow the measurements when a late one changes the decisions after it.
 """
 
 # Why: docs/decisions/filter-and-controller.md#d9
@@ -21,7 +24,6 @@ from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
 from steerd.estimator.compiled import Kernel
 from steerd.estimator.config import FilterConfig
-from steerd.estimator.health import NO_TALLY, Count, FilterHealth, Tally, count_measurement
 from steerd.estimator.history import (
     NO_HISTORY,
     NS,
@@ -32,7 +34,7 @@ from steerd.estimator.history import (
     drop_older,
 )
 from steerd.estimator.initial import LONGEST_S, Belief, initial_belief
-from steerd.estimator.sensors import Kind, Measurement, make_sensors
+from steerd.estimator.sensors import ABSURD, Kind, Measurement, make_sensors
 from steerd.steer_bus.quick_values import changed, quick_value
 
 if TYPE_CHECKING:
@@ -41,8 +43,44 @@ if TYPE_CHECKING:
 FUTURE_NS = 2_000_000
 """A measurement from further ahead than this has a broken clock behind it."""
 
-ABSURD = 1e6
-"""No reading of any instrument, in any SI unit, is this large; `filter.h` has it too."""
+
+@quick_value
+class Count:
+    """Running totals of one instrument."""
+
+    seen: int = 0
+    refused: int = 0
+    nis: float = math.nan  # normalised innovation squared of the last one, believed or not
+    believed_ns: int = 0  # time of validity of the last one believed [ns]
+
+    def age_s(self, t_ns: int) -> float:
+        """Time for which the filter has coasted without a reading that it believed [s]."""
+        return (t_ns - self.believed_ns) * 1e-9 if self.believed_ns > 0 else math.inf
+
+
+Tally = tuple[Count, ...]
+"""Running totals of all instruments, in the order of `Kind`."""
+NO_TALLY: Tally = (Count(),) * len(Kind)
+
+
+@quick_value
+class FilterHealth:
+    """The filter's own view of itself at one instant."""
+
+    sound: bool  # mean and covariance are finite, the covariance positive definite
+    position_sd: float  # along the worst direction [m]; NaN when not sound
+    yaw_sd: float  # [rad]; NaN when not sound
+    wheel_speed: Count
+    gyro: Count
+    pose: Count
+
+
+def count_measurement(tally: Tally, kind: Kind, t_ns: int, nis: float, believed: bool) -> Tally:
+    """The totals after one more measurement."""
+    old = tally[kind]
+    last_ns = t_ns if believed else old.believed_ns
+    new = Count(old.seen + 1, old.refused + (not believed), nis, last_ns)
+    return (*tally[:kind], new, *tally[kind + 1 :])
 
 
 @quick_value

@@ -2,10 +2,11 @@
 
 from functools import lru_cache
 
-from steerd.controller.acceptance import Acceptance, check_design, file_numbers, make_acceptance
+from steerd.controller import learnt
+from steerd.controller.acceptance import Acceptance, check_design, make_acceptance
 from steerd.controller.build import compute_table
 from steerd.controller.lane_controller import LaneController
-from steerd.controller.learnt import Design, Learnt, follow_learnt, learnt_car, learnt_timing
+from steerd.controller.learnt import Design, Learnt
 from steerd.daemon.assembly.build import RunPlan, make_plan
 from steerd.daemon.settings.run_options import RunOptions
 
@@ -28,14 +29,17 @@ def standard() -> Acceptance:
 
 def numbers(held: Acceptance, **changed: float) -> Learnt:
     """The file's numbers with some changed."""
-    return file_numbers(held)._replace(**changed)
+    return learnt.learnt_of(held.file.car)._replace(**changed)
 
 
 def design_for(held: Acceptance, **changed: float) -> Design:
     """The lane keeper's own design for these numbers."""
     file, car = held.file, numbers(held, **changed)
     table = compute_table(
-        learnt_car(file, car), file.config, learnt_timing(file, car), file.profile.fastest
+        learnt.learnt_car(file, car),
+        file.config,
+        learnt.learnt_timing(file, car),
+        file.profile.fastest,
     )
     return Design(car, table)
 
@@ -52,4 +56,4 @@ def scaled(design: Design, factor: float, first: int = 0, last: int = 5) -> Desi
 def accept(held: Acceptance, now: Learnt, design: Design) -> LaneController | str:
     """The controller of a design, or why it is refused."""
     problem = next(filter(None, check_design(held, now, design)), "")
-    return problem or follow_learnt(held.file, design)
+    return problem or learnt.follow_learnt(held.file, design)

@@ -167,7 +167,7 @@ def record(plant: MujocoPlant, file: Path, path: str, speed: float, seed: int, o
     config = make_world_config(plan)
     world = World(config)
     car: Any = LoopCar(plant, config, seed)
-    world.car = world.vesc.car = world.vesc.imu._car = car  # noqa: SLF001
+    world.car = world.vesc.car = car
     return not record_virtual(plan, out, partial(drive), world=world).core.loop.faulted
 
 

@@ -72,8 +72,7 @@ def change_car(world: World, text: str, share: float) -> None:
     config, old = world.config, world.car
     model = config.model._replace(effects=tuple(effect for effect, _ in chosen), values=values)
     setup = replace(old.setup, start=old.state)
-    car = world.car = world.vesc.car = SimCar(model, setup, old._noise, old.t_ns)  # noqa: SLF001
-    world.vesc.imu._car = car  # noqa: SLF001
+    world.car = world.vesc.car = SimCar(model, setup, old._noise, old.t_ns)  # noqa: SLF001
 
 
 def true_design(plan: RunPlan, text: str) -> Design:

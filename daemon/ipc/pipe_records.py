@@ -85,22 +85,18 @@ class Outbox:
         if not self._pending:
             return
         queued, self._pending = self._pending, []
-        records, wrong = _encode_all(queued)
+        records, wrong = [], None
+        for topic, count, log_ns, publish_ns, message in queued:
+            try:
+                data = encode(message)
+            except CodecError as error:
+                wrong = wrong or error
+            else:
+                records.append(PipeRecord(topic, count, log_ns, publish_ns, data, message))
         for sink in self.sinks:
             sink(records, t_ns)
         if wrong is not None:
             raise wrong
-
-
-def _encode_all(queued: list[_Queued]) -> tuple[list[PipeRecord], CodecError | None]:
-    """Encode each record; also return the first error."""
-    records, wrong = [], None
-    for topic, count, log_ns, publish_ns, message in queued:
-        try:
-            records.append(PipeRecord(topic, count, log_ns, publish_ns, encode(message), message))
-        except CodecError as error:
-            wrong = wrong or error
-    return records, wrong
 
 
 def pack_record(record: PipeRecord) -> bytes:

@@ -5,10 +5,17 @@ It hears from the core what was taken, and steps on from there.
 
 from collections.abc import Callable
 
-from steerd.controller.acceptance import Acceptance, file_numbers
+from steerd.controller.acceptance import Acceptance
 from steerd.controller.build import DesignTable
 from steerd.controller.design import DesignRefused
-from steerd.controller.learnt import Design, Learnt, approach_learnt, learnt_car, learnt_timing
+from steerd.controller.learnt import (
+    Design,
+    Learnt,
+    approach_learnt,
+    learnt_car,
+    learnt_of,
+    learnt_timing,
+)
 from steerd.daemon.loop.adapting import REFUSED, make_design, make_no_design, read_design
 from steerd.sim_gap.online.learner import Learner, State
 from steerd.sim_gap.online.values import find_aim
@@ -34,7 +41,8 @@ class Proposals:
         self, held: Acceptance, design_table: DesignTable, send: Callable[[bytes, int], object]
     ) -> None:
         self._held, self._design_table, self._send = held, design_table, send
-        self._at = file_numbers(held)  # the numbers in force, as the core said
+        self._file = learnt_of(held.file.car)
+        self._at = self._file  # the numbers in force, as the core said
         self._design: Design | None = None  # the last proposal
         self._refused_ns = -PAUSE_NS  # when the core refused one last
 
@@ -44,7 +52,7 @@ class Proposals:
         if design is not None:
             self._at = design.car
             return
-        self._at, self._design = file_numbers(self._held), None
+        self._at, self._design = self._file, None
         if taken.text.startswith(REFUSED):
             self._refused_ns = taken.mono_ns
 
@@ -52,7 +60,7 @@ class Proposals:
         """Propose at a report of a state; times of the newest pose, UNIX minus monotonic [ns]."""
         design = self._next_design(find_aim(learner, state), mono_ns)
         self._design = None if isinstance(design, str) else design
-        if not isinstance(design, str) and design.car == file_numbers(self._held):
+        if not isinstance(design, str) and design.car == self._file:
             design = "the car is as in the car file"
         proposal = (
             make_no_design(mono_ns, epoch_ns, design)

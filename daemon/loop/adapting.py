@@ -19,7 +19,7 @@ from math import cos, exp, inf, nan, sin
 
 from steerd.car_model.path.path import project
 from steerd.car_model.state import Command, State
-from steerd.controller.acceptance import Acceptance, check_design, file_numbers
+from steerd.controller.acceptance import Acceptance, check_design
 from steerd.controller.gain_table import N_LANE, N_TURNING, GainTable
 from steerd.controller.lane_controller import (
     ControllerState,
@@ -28,9 +28,16 @@ from steerd.controller.lane_controller import (
     control,
 )
 from steerd.controller.lane_keeper import lane_errors
-from steerd.controller.learnt import Design, Learnt, follow_learnt
+from steerd.controller.learnt import (
+    Design,
+    Learnt,
+    Servo,
+    follow_learnt,
+    learnt_of,
+    order_servo,
+    step_servo,
+)
 from steerd.controller.live import AS_DESIGNED, LiveValues, shift_lane
-from steerd.controller.servo import Servo, order_servo, step_servo
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import CodecError, decode
 
@@ -52,9 +59,9 @@ class Adapting:
 
     held: Acceptance | None  # what designs are held against; None where none is followed
     file: LaneController  # the car file's controller
-    controller: LaneController  # the one in force, for the numbers `car`
-    car: Learnt | None = None
-    number: int = 0  # of the design in force, 0 for the file's
+    controller: LaneController  # the one in force
+    design: Design | None = None  # that it follows, None for the file's, with its number, else 0
+    number: int = 0
     why: str = LEARNING  # why the file's is in force
     # The design that was taken last, with its number; None for the file's
     coming: tuple[int, Design] | None = None
@@ -70,15 +77,19 @@ class Adapting:
     @property
     def follows(self) -> bool:
         """Whether a learnt design is in force."""
-        return self.controller is not self.file
+        return self.design is not None
+
+    @property
+    def car(self) -> Learnt:
+        """The numbers of the design in force."""
+        return learnt_of(self.file.car) if self.design is None else self.design.car
 
 
 def make_adapting(
     file: LaneController, held: Acceptance | None = None, lateral: float = inf
 ) -> Adapting:
     """At the start: the file's design; `lateral` is the lateral error that stops the car [m]."""
-    car = file_numbers(held) if held else None
-    return Adapting(held, file, file, car, far_e1=FAR_SHARE * lateral)
+    return Adapting(held, file, file, far_e1=FAR_SHARE * lateral)
 
 
 def take_design(now: Adapting, number: int, design: Design | None, why: str, t_ns: int) -> Adapting:
@@ -109,15 +120,12 @@ def step_adapting(now: Adapting, t_ns: int, *, driving: bool, tuned: bool) -> Ad
     if number == now.number:
         return now
     controller = follow_learnt(now.file, design)
-    return replace(now, controller=controller, car=design.car, number=number, why="")
+    return replace(now, controller=controller, design=design, number=number, why="")
 
 
 def to_file(now: Adapting, why: str) -> Adapting:
     """Back to the car file's design."""
-    if not now.follows:
-        return replace(now, why=why, coming=None)
-    car = file_numbers(now.held) if now.held else None
-    return replace(now, controller=now.file, car=car, number=0, why=why, coming=None)
+    return replace(now, controller=now.file, design=None, number=0, why=why, coming=None)
 
 
 def lose_estimate(now: Adapting) -> Adapting:
@@ -134,9 +142,9 @@ def remember_order(now: Adapting, t_ns: int, order: Command[float] | None) -> Ad
 
 def see_as_learnt(now: Adapting, state: State[float]) -> State[float]:
     """The estimate as the controller in force is to see it: its servo, its mocap body."""
-    if not now.follows or now.car is None:
+    if now.design is None:
         return state
-    car = now.car
+    car = now.design.car
     yaw = state.yaw - car.body_yaw
     c, s = cos(yaw), sin(yaw)
     return state._replace(
@@ -265,9 +273,8 @@ class DesignDesk:
         self.taken: Design | None = None
         self.refused = 0
         self._number = 0
-        self._checking: Iterator[str] | None = None
-        self._design: Design | None = None
-        self._against: Learnt | None = None
+        # A design, the numbers in force that it is held against, and what is left of its check
+        self._checking: tuple[Design, Learnt, Iterator[str]] | None = None
         self._answer: str | None = None
         self._renew = False
         self._followed = False
@@ -292,8 +299,7 @@ class DesignDesk:
         elif now.follows and design == self.taken:
             self._renew = True
         else:
-            self._design, self._against = design, now.car
-            self._checking = check_design(now.held, now.car or design.car, design)
+            self._checking = design, now.car, check_design(now.held, now.car, design)
 
     def _refuse(self, why: str) -> None:
         self.refused += 1
@@ -306,7 +312,7 @@ class DesignDesk:
             self._checking = self.taken = None
             return make_no_design(t_ns, epoch_ns, now.why)
         if self._checking is not None:
-            self._check(now)
+            self._check(now, *self._checking)
         if self._answer is not None:
             why, self._answer, self.taken = self._answer, None, None
             return make_no_design(t_ns, epoch_ns, why)
@@ -315,9 +321,9 @@ class DesignDesk:
             return make_design(t_ns, epoch_ns, self._number, self.taken)
         return None
 
-    def _check(self, now: Adapting) -> None:
+    def _check(self, now: Adapting, design: Design, against: Learnt, pieces: Iterator[str]) -> None:
         try:
-            problem = next(self._checking, None) if self._checking is not None else ""
+            problem = next(pieces, None)
         except (ValueError, ArithmeticError) as error:  # numbers that no loop has
             problem = f"it cannot be computed: {error}"
         if problem:
@@ -325,6 +331,6 @@ class DesignDesk:
             self._refuse(problem)
         elif problem is None:
             self._checking = None
-            if now.car == self._against:  # else another is in force than it was held against
-                self.taken, self._renew = self._design, True
+            if now.car == against:  # else another is in force than it was held against
+                self.taken, self._renew = design, True
                 self._number += 1

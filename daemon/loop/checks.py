@@ -7,14 +7,13 @@ from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.common.screen import show
 from steerd.daemon.loop.findings import Finding, Flag, Severity
 from steerd.daemon.loop.lease import Remote, valid_command
+from steerd.daemon.loop.supervisor import STILL_SPEED
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.loop.watchdogs import WatchdogInput
 from steerd.daemon.settings.config import BrakeSettings
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.steer_bus.messages import VescIdentity
 
-STANDING_SPEED = 0.05
-"""A slower car stands [m/s]."""
 _TOOL = "in VESC Tool: App Settings > General"
 
 
@@ -66,7 +65,7 @@ def find_failures(
         yield from check_lane(now.lateral_error, now.heading_error, plan.settings.thresholds)
     elif estimated and valid_command(remote, now.t_ns) is None:
         yield "no commands from a controller: start `steerd control`, `steerd teleop` or /drive"
-    if now.state is not SupervisorState.RUNNING and not abs(now.speed) < STANDING_SPEED:
+    if now.state is not SupervisorState.RUNNING and not abs(now.speed) < STILL_SPEED:
         yield f"the car moves at {show(now.speed, '.2f')} m/s: let it stand"
 
 

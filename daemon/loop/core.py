@@ -10,21 +10,17 @@ angle, so it holds the last one.
 
 import traceback
 from collections.abc import Sequence
-from dataclasses import replace
 
-from steerd.car_model.state import Command
-from steerd.controller.limits import make_limiter_state
 from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.ipc.pipe_records import Outbox, Sink
 from steerd.daemon.loop import outgoing
 from steerd.daemon.loop.adapting import DesignDesk
 from steerd.daemon.loop.checks import check_vesc
-from steerd.daemon.loop.findings import CAUSES, Flag, make_finding, summarise
+from steerd.daemon.loop.findings import CAUSES, Flag
 from steerd.daemon.loop.live import make_parameters
 from steerd.daemon.loop.loop import REQUESTS, Loop
-from steerd.daemon.loop.orders import TickResult, make_order
-from steerd.daemon.loop.supervisor import WAITING, Conditions, step_supervisor
-from steerd.daemon.loop.transitions import DRIVING, Fact, SupervisorState, is_engaged
+from steerd.daemon.loop.orders import TickResult
+from steerd.daemon.loop.transitions import SupervisorState, is_engaged
 from steerd.mocap_link.ingest import PoseIngest
 from steerd.mocap_link.source import Pose, SourceStatus
 from steerd.steer_bus import messages as m
@@ -251,7 +247,7 @@ class Core:
             self.last = self.loop.tick(due_ns, now_ns, flags)
         except Exception as error:
             self.latch_exception(error)
-            self.last = make_failed_tick(self.loop, error, now_ns, bool(flags & Flag.LINKED))
+            self.last = self.loop.fail(describe_error(error), now_ns, bool(flags & Flag.LINKED))
         wire = self._make_wire(self.last.order.drive, now_ns)
         header = m.make_header(now_ns + self.outbox.epoch_ns, m.BODY)
         self._tick = m.Tick(header, due_ns, now_ns, work_ns, self._seq & 0xFFFFFFFF, flags)
@@ -362,25 +358,6 @@ def describe_error(error: BaseException) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     place = f" at {frames[-1].name}:{frames[-1].lineno}" if frames else ""
     return f"{type(error).__name__}{place}: {error}"
-
-
-def make_failed_tick(loop: Loop, error: BaseException, now_ns: int, linked: bool) -> TickResult:
-    """Decide a tick without the part that failed: an armed car brakes and latches."""
-    finding = make_finding("W29", describe_error(error))
-    bits, text = summarise((finding,))
-    facts = bits | Fact.IDENTIFIED | Fact.SLOWING | (Fact.LINKED if linked else 0)
-    settings, speed = loop.plan.settings, loop.perception.recent_wheel_speed(now_ns)
-    old = loop.supervisor.state
-    conditions = Conditions(facts, speed, 0, text)
-    loop.supervisor, action = step_supervisor(loop.supervisor, conditions, 0, now_ns)
-    if loop.supervisor.state is SupervisorState.FAULT_STOP:
-        loop.fault = loop.supervisor.reason
-    loop.ran = loop.ran or (old in DRIVING and loop.supervisor.state not in DRIVING)
-    limiter = make_limiter_state(settings.limits, Command(0.0, 0.0), now_ns)
-    order = make_order(settings, limiter, action, None, speed, now_ns)
-    order = replace(order, drive=replace(order.drive, steer=None))
-    waiting = WAITING[loop.supervisor.state]
-    return TickResult(order, old, loop.supervisor, None, None, (finding,), waiting, facts)
 
 
 def make_core(plan: RunPlan, sinks: Sequence[Sink]) -> Core:

@@ -130,12 +130,8 @@ def make_finding(id: str, measured: str, severity: Severity | None = None) -> Fi
     return Finding(id, level, f"{id} {watchdog.name}: {measured}; {watchdog.advice}")
 
 
-_FACT = {
-    Severity.WARN: 0,
-    Severity.SOFT: Fact.SOFT,
-    Severity.HARD: Fact.HARD,
-    Severity.ESTOP: Fact.KILLED,
-}
+_FACT = (0, Fact.SOFT, Fact.HARD, Fact.KILLED)
+"""By severity."""
 
 
 def summarise(findings: Iterable[Finding]) -> tuple[int, str]:

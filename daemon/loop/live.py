@@ -17,12 +17,12 @@ from steerd.steer_bus.quick_values import quick_value
 
 STEP_MAX_S = 0.1
 """Longest time that one tick's approach is granted for [s]: a pause is no leap."""
-_UNITS = LiveValues(" m/s", " m", "")  # type: ignore[arg-type]
 _WHY = {
-    "speed": "the run was started and checked for that",
-    "offset": "further off, or tighter than the car turns, it would leave its lane",
-    "gain": "the closed loop was checked for that",
+    "speed": (" m/s", "the run was started and checked for that"),
+    "offset": (" m", "further off, or tighter than the car turns, it would leave its lane"),
+    "gain": ("", "the closed loop was checked for that"),
 }
+"""Unit of a live parameter, and why it has bounds."""
 
 
 @quick_value
@@ -72,10 +72,8 @@ def _find_problems(bounds: LiveBounds | None, aim: LiveValues, admitted: bool) -
     for name, value in aim._asdict().items():
         low, high = getattr(bounds.low, name), getattr(bounds.high, name)
         if not low <= value <= high:
-            unit = getattr(_UNITS, name)
-            yield (
-                f"refused: {name} {value:g}{unit}, allowed {low:g} to {high:g}{unit}: {_WHY[name]}"
-            )
+            unit, why = _WHY[name]
+            yield f"refused: {name} {value:g}{unit}, allowed {low:g} to {high:g}{unit}: {why}"
 
 
 def step_live(live: Live, t_ns: int, parked: bool) -> Live:

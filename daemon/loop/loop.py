@@ -1,29 +1,38 @@
 """The loop: events in, orders out. No clock, no I/O, no randomness.
 
 The real-time runner, virtual time and replay drive the same loop: the same events in the same order
-give the same orders. Decisions are made by the pure functions that it calls; the loop keeps their
-states from tick to tick.
+give the same orders. Decisions are made by the pure functions that it calls; the loop takes the
+measurements that they judge, and keeps their states from tick to tick.
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from math import isfinite, nan
 from typing import Any
 
+from steerd.car_model.actuators import references
 from steerd.car_model.model import believed_car
-from steerd.car_model.state import Command
+from steerd.car_model.ops import FLOAT
+from steerd.car_model.state import Command, State
 from steerd.controller.lane_controller import ControllerState, ControlReport, start_controller
-from steerd.controller.limits import make_limiter_state
+from steerd.controller.limits import Verdict, make_limiter_state
 from steerd.controller.live import AS_DESIGNED
 from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.assembly.plans import Drill
-from steerd.daemon.loop import adapting
+from steerd.daemon.loop import adapting, following
+from steerd.daemon.loop import findings as fs
 from steerd.daemon.loop import lease as leases
 from steerd.daemon.loop.adapting import read_design
-from steerd.daemon.loop.checks import STANDING_SPEED, find_failures
-from steerd.daemon.loop.findings import Flag, merge_requests, summarise
+from steerd.daemon.loop.checks import find_failures
+from steerd.daemon.loop.findings import Flag
+from steerd.daemon.loop.follow_model import make_follow_model
+from steerd.daemon.loop.lateness import IN_SIMULATION, Lateness, make_lateness_rules, step_lateness
+from steerd.daemon.loop.launch import LaunchInput, LaunchState, make_launch_state, step_launch
 from steerd.daemon.loop.live import judge_both_lanes, make_live, relax, step_live, take_request
 from steerd.daemon.loop.orders import Order, TickResult, make_order
-from steerd.daemon.loop.perception import Perception, best_speed
+from steerd.daemon.loop.perception import Perception, best_speed, estimated_state
 from steerd.daemon.loop.supervisor import (
+    STILL_SPEED,
     WAITING,
     Conditions,
     make_supervisor_memory,
@@ -38,8 +47,8 @@ from steerd.daemon.loop.transitions import (
     SupervisorState,
     is_engaged,
 )
-from steerd.daemon.loop.watchdogs import WatchdogInput
-from steerd.daemon.loop.watching import TickInput, Watching
+from steerd.daemon.loop.watchdogs import WatchdogInput, WatchdogState, is_slowing, step_watchdogs
+from steerd.daemon.settings.thresholds import LAUNCH_SPEED
 from steerd.estimator.state_filter import StateEstimate
 from steerd.steer_bus import messages as m
 
@@ -80,7 +89,16 @@ class Loop:
         self._limiter = make_limiter_state(s.limits, Command(0.0, 0.0), 0)
         self._issued: Command[float] | None = None
         self._control: ControllerState | None = None
-        self._watching = Watching(plan, car, self.perception)
+        self._car, self._ranges = car, make_follow_model(car, s.file.sd, s.filter, s.thresholds)
+        self._following = following.FollowState()
+        self._watchdogs = WatchdogState()
+        self._lateness = Lateness()
+        simulated = plan.options.simulated
+        self._late_rules = IN_SIMULATION if simulated else make_lateness_rules(s.thresholds)
+        # The launch checks of this drive, and whether they have passed
+        self._launch: LaunchState | None = None
+        self._launched = False
+        self._not_finite = False
         self._requests_pending = 0
         self._started_ns = 0
         self._ticks = 0
@@ -134,24 +152,20 @@ class Loop:
         estimate = self.perception.estimate(now_ns)
         speed = best_speed(estimate, self.perception.recent_wheel_speed(now_ns))
         wish, report = self._make_wish(estimate, now_ns)
-        silent = leases.lease_age(self.lease, now_ns) if self.plan.run.leased else 0.0
-        old, lane = self.supervisor.state, judge_both_lanes(report, self.live.now)
-        now, findings = self._watching.look(TickInput(
-            due_ns, now_ns, flags, old, self._limiter.order, estimate, lane, self.remote, speed,
-            silent,
-        ))  # fmt: skip
-        settings = self.plan.settings
+        old, settings = self.supervisor.state, self.plan.settings
+        reported = [*fs.make_reported_findings(flags), *self._find_late(due_ns, now_ns, flags)]
+        now, findings = self._watch(now_ns, estimate, report, speed, reported)
         failures = find_failures(
             self.plan, self.vesc, self.remote, now, findings, flags, estimated=report is not None
         )
         failed = next(failures, "")
-        bits, text = summarise(findings)
+        bits, text = fs.summarise(findings)
         facts = bits | self._make_facts(now, estimate, failed, flags)
         vesc = self.vesc
         timeout_ns = 0 if vesc is None or vesc.timeout_ms < 0 else vesc.timeout_ms * 1_000_000
         conditions = Conditions(facts, speed, timeout_ns, text)
         starts = self.plan.options.auto_arm and not self.ran
-        requests = merge_requests(self._requests_pending, flags, old, starts=starts)
+        requests = fs.merge_requests(self._requests_pending, flags, old, starts=starts)
         self.supervisor, action = step_supervisor(self.supervisor, conditions, requests, now_ns)
         self._requests_pending = 0
         self._apply_transition(old, estimate, now_ns, text)
@@ -160,6 +174,23 @@ class Loop:
         disarmed = self.supervisor.state is SupervisorState.DISARMED
         waiting = failed if failed and disarmed else WAITING[self.supervisor.state]
         return TickResult(order, old, self.supervisor, estimate, report, findings, waiting, facts)
+
+    def fail(self, why: str, now_ns: int, linked: bool) -> TickResult:
+        """Decide a tick without the part that failed: an armed car brakes and latches (W29)."""
+        finding = fs.make_finding("W29", why)
+        bits, text = fs.summarise((finding,))
+        facts = bits | Fact.IDENTIFIED | Fact.SLOWING | (Fact.LINKED if linked else 0)
+        settings, speed = self.plan.settings, self.perception.recent_wheel_speed(now_ns)
+        old, conditions = self.supervisor.state, Conditions(facts, speed, 0, text)
+        self.supervisor, action = step_supervisor(self.supervisor, conditions, 0, now_ns)
+        new = self.supervisor.state
+        if new is SupervisorState.FAULT_STOP:
+            self.fault = self.supervisor.reason
+        self.ran = self.ran or (old in DRIVING and new not in DRIVING)
+        limiter = make_limiter_state(settings.limits, Command(0.0, 0.0), now_ns)
+        order = make_order(settings, limiter, action, None, speed, now_ns)
+        order = replace(order, drive=replace(order.drive, steer=None))
+        return TickResult(order, old, self.supervisor, None, None, (finding,), WAITING[new], facts)
 
     def _make_wish(
         self, estimate: StateEstimate | None, now_ns: int
@@ -215,14 +246,14 @@ class Loop:
         over = plan.duration_ns is not None and now.t_ns - self._started_ns >= plan.duration_ns
         shown = now.telemetry_age <= th.telemetry and now.status & 1 == 1
         return (
-            Fact.SLOWING * self._watching.slowing
+            Fact.SLOWING * is_slowing(self._watchdogs)
             | Fact.LINKED * (flags & Flag.LINKED != 0)
             | Fact.IDENTIFIED * (known and seen)
             | Fact.CHECKS_PASS * (not failed)
             | Fact.FW_TIMEOUT * shown
             | Fact.LEASED * (now.lease_age <= th.lease)
             | Fact.ENDED * (now.state is SupervisorState.RUNNING and over)
-            | Fact.LAUNCHED * self._watching.launched
+            | Fact.LAUNCHED * self._launched
             | Fact.ESTIMATED * (estimate is not None and estimate.health.sound)
         )
 
@@ -233,28 +264,127 @@ class Loop:
         new = self.supervisor.state
         if new is SupervisorState.RUNNING and old is not SupervisorState.RUNNING:
             self._started_ns, self.fault = now_ns, ""
-            self._watching.restart_launch()
+            self._launch, self._launched = None, False
             if estimate is not None:
                 self._control = start_controller(self.adapting.controller, estimate.state, now_ns)
         if old in DRIVING and new not in DRIVING:
             self.ran = True
-            self._watching.restart_launch()
+            self._launch, self._launched = None, False
         reason, hard = self.supervisor.reason, new in BRAKED
         if new is not old and (hard or (is_engaged(old) and reason == tripped)):
             self.fault = reason
         if hard:
             self.live = relax(self.live, "a fault: path and gains as designed")
-        rolling = abs(self.perception.wheel_speed) > STANDING_SPEED
+        rolling = abs(self.perception.wheel_speed) > STILL_SPEED
         self.perception.may_rebase = new in PARKED and not rolling
 
     def _remember_order(self, order: Order, now_ns: int) -> None:
-        """Remember the order, for limiter, filter and controller."""
+        """Remember the order, for limiter, filter, watchdogs and controller."""
         self._limiter = order.limiter
         if order.command != self._issued:
             self.perception.on_command(now_ns, order.command)
-        self._watching.send_order(now_ns, order)
+        self._not_finite = order.verdict is Verdict.NOT_FINITE
+        rolling = self.perception.wheel_speed
+        speed = rolling if isfinite(rolling) else 0.0
+        self._following = following.send_order(
+            self._following, self._ranges, now_ns, order.command, speed
+        )
         self.adapting = adapting.remember_order(self.adapting, now_ns, order.command)
         self._issued = order.command
+
+    # --- what is watched
+
+    def _watch(
+        self,
+        now_ns: int,
+        estimate: StateEstimate | None,
+        report: ControlReport | None,
+        speed: float,
+        reported: list[fs.Finding],
+    ) -> tuple[WatchdogInput, tuple[fs.Finding, ...]]:
+        """The measurements of a tick, NaN where nothing is known, and all findings.
+
+        `speed` is the best known [m/s]; `reported` are findings that are not by measurements.
+        """
+        plan, settings, seen = self.plan, self.plan.settings, self.perception
+        state, order = self.supervisor.state, self._limiter.order
+        running = state is SupervisorState.RUNNING
+        if running and estimate is not None and not self._launched:
+            reported += self._check_launch(estimate.state, order, now_ns)
+        if self._not_finite:
+            what = "the controller gave a number that is not finite"
+            reported.append(fs.make_finding("limiter", what))
+        if running and plan.remote:
+            reported += _find_silence(self.remote, now_ns)
+        limits, brakes = settings.limits, settings.brakes
+        lane = judge_both_lanes(report, self.live.now)
+        s, health = estimated_state(estimate), estimate.health if estimate else None
+        v, (e1, e2) = seen.values, (lane.e1, lane.e2) if lane else (nan, nan)
+        if plan.ignores_lane:
+            e1 = e2 = 0.0
+        steer_max = limits.steer_left_max if order.steer > 0.0 else limits.steer_right_max
+        now = WatchdogInput(
+            t_ns=now_ns,
+            state=state,
+            pose=seen.watch,
+            mocap_age=seen.mocap_age(now_ns),
+            telemetry_age=seen.telemetry_age(now_ns),
+            lease_age=leases.lease_age(self.lease, now_ns) if plan.run.leased else 0.0,
+            speed=speed,
+            speed_erpm=seen.wheel_speed,
+            speed_mocap=seen.mocap_speed,
+            speed_limit=limits.speed_max if self._launched else min(LAUNCH_SPEED, limits.speed_max),
+            x=s.x,
+            y=s.y,
+            course=s.yaw + s.slip_angle,
+            sigma_position=health.position_sd if health else nan,
+            sigma_yaw=health.yaw_sd if health else nan,
+            covariance_ok=health.sound if health else True,  # its sigmas are not known: W6 trips
+            lateral_error=e1,
+            heading_error=e2,
+            steer_share=abs(order.steer) / steer_max,
+            status=v.status if v.status > 0 else 0,  # -1: not sent
+            fault_code=v.fault_code if v.fault_code > 0 else 0,
+            tachometer=v.tachometer_abs,
+            cell_voltage=v.v_in / brakes.cells,
+            fet_temperature=v.temp_fet,
+            motor_temperature=v.temp_motor,
+            current_share=abs(v.current_motor) / brakes.current_max_a,
+            followed=self._compare_with_orders(now_ns),
+            reported=tuple(reported),
+        )
+        self._watchdogs, found = step_watchdogs(settings.thresholds, self._watchdogs, now)
+        advised = found and plan.options.simulated
+        return now, tuple(map(fs.advise_simulation, found)) if advised else found
+
+    def _find_late(self, due_ns: int, now_ns: int, flags: int) -> list[fs.Finding]:
+        """W15."""
+        self._lateness, late = step_lateness(
+            self._lateness, due_ns, now_ns, self.plan.period_ns, self._late_rules
+        )
+        return [] if late is None else [fs.blame_late(late, flags)]
+
+    def _check_launch(self, s: State[float], order: Command[float], t_ns: int) -> list[fs.Finding]:
+        aim = references(FLOAT, self._car, order)  # gain and bias of the linkage
+        now = LaunchInput(t_ns, s.x, s.y, s.yaw, self.perception.wheel_speed, aim.steer)
+        if self._launch is None:
+            self._launch = make_launch_state(now)
+            return []
+        self._launch, wrong = step_launch(self._launch, now, self.plan.settings.limits.wheelbase)
+        self._launched = self._launch.done
+        return [fs.make_finding("launch", wrong)] if wrong else []
+
+    def _compare_with_orders(self, now_ns: int) -> following.Followed:
+        """What wheels and pose did since, against the orders that left."""
+        seen = self.perception
+        ground = seen.mocap_speed if isfinite(seen.mocap_speed) else 0.0
+        self._following = following.advance(self._following, self._ranges, now_ns, ground)
+        turns = following.measure_turns(
+            seen.track, following.follow_span(self.plan.settings.thresholds, ground)
+        )
+        return following.compare(self._following, self._ranges, seen.wheel, turns)
+
+    # --- where it stands
 
     @property
     def faulted(self) -> bool:
@@ -271,6 +401,16 @@ class Loop:
         """Whether this process may end: parked, or stopped by an emergency stop and standing."""
         s = self.supervisor
         return self.parked or (s.state is SupervisorState.ESTOP and stands(s, s.t_ns))
+
+
+def _find_silence(remote: leases.Remote, now_ns: int) -> list[fs.Finding]:
+    """W25 of an external controller."""
+    if leases.valid_command(remote, now_ns) is not None:
+        return []
+    age = leases.lease_age(remote.lease, now_ns)
+    if not isfinite(age):
+        return [fs.make_unknown("W25", "no valid command yet")]
+    return [fs.make_finding("W25", f"no valid command for {age * 1e3:.0f} ms")]
 
 
 REQUESTS: Mapping[type, Callable[[Loop, Any, int], None]] = {

@@ -4,7 +4,7 @@
 
 import contextlib
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -181,12 +181,13 @@ class BusOperator:
             return True
         if kind is not RequestKind.KEEPALIVE:
             self._stop = None
-        sent = self._send(
-            boot_id, topics.OPERATOR, lambda op: op.make_request(kind, self._clock.realtime_ns())
-        )
-        if sent and kind is RequestKind.KEEPALIVE:
-            self._pulse.send_back(self.secret)
-        return sent
+        operator = self._of_run(boot_id)
+        if operator is None:
+            return False
+        self._publish(topics.OPERATOR, operator.make_request(kind, self._clock.realtime_ns()))
+        if kind is RequestKind.KEEPALIVE:
+            self._pulse.send_back(operator.lease_id)
+        return True
 
     def repeat(self, state: int | None) -> bool:
         """Go on with the call for a stop, if there is one: whether it goes on.
@@ -205,26 +206,27 @@ class BusOperator:
 
     def tune(self, boot_id: int, wanted: Mapping[str, float]) -> bool:
         """Send a request for other live parameters; False before the car's run is known."""
-        return self._send(
-            boot_id,
-            topics.SET_PARAMETERS,
-            lambda op: op.make_parameters(wanted, self._clock.realtime_ns()),
-        )
+        operator = self._of_run(boot_id)
+        if operator is None:
+            return False
+        request = operator.make_parameters(wanted, self._clock.realtime_ns())
+        self._publish(topics.SET_PARAMETERS, request)
+        return True
 
     def _send_stop(self, kind: RequestKind, now_ns: int) -> None:
         self._sent_ns = now_ns
         operator = self._operator or Operator(0, 0, self._name)
         self._publish(topics.STOP, operator.make_request(kind, self._clock.realtime_ns()))
 
-    def _send(self, boot_id: int, topic: Topic, make: Callable[[Operator], bytes]) -> bool:
+    def _of_run(self, boot_id: int) -> Operator | None:
+        """The lease with a run, which begins here if it is another; None with none."""
         if not boot_id:
-            return False
+            return None
         if self._operator is None or self._operator.boot_id != boot_id:
             lease_id, self._lease_id = self._lease_id or secrets.randbits(62) + 1, 0
-            self._operator = Operator(boot_id, lease_id, self._name)
-            self._operator.seq = self._clock.realtime_ns() // 1_000_000 % 2_000_000_000
-        self._publish(topic, make(self._operator))
-        return True
+            seq = self._clock.realtime_ns() // 1_000_000 % 2_000_000_000
+            self._operator = Operator(boot_id, lease_id, self._name, seq)
+        return self._operator
 
     def _publish(self, topic: Topic, request: bytes) -> None:
         self._bus.publish(make_key(self._car, topic, self._bus.who), request)

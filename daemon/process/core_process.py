@@ -6,7 +6,7 @@ import socket
 import sys
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import compress
 from operator import attrgetter
 
@@ -33,20 +33,18 @@ _RARE = (topics.DIAGNOSTICS.name, topics.TRANSITION.name, topics.PARAMETERS.name
 _SHOWN = (topics.STATE.name, topics.TICK.name, *_RARE)
 
 
-Taker = tuple[PipeWriter, Callable[[PipeRecord], bool]]
-"""A pipe, and whether its reader takes a record."""
-is_logged: Callable[[PipeRecord], bool] = attrgetter("topic.logged")
-"""Whether the recorder takes a record."""
-is_on_bus: Callable[[PipeRecord], bool] = attrgetter("topic.on_bus")
-"""Whether gateway and viewer take it."""
-_TAKES = {
-    "recorder": is_logged, "gateway": is_on_bus, "learner": is_learnt_from, "view": is_on_bus,
-}  # fmt: skip
+_TAKES: dict[str, Callable[[PipeRecord], bool]] = {
+    "recorder": attrgetter("topic.logged"),
+    "gateway": attrgetter("topic.on_bus"),
+    "learner": is_learnt_from,
+    "view": attrgetter("topic.on_bus"),
+}
 """What each reader takes; a drive goes on without learner or viewer: the runner watches neither."""
 
 
-def pipes_sink(*takers: Taker) -> Sink:
+def pipes_sink(pipes: Mapping[str, PipeWriter]) -> Sink:
     """A sink that writes into each pipe the records that its reader takes, packed once for all."""
+    takers = [(pipe, _TAKES[name]) for name, pipe in pipes.items()]
 
     def sink(records: list[PipeRecord], t_ns: int) -> None:
         packed = [pack_record(record) for record in records]
@@ -102,14 +100,18 @@ def make_opener(url: str) -> Callable[[], Port]:
     return lambda: waiting.pop() if waiting else open_port(url)
 
 
-def _run(given: Job) -> Core:
+def serve(given: Job) -> int:
+    """The process.
+
+    Raises:
+        SteerdError: the run cannot be begun.
+    """
     fds, job = given
     plan = read_job(job, design=True)
     open_again = make_opener(plan.options.port or "")
     mocap = make_mocap(plan)
     pipes = {name: PipeWriter(fds[name]) for name in _TAKES if name in fds}
-    takers = [(pipe, _TAKES[name]) for name, pipe in pipes.items()]
-    sinks = [pipes_sink(*takers), status_sink(PipeWriter(fds["status"]))]
+    sinks = [pipes_sink(pipes), status_sink(PipeWriter(fds["status"]))]
     clock = MonotonicClock()
     core = make_core(plan, sinks)
     latch_stray_exceptions(core)
@@ -128,7 +130,11 @@ def _run(given: Job) -> Core:
     runner = Runner(core, clock, open_again, mocap, links, guard, signals.make_notify(os.environ))
     settle_memory()
     runner.run()
-    return core
+    if core.error is not None:
+        traceback.print_exception(core.error)
+        return ExitCode.INTERNAL
+    lost = core.flags & (Flag.RECORDER_LOST | Flag.GATEWAY_LOST)
+    return ExitCode.STOPPED if core.loop.faulted or lost else ExitCode.OK
 
 
 def latch_stray_exceptions(core: Core) -> None:
@@ -145,20 +151,6 @@ def _begin() -> None:
     signals.block_stop_signals()
     signals.wake_at_parents_end()
     gc.freeze()  # what imports made stays: no need to search it for garbage again
-
-
-def serve(given: Job) -> int:
-    """The process.
-
-    Raises:
-        SteerdError: the run cannot be begun.
-    """
-    core = _run(given)
-    if core.error is not None:
-        traceback.print_exception(core.error)
-        return ExitCode.INTERNAL
-    lost = core.flags & (Flag.RECORDER_LOST | Flag.GATEWAY_LOST)
-    return ExitCode.STOPPED if core.loop.faulted or lost else ExitCode.OK
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import stat
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -94,7 +95,9 @@ def open_pad(path: Path | None, deadman: int) -> Pad:
     """
     if path is not None and path.exists() and stat.S_ISFIFO(path.stat().st_mode):
         return Pad(str(path), os.open(path, os.O_RDONLY))
-    _require_evdev()
+    if find_spec("evdev") is None:
+        hint = "pip install 'evdev-binary>=2' (or `pip install -e '.[gamepad]'` in the checkout)"
+        raise SteerdError("a gamepad needs the package evdev", hint, ExitCode.UNREADABLE)
     return _open_device(path if path is not None else find_pad(deadman))
 
 
@@ -137,14 +140,6 @@ def find_pad(deadman: int) -> Path:
         raise SteerdError("there is no gamepad", hint, ExitCode.UNREADABLE)
     listed = ", ".join(map(str, found))
     raise SteerdError("there are several gamepads", f"--device, one of {listed}", ExitCode.USAGE)
-
-
-def _require_evdev() -> None:
-    from importlib.util import find_spec
-
-    if find_spec("evdev") is None:
-        hint = "pip install 'evdev-binary>=2' (or `pip install -e '.[gamepad]'` in the checkout)"
-        raise SteerdError("a gamepad needs the package evdev", hint, ExitCode.UNREADABLE)
 
 
 BUTTONS = {

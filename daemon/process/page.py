@@ -88,52 +88,45 @@ def pass_on(view: CarView, operator: BusOperator, word: str) -> bool:
     return kind is not None and operator.ask(view.boot_id, kind)
 
 
-class PageTalk:
-    """Those who look at one car's page: an operator for each page that is open."""
-
-    def __init__(self, view: CarView) -> None:
-        self._view = view
-        self.operators: set[BusOperator] = set()
-
-    async def talk(self, connection: ServerConnection) -> None:
-        """Show the car to one page, and pass on what it asks for."""
-        view = self._view
-        operator = BusOperator(view.bus, view.car, view.clock, NAME, view.pulse)
-        self.operators.add(operator)
-        try:
-            shown = self._show(connection, operator)
-            await converse(connection, shown, partial(pass_on, view, operator))
-        finally:  # the last word of a page that is left may be a stop
-            while operator.repeat(view.mode):
-                await asyncio.sleep(_POLL_S)
-            self.operators.discard(operator)
-
-    async def _show(self, connection: ServerConnection, operator: BusOperator) -> None:
-        while True:
-            seen = show_car(self._view)
-            holder = seen.pop("holder", "")
-            seen["mine"] = bool(operator.lease) and holder == operator.lease
-            seen["held"] = holder not in ("", "0")
-            await connection.send(json.dumps(seen, allow_nan=False))
-            await asyncio.sleep(SHOW_S)
+async def _show(connection: ServerConnection, view: CarView, operator: BusOperator) -> None:
+    while True:
+        seen = show_car(view)
+        holder = seen.pop("holder", "")
+        seen["mine"] = bool(operator.lease) and holder == operator.lease
+        seen["held"] = holder not in ("", "0")
+        await connection.send(json.dumps(seen, allow_nan=False))
+        await asyncio.sleep(SHOW_S)
 
 
 async def run_page(
     view: CarView, page: str, port: int, on_open: Callable[[str], None], ended: asyncio.Event
 ) -> None:
-    """Serve until the end is asked for.
+    """Serve until the end is asked for; each page that is open is an operator of its own.
 
     Raises:
         OSError: the port is taken.
     """
-    pages = PageTalk(view)
-    secret = SecretServer(HOST, pages.talk, page)
+    operators: set[BusOperator] = set()
+
+    async def talk(connection: ServerConnection) -> None:
+        """Show the car to one page, and pass on what it asks for."""
+        operator = BusOperator(view.bus, view.car, view.clock, NAME, view.pulse)
+        operators.add(operator)
+        try:
+            shown = _show(connection, view, operator)
+            await converse(connection, shown, partial(pass_on, view, operator))
+        finally:  # the last word of a page that is left may be a stop
+            while operator.repeat(view.mode):
+                await asyncio.sleep(_POLL_S)
+            operators.discard(operator)
+
+    secret = SecretServer(HOST, talk, page)
     server = await secret.open(port, _WORD_MAX)
     on_open(secret.url)
     try:
         while not ended.is_set():
             view.poll()
-            for operator in pages.operators:
+            for operator in operators:
                 operator.repeat(view.mode)
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(ended.wait(), _POLL_S)

@@ -6,7 +6,6 @@ Measurements behind each line: `docs/reference/safety-requirements.md#s8`,
 
 # Why: docs/decisions/processes-and-time.md#d36
 
-import contextlib
 import ctypes
 import gc
 import os
@@ -50,7 +49,7 @@ def _set_fifo(priority: int) -> bool:
     try:
         policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
         os.sched_setscheduler(0, policy, os.sched_param(priority))
-    except (PermissionError, OSError):
+    except OSError:
         return False
     return True
 
@@ -67,18 +66,16 @@ def enter_realtime(priority: int = FIFO_PRIORITY) -> RealtimeReport:
     _libc().prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     fifo, locked = _set_fifo(priority), _lock_memory()
-    refused = []
-    if not fifo:
-        refused.append(
-            "no SCHED_FIFO: other programs may delay the loop "
-            "(add `@dialout - rtprio 60` to /etc/security/limits.d/steerd.conf)"
-        )
-    if not locked:
-        refused.append(
-            "memory not locked: swapping may delay the loop "
-            "(add `@dialout - memlock unlimited` to /etc/security/limits.d/steerd.conf)"
-        )
-    return RealtimeReport(fifo, locked, tuple(refused))
+    settings = (
+        (fifo, "no SCHED_FIFO: other programs may delay the loop", "rtprio 60"),
+        (locked, "memory not locked: swapping may delay the loop", "memlock unlimited"),
+    )
+    refused = tuple(
+        f"{what} (add `@dialout - {limit}` to /etc/security/limits.d/steerd.conf)"
+        for granted, what, limit in settings
+        if not granted
+    )
+    return RealtimeReport(fifo, locked, refused)
 
 
 def settle_memory() -> None:
@@ -135,7 +132,7 @@ class Wakes(NamedTuple):
         return self.missed == 0 and self.p999_ns < P999_LIMIT_NS
 
 
-@contextlib.contextmanager
+@contextmanager
 def keep_busy(count: int) -> Iterator[None]:
     """Run so many processes that do nothing but compute, at ordinary priority."""
     command = [sys.executable, "-c", "while True: pass"]

@@ -118,17 +118,15 @@ def make_lane_scene(
     return fox.SceneUpdate(entities=[fox.SceneEntity(frame_id=WORLD, id="lane", lines=lines)])
 
 
-def make_parameters(values: Mapping[str, Any]) -> dict[str, float | str]:
+def make_parameters(values: Mapping[str, Any], within: str = "") -> dict[str, float | str]:
     """Nested tables of a car file as flat names: ``{"car": {"lf": 1.0}}`` as ``car.lf``."""
     flat: dict[str, float | str] = {}
     for name, value in values.items():
         if isinstance(value, Mapping):
-            inner = make_parameters(value)
-            flat |= {f"{name}.{key}": entry for key, entry in inner.items()}
-        elif isinstance(value, (bool, int, float)):
-            flat[name] = float(value)
+            flat |= make_parameters(value, f"{within}{name}.")
         else:
-            flat[name] = str(value)
+            number = isinstance(value, (bool, int, float))
+            flat[within + name] = float(value) if number else str(value)
     return flat
 
 

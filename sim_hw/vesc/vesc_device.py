@@ -65,43 +65,6 @@ def make_fw_version(config: VescConfig, uuid: bytes) -> FwVersion:
     return FwVersion(*config.firmware, config.hw_name, uuid, _VERSION_TAIL[:size])
 
 
-class ImuChip:
-    """The board's IMU: gyro and accelerometer of the car with noise, attitude from its yaw."""
-
-    def __init__(self, config: VescConfig, car: SimCar, noise: NoiseSource) -> None:
-        self._config = config
-        self._car = car
-        self._noise = noise
-        self._yaw_start = car.state.yaw
-        self._sample_ns = -1
-        self._sample: dict[str, Any] = {}
-
-    def make_reply(self, mask: int, t_ns: int) -> telemetry.Imu:
-        """GET_IMU_DATA reply: the latest 200 Hz sample; without a chip zeros and identity."""
-        slot = t_ns // _IMU_PERIOD_NS
-        if slot != self._sample_ns:
-            self._sample_ns = slot
-            self._sample = self._measure() if self._config.imu else {"q_w": 1.0}
-        return telemetry.Imu(mask, **self._sample, controller_id=self._config.controller_id)
-
-    def _measure(self) -> dict[str, float]:
-        car = self._car
-        gyro, accel = self._config.gyro_noise, self._config.accel_noise
-        drawn = self._noise.normals(6)
-        yaw = car.state.yaw - self._yaw_start
-        return {
-            "yaw": -math.remainder(yaw, math.tau),  # the firmware's sign
-            "accel_x": car.accel_x + accel * drawn[0],
-            "accel_y": car.accel_y + accel * drawn[1],
-            "accel_z": telemetry.STANDARD_GRAVITY + accel * drawn[2],
-            "gyro_x": gyro * drawn[3],
-            "gyro_y": gyro * drawn[4],
-            "gyro_z": car.observe_motor().yaw_rate + gyro * drawn[5],
-            "q_w": math.cos(yaw / 2.0),
-            "q_z": math.sin(yaw / 2.0),
-        }
-
-
 _UNDER_VOLTAGE = ids.FAULT_NAMES.index("UNDER_VOLTAGE")
 _OVER_TEMP = ids.FAULT_NAMES.index("OVER_TEMP_FET")
 _PARSER_512 = ids.Firmware(3, 48)
@@ -148,7 +111,9 @@ class SimVesc:
         self.motor.fault_state = self.fault_state
         self.power = Power(config)  # electrical measurements
         self.power.heat(self.fault_state.heat_c)
-        self.imu = ImuChip(config, self.car, self._noise)  # what GET_IMU_DATA reads
+        self._yaw_start = self.car.state.yaw
+        self._imu_slot = -1
+        self._imu: dict[str, Any] = {}
         self._parser = make_parser(config.firmware)
         self.boot_ns = t_ns - uptime_ns  # when it came up
         self._servo_target = self._servo_out = 0.5
@@ -319,7 +284,7 @@ class SimVesc:
             case c.GetValuesSelective(mask=mask):
                 return make_values(config, motor, self.power, self.reported_erpm(), mask)
             case c.GetImuData(mask=mask):
-                return self.imu.make_reply(mask, t_ns)
+                return self._read_imu(mask, t_ns)
             case c.GetValues():
                 return make_values(config, motor, self.power, self.reported_erpm(), None)
             case c.GetValuesSetupSelective(mask=mask) if mask == UPTIME_MASK:
@@ -342,6 +307,31 @@ class SimVesc:
             case c.Reboot():
                 self.reboot(t_ns)
         return None
+
+    def _read_imu(self, mask: int, t_ns: int) -> telemetry.Imu:
+        """GET_IMU_DATA reply: the latest 200 Hz sample; without a chip zeros and identity."""
+        slot = t_ns // _IMU_PERIOD_NS
+        if slot != self._imu_slot:
+            self._imu_slot = slot
+            self._imu = self._measure_imu() if self.config.imu else {"q_w": 1.0}
+        return telemetry.Imu(mask, **self._imu, controller_id=self.config.controller_id)
+
+    def _measure_imu(self) -> dict[str, float]:
+        """Gyro and accelerometer of the car with noise, attitude from its yaw."""
+        car, gyro, accel = self.car, self.config.gyro_noise, self.config.accel_noise
+        drawn = self._noise.normals(6)
+        yaw = car.state.yaw - self._yaw_start
+        return {
+            "yaw": -math.remainder(yaw, math.tau),  # the firmware's sign
+            "accel_x": car.accel_x + accel * drawn[0],
+            "accel_y": car.accel_y + accel * drawn[1],
+            "accel_z": telemetry.STANDARD_GRAVITY + accel * drawn[2],
+            "gyro_x": gyro * drawn[3],
+            "gyro_y": gyro * drawn[4],
+            "gyro_z": car.observe_motor().yaw_rate + gyro * drawn[5],
+            "q_w": math.cos(yaw / 2.0),
+            "q_z": math.sin(yaw / 2.0),
+        }
 
     def _reply(self, t_ns: int, reply: Reply) -> None:
         firmware, wrong = self.config.firmware, self.fault_state.wrong

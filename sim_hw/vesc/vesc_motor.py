@@ -249,7 +249,6 @@ class Power:
 
     def __init__(self, config: VescConfig) -> None:
         self.config = config
-        self.current = 0.0  # of the motor, positive drives forward on the wire [A]
         self.duty = 0.0  # duty cycle
         self.voltage = config.battery_voltage  # battery voltage under load [V]
         self.revolutions = self.travel = 0.0  # electrical revolutions, signed and unsigned
@@ -269,7 +268,6 @@ class Power:
         """Account for ``h`` seconds at a motor current [A] and ERPM, on a battery ``sag`` V low."""
         config = self.config
         emf = 2.0 * erpm / config.motor_poles / config.motor_kv
-        self.current = current
         duty = (emf + current * config.motor_resistance) / self.voltage
         limit = config.duty_limit
         self.duty = duty = -limit if duty < -limit else limit if duty > limit else duty

@@ -55,8 +55,7 @@ def fence_off(rig: Rig) -> None:
     settings = loop.plan.settings
     thresholds = replace(settings.thresholds, fence=corners)
     settings = replace(settings, thresholds=thresholds)
-    loop.plan = loop._watching._plan = replace(loop.plan, settings=settings)
-    loop._watching._settings = settings
+    loop.plan = replace(loop.plan, settings=settings)
 
 
 def diverge(rig: Rig) -> None:

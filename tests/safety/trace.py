@@ -84,7 +84,7 @@ TRACES = {
           "H8 P5", also="`test_runner.py`; live: SIGKILL, SIGSTOP gateway"),
     "W28": trace("process.runner:Runner._set_flags", "suspend_step",
           "H17 P5", also="`test_runner.py`"),
-    "W29": trace("loop.core:make_failed_tick", "", "H13 P5", also="H13b to H13e; `test_runner.py`"),
+    "W29": trace("loop.loop:Loop.fail", "", "H13 P5", also="H13b to H13e; `test_runner.py`"),
     "W30": trace("loop.following:compare", "follow_share follow_noise follow_hold follow_distance",
           "C10 P5"),
     # The filter refuses the poses of a car that turns the other way.

@@ -117,7 +117,7 @@ def held():
 
 
 def distance_of(held, table, speed, timing):
-    return margins(held.file.car, look_up(table, speed), table.pasts, speed, timing).distance
+    return margins(held.file.car, look_up(table, speed), table.pasts, speed, timing)[1]
 
 
 @pytest.mark.parametrize("factor", [1.0, 2.5])

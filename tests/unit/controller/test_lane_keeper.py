@@ -22,6 +22,7 @@ from steerd.controller.design import assess, find_faults
 from steerd.controller.gain_table import N_LANE, N_TURNING, Turning
 from steerd.controller.lane_controller import LaneController, control, start_controller, to_command
 from steerd.controller.lane_keeper import LaneErrors, LaneKeeper, lane_errors, step
+from steerd.controller.learnt import KEPT_NS, Servo, order_servo, step_servo
 from steerd.controller.live import (
     AS_DESIGNED,
     GAIN_LEAST,
@@ -34,7 +35,6 @@ from steerd.controller.live import (
     shift_curvature,
     shift_lane,
 )
-from steerd.controller.servo import KEPT_NS, Servo, order_servo, step_servo
 from steerd.controller.speed import SpeedProfile, make_speed_profile, profile_speed, step_speed
 
 LINE = parse_path("line:length=10")
@@ -52,7 +52,7 @@ def wheel_reference(
     gains: tuple[float, ...], errors: LaneErrors, past: tuple[float, ...] = ()
 ) -> float:
     at = Projection(1.0, 50, errors.e1, 0.0, 0.0, abs(errors.e1))
-    return step(KEEPER, gains, errors, at, ORIGIN._replace(speed=1.0, steer=0.1), past).wheel
+    return step(KEEPER, gains, errors, at, ORIGIN._replace(speed=1.0, steer=0.1), past)[0]
 
 
 def test_each_gain_steers_against_its_error():
@@ -80,10 +80,8 @@ def test_the_curvature_is_read_where_the_order_will_act():
     keeper = LaneKeeper(eight, 0.2, -0.34, 0.34)
     at = project(eight, eight.x[100], eight.y[100], 100)
     estimate = ORIGIN._replace(speed=2.0, steer=DEFAULT_CAR.steer_bias)
-    order = step(keeper, row(), LaneErrors(0.0, 0.0, 0.0, 0.0), at, estimate, ())
-    assert order.feedforward == pytest.approx(
-        0.33 * interpolate(eight, eight.curvature, at.s + 0.4)
-    )
+    _, feedforward = step(keeper, row(), LaneErrors(0.0, 0.0, 0.0, 0.0), at, estimate, ())
+    assert feedforward == pytest.approx(0.33 * interpolate(eight, eight.curvature, at.s + 0.4))
 
 
 # The speed profile's limits and the reference's ramps.

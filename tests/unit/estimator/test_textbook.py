@@ -20,12 +20,12 @@ from steerd.car_model.rollout import step as plant_step
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
 from steerd.estimator.config import FilterConfig
-from steerd.estimator.health import NO_TALLY
 from steerd.estimator.history import NO_HISTORY, History, add_command
 from steerd.estimator.initial import make_belief
 from steerd.estimator.reference import Reference
 from steerd.estimator.sensors import Kind, make_gyro, make_pose, make_wheel_speed
 from steerd.estimator.state_filter import (
+    NO_TALLY,
     FilterState,
     Node,
     StateFilter,
@@ -169,7 +169,7 @@ def test_error_falls_with_the_square_of_the_step(chassis, state):
         now, h_ns = state, 40_000_000 // count
         for i in range(count):
             driven = reference.drive(history, now.steer, now.speed, i * h_ns, (i + 1) * h_ns)
-            now = State(*reference.propagate(now, driven, QUIET, h_ns * 1e-9).mean.tolist())
+            now = State(*reference.propagate(now, driven, QUIET, h_ns * 1e-9)[0].tolist())
         return float(np.abs(np.array(now) - exact)[:6].max())
 
     coarse, middle, fine = error(4), error(8), error(16)

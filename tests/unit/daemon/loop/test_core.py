@@ -151,11 +151,11 @@ def broken(*_):
 def test_one_exception_keeps_the_car_latched_for_good():
     rig = twin(at_phase("P4"))
     loop = rig.run.core.loop
-    loop._watching.look = broken
+    loop._watch = broken
     rig.step()
     assert "no such gain" in loop.supervisor.reason
     assert isinstance(rig.run.core.error, BrokenError)
-    del loop._watching.look
+    del loop._watch
     rig.reach(SupervisorState.FAULT_LATCHED, 1.0)
     rig.ask(RequestKind.CLEAR)
     rig.go_on(0.5)
