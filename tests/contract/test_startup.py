@@ -17,7 +17,7 @@ import pytest
 from grimp import build_graph
 
 from steerd.daemon.cli.main import COMMANDS, run_cli
-from tests.contract.size import GOALS, ROOT
+from tests.contract.size import ROOMS, ROOT
 
 HEAVY = ("torch", "scipy", "matplotlib", "numba", "filterpy", "joblib", "pyarrow")
 HEAVY += ("jinja2", "rich", "distributed", "zenoh")
@@ -100,9 +100,6 @@ def test_words_that_are_no_files_pass(tmp_path, load):
 
 
 # One import name, its members, and no circle among them.
-
-
-ROOMS = [name for name in GOALS["product"][0] if name != "steerd"]
 
 
 def test_steerd_links_to_every_room_and_to_nothing_else():

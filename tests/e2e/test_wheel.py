@@ -18,14 +18,10 @@ from pathlib import Path, PurePosixPath
 import pytest
 
 from steerd.version import VERSION
+from tests.contract.size import ROOMS, ROOT
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).resolve().parents[2]
-ROOMS = (
-    "car_model", "controller", "daemon", "estimator", "mocap_link",
-    "sim_gap", "sim_hw", "steer_bus", "sysid", "vesc_link",
-)  # fmt: skip
 LATE = "--path figure8 --speed 1.8 --duration 20 --effect steer_delay=0.06 --record late.mcap"
 
 
