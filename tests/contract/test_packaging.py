@@ -38,13 +38,6 @@ def test_launch_file_and_unit_start_the_same_command_line(capsys):
     assert executable.attrib["sigterm_timeout"] == service["TimeoutStopSec"]
 
 
-def test_a_launch_file_substitutes_nothing(capsys):
-    assert run_cli(["service", "launch", *OPTIONS[:-1], "/data/$(env HOME).mcap"]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert "cannot be written in a launch file" in said.err
-
-
 def test_the_manual_page_has_every_command_and_option():
     page = make_manual(make_full_parser())
     assert page == make_manual(make_full_parser()), "no date"

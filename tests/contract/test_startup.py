@@ -4,16 +4,20 @@ Loading torch, SciPy, Matplotlib or Numba takes seconds on a cold machine. Nobod
 should wait for them to read that a file does not exist.
 """
 
+import contextlib
+import io
+import multiprocessing
 import os
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from graphlib import TopologicalSorter
 
 import pytest
 from grimp import build_graph
 
-from steerd.daemon.cli.main import COMMANDS
-from tests.contract.size import GOALS, ROOT
+from steerd.daemon.cli.main import COMMANDS, run_cli
+from tests.contract.size import ROOMS, ROOT
 
 HEAVY = ("torch", "scipy", "matplotlib", "numba", "filterpy", "joblib", "pyarrow")
 HEAVY += ("jinja2", "rich", "distributed", "zenoh")
@@ -51,25 +55,30 @@ MISSING = {
 """A line for every argument that names a file, by command; `{here}` is a file that exists."""
 
 
-def load(line: str, folder: object) -> tuple[int, str, set[str]]:
-    """A command's exit code, what it said, and which heavy modules it loaded."""
-    code = (
-        "import sys\n"
-        "from steerd.daemon.cli.main import run_cli\n"
-        "try:\n    code = run_cli(sys.argv[1:])\n"
-        "except SystemExit as end:\n    code = int(end.code or 0)\n"
-        f"print('loaded', *({set(HEAVY)!r} & set(sys.modules)), file=sys.stderr)\n"
-        "sys.exit(code)\n"
-    )
-    argv = [sys.executable, "-c", code, *line.split()]
-    here = {**os.environ, "XDG_DATA_HOME": str(folder)}
-    done = subprocess.run(argv, capture_output=True, text=True, check=False, cwd=folder, env=here)
-    said, _, loaded = done.stderr.rpartition("loaded")
-    return done.returncode, said, set(loaded.split())
+def run_here(line: str, folder: str) -> tuple[int, str, set[str]]:
+    """In a process of its own: a command's exit code, what it said, and what heavy it loaded."""
+    os.chdir(folder)
+    os.environ["XDG_DATA_HOME"] = folder
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
+        try:
+            code = int(run_cli(line.split()))
+        except SystemExit as end:
+            code = int(end.code or 0)
+    return code, said.getvalue(), set(HEAVY) & set(sys.modules)
+
+
+@pytest.fixture(scope="module")
+def load() -> Iterator[Callable[..., tuple[int, str, set[str]]]]:
+    """`run_here` in a fresh fork of a process that has loaded the command line and no more."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["steerd.daemon.cli.main"])
+    with context.Pool(1, maxtasksperchild=1) as pool:
+        yield lambda line, folder: pool.apply(run_here, (line, str(folder)))
 
 
 @pytest.mark.parametrize("line", [line for lines in MISSING.values() for line in lines])
-def test_a_file_that_is_not_there_is_reported_before_anything_heavy_is_loaded(line, tmp_path):
+def test_a_file_that_is_not_there_is_reported_before_anything_heavy_is_loaded(line, tmp_path, load):
     (tmp_path / "here.mcap").write_bytes(b"a file")
     code, said, loaded = load(line.format(here="here.mcap"), tmp_path)
     assert code == (2 if "csv:" in line else 3), said
@@ -78,22 +87,19 @@ def test_a_file_that_is_not_there_is_reported_before_anything_heavy_is_loaded(li
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_help_loads_nothing_heavy(name, tmp_path):
+def test_help_loads_nothing_heavy(name, tmp_path, load):
     code, said, loaded = load(f"{name} --help", tmp_path)
     assert code == 0, said
     assert loaded <= {"zenoh"}  # arm, stop and the like: nothing of them works without it
 
 
-def test_words_that_are_no_files_pass(tmp_path):
+def test_words_that_are_no_files_pass(tmp_path, load):
     """`@last` without a session is the list's to report, `hidden:x` the simulator's."""
     assert "no sessions in" in load("info @last", tmp_path)[1]
     assert "the seed is a whole number" in load(f"{SIM} --sim-car hidden:x", tmp_path)[1]
 
 
 # One import name, its members, and no circle among them.
-
-
-ROOMS = [name for name in GOALS["product"][0] if name != "steerd"]
 
 
 def test_steerd_links_to_every_room_and_to_nothing_else():

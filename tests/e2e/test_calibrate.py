@@ -13,12 +13,8 @@ TRUTH = (
 )
 
 
-@pytest.fixture
-def drive(drive_fast):
-    return drive_fast(f"--path figure8 --speed 1 --duration 25 {TRUTH}").session
-
-
-def test_mocap_calibrate_finds_what_was_injected(drive, tmp_path, capsys):
+def test_mocap_calibrate_finds_what_was_injected(drive_fast, tmp_path, capsys):
+    drive = drive_fast(f"--path figure8 --speed 1 --duration 25 {TRUTH}").session
     out = tmp_path / "car.toml"
     assert run_cli(["mocap", "calibrate", str(drive), "-o", str(out)]) == 0
     shown = capsys.readouterr()

@@ -49,6 +49,7 @@ TABLE = [
     (f"{SIM} --name 'Car One'", 2, "Car One"),
     ("run --sim --fast", 2, "--duration"),
     ("run --fast", 2, "--sim"),
+    ("run --sim --fast --view", 2, "steerd plot"),
     ("run", 2, "--port", "--sim"),
     ("run --sim --port /dev/ttyACM0", 2, "--sim has its own"),
     (f"{LIVE} --auto-arm", 2, "--sim only"),
@@ -68,10 +69,12 @@ TABLE = [
     ("service install --sim --fast", 2, "a service starts disarmed"),
     (f"service install {PORT} --path loop", 2, "no path called 'loop'"),
     (f"service install {PORT} --rate 5", 2, "50 to 1000 Hz"),
+    (f"service launch {PORT} --record '$(env HOME).mcap'", 2, "be written in a launch file"),
     # before the first drive
     ("sim --fault volcano", 2, "volcano"),
     ("probe --port /dev/null --mocap optitrack:car", 2, "optitrack:car"),
     ("probe --port /dev/null --seconds 0", 2, "0.5 to 600"),
+    ("rtcheck --seconds 0", 2, "out of range"),
     ("mocap check", 2, "name a session or a source"),
     ("mocap calibrate {tmp}/none.mcap", 3, "none.mcap does not exist"),
     ("mocap calibrate {run}", 4, "the car's poses only"),
@@ -91,6 +94,7 @@ TABLE = [
         (f"{command} {{tmp}}", 3, "is a directory\n   try: name a session .mcap file")
         for command in ("info", "replay", "identify", "diagnose")
     ),
+    ("plot {run} {run} -o {tmp}/b.svg", 2, "compared on a page"),
     ("import {tmp}/drive.bag", 3, "does not exist"),
     ("import {tmp}/run.db3.zstd", 3, "a ROS 2 bag folder"),
     ("import csv", 2, "takes one log"),

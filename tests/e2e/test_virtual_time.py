@@ -23,13 +23,14 @@ CAR_FILE = Path(__file__).resolve().parents[2] / "config" / "f1tenth.toml"
 @pytest.mark.parametrize(
     ("line", "bound"),
     [
-        ("--path circle:radius=2 --speed 1 --duration 30", 0.0015),
-        ("--path figure8 --speed 1.5 --duration 30", 0.002),
+        ("--path circle:radius=2 --speed 1 --duration 16", 0.0015),
+        ("--path figure8 --speed 1.5 --duration 19", 0.002),
         ("--path figure8 --speed 1.5 --duration 5 --rate 200", 0.0015),
         ("--path line --speed 1.5 --duration 6", 0.001),
     ],
 )
 def test_the_car_keeps_its_lane_and_replays(drive_fast, capsys, line, bound):
+    """The first two go round once after they have settled: 12.6 m, 22.7 m."""
     driven = drive_fast(line)
     assert not driven.faulted, driven.reason
     assert rms(driven.offsets()) <= bound

@@ -12,19 +12,16 @@ import subprocess
 import sys
 import tarfile
 import zipfile
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 import pytest
 
 from steerd.version import VERSION
+from tests.contract.size import ROOMS, ROOT
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).resolve().parents[2]
-ROOMS = (
-    "car_model", "controller", "daemon", "estimator", "mocap_link",
-    "sim_gap", "sim_hw", "steer_bus", "sysid", "vesc_link",
-)  # fmt: skip
 LATE = "--path figure8 --speed 1.8 --duration 20 --effect steer_delay=0.06 --record late.mcap"
 
 
@@ -71,23 +68,15 @@ def home(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
-def steerd(home: Path, *words: str, codes: tuple[int, ...] = (0,)) -> str:
-    """Run a command of the wheel outside the checkout; give what it printed."""
+def run(home: Path, program: str, *words: str, codes: tuple[int, ...] = (0,)) -> str:
+    """Run a program of the environment outside the checkout; give what it printed."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
     done = subprocess.run(
-        [home / "bin" / "steerd", *words], cwd=home, env=environment,
+        [home / "bin" / program, *words], cwd=home, env=environment,
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode in codes, done.stderr
     return done.stdout
-
-
-def run_python(home: Path, code: str) -> str:
-    done = subprocess.run(
-        [home / "bin" / "python", "-c", code], cwd=home, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
 
 
 def test_the_wheel_has_one_top_level_name_and_every_file(wheel):
@@ -112,19 +101,20 @@ def test_python_daemon_and_steerd_leave_each_other_alone(home):
         "import daemon, steerd.daemon; print(daemon.DaemonContext.__name__); "
         "print(daemon.__file__); print(steerd.daemon.__file__)"
     )
-    context, theirs, ours = run_python(home, code).splitlines()
+    context, theirs, ours = run(home, "python", "-c", code).splitlines()
     assert context == "DaemonContext"
     assert Path(theirs).is_relative_to(home)
     assert Path(ours).is_relative_to(home)
 
 
 def test_the_wheel_drives_plots_identifies_and_diagnoses(home):
-    steerd(home, "run", "--sim", "--fast", *LATE.split())
-    steerd(home, "plot", "late.mcap")
+    steerd = partial(run, home, "steerd")
+    steerd("run", "--sim", "--fast", *LATE.split())
+    steerd("plot", "late.mcap")
     assert "<script" in (home / "late.html").read_text()
-    steerd(home, "identify", "late.mcap", "-o", "car.toml", "--report", "fit.html", codes=(0, 5))
+    steerd("identify", "late.mcap", "-o", "car.toml", "--report", "fit.html", codes=(0, 5))
     assert "noise" in json.loads((home / "car.posterior.json").read_text())
     assert (home / "fit.html").stat().st_size > 10_000
-    screen = steerd(home, "diagnose", "late.mcap", "--only", "steer_delay", "--report", "gap.html")
+    screen = steerd("diagnose", "late.mcap", "--only", "steer_delay", "--report", "gap.html")
     assert "steer_delay" in screen
     assert (home / "gap.html").stat().st_size > 10_000

@@ -1,4 +1,4 @@
-"""Drives made with `car_model` itself, with disturbances and mocap noise, for the diagnosis."""
+"""Drives of the compiled car, step by step, with pushes and mocap noise, for the diagnosis."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,8 +11,9 @@ from steerd.car_model.effects import parse_effects
 from steerd.car_model.model import Model, delays, observe
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.car_model.rollout import arriving, start, step
+from steerd.car_model.rollout import arriving
 from steerd.car_model.state import Command, State
+from steerd.sim_hw.plant.car import make_steps
 from steerd.sysid.data.dataset import Run, Signal, make_run
 
 H = 0.01
@@ -41,23 +42,25 @@ def _drive(text: str, seconds: float, rng: np.random.Generator, name: str, wheel
     ticks = LEAD + round(seconds / H)
     steer, speed = _orders(ticks, rng)
     x, y, yaw = rng.uniform(-1.0, 1.0, 3)
-    moment = start(model, State(x, y, yaw, speed[0], 0.0, 0.0, 0.0), 0.0)
+    steps = make_steps(model, H / 2)
+    state, memory = State(x, y, yaw, speed[0], 0.0, 0.0, 0.0), (0.0,) * steps.memory
     held = np.repeat(np.column_stack([steer, speed]), 2, axis=0).tolist()
     orders = [Command(*order) for order in held]
     push, keep, seen = np.zeros(3), np.exp(-H / 0.08), []
     for k in range(ticks):
-        seen.append(observe(FLOAT, model, moment.state)[:4])
+        seen.append(observe(FLOAT, model, state)[:4])
         for half in (2 * k, 2 * k + 1):
-            t = max(half / 2 - LEAD, 0) * H
-            moment = step(FLOAT, model, moment, arriving(orders, half, late, H / 2), t, H / 2)
+            t, sent = max(half / 2 - LEAD, 0) * H, arriving(orders, half, late, H / 2)
+            newer, older = (steps.actuate(*state, *memory, *each, t) for each in sent[:2])
+            weighed = (a + w * (b - a) for a, b, w in zip(newer, older, sent.share, strict=True))
+            after = steps.glide(1, *state, *memory, *weighed, t)
+            state, memory = State(*after[:7]), after[7:]
         push = keep * push + np.sqrt(1 - keep**2) * rng.standard_normal(3) * PUSHES
-        s = moment.state
-        pushed = s._replace(
-            speed=s.speed + push[0] * H,
-            slip_angle=s.slip_angle + push[1] * H / max(s.speed, 0.3),
-            yaw_rate=s.yaw_rate + push[2] * H,
+        state = state._replace(
+            speed=state.speed + push[0] * H,
+            slip_angle=state.slip_angle + push[1] * H / max(state.speed, 0.3),
+            yaw_rate=state.yaw_rate + push[2] * H,
         )
-        moment = moment._replace(state=pushed)
     path, t = np.array(seen), np.arange(ticks) * H
     pose = np.column_stack([np.interp(t - late.pose, t, path[:, i]) for i in range(3)])
     pose += rng.standard_normal(pose.shape) * POSE_SD

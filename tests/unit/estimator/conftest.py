@@ -1,7 +1,7 @@
 """A car that obeys the filter's own assumptions, and its instruments: what consistency is shown on.
 
-The plant is `car_model`'s RK4 at 2.5 ms with white noise of the configured densities; commands at
-200 Hz, wheel speed at 200 Hz, poses at 100 Hz that arrive 6 ms after their exposure.
+The plant is the compiled car's RK4 at 2.5 ms with white noise of the configured densities;
+commands at 200 Hz, wheel speed at 200 Hz, poses at 100 Hz that arrive 6 ms after their exposure.
 """
 
 import math
@@ -12,16 +12,14 @@ import numpy as np
 import pytest
 
 from steerd.car_model.chassis import Chassis
-from steerd.car_model.model import Model, Moment
-from steerd.car_model.ops import FLOAT
+from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR, Car
-from steerd.car_model.rollout import start
-from steerd.car_model.rollout import step as plant_step
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import ORIGIN, Command, State
 from steerd.estimator import state_filter
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.sensors import Measurement, make_gyro, make_pose, make_wheel_speed
+from steerd.sim_hw.plant.car import make_steps
 from tests.textbook import noise_densities
 
 H_NS = 2_500_000
@@ -47,14 +45,10 @@ class Drive:
     arrivals: list[tuple[int, Measurement]]  # (time of arrival, measurement) in order of arrival
 
 
-def add_process_noise(
-    moment: Moment[float], config: FilterConfig, h: float, noise: np.ndarray
-) -> Moment[float]:
+def disturb(state: State[float], config: FilterConfig, h: float, noise: np.ndarray) -> State[float]:
     """White noise of `h` seconds. Half before and half after each step keeps second order."""
-    state = moment.state
-    root = math.sqrt(h)
     densities = noise_densities(config, state.speed)
-    return Moment(State(*(np.array(state) + root * densities * noise).tolist()), moment.memory)
+    return State(*(np.array(state) + math.sqrt(h) * densities * noise).tolist())
 
 
 def simulated_drive(
@@ -72,8 +66,8 @@ def simulated_drive(
 ) -> Drive:
     config = config or FilterConfig()
     rng = np.random.default_rng(seed)
-    model = Model(car, chassis=chassis)
-    moment = start(model, first or ORIGIN._replace(speed=2.0), 0.0)
+    h = H_NS * 1e-9
+    plant, state = make_steps(Model(car, chassis=chassis), h), first or ORIGIN._replace(speed=2.0)
     truth: dict[int, State[float]] = {}
     commands: list[tuple[int, Command[float] | None]] = []
     arrivals: list[tuple[int, Measurement]] = []
@@ -82,18 +76,16 @@ def simulated_drive(
     for k in range(count + 1):
         t_ns = EPOCH_NS + k * H_NS
         if (t_ns - EPOCH_NS) % TICK_NS == 0:
-            truth[t_ns] = moment.state
+            truth[t_ns] = state
             commands.append((t_ns, plan((t_ns - EPOCH_NS) * 1e-9)))
-            arrivals += _readings(rng, car, config, t_ns, moment.state, pose_loss, gyro)
+            arrivals += _readings(rng, car, config, t_ns, state, pose_loss, gyro)
         steering = _sent(plan, t_ns - late_steer)
         driving = _sent(plan, t_ns - late_drive)
-        h = H_NS * 1e-9
         if add_noise:
-            moment = add_process_noise(moment, config, 0.5 * h, rng.standard_normal(7))
-        command = Command(steering.steer, driving.speed)
-        moment = plant_step(FLOAT, model, moment, command, k * h, h)
+            state = disturb(state, config, 0.5 * h, rng.standard_normal(7))
+        state = State(*plant.follow(*state, steering.steer, driving.speed, k * h))
         if add_noise:
-            moment = add_process_noise(moment, config, 0.5 * h, rng.standard_normal(7))
+            state = disturb(state, config, 0.5 * h, rng.standard_normal(7))
     return Drive(truth, commands, sorted(arrivals, key=lambda pair: pair[0]))
 
 

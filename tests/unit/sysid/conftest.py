@@ -49,7 +49,7 @@ def mixed_commands(seconds: float, seed: int, lateral: float = 5.0) -> Array:
         steer[i : i + n], speed[i : i + n] = size * shapes[kind], v
         i += n
     for k in range(1, count):
-        steer[k] = np.clip(steer[k], steer[k - 1] - 2.8 * STEP, steer[k - 1] + 2.8 * STEP)
+        steer[k] = min(max(steer[k], steer[k - 1] - 2.8 * STEP), steer[k - 1] + 2.8 * STEP)
     return np.column_stack([steer, speed])
 
 

@@ -12,11 +12,6 @@ from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.screen import clean, join_words, wrap, wrap_command
 
 
-class Terminal(io.StringIO):
-    def isatty(self):
-        return True
-
-
 @settings(derandomize=True, deadline=None)
 @given(st.lists(st.text("abc-/.", min_size=1, max_size=30), min_size=1), st.integers(20, 90))
 def test_lines_fit_and_words_stay_whole(words, width):
@@ -51,17 +46,12 @@ def test_control_characters_are_replaced_and_long_texts_cut():
 # The bar of a long command names its step on a terminal, and is silent elsewhere.
 
 
-def watched(monkeypatch):
-    """A terminal of 120 columns, in place of standard error."""
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stderr", terminal)
+def test_the_step_stands_beside_the_bar(monkeypatch):
+    seen = io.StringIO()
+    seen.isatty = lambda: True
+    monkeypatch.setattr(sys, "stderr", seen)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "120")
-    return terminal
-
-
-def test_the_step_stands_beside_the_bar(monkeypatch):
-    seen = watched(monkeypatch)
     with show_progress("identifying", 2.0) as advance:
         advance(1.0, "learning the noise")
     assert "identifying: learning the noise" in seen.getvalue()

@@ -3,7 +3,6 @@
 import os
 import socket
 import subprocess
-import sys
 from contextlib import closing
 from types import SimpleNamespace
 
@@ -81,8 +80,7 @@ def test_a_process_that_has_ended_takes_no_job_and_its_descriptors_are_closed(wa
 
 def ended(code):
     """A child that has ended with a code."""
-    done = subprocess.Popen([sys.executable, "-c", f"raise SystemExit({code})"])
-    return SimpleNamespace(process=done)
+    return SimpleNamespace(process=subprocess.Popen(["sh", "-c", f"exit {code}"]))
 
 
 @pytest.mark.parametrize(

@@ -151,11 +151,6 @@ def test_invalid_addresses_are_refused_and_public_ones_without_insecure_lan(text
     assert parse_view("0.0.0.0:8765", insecure_lan=True) == ("0.0.0.0", 8765)
 
 
-def test_virtual_time_is_not_shown_live(capsys):
-    assert run_cli(["run", "--sim", "--fast", "--view"]) == 2
-    assert "steerd plot" in capsys.readouterr().err
-
-
 def test_a_missing_package_is_one_line_with_its_remedy(capsys, monkeypatch):
     monkeypatch.setattr("steerd.daemon.process.view_job.find_spec", lambda name: None)
     assert run_cli(["run", "--sim", "--view"]) == 3

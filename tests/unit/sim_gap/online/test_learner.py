@@ -7,7 +7,7 @@ from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled
 from steerd.sim_gap.online.values import values_of
 
 pytestmark = pytest.mark.slow
-AT = 30.2
+AT, LONGEST = 30.2, 9.8  # when a car changes, and how long it is looked at after that [s]
 
 
 def follow(learner, samples, state=None):
@@ -54,15 +54,22 @@ def test_a_standstill_changes_nothing(learner, quiet):
     assert reports >= 59
 
 
+@pytest.fixture(scope="module")
+def before(learner, drives, learn):
+    """What is known when the car changes: until then all drives of one length are the same."""
+    return learn(learner, (s for s in drives(AT + LONGEST) if s.t < AT))
+
+
 @pytest.mark.parametrize(
     ("name", "value", "seconds"),
     [
-        ("mocap_yaw", 0.03, 9.8), ("speed_scale", 0.95, 5.0), ("steer_lag", 0.08, 7.0),
+        ("mocap_yaw", 0.03, LONGEST), ("speed_scale", 0.95, 5.0), ("steer_lag", 0.08, 7.0),
         ("steer_backlash", 0.03, 7.0),  # it has no gradient where there is none
     ],
 )  # fmt: skip
-def test_a_change_is_noticed_and_named(learner, drives, learn, name, value, seconds):
-    change = learn(learner, drives(AT + seconds, name, AT)).change
+def test_a_change_is_noticed_and_named(learner, drives, learn, before, name, value, seconds):
+    seen = (s for s in drives(AT + LONGEST, name, AT) if AT <= s.t < AT + seconds)
+    change = learn(learner, seen, before).change
     assert (change.finding.verdict, change.finding.cause.effect) == ("named", name)
     assert change.noticed - AT < 3.0
     informed, sd, _ = next(iter(change.finding.cause.parameters.values()))
