@@ -126,8 +126,8 @@ def _validation(outcome: Outcome) -> Iterator[Line]:
             text = f"{a.position * 1e3:7.1f} mm {degrees(a.heading):6.2f}°   (start {start})"
         yield Line("", f"{a.horizon:.1f} s   {text}", whole=True)
         if h.factor < 1.0 and a.median < b.median:
-            medians = f"{a.median * 1e3:.1f} mm (start {b.median * 1e3:.1f} mm)"
-            yield Line("", f"        median {medians}; a few are far off", whole=True)
+            text = f"median {a.median * 1e3:.1f} mm (start {b.median * 1e3:.1f} mm)"
+            yield Line("", f"        {text}; a few are far off", whole=True)
     if len(outcome.regimes) > 1:
         medians = []
         for r in outcome.regimes:

@@ -99,7 +99,7 @@ def make_model(
         mono_ns: of the newest pose [ns, monotonic].
         epoch_ns: UNIX time minus monotonic time [ns].
         dropped: records that were lost so far.
-        remembered: what an earlier drive taught: reported until this one knows the car.
+        remembered: what was learnt on an earlier drive: reported until this one knows the car.
     """
     early = (Value(name, *each, unit_of(name), True) for name, each in remembered.items())
     values = values_of(state.known) if state.known else tuple(early)

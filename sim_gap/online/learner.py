@@ -59,7 +59,7 @@ class Learner:
     augmented: AugmentedCar  # the car file's base, with every effect of the library
     noise: Noise | None = None  # as the car file knows it
     ramp: float = 0.0  # limit of the motor controller's setpoint [m/s^2], 0 for none
-    # What an earlier drive of this car taught
+    # What was learnt on an earlier drive of this car
     remembered: Remembered = field(default_factory=dict)
 
 

@@ -117,7 +117,7 @@ def learn(
 ) -> Known | None:
     """The car as it is in windows (when each began [s], and its drive), from a car file's base.
 
-    What an earlier drive taught is left out where these windows contradict it. None where the
+    What an earlier drive learnt is left out where these windows contradict it. None where the
     base's simulation leaves the map.
     """
     times, runs = [t for t, _ in windows], [run for _, run in windows]

@@ -6,7 +6,7 @@ them: before a window's information is added, what is known in just the directio
 informs is faded (Cao and Schwartz, 2000). On a straight or at a standstill no direction is
 informed, and nothing fades.
 
-What an earlier drive of the same car taught is remembered: each number is a normal distribution,
+What an earlier drive of the same car learnt is remembered: each number is a normal distribution,
 inflated by the days since. It counts beside the first windows of a drive, not before them: a fit
 that begins at a wrong car may stay there, and what these windows contradict is given up.
 """
@@ -214,7 +214,7 @@ def _slopes(space: Space) -> Array:
 
 
 def with_memory(reference: Reference, track: Track, remembered: Remembered) -> Track:
-    """What first windows say of the base, joined with what an earlier drive taught.
+    """What first windows say of the base, joined with what an earlier drive learnt.
 
     The track as it was where one of the numbers contradicts these windows: it was another car.
     """

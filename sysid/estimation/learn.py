@@ -16,7 +16,7 @@ from steerd.sysid.data.segments import describe_unused, hold_out, make_blocks, m
 from steerd.sysid.estimation import outcome, validation
 from steerd.sysid.estimation import preparation as prep
 from steerd.sysid.estimation.command_timing import time_commands
-from steerd.sysid.inference.car_fit import Stated, choose_start, fit_car_with_limits
+from steerd.sysid.inference.car_fit import Stated, choose_start, fit_car
 from steerd.sysid.inference.plain_car import (
     POOR,
     Asked,
@@ -198,9 +198,9 @@ def _estimate(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outcom
         return plain
     try:
         starts = prep.sliding_starts(_starts(task), drives.fitted, task.stated)
-        start = starts[0] if len(starts) == 1 else choose_start(starts, drives.fitted, task.stated)
-        taught = fit_car_with_limits(start, drives.fitted, task.stated)
-        return outcome.fit_of_taught(taught, start, drives.fitted, _doubts(drives))
+        start, near = choose_start(starts, drives.fitted, task.stated)
+        fitted = fit_car(start, drives.fitted, task.stated, near)
+        return outcome.fit_of_windows(fitted, start, drives.fitted, _doubts(drives))
     except (FloatingPointError, ValueError):
         if plain is None:
             raise

@@ -31,8 +31,8 @@ from steerd.sysid.inference.identifiability import (
     Estimate,
     combinations,
     estimates,
+    estimates_with_sds,
     silent_estimates,
-    taught_estimates,
 )
 from steerd.sysid.inference.noise import signal_noise
 from steerd.sysid.inference.plain_car import Asked, PlainCar, covariance_of, misfit_of, silent_names
@@ -112,33 +112,33 @@ def fit_of_plain(
     )
 
 
-def fit_of_taught(
-    taught: FittedCar, base: Model[float], runs: Sequence[Run], doubts: Sequence[tuple[str, float]]
+def fit_of_windows(
+    fitted: FittedCar, base: Model[float], runs: Sequence[Run], doubts: Sequence[tuple[str, float]]
 ) -> Fit:
-    """What a car says that windows of one second taught, from a base on, disturbances known."""
+    """What a car says that windows of one second fitted, from a base on, disturbances known."""
     file = CarFile(
-        Path("taught.toml"), "taught", base.car, base.effects, base.values, chassis=base.chassis
+        Path("fitted.toml"), "fitted", base.car, base.effects, base.values, chassis=base.chassis
     )
-    found = file_of_fitted(file, taught)
+    found = file_of_fitted(file, fitted)
     kept = {effect.name for effect in found.effects}
     own = {f"{e.name}.{p.name}" for e in found.effects for p in e.parameters}
     sds = {name: sd for name, sd in found.sd.items() if "." not in name or name in own}
     sds |= {name: float(np.hypot(sds[name], sd)) for name, sd in doubts if name in sds}
     signal = signal_noise(estimate_noise(runs))
-    at = with_size(taught.likelihood, taught.point, 0.0)
-    predictor, error = taught.likelihood.predictor, at.linear.error
+    at = with_size(fitted.likelihood, fitted.point, 0.0)
+    predictor, error = fitted.likelihood.predictor, at.linear.error
     return Fit(
         model=found.model,
-        estimates=taught_estimates(found.effects, parameter_vector(found.model), sds),
-        labels=taught.point.space.chart.labels,
-        correlation=_correlation(knowledge_of(taught).covariance),
-        converged=taught.point.whole,
+        estimates=estimates_with_sds(found.effects, parameter_vector(found.model), sds),
+        labels=fitted.point.space.chart.labels,
+        correlation=_correlation(knowledge_of(fitted).covariance),
+        converged=fitted.point.whole,
         misfit=misfit_of(predictor, error, signal),
         residuals=_residuals(predictor, error, np.array(signal.instruments)),
         horizon=HORIZON,
-        selected=tuple(step for step in taught.selected if step.effect in kept),
+        selected=tuple(step for step in fitted.selected if step.effect in kept),
         sections=found.sections,
-        notes=describe_lost(taught, runs),
+        notes=describe_lost(fitted, runs),
     )
 
 

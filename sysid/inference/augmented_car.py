@@ -258,7 +258,7 @@ def make_augmented_car(base: CarFile | Model[float], runs: Sequence[Run]) -> Aug
 def _known(
     augmented: AugmentedCar, base: CarFile | Model[float], stated: Collection[str]
 ) -> AugmentedCar:
-    """The augmented car about what the base's healthy drives taught, if that is known.
+    """The augmented car about what the base's healthy drives fitted, if that is known.
 
     What a prescribed speed states, of parameters or effects, stays.
 

@@ -1,4 +1,4 @@
-"""A car taught by healthy drives: car and noise in turn, under the errors of one second.
+"""A car fitted to healthy drives: car and noise in turn, under the errors of one second.
 
 Errors are weighed by instruments and disturbances both, the same measure by which a diagnosis
 judges, so that a healthy car has no gap to it. The search begins under a discrepancy as large as
@@ -11,6 +11,7 @@ bent linkage) are free together under weak priors.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -51,7 +52,7 @@ ORDINARY: dict[str, float] = {
     "marker_offset.forward": 0.25, "accel_max": 0.2, "decel_max": 0.2,
     "lateral_load_transfer.k": 0.3,
 }  # fmt: skip
-"""Share of identification's weak priors that is left when a base is taught.
+"""Share of identification's weak priors that is left when a base is fitted.
 
 A car comes with a wheelbase (the coordinate of `lf`) known to 15 mm, a centre of gravity known
 to 2 cm, markers placed to 5 mm and a gain known to 0.1. A tyre's friction falls by a few tenths at
@@ -110,52 +111,51 @@ class FittedCar:
 
 
 def fit_car(
-    base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NOTHING
+    base: CarFile | Model[float],
+    runs: Sequence[Run],
+    stated: Stated = NOTHING,
+    near: Array | None = None,
 ) -> FittedCar:
-    """Fit car and noise in turn, under weak priors about the base's values.
+    """Fit car and noise in turn, then with the limits and the play that the drives show.
 
     Args:
-        base: where it starts.
+        base: the car that weak priors are about.
         runs: drives without a gap.
         stated: what keeps the base's value.
+        near: where the search starts, of `choose_start`; None for the base.
 
     Raises:
-        FloatingPointError: the base car's simulation diverges.
+        FloatingPointError: the car's simulation diverges where the search starts.
         ValueError: no window sees enough poses.
     """
-    return _in_turn(_first(base, runs, stated), runs, _ROUNDS)
-
-
-def fit_car_with_limits(
-    base: CarFile | Model[float], runs: Sequence[Run], stated: Stated = NOTHING
-) -> FittedCar:
-    """`fit_car`, once more with the limits and the play that the drives show free as well."""
-    taught = fit_car(base, runs, stated)
-    shown = informative_effects(taught.augmented, runs)
-    free = {name.partition(".")[0] for name in taught.nuisance if "." in name}
+    fitted = _in_turn(_first(base, runs, stated, near), runs, _ROUNDS)
+    shown = informative_effects(fitted.augmented, runs)
+    free = {name.partition(".")[0] for name in fitted.nuisance if "." in name}
     effects = tuple(
         e
-        for e in taught.augmented.effects
+        for e in fitted.augmented.effects
         if e.name in shown
         and e.name not in free
         and not stated.holds(e.name)
-        and not (e.same_as and set(e.same_as) <= set(taught.nuisance))
+        and not (e.same_as and set(e.same_as) <= set(fitted.nuisance))
         and e.in_base
     )
-    library = Library(taught.likelihood, taught.nuisance, effects, known=False)
-    found = explain(library, c.BUILT_IN, known=taught.point)
+    library = Library(fitted.likelihood, fitted.nuisance, effects, known=False)
+    found = explain(library, c.BUILT_IN, known=fitted.point)
     best = found.hypotheses[0]
     if not best.effects:
-        return replace(taught, point=best.point)
+        return replace(fitted, point=best.point)
     gain = best.posterior.evidence - found.null.posterior.evidence
     steps = tuple(Step(name, gain) for name in best.effects)
-    return replace(_with_effects(taught, best.point, runs), selected=steps)
+    return replace(_with_effects(fitted, best.point, runs), selected=steps)
 
 
 def choose_start(
     starts: Sequence[Model[float]], runs: Sequence[Run], stated: Stated = NOTHING
-) -> Model[float]:
-    """The start from which these drives are explained best; each also on stiffer tyres.
+) -> tuple[Model[float], Array | None]:
+    """The start from which these drives are explained best, and where its search ends (P,).
+
+    Of one start nothing is asked. Of several, each is tried on stiffer tyres as well.
 
     From tyres that are too soft, hard bends lead to softer ones still instead of to ones that
     level off.
@@ -164,16 +164,20 @@ def choose_start(
         FloatingPointError: the simulation diverges at every one.
         ValueError: no window sees enough poses.
     """
+    if len(starts) == 1:
+        return starts[0], None
     some, found = thinned(runs, _ENOUGH), []
     models = [stiffer(start, factor, stated) for start in starts for factor in (1.0, _STIFFER)]
     for number, start in enumerate(models):
         try:
-            found.append((_first(start, some, stated).point.cost, number))
+            end = _first(start, some, stated).point
+            found.append((end.cost, number, end.parameters))
         except (FloatingPointError, np.linalg.LinAlgError):
             continue
     if not found:
         raise FloatingPointError("the simulation diverges at every start")
-    return models[min(found)[1]]
+    _, number, near = min(found)
+    return models[number], near
 
 
 def stiffer(model: Model[float], factor: float, stated: Stated) -> Model[float]:
@@ -183,7 +187,9 @@ def stiffer(model: Model[float], factor: float, stated: Stated) -> Model[float]:
     return model._replace(car=car._replace(**moved))
 
 
-def _first(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated) -> FittedCar:
+def _first(
+    base: CarFile | Model[float], runs: Sequence[Run], stated: Stated, near: Array | None = None
+) -> FittedCar:
     """The car at its best under noise as learnt about it, from noise that forgives the start.
 
     A window that is far off is bounded and pulls at nothing; were all so, the search would stay
@@ -196,22 +202,24 @@ def _first(base: CarFile | Model[float], runs: Sequence[Run], stated: Stated) ->
     shares = {**ORDINARY, **({"lf": MEASURED} if stated.wheelbase else {})}
     augmented = replace(augmented, knowledge=weak_knowledge(augmented, nuisance, shares))
     predictor, usual = open_predictor(augmented, runs), usual_noise(estimate_noise(runs))
-    noise, begun = usual, _begin(predictor, nuisance, usual)
+    begin = partial(_begin, predictor, nuisance, near)
+    noise, begun = usual, begin(usual)
     while _bounded(begun[1]) >= _FAR_OFF and noise.sizes[0] < _LOUDEST * usual.sizes[0]:
         noise = noise_of_sizes(_LOUDER * noise.sizes)
-        begun = _begin(predictor, nuisance, noise)
-    taught = FittedCar(begun[0], minimise(*begun), noise, nuisance, shares)
-    return taught if noise is usual else _again(taught, _learnt_noise(taught))
+        begun = begin(noise)
+    fitted = FittedCar(begun[0], minimise(*begun), noise, nuisance, shares)
+    return fitted if noise is usual else _again(fitted, _learnt_noise(fitted))
 
 
 def _begin(
-    predictor: Predictor, nuisance: tuple[str, ...], noise: Noise
+    predictor: Predictor, nuisance: tuple[str, ...], near: Array | None, noise: Noise
 ) -> tuple[Likelihood, Point]:
-    """Windows under a noise, and the base where its search begins."""
-    x = predictor.guess.copy()
-    likelihood = make_likelihood(predictor, predictor.augmented.base, x, noise)
+    """Windows under a noise, and the car where its search begins: the base if not near another."""
+    x, at = predictor.guess.copy(), predictor.augmented.base if near is None else near
+    likelihood = make_likelihood(predictor, at, x, noise)
     space = make_space(predictor.augmented, nuisance)
-    return likelihood, open_point(likelihood, space, space.inside, x)
+    z = space.inside if near is None else space.chart.coordinates(near)
+    return likelihood, open_point(likelihood, space, z, x)
 
 
 def _bounded(point: Point) -> float:
@@ -219,60 +227,60 @@ def _bounded(point: Point) -> float:
     return float((point.at.ratio >= c.SPUN).mean())
 
 
-def _again(taught: FittedCar, noise: Noise) -> FittedCar:
+def _again(fitted: FittedCar, noise: Noise) -> FittedCar:
     """The car at its best under another noise, its responses taken where the car is now."""
-    predictor, old = taught.likelihood.predictor, taught.point
+    predictor, old = fitted.likelihood.predictor, fitted.point
     likelihood = make_likelihood(predictor, old.parameters, old.x, noise)
-    space = make_space(predictor.augmented, taught.nuisance)
+    space = make_space(predictor.augmented, fitted.nuisance)
     z = np.clip(space.chart.coordinates(old.parameters), space.low, space.high)
     begun = stand(likelihood, space, z, old.x, max(old.size, c.SIZE_SMALL))
-    return replace(taught, likelihood=likelihood, point=minimise(likelihood, begun), noise=noise)
+    return replace(fitted, likelihood=likelihood, point=minimise(likelihood, begun), noise=noise)
 
 
-def _learnt_noise(taught: FittedCar) -> Noise:
+def _learnt_noise(fitted: FittedCar) -> Noise:
     """Noise given the car."""
-    point = taught.point
+    point = fitted.point
     return learn_noise(
-        taught.likelihood.predictor, point.parameters, point.x, point.linear, taught.noise
+        fitted.likelihood.predictor, point.parameters, point.x, point.linear, fitted.noise
     )
 
 
-def _in_turn(taught: FittedCar, runs: Sequence[Run], rounds: int) -> FittedCar:
+def _in_turn(fitted: FittedCar, runs: Sequence[Run], rounds: int) -> FittedCar:
     """Noise and car, each given the other; then what regimes are allowed beyond the noise."""
     for _ in range(rounds):
-        noise = _learnt_noise(taught)
-        taught = _again(taught, noise)
-    noise = _learnt_noise(taught)
-    taught = _again(taught, noise)
-    left = robust_mean(unweighed(taught))
-    should = noise_share(taught.likelihood.predictor, float(estimate_noise(runs)[2]))
-    taught = _again(taught, calibrated(noise, left, should))
-    excess = excess_of(taught)
-    weak = weak_knowledge(taught.augmented, taught.nuisance, taught.shares)
+        noise = _learnt_noise(fitted)
+        fitted = _again(fitted, noise)
+    noise = _learnt_noise(fitted)
+    fitted = _again(fitted, noise)
+    left = robust_mean(unweighed(fitted))
+    should = noise_share(fitted.likelihood.predictor, float(estimate_noise(runs)[2]))
+    fitted = _again(fitted, calibrated(noise, left, should))
+    excess = excess_of(fitted)
+    weak = weak_knowledge(fitted.augmented, fitted.nuisance, fitted.shares)
     known = replace(weak, excess=tuple(e / excess[0] for e in excess))
     predictor = replace(
-        taught.likelihood.predictor, augmented=replace(taught.augmented, knowledge=known)
+        fitted.likelihood.predictor, augmented=replace(fitted.augmented, knowledge=known)
     )
-    likelihood = replace(taught.likelihood, predictor=predictor)
-    return _again(replace(taught, likelihood=likelihood), taught.noise)
+    likelihood = replace(fitted.likelihood, predictor=predictor)
+    return _again(replace(fitted, likelihood=likelihood), fitted.noise)
 
 
-def ratios(taught: FittedCar) -> Array:
+def ratios(fitted: FittedCar) -> Array:
     """(W,) whitened squared errors per degree of freedom, no discrepancy allowed."""
-    return with_size(taught.likelihood, taught.point, 0.0).at.ratio
+    return with_size(fitted.likelihood, fitted.point, 0.0).at.ratio
 
 
-def unweighed(taught: FittedCar) -> Array:
+def unweighed(fitted: FittedCar) -> Array:
     """(W,) the same without what regimes are allowed beyond the noise."""
-    return ratios(taught) * taught.likelihood.predictor.excess
+    return ratios(fitted) * fitted.likelihood.predictor.excess
 
 
-def excess_of(taught: FittedCar, should: float = 1.0) -> tuple[float, ...]:
+def excess_of(fitted: FittedCar, should: float = 1.0) -> tuple[float, ...]:
     """How much larger than noise errors are by lateral acceleration, whatever they are weighed by.
 
     Hard bends, in which the model misses most, shall not decide about values that gentle ones show.
     """
-    return excess_by_regime(unweighed(taught) / should, taught.likelihood.predictor.lateral)
+    return excess_by_regime(unweighed(fitted) / should, fitted.likelihood.predictor.lateral)
 
 
 def structure_names(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[str, ...]:
@@ -286,17 +294,17 @@ def structure_names(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[str, 
     )
 
 
-def _with_effects(taught: FittedCar, point: Point, runs: Sequence[Run]) -> FittedCar:
-    """What was taught, with the effects of a hypothesis free about its values."""
-    old, start = taught.augmented, point.parameters
+def _with_effects(fitted: FittedCar, point: Point, runs: Sequence[Run]) -> FittedCar:
+    """What was fitted, with the effects of a hypothesis free about its values."""
+    old, start = fitted.augmented, point.parameters
     centre = old.base.copy()
     for name in point.space.effects:
         centre[old.places(name)] = start[old.places(name)]
     own = tuple(n for n in old.kernels.names if n.partition(".")[0] in point.space.effects)
-    nuisance = (*taught.nuisance, *own)
+    nuisance = (*fitted.nuisance, *own)
     augmented = replace(old, base=centre)
-    augmented = replace(augmented, knowledge=weak_knowledge(augmented, nuisance, taught.shares))
-    predictor = replace(taught.likelihood.predictor, augmented=augmented)
-    likelihood = replace(taught.likelihood, predictor=predictor)
-    grown = replace(taught, likelihood=likelihood, point=point, nuisance=nuisance)
+    augmented = replace(augmented, knowledge=weak_knowledge(augmented, nuisance, fitted.shares))
+    predictor = replace(fitted.likelihood.predictor, augmented=augmented)
+    likelihood = replace(fitted.likelihood, predictor=predictor)
+    grown = replace(fitted, likelihood=likelihood, point=point, nuisance=nuisance)
     return _in_turn(grown, runs, 0)

@@ -28,14 +28,7 @@ from steerd.car_model.effect import Effect
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import BasePrior, Control, inflate_each, knowledge_section
-from steerd.sysid.inference.car_fit import (
-    NOTHING,
-    FittedCar,
-    Stated,
-    excess_of,
-    fit_car_with_limits,
-    ratios,
-)
+from steerd.sysid.inference.car_fit import NOTHING, FittedCar, Stated, excess_of, fit_car, ratios
 from steerd.sysid.inference.hypotheses import begin
 from steerd.sysid.inference.library import Library, slice_along
 from steerd.sysid.inference.noise import noise_section
@@ -66,13 +59,13 @@ _BY_CHANCE = 1.0
 """What an effect of two parameters gains by chance [nats]."""
 
 
-def describe_lost(taught: FittedCar, runs: Sequence[Run]) -> tuple[str, ...]:
+def describe_lost(fitted: FittedCar, runs: Sequence[Run]) -> tuple[str, ...]:
     """Where the car does not hold, and how it was driven there, in a sentence; often none."""
-    predictor, layout = taught.likelihood.predictor, taught.likelihood.predictor.layout
-    lost = ratios(taught) >= c.SPUN
+    predictor, layout = fitted.likelihood.predictor, fitted.likelihood.predictor.layout
+    lost = ratios(fitted) >= c.SPUN
     if not lost.any():
         return ()
-    speed, slip = np.abs(taught.point.x[:, 3]), np.abs(taught.point.x[:, 5])
+    speed, slip = np.abs(fitted.point.x[:, 3]), np.abs(fitted.point.x[:, 5])
     why = [
         f"{text} in {int((lost & where).sum())}"
         for where, text in (
@@ -100,7 +93,7 @@ def refine(base: CarFile, runs: Sequence[Run], stated: Stated = NOTHING) -> CarF
         FloatingPointError: the base car's simulation diverges.
         ValueError: no window sees enough poses.
     """
-    return file_of_fitted(base, fit_car_with_limits(base, runs, stated))
+    return file_of_fitted(base, fit_car(base, runs, stated))
 
 
 def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
@@ -110,29 +103,29 @@ def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, An
         FloatingPointError: the base car's simulation diverges.
         ValueError: no window sees enough poses.
     """
-    return _tables(fit_car_with_limits(base, runs))
+    return _tables(fit_car(base, runs))
 
 
-def _tables(taught: FittedCar) -> dict[str, dict[str, Any]]:
+def _tables(fitted: FittedCar) -> dict[str, dict[str, Any]]:
     """`[noise]` and `[knowledge]`, with what the drives show of effects beside the car."""
-    known = knowledge_of(taught)
-    known = replace(known, controls=learn_controls(taught, known))
-    return {"noise": noise_section(taught.noise), "knowledge": knowledge_section(known)}
+    known = knowledge_of(fitted)
+    known = replace(known, controls=learn_controls(fitted, known))
+    return {"noise": noise_section(fitted.noise), "knowledge": knowledge_section(known)}
 
 
-def file_of_fitted(base: CarFile, taught: FittedCar) -> CarFile:
-    """The car file that says what was taught; effects that may as well be absent are left out."""
-    chart = taught.point.space.chart
-    covariance = _doubtful(taught, knowledge_of(taught).covariance)
-    z, kept = _without_small(taught, covariance)
-    covariance = covariance if MOVED in kept else _as_mounted(taught, covariance)
+def file_of_fitted(base: CarFile, fitted: FittedCar) -> CarFile:
+    """The car file of a fit; effects that may as well be absent are left out."""
+    chart = fitted.point.space.chart
+    covariance = _doubtful(fitted, knowledge_of(fitted).covariance)
+    z, kept = _without_small(fitted, covariance)
+    covariance = covariance if MOVED in kept else _as_mounted(fitted, covariance)
     p, spread = chart.parameters(z), chart.sds(z, covariance)
-    free = {name: chart.names.index(name) for name in taught.nuisance}
+    free = {name: chart.names.index(name) for name in fitted.nuisance}
     car = {name: float(p[i]) for name, i in free.items() if "." not in name}
     own = dict(zip((e.name for e in base.effects), base.values, strict=True))
-    own = {name: values for name, values in own.items() if name not in _structures(taught)}
-    own |= {name: tuple(p[taught.augmented.places(name)].tolist()) for name in kept}
-    chosen = [e for e in taught.augmented.effects if e.name in own]
+    own = {name: values for name, values in own.items() if name not in _structures(fitted)}
+    own |= {name: tuple(p[fitted.augmented.places(name)].tolist()) for name in kept}
+    chosen = [e for e in fitted.augmented.effects if e.name in own]
     sd = {name: float(spread[i]) * MODEL_ERROR.get(name, 1.0) for name, i in free.items()}
     moved = replace(
         base,
@@ -141,53 +134,53 @@ def file_of_fitted(base: CarFile, taught: FittedCar) -> CarFile:
         values=tuple(own[e.name] for e in chosen),
         sd={**base.sd, **{n: v for n, v in sd.items() if "." not in n or n.split(".")[0] in own}},
     )
-    return replace(moved, sections={**moved.sections, **_tables(taught)})
+    return replace(moved, sections={**moved.sections, **_tables(fitted)})
 
 
-def _doubtful(taught: FittedCar, covariance: Array) -> Array:
+def _doubtful(fitted: FittedCar, covariance: Array) -> Array:
     """The covariance with the doubt about the place of the centre of gravity, the body's kept."""
-    names, p = list(taught.point.space.chart.free), taught.point.parameters
+    names, p = list(fitted.point.space.chart.free), fitted.point.parameters
     if not {"lf", "lr", FORWARD} <= set(names):
         return covariance
-    axle = taught.augmented.kernels.names.index
+    axle = fitted.augmented.kernels.names.index
     wheelbase = float(p[axle("lf")] + p[axle("lr")])
     along = np.zeros(len(names))
     along[names.index("lr")], along[names.index(FORWARD)] = -wheelbase, wheelbase
     return covariance + c.COG_PLACE**2 * np.outer(along, along)
 
 
-def _as_mounted(taught: FittedCar, covariance: Array) -> Array:
+def _as_mounted(fitted: FittedCar, covariance: Array) -> Array:
     """The covariance where the mocap body is taken to be where it was mounted, within the prior.
 
     That the drives would have it elsewhere is either the model's error or the mounting's: what it
     makes of the other parameters counts as their error.
     """
-    space = taught.point.space
+    space = fitted.point.space
     if FORWARD not in space.chart.free:
         return covariance
     place = space.chart.free.index(FORWARD)
     own, mounted = covariance[place], space.covariance[place, place] / c.WEAK**2
-    left_out = own / own[place] * (taught.point.z[place] - space.centre[place])
+    left_out = own / own[place] * (fitted.point.z[place] - space.centre[place])
     known = np.outer(own, own) / (own[place] + mounted)
     moved: Array = covariance - known + np.outer(left_out, left_out)
     return moved
 
 
-def _structures(taught: FittedCar) -> list[str]:
+def _structures(fitted: FittedCar) -> list[str]:
     """Names of the effects that were free, each once."""
-    return list(dict.fromkeys(n.partition(".")[0] for n in taught.nuisance if "." in n))
+    return list(dict.fromkeys(n.partition(".")[0] for n in fitted.nuisance if "." in n))
 
 
-def _without_small(taught: FittedCar, covariance: Array) -> tuple[Array, list[str]]:
+def _without_small(fitted: FittedCar, covariance: Array) -> tuple[Array, list[str]]:
     """Coordinates with every effect at its null that is not clearly elsewhere, and those kept.
 
     The likeliest by chance goes first; what moves with it moves to where it lies given that null.
     """
-    space, augmented = taught.point.space, taught.augmented
-    labels, z = list(space.chart.free), taught.point.z.copy()
+    space, augmented = fitted.point.space, fitted.augmented
+    labels, z = list(space.chart.free), fitted.point.z.copy()
     nulls = {f"{e.name}.{p.name}": p.null for e in augmented.effects for p in e.parameters}
     names = {name: [i for i, n in enumerate(labels) if n.startswith(f"{name}.")]
-             for name in _structures(taught)}  # fmt: skip
+             for name in _structures(fitted)}  # fmt: skip
     gone: list[int] = []
     while names:
         chances = {}
@@ -201,47 +194,47 @@ def _without_small(taught: FittedCar, covariance: Array) -> tuple[Array, list[st
         gone += names.pop(least)
         held = np.array([nulls[labels[i]] for i in gone])
         rest = [i for i in range(len(z)) if i not in gone]
-        pull = np.linalg.solve(covariance[np.ix_(gone, gone)], held - taught.point.z[gone])
-        z[rest] = taught.point.z[rest] + covariance[np.ix_(rest, gone)] @ pull
+        pull = np.linalg.solve(covariance[np.ix_(gone, gone)], held - fitted.point.z[gone])
+        z[rest] = fitted.point.z[rest] + covariance[np.ix_(rest, gone)] @ pull
         z[gone] = held
     return np.clip(z, space.low, space.high), list(names)
 
 
-def knowledge_of(taught: FittedCar) -> BasePrior:
+def knowledge_of(fitted: FittedCar) -> BasePrior:
     """Joint covariance and discrepancy of a car.
 
     Scores that vary more from block to block than noise makes them widen the errors (White, 1982):
     that is how a model that is wrong a little everywhere shows. The covariance is positive
     definite: a direction that the drives do not show keeps its prior's width.
     """
-    likelihood, point = taught.likelihood, taught.point
+    likelihood, point = fitted.likelihood, fitted.point
     blocks, at = blocks_of(likelihood.predictor), point.at
     pulls = at.weight[:, None] * at.g
     sums = np.zeros((int(blocks.max()) + 1, pulls.shape[1]))
     np.add.at(sums, blocks, pulls)
     covariance = inflate_each(posterior_of(point, 1.0).covariance, sums)
-    excess = excess_of(taught, robust_mean(ratios(taught)))
-    p, names = point.parameters, taught.augmented.kernels.names
-    values = tuple(float(p[names.index(name)]) for name in taught.nuisance)
-    return BasePrior(taught.nuisance, covariance, excess, values)
+    excess = excess_of(fitted, robust_mean(ratios(fitted)))
+    p, names = point.parameters, fitted.augmented.kernels.names
+    values = tuple(float(p[names.index(name)]) for name in fitted.nuisance)
+    return BasePrior(fitted.nuisance, covariance, excess, values)
 
 
-def learn_controls(taught: FittedCar, known: BasePrior) -> tuple[Control, ...]:
-    """The healthy drives diagnosed against the car that they taught, one Newton step an effect.
+def learn_controls(fitted: FittedCar, known: BasePrior) -> tuple[Control, ...]:
+    """The healthy drives diagnosed against the car that they fitted, one Newton step an effect.
 
     Args:
-        taught: the car.
+        fitted: the car.
         known: what a later diagnosis will know of it.
 
     Raises:
         FloatingPointError: the car's simulation diverges.
     """
     wider = replace(known, covariance=c.KNOWN_WIDER**2 * known.covariance)
-    augmented = replace(taught.augmented, base=taught.point.parameters, knowledge=wider)
-    predictor = replace(taught.likelihood.predictor, augmented=augmented)
-    likelihood = replace(taught.likelihood, predictor=predictor)
-    library = Library(likelihood, taught.nuisance, augmented.effects)
-    base = minimise(likelihood, begin(library, (), (), taught.point.x))
+    augmented = replace(fitted.augmented, base=fitted.point.parameters, knowledge=wider)
+    predictor = replace(fitted.likelihood.predictor, augmented=augmented)
+    likelihood = replace(fitted.likelihood, predictor=predictor)
+    library = Library(likelihood, fitted.nuisance, augmented.effects)
+    base = minimise(likelihood, begin(library, (), (), fitted.point.x))
     temper = design_effect(likelihood, base.size, controlled=True)
     found = (_control(library, base, effect, temper) for effect in augmented.effects)
     return tuple(control for control in found if control is not None)

@@ -172,7 +172,7 @@ def estimates(chart: Chart, z: Array, covariance: Array) -> dict[str, Estimate]:
     return {name: _estimate(name, *numbers) for name, numbers in moving.items()}
 
 
-def taught_estimates(
+def estimates_with_sds(
     effects: Sequence[Effect], parameters: Array, sds: Mapping[str, float]
 ) -> dict[str, Estimate]:
     """The same of parameters (P,) whose standard errors, by name, are known already."""

@@ -2,7 +2,7 @@
 
 Laplace's approximation (MacKay 1992). Model errors of neighbouring windows repeat, so windows are
 worth less than their number: their log likelihood is divided by Kish's design effect (Survey
-Sampling, 1965, 8.2), once for a whole case. What other drives taught of the base counts whole, and
+Sampling, 1965, 8.2), once for a whole case. What other drives say of the base counts whole, and
 an effect that healthy drives show as well is compared with what they show (see
 `car_posterior.learn_controls`).
 """

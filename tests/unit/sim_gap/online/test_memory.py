@@ -1,4 +1,4 @@
-"""What an earlier drive taught: inflated with time, joined with a drive or given up."""
+"""What an earlier drive learnt: inflated with time, joined with a drive or given up."""
 
 from dataclasses import replace
 

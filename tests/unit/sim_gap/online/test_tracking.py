@@ -162,8 +162,8 @@ AT = 30.2
 def test_the_base_is_known_as_its_track_says_and_no_better(reference, track):
     """Where healthy drives left more than noise, it does too."""
     excess, n = (1.0, 1.0, 2.0, 3.0, 4.0, 5.0), reference.space.nuisance
-    taught = BasePrior(reference.space.chart.free[:n], track.covariance, excess)
-    car = replace(reference, augmented=replace(reference.augmented, knowledge=taught))
+    fitted = BasePrior(reference.space.chart.free[:n], track.covariance, excess)
+    car = replace(reference, augmented=replace(reference.augmented, knowledge=fitted))
     moved = replace(track, pull=track.information @ np.full(n, 1e-4))
     base = believed(car, moved)
     space = make_space(base, reference.space.chart.free[:n])

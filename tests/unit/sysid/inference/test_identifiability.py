@@ -24,7 +24,7 @@ from steerd.sysid.inference.augmented_car import (
     knowledge_section,
 )
 from steerd.sysid.inference.chart import make_chart
-from steerd.sysid.inference.identifiability import estimates, taught_estimates
+from steerd.sysid.inference.identifiability import estimates, estimates_with_sds
 from steerd.sysid.inference.places import DISCS, RADII, suspicious_discs
 from steerd.sysid.inference.search import step_within
 from steerd.sysid.paper import NAMES as TYRES
@@ -54,13 +54,13 @@ def test_nothing_is_told_while_a_length_sits_at_its_bound():
         assert all(("at its bound" in e.manoeuvre) is not told for e in found.values())
 
 
-def _taught(effects, values, sd):
+def _estimates(effects, values, sd):
     model = Model(CAR, effects, values, make_planar("rear"))
-    return taught_estimates(effects, parameter_vector(model), sd)
+    return estimates_with_sds(effects, parameter_vector(model), sd)
 
 
 def test_identifiable_is_what_is_known_to_a_few_percent():
-    found = _taught((EFFECTS["tyre_saturation"],), ((0.8, 0.0),), SD)
+    found = _estimates((EFFECTS["tyre_saturation"],), ((0.8, 0.0),), SD)
     assert set(found) == set(SD)
     assert (found["lf"].value, found["lf"].sd) == (0.16, 0.002)
     assert found["tyre_saturation.q"].value == 0.8
@@ -74,7 +74,7 @@ def test_identifiable_is_what_is_known_to_a_few_percent():
 def test_what_drives_mistake_for_the_bodys_place_is_to_be_weighed():
     effects = (EFFECTS["tyre_saturation"], EFFECTS["marker_offset"])
     sd = {**SD, "lf": 0.02, "marker_offset.forward": 0.02}
-    found = _taught(effects, ((0.8, 0.0), (0.02, 0.0)), sd)
+    found = _estimates(effects, ((0.8, 0.0), (0.02, 0.0)), sd)
     for name in ("lf", "lr", "marker_offset.forward"):
         assert not found[name].identifiable
         assert "weighing both axles" in found[name].manoeuvre
