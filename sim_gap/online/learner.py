@@ -26,9 +26,8 @@ from steerd.sim_gap.online.tracking import (
 from steerd.sim_gap.verdict.evidence import Cause
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference.augmented_car import AugmentedCar, make_augmented_car
-from steerd.sysid.inference.chart import RELATIVE
 from steerd.sysid.inference.noise import Noise, noise_of_section
-from steerd.sysid.inference.space import FLOORS, LIMITS
+from steerd.sysid.inference.space import FLOORS, LIMITS, least_sd
 
 REFERENCE = 50
 """Windows that the car is learnt from: 25 s, two laps of an ordinary figure-eight."""
@@ -83,13 +82,9 @@ def make_learner(car: CarFile, ramp: float = 0.0, memory: Memory | None = None) 
 
 def _published(augmented: AugmentedCar) -> dict[str, float]:
     """Standard errors of figures that were published for another car of the class."""
-    names = augmented.kernels.names
-    values = {name: abs(float(augmented.base[names.index(name)])) for name in FLOORS}
     return {
-        name: BETTER_KNOWN.get(name, NOT_IDENTIFIED)
-        * floor
-        * (values[name] if name in RELATIVE else 1.0)
-        for name, floor in FLOORS.items()
+        name: BETTER_KNOWN.get(name, NOT_IDENTIFIED) * least_sd(augmented, name)
+        for name in FLOORS
         if name not in LIMITS
     }
 

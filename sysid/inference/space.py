@@ -201,13 +201,13 @@ def _base_covariance(augmented: AugmentedCar, chart: Chart, nuisance: int) -> Ar
     if known is not None:
         covariance[np.ix_(held, held)] = known.part([free[i] for i in held])
     for i, name in enumerate(free[:nuisance]):
-        least = _least(augmented, name)
+        least = least_sd(augmented, name)
         sd = SESSION * least if i in held else _spread(augmented, name, least)
         covariance[i, i] += (sd / slopes[i]) ** 2
     return covariance
 
 
-def _least(augmented: AugmentedCar, name: str) -> float:
+def least_sd(augmented: AugmentedCar, name: str) -> float:
     """A base parameter's least standard deviation, in its own unit: what differs between days."""
     if name not in FLOORS:
         return 0.05 * effect_scales(augmented.effects).get(name, 0.0)
