@@ -114,10 +114,7 @@ def silenced(*ids: str) -> Iterator[None]:
     def summarise_others(findings: Sequence[Finding]) -> tuple[int, str]:
         return summarise(finding for finding in findings if finding.id not in ids)
 
-    with (
-        patch("steerd.daemon.loop.loop.summarise", summarise_others),
-        patch("steerd.daemon.loop.core.summarise", summarise_others),
-    ):
+    with patch("steerd.daemon.loop.findings.summarise", summarise_others):
         yield
 
 
