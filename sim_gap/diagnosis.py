@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import Effect
 from steerd.sim_gap.lane_comparison import LaneComparison
-from steerd.sim_gap.verdict.evidence import Cause, Verdict, judge_case
+from steerd.sim_gap.verdict.confidence import Cause, Verdict, judge_case
 from steerd.sim_gap.verdict.next_manoeuvre import Manoeuvre, next_manoeuvre
 from steerd.sim_gap.verdict.residual_shape import Shape, Timeline, shape_of, timeline_of
 from steerd.sim_gap.verdict.shrinkage import Horizon, Shrinkage, cross_check, measure, predict

@@ -29,7 +29,7 @@ from steerd.posterior_file import TABLES, encode_posterior
 from steerd.steer_bus.session_read import Session, SessionError
 
 if TYPE_CHECKING:
-    from steerd.sim_gap.verdict.evidence import Cause
+    from steerd.sim_gap.verdict.confidence import Cause
     from steerd.sysid.data.dataset import Run
     from steerd.sysid.estimation.outcome import Outcome
 

@@ -37,7 +37,7 @@ from steerd.posterior_file import TABLES
 from steerd.sim_gap import diagnosis as engine
 from steerd.sim_gap.diagnosis import GapOptions
 from steerd.sim_gap.report.to_json import to_json
-from steerd.sim_gap.verdict.evidence import Cause
+from steerd.sim_gap.verdict.confidence import Cause
 from steerd.steer_bus.session_read import Session
 from steerd.sysid.data.segments import moving_segments
 from steerd.sysid.estimation.preparation import add_command_history

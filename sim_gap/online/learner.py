@@ -23,7 +23,7 @@ from steerd.sim_gap.online.tracking import (
     look,
     remember,
 )  # fmt: skip
-from steerd.sim_gap.verdict.evidence import Cause
+from steerd.sim_gap.verdict.confidence import Cause
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.inference.augmented_car import AugmentedCar, make_augmented_car
 from steerd.sysid.inference.noise import Noise, noise_of_section

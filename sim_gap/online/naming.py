@@ -22,7 +22,7 @@ from steerd.sim_gap.online.tracking import (
     may_change,
     with_memory,
 )
-from steerd.sim_gap.verdict.evidence import Cause, Verdict, judge_case
+from steerd.sim_gap.verdict.confidence import Cause, Verdict, judge_case
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.windows import estimate_noise

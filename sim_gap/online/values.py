@@ -27,7 +27,7 @@ from steerd.car_model.params import PARAMETERS, Car
 from steerd.controller.learnt import Learnt, learnt_of
 from steerd.sim_gap.online.learner import SETTLED, Change, Learner, State
 from steerd.sim_gap.online.naming import Known
-from steerd.sim_gap.verdict.evidence import Cause
+from steerd.sim_gap.verdict.confidence import Cause
 from steerd.sysid.inference.augmented_car import AugmentedCar
 
 INFORMED = 0.5

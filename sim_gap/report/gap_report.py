@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from steerd.car_model.effects import EFFECTS
 from steerd.sim_gap.diagnosis import Diagnosis
 from steerd.sim_gap.lane_comparison import LaneComparison, figures_of
-from steerd.sim_gap.verdict.evidence import Cause
+from steerd.sim_gap.verdict.confidence import Cause
 from steerd.sim_gap.verdict.where import EQUATIONS
 from steerd.sysid.report.report import (
     DEGREES,

@@ -11,7 +11,7 @@ from steerd.sim_gap.online import values as online
 from steerd.sim_gap.online.learner import Change, State
 from steerd.sim_gap.online.naming import Finding
 from steerd.sim_gap.online.values import Value
-from steerd.sim_gap.verdict.evidence import Cause
+from steerd.sim_gap.verdict.confidence import Cause
 
 SETTLED = online.SETTLED
 

@@ -11,7 +11,7 @@ from steerd.sim_gap.online.learner import Change
 from steerd.sim_gap.online.naming import EARLY, Finding, believed, find_cause
 from steerd.sim_gap.online.tracking import Seen, Track, follow, informed_directions, may_change
 from steerd.sim_gap.online.values import amounts_of
-from steerd.sim_gap.verdict.evidence import Cause
+from steerd.sim_gap.verdict.confidence import Cause
 from steerd.sysid.inference.augmented_car import BasePrior
 from steerd.sysid.inference.space import make_space
 

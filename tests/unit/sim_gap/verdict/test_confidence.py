@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from steerd.car_model.effects import EFFECTS
-from steerd.sim_gap.verdict.evidence import base_strain, judge_case
+from steerd.sim_gap.verdict.confidence import base_strain, judge_case
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.augmented_car import Control
 from steerd.sysid.inference.hypotheses import Findings
