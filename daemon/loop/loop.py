@@ -5,7 +5,7 @@ give the same orders. Decisions are made by the pure functions that it calls; th
 measurements that they judge, and keeps their states from tick to tick.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from math import isfinite, nan
 from typing import Any
@@ -153,7 +153,7 @@ class Loop:
         speed = best_speed(estimate, self.perception.recent_wheel_speed(now_ns))
         wish, report = self._make_wish(estimate, now_ns)
         old, settings = self.supervisor.state, self.plan.settings
-        reported = [*fs.make_reported_findings(flags), *self._find_late(due_ns, now_ns, flags)]
+        reported = tuple(self._find_reported(estimate, due_ns, now_ns, flags))
         now, findings = self._watch(now_ns, estimate, report, speed, reported)
         failures = find_failures(
             self.plan, self.vesc, self.remote, now, findings, flags, estimated=report is not None
@@ -300,22 +300,14 @@ class Loop:
         estimate: StateEstimate | None,
         report: ControlReport | None,
         speed: float,
-        reported: list[fs.Finding],
+        reported: tuple[fs.Finding, ...],
     ) -> tuple[WatchdogInput, tuple[fs.Finding, ...]]:
         """The measurements of a tick, NaN where nothing is known, and all findings.
 
-        `speed` is the best known [m/s]; `reported` are findings that are not by measurements.
+        `speed` is the best known [m/s]; `reported` is of `_find_reported`.
         """
         plan, settings, seen = self.plan, self.plan.settings, self.perception
         state, order = self.supervisor.state, self._limiter.order
-        running = state is SupervisorState.RUNNING
-        if running and estimate is not None and not self._launched:
-            reported += self._check_launch(estimate.state, order, now_ns)
-        if self._not_finite:
-            what = "the controller gave a number that is not finite"
-            reported.append(fs.make_finding("limiter", what))
-        if running and plan.remote:
-            reported += _find_silence(self.remote, now_ns)
         limits, brakes = settings.limits, settings.brakes
         lane = judge_both_lanes(report, self.live.now)
         s, health = estimated_state(estimate), estimate.health if estimate else None
@@ -351,18 +343,31 @@ class Loop:
             motor_temperature=v.temp_motor,
             current_share=abs(v.current_motor) / brakes.current_max_a,
             followed=self._compare_with_orders(now_ns),
-            reported=tuple(reported),
+            reported=reported,
         )
         self._watchdogs, found = step_watchdogs(settings.thresholds, self._watchdogs, now)
         advised = found and plan.options.simulated
         return now, tuple(map(fs.advise_simulation, found)) if advised else found
 
-    def _find_late(self, due_ns: int, now_ns: int, flags: int) -> list[fs.Finding]:
-        """W15."""
+    def _find_reported(
+        self, estimate: StateEstimate | None, due_ns: int, now_ns: int, flags: int
+    ) -> Iterator[fs.Finding]:
+        """Findings that are not by measurements: of the processes, the tick, a start, commands."""
+        yield from fs.make_reported_findings(flags)
         self._lateness, late = step_lateness(
             self._lateness, due_ns, now_ns, self.plan.period_ns, self._late_rules
         )
-        return [] if late is None else [fs.blame_late(late, flags)]
+        if late is not None:
+            yield fs.blame_late(late, flags)
+        running = self.supervisor.state is SupervisorState.RUNNING
+        if running and estimate is not None and not self._launched:
+            yield from self._check_launch(estimate.state, self._limiter.order, now_ns)
+        if self._not_finite:
+            yield fs.make_finding("limiter", "the controller gave a number that is not finite")
+        if running and self.plan.remote and leases.valid_command(self.remote, now_ns) is None:
+            age = leases.lease_age(self.remote.lease, now_ns)
+            known = fs.make_finding("W25", f"no valid command for {age * 1e3:.0f} ms")
+            yield known if isfinite(age) else fs.make_unknown("W25", "no valid command yet")
 
     def _check_launch(self, s: State[float], order: Command[float], t_ns: int) -> list[fs.Finding]:
         aim = references(FLOAT, self._car, order)  # gain and bias of the linkage
@@ -401,16 +406,6 @@ class Loop:
         """Whether this process may end: parked, or stopped by an emergency stop and standing."""
         s = self.supervisor
         return self.parked or (s.state is SupervisorState.ESTOP and stands(s, s.t_ns))
-
-
-def _find_silence(remote: leases.Remote, now_ns: int) -> list[fs.Finding]:
-    """W25 of an external controller."""
-    if leases.valid_command(remote, now_ns) is not None:
-        return []
-    age = leases.lease_age(remote.lease, now_ns)
-    if not isfinite(age):
-        return [fs.make_unknown("W25", "no valid command yet")]
-    return [fs.make_finding("W25", f"no valid command for {age * 1e3:.0f} ms")]
 
 
 REQUESTS: Mapping[type, Callable[[Loop, Any, int], None]] = {
