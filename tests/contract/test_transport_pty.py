@@ -110,15 +110,14 @@ def test_read_drains_and_is_bounded(device, port):
     assert port.read() == b""
 
 
-def test_unread_device_fills_the_buffer_and_write_says_so_at_once(port):
+def test_unread_device_fills_the_buffer_and_write_says_so_each_time(port):
     def write_on() -> None:
         for _ in range(100_000):
             port.write(FRAME)
 
-    with pytest.raises(transport.LinkDown, match=r"full|short write"):
-        write_on()
-    with pytest.raises(transport.LinkDown):
-        port.write(bytes(4096))
+    for _ in range(2):  # the kernel may move a little on meanwhile: full again, not full for ever
+        with pytest.raises(transport.LinkDown, match=r"full|short write"):
+            write_on()
 
 
 def test_out_queue_of_an_idle_port_is_empty_and_of_a_closed_one_a_fault(port):
