@@ -20,7 +20,7 @@ from steerd.car_model.effect import Effect, Role
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.library import Library, carry, linearise
 from steerd.sysid.inference.likelihood import Weighed, loss_of
-from steerd.sysid.inference.odds import Hypothesis, Shown, rank
+from steerd.sysid.inference.odds import Hypothesis, Shown, price, rank
 from steerd.sysid.inference.places import suspicious_discs
 from steerd.sysid.inference.residuals import covering_size
 from steerd.sysid.inference.search import BEHIND, Point, minimise, newton, open_point, stand
@@ -46,7 +46,6 @@ class Findings:
 
     hypotheses: tuple[Hypothesis, ...]  # see there
     start: Point  # the base at its prior, under the discrepancy that it needs
-    temper: float  # the case's design effect
     untested: tuple[str, ...]  # effects whose simulation does not stay finite
     # The least sizes that bring errors down to noise, at the start and at the best
     covering: tuple[float, float]
@@ -79,7 +78,7 @@ class _Search:
 
     def hypotheses(self) -> list[Hypothesis]:
         """All of them with their odds, the likeliest first."""
-        return rank(self.library, list(self.pool.values()), self.shown)[0]
+        return rank(self.library, list(self.pool.values()), self.shown)
 
     def keep(self, point: Point | None) -> None:
         """Keep an optimum if it is the best of its hypothesis so far."""
@@ -89,18 +88,18 @@ class _Search:
         if key not in self.pool or point.cost < self.pool[key].cost:
             self.pool[key] = point
 
-    def grow(self, start: Point, most: int, further: bool) -> None:
+    def grow(self, start: Point, most: int) -> None:
         """A hypothesis at its optimum, and the likeliest with one effect more.
 
         Args:
             start: the hypothesis with its base at the prior.
             most: how many with an effect more.
-            further: whether that is a further cause, against which odds are longer.
         """
         self.keep(self._optimum(lambda: start))
         looks = screen_effects(self.library, start)
         self.untested |= {look.effect for look in looks if not np.isfinite(look.cost)}
-        needed = np.log(max(len(self.library.effects), 1) * (c.FURTHER_ODDS if further else 1.0))
+        count = len(start.space.effects)
+        needed = price(self.library, count + 1) - price(self.library, count)
         # `needed`: what a name must gain before its odds are even, not tempered [nats]
         least = _ROOM * needed * self.library.design_effect(0.3 * start.size)
         chosen = [look for look in looks if look.gain > least][:most]
@@ -112,7 +111,7 @@ class _Search:
         """`grow` from effects as a point has them, once for each set of them."""
         if frozenset(names) not in self.grown:
             self.grown.add(frozenset(names))
-            self.grow(_again(self.library, names, point), c.FITTED_FURTHER, further=True)
+            self.grow(_again(self.library, names, point), c.FITTED_FURTHER)
 
     def _fit(self, start: Point, chosen: Sequence["Candidate"]) -> None:
         """A hypothesis with one effect more, from the values of each look."""
@@ -213,7 +212,7 @@ def explain(
     search = _Search(library)
     search.keep(known)
     start = begin(library, (), (), library.likelihood.predictor.guess.copy())
-    search.grow(start, c.FITTED, further=False)
+    search.grow(start, c.FITTED)
     best = search.hypotheses()[0]
     while 0 < len(best.effects) < most:
         progress(0.5)
@@ -225,12 +224,12 @@ def explain(
         for name in best.effects:
             search.grow_further(tuple(n for n in best.effects if n != name), best.point)
         best = search.hypotheses()[0]
-    found, temper = rank(library, list(search.pool.values()), search.shown)
+    found = search.hypotheses()
     share = softmax([h.log_odds for h in found])
     ranked = [replace(h, probability=float(p)) for h, p in zip(found, share, strict=True)]
     untested = tuple(sorted(search.untested))
     before, after = (covering_size(library.likelihood, p) for p in (start, ranked[0].point))
-    return Findings(tuple(ranked), start, temper, untested, (before, after))
+    return Findings(tuple(ranked), start, untested, (before, after))
 
 
 def begin(library: Library, names: Sequence[str], values: Sequence[float], x: Array) -> Point:

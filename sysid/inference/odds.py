@@ -47,8 +47,8 @@ class Hypothesis:
 
 def rank(
     library: Library, points: Sequence[Point], shown: "Shown | None" = None
-) -> tuple[list[Hypothesis], float]:
-    """Hypotheses at their optima with their odds, the likeliest first; and the design effect.
+) -> list[Hypothesis]:
+    """Hypotheses at their optima with their odds, the likeliest first.
 
     The design effect is that under the discrepancy of the likeliest optimum, once for all.
 
@@ -59,28 +59,31 @@ def rank(
     """
     lowest = min(points, key=lambda point: point.cost)
     temper = library.design_effect(lowest.size)
-    found = {frozenset(p.space.effects): _posterior(p, temper, lowest) for p in points}
+    found = {frozenset(p.space.effects): _posterior(library, p, temper, lowest) for p in points}
     evidence = {names: posterior.evidence for names, posterior in found.items()}
     if library.controls:
         coarse = design_effect(library.likelihood, lowest.size)
-        alone = {frozenset(p.space.effects): _posterior(p, coarse, lowest) for p in points}
+        alone = {frozenset(p.space.effects): _posterior(library, p, coarse, lowest) for p in points}
         evidence = _controlled(library, found, alone, temper, {} if shown is None else shown)
     ranked = [_judge(library, posterior, evidence[names]) for names, posterior in found.items()]
-    return sorted(ranked, key=lambda h: -h.log_odds), temper
+    return sorted(ranked, key=lambda h: -h.log_odds)
 
 
-def _posterior(point: Point, temper: float, lowest: Point) -> Posterior:
-    """An optimum's posterior, without the windows that speak loudest beside that of lowest cost.
+def _posterior(library: Library, point: Point, temper: float, lowest: Point) -> Posterior:
+    """An optimum's posterior, no window louder beside that of lowest cost than most are.
 
-    A car that nearly spins multiplies any small change: a few such seconds shall not show a cause,
-    nor one decide between causes.
+    A car that nearly spins multiplies any small change: a few such seconds shall not show a cause.
+    They count as much as the next loudest (a Winsorised sum: Tukey, The Future of Data Analysis,
+    1962); of a cause that acts in one place, which few windows see, one does. Nor shall one window
+    decide between causes: the loudest on either side does not count.
     """
     posterior = posterior_of(point, temper)
     behind = np.sort(point.at.loss - lowest.at.loss)
-    nested = set(point.space.effects) < set(lowest.space.effects)
-    few = max(1, round(c.LOUDEST * len(behind)))
-    loudest = behind[-few:] if nested else behind[[0, -1]]
-    return replace(posterior, evidence=posterior.evidence + float(loudest.sum()) / temper)
+    few, louder = max(1, round(c.LOUDEST * len(behind))), float(behind[[0, -1]].sum())
+    if set(point.space.effects) < set(lowest.space.effects):
+        few = 1 if any(library.effect(name).scan for name in lowest.space.effects) else few
+        louder = float((behind[-few:] - behind[-few - 1 :][0]).sum())
+    return replace(posterior, evidence=posterior.evidence + louder / temper)
 
 
 Names = frozenset[str]
@@ -146,14 +149,22 @@ def _healthy_gain(library: Library, point: Point, name: str, temper: float, show
     return min(max(gain, 0.0), windows * control.gain)
 
 
+def price(library: Library, count: int) -> float:
+    """Log odds against any one hypothesis with so many effects before a drive is seen [nats]."""
+    if not count:
+        return 0.0
+    names = count * np.log(max(len(library.effects), 1))
+    gap = np.log(c.GAP_ODDS) if library.known else 0.0
+    return float(names + (count - 1) * np.log(c.FURTHER_ODDS) - gap)
+
+
 def _judge(library: Library, posterior: Posterior, evidence: float) -> Hypothesis:
     """A hypothesis with its prior odds, and the probability that its effects matter.
 
     An effect that ends at its null is none, whatever the base gains by what is free with it.
     """
     effects = posterior.point.space.effects
-    odds = evidence - len(effects) * np.log(max(len(library.effects), 1))
-    odds -= max(len(effects) - 1, 0) * np.log(c.FURTHER_ODDS)
+    odds = evidence - price(library, len(effects))
     for name in effects:
         effect = library.effect(name)
         far, sd = size_of(library, posterior, effect)

@@ -68,7 +68,7 @@ def _found(
     every = sorted(
         [*hypotheses, _hypothesis(probability=left, size=before)], key=lambda h: -h.probability
     )
-    return Findings(tuple(every), SimpleNamespace(size=before), 8.0, (), covering)
+    return Findings(tuple(every), SimpleNamespace(size=before), (), covering)
 
 
 @pytest.mark.parametrize("share", [SMALL / LARGE, 0.3, 0.45])

@@ -33,6 +33,12 @@ def _library(runs, base, names=LOOKED_AT):
     )
 
 
+def temper_of(library, found):
+    """The design effect that a case's odds are made with."""
+    lowest = min((h.point for h in found.hypotheses), key=lambda point: point.cost)
+    return library.design_effect(lowest.size)
+
+
 @pytest.fixture(scope="module")
 def late(drive, base):
     """All hypotheses of up to two effects about drives whose steering is late."""
@@ -123,7 +129,7 @@ def test_probabilities_are_a_posterior(case, request):
     odds = [h.log_odds for h in found.hypotheses]
     assert odds == sorted(odds, reverse=True)
     assert len({frozenset(h.effects) for h in found.hypotheses}) == len(found.hypotheses)
-    assert 2.0 <= found.temper <= len(library.likelihood.pushed) + 1.0
+    assert 2.0 <= temper_of(library, found) <= len(library.likelihood.pushed) + 1.0
     assert found.untested == ()
 
 
@@ -154,19 +160,19 @@ def test_of_a_healthy_drive_the_base_alone_is_the_likeliest(fine):
 
 def test_an_effect_costs_its_share_of_the_library(late):
     """Odds are the tempered evidence, less what a name costs before any data."""
-    _, found = late
-    best, temper = found.best, found.temper
-    evidence = posterior_of(best.point, temper).evidence
-    assert best.log_odds == pytest.approx(evidence - np.log(len(LOOKED_AT)), abs=1e-3)
+    library, found = late
+    best = found.best
+    evidence = posterior_of(best.point, temper_of(library, found)).evidence
+    assert best.log_odds == pytest.approx(evidence - np.log(len(LOOKED_AT) / c.GAP_ODDS), abs=1e-3)
 
 
 def test_a_second_effect_costs_ten_times_more(both):
     library, found = both
-    best, price = found.best, 2.0 * np.log(len(LOOKED_AT)) + np.log(c.FURTHER_ODDS)
-    [alone], temper = rank(library, [best.point])
-    assert alone.log_odds == pytest.approx(
-        posterior_of(best.point, temper).evidence - price, abs=1e-3
-    )
+    best = found.best
+    price = 2.0 * np.log(len(LOOKED_AT)) + np.log(c.FURTHER_ODDS / c.GAP_ODDS)
+    [alone] = rank(library, [best.point])
+    evidence = posterior_of(best.point, library.design_effect(best.point.size)).evidence
+    assert alone.log_odds == pytest.approx(evidence - price, abs=1e-3)
 
 
 def test_one_window_changes_no_odds(late):
@@ -176,8 +182,18 @@ def test_one_window_changes_no_odds(late):
     loudest = (null.at.loss - best.at.loss).argmax()
     more = null.at.volume + 100.0 * (np.arange(len(null.at.loss)) == loudest)
     worse = replace(null, at=null.at._replace(volume=more))
-    odds = [rank(library, [best, point])[0][-1].log_odds for point in (null, worse)]
+    odds = [rank(library, [best, point])[-1].log_odds for point in (null, worse)]
     assert odds[0] == pytest.approx(odds[1], abs=1e-6)
+
+
+def test_windows_that_speak_alike_all_count(late):
+    library, found = late
+    best, null = found.best.point, found.null.point
+    alike = null.at.volume + best.at.loss + 1.0 - null.at.loss
+    null = replace(null, at=null.at._replace(volume=alike))
+    odds = next(h.log_odds for h in rank(library, [best, null]) if not h.effects)
+    evidence = posterior_of(null, temper_of(library, found)).evidence
+    assert odds == pytest.approx(evidence, abs=1e-6)
 
 
 def test_a_window_against_a_cause_counts(late):
@@ -187,7 +203,7 @@ def test_a_window_against_a_cause_counts(late):
     quietest = (null.at.loss - best.at.loss).argmin()
     more = null.at.volume - 100.0 * (np.arange(len(null.at.loss)) == quietest)
     better = replace(null, at=null.at._replace(volume=more))
-    odds = [rank(library, [best, point])[0][-1].log_odds for point in (null, better)]
+    odds = [rank(library, [best, point])[-1].log_odds for point in (null, better)]
     assert odds[1] > odds[0] + 10.0
 
 
@@ -246,7 +262,7 @@ def slightly_late(drive, base):
 
 
 def _gain(library, points):
-    ranked = {h.effects: h.log_odds for h in rank(library, points)[0]}
+    ranked = {h.effects: h.log_odds for h in rank(library, points)}
     return ranked["steer_delay",] - ranked[()]
 
 
@@ -296,8 +312,8 @@ def test_two_causes_are_worth_the_same_whatever_little_one_of_them_is_alone(both
              for n in found.best.effects]  # fmt: skip
     weak = max(alone, key=lambda point: point.cost)
     points = [found.null.point, *alone, found.best.point]
-    with_weak = rank(library, points)[0][0]
-    without = rank(library, [point for point in points if point is not weak])[0][0]
+    with_weak = rank(library, points)[0]
+    without = rank(library, [point for point in points if point is not weak])[0]
     assert with_weak.effects == without.effects == found.best.effects
     assert with_weak.log_odds == pytest.approx(without.log_odds, abs=1e-6)
 
