@@ -241,7 +241,11 @@ def learn_controls(fitted: FittedCar, known: BasePrior) -> tuple[Control, ...]:
 
 
 def _control(library: Library, base: Point, effect: Effect, temper: float) -> Control | None:
-    """Where an effect explains the drives best; no wider than its own prior."""
+    """Where an effect explains the drives best, were it free of bounds; within them, its gain.
+
+    No wider than its own prior. A base whose drive is never late enough to be at its best says so
+    by a dead time below zero: a later one is that much more uncertain.
+    """
     along = slice_along(library, base, effect)
     if along is None:
         return None
@@ -250,8 +254,7 @@ def _control(library: Library, base: Point, effect: Effect, temper: float) -> Co
     prior = np.linalg.inv(space.covariance[own, own])
     covariance = np.linalg.inv(along.curved / temper + prior)
     step = covariance @ (along.slope / temper + prior @ (space.centre[own] - null))
-    values = np.clip(null + step, space.low[own], space.high[own])
-    away = values - null
+    away = np.clip(null + step, space.low[own], space.high[own]) - null
     gain = float(along.slope @ away - 0.5 * away @ along.curved @ away) / temper
     per_window = (max(gain, 0.0) + _BY_CHANCE) / len(base.at.dof)
-    return Control(effect.name, values, covariance, per_window)
+    return Control(effect.name, null + step, covariance, per_window)

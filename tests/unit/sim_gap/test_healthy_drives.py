@@ -1,5 +1,7 @@
 """What drives without a gap tell about the base car."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -26,9 +28,8 @@ def test_what_is_learnt_lies_within_its_errors(refined):
         for p, v in zip(e.parameters, values, strict=True)
     }
     found = {**refined.car._asdict(), **own}
-    away = {
-        n: (found[n] - truth[n]) / refined.sd[n] for n in found if n in truth and n in refined.sd
-    }
+    told = found.keys() & truth.keys() & refined.sd.keys()
+    away = {n: (found[n] - truth[n]) / refined.sd[n] for n in told}
     assert {"steer_gain", "pose_delay", "lf", "c_sf"} <= set(away)
     assert max(map(abs, away.values())) < 3.5
     assert np.sqrt(np.mean(np.square(list(away.values())))) < 1.6
@@ -71,3 +72,13 @@ def test_where_the_body_is_and_the_centre_of_gravity_are_known_less_well_togethe
         away = getattr(found.car, name) - getattr(DEFAULT_CAR, name)
         assert abs(away) < 2.0 * found.sd[name]
         assert found.sd[name] > 0.01
+
+
+def test_a_dead_time_that_would_be_below_zero_makes_a_later_one_uncertain(drive, base):
+    """The log stamps every speed command a step late: no dead time is short enough."""
+    runs = drive("", runs=4, seconds=6.0, seed=3)
+    late = [np.column_stack([r.commands[:, 0], np.roll(r.commands[:, 1], 1)]) for r in runs]
+    found = refine(base, [replace(r, commands=c) for r, c in zip(runs, late, strict=True)])
+    shown = found.sections["knowledge"]["controls"]["drive_delay"]
+    assert found.car.drive_delay < 1e-3
+    assert shown[0][0] < -0.25 * runs[0].h
