@@ -12,7 +12,6 @@ from steerd.sysid.inference.chart import places_of
 from steerd.sysid.inference.hypotheses import Findings
 from steerd.sysid.inference.library import Library
 from steerd.sysid.inference.odds import Hypothesis
-from steerd.sysid.inference.search import Point
 
 
 class Estimated(NamedTuple):
@@ -53,7 +52,8 @@ class Verdict:
 def judge_case(library: Library, found: Findings, known: bool) -> Verdict:
     """The verdict; where noise is not `known` from other drives, a gap passes for it."""
     best, after = found.best, found.best.point.size
-    lost = _is_lost(best.point)
+    # Where most windows leave more than counts, the smallest discrepancy costs least.
+    lost = bool(best.point.at.spun.mean() > c.HALF)
     left = 1.0 if lost else _left(found)
     stays = (after > c.GAP_SIZE or lost) and known
     strain = base_strain(best)
@@ -86,11 +86,6 @@ def _left(found: Findings) -> float:
     sizes = [(found.start.size, found.best.point.size), found.covering]
     shares = [after / before for before, after in sizes if before > c.SIZE_SMALL]
     return min(shares, default=float(found.best.point.size > c.SIZE_SMALL))
-
-
-def _is_lost(point: Point) -> bool:
-    """Whether most windows leave more than counts: then the smallest discrepancy costs least."""
-    return float((point.at.ratio >= c.SPUN).mean()) > c.HALF
 
 
 def base_strain(best: Hypothesis) -> float:

@@ -204,7 +204,7 @@ def _first(
     predictor, usual = open_predictor(augmented, runs), usual_noise(estimate_noise(runs))
     begin = partial(_begin, predictor, nuisance, near)
     noise, begun = usual, begin(usual)
-    while _bounded(begun[1]) >= _FAR_OFF and noise.sizes[0] < _LOUDEST * usual.sizes[0]:
+    while begun[1].at.spun.mean() >= _FAR_OFF and noise.sizes[0] < _LOUDEST * usual.sizes[0]:
         noise = noise_of_sizes(_LOUDER * noise.sizes)
         begun = begin(noise)
     fitted = FittedCar(begun[0], minimise(*begun), noise, nuisance, shares)
@@ -220,11 +220,6 @@ def _begin(
     space = make_space(predictor.augmented, nuisance)
     z = space.inside if near is None else space.chart.coordinates(near)
     return likelihood, open_point(likelihood, space, z, x)
-
-
-def _bounded(point: Point) -> float:
-    """Share of the windows that are so far off that they pull at nothing."""
-    return float((point.at.ratio >= c.SPUN).mean())
 
 
 def _again(fitted: FittedCar, noise: Noise) -> FittedCar:

@@ -89,12 +89,7 @@ class _Search:
             self.pool[key] = point
 
     def grow(self, start: Point, most: int) -> None:
-        """A hypothesis at its optimum, and the likeliest with one effect more.
-
-        Args:
-            start: the hypothesis with its base at the prior.
-            most: how many with an effect more.
-        """
+        """A hypothesis, its base begun at the prior; the `most` likeliest with an effect more."""
         self.keep(self._optimum(lambda: start))
         looks = screen_effects(self.library, start)
         self.untested |= {look.effect for look in looks if not np.isfinite(look.cost)}

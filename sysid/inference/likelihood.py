@@ -91,6 +91,11 @@ class Reduced(NamedTuple):
         return np.asarray(self.square / self.dof)
 
     @property
+    def spun(self) -> NDArray[np.bool_]:
+        """(W,) windows that are so far off that they pull at nothing."""
+        return np.asarray(self.ratio >= c.SPUN)
+
+    @property
     def weight(self) -> Array:
         """(W,) weight of each window under Student's t; a window that spins barely pulls."""
         ratio = self.ratio

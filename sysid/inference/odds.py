@@ -106,12 +106,8 @@ def _controlled(
     further cause, beside the likeliest with one fewer: what a wrong name leaves is not what healthy
     drives show.
 
-    Args:
-        library: with controls.
-        found: hypotheses' posteriors; `alone` with the design effect of drives without controls.
-        alone: see `found`.
-        temper: the design effect.
-        shown: what is known of points, and is added to.
+    Posteriors `found` are tempered by `temper`, those `alone` by the design effect of drives
+    without controls; what is `shown` of points is added to.
     """
     level: dict[Names, float] = {}
     for names in sorted(found, key=len):
@@ -151,11 +147,9 @@ def _healthy_gain(library: Library, point: Point, name: str, temper: float, show
 
 def price(library: Library, count: int) -> float:
     """Log odds against any one hypothesis with so many effects before a drive is seen [nats]."""
-    if not count:
-        return 0.0
     names = count * np.log(max(len(library.effects), 1))
     gap = np.log(c.GAP_ODDS) if library.known else 0.0
-    return float(names + (count - 1) * np.log(c.FURTHER_ODDS) - gap)
+    return float(names + (count - 1) * np.log(c.FURTHER_ODDS) - gap) if count else 0.0
 
 
 def _judge(library: Library, posterior: Posterior, evidence: float) -> Hypothesis:

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.sysid.data.windows import SPACING
-from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.likelihood import SIZES, Likelihood
 from steerd.sysid.inference.predictor import Predictor
 from steerd.sysid.inference.search import Point, newton, stand, with_size
@@ -73,12 +72,10 @@ def covering_size(likelihood: Likelihood, point: Point) -> float:
     return float(next(covering, sizes[-1]))
 
 
-def interval_of(values: Array, blocks: NDArray[np.int64], seed: int = 0) -> Array:
+def interval_of(values: Array, blocks: NDArray[np.int64]) -> Array:
     """Bootstrap of `robust_mean` over blocks: (draws,)."""
-    rng = np.random.default_rng(seed)
-    names = np.unique(blocks)
-    members = [np.flatnonzero(blocks == b) for b in names]
-    drawn = rng.integers(len(names), size=(_BOOTSTRAPS, len(names)))
+    members = [np.flatnonzero(blocks == b) for b in np.unique(blocks)]
+    drawn = np.random.default_rng(0).integers(len(members), size=(_BOOTSTRAPS, len(members)))
     return np.array([robust_mean(values[np.concatenate([members[i] for i in d])]) for d in drawn])
 
 
@@ -93,8 +90,8 @@ def spun_windows(fitted: Point) -> NDArray[np.bool_]:
 
     A chaotic second says nothing in millimetres.
     """
-    spun = fitted.at.ratio >= c.SPUN
-    return np.asarray(spun & (spun.mean() < _FEW))
+    spun = fitted.at.spun
+    return spun & bool(spun.mean() < _FEW)
 
 
 def gap_of(

@@ -98,10 +98,8 @@ def stand(
     Raises:
         FloatingPointError: the simulation diverges there.
     """
-    parameters, linear = (
-        space.chart.parameters(z),
-        derive(likelihood, space, z, x) if near else None,
-    )
+    parameters = space.chart.parameters(z)
+    linear = derive(likelihood, space, z, x) if near else None
     by = (linear.error, linear.by_x) if linear else likelihood.predictor.by_starts(parameters, x)
     settled, owed = settle_starts(likelihood, parameters, x, by, size)
     moved = (settled != x).any(axis=1)

@@ -32,42 +32,30 @@ LIBRARY = SimpleNamespace(
 )
 
 
-def _hypothesis(
-    *effects: str,
-    probability: float = 1.0,
-    size: float = SMALL,
-    moved: float = 0.0,
-    values: dict[str, tuple[float, ...]] | None = None,
-    spun: int = 0,
-) -> Hypothesis:
+def _hypothesis(*effects, probability=1.0, size=SMALL, moved=0.0, values=None, spun=0):
     """A hypothesis whose base of 20 parameters costs `moved` nats beyond its mean.
 
     Of its ten windows `spun` leave more than counts.
     """
     given = {**VALUES, **(values or {})}
     free = [n for n in NAMES if n.partition(".")[0] in effects]
-    space = SimpleNamespace(
-        nuisance=20, base_cost=lambda z: 10.0 + moved, chart=SimpleNamespace(free=free)
-    )
+    chart = SimpleNamespace(free=free)
+    space = SimpleNamespace(nuisance=20, base_cost=lambda z: 10.0 + moved, chart=chart)
     point = SimpleNamespace(
-        space=space,
-        z=np.zeros(20),
-        size=size,
-        parameters=np.concatenate(list(given.values())),
-        at=SimpleNamespace(ratio=np.where(np.arange(10) < spun, 3e3, 1.0)),
-    )
+        space=space, z=np.zeros(20), size=size, parameters=np.concatenate(list(given.values())),
+        at=SimpleNamespace(spun=np.arange(10) < spun),
+    )  # fmt: skip
     posterior = SimpleNamespace(point=point, covariance=1e-6 * np.eye(len(free)))
     return Hypothesis(effects, posterior, 0.0, probability)
 
 
 def _found(
     *hypotheses: Hypothesis, before: float = LARGE, covering: tuple[float, float] = (0.0, 0.0)
-) -> Findings:
+):
     """Hypotheses, and the base alone with what probability they leave."""
     left = 1.0 - sum(h.probability for h in hypotheses)
-    every = sorted(
-        [*hypotheses, _hypothesis(probability=left, size=before)], key=lambda h: -h.probability
-    )
+    every = [*hypotheses, _hypothesis(probability=left, size=before)]
+    every.sort(key=lambda h: -h.probability)
     return Findings(tuple(every), SimpleNamespace(size=before), (), covering)
 
 
@@ -96,10 +84,8 @@ def test_a_gap_that_is_likelier_than_none_has_a_name(each, names):
 @pytest.mark.parametrize("later", ["steer_delay", "mass"])
 def test_the_cause_without_which_the_odds_fall_most_is_named_first(later):
     both = replace(_hypothesis("steer_delay", "mass", probability=0.8), log_odds=50.0)
-    alone = [
-        replace(_hypothesis(n, probability=0.0), log_odds=10.0 if n == later else 40.0)
-        for n in both.effects
-    ]
+    odds = {n: 10.0 if n == later else 40.0 for n in both.effects}
+    alone = [replace(_hypothesis(n, probability=0.0), log_odds=o) for n, o in odds.items()]
     first, second = judge_case(LIBRARY, _found(both, *alone), True).causes
     assert (second.effect, {first.effect, second.effect}) == (later, {"steer_delay", "mass"})
 
@@ -155,25 +141,17 @@ def test_what_stays_and_what_the_base_gave_make_the_verdict(effects, changes, kn
     best = _hypothesis(*effects, **changes)
     told = judge_case(LIBRARY, replace(_found(), hypotheses=(best, _hypothesis())), known)
     assert told.name == verdict
-    assert [cause.effect for cause in told.causes] == (
-        [*effects] if verdict in ("explained", "partial") else []
-    )
+    named = [*effects] if verdict in ("explained", "partial") else []
+    assert [cause.effect for cause in told.causes] == named
 
 
 @pytest.mark.parametrize(
     ("name", "values", "told"),
-    [
-        ("yaw_inertia", (EFFECTS["yaw_inertia"].parameters[0].high,), True),
-        ("yaw_inertia", (1.5,), False),
-        ("yaw_inertia", EFFECTS["yaw_inertia"].nulls, False),
-        (
-            "lateral_load_transfer",
-            (1.0, EFFECTS["lateral_load_transfer"].parameters[1].high),
-            False,
-        ),
-        ("lateral_load_transfer", (EFFECTS["lateral_load_transfer"].parameters[0].high, 0.6), True),
-    ],
-)
+    [("yaw_inertia", (EFFECTS["yaw_inertia"].parameters[0].high,), True),
+     ("yaw_inertia", (1.5,), False), ("yaw_inertia", EFFECTS["yaw_inertia"].nulls, False),
+     ("lateral_load_transfer", (1.0, EFFECTS["lateral_load_transfer"].parameters[1].high), False),
+     ("lateral_load_transfer", (EFFECTS["lateral_load_transfer"].parameters[0].high, 0.6), True)],
+)  # fmt: skip
 def test_a_value_at_its_bound_explains_a_part_at_most(name, values, told):
     """The form of an effect may lie at its bound, its size may not."""
     found = judge_case(LIBRARY, _found(_hypothesis(name, values={name: values})), True)
@@ -181,20 +159,16 @@ def test_a_value_at_its_bound_explains_a_part_at_most(name, values, told):
     assert found.name == ("partial" if told else "explained")
 
 
-def test_what_may_be_the_cause_instead_stands_beside_the_name():
+def test_what_may_be_the_cause_instead_stands_beside_the_name_and_beside_no_other():
     best = _hypothesis("steer_delay", probability=0.85)
     near = _hypothesis("steer_lag", probability=0.12)
     far = _hypothesis("yaw_inertia", probability=0.5 * c.STANDS_IN * 0.85)
     (cause,) = judge_case(LIBRARY, _found(best, near, far), True).causes
     assert cause.ambiguous_with == ("steer_lag",)
-
-
-def test_an_effect_beside_the_named_ones_stands_in_for_none_of_them():
     pair = _hypothesis("steer_delay", "marker_offset", probability=0.8)
     other = _hypothesis("steer_lag", "marker_offset", probability=0.15)
     first, second = judge_case(LIBRARY, _found(pair, other), True).causes
-    assert first.ambiguous_with == ("steer_lag",)
-    assert second.ambiguous_with == ()
+    assert (first.ambiguous_with, second.ambiguous_with) == (("steer_lag",), ())
 
 
 def test_strain_is_a_distance_in_the_bases_own_uncertainty():
