@@ -19,6 +19,8 @@ from tests.designs import design_for, scaled, standard
 
 MS = 1_000_000
 AT = State(0.02, 0.01, 0.03, 1.4, 0.2, 0.0, 0.05)
+OFF_LANE = AT._replace(y=AT.y + 0.4)
+NOW, TICK = 50_000_000_000, 10_000_000
 DESIGN = {"steer_gain": 0.9, "steer_bias": 0.02, "steer_delay": 0.05}
 
 
@@ -66,6 +68,9 @@ def test_without_the_option_nothing_is_followed(held, design):
     assert end is off
     plain = a.make_adapting(held.file, held)
     assert drive(plain, 5)[0] == orders, "and until one is taken every order is the same"
+    desk = a.DesignDesk()
+    desk.offer(off, encode(a.make_design(NOW, 0, 1, design)), NOW)
+    assert all(desk.step(off, NOW, 0) is None for _ in range(100)), "nor looked at"
 
 
 def test_a_design_comes_into_force_in_the_next_tick(held, design):
@@ -102,12 +107,9 @@ def test_a_silent_learner_is_not_followed(held, design):
 
 @pytest.mark.parametrize(
     ("change", "why"),
-    [
-        ({"driving": False}, a.DRIVE_ENDED),
-        ({"live": AS_DESIGNED._replace(gain=1.2)}, a.TUNED),
-        ({"seen": AT._replace(y=AT.y + 0.4)}, a.FAR),
-    ],
-)
+    [({"driving": False}, a.DRIVE_ENDED), ({"live": AS_DESIGNED._replace(gain=1.2)}, a.TUNED),
+     ({"seen": OFF_LANE}, a.FAR)],
+)  # fmt: skip
 def test_what_brings_the_files_design_back(held, design, change, why):
     _, _, memory, now = following(held, design)
     *_, now = drive(now, 2, memory, 300 * MS, **change)
@@ -116,7 +118,7 @@ def test_what_brings_the_files_design_back(held, design, change, why):
 
 def test_a_car_far_off_its_lane_is_not_trusted_to_the_learner_again_in_this_drive(held, design):
     _, _, memory, now = following(held, design)
-    _, _, memory, now = drive(now, 2, memory, 300 * MS, seen=AT._replace(y=AT.y + 0.4))
+    _, _, memory, now = drive(now, 2, memory, 300 * MS, seen=OFF_LANE)
     now = a.take_design(now, 2, design, "", 320 * MS)
     _, _, memory, now = drive(now, 2, memory, 320 * MS)
     assert (now.follows, now.why) == (False, a.FAR)
@@ -162,9 +164,6 @@ def test_past_references_fit_the_design(held, design):
 
 # Proposals at the desk, which checks them piece by piece.
 
-NOW = 50_000_000_000
-TICK = 10_000_000
-
 
 @pytest.fixture(scope="module")
 def near(held):
@@ -209,7 +208,7 @@ def followed(held, near):
     return bench
 
 
-def test_a_good_design_is_taken_after_some_ticks(held, near):
+def test_a_good_design_is_taken_after_some_ticks_and_the_same_again_is_no_second_check(held, near):
     bench = Bench(held)
     bench.offer(near)
     ticks, taken = bench.until_taken()
@@ -217,11 +216,8 @@ def test_a_good_design_is_taken_after_some_ticks(held, near):
     assert (taken.number, a.read_design(taken)) == (1, near)
     bench.step()
     assert bench.now.follows
-
-
-def test_the_same_again_is_no_second_check(followed, near):
-    followed.offer(near)
-    ticks, taken = followed.until_taken()
+    bench.offer(near)
+    ticks, taken = bench.until_taken()
     assert (ticks, taken.number) == (1, 1)
 
 
@@ -244,18 +240,14 @@ def test_what_comes_during_a_check_is_left_alone(held, near):
     assert bench.desk.refused == 0
 
 
-@pytest.mark.parametrize("off", [-a.OLD_NS - 1, a.OLD_NS + 1])
-def test_what_is_out_of_time_is_left_alone(held, near, off):
-    bench = Bench(held)
-    bench.desk.offer(bench.now, encode(a.make_design(NOW + off, 0, 1, near)), NOW)
-    assert all(bench.step() is None for _ in range(100))
-
-
-@pytest.mark.parametrize("data", [b"", b"\0" * 40, b"\xff" * 5000, b"\0" * 200_000])
-def test_bytes_that_are_no_design_are_left_alone(held, data):
-    bench = Bench(held)
+@pytest.mark.parametrize(
+    "wrong", [-a.OLD_NS - 1, a.OLD_NS + 1, b"", b"\0" * 40, b"\xff" * 5000, b"\0" * 200_000]
+)
+def test_what_is_out_of_time_or_no_design_is_left_alone(held, near, wrong):
+    bench, in_time = Bench(held), isinstance(wrong, bytes)
+    data = wrong if in_time else encode(a.make_design(NOW + wrong, 0, 1, near))
     bench.desk.offer(bench.now, data, NOW)
-    assert bench.step() is None
+    assert all(bench.step() is None for _ in range(100))
     assert bench.desk.refused == 0
 
 
@@ -280,15 +272,6 @@ def test_a_check_against_what_is_no_longer_in_force_counts_for_nothing(followed,
     followed.step(driving=False)
     assert all(followed.step() is None for _ in range(100))
     assert not followed.now.follows
-
-
-def test_without_the_option_nothing_is_looked_at(held, near):
-    desk, off = a.DesignDesk(), a.make_adapting(held.file)
-    desk.offer(off, encode(a.make_design(NOW, 0, 1, near)), NOW)
-    assert all(desk.step(off, NOW, 0) is None for _ in range(100))
-
-
-# A design as a message: the same bits back, and what is no design.
 
 
 @pytest.mark.parametrize(

@@ -5,14 +5,8 @@ from math import inf, nan
 
 import pytest
 
-from steerd.daemon.loop.findings import (
-    WATCHDOGS,
-    Severity,
-    advise_simulation,
-    make_finding,
-    make_unknown,
-    summarise,
-)
+from steerd.daemon.loop import findings as fs
+from steerd.daemon.loop.findings import WATCHDOGS, Severity, make_finding, summarise
 from steerd.daemon.loop.transitions import Fact, SupervisorState
 from steerd.daemon.settings.thresholds import Thresholds
 from tests.unit.daemon.loop.watching import CALM, after, look
@@ -39,16 +33,13 @@ def test_every_watchdog_of_the_page_exists_with_advice():
 @pytest.mark.parametrize(
     ("name", "id", "text"),
     [
-        ("mocap_age", "W1", "no good frame yet"),
-        ("sigma_position", "W6", "no estimate yet"),
-        ("sigma_yaw", "W6", "no estimate yet"),
-        ("telemetry_age", "W7", "no reply yet"),
+        ("mocap_age", "W1", "no good frame yet"), ("telemetry_age", "W7", "no reply yet"),
+        ("sigma_position", "W6", "no estimate yet"), ("sigma_yaw", "W6", "no estimate yet"),
         ("fet_temperature", "W14", "the transistors' temperature is not known yet"),
-        ("lateral_error", "W17", "no lane error"),
-        ("heading_error", "W18", "no heading error"),
+        ("lateral_error", "W17", "no lane error"), ("heading_error", "W18", "no heading error"),
         ("lease_age", "W25", "no operator yet"),
     ],
-)
+)  # fmt: skip
 @pytest.mark.parametrize("value", [inf, nan])
 def test_a_number_that_is_not_known_trips_and_is_not_shown(name, id, text, value):
     (found,) = look(Thresholds(), **{name: value})
@@ -70,11 +61,9 @@ def test_no_text_ever_shows_a_number_that_is_none():
 
 def test_advice_in_simulation_is_about_the_simulation():
     found = make_finding("W7", "no reply for 120 ms")
-    simulated = advise_simulation(found)
+    simulated = fs.advise_simulation(found)
     assert "USB" not in simulated.text
     assert simulated.text.startswith("W7 telemetry stale: no reply for 120 ms; a simulated VESC")
     assert simulated.severity is found.severity
-    other = make_finding("W13", "3.10 V per cell")
-    assert advise_simulation(other) is other
-    unknown = make_unknown("W7", "no reply yet")
-    assert advise_simulation(unknown) is unknown
+    for other in (make_finding("W13", "3.10 V per cell"), fs.make_unknown("W7", "no reply yet")):
+        assert fs.advise_simulation(other) is other

@@ -6,29 +6,10 @@ import pytest
 
 from steerd.car_model.params import DEFAULT_CAR, Car
 from steerd.car_model.state import Command
-from steerd.daemon.loop.follow_model import (
-    LATE_S,
-    SPEED_MARGIN_MAX,
-    TURN_MARGIN_MAX,
-    UNKNOWN,
-    UNKNOWN_BIAS,
-    UNKNOWN_LATE_S,
-    Band,
-    make_follow_model,
-)
-from steerd.daemon.loop.following import (
-    LONG_TURN_S,
-    TRAIL_S,
-    Followed,
-    FollowState,
-    Mark,
-    Turn,
-    advance,
-    compare,
-    follow_span,
-    measure_turns,
-    send_order,
-)
+from steerd.daemon.loop import follow_model as fm
+from steerd.daemon.loop import following as fo
+from steerd.daemon.loop.follow_model import LATE_S, UNKNOWN, Band, make_follow_model
+from steerd.daemon.loop.following import Followed, FollowState, Mark, Turn, compare
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.estimator.config import FilterConfig
 from steerd.steer_bus.quick_values import changed
@@ -61,9 +42,9 @@ def go(orders, until_ms, model=None, step_ms=10, speed=1.0, start=0.0):
     """The state after orders {ms: order}, ticked at a step."""
     state, model = FollowState(), model or make_model()
     for ms in range(0, until_ms + 1, step_ms):
-        state = advance(state, model, ms * MS, speed)
+        state = fo.advance(state, model, ms * MS, speed)
         if ms in orders:
-            state = send_order(state, model, ms * MS, orders[ms], start)
+            state = fo.send_order(state, model, ms * MS, orders[ms], start)
     return state
 
 
@@ -72,7 +53,7 @@ def go(orders, until_ms, model=None, step_ms=10, speed=1.0, start=0.0):
                         (-4.0, 0.03125), (nan, 0.0625)],
 )  # fmt: skip
 def test_an_order_may_be_missed_for_a_time_and_for_a_distance(speed, span):
-    assert follow_span(TH, speed) == span
+    assert fo.follow_span(TH, speed) == span
 
 
 def test_ranges_of_an_identified_car():
@@ -115,32 +96,29 @@ def test_what_was_never_identified_may_be_off_by_a_factor(model):
     assert m.drive.fall == near(3.0 / UNKNOWN, 3.0 * UNKNOWN)
     assert m.drive.delay == near(0.1 / UNKNOWN, 0.3 + LATE_S)
     assert m.servo.delay == near(0.05 / UNKNOWN, 0.15 + LATE_S)
-    assert m.slack == UNKNOWN_BIAS
+    assert m.slack == fm.UNKNOWN_BIAS
     wide = make_follow_model(CAR, {}, FilterConfig(), Thresholds(follow_steer=0.08))
     assert wide.slack == 0.08
-    for known, late in (({}, UNKNOWN_LATE_S), (KNOWN, LATE_S), ({"drive_delay": 0.0}, LATE_S)):
+    for known, late in (({}, fm.UNKNOWN_LATE_S), (KNOWN, LATE_S), ({"drive_delay": 0.0}, LATE_S)):
         prompt = make_follow_model(CAR._replace(drive_delay=0.0), known, FilterConfig(), TH)
         assert prompt.drive.delay == near(0.0, late), "identified as none, it is believed"
     assert m.gain == model.gain
 
 
-def test_a_large_standard_error_widens_the_range():
+def test_a_large_standard_error_widens_the_range_and_noise_never_switches_it_off():
     m = make_follow_model(CAR, {**KNOWN, "speed_lag": 0.02, "steer_lag": 0.05}, FilterConfig(), TH)
     assert m.drive.lag == near(0.14, 0.26)
     assert m.servo.lag == near(0.0, 0.25)
-
-
-def test_a_car_file_cannot_switch_it_off_by_noise():
     loud = FilterConfig(wheel_speed_sd=10.0, pose_yaw_sd=1.0)
     m = make_follow_model(CAR, KNOWN, loud, TH)
-    assert (m.speed_margin, m.turn_margin) == (SPEED_MARGIN_MAX, TURN_MARGIN_MAX)
+    assert (m.speed_margin, m.turn_margin) == (fm.SPEED_MARGIN_MAX, fm.TURN_MARGIN_MAX)
 
 
 def test_nothing_is_compared_without_orders(model):
-    assert advance(FollowState(), model, 5 * MS, 1.0) == FollowState()
+    assert fo.advance(FollowState(), model, 5 * MS, 1.0) == FollowState()
     assert compare(FollowState(), model, (0, 9.0), (Turn(0, 1, 3.0, 1.0),)) == Followed()
     state = go({0: Command(0.1, 1.0)}, 300)
-    assert send_order(state, model, 310 * MS, None, 0.5) == FollowState()
+    assert fo.send_order(state, model, 310 * MS, None, 0.5) == FollowState()
 
 
 @pytest.mark.parametrize(("rolling", "band"), [(0.5, (0.0, 0.5)), (-0.5, (-0.5, 0.0))])
@@ -148,7 +126,7 @@ def test_the_first_order_starts_at_the_measured_speed_with_the_steering_anywhere
     model, rolling, band
 ):
     order = Command(0.1, 1.0)
-    state = send_order(FollowState(), model, 7, order, rolling)
+    state = fo.send_order(FollowState(), model, 7, order, rolling)
     assert state.orders == ((7, order),)
     assert state.trail == (Mark(7, Band(*band), Band(0.0, 0.0)),)
     assert state.steer == Band(model.right.low, model.left.high)
@@ -192,10 +170,6 @@ def test_speeds_after_a_change(first, then, until_ms, step_ms, low, high):
     assert band.high == pytest.approx(high, abs=1e-6 if exact else near_low)
 
 
-STRAIGHTENED = {0: Command(0.2, 2.0), 3000: Command(0.0, 2.0)}
-"""A turn to the left, then straight on."""
-
-
 def steady_ends(model, steer, speed):
     """Curvature of the steady turn to the left, or straight on, at both ends."""
     short = max(model.base.low + model.understeer.low * speed**2, 0.5 * model.base.low)
@@ -209,51 +183,36 @@ def steady_ends(model, steer, speed):
 )
 def test_curvature_grows_at_once_and_falls_with_the_yaw_lag(model, speed, lag):
     """A crawling car turns as its kinematics settle."""
-    turned = go(STRAIGHTENED, 3090, speed=speed)
-    after = advance(turned, model, 3150 * MS, speed)
-    aim = steady_ends(model, after.steer, speed)
     share = 1.0 - exp(-0.06 / (lag or model.settling * abs(speed)))
-    before = turned.curvature
-    assert aim.high < before.high - 0.01, "it may fall"
-    assert after.curvature.high == pytest.approx(before.high + share * (aim.high - before.high))
-    assert aim.low < before.low - 0.01, "it may grow to the other side"
-    assert after.curvature.low == pytest.approx(aim.low)
-    left = go({0: Command(0.0, 2.0), 3000: Command(0.2, 2.0)}, 3090, speed=speed)
-    onto = advance(left, model, 3150 * MS, speed)
-    aim = steady_ends(model, onto.steer, speed)
-    assert aim.low > left.curvature.low + 0.01
-    rise = share * (aim.low - left.curvature.low)
-    assert onto.curvature.low == pytest.approx(left.curvature.low + rise)
-    assert aim.high > left.curvature.high + 0.01
-    assert onto.curvature.high == pytest.approx(aim.high)
+    for first, then in ((0.2, 0.0), (0.0, 0.2)):  # a turn to the left ends, and begins
+        before = go({0: Command(first, 2.0), 3000: Command(then, 2.0)}, 3090, speed=speed)
+        after = fo.advance(before, model, 3150 * MS, speed)
+        aim = steady_ends(model, after.steer, speed)
+        late, prompt = ("high", "low") if first else ("low", "high")
+        ways = {end: getattr(aim, end) - getattr(before.curvature, end) for end in (late, prompt)}
+        assert all((way > 0.01) if then else (way < -0.01) for way in ways.values())
+        lagging = getattr(before.curvature, late) + share * ways[late]
+        assert getattr(after.curvature, late) == pytest.approx(lagging)
+        assert getattr(after.curvature, prompt) == pytest.approx(getattr(aim, prompt))
 
 
 def test_orders_are_forgotten_when_their_successor_has_arrived():
-    many = {k: Command(0.0, 0.5 + 1e-4 * k) for k in range(0, 2001, 10)}
-    state = go(many, 2000)
+    state = go({k: Command(0.0, 0.5 + 1e-4 * k) for k in range(0, 2001, 10)}, 2000)
     assert state.orders[-1][0] == 2000 * MS
-    certain = 2000 * MS - round(0.132 * 1e9)
-    assert state.orders[0][0] <= certain < state.orders[1][0]
+    assert state.orders[0][0] <= (2000 - 132) * MS < state.orders[1][0]
 
 
-def test_an_order_that_arrives_at_the_tick_counts_from_the_tick_on():
+def test_an_order_that_arrives_at_the_tick_counts_from_the_tick_on(model):
     """72 ms after it was sent an order to the servo has surely arrived, and no earlier."""
-    straight = {0: Command(0.0, 1.0)}
-    assert go(straight, 72, step_ms=8).steer == make_band(make_model())
+    straight, anywhere = {0: Command(0.0, 1.0)}, Band(model.right.low, model.left.high)
+    assert go(straight, 72, step_ms=8).steer == anywhere
     settled = go(straight, 80, step_ms=8).steer
-    assert settled.low > make_model().right.low
-    assert settled.high < make_model().left.high
+    assert anywhere.low < settled.low
+    assert settled.high < anywhere.high
     again = {**straight, 4000: Command(0.1, 1.0)}
     assert go(again, 4072, step_ms=8).steer.low == pytest.approx(0.0, abs=1e-9)
     assert go(again, 4080, step_ms=8).steer.low > 1e-3
 
-
-def make_band(model):
-    """Steering anywhere between the end stops."""
-    return Band(model.right.low, model.left.high)
-
-
-# --- comparison
 
 NOW = 4000 * MS
 
@@ -272,10 +231,8 @@ def test_a_measurement_between_two_ticks_may_lie_in_either_band(model):
     steady = go({0: Command(0.0, 1.0)}, 4000)
     marks = (Mark(0, Band(0.0, 1.0), Band(0, 0)), Mark(10, Band(-1.0, 0.5), Band(0, 0)))
     state = changed(steady, trail=marks)
-    assert compare(state, model, (5, 0.0), ()).speed_band == Band(-1.0, 1.0)
-    assert compare(state, model, (10, 0.0), ()).speed_band == Band(-1.0, 0.5)
-    assert compare(state, model, (99, 0.0), ()).speed_band == Band(-1.0, 0.5)
-    assert compare(state, model, (0, 0.0), ()).speed_band == Band(-1.0, 1.0)
+    for t_ns, high in ((0, 1.0), (5, 1.0), (10, 0.5), (99, 0.5)):
+        assert compare(state, model, (t_ns, 0.0), ()).speed_band == Band(-1.0, high)
 
 
 def test_what_was_measured_before_the_band_began_is_not_judged(model):
@@ -283,36 +240,31 @@ def test_what_was_measured_before_the_band_began_is_not_judged(model):
     oldest = steady.trail[0].t_ns
     assert compare(steady, model, (oldest - 1, 9.0), ()) == Followed()
     assert compare(steady, model, (oldest, 9.0), ()).speed_excess > 0.0
-    assert compare(steady, model, None, (Turn(oldest - 1, NOW, 1.0, 0.1),)) == Followed()
     assert compare(steady, model, None, (Turn(oldest, NOW, 1.0, 0.1),)).turn_excess > 0.0
-    assert compare(steady, model, None, (Turn(oldest, NOW + 1, 1.0, 0.1),)) == Followed()
+    for span in ((oldest - 1, NOW), (oldest, NOW + 1)):
+        assert compare(steady, model, None, (Turn(*span, 1.0, 0.1),)) == Followed()
 
 
 def test_turns_against_the_band_over_the_way(model):
     """1 rad/m at most over 0.2 m in 0.1 s: 2 rad/s, and no less than 1 rad/s."""
     steady = go({0: Command(0.0, 1.0)}, 4000)
-    marks = (
-        Mark(0, Band(0, 0), Band(1.0, 2.0)),
-        Mark(50 * MS, Band(0, 0), Band(1.025, 2.05)),
-        Mark(100 * MS, Band(0, 0), Band(1.05, 2.1)),
-        Mark(200 * MS, Band(0, 0), Band(1.05, 2.1)),
-    )
-    state = changed(steady, trail=marks)
+    curves = ((0, 1.0, 2.0), (50, 1.025, 2.05), (100, 1.05, 2.1), (200, 1.05, 2.1))
+    marks = (Mark(t_ms * MS, Band(0, 0), Band(low, high)) for t_ms, low, high in curves)
+    state = changed(steady, trail=tuple(marks))
     margin = model.turn_margin / 0.1
-    fast = compare(state, model, None, (Turn(0, 100 * MS, 0.25, 0.2),))
+
+    def over(*turns):
+        made = (Turn(from_ms * MS, to_ms * MS, *rest) for from_ms, to_ms, *rest in turns)
+        return compare(state, model, None, tuple(made))
+
+    fast = over((0, 100, 0.25, 0.2))
     assert fast.turn_band == near(1.0, 2.0)
     assert fast.turn_rate == pytest.approx(2.5)
     assert fast.turn_excess == pytest.approx(0.5 - margin)
-    slow = compare(state, model, None, (Turn(0, 100 * MS, 0.05, 0.2),))
-    assert slow.turn_excess == pytest.approx(0.5 - margin)
-    half = compare(state, model, None, (Turn(25 * MS, 75 * MS, 0.05, 0.1),))
-    assert half.turn_band == near(1.0, 2.0)
-    both = compare(
-        state, model, None, (Turn(0, 100 * MS, 0.15, 0.2), Turn(25 * MS, 75 * MS, 0.2, 0.1))
-    )
-    assert both.turn_rate == pytest.approx(4.0)
-    last = compare(state, model, None, (Turn(100 * MS, 200 * MS, 0.0, 0.2),))
-    assert last.turn_band == near(0.0, 0.0)
+    assert over((0, 100, 0.05, 0.2)).turn_excess == pytest.approx(0.5 - margin)
+    assert over((25, 75, 0.05, 0.1)).turn_band == near(1.0, 2.0)
+    assert over((0, 100, 0.15, 0.2), (25, 75, 0.2, 0.1)).turn_rate == pytest.approx(4.0)
+    assert over((100, 200, 0.0, 0.2)).turn_band == near(0.0, 0.0)
 
 
 ORIGIN = (0.0, 0.0, 0.1)
@@ -320,32 +272,28 @@ ORIGIN = (0.0, 0.0, 0.1)
 
 def test_turns_are_measured_over_a_short_and_a_long_stretch():
     track = tuple(seen(10 * k * MS, (0.03 * k, 0.04 * k, 0.1), 0.01 * k) for k in range(31))
-    short, long = measure_turns(track, 0.05)
+    short, long = fo.measure_turns(track, 0.05)
     assert short == Turn(250 * MS, 300 * MS, pytest.approx(0.05), pytest.approx(0.25))
     assert long == Turn(150 * MS, 300 * MS, pytest.approx(0.15), pytest.approx(0.75))
-    _, longest = measure_turns(track, 0.1)
-    assert longest.t0_ns == 300 * MS - round(LONG_TURN_S * 1e9)
-    _, early = measure_turns(track[:8], 0.05)
+    _, longest = fo.measure_turns(track, 0.1)
+    assert longest.t0_ns == 300 * MS - round(fo.LONG_TURN_S * 1e9)
+    _, early = fo.measure_turns(track[:8], 0.05)
     assert early.t0_ns == 0
 
 
-def test_a_turn_through_the_back_is_a_small_one():
+def test_a_turn_through_the_back_is_a_small_one_and_one_pose_is_none():
     track = (seen(0, ORIGIN, pi - 0.01), seen(10 * MS, ORIGIN, -pi + 0.01))
-    assert [turn.angle for turn in measure_turns(track, 0.01)] == [pytest.approx(0.02)] * 2
+    assert [turn.angle for turn in fo.measure_turns(track, 0.01)] == [pytest.approx(0.02)] * 2
+    assert fo.measure_turns((), 0.1) == fo.measure_turns((seen(0, ORIGIN),), 0.1) == ()
+    assert fo.measure_turns((seen(0, ORIGIN), seen(0, (1.0, 0.0, 0.1))), 0.0) == ()
 
 
-def test_one_pose_is_no_turn():
-    assert measure_turns((), 0.1) == ()
-    assert measure_turns((seen(0, ORIGIN),), 0.1) == ()
-    assert measure_turns((seen(0, ORIGIN), seen(0, (1.0, 0.0, 0.1))), 0.0) == ()
-
-
-@pytest.mark.parametrize("late_s", [TRAIL_S - 0.01, TRAIL_S, TRAIL_S + 1e-9, 0.6, 10.0])
+@pytest.mark.parametrize("late_s", [fo.TRAIL_S - 0.01, fo.TRAIL_S, fo.TRAIL_S + 1e-9, 0.6, 10.0])
 def test_a_tick_later_than_the_trail_is_long_goes_on(model, late_s):
     """A machine that stood still: that stops the car as what it is, and as no exception."""
     before = go({0: Command(0.1, 1.0)}, 1000)
     now = before.trail[-1].t_ns + round(late_s * 1e9)
-    after = advance(before, model, now, 1.0)
+    after = fo.advance(before, model, now, 1.0)
     assert after.trail[-1].t_ns == now
     assert after.trail[-2] == before.trail[-1]
     assert abs(compare(after, model, (now, 1.0), ()).speed_excess) < 1.0

@@ -6,16 +6,9 @@ from math import atan, cos, pi, sin, tan
 import pytest
 
 from steerd.controller.limits import LimitError
+from steerd.daemon.loop import lateness as ls
 from steerd.daemon.loop.findings import Severity
-from steerd.daemon.loop.lateness import (
-    IN_SIMULATION,
-    ON_HARDWARE,
-    WINDOW_NS,
-    Lateness,
-    LatenessRules,
-    make_lateness_rules,
-    step_lateness,
-)
+from steerd.daemon.loop.lateness import ON_HARDWARE, WINDOW_NS, Lateness, step_lateness
 from steerd.daemon.loop.launch import LaunchInput, make_launch_state, step_launch
 from steerd.daemon.settings.thresholds import Thresholds
 
@@ -49,34 +42,22 @@ def test_a_good_launch_ends_after_half_a_metre(steer, yaw0):
 
 
 @pytest.mark.parametrize(
-    ("scale", "erpm"),
-    [(0.001, 1.0), (1000.0, 1.0), (0.0, 1.0), (0.69, 1.0), (1.42, 1.0), (1.0, 0.0)],
-)
-def test_wrong_unit_or_gear_is_found_and_so_are_wheels_that_do_not_count(scale, erpm):
-    wrong, travelled, done = launch(scale=scale, erpm=erpm)
-    assert "units" in wrong
-    assert travelled <= 0.26
-    assert not done
-
-
-@pytest.mark.parametrize(("flip", "found"), [
-    (pi, True), (pi / 2, True), (-0.55, True), (0.55, True), (0.5, False), (-0.5, False),
-])  # fmt: skip
-def test_body_turned_round_is_found(flip, found):
-    assert ("body forward axis" in launch(flip=flip)[0]) is found
-
-
-@pytest.mark.parametrize("steer", [0.2, -0.2])
-def test_inverted_steering_is_found(steer):
-    wrong, _, done = launch(steer=steer, turn=-1.0)
-    assert "against its steering" in wrong
-    assert not done
-
-
-def test_a_reversing_car_is_judged_in_its_own_direction():
-    wrong, _, done = launch(speed=-0.5)
-    assert (wrong, done) == ("", True)
-    assert "body forward axis" in launch(speed=-0.5, flip=pi)[0]
+    ("given", "said"),
+    [
+        *(({"scale": scale}, "units") for scale in (0.001, 1000.0, 0.0, 0.69, 1.42)),
+        ({"erpm": 0.0}, "units"),  # wheels that do not count
+        *(({"flip": flip}, "body forward axis") for flip in (pi, pi / 2, -0.55, 0.55)),
+        ({"flip": 0.5}, ""), ({"flip": -0.5}, ""),
+        *(({"steer": steer, "turn": -1.0}, "against its steering") for steer in (0.2, -0.2)),
+        # A reversing car is judged in its own direction.
+        ({"speed": -0.5}, ""), ({"speed": -0.5, "flip": pi}, "body forward axis"),
+    ],
+)  # fmt: skip
+def test_a_launch_finds_what_is_wrong_and_is_done_otherwise(given, said):
+    wrong, travelled, done = launch(**given)
+    assert said in wrong
+    assert (wrong == "") is (said == "") is done
+    assert travelled <= 0.26 or said != "units"
 
 
 def test_time_does_not_run_backwards():
@@ -96,19 +77,18 @@ def shown(mocap, wheels, turned=0.0, expected=0.0):
 
 def test_every_bound_of_the_launch_exactly():
     assert shown(0.0, 0.2499)[1] == shown(0.2499, 0.0)[1] == ""
-    assert "units" in shown(0.0, 0.25)[1]
-    assert "units" in shown(0.25, 0.0)[1]
+    for distances in ((0.0, 0.25), (0.25, 0.0)):
+        assert "units" in shown(*distances)[1]
     assert shown(0.5, 0.5) == (shown(0.5, 0.5)[0]._replace(done=True), "")
     assert not shown(0.5, 0.4999)[0].done
     assert "against" in shown(0.5, 0.5, turned=-0.03, expected=0.10)[1]
-    assert shown(0.5, 0.5, turned=-0.0299, expected=0.10)[1] == ""
-    assert shown(0.5, 0.5, turned=-0.03, expected=0.0999)[1] == ""
-    assert shown(0.5, 0.5, turned=0.03, expected=0.10)[1] == ""
+    for turned, expected in ((-0.0299, 0.10), (-0.03, 0.0999), (0.03, 0.10)):
+        assert shown(0.5, 0.5, turned, expected)[1] == ""
 
 
 def end_of(x=0.25, y=0.0, wheels=0.25, yaw=0.0, steer=0.0, wheelbase=1.0):
     """One long step from the origin, heading along x: the state after it, and what was wrong."""
-    start = LaunchInput(0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    start = LaunchInput(0, *(0.0,) * 5)
     step = LaunchInput(1_000_000_000, x, y, yaw, wheels, steer)
     return step_launch(make_launch_state(start), step, wheelbase)
 
@@ -160,26 +140,22 @@ def run(late_ms, rules=ON_HARDWARE):
     return said, state
 
 
-def test_in_time_nothing_is_said():
-    assert run([0, 10])[0] == [None, None]
-
-
 def test_the_rules_are_the_thresholds():
-    assert make_lateness_rules(Thresholds()) == ON_HARDWARE == LatenessRules(25_000_000, 3, 0.02)
-    assert make_lateness_rules(replace(Thresholds(), late=0.0125)).late_ns == 12_500_000
+    usual = ls.LatenessRules(25_000_000, 3, 0.02)
+    assert ls.make_lateness_rules(Thresholds()) == ON_HARDWARE == usual
+    assert ls.make_lateness_rules(replace(Thresholds(), late=0.0125)).late_ns == 12_500_000
 
 
 @pytest.mark.parametrize(
     ("late_ms", "severity", "expected"),
     [
-        ([10.1], Severity.WARN, "10.1 ms"),
-        ([25], Severity.WARN, "25.0 ms"),
+        ([10.1], Severity.WARN, "10.1 ms"), ([25], Severity.WARN, "25.0 ms"),
         ([25.001], Severity.HARD, "a tick 25 ms late"),
         ([1499.6], Severity.HARD, "a tick 1500 ms late"),
         ([12, 12, 12], Severity.HARD, "3 ticks in a row missed"),
         ([12, 0, 12, 0, 12], Severity.HARD, "3 of 100 ticks missed"),
     ],
-)
+)  # fmt: skip
 def test_a_late_tick_warns_or_trips_and_says_why(late_ms, severity, expected):
     said, state = run(late_ms[:-1])
     assert Severity.HARD not in said
@@ -201,30 +177,26 @@ def test_a_second_ends_after_a_second_and_the_next_begins_where_it_ended():
 
 
 def test_a_row_of_missed_ticks_ends_and_the_next_second_begins_anew():
+    assert run([0, 10])[0] == [None, None], "in time"
     assert run([12, 12, 0, 12])[0] == [Severity.WARN, Severity.WARN, None, Severity.HARD]
     assert run([12, 12, 0])[1].run == 0
-    quiet = [12, 0, 12, *[0] * 98, 12]
-    said, state = run(quiet)
-    assert said[-1] is Severity.WARN
-    assert state.missed == 1
+    said, state = run([12, 0, 12, *[0] * 98, 12])
+    assert (said[-1], state.missed) == (Severity.WARN, 1)
 
 
 @pytest.mark.parametrize(
-    ("changes", "late_ms"),
-    [({"late": 0.015}, [15.1]), ({"late_run": 2}, [12, 12]), ({"late_share": 0.0}, [12, 0, 12])],
-)
-def test_a_car_file_may_be_stricter(changes, late_ms):
-    strict = make_lateness_rules(replace(Thresholds(), **changes))
+    ("name", "stricter", "late_ms", "laxer"),
+    [("late", 0.015, [15.1], 0.026), ("late_run", 2, [12, 12], 4),
+     ("late_share", 0.0, [12, 0, 12], 0.03)],
+)  # fmt: skip
+def test_a_car_file_may_be_stricter_and_never_laxer(name, stricter, late_ms, laxer):
+    strict = ls.make_lateness_rules(replace(Thresholds(), **{name: stricter}))
     assert run(late_ms)[0][-1] is Severity.WARN
     assert run(late_ms, strict)[0][-1] is Severity.HARD
-
-
-@pytest.mark.parametrize("changes", [{"late": 0.026}, {"late_run": 4}, {"late_share": 0.03}])
-def test_and_never_laxer(changes):
     with pytest.raises(LimitError):
-        Thresholds(**changes)
+        Thresholds(**{name: laxer})
 
 
 def test_a_simulated_car_lives_with_a_machine_that_hiccups():
-    assert run([200, 0, 12, 12, 12], IN_SIMULATION)[0].count(Severity.HARD) == 0
-    assert run([251], IN_SIMULATION)[0] == [Severity.HARD]
+    assert run([200, 0, 12, 12, 12], ls.IN_SIMULATION)[0].count(Severity.HARD) == 0
+    assert run([251], ls.IN_SIMULATION)[0] == [Severity.HARD]

@@ -4,15 +4,8 @@ from math import inf
 
 import pytest
 
-from steerd.daemon.loop.lease import (
-    FORMER_MAX,
-    Lease,
-    Remote,
-    accept_request,
-    lease_age,
-    take_command,
-    valid_command,
-)
+from steerd.daemon.loop import lease as leases
+from steerd.daemon.loop.lease import FORMER_MAX, Lease, Remote, accept_request, take_command
 from steerd.daemon.loop.transitions import Fact
 from steerd.steer_bus.messages import BODY, DriveCommand, OperatorRequest, RequestKind, make_header
 
@@ -32,15 +25,12 @@ def command(seq=1, boot=BOOT, who=ANN, valid_ms=100, steer=0.1):
 @pytest.mark.parametrize(
     ("kind", "request_"),
     [
-        (RequestKind.ARM, Fact.ARM),
-        (RequestKind.START, Fact.START),
-        (RequestKind.STOP, Fact.STOP),
-        (RequestKind.DISARM, Fact.DISARM),
-        (RequestKind.CLEAR, Fact.CLEAR | Fact.RESET),
-        (RequestKind.ESTOP, Fact.CALL_ESTOP),
+        (RequestKind.ARM, Fact.ARM), (RequestKind.START, Fact.START),
+        (RequestKind.STOP, Fact.STOP), (RequestKind.DISARM, Fact.DISARM),
+        (RequestKind.CLEAR, Fact.CLEAR | Fact.RESET), (RequestKind.ESTOP, Fact.CALL_ESTOP),
         (RequestKind.KEEPALIVE, 0),
     ],
-)
+)  # fmt: skip
 def test_the_holder_s_requests_pass_and_renew(kind, request_):
     lease, got = accept_request(HELD, ask(kind), T0 + 5, idle=False)
     assert got == request_
@@ -103,9 +93,9 @@ def test_so_many_former_holders_are_remembered():
 
 
 def test_its_age_is_seconds_since_the_holder_was_heard():
-    assert lease_age(HELD, T0 + 250_000_000) == pytest.approx(0.25)
-    assert lease_age(HELD, T0) == 0.0
-    assert lease_age(Lease(BOOT), T0) == inf, "nobody has been"
+    assert leases.lease_age(HELD, T0 + 250_000_000) == pytest.approx(0.25)
+    assert leases.lease_age(HELD, T0) == 0.0
+    assert leases.lease_age(Lease(BOOT), T0) == inf, "nobody has been"
 
 
 def driven(who=0, seq=-1, t_ns=0, former=(), last=None):
@@ -140,11 +130,9 @@ def test_the_longest_and_shortest_validity(valid_ms):
 
 
 def test_another_controller_may_take_over_only_after_a_second_of_silence():
-    other = command(1, who=BOB)
-    assert take_command(TAKEN, other, T0 + 1_000_000_000).lease.holder == ANN
-    assert take_command(TAKEN, other, T0 + 1_000_000_001) == driven(
-        BOB, 1, T0 + 1_000_000_001, ((ANN, 7),), other
-    )
+    other, late_ns = command(1, who=BOB), T0 + 1_000_000_001
+    assert take_command(TAKEN, other, late_ns - 1).lease.holder == ANN
+    assert take_command(TAKEN, other, late_ns) == driven(BOB, 1, late_ns, ((ANN, 7),), other)
 
 
 def test_no_command_of_a_former_controller_is_taken_twice():
@@ -157,6 +145,6 @@ def test_no_command_of_a_former_controller_is_taken_twice():
 
 
 def test_a_command_is_valid_to_the_last_nanosecond_and_no_longer():
-    assert valid_command(TAKEN, T0 + 100_000_000) == command(7)
-    assert valid_command(TAKEN, T0 + 100_000_001) is None
-    assert valid_command(driven(), T0) is None
+    assert leases.valid_command(TAKEN, T0 + 100_000_000) == command(7)
+    assert leases.valid_command(TAKEN, T0 + 100_000_001) is None
+    assert leases.valid_command(driven(), T0) is None

@@ -8,14 +8,8 @@ import pytest
 from steerd.controller.lane_controller import ControlReport
 from steerd.controller.live import AS_DESIGNED, LiveBounds, LiveValues
 from steerd.daemon.assembly.build import RunId, make_plan
-from steerd.daemon.loop.live import (
-    Live,
-    judge_both_lanes,
-    make_live,
-    make_parameters,
-    step_live,
-    take_request,
-)
+from steerd.daemon.loop import live as lv
+from steerd.daemon.loop.live import make_live, make_parameters, take_request
 from steerd.daemon.loop.loop import Loop
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions
@@ -52,16 +46,13 @@ def test_the_bounds_themselves_are_allowed(edge):
     ("wrong", "said"),
     [
         ({"speed": 1.51}, "speed 1.51 m/s, allowed 0.25 to 1.5 m/s: the run was started"),
-        ({"speed": 0.0}, "speed 0 m/s"),
-        ({"speed": -1.0}, "speed -1 m/s"),
-        ({"speed": inf}, "speed inf m/s"),
+        *(({"speed": speed}, f"speed {speed:g} m/s") for speed in (0.0, -1.0, inf)),
         ({"offset": 0.126}, "offset 0.126 m, allowed -0.125 to 0.125 m"),
         ({"offset": -inf}, "offset -inf m"),
         ({"gain": 1.26}, "gain 1.26, allowed 0.5 to 1.25: the closed loop was checked"),
-        ({"gain": 0.0}, "gain 0"),
-        ({"speed": 1.0, "gain": 9.0}, "gain 9"),
+        ({"gain": 0.0}, "gain 0"), ({"speed": 1.0, "gain": 9.0}, "gain 9"),
     ],
-)
+)  # fmt: skip
 def test_a_value_out_of_bounds_is_refused_with_its_reason_and_all_others_with_it(wrong, said):
     live = take_request(LIVE, ask(**wrong), admitted=True)
     assert (live.aim, live.accepted) == (LIVE.aim, False)
@@ -85,11 +76,11 @@ def test_who_may_not_sets_nothing(before, admitted, aim, said):
 
 def test_a_moving_car_comes_to_its_values_gradually_and_a_parked_one_has_them():
     live = take_request(replace(LIVE, t_ns=10**9), ask(offset=0.125), admitted=True)
-    moving = step_live(live, 10**9 + 10**8, parked=False)
-    assert moving.now.offset == pytest.approx(0.01)
-    assert step_live(live, 10**12, parked=False).now.offset == pytest.approx(0.01), "after a pause"
-    assert step_live(live, 0, parked=False).now.offset == 0.0, "time does not run backwards"
-    assert step_live(live, 10**9, parked=True).now == live.aim
+    for t_ns in (10**9 + 10**8, 10**12):  # the later one after a pause
+        moving = lv.step_live(live, t_ns, parked=False)
+        assert moving.now.offset == pytest.approx(0.01)
+    assert lv.step_live(live, 0, parked=False).now.offset == 0.0, "time does not run backwards"
+    assert lv.step_live(live, 10**9, parked=True).now == live.aim
 
 
 @pytest.mark.parametrize(
@@ -97,7 +88,7 @@ def test_a_moving_car_comes_to_its_values_gradually_and_a_parked_one_has_them():
     [(0.1, 0.0, 0.1), (0.2, 0.1, 0.3), (-0.2, 0.1, -0.2), (-0.04, 0.1, 0.06), (0.0, -0.1, -0.1)],
 )
 def test_watchdogs_judge_the_larger_of_both_errors(e1, offset, judged):
-    report = judge_both_lanes(SEEN._replace(e1=e1), LiveValues(1.0, offset, 1.0))
+    report = lv.judge_both_lanes(SEEN._replace(e1=e1), LiveValues(1.0, offset, 1.0))
     assert report.e1 == pytest.approx(judged)
 
 
@@ -111,9 +102,6 @@ def test_the_message_holds_values_bounds_and_the_answer():
     refused = make_parameters(take_request(make_live(None), ask(), admitted=True), 7)
     assert isnan(refused.speed_max)
     assert not refused.accepted
-
-
-# --- in the loop
 
 
 def make_loop(leased=True, **options):
@@ -150,10 +138,9 @@ def tuned():
 
 
 def test_another_operator_does_not_inherit_what_was_tuned(tuned):
-    loop = tuned
-    hold(loop, BOB, 1, 2 * 10**9)
-    assert loop.live.aim == LiveValues(0.5, 0.0, 1.0)
-    assert "another operator" in loop.live.text
+    hold(tuned, BOB, 1, 2 * 10**9)
+    assert tuned.live.aim == LiveValues(0.5, 0.0, 1.0)
+    assert "another operator" in tuned.live.text
 
 
 def test_without_a_deadman_there_is_nobody_to_inherit_from():
@@ -170,8 +157,6 @@ def test_only_the_lane_keeper_alone_has_live_parameters():
 
 
 def test_a_fault_ends_what_was_tuned(tuned):
-    loop = tuned
-    loop.supervisor = changed(loop.supervisor, state=SupervisorState.FAULT_STOP)
-    loop._apply_transition(SupervisorState.RUNNING, None, 0, "")
-    assert isinstance(loop.live, Live)
-    assert loop.live.aim == LiveValues(0.5, 0.0, 1.0)
+    tuned.supervisor = changed(tuned.supervisor, state=SupervisorState.FAULT_STOP)
+    tuned._apply_transition(SupervisorState.RUNNING, None, 0, "")
+    assert tuned.live.aim == LiveValues(0.5, 0.0, 1.0)

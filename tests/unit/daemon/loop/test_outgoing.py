@@ -11,14 +11,8 @@ from steerd.controller.limits import Limits, Verdict, make_limiter_state
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.requests import read_diagnostics
 from steerd.daemon.loop import findings as fs
+from steerd.daemon.loop import outgoing as out
 from steerd.daemon.loop.orders import Order, TickResult, make_order
-from steerd.daemon.loop.outgoing import (
-    make_actuation,
-    make_diagnostics,
-    make_state,
-    make_transition,
-    read_actuation,
-)
 from steerd.daemon.loop.supervisor import Action, make_supervisor_memory
 from steerd.daemon.loop.transitions import MotorOutput, SteeringOutput, SupervisorState
 from steerd.daemon.settings.config import BrakeSettings
@@ -47,22 +41,22 @@ def tick(memory=MEMORY, old=SupervisorState.RUNNING, findings=()):
     ],
 )
 def test_an_actuation_holds_what_its_drive_has_and_nan_elsewhere(drive, mode, speed, current):
-    made = make_actuation(make_header(5, BODY), drive, b"\x02", 7)
+    made = out.make_actuation(make_header(5, BODY), drive, b"\x02", 7)
     assert (made.mode, made.steer, made.seq, made.wire) == (mode, 0.1, 7, b"\x02")
     for value, expected in ((made.speed, speed), (made.brake_current_a, current)):
         assert isnan(value) if expected is None else value == expected
-    assert read_actuation(made)[:2] == (mode, 0.1)
+    assert out.read_actuation(made)[:2] == (mode, 0.1)
 
 
 def test_a_state_without_estimate_is_nan_and_has_mode_and_flags():
-    made = make_state(tick(changed(MEMORY, state=SupervisorState.READY)), 3, 10, 100)
+    made = out.make_state(tick(changed(MEMORY, state=SupervisorState.READY)), 3, 10, 100)
     assert (made.mode, made.flags, made.seq, made.mono_ns) == (SupervisorState.READY, 5, 3, 10)
     assert all(isnan(value) for value in (made.x, made.speed, made.e1, made.x_sd))
 
 
 def test_a_transition_names_both_states_and_the_reason():
     memory = changed(MEMORY, state=SupervisorState.ESTOP, reason="W10 pressed")
-    made = make_transition(tick(memory), 9)
+    made = out.make_transition(tick(memory), 9)
     assert (made.from_state, made.to_state) == (SupervisorState.RUNNING, SupervisorState.ESTOP)
     assert (made.code, made.text) == ("running_estop", "W10 pressed")
 
@@ -70,17 +64,15 @@ def test_a_transition_names_both_states_and_the_reason():
 @pytest.mark.parametrize(
     ("state", "warned", "level"),
     [
-        (SupervisorState.RUNNING, False, 0),
-        (SupervisorState.RUNNING, True, 1),
-        (SupervisorState.FAULT_STOP, True, 2),
-        (SupervisorState.FAULT_LATCHED, False, 2),
+        (SupervisorState.RUNNING, False, 0), (SupervisorState.RUNNING, True, 1),
+        (SupervisorState.FAULT_STOP, True, 2), (SupervisorState.FAULT_LATCHED, False, 2),
         (SupervisorState.ESTOP, False, 2),
     ],
-)
+)  # fmt: skip
 def test_diagnostics_have_a_level_and_the_supervisors_values(state, warned, level):
     memory = changed(MEMORY, state=state, reason="why")
     findings = [fs.make_finding("W7", "60 ms", fs.Severity.WARN)] if warned else []
-    made = make_diagnostics(tick(memory, findings=findings), "a start", {"uuid": "ab"}, 9)
+    made = out.make_diagnostics(tick(memory, findings=findings), "a start", {"uuid": "ab"}, 9)
     assert made.status[0].level == level
     values = read_diagnostics(made)
     assert (values["state"], values["reason"], values["waiting"]) == (state.name, "why", "a start")
@@ -116,15 +108,13 @@ def order(motor, steering=SteeringOutput.LIVE, wish=None, speed=1.0, cap=inf, st
 @pytest.mark.parametrize(
     ("motor", "drive"),
     [
-        (MotorOutput.SOFT_BRAKE, brake(BRAKES.soft_brake_current_a)),
-        (MotorOutput.HOLD_BRAKE, brake(BRAKES.hold_brake_current_a)),
-        (MotorOutput.BRAKE, brake(BRAKES.brake_current_a)),
-        (MotorOutput.ESTOP_BRAKE, brake(BRAKES.estop_brake_current_a)),
+        *((MotorOutput[name], brake(getattr(BRAKES, f"{name.lower()}_current_a")))
+          for name in ("SOFT_BRAKE", "HOLD_BRAKE", "BRAKE", "ESTOP_BRAKE")),
         (MotorOutput.DUTY_ZERO, Drive(ActuationMode.SHORT, 0.1)),
         (MotorOutput.RELEASE_ONCE, Drive(ActuationMode.RELEASE, 0.1)),
         (MotorOutput.SILENT, Drive(steer=0.1)),
     ],
-)
+)  # fmt: skip
 def test_each_stop_has_its_drive_and_commands_no_speed(motor, drive):
     made = order(motor, SteeringOutput.HOLD, Command(0.3, 3.0))
     assert same(made.drive, drive)

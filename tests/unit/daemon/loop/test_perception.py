@@ -7,13 +7,7 @@ import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.daemon.loop.perception import (
-    BLIND_S,
-    NO_TELEMETRY,
-    Perception,
-    best_speed,
-    estimated_state,
-)
+from steerd.daemon.loop import perception as ps
 from steerd.daemon.settings.config import make_settings
 from steerd.estimator.config import FilterConfig
 from steerd.steer_bus.quick_values import changed
@@ -25,7 +19,7 @@ MS, NS = 1_000_000, 1_000_000_000
 
 def make_perception(**noise):
     settings = make_settings(load_car(default_car_path()))
-    return Perception(DEFAULT_CAR, replace(settings, filter=FilterConfig(**noise)))
+    return ps.Perception(DEFAULT_CAR, replace(settings, filter=FilterConfig(**noise)))
 
 
 def pose(t_ns, x, **more):
@@ -33,36 +27,34 @@ def pose(t_ns, x, **more):
 
 
 def telemetry(t_ns, erpm):
-    return changed(NO_TELEMETRY, t_sent_ns=t_ns - MS, t_received_ns=t_ns, erpm=erpm)
+    return changed(ps.NO_TELEMETRY, t_sent_ns=t_ns - MS, t_received_ns=t_ns, erpm=erpm)
 
 
-def drive(seen, seconds=1.0, speed=1.0):
-    """Poses and telemetry of a straight drive; the time of the last."""
-    for k in range(1, round(seconds * 100) + 1):
+def drive(speed=1.0):
+    """What has seen the poses and the telemetry of a second straight on, and its end."""
+    seen = make_perception()
+    for k in range(1, 101):
         t_ns = k * 10 * MS
         seen.on_pose(pose(t_ns, speed * t_ns / NS))
         seen.on_telemetry(telemetry(t_ns, speed * F1TENTH.erpm_gain))
         seen.estimate(t_ns)
-    return t_ns
+    return seen, t_ns
 
 
 def test_nothing_is_known_before_the_first_measurement():
     seen = make_perception()
     assert seen.estimate(NS) is None
-    assert isnan(seen.wheel_speed)
-    assert isnan(seen.mocap_speed)
     assert (seen.mocap_age(NS), seen.telemetry_age(NS)) == (inf, inf)
-    assert all(isnan(value) for value in estimated_state(None))
+    unknown = (seen.wheel_speed, seen.mocap_speed, *ps.estimated_state(None))
+    assert all(isnan(value) for value in unknown)
 
 
 def test_a_straight_drive_is_estimated():
-    seen = make_perception()
-    end = drive(seen)
+    seen, end = drive()
     estimate = seen.estimate(end)
     assert estimate.state.speed == pytest.approx(1.0, abs=0.05)
     assert estimate.state.x == pytest.approx(1.0, abs=0.05)
-    assert seen.wheel_speed == pytest.approx(1.0)
-    assert seen.mocap_speed == pytest.approx(1.0)
+    assert (seen.wheel_speed, seen.mocap_speed) == pytest.approx((1.0, 1.0))
     assert seen.mocap_age(end + 30 * MS) == pytest.approx(0.03)
     assert seen.telemetry_age(end + 20 * MS) == pytest.approx(0.02)
 
@@ -78,15 +70,13 @@ def test_mocap_speed_is_taken_over_longer_where_poses_are_noisier(sd, span):
 
 @pytest.mark.parametrize("bad", [{"rejected": "jump"}, {"tracking_valid": False}])
 def test_a_rejected_pose_does_not_renew_the_age(bad):
-    seen = make_perception()
-    end = drive(seen)
+    seen, end = drive()
     seen.on_pose(pose(end + 10 * MS, 1.01, **bad))
     assert seen.accepted_ns == end
 
 
 def test_a_jump_while_driving_is_not_fused():
-    seen = make_perception()
-    end = drive(seen)
+    seen, end = drive()
     seen.may_rebase = False
     seen.on_pose(pose(end + 10 * MS, 5.0))
     assert seen.watch.jumps == 1
@@ -94,24 +84,17 @@ def test_a_jump_while_driving_is_not_fused():
 
 
 def test_a_car_that_was_carried_starts_anew_where_it_stands():
-    seen = make_perception()
-    end = drive(seen, speed=0.0)
+    seen, end = drive(speed=0.0)
     for k in range(1, 51):
         seen.on_pose(pose(end + 10 * k * MS, 5.0))
     assert seen.estimate(end + 500 * MS).state.x == pytest.approx(5.0, abs=0.05)
 
 
-def test_wheel_speed_that_is_old_is_unknown():
-    seen = make_perception()
-    end = drive(seen)
-    late = end + round(BLIND_S * NS)
+def test_a_speed_that_is_old_is_unknown_and_until_then_the_filters_is_the_best():
+    seen, end = drive()
+    late = end + round(ps.BLIND_S * NS)
     assert seen.recent_wheel_speed(late) == pytest.approx(1.0)
     assert isnan(seen.recent_wheel_speed(late + MS))
-
-
-def test_the_best_speed_is_the_filters_until_its_measurements_are_old():
-    seen = make_perception()
-    end = drive(seen)
-    assert best_speed(seen.estimate(end), nan) == pytest.approx(1.0, abs=0.05)
-    assert best_speed(None, 0.7) == 0.7
-    assert isnan(best_speed(seen.estimate(end + 2 * NS), 0.7))
+    assert ps.best_speed(seen.estimate(end), nan) == pytest.approx(1.0, abs=0.05)
+    assert ps.best_speed(None, 0.7) == 0.7
+    assert isnan(ps.best_speed(seen.estimate(end + 2 * NS), 0.7))

@@ -1,36 +1,14 @@
 """Stories through the state machine, tick by tick, with each duration met exactly."""
 
-from dataclasses import fields
 from math import inf, nan
 
 import pytest
 
-from steerd.daemon.loop.supervisor import (
-    NEVER,
-    OPEN_FRAMES,
-    WAITING,
-    Conditions,
-    SupervisorMemory,
-    make_supervisor_memory,
-    stands,
-    step_supervisor,
-)
-from steerd.daemon.loop.transitions import (
-    ARMED,
-    DISARMED,
-    ESTOP,
-    FAULT_LATCHED,
-    FAULT_STOP,
-    INIT,
-    READY,
-    RUNNING,
-    SELF_TEST,
-    STOPPING,
-    Fact,
-    MotorOutput,
-    SteeringOutput,
-)
+from steerd.daemon.loop import supervisor as sv
+from steerd.daemon.loop.transitions import Fact, MotorOutput, SteeringOutput, SupervisorState
 
+(INIT, DISARMED, READY, SELF_TEST, ARMED, RUNNING, STOPPING,
+ FAULT_STOP, FAULT_LATCHED, ESTOP) = SupervisorState  # fmt: skip
 MS = 1_000_000
 GOOD = (
     Fact.LINKED | Fact.IDENTIFIED | Fact.CHECKS_PASS | Fact.LEASED | Fact.ESTIMATED | Fact.SLOWING
@@ -43,13 +21,15 @@ class Car:
 
     def __init__(self):
         self.t_ns, self.facts, self.speed, self.text = 0, GOOD | Fact.FW_TIMEOUT, 0.0, ""
-        self.memory = make_supervisor_memory(0)
+        self.memory = sv.make_supervisor_memory(0)
         self.action = None
 
-    def tick(self, requests=0, dt=10 * MS):
+    def tick(self, requests=0, dt=10 * MS, **changes):
+        """One tick; `facts` and `speed` hold from it on."""
+        vars(self).update(changes)
         self.t_ns += dt
-        conditions = Conditions(int(self.facts), self.speed, TIMEOUT_NS, self.text)
-        self.memory, self.action = step_supervisor(self.memory, conditions, requests, self.t_ns)
+        conditions = sv.Conditions(int(self.facts), self.speed, TIMEOUT_NS, self.text)
+        self.memory, self.action = sv.step_supervisor(self.memory, conditions, requests, self.t_ns)
         return self.memory.state
 
     def ticks(self, count, dt=10 * MS):
@@ -62,6 +42,10 @@ class Car:
 
     def outputs(self):
         return self.action.motor, self.action.steering
+
+    def motor_at(self, speed):
+        self.tick(speed=speed)
+        return self.action.motor
 
     def until(self, state, limit=1000):
         for count in range(limit):
@@ -88,22 +72,17 @@ class Car:
 
     def running(self, speed=2.0):
         self.armed().tick(Fact.START)
-        self.facts |= Fact.LAUNCHED
-        self.speed = speed
-        self.tick()
-        assert self.memory.state == RUNNING
+        assert self.tick(facts=self.facts | Fact.LAUNCHED, speed=speed) == RUNNING
         return self
 
 
 def test_it_begins_with_nothing_shown_nothing_held_and_no_speed():
-    begun = make_supervisor_memory(5)
-    expected = SupervisorMemory(
-        INIT, 5, 5, "started", NEVER, NEVER, NEVER, 0.0, False, False, OPEN_FRAMES
+    begun = sv.make_supervisor_memory(5)
+    expected = sv.SupervisorMemory(
+        INIT, 5, 5, "started", sv.NEVER, sv.NEVER, sv.NEVER, 0.0, False, False, sv.OPEN_FRAMES
     )
-    assert begun == expected
-    for field in fields(SupervisorMemory):
-        assert type(getattr(begun, field.name)) is type(getattr(expected, field.name)), field.name
-    assert (NEVER, OPEN_FRAMES) == (-1, 3)
+    assert (begun, repr(begun)) == (expected, repr(expected)), "of the same types too"
+    assert (sv.NEVER, sv.OPEN_FRAMES) == (-1, 3)
 
 
 BRAKED_THEN_SILENT = [MotorOutput.SOFT_BRAKE] * 3 + [MotorOutput.SILENT] * 2
@@ -116,8 +95,7 @@ def test_opening_the_port_brakes_three_times_then_is_silent():
     assert car.memory.state == INIT
     car.facts = Fact.LINKED
     assert list(car.motors()) == BRAKED_THEN_SILENT
-    car.facts = 0
-    car.tick()
+    car.tick(facts=0)
     car.facts = GOOD
     assert list(car.motors(3)) == BRAKED_THEN_SILENT[:3]
     assert car.memory.state == INIT
@@ -136,12 +114,11 @@ def test_disarmed_centres_for_half_a_second_and_needs_passing_checks_for_one():
     assert car.action.steering == SteeringOutput.NONE
     assert car.ticks(50) == DISARMED
     assert car.tick() == READY  # 1.00 s after the first tick in DISARMED
-    assert WAITING[car.memory.state] == "arm"
+    assert sv.WAITING[car.memory.state] == "arm"
 
 
 def fail_a_check(car):
-    car.facts &= ~Fact.CHECKS_PASS
-    car.tick()
+    car.tick(facts=car.facts & ~Fact.CHECKS_PASS)
     car.facts |= Fact.CHECKS_PASS
 
 
@@ -179,8 +156,7 @@ def test_arming_is_silent_until_the_timeout_has_shown_for_210_ms():
 @pytest.mark.parametrize("rises", [True, False])
 def test_timeout_bit_may_rise_as_late_as_its_timeout_plus_50_ms(rises):
     car = Car().ready()
-    car.facts &= ~Fact.FW_TIMEOUT
-    car.tick(Fact.ARM)
+    car.tick(Fact.ARM, facts=GOOD)
     assert car.ticks(19) == SELF_TEST
     if rises:
         car.facts |= Fact.FW_TIMEOUT
@@ -190,14 +166,9 @@ def test_timeout_bit_may_rise_as_late_as_its_timeout_plus_50_ms(rises):
 
 
 def test_another_programs_alive_every_200_ms_is_found():
-    car = Car().ready()
-    car.tick(Fact.ARM)
-    seen = set()
+    car = Car().testing()
     for k in range(60):  # 150 ms fed, 50 ms timed out, and so on
-        car.facts &= ~Fact.FW_TIMEOUT
-        car.facts |= Fact.FW_TIMEOUT if k % 20 >= 15 else 0
-        seen.add(car.tick())
-    assert ARMED not in seen
+        assert car.tick(facts=GOOD | Fact.FW_TIMEOUT * (k % 20 >= 15)) != ARMED
     assert car.memory.state == DISARMED
 
 
@@ -235,9 +206,8 @@ def test_what_keeps_a_car_from_arming_and_starting(begin, gained, lost, asked, s
 
 def test_armed_for_30_s_without_a_start_disarms_and_keepalives_do_not_help():
     car = Car().armed()
-    for _ in range(2999):
-        assert car.tick(0) == ARMED
-    assert car.tick(0) == DISARMED
+    assert car.ticks(2999) == ARMED
+    assert car.tick() == DISARMED
     assert "30 s" in car.memory.reason
 
 
@@ -249,8 +219,7 @@ def test_launch_window_caps_the_speed_until_the_checks_have_passed(before):
     assert (*car.outputs(), car.action.cap) == (MotorOutput.DRIVE, SteeringOutput.LIVE, 0.5)
     car.tick()
     assert car.action.cap == (inf if before else 0.5)
-    car.facts |= Fact.LAUNCHED
-    car.tick()
+    car.tick(facts=car.facts | Fact.LAUNCHED)
     assert car.action.cap == inf
 
 
@@ -261,19 +230,12 @@ def test_stop_ramps_at_1_5_then_brakes_softly_and_arms_again():
     car = Car().running(2.0)
     assert car.tick(Fact.STOP) == STOPPING
     assert (car.action.motor, car.action.cap) == (MotorOutput.RAMP_STOP, 2.0)
-    car.speed = 1.0
-    car.tick()
+    car.tick(speed=1.0)
     assert car.action.cap == pytest.approx(1.985)
     assert car.outputs() == (MotorOutput.RAMP_STOP, SteeringOutput.LIVE)
-    car.speed = 0.3
-    car.tick()
-    assert car.action.motor == MotorOutput.RAMP_STOP
-    car.speed = 0.2999
-    car.tick()
-    assert car.action.motor == MotorOutput.SOFT_BRAKE
-    car.speed = 0.5
-    car.tick()
-    assert car.action.motor == MotorOutput.SOFT_BRAKE  # no way back to the ramp
+    assert car.motor_at(0.3) == MotorOutput.RAMP_STOP
+    assert car.motor_at(0.2999) == MotorOutput.SOFT_BRAKE
+    assert car.motor_at(0.5) == MotorOutput.SOFT_BRAKE, "no way back to the ramp"
     car.speed = 0.0499
     assert car.ticks(30) == STOPPING
     assert car.tick() == ARMED
@@ -289,15 +251,11 @@ def test_ramp_ends_in_brake_current_when_the_cap_is_below_0_3_whatever_the_speed
 
 
 def test_a_stop_of_unknown_speed_brakes_at_once_and_a_launch_stops_from_its_cap():
-    for speed, motor, cap in (
-        (nan, MotorOutput.SOFT_BRAKE, 0.0),
-        (2.0, MotorOutput.RAMP_STOP, 0.5),
-    ):
+    for speed, *expected in ((nan, MotorOutput.SOFT_BRAKE, 0.0), (2.0, MotorOutput.RAMP_STOP, 0.5)):
         car = Car().armed()
         car.tick(Fact.START)
-        car.speed = speed
-        car.tick(Fact.STOP)
-        assert (car.action.motor, car.action.cap) == (motor, cap)
+        car.tick(Fact.STOP, speed=speed)
+        assert [car.action.motor, car.action.cap] == expected
 
 
 @pytest.mark.parametrize("late", [False, True])
@@ -315,8 +273,7 @@ def test_a_stop_that_no_operator_asked_for_ends_disarmed(gained, lost, asked, re
     car.text = "W13 low"
     if late:
         car.tick(Fact.STOP)
-    car.facts = (car.facts | gained) & ~lost
-    assert car.tick(asked) == STOPPING
+    assert car.tick(asked, facts=(car.facts | gained) & ~lost) == STOPPING
     assert car.memory.reason == ("stop asked for" if late else reason)
     car.facts, car.speed = GOOD, 0.0
     assert car.until(ARMED if late and gained == Fact.ENDED else DISARMED) >= 29
@@ -343,12 +300,10 @@ def test_not_stopped_after_4_s_brakes_hard():
 def test_hard_fault_brakes_in_the_same_tick_and_latches(prepare, gained, lost, asked, reason):
     car = prepare(Car())
     car.text = "W7 telemetry stale: no reply for 110 ms"
-    car.facts = (car.facts | gained) & ~lost
-    assert car.tick(asked) == FAULT_STOP
+    assert car.tick(asked, facts=(car.facts | gained) & ~lost) == FAULT_STOP
     assert car.action.motor == MotorOutput.BRAKE
     assert car.memory.reason == reason
-    car.text = "W1 another"
-    car.speed = 0.0
+    car.text, car.speed = "W1 another", 0.0
     car.until(FAULT_LATCHED)
     assert car.memory.reason == reason
     assert car.outputs() == (MotorOutput.RELEASE_ONCE, SteeringOutput.CENTRE)
@@ -362,45 +317,34 @@ def test_hard_fault_brakes_in_the_same_tick_and_latches(prepare, gained, lost, a
 
 def test_fault_stop_steers_while_the_estimate_is_good_and_holds_otherwise():
     car = Car().running()
-    car.facts |= Fact.HARD
-    car.tick()
+    car.tick(facts=car.facts | Fact.HARD)
     assert car.action.steering == SteeringOutput.LIVE
     assert car.memory.reason == "a watchdog tripped", "without a text"
-    car.facts &= ~Fact.ESTIMATED
-    car.tick()
+    car.tick(facts=car.facts & ~Fact.ESTIMATED)
     assert car.action.steering == SteeringOutput.HOLD
-    car.facts &= ~Fact.SLOWING
-    car.tick()
+    car.tick(facts=car.facts & ~Fact.SLOWING)
     assert car.action.motor == MotorOutput.DUTY_ZERO
 
 
 def test_fault_stop_gives_up_after_2_s_only_if_no_source_gives_the_speed():
-    car = Car().running()
-    car.facts |= Fact.HARD
-    car.speed = nan
-    car.tick()
-    assert car.ticks(199) == FAULT_STOP
-    assert car.tick() == FAULT_LATCHED
-    for speed in (0.05, -0.05):  # is not standing
+    given = ((nan, 1, FAULT_LATCHED), (0.05, 801, FAULT_STOP), (-0.05, 801, FAULT_STOP))
+    for speed, more, end in given:  # 0.05 m/s is not standing
         car = Car().running()
-        car.facts |= Fact.HARD
-        car.speed = speed
-        assert car.ticks(1000) == FAULT_STOP
+        car.tick(facts=car.facts | Fact.HARD, speed=speed)
+        assert car.ticks(199) == FAULT_STOP
+        assert car.ticks(more) == end
 
 
 def test_latched_fault_clears_only_standing_with_the_cause_gone_and_by_an_operator():
     car = Car().running()
-    car.facts |= Fact.HARD
-    car.tick()
+    car.tick(facts=car.facts | Fact.HARD)
     car.speed = 0.0
     car.until(FAULT_LATCHED)
     assert car.tick(Fact.CLEAR) == FAULT_LATCHED
-    car.facts = GOOD | Fact.SOFT
-    assert car.tick(Fact.CLEAR) == FAULT_LATCHED
+    assert car.tick(Fact.CLEAR, facts=GOOD | Fact.SOFT) == FAULT_LATCHED
     car.facts = GOOD
     assert car.ticks(100) == FAULT_LATCHED
-    car.speed = 0.05
-    assert car.tick(Fact.CLEAR) == FAULT_LATCHED
+    assert car.tick(Fact.CLEAR, speed=0.05) == FAULT_LATCHED
     car.speed = 0.0
     car.ticks(30)
     assert car.tick(Fact.ARM | Fact.START) == FAULT_LATCHED
@@ -411,12 +355,9 @@ def test_estop_brakes_at_least_2_s_then_is_silent_until_reset():
     car = Car().running()
     assert car.tick(Fact.CALL_ESTOP | Fact.START) == ESTOP
     assert car.outputs() == (MotorOutput.ESTOP_BRAKE, SteeringOutput.LIVE)
-    car.facts &= ~(Fact.SLOWING | Fact.ESTIMATED)
-    car.tick()
+    car.tick(facts=car.facts & ~(Fact.SLOWING | Fact.ESTIMATED))
     assert car.outputs() == (MotorOutput.DUTY_ZERO, SteeringOutput.HOLD)
-    car.facts = GOOD
-    car.speed = 0.0
-    assert car.tick(Fact.RESET) == ESTOP
+    assert car.tick(Fact.RESET, facts=GOOD, speed=0.0) == ESTOP
     car.ticks(30)
     assert car.action.steering == SteeringOutput.CENTRE
     car.ticks(167)
@@ -424,12 +365,9 @@ def test_estop_brakes_at_least_2_s_then_is_silent_until_reset():
     car.tick()
     assert car.outputs() == (MotorOutput.SILENT, SteeringOutput.NONE)
     assert car.tick(Fact.CLEAR | Fact.ARM | Fact.START) == ESTOP
-    car.facts |= Fact.KILLED
-    assert car.tick(Fact.RESET) == ESTOP
-    car.facts = GOOD | Fact.HARD
-    assert car.tick(Fact.RESET) == ESTOP
-    car.facts = GOOD
-    assert car.tick(Fact.RESET) == DISARMED
+    for trip in (Fact.KILLED, Fact.HARD):
+        assert car.tick(Fact.RESET, facts=GOOD | trip) == ESTOP
+    assert car.tick(Fact.RESET, facts=GOOD) == DISARMED
 
 
 def test_estop_goes_on_braking_while_the_car_moves():
@@ -445,11 +383,10 @@ def test_estop_takes_2_s_without_a_speed_as_standing():
     car.speed = nan
     assert car.ticks(199) == ESTOP
     assert car.action.motor == MotorOutput.ESTOP_BRAKE
-    assert not stands(car.memory, car.t_ns)
+    assert not sv.stands(car.memory, car.t_ns)
     car.tick()
-    assert stands(car.memory, car.t_ns)
+    assert sv.stands(car.memory, car.t_ns)
     assert car.action.motor == MotorOutput.SILENT
-    car.speed = 0.05
-    car.tick()
-    assert not stands(car.memory, car.t_ns), "it rolls, as is seen now"
+    car.tick(speed=0.05)
+    assert not sv.stands(car.memory, car.t_ns), "it rolls, as is seen now"
     assert car.tick(Fact.RESET) == ESTOP

@@ -5,26 +5,12 @@ from math import inf, isfinite, nan
 
 import pytest
 
-from steerd.daemon.loop.supervisor import (
-    NEVER,
-    Conditions,
-    SupervisorMemory,
-    derive_facts,
-    step_supervisor,
-)
-from steerd.daemon.loop.transitions import (
-    ASKED,
-    ROWS,
-    TABLE,
-    Fact,
-    MotorOutput,
-    SupervisorState,
-    choose_row,
-    is_engaged,
-)
+from steerd.daemon.loop import supervisor as sv
+from steerd.daemon.loop import transitions as tr
+from steerd.daemon.loop.supervisor import NEVER, derive_facts, step_supervisor
 from steerd.steer_bus.quick_values import changed
 
-S, M = SupervisorState, MotorOutput
+S, M, Fact = tr.SupervisorState, tr.MotorOutput, tr.Fact
 DRIVEN = (S.ARMED, S.RUNNING, S.STOPPING)
 T_NS, AGO_NS = 100 * 10**9, 50 * 10**9
 GIVEN = int(Fact.CHECKS_HELD) - 1
@@ -33,7 +19,7 @@ MOTION = (M.DRIVE, M.RAMP_STOP)
 
 def used_bits(state):
     mask = int(Fact.SLOWING)
-    for row in ROWS[state]:
+    for row in tr.ROWS[state]:
         mask |= row.needs | row.one_of | row.unless
     return [1 << k for k in range(27) if mask >> k & 1]
 
@@ -52,21 +38,15 @@ def realise(state, bits):
         if bits & (Fact.SOFT | Fact.DISARM | Fact.UNKNOWN):
             return None
         facts |= int(Fact.LEASED)
-    old = SupervisorMemory(
-        state,
-        T_NS - 10_000_000,
-        AGO_NS if bits & Fact.ELAPSED else T_NS - 10_000_000,
-        "before",
-        AGO_NS if still else NEVER,
-        AGO_NS if bits & Fact.CHECKS_HELD else NEVER,
-        AGO_NS if bits & Fact.PROVEN else NEVER,
-        1.0,
-        bool(bits & Fact.REARM),
-        False,
-        0,
+    before_ns = T_NS - 10_000_000
+    since_ns = AGO_NS if bits & Fact.ELAPSED else before_ns
+    timers = (
+        AGO_NS if bits & bit else NEVER for bit in (Fact.STILL, Fact.CHECKS_HELD, Fact.PROVEN)
     )
+    rearm = bool(bits & Fact.REARM)
+    old = sv.SupervisorMemory(state, before_ns, since_ns, "before", *timers, 1.0, rearm, False, 0)
     speed = 0.0 if still else (2.0 if measured else nan)
-    return old, Conditions(facts, speed, 150_000_000, "W0 words"), bits & ASKED
+    return old, sv.Conditions(facts, speed, 150_000_000, "W0 words"), bits & tr.ASKED
 
 
 def cases(state):
@@ -77,7 +57,7 @@ def cases(state):
             yield bits, old, conditions, requests, *step_supervisor(old, conditions, requests, T_NS)
 
 
-@pytest.fixture(scope="module", params=SupervisorState, ids=lambda s: s.name)
+@pytest.fixture(scope="module", params=S, ids=lambda s: s.name)
 def outcomes(request):
     return request.param, list(cases(request.param))
 
@@ -89,7 +69,7 @@ def test_cases_are_many_and_step_follows_the_table(outcomes):
     for bits, old, conditions, requests, new, _ in found:
         derived = derive_facts(old, conditions, requests, T_NS)
         assert derived & bits == bits
-        row = choose_row(state, derived)
+        row = tr.choose_row(state, derived)
         assert new.state == (state if row is None else row.to)
         moved += new.state != state
     assert moved
@@ -112,16 +92,13 @@ def test_i2_hard_fault_leaves_in_the_same_tick(outcomes):
 
 
 def test_i3_no_way_from_a_fault_to_running_without_disarmed_arm_and_self_test():
-    into = {
-        state: {s for row in TABLE if row.to == state for s in row.sources}
-        for state in SupervisorState
-    }
+    into = {to: {s for row in tr.TABLE if row.to == to for s in row.sources} for to in S}
     assert into[S.RUNNING] == {S.ARMED}
     assert into[S.ARMED] == {S.SELF_TEST, S.STOPPING}
     assert into[S.STOPPING] == {S.RUNNING}
     assert into[S.SELF_TEST] == {S.READY}
     assert into[S.READY] == {S.DISARMED}
-    for row in TABLE:
+    for row in tr.TABLE:
         assert row.to != S.RUNNING or row.needs & Fact.START
         assert row.to != S.SELF_TEST or row.needs & Fact.ARM
         assert row.to != S.ARMED or row.needs & (Fact.PROVEN | Fact.REARM)
@@ -178,30 +155,25 @@ def test_i8_an_unknown_event_is_a_stop(outcomes):
 
 
 def test_every_row_of_the_table_can_fire():
-    fired = set()
-    for state in SupervisorState:
-        for bits in every(used_bits(state)):
-            row = choose_row(state, bits)
-            if row is not None and row.to != state:
-                fired.add(row)
-    assert fired == set(TABLE)
+    rows = ((state, tr.choose_row(state, bits)) for state in S for bits in every(used_bits(state)))
+    assert {row for state, row in rows if row and row.to != state} == set(tr.TABLE)
 
 
 def test_every_fact_is_one_bit_and_the_last_nine_are_requests():
     values = sorted(bit for name, bit in vars(Fact).items() if name.isupper())
     assert all(b == 2 * a for a, b in pairwise(values))
     assert len(values) == 27
-    assert sum(values[-9:]) == ASKED
+    assert sum(values[-9:]) == tr.ASKED
 
 
 def test_guardian_is_engaged_exactly_where_motor_bytes_flow():
     engaged = (S.ARMED, S.RUNNING, S.STOPPING, S.FAULT_STOP, S.ESTOP)
-    assert tuple(state for state in SupervisorState if is_engaged(state)) == engaged
+    assert tuple(state for state in S if tr.is_engaged(state)) == engaged
 
 
 def test_derived_facts_cannot_be_given_and_every_unknown_bit_is_unknown():
     old = realise(S.ARMED, 0)[0]
-    everything = Conditions((1 << 40) - 1, nan, 0)
+    everything = sv.Conditions((1 << 40) - 1, nan, 0)
     assert derive_facts(old, everything, 0, T_NS) == GIVEN
     for bit in (*range(18), 27, 31, 63):
         assert derive_facts(old, changed(everything, facts=0), 1 << bit, T_NS) == Fact.UNKNOWN

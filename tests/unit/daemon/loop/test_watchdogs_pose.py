@@ -4,14 +4,8 @@ from math import inf, nan, nextafter, pi
 
 import pytest
 
-from steerd.daemon.loop.watchdogs_pose import (
-    PoseVerdict,
-    PoseWatch,
-    is_flapping,
-    rejected_share,
-    step_innovation,
-    step_pose,
-)
+from steerd.daemon.loop import watchdogs_pose as wp
+from steerd.daemon.loop.watchdogs_pose import PoseWatch, is_flapping
 from steerd.daemon.settings.thresholds import Thresholds
 from steerd.steer_bus.quick_values import changed
 from tests.unit.daemon.loop.watching import seen
@@ -20,7 +14,7 @@ TH = Thresholds(
     jump_speed=2.0, jump_margin=0.0625, yaw_step=0.5, quaternion_tolerance=0.015625,
     freeze_speed=0.125,
 )  # fmt: skip
-ACCEPTED, INVALID, FROZEN, JUMP, REBASED = PoseVerdict
+ACCEPTED, INVALID, FROZEN, JUMP, REBASED = wp.PoseVerdict
 S = 10**9
 
 
@@ -33,7 +27,7 @@ BASE = PoseWatch(frame())
 
 
 def judge(next_frame, watch=BASE, wheel=0.0, may_rebase=False):
-    return step_pose(TH, watch, next_frame, wheel, may_rebase)
+    return wp.step_pose(TH, watch, next_frame, wheel, may_rebase)
 
 
 @pytest.mark.parametrize(
@@ -50,23 +44,14 @@ def test_first_sane_frame_is_a_start(changes):
 @pytest.mark.parametrize(
     "bad",
     [
-        {"tracking_valid": False},
-        {"live": False},
-        {"place": (0.0, 0.0, 0.0)},
-        {"place": (nan, 1.0, 1.0)},
-        {"place": (1.0, inf, 1.0)},
-        {"place": (inf, -inf, 1.0)},
-        {"yaw": nan},
-        {"turn": (0.0, 0.0, 0.0, 0.0)},
-        {"turn": (nan, 0.0, 0.0, 1.0)},
+        {"tracking_valid": False}, {"live": False}, {"place": (0.0, 0.0, 0.0)},
+        {"place": (nan, 1.0, 1.0)}, {"place": (1.0, inf, 1.0)}, {"place": (inf, -inf, 1.0)},
+        {"yaw": nan}, {"turn": (0.0, 0.0, 0.0, 0.0)}, {"turn": (nan, 0.0, 0.0, 1.0)},
         {"turn": (nextafter(1.015625, inf), 0.0, 0.0, 0.0)},
         {"turn": (0.0, 0.0, nextafter(0.984375, 0.0), 0.0)},
-        {"number": 1},
-        {"number": 0},
-        {"t_ns": S},
-        {"t_ns": S - 1},
+        {"number": 1}, {"number": 0}, {"t_ns": S}, {"t_ns": S - 1},
     ],
-)
+)  # fmt: skip
 def test_bad_frames_are_counted_and_dropped(bad):
     watch = BASE
     for count in range(1, 7):
@@ -114,9 +99,9 @@ def test_freeze_needs_identical_bits_and_turning_wheels():
     for wheel in (nextafter(0.125, 1), -1.0):
         watch, verdict = judge(same, wheel=wheel)
         assert (verdict, watch.frozen, watch.base) == (FROZEN, 1, frame())
-    assert judge(frame(1.01, 2, x=nextafter(1.0, 2)), wheel=1.0)[1] == ACCEPTED
-    turned = frame(1.01, 2, turn=(nextafter(1.0, 2), 0.0, 0.0, 0.0))
-    assert judge(turned, wheel=1.0)[1] == ACCEPTED
+    barely = nextafter(1.0, 2)
+    for moved in ({"x": barely}, {"turn": (barely, 0.0, 0.0, 0.0)}):
+        assert judge(frame(1.01, 2, **moved), wheel=1.0)[1] == ACCEPTED
     watch, _ = judge(frame(1.02, 3), judge(same, wheel=1.0)[0], wheel=1.0)
     assert watch.frozen == 2
     assert judge(frame(1.03, 4, x=1.01), watch, wheel=1.0)[0].frozen == 0
@@ -197,20 +182,15 @@ def test_restarted_server_becomes_the_new_truth_but_garbage_never_does():
 
 def test_innovations_in_a_row_and_their_share():
     watch = BASE
-    for _ in range(4):
-        watch = step_innovation(TH, watch, True)
-    assert (watch.rejected, rejected_share(TH, watch)) == (4, 0.08)
-    watch = step_innovation(TH, watch, False)
-    assert (watch.rejected, rejected_share(TH, watch)) == (0, 0.08)
-    for _ in range(45):
-        watch = step_innovation(TH, watch, False)
-    assert rejected_share(TH, watch) == 0.08
-    watch = step_innovation(TH, watch, False)
-    assert rejected_share(TH, watch) == 0.06
+    for count, rejected, *then in ((4, True, 4, 0.08), (1, False, 0, 0.08), (45, False, 0, 0.08),
+                                   (1, False, 0, 0.06)):  # fmt: skip
+        for _ in range(count):
+            watch = wp.step_innovation(TH, watch, rejected)
+        assert [watch.rejected, wp.rejected_share(TH, watch)] == then
 
 
 def test_frames_and_innovations_leave_each_other_alone():
     busy = PoseWatch(frame(), frame(0.99, 0), 1, 2, 3, (4,), 1, 0b101)
-    assert step_innovation(TH, busy, True) == changed(busy, rejected=2, rejections=0b1011)
+    assert wp.step_innovation(TH, busy, True) == changed(busy, rejected=2, rejections=0b1011)
     after, _ = judge(frame(1.01, 2), busy)
     assert (after.rejected, after.rejections) == (1, 0b101)

@@ -2,7 +2,6 @@
 
 from math import inf, nextafter
 
-from steerd.daemon.loop.findings import Severity
 from steerd.daemon.loop.outgoing import make_mocap
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.loop.watchdogs import WatchdogInput, WatchdogState, step_watchdogs
@@ -35,7 +34,6 @@ TH = Thresholds(
     lease_warn=0.125, lease=0.25, follow_hold=0.0625, follow_distance=0.125,
 )  # fmt: skip
 S = 10**9
-WARN, SOFT, HARD, KILL = Severity
 
 
 def up(value):
@@ -46,8 +44,13 @@ def down(value):
     return nextafter(value, -inf)
 
 
+def step(memory=None, th=TH, **changes):
+    """The memory and the findings after a tick of calm driving, but for the changes."""
+    return step_watchdogs(th, memory or WatchdogState(), changed(CALM, **changes))
+
+
 def look(th=TH, memory=None, **changes):
-    return step_watchdogs(th, memory or WatchdogState(), changed(CALM, **changes))[1]
+    return step(memory, th, **changes)[1]
 
 
 def brief(findings):
@@ -56,7 +59,7 @@ def brief(findings):
 
 def after(seconds, th=TH, **changes):
     """Findings of a tick; the second of two so many seconds apart, if any."""
-    memory, found = step_watchdogs(th, WatchdogState(), changed(CALM, **changes))
+    memory, found = step(None, th, **changes)
     end = CALM.t_ns + round(seconds * S)
     return look(th, memory, **{**changes, "t_ns": end}) if seconds else found
 

@@ -27,8 +27,7 @@ if job is not None:
 def waiter(tmp_path, monkeypatch):
     """A module that writes its job's word into the descriptor that it is given."""
     (tmp_path / "waiting_job.py").write_text(WAITER)
-    paths = (str(tmp_path), os.environ.get("PYTHONPATH", ""))
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
     return "waiting_job"
 
 

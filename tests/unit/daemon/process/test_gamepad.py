@@ -14,26 +14,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process import gamepad
 from steerd.daemon.process.bus_operator import CarView
-from steerd.daemon.process.gamepad import (
-    ABS,
-    AXES,
-    BUTTONS,
-    KEY,
-    SYN,
-    SYN_DROPPED,
-    XBOX_AXES,
-    AxisRange,
-    Pad,
-    PadEvent,
-    PadGoneError,
-    PadMap,
-    PadState,
-    find_pad,
-    is_silent,
-    open_pad,
-    read_axis,
-    take_event,
-)
+from steerd.daemon.process.gamepad import ABS, AXES, BUTTONS, KEY, PadEvent, PadMap, PadState
 from steerd.daemon.process.teleop import PERIOD_NS, VALID_MS, Teleop
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode
@@ -50,14 +31,9 @@ RECORDED = struct.pack("qqHHi", 1700000000, 5, KEY, 310, 1) + struct.pack(
 @pytest.fixture
 def pipe():
     read_fd, write_fd = os.pipe()
-    pad = Pad("a pipe", read_fd)
+    pad = gamepad.Pad("a pipe", read_fd)
     yield pad, write_fd
     pad.close()
-
-
-def read_to_the_end(pad):
-    while True:
-        pad.read()
 
 
 @pytest.mark.parametrize("cut", [1, 23, 24, 25, 47, 48])
@@ -68,19 +44,16 @@ def test_bytes_of_the_kernel_are_events_wherever_they_are_cut(pipe, cut):
     os.write(write_fd, RECORDED[cut:] + RECORDED)
     os.close(write_fd)
     assert events + pad.read() == [PadEvent(KEY, 310, 1), PadEvent(ABS, 0, -32768)] * 2
-    with pytest.raises(PadGoneError, match="a pipe"):
+    with pytest.raises(gamepad.PadGoneError, match="a pipe"):
         pad.read()
 
 
-def test_a_device_that_is_not_there_is_named(tmp_path):
+def test_a_device_that_is_not_there_is_named_and_none_gets_advice(tmp_path, monkeypatch):
     with pytest.raises(SteerdError, match="event9: No such file"):
-        open_pad(tmp_path / "event9", BUTTONS["tl"])
-
-
-def test_no_gamepad_is_an_error_with_advice(tmp_path, monkeypatch):
+        gamepad.open_pad(tmp_path / "event9", BUTTONS["tl"])
     monkeypatch.setattr(gamepad, "FOLDER", tmp_path)
     with pytest.raises(SteerdError, match="no gamepad") as caught:
-        find_pad(BUTTONS["tl"])
+        gamepad.find_pad(BUTTONS["tl"])
     assert caught.value.code is ExitCode.UNREADABLE
     assert "--device" in caught.value.hint
 
@@ -93,14 +66,15 @@ def test_a_virtual_gamepad_is_read_and_its_end_is_noticed():
 
     axes = [(0, evdev.AbsInfo(0, -100, 100, 0, 3, 0)), (5, evdev.AbsInfo(0, 0, 255, 0, 0, 0))]
     made = evdev.UInput({KEY: [310, 315], ABS: axes}, name="steerd test pad")
-    pad = open_pad(Path(made.device.path), 310)
+    pad = gamepad.open_pad(Path(made.device.path), 310)
     assert pad.axes[0] == (-100, 100, 3)
     made.write(KEY, 310, 1)
     made.syn()
     assert PadEvent(KEY, 310, 1) in pad.read()
     made.close()
-    with pytest.raises(PadGoneError):
-        read_to_the_end(pad)
+    with pytest.raises(gamepad.PadGoneError):
+        for _ in iter(pad.read, None):
+            pass
     pad.close()
 
 
@@ -108,14 +82,15 @@ def test_a_virtual_gamepad_is_read_and_its_end_is_noticed():
 
 PADS = PadMap()
 HELD = PadState(held=True, steer=0.5, speed=0.5, heard_ns=0)
-STICK, TRIGGER = AxisRange(-100, 100), AxisRange(0, 200)
+STICK, TRIGGER = gamepad.AxisRange(-100, 100), gamepad.AxisRange(0, 200)
+COARSE = gamepad.AxisRange(-100, 100, 20)
 
 
 def after(*events, pads=PADS, start=HELD):
     """The state after events, and what was pressed."""
     pad, pressed = start, []
     for event in events:
-        pad, code = take_event(pad, PadEvent(*event), pads, XBOX_AXES, 7)
+        pad, code = gamepad.take_event(pad, PadEvent(*event), pads, gamepad.XBOX_AXES, 7)
         pressed += [] if code is None else [code]
     return pad, pressed
 
@@ -125,11 +100,8 @@ def test_the_deadman_is_held_from_its_press_to_its_release():
     assert after((KEY, PADS.deadman, 2))[0].held, "the kernel repeats a held key"
     assert not after((KEY, PADS.deadman, 0))[0].held
     assert not after((KEY, BUTTONS["tr"], 1), start=PadState())[0].held
-
-
-def test_lost_events_let_go():
-    assert not after((SYN, SYN_DROPPED, 0))[0].held
-    assert after((SYN, 0, 0))[0].held
+    assert not after((gamepad.SYN, gamepad.SYN_DROPPED, 0))[0].held, "lost events let go"
+    assert after((gamepad.SYN, 0, 0))[0].held
 
 
 def test_buttons_count_when_they_are_pressed():
@@ -139,10 +111,10 @@ def test_buttons_count_when_they_are_pressed():
 
 
 def test_left_is_left_and_forward_is_forward():
-    assert after((ABS, AXES["x"], -32768))[0].steer == pytest.approx(1.0)
-    assert after((ABS, AXES["x"], 32767))[0].steer == pytest.approx(-1.0)
-    assert after((ABS, AXES["rz"], 1023))[0].speed == 1.0
-    assert after((ABS, AXES["rz"], 0))[0].speed == 0.0
+    for value, steer in ((-32768, 1.0), (32767, -1.0)):
+        assert after((ABS, AXES["x"], value))[0].steer == pytest.approx(steer)
+    for value, speed in ((1023, 1.0), (0, 0.0)):
+        assert after((ABS, AXES["rz"], value))[0].speed == speed
     stick = PadMap(speed="y")
     assert after((ABS, AXES["y"], -32768), pads=stick)[0].speed == pytest.approx(1.0)
     assert after((ABS, AXES["y"], 32767), pads=stick)[0].speed == 0.0, "there is no reverse"
@@ -155,24 +127,21 @@ def test_left_is_left_and_forward_is_forward():
     [
         (0, STICK, "x", 0.0), (5, STICK, "x", 0.0), (-5, STICK, "x", 0.0), (100, STICK, "x", 1.0),
         (-100, STICK, "x", -1.0), (999, STICK, "x", 1.0), (-999, STICK, "x", -1.0),
-        (20, AxisRange(-100, 100, 20), "x", 0.0), (60, AxisRange(-100, 100, 20), "x", 0.5),
-        (0, TRIGGER, "rz", 0.0), (100, TRIGGER, "rz", 0.5), (300, TRIGGER, "rz", 1.0),
-        (0, AxisRange(0, 0), "rz", 0.0),
+        (20, COARSE, "x", 0.0), (60, COARSE, "x", 0.5), (0, TRIGGER, "rz", 0.0),
+        (100, TRIGGER, "rz", 0.5), (300, TRIGGER, "rz", 1.0), (0, gamepad.AxisRange(0, 0), "rz", 0),
     ],
 )  # fmt: skip
 def test_an_axis_is_a_share(value, span, name, share):
-    assert read_axis(value, span, name) == pytest.approx(share)
+    assert gamepad.read_axis(value, span, name) == pytest.approx(share)
 
 
 def test_a_held_pad_that_says_nothing_is_released_after_its_time_and_not_before():
     quiet = PADS.quiet_ns
-    assert not is_silent(HELD, PADS, quiet)
-    assert is_silent(HELD, PADS, quiet + 1)
-    assert not is_silent(PadState(held=False), PADS, 10 * quiet)
+    assert not gamepad.is_silent(HELD, PADS, quiet)
+    assert gamepad.is_silent(HELD, PADS, quiet + 1)
+    assert not gamepad.is_silent(PadState(held=False), PADS, 10 * quiet)
     assert after((ABS, AXES["x"], 1))[0].heard_ns == 7
 
-
-# A gamepad on the bus.
 
 DEADMAN, GO, ESTOP = BUTTONS["tl"], BUTTONS["start"], BUTTONS["east"]
 S = 10**9
@@ -190,7 +159,7 @@ class Desk:
         self.now_ns = 9 * S
         clock = SimpleNamespace(now_ns=lambda: self.now_ns, realtime_ns=lambda: self.now_ns)
         self.view = CarView(LocalBus(hub), "car1", clock)
-        self.teleop = Teleop(self.view, PadMap(**pads), XBOX_AXES)
+        self.teleop = Teleop(self.view, PadMap(**pads), gamepad.XBOX_AXES)
         self.show(SupervisorState.READY)
 
     def show(self, state, boot_id="5"):

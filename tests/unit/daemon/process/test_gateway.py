@@ -2,6 +2,7 @@
 
 import os
 import socket
+from contextlib import suppress
 from dataclasses import replace
 
 import pytest
@@ -26,8 +27,9 @@ def hub():
 
 
 @pytest.fixture
-def gateway(hub):
-    return Gateway(LocalBus(hub), "car1", None)
+def gateway(hub, request):
+    """It listens for poses where the test says."""
+    return Gateway(LocalBus(hub), "car1", getattr(request, "param", None))
 
 
 @pytest.fixture
@@ -39,11 +41,25 @@ def other(hub):
 def packets(core):
     """What has arrived at the core."""
     found = []
-    while True:
-        try:
+    with suppress(BlockingIOError):
+        while True:
             found.append(unpack_request(core.recv(2 * REQUEST_MAX)))
-        except BlockingIOError:
-            return found
+    return found
+
+
+@pytest.fixture
+def arriving(gateway, ends):
+    """Forwards what the bus holds; gives what arrives at the core."""
+
+    def forward():
+        gateway.forward_requests(ends[0])
+        return packets(ends[1])
+
+    return forward
+
+
+def requests(arrived):
+    return [decode(m.OperatorRequest, data) for _, data in arrived]
 
 
 @pytest.mark.usefixtures("gateway")
@@ -68,40 +84,28 @@ def test_whole_records_are_published_and_the_rest_waits(gateway, hub, pipe):
 
 def test_what_comes_from_the_bus_is_not_sent_back_to_it(gateway, hub):
     heard = LocalBus(hub).subscribe(make_key("car1", topics.OPERATOR), 8)
-    request = m.OperatorRequest(m.make_header(1, m.BODY), 1, 2, 3, int(m.RequestKind.ARM), "me")
-    gateway.publish([PipeRecord(topics.OPERATOR, 0, 0, 0, encode(request))])
+    gateway.publish([PipeRecord(topics.OPERATOR, 0, 0, 0, ask(ARM))])
     assert heard.poll() == []
 
 
 def ask(kind, seq=1, lease_id=7, operator="ada"):
     """An operator's request, encoded."""
-    return encode(
-        m.OperatorRequest(m.make_header(1, m.BODY), 5, lease_id, seq, int(kind), operator)
-    )
+    header = m.make_header(1, m.BODY)
+    return encode(m.OperatorRequest(header, 5, lease_id, seq, int(kind), operator))
 
 
-ARM, STOP, ESTOP, ALIVE = (
-    m.RequestKind[name] for name in ("ARM", "STOP", "ESTOP", "KEEPALIVE")
-)  # fmt: skip
+ARM, STOP, ESTOP, ALIVE = (m.RequestKind[k] for k in ("ARM", "STOP", "ESTOP", "KEEPALIVE"))
 
 
-def kinds(core):
-    """The operators' requests that have arrived at the core."""
-    got = [decode(m.OperatorRequest, data) for name, data in packets(core)]
-    return [m.RequestKind(request.kind) for request in got]
-
-
-def test_requests_and_poses_go_to_the_core_stops_first(other, hub, ends):
-    ours, core = ends
-    gateway = Gateway(LocalBus(hub), "car1", POSE_KEY)
+@pytest.mark.parametrize("gateway", [POSE_KEY], indirect=True)
+def test_requests_and_poses_go_to_the_core_stops_first(other, arriving):
     drive = encode(m.DriveCommand(m.make_header(1, m.BODY), 5, 0, 1, 2, 100, 0.1, 1.0))
     other.publish(make_key("car1", topics.OPERATOR), ask(ARM, lease_id=0))
     other.publish(make_key("car1", topics.DRIVE), drive)
     other.publish(make_key("car2", topics.DRIVE), drive)
     other.publish(make_key("car1", topics.STOP), ask(ESTOP, lease_id=0))
     other.publish(POSE_KEY, b"pose")
-    gateway.forward_requests(ours)
-    assert packets(core) == [
+    assert arriving() == [
         (topics.OPERATOR.name, ask(ESTOP, lease_id=0)),
         (topics.OPERATOR.name, ask(ARM, lease_id=0)),
         (topics.DRIVE.name, drive),
@@ -110,50 +114,40 @@ def test_requests_and_poses_go_to_the_core_stops_first(other, hub, ends):
 
 
 @pytest.mark.parametrize("topic", [topics.STOP, topics.OPERATOR])
-def test_what_does_not_decode_displaces_no_request(gateway, other, ends, topic):
-    ours, core = ends
+def test_what_does_not_decode_displaces_no_request(other, arriving, topic):
     other.publish(make_key("car1", topic), ask(STOP))
     for size in (0, 1, 40, 200, REQUEST_MAX + 1) * 200:
         other.publish(make_key("car1", topic), bytes([size % 251]) * size)
-    gateway.forward_requests(ours)
-    assert kinds(core) == [STOP]
+    assert [request.kind for request in requests(arriving())] == [STOP]
 
 
-def test_no_other_request_displaces_a_stop(gateway, other, ends):
-    ours, core = ends
+def test_no_other_request_displaces_a_stop(other, arriving):
     other.publish(make_key("car1", topics.STOP), ask(ESTOP))
     for seq in range(1000):
         other.publish(make_key("car1", topics.OPERATOR), ask(ALIVE, seq))
         other.publish(make_key("car1", topics.STOP), ask(ALIVE, seq))
-    gateway.forward_requests(ours)
-    assert kinds(core)[0] is ESTOP
-    assert kinds(core) == []
+    assert requests(arriving())[0].kind == ESTOP
+    assert arriving() == []
 
 
-def test_a_lease_is_known_by_a_badge_that_opens_nothing(gateway, other, ends):
+def test_a_lease_is_known_by_a_badge_that_opens_nothing(other, arriving):
     """Whoever sends under the name that the car publishes is another."""
-    ours, core = ends
-    known = []
     for lease_id in (7, 7, 8, 0):
         other.publish(make_key("car1", topics.OPERATOR), ask(ALIVE, lease_id=lease_id))
-    gateway.forward_requests(ours)
-    known = [decode(m.OperatorRequest, data).lease_id for _, data in packets(core)]
+    known = [request.lease_id for request in requests(arriving())]
     assert known[0] == known[1] == make_badge("", 7)
     assert len({*known, 7, 8}) == 5
     assert known[3] == 0, "nobody stays nobody"
     other.publish(make_key("car1", topics.OPERATOR), ask(ALIVE, lease_id=known[0]))
-    gateway.forward_requests(ours)
-    ((_, data),) = packets(core)
-    assert decode(m.OperatorRequest, data).lease_id not in known
+    (request,) = requests(arriving())
+    assert request.lease_id not in known
 
 
-def test_in_a_lab_the_certificate_names_the_operator_and_the_lease(gateway, hub, ends):
-    ours, core = ends
+def test_in_a_lab_the_certificate_names_the_operator_and_the_lease(hub, arriving):
     desk, tablet = (LocalBus(hub, who=name) for name in ("desk", "tablet"))
     for bus in (desk, tablet):
         bus.publish(make_key("car1", topics.OPERATOR, bus.who), ask(ALIVE, operator="desk"))
-    gateway.forward_requests(ours)
-    got = [decode(m.OperatorRequest, data) for _, data in packets(core)]
+    got = requests(arriving())
     assert [request.operator for request in got] == ["desk", "tablet"]
     assert got[0].lease_id != got[1].lease_id, "one secret, two people"
 
@@ -169,14 +163,12 @@ def test_a_core_that_does_not_read_costs_requests_and_never_blocks(gateway, othe
     assert 0 < len(packets(core)) < sent
 
 
-def test_it_ends_when_the_pipe_closes_after_all_is_published(hub, ends, pipe):
+def test_it_ends_when_the_pipe_closes_after_all_is_published(gateway, hub, ends, pipe):
     heard = LocalBus(hub).subscribe(make_key("car1", topics.TICK), 8)
     read_fd, write_fd = pipe
     os.write(write_fd, pack_record(PipeRecord(topics.TICK, 0, 0, 0, TICK)))
     os.close(write_fd)
-    run_gateway(
-        Gateway(LocalBus(hub), "car1", None), PipeReader(read_fd), ends[0], PipeReader(None)
-    )
+    run_gateway(gateway, PipeReader(read_fd), ends[0], PipeReader(None))
     assert len(heard.poll()) == 1
 
 
@@ -204,13 +196,10 @@ def test_heartbeats_leave_twenty_times_a_second():
     assert sent == list(range(0, 1000 * MS, BEAT_NS))
 
 
-def test_a_gateway_that_has_never_answered_is_still_starting():
-    assert not RemotePath(BOOT_ID).is_silent(False, LIMIT_S, 60_000 * MS)
-
-
-@pytest.mark.parametrize(("t_ms", "silent"), [(1000, False), (1001, True)])
-def test_a_gateway_that_has_answered_and_falls_silent_is_found(t_ms, silent):
-    assert make_path().is_silent(False, LIMIT_S, t_ms * MS + 1) is silent
+def test_a_gateway_that_has_answered_and_falls_silent_is_found():
+    assert not RemotePath(BOOT_ID).is_silent(False, LIMIT_S, 60_000 * MS), "it is still starting"
+    for t_ms, silent in ((1000, False), (1001, True)):
+        assert make_path().is_silent(False, LIMIT_S, t_ms * MS + 1) is silent
 
 
 def test_the_newest_heartbeat_counts_from_when_it_left():

@@ -21,9 +21,7 @@ def test_before_a_port_is_open_nothing_may_move_and_nothing_is_missed():
     guard = ProcessGuard(realtime=True)
     now = time.monotonic_ns()
     guard.mark_clean()
-    assert not guard.may_write(now, now)
-    assert not guard.is_silent(now)
-    assert not guard.has_tripped()
+    assert not any((guard.may_write(now, now), guard.is_silent(now), guard.has_tripped()))
 
 
 @pytest.mark.parametrize(
@@ -39,8 +37,8 @@ def test_how_late_a_heartbeat_may_be(realtime, simulated, stale_ms):
     assert not guard.may_write(now, now + stale_ns)
 
 
-def test_a_guardian_shows_itself_brakes_a_silent_core_and_is_missed_when_killed():
-    read, write = os.pipe()
+def test_a_guardian_shows_itself_brakes_a_silent_core_and_is_missed_when_killed(pipe):
+    read, write = pipe
     guard = ProcessGuard(realtime=False, simulated=True)
     start = time.monotonic_ns()
     guard.watch(write, BRAKE, start)
@@ -65,12 +63,10 @@ def test_a_guardian_shows_itself_brakes_a_silent_core_and_is_missed_when_killed(
     guard._process.kill()
     guard._process.wait()
     assert guard.is_silent(time.monotonic_ns())
-    os.close(read)
-    os.close(write)
 
 
-def test_a_plug_that_flaps_leaves_nothing_behind():
-    read, write = os.pipe()
+def test_a_plug_that_flaps_leaves_nothing_behind(pipe):
+    read, write = pipe
     guard = ProcessGuard(realtime=False, simulated=True)
     counts = []
     for _ in range(4):
@@ -115,14 +111,12 @@ def held(request):
 def test_a_holder_that_unmapped_its_page_before_it_left_is_heard_of():
     """The kernel cannot hand on a mutex that is not in memory any more: Python's own tidy end."""
     page_fd = make_page_fd()
-    leaver = (
-        "import os, sys; from steerd.daemon.process.heartbeat import HeartbeatPage, Lifeline; "
-        "line = Lifeline(int(sys.argv[1]))"
+    code = (
+        "import os, sys; from steerd.daemon.process.heartbeat import Lifeline; "
+        "line = Lifeline(int(sys.argv[1])); line.hold(); del line; os._exit(0)"
     )
-    code = f"{leaver}; line.hold(); del line; os._exit(0)"
-    holder = subprocess.Popen(
-        [sys.executable, "-c", code, str(page_fd)], pass_fds=(page_fd,), cwd=ROOT
-    )
+    command = [sys.executable, "-c", code, str(page_fd)]
+    holder = subprocess.Popen(command, pass_fds=(page_fd,), cwd=ROOT)
     pidfd = os.pidfd_open(holder.pid)
     assert holder.wait() == 0
     line = Lifeline(page_fd, pidfd)

@@ -29,11 +29,6 @@ def typed() -> Iterator[tuple[GuidePage, int]]:
         os.close(write)
 
 
-def look(page: GuidePage) -> ClientConnection:
-    where = page.url.removeprefix("http://")
-    return connect(f"ws://{where}live", origin=Origin(f"http://{where.split('/')[0]}"))
-
-
 def until(socket: ClientConnection, there: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
     """What the page shows once something is there."""
     while not there(seen := json.loads(socket.recv(timeout=20.0))):
@@ -45,12 +40,9 @@ def test_buttons_and_keys_both_answer(typed):
     page, keyboard = typed
     with urllib.request.urlopen(page.url) as answer:
         assert b"steerd setup" in answer.read()
-    with look(page) as socket:
+    live, origin = page.url.replace("http", "ws") + "live", f"http://{page.url.split('/')[2]}"
+    with connect(live, origin=Origin(origin)) as socket:
         done: list[str] = []
-
-        def do(step: Step) -> int:
-            done.append(step.title)
-            return 0
 
         def ask(question: str) -> str:
             if page.shown()["at"] == 1:  # the second step is answered on the keyboard
@@ -60,7 +52,7 @@ def test_buttons_and_keys_both_answer(typed):
                 socket.send(f"{page.shown()['at']} do")
             return page.ask(question)
 
-        assert guide(STEPS, 0, ask, do, page.stand) == 3
+        assert guide(STEPS, 0, ask, lambda step: done.append(step.title) or 0, page.stand) == 3
         assert done == ["a", "b", "c"]
         seen = until(socket, lambda seen: seen["steps"][2]["state"] == "done")
         assert [step["state"] for step in seen["steps"]] == ["done", "done", "done"]
@@ -98,9 +90,7 @@ def test_what_a_step_says_is_shown(typed, capfd):
     page, _ = typed
     page.stand(0, "runs")
     script = "import os; print('one\\rtwo', os.get_terminal_size().columns); raise SystemExit(4)"
-    assert (
-        page.run([sys.executable, "-c", f"import time; print(end='x', flush=True); {script}"]) == 4
-    )
+    assert page.run([sys.executable, "-c", f"print(end='x', flush=True); {script}"]) == 4
     assert "two" in capfd.readouterr().out
     assert page.shown()["steps"][0]["output"].splitlines()[0].startswith("two")
 
@@ -108,14 +98,10 @@ def test_what_a_step_says_is_shown(typed, capfd):
 @pytest.mark.parametrize(
     ("output", "shown"),
     [
-        ("a\r\nb\n", "a\nb\n"),
-        ("10 %\r20 %\r\n", "20 %\n"),
-        ("\x1b[32mgreen\x1b[0m", "green"),
-        ("one\ntwo\n\x1b[2A\rthree\n", "three\n"),
-        ("\x1b[9A\x1b[?25lx", "x"),
-        ("", ""),
+        ("a\r\nb\n", "a\nb\n"), ("10 %\r20 %\r\n", "20 %\n"), ("\x1b[32mgreen\x1b[0m", "green"),
+        ("one\ntwo\n\x1b[2A\rthree\n", "three\n"), ("\x1b[9A\x1b[?25lx", "x"), ("", ""),
     ],
-)
+)  # fmt: skip
 def test_text_as_the_terminal_shows_it(output, shown):
     assert plain_text(output) == shown
 

@@ -11,9 +11,7 @@ MS = 1_000_000
 TICKS = 2000
 
 
-def drive(
-    period: int, frames: list[int], ticks: int = TICKS
-) -> tuple[list[int], list[int], list[Pace]]:
+def drive(period, frames, ticks=TICKS):
     """Deadlines, and for each the wait of the newest frame, which comes at the given times."""
     pace, due, newest, coming = Pace(), 0, -1, 0
     dues, waits, paces = [], [], []
@@ -28,12 +26,11 @@ def drive(
     return dues, waits, paces
 
 
-def arrivals(every: float, phase: float, jitter: float, seed: int, share: float = 1.0) -> list[int]:
+def arrivals(every, phase, jitter, seed, share=1.0):
     draw = np.random.default_rng(seed)
     count = int(TICKS * 11 * MS / every)
     times = (np.arange(count) + phase) * every + np.abs(draw.normal(0.0, jitter, count))
-    kept: list[int] = times[draw.random(count) < share].round().astype(int).tolist()
-    return kept
+    return times[draw.random(count) < share].round().astype(int).tolist()
 
 
 PHASES = (0.02, 0.3, 0.5, 0.7, 0.98)
@@ -71,18 +68,13 @@ def test_poses_without_a_common_rhythm_move_nothing_and_make_no_ticks(period_ms,
     assert {early_window_ns(pace, period) for pace in paces[50:]} == {0}
 
 
-def test_without_poses_ticks_come_on_time():
-    dues, _, paces = drive(10 * MS, [])
-    assert set(np.diff(dues)) == {10 * MS}
-    assert paces[-1].arrival_ns == -1
-    assert early_window_ns(Pace(), 10 * MS) == 0
-
-
-def test_when_poses_end_the_period_is_the_nominal_one():
+def test_without_poses_and_when_they_end_the_period_is_the_nominal_one():
     period = 10 * MS
-    frames = arrivals(period, 0.9, 0.0, 11)[:300]
-    dues, _, _ = drive(period, frames)
-    assert set(np.diff(dues[302:])) == {period}
+    for frames, settled in (([], 0), (arrivals(period, 0.9, 0.0, 11)[:300], 302)):
+        dues, _, paces = drive(period, frames)
+        assert set(np.diff(dues[settled:])) == {period}
+        assert (paces[-1].arrival_ns == -1) is (not frames)
+    assert early_window_ns(Pace(), period) == 0
 
 
 @given(
@@ -90,8 +82,7 @@ def test_when_poses_end_the_period_is_the_nominal_one():
     steps=st.lists(st.integers(0, 40 * MS), min_size=1, max_size=60),
 )
 def test_no_arrivals_whatever_bend_a_period_by_more_than_the_slew(period, steps):
-    frames = np.cumsum(steps).tolist()
-    dues, _, _ = drive(period, frames, 80)
+    dues, _, _ = drive(period, np.cumsum(steps).tolist(), 80)
     assert np.abs(np.diff(dues) - period).max() <= SLEW * period + 1
 
 

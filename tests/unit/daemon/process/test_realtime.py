@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,19 +15,6 @@ from steerd.daemon.process import realtime
 from steerd.daemon.process.guard import LEAST_NS, find_cause, parse_steal
 from steerd.daemon.process.guardian import PERIOD_NS
 from steerd.daemon.process.realtime import keep_busy, measure_wakes, summarise_wakes
-
-
-class Libc:
-    """A C library that locks memory or refuses to."""
-
-    def __init__(self, locked):
-        self.locked = locked
-
-    def prctl(self, *_args):
-        return 0
-
-    def mlockall(self, _flags):
-        return 0 if self.locked else -1
 
 
 @pytest.fixture
@@ -44,7 +32,8 @@ def machine(monkeypatch):
         monkeypatch.setattr(realtime.os, "sched_setscheduler", schedule)
         monkeypatch.setattr(realtime.os, "geteuid", lambda: 1000)
         monkeypatch.setattr(realtime.resource, "getrlimit", lambda _which: (limit, limit))
-        monkeypatch.setattr(realtime, "_libc", lambda: Libc(locked))
+        libc = SimpleNamespace(prctl=lambda *_: 0, mlockall=lambda _flags: 0 if locked else -1)
+        monkeypatch.setattr(realtime, "_libc", lambda: libc)
         return asked
 
     yield grant
@@ -76,10 +65,8 @@ def test_real_time_for_a_while_leaves_nothing_behind():
     def standing():
         status = Path("/proc/self/status").read_text().splitlines()
         locked = next(line for line in status if line.startswith("VmLck"))
-        return (
-            gc.isenabled(), gc.get_freeze_count(), sys.getswitchinterval(),
-            os.sched_getscheduler(0), locked,
-        )  # fmt: skip
+        collected = gc.isenabled(), gc.get_freeze_count()
+        return *collected, sys.getswitchinterval(), os.sched_getscheduler(0), locked
 
     before = standing()
     with realtime.realtime_section() as report:
@@ -106,9 +93,8 @@ def cause_of(late_ms, pause_ms, stolen_ms=0):
 @pytest.mark.parametrize("stall_ms", [31, 40, 60, 200])
 def test_a_stall_of_everything_is_the_machines(stall_ms, due_ms, slept_ms):
     """The stall begins `due_ms` before the core's tick, `slept_ms` after the guardian's beat."""
-    late = round(stall_ms - due_ms)
-    begin = -due_ms - slept_ms
-    assert cause_of(late, (begin, stall_ms - due_ms + 1)) == Flag.ALL_LATE
+    pause_ms = (-due_ms - slept_ms, stall_ms - due_ms + 1)
+    assert cause_of(round(stall_ms - due_ms), pause_ms) == Flag.ALL_LATE
 
 
 JUST = LEAST_NS // MS
@@ -119,28 +105,21 @@ NEVER = -START // MS, -START // MS
 @pytest.mark.parametrize(
     ("late_ms", "pause_ms", "stolen_ms", "flag"),
     [
-        (41, (-900, -850), 0, Flag.ALONE_LATE),  # a pause at another time
-        (41, (-40, 0), 0, Flag.ALONE_LATE),
-        (41, (60, 90), 0, Flag.ALONE_LATE),
-        (41, None, 0, 0),  # nobody saw it
-        (41, NEVER, 0, Flag.ALONE_LATE),  # it ran all the time
-        (JUST, NEVER, 0, Flag.ALONE_LATE),
-        (100, (-10, 30), 0, 0),  # the guardian ran for most of it
-        (100, (90, 120), 0, 0),
-        (0, (-5, 5), 0, 0),
-        (JUST - 1, (0, 0), 0, 0),  # of a short delay it is no witness
-        (JUST - 1, (-9, JUST), 0, 0),
+        # A pause at another time, or none: the guardian ran all the time.
+        *((41, pause, 0, Flag.ALONE_LATE) for pause in ((-900, -850), (-40, 0), (60, 90), NEVER)),
+        (JUST, NEVER, 0, Flag.ALONE_LATE), (41, None, 0, 0),  # nobody saw it
+        (100, (-10, 30), 0, 0), (100, (90, 120), 0, 0),  # the guardian ran for most of it
+        # Of a short delay it is no witness.
+        (0, (-5, 5), 0, 0), (JUST - 1, (0, 0), 0, 0), (JUST - 1, (-9, JUST), 0, 0),
         (JUST, (0, PERIOD_NS // MS + 9), 0, 0),  # mostly its own sleep
-        (40, (-5, 45), 40, Flag.STALLED),  # stolen time says more than the guardian
-        (40, (0, 0), 20, Flag.STALLED),
+        # Stolen time says more than the guardian.
+        (40, (-5, 45), 40, Flag.STALLED), (40, (0, 0), 20, Flag.STALLED),
         (40, (-5, 45), 19, Flag.ALL_LATE),
     ],
-)
+)  # fmt: skip
 def test_who_made_a_tick_late(late_ms, pause_ms, stolen_ms, flag):
     assert cause_of(late_ms, pause_ms, stolen_ms) == flag
 
-
-# Late ticks of a machine whose host took the processor are told from those of this program.
 
 STAT = "cpu  10 0 5 900 1 0 0 42 0 0\ncpu0 10 0 5 900 1 0 0 42 0 0\n"
 
@@ -164,44 +143,25 @@ def test_a_machine_is_kept_busy_and_let_go(monkeypatch):
     assert [process.poll() for process in started] == [-9, -9]
 
 
-# Lateness of wakes: counted against deadlines that are skipped, never caught up.
+def test_a_missed_deadline_is_skipped_and_never_caught_up():
+    late, deadlines, now = [0, 25 * MS, 1 * MS], [], [0]
 
+    def sleep(deadline_ns):
+        now[0] = deadline_ns + late[len(deadlines)]
+        deadlines.append(deadline_ns)
 
-class LateClock:
-    """A clock whose sleeps end late by the listed times."""
-
-    def __init__(self, late):
-        self.t_ns, self.late, self.deadlines = 0, list(late), []
-
-    def now_ns(self):
-        return self.t_ns
-
-    def realtime_ns(self):
-        return self.t_ns
-
-    def sleep_until_ns(self, deadline_ns):
-        self.deadlines.append(deadline_ns)
-        self.t_ns = deadline_ns + self.late.pop(0)
-
-
-def test_a_missed_deadline_is_skipped():
-    clock = LateClock([0, 25 * MS, 1 * MS])
-    late = measure_wakes(clock, 10 * MS, 3)
-    assert late.tolist() == [0, 25 * MS, 1 * MS]
-    assert clock.deadlines == [10 * MS, 20 * MS, 50 * MS]
+    clock = SimpleNamespace(now_ns=lambda: now[0], sleep_until_ns=sleep)
+    assert measure_wakes(clock, 10 * MS, 3).tolist() == late
+    assert deadlines == [10 * MS, 20 * MS, 50 * MS]
 
 
 @pytest.mark.parametrize(
-    ("late_ms", "good", "missed", "fatal"),
-    [
-        ([0.1] * 1000, True, 0, 0),
-        ([0.1] * 998 + [9.0, 9.0], False, 0, 0),
-        ([0.1] * 9999 + [10.0], True, 0, 0),
-        ([0.1] * 9999 + [10.1], False, 1, 0),
-        ([0.1] * 9999 + [25.1], False, 1, 1),
-    ],
-)
-def test_what_is_good_enough(late_ms, good, missed, fatal):
+    ("few", "more", "good", "missed", "fatal"),
+    [(1000, [], True, 0, 0), (998, [9.0, 9.0], False, 0, 0), (9999, [10.0], True, 0, 0),
+     (9999, [10.1], False, 1, 0), (9999, [25.1], False, 1, 1)],
+)  # fmt: skip
+def test_what_is_good_enough(few, more, good, missed, fatal):
+    late_ms = [0.1] * few + more
     wakes = summarise_wakes((np.array(late_ms) * MS).astype(np.int64), 10 * MS)
     assert (wakes.good, wakes.missed, wakes.fatal) == (good, missed, fatal)
     assert wakes.ticks == len(late_ms)

@@ -11,7 +11,6 @@ from types import SimpleNamespace
 import pytest
 
 from steerd.daemon.assembly.build import RunId, make_plan
-from steerd.daemon.ipc import pipe_records as pipes
 from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord, pack_record
 from steerd.daemon.loop.core import make_core
 from steerd.daemon.loop.findings import Flag
@@ -76,9 +75,6 @@ def test_a_recording_that_would_end_at_once_is_refused(tmp_path, monkeypatch):
         check_space(tmp_path / "none" / "drive.mcap", 0)
 
 
-# The control core's process: exceptions that have no caller stop the car.
-
-
 class Broken:
     """Raises when it is collected."""
 
@@ -89,8 +85,8 @@ class Broken:
 @pytest.mark.parametrize("where", ["thread", "destructor"])
 def test_w29_an_exception_without_a_caller_stops_the_car_for_good(monkeypatch, where):
     core = make_core(make_plan(RunOptions(car_file="", path="line")), ())
-    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
-    monkeypatch.setattr(threading, "excepthook", threading.excepthook)
+    for place, hook in ((sys, "unraisablehook"), (threading, "excepthook")):
+        monkeypatch.setattr(place, hook, getattr(place, hook))
     latch_stray_exceptions(core)
     if where == "thread":
         thread = threading.Thread(target=lambda: [][1])
@@ -105,15 +101,9 @@ def test_w29_an_exception_without_a_caller_stops_the_car_for_good(monkeypatch, w
 
 def test_the_terminal_gets_changes_at_once_and_the_rest_ten_times_a_second():
     written = []
-
-    class Pipe:
-        def write(self, packed, t_ns):
-            written.append((t_ns, len(packed)))
-
-    sink = status_sink(Pipe())
-    records = [
-        PipeRecord(topic, 0, 0, 0, b"") for topic in (topics.STATE, topics.TRANSITION, topics.IMU)
-    ]
+    pipe = SimpleNamespace(write=lambda packed, t_ns: written.append((t_ns, len(packed))))
+    sink, told = status_sink(pipe), (topics.STATE, topics.TRANSITION, topics.IMU)
+    records = [PipeRecord(topic, 0, 0, 0, b"") for topic in told]
     for t_ns in (0, 50_000_000, 100_000_000):
         sink(records, t_ns)
     assert written == [(0, 2), (50_000_000, 1), (100_000_000, 2)]
@@ -128,11 +118,10 @@ TICK_NS = 10_000_000
 def pose_record(number):
     """Poses of a car at 100 Hz."""
     t = number * TICK_NS
+    at = (0.01 * number, sin(number), 0.1, 0.1, 0.0)
     header = m.make_header(EPOCH + t, m.WORLD)
-    pose = m.MocapPose(
-        header, t, t, 0, number, 0, 1, *(0.0,) * 8, 0.01 * number, sin(number), 0.1, 0.1, 0.0, ""
-    )
-    return pipes.PipeRecord(topics.MOCAP, number, EPOCH + t, EPOCH + t, encode(pose))
+    pose = m.MocapPose(header, t, t, 0, number, 0, 1, *(0.0,) * 8, *at, "")
+    return PipeRecord(topics.MOCAP, number, EPOCH + t, EPOCH + t, encode(pose))
 
 
 @pytest.fixture
@@ -169,15 +158,13 @@ def test_bytes_that_are_no_message_are_passed_over(loop):
 
 
 def test_reports_are_read_until_the_learner_ends(loop, pipe):
-    reader, packed = pipes.PipeReader(pipe[0]), pipes.pack_record(fed(loop, range(150))[0])
-    assert list(reader.take()) == []
-    os.write(pipe[1], packed[:50])
-    assert list(reader.take()) == []
-    os.write(pipe[1], packed[50:])
-    assert len(list(reader.take())) == 1
+    reader, packed = PipeReader(pipe[0]), pack_record(fed(loop, range(150))[0])
+    for part, whole in ((b"", 0), (packed[:50], 0), (packed[50:], 1)):
+        os.write(pipe[1], part)
+        assert len(list(reader.take())) == whole
     os.write(pipe[1], packed)
     os.close(pipe[1])
     assert len(list(reader.rest(0))) == 1
-    for ended in (reader, pipes.PipeReader(None)):
+    for ended in (reader, PipeReader(None)):
         assert ended.fd is None
         assert list(ended.take()) == list(ended.rest(0)) == []

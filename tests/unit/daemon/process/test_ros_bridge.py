@@ -2,6 +2,7 @@
 
 import struct
 from math import cos, isnan, nan, pi, sin
+from types import SimpleNamespace
 
 import pytest
 
@@ -23,22 +24,13 @@ from tests.ros_messages import DRIVE, ODOMETRY, make_key, pack_drive
 BOOT, MS = 815, 1_000_000
 
 
-class NamedBus(LocalBus):
-    """A local bus that has an id and remembers its publishers' ids."""
-
-    zid = "ab12"
-
-    def __init__(self, hub):
-        super().__init__(hub)
-        self.gids = {}
-
-    def name_publisher(self, key, gid):
-        self.gids[key] = gid
-
-
 @pytest.fixture
 def bus():
-    return NamedBus(LocalHub())
+    """A local bus that has an id and remembers its publishers' ids."""
+    bus = LocalBus(LocalHub())
+    bus.zid, bus.gids = "ab12", {}
+    bus.name_publisher = bus.gids.__setitem__
+    return bus
 
 
 def test_each_publisher_has_a_token_whose_hash_it_sends(bus):
@@ -72,9 +64,6 @@ def test_what_is_not_the_cars_to_send_stays_and_a_closed_bus_stops_no_gateway(bu
     bridge.publish(PipeRecord(topics.CLOCK, 0, 0, 0, data))
     with pytest.raises(BusError):
         bus.publish("a", data)
-
-
-# A node's /drive, packed by rosbags.
 
 
 @pytest.mark.parametrize("hash_of_type", [None, "TypeHashNotSupported"])
@@ -112,27 +101,19 @@ def test_what_is_no_drive_command_displaces_none(bus):
 
 
 def test_a_nodes_odd_times_go_into_no_message_that_cannot_be_packed():
-    class Said(LocalBus):
-        def subscribe(self, key, depth=1, keep=None):
-            return self
-
-        def poll(self):
-            return [Sample("", pack_drive(0.1, 1.0, -1), -1, -(1 << 63), b"")]
-
-    (command,) = RosDrive(Said(LocalHub()), 0, BOOT).take()
+    said = [Sample("", pack_drive(0.1, 1.0, -1), -1, -(1 << 63), b"")]
+    bus = SimpleNamespace(subscribe=lambda *_: SimpleNamespace(poll=lambda: said))
+    (command,) = RosDrive(bus, 0, BOOT).take()
     assert decode(m.DriveCommand, encode(command)).t_source_ns == -(1 << 63)
 
 
 @pytest.mark.parametrize(
     ("mocap", "key"),
     [
-        ("ros2:///pf/pose/odom", "3/pf/pose/odom/*/*"),
-        ("zenoh:lab/pose", "lab/pose"),
-        ("natnet://10.0.0.1/car", None),
-        ("ros2://pf", None),
-        (None, None),
+        ("ros2:///pf/pose/odom", "3/pf/pose/odom/*/*"), ("zenoh:lab/pose", "lab/pose"),
+        ("natnet://10.0.0.1/car", None), ("ros2://pf", None), (None, None),
     ],
-)
+)  # fmt: skip
 def test_poses_are_listened_for_where_the_address_says(mocap, key):
     assert find_pose_key(RunOptions("", mocap=mocap, ros_domain=3)) == key
 

@@ -14,16 +14,7 @@ from steerd.daemon.assembly.build import make_job, make_plan, read_job
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.requests import parse_setting
-from steerd.daemon.process.view import (
-    Body,
-    list_values,
-    make_car_scene,
-    make_channels,
-    make_lane_scene,
-    make_learnt_parameters,
-    make_parameters,
-    make_transform,
-)
+from steerd.daemon.process import view
 from steerd.daemon.process.view_job import draw_plan, parse_view
 from steerd.daemon.process.view_server import ViewServer
 from steerd.daemon.settings.run_options import RunOptions
@@ -31,11 +22,11 @@ from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from tests.blank import NOW_NS, blank
 
-BODY = Body(0.16, 0.17, 0.27)
+BODY = view.Body(0.16, 0.17, 0.27)
 
 
 def test_parameters_are_flat_and_cannot_be_set():
-    flat = make_parameters({"car": {"lf": 0.1}, "record": {"required": True}, "name": "x"})
+    flat = view.make_parameters({"car": {"lf": 0.1}, "record": {"required": True}, "name": "x"})
     assert flat == {"car.lf": 0.1, "record.required": 1.0, "name": "x"}
     known = ViewServer("x", [], flat)
     assert known.set({"car.lf": 9.0, "unknown": 1.0}) == {"car.lf": 0.1}
@@ -62,10 +53,9 @@ def test_what_was_learnt_is_shown_with_its_standard_deviation_once_it_is_new():
     rows = [["steer_gain", 0.88, 0.002, "1", True], ["lf", 0.16, None, "m", False]]
     told = {"verdict": "named", "effect": "steer_gain"}
     told["details"] = json.dumps({"values": rows, "changes": []})
-    shown = make_learnt_parameters(SimpleNamespace(**blank | told))
-    assert shown["model.steer_gain"] == 0.88
-    assert shown["model.steer_gain_sd"] == 0.002
-    assert shown["model.steer_gain_identifiable"] == "yes"
+    shown = view.make_learnt_parameters(SimpleNamespace(**blank | told))
+    gain = [shown[f"model.steer_gain{part}"] for part in ("", "_sd", "_identifiable")]
+    assert gain == [0.88, 0.002, "yes"]
     assert shown["model.lf_identifiable"] == "no"
     assert "model.lf_sd" not in shown
     known = ViewServer("x", [], {})
@@ -74,7 +64,7 @@ def test_what_was_learnt_is_shown_with_its_standard_deviation_once_it_is_new():
 
 
 def test_every_topic_has_a_channel_with_its_schema():
-    channels = {channel["topic"]: channel for channel in make_channels("blue")}
+    channels = {channel["topic"]: channel for channel in view.make_channels("blue")}
     shown = [topic for topic in topics.TOPICS if topic.on_bus]
     for topic in shown:
         channel = channels[f"/steerd/blue/{topic.name}"]
@@ -87,19 +77,15 @@ class Client:
     """A client that says these words and is gone; keeps what it was sent."""
 
     def __init__(self, *words):
-        self._words, self.sent = list(words), []
+        self._words, self.sent = words, []
 
     async def send(self, message):
         self.sent.append(message)
 
-    def __aiter__(self):
-        return self
-
-    async def __anext__(self):
-        await asyncio.sleep(0)
-        if not self._words:
-            raise StopAsyncIteration
-        return self._words.pop(0)
+    async def __aiter__(self):
+        for word in self._words:
+            await asyncio.sleep(0)
+            yield word
 
 
 @pytest.mark.parametrize(
@@ -115,15 +101,12 @@ class Client:
 def test_no_word_of_a_client_ends_its_connection(words):
     asked = '{"op": "getParameters", "parameterNames": ["a", "b"], "id": "1"}'
     client = Client(words, asked, *["{}"] * 9)
-    server = ViewServer("x", make_channels("car1"), {"a": 1.5, "b": nan})
+    server = ViewServer("x", view.make_channels("car1"), {"a": 1.5, "b": nan})
     asyncio.run(server.talk(client))
     said = [json.loads(text) for text in client.sent]
     assert [each["op"] for each in said[:2]] == ["serverInfo", "advertise"]
     assert said[-1]["parameters"] == [{"name": "a", "value": 1.5, "type": "float64"}]
     assert said[-1]["id"] == "1"
-
-
-# What the viewer draws: lane, car and car file; addresses accepted and refused.
 
 
 def test_the_job_holds_the_lane_and_the_car_file_and_is_json():
@@ -133,22 +116,16 @@ def test_the_job_holds_the_lane_and_the_car_file_and_is_json():
     assert job["closed"]
     assert [hypot(x, y - 2.0) for x, y, _ in job["lane"]] == pytest.approx([2.0] * len(job["lane"]))
     assert 200 < len(job["lane"]) < 400  # 12.6 m in steps of about 5 cm
-    assert list_values(plan)["car.lf"] == job["body"]["lf"]
-
-
-@pytest.mark.parametrize(
-    ("text", "host", "port"),
-    [("8765", "127.0.0.1", 8765), ("localhost:1", "localhost", 1), ("[::1]:80", "::1", 80)],
-)
-def test_addresses(text, host, port):
-    assert parse_view(text, insecure_lan=False) == (host, port)
+    assert view.list_values(plan)["car.lf"] == job["body"]["lf"]
 
 
 @pytest.mark.parametrize("text", ["", "x", "0", "65536", "127.0.0.1:", "0.0.0.0:8765", "lab:8765"])
-def test_invalid_addresses_are_refused_and_public_ones_without_insecure_lan(text):
+def test_good_addresses_are_taken_invalid_refused_and_public_ones_without_insecure_lan(text):
     with pytest.raises(SteerdError):
         parse_view(text, insecure_lan=False)
     assert parse_view("0.0.0.0:8765", insecure_lan=True) == ("0.0.0.0", 8765)
+    good = {"8765": ("127.0.0.1", 8765), "localhost:1": ("localhost", 1), "[::1]:80": ("::1", 80)}
+    assert {words: parse_view(words, insecure_lan=False) for words in good} == good
 
 
 def test_a_missing_package_is_one_line_with_its_remedy(capsys, monkeypatch):
@@ -158,9 +135,6 @@ def test_a_missing_package_is_one_line_with_its_remedy(capsys, monkeypatch):
     assert "foxglove-sdk" in said
     assert "pip install" in said
     assert len(said.splitlines()) == 2
-
-
-# The viewer's scene, decoded by protobuf from the schema that is sent.
 
 
 def decode_foxglove(message):
@@ -179,7 +153,7 @@ def yaw_of(turn):
 
 
 def test_the_transform_puts_the_body_where_the_estimate_is():
-    sent = decode_foxglove(make_transform(blank(m.StateMessage, x=1.5, y=-2.0, yaw=0.75 * pi)))
+    sent = decode_foxglove(view.make_transform(blank(m.StateMessage, x=1.5, y=-2.0, yaw=0.75 * pi)))
     (frame,) = sent.transforms
     assert (frame.parent_frame_id, frame.child_frame_id) == (m.WORLD, m.BODY)
     assert (frame.translation.x, frame.translation.y) == (1.5, -2.0)
@@ -189,7 +163,7 @@ def test_the_transform_puts_the_body_where_the_estimate_is():
 
 def test_the_car_has_its_axles_and_steers_in_front_only():
     state = blank(m.StateMessage, steer=0.3, speed=2.0, slip_angle=-0.05)
-    (car,) = decode_foxglove(make_car_scene(state, BODY)).entities
+    (car,) = decode_foxglove(view.make_car_scene(state, BODY)).entities
     assert (car.frame_id, car.frame_locked) == (m.BODY, True)
     chassis, *wheels = car.cubes
     assert len(wheels) == 4
@@ -206,12 +180,10 @@ def test_the_car_has_its_axles_and_steers_in_front_only():
 
 def test_a_lane_runs_beside_its_path():
     points = [(2.0, 0.0, pi / 2), (0.0, 2.0, pi), (-2.0, 0.0, -pi / 2)]
-    (scene,) = decode_foxglove(make_lane_scene(points, 0.3, closed=True)).entities
+    (scene,) = decode_foxglove(view.make_lane_scene(points, 0.3, closed=True)).entities
     assert scene.frame_id == m.WORLD
-    path, left, right = scene.lines
-    assert [hypot(p.x, p.y) for p in path.points] == pytest.approx([2.0] * 3)
-    assert [hypot(p.x, p.y) for p in left.points] == pytest.approx([1.7] * 3)
-    assert [hypot(p.x, p.y) for p in right.points] == pytest.approx([2.3] * 3)
+    for line, radius in zip(scene.lines, (2.0, 1.7, 2.3), strict=True):  # path, left, right
+        assert [hypot(p.x, p.y) for p in line.points] == pytest.approx([radius] * 3)
     assert {line.type for line in scene.lines} == {1}  # LINE_LOOP
-    straight = decode_foxglove(make_lane_scene(points[:2], 0.3, closed=False))
+    straight = decode_foxglove(view.make_lane_scene(points[:2], 0.3, closed=False))
     assert {line.type for line in straight.entities[0].lines} == {0}  # LINE_STRIP
