@@ -13,10 +13,8 @@ from steerd.daemon.cli.main import run_cli
 
 pytestmark = pytest.mark.slow
 
-FREE = ["steer_delay", "speed_lag"]
+FREE, ONLY = ["steer_delay", "speed_lag"], ["steer_delay", "steer_backlash", "speed_delay"]
 DELAY = 0.05
-LINES_MOST = 60  # of a cell's output: more than a screen nobody reads
-ONLY = ["steer_delay", "steer_backlash", "speed_delay"]
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +60,7 @@ def test_no_value_fills_more_than_a_screen_of_a_cell(name, request):
     for each, one in [(name, value), *((each, one) for each, one in held if not callable(one))]:
         text = pretty.pretty(one)
         lines = sum(1 + len(line) // 100 for line in text.splitlines())
-        assert lines <= LINES_MOST, f"{each}: {lines} lines"
+        assert lines <= 60, f"{each}: {lines} lines, more than a screen nobody reads"
     page = value._repr_html_()
     assert all(html.escape(card.figure) in page for card in value.cards)
     assert len(value.cards) >= 3

@@ -23,12 +23,10 @@ def line(car, key):
     return next(each for each in car.text.splitlines() if each.startswith(f"{key} = "))
 
 
-@pytest.mark.parametrize(
-    ("value", "sd", "shown"),
-    [(15.2428916, 0.193184, 15.243), (9.668802290607, 6.69e-05, 9.6688023),
-     (123.45678, 25.0, 123.5), (4.11234567, None, 4.11235), (4.11234567, 0.0, 4.11235),
-     (4.11234567, inf, 4.11235)],
-)  # fmt: skip
+@pytest.mark.parametrize(("value", "sd", "shown"), [
+    (15.2428916, 0.193184, 15.243), (9.668802290607, 6.69e-05, 9.6688023), (123.45678, 25.0, 123.5),
+    (4.11234567, None, 4.11235), (4.11234567, 0.0, 4.11235), (4.11234567, inf, 4.11235),
+])  # fmt: skip
 def test_a_value_has_the_digits_that_its_error_leaves(value, sd, shown):
     """Rounding costs a two-hundredth of the error at most."""
     car = make_car(BASE, {"c_x": Learned(value, sd, "")}, Path("x.toml"))
@@ -39,10 +37,11 @@ def test_a_value_has_the_digits_that_its_error_leaves(value, sd, shown):
 def test_comments_belong_to_the_values_that_stand_there():
     car = make_car(BASE, {"steer_lag": FOUND}, Path("blue.toml"))
     assert "engineering estimate" in line(BASE, "steer_lag")
-    assert line(car, "steer_lag").endswith(
-        "# s ± 0.00016, first-order lag of the servo, identify (ours)"
-    )
+    said = "# s ± 0.00016, first-order lag of the servo, identify (ours)"
+    assert line(car, "steer_lag").endswith(said)
     assert line(car, "speed_lag") == line(BASE, "speed_lag"), "what was not found stays as it was"
+    old, new = tomllib.loads(BASE.text), tomllib.loads(car.text)
+    assert {**old, "car": None} == {**new, "car": None}
     again = make_car(car, {"steer_lag": Learned(0.05, None, "given with --fix")}, car.path)
     assert line(again, "steer_lag").endswith("# s, first-order lag of the servo, given with --fix")
 
@@ -60,12 +59,6 @@ def test_the_published_name_is_not_handed_on_and_a_name_of_ones_own_is():
     assert make_car(BASE, {"steer_lag": FOUND}, Path("blue.toml")).name == "blue"
     mine = parse_car(BASE.text.replace(BASE.name, "The blue one"), Path("mine.toml"))
     assert make_car(mine, {"steer_lag": FOUND}, Path("blue.toml")).name == "The blue one"
-
-
-def test_the_file_is_a_right_car_file_with_everything_else_as_it_was():
-    car = make_car(BASE, {"steer_lag": FOUND}, Path("blue.toml"))
-    old, new = tomllib.loads(BASE.text), tomllib.loads(car.text)
-    assert {**old, "car": None} == {**new, "car": None}
 
 
 # A car file that began as F1TENTH's gets the wiring of the drives that it was learnt from.
@@ -88,31 +81,22 @@ def drive(tmp_path):
     return write
 
 
-def test_the_drives_own_motor_and_mocap_stand_in_the_file(drive):
+def test_the_drives_own_motor_and_mocap_or_what_an_import_was_given_stand_in_the_file(drive):
     wiring = find_wiring(BASE, [drive("a", OWN), drive("b", OWN)])
     made = tomllib.loads(make_car(BASE, {}, MINE, wiring).text)
     assert made["vesc"]["erpm_gain"] == -7300.0
     assert made["mocap"]["up"] == "z"
     assert made["car"] == tomllib.loads(BASE.text)["car"] | {"name": "mine"}
-
-
-def test_what_an_import_was_given_stands_in_the_file(drive):
-    session = drive("a", scaling={"erpm_gain": "-7350.0", "erpm_offset": "0.0"})
+    session = drive("c", scaling={"erpm_gain": "-7350.0", "erpm_offset": "0.0"})
     assert find_wiring(BASE, [session]) == {("vesc", "erpm_gain"): -7350.0}
 
 
-@pytest.mark.parametrize("case", ["default", "named", "differ", "none"])
-def test_nothing_changes_without_a_wiring_that_all_drives_share(drive, case):
-    base, sessions = BASE, [drive("a", OWN)]
-    if case == "default":
-        sessions = [drive("b", BASE.text)]
-    elif case == "named":
-        base = parse_car(BASE.text, MINE)
-    elif case == "differ":
-        sessions.append(drive("b", BASE.text))
-    else:
-        sessions = [drive("c")]
-    assert find_wiring(base, sessions) == {}
+@pytest.mark.parametrize(("base", "texts"), [
+    (BASE, [BASE.text]), (parse_car(BASE.text, MINE), [OWN]), (BASE, [OWN, BASE.text]),
+    (BASE, [None]),
+], ids=["default", "named", "differ", "none"])  # fmt: skip
+def test_nothing_changes_without_a_wiring_that_all_drives_share(drive, base, texts):
+    assert find_wiring(base, [drive(str(n), text) for n, text in enumerate(texts)]) == {}
 
 
 def test_a_wiring_that_no_file_may_hold_loses_no_result(drive):
@@ -140,14 +124,10 @@ def test_noise_is_learnt_where_the_car_moves(monkeypatch):
         "steerd.sysid.inference.car_posterior.learn_sections",
         lambda car, runs: (seen.extend(runs), {"noise": noise_section(NOISE)})[1],
     )
+    creeping = _straight(np.full(2000, 0.5 * SPEED_MIN))
+    assert learn_known(BASE, (creeping,)) == {}
     run = _straight(np.repeat([0.0, 1.5], 1000))
-    known = learn_known(load_car(default_car_path()), (run,))
-    assert known == {"noise": noise_section(NOISE)}
+    assert learn_known(BASE, (run,)) == {"noise": noise_section(NOISE)}
     assert [r.duration for r in seen] == [r.duration for r in moving_segments([run])]
     assert all(np.all(r.commands[:, 1] > SPEED_MIN) for r in seen)
     assert sum(r.duration for r in seen) < 10.0
-
-
-def test_a_creeping_car_teaches_nothing():
-    creeping = _straight(np.full(2000, 0.5 * SPEED_MIN))
-    assert learn_known(load_car(default_car_path()), (creeping,)) == {}

@@ -22,18 +22,10 @@ def drives(tmp_path):
     return {name: tmp_path / f"{name}.mcap" for name in ("a", "b", "copy", "link", "none")}
 
 
-@pytest.mark.parametrize(
-    ("one", "other", "same"),
-    [
-        ("a", "a", True),
-        ("a", "copy", True),
-        ("a", "link", True),
-        ("link", "copy", True),
-        ("a", "b", False),
-        ("a", "none", False),
-        ("none", "none", True),
-    ],
-)
+@pytest.mark.parametrize(("one", "other", "same"), [
+    ("a", "a", True), ("a", "copy", True), ("a", "link", True), ("link", "copy", True),
+    ("a", "b", False), ("a", "none", False), ("none", "none", True),
+])  # fmt: skip
 def test_what_is_the_same_drive(one, other, same, drives):
     assert is_same(drives[one], drives[other]) is same
 
@@ -61,13 +53,10 @@ def minutes(monkeypatch):
     return opened
 
 
-def test_short_drives_are_taken_whole_and_nothing_is_said(minutes):
+def test_short_drives_are_taken_whole_and_of_long_ones_pieces_which_is_said(minutes):
     found, said = minutes(2, 3)
     assert [run.driven for run in found] == pytest.approx([120.0, 180.0], abs=0.03)
     assert said == []
-
-
-def test_of_long_drives_pieces_are_taken_and_it_is_said(minutes):
     found, said = minutes(90, 1)
     assert sum(run.driven for run in found) == pytest.approx(660.0, rel=0.05)
     assert said == ["of 1.5 h 11 min are used, in pieces of 30 s, evenly from all sessions"]

@@ -17,8 +17,6 @@ from steerd.sysid.estimation.validation import Prediction
 from steerd.sysid.inference.car_fit import Step
 
 DRIVEN = Excitation(60.0, 100.0, 1.0, 2.0, 0.1, 1.0, 0.4, 0.4, 3.0, ())
-
-
 SIMULATED = {"steerd.session": {"options": encode_options(RunOptions("", simulated=True))}}
 
 
@@ -44,16 +42,13 @@ def outcome(*positions: tuple[float, float], medians: tuple[float, float] = (1.0
     )
 
 
-@pytest.mark.parametrize(
-    ("positions", "better"),
-    [
-        (((0.2, 0.1), (0.3, 0.9)), True),  # the longest prediction decides
-        (((0.1, 0.2), (1.01, 1.0)), True),  # 2 % are noise
-        (((0.1, 0.2), (1.03, 1.0)), False),
-        (((0.1, 0.2), (nan, nan)), True),  # no held-out drive is so long: the one before
-        (((nan, nan),), False),
-    ],
-)
+@pytest.mark.parametrize(("positions", "better"), [
+    (((0.2, 0.1), (0.3, 0.9)), True),  # the longest prediction decides
+    (((0.1, 0.2), (1.01, 1.0)), True),  # 2 % are noise
+    (((0.1, 0.2), (1.03, 1.0)), False),
+    (((0.1, 0.2), (nan, nan)), True),  # no held-out drive is so long: the one before
+    (((nan, nan),), False),
+])  # fmt: skip
 def test_the_longest_known_prediction_decides(positions, better):
     assert identified(outcome(*positions)).improved is better
 
@@ -115,14 +110,11 @@ def test_drives_that_are_too_gentle_are_not_blamed_on_the_axles():
 NOTE = "the car went about as fast as asked in 2%: `--speed wheel` takes the measured speed"
 
 
-@pytest.mark.parametrize(
-    ("what", "why"),
-    [
-        ({"rows": {"lf": Row(0.2, 0.16, 0.5, "m", True, False)}},
-         "nothing is identifiable from these data; do not drive"),
-        ({"notes": (NOTE,)}, "next        the same command with --speed wheel"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("what", "why"), [
+    ({"rows": {"lf": Row(0.2, 0.16, 0.5, "m", True, False)}},
+     "nothing is identifiable from these data; do not drive"),
+    ({"notes": (NOTE,)}, "next        the same command with --speed wheel"),
+])  # fmt: skip
 def test_nobody_is_sent_driving_with_what_is_not_known_or_was_not_driven(what, why, tmp_path):
     said = describe(replace(outcome((0.1, 0.4)), **what), tmp_path / "car.toml")
     assert why in said

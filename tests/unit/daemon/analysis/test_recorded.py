@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import steerd
-from steerd.daemon.analysis.recorded import Session
 from steerd.steer_bus.messages import MocapPose
 from steerd.steer_bus.session_read import open_session
 
@@ -37,7 +36,7 @@ def test_topics_go_by_short_and_by_whole_names(drive):
     assert set(drive.tables()) == set(drive.topics)
 
 
-def test_arrays_of_a_message_are_columns_of_their_own_in_a_frame(drive):
+def test_frames_hold_the_same_and_arrays_are_columns_of_their_own(drive):
     table, frame = drive.table("odom"), drive.to_pandas("odom")
     name = "pose.covariance"
     assert table[name].shape == (len(table), 36)
@@ -46,9 +45,6 @@ def test_arrays_of_a_message_are_columns_of_their_own_in_a_frame(drive):
     units = drive["state"].attrs["units"]
     assert (units["t"], units["e1"], units["yaw_rate"]) == ("s", "m", "rad/s")
     assert "mode" not in units
-
-
-def test_polars_and_pandas_hold_the_same(drive):
     one, other = drive.to_pandas("mocap"), drive.to_polars("mocap")
     assert list(one.columns) == other.columns
     assert np.array_equal(one["yaw"].to_numpy(), other["yaw"].to_numpy())
@@ -63,13 +59,10 @@ def test_a_missing_package_is_named(package, drive, monkeypatch):
     assert refused.value.hint == f"pip install {package}"
 
 
-def test_an_unknown_topic_says_which_there_are(drive):
+def test_an_unknown_topic_says_which_there_are_and_no_file_is_refused(drive, tmp_path):
     with pytest.raises(steerd.SteerdError, match="no table 'lidar'") as refused:
         drive.table("lidar")
     assert "mocap" in refused.value.hint
-
-
-def test_what_is_no_session_is_refused(tmp_path):
     with pytest.raises(steerd.SteerdError, match="does not exist"):
         steerd.load(tmp_path / "none.mcap")
 
@@ -87,7 +80,6 @@ def test_a_recorded_simulation_is_loaded_again_and_is_the_same_for_the_same_seed
 def test_a_temporary_drive_goes_with_its_value():
     session = steerd.simulate(duration=1.0)
     path = session.path
-    assert isinstance(session, Session)
     assert path.is_file()
     del session
     assert not path.exists()
@@ -102,10 +94,9 @@ def test_effects_are_those_of_the_command_line(value):
     assert "0.05" in session.metadata["steerd.session"]["options"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "what"),
-    [({"duration": 0.0}, "duration 0"), ({"effects": {"wings": 1.0}}, "wings")],
-)
+@pytest.mark.parametrize(("arguments", "what"), [
+    ({"duration": 0.0}, "duration 0"), ({"effects": {"wings": 1.0}}, "wings"),
+])  # fmt: skip
 def test_arguments_that_make_no_sense(arguments, what):
     with pytest.raises(steerd.SteerdError, match=what):
         steerd.simulate(**arguments)

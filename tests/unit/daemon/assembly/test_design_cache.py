@@ -34,23 +34,20 @@ def test_gains_come_back_digit_by_digit(monkeypatch, folder):
 def test_another_car_speed_or_rate_has_gains_of_its_own():
     car, config, timing, speed = CASE
     cases = [
-        CASE,
-        (car._replace(mass=3.8), config, timing, speed),
+        CASE, (car._replace(mass=3.8), config, timing, speed), (car, config, timing, 1.6),
         (car, ControllerConfig(damping_min=0.2), timing, speed),
         (car, config, timing._replace(delay_s=0.02), speed),
-        (car, config, timing, 1.6),
-    ]
+    ]  # fmt: skip
     assert len({digest_design(*case) for case in cases}) == len(cases)
 
 
-@pytest.mark.parametrize("factor", [0.3, 3.0])
-def test_changed_gains_are_computed_again(folder, factor):
+def test_changed_gains_are_computed_again(folder):
     whole = recall_table(*CASE)
     (file,) = folder.iterdir()
     text = file.read_text()
-    number = repr(whole.rows[0][0])
-    assert text.count(number) >= 1
-    file.write_text(text.replace(number, repr(factor * whole.rows[0][0])))
+    gain = whole.rows[0][0]
+    assert repr(gain) in text
+    file.write_text(text.replace(repr(gain), repr(3.0 * gain)))
     with pytest.warns(CacheRefused, match="is damaged or was changed; it is made anew"):
         assert recall_table(*CASE) == whole
     assert file.read_text() == text
@@ -71,9 +68,6 @@ def test_the_second_start_does_without_python_control():
         "print(*{'control', 'matplotlib', 'torch'} & set(sys.modules))\n"
     )
     argv = [sys.executable, "-c", code]
-    first, second = (
-        subprocess.run(argv, capture_output=True, text=True, check=True).stdout.split()
-        for _ in range(2)
-    )
+    first, second = (subprocess.check_output(argv, text=True).split() for _ in range(2))
     assert "control" in first
     assert second == []

@@ -57,14 +57,9 @@ def test_what_a_diagnosis_asks_for_is_what_its_command_drives(drive):
         assert min(s.steer - s.swing for s in left) == pytest.approx(np.min(steer), rel=0.25)
 
 
-def test_after_its_end_a_plan_stands():
-    drill = plans.parse_drill("steps", DEFAULT_CAR, LIMITS)
-    assert drill.command_at(drill.seconds + 1.0) == Command(0.0, 0.0)
-
-
 @settings(derandomize=True, deadline=None, max_examples=8)
 @given(name=st.sampled_from(plans.NAMES), side=st.floats(4.0, 30.0), speed=st.floats(0.5, 3.0))
-def test_a_plan_fits_its_box_and_its_limits_or_is_refused(name, side, speed):
+def test_a_plan_fits_its_box_and_its_limits_and_stands_after_it_or_is_refused(name, side, speed):
     box = plans.parse_box(f"{side}")
     try:
         drill = plans.make_open_drill(name, DEFAULT_CAR, LIMITS, box, speed)
@@ -75,6 +70,7 @@ def test_a_plan_fits_its_box_and_its_limits_or_is_refused(name, side, speed):
         wish = drill.command_at(0.1 * k)
         assert -LIMITS.steer_right_max - 1e-9 <= wish.steer <= LIMITS.steer_left_max + 1e-9
         assert 0.0 <= wish.speed <= max(speed, plans.PAPER_SPEED) + 1e-9
+    assert drill.command_at(drill.seconds + 1.0) == Command(0.0, 0.0)
 
 
 def test_a_probe_rides_on_the_lane_keeper():
@@ -85,25 +81,19 @@ def test_a_probe_rides_on_the_lane_keeper():
     assert {round(w.speed, 3) for w in commands} >= {1.0, 1.5, 2.0}
 
 
-@pytest.mark.parametrize(
-    ("spec", "said"),
-    [
-        ("loops", "one of circles, slalom"), ("circles;closed", "driven open loop"),
-        ("mixed;box=1", "needs a box"), ("mixed;box=a", "give its side"),
-        ("steps;box=1,1,0,0", "give its side"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("spec", "said"), [
+    ("loops", "one of circles, slalom"), ("circles;closed", "driven open loop"),
+    ("mixed;box=1", "needs a box"), ("mixed;box=a", "give its side"),
+    ("steps;box=1,1,0,0", "give its side"),
+])  # fmt: skip
 def test_plans_that_make_no_sense_are_refused(spec, said):
     with pytest.raises(ValueError, match=said):
         plans.parse_drill(spec, DEFAULT_CAR, LIMITS)
 
 
-@pytest.mark.parametrize(("side", "path"), [("20", "figure8"), ("8", "circle")])
-def test_path_under_a_probe_fits(side, path):
-    assert plans.make_closed_path(plans.parse_box(side)).startswith(path)
-
-
-def test_a_box_has_corners_and_one_too_small_for_a_probe_is_refused():
+def test_a_box_has_corners_and_the_path_under_a_probe_fits_or_is_refused():
     assert plans.parse_box("-1,-2,3,4").fence == ((-1, -2), (3, -2), (3, 4), (-1, 4))
+    for side, path in (("20", "figure8"), ("8", "circle")):
+        assert plans.make_closed_path(plans.parse_box(side)).startswith(path)
     with pytest.raises(ValueError, match="needs a box"):
         plans.make_closed_path(plans.parse_box("4"))

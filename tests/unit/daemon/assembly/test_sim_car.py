@@ -1,31 +1,18 @@
 """The simulated car of its own: a file, or what a seed hides; and what sessions say of it."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
+from steerd.car_model.car_file import default_car_path
 from steerd.car_model.params import DEFAULT_CAR
+from steerd.daemon.assembly import session_meta, sim_car
 from steerd.daemon.assembly.build import RunId, make_design_car, make_plan, make_world_config
 from steerd.daemon.assembly.plans import parse_box
-from steerd.daemon.assembly.session_meta import (
-    make_attachments,
-    make_metadata,
-    session_path,
-    sessions_folder,
-)
-from steerd.daemon.assembly.sim_car import (
-    BIAS,
-    SHARES,
-    compare_truths,
-    load_sim_car,
-    read_origin,
-    read_true_car,
-)
+from steerd.daemon.assembly.session_meta import make_attachments, make_metadata
+from steerd.daemon.assembly.sim_car import compare_truths, load_sim_car, read_origin, read_true_car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.settings.run_options import RunOptions, decode_options
-
-CAR_FILE = Path(__file__).resolve().parents[4] / "config" / "f1tenth.toml"
 
 
 def make(sim_car="", effects=(), **more):
@@ -41,10 +28,10 @@ def test_a_seed_hides_one_car_and_another_seed_another():
 @pytest.mark.parametrize("seed", range(12))
 def test_a_hidden_car_is_off_by_as_much_as_a_real_one(seed):
     car = load_sim_car(f"hidden:{seed}").file.car
-    for name, share in SHARES.items():
+    for name, share in sim_car.SHARES.items():
         ratio = getattr(car, name) / getattr(DEFAULT_CAR, name)
         assert 1.0 - share - 1e-3 <= ratio <= 1.0 + share + 1e-3, name
-    assert BIAS[0] - 1e-4 <= abs(car.steer_bias) <= BIAS[1] + 1e-4
+    assert sim_car.BIAS[0] - 1e-4 <= abs(car.steer_bias) <= sim_car.BIAS[1] + 1e-4
     assert (car.lf, car.lr, car.mass) == (DEFAULT_CAR.lf, DEFAULT_CAR.lr, DEFAULT_CAR.mass)
 
 
@@ -58,7 +45,9 @@ def test_a_seed_is_a_whole_number(spec):
 
 def test_the_car_file_is_the_controllers_and_the_other_one_is_driven(tmp_path):
     heavy = tmp_path / "heavy.toml"
-    heavy.write_text(CAR_FILE.read_text().replace("steer_bias = 0.0", "steer_bias = 0.02"))
+    heavy.write_text(
+        default_car_path().read_text().replace("steer_bias = 0.0", "steer_bias = 0.02")
+    )
     plan = make(str(heavy), ("steer_lag=0.02",))
     world = make_world_config(plan)
     assert world.model.car.steer_bias == 0.02
@@ -100,13 +89,9 @@ def test_a_car_on_the_floor_has_no_known_truth():
 # Plans: what is refused before anything starts, and what the design may count on.
 
 
-def test_a_drills_box_becomes_the_fence():
-    plan = make(drill="mixed;open;speed=1;box=9")
-    assert plan.settings.thresholds.fence == parse_box("9").fence
-
-
-def test_the_design_counts_on_the_limited_steering_only():
-    settings = make().settings
+def test_a_drills_box_becomes_the_fence_and_a_design_counts_on_the_limited_steering_only():
+    settings = make(drill="mixed;open;speed=1;box=9").settings
+    assert settings.thresholds.fence == parse_box("9").fence
     tight = replace(settings, limits=replace(settings.limits, steer_left_max=0.1))
     car = make_design_car(tight)
     assert car.steer_max == 0.1
@@ -115,23 +100,19 @@ def test_the_design_counts_on_the_limited_steering_only():
 
 # What a session file says of its run: name, metadata, attachments.
 
-NOON_NS = 1_700_000_000_000_000_000
 
-
-def test_a_session_is_named_by_date_car_and_run_in_the_services_or_users_folder(
-    monkeypatch, tmp_path
-):
+def test_a_session_is_named_by_date_car_and_run_in_the_right_folder(monkeypatch, tmp_path):
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
-    path = session_path(make().options, NOON_NS, 0x1_2345_6789)
+    path = session_meta.session_path(make().options, 1_700_000_000 * 10**9, 0x1_2345_6789)
     assert path == tmp_path / "sessions" / "2023-11-14T22-13-20Z_car1_23456789.mcap"
     monkeypatch.delenv("STATE_DIRECTORY")
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
-    assert sessions_folder() == tmp_path / "steerd" / "sessions"
+    assert session_meta.sessions_folder() == tmp_path / "steerd" / "sessions"
 
 
 def test_reproducible_metadata_say_nothing_of_the_machine():
     plan = make()
-    plain, same = make_metadata(replace(plan, real=RunId(3, 4, leased=True))), make_metadata(plan)
+    plain, same = (make_metadata(replace(plan, real=RunId(3, 4, leased=True))), make_metadata(plan))
     lost = set(plain["steerd.session"]) - set(same["steerd.session"])
     assert {"host", "kernel"} <= lost <= {"host", "kernel", "git"}
     session = plain["steerd.session"]

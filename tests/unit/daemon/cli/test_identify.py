@@ -3,7 +3,6 @@
 import json
 import signal
 import tomllib
-from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -33,17 +32,9 @@ def session(rows, tmp_path_factory):
     return import_log(tmp_path_factory.mktemp("whole"), rows)
 
 
-@pytest.fixture
-def importer(tmp_path):
-    return partial(import_log, tmp_path)
-
-
 def _outputs(folder):
-    names = ("car.toml", "o.json", "r.html")
-    flags = ("-o", "--json", "--report")
-    return [
-        arg for flag, name in zip(flags, names, strict=True) for arg in (flag, str(folder / name))
-    ]
+    named = {"-o": "car.toml", "--json": "o.json", "--report": "r.html"}
+    return [word for flag, name in named.items() for word in (flag, str(folder / name))]
 
 
 FREE = ["--free", "c_sf,c_sr,steer_gain,steer_lag,speed_lag"]
@@ -62,8 +53,7 @@ def test_a_drive_becomes_a_car_file_json_and_report(session, tmp_path, capsys):
     assert car.car.c_sf == pytest.approx(TRUE.c_sf, rel=0.1)
     assert car.sd["steer_gain"] > 0.0
     assert "run.mcap" in car.source["steer_gain"]
-    assert car.car.mass == 3.2
-    assert car.car.cog_height == DEFAULT_CAR.cog_height
+    assert (car.car.mass, car.car.cog_height) == (3.2, DEFAULT_CAR.cog_height)
     result = json.loads((tmp_path / "o.json").read_text())
     last = result["held_out"]["horizons"][-1]
     assert last["position"] < 0.5 * last["position_before"]
@@ -90,8 +80,8 @@ def test_the_car_that_is_written_has_the_axles_that_were_fitted(fixed, session, 
     assert car.inertia_z == pytest.approx(DEFAULT_CAR.inertia_z * (0.33 / 0.3302) ** 2)
 
 
-def test_steering_of_the_wrong_sign_is_a_warning_before_the_fit(rows, importer, capsys):
-    session = importer(rows * [1.0, 1.0, 1.0, 1.0, -1.0, 1.0])
+def test_steering_of_the_wrong_sign_is_a_warning_before_the_fit(rows, tmp_path, capsys):
+    session = import_log(tmp_path, rows * [1.0, 1.0, 1.0, 1.0, -1.0, 1.0])
     capsys.readouterr()
     main(["identify", str(session), "--free", "steer_lag"])
     error = capsys.readouterr().err
@@ -121,16 +111,13 @@ BROKEN = {
 }
 NOT_OF = {"identify": {"crawling"}, "diagnose": {"degrees", "constant"}}
 """What the other command alone refuses."""
+BAD = [(command, kind) for command in NOT_OF for kind in BROKEN if kind not in NOT_OF[command]]
 
 
-@pytest.mark.parametrize(
-    ("command", "kind"), [(c, k) for c, others in NOT_OF.items() for k in BROKEN if k not in others]
-)
-def test_bad_content_is_one_line_with_a_code_and_leaves_nothing(
-    command, kind, rows, importer, tmp_path, capsys
-):
+@pytest.mark.parametrize(("command", "kind"), BAD)
+def test_bad_content_is_one_line_and_leaves_nothing(command, kind, rows, tmp_path, capsys):
     spoil, words = BROKEN[kind]
-    session = importer(spoil(rows))
+    session = import_log(tmp_path, spoil(rows))
     before = set(tmp_path.iterdir())
     capsys.readouterr()
     assert main([command, str(session), *_outputs(tmp_path)]) == 4
@@ -140,8 +127,9 @@ def test_bad_content_is_one_line_with_a_code_and_leaves_nothing(
     assert set(tmp_path.iterdir()) == before
 
 
-def test_of_a_folder_the_held_out_session_is_not_fitted(rows, importer, capsys):
-    one, two = importer(rows[:1500], "one"), importer(rows[1500:], "two")
+def test_of_a_folder_the_held_out_session_is_not_fitted(rows, tmp_path, capsys):
+    halves = {"one": rows[:1500], "two": rows[1500:]}
+    one, two = (import_log(tmp_path, half, name) for name, half in halves.items())
     capsys.readouterr()
     base = ["--base", str(default_car_path())]  # another spelling of --car
     assert main(["identify", str(one), str(two), "--held-out", str(two), *FREE, *base]) == 0
@@ -150,9 +138,7 @@ def test_of_a_folder_the_held_out_session_is_not_fitted(rows, importer, capsys):
     assert "two.mcap" not in screen.partition("prediction ")[0]
 
 
-def test_what_is_on_the_screen_is_written_and_an_interrupt_leaves_it(
-    session, tmp_path, monkeypatch, capsys
-):
+def test_an_interrupt_leaves_what_is_on_the_screen(session, tmp_path, monkeypatch, capsys):
     out = tmp_path / "out"
     out.mkdir()
 

@@ -21,9 +21,7 @@ EFFECTS = "steerd.daemon.cli.commands.car_files.effects"
 
 
 @pytest.mark.parametrize(("given", "code"), [(None, 0), (ExitCode.STOPPED, 5)])
-def test_a_command_that_ends_well_needs_no_code_and_another_ones_is_the_programs(
-    given, code, monkeypatch
-):
+def test_a_command_that_ends_well_needs_no_code(given, code, monkeypatch):
     monkeypatch.setattr(EFFECTS, lambda args: given)
     assert run_cli(["effects"]) == code
 
@@ -39,9 +37,7 @@ FAILURES = [
 
 
 @pytest.mark.parametrize(("raised", "code", "what", "last"), FAILURES, ids=lambda v: str(v)[:30])
-def test_what_goes_wrong_in_a_command_is_told_and_only_a_bug_is_called_one(
-    raised, code, what, last, monkeypatch, capsys
-):
+def test_what_goes_wrong_is_told_as_what_it_is(raised, code, what, last, monkeypatch, capsys):
     def broken(args):
         raise raised
 
@@ -58,18 +54,14 @@ def test_equations_that_were_not_compiled_are_a_line_with_the_command(monkeypatc
     assert line.endswith("build them with: python -m steerd.car_model.native.build")
 
 
-class Told(UserWarning):
-    """A warning of steerd's own."""
-
-    __module__ = "steerd.somewhere"
-
-
 def test_own_warnings_are_told_as_errors_are_and_others_with_their_place(monkeypatch, capsys):
+    ours = type("Told", (UserWarning,), {"__module__": "steerd.somewhere"})
+
     def warned(args):
         with warnings.catch_warnings():
             warnings.simplefilter("always")
             warnings.showwarning = main.show_warning
-            warnings.warn("/srv/cache: full", Told, stacklevel=1)
+            warnings.warn("/srv/cache: full", ours, stacklevel=1)
             warnings.warn("of a library", RuntimeWarning, stacklevel=1)
         return 0
 
@@ -81,24 +73,16 @@ def test_own_warnings_are_told_as_errors_are_and_others_with_their_place(monkeyp
     assert second.endswith("RuntimeWarning: of a library")
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", ["", *COMMANDS])
 def test_help_fits_80_columns(name, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit) as ended:
-        run_cli([name, "--help"])
+        run_cli([*name.split(), "--help"])
     assert ended.value.code == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith(f"usage: steerd {name}")
     assert [line for line in lines if len(line) > 80] == []
-
-
-def test_the_list_of_commands_fits_80_columns(monkeypatch, capsys):
-    monkeypatch.setenv("COLUMNS", "80")
-    with pytest.raises(SystemExit):
-        run_cli(["--help"])
-    lines = capsys.readouterr().out.splitlines()
-    assert max(map(len, lines)) <= 80
-    assert set(COMMANDS) <= {line.split()[0] for line in lines if line.startswith("  ")}
+    assert name or set(COMMANDS) <= {line.split()[0] for line in lines if line.startswith("  ")}
 
 
 def test_an_error_is_wrapped_on_a_terminal_and_is_one_line_in_a_pipe(monkeypatch, capsys):
@@ -138,7 +122,6 @@ def test_help_shows_the_first_options_with_defaults_and_help_all_the_rest(capsys
 # The completion scripts; bash's is run as bash runs it.
 
 BASH = shutil.which("bash")
-needs_bash = pytest.mark.skipif(BASH is None, reason="no bash on this machine")
 
 
 @pytest.fixture(scope="module")
@@ -161,14 +144,10 @@ def complete(script, *typed):
     return done.stdout.split()
 
 
-@needs_bash
-def test_commands_and_options_are_completed(script):
+@pytest.mark.skipif(BASH is None, reason="no bash on this machine")
+def test_bash_completes_commands_options_and_files_where_one_is_wanted(script, tmp_path):
     assert set(COMMANDS) <= set(complete(script, "steerd", ""))
     assert complete(script, "steerd", "run", "--auto") == ["--auto-arm"]
-
-
-@needs_bash
-def test_files_where_a_file_is_wanted(script, tmp_path):
     (tmp_path / "drive.mcap").touch()
     (tmp_path / "lab").mkdir()
     for typed in (("info",), ("run", "--car"), ("run", "--record"), ("plot", "-o")):
@@ -176,10 +155,9 @@ def test_files_where_a_file_is_wanted(script, tmp_path):
     assert complete(script, "steerd", "run", "--lab", f"{tmp_path}/") == [f"{tmp_path}/lab"]
 
 
-@pytest.mark.parametrize(
-    ("shell", "part"),
-    [("zsh", "#compdef steerd"), ("tcsh", "complete steerd"), ("fish", "complete -c steerd")],
-)
+@pytest.mark.parametrize(("shell", "part"), [
+    ("zsh", "#compdef steerd"), ("tcsh", "complete steerd"), ("fish", "complete -c steerd"),
+])  # fmt: skip
 def test_other_shells_get_their_own_script(shell, part, capsys):
     assert run_cli(["completion", shell]) == 0
     text = capsys.readouterr().out

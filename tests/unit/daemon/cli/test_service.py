@@ -72,10 +72,8 @@ def test_arguments_with_meaning_to_systemd_survive():
 def test_systemd_finds_nothing_wrong(tmp_path):
     file = tmp_path / "steerd.service"
     file.write_text(make_unit([sys.executable, "-m", "steerd", "run"], "car1"))
-    done = subprocess.run(
-        ["systemd-analyze", "--user", "verify", str(file)], capture_output=True, text=True,
-        check=False,
-    )  # fmt: skip
+    argv = ["systemd-analyze", "--user", "verify", str(file)]
+    done = subprocess.run(argv, capture_output=True, text=True, check=False)
     assert "steerd.service" not in done.stderr, done.stderr
 
 
@@ -84,8 +82,7 @@ def test_a_unit_gives_no_rights_that_a_drive_does_not_need(monkeypatch, capsys):
     for whose, account in (("--user", None), ("--system", "driver")):
         assert run_cli(["service", "print", whose, *OPTIONS]) == 0
         unit = read(capsys.readouterr().out)["Service"]
-        assert unit["NoNewPrivileges"] == "yes"
-        assert unit["UMask"] == "0077"
+        assert (unit["NoNewPrivileges"], unit["UMask"]) == ("yes", "0077")
         assert unit.get("User") == account
         assert unit.get("ProtectSystem") == (account and "full")
 

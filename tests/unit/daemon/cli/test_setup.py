@@ -17,16 +17,12 @@ def test_every_step_is_a_command_as_a_user_would_type_it(step):
     make_parser(step.words[0]).parse_args(step.words[1:])
 
 
-@pytest.mark.parametrize(
-    ("answers", "codes", "done", "ended"),
-    [
-        (["", "", ""], [0, 0, 0], "abc", 3),
-        (["", "", "", ""], [0, 4, 0, 0], "abbc", 3),  # what failed is offered again
-        (["s", "", "b", "", "q"], [0, 0], "bb", 2),
-        (["", "q"], [0], "a", 1),
-        (["what", "", "q"], [0], "a", 1),  # an unknown key does nothing
-    ],
-)
+@pytest.mark.parametrize(("answers", "codes", "done", "ended"), [
+    (["", "", ""], [0, 0, 0], "abc", 3),
+    (["", "", "", ""], [0, 4, 0, 0], "abbc", 3),  # what failed is offered again
+    (["s", "", "b", "", "q"], [0, 0], "bb", 2), (["", "q"], [0], "a", 1),
+    (["what", "", "q"], [0], "a", 1),  # an unknown key does nothing
+])  # fmt: skip
 def test_steps_go_on_when_they_succeeded(answers, codes, done, ended):
     ran: list[str] = []
     typed, results = iter(answers), iter(codes)

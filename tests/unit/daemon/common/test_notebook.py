@@ -26,15 +26,12 @@ def test_a_value_is_one_line_inside_others_and_its_screen_at_a_cells_end():
     assert repr(Screen("drive.mcap\n  car  car1")) == "<steerd.Screen: drive.mcap>"
 
 
-@pytest.mark.parametrize(
-    ("said", "shown_as"),
-    [
-        ("name one with --base car.toml", "name one with base='car.toml'"),
-        ("--held-out 0, or name a session", "held_out=0, or name a session"),
-        ("--effect: no effect 'wings'", "effects: no effect 'wings'"),
-        ("run `steerd collect --plan mixed`", "run `steerd collect --plan mixed`"),
-    ],
-)
+@pytest.mark.parametrize(("said", "shown_as"), [
+    ("name one with --base car.toml", "name one with base='car.toml'"),
+    ("--held-out 0, or name a session", "held_out=0, or name a session"),
+    ("--effect: no effect 'wings'", "effects: no effect 'wings'"),
+    ("run `steerd collect --plan mixed`", "run `steerd collect --plan mixed`"),
+])  # fmt: skip
 def test_errors_speak_of_arguments(said, shown_as):
     @speaking_of_arguments
     def refuse():

@@ -26,9 +26,8 @@ def test_a_command_is_broken_where_a_shell_lets_it_be():
     lines = wrap_command(command, "next        ", " " * 14)
     assert all(len(line) <= 80 for line in lines)
     assert all(line.endswith(" \\") for line in lines[:-1])
-    assert shlex.split("\n".join(lines).replace("\\\n", "")) == ["next", *shlex.split(command)], (
-        "as it was typed"
-    )
+    typed = "\n".join(lines).replace("\\\n", "")
+    assert shlex.split(typed) == ["next", *shlex.split(command)]
     assert wrap_command("steerd info x.mcap", "  ") == ["  steerd info x.mcap"]
 
 

@@ -34,29 +34,21 @@ def test_an_epoch_without_zone_is_utc_and_may_be_seconds():
         assert the_map.epoch_ns == 1_726_480_861_000_000_000
 
 
-@pytest.mark.parametrize(
-    ("text", "part"),
-    [
-        ("[columns", "Expected"),
-        ('[columns]\nx = "x"\ny = "y"\nyaw = "yaw"', "lacks 't'"),
-        ('[columns]\nt = "t"', "no column but the time"),
-        ('[columns]\nt = "t"\nx = "x"', "y, yaw missing"),
-        ('[columns]\nt = "t"\nspeed = "v"', "'speed' is none of"),
-        ('[columns]\nt = "t"\nerpm = 3', "[columns]"),
-        ('[columns]\nt = "t"\nerpm = { column = "e", skale = 2.0 }', "skale"),
-        ('[columns]\nt = "t"\nerpm = { column = "e", scale = 0.0 }', "scale not 0"),
-        ('[columns]\nt = "t"\nerpm = { column = "e", scale = nan }', "finite"),
-        ('[column]\nt = "t"', "'column'"),
-        (POSE + '[session]\ncar = "My Car"', "car name"),
-        (POSE + "[session]\nepoch = -1.0", "epoch"),
-        (POSE + "[session]\nepoch = inf", "epoch"),
-        (POSE + '[frame]\nunits = "ft"', "expected m or mm"),
-        (POSE + '[frame]\nup = "x"', "up axis"),
-        ('[topics]\nposes = "/a"', "'poses' is none of"),
-        ("[vesc]\nerpm_gain = 0", "ERPM of 1 m/s"),
-        ("a = " + "[" * 5000 + "]" * 5000, ""),
-    ],
-)
+@pytest.mark.parametrize(("text", "part"), [
+    ("[columns", "Expected"), ('[columns]\nx = "x"\ny = "y"\nyaw = "yaw"', "lacks 't'"),
+    ('[columns]\nt = "t"', "no column but the time"),
+    ('[columns]\nt = "t"\nx = "x"', "y, yaw missing"),
+    ('[columns]\nt = "t"\nspeed = "v"', "'speed' is none of"),
+    ('[columns]\nt = "t"\nerpm = 3', "[columns]"),
+    ('[columns]\nt = "t"\nerpm = { column = "e", skale = 2.0 }', "skale"),
+    ('[columns]\nt = "t"\nerpm = { column = "e", scale = 0.0 }', "scale not 0"),
+    ('[columns]\nt = "t"\nerpm = { column = "e", scale = nan }', "finite"),
+    ('[column]\nt = "t"', "'column'"), (POSE + '[session]\ncar = "My Car"', "car name"),
+    (POSE + "[session]\nepoch = -1.0", "epoch"), (POSE + "[session]\nepoch = inf", "epoch"),
+    (POSE + '[frame]\nunits = "ft"', "expected m or mm"), (POSE + '[frame]\nup = "x"', "up axis"),
+    ('[topics]\nposes = "/a"', "'poses' is none of"), ("[vesc]\nerpm_gain = 0", "ERPM of 1 m/s"),
+    ("a = " + "[" * 5000 + "]" * 5000, ""),
+])  # fmt: skip
 def test_what_a_map_cannot_say(tmp_path, text, part):
     path = tmp_path / "map.toml"
     path.write_text(text)
@@ -80,9 +72,8 @@ def test_a_map_that_is_missing_or_no_text_page(tmp_path, content):
 
 texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
 leaves = st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats() | texts
-specs = texts | st.fixed_dictionaries(
-    {}, optional={"column": texts, "scale": st.floats(), "other": leaves}
-)
+spec = {"column": texts, "scale": st.floats(), "other": leaves}
+specs = texts | st.fixed_dictionaries({}, optional=spec)
 
 
 @settings(derandomize=True, deadline=None, max_examples=80)

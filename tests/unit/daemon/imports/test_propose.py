@@ -14,6 +14,7 @@ from steerd.daemon.imports.import_map import parse_map
 from steerd.daemon.imports.propose import change, format_map, guess_scale, propose_csv
 from steerd.steer_bus.messages import Actuation, MocapPose, VescTelemetry
 from steerd.steer_bus.session_read import open_session
+from steerd.sysid.data.dataset import read_run
 from tests.unit.daemon.imports.test_bag import Bag
 
 NS, START = 10**9, 1_726_480_861_000_000_000
@@ -61,27 +62,22 @@ def test_columns_and_units_are_guessed(tmp_path):
     assert columns["speed_cmd"] == "cmd_speed"
 
 
-@pytest.mark.parametrize(
-    ("quantity", "values", "scale"),
-    [
-        ("t", [0.0, 0.01], 1.0), ("t", [0.0, 10.0], 1e-3), ("t", [0.0, 1e4], 1e-6),
-        ("t", [0.0, 1e7], 1e-9), ("x", [0.0, 4.0], 1.0), ("y", [0.0, 4000.0], 1e-3),
-        ("yaw", [0.0, 12.0], 1.0), ("yaw", [-179.0, 179.0], np.pi / 180),
-        ("steer_cmd", [-1.0, 1.0], 1.0), ("steer_cmd", [-20.0, 20.0], np.pi / 180),
-        ("x", [1.0], 1.0),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("quantity", "values", "scale"), [
+    ("t", [0.0, 0.01], 1.0), ("t", [0.0, 10.0], 1e-3), ("t", [0.0, 1e4], 1e-6),
+    ("t", [0.0, 1e7], 1e-9), ("x", [0.0, 4.0], 1.0), ("y", [0.0, 4000.0], 1e-3),
+    ("yaw", [0.0, 12.0], 1.0), ("yaw", [-179.0, 179.0], np.pi / 180),
+    ("steer_cmd", [-1.0, 1.0], 1.0), ("steer_cmd", [-20.0, 20.0], np.pi / 180), ("x", [1.0], 1.0),
+])  # fmt: skip
 def test_a_unit_is_guessed_by_the_size_of_the_numbers(quantity, values, scale):
     assert guess_scale(quantity, np.array(values)) == pytest.approx(scale)
 
 
 def test_a_proposal_is_changed_line_by_line():
     proposal = {"columns": {"t": "t", "x": "a"}}
-    assert change(proposal, "x = north * 0.001") == ""
-    assert change(proposal, "steer_cmd = wheel") == ""
-    assert change(proposal, "erpm_gain = -7300") == ""
-    assert change(proposal, "car = blue") == ""
-    assert change(proposal, "steer_cmd =") == ""
+    for line in (
+        "x = north * 0.001", "steer_cmd = wheel", "erpm_gain = -7300", "car = blue", "steer_cmd ="
+    ):  # fmt: skip
+        assert change(proposal, line) == ""
     assert "one of" in change(proposal, "steering = wheel")
     assert "not a number" in change(proposal, "erpm_gain = fast")
     assert "for instance" in change(proposal, "what?")
@@ -92,9 +88,7 @@ def test_a_proposal_is_changed_line_by_line():
     }  # fmt: skip
 
 
-def test_asked_for_a_csv_it_shows_what_the_map_means_and_turns_the_steering(
-    tmp_path, monkeypatch, capsys
-):
+def test_a_csv_s_map_is_explained_and_the_steering_turned(tmp_path, monkeypatch, capsys):
     source = write_csv(tmp_path / "run.csv", sign=-1.0)
     talk(monkeypatch, "car = blue", "")
     assert run_cli(["import", "--ask", str(source)]) == 0
@@ -146,8 +140,6 @@ def test_the_sign_and_scale_of_a_foreign_vesc_are_doubted_and_can_be_stated(tmp_
     assert "ERPM" not in capsys.readouterr().err, "the line works as it stands"
     scaling = open_session(tmp_path / "b.mcap").info().metadata["steerd.scaling"]
     assert float(scaling["erpm_gain"]) == -7300.0
-    from steerd.sysid.data.dataset import read_run
-
     run = read_run(open_session(tmp_path / "b.mcap"))
     assert np.median(run.wheel.values) == pytest.approx(1.0)
     assert (run.servo_frame, run.speed_ramp) == (0.0, 0.0), "steerd never drove this VESC"
@@ -175,16 +167,12 @@ def test_what_a_bag_lacks_is_said(tmp_path, capsys):
     assert "next: steerd identify" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("role", "topics", "best"),
-    [
-        ("command", ["/drive", "/ackermann_cmd", "/teleop"], ["/ackermann_cmd"]),
-        ("command", ["/drive", "/teleop"], ["/drive"]),
-        ("pose", ["/odom", "/vrpn_client_node/car/pose"], ["/vrpn_client_node/car/pose"]),
-        ("pose", ["/mocap/a", "/mocap/b", "/odom"], ["/mocap/a", "/mocap/b"]),
-        ("vesc", ["/other", "/sensors/core"], ["/sensors/core"]),
-        ("pose", ["/a", "/b"], ["/a", "/b"]),
-    ],
-)
+@pytest.mark.parametrize(("role", "topics", "best"), [
+    ("command", ["/drive", "/ackermann_cmd", "/teleop"], ["/ackermann_cmd"]),
+    ("command", ["/drive", "/teleop"], ["/drive"]),
+    ("pose", ["/odom", "/vrpn_client_node/car/pose"], ["/vrpn_client_node/car/pose"]),
+    ("pose", ["/mocap/a", "/mocap/b", "/odom"], ["/mocap/a", "/mocap/b"]),
+    ("vesc", ["/other", "/sensors/core"], ["/sensors/core"]), ("pose", ["/a", "/b"], ["/a", "/b"]),
+])  # fmt: skip
 def test_names_decide_where_they_can(role, topics, best):
     assert find_best(dict.fromkeys(topics, BAG_ROLES[role].types[0]))[role] == best

@@ -33,9 +33,8 @@ os.kill(os.getpid(), signal.SIGTERM)
 
 
 def python(text):
-    return subprocess.run(
-        [sys.executable, "-c", text], capture_output=True, text=True, timeout=60, check=False
-    )
+    argv = [sys.executable, "-c", text]
+    return subprocess.run(argv, capture_output=True, text=True, timeout=60, check=False)
 
 
 @pytest.mark.parametrize("numbers", [[2], [15, 2, 1], [2, 2]])
@@ -47,8 +46,7 @@ def test_each_stop_signal_is_one_byte_its_number(numbers):
 
 def test_a_child_lives_through_what_the_terminal_sends_to_its_group_but_can_be_ended():
     done = python(IGNORE)
-    assert done.stdout == "alive\n"
-    assert done.returncode == -signal.SIGTERM
+    assert (done.stdout, done.returncode) == ("alive\n", -signal.SIGTERM)
 
 
 CHILD = """
@@ -66,9 +64,8 @@ subprocess.Popen([sys.executable, "-c", sys.argv[1]], stdin=subprocess.PIPE).wai
 
 
 def test_a_frozen_child_ends_when_its_parent_is_killed():
-    parent = subprocess.Popen(
-        [sys.executable, "-c", PARENT, CHILD], stdout=subprocess.PIPE, text=True
-    )
+    argv = [sys.executable, "-c", PARENT, CHILD]
+    parent = subprocess.Popen(argv, stdout=subprocess.PIPE, text=True)
     child = os.pidfd_open(pid := int(parent.stdout.readline()))
     status = Path(f"/proc/{pid}/status")
     while "State:\tT" not in status.read_text():
@@ -106,8 +103,7 @@ def test_a_holder_started_in_the_background_can_be_interrupted(number):
     assert holder.stdout.readline() == "holding\n"
     holder.send_signal(number)
     out, _ = holder.communicate(timeout=60)
-    assert out == "let go\n"
-    assert holder.returncode == 0
+    assert (out, holder.returncode) == ("let go\n", 0)
 
 
 # Notices to a service manager: they arrive, never block, and need no manager.
@@ -125,8 +121,5 @@ def test_notifications_arrive_and_never_block(tmp_path, abstract):
         for _ in range(2000):  # more than the queue holds
             notify("WATCHDOG=1")
     notify("WATCHDOG=1")  # the manager is gone
-
-
-def test_without_a_manager_nothing_happens():
     make_notify({})("READY=1")
     make_notify({"NOTIFY_SOCKET": "elsewhere"})("READY=1")

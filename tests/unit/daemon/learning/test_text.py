@@ -1,22 +1,15 @@
 """What was learnt, on a screen and for programs."""
 
-import io
 import json
 import os
 
 import pytest
-from rich.console import Console
 
 from steerd.daemon.ipc.operator import read_model
 from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord, make_pipe, pack_record
+from steerd.daemon.learning import reported
 from steerd.daemon.learning.feed import make_record
-from steerd.daemon.learning.reported import (
-    ReportedValue,
-    encode_model,
-    format_model,
-    gap_text,
-    with_sd,
-)
+from steerd.daemon.learning.reported import encode_model, format_model, gap_text
 from steerd.daemon.process.gateway import Gateway, run_gateway
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.steer_bus import messages as m
@@ -24,21 +17,16 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.topics import LAST_MODEL, make_key
 from tests.local_bus import LocalBus, LocalHub
+from tests.unit.daemon.terminal.test_dashboard import printed
 
 
-@pytest.mark.parametrize(
-    ("verdict", "words"),
-    [
-        ("named", "since 11:59:20: steer_bias +0.0213 ± 0.0021 rad, 97 %"),
-        ("changed", "since 11:59:20: something changed, too early to say what"),
-        ("unexplained", "since 11:59:20: something changed that no effect explains"),
-        ("none", "no change of the car"),
-        ("learning", "learning the car"),
-    ],
-)
-def test_a_change_is_told_with_its_time_and_how_sure_it_is(
-    make_report, make_change, verdict, words
-):
+@pytest.mark.parametrize(("verdict", "words"), [
+    ("named", "since 11:59:20: steer_bias +0.0213 ± 0.0021 rad, 97 %"),
+    ("changed", "since 11:59:20: something changed, too early to say what"),
+    ("unexplained", "since 11:59:20: something changed that no effect explains"),
+    ("none", "no change of the car"), ("learning", "learning the car"),
+])  # fmt: skip
+def test_a_change_is_told_with_its_time_and_odds(make_report, make_change, verdict, words):
     changes = () if verdict in ("none", "learning") else (make_change(verdict),)
     assert gap_text(make_report(verdict, *changes)).replace("\u00a0", " ") == words
 
@@ -46,9 +34,8 @@ def test_a_change_is_told_with_its_time_and_how_sure_it_is(
 def test_the_screen_fits_80_columns_and_hides_what_is_not_identifiable(make_report, make_change):
     change = make_change(alternatives=("steer_gain", "mocap_yaw", "cornering_stiffness"))
     report = make_report("named", change)
-    assert gap_text(report).endswith(
-        "; this drive cannot distinguish it from steer_gain, mocap_yaw, cornering_stiffness"
-    )
+    said = "; this drive cannot distinguish it from steer_gain, mocap_yaw, cornering_stiffness"
+    assert gap_text(report).endswith(said)
     lines = format_model(report)
     assert max(map(len, lines)) <= 80
     assert "  steer_gain  0.980 ± 0.012" in lines
@@ -62,8 +49,7 @@ def test_json_has_the_gap_and_the_model(make_report, make_change):
     assert gap["verdict"] == "named"
     assert gap["since_s"] == pytest.approx(m.stamp_ns(report.header) * 1e-9 - 40.0)
     (cause,) = gap["causes"]
-    assert cause["effect"] == "steer_bias"
-    assert cause["alternatives"] == ["mocap_yaw"]
+    assert (cause["effect"], cause["alternatives"]) == ("steer_bias", ["mocap_yaw"])
     assert cause["parameters"]["bias"]["value"] == pytest.approx(0.0213)
     gain = values["model"]["steer_gain"]
     assert gain == {"value": 0.98, "sd": 0.012, "unit": "1", "identifiable": True}
@@ -72,28 +58,16 @@ def test_json_has_the_gap_and_the_model(make_report, make_change):
     assert json.loads(json.dumps(unnamed, allow_nan=False))["gap"]["causes"] == []
 
 
-@pytest.mark.parametrize(
-    ("value", "sd", "shown"),
-    [
-        (0.02134, 0.0021, "0.0213 ± 0.0021 rad"),
-        (12.3, 4.2, "12.3 ± 4.2 rad"),
-        (123.4, 42.0, "123 ± 42 rad"),
-        (0.5, float("nan"), "0.5 rad"),
-    ],
-)
+@pytest.mark.parametrize(("value", "sd", "shown"), [
+    (0.02134, 0.0021, "0.0213 ± 0.0021 rad"), (12.3, 4.2, "12.3 ± 4.2 rad"),
+    (123.4, 42.0, "123 ± 42 rad"), (0.5, float("nan"), "0.5 rad"),
+])  # fmt: skip
 def test_numbers_have_the_digits_of_their_error(value, sd, shown):
-    text = with_sd(ReportedValue("bias", value, sd, "rad"))
+    text = reported.with_sd(reported.ReportedValue("bias", value, sd, "rad"))
     assert text.replace("\u00a0", " ") == shown
 
 
 # Where people look: the dashboard, `steerd status`, and what the gateway answers.
-
-
-def shown(board):
-    """The dashboard on a terminal of 80 columns."""
-    screen = io.StringIO()
-    Console(file=screen, width=80).print(board.render())
-    return screen.getvalue()
 
 
 def record(report):
@@ -102,19 +76,18 @@ def record(report):
 
 def test_the_dashboard_says_what_is_learnt_and_a_change_once(make_report, make_change):
     board = Dashboard("car1")
-    assert "gap" not in shown(board)
+    assert "gap" not in printed(board.render())
     assert board.take(record(make_report("none"))) is None
-    assert "no change of the car" in shown(board)
+    assert "no change of the car" in printed(board.render())
     line = board.take(record(make_report("changed", make_change("changed"))))
     assert line is not None
     assert line.startswith("GAP")
     assert "something changed" in line
     assert board.take(record(make_report("changed", make_change("changed")))) is None
-    named = make_report("named", make_change())
-    reported = board.take(record(named))
-    assert reported is not None
-    assert "steer_bias +0.0213 ± 0.0021 rad, 97 %" in reported
-    assert list(board.events) == [line, reported]
+    named = board.take(record(make_report("named", make_change())))
+    assert named is not None
+    assert "steer_bias +0.0213 ± 0.0021 rad, 97 %" in named
+    assert list(board.events) == [line, named]
 
 
 def test_the_gateway_publishes_reports_and_answers_with_the_last(make_report, pipe, ends):

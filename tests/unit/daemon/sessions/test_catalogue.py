@@ -25,9 +25,8 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     place = tmp_path / "drives"
     place.mkdir()
-    for number, name in enumerate(("circle", "estop", "straight")):
-        path = place / f"{name}.mcap"
-        shutil.copyfile(GOLDEN / f"{name}.mcap", path)
+    for number, name in enumerate(("circle.mcap", "estop.mcap", "straight.mcap")):
+        path = shutil.copyfile(GOLDEN / name, place / name)
         os.utime(path, ns=(0, NOON_NS + number * DAY_NS))
     monkeypatch.chdir(place)
     return place
@@ -40,9 +39,8 @@ def by_name(folder):
 def test_the_drive_that_ended_last_comes_first(folder):
     stems = [path.stem for path in catalogue.find_sessions([folder])]
     assert stems == ["straight", "estop", "circle"]
-    assert catalogue.find_session("@last").stem == "straight"
-    assert catalogue.find_session("@-1").stem == "straight"
-    assert catalogue.find_session("@-3").stem == "circle"
+    for word, stem in (("@last", "straight"), ("@-1", "straight"), ("@-3", "circle")):
+        assert catalogue.find_session(word).stem == stem
     assert catalogue.find_session("other.mcap") == Path("other.mcap")
 
 
@@ -65,9 +63,7 @@ def test_figures_come_from_the_files_and_one_that_is_no_session_is_listed_as_suc
 
 
 def test_a_file_is_read_once_and_again_when_it_has_changed(folder, monkeypatch):
-    first = by_name(folder)
-    read = []
-    summarise = catalogue.summarise
+    first, read, summarise = by_name(folder), [], catalogue.summarise
     monkeypatch.setattr(catalogue, "summarise", lambda path: read.append(path) or summarise(path))
     assert by_name(folder) == first
     assert read == []
@@ -78,19 +74,17 @@ def test_a_file_is_read_once_and_again_when_it_has_changed(folder, monkeypatch):
 
 @pytest.mark.parametrize("damage", ["delete", "garbage", "old", "folder"])
 def test_the_index_can_be_thrown_away(folder, damage):
-    first = by_name(folder)
-    match damage:
-        case "delete":
-            catalogue.index_file().unlink()
-        case "garbage":
-            catalogue.index_file().write_bytes(b"no database " * 1000)
-        case "old":
-            with sqlite3.connect(catalogue.index_file()) as index:
-                index.execute("UPDATE rows SET row = '{\"unknown\": 1}'")
-            index.close()
-        case "folder":
-            catalogue.index_file().unlink()
-            catalogue.index_file().mkdir()
+    first, file = by_name(folder), catalogue.index_file()
+    if damage == "old":
+        with sqlite3.connect(file) as index:
+            index.execute("UPDATE rows SET row = '{\"unknown\": 1}'")
+        index.close()
+    else:
+        file.unlink()
+    if damage == "garbage":
+        file.write_bytes(b"no database " * 1000)
+    if damage == "folder":
+        file.mkdir()
     assert by_name(folder) == first
 
 

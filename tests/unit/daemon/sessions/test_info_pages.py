@@ -3,6 +3,7 @@
 import json
 import re
 import xml.etree.ElementTree as ET
+from itertools import takewhile
 from pathlib import Path
 
 import pytest
@@ -23,39 +24,29 @@ def first_cells(page, head):
     """Names in backticks in the first column of the table under a head."""
     lines = (ROOT / "docs" / page).read_text().splitlines()
     start = next(i for i, line in enumerate(lines) if line.startswith(head))
-    names = []
-    for line in lines[start + 2 :]:
-        if not line.startswith("|"):
-            break
-        names += re.findall(r"`([^`]+)`", line.split("|")[1])
-    return names
+    rows = takewhile(lambda line: line.startswith("|"), lines[start + 2 :])
+    return [name for row in rows for name in re.findall(r"`([^`]+)`", row.split("|")[1])]
 
 
 FRAME_KEYS = {f"{k}_deg" if k in FRAME_ANGLES else k for k in FrameConfig.__slots__}
 
 
-@pytest.mark.parametrize(
-    ("page", "head", "known"),
-    [
-        ("reference/sessions.md", "| topic |", {t.name for t in TOPICS}),
-        ("reference/mocap.md", "| reason |", set(REASONS)),
-        ("reference/mocap.md", "| `clock_kind` |", set(map(str, ClockKind))),
-        ("reference/mocap.md", "| key |", FRAME_KEYS - {"cog_ahead_of_rear"}),
-        ("how-to/import-logs.md", "| role |", set(ROLES)),
-    ],
-)
+@pytest.mark.parametrize(("page", "head", "known"), [
+    ("reference/sessions.md", "| topic |", {t.name for t in TOPICS}),
+    ("reference/mocap.md", "| reason |", set(REASONS)),
+    ("reference/mocap.md", "| `clock_kind` |", set(map(str, ClockKind))),
+    ("reference/mocap.md", "| key |", FRAME_KEYS - {"cog_ahead_of_rear"}),
+    ("how-to/import-logs.md", "| role |", set(ROLES)),
+])  # fmt: skip
 def test_all_that_the_code_has_is_explained_and_nothing_else(page, head, known):
     assert set(first_cells(page, head)) == known
 
 
-def test_the_page_of_maps_names_every_column_and_holds_a_map():
+def test_the_page_of_maps_names_every_column_and_it_and_the_examples_hold_maps():
     text = (ROOT / "docs" / "how-to" / "import-logs.md").read_text()
     assert all(f"`{name}`" in text for name in ("t", *STREAM_COLUMNS))
     the_map = parse_map(text.partition("```toml\n")[2].partition("```")[0])
     assert the_map.columns["throttle"].gate == "motor_on"
-
-
-def test_the_examples_are_maps():
     examples = sorted((ROOT / "examples").glob("import-*.toml"))
     assert len(examples) >= 2
     for path in examples:
@@ -72,10 +63,8 @@ def numbers(separator):
     """Every number that is published, such as `/steerd/car1/state<separator>e1`."""
     return {
         separator.join((make_session_topic("car1", topic), *leaf.name.split(".")))
-        for topic in TOPICS
-        for leaf in leaves_of(topic.message)
-        if isinstance(leaf.kind, Scalar)
-    }
+        for topic in TOPICS for leaf in leaves_of(topic.message) if isinstance(leaf.kind, Scalar)
+    }  # fmt: skip
 
 
 def test_layouts_plot_numbers_that_exist():

@@ -4,16 +4,9 @@ import numpy as np
 import pytest
 
 from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.sessions import motion
 from steerd.daemon.sessions.info import seconds_since
-from steerd.daemon.sessions.motion import (
-    SETTLE,
-    find_implausible,
-    find_settled,
-    make_range,
-    make_track,
-    rms,
-    settled_errors,
-)
+from steerd.daemon.sessions.motion import find_implausible, make_track
 from steerd.sysid.data.dataset import Signal
 
 RADIUS, SPEED = 2.0, 1.5
@@ -27,21 +20,21 @@ def circle(count=1000, dt=0.01, *, noise=0.0, seed=1):
     return t, x + noise * rng.normal(size=count), y + noise * rng.normal(size=count), yaw
 
 
-def test_noise_widens_the_window_and_the_length_stays():
+def test_noise_widens_the_window_and_the_length_stays_and_reversing_has_a_sign():
     for noise in (0.0, 3e-4, 0.02, 0.05):
         track = make_track(*circle(2000, noise=noise))
         assert track.length == pytest.approx(SPEED * 19.99, rel=0.03)
         assert track.coarse == (noise > 0.01)
-
-
-def test_reversing_has_a_sign():
     t, x, y, yaw = circle()
     track = make_track(t, x[::-1], y[::-1], yaw[::-1])
     assert np.nanmedian(track.speed) == pytest.approx(-SPEED, rel=1e-2)
 
 
-def test_tracks_of_bad_poses():
+def test_bad_poses_make_no_track_and_of_nothing_there_is_no_range_and_no_error():
     nan = np.full(5, np.nan)
+    assert motion.make_range(nan) is None
+    assert motion.make_range(np.empty(0)) is None
+    assert np.isnan(motion.rms(np.empty(0)))
     five = np.arange(5.0)
     assert make_track(five, nan, five, five) is None
     assert make_track(np.zeros(5), five, five, five) is None
@@ -49,12 +42,6 @@ def test_tracks_of_bad_poses():
     assert make_track(five, five * 1e300, five, five) is None
     shuffled = make_track(np.array([2.0, 0.0, 1.0, 1.0, 3.0]), five, five, five)
     assert shuffled.t.tolist() == [0.0, 1.0, 2.0, 3.0]
-
-
-def test_of_nothing_there_is_no_range_and_no_error():
-    assert make_range(np.array([np.nan])) is None
-    assert make_range(np.empty(0)) is None
-    assert np.isnan(rms(np.empty(0)))
 
 
 def warnings_for(*, pose=1.0, yaw=1.0, front=0.0, steer=1.0, wheel=1.0, gyro=1.0):
@@ -72,38 +59,26 @@ def warnings_for(*, pose=1.0, yaw=1.0, front=0.0, steer=1.0, wheel=1.0, gyro=1.0
     return find_implausible(make_track(t, pose * x, pose * y, yaw * heading + front), *signals)
 
 
-def test_a_plausible_drive_raises_no_warning():
+def test_a_plausible_drive_raises_no_warning_and_checks_need_no_poses():
     assert warnings_for() == []
     assert warnings_for(wheel=1.15, gyro=0.95, steer=0.7) == []
     assert all("backwards" not in text for text in warnings_for(front=np.pi, wheel=-1.0))
+    assert find_implausible(None, None, None, None) == []
+    steer = Signal(np.arange(3.0), np.array([0.0, 20.0, -20.0]))
+    assert len(find_implausible(None, steer, None, None)) == 1
 
 
-@pytest.mark.parametrize(
-    ("wrong", "part"),
-    [
-        ({"pose": 1000.0, "wheel": 1000.0}, "millimetres"),
-        ({"yaw": 57.3}, "is it in degrees"),
-        ({"yaw": -1.0}, "clockwise"),
-        ({"front": np.pi}, "backwards throughout"),
-        ({"steer": -1.0}, "left positive"),
-        ({"steer": 57.3}, "is it in degrees"),
-        ({"wheel": 3.6}, "km/h"),
-        ({"wheel": 1000.0}, "millimetres"),
-        ({"wheel": 2.0}, "gear ratio"),
-        ({"gyro": 57.3}, "degrees/s"),
-        ({"gyro": -1.0}, "opposite sign"),
-    ],
-)
+@pytest.mark.parametrize(("wrong", "part"), [
+    ({"pose": 1000.0, "wheel": 1000.0}, "millimetres"), ({"yaw": 57.3}, "is it in degrees"),
+    ({"yaw": -1.0}, "clockwise"), ({"front": np.pi}, "backwards throughout"),
+    ({"steer": -1.0}, "left positive"), ({"steer": 57.3}, "is it in degrees"),
+    ({"wheel": 3.6}, "km/h"), ({"wheel": 1000.0}, "millimetres"), ({"wheel": 2.0}, "gear ratio"),
+    ({"gyro": 57.3}, "degrees/s"), ({"gyro": -1.0}, "opposite sign"),
+])  # fmt: skip
 def test_a_wrong_unit_or_sign_is_named(wrong, part):
     found = warnings_for(**wrong)
     assert len(found) == 1
     assert part in found[0]
-
-
-def test_checks_without_poses():
-    assert find_implausible(None, None, None, None) == []
-    steer = Signal(np.arange(3.0), np.array([0.0, 20.0, -20.0]))
-    assert len(find_implausible(None, steer, None, None)) == 1
 
 
 # The lateral error that pages and lists show: of a settled drive alone.
@@ -124,13 +99,13 @@ def state():
 
 
 def test_each_start_settles_anew(state):
-    settled = find_settled(state, seconds_since(START_NS, state["stamp_ns"]))
+    settled = motion.find_settled(state, seconds_since(START_NS, state["stamp_ns"]))
     assert np.flatnonzero(settled).tolist() == [4, 5, 11]
-    assert SETTLE == 3.0
+    assert motion.SETTLE == 3.0
 
 
 def test_errors_are_sizes_and_unknown_ones_are_left_out(state):
     state["e1"][5] = np.nan
-    errors = settled_errors(state, seconds_since(START_NS, state["stamp_ns"]))
+    errors = motion.settled_errors(state, seconds_since(START_NS, state["stamp_ns"]))
     assert errors == pytest.approx([0.04, 0.11])
-    assert rms(errors) == pytest.approx(np.sqrt((0.04**2 + 0.11**2) / 2))
+    assert motion.rms(errors) == pytest.approx(np.sqrt((0.04**2 + 0.11**2) / 2))

@@ -1,7 +1,4 @@
-"""`steerd plot`: what is drawn is what was recorded, in a page that needs nothing else.
-
-No peak is lost, no break is bridged, what was packed comes out again.
-"""
+"""`steerd plot`: what is drawn is what was recorded, in a page that needs nothing else."""
 
 import base64
 import json
@@ -17,20 +14,11 @@ from hypothesis import strategies as st
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.imports.import_session import MessageMaker
 from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.sessions import plot_page
 from steerd.daemon.sessions.info import load_recording, load_session, make_session_report
 from steerd.daemon.sessions.motion import make_track
 from steerd.daemon.sessions.plot_data import Curve, Drawing, Panel, load_lane, make_drawing
-from steerd.daemon.sessions.plot_page import (
-    BREAK,
-    HELD,
-    LEVELS,
-    SIZE_MAX,
-    VALUE,
-    decimate,
-    make_grid,
-    make_page,
-    pack,
-)
+from steerd.daemon.sessions.plot_page import BREAK, HELD, LEVELS, VALUE, decimate, make_grid, pack
 from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
@@ -50,14 +38,6 @@ def unpack(packed, slots):
     return np.where(kinds == VALUE, low + level / LEVELS * (high - low), np.nan), kinds
 
 
-def state(t_ns, i, mode, e1, rng):
-    r = rng.normal(size=24)
-    fields = [*r[:7], *np.abs(r[7:14]), e1, *r[15:20], abs(r[20])]
-    return m.StateMessage(
-        m.make_header(t_ns + EPOCH, m.WORLD), t_ns, i, 0, mode, *map(float, fields)
-    )
-
-
 def write_noise(path, seconds, rate, *, options=None, files=None, reason="end", car_name="noisy"):
     """White noise on every curve: nothing packs worse."""
     rng = np.random.default_rng(3)
@@ -75,7 +55,10 @@ def write_noise(path, seconds, rate, *, options=None, files=None, reason="end", 
     for i in range(int(seconds * rate)):
         t = round(i / rate * 1e9)
         x, y, yaw = rng.normal(size=3).tolist()
-        put(topics.STATE, state(t, i, SupervisorState.RUNNING, 0.02 * (1 if i % 2 else -1), rng), t)
+        r, head = rng.normal(size=24), m.make_header(t + EPOCH, m.WORLD)
+        e1 = 0.02 if i % 2 else -0.02
+        numbers = np.array([*r[:7], *np.abs(r[7:14]), e1, *r[15:20], abs(r[20])]).tolist()
+        put(topics.STATE, m.StateMessage(head, t, i, 0, SupervisorState.RUNNING, *numbers), t)
         put(topics.MOCAP, maker.planar_pose(t, x, y, yaw), t)
         put(topics.ACTUATION, maker.command(t, *rng.normal(size=2).tolist()), t)
         late, work = rng.integers(0, 1_000_000, 2).tolist()
@@ -86,7 +69,7 @@ def write_noise(path, seconds, rate, *, options=None, files=None, reason="end", 
 
 def page_of(path):
     session = load_recording(path)
-    return make_page(make_session_report(session), make_drawing(session))
+    return plot_page.make_page(make_session_report(session), make_drawing(session))
 
 
 def data_of(page):
@@ -99,15 +82,14 @@ def test_the_curves_are_the_recorded_numbers(tmp_path):
     session = load_recording(path)
     data = data_of(page_of(path))
     slots = data["grid"]["slots"]
-    panels = {panel["title"]: panel for panel in data["panels"]}
-    e1, _ = unpack(panels["lateral error e1"]["curves"][0], slots)
+    first = {panel["title"]: panel["curves"][0] for panel in data["panels"]}
+    e1, _ = unpack(first["lateral error e1"], slots)
     assert sorted(set(np.round(e1[np.isfinite(e1)], 3))) == [-20.0, 20.0]
-    yaw, _ = unpack(panels["yaw rate"]["curves"][0], slots)
+    yaw, _ = unpack(first["yaw rate"], slots)
     recorded = session.session.columns(m.StateMessage)["yaw_rate"]
     assert yaw[np.isfinite(yaw)] == pytest.approx(np.degrees(recorded), abs=1e-2)
-    late = panels["control tick"]["curves"][0]
-    assert late["name"] == "late"
-    assert 0.9 < late["high"] <= 1.0
+    assert first["control tick"]["name"] == "late"
+    assert 0.9 < first["control tick"]["high"] <= 1.0
     facts = dict(data["facts"])
     assert facts["lateral error RMS, after 3 s"] == "20.0 mm"
     assert facts["largest"] == "20.0 mm"
@@ -126,8 +108,8 @@ def test_ten_minutes_of_the_worst_noise_stay_small(tmp_path):
     panels = tuple(Panel(c.name, "m", (c,)) for c in noise)
     track = make_track(t, *rng.normal(size=(3, t.size)))
     drawing = Drawing(panels, track, rng.normal(size=t.size), None, 0.3, ())
-    page = make_page(replace(report, info=info), drawing)
-    assert 1_000_000 < len(page.encode()) < SIZE_MAX
+    page = plot_page.make_page(replace(report, info=info), drawing)
+    assert 1_000_000 < len(page.encode()) < plot_page.SIZE_MAX
 
 
 def test_the_page_needs_nothing_else_and_takes_no_orders_from_the_session(tmp_path):
@@ -145,16 +127,17 @@ def test_the_page_needs_nothing_else_and_takes_no_orders_from_the_session(tmp_pa
 
 def test_the_lane_comes_from_the_session(tmp_path):
     rows = "\n".join(f"{2 * np.cos(a):.6f},{2 * np.sin(a):.6f}" for a in np.arange(0, 6.2, 0.1))
-    spec = "csv:/somewhere/else.csv,place=as-is"
-    options = RunOptions("", path=spec)
     kept = {"path.csv": f"# x_m,y_m\n{rows}\n".encode()}
-    lane = load_lane(load_session(write_noise(tmp_path / "a.mcap", 2, 20, options=options,
-                                              files=kept)))  # fmt: skip
+
+    def lane_of(name, options, files=None):
+        path = write_noise(tmp_path / f"{name}.mcap", 2, 20, options=options, files=files)
+        return load_lane(load_session(path))
+
+    elsewhere = RunOptions("", path="csv:/somewhere/else.csv,place=as-is")
+    lane = lane_of("a", elsewhere, kept)
     assert np.hypot(lane.x, lane.y) == pytest.approx(2.0, abs=0.01)
-    absent = load_session(write_noise(tmp_path / "b.mcap", 2, 20, options=options))
-    assert load_lane(absent) is None
-    drill = RunOptions("", drill="mixed;open")
-    assert load_lane(load_session(write_noise(tmp_path / "c.mcap", 2, 20, options=drill))) is None
+    assert lane_of("b", elsewhere) is None
+    assert lane_of("c", RunOptions("", drill="mixed;open")) is None
 
 
 def test_the_table_holds_the_curves_and_figures_are_the_same_each_time(tmp_path):

@@ -11,14 +11,12 @@ from steerd.daemon.settings.car_edit import edit_car
 from steerd.daemon.settings.vesc_yaml import make_car_values, read_vesc_yaml
 from steerd.vesc_link.scaling import F1TENTH
 
-DEFAULT = default_car_path().read_text()
-
 
 def test_edits_keep_comments_and_order():
     edits = {("mocap", "marker_rear_x"): 0.21, ("vesc", "erpm_gain"): 4300.0}
-    edits |= {("vesc", "uuid"): "ab" * 12}
-    text = edit_car(load_car(default_car_path()), edits).text
-    old, new = DEFAULT.splitlines(), text.splitlines()
+    car = load_car(default_car_path())
+    text = edit_car(car, edits | {("vesc", "uuid"): "ab" * 12}).text
+    old, new = car.text.splitlines(), text.splitlines()
     kept = [line for line in new if "uuid" not in line]
     changed = [(a, b) for a, b in zip(old, kept, strict=True) if a != b]
     assert [b.split("=")[0].strip() for _, b in changed] == ["erpm_gain", "marker_rear_x"]
@@ -26,14 +24,10 @@ def test_edits_keep_comments_and_order():
     assert tomllib.loads(text)["vesc"]["uuid"] == "ab" * 12
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "said"),
-    [
-        (("vesc", "servo_gain"), 0.0, "servo_gain must not be zero"),
-        (("mocap", "marker_raer"), 0.0, "marker_raer"),
-        (("car", "mass"), -1.0, r"car\.mass"),
-    ],
-)
+@pytest.mark.parametrize(("key", "value", "said"), [
+    (("vesc", "servo_gain"), 0.0, "servo_gain must not be zero"),
+    (("mocap", "marker_raer"), 0.0, "marker_raer"), (("car", "mass"), -1.0, r"car\.mass"),
+])  # fmt: skip
 def test_edits_with_an_invalid_result_are_refused(key, value, said):
     with pytest.raises(SteerdError, match=said):
         edit_car(load_car(default_car_path()), {key: value})
@@ -60,16 +54,11 @@ vesc_driver:
 """
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("port: 1", "no gain"),
-        ("servo_min: low", "not a number"),
-        ("servo_min: 0.1\nservo_min: 0.2", "twice"),
-        ("servo_min: 0.9\nservo_max: 0.1", "servo limits"),
-        ("speed_to_erpm_gain: nan", "not a number"),
-    ],
-)
+@pytest.mark.parametrize(("text", "said"), [
+    ("port: 1", "no gain"), ("servo_min: low", "not a number"),
+    ("servo_min: 0.1\nservo_min: 0.2", "twice"), ("servo_min: 0.9\nservo_max: 0.1", "servo limits"),
+    ("speed_to_erpm_gain: nan", "not a number"),
+])  # fmt: skip
 def test_an_invalid_yaml_is_refused(text, said):
     with pytest.raises(SteerdError, match=said):
         read_vesc_yaml(text, F1TENTH)

@@ -45,43 +45,34 @@ def settings_with(section, **values):
     return make_settings(parse_car(text_with(section, **values), Path("car.toml")))
 
 
-@pytest.mark.parametrize(
-    ("section", "values", "said"),
-    [
-        ("car", {"mass": -1.0}, "car.mass"),
-        ("car", {"masss": 3.74}, "did you mean mass?"),
-        ("cra", {}, "did you mean [car]?"),
-        ("limit", {}, "did you mean [limits]?"),
-        ("controller", {"speed": 9.5}, "speed_max"),
-        ("vesc", {"erpm_gian": 4614.0}, "[vesc]: erpm_gian is not a setting; did you mean"),
-        ("vesc", {"servo_max": 0.1}, "[vesc]: servo limits"),
-        ("vesc", {"brake_current_a": 0.0}, "[vesc]: brake_current_a = 0.0: a stop needs"),
-        ("safety", {"jump_speed": 9}, "[safety]: jump_speed = 9 m/s is outside 1..8 m/s: the car"),
-        ("safety", {"late_run": 4}, "[safety]: late_run = 4 ticks is outside 1..3 ticks"),
-        ("safety", {"jump_frames": True}, "[safety]: Expected `int`, got `bool`"),
-        ("record", {"flush_ms": 9}, "[record]: flush_ms = 9: 10 to 250 ms"),
-        ("record", {"flush_ms": 251}, "[record]: flush_ms = 251: 10 to 250 ms"),
-        ("record", {"requires": True}, "did you mean required?"),
-        ("record", {"disk_free_min_mb": 99}, "at least 100 MB"),
-    ],
-)
-def test_what_a_car_file_cannot_say_is_named_with_its_section(
-    tmp_path, capsys, section, values, said
-):
+@pytest.mark.parametrize(("section", "values", "said"), [
+    ("car", {"mass": -1.0}, "car.mass"), ("car", {"masss": 3.74}, "did you mean mass?"),
+    ("cra", {}, "did you mean [car]?"), ("limit", {}, "did you mean [limits]?"),
+    ("controller", {"speed": 9.5}, "speed_max"),
+    ("vesc", {"erpm_gian": 4614.0}, "[vesc]: erpm_gian is not a setting; did you mean"),
+    ("vesc", {"servo_max": 0.1}, "[vesc]: servo limits"),
+    ("vesc", {"brake_current_a": 0.0}, "[vesc]: brake_current_a = 0.0: a stop needs"),
+    ("safety", {"jump_speed": 9}, "[safety]: jump_speed = 9 m/s is outside 1..8 m/s: the car"),
+    ("safety", {"late_run": 4}, "[safety]: late_run = 4 ticks is outside 1..3 ticks"),
+    ("safety", {"out_queue": 9}, "[safety]: out_queue = 9 B is outside 64..256 B"),
+    ("safety", {"jump_frames": True}, "[safety]: Expected `int`, got `bool`"),
+    ("record", {"flush_ms": 9}, "[record]: flush_ms = 9: 10 to 250 ms"),
+    ("record", {"flush_ms": 251}, "[record]: flush_ms = 251: 10 to 250 ms"),
+    ("record", {"requires": True}, "did you mean required?"),
+    ("record", {"disk_free_min_mb": 99}, "at least 100 MB"),
+])  # fmt: skip
+def test_what_a_car_file_cannot_say_is_named(tmp_path, capsys, section, values, said):
     path = tmp_path / "car.toml"
     path.write_text(text_with(section, **values))
     assert run_cli(["config", "--check", str(path)]) == ExitCode.INVALID
     assert said in capsys.readouterr().err
 
 
-def test_thresholds_of_a_car_file_replace_the_defaults():
+def test_a_car_file_replaces_thresholds_and_gates_let_the_noise_of_a_localiser_pass():
     settings = settings_with("safety", jump_speed=5, deadman=False)
     assert (settings.thresholds.jump_speed, settings.deadman) == (5.0, False)
     assert settings.thresholds.jump_frames == 3
-
-
-def test_gates_let_the_noise_of_a_localiser_pass():
-    assert settings_with("estimator").ingest.gates == GateConfig()
+    assert settings.ingest.gates == GateConfig()
     noisy = settings_with("estimator", pose_position_sd=0.02, pose_yaw_sd=0.02)
     gates = noisy.ingest.gates
     assert (gates.jump_slack, gates.yaw_slack) == pytest.approx((0.14, 0.14))
@@ -111,14 +102,6 @@ def test_fence_must_be_a_polygon():
     assert Thresholds(fence=SQUARE[:3]).fence == SQUARE[:3]
 
 
-def test_every_threshold_but_the_fence_is_bounded():
-    names = set(Thresholds.__dataclass_fields__)
-    assert names - set(BOUNDS) == {"fence"}
-    assert BOUNDS["jump_speed"] == (1.0, 8.0, "m/s")
-    assert BOUNDS["out_queue"] == (64, 256, "B")
-    assert Thresholds().yaw_step == radians(30)
-
-
 def test_ceilings_are_these_and_changing_one_is_a_decision():
     """The bounds that keep a person in the lane safe, written a second time on purpose."""
     highest = {
@@ -137,22 +120,21 @@ def test_ceilings_are_these_and_changing_one_is_a_decision():
     assert {name: BOUNDS[name].high for name in highest} == highest
     lowest = {"cell": 3.1, "fence_delay": 0.1, "fence_margin": 0.1, "stop_share": 0.3}
     assert {name: BOUNDS[name].low for name in lowest} == lowest
+    assert set(Thresholds.__dataclass_fields__) - set(BOUNDS) == {"fence"}
 
 
 def test_defaults_are_those_of_the_safety_page():
-    th = Thresholds()
-    assert (th.mocap_warn, th.mocap_blind) == (0.030, 0.30)
-    assert (th.mocap_shortest, th.mocap_longest) == (0.05, 0.15)
-    assert (th.freeze_warn, th.freeze_frames, th.invalid_frames, th.jump_frames) == (3, 5, 5, 3)
-    assert (th.telemetry_warn, th.telemetry, th.lease_warn, th.lease) == (0.05, 0.1, 0.15, 0.3)
-    assert (th.cell_warn, th.cell, th.cell_hold) == (3.5, 3.3, 0.5)
-    assert (th.fet_warn, th.fet, th.motor_warn, th.motor) == (75, 85, 80, 95)
-    assert (th.lateral_warn, th.lateral, th.lateral_hold, th.lateral_max) == (0.2, 0.3, 0.1, 0.6)
-    assert (th.overspeed_ratio, th.overspeed_hold) == (1.15, 0.05)
-    assert (th.mismatch_speed, th.mismatch_share, th.mismatch_hold) == (0.5, 0.3, 0.2)
-    assert (th.blocked_current, th.blocked_speed, th.blocked_hold) == (0.5, 0.08, 1.0)
-    assert (th.saturated, th.saturated_warn, th.saturated_hold) == (0.98, 0.5, 1.0)
-    assert (th.stop_share, th.stop_window, th.suspend_step) == (0.5, 0.3, 0.05)
-    assert (th.out_queue, th.out_ticks, th.guardian) == (256, 3, 0.05)
-    assert (th.late, th.late_run, th.late_share) == (0.025, 3, 0.02)
-    assert (th.recorder_full, th.gateway_full) == (1.0, 1.0)
+    defaults = {
+        "mocap_warn": 0.030, "mocap_blind": 0.30, "mocap_shortest": 0.05, "mocap_longest": 0.15,
+        "freeze_warn": 3, "freeze_frames": 5, "invalid_frames": 5, "jump_frames": 3,
+        "telemetry_warn": 0.05, "telemetry": 0.1, "lease_warn": 0.15, "lease": 0.3,
+        "cell_warn": 3.5, "cell": 3.3, "cell_hold": 0.5, "fet_warn": 75, "fet": 85,
+        "motor_warn": 80, "motor": 95, "lateral_warn": 0.2, "lateral": 0.3, "lateral_hold": 0.1,
+        "lateral_max": 0.6, "overspeed_ratio": 1.15, "overspeed_hold": 0.05, "mismatch_speed": 0.5,
+        "mismatch_share": 0.3, "mismatch_hold": 0.2, "blocked_current": 0.5, "blocked_speed": 0.08,
+        "blocked_hold": 1.0, "saturated": 0.98, "saturated_warn": 0.5, "saturated_hold": 1.0,
+        "stop_share": 0.5, "stop_window": 0.3, "suspend_step": 0.05, "yaw_step": radians(30),
+        "out_queue": 256, "out_ticks": 3, "guardian": 0.05, "late": 0.025, "late_run": 3,
+        "late_share": 0.02, "recorder_full": 1.0, "gateway_full": 1.0,
+    }  # fmt: skip
+    assert {name: getattr(Thresholds(), name) for name in defaults} == defaults

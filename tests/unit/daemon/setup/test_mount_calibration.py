@@ -57,8 +57,7 @@ def test_the_injected_truth_is_found(seed, front):
     found = calibrate_mount(slow_drive(TRUTH, seed=seed, front=front), CAR, front)
     mount = found.mount
     assert mount.yaw == pytest.approx(TRUTH.yaw, abs=np.radians(0.1))
-    assert mount.rear_x == pytest.approx(TRUTH.rear_x, abs=2e-3)
-    assert mount.rear_y == pytest.approx(TRUTH.rear_y, abs=2e-3)
+    assert (mount.rear_x, mount.rear_y) == pytest.approx((TRUTH.rear_x, TRUTH.rear_y), abs=2e-3)
     assert mount.speed_gain == pytest.approx(TRUTH.speed_gain, rel=2e-3)
     assert mount.delay == pytest.approx(TRUTH.delay, abs=6e-3)
     assert found.warnings == ()
@@ -66,14 +65,12 @@ def test_the_injected_truth_is_found(seed, front):
 
 
 def test_the_standard_errors_cover_the_truth():
-    within = total = 0
-    for seed in range(8):
-        found = calibrate_mount(slow_drive(TRUTH, seed=100 + seed, seconds=30), CAR)
-        for value, sd, true in zip(found.mount, found.sd, TRUTH, strict=True):
-            within += abs(value - true) < 3.5 * sd + 1e-4
-            total += 1
-    assert total == 8 * len(TRUTH)
-    assert within >= 0.85 * total
+    within = []
+    for seed in range(100, 108):
+        found = calibrate_mount(slow_drive(TRUTH, seed=seed, seconds=30), CAR)
+        off = np.abs(np.subtract(found.mount, TRUTH))
+        within += list(off < 3.5 * np.array(found.sd) + 1e-4)
+    assert sum(within) >= 0.85 * 8 * len(TRUTH)
 
 
 @pytest.mark.parametrize("turn", [np.pi / 2, -np.pi / 2, np.pi - 0.1, -2.0])
@@ -117,8 +114,7 @@ def steered(gain, bias, delay, *, stop=1.0, amplitude=0.25):
 
 def test_steering_that_meets_its_stops():
     found = calibrate_steering(*steered(1.0, 0.0, 0.05, stop=0.2, amplitude=0.32), CAR)
-    assert found.clipped_left
-    assert found.clipped_right
+    assert (found.clipped_left, found.clipped_right) == (True, True)
     assert (found.left, found.right) == pytest.approx((0.2, -0.2), abs=0.01)
     assert found.gain == pytest.approx(1.0, rel=0.05)
 
@@ -171,30 +167,23 @@ def test_drives_that_identify_no_steering():
 
 # Sessions as input of calibrations: the body's poses, wheel speed and commands on one clock.
 
-SPEED = 1.0
-OPTIONS = RunOptions(
-    car_file="", path="circle:radius=2", speed=SPEED, simulated=True, auto_arm=True, duration_s=2.0
-)
-
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     """Two seconds of a circle on simulated hardware."""
     path = tmp_path_factory.mktemp("calibration") / "circle.mcap"
-    record_virtual(make_plan(OPTIONS), path, drive)
+    on = {"speed": 1.0, "simulated": True, "auto_arm": True, "duration_s": 2.0}
+    record_virtual(make_plan(RunOptions("", path="circle:radius=2", **on)), path, drive)
     return load_recorded(path)
 
 
-def test_poses_that_were_rejected_calibrate_nothing(recorded, monkeypatch):
+def test_rejected_poses_calibrate_nothing_and_what_a_session_lacks_is_named(recorded, monkeypatch):
     (name, table), *_ = ((n, t) for n, t in recorded.read.tables.items() if "reject" in t)
     jumped = np.where(np.arange(len(table["reject"])) % 10 == 3, "jump", table["reject"])
     tables = {**recorded.read.tables, name: {**table, "reject": jumped}}
     read = replace(recorded.read, tables=tables)
     monkeypatch.setattr("steerd.daemon.setup.calibration_data.load_recording", lambda _: read)
     assert set(load_recorded(Path("drive.mcap")).poses["reject"]) == {""}
-
-
-def test_what_a_session_lacks_is_named(recorded):
     empty = replace(recorded, read=replace(recorded.read, tables={}))
     with pytest.raises(SteerdError, match="no wheel speed"):
         make_drive(empty)

@@ -1,6 +1,8 @@
 """`steerd probe`: each thing that is wrong is named, with what to do; what is right is not."""
 
 from dataclasses import replace
+from itertools import count
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,52 +28,39 @@ def fixes(advice):
     return " | ".join(f"{a.what} -> {a.fix}" for a in advice)
 
 
-def test_a_sound_vesc_leaves_only_what_no_vesc_reports():
-    assert [a.what.split(":")[0] for a in probe.judge_vesc(GOOD, BrakeSettings())] == [
-        "the VESC does not report whether its servo output is on"
-    ]
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"timeout_ms": 0}, "set Timeout to 100-200 ms in VESC Tool: App Settings > General"),
-        ({"timeout_ms": 1000}, "the VESC's timeout is 1000 ms"),
-        ({"timeout_brake_a": 0.0}, "set Timeout Brake Current above 0 A"),
-        ({"timeout_ms": None}, "update its firmware"),
-        ({"firmware": (3, 62)}, "'servoout' build"),
-        ({"fault": "UNDER_VOLTAGE"}, "UNDER_VOLTAGE -> VESC Tool"),
-        ({"voltage": 9.5}, "the battery is at 9.5 V, 3 cells -> charge it"),
-        ({"round_trip_ms": 40.0}, "answers take 40.0 ms"),
-        ({"answered": 0.5}, "50% of them arrive"),
-    ],
-)
-def test_what_is_wrong_with_a_vesc(change, said):
-    assert said in fixes(probe.judge_vesc(replace(GOOD, **change), BrakeSettings()))
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"server": "", "samples": 0, "detail": "silence"}, "no answer: silence"),
-        ({"samples": 0}, "the server offers car: name one of them"),
-        ({"samples": 0, "bodies": ()}, "interface=ADDRESS"),
-        ({"rate_hz": 60.0}, "60 of 100 frames per second arrive -> use a cable"),
-        ({"jitter_ms": 30.0}, "varies by 30 ms"),
-        ({"refused": (("units", 300),)}, 'units -> set [mocap] units = "mm"'),
-        ({"refused": (("jump", 300),)}, f"jump -> {REASONS['jump']}"),
-        ({"tilt": 0.5}, "leans by 29°"),
-    ],
-)
-def test_what_is_wrong_with_a_source(change, said):
-    assert said in fixes(probe.judge_mocap(replace(SEEN, **change), named=True))
-
-
-def test_a_sound_source_and_a_server_without_a_named_body():
+def test_of_what_is_sound_nothing_is_said_but_what_no_vesc_reports():
+    (advice,) = probe.judge_vesc(GOOD, BrakeSettings())
+    assert advice.what.startswith("the VESC does not report whether its servo output is on:")
     assert list(probe.judge_mocap(SEEN, named=True)) == []
     assert list(probe.judge_mocap(replace(SEEN, samples=0), named=False)) == []
     rare = replace(SEEN, refused=(("jump", 2),))
     assert list(probe.judge_mocap(rare, named=True)) == []
+
+
+@pytest.mark.parametrize(("change", "said"), [
+    ({"timeout_ms": 0}, "set Timeout to 100-200 ms in VESC Tool: App Settings > General"),
+    ({"timeout_ms": 1000}, "the VESC's timeout is 1000 ms"),
+    ({"timeout_brake_a": 0.0}, "set Timeout Brake Current above 0 A"),
+    ({"timeout_ms": None}, "update its firmware"), ({"firmware": (3, 62)}, "'servoout' build"),
+    ({"fault": "UNDER_VOLTAGE"}, "UNDER_VOLTAGE -> VESC Tool"),
+    ({"voltage": 9.5}, "the battery is at 9.5 V, 3 cells -> charge it"),
+    ({"round_trip_ms": 40.0}, "answers take 40.0 ms"), ({"answered": 0.5}, "50% of them arrive"),
+])  # fmt: skip
+def test_what_is_wrong_with_a_vesc(change, said):
+    assert said in fixes(probe.judge_vesc(replace(GOOD, **change), BrakeSettings()))
+
+
+@pytest.mark.parametrize(("change", "said"), [
+    ({"server": "", "samples": 0, "detail": "silence"}, "no answer: silence"),
+    ({"samples": 0}, "the server offers car: name one of them"),
+    ({"samples": 0, "bodies": ()}, "interface=ADDRESS"),
+    ({"rate_hz": 60.0}, "60 of 100 frames per second arrive -> use a cable"),
+    ({"jitter_ms": 30.0}, "varies by 30 ms"),
+    ({"refused": (("units", 300),)}, 'units -> set [mocap] units = "mm"'),
+    ({"refused": (("jump", 300),)}, f"jump -> {REASONS['jump']}"), ({"tilt": 0.5}, "leans by 29°"),
+])  # fmt: skip
+def test_what_is_wrong_with_a_source(change, said):
+    assert said in fixes(probe.judge_mocap(replace(SEEN, **change), named=True))
 
 
 TCP = """  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid
@@ -86,13 +75,10 @@ def test_sockets_of_this_machine(tmp_path):
     assert [(s.kind, s.address, s.port) for s in found] == [("tcp", "127.0.0.1", 7447)]
     assert list(probe.read_sockets(TCP, "udp")) == []
     (tmp_path / "tcp").write_text(TCP)
-    (tmp_path / "udp6").write_text(
-        TCP.replace("0100007F:1D17", "00000000000000000000000000000000:05E6")
-    )
-    assert [(s.kind, s.port) for s in probe_ask.find_sockets(tmp_path)] == [
-        ("tcp", 7447),
-        ("udp", 1510),
-    ]
+    udp = TCP.replace("0100007F:1D17", "00000000000000000000000000000000:05E6")
+    (tmp_path / "udp6").write_text(udp)
+    both = [(s.kind, s.port) for s in probe_ask.find_sockets(tmp_path)]
+    assert both == [("tcp", 7447), ("udp", 1510)]
     assert "zenoh" in "\n".join(format_found(probe.Found((), (), tuple(found), True)))
 
 
@@ -109,11 +95,8 @@ def test_ports_by_their_usb_ids(tmp_path):
         (sysfs / name / "device").symlink_to(usb / "1:1.0")
     (dev / "ttyACM7").touch()
     (dev / "ttyS0").touch()
-    assert probe_ask.find_ports(dev, sysfs) == {
-        str(dev / "ttyACM0"): "0483:5740",
-        str(dev / "ttyACM7"): "",
-        str(dev / "ttyUSB1"): "10c4:ea60",
-    }
+    found = {"ttyACM0": "0483:5740", "ttyACM7": "", "ttyUSB1": "10c4:ea60"}
+    assert probe_ask.find_ports(dev, sysfs) == {str(dev / port): found[port] for port in found}
 
 
 # `steerd mocap check`: a sound room passes, each wrong axis or unit is named with its remedy.
@@ -140,10 +123,12 @@ def failed(m, refused=0):
 
 
 @pytest.mark.parametrize("straight", [True, False])
-def test_a_sound_room_passes(straight):
-    checks = check_movement(movement(straight=straight), 0)
+def test_a_sound_room_passes_and_a_car_that_is_not_seen_is_a_case_for_probe(straight):
+    seen = movement(straight=straight)
+    checks = check_movement(seen, 0)
     assert [c.name for c in checks if not c.ok] == []
     assert len(checks) == (5 if straight else 6)
+    assert "probe" in failed(seen, refused=100)["stream"]
 
 
 PUSHED, EIGHT = movement(), movement(straight=False)
@@ -167,42 +152,20 @@ def test_a_wrong_axis_unit_or_body_is_named_with_its_remedy(moved, check, said):
     assert check != "heading" or len(wrong) == 1
 
 
-def test_a_car_that_is_not_seen_is_a_case_for_probe():
-    assert "probe" in failed(PUSHED, refused=100)["stream"]
-
-
-class Deaf:
-    """A receiver whose server never answers."""
-
-    def fds(self):
-        return []
-
-    def on_timer(self, now_ns):
-        return []
-
-    def status(self):
-        return SourceStatus(SourceState.CONNECTING, "no answer for 3 s")
-
-    def close(self):
-        pass
-
-
-class Seconds:
-    """A clock that is a second later at each look."""
-
-    looks = 0
-
-    def now_ns(self):
-        type(self).looks += 1
-        return self.looks * 1_000_000_000
+DEAF = SimpleNamespace(  # a receiver whose server never answers
+    fds=list, on_timer=lambda now_ns: [], close=lambda: None,
+    status=lambda: SourceStatus(SourceState.CONNECTING, "no answer for 3 s"),
+)  # fmt: skip
 
 
 def test_nobody_pushes_for_a_source_that_does_not_answer(monkeypatch, capsys):
-    monkeypatch.setattr(probe_ask, "make_receiver", lambda url, config: Deaf())
-    monkeypatch.setattr(probe_ask, "MonotonicClock", Seconds)
+    looks = count(1)  # at a clock that is a second later at each
+    clock = SimpleNamespace(now_ns=lambda: next(looks) * 1_000_000_000)
+    monkeypatch.setattr(probe_ask, "make_receiver", lambda url, config: DEAF)
+    monkeypatch.setattr(probe_ask, "MonotonicClock", lambda: clock)
     line = ["mocap", "check", "--mocap", "natnet://192.0.2.1/car", "--seconds", "60"]
     assert run_cli(line) == ExitCode.UNREADABLE
     said = capsys.readouterr().err
     assert "no answer for 3 s" in said
     assert "push" not in said
-    assert 0 < Seconds.looks < 20, "given up long before the 60 s"
+    assert 1 < next(looks) <= 20, "given up long before the 60 s"

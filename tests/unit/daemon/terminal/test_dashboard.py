@@ -1,6 +1,7 @@
 """The dashboard: figures of the drive, a run's last lines, and what `steerd watch` makes of it."""
 
-from dataclasses import fields, replace
+import shutil
+from dataclasses import replace
 from math import nan, pi
 from pathlib import Path
 
@@ -42,17 +43,11 @@ def drive(tally, ticks, e1, start_ns=0, speed=1.5):
     return tally
 
 
-def test_distance_and_time_count_from_the_first_running_tick():
-    tally = drive(Tally(), 201, 0.0)
-    assert tally.distance == pytest.approx(3.0)
-    assert tally.driven_ns == 2_000_000_000
-    assert tally.describe() == "drove 3.0 m in 2.0 s"
-
-
 def test_lateral_errors_count_after_settling_and_only_where_they_are_known():
     ticks = SETTLE_NS // TICK_NS
     tally = drive(Tally(), ticks, 0.5)
     assert (tally.count, tally.worst) == (0, 0.0)
+    assert tally.describe() == "drove 4.5 m in 3.0 s"
     tally.add(state(SETTLE_NS, e1=-0.03))
     tally.add(state(SETTLE_NS + TICK_NS, e1=0.01))
     tally.add(state(SETTLE_NS + 2 * TICK_NS, e1=nan))
@@ -74,10 +69,8 @@ def test_a_stop_between_two_drives_is_not_driven_and_settles_anew():
 
 def test_an_estimate_that_is_not_there_shows_no_number():
     board = Dashboard("car1")
-    numbers = {
-        f.name: nan for f in fields(state(1)) if isinstance(getattr(state(1), f.name), float)
-    }
-    board.take(PipeRecord(topics.STATE, 0, 1, 1, encode(replace(state(1), **numbers))))
+    unknown = replace(state(1, x=nan, e1=nan), y=nan, yaw=nan, speed=nan)
+    board.take(PipeRecord(topics.STATE, 0, 1, 1, encode(unknown)))
     text = printed(board.render())
     assert "nan" not in text
     assert "x       – m" in text
@@ -85,12 +78,11 @@ def test_an_estimate_that_is_not_there_shows_no_number():
 
 # The last lines of a run.
 
-TALLY = Tally(count=4, square=4e-4, worst=0.02, distance=12.0, driven_ns=6_000_000_000)
-
 
 def lines(drill, car=None):
     plan = make_plan(RunOptions(str(car or default_car_path()), drill=drill), design=False)
-    return list(closing_lines(plan, TALLY, Path("drive.mcap")))
+    tally = Tally(count=4, square=4e-4, worst=0.02, distance=12.0, driven_ns=6_000_000_000)
+    return list(closing_lines(plan, tally, Path("drive.mcap")))
 
 
 def test_a_lane_was_kept():
@@ -101,16 +93,12 @@ def test_a_lane_was_kept():
 
 
 @pytest.mark.parametrize(("drill", "lane"), [("mixed;speed=2", False), ("chirp;closed", True)])
-def test_a_plan_was_driven(drill, lane):
+def test_a_plan_was_driven_and_its_own_car_file_is_identified_from(drill, lane, tmp_path):
     summary, _, then = lines(drill)
     assert ("lateral error" in summary) is lane
     assert "steerd identify drive.mcap -o car.toml" in then
-
-
-def test_a_plan_on_an_own_car_is_identified_from_its_own_file(tmp_path):
-    own = tmp_path / "mine.toml"
-    own.write_text(default_car_path().read_text())
-    assert f"steerd identify drive.mcap --car {own} -o car.toml" in lines("mixed;speed=2", own)[-1]
+    own = shutil.copy(default_car_path(), tmp_path / "mine.toml")
+    assert f"steerd identify drive.mcap --car {own} -o car.toml" in lines(drill, own)[-1]
 
 
 # `steerd watch`: what it shows is what was received, and silence is not standing still.

@@ -91,36 +91,26 @@ def test_a_step_that_only_surer_drives_see_is_found():
 
 def test_the_clearest_comes_first_and_carries_its_names():
     rng = np.random.default_rng(3)
-    series = [
-        make_series(rng, at=10, step=0.1, car="a", name="x"),
-        make_series(rng, at=20, step=0.4, car="b", name="y"),
-        make_series(rng, car="c"),
-    ]
-    found = changes.find_changes(series)
+    a, b = make_series(rng, at=10, step=0.1), make_series(rng, at=20, step=0.4, car="b", name="y")
+    found = changes.find_changes([a, b, make_series(rng, car="c")])
     assert [(c.car, c.quantity) for c in found] == [("b", "y"), ("a", "x")]
     assert found[0].day == "2026-03-21"
 
 
-def test_few_drives_say_nothing():
-    rows = [
-        {"car": "a", "start": BEGIN + DAY * i, "session": str(i), "x": float(i > 2)}
-        for i in range(changes.LEAST)
-    ]
-    assert list(changes.list_series(rows[:-1], ("x",))) == []
-    assert len(list(changes.list_series(rows, ("x", "y")))) == 1
-
-
-def test_series_are_a_cars_own_in_the_order_of_time():
+def test_series_are_a_cars_own_in_the_order_of_time_and_few_drives_say_nothing():
     rows = [
         {"car": car, "start": BEGIN + DAY * day, "session": f"{car}{day}", "x": day, "x_sd": 0.1}
-        for day in (3, 1, 0, 2, 5, 4)
-        for car in ("b", "a")
-    ]
+        for day in (3, 1, 0, 2, 5, 4) for car in ("b", "a")
+    ]  # fmt: skip
     rows.append({"car": None, "start": None, "session": "broken"})
     one, two = changes.list_series(rows, ("x",))
     assert (one.car, two.car) == ("a", "b")
     np.testing.assert_array_equal(one.value, range(6))
     np.testing.assert_array_equal(one.sd, [0.1] * 6)
+    day = {"car": "a", "session": "s", "x": 0.0}
+    rows = [day | {"start": BEGIN + DAY * i} for i in range(changes.LEAST)]
+    assert list(changes.list_series(rows[:-1], ("x",))) == []
+    assert len(list(changes.list_series(rows, ("x", "y")))) == 1
 
 
 def test_a_band_mixes_no_drives_from_before_and_after_a_change():
@@ -134,13 +124,11 @@ def test_a_band_mixes_no_drives_from_before_and_after_a_change():
 
 
 def test_bands_are_weekly_means():
-    rng = np.random.default_rng(5)
-    series = make_series(rng, 28, sd=0.02)
+    series = make_series(np.random.default_rng(5), 28, sd=0.02)
     band = changes.make_band(series)
     assert len(band.mean) == 4
     assert np.diff(band.start) == pytest.approx(changes.WEEK)
-    first = series.value[:7]
-    assert band.mean[0] == pytest.approx(first.mean(), abs=1e-9)
+    assert band.mean[0] == pytest.approx(series.value[:7].mean(), abs=1e-9)
     assert 1.96 * 0.02 / np.sqrt(7) <= band.half[0] < 0.05
 
 

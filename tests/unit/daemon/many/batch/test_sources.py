@@ -41,7 +41,9 @@ def test_a_word_that_names_nothing_is_refused(folder, word, monkeypatch):
     assert word in caught.value.what
 
 
-def test_car_files_are_found_by_name(tmp_path):
+def test_car_files_are_found_by_name_and_a_folder_without_one_is_refused(tmp_path):
+    with pytest.raises(SteerdError, match="no car file"):
+        unit.read_cars(tmp_path)
     text = default_car_path().read_text()
     (tmp_path / "red.toml").write_text(text)
     (tmp_path / "blue.toml").write_text(text.replace("mass = 3.74", "mass = 3.9"))
@@ -50,38 +52,27 @@ def test_car_files_are_found_by_name(tmp_path):
     assert cars["red"] != cars["blue"]
     assert unit.read_cars(tmp_path / "red.toml") == {"": cars["red"]}
     assert unit.read_cars(None) == {}
-
-
-def test_a_folder_without_a_car_file_is_refused(tmp_path):
-    with pytest.raises(SteerdError, match="no car file"):
-        unit.read_cars(tmp_path)
     (tmp_path / "odd.toml").write_text("[car]\nmass = 'heavy'\n")
     with pytest.raises(SteerdError, match="mass"):
         unit.read_cars(tmp_path)
 
 
-def test_a_file_that_was_written_since_is_another_unit(folder):
+def test_a_file_that_was_written_since_is_another_unit_and_is_read_when_it_is_shipped(folder):
     path = folder / "three.mcap"
     (before,) = unit.make_tasks([path])
     os.utime(path, ns=(0, 5))
     (after,) = unit.make_tasks([path])
     assert before != after
     assert unit.make_tasks([path])[after].changed_ns == 5
+    assert unit.read_content(unit.UnitTask(path, 1)).content == path.read_bytes()
+    assert unit.read_content(unit.UnitTask(Path("gone.mcap"), 1)).content is None
 
 
 def test_rows_depend_on_the_question_and_the_cars():
     car = load_car(default_car_path())
     one = unit.Question("identify", {"red": car})
     assert one.digest() == unit.Question("identify", {"red": car}).digest()
-    others = [
-        unit.Question("diagnose", {"red": car}),
-        unit.Question("identify", {"red": replace(car, text="y")}),
-        unit.Question("identify", {"red": replace(car, posterior="y")}),
-    ]
+    changed = (replace(car, text="y"), replace(car, posterior="y"))
+    others = [unit.Question("identify", {"red": each}) for each in changed]
+    others.append(unit.Question("diagnose", {"red": car}))
     assert len({one.digest(), *(other.digest() for other in others)}) == 4
-
-
-def test_what_is_shipped_is_read_when_it_leaves(folder):
-    path, gone = folder / "three.mcap", Path("gone.mcap")
-    assert unit.read_content(unit.UnitTask(path, 1)).content == path.read_bytes()
-    assert unit.read_content(unit.UnitTask(gone, 1)).content is None
