@@ -213,10 +213,9 @@ def pack(out: Array, kinds: NDArray[np.uint8]) -> dict[str, float | str]:
     known = kinds == VALUE
     low = float(out[known].min()) if known.any() else 0.0
     high = float(out[known].max()) if known.any() else 1.0
-    scale = LEVELS / (high - low) if high > low else 0.0
-    level = np.rint((out - low) * scale).astype(np.int64)
     held = np.maximum.accumulate(np.where(known, np.arange(len(out)), -1))
-    level = np.where(held >= 0, level[held], 0)
+    shown = np.where(held >= 0, out[held], low)
+    level = np.rint(LEVELS * ((shown - low) / ((high - low) or 1.0))).astype(np.int64)
     steps = np.diff(level, prepend=0) % (LEVELS + 1)
     planes = kinds.tobytes() + (steps & 255).astype(np.uint8).tobytes()
     planes += (steps >> 8).astype(np.uint8).tobytes()

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from steerd.daemon.cli.main import run_cli
@@ -180,6 +180,7 @@ def test_every_pair_of_slots_keeps_its_extremes_in_their_order(values, buckets):
 
 
 @settings(derandomize=True, deadline=None, max_examples=150)
+@example([(0.0, HELD), (0.0, VALUE), (1.0, HELD), (3e-184, VALUE)])
 @given(
     st.lists(st.tuples(NUMBERS, st.sampled_from([HELD, VALUE, BREAK])), min_size=2, max_size=200)
 )
