@@ -7,6 +7,7 @@ less: what a wrong model lets it explain, it explains in the healthy drives as w
 
 # Why: docs/decisions/diagnosis.md#d117
 # Why: docs/decisions/diagnosis.md#d121
+# Why: docs/decisions/diagnosis.md#d122
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -104,9 +105,7 @@ def _controlled(
     derivative vanishes at its null) it gives up as much as any other may gain so, or counts with
     the design effect of drives without controls, whichever leaves more. With that one counts every
     further cause, beside the likeliest with one fewer: what a wrong name leaves is not what healthy
-    drives show.
-
-    Posteriors `found` are tempered by `temper`, those `alone` by the design effect of drives
+    drives show. Posteriors `found` are tempered by `temper`, those `alone` by the design effect of drives
     without controls; what is `shown` of points is added to.
     """
     level: dict[Names, float] = {}
