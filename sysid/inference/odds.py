@@ -105,8 +105,8 @@ def _controlled(
     derivative vanishes at its null) it gives up as much as any other may gain so, or counts with
     the design effect of drives without controls, whichever leaves more. With that one counts every
     further cause, beside the likeliest with one fewer: what a wrong name leaves is not what healthy
-    drives show. Posteriors `found` are tempered by `temper`, those `alone` by the design effect of drives
-    without controls; what is `shown` of points is added to.
+    drives show. Posteriors `found` are tempered by `temper`, those `alone` by the design effect of
+    drives without controls; what is `shown` of points is added to.
     """
     level: dict[Names, float] = {}
     for names in sorted(found, key=len):

@@ -22,7 +22,6 @@ drives need, and `--help-all` the rest. Exit codes are in
 
 
 def make_parser(name: str) -> argparse.ArgumentParser:
-    """The parser of one command."""
     parser = argparse.ArgumentParser(prog=f"steerd {name}", add_help=False)
     find_command(name).add_arguments(parser)
     return parser
@@ -67,11 +66,8 @@ def make_page() -> str:
     found = {name: list(_rows(name, make_parser(name))) for name in COMMANDS}
     counts = Counter(row for rows in found.values() for row in set(rows) if row.startswith("- "))
     # The commonest text of an option; another one stays with its command.
-    texts = {
-        row.split("`")[1].split()[0]: row
-        for row, n in reversed(counts.most_common())
-        if n >= COMMON
-    }
+    often = [row for row, n in reversed(counts.most_common()) if n >= COMMON]
+    texts = {row.split("`")[1].split()[0]: row for row in often}
     common = {row: name for name, row in texts.items()}
     lines = [_HEAD, "## Common options", "", *sorted(common)]
     for name, (_, summary) in COMMANDS.items():

@@ -45,12 +45,10 @@ def count_lines(folders: tuple[str, ...]) -> int:
 
 
 def sizes() -> dict[str, int]:
-    """Lines of every room."""
     return {room: count_lines(folders) for room, (folders, _) in GOALS.items()}
 
 
 def recorded() -> dict[str, int]:
-    """Lines of every room as recorded."""
     return dict(json.loads(RECORD.read_text()))
 
 

@@ -35,11 +35,8 @@ def files() -> Iterator[Path]:
     for folder, names, found in os.walk(ROOT):
         names[:] = sorted(n for n in names if n[0] != "." and n not in SKIPPED)
         names[:] = [n for n in names if not n.endswith(".egg-info")]
-        yield from (Path(folder, name) for name in sorted(found) if is_text(Path(name)))
-
-
-def is_text(path: Path) -> bool:
-    return (path.suffix in TEXT or path.name == "Makefile") and path.name not in HISTORY
+        paths = [Path(folder, name) for name in sorted(found) if name not in HISTORY]
+        yield from (path for path in paths if path.suffix in TEXT or path.name == "Makefile")
 
 
 def find_citations(path: Path) -> Iterator[Citation]:
@@ -82,11 +79,8 @@ def find_fault(citation: Citation) -> str:
     path = ROOT / citation.page
     if not path.exists():
         return f"{citation.source}: {citation.page} is not there"
-    if (
-        citation.anchor
-        and path.suffix == ".md"
-        and citation.anchor not in anchors_of(citation.page)
-    ):
+    known = anchors_of(citation.page) if path.suffix == ".md" else {citation.anchor}
+    if citation.anchor and citation.anchor not in known:
         return f"{citation.source}: {citation.page} has no anchor {citation.anchor}"
     return ""
 
@@ -102,12 +96,9 @@ def test_every_citation_resolves():
 def test_a_page_names_files_that_are_there():
     pages = [path for path in files() if path.suffix == ".md"]
     assert ROOT / "CONTRIBUTING.md" in pages
-    wrong = [
-        f"{page.relative_to(ROOT)}: {name}"
-        for page in pages
-        for name in NAMED_FILE.findall(page.read_text(encoding="utf-8"))
-        if not (ROOT / name).exists()
-    ]
+    named = {page: NAMED_FILE.findall(page.read_text(encoding="utf-8")) for page in pages}
+    each = ((page.relative_to(ROOT), name) for page, names in named.items() for name in names)
+    wrong = [f"{page}: {name}" for page, name in each if not (ROOT / name).exists()]
     assert not wrong, "\n".join(wrong)
 
 

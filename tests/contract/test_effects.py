@@ -31,12 +31,8 @@ def make_drive(seed: int, steps: int) -> tuple[State[float], list[Command[float]
     first = State(*rng.normal((2.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0), spread).tolist())
     first = first._replace(speed=float(rng.uniform(0.0, 4.0)))
     held = rng.integers(3, 12)
-    commands = [
-        Command(float(rng.uniform(-0.45, 0.45)), float(rng.uniform(-0.2, 4.0)))
-        for _ in range(steps // held + 1)
-        for _ in range(held)
-    ]
-    return first, commands[:steps]
+    draws = rng.uniform((-0.45, -0.2), (0.45, 4.0), ((steps // held + 1) * held, 2))
+    return first, [Command(*draw) for draw in draws[:steps].tolist()]
 
 
 def drive(ops: Any, model: Model[Any], seed: int, number: Any, steps: int = 60) -> list[Any]:
@@ -44,18 +40,12 @@ def drive(ops: Any, model: Model[Any], seed: int, number: Any, steps: int = 60) 
     first, commands = make_drive(seed, steps)
     zero = number(0.0)
     moments = simulate(
-        ops,
-        model,
-        start(model, State(*map(number, first)), zero),
-        [Command(*map(number, c)) for c in commands],
-        STEP,
-    )
+        ops, model, start(model, State(*map(number, first)), zero),
+        [Command(*map(number, c)) for c in commands], STEP,
+    )  # fmt: skip
     seen = [observe(ops, model, m.state) for m in moments]
-    return [
-        *(value for m in moments for value in m.state),
-        *(value for o in seen for value in o),
-        *delays(model),
-    ]
+    shown = (*(m.state for m in moments), *seen, delays(model))
+    return [value for each in shown for value in each]
 
 
 def tensor(value: float) -> torch.Tensor:
@@ -78,15 +68,18 @@ def test_null_is_bit_identical_with_floats(effect: Effect, seed: int) -> None:
 
 
 @pytest.mark.parametrize("effect", EVERY)
-def test_an_ordinary_severity_changes_the_run_and_keeps_it_finite(effect: Effect) -> None:
+def test_an_ordinary_severity_changes_the_run_and_bounds_keep_it_finite(effect: Effect) -> None:
     for seed in range(4):
         run = drive(FLOAT, Model(DEFAULT_CAR, (effect,), (ordinary(effect),)), seed, float)
         assert run != drive(FLOAT, Model(DEFAULT_CAR), seed, float)
         assert all(map(math.isfinite, run))
+    for values in zip(*((p.low, p.high) for p in effect.parameters), strict=True):
+        run = drive(FLOAT, Model(DEFAULT_CAR, (effect,), (values,)), 3, float)
+        assert all(map(math.isfinite, run))
 
 
 @pytest.mark.parametrize("effect", EVERY)
-def test_bounds_are_finite_and_hold_the_null(effect: Effect) -> None:
+def test_bounds_hold_the_null_and_what_the_diagnosis_knows_fits_together(effect: Effect) -> None:
     assert effect.parameters
     for p in effect.parameters:
         assert all(map(math.isfinite, (p.null, p.low, p.high, p.scale)))
@@ -96,10 +89,6 @@ def test_bounds_are_finite_and_hold_the_null(effect: Effect) -> None:
         assert all(p.low <= value <= p.high for value in p.scan)
         assert p.unit
         assert p.meaning
-
-
-@pytest.mark.parametrize("effect", EVERY)
-def test_what_the_diagnosis_knows_of_it_fits_together(effect: Effect) -> None:
     others = effect.confounded_with.effects if effect.confounded_with else ()
     assert effect.name not in others
     assert set(others) <= set(EFFECTS)
@@ -110,16 +99,6 @@ def test_what_the_diagnosis_knows_of_it_fits_together(effect: Effect) -> None:
     assert effect.size(ordinary(effect), effect.nulls) > 0.0
 
 
-@pytest.mark.parametrize("effect", EVERY)
-def test_both_ends_of_the_bounds_keep_a_run_finite(effect: Effect) -> None:
-    for values in (
-        tuple(p.low for p in effect.parameters),
-        tuple(p.high for p in effect.parameters),
-    ):
-        run = drive(FLOAT, Model(DEFAULT_CAR, (effect,), (values,)), 3, float)
-        assert all(map(math.isfinite, run))
-
-
 def score(run: list[Any]) -> Any:
     """One number that every state, observation and delay moves."""
     weights = [math.sin(0.1 + 1.7 * i) for i in range(len(run))]
@@ -127,7 +106,6 @@ def score(run: list[Any]) -> Any:
 
 
 def gradient(effect: Effect, at: tuple[float, ...], seed: int) -> list[float]:
-    """Gradient of the score by torch."""
     values = tuple(tensor(v).requires_grad_() for v in at)
     model = Model(Car(*map(tensor, DEFAULT_CAR)), (effect,), (values,))
     total = score(drive(TORCH, model, seed, tensor, SHORT))
@@ -147,7 +125,6 @@ def test_gradients_at_and_beside_the_null_are_finite(effect: Effect) -> None:
 
 
 # One set of equations over every number type: floats and arrays agree.
-
 VALUES = (-1.3, -0.25, 0.0, 0.25, 1.3)
 CHOICES = {
     "square root": lambda ops, a, b: ops.sqrt(1.25 + a),
@@ -174,25 +151,12 @@ def test_choices_of_floats():
     assert [FLOAT.where_positive(a, 1.0, 2.0) for a in VALUES] == [2.0, 2.0, 2.0, 1.0, 1.0]
 
 
-def points(count: int) -> list[tuple[State[float], float, float]]:
+def test_lanes_of_an_array_are_cars_of_their_own():
     """States from crawling to fast, with wheel angle and acceleration."""
     rng = np.random.default_rng(4)
-    spread = (3.0, 3.0, 2.0, 0.0, 1.0, 0.2, 0.2)
-    return [
-        (
-            State(*rng.normal(0.0, spread).tolist())._replace(speed=float(rng.uniform(-0.5, 5.0))),
-            float(rng.uniform(-0.4, 0.4)),
-            float(rng.uniform(-4.0, 4.0)),
-        )
-        for _ in range(count)
-    ]
-
-
-def test_lanes_of_an_array_are_cars_of_their_own():
-    drawn = points(16)
-    lanes = State(*(np.array(v) for v in zip(*(s for s, _, _ in drawn), strict=True)))
-    wheel, accel = (np.array([d[i] for d in drawn]) for i in (1, 2))
-    found = derivative(SINGLE_TRACK, NUMPY, DEFAULT_CAR, lanes, wheel, accel)
-    for i, (state, one_wheel, one_accel) in enumerate(drawn):
-        expected = derivative(SINGLE_TRACK, FLOAT, DEFAULT_CAR, state, one_wheel, one_accel)
+    lanes = rng.normal(0.0, (3.0, 3.0, 2.0, 0.0, 1.0, 0.2, 0.2, 0.0, 0.0), (16, 9)).T
+    lanes[[3, 7, 8]] = rng.uniform((-0.5, -0.4, -4.0), (5.0, 0.4, 4.0), (16, 3)).T
+    found = derivative(SINGLE_TRACK, NUMPY, DEFAULT_CAR, State(*lanes[:7]), *lanes[7:])
+    for i, (*state, wheel, accel) in enumerate(lanes.T.tolist()):
+        expected = derivative(SINGLE_TRACK, FLOAT, DEFAULT_CAR, State(*state), wheel, accel)
         assert [v[i] for v in found] == pytest.approx(list(expected), rel=1e-12, abs=1e-12)

@@ -78,7 +78,7 @@ def reads(hub, reader, key, sent=STATE):
     return heard
 
 
-def test_an_operator_commands_and_reads(hub, labs):
+def test_an_operator_commands_and_reads_and_a_viewer_reads_and_cannot_command(hub, labs):
     with join(labs / "ours" / "desk") as desk:
         assert orders(hub, desk, f"{ORDER}/desk") == 20
         assert orders(hub, desk, POSE) == 20
@@ -86,9 +86,6 @@ def test_an_operator_commands_and_reads(hub, labs):
         assert reads(hub, desk, "steerd/car1/*")
         assert until(lambda: desk.alive("steerd/*/alive")) == {ALIVE}
         assert desk.query(SCHEMA) == {SCHEMA: b"text"}
-
-
-def test_a_viewer_reads_and_cannot_command(hub, labs):
     with join(labs / "ours" / "screen") as screen:
         assert reads(hub, screen, STATE)
         assert reads(hub, screen, "steerd/car1/*")

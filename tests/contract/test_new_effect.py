@@ -1,8 +1,4 @@
-"""A user's effect, added from one file, is listed, simulated, fitted and diagnosed.
-
-The tests run the command line on a scratch copy of the car model with one file more; every other
-room is the repository's own.
-"""
+"""A user's effect, one file in a scratch car model, is listed, simulated, fitted and diagnosed."""
 
 import json
 import shutil
@@ -29,9 +25,8 @@ def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for entry in (ROOT / "steerd").iterdir():
         if entry.name != "car_model":
             (package / entry.name).symlink_to(entry.resolve())
-    shutil.copytree(
-        ROOT / "car_model", package / "car_model", ignore=shutil.ignore_patterns("__pycache__")
-    )
+    unwanted = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(ROOT / "car_model", package / "car_model", ignore=unwanted)
     (folder / "speed_pull.py").write_text(NEW_EFFECT)
     assert "added: speed_pull" in steerd(folder, "effects", "--add", "speed_pull.py")
     return folder
@@ -49,7 +44,6 @@ def steerd(scratch: Path, *argv: object) -> str:
 
 @pytest.fixture(scope="module")
 def session(scratch: Path) -> Path:
-    """A simulated lane drive of a car that has the effect."""
     path = scratch / "pull.mcap"
     steerd(scratch, "run", "--sim", "--fast", "--path", "figure8", "--speed", 1.8, "--duration", 24,
            "--effect", f"speed_pull={PULL}", "--record", path)  # fmt: skip
@@ -58,9 +52,8 @@ def session(scratch: Path) -> Path:
 
 def test_it_is_listed(scratch):
     assert "pull" in steerd(scratch, "effects", "speed_pull")
-    assert "speed_pull" in {
-        effect["name"] for effect in json.loads(steerd(scratch, "effects", "--json"))["effects"]
-    }
+    listed = json.loads(steerd(scratch, "effects", "--json"))["effects"]
+    assert "speed_pull" in {effect["name"] for effect in listed}
 
 
 def test_diagnose_names_it_fits_it_and_keeps_it_in_a_car_file(scratch, session):

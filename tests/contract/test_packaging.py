@@ -9,14 +9,13 @@ import subprocess
 import sys
 import tomllib
 import xml.etree.ElementTree as ET
-from pathlib import Path
 
 import pytest
 
 from steerd.daemon.cli.commands.completion import make_full_parser, make_manual
 from steerd.daemon.cli.main import COMMANDS, run_cli
 from tests.contract.command_page import PAGE, make_page
-from tests.contract.size import GOALS, recorded, sizes
+from tests.contract.size import GOALS, ROOT, recorded, sizes
 
 OPTIONS = [
     "--port", "/dev/vesc", "--mocap", "natnet://10.0.0.2/car?up=y&unicast=1", "--speed", "0.5",
@@ -63,16 +62,9 @@ def test_the_manual_page_is_set_without_a_warning(tmp_path):
 
 
 # Pages repeat what the code says, and no room is larger than recorded.
-
-ROOT = Path(__file__).resolve().parents[2]
-
-
-def test_the_page_of_commands_is_what_the_parsers_say():
+def test_pages_hold_every_command_and_every_section_of_a_car_file():
     hint = "run python -m tests.contract.command_page"
     assert PAGE.read_text(encoding="utf-8") == make_page(), hint
-
-
-def test_every_section_of_a_car_file_is_explained():
     text = (ROOT / "docs" / "reference" / "car-file.md").read_text(encoding="utf-8")
     explained = set(re.findall(r"^\| `\[([a-z]+)\]`", text, re.MULTILINE))
     sections = tomllib.loads((ROOT / "config" / "f1tenth.toml").read_text(encoding="utf-8"))
@@ -80,8 +72,6 @@ def test_every_section_of_a_car_file_is_explained():
 
 
 # No room grows.
-
-
 def test_no_room_is_larger_than_recorded():
     try:
         now = sizes()
@@ -99,11 +89,8 @@ def test_every_room_has_a_recorded_size():
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 CAR = PYPROJECT["dependency-groups"]["car"]
 BROUGHT = {"matplotlib"}  # what a car needs only because python-control imports it
-REST = sorted(
-    each
-    for each in set(PYPROJECT["project"]["dependencies"]) - set(CAR)
-    if re.match(r"[\w-]+", each)[0] not in BROUGHT
-)
+MORE = set(PYPROJECT["project"]["dependencies"]) - set(CAR)
+REST = sorted(each for each in MORE if re.match(r"[\w-]+", each)[0] not in BROUGHT)
 
 BLOCKED = """
 import sys
@@ -130,13 +117,10 @@ def steerd(*words):
     return subprocess.run(argv, capture_output=True, text=True, check=False, timeout=120)
 
 
-def test_what_a_car_needs_is_a_part_of_what_steerd_needs():
+def test_what_a_car_needs_is_a_part_and_locked_with_a_hash_of_every_file():
     assert set(CAR) < set(PYPROJECT["project"]["dependencies"])
     lacking = {"torch", "argparse-manpage", "shtab"}
     assert lacking <= {package(each) for each in REST}
-
-
-def test_the_lock_holds_the_car_and_a_hash_of_every_file():
     text = (ROOT / "car.lock").read_text()
     entries = re.findall(r"^([\w-]+)==\S+.*\n((?:    --hash=sha256:[0-9a-f]{64}.*\n)+)", text, re.M)
     assert len(entries) == len(re.findall("==[0-9]", text))

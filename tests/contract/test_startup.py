@@ -1,8 +1,4 @@
-"""A command looks at its arguments before it loads what it needs for the work.
-
-Loading torch, SciPy, Matplotlib or Numba takes seconds on a cold machine. Nobody
-should wait for them to read that a file does not exist.
-"""
+"""A command looks at its arguments before it loads what takes seconds on a cold machine."""
 
 import contextlib
 import io
@@ -100,8 +96,6 @@ def test_words_that_are_no_files_pass(tmp_path, load):
 
 
 # One import name, its members, and no circle among them.
-
-
 def test_steerd_links_to_every_room_and_to_nothing_else():
     links = {path.name: path for path in (ROOT / "steerd").iterdir() if path.is_symlink()}
     assert set(links) == set(ROOMS)
@@ -114,12 +108,9 @@ def test_steerd_links_to_every_room_and_to_nothing_else():
 
 @pytest.mark.parametrize(
     ("module", "heavy"),
-    [
-        ("cli.commands.run", {"torch"}),
-        ("loop.core", {"torch", "zenoh", "mcap"}),
-        ("offline.virtual", {"torch"}),
-    ],
-)
+    [("cli.commands.run", {"torch"}), ("loop.core", {"torch", "zenoh", "mcap"}),
+     ("offline.virtual", {"torch"})],
+)  # fmt: skip
 def test_driving_imports_no_torch_and_the_core_neither_zenoh_nor_mcap(module, heavy):
     code = f"import sys, steerd.daemon.{module}; sys.exit(bool({heavy!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False)
@@ -136,15 +127,12 @@ def test_importing_steerd_loads_nothing_of_it_and_shows_its_names():
         "assert all(getattr(steerd, name).__doc__ for name in steerd.__all__)\n"
         "assert not hasattr(steerd, 'lod')"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+    argv = [sys.executable, "-c", code]
+    done = subprocess.run(argv, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
 
 # No import circle anywhere in the product, inside functions and type-checking blocks included.
-
-
 def test_the_product_has_no_import_circle():
     graph = build_graph("steerd", cache_dir=None)
     imports = {name: graph.find_modules_directly_imported_by(name) for name in graph.modules}

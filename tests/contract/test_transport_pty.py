@@ -97,12 +97,9 @@ def test_bytes_pass_unchanged_both_ways(device, port):
     assert read_exactly(port, 256) == everything
 
 
-def test_read_of_an_idle_port_is_empty_and_returns_at_once(port):
+def test_read_drains_is_bounded_and_of_an_idle_port_returns_at_once(port, device):
     assert port.read() == b""
     assert not os.get_blocking(port.fd)
-
-
-def test_read_drains_and_is_bounded(device, port):
     os.write(device.fd, bytes(600))
     wait_readable(port)
     assert port.read(limit=500) == bytes(500)
@@ -175,7 +172,7 @@ def test_unplug_is_seen_by_read_and_write(device, port):
     assert "cable" in read_error.value.hint
 
 
-def test_second_open_is_refused_and_names_the_holder(device, port, tmp_path):
+def test_second_open_is_refused_by_another_name_too_and_names_the_holder(device, port, tmp_path):
     with pytest.raises(transport.Busy) as error:
         transport.open_port(device.path, lock_dir=tmp_path)
     assert "VESC Tool" in error.value.hint
@@ -183,9 +180,6 @@ def test_second_open_is_refused_and_names_the_holder(device, port, tmp_path):
     other.mkdir()
     with pytest.raises(transport.Busy):  # the device's own lock, where no lock file shows it
         transport.open_port(device.path, lock_dir=other)
-
-
-def test_another_name_of_the_same_device_is_the_same_lock(device, port, tmp_path):
     link = tmp_path / "vesc"
     link.symlink_to(device.path)
     with pytest.raises(transport.Busy, match="another steerd"):
@@ -229,29 +223,22 @@ def test_failed_open_frees_the_lock(device, tmp_path, monkeypatch):
     transport.open_port(device.path, lock_dir=tmp_path).close()
 
 
-def test_no_such_port(tmp_path):
+def test_no_such_port_or_one_without_a_descriptor(tmp_path):
     with pytest.raises(transport.NotFound) as error:
         transport.open_port(str(tmp_path / "ttyACM9"), lock_dir=tmp_path)
     assert "steerd service udev" in error.value.hint
     assert isinstance(error.value, transport.PortError)
     assert isinstance(error.value, OSError)
-
-
-@pytest.mark.parametrize("url", ["socket://127.0.0.1:5000", "loop://", "rfc2217://host:1"])
-def test_urls_without_a_descriptor_are_refused(url, tmp_path):
-    with pytest.raises(transport.NotFound, match="no file descriptor"):
-        transport.open_port(url, lock_dir=tmp_path)
+    for url in ("socket://127.0.0.1:5000", "loop://", "rfc2217://host:1"):
+        with pytest.raises(transport.NotFound, match="no file descriptor"):
+            transport.open_port(url, lock_dir=tmp_path)
 
 
 @pytest.mark.parametrize(
     ("number", "kind", "hint"),
-    [
-        (errno.EACCES, transport.PermissionDenied, "dialout"),
-        (errno.EBUSY, transport.Busy, "fuser"),
-        (errno.EIO, transport.LinkDown, "cable"),
-        (errno.ENOENT, transport.NotFound, "powered"),
-    ],
-)
+    [(errno.EACCES, transport.PermissionDenied, "dialout"), (errno.EBUSY, transport.Busy, "fuser"),
+     (errno.EIO, transport.LinkDown, "cable"), (errno.ENOENT, transport.NotFound, "powered")],
+)  # fmt: skip
 def test_errors_of_open_become_types_with_a_hint(tmp_path, monkeypatch, number, kind, hint):
     def refuse(*_: object, **__: object) -> None:
         raise transport.serial.SerialException(number, "no")

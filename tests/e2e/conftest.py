@@ -34,8 +34,6 @@ SETTLE_NS = 3_000_000_000
 
 @dataclass
 class Driven:
-    """One drive in virtual time."""
-
     plan: RunPlan  # what was asked for
     session: Path  # the recording
     wire: str = ""  # SHA-256 of every byte on the serial wire, with its time
@@ -80,7 +78,6 @@ def make_drive_plan(line: str) -> RunPlan:
 
 @pytest.fixture
 def drive_fast(tmp_path: Path) -> Drive:
-    """Drive as `steerd run --sim --fast` does, with the truth beside it."""
     count = 0
 
     def go(line: str) -> Driven:
@@ -104,7 +101,6 @@ def drive_fast(tmp_path: Path) -> Drive:
 
 
 # --- real time: processes
-
 DEADLINE_S = 60.0
 """A hung process fails its test after this; nothing takes a tenth of it on a quiet machine."""
 
@@ -124,25 +120,14 @@ STEERD = ("-m", "steerd")
 class Program:
     """`steerd …` as a process; its output is read while it is waited for."""
 
-    def __init__(
-        self,
-        *argv: str,
-        module: tuple[str, ...] = STEERD,
-        stdin: int = subprocess.DEVNULL,
-        **options: object,
-    ) -> None:
+    def __init__(self, *argv, module=STEERD, stdin=subprocess.DEVNULL, **options):
         self.process = subprocess.Popen(
-            [sys.executable, *module, *argv],
-            stdin=stdin,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            env={**os.environ, "PYTHONUNBUFFERED": "1", "COLUMNS": "200"},
-            process_group=0,
-            **options,
-        )
+            [sys.executable, *module, *argv], stdin=stdin, stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT, env={**os.environ, "PYTHONUNBUFFERED": "1", "COLUMNS": "200"},
+            process_group=0, **options,
+        )  # fmt: skip
         with contextlib.suppress(PermissionError):  # before its neighbours, where that is allowed
             os.setpriority(os.PRIO_PROCESS, self.process.pid, -15)
-        assert self.process.stdout is not None
         self.fd = self.process.stdout.fileno()
         self._end = os.pidfd_open(self.process.pid)
         self.argv = argv
@@ -217,12 +202,10 @@ class Launcher:
         return self._started[-1]
 
     def run(self, *argv: object) -> tuple[int, str]:
-        """Exit code and text of a command that ends by itself."""
         program = self(*argv)
         return program.wait(), program.text
 
     def script(self, *argv: str) -> Program:
-        """Start a Python program instead."""
         return self(*argv, module=())
 
     def sim(self, folder: Path, *more: str) -> tuple[str, str]:

@@ -21,15 +21,7 @@ import zenoh  # noqa: TID251
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.mocap_link.sockets import make_receiver
-from tests.ros_messages import (
-    DRIVE,
-    ODOMETRY,
-    STORE,
-    make_attachment,
-    make_key,
-    pack_drive,
-    pack_pose,
-)
+from tests import ros_messages as ros
 
 NOISE, YAW_NOISE = 0.01, 0.01
 """Of a pose [m, rad], from scan to scan."""
@@ -50,16 +42,13 @@ def connect(endpoint):
 
 
 class Publisher:
-    """One publisher of a node."""
-
     def __init__(self, session, topic, kind):
-        self._put, self._key, self._sent = session.put, make_key(0, topic, kind), 0
+        self._put, self._key, self._sent = session.put, ros.make_key(0, topic, kind), 0
 
     def send(self, data):
         self._sent += 1
-        self._put(
-            self._key, data, attachment=make_attachment(self._sent, time.time_ns(), b"p" * 16)
-        )
+        beside = ros.make_attachment(self._sent, time.time_ns(), b"p" * 16)
+        self._put(self._key, data, attachment=beside)
 
 
 def localise(url, endpoint, track):
@@ -67,7 +56,7 @@ def localise(url, endpoint, track):
     receiver, rng = make_receiver(parse_mocap_url(url), IngestConfig()), np.random.default_rng(1)
     waiting, count = deque(), 0
     with connect(endpoint) as session, Path(track).open("w", buffering=1) as file:
-        publisher = Publisher(session, "pf/pose/odom", ODOMETRY)
+        publisher = Publisher(session, "pf/pose/odom", ros.ODOMETRY)
         while True:
             for fd in select.select(receiver.fds(), [], [], 0.002)[0]:
                 for pose in receiver.read_ready(fd):
@@ -86,22 +75,22 @@ def spoil(pose, rng):
     x = pose.x - COG_AHEAD * math.cos(pose.yaw) + rng.normal(0.0, NOISE)
     y = pose.y - COG_AHEAD * math.sin(pose.yaw) + rng.normal(0.0, NOISE)
     turned = (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
-    return pack_pose(ODOMETRY, time.time_ns(), (x, y, 0.0), turned, "/map")
+    return ros.pack_pose(ros.ODOMETRY, time.time_ns(), (x, y, 0.0), turned, "/map")
 
 
 def steer(endpoint):
     """Keep the car on the circle to its left."""
     with connect(endpoint) as session:
-        heard = session.declare_subscriber(make_key(0, "steerd/car1/odom", ODOMETRY))
-        publisher = Publisher(session, "drive", DRIVE)
+        heard = session.declare_subscriber(ros.make_key(0, "steerd/car1/odom", ros.ODOMETRY))
+        publisher = Publisher(session, "drive", ros.DRIVE)
         for sample in heard:
-            pose = STORE.deserialize_cdr(sample.payload.to_bytes(), ODOMETRY).pose.pose
+            pose = ros.STORE.deserialize_cdr(sample.payload.to_bytes(), ros.ODOMETRY).pose.pose
             x, y = pose.position.x, pose.position.y - RADIUS
             yaw = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
             turned = math.remainder(yaw - math.atan2(x, -y), 2.0 * math.pi)
             turned += COG_AHEAD / RADIUS  # on a circle the body points out of it
             angle = WHEELBASE / RADIUS + 0.8 * (math.hypot(x, y) - RADIUS) - turned
-            publisher.send(pack_drive(angle, SPEED))
+            publisher.send(ros.pack_drive(angle, SPEED))
 
 
 if __name__ == "__main__":

@@ -84,13 +84,11 @@ def test_json_has_exactly_the_shape_of_the_schema(late):
     assert told["schema"] == "steerd.gap/1"
     assert told["verdict"] in ("explained", "partial")
     assert set(told["gap"]) == {"before", "after"}
-    assert set(told["where"]) == {
-        "stage", "equation", "channels", "windows", "regimes", "sentence"
-    }  # fmt: skip
+    where = {"stage", "equation", "channels", "windows", "regimes", "sentence"}
+    assert set(told["where"]) == where
     assert all({"t0", "t1", "share"} <= set(each) for each in told["where"]["windows"])
-    assert all(
-        {"variable", "low", "high", "ratio", "share"} <= set(r) for r in told["where"]["regimes"]
-    )
+    regime = {"variable", "low", "high", "ratio", "share"}
+    assert all(regime <= set(each) for each in told["where"]["regimes"])
     cause = told["causes"][0]
     assert set(cause) == {
         "effect", "stage", "family", "parameters", "confidence", "shrink", "ambiguous_with"
@@ -128,19 +126,14 @@ def test_the_lane_driven_again_resembles_the_recording_more_with_the_effect(late
     assert "closer to late.mcap in" in " ".join(screen.split())
 
 
-def test_the_last_line_can_be_typed(late, tmp_path):
+def test_the_last_line_can_be_typed_and_a_controller_designed_from_the_new_car_file(late, tmp_path):
     folder, (screen, _), _ = late
     words = re.search(r"steerd (run --sim.*)", screen)[1].split()
     words[words.index("--duration") + 1] = "2"
     assert str(folder / "car.toml") in words
     quietly(*words, "--record", tmp_path / "again.mcap")
-
-
-def test_a_controller_is_designed_from_the_new_car_file(late):
-    old, new = (
-        make_drive_plan(f"{LANE} {more}").controller.report.timing
-        for more in ("", f"--car {late[0] / 'car.toml'}")
-    )
+    plans = (make_drive_plan(f"{LANE} {more}") for more in ("", f"--car {folder / 'car.toml'}"))
+    old, new = (plan.controller.report.timing for plan in plans)
     assert new.delay_s + new.lag_s > old.delay_s + old.lag_s + 0.03
 
 
@@ -179,8 +172,6 @@ def test_too_short_a_lane_drive_is_said(tmp_path):
 
 
 # --- what is looked at and what is held out
-
-
 def case_of(*words):
     args = make_parser("diagnose").parse_args([str(word) for word in words])
     options = read_arguments(DiagnoseOptions, args)
@@ -204,12 +195,9 @@ def test_named_files_are_held_out_even_if_they_are_given_twice(four):
     assert any("2 sessions, cut into blocks" in note for note in case.notes)
 
 
-def test_too_few_blocks_for_what_is_asked_are_refused(four):
+def test_too_few_blocks_for_what_is_asked_are_refused_and_on_demand_nothing_is_held_out(four):
     with pytest.raises(SteerdError, match="to hold every 4th out"):
         case_of(four[0], "--held-out", "4")
-
-
-def test_nothing_is_held_out_on_demand(four):
     case = case_of(four[0], "--held-out", "0")
     assert case.later is None
     assert any("predicted, not measured" in note for note in case.notes)
@@ -225,13 +213,9 @@ def test_healthy_drives_and_the_named_base_are_taken(four, late):
     assert any("the default car is assumed" in note for note in case_of(*given).notes)
 
 
-def test_effects_go_by_their_aliases_too(four):
+def test_effects_go_by_their_aliases_too_and_options_by_their_old_spellings(four, late):
     case = case_of(four[0], "--only", "servo_lag", "--only", "steer_delay", "--without", "mass")
-    assert case.asked.only == ("steer_lag", "steer_delay")
-    assert case.asked.without == ("mass",)
-
-
-def test_old_spellings_mean_the_same(four, late):
+    assert (case.asked.only, case.asked.without) == (("steer_lag", "steer_delay"), ("mass",))
     car = late[0] / "car.toml"
     old = case_of(four[0], four[1], "--runs-held-out", four[1], "--car", car)
     new = case_of(four[0], four[1], "--held-out", four[1], "--base", car)

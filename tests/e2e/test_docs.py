@@ -35,7 +35,6 @@ LONG = ("identify", "diagnose", "collect", "sweep", "batch")
 
 
 def blocks(text):
-    """Lines of fenced and of indented blocks."""
     fenced = False
     for line in text.splitlines():
         if line.startswith("```"):
@@ -74,10 +73,8 @@ def is_prose(command):
     return bool(re.search(words, command))
 
 
-@pytest.fixture(scope="module")
-def driven():
-    """The one recorded drive, once it was needed."""
-    return {}
+driven = pytest.fixture(lambda: {}, scope="module")
+"""The one recorded drive, once it was needed."""
 
 
 @pytest.fixture
@@ -187,7 +184,6 @@ def test_what_is_driven_with_the_same_options_elsewhere_is_planned(command, work
 
 @pytest.fixture(scope="module")
 def hardware(tmp_path_factory):
-    """One simulated car for all lines that want a port: its port and mocap address."""
     launcher = Launcher()
     yield launcher.sim(tmp_path_factory.mktemp("hardware"))
     launcher.close()

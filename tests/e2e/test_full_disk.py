@@ -14,7 +14,6 @@ HINT = "free some space"
 
 
 def said_of(argv, capsys) -> tuple[int, str]:
-    """Exit code and standard error of a command."""
     capsys.readouterr()
     code = run_cli([str(word) for word in argv])
     return code, capsys.readouterr().err

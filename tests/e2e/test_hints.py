@@ -26,13 +26,11 @@ DRIVES = {
 
 
 def typed(text):
-    """Commands of a text, in order."""
     return [found.strip() for found in (*TYPED.findall(text), *TICKED.findall(text))]
 
 
 @pytest.fixture(scope="module")
 def hall(tmp_path_factory):
-    """A folder with simulated drives."""
     folder = tmp_path_factory.mktemp("hall")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -68,7 +66,6 @@ def test_what_is_printed_runs(asked, hall, monkeypatch, capsys):
 
 
 def ends(command):
-    """The exit code of a printed command."""
     try:
         return run_cli(shlex.split(command)[1:])
     except SystemExit as stopped:  # --help
@@ -97,9 +94,8 @@ def test_of_a_car_its_port_and_mocap_and_of_a_log_the_plans(tmp_path):
 
     hint = "steps (`steerd collect --plan steps`)"
     ours = {"options": encode_options(car)}
-    assert told(hint, **ours) == (
-        "steps (`steerd collect --plan steps --port /dev/vesc --mocap 'vrpn://lab/my car'`)"
-    )
+    command = "steerd collect --plan steps --port /dev/vesc --mocap 'vrpn://lab/my car'"
+    assert told(hint, **ours) == f"steps (`{command}`)"
     assert told(hint, mode="import") == "steps (see `steerd collect --help`)"
     without = {"options": encode_options(replace(car, mocap=None))}
     assert typed(told(hint, **without)) == ["steerd collect --help"]

@@ -10,16 +10,11 @@ import pytest
 from steerd.daemon.analysis.drives import load_drive
 from steerd.daemon.analysis.options import Watch
 from steerd.daemon.cli.main import run_cli
-from steerd.daemon.ipc.pipe_records import (
-    PipeReader,
-    PipeRecord,
-    PipeWriter,
-    make_pipe,
-    pack_record,
-)
+from steerd.daemon.ipc import pipe_records
 from steerd.daemon.process.recorder import Recording, record_pipe
 from steerd.steer_bus.session_read import open_session
 from steerd.steer_bus.topics import find_topic
+from steerd.sysid.data.dataset import read_run
 from steerd.sysid.data.segments import pauses
 
 pytestmark = pytest.mark.slow
@@ -30,7 +25,6 @@ FROM, UNTIL = 8.0, 14.0  # when the recorder stands still [s]; a pipe takes some
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
-    """A drive in virtual time, recorded whole."""
     path = tmp_path_factory.mktemp("drive") / "whole.mcap"
     with contextlib.redirect_stdout(io.StringIO()):
         words = ["run", "--sim", "--fast", "--path", "figure8", "--speed", "1.5"]
@@ -42,7 +36,8 @@ def ticks(session):
     """The records of a session as the core sends them: those of one time together."""
     batch = []
     for r in session.messages():
-        record = PipeRecord(find_topic(r.topic), r.sequence, r.log_ns, r.publish_ns, r.data)
+        topic, times = find_topic(r.topic), (r.log_ns, r.publish_ns)
+        record = pipe_records.PipeRecord(topic, r.sequence, *times, r.data)
         if batch and batch[-1].log_time_ns != record.log_time_ns:
             yield batch
             batch = []
@@ -54,11 +49,11 @@ def through_a_pipe(whole, out, still):
     """Record a session again through the core's pipe, of which nobody reads for a while."""
     session = open_session(whole)
     start_ns = session.info().start_ns
-    read_fd, write_fd = make_pipe()
-    writer, came = PipeWriter(write_fd), bytearray()
+    read_fd, write_fd = pipe_records.make_pipe()
+    writer, came = pipe_records.PipeWriter(write_fd), bytearray()
     os.set_blocking(read_fd, False)
     for batch in ticks(session):
-        writer.write([pack_record(record) for record in batch], batch[0].log_time_ns)
+        writer.write([pipe_records.pack_record(record) for record in batch], batch[0].log_time_ns)
         if not still[0] <= (batch[0].log_time_ns - start_ns) / NS < still[1]:
             with contextlib.suppress(BlockingIOError):
                 while data := os.read(read_fd, 1 << 20):
@@ -74,7 +69,7 @@ def through_a_pipe(whole, out, still):
 
     thread = threading.Thread(target=send)
     thread.start()
-    reason = record_pipe(recording, PipeReader(ours), 0, PipeReader(None))
+    reason = record_pipe(recording, pipe_records.PipeReader(ours), 0, pipe_records.PipeReader(None))
     thread.join()
     for fd in (read_fd, write_fd):
         os.close(fd)
@@ -89,13 +84,12 @@ def holed(drive, tmp_path_factory):
 
 def test_a_recorder_that_keeps_up_says_nothing(drive, tmp_path, capsys):
     said, dropped = through_a_pipe(drive, tmp_path / "again.mcap", (0.0, 0.0))
-    assert (said, dropped) == ("", 0)
-    assert open_session(tmp_path / "again.mcap").holes() == ()
+    assert (said, dropped, open_session(tmp_path / "again.mcap").holes()) == ("", 0, ())
     assert run_cli(["info", str(tmp_path / "again.mcap")]) == 0
     assert capsys.readouterr().err == ""
 
 
-def test_the_recorder_says_how_many_and_where(holed):
+def test_the_recorder_says_how_many_and_where_and_a_drive_is_cut_there(holed):
     path, said, dropped = holed
     assert dropped > 100
     ((first, last),) = open_session(path).holes()
@@ -103,6 +97,12 @@ def test_the_recorder_says_how_many_and_where(holed):
     assert FROM < (first - start_ns) / NS < UNTIL
     assert (last - start_ns) / NS == pytest.approx(UNTIL, abs=0.05)
     assert said.startswith(f"{dropped} records were dropped within ")
+    watch = Watch()
+    _, run = load_drive(path, "command", watch)
+    ((first, last),) = pauses(run)
+    ((hole_ns, end_ns),) = open_session(path).holes()
+    assert last - first >= (end_ns - hole_ns) / NS
+    assert f"{path.name}: {said}" in watch.warnings
 
 
 def test_info_plot_and_catalogue_show_it(holed, capsys):
@@ -116,19 +116,7 @@ def test_info_plot_and_catalogue_show_it(holed, capsys):
     assert "records dropped within" in capsys.readouterr().out
 
 
-def test_a_drive_is_cut_there(holed):
-    path, said, _ = holed
-    watch = Watch()
-    _, run = load_drive(path, "command", watch)
-    ((first, last),) = pauses(run)
-    ((hole_ns, end_ns),) = open_session(path).holes()
-    assert last - first >= (end_ns - hole_ns) / NS
-    assert f"{path.name}: {said}" in watch.warnings
-
-
 def test_a_hole_of_a_tick_is_a_pause_too(drive, tmp_path):
-    from steerd.sysid.data.dataset import read_run
-
     whole = open_session(drive)
     middle = whole.info().start_ns + 10 * NS
     out = tmp_path / "short.mcap"

@@ -39,8 +39,6 @@ def test_the_lane_error_of_an_unknown_car_falls_to_millimetres(tmp_path, capsys)
 
 
 # `steerd learn` and `run --learn`: what a drive teaches while it lasts.
-
-
 @pytest.fixture(scope="module")
 def learnt(tmp_path_factory):
     """A figure-eight of 34 s in virtual time; the simulated servo horn is bumped from the start."""
@@ -62,7 +60,7 @@ def test_a_drive_teaches_the_car(learnt, capsys):
     assert int(reported[2]) >= 30
 
 
-def test_the_lane_keeper_follows_what_was_learnt_and_a_replay_gives_it_again(learnt, capsys):
+def test_the_lane_keeper_follows_what_was_learnt_to_its_lane_and_so_does_a_replay(learnt, capsys):
     said = [r.decode() for r in open_session(learnt).messages("/steerd/car1/design")]
     assert said[0].text == "the car is being learnt"
     taken = [d for d in said if d.number]
@@ -70,17 +68,13 @@ def test_the_lane_keeper_follows_what_was_learnt_and_a_replay_gives_it_again(lea
     assert taken[-1].steer_gain == 1.0, "what is not sure stays the file's"
     assert dispatch(["replay", str(learnt)]) == 0
     assert "all equal the recorded ones" in capsys.readouterr().out
-
-
-def test_the_car_comes_nearer_to_its_lane_and_is_never_stopped(learnt):
     session = open_session(learnt)
     designs = session.messages("/steerd/car1/design")
     taken_ns = next(r.log_ns for r in designs if r.decode().number)
     table = session.columns(StateMessage)
     assert SupervisorState.FAULT_STOP not in set(table["mode"])
-    before, after = (
-        rms(table["e1"][np.abs(table["log_ns"] - (taken_ns + at * 1e9)) < 3e9]) for at in (-3, 8)
-    )
+    since = (table["log_ns"] - taken_ns) / 1e9
+    before, after = (rms(table["e1"][np.abs(since - at) < 3.0]) for at in (-3, 8))
     assert after < 0.3 * before
 
 

@@ -45,7 +45,6 @@ class Watcher:
             assert run.pump(0.02), run.text
 
     def driving(self, run, seconds):
-        """Wait until the car has been driving for so long."""
         first = self.until(lambda s: s.mode == SupervisorState.RUNNING, run)
         end_ns = first.mono_ns + round(seconds * 1e9)
         return self.until(lambda s: s.mode != SupervisorState.RUNNING or s.mono_ns >= end_ns, run)
@@ -74,17 +73,12 @@ def start_run(steerd, folder, *more, **options):
     return steerd(*argv, **options), record
 
 
-def lane_errors(session):
-    """Lateral errors while driving, after the first second [m]."""
-    table = open_session(session).columns(m.StateMessage)
+def kept_its_lane(record, most, capsys):
+    """Whether the car drove within `most` [m] of its path but for a second, and replays."""
+    table = open_session(record).columns(m.StateMessage)
     running = table["mode"] == SupervisorState.RUNNING
     t = table["mono_ns"][running]
-    return table["e1"][running][t - t[0] > 1e9]
-
-
-def kept_its_lane(record, most, capsys):
-    """Whether the car drove within `most` [m] of its path, and the session says how."""
-    return np.abs(lane_errors(record)).max() < most and replays(record, capsys)
+    return np.abs(table["e1"][running][t - t[0] > 1e9]).max() < most and replays(record, capsys)
 
 
 def arm_and_start(steerd):
@@ -123,8 +117,6 @@ def test_arm_start_stop_from_other_terminals_over_natnet(undisturbed, capsys) ->
 
 
 class Keyboard:
-    """A terminal whose keys a test presses."""
-
     def __init__(self):
         self._ours, self.theirs = pty.openpty()
 
@@ -204,27 +196,16 @@ def test_a_plan_is_driven_and_its_session_identifies(undisturbed) -> None:
 
 
 # --- simulated hardware of its own: a stalled machine is reported and stops no car
-
-
-def start_sim_run(steerd, folder, *more):
-    """A drive that begins by itself; the bus is up when this returns."""
-    run, record = start_run(steerd, folder, "--sim", "--auto-arm", *more)
-    run.expect("DISARMED")
-    return run, record
-
-
 CONTROLLERS = {
     "steerd control": (
         ("--controller", "zenoh"),
-        lambda steerd: steerd("control", "--connect", steerd.endpoint, *CIRCLE),
-        signal.SIGKILL,
+        lambda steerd: steerd("control", "--connect", steerd.endpoint, *CIRCLE), signal.SIGKILL,
     ),
     "a ROS 2 node's /drive": (
         ("--controller", "ros2", "--ros-domain", "0"),
-        lambda steerd: steerd("steer", steerd.endpoint, module=ROS_PEER),
-        signal.SIGSTOP,
+        lambda steerd: steerd("steer", steerd.endpoint, module=ROS_PEER), signal.SIGSTOP,
     ),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
@@ -232,7 +213,8 @@ def test_an_external_controller_drives_and_its_silence_stops_the_car(
     controller, steerd, tmp_path, capsys
 ) -> None:
     options, start, end = CONTROLLERS[controller]
-    run, record = start_sim_run(steerd, tmp_path, *options)
+    run, record = start_run(steerd, tmp_path, "--sim", "--auto-arm", *options)
+    run.expect("DISARMED")  # the bus is up
     with closing(Watcher(steerd.endpoint)) as watcher:
         keeper = start(steerd)
         watcher.driving(run, 2.5)

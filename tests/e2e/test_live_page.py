@@ -44,13 +44,7 @@ def a_state(level=0.0, **given):
 
 
 class FakeCar:
-    """A car on an in-process bus that drives its lane and notes what it is asked for.
-
-    Attributes:
-        state, holder, leased: what it says of itself.
-        level: of every number that is not one of the lane's.
-        asked: requests that came, oldest first.
-    """
+    """A car on an in-process bus that drives its lane and notes what it is asked for."""
 
     def __init__(self):
         hub = LocalHub()
@@ -62,7 +56,7 @@ class FakeCar:
         self.live_asked = []
         self.view = CarView(LocalBus(hub), "car1", MonotonicClock())
         self.state, self.holder, self.speaks, self.asked = SupervisorState.READY, 0, True, []
-        self.leased, self.level = "1", 0.01
+        self.leased, self.level = "1", 0.01  # of every number that is not one of the lane's
         self._step = 0
 
     def publish(self):
@@ -73,9 +67,8 @@ class FakeCar:
         for sample in self._settings.poll():
             wanted = decode(m.ParameterRequest, sample.data)
             self.live_asked.append(wanted)
-            self.live = take_request(
-                self.live, wanted, admitted=make_badge("", wanted.lease_id) == self.holder
-            )
+            admitted = make_badge("", wanted.lease_id) == self.holder
+            self.live = take_request(self.live, wanted, admitted=admitted)
         if not self.speaks:
             return
         self._say(topics.PARAMETERS, make_parameters(self.live, 0))
@@ -140,10 +133,7 @@ def served(car):
         thread.join()
 
 
-@pytest.fixture
-def car():
-    return FakeCar()
-
+car = pytest.fixture(lambda: FakeCar())
 
 UNREAD = {"max_queue": None, "ping_interval": None, "close_timeout": 0.2}
 """Pictures that a test does not read must not stop the socket, nor its closing the test."""
@@ -217,11 +207,9 @@ def test_live_parameters_are_set_by_who_holds_the_car(car):
         with live(url) as other:
             other.send("set offset 0.1")
             until(socket, lambda seen: "somebody else" in seen["live"]["text"])
-    assert len(car.live_asked) == 3
-    assert car.live.aim == LiveValues(0.75, 0, 1)
-    assert [request.seq for request in car.live_asked[:2]] == [
-        car.asked[0].seq + 1, car.asked[0].seq + 2
-    ], "one number for all of a page's requests"  # fmt: skip
+    assert (len(car.live_asked), car.live.aim) == (3, LiveValues(0.75, 0, 1))
+    numbers = [request.seq for request in (car.asked[0], *car.live_asked[:2])]
+    assert numbers == [numbers[0] + k for k in range(3)], "one number for all of a page's requests"
 
 
 def test_nothing_is_sent_that_the_browser_did_not_send():
@@ -263,8 +251,7 @@ def test_in_a_browser_it_is_whole_and_its_buttons_work(car, tmp_path):
             for dark in (False, True):
                 browser.open(url, width, dark=dark)
                 browser.wait("document.documentElement.dataset.ready === '1'")
-                assert browser.faults_of_layout() == []
-                assert browser.console == []
+                assert (browser.faults_of_layout(), browser.console) == ([], [])
                 browser.screenshot(tmp_path / f"live-{width}-{dark}.png")
         browser.ask("document.getElementById('arm').click()")
         browser.wait("!document.getElementById('start').disabled")

@@ -223,8 +223,6 @@ def test_a_mistake_is_reported_in_a_line(line, code, parts, full_place, log, cap
 
 
 # --- those that only the running processes can meet
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("port", "mocap", "code", "parts"),

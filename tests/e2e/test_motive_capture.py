@@ -62,8 +62,7 @@ def test_the_capture_gives_a_filtered_track():
         "Motive", (2, 1, 0, 0), (3, 0, 0, 0), 3_312_787, 1511, True, "239.255.42.99"
     )
     samples, status, states = play(capture)
-    assert status.server == "Motive NatNet 3.0"
-    assert status.bodies == ("RaceQuad",)
+    assert (status.server, status.bodies) == ("Motive NatNet 3.0", ("RaceQuad",))
     assert status.expected_rate_hz == pytest.approx(120.0)
     assert len(samples) == FRAMES
     accepted = [s for s in samples if s.rejected is None]
@@ -74,21 +73,15 @@ def test_the_capture_gives_a_filtered_track():
     assert frames / span_s == pytest.approx(120.0, rel=0.002)
     latency = np.array([s.t_arrival_ns - s.t_valid_ns for s in accepted])
     assert 5e6 < np.median(latency) < 7e6  # 5.1 to 5.9 ms by Motive's own stamps
-    steady, late = (
-        np.std(np.diff([getattr(s, stamp) for s in accepted[120:]])) * 1e-6
-        for stamp in ("t_valid_ns", "t_arrival_ns")
-    )
+    stamps = np.array([(s.t_valid_ns, s.t_arrival_ns) for s in accepted[120:]])
+    steady, late = np.std(np.diff(stamps, axis=0), axis=0) * 1e-6
     assert steady < 0.02 < 0.2 < late, "exposure is regular although arrival is not [ms]"
-    check_track(accepted)
-
-
-def check_track(samples):
-    """The body lay still: the filter says so, and how well it knows."""
-    xy = np.array([(s.x, s.y) for s in samples])
+    # The body lay still: the filter says so, and how well it knows.
+    xy = np.array([(s.x, s.y) for s in accepted])
     assert np.ptp(xy, axis=0).max() < 1e-4
     noise = FilterConfig(pose_position_sd=1e-4, pose_yaw_sd=1e-3)
     flt, state, nis, estimate = make_state_filter(DEFAULT_CAR, noise), FilterState(), [], None
-    for s in samples:
+    for s in accepted:
         pose = make_pose(s.t_valid_ns, s.x, s.y, s.yaw)
         state = step(flt, state, s.t_arrival_ns, (pose,))
         estimate = predict_to(flt, state, s.t_arrival_ns)

@@ -22,9 +22,8 @@ SD_MOST = 10.0  # a larger standard error [ms] would say nothing of such a delay
 def test_the_notebook_runs_and_shows_its_figures(tmp_path, monkeypatch):
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path))
     notebook = nbformat.read(NOTEBOOK, as_version=4)
-    NotebookClient(
-        notebook, timeout=500, kernel_name="python3", resources={"metadata": {"path": tmp_path}}
-    ).execute()
+    place = {"metadata": {"path": tmp_path}}
+    NotebookClient(notebook, timeout=500, kernel_name="python3", resources=place).execute()
     outputs = [out for cell in notebook.cells for out in cell.get("outputs", ())]
     images = [out for out in outputs if "image/png" in out.get("data", {})]
     printed = "".join(out.get("text", "") for out in outputs)

@@ -1,8 +1,4 @@
-"""Every page that steerd writes, in a real browser, as a reader's window may be.
-
-Wide and narrow, light and dark, in the language that containers give: nothing on the console, no
-text over text, none cut off, beyond the edge, or too pale to read.
-"""
+"""Every page that steerd writes, in windows of a real browser: no text is lost, none too pale."""
 
 import os
 import re
@@ -78,8 +74,7 @@ def test_a_page_is_whole_in_every_window(browser, pages, tmp_path, name, width, 
     browser.open(page.as_uri(), width, dark=dark)
     assert browser.ask("navigator.language") == ("en-US" if name == "drive" else "en-US@posix")
     browser.wait(DRAWN)
-    assert browser.console == []
-    assert browser.faults_of_layout() == []
+    assert (browser.console, browser.faults_of_layout()) == ([], [])
     browser.screenshot(tmp_path / "page.png")
     assert (tmp_path / "page.png").stat().st_size > 30_000
 
@@ -100,8 +95,7 @@ def test_the_drive_is_drawn_and_read_under_the_pointer(browser, pages):
     browser.wait("document.getElementById('clock').textContent.startsWith('t = ')")
     shown = browser.ask("[...document.querySelectorAll('.u-value')].map(e => e.textContent)")
     assert sum(bool(re.fullmatch(r"-?\d[\d.]*", value)) for value in shown) > 8
-    assert browser.faults_of_layout() == []
-    assert browser.console == []
+    assert (browser.faults_of_layout(), browser.console) == ([], [])
 
 
 SETTLE = "new Promise(done => setTimeout(done, 200))"

@@ -30,7 +30,6 @@ class Listener:
         self._session = connect(endpoint)
 
     def hear(self, key, run):
-        """The first sample of a key."""
         ring = self._session.declare_subscriber(key, zenoh.handlers.RingChannel(4))
         end = time.monotonic() + 20.0
         while (sample := ring.try_recv()) is None:
@@ -69,8 +68,7 @@ def test_a_ros_subscription_finds_and_decodes_the_car(steerd, tmp_path):
     sequence, stamp_ns, size, gid = struct.unpack("<qqB16s", odom.attachment.to_bytes())
     assert sequence >= 1
     assert abs(stamp_ns - time.time_ns()) < 60e9
-    assert size == 16
-    assert gid == xxhash.xxh3_128_digest(token.encode())[::-1]
+    assert (size, gid) == (16, xxhash.xxh3_128_digest(token.encode())[::-1])
     header, values = drive.payload.to_bytes()[:4], drive.payload.to_bytes()[-20:]
     assert header == b"\0\1\0\0"
     assert struct.unpack("<5f", values)[1] == 0.0
@@ -82,11 +80,9 @@ def make_lidar_car(path: Path) -> Path:
     """The car file as docs/how-to/use-with-ros.md changes it for a localiser."""
     text = default_car_path().read_text()
     changed = {
-        "pose_position_sd": NOISE,
-        "pose_yaw_sd": YAW_NOISE,
-        "pose_delay": LATENCY,
+        "pose_position_sd": NOISE, "pose_yaw_sd": YAW_NOISE, "pose_delay": LATENCY,
         "marker_rear_x": 0.0,
-    }
+    }  # fmt: skip
     for name, value in changed.items():
         text, count = re.subn(rf"^{name} = \S+", f"{name} = {value}", text, flags=re.MULTILINE)
         assert count == 1

@@ -24,10 +24,8 @@ pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240)]
 WANTED = ("/steerd/car1/state", "/steerd/car1/odom", "/scene", "/tf")
 LATE_MODES = (SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
 
-
-join = partial(
-    websockets.connect, subprotocols=[websockets.Subprotocol("foxglove.sdk.v1")], max_size=None
-)
+PROTOCOLS = [websockets.Subprotocol("foxglove.sdk.v1")]
+join = partial(websockets.connect, subprotocols=PROTOCOLS, max_size=None)
 
 
 async def look(url, seconds, **headers):
@@ -100,8 +98,6 @@ def test_a_client_sees_the_drive_and_the_viewers_death_changes_nothing(steerd, t
 
 
 # Live parameters set from Foxglove, then replayed.
-
-
 async def set_in_foxglove(url, name, value):
     """What a viewer does to set a parameter; the value that the car confirms."""
     async with join(url) as client:

@@ -22,13 +22,11 @@ CAR_FILE = Path(__file__).resolve().parents[2] / "config" / "f1tenth.toml"
 
 @pytest.mark.parametrize(
     ("line", "bound"),
-    [
-        ("--path circle:radius=2 --speed 1 --duration 16", 0.0015),
-        ("--path figure8 --speed 1.5 --duration 19", 0.002),
-        ("--path figure8 --speed 1.5 --duration 5 --rate 200", 0.0015),
-        ("--path line --speed 1.5 --duration 6", 0.001),
-    ],
-)
+    [("--path circle:radius=2 --speed 1 --duration 16", 0.0015),
+     ("--path figure8 --speed 1.5 --duration 19", 0.002),
+     ("--path figure8 --speed 1.5 --duration 5 --rate 200", 0.0015),
+     ("--path line --speed 1.5 --duration 6", 0.001)],
+)  # fmt: skip
 def test_the_car_keeps_its_lane_and_replays(drive_fast, capsys, line, bound):
     """The first two go round once after they have settled: 12.6 m, 22.7 m."""
     driven = drive_fast(line)
@@ -61,8 +59,6 @@ def test_the_papers_design_drives(drive_fast, tmp_path, capsys):
 
 
 # --- repeatability
-
-
 def content(session):
     return [(r.topic, r.log_ns, r.publish_ns, r.data) for r in open_session(session).messages()]
 
@@ -106,22 +102,17 @@ def test_a_pose_that_was_moved_in_the_recording_is_found(drive_fast, tmp_path, c
 def ellipse(count):
     """Points of an ellipse with semi-axes 3 m and 2.5 m, driven counter-clockwise from (3, 0)."""
     t = np.arange(count) * 2.0 * pi / count
-    return t, 3.0 * np.cos(t), 2.5 * np.sin(t)
-
-
-def write_centreline(file):
-    _, x, y = ellipse(80)
-    wide = np.full_like(x, 0.8)
-    head = "x_m, y_m, w_tr_right_m, w_tr_left_m"
-    np.savetxt(file, np.column_stack([x, y, wide, wide]), delimiter=", ", fmt="%.6f", header=head)
+    return 3.0 * np.cos(t), 2.5 * np.sin(t)
 
 
 def test_a_path_from_a_file_is_driven_and_replays_without_the_file(drive_fast, tmp_path, capsys):
     file = tmp_path / "track.csv"
-    write_centreline(file)
+    points = np.column_stack([*ellipse(80), *np.full((2, 80), 0.8)])
+    head = "x_m, y_m, w_tr_right_m, w_tr_left_m"
+    np.savetxt(file, points, delimiter=", ", fmt="%.6f", header=head)
     driven = drive_fast(f"--path csv:{file} --speed 1.2 --duration 6")
     assert not driven.faulted, driven.reason
-    _, x, y = ellipse(4000)
+    x, y = ellipse(4000)
     placed = np.column_stack([y, 3.0 - x])  # (3, 0) heading +y becomes the origin heading +x
     assert rms(driven.offsets(placed)) <= 0.02
     assert driven.track[-1][1] ** 2 + driven.track[-1][2] ** 2 > 1.0

@@ -62,9 +62,8 @@ def home(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     subprocess.run([*pip, "install", *options, str(wheel)], check=True)
     # After the environment's own folder, so that its steerd and its daemon come first; the links
     # of editable installs (.pth files) do not count in a folder that a .pth file names.
-    site.joinpath("dependencies.pth").write_text(
-        "\n".join(sorted({str(Path(p)) for p in sys.path if p.endswith("site-packages")}))
-    )
+    theirs = sorted({str(Path(p)) for p in sys.path if p.endswith("site-packages")})
+    site.joinpath("dependencies.pth").write_text("\n".join(theirs))
     return home
 
 

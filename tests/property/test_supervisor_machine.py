@@ -6,20 +6,17 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from steerd.daemon.loop.supervisor import (
-    WAITING,
-    Conditions,
-    make_supervisor_memory,
-    step_supervisor,
-)
+from steerd.daemon.loop import supervisor
 from steerd.daemon.loop.transitions import Fact, MotorOutput, SupervisorState
 
-GOOD = int(
-    Fact.LINKED | Fact.IDENTIFIED | Fact.CHECKS_PASS | Fact.FW_TIMEOUT | Fact.LEASED | Fact.SLOWING
-)
+CHECKED = Fact.LINKED | Fact.IDENTIFIED | Fact.CHECKS_PASS | Fact.FW_TIMEOUT
+GOOD = int(CHECKED | Fact.LEASED | Fact.SLOWING)
 ASKED = [Fact.ARM << k for k in range(10)]
 """Bits of requests; the tenth is none."""
-TRIPS = int(Fact.SOFT | Fact.HARD | Fact.KILLED)
+UNPROVEN = {
+    SupervisorState.DISARMED, SupervisorState.INIT, SupervisorState.FAULT_STOP,
+    SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP,
+}  # fmt: skip
 
 
 class CarLife(RuleBasedStateMachine):
@@ -28,28 +25,23 @@ class CarLife(RuleBasedStateMachine):
     def __init__(self):
         super().__init__()
         self.t_ns, self.facts, self.speed = 0, GOOD, 0.0
-        self.memory = make_supervisor_memory(0)
+        self.memory = supervisor.make_supervisor_memory(0)
         self.action = None
         self.proven = self.requested_start = False
 
     def tick(self, requests, dt_ns=10_000_000):
         self.t_ns += dt_ns
         before = self.memory
-        conditions = Conditions(self.facts, self.speed, 150_000_000, "a trip")
-        self.memory, self.action = step_supervisor(before, conditions, requests, self.t_ns)
+        conditions = supervisor.Conditions(self.facts, self.speed, 150_000_000, "a trip")
+        step = supervisor.step_supervisor
+        self.memory, self.action = step(before, conditions, requests, self.t_ns)
         self.check(before, requests)
 
     def check(self, before, requests):
         now = self.memory.state
         if before.state == SupervisorState.SELF_TEST and now == SupervisorState.ARMED:
             self.proven = True
-        if now in (
-            SupervisorState.DISARMED,
-            SupervisorState.INIT,
-            SupervisorState.FAULT_STOP,
-            SupervisorState.FAULT_LATCHED,
-            SupervisorState.ESTOP,
-        ):
+        if now in UNPROVEN:
             self.proven = False
         if now == SupervisorState.RUNNING:
             assert self.proven
@@ -109,14 +101,12 @@ class CarLife(RuleBasedStateMachine):
         assert (motor == MotorOutput.DRIVE) == (state == SupervisorState.RUNNING)
         assert motor != MotorOutput.RAMP_STOP or state == SupervisorState.STOPPING
         assert 0.0 <= self.action.cap <= inf
-        assert (
-            state in (SupervisorState.RUNNING, SupervisorState.STOPPING) or self.action.cap == 0.0
-        )
+        moving = state in (SupervisorState.RUNNING, SupervisorState.STOPPING)
+        assert moving or self.action.cap == 0.0
         assert self.memory.reason
-        assert WAITING[self.memory.state]
+        assert supervisor.WAITING[self.memory.state]
 
 
 TestCarLife = CarLife.TestCase
-TestCarLife.settings = settings(
-    derandomize=True, deadline=None, max_examples=60, stateful_step_count=60
-)
+LIVES = {"max_examples": 60, "stateful_step_count": 60}
+TestCarLife.settings = settings(derandomize=True, deadline=None, **LIVES)

@@ -67,37 +67,23 @@ def _drive(text: str, seconds: float, rng: np.random.Generator, name: str, wheel
     wheel = path[:, 3] + wheel_sd * rng.standard_normal(ticks)
     t = t[: ticks - LEAD]
     return make_run(
-        name,
-        Signal(t, steer[LEAD:]),
-        Signal(t, speed[LEAD:]),
-        Signal(t, pose[LEAD:]),
+        name, Signal(t, steer[LEAD:]), Signal(t, speed[LEAD:]), Signal(t, pose[LEAD:]),
         wheel=Signal(t, wheel[LEAD:]),
-    )
+    )  # fmt: skip
 
 
-@pytest.fixture(scope="session")
-def drive() -> Drive:
-    """`drive(effects, runs=4, seconds=8, seed=0)`: runs of the default car with effects on."""
-
-    return simulate_drives
+drive = pytest.fixture(lambda: simulate_drives, scope="session")
 
 
-def simulate_drives(
-    text: str = "", runs: int = 4, seconds: float = 8.0, seed: int = 0, wheel_sd: float = 0.02
-) -> list[Run]:
-    """Runs of the default car with effects on."""
+def simulate_drives(text="", runs=4, seconds=8.0, seed=0, wheel_sd=0.02):
     rng = np.random.default_rng(seed)
     return [_drive(text, seconds, rng, f"run-{i}", wheel_sd) for i in range(runs)]
 
 
-@pytest.fixture(scope="session")
-def base() -> CarFile:
-    """The default car as if it had been identified."""
-    return make_base()
+base = pytest.fixture(lambda: make_base(), scope="session")
 
 
 def make_base() -> CarFile:
-    """The default car as if it had been identified."""
     names = (
         "lf", "lr", "c_sf", "c_sr", "inertia_z", "steer_gain", "steer_bias", "steer_delay",
         "steer_lag", "speed_gain", "speed_lag",

@@ -24,7 +24,6 @@ IDENTIFIED = update_car(Path("car.toml"), BASE, {"lf": Learned(0.16, 0.01, "stee
 
 @pytest.fixture
 def saved(tmp_path):
-    """A car file with the file beside it."""
     path = tmp_path / "blue.toml"
     write_outputs(car_outputs(path, with_known(IDENTIFIED, TABLES)))
     return path
@@ -34,11 +33,13 @@ def tables_of(car):
     return {name: car.sections[name] for name in ("noise", "knowledge") if name in car.sections}
 
 
-def test_the_car_file_holds_values_and_its_neighbour_the_rest(saved):
+def test_the_car_file_holds_values_and_editable_settings_and_its_neighbour_the_rest(saved):
     assert posterior_path(saved).name == "blue.posterior.json"
     assert not TABLES.keys() & tomllib.loads(saved.read_text()).keys()
     car = load_car(saved)
     assert (tables_of(car), car.remark) == (TABLES, "")
+    saved.write_text(saved.read_text().replace("erpm_max = 23250.0", "erpm_max = 20000.0  # safe"))
+    assert tables_of(load_car(saved)) == TABLES
 
 
 def test_a_car_whose_neighbour_is_gone_says_so_and_one_that_never_had_one_does_not(saved):
@@ -49,33 +50,22 @@ def test_a_car_whose_neighbour_is_gone_says_so_and_one_that_never_had_one_does_n
     assert BASE.remark == ""
 
 
-def _longer(text):
-    return text.replace("lf = 0.16", "lf = 0.161")
+EDITS = {
+    "longer": lambda text: text.replace("lf = 0.16", "lf = 0.161"),
+    "with an effect": lambda text: f"{text}\n[effects.steer_delay]\ndelay = 0.02\n",
+    "other equations": lambda text: text.replace('= "planar"', '= "single_track"'),
+}
 
 
-def _with_effect(text):
-    return f"{text}\n[effects.steer_delay]\ndelay = 0.02\n"
-
-
-def _other_equations(text):
-    return text.replace('chassis = "planar"', 'chassis = "single_track"')
-
-
-@pytest.mark.parametrize("edit", [_longer, _with_effect, _other_equations])
+@pytest.mark.parametrize("edit", EDITS.values(), ids=EDITS)
 def test_an_edited_car_keeps_its_noise_and_loses_the_covariance(saved, edit):
     text = saved.read_text()
     assert edit(text) != text
     saved.write_text(edit(text))
     car = load_car(saved)
     assert tables_of(car) == {"noise": NOISE}
-    assert car.remark == (
-        "blue.posterior.json is of other values than the car file has now: it is not used"
-    )
-
-
-def test_settings_and_comments_may_be_edited(saved):
-    saved.write_text(saved.read_text().replace("erpm_max = 23250.0", "erpm_max = 20000.0  # safe"))
-    assert tables_of(load_car(saved)) == TABLES
+    told = "blue.posterior.json is of other values than the car file has now: it is not used"
+    assert car.remark == told
 
 
 @pytest.mark.parametrize(
@@ -103,11 +93,8 @@ def test_a_car_file_from_before_is_read_and_believed_of_its_own_values():
     # Nothing is known of a dead time on top of the car's; a drag is among what is known.
     late = parse_car(f"{old.text}[effects.steer_delay]\ndelay = 0.02\n", old.path)
     assert "knowledge" in late.sections
-    for edited in (
-        _old_file(numbers | {"lf": 0.2}),
-        f"{old.text}[effects.scrub]\ndrag = 0.5\n",
-        _old_file({"lf": "x"}),
-    ):
+    scrubbed = f"{old.text}[effects.scrub]\ndrag = 0.5\n"
+    for edited in (_old_file(numbers | {"lf": 0.2}), scrubbed, _old_file({"lf": "x"})):
         car = parse_car(edited, old.path)
         assert tables_of(car) == {"noise": NOISE}
         assert "edited" in car.remark
@@ -135,14 +122,10 @@ def test_a_session_and_its_learner_get_both_files(saved, tmp_path):
     assert (inside.car, tables_of(inside), inside.remark) == (IDENTIFIED.car, TABLES, "")
 
 
-def test_what_is_known_of_nothing_is_no_missing_file():
+def test_what_is_known_of_nothing_is_no_missing_file_and_numbers_name_all_that_it_is_of():
     text = encode_posterior(IDENTIFIED.numbers, {})
     assert json.loads(text)["schema"] == "steerd.posterior/1"
     assert parse_car(IDENTIFIED.text, Path("car.toml"), text).remark == ""
-
-
-def test_numbers_name_every_value_and_the_equations():
     car = parse_car(BASE.text + "[effects.steer_delay]\ndelay = 0.02\n", BASE.path)
-    assert car.numbers["steer_delay.delay"] == 0.02
-    assert car.numbers["chassis"] == "planar"
+    assert (car.numbers["steer_delay.delay"], car.numbers["chassis"]) == (0.02, "planar")
     assert BASE.numbers.keys() < car.numbers.keys()

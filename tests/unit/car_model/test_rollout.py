@@ -8,53 +8,36 @@ import pytest
 from steerd.car_model.effects import EFFECTS, parse_effects
 from steerd.car_model.model import Model, believed_car
 from steerd.car_model.ops import FLOAT
-from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, Car, wheelbase
-from steerd.car_model.rollout import Integrator, euler, rk4, simulate, start, stiffness_rate
-from steerd.car_model.state import ORIGIN, Command, State
+from steerd.car_model.params import DEFAULT_CAR, PAPER_CAR, wheelbase
+from steerd.car_model.rollout import euler, rk4, simulate, start, stiffness_rate
+from steerd.car_model.state import ORIGIN, Command
 
 
-def run(
-    car: Car[float],
-    first: State[float],
-    command: Command[float],
-    seconds: float,
-    h: float = 0.005,
-    integrate: Integrator[float] = rk4,
-) -> list[State[float]]:
+def run(car, first, command, seconds, h=0.005, integrate=rk4):
     model = Model(car)
     commands = [command] * round(seconds / h)
     moments = simulate(FLOAT, model, start(model, first, 0.0), commands, h, integrate)
     return [m.state for m in moments]
 
 
-def gap(a: State[float], b: State[float]) -> float:
-    return math.hypot(a.x - b.x, a.y - b.y)
-
-
-def test_rest_stays_at_rest() -> None:
+def test_rest_stays_at_rest_and_reverse_is_kinematic_and_stable() -> None:
     assert set(run(DEFAULT_CAR, ORIGIN, Command(0.0, 0.0), 1.0)) == {ORIGIN}
+    last = run(DEFAULT_CAR, ORIGIN, Command(0.3, -1.0), 3.0)[-1]
+    assert last.speed == pytest.approx(-1.0, rel=1e-6)
+    assert last.yaw_rate < 0.0
+    assert abs(last.slip_angle) < 0.2
 
 
-def test_speed_follows_its_lag_and_then_its_limits() -> None:
+def test_speed_and_steering_follow_their_lags_and_then_their_limits() -> None:
     car = DEFAULT_CAR._replace(accel_max=20.0)
     reached = run(car, ORIGIN, Command(0.0, 1.0), car.speed_lag)[-1].speed
     assert reached == pytest.approx(1.0 - math.exp(-1.0), rel=1e-12)
     limited = run(DEFAULT_CAR, ORIGIN, Command(0.0, 4.0), 0.2)[-1].speed
     assert limited == pytest.approx(0.2 * DEFAULT_CAR.accel_max, rel=1e-12)
-
-
-def test_steering_slews_then_settles_and_stops_at_its_ends() -> None:
     states = run(DEFAULT_CAR, ORIGIN, Command(1.0, 0.0), 2.0)
     speeds = [(b.steer - a.steer) / 0.005 for a, b in pairwise(states)]
     assert max(speeds) == pytest.approx(DEFAULT_CAR.steer_rate, rel=1e-9)
     assert states[-1].steer == pytest.approx(DEFAULT_CAR.steer_max, rel=1e-9)
-
-
-def test_reverse_is_kinematic_and_stable() -> None:
-    last = run(DEFAULT_CAR, ORIGIN, Command(0.3, -1.0), 3.0)[-1]
-    assert last.speed == pytest.approx(-1.0, rel=1e-6)
-    assert last.yaw_rate < 0.0
-    assert abs(last.slip_angle) < 0.2
 
 
 def test_halving_the_step_divides_the_error_by_sixteen() -> None:
@@ -63,7 +46,8 @@ def test_halving_the_step_divides_the_error_by_sixteen() -> None:
     first = ORIGIN._replace(speed=2.0)
     command = Command(0.3, 2.0)
     truth = run(car, first, command, 0.32, 0.00025)[-1]
-    errors = [gap(run(car, first, command, 0.32, h)[-1], truth) for h in (0.02, 0.01, 0.005)]
+    ends = [run(car, first, command, 0.32, h)[-1] for h in (0.02, 0.01, 0.005)]
+    errors = [math.dist(end[:2], truth[:2]) for end in ends]
     for coarse, fine in pairwise(errors):
         assert 10.0 < coarse / fine < 40.0
 
@@ -74,7 +58,7 @@ def test_the_papers_euler_agrees_to_its_own_error() -> None:
     command = Command(0.34, 1.0)
     exact = run(PAPER_CAR, first, command, 8.0, 0.002)
     papers = run(PAPER_CAR, first, command, 8.0, 0.002, euler)
-    worst = max(gap(a, b) for a, b in zip(exact, papers, strict=True))
+    worst = max(math.dist(a[:2], b[:2]) for a, b in zip(exact, papers, strict=True))
     assert 1e-4 < worst < 5e-3
 
 
@@ -93,13 +77,9 @@ def test_a_delayed_command_moves_the_wheels_late() -> None:
 
 
 # Effects that are changes of parameters reach designs; without effects nothing changes.
-
-
 def believed(text):
-    chosen = parse_effects(text)
-    return believed_car(
-        Model(DEFAULT_CAR, tuple(e for e, _ in chosen), tuple(v for _, v in chosen))
-    )
+    effects, values = zip(*parse_effects(text), strict=True)
+    return believed_car(Model(DEFAULT_CAR, effects, values))
 
 
 @pytest.mark.parametrize("name", EFFECTS)
@@ -108,20 +88,14 @@ def test_at_its_null_no_effect_changes_anything(name):
     assert believed_car(Model(DEFAULT_CAR, (effect,), (effect.nulls,))) == DEFAULT_CAR
 
 
-def test_dead_times_add_up():
+def test_dead_times_add_up_and_other_parameters_become_what_effects_of_the_whole_car_make_them():
     car = believed("steer_delay=0.05,drive_delay=0.02,mocap_latency=0.01")
     assert car.steer_delay == pytest.approx(DEFAULT_CAR.steer_delay + 0.05)
     assert car.drive_delay == pytest.approx(DEFAULT_CAR.drive_delay + 0.02)
     assert car.pose_delay == pytest.approx(DEFAULT_CAR.pose_delay + 0.01)
-
-
-def test_parameters_become_what_the_effects_make_them():
     car = believed("steer_lag=0.04,steer_gain=0.9,cog_offset=0.02")
     assert car.steer_lag == pytest.approx(DEFAULT_CAR.steer_lag + 0.04)
     assert car.steer_gain == pytest.approx(0.9 * DEFAULT_CAR.steer_gain)
     assert car.lr == pytest.approx(DEFAULT_CAR.lr + 0.02)
     assert wheelbase(car) == pytest.approx(wheelbase(DEFAULT_CAR))
-
-
-def test_a_slippery_patch_is_not_the_whole_floor():
     assert believed("grip_patch:x=0,y=0,radius=3,drop=0.4").mu == pytest.approx(DEFAULT_CAR.mu)

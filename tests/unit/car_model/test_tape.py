@@ -18,11 +18,6 @@ def inputs(*names: str) -> list[Node]:
     return [tape.symbol(name) for name in names]
 
 
-def slope(function, x: float) -> float:  # type: ignore[no-untyped-def]
-    (a,) = inputs("a")
-    return program([a], gradient([(function(a), 1.0)], [a]))(x)[0]
-
-
 SEAMS = [
     (lambda a: TAPE.minimum(a, 1.0), 1.0, (1.0, 0.0, 0.0)),
     (lambda a: TAPE.maximum(a, 1.0), 1.0, (0.0, 0.0, 1.0)),
@@ -35,20 +30,16 @@ SEAMS = [
 
 @pytest.mark.parametrize(("function", "seam", "slopes"), SEAMS)
 def test_a_seam_has_the_derivative_of_the_branch_taken(function, seam, slopes):  # type: ignore[no-untyped-def]
-    at = (math.nextafter(seam, -9.0), seam, math.nextafter(seam, 9.0))
-    assert tuple(slope(function, x) for x in at) == slopes
+    (a,), at = inputs("a"), (math.nextafter(seam, -9.0), seam, math.nextafter(seam, 9.0))
+    slope = program([a], gradient([(function(a), 1.0)], [a]))
+    assert tuple(slope(x)[0] for x in at) == slopes
 
 
-def test_what_nothing_depends_on_has_no_derivative():
+def test_what_nothing_depends_on_has_no_derivative_and_some_operations_have_none():
     a, b = inputs("a", "b")
     (by_b,) = gradient([(a * a, 1.0)], [b])
-    assert by_b.entry.value == 0.0
-    assert by_b.entry.op == "const"
+    assert (by_b.entry.value, by_b.entry.op) == (0.0, "const")
     assert gradient([], [a])[0].entry.value == 0.0
-
-
-def test_an_operation_without_a_derivative_is_refused():
-    (a,) = inputs("a")
     with pytest.raises(ValueError, match="no derivative for floor"):
         gradient([(apply("floor", a), 1.0)], [a])
 
@@ -73,8 +64,6 @@ def test_a_record_cannot_be_branched_on():
 
 
 # Random formulas: the recorded program gives the floats, its derivatives the differences.
-
-
 often = settings(derandomize=True, deadline=None, max_examples=150)
 
 UNARY = ("sin", "cos", "atan", "tanh", "absolute", "neg", "exp", "sqrt", "tan")
@@ -165,7 +154,6 @@ def test_gradients_are_those_of_central_differences(formula, point):
 
 
 def difference(formula: Any, point: Sequence[float], i: int, width: float) -> float:
-    """Central difference along input `i`."""
     ends = [[v + s * (k == i) for k, v in enumerate(point)] for s in (width, -width)]
     high, low = (float(evaluated(FLOAT, formula, end)) for end in ends)
     return (high - low) / (2.0 * width)

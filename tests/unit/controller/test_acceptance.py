@@ -11,14 +11,10 @@ from tests.designs import accept, design_for, numbers, scaled, standard
 
 NEAR = {"steer_gain": 0.98, "steer_bias": 0.004, "steer_delay": 0.016}
 
-
-@pytest.fixture(scope="module")
-def held():
-    return standard()
+held = pytest.fixture(lambda: standard(), scope="module")
 
 
 def refusal(held, at, design):
-    """Why a design is refused."""
     refused = accept(held, at, design)
     assert isinstance(refused, str)
     return refused
@@ -41,15 +37,10 @@ def test_a_design_for_a_car_nearby_is_taken(held, changed):
 
 @pytest.mark.parametrize(
     ("changed", "why"),
-    [
-        ({"steer_gain": 0.9}, "too far"),
-        ({"steer_bias": 0.02}, "too far"),
-        ({"steer_gain": nan}, "not within"),
-        ({"speed_gain": inf}, "not within"),
-        ({"steer_delay": -0.01}, "not within"),
-        ({"body_left": -0.2}, "not within"),
-    ],
-)
+    [({"steer_gain": 0.9}, "too far"), ({"steer_bias": 0.02}, "too far"),
+     ({"steer_gain": nan}, "not within"), ({"speed_gain": inf}, "not within"),
+     ({"steer_delay": -0.01}, "not within"), ({"body_left": -0.2}, "not within")],
+)  # fmt: skip
 def test_numbers_out_of_reach_are_refused(held, changed, why):
     design = design_for(held)._replace(car=numbers(held, **changed))
     refused = refusal(held, numbers(held), design)
@@ -85,7 +76,6 @@ def test_a_loop_that_the_files_car_would_not_survive_is_refused(held):
 
 
 # The numbers that a controller follows: bounds, steps and what stays the file's.
-
 FILE = learnt.learnt_of(DEFAULT_CAR)
 
 

@@ -17,7 +17,7 @@ from steerd.controller.config import (
     load_controller_config,
 )
 from steerd.controller.design import closed_loop, margins
-from steerd.controller.gain_table import N_LANE, GainTable, Turning, look_up
+from steerd.controller.gain_table import N_LANE, GainTable, look_up
 from steerd.controller.gains import design_table, lqr_gains, pole_placement_gains
 from steerd.controller.loop_model import Timing, pack_gains, sampled_loop, turn_response
 from tests.designs import design_for, scaled, standard
@@ -46,7 +46,7 @@ def cost_of(gains: np.ndarray, weights: LqrWeights) -> float:
     return total
 
 
-def test_lqr_is_the_cheapest_of_its_neighbours():
+def test_lqr_is_the_cheapest_of_its_neighbours_and_without_lag_feeds_back_lane_errors_alone():
     weights = LqrWeights()
     best = lqr_gains(DEFAULT_CAR, 1.0, TIMING, weights)
     assert best.shape == (1, 5 + 3)  # 25 ms at 100 Hz: three references under way
@@ -55,31 +55,23 @@ def test_lqr_is_the_cheapest_of_its_neighbours():
     for _ in range(10):
         nearby = best * (1.0 + 0.05 * rng.standard_normal(best.shape))
         assert cost_of(nearby, weights) > lowest
-
-
-def test_lqr_without_lag_or_delay_feeds_back_the_lane_errors_alone():
     config = ControllerConfig()
     table = design_table(DEFAULT_CAR, config, Timing(100.0, 0.0, 0.0), 1.0)
     assert table.pasts == 0
     assert all(row[4] == 0.0 for row in table.rows)
 
 
-def test_the_table_spans_the_speeds():
+def test_the_table_spans_the_speeds_linearly_between_and_holds_outside():
     table = design_table(DEFAULT_CAR, ControllerConfig(), TIMING, 1.6)
-    assert table.speeds[0] == 0.1
-    assert table.speeds[-1] == pytest.approx(1.6)
+    assert (table.speeds[0], table.speeds[-1]) == (0.1, pytest.approx(1.6))
     assert table.spacing <= 0.25
     assert table.pasts == 3
     slow = design_table(DEFAULT_CAR, ControllerConfig(), TIMING, 0.05)
     assert slow.speeds == (0.1,)
     by_poles = ControllerConfig(design="pole_placement")
     assert design_table(DEFAULT_CAR, by_poles, TIMING, 1.0).speeds[0] == 0.5
-
-
-def test_lookup_is_linear_between_and_holds_outside():
     table = GainTable(1.0, 0.5, ((0.0, 10.0), (1.0, 20.0), (5.0, 0.0)))
-    assert look_up(table, 1.25) == (0.5, 15.0)
-    assert look_up(table, 1.5) == (1.0, 20.0)
+    assert (look_up(table, 1.25), look_up(table, 1.5)) == ((0.5, 15.0), (1.0, 20.0))
     assert look_up(table, 0.0) == look_up(table, -3.0) == (0.0, 10.0)
     assert look_up(table, 2.0) == look_up(table, 9.0) == (5.0, 0.0)
     alone = GainTable(1.0, 0.5, ((7.0,),))
@@ -103,21 +95,12 @@ def test_a_steadily_tightening_turn_leaves_no_offset():
         x = x + h * (errors.a @ x + errors.b_steer * wheel + errors.b_curvature * curvature)
         curvature += h * rate
     assert abs(x[0]) < 1e-3 * curvature
-    assert isinstance(turning, Turning)
 
 
 # Distance from -1 against what it promises: gains and delays that the loop survives.
-
 SPEEDS = (0.3, 0.9, 1.5)
 
-
-@pytest.fixture(scope="module")
-def held():
-    return standard()
-
-
-def distance_of(held, table, speed, timing):
-    return margins(held.file.car, look_up(table, speed), table.pasts, speed, timing)[1]
+held = pytest.fixture(lambda: standard(), scope="module")
 
 
 @pytest.mark.parametrize("factor", [1.0, 2.5])
@@ -125,7 +108,8 @@ def distance_of(held, table, speed, timing):
 def test_the_loop_survives_a_servo_as_much_stronger_or_weaker_as_it_says(held, speed, factor):
     """At 100 Hz and 10 ms the wheel follows the reference before the newest, and that alone."""
     table, timing = scaled(design_for(held), factor).table, held.file.report.timing
-    row, m = look_up(table, speed), distance_of(held, table, speed, timing)
+    row = look_up(table, speed)
+    m = margins(held.file.car, row, table.pasts, speed, timing)[1]
     assert 0.1 < m < 1.0
     closed = closed_loop(held.file.car, row, table.pasts, speed, timing)
     a, b = sampled_loop(held.file.car, speed, timing)
@@ -137,8 +121,6 @@ def test_the_loop_survives_a_servo_as_much_stronger_or_weaker_as_it_says(held, s
 
 
 # Settings: defaults, forms of poles, and what a wrong one reports.
-
-
 def test_a_whole_table():
     config = load_controller_config(
         {
@@ -150,54 +132,35 @@ def test_a_whole_table():
         }
     )
     assert config.poles == (-3 + 1j, -3 - 1j, -90, -50)
-    assert config.weights == LqrWeights(e1=9.0, effort=2.0)
-    assert config.speed == 2.0
+    assert (config.weights, config.speed) == (LqrWeights(e1=9.0, effort=2.0), 2.0)
     assert not config.file_speeds
 
 
 @pytest.mark.parametrize(
     ("table", "said"),
-    [
-        ({"desing": "lqr"}, "did you mean design"),
-        ({"xyz": 1}, "known are"),
-        ({"design": "mpc"}, "use lqr or pole_placement"),
-        ({"design": 3}, "must be a str"),
-        ({"file_speeds": 1}, "must be a bool"),
-        ({"speed": "fast"}, "must be a number"),
-        ({"speed": True}, "must be a number"),
-        ({"speed": 0.0}, "must be positive"),
-        ({"speed": float("nan")}, "must be positive"),
-        ({"speed": 300}, "above"),
-        ({"damping_min": 1.0}, "damping_min"),
-        ({"grid_spacing": 1e-9}, "grid_spacing"),
-        ({"weights": {"e2_rat": 1.0}}, "did you mean e2_rate"),
-        ({"weights": 4}, "must be a table"),
-        ({"weights": {"effort": 0.0}}, "must be positive"),
-        ({"weights": {"e2": -1.0}}, "weights.e2"),
-        ({"poles": "-2"}, "must be a list"),
-        ({"poles": ["-2", "-3"]}, "four states"),
-        ({"poles": ["-2", "-3", "-4", "x"]}, "is no pole"),
-        ({"poles": [-2, -3, -4, 5]}, "negative real part"),
-        ({"poles": ["-2+2j", "-2", "-3", "-4"]}, "conjugate pairs"),
-    ],
-)
+    [({"desing": "lqr"}, "did you mean design"), ({"xyz": 1}, "known are"),
+     ({"design": "mpc"}, "use lqr or pole_placement"), ({"design": 3}, "must be a str"),
+     ({"file_speeds": 1}, "must be a bool"), ({"speed": "fast"}, "must be a number"),
+     ({"speed": True}, "must be a number"), ({"speed": 0.0}, "must be positive"),
+     ({"speed": float("nan")}, "must be positive"), ({"speed": 300}, "above"),
+     ({"damping_min": 1.0}, "damping_min"), ({"grid_spacing": 1e-9}, "grid_spacing"),
+     ({"weights": {"e2_rat": 1.0}}, "did you mean e2_rate"), ({"weights": 4}, "must be a table"),
+     ({"weights": {"effort": 0.0}}, "must be positive"), ({"weights": {"e2": -1.0}}, "weights.e2"),
+     ({"poles": "-2"}, "must be a list"), ({"poles": ["-2", "-3"]}, "four states"),
+     ({"poles": ["-2", "-3", "-4", "x"]}, "is no pole"),
+     ({"poles": [-2, -3, -4, 5]}, "negative real part"),
+     ({"poles": ["-2+2j", "-2", "-3", "-4"]}, "conjugate pairs")],
+)  # fmt: skip
 def test_a_wrong_setting_is_named_with_its_problem(table, said):
     with pytest.raises(ValueError, match=said):
         load_controller_config(table)
 
 
 # The check of the closed loop: the measured numbers of the paper's poles, and refusals.
-
 BARE: Car[float] = PAPER_CAR._replace(steer_lag=0.0, steer_delay=0.0)
 """The paper's car as its own designs see it: no servo lag, no dead time."""
 PAPER = ControllerConfig(design="pole_placement")
 CIRCLE = parse_path("circle:radius=2")
-
-
-def radius_of(rate_hz: float, delay_s: float, speed: float = 1.0) -> float:
-    row = pack_gains(pole_placement_gains(BARE, speed, PAPER_POLES), chained=False)
-    closed = design.closed_loop(BARE, row, 0, speed, Timing(rate_hz, delay_s, 0.0))
-    return design.stability(closed, speed, 1.0 / rate_hz).radius
 
 
 @pytest.mark.parametrize(
@@ -205,7 +168,10 @@ def radius_of(rate_hz: float, delay_s: float, speed: float = 1.0) -> float:
     [(100.0, 0, 0.98), (100.0, 1, 1.18), (200.0, 1, 0.99), (50.0, 0, 1.86)],
 )
 def test_the_papers_poles_at_real_rates(rate_hz, ticks, radius):
-    assert radius_of(rate_hz, ticks / rate_hz) == pytest.approx(radius, abs=0.0055)
+    row = pack_gains(pole_placement_gains(BARE, 1.0, PAPER_POLES), chained=False)
+    closed = design.closed_loop(BARE, row, 0, 1.0, Timing(rate_hz, ticks / rate_hz, 0.0))
+    found = design.stability(closed, 1.0, 1.0 / rate_hz).radius
+    assert found == pytest.approx(radius, abs=0.0055)
 
 
 def test_the_closed_loop_is_the_loop_run_by_hand():
@@ -278,8 +244,8 @@ def test_the_delay_margin_is_where_the_loop_turns_unstable():
     assert 0.03 < margin < 0.2
     over = timing._replace(delay_s=timing.delay_s + margin + 0.005)
     inside = timing._replace(delay_s=timing.delay_s + margin)
-    radii = {
-        late: max(design.stability_at(DEFAULT_CAR, table, v, late).radius for v in table.speeds)
-        for late in (inside, over)
-    }
-    assert radii[inside] < 1.0 <= radii[over]
+
+    def radius(late):
+        return max(design.stability_at(DEFAULT_CAR, table, v, late).radius for v in table.speeds)
+
+    assert radius(inside) < 1.0 <= radius(over)

@@ -20,7 +20,7 @@ from steerd.controller.build import make_controller
 from steerd.controller.config import ControllerConfig
 from steerd.controller.design import assess, find_faults
 from steerd.controller.gain_table import N_LANE, N_TURNING, Turning
-from steerd.controller.lane_controller import LaneController, control, start_controller, to_command
+from steerd.controller.lane_controller import control, start_controller, to_command
 from steerd.controller.lane_keeper import LaneErrors, LaneKeeper, lane_errors, step
 from steerd.controller.learnt import KEPT_NS, Servo, order_servo, step_servo
 from steerd.controller.live import (
@@ -48,14 +48,12 @@ def row(past: tuple[float, ...] = (), **gains: float) -> tuple[float, ...]:
     return (*(gains.get(name, 0.0) for name in names), *past, *NO_TURNING)
 
 
-def wheel_reference(
-    gains: tuple[float, ...], errors: LaneErrors, past: tuple[float, ...] = ()
-) -> float:
+def wheel_reference(gains: tuple[float, ...], errors: LaneErrors, past: tuple[float, ...] = ()):
     at = Projection(1.0, 50, errors.e1, 0.0, 0.0, abs(errors.e1))
     return step(KEEPER, gains, errors, at, ORIGIN._replace(speed=1.0, steer=0.1), past)[0]
 
 
-def test_each_gain_steers_against_its_error():
+def test_each_gain_steers_against_its_error_up_to_the_end_stops():
     errors = LaneErrors(0.1, 0.2, 0.03, 0.4)
     assert wheel_reference(row(e1=2.0), errors) == pytest.approx(-0.2)
     assert wheel_reference(row(e1_rate=0.5), errors) == pytest.approx(-0.1)
@@ -63,9 +61,6 @@ def test_each_gain_steers_against_its_error():
     assert wheel_reference(row(e2_rate=0.5), errors) == pytest.approx(-0.2)
     assert wheel_reference(row(steer=0.5), errors) == pytest.approx(-0.05)
     assert wheel_reference(row(past=(0.5, 0.25)), errors, (0.1, -0.4)) == pytest.approx(0.05)
-
-
-def test_the_order_stays_within_the_end_stops():
     assert wheel_reference(row(e1=100.0), LaneErrors(1.0, 0.0, 0.0, 0.0)) == KEEPER.wheel_min
     assert wheel_reference(row(e1=100.0), LaneErrors(-1.0, 0.0, 0.0, 0.0)) == KEEPER.wheel_max
 
@@ -85,7 +80,6 @@ def test_the_curvature_is_read_where_the_order_will_act():
 
 
 # The speed profile's limits and the reference's ramps.
-
 CONFIG = ControllerConfig(speed=3.0, lateral_accel_max=2.0, accel_max=1.0, decel_max=2.0)
 
 
@@ -103,15 +97,16 @@ def test_no_limit_is_exceeded_anywhere_round_a_figure_eight():
     assert v.max() > 1.2 * v.min()
 
 
-def test_an_open_path_ends_standing():
+def test_an_open_path_ends_standing_and_its_profile_is_read_ahead_by_the_drives_lag():
     path = parse_path("line:length=10")
     profile = profile_of(path)
-    assert profile.speed[0] == 3.0
-    assert profile.speed[-1] == 0.0
-    s = np.array(path.s)
-    np.testing.assert_allclose(
-        np.minimum(3.0, np.sqrt(2.0 * 2.0 * (10.0 - s))), profile.speed, atol=1e-6
-    )
+    assert (profile.speed[0], profile.speed[-1]) == (3.0, 0.0)
+    expected = np.minimum(3.0, np.sqrt(2.0 * 2.0 * (10.0 - np.array(path.s))))
+    np.testing.assert_allclose(expected, profile.speed, atol=1e-6)
+    assert profile.preview_s == pytest.approx(DEFAULT_CAR.speed_lag + DEFAULT_CAR.drive_delay)
+    ahead = profile_speed(profile, 9.0, 2.0)
+    assert ahead == pytest.approx(math.sqrt(4.0 * (1.0 - 0.2)), abs=1e-3)
+    assert profile_speed(profile, 9.0, -1.0) == pytest.approx(2.0, abs=1e-3)
 
 
 def test_a_files_speeds_cap_it_unless_configured_not_to():
@@ -121,24 +116,13 @@ def test_a_files_speeds_cap_it_unless_configured_not_to():
     assert profile_of(slow, replace(CONFIG, file_speeds=False)).fastest == 3.0
 
 
-def test_the_profile_is_read_ahead_by_the_drives_lag():
-    path = parse_path("line:length=10")
-    profile = profile_of(path)
-    assert profile.preview_s == pytest.approx(DEFAULT_CAR.speed_lag + DEFAULT_CAR.drive_delay)
-    ahead = profile_speed(profile, 9.0, 2.0)
-    assert ahead == pytest.approx(math.sqrt(4.0 * (1.0 - 0.2)), abs=1e-3)
-    assert profile_speed(profile, 9.0, -1.0) == pytest.approx(2.0, abs=1e-3)
-
-
 def test_the_reference_climbs_at_the_start_ramp_and_stops_at_the_stop_ramp():
     config = ControllerConfig(start_ramp=1.5, stop_ramp=1.0)
     speed, climbed = 0.0, []
     for _ in range(100):
         speed = step_speed(speed, 1.0, 0.01, config, stop=False)
         climbed.append(speed)
-    assert climbed[0] == pytest.approx(0.015)
-    assert climbed[-1] == 1.0
-    assert climbed.index(1.0) == 66
+    assert (climbed[0], climbed[-1], climbed.index(1.0)) == (pytest.approx(0.015), 1.0, 66)
     for _ in range(50):
         speed = step_speed(speed, 1.0, 0.01, config, stop=True)
     assert speed == pytest.approx(0.5)
@@ -149,16 +133,8 @@ def test_the_reference_climbs_at_the_start_ramp_and_stops_at_the_stop_ramp():
 
 
 # Where the wheels are, by the orders that left.
-
 MS = 1_000_000
 CAR = DEFAULT_CAR._replace(steer_gain=0.9, steer_bias=0.01, steer_lag=0.05)
-
-
-def wheel_after(ms, delay_s=0.03, order=0.2):
-    servo = order_servo(Servo(t_ns=0, wheel=0.01), 0, Command(order, 1.0))
-    for t in range(1, ms + 1):
-        servo = step_servo(servo, CAR, delay_s, t * MS)
-    return servo.wheel
 
 
 @pytest.mark.parametrize(
@@ -168,7 +144,10 @@ def wheel_after(ms, delay_s=0.03, order=0.2):
     ids=["dead time", "lag", "settled", "end stop"],
 )  # fmt: skip
 def test_where_the_wheel_is(ms, order, wheel, rel):
-    assert wheel_after(ms, order=order) == pytest.approx(wheel, rel=rel)
+    servo = order_servo(Servo(t_ns=0, wheel=0.01), 0, Command(order, 1.0))
+    for t in range(1, ms + 1):
+        servo = step_servo(servo, CAR, 0.03, t * MS)
+    assert servo.wheel == pytest.approx(wheel, rel=rel)
 
 
 def test_orders_are_kept_as_long_as_a_dead_time_can_be_and_no_longer():
@@ -181,15 +160,12 @@ def test_orders_are_kept_as_long_as_a_dead_time_can_be_and_no_longer():
 
 
 # The whole controller, a tick at a time; whole drives are those of `tests/e2e`.
-
 RATE_HZ = 100.0
 SLOW_SERVO = DEFAULT_CAR._replace(steer_lag=0.08, steer_delay=DEFAULT_CAR.steer_delay + 0.03)
 """30 ms more dead time and 80 ms servo lag."""
 
 
-def made(
-    spec: str, speed: float, car: Car[float] = DEFAULT_CAR, **config: object
-) -> LaneController:
+def made(spec: str, speed: float, car: Car[float] = DEFAULT_CAR, **config: object):
     settings = ControllerConfig(speed=speed, **config)  # type: ignore[arg-type]
     return make_controller(car, parse_path(spec), settings, RATE_HZ)
 
@@ -236,15 +212,12 @@ def test_a_clock_that_stands_or_leaps_is_no_leap_in_speed():
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_an_estimate_that_is_not_finite_is_refused(field, value):
     controller = made("circle", 1.0)
+    begun = start_controller(controller, SEEN, 0)
     with pytest.raises(ValueError, match="not finite"):
-        control(
-            controller, start_controller(controller, SEEN, 0), SEEN._replace(**{field: value}), 1
-        )
+        control(controller, begun, SEEN._replace(**{field: value}), 1)
 
 
 # What lane errors promise for any place.
-
-
 EIGHT = parse_path("figure8")
 TURN, MIRRORED = parse_path("circle:radius=1.4"), parse_path("circle:radius=-1.4")
 
@@ -293,8 +266,6 @@ def test_left_is_the_mirror_image_of_right(share, e1, e2, speed, yaw_rate, slip)
 
 
 # Live parameters of the lane keeper: their bounds, and a lane beside the path.
-
-
 CIRCLE = parse_path("circle:radius=2")
 AT = State(2.1, 0.3, 1.8, 0.9, 0.4, 0.01, 0.15)
 
@@ -313,22 +284,16 @@ def tick(made, live, **more):
     return control(made, state, AT, 10_000_000, live=live, **more)
 
 
-def test_nothing_changed_changes_no_bit():
+def test_the_designs_own_share_changes_no_bit_and_lies_within_bounds_that_pass_its_check():
     made = make()
     plain = control(made, start_controller(made, AT, 0), AT, 10_000_000)
     assert tick(made, AS_DESIGNED) == plain
     assert tick(made, bounds_of(made).start) == plain
-
-
-def test_the_designs_own_share_lies_within_bounds_that_pass_the_designs_check():
-    made = make()
     timing, damping = made.report.timing, made.config.damping_min
     low, high = find_gain_bounds(made.car, made.table, timing, damping)
     assert GAIN_LEAST <= low <= 1.0 <= high <= GAIN_MOST
     for share in (low, high):
-        rows = [
-            tuple(share * v for v in row[:-N_TURNING]) + row[-N_TURNING:] for row in made.table.rows
-        ]
+        rows = ((*(share * v for v in r[:-N_TURNING]), *r[-N_TURNING:]) for r in made.table.rows)
         scaled = made.table._replace(rows=tuple(rows))
         assert not find_faults(assess(made.car, scaled, timing), damping)
 
@@ -354,16 +319,13 @@ def test_a_lane_that_the_car_cannot_turn_is_not_granted():
     assert turned <= DEFAULT_CAR.steer_max
 
 
-def test_a_shifted_circle_is_the_circle_beside_it():
+def test_a_shifted_circle_is_the_one_beside_it_where_lateral_acceleration_stays():
     at = shift_lane(project(CIRCLE, 1.9, 0.0, 0), 0.1)
     beside = parse_path("circle:radius=1.9")
     own = project(beside, 1.9 * beside.x[0] / 1.9, 0.0, 0)
     assert at.curvature == pytest.approx(own.curvature, rel=1e-6)
     offsets = project(CIRCLE, 1.9, 0.0, 0).e1
     assert at.e1 == pytest.approx(offsets - 0.1)
-
-
-def test_in_a_tighter_lane_the_lateral_acceleration_stays():
     config = ControllerConfig(speed=3.0, lateral_accel_max=2.0)
     inner = LiveValues(inf, 0.1, 1.0)
     assert limit_target(2.0, CIRCLE, 0.0, inner, config) == pytest.approx((2.0 * 1.9) ** 0.5, 1e-6)

@@ -8,29 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerd.car_model.state import Command
-from steerd.controller.limits import (
-    CEILINGS,
-    LimitError,
-    Limits,
-    Verdict,
-    limit_order,
-    make_limiter_state,
-    speed_bound,
-    steer_bound,
-)
+from steerd.controller import limits as lim
 
 # Exactly representable, so that every bound can be met exactly.
-LIMITS = Limits(
-    wheelbase=0.25,
-    steer_left_max=0.375,
-    steer_right_max=0.25,
-    steer_rate_max=2.0,
-    speed_max=3.0,
-    accel_max=2.0,
-    decel_max=4.0,
-    lateral_accel_max=3.0,
-    step_max=0.015625,
-)
+LIMITS = lim.Limits(
+    wheelbase=0.25, steer_left_max=0.375, steer_right_max=0.25, steer_rate_max=2.0, speed_max=3.0,
+    accel_max=2.0, decel_max=4.0, lateral_accel_max=3.0, step_max=0.015625,
+)  # fmt: skip
 STEP_NS = 15_625_000  # the longest step, 1/64 s
 STEER_STEP, ACCEL_STEP, DECEL_STEP = 0.03125, 0.03125, 0.0625
 EPS = 1e-12
@@ -41,23 +25,17 @@ def near(bound):
 
 
 def pass_gate(steer, speed, last=(0.0, 0.0), v=0.0, cap=inf, dt_ns=STEP_NS, limits=LIMITS):
-    state = make_limiter_state(limits, Command(*last), 0)
-    return limit_order(limits, state, Command(steer, speed), v, cap, dt_ns)
+    state = lim.make_limiter_state(limits, Command(*last), 0)
+    return lim.limit_order(limits, state, Command(steer, speed), v, cap, dt_ns)
 
 
 @pytest.mark.parametrize(
     ("axis", "bound", "side", "last", "cap"),
-    [
-        ("steer", 0.375, 1, (0.375, 0.0), inf),
-        ("steer", -0.25, -1, (-0.25, 0.0), inf),
-        ("steer", STEER_STEP, 1, (0.0, 0.0), inf),
-        ("steer", -STEER_STEP, -1, (0.0, 0.0), inf),
-        ("speed", 1.0 + ACCEL_STEP, 1, (0.0, 1.0), inf),
-        ("speed", 1.0 - DECEL_STEP, -1, (0.0, 1.0), inf),
-        ("speed", 3.0, 1, (0.0, 3.0), inf),
-        ("speed", 0.0, -1, (0.0, 0.0), inf),
-        ("speed", 0.5, 1, (0.0, 0.5), 0.5),
-    ],
+    [("steer", 0.375, 1, (0.375, 0.0), inf), ("steer", -0.25, -1, (-0.25, 0.0), inf),
+     ("steer", STEER_STEP, 1, (0.0, 0.0), inf), ("steer", -STEER_STEP, -1, (0.0, 0.0), inf),
+     ("speed", 1.0 + ACCEL_STEP, 1, (0.0, 1.0), inf),
+     ("speed", 1.0 - DECEL_STEP, -1, (0.0, 1.0), inf), ("speed", 3.0, 1, (0.0, 3.0), inf),
+     ("speed", 0.0, -1, (0.0, 0.0), inf), ("speed", 0.5, 1, (0.0, 0.5), 0.5)],
     ids=["left", "right is its own", "rate to the left", "rate to the right", "acceleration",
          "deceleration has its own", "top speed", "no reverse", "the supervisor's cap"],
 )  # fmt: skip
@@ -67,13 +45,16 @@ def test_an_order_is_held_at_each_bound_and_passes_before_it(axis, bound, side, 
         out = pass_gate(**{"steer": 0.0, "speed": 0.0, axis: wish}, last=last, cap=cap)
         over = side * (wish - bound) > 0.0
         assert getattr(out.order, axis) == (bound if over else wish)
-        assert out.verdict == (Verdict.CLIPPED if over else Verdict.PASSED)
+        assert out.verdict == (lim.Verdict.CLIPPED if over else lim.Verdict.PASSED)
         assert (out.state.order, out.state.t_ns) == (out.order, STEP_NS)
 
 
-def test_cap_below_the_last_order_is_reached_at_the_deceleration_limit():
+def test_a_cap_is_reached_at_the_deceleration_limit_may_be_zero_and_must_be_a_speed():
     out = pass_gate(0.0, 2.0, last=(0.0, 2.0), cap=0.0)
     assert out.order.speed == 2.0 - DECEL_STEP
+    assert pass_gate(0.0, 0.0, cap=0.0).verdict == lim.Verdict.PASSED
+    for cap in (nan, -1e-300, -inf):
+        assert pass_gate(0.0, 0.0, cap=cap).verdict == lim.Verdict.NOT_FINITE
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -82,12 +63,14 @@ def test_lateral_acceleration_at_the_real_speed(wish, sign):
     bound = atan(3.0 * 0.25 / 4.0)  # v = 2 m/s
     out = pass_gate(sign * wish, 0.0, last=(sign * bound, 0.0), v=2.0)
     assert out.order.steer == sign * min(wish, bound)
-    assert out.verdict == (Verdict.CLIPPED if wish > bound else Verdict.PASSED)
+    assert out.verdict == (lim.Verdict.CLIPPED if wish > bound else lim.Verdict.PASSED)
     assert 4.0 * tan(abs(out.order.steer)) / 0.25 <= 3.0 * (1 + 1e-15)
 
 
-def test_backwards_rolling_counts_as_speed():
+def test_rolling_backwards_takes_grip_and_where_that_falls_too_fast_the_speed_gives():
     assert pass_gate(0.25, 0.0, last=(0.25, 0.0), v=-2.0).order.steer < 0.25
+    out = pass_gate(0.375, 3.0, last=(0.375, 3.0), v=3.0)
+    assert (out.order.steer, out.order.speed) == (0.375 - STEER_STEP, 3.0 - DECEL_STEP)
 
 
 @pytest.mark.parametrize("delta", near(0.0))
@@ -95,30 +78,16 @@ def test_ordered_speed_is_held_to_the_grip_of_the_ordered_angle(delta):
     bound = (3.0 * 0.25 / tan(0.25)) ** 0.5
     out = pass_gate(0.25, bound + delta, last=(0.25, bound))
     assert out.order.speed == min(bound + delta, bound)
-    assert out.verdict == (Verdict.CLIPPED if delta > 0 else Verdict.PASSED)
-
-
-def test_where_grip_falls_faster_than_the_servo_turns_the_rate_wins_and_the_speed_gives():
-    out = pass_gate(0.375, 3.0, last=(0.375, 3.0), v=3.0)
-    assert out.order.steer == 0.375 - STEER_STEP
-    assert out.order.speed == 3.0 - DECEL_STEP
+    assert out.verdict == (lim.Verdict.CLIPPED if delta > 0 else lim.Verdict.PASSED)
 
 
 @pytest.mark.parametrize("bad", [nan, inf, -inf])
-@pytest.mark.parametrize("place", ["steer", "speed", "measured"])
+@pytest.mark.parametrize("place", ["steer", "speed", "v"])
 def test_not_finite_is_a_verdict_and_never_clipped(bad, place):
-    steer, speed, measured = (
-        bad if place == name else 0.25 for name in ("steer", "speed", "measured")
-    )
-    out = pass_gate(steer, speed, last=(0.125, 1.0), v=measured)
-    assert out.verdict is Verdict.NOT_FINITE
+    given = {"steer": 0.25, "speed": 0.25, "v": 0.25, place: bad}
+    out = pass_gate(**given, last=(0.125, 1.0))
+    assert out.verdict is lim.Verdict.NOT_FINITE
     assert (out.order, out.state.t_ns) == (Command(0.125, 1.0), 0)
-
-
-def test_cap_of_zero_is_a_speed_and_what_is_none_is_refused():
-    assert pass_gate(0.0, 0.0, cap=0.0).verdict == Verdict.PASSED
-    for cap in (nan, -1e-300, -inf):
-        assert pass_gate(0.0, 0.0, cap=cap).verdict == Verdict.NOT_FINITE
 
 
 @pytest.mark.parametrize(
@@ -131,55 +100,50 @@ def test_rates_are_per_second_and_a_pause_does_not_allow_a_jump(dt_ns, steer, sp
 
 
 def test_time_running_backwards_allows_nothing():
-    state = make_limiter_state(LIMITS, Command(0.0, 1.0), 10**9)
-    out = limit_order(LIMITS, state, Command(0.25, 3.0), 0.0, inf, 0)
-    assert out.order == Command(0.0, 1.0)
-    assert out.state.t_ns == 10**9
+    state = lim.make_limiter_state(LIMITS, Command(0.0, 1.0), 10**9)
+    out = lim.limit_order(LIMITS, state, Command(0.25, 3.0), 0.0, inf, 0)
+    assert (out.order, out.state.t_ns) == (Command(0.0, 1.0), 10**9)
 
 
 def test_steer_bound_closes_with_speed_and_speed_bound_with_steering():
-    assert steer_bound(LIMITS, 0.0) > 1.5
-    assert steer_bound(LIMITS, 0.5) == atan(0.75 / 0.25), "at walking pace"
-    assert steer_bound(LIMITS, 2.0) == atan(0.75 / 4.0)
-    assert steer_bound(LIMITS, 1e200) == 0.0
-    assert speed_bound(LIMITS, 0.0) == 3.0
-    assert speed_bound(LIMITS, -0.375) == (0.75 / tan(0.375)) ** 0.5
+    assert lim.steer_bound(LIMITS, 0.0) > 1.5
+    assert lim.steer_bound(LIMITS, 0.5) == atan(0.75 / 0.25), "at walking pace"
+    assert (lim.steer_bound(LIMITS, 2.0), lim.steer_bound(LIMITS, 1e200)) == (atan(0.75 / 4.0), 0.0)
+    assert lim.speed_bound(LIMITS, 0.0) == 3.0
+    assert lim.speed_bound(LIMITS, -0.375) == (0.75 / tan(0.375)) ** 0.5
 
 
 def test_start_state_is_brought_inside_the_limits():
-    assert make_limiter_state(LIMITS, Command(9.0, 9.0), 7).order == Command(0.375, 3.0)
-    assert make_limiter_state(LIMITS, Command(-9.0, -9.0), 7).order == Command(-0.25, 0.0)
-    assert make_limiter_state(LIMITS, Command(0.1, 0.2), 7).t_ns == 7
+    assert lim.make_limiter_state(LIMITS, Command(9.0, 9.0), 7).order == Command(0.375, 3.0)
+    assert lim.make_limiter_state(LIMITS, Command(-9.0, -9.0), 7).order == Command(-0.25, 0.0)
+    assert lim.make_limiter_state(LIMITS, Command(0.1, 0.2), 7).t_ns == 7
+    for order in (Command(nan, 0.0), Command(0.0, inf)):
+        with pytest.raises(ValueError, match="cannot start"):
+            lim.make_limiter_state(LIMITS, order, 0)
 
 
-@pytest.mark.parametrize("order", [Command(nan, 0.0), Command(0.0, inf)])
-def test_start_state_must_be_finite(order):
-    with pytest.raises(ValueError, match="cannot start"):
-        make_limiter_state(LIMITS, order, 0)
-
-
-@pytest.mark.parametrize("name", CEILINGS)
+@pytest.mark.parametrize("name", lim.CEILINGS)
 def test_every_ceiling_holds_exactly(name):
-    values = asdict(Limits(wheelbase=0.33))
-    bound = CEILINGS[name]
+    values = asdict(lim.Limits(wheelbase=0.33))
+    bound = lim.CEILINGS[name]
     for value in (bound.low, bound.high):
-        assert getattr(Limits(**{**values, name: value}), name) == value
+        assert getattr(lim.Limits(**{**values, name: value}), name) == value
     for value in (nextafter(bound.low, -inf), nextafter(bound.high, inf), nan, inf):
-        with pytest.raises(LimitError, match=f"^{name} = "):
-            Limits(**{**values, name: value})
+        with pytest.raises(lim.LimitError, match=f"^{name} = "):
+            lim.Limits(**{**values, name: value})
 
 
 def test_every_field_has_a_ceiling_and_the_message_says_which():
-    assert set(asdict(Limits(wheelbase=0.33))) == set(CEILINGS)
-    with pytest.raises(LimitError) as caught:
-        Limits(wheelbase=0.33, steer_rate_max=3.3, lateral_accel_max=3.5)
+    assert set(asdict(lim.Limits(wheelbase=0.33))) == set(lim.CEILINGS)
+    with pytest.raises(lim.LimitError) as caught:
+        lim.Limits(wheelbase=0.33, steer_rate_max=3.3, lateral_accel_max=3.5)
     first, second = str(caught.value).splitlines()
     assert first.startswith("steer_rate_max = 3.3 rad/s is outside 0.1..3.2 rad/s")
     assert second.startswith("lateral_accel_max = 3.5 m/s2")
 
 
 def test_ceilings_are_these_and_changing_one_is_a_decision():
-    assert {name: bound[:2] for name, bound in CEILINGS.items()} == {
+    assert {name: bound[:2] for name, bound in lim.CEILINGS.items()} == {
         "wheelbase": (0.05, 1.0),
         "steer_left_max": (0.01, 0.6),
         "steer_right_max": (0.01, 0.6),
@@ -193,20 +157,13 @@ def test_ceilings_are_these_and_changing_one_is_a_decision():
 
 
 # What it promises for any sequence of orders.
-
-
 FAST = settings(derandomize=True, deadline=None, max_examples=300)
 limits_ = st.builds(
-    Limits,
-    wheelbase=st.floats(0.1, 0.6),
-    steer_left_max=st.floats(0.05, 0.6),
-    steer_right_max=st.floats(0.05, 0.6),
-    steer_rate_max=st.floats(0.1, 3.2),
-    speed_max=st.floats(0.1, 6.0),
-    accel_max=st.floats(0.1, 2.5),
-    decel_max=st.floats(1.5, 6.0),
+    lim.Limits, wheelbase=st.floats(0.1, 0.6), steer_left_max=st.floats(0.05, 0.6),
+    steer_right_max=st.floats(0.05, 0.6), steer_rate_max=st.floats(0.1, 3.2),
+    speed_max=st.floats(0.1, 6.0), accel_max=st.floats(0.1, 2.5), decel_max=st.floats(1.5, 6.0),
     lateral_accel_max=st.floats(0.1, 3.0),
-)
+)  # fmt: skip
 anything = st.floats(allow_nan=True, allow_infinity=True)
 orders = st.tuples(
     st.one_of(anything, st.floats(-1, 1)),
@@ -220,13 +177,13 @@ orders = st.tuples(
 @FAST
 @given(limits_, st.lists(orders, max_size=30))
 def test_every_output_of_any_sequence_is_finite_within_limits_and_rates(limits, sequence):
-    state, t_ns = make_limiter_state(limits, Command(0.0, 0.0), 0), 0
+    state, t_ns = lim.make_limiter_state(limits, Command(0.0, 0.0), 0), 0
     for steer, speed, measured, cap, step_ns in sequence:
         t_ns += step_ns
         dt = min(max((t_ns - state.t_ns) * 1e-9, 0.0), limits.step_max)
-        out = limit_order(limits, state, Command(steer, speed), measured, cap, t_ns)
+        out = lim.limit_order(limits, state, Command(steer, speed), measured, cap, t_ns)
         finite = isfinite(steer) and isfinite(speed) and isfinite(measured)
-        assert (out.verdict == Verdict.NOT_FINITE) == (not finite)
+        assert (out.verdict == lim.Verdict.NOT_FINITE) == (not finite)
         assert -limits.steer_right_max <= out.order.steer <= limits.steer_left_max
         assert 0.0 <= out.order.speed <= limits.speed_max
         assert abs(out.order.steer - state.order.steer) <= limits.steer_rate_max * dt + 1e-15
@@ -239,25 +196,23 @@ def test_every_output_of_any_sequence_is_finite_within_limits_and_rates(limits, 
 @given(limits_, st.floats(-0.6, 0.6), st.floats(0, 6), orders)
 def test_twice_is_once(limits, last_steer, last_speed, wish):
     steer, speed, measured, cap, step_ns = wish
-    state = make_limiter_state(limits, Command(last_steer, last_speed), 0)
-    once = limit_order(limits, state, Command(steer, speed), measured, cap, step_ns)
-    again = limit_order(
-        limits, state, once.order, measured if isfinite(measured) else 0.0, cap, step_ns
-    )
-    if once.verdict != Verdict.NOT_FINITE:
+    state = lim.make_limiter_state(limits, Command(last_steer, last_speed), 0)
+    once = lim.limit_order(limits, state, Command(steer, speed), measured, cap, step_ns)
+    seen = measured if isfinite(measured) else 0.0
+    again = lim.limit_order(limits, state, once.order, seen, cap, step_ns)
+    if once.verdict != lim.Verdict.NOT_FINITE:
         assert again.order == once.order
-        later = limit_order(limits, once.state, once.order, measured, cap, once.state.t_ns)
+        later = lim.limit_order(limits, once.state, once.order, measured, cap, once.state.t_ns)
         assert later.order == once.order
 
 
 @FAST
 @given(limits_, st.floats(-1, 1), st.floats(0, 8))
 def test_steady_wishes_settle_within_the_lateral_limit(limits, steer, speed):
-    state = make_limiter_state(limits, Command(0.0, 0.0), 0)
+    state = lim.make_limiter_state(limits, Command(0.0, 0.0), 0)
     for k in range(1, 4000):
-        out = limit_order(
-            limits, state, Command(steer, speed), state.order.speed, inf, k * 10**7 * 2
-        )
+        wish, t_ns = Command(steer, speed), k * 10**7 * 2
+        out = lim.limit_order(limits, state, wish, state.order.speed, inf, t_ns)
         lateral = out.order.speed**2 * tan(abs(out.order.steer)) / limits.wheelbase
         assert lateral <= limits.lateral_accel_max * (1 + 1e-9)
         if out.order == state.order:

@@ -5,7 +5,7 @@ commands at 200 Hz, wheel speed at 200 Hz, poses at 100 Hz that arrive 6 ms afte
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,8 +38,6 @@ def slalom(t: float) -> Command[float]:
 
 @dataclass(frozen=True)
 class Drive:
-    """Ground truth and what the instruments said."""
-
     truth: dict[int, State[float]]  # by time [ns], every tick
     commands: list[tuple[int, Command[float] | None]]
     arrivals: list[tuple[int, Measurement]]  # (time of arrival, measurement) in order of arrival
@@ -52,18 +50,11 @@ def disturb(state: State[float], config: FilterConfig, h: float, noise: np.ndarr
 
 
 def simulated_drive(
-    seed: int,
-    seconds: float,
-    plan: Plan = slalom,
-    car: Car[float] = DEFAULT_CAR,
-    config: FilterConfig | None = None,
-    *,
-    first: State[float] | None = None,
-    pose_loss: float = 0.05,
-    gyro: bool = False,
-    add_noise: bool = True,
+    seed: int, seconds: float, plan: Plan = slalom, car: Car[float] = DEFAULT_CAR,
+    config: FilterConfig | None = None, *, first: State[float] | None = None,
+    pose_loss: float = 0.05, gyro: bool = False, add_noise: bool = True,
     chassis: Chassis = SINGLE_TRACK,
-) -> Drive:
+) -> Drive:  # fmt: skip
     config = config or FilterConfig()
     rng = np.random.default_rng(seed)
     h = H_NS * 1e-9
@@ -95,15 +86,7 @@ def _sent(plan: Plan, t_ns: int) -> Command[float]:
     return plan(tick * TICK_NS * 1e-9)
 
 
-def _readings(
-    rng: np.random.Generator,
-    car: Car[float],
-    config: FilterConfig,
-    t_ns: int,
-    state: State[float],
-    pose_loss: float,
-    gyro: bool,
-) -> Iterator[tuple[int, Measurement]]:
+def _readings(rng, car, config, t_ns, state, pose_loss, gyro):
     n = rng.standard_normal(6)
     wheel = state.speed / car.speed_gain + config.wheel_speed_sd * n[0]
     yield t_ns, make_wheel_speed(t_ns, wheel)
@@ -119,9 +102,7 @@ def _readings(
         yield t_ns + POSE_LATENCY_NS, pose
 
 
-def filtered(
-    flt: state_filter.StateFilter, drive: Drive, begin: state_filter.FilterState | None = None
-) -> Iterator[tuple[int, state_filter.FilterState]]:
+def filtered(flt, drive, begin=None):
     """The filter's state at every tick, fed as the daemon feeds it."""
     state = begin or state_filter.FilterState()
     waiting = iter(drive.arrivals)
@@ -135,17 +116,6 @@ def filtered(
         yield t_ns, state
 
 
-@pytest.fixture(scope="session")
-def simulate() -> Callable[..., Drive]:
-    return simulated_drive
-
-
-@pytest.fixture(scope="session")
-def run_filter() -> Callable[..., Iterator[tuple[int, state_filter.FilterState]]]:
-    return filtered
-
-
-@pytest.fixture(scope="session")
-def drive() -> Drive:
-    """Three seconds of slalom."""
-    return simulated_drive(seed=7, seconds=3.0)
+simulate = pytest.fixture(lambda: simulated_drive, scope="session")
+run_filter = pytest.fixture(lambda: filtered, scope="session")
+drive = pytest.fixture(lambda: simulated_drive(seed=7, seconds=3.0), scope="session")

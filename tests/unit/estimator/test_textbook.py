@@ -1,6 +1,7 @@
 """The filter's motion and its estimates against plainer ones that share only the plant."""
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,31 +20,20 @@ from steerd.car_model.rollout import start
 from steerd.car_model.rollout import step as plant_step
 from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import Command, State
+from steerd.estimator import state_filter as sf
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.history import NO_HISTORY, History, add_command
 from steerd.estimator.initial import make_belief
 from steerd.estimator.reference import Reference
 from steerd.estimator.sensors import Kind, make_gyro, make_pose, make_wheel_speed
-from steerd.estimator.state_filter import (
-    NO_TALLY,
-    FilterState,
-    Node,
-    StateFilter,
-    make_state_filter,
-    predict_to,
-    step,
-)
 from tests.textbook import noise_densities, rates_and_slopes
 
 CAR = DEFAULT_CAR
 CONFIG = FilterConfig(gate_probability=1.0 - 1e-9)
 MS = 1_000_000
 ROWS = {Kind.POSE: [0, 1, 2], Kind.WHEEL_SPEED: [3], Kind.GYRO: [4]}
-SDS = {
-    Kind.POSE: [CONFIG.pose_position_sd, CONFIG.pose_position_sd, CONFIG.pose_yaw_sd],
-    Kind.WHEEL_SPEED: [CONFIG.wheel_speed_sd],
-    Kind.GYRO: [CONFIG.gyro_sd],
-}
+SDS = {Kind.WHEEL_SPEED: [CONFIG.wheel_speed_sd], Kind.GYRO: [CONFIG.gyro_sd]}
+SDS[Kind.POSE] = [CONFIG.pose_position_sd, CONFIG.pose_position_sd, CONFIG.pose_yaw_sd]
 
 
 def textbook_motion(x: np.ndarray, command: Command[float]) -> np.ndarray:
@@ -51,21 +41,14 @@ def textbook_motion(x: np.ndarray, command: Command[float]) -> np.ndarray:
     return np.array(plant_step(FLOAT, Model(CAR), moment, command, 0.0, 0.001).state)
 
 
-def textbook_predict(
-    x: np.ndarray, P: np.ndarray, command: Command[float]
-) -> tuple[np.ndarray, np.ndarray]:
-    columns = [
-        (textbook_motion(x + unit, command) - textbook_motion(x - unit, command)) / 2e-6
-        for unit in np.eye(7) * 1e-6
-    ]
-    F = np.array(columns).T
+def textbook_predict(x: np.ndarray, P: np.ndarray, command: Command[float]):
+    ends = [[textbook_motion(x + s * u, command) for u in np.eye(7)] for s in (1e-6, -1e-6)]
+    F = (np.array(ends[0]) - ends[1]).T / 2e-6
     Q = 0.001 * np.diag(np.square(noise_densities(CONFIG, x[3])))
     return textbook_motion(x, command), F @ P @ F.T + 0.5 * (F @ Q @ F.T + Q)
 
 
-def textbook_update(
-    x: np.ndarray, P: np.ndarray, kind: Kind, z: tuple[float, ...]
-) -> tuple[np.ndarray, np.ndarray]:
+def textbook_update(x: np.ndarray, P: np.ndarray, kind: Kind, z: tuple[float, ...]):
     H = np.eye(7)[ROWS[kind]]
     R = np.diag(np.square(SDS[kind]))
     y = np.array(z) - H @ x
@@ -78,7 +61,7 @@ def textbook_update(
 @pytest.mark.parametrize("seed", [21, 22])
 def test_same_estimate_as_the_textbook(simulate, run_filter, seed):
     drive = simulate(seed, 1.0, config=CONFIG, gyro=True)
-    flt = make_state_filter(CAR, CONFIG)
+    flt = sf.make_state_filter(CAR, CONFIG)
     runs = list(run_filter(flt, drive))
     begin = next(state for _, state in runs if state.nodes).nodes[0]
     events = sorted(m for _, m in drive.arrivals if m > begin.measurement)
@@ -97,28 +80,19 @@ def test_same_estimate_as_the_textbook(simulate, run_filter, seed):
             events.pop(0)
         if t < end_ns:
             x, P = textbook_predict(x, P, Command(sent(t - delay).steer, sent(t).speed))
-    final = make_final(flt, runs[-1][1], drive, end_ns)
+    rest = [m for arrival, m in drive.arrivals if arrival > end_ns]  # was still under way
+    final = sf.predict_to(flt, sf.step(flt, runs[-1][1], end_ns, rest), end_ns)
     np.testing.assert_allclose(final.sd, np.sqrt(np.diag(P)), rtol=0.02)
     assert (np.abs(np.array(final.state) - x) < 0.05 * np.array(final.sd)).all()
-
-
-def make_final(flt: Any, state: Any, drive: Any, end_ns: int) -> Any:
-    """The estimate once what was still under way at the end has arrived too."""
-    rest = [m for arrival, m in drive.arrivals if arrival > end_ns]
-    estimate = predict_to(flt, step(flt, state, end_ns, rest), end_ns)
-    assert estimate is not None
-    return estimate
 
 
 # The motion between measurements: the implicit midpoint, its derivatives, its noise.
 QUIET = [0.0] * 7
 STATES = [
-    State(1.0, -2.0, 0.7, 2.0, 1.1, -0.04, 0.12),
-    State(0.0, 0.0, -3.0, 0.35, -0.3, 0.05, -0.2),
-    State(0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.1),
-    State(5.0, 1.0, 9.0, 4.5, -2.0, 0.02, -0.05),
+    State(1.0, -2.0, 0.7, 2.0, 1.1, -0.04, 0.12), State(0.0, 0.0, -3.0, 0.35, -0.3, 0.05, -0.2),
+    State(0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.1), State(5.0, 1.0, 9.0, 4.5, -2.0, 0.02, -0.05),
     State(0.0, 0.0, 0.3, -0.6, 0.2, 0.01, 0.2),
-]
+]  # fmt: skip
 
 
 def make_reference(chassis: Chassis, car=CAR) -> Reference:
@@ -146,15 +120,12 @@ def test_step_is_the_implicit_midpoint_of_the_whole_jacobian(chassis, state):
     assert mean[6] == driven.steer
 
 
-def plant(
-    chassis: Chassis, state: State[float], command: Command[float], seconds: float
-) -> np.ndarray:
+def plant(chassis: Chassis, state: State[float], command: Command[float], seconds: float):
     """RK4 at 0.1 ms under a constant command."""
     model = Model(CAR._replace(steer_delay=0.0), chassis=chassis)
     count = round(seconds / 1e-4)
-    return np.array(
-        simulate_car(FLOAT, model, start(model, state, 0.0), [command] * count, 1e-4)[-1].state
-    )
+    moments = simulate_car(FLOAT, model, start(model, state, 0.0), [command] * count, 1e-4)
+    return np.array(moments[-1].state)
 
 
 @every_chassis
@@ -209,8 +180,6 @@ def test_noise_enters_evenly_along_the_step(state):
 
 
 # The compiled filter gives what the reference gives, whose algebra is filterpy's.
-
-
 T0 = 10**12
 ODD_CAR = PAPER_CAR._replace(
     speed_gain=1.07, steer_gain=0.9, steer_bias=0.02, steer_delay=0.012, drive_delay=0.004,
@@ -218,14 +187,9 @@ ODD_CAR = PAPER_CAR._replace(
 )  # fmt: skip
 
 
-def both(
-    car: Car[float], chassis: Chassis = SINGLE_TRACK, config: FilterConfig | None = None
-) -> tuple[StateFilter, ...]:
-    """The reference and the compiled filter of a car."""
-    return tuple(
-        make_state_filter(car, config, chassis=chassis, reference=reference)
-        for reference in (True, False)
-    )
+def both(car: Car[float], chassis: Chassis = SINGLE_TRACK, config: FilterConfig | None = None):
+    make = partial(sf.make_state_filter, car, config, chassis=chassis)
+    return tuple(make(reference=reference) for reference in (True, False))
 
 
 def assert_close(found: Any, expected: Any) -> None:
@@ -234,8 +198,7 @@ def assert_close(found: Any, expected: Any) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11 * size)
 
 
-def assert_same(one: FilterState, other: FilterState) -> None:
-    """The same nodes."""
+def assert_same(one: sf.FilterState, other: sf.FilterState) -> None:
     assert len(one.nodes) == len(other.nodes)
     for a, b in zip(one.nodes, other.nodes, strict=True):
         assert_close(b.belief.mean, a.belief.mean)
@@ -253,7 +216,7 @@ def test_a_drive_gives_the_same(simulate, run_filter, car, chassis):
     for k, ((t_ns, one), (_, other)) in enumerate(pairs):
         if k % 40 == 0:
             assert_same(one, other)
-            seen = [predict_to(flt, s, t_ns) for flt, s in ((reference, one), (compiled, other))]
+            seen = [sf.predict_to(flt, s, t_ns) for flt, s in ((reference, one), (compiled, other))]
             if seen[0] is not None:
                 assert_close(seen[1].state, seen[0].state)
                 assert_close(seen[1].sd, seen[0].sd)
@@ -263,7 +226,7 @@ FINITE = st.floats(-1.0, 1.0)
 
 
 @st.composite
-def scenes(draw: st.DrawFn) -> tuple[Node, History, list[Any]]:
+def scenes(draw: st.DrawFn) -> tuple[sf.Node, History, list[Any]]:
     """A belief somewhere, orders about it, and what is measured after it."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     scale = np.array([3.0, 3.0, 3.0, 1.0, 2.0, 0.3, 0.3])
@@ -282,7 +245,7 @@ def scenes(draw: st.DrawFn) -> tuple[Node, History, list[Any]]:
     pose = (float(value) + 0.1 * draw(FINITE) for value in mean[:3])
     measured += [make_pose(T0 + place, *pose)]
     first = make_pose(T0, *mean[:3].tolist())
-    return (Node(first, belief, math.nan, True, NO_TALLY), History(times, orders), measured)
+    return (sf.Node(first, belief, math.nan, True, sf.NO_TALLY), History(times, orders), measured)
 
 
 @settings(max_examples=60)
@@ -294,12 +257,12 @@ def test_any_belief_orders_and_measurements_give_the_same(scene, car, chassis):
     end = T0 + 450 * MS
     states = []
     for flt in both(car, chassis):
-        state = step(flt, FilterState((node,), history), end, measured)
-        states.append((state, predict_to(flt, state, end)))
+        state = sf.step(flt, sf.FilterState((node,), history), end, measured)
+        states.append((state, sf.predict_to(flt, state, end)))
     (one, look), (other, compiled_look) = states
     moments = [*(node.measurement.t_ns for node in one.nodes[1:]), end]
     for passed, t_ns in zip(one.nodes, moments, strict=True):  # before each measurement
-        met = predict_to(flt, FilterState((passed,), history), t_ns)
+        met = sf.predict_to(flt, sf.FilterState((passed,), history), t_ns)
         assume(met.belief.covariance.max() < 1e2)  # 10 m: beyond, last places grow without end
     assert_same(one, other)
     assert_close(compiled_look.belief.covariance, look.belief.covariance)
@@ -309,24 +272,20 @@ def test_any_belief_orders_and_measurements_give_the_same(scene, car, chassis):
 def test_readings_that_are_no_numbers_are_not_believed():
     flts = both(DEFAULT_CAR)
     start = make_belief(np.zeros(7), np.eye(7))
-    node = Node(make_pose(T0, 0, 0, 0), start, math.nan, True, NO_TALLY)
+    node = sf.Node(make_pose(T0, 0, 0, 0), start, math.nan, True, sf.NO_TALLY)
     bad = [make_wheel_speed(T0 + MS, math.nan), make_pose(T0 + 2 * MS, 1e9, 0.0, 0.0)]
-    one, other = (step(flt, FilterState((node,)), T0 + 5 * MS, bad) for flt in flts)
+    one, other = (sf.step(flt, sf.FilterState((node,)), T0 + 5 * MS, bad) for flt in flts)
     assert_same(one, other)
     assert not other.nodes[-1].believed
 
 
-def test_a_belief_that_is_not_finite_is_not_sound_and_believes_nothing():
+def test_a_belief_that_is_not_finite_believes_nothing_and_a_long_chain_is_followed_to_its_end():
     kernel = both(DEFAULT_CAR)[1].kernel
     huge = make_belief(np.full(7, 1e300), 1e300 * np.eye(7))
     assert not kernel.predict(History(), huge, T0, T0 + 5 * MS).sound
     (link,) = kernel.fuse(History(), huge, T0, [make_gyro(T0 + MS, 0.0)])
     assert not link.believed
     assert not math.isfinite(link.nis)
-
-
-def test_a_long_chain_is_followed_to_its_end():
-    kernel = both(DEFAULT_CAR)[1].kernel
     chain = [make_gyro(T0 + k * MS, 0.0) for k in range(400)]
     found = kernel.fuse(History(), make_belief(np.zeros(7), np.eye(7)), T0, chain)
     assert len(found) == 400

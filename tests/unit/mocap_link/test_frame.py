@@ -36,9 +36,8 @@ def test_y_up_is_a_relabelling_on_1000_random_rotations():
         np.testing.assert_allclose(frame.relabel_vector(tuple(p), "y"), RELABEL @ p)
         # world and body axes are renamed alike: R' = P R P^T
         renamed = RELABEL @ matrix(q) @ RELABEL.T
-        np.testing.assert_allclose(
-            matrix(np.array(frame.relabel_quaternion((w, x, y, z), "y"))), renamed, atol=1e-12
-        )
+        relabelled = matrix(np.array(frame.relabel_quaternion((w, x, y, z), "y")))
+        np.testing.assert_allclose(relabelled, renamed, atol=1e-12)
         np.testing.assert_allclose(frame.rotate((w, x, y, z), tuple(p)), matrix(q) @ p, atol=1e-12)
         pose = frame.make_planar_pose(frame.FrameConfig(up="y"), tuple(p), (w, x, y, z))
         forward = renamed @ [1.0, 0.0, 0.0]
@@ -49,26 +48,24 @@ def test_y_up_is_a_relabelling_on_1000_random_rotations():
 
 @pytest.mark.parametrize(
     ("config", "q", "yaw"),
-    [
-        ({"up": "y", "body_forward": "+x"}, (cos(0.35), 0.0, sin(0.35), 0.0), 0.70),
-        ({"up": "y", "body_forward": "+z"}, (cos(0.35), 0.0, sin(0.35), 0.0), 0.70 - pi / 2),
-        ({"mount_yaw": radians(3.0)}, (cos(0.5), 0.0, 0.0, sin(0.5)), 1.0 - radians(3.0)),
-        ({}, (cos(0.5), 0.0, 0.0, sin(0.5)), 1.0),
-        ({}, (-cos(0.5), 0.0, 0.0, -sin(0.5)), 1.0),
-    ],
+    [({"up": "y", "body_forward": "+x"}, (cos(0.35), 0.0, sin(0.35), 0.0), 0.70),
+     ({"up": "y", "body_forward": "+z"}, (cos(0.35), 0.0, sin(0.35), 0.0), 0.70 - pi / 2),
+     ({"mount_yaw": radians(3.0)}, (cos(0.5), 0.0, 0.0, sin(0.5)), 1.0 - radians(3.0)),
+     ({}, (cos(0.5), 0.0, 0.0, sin(0.5)), 1.0), ({}, (-cos(0.5), 0.0, 0.0, -sin(0.5)), 1.0)],
     ids=["forward along x", "forward along z", "mounted askew", "q", "-q is the same"],
-)
+)  # fmt: skip
 def test_yaw_by_axis_mount_and_sign(config, q, yaw):
     pose = frame.make_planar_pose(frame.FrameConfig(**config), (1.0, 2.0, 3.0), q)
     assert pose.yaw == pytest.approx(yaw)
 
 
-def test_offsets_by_hand():
-    # car faces +y; marker 0.21 m ahead of the rear axle and 0.015 m right; CoG 0.17 m ahead
+def test_offsets_by_hand_and_angles_that_wrap_into_the_half_open_turn():
     config = frame.FrameConfig(marker_rear_x=0.21, marker_rear_y=-0.015, cog_ahead_of_rear=0.17)
     q = (cos(pi / 4), 0.0, 0.0, sin(pi / 4))
     pose = frame.make_planar_pose(config, (1.0, 2.0, 0.1), q)
     assert (pose.x, pose.y) == pytest.approx((1.0 - 0.015, 2.0 - 0.04))
+    assert (frame.wrap_angle(-pi), frame.wrap_angle(pi)) == (pi, pi)
+    assert frame.wrap_angle(3 * pi + 0.1) == pytest.approx(-pi + 0.1)
 
 
 @pytest.mark.parametrize("up", ["y", "z"])
@@ -96,14 +93,7 @@ def test_meaningless_configurations_are_refused(bad):
         frame.FrameConfig(**bad)  # type: ignore[arg-type]
 
 
-def test_wrap_angle_is_half_open():
-    assert frame.wrap_angle(-pi) == pi
-    assert frame.wrap_angle(pi) == pi
-    assert frame.wrap_angle(3 * pi + 0.1) == pytest.approx(-pi + 0.1)
-
-
 # Addresses and the source state machine.
-
 MS = 1_000_000
 
 GOOD = {
@@ -117,27 +107,19 @@ GOOD = {
     "ros2:///pf/pose/odom": MocapUrl("ros2", key="pf/pose/odom", up="z"),
 }
 BAD = {
-    "": "expected natnet",
-    "car": "expected natnet",
-    "tcp://h/car": "expected natnet",
-    "natnet:h/car": "expected natnet",
-    "natnet:///car": "no host",
-    "natnet://h": "no body",
-    "natnet://h:port/car": "port must be",
-    "natnet://h:99999/car": "port must be",
-    "natnet://h/id:x": "not an id",
-    "vrpn://h/id:4": "only NatNet",
-    "vrpn://h/car?unicast=1": "unknown option",
-    "natnet://h/car?up=x": "up must be y or z",
+    "": "expected natnet", "car": "expected natnet", "tcp://h/car": "expected natnet",
+    "natnet:h/car": "expected natnet", "natnet:///car": "no host", "natnet://h": "no body",
+    "natnet://h:port/car": "port must be", "natnet://h:99999/car": "port must be",
+    "natnet://h/id:x": "not an id", "vrpn://h/id:4": "only NatNet",
+    "vrpn://h/car?unicast=1": "unknown option", "natnet://h/car?up=x": "up must be y or z",
     "natnet://h/car?interface=": "no value",
-    "natnet://h/car?speed=3": "known: interface, unicast, up",
-    "zenoh:": "zenoh key",
+    "natnet://h/car?speed=3": "known: interface, unicast, up", "zenoh:": "zenoh key",
     "zenoh:/a": "zenoh key",
     **dict.fromkeys(
         ("ros2:/pf", "ros2://host/pf", "ros2:///", "ros2:///a//b", "ros2:///a/*", "ros2:///a/"),
         "ros2:///pf/pose/odom",
     ),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("text", GOOD)
@@ -155,13 +137,6 @@ def feed(s: MonitorState, t_ms: float, good: bool | None = None) -> MonitorState
     return step_monitor(s, round(t_ms * MS), connected=True, clock_ready=True, good=good)
 
 
-def bring_up() -> MonitorState:
-    s = MonitorState()
-    for i in range(10):
-        s = feed(s, 10 * i, True)
-    return s
-
-
 def test_start_up():
     s = step_monitor(MonitorState(), 0, connected=False, clock_ready=False)
     assert s.state is SourceState.CONNECTING
@@ -177,11 +152,9 @@ def test_start_up():
 
 @pytest.mark.parametrize(
     ("frames", "state"),
-    [
-        ("G" * 9, "syncing"), ("G" * 10, "ok"), ("G" * 9 + "B" + "G" * 9, "syncing"),
-        ("G" * 9 + "B" + "G" * 10, "ok"), ("G" * 10 + "B" * 20, "lost"),
-        ("G" * 10 + "." * 41 + "G" * 9, "lost"), ("G" * 10 + "." * 41 + "G" * 10, "ok"),
-    ],
+    [("G" * 9, "syncing"), ("G" * 10, "ok"), ("G" * 9 + "B" + "G" * 9, "syncing"),
+     ("G" * 9 + "B" + "G" * 10, "ok"), ("G" * 10 + "B" * 20, "lost"),
+     ("G" * 10 + "." * 41 + "G" * 9, "lost"), ("G" * 10 + "." * 41 + "G" * 10, "ok")],
 )  # fmt: skip
 def test_ten_good_frames_in_a_row_are_life_and_bad_ones_are_none(frames, state):
     """Good, bad and missing frames every 10 ms."""
@@ -192,7 +165,9 @@ def test_ten_good_frames_in_a_row_are_life_and_bad_ones_are_none(frames, state):
 
 
 def test_timing_of_stale_and_lost_is_exact():
-    s = bring_up()
+    s = MonitorState()
+    for i in range(10):
+        s = feed(s, 10 * i, True)
     assert s.state is SourceState.OK
     for ms, state in {120: "ok", 120.001: "stale", 240: "stale", 240.001: "lost"}.items():
         assert feed(s, ms).state == state  # the last good frame was at 90 ms
@@ -216,16 +191,7 @@ def at(pose: Pose, frame: int | None, t_ns: int) -> Pose:
     return replace(pose, frame=frame, t_valid_ns=t_ns)
 
 
-def run(
-    place: Callable[[int], Pose],
-    n: int,
-    state: GateState | None = None,
-    *,
-    first: int = 0,
-    config: GateConfig = GATES,
-    stationary: bool = False,
-    wheel_speed: float = 1.0,
-) -> tuple[GateState, list[str | None]]:
+def run(place, n, state=None, *, first=0, config=GATES, stationary=False, wheel_speed=1.0):
     """Feed frames `first` .. `first + n - 1` at 100 Hz."""
     state, reasons = state or GateState(), []
     for i in range(first, first + n):
@@ -238,7 +204,6 @@ def run(
 
 
 def drive(i: int) -> Pose:
-    """1 m/s along x."""
     return make_pose(0.5 + 0.01 * i)
 
 
@@ -259,8 +224,7 @@ def test_a_few_false_poses_leave_the_true_ones_in(speed, beyond, count):
         return make_pose(0.5 + 0.01 * speed * i + aside)
 
     _, reasons = run(place, 60)
-    assert reasons[20] == "jump"
-    assert reasons[20 + count :] == [None] * (40 - count)
+    assert (reasons[20], reasons[20 + count :]) == ("jump", [None] * (40 - count))
 
 
 @pytest.mark.parametrize(
@@ -293,14 +257,16 @@ def test_a_stopped_car_is_taken_in_where_fifteen_poses_agree(place, reasons):
 def test_frozen_needs_turning_wheels(wheel_speed, rejected):
     still = drive(0)
     _, reasons = run(lambda i: still, 10, wheel_speed=wheel_speed)
-    assert reasons.count("frozen") == rejected
-    assert reasons[:4] == [None] * 4
+    assert (reasons.count("frozen"), reasons[:4]) == (rejected, [None] * 4)
 
 
-def test_frame_order():
+def test_frame_order_and_the_unit_of_the_mean_error():
     state, _ = run(drive, 5)
     for number, reason in ((4, "duplicate"), (2, "out_of_order"), (None, None), (7, None)):
         assert step_gates(GATES, state, at(drive(5), number, 50 * MS))[1] == reason
+    pose = replace(drive(0), position=(500.0, 1.0, 100.0), mean_error=0.5)
+    assert step_gates(GATES, GateState(), pose, metres_per_unit=1e-3)[1] is None
+    assert step_gates(GATES, GateState(), pose)[1] == "mean_error"
 
 
 NOT_FINITE = {"x": nan, "y": nan, "yaw": nan, "height": nan, "tilt": nan}
@@ -321,9 +287,3 @@ def test_a_pose_that_is_none_is_rejected_with_its_reason(wrong, reason):
     pose = at(drive(1), 1, 10 * MS)
     assert step_gates(GATES, state, pose)[1] is None
     assert step_gates(GATES, state, replace(pose, **wrong))[1] == reason
-
-
-def test_mean_error_is_in_the_servers_unit():
-    pose = replace(drive(0), position=(500.0, 1.0, 100.0), mean_error=0.5)
-    assert step_gates(GATES, GateState(), pose, metres_per_unit=1e-3)[1] is None
-    assert step_gates(GATES, GateState(), pose)[1] == "mean_error"

@@ -1,8 +1,4 @@
-"""A mocap room with the faults of the catalogue, over real datagrams in virtual time.
-
-Each fault must end in its reason and its state, and no accepted pose may be further from the
-truth than the gates allow.
-"""
+"""A mocap room with faults over datagrams: each ends in its reason, and no pose lies far off."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -42,9 +38,7 @@ QUIET = MocapConfig(
 class Room:
     """A server, a car in a bend, a network and a source in one virtual time."""
 
-    def __init__(
-        self, *faults: Fault, follow: str = "car", source: Any = None, **mocap: Any
-    ) -> None:
+    def __init__(self, *faults: Fault, follow: str = "car", source: Any = None, **mocap: Any):
         config = WorldConfig(mocap=replace(QUIET, **mocap), keep_bytes=False, start=START)
         self.world = World(config, faults)
         self.world.vesc.motor.config = replace(self.world.vesc.motor.config, timeout_ms=0)
@@ -90,7 +84,6 @@ class Room:
         return self.off[id(sample)][0]
 
     def count(self, name: str) -> int:
-        """How many poses were rejected for this reason."""
         return sum(sample.rejected == name for sample in self.samples)
 
     def assert_no_jump(self, samples: Iterable[Pose], most: float = 0.03) -> None:
@@ -230,15 +223,12 @@ def test_what_keeps_poses_away_is_explained(given, deaf, refused, words):
     assert not refused or all(s.rejected for s in samples[3:])
 
 
-def test_connect_backs_off():
+def test_connect_backs_off_and_echoes_and_keepalives_keep_their_pace():
     source, sent = NatNetSource("car", SERVER, IngestConfig()), []
     for k in range(4000):
         sent += [k * 0.005 for _ in source.on_timer(k * 5 * MS)]
     gaps = [round(b - a, 3) for a, b in pairwise(sent)]
     assert gaps[:5] == [0.5, 1.0, 2.0, 4.0, 5.0]
-
-
-def test_echoes_and_keepalives_keep_their_pace():
     room = Room()
     room.run(10.0)
     assert 20 + 19 <= sum(isinstance(m, natnet.EchoRequest) for m in room.sent) <= 20 + 21

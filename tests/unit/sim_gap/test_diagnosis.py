@@ -16,14 +16,12 @@ NOISE = Noise((7e-4, 2e-3, 0.02, 0.05), (0.4, 0.4, 2.5), 1e-4)
 
 @pytest.fixture(scope="module")
 def quiet(base):
-    """The base car with its noise known."""
     return replace(base, sections={"noise": noise_section(NOISE)})
 
 
 def test_a_healthy_car_has_no_gap(drive, base):
     told = diagnose(Case(drive("", seed=2), base, GapOptions(pairs=False)))
-    assert told.verdict == "none"
-    assert told.causes == ()
+    assert (told.verdict, told.causes) == ("none", ())
     assert "noise was learnt" in " ".join(told.notes)
 
 

@@ -46,8 +46,7 @@ def test_a_stated_wheelbase_and_what_is_held_stay(drive, base, refined):
     found = refine(base, runs, stated)
     length = base.car.lf + base.car.lr
     assert found.car.lf + found.car.lr == pytest.approx(length, abs=3e-4)
-    assert found.car.steer_gain == base.car.steer_gain
-    assert found.car.c_sr == base.car.c_sr
+    assert (found.car.steer_gain, found.car.c_sr) == (base.car.steer_gain, base.car.c_sr)
     assert "tyre_saturation" not in {e.name for e in found.effects}
     assert found.sd["c_sr"] == base.sd["c_sr"]
     assert found.sd["lf"] < 0.8 * refined.sd["lf"], "a known distance helps to find the rest"

@@ -42,9 +42,7 @@ class Host:
         return replies[-1] if replies else None
 
     def values(self) -> Values:
-        reply = self.ask(c.GetValues())
-        assert isinstance(reply, Values)
-        return reply
+        return self.ask(c.GetValues())
 
     def hold(self, ms: float, *commands: c.Command) -> None:
         """Repeat commands every 10 ms, as a control loop does."""

@@ -23,21 +23,17 @@ class Drive:
     order: list
 
 
-TOPIC_OF = {
-    cls: f"/steerd/car1/{type_name(cls).rpartition('/')[2].lower()}" for cls in OWN_MESSAGES
-}
+TOPIC_OF = {c: f"/steerd/car1/{type_name(c).rpartition('/')[2].lower()}" for c in OWN_MESSAGES}
 
 
 @pytest.fixture(scope="session")
 def drive(tmp_path_factory):
     path, rng = tmp_path_factory.mktemp("drive") / "drive.mcap", np.random.default_rng(0)
     writer = SessionWriter(
-        path,
-        {topic: cls for cls, topic in TOPIC_OF.items()},
+        path, {topic: cls for cls, topic in TOPIC_OF.items()},
         {"steerd.session": {"car": "car1"}, "steerd.vehicle": {"mass_kg": "3.1"}},
-        {"car.toml": b"mass_kg = 3.1\n"},
-        START_NS,
-    )
+        {"car.toml": b"mass_kg = 3.1\n"}, START_NS,
+    )  # fmt: skip
     messages = {topic: [] for topic in TOPIC_OF.values()}
     order = []
     for tick in range(200):

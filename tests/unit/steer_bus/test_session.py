@@ -1,15 +1,19 @@
 """A session comes back as it was written: columns, recorded order, texts, names."""
 
 import dataclasses
+import io
 import shutil
 from operator import attrgetter
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader  # noqa: TID251
+from mcap.records import Attachment  # noqa: TID251
+from mcap.writer import Writer  # noqa: TID251
 from mcap_ros2.decoder import DecoderFactory
 
 from steerd.steer_bus.codec import encode
+from steerd.steer_bus.container_write import ContainerWriter
 from steerd.steer_bus.fields import flat_leaves
 from steerd.steer_bus.messages import (
     OWN_MESSAGES,
@@ -39,13 +43,11 @@ def clock(i, frame=WORLD):
 def test_info(drive):
     session = open_session(drive.path)
     info = session.info()
-    assert info.count == len(drive.order)
-    assert info.warnings == []
+    assert (info.count, info.warnings) == (len(drive.order), [])
     assert info.finished
     assert info.clean
     assert info.metadata["steerd.session"] == {"schema_version": "1", "car": "car1"}
-    assert info.metadata["steerd.end"] == {"reason": "test"}
-    assert info.attachments == ("car.toml",)
+    assert (info.metadata["steerd.end"], info.attachments) == ({"reason": "test"}, ("car.toml",))
     assert next(session.attachments()).media_type == "application/toml"
     assert info.duration_s == pytest.approx(0.995)
     assert all(topic.rate_hz == pytest.approx(200.0) for topic in info.topics)
@@ -91,8 +93,7 @@ def test_columns_of_a_topic_without_messages(tmp_path):
     writer = start(tmp_path / "a.mcap", state=StateMessage)
     session = open_session(writer.finish({}))
     columns = session.columns(StateMessage)
-    assert columns["x"].shape == (0,)
-    assert columns["x"].dtype == np.float64
+    assert (columns["x"].shape, columns["x"].dtype) == ((0,), np.float64)
 
 
 def test_log_time_never_goes_back(tmp_path):
@@ -203,3 +204,33 @@ def test_a_bad_text_at_the_end_and_big_endian_bytes_are_bad_messages(tmp_path, b
     with pytest.raises(SessionError) as caught:
         session.columns(Transition)
     assert caught.value.code == "bad_message"
+
+
+# Session files are the mcap library's, byte by byte.
+def test_bytes_are_the_librarys():
+    rng = np.random.default_rng(1)
+    theirs, ours = io.BytesIO(), io.BytesIO()
+    library, writer = Writer(theirs, enable_data_crcs=True), ContainerWriter(ours, "ros2")
+    library.start("ros2", "steerd")
+    for name, values in (("one", {"a": "b", "c": ""}), ("two", {})):
+        library.add_metadata(name, values)
+        writer.add_metadata(name, values)
+    library.add_attachment(3, 4, "car.toml", "application/toml", b"mass")
+    writer.add_attachment(Attachment(3, 4, "car.toml", "application/toml", b"mass"))
+    for k in range(3):
+        schema = library.register_schema(f"s{k}", "ros2msg", bytes(k))
+        assert writer.add_schema(f"s{k}", "ros2msg", bytes(k)) == schema
+        channel = library.register_channel(f"/t{k}", "cdr", schema, {"k": "v"})
+        assert writer.add_channel(f"/t{k}", "cdr", schema, {"k": "v"}) == channel
+    log_ns = 1000
+    for k in range(20_000):  # three chunks by their size, more by their flushes
+        log_ns += int(rng.integers(-50, 1000))
+        message = int(rng.integers(1, 4)), log_ns, rng.bytes(100), log_ns + 1, k
+        library.add_message(*message)
+        writer.add_message(*message)
+        if k % 3001 == 0:
+            library.flush()
+            writer.flush()
+    library.finish()
+    writer.finish()
+    assert ours.getvalue() == theirs.getvalue()

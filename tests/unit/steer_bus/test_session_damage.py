@@ -54,9 +54,8 @@ def text(value):
 def chunk(data, compression="zstd", raw=None, size=None, crc=None):
     raw = zstandard.compress(data) if raw is None else raw
     head = (0, 0, len(data) if size is None else size, zlib.crc32(data) if crc is None else crc)
-    return record(
-        6, struct.pack("<QQQI", *head) + text(compression) + struct.pack("<Q", len(raw)) + raw
-    )
+    body = text(compression) + struct.pack("<Q", len(raw)) + raw
+    return record(6, struct.pack("<QQQI", *head) + body)
 
 
 def channel(key=1, topic="/a", schema=1):
@@ -98,8 +97,7 @@ def test_truncation_keeps_everything_before_it(whole, tmp_path):
     for length in [*(len(data) * percent // 100 for percent in range(1, 99)), *within_the_end]:
         path = write(tmp_path / "a.mcap", data[:length])
         session, found = read_all(path)
-        assert found == records[: len(found)]
-        assert kinds(session)[-1] == "unfinished"
+        assert (found, kinds(session)[-1]) == (records[: len(found)], "unfinished")
         assert not session.info().clean
         kept.append(len(found))
     assert kept == sorted(kept)
@@ -137,15 +135,13 @@ def test_recovery_saves_what_reading_finds(whole, tmp_path):
     assert saved == found
     assert damaged.info().lost > 0
     info = session.info()
-    assert info.count == len(found)
-    assert info.warnings == []
+    assert (info.count, info.warnings) == (len(found), [])
     assert info.finished
     assert not info.clean
     assert info.metadata["steerd.recovered"]["source"] == "bad.mcap"
     assert session.attachment("car.toml") == b"mass_kg = 3.1\n"
-    assert session.columns(StateMessage)["x"].shape[0] == sum(
-        t.endswith("/state") for t, _, _ in found
-    )
+    states = sum(topic.endswith("/state") for topic, _, _ in found)
+    assert session.columns(StateMessage)["x"].shape[0] == states
 
 
 def test_a_bomb_is_refused_cheaply(tmp_path):
@@ -155,66 +151,42 @@ def test_a_bomb_is_refused_cheaply(tmp_path):
     maker = lz4.frame.LZ4FrameCompressor()  # its frame does not say how much it unpacks to
     silent = chunk(b"", "lz4", maker.begin() + maker.compress(bytes(60 << 20)) + maker.flush(), 999)
     path = write(
-        tmp_path / "a.mcap",
-        MAGIC,
-        chunk(b"", raw=bomb, size=60 << 20),
-        chunk(b"", raw=small, size=3 << 20),
-        chunk(b"", raw=bomb, size=1 << 50),
-        liar,
-        silent,
+        tmp_path / "a.mcap", MAGIC, chunk(b"", raw=bomb, size=60 << 20),
+        chunk(b"", raw=small, size=3 << 20), chunk(b"", raw=bomb, size=1 << 50), liar, silent,
         chunk(channel() + message()),
-    )
+    )  # fmt: skip
     tracemalloc.start()
     session, found = read_all(path)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert kinds(session) == ["damaged"] * 5 + ["unfinished"]
-    assert len(found) == 1
+    assert (kinds(session), len(found)) == (["damaged"] * 5 + ["unfinished"], 1)
     assert peak < 10 << 20
 
 
 @pytest.mark.parametrize(
     "bad",
-    [
-        chunk(message(), crc=1),
-        chunk(message(), "brotli"),
-        chunk(message(), "lz4"),
-        chunk(message(), raw=b"\x28\xb5\x2f\xfd rubbish"),
-        chunk(message(), raw=zstandard.compress(message())[:-3]),
-        chunk(b"\5\xff\0"),
-        chunk(record(5, b"short")),
-        chunk(record(4, b"")),
-        chunk(record(4, struct.pack("<HH", 3, 1) + text(b"\xff\xfe") + text("") + text(b""))),
-        chunk(struct.pack("<BQH", 5, 1 << 62, 1) + bytes(40)),
-        record(7, b"no index at all"),
-        record(11, bytes(46)),
-        record(9, bytes(10)),
-        record(12, text("name") + text(b"odd")),
-        record(0, b""),
-        record(15, b"12345"),
-        struct.pack("<BQ", 6, 1 << 63),
-    ],
-)
+    [chunk(message(), crc=1), chunk(message(), "brotli"), chunk(message(), "lz4"),
+     chunk(message(), raw=b"\x28\xb5\x2f\xfd rubbish"),
+     chunk(message(), raw=zstandard.compress(message())[:-3]), chunk(b"\5\xff\0"),
+     chunk(record(5, b"short")), chunk(record(4, b"")),
+     chunk(record(4, struct.pack("<HH", 3, 1) + text(b"\xff\xfe") + text("") + text(b""))),
+     chunk(struct.pack("<BQH", 5, 1 << 62, 1) + bytes(40)), record(7, b"no index at all"),
+     record(11, bytes(46)), record(9, bytes(10)), record(12, text("name") + text(b"odd")),
+     record(0, b""), record(15, b"12345"), struct.pack("<BQ", 6, 1 << 63)],
+)  # fmt: skip
 def test_a_bad_record_does_not_hide_the_next(tmp_path, bad):
     good = chunk(channel() + message(data=b"abc"))
     session, found = read_all(write(tmp_path / "a.mcap", MAGIC, bad, good))
-    assert kinds(session) == ["damaged", "unfinished"]
-    assert [data for _, _, data in found] == [b"abc"]
+    assert (kinds(session), [data for _, _, data in found]) == (["damaged", "unfinished"], [b"abc"])
 
 
-def test_unknown_records_are_passed_over_and_named(tmp_path):
+def test_unknown_records_messages_of_no_channel_and_channels_of_two_minds_or_too_many(tmp_path):
     path = write(tmp_path / "a.mcap", MAGIC, record(0x90, b"private"), chunk(channel() + message()))
     assert kinds(open_session(path)) == ["unknown_record", "unfinished"]
-
-
-def test_messages_of_no_channel_and_channels_of_two_minds(tmp_path):
     body = channel() + channel(topic="/b") + message() + message(key=9)
     session, found = read_all(write(tmp_path / "a.mcap", MAGIC, chunk(body)))
     assert kinds(session) == ["conflict", "unfinished", "unknown_channel"]
     assert [topic for topic, _, _ in found] == ["/a"]
-
-
-def test_too_many_channels_are_refused(tmp_path):
     body = b"".join(channel(key, f"/t{key}") for key in range(5000))
     session = open_session(write(tmp_path / "a.mcap", MAGIC, chunk(body)))
     assert kinds(session)[0] == "damaged"
@@ -225,8 +197,7 @@ def test_a_sparse_giant_is_left_at_once(tmp_path):
     path = write(tmp_path / "a.mcap", MAGIC, chunk(channel() + message()))
     os.truncate(path, 50 << 30)
     session, found = read_all(path)
-    assert kinds(session) == ["unfinished"]
-    assert len(found) == 1
+    assert (kinds(session), len(found)) == (["unfinished"], 1)
 
 
 def test_schemas_of_a_lost_first_chunk_come_from_the_summary(whole, tmp_path):
@@ -235,8 +206,7 @@ def test_schemas_of_a_lost_first_chunk_come_from_the_summary(whole, tmp_path):
     bad = bytearray(data)
     bad[start + 200] ^= 0xFF
     session, found = read_all(write(tmp_path / "a.mcap", bytes(bad)))
-    assert kinds(session)[0] == "damaged"
-    assert found == records[-len(found) :]
+    assert (kinds(session)[0], found) == ("damaged", records[-len(found) :])
     assert session.columns(StateMessage)["x"].size > 0
 
 

@@ -90,16 +90,13 @@ def test_whatever_byte_is_the_last_one(tmp_path, room_for, whole):
 
 
 # A file is replaced whole or not at all.
-
-
 def test_a_file_is_made_and_replaced(tmp_path):
     path = tmp_path / "car.toml"
     write_atomically(path, "mass = 3.5 # kg, ±0.1\n")
     assert path.read_text(encoding="utf-8") == "mass = 3.5 # kg, ±0.1\n"
     assert stat.S_IMODE(path.stat().st_mode) == 0o644
     write_atomically(path, b"\x00\xff", mode=0o600)
-    assert path.read_bytes() == b"\x00\xff"
-    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert (path.read_bytes(), stat.S_IMODE(path.stat().st_mode)) == (b"\x00\xff", 0o600)
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -113,12 +110,10 @@ def test_a_write_that_fails_keeps_the_old_file_and_leaves_nothing(tmp_path, monk
     monkeypatch.setattr(atomic_file.os, "fsync", full)
     with pytest.raises(OSError, match="No space left"):
         write_atomically(path, "new")
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]
+    assert (path.read_text(), list(tmp_path.iterdir())) == ("old", [path])
 
 
 # A writer that is killed loses at most the last quarter of a second.
-
 WRITER = """
 import sys
 from pathlib import Path

@@ -1,11 +1,11 @@
 """Drives whose truth is known: the compiled car driven over excitation plans, with seeded noise."""
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
+from steerd.car_model.effects import parse_effects
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.data.data_checks import Array
@@ -53,9 +53,7 @@ def mixed_commands(seconds: float, seed: int, lateral: float = 5.0) -> Array:
     return np.column_stack([steer, speed])
 
 
-def simulate_run(
-    model: Model[float], commands: Array, first: Array, seed: int, noise: Noise = ORDINARY
-) -> Run:
+def simulate_run(model, commands, first, seed, noise=ORDINARY):
     """A drive of a known car, poses and wheel speed at 200 Hz."""
     count, path = len(commands), march_states(model, commands, first, STEP)
     rng = np.random.default_rng([7, seed])
@@ -70,13 +68,7 @@ def simulate_run(
     )  # fmt: skip
 
 
-def drive(
-    model: Model[float],
-    seconds: float,
-    seed: int,
-    noise: Noise = ORDINARY,
-    speed: float | None = None,
-) -> Run:
+def drive(model, seconds, seed, noise=ORDINARY, speed=None):
     """A mixed drive from 1.5 m/s straight ahead; all of it at one speed where one is given."""
     first = np.array([0.0, 0.0, 0.0, speed or 1.5, 0.0, 0.0, 0.0])
     commands = mixed_commands(seconds, seed)
@@ -97,34 +89,16 @@ def circle_runs(count: int = 6, seconds: float = 4.0) -> list[Run]:
     return runs
 
 
-@pytest.fixture(scope="session")
-def truth() -> Model[float]:
-    return Model(TRUTH)
-
-
-@pytest.fixture(scope="session")
-def make_drive() -> Callable[..., Run]:
-    return drive
-
-
-@pytest.fixture(scope="session")
-def make_circles() -> Callable[..., list[Run]]:
-    return circle_runs
-
-
-@pytest.fixture(scope="session")
-def simulated() -> Callable[..., Run]:
-    return simulate_run
+truth = pytest.fixture(lambda: Model(TRUTH), scope="session")
+make_drive = pytest.fixture(lambda: drive, scope="session")
+make_circles = pytest.fixture(lambda: circle_runs, scope="session")
+simulated = pytest.fixture(lambda: simulate_run, scope="session")
 
 
 @pytest.fixture(scope="session")
 def rich_model() -> Model[float]:
     """Memory, a linkage, two delays and time-dependent grip, all away from their nulls."""
-    from steerd.car_model.effects import parse_effects
-
-    settings = parse_effects(
-        "grip_drift=0.5,1,mocap_latency=0.0021,steer_backlash=0.02,steer_delay=0.011,tyre_relaxation=0.07"
-    )
+    text = "grip_drift=0.5,1,mocap_latency=0.0021,steer_backlash=0.02,steer_delay=0.011"
+    effects, values = zip(*parse_effects(f"{text},tyre_relaxation=0.07"), strict=True)
     car = DEFAULT_CAR._replace(steer_delay=0.0128, drive_delay=0.004, pose_delay=0.0033)
-    effects: Any = tuple(effect for effect, _ in settings)
-    return Model(car, effects, tuple(values for _, values in settings))
+    return Model(car, effects, values)

@@ -13,6 +13,7 @@ from steerd.sim_hw.vesc.vesc_device import make_fw_version
 from steerd.sim_hw.vesc.vesc_motor import VescConfig
 from steerd.vesc_link import commands as c
 from steerd.vesc_link import identity as i
+from steerd.vesc_link import scaling as s
 from steerd.vesc_link import telemetry as t
 from steerd.vesc_link.commands import Command, SetErpm, SetServoPos
 from steerd.vesc_link.frames import encode_frame
@@ -26,21 +27,9 @@ from steerd.vesc_link.packets import (
     encode_reply,
     expects_reply,
 )
-from steerd.vesc_link.scaling import (
-    F1TENTH,
-    Scaling,
-    as_sent,
-    erpm_to_speed,
-    servo_pos_to_steer,
-    speed_to_erpm,
-    steer_limits,
-    steer_to_servo_pos,
-)
 from steerd.vesc_link.wire import Field, host_number, pack_device
 
-LIMITS_SET = c.SetMcConfTemp(
-    0.5, 0.5, -9228.0, 9228.0, 0.25, 0.75, -500.0, 500.0, -20.0, 40.0, ack=False
-)
+LIMITS_SET = c.SetMcConfTemp(0.5, 0.5, -9228, 9228, 0.25, 0.75, -500, 500, -20, 40, ack=False)
 EXAMPLES: tuple[Command, ...] = (
     c.GetFwVersion(), c.GetValues(), c.SetDuty(-0.5), c.SetCurrent(1.25), c.SetCurrentBrake(8.0),
     c.SetErpm(1234.0), c.SetServoPos(0.25), c.GetAppConf(),
@@ -113,9 +102,8 @@ def test_what_feeds_the_motor_timeout_and_what_is_answered():
     assert expects_reply(dataclasses.replace(LIMITS_SET, ack=True))
     fast = encode_reply(dataclasses.replace(ALL_VALUES, mask=t.FAST_MASK))
     assert len(encode_frame(fast)) == 56, "one USB packet"
-    assert [fault_name(n) for n in (10, 33, 34)] == [
-        "BOOTING_FROM_WATCHDOG_RESET", "ABS_OVERSPEED", "FAULT_34",
-    ]  # fmt: skip
+    named = {10: "BOOTING_FROM_WATCHDOG_RESET", 33: "ABS_OVERSPEED", 34: "FAULT_34"}
+    assert {n: fault_name(n) for n in named} == named
     assert LIMITS.erpm_gain == pytest.approx(60 * 2 * 11.75 / (math.pi * 0.125))
 
 
@@ -135,13 +123,14 @@ def device_number(code: str, scale: float | None, value: float) -> float:
     return number
 
 
-def test_device_saturates_and_float_auto_has_no_denormals():
+def test_device_saturates_float_auto_has_no_denormals_and_the_longest_uptime_comes_back():
     assert device_number("h", 1e1, 1e9) == 32767
     assert device_number("B", None, -4) == 0
     assert host_number("f", None, 1e-39) == 0
     assert math.copysign(1, host_number("f", None, -0.0)) == 1
     with pytest.raises(ValueError, match="finite"):
         device_number("f", None, 3.5e38)
+    assert decode_reply(encode_reply(t.Uptime(0xFFFFFFFF))) == t.Uptime(0xFFFFFFFF)
 
 
 @pytest.mark.parametrize(("version", "size"), FULL_SIZE.items())
@@ -150,7 +139,6 @@ def test_full_telemetry_of_every_firmware(version, size):
     payload = encode_reply(ALL_VALUES, firmware)
     assert len(payload) == size == t.values_size(None, firmware)
     values = decode_reply(payload, firmware)
-    assert isinstance(values, t.Values)
     known = present(values)
     assert {k: v for k, v in present(ALL_VALUES).items() if k in known} == known
     assert (values.status is None) == (firmware < (5, 3))
@@ -175,13 +163,8 @@ IMU = t.Imu(
 )  # fmt: skip
 
 
-def test_the_longest_uptime_comes_back():
-    assert decode_reply(encode_reply(t.Uptime(0xFFFFFFFF))) == t.Uptime(0xFFFFFFFF)
-
-
 def test_board_without_imu_answers_zeros_and_is_recognised():
     nothing = decode_reply(encode_reply(t.Imu(t.IMU_ACCEL_GYRO_MASK)))
-    assert isinstance(nothing, t.Imu)
     assert not t.has_chip(nothing.accel_x, nothing.accel_y, nothing.accel_z)
     assert t.has_chip(IMU.accel_x, IMU.accel_y, IMU.accel_z)
 
@@ -200,9 +183,8 @@ def test_version_reply_of_every_firmware(firmware, size):
     payload = encode_reply(reply, Firmware(*firmware))
     assert len(payload) == size
     got = decode_reply(payload)
-    assert isinstance(got, i.FwVersion)
-    assert got.firmware == firmware
     assert got == (reply if size > 3 else i.FwVersion(*firmware))
+    assert got.firmware == firmware
     with pytest.raises(ValueError, match="12 bytes"):
         encode_reply(dataclasses.replace(reply, uuid=b"short"), FW_7_01)
 
@@ -215,64 +197,51 @@ def test_reply_with_a_number_that_is_none_is_refused(reply):
 
 
 # Scaling between packets and SI units.
-
-
 def test_f1tenth_numbers_of_the_spec_page():
-    assert speed_to_erpm(F1TENTH, 1.0) == 4614.0
-    assert erpm_to_speed(F1TENTH, 23250.0) == pytest.approx(5.04, abs=0.002)
-    assert steer_to_servo_pos(F1TENTH, 0.0) == 0.5304
-    right, left = steer_limits(F1TENTH)
+    assert s.speed_to_erpm(s.F1TENTH, 1.0) == 4614.0
+    assert s.erpm_to_speed(s.F1TENTH, 23250.0) == pytest.approx(5.04, abs=0.002)
+    assert s.steer_to_servo_pos(s.F1TENTH, 0.0) == 0.5304
+    right, left = s.steer_limits(s.F1TENTH)
     assert math.degrees(left) == pytest.approx(17.96, abs=0.01)
     assert math.degrees(right) == pytest.approx(-15.09, abs=0.01)
 
 
 @pytest.mark.parametrize(("steer", "speed"), [(-0.26, -5.0), (-0.1, -0.3), (0.0, 0.0), (0.31, 5.0)])
 def test_angles_and_speeds_with_an_offset_come_back(steer, speed):
-    scaling = Scaling(erpm_offset=35.0)
-    assert servo_pos_to_steer(scaling, steer_to_servo_pos(scaling, steer)) == pytest.approx(steer)
-    assert erpm_to_speed(scaling, speed_to_erpm(scaling, speed)) == pytest.approx(speed)
+    scaling = s.Scaling(erpm_offset=35.0)
+    position = s.steer_to_servo_pos(scaling, steer)
+    assert s.servo_pos_to_steer(scaling, position) == pytest.approx(steer)
+    assert s.erpm_to_speed(scaling, s.speed_to_erpm(scaling, speed)) == pytest.approx(speed)
 
 
 @pytest.mark.parametrize(
     ("convert", "least", "most"),
-    [(steer_to_servo_pos, 0.85, 0.15), (speed_to_erpm, -23250.0, 23250.0)],
+    [(s.steer_to_servo_pos, 0.85, 0.15), (s.speed_to_erpm, -23250.0, 23250.0)],
 )
 def test_numbers_are_clamped_both_ways_and_what_is_none_never(convert, least, most):
-    assert (convert(F1TENTH, -1e6), convert(F1TENTH, 1e6)) == (least, most)
+    assert (convert(s.F1TENTH, -1e6), convert(s.F1TENTH, 1e6)) == (least, most)
     for value in (math.nan, math.inf, -math.inf):
         with pytest.raises(ValueError, match="no command"):
-            convert(F1TENTH, value)
+            convert(s.F1TENTH, value)
 
 
 @pytest.mark.parametrize(
     "wrong",
-    [
-        {"erpm_gain": 0.0},
-        {"servo_gain": 0.0},
-        {"erpm_gain": math.nan},
-        {"servo_min": 0.9},
-        {"servo_min": -0.1},
-        {"servo_max": 1.1},
-        {"erpm_max": 0.0},
-        {"erpm_max": math.inf},
-    ],
-)
+    [{"erpm_gain": 0.0}, {"servo_gain": 0.0}, {"erpm_gain": math.nan}, {"servo_min": 0.9},
+     {"servo_min": -0.1}, {"servo_max": 1.1}, {"erpm_max": 0.0}, {"erpm_max": math.inf}],
+)  # fmt: skip
 def test_unusable_calibration_is_refused(wrong):
     with pytest.raises(ValueError, match=r"must|finite"):
-        Scaling(**wrong)
+        s.Scaling(**wrong)
 
 
 # What filter and recording believe was sent is what a VESC makes of the bytes.
-
-
 @given(st.floats(-0.4, 0.4), st.floats(-6.0, 6.0))
 @settings(derandomize=True, deadline=None)
 def test_as_sent_is_what_the_device_decodes_and_sent_again_the_same(steer, speed):
-    servo = decode_command(encode_command(SetServoPos(steer_to_servo_pos(F1TENTH, steer))))
-    erpm = decode_command(encode_command(SetErpm(speed_to_erpm(F1TENTH, speed))))
-    assert isinstance(servo, SetServoPos)
-    assert isinstance(erpm, SetErpm)
-    once = as_sent(F1TENTH, steer, speed)
-    assert abs(once[0] - servo_pos_to_steer(F1TENTH, servo.servo_pos)) < 1e-6
-    assert abs(once[1] - erpm_to_speed(F1TENTH, erpm.erpm)) < 1e-9
-    assert as_sent(F1TENTH, *once) == pytest.approx(once, abs=1e-12)
+    servo = decode_command(encode_command(SetServoPos(s.steer_to_servo_pos(s.F1TENTH, steer))))
+    erpm = decode_command(encode_command(SetErpm(s.speed_to_erpm(s.F1TENTH, speed))))
+    once = s.as_sent(s.F1TENTH, steer, speed)
+    assert abs(once[0] - s.servo_pos_to_steer(s.F1TENTH, servo.servo_pos)) < 1e-6
+    assert abs(once[1] - s.erpm_to_speed(s.F1TENTH, erpm.erpm)) < 1e-9
+    assert s.as_sent(s.F1TENTH, *once) == pytest.approx(once, abs=1e-12)

@@ -9,37 +9,28 @@ from steerd.steer_bus.messages import ActuationMode
 from steerd.vesc_link import commands as c
 from steerd.vesc_link import identity as i
 from steerd.vesc_link import telemetry as t
+from steerd.vesc_link import vesc as v
 from steerd.vesc_link.commands import Command
 from steerd.vesc_link.frames import FrameParser, encode_frame
 from steerd.vesc_link.identity import limits_hold, make_restored_limits, make_session_limits
 from steerd.vesc_link.ids import FW_3_00, FW_5_03, FW_7_01, PROFILES, CommandId, Firmware, knows
 from steerd.vesc_link.packets import Reply, decode_command, encode_command, encode_reply
 from steerd.vesc_link.scaling import F1TENTH
-from steerd.vesc_link.vesc import (
-    CONNECT_TRIES,
-    EXPIRY_NS,
-    WRITE_LIMIT,
-    Answer,
-    Drive,
-    Event,
-    Rebooted,
-    VescLink,
-)  # fmt: skip
 
 MS = 1_000_000
 UUID = bytes(range(12))
 LIMITS = i.McConfTemp(1, 1, -23250, 23250, 0.005, 0.95, -1500, 1500, -20, 40, 4, 11.8, 0.1)
 VALUES = t.Values(erpm=4614.0, tachometer_abs=1000, fault=0, status=0)
-DRIVE = Drive(ActuationMode.SPEED, steer=0.1, speed=1.0)
-SILENT = Drive()
+DRIVE = v.Drive(ActuationMode.SPEED, steer=0.1, speed=1.0)
+SILENT = v.Drive()
 
 
-def brake(current: float, steer: float | None = None) -> Drive:
-    return Drive(ActuationMode.BRAKE, steer, current=current)
+def brake(current: float, steer: float | None = None) -> v.Drive:
+    return v.Drive(ActuationMode.BRAKE, steer, current=current)
 
 
-def go(steer: float, speed: float) -> Drive:
-    return Drive(ActuationMode.SPEED, steer, speed)
+def go(steer: float, speed: float) -> v.Drive:
+    return v.Drive(ActuationMode.SPEED, steer, speed)
 
 
 class Vesc:
@@ -61,9 +52,7 @@ class Vesc:
             assert command is not None, payload.hex()
             self.seen.append(command)
             replies.append(self._reply(command))
-        return b"".join(
-            encode_frame(encode_reply(reply, self.firmware)) for reply in replies if reply
-        )
+        return b"".join(encode_frame(encode_reply(each, self.firmware)) for each in replies if each)
 
     def _reply(self, command: Command) -> Reply | None:
         match command:
@@ -87,8 +76,8 @@ class Vesc:
                 return None
 
 
-def connect(link: VescLink, vesc: Vesc, t_ns: int = 0) -> list[Event]:
-    events: list[Event] = []
+def connect(link: v.VescLink, vesc: Vesc, t_ns: int = 0) -> list[v.Event]:
+    events: list[v.Event] = []
     for step in range(10):
         if link.ready:
             break
@@ -99,103 +88,93 @@ def connect(link: VescLink, vesc: Vesc, t_ns: int = 0) -> list[Event]:
     return events
 
 
-@pytest.fixture
-def vesc() -> Vesc:
-    return Vesc()
+vesc = pytest.fixture(lambda: Vesc())
 
 
 @pytest.fixture
-def link(vesc: Vesc) -> VescLink:
-    made = VescLink(F1TENTH)
+def link(vesc: Vesc) -> v.VescLink:
+    made = v.VescLink(F1TENTH)
     connect(made, vesc)
     return made
 
 
-def kinds(events: list[Event]) -> list[type[Reply | Rebooted]]:
+def kinds(events: list[v.Event]) -> list[type[Reply | v.Rebooted]]:
     """What was answered, or that it restarted."""
-    return [type(event.reply if isinstance(event, Answer) else event) for event in events]
+    return [type(event.reply if isinstance(event, v.Answer) else event) for event in events]
 
 
-def when(event: Event) -> tuple[int, int]:
-    assert isinstance(event, Answer)
+def when(event: v.Event) -> tuple[int, int]:
     return event.t_sent_ns, event.t_received_ns
 
 
-def telemetry_in(events: list[Event]) -> Answer:
-    return next(ev for ev in events if isinstance(ev, Answer) and isinstance(ev.reply, t.Values))
+def telemetry_in(events: list[v.Event]) -> v.Answer:
+    return next(ev for ev in events if isinstance(ev, v.Answer) and isinstance(ev.reply, t.Values))
 
 
 @pytest.mark.parametrize("uuid", [UUID, bytes(12)], ids=["expected", "another"])
 def test_connect_reads_who_it_is_and_how_it_is_set(vesc, uuid):
-    link = VescLink(F1TENTH, expected_uuid=uuid)
+    link = v.VescLink(F1TENTH, expected_uuid=uuid)
     events = connect(link, vesc)
     assert kinds(events) == [i.FwVersion, i.AppConf, i.McConfTemp]
     assert link.expected is (uuid == UUID)
-    assert link.firmware == FW_7_01
-    assert link.appconf == vesc.appconf
-    assert link.limits.erpm_max == 23250
+    assert (link.firmware, link.appconf, link.limits.erpm_max) == (FW_7_01, vesc.appconf, 23250)
     assert link.make_connect(10**9) == b""
 
 
 @pytest.mark.parametrize("firmware", [Firmware(2, 18), *PROFILES], ids=str)
 def test_connect_and_drive_with_every_firmware(firmware):
     vesc = Vesc(firmware)
-    link = VescLink(F1TENTH)
+    link = v.VescLink(F1TENTH)
     connect(link, vesc)
     assert (link.appconf is not None) == (firmware >= (3, 55))
     assert (link.limits is not None) == knows(firmware, CommandId.GET_MCCONF_TEMP)
     events = link.on_bytes(2 * MS, vesc.answer(link.make_tick(DRIVE, MS)))
     assert c.SetErpm(4614.0) in vesc.seen
     assert [s for s in vesc.seen if isinstance(s, c.SetServoPos)] == [c.SetServoPos(0.409)]
-    values = telemetry_in(events).reply
-    assert isinstance(values, t.Values)
-    assert values.erpm == 4614.0
+    assert telemetry_in(events).reply.erpm == 4614.0
     assert (t.Imu in kinds(events)) == (firmware >= (3, 52))
     assert (t.Uptime in kinds(events)) == (firmware >= FW_5_03)
 
 
 def test_connect_asks_again_after_silence_and_goes_on_without_configuration(vesc):
-    link = VescLink(F1TENTH)
+    link = v.VescLink(F1TENTH)
     assert link.make_connect(0) == encode_frame(b"\0")
-    assert link.make_connect(EXPIRY_NS) == b""
-    assert link.make_connect(EXPIRY_NS + 1) == encode_frame(b"\0")
-    link.on_bytes(EXPIRY_NS + 2, vesc.answer(encode_frame(b"\0")))
+    assert link.make_connect(v.EXPIRY_NS) == b""
+    assert link.make_connect(v.EXPIRY_NS + 1) == encode_frame(b"\0")
+    link.on_bytes(v.EXPIRY_NS + 2, vesc.answer(encode_frame(b"\0")))
     requested = []
     for n in range(2, 40):
         requested.append(link.make_connect(n * 100 * MS))
         link.on_bytes(n * 100 * MS, b"")
-    assert requested.count(encode_frame(b"\x11")) == CONNECT_TRIES
-    assert requested.count(encode_frame(b"\x5b")) == CONNECT_TRIES
+    assert requested.count(encode_frame(b"\x11")) == v.CONNECT_TRIES
+    assert requested.count(encode_frame(b"\x5b")) == v.CONNECT_TRIES
     assert link.ready
     assert link.appconf is None
 
 
 def test_one_tick_is_one_write_of_one_usb_packet_and_braking_needs_no_identity(link, vesc):
     data = link.make_tick(DRIVE, 0)
-    assert len(data) <= WRITE_LIMIT
+    assert len(data) <= v.WRITE_LIMIT
     vesc.answer(data)
     assert vesc.seen == [
         c.SetErpm(4614.0), c.SetServoPos(0.409), c.GetValuesSelective(t.FAST_MASK),
         c.GetImuData(t.IMU_ACCEL_GYRO_MASK), c.GetValuesSetupSelective(t.UPTIME_MASK),
     ]  # fmt: skip
     vesc.seen.clear()
-    vesc.answer(VescLink(F1TENTH).make_tick(brake(5.0), 0))
+    vesc.answer(v.VescLink(F1TENTH).make_tick(brake(5.0), 0))
     assert vesc.seen == [c.SetCurrentBrake(5.0)]
 
 
 @pytest.mark.parametrize(
     ("drive", "motion"),
-    [
-        (brake(8.0), [c.SetCurrentBrake(8.0)]),
-        (brake(8.0, 0.0), [c.SetCurrentBrake(8.0), c.SetServoPos(0.53)]),
-        (Drive(ActuationMode.SHORT), [c.SetDuty(0.0)]),
-        (Drive(ActuationMode.RELEASE), [c.SetCurrent(0.0)]),
-        (SILENT, []),
-        (Drive(steer=0.0), [c.SetServoPos(0.53)]),
-        (go(9.0, 99.0), [c.SetErpm(23250.0), c.SetServoPos(0.15)]),
-    ],
+    [(brake(8.0), [c.SetCurrentBrake(8.0)]),
+     (brake(8.0, 0.0), [c.SetCurrentBrake(8.0), c.SetServoPos(0.53)]),
+     (v.Drive(ActuationMode.SHORT), [c.SetDuty(0.0)]),
+     (v.Drive(ActuationMode.RELEASE), [c.SetCurrent(0.0)]), (SILENT, []),
+     (v.Drive(steer=0.0), [c.SetServoPos(0.53)]),
+     (go(9.0, 99.0), [c.SetErpm(23250.0), c.SetServoPos(0.15)])],
     ids=lambda value: type(value).__name__,
-)
+)  # fmt: skip
 def test_drive_orders(link, vesc, drive, motion):
     vesc.answer(link.make_tick(drive, 0))
     assert [s for s in vesc.seen if not type(s).__name__.startswith("Get")] == motion
@@ -216,8 +195,7 @@ def test_reply_carries_send_and_first_byte_stamps(link, vesc):
     assert link.on_bytes(11 * MS, reply[:1]) == []
     events = link.on_bytes(13 * MS, reply[1:])
     telemetry, imu, _ = events
-    assert kinds(events) == [t.Values, t.Imu, t.Uptime]
-    assert when(telemetry) == (10 * MS, 11 * MS)
+    assert (kinds(events), when(telemetry)) == ([t.Values, t.Imu, t.Uptime], (10 * MS, 11 * MS))
     assert telemetry_in(events).stamp_ns == 10 * MS + MS // 2
     assert when(imu) == (10 * MS, 13 * MS)
 
@@ -255,7 +233,7 @@ def test_replies_shorter_than_the_firmware_sends_are_refused(link, cut, whole):
 
 
 def test_old_firmware_accepts_its_own_table_alone():
-    link, vesc = VescLink(F1TENTH), Vesc(FW_3_00)
+    link, vesc = v.VescLink(F1TENTH), Vesc(FW_3_00)
     connect(link, vesc)
     link.make_tick(SILENT, 0)
     new_table = encode_frame(encode_reply(VALUES, FW_7_01))
@@ -270,7 +248,7 @@ def test_frames_that_answer_nothing_are_no_events(link):
 def test_restart_is_seen_by_uptime_tachometer_and_watchdog_fault(link, vesc):
     def reasons(n: int) -> list[str]:
         events = link.on_bytes(n, vesc.answer(link.make_tick(DRIVE, n)))
-        return [event.reason for event in events if isinstance(event, Rebooted)]
+        return [event.reason for event in events if isinstance(event, v.Rebooted)]
 
     assert reasons(0) == []
     vesc.uptime_ms = 10
@@ -285,7 +263,7 @@ def test_restart_is_seen_by_uptime_tachometer_and_watchdog_fault(link, vesc):
 
 
 def test_uptime_is_requested_once_a_second_and_alive_never_sent(link, vesc):
-    drives = itertools.cycle((DRIVE, brake(1.0), SILENT, Drive(ActuationMode.RELEASE)))
+    drives = itertools.cycle((DRIVE, brake(1.0), SILENT, v.Drive(ActuationMode.RELEASE)))
     for n in range(1000):
         t_ns = n * 5 * MS
         vesc.uptime_ms += 5
@@ -296,16 +274,15 @@ def test_uptime_is_requested_once_a_second_and_alive_never_sent(link, vesc):
 
 
 def test_requests_go_out_when_there_is_room(link, vesc):
-    assert link.limits is not None
     limits = make_session_limits(link.limits, erpm_max=9228.0)
     link.request(limits)
     link.request(c.GetMcConfTemp())
     data = link.make_tick(DRIVE, 0)
-    assert len(data) <= WRITE_LIMIT
+    assert len(data) <= v.WRITE_LIMIT
     link.on_bytes(0, vesc.answer(data))
     assert not any(isinstance(s, c.SetMcConfTemp) for s in vesc.seen)
     data = link.make_tick(SILENT, 5 * MS)
-    assert len(data) <= WRITE_LIMIT
+    assert len(data) <= v.WRITE_LIMIT
     events = link.on_bytes(6 * MS, vesc.answer(data))
     assert kinds(events) == [i.Ack, t.Values]
     sent = next(s for s in vesc.seen if isinstance(s, c.SetMcConfTemp))
@@ -315,12 +292,6 @@ def test_requests_go_out_when_there_is_room(link, vesc):
     assert i.McConfTemp in kinds(events)
     assert limits_hold(limits, link.limits)
     assert not limits_hold(make_restored_limits(LIMITS), link.limits)
-
-
-@pytest.mark.parametrize("command", [c.SetErpm(0.0), c.Alive(), c.SetServoPos(0.5), c.Reboot()])
-def test_what_drives_is_not_sent_on_request(link, command):
-    with pytest.raises(ValueError, match="not sent on request"):
-        link.request(command)
 
 
 def test_session_limits_only_ever_tighten():
@@ -345,18 +316,22 @@ def test_long_configuration_passes_the_running_ceiling_only_when_requested(link,
 
 def test_reset_forgets_the_device_and_its_fault(link, vesc):
     vesc.values = dataclasses.replace(VALUES, fault=10)
-    assert Rebooted in kinds(link.on_bytes(MS, vesc.answer(link.make_tick(DRIVE, 0))))
-    assert Rebooted not in kinds(link.on_bytes(3 * MS, vesc.answer(link.make_tick(DRIVE, 2 * MS))))
+    assert v.Rebooted in kinds(link.on_bytes(MS, vesc.answer(link.make_tick(DRIVE, 0))))
+    again = link.on_bytes(3 * MS, vesc.answer(link.make_tick(DRIVE, 2 * MS)))
+    assert v.Rebooted not in kinds(again)
     link.reset()
     assert (link.version, link.limits, link.ready) == (None, None, False)
     connect(link, vesc, 10 * MS)
     events = link.on_bytes(500 * MS, vesc.answer(link.make_tick(DRIVE, 500 * MS)))
-    assert Rebooted in kinds(events)
+    assert v.Rebooted in kinds(events)
 
 
-def test_request_for_a_firmware_that_cannot_is_refused_at_once():
-    link, vesc = VescLink(F1TENTH), Vesc(Firmware(3, 40))
+def test_a_request_that_drives_or_that_the_firmware_cannot_answer_is_refused_at_once():
+    link, vesc = v.VescLink(F1TENTH), Vesc(Firmware(3, 40))
     connect(link, vesc)
+    for command in (c.SetErpm(0.0), c.Alive(), c.SetServoPos(0.5), c.Reboot()):
+        with pytest.raises(ValueError, match="not sent on request"):
+            link.request(command)
     with pytest.raises(ValueError, match="needs firmware"):
         link.request(c.GetMcConfTemp())
     assert encode_command(c.GetMcConfTemp())

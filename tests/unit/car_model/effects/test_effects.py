@@ -8,7 +8,7 @@ import pytest
 from steerd.car_model.chassis import Axles, Rates, lateral_forces
 from steerd.car_model.effect import Contact
 from steerd.car_model.effects import ALIASES, EFFECTS, find_effect, parse_effects
-from steerd.car_model.model import Model, Moment, model_rates, observe
+from steerd.car_model.model import Model, model_rates, observe
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR, GRAVITY
 from steerd.car_model.planar import make_planar
@@ -23,37 +23,26 @@ NO_RATES = Rates(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 def steady_turn(speed: float, curvature: float) -> State[float]:
     return ORIGIN._replace(
-        speed=speed,
-        yaw_rate=speed * curvature,
-        slip_angle=steady_slip(CAR, speed, curvature),
+        speed=speed, yaw_rate=speed * curvature, slip_angle=steady_slip(CAR, speed, curvature),
         steer=feedforward_steer(CAR, speed, curvature),
-    )
+    )  # fmt: skip
 
 
-def drive(
-    name: str,
-    values: tuple[float, ...],
-    first: State[float],
-    command: Command[float],
-    seconds: float = 1.0,
-    h: float = 0.005,
-) -> list[Moment[float]]:
+def drive(name, values, first, command, seconds=1.0, h=0.005):
     model = Model(CAR, (EFFECTS[name],), (values,))
     return simulate(FLOAT, model, start(model, first, 0.0), [command] * round(seconds / h), h)
 
 
 def glided(
     name: str, values: tuple[float, ...], yaw: float = 0.0, accel: float = 0.0, h: float = 0.001
-) -> State[float]:
+):
     """A moment after 2 m/s, with straight wheels."""
     model = Model(CAR, (EFFECTS[name],), (values,))
     moment = start(model, ORIGIN._replace(speed=2.0, yaw=yaw), 0.0)
     return glide(FLOAT, model, moment, 0.0, accel, 0.0, h).state
 
 
-def tyres(
-    name: str, values: tuple[float, ...], slips: Axles[float], accel: float = 0.0, car=CAR
-) -> Axles[float]:
+def tyres(name: str, values: tuple[float, ...], slips: Axles[float], accel: float = 0.0, car=CAR):
     effect = EFFECTS[name]
     loads = loads_at(car, accel)
     linear = lateral_forces(car, slips, loads)
@@ -72,7 +61,7 @@ def test_backlash_holds_the_wheels_inside_the_gap():
     assert wheels == pytest.approx([0.0, 0.0, 0.01, 0.04, 0.04, 0.04, 0.01, -0.04])
 
 
-def test_relaxation_answers_a_slip_ramp_as_a_first_order_lag():
+def test_relaxation_is_a_first_order_lag_that_leaves_the_steady_turn_alone():
     effect = EFFECTS["tyre_relaxation"]
     length, speed, h, slope = 0.06, 2.0, 0.004, 0.5
     memory: tuple[float, ...] = (0.0, 0.0)
@@ -82,9 +71,6 @@ def test_relaxation_answers_a_slip_ramp_as_a_first_order_lag():
     tau = length / speed
     lag = -slope * tau * (1.0 - math.exp(-50 * h / tau))
     assert memory == pytest.approx((lag, 0.0), rel=1e-12)
-
-
-def test_relaxation_leaves_the_steady_turn_alone():
     turn = steady_turn(2.0, 0.6)
     last = drive("tyre_relaxation", (0.08,), turn, Command(turn.steer, 2.0), 3.0)[-1]
     assert last.state.yaw_rate == pytest.approx(1.2, rel=1e-6)
@@ -119,10 +105,9 @@ def test_a_drive_split_of_minus_a_half_makes_four_driven_wheels_two(
     split = EFFECTS["drive_split"]
     halves = Model(stiff, (split,), ((-0.5,),), make_planar("all"))
     all_four, rear = (Model(stiff, chassis=make_planar(drive)) for drive in ("all", "rear"))
-    got, four, two = (
-        np.array(model_rates(FLOAT, model, stiff, (), state, wheel, accel))
-        for model in (halves, all_four, rear)
-    )
+    models = (halves, all_four, rear)
+    rates = (model_rates(FLOAT, model, stiff, (), state, wheel, accel) for model in models)
+    got, four, two = map(np.array, rates)
     off, apart = np.abs(got - two), np.abs(four - two)
     assert (off <= 0.25 * apart + 1e-3).all(), (got, four, two)
 
@@ -192,14 +177,11 @@ def test_scrub_with_drag_one_takes_the_power_of_slip():
     assert -found.speed * CAR.mass * v == pytest.approx(power, rel=1e-9)
 
 
-def test_slope_pulls_downhill_whatever_the_heading():
+def test_slope_pulls_downhill_and_spins_the_wheels_up_along_the_path_alone():
     for yaw, sign in ((0.0, 1.0), (math.pi, -1.0), (math.pi / 2, 0.0)):
         moved = glided("floor_slope", (0.01, 0.0, 0.0), yaw=yaw, h=0.01)
         gained = (moved.speed - 2.0) / 0.01
         assert gained == pytest.approx(sign * 0.01 * GRAVITY, abs=1e-3)
-
-
-def test_slope_spins_the_wheels_up_along_the_path_and_not_across():
     down, across = (glided("floor_slope", (0.01, 0.0, 0.25), yaw=y) for y in (0.0, math.pi / 2))
     assert (down.speed - 2.0) / 0.001 == pytest.approx(0.01 * GRAVITY / 1.25, rel=1e-2)
     assert 2.0 * across.slip_angle / 0.001 == pytest.approx(-0.01 * GRAVITY, rel=0.1)
@@ -259,12 +241,9 @@ def test_instruments_see_the_marker_and_the_body_not_the_car():
 
 @pytest.mark.parametrize(
     ("name", "value", "angle", "wheel"),
-    [
-        ("steer_asymmetry", 0.1, 0.2, 0.22),
-        ("steer_asymmetry", 0.1, -0.2, -0.18),
-        ("steer_nonlinearity", -1.0, 0.3, 0.273),
-    ],
-)
+    [("steer_asymmetry", 0.1, 0.2, 0.22), ("steer_asymmetry", 0.1, -0.2, -0.18),
+     ("steer_nonlinearity", -1.0, 0.3, 0.273)],
+)  # fmt: skip
 def test_the_linkage_maps_servo_to_wheel(name, value, angle, wheel):
     linkage = EFFECTS[name].linkage
     assert linkage(FLOAT, (value,), (), angle)[0] == pytest.approx(wheel)
@@ -284,8 +263,6 @@ def test_limits_only_ever_lower():
 
 
 # Effects by name: what a command line may say and what a wrong one reports.
-
-
 @pytest.mark.parametrize(
     ("text", "found"),
     [
@@ -312,21 +289,14 @@ def test_aliases_lead_to_effects_and_hide_none():
 
 @pytest.mark.parametrize(
     ("text", "says"),
-    [
-        ("steer_dely=0.03", "did you mean 'steer_delay'"),
-        ("zzzz=1", "steerd effects"),
-        ("steer_delay", "NAME=VALUE"),
-        ("", "NAME=VALUE"),
-        ("steer_delay=", "must be a number"),
-        ("steer_delay=soon", "delay must be a number, not 'soon'"),
-        ("steer_delay=nan", "outside 0 to 0.3"),
-        ("steer_delay=inf", "outside"),
-        ("steer_delay=3", "delay is 3 s, outside 0 to 0.3"),
-        ("steer_delay=0.1,0.2", "takes delay, not 2 values"),
-        ("steer_delay:lag=0.1", "takes delay, not 'lag'"),
-        ("grip_patch:x=1,2", "NAME=VALUE"),
-    ],
-)
+    [("steer_dely=0.03", "did you mean 'steer_delay'"), ("zzzz=1", "steerd effects"),
+     ("steer_delay", "NAME=VALUE"), ("", "NAME=VALUE"), ("steer_delay=", "must be a number"),
+     ("steer_delay=soon", "delay must be a number, not 'soon'"),
+     ("steer_delay=nan", "outside 0 to 0.3"), ("steer_delay=inf", "outside"),
+     ("steer_delay=3", "delay is 3 s, outside 0 to 0.3"),
+     ("steer_delay=0.1,0.2", "takes delay, not 2 values"),
+     ("steer_delay:lag=0.1", "takes delay, not 'lag'"), ("grip_patch:x=1,2", "NAME=VALUE")],
+)  # fmt: skip
 def test_a_wrong_line_is_named_with_its_problem(text, says):
     with pytest.raises(ValueError, match=says.replace("(", r"\(")):
         parse_effects(text)

@@ -98,17 +98,14 @@ def _digest(effects, chassis):
         begin = 20 + np.arange(COUNT) % 3
         spans = np.column_stack([0 * begin, 0 * begin + STEPS, begin, 30 + begin % 3, begin % 2])
         reading = Windows(spans, H * begin)
-        places = [
-            (k, 3 * (k % 2), w * 120 + 3 * k, 1 - k % 2) for w in range(COUNT) for k in range(30)
-        ]
-        at = Stations(
-            np.array(places), rng.random(len(places)), 30 * np.arange(COUNT + 1), 120 * COUNT
-        )
+        each = product(range(COUNT), range(30))
+        places = [(k, 3 * (k % 2), w * 120 + 3 * k, 1 - k % 2) for w, k in each]
+        shares, begins = rng.random(len(places)), 30 * np.arange(COUNT + 1)
+        at = Stations(np.array(places), shares, begins, 120 * COUNT)
         seeds, dfirst = rng.normal(size=(len(p), N)), rng.normal(size=(STATES, N))
         y, jy = compute_readings(kernels, p, seeds, first[:, :STATES], dfirst, held, reading, at)
-        rows = np.unique(
-            np.concatenate([r + np.arange(3 if pose else 1) for _, _, r, pose in places])
-        )
+        seen_by = [r + np.arange(3 if pose else 1) for _, _, r, pose in places]
+        rows = np.unique(np.concatenate(seen_by))
         blocks = make_window_blocks(np.ascontiguousarray(spans[:, :3]), reading.t)
         path = march(kernels, p, first, held, blocks, 30)
         back = march_back(kernels, p, path, rng.normal(size=(COUNT, *path.shape[:2])), held, blocks)
@@ -195,16 +192,14 @@ def test_a_car_is_the_same_in_whatever_order_its_effects_are_named():
     back = forth._replace(effects=EVERY[::-1], values=forth.values[::-1])
     held, first = _drive(forth, 1.5)
     begin, orders = State(*first[0, :STATES].tolist()), [Command(*r) for r in held.rows.tolist()]
-    driven = [
-        [m.state for m in simulate(FLOAT, model, start(model, begin, 0.0), orders, H)]
-        for model in (forth, back)
-    ]
-    assert driven[0] == driven[1]
     blocks = make_window_blocks(np.tile(np.array([0, STEPS, 0]), (COUNT, 1)), np.zeros(COUNT))
-    paths = [
-        march(make_kernels(m.effects, PLANAR), parameter_vector(m), first, held, blocks, STEPS)
-        for m in (forth, back)
-    ]
+    driven, paths = [], []
+    for model in (forth, back):
+        moments = simulate(FLOAT, model, start(model, begin, 0.0), orders, H)
+        driven.append([m.state for m in moments])
+        kernels, p = make_kernels(model.effects, PLANAR), parameter_vector(model)
+        paths.append(march(kernels, p, first, held, blocks, STEPS))
+    assert driven[0] == driven[1]
     np.testing.assert_array_equal(*paths)
 
 
@@ -234,8 +229,6 @@ def test_a_missing_compiler_names_the_one_to_install(tmp_path):
 
 
 # Equations under bounds of their inputs: the same numbers, fewer operations.
-
-
 @given(formulas, st.floats(-2.0, 2.0), st.floats(0.0, 3.0), points)
 @settings(derandomize=True, deadline=None, max_examples=300)
 def test_any_expression_keeps_its_value_within_the_bounds(formula, low, width, point):
@@ -250,8 +243,6 @@ def test_any_expression_keeps_its_value_within_the_bounds(formula, low, width, p
 
 
 # Pieces of compiled work on several threads.
-
-
 @pytest.mark.parametrize("threads", [1, 2, 3])
 def test_every_piece_is_done_once_by_a_worker_with_a_number(monkeypatch, threads):
     monkeypatch.setenv("OMP_NUM_THREADS", str(threads))
@@ -261,15 +252,11 @@ def test_every_piece_is_done_once_by_a_worker_with_a_number(monkeypatch, threads
     assert {worker for _, worker in done} <= set(range(threads))
 
 
-def test_short_work_wakes_nobody(monkeypatch):
+def test_short_work_wakes_nobody_and_what_fails_in_another_thread_fails_here(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
     done = []
     share_out(lambda piece, worker: done.append((piece, worker)), 3, WORTHWHILE // 10)
     assert done == [(0, 0), (1, 0), (2, 0)]
-
-
-def test_what_fails_in_another_thread_fails_here(monkeypatch):
-    monkeypatch.setenv("OMP_NUM_THREADS", "2")
 
     def work(piece: int, _worker: int) -> None:
         raise ZeroDivisionError(piece)
@@ -294,8 +281,7 @@ def test_two_threads_give_the_numbers_of_one(monkeypatch):
         assert np.shares_memory(seen, path)
         back = windows.march_back(kernels, p, path, seen, held, blocks)
         found.append((seen, back.first, back.commands, back.parameters))
-        assert not len(
-            windows.march_back(kernels, p, path, seen, held, blocks, commands=False).commands
-        )
+        bare = windows.march_back(kernels, p, path, seen, held, blocks, commands=False)
+        assert not len(bare.commands)
     for one, other in zip(*found, strict=True):
         np.testing.assert_array_equal(one, other)

@@ -54,23 +54,18 @@ def test_known_circles() -> None:
     assert left.length == pytest.approx(4.0 * math.pi)
     np.testing.assert_allclose(np.hypot(left.x, np.array(left.y) - 2.0), 2.0)
     np.testing.assert_allclose(np.hypot(right.x, np.array(right.y) + 2.0), 2.0)
-    assert left.curvature[7] == 0.5
-    assert right.curvature[7] == -0.5
+    assert (left.curvature[7], right.curvature[7]) == (0.5, -0.5)
     assert left.yaw[1] > 0.0 > right.yaw[1]
 
 
-def test_figure_eight_is_drivable_and_crosses_itself_at_the_origin() -> None:
+def test_figure_eight_is_drivable_crosses_itself_at_the_origin_and_has_its_extent() -> None:
     path = parse_path("figure8")
     assert j0(path_spec.FIGURE_EIGHT_SWING) == pytest.approx(0.0, abs=1e-15)
-    assert max(map(abs, path.curvature)) == pytest.approx(
-        1.0 / path_spec.FIGURE_EIGHT_RADIUS, rel=1e-9
-    )
+    sharpest = 1.0 / path_spec.FIGURE_EIGHT_RADIUS
+    assert max(map(abs, path.curvature)) == pytest.approx(sharpest, rel=1e-9)
     half = len(path.x) // 2
     assert math.hypot(path.x[half], path.y[half]) < 1e-12
     assert sum(path.curvature) == pytest.approx(0.0, abs=1e-9)
-
-
-def test_figure_eight_of_a_size_has_that_extent() -> None:
     path = parse_path("figure8:size=4")
     points = np.column_stack([path.x, path.y])
     apart = np.linalg.norm(points[:, None] - points[None], axis=2)
@@ -79,30 +74,20 @@ def test_figure_eight_of_a_size_has_that_extent() -> None:
 
 @pytest.mark.parametrize(
     ("spec", "said"),
-    [
-        ("oval", "no path called 'oval'"),
-        ("circle:radius", "not name=value"),
-        ("circle:radius=big", "give a number"),
-        ("circle:radius=0", "circle:radius=2"),
-        ("circle:radius=nan", "circle:radius=2"),
-        ("circle:dir=left", "dir=ccw"),
-        ("circle:size=2", "no option size"),
-        ("line:length=-1", "line:length=20"),
-        ("line:length=inf", "line:length=20"),
-        ("figure8:radius=1,size=2", "not both"),
-        ("figure8:radius=-1", "figure8:radius=1.5"),
-        ("csv:", "which file"),
-        ("csv:/nowhere/at/all.csv", "No such file"),
-    ],
-)
+    [("oval", "no path called 'oval'"), ("circle:radius", "not name=value"),
+     ("circle:radius=big", "give a number"), ("circle:radius=0", "circle:radius=2"),
+     ("circle:radius=nan", "circle:radius=2"), ("circle:dir=left", "dir=ccw"),
+     ("circle:size=2", "no option size"), ("line:length=-1", "line:length=20"),
+     ("line:length=inf", "line:length=20"), ("figure8:radius=1,size=2", "not both"),
+     ("figure8:radius=-1", "figure8:radius=1.5"), ("csv:", "which file"),
+     ("csv:/nowhere/at/all.csv", "No such file")],
+)  # fmt: skip
 def test_a_wrong_spec_says_what_is_wrong(spec: str, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         parse_path(spec)
 
 
 # --- files
-
-
 def oval_points(count: int = 80) -> np.ndarray:
     u = math.tau * np.arange(count) / count
     return np.column_stack([3.0 * np.cos(u) + 5.0, 2.0 * np.sin(u) - 1.0])
@@ -126,7 +111,6 @@ def test_raceline_with_psi_from_north_or_from_x(offset: float) -> None:
     assert path.length == pytest.approx(15.8654396, abs=1e-3)  # 12 E(sqrt(5)/3)
     assert path.curvature[0] == pytest.approx(3.0 / 4.0, rel=5e-3)  # a / b^2 at the vertex
     assert path.yaw[0] == pytest.approx(math.pi / 2.0, abs=1e-3)
-    assert path.speed is not None
     assert max(path.speed) == pytest.approx(1.5, abs=0.01)
     assert path.width_left is None
 
@@ -142,10 +126,7 @@ def test_centreline_with_widths_placed_at_the_start(tmp_path: FilePath) -> None:
     file.write_text("# x_m, y_m, w_tr_right_m, w_tr_left_m\n" + "\n".join(rows))
     path = parse_path(f"csv:{file}")
     assert (path.x[0], path.y[0], path.yaw[0]) == (0.0, 0.0, 0.0)
-    assert path.width_left is not None
-    assert path.width_right is not None
-    assert path.width_left[3] == pytest.approx(0.9)
-    assert path.width_right[3] == pytest.approx(1.1)
+    assert (path.width_left[3], path.width_right[3]) == pytest.approx((0.9, 1.1))
     as_is = parse_path(f"csv:{file},place=as-is")
     assert (as_is.x[0], as_is.y[0]) == pytest.approx((8.0, -1.0))
 
@@ -160,28 +141,28 @@ def test_smoothing_calms_a_noisy_line() -> None:
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [
-        ("1,2\n3,4\n", "2 points"),
-        ("1,2,3\n" * 9, "columns"),
-        ("1,2\n" * 9, "do not move"),
-        ("0,0\n1,1\nx,2\n3,3\n4,4\n5,5", "line 3"),
-        ("0,0\n1,1\n2,nan\n3,3\n4,4\n5,5", "not finite"),
-        ("", "0 points"),
-    ],
-)
+    [("1,2\n3,4\n", "2 points"), ("1,2,3\n" * 9, "columns"), ("1,2\n" * 9, "do not move"),
+     ("0,0\n1,1\nx,2\n3,3\n4,4\n5,5", "line 3"), ("0,0\n1,1\n2,nan\n3,3\n4,4\n5,5", "not finite"),
+     ("", "0 points")],
+)  # fmt: skip
 def test_a_useless_file_says_why(text: str, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         read_track(text, "bad.csv")
 
 
-def test_a_wrong_place_option_says_what_to_use(tmp_path: FilePath) -> None:
+def test_a_place_or_a_file_that_is_none_is_refused_in_plain_words(tmp_path: FilePath) -> None:
     with pytest.raises(ValueError, match="place=start"):
         load_path(tmp_path / "x.csv", place="here")
+    binary = tmp_path / "points.csv"
+    binary.write_bytes(bytes(range(128, 256)))
+    for place, words in ((tmp_path, "Is a directory"), (binary, "not a text of points")):
+        with pytest.raises(ValueError, match=words) as caught:
+            parse_path(f"csv:{place}")
+        assert "Errno" not in str(caught.value)
+        assert "codec" not in str(caught.value)
 
 
 # --- projection
-
-
 @pytest.mark.parametrize("e1", [-0.3, 0.0, 0.3])
 def test_the_crossing_of_the_figure_eight_keeps_the_branch(e1: float) -> None:
     path = parse_path("figure8")
@@ -197,14 +178,11 @@ def test_the_crossing_of_the_figure_eight_keeps_the_branch(e1: float) -> None:
         hint, before = seen.hint, seen.s
 
 
-def test_a_heading_chooses_the_branch_at_the_crossing() -> None:
+def test_a_heading_chooses_the_branch_and_beyond_an_open_end_the_line_goes_on() -> None:
     path = parse_path("figure8")
     other = path.yaw[len(path.x) // 2]
     assert locate(path, 0.01, 0.0, yaw=other).s == pytest.approx(path.length / 2.0, abs=0.05)
     assert locate(path, 0.01, 0.0, yaw=0.0).s == pytest.approx(0.01, abs=0.01)
-
-
-def test_beyond_an_open_end_the_line_goes_on() -> None:
     path = parse_path("line:length=2")
     after = locate(path, 2.3, 0.4)
     assert (after.s, after.e1, after.curvature) == (2.0, 0.4, 0.0)
@@ -213,32 +191,22 @@ def test_beyond_an_open_end_the_line_goes_on() -> None:
     assert (before.s, before.e1) == (0.0, -0.4)
 
 
-def test_interpolation_goes_round_and_holds_at_ends() -> None:
+def test_interpolation_goes_round_and_holds_at_ends_and_angles_wrap() -> None:
     closed, line = parse_path("figure8"), parse_path("line:length=1")
     assert interpolate(closed, closed.curvature, closed.length) == closed.curvature[0]
-    assert interpolate(closed, closed.curvature, -0.5 * closed.step) == pytest.approx(
-        0.5 * (closed.curvature[0] + closed.curvature[-1])
-    )
-    assert interpolate(line, line.x, -1.0) == 0.0
-    assert interpolate(line, line.x, 9.0) == 1.0
+    between = 0.5 * (closed.curvature[0] + closed.curvature[-1])
+    assert interpolate(closed, closed.curvature, -0.5 * closed.step) == pytest.approx(between)
+    assert (interpolate(line, line.x, -1.0), interpolate(line, line.x, 9.0)) == (0.0, 1.0)
     assert interpolate(line, line.x, 0.333) == pytest.approx(0.333)
-
-
-def test_angles_wrap_into_the_half_open_turn() -> None:
-    assert wrap_angle(math.pi) == math.pi
-    assert wrap_angle(-math.pi) == math.pi
+    assert (wrap_angle(math.pi), wrap_angle(-math.pi)) == (math.pi, math.pi)
     assert wrap_angle(7.0) == pytest.approx(7.0 - math.tau)
 
 
 @pytest.mark.parametrize(
     ("changes", "said"),
-    [
-        ({"x": (0.0, 1.0)}, "at least 3"),
-        ({"step": 0.0}, "positive step"),
-        ({"yaw": (0.0,)}, "differ in length"),
-        ({"y": (0.0, math.nan, 0.0)}, "not finite"),
-    ],
-)
+    [({"x": (0.0, 1.0)}, "at least 3"), ({"step": 0.0}, "positive step"),
+     ({"yaw": (0.0,)}, "differ in length"), ({"y": (0.0, math.nan, 0.0)}, "not finite")],
+)  # fmt: skip
 def test_a_broken_path_is_refused(changes: dict[str, object], said: str) -> None:
     zero = (0.0, 0.0, 0.0)
     fields: dict[str, object] = {
@@ -249,19 +217,7 @@ def test_a_broken_path_is_refused(changes: dict[str, object], said: str) -> None
         Path(**{**fields, **changes})  # type: ignore[arg-type]
 
 
-def test_a_file_that_is_none_or_no_text_is_refused_in_plain_words(tmp_path):
-    binary = tmp_path / "points.csv"
-    binary.write_bytes(bytes(range(128, 256)))
-    for place, words in ((tmp_path, "Is a directory"), (binary, "not a text of points")):
-        with pytest.raises(ValueError, match=words) as caught:
-            parse_path(f"csv:{place}")
-        assert "Errno" not in str(caught.value)
-        assert "codec" not in str(caught.value)
-
-
 # Projection against a brute-force search on a fine resampling.
-
-
 PATHS = {spec: parse_path(spec) for spec in ("circle:radius=1.3", "figure8", "line:length=5")}
 
 

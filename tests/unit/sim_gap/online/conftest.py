@@ -18,10 +18,7 @@ NUISANCE = ("lf", "c_sf", "steer_lag")
 EFFECTS = ("steer_bias", "steer_gain", "marker_offset", "tyre_friction")
 DOF = 30
 
-
-@pytest.fixture(scope="session")
-def learner() -> Learner:
-    return make_learner(load_car(default_car_path()))
+learner = pytest.fixture(lambda: make_learner(load_car(default_car_path())), scope="session")
 
 
 @pytest.fixture(scope="session")
@@ -45,7 +42,6 @@ def learn() -> Callable[..., State]:
 
 @pytest.fixture
 def track(reference: Reference) -> Track:
-    """A base that many windows informed."""
     n = reference.space.nuisance
     prior = np.linalg.inv(reference.space.covariance[:n, :n])
     return Track(400.0 * prior, np.zeros(n), prior)

@@ -18,9 +18,7 @@ def follow(learner, samples, state=None):
     return state, reports
 
 
-@pytest.fixture(scope="module")
-def quiet(learner, drives):
-    return follow(learner, drives(32.0))
+quiet = pytest.fixture(lambda learner, drives: follow(learner, drives(32.0)), scope="module")
 
 
 def test_a_healthy_car_is_learnt_and_has_no_change(quiet):

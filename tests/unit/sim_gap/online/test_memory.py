@@ -12,17 +12,11 @@ from steerd.sysid.inference.space import make_space
 LEARNT = {"steer_bias": (0.004, 4e-4), "speed_gain": (0.979, 0.001)}
 
 
-def spread_of(augmented, name):
-    """Standard deviation of a parameter before a drive [its unit]."""
-    space = make_space(augmented, (name,))
-    place = space.chart.free.index(name)
-    row = space.chart.names.index(name)
-    return abs(space.chart.slopes(space.centre)[row, place]) * space.spread[place]
-
-
 def test_what_was_learnt_widens_each_day_until_the_car_file_says_as_much(learner):
     augmented = learner.augmented
-    before = spread_of(augmented, "steer_bias")
+    space = make_space(augmented, ("steer_bias",))
+    place, row = (n.index("steer_bias") for n in (space.chart.free, space.chart.names))
+    before = abs(space.chart.slopes(space.centre)[row, place]) * space.spread[place]
     for days in (0.0, 1.0, 4.0, 20.0):
         ((value, sd),) = remember(augmented, Memory({"steer_bias": (0.004, 4e-4)}, days)).values()
         assert value == 0.004
@@ -33,7 +27,7 @@ def test_what_was_learnt_widens_each_day_until_the_car_file_says_as_much(learner
     assert remember(augmented, Memory({**lengths, "no.such": (1.0, 0.1)}, 0.0)) == {}
 
 
-def test_memory_and_drive_are_joined(reference, track):
+def test_memory_and_drive_are_joined_and_nothing_remembered_changes_no_bit(reference, track):
     place, name = reference.space.chart.free.index("steer_lag"), "steer_lag"
     at = float(reference.space.centre[place])
     sd = float(np.sqrt(track.covariance[place, place]))
@@ -42,9 +36,6 @@ def test_memory_and_drive_are_joined(reference, track):
     assert np.sqrt(joined.covariance[place, place]) < 0.8 * sd
     others = [i for i in range(reference.space.nuisance) if i != place]
     np.testing.assert_array_equal(joined.mean[others], track.mean[others])
-
-
-def test_nothing_remembered_changes_no_bit(reference, track):
     for nothing in ({}, {"speed_gain": (1.0, 1e-3)}):
         joined = with_memory(reference, track, nothing)
         np.testing.assert_array_equal(joined.information, track.information)

@@ -28,25 +28,23 @@ def test_samples_are_kept_for_as_long_as_a_window_needs_them():
 
 @pytest.mark.parametrize(
     "sample",
-    [
-        samples.PoseSeen(2.0, math.nan, 0.0, 0.0),
-        samples.PoseSeen(math.inf, 0.0, 0.0, 0.0),
-        samples.PoseSeen(0.5, 9.0, 9.0, 9.0),
-        samples.Ordered(0.2, 0.3, 9.0),
-        samples.Rolled(1.0, math.inf),
-    ],
-)
+    [samples.PoseSeen(2.0, math.nan, 0.0, 0.0), samples.PoseSeen(math.inf, 0.0, 0.0, 0.0),
+     samples.PoseSeen(0.5, 9.0, 9.0, 9.0), samples.Ordered(0.2, 0.3, 9.0),
+     samples.Rolled(1.0, math.inf)],
+)  # fmt: skip
 def test_what_is_no_number_or_comes_late_is_left_out(sample):
     recent = driven(1.5)
     assert samples.take(recent, sample) == recent
 
 
-def test_a_window_needs_the_commands_before_it():
+def test_a_window_needs_the_commands_before_it_of_which_a_pause_leaves_none():
     recent = driven(1.5)
     assert samples.first_start(recent) == pytest.approx(samples.LEAD)
     run = samples.make_window(recent, 0.7, 0.0)
     assert run.pose.t[-1] - run.pose.t[0] == pytest.approx(samples.WINDOW, abs=0.011)
     assert run.pose.t[0] >= samples.LEAD - 0.011
+    recent = samples.take(driven(1.5), samples.Paused(1.5))
+    assert (recent, samples.first_start(recent)) == (samples.Recent(), math.inf)
 
 
 @pytest.mark.parametrize(
@@ -54,9 +52,3 @@ def test_a_window_needs_the_commands_before_it():
 )
 def test_a_car_that_does_not_drive_makes_no_window(speed, asked):
     assert samples.make_window(driven(1.5, speed, asked), 0.7, 0.0) is None
-
-
-def test_a_pause_ends_what_is_known_of_the_commands():
-    recent = samples.take(driven(1.5), samples.Paused(1.5))
-    assert recent == samples.Recent()
-    assert samples.first_start(recent) == math.inf

@@ -22,16 +22,13 @@ def known():
     return Track(PRIOR + np.diag([30.0, 90.0, 60.0]), np.array([3.0, -2.0, 1.0]), PRIOR)
 
 
-def test_a_window_that_tells_nothing_changes_nothing():
+def test_a_window_that_tells_nothing_changes_nothing_and_only_a_direction_that_is_told_fades():
     track = known()
     after = track
     for _ in range(5000):
         after = follow(after, np.zeros(3), np.zeros((3, 3)))
     np.testing.assert_allclose(after.information, track.information, rtol=1e-12)
     np.testing.assert_allclose(after.mean, track.mean, rtol=1e-9)
-
-
-def test_only_the_direction_that_is_told_fades():
     track, h = known(), np.diag([0.0, 0.5, 0.0])
     after = track
     for _ in range(2000):
@@ -68,8 +65,6 @@ def test_directions_do_not_depend_on_units():
 
 
 # Ratios of the last windows, and what of them a car shows as usual.
-
-
 def tables(reference, track, looks):
     """Ratios of windows, and the same with weights at the fit."""
     seen = [Seen(track, look) for look in looks]
@@ -77,19 +72,18 @@ def tables(reference, track, looks):
     return table, reweighted(reference, seen, table, np.ones_like(table))
 
 
-def test_ratios_rise_only_over_windows_since_the_change(reference, track, windows):
+def test_ratios_rise_over_windows_since_a_change_that_something_explains(reference, track, windows):
     looks = [*windows(8), *windows(4, seed=8, steer_bias=0.02)]
     table, _ = tables(reference, track, looks)
     bias = table[reference.space.effects.index("steer_bias")]
     assert int(np.nanargmax(bias)) == SPANS.index(4)
     assert bias[SPANS.index(4)] > 50.0
     assert np.isnan(bias[SPANS.index(16)])
-
-
-def test_quiet_windows_keep_their_ratios(reference, track, windows):
     seen = [Seen(track, look) for look in windows(6)]
     table = ratios(reference, seen)
     assert reweighted(reference, seen, table, np.full_like(table, np.nanmax(table))) is table
+    _, after = tables(reference, track, windows(2, left=40.0))
+    assert np.nanmax(after) < 20.0
 
 
 def test_a_plain_change_counts_for_more_than_its_outlying_windows(reference, track, windows):
@@ -111,11 +105,6 @@ def test_no_ratio_becomes_smaller_and_none_appears(reference, track, windows, of
         np.testing.assert_array_equal(table[row], after[row])
 
 
-def test_windows_that_nothing_explains_are_no_change(reference, track, windows):
-    _, after = tables(reference, track, windows(2, left=40.0))
-    assert np.nanmax(after) < 20.0
-
-
 def test_what_a_car_shows_as_usual_is_no_change():
     shape = (2, len(SPANS))
     loud = quiet = QuietRatios(*np.zeros((3, *shape)))
@@ -126,13 +115,9 @@ def test_what_a_car_shows_as_usual_is_no_change():
 
 
 # What is told of a change is by how much the car moved, whatever it was learnt to have before.
-
-
 def change(effect, after, was):
-    parameters = {
-        p.name: (value, 0.5, p.unit)
-        for p, value in zip(find_effect(effect).parameters, after, strict=True)
-    }
+    each = zip(find_effect(effect).parameters, after, strict=True)
+    parameters = {p.name: (value, 0.5, p.unit) for p, value in each}
     finding = Finding("named", Cause(effect, "", "", parameters, 0.95, (), ""))
     return Change(0.0, 1.0, None, (), finding, was)
 
@@ -155,7 +140,6 @@ def test_an_effect_moved_by_a_difference_or_a_quotient(effect, after, was, moved
 
 
 # A change is named as `diagnose` names a gap, about the car as the drive showed it.
-
 AT = 30.2
 
 
@@ -178,22 +162,15 @@ def test_windows_that_no_car_drove_say_nothing(reference, track):
     assert find_cause(reference, track, ()) == Finding("changed", None)
 
 
-@pytest.fixture(scope="module")
-def healthy(learner, drives, learn):
-    return learn(learner, drives(AT))
+healthy = pytest.fixture(lambda learner, drives, learn: learn(learner, drives(AT)), scope="module")
 
 
 @pytest.mark.slow
-def test_healthy_windows_have_no_cause(healthy):
+def test_healthy_windows_have_no_cause_and_only_what_a_lane_shows_at_once_can_come_about(healthy):
     known, runs = healthy.known, [run for _, run in healthy.windows]
     assert find_cause(known.reference, known.track, runs) == Finding("none", None)
     few = find_cause(known.reference, known.track, runs[-EARLY + 1 :])
     assert few == Finding("changed", None), "too early to say so"
-
-
-@pytest.mark.slow
-def test_only_what_a_lane_shows_at_once_can_have_come_about(healthy):
-    runs = [run for _, run in healthy.windows]
     possible = may_change(healthy.known.reference.augmented, runs)
     assert {"steer_lag", "steer_backlash", "marker_offset"} <= set(possible)
     assert not {"grip_drift", "grip_patch", "battery_sag"} & set(possible)

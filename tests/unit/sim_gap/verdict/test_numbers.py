@@ -9,17 +9,8 @@ from hypothesis import strategies as st
 
 from steerd.sim_gap.diagnosis import grown_leads
 from steerd.sim_gap.report.gap_report import headline, manoeuvre_words, share_words
+from steerd.sim_gap.verdict import where
 from steerd.sim_gap.verdict.shrinkage import _shares, explained_share, noise_level
-from steerd.sim_gap.verdict.where import (
-    FEW,
-    MOST,
-    Regime,
-    Share,
-    find_moments,
-    moments_words,
-    range_words,
-    sentence_of,
-)
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.likelihood import Reduced
 from steerd.sysid.inference.residuals import Gap, held_out, interval_of, robust_mean
@@ -30,14 +21,11 @@ def _gap(*errors: tuple[float, float]) -> Gap:
     return Gap(0.9, (0.8, 1.0), tuple((lead, off, 0.0, 0.0) for lead, off in errors), ())
 
 
-def test_position_errors_that_grow_are_told_by_their_lead():
+def test_position_errors_that_grow_are_told_by_their_lead_and_too_large_ones_with_what_to_do():
     before = _gap((0.1, 0.002), (1.0, 0.020), (3.0, 0.1))
     assert grown_leads(before, before) == ()
     assert grown_leads(before, _gap((0.1, 0.004), (1.0, 0.010), (3.0, 0.15))) == (3.0,)
     assert grown_leads(before, _gap((0.1, 0.005), (1.0, 0.025), (3.0, 0.05))) == (0.1, 1.0)
-
-
-def test_what_cannot_be_judged_says_how_far_it_is_off_and_what_to_do():
     before = _gap((1.0, 0.025), (3.0, 0.97))
     told = SimpleNamespace(verdict="unjudged", before=before, causes=(), next_manoeuvre=None)
     assert "cannot be judged: the simulation is 970 mm off after 3 s" in headline(told)
@@ -89,25 +77,23 @@ def test_a_fit_to_the_noise_leaves_a_whole_share():
 
 @pytest.mark.parametrize(
     ("low", "high", "unit", "words"),
-    [
-        (1.98, 2.02, "s", "1.980 to 2.020 s"), (68.2, 120.4, "s", "68 to 120 s"),
-        (2.0, 2.0, "s", "2.00 to 2.00 s"), (-np.pi / 2, 0.75, "rad", "-90 to 43°"),
-    ],
+    [(1.98, 2.02, "s", "1.980 to 2.020 s"), (68.2, 120.4, "s", "68 to 120 s"),
+     (2.0, 2.0, "s", "2.00 to 2.00 s"), (-np.pi / 2, 0.75, "rad", "-90 to 43°")],
 )  # fmt: skip
 def test_a_range_shows_the_digits_that_tell_its_ends_apart(low, high, unit, words):
-    assert range_words(Regime("run_time", low, high, 2.0, 0.5, 1.5, 3.0, unit)) == words
+    assert where.range_words(where.Regime("run_time", low, high, 2.0, 0.5, 1.5, 3.0, unit)) == words
 
 
 def test_the_sentence_names_equation_and_regime():
-    shares = [Share("steer", 0.8), Share("yaw", 0.2)]
-    hard = Regime("lateral_acceleration", 3.0, 5.0, 4.2, 0.9, 3.0, 6.0, "m/s^2")
-    text = sentence_of(shares, [hard])
+    shares = [where.Share("steer", 0.8), where.Share("yaw", 0.2)]
+    hard = where.Regime("lateral_acceleration", 3.0, 5.0, 4.2, 0.9, 3.0, 6.0, "m/s^2")
+    text = where.sentence_of(shares, [hard])
     assert "steering actuator (80%" in text
     assert "4.2 times as large when lateral acceleration is 3.0 to 5.0 m/s²" in text
-    even = Regime("speed", 1.0, 2.0, 1.2, 0.3, 0.8, 1.6, "m/s")
-    assert "much the same at every speed" in sentence_of(shares, [even])
+    even = where.Regime("speed", 1.0, 2.0, 1.2, 0.3, 0.8, 1.6, "m/s")
+    assert "much the same at every speed" in where.sentence_of(shares, [even])
     moments = "90% of it is in 1 of 30 windows: a.mcap at 3 s"
-    assert sentence_of(shares, [hard], moments).endswith(f"would remove); {moments}.")
+    assert where.sentence_of(shares, [hard], moments).endswith(f"would remove); {moments}.")
 
 
 @pytest.mark.parametrize(
@@ -141,10 +127,8 @@ def test_what_only_its_own_window_shows_gains_nothing_held_out():
     values = np.random.default_rng(1).standard_normal(24)
     fitted, folds = _line(values, float(values.mean())), np.arange(24) % 4
     losses = DOF * held_out(fitted, folds)
-    expected = [
-        np.square(v - values[folds != f].mean()) for v, f in zip(values, folds, strict=True)
-    ]
-    assert losses == pytest.approx(expected, rel=1e-4)
+    means = [values[folds != fold].mean() for fold in folds]
+    assert losses == pytest.approx(np.square(values - means), rel=1e-4)
     assert losses.sum() > fitted.at.square.sum()
 
 
@@ -170,43 +154,34 @@ def test_an_interval_of_more_than_half_tells_no_share():
 
 
 # When few windows hold most of a gap, they are listed; when it is spread, nothing is said.
-
-
 def words(bad, place, count=100):
     """The words about `count` windows a second apart of which `bad` have these ratios."""
     ratios = np.ones(count)
     ratios[list(bad)] = list(bad.values())
     names = ["a.mcap" if w < 50 else "b.mcap" for w in range(count)]
-    return moments_words(ratios, names, np.arange(count, dtype=float), place)
+    return where.moments_words(ratios, names, np.arange(count, dtype=float), place)
 
 
-def test_a_place_that_spun_the_car_twice_is_named_with_both_times():
+def test_moments_are_named_with_their_times_and_a_place_that_they_share():
     place = np.zeros((100, 2))
     place[[20, 70]] = [(2.0, -2.0), (3.0, -2.4)]
-    assert words({20: 31.0, 70: 26.0}, place) == (
-        "100% of it is in 2 of 100 windows: a.mcap at 20 s, b.mcap at 70 s, near x 2.5 m, y -2.2 m"
-    )
-
-
-def test_moments_at_different_places_have_no_place():
+    told = "in 2 of 100 windows: a.mcap at 20 s, b.mcap at 70 s, near x 2.5 m, y -2.2 m"
+    assert words({20: 31.0, 70: 26.0}, place) == f"100% of it is {told}"
     place = np.column_stack([np.arange(100.0), np.zeros(100)])
     said = words({5: 40.0, 25: 38.0, 60: 36.0, 90: 34.0, 95: 33.0}, place)
     assert said.startswith("100% of it is in 5 of 100 windows: a.mcap at 5 s, a.mcap at 25 s, b.")
     assert "near" not in said
-
-
-def test_what_is_spread_out_is_no_moment():
     assert words(dict.fromkeys(range(0, 100, 5), 9.0), np.zeros((100, 2))) == ""
     assert words({}, np.zeros((100, 2))) == ""
-    assert moments_words(np.zeros(0), [], np.zeros(0), np.zeros((0, 2))) == ""
+    assert where.moments_words(np.zeros(0), [], np.zeros(0), np.zeros((0, 2))) == ""
 
 
 @given(st.lists(st.floats(0.0, 1e6), max_size=200))
 def test_moments_are_few_and_hold_most(values):
     ratios = np.array(values)
-    worst = find_moments(ratios)
-    assert len(worst) <= FEW * len(ratios)
+    worst = where.find_moments(ratios)
+    assert len(worst) <= where.FEW * len(ratios)
     if len(worst):
         excess = np.clip(ratios - 1.0, 0.0, 1e3)
-        assert excess[worst].sum() >= MOST * excess.sum() * (1.0 - 1e-12)
+        assert excess[worst].sum() >= where.MOST * excess.sum() * (1.0 - 1e-12)
         assert excess[worst].min() >= np.delete(excess, worst).max(initial=0.0)

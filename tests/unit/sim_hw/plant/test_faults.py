@@ -22,22 +22,17 @@ from steerd.sim_hw.plant import faults
 from steerd.sim_hw.plant.faults import FAULTS, Fault, find_fault, make_condition
 from steerd.sim_hw.world import World, WorldConfig
 from steerd.vesc_link import commands as c
-from steerd.vesc_link.identity import AppConf
 from steerd.vesc_link.telemetry import Values
 
 MS = 1_000_000
 ON, OFF = 1000 * MS, 2000 * MS
 MakeHost = Callable[..., Any]
 VERSION = MocapConfig().version
-DRIVING = WorldConfig(
-    start=ORIGIN._replace(speed=1.0),
-    mocap=MocapConfig(bystanders=(Bystander("box", 2, (3, 1, 0)),)),
-)
+BESIDE = MocapConfig(bystanders=(Bystander("box", 2, (3, 1, 0)),))
+DRIVING = WorldConfig(start=ORIGIN._replace(speed=1.0), mocap=BESIDE)
 
 
 # --- the catalogue
-
-
 def test_catalogue_is_complete_and_each_entry_changes_the_fault_state():
     codes = [kind.code for kind in FAULTS if kind.code]
     assert codes == [f"M{n}" for n in range(1, 23)] + [f"V{n}" for n in range(1, 25)]
@@ -48,7 +43,7 @@ def test_catalogue_is_complete_and_each_entry_changes_the_fault_state():
         assert (condition.vesc == faults.HEALTHY_VESC) == (kind.target == "mocap")
 
 
-def test_windows_edges_and_mistakes():
+def test_windows_edges_sums_and_mistakes():
     fault = Fault("M4", 10, 20, jump=1.0)
     jumps = [make_condition([fault], t).mocap.jump for t in (9, 10, 19, 20)]
     assert jumps == [0.0, 1.0, 1.0, 0.0]
@@ -62,16 +57,11 @@ def test_windows_edges_and_mistakes():
             Fault(*bad)
     with pytest.raises(ValueError, match="no setting 'kump'"):
         Fault("M4", 0, kump=1.0)
-
-
-def test_faults_at_the_same_time_add_up():
     condition = make_condition([Fault("M4"), Fault("M5"), Fault("V4")], 5)
     assert (condition.mocap.jump, condition.mocap.drift, condition.vesc.mute) == (0.5, 0.1, True)
 
 
 # --- mocap
-
-
 def datagrams(*faults: Fault, config: WorldConfig = DRIVING, until: int = 3000) -> list[Datagram]:
     world = World(replace(config, keep_bytes=False), faults)
     world.mocap_write(0, natnet.encode(natnet.Bare.CONNECT))
@@ -115,13 +105,10 @@ def yaw(frame: Frame) -> float:
 CLEAN = frames()
 
 
-def test_m5_drift_grows():
+def test_m5_drift_grows_m21_the_clock_steps_and_the_model_changes():
     held = zip(during(frames(Fault("M5", ON, OFF))), during(CLEAN), strict=True)
     off = [place(f)[0] - place(clean)[0] for f, clean in held]
     assert (off[0], off[-1]) == pytest.approx((0.002, 0.1), abs=0.003)
-
-
-def test_m21_the_clock_steps_and_the_model_changes():
     for f, clean in zip(during(frames(Fault("M21", ON, OFF))), during(CLEAN), strict=True):
         assert f.mid_exposure_ticks - clean.mid_exposure_ticks == pytest.approx(10**7, abs=200)
         assert f.transmit_ticks > f.mid_exposure_ticks
@@ -136,7 +123,7 @@ def test_signs_that_alternate_do_so_from_frame_to_frame():
         assert all(a != b for a, b in pairwise(each))
 
 
-def test_m13_latency_m14_jitter():
+def test_m13_latency_m14_jitter_m15_out_of_order_m16_duplicated():
     late = [t for t, f in frames(Fault("M13", ON, OFF)) if 120 < f.number < 180]
     clean = [t for t, f in CLEAN if 120 < f.number < 180]
     assert {b - a for a, b in zip(clean, late, strict=True)} == {80 * MS}
@@ -144,13 +131,9 @@ def test_m13_latency_m14_jitter():
     spread = [jittery[f.number] - t for t, f in CLEAN if 120 < f.number < 180]
     assert 0 <= min(spread) < 5 * MS
     assert 30 * MS < max(spread) < 40 * MS
-
-
-def test_m15_out_of_order_m16_duplicated():
     numbers = [f.number for f in during(frames(Fault("M15", ON, OFF)))]
     steps = [b - a for a, b in pairwise(numbers)]
-    assert min(steps) == -1
-    assert sorted(numbers) == list(range(min(numbers), max(numbers) + 1))
+    assert (min(steps), sorted(numbers)) == (-1, list(range(min(numbers), max(numbers) + 1)))
     twice = [f.number for f in during(frames(Fault("M16", ON, OFF)))]
     assert [n for i, n in enumerate(twice) if i % 2 == 0] == sorted(set(twice))
 
@@ -208,8 +191,6 @@ def test_half_open_tcp_is_silent_for_those_connected_before():
 
 
 # --- serial
-
-
 @pytest.fixture
 def faulty(make_host: MakeHost) -> Callable[..., Any]:
     """A host that has driven at 1 m/s until the fault begins."""
@@ -253,10 +234,12 @@ def test_v8_garbage_and_v9_crc_errors_and_v12_wrong_replies(faulty):
     assert old.controller_id == 107
 
 
-def test_v11_false_long_header_comes_once(faulty):
+def test_v11_false_long_header_comes_once_v24_appconf_without_timeout(faulty):
     host = faulty("V11")
     host.run(100)
     assert host.world.serial_read(host.t_ns) == b"\x03\x02\x00"
+    reply = faulty("V24").ask(c.GetAppConf())
+    assert (reply.timeout_ms, reply.timeout_brake_current) == (0, 0.0)
 
 
 def test_v20_speed_sticks_and_v22_servo_stays(faulty):
@@ -277,12 +260,6 @@ def test_v23_second_client_keeps_the_timeout_from_striking(make_host):
     for _ in range(40):
         host.run(25)
         assert not host.values().status & 1
-
-
-def test_v24_appconf_without_timeout(faulty):
-    reply = faulty("V24").ask(c.GetAppConf())
-    assert isinstance(reply, AppConf)
-    assert (reply.timeout_ms, reply.timeout_brake_current) == (0, 0.0)
 
 
 def test_lossy_jittery_and_chatty_links_still_work(faulty):

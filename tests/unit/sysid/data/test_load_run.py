@@ -10,17 +10,8 @@ from numpy.typing import NDArray
 
 from steerd.car_model.effects import find_effect
 from steerd.car_model.ops import FLOAT
+from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import encode
-from steerd.steer_bus.messages import (
-    BODY,
-    WORLD,
-    Actuation,
-    ActuationMode,
-    MocapPose,
-    VescImu,
-    VescTelemetry,
-    make_header,
-)
 from steerd.steer_bus.session import SessionWriter
 from steerd.steer_bus.session_read import open_session
 from steerd.steer_bus.topics import ACTUATION, IMU, MOCAP, VESC, make_session_topic
@@ -33,26 +24,20 @@ BOOT = 55_000_000_000
 NAN = float("nan")
 
 
-def _pose(t_ns: int, x: float, yaw: float, reject: str) -> MocapPose:
-    header = make_header(EPOCH + t_ns, WORLD)
-    raw = (x, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    return MocapPose(
-        header, t_ns, t_ns + 2_000_000, 0, 0, 0, 1, *raw, NAN, x, 0.5, yaw, 0.0, 0.0, reject
-    )
-
-
 def _messages(t_ns: int, k: int) -> list[tuple[str, object]]:
-    x, header = 0.015 * k, make_header(EPOCH + t_ns, BODY)
+    x, reject = 0.015 * k + (5.0 if k == 150 else 0.0), "jump" if k == 150 else ""
+    header, world = (m.make_header(EPOCH + t_ns, frame) for frame in (m.BODY, m.WORLD))
     steer = 0.1 if k >= 100 else 0.0
-    mode = ActuationMode.BRAKE if k < 20 else ActuationMode.SPEED
+    mode = m.ActuationMode.BRAKE if k < 20 else m.ActuationMode.SPEED
     yaw = (3.1 + 0.01 * k + np.pi) % (2 * np.pi) - np.pi
-    pose = _pose(t_ns, x + (5.0 if k == 150 else 0.0), yaw, "jump" if k == 150 else "")
+    times, raw = (t_ns, t_ns + 2_000_000, 0, 0, 0), (x, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    pose = m.MocapPose(world, *times, 1, *raw, NAN, x, 0.5, yaw, 0.0, 0.0, reject)
     sent = (t_ns - 1_000_000, t_ns + 1_000_000)
     return [
         (MOCAP.name, pose),
-        (ACTUATION.name, Actuation(header, k, mode, steer, 1.5, NAN, b"")),
-        (VESC.name, VescTelemetry(header, *sent, -1, 9228, -1, -1, -1, -1, *(NAN,) * 10)),
-        (IMU.name, VescImu(header, *sent, *(NAN,) * 5, 1.0, *(NAN,) * 4)),
+        (ACTUATION.name, m.Actuation(header, k, mode, steer, 1.5, NAN, b"")),
+        (VESC.name, m.VescTelemetry(header, *sent, -1, 9228, -1, -1, -1, -1, *(NAN,) * 10)),
+        (IMU.name, m.VescImu(header, *sent, *(NAN,) * 5, 1.0, *(NAN,) * 4)),
     ]
 
 
@@ -60,9 +45,8 @@ def _messages(t_ns: int, k: int) -> list[tuple[str, object]]:
 def session(tmp_path):
     path = tmp_path / "drive.mcap"
     topics = {make_session_topic("car", t): t.message for t in (MOCAP, ACTUATION, VESC, IMU)}
-    writer = SessionWriter(
-        path, topics, {"steerd.scaling": {"erpm_gain": "4614", "erpm_offset": "0"}}
-    )
+    scaling = {"erpm_gain": "4614", "erpm_offset": "0"}
+    writer = SessionWriter(path, topics, {"steerd.scaling": scaling})
     for k in range(400):
         t_ns = BOOT + 10_000_000 * k
         for name, message in _messages(t_ns, k):
@@ -72,14 +56,12 @@ def session(tmp_path):
 
 def test_signals_share_the_commands_clock(session):
     run = read_run(open_session(session))
-    assert run.name == "drive.mcap"
-    assert run.speed_source == "command"
+    assert (run.name, run.speed_source) == ("drive.mcap", "command")
     assert len(run.pose.t) == 379  # 20 before the drive, one rejected
     assert run.pose.t[:2] == pytest.approx([0.0, 0.01], abs=1e-9)
     assert run.pose.values[0] == pytest.approx([0.3, 0.5, 3.3], abs=1e-9)
     assert np.diff(run.pose.values[:, 2]).max() < 0.03
-    assert run.wheel.values == pytest.approx(2.0)
-    assert run.yaw_rate.values == pytest.approx(1.0)
+    assert (run.wheel.values, run.yaw_rate.values) == (pytest.approx(2.0), pytest.approx(1.0))
     for told in (run.wheel, run.yaw_rate):  # midway between asking and hearing
         assert told.t[20:22] == pytest.approx([0.0, 0.01], abs=1e-9)
     assert run.commands[:, 1] == pytest.approx(1.5)
@@ -88,7 +70,6 @@ def test_signals_share_the_commands_clock(session):
 
 
 # How much of the past a window is given: all that play may remember, and no more.
-
 LEAST, MOST = 20, 400
 PLAY = find_effect("steer_backlash")
 
@@ -124,21 +105,14 @@ def test_a_stick_that_rests_is_given_the_whole_past():
 
 
 # The log jitter of two timers is found in a drive and corrected; other logs stay as they are.
-
 Array = NDArray[np.float64]
 
 SECONDS, SPEED, LENGTH, LAG = 60.0, 1.5, 0.3, 0.06
 
 
-def _drive(wait: float, drift: float, seed: int = 3) -> tuple[Run, Array, Array]:
-    """A car that steers at 10 Hz, logged late by a sawtooth; with the times sent and logged.
-
-    Args:
-        wait: delay of the first command in the recorder [s].
-        drift: how fast the delay grows [s/s].
-        seed: of steering and noise.
-    """
-    rng = np.random.default_rng(seed)
+def _drive(wait: float, drift: float) -> tuple[Run, Array, Array]:
+    """Steering at 10 Hz, logged `wait` [s] late, then `drift` [s/s] more; times sent and logged."""
+    rng = np.random.default_rng(3)
     left = 0.1 * np.arange(SECONDS / 0.1)
     steps = np.repeat(rng.uniform(-0.3, 0.3, 200), rng.integers(1, 9, 200))[: len(left)]
     t = np.arange(0.0, SECONDS, 0.002)
@@ -151,15 +125,12 @@ def _drive(wait: float, drift: float, seed: int = 3) -> tuple[Run, Array, Array]
     place = np.cumsum(SPEED * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0) * 0.002
     poses = np.column_stack([place, yaw])[::5] + rng.normal(0.0, 5e-4, (len(t[::5]), 3))
     logged = left + np.mod(wait + drift * left, 0.1)
-    return (
-        make_run("drive", Signal(logged, steps), None, Signal(t[::5], poses)), left, logged,
-    )  # fmt: skip
+    return make_run("drive", Signal(logged, steps), None, Signal(t[::5], poses)), left, logged
 
 
 def test_a_drifting_delay_is_found_and_corrected() -> None:
     run, left, logged = _drive(0.03, 0.002)
     jitter = find_log_jitter(run)
-    assert jitter is not None
     assert jitter.period == pytest.approx(0.1, abs=2e-3)
     true = (logged - left)[1:-1]
     found = jitter.delay(logged[1:-1] - logged[0])
@@ -168,23 +139,16 @@ def test_a_drifting_delay_is_found_and_corrected() -> None:
     assert np.sqrt(np.mean(off**2)) < 0.012
     assert jitter.describe().startswith("drive: steering stored 0 to 100 ms late (")
     corrected = correct_log_jitter(run)
-    assert corrected.log_jitter == jitter
-    assert len(corrected.commands) == len(run.commands)
+    assert (corrected.log_jitter, len(corrected.commands)) == (jitter, len(run.commands))
 
 
-def test_a_constant_delay_is_not_jitter() -> None:
+def test_other_delays_constant_steering_and_servo_signals_are_no_log_jitter() -> None:
     run, _, _ = _drive(0.04, 0.0)
     assert find_log_jitter(run) is None
     assert correct_log_jitter(run) is run
-
-
-def test_a_fast_loop_and_constant_steering_have_no_period() -> None:
     t = np.arange(0.0, 10.0, 0.01)
     assert log_period(Signal(t, np.sin(t))) == 0.0
     assert log_period(Signal(t[::10], np.full(100, 0.3))) == 0.0
-
-
-def test_a_servo_signal_has_no_log_jitter() -> None:
     run, _, _ = _drive(0.03, 0.002)
     pulsed = replace(run, servo_frame=0.02)
     assert correct_log_jitter(pulsed) is pulsed

@@ -6,18 +6,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from steerd.car_model.effects import find_effect
 from steerd.car_model.model import Model
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.daemon.analysis.identify_report import make_report
+from steerd.sysid.data import segments
 from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.excitation import measure_excitation
-from steerd.sysid.data.segments import (
-    hold_out,
-    make_segment,
-    moving_segments,
-    smooth_speed,
-    with_wheel_speed,
-)
 from steerd.sysid.estimation import preparation as prep
 from steerd.sysid.estimation.learn import Task, learn
 from steerd.sysid.estimation.outcome import REPORTED, encode_outcome
@@ -30,10 +25,7 @@ pytestmark = pytest.mark.slow
 FREE = ("lf", "lr", "c_sf", "c_sr", "steer_gain", "speed_gain", "speed_lag", "steer_lag")
 DEFAULT = Model(DEFAULT_CAR)
 
-
-@pytest.fixture(scope="module")
-def run(make_drive, truth):
-    return make_drive(truth, 30.0, 5)
+run = pytest.fixture(lambda make_drive, truth: make_drive(truth, 30.0, 5), scope="module")
 
 
 @pytest.fixture(scope="module")
@@ -41,28 +33,25 @@ def outcome(run):
     return learn(Task((run,), DEFAULT, prep.FitOptions(wheelbase=0.332)), lambda: 0.0)
 
 
-def test_a_part_keeps_commands_and_measurements_together(run):
-    part = make_segment(run, 10.0, 14.0)
+def test_a_part_keeps_what_belongs_to_it_and_too_little_is_said(run, make_drive, truth):
+    part = segments.make_segment(run, 10.0, 14.0)
     assert part.pose.t[0] == pytest.approx(0.5)
     first = round(9.5 / run.h)
     np.testing.assert_array_equal(part.commands, run.commands[first : first + len(part.commands)])
     at = np.searchsorted(run.pose.t, 10.0 - 1e-9)
     np.testing.assert_array_equal(part.pose.values[0], run.pose.values[at])
-
-
-def test_too_little_to_keep_back_is_said(make_drive, truth):
     with pytest.raises(DataError, match="too short to hold"):
-        hold_out(moving_segments([make_drive(truth, 6.0, 1)]), 4)
+        segments.hold_out(segments.moving_segments([make_drive(truth, 6.0, 1)]), 4)
 
 
 def test_wheel_speed_in_the_commands_place(run):
-    taken = with_wheel_speed(run)
+    taken = segments.with_wheel_speed(run)
     assert taken.speed_source == "wheel"
     assert np.corrcoef(taken.commands[100:-100, 1], run.commands[100:-100, 1])[0, 1] > 0.8
-    rough, smooth = taken.commands[:, 1], smooth_speed(taken).commands[:, 1]
+    rough, smooth = taken.commands[:, 1], segments.smooth_speed(taken).commands[:, 1]
     assert np.std(np.diff(smooth)) < 0.3 * np.std(np.diff(rough))
     with pytest.raises(DataError, match="no wheel speed"):
-        with_wheel_speed(replace(run, wheel=type(run.wheel)(np.empty(0), np.empty(0))))
+        segments.with_wheel_speed(replace(run, wheel=type(run.wheel)(np.empty(0), np.empty(0))))
 
 
 def test_the_true_car_predicts_to_the_noise_and_a_wrong_one_does_not(run, truth):
@@ -83,24 +72,18 @@ def test_excitation_tells_rich_from_poor(run, make_circles):
     assert any("one side" in what for what in poor.lacking)
 
 
-def test_learning_recovers_the_car_and_predicts_better(outcome, truth):
+def test_learning_recovers_the_car_predicts_better_and_its_json_is_the_schema(outcome, truth):
     row = outcome.rows["steer_gain"]
     assert row.value == pytest.approx(truth.car.steer_gain, rel=0.05)
     assert row.identifiable
     assert outcome.held_out[-1].factor > 3.0
-
-
-def test_json_is_the_schema(outcome):
     encoded = encode_outcome(outcome)
-    assert encoded["schema"] == "steerd.identify/1"
-    assert tuple(encoded["parameters"]) == REPORTED
-    assert {tuple(p) for p in encoded["parameters"].values()} == {
-        ("value", "sd", "unit", "identifiable")
-    }
+    assert (encoded["schema"], tuple(encoded["parameters"])) == ("steerd.identify/1", REPORTED)
+    keys = ("value", "sd", "unit", "identifiable")
+    assert {tuple(p) for p in encoded["parameters"].values()} == {keys}
     assert encoded["parameters"]["mass"]["sd"] is None
     assert encoded["converged"] is True
-    assert encoded["misfit"] == outcome.fit.misfit
-    assert encoded["notes"] == list(outcome.notes)
+    assert (encoded["misfit"], encoded["notes"]) == (outcome.fit.misfit, list(outcome.notes))
     assert set(encoded["held_out"]["horizons"][0]) == {
         "horizon", "position", "median", "heading",
         "position_before", "median_before", "heading_before",
@@ -141,7 +124,7 @@ def test_further_starts_lie_about_the_first():
     assert all(m.car.mass == DEFAULT.car.mass for m in models)
 
 
-def test_a_fixed_length_and_the_wheelbase_make_the_other():
+def test_a_fixed_length_and_the_wheelbase_make_the_other_and_what_is_fixed_keeps_its_value():
     car = prep.fit_wheelbase(DEFAULT._replace(car=DEFAULT_CAR._replace(lr=0.2)), 0.33, ["lr"]).car
     assert (car.lf, car.lr) == (pytest.approx(0.13), 0.2)
     free = ("lf", "lr", "c_sf")
@@ -152,41 +135,6 @@ def test_a_fixed_length_and_the_wheelbase_make_the_other():
     assert prep.fit_wheelbase(agreed, 0.33, ["lf", "lr"]) == agreed
     with pytest.raises(ValueError, match="do not make a wheelbase"):
         prep.fit_wheelbase(agreed._replace(car=agreed.car._replace(lf=0.1)), 0.33, ["lf", "lr"])
-
-
-def test_drives_with_and_without_speed_commands_are_not_one_fit(run, truth):
-    bare = replace(with_wheel_speed(run), name="bare")
-    with pytest.raises(DataError, match=r"bare has no speed commands, run 5 has.*--speed wheel"):
-        learn(Task((run, bare), DEFAULT), lambda: 0.0)
-    with pytest.raises(DataError, match="bare has no speed commands"):
-        trace_windows(truth, [run, bare], max(HORIZONS))
-    with pytest.raises(DataError, match="bare has no speed commands"):
-        learn(Task((run,), DEFAULT, held_out=(bare,)), lambda: 0.0)
-
-
-def _stepping(make, truth, faster):
-    """Steps of steering at one speed, on a car whose servo is faster than the file says."""
-    car = truth.car._replace(steer_rate=faster)
-    t = np.arange(0.0, 24.0, 0.005)
-    steer = 0.2 * np.sign(np.sin(4.0 * t))
-    first = np.array([0.0, 0.0, 0.0, 1.5, 0.0, 0.0, 0.0])
-    return make(Model(car), np.column_stack([steer, np.full(len(t), 1.5)]), first, 2)
-
-
-def test_a_slew_limit_that_nobody_measured_is_learnt_where_it_is_felt(simulated, truth):
-    run = _stepping(simulated, truth, 7.0)
-    task = Task((run,), DEFAULT, prep.FitOptions(wheelbase=0.332))
-    found = learn(task, lambda: 0.0)
-    for name, row in found.free_rows.items():
-        if row.identifiable:
-            assert abs(row.value - getattr(truth.car, name)) < 4.0 * row.sd, name
-    sure = learn(replace(task, held=("steer_rate",)), lambda: 0.0)
-    rate = found.rows["steer_rate"]
-    assert abs(rate.value - 7.0) < 4.0 * rate.sd
-    assert not sure.rows["steer_rate"].free
-
-
-def test_what_keeps_its_value():
     assert prep.held_names(prep.FitOptions(wheelbase=0.33)) == ()
     assert prep.held_names(prep.FitOptions(fix={"mass": None})) == ("mass",)
     assert set(prep.held_names(prep.FitOptions(fix={"lf": 0.2}, wheelbase=0.33))) == {"lf", "lr"}
@@ -198,3 +146,86 @@ def test_what_keeps_its_value():
     assert not {"lf", "lr"} & set(follows), "of a known distance one length follows from the other"
     both = prep.held_names(prep.FitOptions(fix={"lf": None}, free=("lr",), wheelbase=0.33))
     assert {"lf", "lr"} <= set(both)
+
+
+def test_drives_with_and_without_speed_commands_are_not_one_fit(run, truth):
+    bare = replace(segments.with_wheel_speed(run), name="bare")
+    with pytest.raises(DataError, match=r"bare has no speed commands, run 5 has.*--speed wheel"):
+        learn(Task((run, bare), DEFAULT), lambda: 0.0)
+    with pytest.raises(DataError, match="bare has no speed commands"):
+        trace_windows(truth, [run, bare], max(HORIZONS))
+    with pytest.raises(DataError, match="bare has no speed commands"):
+        learn(Task((run,), DEFAULT, held_out=(bare,)), lambda: 0.0)
+
+
+def test_a_slew_limit_that_nobody_measured_is_learnt_where_it_is_felt(simulated, truth):
+    """Steps of steering at one speed, on a car whose servo is faster than the file says."""
+    t, first = np.arange(0.0, 24.0, 0.005), np.array([0.0, 0.0, 0.0, 1.5, 0.0, 0.0, 0.0])
+    commands = np.column_stack([0.2 * np.sign(np.sin(4.0 * t)), np.full(len(t), 1.5)])
+    run = simulated(Model(truth.car._replace(steer_rate=7.0)), commands, first, 2)
+    task = Task((run,), DEFAULT, prep.FitOptions(wheelbase=0.332))
+    found = learn(task, lambda: 0.0)
+    for name, row in found.free_rows.items():
+        if row.identifiable:
+            assert abs(row.value - getattr(truth.car, name)) < 4.0 * row.sd, name
+    sure = learn(replace(task, held=("steer_rate",)), lambda: 0.0)
+    rate = found.rows["steer_rate"]
+    assert abs(rate.value - 7.0) < 4.0 * rate.sd
+    assert not sure.rows["steer_rate"].free
+
+
+# Effects that drives show are learnt with the car, and none where there is none.
+BENT, PLAY = find_effect("steer_asymmetry"), find_effect("steer_backlash")
+MANNERS_FREE = ("lf", "lr", "c_sf", "c_sr", "steer_gain", "steer_lag")
+ASKED = prep.FitOptions(wheelbase=0.332, effects=(BENT.name, PLAY.name))
+
+
+@pytest.fixture(scope="module")
+def bent(make_drive, truth):
+    """A car that turns 16 % further to the left than to the right."""
+    return make_drive(truth._replace(effects=(BENT,), values=((0.08,),)), 30.0, 5)
+
+
+def _learnt(run, truth):
+    held = prep.held_names(ASKED)
+    return learn(Task((run,), truth, ASKED, free=MANNERS_FREE, held=held), lambda: 0.0)
+
+
+def test_a_bend_of_the_linkage_is_learnt_and_predicted_with(bent, truth):
+    outcome = _learnt(bent, truth)
+    (name,) = (name for name in outcome.rows if "." in name)
+    assert name == "steer_asymmetry.asymmetry"
+    row = outcome.rows[name]
+    assert (row.start, row.value) == (0.0, pytest.approx(0.08, abs=min(0.01, 5 * row.sd)))
+    assert outcome.held_out[-1].factor > 3.0
+    page = encode_outcome(outcome)
+    assert page["parameters"][name]["identifiable"]
+    assert sum(r["predictions"] for r in page["held_out"]["regimes"]) > 0
+
+
+@pytest.mark.parametrize("play", [0.04, 0.0])
+def test_play_that_no_car_has_by_itself_is_selected_where_there_is_some(make_drive, truth, play):
+    effects, values = ((PLAY,), ((play,),)) if play else ((), ())
+    outcome = _learnt(make_drive(truth._replace(effects=effects, values=values), 30.0, 5), truth)
+    assert [step.effect for step in outcome.fit.selected] == [effect.name for effect in effects]
+    assert all(step.gain > 3.0 for step in outcome.fit.selected)
+    rows = [row for name, row in outcome.rows.items() if "." in name]
+    near = [pytest.approx(play, abs=min(0.008, 5 * row.sd)) for row in rows[: len(effects)]]
+    assert [row.value for row in rows] == near
+
+
+def test_a_car_that_misses_much_is_said_to(make_drive, truth):
+    run = make_drive(truth._replace(effects=(BENT,), values=((0.45,),)), 20.0, 5)
+    none = (*prep.held_names(ASKED), BENT.name, PLAY.name)
+    outcome = learn(Task((run,), truth, ASKED, free=MANNERS_FREE, held=none), lambda: 0.0)
+    assert any("`steerd diagnose` looks for it" in note for note in outcome.notes)
+
+
+def test_only_play_needs_a_long_past_and_is_asked_of_drives_that_rest(bent):
+    turning = replace(bent, commands=bent.commands + np.arange(len(bent.commands))[:, None] * 0.01)
+    for run, effects, longer in (
+        (turning, (PLAY,), True), (bent, (), True), (turning, (), False),
+    ):  # fmt: skip
+        model = Model(DEFAULT_CAR, effects, ((0.02,),) * len(effects))
+        (found,) = prep.add_command_history([run], model)
+        assert (found.history > run.history) == longer

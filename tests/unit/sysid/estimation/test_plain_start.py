@@ -98,7 +98,6 @@ def test_poses_of_a_centimetre_and_steady_circles_show_the_curvature():
 
 
 # Drives at one speed: other starts, and what is left open where ends differ.
-
 DEFAULT = Model(DEFAULT_CAR)
 
 
@@ -107,12 +106,11 @@ def slow(make_drive, truth):
     return make_drive(truth, 24.0, 4, speed=1.2)
 
 
-def test_one_speed_is_distinguished_from_several(slow, make_drive, truth):
+def test_one_speed_is_told_from_several_and_starts_keep_axles_and_what_is_fixed(
+    slow, make_drive, truth
+):
     assert prep.has_one_speed([slow])
     assert not prep.has_one_speed([make_drive(truth, 24.0, 4)])
-
-
-def test_candidate_starts_keep_the_axles_apart_and_what_is_fixed(truth):
     start, *others = prep.candidate_starts(truth, DEFAULT_FREE)
     assert start == truth
     assert len({other.car.lr for other in others}) == 2
@@ -146,7 +144,6 @@ def test_one_speed_tells_no_more_than_it_can(slow, truth):
 
 
 # Start values that do not stand in the way: inertia, loads and end stops of another car.
-
 CAR = Model(DEFAULT_CAR)
 
 
@@ -159,14 +156,11 @@ def _run(steer=0.3, speed=True, servo_frame=0.0):
     return replace(run, servo_frame=servo_frame)
 
 
-def test_inertia_follows_mass_and_length_squared():
+def test_inertia_follows_mass_and_length_squared_and_loads_no_measured_speed():
     lengths = {name: getattr(DEFAULT_CAR, name) / 2 for name in ("lf", "lr", "mass")}
     half = CAR._replace(car=DEFAULT_CAR._replace(**lengths))
     assert prep.scale_inertia(half, CAR).car.inertia_z == pytest.approx(DEFAULT_CAR.inertia_z / 8)
     assert prep.scale_inertia(CAR, CAR) == CAR
-
-
-def test_loads_do_not_follow_a_measured_speed():
     assert prep.level_loads(CAR, [_run(speed=False)]).car.cog_height == 0.0
     assert prep.level_loads(CAR, [_run()]) == CAR
 
@@ -192,8 +186,7 @@ def test_errors_are_told_by_lateral_acceleration():
         return Trace(0, ahead, ahead, measured, measured + np.array([off, 0.0, 0.0]))
 
     slow, fast = by_lateral_acceleration([trace(1.0, 0.01), trace(3.0, 0.2)], 1.0)
-    assert slow[:3] == (0.0, 2.0, 1)
-    assert slow.median == pytest.approx(0.01)
+    assert (slow[:3], slow.median) == ((0.0, 2.0, 1), pytest.approx(0.01))
     assert (fast.lateral_accel_low, fast.rms) == (2.0, pytest.approx(0.2))
     assert by_lateral_acceleration([], 1.0) == ()
 

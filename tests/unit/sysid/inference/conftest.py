@@ -6,7 +6,7 @@ from steerd.sysid.inference.augmented_car import make_augmented_car
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import Noise
 from steerd.sysid.inference.predictor import Predictor, open_predictor
-from steerd.sysid.inference.space import Space, make_space
+from steerd.sysid.inference.space import make_space
 
 NOISE = Noise((7e-4, 2e-3, 0.02, 0.05), (0.4, 0.4, 2.5), 1e-4)
 """What `tests/unit/conftest.py` adds to its drives."""
@@ -25,7 +25,4 @@ def likelihood(healthy) -> Likelihood:
     return make_likelihood(healthy, healthy.augmented.base, guess, NOISE)
 
 
-@pytest.fixture(scope="session")
-def small(healthy) -> Space:
-    """A base with a few free parameters."""
-    return make_space(healthy.augmented, FEW)
+small = pytest.fixture(lambda healthy: make_space(healthy.augmented, FEW), scope="session")

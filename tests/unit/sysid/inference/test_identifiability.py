@@ -13,16 +13,7 @@ from steerd.car_model.model import Model
 from steerd.car_model.native.windows import parameter_vector
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.planar import make_planar
-from steerd.sysid.inference.augmented_car import (
-    EDGES,
-    EXCESS_MAX,
-    BasePrior,
-    Control,
-    excess_by_regime,
-    inflate_each,
-    knowledge_of_section,
-    knowledge_section,
-)
+from steerd.sysid.inference import augmented_car
 from steerd.sysid.inference.chart import make_chart
 from steerd.sysid.inference.identifiability import estimates, estimates_with_sds
 from steerd.sysid.inference.places import DISCS, RADII, suspicious_discs
@@ -59,19 +50,15 @@ def _estimates(effects, values, sd):
     return estimates_with_sds(effects, parameter_vector(model), sd)
 
 
-def test_identifiable_is_what_is_known_to_a_few_percent():
+def test_known_to_a_few_percent_is_identifiable_and_what_may_be_the_bodys_place_to_be_weighed():
     found = _estimates((EFFECTS["tyre_saturation"],), ((0.8, 0.0),), SD)
-    assert set(found) == set(SD)
-    assert (found["lf"].value, found["lf"].sd) == (0.16, 0.002)
+    assert (set(found), found["lf"].value, found["lf"].sd) == (set(SD), 0.16, 0.002)
     assert found["tyre_saturation.q"].value == 0.8
     assert found["lf"].identifiable
     assert found["lf"].manoeuvre == ""
     assert not found["lr"].identifiable  # 0.1 m of 0.17 m
     assert "weighing both axles" in found["lr"].manoeuvre  # no drive says where it is
     assert found["steer_delay"].identifiable
-
-
-def test_what_drives_mistake_for_the_bodys_place_is_to_be_weighed():
     effects = (EFFECTS["tyre_saturation"], EFFECTS["marker_offset"])
     sd = {**SD, "lf": 0.02, "marker_offset.forward": 0.02}
     found = _estimates(effects, ((0.8, 0.0), (0.02, 0.0)), sd)
@@ -95,7 +82,7 @@ def test_each_standard_error_is_as_wide_as_its_own_scores_and_correlations_stay(
         found.append(covariance @ pulls.sum(axis=0))
         left = noise - design @ found[-1]
         pulls = np.einsum("bri,br->bi", design, left)
-        each = inflate_each(covariance, pulls)
+        each = augmented_car.inflate_each(covariance, pulls)
         wide.append(np.sqrt(np.diag(each)))
     np.testing.assert_allclose(np.median(wide, axis=0), np.std(found, axis=0), rtol=0.15)
     scale, before = np.sqrt(np.diag(each)), np.sqrt(np.diag(covariance))
@@ -106,8 +93,6 @@ def test_each_standard_error_is_as_wide_as_its_own_scores_and_correlations_stay(
 
 
 # Where the floor is suspicious: a patch is found by the errors in it, and nothing else is.
-
-
 def drive(rng, count=120):
     """Places of windows along rounds of a track of 8 by 4 m, and what noise leaves of each."""
     phase = rng.uniform(0.0, 2.0 * np.pi, count)
@@ -151,38 +136,31 @@ def test_discs_are_few_and_none_lies_in_another():
 
 @pytest.mark.parametrize(
     ("where", "badness"),
-    [
-        (np.zeros((0, 2)), np.zeros(0)),
-        (np.array([[1.0, 2.0]]), np.array([9.0])),
-        (np.zeros((6, 2)), np.arange(6.0)),
-        (np.arange(12.0).reshape(6, 2), np.ones(6)),
-    ],
+    [(np.zeros((0, 2)), np.zeros(0)), (np.array([[1.0, 2.0]]), np.array([9.0])),
+     (np.zeros((6, 2)), np.arange(6.0)), (np.arange(12.0).reshape(6, 2), np.ones(6))],
     ids=["no window", "one window", "the car stood", "all alike"],
-)
+)  # fmt: skip
 def test_where_no_place_differs_there_is_no_disc(where, badness):
     assert suspicious_discs(where, badness) == []
 
 
 # What healthy drives tell about a base travels beside its car file.
-
 NAMES = ("lf", "lr", "steer_gain", "scrub.drag")
 
 
-def known(seed: int = 0) -> BasePrior:
+def known(seed: int = 0) -> augmented_car.BasePrior:
     root = np.random.default_rng(seed).standard_normal((4, 6)) * [[1e-3], [2e-3], [0.01], [0.3]]
     excess = (1.0, 1.0, 1.2, 1.5, 2.0, 4.0)
-    slope = Control("floor_slope", np.array([1e-3, -2e-3, 0.1]), np.diag([1e-6, 2e-6, 0.1]), 0.02)
-    return BasePrior(NAMES, root @ root.T, excess, (0.16, 0.17, 1.01, 0.2), (slope,))
+    values, covariance = np.array([1e-3, -2e-3, 0.1]), np.diag([1e-6, 2e-6, 0.1])
+    slope = augmented_car.Control("floor_slope", values, covariance, 0.02)
+    return augmented_car.BasePrior(NAMES, root @ root.T, excess, (0.16, 0.17, 1.01, 0.2), (slope,))
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_what_is_known_survives_the_car_file(seed: int) -> None:
     before = known(seed)
-    after = knowledge_of_section(knowledge_section(before))
-    assert after is not None
-    assert after.names == before.names
-    assert after.values == before.values
-    assert after.excess == before.excess
+    after = augmented_car.knowledge_of_section(augmented_car.knowledge_section(before))
+    assert (after.names, after.values, after.excess) == (before.names, before.values, before.excess)
     sd = np.sqrt(np.diag(before.covariance))
     away = np.abs(after.covariance - before.covariance) / np.outer(sd, sd)
     assert away.max() < 2e-5
@@ -195,40 +173,37 @@ def test_what_is_known_survives_the_car_file(seed: int) -> None:
 
 @pytest.mark.parametrize("key", ["names", "sd", "correlation", "excess", "values"])
 def test_a_damaged_section_is_refused(key: str) -> None:
-    table = knowledge_section(known())
+    table = augmented_car.knowledge_section(known())
     for damaged in ({k: v for k, v in table.items() if k != key}, {**table, key: "?"}):
         with pytest.raises(ValueError, match="knowledge"):
-            knowledge_of_section(damaged)
+            augmented_car.knowledge_of_section(damaged)
     for controls in (
         {"nothing": [[0.0], [[1.0]], 0.1]}, {"mass": [[0.0], [[-1.0]], 0.1]},
         {"mass": [[0.0, 1.0], [[1.0]], 0.1]}, {"mass": [[0.0], [[1.0]], np.nan]}, "?",
     ):  # fmt: skip
         with pytest.raises(ValueError, match="knowledge"):
-            knowledge_of_section({**table, "controls": controls})
-    assert knowledge_of_section({}) is None
+            augmented_car.knowledge_of_section({**table, "controls": controls})
+    assert augmented_car.knowledge_of_section({}) is None
 
 
 @settings(deadline=None)
 @given(st.lists(st.tuples(st.floats(0.01, 500.0), st.floats(0.0, 12.0)), min_size=1, max_size=60))
 def test_excess_is_never_less_than_noise_and_never_falls(rows: list[tuple[float, float]]) -> None:
     ratio, lateral = np.array(rows).T
-    found = excess_by_regime(ratio, lateral)
-    assert len(found) == len(EDGES) + 1
-    assert all(1.0 <= a <= b <= EXCESS_MAX for a, b in itertools.pairwise(found))
+    found = augmented_car.excess_by_regime(ratio, lateral)
+    assert len(found) == len(augmented_car.EDGES) + 1
+    assert all(1.0 <= a <= b <= augmented_car.EXCESS_MAX for a, b in itertools.pairwise(found))
 
 
 def test_excess_is_learnt_where_the_model_fails() -> None:
     lateral = np.concatenate([np.full(20, 0.5), np.full(20, 5.0)])
     ratio = np.concatenate([np.full(20, 1.0), np.full(20, 6.0)])
-    found = excess_by_regime(ratio, lateral)
-    assert found[0] == pytest.approx(1.0)
-    assert found[4] == pytest.approx(6.0)
+    found = augmented_car.excess_by_regime(ratio, lateral)
+    assert (found[0], found[4]) == (pytest.approx(1.0), pytest.approx(6.0))
     assert found[5] > found[4]  # nobody drove so hard: no better than where somebody did
 
 
 # The step within bounds.
-
-
 def _quadratic(seed: int, n: int) -> tuple[np.ndarray, ...]:
     """A convex quadratic with strongly correlated coordinates, a point and bounds about it."""
     rng = np.random.default_rng(seed)

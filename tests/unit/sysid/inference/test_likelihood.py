@@ -42,11 +42,8 @@ def x(healthy):
 def test_a_window_that_spins_beyond_all_bounds_tells_no_noise(healthy, linear):
     by_x = linear.by_x.copy()
     by_x[1] *= 1e6
-    parameters, x = healthy.augmented.base, healthy.guess
-    sizes, others = (
-        learn_noise(healthy, parameters, x, linear._replace(by_x=by)).sizes
-        for by in (by_x, linear.by_x)
-    )
+    at = healthy, healthy.augmented.base, healthy.guess
+    sizes, others = (learn_noise(*at, linear._replace(by_x=by)).sizes for by in (by_x, linear.by_x))
     assert sizes[:-1] == pytest.approx(others[:-1], rel=0.3)  # wheels slip too little
 
 
@@ -54,13 +51,10 @@ def test_one_rotation_diagonalises_both_covariances(likelihood, dense):
     own, unknown = dense
     turned = likelihood.rotation.transpose(0, 2, 1)
     there = likelihood.predictor.padded.there
-    assert likelihood.rotation @ own @ turned == pytest.approx(
-        np.eye(there.shape[1]) * there[:, :, None], abs=1e-7
-    )
+    one = np.eye(there.shape[1])
+    assert likelihood.rotation @ own @ turned == pytest.approx(one * there[:, :, None], abs=1e-7)
     spectrum = likelihood.rotation @ unknown @ turned
-    assert spectrum == pytest.approx(
-        np.einsum("wi,ij->wij", likelihood.spectrum, np.eye(there.shape[1])), abs=1e-6
-    )
+    assert spectrum == pytest.approx(one * likelihood.spectrum[:, :, None], abs=1e-6)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.07, 1.0, 40.0])
@@ -126,8 +120,7 @@ def test_another_size_is_a_change_of_weights_alone(likelihood, small):
     point = stand(likelihood, small, small.centre, guess, 2.0)
     other = with_size(likelihood, point, 0.3)
     again = likelihood.reduce(likelihood.weigh(point.rotated, 0.3), other.linear.error, other.x)
-    assert other.at.here == pytest.approx(again.here)
-    assert other.at.h == pytest.approx(again.h)
+    assert (other.at.here, other.at.h) == (pytest.approx(again.here), pytest.approx(again.h))
     assert other.size == 0.3
     assert with_size(likelihood, point, 2.0) is point
 

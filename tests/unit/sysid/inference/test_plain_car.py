@@ -19,15 +19,9 @@ from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.data.segments import make_blocks
 from steerd.sysid.estimation.outcome import fit_of_plain
+from steerd.sysid.inference import plain_car
 from steerd.sysid.inference.augmented_car import prescribe_speed
 from steerd.sysid.inference.chart import SPREAD
-from steerd.sysid.inference.plain_car import (
-    DEFAULT_FREE,
-    Asked,
-    free_of,
-    search_blocks,
-    search_rough,
-)
 from steerd.sysid.inference.predictor import stable_substeps
 from steerd.sysid.paper import NAMES as TYRES
 from steerd.sysid.paper import PAPER_CAR_DIRECT as STILL
@@ -36,13 +30,13 @@ SLID = (0.18917528114233922, 0.29462271010112046, 5.025340279936621, 2.177483451
 """Lengths and stiffnesses of a start in the long valley of long, sliding cars that steer more."""
 
 
-def fit(runs, model, free=DEFAULT_FREE, *, wheelbase=None, start=None, doubts=()):
+def fit(runs, model, free=plain_car.DEFAULT_FREE, *, wheelbase=None, start=None, doubts=()):
     """As `learn` does where the plain car explains the drives."""
     blocks = make_blocks(runs)
-    asked = Asked(model, free_of(blocks, free), wheelbase)
-    rough = search_rough(start or model, blocks, asked)
-    found = search_blocks(blocks, asked, rough)
-    return fit_of_plain(found, blocks, Asked(model, free, wheelbase), doubts)
+    asked = plain_car.Asked(model, plain_car.free_of(blocks, free), wheelbase)
+    rough = plain_car.search_rough(start or model, blocks, asked)
+    found = plain_car.search_blocks(blocks, asked, rough)
+    return fit_of_plain(found, blocks, plain_car.Asked(model, free, wheelbase), doubts)
 
 
 def _pulls(found, truth):
@@ -54,15 +48,13 @@ def _from(numbers):
     return Model(DEFAULT_CAR._replace(**dict(zip(TYRES, map(float, numbers), strict=True))))
 
 
-@pytest.fixture(scope="module")
-def minute(make_drive, truth):
-    return make_drive(truth, 60.0, 1)
+minute = pytest.fixture(lambda make_drive, truth: make_drive(truth, 60.0, 1), scope="module")
 
 
 def test_a_minute_of_driving_tells_eleven_parameters(minute, truth):
     found = fit([minute], Model(DEFAULT_CAR))
     assert found.converged
-    assert set(found.estimates) == set(DEFAULT_FREE)
+    assert set(found.estimates) == set(plain_car.DEFAULT_FREE)
     assert np.abs(_pulls(found, truth)).max() < 4.0
     for name in TYRES:
         value, wanted = found.estimates[name].value, truth.car._asdict()[name]
@@ -101,10 +93,8 @@ def test_a_start_in_the_long_valley_of_similar_cars_arrives(make_drive, truth, f
 def test_circles_fix_two_sums_and_no_parameter(make_circles):
     found = fit(make_circles(), Model(STILL._replace(lf=0.15, lr=0.18, c_sf=5.0, c_sr=5.0)), TYRES)
     share = 1.0 / (PAPER_CAR.mu * 9.81)
-    wanted = (
-        PAPER_CAR.lf + PAPER_CAR.lr + share * (1 / PAPER_CAR.c_sf - 1 / PAPER_CAR.c_sr),
-        PAPER_CAR.lr - share / PAPER_CAR.c_sr,
-    )
+    lf, lr, softer = PAPER_CAR.lf, PAPER_CAR.lr, share / PAPER_CAR.c_sf
+    wanted = (lf + lr + softer - share / PAPER_CAR.c_sr, lr - share / PAPER_CAR.c_sr)
     assert [c.value for c in found.combinations] == pytest.approx(wanted, rel=2e-3)
     open_ = {name: e for name, e in found.estimates.items() if not e.identifiable}
     assert {"c_sf", "c_sr"} <= set(open_)
@@ -144,8 +134,7 @@ def test_effects_are_fitted_with_the_car(make_drive):
     estimate = found.estimates[name]
     assert abs(estimate.value - 0.08) < 4.0 * estimate.sd
     assert estimate.identifiable
-    assert found.model.effects == (effect,)
-    assert found.model.values == ((estimate.value,),)
+    assert (found.model.effects, found.model.values) == ((effect,), ((estimate.value,),))
 
 
 def test_outliers_do_not_pull(make_drive, truth):
@@ -182,9 +171,7 @@ def test_neither_place_nor_heading_nor_order_matters(make_drive):
 def test_measured_speed_is_prescribed_where_no_command_exists(make_drive, truth):
     run = make_drive(truth, 12.0, 4)
     t = np.arange(len(run.commands)) * run.h
-    bare = make_run(
-        "no speed command", Signal(t, run.commands[:, 0]), None, run.pose, wheel=run.wheel
-    )
+    bare = make_run("bare", Signal(t, run.commands[:, 0]), None, run.pose, wheel=run.wheel)
     assert bare.speed_source == "wheel"
     start = truth._replace(car=truth.car._replace(speed_gain=1.0, c_sf=6.0))
     found = fit([bare], start, (*TYRES, "speed_gain", "speed_lag"))
@@ -202,28 +189,21 @@ def test_a_speed_that_is_never_changed_tells_nothing_of_its_loop(make_drive, tru
     found = fit([run], Model(DEFAULT_CAR))
     lag = found.estimates["speed_lag"]
     assert not lag.identifiable
-    assert lag.value == DEFAULT_CAR.speed_lag
-    assert lag.sd == SPREAD["speed_lag"]
+    assert (lag.value, lag.sd) == (DEFAULT_CAR.speed_lag, SPREAD["speed_lag"])
     assert "never changed" in lag.manoeuvre
     assert found.estimates["speed_gain"].identifiable
     with pytest.raises(DataError, match="never changed"):
-        free_of([run], ("speed_lag", "drive_delay"))
-
-
-def _lazy(run, seed, share):
-    """The drive with pose noise that forgets slowly, as large as the white one."""
-    rng = np.random.default_rng([5, seed])
-    white = rng.normal(size=(len(run.pose.t), 2)) * 1e-3
-    slow = lfilter([np.sqrt(1.0 - share**2)], [1.0, -share], white, axis=0)
-    pose = run.pose.values.copy()
-    pose[:, :2] += slow
-    return replace(run, pose=Signal(run.pose.t, pose))
+        plain_car.free_of([run], ("speed_lag", "drive_delay"))
 
 
 def test_noise_that_hangs_together_widens_the_errors(make_drive):
-    run = make_drive(Model(DEFAULT_CAR), 30.0, 4)
+    """Pose noise that forgets slowly, as large as the white one."""
+    run, share = make_drive(Model(DEFAULT_CAR), 30.0, 4), 0.98
     plain = fit([run], Model(DEFAULT_CAR), TYRES)
-    slow = fit([_lazy(run, 4, 0.98)], Model(DEFAULT_CAR), TYRES)
+    white = np.random.default_rng([5, 4]).normal(size=(len(run.pose.t), 2)) * 1e-3
+    pose = run.pose.values.copy()
+    pose[:, :2] += lfilter([np.sqrt(1.0 - share**2)], [1.0, -share], white, axis=0)
+    slow = fit([replace(run, pose=Signal(run.pose.t, pose))], Model(DEFAULT_CAR), TYRES)
     grown = [slow.estimates[n].sd / plain.estimates[n].sd for n in TYRES]
     assert np.median(grown) > 1.2
     for name in TYRES:

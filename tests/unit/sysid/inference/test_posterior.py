@@ -14,9 +14,7 @@ from steerd.sysid.inference.posterior import design_effect, log_mean, log_share_
 ROWS = 30
 
 
-def _linear(
-    seed: int, n: int, flat: int = 0, temper: float = 1.0
-) -> tuple[SimpleNamespace, np.ndarray, np.ndarray]:
+def _linear(seed: int, n: int, flat: int = 0, temper: float = 1.0):
     """A linear Gaussian model at its tempered optimum, its data and its derivatives.
 
     The last `flat` directions do nothing; priors' widths differ by four decades.
@@ -44,9 +42,7 @@ def _linear(
 
 @pytest.mark.parametrize("temper", [1.0, 9.0])
 @pytest.mark.parametrize("seed", range(8))
-def test_evidence_of_a_linear_model_is_the_exact_marginal_likelihood(
-    seed: int, temper: float
-) -> None:
+def test_evidence_of_a_linear_model_is_the_exact_marginal_likelihood(seed: int, temper: float):
     """A tempered Gaussian likelihood is one of a variance as many times as large."""
     point, data, by_z = _linear(seed, 4, temper=temper)
     space = point.space
@@ -77,16 +73,13 @@ def test_a_covariance_is_that_of_the_tempered_curvature(temper: float) -> None:
     assert posterior_of(point, temper).covariance == pytest.approx(expected, rel=1e-5)
 
 
-def test_a_direction_that_nothing_shows_keeps_its_priors_width() -> None:
+def test_what_nothing_shows_keeps_its_priors_width_and_costs_no_evidence() -> None:
     point, _, _ = _linear(4, 3)
     flat = np.zeros((3, 3))
     point.at.h = flat[None]
     assert posterior_of(point, 5.0).covariance == pytest.approx(point.space.covariance)
     point.at.h = -1e-12 * np.eye(3)[None]  # rounding, seen by a curvature that is none
     assert posterior_of(point, 5.0).covariance == pytest.approx(point.space.covariance)
-
-
-def test_a_parameter_that_does_nothing_costs_no_evidence() -> None:
     point, _, _ = _linear(6, 4, flat=1)
     space = point.space
     other = SimpleNamespace(**vars(point))

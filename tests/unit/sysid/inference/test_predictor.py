@@ -6,19 +6,10 @@ import numpy as np
 import pytest
 
 from steerd.sysid.data.windows import SPACING
+from steerd.sysid.inference import noise as noises
 from steerd.sysid.inference.constants import NOISE_KEPT
 from steerd.sysid.inference.disturbance_response import INPUTS, responses
 from steerd.sysid.inference.likelihood import make_likelihood
-from steerd.sysid.inference.noise import (
-    Noise,
-    calibrated,
-    learn_noise,
-    noise_floor,
-    noise_of_section,
-    noise_section,
-    noisier_of,
-    slip_shape,
-)
 from steerd.sysid.inference.predictor import WILD
 from steerd.sysid.inference.residuals import blocks_of, folds_of, robust_mean, settled
 from steerd.sysid.inference.search import minimise, stand
@@ -32,13 +23,18 @@ def fitted(likelihood, drive):
     return minimise(likelihood, stand(likelihood, space, space.centre, healthy.guess, 1.0))
 
 
-def test_readings_are_thinned_to_one_each_fifty_milliseconds(healthy):
+def test_readings_are_thinned_neighbouring_windows_are_a_block_and_folds_take_turns(healthy):
     layout = healthy.layout
     for w in range(layout.count):
         rows = layout.rows(w)
         t = layout.row_t[rows][layout.channel[rows] == 0]
         assert np.all(np.abs(np.diff(t) - SPACING) < 0.011)
         assert len(t) >= 20
+    blocks, folds = blocks_of(healthy), folds_of(healthy)
+    assert len(np.unique(blocks)) >= 4
+    assert set(folds.tolist()) == {0, 1, 2, 3}
+    run = healthy.layout.run
+    assert all(len(np.unique(run[blocks == b])) == 1 for b in np.unique(blocks))
 
 
 def test_a_slope_is_the_difference_quotient(healthy, fitted):
@@ -70,16 +66,10 @@ def test_a_window_that_multiplies_changes_a_thousandfold_keeps_its_error_and_pul
 
 @pytest.mark.parametrize(
     ("effect", "values"),
-    [
-        ("steer_delay", (0.0134,)),
-        ("steer_backlash", (0.02,)),
-        ("steer_rate_limit", (1.5,)),
-        ("tyre_relaxation", (0.03,)),
-        ("mocap_latency", (0.021,)),
-        ("marker_offset", (0.02, 0.01)),
-        ("grip_drift", (0.3, 1.0)),
-    ],
-)
+    [("steer_delay", (0.0134,)), ("steer_backlash", (0.02,)), ("steer_rate_limit", (1.5,)),
+     ("tyre_relaxation", (0.03,)), ("mocap_latency", (0.021,)), ("marker_offset", (0.02, 0.01)),
+     ("grip_drift", (0.3, 1.0))],
+)  # fmt: skip
 def test_readings_without_derivatives_are_the_same_numbers(healthy, effect, values):
     space = make_space(healthy.augmented, (), [effect])
     x = healthy.guess.copy()
@@ -99,19 +89,22 @@ def test_effects_at_their_nulls_change_no_bit(healthy, fitted):
     assert np.array_equal(a, b)
 
 
-def test_noise_survives_a_car_file():
-    noise = Noise((1e-3, 2e-3, 0.02, 0.03), (0.4, 0.3, 2.0))
-    assert noise_of_section(noise_section(noise)) == noise
-    assert noise_of_section({}) is None
+def test_noise_survives_a_car_file_and_drives_noisier_than_known_are_believed():
+    noise = noises.Noise((1e-3, 2e-3, 0.02, 0.03), (0.4, 0.3, 2.0))
+    assert noises.noise_of_section(noises.noise_section(noise)) == noise
+    assert noises.noise_of_section({}) is None
     with pytest.raises(ValueError, match="position"):
-        noise_of_section({"yaw": 1.0})
-    older = {key: v for key, v in noise_section(noise).items() if key != "wheel_slip"}
-    assert noise_of_section(older) == noise
+        noises.noise_of_section({"yaw": 1.0})
+    older = {key: v for key, v in noises.noise_section(noise).items() if key != "wheel_slip"}
+    assert noises.noise_of_section(older) == noise
+    known = noises.Noise((1e-3, 2e-3, 0.06, 0.05), (0.4, 0.3, 2.0))
+    heard = noises.noisier_of(known, np.array([2e-3, 2.1e-3, 0.01, 0.0]))
+    assert (heard.instruments, heard.pushes) == ((2e-3, 2e-3, 0.06, 0.05), known.pushes)
 
 
 def test_a_slipping_wheel_is_off_by_speed_times_acceleration(healthy):
     error, _ = healthy.errors(healthy.augmented.base, healthy.guess)
-    shape = slip_shape(healthy, error)
+    shape = noises.slip_shape(healthy, error)
     wheel = (healthy.layout.channel[healthy.padded.row] == 3) & (healthy.padded.there > 0)
     slip = np.sqrt(np.diagonal(shape, axis1=1, axis2=2))
     assert (slip[~wheel] == 0.0).all()
@@ -122,16 +115,9 @@ def test_a_slipping_wheel_is_off_by_speed_times_acceleration(healthy):
         assert slip[w, wheel[w]] == pytest.approx(np.abs(v * np.gradient(v, t)))
 
 
-def test_drives_noisier_than_known_are_believed():
-    known = Noise((1e-3, 2e-3, 0.06, 0.05), (0.4, 0.3, 2.0))
-    heard = noisier_of(known, np.array([2e-3, 2.1e-3, 0.01, 0.0]))
-    assert heard.instruments == (2e-3, 2e-3, 0.06, 0.05)
-    assert heard.pushes == known.pushes
-
-
 def test_a_wheel_that_is_trusted_little_leaves_little(healthy):
     there = healthy.padded.there.sum()
-    quiet, loud = noise_floor(healthy, 1e-3), noise_floor(healthy, 0.06)
+    quiet, loud = noises.noise_floor(healthy, 1e-3), noises.noise_floor(healthy, 0.06)
     assert loud == pytest.approx(NOISE_KEPT)
     wheel = (healthy.layout.group == 2).sum()
     assert quiet < loud * (1.0 - 0.9 * wheel / there)
@@ -187,19 +173,16 @@ def _left(predictor, noise):
     return robust_mean(settled(likelihood, space, space.centre).at.ratio)
 
 
-def test_noise_is_learnt_within_a_factor(healthy, fitted):
-    noise = learn_noise(healthy, fitted.parameters, fitted.x, fitted.linear)
+def test_noise_is_learnt_within_a_factor_and_when_calibrated_leaves_one(healthy, fitted):
+    noise = noises.learn_noise(healthy, fitted.parameters, fitted.x, fitted.linear)
     assert 4e-4 < noise.instruments[0] < 1.2e-3
     assert 0.2 < noise.pushes[0] < 0.8
     assert 1.2 < noise.pushes[2] < 5.0
     assert 0.6 < _left(healthy, noise) < 1.4
-
-
-def test_calibrated_noise_leaves_one(healthy):
-    noise = Noise((1e-3, 2e-3, 0.02, 0.03), (0.4, 0.3, 2.0))
+    noise = noises.Noise((1e-3, 2e-3, 0.02, 0.03), (0.4, 0.3, 2.0))
     left = _left(healthy, noise)
-    assert _left(healthy, calibrated(noise, left)) == pytest.approx(1.0, abs=0.03)
-    assert _left(healthy, calibrated(noise, left, 0.8)) == pytest.approx(0.8, abs=0.03)
+    assert _left(healthy, noises.calibrated(noise, left)) == pytest.approx(1.0, abs=0.03)
+    assert _left(healthy, noises.calibrated(noise, left, 0.8)) == pytest.approx(0.8, abs=0.03)
 
 
 def test_starts_at_their_best_lower_the_error(likelihood):
@@ -209,11 +192,3 @@ def test_starts_at_their_best_lower_the_error(likelihood):
     before = likelihood.squares(error, guess, 0.0)
     after = settled(likelihood, space, space.centre).at.square
     assert (after <= before * (1.0 + 1e-9)).all()
-
-
-def test_neighbouring_windows_are_a_block_and_folds_take_turns(healthy):
-    blocks, folds = blocks_of(healthy), folds_of(healthy)
-    assert len(np.unique(blocks)) >= 4
-    assert set(folds.tolist()) == {0, 1, 2, 3}
-    run = healthy.layout.run
-    assert all(len(np.unique(run[blocks == b])) == 1 for b in np.unique(blocks))

@@ -22,7 +22,6 @@ MOST_SPREADS = 2.5  # prior standard deviations over which random starts are dra
 
 @pytest.fixture(scope="module")
 def late(drive, base):
-    """The likelihood of a car whose steering is late."""
     runs = drive(f"steer_delay={LATE}", runs=2, seconds=6.0, seed=21)
     predictor = open_predictor(make_augmented_car(base, runs), runs)
     return make_likelihood(predictor, predictor.augmented.base, predictor.guess, NOISE)
@@ -179,12 +178,9 @@ def test_derivatives_are_those_where_the_starts_have_gone(likelihood, settled_ba
     assert np.allclose(point.linear.by_x, whole.by_x, rtol=1e-9, atol=1e-12)
 
 
-def test_a_search_that_ends_at_its_limit_of_steps_is_not_whole(late):
+def test_a_search_cut_short_is_not_whole_and_a_start_that_diverges_is_said(late, likelihood, small):
     start = begin(Library(late, FEW, ()), ("steer_delay",), (0.0,), late.predictor.guess)
     assert not search.minimise(late, start, steps=2).whole
-
-
-def test_a_start_that_diverges_is_said(likelihood, small):
     x = likelihood.predictor.guess.copy()
     x[:, 3] = np.nan
     with pytest.raises(FloatingPointError, match="diverges"):

@@ -22,10 +22,14 @@ def _sums(four):
     return np.array([lf + lr + share * (1 / cf - 1 / cr), lr - share / cr])
 
 
-def test_drives_are_cut_into_the_papers_runs(make_drive, truth):
+def test_drives_are_cut_into_the_papers_runs_and_a_standing_car_has_none(make_drive, truth):
     runs = paper.paper_runs([make_drive(truth, 20.0, 1)])
     assert [round(len(run.commands) * paper.PAPER_STEP, 1) for run in runs] == [10.0, 10.0]
     assert all(run.first[4] == run.first[5] == 0.0 for run in runs)
+    run = make_drive(truth, 5.0, 1)
+    run.commands[:, 1] = 0.0
+    with pytest.raises(ValueError, match="speed command"):
+        paper.paper_runs([run])
 
 
 def test_batches_rotate(problem):
@@ -59,10 +63,3 @@ def test_a_search_can_be_watched_and_ended(problem):
     assert len(paper.search_adam(problem, START, 50, watch).losses) == 3
     assert len(paper.search_cma(problem, START, 50, watch=watch).losses) == 3
     assert [i for i, _ in seen] == [0, 1, 2] * 2
-
-
-def test_a_standing_car_has_no_runs(make_drive, truth):
-    run = make_drive(truth, 5.0, 1)
-    run.commands[:, 1] = 0.0
-    with pytest.raises(ValueError, match="speed command"):
-        paper.paper_runs([run])

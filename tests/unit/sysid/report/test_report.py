@@ -6,13 +6,7 @@ from dataclasses import replace
 import numpy as np
 from markupsafe import Markup
 
-from steerd.car_model.native.windows import (
-    HeldCommands,
-    make_kernels,
-    make_window_blocks,
-    march,
-    view_by_window,
-)
+from steerd.car_model.native import windows
 from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.report.page import render_report
 from steerd.sysid.report.report import Card, Cell, Fold, Report, Section, Table, format_table
@@ -26,7 +20,7 @@ SECTIONS = [Section("Part", "Text.", table=TABLE)]
 REPORT = Report("A <b> title", SECTIONS, "", subject="x.mcap", lead="It is.")
 
 
-def test_a_page_shows_its_parts_and_escapes_them():
+def test_a_page_shows_its_parts_escapes_them_and_leaves_out_what_is_empty():
     page = render_report(REPORT)
     assert "<title>A &lt;b&gt; title: x.mcap · steerd</title>" in page
     assert '<p class="meta">x.mcap</p>' in page
@@ -34,9 +28,6 @@ def test_a_page_shows_its_parts_and_escapes_them():
     assert "as <code>steerd plot</code> shows" in page
     assert '<td class="quiet">lag</td>' in page
     assert '<td class="strong words"></td>' in page
-
-
-def test_what_is_empty_is_left_out():
     page = render_report(replace(REPORT, subject="", sections=[Section(text="Alone.")]))
     body = page[page.index("<body") :]
     for part in ("cards", "verdict", "<h2>", "<table>", "<figure", "<details>", 'class="note"'):
@@ -50,25 +41,20 @@ def test_what_is_empty_is_left_out():
 
 
 def test_a_terminal_shows_names_to_the_left_and_figures_to_the_right():
-    assert list(format_table(TABLE.pick("name", "value"))) == [
-        "name  value",
-        "mass   3.74",
-        "lag     0.1",
-    ]
+    lines = ["name  value", "mass   3.74", "lag     0.1"]
+    assert list(format_table(TABLE.pick("name", "value"))) == lines
 
 
 # Work on a cluster: compiled cars find their own code there, joblib's work goes there.
-
-
 def test_a_compiled_car_travels_without_its_code():
-    kernels = make_kernels()
+    kernels = windows.make_kernels()
     data = pickle.dumps(kernels)
     assert len(data) < 5_000
     again = pickle.loads(data)
     assert again.names == kernels.names
-    held = HeldCommands(np.tile([0.1, 1.5], (50, 1)), 0.01)
-    blocks = make_window_blocks(np.array([[0, 50, 0]]), np.zeros(1))
+    held = windows.HeldCommands(np.tile([0.1, 1.5], (50, 1)), 0.01)
+    blocks = windows.make_window_blocks(np.array([[0, 50, 0]]), np.zeros(1))
     first = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
     parameters = np.array(DEFAULT_CAR)
-    paths = [march(each, parameters, first, held, blocks, 50) for each in (kernels, again)]
-    np.testing.assert_array_equal(view_by_window(paths[0], 1), view_by_window(paths[1], 1))
+    paths = [windows.march(each, parameters, first, held, blocks, 50) for each in (kernels, again)]
+    np.testing.assert_array_equal(*(windows.view_by_window(path, 1) for path in paths))
