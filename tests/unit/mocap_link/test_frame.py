@@ -59,11 +59,14 @@ def test_yaw_by_axis_mount_and_sign(config, q, yaw):
     assert pose.yaw == pytest.approx(yaw)
 
 
-def test_offsets_by_hand_and_angles_that_wrap_into_the_half_open_turn():
+def test_offsets_by_hand():
     config = frame.FrameConfig(marker_rear_x=0.21, marker_rear_y=-0.015, cog_ahead_of_rear=0.17)
     q = (cos(pi / 4), 0.0, 0.0, sin(pi / 4))
     pose = frame.make_planar_pose(config, (1.0, 2.0, 0.1), q)
     assert (pose.x, pose.y) == pytest.approx((1.0 - 0.015, 2.0 - 0.04))
+
+
+def test_angles_wrap_into_the_half_open_turn():
     assert (frame.wrap_angle(-pi), frame.wrap_angle(pi)) == (pi, pi)
     assert frame.wrap_angle(3 * pi + 0.1) == pytest.approx(-pi + 0.1)
 
