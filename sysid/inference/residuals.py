@@ -72,10 +72,10 @@ def covering_size(likelihood: Likelihood, point: Point) -> float:
     return float(next(covering, sizes[-1]))
 
 
-def interval_of(values: Array, blocks: NDArray[np.int64]) -> Array:
+def interval_of(values: Array, blocks: NDArray[np.int64], seed: int = 0) -> Array:
     """Bootstrap of `robust_mean` over blocks: (draws,)."""
     members = [np.flatnonzero(blocks == b) for b in np.unique(blocks)]
-    drawn = np.random.default_rng(0).integers(len(members), size=(_BOOTSTRAPS, len(members)))
+    drawn = np.random.default_rng(seed).integers(len(members), size=(_BOOTSTRAPS, len(members)))
     return np.array([robust_mean(values[np.concatenate([members[i] for i in d])]) for d in drawn])
 
 
