@@ -26,11 +26,9 @@ SAME = {e.name: e.same_as for e in EFFECTS.values() if e.same_as}
 
 def _library(runs, base, names=LOOKED_AT):
     predictor = open_predictor(make_augmented_car(base, runs), runs)
-    guess = predictor.guess.copy()
-    likelihood = make_likelihood(predictor, predictor.augmented.base, guess, NOISE)
-    return Library(
-        likelihood, nuisance_names(predictor.augmented, runs), tuple(map(EFFECTS.get, names))
-    )
+    guess, augmented = predictor.guess.copy(), predictor.augmented
+    likelihood = make_likelihood(predictor, augmented.base, guess, NOISE)
+    return Library(likelihood, nuisance_names(augmented, runs), tuple(map(EFFECTS.get, names)))
 
 
 def temper_of(library, found):
@@ -284,10 +282,8 @@ def test_a_clear_cause_loses_no_more_than_is_usual(late):
     """A large gap promises much along any gradient; between clear causes the evidence decides."""
     library, found = late
     points = [found.null.point, found.best.point]
-    free, small = (
-        _gain(_with_controls(library, _late_by(0.002, gain=g)), points) for g in (0.0, 0.1)
-    )
-    assert free - small == pytest.approx(c.SHOWN_MOST * 0.1 * len(points[0].at.dof))
+    gains = [_gain(_with_controls(library, _late_by(0.002, gain=g)), points) for g in (0.0, 0.1)]
+    assert gains[0] - gains[1] == pytest.approx(c.SHOWN_MOST * 0.1 * len(points[0].at.dof))
 
 
 def test_a_clear_cause_without_a_control_gives_up_the_most_that_another_may(late):
@@ -296,11 +292,9 @@ def test_a_clear_cause_without_a_control_gives_up_the_most_that_another_may(late
     points = [found.null.point, found.best.point]
     other = Control("speed_scale", np.zeros(1), np.eye(1) * 1e-6, 0.1)
     nothing = _late_by(0.0, 1e-6, gain=0.1)
-    with_own, without = (
-        _gain(_with_controls(library, other, *own), points) for own in ([nothing], [])
-    )
+    gains = [_gain(_with_controls(library, other, *own), points) for own in ([nothing], [])]
     most = c.SHOWN_MOST * 0.1 * len(points[0].at.dof)
-    assert with_own - without == pytest.approx(most, abs=1e-3)
+    assert gains[0] - gains[1] == pytest.approx(most, abs=1e-3)
 
 
 def test_two_causes_are_worth_the_same_whatever_little_one_of_them_is_alone(both):
