@@ -13,7 +13,7 @@ import pytest
 from steerd.mocap_link.frame import FrameConfig
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.mocap_url import parse_mocap_url
-from steerd.mocap_link.sockets import make_receiver, map_stamp
+from steerd.mocap_link.sockets import NatNetReceiver, VrpnReceiver, make_receiver, map_stamp
 from steerd.mocap_link.source import ClockKind, SourceState
 from steerd.sim_hw.mocap.cameras import MocapConfig
 from steerd.sim_hw.plant.faults import Fault
@@ -96,6 +96,7 @@ def connect():
 
 def test_natnet_poses_arrive_with_their_exposure_time(udp_server, connect):
     receiver, samples = follow(connect, udp_server, 60)
+    assert isinstance(receiver, NatNetReceiver)
     assert receiver.interface == LOOPBACK
     drive(receiver, udp_server.pump, lambda: receiver.status().state is SourceState.OK, samples)
     assert all(s.rejected is None for s in samples)
@@ -171,6 +172,7 @@ def test_vrpn_client_leaves_a_server_of_another_kind(connect):
 def test_vrpn_without_a_server_backs_off(connect):
     port = free_tcp_port()
     receiver = connect(f"vrpn://{LOOPBACK}:{port}/car")
+    assert isinstance(receiver, VrpnReceiver)
     attempts = []
     for i in range(2000):
         t = i * 10 * MS

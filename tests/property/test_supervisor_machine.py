@@ -108,5 +108,5 @@ class CarLife(RuleBasedStateMachine):
 
 
 TestCarLife = CarLife.TestCase
-LIVES = {"max_examples": 60, "stateful_step_count": 60}
-TestCarLife.settings = settings(derandomize=True, deadline=None, **LIVES)
+TestCarLife.settings = settings(derandomize=True, deadline=None, max_examples=60,
+                                stateful_step_count=60)  # fmt: skip

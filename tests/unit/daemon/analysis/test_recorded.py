@@ -80,6 +80,7 @@ def test_a_recorded_simulation_is_loaded_again_and_is_the_same_for_the_same_seed
 def test_a_temporary_drive_goes_with_its_value():
     session = steerd.simulate(duration=1.0)
     path = session.path
+    assert isinstance(session, steerd.Session)
     assert path.is_file()
     del session
     assert not path.exists()

@@ -41,13 +41,14 @@ def test_another_car_speed_or_rate_has_gains_of_its_own():
     assert len({digest_design(*case) for case in cases}) == len(cases)
 
 
-def test_changed_gains_are_computed_again(folder):
+@pytest.mark.parametrize("factor", [0.3, 3.0])
+def test_changed_gains_are_computed_again(folder, factor):
     whole = recall_table(*CASE)
     (file,) = folder.iterdir()
     text = file.read_text()
     gain = whole.rows[0][0]
     assert repr(gain) in text
-    file.write_text(text.replace(repr(gain), repr(3.0 * gain)))
+    file.write_text(text.replace(repr(gain), repr(factor * gain)))
     with pytest.warns(CacheRefused, match="is damaged or was changed; it is made anew"):
         assert recall_table(*CASE) == whole
     assert file.read_text() == text
