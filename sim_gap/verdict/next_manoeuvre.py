@@ -6,13 +6,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steerd.car_model.ops import FLOAT
-from steerd.car_model.rollout import simulate, start
-from steerd.car_model.state import Command, State
+from steerd.car_model.native.windows import (
+    STATES,
+    HeldCommands,
+    make_window_blocks,
+    march,
+    view_by_window,
+)
+from steerd.car_model.state import State
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import GRID, Run, Signal
 from steerd.sysid.inference.chart import places_of
-from steerd.sysid.inference.disturbance_response import active_model
 from steerd.sysid.inference.library import Library, carry
 from steerd.sysid.inference.likelihood import Likelihood, make_likelihood
 from steerd.sysid.inference.noise import Noise
@@ -81,17 +85,17 @@ MENU: Mapping[str, _Drive] = {
 
 def _drive(predictor: Predictor, fitted: Point, name: str) -> Run:
     """The manoeuvre as the explained car would drive it, without noise."""
-    t: Array = np.arange(round(SECONDS / GRID), dtype=np.float64) * GRID
-    steer, speed = MENU[name].drive(t)
-    model = active_model(predictor.augmented.kernels, fitted.parameters)
-    first = start(model, State(0.0, 0.0, 0.0, float(speed[0]), 0.0, 0.0, float(steer[0])), 0.0)
-    held = [
-        Command(float(a), float(b))
-        for a, b in zip(np.repeat(steer, _SUBSTEPS), np.repeat(speed, _SUBSTEPS), strict=True)
-    ]
-    path = simulate(FLOAT, model, first, held, GRID / _SUBSTEPS)[::_SUBSTEPS]
-    pose = np.array([moment.state[:3] for moment in path[: len(t)]])
-    return Run(name, GRID, np.column_stack([steer, speed]), Signal(t, pose))
+    kernels, steps = predictor.augmented.kernels, round(SECONDS / GRID)
+    t: Array = np.arange(steps, dtype=np.float64) * GRID
+    rows = np.column_stack(MENU[name].drive(t))
+    first = np.zeros((1, STATES + kernels.memory))
+    steer, speed = rows[0]
+    first[0, :STATES] = State(0.0, 0.0, 0.0, speed, 0.0, 0.0, steer)
+    held = HeldCommands(rows, GRID, _SUBSTEPS)
+    blocks = make_window_blocks(np.array([[0, steps, 0]]), np.zeros(1))
+    path = march(kernels, fitted.parameters, first, held, blocks, steps * _SUBSTEPS)
+    pose = view_by_window(path, 1)[0, :-1:_SUBSTEPS, :3]
+    return Run(name, GRID, rows, Signal(t, pose))
 
 
 def margin(
