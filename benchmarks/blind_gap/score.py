@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,12 +177,20 @@ def spread(values: Iterable[float]) -> Spread:
     return Spread(float(np.median(finite)), float(np.percentile(finite, 90)), len(finite))
 
 
-def parameter_error(case: Scored) -> float:
-    """Relative error of a rightly named effect's parameters: |estimate - truth| / |truth - null|.
+class Estimates(NamedTuple):
+    """A rightly named effect's parameters as far as they mean the same in the plant."""
+
+    value: Array  # what was added to the base car, by the verdict
+    true: Array  # what was added in truth
+    null: Array  # what changes nothing
+    sd: Array  # the verdict's standard errors
+
+
+def estimates(case: Scored) -> Estimates | None:
+    """The parameters of the first name, if it is right and they are comparable.
 
     The truth is what was added to the healthy car; of an effect that the base car already had, what
-    it had is taken off the estimate. NaN if the effect is not named, or its parameters mean
-    something else in the plant.
+    it had is taken off the estimate.
     """
     cause = case.first
     for truth in case.label["truths"]:
@@ -190,15 +198,28 @@ def parameter_error(case: Scored) -> float:
             continue
         effect = EFFECTS[cause.effect]
         if not effect.comparable or any(p not in cause.parameters for p in effect.comparable):
-            return float("nan")
-        estimate = np.array([cause.parameters[p] for p in effect.comparable])
-        true = np.array([truth["parameters"][p] for p in effect.comparable])
-        null = np.array([effect.null[p] for p in effect.comparable])
+            return None
+        value, true, null, sd = (
+            np.array([each[p] for p in effect.comparable])
+            for each in (cause.parameters, truth["parameters"], effect.null, cause.sds)
+        )
         own = case.verdict.own.get(cause.effect) if case.verdict else None
         if own is not None:
-            estimate = estimate - np.array(own[: len(null)]) + null
-        return float(np.linalg.norm(estimate - true) / np.linalg.norm(true - null))
-    return float("nan")
+            value = value - np.array(own[: len(null)]) + null
+        return Estimates(value, true, null, sd)
+    return None
+
+
+def parameter_error(case: Scored) -> float:
+    """Relative error of a rightly named effect's parameters: |estimate - truth| / |truth - null|.
+
+    NaN if the effect is not named, or its parameters mean something else in the plant.
+    """
+    found = estimates(case)
+    if found is None:
+        return float("nan")
+    wrong, size = found.value - found.true, found.true - found.null
+    return float(np.linalg.norm(wrong) / np.linalg.norm(size))
 
 
 def shrinkage_error(case: Scored) -> float:

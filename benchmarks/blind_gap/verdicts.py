@@ -28,6 +28,8 @@ class Cause:
     predicted: float = float("nan")
     measured: float = float("nan")
     ambiguous_with: tuple[str, ...] = ()
+    sds: dict[str, float] = field(default_factory=dict)
+    """Standard errors of the parameters."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +73,7 @@ def _read_cause(entry: dict[str, Any]) -> Cause:
         _number(shrink.get("predicted")),
         _number(shrink.get("measured")),
         tuple(_name(other) for other in entry.get("ambiguous_with") or ()),
+        {name: _number(p.get("sd")) for name, p in parameters.items()},
     )
 
 

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from math import isfinite, nan
 from typing import Any
 
@@ -14,6 +15,7 @@ from benchmarks.blind_gap.score import (
     Scored,
     both_named,
     calibration,
+    estimates,
     one_named,
     parameter_error,
     rate,
@@ -28,6 +30,8 @@ Lines = dict[str, str]
 
 _CLOSE = 0.03
 """A parameter is right within this."""
+_WIDTH = 1.645
+"""Standard deviations on either side of a 90 % interval."""
 _STIFFNESS = {"front": "c_sf", "rear": "c_sr"}
 """The tool's names of an axle's cornering force per load and friction."""
 
@@ -45,7 +49,25 @@ def scored(row: Json) -> Scored:
     }
     if "gap" not in row:
         return Scored(label, None)
-    return Scored(label, read_verdict(json.dumps(row["gap"]), row["diagnose_cpu"]))
+    verdict = read_verdict(json.dumps(row["gap"]), row["diagnose_cpu"])
+    return Scored(label, replace(verdict, own=_own(row["identify"]["parameters"])))
+
+
+def _own(found: Mapping[str, Any]) -> dict[str, list[float]]:
+    """Values of the effects that the base car had before."""
+    own: dict[str, list[float]] = {}
+    for name, entry in found.items():
+        effect, _, parameter = name.partition(".")
+        if parameter:
+            own.setdefault(effect, []).append(entry["value"])
+    return own
+
+
+def _inside(cases: Sequence[Scored]) -> Rate:
+    """Of first names that are right, parameters whose 90 % interval holds the truth."""
+    found = [each for case in cases if (each := estimates(case))]
+    away = [a for each in found for a in np.abs(each.value - each.true) / each.sd]
+    return Rate(int(np.sum(np.array(away) <= _WIDTH)), len(away))
 
 
 def _alarm(case: Scored) -> bool:
@@ -186,6 +208,7 @@ def score_rows(rows: Sequence[Json]) -> Lines:
         "outside the library: confident wrong": _share(rate(outside, wrong_name)),
         "expected calibration error": _error_of(right),
         "parameter error, median; 90 %": _two(100 * errors.median, 100 * errors.p90, "%"),
+        "parameters inside their 90 % intervals": _share(_inside(singles)),
         "shrinkage error, median; 90 %": _two(shrunk.median, shrunk.p90, "points"),
         **_learnt(rows),
         "diagnose: CPU, median; most": _two(_median(seconds), max(seconds, default=nan), "s"),

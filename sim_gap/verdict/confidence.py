@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steerd.car_model.effect import Confounding
+from steerd.car_model.effect import Confounding, Role, Stage
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.chart import places_of
 from steerd.sysid.inference.hypotheses import Findings
@@ -103,9 +103,13 @@ def _cause(library: Library, found: Findings, name: str, kept: float) -> Cause:
     augmented, control = library.likelihood.predictor.augmented, library.controls.get(name)
     values = best.point.parameters[augmented.places(name)]
     square = np.diag(best.posterior.covariance)[places_of(best.point.space.chart.free, name)]
+    own = np.array(augmented.values(name))
     if control is not None:  # what the model's errors add in healthy drives, they add here
-        away = control.values - augmented.values(name)
-        square = square + np.diag(control.covariance) + away**2
+        square = square + np.diag(control.covariance) + (control.values - own) ** 2
+    sizes = np.array([p.role is Role.SIZE for p in effect.parameters])
+    least = np.minimum(np.abs(values), np.abs(values - own))
+    wrong = c.MODEL_ERROR_FORCES if effect.stage is Stage.FORCES else c.MODEL_ERROR
+    square = square + sizes * (wrong * least) ** 2
     parameters = {
         p.name: Estimated(float(value), float(sd), p.unit)
         for p, value, sd in zip(effect.parameters, values, np.sqrt(square), strict=True)

@@ -28,6 +28,8 @@ from steerd.sysid.inference.space import Space
 
 Array = NDArray[np.float64]
 
+_FITTED, _FITTED_FURTHER = 6, 3
+"""Hypotheses with a first effect that are brought to their optimum, and with a further one."""
 _LADDER = (-1.5, -0.5, 0.5, 1.5)
 """Values that are tried, in prior scales of the parameter off what the base has."""
 _LOOKS = (1.0, 0.3, 0.1)
@@ -106,7 +108,7 @@ class _Search:
         """`grow` from effects as a point has them, once for each set of them."""
         if frozenset(names) not in self.grown:
             self.grown.add(frozenset(names))
-            self.grow(_again(self.library, names, point), c.FITTED_FURTHER)
+            self.grow(_again(self.library, names, point), _FITTED_FURTHER)
 
     def _fit(self, start: Point, chosen: Sequence["Candidate"]) -> None:
         """A hypothesis with one effect more, from the values of each look."""
@@ -207,7 +209,7 @@ def explain(
     search = _Search(library)
     search.keep(known)
     start = begin(library, (), (), library.likelihood.predictor.guess.copy())
-    search.grow(start, c.FITTED)
+    search.grow(start, _FITTED)
     best = search.hypotheses()[0]
     while 0 < len(best.effects) < most:
         progress(0.5)

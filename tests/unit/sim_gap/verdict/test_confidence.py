@@ -16,7 +16,7 @@ from steerd.sysid.inference.odds import Hypothesis
 SMALL, LARGE = 0.5 * c.GAP_SIZE, 4.0 * c.GAP_SIZE
 VALUES = {"steer_delay": (0.03,), "steer_lag": (0.05,), "mass": (1.5, 1.0), "yaw_inertia": (1.5,),
           "lateral_load_transfer": (0.1, 1.0), "marker_offset": (0.01, 0.0),
-          "cornering_stiffness": (1.3,)}  # fmt: skip
+          "cornering_stiffness": (1.3,), "accel_limit": (1.5,)}  # fmt: skip
 NAMES = [f"{name}.{p.name}" for name in VALUES for p in EFFECTS[name].parameters]
 LIBRARY = SimpleNamespace(
     effect=EFFECTS.get,
@@ -68,7 +68,8 @@ def test_a_cause_is_as_sure_as_every_hypothesis_that_has_it_but_for_what_stays(s
     assert told.name == ("explained" if share * LARGE == SMALL else "partial")
     (cause,) = told.causes
     assert (cause.effect, cause.stage, cause.family) == ("steer_delay", "command", "timing")
-    assert cause.parameters == {"delay": (0.03, pytest.approx(1e-3), "s")}
+    sd = np.hypot(1e-3, 0.03 * c.MODEL_ERROR)
+    assert cause.parameters == {"delay": (0.03, pytest.approx(sd), "s")}
     kept = 1.0 - share**2
     assert cause.confidence == pytest.approx(0.9 * kept)
     assert told.something_else == pytest.approx(1.0 - 0.9 * kept)
@@ -113,7 +114,23 @@ def test_what_healthy_drives_show_of_an_effect_is_part_of_its_error():
     shown = Control("steer_delay", np.array([0.004]), np.array([[9e-6]]), 0.1)
     library = SimpleNamespace(**{**vars(LIBRARY), "controls": {"steer_delay": shown}})
     (cause,) = judge_case(library, _found(_hypothesis("steer_delay")), True).causes
-    assert cause.parameters["delay"].sd == pytest.approx(np.sqrt(1e-6 + 9e-6 + 16e-6))
+    wrong = (0.03 * c.MODEL_ERROR) ** 2
+    assert cause.parameters["delay"].sd == pytest.approx(np.sqrt(1e-6 + 9e-6 + 16e-6 + wrong))
+
+
+def test_a_wrong_model_adds_to_an_error_by_the_change_or_the_value_whichever_is_less():
+    """A limit's null is out of reach; a form has no size."""
+    names = {
+        "cornering_stiffness": 0.3 * c.MODEL_ERROR_FORCES,
+        "accel_limit": 1.5 * c.MODEL_ERROR,
+        "mass": 1.5 * c.MODEL_ERROR_FORCES,
+    }
+    for name, wrong in names.items():
+        (cause,) = judge_case(LIBRARY, _found(_hypothesis(name)), True).causes
+        found = {key: each.sd for key, each in cause.parameters.items()}
+        own, *forms = found.values()
+        assert own == pytest.approx(np.hypot(1e-3, wrong))
+        assert forms == pytest.approx([1e-3] * len(forms))
 
 
 @pytest.mark.parametrize(
