@@ -81,6 +81,21 @@ class Layout:
         return self._rows[1]
 
     @property
+    def window(self) -> Indices:
+        """(R,) which window."""
+        return np.repeat(np.arange(self.count), np.diff(self.bounds))
+
+    @property
+    def window_speeds(self) -> Array:
+        """(W, 2) slowest and fastest speed of each window, from commands and its start [m/s]."""
+        past, out = round(HISTORY / self.h), np.empty((self.count, 2))
+        for w, (low, _, first, steps, _) in enumerate(self.spans.tolist()):
+            ordered = self.commands[max(low, first - past) : first + steps, 1]
+            speeds = np.abs(np.append(ordered, self.guess[w, 3]))
+            out[w] = speeds.min(), speeds.max()
+        return out
+
+    @property
     def group(self) -> Indices:
         """(R,) which noise level, see `GROUPS`."""
         return np.maximum(self.channel - 1, 0)
@@ -100,7 +115,7 @@ class Layout:
         return Windows(self.spans * np.array([1, 1, 1, substeps, substeps]), self.t)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)
 def make_stations(layout: Layout, pose_delay: float, step: float) -> Stations:
     """Where to read, when poses are `pose_delay` late and steps are `step` long [s]."""
     seen = layout.seen

@@ -63,6 +63,11 @@ class _Nominal:
         return len(self.first)
 
     @property
+    def held(self) -> HeldCommands:
+        """The commands in the steps of the window that needs the shortest: all have the same."""
+        return self.predictor.finest.held
+
+    @property
     def steps(self) -> int:
         return int(self.path.shape[1]) - 1
 
@@ -77,7 +82,7 @@ class _Nominal:
     def shown(self, path: Array) -> Array:
         """(W, D) what the instruments read along a path."""
         predictor = self.predictor
-        layout, fine, kernels = predictor.layout, predictor.held.fine, predictor.augmented.kernels
+        layout, fine, kernels = predictor.layout, self.held.fine, predictor.augmented.kernels
         seen, late = layout.seen, float(delays_of(kernels, self.parameters)[2])
         at = (seen.t - np.where(seen.kind == 0, late, 0.0)) / fine
         last = layout.spans[seen.window, 3] * round(layout.h / fine) - 1
@@ -99,11 +104,10 @@ def _nominal(predictor: Predictor, parameters: Array, x: Array) -> _Nominal:
     layout, kernels = predictor.layout, predictor.augmented.kernels
     first = np.zeros((len(x), STATES + kernels.memory))
     first[:, :STATES] = x
-    first = settle(kernels, parameters, first, predictor.held, predictor.windows)
+    held, windows = predictor.finest.held, predictor.finest.windows
+    first = settle(kernels, parameters, first, held, windows)
     at, steps = _Nominal(predictor, parameters, first, first), int(layout.spans[:, 3].max())
-    path = at.march(
-        first, predictor.held, layout.spans[:, :3], layout.t, steps * predictor.substeps
-    )
+    path = at.march(first, held, layout.spans[:, :3], layout.t, steps * held.substeps)
     return replace(at, path=path)
 
 
@@ -115,7 +119,7 @@ def responses(
     Zero in a window whose simulation leaves the map: it is lost, whatever pushes it.
     """
     at = _nominal(predictor, parameters, x)
-    pieces = max(1, round(at.steps * predictor.held.fine / PIECE))
+    pieces = max(1, round(at.steps * at.held.fine / PIECE))
     base = at.shown(at.path)
     out = np.empty((len(inputs), *base.shape, pieces))
     for piece in range(pieces):
@@ -132,7 +136,7 @@ def responses(
 def _impulses(at: _Nominal, kinds: Sequence[int], low: int, high: int) -> dict[int, Array]:
     """Paths with an impulse of each kind in the middle of a piece."""
     predictor, middle = at.predictor, (low + high) // 2
-    layout, count, fine = predictor.layout, at.count, predictor.held.fine
+    layout, count, fine = predictor.layout, at.count, at.held.fine
     time = (high - low) * fine
     first = np.tile(at.path[:, middle], (len(kinds), 1))
     fast = np.maximum(at.path[:, middle, 3], SPEED_KINEMATIC)
@@ -141,9 +145,9 @@ def _impulses(at: _Nominal, kinds: Sequence[int], low: int, high: int) -> dict[i
         column, scale = ((3, 1.0), (5, 1.0 / fast), (4, 1.0))[kind]
         first[mine, column] += _SIZES[kind] * time * scale
     runs = np.tile(layout.spans[:, :3], (len(kinds), 1))
-    runs[:, 2] += middle // predictor.substeps
+    runs[:, 2] += middle // at.held.substeps
     t = np.tile(layout.t, len(kinds)) + middle * fine
-    moved = at.march(first, predictor.held, runs, t, at.steps - middle)
+    moved = at.march(first, at.held, runs, t, at.steps - middle)
     out = {}
     for lane, kind in enumerate(kinds):
         path = at.path.copy()
@@ -156,7 +160,7 @@ def _impulses(at: _Nominal, kinds: Sequence[int], low: int, high: int) -> dict[i
 def _aimed(at: _Nominal, kind: int, low: int, high: int) -> Array:
     """The path with one command off while it arrives within a piece."""
     predictor, channel = at.predictor, kind - _IMPULSES
-    layout, sub = predictor.layout, predictor.substeps
+    layout, sub = predictor.layout, at.held.substeps
     late = round(float(delays_of(predictor.augmented.kernels, at.parameters)[channel]) / layout.h)
     rows = layout.spans[:, 2, None] + np.arange(-late - 1, at.steps // sub + 1)[None, :]
     rows = np.clip(rows, layout.spans[:, 0, None], layout.spans[:, 1, None] - 1)
@@ -165,5 +169,5 @@ def _aimed(at: _Nominal, kind: int, low: int, high: int) -> Array:
     width = commands.shape[1]
     start = np.arange(at.count) * width
     runs = np.column_stack([start, start + width, start + late + 1])
-    held = predictor.held._replace(rows=commands.reshape(-1, 2))
+    held = at.held._replace(rows=commands.reshape(-1, 2))
     return at.march(at.first, held, runs, layout.t, at.steps)

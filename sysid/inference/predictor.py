@@ -76,6 +76,16 @@ class Padded(NamedTuple):
     weights: csr_array  # (W * D, R) of the averages
 
 
+class Alike(NamedTuple):
+    """Windows that are integrated in steps of the same length."""
+
+    chosen: NDArray[np.bool_]  # (W,) which; rows: (R,) theirs
+    rows: NDArray[np.bool_]
+    layout: Layout  # they alone
+    held: HeldCommands  # the commands as they are integrated over
+    windows: Windows  # in integration steps
+
+
 class Linear(NamedTuple):
     """Errors about one point."""
 
@@ -92,7 +102,7 @@ class Predictor:
     augmented: AugmentedCar  # the car
     layout: Layout  # the windows
     padded: Padded  # rows by window
-    substeps: int  # integration steps to a command
+    substeps: NDArray[np.int64]  # (W,) integration steps to a command
     means: bool = False  # see `open_predictor`
 
     @property
@@ -100,15 +110,20 @@ class Predictor:
         """(W, 7) first guess of the windows' starts."""
         return self.layout.guess
 
-    @property
-    def held(self) -> HeldCommands:
-        """The commands as they are integrated over."""
-        return HeldCommands(self.layout.commands, self.layout.h, self.substeps, INTEGRATOR)
+    @cached_property
+    def finest(self) -> Alike:
+        """All windows, integrated in the steps of the one that needs the shortest."""
+        return self._alike(np.ones(len(self.substeps), bool), int(self.substeps.max()))
 
     @cached_property
-    def windows(self) -> Windows:
-        """The windows in integration steps."""
-        return self.layout.kernel_windows(self.substeps)
+    def alike(self) -> list[Alike]:
+        """The windows by how long their steps are."""
+        return [self._alike(self.substeps == n, n) for n in np.unique(self.substeps).tolist()]
+
+    def _alike(self, chosen: NDArray[np.bool_], substeps: int) -> Alike:
+        rows, layout = chosen[self.layout.window], take_windows(self.layout, chosen)
+        held = HeldCommands(layout.commands, layout.h, substeps, INTEGRATOR)
+        return Alike(chosen, rows, layout, held, layout.kernel_windows(substeps))
 
     @property
     def channel(self) -> NDArray[np.int64]:
@@ -188,10 +203,12 @@ class Predictor:
         """(W, D) measurements minus readings, angles the short way round; slopes of readings."""
         layout, kernels = self.layout, self.augmented.kernels
         late = float(delays_of(kernels, parameters)[2])
-        y, jy = compute_readings(
-            kernels, parameters, seeds, x, dfirst, self.held,
-            self.windows, make_stations(layout, late, self.held.fine),
-        )  # fmt: skip
+        y, jy = np.empty(len(layout.values)), np.empty((len(layout.values), seeds.shape[1]))
+        for part in self.alike:
+            y[part.rows], jy[part.rows] = compute_readings(
+                kernels, parameters, seeds, x[part.chosen], dfirst, part.held,
+                part.windows, make_stations(part.layout, late, part.held.fine),
+            )  # fmt: skip
         error, turn = layout.values - y, layout.channel == 2
         with np.errstate(invalid="ignore"):  # a window that left the map
             error[turn] = (error[turn] + np.pi) % (2.0 * np.pi) - np.pi
@@ -214,14 +231,18 @@ class Predictor:
 
     def stepped_for(self, parameters: Array) -> "Predictor":
         """The same with steps as short as a car (P,) needs, if its own are longer."""
-        car = model_of(self.augmented.kernels, parameters).car
-        needed = stable_substeps(car, *self.layout.speeds, self.layout.h, INTEGRATOR)
-        return replace(self, substeps=max(self.substeps, needed))
+        car, layout = model_of(self.augmented.kernels, parameters).car, self.layout
+        needed = [
+            stable_substeps(car, slowest, fastest, layout.h, INTEGRATOR)
+            for slowest, fastest in layout.window_speeds.tolist()
+        ]
+        return replace(self, substeps=np.maximum(self.substeps, needed))
 
     def take(self, chosen: NDArray[np.bool_]) -> "Predictor":
         """The predictor on some of its windows (boolean mask (W,))."""
         layout = take_windows(self.layout, chosen)
-        return replace(self, layout=layout, padded=pad_rows(layout, self.means))
+        padded, substeps = pad_rows(layout, self.means), self.substeps[chosen]
+        return replace(self, layout=layout, padded=padded, substeps=substeps)
 
 
 def pad_rows(layout: Layout, means: bool) -> Padded:
@@ -229,7 +250,7 @@ def pad_rows(layout: Layout, means: bool) -> Padded:
 
     With `means`, those of one window, channel and multiple of `SPACING` are averaged.
     """
-    window = np.repeat(np.arange(layout.count), np.diff(layout.bounds))
+    window = layout.window
     first = member = np.arange(len(window))
     counts = np.ones(len(window))
     if means:
@@ -277,7 +298,8 @@ def open_predictor(
     layout = make_layout(runs, horizon, known if late is None else late, most)
     layout = layout if means else thinned(layout)
     padded = pad_rows(layout, means)
-    return Predictor(augmented, layout, padded, 1, means).stepped_for(augmented.base)
+    once = np.ones(layout.count, np.int64)
+    return Predictor(augmented, layout, padded, once, means).stepped_for(augmented.base)
 
 
 def decay_rate(car: Car[float], slowest: float, fastest: float) -> float:

@@ -114,7 +114,7 @@ def test_limits_are_differenced(healthy, likelihood, name, step):
 def test_readings_are_smooth_in_a_dead_time(healthy, name):
     """A servo at its slew limit turns for what is left of the step in which a command arrives."""
     space = make_space(healthy.augmented, (name,))
-    grid, guess = healthy.layout.h / healthy.substeps, healthy.guess
+    grid, guess = healthy.finest.held.fine, healthy.guess
     at = grid * (np.floor(space.centre / grid) + np.linspace(1.1, 2.9, 10)[:, None])
     slopes = np.array([healthy.linear(space, z, guess).by_z[:, :, 0] for z in at])
     errors = np.array([healthy.errors(space.chart.parameters(z), guess)[0] for z in at])
