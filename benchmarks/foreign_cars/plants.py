@@ -118,6 +118,12 @@ def _box2d(rng: Random) -> Plant:
     return make_box2d(rng)
 
 
+def _racecar(rng: Random) -> Plant:
+    from benchmarks.foreign_cars.racecar import make_racecar
+
+    return make_racecar(rng)
+
+
 _MAKERS: dict[str, tuple[str, Callable[[Random], Plant]]] = {
     "own": ("numba", make_own),
     "mujoco": ("mujoco", _mujoco(False)),
@@ -125,6 +131,7 @@ _MAKERS: dict[str, tuple[str, Callable[[Random], Plant]]] = {
     "commonroad": ("vehiclemodels", _commonroad),
     "bullet": ("pybullet", _bullet),
     "box2d": ("Box2D", _box2d),
+    "racecar": ("safety_gymnasium", _racecar),
 }
 PLANTS = tuple(_MAKERS)
 
