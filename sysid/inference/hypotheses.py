@@ -20,7 +20,7 @@ from steerd.car_model.effect import Effect, Role
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.library import Library, carry, linearise
 from steerd.sysid.inference.likelihood import Weighed, loss_of
-from steerd.sysid.inference.odds import Hypothesis, Shown, price, rank
+from steerd.sysid.inference.odds import Hypothesis, Shown, price, rank, shown_most
 from steerd.sysid.inference.places import suspicious_discs
 from steerd.sysid.inference.residuals import covering_size
 from steerd.sysid.inference.search import BEHIND, Point, minimise, newton, open_point, stand
@@ -274,7 +274,7 @@ def screen_effects(library: Library, start: Point, far: bool = True) -> list[Can
     start = replace(start, rotated=start.rotated._replace(held=held))
     views = [library.likelihood.weigh(start.rotated, share * start.size) for share in _LOOKS]
     level = _expected(library, start, views, start.space, start.linear.error)
-    found = []
+    found, temper = [], library.design_effect(start.size)
     for effect in (e for e in library.effects if e.name not in start.space.effects):
         known = library.controls.get(effect.name)
         healthy = [] if known is None else [tuple(known.values.tolist())]
@@ -282,7 +282,10 @@ def screen_effects(library: Library, start: Point, far: bool = True) -> list[Can
         tried += _ladder(library, start, effect) if far or not tried else []
         looks = list(_looks(library, start, views, effect, tried))
         others = _looks(library, start, views, effect, healthy)
-        reference = min([level, *(look.cost for look in others)])
+        # Without the base's parameter of the same name its others may move further than together
+        # with it: what that gains is no more than the effect gained in healthy drives.
+        most = 0.0 if known is None else shown_most(library, known) * temper
+        reference = max(min([level, *(look.cost for look in others)]), level - most)
         best = min(looks, key=lambda look: look.cost, default=Candidate(effect.name, effect.nulls))
         found.append(replace(best, gain=reference - best.cost))
     return sorted(found, key=lambda look: -look.gain)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect, Role
 from steerd.sysid.inference import constants as c
+from steerd.sysid.inference.augmented_car import Control
 from steerd.sysid.inference.chart import places_of
 from steerd.sysid.inference.library import Library, Slice, slice_along
 from steerd.sysid.inference.posterior import (
@@ -130,9 +131,8 @@ def _healthy_gain(library: Library, point: Point, name: str, temper: float, show
 
     One without values there: the most that any other may gain so.
     """
-    windows = c.SHOWN_MOST * len(point.at.dof)
     if name not in library.controls:
-        return windows * max(control.gain for control in library.controls.values())
+        return max(shown_most(library, control) for control in library.controls.values())
     if (point, name) not in shown:
         shown[point, name] = slice_along(library, point, library.effect(name))
     along = shown[point, name]
@@ -141,7 +141,12 @@ def _healthy_gain(library: Library, point: Point, name: str, temper: float, show
     control = library.controls[name]
     away = control.values - library.likelihood.predictor.augmented.values(name)
     gain = log_mean(along.curved / temper, along.slope / temper, away, control.covariance)
-    return min(max(gain, 0.0), windows * control.gain)
+    return min(max(gain, 0.0), shown_most(library, control))
+
+
+def shown_most(library: Library, control: Control) -> float:
+    """The most that an effect may gain by being as healthy drives show it [nats, tempered]."""
+    return c.SHOWN_MOST * len(library.likelihood.dof) * control.gain
 
 
 def price(library: Library, count: int) -> float:

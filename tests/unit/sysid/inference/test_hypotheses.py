@@ -286,6 +286,18 @@ def test_a_clear_cause_loses_no_more_than_is_usual(late):
     assert gains[0] - gains[1] == pytest.approx(c.SHOWN_MOST * 0.1 * len(points[0].at.dof))
 
 
+def test_a_look_loses_no_more_than_its_effect_gained_in_healthy_drives(late):
+    """Else what the base gains without its parameter of the same name hides the effect."""
+    library, found = late
+    looks = []
+    for seconds in (0.0, 0.03):
+        known = _with_controls(library, _late_by(seconds, gain=0.01))
+        screened = screen_effects(known, found.start)
+        looks.append(next(look for look in screened if look.effect == "steer_delay").gain)
+    most = c.SHOWN_MOST * 0.01 * len(found.start.at.dof) * known.design_effect(found.start.size)
+    assert looks[0] - looks[1] == pytest.approx(most)
+
+
 def test_a_clear_cause_without_a_control_gives_up_the_most_that_another_may(late):
     """A clip, which has none, is compared with a gain, which has one."""
     library, found = late
