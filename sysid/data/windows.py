@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from steerd.car_model.native.windows import Stations, Windows
 from steerd.sysid.data.data_checks import Array, noise_of
-from steerd.sysid.data.dataset import HISTORY, Run, Signal, pose_speed
+from steerd.sysid.data.dataset import HISTORY, Run, Signal
 
 Indices = NDArray[np.int64]
 
@@ -54,7 +54,6 @@ class Layout:
     values: Array  # (R,) measurements
     bounds: Indices  # (W + 1,) rows of each window
     guess: Array  # (W, 7) first guess of the initial states, from the poses alone; steer 0
-    speeds: tuple[float, float]  # slowest and fastest of the runs [m/s]
 
     @property
     def count(self) -> int:
@@ -228,7 +227,6 @@ def make_layout(
         values=values,
         bounds=np.empty(0, np.int64),
         guess=np.empty((len(spans), 7)),
-        speeds=speed_range(runs),
     )
     layout = take_readings(layout, np.lexsort((kind, window)))
     chosen = np.flatnonzero(np.bincount(window[kind == 0], minlength=len(spans)) >= POSES_MIN)
@@ -299,11 +297,3 @@ def estimate_noise(runs: Sequence[Run]) -> Array:
     middle = np.array([float(np.median([v for v in f if v > 0] or [0.0])) for f in found])
     noise: Array = np.maximum(middle, FLOORS)
     return noise
-
-
-def speed_range(runs: Sequence[Run]) -> tuple[float, float]:
-    """Slowest and fastest speed that commands or poses show [m/s], outliers left out."""
-    speeds = [np.percentile(pose_speed(run.pose).values, [2.0, 98.0]) for run in runs]
-    speeds += [np.percentile(run.commands[:, 1], [0.0, 100.0]) for run in runs]
-    every = np.abs(np.concatenate(speeds))
-    return float(every.min()), float(every.max())

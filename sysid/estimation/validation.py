@@ -76,7 +76,8 @@ def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> l
     kernels, parameters = make_kernels(model.effects, model.chassis), parameter_vector(model)
     late = float(delays_of(kernels, parameters)[2])
     layout = make_layout(runs, _ROOM * (PAST + horizon), late)
-    substeps = stable_substeps(model.car, *layout.speeds, layout.h)
+    speeds = layout.window_speeds
+    substeps = stable_substeps(model.car, speeds.min(), speeds.max(), layout.h)
     held = HeldCommands(layout.commands, layout.h, substeps)
     stations, windows = make_stations(layout, late, held.fine), layout.kernel_windows(substeps)
     seeds, dfirst = np.zeros((len(parameters), _STATES)), np.eye(_STATES)

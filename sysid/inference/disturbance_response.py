@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.chassis import SPEED_KINEMATIC
-from steerd.car_model.model import Model, observe
+from steerd.car_model.model import observe
 from steerd.car_model.native.windows import (
     STATES,
     HeldCommands,
-    Kernels,
     delays_of,
     make_window_blocks,
     march,
@@ -39,14 +38,6 @@ _SIZES = (0.2, 0.2, 1.0, 0.005, 0.05)
 """Of the finite differences: [m/s^2], [m/s^2], [rad/s^2], [rad], [m/s]."""
 _IMPULSES = 3
 """The first inputs are impulses on the chassis."""
-
-
-def active_model(kernels: Kernels, parameters: Array) -> Model[float]:
-    """The car with only those effects that do something."""
-    full = model_of(kernels, parameters)
-    pairs = zip(full.effects, full.values, strict=True)
-    kept = [(effect, values) for effect, values in pairs if values != effect.nulls]
-    return full._replace(effects=tuple(e for e, _ in kept), values=tuple(v for _, v in kept))
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +81,7 @@ class _Nominal:
         a, b = path[seen.window, k, :STATES], path[seen.window, k + 1, :STATES]
         with np.errstate(invalid="ignore"):  # a car that spun away reads nothing; it is refused
             state: State[Any] = State(*(a + (at - k)[:, None] * (b - a)).T)
-            every = observe(NUMPY, active_model(kernels, self.parameters), state)
+            every = observe(NUMPY, model_of(kernels, self.parameters), state)
         out = np.empty(len(layout.values))
         for channel, values in enumerate(every):
             mine = seen.kind == max(channel - 2, 0)

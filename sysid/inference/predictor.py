@@ -302,22 +302,18 @@ def open_predictor(
     return Predictor(augmented, layout, padded, once, means).stepped_for(augmented.base)
 
 
-def decay_rate(car: Car[float], slowest: float, fastest: float) -> float:
-    """Fastest decay of yaw rate and slip between two speeds [1/s].
+def stable_substeps(
+    car: Car[float], slowest: float, fastest: float, h: float, integrator: str = "rk4"
+) -> int:
+    """Integration steps that a step of `h` seconds needs for speeds in this range [m/s].
 
-    Below walking pace the tyre equations fade into the kinematic ones, so the rate stays bounded.
+    Below walking pace the tyre equations fade into the kinematic ones, so that the fastest decay of
+    yaw rate and slip stays bounded.
     """
     speeds = np.linspace(slowest, fastest, 32)
     share = np.asarray(dynamic_share(NUMPY, speeds), float)
     tyres = np.array([stiffness_rate(car, float(v)) for v in speeds])
-    return float(np.max(share * tyres + (1.0 - share) * KINEMATIC_RATE))
-
-
-def stable_substeps(
-    car: Car[float], slowest: float, fastest: float, h: float, integrator: str = "rk4"
-) -> int:
-    """Integration steps that a step of `h` seconds needs for speeds in this range [m/s]."""
-    rate = decay_rate(car, slowest, fastest)
+    rate = float(np.max(share * tyres + (1.0 - share) * KINEMATIC_RATE))
     if not math.isfinite(rate):
         return SUBSTEPS_MAX
     return min(max(1, math.ceil(h * rate / DECAY_MAX[integrator])), SUBSTEPS_MAX)
