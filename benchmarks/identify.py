@@ -38,7 +38,7 @@ from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.data.segments import make_blocks
 from steerd.sysid.estimation.outcome import Fit, fit_of_plain
 from steerd.sysid.inference import predictor
-from steerd.sysid.inference.plain_car import Asked, search_blocks, search_rough
+from steerd.sysid.inference.plain_car import Asked, search_plain
 from steerd.sysid.inference.predictor import Linear, Predictor
 from steerd.sysid.inference.space import Space
 from steerd.sysid.paper import NAMES, PAPER_CAR_DIRECT
@@ -194,8 +194,8 @@ def ours(runs: list[Run], base: Car[float], start: Array) -> Fit:
     car = base._replace(**dict(zip(NAMES, start.tolist(), strict=True)))
     asked, blocks = Asked(Model(car), NAMES), make_blocks(runs)
     with as_simulated():
-        rough = search_rough(asked.model, blocks, asked)
-        found = rough and search_blocks(blocks, asked, rough)
+        rough = search_plain(blocks, asked)
+        found = rough and search_plain(blocks, asked, rough)
         if not found:
             raise FloatingPointError("the simulation diverges")
         return fit_of_plain(found, blocks, asked, ())

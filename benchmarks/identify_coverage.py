@@ -24,7 +24,7 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.data.dataset import Run
 from steerd.sysid.data.segments import make_blocks
 from steerd.sysid.estimation.outcome import Fit, fit_of_plain
-from steerd.sysid.inference.plain_car import DEFAULT_FREE, Asked, search_blocks, search_rough
+from steerd.sysid.inference.plain_car import DEFAULT_FREE, Asked, search_plain
 from steerd.sysid.paper import NAMES as TYRES
 
 BAD = (
@@ -58,8 +58,8 @@ def _start(kind: str, seed: int) -> Model[float]:
 def fit(run: Run, start: Model[float], wheelbase: float | None = None) -> Fit:
     """As `learn` does where the plain car explains the drives."""
     blocks, asked = make_blocks([run]), Asked(Model(DEFAULT_CAR), DEFAULT_FREE, wheelbase)
-    rough = search_rough(start, blocks, asked)
-    found = rough and search_blocks(blocks, asked, rough)
+    rough = search_plain(blocks, asked._replace(model=start))
+    found = rough and search_plain(blocks, asked, rough)
     if not found:
         raise FloatingPointError("the simulation diverges")
     return fit_of_plain(found, blocks, asked, ())

@@ -6,13 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steerd.car_model.native.windows import (
-    STATES,
-    HeldCommands,
-    make_window_blocks,
-    march,
-    view_by_window,
-)
+from steerd.car_model.native import windows as compiled
 from steerd.car_model.state import State
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import GRID, Run, Signal
@@ -88,13 +82,13 @@ def _drive(predictor: Predictor, fitted: Point, name: str) -> Run:
     kernels, steps = predictor.augmented.kernels, round(SECONDS / GRID)
     t: Array = np.arange(steps, dtype=np.float64) * GRID
     rows = np.column_stack(MENU[name].drive(t))
-    first = np.zeros((1, STATES + kernels.memory))
+    first = np.zeros((1, compiled.STATES + kernels.memory))
     steer, speed = rows[0]
-    first[0, :STATES] = State(0.0, 0.0, 0.0, speed, 0.0, 0.0, steer)
-    held = HeldCommands(rows, GRID, _SUBSTEPS)
-    blocks = make_window_blocks(np.array([[0, steps, 0]]), np.zeros(1))
-    path = march(kernels, fitted.parameters, first, held, blocks, steps * _SUBSTEPS)
-    pose = view_by_window(path, 1)[0, :-1:_SUBSTEPS, :3]
+    first[0, : compiled.STATES] = State(0.0, 0.0, 0.0, speed, 0.0, 0.0, steer)
+    held = compiled.HeldCommands(rows, GRID, _SUBSTEPS)
+    blocks = compiled.make_window_blocks(np.array([[0, steps, 0]]), np.zeros(1))
+    path = compiled.march(kernels, fitted.parameters, first, held, blocks, steps * _SUBSTEPS)
+    pose = compiled.view_by_window(path, 1)[0, :-1:_SUBSTEPS, :3]
     return Run(name, GRID, rows, Signal(t, pose))
 
 

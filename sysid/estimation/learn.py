@@ -23,8 +23,7 @@ from steerd.sysid.inference.plain_car import (
     PlainCar,
     default_free,
     free_of,
-    search_blocks,
-    search_rough,
+    search_plain,
 )
 from steerd.sysid.paper import SearchHistory
 from steerd.sysid.parallel import map_jobs
@@ -171,8 +170,8 @@ def _search_rough(task: Task, moving: Sequence[Run]) -> tuple[PlainCar, ...]:
     if task.starts == 1 and prep.has_one_speed(moving):
         starts = [each for model in starts for each in prep.candidate_starts(model, free)]
     asked = task.question._replace(free=free_of(moving, free))
-    work = partial(search_rough, runs=moving, asked=asked)
-    found = map_jobs(work, starts, task.asked.jobs, task.asked.dask)
+    each = [asked._replace(model=model) for model in starts]
+    found = map_jobs(partial(search_plain, moving), each, task.asked.jobs)
     return tuple(sorted((rough for rough in found if rough), key=lambda rough: rough.point.cost))
 
 
@@ -212,7 +211,7 @@ def _fit_plain(task: Task, drives: _Drives, roughs: Sequence[PlainCar]) -> outco
     runs, asked = drives.fitted, task.question
     able = asked._replace(free=free_of(runs, asked.free))
     several = prep.has_one_speed(runs)
-    ends = [search_blocks(runs, able, rough) for rough in (roughs if several else roughs[:1])]
+    ends = [search_plain(runs, able, rough) for rough in (roughs if several else roughs[:1])]
     if not (arrived := sorted((e for e in ends if e), key=lambda end: end.point.cost)):
         return None
     best, *others = arrived
@@ -249,7 +248,7 @@ def _search(task: Task) -> tuple[SearchHistory, ...]:
     work = partial(
         search_from, runs=paper_runs(task.runs), method=asked.method, iterations=asked.iterations
     )
-    searches = map_jobs(work, list(enumerate(starts)), asked.jobs, asked.dask)
+    searches = map_jobs(work, list(enumerate(starts)), asked.jobs)
     if all(search.diverged for search in searches):
         raise FloatingPointError("the simulation diverges from every start")
     return tuple(searches)

@@ -59,7 +59,6 @@ class FitOptions:
     iterations: int | None = None  # of the paper's methods; None for 100 (`paper`) or 500
     seed: int = 0  # of random starts
     jobs: int = 1  # worker processes
-    dask: str | None = None  # address of a Dask scheduler instead
 
 
 def add_command_history(runs: Sequence[Run], model: Model[float]) -> tuple[Run, ...]:

@@ -123,20 +123,6 @@ def silent_names(runs: Sequence[Run], asked: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in asked if name in SPEED_LOOP)
 
 
-def search_rough(start: Model[float], runs: Sequence[Run], asked: Asked) -> PlainCar | None:
-    """A car good enough to begin with, from a start; None where its simulation diverges.
-
-    Raises:
-        ValueError: a name is unknown, the runs' grids differ, or no window sees enough poses.
-    """
-    return _search(runs, asked._replace(model=start), None, HORIZON, ENOUGH)
-
-
-def search_blocks(runs: Sequence[Run], asked: Asked, rough: PlainCar) -> PlainCar | None:
-    """The car over windows as long as blocks, from a rough one; None as above."""
-    return _search(runs, asked, rough, BLOCK, MOST)
-
-
 def open_plain(
     runs: Sequence[Run], asked: Asked, rough: PlainCar | None, horizon: float, most: float
 ) -> tuple[Likelihood, Noise]:
@@ -158,11 +144,19 @@ def open_plain(
     return make_likelihood(predictor, about, predictor.guess.copy(), noise), noise
 
 
-def _search(
-    runs: Sequence[Run], asked: Asked, rough: PlainCar | None, horizon: float, most: float
+def search_plain(
+    runs: Sequence[Run], asked: Asked, rough: PlainCar | None = None
 ) -> PlainCar | None:
-    """From a start to the optimum, at last under no more discrepancy than is needed."""
-    likelihood, noise = open_plain(runs, asked, rough, horizon, most)
+    """The car at its best, at last under no more discrepancy than is needed.
+
+    From the car as believed to one good enough to begin with; from such a rough one over windows as
+    long as blocks. None where the simulation diverges.
+
+    Raises:
+        ValueError: a name is unknown, the runs' grids differ, or no window sees enough poses.
+    """
+    extent = (HORIZON, ENOUGH) if rough is None else (BLOCK, MOST)
+    likelihood, noise = open_plain(runs, asked, rough, *extent)
     space = make_space(likelihood.predictor.augmented, asked.free)
     x = likelihood.predictor.guess.copy()
     z = space.centre if rough is None else space.chart.coordinates(rough.point.parameters)

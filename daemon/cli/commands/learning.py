@@ -52,7 +52,6 @@ def identify_arguments(parser: ArgumentParser) -> None:
     option(out, "--report", "FILE.html", "the result with figures", type=Path)
     where = parser.add_argument_group("where")
     option(where, "--jobs", "N", "processes", type=int, default=1)
-    option(where, "--dask", "ADDRESS", "a Dask scheduler instead")
 
 
 def identify(args: Namespace) -> int:

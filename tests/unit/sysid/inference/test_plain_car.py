@@ -34,8 +34,8 @@ def fit(runs, model, free=plain_car.DEFAULT_FREE, *, wheelbase=None, start=None,
     """As `learn` does where the plain car explains the drives."""
     blocks = make_blocks(runs)
     asked = plain_car.Asked(model, plain_car.free_of(blocks, free), wheelbase)
-    rough = plain_car.search_rough(start or model, blocks, asked)
-    found = plain_car.search_blocks(blocks, asked, rough)
+    rough = plain_car.search_plain(blocks, asked._replace(model=start or model))
+    found = plain_car.search_plain(blocks, asked, rough)
     return fit_of_plain(found, blocks, plain_car.Asked(model, free, wheelbase), doubts)
 
 
