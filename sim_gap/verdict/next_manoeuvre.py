@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from steerd.car_model.native import windows as compiled
-from steerd.car_model.state import State
+from steerd.car_model.state import ORIGIN
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import GRID, Run, Signal
 from steerd.sysid.inference.chart import places_of
@@ -79,15 +79,13 @@ MENU: Mapping[str, _Drive] = {
 
 def _drive(predictor: Predictor, fitted: Point, name: str) -> Run:
     """The manoeuvre as the explained car would drive it, without noise."""
-    kernels, steps = predictor.augmented.kernels, round(SECONDS / GRID)
-    t: Array = np.arange(steps, dtype=np.float64) * GRID
+    kernels, t = predictor.augmented.kernels, GRID * np.arange(round(SECONDS / GRID), dtype=float)
     rows = np.column_stack(MENU[name].drive(t))
     first = np.zeros((1, compiled.STATES + kernels.memory))
-    steer, speed = rows[0]
-    first[0, : compiled.STATES] = State(0.0, 0.0, 0.0, speed, 0.0, 0.0, steer)
+    first[0, : compiled.STATES] = ORIGIN._replace(steer=rows[0, 0], speed=rows[0, 1])
     held = compiled.HeldCommands(rows, GRID, _SUBSTEPS)
-    blocks = compiled.make_window_blocks(np.array([[0, steps, 0]]), np.zeros(1))
-    path = compiled.march(kernels, fitted.parameters, first, held, blocks, steps * _SUBSTEPS)
+    blocks = compiled.make_window_blocks(np.array([[0, len(t), 0]]), np.zeros(1))
+    path = compiled.march(kernels, fitted.parameters, first, held, blocks, len(t) * _SUBSTEPS)
     pose = compiled.view_by_window(path, 1)[0, :-1:_SUBSTEPS, :3]
     return Run(name, GRID, rows, Signal(t, pose))
 

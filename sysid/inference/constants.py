@@ -50,9 +50,8 @@ SHOWN_MOST = 3.0
 """What an effect gains by being as healthy drives show it is, per window, at most so many times its
 gain in those: where a gap is large, any change along a gradient promises more."""
 MODEL_ERROR, MODEL_ERROR_FORCES = 0.04, 0.12
-"""Standard error that a wrong model adds to an effect's value, per the value or its change,
-whichever is less; of a force on the car, which hangs on the whole tyre model, the second. Without
-it 90 % intervals hold 75 % of 153 values of sets 21 to 23, with it 89 %."""
+"""Standard error that a wrong model adds per value or change, whichever is less; the second to a
+force on the car. Without it 90 % intervals hold 75 % of 153 values of sets 21 to 23, with it 89."""
 CHANCE = 0.05
 """An effect that chance takes as far from its null this often is left out of the car file."""
 COG_PLACE = 0.035

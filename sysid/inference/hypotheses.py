@@ -282,8 +282,7 @@ def screen_effects(library: Library, start: Point, far: bool = True) -> list[Can
         tried += _ladder(library, start, effect) if far or not tried else []
         looks = list(_looks(library, start, views, effect, tried))
         others = _looks(library, start, views, effect, healthy)
-        # Without the base's parameter of the same name its others may move further than together
-        # with it: what that gains is no more than the effect gained in healthy drives.
+        # Without its parameter of the same name a base may move further: that gains no more.
         most = 0.0 if known is None else shown_most(library, known) * temper
         reference = max(min([level, *(look.cost for look in others)]), level - most)
         best = min(looks, key=lambda look: look.cost, default=Candidate(effect.name, effect.nulls))

@@ -120,10 +120,10 @@ class Predictor:
         """The windows by how long their steps are."""
         return [self._alike(self.substeps == n, n) for n in np.unique(self.substeps).tolist()]
 
-    def _alike(self, chosen: NDArray[np.bool_], substeps: int) -> Alike:
+    def _alike(self, chosen: NDArray[np.bool_], steps: int) -> Alike:
         rows, layout = chosen[self.layout.window], take_windows(self.layout, chosen)
-        held = HeldCommands(layout.commands, layout.h, substeps, INTEGRATOR)
-        return Alike(chosen, rows, layout, held, layout.kernel_windows(substeps))
+        held = HeldCommands(layout.commands, layout.h, steps, INTEGRATOR)
+        return Alike(chosen, rows, layout, held, layout.kernel_windows(steps))
 
     @property
     def channel(self) -> NDArray[np.int64]:
@@ -203,7 +203,7 @@ class Predictor:
         """(W, D) measurements minus readings, angles the short way round; slopes of readings."""
         layout, kernels = self.layout, self.augmented.kernels
         late = float(delays_of(kernels, parameters)[2])
-        y, jy = np.empty(len(layout.values)), np.empty((len(layout.values), seeds.shape[1]))
+        y, jy = np.empty(n := len(layout.values)), np.empty((n, seeds.shape[1]))
         for part in self.alike:
             y[part.rows], jy[part.rows] = compute_readings(
                 kernels, parameters, seeds, x[part.chosen], dfirst, part.held,
@@ -232,10 +232,8 @@ class Predictor:
     def stepped_for(self, parameters: Array) -> "Predictor":
         """The same with steps as short as a car (P,) needs, if its own are longer."""
         car, layout = model_of(self.augmented.kernels, parameters).car, self.layout
-        needed = [
-            stable_substeps(car, slowest, fastest, layout.h, INTEGRATOR)
-            for slowest, fastest in layout.window_speeds.tolist()
-        ]
+        speeds = layout.window_speeds.tolist()
+        needed = [stable_substeps(car, low, high, layout.h, INTEGRATOR) for low, high in speeds]
         return replace(self, substeps=np.maximum(self.substeps, needed))
 
     def take(self, chosen: NDArray[np.bool_]) -> "Predictor":
