@@ -57,7 +57,7 @@ docs: install     ## the site, into site/; a broken link or anchor is an error
 
 media: install    ## the pictures of README, site and tutorial, from their own commands (minutes; Chromium)
 	$(BIN)/python docs/media.py
-	$(BIN)/python -m tests.media
+	$(BIN)/python -m benchmarks.pictures
 
 unit: install     ## the quick tests, half a minute: no processes, no statistics, no whole commands
 	$(PYTEST) -n 2 -m "not realtime and not slow" tests/unit

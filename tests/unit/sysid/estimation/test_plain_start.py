@@ -98,7 +98,6 @@ def test_poses_of_a_centimetre_and_steady_circles_show_the_curvature():
 
 
 # Drives at one speed: other starts, and what is left open where ends differ.
-DEFAULT = Model(DEFAULT_CAR)
 
 
 @pytest.fixture(scope="module")
@@ -137,14 +136,13 @@ def test_what_two_ends_place_differently_is_left_open():
 
 @pytest.mark.slow
 def test_one_speed_tells_no_more_than_it_can(slow, truth):
-    outcome = learn(Task((slow,), DEFAULT, prep.FitOptions(wheelbase=0.332)), lambda: 0.0)
+    outcome = learn(Task((slow,), MODEL, prep.FitOptions(wheelbase=0.332)), lambda: 0.0)
     for name, row in outcome.free_rows.items():
         if row.identifiable:
             assert abs(row.value - getattr(truth.car, name)) < 4.0 * row.sd, name
 
 
 # Start values that do not stand in the way: inertia, loads and end stops of another car.
-CAR = Model(DEFAULT_CAR)
 
 
 def _run(steer=0.3, speed=True, servo_frame=0.0):
@@ -158,23 +156,23 @@ def _run(steer=0.3, speed=True, servo_frame=0.0):
 
 def test_inertia_follows_mass_and_length_squared_and_loads_no_measured_speed():
     lengths = {name: getattr(DEFAULT_CAR, name) / 2 for name in ("lf", "lr", "mass")}
-    half = CAR._replace(car=DEFAULT_CAR._replace(**lengths))
-    assert prep.scale_inertia(half, CAR).car.inertia_z == pytest.approx(DEFAULT_CAR.inertia_z / 8)
-    assert prep.scale_inertia(CAR, CAR) == CAR
-    assert prep.level_loads(CAR, [_run(speed=False)]).car.cog_height == 0.0
-    assert prep.level_loads(CAR, [_run()]) == CAR
+    half = MODEL._replace(car=DEFAULT_CAR._replace(**lengths))
+    assert prep.scale_inertia(half, MODEL).car.inertia_z == pytest.approx(DEFAULT_CAR.inertia_z / 8)
+    assert prep.scale_inertia(MODEL, MODEL) == MODEL
+    assert prep.level_loads(MODEL, [_run(speed=False)]).car.cog_height == 0.0
+    assert prep.level_loads(MODEL, [_run()]) == MODEL
 
 
 def test_end_stops_of_another_car_do_not_clip_a_log():
     run = _run(steer=0.3)
-    wide = prep.widen_end_stops(CAR, [run], ()).car
+    wide = prep.widen_end_stops(MODEL, [run], ()).car
     assert wide.steer_max == -wide.steer_min == pytest.approx(0.45, abs=1e-3)
-    assert prep.widen_end_stops(CAR, [_run(steer=0.1)], ()) == CAR
-    assert prep.widen_end_stops(CAR, [run], ("steer_max",)) == CAR
-    assert prep.widen_end_stops(CAR, [_run(servo_frame=0.02)], ()) == CAR
-    known = prep.restore_end_stops(wide._replace(steer_gain=1.4), CAR.car, [run])
+    assert prep.widen_end_stops(MODEL, [_run(steer=0.1)], ()) == MODEL
+    assert prep.widen_end_stops(MODEL, [run], ("steer_max",)) == MODEL
+    assert prep.widen_end_stops(MODEL, [_run(servo_frame=0.02)], ()) == MODEL
+    known = prep.restore_end_stops(wide._replace(steer_gain=1.4), MODEL.car, [run])
     assert known.steer_max == pytest.approx(1.4 * prep.largest_steering([run]), rel=1e-3)
-    assert prep.restore_end_stops(wide, CAR.car, [run]).steer_max == CAR.car.steer_max
+    assert prep.restore_end_stops(wide, MODEL.car, [run]).steer_max == MODEL.car.steer_max
 
 
 def test_errors_are_told_by_lateral_acceleration():
@@ -200,7 +198,7 @@ def test_only_steps_that_the_file_s_servo_cannot_follow_outpace_it():
 
     steps = asked(0.2 * np.sign(np.sin(t)))
     ramps = asked(np.clip(3.0 * (np.abs(t % 4.0 - 2.0) - 1.0), -0.3, 0.3))
-    assert prep.exceeds_slew_rate(CAR, steps)
-    assert not prep.exceeds_slew_rate(CAR, ramps)
-    fast = CAR._replace(car=DEFAULT_CAR._replace(steer_rate=12.0))
+    assert prep.exceeds_slew_rate(MODEL, steps)
+    assert not prep.exceeds_slew_rate(MODEL, ramps)
+    fast = MODEL._replace(car=DEFAULT_CAR._replace(steer_rate=12.0))
     assert not prep.exceeds_slew_rate(fast, steps)
