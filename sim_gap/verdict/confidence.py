@@ -9,7 +9,7 @@ import numpy as np
 from steerd.car_model.effect import Confounding, Role, Stage
 from steerd.sysid.inference import constants as c
 from steerd.sysid.inference.chart import places_of
-from steerd.sysid.inference.hypotheses import Findings
+from steerd.sysid.inference.hypotheses import Findings, is_lost, leaves_gap
 from steerd.sysid.inference.library import Library
 from steerd.sysid.inference.odds import Hypothesis
 
@@ -51,11 +51,9 @@ class Verdict:
 
 def judge_case(library: Library, found: Findings, known: bool) -> Verdict:
     """The verdict; where noise is not `known` from other drives, a gap passes for it."""
-    best, after = found.best, found.best.point.size
-    # Where most windows leave more than counts, the smallest discrepancy costs least.
-    lost = bool(best.point.at.spun.mean() > c.HALF)
-    left = 1.0 if lost else _left(found)
-    stays = (after > c.GAP_SIZE or lost) and known
+    best = found.best
+    left = 1.0 if is_lost(best.point) else _left(found)
+    stays = leaves_gap(best.point) and known
     strain = base_strain(best)
     places, values = library.likelihood.predictor.augmented.places, best.point.parameters
     bounded = {n: library.effect(n).is_at_bound(values[places(n)].tolist()) for n in best.effects}

@@ -211,6 +211,8 @@ def explain(
     start = begin(library, (), (), library.likelihood.predictor.guess.copy())
     search.grow(start, _FITTED)
     best = search.hypotheses()[0]
+    if not best.effects and leaves_gap(best.point):  # no one effect may be enough
+        best = min(search.hypotheses(), key=lambda h: h.point.cost)
     while 0 < len(best.effects) < most:
         progress(0.5)
         search.grow_further(best.effects, best.point)
@@ -227,6 +229,16 @@ def explain(
     untested = tuple(sorted(search.untested))
     before, after = (covering_size(library.likelihood, p) for p in (start, ranked[0].point))
     return Findings(tuple(ranked), start, untested, (before, after))
+
+
+def is_lost(point: Point) -> bool:
+    """Whether most windows leave more than counts: the smallest discrepancy then costs least."""
+    return bool(point.at.spun.mean() > c.HALF)
+
+
+def leaves_gap(point: Point) -> bool:
+    """Whether an optimum leaves more than noise."""
+    return point.size > c.GAP_SIZE or is_lost(point)
 
 
 def begin(library: Library, names: Sequence[str], values: Sequence[float], x: Array) -> Point:

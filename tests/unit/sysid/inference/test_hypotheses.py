@@ -149,6 +149,16 @@ def test_two_hidden_effects_are_both_named(both):
     assert values[places("speed_scale")] == pytest.approx(0.93, abs=0.01)
 
 
+def test_two_causes_are_tried_where_neither_alone_outweighs_none(both, monkeypatch):
+    """Two large ones: with either the other still has most windows far off."""
+    library, found = both
+    none = found.null.log_odds
+    single = max(h.log_odds for h in found.hypotheses if len(h.effects) == 1)
+    against = 0.5 * (single + found.hypotheses[0].log_odds) - none
+    monkeypatch.setattr(c, "GAP_ODDS", c.GAP_ODDS * np.exp(-against))
+    assert explain(library).hypotheses[0].effects == found.best.effects
+
+
 def test_of_a_healthy_drive_the_base_alone_is_the_likeliest(fine):
     _, found = fine
     assert found.best is found.null
