@@ -114,8 +114,7 @@ def profile(along: Array, length: float, values: Array, bins: int = BINS) -> Arr
     place = np.floor((along / length % 1.0) * bins).astype(int).clip(0, bins - 1)
     count = np.bincount(place, minlength=bins)
     total = np.bincount(place, weights=values, minlength=bins)
-    means: Array = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-    return means
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
 def _profile_distance(a: LaneDrive, b: LaneDrive, field: str) -> float:

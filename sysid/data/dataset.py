@@ -53,8 +53,7 @@ class LogJitter(NamedTuple):
 
     def delay(self, t: Array) -> Array:
         """How late commands logged at `t` were stored [s]."""
-        delayed: Array = self.period * np.mod(self.phase + self.drift * t, 1.0)
-        return delayed
+        return np.asarray(self.period * np.mod(self.phase + self.drift * t, 1.0))
 
     def describe(self) -> str:
         """What was found, and what was done about it."""
@@ -171,8 +170,7 @@ def hold_means(signal: Signal, edges: Array) -> Array:
     t_all = np.concatenate([[min(edges[0], t[0]) - 1.0], t, [last]])
     before = -values[0] * (t[0] - t_all[0])
     area_all = np.concatenate([[before], area, [area[-1] + values[-1] * (last - t[-1])]])
-    means: Array = np.diff(np.interp(edges, t_all, area_all)) / np.diff(edges)
-    return means
+    return np.asarray(np.diff(np.interp(edges, t_all, area_all)) / np.diff(edges))
 
 
 def least_pause(t: Array) -> float:

@@ -295,5 +295,4 @@ def estimate_noise(runs: Sequence[Run]) -> Array:
         found[2].append(noise_of(*run.wheel))
         found[3].append(noise_of(*run.yaw_rate))
     middle = np.array([float(np.median([v for v in f if v > 0] or [0.0])) for f in found])
-    noise: Array = np.maximum(middle, FLOORS)
-    return noise
+    return np.asarray(np.maximum(middle, FLOORS))

@@ -99,8 +99,7 @@ def _means(corners: Signal, edges: Array) -> Array:
     t = np.union1d(corners.t, edges)
     values = np.interp(t, *corners)
     area = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t))])
-    means: Array = np.diff(np.interp(edges, t, area)) / np.diff(edges)
-    return means
+    return np.asarray(np.diff(np.interp(edges, t, area)) / np.diff(edges))
 
 
 def ramped(run: Run) -> Run:

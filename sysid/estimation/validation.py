@@ -109,8 +109,7 @@ def _settle(layout: Layout, sigma: Array, look: Callable[[Array], tuple[Array, A
 
 
 def _angles(error: Array) -> Array:
-    wrapped: Array = (error + np.pi) % (2.0 * np.pi) - np.pi
-    return wrapped
+    return np.asarray((error + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def _correct(layout: Layout, sigma: Array, x: Array, y: Array, jy: Array) -> tuple[Array, Array]:

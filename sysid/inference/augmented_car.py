@@ -69,11 +69,7 @@ class BasePrior:
     controls: tuple[Control, ...] = ()  # what the healthy drives show of effects
 
     def part(self, names: Sequence[str]) -> Array:
-        """Covariance of some of the coordinates, in this order.
-
-        Raises:
-            KeyError: one is not among `names`.
-        """
+        """Covariance of some of the coordinates, in this order."""
         places = [self.names.index(name) for name in names]
         return np.asarray(self.covariance[np.ix_(places, places)])
 
@@ -93,8 +89,7 @@ def inflate_each(covariance: Array, pulls: Array) -> Array:
     scores = away.T @ away * pieces / (pieces - 1.0)
     robust = np.einsum("ij,jk,ik->i", covariance, scores, covariance)
     wider = np.sqrt(np.maximum(robust / np.diag(covariance), 1.0))
-    each: Array = covariance * np.outer(wider, wider)
-    return each
+    return np.asarray(covariance * np.outer(wider, wider))
 
 
 def excess_by_regime(ratio: Array, lateral: Array) -> tuple[float, ...]:
@@ -272,8 +267,7 @@ def _known(
         return augmented
     names, parameters = augmented.kernels.names, augmented.base.copy()
     for name, value in zip(known.names, known.values, strict=False):
-        if name.partition(".")[0] in stated:
-            continue
-        parameters[names.index(name)] = value
+        if name.partition(".")[0] not in stated:
+            parameters[names.index(name)] = value
     known = replace(known, covariance=c.KNOWN_WIDER**2 * known.covariance)
     return replace(augmented, base=parameters, knowledge=known)

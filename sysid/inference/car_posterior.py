@@ -162,8 +162,7 @@ def _as_mounted(fitted: FittedCar, covariance: Array) -> Array:
     own, mounted = covariance[place], space.covariance[place, place] / c.WEAK**2
     left_out = own / own[place] * (fitted.point.z[place] - space.centre[place])
     known = np.outer(own, own) / (own[place] + mounted)
-    moved: Array = covariance - known + np.outer(left_out, left_out)
-    return moved
+    return np.asarray(covariance - known + np.outer(left_out, left_out))
 
 
 def _structures(fitted: FittedCar) -> list[str]:

@@ -122,8 +122,7 @@ def _without_unidentifiable(chart: Chart, z: Array, covariance: Array) -> Array:
     stiff = [name in INVERSE for name in chart.free]
     wider = np.where(stiff, np.maximum(DOUBT, chart.spread), chart.spread) / scale
     values = np.where(values > GAIN_MIN**-2, (wider**2) @ vectors**2, values)
-    left: Array = (vectors * values) @ vectors.T * np.outer(scale, scale)
-    return left
+    return np.asarray((vectors * values) @ vectors.T * np.outer(scale, scale))
 
 
 def _inflate_at_bounds(chart: Chart, z: Array, covariance: Array) -> Array:

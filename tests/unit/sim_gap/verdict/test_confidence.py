@@ -127,8 +127,7 @@ def test_a_wrong_model_adds_to_an_error_by_the_change_or_the_value_whichever_is_
     }
     for name, wrong in names.items():
         (cause,) = judge_case(LIBRARY, _found(_hypothesis(name)), True).causes
-        found = {key: each.sd for key, each in cause.parameters.items()}
-        own, *forms = found.values()
+        own, *forms = (each.sd for each in cause.parameters.values())
         assert own == pytest.approx(np.hypot(1e-3, wrong))
         assert forms == pytest.approx([1e-3] * len(forms))
 

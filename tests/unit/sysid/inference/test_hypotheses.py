@@ -152,9 +152,8 @@ def test_two_hidden_effects_are_both_named(both):
 def test_two_causes_are_tried_where_neither_alone_outweighs_none(both, monkeypatch):
     """Two large ones: with either the other still has most windows far off."""
     library, found = both
-    none = found.null.log_odds
     single = max(h.log_odds for h in found.hypotheses if len(h.effects) == 1)
-    against = 0.5 * (single + found.hypotheses[0].log_odds) - none
+    against = 0.5 * (single + found.hypotheses[0].log_odds) - found.null.log_odds
     monkeypatch.setattr(c, "GAP_ODDS", c.GAP_ODDS * np.exp(-against))
     assert explain(library).hypotheses[0].effects == found.best.effects
 
