@@ -5,8 +5,6 @@ are driven, its numbers drawn, and things are made wrong with it. Its wheels bar
 slide: there is no cornering stiffness to find.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
 from math import atan, tan
 from typing import Any
 
@@ -18,6 +16,7 @@ from pybullet_utils.bullet_client import BulletClient
 from benchmarks.blind_gap.effects import Values
 from benchmarks.blind_gap.plant import STEP
 from benchmarks.foreign_cars.plants import WiredPlant
+from benchmarks.foreign_cars.rigid_car import EFFECTS, RigidCar
 from benchmarks.foreign_cars.wiring import Array, Orders, Wiring, draw_wiring
 
 GRAVITY = 9.81
@@ -30,29 +29,7 @@ _FORCE = 20.0
 """Of motor and servos [N m]: as strong as it takes: grip is the limit."""
 
 
-@dataclass(frozen=True, slots=True)
-class BulletCar:
-    """What is drawn or wrong: friction of the tyres, payload [kg], share of yaw inertia, drag
-    [1/s], slope of the floor."""
-
-    mu: float
-    payload: float = 0.0
-    inertia: float = 1.0
-    drag: float = 0.0
-    slope_x: float = 0.0
-    slope_y: float = 0.0
-
-
-_EFFECTS: Mapping[str, Callable[[BulletCar, Values], BulletCar]] = {
-    "tyre_friction": lambda car, v: replace(car, mu=v["ratio"] * car.mu),
-    "mass": lambda car, v: replace(car, payload=car.payload + v["payload"]),
-    "yaw_inertia": lambda car, v: replace(car, inertia=v["ratio"] * car.inertia),
-    "rolling_drag": lambda car, v: replace(car, drag=car.drag + v["drag"]),
-    "floor_slope": lambda car, v: replace(car, slope_x=v["x"], slope_y=v["y"]),
-}
-
-
-def _measure(car: BulletCar) -> Values:
+def _measure(car: RigidCar) -> Values:
     model = Model(car)
     try:
         return {"lf": WHEELBASE - model.ahead, "lr": model.ahead}
@@ -60,10 +37,10 @@ def _measure(car: BulletCar) -> Values:
         model.client.disconnect()
 
 
-def make_bullet(rng: np.random.Generator) -> WiredPlant[BulletCar]:
+def make_bullet(rng: np.random.Generator) -> WiredPlant[RigidCar]:
     """A healthy car of plant d: PyBullet's racecar."""
-    car = BulletCar(mu=float(rng.uniform(0.7, 1.0)))
-    return WiredPlant(car, draw_wiring(rng), _EFFECTS, _measure, simulate)
+    car = RigidCar(mu=float(rng.uniform(0.7, 1.0)))
+    return WiredPlant(car, draw_wiring(rng), EFFECTS, _measure, simulate)
 
 
 class Model:
@@ -76,7 +53,7 @@ class Model:
         mass: of the whole [kg]; `inertia` of the chassis about the vertical [kg m^2].
     """
 
-    def __init__(self, car: BulletCar) -> None:
+    def __init__(self, car: RigidCar) -> None:
         self.client = world = BulletClient(pybullet.DIRECT)
         world.setAdditionalSearchPath(pybullet_data.getDataPath())
         world.setGravity(-GRAVITY * car.slope_x, -GRAVITY * car.slope_y, -GRAVITY)
@@ -140,7 +117,7 @@ class Model:
 
 
 def simulate(
-    car: BulletCar, wiring: Wiring, orders: Orders, process: Array, start: Array
+    car: RigidCar, wiring: Wiring, orders: Orders, process: Array, start: Array
 ) -> tuple[Array, Array]:
     """Drive the car.
 
@@ -156,7 +133,7 @@ def simulate(
 
 
 def _simulate(
-    model: Model, car: BulletCar, wiring: Wiring, orders: Orders, process: Array, start: Array
+    model: Model, car: RigidCar, wiring: Wiring, orders: Orders, process: Array, start: Array
 ) -> tuple[Array, Array]:
     world: Any = model.client
     body, n = model.body, len(orders.angle)

@@ -7,8 +7,6 @@ metre, with which no steering turns the car; they have those of their size here.
 read, not imported: `pip install --no-deps safety-gymnasium`.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.util import find_spec
 from math import atan2
@@ -21,6 +19,7 @@ import numpy as np
 from benchmarks.blind_gap.effects import Values
 from benchmarks.blind_gap.plant import STEP
 from benchmarks.foreign_cars.plants import MissingPlantError, WiredPlant
+from benchmarks.foreign_cars.rigid_car import EFFECTS, RigidCar
 from benchmarks.foreign_cars.wiring import Array, Orders, Wiring, draw_wiring
 
 GRAVITY = 9.81
@@ -33,27 +32,6 @@ _TORQUE = 20.0
 """Of motor and servo [N m]: as strong as it takes, grip is the limit."""
 _MOTOR, _SERVO, _DAMPING = 0.3, 20.0, 0.2
 """Torque per error of speed [N m s], of angle [N m], and per speed of the hinge [N m s]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Racecar:
-    """What is drawn or wrong: friction, payload [kg], share of yaw inertia, drag [1/s], slope."""
-
-    mu: float
-    payload: float = 0.0
-    inertia: float = 1.0
-    drag: float = 0.0
-    slope_x: float = 0.0
-    slope_y: float = 0.0
-
-
-_EFFECTS: Mapping[str, Callable[[Racecar, Values], Racecar]] = {
-    "tyre_friction": lambda car, v: replace(car, mu=v["ratio"] * car.mu),
-    "mass": lambda car, v: replace(car, payload=car.payload + v["payload"]),
-    "yaw_inertia": lambda car, v: replace(car, inertia=v["ratio"] * car.inertia),
-    "rolling_drag": lambda car, v: replace(car, drag=car.drag + v["drag"]),
-    "floor_slope": lambda car, v: replace(car, slope_x=v["x"], slope_y=v["y"]),
-}
 
 
 @lru_cache(maxsize=1)
@@ -76,7 +54,7 @@ def _inertia(model: Any, data: Any) -> tuple[float, Array]:
     return float(whole), centre
 
 
-def make_model(car: Racecar) -> tuple[Any, Any]:
+def make_model(car: RigidCar) -> tuple[Any, Any]:
     """The car in a world of its own, at rest: model and data."""
     spec = mujoco.MjSpec.from_file(_file())
     model = spec.compile()
@@ -109,17 +87,17 @@ def make_model(car: Racecar) -> tuple[Any, Any]:
     return model, mujoco.MjData(model)
 
 
-def _measure(car: Racecar) -> Values:
+def _measure(car: RigidCar) -> Values:
     model, data = make_model(car)
     mujoco.mj_forward(model, data)
     ahead = float(data.subtree_com[model.body("agent").id][0]) - REAR
     return {"lf": WHEELBASE - ahead, "lr": ahead}
 
 
-def make_racecar(rng: np.random.Generator) -> WiredPlant[Racecar]:
+def make_racecar(rng: np.random.Generator) -> WiredPlant[RigidCar]:
     """A healthy car."""
-    car = Racecar(mu=float(rng.uniform(0.7, 1.0)))
-    return WiredPlant(car, draw_wiring(rng), _EFFECTS, _measure, simulate)
+    car = RigidCar(mu=float(rng.uniform(0.7, 1.0)))
+    return WiredPlant(car, draw_wiring(rng), EFFECTS, _measure, simulate)
 
 
 def _place(model: Any, data: Any, start: Array) -> None:
@@ -134,7 +112,7 @@ def _place(model: Any, data: Any, start: Array) -> None:
 
 
 def simulate(
-    car: Racecar, wiring: Wiring, orders: Orders, process: Array, start: Array
+    car: RigidCar, wiring: Wiring, orders: Orders, process: Array, start: Array
 ) -> tuple[Array, Array]:
     """Drive the car.
 
