@@ -31,12 +31,9 @@ from steerd.controller.loop_model import Timing, sampled_loop, turn_response
 
 DISTANCE = 0.5
 """Least distance from -1: gain may be doubled, or a third be missing; 29 degrees of phase."""
-NEAR_FILE = 0.8
-"""Or this share of the file's own design at its worst, where that is less."""
-LARGEST = 1e4
-"""No gain of any design is larger, in SI units."""
-_NEAR = 1e-6
-"""Relative difference that another machine's arithmetic may make."""
+NEAR_FILE = 0.8  # or this share of the file's own design at its worst, where that is less
+LARGEST = 1e4  # no gain of any design is larger, in SI units
+_NEAR = 1e-6  # relative difference that another machine's arithmetic may make
 
 
 class Acceptance(NamedTuple):

@@ -25,12 +25,9 @@ from steerd.controller.lane_keeper import LaneKeeper
 from steerd.controller.loop_model import Timing
 from steerd.controller.speed import SpeedProfile, make_speed_profile
 
-RATES_TRIED = (2.0, 4.0)
-"""Multiples of the rate that a refusal tries before it advises."""
-RADIUS_PLAIN = 1.005
-"""Spectral radius that two decimals distinguish from 1."""
-SPEED_TRIED = 0.9
-"""Share of the lowest faulty speed that a refusal tries as top speed."""
+RATES_TRIED = (2.0, 4.0)  # multiples of the rate that a refusal tries before it advises
+RADIUS_PLAIN = 1.005  # spectral radius that two decimals distinguish from 1
+SPEED_TRIED = 0.9  # share of the lowest faulty speed that a refusal tries as top speed
 DesignTable = Callable[[Car[float], ControllerConfig, Timing, float], GainTable]
 """The gains of a car, configuration, timing and top speed, see `steerd.controller.gains`."""
 

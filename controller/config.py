@@ -9,10 +9,8 @@ from typing import NamedTuple
 DESIGNS = ("lqr", "pole_placement")
 PAPER_POLES: tuple[complex, ...] = (-2 + 2j, -2 - 2j, -150 + 15j, -150 - 15j)
 """Closed-loop poles of the IROS 2023 paper's state feedback [1/s]."""
-GRID_SPEEDS_MAX = 400
-"""Most design speeds: each costs a Riccati equation at start."""
-SPEED_CEILING = 20.0
-"""No car of this class is faster [m/s]; a typing error is."""
+GRID_SPEEDS_MAX = 400  # most design speeds: each costs a Riccati equation at start
+SPEED_CEILING = 20.0  # no car of this class is faster [m/s]; a typing error is
 
 
 class LqrWeights(NamedTuple):

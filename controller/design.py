@@ -16,12 +16,9 @@ from steerd.controller.loop_model import Matrix, Timing, sampled_loop
 
 SPEEDS_BELOW = (0.2, 0.5, 0.8)
 """Shares of the lowest design speed at which the held gains are checked too."""
-MARGIN_STEP_S = 0.005
-"""Resolution of the delay margin [s]."""
-MARGIN_MAX_S = 0.2
-"""Delay margins beyond this are not resolved [s]."""
-TINY = 1e-300
-"""Keeps an eigenvalue of exactly one, or a pole on the way, from dividing by zero."""
+MARGIN_STEP_S = 0.005  # resolution of the delay margin [s]
+MARGIN_MAX_S = 0.2  # delay margins beyond this are not resolved [s]
+TINY = 1e-300  # keeps an eigenvalue of exactly one, or a pole on the way, from dividing by zero
 LASTING_S, LASTING_SHARE = 0.1, 0.1
 """A mode counts for the damping if this share of it is left after that time [s]. Faster ones, such
 as the dead time's own (n eigenvalues near zero, which the least change sends round a circle of

@@ -2,8 +2,7 @@
 
 from typing import NamedTuple
 
-N_LANE = 5
-"""Errors fed back besides past references: e1, e1', e2, e2', wheel angle."""
+N_LANE = 5  # errors fed back besides past references: e1, e1', e2, e2', wheel angle
 
 
 class Turning(NamedTuple):

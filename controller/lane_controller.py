@@ -14,8 +14,7 @@ from steerd.controller.lane_keeper import LaneKeeper, lane_errors
 from steerd.controller.live import AS_DESIGNED, LiveValues, limit_target, shift_lane
 from steerd.controller.speed import SpeedProfile, preview_place, profile_speed, step_speed
 
-STEP_MAX_S = 0.1
-"""Longest time that one tick's speed ramp is granted for [s]: a pause is no leap."""
+STEP_MAX_S = 0.1  # longest time that one tick's speed ramp is granted for [s]: a pause is no leap
 
 
 class LaneController(NamedTuple):

@@ -15,11 +15,9 @@ from steerd.car_model.state import State
 from steerd.controller.gain_table import N_LANE, N_TURNING
 from steerd.controller.live import AS_DESIGNED, LiveValues, shift_curvature
 
-SQUEEZE_MIN = 0.1
-"""Least 1 - curvature e1: the errors' rates mean nothing at the turn's centre."""
+SQUEEZE_MIN = 0.1  # least 1 - curvature e1: the errors' rates mean nothing at the turn's centre
 
-SLOPE_SPAN_MIN = 0.05
-"""Shortest distance over which the change of curvature is taken [m]."""
+SLOPE_SPAN_MIN = 0.05  # shortest distance over which the change of curvature is taken [m]
 
 
 class LaneErrors(NamedTuple):

@@ -35,8 +35,7 @@ class Learnt(NamedTuple):
     body_left: float = 0.0  # and to the left of it [m]
 
 
-OF_CAR = Learnt._fields[:7]
-"""Those that are parameters of the car."""
+OF_CAR = Learnt._fields[:7]  # those that are parameters of the car
 FARTHEST = Learnt(0.25, 0.06, 0.1, 0.08, 0.1, 0.6, 0.6, 0.08, 0.08, 0.05)
 """How far from the car file's; gains and stiffnesses as a share of it."""
 STEP = Learnt(0.03, 0.006, 0.008, 0.01, 0.02, 0.08, 0.08, 0.008, 0.008, 0.008)
@@ -118,10 +117,8 @@ def follow_learnt(file: LaneController, design: Design) -> LaneController:
     )
 
 
-KEPT_NS = 600_000_000
-"""How long orders are kept: longer than any dead time."""
-STEP_MAX_S = 0.1
-"""Longest time that one step is granted [s]."""
+KEPT_NS = 600_000_000  # how long orders are kept: longer than any dead time
+STEP_MAX_S = 0.1  # longest time that one step is granted [s]
 _NS, _SECONDS = 1_000_000_000, 1e-9
 
 

@@ -17,16 +17,12 @@ from steerd.controller.design import assessed_speeds, closed_loop, find_faults, 
 from steerd.controller.gain_table import N_TURNING, GainTable, look_up
 from steerd.controller.loop_model import Timing
 
-SPEED_LEAST = 0.3
-"""Lowest live speed [m/s]: below it a VESC's speed loop lets the motor go."""
-GAIN_LEAST, GAIN_MOST, GAIN_STEP = 0.5, 1.5, 0.1
-"""Shares of the designed feedback that are checked."""
-OFFSET_STEP = 0.01
-"""Resolution of the largest offset [m]."""
+SPEED_LEAST = 0.3  # lowest live speed [m/s]: below it a VESC's speed loop lets the motor go
+GAIN_LEAST, GAIN_MOST, GAIN_STEP = 0.5, 1.5, 0.1  # shares of the designed feedback that are checked
+OFFSET_STEP = 0.01  # resolution of the largest offset [m]
 OFFSET_RATE, GAIN_RATE = 0.1, 0.5
 """How fast a new offset [m/s] and a new share of the feedback [1/s] come into force."""
-SQUEEZE_LEAST = 0.5
-"""Least 1 - curvature offset: a lane closer to a turn's centre has no sense."""
+SQUEEZE_LEAST = 0.5  # least 1 - curvature offset: a lane closer to a turn's centre has no sense
 
 
 class LiveValues(NamedTuple):
@@ -37,8 +33,7 @@ class LiveValues(NamedTuple):
     gain: float  # share of the designed feedback
 
 
-AS_DESIGNED = LiveValues(math.inf, 0.0, 1.0)
-"""Nothing is changed."""
+AS_DESIGNED = LiveValues(math.inf, 0.0, 1.0)  # nothing is changed
 
 
 class LiveBounds(NamedTuple):

@@ -13,8 +13,7 @@ from steerd.car_model.params import Car
 from steerd.car_model.path.path import Path, interpolate
 from steerd.controller.config import ControllerConfig
 
-ROUNDS = 2
-"""Passes around a closed path: the second carries the first's end into its beginning."""
+ROUNDS = 2  # passes around a closed path: the second carries the first's end into its beginning
 
 
 class SpeedProfile(NamedTuple):

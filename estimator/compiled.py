@@ -20,8 +20,7 @@ from steerd.estimator.initial import Belief
 from steerd.estimator.sensors import Kind, Measurement, Sensor
 from steerd.steer_bus.quick_values import quick_value
 
-WIDEST = 3
-"""Most values of a measurement."""
+WIDEST = 3  # most values of a measurement
 _BELIEF = SIZE + SIZE * SIZE
 _BELIEF_BYTES = 8 * _BELIEF
 _PREDICTION = _BELIEF + SIZE + 2

@@ -20,14 +20,10 @@ from steerd.steer_bus.quick_values import quick_value
 
 Array = NDArray[np.float64]
 SECONDS = 1e-9
-LONGEST_S = 0.5
-"""Poses further apart than this do not start a filter together [s]."""
-_ACCEL = 5.0
-"""The car may accelerate this much while the poses are taken [m/s^2]."""
-_YAW_ACCEL = 20.0
-"""And turn up its yaw rate this much [rad/s^2]."""
-_SLIP_LARGEST = 0.5
-"""Beyond this the car is carried, not driven [rad]."""
+LONGEST_S = 0.5  # poses further apart than this do not start a filter together [s]
+_ACCEL = 5.0  # the car may accelerate this much while the poses are taken [m/s^2]
+_YAW_ACCEL = 20.0  # and turn up its yaw rate this much [rad/s^2]
+_SLIP_LARGEST = 0.5  # beyond this the car is carried, not driven [rad]
 _SLIP_SD, _STEER_SD, _STEER_SD_UNKNOWN = 0.1, 0.05, 0.2
 
 

@@ -11,8 +11,7 @@ from steerd.estimator.config import FilterConfig
 
 _YAW = State._fields.index("yaw")
 _HALVINGS = 80
-ABSURD = 1e6
-"""No reading of any instrument, in any SI unit, is this large; `filter.h` has it too."""
+ABSURD = 1e6  # no reading of any instrument, in any SI unit, is this large; `filter.h` has it too
 
 
 class Kind(IntEnum):

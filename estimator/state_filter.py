@@ -40,8 +40,7 @@ from steerd.steer_bus.quick_values import changed, quick_value
 if TYPE_CHECKING:
     from steerd.estimator.reference import Reference
 
-FUTURE_NS = 2_000_000
-"""A measurement from further ahead than this has a broken clock behind it."""
+FUTURE_NS = 2_000_000  # a measurement from further ahead than this has a broken clock behind it
 
 
 @quick_value
@@ -58,8 +57,7 @@ class Count:
         return (t_ns - self.believed_ns) * 1e-9 if self.believed_ns > 0 else math.inf
 
 
-Tally = tuple[Count, ...]
-"""Running totals of all instruments, in the order of `Kind`."""
+Tally = tuple[Count, ...]  # running totals of all instruments, in the order of `Kind`
 NO_TALLY: Tally = (Count(),) * len(Kind)
 
 

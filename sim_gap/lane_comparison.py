@@ -12,16 +12,11 @@ import numpy as np
 
 from steerd.sysid.data.data_checks import Array
 
-BINS = 100
-"""Places along the lane at which profiles are compared."""
-SEGMENT = 10.0
-"""Length of the spectra's segments [s]."""
-BAND = (0.2, 8.0)
-"""Where spectra are compared [Hz]: bends and the loop's own modes; above is noise."""
-FLOOR = 1e-3
-"""Amplitude density below which steering is noise [rad/sqrt(Hz)]."""
-SHORTEST = 6.0
-"""A shorter drive has no profile [s]."""
+BINS = 100  # places along the lane at which profiles are compared
+SEGMENT = 10.0  # length of the spectra's segments [s]
+BAND = (0.2, 8.0)  # where spectra are compared [Hz]: bends and the loop's own modes; above is noise
+FLOOR = 1e-3  # amplitude density below which steering is noise [rad/sqrt(Hz)]
+SHORTEST = 6.0  # a shorter drive has no profile [s]
 
 
 @dataclass(frozen=True, eq=False)

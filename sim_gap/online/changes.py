@@ -15,19 +15,16 @@ from numpy.typing import NDArray
 from steerd.sim_gap.online.tracking import Reference, Seen
 from steerd.sysid.data.data_checks import Array
 
-SPANS: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 12, 16)
-"""Numbers of windows that a change may be old."""
+SPANS: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 12, 16)  # numbers of windows that a change may be old
 USUAL_PRIOR, USUAL_LEVEL = 6.0, 2.5
 """Before a car has shown anything it counts as having shown so many spans at this level."""
-PEAK = 10.0
-"""Largest of many ratios where all is noise, in units of their mean."""
+PEAK = 10.0  # largest of many ratios where all is noise, in units of their mean
 NEARLY = 6.0
 """Ratios per what is usual from which on they are weighed again as the change would have it [nats];
 quiet drives get there every few minutes ..."""
 LEADERS, LONGEST = 4, 6
 """... for so many effects, over spans of so many windows: what is older needs no hurry."""
-ROUNDS = 6
-"""Times that the windows' weights are taken anew."""
+ROUNDS = 6  # times that the windows' weights are taken anew
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,20 +29,14 @@ from steerd.sysid.inference.augmented_car import AugmentedCar, make_augmented_ca
 from steerd.sysid.inference.noise import Noise, noise_of_section
 from steerd.sysid.inference.space import FLOORS, LIMITS, least_sd
 
-REFERENCE = 50
-"""Windows that the car is learnt from: 25 s, two laps of an ordinary figure-eight."""
-ALARM = 20.0
-"""A change is called at this ratio per what is usual [nats]."""
-DOUBT = 5.0
-"""Windows at which a ratio is larger are not followed, and not usual [nats]."""
+REFERENCE = 50  # windows that the car is learnt from: 25 s, two laps of an ordinary figure-eight
+ALARM = 20.0  # a change is called at this ratio per what is usual [nats]
+DOUBT = 5.0  # windows at which a ratio is larger are not followed, and not usual [nats]
 SETTLED = 16
 """Windows after which the name of a change counts: eight seconds, a lap of a small eight."""
-DELAY = 8
-"""What a window shows counts as usual only so many windows later."""
-FADING = 1.0 / 1200.0
-"""Share of what is usual that is forgotten with a window: ten minutes."""
-PERIOD = 1.0
-"""Time between reports [s]."""
+DELAY = 8  # what a window shows counts as usual only so many windows later
+FADING = 1.0 / 1200.0  # share of what is usual that is forgotten with a window: ten minutes
+PERIOD = 1.0  # time between reports [s]
 NOT_IDENTIFIED = 20.0
 """Standard errors of a car file that gives none, per the least that any car's are: a tenth of a
 stiffness, 0.01 rad of a bias. The first half minute of a drive identifies most of them."""

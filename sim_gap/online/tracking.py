@@ -175,16 +175,14 @@ def follow(track: Track, g: Array, h: Array, memory: float = MEMORY) -> Track:
 PER_DAY = 0.01
 """Each day adds this share of the car file's variance: a tenth of its standard deviation on the
 first day, and after 25 days what was learnt says no more than the file."""
-FORGOTTEN = 0.25
-"""Share of the car file's variance from which on a number is not remembered."""
+FORGOTTEN = 0.25  # share of the car file's variance from which on a number is not remembered
 MEASURED = ("lf", "lr")
 """Never remembered: a ruler knows them better than any lane, and they stay as they are."""
 CONTRADICTED = 3.0
 """Standard deviations, joined, between memory and first windows from which on it is given up."""
 
 
-Remembered = Mapping[str, tuple[float, float]]
-"""(value, standard deviation) by name; SI units."""
+Remembered = Mapping[str, tuple[float, float]]  # (value, standard deviation) by name; SI units
 
 
 class Memory(NamedTuple):

@@ -32,8 +32,7 @@ from steerd.sysid.inference.augmented_car import AugmentedCar
 
 INFORMED = 0.5
 """A number is identified by a drive that makes its standard deviation so many times smaller."""
-SHARP = 0.03
-"""Or that is known to this share of its bounds' half width, from before."""
+SHARP = 0.03  # or that is known to this share of its bounds' half width, from before
 Amount = tuple[float, float, str]
 _UNITS = {p.name: p.unit for p in PARAMETERS}
 _UNITS |= {f"{e.name}.{p.name}": p.unit for e in EFFECTS.values() for p in e.parameters}
@@ -98,12 +97,10 @@ def is_ratio(null: float, before: float) -> bool:
     return null == 1.0 and before > 0.0
 
 
-SURE = 0.8
-"""A name, or a set of which each is lateness, is followed from this confidence on."""
+SURE = 0.8  # a name, or a set of which each is lateness, is followed from this confidence on
 BY_ITSELF = ("steer_bias", "speed_gain")
 """Numbers of the base that a lane identifies whatever else the model misses."""
-BEYOND_DOUBT = 3.0
-"""Standard deviations by which a number must have moved to be followed."""
+BEYOND_DOUBT = 3.0  # standard deviations by which a number must have moved to be followed
 LATENESS = frozenset(("steer_delay", "steer_lag", "mocap_latency"))
 """Effects that a lane barely distinguishes and a lane keeper need not: each is time that passes
 between a pose and what the wheels do about it. A set of these is followed as its likeliest."""

@@ -31,8 +31,7 @@ from steerd.sysid.report.drawing import (
 )
 from steerd.sysid.report.report import DEGREES
 
-SHOWN_MOST, RUNS_MOST = 12, 4
-"""Candidates and drives that are drawn; the rest is in the JSON."""
+SHOWN_MOST, RUNS_MOST = 12, 4  # candidates and drives that are drawn; the rest is in the JSON
 
 
 def _name_rows(axis: Axes, labels: Sequence[str]) -> None:

@@ -24,10 +24,8 @@ from steerd.sysid.report.report import (
 if TYPE_CHECKING:
     from steerd.sysid.report.drawing import Diagrams
 
-LARGE = 1000.0
-"""From here on the larger unit reads better."""
-OTHER_SHOWN = 0.005
-"""Something else is shown from this probability on."""
+LARGE = 1000.0  # from here on the larger unit reads better
+OTHER_SHOWN = 0.005  # something else is shown from this probability on
 VERDICTS = {
     "none": ("no gap", ""), "explained": ("explained", "good"),
     "partial": ("partly explained", "fair"), "unexplained": ("a gap without a name", "bad"),

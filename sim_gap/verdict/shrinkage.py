@@ -32,8 +32,7 @@ from steerd.sysid.inference.residuals import (
 )
 from steerd.sysid.inference.search import Point, newton
 
-_EXCESS_LEAST = 0.01
-"""Below this there is no excess to take a share of."""
+_EXCESS_LEAST = 0.01  # below this there is no excess to take a share of
 _SIGMAS = 2.0
 """How far noise alone may be from what it leaves on average, and an excess from nothing, in
 standard errors."""

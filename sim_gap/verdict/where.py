@@ -29,24 +29,17 @@ _VARIABLES = {
 }  # fmt: skip
 """Unit, and what a variable must spread over (5th to 95th percentile) before anything is said of
 its bins."""
-_WORTH_NAMING = 1.5
-"""Lower end of a regime's ratio before the sentence names it."""
+_WORTH_NAMING = 1.5  # lower end of a regime's ratio before the sentence names it
 BIN_LEAST = 8
 _BINS = 3
 _SIZES = np.array([0.3, 0.3, 3.0, 0.01, 0.1])
 """Sizes from which the search for hidden inputs starts."""
-FEW = 0.1
-"""Share of the windows that are few."""
-MOST = 0.5
-"""Share of the excess error that is most of it."""
-_LIKE = 0.2
-"""What has more than this share of the worst window's excess belongs to it."""
-_LISTED = 3
-"""Moments that are listed."""
-_NEAR = 2.5
-"""Windows this near to each other are at one place [m]."""
-_HUGE = 1e3
-"""A window that spun counts no more than this often."""
+FEW = 0.1  # share of the windows that are few
+MOST = 0.5  # share of the excess error that is most of it
+_LIKE = 0.2  # what has more than this share of the worst window's excess belongs to it
+_LISTED = 3  # moments that are listed
+_NEAR = 2.5  # windows this near to each other are at one place [m]
+_HUGE = 1e3  # a window that spun counts no more than this often
 
 
 @dataclass(frozen=True)

@@ -5,24 +5,16 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-DURATION_MIN = 1.0
-"""A drive is at least this long [s]."""
+DURATION_MIN = 1.0  # a drive is at least this long [s]
 POSES_MIN = 20
-SPAN_MAX = 200.0
-"""Poses that spread further are in millimetres, not metres [m]."""
-TRAVEL_MIN = 0.05
-"""A car that moved less than this stood still [m]."""
-STEER_SPREAD_MIN = 1e-3
-"""Steering that varies by less is constant [rad]."""
-GAP = 0.2
-"""Gaps longer than this are compared with the distance covered [s]."""
-FROZEN = 1.0
-"""Poses that repeat for this long while the car moves are frozen [s]."""
+SPAN_MAX = 200.0  # poses that spread further are in millimetres, not metres [m]
+TRAVEL_MIN = 0.05  # a car that moved less than this stood still [m]
+STEER_SPREAD_MIN = 1e-3  # steering that varies by less is constant [rad]
+GAP = 0.2  # gaps longer than this are compared with the distance covered [s]
+FROZEN = 1.0  # poses that repeat for this long while the car moves are frozen [s]
 
-_REPEATS = 5
-"""A pose repeated so often in a row is frozen; one pose and a gap is not."""
-SPEED_MIN = 0.3
-"""At lower speed a gap in time says nothing about the clock [m/s]."""
+_REPEATS = 5  # a pose repeated so often in a row is frozen; one pose and a gap is not
+SPEED_MIN = 0.3  # at lower speed a gap in time says nothing about the clock [m/s]
 DISTANCE_SHARE_MIN = 0.2
 """Over a gap a car covers at least this share of what its speed before and after would give."""
 

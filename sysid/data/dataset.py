@@ -32,13 +32,11 @@ RAMP_ERPM = 25_000.0
 """A VESC's own limit of its speed setpoint's slope [ERPM/s] (`s_pid_ramp_erpms_s`, since 5.03)."""
 POSE_SPEED_NOISE_MAX = 0.02
 """Poses whose speed is less noisy than this measure it better than a wheel that slips [m/s]."""
-HISTORY = 0.5
-"""Known commands that the actuators are simulated over before a window [s]."""
+HISTORY = 0.5  # known commands that the actuators are simulated over before a window [s]
 PAUSE, PAUSE_STEPS = 0.3, 5.0
 """Poses that stay away so long [s], and so many times longer than they usually do, are a pause of
 the log: no window reaches across one, where everything would hang on the start."""
-HALF_SPAN = 2
-"""Samples to either side over which rates of a pose are differences, at least ..."""
+HALF_SPAN = 2  # samples to either side over which rates of a pose are differences, at least ...
 SPEED_BLUR = 0.15
 """... and more where the poses' noise would blur a speed by more than this [m/s]."""
 

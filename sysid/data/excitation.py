@@ -7,8 +7,7 @@ import numpy as np
 
 from steerd.sysid.data.dataset import Run, pose_rates, pose_speed
 
-TURNING = 0.03
-"""Steering beyond this is a turn [rad]."""
+TURNING = 0.03  # steering beyond this is a turn [rad]
 SPEED_SPAN, STEER_RATE, ONE_SIDE, LATERAL = 0.4, 0.2, 0.05, 1.0
 """Below these a session is called poor: [m/s], [rad/s], share of time, [m/s^2]."""
 

@@ -20,28 +20,17 @@ from steerd.sysid.data.dataset import LogJitter, Run, Signal, hold_means, pose_s
 
 PERIOD_LOW, PERIOD_HIGH = 0.04, 0.5
 """Jitter of faster logs is negligible; slower logs are not steering commands [s]."""
-DRIFT_MAX = 4e-3
-"""Two timers of one nominal rate differ by less [s of delay per s]."""
-LOG_LIKELIHOOD_MIN = 10.0
-"""A sawtooth must gain this over a constant delay [nats]."""
-_CHANGES_MIN = 15
-"""Changes of the command that the period is estimated from, at least."""
-_WINDOW, _HOP = 1.2, 0.4
-"""Length of a window and distance between the starts of two [s]."""
-_SPEED_MIN = 0.5
-"""At lower speed the curvature is noise [m/s]."""
-_HALF_SPAN = 0.04
-"""Curvature is a difference over this time to either side [s]."""
-_SERVO_LAG = 0.08
-"""Typical lag of servo and tyres [s]; an error of it is the same in all windows."""
-_RESPONSE_MAX = 0.15
-"""The car may respond this much after the log at most [s]."""
-_STEP = 0.005
-"""Grid of the delays that are tried [s]."""
-_PHASE_STEP = 0.1
-"""Two sawtooths whose phases differ by this are alike [periods]."""
-_CORRELATED = 0.1
-"""Residuals within this time are correlated and count once [s]."""
+DRIFT_MAX = 4e-3  # two timers of one nominal rate differ by less [s of delay per s]
+LOG_LIKELIHOOD_MIN = 10.0  # a sawtooth must gain this over a constant delay [nats]
+_CHANGES_MIN = 15  # changes of the command that the period is estimated from, at least
+_WINDOW, _HOP = 1.2, 0.4  # length of a window and distance between the starts of two [s]
+_SPEED_MIN = 0.5  # at lower speed the curvature is noise [m/s]
+_HALF_SPAN = 0.04  # curvature is a difference over this time to either side [s]
+_SERVO_LAG = 0.08  # typical lag of servo and tyres [s]; an error of it is the same in all windows
+_RESPONSE_MAX = 0.15  # the car may respond this much after the log at most [s]
+_STEP = 0.005  # grid of the delays that are tried [s]
+_PHASE_STEP = 0.1  # two sawtooths whose phases differ by this are alike [periods]
+_CORRELATED = 0.1  # residuals within this time are correlated and count once [s]
 
 
 def log_period(steer: Signal) -> float:

@@ -19,21 +19,15 @@ from steerd.car_model.chassis import SPEED_KINEMATIC
 from steerd.sysid.data.data_checks import DataError
 from steerd.sysid.data.dataset import HISTORY, Run, Signal, least_pause, pose_speed
 
-SPEED_MIN = 0.4
-"""Speed of a segment, at least [m/s] ..."""
+SPEED_MIN = 0.4  # speed of a segment, at least [m/s] ...
 SPEED_ROLLS = SPEED_KINEMATIC
 """... and where it was measured, so that no motor controller has to follow it: below this a car
 follows its wheels, whatever its tyres."""
-DURATION_MIN = 1.2
-"""Shorter stretches are left out [s]: a window and what its ends need."""
-SHORT_REPORTED = 0.5
-"""Shorter ones are starts and stops, and nobody misses them [s]."""
-SMOOTH = 0.3
-"""Width of the Hann window that smooths a prescribed speed [s]."""
-BLOCK = 5.4
-"""Length of the blocks of which every k-th is held out [s]."""
-PIECE = 30.0
-"""Length of the pieces that stand for a long drive [s]."""
+DURATION_MIN = 1.2  # shorter stretches are left out [s]: a window and what its ends need
+SHORT_REPORTED = 0.5  # shorter ones are starts and stops, and nobody misses them [s]
+SMOOTH = 0.3  # width of the Hann window that smooths a prescribed speed [s]
+BLOCK = 5.4  # length of the blocks of which every k-th is held out [s]
+PIECE = 30.0  # length of the pieces that stand for a long drive [s]
 _ROUNDED = 1.0 + 1e-9
 T = TypeVar("T")
 

@@ -18,15 +18,12 @@ GROUPS: tuple[str, ...] = ("position", "yaw", "wheel_speed", "yaw_rate")
 """Measurements that share a noise level: [m], [rad], [m/s], [rad/s]."""
 FLOORS = np.array([1e-5, 1e-5, 1e-4, 1e-4])
 """Noise levels are at least this; simulated instruments may have none."""
-POSES_MIN = 4
-"""A window with fewer poses is left out (its initial state would not be identifiable)."""
-SPACING = 0.05
-"""Time between readings where they are thinned [s]."""
+POSES_MIN = 4  # a window with fewer poses is left out (its initial state would not be identifiable)
+SPACING = 0.05  # time between readings where they are thinned [s]
 _WINDOWS_MIN = 4
 _GUESS_SPAN = 0.12
 """Poses within this time of a window's start give the first guess of its state [s]."""
-_CHANNELS = np.array([0, 3, 4])
-"""First channel of each kind of reading."""
+_CHANNELS = np.array([0, 3, 4])  # first channel of each kind of reading
 _FORGOTTEN = 0.2
 """Commands that move by so much leave no play as it was; none is wider than 0.15 rad [rad]."""
 

@@ -30,16 +30,11 @@ from steerd.sysid.inference.plain_car import Asked, PlainCar, open_plain
 from steerd.sysid.inference.search import minimise, newton, open_point
 from steerd.sysid.inference.space import Space, make_space
 
-SECONDS = 20.0
-"""This much of a drive is enough to judge its commands' course [s]."""
-WINDOW = 2.0
-"""Length of the windows [s]."""
-STEPS = 6
-"""Of a search under each course: they differ by little."""
-PHASES = 8
-"""Phases that are tried, evenly over a frame (2.5 ms apart)."""
-SURE = 3.0
-"""A log-likelihood smaller by less than this does not distinguish two phases."""
+SECONDS = 20.0  # this much of a drive is enough to judge its commands' course [s]
+WINDOW = 2.0  # length of the windows [s]
+STEPS = 6  # of a search under each course: they differ by little
+PHASES = 8  # phases that are tried, evenly over a frame (2.5 ms apart)
+SURE = 3.0  # a log-likelihood smaller by less than this does not distinguish two phases
 
 
 def time_commands(run: Run, rough: PlainCar, asked: Asked) -> Run:

@@ -36,8 +36,7 @@ the motor controller took it over with its next tick, some 1 ms later; clocks of
 agree to 0.1 ms; within a step of the grid the servo's motion is not known."""
 OBEYED = 0.5
 """A car that obeys its speed command for less of the time is better taken at its measured speed."""
-REGIME = 1.0
-"""Errors are split by lateral acceleration so far ahead [s]."""
+REGIME = 1.0  # errors are split by lateral acceleration so far ahead [s]
 
 
 @dataclass(frozen=True)

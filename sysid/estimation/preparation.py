@@ -28,16 +28,11 @@ from steerd.sysid.data.excitation import SPEED_SPAN, measure_excitation
 from steerd.sysid.inference.car_fit import Stated
 from steerd.sysid.inference.identifiability import ANOTHER_END, Estimate
 
-_RESTS = 1e-3
-"""Steering that changes by less from one step of the grid to the next rests [rad]."""
-HISTORY = 4.0
-"""Commands before a window that a linkage with play may remember [s]."""
-_BARELY = 1.05
-"""A slew limit that is passed by less makes no difference."""
-AGREE = 5e-4
-"""Lengths that agree to this are the same measurement [m]."""
-_ROOM = 1.5
-"""A gain that is not known yet may be so much larger."""
+_RESTS = 1e-3  # steering that changes by less from one step of the grid to the next rests [rad]
+HISTORY = 4.0  # commands before a window that a linkage with play may remember [s]
+_BARELY = 1.05  # a slew limit that is passed by less makes no difference
+AGREE = 5e-4  # lengths that agree to this are the same measurement [m]
+_ROOM = 1.5  # a gain that is not known yet may be so much larger
 
 
 Method = Literal["ours", "paper", "cma-es"]
@@ -191,36 +186,28 @@ def held_names(asked: FitOptions) -> tuple[str, ...]:
 
 # -- where the search begins -----------------------------------------------------------------------
 
-GENTLE = 2.0
-"""Lateral acceleration below which tyres barely slip [m/s^2]."""
-SPEED_MIN = 0.3
-"""Slower, the curvature of noisy poses says nothing [m/s]."""
-DELAYS: Array = np.arange(0.0, 0.41, 0.02)
-"""Delays from command to curvature that are tried [s]."""
-FEW = 50
-"""Poses that must be left."""
+GENTLE = 2.0  # lateral acceleration below which tyres barely slip [m/s^2]
+SPEED_MIN = 0.3  # slower, the curvature of noisy poses says nothing [m/s]
+DELAYS: Array = np.arange(0.0, 0.41, 0.02)  # delays from command to curvature that are tried [s]
+FEW = 50  # poses that must be left
 WIDEST = 0.7
 """No car's wheel turns further; commands that go beyond it have a unit of their own [rad] ..."""
 LOCK = 0.4
 """... and at their largest turn the wheel to an ordinary car's lock [rad]."""
-NEAR = 0.1
-"""A start whose curvature per command is right to this share is as good as another."""
-_HELD = 0.3
-"""Weight of a bias of zero: what steady commands explain is not what wheels are off by."""
+NEAR = 0.1  # a start whose curvature per command is right to this share is as good as another
+_HELD = 0.3  # weight of a bias of zero: what steady commands explain is not what wheels are off by
 _LARGE = 0.3
 """Curvatures that are off by more than this share of the sharpest bend's count for less."""
 _STEPS = 10
 COMPARABLE = 12.5
 """Ends whose log-likelihoods differ by less (5 standard deviations) explain drives as well."""
-_REARWARD = 0.7
-"""One candidate's centre of gravity lies closer to the rear axle by this factor."""
+_REARWARD = 0.7  # one candidate's centre of gravity lies closer to the rear axle by this factor
 _LATER, _QUICKER = 0.02, 0.6
 """Another's servo waits so much longer [s], and then follows faster by this factor."""
 SLIDING, TYRES = 0.75, ((1.0, 0.5), (3.0, 0.5))
 """Share of the floor's grip from which tyres' forces are no longer in proportion to slip, and
 curves of such tyres: parameters of `tyre_saturation`."""
-START_SPREAD = 0.3
-"""Further starts lie about the first with this relative standard deviation."""
+START_SPREAD = 0.3  # further starts lie about the first with this relative standard deviation
 
 
 def possible_starts(

@@ -25,22 +25,17 @@ from steerd.sysid.data.windows import Layout, estimate_noise, make_layout, make_
 from steerd.sysid.inference.augmented_car import prescribe_speed
 from steerd.sysid.inference.predictor import STATE_SPREAD, stable_substeps
 
-HORIZONS: tuple[float, ...] = (0.5, 1.0, 2.0)
-"""[s]."""
-PAST = 0.4
-"""Measurements that show the state at which a prediction starts [s]."""
+HORIZONS: tuple[float, ...] = (0.5, 1.0, 2.0)  # [s]
+PAST = 0.4  # measurements that show the state at which a prediction starts [s]
 _ROUNDS = 8
 _FLOORS = np.array([3e-3, 5e-3, 0.02, 0.05])
 """A start is not known better than this [m, rad, m/s, rad/s]: no model is that good."""
-_ROOM = 1.15
-"""Windows are cut this much longer: drives do not divide evenly."""
-_NEAR = 0.05
-"""Poses this close to a horizon count for it [s]."""
+_ROOM = 1.15  # windows are cut this much longer: drives do not divide evenly
+_NEAR = 0.05  # poses this close to a horizon count for it [s]
 _STATES = 7
 LATERAL: tuple[float, ...] = (0.0, 2.0, 4.0, 6.0, np.inf)
 """Edges of the classes of lateral acceleration [m/s^2]: rolling, lively, hard, at the limit."""
-_STEADY = 0.2
-"""A lateral acceleration is read over so much time [s]."""
+_STEADY = 0.2  # a lateral acceleration is read over so much time [s]
 
 
 class Prediction(NamedTuple):

@@ -8,8 +8,7 @@ from typing import NamedTuple
 from steerd.car_model.params import PAPER_CAR, Car
 from steerd.sysid.data.data_checks import Array
 
-NAMES: tuple[str, ...] = ("lf", "lr", "c_sf", "c_sr")
-"""Parameters that the paper identifies."""
+NAMES: tuple[str, ...] = ("lf", "lr", "c_sf", "c_sr")  # parameters that the paper identifies
 
 PAPER_CAR_DIRECT: Car[float] = PAPER_CAR._replace(
     steer_delay=0.0, steer_lag=0.0, steer_rate=1e3, speed_lag=0.0, accel_max=1e3, decel_max=1e3

@@ -23,18 +23,12 @@ from steerd.controller.design import DesignRefused
 from steerd.controller.lane_controller import LaneController, control, start_controller
 from steerd.sysid.data.data_checks import Array
 
-STEP = 0.01
-"""Control period [s]."""
-SECONDS = 15.0
-"""Length of a drive [s]."""
-SPEED = 2.0
-"""Greatest speed [m/s]."""
-RADIUS = 1.8
-"""Of the figure eight's circles [m]."""
-OFFSET = 0.15
-"""First distance from the path [m]."""
-OFFSET_MAX = 2.0
-"""At a greater lateral error the car has left its lane, and the drive ends [m]."""
+STEP = 0.01  # control period [s]
+SECONDS = 15.0  # length of a drive [s]
+SPEED = 2.0  # greatest speed [m/s]
+RADIUS = 1.8  # of the figure eight's circles [m]
+OFFSET = 0.15  # first distance from the path [m]
+OFFSET_MAX = 2.0  # at a greater lateral error the car has left its lane, and the drive ends [m]
 FRICTIONS: Mapping[str, float] = {"standard": 1.0, "low": 0.5}
 
 

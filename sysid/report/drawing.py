@@ -19,17 +19,14 @@ INK, FAINT = "#1f2933", "#9aa5b1"
 MEASURED, AFTER, BEFORE = "#1f2933", "#d9480f", "#4c8dca"
 BAND, CONFOUNDED, GRID, PAGE = "#fff0e6", "#f0a77f", "#e4e7eb", "#fefefe"
 TEAL, VIOLET, GREEN = "#0b7285", "#862e9c", "#5c940d"
-LINES = (BEFORE, AFTER, TEAL, VIOLET, GREEN)
-"""Of several curves; the eye does not distinguish more."""
+LINES = (BEFORE, AFTER, TEAL, VIOLET, GREEN)  # of several curves; the eye does not distinguish more
 IN_PAGE = MappingProxyType({
     INK: "ink", FAINT: "soft", GRID: "line", BAND: "band", AFTER: "after", BEFORE: "before",
     CONFOUNDED: "confounded", TEAL: "teal", VIOLET: "violet", GREEN: "green", PAGE: "back",
 })  # fmt: skip
 """Colours that the page decides: the variables of `look.css`, one value a theme."""
-WIDTH = 9.6
-"""Of a page's text [inch]; diagrams side by side share it."""
-LINEAR = 20.0
-"""Ratio of two bars up to which both can be seen from zero on."""
+WIDTH = 9.6  # of a page's text [inch]; diagrams side by side share it
+LINEAR = 20.0  # ratio of two bars up to which both can be seen from zero on
 STYLE: dict[Any, Any] = {
     "font.family": "sans-serif", "font.size": 9.0, "axes.edgecolor": FAINT, "axes.labelcolor": INK,
     "xtick.color": INK, "ytick.color": INK, "axes.spines.top": False, "axes.spines.right": False,

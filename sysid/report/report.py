@@ -12,8 +12,7 @@ Tone = Literal["", "quiet", "strong"]
 DEGREES = degrees(1.0)
 SCALES = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (DEGREES, "°"), "1": (1.0, "")}
 """Unit that people read, by the SI unit: factor and name; what is not listed stays in SI."""
-PLACES = 8
-"""Digits after the point that are still read; smaller numbers get an exponent."""
+PLACES = 8  # digits after the point that are still read; smaller numbers get an exponent
 
 
 class Cell(NamedTuple):
