@@ -41,10 +41,12 @@ from steerd.sysid.inference import predictor
 from steerd.sysid.inference.plain_car import Asked, search_plain
 from steerd.sysid.inference.predictor import Linear, Predictor
 from steerd.sysid.inference.space import Space
-from steerd.sysid.paper import NAMES, PAPER_CAR_DIRECT
+from steerd.sysid.paper import NAMES, PAPER_CAR_DIRECT, SearchHistory, paper_method
 from steerd.sysid.paper.paper_method import (
     PAPER_STEP,
     PaperProblem,
+    PaperRun,
+    batch_of,
     draw_starts,
     make_problem,
     paper_runs,
@@ -164,6 +166,23 @@ class Judge:
         return next(((i, s) for i, s, e in self.log if e <= TARGET_MM), None)
 
 
+def search_timed(judge: Judge, search: Callable[[], SearchHistory], best: bool) -> Array:
+    """Where a search ends; `judge` sees each iteration's point, or the best until then."""
+    times: list[float] = []
+
+    def seen(problem: PaperProblem, iteration: int) -> tuple[PaperRun, ...]:
+        times.append(time.process_time())
+        return batch_of(problem, iteration)
+
+    with patch.object(paper_method, "batch_of", seen):
+        found = search()
+    ends = np.array([*times[1:], time.process_time()]) - times[0]
+    for i, end in enumerate(ends[: len(found.losses)].tolist()):
+        four = found.path[1 + (int(np.argmin(found.losses[: i + 1])) if best else i)]
+        judge.log.append((i + 1, end, judge.error_mm(four)))
+    return found.final
+
+
 @contextmanager
 def watched(judge: Judge) -> Iterator[None]:
     """Our search shows only its end: here every point is watched at which it takes derivatives."""
@@ -215,8 +234,8 @@ def race(judge: Judge, runs: list[Run], base: Car[float], starts: Array) -> dict
     """Every method from every start; prints a line each."""
     problem: PaperProblem = make_problem(paper_runs(runs), base)
     searches: dict[str, Callable[[Array], Array]] = {
-        "paper": lambda s: search_adam(problem, s, 100, judge.watch).final,
-        "CMA-ES": lambda s: search_cma(problem, s, 500, 0, judge.watch).final,
+        "paper": lambda s: search_timed(judge, lambda: search_adam(problem, s), best=False),
+        "CMA-ES": lambda s: search_timed(judge, lambda: search_cma(problem, s), best=True),
         "least sq.": lambda s: fit_least_squares(problem, s, judge.watch).final,
     }
     finals: dict[str, list[Array]] = {name: [] for name in (*searches, "ours")}

@@ -1,18 +1,13 @@
 """SciPy's least squares on the paper's problem: the obvious method, to compare with."""
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from steerd.sysid.paper import SearchHistory
-from steerd.sysid.paper.paper_method import (
-    SCALE,
-    PaperProblem,
-    Watch,
-    never_stop,
-    one_thread,
-    predict,
-)
+from steerd.sysid.paper.paper_method import SCALE, PaperProblem, one_thread, predict
 
 Array = NDArray[np.float64]
 
@@ -22,9 +17,11 @@ EVERY = 50
 
 @one_thread()
 def fit_least_squares(
-    problem: PaperProblem, start: Array, watch: Watch = never_stop
+    problem: PaperProblem, start: Array, watch: Callable[[int, Array, float], object]
 ) -> SearchHistory:
     """SciPy's trust region on positions of whole runs, derivatives by differences.
+
+    `watch` gets each evaluation's number, the best parameters so far and the loss.
 
     Time-aligned residuals from known starts: the obvious method.
     """

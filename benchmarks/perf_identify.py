@@ -9,7 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.identify import FRICTIONS, TARGET_MM, Judge, circles, ours, ours_watched
+from benchmarks.identify import (
+    FRICTIONS,
+    TARGET_MM,
+    Judge,
+    circles,
+    ours,
+    ours_watched,
+    search_timed,
+)
 from benchmarks.least_squares import fit_least_squares
 from steerd.car_model.native.windows import make_kernels
 from steerd.sysid.paper import PAPER_CAR_DIRECT
@@ -41,15 +49,15 @@ def main() -> int:
     judge, start = Judge(kernels, truth), draw_starts(np.random.default_rng(1), 1)[0]
     problem = make_problem(paper_runs(runs), truth)
     searches = {
-        "paper": lambda: search_adam(problem, start, 100, judge.watch),
-        "CMA-ES": lambda: search_cma(problem, start, 500, 0, judge.watch),
-        "scipy least_squares": lambda: fit_least_squares(problem, start, judge.watch),
+        "paper": lambda: search_timed(judge, lambda: search_adam(problem, start), best=False),
+        "CMA-ES": lambda: search_timed(judge, lambda: search_cma(problem, start), best=True),
+        "scipy least_squares": lambda: fit_least_squares(problem, start, judge.watch).final,
     }
     ours(runs, truth, start)  # compiled kernels in memory, for all methods
     found: dict[str, Any] = {}
     for name, search in searches.items():
         judge.start()
-        final = search().final
+        final = search()
         found[name] = row(judge, final, judge.log[-1][1])
     final, seconds = ours_watched(judge, runs, truth, start)
     found["ours"] = row(judge, final, seconds)

@@ -36,7 +36,7 @@ from steerd.car_model.native.windows import (
 )
 from steerd.car_model.params import Car
 from steerd.sysid.paper import PAPER_CAR_DIRECT
-from steerd.sysid.paper.paper_method import Marching, simulate
+from steerd.sysid.paper.paper_method import simulate
 
 Array = NDArray[np.float64]
 RUNS, STEPS, H = 16, 4000, 0.01
@@ -72,7 +72,7 @@ def through_torch(run: Callable[..., Any], runs: int, steps: int) -> Callable[[]
 
 
 def kernel(kernels: Kernels, runs: int, steps: int) -> Callable[[], Any]:
-    return through_torch(lambda p, f, c: simulate(kernels, p, f, c, Marching(H)), runs, steps)
+    return through_torch(lambda p, f, c: simulate(kernels, p, f, c, H), runs, steps)
 
 
 def reference(runs: int, steps: int) -> Callable[[], Any]:

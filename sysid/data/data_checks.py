@@ -20,12 +20,7 @@ DISTANCE_SHARE_MIN = 0.2
 
 
 class DataError(ValueError):
-    """Data that cannot be used.
-
-    Attributes:
-        what: what is wrong.
-        hint: what to do about it.
-    """
+    """Data that cannot be used: `what` is wrong, and as a `hint` what to do about it."""
 
     def __init__(self, what: str, hint: str) -> None:
         super().__init__(f"{what}; try: {hint}")
@@ -51,11 +46,7 @@ def check_times(name: str, what: str, t: Array) -> None:
 def check_run(name: str, duration: float, t: Array, pose: Array) -> None:
     """Refuse a drive that is too short, in millimetres, frozen, standing or on a stepping clock.
 
-    Args:
-        name: for messages.
-        duration: of the commands [s].
-        t: pose times [s].
-        pose: (M, 3).
+    Its commands last for `duration` [s]; its poses (M, 3) are of the times `t` [s].
 
     Raises:
         DataError: it is.
@@ -101,10 +92,7 @@ def _check_clock(name: str, t: Array, pose: Array) -> None:
 
 
 def check_excited(steers: list[Array]) -> None:
-    """Refuse drives whose steering is one constant throughout.
-
-    Args:
-        steers: commanded angles of each drive [rad].
+    """Refuse drives whose steering (commanded angles of each [rad]) is one constant throughout.
 
     Raises:
         DataError: it is.

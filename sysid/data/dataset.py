@@ -249,17 +249,10 @@ def make_run(
     yaw_rate: Signal | None = None,
     h: float = GRID,
 ) -> Run:
-    """Put a drive's signals on one clock and grid, and check them.
+    """Put a drive's signals, those of `Run`, on one clock and a grid of step `h` [s]; check them.
 
-    Args:
-        name: for messages.
-        steer: commanded road-wheel angle [rad], each held until the next.
-        speed: commanded speed [m/s]; without it a measured speed is prescribed, that of the poses
-            if they are precise enough, else the wheel's.
-        pose: (M, 3) x, y, yaw; yaw may wrap.
-        wheel: reported speed [m/s].
-        yaw_rate: gyro [rad/s].
-        h: step of the command grid [s].
+    Each command holds until the next. Without commanded speeds a measured one is prescribed, that
+    of the poses if they are precise enough, else the wheel's. Yaw may wrap.
 
     Raises:
         DataError: no fit should see these data.
@@ -278,8 +271,7 @@ def make_run(
     poses = np.column_stack([pose.values[:, :2], np.unwrap(pose.values[:, 2])])
     kept = pose.t - zero >= 0.0
     pose = Signal((pose.t - zero)[kept], poses[kept])
-    steps = int(max(end - zero, 0.0) / h + 1e-9)
-    edges: Array = np.arange(steps + 1).astype(float) * h
+    edges: Array = np.arange(int(max(end - zero, 0.0) / h + 1e-9) + 1).astype(float) * h
     steer, commanded, rolled, gyro = (Signal(s.t - zero, s.values) for s in named.values())
     check_run(name, edges[-1], pose.t, pose.values)
     source = "command"

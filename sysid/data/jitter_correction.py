@@ -2,11 +2,9 @@
 
 Many logs are written by a timer that stores the newest command of another timer. Both run at about
 10 Hz, but not at exactly the same rate: a command waits in the recorder for up to one period, and
-the wait changes as a sawtooth. At 2 m/s, 0.1 s of steering delay is 0.25 rad of heading, which is
-more than any tyre effect. This module finds the sawtooth's phase and drift from the drive alone,
-without a vehicle model: the curvature of the path follows the steering, and windows show by how
-much the log leads or trails. Commands then take effect when they were sent, not when they were
-logged.
+the wait changes as a sawtooth. At 2 m/s, 0.1 s of steering delay is 0.25 rad of heading: more than
+any tyre effect. The sawtooth's phase and drift are found without a vehicle model: the path's
+curvature follows the steering, and windows show by how much the log leads or trails.
 """
 
 from dataclasses import replace

@@ -3,8 +3,7 @@
 Below walking pace motor controllers do not follow a speed, and the yaw mode is so stiff that the
 smallest step would be needed throughout; backwards a car is another one. A fit uses the rest. Times
 within a segment count from its first command. The commands of the half second before it
-(`Run.history`) belong to it, so that the steering's past is known; they may be of a time in which
-the car stood or went backwards.
+(`Run.history`) belong to it, whatever the car did then, so that the steering's past is known.
 """
 
 from collections.abc import Callable, Sequence
@@ -183,15 +182,11 @@ def make_blocks(
     count: Callable[[float], int] = round,
     over: float = np.inf,
 ) -> tuple[Run, ...]:
-    """Segments split into blocks of about one length; no measurement is in two of them.
+    """Segments split into blocks of about one length [s]; no measurement is in two of them.
 
-    No model of a real car predicts a minute: over long windows its errors accumulate.
-
-    Args:
-        parts: the segments.
-        length: of a block [s].
-        count: from how many blocks it would be to how many it is; `int` makes them no shorter.
-        over: how much longer than whole seconds a block may be; what goes beyond is left out [s].
+    No model of a real car predicts a minute: over long windows its errors accumulate. `count` makes
+    a whole number of blocks; `int` makes them no shorter. They may be longer than whole seconds by
+    `over` [s]; what goes beyond is left out.
     """
     found: list[Run] = []
     for part in parts:
@@ -210,10 +205,7 @@ def split_every(parts: Sequence[T], every: int) -> tuple[tuple[T, ...], tuple[T,
 
 
 def hold_out(parts: Sequence[Run], every: int) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
-    """Split segments into blocks and hold every k-th one out.
-
-    Returns:
-        Blocks to fit and blocks to validate with; no measurement is in both.
+    """Blocks of segments to fit, and every k-th one to validate with.
 
     Raises:
         DataError: the drives are too short to hold anything out.

@@ -195,13 +195,10 @@ def _cut(run: Run, horizon: float, pose_delay: float) -> tuple[NDArray[Any], ...
 def make_layout(
     runs: Sequence[Run], horizon: float, pose_delay: float = 0.0, most: float = np.inf
 ) -> Layout:
-    """Split runs into windows of about `horizon` seconds (whole runs when it is longer).
+    """Split runs on one grid into windows of about `horizon` seconds; whole runs when it is longer.
 
-    Args:
-        runs: on one grid.
-        horizon: [s].
-        pose_delay: how late poses are, as far as it is known [s].
-        most: take windows of this many seconds in all, evenly from the whole [s].
+    Poses are known to be `pose_delay` late [s]. The windows last for `most` [s] in all, evenly from
+    the whole.
 
     Raises:
         ValueError: the runs' grids differ, or no window has enough poses.

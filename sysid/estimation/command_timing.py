@@ -38,12 +38,9 @@ SURE = 3.0  # a log-likelihood smaller by less than this does not distinguish tw
 
 
 def time_commands(run: Run, rough: PlainCar, asked: Asked) -> Run:
-    """A drive with its commands as servo and motor controller likeliest took them over.
+    """A whole drive with its commands as servo and motor controller likeliest took them over.
 
-    Args:
-        run: a whole drive, not a part of it.
-        rough: a car near the truth.
-        asked: what is free beside the course.
+    `rough` is a car near the truth, and what is free beside the course is `asked`.
 
     Raises:
         DataError: the drive does not move.
@@ -135,16 +132,9 @@ def _middle(cost: Array) -> tuple[float, NDArray[np.bool_]]:
 
 
 def _losses(run: Run, courses: Sequence[Run], rough: PlainCar, asked: Asked) -> Array:
-    """Negative log-likelihood of a drive under commands of its own [nats], but for a constant.
+    """Negative log-likelihoods of a whole drive under courses of its commands [nats].
 
-    Args:
-        run: a whole drive, not a part of it.
-        courses: the drive with its commands as they may have been taken over.
-        rough: a car near the truth.
-        asked: what is free.
-
-    Returns:
-        (courses,); infinite where the simulation diverges.
+    (courses,), but for a constant; infinite where the simulation diverges.
 
     Raises:
         DataError: the drive does not move.

@@ -70,11 +70,7 @@ class Task:
 
 
 def learn(task: Task, clock: Callable[[], float]) -> outcome.Outcome:
-    """Identify a car.
-
-    Args:
-        task: what to learn from what.
-        clock: seconds, for the outcome's `seconds`.
+    """Identify a car; the `clock` [s] gives the outcome's `seconds`.
 
     Raises:
         DataError: the drives are not fit for it.

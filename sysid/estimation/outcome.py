@@ -34,7 +34,7 @@ from steerd.sysid.inference.identifiability import (
     estimates_with_sds,
     silent_estimates,
 )
-from steerd.sysid.inference.noise import signal_noise
+from steerd.sysid.inference.noise import Noise, signal_noise
 from steerd.sysid.inference.plain_car import Asked, PlainCar, covariance_of, misfit_of, silent_names
 from steerd.sysid.inference.predictor import HORIZON, Predictor
 from steerd.sysid.inference.search import with_size
@@ -97,8 +97,6 @@ def fit_of_plain(
         for e, own in zip(asked.model.effects, asked.model.values, strict=True)
     )
     car = asked.model.car._replace(**{name: at[name] for name in at if "." not in name})
-    error = found.point.linear.error
-    horizon = float(found.predictor.layout.spans[:, 3].mean() * runs[0].h)
     return Fit(
         model=asked.model._replace(car=car, values=values),
         estimates=known | silent_estimates(chart, silent_names(runs, asked.free)),
@@ -106,8 +104,8 @@ def fit_of_plain(
         correlation=_correlation(covariance),
         converged=found.point.whole,
         misfit=found.misfit,
-        residuals=_residuals(found.predictor, error, np.array(found.noise.instruments)),
-        horizon=horizon,
+        residuals=_residuals(found.predictor, found.point.linear.error, found.noise),
+        horizon=float(found.predictor.layout.spans[:, 3].mean() * runs[0].h),
         combinations=combinations(chart, z, covariance, pace),
     )
 
@@ -134,7 +132,7 @@ def fit_of_windows(
         correlation=_correlation(knowledge_of(fitted).covariance),
         converged=fitted.point.whole,
         misfit=misfit_of(predictor, error, signal),
-        residuals=_residuals(predictor, error, np.array(signal.instruments)),
+        residuals=_residuals(predictor, error, signal),
         horizon=HORIZON,
         selected=tuple(step for step in fitted.selected if step.effect in kept),
         sections=found.sections,
@@ -147,15 +145,12 @@ def _correlation(covariance: Array) -> Array:
     return np.asarray(covariance / np.outer(sd, sd))
 
 
-def _residuals(predictor: Predictor, error: Array, signal: Array) -> Residuals:
+def _residuals(predictor: Predictor, error: Array, noise: Noise) -> Residuals:
     """Errors (W, D) as rows, those of means as large as single readings' would be."""
     layout, there = predictor.layout, predictor.padded.there > 0.0
-    row = predictor.padded.row[there]
-    window = np.repeat(np.arange(len(there)), there.sum(axis=1))
-    t = layout.t[window] + layout.row_t[row]
-    return Residuals(
-        t, layout.group[row], (error * np.sqrt(predictor.padded.merged))[there], signal
-    )
+    row, error = predictor.padded.row[there], error * np.sqrt(predictor.padded.merged)
+    t = np.repeat(layout.t, there.sum(axis=1)) + layout.row_t[row]
+    return Residuals(t, layout.group[row], error[there], np.array(noise.instruments))
 
 
 class Row(NamedTuple):
@@ -276,10 +271,7 @@ def make_rows(
 
 
 def searched_estimates(searches: Sequence[SearchHistory]) -> dict[str, Estimate]:
-    """What the searches of the paper's methods found.
-
-    A search has no standard error; the spread over its starts stands for it.
-    """
+    """What the searches of the paper's methods found; the spread over starts stands for errors."""
     sound = [search for search in searches if not search.diverged]
     best = min(sound, key=lambda search: float(search.losses[-20:].mean())).final
     finals = np.array([search.final for search in sound])

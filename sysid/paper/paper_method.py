@@ -14,7 +14,7 @@ differentiable loss function for time-series", ICML 2017: the soft minimum
 """
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -29,6 +29,7 @@ from steerd.car_model.native.windows import (
     STATES,
     HeldCommands,
     Kernels,
+    WindowBlocks,
     make_kernels,
     make_window_blocks,
     march,
@@ -68,15 +69,6 @@ class PaperRun(NamedTuple):
     commands: Array  # (N, 2) steer and speed at the steps
     path: Array  # (N, 2) driven x and y at the steps [m]
     first: Array  # (7,) first state; yaw rate and slip are zero, as in the paper
-
-
-Watch = Callable[[int, Array, float], bool]
-"""Gets iteration, parameters and loss; True ends the search."""
-
-
-def never_stop(iteration: int, parameters: Array, loss: float) -> bool:
-    """Search to the end."""
-    return False
 
 
 def paper_runs(runs: Sequence[Run]) -> tuple[PaperRun, ...]:
@@ -125,27 +117,22 @@ def make_problem(runs: tuple[PaperRun, ...], base: Car[float] = PAPER_CAR_DIRECT
 # -- the loss: simulated paths, distances of two paths ---------------------------------------------
 
 
-class Marching(NamedTuple):
-    """How windows are simulated."""
-
-    h: float  # step of the commands [s]
-    integrator: str = "rk4"  # or `euler`
-    substeps: int = 1  # integration steps to a command (see `predictor.stable_substeps`)
-    history: int = 0  # how many of the commands lie before the first step
-    t: float = 0.0  # time into the run at the first step [s]
-
-
 def simulate(
-    kernels: Kernels, parameters: Tensor, first: Tensor, commands: Tensor, how: Marching
-) -> Tensor:
+    kernels: Kernels, parameters: Tensor, first: Tensor, commands: Tensor, h: float,
+    *, integrator: str = "rk4", substeps: int = 1, history: int = 0, t: float = 0.0,
+) -> Tensor:  # fmt: skip
     """Simulate windows side by side; equal to `benchmarks.torch_reference`, much faster.
 
     Args:
         kernels: the compiled car.
         parameters: (P,) float64.
         first: (B, STATES + memory) states; (B, STATES) starts with empty memory.
-        commands: (B, history + N, 2), each held over a step.
-        how: steps and integrator.
+        commands: (B, history + N, 2), each held over a step of `h` [s].
+        h: see `commands`.
+        integrator: or `euler`.
+        substeps: integration steps to a command (see `predictor.stable_substeps`).
+        history: how many of the commands lie before the first step.
+        t: time into the run at the first step [s].
 
     Returns:
         (B, N + 1, STATES + memory) states; a view whose innermost axis in memory is B.
@@ -158,8 +145,15 @@ def simulate(
     missing = STATES + kernels.memory - first.shape[-1]
     if missing:
         first = torch.nn.functional.pad(first, (0, missing))
-    path: Tensor = _Simulate.apply(parameters, first, commands, kernels, how)  # type: ignore[no-untyped-call]
-    return path[:, :: how.substeps]
+    count, length = commands.shape[:2]
+    low = np.arange(count) * length
+    runs = np.stack([low, low + length, low + history], axis=1)
+    blocks = make_window_blocks(runs, np.full(count, t))
+    orders = np.ascontiguousarray(commands.detach().numpy()).reshape(-1, 2)
+    held = HeldCommands(orders, h, substeps, integrator)
+    steps = (length - history) * substeps
+    path: Tensor = _Simulate.apply(parameters, first, commands, kernels, held, blocks, steps)  # type: ignore[no-untyped-call]
+    return path[:, ::substeps]
 
 
 class _Simulate(torch.autograd.Function):
@@ -167,22 +161,14 @@ class _Simulate(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, parameters: Tensor, first: Tensor, commands: Tensor, kernels: Any, how: Any
-    ) -> Any:
+        ctx: Any, parameters: Tensor, first: Tensor, commands: Tensor,
+        kernels: Kernels, held: HeldCommands, blocks: WindowBlocks, steps: int,
+    ) -> Any:  # fmt: skip
         """March."""
-        values, begin, orders = (
-            np.ascontiguousarray(tensor.detach().numpy())
-            for tensor in (parameters, first, commands)
-        )
-        count, length = commands.shape[:2]
-        held = HeldCommands(orders.reshape(-1, 2), how.h, how.substeps, how.integrator)
-        low = np.arange(count) * length
-        runs = np.stack([low, low + length, low + how.history], axis=1)
-        blocks = make_window_blocks(runs, np.full(count, how.t))
-        steps = (length - how.history) * how.substeps
+        values, begin = (np.ascontiguousarray(t.detach().numpy()) for t in (parameters, first))
         path = march(kernels, values, begin, held, blocks, steps)
         ctx.state = (kernels, values, path, held, blocks)
-        return view_by_window(torch.from_numpy(path), count)
+        return view_by_window(torch.from_numpy(path), len(commands))
 
     @staticmethod
     @once_differentiable
@@ -191,13 +177,10 @@ class _Simulate(torch.autograd.Function):
         kernels, values, path, held, blocks = ctx.state
         wanted = ctx.needs_input_grad[2]
         slopes = march_back(kernels, values, path, bars.numpy(), held, blocks, wanted)
-        by_commands = torch.from_numpy(slopes.commands) if wanted else None
-        return (
-            torch.from_numpy(slopes.parameters),
-            torch.from_numpy(np.ascontiguousarray(slopes.first)),
-            by_commands if by_commands is None else by_commands.reshape(blocks.windows, -1, 2),
-            None, None,
-        )  # fmt: skip
+        found = (slopes.parameters, np.ascontiguousarray(slopes.first), slopes.commands)
+        by_parameters, by_first, by_commands = map(torch.from_numpy, found)
+        shaped = by_commands.reshape(blocks.windows, -1, 2) if wanted else None
+        return by_parameters, by_first, shaped, None, None, None, None
 
 
 def squared_distances(a: Tensor, b: Tensor) -> Tensor:
@@ -289,8 +272,10 @@ def predict(problem: PaperProblem, four: Tensor, runs: Sequence[PaperRun]) -> li
         [np.pad(r.commands, ((0, longest - len(r.commands)), (0, 0)), "edge") for r in runs]
     )
     first = torch.from_numpy(np.stack([run.first for run in runs]))
-    how = Marching(PAPER_STEP, "euler")
-    path = simulate(problem.kernels, parameters, first, torch.from_numpy(commands), how)
+    path = simulate(
+        problem.kernels, parameters, first, torch.from_numpy(commands), PAPER_STEP,
+        integrator="euler",
+    )  # fmt: skip
     return [path[i, : len(run.commands), :2] for i, run in enumerate(runs)]
 
 
@@ -305,9 +290,7 @@ def loss_of(problem: PaperProblem, four: Tensor, runs: Sequence[PaperRun]) -> Te
 
 
 @one_thread()
-def search_adam(
-    problem: PaperProblem, start: Array, iterations: int = 100, watch: Watch = never_stop
-) -> SearchHistory:
+def search_adam(problem: PaperProblem, start: Array, iterations: int = 100) -> SearchHistory:
     """One start of the paper's method."""
     values = [torch.tensor(float(v), dtype=torch.float64, requires_grad=True) for v in start]
     groups = [{"params": [v], "lr": r} for v, r in zip(values, RATES.tolist(), strict=True)]
@@ -323,19 +306,17 @@ def search_adam(
         optimiser.step()
         losses.append(loss.item())
         path.append(np.array([v.item() for v in values]))
-        if watch(iteration, path[-1], losses[-1]):
-            break
     return SearchHistory(np.array(losses), np.array(path), path[-1], diverged)
 
 
 @one_thread()
 def search_cma(
-    problem: PaperProblem, start: Array, trials: int = 500, seed: int = 0, watch: Watch = never_stop
+    problem: PaperProblem, start: Array, trials: int = 500, seed: int = 0
 ) -> SearchHistory:
     """CMA-ES on the paper's loss, one batch a trial.
 
     Raises:
-        BaselineMissingError: Optuna is not installed.
+        ImportError: Optuna is not installed.
     """
     try:
         import cmaes as _cmaes  # type: ignore[import-untyped]  # noqa: F401
@@ -360,9 +341,6 @@ def search_cma(
         loss = value if np.isfinite(value) else 1e9
         losses.append(loss)
         path.append(four)
-        best = path[1 + int(np.argmin(losses))]
-        if watch(len(losses) - 1, best, loss):
-            study.stop()
         return loss
 
     study.optimize(try_once, n_trials=trials)

@@ -19,7 +19,7 @@ from steerd.car_model.native.windows import (
     settle,
 )
 from steerd.car_model.params import DEFAULT_CAR
-from steerd.sysid.paper.paper_method import Marching, simulate
+from steerd.sysid.paper.paper_method import simulate
 
 H = 0.005
 
@@ -63,7 +63,7 @@ def test_kernel_equals_reference_in_value_and_gradient(any_model, integrator, sl
     commands.data[..., 1] = torch.clamp(commands.data[..., 1], min=slowest)
     kernels = make_kernels(any_model.effects)
     options = {"integrator": integrator, "history": 4, "t": 1.0}
-    fast = simulate(kernels, p, first, commands, Marching(H, **options))
+    fast = simulate(kernels, p, first, commands, H, **options)
     slow = simulate_reference(p, first, commands, H, effects=any_model.effects, **options)
     assert fast.shape == slow.shape == (5, 31, 7 + kernels.memory)
     assert bool((slow[..., 3] > SPECIALISED_SPEED).all()) == (slowest > SPECIALISED_SPEED)
@@ -72,7 +72,7 @@ def test_kernel_equals_reference_in_value_and_gradient(any_model, integrator, sl
 
 def test_more_windows_than_a_block_and_substeps():
     p, first, commands = _inputs(Model(DEFAULT_CAR), count=35, steps=12)
-    fast = simulate(make_kernels(), p, first, commands, Marching(H, substeps=3, history=4))
+    fast = simulate(make_kernels(), p, first, commands, H, substeps=3, history=4)
     repeated = commands.repeat_interleave(3, dim=1)
     slow = simulate_reference(p, first, repeated, H / 3, history=12)[:, ::3]
     assert_same(fast, slow, p, first, commands)
@@ -81,7 +81,7 @@ def test_more_windows_than_a_block_and_substeps():
 def test_single_precision_is_refused():
     p, first, commands = _inputs(Model(DEFAULT_CAR), count=1, steps=2)
     with pytest.raises(TypeError, match="float64"):
-        simulate(make_kernels(), p.float(), first, commands, Marching(H))
+        simulate(make_kernels(), p.float(), first, commands, H)
 
 
 def _stations(kernels: Kernels, p, held: HeldCommands, windows: int) -> Stations:

@@ -51,15 +51,3 @@ def test_cma_es_finds_a_lower_loss_and_is_repeatable(problem):
     assert len(once.losses) == 25
     assert once.losses.min() < 0.5 * once.losses[0]
     np.testing.assert_array_equal(once.path, again.path)
-
-
-def test_a_search_can_be_watched_and_ended(problem):
-    seen = []
-
-    def watch(iteration, four, loss):
-        seen.append((iteration, loss))
-        return iteration >= 2
-
-    assert len(paper.search_adam(problem, START, 50, watch).losses) == 3
-    assert len(paper.search_cma(problem, START, 50, watch=watch).losses) == 3
-    assert [i for i, _ in seen] == [0, 1, 2] * 2
