@@ -14,7 +14,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 from steerd.car_model.actuators import references
 from steerd.car_model.chassis import Chassis
@@ -36,9 +35,6 @@ from steerd.estimator.history import (
 from steerd.estimator.initial import LONGEST_S, Belief, initial_belief
 from steerd.estimator.sensors import ABSURD, Kind, Measurement, make_sensors
 from steerd.steer_bus.quick_values import changed, quick_value
-
-if TYPE_CHECKING:
-    from steerd.estimator.reference import Reference
 
 FUTURE_NS = 2_000_000  # a measurement from further ahead than this has a broken clock behind it
 
@@ -107,7 +103,7 @@ class StateFilter:
 
     car: Car[float]
     config: FilterConfig
-    kernel: "Kernel | Reference"  # what computes
+    kernel: Kernel  # what computes
 
     @cached_property
     def soonest_ns(self) -> int:
@@ -146,19 +142,11 @@ motion over a time, and a lag of zero leaves it none.
 
 
 def make_state_filter(
-    car: Car[float],
-    config: FilterConfig | None = None,
-    *,
-    chassis: Chassis = SINGLE_TRACK,
-    reference: bool = False,
+    car: Car[float], config: FilterConfig | None = None, *, chassis: Chassis = SINGLE_TRACK
 ) -> StateFilter:
     """A filter for a car; shorter lags than it can believe are taken for the shortest.
 
-    Args:
-        car: the car's parameters.
-        config: noise and gates.
-        chassis: the equations that the parameters belong to.
-        reference: compute in Python, number by number: what the library is held against.
+    The parameters belong to the equations of the chassis; the configuration holds noise and gates.
 
     Raises:
         LibraryError: the library was not built.
@@ -167,12 +155,7 @@ def make_state_filter(
     car = car._replace(
         steer_lag=max(car.steer_lag, STEER_LAG_MIN), speed_lag=max(car.speed_lag, SPEED_LAG_MIN)
     )
-    sensors = make_sensors(car, config)
-    if reference:
-        from steerd.estimator.reference import Reference
-
-        return StateFilter(car, config, Reference(car, chassis, config, sensors))
-    return StateFilter(car, config, Kernel(car, chassis, config, sensors))
+    return StateFilter(car, config, Kernel(car, chassis, config, make_sensors(car, config)))
 
 
 def step(
