@@ -59,10 +59,7 @@ def make_acceptance(file: LaneController) -> Acceptance:
 def check_design(held: Acceptance, now: Learnt, design: Design) -> Iterator[str]:
     """The check piece by piece: nothing for one that passes, and the last is why it is refused.
 
-    Args:
-        held: what the design is compared with.
-        now: the numbers in force.
-        design: the proposal.
+    The proposal's numbers are compared with those in force `now`.
     """
     problem = _check_numbers(held, now, design) or _check_table(held, design)
     yield problem

@@ -50,13 +50,9 @@ def make_controller(
 ) -> LaneController:
     """Designs for this car, path and rate, and checks the closed loop.
 
-    Args:
-        car: as identified; its `steer_lag` is the servo's, its `steer_delay` the dead time of the
-            whole loop, from the moment an estimate is about to the wheel beginning to follow.
-        path: to follow.
-        config: settings.
-        rate_hz: ticks per second.
-        design: where the gains come from; whatever it gives is checked here.
+    The car's `steer_lag` is the servo's, its `steer_delay` the dead time of the whole loop, from
+    the moment an estimate is about to the wheel beginning to follow. Whatever gains `design` gives
+    are checked here.
 
     Raises:
         DesignRefused: a speed at which the closed loop is unstable or too little damped.

@@ -76,14 +76,9 @@ def describe_timing(timing: Timing) -> str:
 def closed_loop(
     car: Car[float], row: Sequence[float], pasts: int, speed: float, timing: Timing
 ) -> Matrix:
-    """The closed loop's state matrix over one tick.
+    """The closed loop's state matrix over one tick, of the car and timing as they are, at `speed`.
 
-    Args:
-        car: the car as it is.
-        row: a row of the gain table.
-        pasts: how many past references the row feeds back; the real dead time may differ.
-        speed: [m/s].
-        timing: the loop as it is.
+    The row of the gain table feeds `pasts` references back; the real dead time may differ.
     """
     open_a, open_b = sampled_loop(car, speed, timing)
     lane = N_LANE if timing.lagging else 4

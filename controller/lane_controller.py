@@ -76,17 +76,10 @@ def control(
     stop: bool = False,
     live: LiveValues = AS_DESIGNED,
 ) -> tuple[Command[float], ControlReport, ControllerState]:
-    """One tick.
+    """One tick at `t_ns` (CLOCK_MONOTONIC [ns]), after `start_controller` or the last one.
 
-    Args:
-        controller: from `make_controller`.
-        state: from `start_controller` or the last tick.
-        estimate: the car at `t_ns`.
-        t_ns: now, CLOCK_MONOTONIC [ns].
-        issued: the last tick's command after the output limiter; without it the design assumes
-            that the command left unchanged.
-        stop: ramps the speed reference down to rest, lane keeping on.
-        live: what was changed since the start.
+    `issued` is the last tick's command after the output limiter; without it the design assumes that
+    the command left unchanged. `stop` ramps the speed reference down to rest, lane keeping on.
 
     Raises:
         ValueError: the estimate is not finite.

@@ -64,17 +64,10 @@ def step(
     past: Sequence[float],
     live: LiveValues = AS_DESIGNED,
 ) -> tuple[float, float]:
-    """One tick of the steering law.
+    """One tick of the steering law, with the gain table's row at the estimate's speed.
 
-    Args:
-        keeper: the law's constants.
-        row: of the gain table, at the estimate's speed.
-        errors: where the car is.
-        at: its projection.
-        estimate: its state; speed and wheel angle are used.
-        past: references within the dead time less their feed-forward [rad], newest first.
-        live: the lane's offset, by which errors and projection are shifted already, and the share
-            of the feedback.
+    `past` holds the references within the dead time less their feed-forward [rad], newest first.
+    By the live offset, errors and projection are shifted already.
 
     Returns:
         The reference of the road-wheel angle [rad], within the car's end stops, and its part from

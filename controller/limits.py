@@ -169,21 +169,12 @@ def limit_order(
     cap: float,
     t_ns: int,
 ) -> LimitedOrder:
-    """Return the order that may go on the wire.
+    """The order that may go on the wire, with its verdict.
 
-    Applied twice at one instant it changes nothing more; its rates hold for any sequence.
-
-    Args:
-        limits: of this car.
-        state: what left the limiter last.
-        request: the controller's order.
-        speed: measured speed of the car [m/s]; grip is judged at the real speed.
-        cap: speed that the supervisor allows now [m/s], ``inf`` where it has no opinion; NaN and
-            negative values get the verdict ``NOT_FINITE``.
-        t_ns: now, monotonic.
-
-    Returns:
-        The order with its verdict. ``NOT_FINITE`` repeats the last order; the caller must brake.
+    Applied twice at one instant it changes nothing more; its rates hold for any sequence. Grip is
+    judged at the measured `speed` [m/s]. The supervisor allows `cap` [m/s] now, ``inf`` where it
+    has no opinion; NaN and negative values get the verdict ``NOT_FINITE``, which repeats the last
+    order: the caller must brake.
     """
     last = state.order
     if (

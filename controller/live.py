@@ -52,15 +52,10 @@ def make_live_bounds(
     timing: Timing,
     offset_max: float,
 ) -> LiveBounds:
-    """The bounds of a controller.
+    """The bounds of a controller: the settings' speed is the highest.
 
-    Args:
-        car: that it was designed for, with the limiter's end stops.
-        path: to follow.
-        config: its settings; their speed is the highest.
-        table: its gains.
-        timing: of the loop.
-        offset_max: largest offset, whatever the car can turn [m].
+    The car is that of the design, with the limiter's end stops; the offset is `offset_max` [m] at
+    most, whatever the car can turn.
     """
     gain_low, gain_high = find_gain_bounds(car, table, timing, config.damping_min)
     low = LiveValues(

@@ -52,12 +52,9 @@ def make_belief(mean: Array, covariance: Array) -> Belief:
 def initial_belief(
     config: FilterConfig, poses: Sequence[Measurement], steer: float | None
 ) -> Belief | None:
-    """Belief at the last of the poses, or None if they do not lie on a line.
+    """Belief at the last of the poses (in order of time), or None if they do not lie on a line.
 
-    Args:
-        config: Noise of the poses.
-        poses: In order of time.
-        steer: Where the steering was sent [rad], None when nobody knows.
+    The steering was sent to `steer` [rad], None when nobody knows.
     """
     t = np.array([(pose.t_ns - poses[-1].t_ns) * SECONDS for pose in poses])
     values = np.array([pose.values for pose in poses])

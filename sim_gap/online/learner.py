@@ -57,12 +57,10 @@ class Learner:
 
 
 def make_learner(car: CarFile, ramp: float = 0.0, memory: Memory | None = None) -> Learner:
-    """A learner about a car file.
+    """A learner about a car file: as identified, or with its figures as published.
 
-    Args:
-        car: as identified, or its figures as published.
-        ramp: limit of the motor controller's setpoint [m/s^2], 0 for none.
-        memory: of an earlier drive of this car.
+    `ramp` limits the motor controller's setpoint [m/s^2], 0 for none; `memory` is of an earlier
+    drive of this car.
 
     Raises:
         ValueError: what identify wrote into the file is not what it writes.

@@ -152,13 +152,9 @@ def informed_directions(h: Array, prior: Array) -> Array:
 
 
 def follow(track: Track, g: Array, h: Array, memory: float = MEMORY) -> Track:
-    """The track with one more window.
+    """The track with one more window of pull (n,) about the reference and information (n, n).
 
-    Args:
-        track: before it.
-        g: (n,) the window's pull about the reference, weighed.
-        h: (n, n) its information, weighed.
-        memory: windows after which information has faded to 1/e.
+    Both are weighed; after `memory` windows information has faded to 1/e.
     """
     mean, old = track.mean, track.information - track.prior
     directions = informed_directions(h, track.prior)

@@ -28,6 +28,7 @@ SMOOTH = 0.3  # width of the Hann window that smooths a prescribed speed [s]
 BLOCK = 5.4  # length of the blocks of which every k-th is held out [s]
 PIECE = 30.0  # length of the pieces that stand for a long drive [s]
 _ROUNDED = 1.0 + 1e-9
+SIGNALS = ("pose", "wheel", "yaw_rate", "steer", "speed_command")  # of a drive, with times
 T = TypeVar("T")
 
 
@@ -44,16 +45,8 @@ def make_segment(run: Run, low: float, high: float) -> Run:
         inside = (signal.t >= low - 1e-9) & (signal.t <= high + 1e-9)
         return Signal(signal.t[inside] - zero, signal.values[inside])
 
-    return replace(
-        run,
-        commands=run.commands[first:last],
-        pose=part(run.pose),
-        wheel=part(run.wheel),
-        yaw_rate=part(run.yaw_rate),
-        steer=part(run.steer),
-        speed_command=part(run.speed_command),
-        start=run.start + zero,
-    )
+    parts = {name: part(getattr(run, name)) for name in SIGNALS}
+    return replace(run, commands=run.commands[first:last], start=run.start + zero, **parts)
 
 
 def spread_evenly(run: Run, most: float, lead: float) -> list[Run]:
