@@ -4,11 +4,9 @@ Of a change, what the car was learnt to have before is taken off: a base may hav
 already, and a lane may not say of it where it lies (a marker's place and the centre of gravity move
 along one valley). How far either moved is known far better.
 
-A controller follows changes that were named beyond doubt, as the effects that they are: their
-windows before and after say far more about them than any number of the base is known by. Beside
-them those numbers of the base that a lane identifies by themselves. Of sets of names only one that
-means the same to a loop is followed, or one with a name that has stood alone. Whatever is in doubt
-is the car file's business.
+A controller follows changes that were named beyond doubt, and those numbers of the base that a lane
+identifies by themselves. Of sets of names only one that means the same to a loop is followed, or
+one with a name that has stood alone. Whatever is in doubt is the car file's business.
 """
 
 # Why: docs/decisions/filter-and-controller.md#d86, docs/decisions/filter-and-controller.md#d99

@@ -1,16 +1,13 @@
 """When commands took effect, which is in no log: the servo's pulses and the speed setpoint's ramp.
 
-A VESC's servo signal carries one angle per frame of 20 ms. Of the commands of a 100 Hz loop every
-second one is never seen; which one depends on the phase of the pulses. And since firmware 5.03 the
-setpoint of `SET_RPM` moves by at most 25000 ERPM/s (`s_pid_ramp_erpms_s`, 5.4 m/s^2 on an F1TENTH
-car). A loop's limit of 2.5 m/s^2 comes in steps of 25 mm/s, and each takes the setpoint half of the
-10 ms until the next: ignored, that is 2 ms of speed lag, and residuals that are correlated over
-half a second.
+A VESC's servo signal carries one angle per frame of 20 ms: of the commands of a 100 Hz loop every
+second one is never seen. And since firmware 5.03 the setpoint of `SET_RPM` moves by at most 25000
+ERPM/s (5.4 m/s^2 on an F1TENTH car): ignored, a loop's steps of 25 mm/s are 2 ms of speed lag, and
+residuals that are correlated over half a second.
 
 A drive is judged under each course that its commands may have taken, by the same likelihood as the
-car, all free parameters adapted to each. The steering is put half a frame early, so that a fitted
-`steer_delay` goes on meaning what controllers and filters, which know no frames, take it for: the
-dead time with the mean wait for a pulse (half a frame) included.
+car, all free parameters adapted to each. The steering is put half a frame early: a fitted
+`steer_delay` is then what controllers and filters, which know no frames, take it for.
 """
 
 # Why: docs/decisions/identification.md#d24

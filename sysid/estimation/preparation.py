@@ -1,12 +1,9 @@
 """What is free, drives that do not stand in a search's way, and where it begins.
 
-That is at a car of the drives' own size. At low lateral acceleration a car follows its wheels: the
-path's curvature is the tangent of `steer_gain` times the command over the wheelbase (Rajamani,
-Vehicle Dynamics and Control, section 2.2). So the gain per wheelbase is known before any
-simulation. Which of the two, the drives barely say: a wheelbase that is stated gives the gain;
-without one the commands are taken as the wheels' angles, as far as wheels turn so far. At one speed
-more than one car explains a drive: hence further starts, and estimates that their ends do not agree
-on.
+At low lateral acceleration the path's curvature is the tangent of `steer_gain` times the command
+over the wheelbase (Rajamani, Vehicle Dynamics and Control, section 2.2), so the gain per wheelbase
+is known before any simulation. Which of the two, the drives barely say: a stated wheelbase gives
+the gain; without one the commands are taken as the wheels' angles, as far as wheels turn so far.
 """
 
 # Why: docs/decisions/identification.md#d59

@@ -1,8 +1,7 @@
 """Validation on drives that were not fitted: how far off a prediction is after 0.5, 1 and 2 s.
 
 Open loop: the model is brought to the state at which it explains the moment before best, and
-then predicts from the commands alone. Both cars, before and after, get the same treatment, so that
-neither profits from a better start.
+then predicts from the commands alone.
 """
 
 from collections.abc import Callable, Sequence
@@ -58,9 +57,7 @@ class Trace(NamedTuple):
 
 
 def trace_windows(model: Model[float], runs: Sequence[Run], horizon: float) -> list[Trace]:
-    """Predict every window of the drives, each over a horizon [s].
-
-    One whose speed was not commanded is predicted with its measured speed.
+    """Predict windows of drives, each over a horizon [s]; without speed commands at measured speed.
 
     Raises:
         DataError: only some have speed commands.

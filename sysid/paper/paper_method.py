@@ -1,16 +1,12 @@
 """The paper's method: soft-DTW and chamfer distance of simulated and driven paths, by Adam.
 
 "System Identification and Control of Front-Steered Ackermann Vehicles through Differentiable
-Physics", IROS 2023: l_f, l_r, C_Sf, C_Sr of a car whose steering and speed follow at once, 7
-states, Euler at 0.002 s, loss = soft-DTW (gamma 0.1, every 0.2 s) + 100 chamfer (every step) in
-metres, averaged over batches of 4 runs that rotate. What the paper leaves open (step sizes, the
-rotation, the runs' starts at zero yaw rate and slip) is as in its authors' public experiments.
-Their own baseline is the same loss by CMA-ES, through Optuna.
-
-`simulate` is the compiled simulator, its gradients by the adjoint: any loss on the states can be
-minimised. Soft-DTW is a distance whatever the timing: Cuturi and Blondel, "Soft-DTW: a
-differentiable loss function for time-series", ICML 2017: the soft minimum
-`-gamma log sum exp(-cost / gamma)` over all monotone alignments (algorithm 1). It may be negative.
+Physics", IROS 2023: l_f, l_r, C_Sf, C_Sr of a car whose steering and speed follow at once, Euler at
+0.002 s, loss = soft-DTW (gamma 0.1, every 0.2 s) + 100 chamfer (every step) in metres, averaged
+over batches of 4 runs that rotate. What the paper leaves open (step sizes, the rotation, the runs'
+starts at zero yaw rate and slip) is as in its authors' public experiments, and so is their own
+baseline, the same loss by CMA-ES. Soft-DTW: Cuturi and Blondel, ICML 2017, algorithm 1: the soft minimum
+`-gamma log sum exp(-cost / gamma)` over all monotone alignments. It may be negative.
 """
 
 import warnings
@@ -190,14 +186,10 @@ def squared_distances(a: Tensor, b: Tensor) -> Tensor:
 
 
 def soft_dtw(cost: Tensor, gamma: float = PAPER_GAMMA) -> Tensor:
-    """Soft-DTW of cost matrices, diagonal by diagonal: the cells of one do not need each other.
+    """Soft-DTW (B,) of costs (B, N, M) of pairing sample n with sample m, differentiable.
 
-    Args:
-        cost: (B, N, M) float64, cost of pairing sample n with sample m.
-        gamma: softness, above 0; towards 0 it becomes plain DTW.
-
-    Returns:
-        (B,), differentiable.
+    Softness `gamma` is above 0; towards 0 it becomes plain DTW. The cells of a diagonal do not need
+    each other: they are computed together.
     """
     count, rows, columns = cost.shape
     n, m = torch.meshgrid(torch.arange(rows), torch.arange(columns), indexing="ij")
@@ -215,18 +207,11 @@ def soft_dtw(cost: Tensor, gamma: float = PAPER_GAMMA) -> Tensor:
 
 
 def chamfer(a: Tensor, b: Tensor) -> Tensor:
-    """Chamfer distance of two paths as sets of points, whatever the time.
+    """Chamfer distance of two paths (N, D) and (M, D), float64, as sets of points [their unit^2].
 
-    Mean squared distance to the nearest point of the other set, both ways (the definition that the
-    paper's library, PyTorch3D, uses). A k-d tree finds the nearest points; given them, the distance
-    is smooth, and its gradient is that of the pairs.
-
-    Args:
-        a: (N, D) float64.
-        b: (M, D) float64.
-
-    Returns:
-        Scalar [square of the points' unit]; NaN if a point is not finite.
+    Mean squared distance to the nearest point of the other set, both ways (as PyTorch3D, the
+    paper's library, defines it); NaN if a point is not finite. A k-d tree finds the nearest points;
+    given them, the distance is smooth, and its gradient is that of the pairs.
     """
     here, there = a.detach().numpy(), b.detach().numpy()
     if not (torch.isfinite(a).all() and torch.isfinite(b).all()):
@@ -350,7 +335,7 @@ def search_cma(
 def search_from(
     item: tuple[int, Array], runs: tuple[PaperRun, ...], method: str, iterations: int | None
 ) -> SearchHistory:
-    """A numbered start. The problem is made where the work is: compiled code does not travel."""
+    """A numbered start, by the paper's method or its baseline."""
     number, start = item
     if method == "paper":
         return search_adam(make_problem(runs), start, iterations or 100)

@@ -1,8 +1,7 @@
 """Lane keeping with controllers designed from different parameters, on the same simulated car.
 
 The paper's last figures: a controller is only as good as the parameters that it was designed from.
-The plant is the true car where it is known, else the identified one; floors are the session's and
-one of half its friction. State feedback is exact, so that only the design differs.
+State feedback is exact, so that only the design differs.
 """
 
 from collections.abc import Mapping
