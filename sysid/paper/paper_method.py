@@ -5,8 +5,8 @@ Physics", IROS 2023: l_f, l_r, C_Sf, C_Sr of a car whose steering and speed foll
 0.002 s, loss = soft-DTW (gamma 0.1, every 0.2 s) + 100 chamfer (every step) in metres, averaged
 over batches of 4 runs that rotate. What the paper leaves open (step sizes, the rotation, the runs'
 starts at zero yaw rate and slip) is as in its authors' public experiments, and so is their own
-baseline, the same loss by CMA-ES. Soft-DTW: Cuturi and Blondel, ICML 2017, algorithm 1: the soft minimum
-`-gamma log sum exp(-cost / gamma)` over all monotone alignments. It may be negative.
+baseline, the same loss by CMA-ES. Soft-DTW (Cuturi and Blondel, ICML 2017, algorithm 1) is the soft
+minimum `-gamma log sum exp(-cost / gamma)` over all monotone alignments. It may be negative.
 """
 
 import warnings
