@@ -77,6 +77,7 @@ def test_learning_recovers_the_car_predicts_better_and_its_json_is_the_schema(ou
     assert row.value == pytest.approx(truth.car.steer_gain, rel=0.05)
     assert row.identifiable
     assert outcome.held_out[-1].factor > 3.0
+    assert (outcome.pulses, outcome.ramps) == ((), ()), "no servo is known to be pulsed"
     encoded = encode_outcome(outcome)
     assert (encoded["schema"], tuple(encoded["parameters"])) == ("steerd.identify/1", REPORTED)
     keys = ("value", "sd", "unit", "identifiable")
@@ -168,7 +169,7 @@ def test_a_slew_limit_that_nobody_measured_is_learnt_where_it_is_felt(simulated,
     for name, row in found.free_rows.items():
         if row.identifiable:
             assert abs(row.value - getattr(truth.car, name)) < 4.0 * row.sd, name
-    sure = learn(replace(task, held=("steer_rate",)), lambda: 0.0)
+    sure = learn(replace(task, free=("lf", "lr"), held=("steer_rate",)), lambda: 0.0)
     rate = found.rows["steer_rate"]
     assert abs(rate.value - 7.0) < 4.0 * rate.sd
     assert not sure.rows["steer_rate"].free
