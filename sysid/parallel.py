@@ -1,7 +1,7 @@
 """Many independent pieces of work side by side."""
 
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -9,21 +9,14 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-def map_jobs(work: Callable[[T], R], items: Iterable[T], jobs: int = 1) -> list[R]:
-    """Do a piece of work for every item; results in the items' order.
-
-    Args:
-        work: a module-level function.
-        items: its arguments.
-        jobs: processes.
-    """
-    todo = list(items)
-    if jobs <= 1 or len(todo) <= 1:
-        return [work(item) for item in todo]
+def map_jobs(work: Callable[[T], R], items: Sequence[T], jobs: int) -> list[R]:
+    """What a module-level function makes of every item, in their order, by so many processes."""
+    if jobs <= 1 or len(items) <= 1:
+        return [work(item) for item in items]
     from joblib import Parallel, delayed
 
     with quiet_workers():
-        return list(Parallel(n_jobs=jobs)(delayed(work)(item) for item in todo))
+        return list(Parallel(n_jobs=jobs)(delayed(work)(item) for item in items))
 
 
 @contextmanager

@@ -29,11 +29,7 @@ class DataError(ValueError):
 
 
 def check_times(name: str, what: str, t: Array) -> None:
-    """Refuse times that are not finite or go back.
-
-    Raises:
-        DataError: they do.
-    """
+    """Refuse times that are not finite or go back, by a `DataError`."""
     if not np.isfinite(t).all():
         raise DataError(f"{name}: a time of {what} is not a number", "check the log's time column")
     back = np.flatnonzero(np.diff(t) < 0.0)
@@ -92,11 +88,7 @@ def _check_clock(name: str, t: Array, pose: Array) -> None:
 
 
 def check_excited(steers: list[Array]) -> None:
-    """Refuse drives whose steering (commanded angles of each [rad]) is one constant throughout.
-
-    Raises:
-        DataError: it is.
-    """
+    """Refuse drives whose steering ([rad], of each) is one constant, by a `DataError`."""
     if np.ptp(np.concatenate(steers)) < STEER_SPREAD_MIN:
         hint = "drive `steerd collect --plan mixed`"
         raise DataError("steering is one constant throughout", hint)

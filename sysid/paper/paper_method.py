@@ -117,21 +117,12 @@ def simulate(
     kernels: Kernels, parameters: Tensor, first: Tensor, commands: Tensor, h: float,
     *, integrator: str = "rk4", substeps: int = 1, history: int = 0, t: float = 0.0,
 ) -> Tensor:  # fmt: skip
-    """Simulate windows side by side; equal to `benchmarks.torch_reference`, much faster.
+    """States (B, N + 1, STATES + memory) of windows side by side, as `benchmarks.torch_reference`.
 
-    Args:
-        kernels: the compiled car.
-        parameters: (P,) float64.
-        first: (B, STATES + memory) states; (B, STATES) starts with empty memory.
-        commands: (B, history + N, 2), each held over a step of `h` [s].
-        h: see `commands`.
-        integrator: or `euler`.
-        substeps: integration steps to a command (see `predictor.stable_substeps`).
-        history: how many of the commands lie before the first step.
-        t: time into the run at the first step [s].
-
-    Returns:
-        (B, N + 1, STATES + memory) states; a view whose innermost axis in memory is B.
+    From parameters (P,), `first` states (B, STATES + memory, or STATES with an empty memory) and
+    commands (B, history + N, 2), each held over a step of `h` [s] and `substeps` integration steps;
+    `history` of them lie before the first step, which is `t` [s] into the run. The states are a
+    view whose innermost axis in memory is B.
 
     Raises:
         TypeError: a tensor is not float64.
