@@ -16,7 +16,6 @@ from steerd.controller.config import (
     LqrWeights,
     load_controller_config,
 )
-from steerd.controller.design import closed_loop, margins
 from steerd.controller.gain_table import N_LANE, GainTable, look_up
 from steerd.controller.gains import design_table, lqr_gains, pole_placement_gains
 from steerd.controller.loop_model import Timing, pack_gains, sampled_loop, turn_response
@@ -109,9 +108,9 @@ def test_the_loop_survives_a_servo_as_much_stronger_or_weaker_as_it_says(held, s
     """At 100 Hz and 10 ms the wheel follows the reference before the newest, and that alone."""
     table, timing = scaled(design_for(held), factor).table, held.file.report.timing
     row = look_up(table, speed)
-    m = margins(held.file.car, row, table.pasts, speed, timing)[1]
+    m = design.margins(held.file.car, row, table.pasts, speed, timing)[1]
     assert 0.1 < m < 1.0
-    closed = closed_loop(held.file.car, row, table.pasts, speed, timing)
+    closed = design.closed_loop(held.file.car, row, table.pasts, speed, timing)
     a, b = sampled_loop(held.file.car, speed, timing)
     assert not b[:N_LANE].any()
     for strength in np.linspace(1.0 / (1.0 + m), 0.98 / (1.0 - m), 15):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from steerd.car_model.chassis import derivative
 from steerd.car_model.ops import FLOAT
-from steerd.car_model.params import DEFAULT_CAR, Car
+from steerd.car_model.params import DEFAULT_CAR
 from steerd.car_model.path.path import Path, Projection, interpolate, project
 from steerd.car_model.path.path_spec import parse_path
 from steerd.car_model.single_track import SINGLE_TRACK
@@ -160,14 +160,12 @@ def test_orders_are_kept_as_long_as_a_dead_time_can_be_and_no_longer():
 
 
 # The whole controller, a tick at a time; whole drives are those of `tests/e2e`.
-RATE_HZ = 100.0
 SLOW_SERVO = DEFAULT_CAR._replace(steer_lag=0.08, steer_delay=DEFAULT_CAR.steer_delay + 0.03)
 """30 ms more dead time and 80 ms servo lag."""
 
 
-def made(spec: str, speed: float, car: Car[float] = DEFAULT_CAR, **config: object):
-    settings = ControllerConfig(speed=speed, **config)  # type: ignore[arg-type]
-    return make_controller(car, parse_path(spec), settings, RATE_HZ)
+def make(speed=1.5, spec="circle:radius=2", car=DEFAULT_CAR):
+    return make_controller(car, parse_path(spec), ControllerConfig(speed=speed), 100.0)
 
 
 def test_a_cars_gain_and_bias_are_undone():
@@ -179,7 +177,7 @@ SEEN = ORIGIN._replace(y=0.05, speed=1.0)
 
 
 def test_a_command_is_remembered_as_it_left():
-    controller = made("figure8", 1.5, SLOW_SERVO)
+    controller = make(1.5, "figure8", SLOW_SERVO)
     state = start_controller(controller, SEEN, 0)
     assert len(state.past) == 4
     command, _, after = control(controller, state, SEEN, 10_000_000)
@@ -193,7 +191,7 @@ def test_a_command_is_remembered_as_it_left():
 
 
 def test_no_delay_means_no_past():
-    controller = made("circle", 1.0, DEFAULT_CAR._replace(steer_delay=0.0))
+    controller = make(1.0, car=DEFAULT_CAR._replace(steer_delay=0.0))
     state = start_controller(controller, SEEN, 0)
     command, _, after = control(controller, state, SEEN, 10_000_000)
     assert after.past == ()
@@ -201,7 +199,7 @@ def test_no_delay_means_no_past():
 
 
 def test_a_clock_that_stands_or_leaps_is_no_leap_in_speed():
-    controller = made("circle", 1.0)
+    controller = make(1.0)
     state, estimate = start_controller(controller, ORIGIN, 0), ORIGIN
     assert control(controller, state, estimate, 0)[2].speed == 0.0
     assert control(controller, state, estimate, -5)[2].speed == 0.0
@@ -211,7 +209,7 @@ def test_a_clock_that_stands_or_leaps_is_no_leap_in_speed():
 @pytest.mark.parametrize("field", State._fields)
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_an_estimate_that_is_not_finite_is_refused(field, value):
-    controller = made("circle", 1.0)
+    controller = make(1.0)
     begun = start_controller(controller, SEEN, 0)
     with pytest.raises(ValueError, match="not finite"):
         control(controller, begun, SEEN._replace(**{field: value}), 1)
@@ -270,10 +268,6 @@ CIRCLE = parse_path("circle:radius=2")
 AT = State(2.1, 0.3, 1.8, 0.9, 0.4, 0.01, 0.15)
 
 
-def make(speed=1.5, path=CIRCLE, car=DEFAULT_CAR, **config):
-    return make_controller(car, path, ControllerConfig(speed=speed, **config), 100.0)
-
-
 def bounds_of(made, offset_max=0.15):
     path, timing = made.keeper.path, made.report.timing
     return make_live_bounds(made.car, path, made.config, made.table, timing, offset_max)
@@ -311,7 +305,7 @@ def test_a_loop_with_little_margin_grants_less_and_none_grants_nothing():
 def test_a_lane_that_the_car_cannot_turn_is_not_granted():
     free = bounds_of(make())
     assert (free.low.offset, free.high.offset) == (-0.15, 0.15)
-    tight = bounds_of(make(0.8, parse_path("circle:radius=1.35")), 0.5)
+    tight = bounds_of(make(0.8, "circle:radius=1.35"), 0.5)
     assert tight.low.offset == pytest.approx(-0.5), "outwards the turn is wider"
     assert 0.0 < tight.high.offset < 0.45
     wheel = max(row[-N_TURNING] for row in make(0.8).table.rows)

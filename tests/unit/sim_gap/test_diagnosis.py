@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from steerd.sim_gap.diagnosis import Case, GapOptions, diagnose
-from steerd.sysid.inference.noise import Noise, noise_section
+from steerd.sysid.inference.noise import noise_section
+from tests.unit.sysid.inference.conftest import NOISE
 
 pytestmark = pytest.mark.slow
-
-NOISE = Noise((7e-4, 2e-3, 0.02, 0.05), (0.4, 0.4, 2.5), 1e-4)
-"""What `tests/unit/conftest.py` adds to its drives."""
 
 
 @pytest.fixture(scope="module")
