@@ -25,7 +25,6 @@ from steerd.car_model.native.windows import (
     STATES,
     HeldCommands,
     Kernels,
-    WindowBlocks,
     make_kernels,
     make_window_blocks,
     march,
@@ -114,9 +113,17 @@ def make_problem(runs: tuple[PaperRun, ...], base: Car[float] = PAPER_CAR_DIRECT
 
 
 def simulate(
-    kernels: Kernels, parameters: Tensor, first: Tensor, commands: Tensor, h: float,
-    *, integrator: str = "rk4", substeps: int = 1, history: int = 0, t: float = 0.0,
-) -> Tensor:  # fmt: skip
+    kernels: Kernels,
+    parameters: Tensor,
+    first: Tensor,
+    commands: Tensor,
+    h: float,
+    *,
+    integrator: str = "rk4",
+    substeps: int = 1,
+    history: int = 0,
+    t: float = 0.0,
+) -> Tensor:
     """States (B, N + 1, STATES + memory) of windows side by side, as `benchmarks.torch_reference`.
 
     From parameters (P,), `first` states (B, STATES + memory, or STATES with an empty memory) and
@@ -147,11 +154,9 @@ class _Simulate(torch.autograd.Function):
     """March and march back; everything stays in the kernels' layout, so nothing is copied."""
 
     @staticmethod
-    def forward(
-        ctx: Any, parameters: Tensor, first: Tensor, commands: Tensor,
-        kernels: Kernels, held: HeldCommands, blocks: WindowBlocks, steps: int,
-    ) -> Any:  # fmt: skip
+    def forward(ctx: Any, parameters: Tensor, first: Tensor, commands: Tensor, *about: Any) -> Any:
         """March."""
+        kernels, held, blocks, steps = about
         values, begin = (np.ascontiguousarray(t.detach().numpy()) for t in (parameters, first))
         path = march(kernels, values, begin, held, blocks, steps)
         ctx.state = (kernels, values, path, held, blocks)
