@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import floor
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -45,7 +45,7 @@ def make_segment(run: Run, low: float, high: float) -> Run:
         inside = (signal.t >= low - 1e-9) & (signal.t <= high + 1e-9)
         return Signal(signal.t[inside] - zero, signal.values[inside])
 
-    parts = {name: part(getattr(run, name)) for name in SIGNALS}
+    parts: dict[str, Any] = {name: part(getattr(run, name)) for name in SIGNALS}
     return replace(run, commands=run.commands[first:last], start=run.start + zero, **parts)
 
 
