@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from steerd.daemon.analysis.simulation import simulate
     from steerd.daemon.common.errors import SteerdError
     from steerd.daemon.many.batch.run import Batch, batch
-    from steerd.daemon.many.sweep.run import Sweep, sweep
+    from steerd.daemon.many.sweep.run import sweep
+    from steerd.daemon.many.sweep.summary import Sweep
     from steerd.daemon.process.external_controller import serve
 
 __all__ = [
@@ -53,7 +54,7 @@ _MODULES = {
     "Identification": "analysis.identification",
     "Session": "analysis.recorded",
     "SteerdError": "common.errors",
-    "Sweep": "many.sweep.run",
+    "Sweep": "many.sweep.summary",
     "batch": "many.batch.run",
     "diagnose": "analysis.diagnosis",
     "identify": "analysis.identification",
