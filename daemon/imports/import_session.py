@@ -57,11 +57,7 @@ class ImportReport:
 
 
 def check_output(out: Path) -> None:
-    """Check the output name before the work.
-
-    Raises:
-        SteerdError: it exists, or does not end in `.mcap`.
-    """
+    """A SteerdError where an output's name is taken, or does not end in `.mcap`."""
     if out.suffix != ".mcap":
         hint = f"-o {out.with_suffix('.mcap')}"
         raise SteerdError(f"{out}: a session's name ends in .mcap", hint, ExitCode.USAGE)
@@ -71,11 +67,7 @@ def check_output(out: Path) -> None:
 
 
 def hash_file(path: Path) -> str:
-    """SHA-256 of a file, or of a bag folder's files in order of their names.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """SHA-256 of a file, or of a folder's files by name; an OSError where one is unreadable."""
     digest = hashlib.sha256()
     for part in sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]:
         with part.open("rb") as file:
@@ -159,11 +151,7 @@ class MessageMaker:
     _poses: int = 0
 
     def pose(self, t_ns: int, arrival_ns: int, position: Vec3, quaternion: Quat) -> m.MocapPose:
-        """A body pose.
-
-        Raises:
-            ValueError: the position is not finite or the quaternion has no direction.
-        """
+        """A body pose; a ValueError where it is not finite, or the quaternion has no direction."""
         planar = make_planar_pose(self.frame or FrameConfig(), position, quaternion)
         return self._mocap(t_ns, arrival_ns, position, quaternion, planar)
 
