@@ -123,11 +123,7 @@ def read_notes(session: Path) -> tuple[tuple[str, ...], str]:
 
 
 def write_notes(session: Path, tags: Iterable[str], note: str) -> None:
-    """Write tags and note beside a session.
-
-    Raises:
-        SteerdError: there is no such session, or the file cannot be written.
-    """
+    """Write tags and note beside a session; a SteerdError where it is missing or unwritable."""
     if not session.is_file():
         raise SteerdError(f"{session} does not exist", "", ExitCode.UNREADABLE)
     said = {"tags": list(dict.fromkeys(tags)), "note": note}
@@ -294,12 +290,9 @@ def make_report(entries: Sequence[Entry], folder: Path) -> Report:
 def _row(e: Entry, folder: Path) -> list[str | Cell]:
     page = e.path.with_suffix(".html")
     link = quote(os.path.relpath(page, folder)) if page.is_file() else ""
-    figures = [
-        "–" if value is None else format(value * scale, ".1f")
-        for value, scale in (
-            (e.e1_rms, 1e3), (e.e1_max, 1e3), (e.speed, 1.0), (e.seconds, 1.0), (e.metres, 1.0),
-        )
-    ]  # fmt: skip
+    errors = [None if error is None else 1e3 * error for error in (e.e1_rms, e.e1_max)]
+    numbers = (*errors, e.speed, e.seconds, e.metres)
+    figures = ["–" if number is None else f"{number:.1f}" for number in numbers]
     ended = Cell(e.remarks or "ok", "" if e.verdict == "ok" else "strong")
     named = Cell(clean(e.path.stem), link=link)
     return [named, ended, f"{e.when:%Y-%m-%d %H:%M}", e.lane, *figures, e.car]

@@ -80,11 +80,7 @@ class LaneSession:
 
 
 def make_lane_session(read: Recording) -> LaneSession:
-    """What a drive did along its lane.
-
-    Raises:
-        SteerdError: it followed no lane.
-    """
+    """What a drive did along its lane; a SteerdError where it followed none."""
     path = read.info.path
     lane, state = load_lane(read.session), read.table(topics.STATE)
     if lane is None or state is None:
@@ -215,11 +211,8 @@ def find_shift(first: Sequence[Array], second: Sequence[Array]) -> float:
 
     The strongest cross-correlation of all quantities together finds the place (it favours long
     overlaps, so that of equal laps the nearest is taken); its coefficient over the overlap, which
-    favours none, the shift.
-
-    Args:
-        first: quantities of the first drive, `STEP` apart, each (n,).
-        second: the same quantities of the second, each (m,).
+    favours none, the shift. Quantities of the first drive are (n,), of the second (m,), `STEP`
+    apart.
     """
     lags = correlation_lags(len(first[0]), len(second[0]))
     total, power = np.zeros(len(lags)), np.zeros(len(lags))

@@ -1,0 +1,297 @@
+"""`steerd plot`: what is drawn is what was recorded, in a page that needs nothing else."""
+
+import base64
+import json
+import re
+import zlib
+from dataclasses import replace
+from math import nan
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from steerd.daemon.cli.main import run_cli
+from steerd.daemon.imports.import_session import MessageMaker
+from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.sessions import plot_page
+from steerd.daemon.sessions.info import load_recording, load_session, make_session_report
+from steerd.daemon.sessions.motion import make_track
+from steerd.daemon.sessions.plot_data import (
+    GAP,
+    LANE_HALF_WIDTH,
+    PANELS,
+    Curve,
+    Drawing,
+    Panel,
+    load_lane,
+    make_curve,
+    make_drawing,
+)
+from steerd.daemon.sessions.plot_page import BREAK, HELD, LEVELS, VALUE, decimate, make_grid, pack
+from steerd.daemon.settings.run_options import RunOptions, encode_options
+from steerd.steer_bus import messages as m
+from steerd.steer_bus import topics
+from steerd.steer_bus.codec import encode
+from steerd.steer_bus.container import TopicInfo
+from steerd.steer_bus.messages import BODY, Model, make_header
+from steerd.steer_bus.session import SessionWriter
+from steerd.steer_bus.topics import MOCAP, MODEL, WHEEL, make_session_topic
+
+EPOCH = 1_726_480_861_000_000_000
+
+
+def unpack(packed, slots):
+    """What `pack` packed, as the page's script reads it: values (NaN where none) and kinds."""
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(packed["data"])), np.uint8)
+    kinds, fine, coarse = planes.reshape(3, slots)
+    level = np.cumsum(fine.astype(np.int64) + 256 * coarse.astype(np.int64)) % (LEVELS + 1)
+    low, high = packed["low"], packed["high"]
+    return np.where(kinds == VALUE, low + level / LEVELS * (high - low), np.nan), kinds
+
+
+def write_noise(path, seconds, rate, *, options=None, files=None, reason="end", car_name="noisy"):
+    """White noise on every curve: nothing packs worse."""
+    rng = np.random.default_rng(3)
+    table = (topics.STATE, topics.MOCAP, topics.ACTUATION, topics.TICK, topics.TRANSITION)
+    names = {topics.make_session_topic(car_name, t): t.message for t in table}
+    about = {"car": car_name, "mode": "hw", "epoch_ns": str(EPOCH)}
+    about |= {"options": encode_options(options)} if options else {}
+    writer = SessionWriter(path, names, {"steerd.session": about}, files or {})
+    maker = MessageMaker(EPOCH)
+
+    def put(topic, message, t_ns):
+        writer.write(topics.make_session_topic(car_name, topic), encode(message), t_ns + EPOCH)
+
+    put(topics.TRANSITION, m.Transition(m.make_header(EPOCH, m.BODY), 4, 5, "c", "go"), 0)
+    for i in range(int(seconds * rate)):
+        t = round(i / rate * 1e9)
+        x, y, yaw = rng.normal(size=3).tolist()
+        r, head = rng.normal(size=24), m.make_header(t + EPOCH, m.WORLD)
+        e1 = 0.02 if i % 2 else -0.02
+        numbers = np.array([*r[:7], *np.abs(r[7:14]), e1, *r[15:20], abs(r[20])]).tolist()
+        put(topics.STATE, m.StateMessage(head, t, i, 0, SupervisorState.RUNNING, *numbers), t)
+        put(topics.MOCAP, maker.planar_pose(t, x, y, yaw), t)
+        put(topics.ACTUATION, maker.command(t, *rng.normal(size=2).tolist()), t)
+        late, work = rng.integers(0, 1_000_000, 2).tolist()
+        tick = m.Tick(m.make_header(t + EPOCH, m.BODY), t, t + late, work, i, 0)
+        put(topics.TICK, tick, t)
+    return writer.finish({"reason": reason})
+
+
+def page_of(path):
+    session = load_recording(path)
+    return plot_page.make_page(make_session_report(session), make_drawing(session))
+
+
+def data_of(page):
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
+    return json.loads(found.group(1))
+
+
+def test_the_curves_are_the_recorded_numbers(tmp_path):
+    path = write_noise(tmp_path / "a.mcap", 10, 50)
+    session = load_recording(path)
+    data = data_of(page_of(path))
+    slots = data["grid"]["slots"]
+    first = {panel["title"]: panel["curves"][0] for panel in data["panels"]}
+    e1, _ = unpack(first["lateral error e1"], slots)
+    assert sorted(set(np.round(e1[np.isfinite(e1)], 3))) == [-20.0, 20.0]
+    yaw, _ = unpack(first["yaw rate"], slots)
+    recorded = session.session.columns(m.StateMessage)["yaw_rate"]
+    assert yaw[np.isfinite(yaw)] == pytest.approx(np.degrees(recorded), abs=1e-2)
+    assert first["control tick"]["name"] == "late"
+    assert 0.9 < first["control tick"]["high"] <= 1.0
+    facts = dict(data["facts"])
+    assert facts["lateral error RMS, after 3 s"] == "20.0 mm"
+    assert facts["largest"] == "20.0 mm"
+    assert data["track"]["top"] == pytest.approx(0.02, abs=1e-4), "the track's colours, in metres"
+    assert data["states"] == [[0.0, "ARMED"], [0.0, "RUNNING"]]
+
+
+def test_ten_minutes_of_the_worst_noise_stay_small(tmp_path):
+    session = load_recording(write_noise(tmp_path / "a.mcap", 1, 20))
+    report, rng = make_session_report(session), np.random.default_rng(4)
+    start_ns = report.info.start_ns
+    lasting = TopicInfo(1, start_ns, start_ns + 600_000_000_000)
+    info = replace(report.info, counts={**report.info.counts, 99: lasting})
+    t = np.arange(60_000) * 0.01
+    noise = (Curve(name, "other", t, rng.normal(size=t.size)) for name in "abcdefghijklmnopqrst")
+    panels = tuple(Panel(c.name, "m", (c,)) for c in noise)
+    track = make_track(t, *rng.normal(size=(3, t.size)))
+    drawing = Drawing(panels, track, rng.normal(size=t.size), None, 0.3, ())
+    page = plot_page.make_page(replace(report, info=info), drawing)
+    assert 1_000_000 < len(page.encode()) < plot_page.SIZE_MAX
+
+
+def test_the_page_needs_nothing_else_and_takes_no_orders_from_the_session(tmp_path):
+    evil = "</script><script>alert(1)</script><!-- {{ data }} {% endraw %}"
+    path = write_noise(tmp_path / "<b>a&b.mcap", 4, 20, reason=evil)
+    page = page_of(path)
+    assert "<script>alert" not in page
+    assert page.count("</script>") == 4
+    assert "<title>noisy · &lt;b&gt;a&amp;b.mcap · 2024" in page
+    facts = dict(data_of(page)["facts"])
+    assert facts["how it ended"] == evil
+    assert not re.findall(r'(?:src|href)\s*=\s*["\']?(?!data:,)[^"\'\s>]*[/.]', page)
+    assert "default-src 'none'" in page
+
+
+def test_the_lane_comes_from_the_session(tmp_path):
+    rows = "\n".join(f"{2 * np.cos(a):.6f},{2 * np.sin(a):.6f}" for a in np.arange(0, 6.2, 0.1))
+    kept = {"path.csv": f"# x_m,y_m\n{rows}\n".encode()}
+
+    def lane_of(name, options, files=None):
+        path = write_noise(tmp_path / f"{name}.mcap", 2, 20, options=options, files=files)
+        return load_lane(load_session(path))
+
+    elsewhere = RunOptions("", path="csv:/somewhere/else.csv,place=as-is")
+    lane = lane_of("a", elsewhere, kept)
+    assert np.hypot(lane.x, lane.y) == pytest.approx(2.0, abs=0.01)
+    assert lane_of("b", elsewhere) is None
+    assert lane_of("c", RunOptions("", drill="mixed;open")) is None
+
+
+def test_the_table_holds_the_curves_and_figures_are_the_same_each_time(tmp_path):
+    path = write_noise(tmp_path / "a.mcap", 4, 50)
+    assert run_cli(["plot", str(path), "-o", str(tmp_path / "a.CSV")]) == 0
+    table = np.genfromtxt(tmp_path / "a.CSV", delimiter=",", names=True, deletechars="")
+    yaw = load_recording(path).session.columns(m.StateMessage)["yaw_rate"]
+    assert table["t_[s]"][:3] == pytest.approx([0.0, 0.01, 0.02])
+    assert table["yaw_rate:_estimate_[°/s]"][::2][:200] == pytest.approx(np.degrees(yaw), abs=1e-3)
+    for name, head in (("a.svg", b"<?xml"), ("a.png", b"\x89PNG"), ("a.pdf", b"%PDF")):
+        assert run_cli(["plot", str(path), "-o", str(tmp_path / name)]) == 0
+        first = (tmp_path / name).read_bytes()
+        assert first.startswith(head)
+        assert run_cli(["plot", str(path), "-o", str(tmp_path / name)]) == 0
+        assert (tmp_path / name).read_bytes() == first
+
+
+# Curves: no peak is lost, no break is bridged, what was packed comes out again.
+
+NUMBERS = st.floats(-1e6, 1e6)
+
+
+@settings(derandomize=True, deadline=None, max_examples=150)
+@given(st.lists(NUMBERS, min_size=1, max_size=300, unique=True), st.integers(1, 40))
+def test_every_pair_of_slots_keeps_its_extremes_in_their_order(values, buckets):
+    t = np.linspace(0.0, 10.0, len(values))
+    value = np.array(values)
+    grid = make_grid(0.0, 10.0, buckets)
+    out, kinds = decimate(grid, t, value)
+    where = np.minimum((t / (2 * grid.step)).astype(int), grid.slots // 2 - 1)
+    for bucket in range(grid.slots // 2):
+        inside = value[where == bucket]
+        pair = slice(2 * bucket, 2 * bucket + 2)
+        shown = out[pair][kinds[pair] == VALUE]
+        assert shown.size == min(len(inside), 2) or np.ptp(inside) == 0.0
+        if len(inside):
+            assert {shown.min(), shown.max()} == {inside.min(), inside.max()}
+            rising = np.argmax(inside) > np.argmin(inside)
+            assert shown.size == 1 or np.ptp(inside) == 0 or (shown[1] > shown[0]) == rising
+
+
+@settings(derandomize=True, deadline=None, max_examples=150)
+@example([(0.0, HELD), (0.0, VALUE), (1.0, HELD), (3e-184, VALUE)])
+@given(
+    st.lists(st.tuples(NUMBERS, st.sampled_from([HELD, VALUE, BREAK])), min_size=2, max_size=200)
+)
+def test_packing_keeps_values_to_one_level(items):
+    items = items[: len(items) // 2 * 2]
+    out = np.array([v for v, _ in items])
+    kinds = np.array([k for _, k in items], np.uint8)
+    values, again = unpack(pack(out, kinds), len(items))
+    assert again.tolist() == kinds.tolist()
+    known = kinds == VALUE
+    assert np.isnan(values[~known]).all()
+    step = np.ptp(out[known]) / 65535 if known.any() else 0.0
+    assert np.abs(values[known] - out[known]).max(initial=0.0) <= 0.51 * step + 1e-9
+
+
+def test_a_break_lasts_until_the_next_value():
+    grid = make_grid(0.0, 1.0, 100)
+    t = np.arange(10) * 0.1 + 0.001
+    value = np.array([1.0, 2.0, np.nan, np.nan, 3.0, 4.0, 4.0, 4.0, 4.0, np.nan])
+    _, kinds = decimate(grid, t, value)
+    assert set(kinds[40:80]) == {BREAK}
+    assert set(kinds[20:40]) == {VALUE, HELD}
+    assert set(kinds[180:]) == {BREAK}
+
+
+# What is drawn: curves with breaks, settled errors, the lane, what was learnt.
+
+
+def test_a_curve_is_sorted_and_broken_where_samples_are_missing_and_none_without_a_number():
+    t = np.array([0.2, 0.0, 0.1, 2.0])
+    (curve,) = make_curve("e1", "estimate", t, np.array([3.0, 1.0, 2.0, 4.0]))
+    assert curve.t == pytest.approx([0.0, 0.1, 0.2, 0.2 + GAP / 2, 2.0])
+    assert curve.value == pytest.approx([1.0, 2.0, 3.0, nan, 4.0], nan_ok=True)
+    assert list(make_curve("e1", "estimate", t, np.full(4, nan))) == []
+
+
+def write(path, files=None):
+    maker = MessageMaker(0)
+    names = {make_session_topic("car1", topic): topic.message for topic in (MOCAP, WHEEL)}
+    writer = SessionWriter(path, names, {"steerd.session": {"car": "car1"}}, files or {})
+    for i in range(100):
+        t = i * 10_000_000
+        writer.write("/steerd/car1/mocap", encode(maker.planar_pose(t, 0.02 * i, 0.0, 0.0)), t)
+        writer.write("/steerd/car1/wheel", encode(maker.wheel(t, 1.9)), t)
+    return load_recording(writer.finish({"reason": "imported"}))
+
+
+def test_a_log_without_an_estimate_shows_the_speed_of_its_poses_beside_the_wheels(tmp_path):
+    drawing = make_drawing(write(tmp_path / "a.mcap"))
+    (speed,) = [panel for panel in drawing.panels if panel.title == "speed"]
+    speeds = {curve.name: round(float(np.median(curve.value)), 3) for curve in speed.curves}
+    assert speeds == {"wheels": 1.9, "from poses": 2.0}
+    assert np.isnan(drawing.e1).all()
+    assert dict(drawing.facts)["driven"] == "2.0 m"
+
+
+@pytest.mark.parametrize(("text", "width"), [
+    ("[safety]\nlateral = 0.2\n", 0.2), ("[safety]\n", LANE_HALF_WIDTH), ("x", LANE_HALF_WIDTH),
+])  # fmt: skip
+def test_the_lane_is_as_wide_as_the_watchdog_of_the_recorded_car_file_allows(tmp_path, text, width):
+    car = {"car.toml": text.encode()}
+    assert make_drawing(write(tmp_path / "a.mcap", car)).half_width == width
+
+
+# The learner's panels of the plot page.
+
+NS = 1_000_000_000
+START = 1_700_000_000 * NS
+EMPTY = Model(make_header(START, BODY), 0, -1, -1, 0, 0, nan, *(nan,) * 34, "learning", *("",) * 4)
+
+
+@pytest.fixture
+def session(tmp_path):
+    """Ten reports: nothing at first, then a bias; from the seventh on a change at 5.5 s."""
+    topic = make_session_topic("car1", MODEL)
+    about = {"steerd.session": {"car": "car1"}}
+    writer = SessionWriter(tmp_path / "a.mcap", {topic: Model}, about, {}, START)
+    change = {"since_ns": round(105.5 * NS), "effect": "steer_bias", "verdict": "named"}
+    for second in range(10):
+        message = replace(
+            EMPTY, header=make_header(START + second * NS, BODY), mono_ns=(100 + second) * NS,
+            steer_bias=nan if second < 3 else 0.01, steer_bias_sd=1e-3,
+            **(change if second >= 7 else {"verdict": "none"}),
+        )  # fmt: skip
+        writer.write(topic, encode(message), START + second * NS)
+    return load_recording(writer.finish({"reason": "end"}))
+
+
+def test_a_parameter_has_a_band_and_a_change_a_line(session):
+    panels = make_drawing(session).panels
+    (panel,) = [p for p in panels if p.title == "learnt: steering bias"]
+    value, above, below, change = panel.curves
+    np.testing.assert_allclose(value.t, np.arange(3, 10))
+    np.testing.assert_allclose(value.value, np.degrees(0.01), rtol=1e-5)
+    np.testing.assert_allclose(above.value - below.value, np.degrees(4e-3), rtol=1e-4)
+    assert (change.name, change.t[0]) == ("change: steer_bias", pytest.approx(5.5))
+
+
+def test_what_was_not_learnt_has_no_panel(session):
+    titles = [panel.title for panel in make_drawing(session).panels]
+    assert titles == [title for title, _, fields, _ in PANELS if "steer_bias" in fields]
