@@ -29,7 +29,6 @@ from steerd.posterior_file import TABLES, encode_posterior
 from steerd.steer_bus.session_read import Session, SessionError
 
 if TYPE_CHECKING:
-    from steerd.sim_gap.verdict.confidence import Cause
     from steerd.sysid.data.dataset import Run
     from steerd.sysid.estimation.outcome import Outcome
 
@@ -161,16 +160,6 @@ def identified_values(
         if row.free or row.value != row.start:
             updates[name] = Learned(row.value, row.sd, f"{IDENTIFIED}{how}: {names}{more}")
     return updates
-
-
-def diagnosed_values(causes: "Sequence[Cause]", sessions: Sequence[Path]) -> dict[str, Learned]:
-    """Updates for the car file: every parameter of the found effects."""
-    source = f"steerd diagnose: {', '.join(path.name for path in sessions)}"
-    return {
-        f"{cause.effect}.{name}": Learned(value, sd, source)
-        for cause in causes
-        for name, (value, sd, _) in cause.parameters.items()
-    }
 
 
 def learn_known(car: CarFile, runs: "tuple[Run, ...]") -> Mapping[str, Mapping[str, Any]]:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
 
-from steerd.daemon.analysis.finding import Reported
+from steerd.daemon.analysis.options import Reported
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.common.notebook import make_frame, notebook_progress
 from steerd.daemon.common.progress import show_progress

@@ -60,11 +60,7 @@ def read_content(task: UnitTask) -> UnitTask:
 
 
 def find_batch(words: Sequence[str]) -> list[Path]:
-    """Sessions that folders (with all below them), patterns and files name; each once.
-
-    Raises:
-        SteerdError: a word names nothing.
-    """
+    """Sessions in folders and below, of patterns and files, each once; a SteerdError for none."""
     found: dict[Path, None] = {}
     for word in words:
         path = Path(word)
@@ -113,11 +109,7 @@ def make_tasks(paths: Sequence[Path]) -> dict[str, UnitTask]:
 
 
 def run_unit(question: Question, task: UnitTask) -> dict[str, Any]:
-    """The row of one session.
-
-    Raises:
-        SteerdError: the session cannot be used for what is asked.
-    """
+    """The row of one session; a SteerdError where it cannot be used for what is asked."""
     if task.content is None:
         return _answer(task.path, question, task.changed_ns)
     with tempfile.TemporaryDirectory(prefix="steerd-") as folder:

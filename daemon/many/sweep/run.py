@@ -77,11 +77,7 @@ def sweep(
 
 
 def make_job(plan: SweepPlan) -> Job[Sweep]:
-    """A sweep as work for `do_job`.
-
-    Raises:
-        SteerdError: a distribution never yields what its quantity may be.
-    """
+    """A sweep as work for `do_job`; a SteerdError where a draw never lies within its bounds."""
     cases = {str(case.number): case for case in plans.list_cases(plan)}
 
     def make_row(done: Done) -> Row:
@@ -94,11 +90,7 @@ def make_job(plan: SweepPlan) -> Job[Sweep]:
 
 
 def find_case(plan: SweepPlan, number: int) -> DriveCase:
-    """One drive of a sweep, to be driven again alone.
-
-    Raises:
-        SteerdError: there is no such drive.
-    """
+    """One drive of a sweep, to be driven again alone; a SteerdError where there is none."""
     if not 0 <= number < plan.count:
         what = f"there is no drive {number}: they are 0 to {plan.count - 1}"
         raise SteerdError(what, "", ExitCode.USAGE)
@@ -144,11 +136,7 @@ def run_case(plan: SweepPlan, case: DriveCase) -> dict[str, Any]:
 
 
 def prepare(plan: SweepPlan, case: DriveCase) -> tuple[RunPlan, WorldConfig]:
-    """The drive's plan, and its simulated hardware.
-
-    Raises:
-        SteerdError: a path or a value cannot be used.
-    """
+    """The drive's plan, its simulated hardware; a SteerdError for a path or value without use."""
     values = case.values
     speed, path = float(values.get("speed", plan.speed)), str(values.get("path", plan.path))
     effects: dict[str, dict[str, float]] = {}
