@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from steerd.daemon.analysis.simulation import simulate
     from steerd.daemon.common.errors import SteerdError
     from steerd.daemon.many.batch.run import Batch, batch
-    from steerd.daemon.many.sweep.run import sweep
-    from steerd.daemon.many.sweep.summary import Sweep
+    from steerd.daemon.many.sweep.run import Sweep, sweep
     from steerd.daemon.process.external_controller import serve
 
 __all__ = [
@@ -54,7 +53,7 @@ _MODULES = {
     "Identification": "analysis.identification",
     "Session": "analysis.recorded",
     "SteerdError": "common.errors",
-    "Sweep": "many.sweep.summary",
+    "Sweep": "many.sweep.run",
     "batch": "many.batch.run",
     "diagnose": "analysis.diagnosis",
     "identify": "analysis.identification",

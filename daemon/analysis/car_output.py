@@ -44,10 +44,8 @@ def make_car(
     """The base with new values by `parameter` or `effect.parameter`, for a file called `path`.
 
     What was known beyond the old values is left out, and `wiring` (see `find_wiring`) where it is
-    of a version whose settings were others: the result counts more.
-
-    Raises:
-        SteerdError: a value is none that a car file may hold.
+    of a version whose settings were others: the result counts more. A SteerdError names a value
+    that no car file may hold.
     """
     document = tomlkit.parse(base.text)
     for name in TABLES:  # of a car file from before they had a file of their own
@@ -104,10 +102,8 @@ def find_wiring(base: CarFile, sessions: Sequence[Session]) -> Values:
     """What a car file says beside the car, from drives, where nobody named a car file.
 
     A drive knows its motor's ERPM per m/s, its mocap body and its limits. A car file with F1TENTH's
-    instead would send the driven car off with another car's wiring.
-
-    Returns:
-        Settings of the drives that differ from the base's; none where the drives differ too.
+    instead would send the driven car off with another car's wiring. Settings that are the base's
+    are left out, and all where the drives differ.
     """
     if base.path != default_car_path():
         return {}

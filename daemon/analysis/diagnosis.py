@@ -202,13 +202,9 @@ def make_case(
 def find_base(
     named: asked.CarSource, sessions: Sequence[Session]
 ) -> tuple[CarFile, str, tuple[str, ...]]:
-    """The car or car file named, else the one inside the first session, else the default.
+    """The car, where it comes from, and notes; a SteerdError where it cannot be used.
 
-    Returns:
-        The car, where it comes from, notes.
-
-    Raises:
-        SteerdError: the one that counts cannot be used.
+    The one that is named counts, else the one inside the first session, else the default.
     """
     if named is not None:
         base = asked.read_car(named)

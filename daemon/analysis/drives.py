@@ -96,10 +96,8 @@ class Drives:
     def refusing(self, stopped: str = "") -> Iterator[None]:
         """The one guard around what works on drives: what they are not fit for is one line.
 
-        `stopped` is what to try where the simulation of the car diverges.
-
-        Raises:
-            SteerdError: with a hint that runs as printed.
+        `stopped` is what to try where the simulation of the car diverges. The hint of the
+        SteerdError runs as printed.
         """
         try:
             yield
@@ -143,13 +141,7 @@ def load_drives(
     watch: Watch,
     advance: Callable[[float], None] = lambda _: None,
 ) -> Drives:
-    """Sessions as drives, one after the other, see `load_drive`.
-
-    `advance` hears the share of the files read.
-
-    Raises:
-        SteerdError: one cannot be read, or is not fit for a fit.
-    """
+    """Sessions as drives, each by `load_drive`; `advance` hears the share of the files read."""
     most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     if len(paths) > FILES:
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
@@ -191,11 +183,7 @@ def refuse_copies(paths: Sequence[Path]) -> None:
 def without_reserved(
     given: Sequence[Path], reserved: Sequence[Path], purpose: str
 ) -> tuple[Path, ...]:
-    """The sessions that are not held out: of `*.mcap` those that no other option names.
-
-    Raises:
-        SteerdError: one drive is named twice, or none is left for the `purpose`.
-    """
+    """Of `*.mcap` what no other option names; a SteerdError for two of one drive, and for none."""
     refuse_copies(reserved)
     refuse_copies(given)
     kept = tuple(path for path in given if not any(is_same(path, each) for each in reserved))
@@ -220,11 +208,8 @@ LEAST = 5.0
 def split_drives(case: Case, held_out: HeldOut, speed: Speed, watch: Watch) -> Case:
     """The case with its drives cut to where the car moves, some to explain, some held out.
 
-    Those that are held out measure the shrinkage; whole sessions are opened later.
-
-    Raises:
-        DataError: there is too little driving.
-        SteerdError: there is too little to hold so much out.
+    Those that are held out measure the shrinkage; whole sessions are opened later. A DataError says
+    that there is too little driving, a SteerdError that it is too little to hold so much out.
     """
     drives, every = case.runs, held_out.every
     parts = segments.moving_segments(drives)

@@ -80,10 +80,8 @@ def import_bag(
 
     Nothing is left of that after an error. `advance` is called with the share of the bag's time
     read so far. `TOPIC`s, or `ROLE=TOPIC` with one of `BAG_ROLES`, the `rigid` body that is the car
-    and `erpm_gain`, per m/s and negative for a motor wired so, replace the map's.
-
-    Raises:
-        SteerdError: rosbags is missing, or something is wrong with bag, map or output.
+    and `erpm_gain`, per m/s and negative for a motor wired so, replace the map's. A SteerdError
+    says what is wrong with bag, map or output, or that rosbags is missing.
     """
     the_map = load_map(map_path, erpm_gain)
     with closing(_open(source)) as reader:

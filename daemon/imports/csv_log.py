@@ -43,10 +43,8 @@ def open_table(source: Path) -> TextIO:
 class CsvTable:
     """An open csv file: its `header` was read, its rows come next; `row` numbers the last line.
 
-    Of several delimiters that one is taken which gives most of the `wanted` column names.
-
-    Raises:
-        SteerdError: it holds no line.
+    Of several delimiters that one is taken which gives most of the `wanted` column names. A file
+    without a line is refused.
     """
 
     def __init__(self, name: str, file: TextIO, wanted: Collection[str] = ()) -> None:
@@ -69,10 +67,8 @@ class CsvTable:
     ) -> Iterator[dict[str, float]]:
         """The quantities that have a value in a row, of rows that hold any; scaled.
 
-        `advance` is called with the bytes read so far.
-
-        Raises:
-            SteerdError: a column is missing or a cell is no number; the message says which.
+        `advance` is called with the bytes read so far. A SteerdError says which column is missing,
+        or which cell is no number.
         """
         wanted = [(q, name) for q, spec in columns.items() for name in (spec.column, spec.gate)]
         places = {name: self._index(q, name) for q, name in wanted if name is not None}
@@ -180,10 +176,8 @@ def import_csv(
 ) -> ImportReport:
     """Turn a csv file into a session; nothing is left of that after an error.
 
-    `advance` is called with the bytes read so far; `erpm_gain`, per m/s, replaces the map's.
-
-    Raises:
-        SteerdError: something is wrong with the map, the file or the output; it says where.
+    `advance` is called with the bytes read so far; `erpm_gain`, per m/s, replaces the map's. A
+    SteerdError says where something is wrong with the map, the file or the output.
     """
     the_map = load_map(map_path, erpm_gain)
     if not the_map.columns:

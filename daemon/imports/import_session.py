@@ -85,11 +85,9 @@ def write_import(
 ) -> ImportReport:
     """Write the whole session of a log's samples, or leave nothing behind.
 
-    `notes` are oddities of the log that do not stop an import, counted while samples come.
-
-    Raises:
-        SteerdError: the source cannot be read or holds no sample, the output's name cannot be used
-            (see `check_output`), or the disk does not take it.
+    `notes` are oddities of the log that do not stop an import, counted while samples come. A
+    SteerdError says that the source cannot be read or holds no sample, that the output's name
+    cannot be used (see `check_output`), or that the disk does not take it.
     """
     check_output(out)
     counts = {topic.name: 0 for topic in topics}

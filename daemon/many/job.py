@@ -72,15 +72,11 @@ class Found(Reported):
         import pyarrow as pa  # noqa: TID251
         from pyarrow import parquet  # noqa: TID251
 
-        fields, values = [], []
-        for column in self.columns:
-            kind = _TYPES[column.kind]
-            note = {"unit": column.unit, "meaning": column.meaning}
-            fields.append(pa.field(column.name, kind, metadata=note))
-            given = (row.get(column.name) for row in self.rows)
-            values.append(pa.array([None if value != value else value for value in given], kind))
+        about = ((c, {"unit": c.unit, "meaning": c.meaning}) for c in self.columns)
+        fields = [pa.field(c.name, _TYPES[c.kind], metadata=note) for c, note in about]
+        known = [{name: v for name, v in row.items() if v == v} for row in self.rows]
         out = io.BytesIO()
-        table = pa.table(values, schema=pa.schema(fields))
+        table = pa.Table.from_pylist(known, schema=pa.schema(fields))
         parquet.write_table(table, out, compression="zstd")
         return out.getvalue()
 
@@ -124,10 +120,8 @@ def do_job(
     """Do what an earlier start did not finish.
 
     What is finished lies beside `output`, the table that is to be written; `progress` is called
-    with the number of units done.
-
-    Raises:
-        SteerdError: what lies there belongs to other work, or the cluster is lost.
+    with the number of units done. A SteerdError says that what lies there belongs to other work, or
+    that the cluster is lost.
     """
     if output is not None:
         check_outputs({"-o": output})

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, NamedTuple
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
@@ -62,10 +63,8 @@ def run_units(
 ) -> Iterator[Done]:
     """Do the work with every argument, by the unit's name; results come as they end.
 
-    `ship` makes an argument complete before it leaves for another machine.
-
-    Raises:
-        SteerdError: the cluster does not answer, or is lost.
+    `ship` makes an argument complete before it leaves for another machine. A SteerdError says that
+    the cluster does not answer, or is lost.
     """
     if where.dask is not None:
         return _run_on_cluster(work, todo, where.dask, ship)
@@ -157,20 +156,17 @@ def _run_on_cluster(
         hint = "start a scheduler and workers, for instance with `dask scheduler`"
         raise SteerdError(what, hint, ExitCode.UNREACHABLE) from None
     with client, client.as_current():
-        waiting, names = iter(todo.items()), {}
+        names: dict[str, str] = {}
 
-        def hand_out() -> Any:
-            """The next unit as a future; None where no unit is left."""
-            unit, about = next(waiting, (None, None))
-            if unit is None:
-                return None
-            future = client.submit(_try_unit, work, unit, ship(about), pure=False)
-            names[future.key] = unit
-            return future
+        def hand_out() -> Iterator[Any]:
+            """Each unit as a future, when its turn has come."""
+            for unit, about in todo.items():
+                future = client.submit(_try_unit, work, unit, ship(about), pure=False)
+                names[future.key] = unit
+                yield future
 
-        ahead = AHEAD * max(1, sum(client.nthreads().values()))
-        begun = [future for _ in range(ahead) if (future := hand_out()) is not None]
-        ended = dask.as_completed(begun)
+        waiting, ahead = hand_out(), AHEAD * max(1, sum(client.nthreads().values()))
+        ended = dask.as_completed([*islice(waiting, ahead)])
         for future in ended:
             if future.status in _AGAIN:
                 ended.add(future)
@@ -184,5 +180,4 @@ def _run_on_cluster(
                 what, hint = "the scheduler is gone", "the same command goes on where it was"
                 raise SteerdError(f"--dask {address}: {what}", hint, ExitCode.UNREACHABLE)
             future.release()
-            if (later := hand_out()) is not None:
-                ended.add(later)
+            ended.update([*islice(waiting, 1)])

@@ -9,6 +9,7 @@ people write about a session lies beside it, in `NAME.notes.toml`, and goes wher
 
 import contextlib
 import os
+import re
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -90,12 +91,11 @@ def find_session(text: str, folders: Iterable[Path] | None = None) -> Path:
     """
     if not text.startswith("@") or Path(text).exists():
         return Path(text)
-    number = text.removeprefix("@")
-    back = 1 if number == "last" else int(number[1:]) if number[1:].isdecimal() else 0
-    if back < 1 or not (number == "last" or number.startswith("-")):
+    word = re.fullmatch("@(last|-0*([1-9][0-9]*))", text)
+    if word is None:
         what = f"{text}: no such session"
         raise SteerdError(what, "@last, or @-2 for the last but one", ExitCode.USAGE)
-    places = tuple(folders or default_folders())
+    places, back = tuple(folders or default_folders()), int(word[2] or 1)
     found = find_sessions(places)
     if len(found) < back:
         shown = " or ".join(str(place) for place in places)

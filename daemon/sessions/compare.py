@@ -28,10 +28,8 @@ POINTS_MAX, _DOTS_MAX = 1200, 400  # of a drawn curve, and of the single samples
 def render_comparison(reads: Sequence[Recording], shift: float | None = None) -> str:
     """The page of several drives: along their lane, and of two also over time.
 
-    The second of two comes later by `shift` [s]; None finds it.
-
-    Raises:
-        SteerdError: more or less than two follow no lane, or not the same, or nothing is common.
+    The second of two comes later by `shift` [s]; None finds it. A SteerdError says that more or
+    less than two follow no lane, or not the same, or that nothing is common.
     """
     names = [clean(read.info.path.name, NAME_MAX) for read in reads]
     two = len(reads) == 2

@@ -1,7 +1,7 @@
 """The page of `steerd batch`: quantities over weeks, car by car, and the days of changes."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -10,8 +10,7 @@ from matplotlib.axes import Axes
 from steerd.daemon.common.screen import clean
 from steerd.daemon.many.batch import changes as steps
 from steerd.daemon.many.batch.changes import Change, Series
-from steerd.daemon.many.batch.run import DONE, Batch
-from steerd.daemon.many.job import Rows
+from steerd.daemon.many.job import FAILED, Rows
 from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, Diagrams
 from steerd.sysid.report.report import Card, Report, Section, Table
 
@@ -29,11 +28,12 @@ _ESTIMATES = 5
 _LEAST_SHARE = 0.01  # least height of a diagram, as a share of what it shows
 
 
-def make_report(found: Batch) -> Report:
+def make_report(
+    kind: str, rows: Rows, series: Sequence[Series], changes: Sequence[Change]
+) -> Report:
     """What the page shows."""
-    rows, changes = found.rows, found.changes
     first = {(c.car, c.quantity): c for c in changes}
-    ordered = sorted(found.series, key=lambda s: (s.car, s.quantity) not in first)
+    ordered = sorted(series, key=lambda s: (s.car, s.quantity) not in first)
     sections = [
         Section("Cars", table=_count_cars(rows)),
         Section("Sessions", _more(len(rows), _SESSIONS), table=_list_sessions(rows)),
@@ -59,28 +59,28 @@ def make_report(found: Batch) -> Report:
             "that changed first.",
             figures=[Diagrams(plot, 2.0, count=len(drawn), columns=3)],
         ))  # fmt: skip
-    if failed := found.failed:
+    if failed := [row for row in rows if row["outcome"] == FAILED]:
         shown = [(clean(str(row["session"]), 60), clean(row["failure"])) for row in failed]
         table = Table(("session", "why"), shown[:_FAILURES], words=(1,))
         sections.append(Section("What failed", _more(len(failed), _FAILURES), table=table))
     return Report(
-        title=f"{len(rows)} sessions, batch {found.kind}",
+        title=f"{len(rows)} sessions, batch {kind}",
         sections=sections,
         foot="Written by steerd batch. Dates are UTC; units are SI where none is named.",
-        cards=list(_cards(found)),
+        cards=list(_cards(rows, series, changes)),
     )
 
 
-def _cards(found: Batch) -> Iterator[Card]:
+def _cards(rows: Rows, series: Sequence[Series], changes: Sequence[Change]) -> Iterator[Card]:
     """The figures that are read first; of each car that changed the clearest change."""
-    cars = len({row["car"] for row in found.rows if row.get("car")})
-    text = f"{cars} car{'s' * (cars != 1)}; {len(found.failed)} failed"
-    yield Card("sessions", str(len(found.rows)), text)
-    for c in {change.car: change for change in reversed(found.changes)}.values():
+    cars = len({row["car"] for row in rows if row.get("car")})
+    failed = sum(row["outcome"] == FAILED for row in rows)
+    yield Card("sessions", str(len(rows)), f"{cars} car{'s' * (cars != 1)}; {failed} failed")
+    for c in {change.car: change for change in reversed(changes)}.values():
         text = f"{c.before:.4g} → {c.after:.4g}"
         yield Card(f"{clean(c.car, 24)} since {c.day}", clean(c.quantity, 24), text)
-    if not found.changes:
-        yield Card("changes", "none", steps.nothing_changed(len(found.series)))
+    if not changes:
+        yield Card("changes", "none", steps.nothing_changed(len(series)))
 
 
 def _count_cars(rows: Rows) -> Table:
@@ -91,7 +91,7 @@ def _count_cars(rows: Rows) -> Table:
     table = []
     for car, own in sorted(cars.items()):
         days = sorted(row["day"] for row in own if row.get("day")) or ["–"]
-        failed = sum(row["outcome"] != DONE for row in own)
+        failed = sum(row["outcome"] == FAILED for row in own)
         table.append((clean(car, 24), str(len(own)), str(failed), days[0], days[-1]))
     return Table(("car", "sessions", "failed", "first", "last"), table)
 

@@ -63,19 +63,14 @@ class Batch(Found):
         """What changed, the clearest first."""
         return tuple(steps.find_changes(self.series))
 
-    @property
-    def failed(self) -> Sequence[Row]:
-        """The rows of sessions that failed."""
-        return [row for row in self.rows if row["outcome"] != DONE]
-
     def make_report(self) -> Report:
         """What the page shows: quantities over weeks with their bands, and the days of changes."""
         from steerd.daemon.many.batch.page import make_report
 
-        return make_report(self)
+        return make_report(self.kind, self.rows, self.series, self.changes)
 
     def __str__(self) -> str:
-        rows, failed = self.rows, self.failed
+        rows, failed = self.rows, [row for row in self.rows if row["outcome"] == FAILED]
         cars = Counter(str(row["car"]) for row in rows if row.get("car") is not None)
         days = sorted({row["day"] for row in rows if row.get("day")})
         between = f", {' to '.join(sorted({days[0], days[-1]}))}" if days else ""

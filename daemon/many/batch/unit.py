@@ -79,11 +79,7 @@ def find_batch(words: Sequence[str]) -> list[Path]:
 
 
 def read_cars(named: Path | None) -> dict[str, CarFile]:
-    """Car files by the cars' names: of a folder `NAME.toml` each, or one file for every car.
-
-    Raises:
-        SteerdError: there is none, or one cannot be used.
-    """
+    """Car files by name, a folder's `NAME.toml` or one for all; a SteerdError for what is none."""
     if named is None:
         return {}
     if not named.is_dir():

@@ -151,10 +151,8 @@ def parse_distribution(quantity: Quantity, given: Mapping[str, Any]) -> Distribu
     """The distribution of a quantity, as a TOML table or a dictionary says it.
 
     That is `low` and `high`, also with `log`; `mean` and `sd`; `median` and `factor`; or `share` of
-    the usual value as a standard deviation.
-
-    Raises:
-        ValueError: it is none of these, or lies outside the bounds.
+    the usual value as a standard deviation. A ValueError says that it is none of these, or lies
+    outside the bounds.
     """
     name, rest, usual = quantity.name, dict(given), quantity.usual
     if [*rest] == ["share"]:
