@@ -218,11 +218,7 @@ def make_record(report: m.Model, number: int, log_time_ns: int) -> PipeRecord:
 
 
 def read_memory(text: str) -> Memory | None:
-    """What was learnt in an earlier drive, as `kept.recall` writes it; None for an empty text.
-
-    Raises:
-        ValueError: it is something else.
-    """
+    """What `kept.recall` wrote of an earlier drive, None of an empty text; else a ValueError."""
     if not text:
         return None
     try:
@@ -234,10 +230,6 @@ def read_memory(text: str) -> Memory | None:
 
 
 def make_feed(car: CarFile, wiring: Wiring, memory: Memory | None = None) -> Feed:
-    """A feed at its start; `memory` is of an earlier drive of this car.
-
-    Raises:
-        ValueError: what identify wrote into the car file is not what it writes.
-    """
+    """A feed at its start; a ValueError where identify did not write what the car file holds."""
     ramp = RAMP_ERPM / abs(wiring.scaling.erpm_gain)
     return Feed(make_learner(car, ramp, memory), wiring, State())

@@ -84,11 +84,7 @@ def find_sessions(folders: Iterable[Path]) -> list[Path]:
 
 
 def find_session(text: str, folders: Iterable[Path] | None = None) -> Path:
-    """The session that a word names: a file, `@last`, or `@-2` for the last but one.
-
-    Raises:
-        SteerdError: there are not so many, or the word after `@` means nothing.
-    """
+    """The session of a word: a file, `@last`, `@-2` for the last but one; else a SteerdError."""
     if not text.startswith("@") or Path(text).exists():
         return Path(text)
     word = re.fullmatch("@(last|-0*([1-9][0-9]*))", text)
@@ -136,10 +132,7 @@ def write_notes(session: Path, tags: Iterable[str], note: str) -> None:
 def list_entries(
     paths: Iterable[Path], advance: Callable[[float], None] = lambda done: None
 ) -> Iterator[Entry]:
-    """The sessions' figures, remembered ones where the file has not changed since.
-
-    `advance` is called with the number of files done.
-    """
+    """The sessions' figures, remembered while a file is as it was; `advance` hears files done."""
     with contextlib.closing(_open_index()) as index:
         for number, path in enumerate(paths):
             with contextlib.suppress(OSError):

@@ -103,11 +103,7 @@ def make_lane_session(read: Recording) -> LaneSession:
 
 
 def check_same_lane(drives: Sequence[LaneSession]) -> None:
-    """Refuse drives of different lanes: a place on one is none on the other.
-
-    Raises:
-        SteerdError: two lanes differ in shape or length, or there are too many drives.
-    """
+    """Refuse drives of different lanes, whose places do not match, and more than have a colour."""
     if len(drives) > len(LINES):
         what = f"{len(drives)} drives: {len(LINES)} at most can be distinguished"
         raise SteerdError(what, "name fewer", ExitCode.USAGE)
@@ -227,11 +223,7 @@ def find_shift(first: Sequence[Array], second: Sequence[Array]) -> float:
 
 
 def overlay(first: Recording, second: Recording, shift: float | None = None) -> Overlay:
-    """Put two drives on one axis of time, at this shift [s], or at the one that is found.
-
-    Raises:
-        SteerdError: they have nothing in common, or no time at that shift.
-    """
+    """Two drives over one time, by a shift [s] or that found; a SteerdError for none in common."""
     panels = [{panel.title: panel for panel in make_drawing(r).panels} for r in (first, second)]
     curves = {
         title: _pick(panels[0][title].curves, panels[1][title].curves)
