@@ -14,7 +14,7 @@ from steerd.daemon.analysis import car_output
 from steerd.daemon.analysis import options as asked
 from steerd.daemon.analysis.drives import Drives, load_drives, without_reserved
 from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import UsageError
 from steerd.daemon.common.screen import shown
 from steerd.sysid.estimation import preparation as prep
 from steerd.sysid.estimation.learn import Task, learn
@@ -22,7 +22,6 @@ from steerd.sysid.estimation.outcome import Outcome, Row, encode_outcome
 from steerd.sysid.inference.plain_car import POOR, default_free
 from steerd.sysid.report.report import Line, Report, finite
 
-_USAGE = ExitCode.USAGE
 FIT = 2.0
 """About what a fit costs, in sessions read."""
 _LEAST = {"starts": 1, "iterations": 1, "jobs": 1, "seed": 0}
@@ -179,28 +178,28 @@ def _make_task(
     for name, least in _LEAST.items():
         value = getattr(options, name)
         if value is not None and value < least:
-            raise SteerdError(f"{name} {value}: {least} or more", "", _USAGE)
+            raise UsageError(f"{name} {value}: {least} or more")
     if held_out.every == 0:
-        raise SteerdError("held out 0: something must validate the fit", "2 or more", _USAGE)
+        raise UsageError("held out 0: something must validate the fit", "2 or more")
     stated = {*options.free, *options.fix}
     effects = [f"{e.name}.{p.name}" for e in base.effects for p in e.parameters]
     for name in (*options.free, *options.fix):
         if name not in Car._fields and name not in effects:
             known = ", ".join((*Car._fields, *effects))
-            raise SteerdError(f"{name} is no parameter of the car", f"one of {known}", _USAGE)
+            raise UsageError(f"{name} is no parameter of the car", f"one of {known}")
     try:  # each stated value within what a car file may say
         given = _given_values(options.fix)
         model = update_car(base.path, base, given).model if given else base.model
     except CarFileError as error:
-        raise SteerdError(f"fix {error.where}: {error.what}", error.hint, _USAGE) from None
+        raise UsageError(f"fix {error.where}: {error.what}", error.hint) from None
     if length is not None and not _WHEELBASE[0] <= length <= _WHEELBASE[1]:
-        raise SteerdError(f"wheelbase {length:g}: in metres", "", _USAGE)
+        raise UsageError(f"wheelbase {length:g}: in metres")
     if options.effects != "auto":
         options = replace(options, effects=asked.read_effects(options.effects))
     try:
         model = prep.fit_wheelbase(model, length, [*options.fix])
     except ValueError as error:
-        raise SteerdError(str(error), "fix one of lf and lr, or neither", _USAGE) from None
+        raise UsageError(str(error), "fix one of lf and lr, or neither") from None
     if "inertia_z" not in stated:
         model = prep.scale_inertia(model, base.model)
     drives = load_drives(without_reserved(paths, held_out.files, "fit"), options.speed, watch)

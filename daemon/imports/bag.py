@@ -13,7 +13,7 @@ from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.progress import Advance
 from steerd.daemon.imports.import_map import ImportMap, load_map
 from steerd.daemon.imports.import_session import ImportReport, MessageMaker, Sample, write_import
@@ -131,8 +131,8 @@ def _open(source: Path) -> "AnyReader":
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
-        what = "reading ROS bags needs the package rosbags"
-        raise SteerdError(what, "pip install rosbags", ExitCode.USAGE) from error
+        what, hint = "reading ROS bags needs the package rosbags", "pip install rosbags"
+        raise UsageError(what, hint) from error
     store = get_typestore(Stores.ROS2_HUMBLE)
     texts = {type_name(c): schema_text(c) for c in (AckermannDriveStamped, VescStateStamped)}
     for name, text in (texts | {RIGIDS: RIGIDS_TEXT}).items():
@@ -173,8 +173,7 @@ def _choose_topics(
         chosen[role if equals else next(fits, "pose")] = topic
     for role, topic in chosen.items():
         if role not in BAG_ROLES:
-            what = f"--topic {role}={topic}: {role!r} is none of {', '.join(BAG_ROLES)}"
-            raise SteerdError(what, "", ExitCode.USAGE)
+            raise UsageError(f"--topic {role}={topic}: {role!r} is none of {', '.join(BAG_ROLES)}")
         if topic not in types:
             raise SteerdError(f"{source.name} has no messages on {topic}", _list_topics(types))
         if types[topic] not in BAG_ROLES[role].types:
@@ -188,7 +187,7 @@ def _choose_topics(
     ]
     if several:
         what = f"{source.name} has several topics for {'; '.join(several)}"
-        raise SteerdError(what, "choose each with --topic TOPIC", ExitCode.USAGE)
+        raise UsageError(what, "choose each with --topic TOPIC")
     return _expect_any(source, types, chosen | {role: found[0] for role, found in best.items()})
 
 
@@ -301,7 +300,7 @@ class _Bag:
             ids = sorted(bodies)
             what = f"the PhaseSpace messages hold rigid bodies {', '.join(map(str, ids))}"
             hint = f"name the car with --rigid, e.g. --rigid {ids[0]}"
-            raise SteerdError(what, hint, ExitCode.USAGE)
+            raise UsageError(what, hint)
         body = next(iter(bodies.values()), None) if rigid is None else bodies.get(rigid)
         if body is None:
             return None

@@ -12,7 +12,7 @@ from math import nan
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.translate import make_session_error
 from steerd.daemon.imports.import_map import ImportMap
 from steerd.mocap_link.frame import (
@@ -60,10 +60,9 @@ def check_output(out: Path) -> None:
     """A SteerdError where an output's name is taken, or does not end in `.mcap`."""
     if out.suffix != ".mcap":
         hint = f"-o {out.with_suffix('.mcap')}"
-        raise SteerdError(f"{out}: a session's name ends in .mcap", hint, ExitCode.USAGE)
+        raise UsageError(f"{out}: a session's name ends in .mcap", hint)
     if out.exists():
-        what = f"{out} exists and is never overwritten"
-        raise SteerdError(what, "choose another name with -o", ExitCode.USAGE)
+        raise UsageError(f"{out} exists and is never overwritten", "choose another name with -o")
 
 
 def hash_file(path: Path) -> str:

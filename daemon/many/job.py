@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
 
 from steerd.daemon.analysis.options import Reported
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.notebook import make_frame, notebook_progress
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.row_file import Row, RowFile
@@ -189,7 +189,7 @@ def open_finished(
             if any(of != basis for of, _ in old.values()):
                 what = f"{path} holds what another command had finished"
                 hint = f"name another -o, or delete {path and path.name}: it is then done again"
-                raise SteerdError(what, hint, ExitCode.USAGE)
+                raise UsageError(what, hint)
             yield {unit: row for unit, (_, row) in old.items()}, file.write
     except KeyboardInterrupt:
         if path is not None:
@@ -204,7 +204,7 @@ def _make_error(path: Path | None, error: sqlite3.Error) -> SteerdError:
     match error.sqlite_errorname:
         case "SQLITE_NOTADB":
             what = f"{path} holds no finished rows of steerd"
-            return SteerdError(what, "name another -o, or delete it", ExitCode.USAGE)
+            return UsageError(what, "name another -o, or delete it")
         case "SQLITE_BUSY":
             what, hint = f"{path}: another command is writing it", "wait for it, or name another -o"
         case _:

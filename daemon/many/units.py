@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any, NamedTuple
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.sysid.parallel import quiet_workers
 
 TRIES = 3  # times that a unit is begun before it is given up
@@ -46,8 +46,7 @@ class Where:
 
     def __post_init__(self) -> None:
         if self.jobs < 0:
-            what = f"--jobs {self.jobs}: 1 or more; 0 for one process per core"
-            raise SteerdError(what, "", ExitCode.USAGE)
+            raise UsageError(f"--jobs {self.jobs}: 1 or more; 0 for one process per core")
 
     @property
     def processes(self) -> int:
@@ -147,7 +146,7 @@ def _run_on_cluster(
     try:
         import distributed
     except ImportError:
-        raise SteerdError("--dask needs Dask", "pip install distributed", ExitCode.USAGE) from None
+        raise UsageError("--dask needs Dask", "pip install distributed") from None
     dask: Any = distributed  # its functions carry no types
     try:
         client = dask.Client(address, timeout=_ANSWER, set_as_default=False)

@@ -22,7 +22,7 @@ import platformdirs
 import tomlkit
 
 from steerd.daemon.assembly.session_meta import sessions_folder
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.row_file import RowFile
 from steerd.daemon.common.screen import clean, cut, wrap
 from steerd.daemon.common.translate import reading
@@ -89,8 +89,7 @@ def find_session(text: str, folders: Iterable[Path] | None = None) -> Path:
         return Path(text)
     word = re.fullmatch("@(last|-0*([1-9][0-9]*))", text)
     if word is None:
-        what = f"{text}: no such session"
-        raise SteerdError(what, "@last, or @-2 for the last but one", ExitCode.USAGE)
+        raise UsageError(f"{text}: no such session", "@last, or @-2 for the last but one")
     places, back = tuple(folders or default_folders()), int(word[2] or 1)
     found = find_sessions(places)
     if len(found) < back:

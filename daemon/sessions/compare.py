@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from scipy.signal import correlate, correlation_lags
 
 from steerd.car_model.path.path import Path as Lane
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.screen import clean
 from steerd.daemon.sessions.info import Recording
 from steerd.daemon.sessions.motion import Track, find_settled, rms
@@ -106,7 +106,7 @@ def check_same_lane(drives: Sequence[LaneSession]) -> None:
     """Refuse drives of different lanes, whose places do not match, and more than have a colour."""
     if len(drives) > len(LINES):
         what = f"{len(drives)} drives: {len(LINES)} at most can be distinguished"
-        raise SteerdError(what, "name fewer", ExitCode.USAGE)
+        raise UsageError(what, "name fewer")
     first = drives[0]
     for other in drives[1:]:
         same = len(first.lane.x) == len(other.lane.x)
@@ -244,7 +244,7 @@ def overlay(first: Recording, second: Recording, shift: float | None = None) -> 
     if len(t) < 2:
         what = f"shifted by {at:g} s the drives have no time in common"
         hint = f"they last {lengths[0]:.1f} s and {lengths[1]:.1f} s"
-        raise SteerdError(what, hint, ExitCode.USAGE)
+        raise UsageError(what, hint)
     pairs = {}
     for title, curve in curves.items():
         one, other = _sample(curve[0], t), _sample(curve[1], t - at)

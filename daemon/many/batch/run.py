@@ -7,7 +7,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import get_args
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import UsageError
 from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.common.row_file import Row
 from steerd.daemon.common.screen import clean, shown, wrap
@@ -127,7 +127,7 @@ def batch(
         SteerdError: an argument cannot be used. A session that fails is a row.
     """
     if kind not in get_args(unit.Kind):
-        raise SteerdError(f"kind {kind!r}: {' or '.join(get_args(unit.Kind))}", "", ExitCode.USAGE)
+        raise UsageError(f"kind {kind!r}: {' or '.join(get_args(unit.Kind))}")
     words = [sessions] if isinstance(sessions, str | Path) else list(sessions)
     paths = unit.find_batch([str(word) for word in words])
     job = make_job(paths, unit.Question(kind, unit.read_cars(None if cars is None else Path(cars))))

@@ -19,7 +19,7 @@ from steerd.controller.loop_model import Timing
 from steerd.daemon.analysis.options import CarSource, read_car
 from steerd.daemon.analysis.simulation import plan_drive
 from steerd.daemon.assembly.build import NS, RunPlan, make_world_config
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import SteerdError, UsageError
 from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.common.row_file import Row
 from steerd.daemon.common.screen import shown
@@ -106,8 +106,7 @@ def make_job(plan: SweepPlan) -> Job[Sweep]:
 def find_case(plan: SweepPlan, number: int) -> DriveCase:
     """One drive of a sweep, to be driven again alone; a SteerdError where there is none."""
     if not 0 <= number < plan.count:
-        what = f"there is no drive {number}: they are 0 to {plan.count - 1}"
-        raise SteerdError(what, "", ExitCode.USAGE)
+        raise UsageError(f"there is no drive {number}: they are 0 to {plan.count - 1}")
     return next(islice(plans.list_cases(plan), number, None))
 
 
