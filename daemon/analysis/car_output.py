@@ -29,7 +29,6 @@ from steerd.posterior_file import TABLES, encode_posterior
 from steerd.steer_bus.session_read import Session, SessionError
 
 if TYPE_CHECKING:
-    from steerd.sim_gap.verdict.confidence import Cause
     from steerd.sysid.data.dataset import Run
     from steerd.sysid.estimation.outcome import Outcome
 
@@ -45,10 +44,8 @@ def make_car(
     """The base with new values by `parameter` or `effect.parameter`, for a file called `path`.
 
     What was known beyond the old values is left out, and `wiring` (see `find_wiring`) where it is
-    of a version whose settings were others: the result counts more.
-
-    Raises:
-        SteerdError: a value is none that a car file may hold.
+    of a version whose settings were others: the result counts more. A SteerdError names a value
+    that no car file may hold.
     """
     document = tomlkit.parse(base.text)
     for name in TABLES:  # of a car file from before they had a file of their own
@@ -105,10 +102,8 @@ def find_wiring(base: CarFile, sessions: Sequence[Session]) -> Values:
     """What a car file says beside the car, from drives, where nobody named a car file.
 
     A drive knows its motor's ERPM per m/s, its mocap body and its limits. A car file with F1TENTH's
-    instead would send the driven car off with another car's wiring.
-
-    Returns:
-        Settings of the drives that differ from the base's; none where the drives differ too.
+    instead would send the driven car off with another car's wiring. Settings that are the base's
+    are left out, and all where the drives differ.
     """
     if base.path != default_car_path():
         return {}
@@ -161,16 +156,6 @@ def identified_values(
         if row.free or row.value != row.start:
             updates[name] = Learned(row.value, row.sd, f"{IDENTIFIED}{how}: {names}{more}")
     return updates
-
-
-def diagnosed_values(causes: "Sequence[Cause]", sessions: Sequence[Path]) -> dict[str, Learned]:
-    """Updates for the car file: every parameter of the found effects."""
-    source = f"steerd diagnose: {', '.join(path.name for path in sessions)}"
-    return {
-        f"{cause.effect}.{name}": Learned(value, sd, source)
-        for cause in causes
-        for name, (value, sd, _) in cause.parameters.items()
-    }
 
 
 def learn_known(car: CarFile, runs: "tuple[Run, ...]") -> Mapping[str, Mapping[str, Any]]:

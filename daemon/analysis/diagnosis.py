@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from steerd.car_model.car_file import CarFile, CarFileError
-from steerd.daemon.analysis.car_output import diagnosed_values, make_car, with_known
+from steerd.car_model.car_file import CarFile, CarFileError, Learned
+from steerd.daemon.analysis import options as asked
+from steerd.daemon.analysis.car_output import make_car, with_known
 from steerd.daemon.analysis.drives import (
     Drives,
     is_same,
@@ -14,20 +15,6 @@ from steerd.daemon.analysis.drives import (
     refuse_copies,
     split_drives,
     without_reserved,
-)
-from steerd.daemon.analysis.finding import Finding
-from steerd.daemon.analysis.hints import complete, name_all, refusing, simulate_with
-from steerd.daemon.analysis.options import (
-    CarSource,
-    HeldOutSource,
-    SessionSources,
-    Speed,
-    Watch,
-    by_keywords,
-    list_sessions,
-    read_car,
-    read_effects,
-    read_held_out,
 )
 from steerd.daemon.assembly.session_meta import read_session_car
 from steerd.daemon.assembly.sim_car import compare_truths, read_origin
@@ -61,16 +48,16 @@ class DiagnoseOptions(GapOptions):
         speed: `wheel` takes the measured wheel speed for the command, where a car did not obey it.
     """
 
-    base: CarSource = None
-    healthy: SessionSources = ()
-    held_out: HeldOutSource = None
+    base: asked.CarSource = None
+    healthy: asked.SessionSources = ()
+    held_out: asked.HeldOutSource = None
     closed_loop: bool = True
-    speed: Speed = "command"
+    speed: asked.Speed = "command"
 
 
 @shown
 @dataclass(frozen=True, eq=False)
-class Diagnosis(Finding):
+class Diagnosis(asked.Finding):
     """What `diagnose` found.
 
     `print(diagnosis)` is the screen of `steerd diagnose`.
@@ -105,7 +92,12 @@ class Diagnosis(Finding):
 
     def make_car(self, path: Path) -> CarFile:
         """The base with the found effects, and with what still holds of what was known of it."""
-        values = diagnosed_values(self.causes, self.drives.paths)
+        source = f"steerd diagnose: {', '.join(path.name for path in self.drives.paths)}"
+        values = {
+            f"{cause.effect}.{name}": Learned(value, sd, source)
+            for cause in self.causes
+            for name, (value, sd, _) in cause.parameters.items()
+        }
         car = make_car(self.base, values, path)
         sections = self.base.sections
         known = {name: sections[name] for name in TABLES if name in sections}
@@ -119,7 +111,7 @@ class Diagnosis(Finding):
 
         def runs(command: str) -> str:
             known = read_origin(self.drives.sessions[0].info().metadata)
-            return self._complete(f"`{command}`").strip("`") if known else command
+            return self.drives.complete(f"`{command}`").strip("`") if known else command
 
         return to_json(self.findings, runs)
 
@@ -129,7 +121,7 @@ class Diagnosis(Finding):
 
         if self.causes and written is not None:
             again = f" {lane.again}" if (lane := self.findings.lane) else ""
-            following = simulate_with(written, self.drives.sessions, again)
+            following = self.drives.simulate_with(written, again)
         elif self.causes:
             following = "repeat with -o car.toml: simulation and controller then know the cause"
         elif report is not None:
@@ -139,13 +131,10 @@ class Diagnosis(Finding):
             following = f"--report gap.html shows where the error lies; {base}"
         else:
             following = "repeat with --report gap.html to see where the error lies"
-        return make_report(self.findings, self._complete, following)
-
-    def _complete(self, text: str) -> str:
-        return complete(text, self.drives.sessions)
+        return make_report(self.findings, self.drives.complete, following)
 
 
-def run_diagnose(paths: Sequence[Path], options: DiagnoseOptions, watch: Watch) -> Diagnosis:
+def run_diagnose(paths: Sequence[Path], options: DiagnoseOptions, watch: asked.Watch) -> Diagnosis:
     """Find where the simulation of a car differs from its drives, and which effect causes it.
 
     The drives are files, or what `load` and `simulate` give. Returns verdict, causes with standard
@@ -155,8 +144,8 @@ def run_diagnose(paths: Sequence[Path], options: DiagnoseOptions, watch: Watch) 
     watch.progress(0.0, "reading the drives")
     drives, case, base = make_case(paths, options, watch)
     span = DIAGNOSED - LOADED
-    identify = f"steerd identify {name_all(drives.paths)} -o car.toml, then --base car.toml"
-    with refusing(drives.sessions, identify):
+    identify = f"steerd identify {drives.names} -o car.toml, then --base car.toml"
+    with drives.refusing(identify):
         findings = engine.diagnose(
             case, lambda stage, share: watch.progress(LOADED + span * share, stage), watch.written
         )
@@ -169,19 +158,15 @@ def run_diagnose(paths: Sequence[Path], options: DiagnoseOptions, watch: Watch) 
     return Diagnosis(base, drives, findings, tuple(watch.warnings))
 
 
-diagnose = by_keywords("diagnosing", DiagnoseOptions, run_diagnose)
+diagnose = asked.by_keywords("diagnosing", DiagnoseOptions, run_diagnose)
 
 
 def make_case(
-    paths: Sequence[Path], options: DiagnoseOptions, watch: Watch
+    paths: Sequence[Path], options: DiagnoseOptions, watch: asked.Watch
 ) -> tuple[Drives, engine.Case, CarFile]:
-    """The drives, what is diagnosed of them and the car.
-
-    Raises:
-        SteerdError: a session, the car file or an option cannot be used.
-    """
-    only, without = read_effects(options.only), read_effects(options.without)
-    held_out, quiet = read_held_out(options.held_out), list_sessions(options.healthy)
+    """The drives, what is diagnosed of them, the car; a SteerdError where one cannot be used."""
+    only, without = asked.read_effects(options.only), asked.read_effects(options.without)
+    held_out, quiet = asked.read_held_out(options.held_out), asked.list_sessions(options.healthy)
     if only and not set(only) - set(without):
         raise UsageError("only and without leave no effect")
     sessions = without_reserved(paths, held_out.files, "diagnose")
@@ -200,7 +185,7 @@ def make_case(
     base, source, notes = find_base(options.base, drives.sessions)
     jitters = dict.fromkeys(d.log_jitter.describe() for d in drives.runs if d.log_jitter)
     without_gap = load_drives(quiet, options.speed, watch)
-    with refusing((*drives.sessions, *without_gap.sessions)):
+    with Drives((*drives.sessions, *without_gap.sessions), ()).refusing():
         past = add_command_history(without_gap.runs, base.model)
         case = engine.Case(
             add_command_history(drives.runs, base.model),
@@ -215,18 +200,14 @@ def make_case(
 
 
 def find_base(
-    named: CarSource, sessions: Sequence[Session]
+    named: asked.CarSource, sessions: Sequence[Session]
 ) -> tuple[CarFile, str, tuple[str, ...]]:
-    """The car or car file named, else the one inside the first session, else the default.
+    """The car, where it comes from, and notes; a SteerdError where it cannot be used.
 
-    Returns:
-        The car, where it comes from, notes.
-
-    Raises:
-        SteerdError: the one that counts cannot be used.
+    The one that is named counts, else the one inside the first session, else the default.
     """
     if named is not None:
-        base = read_car(named)
+        base = asked.read_car(named)
         return base, str(base.path), ()
     inside = [
         s.attachment("car.toml") if "car.toml" in s.info().attachments else b"" for s in sessions
@@ -234,7 +215,7 @@ def find_base(
     first = next((s for s, text in zip(sessions, inside, strict=True) if text), None)
     if first is None:
         note = "no --base, no car file in the sessions: the default car is assumed"
-        return read_car(None), "the default car (F1TENTH's figures)", (note,)
+        return asked.read_car(None), "the default car (F1TENTH's figures)", (note,)
     try:
         base = read_session_car(first)
     except CarFileError as error:

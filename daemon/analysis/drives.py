@@ -1,23 +1,33 @@
-"""Sessions as drives for the offline tools, each opened once; what cannot be used is one line."""
+"""Sessions as drives for the offline tools, each opened once; what cannot be used is one line.
+
+Commands that a result names run as they are printed: what lies below knows no session and says
+`steerd collect --plan steps`; a session knows where it came from, so the command gets its
+simulation, or its port and mocap.
+"""
 
 # Why: docs/decisions/identification.md#d107
 
 import filecmp
+import re
 import resource
-from collections.abc import Callable, Mapping, Sequence
+import shlex
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
-from math import pi
 from pathlib import Path
 
-from steerd.daemon.analysis.hints import refusing
+from numpy.linalg import LinAlgError
+
 from steerd.daemon.analysis.options import EVERY, HeldOut, Speed, Watch
-from steerd.daemon.common.errors import SteerdError, UsageError
+from steerd.daemon.assembly.sim_car import read_origin
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.translate import reading
 from steerd.daemon.sessions.info import load_session, make_session_report, read_recording
-from steerd.daemon.sessions.motion import make_range
+from steerd.daemon.sessions.motion import check_steering
 from steerd.sim_gap.diagnosis import Case
+from steerd.steer_bus.atomic_file import takes_nothing
 from steerd.steer_bus.session_read import Session
 from steerd.sysid.data import segments
 from steerd.sysid.data.data_checks import DataError
@@ -31,6 +41,7 @@ what a diagnosis judges in minutes; time and memory of either would grow with th
 
 FILES = 500
 """Sessions that stay open within a shell's usual limit of 1024 files."""
+_DRIVEN = re.compile(r"`(steerd (collect|run) [^`]*)`")
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,26 +64,72 @@ class Drives:
         """What the recorders say, by file."""
         return {s.info().path.name: s.info().metadata for s in self.sessions}
 
+    @property
+    def names(self) -> str:
+        """Their files as words of a command line."""
+        return " ".join(shlex.quote(str(path)) for path in self.paths)
+
+    def complete(self, text: str) -> str:
+        """The text with commands, between backticks, that run as printed for these sessions.
+
+        The first says which car drives. The log of another system does not: it is sent to the
+        description of the plans.
+        """
+        text = text.replace("`steerd identify`", f"`steerd identify {self.names} -o car.toml`")
+        text = text.replace("`steerd diagnose`", f"`steerd diagnose {self.names}`")
+        origin = read_origin(self.sessions[0].info().metadata)
+        if origin:
+            end = {"run": " --duration 20"} if origin.startswith("--sim") else {}
+            return _DRIVEN.sub(lambda f: f"`{f[1]} {origin}{end.get(f[2], '')}`", text)
+        return _DRIVEN.sub("see `steerd collect --help`", text)
+
+    def simulate_with(self, car: Path, more: str = "") -> str:
+        """The command that drives with a car file what was driven before, in simulation.
+
+        Where the sessions are simulated, their car is what drives; `more` are further options.
+        """
+        origin = read_origin(self.sessions[0].info().metadata, own_car=False)
+        origin = origin if origin.startswith("--sim") else "--sim --fast"
+        return f"steerd run {origin} --duration 20 --car {shlex.quote(str(car))}{more}"
+
+    @contextmanager
+    def refusing(self, stopped: str = "") -> Iterator[None]:
+        """The one guard around what works on drives: what they are not fit for is one line.
+
+        `stopped` is what to try where the simulation of the car diverges. The hint of the
+        SteerdError runs as printed.
+        """
+        try:
+            yield
+        except DataError as error:
+            raise SteerdError(error.what, self.complete(error.hint)) from None
+        except ModuleNotFoundError:
+            raise
+        except ImportError as error:  # says which optional extra is missing
+            raise UsageError(str(error)) from None
+        except FloatingPointError as error:
+            raise SteerdError(str(error), stopped, ExitCode.STOPPED) from None
+        except LinAlgError:
+            what = "the base car's simulation leaves every bound in some of these windows"
+            raise SteerdError(what, stopped, ExitCode.STOPPED) from None
+        except (ValueError, OSError) as error:
+            if takes_nothing(error):
+                raise
+            raise SteerdError(str(error)) from None
+
 
 def load_drive(path: Path, speed: Speed, watch: Watch) -> tuple[Session, Run]:
-    """A session and its drive.
-
-    Raises:
-        SteerdError: it cannot be read, or is not fit for a fit.
-    """
+    """A session and its drive; a SteerdError where it cannot be read or is not fit for a fit."""
     session = load_session(path)
     damage = session.info().warnings
     watch.warn([f"{path.name}: {each}" for each in damage])
-    with refusing([session]):
+    with Drives((session,), ()).refusing():
         with reading(path):
             read = read_recording(session)
             run = correct_log_jitter(read_run(session, read.tables))
-        # No wheel turns across the car: such a log is in degrees, and a fit would absorb that.
-        found = make_range(run.commands[:, 0])
-        worst = max(-found.low, found.high) if found is not None else 0.0
-        if worst > pi / 2:
-            what = f"{run.name}: steering reaches {worst:.3g} rad: is it in degrees?"
-            raise SteerdError(what, "import it with scale = 0.0174532925 in the map")
+        if what := check_steering(run.commands[:, 0]):  # a fit would absorb degrees
+            hint = "import it with scale = 0.0174532925 in the map"
+            raise SteerdError(f"{run.name}: {what}", hint)
         report = make_session_report(read)
         watch.warn([f"{path.name}: {each}" for each in report.warnings if each not in damage])
         return session, segments.with_wheel_speed(run) if speed == "wheel" else run
@@ -84,13 +141,7 @@ def load_drives(
     watch: Watch,
     advance: Callable[[float], None] = lambda _: None,
 ) -> Drives:
-    """Sessions as drives, one after the other, see `load_drive`.
-
-    `advance` hears the share of the files read.
-
-    Raises:
-        SteerdError: one cannot be read, or is not fit for a fit.
-    """
+    """Sessions as drives, each by `load_drive`; `advance` hears the share of the files read."""
     most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     if len(paths) > FILES:
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
@@ -115,22 +166,14 @@ def load_drives(
 
 def is_same(one: Path, other: Path) -> bool:
     """Whether two names mean one session: the same file, or a copy of it."""
-    if one.resolve() == other.resolve():
-        return True
     try:
-        if one.stat().st_size != other.stat().st_size:
-            return False
-        return filecmp.cmp(one, other, shallow=False)
+        return one.resolve() == other.resolve() or filecmp.cmp(one, other, shallow=False)
     except OSError:
         return False  # whoever reads it says why it cannot be read
 
 
 def refuse_copies(paths: Sequence[Path]) -> None:
-    """A drive that counts twice passes for more data than there are.
-
-    Raises:
-        SteerdError: one drive is named twice.
-    """
+    """A SteerdError where one drive is named twice: it passes for more data than there are."""
     for one, other in combinations(paths, 2):
         if is_same(one, other):
             copy = f"{other} is a copy of {one}" if one != other else f"{one} is named twice"
@@ -140,11 +183,7 @@ def refuse_copies(paths: Sequence[Path]) -> None:
 def without_reserved(
     given: Sequence[Path], reserved: Sequence[Path], purpose: str
 ) -> tuple[Path, ...]:
-    """The sessions that are not held out: of `*.mcap` those that no other option names.
-
-    Raises:
-        SteerdError: one drive is named twice, or none is left for the `purpose`.
-    """
+    """Of `*.mcap` what no other option names; a SteerdError for two of one drive, and for none."""
     refuse_copies(reserved)
     refuse_copies(given)
     kept = tuple(path for path in given if not any(is_same(path, each) for each in reserved))
@@ -169,11 +208,8 @@ LEAST = 5.0
 def split_drives(case: Case, held_out: HeldOut, speed: Speed, watch: Watch) -> Case:
     """The case with its drives cut to where the car moves, some to explain, some held out.
 
-    Those that are held out measure the shrinkage; whole sessions are opened later.
-
-    Raises:
-        DataError: there is too little driving.
-        SteerdError: there is too little to hold so much out.
+    Those that are held out measure the shrinkage; whole sessions are opened later. A DataError says
+    that there is too little driving, a SteerdError that it is too little to hold so much out.
     """
     drives, every = case.runs, held_out.every
     parts = segments.moving_segments(drives)

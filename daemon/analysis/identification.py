@@ -10,29 +10,11 @@ from typing import Any
 
 from steerd.car_model.car_file import CarFile, CarFileError, Learned, update_car
 from steerd.car_model.params import Car
-from steerd.daemon.analysis.car_output import (
-    find_wiring,
-    identified_values,
-    learn_known,
-    make_car,
-    with_known,
-)
+from steerd.daemon.analysis import car_output
+from steerd.daemon.analysis import options as asked
 from steerd.daemon.analysis.drives import Drives, load_drives, without_reserved
-from steerd.daemon.analysis.finding import Finding
-from steerd.daemon.analysis.hints import complete, name_all, refusing, simulate_with
-from steerd.daemon.analysis.options import (
-    EVERY,
-    CarSource,
-    HeldOutSource,
-    Speed,
-    Watch,
-    by_keywords,
-    read_car,
-    read_effects,
-    read_held_out,
-)
 from steerd.daemon.assembly.sim_car import compare_truths, read_true_car
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import UsageError
 from steerd.daemon.common.screen import shown
 from steerd.sysid.estimation import preparation as prep
 from steerd.sysid.estimation.learn import Task, learn
@@ -40,7 +22,6 @@ from steerd.sysid.estimation.outcome import Outcome, Row, encode_outcome
 from steerd.sysid.inference.plain_car import POOR, default_free
 from steerd.sysid.report.report import Line, Report, finite
 
-_USAGE = ExitCode.USAGE
 FIT = 2.0
 """About what a fit costs, in sessions read."""
 _LEAST = {"starts": 1, "iterations": 1, "jobs": 1, "seed": 0}
@@ -58,14 +39,14 @@ class IdentifyOptions(prep.FitOptions):
         speed: `wheel` takes the measured wheel speed for the command, where a car did not obey it.
     """
 
-    car: CarSource = None
-    held_out: HeldOutSource = None
-    speed: Speed = "command"
+    car: asked.CarSource = None
+    held_out: asked.HeldOutSource = None
+    speed: asked.Speed = "command"
 
 
 @shown
 @dataclass(frozen=True, eq=False)
-class Identification(Finding):
+class Identification(asked.Finding):
     """What `identify` found.
 
     `print(identification)` is the screen of `steerd identify`.
@@ -109,13 +90,15 @@ class Identification(Finding):
         Where that is F1TENTH's, the other sections are those of the drives.
         """
         given = _given_values(self.options.fix)
-        values = identified_values(self.outcome, self.base, given)
-        return make_car(self.base, values, path, find_wiring(self.base, self.drives.sessions))
+        values = car_output.identified_values(self.outcome, self.base, given)
+        wiring = car_output.find_wiring(self.base, self.drives.sessions)
+        return car_output.make_car(self.base, values, path, wiring)
 
     def learn_known(self, car: CarFile) -> CarFile:
         """The car of `make_car` with its noise and covariance: some seconds."""
         fit = self.outcome.fit
-        return with_known(car, (fit and fit.sections) or learn_known(car, self.drives.runs))
+        known = (fit and fit.sections) or car_output.learn_known(car, self.drives.runs)
+        return car_output.with_known(car, known)
 
     def to_json(self) -> dict[str, Any]:
         """JSON values in the schema `steerd.identify/1`."""
@@ -129,7 +112,7 @@ class Identification(Finding):
 
     def _next(self, written: Path | None) -> Iterator[Line]:
         """What to do next."""
-        outcome, sessions = self.outcome, self.drives.sessions
+        outcome, drives = self.outcome, self.drives
         if any("`--speed wheel`" in note for note in outcome.notes):
             yield Line("next", "the same command with --speed wheel: these values explain a speed "
                        "that the car was not driven at; do not drive with them")  # fmt: skip
@@ -143,82 +126,80 @@ class Identification(Finding):
                            "distinguish")  # fmt: skip
             elif not poor and outcome.unidentified:
                 text = "the start explains these drives, and they are too gentle to improve it: "
-                yield Line("", complete(f"{text}drive `steerd collect --plan mixed`", sessions))
+                yield Line("", drives.complete(f"{text}drive `steerd collect --plan mixed`"))
         elif not any(row.identifiable for row in outcome.free_rows.values()):
             yield Line("next", "nothing is identifiable from these data; do not drive with these "
                        "values: keep the old car file, and do what the notes say")  # fmt: skip
         elif written is not None:
-            names, car = name_all(self.drives.paths), shlex.quote(str(written))
-            yield Line("next", simulate_with(written, sessions), whole=True)
+            yield Line("next", drives.simulate_with(written), whole=True)
             yield Line("", "(on the car: its --port and --mocap for --sim --fast)")
-            yield Line("", f"steerd diagnose {names} --base {car}", whole=True)
+            command = f"steerd diagnose {drives.names} --base {shlex.quote(str(written))}"
+            yield Line("", command, whole=True)
             yield Line("", "(what this model still misses)")
         else:
             yield Line("next", "repeat with -o car.toml, which writes a car file to drive with")
 
 
-def run_identify(paths: Sequence[Path], options: IdentifyOptions, watch: Watch) -> Identification:
+def run_identify(
+    paths: Sequence[Path], options: IdentifyOptions, watch: asked.Watch
+) -> Identification:
     """Identify a car from recorded drives: files, or what `load` and `simulate` give.
 
     Returns estimates, standard errors, validation. Raises a `SteerdError` where a session, the car
     or an argument cannot be used; its `hint` says what to try.
     """
     watch.progress(0.0, "reading the drives")
-    base = read_car(options.car)
+    base = asked.read_car(options.car)
     drives, task = _make_task(paths, options, base, watch)
     watch.progress(len(paths) / (len(paths) + FIT), "fitting the car")
     closer = "give start values closer to the car: --car FILE.toml, --wheelbase"
-    with refusing(drives.sessions, closer):
+    with drives.refusing(closer):
         found = learn(task, time.perf_counter)
     # Commands that the result names run as they are printed.
     outcome = replace(
         found,
         rows={
-            name: row._replace(manoeuvre=complete(row.manoeuvre, drives.sessions))
+            name: row._replace(manoeuvre=drives.complete(row.manoeuvre))
             for name, row in found.rows.items()
         },
-        notes=tuple(complete(note, drives.sessions) for note in found.notes),
+        notes=tuple(drives.complete(note) for note in found.notes),
     )
     return Identification(options, base, drives, outcome, tuple(watch.warnings))
 
 
-identify = by_keywords("identifying", IdentifyOptions, run_identify)
+identify = asked.by_keywords("identifying", IdentifyOptions, run_identify)
 
 
 def _make_task(
-    paths: Sequence[Path], options: IdentifyOptions, base: CarFile, watch: Watch
+    paths: Sequence[Path], options: IdentifyOptions, base: CarFile, watch: asked.Watch
 ) -> tuple[Drives, Task]:
-    """Read the drives and settle what is free; everything that can be refused is refused here.
-
-    Raises:
-        SteerdError: a session or an option cannot be used.
-    """
-    held_out, length = read_held_out(options.held_out), options.wheelbase
+    """Read the drives and settle what is free; whatever can be refused is refused here."""
+    held_out, length = asked.read_held_out(options.held_out), options.wheelbase
     for name, least in _LEAST.items():
         value = getattr(options, name)
         if value is not None and value < least:
-            raise SteerdError(f"{name} {value}: {least} or more", "", _USAGE)
+            raise UsageError(f"{name} {value}: {least} or more")
     if held_out.every == 0:
-        raise SteerdError("held out 0: something must validate the fit", "2 or more", _USAGE)
+        raise UsageError("held out 0: something must validate the fit", "2 or more")
     stated = {*options.free, *options.fix}
     effects = [f"{e.name}.{p.name}" for e in base.effects for p in e.parameters]
     for name in (*options.free, *options.fix):
         if name not in Car._fields and name not in effects:
             known = ", ".join((*Car._fields, *effects))
-            raise SteerdError(f"{name} is no parameter of the car", f"one of {known}", _USAGE)
+            raise UsageError(f"{name} is no parameter of the car", f"one of {known}")
     try:  # each stated value within what a car file may say
         given = _given_values(options.fix)
         model = update_car(base.path, base, given).model if given else base.model
     except CarFileError as error:
-        raise SteerdError(f"fix {error.where}: {error.what}", error.hint, _USAGE) from None
+        raise UsageError(f"fix {error.where}: {error.what}", error.hint) from None
     if length is not None and not _WHEELBASE[0] <= length <= _WHEELBASE[1]:
-        raise SteerdError(f"wheelbase {length:g}: in metres", "", _USAGE)
+        raise UsageError(f"wheelbase {length:g}: in metres")
     if options.effects != "auto":
-        options = replace(options, effects=read_effects(options.effects))
+        options = replace(options, effects=asked.read_effects(options.effects))
     try:
         model = prep.fit_wheelbase(model, length, [*options.fix])
     except ValueError as error:
-        raise SteerdError(str(error), "fix one of lf and lr, or neither", _USAGE) from None
+        raise UsageError(str(error), "fix one of lf and lr, or neither") from None
     if "inertia_z" not in stated:
         model = prep.scale_inertia(model, base.model)
     drives = load_drives(without_reserved(paths, held_out.files, "fit"), options.speed, watch)
@@ -233,7 +214,7 @@ def _make_task(
         model,
         options,
         held_out=other.runs,
-        every=held_out.every or EVERY,
+        every=held_out.every or asked.EVERY,
         free=prep.free_names(options, default_free(model.chassis)),
         held=prep.held_names(options),
         truth=None if different else read_true_car(first),

@@ -1,4 +1,4 @@
-"""What `identify` and `diagnose` are asked: one frozen value each.
+"""What `identify` and `diagnose` are asked, one frozen value each, and what commands find.
 
 A notebook's keyword arguments are the fields of that value, and so are the parsed arguments of the
 command line.
@@ -6,18 +6,115 @@ command line.
 
 import argparse
 import inspect
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
-from functools import wraps
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property, wraps
 from pathlib import Path
-from typing import Any, Concatenate, Literal, NamedTuple, ParamSpec, Protocol, TypeVar
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Concatenate,
+    Literal,
+    NamedTuple,
+    ParamSpec,
+    Protocol,
+    TypeVar,
+)
 
-from steerd.car_model.car_file import CarFile, default_car_path
+from steerd.car_model.car_file import CarFile
 from steerd.car_model.effects import find_effect
 from steerd.daemon.common.errors import UsageError
 from steerd.daemon.common.notebook import notebook_progress, speaking_of_arguments
 from steerd.daemon.common.progress import Step
+from steerd.daemon.common.screen import format_screen
 from steerd.daemon.common.translate import load_car_file
+from steerd.daemon.common.written import car_outputs, check_outputs, write_outputs
+from steerd.posterior_file import posterior_path
+from steerd.sysid.report.report import Card, Report
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class Reported(ABC):
+    """What was found, and the page that shows it."""
+
+    @abstractmethod
+    def make_report(self) -> Report:
+        """What screen, page and figure show."""
+
+    @property
+    def cards(self) -> Sequence[Card]:
+        """The figures that the report shows first."""
+        return self.make_report().cards
+
+    def render_report(self) -> str:
+        """The report as a page, one file."""
+        from steerd.sysid.report.page import render_report
+
+        return render_report(self.make_report())
+
+
+class Finding(Reported):
+    """What was found in drives: screen, page, figure, JSON values and car file."""
+
+    SCREEN: ClassVar[int] = 0  # lines of the screen at most; 0 for as many as there are
+    CAR: ClassVar[str]  # what messages call the car before it has a file
+
+    @abstractmethod
+    def make_report(self, written: Path | None = None, report: Path | None = None) -> Report:
+        """The same; `written` and `report` are the files that were."""
+
+    @abstractmethod
+    def make_car(self, path: Path) -> CarFile:
+        """The car that was found; `path` is what messages call its file."""
+
+    @abstractmethod
+    def to_json(self) -> dict[str, Any]:
+        """JSON values of a versioned schema."""
+
+    def learn_known(self, car: CarFile) -> CarFile:
+        """The car of `make_car` with what is learnt for the file beside it: some seconds."""
+        return car
+
+    @cached_property
+    def car(self) -> CarFile:
+        """The car that was found: simulate with it, design from it, or diagnose against it.
+
+        After `identify` it has the noise of its drives, which takes some seconds the first time.
+        """
+        return self.learn_known(self.make_car(Path(self.CAR)))
+
+    def save_car(self, path: Path | str) -> Path:
+        """Write the car file and what is known of the car beside it, each whole or not at all.
+
+        A file that steerd did not write is kept.
+
+        Raises:
+            SteerdError: it cannot be written there.
+        """
+        path = Path(path)
+        check_outputs({"save_car": path, "beside it": posterior_path(path)})
+        known = self.car.posterior
+        write_outputs(car_outputs(path, replace(self.make_car(path), posterior=known)))
+        return path
+
+    def __str__(self) -> str:
+        return self.describe()
+
+    def describe(self, written: Path | None = None, report: Path | None = None) -> str:
+        """The screen; `written` and `report` are the files that were."""
+        return format_screen(self.make_report(written, report).screen, self.SCREEN)
+
+    def plot(self) -> "Figure":
+        """The report's main diagrams as one figure."""
+        from steerd.sysid.report.drawing import plot_report
+
+        report = self.make_report()
+        return plot_report(report.verdict, list(report.figures))
+
 
 EVERY = 4
 """Unless stated otherwise every 4th block or session is held out."""
@@ -34,17 +131,9 @@ class HasPath(Protocol):
         """The session file."""
 
 
-class HasCar(Protocol):
-    """An identification: anything with a car."""
-
-    @property
-    def car(self) -> CarFile:
-        """The car."""
-
-
 SessionSource = Path | str | HasPath
 SessionSources = SessionSource | Sequence[SessionSource]
-CarSource = CarFile | HasCar | Path | str | None
+CarSource = CarFile | Finding | Path | str | None
 HeldOutSource = int | SessionSource | Sequence[int | SessionSource] | None
 
 
@@ -104,11 +193,7 @@ class HeldOut(NamedTuple):
 
 
 def read_held_out(given: HeldOutSource) -> HeldOut:
-    """What is held out.
-
-    Raises:
-        SteerdError: the number makes no sense, or stands beside files.
-    """
+    """What is held out; a SteerdError for a number that makes no sense or stands beside files."""
     listed = _listed(() if given is None else given)
     numbers = [each for each in listed if isinstance(each, int)]
     files = list_sessions([each for each in listed if not isinstance(each, int)])
@@ -141,13 +226,7 @@ def read_effects(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def read_car(given: CarSource) -> CarFile:
-    """A car; the F1TENTH car for None.
-
-    Raises:
-        SteerdError: the car file cannot be read, or says something impossible.
-    """
+    """A car, F1TENTH's for None; a SteerdError where its file cannot be read or used."""
     if isinstance(given, CarFile):
         return given
-    if given is None or isinstance(given, str | Path):
-        return load_car_file(given or default_car_path())
-    return given.car
+    return given.car if isinstance(given, Finding) else load_car_file(given)

@@ -175,17 +175,12 @@ class Session:
         return format_report(self.report)
 
     def _find(self, topic: str) -> tuple[str, type[Any]]:
-        """Whole topic and message class of a name.
-
-        Raises:
-            SteerdError: the session has no such topic.
-        """
-        by_topic = {whole: (whole, cls) for whole, cls in self._names.values()}
-        found = self._names.get(topic) or by_topic.get(topic)
-        if found is None:
-            what = f"{self.path.name} has no table {topic!r}"
-            raise SteerdError(what, f"it has {', '.join(self.topics) or 'none'}")
-        return found
+        """Whole topic and message class of a name; a SteerdError where there is no such topic."""
+        for brief, (whole, cls) in self._names.items():
+            if topic in (brief, whole):
+                return whole, cls
+        what = f"{self.path.name} has no table {topic!r}"
+        raise SteerdError(what, f"it has {', '.join(self.topics) or 'none'}")
 
     def _columns(self, topic: str) -> Columns:
         whole, cls = self._find(topic)
@@ -232,5 +227,5 @@ def _flatten(columns: Columns) -> Columns:
         if column.ndim == 1:
             flat[name] = column
         else:
-            flat |= {f"{name}.{i}": column[:, i] for i in range(column.shape[1])}
+            flat |= {f"{name}.{i}": part for i, part in enumerate(column.T)}
     return flat

@@ -8,12 +8,12 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.progress import Advance
 from steerd.daemon.imports.import_map import ImportMap, load_map
 from steerd.daemon.imports.import_session import ImportReport, MessageMaker, Sample, write_import
@@ -76,19 +76,12 @@ def import_bag(
     rigid: int | None = None,
     erpm_gain: float | None = None,
 ) -> ImportReport:
-    """Turn a bag into a session.
+    """Turn a ROS 1 `.bag`, a ROS 2 folder, or one `.mcap` or `.db3` file of one into a session.
 
-    Args:
-        source: a ROS 1 `.bag`, a ROS 2 bag folder, or one `.mcap` or `.db3` file of one.
-        map_path: a map with `[topics]`, `[frame]` or `[session]`; may be left out.
-        out: the session to write; nothing is left of it after an error.
-        advance: called with the share of the bag's time read so far, 0 to 1.
-        named: `TOPIC`, or `ROLE=TOPIC` with one of `BAG_ROLES`; they override the map's.
-        rigid: which rigid body of a PhaseSpace message is the car; None for the map's.
-        erpm_gain: electrical rpm per m/s, negative for a motor wired so; None for the map's.
-
-    Raises:
-        SteerdError: rosbags is missing, or something is wrong with bag, map or output.
+    Nothing is left of that after an error. `advance` is called with the share of the bag's time
+    read so far. `TOPIC`s, or `ROLE=TOPIC` with one of `BAG_ROLES`, the `rigid` body that is the car
+    and `erpm_gain`, per m/s and negative for a motor wired so, replace the map's. A SteerdError
+    says what is wrong with bag, map or output, or that rosbags is missing.
     """
     the_map = load_map(map_path, erpm_gain)
     with closing(_open(source)) as reader:
@@ -99,10 +92,9 @@ def import_bag(
         )
         types = _types_of(reader)
         roles = _choose_topics(source, types, the_map.topics, named)
-        maker = MessageMaker(the_map.epoch_ns, the_map.frame)
-        bag = _Bag(source, reader, roles, the_map, Counter(), maker)
+        bag = _Bag(source, reader, roles, the_map)
         topics = [BAG_ROLES[role].topic for role in roles]
-        made = write_import(out, source, the_map, topics, _samples(bag, advance), bag.notes)
+        made = write_import(out, source, the_map, topics, bag.samples(advance), bag.notes)
     return replace(made, remarks=tuple(_remarks(roles, types)))
 
 
@@ -125,11 +117,7 @@ def _remarks(roles: Mapping[str, str], types: Mapping[str, str]) -> Iterator[str
 
 
 def propose_bag(source: Path) -> dict[str, dict[str, Any]]:
-    """Roles and topics of a bag, the first of several where names do not decide.
-
-    Raises:
-        SteerdError: it cannot be read, or holds no topic that steerd reads.
-    """
+    """Roles and topics of a bag, the first of several; a SteerdError where none can be read."""
     with closing(_open(source)) as reader:
         types = _types_of(reader)
     best = {role: found[0] for role, found in find_best(types).items()}
@@ -143,8 +131,8 @@ def _open(source: Path) -> "AnyReader":
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
-        what = "reading ROS bags needs the package rosbags"
-        raise SteerdError(what, "pip install rosbags", ExitCode.USAGE) from error
+        what, hint = "reading ROS bags needs the package rosbags", "pip install rosbags"
+        raise UsageError(what, hint) from error
     store = get_typestore(Stores.ROS2_HUMBLE)
     texts = {type_name(c): schema_text(c) for c in (AckermannDriveStamped, VescStateStamped)}
     for name, text in (texts | {RIGIDS: RIGIDS_TEXT}).items():
@@ -185,8 +173,7 @@ def _choose_topics(
         chosen[role if equals else next(fits, "pose")] = topic
     for role, topic in chosen.items():
         if role not in BAG_ROLES:
-            what = f"--topic {role}={topic}: {role!r} is none of {', '.join(BAG_ROLES)}"
-            raise SteerdError(what, "", ExitCode.USAGE)
+            raise UsageError(f"--topic {role}={topic}: {role!r} is none of {', '.join(BAG_ROLES)}")
         if topic not in types:
             raise SteerdError(f"{source.name} has no messages on {topic}", _list_topics(types))
         if types[topic] not in BAG_ROLES[role].types:
@@ -200,7 +187,7 @@ def _choose_topics(
     ]
     if several:
         what = f"{source.name} has several topics for {'; '.join(several)}"
-        raise SteerdError(what, "choose each with --topic TOPIC", ExitCode.USAGE)
+        raise UsageError(what, "choose each with --topic TOPIC")
     return _expect_any(source, types, chosen | {role: found[0] for role, found in best.items()})
 
 
@@ -243,90 +230,84 @@ def _list_topics(types: Mapping[str, str]) -> str:
 # -- messages ------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
 class _Bag:
-    """An open bag, the roles of its topics and where notes go."""
+    """An open bag and the roles of its topics; `notes` counts what is odd while samples come."""
 
-    source: Path
-    reader: "AnyReader"
-    roles: Mapping[str, str]
-    the_map: ImportMap
-    notes: Counter[str]
-    maker: MessageMaker
+    def __init__(
+        self, source: Path, reader: "AnyReader", roles: Mapping[str, str], the_map: ImportMap
+    ) -> None:
+        self.notes: Counter[str] = Counter()
+        self._source, self._reader, self._roles, self._map = source, reader, roles, the_map
+        self._maker = MessageMaker(the_map.epoch_ns, the_map.frame)
 
+    def samples(self, advance: Advance) -> Iterator[Sample]:
+        """The samples of the topics that have a role."""
+        start_ns = self._map.epoch_ns
+        span_ns = max(self._reader.end_time - start_ns, 1)
+        other_clock: dict[str, bool] = {}
+        for count, (topic, bag_ns, message) in enumerate(self._records()):
+            if count % _ADVANCE_MESSAGES == 0:
+                advance((bag_ns - start_ns) / span_ns)
+            stamp_ns = standard.stamp_ns(message.header)
+            if topic not in other_clock:
+                other_clock[topic] = abs(stamp_ns - bag_ns) > _OTHER_CLOCK_NS
+                if other_clock[topic]:
+                    self.notes[f"topic has stamps of another clock, not used: {topic}"] += 1
+            log_ns = bag_ns - start_ns
+            t_ns = log_ns if other_clock[topic] else stamp_ns - start_ns
+            for role in (role for role, wanted in self._roles.items() if wanted == topic):
+                made = self._make_message(role, message, t_ns, log_ns)
+                if made is not None:
+                    yield Sample(BAG_ROLES[role].topic, t_ns, log_ns, made)
 
-def _samples(bag: _Bag, advance: Advance) -> Iterator[Sample]:
-    start_ns = bag.the_map.epoch_ns
-    span_ns = max(bag.reader.end_time - start_ns, 1)
-    other_clock: dict[str, bool] = {}
-    for count, (topic, bag_ns, message) in enumerate(_records(bag)):
-        if count % _ADVANCE_MESSAGES == 0:
-            advance((bag_ns - start_ns) / span_ns)
-        stamp_ns = standard.stamp_ns(message.header)
-        if topic not in other_clock:
-            other_clock[topic] = abs(stamp_ns - bag_ns) > _OTHER_CLOCK_NS
-            if other_clock[topic]:
-                bag.notes[f"topic has stamps of another clock, not used: {topic}"] += 1
-        log_ns = bag_ns - start_ns
-        t_ns = log_ns if other_clock[topic] else stamp_ns - start_ns
-        for role in (role for role, wanted in bag.roles.items() if wanted == topic):
-            made = _make_message(bag, role, message, t_ns, log_ns)
-            if made is not None:
-                yield Sample(BAG_ROLES[role].topic, t_ns, log_ns, made)
+    def _records(self) -> Iterator[tuple[str, int, Any]]:
+        """Topic, time and message of each record of the chosen topics."""
+        wanted = [c for c in self._reader.connections if c.topic in self._roles.values()]
+        records = self._reader.messages(wanted)
+        while True:
+            with _reading(self._source):
+                record = next(records, None)
+                if record is None:
+                    return
+                connection, bag_ns, data = record
+                message = self._reader.deserialize(data, connection.msgtype)
+            yield connection.topic, bag_ns, message
 
+    def _make_message(self, role: str, message: Any, t_ns: int, log_ns: int) -> Any:
+        maker = self._maker
+        try:
+            if role == "command":
+                drive = message.drive
+                return maker.command(t_ns, float(drive.steering_angle), float(drive.speed))
+            if role == "vesc":
+                return _telemetry(message.state, t_ns, maker)
+            if role == "wheel":
+                return maker.wheel(t_ns, float(message.twist.twist.linear.x))
+            pose = self._pose(message)
+            return pose and maker.pose(t_ns, log_ns, *pose)
+        except ValueError:
+            self.notes[f"{role} messages hold no finite values and were left out"] += 1
+            return None
 
-def _records(bag: _Bag) -> Iterator[tuple[str, int, Any]]:
-    """Topic, time and message of each record of the chosen topics."""
-    wanted = [c for c in bag.reader.connections if c.topic in bag.roles.values()]
-    records = bag.reader.messages(wanted)
-    while True:
-        with _reading(bag.source):
-            record = next(records, None)
-            if record is None:
-                return
-            connection, bag_ns, data = record
-            message = bag.reader.deserialize(data, connection.msgtype)
-        yield connection.topic, bag_ns, message
-
-
-def _make_message(bag: _Bag, role: str, message: Any, t_ns: int, log_ns: int) -> Any:
-    try:
-        if role == "command":
-            drive = message.drive
-            return bag.maker.command(t_ns, float(drive.steering_angle), float(drive.speed))
-        if role == "vesc":
-            return _telemetry(message.state, t_ns, bag.maker)
-        if role == "wheel":
-            return bag.maker.wheel(t_ns, float(message.twist.twist.linear.x))
-        pose = _pose(message, bag.the_map.rigid, bag.notes)
-        return pose and bag.maker.pose(t_ns, log_ns, *pose)
-    except ValueError:
-        bag.notes[f"{role} messages hold no finite values and were left out"] += 1
-        return None
-
-
-def _pose(message: Any, rigid: int | None, notes: Counter[str]) -> Any:
-    """Position and quaternion (w, x, y, z) of a PoseStamped, an Odometry or a Rigids."""
-    if hasattr(message, "rigids"):
-        return _rigid_pose(message.rigids, rigid, notes)
-    pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
-    p, q = pose.position, pose.orientation
-    return (p.x, p.y, p.z), (q.w, q.x, q.y, q.z)
-
-
-def _rigid_pose(rigids: Any, rigid: int | None, notes: Counter[str]) -> Any:
-    ids = sorted({int(body.id) for body in rigids})
-    if rigid is None and len(ids) > 1:
-        what = f"the PhaseSpace messages hold rigid bodies {', '.join(map(str, ids))}"
-        raise SteerdError(what, f"name the car with --rigid, e.g. --rigid {ids[0]}", ExitCode.USAGE)
-    for body in rigids:
-        if rigid not in (None, int(body.id)):
-            continue
+    def _pose(self, message: Any) -> Any:
+        """Position and quaternion (w, x, y, z) of a PoseStamped, an Odometry or a Rigids."""
+        if not hasattr(message, "rigids"):
+            pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+            p, q = pose.position, pose.orientation
+            return (p.x, p.y, p.z), (q.w, q.x, q.y, q.z)
+        bodies, rigid = {int(body.id): body for body in reversed(message.rigids)}, self._map.rigid
+        if rigid is None and len(bodies) > 1:
+            ids = sorted(bodies)
+            what = f"the PhaseSpace messages hold rigid bodies {', '.join(map(str, ids))}"
+            hint = f"name the car with --rigid, e.g. --rigid {ids[0]}"
+            raise UsageError(what, hint)
+        body = next(iter(bodies.values()), None) if rigid is None else bodies.get(rigid)
+        if body is None:
+            return None
         if body.cond <= 0:  # PhaseSpace: the body was not found in this frame
-            notes["frames without the rigid body were left out"] += 1
+            self.notes["frames without the rigid body were left out"] += 1
             return None
         return (body.x, body.y, body.z), (body.qw, body.qx, body.qy, body.qz)
-    return None
 
 
 def _telemetry(state: Any, t_ns: int, maker: MessageMaker) -> Any:

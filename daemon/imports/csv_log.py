@@ -10,9 +10,10 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn, TextIO
+from typing import Any, NoReturn, TextIO
 
 from steerd.daemon.common.errors import ExitCode, SteerdError, refusing
 from steerd.daemon.common.packaged import EXAMPLE_MAP
@@ -28,21 +29,8 @@ _ADVANCE_ROWS = 1000  # rows between two reports of progress
 _SHOWN = 12  # column names that an error lists
 
 
-class Cell(NamedTuple):
-    """Column index of a quantity, its scaling, and the column index of its gate."""
-
-    quantity: str
-    column: int
-    spec: ColumnSpec
-    gate: int | None
-
-
 def open_table(source: Path) -> TextIO:
-    """Open a csv file as text.
-
-    Raises:
-        SteerdError: it is no regular file, is empty, or cannot be opened.
-    """
+    """Open a csv file as text; a SteerdError where it is no file, is empty, or stays closed."""
     with refusing(f"{source} cannot be read: "):
         if not source.is_file():
             what = "is not a file" if source.exists() else "does not exist"
@@ -55,10 +43,8 @@ def open_table(source: Path) -> TextIO:
 class CsvTable:
     """An open csv file: its `header` was read, its rows come next; `row` numbers the last line.
 
-    Of several delimiters that one is taken which gives most of the `wanted` column names.
-
-    Raises:
-        SteerdError: it holds no line.
+    Of several delimiters that one is taken which gives most of the `wanted` column names. A file
+    without a line is refused.
     """
 
     def __init__(self, name: str, file: TextIO, wanted: Collection[str] = ()) -> None:
@@ -81,29 +67,22 @@ class CsvTable:
     ) -> Iterator[dict[str, float]]:
         """The quantities that have a value in a row, of rows that hold any; scaled.
 
-        Args:
-            columns: quantity to column.
-            advance: called with the bytes read so far.
-
-        Raises:
-            SteerdError: a column is missing or a cell is no number; the message says which.
+        `advance` is called with the bytes read so far. A SteerdError says which column is missing,
+        or which cell is no number.
         """
-        cells = [self._find(quantity, spec) for quantity, spec in columns.items()]
+        wanted = [(q, name) for q, spec in columns.items() for name in (spec.column, spec.gate)]
+        places = {name: self._index(q, name) for q, name in wanted if name is not None}
         for texts in self.texts():
             if self.row % _ADVANCE_ROWS == 0:
                 advance(self._file.buffer.tell())
             if any(text.strip() for text in texts[len(self.header) :]):
                 self.fail(f"{len(texts)} cells under {len(self.header)} column names")
-            found = ((cell.quantity, self._value(cell, texts)) for cell in cells)
+            found = ((q, self._value(spec, places, texts)) for q, spec in columns.items())
             if values := {quantity: value for quantity, value in found if value is not None}:
                 yield values
 
     def number(self, texts: list[str], column: int) -> float | None:
-        """The number in a cell; None where it holds none.
-
-        Raises:
-            SteerdError: it holds something else.
-        """
+        """The number in a cell, None where it holds none; a SteerdError for any other text."""
         text = texts[column].strip() if column < len(texts) else ""
         if text.lower() in _NO_VALUE:
             return None
@@ -119,11 +98,7 @@ class CsvTable:
         return number
 
     def fail(self, what: str, hint: str = "", column: str = "") -> NoReturn:
-        """Refuse the row that was read last, or its cell in a column.
-
-        Raises:
-            SteerdError: always.
-        """
+        """Raise a SteerdError about the row that was read last, or about its cell in a column."""
         at = f", column {column!r}" if column else ""
         raise SteerdError(f"{self.name} row {self.row}{at}: {what}", hint)
 
@@ -143,10 +118,6 @@ class CsvTable:
             what = f"{self.name} cannot be read: {error.strerror}"
             raise SteerdError(what, "", ExitCode.UNREADABLE) from error
 
-    def _find(self, quantity: str, spec: ColumnSpec) -> Cell:
-        gate = None if spec.gate is None else self._index(quantity, spec.gate)
-        return Cell(quantity, self._index(quantity, spec.column), spec, gate)
-
     def _index(self, quantity: str, column: str) -> int:
         count = self.header.count(column)
         if count == 1:
@@ -159,11 +130,11 @@ class CsvTable:
         what = f"{self.name} has no column {column[:80]!r}, which the map names for {quantity}"
         raise SteerdError(what, f"in the map, {' or '.join(repr(n[:40]) for n in names)}")
 
-    def _value(self, cell: Cell, texts: list[str]) -> float | None:
-        number, spec = self.number(texts, cell.column), cell.spec
+    def _value(self, spec: ColumnSpec, places: Mapping[str, int], texts: list[str]) -> float | None:
+        number = self.number(texts, places[spec.column])
         if number is None:
             return None
-        if cell.gate is not None and not self.number(texts, cell.gate):
+        if spec.gate is not None and not self.number(texts, places[spec.gate]):
             return 0.0
         value = spec.scale * number + spec.offset
         if not math.isfinite(value):
@@ -174,17 +145,13 @@ class CsvTable:
 def _split_header(line: str, wanted: set[str]) -> tuple[str, list[str]]:
     """Take the delimiter that gives most of the wanted names, then the most names."""
     line = line.strip().removeprefix("#").strip()
-    splits = {d: _split(line, d) for d in _DELIMITERS}
-    best = max(_DELIMITERS, key=lambda d: (len(wanted & set(splits[d])), len(splits[d])))
+    splits: dict[str, list[str]] = {delimiter: [] for delimiter in _DELIMITERS}
+    for delimiter in _DELIMITERS:
+        with suppress(csv.Error):
+            row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+            splits[delimiter] = [cell.strip() for cell in row]
+    best = max(splits, key=lambda d: (len(wanted & {*splits[d]}), len(splits[d])))
     return best, splits[best]
-
-
-def _split(line: str, delimiter: str) -> list[str]:
-    try:
-        row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
-    except csv.Error:
-        return []
-    return [cell.strip() for cell in row]
 
 
 # -- messages from rows ------------------------------------------------------------------------
@@ -207,18 +174,10 @@ _INT32_MAX = (1 << 31) - 1  # largest UNIX time [s] and largest ERPM of a messag
 def import_csv(
     source: Path, map_path: Path, out: Path, advance: Advance, erpm_gain: float | None = None
 ) -> ImportReport:
-    """Turn a csv file into a session.
+    """Turn a csv file into a session; nothing is left of that after an error.
 
-    Args:
-        source: the csv file; its delimiter is detected.
-        map_path: the map, with `[columns]`.
-        out: the session to write; nothing is left of it after an error.
-        advance: called with the bytes read so far.
-        erpm_gain: electrical rpm per m/s; None for the map's.
-
-    Raises:
-        SteerdError: something is wrong with the map, the file or the output; the message says
-            where.
+    `advance` is called with the bytes read so far; `erpm_gain`, per m/s, replaces the map's. A
+    SteerdError says where something is wrong with the map, the file or the output.
     """
     the_map = load_map(map_path, erpm_gain)
     if not the_map.columns:

@@ -45,11 +45,7 @@ _LINE = re.compile(r"^\s*([\w.]+)\s*=\s*(.*?)\s*(?:\*\s*([-+\d.eE]+))?\s*$")
 
 
 def propose_csv(source: Path) -> Proposal:
-    """Columns of a table, with the scales that make them SI.
-
-    Raises:
-        SteerdError: the file cannot be read.
-    """
+    """Columns of a table, with the scales that make them SI; a SteerdError if it is unreadable."""
     with open_table(source) as file:
         table = CsvTable(source.name, file)
         rows = list(itertools.islice(table.texts(), _ROWS))
@@ -60,11 +56,14 @@ def propose_csv(source: Path) -> Proposal:
         if fits:
             free.remove(fits[0])
             scale = guess_scale(quantity, _numbers(table, rows, table.header.index(fits[0])))
-            named: Any = fits[0]
-            columns[quantity] = named if scale == 1.0 else {"column": named, "scale": scale}
+            columns[quantity] = _scaled(fits[0], scale)
     if not {"x", "y", "yaw"} <= columns.keys():
         columns = {k: v for k, v in columns.items() if k not in ("x", "y", "yaw")}
     return {"columns": columns}
+
+
+def _scaled(column: str, scale: float) -> Any:
+    return column if scale == 1.0 else {"column": column, "scale": scale}
 
 
 def _numbers(table: CsvTable, rows: Iterable[list[str]], column: int) -> NDArray[np.float64]:
@@ -90,15 +89,10 @@ def guess_scale(quantity: str, values: NDArray[np.float64]) -> float:
 
 
 def change(proposal: Proposal, line: str) -> str:
-    """Change a proposal by a line that somebody typed.
+    """Change a proposal by a line that somebody typed; what is wrong with it, or nothing.
 
-    Args:
-        proposal: is changed in place.
-        line: `yaw = heading * 0.01745`, `pose = /vrpn/car/pose`, `erpm_gain = -7300`,
-            `units = mm`; nothing after the `=` takes an entry away.
-
-    Returns:
-        What is wrong with the line; empty if it was taken.
+    Such as `yaw = heading * 0.01745`, `pose = /vrpn/car/pose`, `erpm_gain = -7300`, `units = mm`;
+    nothing after the `=` takes an entry away.
     """
     found = _LINE.match(line)
     if found is None:
@@ -113,13 +107,13 @@ def change(proposal: Proposal, line: str) -> str:
         table.pop(name, None)
         return ""
     try:
-        factor = 1.0 if scale is None else float(scale)
+        factor = float(scale or 1.0)
         if section == "columns":
-            table[name] = value if factor == 1.0 else {"column": value, "scale": factor}
+            table[name] = _scaled(value, factor)
         else:
             table[name] = float(value) if section == "vesc" else value
     except ValueError:
-        return f"{value or scale}: not a number"
+        return f"{value}: not a number"
     return ""
 
 

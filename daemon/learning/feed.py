@@ -1,17 +1,34 @@
-"""The learner fed by the messages of a drive, as recorder and session hold them; its reports."""
+"""The learner fed by the messages of a drive, as recorder and session hold them; its reports.
+
+With `--adapt` it proposes each second a design one step closer to the learnt car, or none. It hears
+from the core what was taken, and steps on from there.
+"""
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from math import nan
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from steerd.car_model.car_file import CarFile
+from steerd.controller.acceptance import Acceptance
+from steerd.controller.build import DesignTable
+from steerd.controller.design import DesignRefused
+from steerd.controller.learnt import (
+    Design,
+    Learnt,
+    approach_learnt,
+    learnt_car,
+    learnt_of,
+    learnt_timing,
+)
 from steerd.daemon.ipc.pipe_records import LEARNT_FROM, PipeRecord
 from steerd.daemon.learning.reported import NS, ReportedChange, ReportedValue, pack
+from steerd.daemon.loop.adapting import REFUSED, make_design, make_no_design, read_design
 from steerd.sim_gap.online.learner import Change, Learner, State, fold, make_learner
 from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled, Sample
 from steerd.sim_gap.online.tracking import Memory, Remembered
-from steerd.sim_gap.online.values import Value, amounts_of, unit_of, values_of
+from steerd.sim_gap.online.values import Value, amounts_of, find_aim, unit_of, values_of
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
@@ -19,11 +36,12 @@ from steerd.steer_bus.topics import Topic
 from steerd.sysid.data.dataset import RAMP_ERPM
 from steerd.vesc_link.scaling import F1TENTH, Scaling, erpm_to_speed
 
-if TYPE_CHECKING:
-    from steerd.daemon.learning.proposing import Proposals
-
 NEEDED = (*LEARNT_FROM, topics.WHEEL)
 """Topics that the learner is fed by."""
+STILL = 0.1
+"""A step smaller than this share of the largest is none: the design stays."""
+PAUSE_NS = 15_000_000_000
+"""After a refusal nothing is proposed for so long."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +71,64 @@ def make_sample(wiring: Wiring, topic: Topic, message: Any) -> Sample | None:
     return None
 
 
+class Proposals:
+    """Proposes from the file's design on, by what the core holds designs against.
+
+    `send` takes each proposal as bytes, and when it was made [ns].
+    """
+
+    def __init__(
+        self, held: Acceptance, design_table: DesignTable, send: Callable[[bytes, int], object]
+    ) -> None:
+        self._held, self._design_table, self._send = held, design_table, send
+        self._file = learnt_of(held.file.car)
+        self._at = self._file  # the numbers in force, as the core said
+        self._design: Design | None = None  # the last proposal
+        self._refused_ns = -PAUSE_NS  # when the core refused one last
+
+    def hear(self, taken: m.Design) -> None:
+        """The core took a design, or the file's."""
+        design = read_design(taken)
+        if design is not None:
+            self._at = design.car
+            return
+        self._at, self._design = self._file, None
+        if taken.text.startswith(REFUSED):
+            self._refused_ns = taken.mono_ns
+
+    def propose(self, learner: Learner, state: State, mono_ns: int, epoch_ns: int) -> None:
+        """Propose at a report of a state; times of the newest pose, UNIX minus monotonic [ns]."""
+        design = self._next_design(find_aim(learner, state), mono_ns)
+        self._design = None if isinstance(design, str) else design
+        if not isinstance(design, str) and design.car == self._file:
+            design = "the car is as in the car file"
+        proposal = (
+            make_no_design(mono_ns, epoch_ns, design)
+            if isinstance(design, str)
+            else make_design(mono_ns, epoch_ns, 1, design)
+        )
+        self._send(encode(proposal), mono_ns)
+
+    def _next_design(self, aim: Learnt | str, mono_ns: int) -> Design | str:
+        """One step towards an aim; why there is none."""
+        if isinstance(aim, str):
+            return aim
+        if mono_ns - self._refused_ns < PAUSE_NS:
+            return "a design was refused"
+        file, steps = self._held.file, self._held.steps
+        car = approach_learnt(self._at, aim, self._held.bounds, steps)
+        if self._design is not None and all(
+            abs(a - b) <= STILL * most
+            for a, b, most in zip(car, self._design.car, steps, strict=True)
+        ):
+            return self._design
+        own, timing = learnt_car(file, car), learnt_timing(file, car)
+        try:
+            return Design(car, self._design_table(own, file.config, timing, file.profile.fastest))
+        except DesignRefused as error:
+            return str(error)
+
+
 @dataclass
 class Feed:
     """A learner and where it stands."""
@@ -62,7 +138,7 @@ class Feed:
     state: State  # what is known so far
     dropped: int = 0  # records that were lost on the way here
     # Of designs for what is learnt, each after its report; None without `--adapt`
-    proposals: "Proposals | None" = None
+    proposals: Proposals | None = None
 
     def take(self, topic: Topic, message: Any) -> m.Model | None:
         """Take in one message; the report, if one is due."""
@@ -87,43 +163,39 @@ _LEARNT = tuple(
     field.name.removesuffix(_SD) for field in fields(m.Model) if field.name.endswith(_SD)
 )
 """The car's numbers that the message has fields for."""
+_UNKNOWN = Value("", nan, nan, "", False)
+_NO_CHANGE = ReportedChange(-1, -1, "none", "", nan, (), ())
 
 
 def make_model(
     state: State, mono_ns: int, epoch_ns: int, dropped: int, remembered: Remembered
 ) -> m.Model:
-    """The report of a state.
+    """The report of a state, at the newest pose [ns, monotonic]; `dropped` records were lost.
 
-    Args:
-        state: of the learner.
-        mono_ns: of the newest pose [ns, monotonic].
-        epoch_ns: UNIX time minus monotonic time [ns].
-        dropped: records that were lost so far.
-        remembered: what was learnt on an earlier drive: reported until this one knows the car.
+    What was learnt on an earlier drive is reported until this one knows the car.
     """
     early = (Value(name, *each, unit_of(name), True) for name, each in remembered.items())
     values = values_of(state.known) if state.known else tuple(early)
     by_name = {value.name: value for value in values}
     current = () if state.change is None else (state.change,)
     changes = [_reported_change(change) for change in (*state.past, *current)]
-    newest = changes[-1] if changes else None
-    verdict = newest.verdict if newest else "none"
+    newest = changes[-1] if changes else _NO_CHANGE
     numbers: dict[str, float] = {}
     for name in _LEARNT:
-        value = by_name.get(name)
-        numbers |= {name: value.value if value else nan, name + _SD: value.sd if value else nan}
+        value = by_name.get(name, _UNKNOWN)
+        numbers |= {name: value.value, name + _SD: value.sd}
     return m.Model(
         header=m.make_header(mono_ns + epoch_ns, m.BODY),
         mono_ns=mono_ns,
-        since_ns=newest.since_ns if newest else -1,
-        noticed_ns=newest.noticed_ns if newest else -1,
+        since_ns=newest.since_ns,
+        noticed_ns=newest.noticed_ns,
         windows=state.seen,
         dropped=dropped,
-        confidence=newest.confidence if newest else nan,
+        confidence=newest.confidence,
         **numbers,
-        verdict="learning" if state.known is None else verdict,
-        effect=newest.effect if newest else "",
-        alternatives=",".join(newest.alternatives) if newest else "",
+        verdict="learning" if state.known is None else newest.verdict,
+        effect=newest.effect,
+        alternatives=",".join(newest.alternatives),
         identifiable=",".join(value.name for value in values if value.identifiable),
         details=pack(values, changes),
     )
@@ -146,11 +218,7 @@ def make_record(report: m.Model, number: int, log_time_ns: int) -> PipeRecord:
 
 
 def read_memory(text: str) -> Memory | None:
-    """What was learnt in an earlier drive, as `kept.recall` writes it; None for an empty text.
-
-    Raises:
-        ValueError: it is something else.
-    """
+    """What `kept.recall` wrote of an earlier drive, None of an empty text; else a ValueError."""
     if not text:
         return None
     try:
@@ -162,10 +230,6 @@ def read_memory(text: str) -> Memory | None:
 
 
 def make_feed(car: CarFile, wiring: Wiring, memory: Memory | None = None) -> Feed:
-    """A feed at its start; `memory` is of an earlier drive of this car.
-
-    Raises:
-        ValueError: what identify wrote into the car file is not what it writes.
-    """
+    """A feed at its start; a ValueError where identify did not write what the car file holds."""
     ramp = RAMP_ERPM / abs(wiring.scaling.erpm_gain)
     return Feed(make_learner(car, ramp, memory), wiring, State())

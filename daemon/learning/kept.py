@@ -74,8 +74,7 @@ def digest_numbers(car: CarFile, erpm_gain: float, erpm_offset: float) -> str:
 
 def format_kept(about: About, report: m.Model) -> str:
     """The page of a report of a learner that knows the car: what it identifies, and each change."""
-    quoted = {name: json.dumps(text) for name, text in about._asdict().items()}
-    lines = [f"{name} = {text}" for name, text in quoted.items()]
+    lines = [f"{name} = {json.dumps(text)}" for name, text in about._asdict().items()]
     lines.append(f"written_ns = {m.stamp_ns(report.header)}")
     changes = [describe_change(report, change) for change in reported_changes(report)]
     said = [json.dumps(text.replace("\u00a0", " "), ensure_ascii=False) for text in changes]
@@ -93,11 +92,7 @@ def _digest(data: bytes) -> str:
 
 
 def parse_kept(data: bytes) -> Kept:
-    """Read a page.
-
-    Raises:
-        KeptError: it is torn, edited, or none.
-    """
+    """Read a page; a KeptError where it is torn, edited, or none."""
     head, _, body = data.partition(b"\n")
     if len(data) > SIZE_MAX or head.decode(errors="replace") != _HEAD + _digest(body):
         raise KeptError("is torn or was edited; this drive writes it anew")
@@ -111,11 +106,7 @@ def parse_kept(data: bytes) -> Kept:
 
 
 def recall(kept: Kept, about: About, now_ns: int) -> str:
-    """What the metadata of a run at a UNIX time says of the numbers its learner begins with: JSON.
-
-    Raises:
-        KeptError: it is another car's, or of other numbers, or from the future.
-    """
+    """JSON of what a run at a UNIX time begins with; a KeptError where that is of another car."""
     if kept.about.car != about.car:
         raise KeptError(f"is of {kept.about.car}, not of {about.car}; give each car its own file")
     if kept.about.numbers != about.numbers:
@@ -150,13 +141,10 @@ class Keeper:
         """Write the last report, if it is not written."""
         if self.newest is None or self.failed:
             return
-        write, text = (
-            write_output if self.refused else write_whole,
-            format_kept(self.about, self.newest),
-        )
+        write = write_output if self.refused else write_whole
         try:
             self.page.parent.mkdir(parents=True, exist_ok=True)
-            write(self.page, text)
+            write(self.page, format_kept(self.about, self.newest))
             self.refused = False
         except (OSError, SteerdError) as error:
             self.failed = True

@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
 
-from steerd.daemon.analysis.finding import Reported
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.analysis.options import Reported
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.notebook import make_frame, notebook_progress
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.row_file import Row, RowFile
@@ -72,15 +72,11 @@ class Found(Reported):
         import pyarrow as pa  # noqa: TID251
         from pyarrow import parquet  # noqa: TID251
 
-        fields, values = [], []
-        for column in self.columns:
-            kind = _TYPES[column.kind]
-            note = {"unit": column.unit, "meaning": column.meaning}
-            fields.append(pa.field(column.name, kind, metadata=note))
-            given = (row.get(column.name) for row in self.rows)
-            values.append(pa.array([None if value != value else value for value in given], kind))
+        about = ((c, {"unit": c.unit, "meaning": c.meaning}) for c in self.columns)
+        fields = [pa.field(c.name, _TYPES[c.kind], metadata=note) for c, note in about]
+        known = [{name: v for name, v in row.items() if v == v} for row in self.rows]
         out = io.BytesIO()
-        table = pa.table(values, schema=pa.schema(fields))
+        table = pa.Table.from_pylist(known, schema=pa.schema(fields))
         parquet.write_table(table, out, compression="zstd")
         return out.getvalue()
 
@@ -124,10 +120,8 @@ def do_job(
     """Do what an earlier start did not finish.
 
     What is finished lies beside `output`, the table that is to be written; `progress` is called
-    with the number of units done.
-
-    Raises:
-        SteerdError: what lies there belongs to other work, or the cluster is lost.
+    with the number of units done. A SteerdError says that what lies there belongs to other work, or
+    that the cluster is lost.
     """
     if output is not None:
         check_outputs({"-o": output})
@@ -195,7 +189,7 @@ def open_finished(
             if any(of != basis for of, _ in old.values()):
                 what = f"{path} holds what another command had finished"
                 hint = f"name another -o, or delete {path and path.name}: it is then done again"
-                raise SteerdError(what, hint, ExitCode.USAGE)
+                raise UsageError(what, hint)
             yield {unit: row for unit, (_, row) in old.items()}, file.write
     except KeyboardInterrupt:
         if path is not None:
@@ -210,7 +204,7 @@ def _make_error(path: Path | None, error: sqlite3.Error) -> SteerdError:
     match error.sqlite_errorname:
         case "SQLITE_NOTADB":
             what = f"{path} holds no finished rows of steerd"
-            return SteerdError(what, "name another -o, or delete it", ExitCode.USAGE)
+            return UsageError(what, "name another -o, or delete it")
         case "SQLITE_BUSY":
             what, hint = f"{path}: another command is writing it", "wait for it, or name another -o"
         case _:

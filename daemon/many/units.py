@@ -11,9 +11,10 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, NamedTuple
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.sysid.parallel import quiet_workers
 
 TRIES = 3  # times that a unit is begun before it is given up
@@ -45,8 +46,7 @@ class Where:
 
     def __post_init__(self) -> None:
         if self.jobs < 0:
-            what = f"--jobs {self.jobs}: 1 or more; 0 for one process per core"
-            raise SteerdError(what, "", ExitCode.USAGE)
+            raise UsageError(f"--jobs {self.jobs}: 1 or more; 0 for one process per core")
 
     @property
     def processes(self) -> int:
@@ -62,10 +62,8 @@ def run_units(
 ) -> Iterator[Done]:
     """Do the work with every argument, by the unit's name; results come as they end.
 
-    `ship` makes an argument complete before it leaves for another machine.
-
-    Raises:
-        SteerdError: the cluster does not answer, or is lost.
+    `ship` makes an argument complete before it leaves for another machine. A SteerdError says that
+    the cluster does not answer, or is lost.
     """
     if where.dask is not None:
         return _run_on_cluster(work, todo, where.dask, ship)
@@ -148,7 +146,7 @@ def _run_on_cluster(
     try:
         import distributed
     except ImportError:
-        raise SteerdError("--dask needs Dask", "pip install distributed", ExitCode.USAGE) from None
+        raise UsageError("--dask needs Dask", "pip install distributed") from None
     dask: Any = distributed  # its functions carry no types
     try:
         client = dask.Client(address, timeout=_ANSWER, set_as_default=False)
@@ -157,20 +155,17 @@ def _run_on_cluster(
         hint = "start a scheduler and workers, for instance with `dask scheduler`"
         raise SteerdError(what, hint, ExitCode.UNREACHABLE) from None
     with client, client.as_current():
-        waiting, names = iter(todo.items()), {}
+        names: dict[str, str] = {}
 
-        def hand_out() -> Any:
-            """The next unit as a future; None where no unit is left."""
-            unit, about = next(waiting, (None, None))
-            if unit is None:
-                return None
-            future = client.submit(_try_unit, work, unit, ship(about), pure=False)
-            names[future.key] = unit
-            return future
+        def hand_out() -> Iterator[Any]:
+            """Each unit as a future, when its turn has come."""
+            for unit, about in todo.items():
+                future = client.submit(_try_unit, work, unit, ship(about), pure=False)
+                names[future.key] = unit
+                yield future
 
-        ahead = AHEAD * max(1, sum(client.nthreads().values()))
-        begun = [future for _ in range(ahead) if (future := hand_out()) is not None]
-        ended = dask.as_completed(begun)
+        waiting, ahead = hand_out(), AHEAD * max(1, sum(client.nthreads().values()))
+        ended = dask.as_completed([*islice(waiting, ahead)])
         for future in ended:
             if future.status in _AGAIN:
                 ended.add(future)
@@ -184,5 +179,4 @@ def _run_on_cluster(
                 what, hint = "the scheduler is gone", "the same command goes on where it was"
                 raise SteerdError(f"--dask {address}: {what}", hint, ExitCode.UNREACHABLE)
             future.release()
-            if (later := hand_out()) is not None:
-                ended.add(later)
+            ended.update([*islice(waiting, 1)])

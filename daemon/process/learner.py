@@ -16,9 +16,8 @@ from steerd.daemon.assembly.build import RunPlan, read_job
 from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc import pipe_records as pipes
 from steerd.daemon.ipc.requests import make_sender
-from steerd.daemon.learning.feed import Wiring, make_feed, make_record, read_memory
+from steerd.daemon.learning.feed import Proposals, Wiring, make_feed, make_record, read_memory
 from steerd.daemon.learning.kept import About, Keeper
-from steerd.daemon.learning.proposing import Proposals
 from steerd.daemon.process.child import Job, run_process
 from steerd.steer_bus.codec import CodecError
 

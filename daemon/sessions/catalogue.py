@@ -9,6 +9,7 @@ people write about a session lies beside it, in `NAME.notes.toml`, and goes wher
 
 import contextlib
 import os
+import re
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -21,7 +22,7 @@ import platformdirs
 import tomlkit
 
 from steerd.daemon.assembly.session_meta import sessions_folder
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.row_file import RowFile
 from steerd.daemon.common.screen import clean, cut, wrap
 from steerd.daemon.common.translate import reading
@@ -83,19 +84,13 @@ def find_sessions(folders: Iterable[Path]) -> list[Path]:
 
 
 def find_session(text: str, folders: Iterable[Path] | None = None) -> Path:
-    """The session that a word names: a file, `@last`, or `@-2` for the last but one.
-
-    Raises:
-        SteerdError: there are not so many, or the word after `@` means nothing.
-    """
+    """The session of a word: a file, `@last`, `@-2` for the last but one; else a SteerdError."""
     if not text.startswith("@") or Path(text).exists():
         return Path(text)
-    number = text.removeprefix("@")
-    back = 1 if number == "last" else int(number[1:]) if number[1:].isdecimal() else 0
-    if back < 1 or not (number == "last" or number.startswith("-")):
-        what = f"{text}: no such session"
-        raise SteerdError(what, "@last, or @-2 for the last but one", ExitCode.USAGE)
-    places = tuple(folders or default_folders())
+    word = re.fullmatch("@(last|-0*([1-9][0-9]*))", text)
+    if word is None:
+        raise UsageError(f"{text}: no such session", "@last, or @-2 for the last but one")
+    places, back = tuple(folders or default_folders()), int(word[2] or 1)
     found = find_sessions(places)
     if len(found) < back:
         shown = " or ".join(str(place) for place in places)
@@ -123,11 +118,7 @@ def read_notes(session: Path) -> tuple[tuple[str, ...], str]:
 
 
 def write_notes(session: Path, tags: Iterable[str], note: str) -> None:
-    """Write tags and note beside a session.
-
-    Raises:
-        SteerdError: there is no such session, or the file cannot be written.
-    """
+    """Write tags and note beside a session; a SteerdError where it is missing or unwritable."""
     if not session.is_file():
         raise SteerdError(f"{session} does not exist", "", ExitCode.UNREADABLE)
     said = {"tags": list(dict.fromkeys(tags)), "note": note}
@@ -140,10 +131,7 @@ def write_notes(session: Path, tags: Iterable[str], note: str) -> None:
 def list_entries(
     paths: Iterable[Path], advance: Callable[[float], None] = lambda done: None
 ) -> Iterator[Entry]:
-    """The sessions' figures, remembered ones where the file has not changed since.
-
-    `advance` is called with the number of files done.
-    """
+    """The sessions' figures, remembered while a file is as it was; `advance` hears files done."""
     with contextlib.closing(_open_index()) as index:
         for number, path in enumerate(paths):
             with contextlib.suppress(OSError):
@@ -294,12 +282,9 @@ def make_report(entries: Sequence[Entry], folder: Path) -> Report:
 def _row(e: Entry, folder: Path) -> list[str | Cell]:
     page = e.path.with_suffix(".html")
     link = quote(os.path.relpath(page, folder)) if page.is_file() else ""
-    figures = [
-        "–" if value is None else format(value * scale, ".1f")
-        for value, scale in (
-            (e.e1_rms, 1e3), (e.e1_max, 1e3), (e.speed, 1.0), (e.seconds, 1.0), (e.metres, 1.0),
-        )
-    ]  # fmt: skip
+    errors = [None if error is None else 1e3 * error for error in (e.e1_rms, e.e1_max)]
+    numbers = (*errors, e.speed, e.seconds, e.metres)
+    figures = ["–" if number is None else f"{number:.1f}" for number in numbers]
     ended = Cell(e.remarks or "ok", "" if e.verdict == "ok" else "strong")
     named = Cell(clean(e.path.stem), link=link)
     return [named, ended, f"{e.when:%Y-%m-%d %H:%M}", e.lane, *figures, e.car]

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from scipy.signal import correlate, correlation_lags
 
 from steerd.car_model.path.path import Path as Lane
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.screen import clean
 from steerd.daemon.sessions.info import Recording
 from steerd.daemon.sessions.motion import Track, find_settled, rms
@@ -28,10 +28,8 @@ POINTS_MAX, _DOTS_MAX = 1200, 400  # of a drawn curve, and of the single samples
 def render_comparison(reads: Sequence[Recording], shift: float | None = None) -> str:
     """The page of several drives: along their lane, and of two also over time.
 
-    The second of two comes later by `shift` [s]; None finds it.
-
-    Raises:
-        SteerdError: more or less than two follow no lane, or not the same, or nothing is common.
+    The second of two comes later by `shift` [s]; None finds it. A SteerdError says that more or
+    less than two follow no lane, or not the same, or that nothing is common.
     """
     names = [clean(read.info.path.name, NAME_MAX) for read in reads]
     two = len(reads) == 2
@@ -80,11 +78,7 @@ class LaneSession:
 
 
 def make_lane_session(read: Recording) -> LaneSession:
-    """What a drive did along its lane.
-
-    Raises:
-        SteerdError: it followed no lane.
-    """
+    """What a drive did along its lane; a SteerdError where it followed none."""
     path = read.info.path
     lane, state = load_lane(read.session), read.table(topics.STATE)
     if lane is None or state is None:
@@ -109,14 +103,10 @@ def make_lane_session(read: Recording) -> LaneSession:
 
 
 def check_same_lane(drives: Sequence[LaneSession]) -> None:
-    """Refuse drives of different lanes: a place on one is none on the other.
-
-    Raises:
-        SteerdError: two lanes differ in shape or length, or there are too many drives.
-    """
+    """Refuse drives of different lanes, whose places do not match, and more than have a colour."""
     if len(drives) > len(LINES):
         what = f"{len(drives)} drives: {len(LINES)} at most can be distinguished"
-        raise SteerdError(what, "name fewer", ExitCode.USAGE)
+        raise UsageError(what, "name fewer")
     first = drives[0]
     for other in drives[1:]:
         same = len(first.lane.x) == len(other.lane.x)
@@ -215,11 +205,8 @@ def find_shift(first: Sequence[Array], second: Sequence[Array]) -> float:
 
     The strongest cross-correlation of all quantities together finds the place (it favours long
     overlaps, so that of equal laps the nearest is taken); its coefficient over the overlap, which
-    favours none, the shift.
-
-    Args:
-        first: quantities of the first drive, `STEP` apart, each (n,).
-        second: the same quantities of the second, each (m,).
+    favours none, the shift. Quantities of the first drive are (n,), of the second (m,), `STEP`
+    apart.
     """
     lags = correlation_lags(len(first[0]), len(second[0]))
     total, power = np.zeros(len(lags)), np.zeros(len(lags))
@@ -236,11 +223,7 @@ def find_shift(first: Sequence[Array], second: Sequence[Array]) -> float:
 
 
 def overlay(first: Recording, second: Recording, shift: float | None = None) -> Overlay:
-    """Put two drives on one axis of time, at this shift [s], or at the one that is found.
-
-    Raises:
-        SteerdError: they have nothing in common, or no time at that shift.
-    """
+    """Two drives over one time, by a shift [s] or that found; a SteerdError for none in common."""
     panels = [{panel.title: panel for panel in make_drawing(r).panels} for r in (first, second)]
     curves = {
         title: _pick(panels[0][title].curves, panels[1][title].curves)
@@ -261,7 +244,7 @@ def overlay(first: Recording, second: Recording, shift: float | None = None) -> 
     if len(t) < 2:
         what = f"shifted by {at:g} s the drives have no time in common"
         hint = f"they last {lengths[0]:.1f} s and {lengths[1]:.1f} s"
-        raise SteerdError(what, hint, ExitCode.USAGE)
+        raise UsageError(what, hint)
     pairs = {}
     for title, curve in curves.items():
         one, other = _sample(curve[0], t), _sample(curve[1], t - at)

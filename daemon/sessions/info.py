@@ -1,6 +1,6 @@
 """The contents of a session as one value, for `steerd info` and after an import."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import isfinite
@@ -31,6 +31,7 @@ DISTANCE_MIN = 0.5  # a shorter drive identifies nothing [m]
 STEER_SD_MIN = 0.01  # steering that varies less counts as constant [rad]
 SPEED_SPAN_MIN = 0.3  # speed that varies less counts as constant [m/s]
 LATERAL_ACCEL_MIN = 1.0  # tyre parameters need more lateral acceleration than this [m/s^2]
+FAULTS = ("FAULT_STOP", "FAULT_LATCHED", "ESTOP")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +45,6 @@ class TopicReport:
     gaps: int | None  # pauses of more than `GAP_FACTOR` median intervals; None for irregular topics
     longest_gap_s: float  # the longest of them
     longest_gap_at_s: float  # when it began
-
-
-FAULTS = ("FAULT_STOP", "FAULT_LATCHED", "ESTOP")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,11 +84,7 @@ class SessionReport:
 
 
 def load_session(path: Path) -> Session:
-    """Open a session for a command.
-
-    Raises:
-        SteerdError: it cannot be opened, or holds nothing at all.
-    """
+    """Open a session; a SteerdError where it cannot be opened, or holds nothing at all."""
     with reading(path):
         session = session_read.open_session(path)
     if not session.info().count and not session.info().metadata:
@@ -159,31 +153,23 @@ def seconds_since(start_ns: int, ns: Any) -> Array:
 
 
 def load_recording(path: Path) -> Recording:
-    """Open a session for a command and read its tables.
-
-    Raises:
-        SteerdError: it cannot be opened, or holds nothing at all.
-    """
+    """Open a session and read its tables; a SteerdError where either cannot be done."""
     return read_recording(load_session(path))
 
 
 def read_recording(session: Session) -> Recording:
-    """Read every topic as columns; what cannot be read, as sentences.
-
-    Raises:
-        SteerdError: the file has changed since it was opened.
-    """
+    """Read every topic as columns; a SteerdError where the file has changed since it was opened."""
     wanted: dict[str, type[Any]] = {}
     for info in session.info().topics:
         topic = topics.find_topic(info.name)
         if topic is not None and info.count and flat_leaves(topic.message) is not None:
             wanted[info.name] = topic.message
+    tables: dict[str, Columns] = {}
+    problems = []
     with reading(session.info().path):
         try:
-            return Recording(session, session.tables(wanted), ())
+            tables = session.tables(wanted)
         except SessionError:  # one by one: those that can be read, and why the others cannot
-            tables: dict[str, Columns] = {}
-            problems = []
             for name, message in wanted.items():
                 try:
                     tables |= session.tables({name: message})
@@ -191,18 +177,14 @@ def read_recording(session: Session) -> Recording:
                     if error.code == "changed":
                         raise
                     problems.append(str(error))
-            return Recording(session, tables, problems)
+    return Recording(session, tables, problems)
 
 
 # -- the report ----------------------------------------------------------------------------------
 
 
 def make_session_report(read: Recording) -> SessionReport:
-    """Summarise a session.
-
-    Raises:
-        SteerdError: the file has changed since it was opened.
-    """
+    """Summarise a session; a SteerdError where its file has changed since it was opened."""
     with reading(read.info.path):
         info, track = read.info, read.track
         steer, wheel = read.signal(topics.ACTUATION, "steer"), read.signal(topics.WHEEL, "speed")
@@ -228,7 +210,7 @@ def make_session_report(read: Recording) -> SessionReport:
             speed=speed_range,
             steer=steer_range,
             lateral_accel=lateral_range,
-            excitation=_find_unidentifiable(track, speed_range, steer_range, lateral_range),
+            excitation=(*_find_unidentifiable(track, speed_range, steer_range, lateral_range),),
             warnings=(
                 *info.warnings,
                 *filter(None, [dropped]),
@@ -286,18 +268,16 @@ def _topic(topic: TopicInfo, read: Recording) -> TopicReport:
     return TopicReport(*known, 1.0 / usual, gaps, *longest)
 
 
-def _find_unidentifiable(track: Track | None, *ranges: SignalRange | None) -> tuple[str, ...]:
+def _find_unidentifiable(track: Track | None, *ranges: SignalRange | None) -> Iterator[str]:
     """What cannot be identified from a drive of this speed, steering and lateral acceleration."""
-    remarks, (speed, steer, lateral) = [], ranges
+    speed, steer, lateral = ranges
     if track is not None and track.length < DISTANCE_MIN:
-        return ("the car barely moved: nothing can be identified",)
+        yield "the car barely moved: nothing can be identified"
+        return
     if steer is not None and steer.sd < STEER_SD_MIN:
-        remarks.append("steering is constant: its gain, delay and lag are not identifiable")
+        yield "steering is constant: its gain, delay and lag are not identifiable"
     if speed is not None and speed.high - speed.low < SPEED_SPAN_MIN:
-        remarks.append("speed is constant: drive lag and delay are not identifiable")
+        yield "speed is constant: drive lag and delay are not identifiable"
     if lateral is not None and max(-lateral.low, lateral.high) < LATERAL_ACCEL_MIN:
         limit = f"{LATERAL_ACCEL_MIN:g} m/s²"
-        remarks.append(
-            f"lateral acceleration stays below {limit}: tyre parameters are not identifiable"
-        )
-    return tuple(remarks)
+        yield f"lateral acceleration stays below {limit}: tyre parameters are not identifiable"

@@ -152,11 +152,8 @@ def find_implausible(
     track: Track | None, steer: Signal | None, wheel: Signal | None, gyro: Signal | None
 ) -> list[str]:
     """Find signs of a wrong unit, sign or axis; one sentence each."""
-    warnings = []
-    if steer is not None and (found := make_range(steer.values)):
-        worst = max(-found.low, found.high)
-        if worst > pi / 2:
-            warnings.append(f"steering reaches {worst:.3g} rad: is it in degrees?")
+    doubt = "" if steer is None else check_steering(steer.values)
+    warnings = [doubt] if doubt else []
     if track is None:
         return warnings
     extent, fastest = max(np.ptp(track.x), np.ptp(track.y)), make_range(np.abs(track.speed))
@@ -165,6 +162,13 @@ def find_implausible(
         warnings.append(f"{far}: are they in millimetres?")
     heading = _check_heading(track) or _check_front(track, wheel)
     return [*warnings, *(heading or _check_signals(track, steer, wheel, gyro))]
+
+
+def check_steering(values: Array) -> str:
+    """What is odd about steering that no wheel does; nothing of a plausible one."""
+    found = make_range(values)
+    worst = 0.0 if found is None else max(-found.low, found.high)
+    return f"steering reaches {worst:.3g} rad: is it in degrees?" if worst > pi / 2 else ""
 
 
 def _check_heading(track: Track) -> list[str]:

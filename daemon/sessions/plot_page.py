@@ -12,13 +12,13 @@ import csv
 import io
 import zlib
 from dataclasses import asdict, dataclass
-from math import degrees
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from steerd.car_model.path.path import Path as Lane
 from steerd.daemon.common.screen import clean
 from steerd.daemon.sessions.info import SessionReport
 from steerd.daemon.sessions.motion import GAP_MAX, Track
@@ -68,7 +68,7 @@ def _data(report: SessionReport, drawing: Drawing, buckets: int) -> dict[str, An
             for panel in drawing.panels
         ],
         "track": None if drawing.track is None else _track(drawing.track, drawing.e1),
-        "lane": _lane(drawing),
+        "lane": None if drawing.lane is None else _lane(drawing.lane, drawing.half_width),
     }
 
 
@@ -91,49 +91,41 @@ def _track(track: Track, e1: Array) -> dict[str, Any]:
     at = np.minimum(grid.start + grid.step * np.arange(slots), t[-1])
     after = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
     gone = t[after] - t[after - 1] > GAP_MAX
-    shown = np.isfinite(e1).any() if e1.size else False
+    shown = np.isfinite(e1).any()
     colour = np.abs(e1 if shown else track.speed)
     finite = colour[np.isfinite(colour)]
     top = float(np.quantile(finite, 0.999)) if finite.size else 1.0
-    columns = {"x": track.x, "y": track.y, "yaw": track.yaw, "c": colour}
     packed: dict[str, Any] = {}
-    for name, column in columns.items():
+    for name, column in (("x", track.x), ("y", track.y), ("yaw", track.yaw), ("c", colour)):
         value = np.interp(at, t, column)
         bad = gone | ~np.isfinite(value)
         kinds = np.where(bad, BREAK, VALUE).astype(np.uint8)
         packed[name] = pack(np.where(bad, 0.0, value), kinds)
-    about = ("|e1|", "mm", 1e3) if shown else ("speed", "m/s", 1.0)
-    named = dict(zip(("colour", "unit", "factor"), about, strict=True))
+    named = {"colour": "|e1|", "unit": "mm", "factor": 1e3}
+    if not shown:
+        named = {"colour": "speed", "unit": "m/s", "factor": 1.0}
     return {**packed, **named, "grid": asdict(grid), "top": max(top, 1e-6)}
 
 
-def _lane(drawing: Drawing) -> dict[str, Any] | None:
-    lane = drawing.lane
-    if lane is None:
-        return None
-    stride = max(1, len(lane.x) // LANE_POINTS)
-    keep = [*range(0, len(lane.x), stride)]
+def _lane(lane: Lane, half: float) -> dict[str, Any]:
+    keep = [*range(0, len(lane.x), max(1, len(lane.x) // LANE_POINTS))]
     if not lane.closed and keep[-1] != len(lane.x) - 1:
         keep.append(len(lane.x) - 1)
-    return {
-        "x": [round(lane.x[i], 4) for i in keep],
-        "y": [round(lane.y[i], 4) for i in keep],
-        "closed": lane.closed,
-        "half": drawing.half_width,
-    }
+    x, y = ([round(axis[i], 4) for i in keep] for axis in (lane.x, lane.y))
+    return {"x": x, "y": y, "closed": lane.closed, "half": half}
 
 
 def make_csv(drawing: Drawing) -> str:
     """Track and curves as a table, every `CSV_STEP`, empty where a curve has no value."""
-    columns = [
+    columns = []
+    if (track := drawing.track) is not None:
+        places = (("x [m]", track.x), ("y [m]", track.y), ("yaw [°]", np.degrees(track.yaw)))
+        columns += [(head, track.t, value) for head, value in places]
+    columns += [
         (f"{panel.title}: {curve.name} [{panel.unit or 1}]", curve.t, curve.value)
         for panel in drawing.panels
         for curve in panel.curves
     ]
-    if drawing.track is not None:
-        places = (("x [m]", "x", 1.0), ("y [m]", "y", 1.0), ("yaw [°]", "yaw", degrees(1.0)))
-        columns[:0] = [(head, drawing.track.t, scale * getattr(drawing.track, name))
-                       for head, name, scale in places]  # fmt: skip
     steps = 1 + int(max((t[-1] for _, t, _ in columns), default=0.0) / CSV_STEP)
     at = CSV_STEP * np.arange(steps)
     values = [np.interp(at, t, value, np.nan, np.nan) for _, t, value in columns]
@@ -170,15 +162,9 @@ def make_grid(start: float, end: float, buckets: int) -> Grid:
 
 
 def decimate(grid: Grid, t: Array, value: Array) -> tuple[Array, NDArray[np.uint8]]:
-    """Values and kinds (`HELD`, `VALUE`, `BREAK`) of a curve on a grid.
+    """Values (0 where none) and kinds (`HELD`, `VALUE`, `BREAK`) of a curve on a grid, (slots,).
 
-    Args:
-        grid: instants of the result.
-        t: times [s], not decreasing, shape (n,).
-        value: shape (n,); NaN where the line breaks.
-
-    Returns:
-        Arrays of `grid.slots`: values (0 where none) and kinds (uint8).
+    Its times [s] do not decrease (n,); where a value (n,) is NaN the line breaks.
     """
     out, kinds = np.zeros(grid.slots), np.zeros(grid.slots, np.uint8)
     bucket = np.floor((t - grid.start) / (2.0 * grid.step)).astype(np.int64)

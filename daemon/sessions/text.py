@@ -106,20 +106,18 @@ def _drive(report: SessionReport) -> str:
     if report.length_m is not None:
         parts.append(f"{report.length_m:.1f} m")
     if report.speed:
-        parts.append(f"speed {_span(report.speed, 1)} m/s")
+        parts.append(f"speed {_span(report.speed)} m/s")
     if report.steer:
-        parts.append(
-            f"steering {_span(report.steer, 1, degrees(1.0))}° (sd {degrees(report.steer.sd):.1f})"
-        )
+        span, sd = _span(report.steer, degrees(1.0)), degrees(report.steer.sd)
+        parts.append(f"steering {span}° (sd {sd:.1f})")
     if report.lateral_accel:
         worst = max(-report.lateral_accel.low, report.lateral_accel.high)
         parts.append(f"lateral acceleration up to {worst:.1f} m/s²")
     return ", ".join(map(join_words, parts))
 
 
-def _span(found: SignalRange, digits: int, scale: float = 1.0) -> str:
-    low, high = (round(scale * v, digits) + 0.0 for v in (found.low, found.high))
-    return f"{low:.{digits}f} to {high:.{digits}f}"
+def _span(found: SignalRange, scale: float = 1.0) -> str:
+    return f"{scale * found.low:z.1f} to {scale * found.high:z.1f}"
 
 
 def _topics(report: SessionReport) -> list[str]:
@@ -140,8 +138,7 @@ def _topics(report: SessionReport) -> list[str]:
     name = min(name, _NAME_MAX, room - _TYPE_MIN)
     cells = [(cut(row[0], name), cut(row[1], min(kind, room - name)), *row[2:]) for row in rows]
     lines = [f"  {line}" for line in format_table(Table(heads, cells, words=(1, 4)))]
-    more = len(report.topics) - len(shown)
-    if more:
+    if more := len(report.topics) - len(shown):
         lines.append(f"  … and {more} topics more (--json lists them)")
     if report.empty_topics:
         names = ", ".join(_short(name) for name in report.empty_topics[:EMPTY_SHOWN])

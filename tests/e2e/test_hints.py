@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from steerd.daemon.analysis.hints import complete
+from steerd.daemon.analysis.drives import Drives
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.settings.run_options import RunOptions, encode_options
 from steerd.sim_gap.verdict.next_manoeuvre import MENU
@@ -76,7 +76,7 @@ def test_every_manoeuvre_runs_on_the_session_that_asked_for_it(hall, monkeypatch
     monkeypatch.chdir(hall)
     sessions = [open_session("a mixed.mcap")]
     hints = [*(f"`{drive.command}`" for drive in MENU.values()), *MANOEUVRES.values()]
-    commands = {c for hint in hints for c in typed(complete(hint, sessions))}
+    commands = {c for hint in hints for c in typed(Drives(tuple(sessions), ()).complete(hint))}
     assert len(commands) >= len(MENU)
     for command in sorted(commands):
         assert "--sim --fast --sim-car hidden:3" in command
@@ -90,7 +90,7 @@ def test_of_a_car_its_port_and_mocap_and_of_a_log_the_plans(tmp_path):
     def told(hint, **metadata):
         path = tmp_path / f"{len([*tmp_path.iterdir()])}.mcap"
         SessionWriter(path, {}, {"steerd.session": metadata}).finish({})
-        return complete(hint, [open_session(path)])
+        return Drives((open_session(path),), ()).complete(hint)
 
     hint = "steps (`steerd collect --plan steps`)"
     ours = {"options": encode_options(car)}

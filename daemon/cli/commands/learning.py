@@ -7,10 +7,10 @@ import json
 import sys
 from argparse import SUPPRESS, ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from steerd.car_model.car_file import CarFile
-from steerd.daemon.analysis.options import Watch, read_arguments
+from steerd.daemon.analysis.options import Finding, Watch, read_arguments
 from steerd.daemon.cli import arguments
 from steerd.daemon.cli.arguments import missing_car, option, split_list
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
@@ -18,9 +18,6 @@ from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.screen import print_labelled, wrap
 from steerd.daemon.common.written import Write, writing
 from steerd.posterior_file import posterior_path
-
-if TYPE_CHECKING:
-    from steerd.daemon.analysis.finding import Finding
 
 _DRAW, _NOISE = 1.0, 8.0  # about what the report's figures and the noise cost, in sessions read
 
@@ -176,7 +173,7 @@ def _is_screen(args: Namespace) -> bool:
     return str(args.json) == "-"
 
 
-def present(found: "Finding", args: Namespace, write: Write) -> CarFile | None:
+def present(found: Finding, args: Namespace, write: Write) -> CarFile | None:
     """Print the screen, write car, JSON and page; the car, None where none was asked for.
 
     Raises:

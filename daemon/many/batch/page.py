@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from steerd.daemon.common.screen import clean
 from steerd.daemon.many.batch import changes as steps
 from steerd.daemon.many.batch.changes import Change, Series
-from steerd.daemon.many.job import Rows
+from steerd.daemon.many.job import FAILED, Rows
 from steerd.sysid.report.drawing import AFTER, BAND, BEFORE, Diagrams
 from steerd.sysid.report.report import Card, Report, Section, Table
 
@@ -32,7 +32,7 @@ def make_report(
     kind: str, rows: Rows, series: Sequence[Series], changes: Sequence[Change]
 ) -> Report:
     """What the page shows."""
-    first: dict[tuple[str, str], Change] = {(c.car, c.quantity): c for c in changes}
+    first = {(c.car, c.quantity): c for c in changes}
     ordered = sorted(series, key=lambda s: (s.car, s.quantity) not in first)
     sections = [
         Section("Cars", table=_count_cars(rows)),
@@ -59,14 +59,10 @@ def make_report(
             "that changed first.",
             figures=[Diagrams(plot, 2.0, count=len(drawn), columns=3)],
         ))  # fmt: skip
-    failed = [row for row in rows if row["outcome"] != "done"]
-    if failed:
+    if failed := [row for row in rows if row["outcome"] == FAILED]:
         shown = [(clean(str(row["session"]), 60), clean(row["failure"])) for row in failed]
-        sections.append(Section(
-            "What failed",
-            _more(len(failed), _FAILURES),
-            table=Table(("session", "why"), shown[:_FAILURES], words=(1,)),
-        ))  # fmt: skip
+        table = Table(("session", "why"), shown[:_FAILURES], words=(1,))
+        sections.append(Section("What failed", _more(len(failed), _FAILURES), table=table))
     return Report(
         title=f"{len(rows)} sessions, batch {kind}",
         sections=sections,
@@ -78,7 +74,7 @@ def make_report(
 def _cards(rows: Rows, series: Sequence[Series], changes: Sequence[Change]) -> Iterator[Card]:
     """The figures that are read first; of each car that changed the clearest change."""
     cars = len({row["car"] for row in rows if row.get("car")})
-    failed = sum(row["outcome"] != "done" for row in rows)
+    failed = sum(row["outcome"] == FAILED for row in rows)
     yield Card("sessions", str(len(rows)), f"{cars} car{'s' * (cars != 1)}; {failed} failed")
     for c in {change.car: change for change in reversed(changes)}.values():
         text = f"{c.before:.4g} → {c.after:.4g}"
@@ -95,7 +91,7 @@ def _count_cars(rows: Rows) -> Table:
     table = []
     for car, own in sorted(cars.items()):
         days = sorted(row["day"] for row in own if row.get("day")) or ["–"]
-        failed = sum(row["outcome"] != "done" for row in own)
+        failed = sum(row["outcome"] == FAILED for row in own)
         table.append((clean(car, 24), str(len(own)), str(failed), days[0], days[-1]))
     return Table(("car", "sessions", "failed", "first", "last"), table)
 
@@ -113,10 +109,8 @@ def _list_sessions(rows: Rows) -> Table:
     texts = [name for name in _WORDS if any(row.get(name) for row in newest)]
     table = []
     for row in newest:
-        numbers = (row.get(name) for name, _, _ in figures)
-        scaled = (
-            "–" if n is None else f"{f[2] * n:.4g}" for n, f in zip(numbers, figures, strict=True)
-        )
+        values = ((row.get(name), scale) for name, _, scale in figures)
+        scaled = ("–" if value is None else f"{scale * value:.4g}" for value, scale in values)
         name = clean(str(row["session"]).rpartition("/")[2])
         table.append((name, *(clean(str(row.get(text) or "–"), 24) for text in texts), *scaled))
     heads = ("session", *texts, *(head for _, head, _ in figures))

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import UsageError
 from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.common.row_file import Row
 from steerd.daemon.common.screen import clean, shown, wrap
@@ -16,10 +16,7 @@ from steerd.daemon.many.batch import unit
 from steerd.daemon.many.batch.changes import Change, Series
 from steerd.daemon.many.job import FAILED, Column, Found, Job, do_in_notebook
 from steerd.daemon.many.units import Done, Where
-from steerd.sysid.report.report import format_table
-
-if TYPE_CHECKING:
-    from steerd.sysid.report.report import Report
+from steerd.sysid.report.report import Report, format_table
 
 DONE = "done"
 _FAILURES, _CHANGES = 5, 12  # lines of each that are shown
@@ -66,23 +63,19 @@ class Batch(Found):
         """What changed, the clearest first."""
         return tuple(steps.find_changes(self.series))
 
-    def make_report(self) -> "Report":
+    def make_report(self) -> Report:
         """What the page shows: quantities over weeks with their bands, and the days of changes."""
         from steerd.daemon.many.batch.page import make_report
 
         return make_report(self.kind, self.rows, self.series, self.changes)
 
     def __str__(self) -> str:
-        rows = self.rows
-        failed = [row for row in rows if row["outcome"] != DONE]
+        rows, failed = self.rows, [row for row in self.rows if row["outcome"] == FAILED]
         cars = Counter(str(row["car"]) for row in rows if row.get("car") is not None)
         days = sorted({row["day"] for row in rows if row.get("day")})
         between = f", {' to '.join(sorted({days[0], days[-1]}))}" if days else ""
-        lines = wrap(
-            f"sessions   {len(rows)} of {len(cars)} car{'' if len(cars) == 1 else 's'}{between}; "
-            f"{self.worked} worked on now",
-            "", " " * 11,
-        )  # fmt: skip
+        count = f"{len(rows)} of {len(cars)} car{'' if len(cars) == 1 else 's'}{between}"
+        lines = wrap(f"{count}; {self.worked} worked on now", "sessions   ", " " * 11)
         verdicts = Counter(clean(str(r["verdict"]), 40) for r in rows if r.get("verdict"))
         reported = ", ".join(f"{count} {text}" for text, count in verdicts.most_common(6))
         lines += wrap(reported, "verdicts   ", " " * 11)
@@ -134,7 +127,7 @@ def batch(
         SteerdError: an argument cannot be used. A session that fails is a row.
     """
     if kind not in get_args(unit.Kind):
-        raise SteerdError(f"kind {kind!r}: {' or '.join(get_args(unit.Kind))}", "", ExitCode.USAGE)
+        raise UsageError(f"kind {kind!r}: {' or '.join(get_args(unit.Kind))}")
     words = [sessions] if isinstance(sessions, str | Path) else list(sessions)
     paths = unit.find_batch([str(word) for word in words])
     job = make_job(paths, unit.Question(kind, unit.read_cars(None if cars is None else Path(cars))))

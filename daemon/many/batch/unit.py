@@ -4,7 +4,7 @@ import glob
 import hashlib
 import json
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from math import isfinite
@@ -29,7 +29,7 @@ Kind = Literal["summarise", "identify", "diagnose"]
 class Question:
     """What is asked of every session."""
 
-    kind: Kind  # summarise, identify or diagnose
+    kind: Kind
     # Car file by the car's name, under "" that of every other car; where there is none,
     # identification starts at the F1TENTH car and a diagnosis takes the session's
     cars: Mapping[str, CarFile]
@@ -60,11 +60,7 @@ def read_content(task: UnitTask) -> UnitTask:
 
 
 def find_batch(words: Sequence[str]) -> list[Path]:
-    """Sessions that folders (with all below them), patterns and files name; each once.
-
-    Raises:
-        SteerdError: a word names nothing.
-    """
+    """Sessions in folders and below, of patterns and files, each once; a SteerdError for none."""
     found: dict[Path, None] = {}
     for word in words:
         path = Path(word)
@@ -83,11 +79,7 @@ def find_batch(words: Sequence[str]) -> list[Path]:
 
 
 def read_cars(named: Path | None) -> dict[str, CarFile]:
-    """Car files by the cars' names: of a folder `NAME.toml` each, or one file for every car.
-
-    Raises:
-        SteerdError: there is none, or one cannot be used.
-    """
+    """Car files by name, a folder's `NAME.toml` or one for all; a SteerdError for what is none."""
     if named is None:
         return {}
     if not named.is_dir():
@@ -113,11 +105,7 @@ def make_tasks(paths: Sequence[Path]) -> dict[str, UnitTask]:
 
 
 def run_unit(question: Question, task: UnitTask) -> dict[str, Any]:
-    """The row of one session.
-
-    Raises:
-        SteerdError: the session cannot be used for what is asked.
-    """
+    """The row of one session; a SteerdError where it cannot be used for what is asked."""
     if task.content is None:
         return _answer(task.path, question, task.changed_ns)
     with tempfile.TemporaryDirectory(prefix="steerd-") as folder:
@@ -134,9 +122,16 @@ def _answer(path: Path, question: Question, changed_ns: int) -> dict[str, Any]:
     info = load_session(path).info()
     # Drives in virtual time all begin on one date, and logs whose clock began at zero have none.
     dated = info.start_ns >= _EARLIEST_NS and not is_virtual(info)
-    car = clean(info.metadata.get("steerd.session", {}).get("car", ""), _CAR_MAX)
-    row = {"car": car, "start": (info.start_ns if dated else changed_ns) * 1e-9}
-    return row | _ANSWERS[question.kind](path, car, question)
+    name = clean(info.metadata.get("steerd.session", {}).get("car", ""), _CAR_MAX)
+    row = {"car": name, "start": (info.start_ns if dated else changed_ns) * 1e-9}
+    car = question.cars.get(name, question.cars.get(""))
+    match question.kind:
+        case "summarise":
+            return row | _summarise(path)
+        case "identify":
+            return row | _identify(path, car)
+        case "diagnose":
+            return row | _diagnose(path, car)
 
 
 def day_of(start: float) -> str:
@@ -144,7 +139,7 @@ def day_of(start: float) -> str:
     return f"{datetime.fromtimestamp(start, UTC):%Y-%m-%d}"
 
 
-def _summarise(path: Path, car: str, question: Question) -> dict[str, Any]:
+def _summarise(path: Path) -> dict[str, Any]:
     from steerd.daemon.sessions.catalogue import summarise
 
     entry = summarise(path)
@@ -154,11 +149,10 @@ def _summarise(path: Path, car: str, question: Question) -> dict[str, Any]:
     return {name: getattr(entry, name) for name in names}
 
 
-def _identify(path: Path, car: str, question: Question) -> dict[str, Any]:
+def _identify(path: Path, start: CarFile | None) -> dict[str, Any]:
     from steerd.daemon.analysis.identification import identify
-    from steerd.daemon.analysis.options import read_car
 
-    start = _find_car(question, car) or read_car(None)
+    start = start or load_car_file(None)
     # A ruler's length: one drive does not decide a car's scale.
     found = identify(path, car=start, wheelbase=wheelbase(start.car))
     said = found.to_json()
@@ -173,10 +167,10 @@ def _identify(path: Path, car: str, question: Question) -> dict[str, Any]:
     return row
 
 
-def _diagnose(path: Path, car: str, question: Question) -> dict[str, Any]:
+def _diagnose(path: Path, base: CarFile | None) -> dict[str, Any]:
     from steerd.daemon.analysis.diagnosis import diagnose
 
-    said = diagnose(path, base=_find_car(question, car), closed_loop=False).to_json()
+    said = diagnose(path, base=base, closed_loop=False).to_json()
     row: dict[str, Any] = {
         "verdict": said["verdict"],
         "causes": ", ".join(sorted(cause["effect"] for cause in said["causes"])),
@@ -189,15 +183,3 @@ def _diagnose(path: Path, car: str, question: Question) -> dict[str, Any]:
                 column = f"{cause['effect']}.{name}"
                 row |= {column: value["value"], f"{column}_sd": value["sd"]}
     return row
-
-
-def _find_car(question: Question, car: str) -> CarFile | None:
-    """The car file of a car; None where the batch names none for it."""
-    return question.cars.get(car, question.cars.get(""))
-
-
-_ANSWERS: Mapping[str, Callable[[Path, str, Question], dict[str, Any]]] = {
-    "summarise": _summarise,
-    "identify": _identify,
-    "diagnose": _diagnose,
-}

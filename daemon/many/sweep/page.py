@@ -11,7 +11,7 @@ from steerd.daemon.many.sweep import summary as figures
 from steerd.daemon.many.sweep.plan import DRIVEN, Choice, Distribution
 from steerd.daemon.many.sweep.summary import Summary
 from steerd.sysid.report.drawing import AFTER, BEFORE, Diagrams
-from steerd.sysid.report.report import SCALES, Card, Cell, Report, Section, Table
+from steerd.sysid.report.report import Card, Cell, Report, Section, Table
 
 _BINS = 30
 _TICKS = 5  # numbers below a small diagram at most: more would touch
@@ -105,8 +105,8 @@ def _describe(choice: Choice) -> str:
     return shown + (", …" if len(choice) > _VALUES else "")
 
 
-def _scaled(rows: Rows, name: str) -> np.ndarray:
-    return figures.column(rows, name) * SCALES.get(figures.UNITS.get(name, ""), (1.0, ""))[0]
+def _scaled(rows: Rows, name: str) -> figures.Array:
+    return figures.column(rows, name) * figures.find_scale(name)
 
 
 def _draw_histograms(found: Summary) -> list[Diagrams]:

@@ -69,11 +69,7 @@ _DRIVE = (
 
 
 def find_quantity(name: str, car: CarFile) -> Quantity:
-    """The quantity of a name.
-
-    Raises:
-        ValueError: there is none; the message offers the nearest.
-    """
+    """The quantity of a name; the ValueError where there is none offers the nearest."""
     known = {q.name: q for q in (*_DRIVE, *INSTRUMENTS)}
     for p in PARAMETERS:
         usual = float(getattr(car.car, p.name))
@@ -142,11 +138,7 @@ class Distribution:
         return FORMS[self.shape].words.format(f"{self.one:.4g}", f"{self.other:.4g}")
 
     def draw(self, name: str, seed: int) -> float:
-        """The value of a seed.
-
-        Raises:
-            ValueError: nearly everything lies outside the bounds.
-        """
+        """The value of a seed; a ValueError where nearly everything lies outside the bounds."""
         rng = np.random.default_rng([_STREAM, crc32(name.encode()), seed])
         for _ in range(_REDRAWS):
             value = float(FORMS[self.shape].draw(rng, self.one, self.other))
@@ -159,10 +151,8 @@ def parse_distribution(quantity: Quantity, given: Mapping[str, Any]) -> Distribu
     """The distribution of a quantity, as a TOML table or a dictionary says it.
 
     That is `low` and `high`, also with `log`; `mean` and `sd`; `median` and `factor`; or `share` of
-    the usual value as a standard deviation.
-
-    Raises:
-        ValueError: it is none of these, or lies outside the bounds.
+    the usual value as a standard deviation. A ValueError says that it is none of these, or lies
+    outside the bounds.
     """
     name, rest, usual = quantity.name, dict(given), quantity.usual
     if [*rest] == ["share"]:
@@ -197,11 +187,7 @@ def _number(name: str, key: str, value: Any) -> float:
 
 
 def check_bounds(name: str, value: Any, low: float, high: float) -> float:
-    """A number within its bounds.
-
-    Raises:
-        ValueError: it is none, or lies outside.
-    """
+    """A number; a ValueError where it is none, or lies outside its bounds."""
     number = _number(name, "the value", value)
     if not low <= number <= high:
         raise ValueError(f"{name} = {number:g}: {low:g} to {high:g}")
@@ -261,11 +247,7 @@ class DriveCase:
 
 
 def list_cases(plan: SweepPlan) -> Iterator[DriveCase]:
-    """Every combination of the lists, each with every seed.
-
-    Raises:
-        SteerdError: a distribution never yields what its quantity may be.
-    """
+    """Every combination of the lists with every seed; a SteerdError where a draw never fits."""
     lists = {name: c for name, c in plan.vary.items() if isinstance(c, tuple)}
     drawn = {name: c for name, c in plan.vary.items() if isinstance(c, Distribution)}
     number = itertools.count()
@@ -278,11 +260,7 @@ def list_cases(plan: SweepPlan) -> Iterator[DriveCase]:
 
 
 def load_sweep(path: Path) -> SweepPlan:
-    """The sweep of a file.
-
-    Raises:
-        SteerdError: it or its car file cannot be read, or says something impossible.
-    """
+    """The sweep of a file; a SteerdError where it, or its car file, cannot be read or used."""
     with refusing(f"{path}: ", code=ExitCode.INVALID):
         given = load_toml(path)
     car = given.pop("car", None)
@@ -290,11 +268,7 @@ def load_sweep(path: Path) -> SweepPlan:
 
 
 def make_sweep_plan(car: CarFile, given: Mapping[str, Any]) -> SweepPlan:
-    """Check what a sweep file or a caller says: seeds, duration, rate, path, speed and vary.
-
-    Raises:
-        SteerdError: something is unknown, missing or impossible.
-    """
+    """Check what a sweep file or a caller says; a SteerdError for what is odd or impossible."""
     known = (*_PARSERS, "car", "vary")
     odd = next((key for key in given if key not in known), None)
     if odd is not None:

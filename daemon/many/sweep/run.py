@@ -6,7 +6,7 @@ from functools import partial
 from itertools import islice
 from math import nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from steerd.controller.loop_model import Timing
 from steerd.daemon.analysis.options import CarSource, read_car
 from steerd.daemon.analysis.simulation import plan_drive
 from steerd.daemon.assembly.build import NS, RunPlan, make_world_config
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import SteerdError, UsageError
 from steerd.daemon.common.notebook import speaking_of_arguments
 from steerd.daemon.common.row_file import Row
 from steerd.daemon.common.screen import shown
@@ -32,9 +32,7 @@ from steerd.daemon.many.units import Done, Where
 from steerd.daemon.offline.virtual import VirtualRun, drive, make_virtual_run
 from steerd.daemon.sessions.motion import SETTLE, rms
 from steerd.sim_hw.world import World, WorldConfig
-
-if TYPE_CHECKING:
-    from steerd.sysid.report.report import Report
+from steerd.sysid.report.report import Report
 
 
 @shown
@@ -42,7 +40,7 @@ if TYPE_CHECKING:
 class Sweep(Summary):
     """What a sweep found; `print(sweep)` is the screen of `steerd sweep`."""
 
-    def make_report(self) -> "Report":
+    def make_report(self) -> Report:
         """What the page shows: distributions, stops, sensitivity of each to each."""
         from steerd.daemon.many.sweep.page import make_report
 
@@ -93,11 +91,7 @@ def sweep(
 
 
 def make_job(plan: SweepPlan) -> Job[Sweep]:
-    """A sweep as work for `do_job`.
-
-    Raises:
-        SteerdError: a distribution never yields what its quantity may be.
-    """
+    """A sweep as work for `do_job`; a SteerdError where a draw never lies within its bounds."""
     cases = {str(case.number): case for case in plans.list_cases(plan)}
 
     def make_row(done: Done) -> Row:
@@ -110,14 +104,9 @@ def make_job(plan: SweepPlan) -> Job[Sweep]:
 
 
 def find_case(plan: SweepPlan, number: int) -> DriveCase:
-    """One drive of a sweep, to be driven again alone.
-
-    Raises:
-        SteerdError: there is no such drive.
-    """
+    """One drive of a sweep, to be driven again alone; a SteerdError where there is none."""
     if not 0 <= number < plan.count:
-        what = f"there is no drive {number}: they are 0 to {plan.count - 1}"
-        raise SteerdError(what, "", ExitCode.USAGE)
+        raise UsageError(f"there is no drive {number}: they are 0 to {plan.count - 1}")
     return next(islice(plans.list_cases(plan), number, None))
 
 
@@ -160,11 +149,7 @@ def run_case(plan: SweepPlan, case: DriveCase) -> dict[str, Any]:
 
 
 def prepare(plan: SweepPlan, case: DriveCase) -> tuple[RunPlan, WorldConfig]:
-    """The drive's plan, and its simulated hardware.
-
-    Raises:
-        SteerdError: a path or a value cannot be used.
-    """
+    """The drive's plan, its simulated hardware; a SteerdError for a path or value without use."""
     values = case.values
     speed, path = float(values.get("speed", plan.speed)), str(values.get("path", plan.path))
     effects: dict[str, dict[str, float]] = {}

@@ -21,6 +21,32 @@ _Z = 1.96  # standard deviations of a 95 % interval
 STOPS = "stopped"  # the measure that says whether a watchdog stopped the drive
 _LEAST = 8  # drives below which nothing is said about a dependence
 _MOVES = 0.005  # a smaller move of a measure, as a share of it, is not worth a word [-]
+_SHOWN = 8  # dependences that are shown
+MEASURES = (
+    Column("e1_rms", "number", "m", "lateral error as estimated, RMS after the approach"),
+    Column("e1_p95", "number", "m", "lateral error as estimated, 95 % of the time below"),
+    Column("e1_max", "number", "m", "lateral error as estimated, largest"),
+    Column("true_e1_rms", "number", "m", "lateral error of the simulated car itself, RMS"),
+    Column("true_e1_max", "number", "m", "lateral error of the simulated car itself, largest"),
+    Column("e2_rms", "number", "rad", "heading error as estimated, RMS"),
+    Column("lane_margin", "number", "m", "what the largest error leaves to the watchdog's bound"),
+    Column("steer_margin", "number", "1", "share of the wheel angle never used"),
+    Column("damping", "number", "1", "least damping of the designed loop with the drawn car"),
+    Column("delay_margin", "number", "s", "dead time that the drawn car's loop still tolerates"),
+)
+"""Of a drive; missing where it was not driven beyond the approach."""
+UNITS = {c.name: c.unit for c in MEASURES}  # SI unit by measure
+_HEAD = (
+    Column("drive", "count", "", "number of the drive"),
+    Column("seed", "count", "", "of draws and of the simulated hardware's noise"),
+)
+_ENDS = (
+    Column("outcome", "text", "", "driven, stopped, refused (no design) or failed"),
+    Column("watchdog", "text", "", "that stopped it"),
+    Column("reason", "text", "", "why it was stopped, refused or failed"),
+    Column("seconds", "number", "s", "driven"),
+    Column("metres", "number", "m", "driven"),
+)
 
 
 @dataclass(frozen=True)
@@ -94,69 +120,15 @@ def column(rows: Rows, name: str) -> Array:
     return np.array([np.nan if value is None else float(value) for value in values])
 
 
-def _sensitivities(plan: SweepPlan, rows: Rows) -> list[Sensitivity]:
-    """Each varied quantity against each measure; none where either does not vary."""
-    found = []
-    for quantity in plan.quantities:
-        texts = np.array([str(row[quantity.name]) for row in rows]) if quantity.is_text else None
-        given = None if quantity.is_text else column(rows, quantity.name)
-        for name in (*(c.name for c in MEASURES), STOPS):
-            seen = column(rows, name)
-            known = np.isfinite(seen)
-            if known.sum() < _LEAST or np.ptp(seen[known]) == 0.0:
-                continue
-            if given is not None and np.ptp(given[known]) > 0.0:
-                value = float(stats.spearmanr(given[known], seen[known]).statistic)
-                low, high = np.quantile(given[known], (0.2, 0.8))  # the outer fifths, with ties
-                outer = (seen[known & (given <= low)], seen[known & (given >= high)])
-                means, groups = (float(outer[0].mean()), float(outer[1].mean())), 2
-            elif texts is not None and len(set(texts[known])) > 1:
-                each = [seen[known & (texts == text)] for text in sorted(set(texts[known]))]
-                value = sqrt(stats.kruskal(*each).statistic / (known.sum() - 1))
-                sizes = [float(group.mean()) for group in each]
-                means, groups = (min(sizes), max(sizes)), len(each)
-            else:
-                continue
-            least = _Z * sqrt((groups - 1) / (known.sum() - 1))
-            found.append(Sensitivity(quantity.name, name, value, min(least, 1.0), *means))
-    return found
-
-
-MEASURES = (
-    Column("e1_rms", "number", "m", "lateral error as estimated, RMS after the approach"),
-    Column("e1_p95", "number", "m", "lateral error as estimated, 95 % of the time below"),
-    Column("e1_max", "number", "m", "lateral error as estimated, largest"),
-    Column("true_e1_rms", "number", "m", "lateral error of the simulated car itself, RMS"),
-    Column("true_e1_max", "number", "m", "lateral error of the simulated car itself, largest"),
-    Column("e2_rms", "number", "rad", "heading error as estimated, RMS"),
-    Column("lane_margin", "number", "m", "what the largest error leaves to the watchdog's bound"),
-    Column("steer_margin", "number", "1", "share of the wheel angle never used"),
-    Column("damping", "number", "1", "least damping of the designed loop with the drawn car"),
-    Column("delay_margin", "number", "s", "dead time that the drawn car's loop still tolerates"),
-)
-"""Of a drive; missing where it was not driven beyond the approach."""
-_HEAD = (
-    Column("drive", "count", "", "number of the drive"),
-    Column("seed", "count", "", "of draws and of the simulated hardware's noise"),
-)
-_ENDS = (
-    Column("outcome", "text", "", "driven, stopped, refused (no design) or failed"),
-    Column("watchdog", "text", "", "that stopped it"),
-    Column("reason", "text", "", "why it was stopped, refused or failed"),
-    Column("seconds", "number", "s", "driven"),
-    Column("metres", "number", "m", "driven"),
-)
-OUTCOMES = (DRIVEN, STOPPED, REFUSED, FAILED)
-
-
-UNITS = {c.name: c.unit for c in MEASURES}  # SI unit by measure
-_SHOWN = 8  # dependences that are shown
+def find_scale(name: str) -> float:
+    """From a measure's SI unit to the unit that people read."""
+    return SCALES.get(UNITS.get(name, ""), (1.0, ""))[0]
 
 
 def name_measure(name: str) -> str:
     """A measure with the unit that people read."""
     unit = UNITS.get(name, "")
-    unit = SCALES.get(unit, (1.0, "" if unit == "1" else unit))[1]
+    unit = SCALES.get(unit, (1.0, unit))[1]
     return f"{name} [{unit}]" if unit else name
 
 
@@ -179,7 +151,8 @@ class Summary(Found):
     def outcomes(self) -> tuple[Share, ...]:
         """How often drives ended in which way."""
         counts = Counter(str(row["outcome"]) for row in self.rows)
-        return tuple(make_share(name, counts[name], len(self.rows)) for name in OUTCOMES)
+        names = (DRIVEN, STOPPED, REFUSED, FAILED)
+        return tuple(make_share(name, counts[name], len(self.rows)) for name in names)
 
     @cached_property
     def watchdogs(self) -> tuple[Share, ...]:
@@ -205,7 +178,34 @@ class Summary(Found):
     @cached_property
     def sensitivities(self) -> tuple[Sensitivity, ...]:
         """How much each varied quantity moves each measure."""
-        return tuple(_sensitivities(self.plan, self.rows))
+        found = []
+        for quantity in self.plan.quantities:
+            texts = (
+                np.array([str(row[quantity.name]) for row in self.rows])
+                if quantity.is_text
+                else None
+            )
+            given = None if quantity.is_text else column(self.rows, quantity.name)
+            for name in (*(c.name for c in MEASURES), STOPS):
+                seen = column(self.rows, name)
+                known = np.isfinite(seen)
+                if known.sum() < _LEAST or np.ptp(seen[known]) == 0.0:
+                    continue
+                if given is not None and np.ptp(given[known]) > 0.0:
+                    value = float(stats.spearmanr(given[known], seen[known]).statistic)
+                    low, high = np.quantile(given[known], (0.2, 0.8))  # the outer fifths, with ties
+                    outer = (seen[known & (given <= low)], seen[known & (given >= high)])
+                    means, groups = (float(outer[0].mean()), float(outer[1].mean())), 2
+                elif texts is not None and len(set(texts[known])) > 1:
+                    each = [seen[known & (texts == text)] for text in sorted(set(texts[known]))]
+                    value = sqrt(stats.kruskal(*each).statistic / (known.sum() - 1))
+                    sizes = [float(group.mean()) for group in each]
+                    means, groups = (min(sizes), max(sizes)), len(each)
+                else:
+                    continue
+                least = _Z * sqrt((groups - 1) / (known.sum() - 1))
+                found.append(Sensitivity(quantity.name, name, value, min(least, 1.0), *means))
+        return tuple(found)
 
     def list_strongest(self) -> list[Sensitivity]:
         """Dependences that the drives show, by how far the measure moves."""
@@ -224,8 +224,8 @@ class Summary(Found):
         """The distribution of each measure."""
         rows = []
         for s in self.spreads:
-            factor, _ = SCALES.get(s.unit, (1.0, ""))
-            figures = (f"{value * factor:.3g}" for value in (s.low, s.middle, s.high, s.worst))
+            factor, values = find_scale(s.name), (s.low, s.middle, s.high, s.worst)
+            figures = (f"{value * factor:.3g}" for value in values)
             rows.append((name_measure(s.name), *figures, str(s.worst_drive)))
         return Table(("measure", "5 %", "median", "95 %", "worst", "in drive"), rows)
 
@@ -241,8 +241,7 @@ class Summary(Found):
         if strong := self.list_strongest()[:_SHOWN]:
             found = []
             for s in strong:
-                factor, _ = SCALES.get(UNITS.get(s.measure, ""), (1.0, ""))
-                moved = (f"{factor * mean:.3g}" for mean in (s.start, s.end))
+                moved = (f"{find_scale(s.measure) * mean:.3g}" for mean in (s.start, s.end))
                 found.append((s.quantity, name_measure(s.measure), *moved, f"{s.value:+.2f}"))
             heads = ("what moves", "what", "from", "to", "rank correlation")
             parts.append(Table(heads, found, words=(1,)))

@@ -2,9 +2,8 @@
 
 import pytest
 
-from steerd.daemon.learning import proposing
-from steerd.daemon.learning.feed import Wiring, make_sample
-from steerd.daemon.learning.proposing import PAUSE_NS, Proposals
+from steerd.daemon.learning import feed
+from steerd.daemon.learning.feed import PAUSE_NS, Proposals, Wiring, make_sample
 from steerd.daemon.loop.adapting import REFUSED, make_design, make_no_design, read_design
 from steerd.sim_gap.online.samples import Ordered, Paused, PoseSeen, Rolled
 from steerd.steer_bus import messages as m
@@ -21,7 +20,7 @@ S = 1_000_000_000
 def aims(monkeypatch):
     """What is learnt, to be set by a test."""
     now = {"aim": "the car is being learnt"}
-    monkeypatch.setattr(proposing, "find_aim", lambda learner, state: now["aim"])
+    monkeypatch.setattr(feed, "find_aim", lambda learner, state: now["aim"])
     return now
 
 

@@ -14,7 +14,7 @@ from steerd.daemon.sessions.info import load_recording
 from steerd.sysid.report.drawing import LINES
 from steerd.sysid.report.page import render_report
 from steerd.sysid.report.report import Report
-from tests.unit.daemon.sessions.test_plot_page import write_noise
+from tests.unit.daemon.sessions.test_plot import write_noise
 
 CIRCLE = parse_path("circle:radius=2")
 
