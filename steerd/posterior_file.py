@@ -13,11 +13,9 @@ from pathlib import Path
 from typing import Any
 
 SCHEMA = "steerd.posterior/1"
-ATTACHED = "car.posterior.json"
-"""What a session that holds a `car.toml` calls the file."""
+ATTACHED = "car.posterior.json"  # what a session that holds a `car.toml` calls the file
 TABLES = ("noise", "knowledge")
-SIZE_MAX = 4_000_000
-"""A covariance of all parameters of all effects has a tenth of it [characters]."""
+SIZE_MAX = 4_000_000  # a covariance of all parameters of all effects has a tenth of it [characters]
 
 Tables = Mapping[str, Mapping[str, Any]]
 """`noise` and `knowledge` by name, as `steerd.sysid.inference` makes and reads them."""
@@ -81,11 +79,7 @@ def find_known(
 
 
 def _decode(text: str) -> dict[str, Any]:
-    """The file's content.
-
-    Raises:
-        ValueError: it is none.
-    """
+    """The file's content. Raises ValueError: it is none."""
     try:
         content = json.loads(text) if len(text) <= SIZE_MAX else None
     except RecursionError:

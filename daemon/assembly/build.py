@@ -36,10 +36,8 @@ if TYPE_CHECKING:
     from steerd.controller.live import LiveBounds
     from steerd.sim_hw.world import WorldConfig
 
-NS = 1_000_000_000
-"""Nanoseconds in a second."""
-FASTEST_HZ = 1000.0
-"""Highest control rate [Hz]."""
+NS = 1_000_000_000  # nanoseconds in a second
+FASTEST_HZ = 1000.0  # highest control rate [Hz]
 SLOWEST_HZ, SLOWEST_SIMULATED_HZ = 50.0, 20.0
 """Lowest control rates [Hz]: the guardian brakes a car whose core has not ticked for 30 ms, and a
 simulated one for 300 ms."""
@@ -79,8 +77,7 @@ class RunPlan:
     def controller(self) -> LaneController:
         """The lane keeper, designed for this run once.
 
-        Raises:
-            SteerdError: the design is refused, with the reason.
+        Raises SteerdError: the design is refused, with the reason.
         """
         from steerd.controller.design import DesignRefused
 
@@ -119,8 +116,7 @@ class RunPlan:
     def sim(self) -> Settings:
         """The settings of the simulated car; those of the car file unless `--sim-car` differs.
 
-        Raises:
-            SteerdError: the simulated car's file is refused.
+        Raises SteerdError: the simulated car's file is refused.
         """
         if self.drawn is not None:
             return self.drawn
@@ -147,8 +143,7 @@ class RunPlan:
         return self.remote or (self.drill is not None and not self.drill.closed)
 
 
-_KEPT = 8
-"""Paths and designs that a process keeps: many drives in a row use few, in turn."""
+_KEPT = 8  # paths and designs that a process keeps: many drives in a row use few, in turn
 
 
 _parse_shape = lru_cache(_KEPT)(parse_path)
@@ -178,12 +173,9 @@ def make_plan(
 ) -> RunPlan:
     """Read the car file (unless its settings are given), the path, and design the controller.
 
-    A drive of an excitation plan is as long as that, unless the options say how long.
-    `design`: False where another process will do that; `real`: of a drive in real time.
-
-    Raises:
-        SteerdError: any of them is refused, with the reason.
-        LibraryError: the compiled equations were not built.
+    A drive of an excitation plan is as long as that, unless the options say how long. `design`:
+    False where another process will do that; `real`: of a drive in real time. Raises SteerdError:
+    any of them is refused, with the reason; LibraryError: the compiled equations were not built.
     """
     slowest = SLOWEST_HZ if options.port and not options.simulated else SLOWEST_SIMULATED_HZ
     if not slowest <= options.rate_hz <= FASTEST_HZ:
@@ -248,15 +240,13 @@ def make_design_car(settings: Settings) -> Car[float]:
     )
 
 
-_DRIVABLE = "circle:radius=3"
-"""A path that every car of this class can drive."""
+_DRIVABLE = "circle:radius=3"  # a path that every car of this class can drive
 
 
 def plan_car(car: CarFile) -> tuple[Settings, RunPlan]:
     """Settings and plan at the file's own speed; the design is part of the check.
 
-    Raises:
-        SteerdError: it holds no car that can be driven, or one without a stable controller.
+    Raises SteerdError: it holds no car that can be driven, or one without a stable controller.
     """
     settings = make_settings(car)
     options = RunOptions(str(car.path), path=_DRIVABLE, speed=settings.controller.speed)
@@ -277,8 +267,7 @@ def make_world_config(
 ) -> WorldConfig:
     """Simulated hardware for a plan: the simulated car, with the effects of the options.
 
-    Raises:
-        SteerdError: the simulated car's file or an effect is refused.
+    Raises SteerdError: the simulated car's file or an effect is refused.
     """
     from steerd.sim_hw.mocap.cameras import MocapConfig
     from steerd.sim_hw.vesc.vesc_motor import VescConfig

@@ -40,8 +40,7 @@ def recall_table(
 ) -> GainTable:
     """The gains: remembered ones where there are any, else computed and remembered.
 
-    Raises:
-        DesignRefused: a speed has no design.
+    Raises DesignRefused: a speed has no design.
     """
     path = designs_folder() / f"{digest_design(car, config, timing, speed_max)}.json"
     if (known := read_sealed(path)) is not None:

@@ -20,32 +20,22 @@ PAPER_SECONDS = 8.0
 PAPER_SPEED = 1.0
 PAPER_RUNS = 8
 """The paper's circles: 8 to each side, 8 s each, 1 m/s, steering at its limit [s, m/s, -]."""
-PAUSE = 1.5
-"""Standstill between the paper's runs [s]."""
+PAUSE = 1.5  # standstill between the paper's runs [s]
 SWING, SWING_LEAST = 0.7, 0.3
 """Amplitude of the steering as a share of the orbit's mean angle; the least on tight orbits."""
-SPEED_LOW = 1.0
-"""Lowest speed of a plan [m/s]: below it, tyre parameters are not excited."""
-PROBE = 0.05
-"""Amplitude of the probing signal in closed loop [rad]."""
+SPEED_LOW = 1.0  # lowest speed of a plan [m/s]: below it, tyre parameters are not excited
+PROBE = 0.05  # amplitude of the probing signal in closed loop [rad]
 PROBE_RADIUS, CIRCLE_RADIUS = 1.8, 1.5
 """Smallest radii of figure eight and circle that leave room for the probing signal [m]."""
-_STEP = 0.02
-"""Time step of the forecast [s]."""
-_STEER_GAIN_SPREAD = 0.03
-"""Uncertainty of the steering gain in the forecast."""
-_ACCEL_SHARE = 0.5
-"""Share of the largest acceleration with which the forecast's car gains speed."""
+_STEP = 0.02  # time step of the forecast [s]
+_STEER_GAIN_SPREAD = 0.03  # uncertainty of the steering gain in the forecast
+_ACCEL_SHARE = 0.5  # share of the largest acceleration with which the forecast's car gains speed
 _MARGIN, _DELAY, _BRAKE = 0.6, 0.1, 3.5
 """Stopping distance in the forecast: [m], [s] and [m/s^2], as the fence's watchdog warns."""
-_SHRINK = 0.92
-"""Factor between the radii that are tried."""
-_GRIP_SHARE = 0.95
-"""Share of the largest lateral acceleration that an orbit uses."""
-_RADIUS_MARGIN = 1.05
-"""Factor on the first radius that is tried."""
-_CHIRP_LOW_HZ = 0.3
-"""First frequency of a chirp [Hz]; patterns up to 1 Hz keep one frequency."""
+_SHRINK = 0.92  # factor between the radii that are tried
+_GRIP_SHARE = 0.95  # share of the largest lateral acceleration that an orbit uses
+_RADIUS_MARGIN = 1.05  # factor on the first radius that is tried
+_CHIRP_LOW_HZ = 0.3  # first frequency of a chirp [Hz]; patterns up to 1 Hz keep one frequency
 
 
 class Segment(NamedTuple):
@@ -117,8 +107,7 @@ class Drill:
 def parse_box(text: str) -> Box:
     """A box from `SIDE` (a square about the origin) or `X_MIN,Y_MIN,X_MAX,Y_MAX`.
 
-    Raises:
-        ValueError: it is neither.
+    Raises ValueError: it is neither.
     """
     try:
         numbers = [float(part) for part in text.split(",")]
@@ -258,8 +247,7 @@ def make_open_drill(
 ) -> Drill:
     """The plan with the widest orbits that fit the box; without one, for the full `speed` [m/s].
 
-    Raises:
-        ValueError: no orbit fits.
+    Raises ValueError: no orbit fits.
     """
     room = 1.0 + (SWING if name == "circles" else _swing_share(name))
     radius = _RADIUS_MARGIN * speed**2 * room / limits.lateral_accel_max
@@ -282,8 +270,7 @@ def make_open_drill(
 def make_closed_path(box: Box | None) -> str:
     """The lane keeper's path under a probe: a figure eight if the box has room, else a circle.
 
-    Raises:
-        ValueError: the box is too small for either.
+    Raises ValueError: the box is too small for either.
     """
     if box is None:
         return f"figure8:radius={PROBE_RADIUS}"
@@ -300,9 +287,7 @@ def parse_drill(spec: str, car: Car[float], limits: Limits) -> Drill:
     """A drill from text such as `mixed;open;speed=2.5;box=8`.
 
     Closed loop it is a probe: its steering is added to the lane keeper's, speeds are shares of its.
-
-    Raises:
-        ValueError: it makes no sense.
+    Raises ValueError: it makes no sense.
     """
     name, *rest = spec.split(";")
     if name not in NAMES:

@@ -103,9 +103,7 @@ def make_attachments(plan: RunPlan) -> dict[str, str]:
 def read_session_car(session: Session) -> CarFile:
     """The car file inside a session, with what identify knew of the car.
 
-    Raises:
-        SessionError: there is none, or it is no text.
-        CarFileError: it cannot be used.
+    Raises SessionError: there is none, or it is no text; CarFileError: it cannot be used.
     """
     texts = {}
     for name in ("car.toml", *({ATTACHED} & {*session.info().attachments})):
@@ -126,8 +124,7 @@ _parse_once = lru_cache(maxsize=8)(parse_car)
 def recorded_path(session: Session, spec: str) -> Iterator[str]:
     """The path's spec, with the file that it names taken from the session, never from this disk.
 
-    Raises:
-        SessionError: the session does not hold the file.
+    Raises SessionError: the session does not hold the file.
     """
     if csv_file(spec) is None:
         yield spec

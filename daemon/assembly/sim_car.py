@@ -31,17 +31,14 @@ they are published: a tape measures them, and the mocap body was placed by them.
 BIAS = (0.02, 0.035)
 """Bounds of a hidden car's steering offset, to either side [rad]: 1.1 to 2 degrees, a linkage
 that was screwed on by eye."""
-DELAY = 0.02
-"""Largest dead time that a hidden car's steering has beyond the published one's [s]."""
-_STREAM = 17
-"""Keeps these numbers apart from those of the simulated instruments' noise."""
+DELAY = 0.02  # largest dead time that a hidden car's steering has beyond the published one's [s]
+_STREAM = 17  # keeps these numbers apart from those of the simulated instruments' noise
 
 
 def load_sim_car(spec: str) -> Settings:
     """The true car of a simulation, by a car file or `hidden:SEED`.
 
-    Raises:
-        SteerdError: the file cannot be used, or the seed is none.
+    Raises SteerdError: the file cannot be used, or the seed is none.
     """
     if not spec.startswith(HIDDEN):
         return load_settings(spec)
@@ -68,8 +65,7 @@ def _hide(seed: int) -> dict[str, float]:
 def make_true_model(settings: Settings, effects: tuple[str, ...]) -> Model[float]:
     """The simulated car: that of the settings, with the effects of `--effect` added.
 
-    Raises:
-        SteerdError: an effect is unknown or its value is invalid.
+    Raises SteerdError: an effect is unknown or its value is invalid.
     """
     file = settings.file
     with refusing("--effect: ", "`steerd effects` lists them"):
@@ -82,8 +78,7 @@ def make_true_model(settings: Settings, effects: tuple[str, ...]) -> Model[float
     )
 
 
-TRUTH = "steerd.truth"
-"""Metadata of a session of simulated hardware: its car, by `make_truth`."""
+TRUTH = "steerd.truth"  # metadata of a session of simulated hardware: its car, by `make_truth`
 
 
 def make_truth(model: Model[float]) -> dict[str, str]:

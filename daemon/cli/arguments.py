@@ -73,8 +73,7 @@ def add_sessions(parser: argparse.ArgumentParser) -> None:
 def pick_session(text: str) -> Path:
     """The file; one that was not named is shown on standard error.
 
-    Raises:
-        SteerdError: there is none.
+    Raises SteerdError: there is none.
     """
     from steerd.daemon.sessions.catalogue import find_session
 
@@ -105,8 +104,7 @@ def split_held_out(text: str) -> list[int | Path]:
 def check_inputs(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
     """Refuse files that are not there, a car file first: one holds for all sessions.
 
-    Raises:
-        SteerdError: the first of them.
+    Raises SteerdError: the first of them.
     """
     found = ((getattr(a, "find_missing", None), a.dest) for a in list_actions(parser))
     checks = [(check, dest) for check, dest in found if check is not None]

@@ -24,8 +24,7 @@ _LEFT, _MM = "must be left positive", "millimetres"
 def ask(proposal: Proposal, source: Path, trial: Trial) -> str:
     """Talk about a proposal for a log until somebody agrees; the text of the map.
 
-    Raises:
-        SteerdError: nobody agreed.
+    Raises SteerdError: nobody agreed.
     """
     text = _show(proposal, source, trial, fix=True)
     while True:
@@ -77,8 +76,7 @@ def _try(
 ) -> tuple[list[str], tuple[str, ...], float | None]:
     """What the map makes of the log: in words, what looks wrong, ERPM per m/s by the poses.
 
-    Raises:
-        SteerdError: it cannot be imported like this.
+    Raises SteerdError: it cannot be imported like this.
     """
     from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.motion import find_erpm_gain, round_gain

@@ -46,8 +46,7 @@ class RowFile:
     def write(self, name: str, basis: str, row: Row) -> None:
         """Keep a row in place of the one of that name; a process that is killed later loses it not.
 
-        Raises:
-            sqlite3.Error: the disk takes no more.
+        Raises sqlite3.Error: the disk takes no more.
         """
         values = (name, basis, json.dumps(row))
         self._file.execute("INSERT OR REPLACE INTO rows VALUES (?,?,?)", values)

@@ -25,8 +25,7 @@ def make_car_file_error(error: "CarFileError") -> SteerdError:
 def load_car_file(path: "Path | str | None") -> "CarFile":
     """A car file that somebody named, F1TENTH's for None, with what identify knows of the car.
 
-    Raises:
-        SteerdError: it cannot be read, or says something impossible.
+    Raises SteerdError: it cannot be read, or says something impossible.
     """
     from steerd.car_model.car_file import CarFileError, default_car_path, load_car
 

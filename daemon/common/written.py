@@ -120,8 +120,7 @@ def write_outputs(
 ) -> None:
     """Write every result, see `writing`: content by file, without those of which one is None.
 
-    Raises:
-        SteerdError: every file that failed in one line, after the others were written.
+    Raises SteerdError: every file that failed in one line, after the others were written.
     """
     with writing({}, announced=announced) as write:
         for path, text in texts.items():
@@ -136,8 +135,7 @@ def car_outputs(path: Path, car: "CarFile") -> dict[Path | None, str | bytes | N
 def _keep(path: Path, data: bytes) -> Path | None:
     """Give a car file, or a foreign or edited one, a second, dated name beside the first.
 
-    Raises:
-        SteerdError: it can be neither linked nor copied.
+    Raises SteerdError: it can be neither linked nor copied.
     """
     try:
         old = path.read_bytes()
@@ -246,8 +244,7 @@ def _is_session(path: Path) -> bool:
 def write_whole(path: Path, text: str | bytes) -> None:
     """Write a file in one move, so that nobody ever sees half of it.
 
-    Raises:
-        SteerdError: it or its folder cannot be written.
+    Raises SteerdError: it or its folder cannot be written.
     """
     try:
         write_atomically(path, text)

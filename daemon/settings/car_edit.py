@@ -18,8 +18,7 @@ Values = Mapping[tuple[str, str], float | str]  # new values by (section, key)
 def edit_car(base: CarFile, values: Values) -> CarFile:
     """The car file with new values; sections and keys that it lacks are added.
 
-    Raises:
-        SteerdError: the result would not be a valid car file.
+    Raises SteerdError: the result would not be a valid car file.
     """
     document = tomlkit.parse(base.text)
     edit_document(document, values)

@@ -89,17 +89,14 @@ class Settings:
     record: RecordSettings
 
 
-JUMP_SDS = 7.0
-"""Standard deviations of a pose by which two may differ: five of their difference."""
+JUMP_SDS = 7.0  # standard deviations of a pose by which two may differ: five of their difference
 
 
 def load_settings(path: Path | str | None, speed: float | None = None) -> Settings:
     """Read a car file, F1TENTH's for None, and check every section.
 
-    `speed` [m/s] replaces the file's cruise speed.
-
-    Raises:
-        SteerdError: the file cannot be read, or a value is invalid; names it and the remedy.
+    `speed` [m/s] replaces the file's cruise speed. Raises SteerdError: the file cannot be read, or
+    a value is invalid; names it and the remedy.
     """
     return make_settings(load_car_file(path), speed)
 
@@ -107,8 +104,7 @@ def load_settings(path: Path | str | None, speed: float | None = None) -> Settin
 def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
     """The settings of a car file that was read.
 
-    Raises:
-        SteerdError: a section or a key is mistyped, a value is invalid, or two contradict.
+    Raises SteerdError: a section or a key is mistyped, a value is invalid, or two contradict.
     """
     for name in car_file.sections:  # one that is named nearly as another: its limits would not hold
         near = find_near(name, _SECTIONS)
@@ -149,8 +145,7 @@ _SECTIONS = (
 """Sections that some room reads; others are a reader's own and stay."""
 
 
-_Contradiction = tuple[bool, str, str]
-"""Whether it is there, what it is, and what to try."""
+_Contradiction = tuple[bool, str, str]  # whether it is there, what it is, and what to try
 
 
 def _list_contradictions(s: Settings) -> Iterator[_Contradiction]:
@@ -179,8 +174,7 @@ def _list_contradictions(s: Settings) -> Iterator[_Contradiction]:
 def _read(car_file: CarFile, name: str, make: Callable[[Mapping[str, Any]], S]) -> S:
     """A section as what a room makes of it.
 
-    Raises:
-        SteerdError: it is no table, or the room refuses it; names file and section.
+    Raises SteerdError: it is no table, or the room refuses it; names file and section.
     """
     table = car_file.sections.get(name, {})
     if not isinstance(table, Mapping):
@@ -225,8 +219,7 @@ FRAME_ANGLES = ("world_yaw", "mount_yaw")
 def read_frame(table: Mapping[str, Any]) -> FrameConfig:
     """Room and body, as `[mocap]` of a car file and `[frame]` of an import's map say them.
 
-    Raises:
-        ValueError: a key or a value is none.
+    Raises ValueError: a key or a value is none.
     """
     angles = {f"{name}_deg": name for name in FRAME_ANGLES}
     values = dict(table)

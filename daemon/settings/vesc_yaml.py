@@ -32,9 +32,8 @@ _SPEED_MIN = re.compile(r"^(\s*speed_min\s*:\s*)[^\s#]+", re.MULTILINE)
 def read_vesc_yaml(text: str, base: Scaling) -> Scaling:
     """The calibration of a `vesc.yaml`; what it does not name comes from `base`.
 
-    Raises:
-        SteerdError: it names none of the gains, gives one twice with different values, or gives
-            an invalid value.
+    Raises SteerdError: it names none of the gains, gives one twice with different values, or gives
+    an invalid value.
     """
     found: dict[str, float] = {}
     for match in _LINE.finditer(text):

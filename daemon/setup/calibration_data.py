@@ -32,11 +32,7 @@ class Recorded:
 
 
 def load_recorded(path: Path) -> Recorded:
-    """Read a session for calibration.
-
-    Raises:
-        SteerdError: it cannot be read, or lacks poses.
-    """
+    """Read a session for calibration. Raises SteerdError: it cannot be read, or lacks poses."""
     read = load_recording(path)
     settings = _read_settings(read.session)
     poses = read.table(topics.MOCAP)
@@ -63,8 +59,7 @@ def _read_settings(session: Session) -> Settings:
 def load_movement(path: Path) -> tuple[Movement, int]:
     """A session's accepted poses for `check_movement`, and how many were rejected.
 
-    Raises:
-        SteerdError: it cannot be read, or lacks poses.
+    Raises SteerdError: it cannot be read, or lacks poses.
     """
     r = load_recorded(path)
     every = r.read.table(topics.MOCAP)
@@ -76,9 +71,8 @@ def load_movement(path: Path) -> tuple[Movement, int]:
 def make_drive(r: Recorded) -> Drive:
     """Poses of the body's own origin and reported speed for `calibrate_mount`.
 
-    Raises:
-        SteerdError: the session holds no wheel speed; or it is an imported log, whose poses are
-            already those of the car.
+    Raises SteerdError: the session holds no wheel speed; or it is an imported log, whose poses are
+    already those of the car.
     """
     p, vesc, wheel = r.poses, r.read.table(topics.VESC), r.read.table(topics.WHEEL)
     if not np.isfinite(p["z_raw"]).all():

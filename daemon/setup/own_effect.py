@@ -52,8 +52,7 @@ def add_effect(source: Path) -> tuple[str, ...]:
 def remove_effect(source: Path) -> tuple[str, ...]:
     """Build the library without the effects of a file of that name; none is added.
 
-    Raises:
-        SteerdError: none was added, or the library cannot be built and is as it was.
+    Raises SteerdError: none was added, or the library cannot be built and is as it was.
     """
     target = _place(source)
     if not target.exists():
@@ -107,8 +106,7 @@ def _drive(chosen: tuple[Effect, ...]) -> list[tuple[float, ...]]:
 def _build_or_restore(target: Path, before: bytes | None) -> None:
     """Build in a process of its own, which sees the files as they are now.
 
-    Raises:
-        SteerdError: it failed; the file is as it was, and so is the library.
+    Raises SteerdError: it failed; the file is as it was, and so is the library.
     """
     here = _FOLDER.parents[2]  # of this installation, whatever lies in the user's own folder
     done = subprocess.run(

@@ -40,8 +40,7 @@ _TIMES_KEPT = 2048  # arrival times kept per topic; more than a second of the fa
 def find_car(bus: ZenohBus, name: str | None) -> str:
     """The named car, or the only one on the bus.
 
-    Raises:
-        SteerdError: no car is on the bus, not this one, or several and none is named.
+    Raises SteerdError: no car is on the bus, not this one, or several and none is named.
     """
     alive = bus.alive(f"{ROOT}/*/alive")
     cars = sorted(parts[0] for key in alive if (parts := split_key(key)))
@@ -139,8 +138,7 @@ class Watch:
 def watch_car(bus: ZenohBus, name: str | None, seconds: float | None, *, operate: bool) -> None:
     """Show the named car, or the only one, for so long [s]: on a terminal with keys, else in lines.
 
-    Raises:
-        SteerdError: see `find_car`.
+    Raises SteerdError: see `find_car`.
     """
     car, clock = find_car(bus, name), MonotonicClock()
     watch = Watch(Dashboard(f"steerd watch · {car}"))

@@ -25,11 +25,7 @@ def collect_arguments(parser: ArgumentParser) -> None:
 
 
 def make_options(args: Namespace) -> RunOptions:
-    """Typed options from the command line.
-
-    Raises:
-        SteerdError: a combination makes no sense.
-    """
+    """Typed options from the command line. Raises SteerdError: a combination makes no sense."""
     if args.controller != "lane":
         raise UsageError("a plan is driven by the daemon itself", "drop --controller")
     parts = [args.plan, "closed" if args.closed else f"speed={args.speed:g}"]

@@ -54,11 +54,7 @@ def import_log(args: Namespace) -> None:
 
 
 def read_words(words: list[str]) -> tuple[str, Path]:
-    """The kind of log, and the log.
-
-    Raises:
-        SteerdError: there is no log, or more than one.
-    """
+    """The kind of log, and the log. Raises SteerdError: there is no log, or more than one."""
     kind, rest = (words[0], words[1:]) if words[0] in _KINDS and len(words) > 1 else ("", words)
     if len(rest) != 1 or (rest[0] in _KINDS and not Path(rest[0]).exists()):
         what = f"`steerd import` takes one log, not {len(rest) if len(rest) > 1 else 'none'}"

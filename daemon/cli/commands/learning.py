@@ -83,8 +83,7 @@ def identify(args: Namespace) -> int:
 def parse_fix(text: str) -> dict[str, float | None]:
     """The values of `--fix` by name; None where a name stands alone.
 
-    Raises:
-        SteerdError: a value is no number.
+    Raises SteerdError: a value is no number.
     """
     fixed: dict[str, float | None] = {}
     for part in (p for p in text.split(",") if p):
@@ -179,8 +178,7 @@ def _is_screen(args: Namespace) -> bool:
 def present(found: "Finding", args: Namespace, write: Write) -> CarFile | None:
     """Print the screen, write car, JSON and page; the car, None where none was asked for.
 
-    Raises:
-        SteerdError: a value is none that a car file may hold; the rest is written all the same.
+    Raises SteerdError: a value is none that a car file may hold; the rest is written all the same.
     """
     text = json.dumps(found.to_json(), indent=1) + "\n"
     car, refused = None, None

@@ -57,8 +57,7 @@ def service(args: Namespace) -> None:
 def _make_command(args: Namespace) -> list[str]:
     """The command line of the run, checked.
 
-    Raises:
-        SteerdError: the options are wrong, or not those of a service.
+    Raises SteerdError: the options are wrong, or not those of a service.
     """
     from steerd.daemon.assembly.build import make_plan
 
@@ -128,10 +127,8 @@ def make_unit(command: Sequence[str], car: str, *, account: str = "") -> str:
     """The text of the unit file that runs a command.
 
     `account` is who it runs as under the system's service manager; empty for one's own, which
-    cannot change accounts or mounts.
-
-    Raises:
-        SteerdError: an argument cannot be written in a unit file.
+    cannot change accounts or mounts. Raises SteerdError: an argument cannot be written in a unit
+    file.
     """
     _expect_writable((*command, car, account), "unit file", "\n\r\0")
     protected = _fill("protected.service", account=account) if account else ""
