@@ -36,12 +36,7 @@ def read_beside(car: Path) -> str:
 
 
 def encode_posterior(numbers: Mapping[str, Any], tables: Tables) -> str:
-    """The file's text.
-
-    Args:
-        numbers: the car's values by name, see `CarFile.numbers`.
-        tables: what is known of a car with these values.
-    """
+    """The file's text: what is known of a car with these values, see `CarFile.numbers`."""
     content = {"schema": SCHEMA, "values": _digest(numbers), **tables}
     return json.dumps(content, separators=(",", ":"), allow_nan=False) + "\n"
 
@@ -49,17 +44,11 @@ def encode_posterior(numbers: Mapping[str, Any], tables: Tables) -> str:
 def find_known(
     numbers: Mapping[str, Any], sections: Tables, text: str, name: str
 ) -> tuple[Tables, str]:
-    """What is known of a car.
+    """What is known of a car with these values: tables that hold, a sentence where one does not.
 
-    Args:
-        numbers: the car's values by name.
-        sections: of the car file; those from before hold `[noise]` and `[knowledge]`.
-        text: of the file beside it, empty where there is none.
-        name: of that file.
-
-    Returns:
-        The tables that hold, and a sentence where one does not. Noise is of the drives and holds
-        whatever the values are; the covariance lies about its own values only.
+    The sections are those of the car file; from before they hold `[noise]` and `[knowledge]`. Text
+    and name are of the file beside it, empty where there is none. Noise is of the drives and holds
+    whatever the values are; the covariance lies about its own values only.
     """
     if text:
         try:

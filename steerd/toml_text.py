@@ -23,18 +23,12 @@ class TomlError(ValueError):
 
 
 def load_toml(path: Path) -> dict[str, Any]:
-    """The tables of a file.
-
-    Raises OSError: it cannot be read; TomlError: it is no TOML within the bounds.
-    """
+    """The tables of a file; an OSError if it cannot be read; else see `parse_toml`."""
     return parse_toml(read_toml(path))
 
 
 def read_toml(path: Path) -> str:
-    """The text of a file, no more than it may hold.
-
-    Raises OSError: it cannot be read; TomlError: it is too large, or no UTF-8.
-    """
+    """The text of a file; an OSError if it cannot be read; else see `decode_toml`."""
     with path.open("rb") as file:
         return decode_toml(file.read(SIZE_MAX + 1))
 

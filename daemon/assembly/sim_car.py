@@ -36,10 +36,7 @@ _STREAM = 17  # keeps these numbers apart from those of the simulated instrument
 
 
 def load_sim_car(spec: str) -> Settings:
-    """The true car of a simulation, by a car file or `hidden:SEED`.
-
-    Raises SteerdError: the file cannot be used, or the seed is none.
-    """
+    """The true car of a simulation, by a car file or `hidden:SEED`; a SteerdError if it is none."""
     if not spec.startswith(HIDDEN):
         return load_settings(spec)
     seed = spec.removeprefix(HIDDEN)
@@ -63,10 +60,7 @@ def _hide(seed: int) -> dict[str, float]:
 
 
 def make_true_model(settings: Settings, effects: tuple[str, ...]) -> Model[float]:
-    """The simulated car: that of the settings, with the effects of `--effect` added.
-
-    Raises SteerdError: an effect is unknown or its value is invalid.
-    """
+    """The simulated car: the settings', with `--effect` added; a SteerdError if one is invalid."""
     file = settings.file
     with refusing("--effect: ", "`steerd effects` lists them"):
         added = parse_effects(",".join(effects)) if effects else []
@@ -110,13 +104,12 @@ def read_origin(metadata: Mapping[str, Any], *, own_car: bool = True) -> str:
         options = decode_options(metadata.get("steerd.session", {}).get("options", ""))
     except ValueError:
         return ""
-    words: list[str] = []
-    if not options.simulated:
-        if not options.port or not options.mocap:
-            return ""
+    if options.simulated:
+        words = ["--sim", "--fast", *(("--sim-car", options.sim_car) if options.sim_car else ())]
+    elif options.port and options.mocap:
         words = ["--port", options.port, "--mocap", options.mocap]
     else:
-        words = ["--sim", "--fast", *(("--sim-car", options.sim_car) if options.sim_car else ())]
+        return ""
     if options.sim_car or own_car:
         words += [word for each in options.effects for word in ("--effect", each)]
     file = Path(options.car_file)
@@ -129,18 +122,15 @@ def compare_truths(named: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """What one car cannot have been: named sessions whose simulated cars differ, in sentences."""
     truths = {name: truth for name, data in named.items() if (truth := data.get(TRUTH))}
     remarks = []
-    first = next(iter(truths), "")
-    for other in list(truths)[1:]:
-        one, two = truths[first], truths[other]
+    first, one = next(iter(truths.items()), ("", {}))
+    for other, two in truths.items():
         names = [k for k in dict.fromkeys((*one, *two)) if one.get(k) != two.get(k)]
         if names:
-            shown = ", ".join(
-                f"{k} {_short(one.get(k))} and {_short(two.get(k))}" for k in names[:3]
-            )
+            shown = (f"{k} {_short(one.get(k))} and {_short(two.get(k))}" for k in names[:3])
             more = f" and {len(names) - 3} more" if len(names) > 3 else ""
             remarks.append(
-                f"{first} and {other} were driven on different simulated cars ({shown}{more}): "
-                "one car cannot fit both"
+                f"{first} and {other} were driven on different simulated cars "
+                f"({', '.join(shown)}{more}): one car cannot fit both"
             )
     return remarks
 
