@@ -153,10 +153,7 @@ def discover(
 def ask_mocap(
     named: str | None, config: IngestConfig, clock: Clock, seconds: float
 ) -> Iterator[MocapSeen]:
-    """Listen to a source for a while, or to each NatNet server that answers a discovery.
-
-    Raises ValueError: the address is none.
-    """
+    """Listen to a source (a ValueError if it is none), or to each NatNet server that answers."""
     for address in [named] if named else [f"natnet://{host}/-" for host in discover(clock)]:
         url = parse_mocap_url(address)
         try:
@@ -179,10 +176,7 @@ def listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[Po
 
 
 def watch_movement(address: str, config: IngestConfig, seconds: float) -> tuple[Movement, int]:
-    """The accepted poses of a car that is pushed for so long, and how many were rejected.
-
-    Raises SteerdError: the address is none, or no pose came from it.
-    """
+    """The accepted poses of a pushed car, a SteerdError without any, and how many were rejected."""
     clock, samples = MonotonicClock(), []
     try:
         receiver = make_receiver(parse_mocap_url(address), config)

@@ -7,16 +7,21 @@ import numpy as np
 import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.car_model.params import wheelbase
+from steerd.car_model.params import GRAVITY, wheelbase
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.virtual import drive
 from steerd.daemon.sessions.motion import Track
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.daemon.setup.calibration_data import load_recorded, make_drive
-from steerd.daemon.setup.least_squares import BLOCKS, jackknife_sd
-from steerd.daemon.setup.mount_calibration import Drive, Mount, calibrate_mount, slip_per_accel
+from steerd.daemon.setup.calibration_data import (
+    BLOCKS,
+    Drive,
+    jackknife_sd,
+    load_recorded,
+    make_drive,
+)  # fmt: skip
+from steerd.daemon.setup.mount_calibration import Mount, calibrate_mount
 from steerd.daemon.setup.steering_calibration import calibrate_steering
 from steerd.sysid.data.dataset import Signal
 
@@ -36,7 +41,7 @@ def slow_drive(
     curvature = np.abs(curvature) + 0.1 if one_side else 0.0 * t if straight else curvature
     rate_true = speed * curvature
     yaw = 0.7 + np.cumsum(rate_true) * DT
-    slip = -slip_per_accel(CAR) * speed * rate_true
+    slip = -speed * rate_true / (CAR.mu * GRAVITY * CAR.c_sr)
     x = np.cumsum(speed * np.cos(yaw + slip)) * DT
     y = np.cumsum(speed * np.sin(yaw + slip)) * DT
     rng = np.random.default_rng(seed)
