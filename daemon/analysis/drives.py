@@ -13,8 +13,7 @@ from pathlib import Path
 
 from steerd.daemon.analysis.hints import refusing
 from steerd.daemon.analysis.options import EVERY, HeldOut, Speed, Watch
-from steerd.daemon.common.errors import SteerdError, UsageError
-from steerd.daemon.common.translate import reading
+from steerd.daemon.common.errors import SteerdError, UsageError, reading
 from steerd.daemon.sessions.info import load_session, make_session_report, read_recording
 from steerd.daemon.sessions.motion import make_range
 from steerd.sim_gap.diagnosis import Case

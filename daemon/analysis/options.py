@@ -14,10 +14,9 @@ from typing import Any, Concatenate, Literal, NamedTuple, ParamSpec, Protocol, T
 
 from steerd.car_model.car_file import CarFile, default_car_path
 from steerd.car_model.effects import find_effect
-from steerd.daemon.common.errors import UsageError
+from steerd.daemon.common.errors import UsageError, load_car_file
 from steerd.daemon.common.notebook import notebook_progress, speaking_of_arguments
 from steerd.daemon.common.progress import Step
-from steerd.daemon.common.translate import load_car_file
 
 EVERY = 4
 """Unless stated otherwise every 4th block or session is held out."""

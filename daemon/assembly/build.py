@@ -24,7 +24,7 @@ from steerd.daemon.settings.run_options import (
     RunOptions,
     decode_options,
     encode_options,
-)
+)  # fmt: skip
 from steerd.steer_bus.topics import check_car_name
 
 # The loop takes half a second to import. `steerd run` leaves it to the core's process, which needs
@@ -41,8 +41,6 @@ FASTEST_HZ = 1000.0  # highest control rate [Hz]
 SLOWEST_HZ, SLOWEST_SIMULATED_HZ = 50.0, 20.0
 """Lowest control rates [Hz]: the guardian brakes a car whose core has not ticked for 30 ms, and a
 simulated one for 300 ms."""
-
-
 OFFSET_SHARE = 0.5
 """The lane may be shifted by this share of the lateral error that stops the car (W17)."""
 VIRTUAL_EPOCH_NS = 1_700_000_000_000_000_000
@@ -75,10 +73,7 @@ class RunPlan:
 
     @cached_property
     def controller(self) -> LaneController:
-        """The lane keeper, designed for this run once.
-
-        Raises SteerdError: the design is refused, with the reason.
-        """
+        """The lane keeper, designed for this run once; a SteerdError says why it is refused."""
         from steerd.controller.design import DesignRefused
 
         car, config = make_design_car(self.settings), self.settings.controller
@@ -114,10 +109,7 @@ class RunPlan:
 
     @cached_property
     def sim(self) -> Settings:
-        """The settings of the simulated car; those of the car file unless `--sim-car` differs.
-
-        Raises SteerdError: the simulated car's file is refused.
-        """
+        """Of the simulated car: the car file's unless `--sim-car` differs; or a SteerdError."""
         if self.drawn is not None:
             return self.drawn
         return load_sim_car(self.options.sim_car) if self.options.sim_car else self.settings
@@ -144,14 +136,7 @@ class RunPlan:
 
 
 _KEPT = 8  # paths and designs that a process keeps: many drives in a row use few, in turn
-
-
-_parse_shape = lru_cache(_KEPT)(parse_path)
-
-
-def _parse_path(spec: str) -> Path:
-    """A path; shapes are the same value each time, so that their designs are too."""
-    return parse_path(spec) if spec.strip().startswith("csv:") else _parse_shape(spec)
+_parse_shape = lru_cache(_KEPT)(parse_path)  # the same value each time, so that its design is too
 
 
 @lru_cache(_KEPT)
@@ -184,8 +169,9 @@ def make_plan(
         check_car_name(options.car)
     if settings is None:
         settings = load_settings(options.car_file or default_car_path(), options.speed)
+    is_file = options.path.strip().startswith("csv:")
     try:
-        path = _parse_path(options.path)
+        path = parse_path(options.path) if is_file else _parse_shape(options.path)
     except ValueError as error:
         raise UsageError(f"--path {options.path}: {error}", _near_path(options.path)) from None
     drill = None
@@ -240,17 +226,11 @@ def make_design_car(settings: Settings) -> Car[float]:
     )
 
 
-_DRIVABLE = "circle:radius=3"  # a path that every car of this class can drive
-
-
-def plan_car(car: CarFile) -> tuple[Settings, RunPlan]:
-    """Settings and plan at the file's own speed; the design is part of the check.
-
-    Raises SteerdError: it holds no car that can be driven, or one without a stable controller.
-    """
+def plan_car(car: CarFile) -> RunPlan:
+    """A drive at the file's own speed on an easy path; a SteerdError if no car can be driven so."""
     settings = make_settings(car)
-    options = RunOptions(str(car.path), path=_DRIVABLE, speed=settings.controller.speed)
-    return settings, make_plan(options, settings)
+    options = RunOptions(str(car.path), path="circle:radius=3", speed=settings.controller.speed)
+    return make_plan(options, settings)
 
 
 def report_refusal(car: CarFile) -> None:
@@ -265,10 +245,7 @@ def report_refusal(car: CarFile) -> None:
 def make_world_config(
     plan: RunPlan, mocap_kind: str = "natnet", keep_bytes: bool = False
 ) -> WorldConfig:
-    """Simulated hardware for a plan: the simulated car, with the effects of the options.
-
-    Raises SteerdError: the simulated car's file or an effect is refused.
-    """
+    """Simulated hardware for a plan, with the effects of the options; or a SteerdError."""
     from steerd.sim_hw.mocap.cameras import MocapConfig
     from steerd.sim_hw.vesc.vesc_motor import VescConfig
     from steerd.sim_hw.world import WorldConfig

@@ -30,10 +30,7 @@ def watched(items: Iterable[T], advance: Callable[[int], None], every: int = 500
 def show_progress(label: str, total: float, *, even: bool = False) -> Iterator[Step]:
     """A bar on standard error while the block runs, if that is a terminal.
 
-    Args:
-        label: what is done.
-        total: amount of it.
-        even: the work goes on at one rate, so the time that is left is shown too.
+    Where the work goes on at an `even` rate, the time that is left is shown too.
     """
     if not sys.stderr.isatty():
         yield lambda done, step="", /: None

@@ -54,8 +54,5 @@ def encode_options(options: RunOptions) -> str:
 
 
 def decode_options(text: str) -> RunOptions:
-    """The options of `encode_options`.
-
-    Raises msgspec.ValidationError: if the text is not such options.
-    """
+    """The options of `encode_options`; a msgspec.ValidationError where they are none."""
     return msgspec.json.decode(text, type=RunOptions)

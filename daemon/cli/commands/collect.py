@@ -31,16 +31,11 @@ def make_options(args: Namespace) -> RunOptions:
     parts = [args.plan, "closed" if args.closed else f"speed={args.speed:g}"]
     if args.box:
         parts.append(f"box={args.box}")
-    args.path = args.path or _path(args)
+    if not args.path and args.closed:
+        with refusing():
+            args.path = make_closed_path(parse_box(args.box) if args.box else None)
+    args.path = args.path or "line"  # which is not followed in open loop
     return replace(driving.make_options(args), drill=";".join(parts))
-
-
-def _path(args: Namespace) -> str:
-    """The lane keeper's path: a figure eight that fits the box; open loop it is not followed."""
-    if not args.closed:
-        return "line"
-    with refusing():
-        return make_closed_path(parse_box(args.box) if args.box else None)
 
 
 def collect(args: Namespace) -> int:

@@ -5,7 +5,7 @@ import secrets
 import signal
 import sys
 import threading
-from argparse import ArgumentParser, Namespace, _ArgumentGroup
+from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from importlib import import_module
@@ -50,11 +50,6 @@ def run_arguments(parser: ArgumentParser) -> None:
     text = "zenoh: apply the commands of `steerd control`; ros2: those of a ROS node's /drive"
     kinds = [kind.value for kind in ControllerKind]
     option(run, "--controller", None, text, choices=kinds, default="lane")
-    _add_network_arguments(run)
-
-
-def _add_network_arguments(run: _ArgumentGroup) -> None:
-    """The bus, and who else may see the car."""
     option(run, "--listen", "ENDPOINT", f"of zenoh (default {RunOptions.listen})")
     option(run, "--lab", "DIR", "the car's folder of `steerd keys`: mutual TLS", type=Path)
     option(run, "--insecure-lan", "", "allow plain zenoh beyond loopback")
@@ -96,7 +91,9 @@ def make_options(args: Namespace) -> RunOptions:
     given |= {"car_file": args.car or "", "car": args.name, "duration_s": args.duration}
     given |= {"rate_hz": args.rate, "simulated": args.sim, "auto_arm": args.auto_arm or args.fast}
     given |= {"effects": tuple(args.effect), "controller": ControllerKind(args.controller)}
-    given |= {"listen": _choose_endpoint(args), "lab": str(args.lab.resolve()) if args.lab else ""}
+    given |= {"listen": args.listen or RunOptions.listen, "lab": ""}
+    if args.lab is not None:
+        given |= {"listen": _find_endpoint(args), "lab": str(args.lab.resolve())}
     given |= {"view": args.view or "", "sim_car": args.sim_car or ""}
     return RunOptions(**given)
 
@@ -139,9 +136,8 @@ def _list_conflicts(args: Namespace) -> Iterator[tuple[bool, str, str]]:
     yield args.adapt and not lane, what, "drop --adapt or --controller"
 
 
-def _choose_endpoint(args: Namespace) -> str:
-    if args.lab is None:
-        return args.listen or RunOptions.listen
+def _find_endpoint(args: Namespace) -> str:
+    """Of a lab's car."""
     from steerd.daemon.ipc.operator import read_lab
 
     lab = read_lab(args.lab)
@@ -188,35 +184,24 @@ def _run_simulated(plan: "RunPlan", core: Child) -> int:
     # While the simulated hardware starts, this process loads what it needs next.
     threading.Thread(target=import_module, args=(_LIVE,), daemon=True).start()
     with spawn_sim(make_world_config(plan)) as sim:
-        options = replace(plan.options, port=sim.port, mocap=sim.mocap_url)
-        code, reason = _run_live(replace(plan, options=options), core)
-    if code == ExitCode.STOPPED and _was_busy(plan, reason):
-        return _fall_back(plan)
-    return code
+        linked = replace(plan.options, port=sim.port, mocap=sim.mocap_url)
+        code, reason = _run_live(replace(plan, options=linked), core)
+    options = plan.options
+    # Whoever opened a page or a viewer wants to see it drive, not to wait for a drive without one.
+    watched = options.page is not None or options.view
+    alone = options.auto_arm and options.duration_s is not None and not options.effects
+    if code != ExitCode.STOPPED or watched or not alone or not reason.startswith(_BUSY):
+        return code
+    from steerd.daemon.offline.fast import run_fast
+
+    print("this machine was too busy for real time: the same drive again, in virtual time")
+    named = str(Path(options.record).with_suffix(".fast.mcap")) if options.record else None
+    return run_fast(replace(plan, options=replace(options, record=named)))
 
 
 _LIVE = "steerd.daemon.terminal.terminal"  # what a drive in real time loads first
 _BUSY = ("W1 ", "W7 ", "W8 ", "W9 ", "W15 ", "W16 ")
 """Watchdogs that a machine without time for simulated hardware trips."""
-
-
-def _was_busy(plan: "RunPlan", reason: str) -> bool:
-    """Whether a drive by itself was ended by its machine, and may be driven in virtual time."""
-    options = plan.options
-    # Whoever opened a page or a viewer wants to see it drive, not to wait for a drive without one.
-    watched = options.page is not None or options.view
-    alone = options.auto_arm and options.duration_s is not None and not options.effects
-    return alone and not watched and reason.startswith(_BUSY)
-
-
-def _fall_back(plan: "RunPlan") -> int:
-    """Drive the plan again in virtual time, into a session of its own."""
-    from steerd.daemon.offline.fast import run_fast
-
-    print("this machine was too busy for real time: the same drive again, in virtual time")
-    record = plan.options.record
-    named = str(Path(record).with_suffix(".fast.mcap")) if record else None
-    return run_fast(replace(plan, options=replace(plan.options, record=named)))
 
 
 def _run_live(plan: "RunPlan", core: Child) -> tuple[int, str]:
