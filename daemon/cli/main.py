@@ -41,7 +41,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "page": ("remote", "a running car as a live page in a browser, with a stop button"),
         "teleop": ("remote", "drive by gamepad, with a deadman's button"),
         "control": ("remote", "the lane keeper as a process of its own, over zenoh"),
-        "collect": ("collect", "drive an excitation plan and record it"),
+        "collect": ("run", "drive an excitation plan and record it"),
     },
     "sessions": {
         "sessions": ("sessions", "the recorded drives: date, car, errors, notes"),
@@ -100,7 +100,7 @@ def find_command(name: str) -> Command:
     module = importlib.import_module(f"steerd.daemon.cli.commands.{COMMANDS[name][0]}")
     function = _FUNCTIONS.get(name, name)
     run, add_arguments = getattr(module, function), getattr(module, f"{function}_arguments")
-    return Command(run, add_arguments, getattr(module, "FIRST_OPTIONS", ()))
+    return Command(run, add_arguments, getattr(module, "FIRST_OPTIONS", {}).get(name, ()))
 
 
 def list_commands() -> str:

@@ -1,4 +1,7 @@
-"""`steerd run`: a drive on a car or on simulated hardware, in real or in virtual time."""
+"""`steerd run` and `steerd collect`: a drive, of a car or of simulated hardware.
+
+In real or in virtual time; `collect` is a run whose session identifies the car.
+"""
 
 import contextlib
 import secrets
@@ -13,8 +16,9 @@ from pathlib import Path
 from sys import float_info
 from typing import TYPE_CHECKING
 
+from steerd.daemon.assembly.plans import NAMES, make_closed_path, parse_box
 from steerd.daemon.cli.arguments import missing_car, missing_lane, option
-from steerd.daemon.common.errors import ExitCode, UsageError
+from steerd.daemon.common.errors import ExitCode, UsageError, refusing
 from steerd.daemon.process.child import CORE, Child
 from steerd.daemon.process.view_job import DEFAULT_PORT, check_view
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions
@@ -23,11 +27,13 @@ if TYPE_CHECKING:
     from steerd.daemon.assembly.build import RunPlan
 
 
-FIRST_OPTIONS = (
+_FIRST = (
     "--port", "--mocap", "--sim", "--fast", "--car", "--path", "--speed", "--duration", "--record",
     "--page",
 )  # fmt: skip
-"""What `--help` shows; `--help-all` shows the rest too."""
+FIRST_OPTIONS = {"run": _FIRST, "collect": ("--plan", "--closed", "--box", *_FIRST)}
+"""What `--help` shows, by command; `--help-all` shows the rest too."""
+PLAN_SPEED = 2.5  # highest speed of a plan unless said otherwise [m/s]
 
 
 def run_arguments(parser: ArgumentParser) -> None:
@@ -157,6 +163,40 @@ def run(args: Namespace) -> int:
     another terminal with `steerd arm` and `steerd start`.
     """
     return drive(make_options(args), fast=args.fast)
+
+
+def collect_arguments(parser: ArgumentParser) -> None:
+    what = parser.add_argument_group("plan")
+    option(what, "--plan", None, "what to drive", choices=NAMES, default="mixed")
+    text = "add the plan to the lane keeper's commands, along --path (default: open loop)"
+    option(what, "--closed", "", text)
+    text = "where the car must stay [m]; start in the middle, heading along x"
+    option(what, "--box", "SIDE|X0,Y0,X1,Y1", text)
+    run_arguments(parser)
+    parser.set_defaults(speed=PLAN_SPEED, path=None)
+
+
+def collect(args: Namespace) -> int:
+    """Drive an excitation plan and record it: a session that identifies the car.
+
+    steerd collect --sim --fast --plan mixed --record mixed.mcap
+    steerd collect --plan circles --box 6 --port /dev/vesc --mocap natnet://HOST/car
+
+    Plans: circles (the paper's: 8 left, 8 right, steering at its limit, 1 m/s),
+    slalom, chirp, steps, ramp (speed grows to the limit), speeds (steps of speed),
+    mixed (several of them at several speeds: start with it).
+    Supervisor, watchdogs and limits are those of `steerd run`; a box is a fence.
+    """
+    if args.controller != "lane":
+        raise UsageError("a plan is driven by the daemon itself", "drop --controller")
+    parts = [args.plan, "closed" if args.closed else f"speed={args.speed:g}"]
+    if args.box:
+        parts.append(f"box={args.box}")
+    if not args.path and args.closed:
+        with refusing():
+            args.path = make_closed_path(parse_box(args.box) if args.box else None)
+    args.path = args.path or "line"  # which is not followed in open loop
+    return drive(replace(make_options(args), drill=";".join(parts)), fast=args.fast)
 
 
 def drive(options: RunOptions, *, fast: bool) -> int:
