@@ -86,10 +86,7 @@ class RunPlan:
 
     @cached_property
     def live(self) -> LiveBounds | None:
-        """Bounds of what may be changed during the drive.
-
-        None where the lane keeper does not drive alone, and in virtual time, where nobody could.
-        """
+        """Bounds of live parameters; None unless the lane keeper drives alone, in real time."""
         from steerd.controller.live import make_live_bounds
 
         options, made = self.options, self.controller
@@ -215,10 +212,7 @@ def _near_path(spec: str) -> str:
 
 
 def make_design_car(settings: Settings) -> Car[float]:
-    """The car with the end stops that the output limiter enforces, for the controller's design.
-
-    Effects of the car file count as far as they change parameters.
-    """
+    """The car that is designed for: with its effects on parameters, and the limiter's end stops."""
     car, limits = believed_car(settings.file.model), settings.limits
     return car._replace(
         steer_min=max(car.steer_min, -limits.steer_right_max),

@@ -206,10 +206,7 @@ def _forecast(
 
 
 def forecast_reach(car: Car[float], segments: Sequence[Segment]) -> tuple[float, float]:
-    """How far a plan leads from its start along x and y [m], to either side.
-
-    For a steering gain that may differ by 3 %, and with the stopping distance.
-    """
+    """How far a plan leads along x and y [m], to either side: 3 % in gain, and a stop, included."""
     places = [(0.0, 0.0)]
     for gain in (1.0 - _STEER_GAIN_SPREAD, 1.0, 1.0 + _STEER_GAIN_SPREAD):
         for g in _forecast(car, segments, gain):

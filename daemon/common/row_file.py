@@ -40,10 +40,7 @@ class RowFile:
         return {name: (basis, json.loads(row)) for name, basis, row in found}
 
     def write(self, name: str, basis: str, row: Row) -> None:
-        """Keep a row in place of the one of that name; a process that is killed later loses it not.
-
-        Raises sqlite3.Error: the disk takes no more.
-        """
+        """Keep a row, also if the process is killed later; a sqlite3.Error on a full disk."""
         values = (name, basis, json.dumps(row))
         self._file.execute("INSERT OR REPLACE INTO rows VALUES (?,?,?)", values)
 

@@ -172,10 +172,7 @@ def _written() -> list[str]:
 
 
 def check_outputs(outputs: Mapping[str, Path | None]) -> None:
-    """Refuse output files, by option name, with a SteerdError.
-
-    One is a session or a folder, its folder is missing or read-only, or two options name one file.
-    """
+    """Refuse a session, a folder, a folder that is missing or read-only, one file named twice."""
     taken: dict[Path, str] = {}
     for option, path in outputs.items():
         if path is None:

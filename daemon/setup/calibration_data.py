@@ -75,11 +75,7 @@ def load_movement(path: Path) -> tuple[Movement, int]:
 
 
 def make_drive(r: Recorded) -> Drive:
-    """Poses of the body's own origin and reported speed for `calibrate_mount`.
-
-    Raises SteerdError: the session holds no wheel speed; or it is an imported log, whose poses are
-    already those of the car.
-    """
+    """The body's poses and the wheels' speed; a SteerdError without them, as in imported logs."""
     p, vesc, wheel = r.poses, r.read.table(topics.VESC), r.read.table(topics.WHEEL)
     if not np.isfinite(p["z_raw"]).all():
         hint = "for an imported log, set the offsets in its map's [frame]"
@@ -126,10 +122,7 @@ def solve_least_squares(rows: Array, values: Array) -> tuple[Array, Array]:
 def jackknife_sd(
     good: Mask, estimate: Callable[[Mask], Array | Sequence[float]]
 ) -> tuple[float, ...]:
-    """Standard errors of estimates from their values without each block of samples in turn.
-
-    `good` are the samples that may be used, shape (n,); `estimate` takes some of them.
-    """
+    """Standard errors: of estimates without each block of the good samples, shape (n,), in turn."""
     parts = []
     for block in np.array_split(np.flatnonzero(good), BLOCKS):
         mask = good.copy()

@@ -168,10 +168,7 @@ def _solve(
 
 
 def _lateral_rows(ux: Array, w: Array, slip: float) -> Array:
-    """Regressors of the lateral velocity: r_x, heading error, slip.
-
-    The prior of the slip is one more row, weighted by its standard deviation.
-    """
+    """Regressors of the lateral velocity: r_x, heading error, slip; the last row is its prior."""
     prior = [0.0, 0.0, LATERAL_NOISE / (SLIP_PRIOR_SHARE * slip)]
     return np.vstack([np.column_stack([w, -ux, -(ux**2) * w]), prior])
 

@@ -1,6 +1,7 @@
 """Queries: which serial ports are VESCs, which mocap servers are on the network. Nothing moves."""
 
 import contextlib
+import grp
 import os
 import select
 import socket
@@ -56,10 +57,7 @@ def _usb_id(entry: Path) -> str:
 
 
 def ask_ports(named: str | None, clock: Clock, brakes: BrakeSettings) -> Iterator[SerialFound]:
-    """Identify the device on a port, or on all whose USB id is a VESC's or unknown.
-
-    Only requests are sent, nothing that moves the car.
-    """
+    """Identify the device on a port, or on all that may be VESCs; nothing moves the car."""
     ports = find_ports()
     for url in ports if named is None else [named]:
         usb = ports.get(url, "")
@@ -241,12 +239,10 @@ def find_sockets(proc: Path = Path("/proc/net")) -> tuple[SocketFound, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def in_group(name: str = "dialout") -> bool:
+def in_dialout() -> bool:
     """Whether this user may open serial ports by group."""
-    import grp
-
     try:
-        gid = grp.getgrnam(name).gr_gid
+        gid = grp.getgrnam("dialout").gr_gid
     except KeyError:
         return True
     return os.geteuid() == 0 or gid in os.getgroups()

@@ -110,10 +110,7 @@ def _find_end(angle: Array, predicted: Array, side: float) -> tuple[float, bool]
 
 
 def servo_scaling(found: SteeringCalibration, old: Scaling) -> Scaling:
-    """Servo gain, centre and limits with which a commanded angle is the wheels' angle.
-
-    A limit moves inwards only, to where the wheels stopped following.
-    """
+    """Servo gain and centre for the wheels' angle; limits move inwards only, to the stops."""
     gain = old.servo_gain / found.gain
     offset = old.servo_offset - gain * found.bias
     low, high = old.servo_min, old.servo_max

@@ -170,10 +170,7 @@ def watch_car(bus: ZenohBus, name: str | None, seconds: float | None, *, operate
 def make_desk(
     board: Dashboard, bus: ZenohBus, car: str, clock: Clock, *, operate: bool
 ) -> tuple[key_desk.KeyDesk, Callable[[], bool]]:
-    """The keys of a car on the bus, and what goes on with a stop that was called for there.
-
-    Without `operate` they change live parameters alone.
-    """
+    """The keys of a car, live ones alone unless `operate`; and what repeats a stop from there."""
     operator = BusOperator(bus, car, clock, getpass.getuser(), Pulse(bus, car))
     desk = key_desk.KeyDesk(
         board, clock,

@@ -140,10 +140,7 @@ def print_found(lines: Sequence[str], warnings: Sequence[str]) -> None:
 
 
 def finish(args: Namespace, own: CarFile, values: Values, then: str) -> None:
-    """Write what a calibration found into a car file, and say what is next.
-
-    `own` is the car file to start from where none is named, `then` the command for the one made.
-    """
+    """Write the values into a car file, `own` where none is named; `then` is the command for it."""
     car = edit_car(load_car_file(args.car) if args.car else own, values)
     if args.output:
         write_outputs(car_outputs(args.output, car))

@@ -168,10 +168,7 @@ def list_outputs(args: Namespace) -> dict[str, Path | None]:
 
 
 def present(found: "Finding", args: Namespace, write: Write) -> CarFile | None:
-    """Print the screen, write car, JSON and page; the car, None where none was asked for.
-
-    Raises SteerdError: a value is none that a car file may hold; the rest is written all the same.
-    """
+    """Print the screen, write the rest; the car, None without, a SteerdError where it cannot be."""
     text = json.dumps(found.to_json(), indent=1) + "\n"
     car, refused = None, None
     try:

@@ -1,7 +1,4 @@
-"""`steerd run` and `steerd collect`: a drive, of a car or of simulated hardware.
-
-In real or in virtual time; `collect` is a run whose session identifies the car.
-"""
+"""`steerd run` and `steerd collect`: a drive, in real or in virtual time."""
 
 import contextlib
 import secrets
@@ -200,10 +197,7 @@ def collect(args: Namespace) -> int:
 
 
 def drive(options: RunOptions, *, fast: bool) -> int:
-    """Drive in virtual time, on simulated hardware or on a car.
-
-    The control core's process loads for a second; meanwhile this one makes the plan.
-    """
+    """Drive; the core's process loads for a second, in which this one makes the plan."""
     if fast:
         from steerd.daemon.assembly.build import make_plan
         from steerd.daemon.offline.fast import run_fast

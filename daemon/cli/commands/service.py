@@ -71,10 +71,7 @@ def service(args: Namespace) -> None:
 
 
 def _make_command(args: Namespace) -> list[str]:
-    """The command line of the run, checked: with the options that differ from their defaults.
-
-    A service has another working directory, so files are named in full.
-    """
+    """The run's checked command line; run elsewhere, so with files named in full."""
     from steerd.daemon.assembly.build import make_plan
 
     if args.fast or args.auto_arm:
