@@ -43,20 +43,16 @@ def load_sim_car(spec: str) -> Settings:
     if not seed.isdecimal():
         what = f"--sim-car {spec}: the seed is a whole number"
         raise UsageError(what, f"--sim-car {HIDDEN}7, or a car file")
-    updates = {name: Learned(value) for name, value in _hide(int(seed)).items()}
-    return make_settings(update_car(Path(f"{spec}.toml"), load_car(default_car_path()), updates))
-
-
-def _hide(seed: int) -> dict[str, float]:
-    """Values of the car that a seed hides, about the published one."""
-    car, rng = load_car(default_car_path()).car, np.random.default_rng([_STREAM, seed])
+    published = load_car(default_car_path())
+    car, rng = published.car, np.random.default_rng([_STREAM, int(seed)])
     values = {
         name: getattr(car, name) * rng.uniform(1.0 - share, 1.0 + share)
         for name, share in SHARES.items()
     }
     values["steer_bias"] = rng.choice((-1.0, 1.0)) * rng.uniform(*BIAS)
     values["steer_delay"] = car.steer_delay + rng.uniform(0.0, DELAY)
-    return {name: float(f"{value:.4g}") for name, value in values.items()}
+    updates = {name: Learned(float(f"{value:.4g}")) for name, value in values.items()}
+    return make_settings(update_car(Path(f"{spec}.toml"), published, updates))
 
 
 def make_true_model(settings: Settings, effects: tuple[str, ...]) -> Model[float]:

@@ -177,26 +177,21 @@ def check_outputs(outputs: Mapping[str, Path | None]) -> None:
     for option, path in outputs.items():
         if path is None:
             continue
-        _check(option, path)
+        where, folder = f"{option} {path}", path.parent
+        if _is_session(path):
+            what = f"{where}: that is a session, and a session is never overwritten"
+            raise UsageError(what, "choose another name")
+        if path.is_dir():
+            what, hint = f"{where}: that is a folder", "name a file in it"
+            raise SteerdError(what, hint, ExitCode.UNREADABLE)
+        if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+            what = f"the folder {folder} cannot be written"
+            what = what if folder.is_dir() else f"there is no folder {folder}"
+            raise SteerdError(f"{where}: {what}", "choose another folder", ExitCode.UNREADABLE)
         other = taken.setdefault(path.resolve(), option)
         if other != option:
             what = f"{other} and {option} name the same file, {path}"
             raise UsageError(what, "give each its own name")
-
-
-def _check(option: str, path: Path) -> None:
-    if _is_session(path):
-        what = f"{option} {path}: that is a session, and a session is never overwritten"
-        raise UsageError(what, "choose another name")
-    if path.is_dir():
-        what = f"{option} {path}: that is a folder"
-        raise SteerdError(what, "name a file in it", ExitCode.UNREADABLE)
-    if not path.parent.is_dir():
-        what = f"{option} {path}: there is no folder {path.parent}"
-        raise SteerdError(what, "choose another folder", ExitCode.UNREADABLE)
-    if not os.access(path.parent, os.W_OK | os.X_OK):
-        what = f"{option} {path}: the folder {path.parent} cannot be written"
-        raise SteerdError(what, "choose another folder", ExitCode.UNREADABLE)
 
 
 def _is_session(path: Path) -> bool:

@@ -84,7 +84,6 @@ def calibrate_mount(drive: Drive, car: Car[float], front: float = 0.0) -> MountC
     SteerdError: the car barely moves, never turns, or poses and wheels do not belong together.
     """
     motion = _differentiate(drive)
-    _expect_motion(motion)
     slip = 1.0 / (car.mu * GRAVITY * car.c_sr)  # angle per acceleration, rear axle [rad s^2/m]
     moved = np.hypot(motion.vx, motion.vy)
     turn = wheelbase(car) * motion.yaw_rate / np.maximum(moved, data.MOVING)
@@ -124,18 +123,15 @@ def _differentiate(drive: Drive) -> _Motion:
     after = np.clip(np.searchsorted(drive.t, t), 1, len(drive.t) - 1)
     whole = (drive.t[after] - drive.t[after - 1] < GAP).astype(float)
     whole = np.convolve(whole, np.ones(length), "same") > length - 0.5
-    fast = np.hypot(smooth["x'"], smooth["y'"]) > data.MOVING
-    return _Motion(t, smooth["x'"], smooth["y'"], smooth["yaw"], smooth["yaw'"], whole & fast)
-
-
-def _expect_motion(motion: _Motion) -> None:
-    seconds = motion.good.sum() / RATE
+    good = whole & (np.hypot(smooth["x'"], smooth["y'"]) > data.MOVING)
+    seconds = good.sum() / RATE
     hint = "drive a minute below 1.5 m/s: straight on, and circles to both sides, at two speeds"
     if seconds < SECONDS_MIN:
         raise SteerdError(f"the car moves for {seconds:.1f} s: too little", hint)
-    turning = float(np.sqrt(np.mean(motion.yaw_rate[motion.good] ** 2)))
+    turning = float(np.sqrt(np.mean(smooth["yaw'"][good] ** 2)))
     if turning < TURN_MIN:
         raise SteerdError(f"the car turns with {turning:.2f} rad/s (rms): too little", hint)
+    return _Motion(t, smooth["x'"], smooth["y'"], smooth["yaw"], smooth["yaw'"], good)
 
 
 def _solve(

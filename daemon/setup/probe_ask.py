@@ -44,16 +44,15 @@ ANSWER_S = 4.0  # a source without a pose after this has none: a client says so 
 
 def find_ports(dev: Path = Path("/dev"), sysfs: Path = Path("/sys/class/tty")) -> dict[str, str]:
     """USB serial ports and their USB ids (`0483:5740`; empty where unknown)."""
-    names = [*dev.glob("ttyACM*"), *dev.glob("ttyUSB*")]
-    return {str(path): _usb_id(sysfs / path.name) for path in sorted(names)}
-
-
-def _usb_id(entry: Path) -> str:
-    for folder in (entry / "device").resolve().parents:
-        with contextlib.suppress(OSError):
-            ids = [(folder / name).read_text().strip() for name in ("idVendor", "idProduct")]
-            return ":".join(ids)
-    return ""
+    found = {}
+    for path in sorted([*dev.glob("ttyACM*"), *dev.glob("ttyUSB*")]):
+        found[str(path)] = ""
+        for folder in (sysfs / path.name / "device").resolve().parents:
+            with contextlib.suppress(OSError):
+                ids = [(folder / name).read_text().strip() for name in ("idVendor", "idProduct")]
+                found[str(path)] = ":".join(ids)
+                break
+    return found
 
 
 def ask_ports(named: str | None, clock: Clock, brakes: BrakeSettings) -> Iterator[SerialFound]:
