@@ -24,7 +24,7 @@ from steerd.daemon.settings.run_options import (
     RunOptions,
     decode_options,
     encode_options,
-)  # fmt: skip
+)
 from steerd.steer_bus.topics import check_car_name
 
 # The loop takes half a second to import. `steerd run` leaves it to the core's process, which needs

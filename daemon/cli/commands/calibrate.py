@@ -120,10 +120,11 @@ def _check(args: Namespace) -> int:
     if bool(args.session) == bool(args.mocap):
         hint = "steerd mocap check DRIVE.mcap, or steerd mocap check --mocap natnet://HOST/BODY"
         raise UsageError("name a session or a source", hint)
-    checks = check_movement(*(
-        load_movement(args.session) if args.session
-        else watch_movement(args.mocap, load_settings(args.car).ingest, args.seconds)
-    ))  # fmt: skip
+    if args.session:
+        moved = load_movement(args.session)
+    else:
+        moved = watch_movement(args.mocap, load_settings(args.car).ingest, args.seconds)
+    checks = check_movement(*moved)
     for check in checks:
         print(f"{'pass' if check.ok else 'FAIL'}  {check.name:<8} {check.figure}")
         if not check.ok:

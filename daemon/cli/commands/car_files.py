@@ -11,12 +11,7 @@ from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, load_
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.screen import NBSP, clean, wrap
 from steerd.daemon.common.written import check_outputs, write_outputs
-from steerd.daemon.settings.car_edit import (
-    edit_car,
-    make_car_values,
-    make_vesc_yaml,
-    read_vesc_yaml,
-)
+from steerd.daemon.settings import car_edit
 from steerd.daemon.settings.config import Settings, load_settings
 from steerd.vesc_link.scaling import steer_limits
 
@@ -38,11 +33,11 @@ def config(args: Namespace) -> None:
     """
     if args.from_vesc_yaml:
         base = load_settings(args.check)
-        scaling = read_vesc_yaml(_read(args.from_vesc_yaml), base.scaling)
-        print(edit_car(base.file, make_car_values(scaling)).text, end="")
+        scaling = car_edit.read_vesc_yaml(_read(args.from_vesc_yaml), base.scaling)
+        print(car_edit.edit_car(base.file, car_edit.make_car_values(scaling)).text, end="")
     elif args.to_vesc_yaml:
         settings, out = load_settings(args.check), args.to_vesc_yaml
-        text = make_vesc_yaml(settings.scaling, _read(out) if out.exists() else "")
+        text = car_edit.make_vesc_yaml(settings.scaling, _read(out) if out.exists() else "")
         write_outputs({out: text})
         print(f"{out}: gains of {settings.file.name}")
     elif args.check:

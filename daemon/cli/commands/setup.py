@@ -96,9 +96,7 @@ def setup(args: Namespace) -> int | None:
     if args.page is None:
         left = guide(steps, args.first - 1, read_key, run_step)
     else:
-        from steerd.daemon.process.guide_page import (
-            GuidePage,  # a web server: only where it is used
-        )
+        from steerd.daemon.process.guide_page import GuidePage  # with a web server
 
         page = GuidePage([
             {"title": step.title, "before": step.before, "command": step.typed} for step in steps

@@ -14,13 +14,8 @@ from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.virtual import drive
 from steerd.daemon.sessions.motion import Track
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.daemon.setup.calibration_data import (
-    BLOCKS,
-    Drive,
-    jackknife_sd,
-    load_recorded,
-    make_drive,
-)  # fmt: skip
+from steerd.daemon.setup import calibration_data as data
+from steerd.daemon.setup.calibration_data import Drive, load_recorded, make_drive
 from steerd.daemon.setup.mount_calibration import Mount, calibrate_mount
 from steerd.daemon.setup.steering_calibration import calibrate_steering
 from steerd.sysid.data.dataset import Signal
@@ -199,6 +194,6 @@ def test_rejected_poses_calibrate_nothing_and_what_a_session_lacks_is_named(reco
 
 def test_the_jackknife_of_a_mean_is_its_standard_error():
     values = np.random.default_rng(3).normal(size=200)
-    (sd,) = jackknife_sd(np.ones(200, dtype=bool), lambda keep: [values[keep].mean()])
-    blocks = values.reshape(BLOCKS, -1).mean(axis=1)
-    assert sd == pytest.approx(blocks.std(ddof=1) / np.sqrt(BLOCKS), rel=1e-9)
+    (sd,) = data.jackknife_sd(np.ones(200, dtype=bool), lambda keep: [values[keep].mean()])
+    blocks = values.reshape(data.BLOCKS, -1).mean(axis=1)
+    assert sd == pytest.approx(blocks.std(ddof=1) / np.sqrt(data.BLOCKS), rel=1e-9)
