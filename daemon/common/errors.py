@@ -1,6 +1,6 @@
 """Failures: one sentence for what happened, one for what to try, and an exit code.
 
-What other rooms raise is told as the command line reports it.
+What other rooms raise is said as the command line reports it.
 """
 
 from collections.abc import Iterable, Iterator
