@@ -207,11 +207,7 @@ def _seen(
     placed = [s for s in samples if np.isfinite(s.height)]
     sigma = status.clock_sigma_ns
     return MocapSeen(
-        address=address,
-        server=status.server,
-        bodies=status.bodies,
-        detail=status.detail,
-        seconds=seconds,
+        address, status.server, status.bodies, status.detail, seconds,
         samples=len(samples),
         accepted=len(samples) - refused.total(),
         rate_hz=status.rate_hz,
@@ -223,7 +219,7 @@ def _seen(
         height=float(np.median([s.height for s in placed])) if placed else None,
         tilt=float(np.median([s.tilt for s in placed])) if placed else None,
         refused=tuple(sorted(refused.items())),
-    )
+    )  # fmt: skip
 
 
 # -- this machine --------------------------------------------------------------------------------

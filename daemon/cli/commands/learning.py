@@ -22,6 +22,7 @@ from steerd.posterior_file import posterior_path
 if TYPE_CHECKING:
     from steerd.daemon.analysis.finding import Finding
 
+_SPEED = "wheel: the speed command was not obeyed, take the measured speed instead"
 _SCREEN = Path("-")
 _HELD_OUT: dict[str, Any] = {"type": arguments.split_held_out, "action": "extend"}
 _DRAW, _NOISE = 1.0, 8.0  # about what the report's figures and the noise cost, in sessions read
@@ -35,8 +36,7 @@ def identify_arguments(parser: ArgumentParser) -> None:
     option(what, "--free", "A,B,…", "free parameters (default: all)", type=split_list, default=())
     option(what, "--fix", "A,B=VALUE,…", "keep these as they are", type=parse_fix, default={})
     option(what, "--wheelbase", "M", "distance of the axles, measured", type=float)
-    text = "wheel: the speed command was not obeyed, take the measured speed instead"
-    option(what, "--speed", None, text, choices=("command", "wheel"), default="command")
+    option(what, "--speed", None, _SPEED, choices=("command", "wheel"), default="command")
     text = "learn only these effects of the library (default, auto: all that the drives show)"
     effects: dict[str, Any] = {"type": lambda t: t if t == "auto" else split_list(t), "default": ()}
     option(what, "--effects", "auto|A,B,…", text, **effects)
@@ -105,8 +105,7 @@ def diagnose_arguments(parser: ArgumentParser) -> None:
     option(what, "--only", "EFFECT", "look at this one (repeat)", action="append")
     option(what, "--without", "EFFECT", "leave it out (repeat)", action="append")
     option(what, "--no-pairs", "", "one cause at most; faster", dest="pairs", action="store_false")
-    text = "wheel: the speed command was not obeyed, take the measured speed instead"
-    option(what, "--speed", None, text, choices=("command", "wheel"), default="command")
+    option(what, "--speed", None, _SPEED, choices=("command", "wheel"), default="command")
     text = "measure the shrinkage on every K-th drive (default 4; 0: none), or on these files"
     option(what, "--held-out", "K|FILE,…", text, missing_session, **_HELD_OUT)
     option(what, "--runs-held-out", None, SUPPRESS, dest="held_out", **_HELD_OUT)  # until 0.1
