@@ -5,6 +5,7 @@ a digest of the values that the covariance lies about. Car files from before hol
 `[noise]` and `[knowledge]`. Like `steerd.toml_text`, it belongs to no room.
 """
 
+import contextlib
 import hashlib
 import json
 from collections.abc import Mapping
@@ -51,9 +52,11 @@ def find_known(
     whatever the values are; the covariance lies about its own values only.
     """
     if text:
-        try:
-            content = _decode(text)
-        except ValueError:
+        content: Any = None
+        with contextlib.suppress(ValueError, RecursionError):
+            content = json.loads(text) if len(text) <= SIZE_MAX else None
+        whole = isinstance(content, dict) and content.get("schema") == SCHEMA
+        if not whole or not all(isinstance(content.get(key, {}), dict) for key in TABLES):
             return {}, f"{name} is not what identify writes: it is not used"
         known = {key: content[key] for key in TABLES if key in content}
         if content.get("values") == _digest(numbers):
@@ -65,19 +68,6 @@ def find_known(
         del known["knowledge"]
         return known, "the car file was edited since identify wrote [knowledge]: it is not used"
     return known, ""
-
-
-def _decode(text: str) -> dict[str, Any]:
-    """The file's content. Raises ValueError: it is none."""
-    try:
-        content = json.loads(text) if len(text) <= SIZE_MAX else None
-    except RecursionError:
-        content = None
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise ValueError("no posterior")
-    if not all(isinstance(content.get(key, {}), dict) for key in TABLES):
-        raise ValueError("no tables")
-    return content
 
 
 def _digest(numbers: Mapping[str, Any]) -> str:
