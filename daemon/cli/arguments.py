@@ -65,7 +65,8 @@ def add_session(parser: argparse.ArgumentParser) -> None:
 
 def add_sessions(parser: argparse.ArgumentParser) -> None:
     """Any number of sessions; none means the last one."""
-    option(parser, "sessions", "SESSION.mcap", _SESSION, missing_session, nargs="*")
+    usual = ["@last"]
+    option(parser, "sessions", "SESSION.mcap", _SESSION, missing_session, nargs="*", default=usual)
 
 
 def pick_session(text: str) -> Path:
@@ -76,11 +77,6 @@ def pick_session(text: str) -> Path:
     if str(path) != text:
         print(f"session: {below_home(path)}", file=sys.stderr)
     return path
-
-
-def pick_sessions(texts: list[str]) -> list[Path]:
-    """The files, see `pick_session`."""
-    return [pick_session(text) for text in texts or ["@last"]]
 
 
 def split_list(text: str) -> list[str]:

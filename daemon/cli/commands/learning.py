@@ -71,7 +71,7 @@ def identify(args: Namespace) -> int:
     from steerd.daemon.sessions.text import print_warnings
 
     with writing(list_outputs(args), announced=True) as write:
-        paths = arguments.pick_sessions(args.sessions)
+        paths = [*map(arguments.pick_session, args.sessions)]
         with show_progress("identifying", 1.0) as advance:
             options = read_arguments(IdentifyOptions, args)
             found = run_identify(paths, options, Watch(print_warnings, advance))
@@ -149,7 +149,7 @@ def diagnose(args: Namespace) -> None:
             write(args.prediction, text)
 
         options = read_arguments(DiagnoseOptions, args)
-        paths = arguments.pick_sessions(args.sessions)
+        paths = [*map(arguments.pick_session, args.sessions)]
         with show_progress("diagnosing", 1.0) as advance:
             found = run_diagnose(paths, options, Watch(print_warnings, advance, foretell))
             advance(DRIVEN, "")

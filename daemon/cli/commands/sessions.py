@@ -135,7 +135,7 @@ def plot(args: Namespace) -> None:
     steerd plot SESSION.mcap -o DRIVE.csv    # all curves and the track, every 10 ms
     steerd plot BEFORE.mcap AFTER.mcap       # by place on the lane, and over time
     """
-    paths = arguments.pick_sessions(args.sessions)
+    paths = [*map(pick_session, args.sessions)]
     if args.shift is not None and len(paths) != 2:
         raise UsageError("--shift is for two drives", "name two")
     name = "-".join(path.stem for path in paths)[:120]
