@@ -13,6 +13,7 @@ and wheels agree best while the speed changes. Pure.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from math import atan2, cos, degrees, hypot, sin
 from typing import NamedTuple
 
@@ -89,9 +90,7 @@ def calibrate_mount(drive: Drive, car: Car[float], front: float = 0.0) -> MountC
     turn = wheelbase(car) * motion.yaw_rate / np.maximum(moved, data.MOVING)
     turned = 1.0 - front + front * np.hypot(1.0, turn)
 
-    def solve(keep: data.Mask) -> tuple[Mount, float]:
-        return _solve(motion, drive, slip, turned, keep)
-
+    solve = partial(_solve, motion, drive, slip, turned)
     mount, residual = solve(motion.good)
     if not GAIN_MIN < mount.speed_gain < GAIN_MAX:
         what = f"the poses move {mount.speed_gain:.3g} times as far as the wheels say"
