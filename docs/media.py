@@ -17,11 +17,9 @@ from PIL import Image
 
 import steerd
 
-HIDDEN = 0.05
-"""Dead time that the drive hides [s]."""
+HIDDEN = 0.05  # dead time that the drive hides [s]
 RUN = {"path": "figure8", "speed": 1.8}
-DRIVING, READING, CLOSING, RESTING = 36, 14, 20, 26
-"""Frames of the four scenes."""
+DRIVING, READING, CLOSING, RESTING = 36, 14, 20, 26  # frames of the four scenes
 FRAME_MS = 90
 PICTURE = Path(__file__).parent / "img" / "gap.gif"
 INK, SIMULATED, FOUND = "#202830", "#d1495b", "#2a7f62"

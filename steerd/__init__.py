@@ -30,38 +30,22 @@ if TYPE_CHECKING:
     from steerd.daemon.process.external_controller import serve
 
 __all__ = [
-    "Batch",
-    "Diagnosis",
-    "Environment",
-    "Identification",
-    "Session",
-    "SteerdError",
-    "Sweep",
-    "batch",
-    "diagnose",
-    "identify",
-    "load",
-    "serve",
-    "simulate",
-    "sweep",
-]
+    "Batch", "Diagnosis", "Environment", "Identification", "Session", "SteerdError", "Sweep",
+    "batch", "diagnose", "identify", "load", "serve", "simulate", "sweep",
+]  # fmt: skip
 
-_MODULES = {
-    "Batch": "many.batch.run",
-    "Diagnosis": "analysis.diagnosis",
-    "Environment": "analysis.environment",
-    "Identification": "analysis.identification",
-    "Session": "analysis.recorded",
-    "SteerdError": "common.errors",
-    "Sweep": "many.sweep.run",
-    "batch": "many.batch.run",
-    "diagnose": "analysis.diagnosis",
-    "identify": "analysis.identification",
-    "load": "analysis.recorded",
-    "serve": "process.external_controller",
-    "simulate": "analysis.simulation",
-    "sweep": "many.sweep.run",
+_NAMES = {
+    "analysis.diagnosis": ("Diagnosis", "diagnose"),
+    "analysis.environment": ("Environment",),
+    "analysis.identification": ("Identification", "identify"),
+    "analysis.recorded": ("Session", "load"),
+    "analysis.simulation": ("simulate",),
+    "common.errors": ("SteerdError",),
+    "many.batch.run": ("Batch", "batch"),
+    "many.sweep.run": ("Sweep", "sweep"),
+    "process.external_controller": ("serve",),
 }
+_MODULES = {name: module for module, names in _NAMES.items() for name in names}
 
 if not TYPE_CHECKING:  # type checkers read the imports above
 

@@ -5,6 +5,7 @@ a digest of the values that the covariance lies about. Car files from before hol
 `[noise]` and `[knowledge]`. Like `steerd.toml_text`, it belongs to no room.
 """
 
+import contextlib
 import hashlib
 import json
 from collections.abc import Mapping
@@ -13,11 +14,9 @@ from pathlib import Path
 from typing import Any
 
 SCHEMA = "steerd.posterior/1"
-ATTACHED = "car.posterior.json"
-"""What a session that holds a `car.toml` calls the file."""
+ATTACHED = "car.posterior.json"  # what a session that holds a `car.toml` calls the file
 TABLES = ("noise", "knowledge")
-SIZE_MAX = 4_000_000
-"""A covariance of all parameters of all effects has a tenth of it [characters]."""
+SIZE_MAX = 4_000_000  # a covariance of all parameters of all effects has a tenth of it [characters]
 
 Tables = Mapping[str, Mapping[str, Any]]
 """`noise` and `knowledge` by name, as `steerd.sysid.inference` makes and reads them."""
@@ -38,12 +37,7 @@ def read_beside(car: Path) -> str:
 
 
 def encode_posterior(numbers: Mapping[str, Any], tables: Tables) -> str:
-    """The file's text.
-
-    Args:
-        numbers: the car's values by name, see `CarFile.numbers`.
-        tables: what is known of a car with these values.
-    """
+    """The file's text: what is known of a car with these values, see `CarFile.numbers`."""
     content = {"schema": SCHEMA, "values": _digest(numbers), **tables}
     return json.dumps(content, separators=(",", ":"), allow_nan=False) + "\n"
 
@@ -51,22 +45,18 @@ def encode_posterior(numbers: Mapping[str, Any], tables: Tables) -> str:
 def find_known(
     numbers: Mapping[str, Any], sections: Tables, text: str, name: str
 ) -> tuple[Tables, str]:
-    """What is known of a car.
+    """What is known of a car with these values: tables that hold, a sentence where one does not.
 
-    Args:
-        numbers: the car's values by name.
-        sections: of the car file; those from before hold `[noise]` and `[knowledge]`.
-        text: of the file beside it, empty where there is none.
-        name: of that file.
-
-    Returns:
-        The tables that hold, and a sentence where one does not. Noise is of the drives and holds
-        whatever the values are; the covariance lies about its own values only.
+    The sections are those of the car file; from before they hold `[noise]` and `[knowledge]`. Text
+    and name are of the file beside it, empty where there is none. Noise is of the drives and holds
+    whatever the values are; the covariance lies about its own values only.
     """
     if text:
-        try:
-            content = _decode(text)
-        except ValueError:
+        content: Any = None
+        with contextlib.suppress(ValueError, RecursionError):
+            content = json.loads(text) if len(text) <= SIZE_MAX else None
+        whole = isinstance(content, dict) and content.get("schema") == SCHEMA
+        if not whole or not all(isinstance(content.get(key, {}), dict) for key in TABLES):
             return {}, f"{name} is not what identify writes: it is not used"
         known = {key: content[key] for key in TABLES if key in content}
         if content.get("values") == _digest(numbers):
@@ -78,23 +68,6 @@ def find_known(
         del known["knowledge"]
         return known, "the car file was edited since identify wrote [knowledge]: it is not used"
     return known, ""
-
-
-def _decode(text: str) -> dict[str, Any]:
-    """The file's content.
-
-    Raises:
-        ValueError: it is none.
-    """
-    try:
-        content = json.loads(text) if len(text) <= SIZE_MAX else None
-    except RecursionError:
-        content = None
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise ValueError("no posterior")
-    if not all(isinstance(content.get(key, {}), dict) for key in TABLES):
-        raise ValueError("no tables")
-    return content
 
 
 def _digest(numbers: Mapping[str, Any]) -> str:

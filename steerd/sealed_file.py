@@ -22,12 +22,7 @@ class CacheRefused(UserWarning):
 
 
 def seal(name: str, data: bytes) -> bytes:
-    """The content of a file of that name: the data and their digest.
-
-    Args:
-        name: of the file; holds a digest of all that the data were made from.
-        data: what `read_sealed` gives back.
-    """
+    """The content of a file of that name, which says all that the data were made from."""
     return data + _digest(name, data)
 
 
@@ -49,11 +44,7 @@ def read_sealed(path: Path) -> bytes | None:
 
 
 def make_own_folder(folder: Path) -> None:
-    """Make a folder into which nobody else writes; take that right away where it was given.
-
-    Raises:
-        OSError: it cannot be made, or is somebody else's.
-    """
+    """Make a folder into which nobody else writes, or take that right away; or an OSError."""
     for each in (*reversed(folder.parents), folder):
         with contextlib.suppress(FileExistsError):
             each.mkdir(_OWN)

@@ -8,10 +8,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-SIZE_MAX = 1_000_000
-"""A page of settings; what is larger is something else [bytes]."""
-PARTS_MAX = 16
-"""Parts of a dotted key: the parser's time grows with their square."""
+SIZE_MAX = 1_000_000  # a page of settings; what is larger is something else [bytes]
+PARTS_MAX = 16  # parts of a dotted key: the parser's time grows with their square
 DEPTH_MAX = 16
 """Tables and arrays within each other: what reads them later may call itself for each."""
 MESSAGE_MAX = 200
@@ -25,32 +23,18 @@ class TomlError(ValueError):
 
 
 def load_toml(path: Path) -> dict[str, Any]:
-    """The tables of a file.
-
-    Raises:
-        OSError: it cannot be read.
-        TomlError: it is no TOML within the bounds.
-    """
+    """The tables of a file; an OSError if it cannot be read; else see `parse_toml`."""
     return parse_toml(read_toml(path))
 
 
 def read_toml(path: Path) -> str:
-    """The text of a file, no more than it may hold.
-
-    Raises:
-        OSError: it cannot be read.
-        TomlError: it is too large, or no UTF-8.
-    """
+    """The text of a file; an OSError if it cannot be read; else see `decode_toml`."""
     with path.open("rb") as file:
         return decode_toml(file.read(SIZE_MAX + 1))
 
 
 def decode_toml(raw: bytes) -> str:
-    """The text of a file's content.
-
-    Raises:
-        TomlError: it is too large, or no UTF-8.
-    """
+    """The text of a file's content. Raises TomlError: it is too large, or no UTF-8."""
     if len(raw) > SIZE_MAX:
         raise TomlError(f"is larger than {SIZE_MAX / 1e6:g} MB")
     try:
@@ -60,11 +44,7 @@ def decode_toml(raw: bytes) -> str:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The tables of a text.
-
-    Raises:
-        TomlError: it is no TOML within the bounds.
-    """
+    """The tables of a text. Raises TomlError: it is no TOML within the bounds."""
     if len(text) > SIZE_MAX:
         raise TomlError(f"is larger than {SIZE_MAX / 1e6:g} MB")
     long_key = _LONG_KEY.search(text)

@@ -21,8 +21,7 @@ from steerd.car_model.effect import EffectParameter
 from steerd.car_model.effects import find_effect
 from steerd.car_model.params import PARAMETERS, Parameter
 from steerd.daemon.assembly.session_meta import read_session_car
-from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.common.translate import make_car_file_error
+from steerd.daemon.common.errors import SteerdError, make_car_file_error
 from steerd.daemon.settings.car_edit import Values, edit_document
 from steerd.daemon.settings.config import make_settings
 from steerd.posterior_file import TABLES, encode_posterior

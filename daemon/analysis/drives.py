@@ -22,8 +22,7 @@ from numpy.linalg import LinAlgError
 
 from steerd.daemon.analysis.options import EVERY, HeldOut, Speed, Watch
 from steerd.daemon.assembly.sim_car import read_origin
-from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
-from steerd.daemon.common.translate import reading
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, reading
 from steerd.daemon.sessions.info import load_session, make_session_report, read_recording
 from steerd.daemon.sessions.motion import check_steering
 from steerd.sim_gap.diagnosis import Case

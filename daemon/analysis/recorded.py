@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.daemon.common.errors import SteerdError
+from steerd.daemon.common.errors import SteerdError, reading
 from steerd.daemon.common.notebook import load_package, make_frame
 from steerd.daemon.common.screen import shown
-from steerd.daemon.common.translate import reading
 from steerd.daemon.sessions.info import (
     Recording,
     SessionReport,

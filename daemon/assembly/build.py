@@ -36,15 +36,11 @@ if TYPE_CHECKING:
     from steerd.controller.live import LiveBounds
     from steerd.sim_hw.world import WorldConfig
 
-NS = 1_000_000_000
-"""Nanoseconds in a second."""
-FASTEST_HZ = 1000.0
-"""Highest control rate [Hz]."""
+NS = 1_000_000_000  # nanoseconds in a second
+FASTEST_HZ = 1000.0  # highest control rate [Hz]
 SLOWEST_HZ, SLOWEST_SIMULATED_HZ = 50.0, 20.0
 """Lowest control rates [Hz]: the guardian brakes a car whose core has not ticked for 30 ms, and a
 simulated one for 300 ms."""
-
-
 OFFSET_SHARE = 0.5
 """The lane may be shifted by this share of the lateral error that stops the car (W17)."""
 VIRTUAL_EPOCH_NS = 1_700_000_000_000_000_000
@@ -77,11 +73,7 @@ class RunPlan:
 
     @cached_property
     def controller(self) -> LaneController:
-        """The lane keeper, designed for this run once.
-
-        Raises:
-            SteerdError: the design is refused, with the reason.
-        """
+        """The lane keeper, designed for this run once; a SteerdError says why it is refused."""
         from steerd.controller.design import DesignRefused
 
         car, config = make_design_car(self.settings), self.settings.controller
@@ -94,10 +86,7 @@ class RunPlan:
 
     @cached_property
     def live(self) -> LiveBounds | None:
-        """Bounds of what may be changed during the drive.
-
-        None where the lane keeper does not drive alone, and in virtual time, where nobody could.
-        """
+        """Bounds of live parameters; None unless the lane keeper drives alone, in real time."""
         from steerd.controller.live import make_live_bounds
 
         options, made = self.options, self.controller
@@ -117,11 +106,7 @@ class RunPlan:
 
     @cached_property
     def sim(self) -> Settings:
-        """The settings of the simulated car; those of the car file unless `--sim-car` differs.
-
-        Raises:
-            SteerdError: the simulated car's file is refused.
-        """
+        """Of the simulated car: the car file's unless `--sim-car` differs; or a SteerdError."""
         if self.drawn is not None:
             return self.drawn
         return load_sim_car(self.options.sim_car) if self.options.sim_car else self.settings
@@ -147,16 +132,8 @@ class RunPlan:
         return self.remote or (self.drill is not None and not self.drill.closed)
 
 
-_KEPT = 8
-"""Paths and designs that a process keeps: many drives in a row use few, in turn."""
-
-
-_parse_shape = lru_cache(_KEPT)(parse_path)
-
-
-def _parse_path(spec: str) -> Path:
-    """A path; shapes are the same value each time, so that their designs are too."""
-    return parse_path(spec) if spec.strip().startswith("csv:") else _parse_shape(spec)
+_KEPT = 8  # paths and designs that a process keeps: many drives in a row use few, in turn
+_parse_shape = lru_cache(_KEPT)(parse_path)  # the same value each time, so that its design is too
 
 
 @lru_cache(_KEPT)
@@ -178,12 +155,9 @@ def make_plan(
 ) -> RunPlan:
     """Read the car file (unless its settings are given), the path, and design the controller.
 
-    A drive of an excitation plan is as long as that, unless the options say how long.
-    `design`: False where another process will do that; `real`: of a drive in real time.
-
-    Raises:
-        SteerdError: any of them is refused, with the reason.
-        LibraryError: the compiled equations were not built.
+    A drive of an excitation plan is as long as that, unless the options say how long. `design`:
+    False where another process will do that; `real`: of a drive in real time. Raises SteerdError:
+    any of them is refused, with the reason; LibraryError: the compiled equations were not built.
     """
     slowest = SLOWEST_HZ if options.port and not options.simulated else SLOWEST_SIMULATED_HZ
     if not slowest <= options.rate_hz <= FASTEST_HZ:
@@ -192,8 +166,9 @@ def make_plan(
         check_car_name(options.car)
     if settings is None:
         settings = load_settings(options.car_file or default_car_path(), options.speed)
+    is_file = options.path.strip().startswith("csv:")
     try:
-        path = _parse_path(options.path)
+        path = parse_path(options.path) if is_file else _parse_shape(options.path)
     except ValueError as error:
         raise UsageError(f"--path {options.path}: {error}", _near_path(options.path)) from None
     drill = None
@@ -237,10 +212,7 @@ def _near_path(spec: str) -> str:
 
 
 def make_design_car(settings: Settings) -> Car[float]:
-    """The car with the end stops that the output limiter enforces, for the controller's design.
-
-    Effects of the car file count as far as they change parameters.
-    """
+    """The car that is designed for: with its effects on parameters, and the limiter's end stops."""
     car, limits = believed_car(settings.file.model), settings.limits
     return car._replace(
         steer_min=max(car.steer_min, -limits.steer_right_max),
@@ -248,19 +220,11 @@ def make_design_car(settings: Settings) -> Car[float]:
     )
 
 
-_DRIVABLE = "circle:radius=3"
-"""A path that every car of this class can drive."""
-
-
-def plan_car(car: CarFile) -> tuple[Settings, RunPlan]:
-    """Settings and plan at the file's own speed; the design is part of the check.
-
-    Raises:
-        SteerdError: it holds no car that can be driven, or one without a stable controller.
-    """
+def plan_car(car: CarFile) -> RunPlan:
+    """A drive at the file's own speed on an easy path; a SteerdError if no car can be driven so."""
     settings = make_settings(car)
-    options = RunOptions(str(car.path), path=_DRIVABLE, speed=settings.controller.speed)
-    return settings, make_plan(options, settings)
+    options = RunOptions(str(car.path), path="circle:radius=3", speed=settings.controller.speed)
+    return make_plan(options, settings)
 
 
 def report_refusal(car: CarFile) -> None:
@@ -275,11 +239,7 @@ def report_refusal(car: CarFile) -> None:
 def make_world_config(
     plan: RunPlan, mocap_kind: str = "natnet", keep_bytes: bool = False
 ) -> WorldConfig:
-    """Simulated hardware for a plan: the simulated car, with the effects of the options.
-
-    Raises:
-        SteerdError: the simulated car's file or an effect is refused.
-    """
+    """Simulated hardware for a plan, with the effects of the options; or a SteerdError."""
     from steerd.sim_hw.mocap.cameras import MocapConfig
     from steerd.sim_hw.vesc.vesc_motor import VescConfig
     from steerd.sim_hw.world import WorldConfig

@@ -7,6 +7,7 @@ signal added to the lane keeper's command. Pure.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from math import atan, cos, floor, inf, isfinite, pi, sin, sqrt, tan
 from typing import NamedTuple
 
@@ -16,36 +17,24 @@ from steerd.car_model.state import ORIGIN, Command, State
 from steerd.controller.limits import Limits
 from steerd.daemon.settings.thresholds import LAUNCH_DISTANCE, LAUNCH_SPEED
 
-PAPER_SECONDS = 8.0
-PAPER_SPEED = 1.0
-PAPER_RUNS = 8
+PAPER_SECONDS, PAPER_SPEED, PAPER_RUNS = 8.0, 1.0, 8
 """The paper's circles: 8 to each side, 8 s each, 1 m/s, steering at its limit [s, m/s, -]."""
-PAUSE = 1.5
-"""Standstill between the paper's runs [s]."""
+PAUSE = 1.5  # standstill between the paper's runs [s]
 SWING, SWING_LEAST = 0.7, 0.3
 """Amplitude of the steering as a share of the orbit's mean angle; the least on tight orbits."""
-SPEED_LOW = 1.0
-"""Lowest speed of a plan [m/s]: below it, tyre parameters are not excited."""
-PROBE = 0.05
-"""Amplitude of the probing signal in closed loop [rad]."""
+SPEED_LOW = 1.0  # lowest speed of a plan [m/s]: below it, tyre parameters are not excited
+PROBE = 0.05  # amplitude of the probing signal in closed loop [rad]
 PROBE_RADIUS, CIRCLE_RADIUS = 1.8, 1.5
 """Smallest radii of figure eight and circle that leave room for the probing signal [m]."""
-_STEP = 0.02
-"""Time step of the forecast [s]."""
-_STEER_GAIN_SPREAD = 0.03
-"""Uncertainty of the steering gain in the forecast."""
-_ACCEL_SHARE = 0.5
-"""Share of the largest acceleration with which the forecast's car gains speed."""
+_STEP = 0.02  # time step of the forecast [s]
+_STEER_GAIN_SPREAD = 0.03  # uncertainty of the steering gain in the forecast
+_ACCEL_SHARE = 0.5  # share of the largest acceleration with which the forecast's car gains speed
 _MARGIN, _DELAY, _BRAKE = 0.6, 0.1, 3.5
 """Stopping distance in the forecast: [m], [s] and [m/s^2], as the fence's watchdog warns."""
-_SHRINK = 0.92
-"""Factor between the radii that are tried."""
-_GRIP_SHARE = 0.95
-"""Share of the largest lateral acceleration that an orbit uses."""
-_RADIUS_MARGIN = 1.05
-"""Factor on the first radius that is tried."""
-_CHIRP_LOW_HZ = 0.3
-"""First frequency of a chirp [Hz]; patterns up to 1 Hz keep one frequency."""
+_SHRINK = 0.92  # factor between the radii that are tried
+_GRIP_SHARE = 0.95  # share of the largest lateral acceleration that an orbit uses
+_RADIUS_MARGIN = 1.05  # factor on the first radius that is tried
+_CHIRP_LOW_HZ = 0.3  # first frequency of a chirp [Hz]; patterns up to 1 Hz keep one frequency
 
 
 class Segment(NamedTuple):
@@ -115,11 +104,7 @@ class Drill:
 
 
 def parse_box(text: str) -> Box:
-    """A box from `SIDE` (a square about the origin) or `X_MIN,Y_MIN,X_MAX,Y_MAX`.
-
-    Raises:
-        ValueError: it is neither.
-    """
+    """A box from `SIDE` (about the origin) or `X_MIN,Y_MIN,X_MAX,Y_MAX`; or a ValueError."""
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
@@ -130,16 +115,6 @@ def parse_box(text: str) -> Box:
     if len(numbers) == 4 and numbers[0] < numbers[2] and numbers[1] < numbers[3]:
         return Box(*numbers)
     raise ValueError(f"box {text!r}: give its side, or x_min,y_min,x_max,y_max in metres")
-
-
-def _make_circles(car: Car[float], limits: Limits) -> Iterator[Segment]:
-    """The paper's sixteen circles."""
-    left = min(limits.steer_left_max, car.steer_max)
-    right = min(limits.steer_right_max, -car.steer_min)
-    for steer in (left, -right):
-        for _ in range(PAPER_RUNS):
-            yield Segment(PAPER_SECONDS, PAPER_SPEED, steer)
-            yield Segment(PAUSE, 0.0, steer)
 
 
 _Pattern = tuple[tuple[float, float, float, bool], ...]
@@ -157,19 +132,6 @@ class _Orbit(NamedTuple):
 
 _PROBING = _Orbit(0.0, PROBE, 0.0, 1.0)
 """What is added to the lane keeper's command: shares of its speed."""
-
-
-def _make_orbit(
-    car: Car[float], limits: Limits, radius: float, speed: float, share: float
-) -> _Orbit:
-    length = wheelbase(car)
-    bound = min(limits.steer_left_max, limits.steer_right_max, car.steer_max, -car.steer_min)
-    steer = min(atan(length / radius), bound / (1.0 + min(SWING_LEAST, share)))
-    swing = min(share * steer, bound - steer)
-    sharpest = tan(steer + swing) / length
-    fastest = sqrt(_GRIP_SHARE * limits.lateral_accel_max / sharpest)
-    fastest = min(speed, limits.speed_max, fastest)
-    return _Orbit(steer, swing, min(SPEED_LOW, fastest), fastest)
 
 
 def _make_waves(orbit: _Orbit, side: float, pattern: _Pattern) -> Iterator[Segment]:
@@ -205,8 +167,19 @@ def _make_segments(
     name: str, car: Car[float], limits: Limits, radius: float, speed: float
 ) -> tuple[Segment, ...]:
     if name == "circles":
-        return tuple(_make_circles(car, limits))
-    orbit = _make_orbit(car, limits, radius, speed, _swing_share(name))
+        left = min(limits.steer_left_max, car.steer_max)
+        right = min(limits.steer_right_max, -car.steer_min)
+        runs = ((Segment(PAPER_SECONDS, PAPER_SPEED, end), Segment(PAUSE, 0.0, end))
+                for end in (left, -right))  # fmt: skip
+        return tuple(chain.from_iterable(run * PAPER_RUNS for run in runs))
+    length, share = wheelbase(car), _swing_share(name)
+    bound = min(limits.steer_left_max, limits.steer_right_max, car.steer_max, -car.steer_min)
+    steer = min(atan(length / radius), bound / (1.0 + min(SWING_LEAST, share)))
+    swing = min(share * steer, bound - steer)
+    sharpest = tan(steer + swing) / length
+    fastest = sqrt(_GRIP_SHARE * limits.lateral_accel_max / sharpest)
+    fastest = min(speed, limits.speed_max, fastest)
+    orbit = _Orbit(steer, swing, min(SPEED_LOW, fastest), fastest)
     sides = (tuple(_make_waves(orbit, side, _PATTERNS[name])) for side in (1.0, -1.0))
     return tuple(segment for side in sides for segment in _scale_to_whole_turns(car, side))
 
@@ -233,10 +206,7 @@ def _forecast(
 
 
 def forecast_reach(car: Car[float], segments: Sequence[Segment]) -> tuple[float, float]:
-    """How far a plan leads from its start along x and y [m], to either side.
-
-    For a steering gain that may differ by 3 %, and with the stopping distance.
-    """
+    """How far a plan leads along x and y [m], to either side: 3 % in gain, and a stop, included."""
     places = [(0.0, 0.0)]
     for gain in (1.0 - _STEER_GAIN_SPREAD, 1.0, 1.0 + _STEER_GAIN_SPREAD):
         for g in _forecast(car, segments, gain):
@@ -256,11 +226,7 @@ def _scale_to_whole_turns(car: Car[float], segments: tuple[Segment, ...]) -> tup
 def make_open_drill(
     name: str, car: Car[float], limits: Limits, box: Box | None, speed: float
 ) -> Drill:
-    """The plan with the widest orbits that fit the box; without one, for the full `speed` [m/s].
-
-    Raises:
-        ValueError: no orbit fits.
-    """
+    """The plan with the widest orbits in the box, else for `speed` [m/s]; or a ValueError."""
     room = 1.0 + (SWING if name == "circles" else _swing_share(name))
     radius = _RADIUS_MARGIN * speed**2 * room / limits.lateral_accel_max
     smallest = wheelbase(car) / tan(min(limits.steer_left_max, limits.steer_right_max))
@@ -280,11 +246,7 @@ def make_open_drill(
 
 
 def make_closed_path(box: Box | None) -> str:
-    """The lane keeper's path under a probe: a figure eight if the box has room, else a circle.
-
-    Raises:
-        ValueError: the box is too small for either.
-    """
+    """The lane keeper's path under a probe, an eight or a circle; a ValueError if none fits."""
     if box is None:
         return f"figure8:radius={PROBE_RADIUS}"
     half = 0.5 * min(box.x_max - box.x_min, box.y_max - box.y_min) - _MARGIN
@@ -300,9 +262,7 @@ def parse_drill(spec: str, car: Car[float], limits: Limits) -> Drill:
     """A drill from text such as `mixed;open;speed=2.5;box=8`.
 
     Closed loop it is a probe: its steering is added to the lane keeper's, speeds are shares of its.
-
-    Raises:
-        ValueError: it makes no sense.
+    Raises ValueError: it makes no sense.
     """
     name, *rest = spec.split(";")
     if name not in NAMES:

@@ -85,10 +85,7 @@ def make_metadata(plan: RunPlan) -> dict[str, dict[str, str]]:
 
 
 def make_attachments(plan: RunPlan) -> dict[str, str]:
-    """Attachments of the session, unchanged.
-
-    The car file and what identify knows of the car, path file, the simulated car's file.
-    """
+    """Attachments of the session, unchanged: car file, what identify knows, path, simulated car."""
     texts = {"car.toml": plan.settings.file.text}
     if plan.settings.file.posterior:
         texts[ATTACHED] = plan.settings.file.posterior
@@ -101,12 +98,7 @@ def make_attachments(plan: RunPlan) -> dict[str, str]:
 
 
 def read_session_car(session: Session) -> CarFile:
-    """The car file inside a session, with what identify knew of the car.
-
-    Raises:
-        SessionError: there is none, or it is no text.
-        CarFileError: it cannot be used.
-    """
+    """A session's car file with what identify knew; else SessionError or CarFileError."""
     texts = {}
     for name in ("car.toml", *({ATTACHED} & {*session.info().attachments})):
         try:
@@ -118,17 +110,12 @@ def read_session_car(session: Session) -> CarFile:
     return _parse_once(texts["car.toml"], place, texts.get(ATTACHED, ""))
 
 
-_parse_once = lru_cache(maxsize=8)(parse_car)
-"""Several parts of one command ask for the same session's car."""
+_parse_once = lru_cache(maxsize=8)(parse_car)  # several parts of one command ask for the same car
 
 
 @contextmanager
 def recorded_path(session: Session, spec: str) -> Iterator[str]:
-    """The path's spec, with the file that it names taken from the session, never from this disk.
-
-    Raises:
-        SessionError: the session does not hold the file.
-    """
+    """The path's spec with its file from the session, never from this disk; or a SessionError."""
     if csv_file(spec) is None:
         yield spec
         return

@@ -31,46 +31,32 @@ they are published: a tape measures them, and the mocap body was placed by them.
 BIAS = (0.02, 0.035)
 """Bounds of a hidden car's steering offset, to either side [rad]: 1.1 to 2 degrees, a linkage
 that was screwed on by eye."""
-DELAY = 0.02
-"""Largest dead time that a hidden car's steering has beyond the published one's [s]."""
-_STREAM = 17
-"""Keeps these numbers apart from those of the simulated instruments' noise."""
+DELAY = 0.02  # largest dead time that a hidden car's steering has beyond the published one's [s]
+_STREAM = 17  # keeps these numbers apart from those of the simulated instruments' noise
 
 
 def load_sim_car(spec: str) -> Settings:
-    """The true car of a simulation, by a car file or `hidden:SEED`.
-
-    Raises:
-        SteerdError: the file cannot be used, or the seed is none.
-    """
+    """The true car of a simulation, by a car file or `hidden:SEED`; a SteerdError if it is none."""
     if not spec.startswith(HIDDEN):
         return load_settings(spec)
     seed = spec.removeprefix(HIDDEN)
     if not seed.isdecimal():
         what = f"--sim-car {spec}: the seed is a whole number"
         raise UsageError(what, f"--sim-car {HIDDEN}7, or a car file")
-    updates = {name: Learned(value) for name, value in _hide(int(seed)).items()}
-    return make_settings(update_car(Path(f"{spec}.toml"), load_car(default_car_path()), updates))
-
-
-def _hide(seed: int) -> dict[str, float]:
-    """Values of the car that a seed hides, about the published one."""
-    car, rng = load_car(default_car_path()).car, np.random.default_rng([_STREAM, seed])
+    published = load_car(default_car_path())
+    car, rng = published.car, np.random.default_rng([_STREAM, int(seed)])
     values = {
         name: getattr(car, name) * rng.uniform(1.0 - share, 1.0 + share)
         for name, share in SHARES.items()
     }
     values["steer_bias"] = rng.choice((-1.0, 1.0)) * rng.uniform(*BIAS)
     values["steer_delay"] = car.steer_delay + rng.uniform(0.0, DELAY)
-    return {name: float(f"{value:.4g}") for name, value in values.items()}
+    updates = {name: Learned(float(f"{value:.4g}")) for name, value in values.items()}
+    return make_settings(update_car(Path(f"{spec}.toml"), published, updates))
 
 
 def make_true_model(settings: Settings, effects: tuple[str, ...]) -> Model[float]:
-    """The simulated car: that of the settings, with the effects of `--effect` added.
-
-    Raises:
-        SteerdError: an effect is unknown or its value is invalid.
-    """
+    """The simulated car: the settings', with `--effect` added; a SteerdError if one is invalid."""
     file = settings.file
     with refusing("--effect: ", "`steerd effects` lists them"):
         added = parse_effects(",".join(effects)) if effects else []
@@ -82,8 +68,7 @@ def make_true_model(settings: Settings, effects: tuple[str, ...]) -> Model[float
     )
 
 
-TRUTH = "steerd.truth"
-"""Metadata of a session of simulated hardware: its car, by `make_truth`."""
+TRUTH = "steerd.truth"  # metadata of a session of simulated hardware: its car, by `make_truth`
 
 
 def make_truth(model: Model[float]) -> dict[str, str]:
@@ -115,13 +100,12 @@ def read_origin(metadata: Mapping[str, Any], *, own_car: bool = True) -> str:
         options = decode_options(metadata.get("steerd.session", {}).get("options", ""))
     except ValueError:
         return ""
-    words: list[str] = []
-    if not options.simulated:
-        if not options.port or not options.mocap:
-            return ""
+    if options.simulated:
+        words = ["--sim", "--fast", *(("--sim-car", options.sim_car) if options.sim_car else ())]
+    elif options.port and options.mocap:
         words = ["--port", options.port, "--mocap", options.mocap]
     else:
-        words = ["--sim", "--fast", *(("--sim-car", options.sim_car) if options.sim_car else ())]
+        return ""
     if options.sim_car or own_car:
         words += [word for each in options.effects for word in ("--effect", each)]
     file = Path(options.car_file)
@@ -134,18 +118,15 @@ def compare_truths(named: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """What one car cannot have been: named sessions whose simulated cars differ, in sentences."""
     truths = {name: truth for name, data in named.items() if (truth := data.get(TRUTH))}
     remarks = []
-    first = next(iter(truths), "")
-    for other in list(truths)[1:]:
-        one, two = truths[first], truths[other]
+    first, one = next(iter(truths.items()), ("", {}))
+    for other, two in truths.items():
         names = [k for k in dict.fromkeys((*one, *two)) if one.get(k) != two.get(k)]
         if names:
-            shown = ", ".join(
-                f"{k} {_short(one.get(k))} and {_short(two.get(k))}" for k in names[:3]
-            )
+            shown = (f"{k} {_short(one.get(k))} and {_short(two.get(k))}" for k in names[:3])
             more = f" and {len(names) - 3} more" if len(names) > 3 else ""
             remarks.append(
-                f"{first} and {other} were driven on different simulated cars ({shown}{more}): "
-                "one car cannot fit both"
+                f"{first} and {other} were driven on different simulated cars "
+                f"({', '.join(shown)}{more}): one car cannot fit both"
             )
     return remarks
 

@@ -1,8 +1,7 @@
 """Arguments of commands: how one is declared, and what several commands take.
 
-Files that a command reads are looked for before the command loads anything heavy: an argument that
-names such files has a `check`, and `main` runs it as soon as the command line is parsed. What is
-wrong inside a file is for the command to say, once it has loaded what reads it.
+Files that a command reads are looked for before the command loads anything heavy: by the `check` of
+their argument, which `main` runs. What is wrong inside a file the command says that reads it.
 """
 
 import argparse
@@ -29,10 +28,9 @@ def option(
     check: Check | None = None,
     **more: Any,
 ) -> None:
-    """Declare an argument.
+    """Declare an argument: `--free`, `-o --output`, or a positional one's name; `text` is its help.
 
-    `name` is `--free`, `-o --output`, or that of a positional argument; `value` what the help calls
-    its value, empty for a switch, None for the name itself; `text` is one line of help; `check`
+    `value` is what the help calls its value, empty for a switch, None for the name itself; `check`
     looks for the files that the value names.
     """
     if value == "":
@@ -67,26 +65,18 @@ def add_session(parser: argparse.ArgumentParser) -> None:
 
 def add_sessions(parser: argparse.ArgumentParser) -> None:
     """Any number of sessions; none means the last one."""
-    option(parser, "sessions", "SESSION.mcap", _SESSION, missing_session, nargs="*")
+    usual = ["@last"]
+    option(parser, "sessions", "SESSION.mcap", _SESSION, missing_session, nargs="*", default=usual)
 
 
 def pick_session(text: str) -> Path:
-    """The file; one that was not named is shown on standard error.
-
-    Raises:
-        SteerdError: there is none.
-    """
+    """The file, or a SteerdError; one that was not named is shown on standard error."""
     from steerd.daemon.sessions.catalogue import find_session
 
     path = find_session(text)
     if str(path) != text:
         print(f"session: {below_home(path)}", file=sys.stderr)
     return path
-
-
-def pick_sessions(texts: list[str]) -> list[Path]:
-    """The files, see `pick_session`."""
-    return [pick_session(text) for text in texts or ["@last"]]
 
 
 def split_list(text: str) -> list[str]:
@@ -103,11 +93,7 @@ def split_held_out(text: str) -> list[int | Path]:
 
 
 def check_inputs(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
-    """Refuse files that are not there, a car file first: one holds for all sessions.
-
-    Raises:
-        SteerdError: the first of them.
-    """
+    """Refuse the first file that is not there, a car file first: one holds for all sessions."""
     found = ((getattr(a, "find_missing", None), a.dest) for a in list_actions(parser))
     checks = [(check, dest) for check, dest in found if check is not None]
     for check, dest in sorted(checks, key=lambda each: each[0] is not missing_car):
@@ -166,13 +152,10 @@ def missing_lane(text: str) -> SteerdError | None:
 
 
 def _texts(value: Any) -> Iterable[str]:
-    """The file names of an argument's values; `-` is none, nor is anything beside a number.
-
-    A number is every K-th part, which no file may stand beside: that is for the command to refuse.
-    """
+    """The file names of an argument's values; `-` is none, nor is what stands beside a number."""
     values = value if isinstance(value, list) else [value]
     parts: list[str] = []
     for each in values:
         parts += [str(each)] if isinstance(each, Path) else str(each or "").split(",")
-    numbered = any(part.removeprefix("-").isdigit() for part in parts)
+    numbered = any(part.removeprefix("-").isdigit() for part in parts)  # every K-th part
     return () if numbered else (part for part in parts if part and part != "-")

@@ -7,10 +7,10 @@ authority's private key stays in `authority/`, on a machine that neither car nor
 import ipaddress
 import json
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import NamedTuple
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
@@ -30,9 +30,8 @@ _SKEW = timedelta(days=1)  # certificates are valid from this long ago: clocks m
 _PEM = serialization.Encoding.PEM
 
 
-@dataclass(frozen=True)
-class Issuer:
-    """A certificate authority: its certificate and private key, and how long it certifies."""
+class Issuer(NamedTuple):
+    """A certificate authority; of what it makes, for itself too, `years` says how long it holds."""
 
     certificate: x509.Certificate
     key: ec.EllipticCurvePrivateKey
@@ -40,11 +39,7 @@ class Issuer:
 
 
 def load_members(folder: Path) -> Lab:
-    """The lab of a folder, as its authority knows it.
-
-    Raises:
-        SteerdError: there is none.
-    """
+    """The lab of a folder, as its authority knows it. Raises SteerdError: there is none."""
     try:
         return read_members(folder / AUTHORITY)
     except BusError as error:
@@ -56,12 +51,19 @@ def add_members(folder: Path, old: Lab, lab: Lab, years: float, host: str | None
     """Make folders for new people, who stand last in `lab`, and write the members into each folder.
 
     Of a lab that begins, `host` is the car's address: its authority and its car are made too.
-
-    Raises:
-        SteerdError: a name cannot be used, or a folder or file is there already.
+    Raises SteerdError: a name cannot be used, or a folder or file is there already.
     """
     added = (*lab.operators[len(old.operators) :], *lab.viewers[len(old.viewers) :])
-    _check_names(old, added)  # of all, before anything is written
+    known = {old.car, *old.operators, *old.viewers}
+    for name in added:  # before anything is written
+        if not _NAME.fullmatch(name) or name.startswith(".") or name == AUTHORITY:
+            what = f"{name!r} is not a valid name for a certificate"
+            hint = f"1 to 60 of letters, digits and _ . -, not starting with a dot, not {AUTHORITY}"
+            raise UsageError(what, hint)
+        if name in known:
+            hint = "choose another name; a certificate is never replaced"
+            raise UsageError(f"{name!r} exists already", hint)
+        known.add(name)
     if host is None:
         issuer = _load_authority(folder / AUTHORITY, years)
     else:
@@ -74,31 +76,15 @@ def add_members(folder: Path, old: Lab, lab: Lab, years: float, host: str | None
         text += f"{key} = {json.dumps(getattr(lab, key))}\n"
     for name in (*added, AUTHORITY, lab.car):
         if (folder / name).is_dir():
-            data = f"{text}name = {json.dumps(name)}\n".encode()
-            _write(folder / name / "lab.toml", data)
-
-
-def _check_names(lab: Lab, added: Iterable[str]) -> None:
-    """Refuse names that are taken, or are not valid as common name and as folder's name."""
-    known = {lab.car, *lab.operators, *lab.viewers}
-    for name in added:
-        if not _NAME.fullmatch(name) or name.startswith(".") or name == AUTHORITY:
-            what = f"{name!r} is not a valid name for a certificate"
-            hint = f"1 to 60 of letters, digits and _ . -, not starting with a dot, not {AUTHORITY}"
-            raise UsageError(what, hint)
-        if name in known:
-            hint = "choose another name; a certificate is never replaced"
-            raise UsageError(f"{name!r} exists already", hint)
-        known.add(name)
+            _write(folder / name / "lab.toml", f"{text}name = {json.dumps(name)}\n".encode())
 
 
 def _make_authority(place: Path, car: str, years: float) -> Issuer:
     key = ec.generate_private_key(ec.SECP256R1())
-    identifier = x509.SubjectKeyIdentifier.from_public_key(key.public_key())
     extensions = {
         x509.BasicConstraints(ca=True, path_length=0): True,
         x509.KeyUsage(False, False, False, False, False, True, True, False, False): True,
-        identifier: False,
+        x509.SubjectKeyIdentifier.from_public_key(key.public_key()): False,
     }
     certificate = _certify(f"steerd lab of {car}", key, years, extensions)
     _write_folder(place, {"ca.pem": certificate.public_bytes(_PEM), "ca.key": _encode(key)})
@@ -121,15 +107,19 @@ def _issue(folder: Path, issuer: Issuer, name: str, host: str | None) -> None:
     """Make the folder of one participant; `host` is where others connect, None for a client."""
     key = ec.generate_private_key(ec.SECP256R1())
     purpose = ExtendedKeyUsageOID.SERVER_AUTH if host else ExtendedKeyUsageOID.CLIENT_AUTH
-    authority = x509.AuthorityKeyIdentifier.from_issuer_public_key(issuer.key.public_key())
+
     extensions: dict[x509.ExtensionType, bool] = {
         x509.BasicConstraints(ca=False, path_length=None): True,
         x509.KeyUsage(True, False, False, False, False, False, False, False, False): True,
         x509.ExtendedKeyUsage([purpose]): False,
-        authority: False,
+        x509.AuthorityKeyIdentifier.from_issuer_public_key(issuer.key.public_key()): False,
     }
     if host:
-        extensions[x509.SubjectAlternativeName([_general_name(host)])] = False
+        try:
+            place: x509.GeneralName = x509.IPAddress(ipaddress.ip_address(host.strip("[]")))
+        except ValueError:
+            place = x509.DNSName(host)
+        extensions[x509.SubjectAlternativeName([place])] = False
     certificate = _certify(name, key, issuer.years, extensions, issuer)
     _write_folder(folder / name, {
         "ca.pem": issuer.certificate.public_bytes(_PEM),
@@ -160,13 +150,6 @@ def _certify(
     for extension, critical in extensions.items():
         builder = builder.add_extension(extension, critical)
     return builder.sign(issuer.key if issuer else key, hashes.SHA256())
-
-
-def _general_name(host: str) -> x509.GeneralName:
-    try:
-        return x509.IPAddress(ipaddress.ip_address(host.strip("[]")))
-    except ValueError:
-        return x509.DNSName(host)
 
 
 def _encode(key: ec.EllipticCurvePrivateKey) -> bytes:

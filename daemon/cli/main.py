@@ -41,7 +41,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "page": ("remote", "a running car as a live page in a browser, with a stop button"),
         "teleop": ("remote", "drive by gamepad, with a deadman's button"),
         "control": ("remote", "the lane keeper as a process of its own, over zenoh"),
-        "collect": ("collect", "drive an excitation plan and record it"),
+        "collect": ("run", "drive an excitation plan and record it"),
     },
     "sessions": {
         "sessions": ("sessions", "the recorded drives: date, car, errors, notes"),
@@ -80,7 +80,6 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
 }
 """Commands by what they are for: module below `commands` and one line of help, by name."""
 COMMANDS = {name: row for group in GROUPS.values() for name, row in group.items()}
-"""Module below `commands` and one line of help, by name."""
 _FUNCTIONS = dict.fromkeys(("start", "stop", "estop", "arm", "disarm", "clear"), "operate")
 _FUNCTIONS["import"] = "import_log"  # functions that are not called as their command
 
@@ -93,15 +92,15 @@ class Command(NamedTuple):
     first: Sequence[str]  # options that `--help` shows; all where none is named
 
 
+ABOUT = "Control, identification and sim-to-real diagnosis for Ackermann cars."
+
+
 def find_command(name: str) -> Command:
     """A command by its name; no other module is loaded."""
     module = importlib.import_module(f"steerd.daemon.cli.commands.{COMMANDS[name][0]}")
     function = _FUNCTIONS.get(name, name)
     run, add_arguments = getattr(module, function), getattr(module, f"{function}_arguments")
-    return Command(run, add_arguments, getattr(module, "FIRST_OPTIONS", ()))
-
-
-ABOUT = "Control, identification and sim-to-real diagnosis for Ackermann cars."
+    return Command(run, add_arguments, getattr(module, "FIRST_OPTIONS", {}).get(name, ()))
 
 
 def list_commands() -> str:
@@ -114,21 +113,15 @@ def list_commands() -> str:
     return "\n\n".join((*parts, "`steerd COMMAND --help` explains one of them."))
 
 
-def parse_command(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
-    """Split the command's name from its arguments; exits with the help text where there is none."""
-    word = argv[0] if argv else "--help"
-    if word in COMMANDS:
-        return word, argv[1:]
-    if word in ("-h", "--help", "--version"):
-        print(f"steerd {VERSION}" if word == "--version" else list_commands())
-        raise SystemExit(0)
-    hint = did_you_mean(word, COMMANDS) or "`steerd --help` lists the commands"
-    raise UsageError(f"there is no command {word!r}", hint)
-
-
 def dispatch(argv: Sequence[str]) -> int:
     """Run one command line and give its exit code; errors pass through."""
-    name, rest = parse_command(argv)
+    name, rest = argv[0] if argv else "--help", argv[1:]
+    if name in ("-h", "--help", "--version"):
+        print(f"steerd {VERSION}" if name == "--version" else list_commands())
+        raise SystemExit(0)
+    if name not in COMMANDS:
+        hint = did_you_mean(name, COMMANDS) or "`steerd --help` lists the commands"
+        raise UsageError(f"there is no command {name!r}", hint)
     command = find_command(name)
     parser = argparse.ArgumentParser(
         prog=f"steerd {name}",
@@ -149,8 +142,7 @@ def dispatch(argv: Sequence[str]) -> int:
     if unknown:
         raise _refuse(name, parser, unknown)
     check_inputs(parser, args)
-    code: int | None = command.run(args)
-    return code or ExitCode.OK
+    return command.run(args) or ExitCode.OK
 
 
 def _explain(parser: argparse.ArgumentParser, first: Sequence[str]) -> None:
@@ -219,9 +211,6 @@ def run_cli(argv: Sequence[str]) -> int:
         return ExitCode.INTERNAL
 
 
-_NO_FILES = (errno.EMFILE, errno.ENFILE)
-
-
 def _find_cause(name: str, error: Exception) -> SteerdError | None:
     """What a machine lacks, a package, room on its disk or the compiled equations; else None."""
     from steerd.steer_bus.atomic_file import is_full, takes_nothing
@@ -230,12 +219,11 @@ def _find_cause(name: str, error: Exception) -> SteerdError | None:
         what = f"`steerd {name}` needs {error.name}, which a car's computer does without"
         hint = "pip install -c constraints.txt -e . (in the checkout)"
         return SteerdError(what, hint, ExitCode.USAGE)
-    if isinstance(error, OSError) and error.errno in _NO_FILES:
+    if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
         hint = "raise the limit: `ulimit -n 1024`"
         return SteerdError(f"{error.strerror}", hint, ExitCode.UNREADABLE)
     if isinstance(error, OSError) and takes_nothing(error):
-        # A cache, a temporary file or the output: what is buffered has no place to go, at the end
-        # too.
+        # What is buffered has no place to go, at the end too.
         with contextlib.suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         where = error.filename or "a cache, a temporary file or the output"

@@ -1,8 +1,18 @@
-"""Failures: one sentence for what happened, one for what to try, and an exit code."""
+"""Failures: one sentence for what happened, one for what to try, and an exit code.
+
+What other rooms raise is said as the command line reports it.
+"""
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from enum import IntEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from steerd.car_model.car_file import CarFile, CarFileError
+    from steerd.steer_bus.session_read import SessionError
 
 
 class ExitCode(IntEnum):
@@ -43,10 +53,7 @@ class UsageError(SteerdError):
 def refusing(about: str = "", hint: str = "", code: ExitCode = ExitCode.USAGE) -> Iterator[None]:
     """What another room says of a value in the block is an error of the command line.
 
-    Args:
-        about: begins the sentence.
-        hint: what to try.
-        code: of a ValueError; what the system refuses is unreadable.
+    `about` begins the sentence; `code` is a ValueError's; what the system refuses is unreadable.
     """
     try:
         yield
@@ -68,3 +75,51 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     """`did you mean X?`, or nothing."""
     near = find_near(word, known)
     return f"did you mean {near}?" if near else ""
+
+
+# -- errors of other rooms -------------------------------------------------------------------------
+
+
+def make_car_file_error(error: "CarFileError") -> SteerdError:
+    """For a car file that cannot be read or written (exit code 3) or is not valid (4)."""
+    unreadable = isinstance(error.__cause__, OSError)
+    code = ExitCode.UNREADABLE if unreadable else ExitCode.INVALID
+    place = f"{error.path}: {error.where}" if error.where else str(error.path)
+    return SteerdError(f"{place}: {error.what}", error.hint, code)
+
+
+def load_car_file(path: "Path | str | None") -> "CarFile":
+    """A car file that somebody named, F1TENTH's for None, with what identify knows of the car."""
+    from steerd.car_model.car_file import CarFileError, default_car_path, load_car
+
+    try:
+        return load_car(path or default_car_path())
+    except CarFileError as error:
+        raise make_car_file_error(error) from None
+
+
+def make_session_error(error: "SessionError", hint: str = "") -> SteerdError:
+    """For a session that cannot be read or written; `hint` where the error has none of its own."""
+    what = str(error).removesuffix(f" ({error.hint})") if error.hint else str(error)
+    return SteerdError(what, error.hint or hint, ExitCode(error.exit_code))
+
+
+@contextmanager
+def reading(name: object, hint: str = "") -> Iterator[None]:
+    """The one guard around what reads a file from elsewhere: its content raises one SteerdError.
+
+    `name` is the file's, for people; `hint` what to try where the error has no hint of its own.
+    """
+    import csv
+
+    from steerd.steer_bus.session_read import SessionError
+
+    try:
+        yield
+    except SessionError as error:
+        raise make_session_error(error, hint) from error
+    except (ValueError, LookupError, RecursionError, MemoryError, csv.Error) as error:
+        known = {RecursionError: "nested too deeply", MemoryError: "more than memory holds"}
+        text = known.get(type(error), str(error)[:200] or type(error).__name__)
+        text = f"it lacks {error.args[0]}" if isinstance(error, KeyError) else text
+        raise SteerdError(f"{name}: {text}", hint) from error

@@ -28,13 +28,7 @@ def watched(items: Iterable[T], advance: Callable[[int], None], every: int = 500
 
 @contextmanager
 def show_progress(label: str, total: float, *, even: bool = False) -> Iterator[Step]:
-    """A bar on standard error while the block runs, if that is a terminal.
-
-    Args:
-        label: what is done.
-        total: amount of it.
-        even: the work goes on at one rate, so the time that is left is shown too.
-    """
+    """A bar on standard error if that is a terminal; work at an `even` rate shows the time left."""
     if not sys.stderr.isatty():
         yield lambda done, step="", /: None
         return

@@ -40,14 +40,10 @@ def show(value: float, form: str) -> str:
 
 
 def wrap(text: str, first: str = "", rest: str = "", width: int = WIDTH) -> list[str]:
-    """Lines of at most `width` columns; a longer word has a line of its own.
+    """Lines of at most `width` columns of a paragraph; a longer word has a line of its own.
 
-    Args:
-        text: one paragraph; `NBSP` is a space at which no line breaks, nor does one within a
-            command, which is to be copied.
-        first: the head of the first line.
-        rest: the indent of the others.
-        width: columns.
+    No line breaks at `NBSP`, nor within a command, which is to be copied. The first line begins
+    with `first`, the others with `rest`.
     """
     lines = textwrap.wrap(
         _COMMAND.sub(lambda found: join_words(found[0]), text),
@@ -61,14 +57,7 @@ def wrap(text: str, first: str = "", rest: str = "", width: int = WIDTH) -> list
 
 
 def wrap_command(command: str, first: str = "", rest: str = "", width: int = WIDTH) -> list[str]:
-    """A command line to copy: broken before options, with the shell's continuation.
-
-    Args:
-        command: as it is typed.
-        first: the head of the first line.
-        rest: the indent of the others.
-        width: columns.
-    """
+    """A command line to copy: broken before options, with the shell's continuation; see `wrap`."""
     lines: list[str] = []
     line = ""
     for part in re.split(r" (?=-)", command):
@@ -93,12 +82,9 @@ def join_words(text: str) -> str:
 
 
 def print_labelled(label: str, text: str, file: TextIO) -> None:
-    """Print a label and a text; only a terminal gets broken lines, a file or pipe does not.
+    """Print a label and a text; only a terminal gets broken lines, indented by the label's width.
 
-    Args:
-        label: the head of the first line, also the width by which later lines are indented.
-        text: paragraphs, one per line; an indented one is to be copied and stays as it is.
-        file: where to.
+    The text is paragraphs, one per line; an indented one is to be copied and stays as it is.
     """
     if not file.isatty():
         print(label + text, file=file)
@@ -159,16 +145,14 @@ def prepare_streams() -> None:
 
 
 MARGIN = 12  # columns of a label
-_ROWS = 3
+_ROWS = 3  # of a paragraph where the screen is short
 
 
 def format_screen(lines: "Iterable[Line]", most: int = 0) -> str:
-    """A report on a terminal.
+    """A report on a terminal of `most` lines, 0 for as many as there are.
 
-    Args:
-        lines: of the report.
-        most: lines of the terminal; what matters least is left out where it would not fit: notes,
-            and what a paragraph says beyond its third line. 0 for as many as there are.
+    What matters least is left out where it would not fit: notes, and what a paragraph says beyond
+    its third line.
     """
     found = [(line, _lay_out(line, most > 0)) for line in lines]
     room = most - sum(len(rows) for line, rows in found if line.label != "note")
@@ -224,16 +208,13 @@ def shown(cls: type[T]) -> type[T]:
     return cls
 
 
-_SHOWN = 3
+_SHOWN = 3  # stretches
 
 
 def describe_holes(dropped: str, holes: Sequence[tuple[int, int]], start_ns: int) -> str:
     """How many records are missing, and where; empty where none is.
 
-    Args:
-        dropped: how many, as the recorder counted.
-        holes: stretches in which records are missing [UNIX ns].
-        start_ns: of the session [UNIX ns].
+    The recorder counted those that it `dropped`; the holes and the session's start are [UNIX ns].
     """
     if not holes:
         return ""

@@ -34,16 +34,8 @@ _REMEMBERED = 10_000  # digests kept, the latest ones: 650 kB
 def write_output(path: Path, text: str | bytes) -> Path | None:
     """Write a result, whole or not at all; keep what is there if steerd did not write it.
 
-    Args:
-        path: the file; it may exist.
-        text: its new content.
-
-    Returns:
-        Where the old content is now, or None: there was none, it was the same, or a page or a
-        table of steerd's.
-
-    Raises:
-        SteerdError: it cannot be written; the old content is then where it was.
+    Gives where the old content is now, or None: there was none, it was the same, or a page or a
+    table of steerd's. Raises SteerdError: it cannot be written; the old content is where it was.
     """
     data = text.encode() if isinstance(text, str) else text
     kept = _keep(path, data)
@@ -66,17 +58,12 @@ Write = Callable[[Path | None, "str | bytes | None"], bool]
 
 @contextmanager
 def writing(named: Mapping[str, Path | None], *, announced: bool = False) -> Iterator[Write]:
-    """Write the outputs of a command, each as soon as its content is known.
+    """Write the outputs of a command, by option name, each as soon as its content is known.
 
     What cannot be written is said when the block ends, after the others were written. An interrupt
-    (Ctrl-C) leaves what was written by then and says in one line what that is.
-
-    Args:
-        named: path by option name; None where the option was not given.
-        announced: a terminal shows at the end what was written.
-
-    Raises:
-        SteerdError: an output may not be written (see `check_outputs`), or could not be.
+    (Ctrl-C) leaves what was written by then and says in one line what that is. `announced`: a
+    terminal shows at the end what was written. Raises SteerdError: an output may not be written
+    (see `check_outputs`), or could not be.
     """
     check_outputs(named)
     failures: dict[Path, SteerdError] = {}
@@ -118,11 +105,7 @@ def _are(paths: Collection[Path]) -> str:
 def write_outputs(
     texts: Mapping[Path | None, str | bytes | None], *, announced: bool = False
 ) -> None:
-    """Write every result, see `writing`: content by file, without those of which one is None.
-
-    Raises:
-        SteerdError: every file that failed in one line, after the others were written.
-    """
+    """Write every result, see `writing`: content by file, without those of which one is None."""
     with writing({}, announced=announced) as write:
         for path, text in texts.items():
             write(path, text)
@@ -134,11 +117,7 @@ def car_outputs(path: Path, car: "CarFile") -> dict[Path | None, str | bytes | N
 
 
 def _keep(path: Path, data: bytes) -> Path | None:
-    """Give a car file, or a foreign or edited one, a second, dated name beside the first.
-
-    Raises:
-        SteerdError: it can be neither linked nor copied.
-    """
+    """Give a car file, or a foreign or edited one, a second, dated name; or a SteerdError."""
     try:
         old = path.read_bytes()
     except FileNotFoundError:
@@ -170,13 +149,11 @@ def _link(path: Path, other: Path) -> None:
 def dated_name(path: Path) -> Path:
     """`NAME.DATE.SUFFIX` of a file, by its last change in local time; the first that is free."""
     stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.localtime(path.stat().st_mtime))
-    count = 1
-    while True:
-        more = "" if count == 1 else f".{count}"
-        name = path.with_name(f"{path.stem}.{stamp}{more}{path.suffix}")
-        if not name.exists():
-            return name
+    name, count = path.with_name(f"{path.stem}.{stamp}{path.suffix}"), 1
+    while name.exists():
         count += 1
+        name = path.with_name(f"{path.stem}.{stamp}.{count}{path.suffix}")
+    return name
 
 
 def _digest(data: bytes) -> str:
@@ -195,39 +172,26 @@ def _written() -> list[str]:
 
 
 def check_outputs(outputs: Mapping[str, Path | None]) -> None:
-    """Refuse output files that cannot be written or that are sessions.
-
-    Args:
-        outputs: path by option name; None where the option was not given.
-
-    Raises:
-        SteerdError: an output is a session or a folder, its folder is missing or read-only, or
-            two options name one file.
-    """
+    """Refuse a session, a folder, a folder that is missing or read-only, one file named twice."""
     taken: dict[Path, str] = {}
     for option, path in outputs.items():
         if path is None:
             continue
-        _check(option, path)
+        where, folder = f"{option} {path}", path.parent
+        if _is_session(path):
+            what = f"{where}: that is a session, and a session is never overwritten"
+            raise UsageError(what, "choose another name")
+        if path.is_dir():
+            what, hint = f"{where}: that is a folder", "name a file in it"
+            raise SteerdError(what, hint, ExitCode.UNREADABLE)
+        if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+            what = f"the folder {folder} cannot be written"
+            what = what if folder.is_dir() else f"there is no folder {folder}"
+            raise SteerdError(f"{where}: {what}", "choose another folder", ExitCode.UNREADABLE)
         other = taken.setdefault(path.resolve(), option)
         if other != option:
             what = f"{other} and {option} name the same file, {path}"
             raise UsageError(what, "give each its own name")
-
-
-def _check(option: str, path: Path) -> None:
-    if _is_session(path):
-        what = f"{option} {path}: that is a session, and a session is never overwritten"
-        raise UsageError(what, "choose another name")
-    if path.is_dir():
-        what = f"{option} {path}: that is a folder"
-        raise SteerdError(what, "name a file in it", ExitCode.UNREADABLE)
-    if not path.parent.is_dir():
-        what = f"{option} {path}: there is no folder {path.parent}"
-        raise SteerdError(what, "choose another folder", ExitCode.UNREADABLE)
-    if not os.access(path.parent, os.W_OK | os.X_OK):
-        what = f"{option} {path}: the folder {path.parent} cannot be written"
-        raise SteerdError(what, "choose another folder", ExitCode.UNREADABLE)
 
 
 def _is_session(path: Path) -> bool:
@@ -244,11 +208,7 @@ def _is_session(path: Path) -> bool:
 
 
 def write_whole(path: Path, text: str | bytes) -> None:
-    """Write a file in one move, so that nobody ever sees half of it.
-
-    Raises:
-        SteerdError: it or its folder cannot be written.
-    """
+    """Write a file in one move, so that nobody ever sees half of it; or a SteerdError."""
     try:
         write_atomically(path, text)
     except OSError as error:

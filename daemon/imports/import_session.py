@@ -12,8 +12,7 @@ from math import nan
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
-from steerd.daemon.common.translate import make_session_error
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, make_session_error
 from steerd.daemon.imports.import_map import ImportMap
 from steerd.mocap_link.frame import (
     FrameConfig,

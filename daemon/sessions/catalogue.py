@@ -22,10 +22,9 @@ import platformdirs
 import tomlkit
 
 from steerd.daemon.assembly.session_meta import sessions_folder
-from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, reading
 from steerd.daemon.common.row_file import RowFile
 from steerd.daemon.common.screen import clean, cut, wrap
-from steerd.daemon.common.translate import reading
 from steerd.daemon.common.written import write_whole
 from steerd.sysid.report.report import Card, Cell, Report, Section, Table
 from steerd.toml_text import load_toml

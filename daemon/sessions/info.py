@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, reading
 from steerd.daemon.common.screen import describe_holes
-from steerd.daemon.common.translate import reading
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions import motion
 from steerd.daemon.sessions.motion import SignalRange, Track

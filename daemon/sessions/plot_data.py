@@ -11,7 +11,7 @@ import numpy as np
 from steerd.car_model.path.path import Path as Lane
 from steerd.car_model.path.path_spec import parse_path
 from steerd.daemon.assembly.session_meta import recorded_path
-from steerd.daemon.common.translate import reading
+from steerd.daemon.common.errors import reading
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.info import Recording
 from steerd.daemon.sessions.motion import Track, rms

@@ -16,8 +16,14 @@ from steerd.car_model.params import GRAVITY, wheelbase
 from steerd.car_model.state import ORIGIN, State
 from steerd.controller.config import ControllerConfig, load_controller_config
 from steerd.controller.limits import Limits
-from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean, find_near, refusing
-from steerd.daemon.common.translate import load_car_file
+from steerd.daemon.common.errors import (
+    ExitCode,
+    SteerdError,
+    did_you_mean,
+    find_near,
+    load_car_file,
+    refusing,
+)
 from steerd.daemon.settings.thresholds import LAUNCH_RATIO, LAUNCH_SPEED, SOFT_DECEL, Thresholds
 from steerd.estimator.config import FilterConfig, load_filter_config
 from steerd.mocap_link.frame import FrameConfig
@@ -89,27 +95,16 @@ class Settings:
     record: RecordSettings
 
 
-JUMP_SDS = 7.0
-"""Standard deviations of a pose by which two may differ: five of their difference."""
+JUMP_SDS = 7.0  # standard deviations of a pose by which two may differ: five of their difference
 
 
 def load_settings(path: Path | str | None, speed: float | None = None) -> Settings:
-    """Read a car file, F1TENTH's for None, and check every section.
-
-    `speed` [m/s] replaces the file's cruise speed.
-
-    Raises:
-        SteerdError: the file cannot be read, or a value is invalid; names it and the remedy.
-    """
+    """Read a car file, F1TENTH's for None, at this cruise speed [m/s]; see `make_settings`."""
     return make_settings(load_car_file(path), speed)
 
 
 def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
-    """The settings of a car file that was read.
-
-    Raises:
-        SteerdError: a section or a key is mistyped, a value is invalid, or two contradict.
-    """
+    """The settings of a car file; a SteerdError says what is invalid and the remedy."""
     for name in car_file.sections:  # one that is named nearly as another: its limits would not hold
         near = find_near(name, _SECTIONS)
         if name not in _SECTIONS and near:
@@ -149,8 +144,7 @@ _SECTIONS = (
 """Sections that some room reads; others are a reader's own and stay."""
 
 
-_Contradiction = tuple[bool, str, str]
-"""Whether it is there, what it is, and what to try."""
+_Contradiction = tuple[bool, str, str]  # whether it is there, what it is, and what to try
 
 
 def _list_contradictions(s: Settings) -> Iterator[_Contradiction]:
@@ -177,11 +171,7 @@ def _list_contradictions(s: Settings) -> Iterator[_Contradiction]:
 
 
 def _read(car_file: CarFile, name: str, make: Callable[[Mapping[str, Any]], S]) -> S:
-    """A section as what a room makes of it.
-
-    Raises:
-        SteerdError: it is no table, or the room refuses it; names file and section.
-    """
+    """A section as what a room makes of it; a SteerdError names file and section."""
     table = car_file.sections.get(name, {})
     if not isinstance(table, Mapping):
         raise SteerdError(f"{car_file.path}: [{name}] must be a table")
@@ -223,11 +213,7 @@ FRAME_ANGLES = ("world_yaw", "mount_yaw")
 
 
 def read_frame(table: Mapping[str, Any]) -> FrameConfig:
-    """Room and body, as `[mocap]` of a car file and `[frame]` of an import's map say them.
-
-    Raises:
-        ValueError: a key or a value is none.
-    """
+    """Room and body, of a car file's `[mocap]` and of a map's `[frame]`; or a ValueError."""
     angles = {f"{name}_deg": name for name in FRAME_ANGLES}
     values = dict(table)
     for name in angles.keys() & table.keys():

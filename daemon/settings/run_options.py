@@ -5,8 +5,7 @@ from enum import StrEnum
 
 import msgspec
 
-HIDDEN = "hidden:"
-"""Begins the name of a car that a seed hides: `hidden:7`."""
+HIDDEN = "hidden:"  # begins the name of a car that a seed hides: `hidden:7`
 
 
 class ControllerKind(StrEnum):
@@ -55,9 +54,5 @@ def encode_options(options: RunOptions) -> str:
 
 
 def decode_options(text: str) -> RunOptions:
-    """The options of `encode_options`.
-
-    Raises:
-        msgspec.ValidationError: if the text is not such options.
-    """
+    """The options of `encode_options`; a msgspec.ValidationError where they are none."""
     return msgspec.json.decode(text, type=RunOptions)

@@ -48,6 +48,7 @@ def _find_lost(file: CarFile, neutral: Mapping[str, float]) -> list[str]:
     return lost + ([f"effects of the car file that are left out: {names}"] if names else [])
 
 
+_HEAD = "{}, written by steerd export. What is lost:"
 _DELAYS = {"steer_delay": 0.0, "drive_delay": 0.0, "pose_delay": 0.0}
 
 
@@ -70,33 +71,25 @@ def make_gym_yaml(file: CarFile, speed_max: float) -> Export:
         "v_switch": speed_max, "a_max": car.accel_max, "v_min": 0.0, "v_max": speed_max,
         "width": _GYM_WIDTH * base, "length": _GYM_LENGTH * base,
     }  # fmt: skip
-    lines = [f"# {line}" for line in _head(file, lost)]
+    lines = [f"# {line}" for line in (_HEAD.format(" ".join(file.name.split())), *lost)]
     lines += [f"{name}: {float(f'{value:.6g}')!r}" for name, value in values.items()]
     return Export("\n".join(lines) + "\n", tuple(lost))
-
-
-def _head(file: CarFile, lost: list[str]) -> list[str]:
-    return [f"{' '.join(file.name.split())}, written by steerd export. What is lost:", *lost]
 
 
 # -- MuJoCo ----------------------------------------------------------------------------------------
 
 
 class _Wheel(NamedTuple):
+    """A tyre; in a steady turn a wheel that carries m with slip angle a feels mu c g m a.
+
+    MuJoCo brakes the slip speed s at `2 / (impedance * time constant) * s`, which there is the
+    lateral acceleration; s is a times the speed.
+    """
+
     name: str
     x: float
     y: float
-    creep: float  # MuJoCo's `solreffriction` of the tyre [s]
-
-
-def _creep(car: Car[float], coefficient: float, speed: float) -> float:
-    """Of a tyre: in a steady turn a wheel that carries m with slip angle a feels mu c g m a.
-
-    MuJoCo brakes the slip speed s at `2 / (impedance * time constant) * s`, which there is the
-    lateral acceleration; s is a times the speed. `coefficient` is the cornering force per load,
-    friction and slip angle [1/rad].
-    """
-    return 2.0 * speed / (_IMPEDANCE * car.mu * coefficient * GRAVITY)
+    creep: float  # MuJoCo's `solreffriction` of the tyre, its time constant [s]
 
 
 def make_mjcf(file: CarFile, speed: float) -> Export:
@@ -115,14 +108,15 @@ def make_mjcf(file: CarFile, speed: float) -> Export:
     ]
     half = 0.5 * _TRACK * base
     wheels = [
-        _Wheel(f"{axle}_{side}", x, y, _creep(car, coefficient, speed))
-        for axle, x, coefficient in (("front", car.lf, car.c_sf), ("rear", -car.lr, car.c_sr))
+        _Wheel(f"{axle}_{side}", x, y, 2.0 * speed / (_IMPEDANCE * car.mu * cornering * GRAVITY))
+        for axle, x, cornering in (("front", car.lf, car.c_sf), ("rear", -car.lr, car.c_sr))
         for side, y in (("left", half), ("right", -half))
     ]
     drive = file.chassis.drive or "all"
     values = {
         "name": file.name,
-        "about": "\n     ".join(_head(file, lost)).replace("--", "-"),
+        "about": "\n     ".join((_HEAD.format(" ".join(file.name.split())), *lost))
+                 .replace("--", "-"),
         "step": _STEP, "gravity": GRAVITY, "impedance": _IMPEDANCE, "knuckle": _KNUCKLE,
         "knuckle_inertia": _KNUCKLE_INERTIA, "car": car, "wheels": wheels,
         "driven": [w for w in wheels if drive == "all" or w.name.startswith(drive)],

@@ -50,10 +50,18 @@ def check_movement(m: Movement, refused: int) -> list[Check]:
     """All checks, in the order in which failures should be fixed; so many poses were `refused`."""
     steps = np.hypot(np.diff(m.x), np.diff(m.y))
     length = float(np.sum(steps)) if len(steps) else 0.0
-    checks = [_check_stream(m, refused), _check_distance(m, length)]
+    extent = float(max(np.ptp(m.x), np.ptp(m.y))) if len(m.x) else 0.0
+    checks = [_check_stream(m, refused), _check_distance(extent, length)]
     if not checks[-1].ok:
         return checks
-    checks += [_check_height(m), _check_tilt(m)]
+    span = float(np.quantile(m.height, 0.98) - np.quantile(m.height, 0.02))
+    # A floor that is 1 % off level is common; a wrong up axis moves the height as far as the car.
+    level = span < HEIGHT_MAX + 0.01 * extent
+    fix = "set [mocap] up (y or z) to the server's up axis; set the ground plane if it leans"
+    checks.append(Check("height", level, f"varies by {1e3 * span:.0f} mm", fix))
+    tilt = float(np.median(m.tilt))
+    fix = "reset the body's orientation in the mocap software with the car on the floor"
+    checks.append(Check("level", tilt < TILT_MAX, f"leans {degrees(tilt):.1f}°", fix))
     at = np.concatenate(([0.0], np.cumsum(np.maximum(steps, 1e-9))))
     even = np.arange(0.0, at[-1], STEP)
     x, y, yaw = (np.interp(even, at, column) for column in (m.x, m.y, np.unwrap(m.yaw)))
@@ -71,8 +79,7 @@ def _check_stream(m: Movement, refused: int) -> Check:
     return Check("stream", ok, figure, fix)
 
 
-def _check_distance(m: Movement, length: float) -> Check:
-    extent = float(max(np.ptp(m.x), np.ptp(m.y))) if len(m.x) else 0.0
+def _check_distance(extent: float, length: float) -> Check:
     figure = f"{extent:.2f} m from end to end, {length:.2f} m of path"
     if extent < EXTENT_MIN:  # the path of a car that stands is the noise of its poses
         fix = "push the car straight forward by about 1 m"
@@ -80,21 +87,6 @@ def _check_distance(m: Movement, length: float) -> Check:
     if extent > EXTENT_MAX or length > LAPS_MAX * (extent + 1.0):
         return Check("distance", False, figure, "millimetres taken for metres? set [mocap] units")
     return Check("distance", True, figure)
-
-
-def _check_height(m: Movement) -> Check:
-    span = float(np.quantile(m.height, 0.98) - np.quantile(m.height, 0.02))
-    extent = float(max(np.ptp(m.x), np.ptp(m.y)))
-    # A floor that is 1 % off level is common; a wrong up axis moves the height as far as the car.
-    ok = span < HEIGHT_MAX + 0.01 * extent
-    fix = "set [mocap] up (y or z) to the server's up axis; set the ground plane if it leans"
-    return Check("height", ok, f"varies by {1e3 * span:.0f} mm", fix)
-
-
-def _check_tilt(m: Movement) -> Check:
-    tilt = float(np.median(m.tilt))
-    fix = "reset the body's orientation in the mocap software with the car on the floor"
-    return Check("level", tilt < TILT_MAX, f"leans {degrees(tilt):.1f}°", fix)
 
 
 def _check_heading(travel: Array, yaw: Array, turn: Array) -> list[Check]:
@@ -109,9 +101,8 @@ def _check_heading(travel: Array, yaw: Array, turn: Array) -> list[Check]:
     if turned > TURNED_MIN:
         slope = float(np.sum(bend * turn[1:]) / np.sum(turn[1:] ** 2))
         fix = "the world is mirrored: is [mocap] up right, are the axes right-handed?"
-        ok = slope > 0.3
         figure = f"yaw follows the path's turns by {slope:+.2f}"
-        checks.append(Check("turning", ok, figure, fix))
+        checks.append(Check("turning", slope > 0.3, figure, fix))
     return checks
 
 

@@ -13,6 +13,7 @@ and wheels agree best while the speed changes. Pure.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from math import atan2, cos, degrees, hypot, sin
 from typing import NamedTuple
 
@@ -21,7 +22,8 @@ from scipy.signal import savgol_filter
 
 from steerd.car_model.params import GRAVITY, Car, wheelbase
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.setup import least_squares as ls
+from steerd.daemon.setup import calibration_data as data
+from steerd.daemon.setup.calibration_data import Drive
 from steerd.mocap_link.frame import FrameConfig
 from steerd.sysid.data.data_checks import Array
 
@@ -41,18 +43,6 @@ GAIN_MIN, GAIN_MAX = 0.2, 5.0
 GAIN_MODEL = 0.002
 """Standard error of the wheels' gain by the equations alone, as a share [-]: simulated drives."""
 ITERATIONS = 4  # iterations of the heading, whose equation is linearised [-]
-
-
-@dataclass(frozen=True)
-class Drive:
-    """Body poses in the room (no offsets applied) and wheel speed."""
-
-    t: Array  # of the body's origin and forward axis [s, m, m, rad]
-    x: Array
-    y: Array
-    yaw: Array
-    t_wheel: Array  # reported speed [s, m/s]
-    wheel: Array
 
 
 class Mount(NamedTuple):
@@ -85,42 +75,33 @@ class _Motion:
     vy: Array
     yaw: Array
     yaw_rate: Array
-    good: ls.Mask
-
-
-def slip_per_accel(car: Car[float]) -> float:
-    """Slip angle of the rear axle per lateral acceleration [rad s^2/m]: 1 / (mu g C_Sr)."""
-    return 1.0 / (car.mu * GRAVITY * car.c_sr)
+    good: data.Mask
 
 
 def calibrate_mount(drive: Drive, car: Car[float], front: float = 0.0) -> MountCalibration:
     """Estimate the mount from a drive, with the car file's tyres and wheelbase.
 
-    `front` is the front axle's share of the drive, see `steerd.car_model.planar.DRIVES`.
-
-    Raises:
-        SteerdError: the car barely moves, never turns, or poses and wheels do not belong
-            together.
+    `front` is the front axle's share of the drive, see `steerd.car_model.planar.DRIVES`. Raises
+    SteerdError: the car barely moves, never turns, or poses and wheels do not belong together.
     """
     motion = _differentiate(drive)
-    _expect_motion(motion)
-    slip = slip_per_accel(car)
+    slip = 1.0 / (car.mu * GRAVITY * car.c_sr)  # angle per acceleration, rear axle [rad s^2/m]
     moved = np.hypot(motion.vx, motion.vy)
-    turn = wheelbase(car) * motion.yaw_rate / np.maximum(moved, ls.MOVING)
+    turn = wheelbase(car) * motion.yaw_rate / np.maximum(moved, data.MOVING)
     turned = 1.0 - front + front * np.hypot(1.0, turn)
 
-    def solve(keep: ls.Mask) -> tuple[Mount, float]:
-        return _solve(motion, drive, slip, turned, keep)
-
+    solve = partial(_solve, motion, drive, slip, turned)
     mount, residual = solve(motion.good)
     if not GAIN_MIN < mount.speed_gain < GAIN_MAX:
         what = f"the poses move {mount.speed_gain:.3g} times as far as the wheels say"
         hint = "check [mocap] units, [vesc] erpm_gain, and that this body is on this car"
         raise SteerdError(what, hint)
-    sd = Mount(*ls.jackknife_sd(motion.good, lambda keep: solve(keep)[0]))
+    sd = Mount(*data.jackknife_sd(motion.good, lambda keep: solve(keep)[0]))
     # What is common to all parts the jackknife does not show: the slip's uncertainty, the model's.
+    rows = _lateral_rows(moved[motion.good], motion.yaw_rate[motion.good], slip)
+    slip_sd = LATERAL_NOISE * float(np.sqrt(np.linalg.inv(rows.T @ rows)[0, 0]))
     sd = sd._replace(
-        rear_x=float(np.hypot(sd.rear_x, _slip_sd(motion, slip))),
+        rear_x=float(np.hypot(sd.rear_x, slip_sd)),
         speed_gain=float(np.hypot(sd.speed_gain, GAIN_MODEL * mount.speed_gain)),
     )
     seconds = float(motion.good.sum()) / RATE
@@ -141,22 +122,19 @@ def _differentiate(drive: Drive) -> _Motion:
     after = np.clip(np.searchsorted(drive.t, t), 1, len(drive.t) - 1)
     whole = (drive.t[after] - drive.t[after - 1] < GAP).astype(float)
     whole = np.convolve(whole, np.ones(length), "same") > length - 0.5
-    fast = np.hypot(smooth["x'"], smooth["y'"]) > ls.MOVING
-    return _Motion(t, smooth["x'"], smooth["y'"], smooth["yaw"], smooth["yaw'"], whole & fast)
-
-
-def _expect_motion(motion: _Motion) -> None:
-    seconds = motion.good.sum() / RATE
+    good = whole & (np.hypot(smooth["x'"], smooth["y'"]) > data.MOVING)
+    seconds = good.sum() / RATE
     hint = "drive a minute below 1.5 m/s: straight on, and circles to both sides, at two speeds"
     if seconds < SECONDS_MIN:
         raise SteerdError(f"the car moves for {seconds:.1f} s: too little", hint)
-    turning = float(np.sqrt(np.mean(motion.yaw_rate[motion.good] ** 2)))
+    turning = float(np.sqrt(np.mean(smooth["yaw'"][good] ** 2)))
     if turning < TURN_MIN:
         raise SteerdError(f"the car turns with {turning:.2f} rad/s (rms): too little", hint)
+    return _Motion(t, smooth["x'"], smooth["y'"], smooth["yaw"], smooth["yaw'"], good)
 
 
 def _solve(
-    m: _Motion, drive: Drive, slip: float, turned: Array, good: ls.Mask
+    m: _Motion, drive: Drive, slip: float, turned: Array, good: data.Mask
 ) -> tuple[Mount, float]:
     """The mount from some of the samples, and the residual of the lateral velocity."""
     w = m.yaw_rate[good]
@@ -164,42 +142,28 @@ def _solve(
     bx = m.vx[good] * c + m.vy[good] * s
     by = m.vy[good] * c - m.vx[good] * s
     wheel = np.interp(m.t[good], drive.t_wheel, drive.wheel)
-    ahead = np.sign(wheel) * (np.abs(wheel) > ls.MOVING / 2)
+    ahead = np.sign(wheel) * (np.abs(wheel) > data.MOVING / 2)
     yaw = -atan2(float(np.sum(ahead * by)), float(np.sum(ahead * bx)))
     rear_x, residual = 0.0, 0.0
     for _ in range(ITERATIONS):
         ux, uy = cos(yaw) * bx - sin(yaw) * by, sin(yaw) * bx + cos(yaw) * by
-        turn, rear_x, residual = _lateral(ux, uy, w, slip)
-        yaw += turn
+        rows = _lateral_rows(ux, w, slip)
+        (ahead_m, turn, _), left = data.solve_least_squares(rows, np.append(uy, rows[-1, 2] * slip))
+        rear_x, residual = float(ahead_m), float(np.sqrt(np.mean(left[:-1] ** 2)))
+        yaw += float(turn)
     ux = cos(yaw) * bx - sin(yaw) * by
 
     def forward(delay: float) -> tuple[Array, Array]:
         reported = np.interp(m.t[good] - delay, drive.t_wheel, drive.wheel)
-        return ls.solve_least_squares(np.column_stack([reported / turned[good], -w]), ux)
+        return data.solve_least_squares(np.column_stack([reported / turned[good], -w]), ux)
 
-    delay = ls.find_delay(lambda tau: float(np.sum(forward(tau)[1] ** 2)))
+    delay = data.find_delay(lambda tau: float(np.sum(forward(tau)[1] ** 2)))
     gain, rear_y = forward(delay)[0]
     return Mount(yaw, rear_x, float(rear_y), float(gain), delay), residual
 
 
-def _lateral(ux: Array, uy: Array, w: Array, slip: float) -> tuple[float, float, float]:
-    """Remaining heading error [rad], r_x [m], residual [m/s, rms]."""
-    rows = _lateral_rows(ux, w, slip)
-    (rear_x, turn, _), left = ls.solve_least_squares(rows, np.append(uy, rows[-1, 2] * slip))
-    return float(turn), float(rear_x), float(np.sqrt(np.mean(left[:-1] ** 2)))
-
-
-def _slip_sd(m: _Motion, slip: float) -> float:
-    """Standard error of r_x from the uncertainty of the slip [m]."""
-    rows = _lateral_rows(np.hypot(m.vx, m.vy)[m.good], m.yaw_rate[m.good], slip)
-    return LATERAL_NOISE * float(np.sqrt(np.linalg.inv(rows.T @ rows)[0, 0]))
-
-
 def _lateral_rows(ux: Array, w: Array, slip: float) -> Array:
-    """Regressors of the lateral velocity: r_x, heading error, slip.
-
-    The prior of the slip is one more row, weighted by its standard deviation.
-    """
+    """Regressors of the lateral velocity: r_x, heading error, slip; the last row is its prior."""
     prior = [0.0, 0.0, LATERAL_NOISE / (SLIP_PRIOR_SHARE * slip)]
     return np.vstack([np.column_stack([w, -ux, -(ux**2) * w]), prior])
 
@@ -212,7 +176,7 @@ def _find_warnings(m: _Motion, drive: Drive) -> list[str]:
     wheel = np.interp(m.t[m.good], drive.t_wheel, drive.wheel)
     if float(np.std(wheel)) < SPEED_SPREAD_MIN:
         warnings.append("its speed is almost constant, so the delay is uncertain: vary the speed")
-    return [*warnings, *ls.find_slip_warnings((m.yaw_rate * np.hypot(m.vx, m.vy))[m.good])]
+    return [*warnings, *data.find_slip_warnings((m.yaw_rate * np.hypot(m.vx, m.vy))[m.good])]
 
 
 def mount_values(found: MountCalibration, erpm_gain: float) -> dict[tuple[str, str], float]:

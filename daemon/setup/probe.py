@@ -190,10 +190,7 @@ def _judge_poses(seen: MocapSeen) -> Iterator[Advice]:
 
 
 def read_sockets(text: str, kind: str) -> Iterator[SocketFound]:
-    """Sockets in use on ports that zenoh, NatNet or VRPN use.
-
-    The text is that of `/proc/net/tcp` (listening sockets only) or `/proc/net/udp`.
-    """
+    """Sockets on known ports by `/proc/net/tcp` (listening ones only) or `/proc/net/udp`."""
     for line in text.splitlines()[1:]:
         fields = line.split()
         if len(fields) < 4 or (kind == "tcp" and fields[3] != "0A"):

@@ -1,6 +1,7 @@
 """Queries: which serial ports are VESCs, which mocap servers are on the network. Nothing moves."""
 
 import contextlib
+import grp
 import os
 import select
 import socket
@@ -43,23 +44,19 @@ ANSWER_S = 4.0  # a source without a pose after this has none: a client says so 
 
 def find_ports(dev: Path = Path("/dev"), sysfs: Path = Path("/sys/class/tty")) -> dict[str, str]:
     """USB serial ports and their USB ids (`0483:5740`; empty where unknown)."""
-    names = [*dev.glob("ttyACM*"), *dev.glob("ttyUSB*")]
-    return {str(path): _usb_id(sysfs / path.name) for path in sorted(names)}
-
-
-def _usb_id(entry: Path) -> str:
-    for folder in (entry / "device").resolve().parents:
-        with contextlib.suppress(OSError):
-            ids = [(folder / name).read_text().strip() for name in ("idVendor", "idProduct")]
-            return ":".join(ids)
-    return ""
+    found = {}
+    for path in sorted([*dev.glob("ttyACM*"), *dev.glob("ttyUSB*")]):
+        found[str(path)] = ""
+        for folder in (sysfs / path.name / "device").resolve().parents:
+            with contextlib.suppress(OSError):
+                ids = [(folder / name).read_text().strip() for name in ("idVendor", "idProduct")]
+                found[str(path)] = ":".join(ids)
+                break
+    return found
 
 
 def ask_ports(named: str | None, clock: Clock, brakes: BrakeSettings) -> Iterator[SerialFound]:
-    """Identify the device on a port, or on all whose USB id is a VESC's or unknown.
-
-    Only requests are sent, nothing that moves the car.
-    """
+    """Identify the device on a port, or on all that may be VESCs; nothing moves the car."""
     ports = find_ports()
     for url in ports if named is None else [named]:
         usb = ports.get(url, "")
@@ -153,11 +150,7 @@ def discover(
 def ask_mocap(
     named: str | None, config: IngestConfig, clock: Clock, seconds: float
 ) -> Iterator[MocapSeen]:
-    """Listen to a source for a while, or to each NatNet server that answers a discovery.
-
-    Raises:
-        ValueError: the address is none.
-    """
+    """Listen to a source (a ValueError if it is none), or to each NatNet server that answers."""
     for address in [named] if named else [f"natnet://{host}/-" for host in discover(clock)]:
         url = parse_mocap_url(address)
         try:
@@ -180,11 +173,7 @@ def listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[Po
 
 
 def watch_movement(address: str, config: IngestConfig, seconds: float) -> tuple[Movement, int]:
-    """The accepted poses of a car that is pushed for so long, and how many were rejected.
-
-    Raises:
-        SteerdError: the address is none, or no pose came from it.
-    """
+    """The accepted poses of a pushed car, a SteerdError without any, and how many were rejected."""
     clock, samples = MonotonicClock(), []
     try:
         receiver = make_receiver(parse_mocap_url(address), config)
@@ -218,11 +207,7 @@ def _seen(
     placed = [s for s in samples if np.isfinite(s.height)]
     sigma = status.clock_sigma_ns
     return MocapSeen(
-        address=address,
-        server=status.server,
-        bodies=status.bodies,
-        detail=status.detail,
-        seconds=seconds,
+        address, status.server, status.bodies, status.detail, seconds,
         samples=len(samples),
         accepted=len(samples) - refused.total(),
         rate_hz=status.rate_hz,
@@ -234,7 +219,7 @@ def _seen(
         height=float(np.median([s.height for s in placed])) if placed else None,
         tilt=float(np.median([s.tilt for s in placed])) if placed else None,
         refused=tuple(sorted(refused.items())),
-    )
+    )  # fmt: skip
 
 
 # -- this machine --------------------------------------------------------------------------------
@@ -249,12 +234,10 @@ def find_sockets(proc: Path = Path("/proc/net")) -> tuple[SocketFound, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def in_group(name: str = "dialout") -> bool:
+def in_dialout() -> bool:
     """Whether this user may open serial ports by group."""
-    import grp
-
     try:
-        gid = grp.getgrnam(name).gr_gid
+        gid = grp.getgrnam("dialout").gr_gid
     except KeyError:
         return True
     return os.geteuid() == 0 or gid in os.getgroups()

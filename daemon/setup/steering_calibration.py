@@ -8,7 +8,7 @@ import numpy as np
 from steerd.car_model.params import GRAVITY, Car
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.sessions.motion import Track
-from steerd.daemon.setup import least_squares as ls
+from steerd.daemon.setup import calibration_data as data
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Signal
 from steerd.vesc_link.scaling import Scaling
@@ -44,20 +44,13 @@ class SteeringCalibration:
 
 
 def calibrate_steering(track: Track, steer: Signal, car: Car[float]) -> SteeringCalibration:
-    """Estimate gain and centre of the steering from commands and the turning that followed.
+    """Estimate gain and centre of the steering from commands [rad] and the turning that followed.
 
     The wheel angle that a steady turn needs is atan(L curvature) plus the difference of the axles'
-    slip, curvature v^2 (alpha_f - alpha_r per acceleration), after the car file's tyres.
-
-    Args:
-        track: of the car.
-        steer: steering angles commanded [rad].
-        car: geometry and tyres.
-
-    Raises:
-        SteerdError: the car barely moves, or its steering is barely used.
+    slip, curvature v^2 (alpha_f - alpha_r per acceleration), after the car file's tyres. Raises
+    SteerdError: the car barely moves, or its steering is barely used.
     """
-    good = np.isfinite(track.speed) & np.isfinite(track.yaw_rate) & (track.speed > ls.MOVING)
+    good = np.isfinite(track.speed) & np.isfinite(track.yaw_rate) & (track.speed > data.MOVING)
     if good.sum() < SAMPLES_MIN:
         raise SteerdError("the car barely moves forward: its steering is not identifiable")
     t, v, w = track.t[good], track.speed[good], track.yaw_rate[good]
@@ -67,53 +60,38 @@ def calibrate_steering(track: Track, steer: Signal, car: Car[float]) -> Steering
     now = np.interp(t, steer.t, steer.values)
     low, high = now.min(), now.max()
     steady = _find_steady(t, steer)
-    _check_steering(now, steady)
+    if np.std(now) < STEER_SD_MIN:
+        raise SteerdError("the steering is barely used in this drive", _EIGHT)
+    if steady.sum() < SAMPLES_MIN:
+        raise SteerdError("the steering swings too fast for the car to follow", _EIGHT)
 
-    def fit(delay: float, keep: ls.Mask = steady) -> tuple[Array, Array, Array]:
+    def fit(delay: float, keep: data.Mask = steady) -> tuple[Array, Array, Array]:
         commanded = np.interp(t - delay, steer.t, steer.values)
         # The outer quarters may lie beyond a stop, unless nothing else was driven.
         inner = keep & (np.abs(commanded - (low + high) / 2) <= (high - low) / 4)
         used = inner if np.std(commanded[inner]) > 0.1 * (high - low) else keep
         rows = np.column_stack([commanded[used], np.ones(used.sum())])
-        return (*ls.solve_least_squares(rows, angle[used]), commanded)
+        return (*data.solve_least_squares(rows, angle[used]), commanded)
 
-    delay = ls.find_delay(lambda tau: float(np.mean(fit(tau)[1] ** 2)))
+    delay = data.find_delay(lambda tau: float(np.mean(fit(tau)[1] ** 2)))
     (gain, bias), _, commanded = fit(delay)
-    sd_gain, sd_bias = ls.jackknife_sd(steady, lambda keep: fit(delay, keep)[0])
-    _check_gain(float(gain), sd_gain)
-    ends = [_find_end(angle, gain * commanded + bias, side) for side in (1.0, -1.0)]
-    return SteeringCalibration(
-        gain=float(gain),
-        bias=float(bias),
-        delay=delay,
-        left=ends[0][0],
-        right=-ends[1][0],
-        clipped_left=ends[0][1],
-        clipped_right=ends[1][1],
-        sd_gain=sd_gain,
-        sd_bias=sd_bias,
-        warnings=tuple(ls.find_slip_warnings(v * w)),
-    )
-
-
-def _check_steering(commanded: Array, steady: ls.Mask) -> None:
-    if np.std(commanded) < STEER_SD_MIN:
-        raise SteerdError("the steering is barely used in this drive", _EIGHT)
-    if steady.sum() < SAMPLES_MIN:
-        raise SteerdError("the steering swings too fast for the car to follow", _EIGHT)
-
-
-def _check_gain(gain: float, sd: float) -> None:
+    sd_gain, sd_bias = data.jackknife_sd(steady, lambda keep: fit(delay, keep)[0])
     if gain < GAIN_MIN:
         what = f"the car turns {gain:+.2f} times as much as commanded"
         hint = "if negative, change the sign of [vesc] servo_gain, else see `steerd probe`"
         raise SteerdError(what, hint, ExitCode.INVALID)
-    if sd > SD_GAIN_MAX:
-        what = f"the steering gain is identified to ±{sd:.2f} only"
+    if sd_gain > SD_GAIN_MAX:
+        what = f"the steering gain is identified to ±{sd_gain:.2f} only"
         raise SteerdError(what, f"{_EIGHT}, slowly", ExitCode.STOPPED)
+    left, clipped_left = _find_end(angle, gain * commanded + bias, 1.0)
+    right, clipped_right = _find_end(angle, gain * commanded + bias, -1.0)
+    return SteeringCalibration(
+        float(gain), float(bias), delay, left, -right, clipped_left, clipped_right,
+        sd_gain, sd_bias, tuple(data.find_slip_warnings(v * w)),
+    )  # fmt: skip
 
 
-def _find_steady(t: Array, steer: Signal) -> ls.Mask:
+def _find_steady(t: Array, steer: Signal) -> data.Mask:
     """Where the command is steady enough for the wheels to have followed it."""
     offsets = np.arange(-STEADY_BEFORE, STEADY_AFTER, STEADY_STEP)
     around = np.stack([np.interp(t + dt, steer.t, steer.values) for dt in offsets])
@@ -132,10 +110,7 @@ def _find_end(angle: Array, predicted: Array, side: float) -> tuple[float, bool]
 
 
 def servo_scaling(found: SteeringCalibration, old: Scaling) -> Scaling:
-    """Servo gain, centre and limits with which a commanded angle is the wheels' angle.
-
-    A limit moves inwards only, to where the wheels stopped following.
-    """
+    """Servo gain and centre for the wheels' angle; limits move inwards only, to the stops."""
     gain = old.servo_gain / found.gain
     offset = old.servo_offset - gain * found.bias
     low, high = old.servo_min, old.servo_max

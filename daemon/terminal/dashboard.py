@@ -76,15 +76,18 @@ class Tally:
 
 @dataclass
 class Dashboard:
-    """The latest messages of a run, for rendering."""
+    """The latest messages of a run, for rendering; None before the first, or where there are none.
+
+    `model` is what the learner reported last, `status` the diagnostics by name, `events` the latest
+    transitions, a line each.
+    """
 
     title: str  # of the panel
-    state: m.StateMessage | None = None  # latest estimate; None before the first
-    tick: m.Tick | None = None  # latest timing; None before the first
-    parameters: m.Parameters | None = None  # live parameters; None where there are none
-    model: m.Model | None = None  # what the learner reported last; None without one
-    status: dict[str, str] = field(default_factory=dict)  # latest diagnostics by name
-    # Latest transitions, one line each
+    state: m.StateMessage | None = None
+    tick: m.Tick | None = None
+    parameters: m.Parameters | None = None
+    model: m.Model | None = None
+    status: dict[str, str] = field(default_factory=dict)
     events: deque[str] = field(default_factory=lambda: deque(maxlen=6))
     stop: str = ""  # why the car was stopped last
     tally: Tally = field(default_factory=Tally)  # figures of the drive so far
@@ -140,8 +143,12 @@ class Dashboard:
             parts.append(self._numbers(self.state))
         warnings = [w for w in self.status.get("warnings", "").splitlines() if w]
         parts += [Text(f"! {w}", style="yellow") for w in warnings[:3]]
-        if self.parameters is not None:
-            parts += _describe_live(self.parameters)
+        if (p := self.parameters) is not None:
+            line = f"live   speed up to {show(p.speed, '.2f')} m/s"
+            line += f"   lane {show(1e3 * p.offset, '+.0f')} mm   gain {show(p.gain, '.2f')}"
+            parts.append(Text(line))
+            if p.seq and not p.accepted:  # why the last request was refused
+                parts.append(Text(remove_controls(f"! {p.text}"), style="yellow"))
         if self.model is not None:
             style = "" if self.model.verdict in QUIET else "bold yellow"
             parts.append(Text(remove_controls(f"gap    {gap_text(self.model)}"), style=style))
@@ -172,15 +179,6 @@ class Dashboard:
         for row in rows:
             table.add_row(*row)
         return table
-
-
-def _describe_live(p: m.Parameters) -> list[RenderableType]:
-    """Live parameters, and why the last request was refused."""
-    line = f"live   speed up to {show(p.speed, '.2f')} m/s   lane {show(1e3 * p.offset, '+.0f')} mm"
-    line += f"   gain {show(p.gain, '.2f')}"
-    refused = bool(p.seq) and not p.accepted
-    why = Text(remove_controls(f"! {p.text}"), style="yellow")
-    return [Text(line), *([why] if refused else [])]
 
 
 def _format_command(name: str, value: float, digits: str, unit: str) -> str:

@@ -34,25 +34,16 @@ NUDGES = {
 """Live parameters, and by how much a key changes them [m/s, m, -]."""
 BACK = "0"  # this key asks for the path and the designed feedback again
 NUDGE_HELP = "speed [-][+]  lane left [<] right [>]  gain [[][]]  path and gain back [0]"
-_HELD = (
-    SupervisorState.SELF_TEST,
-    SupervisorState.ARMED,
-    SupervisorState.RUNNING,
-    SupervisorState.STOPPING,
-)
+_HELD = tuple(SupervisorState[name] for name in ("SELF_TEST", "ARMED", "RUNNING", "STOPPING"))
 _ANSWER_NS = 1_500_000_000
 """A car that is not yet in a held state after this time refused to arm [ns]."""
 
 
 def nudge(parameters: Parameters, wanted: Mapping[str, float], key: str) -> dict[str, float]:
-    """The values that a key asks for: a step on, or to the bound before it.
+    """The values that a key of `NUDGES`, or `BACK`, asks for: a step on, or to the bound before it.
 
     At the bound itself the step goes beyond it, so that the car says why it is refused.
-
-    Args:
-        parameters: as the car answered last.
-        wanted: what was asked for since.
-        key: of `NUDGES`, or `BACK`.
+    `parameters` are as the car answered last, `wanted` is what was asked for since.
     """
     if key == BACK:
         return {"offset": 0.0, "gain": 1.0}
@@ -90,7 +81,6 @@ class KeyDesk:
         """A key was pressed; those without a meaning are ignored."""
         if key in NUDGES or key == BACK:
             self._nudge(key)
-            return
         if key not in self._kinds:
             return
         kind = self._kinds[key]

@@ -36,29 +36,22 @@ class Servo:
 
 
 def press(servo: Servo, key: str) -> Servo:
-    """Apply one key. Positive angles are left; `servo_gain` gives their direction.
+    """Apply one key; a ValueError where a limit would not be valid, e.g. one stop beyond the other.
 
-    Raises:
-        ValueError: the limits would not be valid, e.g. one stop beyond the other.
+    Positive angles are left; `servo_gain` gives their direction.
     """
     if key in _MOVES:
         return replace(servo, position=min(max(servo.position + _MOVES[key], 0.0), 1.0))
-    at = round(servo.position, 4)
-    left_is_low = servo.scaling.servo_gain < 0.0
-    names = {"c": "servo_offset", "l": "servo_min", "r": "servo_max"}
-    if not left_is_low:
-        names |= {"l": "servo_max", "r": "servo_min"}
+    low, high = ("l", "r") if servo.scaling.servo_gain < 0.0 else ("r", "l")
+    names = {"c": "servo_offset", low: "servo_min", high: "servo_max"}
     if key not in names:
         return servo
+    at = round(servo.position, 4)
     return replace(servo, scaling=replace(servo.scaling, **{names[key]: at}))
 
 
 def steer_by_keys(url: str, scaling: Scaling, clock: Clock) -> Scaling | None:
-    """Move the servo by keys until [w] (returns the new scaling) or [q] (returns None).
-
-    Raises:
-        SteerdError: no terminal, or the port cannot be used.
-    """
+    """Move the servo by keys until [w], to the new scaling, or [q], to None; or a SteerdError."""
     servo = Servo(scaling.servo_offset, scaling)
     try:
         with closing(open_port(url)) as port, keys_one_by_one() as fd:
@@ -68,7 +61,10 @@ def steer_by_keys(url: str, scaling: Scaling, clock: Clock) -> Scaling | None:
             print(HELP, file=sys.stderr)
             while True:
                 port.write(encode_frame(encode_command(c.SetServoPos(servo.position))))
-                _show(servo)
+                s = servo.scaling
+                line = f"\rposition {servo.position:.3f}   centre {s.servo_offset:.3f}   "
+                line += f"low {s.servo_min:.3f}   high {s.servo_max:.3f} "
+                print(line, end="", file=raw(sys.stderr), flush=True)
                 key = _next_key(fd, clock)
                 if key in _ENDS:
                     print(file=sys.stderr)  # what follows has a line of its own
@@ -91,10 +87,3 @@ def _next_key(fd: int, clock: Clock) -> str:
         if select.select([fd], [], [], 0.01)[0]:
             key += os.read(fd, 1).decode("latin-1")
     return key or "q"
-
-
-def _show(servo: Servo) -> None:
-    s = servo.scaling
-    line = f"\rposition {servo.position:.3f}   centre {s.servo_offset:.3f}   "
-    line += f"low {s.servo_min:.3f}   high {s.servo_max:.3f} "
-    print(line, end="", file=raw(sys.stderr), flush=True)

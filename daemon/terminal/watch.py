@@ -25,7 +25,7 @@ from steerd.steer_bus.bus import Sample
 from steerd.steer_bus.clock import Clock, MonotonicClock
 from steerd.steer_bus.codec import CodecError, decode
 from steerd.steer_bus.topics import ROOT, find_topic, make_key, split_key
-from steerd.steer_bus.zenoh_bus import Subscription, ZenohBus
+from steerd.steer_bus.zenoh_bus import ZenohBus
 from steerd.vesc_link.ids import fault_name
 
 SECOND = 1_000_000_000
@@ -38,11 +38,7 @@ _TIMES_KEPT = 2048  # arrival times kept per topic; more than a second of the fa
 
 
 def find_car(bus: ZenohBus, name: str | None) -> str:
-    """The named car, or the only one on the bus.
-
-    Raises:
-        SteerdError: no car is on the bus, not this one, or several and none is named.
-    """
+    """The named car, or the only one on the bus; a SteerdError where that is none."""
     alive = bus.alive(f"{ROOT}/*/alive")
     cars = sorted(parts[0] for key in alive if (parts := split_key(key)))
     if name is not None and name in cars:
@@ -131,24 +127,28 @@ class Watch:
             figures += f"  {show(v.temp_fet, '.0f')} °C  fault: {self.fault}"
             parts.append(Text(f"VESC  {figures}", style))
         if self.undecodable:
-            text = f"{self.undecodable} messages of another steerd version"
-            parts.append(Text(text, "yellow"))
+            parts.append(Text(f"{self.undecodable} messages of another steerd version", "yellow"))
         return Group(*parts)
 
 
 def watch_car(bus: ZenohBus, name: str | None, seconds: float | None, *, operate: bool) -> None:
-    """Show the named car, or the only one, for so long [s]: on a terminal with keys, else in lines.
-
-    Raises:
-        SteerdError: see `find_car`.
-    """
+    """Show the named car, or the only one, for so long [s]: a screen with keys, else lines."""
     car, clock = find_car(bus, name), MonotonicClock()
     watch = Watch(Dashboard(f"steerd watch · {car}"))
     received = bus.subscribe(make_key(car, "*"), DEPTH)
     end = inf if seconds is None else clock.now_ns() + round(seconds * SECOND)
     console = Console(file=raw(sys.stdout))
-    if not console.is_terminal:
-        _print_lines(watch, received, clock, end)
+    if not console.is_terminal:  # transitions at once, a line per second
+        due = clock.now_ns() + SECOND
+        while clock.now_ns() < end:
+            for sample in received.poll():
+                line = watch.take(sample, clock.now_ns())
+                if line is not None:
+                    print(line, flush=True)
+            if clock.now_ns() >= due:
+                due += SECOND
+                print(watch.line(clock.now_ns()), flush=True)
+            clock.sleep_until_ns(clock.now_ns() + REFRESH_NS)
         return
     desk, repeat = make_desk(watch.board, bus, car, clock, operate=operate)
     with key_desk.keys_one_by_one() as keys, Live(console=console, auto_refresh=False) as live:
@@ -170,31 +170,12 @@ def watch_car(bus: ZenohBus, name: str | None, seconds: float | None, *, operate
 def make_desk(
     board: Dashboard, bus: ZenohBus, car: str, clock: Clock, *, operate: bool
 ) -> tuple[key_desk.KeyDesk, Callable[[], bool]]:
-    """The keys of a car on the bus; without `operate` they change live parameters alone.
-
-    Returns:
-        The keys, and what goes on with a stop that was called for there.
-    """
+    """The keys of a car, live ones alone unless `operate`; and what repeats a stop from there."""
     operator = BusOperator(bus, car, clock, getpass.getuser(), Pulse(bus, car))
     desk = key_desk.KeyDesk(
-        board,
-        clock,
+        board, clock,
         lambda kind: operator.ask(board.boot_id, kind),
         lambda wanted: operator.tune(board.boot_id, wanted),
         key_desk.KEYS if operate else {},
-    )
+    )  # fmt: skip
     return desk, lambda: operator.repeat(board.state.mode if board.state else None)
-
-
-def _print_lines(watch: Watch, received: Subscription, clock: Clock, end: float) -> None:
-    """For pipes: transitions at once, one line per second."""
-    due = clock.now_ns() + SECOND
-    while clock.now_ns() < end:
-        for sample in received.poll():
-            line = watch.take(sample, clock.now_ns())
-            if line is not None:
-                print(line, flush=True)
-        if clock.now_ns() >= due:
-            due += SECOND
-            print(watch.line(clock.now_ns()), flush=True)
-        clock.sleep_until_ns(clock.now_ns() + REFRESH_NS)

@@ -18,7 +18,7 @@ from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.cli.commands.run import make_options
 from steerd.daemon.cli.main import COMMANDS, find_command, run_cli
 from steerd.daemon.common.errors import ExitCode
-from steerd.daemon.settings.vesc_yaml import make_vesc_yaml
+from steerd.daemon.settings.car_edit import make_vesc_yaml
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.vesc_link.scaling import F1TENTH
 from tests.e2e.conftest import Launcher

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from steerd.car_model.car_file import CarFile
 from steerd.daemon.cli.arguments import missing_car, missing_session, option
-from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
-from steerd.daemon.common.translate import load_car_file
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, load_car_file
 from steerd.daemon.common.written import car_outputs, check_outputs, write_outputs
 from steerd.daemon.settings.car_edit import Values, edit_car
 from steerd.daemon.settings.config import load_settings
@@ -38,7 +37,15 @@ def calibrate(args: Namespace) -> int | None:
         hint = "steerd calibrate servo DRIVE.mcap, or steerd calibrate servo --port DEV"
         raise UsageError("name a session or a port", hint)
     check_outputs({"-o": args.output})
-    file, scaling = _by_keys(args) if args.port else _from_session(args.session)
+    scaling: Scaling | None
+    if args.port:
+        from steerd.daemon.terminal.servo_keys import steer_by_keys
+
+        settings = load_settings(args.car)
+        print("only the servo moves; lift the front wheels", file=sys.stderr)
+        file, scaling = settings.file, steer_by_keys(args.port, settings.scaling, MonotonicClock())
+    else:
+        file, scaling = _from_session(args.session)
     if scaling is None:
         print("nothing was changed")
         return ExitCode.INTERRUPTED
@@ -49,7 +56,7 @@ def calibrate(args: Namespace) -> int | None:
     return None
 
 
-def _from_session(path: Path) -> tuple[CarFile, Scaling | None]:
+def _from_session(path: Path) -> tuple[CarFile, Scaling]:
     from steerd.daemon.setup import steering_calibration as steering
     from steerd.daemon.setup.calibration_data import load_recorded
     from steerd.steer_bus import topics
@@ -64,14 +71,6 @@ def _from_session(path: Path) -> tuple[CarFile, Scaling | None]:
     scaling = steering.servo_scaling(found, r.settings.scaling)
     print_found(steering.describe_steering(found, scaling), found.warnings)
     return file, scaling
-
-
-def _by_keys(args: Namespace) -> tuple[CarFile, Scaling | None]:
-    from steerd.daemon.terminal.servo_keys import steer_by_keys
-
-    settings = load_settings(args.car)
-    print("only the servo moves; lift the front wheels", file=sys.stderr)
-    return settings.file, steer_by_keys(args.port, settings.scaling, MonotonicClock())
 
 
 def mocap_arguments(parser: ArgumentParser) -> None:
@@ -99,7 +98,17 @@ def mocap(args: Namespace) -> int | None:
     """
     if args.kind == "check":
         return _check(args)
-    _calibrate(args)
+    from steerd.car_model.planar import DRIVES
+    from steerd.daemon.setup import mount_calibration as mount
+    from steerd.daemon.setup.calibration_data import load_recorded, make_drive
+
+    check_outputs({"-o": args.output})
+    r = load_recorded(args.session)
+    file, gain = r.settings.file, r.settings.scaling.erpm_gain
+    found = mount.calibrate_mount(make_drive(r), file.car, DRIVES.get(file.chassis.drive, 0.0))
+    print_found(mount.describe_mount(found, r.settings.ingest.frame, gain), found.warnings)
+    then = "steerd run --sim --car {}\n         (on the car: --port and --mocap for --sim)"
+    finish(args, file, mount.mount_values(found, gain), then)
     return None
 
 
@@ -112,30 +121,15 @@ def _check(args: Namespace) -> int:
         hint = "steerd mocap check DRIVE.mcap, or steerd mocap check --mocap natnet://HOST/BODY"
         raise UsageError("name a session or a source", hint)
     if args.session:
-        checks = check_movement(*load_movement(args.session))
+        moved = load_movement(args.session)
     else:
-        ingest = load_settings(args.car).ingest
-        checks = check_movement(*watch_movement(args.mocap, ingest, args.seconds))
+        moved = watch_movement(args.mocap, load_settings(args.car).ingest, args.seconds)
+    checks = check_movement(*moved)
     for check in checks:
         print(f"{'pass' if check.ok else 'FAIL'}  {check.name:<8} {check.figure}")
         if not check.ok:
             print(f"      try: {check.fix}")
     return ExitCode.OK if all(check.ok for check in checks) else ExitCode.STOPPED
-
-
-def _calibrate(args: Namespace) -> None:
-    from steerd.car_model.planar import DRIVES
-    from steerd.daemon.setup import mount_calibration as mount
-    from steerd.daemon.setup.calibration_data import load_recorded, make_drive
-
-    check_outputs({"-o": args.output})
-    r = load_recorded(args.session)
-    file, gain = r.settings.file, r.settings.scaling.erpm_gain
-    front = DRIVES.get(file.chassis.drive, 0.0)
-    found = mount.calibrate_mount(make_drive(r), file.car, front)
-    print_found(mount.describe_mount(found, r.settings.ingest.frame, gain), found.warnings)
-    then = "steerd run --sim --car {}\n         (on the car: --port and --mocap for --sim)"
-    finish(args, file, mount.mount_values(found, gain), then)
 
 
 def print_found(lines: Sequence[str], warnings: Sequence[str]) -> None:
@@ -147,10 +141,7 @@ def print_found(lines: Sequence[str], warnings: Sequence[str]) -> None:
 
 
 def finish(args: Namespace, own: CarFile, values: Values, then: str) -> None:
-    """Write what a calibration found into a car file, and say what is next.
-
-    `own` is the car file to start from where none is named, `then` the command for the one made.
-    """
+    """Write the values into a car file, `own` where none is named; `then` is the command for it."""
     car = edit_car(load_car_file(args.car) if args.car else own, values)
     if args.output:
         write_outputs(car_outputs(args.output, car))

@@ -7,14 +7,12 @@ from math import degrees
 from pathlib import Path
 
 from steerd.daemon.cli.arguments import missing_car, missing_file, option
-from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, load_car_file
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.screen import NBSP, clean, wrap
-from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.common.written import check_outputs, write_outputs
-from steerd.daemon.settings.car_edit import edit_car
+from steerd.daemon.settings import car_edit
 from steerd.daemon.settings.config import Settings, load_settings
-from steerd.daemon.settings.vesc_yaml import make_car_values, make_vesc_yaml, read_vesc_yaml
 from steerd.vesc_link.scaling import steer_limits
 
 
@@ -35,30 +33,26 @@ def config(args: Namespace) -> None:
     """
     if args.from_vesc_yaml:
         base = load_settings(args.check)
-        scaling = read_vesc_yaml(_read(args.from_vesc_yaml), base.scaling)
-        print(edit_car(base.file, make_car_values(scaling)).text, end="")
+        scaling = car_edit.read_vesc_yaml(_read(args.from_vesc_yaml), base.scaling)
+        print(car_edit.edit_car(base.file, car_edit.make_car_values(scaling)).text, end="")
     elif args.to_vesc_yaml:
         settings, out = load_settings(args.check), args.to_vesc_yaml
-        text = make_vesc_yaml(settings.scaling, _read(out) if out.exists() else "")
+        text = car_edit.make_vesc_yaml(settings.scaling, _read(out) if out.exists() else "")
         write_outputs({out: text})
         print(f"{out}: gains of {settings.file.name}")
     elif args.check:
-        _check(args.check)
+        from steerd.daemon.assembly.build import plan_car
+
+        plan = plan_car(load_car_file(args.check))
+        print("\n".join(_describe(plan.settings)))
+        label = "  controller  "
+        about = re.sub(r"(?<=\d) (?=[mH])", NBSP, plan.controller.report.describe())  # its unit
+        print("\n".join(wrap(about, label, " " * len(label))))
     else:
-        print(load_settings(args.check).file.text, end="")
+        print(load_settings(None).file.text, end="")
 
 
-def _check(path: Path) -> None:
-    from steerd.daemon.assembly.build import plan_car
-
-    settings, plan = plan_car(load_car_file(path))
-    print("\n".join(describe(settings)))
-    label = "  controller  "
-    about = re.sub(r"(?<=\d) (?=[mH])", NBSP, plan.controller.report.describe())  # with its unit
-    print("\n".join(wrap(about, label, " " * len(label))))
-
-
-def describe(settings: Settings) -> list[str]:
+def _describe(settings: Settings) -> list[str]:
     """Summary of a car file, to compare with the car."""
     car, scaling, limits = settings.file.car, settings.scaling, settings.limits
     right, left = steer_limits(scaling)

@@ -1,7 +1,7 @@
 """`steerd completion`: the scripts of shells, and the manual page."""
 
 import re
-from argparse import Action, ArgumentParser, Namespace
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 import shtab
@@ -13,7 +13,6 @@ from steerd.version import VERSION
 SHELLS = ("bash", "zsh", "tcsh", "fish")
 _FILE_MARKS = ("FILE", "PATH", "SESSION", ".toml", ".mcap", ".html", "DEV")
 """A value whose metavar holds one of these is a file's name; `DIR` is a folder's."""
-_HEAD = re.compile(r"^\.TH .*$", re.MULTILINE)
 
 
 def completion_arguments(parser: ArgumentParser) -> None:
@@ -40,7 +39,8 @@ def make_manual(parser: ArgumentParser) -> str:
     parser.description = ABOUT
     page = str(Manpage(parser, _data={"version": VERSION, "project_name": "steerd"}))
     # The day on which it was printed is nobody's business.
-    return _HEAD.sub(f'.TH STEERD "1" "" "steerd {VERSION}" "steerd"', page, count=1)
+    head = f'.TH STEERD "1" "" "steerd {VERSION}" "steerd"'
+    return re.sub("(?m)^[.]TH .*$", head, page, count=1)
 
 
 def make_full_parser() -> ArgumentParser:
@@ -52,16 +52,11 @@ def make_full_parser() -> ArgumentParser:
         child = children.add_parser(name, help=text)
         find_command(name).add_arguments(child)
         for action in list_actions(child):
-            _mark_file(action)
+            metavar = str(action.metavar or "")
+            if action.nargs == 0 or action.choices is not None:
+                continue
+            if "DIR" in metavar:
+                action.complete = shtab.DIRECTORY  # type: ignore[attr-defined]
+            elif action.type is Path or any(mark in metavar for mark in _FILE_MARKS):
+                action.complete = shtab.FILE  # type: ignore[attr-defined]
     return parser
-
-
-def _mark_file(action: Action) -> None:
-    """Say whether values are file names, by the attribute that shtab looks for."""
-    metavar = str(action.metavar or "")
-    if action.nargs == 0 or action.choices is not None:
-        return
-    if "DIR" in metavar:
-        action.complete = shtab.DIRECTORY  # type: ignore[attr-defined]
-    elif action.type is Path or any(mark in metavar for mark in _FILE_MARKS):
-        action.complete = shtab.FILE  # type: ignore[attr-defined]

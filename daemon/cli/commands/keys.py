@@ -43,19 +43,17 @@ def keys(args: Namespace) -> None:
     if not (operators or viewers):
         hint = "steerd keys DIR --host ADDRESS, or --operator NAME to add to a lab"
         raise UsageError("nothing to make: no --host and no new name", hint)
-    old = _begin_lab(args) if began else load_members(args.folder)
+    if began:
+        with refusing(hint="--car car1"):
+            car = check_car_name(args.car)
+        host = f"[{args.host}]" if ":" in args.host and "[" not in args.host else args.host
+        old = Lab(args.folder, car, f"tls/{host}:{args.port}")
+    else:
+        old = load_members(args.folder)
     drivers, watchers = (*old.operators, *operators), (*old.viewers, *viewers)
     lab = replace(old, operators=drivers, viewers=watchers)
     add_members(args.folder, old, lab, args.years, args.host)
     print(explain(args.folder, lab, began=began, added=(*operators, *viewers)))
-
-
-def _begin_lab(args: Namespace) -> Lab:
-    """A lab without people."""
-    with refusing(hint="--car car1"):
-        car = check_car_name(args.car)
-    host = f"[{args.host}]" if ":" in args.host and "[" not in args.host else args.host
-    return Lab(args.folder, car, f"tls/{host}:{args.port}")
 
 
 def explain(folder: Path, lab: Lab, *, began: bool, added: tuple[str, ...]) -> str:
@@ -68,11 +66,9 @@ def explain(folder: Path, lab: Lab, *, began: bool, added: tuple[str, ...]) -> s
         rows[name] = drives if name in lab.operators else watches
     rows["authority"] = "keep it safe: its owner can make operators"
     width = max(len(str(folder / name)) for name in rows)
-    lines = [f"{folder / name!s:<{width}}  {what}" for name, what in rows.items()]
-    lines += [
-        "",
-        f"The car listens on {lab.endpoint}.",
-        "Copy with `scp -rp`, which keeps the keys private.",
-        "To remove somebody, delete the name from lab.toml on the car and restart steerd.",
-    ]
-    return "\n".join(lines)
+    lines = [f"{folder / name!s:<{width}}  {what}\n" for name, what in rows.items()]
+    return "".join(lines) + (
+        f"\nThe car listens on {lab.endpoint}.\n"
+        "Copy with `scp -rp`, which keeps the keys private.\n"
+        "To remove somebody, delete the name from lab.toml on the car and restart steerd."
+    )

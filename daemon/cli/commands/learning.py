@@ -12,13 +12,16 @@ from typing import Any
 from steerd.car_model.car_file import CarFile
 from steerd.daemon.analysis.options import Finding, Watch, read_arguments
 from steerd.daemon.cli import arguments
-from steerd.daemon.cli.arguments import missing_car, option, split_list
+from steerd.daemon.cli.arguments import missing_car, missing_session, option, split_list
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.screen import print_labelled, wrap
 from steerd.daemon.common.written import Write, writing
 from steerd.posterior_file import posterior_path
 
+_SPEED = "wheel: the speed command was not obeyed, take the measured speed instead"
+_SCREEN = Path("-")
+_HELD_OUT: dict[str, Any] = {"type": arguments.split_held_out, "action": "extend"}
 _DRAW, _NOISE = 1.0, 8.0  # about what the report's figures and the noise cost, in sessions read
 
 
@@ -30,8 +33,7 @@ def identify_arguments(parser: ArgumentParser) -> None:
     option(what, "--free", "A,B,…", "free parameters (default: all)", type=split_list, default=())
     option(what, "--fix", "A,B=VALUE,…", "keep these as they are", type=parse_fix, default={})
     option(what, "--wheelbase", "M", "distance of the axles, measured", type=float)
-    text = "wheel: the speed command was not obeyed, take the measured speed instead"
-    option(what, "--speed", None, text, choices=("command", "wheel"), default="command")
+    option(what, "--speed", None, _SPEED, choices=("command", "wheel"), default="command")
     text = "learn only these effects of the library (default, auto: all that the drives show)"
     effects: dict[str, Any] = {"type": lambda t: t if t == "auto" else split_list(t), "default": ()}
     option(what, "--effects", "auto|A,B,…", text, **effects)
@@ -41,8 +43,7 @@ def identify_arguments(parser: ArgumentParser) -> None:
     option(what, "--iterations", "N", "of the paper's methods", type=int)
     option(what, "--seed", None, "of random starts", type=int, default=0)
     text = "validate on every K-th block of 5 s (default 4), or on these sessions"
-    more: dict[str, Any] = {"type": arguments.split_held_out, "action": "extend"}
-    option(what, "--held-out", "K|FILE,…", text, arguments.missing_session, **more)
+    option(what, "--held-out", "K|FILE,…", text, missing_session, **_HELD_OUT)
     out = parser.add_argument_group("output")
     option(out, "-o --output", "CAR.toml", "car file to write", type=Path)
     option(out, "--json", "FILE", "the result for programs; -: to the terminal", type=Path)
@@ -67,7 +68,7 @@ def identify(args: Namespace) -> int:
     from steerd.daemon.sessions.text import print_warnings
 
     with writing(list_outputs(args), announced=True) as write:
-        paths = arguments.pick_sessions(args.sessions)
+        paths = [*map(arguments.pick_session, args.sessions)]
         with show_progress("identifying", 1.0) as advance:
             options = read_arguments(IdentifyOptions, args)
             found = run_identify(paths, options, Watch(print_warnings, advance))
@@ -78,13 +79,9 @@ def identify(args: Namespace) -> int:
 
 
 def parse_fix(text: str) -> dict[str, float | None]:
-    """The values of `--fix` by name; None where a name stands alone.
-
-    Raises:
-        SteerdError: a value is no number.
-    """
+    """The values of `--fix` by name, None where a name stands alone; or a SteerdError."""
     fixed: dict[str, float | None] = {}
-    for part in (p for p in text.split(",") if p):
+    for part in split_list(text):
         name, equals, number = part.partition("=")
         try:
             fixed[name] = float(number) if equals else None
@@ -97,24 +94,21 @@ def diagnose_arguments(parser: ArgumentParser) -> None:
     arguments.add_sessions(parser)
     what = parser.add_argument_group("what is compared")
     text = "the car as identified (default: the car file inside the session)"
-    option(what, "--base", "CAR.toml", text, arguments.missing_car, type=Path)
+    option(what, "--base", "CAR.toml", text, missing_car, type=Path)
     option(what, "--car", None, SUPPRESS, dest="base", type=Path)
     text = "drives of the same car without the gap: they determine how large noise is"
-    more: dict[str, Any] = {"type": lambda t: [*map(Path, split_list(t))], "action": "extend"}
-    more["default"] = []
-    option(what, "--healthy", "FILE,…", text, arguments.missing_session, **more)
+    drives: dict[str, Any] = {"type": lambda t: [*map(Path, split_list(t))], "default": []}
+    option(what, "--healthy", "FILE,…", text, missing_session, action="extend", **drives)
     option(what, "--only", "EFFECT", "look at this one (repeat)", action="append")
     option(what, "--without", "EFFECT", "leave it out (repeat)", action="append")
     option(what, "--no-pairs", "", "one cause at most; faster", dest="pairs", action="store_false")
-    text = "wheel: the speed command was not obeyed, take the measured speed instead"
-    option(what, "--speed", None, text, choices=("command", "wheel"), default="command")
-    more = {"type": arguments.split_held_out, "action": "extend"}
+    option(what, "--speed", None, _SPEED, choices=("command", "wheel"), default="command")
     text = "measure the shrinkage on every K-th drive (default 4; 0: none), or on these files"
-    option(what, "--held-out", "K|FILE,…", text, arguments.missing_session, **more)
-    option(what, "--runs-held-out", None, SUPPRESS, dest="held_out", **more)  # until 0.1
+    option(what, "--held-out", "K|FILE,…", text, missing_session, **_HELD_OUT)
+    option(what, "--runs-held-out", None, SUPPRESS, dest="held_out", **_HELD_OUT)  # until 0.1
     out = parser.add_argument_group("output")
-    more = {"nargs": "?", "const": Path("-"), "type": Path}
-    option(out, "--json", "FILE", "for programs; alone: to the terminal", **more)
+    text = "for programs; alone: to the terminal"
+    option(out, "--json", "FILE", text, nargs="?", const=_SCREEN, type=Path)
     option(out, "--report", "FILE.html", "one page, plots first", type=Path)
     option(out, "-o --output", "CAR.toml", "the base with the found effect", type=Path)
     option(out, "--prediction", "FILE", "the prediction, before it is measured", type=Path)
@@ -152,7 +146,7 @@ def diagnose(args: Namespace) -> None:
             write(args.prediction, text)
 
         options = read_arguments(DiagnoseOptions, args)
-        paths = arguments.pick_sessions(args.sessions)
+        paths = [*map(arguments.pick_session, args.sessions)]
         with show_progress("diagnosing", 1.0) as advance:
             found = run_diagnose(paths, options, Watch(print_warnings, advance, foretell))
             advance(DRIVEN, "")
@@ -165,12 +159,8 @@ def diagnose(args: Namespace) -> None:
 def list_outputs(args: Namespace) -> dict[str, Path | None]:
     """What is to be written, by option."""
     beside = None if args.output is None else posterior_path(args.output)
-    to_file = None if _is_screen(args) else args.json
+    to_file = None if args.json == _SCREEN else args.json
     return {"-o": args.output, "--json": to_file, "--report": args.report, "beside -o": beside}
-
-
-def _is_screen(args: Namespace) -> bool:
-    return str(args.json) == "-"
 
 
 def present(found: Finding, args: Namespace, write: Write) -> CarFile | None:
@@ -186,10 +176,10 @@ def present(found: Finding, args: Namespace, write: Write) -> CarFile | None:
     except SteerdError as error:
         refused = error
     there = write(args.output, car.text if car else None)
-    write(None if _is_screen(args) else args.json, text)
-    if _is_screen(args):
+    if args.json == _SCREEN:
         print(text, end="", flush=True)
     else:
+        write(args.json, text)
         print(found.describe(args.output if there else None, args.report), flush=True)
     # What is on the screen is written; what takes longer is added.
     drawn = _DRAW if args.report else 0.0

@@ -1,6 +1,6 @@
 """Commands over many drives: simulated ones, each another draw, and the sessions of a lab."""
 
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, Namespace, _ArgumentGroup
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,17 +13,11 @@ from steerd.daemon.common.written import check_outputs
 if TYPE_CHECKING:
     from steerd.daemon.many.sweep.plan import SweepPlan
 
-_KINDS = ("summarise", "identify", "diagnose")
-
 
 def sweep_arguments(parser: ArgumentParser) -> None:
     option(parser, "file", "SWEEP.toml", "what to drive", missing_file, type=Path, nargs="?")
     option(parser, "--example", "", "print a sweep file and end")
-    out = parser.add_argument_group("output")
-    option(out, "-o --output", "FILE.parquet", "a row for each drive", type=Path)
-    option(out, "--page", "FILE.html", "one page with figures", type=Path)
-    where = parser.add_argument_group("work")
-    option(where, "--jobs", "N", "processes (default: one per core)", type=int, default=0)
+    _add_outputs(parser, "drive", "work")
     again = parser.add_argument_group("one drive of it")
     option(again, "--again", "N", "drive number N alone", type=int)
     option(again, "--record", "FILE.mcap", "session file of that drive", type=Path)
@@ -85,16 +79,22 @@ def _drive_again(plan: "SweepPlan", args: Namespace) -> None:
 
 
 def batch_arguments(parser: ArgumentParser) -> None:
-    option(parser, "kind", None, "what is asked of each session", choices=_KINDS)
+    kinds = ("summarise", "identify", "diagnose")
+    option(parser, "kind", None, "what is asked of each session", choices=kinds)
     option(parser, "sessions", "DIR|PATTERN", "folders, patterns in quotes, or files", nargs="+")
     text = "car files: NAME.toml for the car NAME, or one for all"
     option(parser, "--cars", "DIR|CAR.toml", text, missing_file, type=Path)
-    out = parser.add_argument_group("output")
-    option(out, "-o --output", "FILE.parquet", "a row for each session", type=Path)
-    option(out, "--page", "FILE.html", "one page with figures", type=Path)
-    where = parser.add_argument_group("where")
-    option(where, "--jobs", "N", "processes (default: one per core)", type=int, default=0)
+    where = _add_outputs(parser, "session", "where")
     option(where, "--dask", "ADDRESS", "a Dask scheduler instead")
+
+
+def _add_outputs(parser: ArgumentParser, each: str, title: str) -> _ArgumentGroup:
+    out = parser.add_argument_group("output")
+    option(out, "-o --output", "FILE.parquet", f"a row for each {each}", type=Path)
+    option(out, "--page", "FILE.html", "one page with figures", type=Path)
+    where = parser.add_argument_group(title)
+    option(where, "--jobs", "N", "processes (default: one per core)", type=int, default=0)
+    return where
 
 
 def batch(args: Namespace) -> None:

@@ -83,7 +83,16 @@ def operate(args: Namespace) -> int:
         operator = bus_operator.BusOperator(
             bus, args.name, clock, getpass.getuser(), view.pulse, kept if shared else 0
         )
-        return _request(_Link(view, operator), kind, hold=not args.no_hold)
+        link = _Link(view, operator)
+        link.send(kind)
+        if not link.wait(lambda: view.mode in _WANTED[kind], ANSWER_NS):
+            raise _make_refusal(view, kind)
+        if kind is RequestKind.ARM:
+            bus_operator.keep_lease(args.name, operator.secret)
+        if kind in _HOLDING and not args.no_hold:
+            return _hold(link, arm=kind is RequestKind.ARM)
+        print(view.mode_name)
+        return ExitCode.OK
 
 
 class _Link:
@@ -97,15 +106,6 @@ class _Link:
     def send(self, kind: RequestKind) -> None:
         self.operator.ask(self.view.boot_id, kind)
 
-    def receive(self) -> None:
-        """Take in what has come; what cannot be read, of another version, is left out."""
-        for sample in self._changes.poll():
-            with contextlib.suppress(ValueError):
-                change = decode(Transition, sample.data)
-                name = SupervisorState(change.to_state).name
-                print(f"{name:<14}{change.text}", file=sys.stderr)
-        self.view.poll()
-
     def wait(self, done: Callable[[], bool], limit_ns: int | None, *, hold: bool = True) -> bool:
         """Keep the lease alive, repeat a stop and receive until `done` or the time is over."""
         clock = self.view.clock
@@ -118,7 +118,12 @@ class _Link:
                 self.send(RequestKind.KEEPALIVE)
             self.operator.repeat(self.view.mode)
             clock.sleep_until_ns(now + bus_operator.REPEAT_NS // 2)
-            self.receive()
+            for sample in self._changes.poll():
+                with contextlib.suppress(ValueError):  # what cannot be read, of another version
+                    change = decode(Transition, sample.data)
+                    name = SupervisorState(change.to_state).name
+                    print(f"{name:<14}{change.text}", file=sys.stderr)
+            self.view.poll()
         return True
 
 
@@ -141,18 +146,6 @@ def _make_refusal(view: CarView, kind: RequestKind) -> SteerdError:
     what += f"; it is waiting for {view.values.get('waiting', '')}"
     hint = "only operators of the lab may" if view.bus.who else "steerd status"
     return SteerdError(what, "steerd clear" if view.mode in _LATCHED else hint, ExitCode.STOPPED)
-
-
-def _request(link: _Link, kind: RequestKind, *, hold: bool) -> int:
-    link.send(kind)
-    if not link.wait(lambda: link.view.mode in _WANTED[kind], ANSWER_NS):
-        raise _make_refusal(link.view, kind)
-    if kind is RequestKind.ARM:
-        bus_operator.keep_lease(link.view.car, link.operator.secret)
-    if kind in _HOLDING and hold:
-        return _hold(link, arm=kind is RequestKind.ARM)
-    print(link.view.mode_name)
-    return ExitCode.OK
 
 
 def _hold(link: _Link, *, arm: bool) -> int:

@@ -39,7 +39,7 @@ def probe(args: Namespace) -> int:
     steerd probe
     steerd probe --port /dev/ttyACM0 --mocap natnet://192.168.1.10/car
     """
-    from steerd.daemon.setup.probe_ask import ask_mocap, ask_ports, find_sockets, in_group
+    from steerd.daemon.setup.probe_ask import ask_mocap, ask_ports, find_sockets, in_dialout
 
     if not 0.5 <= args.seconds <= 600.0:
         raise UsageError(f"--seconds {args.seconds:g}: 0.5 to 600")
@@ -47,7 +47,7 @@ def probe(args: Namespace) -> int:
     serial = tuple(ask_ports(args.port, clock, settings.brakes))
     with refusing(f"--mocap {args.mocap}: "):
         mocap = tuple(ask_mocap(args.mocap, settings.ingest, clock, args.seconds))
-    found = Found(serial, mocap, find_sockets(), in_group())
+    found = Found(serial, mocap, find_sockets(), in_dialout())
     if args.json:
         document = {"schema": "steerd.probe/1", **asdict(found)}
         print(json.dumps(document, indent=1, ensure_ascii=False))

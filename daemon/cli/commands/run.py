@@ -1,11 +1,11 @@
-"""`steerd run`: a drive on a car or on simulated hardware, in real or in virtual time."""
+"""`steerd run` and `steerd collect`: a drive, in real or in virtual time."""
 
 import contextlib
 import secrets
 import signal
 import sys
 import threading
-from argparse import ArgumentParser, Namespace, _ArgumentGroup
+from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from importlib import import_module
@@ -13,8 +13,9 @@ from pathlib import Path
 from sys import float_info
 from typing import TYPE_CHECKING
 
+from steerd.daemon.assembly.plans import NAMES, make_closed_path, parse_box
 from steerd.daemon.cli.arguments import missing_car, missing_lane, option
-from steerd.daemon.common.errors import ExitCode, UsageError
+from steerd.daemon.common.errors import ExitCode, UsageError, refusing
 from steerd.daemon.process.child import CORE, Child
 from steerd.daemon.process.view_job import DEFAULT_PORT, check_view
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions
@@ -23,11 +24,13 @@ if TYPE_CHECKING:
     from steerd.daemon.assembly.build import RunPlan
 
 
-FIRST_OPTIONS = (
+_FIRST = (
     "--port", "--mocap", "--sim", "--fast", "--car", "--path", "--speed", "--duration", "--record",
     "--page",
 )  # fmt: skip
-"""What `--help` shows; `--help-all` shows the rest too."""
+FIRST_OPTIONS = {"run": _FIRST, "collect": ("--plan", "--closed", "--box", *_FIRST)}
+"""What `--help` shows, by command; `--help-all` shows the rest too."""
+PLAN_SPEED = 2.5  # highest speed of a plan unless said otherwise [m/s]
 
 
 def run_arguments(parser: ArgumentParser) -> None:
@@ -50,11 +53,6 @@ def run_arguments(parser: ArgumentParser) -> None:
     text = "zenoh: apply the commands of `steerd control`; ros2: those of a ROS node's /drive"
     kinds = [kind.value for kind in ControllerKind]
     option(run, "--controller", None, text, choices=kinds, default="lane")
-    _add_network_arguments(run)
-
-
-def _add_network_arguments(run: _ArgumentGroup) -> None:
-    """The bus, and who else may see the car."""
     option(run, "--listen", "ENDPOINT", f"of zenoh (default {RunOptions.listen})")
     option(run, "--lab", "DIR", "the car's folder of `steerd keys`: mutual TLS", type=Path)
     option(run, "--insecure-lan", "", "allow plain zenoh beyond loopback")
@@ -84,11 +82,7 @@ def add_drive_arguments(parser: ArgumentParser) -> None:
 
 
 def make_options(args: Namespace) -> RunOptions:
-    """Typed options from the command line.
-
-    Raises:
-        SteerdError: a combination makes no sense.
-    """
+    """Typed options from the command line. Raises SteerdError: a combination makes no sense."""
     for wrong, what, hint in _list_conflicts(args):
         if wrong:
             raise UsageError(what, hint)
@@ -100,7 +94,9 @@ def make_options(args: Namespace) -> RunOptions:
     given |= {"car_file": args.car or "", "car": args.name, "duration_s": args.duration}
     given |= {"rate_hz": args.rate, "simulated": args.sim, "auto_arm": args.auto_arm or args.fast}
     given |= {"effects": tuple(args.effect), "controller": ControllerKind(args.controller)}
-    given |= {"listen": _choose_endpoint(args), "lab": str(args.lab.resolve()) if args.lab else ""}
+    given |= {"listen": args.listen or RunOptions.listen, "lab": ""}
+    if args.lab is not None:
+        given |= {"listen": _find_endpoint(args), "lab": str(args.lab.resolve())}
     given |= {"view": args.view or "", "sim_car": args.sim_car or ""}
     return RunOptions(**given)
 
@@ -143,9 +139,8 @@ def _list_conflicts(args: Namespace) -> Iterator[tuple[bool, str, str]]:
     yield args.adapt and not lane, what, "drop --adapt or --controller"
 
 
-def _choose_endpoint(args: Namespace) -> str:
-    if args.lab is None:
-        return args.listen or RunOptions.listen
+def _find_endpoint(args: Namespace) -> str:
+    """Of a lab's car."""
     from steerd.daemon.ipc.operator import read_lab
 
     lab = read_lab(args.lab)
@@ -167,11 +162,42 @@ def run(args: Namespace) -> int:
     return drive(make_options(args), fast=args.fast)
 
 
-def drive(options: RunOptions, *, fast: bool) -> int:
-    """Drive in virtual time, on simulated hardware or on a car.
+def collect_arguments(parser: ArgumentParser) -> None:
+    what = parser.add_argument_group("plan")
+    option(what, "--plan", None, "what to drive", choices=NAMES, default="mixed")
+    text = "add the plan to the lane keeper's commands, along --path (default: open loop)"
+    option(what, "--closed", "", text)
+    text = "where the car must stay [m]; start in the middle, heading along x"
+    option(what, "--box", "SIDE|X0,Y0,X1,Y1", text)
+    run_arguments(parser)
+    parser.set_defaults(speed=PLAN_SPEED, path=None)
 
-    The control core's process loads for a second; meanwhile this one makes the plan.
+
+def collect(args: Namespace) -> int:
+    """Drive an excitation plan and record it: a session that identifies the car.
+
+    steerd collect --sim --fast --plan mixed --record mixed.mcap
+    steerd collect --plan circles --box 6 --port /dev/vesc --mocap natnet://HOST/car
+
+    Plans: circles (the paper's: 8 left, 8 right, steering at its limit, 1 m/s),
+    slalom, chirp, steps, ramp (speed grows to the limit), speeds (steps of speed),
+    mixed (several of them at several speeds: start with it).
+    Supervisor, watchdogs and limits are those of `steerd run`; a box is a fence.
     """
+    if args.controller != "lane":
+        raise UsageError("a plan is driven by the daemon itself", "drop --controller")
+    parts = [args.plan, "closed" if args.closed else f"speed={args.speed:g}"]
+    if args.box:
+        parts.append(f"box={args.box}")
+    if not args.path and args.closed:
+        with refusing():
+            args.path = make_closed_path(parse_box(args.box) if args.box else None)
+    args.path = args.path or "line"  # which is not followed in open loop
+    return drive(replace(make_options(args), drill=";".join(parts)), fast=args.fast)
+
+
+def drive(options: RunOptions, *, fast: bool) -> int:
+    """Drive; the core's process loads for a second, in which this one makes the plan."""
     if fast:
         from steerd.daemon.assembly.build import make_plan
         from steerd.daemon.offline.fast import run_fast
@@ -192,35 +218,24 @@ def _run_simulated(plan: "RunPlan", core: Child) -> int:
     # While the simulated hardware starts, this process loads what it needs next.
     threading.Thread(target=import_module, args=(_LIVE,), daemon=True).start()
     with spawn_sim(make_world_config(plan)) as sim:
-        options = replace(plan.options, port=sim.port, mocap=sim.mocap_url)
-        code, reason = _run_live(replace(plan, options=options), core)
-    if code == ExitCode.STOPPED and _was_busy(plan, reason):
-        return _fall_back(plan)
-    return code
+        linked = replace(plan.options, port=sim.port, mocap=sim.mocap_url)
+        code, reason = _run_live(replace(plan, options=linked), core)
+    options = plan.options
+    # Whoever opened a page or a viewer wants to see it drive, not to wait for a drive without one.
+    watched = options.page is not None or options.view
+    alone = options.auto_arm and options.duration_s is not None and not options.effects
+    if code != ExitCode.STOPPED or watched or not alone or not reason.startswith(_BUSY):
+        return code
+    from steerd.daemon.offline.fast import run_fast
+
+    print("this machine was too busy for real time: the same drive again, in virtual time")
+    named = str(Path(options.record).with_suffix(".fast.mcap")) if options.record else None
+    return run_fast(replace(plan, options=replace(options, record=named)))
 
 
 _LIVE = "steerd.daemon.terminal.terminal"  # what a drive in real time loads first
 _BUSY = ("W1 ", "W7 ", "W8 ", "W9 ", "W15 ", "W16 ")
 """Watchdogs that a machine without time for simulated hardware trips."""
-
-
-def _was_busy(plan: "RunPlan", reason: str) -> bool:
-    """Whether a drive by itself was ended by its machine, and may be driven in virtual time."""
-    options = plan.options
-    # Whoever opened a page or a viewer wants to see it drive, not to wait for a drive without one.
-    watched = options.page is not None or options.view
-    alone = options.auto_arm and options.duration_s is not None and not options.effects
-    return alone and not watched and reason.startswith(_BUSY)
-
-
-def _fall_back(plan: "RunPlan") -> int:
-    """Drive the plan again in virtual time, into a session of its own."""
-    from steerd.daemon.offline.fast import run_fast
-
-    print("this machine was too busy for real time: the same drive again, in virtual time")
-    record = plan.options.record
-    named = str(Path(record).with_suffix(".fast.mcap")) if record else None
-    return run_fast(replace(plan, options=replace(plan.options, record=named)))
 
 
 def _run_live(plan: "RunPlan", core: Child) -> tuple[int, str]:

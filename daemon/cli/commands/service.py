@@ -13,6 +13,7 @@ from xml.sax.saxutils import quoteattr
 from steerd.daemon.cli.arguments import list_actions, option
 from steerd.daemon.cli.commands.run import make_options, run_arguments
 from steerd.daemon.common.errors import UsageError, refusing
+from steerd.daemon.common.written import write_whole
 from steerd.daemon.settings.run_options import HIDDEN
 
 
@@ -36,8 +37,13 @@ def service(args: Namespace) -> None:
     All options of `steerd run` are accepted and checked before anything is written.
     """
     user = not args.system
+    own = Path(os.environ.get("XDG_CONFIG_HOME") or "~/.config", "systemd", "user")
+    folder = own.expanduser() if user else Path("/etc/systemd/system")
+    path, ctl = folder / "steerd.service", "systemctl --user" if user else "systemctl"
     if args.action == "uninstall":
-        _uninstall(_unit_path(user), user)
+        with refusing(f"{path}: "):
+            path.unlink()
+        print(f"{path}: removed\n   next: {ctl} disable --now steerd; {ctl} daemon-reload")
         return
     if args.action == "udev":
         text = _fill("99-vesc.rules")
@@ -49,34 +55,32 @@ def service(args: Namespace) -> None:
         account = "" if user else os.environ.get("SUDO_USER") or getpass.getuser()
         text = make_unit(_make_command(args), args.name, account=account)
     if args.action == "install":
-        _install(_unit_path(user), text, user, force=args.force)
+        if path.exists() and path.read_text() != text and not args.force:
+            raise UsageError(f"{path} exists already", "--force replaces it")
+        with refusing(f"{folder}: "):
+            folder.mkdir(parents=True, exist_ok=True)
+        write_whole(path, text)
+        print(f"{path}: written")
+        print(f"   next: {ctl} daemon-reload && {ctl} enable --now steerd")
+        print("   then: steerd status; it waits, disarmed, until `steerd arm`")
+        print("   once: steerd service udev | sudo tee /etc/udev/rules.d/99-vesc.rules")
+        if user:
+            print("   once: loginctl enable-linger, so that it starts without a login")
     else:
         print(text, end="")
 
 
 def _make_command(args: Namespace) -> list[str]:
-    """The command line of the run, checked.
-
-    Raises:
-        SteerdError: the options are wrong, or not those of a service.
-    """
+    """The run's checked command line; run elsewhere, so with files named in full."""
     from steerd.daemon.assembly.build import make_plan
 
     if args.fast or args.auto_arm:
         what = "a service starts disarmed and runs in real time"
         raise UsageError(what, "leave out --fast and --auto-arm")
     make_plan(make_options(args))
-    return [sys.executable, "-m", "steerd", "run", *_run_arguments(args)]
-
-
-def _run_arguments(args: Namespace) -> list[str]:
-    """The options of `steerd run` that differ from their defaults, as arguments.
-
-    A service has another working directory, so files are named in full.
-    """
     parser = ArgumentParser()
     run_arguments(parser)
-    arguments: list[str] = []
+    arguments = [sys.executable, "-m", "steerd", "run"]
     for action in list_actions(parser):
         value = getattr(args, action.dest, action.default)
         if value == action.default or not action.option_strings:
@@ -100,38 +104,11 @@ def _absolute(text: str, dest: str) -> str:
     return text
 
 
-def _install(path: Path, text: str, user: bool, *, force: bool) -> None:
-    from steerd.daemon.common.written import write_whole
-
-    if path.exists() and path.read_text() != text and not force:
-        raise UsageError(f"{path} exists already", "--force replaces it")
-    with refusing(f"{path.parent}: "):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, text)
-    ctl = "systemctl --user" if user else "systemctl"
-    print(f"{path}: written")
-    print(f"   next: {ctl} daemon-reload && {ctl} enable --now steerd")
-    print("   then: steerd status; it waits, disarmed, until `steerd arm`")
-    print("   once: steerd service udev | sudo tee /etc/udev/rules.d/99-vesc.rules")
-    if user:
-        print("   once: loginctl enable-linger, so that it starts without a login")
-
-
-def _uninstall(path: Path, user: bool) -> None:
-    ctl = "systemctl --user" if user else "systemctl"
-    with refusing(f"{path}: "):
-        path.unlink()
-    print(f"{path}: removed\n   next: {ctl} disable --now steerd; {ctl} daemon-reload")
-
-
 def make_unit(command: Sequence[str], car: str, *, account: str = "") -> str:
-    """The text of the unit file that runs a command.
+    """The text of the unit file that runs a command; a SteerdError where it cannot hold it.
 
     `account` is who it runs as under the system's service manager; empty for one's own, which
     cannot change accounts or mounts.
-
-    Raises:
-        SteerdError: an argument cannot be written in a unit file.
     """
     _expect_writable((*command, car, account), "unit file", "\n\r\0")
     protected = _fill("protected.service", account=account) if account else ""
@@ -159,10 +136,3 @@ def _quote(part: str) -> str:
         return plain
     escaped = plain.replace("\\", "\\\\").replace('"', '\\"')
     return f'"{escaped}"'
-
-
-def _unit_path(user: bool) -> Path:
-    if not user:
-        return Path("/etc/systemd/system/steerd.service")
-    base = os.environ.get("XDG_CONFIG_HOME") or str(Path.home() / ".config")
-    return Path(base) / "systemd" / "user" / "steerd.service"

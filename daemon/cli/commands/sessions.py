@@ -7,9 +7,8 @@ from pathlib import Path
 
 from steerd.daemon.cli import arguments
 from steerd.daemon.cli.arguments import missing_partial, missing_session, option, pick_session
-from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, reading
 from steerd.daemon.common.progress import show_progress
-from steerd.daemon.common.translate import reading
 from steerd.daemon.common.written import check_outputs, write_outputs
 
 SHOWN = 40  # drives that are listed unless all are asked for
@@ -47,15 +46,24 @@ def sessions(args: Namespace) -> None:
     identify and diagnose take them too. Tags and notes lie beside the session, in
     NAME.notes.toml.
     """
-    from steerd.daemon.sessions.catalogue import default_folders, find_session
+    from steerd.daemon.sessions import catalogue
 
     if args.folder is not None and not args.folder.is_dir():
         raise SteerdError(f"there is no folder {args.folder}", "", ExitCode.UNREADABLE)
-    folders = (args.folder,) if args.folder else default_folders()
+    folders = (args.folder,) if args.folder else catalogue.default_folders()
     if args.kind is None:
         _list(args, folders)
+        return
+    session = catalogue.find_session(args.session, folders)
+    tags, note = catalogue.read_notes(session)
+    if args.kind == "tag":
+        tags = (*tags, *args.tags)
+    elif args.kind == "untag":
+        tags = tuple(tag for tag in tags if tag not in args.tags)
     else:
-        _write(args, find_session(args.session, folders))
+        note = " ".join(args.text)
+    catalogue.write_notes(session, tags, note)
+    print(f"written: {catalogue.notes_file(session)}")
 
 
 def _list(args: Namespace, folders: tuple[Path, ...]) -> None:
@@ -69,10 +77,8 @@ def _list(args: Namespace, folders: tuple[Path, ...]) -> None:
     with show_progress("reading the drives", float(len(shown)), even=True) as advance:
         entries = list(catalogue.list_entries(shown, advance))
     places = {path: number for number, path in enumerate(paths, 1)}
-    if args.tag:
-        entries = [entry for entry in entries if args.tag in entry.tags]
-    if args.car:
-        entries = [entry for entry in entries if args.car == entry.car]
+    entries = [e for e in entries if not args.tag or args.tag in e.tags]
+    entries = [e for e in entries if not args.car or args.car == e.car]
     if args.json:
         print(json.dumps(catalogue.make_json(entries), indent=1, allow_nan=False))
         return
@@ -88,21 +94,6 @@ def _list(args: Namespace, folders: tuple[Path, ...]) -> None:
     print("\n".join(catalogue.format_entries(entries, [places[e.path] for e in entries])))
     if len(paths) > len(shown):
         print(f"and {len(paths) - len(shown)} older ones: --all")
-
-
-def _write(args: Namespace, session: Path) -> None:
-    from steerd.daemon.sessions.catalogue import notes_file, read_notes, write_notes
-
-    tags, note = read_notes(session)
-    match args.kind:
-        case "tag":
-            tags = (*tags, *args.tags)
-        case "untag":
-            tags = tuple(tag for tag in tags if tag not in args.tags)
-        case _:
-            note = " ".join(args.text)
-    write_notes(session, tags, note)
-    print(f"written: {notes_file(session)}")
 
 
 def info_arguments(parser: ArgumentParser) -> None:
@@ -144,7 +135,7 @@ def plot(args: Namespace) -> None:
     steerd plot SESSION.mcap -o DRIVE.csv    # all curves and the track, every 10 ms
     steerd plot BEFORE.mcap AFTER.mcap       # by place on the lane, and over time
     """
-    paths = arguments.pick_sessions(args.sessions)
+    paths = [*map(pick_session, args.sessions)]
     if args.shift is not None and len(paths) != 2:
         raise UsageError("--shift is for two drives", "name two")
     name = "-".join(path.stem for path in paths)[:120]

@@ -16,10 +16,10 @@ from steerd.daemon.common.written import dated_name
 
 
 class Step(NamedTuple):
-    """One step."""
+    """One step: what it finds out, and what to do before it and to look at."""
 
-    title: str  # what it finds out
-    before: str  # what to do before it, and what to look at
+    title: str
+    before: str
     words: tuple[str, ...]  # the command's arguments after `steerd`
     makes: Path | None = None  # what its standard output is written to; None for the terminal
 
@@ -93,7 +93,21 @@ def setup(args: Namespace) -> int | None:
         raise UsageError(f"--from {args.first}: there are {len(steps)} steps")
     args.folder.mkdir(parents=True, exist_ok=True)
     hardware = ["--port", args.port, "--mocap", args.mocap]
-    left = _guide_here(steps, args.first - 1, args.page)
+    if args.page is None:
+        left = guide(steps, args.first - 1, read_key, run_step)
+    else:
+        from steerd.daemon.process.guide_page import GuidePage  # with a web server
+
+        page = GuidePage([
+            {"title": step.title, "before": step.before, "command": step.typed} for step in steps
+        ])  # fmt: skip
+        try:
+            print(f"   page: {page.open(args.page)} (in a browser on this machine)")
+        except OSError as error:
+            hint = "--page with another port"
+            raise SteerdError(f"--page {args.page}: {error}", hint, ExitCode.UNREACHABLE) from error
+        do = partial(run_step, execute=page.run)
+        left = guide(steps, args.first - 1, page.ask, do, page.stand)
     if left < len(steps):
         again = shlex.join(["setup", *hardware, "--folder", str(args.folder)])
         print(f"   next: steerd {again} --from {left + 1}")
@@ -101,23 +115,6 @@ def setup(args: Namespace) -> int | None:
     car = str(args.folder / "identified.toml")
     print(f"   next: steerd {shlex.join(['run', *hardware, '--car', car])}")
     return None
-
-
-def _guide_here(steps: Sequence[Step], at: int, port: int | None) -> int:
-    """Go through the steps in this terminal and, where a port is given, on a page as well."""
-    if port is None:
-        return guide(steps, at, read_key, run_step)
-    from steerd.daemon.process.guide_page import GuidePage  # a web server: only where it is used
-
-    page = GuidePage([
-        {"title": step.title, "before": step.before, "command": step.typed} for step in steps
-    ])  # fmt: skip
-    try:
-        print(f"   page: {page.open(port)} (in a browser on this machine)")
-    except OSError as error:
-        hint = "--page with another port"
-        raise SteerdError(f"--page {port}: {error}", hint, ExitCode.UNREACHABLE) from error
-    return guide(steps, at, page.ask, partial(run_step, execute=page.run), page.stand)
 
 
 def guide(
@@ -129,9 +126,8 @@ def guide(
 ) -> int:
     """Go through steps as answers say; where it ended, the number of steps if all are done.
 
-    A step that failed is offered again. `ask` shows a question and gives the answer, `do` runs a
-    step and gives its exit code, `stand` hears of the present step, and whether it is `asked`,
-    `runs`, `done` or `failed`.
+    `ask` shows a question and gives the answer, `do` runs a step and gives its exit code, `stand`
+    hears of the present step, and whether it is `asked`, `runs`, `done` or `failed`.
     """
     while at < len(steps):
         step = steps[at]

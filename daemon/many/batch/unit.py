@@ -14,9 +14,8 @@ from typing import Any, Literal
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.params import wheelbase
 from steerd.daemon.assembly.session_meta import is_virtual
-from steerd.daemon.common.errors import ExitCode, SteerdError
+from steerd.daemon.common.errors import ExitCode, SteerdError, load_car_file
 from steerd.daemon.common.screen import clean
-from steerd.daemon.common.translate import load_car_file
 from steerd.daemon.sessions.info import load_session
 
 _EARLIEST_NS = 946_684_800_000_000_000

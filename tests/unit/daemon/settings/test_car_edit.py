@@ -7,8 +7,7 @@ import pytest
 from steerd.car_model.car_file import default_car_path, load_car
 from steerd.daemon.cli.main import run_cli
 from steerd.daemon.common.errors import SteerdError
-from steerd.daemon.settings.car_edit import edit_car
-from steerd.daemon.settings.vesc_yaml import make_car_values, read_vesc_yaml
+from steerd.daemon.settings.car_edit import edit_car, make_car_values, read_vesc_yaml
 from steerd.vesc_link.scaling import F1TENTH
 
 

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from steerd.car_model.car_file import default_car_path, load_car
-from steerd.car_model.params import wheelbase
+from steerd.car_model.params import GRAVITY, wheelbase
 from steerd.daemon.assembly.build import make_plan
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.offline.fast import record_virtual
 from steerd.daemon.offline.virtual import drive
 from steerd.daemon.sessions.motion import Track
 from steerd.daemon.settings.run_options import RunOptions
-from steerd.daemon.setup.calibration_data import load_recorded, make_drive
-from steerd.daemon.setup.least_squares import BLOCKS, jackknife_sd
-from steerd.daemon.setup.mount_calibration import Drive, Mount, calibrate_mount, slip_per_accel
+from steerd.daemon.setup import calibration_data as data
+from steerd.daemon.setup.calibration_data import Drive, load_recorded, make_drive
+from steerd.daemon.setup.mount_calibration import Mount, calibrate_mount
 from steerd.daemon.setup.steering_calibration import calibrate_steering
 from steerd.sysid.data.dataset import Signal
 
@@ -36,7 +36,7 @@ def slow_drive(
     curvature = np.abs(curvature) + 0.1 if one_side else 0.0 * t if straight else curvature
     rate_true = speed * curvature
     yaw = 0.7 + np.cumsum(rate_true) * DT
-    slip = -slip_per_accel(CAR) * speed * rate_true
+    slip = -speed * rate_true / (CAR.mu * GRAVITY * CAR.c_sr)
     x = np.cumsum(speed * np.cos(yaw + slip)) * DT
     y = np.cumsum(speed * np.sin(yaw + slip)) * DT
     rng = np.random.default_rng(seed)
@@ -194,6 +194,6 @@ def test_rejected_poses_calibrate_nothing_and_what_a_session_lacks_is_named(reco
 
 def test_the_jackknife_of_a_mean_is_its_standard_error():
     values = np.random.default_rng(3).normal(size=200)
-    (sd,) = jackknife_sd(np.ones(200, dtype=bool), lambda keep: [values[keep].mean()])
-    blocks = values.reshape(BLOCKS, -1).mean(axis=1)
-    assert sd == pytest.approx(blocks.std(ddof=1) / np.sqrt(BLOCKS), rel=1e-9)
+    (sd,) = data.jackknife_sd(np.ones(200, dtype=bool), lambda keep: [values[keep].mean()])
+    blocks = values.reshape(data.BLOCKS, -1).mean(axis=1)
+    assert sd == pytest.approx(blocks.std(ddof=1) / np.sqrt(data.BLOCKS), rel=1e-9)
