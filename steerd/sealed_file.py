@@ -44,7 +44,11 @@ def read_sealed(path: Path) -> bytes | None:
 
 
 def make_own_folder(folder: Path) -> None:
-    """Make a folder into which nobody else writes, or take that right away; or an OSError."""
+    """Make a folder into which nobody else writes; take that right away where it was given.
+
+    Raises:
+        OSError: it cannot be made, or is somebody else's.
+    """
     for each in (*reversed(folder.parents), folder):
         with contextlib.suppress(FileExistsError):
             each.mkdir(_OWN)

@@ -23,18 +23,32 @@ class TomlError(ValueError):
 
 
 def load_toml(path: Path) -> dict[str, Any]:
-    """The tables of a file; an OSError if it cannot be read; else see `parse_toml`."""
+    """The tables of a file.
+
+    Raises:
+        OSError: it cannot be read.
+        TomlError: it is no TOML within the bounds.
+    """
     return parse_toml(read_toml(path))
 
 
 def read_toml(path: Path) -> str:
-    """The text of a file; an OSError if it cannot be read; else see `decode_toml`."""
+    """The text of a file, no more than it may hold.
+
+    Raises:
+        OSError: it cannot be read.
+        TomlError: it is too large, or no UTF-8.
+    """
     with path.open("rb") as file:
         return decode_toml(file.read(SIZE_MAX + 1))
 
 
 def decode_toml(raw: bytes) -> str:
-    """The text of a file's content. Raises TomlError: it is too large, or no UTF-8."""
+    """The text of a file's content.
+
+    Raises:
+        TomlError: it is too large, or no UTF-8.
+    """
     if len(raw) > SIZE_MAX:
         raise TomlError(f"is larger than {SIZE_MAX / 1e6:g} MB")
     try:
@@ -44,7 +58,11 @@ def decode_toml(raw: bytes) -> str:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The tables of a text. Raises TomlError: it is no TOML within the bounds."""
+    """The tables of a text.
+
+    Raises:
+        TomlError: it is no TOML within the bounds.
+    """
     if len(text) > SIZE_MAX:
         raise TomlError(f"is larger than {SIZE_MAX / 1e6:g} MB")
     long_key = _LONG_KEY.search(text)

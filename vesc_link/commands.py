@@ -71,7 +71,11 @@ class Alive:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits [ERPM, duty, W, A] in the order of the wire; scales are shares of its own currents."""
+    """What an order may be; cannot be made beyond the compiled-in ceilings.
+
+    Raises:
+        LimitError: with one line for each value outside ``CEILINGS``.
+    """
 
     current_min_scale: float
     current_max_scale: float

@@ -164,7 +164,11 @@ diagnose = asked.by_keywords("diagnosing", DiagnoseOptions, run_diagnose)
 def make_case(
     paths: Sequence[Path], options: DiagnoseOptions, watch: asked.Watch
 ) -> tuple[Drives, engine.Case, CarFile]:
-    """The drives, what is diagnosed of them, the car; a SteerdError where one cannot be used."""
+    """The drives, what is diagnosed of them and the car.
+
+    Raises:
+        SteerdError: a session, the car file or an option cannot be used.
+    """
     only, without = asked.read_effects(options.only), asked.read_effects(options.without)
     held_out, quiet = asked.read_held_out(options.held_out), asked.list_sessions(options.healthy)
     if only and not set(only) - set(without):
@@ -202,9 +206,13 @@ def make_case(
 def find_base(
     named: asked.CarSource, sessions: Sequence[Session]
 ) -> tuple[CarFile, str, tuple[str, ...]]:
-    """The car, where it comes from, and notes; a SteerdError where it cannot be used.
+    """The car or car file named, else the one inside the first session, else the default.
 
-    The one that is named counts, else the one inside the first session, else the default.
+    Returns:
+        The car, where it comes from, notes.
+
+    Raises:
+        SteerdError: the one that counts cannot be used.
     """
     if named is not None:
         base = asked.read_car(named)

@@ -118,7 +118,11 @@ class Drives:
 
 
 def load_drive(path: Path, speed: Speed, watch: Watch) -> tuple[Session, Run]:
-    """A session and its drive; a SteerdError where it cannot be read or is not fit for a fit."""
+    """A session and its drive.
+
+    Raises:
+        SteerdError: it cannot be read, or is not fit for a fit.
+    """
     session = load_session(path)
     damage = session.info().warnings
     watch.warn([f"{path.name}: {each}" for each in damage])
@@ -140,7 +144,13 @@ def load_drives(
     watch: Watch,
     advance: Callable[[float], None] = lambda _: None,
 ) -> Drives:
-    """Sessions as drives, each by `load_drive`; `advance` hears the share of the files read."""
+    """Sessions as drives, one after the other, see `load_drive`.
+
+    `advance` hears the share of the files read.
+
+    Raises:
+        SteerdError: one cannot be read, or is not fit for a fit.
+    """
     most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     if len(paths) > FILES:
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
@@ -172,7 +182,11 @@ def is_same(one: Path, other: Path) -> bool:
 
 
 def refuse_copies(paths: Sequence[Path]) -> None:
-    """A SteerdError where one drive is named twice: it passes for more data than there are."""
+    """A drive that counts twice passes for more data than there are.
+
+    Raises:
+        SteerdError: one drive is named twice.
+    """
     for one, other in combinations(paths, 2):
         if is_same(one, other):
             copy = f"{other} is a copy of {one}" if one != other else f"{one} is named twice"
@@ -182,7 +196,11 @@ def refuse_copies(paths: Sequence[Path]) -> None:
 def without_reserved(
     given: Sequence[Path], reserved: Sequence[Path], purpose: str
 ) -> tuple[Path, ...]:
-    """Of `*.mcap` what no other option names; a SteerdError for two of one drive, and for none."""
+    """The sessions that are not held out: of `*.mcap` those that no other option names.
+
+    Raises:
+        SteerdError: one drive is named twice, or none is left for the `purpose`.
+    """
     refuse_copies(reserved)
     refuse_copies(given)
     kept = tuple(path for path in given if not any(is_same(path, each) for each in reserved))
@@ -207,8 +225,11 @@ LEAST = 5.0
 def split_drives(case: Case, held_out: HeldOut, speed: Speed, watch: Watch) -> Case:
     """The case with its drives cut to where the car moves, some to explain, some held out.
 
-    Those that are held out measure the shrinkage; whole sessions are opened later. A DataError says
-    that there is too little driving, a SteerdError that it is too little to hold so much out.
+    Those that are held out measure the shrinkage; whole sessions are opened later.
+
+    Raises:
+        DataError: there is too little driving.
+        SteerdError: there is too little to hold so much out.
     """
     drives, every = case.runs, held_out.every
     parts = segments.moving_segments(drives)

@@ -173,7 +173,11 @@ identify = asked.by_keywords("identifying", IdentifyOptions, run_identify)
 def _make_task(
     paths: Sequence[Path], options: IdentifyOptions, base: CarFile, watch: asked.Watch
 ) -> tuple[Drives, Task]:
-    """Read the drives and settle what is free; whatever can be refused is refused here."""
+    """Read the drives and settle what is free; everything that can be refused is refused here.
+
+    Raises:
+        SteerdError: a session or an option cannot be used.
+    """
     held_out, length = asked.read_held_out(options.held_out), options.wheelbase
     for name, least in _LEAST.items():
         value = getattr(options, name)

@@ -73,7 +73,11 @@ class RunPlan:
 
     @cached_property
     def controller(self) -> LaneController:
-        """The lane keeper, designed for this run once; a SteerdError says why it is refused."""
+        """The lane keeper, designed for this run once.
+
+        Raises:
+            SteerdError: the design is refused, with the reason.
+        """
         from steerd.controller.design import DesignRefused
 
         car, config = make_design_car(self.settings), self.settings.controller
@@ -106,7 +110,11 @@ class RunPlan:
 
     @cached_property
     def sim(self) -> Settings:
-        """Of the simulated car: the car file's unless `--sim-car` differs; or a SteerdError."""
+        """The settings of the simulated car; those of the car file unless `--sim-car` differs.
+
+        Raises:
+            SteerdError: the simulated car's file is refused.
+        """
         if self.drawn is not None:
             return self.drawn
         return load_sim_car(self.options.sim_car) if self.options.sim_car else self.settings
@@ -155,9 +163,12 @@ def make_plan(
 ) -> RunPlan:
     """Read the car file (unless its settings are given), the path, and design the controller.
 
-    A drive of an excitation plan is as long as that, unless the options say how long. `design`:
-    False where another process will do that; `real`: of a drive in real time. Raises SteerdError:
-    any of them is refused, with the reason; LibraryError: the compiled equations were not built.
+    A drive of an excitation plan is as long as that, unless the options say how long.
+    `design`: False where another process will do that; `real`: of a drive in real time.
+
+    Raises:
+        SteerdError: any of them is refused, with the reason.
+        LibraryError: the compiled equations were not built.
     """
     slowest = SLOWEST_HZ if options.port and not options.simulated else SLOWEST_SIMULATED_HZ
     if not slowest <= options.rate_hz <= FASTEST_HZ:
@@ -188,7 +199,11 @@ def make_plan(
 
 
 def make_job(plan: RunPlan) -> dict[str, Any]:
-    """What a process of the run makes its own plan of (`read_job`), as JSON values."""
+    """A sweep as work for `do_job`.
+
+    Raises:
+        SteerdError: a distribution never yields what its quantity may be.
+    """
     return {"options": encode_options(plan.options), "run": plan.run}
 
 
@@ -221,7 +236,11 @@ def make_design_car(settings: Settings) -> Car[float]:
 
 
 def plan_car(car: CarFile) -> RunPlan:
-    """A drive at the file's own speed on an easy path; a SteerdError if no car can be driven so."""
+    """Settings and plan at the file's own speed; the design is part of the check.
+
+    Raises:
+        SteerdError: it holds no car that can be driven, or one without a stable controller.
+    """
     settings = make_settings(car)
     options = RunOptions(str(car.path), path="circle:radius=3", speed=settings.controller.speed)
     return make_plan(options, settings)
@@ -239,7 +258,11 @@ def report_refusal(car: CarFile) -> None:
 def make_world_config(
     plan: RunPlan, mocap_kind: str = "natnet", keep_bytes: bool = False
 ) -> WorldConfig:
-    """Simulated hardware for a plan, with the effects of the options; or a SteerdError."""
+    """Simulated hardware for a plan: the simulated car, with the effects of the options.
+
+    Raises:
+        SteerdError: the simulated car's file or an effect is refused.
+    """
     from steerd.sim_hw.mocap.cameras import MocapConfig
     from steerd.sim_hw.vesc.vesc_motor import VescConfig
     from steerd.sim_hw.world import WorldConfig

@@ -38,7 +38,11 @@ def designs_folder() -> Path:
 def recall_table(
     car: Car[float], config: ControllerConfig, timing: Timing, speed_max: float
 ) -> GainTable:
-    """The gains, remembered ones where there are any; a DesignRefused if a speed has no design."""
+    """The gains: remembered ones where there are any, else computed and remembered.
+
+    Raises:
+        DesignRefused: a speed has no design.
+    """
     path = designs_folder() / f"{digest_design(car, config, timing, speed_max)}.json"
     if (known := read_sealed(path)) is not None:
         speed_min, spacing, rows = json.loads(known)

@@ -104,7 +104,11 @@ class Drill:
 
 
 def parse_box(text: str) -> Box:
-    """A box from `SIDE` (about the origin) or `X_MIN,Y_MIN,X_MAX,Y_MAX`; or a ValueError."""
+    """A box from `SIDE` (a square about the origin) or `X_MIN,Y_MIN,X_MAX,Y_MAX`.
+
+    Raises:
+        ValueError: it is neither.
+    """
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
@@ -226,7 +230,11 @@ def _scale_to_whole_turns(car: Car[float], segments: tuple[Segment, ...]) -> tup
 def make_open_drill(
     name: str, car: Car[float], limits: Limits, box: Box | None, speed: float
 ) -> Drill:
-    """The plan with the widest orbits in the box, else for `speed` [m/s]; or a ValueError."""
+    """The plan with the widest orbits that fit the box; without one, for the full `speed` [m/s].
+
+    Raises:
+        ValueError: no orbit fits.
+    """
     room = 1.0 + (SWING if name == "circles" else _swing_share(name))
     radius = _RADIUS_MARGIN * speed**2 * room / limits.lateral_accel_max
     smallest = wheelbase(car) / tan(min(limits.steer_left_max, limits.steer_right_max))
@@ -246,7 +254,11 @@ def make_open_drill(
 
 
 def make_closed_path(box: Box | None) -> str:
-    """The lane keeper's path under a probe, an eight or a circle; a ValueError if none fits."""
+    """The lane keeper's path under a probe: a figure eight if the box has room, else a circle.
+
+    Raises:
+        ValueError: the box is too small for either.
+    """
     if box is None:
         return f"figure8:radius={PROBE_RADIUS}"
     half = 0.5 * min(box.x_max - box.x_min, box.y_max - box.y_min) - _MARGIN
@@ -262,7 +274,9 @@ def parse_drill(spec: str, car: Car[float], limits: Limits) -> Drill:
     """A drill from text such as `mixed;open;speed=2.5;box=8`.
 
     Closed loop it is a probe: its steering is added to the lane keeper's, speeds are shares of its.
-    Raises ValueError: it makes no sense.
+
+    Raises:
+        ValueError: it makes no sense.
     """
     name, *rest = spec.split(";")
     if name not in NAMES:

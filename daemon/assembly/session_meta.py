@@ -98,7 +98,12 @@ def make_attachments(plan: RunPlan) -> dict[str, str]:
 
 
 def read_session_car(session: Session) -> CarFile:
-    """A session's car file with what identify knew; else SessionError or CarFileError."""
+    """The car file inside a session, with what identify knew of the car.
+
+    Raises:
+        SessionError: there is none, or it is no text.
+        CarFileError: it cannot be used.
+    """
     texts = {}
     for name in ("car.toml", *({ATTACHED} & {*session.info().attachments})):
         try:
@@ -115,7 +120,11 @@ _parse_once = lru_cache(maxsize=8)(parse_car)  # several parts of one command as
 
 @contextmanager
 def recorded_path(session: Session, spec: str) -> Iterator[str]:
-    """The path's spec with its file from the session, never from this disk; or a SessionError."""
+    """The path's spec, with the file that it names taken from the session, never from this disk.
+
+    Raises:
+        SessionError: the session does not hold the file.
+    """
     if csv_file(spec) is None:
         yield spec
         return

@@ -39,7 +39,11 @@ class Issuer(NamedTuple):
 
 
 def load_members(folder: Path) -> Lab:
-    """The lab of a folder, as its authority knows it. Raises SteerdError: there is none."""
+    """The lab of a folder, as its authority knows it.
+
+    Raises:
+        SteerdError: there is none.
+    """
     try:
         return read_members(folder / AUTHORITY)
     except BusError as error:
@@ -51,7 +55,9 @@ def add_members(folder: Path, old: Lab, lab: Lab, years: float, host: str | None
     """Make folders for new people, who stand last in `lab`, and write the members into each folder.
 
     Of a lab that begins, `host` is the car's address: its authority and its car are made too.
-    Raises SteerdError: a name cannot be used, or a folder or file is there already.
+
+    Raises:
+        SteerdError: a name cannot be used, or a folder or file is there already.
     """
     added = (*lab.operators[len(old.operators) :], *lab.viewers[len(old.viewers) :])
     known = {old.car, *old.operators, *old.viewers}

@@ -89,7 +89,11 @@ def make_car_file_error(error: "CarFileError") -> SteerdError:
 
 
 def load_car_file(path: "Path | str | None") -> "CarFile":
-    """A car file that somebody named, F1TENTH's for None, with what identify knows of the car."""
+    """A car file that somebody named, F1TENTH's for None, with what identify knows of the car.
+
+    Raises:
+        SteerdError: it cannot be read, or says something impossible.
+    """
     from steerd.car_model.car_file import CarFileError, default_car_path, load_car
 
     try:
@@ -106,9 +110,14 @@ def make_session_error(error: "SessionError", hint: str = "") -> SteerdError:
 
 @contextmanager
 def reading(name: object, hint: str = "") -> Iterator[None]:
-    """The one guard around what reads a file from elsewhere: its content raises one SteerdError.
+    """The one guard around what reads a file from elsewhere: its content raises one line.
 
-    `name` is the file's, for people; `hint` what to try where the error has no hint of its own.
+    Args:
+        name: of the file, for people.
+        hint: what to try where the error has no hint of its own.
+
+    Raises:
+        SteerdError: it holds what cannot be read.
     """
     import csv
 

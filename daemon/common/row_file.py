@@ -9,10 +9,14 @@ Row = dict[str, Any]  # values by column, each a number, a text, a truth value o
 
 
 class RowFile:
-    """Rows by name, each with what it depends on; without a path they are kept in memory.
+    """Rows by name, each with what it depends on.
 
-    `alone`: nobody else opens the file meanwhile. Raises sqlite3.Error: it is something else, is in
-    use, or cannot be opened.
+    Args:
+        path: the file; None keeps the rows in memory.
+        alone: nobody else opens it meanwhile.
+
+    Raises:
+        sqlite3.Error: it is something else, is in use, or cannot be opened.
     """
 
     def __init__(self, path: Path | None, *, alone: bool = False) -> None:
@@ -40,7 +44,11 @@ class RowFile:
         return {name: (basis, json.loads(row)) for name, basis, row in found}
 
     def write(self, name: str, basis: str, row: Row) -> None:
-        """Keep a row, also if the process is killed later; a sqlite3.Error on a full disk."""
+        """Keep a row in place of the one of that name; a process that is killed later loses it not.
+
+        Raises:
+            sqlite3.Error: the disk takes no more.
+        """
         values = (name, basis, json.dumps(row))
         self._file.execute("INSERT OR REPLACE INTO rows VALUES (?,?,?)", values)
 

@@ -34,8 +34,16 @@ _REMEMBERED = 10_000  # digests kept, the latest ones: 650 kB
 def write_output(path: Path, text: str | bytes) -> Path | None:
     """Write a result, whole or not at all; keep what is there if steerd did not write it.
 
-    Gives where the old content is now, or None: there was none, it was the same, or a page or a
-    table of steerd's. Raises SteerdError: it cannot be written; the old content is where it was.
+    Args:
+        path: the file; it may exist.
+        text: its new content.
+
+    Returns:
+        Where the old content is now, or None: there was none, it was the same, or a page or a
+        table of steerd's.
+
+    Raises:
+        SteerdError: it cannot be written; the old content is then where it was.
     """
     data = text.encode() if isinstance(text, str) else text
     kept = _keep(path, data)
@@ -58,12 +66,17 @@ Write = Callable[[Path | None, "str | bytes | None"], bool]
 
 @contextmanager
 def writing(named: Mapping[str, Path | None], *, announced: bool = False) -> Iterator[Write]:
-    """Write the outputs of a command, by option name, each as soon as its content is known.
+    """Write the outputs of a command, each as soon as its content is known.
 
     What cannot be written is said when the block ends, after the others were written. An interrupt
-    (Ctrl-C) leaves what was written by then and says in one line what that is. `announced`: a
-    terminal shows at the end what was written. Raises SteerdError: an output may not be written
-    (see `check_outputs`), or could not be.
+    (Ctrl-C) leaves what was written by then and says in one line what that is.
+
+    Args:
+        named: path by option name; None where the option was not given.
+        announced: a terminal shows at the end what was written.
+
+    Raises:
+        SteerdError: an output may not be written (see `check_outputs`), or could not be.
     """
     check_outputs(named)
     failures: dict[Path, SteerdError] = {}
@@ -105,7 +118,11 @@ def _are(paths: Collection[Path]) -> str:
 def write_outputs(
     texts: Mapping[Path | None, str | bytes | None], *, announced: bool = False
 ) -> None:
-    """Write every result, see `writing`: content by file, without those of which one is None."""
+    """Write every result, see `writing`: content by file, without those of which one is None.
+
+    Raises:
+        SteerdError: every file that failed in one line, after the others were written.
+    """
     with writing({}, announced=announced) as write:
         for path, text in texts.items():
             write(path, text)
@@ -117,7 +134,11 @@ def car_outputs(path: Path, car: "CarFile") -> dict[Path | None, str | bytes | N
 
 
 def _keep(path: Path, data: bytes) -> Path | None:
-    """Give a car file, or a foreign or edited one, a second, dated name; or a SteerdError."""
+    """Give a car file, or a foreign or edited one, a second, dated name beside the first.
+
+    Raises:
+        SteerdError: it can be neither linked nor copied.
+    """
     try:
         old = path.read_bytes()
     except FileNotFoundError:
@@ -172,7 +193,15 @@ def _written() -> list[str]:
 
 
 def check_outputs(outputs: Mapping[str, Path | None]) -> None:
-    """Refuse a session, a folder, a folder that is missing or read-only, one file named twice."""
+    """Refuse output files that cannot be written or that are sessions.
+
+    Args:
+        outputs: path by option name; None where the option was not given.
+
+    Raises:
+        SteerdError: an output is a session or a folder, its folder is missing or read-only, or
+            two options name one file.
+    """
     taken: dict[Path, str] = {}
     for option, path in outputs.items():
         if path is None:
@@ -208,7 +237,11 @@ def _is_session(path: Path) -> bool:
 
 
 def write_whole(path: Path, text: str | bytes) -> None:
-    """Write a file in one move, so that nobody ever sees half of it; or a SteerdError."""
+    """Write a file in one move, so that nobody ever sees half of it.
+
+    Raises:
+        SteerdError: it or its folder cannot be written.
+    """
     try:
         write_atomically(path, text)
     except OSError as error:

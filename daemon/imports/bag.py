@@ -76,12 +76,19 @@ def import_bag(
     rigid: int | None = None,
     erpm_gain: float | None = None,
 ) -> ImportReport:
-    """Turn a ROS 1 `.bag`, a ROS 2 folder, or one `.mcap` or `.db3` file of one into a session.
+    """Turn a bag into a session.
 
-    Nothing is left of that after an error. `advance` is called with the share of the bag's time
-    read so far. `TOPIC`s, or `ROLE=TOPIC` with one of `BAG_ROLES`, the `rigid` body that is the car
-    and `erpm_gain`, per m/s and negative for a motor wired so, replace the map's. A SteerdError
-    says what is wrong with bag, map or output, or that rosbags is missing.
+    Args:
+        source: a ROS 1 `.bag`, a ROS 2 bag folder, or one `.mcap` or `.db3` file of one.
+        map_path: a map with `[topics]`, `[frame]` or `[session]`; may be left out.
+        out: the session to write; nothing is left of it after an error.
+        advance: called with the share of the bag's time read so far, 0 to 1.
+        named: `TOPIC`, or `ROLE=TOPIC` with one of `BAG_ROLES`; they override the map's.
+        rigid: which rigid body of a PhaseSpace message is the car; None for the map's.
+        erpm_gain: electrical rpm per m/s, negative for a motor wired so; None for the map's.
+
+    Raises:
+        SteerdError: rosbags is missing, or something is wrong with bag, map or output.
     """
     the_map = load_map(map_path, erpm_gain)
     with closing(_open(source)) as reader:
@@ -117,7 +124,11 @@ def _remarks(roles: Mapping[str, str], types: Mapping[str, str]) -> Iterator[str
 
 
 def propose_bag(source: Path) -> dict[str, dict[str, Any]]:
-    """Roles and topics of a bag, the first of several; a SteerdError where none can be read."""
+    """Roles and topics of a bag, the first of several where names do not decide.
+
+    Raises:
+        SteerdError: it cannot be read, or holds no topic that steerd reads.
+    """
     with closing(_open(source)) as reader:
         types = _types_of(reader)
     best = {role: found[0] for role, found in find_best(types).items()}

@@ -30,7 +30,11 @@ _SHOWN = 12  # column names that an error lists
 
 
 def open_table(source: Path) -> TextIO:
-    """Open a csv file as text; a SteerdError where it is no file, is empty, or stays closed."""
+    """Open a csv file as text.
+
+    Raises:
+        SteerdError: it is no regular file, is empty, or cannot be opened.
+    """
     with refusing(f"{source} cannot be read: "):
         if not source.is_file():
             what = "is not a file" if source.exists() else "does not exist"
@@ -43,8 +47,10 @@ def open_table(source: Path) -> TextIO:
 class CsvTable:
     """An open csv file: its `header` was read, its rows come next; `row` numbers the last line.
 
-    Of several delimiters that one is taken which gives most of the `wanted` column names. A file
-    without a line is refused.
+    Of several delimiters that one is taken which gives most of the `wanted` column names.
+
+    Raises:
+        SteerdError: it holds no line.
     """
 
     def __init__(self, name: str, file: TextIO, wanted: Collection[str] = ()) -> None:
@@ -67,8 +73,12 @@ class CsvTable:
     ) -> Iterator[dict[str, float]]:
         """The quantities that have a value in a row, of rows that hold any; scaled.
 
-        `advance` is called with the bytes read so far. A SteerdError says which column is missing,
-        or which cell is no number.
+        Args:
+            columns: quantity to column.
+            advance: called with the bytes read so far.
+
+        Raises:
+            SteerdError: a column is missing or a cell is no number; the message says which.
         """
         wanted = [(q, name) for q, spec in columns.items() for name in (spec.column, spec.gate)]
         places = {name: self._index(q, name) for q, name in wanted if name is not None}
@@ -82,7 +92,11 @@ class CsvTable:
                 yield values
 
     def number(self, texts: list[str], column: int) -> float | None:
-        """The number in a cell, None where it holds none; a SteerdError for any other text."""
+        """The number in a cell; None where it holds none.
+
+        Raises:
+            SteerdError: it holds something else.
+        """
         text = texts[column].strip() if column < len(texts) else ""
         if text.lower() in _NO_VALUE:
             return None
@@ -98,7 +112,11 @@ class CsvTable:
         return number
 
     def fail(self, what: str, hint: str = "", column: str = "") -> NoReturn:
-        """Raise a SteerdError about the row that was read last, or about its cell in a column."""
+        """Refuse the row that was read last, or its cell in a column.
+
+        Raises:
+            SteerdError: always.
+        """
         at = f", column {column!r}" if column else ""
         raise SteerdError(f"{self.name} row {self.row}{at}: {what}", hint)
 
@@ -174,10 +192,18 @@ _INT32_MAX = (1 << 31) - 1  # largest UNIX time [s] and largest ERPM of a messag
 def import_csv(
     source: Path, map_path: Path, out: Path, advance: Advance, erpm_gain: float | None = None
 ) -> ImportReport:
-    """Turn a csv file into a session; nothing is left of that after an error.
+    """Turn a csv file into a session.
 
-    `advance` is called with the bytes read so far; `erpm_gain`, per m/s, replaces the map's. A
-    SteerdError says where something is wrong with the map, the file or the output.
+    Args:
+        source: the csv file; its delimiter is detected.
+        map_path: the map, with `[columns]`.
+        out: the session to write; nothing is left of it after an error.
+        advance: called with the bytes read so far.
+        erpm_gain: electrical rpm per m/s; None for the map's.
+
+    Raises:
+        SteerdError: something is wrong with the map, the file or the output; the message says
+            where.
     """
     the_map = load_map(map_path, erpm_gain)
     if not the_map.columns:

@@ -115,7 +115,11 @@ def _read_map(path: Path) -> ImportMap:
 
 
 def parse_map(text: str) -> ImportMap:
-    """The map of a text; a ValueError, one line, where it is no TOML or says the impossible."""
+    """Check the text of a map.
+
+    Raises:
+        ValueError: it is no TOML, or says something impossible; one line.
+    """
     try:
         tables = msgspec.convert(parse_toml(text), _Tables)
         frame = None if tables.frame is None else read_frame(tables.frame)

@@ -56,7 +56,11 @@ class ImportReport:
 
 
 def check_output(out: Path) -> None:
-    """A SteerdError where an output's name is taken, or does not end in `.mcap`."""
+    """Check the output name before the work.
+
+    Raises:
+        SteerdError: it exists, or does not end in `.mcap`.
+    """
     if out.suffix != ".mcap":
         hint = f"-o {out.with_suffix('.mcap')}"
         raise UsageError(f"{out}: a session's name ends in .mcap", hint)
@@ -65,7 +69,11 @@ def check_output(out: Path) -> None:
 
 
 def hash_file(path: Path) -> str:
-    """SHA-256 of a file, or of a folder's files by name; an OSError where one is unreadable."""
+    """SHA-256 of a file, or of a bag folder's files in order of their names.
+
+    Raises:
+        OSError: it cannot be read.
+    """
     digest = hashlib.sha256()
     for part in sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]:
         with part.open("rb") as file:
@@ -83,9 +91,11 @@ def write_import(
 ) -> ImportReport:
     """Write the whole session of a log's samples, or leave nothing behind.
 
-    `notes` are oddities of the log that do not stop an import, counted while samples come. A
-    SteerdError says that the source cannot be read or holds no sample, that the output's name
-    cannot be used (see `check_output`), or that the disk does not take it.
+    `notes` are oddities of the log that do not stop an import, counted while samples come.
+
+    Raises:
+        SteerdError: the source cannot be read or holds no sample, the output's name cannot be used
+            (see `check_output`), or the disk does not take it.
     """
     check_output(out)
     counts = {topic.name: 0 for topic in topics}
@@ -147,7 +157,11 @@ class MessageMaker:
     _poses: int = 0
 
     def pose(self, t_ns: int, arrival_ns: int, position: Vec3, quaternion: Quat) -> m.MocapPose:
-        """A body pose; a ValueError where it is not finite, or the quaternion has no direction."""
+        """A body pose.
+
+        Raises:
+            ValueError: the position is not finite or the quaternion has no direction.
+        """
         planar = make_planar_pose(self.frame or FrameConfig(), position, quaternion)
         return self._mocap(t_ns, arrival_ns, position, quaternion, planar)
 

@@ -45,7 +45,11 @@ _LINE = re.compile(r"^\s*([\w.]+)\s*=\s*(.*?)\s*(?:\*\s*([-+\d.eE]+))?\s*$")
 
 
 def propose_csv(source: Path) -> Proposal:
-    """Columns of a table, with the scales that make them SI; a SteerdError if it is unreadable."""
+    """Columns of a table, with the scales that make them SI.
+
+    Raises:
+        SteerdError: the file cannot be read.
+    """
     with open_table(source) as file:
         table = CsvTable(source.name, file)
         rows = list(itertools.islice(table.texts(), _ROWS))

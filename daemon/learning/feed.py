@@ -218,7 +218,11 @@ def make_record(report: m.Model, number: int, log_time_ns: int) -> PipeRecord:
 
 
 def read_memory(text: str) -> Memory | None:
-    """What `kept.recall` wrote of an earlier drive, None of an empty text; else a ValueError."""
+    """What was learnt in an earlier drive, as `kept.recall` writes it; None for an empty text.
+
+    Raises:
+        ValueError: it is something else.
+    """
     if not text:
         return None
     try:
@@ -230,6 +234,10 @@ def read_memory(text: str) -> Memory | None:
 
 
 def make_feed(car: CarFile, wiring: Wiring, memory: Memory | None = None) -> Feed:
-    """A feed at its start; a ValueError where identify did not write what the car file holds."""
+    """A feed at its start; `memory` is of an earlier drive of this car.
+
+    Raises:
+        ValueError: what identify wrote into the car file is not what it writes.
+    """
     ramp = RAMP_ERPM / abs(wiring.scaling.erpm_gain)
     return Feed(make_learner(car, ramp, memory), wiring, State())

@@ -92,7 +92,11 @@ def _digest(data: bytes) -> str:
 
 
 def parse_kept(data: bytes) -> Kept:
-    """Read a page; a KeptError where it is torn, edited, or none."""
+    """Read a page.
+
+    Raises:
+        KeptError: it is torn, edited, or none.
+    """
     head, _, body = data.partition(b"\n")
     if len(data) > SIZE_MAX or head.decode(errors="replace") != _HEAD + _digest(body):
         raise KeptError("is torn or was edited; this drive writes it anew")
@@ -106,7 +110,11 @@ def parse_kept(data: bytes) -> Kept:
 
 
 def recall(kept: Kept, about: About, now_ns: int) -> str:
-    """JSON of what a run at a UNIX time begins with; a KeptError where that is of another car."""
+    """What the metadata of a run at a UNIX time says of the numbers its learner begins with: JSON.
+
+    Raises:
+        KeptError: it is another car's, or of other numbers, or from the future.
+    """
     if kept.about.car != about.car:
         raise KeptError(f"is of {kept.about.car}, not of {about.car}; give each car its own file")
     if kept.about.numbers != about.numbers:

@@ -120,8 +120,10 @@ def do_job(
     """Do what an earlier start did not finish.
 
     What is finished lies beside `output`, the table that is to be written; `progress` is called
-    with the number of units done. A SteerdError says that what lies there belongs to other work, or
-    that the cluster is lost.
+    with the number of units done.
+
+    Raises:
+        SteerdError: what lies there belongs to other work, or the cluster is lost.
     """
     if output is not None:
         check_outputs({"-o": output})

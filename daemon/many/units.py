@@ -62,8 +62,10 @@ def run_units(
 ) -> Iterator[Done]:
     """Do the work with every argument, by the unit's name; results come as they end.
 
-    `ship` makes an argument complete before it leaves for another machine. A SteerdError says that
-    the cluster does not answer, or is lost.
+    `ship` makes an argument complete before it leaves for another machine.
+
+    Raises:
+        SteerdError: the cluster does not answer, or is lost.
     """
     if where.dask is not None:
         return _run_on_cluster(work, todo, where.dask, ship)

@@ -83,7 +83,11 @@ def find_sessions(folders: Iterable[Path]) -> list[Path]:
 
 
 def find_session(text: str, folders: Iterable[Path] | None = None) -> Path:
-    """The session of a word: a file, `@last`, `@-2` for the last but one; else a SteerdError."""
+    """The session that a word names: a file, `@last`, or `@-2` for the last but one.
+
+    Raises:
+        SteerdError: there are not so many, or the word after `@` means nothing.
+    """
     if not text.startswith("@") or Path(text).exists():
         return Path(text)
     word = re.fullmatch("@(last|-0*([1-9][0-9]*))", text)
@@ -117,7 +121,11 @@ def read_notes(session: Path) -> tuple[tuple[str, ...], str]:
 
 
 def write_notes(session: Path, tags: Iterable[str], note: str) -> None:
-    """Write tags and note beside a session; a SteerdError where it is missing or unwritable."""
+    """Write tags and note beside a session.
+
+    Raises:
+        SteerdError: there is no such session, or the file cannot be written.
+    """
     if not session.is_file():
         raise SteerdError(f"{session} does not exist", "", ExitCode.UNREADABLE)
     said = {"tags": list(dict.fromkeys(tags)), "note": note}

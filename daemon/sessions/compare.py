@@ -28,8 +28,10 @@ POINTS_MAX, _DOTS_MAX = 1200, 400  # of a drawn curve, and of the single samples
 def render_comparison(reads: Sequence[Recording], shift: float | None = None) -> str:
     """The page of several drives: along their lane, and of two also over time.
 
-    The second of two comes later by `shift` [s]; None finds it. A SteerdError says that more or
-    less than two follow no lane, or not the same, or that nothing is common.
+    The second of two comes later by `shift` [s]; None finds it.
+
+    Raises:
+        SteerdError: more or less than two follow no lane, or not the same, or nothing is common.
     """
     names = [clean(read.info.path.name, NAME_MAX) for read in reads]
     two = len(reads) == 2
@@ -78,7 +80,11 @@ class LaneSession:
 
 
 def make_lane_session(read: Recording) -> LaneSession:
-    """What a drive did along its lane; a SteerdError where it followed none."""
+    """What a drive did along its lane.
+
+    Raises:
+        SteerdError: it followed no lane.
+    """
     path = read.info.path
     lane, state = load_lane(read.session), read.table(topics.STATE)
     if lane is None or state is None:
@@ -103,7 +109,11 @@ def make_lane_session(read: Recording) -> LaneSession:
 
 
 def check_same_lane(drives: Sequence[LaneSession]) -> None:
-    """Refuse drives of different lanes, whose places do not match, and more than have a colour."""
+    """Refuse drives of different lanes: a place on one is none on the other.
+
+    Raises:
+        SteerdError: two lanes differ in shape or length, or there are too many drives.
+    """
     if len(drives) > len(LINES):
         what = f"{len(drives)} drives: {len(LINES)} at most can be distinguished"
         raise UsageError(what, "name fewer")
@@ -223,7 +233,11 @@ def find_shift(first: Sequence[Array], second: Sequence[Array]) -> float:
 
 
 def overlay(first: Recording, second: Recording, shift: float | None = None) -> Overlay:
-    """Two drives over one time, by a shift [s] or that found; a SteerdError for none in common."""
+    """Put two drives on one axis of time, at this shift [s], or at the one that is found.
+
+    Raises:
+        SteerdError: they have nothing in common, or no time at that shift.
+    """
     panels = [{panel.title: panel for panel in make_drawing(r).panels} for r in (first, second)]
     curves = {
         title: _pick(panels[0][title].curves, panels[1][title].curves)

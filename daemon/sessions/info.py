@@ -83,7 +83,11 @@ class SessionReport:
 
 
 def load_session(path: Path) -> Session:
-    """Open a session; a SteerdError where it cannot be opened, or holds nothing at all."""
+    """Open a session for a command.
+
+    Raises:
+        SteerdError: it cannot be opened, or holds nothing at all.
+    """
     with reading(path):
         session = session_read.open_session(path)
     if not session.info().count and not session.info().metadata:
@@ -152,12 +156,20 @@ def seconds_since(start_ns: int, ns: Any) -> Array:
 
 
 def load_recording(path: Path) -> Recording:
-    """Open a session and read its tables; a SteerdError where either cannot be done."""
+    """Open a session for a command and read its tables.
+
+    Raises:
+        SteerdError: it cannot be opened, or holds nothing at all.
+    """
     return read_recording(load_session(path))
 
 
 def read_recording(session: Session) -> Recording:
-    """Read every topic as columns; a SteerdError where the file has changed since it was opened."""
+    """Read every topic as columns; what cannot be read, as sentences.
+
+    Raises:
+        SteerdError: the file has changed since it was opened.
+    """
     wanted: dict[str, type[Any]] = {}
     for info in session.info().topics:
         topic = topics.find_topic(info.name)
@@ -183,7 +195,11 @@ def read_recording(session: Session) -> Recording:
 
 
 def make_session_report(read: Recording) -> SessionReport:
-    """Summarise a session; a SteerdError where its file has changed since it was opened."""
+    """Summarise a session.
+
+    Raises:
+        SteerdError: the file has changed since it was opened.
+    """
     with reading(read.info.path):
         info, track = read.info, read.track
         steer, wheel = read.signal(topics.ACTUATION, "steer"), read.signal(topics.WHEEL, "speed")

@@ -85,7 +85,11 @@ def make_field_curve(
 
 
 def make_drawing(read: Recording) -> Drawing:
-    """The panels of a session; a SteerdError says what of it makes no sense."""
+    """The panels of a session.
+
+    Raises:
+        SteerdError: it says what makes no sense.
+    """
     with reading(read.info.path):
         track = read.track
         found = [*_list_panels(read)]

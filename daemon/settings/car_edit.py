@@ -25,7 +25,11 @@ Values = Mapping[tuple[str, str], float | str]  # new values by (section, key)
 
 
 def edit_car(base: CarFile, values: Values) -> CarFile:
-    """The car file with new values, sections and keys; a SteerdError if it would not be valid."""
+    """The car file with new values; sections and keys that it lacks are added.
+
+    Raises:
+        SteerdError: the result would not be a valid car file.
+    """
     document = tomlkit.parse(base.text)
     edit_document(document, values)
     try:
@@ -68,8 +72,9 @@ _SPEED_MIN = re.compile(r"^(\s*speed_min\s*:\s*)[^\s#]+", re.MULTILINE)
 def read_vesc_yaml(text: str, base: Scaling) -> Scaling:
     """The calibration of a `vesc.yaml`; what it does not name comes from `base`.
 
-    Raises SteerdError: it names none of the gains, gives one twice with different values, or gives
-    an invalid value.
+    Raises:
+        SteerdError: it names none of the gains, gives one twice with different values, or gives
+            an invalid value.
     """
     found: dict[str, float] = {}
     for match in _LINE.finditer(text):

@@ -99,12 +99,22 @@ JUMP_SDS = 7.0  # standard deviations of a pose by which two may differ: five of
 
 
 def load_settings(path: Path | str | None, speed: float | None = None) -> Settings:
-    """Read a car file, F1TENTH's for None, at this cruise speed [m/s]; see `make_settings`."""
+    """Read a car file, F1TENTH's for None, and check every section.
+
+    `speed` [m/s] replaces the file's cruise speed.
+
+    Raises:
+        SteerdError: the file cannot be read, or a value is invalid; names it and the remedy.
+    """
     return make_settings(load_car_file(path), speed)
 
 
 def make_settings(car_file: CarFile, speed: float | None = None) -> Settings:
-    """The settings of a car file; a SteerdError says what is invalid and the remedy."""
+    """The settings of a car file that was read.
+
+    Raises:
+        SteerdError: a section or a key is mistyped, a value is invalid, or two contradict.
+    """
     for name in car_file.sections:  # one that is named nearly as another: its limits would not hold
         near = find_near(name, _SECTIONS)
         if name not in _SECTIONS and near:
@@ -171,7 +181,11 @@ def _list_contradictions(s: Settings) -> Iterator[_Contradiction]:
 
 
 def _read(car_file: CarFile, name: str, make: Callable[[Mapping[str, Any]], S]) -> S:
-    """A section as what a room makes of it; a SteerdError names file and section."""
+    """A section as what a room makes of it.
+
+    Raises:
+        SteerdError: it is no table, or the room refuses it; names file and section.
+    """
     table = car_file.sections.get(name, {})
     if not isinstance(table, Mapping):
         raise SteerdError(f"{car_file.path}: [{name}] must be a table")
@@ -213,7 +227,11 @@ FRAME_ANGLES = ("world_yaw", "mount_yaw")
 
 
 def read_frame(table: Mapping[str, Any]) -> FrameConfig:
-    """Room and body, of a car file's `[mocap]` and of a map's `[frame]`; or a ValueError."""
+    """Room and body, as `[mocap]` of a car file and `[frame]` of an import's map say them.
+
+    Raises:
+        ValueError: a key or a value is none.
+    """
     angles = {f"{name}_deg": name for name in FRAME_ANGLES}
     values = dict(table)
     for name in angles.keys() & table.keys():

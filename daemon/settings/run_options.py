@@ -54,5 +54,9 @@ def encode_options(options: RunOptions) -> str:
 
 
 def decode_options(text: str) -> RunOptions:
-    """The options of `encode_options`; a msgspec.ValidationError where they are none."""
+    """The options of `encode_options`.
+
+    Raises:
+        msgspec.ValidationError: if the text is not such options.
+    """
     return msgspec.json.decode(text, type=RunOptions)

@@ -46,7 +46,11 @@ class Drive:
 
 
 def load_recorded(path: Path) -> Recorded:
-    """Read a session for calibration. Raises SteerdError: it cannot be read, or lacks poses."""
+    """Read a session for calibration.
+
+    Raises:
+        SteerdError: it cannot be read, or lacks poses.
+    """
     read = load_recording(path)
     try:
         settings = make_settings(read_session_car(read.session))
@@ -66,7 +70,11 @@ def load_recorded(path: Path) -> Recorded:
 
 
 def load_movement(path: Path) -> tuple[Movement, int]:
-    """A session's accepted poses as `load_recorded` reads them, and how many were rejected."""
+    """A session's accepted poses for `check_movement`, and how many were rejected.
+
+    Raises:
+        SteerdError: it cannot be read, or lacks poses.
+    """
     r = load_recorded(path)
     every = r.read.table(topics.MOCAP)
     columns = (r.poses[name] for name in ("x", "y", "yaw", "height", "tilt"))
@@ -75,7 +83,12 @@ def load_movement(path: Path) -> tuple[Movement, int]:
 
 
 def make_drive(r: Recorded) -> Drive:
-    """The body's poses and the wheels' speed; a SteerdError without them, as in imported logs."""
+    """Poses of the body's own origin and reported speed for `calibrate_mount`.
+
+    Raises:
+        SteerdError: the session holds no wheel speed; or it is an imported log, whose poses are
+            already those of the car.
+    """
     p, vesc, wheel = r.poses, r.read.table(topics.VESC), r.read.table(topics.WHEEL)
     if not np.isfinite(p["z_raw"]).all():
         hint = "for an imported log, set the offsets in its map's [frame]"

@@ -30,10 +30,14 @@ _STEPS, _STEP = 300, 0.01
 
 
 def add_effect(source: Path) -> tuple[str, ...]:
-    """Build the library with the effects of a file, whose names it gives; one before is replaced.
+    """Build the library with the effects of a file; the file of that name before is replaced.
 
-    Raises SteerdError: the file has none, one breaks the rules, or the library cannot be built and
-    is as it was.
+    Returns:
+        Their names.
+
+    Raises:
+        SteerdError: the file has none, one breaks the rules, or the library cannot be built; the
+            library is then as it was.
     """
     found = _read(source)
     for effect in found:
@@ -46,7 +50,11 @@ def add_effect(source: Path) -> tuple[str, ...]:
 
 
 def remove_effect(source: Path) -> tuple[str, ...]:
-    """Build the library without the effects of a file of that name; fails as `add_effect` does."""
+    """Build the library without the effects of a file of that name; none is added.
+
+    Raises:
+        SteerdError: none was added, or the library cannot be built and is as it was.
+    """
     target = _place(source)
     if not target.exists():
         added = ", ".join(p.name.removeprefix("own_") for p in _FOLDER.glob("own_*.py"))
@@ -97,7 +105,11 @@ def _drive(chosen: tuple[Effect, ...]) -> list[tuple[float, ...]]:
 
 
 def _build_or_restore(target: Path, before: bytes | None) -> None:
-    """Build in a process of its own, which sees the files as they are; or restore, SteerdError."""
+    """Build in a process of its own, which sees the files as they are now.
+
+    Raises:
+        SteerdError: it failed; the file is as it was, and so is the library.
+    """
     here = _FOLDER.parents[2]  # of this installation, whatever lies in the user's own folder
     done = subprocess.run(
         [sys.executable, "-m", _BUILD], cwd=here, capture_output=True, text=True, check=False

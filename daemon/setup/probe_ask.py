@@ -150,7 +150,11 @@ def discover(
 def ask_mocap(
     named: str | None, config: IngestConfig, clock: Clock, seconds: float
 ) -> Iterator[MocapSeen]:
-    """Listen to a source (a ValueError if it is none), or to each NatNet server that answers."""
+    """Listen to a source for a while, or to each NatNet server that answers a discovery.
+
+    Raises:
+        ValueError: the address is none.
+    """
     for address in [named] if named else [f"natnet://{host}/-" for host in discover(clock)]:
         url = parse_mocap_url(address)
         try:
@@ -173,7 +177,11 @@ def listen(receiver: MocapReceiver, clock: Clock, seconds: float) -> Iterator[Po
 
 
 def watch_movement(address: str, config: IngestConfig, seconds: float) -> tuple[Movement, int]:
-    """The accepted poses of a pushed car, a SteerdError without any, and how many were rejected."""
+    """The accepted poses of a car that is pushed for so long, and how many were rejected.
+
+    Raises:
+        SteerdError: the address is none, or no pose came from it.
+    """
     clock, samples = MonotonicClock(), []
     try:
         receiver = make_receiver(parse_mocap_url(address), config)

@@ -38,7 +38,11 @@ _TIMES_KEPT = 2048  # arrival times kept per topic; more than a second of the fa
 
 
 def find_car(bus: ZenohBus, name: str | None) -> str:
-    """The named car, or the only one on the bus; a SteerdError where that is none."""
+    """The named car, or the only one on the bus.
+
+    Raises:
+        SteerdError: no car is on the bus, not this one, or several and none is named.
+    """
     alive = bus.alive(f"{ROOT}/*/alive")
     cars = sorted(parts[0] for key in alive if (parts := split_key(key)))
     if name is not None and name in cars:
@@ -132,7 +136,11 @@ class Watch:
 
 
 def watch_car(bus: ZenohBus, name: str | None, seconds: float | None, *, operate: bool) -> None:
-    """Show the named car, or the only one, for so long [s]: a screen with keys, else lines."""
+    """Show the named car, or the only one, for so long [s]: on a terminal with keys, else in lines.
+
+    Raises:
+        SteerdError: see `find_car`.
+    """
     car, clock = find_car(bus, name), MonotonicClock()
     watch = Watch(Dashboard(f"steerd watch · {car}"))
     received = bus.subscribe(make_key(car, "*"), DEPTH)

@@ -29,7 +29,11 @@ class DataError(ValueError):
 
 
 def check_times(name: str, what: str, t: Array) -> None:
-    """Refuse times that are not finite or go back, by a `DataError`."""
+    """Refuse times that are not finite or go back.
+
+    Raises:
+        DataError: they do.
+    """
     if not np.isfinite(t).all():
         raise DataError(f"{name}: a time of {what} is not a number", "check the log's time column")
     back = np.flatnonzero(np.diff(t) < 0.0)
@@ -88,7 +92,14 @@ def _check_clock(name: str, t: Array, pose: Array) -> None:
 
 
 def check_excited(steers: list[Array]) -> None:
-    """Refuse drives whose steering ([rad], of each) is one constant, by a `DataError`."""
+    """Refuse drives whose steering is one constant throughout.
+
+    Args:
+        steers: commanded angles of each drive [rad].
+
+    Raises:
+        DataError: it is.
+    """
     if np.ptp(np.concatenate(steers)) < STEER_SPREAD_MIN:
         hint = "drive `steerd collect --plan mixed`"
         raise DataError("steering is one constant throughout", hint)

@@ -192,7 +192,11 @@ def _show(proposal: "Proposal", source: Path, trial: Trial, *, fix: bool) -> str
 def _try(
     proposal: "Proposal", source: Path, trial: Trial
 ) -> tuple[list[str], tuple[str, ...], float | None]:
-    """The log by the map: in words, what looks wrong, ERPM per m/s; or a SteerdError."""
+    """What the map makes of the log: in words, what looks wrong, ERPM per m/s by the poses.
+
+    Raises:
+        SteerdError: it cannot be imported like this.
+    """
     from steerd.daemon.imports.propose import format_map
     from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.motion import find_erpm_gain, round_gain

@@ -79,7 +79,11 @@ def identify(args: Namespace) -> int:
 
 
 def parse_fix(text: str) -> dict[str, float | None]:
-    """The values of `--fix` by name, None where a name stands alone; or a SteerdError."""
+    """The values of `--fix` by name; None where a name stands alone.
+
+    Raises:
+        SteerdError: a value is no number.
+    """
     fixed: dict[str, float | None] = {}
     for part in split_list(text):
         name, equals, number = part.partition("=")

@@ -71,7 +71,11 @@ def service(args: Namespace) -> None:
 
 
 def _make_command(args: Namespace) -> list[str]:
-    """The run's checked command line; run elsewhere, so with files named in full."""
+    """The command line of the run, checked.
+
+    Raises:
+        SteerdError: the options are wrong, or not those of a service.
+    """
     from steerd.daemon.assembly.build import make_plan
 
     if args.fast or args.auto_arm:
@@ -105,10 +109,13 @@ def _absolute(text: str, dest: str) -> str:
 
 
 def make_unit(command: Sequence[str], car: str, *, account: str = "") -> str:
-    """The text of the unit file that runs a command; a SteerdError where it cannot hold it.
+    """The text of the unit file that runs a command.
 
     `account` is who it runs as under the system's service manager; empty for one's own, which
     cannot change accounts or mounts.
+
+    Raises:
+        SteerdError: an argument cannot be written in a unit file.
     """
     _expect_writable((*command, car, account), "unit file", "\n\r\0")
     protected = _fill("protected.service", account=account) if account else ""

@@ -69,7 +69,11 @@ _DRIVE = (
 
 
 def find_quantity(name: str, car: CarFile) -> Quantity:
-    """The quantity of a name; the ValueError where there is none offers the nearest."""
+    """The quantity of a name.
+
+    Raises:
+        ValueError: there is none; the message offers the nearest.
+    """
     known = {q.name: q for q in (*_DRIVE, *INSTRUMENTS)}
     for p in PARAMETERS:
         usual = float(getattr(car.car, p.name))
@@ -138,7 +142,11 @@ class Distribution:
         return FORMS[self.shape].words.format(f"{self.one:.4g}", f"{self.other:.4g}")
 
     def draw(self, name: str, seed: int) -> float:
-        """The value of a seed; a ValueError where nearly everything lies outside the bounds."""
+        """The value of a seed.
+
+        Raises:
+            ValueError: nearly everything lies outside the bounds.
+        """
         rng = np.random.default_rng([_STREAM, crc32(name.encode()), seed])
         for _ in range(_REDRAWS):
             value = float(FORMS[self.shape].draw(rng, self.one, self.other))
@@ -151,8 +159,10 @@ def parse_distribution(quantity: Quantity, given: Mapping[str, Any]) -> Distribu
     """The distribution of a quantity, as a TOML table or a dictionary says it.
 
     That is `low` and `high`, also with `log`; `mean` and `sd`; `median` and `factor`; or `share` of
-    the usual value as a standard deviation. A ValueError says that it is none of these, or lies
-    outside the bounds.
+    the usual value as a standard deviation.
+
+    Raises:
+        ValueError: it is none of these, or lies outside the bounds.
     """
     name, rest, usual = quantity.name, dict(given), quantity.usual
     if [*rest] == ["share"]:
@@ -187,7 +197,11 @@ def _number(name: str, key: str, value: Any) -> float:
 
 
 def check_bounds(name: str, value: Any, low: float, high: float) -> float:
-    """A number; a ValueError where it is none, or lies outside its bounds."""
+    """A number within its bounds.
+
+    Raises:
+        ValueError: it is none, or lies outside.
+    """
     number = _number(name, "the value", value)
     if not low <= number <= high:
         raise ValueError(f"{name} = {number:g}: {low:g} to {high:g}")
@@ -247,7 +261,11 @@ class DriveCase:
 
 
 def list_cases(plan: SweepPlan) -> Iterator[DriveCase]:
-    """Every combination of the lists with every seed; a SteerdError where a draw never fits."""
+    """Every combination of the lists, each with every seed.
+
+    Raises:
+        SteerdError: a distribution never yields what its quantity may be.
+    """
     lists = {name: c for name, c in plan.vary.items() if isinstance(c, tuple)}
     drawn = {name: c for name, c in plan.vary.items() if isinstance(c, Distribution)}
     number = itertools.count()
@@ -260,7 +278,11 @@ def list_cases(plan: SweepPlan) -> Iterator[DriveCase]:
 
 
 def load_sweep(path: Path) -> SweepPlan:
-    """The sweep of a file; a SteerdError where it, or its car file, cannot be read or used."""
+    """The sweep of a file.
+
+    Raises:
+        SteerdError: it or its car file cannot be read, or says something impossible.
+    """
     with refusing(f"{path}: ", code=ExitCode.INVALID):
         given = load_toml(path)
     car = given.pop("car", None)
@@ -268,7 +290,11 @@ def load_sweep(path: Path) -> SweepPlan:
 
 
 def make_sweep_plan(car: CarFile, given: Mapping[str, Any]) -> SweepPlan:
-    """Check what a sweep file or a caller says; a SteerdError for what is odd or impossible."""
+    """Check what a sweep file or a caller says: seeds, duration, rate, path, speed and vary.
+
+    Raises:
+        SteerdError: something is unknown, missing or impossible.
+    """
     known = (*_PARSERS, "car", "vary")
     odd = next((key for key in given if key not in known), None)
     if odd is not None:

@@ -91,7 +91,11 @@ def sweep(
 
 
 def make_job(plan: SweepPlan) -> Job[Sweep]:
-    """A sweep as work for `do_job`; a SteerdError where a draw never lies within its bounds."""
+    """A sweep as work for `do_job`.
+
+    Raises:
+        SteerdError: a distribution never yields what its quantity may be.
+    """
     cases = {str(case.number): case for case in plans.list_cases(plan)}
 
     def make_row(done: Done) -> Row:
@@ -104,7 +108,11 @@ def make_job(plan: SweepPlan) -> Job[Sweep]:
 
 
 def find_case(plan: SweepPlan, number: int) -> DriveCase:
-    """One drive of a sweep, to be driven again alone; a SteerdError where there is none."""
+    """One drive of a sweep, to be driven again alone.
+
+    Raises:
+        SteerdError: there is no such drive.
+    """
     if not 0 <= number < plan.count:
         raise UsageError(f"there is no drive {number}: they are 0 to {plan.count - 1}")
     return next(islice(plans.list_cases(plan), number, None))
@@ -149,7 +157,11 @@ def run_case(plan: SweepPlan, case: DriveCase) -> dict[str, Any]:
 
 
 def prepare(plan: SweepPlan, case: DriveCase) -> tuple[RunPlan, WorldConfig]:
-    """The drive's plan, its simulated hardware; a SteerdError for a path or value without use."""
+    """The drive's plan, and its simulated hardware.
+
+    Raises:
+        SteerdError: a path or a value cannot be used.
+    """
     values = case.values
     speed, path = float(values.get("speed", plan.speed)), str(values.get("path", plan.path))
     effects: dict[str, dict[str, float]] = {}
