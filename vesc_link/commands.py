@@ -71,11 +71,7 @@ class Alive:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What an order may be; cannot be made beyond the compiled-in ceilings.
-
-    Raises:
-        LimitError: with one line for each value outside ``CEILINGS``.
-    """
+    """Limits [ERPM, duty, W, A] in the order of the wire; scales are shares of its own currents."""
 
     current_min_scale: float
     current_max_scale: float

@@ -199,11 +199,7 @@ def make_plan(
 
 
 def make_job(plan: RunPlan) -> dict[str, Any]:
-    """A sweep as work for `do_job`.
-
-    Raises:
-        SteerdError: a distribution never yields what its quantity may be.
-    """
+    """What a process of the run makes its own plan of (`read_job`), as JSON values."""
     return {"options": encode_options(plan.options), "run": plan.run}
 
 
