@@ -14,6 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 from steerd.car_model.actuators import references
 from steerd.car_model.chassis import Chassis
@@ -35,6 +36,9 @@ from steerd.estimator.history import (
 from steerd.estimator.initial import LONGEST_S, Belief, initial_belief
 from steerd.estimator.sensors import ABSURD, Kind, Measurement, make_sensors
 from steerd.steer_bus.quick_values import changed, quick_value
+
+if TYPE_CHECKING:
+    from steerd.estimator.reference import Reference
 
 FUTURE_NS = 2_000_000  # a measurement from further ahead than this has a broken clock behind it
 
@@ -103,7 +107,7 @@ class StateFilter:
 
     car: Car[float]
     config: FilterConfig
-    kernel: Kernel  # what computes
+    kernel: "Kernel | Reference"  # what computes
 
     @cached_property
     def soonest_ns(self) -> int:
@@ -142,11 +146,19 @@ motion over a time, and a lag of zero leaves it none.
 
 
 def make_state_filter(
-    car: Car[float], config: FilterConfig | None = None, *, chassis: Chassis = SINGLE_TRACK
+    car: Car[float],
+    config: FilterConfig | None = None,
+    *,
+    chassis: Chassis = SINGLE_TRACK,
+    reference: bool = False,
 ) -> StateFilter:
     """A filter for a car; shorter lags than it can believe are taken for the shortest.
 
-    The parameters belong to the equations of the chassis; the configuration holds noise and gates.
+    Args:
+        car: the car's parameters.
+        config: noise and gates.
+        chassis: the equations that the parameters belong to.
+        reference: compute in Python, number by number: what the library is held against.
 
     Raises:
         LibraryError: the library was not built.
@@ -155,7 +167,12 @@ def make_state_filter(
     car = car._replace(
         steer_lag=max(car.steer_lag, STEER_LAG_MIN), speed_lag=max(car.speed_lag, SPEED_LAG_MIN)
     )
-    return StateFilter(car, config, Kernel(car, chassis, config, make_sensors(car, config)))
+    sensors = make_sensors(car, config)
+    if reference:
+        from steerd.estimator.reference import Reference
+
+        return StateFilter(car, config, Reference(car, chassis, config, sensors))
+    return StateFilter(car, config, Kernel(car, chassis, config, sensors))
 
 
 def step(

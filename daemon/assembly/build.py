@@ -232,7 +232,7 @@ def make_design_car(settings: Settings) -> Car[float]:
 
 
 def plan_car(car: CarFile) -> RunPlan:
-    """Settings and plan at the file's own speed; the design is part of the check.
+    """A plan at the file's own speed on a path that every such car can drive; its design too.
 
     Raises:
         SteerdError: it holds no car that can be driven, or one without a stable controller.

@@ -7,7 +7,6 @@ signal added to the lane keeper's command. Pure.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from math import atan, cos, floor, inf, isfinite, pi, sin, sqrt, tan
 from typing import NamedTuple
 
@@ -121,6 +120,16 @@ def parse_box(text: str) -> Box:
     raise ValueError(f"box {text!r}: give its side, or x_min,y_min,x_max,y_max in metres")
 
 
+def _make_circles(car: Car[float], limits: Limits) -> Iterator[Segment]:
+    """The paper's sixteen circles."""
+    left = min(limits.steer_left_max, car.steer_max)
+    right = min(limits.steer_right_max, -car.steer_min)
+    for steer in (left, -right):
+        for _ in range(PAPER_RUNS):
+            yield Segment(PAPER_SECONDS, PAPER_SPEED, steer)
+            yield Segment(PAUSE, 0.0, steer)
+
+
 _Pattern = tuple[tuple[float, float, float, bool], ...]
 """(seconds, share of the highest speed, highest frequency [Hz], steps instead of waves)."""
 
@@ -136,6 +145,19 @@ class _Orbit(NamedTuple):
 
 _PROBING = _Orbit(0.0, PROBE, 0.0, 1.0)
 """What is added to the lane keeper's command: shares of its speed."""
+
+
+def _make_orbit(
+    car: Car[float], limits: Limits, radius: float, speed: float, share: float
+) -> _Orbit:
+    length = wheelbase(car)
+    bound = min(limits.steer_left_max, limits.steer_right_max, car.steer_max, -car.steer_min)
+    steer = min(atan(length / radius), bound / (1.0 + min(SWING_LEAST, share)))
+    swing = min(share * steer, bound - steer)
+    sharpest = tan(steer + swing) / length
+    fastest = sqrt(_GRIP_SHARE * limits.lateral_accel_max / sharpest)
+    fastest = min(speed, limits.speed_max, fastest)
+    return _Orbit(steer, swing, min(SPEED_LOW, fastest), fastest)
 
 
 def _make_waves(orbit: _Orbit, side: float, pattern: _Pattern) -> Iterator[Segment]:
@@ -171,19 +193,8 @@ def _make_segments(
     name: str, car: Car[float], limits: Limits, radius: float, speed: float
 ) -> tuple[Segment, ...]:
     if name == "circles":
-        left = min(limits.steer_left_max, car.steer_max)
-        right = min(limits.steer_right_max, -car.steer_min)
-        runs = ((Segment(PAPER_SECONDS, PAPER_SPEED, end), Segment(PAUSE, 0.0, end))
-                for end in (left, -right))  # fmt: skip
-        return tuple(chain.from_iterable(run * PAPER_RUNS for run in runs))
-    length, share = wheelbase(car), _swing_share(name)
-    bound = min(limits.steer_left_max, limits.steer_right_max, car.steer_max, -car.steer_min)
-    steer = min(atan(length / radius), bound / (1.0 + min(SWING_LEAST, share)))
-    swing = min(share * steer, bound - steer)
-    sharpest = tan(steer + swing) / length
-    fastest = sqrt(_GRIP_SHARE * limits.lateral_accel_max / sharpest)
-    fastest = min(speed, limits.speed_max, fastest)
-    orbit = _Orbit(steer, swing, min(SPEED_LOW, fastest), fastest)
+        return tuple(_make_circles(car, limits))
+    orbit = _make_orbit(car, limits, radius, speed, _swing_share(name))
     sides = (tuple(_make_waves(orbit, side, _PATTERNS[name])) for side in (1.0, -1.0))
     return tuple(segment for side in sides for segment in _scale_to_whole_turns(car, side))
 

@@ -120,6 +120,34 @@ def column(rows: Rows, name: str) -> Array:
     return np.array([np.nan if value is None else float(value) for value in values])
 
 
+def _sensitivities(plan: SweepPlan, rows: Rows) -> list[Sensitivity]:
+    """Each varied quantity against each measure; none where either does not vary."""
+    found = []
+    for quantity in plan.quantities:
+        texts = np.array([str(row[quantity.name]) for row in rows]) if quantity.is_text else None
+        given = None if quantity.is_text else column(rows, quantity.name)
+        for name in (*(c.name for c in MEASURES), STOPS):
+            seen = column(rows, name)
+            known = np.isfinite(seen)
+            if known.sum() < _LEAST or np.ptp(seen[known]) == 0.0:
+                continue
+            if given is not None and np.ptp(given[known]) > 0.0:
+                value = float(stats.spearmanr(given[known], seen[known]).statistic)
+                low, high = np.quantile(given[known], (0.2, 0.8))  # the outer fifths, with ties
+                outer = (seen[known & (given <= low)], seen[known & (given >= high)])
+                means, groups = (float(outer[0].mean()), float(outer[1].mean())), 2
+            elif texts is not None and len(set(texts[known])) > 1:
+                each = [seen[known & (texts == text)] for text in sorted(set(texts[known]))]
+                value = sqrt(stats.kruskal(*each).statistic / (known.sum() - 1))
+                sizes = [float(group.mean()) for group in each]
+                means, groups = (min(sizes), max(sizes)), len(each)
+            else:
+                continue
+            least = _Z * sqrt((groups - 1) / (known.sum() - 1))
+            found.append(Sensitivity(quantity.name, name, value, min(least, 1.0), *means))
+    return found
+
+
 def find_scale(name: str) -> float:
     """From a measure's SI unit to the unit that people read."""
     return SCALES.get(UNITS.get(name, ""), (1.0, ""))[0]
@@ -178,34 +206,7 @@ class Summary(Found):
     @cached_property
     def sensitivities(self) -> tuple[Sensitivity, ...]:
         """How much each varied quantity moves each measure."""
-        found = []
-        for quantity in self.plan.quantities:
-            texts = (
-                np.array([str(row[quantity.name]) for row in self.rows])
-                if quantity.is_text
-                else None
-            )
-            given = None if quantity.is_text else column(self.rows, quantity.name)
-            for name in (*(c.name for c in MEASURES), STOPS):
-                seen = column(self.rows, name)
-                known = np.isfinite(seen)
-                if known.sum() < _LEAST or np.ptp(seen[known]) == 0.0:
-                    continue
-                if given is not None and np.ptp(given[known]) > 0.0:
-                    value = float(stats.spearmanr(given[known], seen[known]).statistic)
-                    low, high = np.quantile(given[known], (0.2, 0.8))  # the outer fifths, with ties
-                    outer = (seen[known & (given <= low)], seen[known & (given >= high)])
-                    means, groups = (float(outer[0].mean()), float(outer[1].mean())), 2
-                elif texts is not None and len(set(texts[known])) > 1:
-                    each = [seen[known & (texts == text)] for text in sorted(set(texts[known]))]
-                    value = sqrt(stats.kruskal(*each).statistic / (known.sum() - 1))
-                    sizes = [float(group.mean()) for group in each]
-                    means, groups = (min(sizes), max(sizes)), len(each)
-                else:
-                    continue
-                least = _Z * sqrt((groups - 1) / (known.sum() - 1))
-                found.append(Sensitivity(quantity.name, name, value, min(least, 1.0), *means))
-        return tuple(found)
+        return tuple(_sensitivities(self.plan, self.rows))
 
     def list_strongest(self) -> list[Sensitivity]:
         """Dependences that the drives show, by how far the measure moves."""

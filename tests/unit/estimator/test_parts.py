@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.special import chdtri
 
-from benchmarks.filter_reference import Reference
 from steerd.car_model.model import Model
 from steerd.car_model.ops import FLOAT
 from steerd.car_model.params import DEFAULT_CAR
@@ -18,6 +17,7 @@ from steerd.car_model.state import ORIGIN, Command
 from steerd.estimator.config import FilterConfig, load_filter_config
 from steerd.estimator.history import NO_HISTORY, History, add_command, command_at, drop_older
 from steerd.estimator.initial import initial_belief
+from steerd.estimator.reference import Reference
 from steerd.estimator.sensors import chi_square_gate, make_pose
 
 MS = 1_000_000

@@ -1,6 +1,7 @@
 """The filter's motion and its estimates against plainer ones that share only the plant."""
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,6 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from benchmarks.filter_reference import Reference, make_reference_filter
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.model import Model
 from steerd.car_model.ops import FLOAT
@@ -24,6 +24,7 @@ from steerd.estimator import state_filter as sf
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.history import NO_HISTORY, History, add_command
 from steerd.estimator.initial import make_belief
+from steerd.estimator.reference import Reference
 from steerd.estimator.sensors import Kind, make_gyro, make_pose, make_wheel_speed
 from tests.textbook import noise_densities, rates_and_slopes
 
@@ -187,9 +188,8 @@ ODD_CAR = PAPER_CAR._replace(
 
 
 def both(car: Car[float], chassis: Chassis = SINGLE_TRACK, config: FilterConfig | None = None):
-    return tuple(
-        make(car, config, chassis=chassis) for make in (make_reference_filter, sf.make_state_filter)
-    )
+    make = partial(sf.make_state_filter, car, config, chassis=chassis)
+    return tuple(make(reference=reference) for reference in (True, False))
 
 
 def assert_close(found: Any, expected: Any) -> None:

@@ -1,7 +1,7 @@
-"""The readable reference filter, in Python: whatever the compiled one does must agree with it.
+"""The compiled filter once more, in Python: the reference that tests hold it against.
 
 The equations are `car_model.prediction`'s, evaluated number by number; the update is filterpy's
-extended Kalman filter.
+extended Kalman filter. No drive loads this.
 """
 
 # Why: docs/decisions/filter-and-controller.md#d8
@@ -9,10 +9,9 @@ extended Kalman filter.
 import math
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
+from filterpy.kalman import ExtendedKalmanFilter  # noqa: TID251
 
 from steerd.car_model.chassis import Chassis
 from steerd.car_model.params import Car
@@ -25,26 +24,15 @@ from steerd.car_model.prediction import (
     recorded_piece,
     recorded_step,
 )
-from steerd.car_model.single_track import SINGLE_TRACK
 from steerd.car_model.state import State
 from steerd.car_model.tape import Tape, program
 from steerd.estimator.compiled import Link, Prediction
 from steerd.estimator.config import FilterConfig
 from steerd.estimator.history import History, dead_times
 from steerd.estimator.initial import SECONDS, Array, Belief, make_belief
-from steerd.estimator.sensors import ABSURD, Kind, Measurement, Sensor, make_sensors
-from steerd.estimator.state_filter import StateFilter, make_state_filter
+from steerd.estimator.sensors import ABSURD, Kind, Measurement, Sensor
 
 _NEVER_NS = 1 << 62
-
-
-def make_reference_filter(
-    car: Car[float], config: FilterConfig | None = None, chassis: Chassis = SINGLE_TRACK
-) -> StateFilter:
-    """The filter that `make_state_filter` makes, computed number by number."""
-    flt = make_state_filter(car, config, chassis=chassis)
-    sensors = make_sensors(flt.car, flt.config)
-    return replace(flt, kernel=Reference(flt.car, chassis, flt.config, sensors))
 
 
 class Reference:
