@@ -158,7 +158,7 @@ def plot_regimes(axis: Axes, rows: Sequence[Regime]) -> None:
         axis.plot(ratio, place, "o", color=colour)
     _name_rows(axis, [f"{r.variable.replace('_', ' ')} {range_words(r)}" for r in rows])
     axis.axvline(1.0, color=INK, lw=0.8, ls=":")
-    axis.set(xscale="log", xlabel="error there / elsewhere, 90 % interval")
+    axis.set(xscale="log", xlabel="error there / elsewhere")
     plain_log(axis.xaxis)
     ticks = [t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000)
              if axis.get_xlim()[0] <= t <= axis.get_xlim()[1]]  # fmt: skip

@@ -166,7 +166,7 @@ def _sections(found: Diagnosis, to_drive: str) -> Iterator[Section]:
             height = 0.7 + 0.28 * len(where.regimes)
             yield Section(
                 text="By regime: right of the dotted line the error is larger than elsewhere "
-                "(coloured where its interval says so).",
+                "(coloured where its 90 % interval says so).",
                 figures=[Diagrams(figures.plot_regimes, height, [where.regimes])],
             )
     if found.candidates:
