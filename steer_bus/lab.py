@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from steerd.steer_bus.bus import BusError
-from steerd.steer_bus.topics import ALIVE, EXTERNAL_POSE, ROOT, TOPICS, make_key
+from steerd.steer_bus.topics import ALIVE, EXTERNAL_POSE, ROOT, TOPICS, BusError, make_key
 from steerd.toml_text import load_toml
 
 DEFAULT_PORT = 7447

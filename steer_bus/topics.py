@@ -1,4 +1,4 @@
-"""One table of what travels on the bus: key, message, direction, priority, recording, rate.
+"""What travels on the bus, and under which keys: one table of topics; ROS's names of them.
 
 A key is ``steerd/<car>/<name>``; the same topic in a session file is ``/`` + key, so that tools see
 a valid ROS name. Beside the topics a car serves ``param/**``, ``srv/*`` and ``schema/<type>`` and
@@ -6,21 +6,40 @@ holds the liveliness token ``alive``.
 """
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import xxhash  # noqa: TID251
+
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import standard
-from steerd.steer_bus.fields import schema_text, type_name
+from steerd.steer_bus.codec import MAX_BYTES
+from steerd.steer_bus.fields import schema_text, type_hash, type_name
 
 ROOT = "steerd"
 _CAR_NAME = re.compile(r"[a-z0-9_]{1,64}")
 
 
-Direction = Literal["in", "out"]
-"""Who publishes a topic: the car (``out``) or somebody who commands it (``in``)."""
-Priority = Literal["REAL_TIME", "DATA", "DATA_LOW"]
-"""How urgent a topic is on the network; names are zenoh's."""
+class BusError(Exception):
+    """The bus cannot do what was requested, in one line that says what to change."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One received message."""
+
+    key: str  # the key it was published under
+    data: bytes  # the encoded message
+    seq: int = 0  # the publisher's counter for this key, from 1; 0 if the sender gives none
+    sent_ns: int = 0  # the publisher's UNIX time [ns]; 0 if the sender gives none
+    sender: bytes = b""  # the publisher's id of 16 bytes; empty if the sender gives none
+
+
+Answer = Callable[[str], bytes | None]
+"""Gives the value of a key, or None if there is none; may run in another thread."""
+Keep = Callable[[bytes], bool]
+"""Whether a message is worth its place in a ring; never raises, may run in another thread."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +48,8 @@ class Topic:
 
     name: str  # the key below ``steerd/<car>/``
     message: type[Any]  # the message class
-    direction: Direction = "out"  # who publishes it
-    priority: Priority = "DATA"  # network priority
+    direction: Literal["in", "out"] = "out"  # who publishes it: who commands the car, or the car
+    priority: Literal["REAL_TIME", "DATA", "DATA_LOW"] = "DATA"  # on the network, as zenoh's names
     logged: bool = True  # whether the recorder writes it
     on_bus: bool = True  # whether the gateway carries it (raw inputs stay in the session file)
     rate_hz: float = 0.0  # nominal rate; 0 for events
@@ -119,3 +138,74 @@ def schema_replies(car: str) -> dict[str, bytes]:
     """Give every schema a car serves, by key, so that any recorder can be generic."""
     classes = {topic.message for topic in TOPICS if topic.on_bus}
     return {make_key(car, f"schema/{type_name(cls)}"): schema_text(cls).encode() for cls in classes}
+
+
+def check_size(data: bytes) -> bytes:
+    """Give a message back if the bus carries it.
+
+    Raises:
+        BusError: above ``MAX_BYTES``, which a receiver would drop silently.
+    """
+    if len(data) > MAX_BYTES:
+        raise BusError(f"a message of {len(data)} bytes exceeds {MAX_BYTES}")
+    return data
+
+
+def check_key(key: str) -> str:
+    """Give a key back if a message may be published under it.
+
+    Raises:
+        BusError: if it is empty, has an empty chunk, or holds one of ``* $ # ?``.
+    """
+    if not all(key.split("/")) or any(mark in key for mark in "*$#?"):
+        raise BusError(f"{key!r} is no key to publish under")
+    return key
+
+
+# -- ROS -----------------------------------------------------------------------------------------
+
+# Names under which rmw_zenoh finds a publisher: data keys, liveliness tokens, publisher ids.
+# Source: `docs/reference/sessions-and-bus.md#b3`; rmw_zenoh's design page and its
+# `liveliness_utils` (form since 0.2, binary attachment since 0.6). Data travel under
+# ``<domain>/<topic>/<dds type>/<hash>``; a node and each of its publishers show themselves by a
+# token under ``@ros2_lv/``, in which ``%`` stands for ``/``.
+DOMAIN_MAX = 232
+"""Largest ROS domain that DDS has ports for; rmw_zenoh takes more, other tools do not."""
+_QOS = "::,10:,:,:,,"
+"""Reliable, volatile, keep last 10, no deadline, no lifespan: rmw_zenoh leaves defaults empty."""
+_SPACE = "@ros2_lv"
+_NODE_ID = 0
+_NONE = "%"
+
+
+def _dds_type(cls: type[Any]) -> str:
+    """A message's type as DDS writes it: ``nav_msgs::msg::dds_::Odometry_``."""
+    package, kind, name = type_name(cls).split("/")
+    return f"{package}::{kind}::dds_::{name}_"
+
+
+def make_ros_key(domain: int, topic: str, cls: type[Any]) -> str:
+    """The key under which a ROS subscription to `topic` receives messages of `cls`."""
+    name = topic.strip("/")
+    return f"{domain}/{name}/{_dds_type(cls)}/{type_hash(cls)}"
+
+
+def make_node_token(domain: int, zid: str, node: str) -> str:
+    """The token of a node without namespace; `zid` is the zenoh session's id in hexadecimal."""
+    ids = f"{domain}/{zid}/{_NODE_ID}/{_NODE_ID}"
+    return f"{_SPACE}/{ids}/NN/{_NONE}/{_NONE}/{node}"
+
+
+def make_publisher_token(
+    domain: int, zid: str, entity: int, node: str, topic: str, cls: type[Any]
+) -> str:
+    """The token of a node's publisher; `entity` is its number within the session."""
+    ids = f"{domain}/{zid}/{_NODE_ID}/{entity}"
+    name = f"/{topic.strip('/')}".replace("/", _NONE)
+    said = f"{name}/{_dds_type(cls)}/{type_hash(cls)}/{_QOS}"
+    return f"{_SPACE}/{ids}/MP/{_NONE}/{_NONE}/{node}/{said}"
+
+
+def make_gid(token: str) -> bytes:
+    """The 16 bytes by which ROS knows a publisher: XXH3-128 of its token, low half first."""
+    return xxhash.xxh3_128_intdigest(token.encode()).to_bytes(16, "little")

@@ -23,7 +23,6 @@ from typing import Any
 
 import zenoh  # noqa: TID251
 
-from steerd.steer_bus.bus import Answer, BusError, Keep, Sample, check_key, check_size
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.fields import type_name
 from steerd.steer_bus.lab import (
@@ -33,7 +32,15 @@ from steerd.steer_bus.lab import (
     make_plain_access,
     make_tls_settings,
 )
-from steerd.steer_bus.topics import find_topic
+from steerd.steer_bus.topics import (
+    Answer,
+    BusError,
+    Keep,
+    Sample,
+    check_key,
+    check_size,
+    find_topic,
+)
 
 _ATTACHMENT = struct.Struct("<qqB16s")  # rmw_zenoh's: sequence, UNIX ns, 16, publisher id
 _GID_SIZE = 16

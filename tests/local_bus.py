@@ -4,7 +4,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
-from steerd.steer_bus.bus import Answer, BusError, Keep, Sample, check_key, check_size
+from steerd.steer_bus.topics import Answer, BusError, Keep, Sample, check_key, check_size
 
 
 def key_matches(pattern: str, key: str) -> bool:

@@ -19,9 +19,9 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, refusing
 from steerd.steer_bus.atomic_file import write_atomically
-from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.lab import Lab, read_members
+from steerd.steer_bus.topics import BusError
 
 AUTHORITY = "authority"
 _PRIVATE = 0o600  # only the owner reads and writes

@@ -9,10 +9,9 @@ from pathlib import Path
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.requests import LIVE
 from steerd.steer_bus import messages as m
-from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import DEFAULT_PORT, Lab, load_lab
-from steerd.steer_bus.topics import LAST_MODEL, make_key
+from steerd.steer_bus.topics import LAST_MODEL, BusError, make_key
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 
 DEFAULT_ENDPOINT = f"tcp/127.0.0.1:{DEFAULT_PORT}"

@@ -25,12 +25,18 @@ from steerd.daemon.process.views import Views
 from steerd.daemon.settings.run_options import ControllerKind, RunOptions, decode_options
 from steerd.mocap_link.mocap_url import parse_mocap_url
 from steerd.steer_bus import topics
-from steerd.steer_bus.bus import BusError, Keep
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import load_lab
 from steerd.steer_bus.messages import BODY, Actuation, DriveCommand
-from steerd.steer_bus.ros_keys import make_gid, make_node_token, make_publisher_token, make_ros_key
 from steerd.steer_bus.standard import AckermannDrive, AckermannDriveStamped
+from steerd.steer_bus.topics import (
+    BusError,
+    Keep,
+    make_gid,
+    make_node_token,
+    make_publisher_token,
+    make_ros_key,
+)
 from steerd.steer_bus.zenoh_bus import Profile, Subscription, ZenohBus
 
 DRIVE_NAME = "drive"

@@ -22,9 +22,9 @@ from steerd.daemon.process.bus_operator import BusOperator, CarView
 from steerd.daemon.process.child import Job, run_process
 from steerd.daemon.process.secret_server import HOST, SecretServer, ServerConnection, converse
 from steerd.daemon.process.view_job import draw_plan
-from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.messages import Parameters, RequestKind
+from steerd.steer_bus.topics import BusError
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 from steerd.sysid.report.page import render_page
 from steerd.vesc_link.ids import fault_name

@@ -21,10 +21,9 @@ from steerd.daemon.terminal import key_desk
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
-from steerd.steer_bus.bus import Sample
 from steerd.steer_bus.clock import Clock, MonotonicClock
 from steerd.steer_bus.codec import CodecError, decode
-from steerd.steer_bus.topics import ROOT, find_topic, make_key, split_key
+from steerd.steer_bus.topics import ROOT, Sample, find_topic, make_key, split_key
 from steerd.steer_bus.zenoh_bus import ZenohBus
 from steerd.vesc_link.ids import fault_name
 

@@ -9,8 +9,8 @@ from functools import partial
 
 import pytest
 
-from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.codec import MAX_BYTES
+from steerd.steer_bus.topics import BusError
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus, make_settings
 from tests.local_bus import LocalBus, LocalHub, is_heard
 from tests.safety.live import free_endpoint

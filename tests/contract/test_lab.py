@@ -6,8 +6,8 @@ import shutil
 import pytest
 
 from steerd.daemon.cli.main import run_cli
-from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.lab import load_lab, make_tls_settings
+from steerd.steer_bus.topics import BusError
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 from tests.contract.test_bus_contract import until
 from tests.local_bus import is_heard

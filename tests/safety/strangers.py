@@ -17,10 +17,9 @@ import zenoh  # noqa: TID251
 from steerd.daemon.process.gateway import Gateway
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
-from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.lab import load_lab
-from steerd.steer_bus.topics import make_key
+from steerd.steer_bus.topics import BusError, make_key
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 
 CAR, PORT, ORDERS = "10.9.0.1", 7447, 50

@@ -107,7 +107,7 @@ def make_options(args: Namespace) -> RunOptions:
 
 def _list_conflicts(args: Namespace) -> Iterator[tuple[bool, str, str]]:
     """What makes no sense: whether it was given, what it is, and what to try."""
-    from steerd.steer_bus.ros_keys import DOMAIN_MAX
+    from steerd.steer_bus.topics import DOMAIN_MAX
 
     sim, real = args.sim, args.port or args.mocap
     yield args.fast and not sim, "--fast drives in virtual time, on simulated hardware", "add --sim"

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.lab import Lab, load_lab, make_access_settings
+from steerd.steer_bus.topics import BusError
 from steerd.steer_bus.zenoh_bus import Profile, make_settings
 
 ENDPOINT = "tls/10.0.0.5:7447"

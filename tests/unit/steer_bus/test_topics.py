@@ -6,7 +6,7 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.fields import String, message, schema_text, type_name
 from steerd.steer_bus.messages import StateMessage
-from steerd.steer_bus.ros_keys import make_node_token, make_publisher_token, make_ros_key
+from steerd.steer_bus.topics import make_node_token, make_publisher_token, make_ros_key
 from tests.local_bus import key_matches
 
 

@@ -13,10 +13,9 @@ from steerd.daemon.process.views import PERIOD_NS, Views, make_odometry, make_ve
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
-from steerd.steer_bus.bus import BusError, Sample
 from steerd.steer_bus.codec import decode, encode
-from steerd.steer_bus.ros_keys import make_gid
 from steerd.steer_bus.standard import AckermannDriveStamped, Odometry
+from steerd.steer_bus.topics import BusError, Sample, make_gid
 from tests.blank import blank
 from tests.local_bus import LocalBus, LocalHub
 from tests.ros_messages import DRIVE, ODOMETRY, make_key, pack_drive

@@ -18,8 +18,8 @@ from steerd.daemon.terminal.dashboard import SETTLE_NS, Dashboard, Tally, closin
 from steerd.daemon.terminal.watch import SECOND, Watch, find_car
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
-from steerd.steer_bus.bus import Sample
 from steerd.steer_bus.codec import encode
+from steerd.steer_bus.topics import Sample
 from tests.blank import blank
 from tests.local_bus import LocalBus, LocalHub
 
