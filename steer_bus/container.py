@@ -152,19 +152,25 @@ class SessionInfo:
 
 
 def read_contents(path: Path, file: int, size: int) -> SessionInfo:
-    """Read and check a whole container of ``size`` bytes; never raises on damage.
+    """Read and check a container; never raises on damage, but OSError if it cannot be read.
 
-    The caller has checked the magic. Bytes that a writer appends meanwhile are not looked at.
+    The caller has checked the magic.
 
     Args:
         path: its name.
         file: its descriptor; the position in it is neither used nor moved.
-        size: how much of it to read [bytes].
-
-    Raises:
-        OSError: if the file cannot be read.
+        size: how much of it to read [bytes]; what a writer appends meanwhile is not looked at.
     """
     contents = SessionInfo(path, size)
+    _walk(contents, file, size)
+    for channel in sorted(contents.counts.keys() - contents.channels.keys()):
+        count = contents.counts.pop(channel).count
+        contents.warnings.append(f"{count} messages of channel {channel}, which is defined nowhere")
+    return contents
+
+
+def _walk(contents: SessionInfo, file: int, size: int) -> None:
+    """Go from record to record, behind damage too, up to the end of the file."""
     crc, pos, intact = zlib.crc32(MAGIC), len(MAGIC), True
     while True:
         try:
@@ -178,8 +184,7 @@ def read_contents(path: Path, file: int, size: int) -> SessionInfo:
             if found is None:
                 text = f"not finished, {damage} at byte {pos}; {size - pos} bytes lost"
                 contents.warnings.append(text)
-                _note_orphans(contents)
-                return contents
+                return
             contents.warnings.append(f"damaged at byte {pos} ({damage}), reading on at {found}")
             pos = found
             continue
@@ -189,16 +194,10 @@ def read_contents(path: Path, file: int, size: int) -> SessionInfo:
     if intact and parse(rec.DataEnd, body).data_section_crc not in (0, crc):
         contents.warnings.append("data section fails its CRC")
     _take_summary(contents, file, pos + RECORD.size + len(body), size)
-    _note_orphans(contents)
-    return contents
 
 
 def read_span(file: int, span: Span) -> bytes:
-    """Read a span's records again, decompressed and checked.
-
-    Raises:
-        DamageError: if the file has changed since it was opened.
-    """
+    """Read a span's records again, checked; DamageError if the file has changed since."""
     raw = os.pread(file, span.size, span.offset)
     if len(raw) != span.size:
         raise DamageError("the file has become shorter")
@@ -206,16 +205,13 @@ def read_span(file: int, span: Span) -> bytes:
 
 
 def scan_messages(data: bytes) -> tuple[dict[int, list[tuple[int, int]]], list[tuple[int, bytes]]]:
-    """Find the messages of a run of records by channel, and the other records.
+    """Find the messages of a run of records, and the others; DamageError if lengths do not add up.
 
     The library makes an object of each message, in five times the time of the whole reading.
 
     Returns:
         For each channel id the (start, end) of each message behind its channel id, in order; and
         (opcode, body) of each record that is no message.
-
-    Raises:
-        DamageError: if lengths do not add up.
     """
     found: dict[int, list[tuple[int, int]]] = defaultdict(list)
     others: list[tuple[int, bytes]] = []
@@ -251,11 +247,7 @@ class _Body(io.BytesIO):
 
 
 def parse(kind: type[T], body: bytes) -> T:
-    """A record of the library from its body.
-
-    Raises:
-        DamageError: its fields are not its body.
-    """
+    """A record of the library from its body; DamageError if its fields are not its body."""
     fields = _Body(body)
     try:
         record: T = cast("Any", kind).read(ReadDataStream(fields))
@@ -460,9 +452,3 @@ def _take_summary(contents: SessionInfo, file: int, pos: int, size: int) -> None
             _define(contents, opcode, body)
     except DamageError as damage:
         contents.warnings.append(f"summary: {damage}")
-
-
-def _note_orphans(contents: SessionInfo) -> None:
-    for channel in sorted(contents.counts.keys() - contents.channels.keys()):
-        count = contents.counts.pop(channel).count
-        contents.warnings.append(f"{count} messages of channel {channel}, which is defined nowhere")

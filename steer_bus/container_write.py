@@ -18,7 +18,6 @@ from steerd.steer_bus.container import MAGIC
 
 CHUNK_BYTES = 1 << 20
 """A chunk is closed once its records are longer [bytes]."""
-_LIBRARY = "steerd"
 _SUMMARY = (
     Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX,
     Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX,
@@ -34,11 +33,9 @@ def _encode(record: rec.McapRecord) -> bytes:
 
 
 class ContainerWriter:
-    """Writes one file; every method raises OSError where the disk takes no more.
+    """Writes one new file, which its giver closes; raises OSError where the disk takes no more.
 
-    Args:
-        file: new and empty; whoever gives it closes it.
-        profile: whose conventions the file follows.
+    ``profile`` is whose conventions the file follows.
     """
 
     def __init__(self, file: BinaryIO, profile: str) -> None:
@@ -48,7 +45,7 @@ class ContainerWriter:
         self._summary = dict.fromkeys(_SUMMARY, b"")
         self._chunk_indexes, self._compressor = bytearray(), zlib.compressobj()
         self._counted = rec.Statistics(0, 0, {}, 0, 0, 0, 0, 0, 0)
-        self._put(MAGIC + _encode(rec.Header(profile, _LIBRARY)))
+        self._put(MAGIC + _encode(rec.Header(profile, "steerd")))
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Define a schema; its number."""

@@ -153,23 +153,18 @@ def flat_leaves(cls: type[Any]) -> tuple[Field, ...] | None:
 
 
 def _field(owner: str, name: str, hint: Any) -> Field:
-    if typing.get_origin(hint) is Annotated:
-        notes = typing.get_args(hint)[1:]
-        kinds = [n for n in notes if isinstance(n, Scalar | Sized)]
-        units = [n for n in notes if isinstance(n, str)]
-        if kinds:
-            return Field(name, kinds[0], units[0] if units else "")
+    notes, args = getattr(hint, "__metadata__", ()), typing.get_args(hint)
+    for kind in notes:
+        if isinstance(kind, Scalar | Sized):
+            return Field(name, kind, next((n for n in notes if isinstance(n, str)), ""))
     if hasattr(hint, "__ros_type__"):
         return Field(name, Nested(hint), "")
-    args = typing.get_args(hint)
     if typing.get_origin(hint) is tuple and len(args) == 2 and hasattr(args[0], "__ros_type__"):
         return Field(name, Nested(args[0], many=True), "")
     raise TypeError(f"{owner}.{name}: {hint!r} has no ROS type")
 
 
 # -- a message in the words of ROS ----------------------------------------------------------------
-
-_SEPARATOR = "=" * 80
 
 
 @cached
@@ -180,7 +175,7 @@ def schema_text(cls: type[Any]) -> str:
     use, separated by 80 ``=`` and a line ``MSG: pkg/Name``.
     """
     return _own_text(cls) + "".join(
-        f"{_SEPARATOR}\nMSG: {_short_name(dependency)}\n{_own_text(dependency)}"
+        f"{'=' * 80}\nMSG: {_short_name(dependency)}\n{_own_text(dependency)}"
         for dependency in _dependencies(cls)
     )
 
@@ -222,14 +217,14 @@ def _short_name(cls: type[Any]) -> str:
 
 
 def _description(cls: type[Any]) -> dict[str, Any]:
-    fields = [{"name": f.name, "type": _field_type(f.kind)} for f in message_fields(cls)]
-    return {"type_name": type_name(cls), "fields": fields}
-
-
-def _field_type(kind: Kind) -> dict[str, Any]:
-    return {
-        "type_id": kind.type_id,
-        "capacity": kind.count if isinstance(kind, Scalar) else 0,
-        "string_capacity": 0,
-        "nested_type_name": type_name(kind.cls) if isinstance(kind, Nested) else "",
-    }
+    described = []
+    for field in message_fields(cls):
+        kind = field.kind
+        of_type = {
+            "type_id": kind.type_id,
+            "capacity": kind.count if isinstance(kind, Scalar) else 0,
+            "string_capacity": 0,
+            "nested_type_name": type_name(kind.cls) if isinstance(kind, Nested) else "",
+        }
+        described.append({"name": field.name, "type": of_type})
+    return {"type_name": type_name(cls), "fields": described}

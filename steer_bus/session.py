@@ -63,12 +63,10 @@ class SessionWriter:
         Raises:
             SessionError: if a file of this name exists or cannot be created; none is left then.
         """
-        self.path = path
-        self.partial = path.with_name(path.name + ".partial")
+        self.path, self.partial = path, path.with_name(path.name + ".partial")
         self._file = _create(self.path, self.partial)
         self._broken: SessionError | None = None
-        self._last_log_ns = 0
-        self._flush_ns = flush_ns
+        self._last_log_ns, self._flush_ns = 0, flush_ns
         self._flushed_ns = self._synced_ns = -(1 << 62)
         self._sequences = dict.fromkeys(topics, 0)
         try:
@@ -93,16 +91,9 @@ class SessionWriter:
         return sum(self._sequences.values())
 
     def write(self, topic: str, data: bytes, log_ns: int, publish_ns: int | None = None) -> None:
-        """Append one encoded message.
+        """Append one encoded message of a topic given at the start, else raise KeyError.
 
-        Args:
-            topic: one of the topics given at the start.
-            data: the encoded message.
-            log_ns: UNIX time when it was taken [ns].
-            publish_ns: UNIX time at its source [ns]; ``log_ns`` if left out.
-
-        Raises:
-            KeyError: on a topic that was not declared.
+        ``publish_ns`` is UNIX time at its source [ns]; ``log_ns`` if left out.
         """
         channel = self._channels[topic]
         log_ns = self._last_log_ns = min(max(log_ns, self._last_log_ns), _MAX_TIME_NS)
@@ -121,11 +112,7 @@ class SessionWriter:
             self._writer.flush()
 
     def tick(self, t_ns: int) -> bool:
-        """Flush if it is time (a quarter of a second by default); say whether :meth:`sync` is due.
-
-        Args:
-            t_ns: monotonic time now [ns].
-        """
+        """Flush if it is time (``t_ns``: monotonic, now); say whether :meth:`sync` is due."""
         if t_ns - self._flushed_ns >= self._flush_ns:
             self.flush()
             self._flushed_ns = t_ns
@@ -144,13 +131,9 @@ class SessionWriter:
             raise self._explain(error) from error
 
     def finish(self, end: Mapping[str, str]) -> Path:
-        """Write ``steerd.end`` and the summary, sync, and give the file its name.
+        """Write ``steerd.end`` (why: ``reason``, ...) and the summary, sync, name the file.
 
-        Args:
-            end: why the session ended (``reason``, ``dropped``, ...).
-
-        Returns:
-            The finished file; on an error what was flushed stays in ``.partial``.
+        On an error what was flushed stays in ``.partial``.
         """
         with self._disk():
             self._writer.flush()
@@ -206,13 +189,11 @@ def recover(session: Session, path: Path) -> float:
         source = {"source": info.path.name, "lost_bytes": str(info.lost)}
         writer.add_metadata("steerd.recovered", source)
         _finish(writer, file, partial, path)
-    except (OSError, SessionError) as error:
+    except OSError as error:
+        raise _disk_error(partial, error, "free some space, or choose another folder") from error
+    finally:
         _close_quietly(file)
-        partial.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            hint = "free some space, or choose another folder"
-            raise _disk_error(partial, error, hint) from error
-        raise
+        partial.unlink(missing_ok=True)  # not there any more once it is finished
     written = open_session(path).info()
     if written.count != info.count or written.warnings:
         raise SessionError("recover_failed", f"{path} does not read back as written")

@@ -71,7 +71,10 @@ class Record:
 
 
 class Session:
-    """A recorded drive. Made by :func:`open_session`; its file stays open as long as it is used."""
+    """A recorded drive. Made by :func:`open_session`; its file stays open as long as it is used.
+
+    Whatever reads the file raises SessionError if that has changed since it was opened.
+    """
 
     def __init__(self, file: FileIO, info: SessionInfo) -> None:
         self._path, self._file, self._info = info.path, file.fileno(), info
@@ -82,11 +85,7 @@ class Session:
         return self._info
 
     def messages(self, *topics: str) -> Iterator[Record]:
-        """Yield messages of these topics (all if none is named) in recorded order.
-
-        Raises:
-            SessionError: if the file has changed since it was opened.
-        """
+        """Yield messages of these topics (all if none is named) in recorded order."""
         wanted = {
             key: (channel.topic, self._info.schema(channel).name)
             for key, channel in self._info.channels.items()
@@ -136,11 +135,7 @@ class Session:
             raise SessionError("bad_message", text, exit_code=WRONG_CONTENT) from error
 
     def attachment(self, name: str) -> bytes:
-        """Read an attached file.
-
-        Raises:
-            SessionError: if there is none of this name, or the file has changed.
-        """
+        """Read an attached file; raises SessionError if there is none of this name."""
         item = next((a for a in self.attachments() if a.name == name), None)
         if item is None:
             text = f"{self._path.name} has no attachment {name!r}"
@@ -148,7 +143,7 @@ class Session:
         return item.data
 
     def attachments(self) -> Iterator[Attachment]:
-        """Read the attached files; raises as messages()."""
+        """Read the attached files."""
         for _, span in self._info.attached:
             yield container.parse(Attachment, self._read(span))
 

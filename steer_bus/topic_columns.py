@@ -28,14 +28,14 @@ _BATCH = 8192
 
 
 class ColumnBuilder:
-    """Collects one topic's records and turns them into columns in batches."""
+    """Collects one topic's records and turns them into columns in batches.
+
+    Raises:
+        TypeError: if the class holds a sequence of messages and so has no columns.
+        CodecError: from each method, if a record is not the message.
+    """
 
     def __init__(self, cls: type[Any]) -> None:
-        """Collect messages of a class.
-
-        Raises:
-            TypeError: if the class holds a sequence of messages and so has no columns.
-        """
         leaves = flat_leaves(cls)
         if leaves is None:
             raise TypeError(f"{type_name(cls)} has no columns: read it with messages()")
@@ -44,28 +44,19 @@ class ColumnBuilder:
         self._parts: list[Columns] = []
 
     def add(self, records: list[bytes]) -> None:
-        """Add records (what follows a message's channel id in the file).
-
-        Raises:
-            CodecError: if one of them is not the message.
-        """
+        """Add records (what follows a message's channel id in the file)."""
         self._records += records
         if len(self._records) >= _BATCH:
             self._convert()
 
     def finish(self) -> Columns:
-        """Give the columns of all records, in order.
-
-        Raises:
-            CodecError: if one of them is not the message.
-        """
-        self._convert()
+        """Give the columns of all records, in order."""
+        if self._records or not self._parts:
+            self._convert()
         names = self._parts[0].keys()
         return _with_stamp({n: np.concatenate([part[n] for part in self._parts]) for n in names})
 
     def _convert(self) -> None:
-        if not self._records and self._parts:
-            return
         self._parts += self._read(self._records)
         self._records = []
 
