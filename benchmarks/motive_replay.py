@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from steerd.mocap_link import natnet
-from steerd.mocap_link.natnet_frame import Frame
+from steerd.mocap_link.natnet_wire import Frame
 
 VERSION = (3, 0)
 LOOPBACK = "127.0.0.1"

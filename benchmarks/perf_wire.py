@@ -16,7 +16,7 @@ from benchmarks.timing import Timed, timed
 import numpy as np  # isort: skip
 
 from steerd.mocap_link import natnet
-from steerd.mocap_link.natnet_frame import TRACKING_VALID, Frame, RigidBody
+from steerd.mocap_link.natnet_wire import TRACKING_VALID, Frame, RigidBody
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode, encode

@@ -44,7 +44,7 @@ class _ClockMap:
 
     def to_host_ns(self, ticks: int) -> int:
         """Map a source time to CLOCK_MONOTONIC [ns]."""
-        x = (ticks - self._ticks0) * NS // self.frequency_hz
+        x = self._source_ns(ticks)
         return self._host0 + x + round(self._offset + self.skew * (x - self._x_ref))
 
 
@@ -121,6 +121,8 @@ class HullClock(_ClockMap):
     0.1 s buckets over 60 s are kept; once a second the hull edge above the mean time becomes the
     map. Below 10 s of data the slope is taken as 0, for a short hull's slope is noise. What
     remains is the smallest delay, a constant that `extra_latency_ns` stands for.
+
+    `ready` says whether 2 s of data were seen.
     """
 
     bucket_ns = NS // 10
@@ -134,17 +136,12 @@ class HullClock(_ClockMap):
         self._buckets: deque[tuple[int, int]] = deque()  # source ns, host - source [ns]
         self._bucket_end = self._next_fit = 0
         self._last_ticks: int | None = None
-        self._fitted = False
-
-    @property
-    def ready(self) -> bool:
-        """Whether 2 s of data were seen."""
-        return self._fitted
+        self.ready = False
 
     @property
     def sigma_ns(self) -> int:
         """Spread of the bucket minima above the line [ns], mean."""
-        if not self._fitted:
+        if not self.ready:
             return NS
         above = [y - self._offset - self.skew * (x - self._x_ref) for x, y in self._buckets]
         return round(sum(above) / len(above))
@@ -153,7 +150,7 @@ class HullClock(_ClockMap):
         """Forget everything: the server restarted or its clock stepped."""
         self._buckets.clear()
         self._last_ticks = None
-        self._fitted = False
+        self.ready = False
         self.resets += 1
 
     def add(self, source_ticks: int, t_arrival_ns: int) -> None:
@@ -165,7 +162,7 @@ class HullClock(_ClockMap):
         if self._last_ticks is not None and source_ticks < self._last_ticks:
             self.reset()
         x = self._source_ns(source_ticks)
-        if self._fitted and self._residual(x, t_arrival_ns) < -self.step_ns:
+        if self.ready and self._residual(x, t_arrival_ns) < -self.step_ns:
             self.reset()
         if self._last_ticks is None:
             self._set_origin(source_ticks, t_arrival_ns)
@@ -192,7 +189,7 @@ class HullClock(_ClockMap):
         slope = _hull_slope(list(points), self._x_ref) if span >= self.skew_from_ns else 0.0
         self.skew = max(-SKEW_MAX, min(SKEW_MAX, slope))
         self._offset = min(y - self.skew * (x - self._x_ref) for x, y in points)
-        self._fitted = True
+        self.ready = True
 
 
 def _hull_slope(points: list[tuple[int, int]], x: float) -> float:

@@ -48,24 +48,33 @@ def parse_mocap_url(text: str) -> MocapUrl:
     Raises:
         ValueError: the text does not name a source; the message says what is wrong with it.
     """
+    try:
+        return _parse(text)
+    except ValueError as error:
+        raise ValueError(f"mocap address {text!r}: {error}") from None
+
+
+def _parse(text: str) -> MocapUrl:
     scheme, _, rest = text.partition(":")
     if scheme in _ON_BUS:
-        return _parse_key(text, scheme, rest)
+        return _parse_key(scheme, rest)
     if scheme not in DEFAULT_PORTS or not rest.startswith("//"):
-        raise ValueError(f"mocap address {text!r}: expected {_FORMS}")
+        raise ValueError(f"expected {_FORMS}")
     parts = urlsplit(text)
     try:
         port = parts.port
     except ValueError:
-        raise ValueError(f"mocap address {text!r}: the port must be a number to 65535") from None
+        raise ValueError("the port must be a number to 65535") from None
     body = unquote(parts.path.removeprefix("/"))
     if not parts.hostname:
-        raise ValueError(f"mocap address {text!r}: no host")
+        raise ValueError("no host")
     if not body:
-        raise ValueError(f"mocap address {text!r}: no body; name it as in {scheme}://HOST/car")
-    if body.startswith("id:"):
-        _check_id(text, scheme, body)
-    options = _parse_options(text, scheme, parts.query)
+        raise ValueError(f"no body; name it as in {scheme}://HOST/car")
+    if body.startswith("id:") and scheme != "natnet":
+        raise ValueError("only NatNet bodies have ids; give the name")
+    if body.startswith("id:") and not body[3:].isdecimal():
+        raise ValueError(f"{body!r} is not an id; expected id:NUMBER")
+    options = _parse_options(scheme, parts.query)
     up, unicast = options.get("up"), options.get("unicast")
     return MocapUrl(
         scheme,
@@ -78,22 +87,15 @@ def parse_mocap_url(text: str) -> MocapUrl:
     )
 
 
-def _parse_key(text: str, scheme: str, rest: str) -> MocapUrl:
+def _parse_key(scheme: str, rest: str) -> MocapUrl:
     form, right = _ON_BUS[scheme]
     match = re.fullmatch(form, rest, re.ASCII)
     if match is None:
-        raise ValueError(f"mocap address {text!r}: {right}")
+        raise ValueError(right)
     return MocapUrl(scheme, key=match[1], up="z" if scheme == "ros2" else None)
 
 
-def _check_id(text: str, scheme: str, body: str) -> None:
-    if scheme != "natnet":
-        raise ValueError(f"mocap address {text!r}: only NatNet bodies have ids; give the name")
-    if not body[3:].isdecimal():
-        raise ValueError(f"mocap address {text!r}: {body!r} is not an id; expected id:NUMBER")
-
-
-def _parse_options(text: str, scheme: str, query: str) -> dict[str, str]:
+def _parse_options(scheme: str, query: str) -> dict[str, str]:
     allowed: dict[str, tuple[str, ...]] = {"up": ("y", "z")}
     if scheme == "natnet":
         allowed |= {"unicast": ("0", "1"), "interface": ()}
@@ -101,10 +103,9 @@ def _parse_options(text: str, scheme: str, query: str) -> dict[str, str]:
     for name, value in options.items():
         if name not in allowed:
             names = ", ".join(sorted(allowed))
-            raise ValueError(f"mocap address {text!r}: unknown option {name!r}; known: {names}")
+            raise ValueError(f"unknown option {name!r}; known: {names}")
         if allowed[name] and value not in allowed[name]:
-            choices = " or ".join(allowed[name])
-            raise ValueError(f"mocap address {text!r}: {name} must be {choices}, not {value!r}")
+            raise ValueError(f"{name} must be {' or '.join(allowed[name])}, not {value!r}")
         if not value:
-            raise ValueError(f"mocap address {text!r}: option {name!r} has no value")
+            raise ValueError(f"option {name!r} has no value")
     return options

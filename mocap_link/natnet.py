@@ -10,7 +10,7 @@ from enum import IntEnum
 from typing import assert_never
 
 from steerd.mocap_link import natnet_wire as wire
-from steerd.mocap_link.natnet_frame import Frame, read_frame, write_frame
+from steerd.mocap_link.natnet_wire import Frame, read_frame, write_frame
 
 COMMAND_PORT = 1510
 DATA_PORT = 1511

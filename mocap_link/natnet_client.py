@@ -10,14 +10,14 @@ from typing import Literal
 from steerd.mocap_link import natnet
 from steerd.mocap_link.clock_sync import DEFAULT_EXTRA_LATENCY_NS, SourceTiming
 from steerd.mocap_link.ingest import IngestConfig, PoseIngest
-from steerd.mocap_link.natnet_frame import (
+from steerd.mocap_link.natnet_wire import (
     BITSTREAM_CHANGED,
     EDIT_MODE,
     MODEL_CHANGED,
     Frame,
+    NatNetError,
     RigidBody,
 )
-from steerd.mocap_link.natnet_wire import NatNetError
 from steerd.mocap_link.source import Pose, SourceStatus
 
 MS = 1_000_000

@@ -3,9 +3,9 @@
 The wires are `mocap_link`'s.
 """
 
-from steerd.mocap_link import natnet, natnet_frame, vrpn
+from steerd.mocap_link import natnet, vrpn
+from steerd.mocap_link import natnet_wire as wire
 from steerd.mocap_link.frame import Quat, Vec3
-from steerd.mocap_link.natnet_wire import F32, NatNetError
 from steerd.mocap_link.source import Pose
 from steerd.mocap_link.vrpn import VrpnError
 from steerd.sim_hw.mocap import network as net
@@ -72,7 +72,7 @@ class NatNetServer(_Server):
         """Take a datagram from a client; nonsense is dropped as a real server does."""
         try:
             message = natnet.decode(data, self.config.version)
-        except NatNetError:
+        except wire.NatNetError:
             return
         if message is natnet.Bare.DISCONNECT:
             self._clients.pop(peer, None)
@@ -94,7 +94,7 @@ class NatNetServer(_Server):
                 return self._model()
             case natnet.Request():
                 known = message.text.split(",")[0] == "FrameRate"
-                rate = natnet.Response(F32.pack(self.config.rate_hz))
+                rate = natnet.Response(wire.F32.pack(self.config.rate_hz))
                 return rate if known else natnet.Unrecognized(100)
         return None
 
@@ -132,11 +132,11 @@ class NatNetServer(_Server):
         self._clients = {peer: t for peer, t in self._clients.items() if t >= oldest}
         return [(net.COMMAND, peer) for peer in self._clients]
 
-    def _frame(self, capture: Capture, received_ns: int, sent_ns: int) -> natnet_frame.Frame:
+    def _frame(self, capture: Capture, received_ns: int, sent_ns: int) -> wire.Frame:
         faults = self.fault_state
-        params = natnet_frame.MODEL_CHANGED if self._model_flag else 0
-        params |= natnet_frame.EDIT_MODE if faults.edit_mode else 0
-        return natnet_frame.Frame(
+        params = wire.MODEL_CHANGED if self._model_flag else 0
+        params |= wire.EDIT_MODE if faults.edit_mode else 0
+        return wire.Frame(
             capture.number,
             tuple(map(_rigid_body, self._bodies[-len(capture.bodies) :], capture.bodies)),
             timestamp=capture.number / self.config.rate_hz,
@@ -156,10 +156,10 @@ class NatNetServer(_Server):
         return changed(capture, bodies=bodies)
 
 
-def _rigid_body(known: natnet.RigidBodyDesc, body: Pose) -> natnet_frame.RigidBody:
+def _rigid_body(known: natnet.RigidBodyDesc, body: Pose) -> wire.RigidBody:
     w, x, y, z = body.quaternion
-    state = body.mean_error or 0.0, int(body.tracking_valid) * natnet_frame.TRACKING_VALID
-    return natnet_frame.RigidBody(known.id, body.position, (x, y, z, w), *state)
+    state = body.mean_error or 0.0, int(body.tracking_valid) * wire.TRACKING_VALID
+    return wire.RigidBody(known.id, body.position, (x, y, z, w), *state)
 
 
 _VRPN_ANSWER_NS = 100_000

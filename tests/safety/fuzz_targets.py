@@ -23,8 +23,7 @@ from steerd.daemon.loop.transitions import Fact
 from steerd.mocap_link import natnet, vrpn
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.natnet_client import NatNetSource
-from steerd.mocap_link.natnet_frame import Frame, RigidBody
-from steerd.mocap_link.natnet_wire import NatNetError
+from steerd.mocap_link.natnet_wire import Frame, NatNetError, RigidBody
 from steerd.mocap_link.vrpn_client import VrpnSource
 from steerd.mocap_link.zenoh_pose import BusPoseSource, PoseError, decode_pose, decode_ros_pose
 from steerd.sim_hw.mocap.servers import VrpnServer

@@ -13,8 +13,13 @@ from hypothesis import strategies as st
 from steerd.mocap_link import natnet
 from steerd.mocap_link.ingest import IngestConfig
 from steerd.mocap_link.natnet_client import UNANSWERED, NatNetSource
-from steerd.mocap_link.natnet_frame import BITSTREAM_CHANGED, MODEL_CHANGED, Frame, RigidBody
-from steerd.mocap_link.natnet_wire import NatNetError
+from steerd.mocap_link.natnet_wire import (
+    BITSTREAM_CHANGED,
+    MODEL_CHANGED,
+    Frame,
+    NatNetError,
+    RigidBody,
+)
 
 SPEC = json.loads(Path(__file__).with_name("natnet_rich.json").read_text())
 RICH = {

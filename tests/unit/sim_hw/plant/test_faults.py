@@ -14,8 +14,7 @@ import pytest
 
 from steerd.car_model.state import ORIGIN
 from steerd.mocap_link import natnet
-from steerd.mocap_link.natnet_frame import MODEL_CHANGED, Frame
-from steerd.mocap_link.natnet_wire import NatNetError
+from steerd.mocap_link.natnet_wire import MODEL_CHANGED, Frame, NatNetError
 from steerd.sim_hw.mocap.cameras import Bystander, MocapConfig
 from steerd.sim_hw.mocap.network import CLOSE, FOREIGN, Datagram
 from steerd.sim_hw.plant import faults
