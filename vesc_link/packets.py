@@ -89,10 +89,6 @@ def decode_command(payload: bytes, firmware: Firmware = FW_7_01) -> Command | No
     return kind(**values)
 
 
-def _decode_ack(payload: bytes) -> i.Ack:
-    return i.Ack(CommandId.SET_MCCONF_TEMP)
-
-
 _REPLIES: dict[CommandId, Callable[[bytes], Reply | None]] = {
     CommandId.GET_VALUES: t.decode_values,
     CommandId.GET_VALUES_SELECTIVE: t.decode_values_selective,
@@ -101,7 +97,7 @@ _REPLIES: dict[CommandId, Callable[[bytes], Reply | None]] = {
     CommandId.FW_VERSION: i.decode_fw_version,
     CommandId.GET_APPCONF: i.decode_appconf,
     CommandId.GET_MCCONF_TEMP: i.decode_mcconf_temp,
-    CommandId.SET_MCCONF_TEMP: _decode_ack,
+    CommandId.SET_MCCONF_TEMP: lambda payload: i.Ack(CommandId.SET_MCCONF_TEMP),
 }
 
 

@@ -70,14 +70,10 @@ class LinkDown(PortError):  # noqa: N818
     hint = "check the USB cable and the VESC's power; the motor's state is unknown"
 
 
-_ON_OPEN = {
-    errno.EACCES: PermissionDenied,
-    errno.EPERM: PermissionDenied,
-    errno.EBUSY: Busy,
-    errno.EAGAIN: Busy,
-    errno.EIO: LinkDown,
-    errno.ENODEV: LinkDown,
-    errno.ENXIO: LinkDown,
+_ON_OPEN: dict[int, type[PortError]] = {
+    **dict.fromkeys((errno.EACCES, errno.EPERM), PermissionDenied),
+    **dict.fromkeys((errno.EBUSY, errno.EAGAIN), Busy),
+    **dict.fromkeys((errno.EIO, errno.ENODEV, errno.ENXIO), LinkDown),
 }
 
 
@@ -154,7 +150,8 @@ class Port:
             return
         device, self._device, self.fd = self._device, None, -1
         # On a pty the flag outlives this end, and would lock out the next one.
-        _try_ioctl(device.fileno(), termios.TIOCNXCL)
+        with contextlib.suppress(OSError):
+            fcntl.ioctl(device.fileno(), termios.TIOCNXCL)
         device.close()
         if self._spy is not None and self._spy.output.fileno() > 2:
             self._spy.output.close()
@@ -249,7 +246,8 @@ def _cause(error: serial.SerialException) -> int:
 def _configure(port: Port) -> None:
     """Non-blocking, exclusive, and reads that distinguish an empty port from a closed one."""
     os.set_blocking(port.fd, False)
-    _try_ioctl(port.fd, termios.TIOCEXCL)
+    with contextlib.suppress(OSError):
+        fcntl.ioctl(port.fd, termios.TIOCEXCL)
     try:
         settings = termios.tcgetattr(port.fd)
         # With VMIN 0, as pyserial sets it, both an empty and a hung-up port read as b"".
@@ -257,10 +255,3 @@ def _configure(port: Port) -> None:
         termios.tcsetattr(port.fd, termios.TCSANOW, settings)
     except termios.error as error:
         raise LinkDown(port.url, f"configuration failed: {error}") from error
-
-
-def _try_ioctl(fd: int, request: int) -> None:
-    try:
-        fcntl.ioctl(fd, request)
-    except OSError:
-        return

@@ -176,22 +176,15 @@ class VescLink:
         firmware = self.firmware
         if firmware is None:
             return c.GetFwVersion()
-        if (
-            self.appconf is None
-            and firmware >= FIRST_KNOWN_APPCONF
-            and self._may_try(ids.CommandId.GET_APPCONF)
-        ):
-            return c.GetAppConf()
-        if (
-            self.limits is None
-            and ids.knows(firmware, ids.CommandId.GET_MCCONF_TEMP)
-            and self._may_try(ids.CommandId.GET_MCCONF_TEMP)
-        ):
-            return c.GetMcConfTemp()
+        steps: list[tuple[Command, ids.CommandId]] = []
+        if self.appconf is None and firmware >= FIRST_KNOWN_APPCONF:
+            steps.append((c.GetAppConf(), ids.CommandId.GET_APPCONF))
+        if self.limits is None and ids.knows(firmware, ids.CommandId.GET_MCCONF_TEMP):
+            steps.append((c.GetMcConfTemp(), ids.CommandId.GET_MCCONF_TEMP))
+        for step, number in steps:
+            if number in self._open or self._tries.get(number, 0) < CONNECT_TRIES:
+                return step
         return None
-
-    def _may_try(self, number: ids.CommandId) -> bool:
-        return number in self._open or self._tries.get(number, 0) < CONNECT_TRIES
 
     def make_tick(self, drive: Drive, t_ns: int) -> bytes:
         """All bytes of one tick: motor, servo, then as many polls as fit into 64 bytes.

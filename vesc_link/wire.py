@@ -49,11 +49,7 @@ _SINGLE = struct.Struct(">f")
 
 
 def to_f32(value: float) -> float:
-    """Round to single precision.
-
-    Raises:
-        ValueError: not finite in single precision.
-    """
+    """Round to single precision; raises ValueError if not finite in single precision."""
     try:
         rounded: float = _SINGLE.unpack(_SINGLE.pack(value))[0]
     except OverflowError:
@@ -73,7 +69,7 @@ def host_number(code: str, scale: float | None, value: Number) -> Number:
         ValueError: NaN, infinity, or outside what the field holds.
     """
     if code == "f":
-        return _auto_f32(value)
+        return _saturated("f", to_f32(value))
     scaled = value * (1 if scale is None else scale)
     if not -math.inf < scaled < math.inf:
         raise ValueError(f"{value} cannot be sent to a VESC")
@@ -89,10 +85,6 @@ def _saturated(code: str, value: Number) -> Number:
         return 0.0 if -_SMALLEST_F32 < value < _SMALLEST_F32 else value
     low, high = _RANGES[code]
     return min(max(int(value), low), high)
-
-
-def _auto_f32(value: float) -> float:
-    return _saturated("f", to_f32(value))
 
 
 def pack_host(fields: tuple[Field, ...], record: object) -> bytes:
