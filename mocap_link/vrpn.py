@@ -75,10 +75,7 @@ def encode(message: Message) -> bytes:
 
 
 def decode_stream(buffer: bytes | bytearray) -> tuple[list[Message], int]:
-    """Decode all whole messages at the front of a stream.
-
-    Returns:
-        The messages and the number of bytes that they took.
+    """Decode all whole messages at the front of a stream; give them and how many bytes they took.
 
     Raises:
         VrpnError: a length that no message has.

@@ -72,14 +72,9 @@ class VrpnSource:
         self._detail = why
 
     def on_bytes(self, data: bytes, t_arrival_ns: int) -> list[Pose]:
-        """Take in bytes from the server; never raises.
+        """Take in any piece of the server's stream, whose last byte came at ``t_arrival_ns``.
 
-        Args:
-            data: any piece of the stream.
-            t_arrival_ns: time of reception of its last byte, CLOCK_MONOTONIC.
-
-        Returns:
-            Our body's poses in order, with the server's stamps in microseconds as ticks.
+        Gives our body's poses in order, the server's stamps in microseconds as ticks; never raises.
         """
         if self.dead is not None:
             return []

@@ -48,13 +48,7 @@ class WorldConfig(CarSetup):
 
 
 class World:
-    """Simulated hardware from ``t_start_ns`` on.
-
-    Args:
-        config: what it is.
-        faults: what goes wrong; their windows count from ``t_start_ns``.
-        t_start_ns: the caller's clock now.
-    """
+    """Simulated hardware from ``t_start_ns`` on, the caller's clock now; faults count from there."""
 
     def __init__(
         self, config: WorldConfig, faults: Sequence[Fault] = (), t_start_ns: int = 0
@@ -146,9 +140,6 @@ class World:
 
     def serial_write(self, t_ns: int, data: bytes) -> int:
         """Write to the VESC at ``t_ns``, as ``os.write`` on a non-blocking descriptor.
-
-        Returns:
-            How many bytes the kernel took.
 
         Raises:
             BlockingIOError: its buffer is full.

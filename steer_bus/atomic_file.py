@@ -26,14 +26,9 @@ def takes_nothing(error: Exception) -> bool:
 
 
 def write_atomically(path: Path, data: str | bytes, mode: int = MODE) -> None:
-    """Write a temporary file in the same folder, then rename it.
+    """Write a temporary file in the same folder, then rename it; text is written as UTF-8.
 
     The data is on the disk before the rename, so a power cut leaves the old file or the new one.
-
-    Args:
-        path: the file; it may exist.
-        data: its new content; text is written as UTF-8.
-        mode: its permission bits.
 
     Raises:
         OSError: the folder or the file cannot be written; nothing is left behind.

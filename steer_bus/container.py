@@ -154,12 +154,8 @@ class SessionInfo:
 def read_contents(path: Path, file: int, size: int) -> SessionInfo:
     """Read and check a container; never raises on damage, but OSError if it cannot be read.
 
-    The caller has checked the magic.
-
-    Args:
-        path: its name.
-        file: its descriptor; the position in it is neither used nor moved.
-        size: how much of it to read [bytes]; what a writer appends meanwhile is not looked at.
+    The caller has checked the magic. The position in ``file``, a descriptor, is neither used nor
+    moved; what a writer appends behind ``size`` meanwhile is not looked at.
     """
     contents = SessionInfo(path, size)
     _walk(contents, file, size)
@@ -205,13 +201,10 @@ def read_span(file: int, span: Span) -> bytes:
 
 
 def scan_messages(data: bytes) -> tuple[dict[int, list[tuple[int, int]]], list[tuple[int, bytes]]]:
-    """Find the messages of a run of records, and the others; DamageError if lengths do not add up.
+    """Find the (start, end) of messages behind their channel id, by it; (opcode, body) of others.
 
-    The library makes an object of each message, in five times the time of the whole reading.
-
-    Returns:
-        For each channel id the (start, end) of each message behind its channel id, in order; and
-        (opcode, body) of each record that is no message.
+    DamageError if lengths do not add up. The library makes an object of each message, in five times
+    the time of the whole reading.
     """
     found: dict[int, list[tuple[int, int]]] = defaultdict(list)
     others: list[tuple[int, bytes]] = []

@@ -85,11 +85,8 @@ def make_access_settings(lab: Lab, pose_key: str | None = None) -> dict[str, Any
     """Make the hub's access control: all is denied but what is listed here.
 
     A rule must include the whole key expression that is requested: a subscriber on ``**`` gets
-    nothing, one on ``steerd/<car>/**`` gets what the car publishes, and no commands.
-
-    Args:
-        lab: who may do what.
-        pose_key: a key beside the car's own under which operators may publish poses.
+    nothing, one on ``steerd/<car>/**`` gets what the car publishes, and no commands. Operators may
+    publish poses under the car's own key and under ``pose_key``.
     """
     named = [t for t in TOPICS if t.direction == "in" and t is not EXTERNAL_POSE]
     poses = [make_key(lab.car, EXTERNAL_POSE), *([pose_key] if pose_key else [])]

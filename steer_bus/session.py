@@ -173,10 +173,8 @@ def recover(session: Session, path: Path) -> float:
     """Copy everything readable of an unfinished or damaged session into a new, finished file.
 
     ``steerd.end`` is copied only if it is there, so the result still says that the drive crashed;
-    ``steerd.recovered`` says where it comes from. The result is read back before the end.
-
-    Returns:
-        The longest time without any message [s]: where something is missing.
+    ``steerd.recovered`` says where it comes from. The result is read back before the end. Gives the
+    longest time without any message [s]: where something is missing.
 
     Raises:
         SessionError: if the file exists, or the disk fails.

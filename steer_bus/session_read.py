@@ -101,11 +101,7 @@ class Session:
                 yield Record(topic, name, sequence, log_ns, publish_ns, payload, key)
 
     def columns(self, cls: type[Any], topic: str = "") -> Columns:
-        """Read one topic as `steerd.steer_bus.topic_columns.Columns`, in recorded order.
-
-        Args:
-            cls: the message class.
-            topic: the topic; the first of this type where it is left out.
+        """Read one topic, or the first of this type, as `topic_columns.Columns`, as recorded.
 
         Raises:
             SessionError: if the topic is missing, of another type or layout, or holds a message

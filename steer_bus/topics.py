@@ -103,10 +103,7 @@ def check_car_name(car: str) -> str:
 def make_key(car: str, topic: Topic | str, who: str = "") -> str:
     """Make the bus key of a car's topic, or of a name such as `ALIVE`.
 
-    Args:
-        car: the car.
-        topic: what travels under it.
-        who: the sender's name, which stands in the key where certificates prove it.
+    It ends with the sender's name, `who`, where certificates prove that.
 
     Raises:
         ValueError: on a bad car name.

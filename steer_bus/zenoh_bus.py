@@ -45,6 +45,7 @@ from steerd.steer_bus.topics import (
 _ATTACHMENT = struct.Struct("<qqB16s")  # rmw_zenoh's: sequence, UNIX ns, 16, publisher id
 _GID_SIZE = 16
 _CLOSE_TIMEOUT_S = 2.0
+_LEASE_MS = 1000  # after how long a silent peer counts as dead. Not the command watchdog
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +58,7 @@ class Profile:
     lab: Lab | None = None  # whose certificates it shows and asks for (mutual TLS); None: plain
     insecure_lan: bool = False  # allow a plain-text hub on an address that others can reach
     pose_key: str | None = None  # beside the car's own, where a hub's operators may publish poses
-    lease_ms: int = 1000  # after how long a silent peer counts as dead. Not the command watchdog
+
     settings: Mapping[str, Any] = field(default_factory=dict)  # further ones, by their ``/`` path
 
     @property
@@ -87,7 +88,7 @@ def make_settings(profile: Profile) -> dict[str, Any]:
         "scouting/delay": 0,
         "transport/shared_memory/enabled": False,
         "transport/link/protocols": [profile.endpoint.split("/")[0]],
-        "transport/link/tx/lease": profile.lease_ms,
+        "transport/link/tx/lease": _LEASE_MS,
         "transport/link/tx/queue/size/real_time": 16,
         "transport/link/tx/queue/size/data": 16,
         "transport/link/tx/queue/size/data_low": 16,

@@ -148,11 +148,7 @@ _DUTY_MAX = 0.95  # largest duty cycle of a session
 
 
 def make_session_limits(in_force: McConfTemp, erpm_max: float) -> SetMcConfTemp:
-    """Limits for a session: tighter than those in force or equal, never wider.
-
-    Args:
-        in_force: limits read before.
-        erpm_max: largest ERPM in either direction.
+    """Limits for a session, `erpm_max` in either direction; never wider than those in force.
 
     Raises:
         ValueError: a limit is not positive and finite, so the car could not move.

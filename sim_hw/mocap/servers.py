@@ -171,9 +171,6 @@ class VrpnServer:
     """One connection's server: greets, names its bodies, answers pings, encodes poses.
 
     Feed what arrives into `receive`, send what it and the other methods return.
-
-    Args:
-        bodies: names of the bodies.
     """
 
     def __init__(self, bodies: tuple[str, ...]) -> None:

@@ -130,12 +130,7 @@ class CarSetup:
 
 
 class DelayLine:
-    """A signal held between changes, read `delay_ns` late.
-
-    Args:
-        delay_ns: dead time, zero or more.
-        initial: value before the first change.
-    """
+    """A signal held between changes, `initial` before the first, read `delay_ns` late."""
 
     def __init__(self, delay_ns: int, initial: float) -> None:
         self._delay_ns = max(0, delay_ns)

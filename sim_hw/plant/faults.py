@@ -193,13 +193,9 @@ def find_fault(name: str) -> FaultKind:
 
 
 class Fault:
-    """A fault from ``t_from_ns`` to just before ``t_to_ns``, after the world's start.
+    """A fault by code or name from ``t_from_ns`` to just before ``t_to_ns`` of the world's time.
 
-    Args:
-        name: code or name.
-        t_from_ns: when it begins.
-        t_to_ns: when it ends.
-        params: settings that differ from the catalogue's (``Fault("M4", 0, jump=1.0)``).
+    ``params`` are settings that differ from the catalogue's (``Fault("M4", 0, jump=1.0)``).
 
     Raises:
         ValueError: no such fault or setting, or an empty window.

@@ -128,10 +128,7 @@ _PRIORITY = 40
 class SimHardware:
     """A world with open ends. Use as a context manager, or call `close`.
 
-    Args:
-        config: of the world.
-        faults: what goes wrong; windows count from the start.
-        link_dir: directory for the serial port's name; a fresh one if None.
+    The serial port's name lies in ``link_dir``; in a fresh folder if that is None.
     """
 
     def __init__(

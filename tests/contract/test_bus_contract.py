@@ -179,17 +179,14 @@ def test_a_plain_hub_listens_on_loopback_only(endpoint, refused):
     if refused:
         with pytest.raises(BusError, match="insecure-lan"):
             make_settings(Profile(hub=True, endpoint=endpoint))
-        profile = Profile(hub=True, endpoint=endpoint, insecure_lan=True)
-        assert make_settings(profile)["listen/endpoints"] == [endpoint]
-    else:
-        assert make_settings(Profile(hub=True, endpoint=endpoint))["listen/endpoints"] == [endpoint]
+    profile = Profile(hub=True, endpoint=endpoint, insecure_lan=refused)
+    assert make_settings(profile)["listen/endpoints"] == [endpoint]
 
 
 def test_nothing_is_scouted_and_a_spoke_never_listens():
     settings = make_settings(Profile(hub=False))
     assert settings["listen/endpoints"] == []
-    assert settings["scouting/multicast/enabled"] is False
-    assert settings["scouting/gossip/enabled"] is False
+    assert not any(settings[f"scouting/{how}/enabled"] for how in ("multicast", "gossip"))
 
 
 def test_what_keeps_zenoh_from_starting_is_said():
@@ -227,10 +224,11 @@ def test_at_a_plain_hub_nobody_hears_requests_or_speaks_as_the_car():
         assert {s.data for s in rest} - own == {b"true", b"last"}
 
 
-HOLDER = """
+SHORT = {"transport/link/tx/lease": 300}  # after how long a silent peer counts as dead [ms]
+HOLDER = f"""
 import sys
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
-bus = ZenohBus(Profile(hub=False, endpoint=sys.argv[1], lease_ms=300))
+bus = ZenohBus(Profile(hub=False, endpoint=sys.argv[1], settings={SHORT}))
 bus.declare_alive("steerd/car1/alive")
 print("up", flush=True)
 sys.stdin.read()
@@ -239,7 +237,7 @@ sys.stdin.read()
 
 def test_a_killed_process_is_soon_not_alive():
     endpoint = free_endpoint()
-    with ZenohBus(Profile(hub=True, endpoint=endpoint, lease_ms=300)) as hub:
+    with ZenohBus(Profile(hub=True, endpoint=endpoint, settings=SHORT)) as hub:
         command = [sys.executable, "-c", HOLDER, endpoint]
         with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
             process.stdout.readline()

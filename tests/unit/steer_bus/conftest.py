@@ -10,6 +10,7 @@ from steerd.steer_bus.codec import encode
 from steerd.steer_bus.fields import type_name
 from steerd.steer_bus.messages import OWN_MESSAGES, WORLD, make_header
 from steerd.steer_bus.session import SessionWriter
+from steerd.steer_bus.session_read import SessionError
 from tests.blank import drawn
 
 START_NS = 1_700_000_000_000_000_000
@@ -46,3 +47,10 @@ def drive(tmp_path_factory):
         writer.tick(tick * PERIOD_NS)
     writer.finish({"reason": "test"})
     return Drive(path, messages, order)
+
+
+def refusal(call, *args):
+    """Code and exit code of an error."""
+    with pytest.raises(SessionError) as caught:
+        call(*args)
+    return caught.value.code, caught.value.exit_code
