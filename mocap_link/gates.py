@@ -146,12 +146,12 @@ def _check_place(
         last = state.last
         return GateState(state.frame, pose, last, height, state.pose, state.repeats, None, 0), None
     run = state.candidate_run + 1 if _is_steady(config, state.candidate, pose) else 1
-    if run < config.reacquire_count:
-        return changed(state, candidate=pose, candidate_run=run), reason
-    if stationary:
-        state = changed(state, last=pose, before=None, height=pose.height)
-        return changed(state, candidate=None, candidate_run=0), None
-    return changed(state, candidate=pose, candidate_run=run), "relocated"
+    if run >= config.reacquire_count:
+        if stationary:
+            place = changed(state, last=pose, before=None, height=pose.height)
+            return changed(place, candidate=None, candidate_run=0), None
+        reason = "relocated"
+    return changed(state, candidate=pose, candidate_run=run), reason
 
 
 def _compare(config: GateConfig, state: GateState, pose: Pose) -> str | None:

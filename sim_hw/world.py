@@ -48,7 +48,7 @@ class WorldConfig(CarSetup):
 
 
 class World:
-    """Simulated hardware from ``t_start_ns`` on, the caller's clock now; faults count from there."""
+    """Simulated hardware from ``t_start_ns`` (the caller's now) on; faults count from there too."""
 
     def __init__(
         self, config: WorldConfig, faults: Sequence[Fault] = (), t_start_ns: int = 0
