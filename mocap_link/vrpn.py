@@ -21,7 +21,9 @@ PING_TYPE = "vrpn_Base ping_message"
 PONG_TYPE = "vrpn_Base pong_message"
 CONTROL_SENDER = "VRPN Control"
 
-_COOKIE_HEAD = b"vrpn: ver. 07."
+COOKIE = b"vrpn: ver. 07.38  0".ljust(COOKIE_SIZE, b"\0")
+"""What each side sends first."""
+_COOKIE_HEAD = COOKIE[:14]
 _HEADER = Struct(">6i")
 _I32 = Struct(">i")
 _POSE = Struct(">ii7d")
@@ -49,11 +51,6 @@ class Message:
     def stamp_us(self) -> int:
         """The sender's stamp [us] on its own, unknown epoch."""
         return self.sec * 1_000_000 + self.usec
-
-
-def encode_cookie(version: str = "07.38") -> bytes:
-    """Encode the 24 bytes that each side sends first."""
-    return f"vrpn: ver. {version}  0".encode().ljust(COOKIE_SIZE, b"\0")
 
 
 def check_cookie(data: bytes) -> str:
@@ -92,6 +89,29 @@ def decode_stream(buffer: bytes | bytearray) -> tuple[list[Message], int]:
         messages.append(Message(kind, sender, sec, usec, payload, sequence))
         at = end
     return messages, at
+
+
+class Stream:
+    """What a peer sends on one connection: its cookie, then messages.
+
+    `version` is the peer's, empty until its cookie came.
+    """
+
+    def __init__(self) -> None:
+        self.version = ""
+        self._buffer = bytearray()
+
+    def feed(self, data: bytes) -> list[Message]:
+        """Take any piece of the stream; the messages that are whole now. Raises VrpnError."""
+        self._buffer += data
+        if not self.version:
+            if len(self._buffer) < COOKIE_SIZE:
+                return []
+            self.version = check_cookie(bytes(self._buffer[:COOKIE_SIZE]))
+            del self._buffer[:COOKIE_SIZE]
+        messages, used = decode_stream(self._buffer)
+        del self._buffer[:used]
+        return messages
 
 
 def make_description(kind: int, described_id: int, name: str) -> Message:

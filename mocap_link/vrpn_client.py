@@ -22,7 +22,7 @@ class VrpnSource:
     Attributes:
         ingest: the pipeline of its poses.
         up: whether a connection stands.
-        greeted: the server's cookie came on this connection and is good.
+
         fed: a pose of the body has come on it.
         dead: why it must be closed, or None.
     """
@@ -39,14 +39,19 @@ class VrpnSource:
 
     def _begin(self) -> None:
         """What a new connection forgets of the one before."""
-        self.greeted = self.fed = False
+        self.fed = False
         self.dead: str | None = None
         self._detail = "waiting for the server's greeting"
-        self._buffer = bytearray()
+        self._stream = vrpn.Stream()
         self._senders: dict[int, str] = {}
         self._types: dict[int, str] = {}
         self._heard_ns: int | None = None
         self._ping_due = self._sequence = 0
+
+    @property
+    def greeted(self) -> bool:
+        """Whether the server's cookie came on this connection and is good."""
+        return bool(self._stream.version)
 
     @property
     def bodies(self) -> tuple[str, ...]:
@@ -64,7 +69,7 @@ class VrpnSource:
             (vrpn.TYPE_DESCRIPTION, _PONG_ID, vrpn.PONG_TYPE),
         )
         described = (vrpn.encode(vrpn.make_description(*each)) for each in said)
-        return vrpn.encode_cookie() + b"".join(described)
+        return vrpn.COOKIE + b"".join(described)
 
     def on_disconnect(self, why: str) -> None:
         """The TCP connection ended."""
@@ -78,27 +83,16 @@ class VrpnSource:
         """
         if self.dead is not None:
             return []
-        self._heard_ns = t_arrival_ns
-        self._buffer += data
+        self._heard_ns, greeted = t_arrival_ns, self.greeted
         try:
-            if not self.greeted and not self._greet():
-                return []
-            messages, used = vrpn.decode_stream(self._buffer)
+            messages = self._stream.feed(data)
         except vrpn.VrpnError as error:
             self._die(str(error))
             return []
-        del self._buffer[:used]
+        if self.greeted and not greeted:
+            self._detail = f"connected to VRPN {self._stream.version}; waiting for {self.body!r}"
         poses = (self._on_message(message, t_arrival_ns) for message in messages)
         return [self.ingest.push(pose) for pose in poses if pose is not None]
-
-    def _greet(self) -> bool:
-        if len(self._buffer) < vrpn.COOKIE_SIZE:
-            return False
-        version = vrpn.check_cookie(bytes(self._buffer[: vrpn.COOKIE_SIZE]))
-        del self._buffer[: vrpn.COOKIE_SIZE]
-        self.greeted = True
-        self._detail = f"connected to VRPN {version}; waiting for {self.body!r}"
-        return True
 
     def _on_message(self, message: vrpn.Message, t_ns: int) -> Pose | None:
         try:

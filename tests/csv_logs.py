@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from steerd.car_model.model import Model
+from steerd.car_model.native import windows
 from steerd.car_model.params import Car
 from steerd.daemon.cli.main import run_cli
-from tests.marched import march_states
 
 STEP = 0.01  # time between two rows [s]
 NAMES = ("t", "x", "y", "yaw", "steer", "speed")
@@ -23,6 +23,19 @@ speed_cmd = "speed"
 car = "lab"
 """
 FIRST = (0.0, 0.0, 0.3, 1.2, 0.0, 0.0, 0.0)  # the car's state at the first row
+
+
+def march_states(
+    model: Model[float], commands: np.ndarray, first: np.ndarray, step: float
+) -> np.ndarray:
+    """States (N + 1, 7 + memory) from the first (7,) on, each command (N, 2) held over a step."""
+    kernels, count = windows.make_kernels(model.effects), len(commands)
+    state = np.zeros((1, 7 + kernels.memory))
+    state[0, :7] = first
+    held = windows.HeldCommands(np.ascontiguousarray(commands), step)
+    blocks = windows.make_window_blocks(np.array([[0, count, 0]]), np.zeros(1))
+    path = windows.march(kernels, windows.parameter_vector(model), state, held, blocks, count)
+    return windows.view_by_window(path, 1)[0]
 
 
 def make_noisy_rows(car: Car[float], seconds: float, flips: float) -> np.ndarray:

@@ -175,15 +175,14 @@ class VrpnServer:
 
     def __init__(self, bodies: tuple[str, ...]) -> None:
         self.bodies = bodies
-        self._buffer = bytearray()
-        self._greeted = False
+        self._stream = vrpn.Stream()
         self._peer_types: dict[int, str] = {}
         self._sequence = 0
 
     def hello(self) -> bytes:
         """Return what to send as soon as a client connects."""
         named = ((vrpn.TYPE_DESCRIPTION, _TYPES), (vrpn.SENDER_DESCRIPTION, self.bodies))
-        return vrpn.encode_cookie() + b"".join(
+        return vrpn.COOKIE + b"".join(
             vrpn.encode(vrpn.make_description(kind, number, name))
             for kind, names in named
             for number, name in enumerate(names)
@@ -201,16 +200,7 @@ class VrpnServer:
         Raises:
             VrpnError: the peer does not speak VRPN; close the connection.
         """
-        self._buffer += data
-        if not self._greeted:
-            if len(self._buffer) < vrpn.COOKIE_SIZE:
-                return b""
-            vrpn.check_cookie(bytes(self._buffer[: vrpn.COOKIE_SIZE]))
-            del self._buffer[: vrpn.COOKIE_SIZE]
-            self._greeted = True
-        messages, used = vrpn.decode_stream(self._buffer)
-        del self._buffer[:used]
-        return b"".join(self._answer(message, stamp_us) for message in messages)
+        return b"".join(self._answer(message, stamp_us) for message in self._stream.feed(data))
 
     def _answer(self, message: vrpn.Message, stamp_us: int) -> bytes:
         if message.type == vrpn.TYPE_DESCRIPTION:

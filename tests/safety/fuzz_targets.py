@@ -238,7 +238,7 @@ def check_vrpn(script: bytes) -> None:
     for op, body in cut(script[:MOST]):
         kind = int.from_bytes(body[:1], "big", signed=True)
         message = vrpn.Message(kind, *body[1:2].ljust(1, b"\0"), payload=body[2:])
-        piece = (vrpn.encode_cookie(), vrpn.encode(message), body, body[:1])[op % 4]
+        piece = (vrpn.COOKIE, vrpn.encode(message), body, body[:1])[op % 4]
         parts.append(flip(piece, body) if op & 16 and piece else piece)
         got += client.on_bytes(parts[-1], len(parts))
         assert len(client._buffer) <= vrpn.MAX_MESSAGE + 8 or client.dead

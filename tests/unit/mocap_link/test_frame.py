@@ -194,14 +194,11 @@ def at(pose: Pose, frame: int | None, t_ns: int) -> Pose:
     return replace(pose, frame=frame, t_valid_ns=t_ns)
 
 
-def run(place, n, state=None, *, first=0, config=GATES, stationary=False, wheel_speed=1.0):
-    """Feed frames `first` .. `first + n - 1` at 100 Hz."""
-    state, reasons = state or GateState(), []
+def run(place, n, state=None, *, first=0, **car):
+    """Feed frames `first` .. `first + n - 1` at 100 Hz to a car that drives, or as given."""
+    state, reasons, car = state or GateState(), [], {"wheel_speed": 1.0, **car}
     for i in range(first, first + n):
-        state, reason = step_gates(
-            config, state, at(place(i), i, i * 10 * MS), wheel_speed=wheel_speed,
-            stationary=stationary,
-        )  # fmt: skip
+        state, reason = step_gates(GATES, state, at(place(i), i, i * 10 * MS), **car)
         reasons.append(reason)
     return state, reasons
 

@@ -18,9 +18,9 @@ PLACE, LEFT, STAMP_NS = (
 URL = parse_mocap_url("ros2:///pf/pose/odom")
 
 
-def pose_of(kind=ODOMETRY, stamp_ns=STAMP_NS, place=PLACE, turn=LEFT, frame="map"):
+def pose_of(kind=ODOMETRY, stamp_ns=STAMP_NS, frame="map"):
     """A message at `PLACE`, turned left by 90 degrees."""
-    return pack_pose(kind, stamp_ns, place, turn, frame)
+    return pack_pose(kind, stamp_ns, PLACE, LEFT, frame)
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ CONFIG = IngestConfig(FrameConfig(up="y", body_forward="-z", marker_rear_x=0.2))
 
 def test_cookie_description_and_pose_by_hand() -> None:
     cookie = b"vrpn: ver. 07.38  0\0\0\0\0\0"
-    assert (vrpn.encode_cookie(), vrpn.check_cookie(cookie)) == (cookie, "07.38")
+    assert (vrpn.COOKIE, vrpn.check_cookie(cookie)) == (cookie, "07.38")
     assert vrpn.check_cookie(b"vrpn: ver. 07.36  0\0\0\0\0\0") == "07.36"
     for bad in (b"vrpn: ver. 08.00  0\0\0\0\0\0", cookie[:23], b""):
         with pytest.raises(vrpn.VrpnError):

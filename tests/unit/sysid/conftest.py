@@ -11,7 +11,7 @@ from steerd.car_model.params import DEFAULT_CAR
 from steerd.sysid.data.data_checks import Array
 from steerd.sysid.data.dataset import Run, Signal, make_run
 from steerd.sysid.paper import PAPER_CAR_DIRECT
-from tests.marched import march_states
+from tests.csv_logs import march_states
 
 STEP = 0.005
 TRUTH = DEFAULT_CAR._replace(

@@ -61,19 +61,19 @@ def test_windows_edges_sums_and_mistakes():
 
 
 # --- mocap
-def datagrams(*faults: Fault, config: WorldConfig = DRIVING, until: int = 3000) -> list[Datagram]:
-    world = World(replace(config, keep_bytes=False), faults)
+def datagrams(*faults: Fault) -> list[Datagram]:
+    world = World(replace(DRIVING, keep_bytes=False), faults)
     world.mocap_write(0, natnet.encode(natnet.Bare.CONNECT))
     world.serial_write(0, b"")
     out: list[Datagram] = []
-    for t in range(0, until * MS, 10 * MS):
+    for t in range(0, 3000 * MS, 10 * MS):
         world.vesc.motor.feed(t)
         out += world.mocap_read(t)
     return out
 
 
-def frames(*faults: Fault, config: WorldConfig = DRIVING) -> list[tuple[int, Frame]]:
-    return list(decoded(datagrams(*faults, config=config)))
+def frames(*faults: Fault) -> list[tuple[int, Frame]]:
+    return list(decoded(datagrams(*faults)))
 
 
 def decoded(messages: list[Datagram]) -> Iterator[tuple[int, Frame]]:
