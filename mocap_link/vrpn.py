@@ -92,13 +92,10 @@ def decode_stream(buffer: bytes | bytearray) -> tuple[list[Message], int]:
 
 
 class Stream:
-    """What a peer sends on one connection: its cookie, then messages.
-
-    `version` is the peer's, empty until its cookie came.
-    """
+    """What a peer sends on one connection: its cookie, then messages."""
 
     def __init__(self) -> None:
-        self.version = ""
+        self.version = ""  # the peer's, once its cookie came
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[Message]:

@@ -23,6 +23,7 @@ from typing import Any
 
 import zenoh  # noqa: TID251
 
+from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.fields import type_name
 from steerd.steer_bus.lab import (
@@ -32,15 +33,7 @@ from steerd.steer_bus.lab import (
     make_plain_access,
     make_tls_settings,
 )
-from steerd.steer_bus.topics import (
-    Answer,
-    BusError,
-    Keep,
-    Sample,
-    check_key,
-    check_size,
-    find_topic,
-)
+from steerd.steer_bus.topics import Answer, BusError, Keep, Sample
 
 _ATTACHMENT = struct.Struct("<qqB16s")  # rmw_zenoh's: sequence, UNIX ns, 16, publisher id
 _GID_SIZE = 16
@@ -58,7 +51,6 @@ class Profile:
     lab: Lab | None = None  # whose certificates it shows and asks for (mutual TLS); None: plain
     insecure_lan: bool = False  # allow a plain-text hub on an address that others can reach
     pose_key: str | None = None  # beside the car's own, where a hub's operators may publish poses
-
     settings: Mapping[str, Any] = field(default_factory=dict)  # further ones, by their ``/`` path
 
     @property
@@ -147,7 +139,7 @@ class ZenohBus:
         now_ns = MonotonicClock.realtime_ns()
         stamp = _ATTACHMENT.pack(publisher.seq, now_ns, _GID_SIZE, publisher.gid)
         try:
-            publisher.handle.put(check_size(data), attachment=stamp)
+            publisher.handle.put(topics.check_size(data), attachment=stamp)
         except zenoh.ZError as error:
             raise BusError(f"cannot publish {key}: {error}") from error
 
@@ -174,7 +166,7 @@ class ZenohBus:
     def declare_alive(self, key: str) -> None:
         """Show a liveliness token until the bus is closed or this process dies."""
         self._held.append(
-            self._ask(lambda: self._session.liveliness().declare_token(check_key(key)))
+            self._ask(lambda: self._session.liveliness().declare_token(topics.check_key(key)))
         )
 
     def alive(self, key: str) -> frozenset[str]:
@@ -215,7 +207,7 @@ class ZenohBus:
             raise BusError(f"zenoh did not close within {_CLOSE_TIMEOUT_S:.0f} s")
 
     def _declare(self, key: str) -> "_Publisher":
-        topic = find_topic(check_key(key))
+        topic = topics.find_topic(topics.check_key(key))
         encoding = zenoh.Encoding.APPLICATION_CDR
         if topic is not None:
             encoding = encoding.with_schema(type_name(topic.message))

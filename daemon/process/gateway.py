@@ -29,14 +29,7 @@ from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import load_lab
 from steerd.steer_bus.messages import BODY, Actuation, DriveCommand
 from steerd.steer_bus.standard import AckermannDrive, AckermannDriveStamped
-from steerd.steer_bus.topics import (
-    BusError,
-    Keep,
-    make_gid,
-    make_node_token,
-    make_publisher_token,
-    make_ros_key,
-)
+from steerd.steer_bus.topics import BusError, Keep
 from steerd.steer_bus.zenoh_bus import Profile, Subscription, ZenohBus
 
 DRIVE_NAME = "drive"
@@ -62,13 +55,13 @@ class RosBridge:
             if topic.on_bus and topic.direction == "out"
         }
         sent[DRIVE_NAME] = AckermannDriveStamped
-        bus.declare_alive(make_node_token(domain, bus.zid, node))
+        bus.declare_alive(topics.make_node_token(domain, bus.zid, node))
         self._keys: dict[str, str] = {}
         for entity, (name, cls) in enumerate(sent.items(), _FIRST_ENTITY):
             topic = topics.make_key(car, name)
-            key = self._keys[name] = make_ros_key(domain, topic, cls)
-            token = make_publisher_token(domain, bus.zid, entity, node, topic, cls)
-            bus.name_publisher(key, make_gid(token))
+            key = self._keys[name] = topics.make_ros_key(domain, topic, cls)
+            token = topics.make_publisher_token(domain, bus.zid, entity, node, topic, cls)
+            bus.name_publisher(key, topics.make_gid(token))
             bus.declare_alive(token)
 
     def publish(self, record: PipeRecord) -> None:
@@ -91,7 +84,7 @@ class RosDrive:
     """
 
     def __init__(self, bus: ZenohBus, domain: int, boot_id: int) -> None:
-        key = make_ros_key(domain, DRIVE_NAME, AckermannDriveStamped).rpartition("/")[0]
+        key = topics.make_ros_key(domain, DRIVE_NAME, AckermannDriveStamped).rpartition("/")[0]
         topic = topics.Topic(DRIVE_NAME, AckermannDriveStamped, "in")
         # ROS 2 Humble writes no hash of the type
         self._heard = bus.subscribe(f"{key}/*", _DEPTH, make_keep(topic))

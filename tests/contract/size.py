@@ -7,6 +7,7 @@ A room may not grow: `sizes.json` holds the lines that were recorded last, and
 import json
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -34,14 +35,17 @@ GOALS: dict[str, tuple[tuple[str, ...], int]] = {
 ROOMS = [name for name in GOALS["product"][0] if name != "steerd"]
 
 
-def count_lines(folders: tuple[str, ...]) -> int:
-    """Lines of the Python files that git tracks below some folders."""
-    listed = subprocess.run(
-        ["git", "ls-files", "-z", "--", *folders], cwd=ROOT, capture_output=True, text=True,
-        check=True,
-    ).stdout.split("\0")  # fmt: skip
-    files = [ROOT / name for name in listed if name.endswith(".py")]
-    return sum(len(f.read_bytes().splitlines()) for f in files if f.is_file())
+def list_files(folders: Iterable[str], endings: tuple[str, ...]) -> list[str]:
+    """Files that git tracks below some folders, as paths from the root."""
+    listing = ["git", "ls-files", "-z", "--", *folders]
+    done = subprocess.run(listing, cwd=ROOT, capture_output=True, text=True, check=True)
+    names = done.stdout.split("\0")
+    return [name for name in names if name.endswith(endings) and (ROOT / name).is_file()]
+
+
+def count_lines(folders: Iterable[str]) -> int:
+    """Lines of the Python files below some folders."""
+    return sum(len((ROOT / f).read_bytes().splitlines()) for f in list_files(folders, (".py",)))
 
 
 def sizes() -> dict[str, int]:

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
-TEXT = {".py", ".pyi", ".md", ".toml", ".yaml", ".yml", ".html"}
-SKIPPED = {"build", "dist", "node_modules", "site", "__pycache__"}
-HISTORY = {"CHANGELOG.md"}  # what it names was there when it was written
+from tests.contract.size import ROOT, list_files
+
+TEXT = (".py", ".pyi", ".md", ".toml", ".yaml", ".yml", ".html", "Makefile")
+HISTORY = ROOT / "CHANGELOG.md"  # what it names was there when it was written
 
 CITED = re.compile(r"(?<![\w./-])(docs/[\w./-]+\.md)\b(?:#([\w.-]*\w))?")
 LINKED = re.compile(r"\]\((?!\w+:)([^)\s#]*)(?:#([^)\s]+))?\)")
@@ -30,13 +30,9 @@ class Citation(NamedTuple):
     anchor: str
 
 
-def files() -> Iterator[Path]:
+def files() -> list[Path]:
     """Every text file of the repository; links between folders are not followed."""
-    for folder, names, found in os.walk(ROOT):
-        names[:] = sorted(n for n in names if n[0] != "." and n not in SKIPPED)
-        names[:] = [n for n in names if not n.endswith(".egg-info")]
-        paths = [Path(folder, name) for name in sorted(found) if name not in HISTORY]
-        yield from (path for path in paths if path.suffix in TEXT or path.name == "Makefile")
+    return [ROOT / name for name in list_files((".",), TEXT) if ROOT / name != HISTORY]
 
 
 def find_citations(path: Path) -> Iterator[Citation]:

@@ -5,13 +5,12 @@ Strings, comments, docstrings and identifiers are all text of a file, so the fil
 
 import ast
 import re
-import subprocess
 from functools import cache
 from typing import NamedTuple
 
 import pytest
 
-from tests.contract.size import GOALS, ROOT
+from tests.contract.size import GOALS, ROOT, list_files
 
 GLOSSARY = "docs/glossary.md"
 PRODUCT = (*GOALS["product"][0], "config", "examples", "benchmarks")
@@ -78,12 +77,7 @@ def find_words(text: str, is_python: bool) -> list[str]:
     return found
 
 
-def list_files() -> list[str]:
-    """Tracked files of product code and docs, as paths from the root."""
-    listing = ["git", "ls-files", "--", *PRODUCT, *PAGES]
-    done = subprocess.run(listing, cwd=ROOT, capture_output=True, text=True, check=True)
-    files = [name for name in done.stdout.splitlines() if name.endswith(SUFFIXES)]
-    return [name for name in files if not name.endswith(FOREIGN) and (ROOT / name).is_file()]
+FILES = [f for f in list_files((*PRODUCT, *PAGES), SUFFIXES) if not f.endswith(FOREIGN)]
 
 
 def read(name: str) -> str:
@@ -100,7 +94,7 @@ def test_the_glossary_has_a_table_and_no_word_stands_twice():
     assert {row.scope for row in banned_words()} == {"text", "name", "function"}
 
 
-@pytest.mark.parametrize("name", list_files())
+@pytest.mark.parametrize("name", FILES)
 def test_a_file_uses_the_words_of_the_glossary(name):
     found = find_words(read(name), is_python=name.endswith(".py"))
     assert not found, f"{name}:" + "\n  ".join(["", *found])
