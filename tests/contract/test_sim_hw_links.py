@@ -5,8 +5,7 @@ import select
 import socket
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -24,41 +23,22 @@ from steerd.vesc_link.frames import FrameParser, encode_frame
 from steerd.vesc_link.identity import FwVersion
 from steerd.vesc_link.packets import decode_reply, encode_command
 from steerd.vesc_link.transport import LinkDown, open_port
+from tests.contract.test_bus_contract import DEADLINE_S, until
 
 VERSION_REQUEST = encode_frame(encode_command(c.GetFwVersion()))
-DEADLINE = 30.0
 
 
-def wait_for(fd: int, seconds: float = DEADLINE) -> bool:
-    return bool(select.select([fd], [], [], seconds)[0])
-
-
-def until(done: Callable[[], bool], fd: int, seconds: float = DEADLINE) -> None:
-    """Wait on a descriptor in short slices until something holds."""
-    end = time.monotonic() + seconds
-    while not done():
-        assert time.monotonic() < end, "deadline passed"
-        wait_for(fd, 0.01)
+def wait_for(fd: int) -> bool:
+    return bool(select.select([fd], [], [], DEADLINE_S)[0])
 
 
 def ask_version(fd: int) -> FwVersion:
     os.write(fd, VERSION_REQUEST)
     parser, payloads = FrameParser(), []
-    end = time.monotonic() + DEADLINE
     while not payloads:
-        assert time.monotonic() < end
-        if wait_for(fd, 0.1):
-            payloads = parser.feed(os.read(fd, 4096), 0)
+        assert wait_for(fd)
+        payloads = parser.feed(os.read(fd, 4096), 0)
     return decode_reply(payloads[0])
-
-
-@pytest.fixture
-def idle() -> Iterator[int]:
-    """A descriptor on which nothing ever happens."""
-    read, write = os.pipe()
-    yield read
-    os.close(read)
-    os.close(write)
 
 
 @pytest.fixture
@@ -67,14 +47,14 @@ def sim() -> Iterator[SpawnedSim]:
         yield spawned
 
 
-def test_port_is_fresh_after_a_program_left_its_lock_and_bytes(sim: SpawnedSim, idle: int) -> None:
+def test_port_is_fresh_after_a_program_left_its_lock_and_bytes(sim: SpawnedSim) -> None:
     fd = os.open(sim.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     os.write(fd, VERSION_REQUEST)
     assert wait_for(fd)  # the reply is left unread
     link = Path(sim.port)
     born = link.lstat().st_mtime_ns
     os.close(fd)
-    until(lambda: link.is_symlink() and link.lstat().st_mtime_ns > born, idle)
+    assert until(lambda: link.is_symlink() and link.lstat().st_mtime_ns > born)
     with closing(open_port(sim.port)) as port:
         assert ask_version(port.fd).uuid == VescConfig().uuid
 
@@ -99,25 +79,25 @@ def test_foreign_frames_come_from_another_address() -> None:
     assert senders == {"127.0.0.1", "127.0.0.9"}
 
 
-def test_reboot_hangs_up_and_the_port_comes_back(idle: int) -> None:
+def test_reboot_hangs_up_and_the_port_comes_back() -> None:
     config = WorldConfig(vesc=replace(VescConfig(), reboot_ns=150_000_000))
     with spawn_sim(config) as sim:
         with closing(open_port(sim.port)) as port:
             port.write(encode_frame(encode_command(c.Reboot())))
-            until(lambda: not Path(sim.port).exists(), idle)
+            assert until(lambda: not Path(sim.port).exists())
             with pytest.raises(LinkDown):
-                until(lambda: port.read() == b"never", idle, 1.0)
-        until(lambda: Path(sim.port).exists(), idle)
+                until(lambda: port.read() == b"never")
+        assert until(lambda: Path(sim.port).exists())
         with closing(open_port(sim.port)) as again:
             assert ask_version(again.fd).firmware == VescConfig().firmware
 
 
-def test_simulated_hardware_alone_leaves_in_order_at_sigterm(tmp_path: Path, idle: int) -> None:
+def test_simulated_hardware_alone_leaves_in_order_at_sigterm(tmp_path: Path) -> None:
     argv = [sys.executable, "-m", "steerd", "sim", "--link-dir", str(tmp_path)]
     with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True) as child:
-        until(lambda: (tmp_path / "vesc").exists(), idle, 20.0)
+        assert until((tmp_path / "vesc").exists)
         child.terminate()
-        printed, _ = child.communicate(timeout=DEADLINE)
+        printed, _ = child.communicate(timeout=DEADLINE_S)
     assert child.returncode == 0
     assert f"--port {tmp_path / 'vesc'} --mocap" in printed
     assert list(tmp_path.iterdir()) == []
