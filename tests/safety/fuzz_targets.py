@@ -241,7 +241,7 @@ def check_vrpn(script: bytes) -> None:
         piece = (vrpn.COOKIE, vrpn.encode(message), body, body[:1])[op % 4]
         parts.append(flip(piece, body) if op & 16 and piece else piece)
         got += client.on_bytes(parts[-1], len(parts))
-        assert len(client._buffer) <= vrpn.MAX_MESSAGE + 8 or client.dead
+        assert len(client._stream._buffer) <= vrpn.MAX_MESSAGE + 8 or client.dead
     whole = VrpnSource("car", IngestConfig())
     once = whole.on_bytes(b"".join(parts), 1)
     assert (whole.dead is None) == (client.dead is None)
