@@ -9,6 +9,7 @@ but a false or stale header never delays the frames behind it.
 """
 
 import binascii
+import heapq
 import re
 from bisect import bisect_right
 from collections import deque
@@ -77,8 +78,11 @@ class FrameParser:
         self._gap_ns = HOST_GAP_NS if gap_ns is None and not strict else gap_ns
         self._buffer = bytearray()
         self._base = 0  # stream offset of the buffer's first byte
-        self._next = 0  # stream offset of the first byte not yet looked at as a header, or given up
-        self._open: dict[int, int] = {}  # candidates not complete: stream offsets of start and end
+        self._next = 0  # stream offset of the first byte not yet looked at as a header
+        self._taken = 0  # every byte before this stream offset is delivered or given up
+        self._by_end: list[tuple[int, int]] = []  # heap of (end, start): candidates not complete
+        self._by_start: deque[int] = deque()
+        self._open: set[int] = set()
         self._reads: deque[tuple[int, int]] = deque()  # (stream offset, time) of each read
 
     @property
@@ -152,18 +156,25 @@ class FrameParser:
             return None
         self._reads = deque(((self._base + held, t_ns),))
         if found:
-            self._base = self._next = self._base + at
+            self._base = self._next = self._taken = self._base + at
         self._buffer = bytearray(data[at:])
         return found
 
     def _complete_open(self) -> list[Frame]:
         """Judge the candidates that were incomplete before this read and are complete now."""
         total = self._base + len(self._buffer)
+        ready = []
+        while self._by_end and self._by_end[0][0] <= total:
+            end, start = heapq.heappop(self._by_end)
+            if start in self._open:
+                ready.append((start, end))
         found: list[Frame] = []
-        for start, end in [each for each in self._open.items() if each[1] <= total]:
-            if self._open.pop(start, None) is None:
-                continue  # a frame found before lies over it
-            if frame := self._judge(start, end):
+        for start, end in sorted(ready):
+            if start < self._taken:
+                continue
+            frame = self._judge(start, end)
+            self._open.discard(start)
+            if frame is not None:
                 self._give_up_before(end)
                 found.append(frame)
         return found
@@ -180,7 +191,7 @@ class FrameParser:
             if end > total:
                 if self._strict:
                     return found
-                self._open[start] = end
+                self._open_candidate(start, end)
             elif end and (frame := self._judge(start, end)):
                 self._give_up_before(end)
                 found.append(frame)
@@ -200,6 +211,11 @@ class FrameParser:
             return 0
         return start + kind + size + 3
 
+    def _open_candidate(self, start: int, end: int) -> None:
+        heapq.heappush(self._by_end, (end, start))
+        self._by_start.append(start)
+        self._open.add(start)
+
     def _judge(self, start: int, end: int) -> Frame | None:
         """Check stop byte and CRC of a complete candidate."""
         at, stop = start - self._base, end - self._base - 1
@@ -215,15 +231,23 @@ class FrameParser:
             return reads[-1][1]
         return reads[bisect_right(reads, offset, key=lambda read: read[0]) - 1][1]
 
+    def _first_open(self) -> int:
+        """Stream offset of the earliest byte that may still belong to a frame."""
+        while self._by_start and self._by_start[0] not in self._open:
+            self._by_start.popleft()
+        return self._by_start[0] if self._by_start else self._next
+
     def _give_up_before(self, offset: int) -> None:
-        self._next = max(self._next, offset)
-        for start in [start for start in self._open if start < offset]:
-            del self._open[start]
+        self._taken = max(self._taken, offset)
+        self._next = max(self._next, self._taken)
+        while self._by_start and self._by_start[0] < self._taken:
+            self._open.discard(self._by_start.popleft())
+        if not self._open:
+            self._by_end.clear()
 
     def _trim(self) -> None:
         total = self._base + len(self._buffer)
-        first = next(iter(self._open), self._next)  # that may still belong to a frame
-        keep_from = max(first, total - self._max_payload - _OVERHEAD)
+        keep_from = max(self._first_open(), total - self._max_payload - _OVERHEAD)
         del self._buffer[: keep_from - self._base]
         self._base = keep_from
         while len(self._reads) > 1 and self._reads[1][0] <= keep_from:
