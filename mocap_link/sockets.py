@@ -54,7 +54,11 @@ def make_receiver(
 
 
 def resolve(host: str) -> str:
-    """Return the IPv4 address of a host; raises OSError if it has none."""
+    """Return the IPv4 address of a host.
+
+    Raises:
+        OSError: it has none.
+    """
     try:
         found = socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM)
     except OSError as error:

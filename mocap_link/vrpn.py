@@ -65,7 +65,11 @@ def check_cookie(data: bytes) -> str:
 
 
 def encode(message: Message) -> bytes:
-    """Encode one message with its padding; raises struct.error if a field does not fit 32 bits."""
+    """Encode one message with its padding.
+
+    Raises:
+        struct.error: a field does not fit 32 bits.
+    """
     m, size = message, len(message.payload)
     head = _HEADER.pack(_HEADER.size + size, m.sec, m.usec, m.sender, m.type, m.sequence)
     return head + m.payload + bytes(-size % 8)
@@ -118,7 +122,11 @@ def make_description(kind: int, described_id: int, name: str) -> Message:
 
 
 def read_description(payload: bytes) -> str:
-    """Read the name out of a description; raises VrpnError if shorter than it says."""
+    """Read the name out of a description.
+
+    Raises:
+        VrpnError: shorter than it says.
+    """
     if len(payload) < 4:
         raise VrpnError("description without a length")
     (size,) = _I32.unpack_from(payload)

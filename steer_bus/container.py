@@ -152,10 +152,17 @@ class SessionInfo:
 
 
 def read_contents(path: Path, file: int, size: int) -> SessionInfo:
-    """Read and check a container; never raises on damage, but OSError if it cannot be read.
+    """Read and check a whole container of ``size`` bytes; never raises on damage.
 
-    The caller has checked the magic. The position in ``file``, a descriptor, is neither used nor
-    moved; what a writer appends behind ``size`` meanwhile is not looked at.
+    The caller has checked the magic. Bytes that a writer appends meanwhile are not looked at.
+
+    Args:
+        path: its name.
+        file: its descriptor; the position in it is neither used nor moved.
+        size: how much of it to read [bytes].
+
+    Raises:
+        OSError: if the file cannot be read.
     """
     contents = SessionInfo(path, size)
     _walk(contents, file, size)
@@ -193,7 +200,11 @@ def _walk(contents: SessionInfo, file: int, size: int) -> None:
 
 
 def read_span(file: int, span: Span) -> bytes:
-    """Read a span's records again, checked; DamageError if the file has changed since."""
+    """Read a span's records again, decompressed and checked.
+
+    Raises:
+        DamageError: if the file has changed since it was opened.
+    """
     raw = os.pread(file, span.size, span.offset)
     if len(raw) != span.size:
         raise DamageError("the file has become shorter")
@@ -201,10 +212,16 @@ def read_span(file: int, span: Span) -> bytes:
 
 
 def scan_messages(data: bytes) -> tuple[dict[int, list[tuple[int, int]]], list[tuple[int, bytes]]]:
-    """Find the (start, end) of messages behind their channel id, by it; (opcode, body) of others.
+    """Find the messages of a run of records by channel, and the other records.
 
-    DamageError if lengths do not add up. The library makes an object of each message, in five times
-    the time of the whole reading.
+    The library makes an object of each message, in five times the time of the whole reading.
+
+    Returns:
+        For each channel id the (start, end) of each message behind its channel id, in order; and
+        (opcode, body) of each record that is no message.
+
+    Raises:
+        DamageError: if lengths do not add up.
     """
     found: dict[int, list[tuple[int, int]]] = defaultdict(list)
     others: list[tuple[int, bytes]] = []
@@ -240,7 +257,11 @@ class _Body(io.BytesIO):
 
 
 def parse(kind: type[T], body: bytes) -> T:
-    """A record of the library from its body; DamageError if its fields are not its body."""
+    """A record of the library from its body.
+
+    Raises:
+        DamageError: its fields are not its body.
+    """
     fields = _Body(body)
     try:
         record: T = cast("Any", kind).read(ReadDataStream(fields))

@@ -91,9 +91,16 @@ class SessionWriter:
         return sum(self._sequences.values())
 
     def write(self, topic: str, data: bytes, log_ns: int, publish_ns: int | None = None) -> None:
-        """Append one encoded message of a topic given at the start, else raise KeyError.
+        """Append one encoded message.
 
-        ``publish_ns`` is UNIX time at its source [ns]; ``log_ns`` if left out.
+        Args:
+            topic: one of the topics given at the start.
+            data: the encoded message.
+            log_ns: UNIX time when it was taken [ns].
+            publish_ns: UNIX time at its source [ns]; ``log_ns`` if left out.
+
+        Raises:
+            KeyError: on a topic that was not declared.
         """
         channel = self._channels[topic]
         log_ns = self._last_log_ns = min(max(log_ns, self._last_log_ns), _MAX_TIME_NS)

@@ -85,7 +85,11 @@ class Session:
         return self._info
 
     def messages(self, *topics: str) -> Iterator[Record]:
-        """Yield messages of these topics (all if none is named) in recorded order."""
+        """Yield messages of these topics (all if none is named) in recorded order.
+
+        Raises:
+            SessionError: if the file has changed since it was opened.
+        """
         wanted = {
             key: (channel.topic, self._info.schema(channel).name)
             for key, channel in self._info.channels.items()
@@ -131,7 +135,11 @@ class Session:
             raise SessionError("bad_message", text, exit_code=WRONG_CONTENT) from error
 
     def attachment(self, name: str) -> bytes:
-        """Read an attached file; raises SessionError if there is none of this name."""
+        """Read an attached file.
+
+        Raises:
+            SessionError: if there is none of this name, or the file has changed.
+        """
         item = next((a for a in self.attachments() if a.name == name), None)
         if item is None:
             text = f"{self._path.name} has no attachment {name!r}"

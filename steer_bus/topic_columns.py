@@ -44,13 +44,21 @@ class ColumnBuilder:
         self._parts: list[Columns] = []
 
     def add(self, records: list[bytes]) -> None:
-        """Add records (what follows a message's channel id in the file)."""
+        """Add records (what follows a message's channel id in the file).
+
+        Raises:
+            CodecError: if one of them is not the message.
+        """
         self._records += records
         if len(self._records) >= _BATCH:
             self._convert()
 
     def finish(self) -> Columns:
-        """Give the columns of all records, in order."""
+        """Give the columns of all records, in order.
+
+        Raises:
+            CodecError: if one of them is not the message.
+        """
         if self._records or not self._parts:
             self._convert()
         names = self._parts[0].keys()

@@ -49,7 +49,11 @@ _SINGLE = struct.Struct(">f")
 
 
 def to_f32(value: float) -> float:
-    """Round to single precision; raises ValueError if not finite in single precision."""
+    """Round to single precision.
+
+    Raises:
+        ValueError: not finite in single precision.
+    """
     try:
         rounded: float = _SINGLE.unpack(_SINGLE.pack(value))[0]
     except OverflowError:
