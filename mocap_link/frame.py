@@ -126,7 +126,11 @@ def make_planar_pose(config: FrameConfig, position: Vec3, quaternion: Quat) -> P
 def make_body_pose(
     config: FrameConfig, x: float, y: float, yaw: float, height: float = 0.0
 ) -> tuple[Vec3, Quat]:
-    """Invert `make_planar_pose` for a level car: the position and quaternion that would be sent."""
+    """Invert `make_planar_pose` for a level car: the vendor pose that a mocap system would send.
+
+    Returns:
+        Position in vendor axes and units, and quaternion (w, x, y, z) in vendor axes.
+    """
     ox, oy = config.cog_ahead_of_rear - config.marker_rear_x, -config.marker_rear_y
     dx = x - (cos(yaw) * ox - sin(yaw) * oy) - config.world_xy[0]
     dy = y - (sin(yaw) * ox + cos(yaw) * oy) - config.world_xy[1]

@@ -105,7 +105,7 @@ def step_gates(
         config: thresholds.
         state: memory before.
         pose: one without a place is rejected.
-        wheel_speed: [m/s], NaN if unknown (a frozen pose then passes).
+        wheel_speed: speed [m/s] of the wheels, NaN if unknown (a frozen pose then passes).
         stationary: the car is stopped and disarmed, so a new place may be taken in.
         metres_per_unit: the vendor's length unit.
     """

@@ -22,7 +22,6 @@ class VrpnSource:
     Attributes:
         ingest: the pipeline of its poses.
         up: whether a connection stands.
-
         fed: a pose of the body has come on it.
         dead: why it must be closed, or None.
     """
