@@ -26,7 +26,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 MODULES = (
     "controller/limits.py", "daemon/process/guardian.py", "daemon/process/heartbeat.py",
-    "daemon/loop/lateness.py",
+    "daemon/loop/findings.py",
     "daemon/loop/following.py", "daemon/loop/follow_model.py",
     "daemon/loop/launch.py",
     "daemon/loop/lease.py", "daemon/loop/supervisor.py", "daemon/loop/watchdogs.py",
@@ -34,9 +34,7 @@ MODULES = (
     "steer_bus/codec.py",
 )  # fmt: skip
 TABLES = (
-    "daemon/loop/findings.py", "daemon/loop/findings.py", "daemon/settings/thresholds.py",
-    "daemon/loop/transitions.py",
-    "steer_bus/lab.py",
+    "daemon/settings/thresholds.py", "daemon/loop/transitions.py", "steer_bus/lab.py",
 )  # fmt: skip
 TESTS = (
     "tests/unit/controller/test_limits.py", "tests/unit/daemon/loop/test_supervisor.py",

@@ -19,7 +19,7 @@ from steerd.daemon.loop.checks import check_vesc
 from steerd.daemon.loop.findings import CAUSES, Flag
 from steerd.daemon.loop.live import make_parameters
 from steerd.daemon.loop.loop import REQUESTS, Loop
-from steerd.daemon.loop.orders import TickResult
+from steerd.daemon.loop.outgoing import TickResult
 from steerd.daemon.loop.transitions import SupervisorState, is_engaged
 from steerd.mocap_link.ingest import PoseIngest
 from steerd.mocap_link.source import Pose, SourceStatus
@@ -49,17 +49,9 @@ _REQUESTS = {t.name: t for t in (topics.OPERATOR, topics.DRIVE, topics.SET_PARAM
 
 
 class Core:
-    """One car's control core.
+    """One car's control core; `error` is the first unexpected exception, or None.
 
-    Attributes:
-        loop: decides.
-        link: the VESC's protocol.
-        outbox: outgoing messages.
-        flags: bits of `Flag` from the runner; they stay until the runner clears them.
-        last: the latest tick's result, or None.
-        source: the latest status of the mocap source, for people.
-        designs: where the learner's proposals are looked at.
-        error: the first unexpected exception, or None.
+    `flags` are bits of `Flag` from the runner; they stay until the runner clears them.
     """
 
     def __init__(self, loop: Loop, link: VescLink, outbox: Outbox) -> None:

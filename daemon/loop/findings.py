@@ -1,14 +1,18 @@
-"""Findings: of the watchdogs, with advice; and what the runner observes, as bits of `Tick.flags`.
+"""Findings: of the watchdogs, with advice; of late ticks (W15); and of what the runner observes.
 
-The bits are recorded, so that a replay has them too. Plain integers: an IntFlag "or" takes a
-microsecond, and these are tested thirty times a tick.
+The latter are bits of `Tick.flags`, recorded, so that a replay has them too. Plain integers: an
+IntFlag "or" takes a microsecond, and these are tested thirty times a tick.
 """
+
+# Why: docs/decisions/safety.md#d15
 
 from collections.abc import Iterable, Iterator
 from enum import IntEnum
 from typing import NamedTuple
 
 from steerd.daemon.loop.transitions import Fact, SupervisorState
+from steerd.daemon.settings.thresholds import Thresholds
+from steerd.steer_bus.quick_values import changed, quick_value
 
 
 class Severity(IntEnum):
@@ -184,15 +188,6 @@ def merge_requests(pending: int, flags: int, state: SupervisorState, *, starts: 
     return requests
 
 
-_BLAMES = {
-    Flag.STALLED: "the host of this virtual machine took the processor away: drive from a real one",
-    Flag.ALL_LATE: "all processes stood still at once: this machine stalled; "
-    "steerd rtcheck --under-load",
-    Flag.ALONE_LATE: f"this program alone was late; {WATCHDOGS['W15'].advice}",
-}
-"""Who made this one tick late."""
-CAUSES = sum(_BLAMES)
-
 _REPORTS = (
     (Flag.SERIAL_FAULT, "W8", "a write failed"),
     (Flag.GUARDIAN_LOST, "W16", "its heartbeat stopped"),
@@ -211,6 +206,68 @@ def make_reported_findings(flags: int) -> Iterator[Finding]:
         for flag, name, text in _REPORTS:
             if flags & flag:
                 yield make_finding(name, text)
+
+
+WINDOW_NS = 1_000_000_000
+"""Time over which missed ticks are counted."""
+
+
+class LatenessRules(NamedTuple):
+    """Limits beyond which the car is stopped."""
+
+    late_ns: int  # lateness of one tick
+    run: int  # number of missed ticks in a row
+    share: float  # share of missed ticks in a second
+
+
+def make_lateness_rules(thresholds: Thresholds) -> LatenessRules:
+    """The limits of a car file, for hardware."""
+    late_ns = round(thresholds.late * 1e9)
+    return LatenessRules(late_ns, thresholds.late_run, thresholds.late_share)
+
+
+ON_HARDWARE = make_lateness_rules(Thresholds())
+IN_SIMULATION = LatenessRules(250_000_000, 25, 0.5)
+"""For a simulated car: stalls of a laptop are only counted and reported as warnings."""
+
+
+@quick_value
+class Lateness:
+    """Missed ticks (later than one period): in a row, in the current second."""
+
+    run: int = 0
+    missed: int = 0
+    window_ns: int = 0
+
+
+def step_lateness(
+    state: Lateness, due_ns: int, woke_ns: int, period_ns: int, rules: LatenessRules = ON_HARDWARE
+) -> tuple[Lateness, Finding | None]:
+    """Count one tick; the finding says which of the three limits it exceeds."""
+    late = woke_ns - due_ns
+    missed = late > period_ns
+    if due_ns - state.window_ns > WINDOW_NS:
+        state = changed(state, missed=0, window_ns=due_ns)
+    run = state.run + 1 if missed else 0
+    state = changed(state, run=run, missed=state.missed + missed)
+    if late > rules.late_ns:
+        return state, make_finding("W15", f"a tick {late / 1e6:.0f} ms late")
+    if state.run >= rules.run:
+        return state, make_finding("W15", f"{state.run} ticks in a row missed")
+    per_second = WINDOW_NS / period_ns
+    if state.missed > max(1.0, rules.share * per_second):
+        return state, make_finding("W15", f"{state.missed} of {per_second:.0f} ticks missed")
+    return state, make_finding("W15", f"{late / 1e6:.1f} ms", Severity.WARN) if missed else None
+
+
+_BLAMES = {
+    Flag.STALLED: "the host of this virtual machine took the processor away: drive from a real one",
+    Flag.ALL_LATE: "all processes stood still at once: this machine stalled; "
+    "steerd rtcheck --under-load",
+    Flag.ALONE_LATE: f"this program alone was late; {WATCHDOGS['W15'].advice}",
+}
+"""Who made this one tick late."""
+CAUSES = sum(_BLAMES)
 
 
 def blame_late(late: Finding, flags: int) -> Finding:

@@ -37,7 +37,7 @@ class LaunchState(NamedTuple):
     turned: float = 0.0
     forward: float = 0.0
     sideways: float = 0.0
-    done: bool = False
+    done: bool = False  # the checks have passed
 
 
 def make_launch_state(start: LaunchInput) -> LaunchState:
@@ -77,12 +77,7 @@ def _find_fault(s: LaunchState) -> str:
 
 
 def step_launch(s: LaunchState, i: LaunchInput, wheelbase: float) -> tuple[LaunchState, str]:
-    """One tick of the launch window; wheelbase [m].
-
-    Returns:
-        The new sums (``done``: the checks have passed), and what is wrong or "", for the finding
-        ``launch``.
-    """
+    """One tick of the launch window, wheelbase [m]: the new sums, and what is wrong or ""."""
     if s.done:
         return s, ""
     s = _advance(s, i, wheelbase)

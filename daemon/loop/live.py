@@ -7,13 +7,12 @@ They change the lane keeper's wish and nothing after it: limits, gate and watchd
 # Why: docs/decisions/safety.md#d74
 
 from collections.abc import Iterator
-from dataclasses import replace
 from math import isnan
 
 from steerd.controller.lane_controller import ControlReport
 from steerd.controller.live import AS_DESIGNED, LiveBounds, LiveValues, approach
 from steerd.steer_bus.messages import BODY, ParameterRequest, Parameters, make_header
-from steerd.steer_bus.quick_values import quick_value
+from steerd.steer_bus.quick_values import changed, quick_value
 
 STEP_MAX_S = 0.1
 """Longest time that one tick's approach is granted for [s]: a pause is no leap."""
@@ -52,14 +51,11 @@ def take_request(live: Live, request: ParameterRequest, admitted: bool) -> Live:
         old if isnan(new) else new for new, old in zip(wanted, live.aim, strict=True)
     ))  # fmt: skip
     problem = next(_find_problems(live.bounds, aim, admitted), "")
-    answered = replace(
-        live,
-        lease_id=request.lease_id,
-        seq=request.seq,
-        accepted=not problem,
-        text=problem or f"set by {request.operator or 'an operator'}",
-    )
-    return answered if problem else replace(answered, aim=aim)
+    text = problem or f"set by {request.operator or 'an operator'}"
+    return changed(
+        live, aim=live.aim if problem else aim, lease_id=request.lease_id, seq=request.seq,
+        accepted=not problem, text=text,
+    )  # fmt: skip
 
 
 def _find_problems(bounds: LiveBounds | None, aim: LiveValues, admitted: bool) -> Iterator[str]:
@@ -80,13 +76,13 @@ def step_live(live: Live, t_ns: int, parked: bool) -> Live:
     """One tick: a car that may move comes to new values gradually, a parked one at once."""
     dt = min(max((t_ns - live.t_ns) * 1e-9, 0.0), STEP_MAX_S)
     now = live.aim if parked else approach(live.now, live.aim, dt)
-    return Live(live.bounds, live.aim, now, t_ns, live.lease_id, live.seq, live.accepted, live.text)
+    return changed(live, now=now, t_ns=t_ns)
 
 
 def relax(live: Live, why: str) -> Live:
     """Back to the path and the designed feedback; a speed that was lowered stays low."""
     aim = LiveValues(live.aim.speed, AS_DESIGNED.offset, AS_DESIGNED.gain)
-    return live if aim == live.aim else replace(live, aim=aim, text=why)
+    return live if aim == live.aim else changed(live, aim=aim, text=why)
 
 
 def judge_both_lanes(report: ControlReport | None, now: LiveValues) -> ControlReport | None:

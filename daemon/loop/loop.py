@@ -1,8 +1,7 @@
 """The loop: events in, orders out. No clock, no I/O, no randomness.
 
-The real-time runner, virtual time and replay drive the same loop: the same events in the same order
-give the same orders. Decisions are made by the pure functions that it calls; the loop takes the
-measurements that they judge, and keeps their states from tick to tick.
+The same events in the same order give the same orders, in real time, virtual time and replay.
+Decisions are made by pure functions; the loop keeps their states from tick to tick.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -26,10 +25,9 @@ from steerd.daemon.loop.adapting import read_design
 from steerd.daemon.loop.checks import find_failures
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.follow_model import make_follow_model
-from steerd.daemon.loop.lateness import IN_SIMULATION, Lateness, make_lateness_rules, step_lateness
 from steerd.daemon.loop.launch import LaunchInput, LaunchState, make_launch_state, step_launch
 from steerd.daemon.loop.live import judge_both_lanes, make_live, relax, step_live, take_request
-from steerd.daemon.loop.orders import Order, TickResult, make_order
+from steerd.daemon.loop.outgoing import Order, TickResult, make_order
 from steerd.daemon.loop.perception import Perception, best_speed, estimated_state
 from steerd.daemon.loop.supervisor import (
     STILL_SPEED,
@@ -61,16 +59,8 @@ _LEASE_KEPT_S = 1.0
 class Loop:
     """The control loop's state.
 
-    Attributes:
-        plan: what does not change.
-        perception: measurements, which are handed to it, and the state estimate.
-        supervisor: memory of the state machine.
-        lease, remote: the operator and the external controller.
-        live: what may be changed while the car drives.
-        adapting: which design steers.
-        vesc: what the VESC reported about itself, or None.
-        fault: why a watchdog, a fault stop or an emergency stop ended the last drive, or nothing.
-        ran: a drive has ended in this run.
+    `vesc` is what the VESC reported about itself, or None; `fault` why a watchdog, a fault stop or
+    an emergency stop ended the last drive, or nothing; `ran`: a drive has ended in this run.
     """
 
     def __init__(self, plan: RunPlan) -> None:
@@ -92,9 +82,9 @@ class Loop:
         self._car, self._ranges = car, make_follow_model(car, s.file.sd, s.filter, s.thresholds)
         self._following = following.FollowState()
         self._watchdogs = WatchdogState()
-        self._lateness = Lateness()
-        simulated = plan.options.simulated
-        self._late_rules = IN_SIMULATION if simulated else make_lateness_rules(s.thresholds)
+        self._lateness = fs.Lateness()
+        hardware = fs.make_lateness_rules(s.thresholds)
+        self._late_rules = fs.IN_SIMULATION if plan.options.simulated else hardware
         # The launch checks of this drive, and whether they have passed
         self._launch: LaunchState | None = None
         self._launched = False
@@ -302,10 +292,7 @@ class Loop:
         speed: float,
         reported: tuple[fs.Finding, ...],
     ) -> tuple[WatchdogInput, tuple[fs.Finding, ...]]:
-        """The measurements of a tick, NaN where nothing is known, and all findings.
-
-        `speed` is the best known [m/s]; `reported` is of `_find_reported`.
-        """
+        """The measurements of a tick, NaN where nothing is known, and all findings."""
         plan, settings, seen = self.plan, self.plan.settings, self.perception
         state, order = self.supervisor.state, self._limiter.order
         limits, brakes = settings.limits, settings.brakes
@@ -354,7 +341,7 @@ class Loop:
     ) -> Iterator[fs.Finding]:
         """Findings that are not by measurements: of the processes, the tick, a start, commands."""
         yield from fs.make_reported_findings(flags)
-        self._lateness, late = step_lateness(
+        self._lateness, late = fs.step_lateness(
             self._lateness, due_ns, now_ns, self.plan.period_ns, self._late_rules
         )
         if late is not None:

@@ -26,18 +26,7 @@ _SEEN = (PoseVerdict.ACCEPTED, PoseVerdict.REBASED)
 
 
 class Perception:
-    """Measurements and the state estimate that follows from them.
-
-    Attributes:
-        watch: memory of the frame watchdogs.
-        values: the last reply with telemetry; `NO_TELEMETRY`, all unknown, before the first.
-        wheel_speed: by the wheels, from that reply [m/s]; NaN while unknown.
-        wheel: the same with its time of validity [ns]; None while unknown.
-        mocap_speed: by mocap alone over the last 100 to 200 ms [m/s]; NaN while unknown.
-        track: the poses of the last `LONG_TURN_S`, and the one before.
-        accepted_ns: arrival of the last good frame, or None.
-        may_rebase: set by the loop: the car is disarmed and stands.
-    """
+    """Measurements and the state estimate that follows from them."""
 
     def __init__(self, car: Car[float], settings: Settings) -> None:
         self._filter = sf.make_state_filter(car, settings.filter, chassis=settings.file.chassis)
@@ -50,12 +39,14 @@ class Perception:
         self._refused = 0
         self._seen = 0
         self.watch = PoseWatch()
-        self.track: deque[m.MocapPose] = deque()
-        self.values = NO_TELEMETRY
+        self.track: deque[m.MocapPose] = deque()  # of the last `LONG_TURN_S`, and the one before
+        self.values = NO_TELEMETRY  # the last reply with telemetry
+        # By the wheels, from that reply, and by mocap alone over the last 100 to 200 ms [m/s];
+        # NaN while unknown
         self.wheel_speed = self.mocap_speed = nan
-        self.wheel: tuple[int, float] | None = None
-        self.accepted_ns: int | None = None
-        self.may_rebase = True
+        self.wheel: tuple[int, float] | None = None  # time of validity [ns] and speed
+        self.accepted_ns: int | None = None  # arrival of the last good frame
+        self.may_rebase = True  # set by the loop: the car is disarmed and stands
 
     # --- what arrives
 

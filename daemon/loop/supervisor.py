@@ -1,10 +1,9 @@
 """The supervisor: who may move the car, and how it stops; one pure function over a table.
 
-``step_supervisor`` turns measured conditions (``Conditions``) and requests (facts of ``ASKED``)
-into guard bits, takes the first row of ``transitions.TABLE`` that matches, and gives the kinds of
-motor and servo bytes. The invariants I1-I8 of
-`docs/reference/safety-requirements.md#invariants` are enumerated over it in the tests. No clock,
-no I/O, no randomness.
+``step_supervisor`` turns measured conditions and requests (facts of ``ASKED``) into guard bits,
+takes the first row of ``transitions.TABLE`` that matches, and gives the kinds of motor and servo
+bytes. The invariants I1-I8 of `docs/reference/safety-requirements.md#invariants` are enumerated
+over it in the tests.
 """
 
 # Why: docs/decisions/safety.md#d12
@@ -36,8 +35,7 @@ PROOF_SLACK_NS = 50_000_000
 CENTRE_NS = 500_000_000  # full lock to centre takes 0.1 s; the rest is for lost frames
 GAP_NS = 100_000_000  # after a longer gap between two ticks all timers start again
 BLIND_NS = 2 * 10**9 - STILL_NS  # braking for so long, without a speed, counts as slow
-NEVER = -1
-"""Value of a timer whose condition does not hold."""
+NEVER = -1  # value of a timer whose condition does not hold
 DURATIONS_NS = {
     SupervisorState.ARMED: 30 * 10**9,
     SupervisorState.STOPPING: 4 * 10**9,

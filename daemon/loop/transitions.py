@@ -51,8 +51,6 @@ class SteeringOutput(IntEnum):
 class Fact:
     """Facts that guards test: the loop gives those of `GIVEN`, ``derive_facts`` the others.
 
-    Those of `ASKED` are requests of operators and of signals in this tick.
-
     Plain integers: an IntFlag "or" takes a microsecond, and these are tested in every tick.
     """
 
@@ -119,7 +117,7 @@ ASKED = (
     Fact.ARM | Fact.START | Fact.STOP | Fact.DISARM | Fact.CLEAR | Fact.CALL_ESTOP | Fact.RESET
     | Fact.ABORT | Fact.UNKNOWN
 )  # fmt: skip
-"""Facts that are requests."""
+"""Facts that are requests of operators and of signals."""
 GIVEN = (
     Fact.LINKED | Fact.IDENTIFIED | Fact.CHECKS_PASS | Fact.FW_TIMEOUT | Fact.LEASED | Fact.SOFT
     | Fact.HARD | Fact.KILLED | Fact.ENDED | Fact.LAUNCHED | Fact.ESTIMATED | Fact.SLOWING
@@ -141,13 +139,8 @@ TABLE: tuple[TransitionRow, ...] = (
     _row((DISARMED,), READY, "all checks pass", needs=Fact.CHECKS_HELD, unless=_TRIPPED),
     _row((READY, SELF_TEST), DISARMED, "", one_of=_TRIPPED),
     _row((READY, SELF_TEST), DISARMED, "a pre-arm check failed", unless=Fact.CHECKS_PASS),
-    _row(
-        (READY,),
-        SELF_TEST,
-        "proving the VESC's timeout",
-        needs=Fact.ARM | Fact.LEASED,
-        unless=_HALT,
-    ),
+    _row((READY,), SELF_TEST, "proving the VESC's timeout",
+         needs=Fact.ARM | Fact.LEASED, unless=_HALT),
     _row((SELF_TEST,), DISARMED, "lease or deadman lost", unless=Fact.LEASED),
     _row((SELF_TEST,), DISARMED, "arming called off", one_of=_HALT),
     _row((SELF_TEST,), ARMED, "VESC's timeout proven", needs=Fact.PROVEN),
@@ -166,17 +159,11 @@ TABLE: tuple[TransitionRow, ...] = (
     _row((STOPPING,), DISARMED, "stopped", needs=Fact.STILL),
     _row((STOPPING,), FAULT_STOP, "not stopped after 4 s: braking hard", needs=Fact.ELAPSED),
     _row((FAULT_STOP,), FAULT_LATCHED, "", needs=Fact.STILL),
-    _row(
-        (FAULT_LATCHED,), DISARMED, "fault cleared", needs=Fact.CLEAR | Fact.STILL, unless=_TRIPPED
-    ),
-    _row(
-        (ESTOP,),
-        DISARMED,
-        "emergency stop reset",
-        needs=Fact.RESET | Fact.STILL | Fact.ELAPSED,
-        unless=_TRIPPED,
-    ),
-)
+    _row((FAULT_LATCHED,), DISARMED, "fault cleared",
+         needs=Fact.CLEAR | Fact.STILL, unless=_TRIPPED),
+    _row((ESTOP,), DISARMED, "emergency stop reset",
+         needs=Fact.RESET | Fact.STILL | Fact.ELAPSED, unless=_TRIPPED),
+)  # fmt: skip
 ROWS = tuple(tuple(row for row in TABLE if state in row.sources) for state in SupervisorState)
 
 

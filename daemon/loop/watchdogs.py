@@ -392,11 +392,7 @@ def _step_stop(th: Thresholds, w: WatchdogState, i: WatchdogInput, report: Repor
 def step_watchdogs(
     th: Thresholds, w: WatchdogState, i: WatchdogInput
 ) -> tuple[WatchdogState, tuple[Finding, ...]]:
-    """One tick of all watchdogs.
-
-    Returns:
-        The new memory, and the findings: the runner's first, then in the order of the tables.
-    """
+    """The new memory, and the findings: the runner's first, then in the order of the tables."""
     found = list(i.reported)
     report = found.append
     for check in INSTANT:

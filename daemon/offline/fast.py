@@ -27,7 +27,7 @@ def make_recording(plan: RunPlan, path: Path) -> Recording:
         SteerdError: it cannot be created.
     """
     try:
-        return Recording(make_recorder_job(plan, path))
+        return Recording(make_recorder_job(plan, path, {}))
     except SessionError as error:
         raise make_session_error(error, "choose another file with --record") from None
 

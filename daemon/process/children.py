@@ -1,7 +1,4 @@
-"""The processes of a run: jobs on standard input, ended by closing their pipes.
-
-What an earlier run's learner kept of the car is found and checked before the learner begins.
-"""
+"""The processes of a run: jobs on standard input, ended by closing their pipes."""
 
 # Why: docs/decisions/safety.md#d16, docs/decisions/diagnosis.md#d87
 
@@ -16,7 +13,6 @@ from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from steerd.car_model.car_file import default_car_path
@@ -80,8 +76,7 @@ _MODULE = "steerd.daemon.process."
 class Ends:
     """Descriptors of a run by process and name; who ends, or drops them, is noticed by the others.
 
-    Attributes:
-        of: descriptors of each process; those of `terminal` are this process's own.
+    Those of `terminal` are this process's own.
     """
 
     def __init__(self, options: RunOptions) -> None:
@@ -119,15 +114,14 @@ class Ends:
 
 @dataclass
 class RunProcesses:
-    """All processes of a run."""
+    """All processes of a run: by name, and what each reported when it was ready."""
 
-    # Core, recorder and gateway; `viewer`, `page` and `learner` where they were asked for
-    children: dict[str, Child]
+    children: dict[str, Child]  # core, recorder and gateway; others where they were asked for
     # This terminal's descriptors: `status` gives records, `requests` and `view_requests` are
     # sockets to the core and from the viewer, `reports` gives the learner's; the page ends when
     # `lifeline` closes
     fds: dict[str, int]
-    reports: dict[str, dict[str, Any]]  # what each reported when it was ready
+    reports: dict[str, dict[str, Any]]
 
     def __post_init__(self) -> None:
         self.requests = socket.socket(fileno=self.fds["requests"])
@@ -212,11 +206,9 @@ def start_processes(plan: RunPlan, session: Path, core: Child | None = None) -> 
 
 
 def make_recorder_job(
-    plan: RunPlan, session: Path, more: Mapping[str, dict[str, str]] = MappingProxyType({})
+    plan: RunPlan, session: Path, more: Mapping[str, dict[str, str]]
 ) -> dict[str, Any]:
-    """What a recording begins with, see `recorder`; its folder is made.
-
-    `more` is metadata beside the run's.
+    """What a recording begins with, with metadata beside the run's; its folder is made.
 
     Raises:
         SteerdError: there can be no such folder.

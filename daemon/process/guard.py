@@ -1,22 +1,25 @@
-"""The core's side of the guardian: start one for each port, send heartbeats, read its state.
+"""What the core watches: its guardian (W16), a stop's way from the bus (W27), who made a tick late.
 
-It also says who made a tick late: the machine's host, the whole machine, or this program alone. The
-guardian is the witness: a process of its own, of the highest priority, that wakes every 10 ms.
-Where it stood still together with the control core, so did everything.
+That is the machine's host, the whole machine, or this program alone. The guardian is the witness: a
+process of its own, of the highest priority, that wakes every 10 ms. Where it stood still together
+with the control core, so did everything.
 """
 
-# Why: docs/decisions/safety.md#d35
+# Why: docs/decisions/safety.md#d35, docs/decisions/safety.md#d113
 
 import os
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.process import heartbeat
 from steerd.daemon.process.guardian import PERIOD_NS
 from steerd.daemon.settings.thresholds import Thresholds
+from steerd.steer_bus.codec import CodecError, decode
+from steerd.steer_bus.messages import BODY, Heartbeat, make_header
 
 START_NS = 1_000_000_000
 """Time that a new guardian has until its first heartbeat."""
@@ -43,15 +46,11 @@ def find_pause(page: heartbeat.HeartbeatPage | None, now_ns: int) -> tuple[int, 
 
 
 class ProcessGuard:
-    """A guardian process per opened port.
+    """A guardian process per opened port; `page` is shared with the newest, None before the first.
 
-    Args:
-        realtime: whether the core has a fixed priority; without, its heartbeat may be later.
-        simulated: the hardware is simulated; a machine that stalls must not end the run.
-        silent_s: largest age of the guardian's own heartbeat (W16) [s].
-
-    Attributes:
-        page: shared with the newest guardian; None before the first.
+    Without `realtime`, a fixed priority, the core's heartbeat may be later; where the hardware is
+    `simulated`, a machine that stalls must not end the run. `silent_s` is the largest age of the
+    guardian's own heartbeat (W16) [s].
     """
 
     def __init__(
@@ -152,13 +151,10 @@ LEAST_NS = 2 * PERIOD_NS
 
 
 def find_cause(late: Span, stolen_ns: int, pause: Span | None) -> int:
-    """Which flag a late tick gets; 0 where nobody can say.
+    """Which flag a tick gets that was `late` from due to begin; 0 where nobody can say.
 
-    Args:
-        late: from the time at which the tick was due to the time at which it began.
-        stolen_ns: time that the host stole since shortly before it was due.
-        pause: the guardian's last pause that was longer than its own sleep, (0, 0) if it never
-            made one; None without a guardian.
+    `stolen_ns` is what the host stole since shortly before it was due; `pause` the guardian's last
+    that was longer than its own sleep, (0, 0) if it never made one, None without a guardian.
     """
     length = late[1] - late[0]
     if length > 0 and stolen_ns >= STALL_SHARE * length:
@@ -170,3 +166,50 @@ def find_cause(late: Span, stolen_ns: int, pause: Span | None) -> int:
     if min(shared, overslept) >= STALL_SHARE * length:
         return Flag.ALL_LATE
     return Flag.ALONE_LATE if shared <= 0 else 0
+
+
+BEAT_NS = 50_000_000
+"""Time between two heartbeats."""
+
+
+@dataclass(slots=True)
+class RemotePath:
+    """Heartbeats of one run, which leave by the gateway and must come back (W27).
+
+    The way is core, gateway, bus, whoever holds the lease, bus, gateway, core. While nobody on the
+    bus holds it, the gateway hears the heartbeat itself: a person may want to stop the car from
+    there.
+    """
+
+    boot_id: int  # of this run; heartbeats of another are not ours
+    holder: int = 0  # lease id of the operator who took the lease over the bus, 0 for nobody
+    _asked: int = 0
+    _due_ns: int = 0
+    _back_ns: int | None = None
+
+    def make_beat(self, now_ns: int, epoch_ns: int) -> Heartbeat | None:
+        """The next heartbeat, if it is due."""
+        if now_ns < self._due_ns:
+            return None
+        self._due_ns = now_ns + BEAT_NS
+        return Heartbeat(make_header(now_ns + epoch_ns, BODY), self.boot_id, 0, now_ns)
+
+    def take(self, data: bytes, now_ns: int) -> None:
+        """A heartbeat came back; one that does not decode, or is somebody else's, is none."""
+        try:
+            beat = decode(Heartbeat, data)
+        except CodecError:
+            return
+        ours = beat.boot_id == self.boot_id and beat.lease_id == self._asked
+        if ours and (self._back_ns or 0) < beat.mono_ns <= now_ns:
+            self._back_ns = beat.mono_ns
+
+    def is_silent(self, held: bool, limit_s: float, now_ns: int) -> bool:
+        """Whether too long no heartbeat came back from the holder, or `held` by none, the gateway.
+
+        The gateway may take its time to start; whoever takes the lease has `limit_s` to answer.
+        """
+        asked = self.holder if held else 0
+        if asked != self._asked:
+            self._asked, self._back_ns = asked, now_ns
+        return self._back_ns is not None and now_ns - self._back_ns > limit_s * 1e9

@@ -35,11 +35,9 @@ def _library() -> Any:
 
 
 class Lifeline:
-    """One end of the mutex: the core holds it until it ends, the guardian waits for it.
+    """One end of the mutex in the page: the core holds it until it ends, the guardian waits.
 
-    Args:
-        page_fd: the shared page.
-        core_pidfd: the core, where there is no such mutex; None at the core's own end.
+    `core_pidfd` is the core, where there is no such mutex; None at the core's own end.
     """
 
     def __init__(self, page_fd: int, core_pidfd: int | None = None) -> None:
@@ -113,11 +111,7 @@ class Words(ctypes.Structure):
 
 
 class HeartbeatPage:
-    """The page of `PAGE_BYTES` as core and guardian use it; ``words`` may be read by both.
-
-    Args:
-        fd: of the page, a memfd, see `steerd.daemon.process.guard.make_page_fd`.
-    """
+    """The page of `PAGE_BYTES`, a memfd, as core and guardian use it; both may read ``words``."""
 
     def __init__(self, fd: int) -> None:
         page = mmap.mmap(fd, PAGE_BYTES)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerd.daemon.loop.lateness import ON_HARDWARE
+from steerd.daemon.loop.findings import ON_HARDWARE
 from steerd.steer_bus.clock import Clock
 
 FIFO_PRIORITY = 50

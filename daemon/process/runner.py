@@ -22,13 +22,13 @@ from steerd.daemon.loop.lease import lease_age
 from steerd.daemon.loop.transitions import is_engaged
 from steerd.daemon.process.guard import (
     ProcessGuard,
+    RemotePath,
     find_cause,
     find_pause,
     read_steal_ns,
     sleep_lag_ns,
 )
 from steerd.daemon.process.pacing import Pace, early_window_ns, step_pace
-from steerd.daemon.process.remote_path import RemotePath
 from steerd.mocap_link.sockets import MocapReceiver
 from steerd.mocap_link.source import Pose
 from steerd.mocap_link.zenoh_pose import BusPoseSource
@@ -56,29 +56,29 @@ ABORT_NS, ORPHAN_NS = 2_000_000_000, 6_000_000_000
 
 _HEARTBEATS = (topics.HEARTBEAT.name, topics.HEARTBEAT_BACK.name)
 
-OpenPort = Callable[[], Port]
-"""Opens the serial port; raises PortError."""
-
 
 @dataclass(frozen=True)
 class CoreLinks:
     """The core's links to the other processes."""
 
-    recorder: PipeWriter | None  # pipe to the recorder, or None when nothing is recorded
-    gateway: PipeWriter | None  # pipe to the gateway, or None
+    recorder: PipeWriter
+    gateway: PipeWriter
     requests: tuple[socket.socket, ...]  # sockets on which requests arrive, the parent's first
     stop_fd: int  # gives a byte for each stop signal
     designs: socket.socket | None = None  # on which the learner's proposals arrive, or None
 
 
 class Runner:
-    """The control core in real time; `error` says why the port could not be opened."""
+    """The control core in real time.
+
+    `open_port` opens the serial port or raises PortError, which is then kept as `error`.
+    """
 
     def __init__(
         self,
         core: Core,
         clock: Clock,
-        open_port: OpenPort,
+        open_port: Callable[[], Port],
         mocap: MocapReceiver | BusPoseSource,
         links: CoreLinks,
         guard: ProcessGuard,
@@ -131,19 +131,17 @@ class Runner:
     def _is_done(self) -> bool:
         """Whether the run is over: drive ended or stop signal received, and the car at rest.
 
-        So is a drive without an operator whose recorder or gateway is gone.
-
-        The third signal ends it at once, the second and the parent's end within a bound; the
-        guardian then brakes a car that moves.
+        So is a drive without an operator whose recorder or gateway is gone. The third signal ends
+        it at once, the second and the parent's end within a bound; the guardian then brakes.
         """
         loop = self._core.loop
         planned = loop.plan.duration_ns is not None and loop.ran
         # Nobody stands by to restart a drive by itself, and a process that is lost stays lost.
         alone = loop.plan.options.auto_arm
         lost = alone and self._core.flags & (Flag.RECORDER_LOST | Flag.GATEWAY_LOST)
-        over = self.signals > 0 or planned or bool(lost)
+        over = self.signals or planned or lost
         late = self._leave_ns is not None and self._clock.now_ns() >= self._leave_ns
-        return late or self.signals >= LEAVE_SIGNALS or (over and loop.at_rest)
+        return late or self.signals >= LEAVE_SIGNALS or bool(over and loop.at_rest)
 
     def _take_signals(self, count: int, within_ns: int | None) -> None:
         """Stop; leave within so long at the latest, with the second signal after a hard stop's."""
@@ -406,9 +404,7 @@ class Runner:
             self._mocap.close()
 
 
-def _is_lost(pipe: PipeWriter | None, timeout_s: float, now_ns: int) -> bool:
+def _is_lost(pipe: PipeWriter, timeout_s: float, now_ns: int) -> bool:
     """Whether a reader is gone, or has read nothing for too long (W26, W27)."""
-    if pipe is None:
-        return False
     full_ns = pipe.full_since_ns
     return pipe.dead or (full_ns is not None and now_ns - full_ns > timeout_s * 1e9)

@@ -61,7 +61,7 @@ TRACES = {
     "W12": trace("_step_vesc", "", "C7 P5", also="live: VESC reboots"),
     "W13": trace("_check_vesc", "cell_warn cell cell_hold", "V16b P5"),
     "W14": trace("_check_temperature", "fet_warn fet motor_warn motor", "V17b P5"),
-    "W15": trace("loop.lateness:step_lateness", "late late_run late_share",
+    "W15": trace("loop.findings:step_lateness", "late late_run late_share",
           "H12b P5", also="`test_launch.py`; live: SIGSTOP core"),
     "W16": trace("process.guard:ProcessGuard.is_silent", "guardian",
           "H6 P5", also="`test_runner.py`; live: SIGKILL, SIGSTOP guardian"),

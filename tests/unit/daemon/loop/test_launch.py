@@ -6,9 +6,8 @@ from math import atan, cos, pi, sin, tan
 import pytest
 
 from steerd.controller.limits import LimitError
-from steerd.daemon.loop import lateness as ls
-from steerd.daemon.loop.findings import Severity
-from steerd.daemon.loop.lateness import ON_HARDWARE, WINDOW_NS, Lateness, step_lateness
+from steerd.daemon.loop import findings as fs
+from steerd.daemon.loop.findings import ON_HARDWARE, WINDOW_NS, Lateness, Severity, step_lateness
 from steerd.daemon.loop.launch import LaunchInput, make_launch_state, step_launch
 from steerd.daemon.settings.thresholds import Thresholds
 
@@ -141,9 +140,9 @@ def run(late_ms, rules=ON_HARDWARE):
 
 
 def test_the_rules_are_the_thresholds():
-    usual = ls.LatenessRules(25_000_000, 3, 0.02)
-    assert ls.make_lateness_rules(Thresholds()) == ON_HARDWARE == usual
-    assert ls.make_lateness_rules(replace(Thresholds(), late=0.0125)).late_ns == 12_500_000
+    usual = fs.LatenessRules(25_000_000, 3, 0.02)
+    assert fs.make_lateness_rules(Thresholds()) == ON_HARDWARE == usual
+    assert fs.make_lateness_rules(replace(Thresholds(), late=0.0125)).late_ns == 12_500_000
 
 
 @pytest.mark.parametrize(
@@ -190,7 +189,7 @@ def test_a_row_of_missed_ticks_ends_and_the_next_second_begins_anew():
      ("late_share", 0.0, [12, 0, 12], 0.03)],
 )  # fmt: skip
 def test_a_car_file_may_be_stricter_and_never_laxer(name, stricter, late_ms, laxer):
-    strict = ls.make_lateness_rules(replace(Thresholds(), **{name: stricter}))
+    strict = fs.make_lateness_rules(replace(Thresholds(), **{name: stricter}))
     assert run(late_ms)[0][-1] is Severity.WARN
     assert run(late_ms, strict)[0][-1] is Severity.HARD
     with pytest.raises(LimitError):
@@ -198,5 +197,5 @@ def test_a_car_file_may_be_stricter_and_never_laxer(name, stricter, late_ms, lax
 
 
 def test_a_simulated_car_lives_with_a_machine_that_hiccups():
-    assert run([200, 0, 12, 12, 12], ls.IN_SIMULATION)[0].count(Severity.HARD) == 0
-    assert run([251], ls.IN_SIMULATION)[0] == [Severity.HARD]
+    assert run([200, 0, 12, 12, 12], fs.IN_SIMULATION)[0].count(Severity.HARD) == 0
+    assert run([251], fs.IN_SIMULATION)[0] == [Severity.HARD]

@@ -12,7 +12,7 @@ from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.ipc.requests import read_diagnostics
 from steerd.daemon.loop import findings as fs
 from steerd.daemon.loop import outgoing as out
-from steerd.daemon.loop.orders import Order, TickResult, make_order
+from steerd.daemon.loop.outgoing import Order, TickResult, make_order
 from steerd.daemon.loop.supervisor import Action, make_supervisor_memory
 from steerd.daemon.loop.transitions import MotorOutput, SteeringOutput, SupervisorState
 from steerd.daemon.settings.config import BrakeSettings

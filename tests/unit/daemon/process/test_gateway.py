@@ -10,7 +10,7 @@ import pytest
 from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord, pack_record
 from steerd.daemon.ipc.requests import REQUEST_MAX, make_badge, unpack_request
 from steerd.daemon.process.gateway import Gateway, run_gateway
-from steerd.daemon.process.remote_path import BEAT_NS, RemotePath
+from steerd.daemon.process.guard import BEAT_NS, RemotePath
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import decode, encode

@@ -38,6 +38,8 @@ from steerd.vesc_link.transport import LinkDown
 SECOND, MS = 1_000_000_000, 1_000_000
 STOP, MOCAP = 3, 4
 REAL = RunId(1, 0, leased=True)
+NOBODY = PipeWriter(-1), PipeWriter(-1)
+"""Pipes that nobody reads."""
 
 
 def make_port():
@@ -194,7 +196,7 @@ def test_w29_the_kernel_gives_no_descriptor_for_a_guardian(plan):
     """The limit of open files is lowered from outside before the port is opened."""
     core = make_core(plan, ())
     clock = SimpleNamespace(now_ns=lambda: 0, realtime_ns=lambda: 0)
-    links = CoreLinks(None, None, (), -1)
+    links = CoreLinks(*NOBODY, (), -1)
     it = Runner(core, clock, make_port, World(10 * MS), links, ProcessGuard(realtime=False))
     limits = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (3, limits[1]))
@@ -378,7 +380,7 @@ def ticks_of(monkeypatch, every_ns: int, count: int = 400, **wrong: int):
     core.on_poses = lambda samples: arrivals.extend(s.t_arrival_ns for s in samples)
     monkeypatch.setattr(runner_module.select, "select", world.select)
     guard = SimpleNamespace(has_tripped=lambda: False, page=None)
-    it = Runner(core, world, lambda: None, world, CoreLinks(None, None, (), STOP), guard)
+    it = Runner(core, world, lambda: None, world, CoreLinks(*NOBODY, (), STOP), guard)
     it._try_open = lambda _t_ns: None
     it._is_done = lambda: len(notes) >= count
     it.run()
@@ -429,7 +431,7 @@ def bare_runner(links, world=None, **core):
 def runner_with(monkeypatch, world, notes):
     """A runner whose core only notes its calls."""
     it = bare_runner(
-        CoreLinks(None, None, (), STOP), world,
+        CoreLinks(*NOBODY, (), STOP), world,
         tick=lambda *_: notes.append("decided") or b"order",
         post_tick=lambda written: notes.append(f"posted {written.decode()}"),
         on_poses=lambda _samples: None,
@@ -514,7 +516,7 @@ def test_a_late_tick_says_whether_host_or_guardian_stood_still_too(
 def reader(ends):
     """A runner that only reads proposals, and what its core was offered."""
     offered = []
-    links = CoreLinks(None, None, (), -1, ends[1])
+    links = CoreLinks(*NOBODY, (), -1, ends[1])
     it = bare_runner(links, on_proposal=lambda data, t_ns: offered.append((data, t_ns)))
     return SimpleNamespace(it=it, offered=offered, read=it._read_designs)
 
