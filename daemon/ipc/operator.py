@@ -16,10 +16,8 @@ from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 
 DEFAULT_ENDPOINT = f"tcp/127.0.0.1:{DEFAULT_PORT}"
 
-MODEL_WAIT_S = 0.5
-"""Longest wait for the learner's newest report [s]."""
-KEEPALIVE_NS = 50_000_000
-"""Time between keepalives; the lease lasts 300 ms."""
+MODEL_WAIT_S = 0.5  # longest wait for the learner's newest report [s]
+KEEPALIVE_NS = 50_000_000  # time between keepalives; the lease lasts 300 ms
 
 
 @dataclass
@@ -71,11 +69,7 @@ def connect(given_endpoint: str | None, folder: Path | None, first: str = "steer
 
 
 def read_lab(folder: Path) -> Lab:
-    """A participant's folder.
-
-    Raises:
-        SteerdError: it is not one.
-    """
+    """A participant's folder; SteerdError if it is not one."""
     try:
         return load_lab(folder)
     except BusError as error:

@@ -23,8 +23,7 @@ PIPE_BYTES = 1 << 20
 """Room for about 4 s of messages at 200 Hz (`docs/reference/safety-requirements.md#s2.3`)."""
 _HEAD = struct.Struct("<IHHIqq")
 _F_SETPIPE_SZ = 1031
-_JOINED_NS = 100_000_000
-"""Holes closer to each other are one."""
+_JOINED_NS = 100_000_000  # holes closer to each other are one
 _INDEX = {topic.name: index for index, topic in enumerate(TOPICS)}
 
 
@@ -49,8 +48,6 @@ def read_message(record: PipeRecord) -> Any:
 
 Sink = Callable[[list[PipeRecord], int], None]
 """Takes the records of one tick and the monotonic time [ns]; must not block."""
-_Queued = tuple[Topic, int, int, int, Any]
-"""A `PipeRecord` to be: its topic, number, two times and message."""
 
 
 @dataclass(slots=True)
@@ -59,7 +56,8 @@ class Outbox:
 
     epoch_ns: int  # UNIX time minus monotonic time, fixed for the session [ns]
     sinks: tuple[Sink, ...]  # receivers of the records at `flush`
-    _pending: list[_Queued] = field(default_factory=list)
+    # Those that are not encoded yet: topic, number, two times and message
+    _pending: list[tuple[Topic, int, int, int, Any]] = field(default_factory=list)
     _counts: dict[str, int] = field(default_factory=dict)
     _last_ns: int = 0
 
@@ -79,8 +77,7 @@ class Outbox:
     def flush(self, t_ns: int) -> None:
         """Encode everything queued and give it to the sinks.
 
-        Raises:
-            CodecError: a message cannot be encoded; it alone is lost.
+        CodecError: a message cannot be encoded; it alone is lost.
         """
         if not self._pending:
             return
@@ -101,15 +98,8 @@ class Outbox:
 
 def pack_record(record: PipeRecord) -> bytes:
     """The record as pipe bytes."""
-    head = _HEAD.pack(
-        len(record.data),
-        _INDEX[record.topic.name],
-        0,
-        record.sequence & 0xFFFFFFFF,
-        record.log_time_ns,
-        record.publish_time_ns,
-    )
-    return head + record.data
+    number, times = record.sequence & 0xFFFFFFFF, (record.log_time_ns, record.publish_time_ns)
+    return _HEAD.pack(len(record.data), _INDEX[record.topic.name], 0, number, *times) + record.data
 
 
 def unpack_records(buffer: bytearray) -> Iterator[PipeRecord]:
@@ -148,8 +138,7 @@ class PipeWriter:
     def write(self, packed: list[bytes], t_ns: int) -> None:
         """Write these records or drop them all; never waits, never raises.
 
-        The pipe may take a batch in part; the rest is written first next time, so that no record
-        is torn.
+        What the pipe did not take of a batch is written first next time: no record is torn.
         """
         if self._rest:
             self._rest = self._push(self._rest, t_ns)
@@ -214,8 +203,7 @@ class Gaps:
         return joined
 
 
-LEARNT_FROM = (topics.MOCAP, topics.ACTUATION, topics.VESC)
-"""Topics that a drive is learnt from."""
+LEARNT_FROM = (topics.MOCAP, topics.ACTUATION, topics.VESC)  # topics that a drive is learnt from
 _WANTED = frozenset(topic.name for topic in (*LEARNT_FROM, topics.DESIGN))
 
 

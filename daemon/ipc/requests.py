@@ -15,8 +15,7 @@ from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.common.screen import remove_controls
 from steerd.steer_bus.standard import DiagnosticArray
 
-REQUEST_MAX = 4096
-"""Largest request that is forwarded [bytes]."""
+REQUEST_MAX = 4096  # largest request that is forwarded [bytes]
 
 
 def pack_request(name: str, data: bytes) -> bytes:
@@ -54,10 +53,8 @@ def make_badge(who: str, lease_id: int) -> int:
     return int(struct.unpack("<Q", digest)[0]) | 1
 
 
-LIVE = ("speed", "offset", "gain")
-"""Live parameters by name: [m/s], [m], a share."""
-SETTING_MAX = 64
-"""Longest such text [bytes]."""
+LIVE = ("speed", "offset", "gain")  # live parameters by name: [m/s], [m], a share
+SETTING_MAX = 64  # longest such text [bytes]
 
 
 def format_setting(name: str, value: float) -> str:
@@ -76,11 +73,7 @@ def parse_setting(text: str) -> dict[str, float] | None:
 
 
 def read_diagnostics(message: DiagnosticArray) -> dict[str, str]:
-    """The supervisor's values in a diagnostics message.
-
-    Raises:
-        SteerdError: the message is not the supervisor's.
-    """
+    """The supervisor's values in a diagnostics message; SteerdError for another's message."""
     for status in message.status:
         if status.name == "steerd: supervisor":
             return {value.key: remove_controls(value.value) for value in status.values}

@@ -39,10 +39,8 @@ from steerd.controller.live import AS_DESIGNED, LiveValues, shift_lane
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.codec import CodecError, decode
 
-SILENT_NS = 4_000_000_000
-"""A learner that proposes nothing for so long is not followed any more."""
-FADING_S = 0.7
-"""Time in which the difference of two designs' orders fades to 1/e [s]."""
+SILENT_NS = 4_000_000_000  # a learner that proposes nothing for so long is not followed any more
+FADING_S = 0.7  # time in which the difference of two designs' orders fades to 1/e [s]
 FAR_SHARE = 0.5
 """Share of the lateral error that stops the car (W17) at which the file's design comes back."""
 LEARNING, DRIVE_ENDED, SILENT, TUNED, FAR, LOST = (
@@ -212,10 +210,8 @@ def _step_servo(now: Adapting, t_ns: int) -> Adapting:
     return replace(now, servo=step_servo(now.servo, now.controller.car, delay_s, t_ns))
 
 
-COLUMNS_MAX, ROWS_MAX = 120, 400
-"""More past references and design speeds than any loop has."""
-DESIGN_BYTES = 90_000
-"""Longest message that is read, of the learner."""
+COLUMNS_MAX, ROWS_MAX = 120, 400  # more past references and design speeds than any loop has
+DESIGN_BYTES = 90_000  # longest message that is read, of the learner
 _NOTHING = Learnt(*(nan,) * len(Learnt._fields))
 
 
@@ -236,11 +232,7 @@ def make_no_design(mono_ns: int, epoch_ns: int, why: str) -> m.Design:
 
 
 def read_design(message: m.Design) -> Design | None:
-    """The design of a message; None for the car file's own, which has number 0.
-
-    Raises:
-        ValueError: its gains are no table.
-    """
+    """The design of a message, None for the car file's; ValueError if its gains are no table."""
     if message.number == 0:
         return None
     columns, size = message.columns, len(message.gains)
@@ -255,8 +247,7 @@ def read_design(message: m.Design) -> Design | None:
 
 OLD_NS = 3_000_000_000
 """A proposal about a pose this much older, or younger, than now is left alone."""
-REFUSED = "refused: "
-"""What a text begins with that says why a proposal was not taken."""
+REFUSED = "refused: "  # what a text begins with that says why a proposal was not taken
 
 
 class DesignDesk:

@@ -34,14 +34,12 @@ from steerd.vesc_link.packets import encode_command
 from steerd.vesc_link.telemetry import Imu, Uptime, Values
 from steerd.vesc_link.vesc import Answer, Drive, VescLink
 
-DIAGNOSTICS_PERIOD_NS = 500_000_000
-"""Longest time between two diagnostics messages."""
+DIAGNOSTICS_PERIOD_NS = 500_000_000  # longest time between two diagnostics messages
 LIMITS_TRIES = 3
 """How often the session's limits are sent: a frame may be lost. Then a pre-arm check fails."""
 ERPM_MARGIN = 1.2
 """The VESC's own speed limit over the car file's: it must not cut in before the watchdogs."""
-_INFO, _ERROR = 20, 40
-"""Levels of `rcl_interfaces/Log`."""
+_INFO, _ERROR = 20, 40  # levels of `rcl_interfaces/Log`
 _HANDSHAKE = (m.ActuationMode.SILENT, m.ActuationMode.BRAKE)
 """Orders beside which a tick's write has room for the questions at the start."""
 _REQUESTS = {t.name: t for t in (topics.OPERATOR, topics.DRIVE, topics.SET_PARAMETERS)}

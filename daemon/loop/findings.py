@@ -114,28 +114,19 @@ def blame(finding: Finding, why: str) -> Finding:
 
 
 def make_unknown(id: str, what: str) -> Finding:
-    """Return the finding of a watchdog whose number was never measured: no advice is known.
-
-    Raises:
-        KeyError: there is no such watchdog.
-    """
+    """The finding of a watchdog whose number was never measured: no advice is known."""
     watchdog = WATCHDOGS[id]
     return Finding(id, watchdog.severity, f"{id} {watchdog.name}: {what}", known=False)
 
 
 def make_finding(id: str, measured: str, severity: Severity | None = None) -> Finding:
-    """Return a finding with the watchdog's own severity, or with the given one.
-
-    Raises:
-        KeyError: there is no such watchdog.
-    """
+    """A finding with the watchdog's own severity, or with the given one."""
     watchdog = WATCHDOGS[id]
     level = watchdog.severity if severity is None else severity
     return Finding(id, level, f"{id} {watchdog.name}: {measured}; {watchdog.advice}")
 
 
-_FACT = (0, Fact.SOFT, Fact.HARD, Fact.KILLED)
-"""By severity."""
+_FACT = (0, Fact.SOFT, Fact.HARD, Fact.KILLED)  # by severity
 
 
 def summarise(findings: Iterable[Finding]) -> tuple[int, str]:
@@ -170,10 +161,9 @@ class Flag:
 
 
 def merge_requests(pending: int, flags: int, state: SupervisorState, *, starts: bool) -> int:
-    """Requests of this tick: the operators', of stop signals, and of a run that starts by itself.
+    """Requests of this tick: of operators, of stop signals, and of a run that `starts` by itself.
 
-    `pending` has arrived; `starts`: the run arms and starts once without an operator, and has not
-    yet.
+    Such a run arms and starts once without an operator, and has not yet.
     """
     requests = pending
     if flags & Flag.QUIT:
@@ -208,8 +198,7 @@ def make_reported_findings(flags: int) -> Iterator[Finding]:
                 yield make_finding(name, text)
 
 
-WINDOW_NS = 1_000_000_000
-"""Time over which missed ticks are counted."""
+WINDOW_NS = 1_000_000_000  # time over which missed ticks are counted
 
 
 class LatenessRules(NamedTuple):

@@ -15,10 +15,8 @@ UNKNOWN = 3.0
 """Factor by which a lag, a slew rate or a dead time may be off before `identify` has seen it."""
 UNKNOWN_BIAS = 0.05
 """Wheel angle at order zero that a car may have before `identify` has seen it [rad]."""
-UNKNOWN_LATE_S = 0.05
-"""Dead time that a car may have before `identify` has seen it [s]."""
-SURE = 3.0
-"""Standard errors of an identified value that count as possible."""
+UNKNOWN_LATE_S = 0.05  # dead time that a car may have before `identify` has seen it [s]
+SURE = 3.0  # standard errors of an identified value that count as possible
 SPEED_MARGIN_MAX, TURN_MARGIN_MAX = 0.5, 0.05
 """Noise that a car file may claim [m/s], [rad]: beyond, the watchdog would see nothing."""
 

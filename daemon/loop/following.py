@@ -24,8 +24,7 @@ from steerd.steer_bus.quick_values import changed, quick_value
 
 LONG_TURN, LONG_TURN_S = 3.0, 0.2
 """A turn is measured over a short stretch and over this many times as long, at most so long [s]."""
-TRAIL_S = 0.35
-"""How long ends of the bands are kept, for measurements that arrive late [s]."""
+TRAIL_S = 0.35  # how long ends of the bands are kept, for measurements that arrive late [s]
 _NS, _SECONDS = 1_000_000_000, 1e-9
 _TRAIL_NS = round(TRAIL_S * _NS)
 Orders = tuple[tuple[int, Command[float]], ...]

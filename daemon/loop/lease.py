@@ -12,8 +12,7 @@ VALID_MS, VALID_MAX_MS = 100, 300
 """How long an external command may be applied, and the longest that is accepted [ms]."""
 HANDOVER_S = 1.0
 """Silence after which another controller may take over [s]; the car has stopped before."""
-FORMER_MAX = 256
-"""Number of former holders whose last numbers are remembered."""
+FORMER_MAX = 256  # number of former holders whose last numbers are remembered
 Numbers = tuple[tuple[int, int], ...]
 """Pairs of lease id and last accepted sequence number, the latest holder last."""
 
@@ -52,8 +51,7 @@ def accept_request(
     """Accept a request or refuse it; the facts that it asks for.
 
     A stop is accepted from anybody. All else needs this run's boot id, the lease (free for others
-    while it is `idle`: its holder is silent) and a rising sequence number, also from a former
-    holder.
+    while its holder is silent, `idle`) and a rising sequence number, also from a former holder.
     """
     try:
         kind = RequestKind(request.kind)

@@ -1,7 +1,6 @@
 """Live parameters of a run: which requests are accepted, and what is in force. Pure.
 
-They change the lane keeper's wish and nothing after it: limits, gate and watchdogs do not know them
-(but for the lateral error, which is judged against both lanes).
+They change the lane keeper's wish: of limits, gate and watchdogs only the lateral error knows them.
 """
 
 # Why: docs/decisions/safety.md#d74
@@ -14,8 +13,7 @@ from steerd.controller.live import AS_DESIGNED, LiveBounds, LiveValues, approach
 from steerd.steer_bus.messages import BODY, ParameterRequest, Parameters, make_header
 from steerd.steer_bus.quick_values import changed, quick_value
 
-STEP_MAX_S = 0.1
-"""Longest time that one tick's approach is granted for [s]: a pause is no leap."""
+STEP_MAX_S = 0.1  # longest time that one tick's approach is granted for [s]: a pause is no leap
 _WHY = {
     "speed": (" m/s", "the run was started and checked for that"),
     "offset": (" m", "further off, or tighter than the car turns, it would leave its lane"),

@@ -198,15 +198,11 @@ class Loop:
             self._control = start_controller(design, estimate.state, now_ns)
         state = self.supervisor.state
         wish, report, self._control, self.adapting = adapting.steer(
-            self.adapting,
-            self._control,
-            estimate.state,
-            now_ns,
-            issued=self._issued,
-            driving=state in DRIVING,
+            self.adapting, self._control, estimate.state, now_ns,
+            issued=self._issued, driving=state in DRIVING,
             stop=state is not SupervisorState.RUNNING,
             live=self.live.now if self.plan.live else AS_DESIGNED,
-        )
+        )  # fmt: skip
         if self.plan.remote:
             return self._make_remote_wish(now_ns), report
         if self.plan.drill is not None:

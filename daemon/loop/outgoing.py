@@ -114,8 +114,7 @@ def _make_target(
 
 
 CLOCK_KINDS = tuple(ClockKind)
-ALARM = (*BRAKED, SupervisorState.FAULT_LATCHED)
-"""States of a car that was stopped hard."""
+ALARM = (*BRAKED, SupervisorState.FAULT_LATCHED)  # states of a car that was stopped hard
 _NO_REPORT = ControlReport(*(nan,) * len(ControlReport._fields))
 _COUNTS = attrgetter("tachometer_abs", "fault", "status")
 _ELECTRICAL = attrgetter(
@@ -131,36 +130,22 @@ def make_mocap(pose: Pose, epoch_ns: int) -> m.MocapPose:
     """A pose as it came and as it was placed and judged."""
     return m.MocapPose(
         m.make_header(pose.t_valid_ns + epoch_ns, m.WORLD),
-        pose.t_valid_ns,
-        pose.t_arrival_ns,
-        pose.source_ticks or 0,
-        -1 if pose.frame is None else pose.frame,
-        CLOCK_KINDS.index(pose.clock),
-        int(pose.tracking_valid and pose.live),
-        *pose.position,
-        *pose.quaternion,
+        pose.t_valid_ns, pose.t_arrival_ns, pose.source_ticks or 0,
+        -1 if pose.frame is None else pose.frame, CLOCK_KINDS.index(pose.clock),
+        int(pose.tracking_valid and pose.live), *pose.position, *pose.quaternion,
         nan if pose.mean_error is None else pose.mean_error,
-        pose.x,
-        pose.y,
-        pose.yaw,
-        pose.height,
-        pose.tilt,
-        pose.rejected or "",
-    )
+        pose.x, pose.y, pose.yaw, pose.height, pose.tilt, pose.rejected or "",
+    )  # fmt: skip
 
 
 def make_telemetry(header: m.Header, when: Answer, v: Values, uptime_ms: int) -> m.VescTelemetry:
     """A telemetry reply; what the firmware did not send is NaN or -1."""
     return m.VescTelemetry(
-        header,
-        when.t_sent_ns,
-        when.t_received_ns,
-        uptime_ms,
-        int(v.erpm or 0),
-        int(v.tachometer or 0),
+        header, when.t_sent_ns, when.t_received_ns,
+        uptime_ms, int(v.erpm or 0), int(v.tachometer or 0),
         *[-1 if value is None else value for value in _COUNTS(v)],
         *[nan if value is None else value for value in _ELECTRICAL(v)],
-    )
+    )  # fmt: skip
 
 
 def make_imu(header: m.Header, when: Answer, i: Imu) -> m.VescImu:
@@ -174,15 +159,11 @@ def make_identity(
 ) -> m.VescIdentity:
     """Who the VESC is and how it stops by itself, as far as it has said."""
     return m.VescIdentity(
-        m.make_header(t_ns + epoch_ns, m.BODY),
-        t_ns,
-        -1 if appconf is None else appconf.timeout_ms,
-        int(expected),
-        version.major,
-        version.minor,
+        m.make_header(t_ns + epoch_ns, m.BODY), t_ns,
+        -1 if appconf is None else appconf.timeout_ms, int(expected), version.major, version.minor,
         nan if appconf is None else appconf.timeout_brake_current,
         version.uuid.hex() if version.uuid else "",
-    )
+    )  # fmt: skip
 
 
 def make_actuation(header: m.Header, drive: Drive, wire: bytes, seq: int) -> m.Actuation:
@@ -203,21 +184,11 @@ def make_state(tick: TickResult, seq: int, t_ns: int, epoch_ns: int) -> m.StateM
     state = estimate.state if estimate else (nan,) * 7
     sd = estimate.sd if estimate else (nan,) * 7
     return m.StateMessage(
-        m.make_header(t_ns + epoch_ns, m.WORLD),
-        t_ns,
-        seq,
-        tick.facts,
-        tick.supervisor.state,
-        *state,
-        *sd,
-        r.e1,
-        r.e2,
-        r.curvature,
-        r.s,
-        nan if drive.steer is None else drive.steer,
-        drive.speed,
+        m.make_header(t_ns + epoch_ns, m.WORLD), t_ns, seq, tick.facts, tick.supervisor.state,
+        *state, *sd, r.e1, r.e2, r.curvature, r.s,
+        nan if drive.steer is None else drive.steer, drive.speed,
         estimate.health.pose.nis if estimate else nan,
-    )
+    )  # fmt: skip
 
 
 def make_transition(tick: TickResult, stamp_ns: int) -> m.Transition:
@@ -233,13 +204,8 @@ def make_diagnostics(
     """State, why it is so, what it waits for, warnings: for `steerd status` and for viewers."""
     state, reason = tick.supervisor.state, tick.supervisor.reason
     warnings = [finding.text for finding in tick.findings if finding.known]
-    values = {
-        "state": state.name,
-        "reason": reason,
-        "waiting": waiting,
-        "warnings": "\n".join(warnings),
-        **extra,
-    }
+    values = {"state": state.name, "reason": reason, "waiting": waiting}
+    values |= {"warnings": "\n".join(warnings), **extra}
     status = DiagnosticStatus(
         level=2 if state in ALARM else int(bool(warnings)),
         name="steerd: supervisor",

@@ -14,13 +14,11 @@ from steerd.steer_bus import messages as m
 from steerd.vesc_link.scaling import erpm_to_speed
 from steerd.vesc_link.telemetry import has_chip
 
-_TRACK_NS = round(1e9 * LONG_TURN_S)
-"""How long poses are kept."""
+_TRACK_NS = round(1e9 * LONG_TURN_S)  # how long poses are kept
 _SPEED_SPAN_S, _SPAN_OF_SD = 0.1, 20.0
 """Time over which mocap speed is taken, single steps at 100 Hz are mostly noise; and least time per
 metre that a pose may be off, by which a noisy localiser's is longer, up to `LONG_TURN_S` [s/m]."""
-BLIND_S = 0.5
-"""Age after which a measured speed counts as unknown [s]."""
+BLIND_S = 0.5  # age after which a measured speed counts as unknown [s]
 NO_TELEMETRY = m.VescTelemetry(m.make_header(0, m.BODY), 0, 0, -1, 0, 0, -1, -1, -1, *(nan,) * 10)
 _SEEN = (PoseVerdict.ACCEPTED, PoseVerdict.REBASED)
 

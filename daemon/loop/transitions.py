@@ -97,13 +97,10 @@ class TransitionRow(NamedTuple):
 _ANY = tuple(SupervisorState)
 INIT, DISARMED, READY, SELF_TEST, ARMED, RUNNING, STOPPING, FAULT_STOP, FAULT_LATCHED, ESTOP = _ANY
 _SILENT = (DISARMED, READY, SELF_TEST)
-PARKED = (INIT, DISARMED, READY, FAULT_LATCHED)
-"""No motor command is sent."""
-HELD = (ARMED, RUNNING, STOPPING)
-"""Somebody must hold the car."""
+PARKED = (INIT, DISARMED, READY, FAULT_LATCHED)  # no motor command is sent
+HELD = (ARMED, RUNNING, STOPPING)  # somebody must hold the car
 DRIVING = (RUNNING, STOPPING)
-BRAKED = (FAULT_STOP, ESTOP)
-"""The car is being stopped hard."""
+BRAKED = (FAULT_STOP, ESTOP)  # the car is being stopped hard
 _TRIPPED = Fact.SOFT | Fact.HARD
 _LEAVE = Fact.DISARM | Fact.UNKNOWN
 _HALT = Fact.STOP | Fact.DISARM | Fact.ABORT | Fact.UNKNOWN

@@ -63,8 +63,7 @@ class WatchdogInput:
     reported: tuple[Finding, ...] = ()
 
 
-Report = Callable[[Finding], None]
-"""Takes a finding of this tick."""
+Report = Callable[[Finding], None]  # takes a finding of this tick
 Check = Callable[[Thresholds, WatchdogInput, Report], None]
 _COMMANDED = (SupervisorState.ARMED, SupervisorState.RUNNING)
 _STOPS = (SupervisorState.STOPPING, *BRAKED)
@@ -249,46 +248,27 @@ def _describe_block(i: WatchdogInput) -> str:
     return f"{share} of the current limit at {speed} m/s"
 
 
-def _describe_band(band: Band) -> str:
-    return f"{show(band.low, '.2f')} to {show(band.high, '.2f')}"
+def _describe_followed(value: float, unit: str, band: Band) -> str:
+    low, high = show(band.low, ".2f"), show(band.high, ".2f")
+    return f"{show(value, '.2f')} {unit}, orders allow {low} to {high}"
 
 
 TIMED: tuple[Timed, ...] = (
     Timed("W9", _is_starved, lambda *_: COMMANDED_S, lambda _: "status bit 0 stays set"),
-    Timed(
-        "W13",
-        lambda th, i: not i.cell_voltage >= th.cell,
-        lambda th, _: th.cell_hold,
-        lambda i: f"{show(i.cell_voltage, '.2f')} V per cell",
-    ),
-    Timed(
-        "W17",
-        lambda th, i: i.state in DRIVING and abs(i.lateral_error) > th.lateral,
-        lambda th, _: th.lateral_hold,
-        lambda i: f"{show(abs(i.lateral_error), '.2f')} m",
-    ),
+    Timed("W13", lambda th, i: not i.cell_voltage >= th.cell, lambda th, _: th.cell_hold,
+          lambda i: f"{show(i.cell_voltage, '.2f')} V per cell"),
+    Timed("W17", lambda th, i: i.state in DRIVING and abs(i.lateral_error) > th.lateral,
+          lambda th, _: th.lateral_hold, lambda i: f"{show(abs(i.lateral_error), '.2f')} m"),
     Timed("W20", _is_fast, lambda th, _: th.overspeed_hold, _describe_speeds),
     Timed("W21", _is_mismatched, lambda th, _: th.mismatch_hold, _describe_speeds),
     Timed("W22", _is_blocked, lambda th, _: th.blocked_hold, _describe_block),
-    Timed(
-        "W30",
-        lambda _, i: i.state in DRIVING and not i.followed.speed_excess <= 0.0,
-        lambda th, i: follow_span(th, i.speed_erpm),
-        lambda i: (
-            f"wheels {show(i.followed.speed, '.2f')} m/s, "
-            f"orders allow {_describe_band(i.followed.speed_band)}"
-        ),
-    ),
-    Timed(
-        "W31",
-        lambda _, i: i.state in DRIVING and not i.followed.turn_excess <= 0.0,
-        lambda th, i: 0.5 * follow_span(th, i.speed_mocap),
-        lambda i: (
-            f"turns at {show(i.followed.turn_rate, '.2f')} rad/s, "
-            f"orders allow {_describe_band(i.followed.turn_band)}"
-        ),
-    ),
-)
+    Timed("W30", lambda _, i: i.state in DRIVING and not i.followed.speed_excess <= 0.0,
+          lambda th, i: follow_span(th, i.speed_erpm),
+          lambda i: f"wheels {_describe_followed(i.followed.speed, 'm/s', i.followed.speed_band)}"),
+    Timed("W31", lambda _, i: i.state in DRIVING and not i.followed.turn_excess <= 0.0,
+          lambda th, i: 0.5 * follow_span(th, i.speed_mocap), lambda i: (
+            f"turns at {_describe_followed(i.followed.turn_rate, 'rad/s', i.followed.turn_band)}")),
+)  # fmt: skip
 NEVER = -1
 _NEVER_HELD = (NEVER,) * len(TIMED)
 

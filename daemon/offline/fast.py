@@ -21,11 +21,7 @@ from steerd.steer_bus.session_read import SessionError
 
 
 def make_recording(plan: RunPlan, path: Path) -> Recording:
-    """A session file for a run in virtual time.
-
-    Raises:
-        SteerdError: it cannot be created.
-    """
+    """A session file for a run in virtual time; SteerdError if it cannot be created."""
     try:
         return Recording(make_recorder_job(plan, path, {}))
     except SessionError as error:
@@ -77,10 +73,8 @@ def _learn_beside(
 ) -> Callable[[PipeRecord], Iterator[PipeRecord]]:
     """What gives each record of a drive back, with `--learn` also the report that it completes.
 
-    `propose` takes the proposals of `--adapt`, and when they were made [ns].
-
-    Raises:
-        ValueError: the car file holds what identify does not write.
+    `propose` takes the proposals of `--adapt`, and when they were made [ns]. ValueError: the car
+    file holds what identify does not write.
     """
     if not plan.options.learn:  # a drive without it loads no compiler
         return lambda record: iter((record,))
@@ -141,11 +135,7 @@ def run_fast(plan: RunPlan) -> int:
 
 
 def check_driven(run: VirtualRun) -> None:
-    """Refuse a run in which the car was never driven.
-
-    Raises:
-        SteerdError: what it was waiting for.
-    """
+    """Refuse a run in which the car was never driven: SteerdError with what it waited for."""
     if not run.core.loop.ran:
         waiting = run.core.last.waiting if run.core.last else ""
         raise SteerdError(f"the car was never driven: waiting for {waiting}", "", ExitCode.STOPPED)

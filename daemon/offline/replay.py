@@ -22,8 +22,7 @@ from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.session_read import Record, Session
 
-TOLERANCE = 1e-9
-"""Allowed difference: another machine's libm may differ in the last digits."""
+TOLERANCE = 1e-9  # allowed difference: another machine's libm may differ in the last digits
 
 
 @dataclass(frozen=True)
@@ -37,11 +36,7 @@ class Difference:
 
 
 def make_replay_plan(session: Session, name: str) -> RunPlan:
-    """The plan of a recorded run.
-
-    Raises:
-        SteerdError: the session was not recorded by `steerd run`.
-    """
+    """The plan of a recorded run; SteerdError if `steerd run` has not recorded the session."""
     meta: dict[str, Any] = dict(session.info().metadata.get("steerd.session", {}))
     with reading(name, "only sessions of `steerd run` hold what a replay needs"):
         options = decode_options(meta["options"])
@@ -135,11 +130,7 @@ def describe_difference(difference: Difference, first_ns: int) -> str:
 
 
 def check_same(count: int, ticks: int) -> ExitCode:
-    """The exit code of a replay with so many differences.
-
-    Raises:
-        SteerdError: nothing was compared.
-    """
+    """The exit code of a replay with so many differences; SteerdError if nothing was compared."""
     if not ticks:
         raise SteerdError("the session holds no ticks: there is nothing to replay")
     return ExitCode.DIFFERS if count else ExitCode.OK

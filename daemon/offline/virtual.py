@@ -18,14 +18,11 @@ from steerd.sim_hw.mocap.network import COMMAND, DATA
 from steerd.sim_hw.world import World, WorldConfig
 
 _SERVER = "127.0.0.1"
-_TIMER_NS = 20_000_000
-"""Time between two calls of the mocap source's timer."""
-_REOPEN_NS = 200_000_000
-"""Time between two attempts to open the serial port, as in real time."""
+_TIMER_NS = 20_000_000  # time between two calls of the mocap source's timer
+_REOPEN_NS = 200_000_000  # time between two attempts to open the serial port, as in real time
 _GC_THRESHOLD = 20_000
 """A drive makes many small values and no cycles; the default of 700 takes 6 % of the time."""
-_GRACE_NS = 30_000_000_000
-"""Time until a run must drive, else it is given up."""
+_GRACE_NS = 30_000_000_000  # time until a run must drive, else it is given up
 
 
 @dataclass
@@ -132,11 +129,7 @@ def make_virtual_run(
 
 
 def drive(run: VirtualRun, on_tick: Callable[[VirtualRun], None] | None = None) -> None:
-    """Drive until the car is parked again after its run, or latched.
-
-    Raises:
-        Exception: the run's own, once it has failed.
-    """
+    """Drive until the car is parked again after its run, or latched; raises why the run failed."""
     before, loop, over = gc.get_threshold(), run.core.loop, False
     latched = (SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP)
     gc.set_threshold(_GC_THRESHOLD)

@@ -14,7 +14,7 @@ import platformdirs
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.ipc.requests import make_badge, read_diagnostics
-from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.loop.transitions import ARMED, DISARMED, ESTOP, READY, STOPPING, SupervisorState
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.atomic_file import write_atomically
@@ -25,26 +25,14 @@ from steerd.steer_bus.standard import DiagnosticArray
 from steerd.steer_bus.topics import Topic, check_car_name, make_key
 from steerd.steer_bus.zenoh_bus import ZenohBus
 
-STOPS = {
-    RequestKind.STOP: (
-        SupervisorState.STOPPING,
-        SupervisorState.ARMED,
-        SupervisorState.DISARMED,
-        SupervisorState.READY,
-    ),
-    RequestKind.ESTOP: (SupervisorState.ESTOP,),
-}
+STOPS = {RequestKind.STOP: (STOPPING, ARMED, DISARMED, READY), RequestKind.ESTOP: (ESTOP,)}
 """Requests that are repeated until the car shows one of these states."""
-REPEAT_NS = 20_000_000
-"""Time between two requests of one call for a stop."""
+REPEAT_NS = 20_000_000  # time between two requests of one call for a stop
 SURE_NS = 100_000_000
 """A stop is repeated for so long whatever is seen: what is seen may be older than the call."""
-CALL_NS = 5_000_000_000
-"""A call for a stop ends after this time, seen or not."""
-STATUS_NS = 2_000_000_000
-"""A car on the bus says how it is within this."""
-EVENTS = 8
-"""State changes that are kept for a page that opens later."""
+CALL_NS = 5_000_000_000  # a call for a stop ends after this time, seen or not
+STATUS_NS = 2_000_000_000  # a car on the bus says how it is within this
+EVENTS = 8  # state changes that are kept for a page that opens later
 _SHOWN = (topics.STATE, topics.VESC, topics.TRANSITION, topics.DIAGNOSTICS, topics.PARAMETERS)
 
 
@@ -96,11 +84,7 @@ class CarView:
                     continue
 
     def wait_heard(self, *, state: bool = False) -> "CarView":
-        """Wait until the car has said how it is: its diagnostics, with `state` that too.
-
-        Raises:
-            SteerdError: it did not, in time.
-        """
+        """Wait for its diagnostics, with `state` that too; SteerdError if they do not come."""
         end_ns = self.clock.now_ns() + STATUS_NS
         while not self.values or (state and self.state is None):
             if self.clock.now_ns() > end_ns:

@@ -22,17 +22,15 @@ from steerd.daemon.ipc.signals import ignore_terminal_signals
 
 CORE = "steerd.daemon.process.core_process"
 """Module of the control core, which takes longest to load."""
-READY_S = 30.0
-"""Longest time until a process is ready [s]."""
+READY_S = 30.0  # longest time until a process is ready [s]
 _MOST_FDS = 32
 _READ_BYTES = 65536
 
 
 class Child:
-    """A process of a run: it waits for its job on standard input, and reports once it is ready.
+    """A process of a run, in a group of its own: it waits for its job and reports once it is ready.
 
-    It runs `module` in a process group of its own, since Ctrl-C is for the terminal. `ready_fd` is
-    where it reports; -1 before it has its job.
+    `ready_fd` is where it reports; -1 before it has its job.
     """
 
     def __init__(self, module: str) -> None:
@@ -64,11 +62,7 @@ class Child:
             self.process.wait()
 
     def wait_ready(self, name: str) -> dict[str, Any]:
-        """What it reports once it is ready.
-
-        Raises:
-            SteerdError: it cannot be, with its own text; it ended, or nothing came in time.
-        """
+        """What it reports once it is ready; SteerdError if it cannot be, ended, or said nothing."""
         poll = select.poll()
         poll.register(self.ready_fd, select.POLLIN | select.POLLHUP)
         line = b""
@@ -126,7 +120,7 @@ def run_process(
     """The whole of a process: what it begins with, its job (`serve`), its exit code.
 
     Its priority is lower than the control processes' by `nice`. Most end when the core's pipe
-    closes, not by signals.
+    closes, not by signals. What `serve` cannot do it says by SteerdError, which the parent gets.
     """
     begin()
     os.nice(nice)

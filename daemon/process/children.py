@@ -68,15 +68,14 @@ def recall_learnt(plan: RunPlan, session: Path, now_ns: int) -> LearnerMemory:
     return LearnerMemory(str(page), about, memory, metadata={kept.METADATA: metadata})
 
 
-END_S, VIEWER_END_S = 10.0, 2.0
-"""Longest time until a process has ended, before it is killed [s]."""
+END_S, VIEWER_END_S = 10.0, 2.0  # longest time until a process has ended, before it is killed [s]
 _MODULE = "steerd.daemon.process."
 
 
 class Ends:
-    """Descriptors of a run by process and name; who ends, or drops them, is noticed by the others.
+    """Descriptors of a run by process and name; those of `terminal` are this process's own.
 
-    Those of `terminal` are this process's own.
+    Who ends, or drops them, is noticed by the others.
     """
 
     def __init__(self, options: RunOptions) -> None:
@@ -136,9 +135,8 @@ class RunProcesses:
     def end(self) -> int:
         """Wait for the core, then for the others, which end when its pipes close.
 
-        Returns:
-            The core's exit code, or the recorder's where the session is not whole; a process that
-            was killed is a safety stop.
+        The exit code is the core's, or the recorder's where the session is not whole; a process
+        that was killed is a safety stop.
         """
         code = self.core.process.wait()
         if code < 0:
@@ -167,10 +165,8 @@ def _end(child: Child, seconds: float) -> int:
 def start_processes(plan: RunPlan, session: Path, core: Child | None = None) -> RunProcesses:
     """Start recorder, gateway, core and, where they are asked for, viewer, page and learner.
 
-    `core` is the control core's process where it was prepared already.
-
-    Raises:
-        SteerdError: one of them failed to start, with its own text.
+    `core` is the control core's process where it was prepared already. SteerdError: one of them
+    failed to start, with its own text.
     """
     ends, now_ns = Ends(plan.options), plan.run.epoch_ns + time.monotonic_ns()
     memory = recall_learnt(plan, session, now_ns)
@@ -208,11 +204,7 @@ def start_processes(plan: RunPlan, session: Path, core: Child | None = None) -> 
 def make_recorder_job(
     plan: RunPlan, session: Path, more: Mapping[str, dict[str, str]]
 ) -> dict[str, Any]:
-    """What a recording begins with, with metadata beside the run's; its folder is made.
-
-    Raises:
-        SteerdError: there can be no such folder.
-    """
+    """What a recording begins with; its folder is made, or SteerdError says why there is none."""
     try:
         session.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

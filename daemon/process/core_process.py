@@ -27,8 +27,7 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.vesc_link.transport import Port, PortError, open_port
 
-STATUS_PERIOD_NS = 100_000_000
-"""Time between two records of the same kind for the terminal."""
+STATUS_PERIOD_NS = 100_000_000  # time between two records of the same kind for the terminal
 _RARE = (topics.DIAGNOSTICS.name, topics.TRANSITION.name, topics.PARAMETERS.name)
 _SHOWN = (topics.STATE.name, topics.TICK.name, *_RARE)
 
@@ -69,11 +68,7 @@ def status_sink(pipe: PipeWriter) -> Sink:
 
 
 def make_mocap(plan: RunPlan) -> MocapReceiver | BusPoseSource:
-    """The mocap source that the options name.
-
-    Raises:
-        SteerdError: the address makes no sense, or its host does not resolve.
-    """
+    """The mocap source that the options name; SteerdError if its address is of no use."""
     text = plan.options.mocap or ""
     try:
         url = parse_mocap_url(text)
@@ -88,11 +83,7 @@ def make_mocap(plan: RunPlan) -> MocapReceiver | BusPoseSource:
 
 
 def make_opener(url: str) -> Callable[[], Port]:
-    """What opens the port; it is opened before anything else, to report a wrong one at once.
-
-    Raises:
-        SteerdError: it cannot be opened, with advice.
-    """
+    """What opens the port, which is open from now on; SteerdError with advice if it cannot be."""
     try:
         waiting = [open_port(url)]
     except PortError as error:
@@ -101,11 +92,7 @@ def make_opener(url: str) -> Callable[[], Port]:
 
 
 def serve(given: Job) -> int:
-    """The process.
-
-    Raises:
-        SteerdError: the run cannot be begun.
-    """
+    """The process; the port is the first thing that it opens."""
     fds, job = given
     plan = read_job(job, design=True)
     open_again = make_opener(plan.options.port or "")

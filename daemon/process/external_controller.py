@@ -6,7 +6,7 @@ The lane keeper of `steerd control` is one, and so is a function of a user's own
 
 import secrets
 from collections.abc import Callable
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -21,18 +21,16 @@ from steerd.daemon.common.errors import SteerdError
 from steerd.daemon.loop.lease import VALID_MS
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.steer_bus import topics
-from steerd.steer_bus.clock import Clock, MonotonicClock
+from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.codec import decode, encode
 from steerd.steer_bus.messages import BODY, DriveCommand, StateMessage, make_header
 from steerd.steer_bus.topics import make_key
 
 if TYPE_CHECKING:
-    from steerd.steer_bus.zenoh_bus import ZenohBus
+    from steerd.daemon.process.bus_operator import CarView
 
-_POLL_NS = 1_000_000
-"""Time between two looks at the bus [ns]."""
-_PAUSE = 0.1
-"""A lane keeper without estimates for longer searches its lane anew [s]."""
+_POLL_NS = 1_000_000  # time between two looks at the bus [ns]
+_PAUSE = 0.1  # a lane keeper without estimates for longer searches its lane anew [s]
 
 
 class Lane(NamedTuple):
@@ -63,11 +61,7 @@ class ExternalController:
         self._seq = 0
 
     def compute_command(self, message: StateMessage, realtime_ns: int) -> DriveCommand | None:
-        """The command for one estimate; None while the estimate is not finite.
-
-        Raises:
-            SteerdError: the controller does not return two finite numbers.
-        """
+        """The command for a finite estimate, else None; SteerdError if the controller has none."""
         m = message
         state = State(m.x, m.y, m.yaw, m.speed, m.yaw_rate, m.slip_angle, m.steer)
         if not all(map(isfinite, state)):
@@ -123,13 +117,14 @@ def keep_lane(controller: LaneController) -> Controller:
     return command
 
 
-def answer(
-    bus: "ZenohBus", car: str, made: ExternalController, clock: Clock, end_ns: int | None
-) -> None:
-    """Publish a command for every estimate until the time is over or a signal comes."""
-    estimates = bus.subscribe(make_key(car, topics.STATE))
-    key = make_key(car, topics.DRIVE, bus.who)
-    while end_ns is None or clock.now_ns() < end_ns:
+def answer(view: "CarView", controller: Controller, duration: float | None) -> None:
+    """Publish a command for every estimate, for so long [s] or until a signal comes."""
+    bus, clock = view.bus, view.clock
+    made = ExternalController(controller, view.boot_id, secrets.randbits(62) + 1)
+    end_ns = inf if duration is None else clock.now_ns() + round(duration * 1e9)
+    estimates = bus.subscribe(make_key(view.car, topics.STATE))
+    key = make_key(view.car, topics.DRIVE, bus.who)
+    while clock.now_ns() < end_ns:
         for sample in estimates.poll():
             command = made.compute_command(decode(StateMessage, sample.data), clock.realtime_ns())
             if command is not None:
@@ -164,9 +159,7 @@ def serve(
     from steerd.daemon.ipc.operator import connect as connect_bus  # zenoh, where nothing is served
     from steerd.daemon.process.bus_operator import CarView
 
-    clock, folder = MonotonicClock(), None if lab is None else Path(lab)
+    folder = None if lab is None else Path(lab)
     with connect_bus(connect, folder, "steerd run --controller zenoh") as bus:
-        boot_id = CarView(bus, car, clock).wait_heard().boot_id
-        made = ExternalController(while_driving(controller), boot_id, secrets.randbits(62) + 1)
-        end_ns = None if duration is None else clock.now_ns() + round(duration * 1e9)
-        answer(bus, car, made, clock, end_ns)
+        view = CarView(bus, car, MonotonicClock()).wait_heard()
+        answer(view, while_driving(controller), duration)

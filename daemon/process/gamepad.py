@@ -20,10 +20,8 @@ from steerd.daemon.common.errors import ExitCode, SteerdError
 FOLDER = Path("/dev/input")
 EVENT = struct.Struct("llHHi")
 """`struct input_event` of a 64-bit kernel: seconds, microseconds, type, code, value."""
-KEY, ABS, SYN = 1, 3, 0
-"""Event types: a button, an axis, the end of a report."""
-SYN_DROPPED = 3
-"""Code of SYN: the kernel's buffer ran over."""
+KEY, ABS, SYN = 1, 3, 0  # event types: a button, an axis, the end of a report
+SYN_DROPPED = 3  # code of SYN: the kernel's buffer ran over
 _READ_BYTES = 64 * EVENT.size
 
 
@@ -64,11 +62,7 @@ class Pad:
     _rest: bytes = b""
 
     def read(self) -> list[PadEvent]:
-        """The events that are there.
-
-        Raises:
-            PadGoneError: no more will come.
-        """
+        """The events that are there; PadGoneError where no more will come."""
         try:
             data = os.read(self.fd, _READ_BYTES)
         except BlockingIOError:
@@ -88,11 +82,7 @@ class Pad:
 
 
 def open_pad(path: Path | None, deadman: int) -> Pad:
-    """The named gamepad or pipe, or the only gamepad that has the deadman's button.
-
-    Raises:
-        SteerdError: there is none, there are several, or it cannot be read.
-    """
+    """The named gamepad or pipe, or the only one with the deadman's button; else SteerdError."""
     if path is not None and path.exists() and stat.S_ISFIFO(path.stat().st_mode):
         return Pad(str(path), os.open(path, os.O_RDONLY))
     if find_spec("evdev") is None:
@@ -120,11 +110,7 @@ def _open_device(path: Path) -> Pad:
 
 
 def find_pad(deadman: int) -> Path:
-    """The only device that has the deadman's button.
-
-    Raises:
-        SteerdError: none, or several.
-    """
+    """The only device that has the deadman's button; SteerdError for none, or several."""
     import evdev  # noqa: TID251
 
     found = []
@@ -151,8 +137,7 @@ AXES = {"x": 0, "y": 1, "z": 2, "rx": 3, "ry": 4, "rz": 5, "gas": 9, "brake": 10
 """Axes by the end of the kernel's name, `ABS_RZ` as `rz`."""
 TRIGGERS = ("z", "rz", "gas", "brake")
 """Axes that rest at their lowest value; the others rest in the middle."""
-DEAD_ZONE = 0.05
-"""Least dead zone of an axis in the middle, as a share of its half."""
+DEAD_ZONE = 0.05  # least dead zone of an axis in the middle, as a share of its half
 
 
 @dataclass(frozen=True)

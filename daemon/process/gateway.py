@@ -13,7 +13,6 @@ import socket
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord
@@ -32,29 +31,19 @@ from steerd.steer_bus.standard import AckermannDrive, AckermannDriveStamped
 from steerd.steer_bus.topics import BusError, Keep
 from steerd.steer_bus.zenoh_bus import Profile, Subscription, ZenohBus
 
-DRIVE_NAME = "drive"
-"""What went to the motor controller, as `ackermann_msgs/AckermannDriveStamped`."""
-_FIRST_ENTITY = 10
-"""Entity number of the first publisher."""
+DRIVE_NAME = "drive"  # what went to the motor controller, as `ackermann_msgs/AckermannDriveStamped`
+_FIRST_ENTITY = 10  # entity number of the first publisher
 
 
 class RosBridge:
     """One node ``steerd_<car>`` with a publisher for each topic that the car sends."""
 
     def __init__(self, bus: ZenohBus, car: str, domain: int) -> None:
-        """Declare node and publishers.
-
-        Raises:
-            BusError: the bus is closed.
-        """
+        """Declare node and publishers; BusError on a closed bus."""
         self._bus = bus
         node = f"steerd_{car}"
-        sent: dict[str, type[Any]] = {
-            topic.name: topic.message
-            for topic in topics.TOPICS
-            if topic.on_bus and topic.direction == "out"
-        }
-        sent[DRIVE_NAME] = AckermannDriveStamped
+        published = [t for t in topics.TOPICS if t.on_bus and t.direction == "out"]
+        sent = {t.name: t.message for t in published} | {DRIVE_NAME: AckermannDriveStamped}
         bus.declare_alive(topics.make_node_token(domain, bus.zid, node))
         self._keys: dict[str, str] = {}
         for entity, (name, cls) in enumerate(sent.items(), _FIRST_ENTITY):
@@ -107,10 +96,8 @@ def make_drive(sent: Actuation) -> AckermannDriveStamped:
     return AckermannDriveStamped(sent.header, AckermannDrive(sent.steer, 0.0, sent.speed, 0.0, 0.0))
 
 
-_POLL_MS = 4
-"""Longest time that a request waits here [ms]."""
-_DEPTH = 16
-"""Requests kept of each topic between two polls."""
+_POLL_MS = 4  # longest time that a request waits here [ms]
+_DEPTH = 16  # requests kept of each topic between two polls
 _INWARD = (topics.STOP, topics.OPERATOR, topics.DRIVE, topics.SET_PARAMETERS, topics.HEARTBEAT_BACK)
 """What comes from the bus, in the order in which it is passed on."""
 
@@ -213,11 +200,7 @@ def run_gateway(
 
 
 def serve(job: Job) -> int:
-    """The process; it ends with the core's pipe.
-
-    Raises:
-        SteerdError: the bus cannot be opened as asked for.
-    """
+    """The process; it ends with the core's pipe."""
     options, core = decode_options(job.about["options"]), socket.socket(fileno=job.fds["requests"])
     pose_key, (boot_id, *_) = find_pose_key(options), job.about["run"]
     core.setblocking(False)

@@ -21,8 +21,7 @@ from steerd.daemon.settings.thresholds import Thresholds
 from steerd.steer_bus.codec import CodecError, decode
 from steerd.steer_bus.messages import BODY, Heartbeat, make_header
 
-START_NS = 1_000_000_000
-"""Time that a new guardian has until its first heartbeat."""
+START_NS = 1_000_000_000  # time that a new guardian has until its first heartbeat
 STALE_NS_SIMULATED = 300_000_000
 """Age of the core's heartbeat at which the guardian brakes a simulated car."""
 SILENT_S = Thresholds().guardian
@@ -122,8 +121,7 @@ def sleep_lag_ns() -> int:
 
 
 _STAT = Path("/proc/stat")
-_STEAL = 8
-"""Column of the stolen time in the line of all processors; see proc(5)."""
+_STEAL = 8  # column of the stolen time in the line of all processors; see proc(5)
 STALL_SHARE = 0.5
 """A tick is late because the machine stood still if so much of its lateness was stolen."""
 
@@ -144,10 +142,8 @@ def read_steal_ns() -> int:
         return 0
 
 
-Span = tuple[int, int]
-"""From and to [ns]."""
-LEAST_NS = 2 * PERIOD_NS
-"""Of a shorter delay the guardian, which sleeps for 10 ms, is no witness."""
+Span = tuple[int, int]  # from and to [ns]
+LEAST_NS = 2 * PERIOD_NS  # of a shorter delay the guardian, which sleeps for 10 ms, is no witness
 
 
 def find_cause(late: Span, stolen_ns: int, pause: Span | None) -> int:
@@ -168,8 +164,7 @@ def find_cause(late: Span, stolen_ns: int, pause: Span | None) -> int:
     return Flag.ALONE_LATE if shared <= 0 else 0
 
 
-BEAT_NS = 50_000_000
-"""Time between two heartbeats."""
+BEAT_NS = 50_000_000  # time between two heartbeats
 
 
 @dataclass(slots=True)

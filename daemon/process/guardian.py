@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from steerd.daemon.ipc.signals import wake_at_parents_end
-from steerd.daemon.process.heartbeat import STALE_NS, HeartbeatPage, Lifeline
+from steerd.daemon.process.heartbeat import HeartbeatPage, Lifeline
 
 PERIOD_NS, BRAKE_NS = 10_000_000, 2_000_000_000  # between brake frames; for so long they go on
 PRIORITY = 60  # SCHED_FIFO, above the core's 50
@@ -52,31 +52,25 @@ def brake(page: HeartbeatPage, serial_fd: int, frame: bytes, now: Callable[[], i
         pause.poll(max(0, (due + PERIOD_NS - now()) // 1_000_000))
 
 
-def guardian_main(
-    serial_fd: int, page_fd: int, core_pidfd: int, frame: bytes, stale_ns: int = STALE_NS
-) -> None:
+def main(argv: Sequence[str] | None = None) -> None:
     """Guard until the core has ended in good order or the car was braked.
 
     ``serial_fd`` is a non-blocking duplicate of the core's, ``frame`` a whole brake frame.
     """
-    wake_at_parents_end()
-    for quiet in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(quiet, signal.SIG_IGN)  # they reach the whole group; the core stops the car
-    with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-    page, core = HeartbeatPage(page_fd), Lifeline(page_fd, core_pidfd)
-    if wait_for_fault(page, core, stale_ns, time.monotonic_ns):
-        brake(page, serial_fd, frame, time.monotonic_ns)
-
-
-def main(argv: Sequence[str] | None = None) -> None:
-    """``python -m steerd.daemon.process.guardian SERIAL_FD PAGE_FD PIDFD FRAME_HEX STALE_NS``."""
     parser = argparse.ArgumentParser(prog="steerd-guardian", description=__doc__)
     for name in ("serial_fd", "page_fd", "core_pidfd"):
         parser.add_argument(name, type=int)
     parser.add_argument("frame", type=bytes.fromhex)
     parser.add_argument("stale_ns", type=int)
-    guardian_main(**vars(parser.parse_args(argv)))
+    given = parser.parse_args(argv)
+    wake_at_parents_end()
+    for quiet in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(quiet, signal.SIG_IGN)  # they reach the whole group; the core stops the car
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    page, core = HeartbeatPage(given.page_fd), Lifeline(given.page_fd, given.core_pidfd)
+    if wait_for_fault(page, core, given.stale_ns, time.monotonic_ns):
+        brake(page, given.serial_fd, given.frame, time.monotonic_ns)
 
 
 if __name__ == "__main__":

@@ -22,14 +22,10 @@ from typing import Any, TextIO
 from steerd.daemon.process.secret_server import HOST, SecretServer, ServerConnection, converse
 from steerd.sysid.report.page import render_page
 
-ANSWERS = {"do": "", "skip": "s", "back": "b", "quit": "q"}
-"""What a button types."""
-SHOWN = 20_000
-"""Characters of a step's output that are kept."""
-_SIZE = 30, 80
-"""Rows and columns of a step's terminal."""
-_LOOK_S = 0.1
-"""Time between two looks at what changed [s]."""
+ANSWERS = {"do": "", "skip": "s", "back": "b", "quit": "q"}  # what a button types
+SHOWN = 20_000  # characters of a step's output that are kept
+_SIZE = 30, 80  # rows and columns of a step's terminal
+_LOOK_S = 0.1  # time between two looks at what changed [s]
 _WORD_MAX = 64
 _TEMPLATE = Path(__file__).parent / "live_page" / "setup.html"
 _CONTROL = re.compile(r"\x1b\[(\d*)([A-Za-z])|\x1b\[[0-9;?]*[A-Za-z]|\r\n|[\r\n\b\x07]")
@@ -68,11 +64,7 @@ class GuidePage:
         self._error: OSError | None = None
 
     def open(self, port: int) -> str:
-        """Serve; the address.
-
-        Raises:
-            OSError: the port is taken.
-        """
+        """Serve; the address. OSError where the port is taken."""
         threading.Thread(target=asyncio.run, args=(self._serve(port),), daemon=True).start()
         self._opened.wait()
         if self._error is not None:

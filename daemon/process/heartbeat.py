@@ -1,9 +1,8 @@
 """What control core and guardian share: a page of memory, and in it notice of the core's death.
 
-The page holds heartbeats, flags and outgoing bytes. A core may be frozen at any instruction, also
-between its last look at ``tripped`` and the write itself. So it writes motion frames out of this
-page: the kernel reads them during the call, and until then the guardian can make them a brake
-frame.
+A core may be frozen at any instruction, also between its last look at ``tripped`` and the write
+itself. So it writes motion frames out of this page: the kernel reads them during the call, and
+until then the guardian can make them a brake frame.
 
 A robust mutex in the page shows the core's end. A pidfd, the end of a pipe or a parent-death
 signal report a killed process only after the kernel has freed its memory: 30 to 190 ms were
@@ -87,8 +86,7 @@ class Lifeline:
 
 STALE_NS, STALE_NS_NO_RT = 30_000_000, 60_000_000
 """Age of a heartbeat that trips [ns], with SCHED_FIFO or without."""
-PAUSE_NS = 15_000_000
-"""Between two beats of the guardian [ns]; more is a pause of its own."""
+PAUSE_NS = 15_000_000  # between two beats of the guardian [ns]; more is a pause of its own
 OUTGOING, OUTGOING_BYTES = OFFSET + MUTEX_BYTES, 256
 """Where the outgoing bytes lie; a tick that moves the car writes some 60."""
 PAGE_BYTES = OUTGOING + OUTGOING_BYTES
@@ -125,8 +123,7 @@ class HeartbeatPage:
     def stage(self, wire: bytes) -> memoryview:
         """Core, before ``may_write``: the same bytes, where the guardian can still change them.
 
-        Raises:
-            ValueError: more than ``OUTGOING_BYTES``.
+        ValueError for more than ``OUTGOING_BYTES``.
         """
         if len(wire) > OUTGOING_BYTES:
             raise ValueError(f"a motion frame of {len(wire)} bytes: at most {OUTGOING_BYTES} fit")

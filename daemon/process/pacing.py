@@ -11,18 +11,12 @@ much jitter, the deadlines keep their phase and every tick waits for its own.
 
 from typing import NamedTuple
 
-SLEW = 0.01
-"""Largest change of a period, as a share of it."""
-MARGIN = 0.1
-"""Distance of a deadline from a punctual arrival, as a share of a period."""
-STEADY = 32
-"""Number of punctual arrivals in a row after which ticks and poses are in phase."""
-_JITTERS = 3.0
-"""Added to `MARGIN`: this factor times the mean jitter of the arrivals."""
-_JITTER_DIVISOR = 16
-"""With a mean jitter above period / 16 there is no phase to follow."""
-_MEMORY = 32
-"""Arrivals over which the jitter is averaged."""
+SLEW = 0.01  # largest change of a period, as a share of it
+MARGIN = 0.1  # distance of a deadline from a punctual arrival, as a share of a period
+STEADY = 32  # number of punctual arrivals in a row after which ticks and poses are in phase
+_JITTERS = 3.0  # added to `MARGIN`: this factor times the mean jitter of the arrivals
+_JITTER_DIVISOR = 16  # with a mean jitter above period / 16 there is no phase to follow
+_MEMORY = 32  # arrivals over which the jitter is averaged
 _LATER, _EARLIER = 2, 8
 """Divisors of a phase error: a pose that misses its deadline waits a period, so later is faster."""
 
@@ -54,10 +48,7 @@ def step_pace(pace: Pace, due_ns: int, arrival_ns: int, period_ns: int) -> Pace:
 
 
 def early_window_ns(pace: Pace, period_ns: int) -> int:
-    """Window before a deadline [ns] in which a pose makes the tick at once.
-
-    0 until ticks and poses are in phase.
-    """
+    """How long before a deadline a pose makes the tick at once [ns]; 0 while out of phase."""
     if pace.jitter_ns * _JITTER_DIVISOR > period_ns or pace.steady < STEADY:
         return 0
     ahead = _lead(pace.jitter_ns, period_ns) + _tolerance(pace.jitter_ns, period_ns)

@@ -29,14 +29,10 @@ from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 from steerd.sysid.report.page import render_page
 from steerd.vesc_link.ids import fault_name
 
-NAME = "page"
-"""Of the page's operators, in recordings."""
-SHOW_S = 0.05
-"""Time between two pictures of the car [s]."""
-_POLL_S = 0.01
-"""Time between two looks at the bus [s]."""
-_WORD_MAX = 64
-"""A page's message is a word."""
+NAME = "page"  # of the page's operators, in recordings
+SHOW_S = 0.05  # time between two pictures of the car [s]
+_POLL_S = 0.01  # time between two looks at the bus [s]
+_WORD_MAX = 64  # a page's message is a word
 _NICE = 5
 _TEMPLATE = Path(__file__).parent / "live_page" / "live.html"
 _NUMBERS = ("x", "y", "yaw", "speed", "e1", "e2", "steer", "steer_ref", "speed_ref", "path_s")
@@ -75,11 +71,9 @@ def _finite(value: float) -> float | None:
 
 
 def pass_on(view: CarView, operator: BusOperator, word: str) -> bool:
-    """Send a request of a page: the name of its kind, or `set NAME VALUE`.
+    """Send a request of a page, the name of its kind or `set NAME VALUE`: whether it was sent.
 
-    Returns:
-        Whether it was sent; not for words that are no request, and only a stop before the car was
-        heard.
+    Not for words that are no request; before the car was heard, only a stop.
     """
     wanted = parse_setting(word)
     if wanted is not None:
@@ -101,11 +95,7 @@ async def _show(connection: ServerConnection, view: CarView, operator: BusOperat
 async def run_page(
     view: CarView, page: str, port: int, on_open: Callable[[str], None], ended: asyncio.Event
 ) -> None:
-    """Serve until the end is asked for; each page that is open is an operator of its own.
-
-    Raises:
-        OSError: the port is taken.
-    """
+    """Serve until the end; each page that is open is an operator. OSError: the port is taken."""
     operators: set[BusOperator] = set()
 
     async def talk(connection: ServerConnection) -> None:
@@ -145,11 +135,7 @@ async def _serve(given: Job, plan: RunPlan) -> None:
 
 
 def serve(given: Job) -> int:
-    """The process; it ends when its lifeline closes.
-
-    Raises:
-        SteerdError: its port is taken, or it cannot reach the car.
-    """
+    """The process; it ends when its lifeline closes."""
     plan = read_job(given.about)
     try:
         asyncio.run(_serve(given, plan))

@@ -23,10 +23,8 @@ from numpy.typing import NDArray
 from steerd.daemon.loop.findings import ON_HARDWARE
 from steerd.steer_bus.clock import Clock
 
-FIFO_PRIORITY = 50
-"""Under SCHED_FIFO, below the guardian's 60."""
-SWITCH_INTERVAL_S = 0.0005
-"""Longest time for which a thread keeps the interpreter lock [s]."""
+FIFO_PRIORITY = 50  # under SCHED_FIFO, below the guardian's 60
+SWITCH_INTERVAL_S = 0.0005  # longest time for which a thread keeps the interpreter lock [s]
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT_AND_FUTURE = 3
 
@@ -92,8 +90,7 @@ def settle_memory() -> None:
 def realtime_section(priority: int = FIFO_PRIORITY) -> Iterator[RealtimeReport]:
     """Real time for a while: what `enter_realtime` and `settle_memory` set is undone afterwards.
 
-    A process that goes on under a fixed priority, its memory locked and nobody collecting garbage,
-    starves others and grows.
+    A process that goes on under a fixed priority, without garbage collection, starves others.
     """
     interval, before = sys.getswitchinterval(), (os.sched_getscheduler(0), os.sched_getparam(0))
     report = enter_realtime(priority)
@@ -159,12 +156,5 @@ def measure_wakes(clock: Clock, period_ns: int, ticks: int) -> NDArray[np.int64]
 def summarise_wakes(late_ns: NDArray[np.int64], period_ns: int) -> Wakes:
     """Statistics of wake lateness, shape (n,) with n > 0 [ns]."""
     p50, p99, p999 = (int(np.percentile(late_ns, share)) for share in (50, 99, 99.9))
-    return Wakes(
-        p50,
-        p99,
-        p999,
-        int(late_ns.max()),
-        late_ns.size,
-        int((late_ns > period_ns).sum()),
-        int((late_ns > ON_HARDWARE.late_ns).sum()),
-    )
+    missed, fatal = (int((late_ns > most).sum()) for most in (period_ns, ON_HARDWARE.late_ns))
+    return Wakes(p50, p99, p999, int(late_ns.max()), late_ns.size, missed, fatal)

@@ -22,35 +22,26 @@ from steerd.steer_bus.session import FLUSH_NS, SessionWriter
 from steerd.steer_bus.session_read import SessionError
 from steerd.steer_bus.topics import TOPICS, make_session_topic
 
-_POLL_MS = 50
-"""Longest wait for records before the file and the disk are looked after [ms]."""
-_REPORTS_MS = 2000
-"""Longest pause after which the learner's last reports are not waited for [ms]."""
+_POLL_MS = 50  # longest wait for records before the file and the disk are looked after [ms]
+_REPORTS_MS = 2000  # longest pause after which the learner's last reports are not waited for [ms]
 _DISK_CHECK_NS = 1_000_000_000
-_BEHIND_NS = 1_000_000_000
-"""A pipe that ends so long after its last record was full before [ns]."""
+_BEHIND_NS = 1_000_000_000  # a pipe that ends so long after its last record was full before [ns]
 _NEARLY_FULL = "disk nearly full"
 
 
 class Recording:
-    """One session being written.
+    """One session being written, and what the pipe dropped (`gaps`).
 
-    It counts the records `written`, and knows what the pipe dropped (`gaps`) and when the first
-    record was sent (`start_ns`, UNIX).
+    `written` counts the records; the first was sent at `start_ns` (UNIX).
     """
 
     def __init__(self, job: Mapping[str, Any]) -> None:
         self._topics = {topic.name: make_session_topic(job["car"], topic) for topic in TOPICS}
         attachments = {name: text.encode() for name, text in job["attachments"].items()}
         classes = {self._topics[topic.name]: topic.message for topic in TOPICS}
-        self.writer = SessionWriter(
-            Path(job["path"]),
-            classes,
-            job["metadata"],
-            attachments,
-            int(job["start_ns"]),
-            int(job.get("flush_ns", FLUSH_NS)),
-        )
+        times = int(job["start_ns"]), int(job.get("flush_ns", FLUSH_NS))
+        path, metadata = Path(job["path"]), job["metadata"]
+        self.writer = SessionWriter(path, classes, metadata, attachments, *times)
         self.written = 0
         self.gaps = Gaps()
         self.start_ns = 0
@@ -63,11 +54,7 @@ class Recording:
         self.add(record)
 
     def finish(self, reason: str) -> str:
-        """End the file with why it ended and what is missing in it; say the latter in words.
-
-        Raises:
-            SessionError: the disk does not take it.
-        """
+        """End the file with why it ended and what is missing, said in words; or SessionError."""
         dropped, holes = str(self.gaps.missed), self.gaps.spans
         end = {"reason": reason, "written": str(self.written), "dropped": dropped}
         self.writer.finish(end | ({"holes": json.dumps(holes)} if holes else {}))
@@ -82,11 +69,7 @@ class Recording:
 
 
 def check_space(path: Path, disk_free_min: int) -> None:
-    """Refuse a recording that would end as soon as it has begun.
-
-    Raises:
-        SessionError: there is less free space than a recording needs [bytes].
-    """
+    """Refuse a recording that would end at once: SessionError for too little space [bytes]."""
     try:
         free = shutil.disk_usage(path.parent).free
     except OSError as error:
@@ -152,11 +135,7 @@ def _sync(writer: SessionWriter) -> None:
 
 
 def serve(job: Job) -> int:
-    """The process; it ends with the core's pipe.
-
-    Raises:
-        SteerdError: the session cannot be begun, or not be ended.
-    """
+    """The process; it ends with the core's pipe."""
     meta, disk_free_min = job.about, int(job.about["disk_free_min"])
     try:
         check_space(Path(meta["path"]), disk_free_min)

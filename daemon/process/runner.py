@@ -37,18 +37,12 @@ from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.messages import BODY, ClockSample, make_header
 from steerd.vesc_link.transport import LinkDown, Port, PortError
 
-REOPEN_NS = 200_000_000
-"""Time between two attempts to open the serial port."""
-MOCAP_TIMER_NS = 10_000_000
-"""Time between two calls of the mocap source's timer."""
-CLOCK_NS = 1_000_000_000
-"""Time between two clock messages."""
-_PACKETS_MAX = 32
-"""Requests read from a socket at once: a flood of them must not delay the tick."""
-_DESIGNS_MAX = 4
-"""Proposals of the learner read after a tick."""
-_KEY_BYTES = 64
-"""Room for the topic name in a request."""
+REOPEN_NS = 200_000_000  # time between two attempts to open the serial port
+MOCAP_TIMER_NS = 10_000_000  # time between two calls of the mocap source's timer
+CLOCK_NS = 1_000_000_000  # time between two clock messages
+_PACKETS_MAX = 32  # requests read from a socket at once: a flood of them must not delay the tick
+_DESIGNS_MAX = 4  # proposals of the learner read after a tick
+_KEY_BYTES = 64  # room for the topic name in a request
 LEAVE_SIGNALS = 3
 """So many stop signals end the process at once; the guardian brakes what still moves."""
 ABORT_NS, ORPHAN_NS = 2_000_000_000, 6_000_000_000
@@ -363,11 +357,7 @@ class Runner:
         return wire
 
     def _is_clogged(self, port: Port, engaged: bool) -> bool:
-        """Whether an armed car's device has not taken its bytes for some ticks (W8).
-
-        Raises:
-            LinkDown: the device is gone.
-        """
+        """Whether an armed car's device takes none of its bytes for some ticks (W8); LinkDown."""
         th = self._core.loop.plan.settings.thresholds
         waits = engaged and port.out_queue() > th.out_queue
         self._clogged = self._clogged + 1 if waits else 0

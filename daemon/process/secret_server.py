@@ -20,8 +20,7 @@ from websockets.http11 import Request, Response  # noqa: TID251
 
 __all__ = ["SecretServer", "ServerConnection", "converse"]
 
-HOST = "127.0.0.1"
-"""Pages are for this machine alone."""
+HOST = "127.0.0.1"  # pages are for this machine alone
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
     "connect-src 'self' ws://{host}; frame-ancestors 'none'"
@@ -29,10 +28,9 @@ _POLICY = (
 
 
 class SecretServer:
-    """One address with a secret `word`, and those who know it.
+    """One address with a secret `word`, and those who know it; its port is 0 before it listens.
 
-    A browser is shown the page; without one there is only the WebSocket. The port is 0 before it
-    listens.
+    A browser is shown the page; without one there is only the WebSocket.
     """
 
     def __init__(
@@ -56,11 +54,7 @@ class SecretServer:
         return f"{host}:{self.port}"
 
     async def open(self, port: int, max_size: int, protocols: Sequence[str] = ()) -> Server:
-        """Listen.
-
-        Raises:
-            OSError: the port is taken.
-        """
+        """Listen; OSError where the port is taken."""
         named: Any = list(protocols) or None
         server = await serve(
             self._talk,

@@ -21,10 +21,8 @@ from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import BODY, DriveCommand, RequestKind, make_header
 from steerd.steer_bus.topics import make_key
 
-PERIOD_NS = 20_000_000
-"""Time between two commands."""
-VALID_MS = 200
-"""How long a command may be applied [ms]; less than the lease lasts."""
+PERIOD_NS = 20_000_000  # time between two commands
+VALID_MS = 200  # how long a command may be applied [ms]; less than the lease lasts
 
 
 class Teleop:
@@ -95,11 +93,7 @@ class Teleop:
 
 
 def serve_pad(teleop: Teleop, pad: gamepad.Pad, clock: Clock, say: Callable[[str], object]) -> None:
-    """Serve until the gamepad is gone.
-
-    Raises:
-        PadGoneError: it was unplugged, or its stream has ended.
-    """
+    """Serve until the gamepad is unplugged or its stream has ended, which raises PadGoneError."""
     due = clock.now_ns()
     while True:
         ready, _, _ = select.select([pad.fd], [], [], max(due - clock.now_ns(), 0) * 1e-9)

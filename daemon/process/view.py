@@ -41,8 +41,7 @@ _CHASSIS = fox.Color(r=0.95, g=0.55, b=0.15, a=0.9)
 _WHEEL = fox.Color(r=0.1, g=0.1, b=0.1, a=1.0)
 _SPEED = fox.Color(r=0.2, g=0.75, b=0.3, a=0.9)
 _WHEEL_SIZE = fox.Vector3(x=0.1, y=0.04, z=0.1)
-_HEIGHT = 0.05
-"""Of the wheels' axes over the floor [m]."""
+_HEIGHT = 0.05  # of the wheels' axes over the floor [m]
 
 
 class Body(NamedTuple):
@@ -70,6 +69,11 @@ def make_car_scene(state: StateMessage, body: Body) -> fox.SceneUpdate:
     x = 0.5 * (body.lf - body.lr)
     size = fox.Vector3(x=1.45 * (body.lf + body.lr), y=0.7 * body.width, z=0.06)
     chassis = fox.CubePrimitive(pose=_pose(x, 0.0, 0.0), size=size, color=_CHASSIS)
+    wheels = [
+        fox.CubePrimitive(pose=_pose(x, y, yaw), size=_WHEEL_SIZE, color=_WHEEL)
+        for x, yaw in ((body.lf, state.steer), (-body.lr, 0.0))
+        for y in (0.5 * body.width, -0.5 * body.width)
+    ]
     speed = fox.ArrowPrimitive(
         pose=_pose(0.0, 0.0, state.slip_angle, 2.0 * _HEIGHT),
         shaft_length=max(0.3 * state.speed, 0.0),
@@ -83,20 +87,10 @@ def make_car_scene(state: StateMessage, body: Body) -> fox.SceneUpdate:
         frame_id=BODY,
         id="car",
         frame_locked=True,
-        cubes=[chassis, *_wheels(body, state.steer)],
+        cubes=[chassis, *wheels],
         arrows=[speed],
     )
     return fox.SceneUpdate(entities=[entity])
-
-
-def _wheels(body: Body, steer: float) -> list[fox.CubePrimitive]:
-    half = 0.5 * body.width
-    places = [(body.lf, half, steer), (body.lf, -half, steer), (-body.lr, half, 0.0)]
-    places.append((-body.lr, -half, 0.0))
-    return [
-        fox.CubePrimitive(pose=_pose(x, y, yaw), size=_WHEEL_SIZE, color=_WHEEL)
-        for x, y, yaw in places
-    ]
 
 
 def make_lane_scene(
@@ -163,12 +157,9 @@ def _time(state: StateMessage) -> fox.Timestamp:
 
 TRANSFORMS = "/tf"
 SCENE = "/scene"
-SCENE_NS = 50_000_000
-"""The car is drawn 20 times a second; channels carry every message."""
-LANE_NS = 1_000_000_000
-"""The lane is sent again for clients that have just connected."""
-_NICE = 10
-"""Lower priority than the control processes'."""
+SCENE_NS = 50_000_000  # the car is drawn 20 times a second; channels carry every message
+LANE_NS = 1_000_000_000  # the lane is sent again for clients that have just connected
+_NICE = 10  # lower priority than the control processes'
 
 
 class Viewer:
@@ -229,11 +220,7 @@ def list_values(plan: RunPlan) -> dict[str, float | str]:
 
 
 async def run_viewer(given: Job, plan: RunPlan) -> int:
-    """Show what comes until the pipe closes; how many messages it had no room for.
-
-    Raises:
-        OSError: the address is taken or no address of this machine.
-    """
+    """Show what comes until the pipe closes; how much was missed. OSError: no such address."""
     records, reports = PipeReader(given.fds["pipe"]), PipeReader(given.fds.get("reports"))
     car, drawn = plan.options.car, draw_plan(plan)
     lane = make_lane_scene(drawn["lane"], drawn["half_width"], closed=drawn["closed"])
@@ -261,11 +248,7 @@ async def run_viewer(given: Job, plan: RunPlan) -> int:
 
 
 def serve(given: Job) -> int:
-    """The process; it ends with the core's pipe.
-
-    Raises:
-        SteerdError: its address cannot be used.
-    """
+    """The process; it ends with the core's pipe."""
     plan = read_job(given.about)
     try:
         missed = asyncio.run(run_viewer(given, plan))

@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from steerd.car_model.path.path import Path
     from steerd.daemon.assembly.build import RunPlan
 
-LANE_STEP = 0.05
-"""Distance between drawn points of a lane [m]."""
+LANE_STEP = 0.05  # distance between drawn points of a lane [m]
 
 
 def draw_plan(plan: "RunPlan") -> dict[str, Any]:
@@ -22,11 +21,7 @@ def draw_plan(plan: "RunPlan") -> dict[str, Any]:
 
 
 def make_lane_job(spec: str | None) -> dict[str, Any]:
-    """What is drawn of a lane that was named, or of none.
-
-    Raises:
-        SteerdError: it is no path.
-    """
+    """What is drawn of a lane that was named, or of none; SteerdError if it is no path."""
     try:
         from steerd.car_model.path.path_spec import parse_path
 
@@ -46,16 +41,11 @@ def draw_lane(path: "Path | None", half_width: float, car: Car[float]) -> dict[s
     return {"lane": lane, "closed": path.closed, "half_width": half_width, "body": body}
 
 
-DEFAULT_PORT = 8765
-"""Foxglove's own."""
+DEFAULT_PORT = 8765  # Foxglove's own
 
 
 def parse_view(text: str, insecure_lan: bool) -> tuple[str, int]:
-    """Host and port of ``[HOST:]PORT``.
-
-    Raises:
-        SteerdError: it is no address, or one for others without `--insecure-lan`.
-    """
+    """Host and port of ``[HOST:]PORT``; SteerdError if it is none, or open to others by mistake."""
     host, _, port = text.rpartition(":")
     host = host.strip("[]") or "127.0.0.1"
     if not port.isdecimal() or not 0 < int(port) < 65536:
@@ -77,9 +67,8 @@ def _is_private(host: str) -> bool:
 def check_view(text: str, insecure_lan: bool, *, sets: bool = False) -> None:
     """Check `--view` before anything starts.
 
-    Raises:
-        SteerdError: the address is invalid, or others could reach a viewer that `sets` parameters,
-            or foxglove-sdk is not installed.
+    SteerdError: the address is invalid, or others could reach a viewer that `sets` parameters, or
+    foxglove-sdk is not installed.
     """
     host, _ = parse_view(text, insecure_lan)
     if sets and not _is_private(host):

@@ -22,8 +22,7 @@ from steerd.daemon.process.secret_server import ServerConnection, converse
 PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 WORDS_MAX = 1 << 16
 """Longest message of a client [bytes]; a subscription to all channels is some 2 kB."""
-_BACKLOG = 1024
-"""Messages that wait for a slow client; the oldest give way."""
+_BACKLOG = 1024  # messages that wait for a slow client; the oldest give way
 _DATA = struct.Struct("<BIQ")
 _MESSAGE_DATA = 1
 _ODD = (ValueError, KeyError, TypeError, AttributeError, RecursionError)
@@ -51,11 +50,10 @@ class _Client:
 
 
 class ViewServer:
-    """Channels, parameters and clients of one car.
+    """Channels, parameters and clients of one car; setting a parameter changes nothing here.
 
-    Parameters can be read; setting one changes nothing here. Where the run allows it
-    (`--view-sets`), setting a live one hands the run's terminal a text for it (`ask`). Its new
-    value comes back from the car, if it is accepted.
+    Where the run allows it (`--view-sets`), setting a live one hands the run's terminal a text for
+    it (`ask`). Its new value comes back from the car, if it is accepted.
     """
 
     def __init__(

@@ -12,8 +12,7 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.topics import Topic
 
-PERIOD_NS = 20_000_000
-"""Shortest time between two messages of a kind."""
+PERIOD_NS = 20_000_000  # shortest time between two messages of a kind
 
 
 def _pose(x: float, y: float, yaw: float) -> ros.Pose:

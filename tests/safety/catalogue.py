@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from enum import Enum
 from math import inf, nan
+from operator import attrgetter
 from typing import Any
 
 from steerd.car_model.state import Command
@@ -45,48 +46,28 @@ def nothing(_rig: Rig) -> None:
 
 @dataclass(frozen=True)
 class FaultCase:
-    """One fault.
+    """One fault."""
 
-    Attributes:
-        code: of `docs/reference/safety-requirements.md#s6`; variants carry a letter.
-        name: for people.
-        begin: brings it about, once.
-        must: what the car must do while it moves.
-        bound_s: from the fault to the first stop byte, without the tick that follows.
-        at: what differs in a phase.
-        each: brings it about again before every tick.
-        asks_stop: the operator asks for a stop 0.5 s later, since nothing else may.
-        wire: whether bytes still reach the VESC; if not, its own timeout stops the car.
-        obeys: whether the VESC still does what it is commanded.
-        blind_s: how long nothing slows the car, beyond the bound.
-        decel: how hard the car can slow down at all [m/s^2].
-        cold: what happens to an operator who arms and drives with this fault there from the start:
-            ``red`` is never armed, ``launch`` is stopped in the launch window.
-        inside: whether it is brought about within the program, as virtual time has no processes.
-        rearms: whether the stop is one that a person asked for, after which the car stays armed.
-        unseen: phases in which a standing car cannot see what would otherwise be ``red``.
-        lane_m: how far it may get beside its path; more where nothing can steer it.
-        within_m: how far it may get from where it was.
-    """
-
-    code: str
+    code: str  # of `docs/reference/safety-requirements.md#s6`; variants carry a letter
     name: str
-    begin: Act
-    must: Must
-    bound_s: float = 0.0
-    at: Mapping[str, Must] = field(default_factory=dict)
-    each: Act = nothing
-    asks_stop: bool = False
-    wire: bool = True
-    obeys: bool = True
-    blind_s: float = 0.0
-    decel: float = inf
+    begin: Act  # brings it about, once
+    must: Must  # what the car must do while it moves
+    bound_s: float = 0.0  # from the fault to the first stop byte, without the tick that follows
+    at: Mapping[str, Must] = field(default_factory=dict)  # what differs in a phase
+    each: Act = nothing  # brings it about again before every tick
+    asks_stop: bool = False  # the operator asks for a stop 0.5 s later, since nothing else may
+    wire: bool = True  # bytes still reach the VESC; if not, its own timeout stops the car
+    obeys: bool = True  # the VESC still does what it is commanded
+    blind_s: float = 0.0  # how long nothing slows the car, beyond the bound
+    decel: float = inf  # how hard the car can slow down at all [m/s^2]
+    # What happens to an operator who arms and drives with this fault there from the start: `red` is
+    # never armed, `launch` is stopped in the launch window
     cold: str = ""
-    unseen: str = ""
-    inside: bool = False
-    rearms: bool = False
-    lane_m: float = 0.40
-    within_m: float = inf
+    unseen: str = ""  # phases in which a standing car cannot see what would otherwise be `red`
+    inside: bool = False  # brought about within the program, as virtual time has no processes
+    rearms: bool = False  # a person asked for the stop, after which the car stays armed
+    lane_m: float = 0.40  # how far it may get beside its path; more where nothing can steer it
+    within_m: float = inf  # how far it may get from where it was
 
 
 def hardware(fault: str, **params: Any) -> Act:
@@ -213,20 +194,9 @@ def _strand(rig: Rig) -> None:
     rig.run.core.latch_exception(BoomError("injected"))
 
 
-def _break_parser(rig: Rig) -> None:
-    rig.run.core.link.on_bytes = _raise  # type: ignore[method-assign]
-
-
-def _break_watch(rig: Rig) -> None:
-    rig.run.core.loop.perception.on_pose = _raise  # type: ignore[method-assign]
-
-
-def _break_controller(rig: Rig) -> None:
-    rig.run.core.loop._make_wish = _raise  # type: ignore[method-assign]
-
-
-def _break_estimator(rig: Rig) -> None:
-    rig.run.core.loop.perception.estimate = _raise  # type: ignore[method-assign]
+def _break(part: str, method: str) -> Act:
+    """A method of a part of the core raises from now on."""
+    return lambda rig: setattr(attrgetter(part)(rig.run.core), method, _raise)
 
 
 def _give_nan(rig: Rig) -> None:
@@ -260,11 +230,15 @@ def _host() -> tuple[FaultCase, ...]:
         FaultCase("H12", "200 ms asleep", _late(200.0), HARD, 0.200),
         FaultCase("H12b", "30 ms asleep", _late(30.0), HARD, 0.030),
         FaultCase("H12c", "one tick 20 ms late", _late(20.0), LIVE),
-        _inside("H13", "exception in the controller", _break_controller, HARD, cold="red"),
-        _inside("H13b", "exception in the filter", _break_estimator, HARD, cold="red"),
+        _inside("H13", "exception in the controller", _break("loop", "_make_wish"), HARD,
+            cold="red"),
+        _inside("H13b", "exception in the filter", _break("loop.perception", "estimate"), HARD,
+            cold="red"),
         _inside("H13c", "exception in a thread", _strand, HARD, cold="red"),
-        _inside("H13d", "exception at a reply", _break_parser, HARD, FRAME, cold="red"),
-        _inside("H13e", "exception at a pose", _break_watch, HARD, 2 * FRAME, cold="red"),
+        _inside("H13d", "exception at a reply", _break("link", "on_bytes"), HARD, FRAME,
+            cold="red"),
+        _inside("H13e", "exception at a pose", _break("loop.perception", "on_pose"), HARD,
+            2 * FRAME, cold="red"),
         _inside("H14", "NaN from the controller", _give_nan, HARD, cold="launch"),
         _inside("H17", "suspended", raise_flag(Flag.SUSPENDED), HARD),
     )  # fmt: skip
@@ -289,10 +263,6 @@ def _malformed(rig: Rig) -> None:
         rig.deliver(data, "no/such/topic")
 
 
-def _huge(rig: Rig) -> None:
-    rig.deliver(bytes(64 << 20))
-
-
 def _flood(rig: Rig) -> None:
     for _ in range(50):
         rig.ask(RequestKind.ARM, lease_id=99)
@@ -300,9 +270,7 @@ def _flood(rig: Rig) -> None:
 
 
 def _replay(rig: Rig) -> None:
-    for data in rig.said[-40:]:
-        rig.deliver(data)
-    for data in rig.said[:40]:
+    for data in (*rig.said[-40:], *rig.said[:40]):
         rig.deliver(data)
 
 
@@ -319,21 +287,17 @@ def _ask(kind: int, lease_id: int = LEASE_ID) -> Act:
     return lambda rig: rig.ask(RequestKind(kind), lease_id=lease_id)
 
 
-def _unknown(rig: Rig) -> None:
-    rig.ask(200)  # type: ignore[arg-type]
-
-
 def _network() -> tuple[FaultCase, ...]:
     return (
         FaultCase("Z1", "stranger's drive commands", nothing, LIVE, each=_foreign_drive),
         FaultCase("Z2", "malformed requests", nothing, LIVE, each=_malformed),
-        FaultCase("Z3", "64 MiB payload", _huge, LIVE),
+        FaultCase("Z3", "64 MiB payload", lambda rig: rig.deliver(bytes(64 << 20)), LIVE),
         FaultCase("Z4", "flood of 10k requests/s", nothing, LIVE, each=_flood),
         FaultCase("Z5", "old requests replayed", nothing, LIVE, each=_replay),
         FaultCase("Z6", "second operator", nothing, LIVE, each=_second_operator),
         FaultCase("Z6b", "second operator's stop", _ask(RequestKind.STOP, 99), SOFT, rearms=True),
         FaultCase("Z6c", "second operator's e-stop", _ask(RequestKind.ESTOP, 99), Must.ESTOP),
-        FaultCase("Z7", "unknown request", _unknown, SOFT),
+        FaultCase("Z7", "unknown request", lambda rig: rig.ask(200), SOFT),
         FaultCase("Z8", "operator gone", _gone, SOFT, 0.3),
     )  # fmt: skip
 

@@ -65,34 +65,22 @@ def nobody_leaves() -> None:
 
 @dataclass
 class Live:
-    """The processes of one run and the hardware that they drive.
+    """The processes of one run and the hardware that they drive."""
 
-    Attributes:
-        processes: the processes; this one is their parent.
-        hardware: commands to the simulated hardware's process.
-        device: that process.
-        others: processes beside the run's own, by name.
-        listen: the run's endpoint on the bus.
-        hand: takes the operator's requests in place of this parent, as page and gamepad do.
-        leave: closes the page, or unplugs the gamepad.
-        state: the supervisor's, as last reported.
-        transitions: (from, to, reason) so far.
-        speed: as last reported [m/s].
-        alive: whether the operator keeps the lease alive.
-    """
-
-    processes: RunProcesses
-    hardware: Connection
-    device: BaseProcess
+    processes: RunProcesses  # this one is their parent
+    hardware: Connection  # commands to the simulated hardware's process
+    device: BaseProcess  # that process
     operator: Operator = field(default_factory=lambda: Operator(BOOT_ID, LEASE_ID, "test"))
-    others: dict[str, int] = field(default_factory=dict)
-    listen: str = ""
+    others: dict[str, int] = field(default_factory=dict)  # processes beside the run's own, by name
+    listen: str = ""  # the run's endpoint on the bus
+    # Takes the operator's requests in place of this parent, as page and gamepad do
     hand: Callable[[RequestKind], object] | None = None
-    leave: Callable[[], object] = nobody_leaves
-    state: SupervisorState = SupervisorState.INIT
+    leave: Callable[[], object] = nobody_leaves  # closes the page, or unplugs the gamepad
+    state: SupervisorState = SupervisorState.INIT  # as last reported, like the speed [m/s]
+    # From, to, reason
     transitions: list[tuple[SupervisorState, SupervisorState, str]] = field(default_factory=list)
     speed: float = 0.0
-    alive: bool = True
+    alive: bool = True  # whether the operator keeps the lease alive
     ended: bool = False
     _buffer: bytearray = field(default_factory=bytearray)
     _sent_ns: int = 0
@@ -146,11 +134,7 @@ class Live:
                 self.speed = decode(StateMessage, record.data).speed
 
     def until(self, holds: Callable[[], bool], limit_s: float = 30.0) -> None:
-        """Pump until a condition holds.
-
-        Raises:
-            TimeoutError: it does not, in time.
-        """
+        """Pump until a condition holds, or TimeoutError."""
         end_ns = CLOCK.now_ns() + round(limit_s * NS)
         while not holds():
             if CLOCK.now_ns() > end_ns:
@@ -239,12 +223,7 @@ def start_hardware() -> Iterator[tuple[Connection, BaseProcess, str, str]]:
 
 @contextlib.contextmanager
 def start_live(folder: Path, **more: Any) -> Iterator[Live]:
-    """Hardware and processes; everything is ended and waited for on the way out.
-
-    Args:
-        folder: of the session.
-        more: options of the run.
-    """
+    """Hardware and processes; everything is ended and waited for on the way out."""
     with start_hardware() as (ours, device, port, url):
         options = RunOptions(
             car_file="", path="line", speed=1.0, port=port, mocap=url,

@@ -31,29 +31,17 @@ Start = Callable[[Path], contextlib.AbstractContextManager[Live]]
 
 @dataclass(frozen=True)
 class LiveFault:
-    """What is done, how soon stop bytes must come, and what else is looked at.
+    """What is done, how soon stop bytes must come, and what else is looked at."""
 
-    Attributes:
-        act: does it; returns when it was done.
-        bound_s: until the first stop byte, loosely; None where nothing may stop the car.
-        phases: where it is tried.
-        wire: whether bytes still reach the VESC.
-        reported: phases in which a process is left that reports the reason.
-        named: how the reason begins in P5; a machine that stalls stops the car for another one.
-        start: what it is tried on.
-        watch_s: how long it is watched, beyond the usual.
-        code: of the run that it ended in P5; None where nothing is said of it.
-    """
-
-    act: Callable[[Live], int]
-    bound_s: float | None
-    phases: str = "P1 P3 P5 P7"
-    wire: bool = True
-    reported: str = "P3 P5"
-    named: str = ""
-    start: Start = start_live
-    watch_s: float = 0.0
-    code: ExitCode | None = None
+    act: Callable[[Live], int]  # does it; returns when it was done
+    bound_s: float | None  # until the first stop byte, loosely; None where nothing may stop the car
+    phases: str = "P1 P3 P5 P7"  # where it is tried
+    wire: bool = True  # whether bytes still reach the VESC
+    reported: str = "P3 P5"  # phases in which a process is left that reports the reason
+    named: str = ""  # how the reason begins in P5
+    start: Start = start_live  # what it is tried on
+    watch_s: float = 0.0  # how long it is watched, beyond the usual
+    code: ExitCode | None = None  # of the run that it ended in P5; None: nothing is said of it
 
 
 @dataclass(frozen=True)

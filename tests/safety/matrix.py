@@ -42,26 +42,17 @@ def list_cells() -> list[tuple[str, str]]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What happened in a cell.
-
-    Attributes:
-        stop_s: from the fault to the first stop byte; inf if none came.
-        distance_m: driven from the fault to rest, and `allowed_m` of it.
-        off_m: largest true distance from the path.
-        states: states that followed, in order.
-        reasons: why each of them.
-        wrong: verdicts that failed, as text; empty for a good cell.
-    """
+    """What happened in a cell."""
 
     code: str
     phase: str
-    stop_s: float
-    distance_m: float
+    stop_s: float  # from the fault to the first stop byte; inf if none came
+    distance_m: float  # driven from the fault to rest
     allowed_m: float
-    off_m: float
-    states: tuple[SupervisorState, ...]
-    reasons: tuple[str, ...]
-    wrong: tuple[str, ...] = ()
+    off_m: float  # largest true distance from the path
+    states: tuple[SupervisorState, ...]  # that followed, in order
+    reasons: tuple[str, ...]  # why each of them
+    wrong: tuple[str, ...] = ()  # verdicts that failed, as text; empty for a good cell
 
 
 @dataclass(frozen=True)

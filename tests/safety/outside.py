@@ -22,22 +22,14 @@ DRIVE_S = 20.0
 
 @dataclass(frozen=True)
 class OtherWorld:
-    """A drive of another car than the car file's, or with another car file.
+    """A drive of another car than the car file's, or with another car file."""
 
-    Attributes:
-        changed: what of the world, in words.
-        path: and `speed` [m/s] of the drive.
-        car: of the simulated car.
-        safety: the car file's `[safety]`.
-        behind: watchdogs that would trip earlier; silenced.
-    """
-
-    changed: str
+    changed: str  # what of the world, in words
     path: str
-    speed: float
-    car: Mapping[str, float] = field(default_factory=dict)
-    safety: Mapping[str, Any] = field(default_factory=dict)
-    behind: tuple[str, ...] = ()
+    speed: float  # of the drive [m/s]
+    car: Mapping[str, float] = field(default_factory=dict)  # of the simulated car
+    safety: Mapping[str, Any] = field(default_factory=dict)  # the car file's `[safety]`
+    behind: tuple[str, ...] = ()  # watchdogs that would trip earlier; silenced
 
     def drive(self) -> str:
         """Why the car was stopped."""

@@ -11,14 +11,8 @@ from math import inf
 
 from steerd.controller.acceptance import make_acceptance
 from steerd.controller.learnt import Design
-from steerd.daemon.assembly.build import (
-    NS,
-    VIRTUAL_EPOCH_NS,
-    RunId,
-    RunPlan,
-    make_plan,
-    make_world_config,
-)
+from steerd.daemon.assembly import build
+from steerd.daemon.assembly.build import NS, VIRTUAL_EPOCH_NS, RunId, RunPlan, make_plan
 from steerd.daemon.ipc.pipe_records import PipeRecord
 from steerd.daemon.loop.adapting import make_design, make_no_design
 from steerd.daemon.loop.core import make_core
@@ -66,38 +60,27 @@ class Notes:
 
 @dataclass
 class Rig:
-    """A drive, its operator, and what a judge wants to see.
-
-    Attributes:
-        run: the drive.
-        notes: transitions with their times.
-        track: true motion, tick by tick.
-        alive: whether the operator keeps the lease alive.
-        late_ns: lateness of the next tick.
-        proposals: of a learner, in turn, None for the file's own; `propose_ns` when the next comes.
-    """
+    """A drive, its operator, and what a judge wants to see."""
 
     plan: RunPlan
     run: VirtualRun
     notes: Notes
-    track: list[Motion] = field(default_factory=list)
-    alive: bool = True
-    late_ns: int = 0
+    track: list[Motion] = field(default_factory=list)  # true motion, tick by tick
+    alive: bool = True  # whether the operator keeps the lease alive
+    late_ns: int = 0  # lateness of the next tick
     seq: int = 0
     spoke_ns: int = -KEEPALIVE_NS
     said: list[bytes] = field(default_factory=list)
-    proposals: tuple[Design | None, ...] = ()
-    propose_ns: float = inf
+    proposals: tuple[Design | None, ...] = ()  # of a learner, in turn, None for the file's own
+    propose_ns: float = inf  # when the next comes
     proposed: int = 0
 
     @property
     def state(self) -> SupervisorState:
-        """The supervisor's state."""
         return self.run.core.loop.supervisor.state
 
     @property
     def t_ns(self) -> int:
-        """Now."""
         return self.run.t_ns
 
     @property
@@ -107,7 +90,9 @@ class Rig:
         fresh = self.t_ns - self.track[0].t_ns < 310 * MS
         return not fresh and max(abs(motion.speed) for motion in recent) < 0.01
 
-    def ask(self, kind: RequestKind, lease_id: int = LEASE_ID, boot_id: int = BOOT_ID) -> None:
+    def ask(
+        self, kind: RequestKind | int, lease_id: int = LEASE_ID, boot_id: int = BOOT_ID
+    ) -> None:
         """An operator's request."""
         self.seq += 1
         header = make_header(self.t_ns + VIRTUAL_EPOCH_NS, BODY)
@@ -182,14 +167,13 @@ def make_rig(
 ) -> Rig:
     """A car that has just been switched on; `settings` in place of the default car file's.
 
-    `car` says in what the simulated car differs from its file.
-
-    With `adapting` a learner takes it for other cars, in turn, and the lane keeper follows.
+    `car` says in what the simulated car differs from its file. With `adapting` a learner takes it
+    for other cars, in turn, and the lane keeper follows.
     """
     plan = _plan(path, speed, adapting)
     if settings is not None:
         plan = make_plan(plan.options, settings, real=plan.real)
-    config = make_world_config(plan, keep_bytes=True)
+    config = build.make_world_config(plan, keep_bytes=True)
     model = config.model._replace(car=config.model.car._replace(**(car or {})))
     config = replace(config, model=model, mocap=replace(config.mocap, bystanders=(BYSTANDER,)))
     notes = Notes()

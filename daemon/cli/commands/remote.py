@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import secrets
 import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
@@ -97,21 +96,18 @@ def control(args: Namespace) -> None:
     from steerd.daemon.assembly.build import make_plan
     from steerd.daemon.ipc.operator import connect
     from steerd.daemon.process.bus_operator import CarView
-    from steerd.daemon.process.external_controller import ExternalController, answer, keep_lane
+    from steerd.daemon.process.external_controller import answer, keep_lane
 
     raise_on_stop_signals()
     options = RunOptions(
         args.car or "", args.name, path=args.path, speed=args.speed, rate_hz=args.rate
     )
     plan = make_plan(options)
-    clock = MonotonicClock()
     with connect(args.connect, args.lab, "steerd run --controller zenoh") as bus:
-        boot_id = CarView(bus, args.name, clock).wait_heard().boot_id
-        keeper = ExternalController(keep_lane(plan.controller), boot_id, secrets.randbits(62) + 1)
+        view = CarView(bus, args.name, MonotonicClock()).wait_heard()
         print(f"steering {args.name} along {plan.path.name}; Ctrl-C ends", file=sys.stderr)
-        end = None if args.duration is None else clock.now_ns() + round(args.duration * 1e9)
         with contextlib.suppress(KeyboardInterrupt):
-            answer(bus, args.name, keeper, clock, end)
+            answer(view, keep_lane(plan.controller), args.duration)
 
 
 def teleop_arguments(parser: ArgumentParser) -> None:
