@@ -28,7 +28,7 @@ MODULES = (
     "controller/limits.py", "daemon/process/guardian.py", "daemon/process/heartbeat.py",
     "daemon/loop/findings.py",
     "daemon/loop/following.py", "daemon/loop/follow_model.py",
-    "daemon/loop/launch.py",
+    "daemon/loop/checks.py",
     "daemon/loop/lease.py", "daemon/loop/supervisor.py", "daemon/loop/watchdogs.py",
     "daemon/loop/watchdogs_pose.py",
     "steer_bus/codec.py",
@@ -135,7 +135,7 @@ def measure_coverage(folder: str) -> int:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
-        "mutants", nargs="*", help='such as "steerd.daemon.loop.launch*" (default: all)'
+        "mutants", nargs="*", help='such as "steerd.daemon.loop.checks*" (default: all)'
     )
     parser.add_argument("--survivors", action="store_true", help="show what survived")
     parser.add_argument("--jobs", type=int, default=1)

@@ -33,11 +33,7 @@ LAYOUT = (Path(__file__).parent / "browser_layout.js").read_text(encoding="utf-8
 
 
 class Browser:
-    """One open tab.
-
-    Attributes:
-        console: what the page said there: warnings, errors and uncaught exceptions.
-    """
+    """One open tab; `console` is what the page said: warnings, errors, uncaught exceptions."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket, self._number = socket, 0

@@ -50,12 +50,9 @@ class Operator:
 
 
 def connect(given_endpoint: str | None, folder: Path | None, first: str = "steerd run") -> ZenohBus:
-    """Join the bus of a running daemon, which the command `first` starts.
+    """Join the bus of a running daemon, which the command `first` starts; or SteerdError.
 
     Its endpoint is that of `folder` (of `steerd keys`) where none is given, else this machine's.
-
-    Raises:
-        SteerdError: none answers, or it refuses our certificate.
     """
     lab = read_lab(folder) if folder else None
     endpoint = given_endpoint or (lab.endpoint if lab else DEFAULT_ENDPOINT)

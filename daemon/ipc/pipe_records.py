@@ -16,7 +16,7 @@ from typing import Any
 
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import CodecError, decode, encode
-from steerd.steer_bus.quick_values import quick_value
+from steerd.steer_bus.quick_values import changed, quick_value
 from steerd.steer_bus.topics import TOPICS, Topic
 
 PIPE_BYTES = 1 << 20
@@ -56,8 +56,7 @@ class Outbox:
 
     epoch_ns: int  # UNIX time minus monotonic time, fixed for the session [ns]
     sinks: tuple[Sink, ...]  # receivers of the records at `flush`
-    # Those that are not encoded yet: topic, number, two times and message
-    _pending: list[tuple[Topic, int, int, int, Any]] = field(default_factory=list)
+    _pending: list[PipeRecord] = field(default_factory=list)  # not encoded yet
     _counts: dict[str, int] = field(default_factory=dict)
     _last_ns: int = 0
 
@@ -71,8 +70,9 @@ class Outbox:
         # A session file is in the order of the loop: log times never go back (mcap doctor warns).
         if t_ns > self._last_ns:
             self._last_ns = t_ns
+        log_ns = self._last_ns + self.epoch_ns
         publish_ns = (t_ns if valid_ns is None else valid_ns) + self.epoch_ns
-        self._pending.append((topic, count, self._last_ns + self.epoch_ns, publish_ns, message))
+        self._pending.append(PipeRecord(topic, count, log_ns, publish_ns, b"", message))
 
     def flush(self, t_ns: int) -> None:
         """Encode everything queued and give it to the sinks.
@@ -83,13 +83,11 @@ class Outbox:
             return
         queued, self._pending = self._pending, []
         records, wrong = [], None
-        for topic, count, log_ns, publish_ns, message in queued:
+        for record in queued:
             try:
-                data = encode(message)
+                records.append(changed(record, data=encode(record.message)))
             except CodecError as error:
                 wrong = wrong or error
-            else:
-                records.append(PipeRecord(topic, count, log_ns, publish_ns, data, message))
         for sink in self.sinks:
             sink(records, t_ns)
         if wrong is not None:

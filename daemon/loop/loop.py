@@ -18,14 +18,12 @@ from steerd.controller.limits import Verdict, make_limiter_state
 from steerd.controller.live import AS_DESIGNED
 from steerd.daemon.assembly.build import RunPlan
 from steerd.daemon.assembly.plans import Drill
-from steerd.daemon.loop import adapting, following
+from steerd.daemon.loop import adapting, checks, following
 from steerd.daemon.loop import findings as fs
 from steerd.daemon.loop import lease as leases
 from steerd.daemon.loop.adapting import read_design
-from steerd.daemon.loop.checks import find_failures
 from steerd.daemon.loop.findings import Flag
 from steerd.daemon.loop.follow_model import make_follow_model
-from steerd.daemon.loop.launch import LaunchInput, LaunchState, make_launch_state, step_launch
 from steerd.daemon.loop.live import judge_both_lanes, make_live, relax, step_live, take_request
 from steerd.daemon.loop.outgoing import Order, TickResult, make_order
 from steerd.daemon.loop.perception import Perception, best_speed, estimated_state
@@ -86,7 +84,7 @@ class Loop:
         hardware = fs.make_lateness_rules(s.thresholds)
         self._late_rules = fs.IN_SIMULATION if plan.options.simulated else hardware
         # The launch checks of this drive, and whether they have passed
-        self._launch: LaunchState | None = None
+        self._launch: checks.LaunchState | None = None
         self._launched = False
         self._not_finite = False
         self._requests_pending = 0
@@ -145,7 +143,7 @@ class Loop:
         old, settings = self.supervisor.state, self.plan.settings
         reported = tuple(self._find_reported(estimate, due_ns, now_ns, flags))
         now, findings = self._watch(now_ns, estimate, report, speed, reported)
-        failures = find_failures(
+        failures = checks.find_failures(
             self.plan, self.vesc, self.remote, now, findings, flags, estimated=report is not None
         )
         failed = next(failures, "")
@@ -354,11 +352,13 @@ class Loop:
 
     def _check_launch(self, s: State[float], order: Command[float], t_ns: int) -> list[fs.Finding]:
         aim = references(FLOAT, self._car, order)  # gain and bias of the linkage
-        now = LaunchInput(t_ns, s.x, s.y, s.yaw, self.perception.wheel_speed, aim.steer)
+        now = checks.LaunchInput(t_ns, s.x, s.y, s.yaw, self.perception.wheel_speed, aim.steer)
         if self._launch is None:
-            self._launch = make_launch_state(now)
+            self._launch = checks.make_launch_state(now)
             return []
-        self._launch, wrong = step_launch(self._launch, now, self.plan.settings.limits.wheelbase)
+        self._launch, wrong = checks.step_launch(
+            self._launch, now, self.plan.settings.limits.wheelbase
+        )
         self._launched = self._launch.done
         return [fs.make_finding("launch", wrong)] if wrong else []
 

@@ -19,7 +19,6 @@ from steerd.daemon.settings.config import BrakeSettings, Settings
 from steerd.estimator.state_filter import StateEstimate
 from steerd.mocap_link.source import ClockKind, Pose
 from steerd.steer_bus import messages as m
-from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.quick_values import quick_value
 from steerd.steer_bus.standard import DiagnosticArray, DiagnosticStatus, KeyValue
 from steerd.vesc_link.identity import AppConf, FwVersion
@@ -35,8 +34,8 @@ _CURRENTS: Mapping[MotorOutput, Callable[[BrakeSettings], float]] = {
     MotorOutput.ESTOP_BRAKE: attrgetter("estop_brake_current_a"),
 }
 _UNBRAKED = {
-    MotorOutput.DUTY_ZERO: ActuationMode.SHORT,
-    MotorOutput.RELEASE_ONCE: ActuationMode.RELEASE,
+    MotorOutput.DUTY_ZERO: m.ActuationMode.SHORT,
+    MotorOutput.RELEASE_ONCE: m.ActuationMode.RELEASE,
 }
 """Ways to stop without a brake current; all that is not listed is silent."""
 
@@ -85,20 +84,20 @@ def make_order(
         limits, state, _make_target(action, state, wish, measured), measured, action.cap, t_ns
     )
     if driven and (wish is None or limited.verdict is Verdict.NOT_FINITE):
-        drive = Drive(ActuationMode.BRAKE, current=brakes.brake_current_a)
+        drive = Drive(m.ActuationMode.BRAKE, current=brakes.brake_current_a)
         return Order(drive, state, None, Verdict.NOT_FINITE if wish else Verdict.PASSED)
     if driven:
         sent = Command(*as_sent(scaling, limited.order.steer, limited.order.speed))
-        drive = Drive(ActuationMode.SPEED, sent.steer, sent.speed)
+        drive = Drive(m.ActuationMode.SPEED, sent.steer, sent.speed)
         return Order(drive, limited.state, sent, limited.verdict)
     steer = None if action.steering is SteeringOutput.NONE else limited.order.steer
     # While no speed is commanded, the next order starts from the measured one.
     seen = Command(limited.order.steer, max(measured, 0.0))
     rolling = make_limiter_state(limits, seen, t_ns)
     if action.motor in _CURRENTS:
-        drive = Drive(ActuationMode.BRAKE, steer, current=_CURRENTS[action.motor](brakes))
+        drive = Drive(m.ActuationMode.BRAKE, steer, current=_CURRENTS[action.motor](brakes))
     else:
-        drive = Drive(_UNBRAKED.get(action.motor, ActuationMode.SILENT), steer)
+        drive = Drive(_UNBRAKED.get(action.motor, m.ActuationMode.SILENT), steer)
     return Order(drive, rolling, None, limited.verdict)
 
 

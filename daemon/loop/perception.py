@@ -46,8 +46,6 @@ class Perception:
         self.accepted_ns: int | None = None  # arrival of the last good frame
         self.may_rebase = True  # set by the loop: the car is disarmed and stands
 
-    # --- what arrives
-
     def on_pose(self, pose: m.MocapPose) -> None:
         """Check a pose; an accepted one is fused at its time of validity."""
         self.watch, verdict = step_pose(
@@ -84,8 +82,6 @@ class Perception:
     def on_command(self, t_ns: int, command: Command[float] | None) -> None:
         """Remember the command sent to the car; None when no speed is commanded."""
         self._commands.append((t_ns, command))
-
-    # --- what follows
 
     def estimate(self, now_ns: int) -> sf.StateEstimate | None:
         """Fuse what arrived and predict to now; None before the first estimate."""

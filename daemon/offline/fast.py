@@ -38,10 +38,8 @@ def record_virtual(
     """Drive in virtual time into a session file; an interrupted drive is kept as far as it came.
 
     `go` drives the run to its end; `see` is handed what was recorded, and when [ns]; `world` is the
-    simulated hardware where it is not the plan's.
-
-    Raises:
-        SteerdError: the disk does not take the file; what was written of it stays.
+    simulated hardware where it is not the plan's. SteerdError: the disk does not take the file;
+    what was written of it stays.
     """
     world = world or World(make_world_config(plan))
     recording = make_recording(plan, path)

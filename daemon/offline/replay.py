@@ -100,12 +100,9 @@ def _same(a: float, b: float) -> bool:
 def replay(
     session: Session, name: str, advance: Callable[[int], None] = lambda done: None
 ) -> tuple[Replay, Iterator[Difference]]:
-    """A replay of a session and the differences that it finds as it goes.
+    """A replay of a session and the differences that it finds as it goes; or SteerdError.
 
     Messages call it `name`; `advance` is called with how many were taken, now and then.
-
-    Raises:
-        SteerdError: the session cannot be replayed.
     """
     with reading(name):
         session.check_layouts()

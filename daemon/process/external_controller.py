@@ -24,7 +24,6 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.codec import decode, encode
 from steerd.steer_bus.messages import BODY, DriveCommand, StateMessage, make_header
-from steerd.steer_bus.topics import make_key
 
 if TYPE_CHECKING:
     from steerd.daemon.process.bus_operator import CarView
@@ -122,8 +121,8 @@ def answer(view: "CarView", controller: Controller, duration: float | None) -> N
     bus, clock = view.bus, view.clock
     made = ExternalController(controller, view.boot_id, secrets.randbits(62) + 1)
     end_ns = inf if duration is None else clock.now_ns() + round(duration * 1e9)
-    estimates = bus.subscribe(make_key(view.car, topics.STATE))
-    key = make_key(view.car, topics.DRIVE, bus.who)
+    estimates = bus.subscribe(topics.make_key(view.car, topics.STATE))
+    key = topics.make_key(view.car, topics.DRIVE, bus.who)
     while clock.now_ns() < end_ns:
         for sample in estimates.poll():
             command = made.compute_command(decode(StateMessage, sample.data), clock.realtime_ns())

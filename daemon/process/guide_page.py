@@ -16,6 +16,7 @@ import sys
 import termios
 import threading
 from collections.abc import Sequence
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -60,15 +61,13 @@ class GuidePage:
         self._at, self._asked, self._changes = 0, False, 0
         self._terminal = terminal
         self._pressed, self._press = os.pipe()
-        self._opened = threading.Event()
-        self._error: OSError | None = None
 
     def open(self, port: int) -> str:
         """Serve; the address. OSError where the port is taken."""
-        threading.Thread(target=asyncio.run, args=(self._serve(port),), daemon=True).start()
-        self._opened.wait()
-        if self._error is not None:
-            raise self._error
+        address: Future[str] = Future()
+        served = self._serve(port, address)
+        threading.Thread(target=asyncio.run, args=(served,), daemon=True).start()
+        self.url = address.result()
         return self.url
 
     def stand(self, at: int, state: str) -> None:
@@ -119,16 +118,15 @@ class GuidePage:
         steps = [{**step, "output": plain_text(step["output"])} for step in self._steps]
         return {"at": self._at, "asked": self._asked, "steps": steps}
 
-    async def _serve(self, port: int) -> None:
+    async def _serve(self, port: int, address: Future[str]) -> None:
         server = SecretServer(HOST, self._talk, render_page(_TEMPLATE))
         try:
             await server.open(port, _WORD_MAX)
         except OSError as error:
-            self._error = error
-        self.url = server.url
-        self._opened.set()
-        if self._error is None:
-            await asyncio.Event().wait()
+            address.set_exception(error)
+            return
+        address.set_result(server.url)
+        await asyncio.Event().wait()
 
     async def _talk(self, connection: ServerConnection) -> None:
         await converse(connection, self._show(connection), self.press)

@@ -1,10 +1,9 @@
 """Tick deadlines in phase with mocap: a first-order phase-locked loop.
 
 Without it a pose waits up to a period for its tick. The deadlines are moved slowly to shortly after
-the expected arrivals. A pose that comes shortly before its deadline makes the tick at once; the
-deadline is for a pose that does not come. Arrivals change a period by `SLEW` at most; they neither
-stop ticks nor add any. Without poses, or with poses of another rate (120 Hz against 100 Hz) or with
-much jitter, the deadlines keep their phase and every tick waits for its own.
+the expected arrivals, by `SLEW` of a period at most. A pose that comes shortly before its deadline
+makes the tick at once; the deadline is for a pose that does not come. Without poses, or with poses
+of another rate (120 Hz against 100 Hz) or much jitter, every tick waits for its own deadline.
 """
 
 # Why: docs/decisions/processes-and-time.md#d43

@@ -1,7 +1,7 @@
 """The live page: one file over HTTP and a WebSocket, on this machine's loopback only.
 
-What it shows of a car are JSON values; every keepalive on the bus is one that the browser sent. A
-tab that is closed, hidden, frozen or cut off is silent, and the lease ends 0.3 s later.
+Every keepalive on the bus is one that the browser sent. A tab that is closed, hidden, frozen or cut
+off is silent, and the lease ends 0.3 s later.
 """
 
 # Why: docs/decisions/safety.md#d69

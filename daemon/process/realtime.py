@@ -1,7 +1,6 @@
 """Real-time settings of a control process, those that were refused, and a timing check (rtcheck).
 
-Measurements behind each line: `docs/reference/safety-requirements.md#s8`,
-`docs/reference/identification.md#i5`.
+Measurements: `docs/reference/safety-requirements.md#s8`, `docs/reference/identification.md#i5`.
 """
 
 # Why: docs/decisions/processes-and-time.md#d36

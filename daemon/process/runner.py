@@ -1,8 +1,8 @@
 """The real-time runner: one thread, one select, absolute deadlines.
 
 Serial port, mocap sockets and requests are handled as they arrive. With a pose, or at the deadline
-if none comes, the core ticks and its bytes are written. The deadlines follow the poses
-(`steerd.daemon.process.pacing`). Missed ticks are skipped, never caught up in a burst.
+if none comes, the core ticks and its bytes are written. Missed ticks are skipped, never caught up
+in a burst.
 """
 
 import contextlib

@@ -19,7 +19,6 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.messages import BODY, DriveCommand, RequestKind, make_header
-from steerd.steer_bus.topics import make_key
 
 PERIOD_NS = 20_000_000  # time between two commands
 VALID_MS = 200  # how long a command may be applied [ms]; less than the lease lasts
@@ -75,9 +74,9 @@ class Teleop:
         if now - self._alive_ns >= KEEPALIVE_NS:
             self._alive_ns = now
             self._operator.ask(self.view.boot_id, RequestKind.KEEPALIVE)
-        self.view.bus.publish(
-            make_key(self.view.car, topics.DRIVE, self.view.bus.who), encode(self._command(now))
-        )
+        bus = self.view.bus
+        key = topics.make_key(self.view.car, topics.DRIVE, bus.who)
+        bus.publish(key, encode(self._command(now)))
         return ""
 
     def _command(self, now_ns: int) -> DriveCommand:

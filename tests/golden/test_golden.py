@@ -26,7 +26,7 @@ from steerd.steer_bus import topics
 from steerd.steer_bus.codec import encode
 from steerd.steer_bus.session_read import open_session
 
-FOLDER = Path(__file__).parent
+FOLDER, S = Path(__file__).parent, SupervisorState
 BYTES_MAX = 200_000
 KEPT = {
     topics.TICK, topics.MOCAP, topics.VESC, topics.IDENTITY, topics.IMU, topics.ACTUATION,
@@ -56,11 +56,7 @@ class Scene(NamedTuple):
     options: RunOptions
     faults: tuple[Fault, ...] = ()
     act: Callable[[], Callable[[VirtualRun], None]] = lambda: lambda _run: None
-    visits: tuple[SupervisorState, ...] = (
-        SupervisorState.RUNNING,
-        SupervisorState.STOPPING,
-        SupervisorState.DISARMED,
-    )
+    visits: tuple[SupervisorState, ...] = (S.RUNNING, S.STOPPING, S.DISARMED)
     seconds: float = 30.0
 
 
@@ -74,32 +70,25 @@ def between(name: str, begin_s: float, end_s: float) -> Fault:
     return Fault(name, round(begin_s * NS), round(end_s * NS))
 
 
-_BROKEN = (SupervisorState.RUNNING, SupervisorState.FAULT_STOP, SupervisorState.FAULT_LATCHED)
+_BROKEN = (S.RUNNING, S.FAULT_STOP, S.FAULT_LATCHED)
 SCENES = {
     "straight": Scene(drive_options("line", 1.5, 2.5, 1)),
     "circle": Scene(drive_options("circle:radius=2", 1.0, 2.5, 2)),
     "slalom": Scene(drive_options("figure8:radius=1.3", 1.5, 2.6, 3)),
     "estop": Scene(
-        drive_options("circle:radius=-2", 1.5, 9.0, 4),
-        act=lambda: stop_at(3.0),
-        visits=(SupervisorState.RUNNING, SupervisorState.ESTOP),
-        seconds=4.5,
+        drive_options("circle:radius=-2", 1.5, 9.0, 4), act=lambda: stop_at(3.0),
+        visits=(S.RUNNING, S.ESTOP), seconds=4.5,
     ),
     "mocap_dropout": Scene(
-        drive_options("circle:radius=2", 1.0, 9.0, 5),
-        (between("silence", 3.0, 9.0),),
-        visits=_BROKEN,
-        seconds=4.8,
+        drive_options("circle:radius=2", 1.0, 9.0, 5), (between("silence", 3.0, 9.0),),
+        visits=_BROKEN, seconds=4.8,
     ),
     "noisy_serial": Scene(
         drive_options("circle:radius=2", 1.0, 2.0, 6),
-        (
-            between("garbage_burst", 2.0, 2.5),
-            between("reply_jitter", 2.5, 2.9),
-            between("reply_loss", 2.9, 9.0),
-        ),
+        (between("garbage_burst", 2.0, 2.5), between("reply_jitter", 2.5, 2.9),
+         between("reply_loss", 2.9, 9.0)),
     ),
-}
+}  # fmt: skip
 
 
 def record(scene: Scene, target: Path) -> None:

@@ -11,8 +11,7 @@ from steerd.daemon.loop.transitions import Fact, MotorOutput, SupervisorState
 
 CHECKED = Fact.LINKED | Fact.IDENTIFIED | Fact.CHECKS_PASS | Fact.FW_TIMEOUT
 GOOD = int(CHECKED | Fact.LEASED | Fact.SLOWING)
-ASKED = [Fact.ARM << k for k in range(10)]
-"""Bits of requests; the tenth is none."""
+ASKED = [Fact.ARM << k for k in range(10)]  # bits of requests; the tenth is none
 UNPROVEN = {
     SupervisorState.DISARMED, SupervisorState.INIT, SupervisorState.FAULT_STOP,
     SupervisorState.FAULT_LATCHED, SupervisorState.ESTOP,

@@ -13,8 +13,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -77,12 +77,7 @@ def fuzz_blind(name: str, runs: int, seed: int) -> int:
     took = time.process_time() - began
     if failure is not None:
         Path(f"crash-{name}").write_bytes(failure[0])
-    result: dict[str, Any] = {
-        "target": name,
-        "how": "damage",
-        "runs": runs,
-        "cpu_s": round(took, 1),
-    }
+    result = {"target": name, "how": "damage", "runs": runs, "cpu_s": round(took, 1)}
     print(json.dumps(result | {"failure": repr(failure[1]) if failure else None}), flush=True)
     return int(failure is not None)
 
@@ -103,13 +98,6 @@ def fuzz_guided(name: str, runs: int, seed: int) -> None:
         atheris.Fuzz()
 
 
-def has_atheris() -> bool:
-    """Whether libFuzzer is there."""
-    from importlib.util import find_spec
-
-    return find_spec("atheris") is not None
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("targets", nargs="*", help=f"of {', '.join(NAMES)} (default: all)")
@@ -118,7 +106,7 @@ def main() -> int:
     parser.add_argument("--blind", action="store_true", help="do not use atheris")
     parser.add_argument("--here", action="store_true", help=argparse.SUPPRESS)
     args = parser.parse_args()
-    guided = has_atheris() and not args.blind
+    guided = find_spec("atheris") is not None and not args.blind
     if args.here:
         fuzz_guided(args.targets[0], args.runs, args.seed)
     failed = 0

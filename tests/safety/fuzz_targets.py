@@ -51,8 +51,7 @@ CLASSES = tuple(MESSAGE_TYPES[name] for name in sorted(MESSAGE_TYPES))
 BOOT = 0x0123_4567_89AB_CDEF
 HELD = MAX_PAYLOAD + 6
 SERVER = "10.0.0.1"
-LOSSY = c.SetMcConfTemp
-"""A command with flags that are any byte: it need not come back."""
+LOSSY = c.SetMcConfTemp  # a command with flags that are any byte: it need not come back
 MOST = 4096  # more bytes than this from one input only take time
 
 Piece = tuple[int, bytes]

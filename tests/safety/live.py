@@ -90,10 +90,8 @@ class Live:
         if self.hand is not None:
             self.hand(kind)
             return CLOCK.now_ns()
-        packet = pack_request(
-            topics.OPERATOR.name,
-            (operator or self.operator).make_request(kind, CLOCK.realtime_ns()),
-        )
+        request = (operator or self.operator).make_request(kind, CLOCK.realtime_ns())
+        packet = pack_request(topics.OPERATOR.name, request)
         now_ns = CLOCK.now_ns()
         with contextlib.suppress(OSError):
             self.processes.requests.send(packet)
@@ -126,10 +124,8 @@ class Live:
         for record in unpack_records(self._buffer):
             if record.topic is topics.TRANSITION:
                 change = decode(Transition, record.data)
-                self.state = SupervisorState(change.to_state)
-                self.transitions.append(
-                    (SupervisorState(change.from_state), self.state, change.text)
-                )
+                before, self.state = map(SupervisorState, (change.from_state, change.to_state))
+                self.transitions.append((before, self.state, change.text))
             elif record.topic is topics.STATE:
                 self.speed = decode(StateMessage, record.data).speed
 
@@ -171,10 +167,8 @@ class Live:
         found = {name: child.process.pid for name, child in children.items()}
         core = found["core"]
         with contextlib.suppress(OSError):
-            text = Path(f"/proc/{core}/task/{core}/children").read_text(encoding="ascii")
-            found |= {
-                name: int(pid) for name, pid in zip(("guardian",), text.split(), strict=False)
-            }
+            if pids := Path(f"/proc/{core}/task/{core}/children").read_text().split():
+                found["guardian"] = int(pids[0])
         return found | self.others
 
     def end(self) -> int:

@@ -91,11 +91,7 @@ def at_terminal(folder: Path) -> Iterator[AtTerminal]:
 
 
 def wait_for_children(live: AtTerminal, family: dict[str, int]) -> None:
-    """Kill the terminal and wait until nothing is left of its run.
-
-    Raises:
-        AssertionError: something lives on.
-    """
+    """Kill the terminal and wait until nothing is left of its run."""
     left = {}
     for name, pid in family.items():
         with contextlib.suppress(ProcessLookupError):

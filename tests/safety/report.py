@@ -122,11 +122,7 @@ def write_thresholds() -> list[str]:
 
 
 def replace_section(text: str, name: str, lines: Iterable[str]) -> str:
-    """The page with the lines between a section's markers replaced.
-
-    Raises:
-        ValueError: the page has no such markers.
-    """
+    """The page with the lines between a section's markers replaced."""
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
     if begin not in text or end not in text:
         raise ValueError(f"the page has no section {name}")
@@ -150,12 +146,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--check", action="store_true", help="write nothing")
     parser.add_argument("--jobs", type=int, default=-1)
     parser.add_argument("--keep", type=Path, metavar="FILE.jsonl", help="cells, as they come")
-    parser.add_argument(
-        "--live",
-        type=Path,
-        metavar="LOG.jsonl",
-        help="write the table of the real-time cells alone",
-    )
+    text = "write the table of the real-time cells alone"
+    parser.add_argument("--live", type=Path, metavar="LOG.jsonl", help=text)
     args = parser.parse_args(argv)
     if args.live is not None:
         write_sections("safety-matrix.md", live=write_live(args.live))

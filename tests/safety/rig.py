@@ -209,16 +209,10 @@ def twin(rig: Rig) -> Rig:
 
 
 PHASES = {
-    "P0": "before power-on",
-    "P1": "DISARMED",
-    "P2": "SELF_TEST",
-    "P3": "ARMED",
-    "P4": "launch window",
-    "P5": "RUNNING, straight",
-    "P6": "RUNNING, bend at full lock",
-    "P7": "STOPPING",
-    "P8": "FAULT_STOP",
-}
+    "P0": "before power-on", "P1": "DISARMED", "P2": "SELF_TEST", "P3": "ARMED",
+    "P4": "launch window", "P5": "RUNNING, straight", "P6": "RUNNING, bend at full lock",
+    "P7": "STOPPING", "P8": "FAULT_STOP",
+}  # fmt: skip
 
 
 @lru_cache

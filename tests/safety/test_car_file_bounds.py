@@ -60,17 +60,13 @@ def walk() -> Iterator[Case]:
 
 
 QUICK = [
-    Case("car", "steer_lag", 0.0),
-    Case("car", "speed_lag", 0.0),
-    Case("car", "steer_bias", 0.2),
-    Case("effects.rolling_drag", "drag", -0.75),
-    Case("effects.rolling_drag", "drag", 1.0),
-    Case("effects.floor_slope", "x", 0.076),
-    Case("effects.mocap_yaw", "offset", 0.1),
+    Case("car", "steer_lag", 0.0), Case("car", "speed_lag", 0.0), Case("car", "steer_bias", 0.2),
+    Case("effects.rolling_drag", "drag", -0.75), Case("effects.rolling_drag", "drag", 1.0),
+    Case("effects.floor_slope", "x", 0.076), Case("effects.mocap_yaw", "offset", 0.1),
     Case("estimator", "lateral_accel_density", 0.03),
     Case("estimator", "longitudinal_accel_density", 0.1),
     Case("estimator", "pose_position_sd", 1e-4),
-]
+]  # fmt: skip
 REFUSED = [
     (Case("car", "mu", 0.05), "friction 0.05 stops the car with 0.49 m/s²"),
     (Case("car", "drive_delay", 0.3), "dead time of 0.3 s is longer than"),
@@ -91,11 +87,7 @@ REFUSED = [
 
 
 def load(case: Case):
-    """The plan of a drive with this number.
-
-    Raises:
-        SteerdError: it is refused.
-    """
+    """The plan of a drive with this number."""
     document = tomlkit.parse(DEFAULT)
     section, _, name = case.section.partition(".")
     table = document.setdefault(section, tomlkit.table())

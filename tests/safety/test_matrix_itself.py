@@ -45,18 +45,13 @@ def brake(t_ns: int) -> MotorFrame:
 
 def test_every_motor_command_is_read_for_what_it_does() -> None:
     sent = (  # id and count, from the protocol's table
-        (8, 4000, Effort.DRIVE, 4000.0),
-        (8, -4000, Effort.DRIVE, 4000.0),
-        (6, 3000, Effort.DRIVE, 3.0),
-        (6, 0, Effort.RELEASE, 0.0),
-        (7, 20_000, Effort.BRAKE, 20.0),
-        (7, 0, Effort.RELEASE, 0.0),
-        (5, 50_000, Effort.DRIVE, 0.5),
-        (5, 0, Effort.BRAKE, 0.0),
-        (9, 90_000_000, Effort.DRIVE, 90.0),
-        (84, 50_000, Effort.DRIVE, 0.5),
+        (8, 4000, Effort.DRIVE, 4000.0), (8, -4000, Effort.DRIVE, 4000.0),
+        (6, 3000, Effort.DRIVE, 3.0), (6, 0, Effort.RELEASE, 0.0),
+        (7, 20_000, Effort.BRAKE, 20.0), (7, 0, Effort.RELEASE, 0.0),
+        (5, 50_000, Effort.DRIVE, 0.5), (5, 0, Effort.BRAKE, 0.0),
+        (9, 90_000_000, Effort.DRIVE, 90.0), (84, 50_000, Effort.DRIVE, 0.5),
         (10, 5000, Effort.BRAKE, 5.0),
-    )
+    )  # fmt: skip
     data = b"".join(encode_frame(struct.pack(">Bi", number, count)) for number, count, _, _ in sent)
     data += encode_frame(b"\x0c\x01\xf4") + encode_frame(b"\x04")
     log = [Logged(7, "vesc", data[:9]), Logged(8, "host", b"\x02\x01"), Logged(9, "vesc", data[9:])]

@@ -17,21 +17,13 @@ from tests.safety.matrix import Outcome, run_cell
 
 
 class Trace(NamedTuple):
-    """Where a watchdog lives and how it is shown.
+    """Where a watchdog lives and how it is shown."""
 
-    Attributes:
-        code: ``module:name``.
-        thresholds: of the car file's `[safety]`; none where there is nothing to choose.
-        cell: (fault, phase) in which it trips.
-        behind: watchdogs that would trip earlier in this cell; silenced to let it trip.
-        also: other tests of it.
-    """
-
-    code: str
-    thresholds: tuple[str, ...]
-    cell: tuple[str, ...]
-    behind: tuple[str, ...]
-    also: str
+    code: str  # `module:name`
+    thresholds: tuple[str, ...]  # of the car file's `[safety]`; none where nothing can be chosen
+    cell: tuple[str, ...]  # (fault, phase) in which it trips
+    behind: tuple[str, ...]  # watchdogs that would trip earlier in this cell; silenced
+    also: str  # other tests of it
 
 
 def trace(code: str, thresholds: str, cell: str, behind: str = "", also: str = "") -> Trace:
@@ -95,11 +87,7 @@ TRACES = {
 
 
 def find_code(code: str) -> Any:
-    """What ``module:name`` names.
-
-    Raises:
-        AttributeError: there is no such thing.
-    """
+    """What ``module:name`` names."""
     module, _, path = code.partition(":")
     found: Any = importlib.import_module(module)
     for name in path.split("."):

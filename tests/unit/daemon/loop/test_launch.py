@@ -7,8 +7,8 @@ import pytest
 
 from steerd.controller.limits import LimitError
 from steerd.daemon.loop import findings as fs
+from steerd.daemon.loop.checks import LaunchInput, make_launch_state, step_launch
 from steerd.daemon.loop.findings import ON_HARDWARE, WINDOW_NS, Lateness, Severity, step_lateness
-from steerd.daemon.loop.launch import LaunchInput, make_launch_state, step_launch
 from steerd.daemon.settings.thresholds import Thresholds
 
 WHEELBASE = 0.33

@@ -98,8 +98,7 @@ def test_a_stall_of_everything_is_the_machines(stall_ms, due_ms, slept_ms):
 
 
 JUST = LEAST_NS // MS
-NEVER = -START // MS, -START // MS
-"""No pause, as the page says it: from 0 to 0 [ns]."""
+NEVER = -START // MS, -START // MS  # no pause, as the page says it: from 0 to 0 [ns]
 
 
 @pytest.mark.parametrize(

@@ -38,8 +38,7 @@ from steerd.vesc_link.transport import LinkDown
 SECOND, MS = 1_000_000_000, 1_000_000
 STOP, MOCAP = 3, 4
 REAL = RunId(1, 0, leased=True)
-NOBODY = PipeWriter(-1), PipeWriter(-1)
-"""Pipes that nobody reads."""
+NOBODY = PipeWriter(-1), PipeWriter(-1)  # pipes that nobody reads
 
 
 def make_port():
