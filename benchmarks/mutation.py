@@ -39,7 +39,7 @@ TABLES = (
 TESTS = (
     "tests/unit/controller/test_limits.py", "tests/unit/daemon/loop/test_supervisor.py",
     "tests/unit/daemon/loop/test_watchdogs.py", "tests/unit/daemon/loop/test_watchdogs_pose.py",
-    "tests/unit/daemon/settings/test_config.py", "tests/unit/daemon/loop/test_launch.py",
+    "tests/unit/daemon/settings/test_config.py", "tests/unit/daemon/loop/test_checks.py",
     "tests/unit/daemon/process/test_guardian.py", "tests/unit/daemon/loop/test_lease.py",
     "tests/unit/steer_bus/test_codec.py", "tests/unit/daemon/loop/test_following.py",
     "tests/unit/daemon/loop/test_findings.py",

@@ -155,10 +155,9 @@ def serve(
     Raises:
         SteerdError: no run answers, or the controller returns no command.
     """
-    from steerd.daemon.ipc.operator import connect as connect_bus  # zenoh, where nothing is served
-    from steerd.daemon.process.bus_operator import CarView
+    from steerd.daemon.process import bus_operator  # zenoh, where nothing is served
 
     folder = None if lab is None else Path(lab)
-    with connect_bus(connect, folder, "steerd run --controller zenoh") as bus:
-        view = CarView(bus, car, MonotonicClock()).wait_heard()
+    with bus_operator.connect(connect, folder, "steerd run --controller zenoh") as bus:
+        view = bus_operator.CarView(bus, car, MonotonicClock()).wait_heard()
         answer(view, while_driving(controller), duration)

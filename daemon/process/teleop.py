@@ -11,10 +11,9 @@ import select
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from steerd.daemon.ipc.operator import KEEPALIVE_NS
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process import gamepad
-from steerd.daemon.process.bus_operator import BusOperator, CarView
+from steerd.daemon.process.bus_operator import KEEPALIVE_NS, BusOperator, CarView
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import encode

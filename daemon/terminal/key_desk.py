@@ -9,8 +9,8 @@ import tty
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from steerd.daemon.ipc.operator import KEEPALIVE_NS
 from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.process.bus_operator import KEEPALIVE_NS
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.messages import Parameters, RequestKind
 

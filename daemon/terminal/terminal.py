@@ -13,10 +13,10 @@ from rich.console import Console
 from rich.live import Live
 
 from steerd.daemon.common.screen import raw
-from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.ipc.pipe_records import PipeReader
 from steerd.daemon.ipc.requests import SETTING_MAX, pack_request, parse_setting
 from steerd.daemon.ipc.signals import make_stop_signal_pipe
+from steerd.daemon.process.bus_operator import Operator
 from steerd.daemon.process.children import RunProcesses
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.daemon.terminal.key_desk import KEY_HELP, NUDGE_HELP, KeyDesk, keys_one_by_one

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from steerd.daemon.assembly.build import NS, RunId, make_plan, make_world_config
-from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.ipc.pipe_records import unpack_records
 from steerd.daemon.ipc.requests import pack_request
 from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.process.bus_operator import Operator
 from steerd.daemon.process.children import RunProcesses, start_processes
 from steerd.daemon.settings.run_options import RunOptions
 from steerd.sim_hw.plant.faults import Fault

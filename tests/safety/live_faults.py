@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from steerd.daemon.common.errors import ExitCode
-from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.process.bus_operator import Operator
 from steerd.steer_bus.messages import RequestKind
 from steerd.steer_bus.session_read import open_session
 from tests.safety.judge import Effort, count_drive_frames, find_stop
@@ -122,8 +122,7 @@ FAULTS = {
     "SIGSTOP recorder": LiveFault(send("recorder", STOP), 18.0, named="W26", watch_s=18.0),
     "SIGKILL gateway": LiveFault(send("gateway", KILL), 0.6, named="W27"),
     "SIGSTOP gateway": LiveFault(
-        send("gateway", STOP), 1.6, named="W27", watch_s=1.0, code=STOPPED
-    ),
+        send("gateway", STOP), 1.6, named="W27", watch_s=1.0, code=STOPPED),
     "SIGKILL learner": LiveFault(send("learner", KILL), None, start=options(learn=True)),
     "SIGSTOP learner": LiveFault(send("learner", STOP), None, start=options(learn=True)),
     "SIGKILL page": LiveFault(send("page", KILL), 1.0, named="W25", start=held_by_page),
@@ -134,17 +133,13 @@ FAULTS = {
     "gamepad unplugged": LiveFault(leave, 0.65, "P5", start=held_by_gamepad, code=OK),
     "gamepad silent": LiveFault(fall_silent, 1.15, "P5", start=held_by_gamepad, code=OK),
     "SIGKILL gamepad": LiveFault(
-        send("gamepad", KILL), 0.65, "P5", named="W25", start=held_by_gamepad, code=STOPPED
-    ),
+        send("gamepad", KILL), 0.65, "P5", named="W25", start=held_by_gamepad, code=STOPPED),
     "SIGSTOP gamepad": LiveFault(
-        send("gamepad", STOP), 0.65, "P5", named="W25", start=held_by_gamepad, code=STOPPED
-    ),
+        send("gamepad", STOP), 0.65, "P5", named="W25", start=held_by_gamepad, code=STOPPED),
     "SIGKILL controller": LiveFault(
-        send("controller", KILL), 0.8, named="W25", reported="P5", start=driven_by_another
-    ),
+        send("controller", KILL), 0.8, named="W25", reported="P5", start=driven_by_another),
     "SIGSTOP controller": LiveFault(
-        send("controller", STOP), 0.8, named="W25", reported="P5", start=driven_by_another
-    ),
+        send("controller", STOP), 0.8, named="W25", reported="P5", start=driven_by_another),
     "SIGKILL terminal": LiveFault(send("terminal", KILL), 1.0, named="disarm", start=at_terminal),
     "SIGSTOP terminal": LiveFault(send("terminal", STOP), 1.0, named="W25", start=at_terminal),
     "mocap silent": LiveFault(hardware("M1"), 1.0, "P3 P5 P7"),
@@ -159,9 +154,8 @@ FAULTS = {
     "operator gone": LiveFault(fall_silent, 1.5, "P3 P5"),
     "stranger's stop": LiveFault(lambda live: live.ask(RequestKind.STOP, STRANGER), 0.3, "P5 P7"),
     "stranger's e-stop": LiveFault(
-        lambda live: live.ask(RequestKind.ESTOP, STRANGER), 0.3, "P1 P3 P5"
-    ),
-}
+        lambda live: live.ask(RequestKind.ESTOP, STRANGER), 0.3, "P1 P3 P5"),
+}  # fmt: skip
 CELLS = [(name, phase) for name, fault in FAULTS.items() for phase in fault.phases.split()]
 
 

@@ -85,16 +85,13 @@ DRIVES: dict[str, OtherWorld | OtherCell] = {
 }  # fmt: skip
 ELSEWHERE = {
     "W16": Elsewhere("guardian killed, guardian frozen", "SIGSTOP guardian"),
-    "W26": Elsewhere(
-        "recorder killed, recorder frozen; a pipe that nobody reads", "SIGSTOP recorder"
-    ),
+    "W26": Elsewhere("recorder killed, recorder frozen; a pipe that nobody reads",
+                     "SIGSTOP recorder"),
     "W27": Elsewhere("gateway killed, gateway frozen; a pipe that nobody reads", "SIGSTOP gateway"),
     "W28": Elsewhere("the boot clock steps", "test_w28_a_machine_that_slept"),
-    "W29": Elsewhere(
-        "the limit of open files is lowered",
-        "test_w29_the_kernel_gives_no_descriptor_for_a_guardian",
-    ),
-}
+    "W29": Elsewhere("the limit of open files is lowered",
+                     "test_w29_the_kernel_gives_no_descriptor_for_a_guardian"),
+}  # fmt: skip
 
 
 def list_outside() -> dict[str, str]:

@@ -17,8 +17,8 @@ from typing import IO
 import pytest
 from websockets.sync.client import connect  # noqa: TID251
 
-from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.process.bus_operator import Operator
 from steerd.steer_bus import topics
 from steerd.steer_bus.messages import RequestKind
 from steerd.steer_bus.topics import make_key

@@ -54,7 +54,7 @@ TRACES = {
     "W13": trace("_check_vesc", "cell_warn cell cell_hold", "V16b P5"),
     "W14": trace("_check_temperature", "fet_warn fet motor_warn motor", "V17b P5"),
     "W15": trace("loop.findings:step_lateness", "late late_run late_share",
-          "H12b P5", also="`test_launch.py`; live: SIGSTOP core"),
+          "H12b P5", also="`test_findings.py`; live: SIGSTOP core"),
     "W16": trace("process.guard:ProcessGuard.is_silent", "guardian",
           "H6 P5", also="`test_runner.py`; live: SIGKILL, SIGSTOP guardian"),
     "W17": trace("_check_path", "lateral_warn lateral lateral_hold lateral_max", "C9 P5"),

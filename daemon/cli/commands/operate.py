@@ -13,12 +13,11 @@ from math import inf
 from steerd.daemon.cli.arguments import add_car_arguments, option
 from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
 from steerd.daemon.common.screen import wrap
-from steerd.daemon.ipc.operator import KEEPALIVE_NS, connect, read_model
 from steerd.daemon.ipc.requests import make_badge
 from steerd.daemon.ipc.signals import raise_on_stop_signals
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process import bus_operator
-from steerd.daemon.process.bus_operator import CarView
+from steerd.daemon.process.bus_operator import KEEPALIVE_NS, CarView, connect, read_model
 from steerd.steer_bus import topics
 from steerd.steer_bus.clock import MonotonicClock
 from steerd.steer_bus.codec import decode

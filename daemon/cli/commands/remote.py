@@ -37,7 +37,7 @@ def watch(args: Namespace) -> None:
     Keys change live parameters: the highest speed, a lane beside the path, a share
     of the feedback. The car refuses those of anybody but the operator who holds it.
     """
-    from steerd.daemon.ipc.operator import connect
+    from steerd.daemon.process.bus_operator import connect
 
     with connect(args.connect, args.lab) as bus, contextlib.suppress(KeyboardInterrupt):
         from steerd.daemon.terminal.watch import watch_car  # the heavy one, of a car that is there
@@ -61,15 +61,14 @@ def page(args: Namespace) -> None:
     Whoever arms the car there holds it: close or leave the page and it stops.
     `steerd run --page` starts the same for its own car.
     """
-    from steerd.daemon.ipc.operator import connect
+    from steerd.daemon.process.bus_operator import CarView, connect
 
     def on_open(url: str) -> None:
         print(f"page: {url}", flush=True)
         print("open it in a browser on this machine; Ctrl-C ends it", file=sys.stderr)
 
     with connect(args.connect, args.lab) as bus:
-        from steerd.daemon.process.bus_operator import CarView  # the heavy ones
-        from steerd.daemon.process.page import make_page, run_page
+        from steerd.daemon.process.page import make_page, run_page  # the heavy one
 
         content = make_page(args.name, make_lane_job(args.path))
         view = CarView(bus, args.name, MonotonicClock())
@@ -94,8 +93,7 @@ def control(args: Namespace) -> None:
     limits and stops the car when they are too old.
     """
     from steerd.daemon.assembly.build import make_plan
-    from steerd.daemon.ipc.operator import connect
-    from steerd.daemon.process.bus_operator import CarView
+    from steerd.daemon.process.bus_operator import CarView, connect
     from steerd.daemon.process.external_controller import answer, keep_lane
 
     raise_on_stop_signals()
@@ -144,8 +142,7 @@ def teleop(args: Namespace) -> None:
     for name, most in zip(("speed", "steer", "quiet"), highest, strict=True):
         if not 0.0 < getattr(args, name) <= most:
             raise UsageError(f"--{name} {getattr(args, name):g}: more than 0, at most {most:g}")
-    from steerd.daemon.ipc.operator import connect
-    from steerd.daemon.process.bus_operator import CarView
+    from steerd.daemon.process.bus_operator import CarView, connect
     from steerd.daemon.process.teleop import Teleop, serve_pad
 
     raise_on_stop_signals()

@@ -145,7 +145,7 @@ def _list_conflicts(args: Namespace) -> Iterator[tuple[bool, str, str]]:
 
 def _find_endpoint(args: Namespace) -> str:
     """Of a lab's car."""
-    from steerd.daemon.ipc.operator import read_lab
+    from steerd.daemon.process.bus_operator import read_lab
 
     lab = read_lab(args.lab)
     if lab.car != args.name:
@@ -246,7 +246,7 @@ def _run_live(plan: "RunPlan", core: Child) -> tuple[int, str]:
     """Drive in real time; the exit code, and why the car was stopped."""
     from steerd.daemon.assembly.build import RunId
     from steerd.daemon.assembly.session_meta import session_path
-    from steerd.daemon.ipc.operator import Operator
+    from steerd.daemon.process.bus_operator import Operator
     from steerd.daemon.process.children import start_processes
     from steerd.daemon.terminal.dashboard import Dashboard, closing_lines
     from steerd.daemon.terminal.terminal import Terminal

@@ -5,11 +5,11 @@ import os
 
 import pytest
 
-from steerd.daemon.ipc.operator import read_model
 from steerd.daemon.ipc.pipe_records import PipeReader, PipeRecord, make_pipe, pack_record
 from steerd.daemon.learning import reported
 from steerd.daemon.learning.feed import make_record
 from steerd.daemon.learning.reported import encode_model, format_model, gap_text
+from steerd.daemon.process.bus_operator import read_model
 from steerd.daemon.process.gateway import Gateway, run_gateway
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.steer_bus import messages as m

@@ -1,10 +1,11 @@
-"""Findings: their summary for the supervisor, advice, and numbers that nobody knows."""
+"""Findings: their summary, advice, numbers that nobody knows; and late ticks (W15)."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from math import inf, nan
 
 import pytest
 
+from steerd.controller.limits import LimitError
 from steerd.daemon.loop import findings as fs
 from steerd.daemon.loop.findings import WATCHDOGS, Severity, make_finding, summarise
 from steerd.daemon.loop.transitions import Fact, SupervisorState
@@ -67,3 +68,81 @@ def test_advice_in_simulation_is_about_the_simulation():
     assert simulated.severity is found.severity
     for other in (make_finding("W13", "3.10 V per cell"), fs.make_unknown("W7", "no reply yet")):
         assert fs.advise_simulation(other) is other
+
+
+# W15 over due and wake times: each rule at its edge, and what a car file may tighten.
+
+MS, PERIOD = 1_000_000, 10_000_000
+
+
+def run(late_ms, rules=fs.ON_HARDWARE):
+    """Findings of ticks so late, one period apart."""
+    state, said = fs.Lateness(), []
+    for k, ms in enumerate(late_ms):
+        state, found = fs.step_lateness(
+            state, k * PERIOD, k * PERIOD + round(ms * MS), PERIOD, rules
+        )
+        said.append(found and found.severity)
+    return said, state
+
+
+def test_the_rules_are_the_thresholds():
+    usual = fs.LatenessRules(25_000_000, 3, 0.02)
+    assert fs.make_lateness_rules(Thresholds()) == fs.ON_HARDWARE == usual
+    assert fs.make_lateness_rules(replace(Thresholds(), late=0.0125)).late_ns == 12_500_000
+
+
+@pytest.mark.parametrize(
+    ("late_ms", "severity", "expected"),
+    [
+        ([10.1], Severity.WARN, "10.1 ms"), ([25], Severity.WARN, "25.0 ms"),
+        ([25.001], Severity.HARD, "a tick 25 ms late"),
+        ([1499.6], Severity.HARD, "a tick 1500 ms late"),
+        ([12, 12, 12], Severity.HARD, "3 ticks in a row missed"),
+        ([12, 0, 12, 0, 12], Severity.HARD, "3 of 100 ticks missed"),
+    ],
+)  # fmt: skip
+def test_a_late_tick_warns_or_trips_and_says_why(late_ms, severity, expected):
+    said, state = run(late_ms[:-1])
+    assert Severity.HARD not in said
+    due = len(said) * PERIOD
+    _, found = fs.step_lateness(state, due, due + round(late_ms[-1] * MS), PERIOD)
+    assert found.severity is severity
+    assert f": {expected}; " in found.text
+
+
+def test_a_second_ends_after_a_second_and_the_next_begins_where_it_ended():
+    begun = fs.Lateness(missed=2, window_ns=fs.WINDOW_NS)
+    late = fs.WINDOW_NS + 12 * MS
+    same, found = fs.step_lateness(begun, 2 * fs.WINDOW_NS, fs.WINDOW_NS + late, PERIOD)
+    assert (same.missed, same.window_ns) == (3, fs.WINDOW_NS)
+    assert found.severity is Severity.HARD
+    new, found = fs.step_lateness(begun, 2 * fs.WINDOW_NS + 1, fs.WINDOW_NS + late + 1, PERIOD)
+    assert (new.missed, new.window_ns) == (1, 2 * fs.WINDOW_NS + 1)
+    assert found.severity is Severity.WARN
+
+
+def test_a_row_of_missed_ticks_ends_and_the_next_second_begins_anew():
+    assert run([0, 10])[0] == [None, None], "in time"
+    assert run([12, 12, 0, 12])[0] == [Severity.WARN, Severity.WARN, None, Severity.HARD]
+    assert run([12, 12, 0])[1].run == 0
+    said, state = run([12, 0, 12, *[0] * 98, 12])
+    assert (said[-1], state.missed) == (Severity.WARN, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "stricter", "late_ms", "laxer"),
+    [("late", 0.015, [15.1], 0.026), ("late_run", 2, [12, 12], 4),
+     ("late_share", 0.0, [12, 0, 12], 0.03)],
+)  # fmt: skip
+def test_a_car_file_may_be_stricter_and_never_laxer(name, stricter, late_ms, laxer):
+    strict = fs.make_lateness_rules(replace(Thresholds(), **{name: stricter}))
+    assert run(late_ms)[0][-1] is Severity.WARN
+    assert run(late_ms, strict)[0][-1] is Severity.HARD
+    with pytest.raises(LimitError):
+        Thresholds(**{name: laxer})
+
+
+def test_a_simulated_car_lives_with_a_machine_that_hiccups():
+    assert run([200, 0, 12, 12, 12], fs.IN_SIMULATION)[0].count(Severity.HARD) == 0
+    assert run([251], fs.IN_SIMULATION)[0] == [Severity.HARD]

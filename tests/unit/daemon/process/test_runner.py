@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from steerd.daemon.assembly.build import RunId, make_plan
-from steerd.daemon.ipc.operator import Operator
 from steerd.daemon.ipc.pipe_records import PipeWriter, make_pipe, read_message
 from steerd.daemon.ipc.requests import pack_request
 from steerd.daemon.loop.adapting import DESIGN_BYTES
@@ -24,6 +23,7 @@ from steerd.daemon.loop.supervisor import NEVER, STILL_NS
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.process import guard as guard_module
 from steerd.daemon.process import runner as runner_module
+from steerd.daemon.process.bus_operator import Operator
 from steerd.daemon.process.guard import ProcessGuard, make_page_fd
 from steerd.daemon.process.heartbeat import HeartbeatPage
 from steerd.daemon.process.pacing import MARGIN

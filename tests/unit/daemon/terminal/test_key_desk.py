@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from steerd.daemon.ipc.operator import KEEPALIVE_NS, Operator
 from steerd.daemon.ipc.requests import format_setting, parse_setting, unpack_request
 from steerd.daemon.loop.transitions import SupervisorState
+from steerd.daemon.process.bus_operator import KEEPALIVE_NS, Operator
 from steerd.daemon.setup.steering_calibration import SteeringCalibration, servo_scaling
 from steerd.daemon.terminal.dashboard import Dashboard
 from steerd.daemon.terminal.key_desk import KEYS, nudge
