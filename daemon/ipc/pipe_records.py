@@ -77,7 +77,7 @@ class Outbox:
     def flush(self, t_ns: int) -> None:
         """Encode everything queued and give it to the sinks.
 
-        CodecError: a message cannot be encoded; it alone is lost.
+        Raises CodecError where a message cannot be encoded; it alone is lost.
         """
         if not self._pending:
             return

@@ -72,7 +72,7 @@ def parse_setting(text: str) -> dict[str, float] | None:
 
 
 def read_diagnostics(message: DiagnosticArray) -> dict[str, str]:
-    """The supervisor's values in a diagnostics message; SteerdError for another's message."""
+    """Return the supervisor's values in a message; raise SteerdError for another's."""
     for status in message.status:
         if status.name == "steerd: supervisor":
             return {value.key: remove_controls(value.value) for value in status.values}

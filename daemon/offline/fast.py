@@ -21,7 +21,7 @@ from steerd.steer_bus.session_read import SessionError
 
 
 def make_recording(plan: RunPlan, path: Path) -> Recording:
-    """A session file for a run in virtual time; SteerdError if it cannot be created."""
+    """A session file for a run in virtual time; raises SteerdError if it cannot be created."""
     try:
         return Recording(make_recorder_job(plan, path, {}))
     except SessionError as error:
@@ -38,8 +38,8 @@ def record_virtual(
     """Drive in virtual time into a session file; an interrupted drive is kept as far as it came.
 
     `go` drives the run to its end; `see` is handed what was recorded, and when [ns]; `world` is the
-    simulated hardware where it is not the plan's. SteerdError: the disk does not take the file;
-    what was written of it stays.
+    simulated hardware where it is not the plan's. Raises SteerdError if the disk does not take the
+    file; what was written of it stays.
     """
     world = world or World(make_world_config(plan))
     recording = make_recording(plan, path)
@@ -71,8 +71,8 @@ def _learn_beside(
 ) -> Callable[[PipeRecord], Iterator[PipeRecord]]:
     """What gives each record of a drive back, with `--learn` also the report that it completes.
 
-    `propose` takes the proposals of `--adapt`, and when they were made [ns]. ValueError: the car
-    file holds what identify does not write.
+    `propose` takes the proposals of `--adapt`, and when they were made [ns]. Raises ValueError
+    where the car file holds what identify does not write.
     """
     if not plan.options.learn:  # a drive without it loads no compiler
         return lambda record: iter((record,))

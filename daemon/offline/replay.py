@@ -36,7 +36,7 @@ class Difference:
 
 
 def make_replay_plan(session: Session, name: str) -> RunPlan:
-    """The plan of a recorded run; SteerdError if `steerd run` has not recorded the session."""
+    """Return the plan of a recorded run; raise SteerdError if none is recorded."""
     meta: dict[str, Any] = dict(session.info().metadata.get("steerd.session", {}))
     with reading(name, "only sessions of `steerd run` hold what a replay needs"):
         options = decode_options(meta["options"])
@@ -100,7 +100,7 @@ def _same(a: float, b: float) -> bool:
 def replay(
     session: Session, name: str, advance: Callable[[int], None] = lambda done: None
 ) -> tuple[Replay, Iterator[Difference]]:
-    """A replay of a session and the differences that it finds as it goes; or SteerdError.
+    """A replay of a session, and the differences that it finds as it goes; raises SteerdError.
 
     Messages call it `name`; `advance` is called with how many were taken, now and then.
     """
@@ -127,7 +127,7 @@ def describe_difference(difference: Difference, first_ns: int) -> str:
 
 
 def check_same(count: int, ticks: int) -> ExitCode:
-    """The exit code of a replay with so many differences; SteerdError if nothing was compared."""
+    """Return the exit code for so many differences; raise SteerdError if no tick was compared."""
     if not ticks:
         raise SteerdError("the session holds no ticks: there is nothing to replay")
     return ExitCode.DIFFERS if count else ExitCode.OK

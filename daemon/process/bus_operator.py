@@ -71,7 +71,7 @@ class Operator:
 
 
 def connect(given_endpoint: str | None, folder: Path | None, first: str = "steerd run") -> ZenohBus:
-    """Join the bus of a running daemon, which the command `first` starts; or SteerdError.
+    """Join the bus of a running daemon, which `first` starts; raises SteerdError if none answers.
 
     Its endpoint is that of `folder` (of `steerd keys`) where none is given, else this machine's.
     """
@@ -87,7 +87,7 @@ def connect(given_endpoint: str | None, folder: Path | None, first: str = "steer
 
 
 def read_lab(folder: Path) -> Lab:
-    """A participant's folder; SteerdError if it is not one."""
+    """A participant's folder; raises SteerdError if it is not one."""
     try:
         return load_lab(folder)
     except BusError as error:
@@ -150,7 +150,7 @@ class CarView:
                     continue
 
     def wait_heard(self, *, state: bool = False) -> "CarView":
-        """Wait for its diagnostics, with `state` that too; SteerdError if they do not come."""
+        """Wait for its diagnostics, with `state` that too; raise SteerdError if none come."""
         end_ns = self.clock.now_ns() + STATUS_NS
         while not self.values or (state and self.state is None):
             if self.clock.now_ns() > end_ns:

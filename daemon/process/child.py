@@ -62,7 +62,7 @@ class Child:
             self.process.wait()
 
     def wait_ready(self, name: str) -> dict[str, Any]:
-        """What it reports once it is ready; SteerdError if it cannot be, ended, or said nothing."""
+        """Return what it reports once it is ready; raise SteerdError if it does not get there."""
         poll = select.poll()
         poll.register(self.ready_fd, select.POLLIN | select.POLLHUP)
         line = b""

@@ -165,8 +165,8 @@ def _end(child: Child, seconds: float) -> int:
 def start_processes(plan: RunPlan, session: Path, core: Child | None = None) -> RunProcesses:
     """Start recorder, gateway, core and, where they are asked for, viewer, page and learner.
 
-    `core` is the control core's process where it was prepared already. SteerdError: one of them
-    failed to start, with its own text.
+    `core` is the control core's process where it was prepared already. Raises SteerdError, with
+    its own text, if one of them fails to start.
     """
     ends, now_ns = Ends(plan.options), plan.run.epoch_ns + time.monotonic_ns()
     memory = recall_learnt(plan, session, now_ns)

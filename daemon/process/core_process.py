@@ -68,7 +68,7 @@ def status_sink(pipe: PipeWriter) -> Sink:
 
 
 def make_mocap(plan: RunPlan) -> MocapReceiver | BusPoseSource:
-    """The mocap source that the options name; SteerdError if its address is of no use."""
+    """The mocap source that the options name; raises SteerdError if its address is of no use."""
     text = plan.options.mocap or ""
     try:
         url = parse_mocap_url(text)
@@ -83,7 +83,7 @@ def make_mocap(plan: RunPlan) -> MocapReceiver | BusPoseSource:
 
 
 def make_opener(url: str) -> Callable[[], Port]:
-    """What opens the port, which is open from now on; SteerdError with advice if it cannot be."""
+    """What opens the port, which is open from now on; raises SteerdError if it cannot be."""
     try:
         waiting = [open_port(url)]
     except PortError as error:

@@ -61,7 +61,7 @@ class Pad:
     _rest: bytes = b""
 
     def read(self) -> list[PadEvent]:
-        """The events that are there; PadGoneError where no more will come."""
+        """The events that are there; raises PadGoneError where no more will come."""
         try:
             data = os.read(self.fd, _READ_BYTES)
         except BlockingIOError:
@@ -81,7 +81,7 @@ class Pad:
 
 
 def open_pad(path: Path | None, deadman: int) -> Pad:
-    """The named gamepad or pipe, or the only one with the deadman's button; else SteerdError."""
+    """Open the pad or pipe named, or the only one with the deadman's button; or SteerdError."""
     if path is not None and path.exists() and stat.S_ISFIFO(path.stat().st_mode):
         return Pad(str(path), os.open(path, os.O_RDONLY))
     if find_spec("evdev") is None:
@@ -109,7 +109,7 @@ def _open_device(path: Path) -> Pad:
 
 
 def find_pad(deadman: int) -> Path:
-    """The only device that has the deadman's button; SteerdError for none, or several."""
+    """The only device that has the deadman's button; raises SteerdError for none or several."""
     import evdev  # noqa: TID251
 
     found = []

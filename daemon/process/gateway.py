@@ -38,7 +38,7 @@ class RosBridge:
     """One node ``steerd_<car>`` with a publisher for each topic that the car sends."""
 
     def __init__(self, bus: ZenohBus, car: str, domain: int) -> None:
-        """Declare node and publishers; BusError on a closed bus."""
+        """Declare node and publishers; raises BusError on a closed bus."""
         self._bus = bus
         node = f"steerd_{car}"
         published = [t for t in topics.TOPICS if t.on_bus and t.direction == "out"]

@@ -25,7 +25,7 @@ from steerd.steer_bus.codec import CodecError
 class LearnerLoop:
     """A run's records in, a report a second out; designs of `--adapt` go to `propose`, with when.
 
-    ValueError: the car file holds what identify does not write.
+    Raises ValueError where the car file holds what identify does not write.
     """
 
     def __init__(

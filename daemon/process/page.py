@@ -95,7 +95,7 @@ async def _show(connection: ServerConnection, view: CarView, operator: BusOperat
 async def run_page(
     view: CarView, page: str, port: int, on_open: Callable[[str], None], ended: asyncio.Event
 ) -> None:
-    """Serve until the end; each page that is open is an operator. OSError: the port is taken."""
+    """Serve until the end; each open page is an operator. Raises OSError for a taken port."""
     operators: set[BusOperator] = set()
 
     async def talk(connection: ServerConnection) -> None:

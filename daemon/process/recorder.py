@@ -54,7 +54,7 @@ class Recording:
         self.add(record)
 
     def finish(self, reason: str) -> str:
-        """End the file with why it ended and what is missing, said in words; or SessionError."""
+        """End the file with why it ended and what is missing, in words; raises SessionError."""
         dropped, holes = str(self.gaps.missed), self.gaps.spans
         end = {"reason": reason, "written": str(self.written), "dropped": dropped}
         self.writer.finish(end | ({"holes": json.dumps(holes)} if holes else {}))
@@ -69,7 +69,7 @@ class Recording:
 
 
 def check_space(path: Path, disk_free_min: int) -> None:
-    """Refuse a recording that would end at once: SessionError for too little space [bytes]."""
+    """Raise SessionError where there is less space than a recording needs [bytes]."""
     try:
         free = shutil.disk_usage(path.parent).free
     except OSError as error:

@@ -357,7 +357,7 @@ class Runner:
         return wire
 
     def _is_clogged(self, port: Port, engaged: bool) -> bool:
-        """Whether an armed car's device takes none of its bytes for some ticks (W8); LinkDown."""
+        """Whether an armed car's device took no bytes for some ticks (W8), or raise LinkDown."""
         th = self._core.loop.plan.settings.thresholds
         waits = engaged and port.out_queue() > th.out_queue
         self._clogged = self._clogged + 1 if waits else 0

@@ -54,7 +54,7 @@ class SecretServer:
         return f"{host}:{self.port}"
 
     async def open(self, port: int, max_size: int, protocols: Sequence[str] = ()) -> Server:
-        """Listen; OSError where the port is taken."""
+        """Listen; raises OSError where the port is taken."""
         named: Any = list(protocols) or None
         server = await serve(
             self._talk,

@@ -220,7 +220,7 @@ def list_values(plan: RunPlan) -> dict[str, float | str]:
 
 
 async def run_viewer(given: Job, plan: RunPlan) -> int:
-    """Show what comes until the pipe closes; how much was missed. OSError: no such address."""
+    """Show what comes until the pipe closes; what was missed. Raises OSError at a wrong address."""
     records, reports = PipeReader(given.fds["pipe"]), PipeReader(given.fds.get("reports"))
     car, drawn = plan.options.car, draw_plan(plan)
     lane = make_lane_scene(drawn["lane"], drawn["half_width"], closed=drawn["closed"])
