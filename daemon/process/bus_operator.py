@@ -18,13 +18,12 @@ from steerd.daemon.loop.transitions import ARMED, DISARMED, ESTOP, READY, STOPPI
 from steerd.steer_bus import messages as m
 from steerd.steer_bus import topics
 from steerd.steer_bus.atomic_file import write_atomically
-from steerd.steer_bus.bus import BusError
 from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.codec import CodecError, decode, encode
 from steerd.steer_bus.lab import DEFAULT_PORT, Lab, load_lab
 from steerd.steer_bus.messages import RequestKind
 from steerd.steer_bus.standard import DiagnosticArray
-from steerd.steer_bus.topics import Topic, check_car_name, make_key
+from steerd.steer_bus.topics import BusError, Topic, check_car_name, make_key
 from steerd.steer_bus.zenoh_bus import Profile, ZenohBus
 
 DEFAULT_ENDPOINT = f"tcp/127.0.0.1:{DEFAULT_PORT}"
