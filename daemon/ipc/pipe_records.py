@@ -77,7 +77,8 @@ class Outbox:
     def flush(self, t_ns: int) -> None:
         """Encode everything queued and give it to the sinks.
 
-        Raises CodecError where a message cannot be encoded; it alone is lost.
+        Raises:
+            CodecError: a message cannot be encoded; it alone is lost.
         """
         if not self._pending:
             return

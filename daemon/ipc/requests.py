@@ -72,7 +72,11 @@ def parse_setting(text: str) -> dict[str, float] | None:
 
 
 def read_diagnostics(message: DiagnosticArray) -> dict[str, str]:
-    """Return the supervisor's values in a message; raise SteerdError for another's."""
+    """The supervisor's values in a diagnostics message.
+
+    Raises:
+        SteerdError: the message is not the supervisor's.
+    """
     for status in message.status:
         if status.name == "steerd: supervisor":
             return {value.key: remove_controls(value.value) for value in status.values}

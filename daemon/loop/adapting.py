@@ -232,7 +232,11 @@ def make_no_design(mono_ns: int, epoch_ns: int, why: str) -> m.Design:
 
 
 def read_design(message: m.Design) -> Design | None:
-    """Return a message's design, None for the car file's; raise ValueError if it is no table."""
+    """The design of a message; None for the car file's own, which has number 0.
+
+    Raises:
+        ValueError: its gains are no table.
+    """
     if message.number == 0:
         return None
     columns, size = message.columns, len(message.gains)

@@ -114,13 +114,21 @@ def blame(finding: Finding, why: str) -> Finding:
 
 
 def make_unknown(id: str, what: str) -> Finding:
-    """The finding of a watchdog whose number was never measured: no advice is known."""
+    """Return the finding of a watchdog whose number was never measured: no advice is known.
+
+    Raises:
+        KeyError: there is no such watchdog.
+    """
     watchdog = WATCHDOGS[id]
     return Finding(id, watchdog.severity, f"{id} {watchdog.name}: {what}", known=False)
 
 
 def make_finding(id: str, measured: str, severity: Severity | None = None) -> Finding:
-    """A finding with the watchdog's own severity, or with the given one."""
+    """Return a finding with the watchdog's own severity, or with the given one.
+
+    Raises:
+        KeyError: there is no such watchdog.
+    """
     watchdog = WATCHDOGS[id]
     level = watchdog.severity if severity is None else severity
     return Finding(id, level, f"{id} {watchdog.name}: {measured}; {watchdog.advice}")

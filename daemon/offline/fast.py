@@ -21,7 +21,11 @@ from steerd.steer_bus.session_read import SessionError
 
 
 def make_recording(plan: RunPlan, path: Path) -> Recording:
-    """A session file for a run in virtual time; raises SteerdError if it cannot be created."""
+    """A session file for a run in virtual time.
+
+    Raises:
+        SteerdError: it cannot be created.
+    """
     try:
         return Recording(make_recorder_job(plan, path, {}))
     except SessionError as error:
@@ -38,8 +42,10 @@ def record_virtual(
     """Drive in virtual time into a session file; an interrupted drive is kept as far as it came.
 
     `go` drives the run to its end; `see` is handed what was recorded, and when [ns]; `world` is the
-    simulated hardware where it is not the plan's. Raises SteerdError if the disk does not take the
-    file; what was written of it stays.
+    simulated hardware where it is not the plan's.
+
+    Raises:
+        SteerdError: the disk does not take the file; what was written of it stays.
     """
     world = world or World(make_world_config(plan))
     recording = make_recording(plan, path)
@@ -71,8 +77,10 @@ def _learn_beside(
 ) -> Callable[[PipeRecord], Iterator[PipeRecord]]:
     """What gives each record of a drive back, with `--learn` also the report that it completes.
 
-    `propose` takes the proposals of `--adapt`, and when they were made [ns]. Raises ValueError
-    where the car file holds what identify does not write.
+    `propose` takes the proposals of `--adapt`, and when they were made [ns].
+
+    Raises:
+        ValueError: the car file holds what identify does not write.
     """
     if not plan.options.learn:  # a drive without it loads no compiler
         return lambda record: iter((record,))
@@ -133,7 +141,11 @@ def run_fast(plan: RunPlan) -> int:
 
 
 def check_driven(run: VirtualRun) -> None:
-    """Refuse a run in which the car was never driven: SteerdError with what it waited for."""
+    """Refuse a run in which the car was never driven.
+
+    Raises:
+        SteerdError: what it was waiting for.
+    """
     if not run.core.loop.ran:
         waiting = run.core.last.waiting if run.core.last else ""
         raise SteerdError(f"the car was never driven: waiting for {waiting}", "", ExitCode.STOPPED)

@@ -36,7 +36,11 @@ class Difference:
 
 
 def make_replay_plan(session: Session, name: str) -> RunPlan:
-    """Return the plan of a recorded run; raise SteerdError if none is recorded."""
+    """The plan of a recorded run.
+
+    Raises:
+        SteerdError: the session was not recorded by `steerd run`.
+    """
     meta: dict[str, Any] = dict(session.info().metadata.get("steerd.session", {}))
     with reading(name, "only sessions of `steerd run` hold what a replay needs"):
         options = decode_options(meta["options"])
@@ -100,9 +104,12 @@ def _same(a: float, b: float) -> bool:
 def replay(
     session: Session, name: str, advance: Callable[[int], None] = lambda done: None
 ) -> tuple[Replay, Iterator[Difference]]:
-    """A replay of a session, and the differences that it finds as it goes; raises SteerdError.
+    """A replay of a session and the differences that it finds as it goes.
 
     Messages call it `name`; `advance` is called with how many were taken, now and then.
+
+    Raises:
+        SteerdError: the session cannot be replayed.
     """
     with reading(name):
         session.check_layouts()
@@ -127,7 +134,11 @@ def describe_difference(difference: Difference, first_ns: int) -> str:
 
 
 def check_same(count: int, ticks: int) -> ExitCode:
-    """Return the exit code for so many differences; raise SteerdError if no tick was compared."""
+    """The exit code of a replay with so many differences.
+
+    Raises:
+        SteerdError: nothing was compared.
+    """
     if not ticks:
         raise SteerdError("the session holds no ticks: there is nothing to replay")
     return ExitCode.DIFFERS if count else ExitCode.OK

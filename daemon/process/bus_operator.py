@@ -70,9 +70,12 @@ class Operator:
 
 
 def connect(given_endpoint: str | None, folder: Path | None, first: str = "steerd run") -> ZenohBus:
-    """Join the bus of a running daemon, which `first` starts; raises SteerdError if none answers.
+    """Join the bus of a running daemon, which the command `first` starts.
 
     Its endpoint is that of `folder` (of `steerd keys`) where none is given, else this machine's.
+
+    Raises:
+        SteerdError: none answers, or it refuses our certificate.
     """
     lab = read_lab(folder) if folder else None
     endpoint = given_endpoint or (lab.endpoint if lab else DEFAULT_ENDPOINT)
@@ -86,7 +89,11 @@ def connect(given_endpoint: str | None, folder: Path | None, first: str = "steer
 
 
 def read_lab(folder: Path) -> Lab:
-    """A participant's folder; raises SteerdError if it is not one."""
+    """A participant's folder.
+
+    Raises:
+        SteerdError: it is not one.
+    """
     try:
         return load_lab(folder)
     except BusError as error:
@@ -149,7 +156,11 @@ class CarView:
                     continue
 
     def wait_heard(self, *, state: bool = False) -> "CarView":
-        """Wait for its diagnostics, with `state` that too; raise SteerdError if none come."""
+        """Wait until the car has said how it is: its diagnostics, with `state` that too.
+
+        Raises:
+            SteerdError: it did not, in time.
+        """
         end_ns = self.clock.now_ns() + STATUS_NS
         while not self.values or (state and self.state is None):
             if self.clock.now_ns() > end_ns:

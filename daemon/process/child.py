@@ -62,7 +62,11 @@ class Child:
             self.process.wait()
 
     def wait_ready(self, name: str) -> dict[str, Any]:
-        """Return what it reports once it is ready; raise SteerdError if it does not get there."""
+        """What it reports once it is ready.
+
+        Raises:
+            SteerdError: it cannot be, with its own text; it ended, or nothing came in time.
+        """
         poll = select.poll()
         poll.register(self.ready_fd, select.POLLIN | select.POLLHUP)
         line = b""

@@ -165,8 +165,10 @@ def _end(child: Child, seconds: float) -> int:
 def start_processes(plan: RunPlan, session: Path, core: Child | None = None) -> RunProcesses:
     """Start recorder, gateway, core and, where they are asked for, viewer, page and learner.
 
-    `core` is the control core's process where it was prepared already. Raises SteerdError, with
-    its own text, if one of them fails to start.
+    `core` is the control core's process where it was prepared already.
+
+    Raises:
+        SteerdError: one of them failed to start, with its own text.
     """
     ends, now_ns = Ends(plan.options), plan.run.epoch_ns + time.monotonic_ns()
     memory = recall_learnt(plan, session, now_ns)
@@ -204,7 +206,13 @@ def start_processes(plan: RunPlan, session: Path, core: Child | None = None) -> 
 def make_recorder_job(
     plan: RunPlan, session: Path, more: Mapping[str, dict[str, str]]
 ) -> dict[str, Any]:
-    """What a recording begins with; its folder is made, or SteerdError says why there is none."""
+    """What a recording begins with, see `recorder`; its folder is made.
+
+    `more` is metadata beside the run's.
+
+    Raises:
+        SteerdError: there can be no such folder.
+    """
     try:
         session.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

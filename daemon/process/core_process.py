@@ -68,7 +68,11 @@ def status_sink(pipe: PipeWriter) -> Sink:
 
 
 def make_mocap(plan: RunPlan) -> MocapReceiver | BusPoseSource:
-    """The mocap source that the options name; raises SteerdError if its address is of no use."""
+    """The mocap source that the options name.
+
+    Raises:
+        SteerdError: the address makes no sense, or its host does not resolve.
+    """
     text = plan.options.mocap or ""
     try:
         url = parse_mocap_url(text)
@@ -83,7 +87,11 @@ def make_mocap(plan: RunPlan) -> MocapReceiver | BusPoseSource:
 
 
 def make_opener(url: str) -> Callable[[], Port]:
-    """What opens the port, which is open from now on; raises SteerdError if it cannot be."""
+    """What opens the port; it is opened before anything else, to report a wrong one at once.
+
+    Raises:
+        SteerdError: it cannot be opened, with advice.
+    """
     try:
         waiting = [open_port(url)]
     except PortError as error:
@@ -92,7 +100,11 @@ def make_opener(url: str) -> Callable[[], Port]:
 
 
 def serve(given: Job) -> int:
-    """The process; the port is the first thing that it opens."""
+    """The process.
+
+    Raises:
+        SteerdError: the run cannot be begun.
+    """
     fds, job = given
     plan = read_job(job, design=True)
     open_again = make_opener(plan.options.port or "")

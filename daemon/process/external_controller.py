@@ -60,7 +60,11 @@ class ExternalController:
         self._seq = 0
 
     def compute_command(self, message: StateMessage, realtime_ns: int) -> DriveCommand | None:
-        """The command for a finite estimate, else None; raises SteerdError for a wrong command."""
+        """The command for one estimate; None while the estimate is not finite.
+
+        Raises:
+            SteerdError: the controller does not return two finite numbers.
+        """
         m = message
         state = State(m.x, m.y, m.yaw, m.speed, m.yaw_rate, m.slip_angle, m.steer)
         if not all(map(isfinite, state)):

@@ -61,7 +61,11 @@ class Pad:
     _rest: bytes = b""
 
     def read(self) -> list[PadEvent]:
-        """The events that are there; raises PadGoneError where no more will come."""
+        """The events that are there.
+
+        Raises:
+            PadGoneError: no more will come.
+        """
         try:
             data = os.read(self.fd, _READ_BYTES)
         except BlockingIOError:
@@ -81,7 +85,11 @@ class Pad:
 
 
 def open_pad(path: Path | None, deadman: int) -> Pad:
-    """Open the pad or pipe named, or the only one with the deadman's button; or SteerdError."""
+    """The named gamepad or pipe, or the only gamepad that has the deadman's button.
+
+    Raises:
+        SteerdError: there is none, there are several, or it cannot be read.
+    """
     if path is not None and path.exists() and stat.S_ISFIFO(path.stat().st_mode):
         return Pad(str(path), os.open(path, os.O_RDONLY))
     if find_spec("evdev") is None:
@@ -109,7 +117,11 @@ def _open_device(path: Path) -> Pad:
 
 
 def find_pad(deadman: int) -> Path:
-    """The only device that has the deadman's button; raises SteerdError for none or several."""
+    """The only device that has the deadman's button.
+
+    Raises:
+        SteerdError: none, or several.
+    """
     import evdev  # noqa: TID251
 
     found = []

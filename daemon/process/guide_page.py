@@ -63,7 +63,11 @@ class GuidePage:
         self._pressed, self._press = os.pipe()
 
     def open(self, port: int) -> str:
-        """Serve; the address. Raises OSError where the port is taken."""
+        """Serve; the address.
+
+        Raises:
+            OSError: the port is taken.
+        """
         address: Future[str] = Future()
         served = self._serve(port, address)
         threading.Thread(target=asyncio.run, args=(served,), daemon=True).start()

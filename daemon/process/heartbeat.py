@@ -123,7 +123,8 @@ class HeartbeatPage:
     def stage(self, wire: bytes) -> memoryview:
         """Core, before ``may_write``: the same bytes, where the guardian can still change them.
 
-        Raises ValueError for more than ``OUTGOING_BYTES``.
+        Raises:
+            ValueError: more than ``OUTGOING_BYTES``.
         """
         if len(wire) > OUTGOING_BYTES:
             raise ValueError(f"a motion frame of {len(wire)} bytes: at most {OUTGOING_BYTES} fit")

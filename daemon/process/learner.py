@@ -25,7 +25,8 @@ from steerd.steer_bus.codec import CodecError
 class LearnerLoop:
     """A run's records in, a report a second out; designs of `--adapt` go to `propose`, with when.
 
-    Raises ValueError where the car file holds what identify does not write.
+    Raises:
+        ValueError: the car file holds what identify does not write.
     """
 
     def __init__(
@@ -50,7 +51,11 @@ class LearnerLoop:
 
 
 def serve(given: Job) -> int:
-    """The process; it ends with the core's pipe, and keeps what was learnt."""
+    """The process; it ends with the core's pipe, and keeps what was learnt.
+
+    Raises:
+        SteerdError: it cannot learn this car.
+    """
     given.say_ready()  # nobody waits for it
     job, fds = given.about, given.fds
     plan = read_job(job)

@@ -95,7 +95,11 @@ async def _show(connection: ServerConnection, view: CarView, operator: BusOperat
 async def run_page(
     view: CarView, page: str, port: int, on_open: Callable[[str], None], ended: asyncio.Event
 ) -> None:
-    """Serve until the end; each open page is an operator. Raises OSError for a taken port."""
+    """Serve until the end is asked for; each page that is open is an operator of its own.
+
+    Raises:
+        OSError: the port is taken.
+    """
     operators: set[BusOperator] = set()
 
     async def talk(connection: ServerConnection) -> None:
@@ -135,7 +139,11 @@ async def _serve(given: Job, plan: RunPlan) -> None:
 
 
 def serve(given: Job) -> int:
-    """The process; it ends when its lifeline closes."""
+    """The process; it ends when its lifeline closes.
+
+    Raises:
+        SteerdError: its port is taken, or it cannot reach the car.
+    """
     plan = read_job(given.about)
     try:
         asyncio.run(_serve(given, plan))

@@ -54,7 +54,11 @@ class Recording:
         self.add(record)
 
     def finish(self, reason: str) -> str:
-        """End the file with why it ended and what is missing, in words; raises SessionError."""
+        """End the file with why it ended and what is missing in it; say the latter in words.
+
+        Raises:
+            SessionError: the disk does not take it.
+        """
         dropped, holes = str(self.gaps.missed), self.gaps.spans
         end = {"reason": reason, "written": str(self.written), "dropped": dropped}
         self.writer.finish(end | ({"holes": json.dumps(holes)} if holes else {}))
@@ -69,7 +73,11 @@ class Recording:
 
 
 def check_space(path: Path, disk_free_min: int) -> None:
-    """Raise SessionError where there is less space than a recording needs [bytes]."""
+    """Refuse a recording that would end as soon as it has begun.
+
+    Raises:
+        SessionError: there is less free space than a recording needs [bytes].
+    """
     try:
         free = shutil.disk_usage(path.parent).free
     except OSError as error:
@@ -135,7 +143,11 @@ def _sync(writer: SessionWriter) -> None:
 
 
 def serve(job: Job) -> int:
-    """The process; it ends with the core's pipe."""
+    """The process; it ends with the core's pipe.
+
+    Raises:
+        SteerdError: the session cannot be begun, or not be ended.
+    """
     meta, disk_free_min = job.about, int(job.about["disk_free_min"])
     try:
         check_space(Path(meta["path"]), disk_free_min)

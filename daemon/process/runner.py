@@ -357,7 +357,11 @@ class Runner:
         return wire
 
     def _is_clogged(self, port: Port, engaged: bool) -> bool:
-        """Whether an armed car's device took no bytes for some ticks (W8), or raise LinkDown."""
+        """Whether an armed car's device has not taken its bytes for some ticks (W8).
+
+        Raises:
+            LinkDown: the device is gone.
+        """
         th = self._core.loop.plan.settings.thresholds
         waits = engaged and port.out_queue() > th.out_queue
         self._clogged = self._clogged + 1 if waits else 0

@@ -54,7 +54,11 @@ class SecretServer:
         return f"{host}:{self.port}"
 
     async def open(self, port: int, max_size: int, protocols: Sequence[str] = ()) -> Server:
-        """Listen; raises OSError where the port is taken."""
+        """Listen.
+
+        Raises:
+            OSError: the port is taken.
+        """
         named: Any = list(protocols) or None
         server = await serve(
             self._talk,

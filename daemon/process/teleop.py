@@ -91,7 +91,11 @@ class Teleop:
 
 
 def serve_pad(teleop: Teleop, pad: gamepad.Pad, clock: Clock, say: Callable[[str], object]) -> None:
-    """Serve until the gamepad is unplugged or its stream has ended, which raises PadGoneError."""
+    """Serve until the gamepad is gone.
+
+    Raises:
+        PadGoneError: it was unplugged, or its stream has ended.
+    """
     due = clock.now_ns()
     while True:
         ready, _, _ = select.select([pad.fd], [], [], max(due - clock.now_ns(), 0) * 1e-9)

@@ -21,7 +21,11 @@ def draw_plan(plan: "RunPlan") -> dict[str, Any]:
 
 
 def make_lane_job(spec: str | None) -> dict[str, Any]:
-    """What is drawn of a lane that was named, or of none; raises SteerdError if it is no path."""
+    """What is drawn of a lane that was named, or of none.
+
+    Raises:
+        SteerdError: it is no path.
+    """
     try:
         from steerd.car_model.path.path_spec import parse_path
 
@@ -45,7 +49,11 @@ DEFAULT_PORT = 8765  # Foxglove's own
 
 
 def parse_view(text: str, insecure_lan: bool) -> tuple[str, int]:
-    """Host and port of ``[HOST:]PORT``; raises SteerdError for another text, or a public host."""
+    """Host and port of ``[HOST:]PORT``.
+
+    Raises:
+        SteerdError: it is no address, or one for others without `--insecure-lan`.
+    """
     host, _, port = text.rpartition(":")
     host = host.strip("[]") or "127.0.0.1"
     if not port.isdecimal() or not 0 < int(port) < 65536:
@@ -67,8 +75,9 @@ def _is_private(host: str) -> bool:
 def check_view(text: str, insecure_lan: bool, *, sets: bool = False) -> None:
     """Check `--view` before anything starts.
 
-    Raises SteerdError if the address is invalid, if others could reach a viewer that `sets`
-    parameters, or if foxglove-sdk is not installed.
+    Raises:
+        SteerdError: the address is invalid, or others could reach a viewer that `sets` parameters,
+            or foxglove-sdk is not installed.
     """
     host, _ = parse_view(text, insecure_lan)
     if sets and not _is_private(host):
