@@ -16,14 +16,15 @@ from typing import Any
 
 from steerd.steer_bus import topics
 from steerd.steer_bus.codec import CodecError, decode, encode
-from steerd.steer_bus.quick_values import changed, quick_value
+from steerd.steer_bus.quick_values import quick_value
 from steerd.steer_bus.topics import TOPICS, Topic
 
 PIPE_BYTES = 1 << 20
 """Room for about 4 s of messages at 200 Hz (`docs/reference/safety-requirements.md#s2.3`)."""
 _HEAD = struct.Struct("<IHHIqq")
 _F_SETPIPE_SZ = 1031
-_JOINED_NS = 100_000_000  # holes closer to each other are one
+_JOINED_NS = 100_000_000
+"""Holes closer to each other are one."""
 _INDEX = {topic.name: index for index, topic in enumerate(TOPICS)}
 
 
@@ -48,6 +49,8 @@ def read_message(record: PipeRecord) -> Any:
 
 Sink = Callable[[list[PipeRecord], int], None]
 """Takes the records of one tick and the monotonic time [ns]; must not block."""
+_Queued = tuple[Topic, int, int, int, Any]
+"""A `PipeRecord` to be: its topic, number, two times and message."""
 
 
 @dataclass(slots=True)
@@ -56,7 +59,7 @@ class Outbox:
 
     epoch_ns: int  # UNIX time minus monotonic time, fixed for the session [ns]
     sinks: tuple[Sink, ...]  # receivers of the records at `flush`
-    _pending: list[PipeRecord] = field(default_factory=list)  # not encoded yet
+    _pending: list[_Queued] = field(default_factory=list)
     _counts: dict[str, int] = field(default_factory=dict)
     _last_ns: int = 0
 
@@ -70,9 +73,8 @@ class Outbox:
         # A session file is in the order of the loop: log times never go back (mcap doctor warns).
         if t_ns > self._last_ns:
             self._last_ns = t_ns
-        log_ns = self._last_ns + self.epoch_ns
         publish_ns = (t_ns if valid_ns is None else valid_ns) + self.epoch_ns
-        self._pending.append(PipeRecord(topic, count, log_ns, publish_ns, b"", message))
+        self._pending.append((topic, count, self._last_ns + self.epoch_ns, publish_ns, message))
 
     def flush(self, t_ns: int) -> None:
         """Encode everything queued and give it to the sinks.
@@ -84,11 +86,13 @@ class Outbox:
             return
         queued, self._pending = self._pending, []
         records, wrong = [], None
-        for record in queued:
+        for topic, count, log_ns, publish_ns, message in queued:
             try:
-                records.append(changed(record, data=encode(record.message)))
+                data = encode(message)
             except CodecError as error:
                 wrong = wrong or error
+            else:
+                records.append(PipeRecord(topic, count, log_ns, publish_ns, data, message))
         for sink in self.sinks:
             sink(records, t_ns)
         if wrong is not None:
@@ -97,8 +101,15 @@ class Outbox:
 
 def pack_record(record: PipeRecord) -> bytes:
     """The record as pipe bytes."""
-    number, times = record.sequence & 0xFFFFFFFF, (record.log_time_ns, record.publish_time_ns)
-    return _HEAD.pack(len(record.data), _INDEX[record.topic.name], 0, number, *times) + record.data
+    head = _HEAD.pack(
+        len(record.data),
+        _INDEX[record.topic.name],
+        0,
+        record.sequence & 0xFFFFFFFF,
+        record.log_time_ns,
+        record.publish_time_ns,
+    )
+    return head + record.data
 
 
 def unpack_records(buffer: bytearray) -> Iterator[PipeRecord]:
@@ -137,7 +148,8 @@ class PipeWriter:
     def write(self, packed: list[bytes], t_ns: int) -> None:
         """Write these records or drop them all; never waits, never raises.
 
-        What the pipe did not take of a batch is written first next time: no record is torn.
+        The pipe may take a batch in part; the rest is written first next time, so that no record
+        is torn.
         """
         if self._rest:
             self._rest = self._push(self._rest, t_ns)
@@ -202,7 +214,8 @@ class Gaps:
         return joined
 
 
-LEARNT_FROM = (topics.MOCAP, topics.ACTUATION, topics.VESC)  # topics that a drive is learnt from
+LEARNT_FROM = (topics.MOCAP, topics.ACTUATION, topics.VESC)
+"""Topics that a drive is learnt from."""
 _WANTED = frozenset(topic.name for topic in (*LEARNT_FROM, topics.DESIGN))
 
 

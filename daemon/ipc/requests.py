@@ -1,6 +1,7 @@
 """Requests from gateway, terminal and pages to the core, and its diagnostics as they read them.
 
-Pages and viewers, who hold no codec, write a live parameter as text, `set NAME VALUE`.
+A request is one packet. Pages and viewers, who hold no codec, write a live parameter as text,
+`set NAME VALUE`.
 """
 
 import contextlib

@@ -1,8 +1,10 @@
 """Which design steers: that of the car file, or one for the car as learnt. Pure.
 
-A design is taken between ticks, after its check, and comes into force in the next tick. A change of
-designs moves no wheel: the difference of the two orders fades. Limits, watchdogs and the gate know
-nothing of this; lane errors stay those of the poses as they come.
+A design is taken between ticks, after its check, and comes into force in the next tick. The file's
+comes back by itself: when the learner is silent, the drive ends, the estimate is lost, feedback is
+tuned by hand, or the car is far off its lane. A change of designs moves no wheel: the difference
+of the two orders fades. Limits, watchdogs and the gate know nothing of this; lane errors stay those
+of the poses as they come.
 
 The check of a design takes tens of milliseconds, so one piece of it runs after each tick's bytes
 were written. Whatever comes meanwhile is left alone; the learner proposes anew each second.
@@ -165,8 +167,8 @@ def steer(
 ) -> tuple[Command[float], ControlReport, ControllerState, Adapting]:
     """One tick of the design in force; where it is another than before, no wheel moves for that.
 
-    `before`, `memory` and the order `issued` are the last tick's. `driving`: a drive goes on,
-    without a fault; `stop`: the car is to come to rest.
+    `before` and the controller's `memory` are the last tick's, `issued` is the last order.
+    `driving`: a drive goes on, without a fault; `stop`: the car is to come to rest.
     """
     if before.held is None:
         command, report, memory = control(
@@ -255,10 +257,15 @@ REFUSED = "refused: "  # what a text begins with that says why a proposal was no
 
 
 class DesignDesk:
-    """Proposals in, messages to be taken out; knows no clock."""
+    """Proposals in, messages to be taken out; knows no clock.
+
+    Attributes:
+        taken: the design that was taken last, or None.
+        refused: how many were refused.
+    """
 
     def __init__(self) -> None:
-        self.taken: Design | None = None  # the last one
+        self.taken: Design | None = None
         self.refused = 0
         self._number = 0
         # A design, the numbers in force that it is held against, and what is left of its check

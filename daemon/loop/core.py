@@ -47,9 +47,17 @@ _REQUESTS = {t.name: t for t in (topics.OPERATOR, topics.DRIVE, topics.SET_PARAM
 
 
 class Core:
-    """One car's control core; `error` is the first unexpected exception, or None.
+    """One car's control core.
 
-    `flags` are bits of `Flag` from the runner; they stay until the runner clears them.
+    Attributes:
+        loop: decides.
+        link: the VESC's protocol.
+        outbox: outgoing messages.
+        flags: bits of `Flag` from the runner; they stay until the runner clears them.
+        last: the latest tick's result, or None.
+        source: the latest status of the mocap source, for people.
+        designs: where the learner's proposals are looked at.
+        error: the first unexpected exception, or None.
     """
 
     def __init__(self, loop: Loop, link: VescLink, outbox: Outbox) -> None:

@@ -1,11 +1,12 @@
 """Does the car do as ordered? What cars close to the car file would do, and what this one does.
 
 A car whose parameters lie within a share of the file's moves inside a band; lags and slew rates
-that were never identified may be off by a factor instead. A first-order lag with a slew limit is
-monotone in its state and its aim, so the upper end of the band rises as the fastest such car would
-and falls as the slowest one, and the lower end the other way round. Speed is compared with the
-wheels', steering with the turn of the mocap pose over a short stretch, which knows nothing of the
-filter. Pure.
+that were never identified may be off by a factor instead. The ends of the band follow from
+the orders that really left, by comparison: a first-order lag with a slew limit is monotone in its
+state and its aim, so the upper end rises as the fastest such car would and falls as the slowest
+one, and the lower end the other way round. Speed is compared with the wheels', steering with the
+turn of the mocap pose over a short stretch, which knows nothing of the filter. Pure functions over
+small tuples.
 """
 
 # Why: docs/decisions/safety.md#d70
@@ -132,7 +133,8 @@ def compare(
 ) -> Followed:
     """Hold the latest measurements against the bands of their own time.
 
-    `wheel` is the time of validity [ns] and speed [m/s]; the turn that is furthest off counts.
+    `wheel` is the time of validity [ns] and speed [m/s] of the last telemetry; of what mocap saw,
+    the turn that is furthest off counts.
     """
     trail = state.trail
     if not trail:
@@ -299,7 +301,10 @@ def _settle(now: Band, aim: Band, h: float, lag: float) -> Band:
 
 
 def _around_time(trail: tuple[Mark, ...], t_ns: int) -> tuple[Mark, Mark]:
-    """The marks before and after a moment not before the first; the last twice if it is later."""
+    """The marks before and after a moment not before the first; the last twice for what is later.
+
+    A trail of one mark gives that one twice.
+    """
     after = trail[-1]
     for mark in trail[:0:-1]:
         if mark.t_ns <= t_ns:

@@ -51,7 +51,8 @@ def accept_request(
     """Accept a request or refuse it; the facts that it asks for.
 
     A stop is accepted from anybody. All else needs this run's boot id, the lease (free for others
-    while its holder is silent, `idle`) and a rising sequence number, also from a former holder.
+    while it is `idle`: its holder is silent) and a rising sequence number, also from a former
+    holder.
     """
     try:
         kind = RequestKind(request.kind)

@@ -1,6 +1,7 @@
 """Live parameters of a run: which requests are accepted, and what is in force. Pure.
 
-They change the lane keeper's wish: of limits, gate and watchdogs only the lateral error knows them.
+They change the lane keeper's wish and nothing after it: limits, gate and watchdogs do not know them
+(but for the lateral error, which is judged against both lanes).
 """
 
 # Why: docs/decisions/safety.md#d74

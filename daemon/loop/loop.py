@@ -1,7 +1,8 @@
 """The loop: events in, orders out. No clock, no I/O, no randomness.
 
-The same events in the same order give the same orders, in real time, virtual time and replay.
-Decisions are made by pure functions; the loop keeps their states from tick to tick.
+The real-time runner, virtual time and replay drive the same loop: the same events in the same order
+give the same orders. Decisions are made by the pure functions that it calls; the loop takes the
+measurements that they judge, and keeps their states from tick to tick.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -57,8 +58,16 @@ _LEASE_KEPT_S = 1.0
 class Loop:
     """The control loop's state.
 
-    `vesc` is what the VESC reported about itself, or None; `fault` why a watchdog, a fault stop or
-    an emergency stop ended the last drive, or nothing; `ran`: a drive has ended in this run.
+    Attributes:
+        plan: what does not change.
+        perception: measurements, which are handed to it, and the state estimate.
+        supervisor: memory of the state machine.
+        lease, remote: the operator and the external controller.
+        live: what may be changed while the car drives.
+        adapting: which design steers.
+        vesc: what the VESC reported about itself, or None.
+        fault: why a watchdog, a fault stop or an emergency stop ended the last drive, or nothing.
+        ran: a drive has ended in this run.
     """
 
     def __init__(self, plan: RunPlan) -> None:
@@ -286,7 +295,10 @@ class Loop:
         speed: float,
         reported: tuple[fs.Finding, ...],
     ) -> tuple[WatchdogInput, tuple[fs.Finding, ...]]:
-        """The measurements of a tick, NaN where nothing is known, and all findings."""
+        """The measurements of a tick, NaN where nothing is known, and all findings.
+
+        `speed` is the best known [m/s]; `reported` is of `_find_reported`.
+        """
         plan, settings, seen = self.plan, self.plan.settings, self.perception
         state, order = self.supervisor.state, self._limiter.order
         limits, brakes = settings.limits, settings.brakes

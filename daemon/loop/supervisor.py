@@ -1,9 +1,10 @@
 """The supervisor: who may move the car, and how it stops; one pure function over a table.
 
-``step_supervisor`` turns measured conditions and requests (facts of ``ASKED``) into guard bits,
-takes the first row of ``transitions.TABLE`` that matches, and gives the kinds of motor and servo
-bytes. The invariants I1-I8 of `docs/reference/safety-requirements.md#invariants` are enumerated
-over it in the tests.
+``step_supervisor`` turns measured conditions (``Conditions``) and requests (facts of ``ASKED``)
+into guard bits, takes the first row of ``transitions.TABLE`` that matches, and gives the kinds of
+motor and servo bytes. The invariants I1-I8 of
+`docs/reference/safety-requirements.md#invariants` are enumerated over it in the tests. No clock,
+no I/O, no randomness.
 """
 
 # Why: docs/decisions/safety.md#d12

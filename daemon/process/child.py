@@ -28,9 +28,10 @@ _READ_BYTES = 65536
 
 
 class Child:
-    """A process of a run, in a group of its own: it waits for its job and reports once it is ready.
+    """A process of a run: it waits for its job on standard input, and reports once it is ready.
 
-    `ready_fd` is where it reports; -1 before it has its job.
+    It runs `module` in a process group of its own, since Ctrl-C is for the terminal. `ready_fd` is
+    where it reports; -1 before it has its job.
     """
 
     def __init__(self, module: str) -> None:

@@ -1,4 +1,7 @@
-"""The processes of a run: jobs on standard input, ended by closing their pipes."""
+"""The processes of a run: jobs on standard input, ended by closing their pipes.
+
+What an earlier run's learner kept of the car is found and checked before the learner begins.
+"""
 
 # Why: docs/decisions/safety.md#d16, docs/decisions/diagnosis.md#d87
 

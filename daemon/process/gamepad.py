@@ -1,7 +1,8 @@
 """Gamepads as a stream of the kernel's input events, and what their parts mean. `evdev` lives here.
 
 A device node is read with its axes' ranges and its end; a pipe carries the same events as bytes,
-from another computer (`ssh pad cat /dev/input/event5`) or from a recording.
+from another computer (`ssh pad cat /dev/input/event5`) or from a recording. The deadman is released
+when its button is let go, when events were lost, and when the gamepad has been silent for too long.
 """
 
 import contextlib

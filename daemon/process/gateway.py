@@ -2,7 +2,8 @@
 
 The core never waits for it: messages come through a pipe that drops when full, requests go into a
 socket that the core reads. What decodes is passed on, stops first, under the badge of its lease;
-whether it is obeyed is the core's to decide. With `--ros-domain` the car is also a ROS 2 node.
+whether it is obeyed is the core's to decide. With `--ros-domain` the car is also a ROS 2 node for
+rmw_zenoh: its topics once more, under ROS's keys.
 """
 
 # Why: docs/decisions/safety.md#d112

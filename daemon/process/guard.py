@@ -45,11 +45,15 @@ def find_pause(page: heartbeat.HeartbeatPage | None, now_ns: int) -> tuple[int, 
 
 
 class ProcessGuard:
-    """A guardian process per opened port; `page` is shared with the newest, None before the first.
+    """A guardian process per opened port.
 
-    Without `realtime`, a fixed priority, the core's heartbeat may be later; where the hardware is
-    `simulated`, a machine that stalls must not end the run. `silent_s` is the largest age of the
-    guardian's own heartbeat (W16) [s].
+    Args:
+        realtime: whether the core has a fixed priority; without, its heartbeat may be later.
+        simulated: the hardware is simulated; a machine that stalls must not end the run.
+        silent_s: largest age of the guardian's own heartbeat (W16) [s].
+
+    Attributes:
+        page: shared with the newest guardian; None before the first.
     """
 
     def __init__(
@@ -147,10 +151,13 @@ LEAST_NS = 2 * PERIOD_NS  # of a shorter delay the guardian, which sleeps for 10
 
 
 def find_cause(late: Span, stolen_ns: int, pause: Span | None) -> int:
-    """Which flag a tick gets that was `late` from due to begin; 0 where nobody can say.
+    """Which flag a late tick gets; 0 where nobody can say.
 
-    `stolen_ns` is what the host stole since shortly before it was due; `pause` the guardian's last
-    that was longer than its own sleep, (0, 0) if it never made one, None without a guardian.
+    Args:
+        late: from the time at which the tick was due to the time at which it began.
+        stolen_ns: time that the host stole since shortly before it was due.
+        pause: the guardian's last pause that was longer than its own sleep, (0, 0) if it never
+            made one; None without a guardian.
     """
     length = late[1] - late[0]
     if length > 0 and stolen_ns >= STALL_SHARE * length:

@@ -1,8 +1,9 @@
 """What control core and guardian share: a page of memory, and in it notice of the core's death.
 
-A core may be frozen at any instruction, also between its last look at ``tripped`` and the write
-itself. So it writes motion frames out of this page: the kernel reads them during the call, and
-until then the guardian can make them a brake frame.
+The page holds heartbeats, flags and outgoing bytes. A core may be frozen at any instruction, also
+between its last look at ``tripped`` and the write itself. So it writes motion frames out of this
+page: the kernel reads them during the call, and until then the guardian can make them a brake
+frame.
 
 A robust mutex in the page shows the core's end. A pidfd, the end of a pipe or a parent-death
 signal report a killed process only after the kernel has freed its memory: 30 to 190 ms were
@@ -34,9 +35,11 @@ def _library() -> Any:
 
 
 class Lifeline:
-    """One end of the mutex in the page: the core holds it until it ends, the guardian waits.
+    """One end of the mutex: the core holds it until it ends, the guardian waits for it.
 
-    `core_pidfd` is the core, where there is no such mutex; None at the core's own end.
+    Args:
+        page_fd: the shared page.
+        core_pidfd: the core, where there is no such mutex; None at the core's own end.
     """
 
     def __init__(self, page_fd: int, core_pidfd: int | None = None) -> None:
@@ -109,7 +112,11 @@ class Words(ctypes.Structure):
 
 
 class HeartbeatPage:
-    """The page of `PAGE_BYTES`, a memfd, as core and guardian use it; both may read ``words``."""
+    """The page of `PAGE_BYTES` as core and guardian use it; ``words`` may be read by both.
+
+    Args:
+        fd: of the page, a memfd, see `steerd.daemon.process.guard.make_page_fd`.
+    """
 
     def __init__(self, fd: int) -> None:
         page = mmap.mmap(fd, PAGE_BYTES)

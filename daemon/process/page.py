@@ -1,7 +1,7 @@
 """The live page: one file over HTTP and a WebSocket, on this machine's loopback only.
 
-Every keepalive on the bus is one that the browser sent. A tab that is closed, hidden, frozen or cut
-off is silent, and the lease ends 0.3 s later.
+What it shows of a car are JSON values; every keepalive on the bus is one that the browser sent. A
+tab that is closed, hidden, frozen or cut off is silent, and the lease ends 0.3 s later.
 """
 
 # Why: docs/decisions/safety.md#d69
@@ -71,9 +71,11 @@ def _finite(value: float) -> float | None:
 
 
 def pass_on(view: CarView, operator: BusOperator, word: str) -> bool:
-    """Send a request of a page, the name of its kind or `set NAME VALUE`: whether it was sent.
+    """Send a request of a page: the name of its kind, or `set NAME VALUE`.
 
-    Not for words that are no request; before the car was heard, only a stop.
+    Returns:
+        Whether it was sent; not for words that are no request, and only a stop before the car was
+        heard.
     """
     wanted = parse_setting(word)
     if wanted is not None:

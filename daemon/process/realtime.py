@@ -1,6 +1,7 @@
 """Real-time settings of a control process, those that were refused, and a timing check (rtcheck).
 
-Measurements: `docs/reference/safety-requirements.md#s8`, `docs/reference/identification.md#i5`.
+Measurements behind each line: `docs/reference/safety-requirements.md#s8`,
+`docs/reference/identification.md#i5`.
 """
 
 # Why: docs/decisions/processes-and-time.md#d36
@@ -89,7 +90,8 @@ def settle_memory() -> None:
 def realtime_section(priority: int = FIFO_PRIORITY) -> Iterator[RealtimeReport]:
     """Real time for a while: what `enter_realtime` and `settle_memory` set is undone afterwards.
 
-    A process that goes on under a fixed priority, without garbage collection, starves others.
+    A process that goes on under a fixed priority, its memory locked and nobody collecting garbage,
+    starves others and grows.
     """
     interval, before = sys.getswitchinterval(), (os.sched_getscheduler(0), os.sched_getparam(0))
     report = enter_realtime(priority)

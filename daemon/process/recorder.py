@@ -1,7 +1,7 @@
 """The recorder process: records from the core's pipe into an MCAP session.
 
-It ends when the pipe closes, so that a stop is recorded to its end. At most `[record] flush_ms` of
-a session is lost when it is killed.
+It ignores the terminal's signals and ends when the pipe closes, so that a stop is recorded to its
+end. At most `[record] flush_ms` of a session is lost when it is killed.
 """
 
 import json

@@ -1,8 +1,8 @@
 """The real-time runner: one thread, one select, absolute deadlines.
 
 Serial port, mocap sockets and requests are handled as they arrive. With a pose, or at the deadline
-if none comes, the core ticks and its bytes are written. Missed ticks are skipped, never caught up
-in a burst.
+if none comes, the core ticks and its bytes are written. The deadlines follow the poses
+(`steerd.daemon.process.pacing`). Missed ticks are skipped, never caught up in a burst.
 """
 
 import contextlib
@@ -125,8 +125,10 @@ class Runner:
     def _is_done(self) -> bool:
         """Whether the run is over: drive ended or stop signal received, and the car at rest.
 
-        So is a drive without an operator whose recorder or gateway is gone. The third signal ends
-        it at once, the second and the parent's end within a bound; the guardian then brakes.
+        So is a drive without an operator whose recorder or gateway is gone.
+
+        The third signal ends it at once, the second and the parent's end within a bound; the
+        guardian then brakes a car that moves.
         """
         loop = self._core.loop
         planned = loop.plan.duration_ns is not None and loop.ran

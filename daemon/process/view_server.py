@@ -1,6 +1,8 @@
 """Foxglove's WebSocket protocol, as far as a viewer that only looks needs it.
 
-Services and publishing by clients are not offered. See https://github.com/foxglove/ws-protocol.
+A channel is a topic with its schema; a client subscribes to channels and reads parameters. Setting
+one asks; services and publishing by clients are not offered. See
+https://github.com/foxglove/ws-protocol.
 """
 
 import asyncio
