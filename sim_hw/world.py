@@ -141,6 +141,9 @@ class World:
     def serial_write(self, t_ns: int, data: bytes) -> int:
         """Write to the VESC at ``t_ns``, as ``os.write`` on a non-blocking descriptor.
 
+        Returns:
+            How many bytes the kernel took.
+
         Raises:
             BlockingIOError: its buffer is full.
             OSError: the device is gone (EIO).

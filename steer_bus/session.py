@@ -119,7 +119,11 @@ class SessionWriter:
             self._writer.flush()
 
     def tick(self, t_ns: int) -> bool:
-        """Flush if it is time (``t_ns``: monotonic, now); say whether :meth:`sync` is due."""
+        """Flush if it is time (a quarter of a second by default); say whether :meth:`sync` is due.
+
+        Args:
+            t_ns: monotonic time now [ns].
+        """
         if t_ns - self._flushed_ns >= self._flush_ns:
             self.flush()
             self._flushed_ns = t_ns

@@ -250,6 +250,14 @@ class VescLink:
             self._uptime_due_ns = t_ns + UPTIME_PERIOD_NS
 
     def _expire(self, t_ns: int) -> None:
+        if not self._open:
+            return
+        overdue_ns = t_ns - POLL_EXPIRY_NS
+        for waits in self._open.values():
+            if waits.t_sent_ns < overdue_ns:
+                break
+        else:
+            return
         for number, waits in list(self._open.items()):
             patience = POLL_EXPIRY_NS if waits.request.polled else EXPIRY_NS
             if t_ns - waits.t_sent_ns > patience:
@@ -267,7 +275,8 @@ class VescLink:
             self.parser.ceiling = RUNNING_CEILING if driving else MAX_PAYLOAD
             for frame in self.parser.feed_stamped(data, t_ns):
                 events += self._on_frame(frame)
-        self._expire(t_ns)
+        if self._open:
+            self._expire(t_ns)
         return events
 
     def _on_frame(self, frame: Frame) -> list[Event]:

@@ -5,6 +5,7 @@ import select
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -34,11 +35,11 @@ def wait_for(fd: int) -> bool:
 
 def ask_version(fd: int) -> FwVersion:
     os.write(fd, VERSION_REQUEST)
-    parser, payloads = FrameParser(), []
-    while not payloads:
-        assert wait_for(fd)
-        payloads = parser.feed(os.read(fd, 4096), 0)
-    return decode_reply(payloads[0])
+    parser, end = FrameParser(), time.monotonic() + DEADLINE_S
+    while time.monotonic() < end and wait_for(fd):
+        if payloads := parser.feed(os.read(fd, 4096), 0):
+            return decode_reply(payloads[0])
+    raise TimeoutError("no version came")
 
 
 @pytest.fixture
@@ -86,7 +87,7 @@ def test_reboot_hangs_up_and_the_port_comes_back() -> None:
             port.write(encode_frame(encode_command(c.Reboot())))
             assert until(lambda: not Path(sim.port).exists())
             with pytest.raises(LinkDown):
-                until(lambda: port.read() == b"never")
+                until(lambda: port.read() == b"never", 1.0)
         assert until(lambda: Path(sim.port).exists())
         with closing(open_port(sim.port)) as again:
             assert ask_version(again.fd).firmware == VescConfig().firmware
@@ -95,7 +96,7 @@ def test_reboot_hangs_up_and_the_port_comes_back() -> None:
 def test_simulated_hardware_alone_leaves_in_order_at_sigterm(tmp_path: Path) -> None:
     argv = [sys.executable, "-m", "steerd", "sim", "--link-dir", str(tmp_path)]
     with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True) as child:
-        assert until((tmp_path / "vesc").exists)
+        assert until((tmp_path / "vesc").exists, 20.0)
         child.terminate()
         printed, _ = child.communicate(timeout=DEADLINE_S)
     assert child.returncode == 0

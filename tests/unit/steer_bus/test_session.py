@@ -127,13 +127,17 @@ def test_the_flush_policy(tmp_path):
 def test_names_are_never_overwritten(tmp_path, drive):
     path = tmp_path / "a.mcap"
     writer = start(path)
-    assert refusal(start, path)[0] == "exists"
+    with pytest.raises(SessionError, match="exists") as caught:
+        start(path)
+    assert caught.value.code == "exists"
     path.write_bytes(b"somebody's")
     with pytest.raises(SessionError, match="cannot be written"):
         writer.finish({})
     assert path.read_bytes() == b"somebody's"
-    assert refusal(start, path)[0] == "exists"
-    assert refusal(recover, open_session(drive.path), path)[0] == "exists"
+    with pytest.raises(SessionError, match="exists"):
+        start(path)
+    with pytest.raises(SessionError, match="exists"):
+        recover(open_session(drive.path), path)
 
 
 def test_missing_folders_and_undeclared_topics(tmp_path):
