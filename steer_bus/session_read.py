@@ -71,10 +71,7 @@ class Record:
 
 
 class Session:
-    """A recorded drive. Made by :func:`open_session`; its file stays open as long as it is used.
-
-    Whatever reads the file raises SessionError if that has changed since it was opened.
-    """
+    """A recorded drive. Made by :func:`open_session`; its file stays open as long as it is used."""
 
     def __init__(self, file: FileIO, info: SessionInfo) -> None:
         self._path, self._file, self._info = info.path, file.fileno(), info
@@ -147,7 +144,7 @@ class Session:
         return item.data
 
     def attachments(self) -> Iterator[Attachment]:
-        """Read the attached files."""
+        """Read the attached files; raises as messages()."""
         for _, span in self._info.attached:
             yield container.parse(Attachment, self._read(span))
 

@@ -32,7 +32,6 @@ class ColumnBuilder:
 
     Raises:
         TypeError: if the class holds a sequence of messages and so has no columns.
-        CodecError: from each method, if a record is not the message.
     """
 
     def __init__(self, cls: type[Any]) -> None:

@@ -1,6 +1,6 @@
 """What the core watches: its guardian (W16), a stop's way from the bus (W27), who made a tick late.
 
-That is the machine's host, the whole machine, or this program alone. The guardian is the witness: a
+Late is the machine's host, the whole machine, or this program alone. The guardian is the witness: a
 process of its own, of the highest priority, that wakes every 10 ms. Where it stood still together
 with the control core, so did everything.
 """
