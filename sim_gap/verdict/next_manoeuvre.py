@@ -101,12 +101,12 @@ def margin(
     augmented = likelihood.predictor.augmented
     names = [*point.space.effects, *(n for n in pair if n not in point.space.effects)]
     space = Library(likelihood, tuple(nuisance), (), known=False).space(names)
-    at = stand(likelihood, space, carry(space, point), point.x, 0.0).at
+    at = stand(likelihood, space, z := carry(likelihood, space, point), point.x, 0.0).at
     h, n = curvature(space, at), space.nuisance
     s = h[n:, n:] - h[n:, :n] @ np.linalg.solve(h[:n, :n], h[:n, n:])
     free = space.chart.free[n:]
     mine, theirs = (places_of(free, name) for name in pair)
-    size = carry(space, point)[n:][mine] - np.array(augmented.values(pair[0]))
+    size = z[n:][mine] - np.array(augmented.values(pair[0]))
     cross = s[np.ix_(mine, theirs)]
     left = np.linalg.solve(s[np.ix_(mine, mine)], cross)
     right = np.linalg.solve(s[np.ix_(theirs, theirs)], cross.T)

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from steerd.car_model.car_file import CarFile
 from steerd.car_model.effect import Effect
 from steerd.car_model.effects import EFFECTS
-from steerd.car_model.model import Model
-from steerd.car_model.native.windows import Kernels, make_kernels, parameter_vector
+from steerd.car_model.model import Model, believed_car
+from steerd.car_model.native.windows import Kernels, make_kernels, model_of, parameter_vector
 from steerd.car_model.params import Car
 from steerd.car_model.planar import make_planar
 from steerd.sysid.data.dataset import Run
@@ -208,6 +208,10 @@ class AugmentedCar:
     def values(self, effect: str) -> tuple[float, ...]:
         """The base's own values of an effect's parameters: its null, or what the base has of it."""
         return tuple(self.base[self.places(effect)].tolist())
+
+    def folded(self, parameters: Array) -> Car[float]:
+        """The car (P,) with those effects folded in that are changes of its parameters."""
+        return believed_car(model_of(self.kernels, parameters))
 
 
 def prescribe_speed(model: Model[float], runs: Sequence[Run]) -> Model[float]:

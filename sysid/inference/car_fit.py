@@ -132,14 +132,10 @@ def fit_car(
     shown = informative_effects(fitted.augmented, runs)
     free = {name.partition(".")[0] for name in fitted.nuisance if "." in name}
     effects = tuple(
-        e
-        for e in fitted.augmented.effects
-        if e.name in shown
-        and e.name not in free
-        and not stated.holds(e.name)
+        e for e in fitted.augmented.effects
+        if e.in_base and e.name in shown and e.name not in free and not stated.holds(e.name)
         and not (e.same_as and set(e.same_as) <= set(fitted.nuisance))
-        and e.in_base
-    )
+    )  # fmt: skip
     library = Library(fitted.likelihood, fitted.nuisance, effects, known=False)
     found = explain(library, c.BUILT_IN, known=fitted.point)
     best = found.hypotheses[0]
@@ -281,12 +277,8 @@ def excess_of(fitted: FittedCar, should: float = 1.0) -> tuple[float, ...]:
 def structure_names(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[str, ...]:
     """Parameters of the effects that no real car is without, as far as such drives show them."""
     shown = informative_effects(augmented, runs)
-    return tuple(
-        f"{effect.name}.{parameter.name}"
-        for effect in augmented.effects
-        if effect.on_every_car and effect.name in shown
-        for parameter in effect.parameters
-    )
+    own = (e for e in augmented.effects if e.on_every_car and e.name in shown)
+    return tuple(f"{effect.name}.{p.name}" for effect in own for p in effect.parameters)
 
 
 def _with_effects(fitted: FittedCar, point: Point, runs: Sequence[Run]) -> FittedCar:

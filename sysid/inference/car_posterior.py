@@ -249,11 +249,11 @@ def _control(library: Library, base: Point, effect: Effect, temper: float) -> Co
     if along is None:
         return None
     space, own = library.space([effect.name]), slice(-len(effect.parameters), None)
-    null = np.array(library.likelihood.predictor.augmented.values(effect.name))
+    here = along.values
     prior = np.linalg.inv(space.covariance[own, own])
     covariance = np.linalg.inv(along.curved / temper + prior)
-    step = covariance @ (along.slope / temper + prior @ (space.centre[own] - null))
-    away = np.clip(null + step, space.low[own], space.high[own]) - null
+    step = covariance @ (along.slope / temper + prior @ (space.centre[own] - here))
+    away = np.clip(here + step, space.low[own], space.high[own]) - here
     gain = float(along.slope @ away - 0.5 * away @ along.curved @ away) / temper
     per_window = (max(gain, 0.0) + _BY_CHANCE) / len(base.at.dof)
-    return Control(effect.name, null + step, covariance, per_window)
+    return Control(effect.name, here + step, covariance, per_window)

@@ -167,10 +167,11 @@ class _Search:
             return False
         self.exchanged.add(key)
         space, wider = point.space, max(1.5 * other.size, c.SIZE_SMALL)
-        found = self._from(space, carry(space, other, point), other, wider)
+        moved = partial(carry, self.library.likelihood, space, other)
+        found = self._from(space, moved(point), other, wider)
         lowest = min(point.cost, np.inf if found is None else found.cost)
         if set(other.space.effects) < set(space.effects) and lowest > other.cost + _WORSE:
-            again = self._from(space, carry(space, other), other, other.size)
+            again = self._from(space, moved(), other, other.size)
             found = min((p for p in (found, again) if p), key=lambda p: p.cost, default=None)
         if found is None or found.cost > point.cost - _WORSE:
             return False
@@ -305,7 +306,7 @@ def screen_effects(library: Library, start: Point, far: bool = True) -> list[Can
 def _with_effect(library: Library, start: Point, look: Candidate) -> Point:
     """The start with an effect at the values of its look."""
     space = library.space([*start.space.effects, look.effect])
-    z = carry(space, start)
+    z = carry(library.likelihood, space, start)
     z[-len(look.values) :] = look.values
     z = np.clip(z, space.low, space.high)
     return stand(library.likelihood, space, z, start.x, start.size)
@@ -326,7 +327,7 @@ def _looks(
     if len(keep) < len(start.z):
         views = [view.take(keep) for view in views]
     for values in tried:
-        z = carry(space, start)
+        z = carry(library.likelihood, space, start)
         z[own] = values
         z = np.clip(z, space.low, space.high)
         error, finite = library.likelihood.predictor.errors(space.chart.parameters(z), start.x)
@@ -365,11 +366,8 @@ def _ladder(library: Library, start: Point, effect: Effect) -> list[tuple[float,
         if parameter.role is not Role.SIZE:
             continue
         tried = parameter.scan or [nulls[i] + step * parameter.scale for step in _LADDER]
-        out += [
-            (*nulls[:i], value, *nulls[i + 1 :])
-            for value in tried
-            if parameter.low <= value <= parameter.high
-        ]
+        inside = (value for value in tried if parameter.low <= value <= parameter.high)
+        out += [(*nulls[:i], value, *nulls[i + 1 :]) for value in inside]
     return out
 
 

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerd.car_model.effect import Effect
-from steerd.sysid.inference.augmented_car import Control
+from steerd.car_model.params import Car
+from steerd.sysid.inference.augmented_car import AugmentedCar, Control
+from steerd.sysid.inference.chart import places_of
 from steerd.sysid.inference.likelihood import Likelihood, Reduced
 from steerd.sysid.inference.posterior import design_effect
 from steerd.sysid.inference.search import Point
@@ -56,29 +58,52 @@ class Library:
         return next(e for e in self.likelihood.predictor.augmented.effects if e.name == name)
 
 
-def carry(space: Space, point: Point, own: Point | None = None) -> Array:
-    """A point's values in another hypothesis' coordinates; what it lacks is as in `own`."""
+def carry(likelihood: Likelihood, space: Space, point: Point, own: Point | None = None) -> Array:
+    """A point's values in another hypothesis' coordinates; what it lacks is as in `own`.
+
+    What is the base's parameter in one and an effect in the other (`same_as`) keeps its amount.
+    """
     known = dict(zip(space.chart.free, space.centre.tolist(), strict=True))
-    if own is not None:
-        known |= dict(zip(own.space.chart.free, own.z.tolist(), strict=True))
-    known |= dict(zip(point.space.chart.free, point.z.tolist(), strict=True))
+    for each in filter(None, (own, point)):
+        known |= dict(zip(each.space.chart.free, each.z.tolist(), strict=True))
     z = np.array([known[name] for name in space.chart.free])
+    augmented = likelihood.predictor.augmented
+    amounts = augmented.folded(point.parameters)
+    for effect in (e for e in augmented.effects if e.same_as):
+        if effect.name in point.space.effects and effect.name not in space.effects:
+            parameters = space.chart.parameters(z)
+            for name in effect.same_as:
+                parameters[space.chart.names.index(name)] = getattr(amounts, name)
+            z = space.chart.coordinates(parameters)
+        elif effect.name in space.effects and effect.name not in (own or point).space.effects:
+            z = _as_effect(augmented, space, z, effect, amounts)
     return np.asarray(np.clip(z, space.low, space.high))
+
+
+def _as_effect(
+    augmented: AugmentedCar, space: Space, z: Array, effect: Effect, amounts: Car[float]
+) -> Array:
+    """Coordinates in which an effect, where it is linear, holds what the base had moved."""
+    more, name = z.copy(), effect.same_as[0]
+    more[places_of(space.chart.free, effect.name)[0]] += effect.parameters[0].scale
+    cars = (augmented.folded(space.chart.parameters(each)) for each in (z, more))
+    now, then = (getattr(car, name) for car in cars)
+    return z + (more - z) * (getattr(amounts, name) - now) / (then - now) if then != now else z
 
 
 def linearise(
     library: Library, start: Point, effect: Effect
 ) -> tuple[Space, Array, Reduced] | None:
-    """A hypothesis with an effect more, at that effect's null: coordinates and losses there.
+    """A hypothesis with an effect more, the car as it is: coordinates and losses there.
 
     Its derivatives are finite differences. None where they vanish at the null, or diverge.
     """
     if effect.zero_gradient:
         return None
     space = library.space([*start.space.effects, effect.name])
-    likelihood, z, columns = library.likelihood, carry(space, start), []
+    likelihood, z, columns = library.likelihood, carry(library.likelihood, space, start), []
     own = range(len(z) - len(effect.parameters), len(z))
-    # The base's parameter that the effect replaces is back at its prior in `z`, not in the start.
+    # Beyond the effect's bounds, or by a payload, `z` does not hold what the base had moved.
     here, _ = likelihood.predictor.errors(space.chart.parameters(z), start.x)
     keep = np.array([start.space.chart.free.index(name) for name in space.chart.free[: own.start]])
     for i, parameter in zip(own, effect.parameters, strict=True):
@@ -99,9 +124,10 @@ def linearise(
 class Slice(NamedTuple):
     """The cost as a function of one effect's parameters alone, the base at its best beside each.
 
-    From the effect's null it falls by `slope' d - d' curved d / 2` over a distance `d` [nats].
+    From `values` it falls by `slope' d - d' curved d / 2` over a distance `d` [nats].
     """
 
+    values: Array
     slope: Array
     curved: Array
 
@@ -115,9 +141,9 @@ def slice_along(library: Library, start: Point, effect: Effect) -> Slice | None:
     found = linearise(library, start, effect)
     if found is None:
         return None
-    space, _, at = found
+    space, z, at = found
     rest, own = slice(0, -len(effect.parameters)), slice(-len(effect.parameters), None)
     h = np.tensordot(at.weight, at.h, 1)
     inner = h[rest, rest] + space.precision[rest, rest]
     curved = h[own, own] - h[own, rest] @ np.linalg.solve(inner, h[rest, own])
-    return Slice((at.weight @ at.g)[own], curved)
+    return Slice(z[own], (at.weight @ at.g)[own], curved)

@@ -139,7 +139,7 @@ def _healthy_gain(library: Library, point: Point, name: str, temper: float, show
     if along is None:
         return 0.0
     control = library.controls[name]
-    away = control.values - library.likelihood.predictor.augmented.values(name)
+    away = control.values - along.values
     gain = log_mean(along.curved / temper, along.slope / temper, away, control.covariance)
     return min(max(gain, 0.0), shown_most(library, control))
 

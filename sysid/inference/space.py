@@ -143,12 +143,10 @@ def informative_effects(augmented: AugmentedCar, runs: Sequence[Run]) -> tuple[s
     chassis = augmented.kernels.chassis.name
     built_in = {e.name for e in augmented.effects if chassis in e.built_into}
     return tuple(
-        e.name
-        for e in augmented.effects
-        if e.needs_commands not in missing
-        and e.name not in built_in
+        e.name for e in augmented.effects
+        if e.needs_commands not in missing and e.name not in built_in
         and (commanded or not e.follows_acceleration)
-    )
+    )  # fmt: skip
 
 
 def make_space(

@@ -87,10 +87,43 @@ def test_values_are_carried_by_their_names(likelihood):
     z = wide.centre + 0.1 * wide.spread
     point = stand(likelihood, wide, np.clip(z, wide.low, wide.high), guess, 1.0)
     own = stand(likelihood, narrow, narrow.centre + 0.02, guess, 1.0)
-    moved = dict(zip(narrow.chart.free, carry(narrow, point, own), strict=True))
+    moved = dict(zip(narrow.chart.free, carry(likelihood, narrow, point, own), strict=True))
     assert moved["lf"] == point.z[wide.chart.free.index("lf")]
     assert moved["steer_gain.gain"] == own.z[narrow.chart.free.index("steer_gain.gain")]
-    assert carry(narrow, point)[-1] == narrow.centre[-1]
+
+
+LINEAR = [name for name in SAME if not EFFECTS[name].zero_gradient and name != "mass"]
+
+
+@pytest.mark.parametrize("name", LINEAR)
+def test_what_is_the_bases_in_one_hypothesis_and_an_effects_in_the_other_keeps_its_amount(
+    likelihood, name
+):
+    """The car stays the same car, whichever of the two holds the change, and there and back."""
+    library, guess = Library(likelihood, tuple(FLOORS), ()), likelihood.predictor.guess
+    base, beside = library.space(()), library.space((name,))
+    place, z = base.chart.free.index(SAME[name][0]), base.centre.copy()
+    z[place] += 0.3 * base.spread[place]
+    point = stand(likelihood, base, z, guess, 1.0)
+    moved = stand(likelihood, beside, carry(likelihood, beside, point), guess, 1.0)
+    assert moved.z[-1] != beside.centre[-1]
+    seen = [likelihood.predictor.errors(p.parameters, guess)[0] for p in (point, moved)]
+    assert seen[1] == pytest.approx(seen[0], abs=1e-9)
+    assert carry(likelihood, base, moved) == pytest.approx(point.z)
+
+
+@pytest.mark.parametrize("name", ["steer_rate_limit", "accel_limit"])
+def test_a_base_without_a_limit_is_as_limited(likelihood, name):
+    library, guess = Library(likelihood, tuple(FLOORS), ()), likelihood.predictor.guess
+    base, beside = library.space(()), library.space((name,))
+    names, known = base.chart.names, likelihood.predictor.augmented.base
+    limit = 0.95 * min(known[names.index(same)] for same in SAME[name])
+    z = np.append(beside.centre[:-1], limit)
+    point = stand(likelihood, beside, z, guess, 1.0)
+    values = base.chart.parameters(carry(likelihood, base, point))
+    assert [values[names.index(same)] for same in SAME[name]] == pytest.approx(
+        [limit] * len(SAME[name])
+    )
 
 
 # --- what is looked at
@@ -230,7 +263,7 @@ def test_what_an_effect_gains_the_base_cannot_gain_alone(late):
     library, found = late
     best, null = found.best.point, found.null.point
     space = null.space
-    start = stand(library.likelihood, space, carry(space, best), best.x, 2.0)
+    start = stand(library.likelihood, space, carry(library.likelihood, space, best), best.x, 2.0)
     assert minimise(library.likelihood, start).cost > null.cost - 0.5
 
 
