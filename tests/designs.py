@@ -35,12 +35,8 @@ def numbers(held: Acceptance, **changed: float) -> Learnt:
 def design_for(held: Acceptance, **changed: float) -> Design:
     """The lane keeper's own design for these numbers."""
     file, car = held.file, numbers(held, **changed)
-    table = compute_table(
-        learnt.learnt_car(file, car),
-        file.config,
-        learnt.learnt_timing(file, car),
-        file.profile.fastest,
-    )
+    believed, timing = learnt.learnt_car(file, car), learnt.learnt_timing(file, car)
+    table = compute_table(believed, file.config, timing, file.profile.fastest)
     return Design(car, table)
 
 

@@ -158,13 +158,9 @@ class Rig:
 
 
 def make_rig(
-    path: str,
-    speed: float,
-    settings: Settings | None = None,
-    *,
-    adapting: bool = False,
-    car: Mapping[str, float] | None = None,
-) -> Rig:
+    path: str, speed: float, settings: Settings | None = None, *,
+    adapting: bool = False, car: Mapping[str, float] | None = None,
+) -> Rig:  # fmt: skip
     """A car that has just been switched on; `settings` in place of the default car file's.
 
     `car` says in what the simulated car differs from its file. With `adapting` a learner takes it

@@ -114,14 +114,11 @@ def test_a_wrong_file_is_refused_with_place_and_reason(text, where, what):
     assert what in found.what
 
 
-@pytest.mark.parametrize(
-    ("content", "what"),
-    [
-        (None, "cannot be read"),
-        (b"\xff\xfe[car]", "not UTF-8"),
-        (b"#" * 1_000_001, "larger than 1 MB"),
-    ],
-)
+@pytest.mark.parametrize(("content", "what"), [
+    (None, "cannot be read"),
+    (b"\xff\xfe[car]", "not UTF-8"),
+    (b"#" * 1_000_001, "larger than 1 MB"),
+])  # fmt: skip
 def test_unreadable_files(tmp_path, content, what):
     path = tmp_path / "car.toml"
     if content is not None:

@@ -121,15 +121,10 @@ def test_the_loop_survives_a_servo_as_much_stronger_or_weaker_as_it_says(held, s
 
 # Settings: defaults, forms of poles, and what a wrong one reports.
 def test_a_whole_table():
-    config = load_controller_config(
-        {
-            "design": "pole_placement",
-            "poles": ["-3 + 1j", [-3, -1], -90, "-50"],
-            "weights": {"e1": 9, "effort": 2.0},
-            "speed": 2,
-            "file_speeds": False,
-        }
-    )
+    config = load_controller_config({
+        "design": "pole_placement", "poles": ["-3 + 1j", [-3, -1], -90, "-50"],
+        "weights": {"e1": 9, "effort": 2.0}, "speed": 2, "file_speeds": False,
+    })  # fmt: skip
     assert config.poles == (-3 + 1j, -3 - 1j, -90, -50)
     assert (config.weights, config.speed) == (LqrWeights(e1=9.0, effort=2.0), 2.0)
     assert not config.file_speeds

@@ -144,16 +144,10 @@ def test_every_field_has_a_ceiling_and_the_message_says_which():
 
 def test_ceilings_are_these_and_changing_one_is_a_decision():
     assert {name: bound[:2] for name, bound in lim.CEILINGS.items()} == {
-        "wheelbase": (0.05, 1.0),
-        "steer_left_max": (0.01, 0.6),
-        "steer_right_max": (0.01, 0.6),
-        "steer_rate_max": (0.1, 3.2),
-        "speed_max": (0.1, 6.0),
-        "accel_max": (0.1, 2.5),
-        "decel_max": (1.5, 6.0),
-        "lateral_accel_max": (0.1, 3.0),
-        "step_max": (0.001, 0.025),
-    }
+        "wheelbase": (0.05, 1.0), "steer_left_max": (0.01, 0.6), "steer_right_max": (0.01, 0.6),
+        "steer_rate_max": (0.1, 3.2), "speed_max": (0.1, 6.0), "accel_max": (0.1, 2.5),
+        "decel_max": (1.5, 6.0), "lateral_accel_max": (0.1, 3.0), "step_max": (0.001, 0.025),
+    }  # fmt: skip
 
 
 # What it promises for any sequence of orders.

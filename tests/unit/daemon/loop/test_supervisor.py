@@ -289,14 +289,10 @@ def test_not_stopped_after_4_s_brakes_hard():
 
 
 @pytest.mark.parametrize("prepare", [Car.armed, Car.running])
-@pytest.mark.parametrize(
-    ("gained", "lost", "asked", "reason"),
-    [
-        (Fact.HARD, 0, 0, "W7 telemetry stale: no reply for 110 ms"),
-        (0, Fact.LINKED, 0, "serial link lost"),
-        (0, 0, Fact.ABORT, "second signal: stopping hard"),
-    ],
-)
+@pytest.mark.parametrize(("gained", "lost", "asked", "reason"), [
+    (Fact.HARD, 0, 0, "W7 telemetry stale: no reply for 110 ms"),
+    (0, Fact.LINKED, 0, "serial link lost"), (0, 0, Fact.ABORT, "second signal: stopping hard"),
+])  # fmt: skip
 def test_hard_fault_brakes_in_the_same_tick_and_latches(prepare, gained, lost, asked, reason):
     car = prepare(Car())
     car.text = "W7 telemetry stale: no reply for 110 ms"

@@ -80,50 +80,43 @@ def test_an_effect_that_the_base_has_is_freed_once(likelihood):
     assert "lf" in free
 
 
-def test_values_are_carried_by_their_names(likelihood):
-    library = Library(likelihood, ("lf", "steer_gain"), ())
-    guess = likelihood.predictor.guess
-    wide, narrow = library.space(("steer_lag",)), library.space(("steer_gain",))
-    z = wide.centre + 0.1 * wide.spread
-    point = stand(likelihood, wide, np.clip(z, wide.low, wide.high), guess, 1.0)
-    own = stand(likelihood, narrow, narrow.centre + 0.02, guess, 1.0)
-    moved = dict(zip(narrow.chart.free, carry(likelihood, narrow, point, own), strict=True))
-    assert moved["lf"] == point.z[wide.chart.free.index("lf")]
-    assert moved["steer_gain.gain"] == own.z[narrow.chart.free.index("steer_gain.gain")]
-
-
 LINEAR = [name for name in SAME if not EFFECTS[name].zero_gradient and name != "mass"]
 
 
+def _moved(likelihood, effects, **by):
+    """Every base parameter and some effects where their priors lie, some moved by so many sds."""
+    space = Library(likelihood, tuple(FLOORS), ()).space(effects)
+    z = space.centre + space.spread * [by.get(n.partition(".")[0], 0.0) for n in space.chart.free]
+    return stand(likelihood, space, z, likelihood.predictor.guess, 1.0)
+
+
+def test_values_are_carried_by_their_names(likelihood):
+    point = _moved(likelihood, ("mocap_yaw",), lf=0.1)
+    own = _moved(likelihood, ("steer_nonlinearity",), steer_nonlinearity=0.1)
+    moved = carry(likelihood, own.space, point, own)
+    assert (moved[0], moved[-1]) == (point.z[0], own.z[-1])
+    assert carry(likelihood, own.space, point)[-1] == own.space.centre[-1]
+
+
 @pytest.mark.parametrize("name", LINEAR)
-def test_what_is_the_bases_in_one_hypothesis_and_an_effects_in_the_other_keeps_its_amount(
-    likelihood, name
-):
-    """The car stays the same car, whichever of the two holds the change, and there and back."""
-    library, guess = Library(likelihood, tuple(FLOORS), ()), likelihood.predictor.guess
-    base, beside = library.space(()), library.space((name,))
-    place, z = base.chart.free.index(SAME[name][0]), base.centre.copy()
-    z[place] += 0.3 * base.spread[place]
-    point = stand(likelihood, base, z, guess, 1.0)
-    moved = stand(likelihood, beside, carry(likelihood, beside, point), guess, 1.0)
-    assert moved.z[-1] != beside.centre[-1]
-    seen = [likelihood.predictor.errors(p.parameters, guess)[0] for p in (point, moved)]
+def test_an_amount_is_kept_whether_the_base_or_an_effect_has_it(likelihood, name):
+    """The car stays the same car, there and back."""
+    base, beside = _moved(likelihood, (), **{SAME[name][0]: 0.3}), _moved(likelihood, (name,))
+    moved = replace(beside, z=carry(likelihood, beside.space, base))
+    assert moved.z[-1] != beside.z[-1]
+    guess = likelihood.predictor.guess
+    seen = [likelihood.predictor.errors(p.parameters, guess)[0] for p in (base, moved)]
     assert seen[1] == pytest.approx(seen[0], abs=1e-9)
-    assert carry(likelihood, base, moved) == pytest.approx(point.z)
+    assert carry(likelihood, base.space, moved) == pytest.approx(base.z)
 
 
 @pytest.mark.parametrize("name", ["steer_rate_limit", "accel_limit"])
 def test_a_base_without_a_limit_is_as_limited(likelihood, name):
-    library, guess = Library(likelihood, tuple(FLOORS), ()), likelihood.predictor.guess
-    base, beside = library.space(()), library.space((name,))
-    names, known = base.chart.names, likelihood.predictor.augmented.base
-    limit = 0.95 * min(known[names.index(same)] for same in SAME[name])
-    z = np.append(beside.centre[:-1], limit)
-    point = stand(likelihood, beside, z, guess, 1.0)
-    values = base.chart.parameters(carry(likelihood, base, point))
-    assert [values[names.index(same)] for same in SAME[name]] == pytest.approx(
-        [limit] * len(SAME[name])
-    )
+    base, beside = _moved(likelihood, ()), _moved(likelihood, (name,))
+    mine = [base.space.chart.names.index(same) for same in SAME[name]]
+    beside.z[-1] = 0.95 * base.parameters[mine].min()
+    limited = base.space.chart.parameters(carry(likelihood, base.space, beside))
+    assert limited[mine] == pytest.approx(beside.z[-1])
 
 
 # --- what is looked at
