@@ -135,24 +135,18 @@ def peek_id(data: bytes) -> int:
 def decode(data: bytes, version: wire.Version) -> Message:
     """Decode one datagram of a stream of `version`.
 
-    Bytes beyond the header's length are ignored, missing ones refused.
-
     Raises:
         NatNetError: anything that the layout does not allow.
     """
     try:
-        message_id, size = wire.HEADER.unpack_from(data)
-        if len(data) != size + 4:
-            data = data[:4] + wire.Reader(data).take(size)
-        if message_id == FRAME_ID:
-            return read_frame(wire.Reader(data), version)
-        return _decode_other(message_id, wire.Reader(data), version)
+        r = wire.Reader(data)
+        return read_frame(r, version) if r.message_id == FRAME_ID else _decode_other(r, version)
     except struct.error as error:
         raise wire.NatNetError(str(error)) from error
 
 
-def _decode_other(message_id: int, r: wire.Reader, version: wire.Version) -> Message:
-    match message_id:
+def _decode_other(r: wire.Reader, version: wire.Version) -> Message:
+    match r.message_id:
         case 1:
             return _read_server_info(r)
         case 2:
@@ -167,7 +161,7 @@ def _decode_other(message_id: int, r: wire.Reader, version: wire.Version) -> Mes
             return EchoRequest(*r.unpack(wire.U64))
         case 13:
             return EchoResponse(*r.unpack(wire.U64), *r.unpack(wire.U64))
-    return _BARE.get(message_id, Unrecognized(message_id))
+    return _BARE.get(r.message_id, Unrecognized(r.message_id))
 
 
 def _read_server_info(r: wire.Reader) -> ServerInfo:

@@ -36,14 +36,19 @@ class NatNetError(ValueError):
 class Reader:
     """A datagram to its `end`, and the offset `at` behind what was read; begins behind the header.
 
-    Every method reads on, and raises `NatNetError` where the bytes are not what it reads, or
-    `struct.error` where the datagram ends early (`natnet.decode` turns it into `NatNetError`).
+    Bytes beyond the length in the header are ignored, missing ones refused. Every method reads on,
+    and raises `NatNetError` where the bytes are not what it reads, or `struct.error` where the
+    datagram ends early (`natnet.decode` turns it into `NatNetError`).
     """
 
-    __slots__ = ("at", "data", "end")
+    __slots__ = ("at", "data", "end", "message_id")
 
     def __init__(self, data: bytes) -> None:
-        self.data, self.at, self.end = data, HEADER.size, len(data)
+        self.message_id, size = HEADER.unpack_from(data)
+        end = HEADER.size + size
+        if len(data) < end:
+            raise NatNetError(f"datagram ends at {len(data)}, {end} needed")
+        self.data, self.at, self.end = data[:end], HEADER.size, end
 
     def unpack(self, layout: Struct) -> tuple[Any, ...]:
         """A structure's values."""
