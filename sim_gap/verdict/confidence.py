@@ -63,7 +63,7 @@ def judge_case(library: Library, found: Findings, known: bool) -> Verdict:
         return Verdict(name, (), best.probability, left, strain, ())
     # What stays of the discrepancy's variance is something else's, whatever the names gain.
     kept = 1.0 - min(left, 1.0) ** 2
-    if stays and left > c.HALF:
+    if known and left > c.HALF:
         name = "unexplained"
     else:
         name = "partial" if stays or strain > c.STRAINED or extreme else "explained"
