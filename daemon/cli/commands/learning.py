@@ -6,6 +6,7 @@ import hashlib
 import json
 import sys
 from argparse import SUPPRESS, ArgumentParser, Namespace
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -180,12 +181,11 @@ def present(found: Finding, args: Namespace, write: Write) -> CarFile | None:
     except SteerdError as error:
         refused = error
     there = write(args.output, car.text if car else None)
-    if args.json == _SCREEN:
-        print(text, end="", flush=True)
-    else:
+    if args.json != _SCREEN:
         write(args.json, text)
-        print(found.describe(args.output if there else None, args.report), flush=True)
-    # What is on the screen is written; what takes longer is added.
+        text = found.describe(args.output if there else None, args.report) + "\n"
+    with suppress(BrokenPipeError):  # what takes longer is added, also where nobody reads on
+        print(text, end="", flush=True)
     drawn = _DRAW if args.report else 0.0
     with show_progress("writing", drawn + (_NOISE if there else 0.0)) as advance:
         advance(0.0, "drawing the report" if args.report else "")
