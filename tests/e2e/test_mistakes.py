@@ -224,17 +224,14 @@ def test_a_mistake_is_reported_in_a_line(line, code, parts, full_place, log, cap
 
 # --- those that only the running processes can meet
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("port", "mocap", "code", "parts"),
-    [
-        ("{tmp}/ttyACM9", "natnet://127.0.0.1/car", 3, ["ttyACM9"]),
-        ("{tmp}/notes.csv", "natnet://127.0.0.1/car", 3, ["notes.csv"]),
-        ("{tty}", "motive://127.0.0.1/car", 2, ["motive://", "natnet://HOST"]),
-        ("{tty}", "ros2://pf", 2, ["a topic is like ros2:///pf/pose/odom"]),
-        ("{tty}", "natnet://127.0.0.1", 2, ["natnet://127.0.0.1"]),
-        ("{tty}", "vrpn://no.such.host.invalid/car", 3, ["no.such.host.invalid"]),
-    ],
-)
+@pytest.mark.parametrize(("port", "mocap", "code", "parts"), [
+    ("{tmp}/ttyACM9", "natnet://127.0.0.1/car", 3, ["ttyACM9"]),
+    ("{tmp}/notes.csv", "natnet://127.0.0.1/car", 3, ["notes.csv"]),
+    ("{tty}", "motive://127.0.0.1/car", 2, ["motive://", "natnet://HOST"]),
+    ("{tty}", "ros2://pf", 2, ["a topic is like ros2:///pf/pose/odom"]),
+    ("{tty}", "natnet://127.0.0.1", 2, ["natnet://127.0.0.1"]),
+    ("{tty}", "vrpn://no.such.host.invalid/car", 3, ["no.such.host.invalid"]),
+])  # fmt: skip
 def test_wrong_hardware_is_reported_in_a_line(port, mocap, code, parts, place, steerd):
     ours, theirs = os.openpty()
     before = sorted(place.iterdir())

@@ -8,12 +8,15 @@ import shutil
 import subprocess
 import sys
 import warnings
+from argparse import Namespace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from steerd.car_model.native.library import load_library
 from steerd.daemon.cli import main
+from steerd.daemon.cli.commands.learning import present
 from steerd.daemon.cli.main import COMMANDS, run_cli
 from steerd.daemon.common.errors import ExitCode, SteerdError
 
@@ -24,6 +27,17 @@ EFFECTS = "steerd.daemon.cli.commands.car_files.effects"
 def test_a_command_that_ends_well_needs_no_code(given, code, monkeypatch):
     monkeypatch.setattr(EFFECTS, lambda args: given)
     assert run_cli(["effects"]) == code
+
+
+def test_the_page_is_written_though_nobody_reads_the_screen(monkeypatch):
+    ours, theirs = os.pipe()
+    os.close(ours)
+    found = SimpleNamespace(to_json=dict, describe=lambda *_: "", render_report=lambda: "page")
+    args, written = Namespace(output=None, json=None, report=Path("a.html")), {}
+    with contextlib.suppress(BrokenPipeError), os.fdopen(theirs, "w") as screen:
+        monkeypatch.setattr(sys, "stdout", screen)
+        present(found, args, lambda path, text: written.update({path: text}))
+    assert written[args.report] == "page"
 
 
 PLACE = "   try: look at its owner, its rights and its mount"

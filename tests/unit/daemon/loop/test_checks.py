@@ -28,17 +28,14 @@ def test_a_good_vesc_passes_and_an_unknown_one_is_not_checked():
     assert list(check_vesc(None, BRAKES)) == []
 
 
-@pytest.mark.parametrize(
-    ("changes", "uuid", "said"),
-    [
-        ({"expected": 0}, "cd" * 12, "is not the one of the car file"),
-        ({"expected": 0}, "", "is not the one this run began with"),
-        ({"timeout_ms": -1}, "", "did not report its timeout"),
-        ({"timeout_ms": 0}, "", "never times out"),
-        ({"timeout_ms": 201}, "", "timeout is 201 ms, at most 200 ms"),
-        *(({"timeout_brake_current": amps}, "", "would coast on timeout") for amps in (0.0, nan)),
-    ],
-)
+@pytest.mark.parametrize(("changes", "uuid", "said"), [
+    ({"expected": 0}, "cd" * 12, "is not the one of the car file"),
+    ({"expected": 0}, "", "is not the one this run began with"),
+    ({"timeout_ms": -1}, "", "did not report its timeout"),
+    ({"timeout_ms": 0}, "", "never times out"),
+    ({"timeout_ms": 201}, "", "timeout is 201 ms, at most 200 ms"),
+    *(({"timeout_brake_current": amps}, "", "would coast on timeout") for amps in (0.0, nan)),
+])  # fmt: skip
 def test_a_vesc_that_must_not_be_armed(changes, uuid, said):
     (text,) = check_vesc(changed(GOOD, **changes), BrakeSettings(uuid=uuid))
     assert said in text

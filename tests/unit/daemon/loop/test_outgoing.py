@@ -30,16 +30,13 @@ def tick(memory=MEMORY, old=SupervisorState.RUNNING, findings=()):
     return TickResult(order, old, memory, None, None, tuple(findings), "what", 5)
 
 
-@pytest.mark.parametrize(
-    ("drive", "mode", "speed", "current"),
-    [
-        (Drive(ActuationMode.SPEED, 0.1, 2.0), ActuationMode.SPEED, 2.0, None),
-        (Drive(ActuationMode.BRAKE, 0.1, current=20.0), ActuationMode.BRAKE, None, 20.0),
-        (Drive(ActuationMode.SHORT, 0.1), ActuationMode.SHORT, None, None),
-        (Drive(ActuationMode.RELEASE, 0.1), ActuationMode.RELEASE, None, None),
-        (Drive(steer=0.1), ActuationMode.SILENT, None, None),
-    ],
-)
+@pytest.mark.parametrize(("drive", "mode", "speed", "current"), [
+    (Drive(ActuationMode.SPEED, 0.1, 2.0), ActuationMode.SPEED, 2.0, None),
+    (Drive(ActuationMode.BRAKE, 0.1, current=20.0), ActuationMode.BRAKE, None, 20.0),
+    (Drive(ActuationMode.SHORT, 0.1), ActuationMode.SHORT, None, None),
+    (Drive(ActuationMode.RELEASE, 0.1), ActuationMode.RELEASE, None, None),
+    (Drive(steer=0.1), ActuationMode.SILENT, None, None),
+])  # fmt: skip
 def test_an_actuation_holds_what_its_drive_has_and_nan_elsewhere(drive, mode, speed, current):
     made = out.make_actuation(make_header(5, BODY), drive, b"\x02", 7)
     assert (made.mode, made.steer, made.seq, made.wire) == (mode, 0.1, 7, b"\x02")

@@ -479,16 +479,13 @@ def test_a_drive_by_itself_does_not_wait_for_a_process_that_is_gone(plan, flag):
     assert not alone.it._is_done(), "first the car comes to rest"
 
 
-@pytest.mark.parametrize(
-    ("stood", "stolen_ms", "flag", "said"),
-    [
-        ((-5, 45), 0, Flag.ALL_LATE, "all processes stood still at once: this machine stalled"),
-        ((0, 0), 0, Flag.ALONE_LATE, "this program alone was late; run steerd rtcheck"),
-        (None, 0, 0, "late; run steerd rtcheck"),
-        (None, 40, Flag.STALLED, "the host of this virtual machine"),
-        (None, 10, 0, "late; run steerd rtcheck"),
-    ],
-)
+@pytest.mark.parametrize(("stood", "stolen_ms", "flag", "said"), [
+    ((-5, 45), 0, Flag.ALL_LATE, "all processes stood still at once: this machine stalled"),
+    ((0, 0), 0, Flag.ALONE_LATE, "this program alone was late; run steerd rtcheck"),
+    (None, 0, 0, "late; run steerd rtcheck"),
+    (None, 40, Flag.STALLED, "the host of this virtual machine"),
+    (None, 10, 0, "late; run steerd rtcheck"),
+])  # fmt: skip
 def test_a_late_tick_says_whether_host_or_guardian_stood_still_too(
     plan, monkeypatch, stood, stolen_ms, flag, said
 ):
