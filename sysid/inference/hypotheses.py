@@ -326,10 +326,9 @@ def _looks(
     keep = np.array([start.space.chart.free.index(name) for name in names])
     if len(keep) < len(start.z):
         views = [view.take(keep) for view in views]
+    base = carry(library.likelihood, space, start)[: own.start]
     for values in tried:
-        z = carry(library.likelihood, space, start)
-        z[own] = values
-        z = np.clip(z, space.low, space.high)
+        z = np.clip(np.concatenate([base, values]), space.low, space.high)
         error, finite = library.likelihood.predictor.errors(space.chart.parameters(z), start.x)
         if finite:
             here = replace(start, z=z[: own.start])

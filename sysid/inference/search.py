@@ -236,18 +236,19 @@ def minimise(
 def step_within(h: Array, slope: Array, z: Array, low: Array, high: Array) -> Array:
     """The best step of the quadratic model within bounds.
 
-    Newton's where that stays inside, else bounded least squares on the Cholesky factor (Stark and
+    Newton's where that stays inside, else bounded least squares on the curvature's root (Stark and
     Parker, 1995). Clipping the step of coordinates that move together could go uphill.
     """
     dz = np.asarray(np.linalg.solve(h, slope), dtype=np.float64)
     if ((z + dz >= low) & (z + dz <= high)).all():
         return dz
     scale = 1.0 / np.sqrt(np.diag(h))
-    lower = np.linalg.cholesky(0.5 * (h + h.T) * np.outer(scale, scale) + _APART * np.eye(len(h)))
+    spectrum, axes = np.linalg.eigh(0.5 * (h + h.T) * np.outer(scale, scale))
+    root = np.sqrt(np.maximum(spectrum, _APART))
     room = np.where(high - low <= 0.0, _HAIR, np.maximum(high - z, 0.0))
     found = lsq_linear(
-        lower.T, np.linalg.solve(lower, slope * scale),
+        root[:, None] * axes.T, axes.T @ (slope * scale) / root,
         (np.minimum(low - z, 0.0) / scale, room / scale), method="bvls", max_iter=_EXCHANGES,
     )  # fmt: skip
     inside: Array = np.clip(z + found.x * scale, low, high) - z
-    return inside if float(slope @ inside - 0.5 * inside @ h @ inside) >= 0.0 else 0.0 * inside
+    return inside if slope @ inside >= 0.5 * inside @ h @ inside else np.zeros_like(z)
