@@ -117,7 +117,8 @@ def fit_of_windows(
     file = CarFile(
         Path("fitted.toml"), "fitted", base.car, base.effects, base.values, chassis=base.chassis
     )
-    found = file_of_fitted(file, fitted)
+    known = knowledge_of(fitted)
+    found = file_of_fitted(file, fitted, known)
     kept = {effect.name for effect in found.effects}
     own = {f"{e.name}.{p.name}" for e in found.effects for p in e.parameters}
     sds = {name: sd for name, sd in found.sd.items() if "." not in name or name in own}
@@ -129,7 +130,7 @@ def fit_of_windows(
         model=found.model,
         estimates=estimates_with_sds(found.effects, parameter_vector(found.model), sds),
         labels=fitted.point.space.chart.labels,
-        correlation=_correlation(knowledge_of(fitted).covariance),
+        correlation=_correlation(known.covariance),
         converged=fitted.point.whole,
         misfit=misfit_of(predictor, error, signal),
         residuals=_residuals(predictor, error, signal),

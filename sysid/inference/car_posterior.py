@@ -32,7 +32,7 @@ from steerd.sysid.inference.car_fit import NOTHING, FittedCar, Stated, excess_of
 from steerd.sysid.inference.hypotheses import begin
 from steerd.sysid.inference.library import Library, slice_along
 from steerd.sysid.inference.noise import noise_section
-from steerd.sysid.inference.posterior import design_effect, posterior_of
+from steerd.sysid.inference.posterior import between_halves, design_effect, posterior_of
 from steerd.sysid.inference.residuals import blocks_of, robust_mean
 from steerd.sysid.inference.search import Point, minimise
 
@@ -93,7 +93,8 @@ def refine(base: CarFile, runs: Sequence[Run], stated: Stated = NOTHING) -> CarF
         FloatingPointError: the base car's simulation diverges.
         ValueError: no window sees enough poses.
     """
-    return file_of_fitted(base, fit_car(base, runs, stated))
+    fitted = fit_car(base, runs, stated)
+    return file_of_fitted(base, fitted, knowledge_of(fitted))
 
 
 def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
@@ -103,20 +104,20 @@ def learn_sections(base: CarFile, runs: Sequence[Run]) -> dict[str, dict[str, An
         FloatingPointError: the base car's simulation diverges.
         ValueError: no window sees enough poses.
     """
-    return _tables(fit_car(base, runs))
+    fitted = fit_car(base, runs)
+    return _tables(fitted, knowledge_of(fitted))
 
 
-def _tables(fitted: FittedCar) -> dict[str, dict[str, Any]]:
+def _tables(fitted: FittedCar, known: BasePrior) -> dict[str, dict[str, Any]]:
     """`[noise]` and `[knowledge]`, with what the drives show of effects beside the car."""
-    known = knowledge_of(fitted)
     known = replace(known, controls=learn_controls(fitted, known))
     return {"noise": noise_section(fitted.noise), "knowledge": knowledge_section(known)}
 
 
-def file_of_fitted(base: CarFile, fitted: FittedCar) -> CarFile:
+def file_of_fitted(base: CarFile, fitted: FittedCar, known: BasePrior) -> CarFile:
     """The car file of a fit; effects that may as well be absent are left out."""
     chart = fitted.point.space.chart
-    covariance = _doubtful(fitted, knowledge_of(fitted).covariance)
+    covariance = _doubtful(fitted, known.covariance)
     z, kept = _without_small(fitted, covariance)
     covariance = covariance if MOVED in kept else _as_mounted(fitted, covariance)
     p, spread = chart.parameters(z), chart.sds(z, covariance)
@@ -134,7 +135,7 @@ def file_of_fitted(base: CarFile, fitted: FittedCar) -> CarFile:
         values=tuple(own[e.name] for e in chosen),
         sd={**base.sd, **{n: v for n, v in sd.items() if "." not in n or n.split(".")[0] in own}},
     )
-    return replace(moved, sections={**moved.sections, **_tables(fitted)})
+    return replace(moved, sections={**moved.sections, **_tables(fitted, known)})
 
 
 def _doubtful(fitted: FittedCar, covariance: Array) -> Array:
@@ -203,15 +204,20 @@ def knowledge_of(fitted: FittedCar) -> BasePrior:
     """Joint covariance and discrepancy of a car.
 
     Scores that vary more from block to block than noise makes them widen the errors (White, 1982):
-    that is how a model that is wrong a little everywhere shows. The covariance is positive
-    definite: a direction that the drives do not show keeps its prior's width.
+    that is how a model that is wrong a little everywhere shows. So do estimates that vary more from
+    half to half: a curvature does not see where a likelihood with kinks, or a bent one, ends. The
+    covariance is positive definite: a direction that the drives do not show keeps its prior's
+    width.
     """
-    likelihood, point = fitted.likelihood, fitted.point
-    blocks, at = blocks_of(likelihood.predictor), point.at
-    pulls = at.weight[:, None] * at.g
+    point, blocks = fitted.point, blocks_of(fitted.likelihood.predictor)
+    pulls = point.at.weight[:, None] * point.at.g
     sums = np.zeros((int(blocks.max()) + 1, pulls.shape[1]))
     np.add.at(sums, blocks, pulls)
     covariance = inflate_each(posterior_of(point, 1.0).covariance, sums)
+    wider = np.sqrt(
+        np.maximum(between_halves(fitted.likelihood, point, blocks) / np.diag(covariance), 1.0)
+    )
+    covariance = covariance * np.outer(wider, wider)
     excess = excess_of(fitted, robust_mean(ratios(fitted)))
     p, names = point.parameters, fitted.augmented.kernels.names
     values = tuple(float(p[names.index(name)]) for name in fitted.nuisance)

@@ -11,8 +11,9 @@ from steerd.sysid.inference.augmented_car import make_augmented_car
 from steerd.sysid.inference.hypotheses import begin
 from steerd.sysid.inference.library import Library
 from steerd.sysid.inference.likelihood import loss_of, make_likelihood
+from steerd.sysid.inference.posterior import between_halves, posterior_of
 from steerd.sysid.inference.predictor import open_predictor
-from steerd.sysid.inference.space import make_space
+from steerd.sysid.inference.space import make_space, weak_knowledge
 from steerd.sysid.inference.starts import owes, settle_starts
 from tests.unit.sysid.inference.conftest import FEW, NOISE
 
@@ -185,3 +186,31 @@ def test_a_search_cut_short_is_not_whole_and_a_start_that_diverges_is_said(late,
     x[:, 3] = np.nan
     with pytest.raises(FloatingPointError, match="diverges"):
         search.stand(likelihood, small, small.centre, x, 1.0)
+
+
+def _at_best(runs, base):
+    augmented = make_augmented_car(base, runs)
+    augmented = replace(augmented, knowledge=weak_knowledge(augmented, FEW))
+    predictor = open_predictor(augmented, runs)
+    likelihood = make_likelihood(predictor, predictor.augmented.base, predictor.guess, NOISE)
+    point = begin(Library(likelihood, FEW, ()), (), (), predictor.guess)
+    return likelihood, search.minimise(likelihood, point)
+
+
+def test_half_samples_of_a_right_model_vary_as_its_curvature_says(drive, base):
+    found = []
+    for seed in range(4):
+        likelihood, point = _at_best(drive("", runs=2, seconds=8.0, seed=[31, seed]), base)
+        blocks = np.arange(len(point.x)) // 2
+        variance = np.diag(posterior_of(point, 1.0).covariance)
+        found.append(between_halves(likelihood, point, blocks) / variance)
+    assert 0.4 < np.mean(found) < 2.0
+
+
+def test_half_samples_that_differ_have_their_distance(drive, base):
+    """One drive has a steering bias to the left, the other as much to the right."""
+    runs = [*drive("steer_bias=0.01", runs=1, seed=5), *drive("steer_bias=-0.01", runs=1, seed=6)]
+    likelihood, point = _at_best(runs, base)
+    both = between_halves(likelihood, point, likelihood.predictor.layout.run + 1)
+    assert np.sqrt(both[point.space.chart.free.index("steer_bias")]) == pytest.approx(0.01, rel=0.2)
+    assert not between_halves(likelihood, point, np.zeros(len(point.x), int)).any()
