@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean, refusing
+from steerd.daemon.common.errors import ExitCode, SteerdError, did_you_mean
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.settings.config import read_frame
 from steerd.mocap_link.frame import FrameConfig
@@ -88,25 +88,17 @@ class ImportMap:
     epoch_ns: int = 0  # UNIX time of the log's time zero [ns]
     comment: str = ""  # a remark for `steerd info`
     text: str = ""  # the map's own text; it is kept inside the session
+    name: str = ""  # the map's file
 
 
-def load_map(path: Path | None, erpm_gain: float | None = None) -> ImportMap:
-    """Read a map, an empty one for None; `erpm_gain` of the command line replaces its own.
+def load_map(path: Path) -> ImportMap:
+    """Read a map.
 
     Raises:
         SteerdError: it cannot be read, is no TOML, or says something impossible.
     """
-    the_map = _read_map(path) if path else ImportMap()
-    if erpm_gain is None:
-        return the_map
-    with refusing(f"--erpm-gain {erpm_gain:g}: "):
-        vesc = msgspec.structs.replace(the_map.vesc or VescSpec(), erpm_gain=erpm_gain)
-    return replace(the_map, vesc=vesc)
-
-
-def _read_map(path: Path) -> ImportMap:
     try:
-        return parse_map(read_toml(path))
+        return replace(parse_map(read_toml(path)), name=str(path))
     except OSError as error:
         what = f"map {path} cannot be read: {error.strerror}"
         raise SteerdError(what, "name a map with --map", ExitCode.UNREADABLE) from error

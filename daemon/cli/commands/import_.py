@@ -6,13 +6,16 @@ import sys
 import tempfile
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from msgspec import structs
+
 from steerd.daemon.cli.arguments import missing_file, option
-from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError
+from steerd.daemon.common.errors import ExitCode, SteerdError, UsageError, refusing
 from steerd.daemon.common.packaged import EXAMPLE_MAP
 from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.screen import print_labelled, wrap
@@ -77,18 +80,26 @@ def _read_words(words: list[str]) -> tuple[str, Path]:
 
 
 def _import(
-    args: Namespace, kind: str, source: Path, the_map: Path | None, out: Path
+    args: Namespace, kind: str, source: Path, map_file: Path | None, out: Path
 ) -> "ImportReport":
-    if kind == "csv":
-        from steerd.daemon.imports.csv_log import import_csv
+    from steerd.daemon.imports.import_map import ImportMap, VescSpec, load_map
 
-        size = source.stat().st_size if source.is_file() else 1
-        with show_progress(f"reading {source.name}", size, even=True) as advance:
-            return import_csv(source, the_map or Path(), out, advance, args.erpm_gain)
-    from steerd.daemon.imports.bag import import_bag
+    the_map = load_map(map_file) if map_file else ImportMap()
+    if args.rigid is not None:
+        the_map = replace(the_map, rigid=args.rigid)
+    if args.erpm_gain is not None:
+        with refusing(f"--erpm-gain {args.erpm_gain:g}: "):
+            vesc = structs.replace(the_map.vesc or VescSpec(), erpm_gain=args.erpm_gain)
+        the_map = replace(the_map, vesc=vesc)
+    size = source.stat().st_size if kind == "csv" and source.is_file() else 1.0
+    with show_progress(f"reading {source.name}", size, even=True) as advance:
+        if kind == "csv":
+            from steerd.daemon.imports.csv_log import import_csv
 
-    with show_progress(f"reading {source.name}", 1.0, even=True) as advance:
-        return import_bag(source, the_map, out, advance, args.topic, args.rigid, args.erpm_gain)
+            return import_csv(source, the_map, out, advance)
+        from steerd.daemon.imports.bag import import_bag
+
+        return import_bag(source, the_map, out, advance, args.topic)
 
 
 def _print_result(made: "ImportReport", args: Namespace, the_map: Path | None) -> None:
