@@ -25,7 +25,7 @@ from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.offline.virtual import drive, make_virtual_run
 from steerd.daemon.sessions.motion import SETTLE
 from steerd.daemon.settings.config import make_settings
-from steerd.daemon.settings.run_options import ControllerKind, RunOptions, decode_options
+from steerd.daemon.settings.run_options import ControllerKind, RunOptions, recorded_options
 from steerd.sim_gap.lane_comparison import SHORTEST, LaneComparison, LaneDrive
 from steerd.sim_hw.world import World
 from steerd.steer_bus import topics
@@ -86,11 +86,9 @@ def compare_lane(session: Session, base: CarFile, found: Values) -> LaneComparis
 
 def _options_of(session: Session) -> RunOptions:
     """How the session was driven, as a simulation of the same length at most."""
-    text = session.info().metadata.get("steerd.session", {}).get("options", "")
-    try:
-        options = decode_options(text)
-    except ValueError:
-        raise SteerdError("it was not recorded by `steerd run`") from None
+    options = recorded_options(session.info().metadata)
+    if options is None:
+        raise SteerdError("it was not recorded by `steerd run`")
     if options.drill:
         raise SteerdError("it was driven by an excitation plan, not by the lane keeper")
     if options.controller is not ControllerKind.LANE:

@@ -204,7 +204,7 @@ def import_csv(source: Path, the_map: ImportMap, out: Path, advance: Advance) ->
     """
     if not the_map.columns:
         hint = f"copy {EXAMPLE_MAP} and name your columns"
-        raise SteerdError(f"map {the_map.name} has no [columns]", hint)
+        raise SteerdError(f"{the_map.name} has no [columns]", hint)
     notes: Counter[str] = Counter()
     topics = list(dict.fromkeys(_TOPICS[q] for q in the_map.columns if q in _TOPICS))
     with open_table(source) as file:

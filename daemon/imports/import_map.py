@@ -88,7 +88,7 @@ class ImportMap:
     epoch_ns: int = 0  # UNIX time of the log's time zero [ns]
     comment: str = ""  # a remark for `steerd info`
     text: str = ""  # the map's own text; it is kept inside the session
-    name: str = ""  # the map's file
+    name: str = "the map"  # what messages call it
 
 
 def load_map(path: Path) -> ImportMap:
@@ -98,7 +98,7 @@ def load_map(path: Path) -> ImportMap:
         SteerdError: it cannot be read, is no TOML, or says something impossible.
     """
     try:
-        return replace(parse_map(read_toml(path)), name=str(path))
+        return replace(parse_map(read_toml(path)), name=f"map {path}")
     except OSError as error:
         what = f"map {path} cannot be read: {error.strerror}"
         raise SteerdError(what, "name a map with --map", ExitCode.UNREADABLE) from error

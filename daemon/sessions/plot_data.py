@@ -15,7 +15,7 @@ from steerd.daemon.common.errors import reading
 from steerd.daemon.loop.transitions import SupervisorState
 from steerd.daemon.sessions.info import Recording
 from steerd.daemon.sessions.motion import Track, rms
-from steerd.daemon.settings.run_options import decode_options
+from steerd.daemon.settings.run_options import recorded_options
 from steerd.steer_bus import topics
 from steerd.steer_bus.messages import ActuationMode
 from steerd.steer_bus.session_read import Session, SessionError
@@ -108,11 +108,10 @@ def load_lane(session: Session) -> Lane | None:
 
     A path file comes from the session itself, never from this machine's disk.
     """
-    text = session.info().metadata.get("steerd.session", {}).get("options", "")
+    options = recorded_options(session.info().metadata)
+    if options is None or (options.drill and "closed" not in options.drill):
+        return None
     try:
-        options = decode_options(text)
-        if options.drill and "closed" not in options.drill:
-            return None
         with recorded_path(session, options.path) as spec:
             return parse_path(spec)
     except (ValueError, SessionError):

@@ -1,7 +1,9 @@
 """Options of a drive, as one value that goes to the processes as JSON."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 import msgspec
 
@@ -60,3 +62,11 @@ def decode_options(text: str) -> RunOptions:
         msgspec.ValidationError: if the text is not such options.
     """
     return msgspec.json.decode(text, type=RunOptions)
+
+
+def recorded_options(metadata: Mapping[str, Mapping[str, Any]]) -> RunOptions | None:
+    """The options of a drive by its session's metadata; None where steerd did not drive."""
+    try:
+        return decode_options(metadata.get("steerd.session", {}).get("options", ""))
+    except ValueError:
+        return None

@@ -21,12 +21,13 @@ from steerd.daemon.common.progress import show_progress
 from steerd.daemon.common.screen import print_labelled, wrap
 
 if TYPE_CHECKING:
+    from steerd.daemon.imports.import_map import ImportMap
     from steerd.daemon.imports.import_session import ImportReport
     from steerd.daemon.imports.propose import Proposal
     from steerd.daemon.sessions.info import SessionReport
     from steerd.daemon.sessions.motion import Track
 
-Trial = Callable[[Path, Path], object]  # imports by a map file into a session file
+Trial = Callable[["ImportMap", Path], object]  # imports by a map into a session file
 _KINDS = ("csv", "bag")
 _BAG_SUFFIXES = (".bag", ".db3", ".mcap", ".zstd")
 _LEFT, _MM = "must be left positive", "millimetres"
@@ -63,7 +64,10 @@ def import_log(args: Namespace) -> None:
     if kind == "csv" and the_map is None:
         hint = f"`steerd import --ask {source}` proposes one; {EXAMPLE_MAP} is one"
         raise UsageError("a csv file needs a map of its columns, --map", hint)
-    _print_result(_import(args, kind, source, the_map, out), args, the_map)
+    from steerd.daemon.imports.import_map import ImportMap, load_map
+
+    read = load_map(the_map) if the_map else ImportMap()
+    _print_result(_import(args, kind, source, read, out), args, the_map)
 
 
 def _read_words(words: list[str]) -> tuple[str, Path]:
@@ -80,11 +84,10 @@ def _read_words(words: list[str]) -> tuple[str, Path]:
 
 
 def _import(
-    args: Namespace, kind: str, source: Path, map_file: Path | None, out: Path
+    args: Namespace, kind: str, source: Path, the_map: "ImportMap", out: Path
 ) -> "ImportReport":
-    from steerd.daemon.imports.import_map import ImportMap, VescSpec, load_map
+    from steerd.daemon.imports.import_map import VescSpec
 
-    the_map = load_map(map_file) if map_file else ImportMap()
     if args.rigid is not None:
         the_map = replace(the_map, rigid=args.rigid)
     if args.erpm_gain is not None:
@@ -208,19 +211,16 @@ def _try(
     Raises:
         SteerdError: it cannot be imported like this.
     """
+    from steerd.daemon.imports.import_map import parse_map
     from steerd.daemon.imports.propose import format_map
     from steerd.daemon.sessions.info import load_recording, make_session_report
     from steerd.daemon.sessions.motion import find_erpm_gain, round_gain
     from steerd.steer_bus.topics import VESC
 
+    with refusing("the map: "):
+        the_map = parse_map(format_map(proposal, source.name))
     with tempfile.TemporaryDirectory(prefix="steerd-") as folder:
-        the_map, out = Path(folder) / "map.toml", Path(folder) / "trial.mcap"
-        the_map.write_text(format_map(proposal, source.name), encoding="utf-8")
-        try:
-            trial(the_map, out)
-        except SteerdError as error:
-            what = error.what.replace(f"map {the_map}", "the map")
-            raise SteerdError(what, error.hint, error.code) from error
+        trial(the_map, out := Path(folder) / "trial.mcap")
         read = load_recording(out)
         report, track = make_session_report(read), read.track
         gain = find_erpm_gain(track, read.signal(VESC, "erpm"))
