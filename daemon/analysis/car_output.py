@@ -170,8 +170,7 @@ def learn_known(car: CarFile, runs: "tuple[Run, ...]") -> Mapping[str, Mapping[s
     from steerd.sysid.inference.car_posterior import learn_sections
 
     try:
-        drives = moving_segments(add_command_history(runs, car.model))
-        return learn_sections(car, drives)
+        return learn_sections(car, moving_segments(add_command_history(runs, car.model)))
     except (ValueError, FloatingPointError):
         return {}
 

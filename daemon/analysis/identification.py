@@ -152,8 +152,7 @@ def run_identify(
     base = asked.read_car(options.car)
     drives, task = _make_task(paths, options, base, watch)
     watch.progress(len(paths) / (len(paths) + FIT), "fitting the car")
-    closer = "give start values closer to the car: --car FILE.toml, --wheelbase"
-    with drives.refusing(closer):
+    with drives.refusing("give start values closer to the car: --car FILE.toml, --wheelbase"):
         found = learn(task, time.perf_counter)
     # Commands that the result names run as they are printed.
     outcome = replace(

@@ -134,8 +134,7 @@ def _validation(outcome: Outcome) -> Iterator[Line]:
             low, high = r.lateral_accel_low, r.lateral_accel_high
             where = f"to {high:g}" if isfinite(high) else f"above {low:g}"
             medians.append(f"{1e3 * r.median:.{int(r.median < 0.01)}f} mm {where}")
-        text = f"median after 1 s by lateral acceleration [m/s²]: {', '.join(medians)}"
-        yield Line("", text)
+        yield Line("", f"median after 1 s by lateral acceleration [m/s²]: {', '.join(medians)}")
 
 
 # -- the page --------------------------------------------------------------------------------------

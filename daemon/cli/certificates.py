@@ -113,7 +113,6 @@ def _issue(folder: Path, issuer: Issuer, name: str, host: str | None) -> None:
     """Make the folder of one participant; `host` is where others connect, None for a client."""
     key = ec.generate_private_key(ec.SECP256R1())
     purpose = ExtendedKeyUsageOID.SERVER_AUTH if host else ExtendedKeyUsageOID.CLIENT_AUTH
-
     extensions: dict[x509.ExtensionType, bool] = {
         x509.BasicConstraints(ca=False, path_length=None): True,
         x509.KeyUsage(True, False, False, False, False, False, False, False, False): True,
@@ -159,8 +158,7 @@ def _certify(
 
 
 def _encode(key: ec.EllipticCurvePrivateKey) -> bytes:
-    plain = serialization.NoEncryption()
-    return key.private_bytes(_PEM, serialization.PrivateFormat.PKCS8, plain)
+    return key.private_bytes(_PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
 
 
 def _write_folder(path: Path, files: Mapping[str, bytes]) -> None:

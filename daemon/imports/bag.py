@@ -298,8 +298,7 @@ class _Bag:
         if rigid is None and len(bodies) > 1:
             ids = sorted(bodies)
             what = f"the PhaseSpace messages hold rigid bodies {', '.join(map(str, ids))}"
-            hint = f"name the car with --rigid, e.g. --rigid {ids[0]}"
-            raise UsageError(what, hint)
+            raise UsageError(what, f"name the car with --rigid, e.g. --rigid {ids[0]}")
         body = next(iter(bodies.values()), None) if rigid is None else bodies.get(rigid)
         if body is None:
             return None

@@ -62,8 +62,7 @@ def check_output(out: Path) -> None:
         SteerdError: it exists, or does not end in `.mcap`.
     """
     if out.suffix != ".mcap":
-        hint = f"-o {out.with_suffix('.mcap')}"
-        raise UsageError(f"{out}: a session's name ends in .mcap", hint)
+        raise UsageError(f"{out}: a session's name ends in .mcap", f"-o {out.with_suffix('.mcap')}")
     if out.exists():
         raise UsageError(f"{out} exists and is never overwritten", "choose another name with -o")
 

@@ -257,8 +257,7 @@ def overlay(first: Recording, second: Recording, shift: float | None = None) -> 
     t = np.arange(max(0.0, at), min(lengths[0], lengths[1] + at), STEP)
     if len(t) < 2:
         what = f"shifted by {at:g} s the drives have no time in common"
-        hint = f"they last {lengths[0]:.1f} s and {lengths[1]:.1f} s"
-        raise UsageError(what, hint)
+        raise UsageError(what, f"they last {lengths[0]:.1f} s and {lengths[1]:.1f} s")
     pairs = {}
     for title, curve in curves.items():
         one, other = _sample(curve[0], t), _sample(curve[1], t - at)

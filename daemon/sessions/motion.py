@@ -177,8 +177,7 @@ def _check_heading(track: Track) -> list[str]:
     total = float(distance[-1])
     if not 1.0 <= total < 1e7:
         return []
-    step = max(_STEP, total / _STEPS_MAX)
-    at = np.arange(0.0, total, step)
+    at = np.arange(0.0, total, max(_STEP, total / _STEPS_MAX))
     x, y = np.interp(at, distance, track.x), np.interp(at, distance, track.y)
     yaw = np.interp(at[1:-1], distance, track.yaw)
     path = _wrap(np.diff(np.arctan2(np.diff(y), np.diff(x))))

@@ -163,8 +163,7 @@ def _list_panels(s: Recording) -> Iterator[Panel]:
     yield _panel("control tick", "ms", _timing(s))
     yield _panel("latency", "ms", _latency(s))
     brake = line(topics.ACTUATION, "brake_current_a", "brake commanded", "command")
-    motor = line(topics.VESC, "current_motor", "motor", "measured")
-    yield _panel("current", "A", brake, motor)
+    yield _panel("current", "A", brake, line(topics.VESC, "current_motor", "motor", "measured"))
     yield from _learnt(s)
 
 

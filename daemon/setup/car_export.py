@@ -128,8 +128,7 @@ def make_mjcf(file: CarFile, speed: float) -> Export:
         "stiff": car.mass / max(car.speed_lag, 5.0 * _STEP),
         "g": lambda *numbers: " ".join(f"{number:.6g}" for number in numbers),
     }  # fmt: skip
-    text = render_page(_MJCF, **values, **_share_mass(car, wheels)) + "\n"
-    return Export(text, tuple(lost))
+    return Export(render_page(_MJCF, **values, **_share_mass(car, wheels)) + "\n", tuple(lost))
 
 
 def _share_mass(car: Car[float], wheels: list[_Wheel]) -> dict[str, Any]:

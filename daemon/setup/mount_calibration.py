@@ -108,8 +108,7 @@ def calibrate_mount(drive: Drive, car: Car[float], front: float = 0.0) -> MountC
         speed_gain=float(np.hypot(sd.speed_gain, GAIN_MODEL * mount.speed_gain)),
     )
     seconds = float(motion.good.sum()) / RATE
-    warnings = tuple(_find_warnings(motion, drive))
-    return MountCalibration(mount, sd, seconds, warnings, residual)
+    return MountCalibration(mount, sd, seconds, tuple(_find_warnings(motion, drive)), residual)
 
 
 def _differentiate(drive: Drive) -> _Motion:

@@ -121,8 +121,7 @@ class Terminal:
             self._desk.on_key(key)
 
     def _ask(self, kind: RequestKind) -> None:
-        request = self._operator.make_request(kind, self._clock.realtime_ns())
-        self._send(topics.OPERATOR, request)
+        self._send(topics.OPERATOR, self._operator.make_request(kind, self._clock.realtime_ns()))
 
     def _tune(self, wanted: Mapping[str, float], name: str = "") -> None:
         request = self._operator.make_parameters(wanted, self._clock.realtime_ns(), name)

@@ -42,8 +42,7 @@ def find_car(bus: ZenohBus, name: str | None) -> str:
     Raises:
         SteerdError: no car is on the bus, not this one, or several and none is named.
     """
-    alive = bus.alive(f"{ROOT}/*/alive")
-    cars = sorted(parts[0] for key in alive if (parts := split_key(key)))
+    cars = sorted(parts[0] for key in bus.alive(f"{ROOT}/*/alive") if (parts := split_key(key)))
     if name is not None and name in cars:
         return name
     if not cars:

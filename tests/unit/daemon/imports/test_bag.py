@@ -130,8 +130,7 @@ def make_bag(folder, kind, fill):
 
 
 def convert(folder, bag, *, topics=(), rigid=None, the_map=None):
-    out, made = folder / "out.mcap", parse_map(the_map or "")
-    made = replace(made, rigid=made.rigid if rigid is None else rigid)
+    out, made = folder / "out.mcap", replace(parse_map(the_map or ""), rigid=rigid)
     report = import_bag(bag, made, out, lambda done: None, topics)
     return report, open_session(out)
 

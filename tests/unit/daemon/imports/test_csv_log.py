@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from steerd.daemon.common.errors import ExitCode, SteerdError
 from steerd.daemon.imports.csv_log import LINE_MAX, import_csv
-from steerd.daemon.imports.import_map import load_map
+from steerd.daemon.imports.import_map import load_map, parse_map
 from steerd.steer_bus import messages as m
 from steerd.steer_bus.session_read import open_session
 
@@ -163,11 +163,10 @@ def test_what_was_perhaps_meant_is_said(tmp_path, text, the_map, part):
 
 def test_what_is_no_file_and_where_none_can_be_made(tmp_path):
     os.mkfifo(tmp_path / "fifo")
-    (the_map := tmp_path / "map.toml").write_text(WHEEL)
     (tmp_path / "a.csv").write_text("t,v\n0,1\n")
     for name, out in (("", "o"), ("fifo", "o"), ("none", "o"), ("a.csv", "no/o")):
         with pytest.raises(SteerdError) as caught:
-            import_csv(tmp_path / name, load_map(the_map), tmp_path / f"{out}.mcap", print)
+            import_csv(tmp_path / name, parse_map(WHEEL), tmp_path / f"{out}.mcap", print)
         assert caught.value.code == ExitCode.UNREADABLE
 
 
