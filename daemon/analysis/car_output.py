@@ -33,8 +33,7 @@ if TYPE_CHECKING:
 
 PUBLISHED = "F1TENTH, published figures"
 """Name of the car file that is installed with steerd; no car that was driven is called so."""
-_LEARNT = ("car", "effects", *TABLES)
-"""Sections that are about the car, not about its wiring."""
+_LEARNT = ("car", "effects", *TABLES)  # sections that are about the car, not about its wiring
 
 
 def make_car(

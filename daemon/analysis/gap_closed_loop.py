@@ -33,10 +33,8 @@ from steerd.steer_bus.codec import decode
 from steerd.steer_bus.session_read import Session, SessionError
 from steerd.steer_bus.topics import find_topic
 
-SECONDS = 20.0
-"""Length of a simulated drive: several bends; longer adds nothing to a profile [s]."""
-_SEED = 7919
-"""Added to the recorded seed: a simulated recording must not get its own noise again."""
+SECONDS = 20.0  # length of a simulated drive: several bends; longer adds nothing to a profile [s]
+_SEED = 7919  # added to the recorded seed: a simulated recording must not get its own noise again
 
 Rows = NDArray[np.float64]
 Values = Mapping[str, tuple[float, ...]]

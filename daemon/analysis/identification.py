@@ -22,11 +22,9 @@ from steerd.sysid.estimation.outcome import Outcome, Row, encode_outcome
 from steerd.sysid.inference.plain_car import POOR, default_free
 from steerd.sysid.report.report import Line, Report, finite
 
-FIT = 2.0
-"""About what a fit costs, in sessions read."""
+FIT = 2.0  # about what a fit costs, in sessions read
 _LEAST = {"starts": 1, "iterations": 1, "jobs": 1, "seed": 0}
-_WHEELBASE = 0.05, 4.0
-"""Between a toy's and a lorry's wheelbase [m]; millimetres lie above."""
+_WHEELBASE = 0.05, 4.0  # between a toy's and a lorry's wheelbase [m]; millimetres lie above
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,10 +21,8 @@ from steerd.sysid.report.report import (
 if TYPE_CHECKING:
     from steerd.sysid.report.drawing import Diagrams
 
-IMPROVEMENT_MIN = 1.02
-"""A smaller factor is no improvement."""
-_CERTAIN = 10.0
-"""A phase whose log-likelihood leads by more is identified [nats]."""
+IMPROVEMENT_MIN = 1.02  # a smaller factor is no improvement
+_CERTAIN = 10.0  # a phase whose log-likelihood leads by more is identified [nats]
 
 
 def make_report(outcome: Outcome, following: Sequence[Line] = ()) -> Report:

@@ -202,8 +202,7 @@ class Metadata(dict[str, dict[str, str]]):
         return f"<Metadata: {', '.join(self)}>"
 
 
-_TIMES = {"t": "s", "log_ns": "ns", "publish_ns": "ns"}
-"""Units of what every table has."""
+_TIMES = {"t": "s", "log_ns": "ns", "publish_ns": "ns"}  # units of what every table has
 
 
 def load(path: Path | str) -> Session:

@@ -73,10 +73,8 @@ def _or_nan(value: float | None) -> float:
 
 # -- in words -------------------------------------------------------------------------------------
 
-LABEL = 13
-"""Columns of a label."""
-QUIET = ("learning", "none")
-"""Verdicts of a car that did not change."""
+LABEL = 13  # columns of a label
+QUIET = ("learning", "none")  # verdicts of a car that did not change
 _VERDICTS = {
     "learning": "learning the car",
     "none": "no change of the car",
