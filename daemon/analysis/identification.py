@@ -170,11 +170,7 @@ identify = asked.by_keywords("identifying", IdentifyOptions, run_identify)
 def _make_task(
     paths: Sequence[Path], options: IdentifyOptions, base: CarFile, watch: asked.Watch
 ) -> tuple[Drives, Task]:
-    """Read the drives and settle what is free; everything that can be refused is refused here.
-
-    Raises:
-        SteerdError: a session or an option cannot be used.
-    """
+    """Read the drives and settle what is free; everything that can be refused is refused here."""
     held_out, length = asked.read_held_out(options.held_out), options.wheelbase
     for name, least in _LEAST.items():
         value = getattr(options, name)
@@ -209,7 +205,6 @@ def _make_task(
         model = prep.level_loads(model, drives.runs)
     different = compare_truths(drives.metadata | other.metadata)
     watch.warn(different)
-    first = drives.sessions[0].info().metadata
     return drives, Task(
         drives.runs,
         model,
@@ -218,7 +213,7 @@ def _make_task(
         every=held_out.every or asked.EVERY,
         free=prep.free_names(options, default_free(model.chassis)),
         held=prep.held_names(options),
-        truth=None if different else read_true_car(first),
+        truth=None if different else read_true_car(drives.sessions[0].info().metadata),
     )
 
 

@@ -174,11 +174,7 @@ class Session:
         return format_report(self.report)
 
     def _find(self, topic: str) -> tuple[str, type[Any]]:
-        """Whole topic and message class of a name.
-
-        Raises:
-            SteerdError: the session has no such topic.
-        """
+        """Whole topic and message class of a name; a SteerdError where there is no such topic."""
         for brief, (whole, cls) in self._names.items():
             if topic in (brief, whole):
                 return whole, cls

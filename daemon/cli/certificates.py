@@ -63,9 +63,8 @@ def add_members(folder: Path, old: Lab, lab: Lab, years: float, host: str | None
     known = {old.car, *old.operators, *old.viewers}
     for name in added:  # before anything is written
         if not _NAME.fullmatch(name) or name.startswith(".") or name == AUTHORITY:
-            what = f"{name!r} is not a valid name for a certificate"
             hint = f"1 to 60 of letters, digits and _ . -, not starting with a dot, not {AUTHORITY}"
-            raise UsageError(what, hint)
+            raise UsageError(f"{name!r} is not a valid name for a certificate", hint)
         if name in known:
             hint = "choose another name; a certificate is never replaced"
             raise UsageError(f"{name!r} exists already", hint)
@@ -164,9 +163,8 @@ def _encode(key: ec.EllipticCurvePrivateKey) -> bytes:
 def _write_folder(path: Path, files: Mapping[str, bytes]) -> None:
     """Make a folder, which must not exist, with files that only its owner may read."""
     if path.exists():
-        what = f"{path} already exists and is not changed"
         hint = "choose another folder or name, or delete it if nobody uses it any more"
-        raise SteerdError(what, hint, ExitCode.UNREADABLE)
+        raise SteerdError(f"{path} already exists and is not changed", hint, ExitCode.UNREADABLE)
     with refusing(f"{path}: "):
         path.mkdir(mode=0o700, parents=True)
     for name, data in files.items():

@@ -156,9 +156,7 @@ class Feed:
 
 
 _SD = "_sd"
-_LEARNT = tuple(
-    field.name.removesuffix(_SD) for field in fields(m.Model) if field.name.endswith(_SD)
-)
+_LEARNT = tuple(f.name.removesuffix(_SD) for f in fields(m.Model) if f.name.endswith(_SD))
 """The car's numbers that the message has fields for."""
 _UNKNOWN = Value("", nan, nan, "", False)
 _NO_CHANGE = ReportedChange(-1, -1, "none", "", nan, (), ())

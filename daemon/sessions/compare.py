@@ -145,13 +145,12 @@ def compare_on_lane(drives: Sequence[LaneSession]) -> list[Section]:
             along = (0.0, drives[0].lane.length)
             axis.set(title=title, xlabel="place along the lane [m]", xlim=along)
 
-    curves = Diagrams(plot, 2.0, count=len(_PANELS), colours=colours)
     return [
         Section(table=Table(heads, list(_lane_rows(drives)))),
         Section(
             "At the same place along the lane",
             "Dots are single samples of every lap, the line is their mean at that place.",
-            figures=[curves],
+            figures=[Diagrams(plot, 2.0, count=len(_PANELS), colours=colours)],
         ),
         Section("Tracks", figures=[Diagrams(_plot_tracks, 4.2, (drives,))]),
     ]

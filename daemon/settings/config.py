@@ -181,11 +181,7 @@ def _list_contradictions(s: Settings) -> Iterator[_Contradiction]:
 
 
 def _read(car_file: CarFile, name: str, make: Callable[[Mapping[str, Any]], S]) -> S:
-    """A section as what a room makes of it.
-
-    Raises:
-        SteerdError: it is no table, or the room refuses it; names file and section.
-    """
+    """A section as what a room makes of it; what it refuses is said with file and section."""
     table = car_file.sections.get(name, {})
     if not isinstance(table, Mapping):
         raise SteerdError(f"{car_file.path}: [{name}] must be a table")

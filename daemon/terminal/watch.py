@@ -124,10 +124,9 @@ class Watch:
         parts += [Text("messages per second", style="dim"), Columns(cells, padding=(0, 2))]
         if self.vesc is not None:
             v = self.vesc
-            style = "red" if v.fault_code > 0 else ""
             figures = f"{show(v.v_in, '.1f')} V  {show(v.current_motor, '+.1f')} A"
             figures += f"  {show(v.temp_fet, '.0f')} °C  fault: {self.fault}"
-            parts.append(Text(f"VESC  {figures}", style))
+            parts.append(Text(f"VESC  {figures}", "red" if v.fault_code > 0 else ""))
         if self.undecodable:
             parts.append(Text(f"{self.undecodable} messages of another steerd version", "yellow"))
         return Group(*parts)

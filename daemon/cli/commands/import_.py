@@ -145,9 +145,8 @@ def _agree(args: Namespace, kind: str, source: Path, out: Path) -> Path:
         from steerd.daemon.imports.bag import propose_bag
 
         proposal = propose_bag(source)
-    text = _ask(proposal, source, partial(_import, args, kind, source))
     the_map = out.with_suffix(".map.toml")
-    write_outputs({the_map: text})
+    write_outputs({the_map: _ask(proposal, source, partial(_import, args, kind, source))})
     print(f"written: {the_map}")
     return the_map
 
@@ -206,11 +205,7 @@ def _show(proposal: "Proposal", source: Path, trial: Trial, *, fix: bool) -> str
 def _try(
     proposal: "Proposal", source: Path, trial: Trial
 ) -> tuple[list[str], tuple[str, ...], float | None]:
-    """What the map makes of the log: in words, what looks wrong, ERPM per m/s by the poses.
-
-    Raises:
-        SteerdError: it cannot be imported like this.
-    """
+    """What the map makes of the log: in words, what looks wrong, ERPM per m/s by the poses."""
     from steerd.daemon.imports.import_map import parse_map
     from steerd.daemon.imports.propose import format_map
     from steerd.daemon.sessions.info import load_recording, make_session_report
