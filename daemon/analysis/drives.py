@@ -212,8 +212,7 @@ def without_reserved(
 # -- what of a diagnosis's drives is explained, and what measures the shrinkage --------------------
 
 BLOCK = 6.5  # least length of a block: it holds two separate predictions 3 s ahead [s]
-_OVER = 0.45
-"""A block may be so much longer than whole seconds; more would make one window more of it [s]."""
+_OVER = 0.45  # a block may be so much longer than whole seconds; more is one window more [s]
 FEWEST = 3  # of fewer blocks none is held out unless it is asked for
 LEAST = 5.0  # a gap is not identifiable from less driving than this [s]
 

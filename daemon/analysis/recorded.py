@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     import polars
     from matplotlib.figure import Figure
 
-Table = NDArray[np.void]
-"""A topic as a structured array (n,): `t` [s] since the session's start, then every field."""
+Table = NDArray[np.void]  # a topic (n,): `t` [s] since the session's start, then every field
 
 
 @shown

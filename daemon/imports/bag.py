@@ -61,8 +61,7 @@ BAG_ROLES: Mapping[str, Role] = {
     ),
     "wheel": Role(WHEEL, (_ODOMETRY,)),
 }  # fmt: skip
-_OTHER_CLOCK_NS = 10_000_000_000
-"""Header stamps this far from the bag's time are of another clock [ns]."""
+_OTHER_CLOCK_NS = 10_000_000_000  # header stamps this far from the bag's time are of another clock
 _ADVANCE_MESSAGES = 1000  # messages between two reports of progress
 _SHOWN = 8  # topics that an error lists
 

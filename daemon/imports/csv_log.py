@@ -184,8 +184,7 @@ _STREAMS: tuple[tuple[Topic, Callable[..., Any], tuple[str, ...]], ...] = (
 )
 """Topics, what makes their messages, and of which quantities."""
 _TOPICS = {quantity: topic for topic, _, quantities in _STREAMS for quantity in quantities}
-_Timed = tuple[int, dict[str, float]]
-"""The time of a row [ns], and the quantities that have a value in it."""
+_Timed = tuple[int, dict[str, float]]  # time of a row [ns], and the quantities that have a value
 _INT32_MAX = (1 << 31) - 1  # largest UNIX time [s] and largest ERPM of a message
 
 

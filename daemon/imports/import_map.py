@@ -78,12 +78,10 @@ class ImportMap:
     # Quantity to column, `t` included; empty in a map for bags
     columns: dict[str, ColumnSpec] = field(default_factory=dict)
     topics: dict[str, str] = field(default_factory=dict)  # role to topic
-    # Which rigid body of a PhaseSpace message is the car; None if there is only one
-    rigid: int | None = None
+    rigid: int | None = None  # which body of a PhaseSpace message is the car; None: the only one
     # From the recorded body to the centre of gravity; None changes nothing
     frame: FrameConfig | None = None
-    # Electrical rpm per m/s, and its offset; None for the F1TENTH figures
-    vesc: VescSpec | None = None
+    vesc: VescSpec | None = None  # ERPM per m/s and its offset; None for the F1TENTH figures
     car: str = "car"  # the car's name in topics
     epoch_ns: int = 0  # UNIX time of the log's time zero [ns]
     comment: str = ""  # a remark for `steerd info`

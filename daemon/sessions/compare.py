@@ -188,8 +188,7 @@ def _plot_tracks(axis: Axes, drives: Sequence[LaneSession]) -> None:
 # -- over time -------------------------------------------------------------------------------------
 
 STEP = 0.01  # of the common axis [s]
-REFINED = 0.5
-"""Within this of the strongest correlation the best likeness is taken for the shift [s]."""
+REFINED = 0.5  # within this of the strongest correlation the best likeness is the shift [s]
 LEAST_SHARE = 0.01
 """Least height of a difference's axis to either side, as a share of the first drive's largest."""
 _MOTION = ("speed", "steering angle (left +)", "yaw rate")

@@ -26,8 +26,7 @@ from steerd.sysid.data.dataset import read_erpm
 from steerd.toml_text import decode_toml, parse_toml
 
 NIS_95 = 7.815  # 95 % of a chi-squared distribution with 3 degrees of freedom lie below
-LANE_HALF_WIDTH = 0.30
-"""[m], where the lateral watchdog stops the car unless the car file says otherwise."""
+LANE_HALF_WIDTH = 0.30  # where the lateral watchdog stops a car whose file does not say [m]
 GAP = 0.5  # a line breaks where samples are further apart [s]
 
 

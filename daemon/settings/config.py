@@ -218,8 +218,7 @@ def _convert(table: Mapping[str, Any], cls: type[S], others: Collection[str] = (
     return msgspec.convert(own, cls)
 
 
-FRAME_ANGLES = ("world_yaw", "mount_yaw")
-"""Of a `FrameConfig`; tables give them in degrees, as `NAME_deg`."""
+FRAME_ANGLES = ("world_yaw", "mount_yaw")  # of a `FrameConfig`; tables give degrees, as `NAME_deg`
 
 
 def read_frame(table: Mapping[str, Any]) -> FrameConfig:

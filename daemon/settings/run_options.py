@@ -42,8 +42,7 @@ class RunOptions:
     drill: str = ""  # excitation plan of `steerd collect` (see `plans.parse_drill`), or ""
     view: str = ""  # ``[HOST:]PORT`` of the viewer's WebSocket, or "" for none
     ros_domain: int | None = None
-    # Car file of the simulated car, or `hidden:SEED`; "" for the car file's own car
-    sim_car: str = ""
+    sim_car: str = ""  # car file of the simulated car, or `hidden:SEED`; "" for the car file's own
     page: int | None = None  # port of the live page on loopback, 0 for a free one; None for no page
     view_sets: bool = False
     learn: bool = False

@@ -25,8 +25,7 @@ from steerd.steer_bus.clock import Clock
 from steerd.steer_bus.messages import RequestKind
 
 _POLL_MS = 50
-KILL_NS = 4_000_000_000
-"""A core that has not ended so long after a second signal is killed; its guardian brakes."""
+KILL_NS = 4_000_000_000  # from a second signal to the kill of the core, whose guardian brakes
 
 
 class Terminal:

@@ -236,8 +236,7 @@ def _run_simulated(plan: "RunPlan", core: Child) -> int:
 
 
 _LIVE = "steerd.daemon.terminal.terminal"  # what a drive in real time loads first
-_BUSY = ("W1 ", "W7 ", "W8 ", "W9 ", "W15 ", "W16 ")
-"""Watchdogs that a machine without time for simulated hardware trips."""
+_BUSY = ("W1 ", "W7 ", "W8 ", "W9 ", "W15 ", "W16 ")  # watchdogs that a busy machine trips
 
 
 def _run_live(plan: "RunPlan", core: Child) -> tuple[int, str]:
