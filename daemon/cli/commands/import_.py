@@ -244,12 +244,14 @@ def _lines(report: "SessionReport", track: "Track | None", gain: float | None) -
 
 def _fix(proposal: "Proposal", doubts: Sequence[str], erpm_gain: float | None) -> bool:
     """Change what the drive itself says must be otherwise; whether anything was."""
+    from steerd.daemon.imports.propose import scaled
+
     text, fixed = " ".join(doubts), False
     columns = proposal.get("columns", {})
     if _LEFT in text and "steer_cmd" in columns:
         old = columns["steer_cmd"]
         name, scale = (old, 1.0) if isinstance(old, str) else (old["column"], old["scale"])
-        columns["steer_cmd"], fixed = {"column": name, "scale": -scale}, True
+        columns["steer_cmd"], fixed = scaled(name, -scale), True
     if "topics" in proposal and _MM in text:
         proposal.setdefault("frame", {})["units"], fixed = "mm", True
     if erpm_gain is not None and "--erpm-gain" in text:
