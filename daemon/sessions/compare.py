@@ -119,9 +119,8 @@ def check_same_lane(drives: Sequence[LaneSession]) -> None:
         raise UsageError(what, "name fewer")
     first = drives[0]
     for other in drives[1:]:
-        same = len(first.lane.x) == len(other.lane.x)
-        same = same and np.allclose(first.lane.x, other.lane.x, atol=0.01)
-        if not (same and np.allclose(first.lane.y, other.lane.y, atol=0.01)):
+        one, two = (np.array([drive.lane.x, drive.lane.y]) for drive in (first, other))
+        if one.shape != two.shape or not np.allclose(one, two, atol=0.01):
             what = f"{first.name} drives {first.lane.name}, {other.name} {other.lane.name}"
             hint = "compare drives of one --path: places along different lanes do not match"
             raise SteerdError(what, hint, ExitCode.INVALID)

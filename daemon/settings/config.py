@@ -193,15 +193,12 @@ def _read(car_file: CarFile, name: str, make: Callable[[Mapping[str, Any]], S]) 
 
 def _at_speed(car_file: CarFile, speed: float | None) -> ControllerConfig:
     """The file's controller, at the cruise speed that was asked for beside it."""
-
-    def load(table: Mapping[str, Any]) -> ControllerConfig:
-        return load_controller_config({k: v for k, v in table.items() if k != "rate_hz"})
-
-    config = _read(car_file, "controller", load)
-    if speed is None:
-        return config
+    config = _read(
+        car_file, "controller",
+        lambda table: load_controller_config({k: v for k, v in table.items() if k != "rate_hz"}),
+    )  # fmt: skip
     with refusing("--speed: ", code=ExitCode.INVALID):
-        return load({**car_file.sections.get("controller", {}), "speed": speed})
+        return config if speed is None else replace(config, speed=speed)
 
 
 def _names(cls: type[Any]) -> tuple[str, ...]:
